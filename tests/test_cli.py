@@ -1,0 +1,278 @@
+"""The command: statuses, one-line messages, and nothing heavy before there is work."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from vibrojax.cli import main
+from vibrojax.cli.info import describe
+from vibrojax.cli.sweep import size_text, time_text
+from vibrojax.errors import InputError
+from vibrojax.sweep._read import read_sweep
+
+ROOT = Path(__file__).parents[1]
+MAP = 'scene = "vibro-impact"\n[grid]\nbeta = [0.3, 0.4]\n'
+
+
+class Calls(list):
+    """What the commands asked the rest of the package to do: tuples (name, arguments)."""
+
+    def names(self):
+        return [name for name, *_ in self]
+
+    def of(self, name):
+        return next(arguments for called, *arguments in self if called == name)
+
+
+@pytest.fixture
+def calls(monkeypatch, tmp_path):
+    """Stand-ins for the working rooms, in an empty current folder."""
+    made = Calls()
+
+    def module(name, **functions):
+        stand_in = ModuleType(name)
+        for function, result in functions.items():
+            setattr(stand_in, function, stand_in_for(function, result))
+        monkeypatch.setitem(sys.modules, name, stand_in)
+        return stand_in
+
+    def stand_in_for(name, result):
+        def call(*arguments, **named):
+            made.append((name, arguments, named))
+            return result
+
+        return call
+
+    dataset = xr.Dataset()
+    cost = {"lanes": 4, "chunks": 1, "memory_bytes": 2.5e6, "disk_bytes": 1234, "time_s": 190.0}
+    module("vibrojax.sweep", run_to_file=dataset, estimate=cost).read_sweep = read_sweep
+    sys.modules["vibrojax.sweep"].__path__ = [str(ROOT / "vibrojax" / "sweep")]
+    module("vibrojax.devices", use_cores=None)
+    module("vibrojax.simulate", simulate=dataset)
+    module("vibrojax.store.dataset", write_dataset=None, open_dataset=dataset)
+    module("vibrojax.plot", save_picture=None, picture=None)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "map.toml").write_text(MAP)
+    return made
+
+
+def failing(name, function, error, monkeypatch):
+    def call(*_, **__):
+        raise error
+
+    monkeypatch.setattr(sys.modules[name], function, call)
+
+
+def refused(capsys, *argv) -> str:
+    """The one line with which the command refuses its input."""
+    assert main(argv) == 2
+    captured = capsys.readouterr()
+    assert captured.out == "" and captured.err.count("\n") == 1 and captured.err.startswith("vibrojax: ")
+    return captured.err
+
+
+def test_help_imports_nothing_heavy():
+    code = "import sys; from vibrojax.cli import main; status = main(sys.argv[1:]); "
+    code += "print(status, sorted({'jax', 'numpy', 'xarray', 'matplotlib'} & set(sys.modules)))"
+    for argv in (["--help"], ["sweep", "--help"], ["simulate", "--help"], ["sweep"], ["--version"]):
+        done = subprocess.run([sys.executable, "-c", code, *argv], capture_output=True, text=True, cwd=ROOT)
+        assert done.stdout.splitlines()[-1] == f"{2 if argv == ['sweep'] else 0} []", done.stdout + done.stderr
+
+
+@pytest.mark.parametrize(
+    ("argv", "line"),
+    [
+        (["sweep", "no.toml"], "vibrojax: no.toml: no such file; give the path of one that is there\n"),
+        (["simulate", "rotery"], 'vibrojax: simulate: scene: "rotery" is unknown; did you mean "rotary"?\n'),
+    ],
+)
+def test_python_m_is_the_same(argv, line):
+    done = subprocess.run([sys.executable, "-m", "vibrojax", *argv], capture_output=True, text=True, cwd=ROOT)
+    assert (done.returncode, done.stdout, done.stderr) == (2, "", line)
+
+
+def test_sweep_runs_then_draws(calls, capsys):
+    assert main(["sweep", "map.toml"]) == 0
+    assert calls.names() == ["use_cores", "run_to_file", "save_picture"]
+    (sweep, out), named = calls.of("run_to_file")
+    assert sweep.lanes == 4 and out == Path("map.nc") and named == {"resume": True, "progress": True}
+    assert calls.of("save_picture")[0][1] == Path("map.png")
+    assert capsys.readouterr().out == "map.nc: 4 lanes; picture map.png\n"
+
+
+def test_sweep_options(calls, capsys, tmp_path):
+    out = tmp_path / "a b.nc"
+    assert main(["sweep", "map.toml", "-o", str(out), "--fresh", "--quiet"]) == 0
+    arguments, named = calls.of("run_to_file")
+    assert arguments[1] == out and named == {"resume": False, "progress": False}
+    assert capsys.readouterr().out == ""
+
+
+def test_a_dry_run_only_tells(calls, capsys):
+    assert main(["sweep", "map.toml", "--dry-run"]) == 0
+    assert calls.names() == ["use_cores", "estimate"]
+    expected = ["lanes   4 (2 beta x 2 start) in 1 chunks", "memory  2.5 MB", "disk    1.23 kB", "time    3.17 min"]
+    assert capsys.readouterr().out.splitlines() == expected
+
+
+def test_an_interrupted_sweep_says_how_to_resume(calls, capsys, monkeypatch):
+    failing("vibrojax.sweep", "run_to_file", KeyboardInterrupt(), monkeypatch)
+    assert main(["sweep", "map.toml", "-o", "my map.nc"]) == 130
+    line = "vibrojax: interrupted; finished chunks are kept; to go on: vibrojax sweep map.toml -o 'my map.nc'\n"
+    assert capsys.readouterr().err == line
+
+
+def test_a_full_disk_is_one_line(calls, capsys, monkeypatch):
+    failing("vibrojax.sweep", "run_to_file", OSError(28, "No space left on device", "map.nc"), monkeypatch)
+    assert main(["sweep", "map.toml"]) == 1
+    assert capsys.readouterr().err == "vibrojax: map.nc: No space left on device\n"
+
+
+def test_bad_input_found_late_is_one_line(calls, capsys, monkeypatch):
+    failing("vibrojax.store.dataset", "open_dataset", InputError("a.nc: not\nours"), monkeypatch)
+    assert refused(capsys, "plot", "a.nc") == "vibrojax: a.nc: not ours\n"
+    assert refused(capsys, "info", "a.nc") == "vibrojax: a.nc: not ours\n"
+
+
+@pytest.mark.parametrize(
+    ("argv", "line"),
+    [
+        ([], "no command; choose from sweep, simulate, plot, info"),
+        (["swep"], "invalid choice: 'swep'"),
+        (["sweep"], "sweep: the following arguments are required: SWEEP; see vibrojax sweep --help"),
+        (["sweep", "map.toml", "--fesh"], "unrecognized arguments: --fesh"),
+        (["sweep", "map.toml", "--fresh", "--resume"], "not allowed with argument"),
+        (["sweep", "mpa.toml"], "mpa.toml: no such file"),
+        (["sweep", "map.toml", "-o", "map.txt"], '-o: "map.txt" does not end in .nc'),
+        (["sweep", "map.toml", "-o", "no/map.nc"], '-o: "no/map.nc": "no" does not exist; give a file in a folder'),
+        (["sweep", "map.toml", "-o", "map.toml/map.nc"], '"map.toml" is not a folder'),
+        (["sweep", "map.toml", "-o", "folder.nc"], '-o: "folder.nc" is a folder'),
+        (["sweep", "map.toml", "-o", "taken.nc"], '-o: "taken.png" is a folder'),
+        (["plot", "map.nc", "-o", "map.bmp"], '-o: "map.bmp" does not end in .png or .pdf or .svg'),
+        (["simulate", "rotery"], 'simulate: scene: "rotery" is unknown; did you mean "rotary"?'),
+        (["simulate", "rotary", "delta=1"], 'simulate: delta: scene "rotary" has no delta; it has m1'),
+        (["simulate", "rotary", "bta=1"], 'simulate: bta: scene "rotary" has no such parameter; did you mean "beta"?'),
+        (["simulate", "rotary", "beta"], 'simulate: "beta" is no NAME=VALUE'),
+        (["simulate", "rotary", "beta=1", "beta=2"], 'simulate: beta: "2" is a second value'),
+        (["simulate", "rotary", "beta=0"], "simulate: beta: is 0; it must be above 0"),
+        (["simulate", "rotary", "beta=nan"], "simulate: beta: is nan; a finite number is needed"),
+        (["simulate", "rotary", "beta=x"], 'simulate: beta: "x" is text'),
+        (["simulate", "rotary", "start=touching"], 'simulate: start: "touching" is no start of scene "rotary"'),
+        (["simulate", "rotary", "start=[0,0"], 'simulate: start: "[0,0" is no vector'),
+        (["simulate", "rotary", "start=[0,0]"], "simulate: start: [0, 0] has 2 numbers; four are needed"),
+        (["simulate", "rotary", "duration=0"], "simulate: duration: is 0; it must be above 0 s"),
+        (["simulate", "rotary", "solver=3"], "simulate: solver: 3.0 is not a name"),
+        (["simulate", "rotary", "-o", "a.png"], '-o: "a.png" does not end in .nc'),
+    ],
+)
+def test_bad_input_is_refused_before_any_work(calls, capsys, tmp_path, argv, line):
+    (tmp_path / "folder.nc").mkdir()
+    (tmp_path / "taken.png").mkdir()
+    assert line in refused(capsys, *argv)
+    assert set(calls.names()) <= {"open_dataset"}
+
+
+def test_a_folder_that_cannot_be_written_is_refused(calls, capsys, monkeypatch):
+    def refuse(**_):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr("tempfile.TemporaryFile", refuse)
+    assert '-o: "map.nc": folder "." cannot be written (Permission denied)' in refused(capsys, "sweep", "map.toml")
+    assert calls == []
+
+
+def test_simulate_passes_a_checked_point(calls, capsys):
+    words = [
+        "beta=0.3",
+        "rpm=60",
+        "bit_radius=0.1",
+        "friction=coulomb",
+        "start=[0,0,0.01,0]",
+        "duration=5",
+        "solver=Tsit5",
+    ]
+    assert main(["simulate", "vibro-impact", *words]) == 0
+    arguments, named = calls.of("simulate")
+    assert arguments == ("vibro-impact",)
+    assert named["beta"] == 0.3 and named["v"] == pytest.approx(0.2 * np.pi) and "rpm" not in named
+    assert named["friction"] == "coulomb" and named["start"] == (0.0, 0.0, 0.01, 0.0)
+    assert named["duration"] == 5.0 and named["solver"] == "Tsit5" and "v_cr" not in named
+    assert calls.names() == ["use_cores", "simulate", "write_dataset", "save_picture"]
+    assert calls.of("write_dataset")[0][1] == Path("vibro-impact.nc")
+    assert capsys.readouterr().out == "vibro-impact.nc; picture vibro-impact.png\n"
+
+
+def test_plot_draws_beside(calls, capsys, tmp_path):
+    assert main(["plot", "map.nc"]) == 0
+    assert calls.of("save_picture")[0][1] == Path("map.png")
+    assert main(["plot", "map.nc", "-o", "other.svg"]) == 0
+    assert capsys.readouterr().out.split() == ["map.png", "other.svg"]
+
+
+def test_a_reader_that_goes_away_is_quiet():
+    code = "import sys; from vibrojax.cli import main; sys.exit(main(['--version']))"
+    reader, writer = os.pipe()
+    os.close(reader)
+    told = subprocess.run([sys.executable, "-c", code], stdout=writer, stderr=subprocess.PIPE, text=True, cwd=ROOT)
+    os.close(writer)
+    assert told.stderr == "" and told.returncode == 141
+
+
+FLAGS = {"flag_values": np.arange(4, dtype=np.int8), "flag_meanings": "undecided equilibrium single-impact failed"}
+
+
+def labelled() -> xr.Dataset:
+    regime = np.array([[2, 2], [3, 0], [2, 3]], np.int8)
+    reason = np.array([[0, 0], [1, 0], [0, 1]], np.int8)
+    errors = np.array([[1e-6, 1e-5], [np.nan, np.nan], [5e-3, np.nan]])
+    dims = ("beta", "start")
+    return xr.Dataset(
+        {
+            "regime": (dims, regime, FLAGS),
+            "reason": (dims, reason, {"flag_values": [0, 1], "flag_meanings": "none not-finite"}),
+            "error_estimate": (dims, errors),
+        },
+        coords={"beta": ("beta", [0.1, 0.2, 0.4], {"units": "1"}), "start": ["drive", "stuck"]},
+        attrs={"scene": "rotary", "title": "t", "sweep": "[run]\nerror = 1e-3\n", "lanes": 6, "wall_time_s": 2.0},
+    )
+
+
+def test_info_tells_what_is_there():
+    text = "\n".join(describe(labelled()))
+    for line in (
+        "scene     rotary",
+        "grid      beta: 0.1 to 0.4 (3)\n          start: drive, stuck (2)",
+        "regimes   undecided             1   16.7 %\n          single-impact         3   50.0 %",
+        "failures  2\n          at beta=0.2 start=drive: not-finite\n          at beta=0.4 start=stuck: not-finite",
+        "accuracy  error_estimate median 1e-05, largest 0.005",
+        "          66.67 % of 3 periodic lanes within the accepted 0.001",
+        "wall time 2 s",
+    ):
+        assert line in text, text
+
+
+@pytest.mark.parametrize("dropped", ["regime", "reason", "error_estimate", "beta"])
+def test_info_does_without(dropped):
+    dataset = labelled().drop_vars(dropped)
+    dataset.attrs = {}
+    assert describe(dataset)
+    assert describe(xr.Dataset({"x1": ("time", [0.0, 1.0])}, coords={"time": [0.0, 1.0]}))
+
+
+def test_sizes_and_times_are_for_people():
+    assert [size_text(size) for size in (0, 999, 1e6, 2.345e12, 1e19)] == [
+        "0 B",
+        "999 B",
+        "1 MB",
+        "2.35 TB",
+        "10,000,000 TB",
+    ]
+    assert [time_text(time) for time in (0.5, 100, 600, 1e4, 1e6, 1e9)] == [
+        "0.5 s", "100 s", "10 min", "2.78 h", "11.6 days", "11,574 days",
+    ]  # fmt: skip

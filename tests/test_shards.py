@@ -1,0 +1,156 @@
+"""Chunks beside the output: they outlive a crash, and a damaged or foreign one is never taken for a whole one."""
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from vibrojax.errors import InputError
+from vibrojax.store.shards import DamagedShard, Shards
+
+MANIFEST = {"scene": "rotary", "chunk": 4, "grid.beta": [0.1, 0.2], "version": "1"}
+
+
+def arrays(index: int) -> dict[str, np.ndarray]:
+    regime = np.full(4, index, np.int8)
+    return {"period": np.array([0.1, np.nan, index, 3.0]), "regime": regime, "kept": np.arange(8.0).reshape(4, 2)}
+
+
+@pytest.fixture
+def shards(tmp_path):
+    """A folder in which chunks 0 and 2 are finished, and nobody at work."""
+    opened = Shards(tmp_path / "out.nc.chunks", MANIFEST)
+    opened.open(resume=True)
+    opened.write(2, arrays(2))
+    opened.write(0, arrays(0))
+    opened.close()
+    return opened
+
+
+def again(shards, resume=True, **changes) -> Shards:
+    opened = Shards(shards.folder, MANIFEST | changes)
+    opened.open(resume)
+    return opened
+
+
+def shard(shards, index):
+    return shards.folder / f"chunk-{index:08d}.shard"
+
+
+def test_what_is_finished_is_found_again(shards):
+    with again(shards) as opened:
+        assert opened.finished() == {0, 2}
+        for index in (0, 2):
+            found, expected = opened.read(index), arrays(index)
+            assert found.keys() == expected.keys()
+            for name in expected:
+                np.testing.assert_array_equal(found[name], expected[name], strict=True)
+        with pytest.raises(DamagedShard):
+            opened.read(1)
+
+
+@pytest.mark.parametrize("place", [0, 31, 32, 100, -1])
+def test_a_flipped_bit_is_found_out(shards, place, capsys):
+    content = bytearray(shard(shards, 2).read_bytes())
+    content[place] ^= 1
+    shard(shards, 2).write_bytes(content)
+    with again(shards) as opened:
+        assert opened.finished() == {0}
+        line = capsys.readouterr().err
+        assert line.count("\n") == 1 and "chunk-00000002" in line and "computed again" in line
+        with pytest.raises(DamagedShard):
+            opened.read(2)
+        opened.write(2, arrays(2))
+        assert opened.finished() == {0, 2}
+
+
+@pytest.mark.parametrize("size", [0, 10, 32, 200])
+def test_a_cut_shard_is_found_out(shards, size):
+    os.truncate(shard(shards, 0), size)
+    with again(shards) as opened:
+        assert opened.finished() == {2}
+
+
+def test_a_shard_in_anothers_place_is_found_out(shards):
+    os.replace(shard(shards, 2), shard(shards, 1))
+    with again(shards) as opened:
+        assert opened.finished() == {0}
+
+
+def test_a_changed_manifest_is_refused(shards):
+    with pytest.raises(InputError) as caught:
+        again(shards, chunk=8)
+    line = str(caught.value)
+    assert "chunk was 4, is 8" in line and "--fresh" in line and "\n" not in line and "scene" not in line
+    with again(shards) as opened:  # nothing was lost, and the lock is free
+        assert opened.finished() == {0, 2}
+    with again(shards, resume=False, chunk=8) as opened:
+        assert opened.finished() == set()
+    with again(shards, chunk=8) as opened:
+        assert opened.finished() == set()
+
+
+def test_a_manifest_without_chunks_binds_nobody(shards):
+    shard(shards, 0).unlink()
+    shard(shards, 2).unlink()
+    again(shards, chunk=8).close()
+
+
+@pytest.mark.parametrize("damage", [b"", b"{", b"[]", b'{"sha256": "0", "manifest": {"scene": "other"}}'])
+def test_without_a_whole_manifest_each_shard_tells_for_itself(shards, damage):
+    (shards.folder / "manifest.json").write_bytes(damage)
+    with again(shards) as opened:
+        assert opened.finished() == {0, 2}
+    (shards.folder / "manifest.json").write_bytes(damage)
+    with again(shards, chunk=8) as opened:
+        assert opened.finished() == set()
+
+
+def test_what_a_killed_process_left_is_cleared(shards):
+    half = shards.folder / "chunk-00000001.shard.tmp"
+    half.write_bytes(b"half")
+    with again(shards) as opened:
+        assert not half.exists() and opened.finished() == {0, 2}
+
+
+def test_a_write_that_fails_leaves_nothing_that_counts(shards, monkeypatch):
+    with again(shards) as opened:
+        monkeypatch.setattr(os, "fsync", lambda _: (_ for _ in ()).throw(OSError(28, "No space left on device")))
+        with pytest.raises(OSError, match="No space"):
+            opened.write(1, arrays(1))
+        monkeypatch.undo()
+        assert opened.finished() == {0, 2}
+
+
+def test_two_processes_do_not_share_a_folder(shards):
+    with again(shards):
+        code = "import sys; from pathlib import Path; from vibrojax.store.shards import Shards; "
+        code += "Shards(Path(sys.argv[1]), {}).open(resume=False)"
+        other = subprocess.run([sys.executable, "-c", code, str(shards.folder)], capture_output=True, text=True)
+        assert other.returncode == 1 and "another process is at work there" in other.stderr
+    with again(shards) as opened:  # --fresh of the other has removed nothing
+        assert opened.finished() == {0, 2}
+
+
+def test_the_folder_goes_when_all_is_done(shards):
+    with again(shards) as opened:
+        opened.remove()
+    assert not shards.folder.exists()
+    with again(shards) as opened:
+        assert opened.finished() == set()
+
+
+def test_what_is_not_ours_stays(shards):
+    note = shards.folder / "note.txt"
+    note.write_text("mine")
+    with again(shards, resume=False) as opened:
+        opened.remove()
+    assert [path.name for path in shards.folder.iterdir()] == ["note.txt"]
+
+
+def test_a_file_in_the_folders_place_is_refused(tmp_path):
+    (tmp_path / "out.nc.chunks").write_text("")
+    with pytest.raises(InputError, match="cannot be made a folder"):
+        Shards(tmp_path / "out.nc.chunks", MANIFEST).open(resume=True)

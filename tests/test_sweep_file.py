@@ -1,0 +1,193 @@
+"""Sweep files that are right are read as meant; those that are not are in test_sweep_file_refused."""
+
+import tomllib
+from math import pi
+
+import numpy as np
+import pytest
+
+from vibrojax.errors import Place
+from vibrojax.sweep import _source
+from vibrojax.sweep._point import read_point
+from vibrojax.sweep._read import read_sweep
+from vibrojax.sweep._settings import RunSettings
+from vibrojax.sweep._toml import render
+
+FULL = """
+scene = "vibro-impact"
+title = "a map"
+
+[parameters]
+k0 = 40e6
+
+[grid]
+beta = { start = 0.25, stop = 0.60, num = 8 }
+gamma = [0.8, 0.6, 0.7]
+v = { start = 0.5, stop = 2.0, num = 3, spacing = "log" }
+
+[run]
+settle = 10
+error = 1e-3
+keep_returns = 5
+"""
+
+
+def from_text(folder, text, name="map.toml"):
+    path = folder / name
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_a_full_file_is_read_with_its_defaults(tmp_path):
+    sweep = read_sweep(from_text(tmp_path, FULL))
+    assert (sweep.name, sweep.title, sweep.scene, sweep.friction) == ("map", "a map", "vibro-impact", "stribeck")
+    assert sweep.text == FULL
+    assert sweep.starts == ("drive", "stuck")
+    assert sweep.given == {"k0": 40e6}
+    assert sweep.parameters["k0"] == 40e6 and sweep.parameters["mu"] == 0.4 and sweep.parameters["delta"] == -0.005
+    assert not {"beta", "gamma", "v"} & sweep.parameters.keys()
+    assert sweep.dims == ("beta", "gamma", "v", "start") and sweep.shape == (8, 3, 3, 2) and sweep.lanes == 144
+    np.testing.assert_allclose(sweep.axes["beta"], 0.25 + 0.05 * np.arange(8), rtol=1e-15)
+    assert sweep.axes["gamma"].tolist() == [0.8, 0.6, 0.7]
+    np.testing.assert_allclose(sweep.axes["v"], [0.5, 1.0, 2.0], rtol=1e-15)
+    assert sweep.run == RunSettings(settle=10.0, error=1e-3, keep_returns=5)
+    assert isinstance(sweep.run.settle, float)
+
+
+def test_lanes_run_in_row_major_order(tmp_path):
+    sweep = read_sweep(from_text(tmp_path, FULL))
+    values, starts = sweep.lane_values(0, sweep.lanes)
+    assert set(values) == set(sweep.machine.parameters())
+    assert all(column.shape == (144,) and column.dtype == np.float64 for column in values.values())
+    mesh = np.meshgrid(*sweep.axes.values(), np.arange(2), indexing="ij")
+    for name, expected in zip(sweep.axes, mesh, strict=False):
+        np.testing.assert_array_equal(values[name].reshape(sweep.shape), expected)
+    np.testing.assert_array_equal(starts.reshape(sweep.shape), mesh[-1])
+    assert np.issubdtype(starts.dtype, np.integer)
+    part, part_starts = sweep.lane_values(17, 61)
+    assert all((part[name] == values[name][17:61]).all() for name in values)
+    assert (part_starts == starts[17:61]).all()
+
+
+def test_a_grid_too_large_for_memory_costs_nothing():
+    axis = {"start": 0.1, "stop": 1.2, "num": 10**6}
+    sweep = read_sweep({"scene": "rotary", "grid": {"beta": axis, "gamma": axis, "v": [1.0, 2.0]}})
+    assert sweep.lanes == 4 * 10**12
+    values, starts = sweep.lane_values(sweep.lanes - 3, sweep.lanes)
+    assert (
+        values["beta"].tolist() == [1.2] * 3
+        and values["v"].tolist() == [1.0, 2.0, 2.0]
+        and starts.tolist() == [1, 0, 1]
+    )
+
+
+def test_starts_may_be_names_and_vectors():
+    starts = ["touching", [0, 0, 0.01, -1]]
+    sweep = read_sweep({"scene": "vibro-impact", "starts": starts, "grid": {"beta": [0.4]}})
+    assert sweep.starts == ("touching", (0.0, 0.0, 0.01, -1.0))
+
+
+def test_a_dict_reads_like_its_own_text(tmp_path):
+    tables = {
+        "scene": "vibro-impact",
+        "title": 'ä "quoted" \\ \t end',
+        "starts": ("drive", [0.0, 0.0, 1e-3, 0.0]),
+        "parameters": {"friction": "coulomb", "k0": np.float64(3e7)},
+        "grid": {"beta": np.linspace(0.1, 0.3, 3), "gamma": {"start": 0.3, "stop": 0.6, "num": 4}},
+        "run": {"end_early": False, "precision": "float32"},
+    }
+    sweep = read_sweep(tables)
+    again = read_sweep(from_text(tmp_path, sweep.text))
+    assert sweep.name == "sweep" and again.name == "map"
+    assert again.title == tables["title"] and again.friction == "coulomb" and not again.run.end_early
+    assert again.identity() == sweep.identity()
+
+
+@pytest.mark.parametrize("tables", [{}, {"a": 1, "b c": [1.5, True], "t": {"x": {"y": "z"}, "e": {}}}, {"t": {}}])
+def test_the_writer_of_toml_round_trips(tables):
+    assert tomllib.loads(render(tables)) == tables
+
+
+def test_identity_follows_what_is_computed_and_nothing_else():
+    base = {"scene": "rotary", "grid": {"beta": np.linspace(0.1, 0.5, 20)}}
+    same = base | {"title": "other", "run": {"chunk": 7}, "parameters": {"m1": 250}}
+    identity = read_sweep(base).identity()
+    assert read_sweep(same).identity() == identity
+    axis = np.linspace(0.1, 0.5, 20)
+    axis[7] = np.nextafter(axis[7], 1)
+    for other in ({"grid": {"beta": axis}}, {"run": {"settle": 41}}, {"starts": ["stuck", "drive"]}):
+        assert read_sweep(base | other).identity() != identity
+
+
+# rpm with bit_radius stands for v = 2 pi rpm/60 bit_radius
+
+SPEED = 2 * pi * 120 / 60 * 0.1
+
+
+def test_rotation_fixed_gives_the_drive_speed():
+    sweep = read_sweep({"scene": "rotary", "parameters": {"rpm": 120, "bit_radius": 0.1}, "grid": {"beta": [0.4]}})
+    assert sweep.parameters["v"] == pytest.approx(SPEED) and not {"rpm", "bit_radius"} & sweep.parameters.keys()
+    assert sweep.given == {"rpm": 120.0, "bit_radius": 0.1}
+    assert sweep.lane_values(0, 2)[0]["v"] == pytest.approx(SPEED)
+
+
+def test_rotation_on_an_axis_gives_the_drive_speed():
+    grid = {"rpm": [60, 120], "beta": [0.4, 0.5]}
+    sweep = read_sweep({"scene": "rotary", "parameters": {"bit_radius": 0.1}, "grid": grid, "starts": ["drive"]})
+    assert sweep.dims == ("rpm", "beta", "start") and "v" not in sweep.parameters
+    values, _ = sweep.lane_values(0, 4)
+    assert values["v"] == pytest.approx([SPEED / 2, SPEED / 2, SPEED, SPEED])
+    assert set(values) == set(sweep.machine.parameters())
+
+
+def test_rotation_in_points_gives_the_drive_speed(tmp_path):
+    from_text(tmp_path, "rpm,bit_radius\n120,0.1\n60,0.1\n", "p.csv")
+    sweep = read_sweep(from_text(tmp_path, 'scene = "rotary"\npoints = "p.csv"\n'))
+    assert sweep.lane_values(0, 4)[0]["v"] == pytest.approx([SPEED, SPEED, SPEED / 2, SPEED / 2])
+
+
+# points
+
+
+def test_points_lie_beside_the_file(tmp_path):
+    (tmp_path / "p.csv").write_bytes(b"\xef\xbb\xbfbeta, gamma\r\n0.3,0.7\r\n\r\n0.4,1e0\r\n")
+    sweep = read_sweep(from_text(tmp_path, 'scene = "vibro-impact"\npoints = "p.csv"\n'))
+    assert sweep.dims == ("point", "start") and sweep.shape == (2, 2) and sweep.point_starts is None
+    values, starts = sweep.lane_values(0, 4)
+    assert values["gamma"].tolist() == [0.7, 0.7, 1.0, 1.0] and starts.tolist() == [0, 1, 0, 1]
+
+
+def test_a_column_start_takes_the_place_of_starts():
+    points = {"beta": [0.3, 0.4, 0.5], "start": ["stuck", "drive", "stuck"]}
+    sweep = read_sweep({"scene": "vibro-impact", "points": points, "starts": ["touching"]})
+    assert sweep.dims == ("point",) and sweep.shape == (3,) and sweep.point_starts == points["start"]
+    values, starts = sweep.lane_values(1, 3)
+    assert values["beta"].tolist() == [0.4, 0.5]
+    assert [sweep.starts[index] for index in starts] == ["drive", "stuck"]
+
+
+def test_bundled_sweeps_have_names(tmp_path, monkeypatch):
+    installed, checkout = tmp_path / "installed", tmp_path / "checkout"
+    monkeypatch.setattr(_source, "BUNDLED_FOLDERS", (installed, checkout))
+    monkeypatch.chdir(tmp_path)
+    for folder in (checkout, installed):
+        folder.mkdir()
+        from_text(folder, FULL.replace("a map", folder.name), "regime_map.toml")
+        sweep = read_sweep("regime-map")
+        assert (sweep.name, sweep.title) == ("regime-map", folder.name)
+    assert read_sweep("regime_map").name == "regime_map"
+
+
+def test_a_byte_order_mark_does_no_harm(tmp_path):
+    path = tmp_path / "map.toml"
+    path.write_bytes(b"\xef\xbb\xbf" + FULL.encode())
+    assert read_sweep(path).text == FULL
+
+
+# one point
+
+
+def test_a_point_is_checked_like_a_file():
+    point = read_point(Place("simulate"), "vibro-impact", {"rpm": 120, "bit_radius": 0.1, "friction": "coulomb"})
+    assert (point.friction, point.start) == ("coulomb", "drive")
+    assert point.parameters["v"] == pytest.approx(SPEED) and set(point.parameters) == set(point.machine.parameters())

@@ -1,0 +1,81 @@
+"""The command `vibrojax`: parse, call, print.
+
+Nothing heavy is imported until a command runs, so that `--help` answers at once.
+"""
+
+import os
+import sys
+from argparse import ArgumentParser, Namespace
+from collections.abc import Sequence
+
+from vibrojax.cli import info, plot, simulate, sweep
+from vibrojax.errors import InputError
+
+DONE, FAILED, BAD_INPUT, INTERRUPTED, PIPE_CLOSED = 0, 1, 2, 130, 141
+
+_COMMANDS = {"sweep": sweep, "simulate": simulate, "plot": plot, "info": info}
+
+
+class _Parser(ArgumentParser):
+    """Wrong arguments are bad input like any other: one line, status 2."""
+
+    def error(self, message: str):
+        raise InputError(f"{self.prog.removeprefix('vibrojax ')}: {message}; see {self.prog} --help")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command with the arguments `argv` (None: the process's).
+
+    Returns the exit status: 0 done, 2 bad input, 130 interrupted, 1 where the machine failed (a full disk), 141 where
+    the reader of the output went away.
+    """
+    options = Namespace(how_to_resume="run the same command again")
+    try:
+        _parser().parse_args(argv, options)
+        if options.version:
+            print(f"vibrojax {_version()}")
+        elif options.command is None:
+            raise InputError(f"no command; choose from {', '.join(_COMMANDS)}, or see vibrojax --help")
+        else:
+            _COMMANDS[options.command].run(options)
+        sys.stdout.flush()
+        return DONE
+    except SystemExit as leaving:  # --help
+        return int(leaving.code or 0)
+    except InputError as error:
+        return _say(str(error), BAD_INPUT)
+    except KeyboardInterrupt:
+        return _say(f"interrupted; {options.how_to_resume}", INTERRUPTED)
+    except BrokenPipeError:
+        # What is left in the buffer would raise again while Python leaves.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return PIPE_CLOSED
+    except OSError as error:
+        return _say(f"{error.filename or options.command}: {error.strerror or error}", FAILED)
+
+
+def _parser() -> ArgumentParser:
+    description = "Simulate a self-exciting percussive-rotary drill: maps over parameters, single points, pictures."
+    parser = _Parser(prog="vibrojax", description=description, allow_abbrev=False)
+    parser.add_argument("--version", action="store_true", help="print the version")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND")
+    for name, command in _COMMANDS.items():
+        summary = command.__doc__.splitlines()[0].rstrip(".")
+        command.arguments(commands.add_parser(name, help=summary, description=summary, allow_abbrev=False))
+    return parser
+
+
+def _say(line: str, status: int) -> int:
+    """Say on stderr, on one line, why the command ended with `status`."""
+    sys.stdout.flush()
+    print("vibrojax:", " ".join(line.split()), file=sys.stderr)
+    return status
+
+
+def _version() -> str:
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version("vibrojax")
+    except PackageNotFoundError:
+        return "(not installed)"

@@ -1,0 +1,36 @@
+"""Checks of what a command is to write, made before any work."""
+
+import os
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+from vibrojax.errors import InputError, shown
+
+PICTURES = (".png", ".pdf", ".svg")
+
+
+def output(path: str | Path, endings: Sequence[str] = (".nc",)) -> Path:
+    """`path` as one that can be written, with one of `endings`; raises `InputError` where it cannot."""
+    path = Path(path)
+    at = f"-o: {shown(str(path))}"
+    if path.suffix not in endings:
+        raise InputError(f"{at} does not end in {' or '.join(endings)}; give the name of such a file")
+    if path.is_dir():
+        raise InputError(f"{at} is a folder; give the name of a file")
+    folder = path.parent
+    if not folder.is_dir():
+        problem = "is not a folder" if folder.exists() else "does not exist"
+        raise InputError(f"{at}: {shown(str(folder))} {problem}; give a file in a folder that is there")
+    if path.exists() and not os.access(path, os.W_OK):
+        raise InputError(f"{at} is write-protected; give another file")
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            return path
+    except OSError as error:
+        raise InputError(f"{at}: folder {shown(str(folder))} cannot be written ({error.strerror})") from None
+
+
+def picture_beside(path: Path) -> Path:
+    """The picture that lies beside the dataset at `path`, as one that can be written."""
+    return output(path.with_suffix(".png"), PICTURES)

@@ -1,0 +1,129 @@
+"""Tell what a dataset holds: scene, grid, regimes, failures, accuracy, provenance."""
+
+import tomllib
+from argparse import ArgumentParser, Namespace
+from pathlib import Path
+from typing import Any
+
+_FAILURES_SHOWN = 3
+_ACCEPTED = 1e-4  # the sweep file's default
+
+
+def arguments(parser: ArgumentParser) -> None:
+    """Add the command's arguments to `parser`."""
+    parser.add_argument("file", metavar="OUT.nc", help="a dataset written by vibrojax")
+
+
+def run(options: Namespace) -> None:
+    """Run the command."""
+    from vibrojax.store.dataset import open_dataset
+
+    with open_dataset(Path(options.file)) as dataset:
+        print("\n".join(describe(dataset)))
+
+
+def describe(dataset: Any) -> list[str]:
+    """The lines that tell what `dataset` holds; what it lacks is left out."""
+    attributes = dataset.attrs
+    lines = [(name, [str(attributes[name])]) for name in ("title", "scene") if attributes.get(name)]
+    lines.append(("grid", _grid(dataset)))
+    if "lanes" in attributes:
+        lines.append(("lanes", [str(attributes["lanes"])]))
+    lines += [("regimes", _regimes(dataset)), ("failures", _failures(dataset)), ("accuracy", _accuracy(dataset))]
+    lines.append(("variables", [", ".join(str(name) for name in dataset.data_vars)]))
+    made_by = [name for name in ("solver", "source", "history") if name in attributes]
+    lines += [(name, str(attributes[name]).split("\n")) for name in made_by]
+    if "wall_time_s" in attributes:
+        lines.append(("wall time", [f"{float(attributes['wall_time_s']):.3g} s"]))
+    shown = (f"{name if first else '':<10}{text}" for name, texts in lines for first, text in _marked(texts))
+    return [line.rstrip() for line in shown]
+
+
+def _marked(texts: list[str]) -> list[tuple[bool, str]]:
+    return [(index == 0, text) for index, text in enumerate(texts)]
+
+
+def _grid(dataset: Any) -> list[str]:
+    """Each dimension: its range and size."""
+    return [_dimension(dataset, name, size) for name, size in dataset.sizes.items()]
+
+
+def _dimension(dataset: Any, name: str, size: int) -> str:
+    if name not in dataset.coords or not size:
+        return f"{name}: {size}"
+    values = dataset[name].values
+    if values.dtype.kind not in "fiu":
+        few = ", ".join(str(value) for value in values[:8])
+        return f"{name}: {few}{', ...' if size > 8 else ''} ({size})"
+    unit = dataset[name].attrs.get("units", "1")
+    return f"{name}: {values[0]:g} to {values[-1]:g}{'' if unit == '1' else f' {unit}'} ({size})"
+
+
+def _flags(variable: Any) -> dict[int, str]:
+    """Value and meaning of each flag, by CF's attributes."""
+    import numpy as np
+
+    values = np.atleast_1d(variable.attrs.get("flag_values", [])).tolist()
+    return dict(zip(values, str(variable.attrs.get("flag_meanings", "")).split(), strict=False))
+
+
+def _regimes(dataset: Any) -> list[str]:
+    if "regime" not in dataset:
+        return []
+    regime = dataset["regime"]
+    total = max(regime.size, 1)
+    counted = [(meaning, int((regime.values == value).sum())) for value, meaning in _flags(regime).items()]
+    return [f"{meaning:<14}{count:>9}{100 * count / total:>7.1f} %" for meaning, count in counted if count]
+
+
+def _failures(dataset: Any) -> list[str]:
+    """How many lanes failed, and the first of them with the reason."""
+    import numpy as np
+
+    if "regime" in dataset:
+        failing = [value for value, meaning in _flags(dataset["regime"]).items() if meaning == "failed"]
+        mask = dataset["regime"].isin(failing)
+    elif "status" in dataset:
+        mask = dataset["status"] != 0
+    else:
+        return []
+    where = np.argwhere(mask.values)
+    return [str(len(where)), *(_failure(dataset, mask.dims, index) for index in where[:_FAILURES_SHOWN].tolist())]
+
+
+def _failure(dataset: Any, dims: tuple[str, ...], index: list[int]) -> str:
+    point = dataset.isel(dict(zip(dims, index, strict=True)))
+    names = [name for name in point.coords if point[name].ndim == 0]
+    values = [f"{name}={_number(point[name].item())}" for name in names]
+    reason = _flags(point["reason"]).get(point["reason"].item()) if "reason" in point else None
+    return "at " + " ".join(values) + (f": {reason}" if reason else "")
+
+
+def _number(value: object) -> str:
+    return f"{value:.10g}" if isinstance(value, float) else str(value)
+
+
+def _accuracy(dataset: Any) -> list[str]:
+    """Median and largest error estimate, and the share of lanes that keep what the caller accepts."""
+    import numpy as np
+
+    if "error_estimate" not in dataset:
+        return []
+    errors = dataset["error_estimate"].values
+    errors = errors[np.isfinite(errors)]
+    if not errors.size:
+        return ["no periodic lanes, so no error estimates"]
+    accepted = _accepted(dataset.attrs.get("sweep", ""))
+    share = 100 * float((errors <= accepted).mean())
+    return [
+        f"error_estimate median {np.median(errors):.2g}, largest {errors.max():.2g}",
+        f"{share:.4g} % of {errors.size} periodic lanes within the accepted {accepted:g}",
+    ]
+
+
+def _accepted(text: str) -> float:
+    """The error that the sweep's text accepts."""
+    try:
+        return float(tomllib.loads(text)["run"]["error"])
+    except (ValueError, KeyError, TypeError):
+        return _ACCEPTED

@@ -1,0 +1,25 @@
+"""Draw the fitting picture for what a dataset holds."""
+
+from argparse import ArgumentParser, Namespace
+from pathlib import Path
+
+from vibrojax.cli._output import PICTURES, output, picture_beside
+
+
+def arguments(parser: ArgumentParser) -> None:
+    """Add the command's arguments to `parser`."""
+    parser.add_argument("file", metavar="OUT.nc", help="a dataset written by vibrojax")
+    parser.add_argument("-o", dest="out", metavar="PICTURE.png", help="where to draw (OUT.png beside OUT.nc)")
+
+
+def run(options: Namespace) -> None:
+    """Run the command."""
+    from vibrojax.store.dataset import open_dataset
+
+    path = Path(options.file)
+    with open_dataset(path) as dataset:
+        picture = output(options.out, PICTURES) if options.out else picture_beside(path)
+        from vibrojax.plot import save_picture
+
+        save_picture(dataset, picture)
+    print(picture)

@@ -1,0 +1,91 @@
+"""Simulate one point: its trajectory as a dataset, and a picture beside it."""
+
+import json
+from argparse import ArgumentParser, Namespace
+
+from vibrojax.cli._output import output, picture_beside
+from vibrojax.errors import Place, shown
+
+# Settings of the run, which are no parameters of a scene.
+_TEXTS = ("method", "solver")
+_POSITIVE = ("duration", "step", "smoothing")
+
+
+def arguments(parser: ArgumentParser) -> None:
+    """Add the command's arguments to `parser`."""
+    parser.add_argument("scene", metavar="SCENE", help="rotary or vibro-impact")
+    parser.add_argument(
+        "values",
+        metavar="NAME=VALUE",
+        nargs="*",
+        help="a parameter; friction; start (a name, or [x1,x1',x2,x2']); duration, method, solver, step, smoothing",
+    )
+    parser.add_argument("-o", dest="out", metavar="OUT.nc", help="where to write (SCENE.nc in this folder)")
+
+
+def run(options: Namespace) -> None:
+    """Run the command."""
+    place = Place("simulate")
+    settings, parameters = read_values(place, options.values)
+    from vibrojax.sweep._point import read_point
+
+    point = read_point(place, options.scene, parameters, settings.pop("start", None))
+    settings = _checked(place, settings)
+    out = output(options.out or f"{point.scene}.nc")
+    picture = picture_beside(out)
+
+    from vibrojax.devices import use_cores
+
+    use_cores()
+    from vibrojax.plot import save_picture
+    from vibrojax.simulate import simulate
+    from vibrojax.store.dataset import write_dataset
+
+    friction = {} if point.friction is None else {"friction": point.friction}
+    start = {} if point.start is None else {"start": point.start}
+    dataset = simulate(point.scene, **start, **settings, **friction, **point.parameters, progress=True)
+    write_dataset(dataset, out)
+    save_picture(dataset, picture)
+    print(f"{out}; picture {picture}")
+
+
+def read_values(place: Place, words: list[str]) -> tuple[dict[str, object], dict[str, object]]:
+    """Settings and parameters from words NAME=VALUE; numbers are numbers, all else is text or a vector."""
+    settings, parameters = {}, {}
+    for word in words:
+        name, equals, text = word.partition("=")
+        name = name.strip()
+        if not equals or not name:
+            raise place.error(f"{shown(word)} is no NAME=VALUE; write one, like beta=0.4")
+        if name in settings or name in parameters:
+            raise place.at(name).error(f"{shown(text)} is a second value; give one")
+        home = settings if name in ("start", *_TEXTS, *_POSITIVE) else parameters
+        home[name] = _value(place.at(name), text.strip())
+    return settings, parameters
+
+
+def _value(place: Place, text: str) -> object:
+    if text.startswith("["):
+        try:
+            return json.loads(text)
+        except ValueError:
+            raise place.error(f"{shown(text)} is no vector; write one like [0,0,0.01,0]") from None
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+def _checked(place: Place, settings: dict[str, object]) -> dict[str, object]:
+    """The settings but for start; which methods and solvers there are, the simulation knows."""
+    from vibrojax.physics.parameters import positive
+    from vibrojax.sweep._numbers import quantity
+
+    checked = dict(settings)
+    for name, value in settings.items():
+        if name in _POSITIVE:
+            unit = "m s-1" if name == "smoothing" else "s"
+            checked[name] = quantity(place.at(name), value, positive(name, 1.0, unit, name, name))
+        elif not isinstance(value, str) or not value:
+            raise place.at(name).error(f"{shown(value)} is not a name; give one, like {name}=...")
+    return checked

@@ -1,0 +1,72 @@
+"""Run a sweep file: a labelled dataset, and a picture beside it."""
+
+import shlex
+from argparse import ArgumentParser, Namespace
+from pathlib import Path
+
+from vibrojax.cli._output import output, picture_beside
+
+
+def arguments(parser: ArgumentParser) -> None:
+    """Add the command's arguments to `parser`."""
+    parser.add_argument("sweep", metavar="SWEEP", help="a bundled name, like regime-map, or the path of a TOML file")
+    parser.add_argument("-o", dest="out", metavar="OUT.nc", help="where to write (NAME.nc in this folder)")
+    start = parser.add_mutually_exclusive_group()
+    start.add_argument("--resume", action="store_true", help="go on with the finished chunks beside OUT (the default)")
+    start.add_argument("--fresh", action="store_true", help="start over")
+    parser.add_argument("--dry-run", action="store_true", help="print lanes, memory, disk and time; compute nothing")
+    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
+
+
+def run(options: Namespace) -> None:
+    """Run the command."""
+    from vibrojax.devices import use_cores
+    from vibrojax.sweep import estimate, read_sweep, run_to_file
+
+    sweep = read_sweep(options.sweep)
+    out = output(options.out or f"{sweep.name}.nc")
+    picture = picture_beside(out)
+    use_cores()
+    if options.dry_run:
+        print("\n".join(_estimated(sweep.shape, sweep.dims, estimate(sweep))))
+        return
+    command = shlex.join(["vibrojax", "sweep", options.sweep, "-o", str(out)])
+    options.how_to_resume = f"finished chunks are kept; to go on: {command}"
+    dataset = run_to_file(sweep, out, resume=not options.fresh, progress=not options.quiet)
+    _draw(dataset, picture)
+    if not options.quiet:
+        print(f"{out}: {sweep.lanes} lanes; picture {picture}")
+
+
+def _draw(dataset: object, picture: Path) -> None:
+    from vibrojax.plot import save_picture
+
+    save_picture(dataset, picture)
+
+
+def _estimated(shape: tuple[int, ...], dims: tuple[str, ...], found: dict) -> list[str]:
+    """The lines of a dry run."""
+    grid = " x ".join(f"{size} {name}" for name, size in zip(dims, shape, strict=True))
+    return [
+        f"lanes   {found['lanes']} ({grid}) in {found['chunks']} chunks",
+        f"memory  {size_text(found['memory_bytes'])}",
+        f"disk    {size_text(found['disk_bytes'])}",
+        f"time    {time_text(found['time_s'])}",
+    ]
+
+
+def size_text(size: float) -> str:
+    """A size in bytes, as people read it."""
+    for unit in ("B", "kB", "MB", "GB"):
+        if size < 999.5:
+            return f"{size:.3g} {unit}"
+        size /= 1000
+    return f"{size:.3g} TB" if size < 1000 else f"{size:,.0f} TB"
+
+
+def time_text(seconds: float) -> str:
+    """A time in seconds, as people read it."""
+    for unit, length in (("days", 86400), ("h", 3600), ("min", 60)):
+        if seconds >= 2 * length:
+            return f"{seconds / length:,.0f} {unit}" if seconds >= 1000 * length else f"{seconds / length:.3g} {unit}"
+    return f"{seconds:.3g} s"

@@ -1,0 +1,72 @@
+"""Bad input: one line that names the file, the key, the bad value and what would be right."""
+
+import json
+from collections.abc import Iterable
+from dataclasses import dataclass
+from difflib import SequenceMatcher
+
+_LONGEST_VALUE = 60
+_ALIKE = 0.5
+
+
+class InputError(ValueError):
+    """Bad input from a user; its text is one line, shown without a traceback."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where in the input something stands: `file` as the user knows it, and the dotted `key` in it."""
+
+    file: str
+    key: str = ""
+
+    def at(self, key: str) -> "Place":
+        """The place `key` below this one."""
+        return Place(self.file, f"{self.key}.{key}" if self.key else key)
+
+    def item(self, index: int) -> "Place":
+        """The place of a list's item."""
+        return Place(self.file, f"{self.key}[{index}]")
+
+    def error(self, problem: str) -> InputError:
+        """An error `FILE: KEY: problem`, on one line whatever the parts contain."""
+        parts = (part for part in (self.file, self.key, problem) if part)
+        return InputError(" ".join(": ".join(parts).split()))
+
+
+def shown(value: object) -> str:
+    """`value` as it stands in a sweep file, shortened to fit on a line."""
+    if isinstance(value, bool):
+        text = str(value).lower()
+    elif isinstance(value, str):
+        text = json.dumps(value, ensure_ascii=False)
+    elif isinstance(value, dict):
+        text = "a table"
+    elif isinstance(value, (list, tuple)):
+        text = "[" + ", ".join(shown(item) for item in value[:_LONGEST_VALUE]) + "]"
+    elif isinstance(value, int) and abs(value) >= 10**18:  # str() refuses over 4300 digits
+        text = f"a whole number of {value.bit_length() * 30103 // 100000 + 1} digits or so"
+    else:
+        text = str(value)
+    return text if len(text) <= _LONGEST_VALUE else text[: _LONGEST_VALUE - 3] + "..."
+
+
+def nearest(word: str, words: Iterable[str]) -> str | None:
+    """The one of `words` most like `word`, None where none is alike."""
+
+    def likeness(candidate: str) -> float:
+        wanted, found = word.lower().replace("_", "-"), candidate.lower().replace("_", "-")
+        # c1 is as far from c2 as from k1; the first letter decides.
+        return SequenceMatcher(None, wanted, found).ratio() + 0.1 * (wanted[:1] == found[:1])
+
+    best = max(words, key=likeness, default=None)
+    return best if best is not None and likeness(best) >= _ALIKE else None
+
+
+def suggestion(word: str, words: Iterable[str]) -> str:
+    """`did you mean "beta"?`, or all there is to choose from."""
+    words = tuple(words)
+    best = nearest(word, words)
+    if best is not None:
+        return f"did you mean {shown(best)}?"
+    return f"choose from {', '.join(words)}" if words else "nothing is allowed here"

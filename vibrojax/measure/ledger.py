@@ -1,0 +1,43 @@
+"""Sums over whole returns to the section, and over whole repeats of lanes that repeat."""
+
+import jax.numpy as jnp
+
+MOST_CYCLES = 8
+"""Repeats are looked for up to this many returns."""
+
+
+def begin(names, like) -> dict:
+    """An empty ledger of the sums called `names`, lanes shaped as `like`."""
+    return {
+        "sums": {name: jnp.zeros_like(like) for name in names},
+        "rows": jnp.zeros((MOST_CYCLES, len(names), *like.shape), like.dtype),
+    }
+
+
+def add(ledger: dict, increments: dict) -> dict:
+    """The ledger with a step's increments added."""
+    sums = {name: total + increments[name] for name, total in ledger["sums"].items()}
+    return ledger | {"sums": sums}
+
+
+def section(ledger: dict, here, number) -> tuple[dict, dict]:
+    """The ledger after a return, and what was summed since the return before.
+
+    Sums start at the first return (`number` 0). The last `MOST_CYCLES` returns keep theirs, newest first, because how
+    many returns make a repeat is known only at the end.
+    """
+    sums = {name: jnp.where(here & (number == 0), 0, total) for name, total in ledger["sums"].items()}
+    now = jnp.stack(list(sums.values()))
+    since = dict(zip(sums, now - ledger["rows"][0], strict=True))
+    shifted = jnp.concatenate([now[None], ledger["rows"][:-1]])
+    return {"sums": sums, "rows": jnp.where(here, shifted, ledger["rows"])}, since
+
+
+def whole(ledger: dict, returns, cycles) -> tuple[dict, jnp.ndarray]:
+    """Sums over the most returns that make whole repeats of `cycles` (0: all returns), and their number."""
+    intervals = jnp.maximum(returns - 1, 0)
+    rest = jnp.where(cycles > 0, intervals % jnp.maximum(cycles, 1), 0)
+    picked = ledger["rows"][0]
+    for row in range(1, MOST_CYCLES):
+        picked = jnp.where(rest == row, ledger["rows"][row], picked)
+    return dict(zip(ledger["sums"], picked, strict=True)), intervals - rest

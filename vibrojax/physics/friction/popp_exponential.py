@@ -1,0 +1,25 @@
+"""Eq. 2.14, Popp's exponential law (second exponent and units corrected, model section 3)."""
+
+from vibrojax.physics.elementary import exp, maximum
+from vibrojax.physics.friction._law import FrictionLaw
+from vibrojax.physics.parameters import Parameter, table
+
+# exp(c1/|u|) and all its derivatives vanish as |u| -> 0; below |c1|/EXPONENT_FLOOR it is under 1e-17.
+_EXPONENT_FLOOR = 40.0
+
+
+def mu(speed, p):
+    """0.165 (1 + exp(c1/|u|)) (1 + exp(c2 |u|)), eq. 2.14; `speed` = |u| [m/s], any shape; unit 1."""
+    slow = maximum(speed, p["popp_c1"] * (-1 / _EXPONENT_FLOOR))
+    return 0.165 * (1.0 + exp(p["popp_c1"] / slow)) * (1.0 + exp(p["popp_c2"] * speed))
+
+
+LAW = FrictionLaw(
+    name="popp-exponential",
+    reference="eq. 2.14",
+    parameters=table(
+        Parameter("popp_c1", -0.02, "m s-1", "speed scale of the rise of Popp's friction law", "c₁"),
+        Parameter("popp_c2", -0.25, "s m-1", "rate of the fall of Popp's friction law", "c₂"),
+    ),
+    mu=mu,
+)

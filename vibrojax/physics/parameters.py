@@ -1,0 +1,69 @@
+"""The table of parameters: symbol, default, unit, meaning and admissible range (SI units)."""
+
+from dataclasses import dataclass
+from math import isfinite
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One physical parameter as users write it in a sweep file or a call.
+
+    `default` is in `unit`; `lowest` is the smallest admissible value, excluded where `open_below` is set.
+    """
+
+    name: str
+    default: float
+    unit: str
+    long_name: str
+    symbol: str
+    lowest: float | None = None
+    open_below: bool = False
+
+    def problem(self, value: float) -> str | None:
+        """What is wrong with `value`, and what would be right; None where nothing is."""
+        if not isfinite(value):
+            return f"is {value}; a finite number is needed"
+        if self.lowest is None:
+            return None
+        if value < self.lowest or (self.open_below and value == self.lowest):
+            unit = "" if self.unit == "1" else f" {self.unit}"
+            return f"is {value:g}; it must be {'above' if self.open_below else 'at least'} {self.lowest:g}{unit}"
+        return None
+
+
+def positive(name: str, default: float, unit: str, long_name: str, symbol: str) -> Parameter:
+    """A parameter that must be above zero."""
+    return Parameter(name, default, unit, long_name, symbol, lowest=0.0, open_below=True)
+
+
+def not_negative(name: str, default: float, unit: str, long_name: str, symbol: str) -> Parameter:
+    """A parameter that may be zero but not less."""
+    return Parameter(name, default, unit, long_name, symbol, lowest=0.0)
+
+
+def table(*parameters: Parameter) -> dict[str, Parameter]:
+    """Parameters by name."""
+    return {parameter.name: parameter for parameter in parameters}
+
+
+BIT_AND_STRIKER = table(
+    positive("m1", 250.0, "kg", "bit mass", "m₁"),
+    positive("beta", 0.4, "1", "mass ratio m2/m1", "β"),
+    positive("gamma", 0.75, "1", "frequency ratio w2/w1", "γ"),
+    positive("k1", 156250.0, "N m-1", "main spring stiffness", "k₁"),
+    not_negative("c2", 250.0, "N s m-1", "damping between striker and drive", "c₂"),
+    not_negative("g", 9.81, "m s-2", "gravity", "g"),
+    not_negative("v", 1.5, "m s-1", "drive speed", "v"),
+)
+
+CONTACT = table(
+    positive("k0", 50e6, "N m-1", "contact stiffness", "k₀"),
+    not_negative("c0", 0.1, "N s m-1", "contact damping", "c₀"),
+    Parameter("delta", -0.005, "m", "gap between striker and bit (negative: preload)", "Δ"),
+)
+
+# May stand for `v` together: v = 2 pi rpm/60 bit_radius.
+ROTATION = table(
+    not_negative("rpm", 120.0, "min-1", "rotation speed of the drive", "n"),
+    positive("bit_radius", 0.12, "m", "radius at which the bit slides", "r"),
+)

@@ -1,0 +1,83 @@
+"""One panel for each value of the axes that are not drawn along."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+import xarray as xr
+
+from vibrojax.plot._grid import START
+from vibrojax.plot._labels import number, pretty_unit, scale, symbol, value_text
+
+MOST = 12
+
+
+@dataclass(frozen=True)
+class Facets:
+    """The panels of a picture.
+
+    `titles` and `data` belong together; `row` is how many follow each other in the last axis; `note` says what was
+    left out, and is empty where nothing was.
+    """
+
+    titles: tuple[str, ...]
+    data: tuple[xr.Dataset, ...]
+    row: int
+    note: str
+
+    def __len__(self) -> int:
+        return len(self.data)
+
+
+def facets(ds: xr.Dataset, along: Sequence[str]) -> Facets:
+    """`ds` cut into panels over the dimensions of `regime` that are not in `along`; at most twelve."""
+    axes = [str(name) for name in ds["regime"].dims if name not in along]
+    sizes = {name: ds.sizes[name] for name in axes}
+    counts = _representative(sizes)
+    picks = {name: _spread(sizes[name], counts[name]) for name in axes}
+    indices = [dict(zip(axes, (int(i) for i in pick), strict=True)) for pick in product(*picks.values())]
+    titles = tuple(", ".join(value_text(ds[name], ds[name].values[i]) for name, i in at.items()) for at in indices)
+    return Facets(titles, tuple(ds.isel(at) for at in indices), counts[axes[-1]] if axes else 1, _note(ds, sizes, picks))
+
+
+def columns(panels: Facets, most: int = 4) -> int:
+    """How many panels stand side by side, at most `most`: such that those of the last axis stay together."""
+    count = len(panels)
+    if count <= most:
+        return count
+    whole = [n for n in range(most, 1, -1) if n % panels.row == 0]
+    even = [n for n in whole if count % n == 0]
+    return (even or whole or [most])[0]
+
+
+def _representative(sizes: dict[str, int]) -> dict[str, int]:
+    """How many values of each axis to show, at most twelve together; starts are dropped last."""
+    counts = dict(sizes)
+    while np.prod(list(counts.values()), initial=1) > MOST:
+        droppable = [name for name in counts if name != START and counts[name] > 1] or list(counts)
+        longest = max(droppable, key=counts.__getitem__)
+        counts[longest] -= 1
+    return counts
+
+
+def _spread(size: int, count: int) -> np.ndarray:
+    """`count` of `size` indices, from the first to the last; the middle one where it is one."""
+    return np.array([size // 2]) if count == 1 else np.linspace(0, size - 1, count).round().astype(int)
+
+
+def _note(ds: xr.Dataset, sizes: dict[str, int], picks: dict[str, np.ndarray]) -> str:
+    parts = [
+        f"{symbol(ds[name])} at {_listed(ds[name], pick)} of {sizes[name]} values"
+        for name, pick in picks.items()
+        if pick.size < sizes[name]
+    ]
+    return f"Shown here: {'; '.join(parts)}." if parts else ""
+
+
+def _listed(coordinate: xr.DataArray, pick: np.ndarray) -> str:
+    values = coordinate.values[pick]
+    if not np.issubdtype(values.dtype, np.number):
+        return ", ".join(str(value) for value in values)
+    factor, unit = scale(coordinate)
+    return f"{', '.join(number(value * factor) for value in values)} {pretty_unit(unit)}".rstrip()

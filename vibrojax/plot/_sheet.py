@@ -1,0 +1,115 @@
+"""The layout of maps: regimes and values, each over all facets, with one legend and one bar for each value."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from textwrap import fill
+
+import xarray as xr
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.figure import Figure
+from matplotlib.gridspec import GridSpec
+
+from vibrojax.plot._facets import Facets, columns
+from vibrojax.plot._style import new_figure
+from vibrojax.plot._values import Value
+
+_BESIDE = 3  # up to so many facets, the values stand beside the regimes; from there on below them
+_PANEL = (2.75, 2.35)
+_SMALL = (2.45, 2.0)  # of the panels, where they are many
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One panel: its axes, the facet drawn there, and the value; `value` is None for the regimes."""
+
+    axes: Axes
+    facet: xr.Dataset
+    title: str
+    value: Value | None
+    left: bool
+    bottom: bool
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """A figure with its panels, the axes for the legend, and one axes for the bar of each value."""
+
+    figure: Figure
+    panels: tuple[Panel, ...]
+    legend: Axes
+    bars: tuple[Axes, ...]
+    values: tuple[Value, ...] = field(default=())
+    beside: bool = True
+
+    def __iter__(self) -> Iterator[Panel]:
+        return iter(self.panels)
+
+    def finish(self, handles: Sequence[Artist]) -> None:
+        """Draw the legend of the regimes and the bars of the values."""
+        self.legend.axis("off")
+        where = {"loc": "upper left", "ncols": 2, "columnspacing": 1.0} if self.beside else {"loc": "center left"}
+        self.legend.legend(handles=handles, borderaxespad=0.0, borderpad=0.0, **where)
+        for bar, value in zip(self.bars, self.values, strict=True):
+            self.figure.colorbar(
+                ScalarMappable(value.norm, value.colour_map),
+                cax=bar,
+                extend=value.extend,
+                orientation="horizontal" if self.beside else "vertical",
+                label=value.label,
+            )
+
+
+def sheet(panels: Facets, values: tuple[Value, ...]) -> Sheet:
+    """The empty sheet for `panels` and `values`."""
+    return _beside(panels, values) if len(panels) <= _BESIDE else _below(panels, values)
+
+
+def write_margins(figure: Figure, title: str, *notes: str) -> None:
+    """Write `title` above everything and `notes` below it."""
+    width = figure.get_figwidth()
+    if title:
+        figure.suptitle(fill(title, int(11 * width)), x=0.01, ha="left", fontweight="bold")
+    text = "  ".join(note for note in notes if note)
+    if text:
+        figure.supxlabel(fill(text, int(17 * width)), x=0.01, ha="left", fontsize=8, color="0.3")
+
+
+def _beside(panels: Facets, values: tuple[Value, ...]) -> Sheet:
+    """A row for each facet; its regimes, then its values; the legend and the bars at the foot."""
+    rows, wide = len(panels), 1 + len(values)
+    figure = new_figure(max(3.4 * wide, 4.6), 2.7 * rows + 1.5)
+    grid = GridSpec(rows + 1, wide, figure, height_ratios=[1.0] * rows + [0.05])
+    drawn: list[Panel] = []
+    for row, (title, facet) in enumerate(zip(panels.titles, panels.data, strict=True)):
+        for column, value in enumerate((None, *values)):
+            axes = _shared(figure, grid[row, column], drawn)
+            name = title if value is None else ""
+            drawn.append(Panel(axes, facet, name, value, column == 0, row == rows - 1))
+    foot = [figure.add_subplot(grid[rows, column]) for column in range(wide)]
+    return Sheet(figure, tuple(drawn), foot[0], tuple(foot[1:]), values, beside=True)
+
+
+def _below(panels: Facets, values: tuple[Value, ...]) -> Sheet:
+    """A block of all facets for the regimes, then one for each value; the legend and the bars at the right."""
+    wide = columns(panels)
+    deep = -(-len(panels) // wide)
+    width, height = _PANEL if deep == 1 else _SMALL
+    blocks = (None, *values)
+    figure = new_figure(width * wide + 2.2, height * deep * len(blocks) + 0.9)
+    grid = GridSpec(deep * len(blocks), wide + 1, figure, width_ratios=[1.0] * wide + [0.05])
+    drawn: list[Panel] = []
+    for block, value in enumerate(blocks):
+        for at, (title, facet) in enumerate(zip(panels.titles, panels.data, strict=True)):
+            row, column = divmod(at, wide)
+            axes = _shared(figure, grid[block * deep + row, column], drawn)
+            lowest = block == len(blocks) - 1 and at + wide >= len(panels)
+            drawn.append(Panel(axes, facet, title if deep > 1 or value is None else "", value, column == 0, lowest))
+    right = [figure.add_subplot(grid[block * deep : (block + 1) * deep, wide]) for block in range(len(blocks))]
+    return Sheet(figure, tuple(drawn), right[0], tuple(right[1:]), values, beside=False)
+
+
+def _shared(figure: Figure, place: object, drawn: list[Panel]) -> Axes:
+    first = drawn[0].axes if drawn else None
+    return figure.add_subplot(place, sharex=first, sharey=first)

@@ -1,0 +1,93 @@
+"""How every picture looks: colours, sizes, and a figure that leaves pyplot and its settings alone."""
+
+from collections.abc import Callable
+from functools import wraps
+from io import BytesIO
+from typing import Any, ParamSpec
+
+from matplotlib import style
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+INK = "#222222"
+FAINT = "#9A9A9A"
+UNDEFINED = "#D0D0D0"  # a lane without the value, as grey in maps of values
+BIT = "#00598C"
+STRIKER = "#D1570A"
+STICK = "#111111"
+IMPACT = "#C2185B"
+
+# Readable apart in greyscale and by colour-blind eyes.
+START_COLOURS = {"drive": "#004488", "stuck": "#CC6677", "touching": "#2E8B57"}
+_OTHER_STARTS = ("#7A5195", "#8C6D1F", "#4D4D4D", "#56B4E9")
+
+_SETTINGS = {
+    "font.size": 9.0,
+    "axes.titlesize": 9.0,
+    "axes.labelsize": 9.0,
+    "axes.linewidth": 0.7,
+    "axes.edgecolor": INK,
+    "axes.labelcolor": INK,
+    "axes.axisbelow": True,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "xtick.labelsize": 8.0,
+    "ytick.labelsize": 8.0,
+    "xtick.direction": "out",
+    "ytick.direction": "out",
+    "legend.fontsize": 8.0,
+    "legend.frameon": False,
+    "legend.handlelength": 1.4,
+    "figure.titlesize": 11.0,
+    "grid.color": "#E2E2E2",
+    "grid.linewidth": 0.5,
+    "lines.solid_capstyle": "round",
+    "savefig.dpi": 160,
+    "figure.dpi": 110,
+    "svg.fonttype": "none",
+    "pdf.fonttype": 42,
+}
+
+Arguments = ParamSpec("Arguments")
+
+
+class Picture(Figure):
+    """A figure that belongs to nobody's pyplot, and shows itself in a notebook all the same."""
+
+    def _repr_png_(self) -> bytes:
+        with settings():
+            content = BytesIO()
+            self.savefig(content, format="png", dpi=self.dpi)
+        return content.getvalue()
+
+
+def settings() -> Any:
+    """A context in which matplotlib has the settings of the house, whatever the user's are."""
+    return style.context(["default", _SETTINGS])
+
+
+def styled(draw: Callable[Arguments, Figure]) -> Callable[Arguments, Figure]:
+    """`draw` run under the settings of the house."""
+
+    @wraps(draw)
+    def drawn(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Figure:
+        with settings():
+            figure = draw(*args, **kwargs)
+        # Ticks are made as late as at drawing, when the user's settings hold again.
+        for axes in figure.axes:
+            axes.tick_params(labelsize=_SETTINGS["xtick.labelsize"])
+        return figure
+
+    return drawn
+
+
+def new_figure(width: float, height: float) -> Picture:
+    """An empty figure of `width` by `height` [inch] on the Agg canvas."""
+    figure = Picture(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def start_colour(name: str, position: int) -> str:
+    """The colour of the start `name`; starts without a fixed one take theirs by `position` among the starts."""
+    return START_COLOURS.get(name, _OTHER_STARTS[position % len(_OTHER_STARTS)])

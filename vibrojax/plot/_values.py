@@ -1,0 +1,50 @@
+"""The quantities drawn beside the regimes: which, in which colours, between which limits."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from matplotlib import colormaps
+from matplotlib.colors import Colormap, Normalize
+
+from vibrojax.plot._labels import label, scale
+from vibrojax.plot._style import UNDEFINED
+
+# In the order of interest; a picture shows the first two that a dataset has. Perceptually uniform, all of them.
+_COLOUR_MAPS = {"impact_velocity": "viridis", "period": "cividis", "bit_amplitude": "plasma"}
+_SHOWN = 2
+_ROBUST = (2.0, 98.0)  # percentiles
+
+
+@dataclass(frozen=True)
+class Value:
+    """A variable in colours: its values times `factor`, under `norm`, which all panels of a picture share."""
+
+    name: str
+    label: str
+    factor: float
+    norm: Normalize
+    extend: str
+    colour_map: Colormap
+
+    def of(self, ds: xr.Dataset) -> xr.DataArray:
+        """The values in `ds`, in the unit of the label."""
+        return ds[self.name] * self.factor
+
+
+def values_beside(ds: xr.Dataset) -> tuple[Value, ...]:
+    """The values worth a panel beside the regimes; none for a variable without a single finite value."""
+    named = [name for name in _COLOUR_MAPS if name in ds and np.isfinite(ds[name].values).any()]
+    return tuple(_value(ds[name]) for name in named[:_SHOWN])
+
+
+def _value(data: xr.DataArray) -> Value:
+    factor, unit = scale(data)
+    finite = data.values[np.isfinite(data.values)] * factor
+    low, high = (float(limit) for limit in np.percentile(finite, _ROBUST))
+    if high - low <= 1e-6 * abs(high):  # one value everywhere: a bar with room on both sides
+        low, high = low - 0.05 * abs(low) - 1e-12, high + 0.05 * abs(high) + 1e-12
+    below, above = bool(finite.min() < low), bool(finite.max() > high)
+    extend = {(False, False): "neither", (True, False): "min", (False, True): "max", (True, True): "both"}[below, above]
+    colours = colormaps[_COLOUR_MAPS[str(data.name)]].with_extremes(bad=UNDEFINED)
+    return Value(str(data.name), label(data, unit), factor, Normalize(low, high), extend, colours)

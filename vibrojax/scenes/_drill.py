@@ -1,0 +1,124 @@
+"""Bit and striker on their springs, sliding with dry friction: what every scene with a drill shares (section 1)."""
+
+import jax.numpy as jnp
+
+from vibrojax.physics.elementary import absolute
+from vibrojax.physics.modes import striker
+
+
+def with_derived(p, law):
+    """The parameters with what follows from them: m2, k2, weight m1 g [N] and the stick limit's two parts."""
+    m2, k2 = striker(p)
+    weight = p["m1"] * p["g"]
+    return p | {
+        "m2": m2,
+        "k2": k2,
+        "weight": weight,
+        "stick_limit": law.on_weight(0.0, p) * weight,
+        "stick_gain": law.on_impact(0.0, p) + 0 * weight,
+        "inverse_m1": 1 / p["m1"],
+        "inverse_m2": 1 / m2,
+        "impedance": jnp.sqrt(p["k1"] * p["m1"]),
+        "slowness": jnp.sqrt(p["m1"] / p["k1"]),
+    }
+
+
+def pull(p, x1, x2):
+    """Spring force on the bit [N], -k1 x1 - k2 (x1 - x2)."""
+    return p["k2"] * (x2 - x1) - p["k1"] * x1
+
+
+def friction(law, p, slip, v1, impact):
+    """Friction force F [N] on the sliding bit (eqs. 5.9, 5.12, R2); `slip` is sgn u."""
+    speed = slip * (v1 + p["v"])
+    force = law.on_weight(speed, p) * p["weight"]
+    if impact is not None:
+        force = force + law.on_impact(speed, p) * impact
+    return slip * force
+
+
+def accelerations(law, p, slip, state, impact):
+    """x1'' and x2'' [m/s²] of the sliding bit and of the striker (section 1, R2); `impact` is J [N] or None."""
+    x1, v1, x2, v2 = state
+    bit = (pull(p, x1, x2) - friction(law, p, slip, v1, impact)) * p["inverse_m1"]
+    force = p["k2"] * (x1 - x2) - p["c2"] * v2
+    if impact is not None:
+        force = force - impact
+    return bit, force * p["inverse_m2"]
+
+
+def stick_limit(p, impact):
+    """Greatest spring force [N] that leaves the bit at rest on the rock, f_st + mu J (eq. 5.11, R1, R2)."""
+    return p["stick_limit"] if impact is None else p["stick_limit"] + p["stick_gain"] * impact
+
+
+def friction_surface(p, slip, state, impact):
+    """Positive while the bit goes on sliding one way, or sticking: |u|, or the force in hand over sqrt(k1 m1) [m/s]."""
+    x1, v1, x2, _ = state
+    in_hand = stick_limit(p, impact) - absolute(pull(p, x1, x2))
+    return slip * (v1 + p["v"]) + ((1.0 - slip * slip) / p["impedance"]) * in_hand
+
+
+def slip_at_rest(p, state, impact):
+    """Where u = 0: 0 if the bit sticks, else the sign of the spring force, into which it starts to slide."""
+    x1, _, x2, _ = state
+    force = pull(p, x1, x2)
+    return jnp.where(jnp.abs(force) <= stick_limit(p, impact), 0.0, jnp.sign(force))
+
+
+def slip_at(p, state, impact):
+    """sgn u, or where u = 0 the way in which the bit starts, or 0 if it sticks."""
+    u = state[1] + p["v"]
+    return jnp.where(u == 0, slip_at_rest(p, state, impact), jnp.sign(u))
+
+
+def land_friction(p, slip, state, hit, impact):
+    """The slip mode and state after the friction surface is reached where `hit`; u = 0 there, exactly."""
+    x1, v1, x2, v2 = state
+    v1 = jnp.where(hit, -p["v"], v1)
+    state = (x1, v1, x2, v2)
+    starts = jnp.sign(pull(p, x1, x2))
+    after = jnp.where(slip == 0, starts, slip_at_rest(p, state, impact))
+    return jnp.where(hit, after, slip), state
+
+
+def flight_rate(p):
+    """A bound on the fastest rate of change [1/s] of the sliding, free drill: its springs and its damper."""
+    springs = (p["k1"] + p["k2"]) * p["inverse_m1"] + p["k2"] * p["inverse_m2"]
+    return jnp.sqrt(springs) + p["c2"] * p["inverse_m2"]
+
+
+def start(p, name, shape):
+    """State at t = 0 of the starts that need no contact: `drive` (R5), `stuck` (R5), or a vector of four numbers."""
+    if isinstance(name, str):
+        zero = jnp.zeros(shape, p["v"].dtype)
+        return (zero, -p["v"] + zero if name == "stuck" else zero, zero, zero)
+    return tuple(jnp.full(shape, value, p["v"].dtype) for value in name)
+
+
+def smoothed_slip(p, state, width):
+    """sgn u spread over `width` [m/s], u/sqrt(u² + width²): it never sticks."""
+    u = state[1] + p["v"]
+    return u / jnp.sqrt(u * u + width * width)
+
+
+def land_turns(state, bit_turns, striker_turns):
+    """The state with x1' or x2' exactly zero where the bit or the striker turns."""
+    x1, v1, x2, v2 = state
+    return (x1, jnp.where(bit_turns, 0.0, v1), x2, jnp.where(striker_turns, 0.0, v2))
+
+
+def speed_scale(p):
+    """A typical velocity [m/s]: the drive's, and what friction's fall gives to the bit on its spring."""
+    return p["v"] + (p["stick_limit"] + 1e-6 * p["weight"]) / p["impedance"]
+
+
+def smoothed_mode(p, state, width):
+    """The slip mode to measure by where friction is smoothed: sgn u, or 0 below `width` [m/s]."""
+    u = state[1] + p["v"]
+    return jnp.where(jnp.abs(u) <= width, 0.0, jnp.sign(u))
+
+
+def never(state):
+    """A surface that is never reached."""
+    return 0.0 * state[0] + 1.0

@@ -1,0 +1,129 @@
+"""The vibro-impact scene: the drill whose striker hits the bit through a one-sided contact (eq. 5.18)."""
+
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+
+from vibrojax.physics.contact import raw_force
+from vibrojax.physics.elementary import maximum
+from vibrojax.physics.friction import FRICTION_LAWS, FrictionLaw
+from vibrojax.physics.parameters import BIT_AND_STRIKER, CONTACT
+from vibrojax.scenes import _drill
+from vibrojax.scenes._scene import Scene
+
+
+@dataclass(frozen=True)
+class VibroImpact(Scene):
+    """m1 x1'' = -k1 x1 - k2 (x1 - x2) - F(u, J); m2 x2'' = -c2 x2' - k2 (x2 - x1) - J (section 1)."""
+
+    friction: FrictionLaw = FRICTION_LAWS["stribeck"]
+
+    name = "vibro-impact"
+    states = ("x1", "v1", "x2", "v2")
+    velocities = (1, 3)
+    modes = ("slip", "touching")
+    surfaces_named = ("friction", "contact")
+    markers_named = ("bit_turn", "striker_turn")
+    bit_turn, striker_turn = 2, 3  # where hits holds them
+    measures = ("swings", "shares", "impacts", "harmonics")
+    starts = ("drive", "stuck", "touching")
+
+    def parameters(self):
+        return BIT_AND_STRIKER | CONTACT | dict(self.friction.parameters)
+
+    def constants(self, p):
+        return _drill.with_derived(p, self.friction) | {"relaxation": p["c0"] / p["k0"]}
+
+    def start(self, p, name, shape):
+        x1, v1, x2, v2 = _drill.start(p, name, shape)
+        if isinstance(name, str) and name == "touching":  # R13: the drive's start without its kick
+            x2 = jnp.minimum(x2, p["delta"])
+        return (x1, v1, x2, v2)
+
+    def mode_at(self, p, state):
+        x1, v1, x2, v2 = state
+        free = p["k2"] * (x1 - x2) - p["c2"] * v2
+        gap_closes = (v2 > 0) | ((v2 == 0) & (free > 0))
+        inside = (x2 > p["delta"]) & (self.impact_force(p, state) > 0)
+        touching = jnp.where(inside | ((x2 == p["delta"]) & gap_closes), 1.0, 0.0)
+        return (_drill.slip_at(p, state, touching * self.impact_force(p, state)), touching)
+
+    def impact_force(self, p, state):
+        """J [N] while the striker touches the bit; takes arrays and series."""
+        _, _, x2, v2 = state
+        return raw_force(x2 - p["delta"], v2, p)
+
+    def field(self, p, mode, state):
+        slip = mode[0]
+        impact = self.contact_force(p, mode, state)
+        bit, striker = _drill.accelerations(self.friction, p, slip, state, impact)
+        return (state[1], (slip * slip) * bit, state[3], striker)
+
+    def smoothed_field(self, p, mode, state, width):
+        slip = _drill.smoothed_slip(p, state, width)
+        impact = self.contact_force(p, mode, state)
+        bit, striker = _drill.accelerations(self.friction, p, slip, state, impact)
+        return (state[1], bit, state[3], striker)
+
+    def smoothed_mode(self, p, mode, state, width):
+        return (_drill.smoothed_mode(p, state, width), mode[1])
+
+    def smoothed_surfaces(self, p, mode, state):
+        return (_drill.never(state), self._contact_surface(p, mode[1], state))
+
+    def surfaces(self, p, mode, state):
+        slip, touching = mode
+        friction = _drill.friction_surface(p, slip, state, self.contact_force(p, mode, state))
+        return (friction, self._contact_surface(p, touching, state))
+
+    def _contact_surface(self, p, touching, state):
+        """The force in metres while the striker touches; apart, the distance to the state in which it does."""
+        _, _, x2, v2 = state
+        compression = x2 - p["delta"]
+        force = compression + p["relaxation"] * v2  # J/k0 [m]
+        # Apart: until x2 >= delta and J > 0 both hold, so that a striker let go above delta (c0 > 0) is not caught again.
+        return touching * force + (1.0 - touching) * maximum(-compression, -force)
+
+    def markers(self, p, state):
+        return (state[1], state[3])
+
+    def land(self, p, mode, state, hits):
+        at_friction, at_contact, bit_turns, striker_turns = hits
+        slip, touching = mode
+        x1, v1, x2, v2 = state
+        parts = at_contact & (touching != 0)
+        x2 = jnp.where(parts, p["delta"] - p["relaxation"] * v2, x2)
+        x2 = jnp.where(self.impact_begins(p, mode, state, hits), p["delta"], x2)
+        touching = jnp.where(at_contact, 1.0 - touching, touching)
+        state = (x1, v1, x2, v2)
+        impact = touching * self.impact_force(p, state)
+        slip, state = _drill.land_friction(p, slip, state, at_friction, impact)
+        return (slip, touching), _drill.land_turns(state, bit_turns, striker_turns)
+
+    def contact_force(self, p, mode, state):
+        return mode[1] * self.impact_force(p, state)
+
+    def impact_rate(self, p, state):
+        return state[3]
+
+    def impact_begins(self, p, mode, state, hits):
+        """Where an impact begins: the striker, apart from the bit, rises through delta (contract: dataset)."""
+        # Let go above delta with c0 > 0, it may be caught again there (J > 0 while x2' < 0): no new impact.
+        return hits[1] & (mode[1] == 0) & (p["relaxation"] * state[3] >= 0)
+
+    def resolutions(self, p):
+        speed = 64 * jnp.finfo(p["v"].dtype).eps * _drill.speed_scale(p)
+        return (speed, speed * p["slowness"], speed, speed)
+
+    def pull(self, p, state):
+        return _drill.pull(p, state[0], state[2])
+
+    def rate(self, p, mode):
+        flight = _drill.flight_rate(p)
+        contact = jnp.sqrt(p["k0"] * p["inverse_m2"] + flight * flight) + p["c0"] * p["inverse_m2"]
+        return jnp.where(mode[1] != 0, contact, flight)
+
+    def speed_scale(self, p):
+        return _drill.speed_scale(p)
+
+SCENE = VibroImpact

@@ -1,0 +1,144 @@
+"""Ends a trial step at the first switching surface or marker that it crosses."""
+
+from functools import reduce
+from typing import NamedTuple
+
+import jax.numpy as jnp
+
+from vibrojax.stepping.polynomial import first_guess, root, slope, value
+
+
+class Landing(NamedTuple):
+    """Where a trial step ends: in `state` at `tau` if `accepted`, else it is tried again up to `tau`.
+
+    `hits` says which surface or marker it ends on, `falling` for each marker whether it comes down through zero.
+    """
+
+    tau: jnp.ndarray
+    state: tuple
+    accepted: jnp.ndarray
+    hits: tuple
+    falling: tuple
+
+
+def land(functions_at, scene, p, polynomials, functions, reach, moving) -> Landing:
+    """Find the end of a trial step.
+
+    A function that is crossed ends the step there. If another turns out to be crossed before, or a surface may have been
+    touched and left again inside the step, the trial is rejected and repeated up to that point: at most a few times,
+    since each rejection shortens the step to an earlier candidate.
+
+    **Arguments:**
+
+    - `functions_at`: the surfaces, then the markers, at a state.
+    - `polynomials`: coefficients in tau of the states.
+    - `functions`: coefficients in tau of the surfaces and markers.
+    - `reach`: the end of the trial step in tau, in [0, 1].
+    - `moving`: booleans; the other lanes stand still (h = 0).
+    """
+    n_surfaces = len(scene.surfaces_named)
+    resolutions = scene.resolutions(p)
+    markers = zip(functions[n_surfaces:], resolutions[n_surfaces:], strict=True)
+    signs = [1.0] * n_surfaces + [_sign_at_start(f, small) for f, small in markers]
+    functions = [[sign * c for c in f] if index >= n_surfaces else f for index, (sign, f) in enumerate(zip(signs, functions, strict=True))]
+
+    # On the polynomials, whose |.| and max keep the branch they start with; the true functions are asked at the landing.
+    ends = [value(f, reach) for f in functions]
+    guesses = [_guess(f, end, reach, small) for f, end, small in zip(functions, ends, resolutions, strict=True)]
+    crossed = [moving & (end < 0) for end in ends]
+    # A marker that starts at zero and ends on the wrong side only had its sign misjudged; within roundings of zero it
+    # crosses it all the time.
+    for index in range(n_surfaces, len(functions)):
+        crossed[index] = crossed[index] & (guesses[index] > 0) & (ends[index] < -resolutions[index])
+    guesses = [jnp.where(over, guess, jnp.inf) for over, guess in zip(crossed, guesses, strict=True)]
+    first = jnp.min(jnp.stack(guesses), axis=0)
+    ending = first < jnp.inf
+    at_once = ending & (first <= 0)
+    chosen = _first_where([guess == first for guess in guesses])
+
+    def pick(values):
+        picked = values[0]
+        for mine, one in zip(chosen[1:], values[1:], strict=True):
+            picked = jnp.where(mine, one, picked)
+        return picked
+
+    target = [pick([f[k] for f in functions]) for k in range(len(functions[0]))]
+    zeros = _zeros_at_start(target, pick(resolutions))
+    # A start tangent to the surface has no use for the parabola through it.
+    guess = jnp.where(zeros == 2, 0.7, jnp.where(ending & ~at_once, first, 0.5))
+    tau = root(target, zeros, guess * reach, reach)
+    tau = jnp.where(ending, jnp.where(at_once, 0.0, tau), reach)
+
+    state = tuple(value(one, tau) for one in polynomials)
+    landed = [sign * g for sign, g in zip(signs, functions_at(state), strict=True)]
+    mine = [one & ending for one in chosen]
+    # The root is not on the surface yet, or another function is crossed before it.
+    early = [
+        jnp.where(here, ~at_once & (jnp.abs(there) > small), ending & over & (there < -small))
+        for there, over, here, small in zip(landed, crossed, mine, resolutions, strict=True)
+    ]
+    # A surface is crossed on a branch of |.| or max that the polynomial does not follow: halve the step.
+    unseen = [
+        moving & ~over & ~here & (there < -small) & (f[0] > 0)
+        for there, over, here, small, f in zip(landed, crossed, mine, resolutions, functions, strict=True)
+    ][:n_surfaces]
+    early, unseen = _any(early), _any(unseen)
+    repeat = early | unseen
+
+    dips = [_dip(f, end, reach) for f, end in zip(functions[:n_surfaces], ends[:n_surfaces], strict=True)]
+    dip = jnp.min(jnp.stack(dips), axis=0)
+    dipped = moving & ~ending & (dip < 1)
+    return Landing(
+        tau=jnp.where(dipped, dip * reach, jnp.where(unseen, tau / 2, tau)),
+        state=state,
+        accepted=~(repeat | dipped),
+        hits=tuple(one & ~repeat for one in mine),
+        falling=tuple(sign > 0 for sign in signs[n_surfaces:]),
+    )
+
+
+def _any(masks):
+    """Where any of the masks is true."""
+    return reduce(jnp.logical_or, masks)
+
+
+def _sign_at_start(marker, small):
+    """The sign with which a marker starts: of its first term that is not rounding where it starts from zero."""
+    rate = jnp.where(jnp.abs(marker[1]) <= 16 * small, marker[2], marker[1])
+    return jnp.where(jnp.where(marker[0] == 0, rate, marker[0]) < 0, -1.0, 1.0)
+
+
+def _first_where(masks):
+    """Masks of which at most the first true one is kept."""
+    kept, before = [], jnp.zeros_like(masks[0])
+    for mask in masks:
+        kept.append(mask & ~before)
+        before = before | mask
+    return kept
+
+
+def _zeros_at_start(f, small):
+    """How many of the function's zeros lie at the start: 0 off the surface, 1 on it, 2 where it leaves at a tangent."""
+    return jnp.where(f[0] <= 0, jnp.where(jnp.abs(f[1]) <= 16 * small, 2.0, 1.0), 0.0)
+
+
+def _guess(f, end, reach, small):
+    """Fraction of the step at which a function that ends below zero crosses it; 0 if it leaves the surface at once."""
+    zeros = _zeros_at_start(f, small)
+    leaves = (f[0] < -small) | ((zeros > 0) & (jnp.where(zeros == 2, f[2], f[1]) <= 0))
+    tangent = 0.5
+    guess = jnp.where(zeros == 2, tangent, first_guess(jnp.maximum(f[0], 0), f[1] * reach, end))
+    return jnp.where(leaves, 0.0, guess)
+
+
+def _dip(f, end, reach):
+    """Fraction of the step near which a function may have dipped below zero and come back; infinite where it has not.
+
+    A convex function lies above both of its end tangents: where these meet above zero there is no dip.
+    """
+    start, rate, end_rate = f[0], f[1] * reach, slope(f, reach) * reach
+    falls_then_rises = (start > 0) & (end >= 0) & (rate < 0) & (end_rate > 0)
+    curvature = jnp.where(falls_then_rises, end_rate - rate, 1.0)
+    meeting = (start - end + end_rate) / curvature
+    suspect = falls_then_rises & (start + rate * meeting < 0)
+    return jnp.where(suspect, jnp.clip(-rate / curvature, 0.0, 0.999), jnp.inf)

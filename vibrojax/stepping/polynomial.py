@@ -1,0 +1,63 @@
+"""Polynomials in the time of one step: values, slopes, integrals and the one root that ends the step."""
+
+import jax.numpy as jnp
+from jax import lax
+
+ROOT_ITERATIONS = 5
+
+
+def value(coefficients, tau):
+    """sum_k c_k tau^k by Horner's rule; coefficients and tau of one shape."""
+    total = coefficients[-1]
+    for c in reversed(coefficients[:-1]):
+        total = total * tau + c
+    return total
+
+
+def slope(coefficients, tau):
+    """Derivative of the polynomial with respect to tau."""
+    return value([k * c for k, c in enumerate(coefficients)][1:], tau)
+
+
+def integral(coefficients, tau):
+    """Integral of the polynomial from 0 to tau."""
+    return tau * value([c / (k + 1) for k, c in enumerate(coefficients)], tau)
+
+
+def first_guess(start, rate, end):
+    """Fraction r in (0, 1] at which the parabola start + rate r + c r², equal to `end` at 1, reaches zero.
+
+    For start >= 0 > end there is just one such root beyond a start on the surface; both forms are free of cancellation.
+    """
+    c = end - start - rate
+    root = jnp.sqrt(jnp.maximum(rate * rate - 4 * c * start, 0))
+    falling = 2 * start / (root - rate)
+    rising = (rate + root) / (-2 * c)
+    guess = jnp.clip(jnp.where(rate <= 0, falling, rising), 0, 1)
+    return jnp.where(jnp.isnan(guess), 0.5, guess)
+
+
+def root(coefficients, zeros, guess, end):
+    """Root in (0, end) of a polynomial that leads from positive values to a negative one at `end`.
+
+    Newton's iteration kept inside a shrinking bracket, on the polynomial divided by tau^zeros, so that a start on the
+    surface itself (zeros = 1), or tangent to it (zeros = 2), is not found again.
+
+    **Arguments:** `coefficients` list of (lanes,); `zeros`, `guess`, `end` (lanes,).
+
+    **Returns:** tau (lanes,).
+    """
+
+    def refine(_, carry):
+        tau, low, high = carry
+        y = value(coefficients, tau)
+        inside = y > 0
+        low, high = jnp.where(inside, tau, low), jnp.where(inside, high, tau)
+        newton = tau - y / (slope(coefficients, tau) - zeros * y / tau)
+        middle = (low + high) / 2
+        # A NaN (0/0) fails both comparisons, so the bisection takes over.
+        tau = jnp.where((newton > low) & (newton < high), newton, middle)
+        return tau, low, high
+
+    tau, _, _ = lax.fori_loop(0, ROOT_ITERATIONS, refine, (guess, jnp.zeros_like(end), end))
+    return tau

@@ -1,0 +1,73 @@
+"""The smoothed stepper: classical Runge-Kutta steps of one length, friction's switch spread over a stated width.
+
+The friction switch sgn u becomes u/sqrt(u² + width²); nothing sticks, a bit at rest creeps. The contact is sharp: steps
+land on its beginning and end, as on the section, found on the cubic Hermite interpolant of the step.
+"""
+
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+
+from vibrojax.stepping._landing import land
+from vibrojax.stepping._step import Lane, Step, taken, trial_step
+from vibrojax.stepping.series import Series
+
+STICK_WIDTHS = 3.0
+"""Sliding speeds below this many widths are counted as stick: friction has 95 % of its sharp value there."""
+
+
+def smoothed_step(scene, p, mode, state, h, width):
+    """State a time `h` [s] later by the classical fourth-order Runge-Kutta method, and the rates at both ends."""
+
+    def rates(y):
+        return scene.smoothed_field(p, mode, y, width)
+
+    def moved(k, share):
+        return tuple(y + share * h * dy for y, dy in zip(state, k, strict=True))
+
+    k1 = rates(state)
+    k2 = rates(moved(k1, 0.5))
+    k3 = rates(moved(k2, 0.5))
+    k4 = rates(moved(k3, 1.0))
+    mean = tuple((a + 2 * b + 2 * c + d) / 6 for a, b, c, d in zip(k1, k2, k3, k4, strict=True))
+    after = moved(mean, 1.0)
+    return after, k1, rates(after)
+
+
+def hermite(start, end, rate, end_rate):
+    """Coefficients in tau of the cubic through two values with two rates per step."""
+    change = end - start
+    return [start, rate, 3 * change - 2 * rate - end_rate, rate + end_rate - 2 * change]
+
+
+@dataclass(frozen=True)
+class Smoothed:
+    """The smoothed stepper; it has no static settings."""
+
+    def step(self, scene, p, lane: Lane, settings, end, moving) -> tuple[Lane, Step]:
+        """One step of every lane.
+
+        **Arguments:**
+
+        - `settings`: `step` [s] and `smoothing` [m/s], arrays or floats: changing them compiles nothing.
+        - `end`: time [s] at which lanes stop.
+        - `moving`: booleans (lanes,); the others stand still.
+
+        **Returns:** the lane after it, and the step.
+        """
+        width = settings["smoothing"]
+        mode = scene.smoothed_mode(p, lane.mode, lane.state, STICK_WIDTHS * width)
+        lane = lane._replace(mode=mode)
+        h = trial_step(lane, settings["step"], settings["step"], end, moving)
+        after, rates, end_rates = smoothed_step(scene, p, mode, lane.state, h, width)
+        ends = zip(lane.state, after, rates, end_rates, strict=True)
+        polynomials = tuple(hermite(y, z, h * dy, h * dz) for y, z, dy, dz in ends)
+
+        def functions_at(state):
+            return (*scene.smoothed_surfaces(p, mode, state), *scene.markers(p, state))
+
+        series = functions_at(tuple(Series(known=one) for one in polynomials))
+        functions = [[f.array(k, h) for k in range(4)] for f in series]
+        reach = jnp.ones_like(h)
+        landing = land(functions_at, scene, p, polynomials, functions, reach, moving)
+        return taken(scene, p, lane, polynomials, h, landing)

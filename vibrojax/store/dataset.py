@@ -1,0 +1,55 @@
+"""Datasets on disk: written whole or not at all, and recognised when they are opened."""
+
+import os
+from pathlib import Path
+
+import xarray as xr
+
+from vibrojax.errors import InputError
+
+MARK = "vibrojax"
+
+
+def write_dataset(dataset: xr.Dataset, path: str | os.PathLike) -> None:
+    """Write a netCDF-4 file that appears whole or not at all: under a name of its own, synced, then renamed.
+
+    Raises `OSError` where the disk is full or the folder cannot be written.
+    """
+    path = Path(path)
+    aside = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    # Flags stay integers only without a fill value, and floats keep NaN as it is.
+    encoding = {name: {"_FillValue": None} for name in dataset.variables}
+    for name, variable in dataset.data_vars.items():
+        if variable.size > 4096 and variable.dtype.kind in "fi":
+            encoding[name] |= {"zlib": True, "complevel": 1, "shuffle": True}
+    try:
+        dataset.to_netcdf(aside, engine="netcdf4", format="NETCDF4", encoding=encoding)
+        with open(aside, "rb") as file:
+            os.fsync(file.fileno())
+        os.replace(aside, path)
+    finally:
+        aside.unlink(missing_ok=True)
+
+
+def open_dataset(path: str | os.PathLike) -> xr.Dataset:
+    """Open a dataset that this package wrote.
+
+    Raises `InputError` where it is not there, no netCDF, cut short, or not ours.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise InputError(f"{path}: there is no such file")
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder; give a .nc file")
+    try:
+        dataset = xr.load_dataset(path, engine="netcdf4")
+    except Exception as error:  # whatever the library says of a file that is cut short, flipped or no netCDF at all
+        raise InputError(f"{path}: cannot be read as netCDF ({_first_line(error)})") from None
+    if not str(dataset.attrs.get("source", "")).startswith(MARK):
+        raise InputError(f"{path}: was not written by {MARK} (its attribute source does not say so)")
+    return dataset
+
+
+def _first_line(error: Exception) -> str:
+    lines = str(error).splitlines()
+    return lines[0] if lines else type(error).__name__

@@ -1,0 +1,62 @@
+"""The variables of a sweep's dataset: unit, meaning, and kind (contract: dataset)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vibrojax.label import REGIMES
+
+
+@dataclass(frozen=True)
+class Variable:
+    """How a variable is written: `units` and `long_name`, its dtype, and the meaning of its flags 0, 1, ..."""
+
+    units: str
+    long_name: str
+    dtype: type = np.float64
+    flags: tuple[str, ...] = ()
+
+    def attributes(self) -> dict:
+        """CF attributes."""
+        attributes = {"units": self.units, "long_name": self.long_name}
+        if self.flags:
+            attributes["flag_values"] = np.arange(len(self.flags), dtype=np.int8)
+            attributes["flag_meanings"] = " ".join(self.flags)
+        return attributes
+
+
+STATUSES = ("done", "failed", "refused")
+REASONS = ("none", "not-finite", "out-of-steps")
+
+VARIABLES = {
+    "regime": Variable("1", "regime of the striker's motion", np.int8, REGIMES),
+    "period": Variable("s", "mean time between returns to the section"),
+    "cycles": Variable("1", "returns after which the motion repeats (0: it does not)", np.int8),
+    "returns": Variable("1", "returns to the section in the observation", np.int32),
+    "impacts": Variable("1", "impacts in those cycles together (cycles 0: per return)"),
+    "impact_velocity": Variable("m s-1", "mean striker velocity at the beginning of impacts"),
+    "impact_velocity_min": Variable("m s-1", "least striker velocity at the beginning of an impact"),
+    "impact_velocity_max": Variable("m s-1", "greatest striker velocity at the beginning of an impact"),
+    "bit_velocity_at_impact": Variable("m s-1", "mean sliding velocity of the bit at the beginning of impacts"),
+    "impact_phase": Variable("rad", "mean phase of impacts in the cycle, 0 at the section"),
+    "impact_energy": Variable("J", "mean kinetic energy of the striker at the beginning of impacts"),
+    "peak_impact_force": Variable("N", "greatest contact force"),
+    "mean_impact_force": Variable("N", "mean contact force"),
+    "stick_fraction": Variable("1", "share of time in which the bit sticks to the rock"),
+    "reverse_fraction": Variable("1", "share of time in which the bit slides backwards"),
+    "bit_amplitude": Variable("m", "half the swing of the bit"),
+    "striker_amplitude": Variable("m", "half the swing of the striker"),
+    "striker_turns": Variable("1", "turns of the striker from forward to backward per return"),
+    "phase_lag": Variable("rad", "lag of the striker's fundamental behind the bit's"),
+    "settling_time": Variable("s", "time of the last return that differs from its repeat by over 1 %"),
+    "drive_power": Variable("W", "mean power of the drive"),
+    "error_estimate": Variable("1", "estimated relative error of period and impact velocity, the larger"),
+    "status": Variable("1", "whether the lane was computed", np.int8, STATUSES),
+    "reason": Variable("1", "why a lane failed or was refused", np.int8, REASONS),
+    "return_time": Variable("s", "time of the return"),
+    "return_x1": Variable("m", "position of the bit at the return"),
+    "return_x2": Variable("m", "position of the striker at the return"),
+    "return_v2": Variable("m s-1", "velocity of the striker at the return"),
+    "return_impacts": Variable("1", "impacts since the return before"),
+    "return_impact_velocity": Variable("m s-1", "mean striker velocity at the impacts since the return before"),
+}

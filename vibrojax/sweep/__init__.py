@@ -1,0 +1,7 @@
+"""Sweeps: from a sweep file to a labelled dataset."""
+
+from vibrojax.sweep._read import read_sweep as read_sweep
+from vibrojax.sweep._run import estimate as estimate
+from vibrojax.sweep._run import run_sweep as run_sweep
+from vibrojax.sweep._run import run_to_file as run_to_file
+from vibrojax.sweep._sweep import Sweep as Sweep

@@ -1,0 +1,90 @@
+"""From the features of lanes to the labelled dataset of a sweep (contract: dataset)."""
+
+import json
+from datetime import UTC, datetime
+
+import numpy as np
+import xarray as xr
+
+from vibrojax.label import label
+from vibrojax.physics.parameters import ROTATION, Parameter
+from vibrojax.store.provenance import source
+from vibrojax.store.variables import REASONS, STATUSES, VARIABLES
+from vibrojax.sweep._sweep import Sweep
+
+
+def dataset_of(sweep: Sweep, features: dict, solver: dict, wall_time: float) -> xr.Dataset:
+    """The dataset of a sweep.
+
+    **Arguments:**
+
+    - `features`: by name, (lanes,), or (lanes, rows) for returns that are kept.
+    - `solver`: what the lanes were stepped with, as JSON values.
+    - `wall_time`: seconds that it took.
+    """
+    features = _finished(sweep, features)
+    kept = {name: x for name, x in features.items() if x.ndim == 2}
+    variables = {}
+    for name, variable in VARIABLES.items():
+        if name not in features:
+            continue
+        x, dims = features[name], (*sweep.dims, *(("return_index",) if name in kept else ()))
+        x = x.reshape(*sweep.shape, *x.shape[1:])
+        if np.issubdtype(variable.dtype, np.integer):
+            x = np.nan_to_num(x).astype(variable.dtype)
+        variables[name] = (dims, x, variable.attributes())
+    attributes = {
+        "title": sweep.title or f"{sweep.scene}: {sweep.name}",
+        "scene": sweep.scene,
+        "source": source(),
+        "history": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} sweep {sweep.name}",
+        "sweep": sweep.text,
+        "parameters": json.dumps(sweep.parameters),
+        "friction": sweep.friction or "none",
+        "solver": json.dumps(solver),
+        "wall_time_s": float(wall_time),
+        "lanes": sweep.lanes,
+        "Conventions": "CF-1.11",
+    }
+    return xr.Dataset(variables, _coordinates(sweep, kept), attributes)
+
+
+def _finished(sweep: Sweep, features: dict) -> dict:
+    """The features with the regime, status and reason; those of failed lanes are NaN, or 0 where they are counts."""
+    bad = ~features["finite"]
+    reason = np.select([bad, ~features["finished"]], [REASONS.index("not-finite"), REASONS.index("out-of-steps")], 0)
+    values, _ = sweep.lane_values(0, sweep.lanes)
+    rest = np.asarray(sweep.machine.friction.on_weight(0.0, values)) + np.zeros(sweep.lanes)
+    regime = label(features, rest, values["m1"], values["g"], values["k1"])
+    failed = reason != 0
+    known = {"finite", "finished", "steps"}
+    blanked = {
+        name: x if name in known else np.where(failed.reshape(-1, *[1] * (x.ndim - 1)), np.nan, x)
+        for name, x in features.items()
+    }
+    status = np.where(failed, STATUSES.index("failed"), STATUSES.index("done"))
+    return blanked | {"regime": regime, "status": status, "reason": reason}
+
+
+def _coordinates(sweep: Sweep, kept: dict) -> dict:
+    parameters = dict(sweep.machine.parameters()) | ROTATION
+    found = {name: ((name,), axis, _described(parameters[name])) for name, axis in sweep.axes.items()}
+    for name, column in (sweep.points or {}).items():
+        found[name] = (("point",), column, _described(parameters[name]))
+    if sweep.points is not None or sweep.point_starts is not None:
+        found["point"] = (("point",), np.arange(sweep.shape[0]), {"units": "1", "long_name": "number of the point"})
+    about = {"units": "1", "long_name": "start of the motion"}
+    if sweep.point_starts is not None:
+        found["start"] = (("point",), np.array(sweep.point_starts), about)
+    elif sweep.starts is not None:
+        names = [start if isinstance(start, str) else json.dumps(list(start)) for start in sweep.starts]
+        found["start"] = (("start",), np.array(names), about)
+    if kept:
+        rows = next(iter(kept.values())).shape[1]
+        about = {"units": "1", "long_name": "number of the return that is kept, the newest last"}
+        found["return_index"] = (("return_index",), np.arange(rows), about)
+    return found
+
+
+def _described(parameter: Parameter) -> dict:
+    return {"units": parameter.unit, "long_name": parameter.long_name, "symbol": parameter.symbol}

@@ -1,0 +1,52 @@
+"""How far a sweep is: a bar on a terminal, plain lines elsewhere."""
+
+import sys
+import time
+from typing import TextIO
+
+BAR = 30
+QUIET_SECONDS = 10.0
+
+
+class Progress:
+    """Tells on `stream` how many lanes are done, lanes per second, and the time left.
+
+    On a terminal a bar that is drawn over; elsewhere a plain line now and then, so that logs stay short.
+    """
+
+    def __init__(self, lanes: int, shown: bool = True, stream: TextIO | None = None):
+        self._lanes = lanes
+        self._shown = shown
+        self._stream = stream or sys.stderr
+        self._start = self._last = time.monotonic()
+        self._done = 0
+        self._before = 0
+
+    def resume(self, done: int) -> None:
+        """Lanes that an earlier run has computed."""
+        self._done = self._before = done
+        if done and self._shown:
+            print(f"{done} of {self._lanes} lanes are there from an earlier run", file=self._stream)
+
+    def add(self, lanes: int) -> None:
+        """Lanes that have just been computed."""
+        self._done += lanes
+        if not self._shown:
+            return
+        now = time.monotonic()
+        whole = self._done >= self._lanes
+        if self._stream.isatty():
+            filled = BAR * self._done // self._lanes
+            print(f"\r[{'#' * filled}{'.' * (BAR - filled)}] {self._line(now)} ", end="", file=self._stream)
+            if whole:
+                print(file=self._stream)
+            self._stream.flush()
+        elif whole or now - self._last >= QUIET_SECONDS:
+            self._last = now
+            print(self._line(now), file=self._stream, flush=True)
+
+    def _line(self, now: float) -> str:
+        rate = (self._done - self._before) / max(now - self._start, 1e-9)
+        left = (self._lanes - self._done) / max(rate, 1e-9)
+        end = f"{left:.0f} s left" if self._done < self._lanes else f"{now - self._start:.1f} s"
+        return f"{self._done}/{self._lanes} lanes, {rate:.0f} lanes/s, {end}"

@@ -1,0 +1,122 @@
+"""A sweep, read and checked: what is fixed, what varies, and the values of any lanes of it."""
+
+import hashlib
+from dataclasses import asdict, dataclass, field
+from math import pi, prod
+
+import numpy as np
+
+from vibrojax.scenes import Scene
+from vibrojax.sweep._names import build_scene
+from vibrojax.sweep._settings import RunSettings
+
+Start = str | tuple[float, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Sweep:
+    """A sweep file's content, complete with defaults.
+
+    - `name`: what its output is called; `text`: its TOML; `title`: free text.
+    - `scene`, `friction`: names; no friction for a scene that does not slide.
+    - `starts`: names and vectors (x1, x1', x2, x2') [m, m/s]; None for a scene without.
+    - `parameters`: all that is fixed, by name, SI; `given`: those of them that the user wrote.
+    - `axes`: the grid, each of shape (values,), in the file's order; or `points`: columns of shape (points,), and
+      `point_starts`: the name of each point's start, where the list has it.
+    - `run`: how it is run.
+
+    Where `rpm` and `bit_radius` stand for `v`, fixed ones are in `parameters` as `v`; if one of the two varies, `v` is
+    in neither `parameters` nor `axes`, but in the values of the lanes.
+    """
+
+    name: str
+    text: str
+    title: str
+    scene: str
+    friction: str | None
+    starts: tuple[Start, ...] | None
+    parameters: dict[str, float]
+    given: dict[str, float]
+    axes: dict[str, np.ndarray] = field(default_factory=dict)
+    points: dict[str, np.ndarray] | None = None
+    point_starts: list[str] | None = None
+    run: RunSettings = field(default_factory=RunSettings)
+
+    @property
+    def machine(self) -> Scene:
+        """The scene itself, with its friction law."""
+        return build_scene(self.scene, self.friction)
+
+    @property
+    def dims(self) -> tuple[str, ...]:
+        """Names of the dimensions: the axes or "point", then "start" where every point runs from each of them."""
+        return (*(self.axes or ("point",)), *(("start",) if self._crosses_starts else ()))
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Sizes of the dimensions."""
+        sizes = [len(axis) for axis in self.axes.values()] or [self._points]
+        return (*sizes, *((len(self.starts),) if self._crosses_starts else ()))
+
+    @property
+    def lanes(self) -> int:
+        """How many lanes there are, by Python's integers, which do not overflow."""
+        return prod(self.shape)
+
+    @property
+    def _crosses_starts(self) -> bool:
+        return self.starts is not None and self.point_starts is None
+
+    @property
+    def _points(self) -> int:
+        columns = [*(self.points or {}).values(), *([self.point_starts] if self.point_starts else [])]
+        return len(columns[0])
+
+    def lane_values(self, first: int, last: int) -> tuple[dict[str, np.ndarray], np.ndarray]:
+        """All of the scene's parameters, and the index into `starts`, of the lanes from `first` up to `last`.
+
+        Lanes are counted in row-major order over `dims`. Returns float64 arrays of shape (last - first,) by name, and
+        an integer array of that shape (zeros for a scene without starts). Memory grows with last - first only.
+        """
+        indices = dict(zip(self.dims, np.unravel_index(np.arange(first, last), self.shape), strict=True))
+        lanes = last - first
+        varied = {name: axis[indices[name]] for name, axis in self.axes.items()}
+        if self.points is not None:
+            varied |= {name: column[indices["point"]] for name, column in self.points.items()}
+        values = with_drive_speed(self.parameters | varied)
+        values = {name: np.broadcast_to(values[name], lanes).astype(float) for name in self.machine.parameters()}
+        if self.point_starts is not None:
+            found = [self.starts.index(self.point_starts[point]) for point in indices["point"]]
+            return values, np.array(found, dtype=int)
+        return values, np.asarray(indices["start"] if self.starts is not None else np.zeros(lanes, int))
+
+    def identity(self) -> dict[str, object]:
+        """What the results depend on, as flat JSON values: equal for two sweeps that compute the same lanes.
+
+        Long columns stand in it by their checksum. The chunk, the title and the wording of the file are no part of it.
+        """
+        varied = {f"grid.{name}": axis for name, axis in self.axes.items()}
+        varied |= {f"points.{name}": column for name, column in (self.points or {}).items()}
+        if self.point_starts is not None:
+            varied["points.start"] = np.array([self.starts.index(name) for name in self.point_starts])
+        run = {f"run.{name}": value for name, value in asdict(self.run).items() if name != "chunk"}
+        parameters = {f"parameters.{name}": value for name, value in self.parameters.items()}
+        starts = None if self.starts is None else [s if isinstance(s, str) else list(s) for s in self.starts]
+        fixed = {"scene": self.scene, "friction": self.friction, "dims": list(self.dims), "starts": starts}
+        return fixed | parameters | {name: _outline(column) for name, column in varied.items()} | run
+
+
+def with_drive_speed(values: dict) -> dict:
+    """`values` with v = 2 pi rpm/60 bit_radius [m/s] in place of rpm and bit_radius, where it has them."""
+    if "rpm" not in values or "bit_radius" not in values:
+        return values
+    rest = {name: value for name, value in values.items() if name not in ("rpm", "bit_radius")}
+    return rest | {"v": 2 * pi / 60 * values["rpm"] * values["bit_radius"]}
+
+
+def _outline(column: np.ndarray) -> object:
+    """A column as JSON: itself where short, else its ends and checksum."""
+    if column.size <= 8:
+        return column.tolist()
+    digest = hashlib.sha256(np.ascontiguousarray(column).astype("<f8").tobytes()).hexdigest()[:16]
+    return f"{column.size} values from {column[0]:g} to {column[-1]:g}, sha256 {digest}"
