@@ -11,7 +11,7 @@ from importlib import import_module
 _HOMES = {
     "run_sweep": "vibrojax.sweep",
     "read_sweep": "vibrojax.sweep",
-    "simulate": "vibrojax.simulate",
+    "simulate": "vibrojax.simulation",
     "open_dataset": "vibrojax.store.dataset",
     "write_dataset": "vibrojax.store.dataset",
     "picture": "vibrojax.plot",
@@ -31,7 +31,9 @@ def __getattr__(name: str):
     if name not in _HOMES:
         raise AttributeError(f"module 'vibrojax' has no attribute {name!r}")
     home = import_module(_HOMES[name])
-    return getattr(home, name) if hasattr(home, name) else import_module(f"{_HOMES[name]}.{name}")
+    found = getattr(home, name) if hasattr(home, name) else import_module(f"{_HOMES[name]}.{name}")
+    globals()[name] = found
+    return found
 
 
 def __dir__():

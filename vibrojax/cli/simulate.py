@@ -38,7 +38,7 @@ def run(options: Namespace) -> None:
 
     use_cores()
     from vibrojax.plot import save_picture
-    from vibrojax.simulate import simulate
+    from vibrojax.simulation import simulate
     from vibrojax.store.dataset import write_dataset
 
     friction = {} if point.friction is None else {"friction": point.friction}

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import jax.numpy as jnp
 
-from vibrojax.physics.contact import raw_force
+from vibrojax.physics.contact import contact_time, raw_force
 from vibrojax.physics.elementary import maximum
 from vibrojax.physics.friction import FRICTION_LAWS, FrictionLaw
 from vibrojax.physics.parameters import BIT_AND_STRIKER, CONTACT
@@ -102,6 +102,10 @@ class VibroImpact(Scene):
 
     def contact_force(self, p, mode, state):
         return mode[1] * self.impact_force(p, state)
+
+    def contact_time(self, p):
+        """Duration of a blow of the striker on the contact [s] (eq. 5.7)."""
+        return contact_time(p["m2"], p["k0"], p["c0"])
 
     def impact_rate(self, p, state):
         return state[3]

@@ -1,7 +1,10 @@
 """Sweeps: from a sweep file to a labelled dataset."""
 
+from vibrojax.sweep._accuracy import accuracy_for as accuracy_for
+from vibrojax.sweep._point import read_point as read_point
 from vibrojax.sweep._read import read_sweep as read_sweep
 from vibrojax.sweep._run import estimate as estimate
 from vibrojax.sweep._run import run_sweep as run_sweep
 from vibrojax.sweep._run import run_to_file as run_to_file
+from vibrojax.sweep._settings import RunSettings as RunSettings
 from vibrojax.sweep._sweep import Sweep as Sweep

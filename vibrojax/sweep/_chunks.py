@@ -1,16 +1,14 @@
 """Lanes in chunks of one size through one compiled program; memory is bounded by the chunk."""
 
 import time
-from dataclasses import dataclass, replace
-
 import jax
 import numpy as np
 
 from vibrojax.devices import precision, use_cores
 from vibrojax.measure import recorder_for
 from vibrojax.stepping import Located, Smoothed
+from vibrojax.sweep._accuracy import Accuracy, accuracy_for
 from vibrojax.sweep._program import lanes_per_round, mesh, place, run_chunk
-from vibrojax.sweep._settings import RunSettings
 from vibrojax.sweep._sweep import Sweep
 
 CHUNK = 1024
@@ -22,32 +20,6 @@ MOST_STEPS = 2e6
 # The check run's tolerance or width is this many times coarser; the share of the difference that is the finer run's
 # error follows from the order of the method in it.
 COARSER = {"located": 100.0, "smoothed": 2.0}
-
-
-@dataclass(frozen=True)
-class Accuracy:
-    """What the steps follow from: `tolerance` and `stride` (located), `step` [s], `smoothing` [m/s]."""
-
-    tolerance: float
-    stride: float
-    step: float
-    smoothing: float
-
-    def coarser(self, factor: float) -> "Accuracy":
-        """The accuracy of the run that the error is estimated with."""
-        step = self.step * (factor if self.smoothing else 1)
-        return replace(self, tolerance=self.tolerance * factor, smoothing=self.smoothing * factor, step=step)
-
-
-def accuracy_for(run: RunSettings) -> Accuracy:
-    """Steps that keep the accepted error, unless the user chose them."""
-    if run.method == "smoothed":
-        width = run.smoothing if run.smoothing is not None else max(run.error, 1e-5)
-        # Friction changes by all of itself over the width: a tenth of that, at 1 m/s², keeps RK4 accurate.
-        return Accuracy(0.0, 0.3, run.step if run.step is not None else 0.1 * width, width)
-    rounding = 1e-12 if run.precision == "float64" else 3e-6
-    tolerance = max(1e-5 * run.error, rounding)
-    return Accuracy(tolerance, 1.0, run.step if run.step is not None else np.inf, 0.0)
 
 
 class Chunks:
@@ -92,11 +64,7 @@ class Chunks:
             "settle": run.settle,
             "observe": run.observe,
             "most_steps": MOST_STEPS,
-            "tolerance": accuracy.tolerance,
-            "stride": accuracy.stride,
-            "step": accuracy.step,
-            "smoothing": accuracy.smoothing,
-        }
+        } | accuracy.settings()
         settings = {name: np.asarray(value, self.dtype) for name, value in settings.items()}
         out = run_chunk(self.sweep.machine, self.method, self._recorder, self._starts, self.mesh, *placed, settings)
         return {name: np.asarray(x) for name, x in _waited(out).items()}

@@ -1,8 +1,6 @@
 """Run a sweep: to a dataset in memory, or to a file that loses nothing."""
 
-import json
 import time
-from dataclasses import asdict
 from math import ceil
 from pathlib import Path
 
@@ -93,13 +91,12 @@ def estimate(sweep: Sweep) -> dict:
 
 def _assembled(sweep: Sweep, chunks: Chunks, parts: list[dict], wall_time: float) -> xr.Dataset:
     features = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    accuracy = {name: value for name, value in asdict(chunks.accuracy).items() if np.isfinite(value)}
     solver = {
         "method": sweep.run.method,
         "order": getattr(chunks.method, "order", 4),
         "precision": sweep.run.precision,
         "devices": devices_text(),
         "steps": int(features["steps"].sum()),
-        **accuracy,
+        **chunks.accuracy.described(),
     }
-    return dataset_of(sweep, features, json.loads(json.dumps(solver)), wall_time)
+    return dataset_of(sweep, features, solver, wall_time)

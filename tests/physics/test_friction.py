@@ -1,0 +1,210 @@
+"""Friction laws against model.md, section 3, transcribed here in plain numpy."""
+
+import importlib
+import pkgutil
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import vibrojax.physics.friction as friction
+from vibrojax.physics.elementary import exp
+from vibrojax.physics.friction import FRICTION_LAWS, FrictionLaw
+from vibrojax.physics.parameters import not_negative, positive, table
+from vibrojax.scenes.rotary import Rotary
+
+SPEEDS = np.array([1e-6, 1e-3, 0.02, 0.3, 1.5, 3.0, 4.2])
+
+# Two sets for each law: the defaults of section 3, and numbers in which no two parameters can be mistaken for each other.
+PARAMETERS = {
+    "coulomb": ({"mu": 0.4}, {"mu": 0.23}),
+    "popp-exponential": ({"popp_c1": -0.02, "popp_c2": -0.25}, {"popp_c1": -0.3, "popp_c2": -0.7}),
+    "popp-arctan": (
+        {"a1": 0.14, "a2": 1.14, "b1": 2.0, "b2": 100.0},
+        {"a1": 0.2, "a2": 0.6, "b1": 0.9, "b2": 7.0},
+    ),
+    "hyperbolic": ({"mu0": 0.4, "delta_f": 1.0}, {"mu0": 0.31, "delta_f": 2.3}),
+    "hyperbolic-quadratic": (
+        {"mu0": 0.4, "mu1": 0.1, "lambda": 99.4, "alpha": 0.7},
+        {"mu0": 0.5, "mu1": 0.2, "lambda": 3.0, "alpha": 0.05},
+    ),
+    "stribeck": ({"mu": 0.4, "v_cr": 3.0}, {"mu": 0.27, "v_cr": 1.9}),
+}
+CASES = [pytest.param(name, p, id=f"{name}-{i}") for name, both in PARAMETERS.items() for i, p in enumerate(both)]
+
+MU = {
+    # 2.13: mu
+    "coulomb": lambda u, p: p["mu"] + 0 * u,
+    # 2.14: 0.165 (1 + exp(c1/|u|)) (1 + exp(c2 |u|)), second exponent corrected
+    "popp-exponential": lambda u, p: 0.165 * (1 + np.exp(p["popp_c1"] / u)) * (1 + np.exp(p["popp_c2"] * u)),
+    # 2.15: a1 (1 + a2 exp(-b1 |u|)) atan(b2 |u|)
+    "popp-arctan": lambda u, p: p["a1"] * (1 + p["a2"] * np.exp(-p["b1"] * u)) * np.arctan(p["b2"] * u),
+    # 2.16: mu0/(1 + delta_f |u|)
+    "hyperbolic": lambda u, p: p["mu0"] / (1 + p["delta_f"] * u),
+    # 2.17: (mu0 - mu1)/(1 + lambda |u|) + mu1 + alpha u²
+    "hyperbolic-quadratic": lambda u, p: (
+        (p["mu0"] - p["mu1"]) / (1 + p["lambda"] * u) + p["mu1"] + p["alpha"] * u**2
+    ),
+    # 5.9: mu (1 - |u|/v_cr + |u|³/(3 v_cr³))
+    "stribeck": lambda u, p: p["mu"] * (1 - u / p["v_cr"] + u**3 / (3 * p["v_cr"] ** 3)),
+}
+
+# d mu/d|u|, differentiated by hand.
+SLOPE = {
+    "coulomb": lambda u, p: 0 * u,
+    "popp-exponential": lambda u, p: (
+        0.165
+        * (
+            -p["popp_c1"] / u**2 * np.exp(p["popp_c1"] / u) * (1 + np.exp(p["popp_c2"] * u))
+            + (1 + np.exp(p["popp_c1"] / u)) * p["popp_c2"] * np.exp(p["popp_c2"] * u)
+        )
+    ),
+    "popp-arctan": lambda u, p: (
+        p["a1"]
+        * (
+            -p["a2"] * p["b1"] * np.exp(-p["b1"] * u) * np.arctan(p["b2"] * u)
+            + (1 + p["a2"] * np.exp(-p["b1"] * u)) * p["b2"] / (1 + (p["b2"] * u) ** 2)
+        )
+    ),
+    "hyperbolic": lambda u, p: -p["mu0"] * p["delta_f"] / (1 + p["delta_f"] * u) ** 2,
+    "hyperbolic-quadratic": lambda u, p: (
+        -(p["mu0"] - p["mu1"]) * p["lambda"] / (1 + p["lambda"] * u) ** 2 + 2 * p["alpha"] * u
+    ),
+    "stribeck": lambda u, p: p["mu"] * (-1 / p["v_cr"] + u**2 / p["v_cr"] ** 3),
+}
+
+# mu(0+) and its one-sided slope there.
+AT_REST = {
+    "coulomb": lambda p: (p["mu"], 0.0),
+    "popp-exponential": lambda p: (0.33, 0.165 * p["popp_c2"]),  # exp(c1/|u|) and its derivatives -> 0
+    "popp-arctan": lambda p: (0.0, p["a1"] * (1 + p["a2"]) * p["b2"]),
+    "hyperbolic": lambda p: (p["mu0"], -p["mu0"] * p["delta_f"]),
+    "hyperbolic-quadratic": lambda p: (p["mu0"], -(p["mu0"] - p["mu1"]) * p["lambda"]),
+    "stribeck": lambda p: (p["mu"], -p["mu"] / p["v_cr"]),
+}
+
+
+def test_registry_holds_the_six_laws_of_the_source():
+    assert set(FRICTION_LAWS) == set(MU)
+    references = {name: law.reference for name, law in FRICTION_LAWS.items()}
+    assert references == {
+        "coulomb": "eq. 2.13",
+        "popp-exponential": "eq. 2.14",
+        "popp-arctan": "eq. 2.15",
+        "hyperbolic": "eq. 2.16",
+        "hyperbolic-quadratic": "eq. 2.17",
+        "stribeck": "eq. 5.9",
+    }
+
+
+def test_registry_is_what_the_folder_holds():
+    files = {found.name for found in pkgutil.iter_modules(friction.__path__) if not found.name.startswith("_")}
+    laws = [importlib.import_module(f"vibrojax.physics.friction.{name}").LAW for name in files]
+    assert sorted(law.name for law in laws) == sorted(FRICTION_LAWS)
+
+
+@pytest.mark.parametrize("name", MU)
+def test_defaults_are_those_of_section_3(name):
+    assert {key: one.default for key, one in FRICTION_LAWS[name].parameters.items()} == PARAMETERS[name][0]
+
+
+@pytest.mark.parametrize(("name", "p"), CASES)
+def test_value(name, p):
+    law = FRICTION_LAWS[name]
+    found = [law.on_weight(jnp.asarray(u), p) for u in SPEEDS]
+    np.testing.assert_allclose(found, MU[name](SPEEDS, p), rtol=1e-14)
+
+
+@pytest.mark.parametrize(("name", "p"), CASES)
+def test_under_impact_only_eq_5_9_has_a_constant(name, p):
+    """Section 3: F = sgn(u) mu(u) (m1 g + J); 5.9 keeps the constant mu of eq. 5.12 on J."""
+    expected = p["mu"] + 0 * SPEEDS if name == "stribeck" else MU[name](SPEEDS, p)
+    found = [FRICTION_LAWS[name].on_impact(jnp.asarray(u), p) for u in SPEEDS]
+    np.testing.assert_allclose(found, expected, rtol=1e-14)
+
+
+@pytest.mark.parametrize(("name", "p"), CASES)
+@pytest.mark.parametrize("rest", [0.0, 1e-300])
+def test_limit_at_rest(name, p, rest):
+    """mu(0+) and d mu/d|u| at 0+, finite for every law."""
+    value, slope = jax.value_and_grad(lambda u: jnp.asarray(FRICTION_LAWS[name].on_weight(u, p)))(rest)
+    np.testing.assert_allclose([value, slope], AT_REST[name](p), rtol=1e-13, atol=1e-15)
+
+
+@pytest.mark.parametrize(("name", "p"), CASES)
+def test_nothing_is_nan_near_rest(name, p):
+    law = FRICTION_LAWS[name]
+    for u in (0.0, 1e-300, 1e-150, 1e-9, 1e-5, 1e-4):
+        mu = jax.jit(lambda u, p: jnp.asarray(law.on_weight(u, p)))
+        along_p = jax.grad(mu, argnums=1)(u, p)
+        assert np.all(np.isfinite([mu(u, p), jax.grad(mu)(u, p), jax.grad(jax.grad(mu))(u, p), *along_p.values()]))
+
+
+@pytest.mark.parametrize(("name", "p"), CASES)
+def test_slope_along_speed(name, p):
+    law = FRICTION_LAWS[name]
+    slopes = [jax.grad(lambda u: jnp.asarray(law.on_weight(u, p)))(u) for u in SPEEDS]
+    np.testing.assert_allclose(slopes, SLOPE[name](SPEEDS, p), rtol=1e-12, atol=1e-14)
+    h = 1e-5 * SPEEDS
+    central = (MU[name](SPEEDS + h, p) - MU[name](SPEEDS - h, p)) / (2 * h)
+    np.testing.assert_allclose(slopes[1:], central[1:], rtol=1e-6, atol=1e-8)
+
+
+@pytest.mark.parametrize(("name", "p"), CASES)
+def test_slope_along_each_parameter(name, p):
+    law = FRICTION_LAWS[name]
+    for u in (0.02, 0.8):
+        slopes = jax.grad(lambda p, u=u: jnp.asarray(law.on_weight(u, p)))(p)
+        for key, value in p.items():
+            h = 1e-5 * abs(value)
+            central = (MU[name](u, p | {key: value + h}) - MU[name](u, p | {key: value - h})) / (2 * h)
+            np.testing.assert_allclose(slopes[key], central, rtol=1e-6, atol=1e-9, err_msg=key)
+
+
+@pytest.mark.parametrize(("name", "p"), CASES)
+def test_jit_and_vmap_over_speed_and_parameters(name, p):
+    law = FRICTION_LAWS[name]
+    factors = np.linspace(0.8, 1.3, len(SPEEDS))
+    lanes = {key: jnp.asarray(value * factors) for key, value in p.items()}
+    expected = [MU[name](u, {key: value * f for key, value in p.items()}) for u, f in zip(SPEEDS, factors, strict=True)]
+    for batched in (jax.vmap(law.on_weight), law.on_weight):
+        found = jax.jit(batched)(jnp.asarray(SPEEDS), lanes)
+        assert found.shape == SPEEDS.shape
+        np.testing.assert_allclose(found, expected, rtol=1e-14)
+
+
+@pytest.mark.parametrize(("name", "p"), CASES)
+def test_single_precision_stays_single(name, p):
+    p32 = {key: jnp.float32(value) for key, value in p.items()}
+    found = [FRICTION_LAWS[name].on_weight(jnp.float32(u), p32) for u in SPEEDS]
+    assert {value.dtype for value in found} == {jnp.dtype("float32")}
+    # A relative error of p/u, up to 40 before it falls under rounding, is multiplied by itself in the exponential.
+    np.testing.assert_allclose(found, MU[name](SPEEDS, p), rtol=5e-6)
+
+
+@pytest.mark.parametrize("popp_c1", [0.0, 0.02])
+def test_exponential_law_is_finite_at_rest_wherever_its_parameters_are_admitted(popp_c1):
+    """exp(c1/|u|) has the limit 1 for c1 = 0 and none for c1 > 0."""
+    law = FRICTION_LAWS["popp-exponential"]
+    refused = law.parameters["popp_c1"].problem(popp_c1) is not None
+    assert refused or np.isfinite(law.on_weight(0.0, {"popp_c1": jnp.asarray(popp_c1), "popp_c2": -0.25}))
+
+
+def test_a_new_law_needs_nothing_but_its_object():
+    """mu = mu_s exp(-|u|/u_s): in a scene, force on the bit at rest on the springs is -sgn(u) mu m1 g."""
+    law = FrictionLaw(
+        name="exponential",
+        reference="this test",
+        parameters=table(not_negative("mu_s", 0.5, "1", "at rest", "μ"), positive("u_s", 2.0, "m s-1", "scale", "u")),
+        mu=lambda speed, p: p["mu_s"] * exp(-1.0 * speed / p["u_s"]),
+    )
+    scene = Rotary(friction=law)
+    defaults = {name: jnp.asarray(one.default) for name, one in scene.parameters().items()}
+    assert {"mu_s", "u_s", "m1"} <= set(defaults) and "v_cr" not in defaults
+    p = scene.constants(defaults)
+    zero = jnp.asarray(0.0)
+    for slip, v1 in ((1.0, 0.3), (-1.0, -2.1)):
+        acceleration = scene.field(p, (jnp.asarray(slip),), (zero, jnp.asarray(v1), zero, zero))[1]
+        np.testing.assert_allclose(acceleration, -slip * 0.5 * np.exp(-abs(v1 + 1.5) / 2.0) * 9.81, rtol=1e-13)
+    np.testing.assert_allclose(p["stick_limit"], 0.5 * 250 * 9.81, rtol=1e-14)

@@ -1,0 +1,172 @@
+"""Simulate one point and give its trajectory."""
+
+import json
+import sys
+from collections.abc import Mapping
+from datetime import UTC, datetime
+
+import jax.numpy as jnp
+import numpy as np
+import xarray as xr
+
+from vibrojax.devices import precision
+from vibrojax.errors import InputError, Place
+from vibrojax.simulation._events import KINDS, events
+from vibrojax.simulation._record import record, sample
+from vibrojax.stepping import Located, Smoothed
+from vibrojax.stepping.adaptive import adaptive_trajectory, solver_named
+from vibrojax.store.provenance import source
+from vibrojax.sweep import RunSettings, accuracy_for, read_point
+
+METHODS = ("located", "smoothed", "diffrax")
+MOST_SAMPLES = 2_000_000
+STATES = {
+    "x1": ("m", "position of the bit relative to the drive"),
+    "v1": ("m s-1", "velocity of the bit relative to the drive"),
+    "x2": ("m", "position of the striker relative to the drive"),
+    "v2": ("m s-1", "velocity of the striker relative to the drive"),
+}
+
+
+def simulate(
+    scene: str,
+    *,
+    start=None,
+    duration: float = 20.0,
+    method: str | None = None,
+    solver=None,
+    step: float | None = None,
+    smoothing: float | None = None,
+    error: float = 1e-4,
+    sampling: float | None = None,
+    progress: bool = True,
+    **parameters,
+) -> xr.Dataset:
+    """Simulate one point of a scene.
+
+    **Arguments:**
+
+    - `scene`: "rotary" or "vibro-impact"; `parameters`: any of the scene's (SI), and `friction`, a law's name.
+    - `start`: "drive", "stuck", "touching", or a vector [x1, x1', x2, x2'] [m, m/s]; by default "drive".
+    - `duration` [s].
+    - `method`: "located" (the default), "smoothed", or "diffrax" (the default where a `solver` is given: a diffrax
+      solver or its name; "Tsit5" if none is).
+    - `error`: accepted relative error, from which steps and tolerances follow; `step` [s] (the longest, or of the
+      smoothed method) and `smoothing` [m/s] (width of the friction switch) for who wants to choose them.
+    - `sampling` [s]: interval of the samples; by default a twentieth of the contact's duration, 1 ms without contact.
+
+    **Returns:** a dataset along `time`: x1, v1, x2, v2, friction_force, impact_force [N], stuck; and along `event` the
+    times and kinds of what happened (not with diffrax).
+
+    **Raises:** `InputError` where a name or value is not right.
+    """
+    place = Place("simulate")
+    point = read_point(place, scene, parameters, start)
+    method = method or ("diffrax" if solver is not None else "located")
+    if method not in METHODS:
+        raise place.at("method").error(f'"{method}" is not one; choose from {", ".join(METHODS)}')
+    if solver is not None and method != "diffrax":
+        raise place.at("solver").error(f'has no use with method "{method}"; leave one of them out')
+    if smoothing is not None and method == "located":
+        raise place.at("smoothing").error('has no use with method "located"; leave it out, or set method = "smoothed"')
+    for name, value in (("duration", duration), ("error", error), ("step", step), ("smoothing", smoothing)):
+        if value is not None and not (np.isfinite(value) and value > 0):
+            raise place.at(name).error(f"is {value}; it must be above 0")
+    told = _teller(duration) if progress and sys.stderr.isatty() else None
+    with precision("float64"):
+        machine = point.machine
+        p = {name: jnp.full(1, value) for name, value in point.parameters.items()}
+        p = dict(machine.constants(p))
+        times = _times(machine, p, duration, sampling)
+        state = machine.start(p, point.start, (1,))
+        run = RunSettings(method="located" if method == "located" else "smoothed", error=error, step=step, smoothing=smoothing)
+        accuracy = accuracy_for(run)
+        happened = {}
+        if method == "diffrax":
+            states, modes, steps = _adaptive(machine, p, state, times, accuracy.smoothing, solver or "Tsit5", error)
+        else:
+            stepper = Located() if method == "located" else Smoothed()
+            taken = record(machine, stepper, p, state, accuracy.settings(), jnp.asarray(duration), told)
+            states, modes = sample(taken, times)
+            steps = len(taken.dt)
+            when, kinds = events(machine, p, taken)
+            happened = {"event_time": when, "event_kind": kinds}
+        forces = _forces(machine, p, states, modes, None if method == "located" else accuracy.smoothing)
+    solver_text = {"method": method, "steps": int(steps), **accuracy.described()}
+    if method == "diffrax":
+        solver_text["solver"] = type(solver_named(solver or "Tsit5")).__name__
+    return _dataset(point, times, states, modes, forces, happened, solver_text)
+
+
+def _times(machine, p, duration, sampling) -> np.ndarray:
+    if sampling is None:
+        sampling = 1e-3
+        if hasattr(machine, "contact_time"):
+            sampling = min(sampling, float(machine.contact_time(p)[0]) / 20)
+        sampling = max(sampling, duration / MOST_SAMPLES)
+    count = round(duration / sampling)
+    if not 1 <= count <= MOST_SAMPLES:
+        raise InputError(f"simulate: sampling: {sampling:g} s gives {count} samples; between 1 and {MOST_SAMPLES} are needed")
+    return np.arange(count + 1) * (duration / count)
+
+
+def _adaptive(machine, p, state, times, width, solver, error):
+    scalars = {name: value[0] for name, value in p.items()}
+    start = tuple(y[0] for y in state)
+    states, steps = adaptive_trajectory(
+        machine, scalars, start, jnp.asarray(times), width, solver_named(solver), 1e-3 * error
+    )
+    modes = machine.smoothed_mode(scalars, machine.mode_at(scalars, states), states, 3 * width)
+    return np.stack([np.asarray(y) for y in states]), np.stack([np.asarray(m) for m in modes]), int(steps)
+
+
+def _forces(machine, p, states, modes, width) -> dict:
+    """Friction and contact force [N] at the samples: by Newton's law, friction is what moves the bit less the springs."""
+    states, modes = tuple(jnp.asarray(y) for y in states), tuple(jnp.asarray(m) for m in modes)
+    rates = machine.field(p, modes, states) if width is None else machine.smoothed_field(p, modes, states, width)
+    forces = {"friction_force": np.asarray(machine.pull(p, states) - p["m1"] * rates[1])}
+    if hasattr(machine, "contact_force"):
+        forces["impact_force"] = np.asarray(machine.contact_force(p, modes, states)) + 0.0  # no -0.0
+    return forces
+
+
+FORCES = {
+    "friction_force": "friction force of the rock on the bit, against its sliding",
+    "impact_force": "contact force between striker and bit",
+}
+
+
+def _dataset(point, times, states, modes, forces, happened, solver: Mapping) -> xr.Dataset:
+    variables = {
+        name: ("time", y, {"units": unit, "long_name": text})
+        for (name, (unit, text)), y in zip(STATES.items(), states, strict=True)
+    }
+    variables |= {name: ("time", f, {"units": "N", "long_name": FORCES[name]}) for name, f in forces.items()}
+    flags = {"flag_values": np.array([0, 1], np.int8), "flag_meanings": "slides sticks"}
+    stuck = (modes[0] == 0).astype(np.int8)
+    variables["stuck"] = ("time", stuck, {"units": "1", "long_name": "whether the bit sticks to the rock", **flags})
+    if happened:
+        flags = {"flag_values": np.arange(len(KINDS), dtype=np.int8), "flag_meanings": " ".join(KINDS)}
+        about = {"units": "s", "long_name": "time of the event"}
+        variables["event_time"] = ("event", happened["event_time"], about)
+        about = {"units": "1", "long_name": "what happened", **flags}
+        variables["event_kind"] = ("event", happened["event_kind"], about)
+    attributes = {
+        "title": f"{point.scene}: trajectory",
+        "scene": point.scene,
+        "source": source(),
+        "history": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} simulate {point.scene}",
+        "parameters": json.dumps(point.parameters),
+        "friction": point.friction or "none",
+        "start": point.start if isinstance(point.start, str) else json.dumps(list(point.start)),
+        "solver": json.dumps(solver),
+        "Conventions": "CF-1.11",
+    }
+    return xr.Dataset(variables, {"time": ("time", times, {"units": "s", "long_name": "time"})}, attributes)
+
+
+def _teller(duration: float):
+    def told(t: float) -> None:
+        print(f"\r{min(t, duration):.1f} of {duration:g} s", end="\n" if t >= duration else "", file=sys.stderr, flush=True)
+
+    return told

@@ -1,0 +1,41 @@
+"""From the error that a user accepts to the steps that keep it."""
+
+from dataclasses import asdict, dataclass, replace
+
+import numpy as np
+
+from vibrojax.sweep._settings import RunSettings
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """What the steps follow from: `tolerance` and `stride` (located), `step` [s], `smoothing` [m/s]."""
+
+    tolerance: float
+    stride: float
+    step: float
+    smoothing: float
+
+    def settings(self) -> dict:
+        """What the steppers take, by name."""
+        return asdict(self)
+
+    def described(self) -> dict:
+        """What a dataset tells of it, as JSON values."""
+        return {name: value for name, value in asdict(self).items() if np.isfinite(value) and value > 0}
+
+    def coarser(self, factor: float) -> "Accuracy":
+        """The accuracy of the run that the error is estimated with."""
+        step = self.step * (factor if self.smoothing else 1)
+        return replace(self, tolerance=self.tolerance * factor, smoothing=self.smoothing * factor, step=step)
+
+
+def accuracy_for(run: RunSettings) -> Accuracy:
+    """Steps that keep the accepted error, unless the user chose them."""
+    if run.method == "smoothed":
+        width = run.smoothing if run.smoothing is not None else max(run.error, 1e-5)
+        # Friction changes by all of itself over the width: a tenth of that, at 1 m/s², keeps RK4 accurate.
+        return Accuracy(0.0, 0.3, run.step if run.step is not None else 0.1 * width, width)
+    rounding = 1e-12 if run.precision == "float64" else 3e-6
+    tolerance = max(1e-5 * run.error, rounding)
+    return Accuracy(tolerance, 1.0, run.step if run.step is not None else np.inf, 0.0)
