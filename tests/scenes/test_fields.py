@@ -6,12 +6,12 @@ import pytest
 
 from vibrojax.physics.friction import FRICTION_LAWS
 from vibrojax.scenes import SCENES
-from vibrojax.scenes.rotary import Rotary
-from vibrojax.scenes.vibro_impact import VibroImpact
 
+Rotary, VibroImpact = SCENES["rotary"], SCENES["vibro-impact"]
 LANES = 40
 DRILL = {"m1": 230.0, "beta": 0.35, "gamma": 0.8, "k1": 2e5, "c2": 300.0, "g": 9.81, "v": 1.4}
 CONTACT = {"k0": 4e7, "c0": 2e4, "delta": -0.004}
+K2 = DRILL["beta"] * DRILL["k1"] * DRILL["gamma"] ** 2  # beta m1 (gamma w1)², w1² = k1/m1
 LAWS = {  # mu(|u|) of section 3, at its defaults
     "stribeck": lambda u: 0.4 * (1 - u / 3 + u**3 / 81),
     "coulomb": lambda u: 0.4 + 0 * u,
@@ -42,7 +42,6 @@ def reference(law, slip, touching, state, has_contact=True):
     x1, v1, x2, v2 = state
     m1, k1, c2 = DRILL["m1"], DRILL["k1"], DRILL["c2"]
     m2 = DRILL["beta"] * m1
-    k2 = DRILL["beta"] * m1 * DRILL["gamma"] ** 2 * k1 / m1  # beta m1 (gamma w1)²
     impact = CONTACT["k0"] * (x2 - CONTACT["delta"]) + CONTACT["c0"] * v2  # 5.18
     impact = impact if touching and has_contact else 0.0
     u = np.abs(v1 + DRILL["v"])
@@ -51,16 +50,12 @@ def reference(law, slip, touching, state, has_contact=True):
     else:
         mu = LAWS[law](u)
         on_impact = 0.4 if law == "stribeck" else mu
-        bit = (-k1 * x1 - k2 * (x1 - x2) - slip * (mu * m1 * DRILL["g"] + on_impact * impact)) / m1  # 5.9, 5.12, R2
-    return v1, bit, v2, (-c2 * v2 - k2 * (x2 - x1) - impact) / m2
+        bit = (-k1 * x1 - K2 * (x1 - x2) - slip * (mu * m1 * DRILL["g"] + on_impact * impact)) / m1  # 5.9, 5.12, R2
+    return v1, bit, v2, (-c2 * v2 - K2 * (x2 - x1) - impact) / m2
 
 
 def arrays(*values):
     return tuple(jnp.broadcast_to(jnp.asarray(value, float), (LANES,)) for value in values)
-
-
-def test_scenes_are_found_by_name():
-    assert SCENES["rotary"] is Rotary and SCENES["vibro-impact"] is VibroImpact
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -100,27 +95,22 @@ def test_friction_is_against_sliding_and_grows_under_impact(law):
     """R2: F = (force on the bit from the springs) - m1 x1'' has the sign of u, and J > 0 only adds to it."""
     scene = VibroImpact(friction=FRICTION_LAWS[law])
     p = constants(scene)
-    k2 = DRILL["beta"] * DRILL["gamma"] ** 2 * DRILL["k1"]
     for sign in (1, -1):
         x1, v1, _, v2 = states(sign, seed=4)
         x2 = CONTACT["delta"] + 1e-3 + 0 * x1  # J = 4e4 + c0 v2 > 0
-        v2 = np.abs(v2)
-        forces = []
-        for touching in (0, 1):
-            bit = scene.field(p, arrays(sign, touching), arrays(x1, v1, x2, v2))[1]
-            forces.append(-DRILL["k1"] * x1 - k2 * (x1 - x2) - DRILL["m1"] * np.asarray(bit))
-        assert np.all(forces[0] * (v1 + DRILL["v"]) > 0)
-        assert np.all(sign * (forces[1] - forces[0]) > 0)
+        state = arrays(x1, v1, x2, np.abs(v2))
+        bits = [scene.field(p, arrays(sign, touching), state)[1] for touching in (0, 1)]
+        free, loaded = (springs(x1, x2) - DRILL["m1"] * np.asarray(bit) for bit in bits)
+        assert np.all(free * (v1 + DRILL["v"]) > 0)
+        assert np.all(sign * (loaded - free) > 0)
 
 
-@pytest.mark.parametrize("scene", [Rotary(), VibroImpact()], ids=lambda scene: scene.name)
-def test_stick_holds_the_bit_on_the_rock(scene):
-    """R1: friction is against the pull, so that u stays at 0 whatever pulls, and the bit goes back with the drive."""
-    state = states(0)
-    mode = arrays(0, 0)[: len(scene.modes)]
-    found = scene.field(constants(scene), mode, arrays(*state))
-    np.testing.assert_array_equal(found[0], -DRILL["v"])
-    np.testing.assert_array_equal(found[1], 0.0)
+def test_stick_holds_the_bit_on_the_rock():
+    """R1: friction is against the pull, so that u stays at 0 whatever pulls, and the drive leaves the bit behind."""
+    for scene, mode in ((Rotary(), arrays(0)), (VibroImpact(), arrays(0, 1))):
+        found = scene.field(constants(scene), mode, arrays(*states(0)))
+        np.testing.assert_array_equal(found[0], -DRILL["v"])
+        np.testing.assert_array_equal(found[1], 0.0)
 
 
 def limit(impact=0.0):
@@ -129,20 +119,18 @@ def limit(impact=0.0):
 
 
 def springs(x1, x2):
-    k2 = DRILL["beta"] * DRILL["gamma"] ** 2 * DRILL["k1"]
-    return -DRILL["k1"] * x1 - k2 * (x1 - x2)
+    return -DRILL["k1"] * x1 - K2 * (x1 - x2)
 
 
 def pulled(force, x2):
     """x1 at which the springs pull with `force` [N]."""
-    k2 = DRILL["beta"] * DRILL["gamma"] ** 2 * DRILL["k1"]
-    return (k2 * x2 - force) / (DRILL["k1"] + k2)
+    return (K2 * x2 - force) / (DRILL["k1"] + K2)
 
 
 @pytest.mark.parametrize("slip", [1, -1, 0])
 @pytest.mark.parametrize("touching", [1, 0])
 def test_surfaces(slip, touching):
-    """|u|, or the force in hand over sqrt(k1 m1); J/k0, or min of gap and -J/k0, whichever ends the flight later."""
+    """|u|, or the force in hand over sqrt(k1 m1); J/k0, or in flight the greater of the gap and -J/k0."""
     scene = VibroImpact()
     state = states(slip, seed=5)
     x1, v1, x2, v2 = state
@@ -153,6 +141,7 @@ def test_surfaces(slip, touching):
     np.testing.assert_allclose(friction, np.abs(v1 + DRILL["v"]) if slip else in_hand, rtol=1e-11, atol=1e-10)
     apart = np.maximum(CONTACT["delta"] - x2, -over_k0)
     np.testing.assert_allclose(contact, over_k0 if touching else apart, rtol=1e-11, atol=1e-15)
+    np.testing.assert_array_equal(scene.markers(constants(scene), arrays(*state)), [v1, v2])  # the turns
     if not touching:
         rotary = Rotary()
         alone = rotary.surfaces(constants(rotary), arrays(slip), arrays(*state))
@@ -162,12 +151,10 @@ def test_surfaces(slip, touching):
 def test_surfaces_are_exactly_zero_on_the_surface():
     scene = VibroImpact()
     p = constants(scene)
-    _, delta = (0, p["delta"])
-    at_rest = jnp.asarray(0.01), -p["v"], delta, jnp.asarray(0.7)
-    for slip in (1.0, -1.0):  # u = 0
-        assert scene.surfaces(p, (jnp.asarray(slip), jnp.asarray(0.0)), at_rest)[0] == 0
-    # Apart and rising through delta: x2 = delta, J = c0 x2' > 0.
-    assert scene.surfaces(p, (jnp.asarray(1.0), jnp.asarray(0.0)), at_rest)[1] == 0
+    delta = p["delta"]
+    at_rest = jnp.asarray(0.01), -p["v"], delta, jnp.asarray(0.7)  # u = 0
+    for slip in (1.0, -1.0):  # apart and rising through delta: x2 = delta, J = c0 x2' > 0
+        np.testing.assert_array_equal(scene.surfaces(p, (jnp.asarray(slip), jnp.asarray(0.0)), at_rest), 0)
     # Let go at J = 0: x2 - delta = -c0/k0 x2'.
     leaving = jnp.asarray(0.01), -p["v"], delta + 0.7 * p["c0"] / p["k0"], jnp.asarray(-0.7)
     for touching in (1.0, 0.0):
@@ -178,7 +165,135 @@ def test_surfaces_are_exactly_zero_on_the_surface():
     assert scene.surfaces(p, (jnp.asarray(1.0), jnp.asarray(0.0)), let_go)[1] > 0
 
 
-def test_markers_are_the_turns():
-    x1, v1, x2, v2 = states(1)
-    for scene in (Rotary(), VibroImpact()):
-        np.testing.assert_array_equal(scene.markers(constants(scene), arrays(x1, v1, x2, v2)), [v1, v2])
+def mode_at(scene, *state, **values):
+    p = constants(scene, **values)
+    return tuple(float(one) for one in scene.mode_at(p, tuple(jnp.asarray(float(value)) for value in state)))
+
+
+@pytest.mark.parametrize(("force", "slip"), [(0, 0), (0.99, 0), (-0.99, 0), (1.01, 1), (-1.01, -1), (5, 1), (-5, -1)])
+def test_rotary_mode_at_rest(force, slip):
+    """5.11: at u = 0 the bit sticks up to f_st = mu m1 g, and beyond it starts the way it is pulled."""
+    assert mode_at(Rotary(), pulled(force * limit(), 0.02), -DRILL["v"], 0.02, 0.3) == (slip,)
+
+
+def test_rotary_sticks_at_the_limit_itself():
+    """5.11 holds with <=: f_st = 512 N, k1 |x1| = 512 N, k2 |x1| = 64 N, all exact in binary."""
+    values = {"k1": 2.0**18, "beta": 0.5, "gamma": 0.5, "m1": 256.0, "g": 8.0, "mu": 0.25}
+    x1 = -(2.0**-9)
+    assert mode_at(Rotary(), x1, -DRILL["v"], x1, 0.0, **values) == (0,)
+    assert mode_at(Rotary(), x1, -DRILL["v"], 0.0, 0.0, **values) == (1,)
+
+
+@pytest.mark.parametrize(("v1", "slip"), [(0.0, 1), (-1.3, 1), (-1.5, -1), (-3.0, -1)])
+def test_mode_while_sliding_is_the_sign_of_u(v1, slip):
+    assert mode_at(Rotary(), -0.05, v1, 0.01, 0.0) == (slip,)
+    assert mode_at(VibroImpact(), -0.05, v1, 0.01, 0.0) == (slip, 1)
+
+
+def test_a_law_without_stick_limit_never_holds_a_pull():
+    """2.15: mu(0+) = 0."""
+    scene = Rotary(friction=FRICTION_LAWS["popp-arctan"])
+    assert mode_at(scene, 1e-7, -DRILL["v"], 0.0, 0.0) == (-1,)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_impact_raises_the_stick_limit(sign):
+    """R2: a pull between f_st and f_st + mu J is held while J acts, and only then."""
+    x2 = CONTACT["delta"] + 1e-4  # J = 4000 N at x2' = 0
+    for share, slip in ((0.9, 0), (1.1, sign)):
+        state = pulled(sign * share * limit(4e3), x2), -DRILL["v"], x2, 0.0
+        assert mode_at(VibroImpact(), *state) == (slip, 1)
+    x2 = CONTACT["delta"] - 1e-4
+    assert mode_at(VibroImpact(), pulled(sign * 0.9 * limit(4e3), x2), -DRILL["v"], x2, 0.0) == (sign, 0)
+
+
+@pytest.mark.parametrize(
+    ("over", "v2", "x1", "touching"),
+    [
+        (-1e-3, 2.0, 0.0, 0),  # apart
+        (1e-3, 0.0, 0.0, 1),
+        (1e-3, -1.9, 0.0, 1),  # J = 40000 - 38000 N
+        (1e-3, -2.1, 0.0, 0),  # J < 0: let go above delta
+        (0.0, 0.5, 0.0, 1),  # the gap closes
+        (0.0, -0.5, 0.0, 0),  # it opens
+        (0.0, 0.0, 0.01, 1),  # at rest on the bit, pushed on by k2 (x1 - x2) > 0
+        (0.0, 0.0, -0.01, 0),  # at rest, pulled off
+    ],
+)
+def test_contact_mode(over, v2, x1, touching):
+    """5.18: J while x2 >= delta and that is positive."""
+    assert mode_at(VibroImpact(), x1, 0.0, CONTACT["delta"] + over, v2) == (1, touching)
+
+
+def test_starts():
+    """R5: `drive` all zero, `stuck` u = 0; R13: with delta < 0 both are inside the contact, `touching` on its edge."""
+    scene = VibroImpact()
+    for delta, touching in ((-0.005, 1), (0.005, 0)):
+        p = constants(scene, delta=delta)
+        for name, state, mode in (
+            ("drive", (0, 0, 0, 0), (1, touching)),
+            ("stuck", (0, -DRILL["v"], 0, 0), (0, touching)),
+            ("touching", (0, 0, min(0, delta), 0), (1, touching)),
+        ):
+            start = scene.start(p, name, ())
+            np.testing.assert_array_equal(start, state)
+            np.testing.assert_array_equal(scene.mode_at(p, start), mode)
+    vector = (0.01, 3.5, 0.0, -1.0)
+    np.testing.assert_array_equal(scene.start(p, vector, (2,)), np.transpose([vector, vector]))
+    p = constants(scene, delta=-0.005)
+    np.testing.assert_allclose(scene.impact_force(p, scene.start(p, "drive", ())), 4e7 * 0.005)  # k0 |delta|
+
+
+def landed(scene, mode, state, *hits):
+    p = constants(scene)
+    state = tuple(jnp.asarray(float(value)) for value in state)
+    mode, state = scene.land(p, tuple(map(jnp.asarray, mode)), state, tuple(jnp.asarray(hit) for hit in hits))
+    return tuple(map(float, mode)), tuple(map(float, state))
+
+
+@pytest.mark.parametrize(("slip", "share", "after"), [(1, 0.5, 0), (1, -2, -1), (-1, -0.5, 0), (-1, 2, 1), (1, 2, 1)])
+def test_landing_on_zero_sliding_speed(slip, share, after):
+    """u = 0 exactly; 5.11 then decides: stick, or slide the way the springs pull."""
+    x1 = pulled(share * limit(), 0.02)
+    for scene, rest in ((Rotary(), ()), (VibroImpact(), (0.0,))):
+        hits = (True, *(False for _ in rest), False, False)
+        mode, state = landed(scene, (float(slip), *rest), (x1, -DRILL["v"] + 1e-12, 0.02, 0.3), *hits)
+        assert mode == (after, *rest)
+        assert state == (x1, -DRILL["v"], 0.02, 0.3)
+
+
+def test_stick_ends_into_the_pull():
+    for sign in (1, -1):
+        x1 = pulled(sign * limit() * (1 - 1e-14), 0.02)
+        mode, state = landed(Rotary(), (0.0,), (x1, -DRILL["v"], 0.02, 0.3), True, False, False)
+        assert (*mode, state[1]) == (sign, -DRILL["v"])
+
+
+def test_landing_under_impact_uses_the_raised_limit():
+    x2 = CONTACT["delta"] + 1e-4
+    for share, slip in ((0.9, 0), (1.1, 1)):
+        state = pulled(share * limit(4e3), x2), -DRILL["v"], x2, 0.0
+        assert landed(VibroImpact(), (-1.0, 1.0), state, True, False, False, False)[0] == (slip, 1)
+
+
+def test_landings_on_the_contact():
+    """Snapped to x2 = delta where an impact begins, to J = 0 where it ends; caught again above delta, x2 stays."""
+    delta, relaxation = CONTACT["delta"], CONTACT["c0"] / CONTACT["k0"]
+    contact = (False, True, False, False)
+    begins = landed(VibroImpact(), (1.0, 0.0), (0.01, 0.2, delta + 1e-15, 0.7), *contact)
+    assert begins == ((1, 1), (0.01, 0.2, delta, 0.7))
+    mode, state = landed(VibroImpact(), (1.0, 1.0), (0.01, 0.2, delta + 0.7 * relaxation + 1e-12, -0.7), *contact)
+    assert mode == (1, 0)
+    np.testing.assert_allclose(state, (0.01, 0.2, delta + 0.7 * relaxation, -0.7), rtol=1e-15)
+    caught = 0.01, 0.2, delta + 0.5 * relaxation, -0.5
+    assert landed(VibroImpact(), (1.0, 0.0), caught, *contact) == ((1, 1), caught)
+
+
+def test_landing_on_turns_and_on_nothing():
+    state = 0.01, 1e-15, -0.02, -1e-15
+    for scene, rest in ((Rotary(), ()), (VibroImpact(), (0.0,))):
+        still = (False,) * (1 + len(rest))
+        mode = (1.0, *rest)
+        assert landed(scene, mode, state, *still, True, False) == (mode, (0.01, 0.0, -0.02, -1e-15))
+        assert landed(scene, mode, state, *still, False, True) == (mode, (0.01, 1e-15, -0.02, 0.0))
+        assert landed(scene, mode, state, *still, False, False) == (mode, state)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 
 from vibrojax.measure._gauge import Gauge
+from vibrojax.stepping import keep
 from vibrojax.stepping.polynomial import value
 
 
@@ -23,11 +24,11 @@ class Harmonics(Gauge):
         start, end = moment.frequency * (moment.since - step.dt), moment.frequency * moment.since
         middle = (start + end) / 2
         weights = [step.dt / 6, step.dt * (2 / 3), step.dt / 6]
-        phases = [(jnp.cos(a), jnp.sin(a)) for a in (start, middle, end)]
+        phases = keep([(jnp.cos(a), jnp.sin(a)) for a in (start, middle, end)])
         found = {}
         for name, index in (("1", 0), ("2", 2)):
             x = step.polynomials[index]
-            values = [x[0], value(x, step.tau / 2), value(x, step.tau)]
+            values = keep([x[0], value(x, step.tau / 2), value(x, step.tau)])
             found["cos" + name] = sum(k * y * c for k, y, (c, _) in zip(weights, values, phases, strict=True))
             found["sin" + name] = sum(k * y * s for k, y, (_, s) in zip(weights, values, phases, strict=True))
         return found

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 
 from vibrojax.measure._gauge import Gauge
+from vibrojax.stepping import keep
 from vibrojax.stepping.polynomial import integral, slope, value
 from vibrojax.stepping.series import Series
 
@@ -17,7 +18,7 @@ class Impacts(Gauge):
 
     def increments(self, scene, p, moment):
         step = moment.step
-        begins = scene.impact_begins(p, step.mode, step.after, step.hits)
+        begins = keep(scene.impact_begins(p, step.mode, step.after, step.hits))
         velocity = scene.impact_rate(p, step.after)
         return {
             "impacts": begins.astype(step.dt.dtype),
@@ -35,7 +36,7 @@ class Impacts(Gauge):
 
     def step(self, scene, p, carry, moment):
         step = moment.step
-        begins = scene.impact_begins(p, step.mode, step.after, step.hits)
+        begins = keep(scene.impact_begins(p, step.mode, step.after, step.hits))
         velocity = scene.impact_rate(p, step.after)
         slowest, fastest = carry["since"]
         since = (
@@ -75,7 +76,7 @@ class Impacts(Gauge):
 def _force(scene, p, step):
     """Coefficients in tau of the contact force J [N] over the step."""
     force = scene.contact_force(p, step.mode, tuple(Series(known=one) for one in step.polynomials))
-    return [force[k] for k in range(len(step.polynomials[0]))]
+    return keep([force[k] for k in range(len(step.polynomials[0]))])
 
 
 def _peak(force, tau):

@@ -2,6 +2,8 @@
 
 import jax.numpy as jnp
 
+from vibrojax.stepping import keep
+
 MOST_CYCLES = 8
 """Repeats are looked for up to this many returns."""
 
@@ -27,7 +29,7 @@ def section(ledger: dict, here, number) -> tuple[dict, dict]:
     many returns make a repeat is known only at the end.
     """
     sums = {name: jnp.where(here & (number == 0), 0, total) for name, total in ledger["sums"].items()}
-    now = jnp.stack(list(sums.values()))
+    now = keep(jnp.stack(list(sums.values())))
     since = dict(zip(sums, now - ledger["rows"][0], strict=True))
     shifted = jnp.concatenate([now[None], ledger["rows"][:-1]])
     return {"sums": sums, "rows": jnp.where(here, shifted, ledger["rows"])}, since

@@ -7,6 +7,7 @@ settled.
 import jax.numpy as jnp
 
 from vibrojax.measure.ledger import MOST_CYCLES
+from vibrojax.stepping import keep
 
 REPEATS_WITHIN = 1e-3
 SETTLED_WITHIN = 0.01
@@ -72,14 +73,14 @@ def turn_over(carry: dict, lane) -> dict:
     here = carry["waiting"]
     state = section_state(lane)
     bit, striker = amplitudes(carry)
-    scale = jnp.stack([bit, striker, striker * 2 * jnp.pi / carry["since"]])
-    differs = jnp.abs(state - carry["states"])
+    scale = keep(jnp.stack([bit, striker, striker * 2 * jnp.pi / carry["since"]]))
+    differs = keep(jnp.abs(state[None] - carry["states"]))
     # A return that has not been yet is NaN, which compares false.
     unsettled = here & jnp.any(differs > SETTLED_WITHIN * scale[None], axis=1)
     back = jnp.arange(MOST_CYCLES).reshape(-1, *[1] * carry["number"].ndim)
     compared = here & (back < carry["number"])
     worst = jnp.where(compared[:, None], jnp.maximum(carry["worst"], differs), carry["worst"])
-    times = jnp.concatenate([lane.clock.high[None], carry["times"][:-1]])
+    times = keep(jnp.concatenate([lane.clock.high[None], carry["times"][:-1]]))
     known = jnp.sum(jnp.isfinite(times), axis=0) - 1
     frequency = 2 * jnp.pi * known / jnp.where(known > 0, times[0] - jnp.nanmin(times, axis=0), 1)
     x1, _, x2, _ = lane.state

@@ -17,13 +17,13 @@ MOST = 12
 class Facets:
     """The panels of a picture.
 
-    `titles` and `data` belong together; `row` is how many follow each other in the last axis; `note` says what was
-    left out, and is empty where nothing was.
+    `titles` and `data` belong together; `runs` are the numbers of panels after which an axis begins anew, from the
+    last axis; `note` says what was left out, and is empty where nothing was.
     """
 
     titles: tuple[str, ...]
     data: tuple[xr.Dataset, ...]
-    row: int
+    runs: tuple[int, ...]
     note: str
 
     def __len__(self) -> int:
@@ -38,17 +38,18 @@ def facets(ds: xr.Dataset, along: Sequence[str]) -> Facets:
     picks = {name: _spread(sizes[name], counts[name]) for name in axes}
     indices = [dict(zip(axes, (int(i) for i in pick), strict=True)) for pick in product(*picks.values())]
     titles = tuple(", ".join(value_text(ds[name], ds[name].values[i]) for name, i in at.items()) for at in indices)
-    return Facets(titles, tuple(ds.isel(at) for at in indices), counts[axes[-1]] if axes else 1, _note(ds, sizes, picks))
+    runs = tuple(int(run) for run in np.cumprod([counts[name] for name in reversed(axes)]))
+    return Facets(titles, tuple(ds.isel(at) for at in indices), runs, _note(ds, sizes, picks))
 
 
-def columns(panels: Facets, most: int = 4) -> int:
-    """How many panels stand side by side, at most `most`: such that those of the last axis stay together."""
+def columns(panels: Facets, most: int) -> int:
+    """How many panels stand side by side, at most `most`: such that rows end where an axis does, with few gaps."""
     count = len(panels)
     if count <= most:
         return count
-    whole = [n for n in range(most, 1, -1) if n % panels.row == 0]
-    even = [n for n in whole if count % n == 0]
-    return (even or whole or [most])[0]
+    step = max([run for run in panels.runs if run <= most], default=1)
+    choices = [n for n in range(most, 1, -1) if n % step == 0]
+    return min(choices, key=lambda n: (n < 3, -count % n, -n), default=most)
 
 
 def _representative(sizes: dict[str, int]) -> dict[str, int]:
@@ -68,11 +69,11 @@ def _spread(size: int, count: int) -> np.ndarray:
 
 def _note(ds: xr.Dataset, sizes: dict[str, int], picks: dict[str, np.ndarray]) -> str:
     parts = [
-        f"{symbol(ds[name])} at {_listed(ds[name], pick)} of {sizes[name]} values"
+        f"{symbol(ds[name])} = {_listed(ds[name], pick)} ({pick.size} of {sizes[name]} values)"
         for name, pick in picks.items()
         if pick.size < sizes[name]
     ]
-    return f"Shown here: {'; '.join(parts)}." if parts else ""
+    return f"Too many panels to show all; here {'; '.join(parts)}" if parts else ""
 
 
 def _listed(coordinate: xr.DataArray, pick: np.ndarray) -> str:

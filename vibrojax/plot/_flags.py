@@ -7,6 +7,7 @@ import xarray as xr
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.patches import Patch
 
+from vibrojax.label import REGIMES
 from vibrojax.plot._labels import share_text
 from vibrojax.plot._style import UNDEFINED
 
@@ -21,7 +22,6 @@ REGIME_COLOURS = {
     6: "#6A1B5D",
     7: "#000000",
 }
-_NAMES = ("undecided", "equilibrium", "impact-free", "single-impact", "multi-impact", "subharmonic", "irregular", "failed")
 
 COLOUR_MAP = ListedColormap(list(REGIME_COLOURS.values()), name="regimes").with_extremes(bad=UNDEFINED)
 NORM = BoundaryNorm(np.arange(-0.5, len(REGIME_COLOURS)), len(REGIME_COLOURS))
@@ -34,23 +34,27 @@ def flags(data: xr.DataArray) -> np.ndarray:
 
 
 def names(data: xr.DataArray) -> dict[int, str]:
-    """The name of each flag, as in the attributes `flag_values` and `flag_meanings` of `data`, or as in the contract."""
+    """The name of each flag, by the attributes `flag_values` and `flag_meanings` of `data` where they are there."""
     values = np.atleast_1d(data.attrs.get("flag_values", [])).astype(int).tolist()
     meanings = str(data.attrs.get("flag_meanings", "")).split()
-    return dict(enumerate(_NAMES)) | dict(zip(values, meanings, strict=False))
+    return dict(enumerate(REGIMES)) | dict(zip(values, meanings, strict=False))
 
 
-def present(data: Iterable[xr.DataArray]) -> dict[int, float]:
-    """The flags that occur in `data`, and the share of lanes that each has; the known flags only."""
+def counts(data: Iterable[xr.DataArray]) -> dict[int, int]:
+    """The flags that occur in `data`, in their order, and how many lanes have each."""
     values = np.concatenate([flags(part).ravel() for part in data])
-    known = values[np.isfinite(values)].astype(int)
-    return {int(flag): np.count_nonzero(known == flag) / max(values.size, 1) for flag in np.unique(known)}
+    found, lanes = np.unique(values[np.isfinite(values)], return_counts=True)
+    return dict(zip(found.astype(int).tolist(), lanes.tolist(), strict=True))
 
 
 def legend_handles(data: list[xr.DataArray]) -> list[Patch]:
     """A patch for each regime that occurs in `data`, named with its share of the lanes."""
     named = names(data[0])
-    return [
-        Patch(facecolor=REGIME_COLOURS[flag], edgecolor="0.35", linewidth=0.4, label=f"{named[flag]}  {share_text(share)}")
-        for flag, share in present(data).items()
-    ]
+    lanes = sum(part.size for part in data)
+    shares = {flag: share_text(n / lanes) for flag, n in counts(data).items()}
+    return [patch(REGIME_COLOURS[flag], f"{named[flag]}  {share}") for flag, share in shares.items()]
+
+
+def patch(colour: str, name: str) -> Patch:
+    """A legend's patch of `colour`."""
+    return Patch(facecolor=colour, edgecolor="0.35", linewidth=0.4, label=name)

@@ -10,7 +10,7 @@ from vibrojax.errors import InputError, suggestion
 
 START, POINT, RETURN = "start", "point", "return_index"
 _PLAIN = {START, POINT, RETURN}
-_ENOUGH = 3  # values from which an axis is one to draw along, rather than a choice between a few
+_ENOUGH = 6  # values from which an axis is one to draw along, rather than a choice between a few
 
 
 def swept(ds: xr.Dataset) -> tuple[str, ...]:
@@ -20,7 +20,7 @@ def swept(ds: xr.Dataset) -> tuple[str, ...]:
 
 
 def to_draw(ds: xr.Dataset) -> tuple[str, ...]:
-    """The axes worth drawing along: beta and gamma, or those of three values and more, or whatever there is."""
+    """The axes worth drawing along: beta and gamma, or those of six values and more, or whatever there is."""
     axes = swept(ds)
     if {"beta", "gamma"} <= set(axes):
         return ("gamma", "beta")
@@ -46,11 +46,10 @@ def chosen(ds: xr.Dataset, x: str | None, y: str | None) -> tuple[str, str]:
     return first, y if y is not None else next(name for name in rest if name != first)
 
 
-def without_single(ds: xr.Dataset) -> tuple[xr.Dataset, tuple[str, ...]]:
-    """`ds` with its axes of one value as scalars, and the names of those."""
+def without_single(ds: xr.Dataset) -> xr.Dataset:
+    """`ds` with its axes of one value as scalars."""
     single = tuple(str(name) for name in ds["regime"].dims if ds.sizes[name] == 1 and name not in (POINT, RETURN))
-    single = tuple(name for name in single if name in ds.coords)
-    return ds.isel(dict.fromkeys(single, 0)), single
+    return ds.isel({name: 0 for name in single if name in ds.coords})
 
 
 def is_geometric(values: np.ndarray) -> bool:
@@ -62,7 +61,7 @@ def is_geometric(values: np.ndarray) -> bool:
 
 
 def edges(values: np.ndarray) -> np.ndarray:
-    """The n + 1 ends of the cells around two or more increasing `values`: halfway between, in the logarithm for geometric ones."""
+    """The n + 1 ends of the cells around n > 1 increasing `values`: halfway, in the logarithm for geometric ones."""
     if is_geometric(values):
         return np.exp(edges(np.log(values)))
     half = np.diff(values) / 2

@@ -1,11 +1,12 @@
 """Words and numbers on pictures, from the attributes of the data where they are there."""
 
 import re
-from collections.abc import Hashable
+from textwrap import fill
 
 import numpy as np
 import xarray as xr
 
+_LINE = 32  # letters of a label that fit along a panel
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 # A prefix for a unit, where the greatest value is below (milli) or from (kilo, mega) the bound.
 _MILLI = {"m": ("mm", 1e3, 1.0)}
@@ -43,7 +44,7 @@ def pretty_unit(unit: str) -> str:
         name, power = match[1], int(match[2] or 1)
         (over if power > 0 else under).append(name + _power(abs(power)))
     if len(under) > 1:
-        return " ".join(re.sub(r"(?<=[^\W\d])(-?\d+)$", lambda m: m[1].translate(_SUPERSCRIPTS), p) for p in unit.split())
+        return unit.translate(_SUPERSCRIPTS)
     return " ".join(over or ["1"]) + (f"/{under[0]}" if under else "")
 
 
@@ -51,13 +52,17 @@ def _power(power: int) -> str:
     return "" if power == 1 else str(power).translate(_SUPERSCRIPTS)
 
 
-def label(data: xr.DataArray, unit: str | None = None) -> str:
+def label(data: xr.DataArray) -> str:
     """What stands along an axis: long name, symbol and unit of `data`, or its name where it has no attributes."""
     words = re.sub(r"\s*\([^)]*\)", "", str(data.attrs.get("long_name", ""))).strip()
     symbol = str(data.attrs.get("symbol", "")).strip()
     text = ", ".join(part for part in (words, symbol) if part) or str(data.name).replace("_", " ")
-    unit = pretty_unit(scale(data)[1] if unit is None else unit)
-    return f"{text} [{unit}]" if unit else text
+    return fill(with_unit(text, scale(data)[1]).replace(" [", "\u00a0["), _LINE).replace("\u00a0", " ")
+
+
+def with_unit(text: str, unit: str) -> str:
+    """`text` and the unit in brackets; `text` alone for a pure number."""
+    return f"{text} [{pretty_unit(unit)}]" if pretty_unit(unit) else text
 
 
 def symbol(data: xr.DataArray) -> str:
@@ -66,8 +71,8 @@ def symbol(data: xr.DataArray) -> str:
 
 
 def number(value: float) -> str:
-    """`value` with at most four digits and a true minus."""
-    text = f"{float(value):.4g}"
+    """`value` with at most five digits and a true minus."""
+    text = f"{float(value):.5g}"
     return ("0" if text == "-0" else text).replace("-", "−")
 
 
@@ -77,11 +82,6 @@ def value_text(data: xr.DataArray, value: object) -> str:
         return f"{data.name}: {value}"
     factor, unit = scale(data)
     return f"{symbol(data)} = {number(float(value) * factor)} {pretty_unit(unit)}".rstrip()
-
-
-def fixed_text(data: xr.Dataset, names: tuple[Hashable, ...]) -> str:
-    """The values of the scalar coordinates `names`, in one line."""
-    return ", ".join(value_text(data[name], data[name].values.item()) for name in names)
 
 
 def share_text(share: float) -> str:

@@ -9,15 +9,14 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
-from matplotlib.gridspec import GridSpec
+from matplotlib.gridspec import GridSpec, SubplotSpec
 
 from vibrojax.plot._facets import Facets, columns
 from vibrojax.plot._style import new_figure
 from vibrojax.plot._values import Value
 
 _BESIDE = 3  # up to so many facets, the values stand beside the regimes; from there on below them
-_PANEL = (2.75, 2.35)
-_SMALL = (2.45, 2.0)  # of the panels, where they are many
+_MOST_COLUMNS = 6
 
 
 @dataclass(frozen=True)
@@ -66,14 +65,20 @@ def sheet(panels: Facets, values: tuple[Value, ...]) -> Sheet:
     return _beside(panels, values) if len(panels) <= _BESIDE else _below(panels, values)
 
 
-def write_margins(figure: Figure, title: str, *notes: str) -> None:
-    """Write `title` above everything and `notes` below it."""
+def write_margins(figure: Figure, title: str, *notes: str, legend: float = 0.0) -> None:
+    """Write `title` above everything, but not over a legend that takes `legend` inches at the right; `notes` below."""
     width = figure.get_figwidth()
     if title:
-        figure.suptitle(fill(title, int(11 * width)), x=0.01, ha="left", fontweight="bold")
-    text = "  ".join(note for note in notes if note)
+        figure.suptitle(fill(title, int(9.5 * (width - legend))), x=0.01, ha="left", fontweight="bold")
+    text = ". ".join(note for note in notes if note)
     if text:
         figure.supxlabel(fill(text, int(17 * width)), x=0.01, ha="left", fontsize=8, color="0.3")
+
+
+def wrapped(title: str, width: float) -> str:
+    """`title` on lines of at most `width` inches, broken after commas only."""
+    kept = ", ".join(part.replace(" ", "\u00a0") for part in title.split(", "))
+    return fill(kept, int(13 * width)).replace("\u00a0", " ")
 
 
 def _beside(panels: Facets, values: tuple[Value, ...]) -> Sheet:
@@ -93,9 +98,9 @@ def _beside(panels: Facets, values: tuple[Value, ...]) -> Sheet:
 
 def _below(panels: Facets, values: tuple[Value, ...]) -> Sheet:
     """A block of all facets for the regimes, then one for each value; the legend and the bars at the right."""
-    wide = columns(panels)
+    wide = columns(panels, _MOST_COLUMNS)
     deep = -(-len(panels) // wide)
-    width, height = _PANEL if deep == 1 else _SMALL
+    width, height = (2.75 if wide <= 4 else 2.2), (2.35 if deep == 1 else 2.0)
     blocks = (None, *values)
     figure = new_figure(width * wide + 2.2, height * deep * len(blocks) + 0.9)
     grid = GridSpec(deep * len(blocks), wide + 1, figure, width_ratios=[1.0] * wide + [0.05])
@@ -105,11 +110,12 @@ def _below(panels: Facets, values: tuple[Value, ...]) -> Sheet:
             row, column = divmod(at, wide)
             axes = _shared(figure, grid[block * deep + row, column], drawn)
             lowest = block == len(blocks) - 1 and at + wide >= len(panels)
-            drawn.append(Panel(axes, facet, title if deep > 1 or value is None else "", value, column == 0, lowest))
+            name = wrapped(title, width) if deep > 1 or value is None else ""
+            drawn.append(Panel(axes, facet, name, value, column == 0, lowest))
     right = [figure.add_subplot(grid[block * deep : (block + 1) * deep, wide]) for block in range(len(blocks))]
     return Sheet(figure, tuple(drawn), right[0], tuple(right[1:]), values, beside=False)
 
 
-def _shared(figure: Figure, place: object, drawn: list[Panel]) -> Axes:
+def _shared(figure: Figure, place: SubplotSpec, drawn: list[Panel]) -> Axes:
     first = drawn[0].axes if drawn else None
     return figure.add_subplot(place, sharex=first, sharey=first)

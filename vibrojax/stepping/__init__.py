@@ -1,5 +1,6 @@
 """Two ways to step many lanes at once, behind one interface: `method.step(scene, p, lane, settings, end, moving)`."""
 
+from vibrojax.stepping._keep import keep as keep
 from vibrojax.stepping._step import Clock as Clock
 from vibrojax.stepping._step import Lane as Lane
 from vibrojax.stepping._step import Step as Step

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
+from vibrojax.stepping._keep import keep
 from vibrojax.stepping.polynomial import first_guess, root, slope, value
 
 
@@ -43,18 +44,18 @@ def land(functions_at, scene, p, polynomials, functions, reach, moving) -> Landi
     functions = [[sign * c for c in f] if index >= n_surfaces else f for index, (sign, f) in enumerate(zip(signs, functions, strict=True))]
 
     # On the polynomials, whose |.| and max keep the branch they start with; the true functions are asked at the landing.
-    ends = [value(f, reach) for f in functions]
+    ends = keep([value(f, reach) for f in functions])
     guesses = [_guess(f, end, reach, small) for f, end, small in zip(functions, ends, resolutions, strict=True)]
     crossed = [moving & (end < 0) for end in ends]
     # A marker that starts at zero and ends on the wrong side only had its sign misjudged; within roundings of zero it
     # crosses it all the time.
     for index in range(n_surfaces, len(functions)):
         crossed[index] = crossed[index] & (guesses[index] > 0) & (ends[index] < -resolutions[index])
-    guesses = [jnp.where(over, guess, jnp.inf) for over, guess in zip(crossed, guesses, strict=True)]
-    first = jnp.min(jnp.stack(guesses), axis=0)
+    guesses = keep([jnp.where(over, guess, jnp.inf) for over, guess in zip(crossed, guesses, strict=True)])
+    first = reduce(jnp.minimum, guesses)
     ending = first < jnp.inf
     at_once = ending & (first <= 0)
-    chosen = _first_where([guess == first for guess in guesses])
+    chosen = keep(_first_where([guess == first for guess in guesses]))
 
     def pick(values):
         picked = values[0]
@@ -62,14 +63,14 @@ def land(functions_at, scene, p, polynomials, functions, reach, moving) -> Landi
             picked = jnp.where(mine, one, picked)
         return picked
 
-    target = [pick([f[k] for f in functions]) for k in range(len(functions[0]))]
+    target = keep([pick([f[k] for f in functions]) for k in range(len(functions[0]))])
     zeros = _zeros_at_start(target, pick(resolutions))
     # A start tangent to the surface has no use for the parabola through it.
     guess = jnp.where(zeros == 2, 0.7, jnp.where(ending & ~at_once, first, 0.5))
     tau = root(target, zeros, guess * reach, reach)
-    tau = jnp.where(ending, jnp.where(at_once, 0.0, tau), reach)
+    tau = keep(jnp.where(ending, jnp.where(at_once, 0.0, tau), reach))
 
-    state = tuple(value(one, tau) for one in polynomials)
+    state = keep(tuple(value(one, tau) for one in polynomials))
     landed = [sign * g for sign, g in zip(signs, functions_at(state), strict=True)]
     mine = [one & ending for one in chosen]
     # The root is not on the surface yet, or another function is crossed before it.
@@ -82,19 +83,20 @@ def land(functions_at, scene, p, polynomials, functions, reach, moving) -> Landi
         moving & ~over & ~here & (there < -small) & (f[0] > 0)
         for there, over, here, small, f in zip(landed, crossed, mine, resolutions, functions, strict=True)
     ][:n_surfaces]
-    early, unseen = _any(early), _any(unseen)
-    repeat = early | unseen
+    unseen = keep(_any(unseen))
+    repeat = keep(_any(early) | unseen)
 
     dips = [_dip(f, end, reach) for f, end in zip(functions[:n_surfaces], ends[:n_surfaces], strict=True)]
-    dip = jnp.min(jnp.stack(dips), axis=0)
+    dip = keep(reduce(jnp.minimum, dips))
     dipped = moving & ~ending & (dip < 1)
-    return Landing(
+    landing = Landing(
         tau=jnp.where(dipped, dip * reach, jnp.where(unseen, tau / 2, tau)),
         state=state,
         accepted=~(repeat | dipped),
         hits=tuple(one & ~repeat for one in mine),
         falling=tuple(sign > 0 for sign in signs[n_surfaces:]),
     )
+    return keep(landing)
 
 
 def _any(masks):

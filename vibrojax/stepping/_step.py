@@ -4,6 +4,8 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
+from vibrojax.stepping._keep import keep
+
 
 class Clock(NamedTuple):
     """Time [s] as a sum of two floats, so that a million additions lose nothing, in float32 too."""
@@ -71,7 +73,7 @@ def taken(scene, p, lane: Lane, polynomials, h, landing) -> tuple[Lane, Step]:
     accepted = landing.accepted
     dt = jnp.where(accepted, landing.tau * h, 0.0)
     reached = tuple(jnp.where(accepted, new, old) for new, old in zip(landing.state, lane.state, strict=True))
-    mode, state = scene.land(p, lane.mode, reached, landing.hits)
+    mode, state = keep(scene.land(p, lane.mode, reached, landing.hits))
     trial = jnp.where(accepted, jnp.inf, landing.tau * h)
     step = Step(
         before=lane.state,

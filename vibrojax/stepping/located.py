@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import jax.numpy as jnp
 
+from vibrojax.stepping._keep import keep
 from vibrojax.stepping._landing import land
 from vibrojax.stepping._step import Lane, Step, taken, trial_step
 from vibrojax.stepping.series import expand
@@ -47,8 +48,8 @@ class Located:
         functions = [[one.array(k, h) for k in orders] for one in functions_at(series)]
         velocities = [polynomials[i] for i in scene.velocities]
         speed = scene.speed_scale(p)
-        rest = _at_rest(velocities, speed)
-        reach = jnp.where(rest, 1.0, _converged(velocities, speed, settings["tolerance"]))
+        rest = keep(_at_rest(velocities, speed))
+        reach = keep(jnp.where(rest, 1.0, _converged(velocities, speed, settings["tolerance"])))
         landing = land(functions_at, scene, p, polynomials, functions, reach, moving & ~rest)
         h = jnp.where(moving & rest, lane.clock.until(end), h)
         return taken(scene, p, lane, polynomials, h, landing)

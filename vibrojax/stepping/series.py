@@ -9,14 +9,9 @@ and [vibrojax.physics.elementary][] runs on it unchanged.
 from collections.abc import Callable
 
 import jax.numpy as jnp
-from jax import lax
 
 from vibrojax.physics import elementary
-
-# XLA would work out a coefficient again in every fusion that reads it, which doubles the cost of a step;
-# a barrier keeps it in memory, once.
-_keep = lax.optimization_barrier
-
+from vibrojax.stepping._keep import keep
 
 def _is_zero(x) -> bool:
     return isinstance(x, float) and x == 0.0
@@ -84,8 +79,8 @@ class Series:
         if not isinstance(other, Series):
             return Series(lambda k: _multiply(self[k], other))
         if other is self:
-            return Series(lambda k: _keep(_total(_square_terms(self, k))))
-        return Series(lambda k: _keep(_total(_multiply(self[j], other[k - j]) for j in range(k + 1))))
+            return Series(lambda k: keep(_total(_square_terms(self, k))))
+        return Series(lambda k: keep(_total(_multiply(self[j], other[k - j]) for j in range(k + 1))))
 
     __rmul__ = __mul__
 
@@ -113,7 +108,7 @@ def _quotient(a: Series, b: Series) -> Series:
 
     def term(k):
         known = _total(_multiply(q[j], b[k - j]) for j in range(k))
-        return _keep((a[k] - known) / b[0])
+        return keep((a[k] - known) / b[0])
 
     q = Series(term)
     return q
@@ -125,8 +120,8 @@ def _exp(a: Series) -> Series:
 
     def term(k):
         if k == 0:
-            return _keep(jnp.exp(a[0]))
-        return _keep(_total(_multiply(_multiply(j / k, a[j]), e[k - j]) for j in range(1, k + 1)))
+            return keep(jnp.exp(a[0]))
+        return keep(_total(_multiply(_multiply(j / k, a[j]), e[k - j]) for j in range(1, k + 1)))
 
     e = Series(term)
     return e
@@ -139,9 +134,9 @@ def _arctan(a: Series) -> Series:
 
     def term(k):
         if k == 0:
-            return _keep(jnp.arctan(a[0]))
+            return keep(jnp.arctan(a[0]))
         known = _total(_multiply(_multiply(j / k, y[j]), denominator[k - j]) for j in range(1, k))
-        return _keep((a[k] - known) / denominator[0])
+        return keep((a[k] - known) / denominator[0])
 
     y = Series(term)
     return y
@@ -175,7 +170,7 @@ def expand(field: Callable, state: tuple, h, order: int) -> tuple[Series, ...]:
     rates = field(series)
     for k in range(order):
         step = h / (k + 1)
-        found = _keep([_multiply(step, rate[k]) for rate in rates])
+        found = keep([_multiply(step, rate[k]) for rate in rates])
         for one, value in zip(series, found, strict=True):
             one._coefficients.append(value)
     return series

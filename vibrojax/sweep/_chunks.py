@@ -43,6 +43,11 @@ class Chunks:
         """First lane of a chunk, and the one after its last."""
         return index * self.size, min((index + 1) * self.size, self.sweep.lanes)
 
+    def width(self, index: int) -> int:
+        """Number of lanes of a chunk, without those that only fill it up."""
+        first, last = self.lanes(index)
+        return last - first
+
     def compute(self, index: int) -> dict:
         """Features of a chunk's lanes, by name: (lanes,), or (lanes, rows) for returns that are kept."""
         first, last = self.lanes(index)
@@ -84,7 +89,7 @@ def error_estimate(fine: dict, coarse: dict, method: str, dtype) -> np.ndarray:
     difference is the coarser one's. A quarter decade is kept in hand. A lane whose repeat differs between the two has
     no bound: infinite.
     """
-    share = {"located": 0.1, "smoothed": 1.0}[method]
+    share = {"located": 0.08, "smoothed": 1.0}[method]
     names = [name for name in ("period", "impact_velocity") if name in fine]
     errors = [np.abs(coarse[name] / fine[name] - 1) for name in names]
     with np.errstate(invalid="ignore"):

@@ -9,7 +9,7 @@ import xarray as xr
 
 from vibrojax.store.dataset import write_dataset
 from vibrojax.store.provenance import source
-from vibrojax.store.shards import Shards
+from vibrojax.store.shards import DamagedShard, Shards
 from vibrojax.store.variables import VARIABLES
 from vibrojax.sweep._chunks import Chunks, devices_text
 from vibrojax.sweep._dataset import dataset_of
@@ -40,7 +40,7 @@ def run_sweep(source, progress: bool = True) -> xr.Dataset:
     parts = []
     for index in range(chunks.count):
         parts.append(chunks.compute(index))
-        told.add(chunks.lanes(index)[1] - chunks.lanes(index)[0])
+        told.add(chunks.width(index))
     return _assembled(sweep, chunks, parts, time.monotonic() - began)
 
 
@@ -62,16 +62,23 @@ def run_to_file(sweep: Sweep, out: Path, resume: bool = True, progress: bool = T
         shards.open(resume)
         finished = shards.finished()
         told = Progress(sweep.lanes, progress)
-        told.resume(sum(np.diff(chunks.lanes(index))[0] for index in finished))
-        for index in range(chunks.count):
-            if index not in finished:
-                shards.write(index, chunks.compute(index))
-                told.add(chunks.lanes(index)[1] - chunks.lanes(index)[0])
-        parts = [shards.read(index) for index in range(chunks.count)]
+        told.resume(sum(chunks.width(index) for index in finished))
+        for index in sorted(set(range(chunks.count)) - finished):
+            shards.write(index, chunks.compute(index))
+            told.add(chunks.width(index))
+        parts = [_read_or_compute(shards, chunks, index) for index in range(chunks.count)]
         dataset = _assembled(sweep, chunks, parts, time.monotonic() - began)
         write_dataset(dataset, out)
         shards.remove()
     return dataset
+
+
+def _read_or_compute(shards: Shards, chunks: Chunks, index: int) -> dict:
+    """A finished chunk from its file; computed again where that has been damaged meanwhile."""
+    try:
+        return shards.read(index)
+    except DamagedShard:
+        return chunks.compute(index)
 
 
 def estimate(sweep: Sweep) -> dict:

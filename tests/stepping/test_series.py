@@ -1,0 +1,206 @@
+"""Truncated Taylor series: arithmetic against Cauchy's integral, expansions against closed-form solutions."""
+
+from math import factorial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from vibrojax.physics import elementary
+from vibrojax.physics.friction import FRICTION_LAWS
+from vibrojax.scenes.vibro_impact import VibroImpact
+from vibrojax.stepping.series import Series, constant, expand
+
+ORDER = 9
+RANDOM = np.random.default_rng(7)
+# Two lanes, whose coefficients fall so fast that every function below is analytic inside Cauchy's circle.
+A = RANDOM.uniform(-1, 1, (ORDER + 1, 2)) * 0.3 ** np.arange(ORDER + 1)[:, None]
+B = RANDOM.uniform(-1, 1, (ORDER + 1, 2)) * 0.3 ** np.arange(ORDER + 1)[:, None]
+A[0], B[0] = (0.7, -0.4), (1.9, -2.3)
+LANE = np.array([1.3, -0.6])
+
+
+def series(coefficients):
+    return Series(known=tuple(jnp.asarray(c) for c in coefficients))
+
+
+def cauchy(function):
+    """c_k = 1/(2 pi i) integral f(a(z), b(z)) z^-(k+1) dz over |z| = 0.5, by the trapezoidal rule (exponential)."""
+    z = 0.5 * np.exp(2j * np.pi * np.arange(256) / 256)
+    a, b = (sum(c[k] * z[:, None] ** k for k in range(ORDER + 1)) for c in (A, B))
+    spectrum = np.fft.fft(function(a, b) + 0 * a, axis=0) / 256
+    return (spectrum[: ORDER + 1] / 0.5 ** np.arange(ORDER + 1)[:, None]).real
+
+
+def coefficients(one, order=ORDER):
+    return np.array([one.array(k, jnp.zeros(2)) for k in range(order + 1)])
+
+
+@pytest.mark.parametrize(
+    "function",
+    [
+        lambda a, b: a + b,
+        lambda a, b: a - b,
+        lambda a, b: a * b,
+        lambda a, b: a * a,
+        lambda a, b: a * a * a * b,
+        lambda a, b: a / b,
+        lambda a, b: -a,
+        lambda a, b: a + 2.5,
+        lambda a, b: 2.5 + a,
+        lambda a, b: a - 2.5,
+        lambda a, b: 2.5 - a,
+        lambda a, b: a * 2.5,
+        lambda a, b: 2.5 * a,
+        lambda a, b: a / 2.5,
+        lambda a, b: 2.5 / b,
+        lambda a, b: a + LANE,
+        lambda a, b: LANE + a,
+        lambda a, b: a - LANE,
+        lambda a, b: LANE - a,
+        lambda a, b: LANE * a,
+        lambda a, b: a / LANE,
+        lambda a, b: LANE / b,
+        lambda a, b: 1 / (1 + a * a),
+        lambda a, b: (1 - a / 3 + a * a * a / 81) * (2 * b + 1) - a / b,
+    ],
+)
+def test_arithmetic(function):
+    expected = cauchy(function)
+    np.testing.assert_allclose(coefficients(function(series(A), series(B))), expected, rtol=1e-9, atol=1e-12)
+
+
+def test_arithmetic_with_arrays_on_the_left():
+    """A JAX array must leave `array * series` to the series."""
+    lane = jnp.asarray(LANE)
+    for found, expected in (
+        (lane * series(A), lambda a, b: LANE * a),
+        (lane + series(A), lambda a, b: LANE + a),
+        (lane - series(A), lambda a, b: LANE - a),
+        (lane / series(B), lambda a, b: LANE / b),
+    ):
+        assert isinstance(found, Series)
+        np.testing.assert_allclose(coefficients(found), cauchy(expected), rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("function", "reference"),
+    [
+        (lambda a, b: elementary.exp(a), lambda a, b: np.exp(a)),
+        (lambda a, b: elementary.exp(-2.0 * a * b), lambda a, b: np.exp(-2 * a * b)),
+        (lambda a, b: elementary.exp(-0.02 / b), lambda a, b: np.exp(-0.02 / b)),
+        (lambda a, b: elementary.arctan(a), lambda a, b: np.arctan(a)),
+        (lambda a, b: elementary.arctan(0.3 * b) * elementary.exp(a), lambda a, b: np.arctan(0.3 * b) * np.exp(a)),
+    ],
+)
+def test_functions(function, reference):
+    found = coefficients(function(series(A), series(B)))
+    np.testing.assert_allclose(found, cauchy(reference), rtol=1e-9, atol=1e-12)
+
+
+def test_functions_of_a_constant_and_of_a_line():
+    """exp(c + tau) = exp(c) tau^k/k!; arctan(tau) = tau - tau³/3 + tau⁵/5; 1/(1 - tau) = 1 + tau + tau² ..."""
+    one = jnp.ones(2)
+    line = Series(known=(0.0 * one, one, *[0.0] * (ORDER - 1)))
+    np.testing.assert_allclose(
+        coefficients(elementary.exp(line + 0.4)),
+        np.transpose([[np.exp(0.4) / factorial(k) for k in range(ORDER + 1)]] * 2),
+        rtol=1e-14,
+    )
+    np.testing.assert_allclose(
+        coefficients(elementary.arctan(line), 5), np.transpose([[0, 1, 0, -1 / 3, 0, 1 / 5]] * 2), atol=1e-15
+    )
+    np.testing.assert_allclose(coefficients(1 / (1 - line)), 1.0, rtol=1e-14)
+    for made in (elementary.exp(constant(one)), elementary.arctan(constant(one)), 1 / constant(one), constant(one) * 2):
+        np.testing.assert_array_equal(coefficients(made)[1:], 0.0)
+
+
+def test_maximum_and_absolute_keep_the_branch_of_the_start():
+    """In each lane the series of whichever is greater at tau = 0: a is 0.7, -0.4 and b 1.9, -2.3 there."""
+    np.testing.assert_array_equal(
+        coefficients(elementary.maximum(series(A), series(B))), np.stack([B[:, 0], A[:, 1]], axis=1)
+    )
+    floor = coefficients(elementary.maximum(series(A), jnp.asarray(0.1)))
+    np.testing.assert_array_equal(floor, np.stack([A[:, 0], [0.1] + [0.0] * ORDER], axis=1))
+    np.testing.assert_array_equal(coefficients(elementary.absolute(series(A))), A * [1, -1])
+    # The same functions on arrays.
+    np.testing.assert_array_equal(elementary.absolute(jnp.asarray(LANE)), [1.3, 0.6])
+    np.testing.assert_array_equal(elementary.maximum(jnp.asarray(LANE), 0.0), [1.3, 0.0])
+
+
+def test_each_coefficient_is_worked_out_once():
+    asked = []
+    one = Series(lambda k: asked.append(k) or jnp.full(2, 0.5**k))
+    coefficients(one * one + elementary.exp(one))
+    assert asked == list(range(ORDER + 1))
+
+
+H = jnp.asarray([0.1, 0.7])
+
+
+def test_expansion_of_an_oscillator():
+    """x'' = -w² x: x = x0 cos wt + v0/w sin wt, so c_k(x) = h^k/k! times the k-th derivative at 0."""
+    w, x0, v0 = np.array([3.0, 0.9]), np.array([0.2, -1.0]), np.array([-1.0, 0.4])
+    field = lambda y: (y[1], jnp.asarray(-(w**2)) * y[0])  # noqa: E731
+    found = expand(field, (jnp.asarray(x0), jnp.asarray(v0)), H, ORDER)
+    derivatives = [x0, v0]
+    for _ in range(ORDER):
+        derivatives.append(-(w**2) * derivatives[-2])
+    for i, one in enumerate(found):
+        expected = [derivatives[k + i] * np.asarray(H) ** k / factorial(k) for k in range(ORDER + 1)]
+        np.testing.assert_allclose(coefficients(one), expected, rtol=1e-12)
+
+
+def test_expansion_of_a_pole():
+    """y' = y²: y = y0/(1 - y0 t), c_k = y0 (y0 h)^k."""
+    y0 = np.array([0.8, -1.7])
+    (found,) = expand(lambda y: (y[0] * y[0],), (jnp.asarray(y0),), H, ORDER)
+    expected = [y0 * (y0 * np.asarray(H)) ** k for k in range(ORDER + 1)]
+    np.testing.assert_allclose(coefficients(found), expected, rtol=1e-12)
+
+
+def test_expansion_of_a_logarithm():
+    """y' = exp(-y): y = ln(exp(y0) + t), c_k = -(-s)^k/k with s = h exp(-y0)."""
+    y0 = np.array([0.8, -0.7])
+    (found,) = expand(lambda y: (elementary.exp(-y[0]),), (jnp.asarray(y0),), H, ORDER)
+    s = np.asarray(H) * np.exp(-y0)
+    expected = [y0] + [-((-s) ** k) / k for k in range(1, ORDER + 1)]
+    np.testing.assert_allclose(coefficients(found), expected, rtol=1e-12)
+
+
+def test_expansion_of_a_root():
+    """y' = 1/y: y = sqrt(y0² + 2 t), whose value at the end of the step the sum must reach."""
+    y0, h = np.array([1.0, 2.0]), jnp.asarray([0.02, 0.03])
+    (found,) = expand(lambda y: (1 / y[0],), (jnp.asarray(y0),), h, ORDER)
+    np.testing.assert_allclose(coefficients(found).sum(0), np.sqrt(y0**2 + 2 * np.asarray(h)), rtol=1e-13)
+
+
+def test_expansion_of_a_constant_rate_and_of_rest():
+    found = expand(lambda y: (constant(jnp.asarray(LANE)), y[1] * 0.0), (jnp.zeros(2), jnp.ones(2)), H, 4)
+    np.testing.assert_allclose(coefficients(found[0], 4), [[0, 0], LANE * np.asarray(H), [0, 0], [0, 0], [0, 0]])
+    np.testing.assert_array_equal(coefficients(found[1], 4), [[1, 1]] + [[0, 0]] * 4)
+
+
+@pytest.mark.parametrize("law", FRICTION_LAWS)
+@pytest.mark.parametrize("mode", [(1.0, 1.0), (1.0, 0.0), (-1.0, 1.0), (0.0, 1.0)])
+def test_expansion_of_the_drill_by_repeated_differentiation(law, mode):
+    """y^(k+1) = (d y^(k)/dy) f(y): nested forward derivatives of the field on arrays, which never meet a series."""
+    scene = VibroImpact(friction=FRICTION_LAWS[law])
+    p = {name: jnp.asarray(one.default) for name, one in scene.parameters().items()}
+    p = scene.constants(p | {"k0": jnp.asarray(4e5), "c0": jnp.asarray(50.0)})
+    u = 0.4 * mode[0]
+    state = tuple(jnp.asarray(value) for value in (0.01, u - 1.5, 0.004, 0.9))
+    modes = tuple(jnp.asarray(value) for value in mode)
+    field = lambda y: scene.field(p, modes, y)  # noqa: E731
+
+    def along(derivative):
+        return lambda y: jax.jvp(derivative, (y,), (field(y),))[1]
+
+    order, h = 5, 0.003
+    found = jax.jit(lambda y: [[c[k] for k in range(order + 1)] for c in expand(field, y, h, order)])(state)
+    derivative = field
+    for k in range(1, order + 1):
+        expected = np.array(jax.jit(derivative)(state)) * h**k / factorial(k)
+        np.testing.assert_allclose([c[k] for c in found], expected, rtol=1e-9, atol=1e-13, err_msg=str(k))
+        derivative = along(derivative)

@@ -1,0 +1,498 @@
+"""Pictures: what is on them, by artists and labels rather than by pixels."""
+
+import json
+import subprocess
+import sys
+from itertools import combinations
+
+import matplotlib
+import numpy as np
+import pytest
+import xarray as xr
+from matplotlib.collections import PathCollection, QuadMesh
+from matplotlib.colors import to_hex, to_rgb
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+from vibrojax.errors import InputError
+from vibrojax.plot import REGIME_COLOURS, bifurcation, picture, regime_map, save_picture, trajectory
+
+MEANINGS = "undecided equilibrium impact-free single-impact multi-impact subharmonic irregular failed"
+COORDINATES = {
+    "beta": ("mass ratio m2/m1", "β", "1"),
+    "gamma": ("frequency ratio w2/w1", "γ", "1"),
+    "v": ("drive speed", "v", "m s-1"),
+    "delta": ("gap between striker and bit (negative: preload)", "Δ", "m"),
+}
+VALUES = {"impact_velocity": ("impact velocity", "m s-1"), "period": ("mean time between returns", "s")}
+
+
+def lanes(grid, starts=("drive", "stuck"), attrs=True, regime=None):
+    """A sweep's dataset: lumps of regimes with impact velocity and period, dimensions as in `grid`, then start."""
+    values = {name: np.asarray(axis, float) for name, axis in grid.items()}
+    along = np.meshgrid(*values.values(), np.arange(len(starts)), indexing="ij")
+    mesh = dict(zip([*values, "start"], along, strict=True))
+    beta, gamma, v = (mesh.get(name, default) for name, default in (("beta", 0.4), ("gamma", 0.75), ("v", 1.5)))
+    far = np.hypot((beta - 0.5) / 0.45, (gamma - 0.72) / 0.3) + 25 * mesh.get("delta", -0.005) - 0.3 * mesh["start"]
+    ripple = 0.12 * np.sin(17 * beta + 23 * gamma + 2 * v)
+    flags = np.digitize(far + ripple, [0.9, 1.3, 1.6, 2.2])
+    found = np.array([3, 4, 5, 6, 2])[flags] + 0 * mesh["start"]
+    found = np.where(beta > 1.12 - 0.05 * gamma, 0, found) if regime is None else np.full(found.shape, regime)
+    period = 0.25 - 0.02 * gamma / (0.5 + beta) + 0 * far
+    velocity = np.where(found == 2, np.nan, 1.2 * v + 2.6 * np.exp(-(far**2)) + 0.2 * ripple)
+    dims = (*values, "start")
+    held = {
+        "regime": flagged(dims, found),
+        "impact_velocity": (dims, velocity),
+        "period": (dims, np.where(found == 0, np.nan, period)),
+    }
+    ds = xr.Dataset(held, {**values, "start": list(starts)}, {"title": "a sweep"})
+    return described(ds) if attrs else ds
+
+
+def flagged(dims, found):
+    about = {"units": "1", "long_name": "regime", "flag_values": np.arange(8, dtype=np.int8), "flag_meanings": MEANINGS}
+    return dims, np.asarray(found).astype(np.int8), about
+
+
+def described(ds):
+    for name in set(COORDINATES) & set(ds.coords):
+        long_name, symbol, units = COORDINATES[name]
+        ds[name].attrs = {"long_name": long_name, "symbol": symbol, "units": units}
+    for name, (long_name, units) in VALUES.items():
+        ds[name].attrs = {"long_name": long_name, "units": units}
+    return ds
+
+
+def square(count=9, **further):
+    return {"beta": np.linspace(0.1, 1.2, count), "gamma": np.linspace(0.3, 1.2, count), **further}
+
+
+def points(count=40, also_v=False):
+    draw = np.random.default_rng(3)
+    ds = lanes({"point": np.arange(count)}, ("drive",)).isel(start=0, drop=True)
+    ds["regime"] = flagged(("point",), draw.choice([2, 3, 3, 6], count))
+    ds = ds.assign_coords(beta=("point", draw.uniform(0.1, 1.2, count)), gamma=("point", draw.uniform(0.3, 1.2, count)))
+    ds = ds.assign_coords(start=("point", np.array(["drive", "stuck"])[np.arange(count) % 2]))
+    return described(ds.assign_coords(v=("point", draw.uniform(0.5, 2, count))) if also_v else ds)
+
+
+def returns(grid, keep=24, starts=("drive", "stuck")):
+    ds = lanes(grid, starts)
+    several = np.random.default_rng(5).standard_normal((*ds["regime"].shape, keep))
+    two = np.where(np.arange(keep) % 2, 0.5, -0.5)
+    spread = xr.where(ds["regime"] == 6, 0.35, 0.0).values[..., None] * several
+    doubled = xr.where(ds["regime"] == 5, 0.4, 0.0).values[..., None] * two
+    kept = ds["impact_velocity"].values[..., None] * (1 + 0.3 * (spread + doubled))
+    attributes = {"long_name": "impact velocity at each stored return", "units": "m s-1"}
+    ds["return_impact_velocity"] = ((*ds["regime"].dims, "return_index"), kept, attributes)
+    return ds
+
+
+def run(duration=12.0, impacts=True, events=True):
+    """A trajectory: bit and striker at 4.4 Hz, the bit stuck for a part of each cycle."""
+    time = np.arange(0.0, duration, 5e-4)
+    turn = 2 * np.pi * 4.4 * time
+    growth = 1 - 0.6 * np.exp(-time)
+    x1, v1 = growth * 0.05 * np.sin(turn), growth * 0.05 * 27.65 * np.cos(turn)
+    x2, v2 = growth * 0.03 * np.sin(turn - 0.4) - 0.035, growth * 0.03 * 27.65 * np.cos(turn - 0.4)
+    force = np.where(x2 > -0.006, 50e6 * (x2 + 0.006) / 100, 0.0)
+    ds = xr.Dataset(coords={"time": ("time", time, {"units": "s"})})
+    for name, values, units in (("x1", x1, "m"), ("v1", v1, "m s-1"), ("x2", x2, "m"), ("v2", v2, "m s-1")):
+        ds[name] = ("time", values, {"units": units, "long_name": name})
+    ds["friction_force"] = ("time", 981 * np.sign(v1 + 1.5), {"units": "N"})
+    ds["stuck"] = ("time", (v1 < -1.3).astype(np.int8), {"flag_values": np.arange(2, dtype=np.int8)})
+    if impacts:
+        ds["impact_force"] = ("time", force, {"units": "N"})
+    if impacts and events:
+        hits = time[1:][(force[1:] > 0) & (force[:-1] <= 0)]
+        meanings = {"flag_values": np.arange(1, 6, dtype=np.int8), "flag_meanings": "stick slip impact release section"}
+        ds["event_time"] = ("event", np.concatenate([hits, hits + 1e-3]), {"units": "s"})
+        ds["event_kind"] = ("event", np.repeat([3, 4], hits.size).astype(np.int8), meanings)
+    scene, gap = ("vibro-impact", {"delta": -0.006}) if impacts else ("rotary", {})
+    parameters = json.dumps({"beta": 0.4, "gamma": 0.75, "v": 1.5, **gap})
+    return ds.assign_attrs(scene=scene, start="drive", parameters=parameters)
+
+
+# What is read off a figure.
+
+
+def meshes(figure, name=None):
+    """The coloured cells of all panels: of the regimes, or of those whose colour map is `name`."""
+    found = [mesh for axes in figure.axes for mesh in axes.collections if isinstance(mesh, QuadMesh)]
+    panels = [mesh for mesh in found if not hasattr(mesh.axes, "_colorbar")]
+    return [mesh for mesh in panels if mesh.get_cmap().name == (name or "regimes")]
+
+
+def titles(figure):
+    found = [axes.get_title(loc) for axes in figure.axes for loc in ("left", "center")]
+    return [title.replace("\n", " ") for title in found if title]
+
+
+def legend(figure):
+    found = [*figure.legends, *(axes.get_legend() for axes in figure.axes)]
+    return [text.get_text() for one in found if one for text in one.get_texts() if text.get_text().strip()]
+
+
+def note(figure):
+    return figure.get_supxlabel()
+
+
+def outlines(figure):
+    boxes = [patch for axes in figure.axes for patch in axes.patches if isinstance(patch, Rectangle)]
+    return [box.get_bbox().extents for box in boxes if not box.get_fill()]
+
+
+def axis_labels(figure):
+    return {text for axes in figure.axes for text in (axes.get_xlabel(), axes.get_ylabel()) if text}
+
+
+def texts(figure):
+    """The visible texts but tick labels, and their boxes in pixels."""
+    figure.draw_without_rendering()
+    found = [text for text in figure.findobj(matplotlib.text.Text) if text.get_visible() and text.get_text().strip()]
+    ticks = {id(text) for axes in figure.axes for axis in (axes.xaxis, axes.yaxis) for text in axis.get_ticklabels()}
+    return [(text.get_text(), text.get_window_extent()) for text in found if id(text) not in ticks]
+
+
+# Regime maps.
+
+
+def test_every_gap_and_start_has_a_panel_for_each_quantity():
+    figure = regime_map(lanes(square(9, delta=[-0.005, 0.005])))
+    expected = [f"Δ = {gap} mm, start: {start}" for gap in ("−5", "5") for start in ("drive", "stuck")]
+    assert titles(figure) == expected
+    assert [len(meshes(figure, name)) for name in (None, "viridis", "cividis")] == [4, 4, 4]
+    assert {"mass ratio m2/m1, β", "frequency ratio w2/w1, γ", "impact velocity [m/s]", "period [s]"} <= axis_labels(
+        figure
+    )
+
+
+def test_a_panel_shows_the_lanes_of_its_title():
+    ds = lanes(square(7, delta=[-0.005, 0.005]))
+    shown = dict(zip(titles(figure := regime_map(ds)), meshes(figure), strict=True))
+    lane = ds["regime"].sel(delta=0.005, start="drive").transpose("beta", "gamma").values
+    assert np.array_equal(shown["Δ = 5 mm, start: drive"].get_array(), lane)
+
+
+@pytest.mark.parametrize("flag", range(8))
+def test_a_flag_has_its_colour_whatever_else_is_there(flag):
+    alone = meshes(regime_map(lanes(square(4), regime=flag)))[0]
+    assert to_hex(alone.to_rgba(alone.get_array())[0, 0]).upper() == REGIME_COLOURS[flag]
+
+
+def test_the_colours_of_flags_are_apart_for_colour_blind_eyes():
+    # Machado, Oliveira, Fernandes 2009 (doi 10.1109/TVCG.2009.113), severity 1: protan, deutan, tritan.
+    without = [
+        [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]],
+        [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]],
+        [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602], [0.004733, 0.691367, 0.303900]],
+    ]
+    for eye in (np.eye(3), *map(np.array, without)):
+        seen = [lab(eye @ linear(np.array(to_rgb(colour)))) for colour in REGIME_COLOURS.values()]
+        assert min(np.linalg.norm(a - b) for a, b in combinations(seen, 2)) > 25
+
+
+def linear(srgb):
+    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+
+
+def lab(rgb):
+    """CIELAB of linear RGB (D65)."""
+    to_xyz = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
+    xyz = to_xyz @ np.clip(rgb, 0, 1) / [0.9505, 1.0, 1.089]
+    f = np.where(xyz > 0.008856, np.cbrt(xyz), 7.787 * xyz + 16 / 116)
+    return np.array([116 * f[1] - 16, 500 * (f[0] - f[1]), 200 * (f[1] - f[2])])
+
+
+def test_the_legend_has_the_regimes_that_are_there_with_their_shares():
+    ds = lanes(square(4), ("drive",))
+    ds["regime"].values[:] = 3
+    ds["regime"].values[0, 0], ds["regime"].values[1] = 6, 7
+    assert legend(regime_map(ds))[:3] == ["single-impact  69 %", "irregular  6 %", "failed  25 %"]
+
+
+def test_the_source_region_is_outlined_on_beta_and_gamma_only():
+    assert np.allclose(outlines(regime_map(lanes(square(9)))), [0.6, 0.25, 0.8, 0.6])
+    assert np.allclose(outlines(regime_map(lanes(square(9)), x="beta")), [0.25, 0.6, 0.6, 0.8])
+    other = regime_map(lanes({"v": np.linspace(0.5, 2, 5), "gamma": np.linspace(0.3, 1.2, 5)}))
+    assert not outlines(other)
+    assert "source's best region" not in legend(other)
+
+
+def test_lanes_without_a_value_are_grey():
+    ds = lanes(square(6), ("drive",))
+    ds["impact_velocity"][{"beta": 2, "gamma": 3, "start": 0}] = np.nan
+    mesh = meshes(figure := regime_map(ds), "viridis")[0]
+    assert np.argwhere(mesh.get_array().mask).tolist() == [[2, 3]]
+    assert to_hex(mesh.get_cmap().get_bad()) == "#d0d0d0"
+    assert "no value" in legend(figure)
+
+
+def test_panels_share_limits_that_an_outlier_does_not_stretch():
+    ds = lanes(square(12, delta=[-0.005, 0.005]))
+    ds["impact_velocity"][{"beta": 0, "gamma": 0, "delta": 0, "start": 0}] = 1e6
+    norms = {(mesh.norm.vmin, mesh.norm.vmax) for mesh in meshes(regime_map(ds), "viridis")}
+    assert len(norms) == 1
+    assert norms.pop()[1] < 10
+
+
+def test_cells_end_halfway_and_geometric_axes_are_logarithmic():
+    ds = lanes({"v": [0.5, 1.0, 2.0, 4.0], "delta": [-0.004, 0.0, 0.002]}, ("drive",))
+    mesh = meshes(regime_map(ds))[0]
+    corners = mesh.get_coordinates()
+    assert np.allclose(corners[0, :, 0], 0.5 * 2.0 ** np.arange(-0.5, 4))
+    assert np.allclose(corners[:, 0, 1], [-6, -2, 1, 3])  # mm
+    assert (mesh.axes.get_xscale(), mesh.axes.get_yscale()) == ("log", "linear")
+
+
+def test_values_in_any_order_are_drawn_in_theirs():
+    ds = lanes(square(5), ("drive",))
+    upside = ds.isel(beta=[3, 0, 4, 1, 2])
+    assert np.array_equal(meshes(regime_map(upside))[0].get_array(), meshes(regime_map(ds))[0].get_array())
+
+
+def test_a_choice_between_a_few_values_is_left_to_panels():
+    figure = regime_map(lanes({"beta": [0.25, 0.6], "v": np.linspace(0.5, 2, 7), "delta": np.linspace(0, 0.02, 6)}))
+    assert titles(figure)[0] == "β = 0.25, start: drive"
+    assert {"drive speed, v [m/s]", "gap between striker and bit,\nΔ [mm]"} <= axis_labels(figure)
+
+
+def test_too_many_panels_are_thinned_and_the_figure_says_so():
+    figure = regime_map(lanes(square(3, v=np.linspace(0.5, 2, 4), delta=[-0.005, 0.0, 0.005])))
+    assert len(meshes(figure)) == 12
+    assert "v = 0.5, 2 m/s (2 of 4 values)" in note(figure)
+    assert titles(figure)[0] == "v = 0.5 m/s, Δ = −5 mm, start: drive"
+
+
+def test_axes_of_one_value_and_fixed_parameters_are_in_a_note():
+    ds = lanes(square(4, delta=[-0.005]), ("drive",)).assign_attrs(parameters=json.dumps({"v": 1.5, "k0": 5e7}))
+    figure = regime_map(ds)
+    assert note(figure) == "Δ = −5 mm, start: drive, v = 1.5 m/s"
+    assert not titles(figure)
+
+
+def test_plain_data_without_attributes_is_drawn_by_names():
+    figure = regime_map(lanes(square(4, delta=[-0.005, 0.005]), attrs=False))
+    assert titles(figure)[0] == "delta = −0.005, start: drive"
+    assert {"beta", "gamma", "impact velocity", "period"} <= axis_labels(figure)
+
+
+def test_a_scene_without_impacts_shows_period_and_amplitude():
+    ds = lanes(square(4)).drop_vars("impact_velocity")
+    ds["bit_amplitude"] = ds["period"].dims, 0.05 + 0 * ds["period"].values, {"units": "m"}
+    assert {"period [s]", "bit amplitude [mm]"} <= axis_labels(regime_map(ds))
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "said"), [("k0", None, '"k0"'), ("beta", "beta", "twice"), (None, "start", '"start"')]
+)
+def test_a_wrong_axis_is_refused_by_name(x, y, said):
+    with pytest.raises(InputError, match=said):
+        regime_map(lanes(square(4)), x=x, y=y)
+
+
+# One axis, and lists of points.
+
+
+def test_one_axis_gives_a_line_for_each_start_above_its_regimes():
+    ds = lanes({"gamma": np.linspace(0.3, 1.2, 11), "delta": [-0.005, 0.005]})
+    figure = regime_map(ds)
+    assert titles(figure) == ["Δ = −5 mm", "Δ = 5 mm"]
+    velocity, period, strip = figure.axes[:3]
+    lines = {line.get_label(): line.get_ydata() for line in velocity.lines}
+    for start in ("drive", "stuck"):
+        assert np.array_equal(lines[start], ds["impact_velocity"].sel(delta=-0.005, start=start), equal_nan=True)
+    assert [text.get_text() for text in strip.get_yticklabels()] == ["drive", "stuck"]
+    assert np.array_equal(meshes(figure)[0].get_array(), ds["regime"].sel(delta=-0.005).transpose("start", "gamma"))
+    assert (velocity.get_ylabel(), period.get_ylabel()) == ("impact velocity\n[m/s]", "period\n[s]")
+    assert {"start: drive", "start: stuck"} <= set(legend(figure))
+
+
+def test_points_over_two_parameters_are_scattered_by_start():
+    ds = points()
+    figure = regime_map(ds)
+    assert titles(figure) == ["start: drive", "start: stuck"]
+    dots = [c for c in figure.axes[0].collections if isinstance(c, PathCollection) and len(c.get_offsets())]
+    here = ds["start"].values == "drive"
+    assert np.array_equal(dots[0].get_offsets(), np.column_stack([ds["gamma"], ds["beta"]])[here])
+    assert np.array_equal(dots[0].get_array(), ds["regime"].values[here])
+
+
+def test_points_over_more_parameters_are_counted():
+    ds = points(also_v=True)
+    bars = {axes.get_title("left"): [bar.get_width() for bar in axes.patches] for axes in regime_map(ds).axes}
+    for start in ("drive", "stuck"):
+        here = ds["regime"].values[ds["start"].values == start]
+        assert bars[f"start: {start}"] == [np.count_nonzero(here == flag) for flag in (2, 3, 6)]
+
+
+# Bifurcation diagrams.
+
+
+def test_both_starts_lie_in_one_diagram_above_their_regimes():
+    ds = returns({"gamma": np.linspace(0.3, 1.2, 15)}, keep=6)
+    ds["return_impact_velocity"][{"gamma": 3}] = np.nan
+    figure = bifurcation(ds)
+    dots = {c.get_label(): np.asarray(c.get_offsets()) for c in figure.axes[0].collections}
+    assert {name: len(at) for name, at in dots.items()} == {"drive": 14 * 6, "stuck": 14 * 6}
+    assert np.array_equal(dots["stuck"][:6, 1], ds["return_impact_velocity"].sel(start="stuck")[0])
+    assert len({to_hex(c.get_facecolor()[0]) for c in figure.axes[0].collections}) == 2
+    assert meshes(figure)[0].get_array().shape == (2, 15)
+    assert figure.axes[0].get_ylabel() == "impact velocity at each return [m/s]"
+
+
+def test_further_axes_of_a_diagram_are_panels():
+    ds = returns({"delta": [-0.005, 0.005], "gamma": np.linspace(0.3, 1.2, 9)}, keep=4)
+    assert titles(bifurcation(ds)) == ["Δ = −5 mm", "Δ = 5 mm"]
+
+
+def test_a_sweep_that_kept_no_returns_is_refused():
+    with pytest.raises(InputError, match="keep_returns"):
+        bifurcation(lanes(square(4)))
+
+
+# Trajectories.
+
+
+def panel(figure, **wanted):
+    (name, text), *_ = wanted.items()
+    return next(axes for axes in figure.axes if text in getattr(axes, f"get_{name}")())
+
+
+def test_a_run_has_history_portraits_and_spectrum():
+    figure = trajectory(run())
+    assert titles(figure) == ["bit", "striker", "spectrum, second half of the run"]
+    displacement = panel(figure, ylabel="displacement")
+    assert np.allclose(displacement.get_xlim(), [11.9995 - 1.5, 11.9995])
+    assert panel(figure, ylabel="whole run").get_xlim()[0] == 0.0
+    assert panel(figure, title="bit").get_ylabel() == "sliding speed u = x₁′ + v [m/s]"
+    assert {"bit", "striker", "bit sticks", "impact begins", "gap Δ = −6 mm", "impact force J"} <= set(legend(figure))
+    assert note(figure) == "β = 0.4, γ = 0.75, v = 1.5 m/s, Δ = −6 mm, start: drive"
+
+
+@pytest.mark.parametrize("events", [True, False])
+def test_impacts_and_stick_are_marked(events):
+    ds = run(events=events)
+    bit = panel(trajectory(ds), title="bit")
+    hits = next(line for line in bit.lines if line.get_marker() == "o")
+    assert len(hits.get_xdata()) == 7  # in the last 1.5 s, at 4.4 Hz
+    thick = max(bit.lines, key=lambda line: line.get_linewidth())
+    late = ds["time"] >= 11.9995 - 1.5
+    assert np.array_equal(np.isfinite(thick.get_ydata()), ds["stuck"].where(late, drop=True) == 1)
+
+
+def test_the_spectrum_names_the_dominant_peak():
+    spectrum = panel(trajectory(run()), title="spectrum")
+    assert [text.get_text() for text in spectrum.texts] == ["4.4 Hz"]
+    assert spectrum.get_xlim()[1] == pytest.approx(5 * 4.4, rel=1e-3)
+    bit = spectrum.lines[0]
+    assert bit.get_ydata().max() == pytest.approx(50 * (1 - 0.6 * np.exp(-9)), rel=0.1)  # mm; between two bins
+
+
+def test_a_run_without_impacts_or_attributes_is_drawn_too():
+    assert "impact begins" not in legend(trajectory(run(impacts=False)))
+    plain = run(duration=1.2).drop_attrs()[["x1", "v1", "x2", "v2"]]
+    figure = trajectory(plain)
+    assert panel(figure, title="bit").get_ylabel() == "velocity x₁′ [m/s]"
+    assert not any("whole run" in text for text in axis_labels(figure))
+
+
+def test_a_run_that_blows_up_is_drawn_up_to_there_and_one_at_rest_too():
+    broken, resting = run(duration=4.0), run(duration=4.0)
+    broken["x1"][5000:] = np.nan
+    assert panel(trajectory(broken), ylabel="displacement").get_xlim()[1] == pytest.approx(2.4995)
+    for name in ("x1", "v1", "x2", "v2"):
+        resting[name][:] = 0.0
+    assert not panel(trajectory(resting), title="spectrum").texts
+
+
+@pytest.mark.parametrize(
+    ("ds", "said"), [(run().drop_vars("v2"), "v2"), (run().isel(time=slice(5)), "5 finite samples")]
+)
+def test_what_is_no_trajectory_is_refused(ds, said):
+    with pytest.raises(InputError, match=said):
+        trajectory(ds)
+
+
+# All of them.
+
+KINDS = {
+    "map": lambda: lanes(square(8, delta=[-0.005, 0.005])),
+    "map-of-one": lambda: lanes(square(8), ("drive",)),
+    "map-of-many": lambda: lanes(square(3, v=np.linspace(0.5, 2, 4), delta=[-0.005, 0.0, 0.005])),
+    "line": lambda: lanes({"gamma": np.linspace(0.3, 1.2, 20)}),
+    "points": points,
+    "counts": lambda: points(also_v=True),
+    "bifurcation": lambda: returns({"gamma": np.linspace(0.3, 1.2, 20), "delta": [-0.005, 0.005]}),
+    "trajectory": run,
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_texts_lie_on_the_figure_and_off_each_other(kind):
+    figure = picture(KINDS[kind]().assign_attrs(title="Regimes of a drill " * 12))
+    whole = figure.bbox.padded(1)
+    placed = texts(figure)
+    for text, box in placed:
+        assert whole.x0 <= box.x0 and box.x1 <= whole.x1 and whole.y0 <= box.y0 and box.y1 <= whole.y1, text
+    for (one, a), (other, b) in combinations(placed, 2):
+        assert not a.padded(-1).overlaps(b.padded(-1)), (one, other)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_user_settings_neither_matter_nor_change(kind):
+    ds = KINDS[kind]()
+    with matplotlib.rc_context({"axes.titlesize": 40, "xtick.labelsize": 30, "axes.facecolor": "red"}):
+        before = dict(matplotlib.rcParams)
+        figure = picture(ds)
+        assert dict(matplotlib.rcParams) == before
+        assert {text.get_size() for axes in figure.axes for text in axes.get_xticklabels()} <= {8.0}
+    assert to_hex(figure.axes[0].get_facecolor()) == "#ffffff"
+
+
+def test_pyplot_stays_out_of_it():
+    code = "import sys, vibrojax.plot; sys.exit('matplotlib.pyplot' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_a_figure_shows_itself_in_a_notebook():
+    figure = regime_map(lanes(square(3)))
+    assert isinstance(figure, Figure)
+    assert figure._repr_png_().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("suffix", "begins"), [(".png", b"\x89PNG"), (".pdf", b"%PDF"), (".svg", b"<?xml"), (".PNG", b"\x89PNG")]
+)
+def test_a_picture_is_saved_by_its_ending(tmp_path, suffix, begins):
+    path = tmp_path / f"map{suffix}"
+    save_picture(lanes(square(3)), path)
+    assert path.read_bytes().startswith(begins)
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_picture_that_fails_leaves_the_old_one(tmp_path, monkeypatch):
+    path = tmp_path / "map.png"
+    path.write_bytes(b"old")
+
+    def full(self, name, **_):
+        open(name, "wb").close()
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Figure, "savefig", full)
+    with pytest.raises(InputError, match="No space left"):
+        save_picture(lanes(square(3)), path)
+    assert path.read_bytes() == b"old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("name", ["map.jpg", "map", "nowhere/map.png"])
+def test_a_path_that_cannot_be_is_refused(tmp_path, name):
+    with pytest.raises(InputError, match="map"):
+        save_picture(lanes(square(3)), tmp_path / name)
+
+
+def test_a_dataset_with_nothing_to_draw_is_refused():
+    with pytest.raises(InputError, match="nothing to draw"):
+        picture(xr.Dataset({"threshold": 1.0}))

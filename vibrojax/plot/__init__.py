@@ -1,0 +1,8 @@
+"""Pictures of datasets: regime maps, bifurcation diagrams and trajectories."""
+
+from vibrojax.plot._bifurcation import bifurcation as bifurcation
+from vibrojax.plot._flags import REGIME_COLOURS as REGIME_COLOURS
+from vibrojax.plot._regimes import regime_map as regime_map
+from vibrojax.plot._save import picture as picture
+from vibrojax.plot._save import save_picture as save_picture
+from vibrojax.plot._trajectory import trajectory as trajectory

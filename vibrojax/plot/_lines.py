@@ -1,0 +1,63 @@
+"""A sweep along one axis: values as lines, regimes as a strip."""
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from vibrojax.plot._about import point_text
+from vibrojax.plot._facets import facets
+from vibrojax.plot._flags import legend_handles
+from vibrojax.plot._grid import START, to_draw
+from vibrojax.plot._points import regime_counts
+from vibrojax.plot._sheet import write_margins
+from vibrojax.plot._stacks import (
+    LEGEND_WIDTH,
+    Stack,
+    draw_strip,
+    legend_at_right,
+    of_start,
+    stacks,
+    start_handles,
+    start_names,
+    values_along,
+)
+from vibrojax.plot._style import start_colour
+from vibrojax.plot._values import Value, values_beside
+
+
+def regime_lines(ds: xr.Dataset) -> Figure:
+    """Impact velocity and period along the one axis worth it, one line per start, above the regimes of each start."""
+    values = values_beside(ds)
+    if not to_draw(ds) or not values:
+        return regime_counts(ds)
+    (x,) = to_draw(ds)
+    ds = ds.sortby(x)
+    panels = facets(ds, (x, START))
+    figure, drawn = stacks(panels, len(values), 1.9 if len(values) > 1 else 2.4)
+    for stack in drawn:
+        for axes, value in zip(stack.curves, values, strict=True):
+            _draw_value(stack, axes, value, x)
+        draw_strip(stack, x)
+    handles = legend_handles([facet["regime"] for facet in panels.data])
+    legend_at_right(figure, start_handles(ds), list(handles))
+    write_margins(figure, str(ds.attrs.get("title", "")), point_text(ds), panels.note, legend=LEGEND_WIDTH)
+    return figure
+
+
+def _draw_value(stack: Stack, axes: Axes, value: Value, x: str) -> None:
+    for at, name in enumerate(start_names(stack.facet)):
+        lanes = of_start(stack.facet, at)
+        along, colour = values_along(lanes[x]), start_colour(name, at)
+        _draw_range(axes, lanes, value, along, colour)
+        axes.plot(along, value.of(lanes).values, color=colour, linewidth=1.0, marker="o", markersize=2.2, label=name)
+    if stack.left:
+        axes.set_ylabel(value.label.replace(" [", "\n["))
+
+
+def _draw_range(axes: Axes, lanes: xr.Dataset, value: Value, along: np.ndarray, colour: str) -> None:
+    """Shade from the least to the greatest of one lane's impacts, where the dataset has both."""
+    low, high = (f"{value.name}_{end}" for end in ("min", "max"))
+    if low in lanes and high in lanes:
+        ends = (lanes[name].values * value.factor for name in (low, high))
+        axes.fill_between(along, *ends, color=colour, alpha=0.15, linewidth=0)

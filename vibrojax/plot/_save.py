@@ -1,0 +1,64 @@
+"""The fitting picture for a dataset, on a figure or in a file."""
+
+import os
+from pathlib import Path
+
+import xarray as xr
+from matplotlib.figure import Figure
+
+from vibrojax.errors import InputError
+from vibrojax.plot._bifurcation import RETURNS, bifurcation
+from vibrojax.plot._grid import swept
+from vibrojax.plot._regimes import regime_map
+from vibrojax.plot._style import settings
+from vibrojax.plot._trajectory import trajectory
+
+# Without the date, so that the same dataset gives the same file.
+_METADATA: dict[str, dict[str, None]] = {".png": {}, ".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
+
+
+def picture(ds: xr.Dataset) -> Figure:
+    """The fitting picture for what `ds` holds: a trajectory, a bifurcation diagram or a regime map.
+
+    **Arguments:**
+
+    - `ds`: what `simulate` or a sweep gives.
+
+    **Returns:** a figure that pyplot knows nothing of.
+
+    **Raises:** `InputError` where the dataset holds nothing to draw.
+    """
+    if "time" in ds.dims:
+        return trajectory(ds)
+    if "regime" in ds and RETURNS in ds and swept(ds):
+        return bifurcation(ds)
+    if "regime" in ds:
+        return regime_map(ds)
+    held = ", ".join(str(name) for name in ds.data_vars) or "no variable"
+    raise InputError(f"nothing to draw: a picture needs regime, or x1 along time; the dataset holds {held}")
+
+
+def save_picture(ds: xr.Dataset, path: str | Path) -> None:
+    """Draw the fitting picture for `ds` into the file `path`, which is there whole or not at all.
+
+    **Arguments:**
+
+    - `ds`: what `simulate` or a sweep gives.
+    - `path`: ends in .png, .pdf or .svg.
+
+    **Raises:** `InputError` for another ending, a path that cannot be written, or a dataset with nothing to draw.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in _METADATA:
+        raise InputError(f"{path}: pictures end in .png, .pdf or .svg, not in {suffix or 'nothing'}")
+    figure = picture(ds)
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        with settings():
+            figure.savefig(part, format=suffix[1:], metadata=_METADATA[suffix])
+        os.replace(part, path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror}); give another file") from None
+    finally:
+        part.unlink(missing_ok=True)

@@ -1,0 +1,145 @@
+"""A trajectory: time history, phase portraits of bit and striker, and amplitude spectrum."""
+
+import numpy as np
+import xarray as xr
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.gridspec import GridSpec, SubplotSpec
+from matplotlib.lines import Line2D
+
+from vibrojax.errors import InputError
+from vibrojax.plot._about import point_text
+from vibrojax.plot._labels import number
+from vibrojax.plot._motion import Motion, read_motion
+from vibrojax.plot._portraits import draw_bit, draw_spectrum, draw_striker
+from vibrojax.plot._sheet import write_margins
+from vibrojax.plot._style import BIT, FAINT, IMPACT, INK, STICK, STRIKER, new_figure, styled
+
+_OVERVIEW_FROM = 1.5  # times the window, from which a run is worth an overview
+
+
+@styled
+def trajectory(ds: xr.Dataset, last: float = 1.5) -> Figure:
+    """Time history, phase portraits and spectrum of one run.
+
+    Displacements, velocities and forces over the last `last` seconds, with stick and impacts marked, below an overview
+    of the whole run; the phase portraits of bit and striker, the transient faint; the amplitude spectrum of the run's
+    second half.
+
+    **Arguments:**
+
+    - `ds`: what `simulate` gives: `x1`, `x2` [m] and `v1`, `v2` [m/s] along `time` [s]; `impact_force` and
+      `friction_force` [N], `stuck`, `event_time` and `event_kind` where there are any.
+    - `last`: how much of the end to show [s].
+
+    **Returns:** a figure that pyplot knows nothing of.
+
+    **Raises:** `InputError` where the dataset holds no trajectory, or `last` is not above 0.
+    """
+    if not last > 0:
+        raise InputError(f"last = {last} s: give a time above 0")
+    motion = read_motion(ds)
+    start = max(float(motion.time[-1]) - last, float(motion.time[0]))
+    overview = float(np.ptp(motion.time)) > _OVERVIEW_FROM * last
+    forces = motion.impact_force is not None or motion.friction_force is not None
+    heights = {"overview": 0.65} if overview else {}
+    heights |= {"displacement": 1.25, "velocity": 1.25} | ({"force": 0.9} if forces else {}) | {"portraits": 2.7}
+    figure = new_figure(10.0, sum(heights.values()) + 0.33 * len(heights) + 1.2)
+    grid = GridSpec(len(heights), 3, figure, height_ratios=list(heights.values()))
+    places = {name: grid[row, :] for row, name in enumerate(heights)}
+    _draw_history(figure, places, motion, start)
+    row = len(heights) - 1
+    draw_bit(figure.add_subplot(grid[row, 0]), motion, start)
+    draw_striker(figure.add_subplot(grid[row, 1]), motion, start)
+    draw_spectrum(figure.add_subplot(grid[row, 2]), motion)
+    write_margins(figure, str(ds.attrs.get("title") or ds.attrs.get("scene", "")), point_text(ds))
+    return figure
+
+
+def _draw_history(figure: Figure, places: dict[str, SubplotSpec], motion: Motion, start: float) -> None:
+    """The panels over time that are in `places`."""
+    if "overview" in places:
+        _draw_overview(figure.add_subplot(places["overview"]), motion, start)
+    displacement = figure.add_subplot(places["displacement"])
+    velocity = figure.add_subplot(places["velocity"], sharex=displacement)
+    _draw_displacements(displacement, motion, start)
+    _draw_velocities(velocity, motion, start)
+    lowest = velocity
+    if "force" in places:
+        lowest = figure.add_subplot(places["force"], sharex=displacement)
+        _draw_forces(lowest, motion, start)
+        velocity.tick_params(labelbottom=False)
+    displacement.tick_params(labelbottom=False)
+    displacement.set_xlim(start, motion.time[-1])
+    lowest.set_xlabel("time [s]")
+    figure.align_ylabels()
+
+
+def _draw_overview(axes: Axes, motion: Motion, start: float) -> None:
+    for values, colour in ((motion.x1, BIT), (motion.x2, STRIKER)):
+        axes.plot(motion.time, 1e3 * values, color=colour, linewidth=0.4, alpha=0.8, rasterized=True)
+    axes.axvspan(start, motion.time[-1], color=FAINT, alpha=0.3, linewidth=0)
+    axes.set_xlim(motion.time[0], motion.time[-1])
+    axes.set_ylabel("whole run\n[mm]")
+    axes.set_xlabel("time [s]", labelpad=1.0)
+
+
+def _draw_displacements(axes: Axes, motion: Motion, start: float) -> None:
+    late = motion.since(start)
+    axes.grid(True)
+    if motion.delta is not None:
+        axes.axhline(1e3 * motion.delta, color=FAINT, linewidth=0.8, linestyle=(0, (4, 3)))
+    axes.plot(motion.time[late], 1e3 * motion.x2[late], color=STRIKER, linewidth=1.1)
+    axes.plot(motion.time[late], 1e3 * motion.x1[late], color=BIT, linewidth=1.1)
+    axes.plot(motion.time[late], _where_stuck(motion, 1e3 * motion.x1)[late], color=STICK, linewidth=2.6)
+    _mark_impacts(axes, motion, start, 1e3 * motion.x2)
+    axes.set_ylabel("displacement\n[mm]")
+    axes.legend(handles=_handles(motion), loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=5, borderpad=0.2)
+
+
+def _draw_velocities(axes: Axes, motion: Motion, start: float) -> None:
+    late = motion.since(start)
+    axes.grid(True)
+    axes.axhline(0.0, color=FAINT, linewidth=0.7)
+    axes.plot(motion.time[late], motion.v2[late], color=STRIKER, linewidth=1.1)
+    axes.plot(motion.time[late], motion.u[late], color=BIT, linewidth=1.1)
+    axes.plot(motion.time[late], _where_stuck(motion, motion.u)[late], color=STICK, linewidth=2.6)
+    _mark_impacts(axes, motion, start, motion.v2)
+    axes.set_ylabel("u and x₂′\n[m/s]" if motion.v is not None else "x₁′ and x₂′\n[m/s]")
+
+
+def _draw_forces(axes: Axes, motion: Motion, start: float) -> None:
+    late = motion.since(start)
+    axes.grid(True)
+    friction, impact = motion.friction_force, motion.impact_force
+    shown = [values for values in (friction, impact) if values is not None]
+    factor, unit = (1e-3, "kN") if max(np.abs(values).max() for values in shown) >= 1e4 else (1.0, "N")
+    if impact is not None:
+        axes.plot(motion.time[late], factor * impact[late], color=IMPACT, linewidth=1.0, label="impact force J")
+    if friction is not None:
+        axes.plot(motion.time[late], factor * friction[late], color=INK, linewidth=0.8, label="friction force F")
+    axes.set_ylabel(f"force\n[{unit}]")
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderpad=0.0, borderaxespad=0.2)
+
+
+def _mark_impacts(axes: Axes, motion: Motion, start: float, values: np.ndarray) -> None:
+    times = motion.impacts[motion.impacts >= start]
+    axes.plot(times, motion.at(times, values), linestyle="none", marker="o", markersize=4.0, color=IMPACT, zorder=4)
+
+
+def _where_stuck(motion: Motion, values: np.ndarray) -> np.ndarray:
+    return np.where(motion.stuck, values, np.nan)
+
+
+def _handles(motion: Motion) -> list[Artist]:
+    handles: list[Artist] = [Line2D([], [], color=BIT, label="bit"), Line2D([], [], color=STRIKER, label="striker")]
+    if motion.stuck.any():
+        handles.append(Line2D([], [], color=STICK, linewidth=2.6, label="bit sticks"))
+    if motion.impacts.size:
+        look = {"color": IMPACT, "linestyle": "none", "marker": "o", "markersize": 4.0}
+        handles.append(Line2D([], [], label="impact begins", **look))
+    if motion.delta is not None:
+        gap = f"gap Δ = {number(1e3 * motion.delta)} mm"
+        handles.append(Line2D([], [], color=FAINT, linewidth=0.8, linestyle=(0, (4, 3)), label=gap))
+    return handles
