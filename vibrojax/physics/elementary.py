@@ -23,7 +23,7 @@ def arctan(x):
 
 @singledispatch
 def maximum(x, y):
-    """The greater of two values; a series follows whichever is greater where it starts."""
+    """The greater of two values; a series, which comes first, follows whichever is greater where it starts."""
     return jnp.maximum(x, y)
 
 

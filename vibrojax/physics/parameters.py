@@ -8,7 +8,8 @@ from math import isfinite
 class Parameter:
     """One physical parameter as users write it in a sweep file or a call.
 
-    `default` is in `unit`; `lowest` is the smallest admissible value, excluded where `open_below` is set.
+    `default` is in `unit`; `lowest` is the smallest admissible value, excluded where `open_below` is set; `below` is a
+    value that it must stay under.
     """
 
     name: str
@@ -18,15 +19,16 @@ class Parameter:
     symbol: str
     lowest: float | None = None
     open_below: bool = False
+    below: float | None = None
 
     def problem(self, value: float) -> str | None:
         """What is wrong with `value`, and what would be right; None where nothing is."""
         if not isfinite(value):
             return f"is {value}; a finite number is needed"
-        if self.lowest is None:
-            return None
-        if value < self.lowest or (self.open_below and value == self.lowest):
-            unit = "" if self.unit == "1" else f" {self.unit}"
+        unit = "" if self.unit == "1" else f" {self.unit}"
+        if self.below is not None and value >= self.below:
+            return f"is {value:g}; it must be below {self.below:g}{unit}"
+        if self.lowest is not None and (value < self.lowest or (self.open_below and value == self.lowest)):
             return f"is {value:g}; it must be {'above' if self.open_below else 'at least'} {self.lowest:g}{unit}"
         return None
 

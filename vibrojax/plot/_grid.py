@@ -57,7 +57,7 @@ def is_geometric(values: np.ndarray) -> bool:
     if values.size < 3 or values[0] <= 0 or np.any(np.diff(values) <= 0):
         return False
     factors, steps = values[1:] / values[:-1], np.diff(values)
-    return np.ptp(factors) <= 1e-3 * factors.mean() and np.ptp(steps) > 1e-3 * steps.mean()
+    return bool(np.ptp(factors) <= 1e-3 * factors.mean() and np.ptp(steps) > 1e-3 * steps.mean())
 
 
 def edges(values: np.ndarray) -> np.ndarray:
@@ -87,4 +87,4 @@ def _plain_log_ticks(axis: Axis, ends: np.ndarray) -> None:
 
 
 def _is_numeric(data: xr.DataArray) -> bool:
-    return np.issubdtype(data.dtype, np.number)
+    return bool(np.issubdtype(data.dtype, np.number))

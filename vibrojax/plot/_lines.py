@@ -50,7 +50,9 @@ def _draw_value(stack: Stack, axes: Axes, value: Value, x: str) -> None:
         lanes = of_start(stack.facet, at)
         along, colour = values_along(lanes[x]), start_colour(name, at)
         _draw_range(axes, lanes, value, along, colour)
-        axes.plot(along, value.of(lanes).values, color=colour, linewidth=1.0, marker="o", markersize=2.2, label=name)
+        # Later starts as thinner lines, so that a motion reached from both shows both colours.
+        look = {"linewidth": 2.2, "markersize": 4.0} if at == 0 else {"linewidth": 1.0, "markersize": 2.2}
+        axes.plot(along, value.of(lanes).values, color=colour, marker="o", label=name, **look)
     if stack.left:
         axes.set_ylabel(value.label.replace(" [", "\n["))
 

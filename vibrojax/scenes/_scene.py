@@ -13,7 +13,7 @@ Constants = Mapping[str, Any]
 class Scene(ABC):
     """A hybrid dynamical system, from which steppers, measures and pictures follow.
 
-    A scene is one file in this folder that binds an instance to the name `SCENE`. Every function below takes arrays
+    A scene is one file in this folder that binds the class to the name `SCENE`. Every function below takes arrays
     of one shape (lanes); `field` and `surfaces` also take Taylor series, so they are written with +, -, *, / and
     [vibrojax.physics.elementary][].
 

@@ -55,8 +55,8 @@ def root(coefficients, zeros, guess, end):
         low, high = jnp.where(inside, tau, low), jnp.where(inside, high, tau)
         newton = tau - y / (slope(coefficients, tau) - zeros * y / tau)
         middle = (low + high) / 2
-        # A NaN (0/0) fails both comparisons, so the bisection takes over.
-        tau = jnp.where((newton > low) & (newton < high), newton, middle)
+        # Once converged it is an end of the bracket, and stays. A NaN (0/0) fails both, so the bisection takes over.
+        tau = jnp.where((newton >= low) & (newton <= high), newton, middle)
         return tau, low, high
 
     tau, _, _ = lax.fori_loop(0, ROOT_ITERATIONS, refine, (guess, jnp.zeros_like(end), end))

@@ -17,6 +17,10 @@ def _is_zero(x) -> bool:
     return isinstance(x, float) and x == 0.0
 
 
+def _keep(c):
+    return c if _is_zero(c) else keep(c)
+
+
 def _add(a, b):
     if _is_zero(a):
         return b
@@ -79,8 +83,8 @@ class Series:
         if not isinstance(other, Series):
             return Series(lambda k: _multiply(self[k], other))
         if other is self:
-            return Series(lambda k: keep(_total(_square_terms(self, k))))
-        return Series(lambda k: keep(_total(_multiply(self[j], other[k - j]) for j in range(k + 1))))
+            return Series(lambda k: _keep(_total(_square_terms(self, k))))
+        return Series(lambda k: _keep(_total(_multiply(self[j], other[k - j]) for j in range(k + 1))))
 
     __rmul__ = __mul__
 
@@ -108,7 +112,7 @@ def _quotient(a: Series, b: Series) -> Series:
 
     def term(k):
         known = _total(_multiply(q[j], b[k - j]) for j in range(k))
-        return keep((a[k] - known) / b[0])
+        return _keep((a[k] - known) / b[0])
 
     q = Series(term)
     return q
@@ -120,8 +124,8 @@ def _exp(a: Series) -> Series:
 
     def term(k):
         if k == 0:
-            return keep(jnp.exp(a[0]))
-        return keep(_total(_multiply(_multiply(j / k, a[j]), e[k - j]) for j in range(1, k + 1)))
+            return _keep(jnp.exp(a[0]))
+        return _keep(_total(_multiply(_multiply(j / k, a[j]), e[k - j]) for j in range(1, k + 1)))
 
     e = Series(term)
     return e
@@ -134,9 +138,9 @@ def _arctan(a: Series) -> Series:
 
     def term(k):
         if k == 0:
-            return keep(jnp.arctan(a[0]))
+            return _keep(jnp.arctan(a[0]))
         known = _total(_multiply(_multiply(j / k, y[j]), denominator[k - j]) for j in range(1, k))
-        return keep((a[k] - known) / denominator[0])
+        return _keep((a[k] - known) / denominator[0])
 
     y = Series(term)
     return y
@@ -170,7 +174,7 @@ def expand(field: Callable, state: tuple, h, order: int) -> tuple[Series, ...]:
     rates = field(series)
     for k in range(order):
         step = h / (k + 1)
-        found = keep([_multiply(step, rate[k]) for rate in rates])
+        found = [_keep(_multiply(step, rate[k])) for rate in rates]
         for one, value in zip(series, found, strict=True):
             one._coefficients.append(value)
     return series

@@ -4,7 +4,7 @@ from vibrojax.physics.elementary import exp, maximum
 from vibrojax.physics.friction._law import FrictionLaw
 from vibrojax.physics.parameters import Parameter, table
 
-# exp(c1/|u|) and all its derivatives vanish as |u| -> 0; below |c1|/EXPONENT_FLOOR it is under 1e-17.
+# exp(c1/|u|) and all its derivatives vanish as |u| -> 0; below |c1|/_EXPONENT_FLOOR it is under 1e-17.
 _EXPONENT_FLOOR = 40.0
 
 
@@ -18,7 +18,7 @@ LAW = FrictionLaw(
     name="popp-exponential",
     reference="eq. 2.14",
     parameters=table(
-        Parameter("popp_c1", -0.02, "m s-1", "speed scale of the rise of Popp's friction law", "c₁"),
+        Parameter("popp_c1", -0.02, "m s-1", "speed scale of the rise of Popp's friction law", "c₁", below=0.0),
         Parameter("popp_c2", -0.25, "s m-1", "rate of the fall of Popp's friction law", "c₂"),
     ),
     mu=mu,
