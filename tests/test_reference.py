@@ -51,7 +51,11 @@ def read(name):
     """Cases, and the dataset of their sweep."""
     # The program depends on the order in which the starts come up: with "stuck" first, one is compiled for both files.
     cases = json.loads((DATA / name).read_text())
-    cases = cases if cases[0]["point"]["start"] == "stuck" else sorted(cases, key=lambda case: case["point"]["start"] != "stuck")
+    cases = (
+        cases
+        if cases[0]["point"]["start"] == "stuck"
+        else sorted(cases, key=lambda case: case["point"]["start"] != "stuck")
+    )
     points = {key: [case["point"][key] for case in cases] for key in cases[0]["point"]}
     sweep = {"scene": "vibro-impact", "points": points, "run": {"error": 1e-4}}
     return cases, vj.run_sweep(sweep, progress=False)

@@ -165,7 +165,11 @@ def test_two_frequencies(rotary):
 
 
 @pytest.mark.parametrize(
-    ("name", "frequency", "change"),  # rad/s; m/s: the contact's damping is next to nothing, so twice the impact velocity
+    (
+        "name",
+        "frequency",
+        "change",
+    ),  # rad/s; m/s: the contact's damping is next to nothing, so twice the impact velocity
     [
         ("preload", 27.74, 3.86),
         ("gap, stuck", 27.37, 4.48),
@@ -183,9 +187,7 @@ def test_single_impacts(vibro_impact, name, frequency, change):
         assert abs(2 * vibro_impact(name, "impact_velocity") - change) < 0.01
 
 
-@pytest.mark.parametrize(
-    ("name", "speed"), [("gamma 0.6", 0.97), ("gamma 0.9", 1.74), ("beta 0.3, gamma 0.5", 0.50)]
-)
+@pytest.mark.parametrize(("name", "speed"), [("gamma 0.6", 0.97), ("gamma 0.9", 1.74), ("beta 0.3, gamma 0.5", 0.50)])
 def test_sliding_speed_at_impact(vibro_impact, name, speed):
     assert abs(vibro_impact(name, "bit_velocity_at_impact") - speed) < 0.005
 

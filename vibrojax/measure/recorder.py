@@ -30,9 +30,7 @@ class Recorder:
         increments = {"time": step.dt}
         for gauge in self.gauges:
             increments |= gauge.increments(scene, p, moment)
-        gauges = [
-            gauge.step(scene, p, own, moment) for gauge, own in zip(self.gauges, carry["gauges"], strict=True)
-        ]
+        gauges = [gauge.step(scene, p, own, moment) for gauge, own in zip(self.gauges, carry["gauges"], strict=True)]
         return {"returns": returns, "ledger": ledger.add(carry["ledger"], increments), "gauges": gauges}
 
     def turn_over(self, scene, p, carry: dict, lane, share) -> dict:
@@ -42,9 +40,7 @@ class Recorder:
         kept, sums = ledger.section(carry["ledger"], here, number)
         bit, striker = section.amplitudes(returns)
         at = Return(here, number, returns["since"], bit, striker, share, lane, sums)
-        gauges = [
-            gauge.section(scene, p, own, at) for gauge, own in zip(self.gauges, carry["gauges"], strict=True)
-        ]
+        gauges = [gauge.section(scene, p, own, at) for gauge, own in zip(self.gauges, carry["gauges"], strict=True)]
         return {"returns": section.turn_over(returns, lane), "ledger": kept, "gauges": gauges}
 
     def read(self, scene, p, carry: dict) -> dict:

@@ -61,9 +61,17 @@ def friction_surface(p, slip, state, impact):
 
 def slip_at_rest(p, state, impact):
     """Where u = 0: 0 if the bit sticks, else the sign of the spring force, into which it starts to slide."""
-    x1, _, x2, _ = state
+    limit = stick_limit(p, impact)
+    # Where nothing holds the bit it never sticks, not even as the spring force passes through zero.
+    sticks = (jnp.abs(pull(p, state[0], state[2])) <= limit) & (limit > 0)
+    return jnp.where(sticks, 0.0, _starts_towards(p, state))
+
+
+def _starts_towards(p, state):
+    """Sign of the spring force on a bit at rest on the rock, or of its rate where it is zero."""
+    x1, v1, x2, v2 = state
     force = pull(p, x1, x2)
-    return jnp.where(jnp.abs(force) <= stick_limit(p, impact), 0.0, jnp.sign(force))
+    return jnp.sign(jnp.where(force == 0, pull(p, v1, v2), force))
 
 
 def slip_at(p, state, impact):
@@ -77,8 +85,7 @@ def land_friction(p, slip, state, hit, impact):
     x1, v1, x2, v2 = state
     v1 = jnp.where(hit, -p["v"], v1)
     state = (x1, v1, x2, v2)
-    starts = jnp.sign(pull(p, x1, x2))
-    after = jnp.where(slip == 0, starts, slip_at_rest(p, state, impact))
+    after = jnp.where(slip == 0, _starts_towards(p, state), slip_at_rest(p, state, impact))
     return jnp.where(hit, after, slip), state
 
 

@@ -78,4 +78,5 @@ class Rotary(Scene):
     def speed_scale(self, p):
         return _drill.speed_scale(p)
 
+
 SCENE = Rotary

@@ -130,4 +130,5 @@ class VibroImpact(Scene):
     def speed_scale(self, p):
         return _drill.speed_scale(p)
 
+
 SCENE = VibroImpact

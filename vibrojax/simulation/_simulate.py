@@ -79,7 +79,9 @@ def simulate(
         p = dict(machine.constants(p))
         times = _times(machine, p, duration, sampling)
         state = machine.start(p, point.start, (1,))
-        run = RunSettings(method="located" if method == "located" else "smoothed", error=error, step=step, smoothing=smoothing)
+        run = RunSettings(
+            method="located" if method == "located" else "smoothed", error=error, step=step, smoothing=smoothing
+        )
         accuracy = accuracy_for(run)
         happened = {}
         if method == "diffrax":
@@ -106,7 +108,9 @@ def _times(machine, p, duration, sampling) -> np.ndarray:
         sampling = max(sampling, duration / MOST_SAMPLES)
     count = round(duration / sampling)
     if not 1 <= count <= MOST_SAMPLES:
-        raise InputError(f"simulate: sampling: {sampling:g} s gives {count} samples; between 1 and {MOST_SAMPLES} are needed")
+        raise InputError(
+            f"simulate: sampling: {sampling:g} s gives {count} samples; between 1 and {MOST_SAMPLES} are needed"
+        )
     return np.arange(count + 1) * (duration / count)
 
 
@@ -167,6 +171,11 @@ def _dataset(point, times, states, modes, forces, happened, solver: Mapping) -> 
 
 def _teller(duration: float):
     def told(t: float) -> None:
-        print(f"\r{min(t, duration):.1f} of {duration:g} s", end="\n" if t >= duration else "", file=sys.stderr, flush=True)
+        print(
+            f"\r{min(t, duration):.1f} of {duration:g} s",
+            end="\n" if t >= duration else "",
+            file=sys.stderr,
+            flush=True,
+        )
 
     return told

@@ -41,7 +41,10 @@ def land(functions_at, scene, p, polynomials, functions, reach, moving) -> Landi
     resolutions = scene.resolutions(p)
     markers = zip(functions[n_surfaces:], resolutions[n_surfaces:], strict=True)
     signs = [1.0] * n_surfaces + [_sign_at_start(f, small) for f, small in markers]
-    functions = [[sign * c for c in f] if index >= n_surfaces else f for index, (sign, f) in enumerate(zip(signs, functions, strict=True))]
+    functions = [
+        [sign * c for c in f] if index >= n_surfaces else f
+        for index, (sign, f) in enumerate(zip(signs, functions, strict=True))
+    ]
 
     # On the polynomials, whose |.| and max keep the branch they start with; the true functions are asked at the landing.
     ends = keep([value(f, reach) for f in functions])

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 from vibrojax.physics import elementary
 from vibrojax.stepping._keep import keep
 
+
 def _is_zero(x) -> bool:
     return isinstance(x, float) and x == 0.0
 

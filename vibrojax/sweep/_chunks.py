@@ -1,6 +1,7 @@
 """Lanes in chunks of one size through one compiled program; memory is bounded by the chunk."""
 
 import time
+
 import jax
 import numpy as np
 

@@ -5,6 +5,8 @@ from pkgutil import iter_modules
 
 from vibrojax.physics.friction._law import FrictionLaw as FrictionLaw
 
-_laws = (import_module(f"{__name__}.{found.name}") for found in iter_modules(__path__) if not found.name.startswith("_"))
+_laws = (
+    import_module(f"{__name__}.{found.name}") for found in iter_modules(__path__) if not found.name.startswith("_")
+)
 
 FRICTION_LAWS: dict[str, FrictionLaw] = {module.LAW.name: module.LAW for module in _laws}
