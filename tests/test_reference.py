@@ -1,4 +1,4 @@
-"""The reference cases (tests/data), each file as one sweep of points, against the answers of an event-exact integrator."""
+"""The reference cases (tests/data), each file as one sweep of points, against an event-exact integrator."""
 
 import json
 from pathlib import Path

@@ -7,7 +7,7 @@ import jax
 
 
 def use_cores(devices: int | None = None) -> None:
-    """Make every CPU core a device of its own, where JAX has not been used yet; afterwards its devices stay as they are.
+    """Make every CPU core a device of its own, where JAX has not been used yet; later its devices stay as they are.
 
     A jitted loop uses one core, so lanes are spread over as many CPU devices as there are cores. Running a sweep calls
     this; importing the package does not.

@@ -41,7 +41,7 @@ class VibroImpact(Scene):
         return (x1, v1, x2, v2)
 
     def mode_at(self, p, state):
-        x1, v1, x2, v2 = state
+        x1, _, x2, v2 = state
         free = p["k2"] * (x1 - x2) - p["c2"] * v2
         gap_closes = (v2 > 0) | ((v2 == 0) & (free > 0))
         inside = (x2 > p["delta"]) & (self.impact_force(p, state) > 0)
@@ -81,7 +81,7 @@ class VibroImpact(Scene):
         _, _, x2, v2 = state
         compression = x2 - p["delta"]
         force = compression + p["relaxation"] * v2  # J/k0 [m]
-        # Apart: until x2 >= delta and J > 0 both hold, so that a striker let go above delta (c0 > 0) is not caught again.
+        # Apart: until x2 >= delta and J > 0 both hold, so that one let go above delta (c0 > 0) is not caught again.
         return touching * force + (1.0 - touching) * maximum(-compression, -force)
 
     def markers(self, p, state):

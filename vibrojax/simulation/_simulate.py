@@ -125,7 +125,7 @@ def _adaptive(machine, p, state, times, width, solver, error):
 
 
 def _forces(machine, p, states, modes, width) -> dict:
-    """Friction and contact force [N] at the samples: by Newton's law, friction is what moves the bit less the springs."""
+    """Friction and contact force [N] at the samples; friction is what the springs do not give to the bit (Newton)."""
     states, modes = tuple(jnp.asarray(y) for y in states), tuple(jnp.asarray(m) for m in modes)
     rates = machine.field(p, modes, states) if width is None else machine.smoothed_field(p, modes, states, width)
     forces = {"friction_force": np.asarray(machine.pull(p, states) - p["m1"] * rates[1])}

@@ -25,9 +25,9 @@ class Landing(NamedTuple):
 def land(functions_at, scene, p, polynomials, functions, reach, moving) -> Landing:
     """Find the end of a trial step.
 
-    A function that is crossed ends the step there. If another turns out to be crossed before, or a surface may have been
-    touched and left again inside the step, the trial is rejected and repeated up to that point: at most a few times,
-    since each rejection shortens the step to an earlier candidate.
+    A function that is crossed ends the step there. If another turns out to be crossed before, or a surface may have
+    been touched and left again inside the step, the trial is rejected and repeated up to that point: at most a few
+    times, since each rejection shortens the step to an earlier candidate.
 
     **Arguments:**
 
@@ -38,15 +38,49 @@ def land(functions_at, scene, p, polynomials, functions, reach, moving) -> Landi
     - `moving`: booleans; the other lanes stand still (h = 0).
     """
     n_surfaces = len(scene.surfaces_named)
-    resolutions = scene.resolutions(p)
-    markers = zip(functions[n_surfaces:], resolutions[n_surfaces:], strict=True)
-    signs = [1.0] * n_surfaces + [_sign_at_start(f, small) for f, small in markers]
-    functions = [
-        [sign * c for c in f] if index >= n_surfaces else f
-        for index, (sign, f) in enumerate(zip(signs, functions, strict=True))
-    ]
+    small = scene.resolutions(p)
+    signs = [1.0] * n_surfaces + [_sign_at_start(*f) for f in list(zip(functions, small, strict=True))[n_surfaces:]]
+    functions = [[sign * c for c in f] for sign, f in zip(signs, functions, strict=True)]
+    trial = _crossings(functions, n_surfaces, reach, small, moving)
 
-    # On the polynomials, whose |.| and max keep the branch they start with; the true functions are asked at the landing.
+    first = reduce(jnp.minimum, trial.guesses)
+    ending = first < jnp.inf
+    at_once = ending & (first <= 0)
+    chosen = keep(_first_where([guess == first for guess in trial.guesses]))
+    tau = _root_of_chosen(functions, chosen, small, jnp.where(ending & ~at_once, first, 0.5), reach)
+    tau = keep(jnp.where(ending, jnp.where(at_once, 0.0, tau), reach))
+
+    state = keep(tuple(value(one, tau) for one in polynomials))
+    landed = [sign * g for sign, g in zip(signs, functions_at(state), strict=True)]
+    mine = [one & ending for one in chosen]
+    early = _early(trial, landed, mine, small, ending, at_once)
+    unseen = keep(moving & _unseen(trial, landed, mine, small, functions, n_surfaces))
+    repeat = keep(early | unseen)
+
+    surfaces = zip(functions[:n_surfaces], trial.ends[:n_surfaces], strict=True)
+    dip = keep(reduce(jnp.minimum, [_dip(f, end, reach) for f, end in surfaces]))
+    dipped = moving & ~ending & (dip < 1)
+    landing = Landing(
+        tau=jnp.where(dipped, dip * reach, jnp.where(unseen, tau / 2, tau)),
+        state=state,
+        accepted=~(repeat | dipped),
+        hits=tuple(one & ~repeat for one in mine),
+        falling=tuple(sign > 0 for sign in signs[n_surfaces:]),
+    )
+    return keep(landing)
+
+
+class _Trial(NamedTuple):
+    """Of each function: its value at the end of the trial step, whether it is crossed, and where, as a fraction."""
+
+    ends: list
+    crossed: list
+    guesses: list
+
+
+def _crossings(functions, n_surfaces, reach, resolutions, moving) -> _Trial:
+    """Which functions are crossed by the end of the step, by their polynomials."""
+    # Their |.| and max keep the branch they start with; the true functions are asked at the landing.
     ends = keep([value(f, reach) for f in functions])
     guesses = [_guess(f, end, reach, small) for f, end, small in zip(functions, ends, resolutions, strict=True)]
     crossed = [moving & (end < 0) for end in ends]
@@ -55,10 +89,11 @@ def land(functions_at, scene, p, polynomials, functions, reach, moving) -> Landi
     for index in range(n_surfaces, len(functions)):
         crossed[index] = crossed[index] & (guesses[index] > 0) & (ends[index] < -resolutions[index])
     guesses = keep([jnp.where(over, guess, jnp.inf) for over, guess in zip(crossed, guesses, strict=True)])
-    first = reduce(jnp.minimum, guesses)
-    ending = first < jnp.inf
-    at_once = ending & (first <= 0)
-    chosen = keep(_first_where([guess == first for guess in guesses]))
+    return _Trial(ends, crossed, guesses)
+
+
+def _root_of_chosen(functions, chosen, resolutions, guess, reach):
+    """The root in tau of the function that each lane has chosen."""
 
     def pick(values):
         picked = values[0]
@@ -69,37 +104,25 @@ def land(functions_at, scene, p, polynomials, functions, reach, moving) -> Landi
     target = keep([pick([f[k] for f in functions]) for k in range(len(functions[0]))])
     zeros = _zeros_at_start(target, pick(resolutions))
     # A start tangent to the surface has no use for the parabola through it.
-    guess = jnp.where(zeros == 2, 0.7, jnp.where(ending & ~at_once, first, 0.5))
-    tau = root(target, zeros, guess * reach, reach)
-    tau = keep(jnp.where(ending, jnp.where(at_once, 0.0, tau), reach))
+    guess = jnp.where(zeros == 2, 0.7, guess)
+    return root(target, zeros, guess * reach, reach)
 
-    state = keep(tuple(value(one, tau) for one in polynomials))
-    landed = [sign * g for sign, g in zip(signs, functions_at(state), strict=True)]
-    mine = [one & ending for one in chosen]
-    # The root is not on the surface yet, or another function is crossed before it.
-    early = [
+
+def _early(trial, landed, mine, resolutions, ending, at_once):
+    """Where the root is not on the surface yet, or another function is crossed before it."""
+    return _any(
         jnp.where(here, ~at_once & (jnp.abs(there) > small), ending & over & (there < -small))
-        for there, over, here, small in zip(landed, crossed, mine, resolutions, strict=True)
-    ]
-    # A surface is crossed on a branch of |.| or max that the polynomial does not follow: halve the step.
-    unseen = [
-        moving & ~over & ~here & (there < -small) & (f[0] > 0)
-        for there, over, here, small, f in zip(landed, crossed, mine, resolutions, functions, strict=True)
-    ][:n_surfaces]
-    unseen = keep(_any(unseen))
-    repeat = keep(_any(early) | unseen)
-
-    dips = [_dip(f, end, reach) for f, end in zip(functions[:n_surfaces], ends[:n_surfaces], strict=True)]
-    dip = keep(reduce(jnp.minimum, dips))
-    dipped = moving & ~ending & (dip < 1)
-    landing = Landing(
-        tau=jnp.where(dipped, dip * reach, jnp.where(unseen, tau / 2, tau)),
-        state=state,
-        accepted=~(repeat | dipped),
-        hits=tuple(one & ~repeat for one in mine),
-        falling=tuple(sign > 0 for sign in signs[n_surfaces:]),
+        for there, over, here, small in zip(landed, trial.crossed, mine, resolutions, strict=True)
     )
-    return keep(landing)
+
+
+def _unseen(trial, landed, mine, resolutions, functions, n_surfaces):
+    """Where a surface is crossed on a branch of |.| or max that its polynomial does not follow."""
+    found = [
+        ~over & ~here & (there < -small) & (f[0] > 0)
+        for there, over, here, small, f in zip(landed, trial.crossed, mine, resolutions, functions, strict=True)
+    ]
+    return _any(found[:n_surfaces])
 
 
 def _any(masks):

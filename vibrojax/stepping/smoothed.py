@@ -79,8 +79,8 @@ class Smoothed:
 def smoothed_trajectory(scene, p, state, h, steps: int, width):
     """States of a smoothed motion at h, 2 h, ..., in plain fixed steps: differentiable in all its arguments.
 
-    The contact acts where the striker is beyond the gap at each stage, and is not landed on, so that the steps stay where
-    they are; an impact costs some of the order (and the derivative of its time: see the tests).
+    The contact acts where the striker is beyond the gap at each stage, and is not landed on, so that the steps stay
+    where they are; an impact costs some of the order (and the derivative of its time: see the tests).
 
     **Arguments:**
 
