@@ -54,7 +54,7 @@ def calls(monkeypatch, tmp_path):
     module("vibrojax.sweep", run_to_file=dataset, estimate=cost).read_sweep = read_sweep
     sys.modules["vibrojax.sweep"].__path__ = [str(ROOT / "vibrojax" / "sweep")]
     module("vibrojax.devices", use_cores=None)
-    module("vibrojax.simulate", simulate=dataset)
+    module("vibrojax.simulation", simulate=dataset)
     module("vibrojax.store.dataset", write_dataset=None, open_dataset=dataset)
     module("vibrojax.plot", save_picture=None, picture=None)
     monkeypatch.chdir(tmp_path)
@@ -92,8 +92,8 @@ def test_help_imports_nothing_heavy():
         (["simulate", "rotery"], 'vibrojax: simulate: scene: "rotery" is unknown; did you mean "rotary"?\n'),
     ],
 )
-def test_python_m_is_the_same(argv, line):
-    done = subprocess.run([sys.executable, "-m", "vibrojax", *argv], capture_output=True, text=True, cwd=ROOT)
+def test_python_m_is_the_same(argv, line, tmp_path):
+    done = subprocess.run([sys.executable, "-m", "vibrojax", *argv], capture_output=True, text=True, cwd=tmp_path)
     assert (done.returncode, done.stdout, done.stderr) == (2, "", line)
 
 

@@ -189,5 +189,5 @@ def test_a_byte_order_mark_does_no_harm(tmp_path):
 
 def test_a_point_is_checked_like_a_file():
     point = read_point(Place("simulate"), "vibro-impact", {"rpm": 120, "bit_radius": 0.1, "friction": "coulomb"})
-    assert (point.friction, point.start) == ("coulomb", "drive")
+    assert (point.options, point.start) == ({"friction": "coulomb"}, "drive")
     assert point.parameters["v"] == pytest.approx(SPEED) and set(point.parameters) == set(point.machine.parameters())

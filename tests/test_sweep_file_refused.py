@@ -38,7 +38,7 @@ def problem(source) -> str:
         ("beta\n-1\n", "p.csv: line 2, column beta: is -1; it must be above 0"),
         ("beta\nnan\n", "p.csv: line 2, column beta: is nan; a finite number is needed"),
         ("beta,start\n0.3,drvie\n", 'p.csv: line 2, column start: "drvie" is unknown; did you mean "drive"?'),
-        ("friction\ncoulomb\n", "p.csv: line 1, column friction: a law is chosen once"),
+        ("friction\ncoulomb\n", "p.csv: line 1, column friction: is chosen once"),
         ('beta\n"0.3\n', "p.csv: line 2: not CSV:"),
     ],
 )
@@ -88,7 +88,7 @@ def test_wrong_points_are_refused(tmp_path, text, line):
         ({"parameters": {"rpm": 60, "bit_radius": 0.1}, "grid": {"v": [1]}}, "v is given as well; give v, or rpm"),
         (
             {"grid": {"friction": ["coulomb"]}},
-            "sweep: grid.friction: a law is chosen once for all lanes, in [parameters]",
+            "sweep: grid.friction: is chosen once for all lanes, in [parameters]",
         ),
         ({"grid": {"beta": []}}, "sweep: grid.beta: [] has no values"),
         ({"grid": {"beta": 0.4}}, "sweep: grid.beta: 0.4 is no axis"),

@@ -41,9 +41,8 @@ def run(options: Namespace) -> None:
     from vibrojax.simulation import simulate
     from vibrojax.store.dataset import write_dataset
 
-    friction = {} if point.friction is None else {"friction": point.friction}
     start = {} if point.start is None else {"start": point.start}
-    dataset = simulate(point.scene, **start, **settings, **friction, **point.parameters, progress=True)
+    dataset = simulate(point.scene, **start, **settings, **point.options, **point.parameters, progress=True)
     write_dataset(dataset, out)
     save_picture(dataset, picture)
     print(f"{out}; picture {picture}")

@@ -19,7 +19,7 @@ class Impacts(Gauge):
     def increments(self, scene, p, moment):
         step = moment.step
         begins = keep(scene.impact_begins(p, step.mode, step.after, step.hits))
-        velocity = scene.impact_rate(p, step.after)
+        velocity = scene.impact_rate(p, step.mode, step.after)
         return {
             "impacts": begins.astype(step.dt.dtype),
             "velocity": jnp.where(begins, velocity, 0),
@@ -37,7 +37,7 @@ class Impacts(Gauge):
     def step(self, scene, p, carry, moment):
         step = moment.step
         begins = keep(scene.impact_begins(p, step.mode, step.after, step.hits))
-        velocity = scene.impact_rate(p, step.after)
+        velocity = scene.impact_rate(p, step.mode, step.after)
         slowest, fastest = carry["since"]
         since = (
             jnp.where(begins, jnp.minimum(slowest, velocity), slowest),

@@ -13,6 +13,7 @@ class Recorder:
     """The gauges of an observation, over whole returns to the section (contract: dataset)."""
 
     gauges: tuple[Gauge, ...]
+    watch = section
 
     def begin(self, scene, p, lane, returns: dict) -> dict:
         """What is carried at the start of the observation; `returns` is what the settling knows of the section."""

@@ -3,7 +3,6 @@
 import jax
 import jax.numpy as jnp
 
-from vibrojax.measure import section
 from vibrojax.stepping import lane_at
 
 STEPS_PER_TURN = 4
@@ -23,14 +22,16 @@ def run_block(scene, method, recorder, p, state, real, settings) -> dict:
     settle = settings["settle"] * jnp.ones_like(state[0])
     end = settle + settings["observe"]
 
+    watch = recorder.watch
+
     def settling_step(returns, lane, step):
-        return section.step(scene, p, returns, lane, step)
+        return watch.step(scene, p, returns, lane, step)
 
     def settling_turn(returns, lane):
-        return section.turn_over(returns, lane)
+        return watch.turn_over(returns, lane)
 
     lane, returns, steps = _stretch(
-        scene, method, p, settings, settle, lane, section.begin(lane), settling_step, settling_turn, lambda c: c
+        scene, method, p, settings, settle, lane, watch.begin(lane), settling_step, settling_turn, lambda c: c
     )
 
     def observing_step(carry, lane, step):

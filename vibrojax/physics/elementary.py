@@ -16,6 +16,12 @@ def exp(x):
 
 
 @singledispatch
+def sin(x):
+    """Sine of an array or a registered number type."""
+    return jnp.sin(x)
+
+
+@singledispatch
 def arctan(x):
     """Inverse tangent of an array or a registered number type."""
     return jnp.arctan(x)

@@ -25,6 +25,7 @@ class Scene(ABC):
     - `markers_named`: names of the markers, in the order of `markers`.
     - `starts`: names of the states it may start from.
     - `measures`: names of what is measured of it (see [vibrojax.measure][]).
+    - `autonomous`: whether nothing acts on it that changes with time, so that a state at rest stays.
     """
 
     name: str
@@ -35,6 +36,7 @@ class Scene(ABC):
     markers_named: tuple[str, ...]
     starts: tuple[str, ...]
     measures: tuple[str, ...]
+    autonomous: bool = True
 
     @abstractmethod
     def parameters(self) -> Mapping[str, Parameter]:

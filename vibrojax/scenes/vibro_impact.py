@@ -5,10 +5,9 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 
 from vibrojax.physics.contact import contact_time, raw_force
-from vibrojax.physics.elementary import maximum
 from vibrojax.physics.friction import FRICTION_LAWS, FrictionLaw
 from vibrojax.physics.parameters import BIT_AND_STRIKER, CONTACT
-from vibrojax.scenes import _drill
+from vibrojax.scenes import _contact, _drill
 from vibrojax.scenes._scene import Scene
 
 
@@ -32,7 +31,7 @@ class VibroImpact(Scene):
         return BIT_AND_STRIKER | CONTACT | dict(self.friction.parameters)
 
     def constants(self, p):
-        return _drill.with_derived(p, self.friction) | {"relaxation": p["c0"] / p["k0"]}
+        return _contact.with_derived(_drill.with_derived(p, self.friction))
 
     def start(self, p, name, shape):
         x1, v1, x2, v2 = _drill.start(p, name, shape)
@@ -77,12 +76,7 @@ class VibroImpact(Scene):
         return (friction, self._contact_surface(p, touching, state))
 
     def _contact_surface(self, p, touching, state):
-        """The force in metres while the striker touches; apart, the distance to the state in which it does."""
-        _, _, x2, v2 = state
-        compression = x2 - p["delta"]
-        force = compression + p["relaxation"] * v2  # J/k0 [m]
-        # Apart: until x2 >= delta and J > 0 both hold, so that one let go above delta (c0 > 0) is not caught again.
-        return touching * force + (1.0 - touching) * maximum(-compression, -force)
+        return _contact.surface(p, touching, state[2] - p["delta"], state[3])
 
     def markers(self, p, state):
         return (state[1], state[3])
@@ -91,10 +85,8 @@ class VibroImpact(Scene):
         at_friction, at_contact, bit_turns, striker_turns = hits
         slip, touching = mode
         x1, v1, x2, v2 = state
-        parts = at_contact & (touching != 0)
-        x2 = jnp.where(parts, p["delta"] - p["relaxation"] * v2, x2)
-        x2 = jnp.where(self.impact_begins(p, mode, state, hits), p["delta"], x2)
-        touching = jnp.where(at_contact, 1.0 - touching, touching)
+        touching, compression = _contact.landed(p, touching, x2 - p["delta"], v2, at_contact)
+        x2 = jnp.where(at_contact, p["delta"] + compression, x2)
         state = (x1, v1, x2, v2)
         impact = touching * self.impact_force(p, state)
         slip, state = _drill.land_friction(p, slip, state, at_friction, impact)
@@ -107,13 +99,13 @@ class VibroImpact(Scene):
         """Duration of a blow of the striker on the contact [s] (eq. 5.7)."""
         return contact_time(p["m2"], p["k0"], p["c0"])
 
-    def impact_rate(self, p, state):
+    def impact_rate(self, p, mode, state):
+        """Rate at which the contact is compressed [m/s]."""
         return state[3]
 
     def impact_begins(self, p, mode, state, hits):
         """Where an impact begins: the striker, apart from the bit, rises through delta (contract: dataset)."""
-        # Let go above delta with c0 > 0, it may be caught again there (J > 0 while x2' < 0): no new impact.
-        return hits[1] & (mode[1] == 0) & (p["relaxation"] * state[3] >= 0)
+        return _contact.begins(p, mode[1], self.impact_rate(p, mode, state), hits[1])
 
     def resolutions(self, p):
         speed = 64 * jnp.finfo(p["v"].dtype).eps * _drill.speed_scale(p)
@@ -124,7 +116,7 @@ class VibroImpact(Scene):
 
     def rate(self, p, mode):
         flight = _drill.flight_rate(p)
-        contact = jnp.sqrt(p["k0"] * p["inverse_m2"] + flight * flight) + p["c0"] * p["inverse_m2"]
+        contact = _contact.stiff_rate(p, flight)
         return jnp.where(mode[1] != 0, contact, flight)
 
     def speed_scale(self, p):

@@ -161,7 +161,7 @@ def _dataset(point, times, states, modes, forces, happened, solver: Mapping) -> 
         "source": source(),
         "history": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} simulate {point.scene}",
         "parameters": json.dumps(point.parameters),
-        "friction": point.friction or "none",
+        **point.options,
         "start": point.start if isinstance(point.start, str) else json.dumps(list(point.start)),
         "solver": json.dumps(solver),
         "Conventions": "CF-1.11",

@@ -48,7 +48,7 @@ class Located:
         functions = [[one.array(k, h) for k in orders] for one in functions_at(series)]
         velocities = [polynomials[i] for i in scene.velocities]
         speed = scene.speed_scale(p)
-        rest = keep(_at_rest(velocities, speed))
+        rest = keep(_at_rest(velocities, speed)) if scene.autonomous else jnp.zeros_like(moving)
         reach = keep(jnp.where(rest, 1.0, _converged(velocities, speed, settings["tolerance"])))
         landing = land(functions_at, scene, p, polynomials, functions, reach, moving & ~rest)
         h = jnp.where(moving & rest, lane.clock.until(end), h)

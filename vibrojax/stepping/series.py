@@ -58,9 +58,9 @@ class Series:
         return self._coefficients[order]
 
     def array(self, order: int, like):
-        """The coefficient of tau^order as an array shaped like `like`, where the structure makes it vanish too."""
+        """The coefficient of tau^order as an array shaped like `like`, where the structure makes it a number too."""
         c = self[order]
-        return jnp.zeros_like(like) if _is_zero(c) else c
+        return jnp.full_like(like, c) if isinstance(c, float) else c
 
     def __add__(self, other):
         if isinstance(other, Series):
@@ -130,6 +130,23 @@ def _exp(a: Series) -> Series:
 
     e = Series(term)
     return e
+
+
+@elementary.sin.register
+def _sin(a: Series) -> Series:
+    """s = sin(a) with c = cos(a), from s' = a' c and c' = -a' s."""
+
+    def term(of_zero, other, sign):
+        def found(k):
+            if k == 0:
+                return _keep(of_zero(a[0]))
+            return _keep(_total(_multiply(_multiply(sign * j / k, a[j]), other()[k - j]) for j in range(1, k + 1)))
+
+        return found
+
+    s = Series(term(jnp.sin, lambda: c, 1.0))
+    c = Series(term(jnp.cos, lambda: s, -1.0))
+    return s
 
 
 @elementary.arctan.register

@@ -91,6 +91,8 @@ def error_estimate(fine: dict, coarse: dict, method: str, dtype) -> np.ndarray:
     no bound: infinite.
     """
     share = {"located": 0.08, "smoothed": 1.0}[method]
+    if "cycles" not in fine:  # penetration
+        return share * _relative(fine["rate_of_penetration"], coarse["rate_of_penetration"]) + 4 * np.finfo(dtype).eps
     names = [name for name in ("period", "impact_velocity") if name in fine]
     errors = [np.abs(coarse[name] / fine[name] - 1) for name in names]
     with np.errstate(invalid="ignore"):
@@ -98,6 +100,12 @@ def error_estimate(fine: dict, coarse: dict, method: str, dtype) -> np.ndarray:
     periodic = fine["cycles"] > 0
     agree = (coarse["cycles"] == fine["cycles"]) & (coarse.get("impacts", 0) == fine.get("impacts", 0))
     return np.where(periodic, np.where(agree, error, np.inf), np.nan)
+
+
+def _relative(fine, coarse):
+    """Relative difference, 0 where both are zero and infinite where only one is."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(fine == coarse, 0.0, np.abs(coarse / fine - 1))
 
 
 def devices_text() -> str:

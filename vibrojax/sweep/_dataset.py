@@ -40,7 +40,7 @@ def dataset_of(sweep: Sweep, features: dict, solver: dict, wall_time: float) -> 
         "history": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} sweep {sweep.name}",
         "sweep": sweep.text,
         "parameters": json.dumps(sweep.parameters),
-        "friction": sweep.friction or "none",
+        **sweep.options,
         "solver": json.dumps(solver),
         "wall_time_s": float(wall_time),
         "lanes": sweep.lanes,
@@ -53,9 +53,7 @@ def _finished(sweep: Sweep, features: dict) -> dict:
     """The features with the regime, status and reason; those of failed lanes are NaN, or 0 where they are counts."""
     bad = ~features["finite"]
     reason = np.select([bad, ~features["finished"]], [REASONS.index("not-finite"), REASONS.index("out-of-steps")], 0)
-    values, _ = sweep.lane_values(0, sweep.lanes)
-    rest = np.asarray(sweep.machine.friction.on_weight(0.0, values)) + np.zeros(sweep.lanes)
-    regime = label(features, rest, values["m1"], values["g"], values["k1"])
+    labelled = _labelled(sweep, features) if "cycles" in features else {}
     failed = reason != 0
     known = {"finite", "finished", "steps"}
     blanked = {
@@ -63,14 +61,21 @@ def _finished(sweep: Sweep, features: dict) -> dict:
         for name, x in features.items()
     }
     status = np.where(failed, STATUSES.index("failed"), STATUSES.index("done"))
-    return blanked | {"regime": regime, "status": status, "reason": reason}
+    return blanked | labelled | {"status": status, "reason": reason}
+
+
+def _labelled(sweep: Sweep, features: dict) -> dict:
+    """The regime of every lane."""
+    values, _ = sweep.lane_values(0, sweep.lanes)
+    rest = np.asarray(sweep.machine.friction.on_weight(0.0, values)) + np.zeros(sweep.lanes)
+    return {"regime": label(features, rest, values["m1"], values["g"], values["k1"])}
 
 
 def _coordinates(sweep: Sweep, kept: dict) -> dict:
     parameters = dict(sweep.machine.parameters()) | ROTATION
-    found = {name: ((name,), axis, _described(parameters[name])) for name, axis in sweep.axes.items()}
+    found = {name: ((name,), axis, _described(parameters, name)) for name, axis in sweep.axes.items()}
     for name, column in (sweep.points or {}).items():
-        found[name] = (("point",), column, _described(parameters[name]))
+        found[name] = (("point",), column, _described(parameters, name))
     if sweep.points is not None or sweep.point_starts is not None:
         found["point"] = (("point",), np.arange(sweep.shape[0]), {"units": "1", "long_name": "number of the point"})
     about = {"units": "1", "long_name": "start of the motion"}
@@ -86,5 +91,8 @@ def _coordinates(sweep: Sweep, kept: dict) -> dict:
     return found
 
 
-def _described(parameter: Parameter) -> dict:
+def _described(parameters: dict[str, Parameter], name: str) -> dict:
+    if name == "rock":
+        return {"units": "1", "long_name": "rock of Table 4.5"}
+    parameter = parameters[name]
     return {"units": parameter.unit, "long_name": parameter.long_name, "symbol": parameter.symbol}

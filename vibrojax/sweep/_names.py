@@ -6,7 +6,9 @@ from dataclasses import dataclass, fields, is_dataclass
 from vibrojax.errors import InputError, Place, shown, suggestion
 from vibrojax.physics.friction import FRICTION_LAWS
 from vibrojax.physics.parameters import ROTATION, Parameter
+from vibrojax.physics.rock import ROCKS
 from vibrojax.scenes import SCENES, Scene
+from vibrojax.scenes.penetration import PULSE_SHAPES
 from vibrojax.sweep._numbers import choice, quantity
 from vibrojax.sweep._settings import RunSettings
 
@@ -14,26 +16,50 @@ DEFAULT_STARTS = ("drive", "stuck")
 _TOP = ("scene", "title", "starts", "points")
 
 
-def _default_friction(scene: str) -> str | None:
-    """Name of the law with which the scene slides unless told otherwise; None for a scene that does not slide."""
+# What is chosen by name for a whole sweep, and what there is to choose from.
+CHOICES: dict[str, Mapping[str, object]] = {
+    "friction": FRICTION_LAWS,
+    "pulse_shape": {shape: shape for shape in PULSE_SHAPES},
+}
+
+
+def default_options(scene: str) -> dict[str, str]:
+    """What is chosen by name in the scene, as it is unless told otherwise: its friction law, its shape of pulses."""
     kind = SCENES[scene]
-    found = [field.default for field in fields(kind) if field.name == "friction"] if is_dataclass(kind) else []
-    return found[0].name if found else None
+    found = {field.name: field.default for field in fields(kind)} if is_dataclass(kind) else {}
+    return {name: getattr(value, "name", value) for name, value in found.items() if name in CHOICES}
 
 
-def build_scene(scene: str, friction: str | None) -> Scene:
-    """The scene named `scene`, sliding by the law named `friction` (None: it does not slide)."""
-    return SCENES[scene]() if friction is None else SCENES[scene](friction=FRICTION_LAWS[friction])
+def build_scene(scene: str, options: Mapping[str, str]) -> Scene:
+    """The scene named `scene` with the `options` that are chosen by name."""
+    return SCENES[scene](**{name: CHOICES[name][value] for name, value in options.items()})
 
 
 @dataclass(frozen=True)
 class Names:
-    """What may be written for one scene: its parameters (by name), starts, and rpm with bit_radius for v."""
+    """What may be written for one scene: its parameters (by name), starts, rpm with bit_radius for v, and rocks.
+
+    `options` are the names that are chosen once for all lanes: of the friction law, of the shape of pulses.
+    """
 
     scene: str
-    friction: str | None
+    options: Mapping[str, str]
     parameters: Mapping[str, Parameter]
     starts: tuple[str, ...]
+
+    @property
+    def friction(self) -> str | None:
+        """Name of the friction law; None for a scene that does not slide."""
+        return self.options.get("friction")
+
+    @property
+    def has_rock(self) -> bool:
+        """Whether `rock` may stand for `threshold` and `k3`."""
+        return {"threshold", "k3"} <= set(self.parameters)
+
+    def rock(self, place: Place, value: object) -> str:
+        """`value` as the name of a rock of Table 4.5."""
+        return choice(place, value, tuple(ROCKS))
 
     @property
     def writable(self) -> dict[str, Parameter]:
@@ -53,21 +79,30 @@ class Names:
 
     def _unknown(self, place: Place, name: str) -> InputError:
         has = ", ".join(self.writable)
-        if name == "friction" and self.friction is None:
-            return place.error(f"scene {shown(self.scene)} does not slide; it has {has}")
-        if name == "friction":
-            laws = ", ".join(FRICTION_LAWS)
-            return place.error(f"a law is chosen once for all lanes, in [parameters]; choose from {laws}")
+        if name in CHOICES and name not in self.options:
+            return place.error(f"scene {shown(self.scene)} has no {name}; it has {has}")
+        if name in CHOICES:
+            names = ", ".join(CHOICES[name])
+            return place.error(f"is chosen once for all lanes, in [parameters]; choose from {names}")
         laws = [law for law in FRICTION_LAWS.values() if name in law.parameters] if self.friction else []
         if laws:
             owners = " or ".join(shown(law.name) for law in laws)
             return place.error(f"friction {shown(self.friction)} has no {name}; it belongs to friction = {owners}")
+        shapes = [shape for shape in PULSE_SHAPES if name in _shaped(self.scene, shape)] if self._has_pulses else []
+        if shapes:
+            owners = " or ".join(shown(shape) for shape in shapes)
+            mine = shown(self.options["pulse_shape"])
+            return place.error(f"pulse_shape {mine} has no {name}; it belongs to pulse_shape = {owners}")
         if any(name in kind().parameters() for kind in SCENES.values()):
             return place.error(f"scene {shown(self.scene)} has no {name}; it has {has}")
         if name in _TOP or name in RunSettings.__dataclass_fields__:
             home = "at the top of the file" if name in _TOP else "in [run]"
             return place.error(f"is no parameter; it belongs {home}")
         return place.error(f"scene {shown(self.scene)} has no such parameter; {suggestion(name, self.writable)}")
+
+    @property
+    def _has_pulses(self) -> bool:
+        return "pulse_shape" in self.options
 
     def start(self, place: Place, value: object, vectors: bool = True) -> str | tuple[float, ...]:
         """A start: one of the scene's names, or a vector [x1, x1', x2, x2'] in m and m/s."""
@@ -83,17 +118,27 @@ class Names:
         return choice(place, value, self.starts)
 
 
-def read_names(place: Place, scene: object, friction: object = None, friction_place: Place | None = None) -> Names:
-    """The names for the scene and law that the user wrote; raises where there is no such scene or law.
+def _shaped(scene: str, shape: str) -> Mapping[str, Parameter]:
+    return SCENES[scene](pulse_shape=shape).parameters()
 
-    `place` is where the scene stands; `friction` is None where the user wrote none.
+
+def take_options(given: dict[str, object]) -> dict[str, object]:
+    """Take out of `given` what is chosen by name."""
+    return {name: given.pop(name) for name in CHOICES if name in given}
+
+
+def read_names(place: Place, scene: object, chosen: Mapping[str, object] | None = None, at: Place | None = None) -> Names:
+    """The names for the scene and options that the user wrote; raises where there is no such scene or option.
+
+    `place` is where the scene stands, `at` where the options `chosen` do.
     """
     name = choice(place, scene, tuple(SCENES))
-    law = _default_friction(name)
-    if friction is not None:
-        friction_place = friction_place or place.at("friction")
-        if law is None:
-            raise friction_place.error(f"scene {shown(name)} does not slide; leave it out")
-        law = choice(friction_place, friction, tuple(FRICTION_LAWS))
-    machine = build_scene(name, law)
-    return Names(name, law, dict(machine.parameters()), tuple(getattr(machine, "starts", ())))
+    options = default_options(name)
+    for option, value in (chosen or {}).items():
+        here = (at or place).at(option)
+        if option not in options:
+            lacks = "does not slide" if option == "friction" else f"has no {option}"
+            raise here.error(f"scene {shown(name)} {lacks}; leave it out")
+        options[option] = choice(here, value, tuple(CHOICES[option]))
+    machine = build_scene(name, options)
+    return Names(name, options, dict(machine.parameters()), tuple(getattr(machine, "starts", ())))

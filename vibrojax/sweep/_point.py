@@ -5,25 +5,25 @@ from dataclasses import dataclass
 
 from vibrojax.errors import Place
 from vibrojax.scenes import Scene
-from vibrojax.sweep._names import build_scene, read_names
-from vibrojax.sweep._read import check_drive_speed, read_parameters
+from vibrojax.sweep._names import build_scene, read_names, take_options
+from vibrojax.sweep._read import check_drive_speed, check_rock, read_parameters
 from vibrojax.sweep._sweep import Start, with_drive_speed
 from vibrojax.sweep._toml import plain
 
 
 @dataclass(frozen=True)
 class Point:
-    """A scene at one point: names of scene and friction law, all parameters (SI), and the start."""
+    """A scene at one point: its name, what is chosen by name in it, all parameters (SI), and the start."""
 
     scene: str
-    friction: str | None
+    options: dict[str, str]
     start: Start | None
     parameters: dict[str, float]
 
     @property
     def machine(self) -> Scene:
-        """The scene itself, with its friction law."""
-        return build_scene(self.scene, self.friction)
+        """The scene itself, with its options."""
+        return build_scene(self.scene, self.options)
 
 
 def read_point(place: Place, scene: object, given: Mapping[str, object], start: object = None) -> Point:
@@ -33,7 +33,8 @@ def read_point(place: Place, scene: object, given: Mapping[str, object], start: 
 
     - `place`: what messages name as the file.
     - `scene`: the scene's name.
-    - `given`: parameters by name; `friction` names a law; `rpm` with `bit_radius` may stand for `v`.
+    - `given`: parameters by name; `friction` names a law, `pulse_shape` a shape; `rpm` with `bit_radius` may stand for
+      `v`, and `rock` for `threshold` and `k3`.
     - `start`: a name or a vector [x1, x1', x2, x2'] [m, m/s]; None: the scene's first.
 
     **Returns:** the `Point`, complete with defaults.
@@ -41,7 +42,8 @@ def read_point(place: Place, scene: object, given: Mapping[str, object], start: 
     **Raises:** `InputError`.
     """
     given = dict(plain(place, given))
-    names = read_names(place.at("scene"), scene, given.pop("friction", None), place.at("friction"))
+    names = read_names(place.at("scene"), scene, take_options(given), place)
+    check_rock(place, given, ())
     fixed = read_parameters(place, given, names)
     check_drive_speed({name: place.at(name) for name in fixed})
     defaults = {name: parameter.default for name, parameter in names.parameters.items()}
@@ -51,4 +53,4 @@ def read_point(place: Place, scene: object, given: Mapping[str, object], start: 
         raise place.at("start").error(f'scene "{names.scene}" has no starts; leave it out')
     else:
         start = names.start(place.at("start"), plain(place.at("start"), start))
-    return Point(names.scene, names.friction, start, defaults | with_drive_speed(fixed))
+    return Point(names.scene, dict(names.options), start, defaults | with_drive_speed(fixed))

@@ -40,10 +40,7 @@ def run_chunk(scene, method, recorder, starts, mesh, p, start, real, settings) -
     def block(inputs):
         p, start, real = inputs
         constants = dict(scene.constants(p))
-        candidates = [scene.start(constants, name, start.shape) for name in starts]
-        state = candidates[0]
-        for index, other in enumerate(candidates[1:], start=1):
-            state = tuple(jnp.where(start == index, new, old) for new, old in zip(other, state, strict=True))
+        state = _start(scene, constants, starts, start)
         return run_block(scene, method, recorder, constants, state, real, settings)
 
     def device(p, start, real):
@@ -56,6 +53,15 @@ def run_chunk(scene, method, recorder, starts, mesh, p, start, real, settings) -
     specs = {name: rows if len(shape.shape) == 2 else lanes for name, shape in names.items()}
     spread = jax.shard_map(device, mesh=mesh, in_specs=lanes, out_specs=specs, check_vma=False)
     return spread(p, start, real)
+
+
+def _start(scene, p, starts, start):
+    """The state at t = 0 of each lane, from the start that it takes; the scene's own where it has no starts."""
+    candidates = [scene.start(p, name, start.shape) for name in starts or (None,)]
+    state = candidates[0]
+    for index, other in enumerate(candidates[1:], start=1):
+        state = tuple(jnp.where(start == index, new, old) for new, old in zip(other, state, strict=True))
+    return state
 
 
 def place(mesh, arrays, dtype):

@@ -7,12 +7,12 @@ import numpy as np
 
 from vibrojax.errors import Place, shown, suggestion
 from vibrojax.sweep._axes import read_axis
-from vibrojax.sweep._names import DEFAULT_STARTS, Names, read_names
+from vibrojax.sweep._names import CHOICES, DEFAULT_STARTS, Names, read_names, take_options
 from vibrojax.sweep._numbers import as_table
 from vibrojax.sweep._points import Points, read_points
 from vibrojax.sweep._settings import RunSettings, read_settings
 from vibrojax.sweep._source import Source, read_source
-from vibrojax.sweep._sweep import Start, Sweep, with_drive_speed
+from vibrojax.sweep._sweep import Start, Sweep, rock_values, with_drive_speed
 
 _TOP_KEYS = ("scene", "title", "starts", "parameters", "grid", "points", "run")
 # Lanes are numbered by 64-bit integers.
@@ -34,8 +34,7 @@ def read_sweep(source: str | PathLike[str] | Mapping[str, object]) -> Sweep:
     place, tables = Place(found.file), found.tables
     _check_top(place, tables)
     given = dict(as_table(place.at("parameters"), tables.get("parameters", {})))
-    friction_place = place.at("parameters.friction")
-    names = read_names(place.at("scene"), tables["scene"], given.pop("friction", None), friction_place)
+    names = read_names(place.at("scene"), tables["scene"], take_options(given), place.at("parameters"))
     fixed = read_parameters(place.at("parameters"), given, names)
     axes, points = _read_varied(place, found, names)
     varied = points.columns if points else axes
@@ -46,6 +45,7 @@ def read_sweep(source: str | PathLike[str] | Mapping[str, object]) -> Sweep:
             raise home.error("is in [parameters] as well; give it in one of the two")
         homes[name] = home
     check_drive_speed(homes)
+    check_rock(place.at("parameters"), given, varied)
     starts = _read_starts(place.at("starts"), tables.get("starts"), names)
     point_starts = points.starts if points else None
     sweep = Sweep(
@@ -53,7 +53,7 @@ def read_sweep(source: str | PathLike[str] | Mapping[str, object]) -> Sweep:
         text=found.text,
         title=_read_title(place.at("title"), tables.get("title", "")),
         scene=names.scene,
-        friction=names.friction,
+        options=dict(names.options),
         starts=tuple(dict.fromkeys(point_starts)) if point_starts else starts,
         parameters=_complete(fixed, varied, names),
         given=fixed,
@@ -69,6 +69,10 @@ def read_sweep(source: str | PathLike[str] | Mapping[str, object]) -> Sweep:
 
 def read_parameters(place: Place, given: dict[str, object], names: Names) -> dict[str, float]:
     """The numbers of [parameters], checked; `place` is where the table stands."""
+    if "rock" in given and names.has_rock:
+        rock = names.rock(place.at("rock"), given["rock"])
+        given = {name: value for name, value in given.items() if name != "rock"}
+        return read_parameters(place, given, names) | rock_values(rock)
     for name, value in given.items():
         names.parameter(place.at(name), name)
         if isinstance(value, (list, dict)):
@@ -86,6 +90,14 @@ def check_drive_speed(given: Mapping[str, Place]) -> None:
         raise given[rotation[0]].error(f"{missing} is missing; only both together give v: add it, or give v")
 
 
+def check_rock(place: Place, given: Mapping[str, object], varied: Iterable[str]) -> None:
+    """Raise where `rock` is given beside the threshold or stiffness that it stands for."""
+    written = {*given, *varied}
+    for name in ("threshold", "k3"):
+        if "rock" in written and name in written:
+            raise place.at("rock").error(f"{name} is given as well; give the rock, or threshold and k3")
+
+
 def _check_top(place: Place, tables: dict[str, object]) -> None:
     for key in tables:
         if key in _TOP_KEYS:
@@ -94,7 +106,7 @@ def _check_top(place: Place, tables: dict[str, object]) -> None:
             raise place.at(key).error("unknown key at the top; it belongs in [run]")
         scene = tables.get("scene")
         names = read_names(place.at("scene"), scene) if scene is not None else None
-        if key == "friction" or (names and key in names.writable):
+        if key in CHOICES or key == "rock" or (names and key in names.writable):
             raise place.at(key).error("unknown key at the top; it belongs in [parameters]")
         raise place.at(key).error(f"unknown key; {suggestion(key, _TOP_KEYS)}")
     if "scene" not in tables:
@@ -118,14 +130,23 @@ def _read_varied(place: Place, found: Source, names: Names) -> tuple[dict[str, n
     if not grid:
         problem = "empty" if "grid" in tables else "missing"
         raise place.at("grid").error(f"{problem}, so there is nothing to sweep; add an axis like beta = [0.3, 0.4]")
-    places = {name: place.at("grid").at(name) for name in grid}
-    return {name: read_axis(at, grid[name], names.parameter(at, name)) for name, at in places.items()}, None
+    at = place.at("grid")
+    return {name: _read_grid_axis(at.at(name), name, value, names) for name, value in grid.items()}, None
+
+
+def _read_grid_axis(place: Place, name: str, value: object, names: Names) -> np.ndarray:
+    if name == "rock" and names.has_rock:
+        if not isinstance(value, list) or not value:
+            raise place.error(f'{shown(value)} is no list of rocks; write one like ["sandstone", "granite"]')
+        return np.array(list(dict.fromkeys(names.rock(place.item(i), item) for i, item in enumerate(value))))
+    return read_axis(place, value, names.parameter(place, name))
 
 
 def _complete(fixed: dict[str, float], varied: Iterable[str], names: Names) -> dict[str, float]:
     """Everything that is fixed: what is given, and the defaults of the rest."""
     by_rotation = "rpm" in {*fixed, *varied}
     absent = {*varied, "v"} if by_rotation else {*varied}
+    absent |= {"threshold", "k3"} if "rock" in absent else set()
     defaults = {name: p.default for name, p in names.parameters.items() if name not in absent}
     return defaults | with_drive_speed(fixed)
 

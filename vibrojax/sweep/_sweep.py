@@ -6,6 +6,7 @@ from math import pi, prod
 
 import numpy as np
 
+from vibrojax.physics.rock import ROCKS
 from vibrojax.scenes import Scene
 from vibrojax.sweep._names import build_scene
 from vibrojax.sweep._settings import RunSettings
@@ -18,7 +19,7 @@ class Sweep:
     """A sweep file's content, complete with defaults.
 
     - `name`: what its output is called; `text`: its TOML; `title`: free text.
-    - `scene`, `friction`: names; no friction for a scene that does not slide.
+    - `scene`: its name; `options`: what is chosen by name in it, such as the friction law.
     - `starts`: names and vectors (x1, x1', x2, x2') [m, m/s]; None for a scene without.
     - `parameters`: all that is fixed, by name, SI; `given`: those of them that the user wrote.
     - `axes`: the grid, each of shape (values,), in the file's order; or `points`: columns of shape (points,), and
@@ -33,7 +34,7 @@ class Sweep:
     text: str
     title: str
     scene: str
-    friction: str | None
+    options: dict[str, str]
     starts: tuple[Start, ...] | None
     parameters: dict[str, float]
     given: dict[str, float]
@@ -44,8 +45,13 @@ class Sweep:
 
     @property
     def machine(self) -> Scene:
-        """The scene itself, with its friction law."""
-        return build_scene(self.scene, self.friction)
+        """The scene itself, with its options."""
+        return build_scene(self.scene, self.options)
+
+    @property
+    def friction(self) -> str | None:
+        """Name of the friction law; None for a scene that does not slide."""
+        return self.options.get("friction")
 
     @property
     def dims(self) -> tuple[str, ...]:
@@ -83,6 +89,8 @@ class Sweep:
         varied = {name: axis[indices[name]] for name, axis in self.axes.items()}
         if self.points is not None:
             varied |= {name: column[indices["point"]] for name, column in self.points.items()}
+        if "rock" in varied:
+            varied |= rock_values(varied.pop("rock"))
         values = with_drive_speed(self.parameters | varied)
         values = {name: np.broadcast_to(values[name], lanes).astype(float) for name in self.machine.parameters()}
         if self.point_starts is not None:
@@ -102,8 +110,16 @@ class Sweep:
         run = {f"run.{name}": value for name, value in asdict(self.run).items() if name != "chunk"}
         parameters = {f"parameters.{name}": value for name, value in self.parameters.items()}
         starts = None if self.starts is None else [s if isinstance(s, str) else list(s) for s in self.starts]
-        fixed = {"scene": self.scene, "friction": self.friction, "dims": list(self.dims), "starts": starts}
+        fixed = {"scene": self.scene, **self.options, "dims": list(self.dims), "starts": starts}
         return fixed | parameters | {name: _outline(column) for name, column in varied.items()} | run
+
+
+def rock_values(name) -> dict:
+    """threshold [N] and k3 [N/m] of a rock of Table 4.5, or of an array of their names."""
+    if isinstance(name, str):
+        return {"threshold": ROCKS[name].threshold, "k3": ROCKS[name].k3}
+    rocks = [ROCKS[one] for one in name]
+    return {"threshold": np.array([rock.threshold for rock in rocks]), "k3": np.array([rock.k3 for rock in rocks])}
 
 
 def with_drive_speed(values: dict) -> dict:

@@ -1,0 +1,24 @@
+"""The given force on the bit: pulses, or a swept sine; what is known of them in closed form."""
+
+from math import pi
+
+from vibrojax.physics.parameters import Parameter, not_negative, positive, table
+
+PULSES = table(
+    not_negative("force", 200e3, "N", "greatest force of a pulse", "A"),
+    positive("frequency", 20.0, "s-1", "pulses per second", "f"),
+    positive("pulse_width", 4e-3, "s", "duration of a pulse", "w"),
+)
+
+SWEEP = table(
+    not_negative("force", 200e3, "N", "amplitude of the swept sine", "A"),
+    not_negative("sweep_start", 0.0, "s-1", "frequency of the swept sine at t = 0", "f₀"),
+    Parameter("sweep_rate", 10.0, "s-2", "rate of the swept sine's frequency", "r"),
+    Parameter("bias", 0.0, "N", "constant part of the force", "B"),
+)
+
+
+def mean_force(p, shape: str):
+    """P [N] of pulses over whole periods: A w f, and 2/pi of that for a half-sine."""
+    mean = p["force"] * p["pulse_width"] * p["frequency"]
+    return mean * (2 / pi) if shape == "half-sine" else mean

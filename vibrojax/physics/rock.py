@@ -1,0 +1,46 @@
+"""The rock under the bit: visco-elasto-plastic, with a ratchet for the hole (eqs. 6.1 to 6.3), and the rocks tested."""
+
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+
+from vibrojax.physics.parameters import not_negative, positive, table
+
+ROCK = table(
+    positive("k3", 300e6, "N m-1", "stiffness of the rock", "k₃"),
+    not_negative("threshold", 150e3, "N", "force at which the rock yields", "D"),
+    not_negative("zeta", 1.1, "1", "damping ratio of the bit on the rock", "ζ"),
+)
+
+
+@dataclass(frozen=True)
+class Rock:
+    """A rock of Table 4.5: `threshold` D [N], `k3` [N/m], `ucs` [Pa], `modulus` E [Pa], `density` [kg/m³]."""
+
+    threshold: float
+    k3: float
+    ucs: float
+    modulus: float
+    density: float
+
+
+ROCKS = {
+    "sandstone": Rock(61.9e3, 100.68e6, 84.9e6, 4.7e9, 2382.0),
+    "limestone": Rock(140.3e3, 175.32e6, 192.4e6, 8.2e9, 2480.0),
+    "granite": Rock(204.5e3, 224.24e6, 280.5e6, 10.5e9, 2687.0),
+}
+
+
+def damping(m1, k3, zeta):
+    """c3 = 2 zeta sqrt(m1 k3) [N s/m] of eq. 6.1; m1 [kg], k3 [N/m], zeta [1], any shapes that broadcast."""
+    return 2 * zeta * jnp.sqrt(m1 * k3)
+
+
+def resistance(compression, k3, threshold):
+    """N = clip(k3 (x3 - x4), 0, D) [N] of eq. 6.2; `compression` x3 - x4 [m], any shape."""
+    return jnp.clip(k3 * compression, 0, threshold)
+
+
+def ratchet(x3, x4, k3, threshold):
+    """x4 [m] after the bit was at `x3`: the running maximum of x3 - D/k3, never less than it was (eq. 6.3)."""
+    return jnp.maximum(x4, x3 - threshold / k3)

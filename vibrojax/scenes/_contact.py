@@ -1,0 +1,40 @@
+"""The one-sided contact as a hybrid system, by the compression and its rate (eq. 5.18).
+
+Apart (0) until the compression is positive and the force too; touching (1) until the force is zero.
+"""
+
+import jax.numpy as jnp
+
+from vibrojax.physics.elementary import maximum
+
+
+def with_derived(p):
+    """The parameters with the contact's relaxation time c0/k0 [s]."""
+    return p | {"relaxation": p["c0"] / p["k0"]}
+
+
+def surface(p, touching, compression, rate):
+    """The force in metres while they touch; apart, the distance to the state in which they do."""
+    force = compression + p["relaxation"] * rate
+    # Apart until both hold, so that a striker let go above delta (c0 > 0) is not caught again.
+    return touching * force + (1.0 - touching) * maximum(-compression, -force)
+
+
+def begins(p, touching, rate, hit):
+    """Where a contact begins from outside, which is an impact.
+
+    Let go while still compressed (c0 > 0), it may be caught again there, J > 0 while the rate is negative: no new impact.
+    """
+    return hit & (touching == 0) & (p["relaxation"] * rate >= 0)
+
+
+def landed(p, touching, compression, rate, hit):
+    """The mode, and the compression put on the surface, after it is reached where `hit`."""
+    compression = jnp.where(hit & (touching != 0), -p["relaxation"] * rate, compression)
+    compression = jnp.where(begins(p, touching, rate, hit), 0.0, compression)
+    return jnp.where(hit, 1.0 - touching, touching), compression
+
+
+def stiff_rate(p, flight):
+    """The fastest rate of change in contact [1/s], from that in flight."""
+    return jnp.sqrt(p["k0"] * p["inverse_m2"] + flight * flight) + p["c0"] * p["inverse_m2"]
