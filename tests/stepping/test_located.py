@@ -18,7 +18,9 @@ FINE = {"tolerance": 1e-12, "stride": 1.0, "step": np.inf}
 
 
 def constants(scene, shape=(1,), **values):
-    return dict(scene.constants({name: jnp.full(shape, values.get(name, q.default)) for name, q in scene.parameters().items()}))
+    return dict(
+        scene.constants({name: jnp.full(shape, values.get(name, q.default)) for name, q in scene.parameters().items()})
+    )
 
 
 @partial(jax.jit, static_argnums=(0, 1))
@@ -231,7 +233,19 @@ def test_resting_striker_stays_at_rest_without_steps():
 @pytest.mark.parametrize(
     ("start", "values"),
     [
-        ("stuck", {"beta": 0.6302, "gamma": 1.7023, "v": 1.2342, "delta": -0.0048, "k0": 1e10, "c0": 100.0, "c2": 2e3, "mu": 1.0}),
+        (
+            "stuck",
+            {
+                "beta": 0.6302,
+                "gamma": 1.7023,
+                "v": 1.2342,
+                "delta": -0.0048,
+                "k0": 1e10,
+                "c0": 100.0,
+                "c2": 2e3,
+                "mu": 1.0,
+            },
+        ),
         ("drive", {"beta": 0.2742, "gamma": 1.7444, "v": 0.0393, "delta": -0.0161, "k0": 1e9, "c0": 0.0}),
     ],
 )

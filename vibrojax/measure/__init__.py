@@ -2,6 +2,7 @@
 
 from vibrojax.measure import section as section
 from vibrojax.measure._gauge import Gauge as Gauge
+from vibrojax.measure.drilling import Drilling
 from vibrojax.measure.harmonics import Harmonics
 from vibrojax.measure.impacts import Impacts
 from vibrojax.measure.kept_returns import KeptReturns
@@ -10,7 +11,13 @@ from vibrojax.measure.recorder import Recorder as Recorder
 from vibrojax.measure.shares import Shares
 from vibrojax.measure.swings import Swings
 
-GAUGES = {"swings": Swings(), "shares": Shares(), "impacts": Impacts(), "harmonics": Harmonics()}
+GAUGES = {
+    "swings": Swings(),
+    "shares": Shares(),
+    "impacts": Impacts(),
+    "harmonics": Harmonics(),
+    "drilling": Drilling(),
+}
 
 
 def recorder_for(scene, keep_returns: int = 0) -> Recorder | PulseRecorder:

@@ -22,7 +22,7 @@ class KeptReturns(Gauge):
         return (*names, "return_impacts", "return_impact_velocity") if hasattr(scene, "impact_begins") else names
 
     def section(self, scene, p, carry, at):
-        x1, _, x2, v2 = at.lane.state
+        x1, _, x2, v2 = at.lane.state[:4]
         new = {"return_time": at.lane.clock.high, "return_x1": x1, "return_x2": x2, "return_v2": v2}
         if "impacts" in at.sums:
             whole = at.number > 0

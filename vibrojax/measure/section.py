@@ -16,7 +16,7 @@ ARMED_BELOW = 0.05
 
 def begin(lane) -> dict:
     """What is known of returns at t = 0."""
-    x1, _, x2, _ = lane.state
+    x1, _, x2, _ = lane.state[:4]
     nothing = jnp.full((MOST_CYCLES, *x1.shape), jnp.nan, x1.dtype)
     zero = jnp.zeros_like(x1)
     return {
@@ -41,7 +41,7 @@ def observe(carry: dict) -> dict:
 
 def step(scene, p, carry: dict, lane, step) -> dict:
     """Take in a step: extremes since the last return, and whether it ends on the section."""
-    x1, v1, x2, _ = lane.state
+    x1, v1, x2, _ = lane.state[:4]
     overtakes = step.hits[scene.bit_turn] & ~step.falling[0] & carry["armed"]
     return carry | {
         "armed": carry["armed"] | (v1 < -ARMED_BELOW * p["v"]),
@@ -59,7 +59,7 @@ def _widened(extremes, x):
 
 def section_state(lane):
     """(x1, x2, x2') at the section, stacked along a first axis of 3."""
-    x1, _, x2, v2 = lane.state
+    x1, _, x2, v2 = lane.state[:4]
     return jnp.stack([x1, x2, v2])
 
 
@@ -83,7 +83,7 @@ def turn_over(carry: dict, lane) -> dict:
     times = keep(jnp.concatenate([lane.clock.high[None], carry["times"][:-1]]))
     known = jnp.sum(jnp.isfinite(times), axis=0) - 1
     frequency = 2 * jnp.pi * known / jnp.where(known > 0, times[0] - jnp.nanmin(times, axis=0), 1)
-    x1, _, x2, _ = lane.state
+    x1, _, x2, _ = lane.state[:4]
     return carry | {
         "frequency": jnp.where(here, frequency, carry["frequency"]),
         "armed": carry["armed"] & ~here,

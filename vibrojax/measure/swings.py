@@ -14,7 +14,7 @@ class Swings(Gauge):
     """bit_amplitude, striker_amplitude [m]; trend: 1 steadily growing, -1 decaying, 0 neither (contract: regime 0)."""
 
     def begin(self, scene, p, lane):
-        x1, _, x2, _ = lane.state
+        x1, _, x2, _ = lane.state[:4]
         return {
             "bit": (x1, x1),
             "striker": (x2, x2),
@@ -22,7 +22,7 @@ class Swings(Gauge):
         }
 
     def step(self, scene, p, carry, moment):
-        x1, _, x2, _ = moment.lane.state
+        x1, _, x2, _ = moment.lane.state[:4]
         return carry | {"bit": _widened(carry["bit"], x1), "striker": _widened(carry["striker"], x2)}
 
     def section(self, scene, p, carry, at):

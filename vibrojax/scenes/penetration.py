@@ -36,13 +36,19 @@ class Penetration(Scene):
     starts = ()
     autonomous = False
 
+    @property
+    def has_pulses(self) -> bool:
+        """Whether the force comes in pulses."""
+        return self.pulse_shape != "sweep"
+
     def parameters(self):
         mass = {"m1": BIT_AND_STRIKER["m1"]}
-        return mass | ROCK | (SWEEP if self.pulse_shape == "sweep" else PULSES)
+        return mass | ROCK | (PULSES if self.has_pulses else SWEEP)
 
     def constants(self, p):
-        own = {"turns": jnp.full_like(p["m1"], jnp.inf)} if self.pulse_shape == "sweep" else {"turns": 1 / p["frequency"]}
-        return _rock.with_derived(p) | own
+        return _rock.with_derived(p) | {
+            "turns": 1 / p["frequency"] if self.has_pulses else jnp.full_like(p["m1"], jnp.inf)
+        }
 
     def start(self, p, name, shape):
         zero = jnp.zeros(shape, p["m1"].dtype)
@@ -69,7 +75,7 @@ class Penetration(Scene):
 
     def _pulse_surface(self, p, pushing, since):
         """Time left to the end of the pulse, or to the next."""
-        if self.pulse_shape == "sweep":
+        if not self.has_pulses:
             return 0.0 * since + 1.0
         return (pushing * p["pulse_width"] + (1.0 - pushing) * p["turns"]) - since
 
@@ -83,6 +89,8 @@ class Penetration(Scene):
         begins = self.pulse_begins(p, mode, hits)
         pushing = jnp.where(pulse, 1.0 - mode[1], mode[1])
         growth = jnp.where(begins, 0.0, state[2])
+        if self.has_pulses:
+            rock, compression, v3 = _rock.rest(p, rock, compression, v3, pushing != 0)
         since = jnp.where(begins, 0.0, jnp.where(pulse, p.get("pulse_width", 0.0), state[3]))
         return (rock, pushing), (compression, v3, growth, since)
 
@@ -96,13 +104,13 @@ class Penetration(Scene):
         return (*_rock.resolutions(p), eps * longest, eps * self.speed_scale(p))
 
     def rate(self, p, mode):
-        rates = _rock.rate(p)
+        rates = jnp.where(mode[0] == _rock.REST, p["frequency"], _rock.rate(p)) if self.has_pulses else _rock.rate(p)
         if self.pulse_shape == "half-sine":
             rates = jnp.maximum(rates, pi / p["pulse_width"])
         return rates
 
     def speed_scale(self, p):
-        bias = jnp.abs(p["bias"]) if self.pulse_shape == "sweep" else 0.0
+        bias = 0.0 if self.has_pulses else jnp.abs(p["bias"])
         return (jnp.abs(p["force"]) + bias) * p["mobility"]
 
     def smoothed_field(self, p, mode, state, width):

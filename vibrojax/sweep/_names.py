@@ -127,7 +127,9 @@ def take_options(given: dict[str, object]) -> dict[str, object]:
     return {name: given.pop(name) for name in CHOICES if name in given}
 
 
-def read_names(place: Place, scene: object, chosen: Mapping[str, object] | None = None, at: Place | None = None) -> Names:
+def read_names(
+    place: Place, scene: object, chosen: Mapping[str, object] | None = None, at: Place | None = None
+) -> Names:
     """The names for the scene and options that the user wrote; raises where there is no such scene or option.
 
     `place` is where the scene stands, `at` where the options `chosen` do.
