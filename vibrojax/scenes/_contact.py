@@ -23,7 +23,7 @@ def surface(p, touching, compression, rate):
 def begins(p, touching, rate, hit):
     """Where a contact begins from outside, which is an impact.
 
-    Let go while still compressed (c0 > 0), it may be caught again there, J > 0 while the rate is negative: no new impact.
+    Let go while still compressed (c0 > 0), it may be caught again there, while the rate is negative: no new impact.
     """
     return hit & (touching == 0) & (p["relaxation"] * rate >= 0)
 

@@ -1,7 +1,7 @@
 """The vibro-impact drill whose striker drives the bit into the rock: one way, or with the bit's motion fed back."""
 
 from abc import abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax.numpy as jnp
 
@@ -15,8 +15,6 @@ from vibrojax.scenes._scene import Scene
 
 def _sandstone() -> dict[str, Parameter]:
     """The rock's parameters with this scene's defaults: most blows of this drill never break granite."""
-    from dataclasses import replace
-
     found = {"k3": ROCKS["sandstone"].k3, "threshold": ROCKS["sandstone"].threshold, "zeta": 1.5}
     return {name: replace(parameter, default=found[name]) for name, parameter in ROCK.items()}
 
@@ -25,8 +23,8 @@ def _sandstone() -> dict[str, Parameter]:
 class DrillOnRock(Scene):
     """Bit and striker as in vibro-impact; the bit's normal motion m1 x3'' + c3 x3' = -N + J (eqs. 5.18, 6.1 to 6.3).
 
-    States: x1, x1', x2, x2', the rock's compression x3 - x4, x3', and the growth of x4 since the last impact began. What
-    has been drilled before is thus no part of the state, and cannot blur it.
+    States: x1, x1', x2, x2', the rock's compression x3 - x4, x3', and the growth of x4 since the last impact began.
+    What has been drilled before is thus no part of the state, and cannot blur it.
     """
 
     friction: FrictionLaw = FRICTION_LAWS["stribeck"]

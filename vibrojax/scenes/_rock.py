@@ -9,7 +9,6 @@ import jax.numpy as jnp
 
 from vibrojax.physics.rock import damping
 
-
 REST = 2
 
 

@@ -14,6 +14,8 @@ def events(scene, p, record) -> tuple[np.ndarray, np.ndarray]:
     **Arguments:** `p`: the scene's constants; `record`: the steps of one lane.
     """
     time = record.start + record.dt
+    if "slip" not in scene.modes:
+        return np.zeros(0), np.zeros(0, np.int8)
     slip = record.mode[:, scene.modes.index("slip")]
     after = np.append(slip[1:], slip[-1:])
     friction = record.hits[:, scene.surfaces_named.index("friction")]

@@ -71,14 +71,29 @@ def _batch(scene, method, p, lane, settings, duration):
     return jax.lax.scan(one, lane, length=BATCH)
 
 
-def sample(record: Record, times) -> tuple[np.ndarray, np.ndarray]:
-    """States (states, samples) and modes (modes, samples) at `times` [s], read off the steps' polynomials."""
+def sample(record: Record, times) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """States (states, samples) and modes (modes, samples) at `times` [s], read off the steps' polynomials; and which
+    of the moving steps each sample is of."""
     moving = record.dt > 0
     start, h = record.start[moving], record.h[moving]
     step = np.clip(np.searchsorted(start, times, side="right") - 1, 0, len(start) - 1)
     tau = np.minimum(times - start[step], record.dt[moving][step]) / h[step]
-    coefficients = record.polynomials[moving][step]
-    states = coefficients[:, :, -1]
+    states = _value(record.polynomials[moving][step], tau)
+    return states.T, record.mode[moving][step].T, step
+
+
+def accumulated(record: Record, state: int) -> np.ndarray:
+    """What to add in each moving step to a state that is set back to zero now and then, so that it is not."""
+    moving = record.dt > 0
+    polynomials = record.polynomials[moving][:, state : state + 1]
+    start = polynomials[:, 0, 0]
+    growth = _value(polynomials, record.dt[moving] / record.h[moving])[:, 0] - start
+    return np.concatenate([[0.0], np.cumsum(growth)[:-1]]) - start
+
+
+def _value(coefficients, tau) -> np.ndarray:
+    """Polynomials (steps, states, orders) at tau (steps,)."""
+    values = coefficients[:, :, -1]
     for order in range(coefficients.shape[2] - 2, -1, -1):
-        states = states * tau[:, None] + coefficients[:, :, order]
-    return states.T, record.mode[moving][step].T
+        values = values * tau[:, None] + coefficients[:, :, order]
+    return values

@@ -1,9 +1,6 @@
 """Simulate one point and give its trajectory."""
 
-import json
 import sys
-from collections.abc import Mapping
-from datetime import UTC, datetime
 
 import jax.numpy as jnp
 import numpy as np
@@ -11,21 +8,15 @@ import xarray as xr
 
 from vibrojax.devices import precision
 from vibrojax.errors import InputError, Place
-from vibrojax.simulation._events import KINDS, events
+from vibrojax.simulation._events import events
 from vibrojax.simulation._record import record, sample
+from vibrojax.simulation._trajectory import forces, holes, trajectory_dataset
 from vibrojax.stepping import Located, Smoothed
 from vibrojax.stepping.adaptive import adaptive_trajectory, solver_named
-from vibrojax.store.provenance import source
 from vibrojax.sweep import RunSettings, accuracy_for, read_point
 
 METHODS = ("located", "smoothed", "diffrax")
 MOST_SAMPLES = 2_000_000
-STATES = {
-    "x1": ("m", "position of the bit relative to the drive"),
-    "v1": ("m s-1", "velocity of the bit relative to the drive"),
-    "x2": ("m", "position of the striker relative to the drive"),
-    "v2": ("m s-1", "velocity of the striker relative to the drive"),
-}
 
 
 def simulate(
@@ -46,7 +37,8 @@ def simulate(
 
     **Arguments:**
 
-    - `scene`: "rotary" or "vibro-impact"; `parameters`: any of the scene's (SI), and `friction`, a law's name.
+    - `scene`: "rotary", "vibro-impact", "penetration", "drilling" or "coupled-drilling"; `parameters`: any of the
+      scene's (SI), `friction`, a law's name, `pulse_shape`, `rock`.
     - `start`: "drive", "stuck", "touching", or a vector [x1, x1', x2, x2'] [m, m/s]; by default "drive".
     - `duration` [s].
     - `method`: "located" (the default), "smoothed", or "diffrax" (the default where a `solver` is given: a diffrax
@@ -55,8 +47,8 @@ def simulate(
       smoothed method) and `smoothing` [m/s] (width of the friction switch) for who wants to choose them.
     - `sampling` [s]: interval of the samples; by default a twentieth of the contact's duration, 1 ms without contact.
 
-    **Returns:** a dataset along `time`: x1, v1, x2, v2, friction_force, impact_force [N], stuck; and along `event` the
-    times and kinds of what happened (not with diffrax).
+    **Returns:** a dataset along `time`: x1, v1, x2, v2, friction_force, impact_force [N], stuck; with rock also x3, x4,
+    v3, rock_force and applied_force [N]; and along `event` the times and kinds of what happened (not with diffrax).
 
     **Raises:** `InputError` where a name or value is not right.
     """
@@ -72,6 +64,8 @@ def simulate(
     for name, value in (("duration", duration), ("error", error), ("step", step), ("smoothing", smoothing)):
         if value is not None and not (np.isfinite(value) and value > 0):
             raise place.at(name).error(f"is {value}; it must be above 0")
+    if method == "diffrax" and "rock" in point.machine.modes:
+        raise place.at("method").error('"diffrax" knows no rock that yields; choose from located, smoothed')
     told = _teller(duration) if progress and sys.stderr.isatty() else None
     with precision("float64"):
         machine = point.machine
@@ -83,21 +77,22 @@ def simulate(
             method="located" if method == "located" else "smoothed", error=error, step=step, smoothing=smoothing
         )
         accuracy = accuracy_for(run)
-        happened = {}
+        happened, hole = {}, {}
         if method == "diffrax":
             states, modes, steps = _adaptive(machine, p, state, times, accuracy.smoothing, solver or "Tsit5", error)
         else:
             stepper = Located() if method == "located" else Smoothed()
             taken = record(machine, stepper, p, state, accuracy.settings(), jnp.asarray(duration), told)
-            states, modes = sample(taken, times)
+            states, modes, step_of = sample(taken, times)
             steps = len(taken.dt)
+            hole = holes(machine, p, taken, states, modes, step_of)
             when, kinds = events(machine, p, taken)
             happened = {"event_time": when, "event_kind": kinds}
-        forces = _forces(machine, p, states, modes, None if method == "located" else accuracy.smoothing)
+        found = forces(machine, p, states, modes, None if method == "located" else accuracy.smoothing)
     solver_text = {"method": method, "steps": int(steps), **accuracy.described()}
     if method == "diffrax":
         solver_text["solver"] = type(solver_named(solver or "Tsit5")).__name__
-    return _dataset(point, times, states, modes, forces, happened, solver_text)
+    return trajectory_dataset(point, times, states, modes, found | hole, happened, solver_text)
 
 
 def _times(machine, p, duration, sampling) -> np.ndarray:
@@ -105,6 +100,8 @@ def _times(machine, p, duration, sampling) -> np.ndarray:
         sampling = 1e-3
         if hasattr(machine, "contact_time"):
             sampling = min(sampling, float(machine.contact_time(p)[0]) / 20)
+        if "rock" in machine.modes:
+            sampling = min(sampling, 0.2 * float(jnp.sqrt(p["m1"] / p["k3"])[0]))
         sampling = max(sampling, duration / MOST_SAMPLES)
     count = round(duration / sampling)
     if not 1 <= count <= MOST_SAMPLES:
@@ -122,51 +119,6 @@ def _adaptive(machine, p, state, times, width, solver, error):
     )
     modes = machine.smoothed_mode(scalars, machine.mode_at(scalars, states), states, 3 * width)
     return np.stack([np.asarray(y) for y in states]), np.stack([np.asarray(m) for m in modes]), int(steps)
-
-
-def _forces(machine, p, states, modes, width) -> dict:
-    """Friction and contact force [N] at the samples; friction is what the springs do not give to the bit (Newton)."""
-    states, modes = tuple(jnp.asarray(y) for y in states), tuple(jnp.asarray(m) for m in modes)
-    rates = machine.field(p, modes, states) if width is None else machine.smoothed_field(p, modes, states, width)
-    forces = {"friction_force": np.asarray(machine.pull(p, states) - p["m1"] * rates[1])}
-    if hasattr(machine, "contact_force"):
-        forces["impact_force"] = np.asarray(machine.contact_force(p, modes, states)) + 0.0  # no -0.0
-    return forces
-
-
-FORCES = {
-    "friction_force": "friction force of the rock on the bit, against its sliding",
-    "impact_force": "contact force between striker and bit",
-}
-
-
-def _dataset(point, times, states, modes, forces, happened, solver: Mapping) -> xr.Dataset:
-    variables = {
-        name: ("time", y, {"units": unit, "long_name": text})
-        for (name, (unit, text)), y in zip(STATES.items(), states, strict=True)
-    }
-    variables |= {name: ("time", f, {"units": "N", "long_name": FORCES[name]}) for name, f in forces.items()}
-    flags = {"flag_values": np.array([0, 1], np.int8), "flag_meanings": "slides sticks"}
-    stuck = (modes[0] == 0).astype(np.int8)
-    variables["stuck"] = ("time", stuck, {"units": "1", "long_name": "whether the bit sticks to the rock", **flags})
-    if happened:
-        flags = {"flag_values": np.arange(len(KINDS), dtype=np.int8), "flag_meanings": " ".join(KINDS)}
-        about = {"units": "s", "long_name": "time of the event"}
-        variables["event_time"] = ("event", happened["event_time"], about)
-        about = {"units": "1", "long_name": "what happened", **flags}
-        variables["event_kind"] = ("event", happened["event_kind"], about)
-    attributes = {
-        "title": f"{point.scene}: trajectory",
-        "scene": point.scene,
-        "source": source(),
-        "history": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} simulate {point.scene}",
-        "parameters": json.dumps(point.parameters),
-        **point.options,
-        "start": point.start if isinstance(point.start, str) else json.dumps(list(point.start)),
-        "solver": json.dumps(solver),
-        "Conventions": "CF-1.11",
-    }
-    return xr.Dataset(variables, {"time": ("time", times, {"units": "s", "long_name": "time"})}, attributes)
 
 
 def _teller(duration: float):
