@@ -42,7 +42,7 @@ class PulseRecorder:
         compression = lane.state[0]
         return {
             "returns": _observe(returns),
-            "ledger": ledger.begin(("time", "growth", "force"), compression),
+            "ledger": ledger.begin(("time", "growth", "force", "yields"), compression),
             "deepest": jnp.minimum(compression, 0),
         }
 
@@ -56,6 +56,7 @@ class PulseRecorder:
             "time": step.dt,
             "growth": value(growth, step.tau) - growth[0],
             "force": step.h * integral(force, step.tau),
+            "yields": (step.hits[0] & (step.mode[0] == 0)).astype(step.dt.dtype),
         }
         return {
             "returns": _step(scene, p, carry["returns"], lane, step),
@@ -84,4 +85,5 @@ class PulseRecorder:
             "relief": mean_force / p["threshold"],
             "deepest_gap": carry["deepest"],
             "pulses": pulses,
+            "yields": sums["yields"],
         }

@@ -3,6 +3,7 @@
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
+from jax import lax
 
 from vibrojax.stepping._keep import keep
 
@@ -67,7 +68,8 @@ def lane_at(scene, p, state, real=True) -> Lane:
 def trial_step(lane: Lane, nominal, longest, end, moving):
     """Length [s] of the next trial step: the mode's own, what a rejected trial left, or what is left of the run."""
     h = jnp.minimum(jnp.minimum(nominal, longest), jnp.minimum(lane.trial, lane.clock.until(end)))
-    return jnp.where(moving, h, 0.0)
+    # Where a step ends says nothing of the motion, so no derivative goes through it.
+    return lax.stop_gradient(jnp.where(moving, h, 0.0))
 
 
 def taken(scene, p, lane: Lane, polynomials, h, landing) -> tuple[Lane, Step]:

@@ -9,6 +9,7 @@ last coefficients say that the series has not converged (Jorba and Zou 2005, sec
 from dataclasses import dataclass
 
 import jax.numpy as jnp
+from jax import lax
 
 from vibrojax.stepping._keep import keep
 from vibrojax.stepping._landing import land
@@ -49,7 +50,8 @@ class Located:
         velocities = [polynomials[i] for i in scene.velocities]
         speed = scene.speed_scale(p)
         rest = keep(_at_rest(velocities, speed)) if scene.autonomous else jnp.zeros_like(moving)
-        reach = keep(jnp.where(rest, 1.0, _converged(velocities, speed, settings["tolerance"])))
+        reach = jnp.where(rest, 1.0, _converged(velocities, speed, settings["tolerance"]))
+        reach = keep(lax.stop_gradient(reach))
         landing = land(functions_at, scene, p, polynomials, functions, reach, moving & ~rest)
         h = jnp.where(moving & rest, lane.clock.until(end), h)
         return taken(scene, p, lane, polynomials, h, landing)

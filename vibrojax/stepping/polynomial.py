@@ -1,7 +1,7 @@
 """Polynomials in the time of one step: values, slopes, integrals and the one root that ends the step."""
 
 import jax.numpy as jnp
-from jax import lax
+from jax import custom_jvp, lax
 
 ROOT_ITERATIONS = 5
 
@@ -37,6 +37,7 @@ def first_guess(start, rate, end):
     return jnp.where(jnp.isnan(guess), 0.5, guess)
 
 
+@custom_jvp
 def root(coefficients, zeros, guess, end):
     """Root in (0, end) of a polynomial that leads from positive values to a negative one at `end`.
 
@@ -45,7 +46,8 @@ def root(coefficients, zeros, guess, end):
 
     **Arguments:** `coefficients` list of (lanes,); `zeros`, `guess`, `end` (lanes,).
 
-    **Returns:** tau (lanes,).
+    **Returns:** tau (lanes,). Its derivative is that of the root itself, d tau = -sum_k dc_k tau^k / G'(tau), not of the
+    iteration: so an event's time moves with the parameters as it should.
     """
 
     def refine(_, carry):
@@ -61,3 +63,12 @@ def root(coefficients, zeros, guess, end):
 
     tau, _, _ = lax.fori_loop(0, ROOT_ITERATIONS, refine, (guess, jnp.zeros_like(end), end))
     return tau
+
+
+@root.defjvp
+def _root_jvp(primals, tangents):
+    coefficients, zeros, guess, end = primals
+    tau = root(coefficients, zeros, guess, end)
+    rate = slope(coefficients, tau)
+    moved = value(tangents[0], tau)
+    return tau, jnp.where(rate == 0, 0.0, -moved / jnp.where(rate == 0, 1.0, rate))

@@ -1,0 +1,103 @@
+"""What a step of a lane costs: ns per lane-step and lane-seconds per second, of both steppers, on one device and on two.
+
+    python tests/benchmarks/lane_steps.py
+
+A printout, not a test: nothing is asserted. One core is one CPU device. The lanes lie over the regime map.
+"""
+
+import platform
+import statistics
+import time
+from pathlib import Path
+
+import jax
+import numpy as np
+
+from vibrojax.devices import precision, use_cores
+from vibrojax.sweep import read_sweep
+from vibrojax.sweep._chunks import Chunks
+from vibrojax.sweep._program import lanes_per_round, mesh, place
+
+REPEATS = 3
+SETTLE, OBSERVE = 12.0, 8.0  # s
+CASES = {  # name: lanes, [run]
+    "located, error 1e-4": (1024, {"method": "located", "error": 1e-4}),
+    "smoothed, width 1e-3 m/s, step 1e-4 s": (128, {"method": "smoothed", "smoothing": 1e-3, "step": 1e-4}),
+}
+
+
+def sweep(lanes: int, run: dict):
+    """`lanes` points over the regime map, from both starts in turn."""
+    rows = 16
+    columns = lanes // rows
+    beta, gamma = np.meshgrid(np.linspace(0.1, 1.2, rows), np.linspace(0.3, 1.2, columns), indexing="ij")
+    starts = ["stuck" if (row + column) % 2 else "drive" for row in range(rows) for column in range(columns)]
+    points = {"beta": beta.ravel().tolist(), "gamma": gamma.ravel().tolist(), "start": starts}
+    times = {"settle": SETTLE, "observe": OBSERVE, "chunk": lanes}
+    return read_sweep({"scene": "vibro-impact", "points": points, "run": times | run})
+
+
+def once(chunks: Chunks, placed) -> tuple[float, float]:
+    """Seconds of one run of the lanes, and the lane-steps it took."""
+    began = time.perf_counter()
+    found = chunks._run(placed, chunks.accuracy)
+    return time.perf_counter() - began, float(found["steps"].sum())
+
+
+def measured(lanes: int, run: dict, devices: int) -> dict:
+    """Compile time, and by the median of the repeats, what a lane-step costs and how many lane-seconds a second gives."""
+    chunks = Chunks(sweep(lanes, run))
+    chunks.mesh = mesh(jax.devices()[:devices])
+    assert lanes % lanes_per_round(devices) == 0
+    with precision("float64"):
+        values, start = chunks.sweep.lane_values(0, lanes)
+        placed = place(chunks.mesh, (values, start.astype(np.int32), np.ones(lanes, bool)), chunks.dtype)
+        first, steps = once(chunks, placed)
+        seconds = [once(chunks, placed)[0] for _ in range(REPEATS)]
+    median = statistics.median(seconds)
+    return {
+        "lanes": lanes,
+        "compile_s": first - median,
+        "run_s": median,
+        "spread": (max(seconds) - min(seconds)) / median,
+        "ns": 1e9 * median / steps,
+        "lane_seconds": lanes * (SETTLE + OBSERVE) / median,
+        "steps_per_second": steps / lanes / (SETTLE + OBSERVE),
+    }
+
+
+def processor() -> str:
+    """The name of the processor."""
+    cpuinfo = Path("/proc/cpuinfo")
+    lines = cpuinfo.read_text().splitlines() if cpuinfo.exists() else []
+    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor() or platform.machine()
+
+
+def main() -> None:
+    use_cores(2)
+    found = {}
+    print(f"{processor()}, {len(jax.devices())} devices, Python {platform.python_version()}, jax {jax.__version__}")
+    print(f"{SETTLE + OBSERVE:g} s of each lane, float64, median of {REPEATS} runs\n")
+    titles = ("", "devices", "lanes", "compile s", "run s", "spread", "steps/s", "ns/lane-step", "lane-s/s")
+    print("{:<40}{:>8}{:>7}{:>11}{:>8}{:>8}{:>9}{:>14}{:>10}".format(*titles))
+    for name, (lanes, run) in CASES.items():
+        for devices in range(1, min(2, len(jax.devices())) + 1):
+            it = found[name, devices] = measured(lanes, run, devices)
+            print(
+                f"{name:<40}{devices:>8}{it['lanes']:>7}{it['compile_s']:>11.1f}{it['run_s']:>8.2f}"
+                f"{it['spread']:>8.0%}{it['steps_per_second']:>9.0f}{it['ns']:>14.0f}{it['lane_seconds']:>10.0f}"
+            )
+    located, smoothed = CASES
+    print()
+    for name in CASES:
+        if (name, 2) in found:
+            gain = found[name, 2]["lane_seconds"] / found[name, 1]["lane_seconds"]
+            print(f"two devices over one, {name}: {gain:.2f}")
+    for devices in sorted({devices for _, devices in found}):
+        gain = found[located, devices]["lane_seconds"] / found[smoothed, devices]["lane_seconds"]
+        print(f"lane-seconds per second, located over smoothed, on {devices}: {gain:.1f}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,105 @@
+"""Each rule of the contract's table of regimes, on features made by hand, in the contract's order 7, 1, 0, 2 to 5, 6."""
+
+import numpy as np
+import pytest
+
+from vibrojax.label import REGIMES, label
+
+MU, M1, G, K1 = 0.4, 250.0, 9.81, 156250.0
+SWING = 1e-3 * MU * M1 * G / K1  # m, below which it is at rest
+
+# A lane that repeats after every return with one impact.
+SINGLE = {
+    "finite": True,
+    "finished": True,
+    "bit_amplitude": 0.05,
+    "returns": 30.0,
+    "trend": 0.0,
+    "cycles": 1.0,
+    "impacts": 1.0,
+}
+
+
+def regime(**changes):
+    features = {name: np.array([value]) for name, value in (SINGLE | changes).items() if value is not None}
+    flags = label(features, np.array([MU]), np.array([M1]), np.array([G]), np.array([K1]))
+    assert flags.dtype == np.int8
+    assert flags.shape == (1,)
+    return REGIMES[flags[0]]
+
+
+def test_flags_are_the_contracts():
+    assert REGIMES == (
+        "undecided",
+        "equilibrium",
+        "impact-free",
+        "single-impact",
+        "multi-impact",
+        "subharmonic",
+        "irregular",
+        "failed",
+    )
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({}, "single-impact"),
+        ({"impacts": 0.0}, "impact-free"),
+        ({"impacts": 2.0}, "multi-impact"),
+        ({"impacts": 7.0}, "multi-impact"),
+        ({"cycles": 2.0, "impacts": 3.0}, "subharmonic"),
+        ({"cycles": 8.0, "impacts": 8.0}, "subharmonic"),
+        ({"cycles": 2.0, "impacts": 0.0}, "subharmonic"),
+        ({"cycles": 0.0, "impacts": 0.9}, "irregular"),
+        ({"cycles": 0.0, "impacts": 0.0}, "irregular"),
+        ({"returns": 8.0}, "undecided"),
+        ({"returns": 9.0}, "single-impact"),
+        ({"returns": 0.0, "cycles": 0.0, "impacts": np.nan}, "undecided"),
+        ({"trend": 1.0}, "undecided"),
+        ({"trend": -1.0, "cycles": 0.0}, "undecided"),
+        ({"bit_amplitude": 0.99 * SWING}, "equilibrium"),
+        ({"bit_amplitude": 1.01 * SWING}, "single-impact"),
+        ({"finite": False}, "failed"),
+        ({"finished": False}, "failed"),
+    ],
+)
+def test_rules(changes, expected):
+    assert regime(**changes) == expected
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"finite": False, "bit_amplitude": 0.0, "returns": 0.0}, "failed"),  # 7 before 1
+        ({"finite": False, "bit_amplitude": np.nan, "cycles": 0.0}, "failed"),
+        ({"bit_amplitude": 0.0, "returns": 0.0, "cycles": 0.0}, "equilibrium"),  # 1 before 0
+        ({"bit_amplitude": 0.0, "trend": -1.0}, "equilibrium"),
+        ({"returns": 5.0, "impacts": 0.0}, "undecided"),  # 0 before 2
+        ({"trend": 1.0, "cycles": 3.0, "impacts": 4.0}, "undecided"),  # 0 before 5
+        ({"trend": 1.0, "cycles": 0.0}, "undecided"),  # 0 before 6
+    ],
+)
+def test_order_of_the_rules(changes, expected):
+    assert regime(**changes) == expected
+
+
+def test_without_contact():
+    """The rotary scene has no impacts at all."""
+    assert regime(impacts=None) == "impact-free"
+    assert regime(impacts=None, cycles=2.0) == "subharmonic"
+
+
+def test_least_friction():
+    """A law with mu(0+) = 0 (2.15) is measured by max(mu(0+), 0.01)."""
+    features = {name: np.array([value, value]) for name, value in SINGLE.items()}
+    features["bit_amplitude"] = 1e-3 * 0.01 * M1 * G / K1 * np.array([0.99, 1.01])
+    flags = label(features, np.zeros(2), np.full(2, M1), np.full(2, G), np.full(2, K1))
+    assert [REGIMES[flag] for flag in flags] == ["equilibrium", "single-impact"]
+
+
+def test_each_lane_on_its_own():
+    lanes = [{}, {"impacts": 0.0}, {"trend": 1.0}, {"finite": False}, {"cycles": 0.0}]
+    features = {name: np.array([(SINGLE | lane)[name] for lane in lanes]) for name in SINGLE}
+    flags = label(features, np.full(5, MU), np.full(5, M1), np.full(5, G), np.full(5, K1))
+    assert [REGIMES[flag] for flag in flags] == ["single-impact", "impact-free", "undecided", "failed", "irregular"]
