@@ -41,9 +41,7 @@ class Sampled:
 
     def __init__(self, name):
         scene, self.p, start = LANES[name]
-        motion = vj.simulate(
-            scene, **self.p, start=start, duration=SETTLE + OBSERVE, sampling=SAMPLING, progress=False
-        )
+        motion = vj.simulate(scene, **self.p, start=start, duration=SETTLE + OBSERVE, sampling=SAMPLING, progress=False)
         self.m2 = self.p["beta"] * self.p["m1"]
         self.k2 = self.m2 * self.p["gamma"] ** 2 * self.p["k1"] / self.p["m1"]
         kinds = motion.event_kind.attrs["flag_meanings"].split()

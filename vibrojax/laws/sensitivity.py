@@ -24,8 +24,8 @@ def rop_derivatives(
     """Rate of penetration under given pulses, and its derivatives.
 
     The derivatives go through the events: where a switch is located, its time moves with the parameters (the root's
-    implicit derivative), so they are those of the exact motion. They hold while the order of events stays as it is. As a
-    check, every parameter is moved by one part in ten thousand either way: where the number of times that the rock
+    implicit derivative), so they are those of the exact motion. They hold while the order of events stays as it is. As
+    a check, every parameter is moved by one part in ten thousand either way: where the number of times that the rock
     yields changes, or there is no penetration at all, the derivative is not valid.
 
     **Arguments:**
@@ -46,12 +46,13 @@ def rop_derivatives(
             raise place.at("wrt").error(f"the scene has no {name}; choose from {', '.join(point.parameters)}")
     with precision("float64"):
         at = jnp.asarray([point.parameters[name] for name in wrt])
-        run = partial(_rate, point.machine, tuple(wrt), point.parameters, settle, observe)
-        (rate, yields), derivative = jax.jit(lambda x: (run(x), jax.jacfwd(lambda y: run(y)[0])(x)))(at)
-        moved = at * (1 + NEARBY * jnp.concatenate([jnp.eye(len(wrt)), -jnp.eye(len(wrt))]))
-        nearby = np.asarray(jax.jit(jax.vmap(lambda x: run(x)[1]))(moved)).reshape(2, -1)
-    rate, at, derivative = float(rate), np.asarray(at), np.asarray(derivative)
-    valid = (nearby == float(yields)).all(axis=0) & (rate > 0)
+        fixed = {name: jnp.asarray(value) for name, value in point.parameters.items()}
+        spans = {"settle": jnp.asarray(settle), "observe": jnp.asarray(observe)}
+        rate, yields, derivative, nearby = (
+            np.asarray(x) for x in _differentiated(point.machine, tuple(wrt), fixed, spans, at)
+        )
+    rate, at = float(rate), np.asarray(at)
+    valid = (nearby == yields).all(axis=0) & (rate > 0)
     elasticity = derivative * at / rate if rate > 0 else np.full(len(wrt), np.nan)
     about = {"units": "1", "long_name": "whether the derivative holds: the order of events does not change nearby"}
     flags = {"flag_values": np.array([0, 1], np.int8), "flag_meanings": "not-valid valid"}
@@ -67,12 +68,21 @@ def rop_derivatives(
     )
 
 
-def _rate(scene, wrt, fixed, settle, observe, values):
-    """Rate of penetration [m/s] and number of yields, of one lane."""
-    p = {name: jnp.full(1, value) for name, value in fixed.items()}
+@partial(jax.jit, static_argnames=("scene", "wrt"))
+def _differentiated(scene, wrt, fixed, spans, at):
+    """Rate, number of yields, derivative (parameters,), and yields with each parameter moved up and down."""
+    run = partial(_rate, scene, wrt, fixed, spans)
+    rate, tangents = jax.vmap(lambda t: jax.jvp(run, (at,), (t,)), out_axes=(None, 0))(jnp.eye(len(wrt)))
+    moved = at * (1 + NEARBY * jnp.stack([jnp.eye(len(wrt)), -jnp.eye(len(wrt))]))
+    nearby = jax.vmap(jax.vmap(run))(moved)[..., 1]
+    return rate[0], rate[1], tangents[:, 0], nearby
+
+
+def _rate(scene, wrt, fixed, spans, values):
+    """Rate of penetration [m/s] and number of yields, of one lane, as an array (2,)."""
+    p = {name: value[None] for name, value in fixed.items()}
     p |= {name: values[index : index + 1] for index, name in enumerate(wrt)}
     p = dict(scene.constants(p))
-    settings = {"stride": 1.0, "tolerance": 1e-12, "step": jnp.inf, "most_steps": 1e7}
-    settings |= {"settle": settle, "observe": observe}
+    settings = {"stride": 1.0, "tolerance": 1e-12, "step": jnp.inf, "most_steps": 1e7} | spans
     found = run_block(scene, Located(), recorder_for(scene), p, scene.start(p, None, (1,)), True, settings)
-    return found["rate_of_penetration"][0], found["yields"][0]
+    return jnp.concatenate([found["rate_of_penetration"], found["yields"]])

@@ -46,8 +46,8 @@ def root(coefficients, zeros, guess, end):
 
     **Arguments:** `coefficients` list of (lanes,); `zeros`, `guess`, `end` (lanes,).
 
-    **Returns:** tau (lanes,). Its derivative is that of the root itself, d tau = -sum_k dc_k tau^k / G'(tau), not of the
-    iteration: so an event's time moves with the parameters as it should.
+    **Returns:** tau (lanes,). Its derivative is that of the root itself, d tau = -sum_k dc_k tau^k / G'(tau), not of
+    the iteration: so an event's time moves with the parameters as it should.
     """
 
     def refine(_, carry):
