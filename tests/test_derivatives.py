@@ -61,9 +61,8 @@ def test_rate_of_penetration():
     given = SHORT | {"force": 250e3}
     found = rop_derivatives(**given)
     assert found.valid.values.tolist() == [1, 1, 1, 1]
-    for name, value, derivative in zip(
-        found.parameter.values, found.value.values, found.derivative.values, strict=True
-    ):
+    for name in found.parameter.values:
+        value, derivative = float(found.value.sel(parameter=name)), float(found.derivative.sel(parameter=name))
         step = 1e-5 * value
         up, down = (
             float(rop_derivatives(**given | {str(name): value + sign * step}).rate_of_penetration) for sign in (1, -1)

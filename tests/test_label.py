@@ -1,4 +1,4 @@
-"""Each rule of the contract's table of regimes, on features made by hand, in the contract's order 7, 1, 0, 2 to 5, 6."""
+"""Each rule of the table of regimes, on features made by hand, in the order 7, 1, 0, 2 to 5, 6 (contract)."""
 
 import numpy as np
 import pytest

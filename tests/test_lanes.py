@@ -14,7 +14,7 @@ from vibrojax.sweep._program import mesh, run_chunk
 
 CASES = json.loads((Path(__file__).parent / "data" / "vibro_impact_cases.json").read_text())
 PERIODIC = [case for case in CASES if case["expected"].get("cycles", 0) > 0]
-COPIES = 5
+COPIES = 10
 SHORT = {"settle": 12.0, "observe": 6.0}
 
 # Every sweep begins with a stuck lane, so that the starts come up in one order, which the program depends on.
@@ -40,7 +40,7 @@ def assert_identical(one, other):
 
 @pytest.fixture(scope="module")
 def tiled():
-    """Each lane five times, in two chunks of two blocks: each time in another place, on both devices."""
+    """Each lane ten times, in chunks of a block or two per device: each time in another place, on both devices."""
     return features(vj.run_sweep(sweep(TILED, chunk=128, **SHORT), progress=False))
 
 
@@ -60,7 +60,7 @@ def test_order(tiled):
 
 
 def test_chunk(tiled):
-    assert_identical(features(vj.run_sweep(sweep(TILED, chunk=256, **SHORT), progress=False)), tiled)
+    assert_identical(features(vj.run_sweep(sweep(TILED, chunk=512, **SHORT), progress=False)), tiled)
 
 
 def test_one_device(tiled):
@@ -135,7 +135,11 @@ def single():
 
 
 def test_float32(single):
-    """In single precision, at the full 48 s, the periodic cases have the right regime, and their period to 1e-4."""
+    """In single precision, at the full 48 s, the periodic cases have the right regime, and their period to 1e-5.
+
+    No lane is given up, the irregular ones included.
+    """
+    assert np.all(single.status == 0)
     for index, case in enumerate(CASES):
         expected = case["expected"]
         if expected.get("cycles", 0) == 0:
@@ -143,7 +147,7 @@ def test_float32(single):
         regime = single.regime.attrs["flag_meanings"].split()[int(single.regime[index])]
         assert regime == expected["regime"], (index, case["point"])
         assert single.cycles[index] == expected["cycles"], index
-        np.testing.assert_allclose(single.period[index], expected["period"], rtol=1e-4, err_msg=str(index))
+        np.testing.assert_allclose(single.period[index], expected["period"], rtol=1e-5, err_msg=str(index))
 
 
 def test_float32_leaves_x64_as_it_was(single):

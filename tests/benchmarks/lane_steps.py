@@ -1,4 +1,4 @@
-"""What a step of a lane costs: ns per lane-step and lane-seconds per second, of both steppers, on one device and on two.
+"""What a step of a lane costs: ns per lane-step and lane-seconds per second, of both steppers, on one and two devices.
 
     python tests/benchmarks/lane_steps.py
 
@@ -45,7 +45,7 @@ def once(chunks: Chunks, placed) -> tuple[float, float]:
 
 
 def measured(lanes: int, run: dict, devices: int) -> dict:
-    """Compile time, and by the median of the repeats, what a lane-step costs and how many lane-seconds a second gives."""
+    """Compile time, and by the median run, what a lane-step costs and how many lane-seconds a second gives."""
     chunks = Chunks(sweep(lanes, run))
     chunks.mesh = mesh(jax.devices()[:devices])
     assert lanes % lanes_per_round(devices) == 0

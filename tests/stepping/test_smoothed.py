@@ -64,7 +64,7 @@ def distance_to_the_sharp_motion(scene, start, widths):
 
 @pytest.mark.parametrize("scene", [ROTARY, DRILL], ids=["rotary", "vibro-impact"])
 def test_width_where_the_bit_slides(scene):
-    """From `drive` it does not stop in 0.5 s: the distance falls as the square, 1 - u/sqrt(u² + w²) = w²/(2 u²) + ..."""
+    """From `drive` it does not stop in 0.5 s: the distance falls as w², as 1 - u/sqrt(u² + w²) = w²/(2 u²) + ... does."""
     widths = np.array([1e-2, 3e-3, 1e-3])
     distances = distance_to_the_sharp_motion(scene, "drive", widths)
     assert np.all(slopes(distances, widths) > 1.9), distances
@@ -74,8 +74,8 @@ def test_width_where_the_bit_slides(scene):
 def test_width_where_the_bit_sticks_and_breaks_away(scene):
     """The distance falls about as the width: with its power 4/5, which the breakaway gives.
 
-    A creeping bit moves on by O(w). As it breaks away, the springs' pull in excess of the stick limit grows like t and u
-    like t², and friction is short of its limit by w²/(2 u²): the layer is u of the order of w^(4/5) wide.
+    A creeping bit moves on by O(w). As it breaks away, the springs' pull beyond the stick limit grows like t and u like
+    t², and friction is short of its limit by w²/(2 u²): the layer is u of the order of w^(4/5) wide.
     """
     widths = np.array([3e-3, 1e-3, 3e-4])
     distances = distance_to_the_sharp_motion(scene, "stuck", widths)

@@ -13,7 +13,7 @@ _POSITIVE = ("duration", "step", "smoothing")
 
 def arguments(parser: ArgumentParser) -> None:
     """Add the command's arguments to `parser`."""
-    parser.add_argument("scene", metavar="SCENE", help="rotary or vibro-impact")
+    parser.add_argument("scene", metavar="SCENE", help="rotary, vibro-impact, penetration, drilling or coupled-drilling")
     parser.add_argument(
         "values",
         metavar="NAME=VALUE",

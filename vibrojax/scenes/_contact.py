@@ -38,3 +38,9 @@ def landed(p, touching, compression, rate, hit):
 def stiff_rate(p, flight):
     """The fastest rate of change in contact [1/s], from that in flight."""
     return jnp.sqrt(p["k0"] * p["inverse_m2"] + flight * flight) + p["c0"] * p["inverse_m2"]
+
+
+def force_resolution(p):
+    """Force [N] that is a few roundings of the striker's position at the contact: k0 times those."""
+    reach = jnp.abs(p["delta"]) + jnp.sqrt(p["m2"] / p["k0"]) * p["v"]
+    return 64 * jnp.finfo(p["k0"].dtype).eps * p["k0"] * reach

@@ -132,10 +132,11 @@ class DrillOnRock(Scene):
         """Where an impact begins: the compression of the contact, apart before, rises through zero."""
         return _contact.begins(p, mode[1], self.impact_rate(p, mode, state), hits[1])
 
-    def resolutions(self, p):
+    def resolutions(self, p, mode):
         speed = 64 * jnp.finfo(p["v"].dtype).eps * _drill.speed_scale(p)
         rock = tuple(small + speed * p["slowness"] for small in _rock.resolutions(p))
-        return (speed, speed * p["slowness"], *rock, speed, speed)
+        friction = speed + mode[1] * _contact.force_resolution(p) * p["stick_gain"] / p["impedance"]
+        return (friction, speed * p["slowness"], *rock, speed, speed)
 
     def pull(self, p, state):
         return _drill.pull(p, state[0], state[2])

@@ -83,7 +83,7 @@ class Scene(ABC):
         """Mode and state after the surfaces and markers that are `hits` (booleans) have been reached."""
 
     @abstractmethod
-    def resolutions(self, p: Constants) -> Values:
+    def resolutions(self, p: Constants, mode: Values) -> Values:
         """Values of the surfaces and markers that count as zero: a few roundings of a typical value."""
 
     @abstractmethod

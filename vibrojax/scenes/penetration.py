@@ -98,7 +98,7 @@ class Penetration(Scene):
         """Where a pulse begins."""
         return hits[2] & (mode[1] == 0)
 
-    def resolutions(self, p):
+    def resolutions(self, p, mode):
         eps = 64 * jnp.finfo(p["m1"].dtype).eps
         longest = jnp.where(jnp.isfinite(p["turns"]), p["turns"], 1.0)
         return (*_rock.resolutions(p), eps * longest, eps * self.speed_scale(p))

@@ -65,7 +65,7 @@ class Rotary(Scene):
         slip, state = _drill.land_friction(p, mode[0], state, at_friction, None)
         return (slip,), _drill.land_turns(state, bit_turns, striker_turns)
 
-    def resolutions(self, p):
+    def resolutions(self, p, mode):
         speed = 64 * jnp.finfo(p["v"].dtype).eps * _drill.speed_scale(p)
         return (speed, speed, speed)
 

@@ -107,9 +107,10 @@ class VibroImpact(Scene):
         """Where an impact begins: the striker, apart from the bit, rises through delta (contract: dataset)."""
         return _contact.begins(p, mode[1], self.impact_rate(p, mode, state), hits[1])
 
-    def resolutions(self, p):
+    def resolutions(self, p, mode):
         speed = 64 * jnp.finfo(p["v"].dtype).eps * _drill.speed_scale(p)
-        return (speed, speed * p["slowness"], speed, speed)
+        friction = speed + mode[1] * _contact.force_resolution(p) * p["stick_gain"] / p["impedance"]
+        return (friction, speed * p["slowness"], speed, speed)
 
     def pull(self, p, state):
         return _drill.pull(p, state[0], state[2])

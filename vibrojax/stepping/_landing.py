@@ -22,7 +22,7 @@ class Landing(NamedTuple):
     falling: tuple
 
 
-def land(functions_at, scene, p, polynomials, functions, reach, moving) -> Landing:
+def land(functions_at, scene, p, mode, polynomials, functions, reach, moving) -> Landing:
     """Find the end of a trial step.
 
     A function that is crossed ends the step there. If another turns out to be crossed before, or a surface may have
@@ -38,7 +38,7 @@ def land(functions_at, scene, p, polynomials, functions, reach, moving) -> Landi
     - `moving`: booleans; the other lanes stand still (h = 0).
     """
     n_surfaces = len(scene.surfaces_named)
-    small = scene.resolutions(p)
+    small = scene.resolutions(p, mode)
     signs = [1.0] * n_surfaces + [_sign_at_start(*f) for f in list(zip(functions, small, strict=True))[n_surfaces:]]
     functions = [[sign * c for c in f] for sign, f in zip(signs, functions, strict=True)]
     trial = _crossings(functions, n_surfaces, reach, small, moving)
@@ -53,7 +53,9 @@ def land(functions_at, scene, p, polynomials, functions, reach, moving) -> Landi
     state = keep(tuple(value(one, tau) for one in polynomials))
     landed = [sign * g for sign, g in zip(signs, functions_at(state), strict=True)]
     mine = [one & ending for one in chosen]
-    early = _early(trial, landed, mine, small, ending, at_once)
+    # A root within roundings of the start is where the step starts: to try again would come back here for ever.
+    there = at_once | (tau <= jnp.finfo(tau.dtype).eps)
+    early = _early(trial, landed, mine, small, ending, there)
     unseen = keep(moving & _unseen(trial, landed, mine, small, functions, n_surfaces))
     repeat = keep(early | unseen)
 
@@ -84,10 +86,11 @@ def _crossings(functions, n_surfaces, reach, resolutions, moving) -> _Trial:
     ends = keep([value(f, reach) for f in functions])
     guesses = [_guess(f, end, reach, small) for f, end, small in zip(functions, ends, resolutions, strict=True)]
     crossed = [moving & (end < 0) for end in ends]
-    # A marker that starts at zero and ends on the wrong side only had its sign misjudged; within roundings of zero it
-    # crosses it all the time.
+    # A marker that leaves zero at a tangent and ends on the wrong side only had its sign misjudged; within roundings of
+    # zero it crosses it all the time.
     for index in range(n_surfaces, len(functions)):
-        crossed[index] = crossed[index] & (guesses[index] > 0) & (ends[index] < -resolutions[index])
+        clear = _zeros_at_start(functions[index], resolutions[index]) < 2
+        crossed[index] = crossed[index] & clear & (guesses[index] > 0) & (ends[index] < -resolutions[index])
     guesses = keep([jnp.where(over, guess, jnp.inf) for over, guess in zip(crossed, guesses, strict=True)])
     return _Trial(ends, crossed, guesses)
 
@@ -108,11 +111,11 @@ def _root_of_chosen(functions, chosen, resolutions, guess, reach):
     return root(target, zeros, guess * reach, reach)
 
 
-def _early(trial, landed, mine, resolutions, ending, at_once):
-    """Where the root is not on the surface yet, or another function is crossed before it."""
+def _early(trial, landed, mine, resolutions, ending, there):
+    """Where the root is not on the surface yet, unless it is `there`, or another function is crossed before it."""
     return _any(
-        jnp.where(here, ~at_once & (jnp.abs(there) > small), ending & over & (there < -small))
-        for there, over, here, small in zip(landed, trial.crossed, mine, resolutions, strict=True)
+        jnp.where(here, ~there & (jnp.abs(value) > small), ending & over & (value < -small))
+        for value, over, here, small in zip(landed, trial.crossed, mine, resolutions, strict=True)
     )
 
 

@@ -1,0 +1,73 @@
+"""One lane of a scene with rock, step by step, for the tests beside this file."""
+
+import jax.numpy as jnp
+import numpy as np
+from numpy.polynomial import polynomial
+
+from vibrojax.scenes.penetration import Penetration
+from vibrojax.simulation._record import record, sample
+from vibrojax.stepping import Located
+
+FINE = {"tolerance": 1e-12, "stride": 1.0, "step": np.inf}
+ELASTIC, YIELDING, OFF, REST = 0, 1, -1, 2
+
+
+def constants(scene, **values):
+    """The constants of one lane, shape (1,), with the scene's defaults for what is not given."""
+    given = {name: jnp.full(1, values.pop(name, q.default)) for name, q in scene.parameters().items()}
+    assert not values
+    return dict(scene.constants(given))
+
+
+class Motion:
+    """A lane from rest over `duration` [s]: its constants `p`, and its steps, one row each.
+
+    `growth`: of x4 in each step; `x3`, `x4`: where each step ends, from the start of the run; `rock`: the mode.
+    """
+
+    def __init__(self, duration, shape="rectangular", scene=None, start=None, method=None, settings=None, **values):
+        scene = scene or Penetration(shape)
+        p = constants(scene, **values)
+        settings = {name: jnp.asarray(value) for name, value in (FINE | (settings or {})).items()}
+        self.steps = record(
+            scene, method or Located(), p, scene.start(p, start, (1,)), settings, jnp.asarray(float(duration))
+        )
+        self.scene = scene
+        self.p = {name: float(np.ravel(value)[0]) for name, value in p.items()}
+        self.index = {name: i for i, name in enumerate(scene.states)}
+        self.rock = self.steps.mode[:, scene.modes.index("rock")]
+        self.times = self.steps.start + self.steps.dt
+        self.growth = self._over_the_step("growth", lambda c, tau: polynomial.polyval(tau, c) - c[0])
+        self.x4 = np.cumsum(self.growth)
+        self.x3 = self.x4 + self.after("compression")
+
+    def after(self, name):
+        """A state where each step ends."""
+        return self.steps.after[:, self.index[name]]
+
+    def integral(self, name):
+        """Integral over time of a state, in each step."""
+        integrals = self._over_the_step(name, lambda c, tau: polynomial.polyval(tau, polynomial.polyint(c)))
+        return integrals * self.steps.h
+
+    def resistance(self):
+        """Integral of N over time [N s], in each step: k3 e while elastic, D while it yields, else nothing (6.2)."""
+        elastic = self.p["k3"] * self.integral("compression")
+        yielding = self.p["threshold"] * self.steps.dt
+        return np.where(self.rock == ELASTIC, elastic, np.where(self.rock == YIELDING, yielding, 0.0))
+
+    def at(self, times):
+        """States by name at `times` [s]."""
+        states, _, _ = sample(self.steps, times)
+        return {name: states[i] for name, i in self.index.items()}
+
+    def pulses(self):
+        """The steps at whose end a pulse begins, as indices."""
+        hit = self.steps.hits[:, self.scene.surfaces_named.index("pulse")]
+        return np.flatnonzero(hit & (self.steps.mode[:, self.scene.modes.index("pushing")] == 0))
+
+    def _over_the_step(self, name, of):
+        with np.errstate(invalid="ignore", divide="ignore"):
+            tau = np.where(self.steps.dt > 0, self.steps.dt / self.steps.h, 0.0)
+        rows = self.steps.polynomials[:, self.index[name]]
+        return np.array([of(c, t) for c, t in zip(rows, tau, strict=True)])

@@ -1,0 +1,69 @@
+"""Fit the rate-of-penetration law to a sweep's dataset or to rig data.
+
+A CSV needs the columns relief (or mean_force and threshold) and rate_of_penetration, in SI units.
+"""
+
+import math
+from argparse import ArgumentParser, Namespace
+from pathlib import Path
+from typing import Any
+
+from vibrojax.cli._output import output
+
+_GROUPS_SHOWN = 12
+
+
+def arguments(parser: ArgumentParser) -> None:
+    """Add the command's arguments to `parser`."""
+    parser.add_argument("file", metavar="FILE", help="a sweep's .nc, or a CSV: relief,rate_of_penetration")
+    parser.add_argument("--along", metavar="AXIS", help="the axis to fit along (frequency, else v; of a CSV: its rows)")
+    parser.add_argument("-o", dest="out", metavar="FIT.nc", help="where to write (FILE-fit.nc in this folder)")
+
+
+def run(options: Namespace) -> None:
+    """Run the command."""
+    out = output(options.out or f"{Path(options.file).stem}-fit.nc")
+    from vibrojax.devices import use_cores
+
+    use_cores()
+    from vibrojax.laws import fit_rop, verdict
+    from vibrojax.store.dataset import write_dataset
+
+    fit = fit_rop(options.file, options.along, progress=False)
+    write_dataset(fit, out)
+    print("\n".join([*tables(fit), "", *verdict(fit), str(out)]))
+
+
+def tables(fit: Any) -> list[str]:
+    """A table of the forms for each of the first groups of lanes, and how many there are more."""
+    from vibrojax.laws import table
+
+    names = ("C", "C_stderr", "eta0", "eta0_stderr", "exponent", "exponent_stderr", "r_squared", "aic", "used")
+    values = {name: table(fit, name)[1] for name in (*names, "left_out", "reason")}
+    groups = table(fit, "aic")[0]
+    meanings = str(fit["reason"].attrs["flag_meanings"]).split()
+    lines = []
+    for group, called in enumerate(groups[:_GROUPS_SHOWN]):
+        row = {name: column[group] for name, column in values.items()}
+        left_out = f", {row['left_out'][0]} left out" if row["left_out"][0] else ""
+        lines += [""] * bool(lines) + [f"{called}: {row['used'][0]} lanes along {fit.attrs['along']}{left_out}"]
+        lines.append(f"  {'form':<9}{'C [m/s]':<24}{'eta0':<22}{'exponent':<20}{'R2':>8}{'AIC':>10}")
+        for index, form in enumerate(fit["form"].values):
+            at = {name: column[index] for name, column in row.items()}
+            lines.append(f"  {form:<9}{_row(at, meanings[int(at['reason'])])}".rstrip())
+    return lines + ([f"and {len(groups) - _GROUPS_SHOWN} groups more"] if len(groups) > _GROUPS_SHOWN else [])
+
+
+def _row(at: dict, reason: str) -> str:
+    """A form's coefficients with standard errors, or why there are none."""
+    if not math.isfinite(at["C"]):
+        return reason
+    cells = [_with_error(at["C"], at["C_stderr"]), _with_error(at["eta0"], at["eta0_stderr"])]
+    cells.append(_with_error(at["exponent"], at["exponent_stderr"]))
+    text = f"{cells[0]:<24}{cells[1]:<22}{cells[2]:<20}{at['r_squared']:>8.4f}{at['aic']:>10.2f}"
+    return text if reason == "identified" else f"{text}  {reason}"
+
+
+def _with_error(value: float, error: float) -> str:
+    """A coefficient and its standard error; nothing where the form has none."""
+    return f"{value:.4g} ± {error:.2g}" if math.isfinite(value) else ""
