@@ -64,7 +64,7 @@ def distance_to_the_sharp_motion(scene, start, widths):
 
 @pytest.mark.parametrize("scene", [ROTARY, DRILL], ids=["rotary", "vibro-impact"])
 def test_width_where_the_bit_slides(scene):
-    """From `drive` it does not stop in 0.5 s: the distance falls as w², as 1 - u/sqrt(u² + w²) = w²/(2 u²) + ... does."""
+    """From `drive` it does not stop in 0.5 s: the distance falls as 1 - u/sqrt(u² + w²) = w²/(2 u²) + ..."""
     widths = np.array([1e-2, 3e-3, 1e-3])
     distances = distance_to_the_sharp_motion(scene, "drive", widths)
     assert np.all(slopes(distances, widths) > 1.9), distances

@@ -1,10 +1,12 @@
 """Run a sweep file: a labelled dataset, and a picture beside it."""
 
 import shlex
+import sys
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
 from vibrojax.cli._output import output, picture_beside
+from vibrojax.errors import InputError
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -41,7 +43,10 @@ def run(options: Namespace) -> None:
 def _draw(dataset: object, picture: Path) -> None:
     from vibrojax.plot import save_picture
 
-    save_picture(dataset, picture)
+    try:
+        save_picture(dataset, picture)
+    except InputError as nothing:  # the dataset is written, and that is what was asked for
+        print(f"no picture: {nothing}", file=sys.stderr)
 
 
 def _estimated(shape: tuple[int, ...], dims: tuple[str, ...], found: dict) -> list[str]:

@@ -34,6 +34,8 @@ def run_block(scene, method, recorder, p, state, real, settings) -> dict:
         scene, method, p, settings, settle, lane, watch.begin(lane), settling_step, settling_turn, lambda c: c
     )
 
+    settled = lane.clock.until(settle) <= 0
+
     def observing_step(carry, lane, step):
         return recorder.step(scene, p, carry, lane, step)
 
@@ -57,7 +59,7 @@ def run_block(scene, method, recorder, p, state, real, settings) -> dict:
     return recorder.read(scene, p, carry) | {
         "steps": steps + more,
         "finite": finite & jnp.isfinite(lane.clock.high),
-        "finished": lane.clock.until(end) <= 0,
+        "finished": settled & (lane.clock.until(end) <= 0),
     }
 
 
@@ -69,7 +71,7 @@ def _stretch(scene, method, p, settings, end, lane, carry, take_in, turn_over, r
 
     def one(_, state):
         lane, carry, steps = state
-        moving = active(lane) & ~returns_of(carry)["waiting"]
+        moving = active(lane) & ~returns_of(carry)["waiting"] & (steps < settings["most_steps"])
         lane, step = method.step(scene, p, lane, settings, end, moving)
         return lane, take_in(carry, lane, step), steps + moving
 

@@ -38,6 +38,7 @@ def read_sweep(source: str | PathLike[str] | Mapping[str, object]) -> Sweep:
     fixed = read_parameters(place.at("parameters"), given, names)
     axes, points = _read_varied(place, found, names)
     varied = points.columns if points else axes
+    check_rock(place.at("parameters"), given, varied)
     homes = {name: place.at("parameters").at(name) for name in fixed}
     for name in varied:
         home = place.at("points" if points else "grid").at(name)
@@ -45,7 +46,6 @@ def read_sweep(source: str | PathLike[str] | Mapping[str, object]) -> Sweep:
             raise home.error("is in [parameters] as well; give it in one of the two")
         homes[name] = home
     check_drive_speed(homes)
-    check_rock(place.at("parameters"), given, varied)
     starts = _read_starts(place.at("starts"), tables.get("starts"), names)
     point_starts = points.starts if points else None
     sweep = Sweep(
@@ -138,7 +138,11 @@ def _read_grid_axis(place: Place, name: str, value: object, names: Names) -> np.
     if name == "rock" and names.has_rock:
         if not isinstance(value, list) or not value:
             raise place.error(f'{shown(value)} is no list of rocks; write one like ["sandstone", "granite"]')
-        return np.array(list(dict.fromkeys(names.rock(place.item(i), item) for i, item in enumerate(value))))
+        rocks = [names.rock(place.item(index), item) for index, item in enumerate(value)]
+        for index, rock in enumerate(rocks):
+            if rock in rocks[:index]:
+                raise place.item(index).error(f"{shown(rock)} is there already; give each rock once")
+        return np.array(rocks)
     return read_axis(place, value, names.parameter(place, name))
 
 

@@ -1,0 +1,171 @@
+"""The rock as physics: closed forms with their gradients, the rocks of Table 4.5, and how they are chosen by name."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import vibrojax as vj
+from vibrojax.errors import InputError, Place
+from vibrojax.physics.pulses import mean_force
+from vibrojax.physics.rock import ROCKS, damping, ratchet, resistance
+from vibrojax.sweep import read_point, read_sweep
+
+K3, D = 300e6, 150e3
+SHORT = {"settle": 0.3, "observe": 0.2}
+
+
+def test_damping():
+    """c3 = 2 zeta sqrt(m1 k3); d/dm1 = zeta sqrt(k3/m1), d/dk3 = zeta sqrt(m1/k3), d/dzeta = 2 sqrt(m1 k3)."""
+    m1, zeta = 250.0, 1.1
+    found, gradient = jax.value_and_grad(damping, argnums=(0, 1, 2))(m1, K3, zeta)
+    assert float(found) == pytest.approx(2 * zeta * np.sqrt(m1 * K3), rel=1e-15)
+    exact = (zeta * np.sqrt(K3 / m1), zeta * np.sqrt(m1 / K3), 2 * np.sqrt(m1 * K3))
+    np.testing.assert_allclose(gradient, exact, rtol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("compression", "force", "gradient"),
+    [
+        (-1e-4, 0.0, (0.0, 0.0, 0.0)),  # off the rock: no tension
+        (2e-4, 6e4, (K3, 2e-4, 0.0)),  # elastic: k3 e, by (e, k3, D)
+        (9e-4, D, (0.0, 0.0, 1.0)),  # yields: D
+    ],
+)
+def test_resistance(compression, force, gradient):
+    """N = clip(k3 e, 0, D) (6.2), and its derivatives within each part."""
+    found, slopes = jax.value_and_grad(resistance, argnums=(0, 1, 2))(compression, K3, D)
+    assert float(found) == pytest.approx(force, rel=1e-15)
+    np.testing.assert_allclose(slopes, gradient, rtol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("x3", "depth", "gradient"),
+    [
+        (6e-4, 2e-4, (0.0, 1.0, 0.0, 0.0)),  # x3 - D/k3 = 1e-4 < x4: it stays
+        (9e-4, 4e-4, (1.0, 0.0, D / K3**2, -1 / K3)),  # it follows x3 - D/k3, by (x3, x4, k3, D)
+    ],
+)
+def test_ratchet(x3, depth, gradient):
+    """x4 = max(x4, x3 - D/k3) (6.3)."""
+    found, slopes = jax.value_and_grad(ratchet, argnums=(0, 1, 2, 3))(x3, 2e-4, K3, D)
+    assert float(found) == pytest.approx(depth, rel=1e-14)
+    np.testing.assert_allclose(slopes, gradient, rtol=1e-14)
+
+
+def test_under_jit_and_vmap():
+    """The same numbers, over lanes and compiled."""
+    rng = np.random.default_rng(0)
+    e, k3, threshold = rng.uniform(-1e-3, 1e-3, 50), rng.uniform(1e8, 5e8, 50), rng.uniform(6e4, 2e5, 50)
+    expected = np.clip(k3 * e, 0, threshold)
+    np.testing.assert_allclose(jax.jit(jax.vmap(resistance))(e, k3, threshold), expected, rtol=1e-15)
+    expected = np.maximum(2e-4, e - threshold / k3)
+    np.testing.assert_allclose(jax.jit(ratchet)(e, 2e-4, k3, threshold), expected, rtol=1e-14)
+
+
+def test_running_maximum_whatever_the_path():
+    """Fed a path bit by bit, the ratchet gives max(x4(0), max over the path of x3 - D/k3), and N never passes D."""
+    path = np.cumsum(np.random.default_rng(2).normal(0, 1e-4, 500))
+    _, depths = jax.lax.scan(lambda x4, x3: 2 * (ratchet(x3, x4, K3, D),), jnp.zeros(()), jnp.asarray(path))
+    np.testing.assert_array_equal(depths, np.maximum(np.maximum.accumulate(path - D / K3), 0))
+    assert float(jnp.max(K3 * (path - depths))) <= D * (1 + 1e-12)
+
+
+def test_translation():
+    """Ratchet and resistance know no origin: x4(x3 + a, x4 + a) = x4(x3, x4) + a, N of the difference alone."""
+    for shift in (0.25, 2.0):  # powers of two, so that the sums are exact to a rounding of the shift
+        for x3 in (6e-4, 9e-4):
+            moved = float(ratchet(x3 + shift, 2e-4 + shift, K3, D))
+            assert moved - shift == pytest.approx(float(ratchet(x3, 2e-4, K3, D)), abs=1e-15)
+
+
+@pytest.mark.parametrize(("shape", "share"), [("rectangular", 1.0), ("half-sine", 2 / np.pi)])
+def test_mean_force(shape, share):
+    """P = A w f, times 2/pi, the mean of sin over half a turn."""
+    p = {"force": 2e5, "pulse_width": 4e-3, "frequency": 20.0}
+    assert mean_force(p, shape) == pytest.approx(16e3 * share, rel=1e-15)
+
+
+def test_table_4_5():
+    """D [kN], k3 [MN/m], UCS [MPa], E [GPa], density [kg/m³] as printed."""
+    printed = {
+        "sandstone": (61.9, 100.68, 84.9, 4.7, 2382),
+        "limestone": (140.3, 175.32, 192.4, 8.2, 2480),
+        "granite": (204.5, 224.24, 280.5, 10.5, 2687),
+    }
+    units = np.array([1e3, 1e6, 1e6, 1e9, 1.0])
+    assert set(ROCKS) == set(printed)
+    for name, values in printed.items():
+        rock = ROCKS[name]
+        found = (rock.threshold, rock.k3, rock.ucs, rock.modulus, rock.density)
+        np.testing.assert_allclose(found, np.array(values) * units, rtol=1e-12)
+
+
+def test_rock_as_an_axis():
+    """`rock` along the grid is the same as its D and k3 written out, and a harder rock is drilled slower."""
+    names = ["granite", "sandstone", "limestone"]
+    fixed = {"force": 300e3, "zeta": 0.6}
+    sweep = {"scene": "penetration", "parameters": fixed, "run": SHORT}
+    by_name = vj.run_sweep(sweep | {"grid": {"rock": names}}, progress=False)
+    assert by_name.rate_of_penetration.dims == ("rock",)
+    assert list(by_name.rock.values) == names
+    points = {"threshold": [ROCKS[name].threshold for name in names], "k3": [ROCKS[name].k3 for name in names]}
+    by_number = vj.run_sweep(sweep | {"points": points}, progress=False)
+    for name in ("rate_of_penetration", "relief", "deepest_gap"):
+        np.testing.assert_array_equal(by_name[name].values, by_number[name].values)
+    granite, sandstone, limestone = by_name.rate_of_penetration.values
+    assert sandstone > limestone > granite > 0
+    np.testing.assert_allclose(by_name.relief, by_name.mean_force / points["threshold"], rtol=1e-15)
+
+
+@pytest.mark.parametrize("scene", ["penetration", "drilling", "coupled-drilling"])
+@pytest.mark.parametrize("name", ROCKS)
+def test_rock_of_a_point(scene, name):
+    """A fixed `rock` stands for threshold and k3; drilling's default is sandstone with zeta 1.5."""
+    point = read_point(Place("test"), scene, {"rock": name})
+    assert point.parameters["threshold"] == ROCKS[name].threshold
+    assert point.parameters["k3"] == ROCKS[name].k3
+    sweep = read_sweep({"scene": scene, "parameters": {"rock": name}, "grid": {"zeta": [0.5, 1.0]}})
+    values, _ = sweep.lane_values(0, 2)
+    assert np.all(values["threshold"] == ROCKS[name].threshold)
+    assert np.all(values["k3"] == ROCKS[name].k3)
+
+
+def test_defaults():
+    """model.md section 2."""
+    given = read_point(Place("test"), "penetration", {}).parameters
+    expected = {"force": 200e3, "frequency": 20, "pulse_width": 4e-3, "threshold": 150e3, "k3": 300e6, "zeta": 1.1}
+    assert {name: given[name] for name in expected} == expected
+    for scene in ("drilling", "coupled-drilling"):
+        drill = read_point(Place("test"), scene, {}).parameters
+        assert (drill["threshold"], drill["k3"], drill["zeta"]) == (61.9e3, 100.68e6, 1.5)
+
+
+NUMBERS = {"threshold": 1e5, "k3": 1e8}
+
+
+@pytest.mark.xfail(reason="check_rock and the check for doubles both miss it: the grid's rock wins", strict=True)
+def test_a_fixed_rock_beside_an_axis_of_rocks_is_refused():
+    """A name in both [parameters] and [grid] is an error (contract)."""
+    sweep = {"scene": "penetration", "parameters": {"rock": "granite"}, "grid": {"rock": ["sandstone"]}}
+    with pytest.raises(InputError, match="rock"):
+        read_sweep(sweep)
+
+
+@pytest.mark.parametrize(
+    "sweep",
+    [
+        {"scene": "penetration", "grid": {"rock": ["basalt"]}},
+        {"scene": "penetration", "grid": {"rock": []}},
+        {"scene": "penetration", "grid": {"rock": {"start": 1, "stop": 2, "num": 2}}},
+        {"scene": "penetration", "parameters": {"rock": "basalt"}, "grid": {"zeta": [1.0]}},
+        {"scene": "penetration", "parameters": {"rock": ["granite"]}, "grid": {"zeta": [1.0]}},
+        {"scene": "vibro-impact", "parameters": {"rock": "granite"}, "grid": {"v": [1.0]}},
+        {"scene": "rotary", "grid": {"rock": ["granite"]}},
+    ],
+)
+def test_wrong_rocks_are_refused(sweep):
+    """One line that names the key."""
+    with pytest.raises(InputError, match="rock") as told:
+        read_sweep(sweep)
+    assert "\n" not in str(told.value)
