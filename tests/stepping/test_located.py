@@ -283,3 +283,23 @@ def test_start_on_a_surface(start, slip, touching):
     nudged = tuple(y + 1e-10 * sign for y, sign in zip(start, (1, 1, -1, 1), strict=True))
     _, nearby = run(nudged, 0.05)
     np.testing.assert_allclose(taken.after[-1], nearby.after[-1], rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("touching", [False, True])
+def test_slip_that_ends_as_it_begins(dtype, touching):
+    """A spring force beyond the stick limit that falls below it at once: a few steps, however little it is beyond."""
+    beyond = 10.0 ** np.arange(-17, -1, dtype=float)
+    lanes = beyond.shape
+    p = constants(DRILL, lanes, delta=0.0 if touching else 1.0)
+    p = {name: jnp.asarray(value, dtype) for name, value in p.items()}
+    impact = 1000.0 * touching
+    limit = p["stick_limit"] + p["stick_gain"] * impact
+    x2 = jnp.full(lanes, impact / 5e7, dtype)
+    x1 = (limit * (1 + jnp.asarray(beyond, dtype)) + p["k2"] * x2) / (p["k1"] + p["k2"])
+    zero = jnp.zeros(lanes, dtype)
+    state = (x1, -p["v"], x2, zero)
+    settings = {name: jnp.asarray(value, dtype) for name, value in (FINE | {"tolerance": 3e-6}).items()}
+    reached, steps = end_states(DRILL, Located(), p, state, settings, jnp.asarray(0.004, dtype))
+    assert np.all(np.isfinite(reached))
+    assert np.max(steps) < 100

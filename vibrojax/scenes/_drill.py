@@ -59,12 +59,39 @@ def friction_surface(p, slip, state, impact):
     return slip * (v1 + p["v"]) + ((1.0 - slip * slip) / p["impedance"]) * in_hand
 
 
-def slip_at_rest(p, state, impact):
-    """Where u = 0: 0 if the bit sticks, else the sign of the spring force, into which it starts to slide."""
+def slip_at_rest(p, state, impact, noise):
+    """Where u = 0: 0 if the bit sticks, else the sign of the spring force, into which it starts to slide.
+
+    `noise` is [vibrojax.scenes._drill.stick_noise][]. A spring force beyond the stick limit by less than that sticks:
+    if it grows the bit lets go at once, and if it falls the slip would have ended as it began.
+    """
     limit = stick_limit(p, impact)
     # Where nothing holds the bit it never sticks, not even as the spring force passes through zero.
-    sticks = (jnp.abs(pull(p, state[0], state[2])) <= limit) & (limit > 0)
+    sticks = (jnp.abs(pull(p, state[0], state[2])) <= limit + noise) & (limit > 0)
     return jnp.where(sticks, 0.0, _starts_towards(p, state))
+
+
+def speed_noise(p):
+    """Speed [m/s] that counts as zero: a few roundings of a typical one."""
+    return 64 * jnp.finfo(p["v"].dtype).eps * speed_scale(p)
+
+
+def stick_noise(p, impact_noise=0.0):
+    """Spring force [N] beyond the stick limit that counts as none; `impact_noise` is that of J [N]."""
+    return p["impedance"] * speed_noise(p) + p["stick_gain"] * impact_noise
+
+
+def friction_resolution(p, slip, noise):
+    """Values of [vibrojax.scenes._drill.friction_surface][] that count as zero; `noise` is `stick_noise`."""
+    return jnp.where(slip == 0, noise / p["impedance"], speed_noise(p))
+
+
+def friction_slope_resolution(p, slip, noise, h):
+    """Its change over a step `h` that counts as zero: of a slip, what no more than `noise` beyond the limit drives.
+
+    That sticks and slips agree on what is zero keeps a bit that is on the limit from going to and fro between them.
+    """
+    return jnp.where(slip == 0, 16 * noise / p["impedance"], noise * h * p["inverse_m1"])
 
 
 def _starts_towards(p, state):
@@ -74,18 +101,18 @@ def _starts_towards(p, state):
     return jnp.sign(jnp.where(force == 0, pull(p, v1, v2), force))
 
 
-def slip_at(p, state, impact):
+def slip_at(p, state, impact, noise):
     """sgn u, or where u = 0 the way in which the bit starts, or 0 if it sticks."""
     u = state[1] + p["v"]
-    return jnp.where(u == 0, slip_at_rest(p, state, impact), jnp.sign(u))
+    return jnp.where(u == 0, slip_at_rest(p, state, impact, noise), jnp.sign(u))
 
 
-def land_friction(p, slip, state, hit, impact):
+def land_friction(p, slip, state, hit, impact, noise):
     """The slip mode and state after the friction surface is reached where `hit`; u = 0 there, exactly."""
     x1, v1, x2, v2 = state
     v1 = jnp.where(hit, -p["v"], v1)
     state = (x1, v1, x2, v2)
-    after = jnp.where(slip == 0, _starts_towards(p, state), slip_at_rest(p, state, impact))
+    after = jnp.where(slip == 0, _starts_towards(p, state), slip_at_rest(p, state, impact, noise))
     return jnp.where(hit, after, slip), state
 
 

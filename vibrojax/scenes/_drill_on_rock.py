@@ -62,7 +62,8 @@ class DrillOnRock(Scene):
         closes = (rate > 0) | ((rate == 0) & (free > 0))
         inside = (compression > 0) & (raw_force(compression, rate, p) > 0)
         touching = jnp.where(inside | ((compression == 0) & closes), 1.0, 0.0)
-        slip = _drill.slip_at(p, state[:4], self.contact_force(p, (None, touching, rock), state))
+        impact = self.contact_force(p, (None, touching, rock), state)
+        slip = _drill.slip_at(p, state[:4], impact, self._stick_noise(p, touching))
         return (slip, touching, rock)
 
     def _compression(self, p, rock, state):
@@ -119,7 +120,7 @@ class DrillOnRock(Scene):
         growth = jnp.where(begins, 0.0, state[6])
         drill = (state[0], state[1], x2, state[3])
         impact = self.contact_force(p, (slip, touching, rock), (*drill, depth, v3, growth))
-        slip, drill = _drill.land_friction(p, slip, drill, at_friction, impact)
+        slip, drill = _drill.land_friction(p, slip, drill, at_friction, impact, self._stick_noise(p, touching))
         drill = _drill.land_turns(drill, bit_turns, striker_turns)
         rock, depth, v3 = _rock.rest(p, rock, depth, v3, touching != 0)
         return (slip, touching, rock), (*drill, depth, v3, growth)
@@ -133,10 +134,17 @@ class DrillOnRock(Scene):
         return _contact.begins(p, mode[1], self.impact_rate(p, mode, state), hits[1])
 
     def resolutions(self, p, mode):
-        speed = 64 * jnp.finfo(p["v"].dtype).eps * _drill.speed_scale(p)
+        speed = _drill.speed_noise(p)
         rock = tuple(small + speed * p["slowness"] for small in _rock.resolutions(p))
-        friction = speed + mode[1] * _contact.force_resolution(p) * p["stick_gain"] / p["impedance"]
+        friction = _drill.friction_resolution(p, mode[0], self._stick_noise(p, mode[1]))
         return (friction, speed * p["slowness"], *rock, speed, speed)
+
+    def slope_resolutions(self, p, mode, h):
+        friction = _drill.friction_slope_resolution(p, mode[0], self._stick_noise(p, mode[1]), h)
+        return (friction, *super().slope_resolutions(p, mode, h)[1:])
+
+    def _stick_noise(self, p, touching):
+        return _drill.stick_noise(p, touching * _contact.force_resolution(p))
 
     def pull(self, p, state):
         return _drill.pull(p, state[0], state[2])

@@ -86,6 +86,10 @@ class Scene(ABC):
     def resolutions(self, p: Constants, mode: Values) -> Values:
         """Values of the surfaces and markers that count as zero: a few roundings of a typical value."""
 
+    def slope_resolutions(self, p: Constants, mode: Values, h) -> Values:
+        """First-order changes of the surfaces and markers over a step `h` [s] that count as zero at its start."""
+        return tuple(16 * small for small in self.resolutions(p, mode))
+
     @abstractmethod
     def rate(self, p: Constants, mode: Values):
         """The fastest rate of change in the mode [1/s]; the step follows from it."""

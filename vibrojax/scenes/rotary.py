@@ -36,7 +36,7 @@ class Rotary(Scene):
         return _drill.start(p, name, shape)
 
     def mode_at(self, p, state):
-        return (_drill.slip_at(p, state, None),)
+        return (_drill.slip_at(p, state, None, _drill.stick_noise(p)),)
 
     def field(self, p, mode, state):
         (slip,) = mode
@@ -62,12 +62,16 @@ class Rotary(Scene):
 
     def land(self, p, mode, state, hits):
         at_friction, bit_turns, striker_turns = hits
-        slip, state = _drill.land_friction(p, mode[0], state, at_friction, None)
+        slip, state = _drill.land_friction(p, mode[0], state, at_friction, None, _drill.stick_noise(p))
         return (slip,), _drill.land_turns(state, bit_turns, striker_turns)
 
     def resolutions(self, p, mode):
-        speed = 64 * jnp.finfo(p["v"].dtype).eps * _drill.speed_scale(p)
-        return (speed, speed, speed)
+        speed = _drill.speed_noise(p)
+        return (_drill.friction_resolution(p, mode[0], _drill.stick_noise(p)), speed, speed)
+
+    def slope_resolutions(self, p, mode, h):
+        friction = _drill.friction_slope_resolution(p, mode[0], _drill.stick_noise(p), h)
+        return (friction, *super().slope_resolutions(p, mode, h)[1:])
 
     def pull(self, p, state):
         return _drill.pull(p, state[0], state[2])

@@ -45,7 +45,8 @@ class VibroImpact(Scene):
         gap_closes = (v2 > 0) | ((v2 == 0) & (free > 0))
         inside = (x2 > p["delta"]) & (self.impact_force(p, state) > 0)
         touching = jnp.where(inside | ((x2 == p["delta"]) & gap_closes), 1.0, 0.0)
-        return (_drill.slip_at(p, state, touching * self.impact_force(p, state)), touching)
+        impact = touching * self.impact_force(p, state)
+        return (_drill.slip_at(p, state, impact, self._stick_noise(p, touching)), touching)
 
     def impact_force(self, p, state):
         """J [N] while the striker touches the bit; takes arrays and series."""
@@ -89,7 +90,7 @@ class VibroImpact(Scene):
         x2 = jnp.where(at_contact, p["delta"] + compression, x2)
         state = (x1, v1, x2, v2)
         impact = touching * self.impact_force(p, state)
-        slip, state = _drill.land_friction(p, slip, state, at_friction, impact)
+        slip, state = _drill.land_friction(p, slip, state, at_friction, impact, self._stick_noise(p, touching))
         return (slip, touching), _drill.land_turns(state, bit_turns, striker_turns)
 
     def contact_force(self, p, mode, state):
@@ -108,9 +109,16 @@ class VibroImpact(Scene):
         return _contact.begins(p, mode[1], self.impact_rate(p, mode, state), hits[1])
 
     def resolutions(self, p, mode):
-        speed = 64 * jnp.finfo(p["v"].dtype).eps * _drill.speed_scale(p)
-        friction = speed + mode[1] * _contact.force_resolution(p) * p["stick_gain"] / p["impedance"]
+        speed = _drill.speed_noise(p)
+        friction = _drill.friction_resolution(p, mode[0], self._stick_noise(p, mode[1]))
         return (friction, speed * p["slowness"], speed, speed)
+
+    def slope_resolutions(self, p, mode, h):
+        friction = _drill.friction_slope_resolution(p, mode[0], self._stick_noise(p, mode[1]), h)
+        return (friction, *super().slope_resolutions(p, mode, h)[1:])
+
+    def _stick_noise(self, p, touching):
+        return _drill.stick_noise(p, touching * _contact.force_resolution(p))
 
     def pull(self, p, state):
         return _drill.pull(p, state[0], state[2])

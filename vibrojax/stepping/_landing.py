@@ -22,7 +22,7 @@ class Landing(NamedTuple):
     falling: tuple
 
 
-def land(functions_at, scene, p, mode, polynomials, functions, reach, moving) -> Landing:
+def land(functions_at, scene, p, mode, polynomials, functions, h, reach, moving) -> Landing:
     """Find the end of a trial step.
 
     A function that is crossed ends the step there. If another turns out to be crossed before, or a surface may have
@@ -34,11 +34,12 @@ def land(functions_at, scene, p, mode, polynomials, functions, reach, moving) ->
     - `functions_at`: the surfaces, then the markers, at a state.
     - `polynomials`: coefficients in tau of the states.
     - `functions`: coefficients in tau of the surfaces and markers.
-    - `reach`: the end of the trial step in tau, in [0, 1].
+    - `h`: the trial step [s].
+    - `reach`: its end in tau, in [0, 1].
     - `moving`: booleans; the other lanes stand still (h = 0).
     """
     n_surfaces = len(scene.surfaces_named)
-    small = scene.resolutions(p, mode)
+    small = [Small(*one) for one in zip(scene.resolutions(p, mode), scene.slope_resolutions(p, mode, h), strict=True)]
     signs = [1.0] * n_surfaces + [_sign_at_start(*f) for f in list(zip(functions, small, strict=True))[n_surfaces:]]
     functions = [[sign * c for c in f] for sign, f in zip(signs, functions, strict=True)]
     trial = _crossings(functions, n_surfaces, reach, small, moving)
@@ -72,6 +73,13 @@ def land(functions_at, scene, p, mode, polynomials, functions, reach, moving) ->
     return keep(landing)
 
 
+class Small(NamedTuple):
+    """What counts as zero of a function: its value, and its first coefficient in tau."""
+
+    value: jnp.ndarray
+    slope: jnp.ndarray
+
+
 class _Trial(NamedTuple):
     """Of each function: its value at the end of the trial step, whether it is crossed, and where, as a fraction."""
 
@@ -90,7 +98,7 @@ def _crossings(functions, n_surfaces, reach, resolutions, moving) -> _Trial:
     # zero it crosses it all the time.
     for index in range(n_surfaces, len(functions)):
         clear = _zeros_at_start(functions[index], resolutions[index]) < 2
-        crossed[index] = crossed[index] & clear & (guesses[index] > 0) & (ends[index] < -resolutions[index])
+        crossed[index] = crossed[index] & clear & (guesses[index] > 0) & (ends[index] < -resolutions[index].value)
     guesses = keep([jnp.where(over, guess, jnp.inf) for over, guess in zip(crossed, guesses, strict=True)])
     return _Trial(ends, crossed, guesses)
 
@@ -105,7 +113,7 @@ def _root_of_chosen(functions, chosen, resolutions, guess, reach):
         return picked
 
     target = keep([pick([f[k] for f in functions]) for k in range(len(functions[0]))])
-    zeros = _zeros_at_start(target, pick(resolutions))
+    zeros = _zeros_at_start(target, Small(*(pick(values) for values in zip(*resolutions, strict=True))))
     # A start tangent to the surface has no use for the parabola through it.
     guess = jnp.where(zeros == 2, 0.7, guess)
     return root(target, zeros, guess * reach, reach)
@@ -114,7 +122,7 @@ def _root_of_chosen(functions, chosen, resolutions, guess, reach):
 def _early(trial, landed, mine, resolutions, ending, there):
     """Where the root is not on the surface yet, unless it is `there`, or another function is crossed before it."""
     return _any(
-        jnp.where(here, ~there & (jnp.abs(value) > small), ending & over & (value < -small))
+        jnp.where(here, ~there & (jnp.abs(value) > small.value), ending & over & (value < -small.value))
         for value, over, here, small in zip(landed, trial.crossed, mine, resolutions, strict=True)
     )
 
@@ -122,7 +130,7 @@ def _early(trial, landed, mine, resolutions, ending, there):
 def _unseen(trial, landed, mine, resolutions, functions, n_surfaces):
     """Where a surface is crossed on a branch of |.| or max that its polynomial does not follow."""
     found = [
-        ~over & ~here & (there < -small) & (f[0] > 0)
+        ~over & ~here & (there < -small.value) & (f[0] > 0)
         for there, over, here, small, f in zip(landed, trial.crossed, mine, resolutions, functions, strict=True)
     ]
     return _any(found[:n_surfaces])
@@ -135,7 +143,7 @@ def _any(masks):
 
 def _sign_at_start(marker, small):
     """The sign with which a marker starts: of its first term that is not rounding where it starts from zero."""
-    rate = jnp.where(jnp.abs(marker[1]) <= 16 * small, marker[2], marker[1])
+    rate = jnp.where(jnp.abs(marker[1]) <= small.slope, marker[2], marker[1])
     return jnp.where(jnp.where(marker[0] == 0, rate, marker[0]) < 0, -1.0, 1.0)
 
 
@@ -150,13 +158,13 @@ def _first_where(masks):
 
 def _zeros_at_start(f, small):
     """How many of the function's zeros lie at the start: 0 off the surface, 1 on it, 2 where it leaves at a tangent."""
-    return jnp.where(f[0] <= 0, jnp.where(jnp.abs(f[1]) <= 16 * small, 2.0, 1.0), 0.0)
+    return jnp.where(f[0] <= 0, jnp.where(jnp.abs(f[1]) <= small.slope, 2.0, 1.0), 0.0)
 
 
 def _guess(f, end, reach, small):
     """Fraction of the step at which a function that ends below zero crosses it; 0 if it leaves the surface at once."""
     zeros = _zeros_at_start(f, small)
-    leaves = (f[0] < -small) | ((zeros > 0) & (jnp.where(zeros == 2, f[2], f[1]) <= 0))
+    leaves = (f[0] < -small.value) | ((zeros > 0) & (jnp.where(zeros == 2, f[2], f[1]) <= 0))
     tangent = 0.5
     guess = jnp.where(zeros == 2, tangent, first_guess(jnp.maximum(f[0], 0), f[1] * reach, end))
     return jnp.where(leaves, 0.0, guess)

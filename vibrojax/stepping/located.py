@@ -52,7 +52,7 @@ class Located:
         rest = keep(_at_rest(velocities, speed)) if scene.autonomous else jnp.zeros_like(moving)
         reach = jnp.where(rest, 1.0, _converged(velocities, speed, settings["tolerance"]))
         reach = keep(lax.stop_gradient(reach))
-        landing = land(functions_at, scene, p, lane.mode, polynomials, functions, reach, moving & ~rest)
+        landing = land(functions_at, scene, p, lane.mode, polynomials, functions, h, reach, moving & ~rest)
         h = jnp.where(moving & rest, lane.clock.until(end), h)
         return taken(scene, p, lane, polynomials, h, landing)
 

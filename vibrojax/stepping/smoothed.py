@@ -72,7 +72,7 @@ class Smoothed:
         series = functions_at(tuple(Series(known=one) for one in polynomials))
         functions = [[f.array(k, h) for k in range(4)] for f in series]
         reach = jnp.ones_like(h)
-        landing = land(functions_at, scene, p, lane.mode, polynomials, functions, reach, moving)
+        landing = land(functions_at, scene, p, lane.mode, polynomials, functions, h, reach, moving)
         return taken(scene, p, lane, polynomials, h, landing)
 
 
