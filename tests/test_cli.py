@@ -53,7 +53,6 @@ def calls(monkeypatch, tmp_path):
     cost = {"lanes": 4, "chunks": 1, "memory_bytes": 2.5e6, "disk_bytes": 1234, "time_s": 190.0}
     module("vibrojax.sweep", run_to_file=dataset, estimate=cost).read_sweep = read_sweep
     sys.modules["vibrojax.sweep"].__path__ = [str(ROOT / "vibrojax" / "sweep")]
-    module("vibrojax.devices", use_cores=None)
     module("vibrojax.simulation", simulate=dataset)
     module("vibrojax.store.dataset", write_dataset=None, open_dataset=dataset)
     module("vibrojax.plot", save_picture=None, picture=None)
@@ -99,7 +98,7 @@ def test_python_m_is_the_same(argv, line, tmp_path):
 
 def test_sweep_runs_then_draws(calls, capsys):
     assert main(["sweep", "map.toml"]) == 0
-    assert calls.names() == ["use_cores", "run_to_file", "save_picture"]
+    assert calls.names() == ["run_to_file", "save_picture"]
     (sweep, out), named = calls.of("run_to_file")
     assert sweep.lanes == 4 and out == Path("map.nc") and named == {"resume": True, "progress": True}
     assert calls.of("save_picture")[0][1] == Path("map.png")
@@ -116,7 +115,7 @@ def test_sweep_options(calls, capsys, tmp_path):
 
 def test_a_dry_run_only_tells(calls, capsys):
     assert main(["sweep", "map.toml", "--dry-run"]) == 0
-    assert calls.names() == ["use_cores", "estimate"]
+    assert calls.names() == ["estimate"]
     expected = ["lanes   4 (2 beta x 2 start) in 1 chunks", "memory  2.5 MB", "disk    1.23 kB", "time    3.17 min"]
     assert capsys.readouterr().out.splitlines() == expected
 
@@ -203,7 +202,7 @@ def test_simulate_passes_a_checked_point(calls, capsys):
     assert named["beta"] == 0.3 and named["v"] == pytest.approx(0.2 * np.pi) and "rpm" not in named
     assert named["friction"] == "coulomb" and named["start"] == (0.0, 0.0, 0.01, 0.0)
     assert named["duration"] == 5.0 and named["solver"] == "Tsit5" and "v_cr" not in named
-    assert calls.names() == ["use_cores", "simulate", "write_dataset", "save_picture"]
+    assert calls.names() == ["simulate", "write_dataset", "save_picture"]
     assert calls.of("write_dataset")[0][1] == Path("vibro-impact.nc")
     assert capsys.readouterr().out == "vibro-impact.nc; picture vibro-impact.png\n"
 

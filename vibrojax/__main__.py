@@ -1,6 +1,6 @@
 """`python -m vibrojax` is the command `vibrojax`."""
 
-from vibrojax.cli import main
+from vibrojax.cli import command
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    command()

@@ -1,4 +1,4 @@
-"""The machine that lanes run on: how many CPU devices, and in which precision."""
+"""The machine that lanes run on: its devices, and in which precision."""
 
 import os
 from contextlib import AbstractContextManager
@@ -6,18 +6,14 @@ from contextlib import AbstractContextManager
 import jax
 
 
-def use_cores(devices: int | None = None) -> None:
-    """Make every CPU core a device of its own, where JAX has not been used yet; later its devices stay as they are.
+def workers() -> list:
+    """The device that each of the threads that compute lanes uses.
 
-    A jitted loop uses one core, so lanes are spread over as many CPU devices as there are cores. Running a sweep calls
-    this; importing the package does not.
-
-    **Arguments:** `devices`: number of CPU devices; by default the cores this process may use.
+    A jitted loop keeps one CPU core busy, so there are as many threads as cores; all share the first CPU device and so
+    one compiled program. Of accelerators, each has a thread.
     """
-    try:
-        jax.config.update("jax_num_cpu_devices", devices or usable_cores())
-    except RuntimeError:
-        return
+    devices = jax.local_devices()
+    return devices[:1] * usable_cores() if devices[0].platform == "cpu" else devices
 
 
 def usable_cores() -> int:
@@ -26,5 +22,5 @@ def usable_cores() -> int:
 
 
 def precision(name: str) -> AbstractContextManager:
-    """A context in which JAX computes in "float64" or "float32", whatever it does outside."""
+    """A context in which this thread's JAX computes in "float64" or "float32", whatever it does outside."""
     return jax.enable_x64(name == "float64")

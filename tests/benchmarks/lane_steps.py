@@ -1,8 +1,8 @@
-"""What a step of a lane costs: ns per lane-step and lane-seconds per second, of both steppers, on one and two devices.
+"""What a step of a lane costs: ns per lane-step and lane-seconds per second, of both steppers, on one core and on two.
 
     python tests/benchmarks/lane_steps.py
 
-A printout, not a test: nothing is asserted. One core is one CPU device. The lanes lie over the regime map.
+A printout, not a test: nothing is asserted. The lanes lie over the regime map.
 """
 
 import platform
@@ -13,10 +13,10 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from vibrojax.devices import precision, use_cores
+from vibrojax.devices import usable_cores
 from vibrojax.sweep import read_sweep
 from vibrojax.sweep._chunks import Chunks
-from vibrojax.sweep._program import lanes_per_round, mesh, place
+from vibrojax.sweep._parallel import in_parallel
 
 REPEATS = 3
 SETTLE, OBSERVE = 12.0, 8.0  # s
@@ -37,27 +37,28 @@ def sweep(lanes: int, run: dict):
     return read_sweep({"scene": "vibro-impact", "points": points, "run": times | run})
 
 
-def once(chunks: Chunks, placed) -> tuple[float, float]:
-    """Seconds of one run of the lanes, and the lane-steps it took."""
+def once(chunks: Chunks) -> tuple[float, float]:
+    """Seconds of one run of the lanes, without a check run, and the lane-steps it took."""
+    items = [(at, at + chunks.block, chunks.accuracy) for at in range(0, chunks.size, chunks.block)]
     began = time.perf_counter()
-    found = chunks._run(placed, chunks.accuracy)
-    return time.perf_counter() - began, float(found["steps"].sum())
+    found = [features["steps"].sum() for _, features in in_parallel(chunks._run, items, chunks.workers)]
+    return time.perf_counter() - began, float(sum(found))
 
 
-def measured(lanes: int, run: dict, devices: int) -> dict:
+def measured(lanes: int, run: dict, cores: int) -> dict:
     """Compile time, and by the median run, what a lane-step costs and how many lane-seconds a second gives."""
     chunks = Chunks(sweep(lanes, run))
-    chunks.mesh = mesh(jax.devices()[:devices])
-    assert lanes % lanes_per_round(devices) == 0
-    with precision("float64"):
-        values, start = chunks.sweep.lane_values(0, lanes)
-        placed = place(chunks.mesh, (values, start.astype(np.int32), np.ones(lanes, bool)), chunks.dtype)
-        first, steps = once(chunks, placed)
-        seconds = [once(chunks, placed)[0] for _ in range(REPEATS)]
+    chunks.workers = chunks.workers[:cores]
+    assert lanes % chunks.block == 0
+    began = time.perf_counter()
+    chunks._run(chunks.workers[0], (0, 0, chunks.accuracy))
+    compiling = time.perf_counter() - began
+    found = [once(chunks) for _ in range(REPEATS)]
+    seconds, steps = [time for time, _ in found], found[0][1]
     median = statistics.median(seconds)
     return {
         "lanes": lanes,
-        "compile_s": first - median,
+        "compile_s": compiling,
         "run_s": median,
         "spread": (max(seconds) - min(seconds)) / median,
         "ns": 1e9 * median / steps,
@@ -75,17 +76,17 @@ def processor() -> str:
 
 
 def main() -> None:
-    use_cores(2)
+    most = min(2, usable_cores())
     found = {}
-    print(f"{processor()}, {len(jax.devices())} devices, Python {platform.python_version()}, jax {jax.__version__}")
+    print(f"{processor()}, {usable_cores()} cores, Python {platform.python_version()}, jax {jax.__version__}")
     print(f"{SETTLE + OBSERVE:g} s of each lane, float64, median of {REPEATS} runs\n")
-    titles = ("", "devices", "lanes", "compile s", "run s", "spread", "steps/s", "ns/lane-step", "lane-s/s")
+    titles = ("", "cores", "lanes", "compile s", "run s", "spread", "steps/s", "ns/lane-step", "lane-s/s")
     print("{:<40}{:>8}{:>7}{:>11}{:>8}{:>8}{:>9}{:>14}{:>10}".format(*titles))
     for name, (lanes, run) in CASES.items():
-        for devices in range(1, min(2, len(jax.devices())) + 1):
-            it = found[name, devices] = measured(lanes, run, devices)
+        for cores in range(1, most + 1):
+            it = found[name, cores] = measured(lanes, run, cores)
             print(
-                f"{name:<40}{devices:>8}{it['lanes']:>7}{it['compile_s']:>11.1f}{it['run_s']:>8.2f}"
+                f"{name:<40}{cores:>8}{it['lanes']:>7}{it['compile_s']:>11.1f}{it['run_s']:>8.2f}"
                 f"{it['spread']:>8.0%}{it['steps_per_second']:>9.0f}{it['ns']:>14.0f}{it['lane_seconds']:>10.0f}"
             )
     located, smoothed = CASES
@@ -93,10 +94,10 @@ def main() -> None:
     for name in CASES:
         if (name, 2) in found:
             gain = found[name, 2]["lane_seconds"] / found[name, 1]["lane_seconds"]
-            print(f"two devices over one, {name}: {gain:.2f}")
-    for devices in sorted({devices for _, devices in found}):
-        gain = found[located, devices]["lane_seconds"] / found[smoothed, devices]["lane_seconds"]
-        print(f"lane-seconds per second, located over smoothed, on {devices}: {gain:.1f}")
+            print(f"two cores over one, {name}: {gain:.2f}")
+    for cores in sorted({cores for _, cores in found}):
+        gain = found[located, cores]["lane_seconds"] / found[smoothed, cores]["lane_seconds"]
+        print(f"lane-seconds per second, located over smoothed, on {cores}: {gain:.1f}")
 
 
 if __name__ == "__main__":

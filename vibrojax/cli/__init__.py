@@ -23,6 +23,16 @@ class _Parser(ArgumentParser):
         raise InputError(f"{self.prog.removeprefix('vibrojax ')}: {message}; see {self.prog} --help")
 
 
+def command() -> None:
+    """The process `vibrojax`: run it and leave."""
+    status = main()
+    if status == INTERRUPTED:
+        # Threads may still be at their lanes: nobody waits for them.
+        sys.stderr.flush()
+        os._exit(status)
+    sys.exit(status)
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command with the arguments `argv` (None: the process's).
 

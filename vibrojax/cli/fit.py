@@ -23,9 +23,6 @@ def arguments(parser: ArgumentParser) -> None:
 def run(options: Namespace) -> None:
     """Run the command."""
     out = output(options.out or f"{Path(options.file).stem}-fit.nc")
-    from vibrojax.devices import use_cores
-
-    use_cores()
     from vibrojax.laws import fit_rop, verdict
     from vibrojax.store.dataset import write_dataset
 

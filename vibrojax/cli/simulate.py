@@ -37,9 +37,6 @@ def run(options: Namespace) -> None:
     out = output(options.out or f"{point.scene}.nc")
     picture = picture_beside(out)
 
-    from vibrojax.devices import use_cores
-
-    use_cores()
     from vibrojax.plot import save_picture
     from vibrojax.simulation import simulate
     from vibrojax.store.dataset import write_dataset

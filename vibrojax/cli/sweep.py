@@ -22,13 +22,11 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(options: Namespace) -> None:
     """Run the command."""
-    from vibrojax.devices import use_cores
     from vibrojax.sweep import estimate, read_sweep, run_to_file
 
     sweep = read_sweep(options.sweep)
     out = output(options.out or f"{sweep.name}.nc")
     picture = picture_beside(out)
-    use_cores()
     if options.dry_run:
         print("\n".join(_estimated(sweep.shape, sweep.dims, estimate(sweep))))
         return

@@ -2,8 +2,6 @@
 
 from dataclasses import dataclass
 
-import jax.numpy as jnp
-
 from vibrojax.physics.friction import FRICTION_LAWS, FrictionLaw
 from vibrojax.physics.parameters import BIT_AND_STRIKER
 from vibrojax.scenes import _drill

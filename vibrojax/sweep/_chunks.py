@@ -1,15 +1,16 @@
 """Lanes in chunks of one size through one compiled program; memory is bounded by the chunk."""
 
-import time
+from collections.abc import Callable
 
 import jax
 import numpy as np
 
-from vibrojax.devices import precision, use_cores
+from vibrojax.devices import precision, workers
 from vibrojax.measure import recorder_for
 from vibrojax.stepping import Located, Smoothed
 from vibrojax.sweep._accuracy import Accuracy, accuracy_for
-from vibrojax.sweep._program import lanes_per_round, mesh, place, run_chunk
+from vibrojax.sweep._parallel import in_parallel
+from vibrojax.sweep._program import BLOCK, BLOCK_ON_ACCELERATOR, run_lanes
 from vibrojax.sweep._sweep import Sweep
 
 CHUNK = 1024
@@ -24,63 +25,74 @@ COARSER = {"located": 100.0, "smoothed": 2.0}
 
 
 class Chunks:
-    """The chunks of a sweep, ready to be computed one by one, on all devices."""
+    """The chunks of a sweep, ready to be computed one by one, by all workers."""
 
     def __init__(self, sweep: Sweep):
-        use_cores()
         self.sweep = sweep
-        self.mesh = mesh()
-        least = lanes_per_round(self.mesh.size)
-        wanted = min(sweep.run.chunk or CHUNK, sweep.lanes)
-        self.size = -(-wanted // least) * least
+        self.size = sweep.run.chunk or CHUNK
         self.count = -(-sweep.lanes // self.size)
         self.dtype = np.dtype(sweep.run.precision)
         self.method = Located() if sweep.run.method == "located" else Smoothed()
         self.accuracy = accuracy_for(sweep.run)
+        self.workers = workers()
+        self.block = BLOCK if self.workers[0].platform == "cpu" else BLOCK_ON_ACCELERATOR
         self._recorder = recorder_for(sweep.machine, sweep.run.keep_returns)
-        self._starts = sweep.starts
+        self._compiled = False
 
     def lanes(self, index: int) -> tuple[int, int]:
         """First lane of a chunk, and the one after its last."""
         return index * self.size, min((index + 1) * self.size, self.sweep.lanes)
 
     def width(self, index: int) -> int:
-        """Number of lanes of a chunk, without those that only fill it up."""
+        """Number of lanes of a chunk."""
         first, last = self.lanes(index)
         return last - first
 
-    def compute(self, index: int) -> dict:
-        """Features of a chunk's lanes, by name: (lanes,), or (lanes, rows) for returns that are kept."""
+    def compute(self, index: int, told: Callable[[int], None] = lambda lanes: None) -> dict:
+        """Features of a chunk's lanes, by name: (lanes,), or (lanes, rows) for returns that are kept.
+
+        `told` is called with the number of lanes that have just been finished.
+        """
+        coarse = self.accuracy.coarser(COARSER[self.sweep.run.method])
         first, last = self.lanes(index)
-        values, start = self.sweep.lane_values(first, last)
-        fill = self.size - (last - first)
-        p = {name: np.pad(x, (0, fill), mode="edge") for name, x in values.items()}
-        start = np.pad(start.astype(np.int32), (0, fill), mode="edge")
-        real = np.arange(self.size) < last - first
-        with precision(self.sweep.run.precision):
-            placed = place(self.mesh, (p, start, real), self.dtype)
-            fine = self._run(placed, self.accuracy)
-            coarse = self._run(placed, self.accuracy.coarser(COARSER[self.sweep.run.method]))
-        fine["error_estimate"] = error_estimate(fine, coarse, self.sweep.run.method, self.dtype)
-        return {name: np.moveaxis(x, -1, 0)[: last - first] for name, x in fine.items()}
+        blocks = [(at, min(at + self.block, last)) for at in range(first, last, self.block)]
+        items = [(*block, accuracy) for block in blocks for accuracy in (self.accuracy, coarse)]
+        if not self._compiled:  # once, and not by every thread
+            for worker in dict.fromkeys(self.workers):
+                self._run(worker, (first, first, self.accuracy))
+            self._compiled = True
+        found: list[dict] = [{} for _ in items]
+        for item, features in in_parallel(self._run, items, self.workers):
+            found[item] = features
+            if found[item ^ 1]:  # the block's other run
+                told(items[item][1] - items[item][0])
+        fine = {name: np.concatenate([part[name] for part in found[::2]]) for name in found[0]}
+        check = {name: np.concatenate([part[name] for part in found[1::2]]) for name in found[0]}
+        fine["error_estimate"] = error_estimate(fine, check, self.sweep.run.method, self.dtype)
+        return fine
 
-    def _run(self, placed, accuracy: Accuracy) -> dict:
+    def _run(self, worker, item: tuple[int, int, Accuracy]) -> dict:
+        """Features of the lanes from `first` to before `last`, by name."""
+        first, last, accuracy = item
         run = self.sweep.run
-        settings = {
-            "settle": run.settle,
-            "observe": run.observe,
-            "most_steps": MOST_STEPS,
-        } | accuracy.settings()
-        settings = {name: np.asarray(value, self.dtype) for name, value in settings.items()}
-        out = run_chunk(self.sweep.machine, self.method, self._recorder, self._starts, self.mesh, *placed, settings)
-        return {name: np.asarray(x) for name, x in _waited(out).items()}
+        values, start = self.sweep.lane_values(first, max(last, first + 1))
+        settings = {"settle": run.settle, "observe": run.observe, "most_steps": MOST_STEPS} | accuracy.settings()
+        with precision(run.precision), jax.default_device(worker):
+            found = run_lanes(
+                self.sweep.machine,
+                self.method,
+                self._recorder,
+                self.sweep.starts,
+                {name: self._filled(x.astype(self.dtype)) for name, x in values.items()},
+                self._filled(start.astype(np.int32)),
+                np.int32(last - first),
+                {name: np.asarray(value, self.dtype) for name, value in settings.items()},
+            )
+            return {name: np.moveaxis(np.asarray(x), -1, 0)[: last - first] for name, x in found.items()}
 
-
-def _waited(features: dict) -> dict:
-    """The features once they are computed; an interrupt is heard while they are not."""
-    while not all(x.is_ready() for x in features.values()):
-        time.sleep(0.01)
-    return features
+    def _filled(self, x: np.ndarray) -> np.ndarray:
+        """Values (lanes,) with copies of the last one up to a whole block."""
+        return np.pad(x, (0, self.block - len(x)), mode="edge")
 
 
 def error_estimate(fine: dict, coarse: dict, method: str, dtype) -> np.ndarray:
@@ -108,7 +120,7 @@ def _relative(fine, coarse):
         return np.where(fine == coarse, 0.0, np.abs(coarse / fine - 1))
 
 
-def devices_text() -> str:
-    """The devices lanes run on, in words."""
-    devices = jax.devices()
-    return f"{len(devices)} {devices[0].platform}"
+def devices_text(chunks: Chunks) -> str:
+    """What lanes run on, in words."""
+    device, count = chunks.workers[0], len(chunks.workers)
+    return f"{count} cpu cores" if device.platform == "cpu" else f"{count} {device.device_kind}"

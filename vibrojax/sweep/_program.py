@@ -1,58 +1,37 @@
-"""The compiled program of a chunk of lanes: blocks of lanes, spread over the devices."""
+"""The compiled program of a block of lanes."""
 
 from functools import partial
 
 import jax
 import jax.numpy as jnp
-import numpy as np
-from jax.sharding import AxisType, NamedSharding, PartitionSpec
 
 from vibrojax.measure.run import run_block
 
 BLOCK = 64
-"""Lanes that step together. Small enough for a step's arrays to stay in cache, and for few lanes to wait for others."""
+"""Lanes that step together on a CPU core: a step's arrays stay in cache, and few lanes wait for others. Every block has
+this size, and one thread, so that a lane's answer does not depend, to the last bit, on what is computed beside it."""
+
+BLOCK_ON_ACCELERATOR = 16384
+"""Lanes that step together on an accelerator, where a step of a few costs as much as one of many."""
 
 
-def mesh(devices=None):
-    """The devices that lanes are spread over, by default all there are."""
-    devices = jax.devices() if devices is None else devices
-    return jax.make_mesh((len(devices),), ("lanes",), axis_types=(AxisType.Auto,), devices=devices)
-
-
-def lanes_per_round(devices: int) -> int:
-    """The least number of lanes that keeps every device busy; chunks are multiples of it."""
-    return BLOCK * devices
-
-
-@partial(jax.jit, static_argnames=("scene", "method", "recorder", "starts", "mesh"))
-def run_chunk(scene, method, recorder, starts, mesh, p, start, real, settings) -> dict:
-    """Features of a chunk of lanes.
+@partial(jax.jit, static_argnames=("scene", "method", "recorder", "starts"))
+def run_lanes(scene, method, recorder, starts, p, start, count, settings) -> dict:
+    """Features of a block of lanes.
 
     **Arguments:**
 
     - `starts`: names or vectors (static); `start` says which one each lane takes, integers (lanes,).
-    - `p`: parameters by name, each (lanes,); `real`: False for lanes that only fill up the chunk.
+    - `p`: parameters by name, each (lanes,).
+    - `count`: how many of the lanes, from the first, are to be computed; the others only fill up the block.
     - `settings`: see [vibrojax.measure.run.run_block][].
 
     **Returns:** features by name, (lanes,), or (rows, lanes) for returns that are kept.
     """
-
-    def block(inputs):
-        p, start, real = inputs
-        constants = dict(scene.constants(p))
-        state = _start(scene, constants, starts, start)
-        return run_block(scene, method, recorder, constants, state, real, settings)
-
-    def device(p, start, real):
-        blocks = jax.tree.map(lambda x: x.reshape(-1, BLOCK), (p, start, real))
-        features = jax.lax.map(block, blocks)
-        return jax.tree.map(lambda x: jnp.moveaxis(x, 0, -2).reshape(*x.shape[1:-1], -1), features)
-
-    lanes, rows = PartitionSpec("lanes"), PartitionSpec(None, "lanes")
-    names = jax.eval_shape(device, p, start, real)
-    specs = {name: rows if len(shape.shape) == 2 else lanes for name, shape in names.items()}
-    spread = jax.shard_map(device, mesh=mesh, in_specs=lanes, out_specs=specs, check_vma=False)
-    return spread(p, start, real)
+    constants = dict(scene.constants(p))
+    state = _start(scene, constants, starts, start)
+    real = jnp.arange(start.size) < count
+    return run_block(scene, method, recorder, constants, state, real, settings)
 
 
 def _start(scene, p, starts, start):
@@ -62,14 +41,3 @@ def _start(scene, p, starts, start):
     for index, other in enumerate(candidates[1:], start=1):
         state = tuple(jnp.where(start == index, new, old) for new, old in zip(other, state, strict=True))
     return state
-
-
-def place(mesh, arrays, dtype):
-    """Numpy arrays (lanes,) on the devices, floats as `dtype`."""
-    sharding = NamedSharding(mesh, PartitionSpec("lanes"))
-
-    def put(x):
-        x = np.asarray(x)
-        return jax.device_put(x.astype(dtype) if x.dtype.kind == "f" else x, sharding)
-
-    return jax.tree.map(put, arrays)

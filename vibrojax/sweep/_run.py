@@ -39,8 +39,7 @@ def run_sweep(source, progress: bool = True) -> xr.Dataset:
     told = Progress(sweep.lanes, progress)
     parts = []
     for index in range(chunks.count):
-        parts.append(chunks.compute(index))
-        told.add(chunks.width(index))
+        parts.append(chunks.compute(index, told.add))
     return _assembled(sweep, chunks, parts, time.monotonic() - began)
 
 
@@ -64,8 +63,7 @@ def run_to_file(sweep: Sweep, out: Path, resume: bool = True, progress: bool = T
         told = Progress(sweep.lanes, progress)
         told.resume(sum(chunks.width(index) for index in finished))
         for index in sorted(set(range(chunks.count)) - finished):
-            shards.write(index, chunks.compute(index))
-            told.add(chunks.width(index))
+            shards.write(index, chunks.compute(index, told.add))
         parts = [_read_or_compute(shards, chunks, index) for index in range(chunks.count)]
         dataset = _assembled(sweep, chunks, parts, time.monotonic() - began)
         write_dataset(dataset, out)
@@ -92,7 +90,7 @@ def estimate(sweep: Sweep) -> dict:
         # A lane in the loop carries some 300 numbers; the results are held once to be labelled and written.
         "memory_bytes": 400e6 + chunks.size * 8 * 300 + 3 * sweep.lanes * per_lane,
         "disk_bytes": ceil(sweep.lanes * per_lane),
-        "time_s": 15 + 1e-6 * MICROSECONDS_PER_LANE_SECOND * sweep.lanes * seconds / chunks.mesh.size,
+        "time_s": 15 + 1e-6 * MICROSECONDS_PER_LANE_SECOND * sweep.lanes * seconds / len(chunks.workers),
     }
 
 
@@ -102,7 +100,7 @@ def _assembled(sweep: Sweep, chunks: Chunks, parts: list[dict], wall_time: float
         "method": sweep.run.method,
         "order": getattr(chunks.method, "order", 4),
         "precision": sweep.run.precision,
-        "devices": devices_text(),
+        "devices": devices_text(chunks),
         "steps": int(features["steps"].sum()),
         **chunks.accuracy.described(),
     }
