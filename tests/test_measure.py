@@ -20,6 +20,9 @@ LANES = {
 }
 IMPACTING = ["gap", "preload", "light"]
 
+# Reference case 10, which repeats after returns of 15 and 179 ms.
+UNEQUAL = {"beta": 0.856, "gamma": 0.719, "v": 1.497, "delta": -0.0009}
+
 
 @pytest.fixture(scope="module")
 def features():
@@ -141,6 +144,32 @@ def test_phase_lag(features, sampled, name):
     first, second = (motion.mean((x * wave).real) + 1j * motion.mean((x * wave).imag) for x in (motion.x1, motion.x2))
     close(lane.phase_lag, np.angle(first / second), 0, 1e-3)
     assert -np.pi < lane.phase_lag <= np.pi
+
+
+def phase_lag(point, **run):
+    sweep = {"scene": "vibro-impact", "points": {key: [value] for key, value in point.items()}, "starts": ["drive"]}
+    return vj.run_sweep(sweep | {"run": run}, progress=False).isel(point=0, start=0)
+
+
+@pytest.mark.parametrize("observe", [7.0, 8.0])
+def test_phase_lag_of_unequal_returns(observe):
+    """The harmonic of the mean period, wherever in a repeat the observation begins and ends."""
+    lane = phase_lag(UNEQUAL, observe=observe)
+    assert lane.cycles == 2
+    motion = vj.simulate("vibro-impact", **UNEQUAL, start="drive", duration=48.0, sampling=4e-4, progress=False)
+    times = motion.event_time.values[motion.event_kind == motion.event_kind.flag_meanings.split().index("section")]
+    ends = times[-21], times[-1]
+    assert np.ptp(np.diff(times[-5:])) > 0.02
+    t = np.linspace(*ends, 40001)
+    wave = np.exp(-2j * np.pi * 20 * (t - ends[0]) / (ends[1] - ends[0]))
+    first, second = (np.mean((np.interp(t, motion.time, x) * wave)[1:]) for x in (motion.x1, motion.x2))
+    close(lane.phase_lag, np.angle(first / second), 0, 1e-3)
+
+
+def test_phase_lag_observed_from_the_start():
+    """The first return, before which the period is not known, is left out."""
+    settled = phase_lag(USUAL | CONTACT).phase_lag
+    close(phase_lag(USUAL | CONTACT, settle=0.0).phase_lag, settled, 0, 0.02)
 
 
 def test_phase_lag_of_known_cases(features):

@@ -259,6 +259,22 @@ def test_simultaneous_switches(start, shift):
     np.testing.assert_allclose(taken.after[-1], nearby.after[-1], rtol=0, atol=1e-5)
 
 
+@pytest.mark.parametrize("part", [0.999, 0.9, 0.5, 0.0])
+def test_turns_within_a_step(part):
+    """x2' dips below zero and comes back well within a step: both turns are landed on.
+
+    While x1 overtakes x2, x2' = e - w² a t + w² x1' t²/2, whose least value is e - w² a²/(2 x1').
+    """
+    p = constants(DRILL)
+    behind, speed = 0.002, 1.0
+    dip = float(p["k2"][0] * p["inverse_m2"][0]) * behind**2 / (2 * speed)
+    _, taken = run((-behind, speed, 0.0, part * dip), 0.006, delta=1.0)
+    turns = np.flatnonzero(taken.hits[:, DRILL.striker_turn])
+    assert len(turns) == (2 if part > 0 else 1)
+    np.testing.assert_allclose(taken.after[turns, 3], 0, atol=1e-15)
+    assert len(taken.dt) < 10
+
+
 V, DELTA = 1.5, -0.005
 
 

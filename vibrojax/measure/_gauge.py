@@ -7,13 +7,17 @@ from vibrojax.stepping import Lane, Step
 
 
 class Moment(NamedTuple):
-    """A step just taken: the lane after it, the step, the time [s] since the last return when it ends, and the mean
-    frequency [rad/s] of the last returns (0 before there are two)."""
+    """A step just taken: the lane after it, the step, and what is known of the cycle that it lies in.
+
+    `since` [s] is the time since the last return when it ends; `frequency` [rad/s] that of the returns (0 before there
+    are two) and `phase` [rad] what has passed of it, when the step ends, since the observation's first return.
+    """
 
     lane: Lane
     step: Step
     since: Any
     frequency: Any
+    phase: Any
 
 
 class Return(NamedTuple):

@@ -13,30 +13,38 @@ from vibrojax.stepping.polynomial import value
 class Harmonics(Gauge):
     """phase_lag [rad] of x2 behind x1 at the frequency of the returns, in (-pi, pi].
 
-    The Fourier integrals of each return run from its own beginning at the mean frequency of the last ones, by Simpson's
-    rule on the step's polynomials.
+    Fourier integrals of x less its mean, by Simpson's rule on the steps' polynomials. Steps before the frequency is
+    known are left out. Where returns alternate, this is the harmonic of the repeat that their mean period belongs to.
     """
 
-    summed = ("cos1", "sin1", "cos2", "sin2")
+    summed = ("known", "cos0", "sin0", "mean1", "cos1", "sin1", "mean2", "cos2", "sin2")
 
     def increments(self, scene, p, moment):
         step = moment.step
-        start, end = moment.frequency * (moment.since - step.dt), moment.frequency * moment.since
-        middle = (start + end) / 2
-        weights = [step.dt / 6, step.dt * (2 / 3), step.dt / 6]
-        phases = keep([(jnp.cos(a), jnp.sin(a)) for a in (start, middle, end)])
-        found = {}
+        dt = jnp.where(moment.frequency > 0, step.dt, 0)
+        weights = [dt / 6, dt * (2 / 3), dt / 6]
+        start, end = moment.phase - moment.frequency * step.dt, moment.phase
+        waves = keep(
+            [(k, k * jnp.cos(a), k * jnp.sin(a)) for k, a in zip(weights, (start, (start + end) / 2, end), strict=True)]
+        )
+        known, cos, sin = (sum(wave) for wave in zip(*waves, strict=True))
+        found = {"known": known, "cos0": cos, "sin0": sin}
         for name, index in (("1", 0), ("2", 2)):
             x = step.polynomials[index]
             values = keep([x[0], value(x, step.tau / 2), value(x, step.tau)])
-            found["cos" + name] = sum(k * y * c for k, y, (c, _) in zip(weights, values, phases, strict=True))
-            found["sin" + name] = sum(k * y * s for k, y, (_, s) in zip(weights, values, phases, strict=True))
+            for kind, weight in zip(("mean", "cos", "sin"), zip(*waves, strict=True), strict=True):
+                found[kind + name] = sum(k * y for k, y in zip(weight, values, strict=True))
         return found
 
     def read(self, scene, p, carry, whole):
         sums = whole.sums
+
+        def integral(kind, name):
+            return sums[kind + name] - sums["mean" + name] / sums["known"] * sums[kind + "0"]
+
+        cos1, sin1, cos2, sin2 = (integral(kind, name) for name in "12" for kind in ("cos", "sin"))
         # arg(X2* X1) of X = cos - i sin: how far the striker is behind.
-        across = sums["sin2"] * sums["cos1"] - sums["cos2"] * sums["sin1"]
-        along = sums["cos2"] * sums["cos1"] + sums["sin2"] * sums["sin1"]
+        across = sin2 * cos1 - cos2 * sin1
+        along = cos2 * cos1 + sin2 * sin1
         lag = jnp.arctan2(across, along)
         return {"phase_lag": jnp.where((across == 0) & (along == 0), jnp.nan, lag)}

@@ -27,7 +27,7 @@ class Recorder:
     def step(self, scene, p, carry: dict, lane, step) -> dict:
         """Take in a step."""
         returns = section.step(scene, p, carry["returns"], lane, step)
-        moment = Moment(lane, step, returns["since"], returns["frequency"])
+        moment = Moment(lane, step, *(returns[name] for name in ("since", "frequency", "phase")))
         increments = {"time": step.dt}
         for gauge in self.gauges:
             increments |= gauge.increments(scene, p, moment)

@@ -29,6 +29,7 @@ def begin(lane) -> dict:
         "times": nothing,
         "settled": jnp.zeros_like(nothing),
         "frequency": zero,
+        "phase": zero,
         "number": zero,
         "worst": jnp.zeros((MOST_CYCLES, 3, *x1.shape), x1.dtype),
     }
@@ -47,6 +48,7 @@ def step(scene, p, carry: dict, lane, step) -> dict:
         "armed": carry["armed"] | (v1 < -ARMED_BELOW * p["v"]),
         "waiting": carry["waiting"] | overtakes,
         "since": carry["since"] + step.dt,
+        "phase": carry["phase"] + carry["frequency"] * step.dt,
         "swing1": _widened(carry["swing1"], x1),
         "swing2": _widened(carry["swing2"], x2),
     }
@@ -77,15 +79,18 @@ def turn_over(carry: dict, lane) -> dict:
     differs = keep(jnp.abs(state[None] - carry["states"]))
     # A return that has not been yet is NaN, which compares false.
     unsettled = here & jnp.any(differs > SETTLED_WITHIN * scale[None], axis=1)
+    repeats = jnp.all(differs <= SETTLED_WITHIN * scale[None], axis=1)
     back = jnp.arange(MOST_CYCLES).reshape(-1, *[1] * carry["number"].ndim)
     compared = here & (back < carry["number"])
     worst = jnp.where(compared[:, None], jnp.maximum(carry["worst"], differs), carry["worst"])
     times = keep(jnp.concatenate([lane.clock.high[None], carry["times"][:-1]]))
-    known = jnp.sum(jnp.isfinite(times), axis=0) - 1
-    frequency = 2 * jnp.pi * known / jnp.where(known > 0, times[0] - jnp.nanmin(times, axis=0), 1)
     x1, _, x2, _ = lane.state[:4]
+    turn = 2 * jnp.pi
+    # From the first return of the observation on, without the whole turns.
+    phase = jnp.where(carry["number"] == 0, 0, carry["phase"] - turn * jnp.round(carry["phase"] / turn))
     return carry | {
-        "frequency": jnp.where(here, frequency, carry["frequency"]),
+        "frequency": jnp.where(here, turn * _rate(carry["times"], repeats, lane.clock.high), carry["frequency"]),
+        "phase": jnp.where(here, phase, carry["phase"]),
         "armed": carry["armed"] & ~here,
         "waiting": jnp.zeros_like(here),
         "since": jnp.where(here, 0, carry["since"]),
@@ -97,6 +102,17 @@ def turn_over(carry: dict, lane) -> dict:
         "number": carry["number"] + here,
         "worst": worst,
     }
+
+
+def _rate(times, repeats, now):
+    """Returns per second, over the fewest returns after which the state repeats, else over all that are kept; 0 before
+    there are two."""
+    rate = jnp.zeros_like(now)
+    for p in range(1, MOST_CYCLES + 1):
+        rate = jnp.where(jnp.isfinite(times[p - 1]), p / (now - times[p - 1]), rate)
+    for p in range(MOST_CYCLES, 0, -1):
+        rate = jnp.where(repeats[p - 1], p / (now - times[p - 1]), rate)
+    return rate
 
 
 def cycles(carry: dict, bit_amplitude, striker_amplitude, period):

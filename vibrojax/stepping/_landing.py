@@ -60,8 +60,8 @@ def land(functions_at, scene, p, mode, polynomials, functions, h, reach, moving)
     unseen = keep(moving & _unseen(trial, landed, mine, small, functions, n_surfaces))
     repeat = keep(early | unseen)
 
-    surfaces = zip(functions[:n_surfaces], trial.ends[:n_surfaces], strict=True)
-    dip = keep(reduce(jnp.minimum, [_dip(f, end, reach) for f, end in surfaces]))
+    dips = [_dip(f, end, reach) for f, end in zip(functions, trial.ends, strict=True)]
+    dip = keep(reduce(jnp.minimum, dips))
     dipped = moving & ~ending & (dip < 1)
     landing = Landing(
         tau=jnp.where(dipped, dip * reach, jnp.where(unseen, tau / 2, tau)),
