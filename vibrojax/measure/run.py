@@ -18,6 +18,7 @@ def run_block(scene, method, recorder, p, state, real, settings) -> dict:
     - `real`: False for lanes that only fill up the block; they take no step.
     - `settings`: the method's, and `settle`, `observe` [s], `most_steps` (steps after which a lane is given up).
     """
+    p = scene.scaled(p, state)
     lane = lane_at(scene, p, state, real)
     settle = settings["settle"] * jnp.ones_like(state[0])
     end = settle + settings["observe"]

@@ -20,6 +20,12 @@ def surface(p, touching, compression, rate):
     return touching * force + (1.0 - touching) * maximum(-compression, -force)
 
 
+def energy(p, compression):
+    """Energy [J] of the contact's spring, touching or about to be."""
+    inside = jnp.maximum(compression, 0)
+    return p["k0"] * inside * inside / 2
+
+
 def begins(p, touching, rate, hit):
     """Where a contact begins from outside, which is an impact.
 

@@ -5,22 +5,40 @@ import jax.numpy as jnp
 from vibrojax.physics.elementary import absolute
 from vibrojax.physics.modes import striker
 
+STARTING_SHARE = 0.05
+
 
 def with_derived(p, law):
     """The parameters with what follows from them: m2, k2, weight m1 g [N] and the stick limit's two parts."""
     m2, k2 = striker(p)
     weight = p["m1"] * p["g"]
+    stick_limit, impedance = law.on_weight(0.0, p) * weight, jnp.sqrt(p["k1"] * p["m1"])
     return p | {
         "m2": m2,
         "k2": k2,
         "weight": weight,
-        "stick_limit": law.on_weight(0.0, p) * weight,
+        "stick_limit": stick_limit,
         "stick_gain": law.on_impact(0.0, p) + 0 * weight,
         "inverse_m1": 1 / p["m1"],
         "inverse_m2": 1 / m2,
-        "impedance": jnp.sqrt(p["k1"] * p["m1"]),
+        "impedance": impedance,
         "slowness": jnp.sqrt(p["m1"] / p["k1"]),
+        # The drive's, and what friction's fall gives to the bit on its spring.
+        "speed_scale": p["v"] + (stick_limit + 1e-6 * weight) / impedance,
     }
+
+
+def scaled(p, state, contact_energy=0.0):
+    """The constants for a motion from `state`, whose contact holds `contact_energy` [J].
+
+    Where next to nothing drives the drill or holds it, only what it starts with says how fast it moves. The share is
+    small, so that a transient does not decide how exact all that follows is.
+    """
+    x1, v1, x2, v2 = state
+    springs = p["k1"] * x1 * x1 + p["k2"] * (x1 - x2) ** 2
+    energy = (springs + p["m1"] * v1 * v1 + p["m2"] * v2 * v2) / 2 + contact_energy
+    fastest = jnp.sqrt(2 * energy * jnp.maximum(p["inverse_m1"], p["inverse_m2"]))
+    return p | {"speed_scale": jnp.maximum(p["speed_scale"], STARTING_SHARE * fastest)}
 
 
 def pull(p, x1, x2):
@@ -73,7 +91,7 @@ def slip_at_rest(p, state, impact, noise):
 
 def speed_noise(p):
     """Speed [m/s] that counts as zero: a few roundings of a typical one."""
-    return 64 * jnp.finfo(p["v"].dtype).eps * speed_scale(p)
+    return 64 * jnp.finfo(p["v"].dtype).eps * p["speed_scale"]
 
 
 def stick_noise(p, impact_noise=0.0):
@@ -140,11 +158,6 @@ def land_turns(state, bit_turns, striker_turns):
     """The state with x1' or x2' exactly zero where the bit or the striker turns."""
     x1, v1, x2, v2 = state
     return (x1, jnp.where(bit_turns, 0.0, v1), x2, jnp.where(striker_turns, 0.0, v2))
-
-
-def speed_scale(p):
-    """A typical velocity [m/s]: the drive's, and what friction's fall gives to the bit on its spring."""
-    return p["v"] + (p["stick_limit"] + 1e-6 * p["weight"]) / p["impedance"]
 
 
 def smoothed_mode(p, state, width):

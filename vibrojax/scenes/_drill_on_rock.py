@@ -55,6 +55,9 @@ class DrillOnRock(Scene):
         rest = jnp.zeros_like(x1)
         return (x1, v1, x2, v2, rest, rest, rest)
 
+    def scaled(self, p, state):
+        return _drill.scaled(p, state[:4], _contact.energy(p, state[2] - p["delta"]))
+
     def mode_at(self, p, state):
         rock = jnp.zeros_like(state[0])
         compression, rate = self._compression(p, rock, state)
@@ -154,6 +157,3 @@ class DrillOnRock(Scene):
         contact = _contact.stiff_rate(p, flight)
         drill = jnp.where(mode[1] != 0, contact, flight)
         return jnp.where(mode[2] == _rock.REST, drill, jnp.maximum(drill, _rock.rate(p)))
-
-    def speed_scale(self, p):
-        return _drill.speed_scale(p)

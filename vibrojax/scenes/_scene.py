@@ -44,11 +44,18 @@ class Scene(ABC):
 
     @abstractmethod
     def constants(self, p: Constants) -> Constants:
-        """The parameters `p` with what follows from them."""
+        """The parameters `p` with what follows from them.
+
+        Among it `speed_scale`, a typical velocity [m/s], against which a step's error is weighed.
+        """
 
     @abstractmethod
     def start(self, p: Constants, name, shape) -> Values:
         """State at t = 0 for a named start or a vector."""
+
+    def scaled(self, p: Constants, state: Values) -> Constants:
+        """The constants for a motion from `state`, where that is much faster than what `p` alone lets expect."""
+        return p
 
     @abstractmethod
     def mode_at(self, p: Constants, state: Values) -> Values:
@@ -93,7 +100,3 @@ class Scene(ABC):
     @abstractmethod
     def rate(self, p: Constants, mode: Values):
         """The fastest rate of change in the mode [1/s]; the step follows from it."""
-
-    @abstractmethod
-    def speed_scale(self, p: Constants):
-        """A typical velocity of the lane [m/s], against which a step's error is weighed."""

@@ -46,8 +46,11 @@ class Penetration(Scene):
         return mass | ROCK | (PULSES if self.has_pulses else SWEEP)
 
     def constants(self, p):
-        return _rock.with_derived(p) | {
-            "turns": 1 / p["frequency"] if self.has_pulses else jnp.full_like(p["m1"], jnp.inf)
+        p = _rock.with_derived(p)
+        bias = 0.0 if self.has_pulses else jnp.abs(p["bias"])
+        return p | {
+            "turns": 1 / p["frequency"] if self.has_pulses else jnp.full_like(p["m1"], jnp.inf),
+            "speed_scale": (jnp.abs(p["force"]) + bias) * p["mobility"],
         }
 
     def start(self, p, name, shape):
@@ -101,17 +104,13 @@ class Penetration(Scene):
     def resolutions(self, p, mode):
         eps = 64 * jnp.finfo(p["m1"].dtype).eps
         longest = jnp.where(jnp.isfinite(p["turns"]), p["turns"], 1.0)
-        return (*_rock.resolutions(p), eps * longest, eps * self.speed_scale(p))
+        return (*_rock.resolutions(p), eps * longest, eps * p["speed_scale"])
 
     def rate(self, p, mode):
         rates = jnp.where(mode[0] == _rock.REST, p["frequency"], _rock.rate(p)) if self.has_pulses else _rock.rate(p)
         if self.pulse_shape == "half-sine":
             rates = jnp.maximum(rates, pi / p["pulse_width"])
         return rates
-
-    def speed_scale(self, p):
-        bias = 0.0 if self.has_pulses else jnp.abs(p["bias"])
-        return (jnp.abs(p["force"]) + bias) * p["mobility"]
 
     def smoothed_field(self, p, mode, state, width):
         return self.field(p, mode, state)  # nothing in it is smoothed

@@ -33,6 +33,9 @@ class Rotary(Scene):
     def start(self, p, name, shape):
         return _drill.start(p, name, shape)
 
+    def scaled(self, p, state):
+        return _drill.scaled(p, state)
+
     def mode_at(self, p, state):
         return (_drill.slip_at(p, state, None, _drill.stick_noise(p)),)
 
@@ -76,9 +79,6 @@ class Rotary(Scene):
 
     def rate(self, p, mode):
         return _drill.flight_rate(p)
-
-    def speed_scale(self, p):
-        return _drill.speed_scale(p)
 
 
 SCENE = Rotary

@@ -39,6 +39,9 @@ class VibroImpact(Scene):
             x2 = jnp.minimum(x2, p["delta"])
         return (x1, v1, x2, v2)
 
+    def scaled(self, p, state):
+        return _drill.scaled(p, state, _contact.energy(p, state[2] - p["delta"]))
+
     def mode_at(self, p, state):
         x1, _, x2, v2 = state
         free = p["k2"] * (x1 - x2) - p["c2"] * v2
@@ -127,9 +130,6 @@ class VibroImpact(Scene):
         flight = _drill.flight_rate(p)
         contact = _contact.stiff_rate(p, flight)
         return jnp.where(mode[1] != 0, contact, flight)
-
-    def speed_scale(self, p):
-        return _drill.speed_scale(p)
 
 
 SCENE = VibroImpact

@@ -36,6 +36,7 @@ def record(scene, method, p, state, settings, duration, told=None) -> Record:
 
     Raises `InputError` where that takes over ten million steps.
     """
+    p = scene.scaled(p, state)
     lane = lane_at(scene, p, state)
     parts = []
     for _ in range(MOST_BATCHES):

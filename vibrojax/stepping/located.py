@@ -48,7 +48,7 @@ class Located:
 
         functions = [[one.array(k, h) for k in orders] for one in functions_at(series)]
         velocities = [polynomials[i] for i in scene.velocities]
-        speed = scene.speed_scale(p)
+        speed = p["speed_scale"]
         rest = keep(_at_rest(velocities, speed)) if scene.autonomous else jnp.zeros_like(moving)
         reach = jnp.where(rest, 1.0, _converged(velocities, speed, settings["tolerance"]))
         reach = keep(lax.stop_gradient(reach))
