@@ -1,5 +1,7 @@
 """Smoothed, located and diffrax's adaptive steps give one motion, over a transient short enough to forbid chaos."""
 
+import json
+
 import diffrax
 import numpy as np
 import pytest
@@ -91,3 +93,31 @@ def test_samples_do_not_depend_on_sampling(located):
     finer = vj.simulate("vibro-impact", **STUCK, duration=0.8, sampling=2.5e-4, progress=False)
     for name in STATES:
         np.testing.assert_array_equal(finer[name][::4], located["stuck"][name])
+
+
+def test_a_solver_with_fixed_steps(located):
+    """One without an error estimate takes the steps it is given, or those that the width asks for."""
+    euler = motion(STUCK, solver="Euler", smoothing=1e-2, step=2e-5)
+    assert json.loads(euler.solver)["steps"] == 40_000
+    np.testing.assert_allclose(euler.x1, located["stuck"].x1, atol=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("duration", "a"),
+        ("duration", 0),
+        ("sampling", float("nan")),
+        ("error", -1.0),
+        ("step", True),
+        ("smoothing", "x"),
+    ],
+)
+def test_settings_that_are_no_numbers_above_zero(name, value):
+    with pytest.raises(InputError, match=f"simulate: {name}: "):
+        vj.simulate("rotary", **({"duration": 0.1} | {name: value}), progress=False)
+
+
+def test_numpy_scalars_are_numbers():
+    motion = vj.simulate("rotary", beta=np.float32(0.5), m1=np.int64(250), duration=np.float32(0.1), progress=False)
+    assert float(motion.time[-1]) == pytest.approx(0.1)

@@ -158,7 +158,7 @@ def test_float32_leaves_x64_as_it_was(single):
 
 @pytest.mark.parametrize("scene", ["rotary", "vibro-impact"])
 def test_hardly_driven(scene):
-    """A drive at rest and next to no friction: what the lane starts with sets the scale, and its steps do not run out."""
+    """A drive at rest and next to no friction: the start sets the scale, and steps do not run out."""
     grid = {"v": [0.0, 1e-6], "mu": [0.0, 1e-6], "c2": [0.0, 250.0], "g": [0.0, 9.81]}
     starts = ["drive", "stuck", [0.01, 0.0, 0.02, 0.0], [0.0, -1.0, 0.0, 2.0]]
     run = {"settle": 6.0, "observe": 4.0}

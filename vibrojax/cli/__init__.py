@@ -20,7 +20,8 @@ class _Parser(ArgumentParser):
     """Wrong arguments are bad input like any other: one line, status 2."""
 
     def error(self, message: str):
-        raise InputError(f"{self.prog.removeprefix('vibrojax ')}: {message}; see {self.prog} --help")
+        command = self.prog.partition(" ")[2]
+        raise InputError(f"{command}{': ' * bool(command)}{message}; see {self.prog} --help")
 
 
 def command() -> None:

@@ -110,7 +110,7 @@ def _accuracy(dataset: Any) -> list[str]:
     if "error_estimate" not in dataset:
         return []
     errors = dataset["error_estimate"].values
-    errors = errors[np.isfinite(errors)]
+    errors = errors[~np.isnan(errors)]  # infinite where the two resolutions disagree
     if not errors.size:
         return ["no periodic lanes, so no error estimates"]
     accepted = _accepted(dataset.attrs.get("sweep", ""))

@@ -9,7 +9,7 @@ from vibrojax.errors import InputError, Place, shown
 
 # Settings of the run, which are no parameters of a scene.
 _TEXTS = ("method", "solver")
-_POSITIVE = ("duration", "step", "smoothing")
+_NUMBERS = ("duration", "error", "sampling", "step", "smoothing")
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -21,7 +21,8 @@ def arguments(parser: ArgumentParser) -> None:
         "values",
         metavar="NAME=VALUE",
         nargs="*",
-        help="a parameter; friction; start (a name, or [x1,x1',x2,x2']); duration, method, solver, step, smoothing",
+        help="a parameter; friction; start (a name, or [x1,x1',x2,x2']); duration, sampling, error, method, solver, "
+        "step, smoothing",
     )
     parser.add_argument("-o", dest="out", metavar="OUT.nc", help="where to write (SCENE.nc in this folder)")
 
@@ -61,7 +62,7 @@ def read_values(place: Place, words: list[str]) -> tuple[dict[str, object], dict
             raise place.error(f"{shown(word)} is no NAME=VALUE; write one, like beta=0.4")
         if name in settings or name in parameters:
             raise place.at(name).error(f"{shown(text)} is a second value; give one")
-        home = settings if name in ("start", *_TEXTS, *_POSITIVE) else parameters
+        home = settings if name in ("start", *_TEXTS, *_NUMBERS) else parameters
         home[name] = _value(place.at(name), text.strip())
     return settings, parameters
 
@@ -85,9 +86,9 @@ def _checked(place: Place, settings: dict[str, object]) -> dict[str, object]:
 
     checked = dict(settings)
     for name, value in settings.items():
-        if name in _POSITIVE:
-            unit = "m s-1" if name == "smoothing" else "s"
-            checked[name] = quantity(place.at(name), value, positive(name, 1.0, unit, name, name))
+        if name in _NUMBERS:
+            units = {"smoothing": "m s-1", "error": "1"}
+            checked[name] = quantity(place.at(name), value, positive(name, 1.0, units.get(name, "s"), name, name))
         elif not isinstance(value, str) or not value:
             raise place.at(name).error(f"{shown(value)} is not a name; give one, like {name}=...")
     return checked

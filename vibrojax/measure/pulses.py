@@ -32,7 +32,7 @@ def _turn_over(carry: dict, lane) -> dict:
 class PulseRecorder:
     """rate_of_penetration [m/s], slip_per_impact [m], mean_force [N], relief [1], deepest_gap [m].
 
-    Means are over whole pulses; over the whole observation where the force has none (a swept sine).
+    Means are over whole pulses, NaN where there is none; over the whole observation under a swept sine.
     """
 
     watch = SimpleNamespace(begin=_begin, observe=_observe, step=_step, turn_over=_turn_over)
@@ -40,8 +40,10 @@ class PulseRecorder:
     def begin(self, scene, p, lane, returns: dict) -> dict:
         """What is carried at the start of the observation."""
         compression = lane.state[0]
+        # At t = 0 a pulse begins that no event tells of.
+        first = (lane.clock.high == 0) if scene.has_pulses else returns["waiting"]
         return {
-            "returns": _observe(returns),
+            "returns": _observe(returns) | {"waiting": first},
             "ledger": ledger.begin(("time", "growth", "force", "yields"), compression),
             "deepest": jnp.minimum(compression, 0),
         }
@@ -75,7 +77,7 @@ class PulseRecorder:
         number = carry["returns"]["number"]
         whole, pulses = ledger.whole(carry["ledger"], number, jnp.zeros_like(number))
         # A half-open pulse at either end would bias the means; only a force without pulses is taken as it comes.
-        alone = number == 0
+        alone = jnp.zeros_like(number, bool) if scene.has_pulses else number == 0
         sums = {name: jnp.where(alone, carry["ledger"]["sums"][name], whole[name]) for name in whole}
         mean_force = sums["force"] / sums["time"]
         return {

@@ -53,6 +53,10 @@ class Scene(ABC):
     def start(self, p: Constants, name, shape) -> Values:
         """State at t = 0 for a named start or a vector."""
 
+    def refused(self, p: Constants):
+        """Why each lane cannot be run as it is asked for: a text and a mask (lanes,), or None where all can be."""
+        return None
+
     def scaled(self, p: Constants, state: Values) -> Constants:
         """The constants for a motion from `state`, where that is much faster than what `p` alone lets expect."""
         return p

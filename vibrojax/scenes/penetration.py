@@ -53,6 +53,11 @@ class Penetration(Scene):
             "speed_scale": (jnp.abs(p["force"]) + bias) * p["mobility"],
         }
 
+    def refused(self, p):
+        if self.has_pulses:
+            return "pulse-width-not-below-1/frequency", p["pulse_width"] * p["frequency"] >= 1
+        return None
+
     def start(self, p, name, shape):
         zero = jnp.zeros(shape, p["m1"].dtype)
         return (zero, zero, zero, zero)

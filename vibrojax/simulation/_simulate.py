@@ -8,12 +8,13 @@ import xarray as xr
 
 from vibrojax.devices import precision
 from vibrojax.errors import InputError, Place
+from vibrojax.physics.parameters import positive
 from vibrojax.simulation._events import events
 from vibrojax.simulation._record import record, sample
 from vibrojax.simulation._trajectory import forces, holes, trajectory_dataset
 from vibrojax.stepping import Located, Smoothed
 from vibrojax.stepping.adaptive import adaptive_trajectory, solver_named
-from vibrojax.sweep import RunSettings, accuracy_for, read_point
+from vibrojax.sweep import RunSettings, accuracy_for, quantity, read_point
 
 METHODS = ("located", "smoothed", "diffrax")
 MOST_SAMPLES = 2_000_000
@@ -61,15 +62,18 @@ def simulate(
         raise place.at("solver").error(f'has no use with method "{method}"; leave one of them out')
     if smoothing is not None and method == "located":
         raise place.at("smoothing").error('has no use with method "located"; leave it out, or set method = "smoothed"')
-    for name, value in (("duration", duration), ("error", error), ("step", step), ("smoothing", smoothing)):
-        if value is not None and not (np.isfinite(value) and value > 0):
-            raise place.at(name).error(f"is {value}; it must be above 0")
+    duration, error = _positive(place, "duration", duration, "s"), _positive(place, "error", error, "1")
+    step, smoothing = _positive(place, "step", step, "s"), _positive(place, "smoothing", smoothing, "m s-1")
+    sampling = _positive(place, "sampling", sampling, "s")
     if method == "diffrax" and "rock" in point.machine.modes:
         raise place.at("method").error('"diffrax" knows no rock that yields; choose from located, smoothed')
     told = _teller(duration) if progress and sys.stderr.isatty() else None
     with precision("float64"):
         machine = point.machine
         p = {name: jnp.full(1, value) for name, value in point.parameters.items()}
+        refusal = machine.refused(p)
+        if refusal is not None and bool(refusal[1][0]):
+            raise place.error(f"the point cannot be run: {refusal[0].replace('-', ' ')}")
         p = dict(machine.constants(p))
         times = _times(machine, p, duration, sampling)
         state = machine.start(p, point.start, (1,))
@@ -79,7 +83,9 @@ def simulate(
         accuracy = accuracy_for(run)
         happened, hole = {}, {}
         if method == "diffrax":
-            states, modes, steps = _adaptive(machine, p, state, times, accuracy.smoothing, solver or "Tsit5", error)
+            states, modes, steps = _adaptive(
+                machine, p, state, times, accuracy.smoothing, solver or "Tsit5", error, accuracy.step
+            )
         else:
             stepper = Located() if method == "located" else Smoothed()
             taken = record(machine, stepper, p, state, accuracy.settings(), jnp.asarray(duration), told)
@@ -93,6 +99,11 @@ def simulate(
     if method == "diffrax":
         solver_text["solver"] = type(solver_named(solver or "Tsit5")).__name__
     return trajectory_dataset(point, times, states, modes, found | hole, happened, solver_text)
+
+
+def _positive(place: Place, name: str, value, unit: str):
+    """A setting as a float above zero; None where it is not given."""
+    return None if value is None else quantity(place.at(name), value, positive(name, 1.0, unit, name, name))
 
 
 def _times(machine, p, duration, sampling) -> np.ndarray:
@@ -111,11 +122,11 @@ def _times(machine, p, duration, sampling) -> np.ndarray:
     return np.arange(count + 1) * (duration / count)
 
 
-def _adaptive(machine, p, state, times, width, solver, error):
+def _adaptive(machine, p, state, times, width, solver, error, step):
     scalars = {name: value[0] for name, value in p.items()}
     start = tuple(y[0] for y in state)
     states, steps = adaptive_trajectory(
-        machine, scalars, start, jnp.asarray(times), width, solver_named(solver), 1e-3 * error
+        machine, scalars, start, jnp.asarray(times), width, solver_named(solver), 1e-3 * error, step
     )
     modes = machine.smoothed_mode(scalars, machine.mode_at(scalars, states), states, 3 * width)
     return np.stack([np.asarray(y) for y in states]), np.stack([np.asarray(m) for m in modes]), int(steps)

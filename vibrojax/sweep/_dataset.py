@@ -50,9 +50,12 @@ def dataset_of(sweep: Sweep, features: dict, solver: dict, wall_time: float) -> 
 
 
 def _finished(sweep: Sweep, features: dict) -> dict:
-    """The features with the regime, status and reason; those of failed lanes are NaN, or 0 where they are counts."""
+    """The features with the regime, status and reason; NaN, or 0 for counts, where a lane failed or was refused."""
     bad = ~features["finite"]
-    reason = np.select([bad, ~features["finished"]], [REASONS.index("not-finite"), REASONS.index("out-of-steps")], 0)
+    refusal = sweep.machine.refused(sweep.lane_values(0, sweep.lanes)[0])
+    why, refused = refusal or ("none", np.zeros(sweep.lanes, bool))
+    flags = [REASONS.index(name) for name in (why, "not-finite", "out-of-steps")]
+    reason = np.select([refused, bad, ~features["finished"]], flags, 0)
     labelled = _labelled(sweep, features) if "cycles" in features else {}
     failed = reason != 0
     known = {"finite", "finished", "steps"}
@@ -60,7 +63,8 @@ def _finished(sweep: Sweep, features: dict) -> dict:
         name: x if name in known else np.where(failed.reshape(-1, *[1] * (x.ndim - 1)), np.nan, x)
         for name, x in features.items()
     }
-    status = np.where(failed, STATUSES.index("failed"), STATUSES.index("done"))
+    flags = [STATUSES.index(name) for name in ("refused", "failed")]
+    status = np.select([refused, failed], flags, STATUSES.index("done"))
     return blanked | labelled | {"status": status, "reason": reason}
 
 

@@ -1,6 +1,7 @@
 """Checks of single values: numbers, counts, choices."""
 
 from collections.abc import Collection
+from numbers import Integral, Real
 
 from vibrojax.errors import Place, shown, suggestion
 from vibrojax.physics.parameters import Parameter
@@ -10,7 +11,7 @@ def number(place: Place, value: object) -> float:
     """`value` as a float; raises where it is no number (true and "0.4" are none). It may be NaN or infinite."""
     if isinstance(value, str):
         raise place.error(f"{shown(value)} is text; write a number, without quotes")
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
+    if isinstance(value, bool) or not isinstance(value, Real):
         raise place.error(f"{shown(value)} is not a number; write one, like 0.4 or 50e6")
     try:
         return float(value)
@@ -29,11 +30,11 @@ def quantity(place: Place, value: object, parameter: Parameter) -> float:
 
 def count(place: Place, value: object, least: int, most: int | None = None) -> int:
     """`value` as a whole number from `least` to `most`."""
-    whole = isinstance(value, int) and not isinstance(value, bool)
+    whole = isinstance(value, Integral) and not isinstance(value, bool)
     if not whole or value < least or (most is not None and value > most):
         wanted = f"of {least} or more" if most is None else f"from {least} to {most}"
         raise place.error(f"{shown(value)} does not fit; a whole number {wanted} is needed")
-    return value
+    return int(value)
 
 
 def choice(place: Place, value: object, choices: Collection[str]) -> str:

@@ -43,7 +43,7 @@ def read_point(place: Place, scene: object, given: Mapping[str, object], start: 
     """
     given = dict(plain(place, given))
     names = read_names(place.at("scene"), scene, take_options(given), place)
-    check_rock(place, given, ())
+    check_rock({name: place.at(name) for name in given})
     fixed = read_parameters(place, given, names)
     check_drive_speed({name: place.at(name) for name in fixed})
     defaults = {name: parameter.default for name, parameter in names.parameters.items()}

@@ -12,10 +12,13 @@ from vibrojax.sweep._names import Names
 from vibrojax.sweep._numbers import as_table
 from vibrojax.sweep._source import read_text
 
+_TEXTS = ("start", "rock")
+"""Columns of names."""
+
 
 @dataclass(frozen=True)
 class Points:
-    """Columns of parameters, each of shape (points,), and the name of each point's start where the list has it."""
+    """Columns of parameters and rocks, each (points,), and the name of each point's start where the list has it."""
 
     columns: dict[str, np.ndarray]
     starts: list[str] | None
@@ -63,7 +66,7 @@ def _from_csv(path: Path, names: Names) -> Points:
             raise place.at(f"line {line}").error(f"has {len(row)} cells; {len(columns)} are needed, one a column")
         for name, cell in zip(columns, row, strict=True):
             at = place.at(f"line {line}, column {name}")
-            cells[name].append((at, cell.strip() if name == "start" else _cell(at, cell.strip())))
+            cells[name].append((at, cell.strip() if name in _TEXTS else _cell(at, cell.strip())))
     return _points(cells, names)
 
 
@@ -83,6 +86,8 @@ def _header(place: Place, columns: list[str], names: Names) -> list[str]:
 
 
 def _check_column(place: Place, name: str, names: Names) -> None:
+    if name == "rock" and names.has_rock:
+        return
     if name != "start":
         names.parameter(place, name)
     elif not names.starts:
@@ -109,7 +114,9 @@ def _points(cells: dict[str, list[tuple[Place, object]]], names: Names) -> Point
     columns = {
         name: np.array([names.quantity(place, name, cell) for place, cell in column])
         for name, column in cells.items()
-        if name != "start"
+        if name not in _TEXTS
     }
+    if "rock" in cells:
+        columns["rock"] = np.array([names.rock(place, cell) for place, cell in cells["rock"]])
     starts = [names.start(place, cell, vectors=False) for place, cell in cells["start"]] if "start" in cells else None
     return Points(columns, starts)

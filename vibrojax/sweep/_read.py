@@ -38,10 +38,12 @@ def read_sweep(source: str | PathLike[str] | Mapping[str, object]) -> Sweep:
     fixed = read_parameters(place.at("parameters"), given, names)
     axes, points = _read_varied(place, found, names)
     varied = points.columns if points else axes
-    check_rock(place.at("parameters"), given, varied)
+    varying = place.at("points" if points else "grid")
+    at = {name: place.at("parameters").at(name) for name in given} | {name: varying.at(name) for name in varied}
+    check_rock(at)
     homes = {name: place.at("parameters").at(name) for name in fixed}
     for name in varied:
-        home = place.at("points" if points else "grid").at(name)
+        home = varying.at(name)
         if name in homes:
             raise home.error("is in [parameters] as well; give it in one of the two")
         homes[name] = home
@@ -90,12 +92,11 @@ def check_drive_speed(given: Mapping[str, Place]) -> None:
         raise given[rotation[0]].error(f"{missing} is missing; only both together give v: add it, or give v")
 
 
-def check_rock(place: Place, given: Mapping[str, object], varied: Iterable[str]) -> None:
-    """Raise where `rock` is given beside the threshold or stiffness that it stands for."""
-    written = {*given, *varied}
+def check_rock(given: Mapping[str, Place]) -> None:
+    """Raise where `rock` is given beside the threshold or stiffness that it stands for; `given`: names and places."""
     for name in ("threshold", "k3"):
-        if "rock" in written and name in written:
-            raise place.at("rock").error(f"{name} is given as well; give the rock, or threshold and k3")
+        if "rock" in given and name in given:
+            raise given["rock"].error(f"{name} is given as well; give the rock, or threshold and k3")
 
 
 def _check_top(place: Place, tables: dict[str, object]) -> None:

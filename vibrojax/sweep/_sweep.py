@@ -134,5 +134,8 @@ def _outline(column: np.ndarray) -> object:
     """A column as JSON: itself where short, else its ends and checksum."""
     if column.size <= 8:
         return column.tolist()
+    if column.dtype.kind == "U":
+        digest = hashlib.sha256("\n".join(column.tolist()).encode()).hexdigest()[:16]
+        return f"{column.size} names, sha256 {digest}"
     digest = hashlib.sha256(np.ascontiguousarray(column).astype("<f8").tobytes()).hexdigest()[:16]
     return f"{column.size} values from {column[0]:g} to {column[-1]:g}, sha256 {digest}"

@@ -1,0 +1,83 @@
+"""Which pulses are counted, and which are refused."""
+
+import numpy as np
+import pytest
+
+import vibrojax as vj
+from vibrojax.errors import InputError
+
+
+def swept(points, **run):
+    return vj.run_sweep({"scene": "penetration", "points": points, "run": run}, progress=False)
+
+
+def test_the_first_pulse_counts():
+    """Observed from t = 0, a rig at rest: what the first pulses drill, as the trajectory has it."""
+    dataset = swept({"frequency": [20.0, 7.0], "force": [3e5, 2e5]}, settle=0.0, observe=0.52)
+    for index, (frequency, force, pulses) in enumerate(((20.0, 3e5, 10), (7.0, 2e5, 3))):
+        motion = vj.simulate(
+            "penetration", frequency=frequency, force=force, duration=0.52, sampling=1e-4, progress=False
+        )
+        depth = np.interp(pulses / frequency, motion.time, motion.x4)
+        np.testing.assert_allclose(dataset.slip_per_impact[index], depth / pulses, rtol=1e-6)
+
+
+def test_no_whole_pulse_has_no_rate():
+    dataset = swept({"frequency": [0.1, 0.2, 20.0]}, settle=1.0, observe=6.0)
+    assert np.all(np.isnan(dataset.rate_of_penetration[:2]))
+    assert np.isfinite(dataset.rate_of_penetration[2])
+    assert np.all(dataset.status == 0)
+
+
+def test_pulses_that_run_together_are_refused():
+    dataset = swept({"pulse_width": [0.05, 0.06, 0.0499], "frequency": [20.0, 20.0, 20.0]}, settle=0.2, observe=1.0)
+    meanings = dataset.reason.attrs["flag_meanings"].split()
+    assert [meanings[flag] for flag in dataset.reason.values] == ["pulse-width-not-below-1/frequency"] * 2 + ["none"]
+    np.testing.assert_array_equal(dataset.status, [2, 2, 0])
+    np.testing.assert_array_equal(np.isnan(dataset.rate_of_penetration), [True, True, False])
+    with pytest.raises(InputError, match="pulse width not below 1/frequency"):
+        vj.simulate("penetration", pulse_width=0.05, frequency=20.0, duration=0.1, progress=False)
+
+
+def test_rocks_in_points():
+    """A column of rocks is that of their numbers."""
+    named = swept({"rock": ["granite", "sandstone"], "force": [3e5, 3e5]}, settle=0.2, observe=1.0)
+    assert list(named.rock.values) == ["granite", "sandstone"]
+    for index, rock in enumerate(named.rock.values):
+        alone = vj.run_sweep(
+            {
+                "scene": "penetration",
+                "parameters": {"rock": str(rock)},
+                "grid": {"force": [3e5]},
+                "run": {"settle": 0.2, "observe": 1.0},
+            },
+            progress=False,
+        )
+        np.testing.assert_array_equal(named.rate_of_penetration[index], alone.rate_of_penetration[0])
+
+
+def test_rocks_in_a_csv(tmp_path):
+    (tmp_path / "rocks.csv").write_text("rock,force\ngranite,3e5\nsandstone,3e5\n")
+    (tmp_path / "rocks.toml").write_text(
+        'scene = "penetration"\npoints = "rocks.csv"\n[run]\nsettle = 0.2\nobserve = 1.0\n'
+    )
+    assert list(vj.run_sweep(tmp_path / "rocks.toml", progress=False).rock.values) == ["granite", "sandstone"]
+    (tmp_path / "rocks.csv").write_text("rock,force\ngranit,3e5\n")
+    with pytest.raises(InputError, match=r"rocks.csv: line 2, column rock: .*granit.* unknown; .*granite"):
+        vj.run_sweep(tmp_path / "rocks.toml", progress=False)
+
+
+@pytest.mark.parametrize(
+    ("source", "place"),
+    [
+        ({"parameters": {"rock": "granite"}, "grid": {"k3": [3e8]}}, "parameters.rock"),
+        ({"parameters": {"threshold": 1e5}, "grid": {"rock": ["granite"]}}, "grid.rock"),
+        ({"parameters": {"k3": 3e8}, "points": {"rock": ["granite"]}}, "points.rock"),
+        ({"points": {"rock": ["granite"], "threshold": [1e5]}}, "points.rock"),
+    ],
+)
+def test_a_rock_beside_its_numbers(source, place):
+    with pytest.raises(
+        InputError, match=rf"{place}: (k3|threshold) is given as well; give the rock, or threshold and k3"
+    ):
+        vj.run_sweep({"scene": "penetration"} | source, progress=False)
