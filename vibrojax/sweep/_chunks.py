@@ -17,11 +17,17 @@ CHUNK = 1024
 """Lanes per chunk where the user does not say."""
 
 MOST_STEPS = 2e6
-"""Steps after which a lane is given up."""
+"""Steps after which a lane is given up, beyond those that its longest step asks for."""
 
-# The check run's tolerance or width is this many times coarser; the share of the difference that is the finer run's
-# error follows from the order of the method in it.
 COARSER = {"located": 100.0, "smoothed": 2.0}
+"""The check run's tolerance or width is this many times coarser."""
+
+SHARES = {"located": 0.08, "smoothed": 3.5}
+"""Part of the two runs' difference that the finer one's error is taken for.
+
+Located: order 8/9 in the tolerance would leave 100^(-8/9) = 0.017 of it; smoothed: order 3/4 in the width, 1.5. Both are
+kept large enough for 95 % of periodic lanes to be within.
+"""
 
 
 class Chunks:
@@ -76,7 +82,9 @@ class Chunks:
         first, last, accuracy = item
         run = self.sweep.run
         values, start = self.sweep.lane_values(first, max(last, first + 1))
-        settings = {"settle": run.settle, "observe": run.observe, "most_steps": MOST_STEPS} | accuracy.settings()
+        asked = 2 * (run.settle + run.observe) / accuracy.step
+        settings = {"settle": run.settle, "observe": run.observe, "most_steps": MOST_STEPS + asked}
+        settings |= accuracy.settings()
         with precision(run.precision), jax.default_device(worker):
             found = run_lanes(
                 self.sweep.machine,
@@ -98,11 +106,10 @@ class Chunks:
 def error_estimate(fine: dict, coarse: dict, method: str, dtype) -> np.ndarray:
     """Estimated relative error of period and impact velocity, the larger; NaN where a lane does not repeat.
 
-    The coarser run's error is `factor` times the finer one's where the error follows the tolerance, so most of their
-    difference is the coarser one's. A quarter decade is kept in hand. A lane whose repeat differs between the two has
-    no bound: infinite.
+    A share of the difference between the two runs, see `SHARES`. A lane whose repeat differs between them has no bound:
+    infinite.
     """
-    share = {"located": 0.08, "smoothed": 1.0}[method]
+    share = SHARES[method]
     if "cycles" not in fine:  # penetration
         return share * _relative(fine["rate_of_penetration"], coarse["rate_of_penetration"]) + 4 * np.finfo(dtype).eps
     names = [name for name in ("period", "impact_velocity") if name in fine]

@@ -17,8 +17,10 @@ from vibrojax.sweep._progress import Progress
 from vibrojax.sweep._read import read_sweep
 from vibrojax.sweep._sweep import Sweep
 
-MICROSECONDS_PER_LANE_SECOND = 120.0
-"""What a simulated second of a lane takes on one core, roughly: for estimates only."""
+SECONDS_PER_STEP = 0.15e-6
+STEPS_PER_SECOND = 400.0
+"""What a step of a lane takes on one core, and how many there are in a simulated second, located, both runs together:
+roughly, for estimates only."""
 
 
 def run_sweep(source, progress: bool = True) -> xr.Dataset:
@@ -84,13 +86,14 @@ def estimate(sweep: Sweep) -> dict:
     chunks = Chunks(sweep)
     per_lane = 8 * (len(VARIABLES) + 6 * sweep.run.keep_returns)
     seconds = sweep.run.settle + sweep.run.observe
+    steps = STEPS_PER_SECOND + 1.5 / chunks.accuracy.step  # the check run's steps are twice as long
     return {
         "lanes": sweep.lanes,
         "chunks": chunks.count,
         # A lane in the loop carries some 300 numbers; the results are held once to be labelled and written.
         "memory_bytes": 400e6 + chunks.size * 8 * 300 + 3 * sweep.lanes * per_lane,
         "disk_bytes": ceil(sweep.lanes * per_lane),
-        "time_s": 15 + 1e-6 * MICROSECONDS_PER_LANE_SECOND * sweep.lanes * seconds / len(chunks.workers),
+        "time_s": 8 + SECONDS_PER_STEP * steps * sweep.lanes * seconds / len(chunks.workers),
     }
 
 
