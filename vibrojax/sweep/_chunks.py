@@ -25,8 +25,8 @@ COARSER = {"located": 100.0, "smoothed": 2.0}
 SHARES = {"located": 0.08, "smoothed": 3.5}
 """Part of the two runs' difference that the finer one's error is taken for.
 
-Located: order 8/9 in the tolerance would leave 100^(-8/9) = 0.017 of it; smoothed: order 3/4 in the width, 1.5. Both are
-kept large enough for 95 % of periodic lanes to be within.
+Located: order 8/9 in the tolerance would leave 100^(-8/9) = 0.017 of it; smoothed: order 3/4 in the width, 1.5. Both
+are large enough for 95 % of periodic lanes to be within.
 """
 
 

@@ -1,6 +1,7 @@
 """Run a sweep: to a dataset in memory, or to a file that loses nothing."""
 
 import time
+from collections.abc import Callable
 from math import ceil
 from pathlib import Path
 
@@ -65,9 +66,11 @@ def run_to_file(sweep: Sweep, out: Path, resume: bool = True, progress: bool = T
         told = Progress(sweep.lanes, progress)
         told.resume(sum(chunks.width(index) for index in finished))
         for index in sorted(set(range(chunks.count)) - finished):
-            shards.write(index, chunks.compute(index, told.add))
+            shards.write(index, _timed(chunks, index, told.add))
         parts = [_read_or_compute(shards, chunks, index) for index in range(chunks.count)]
-        dataset = _assembled(sweep, chunks, parts, time.monotonic() - began)
+        seconds = [float(part.pop("seconds")) for part in parts]
+        # Also what an interrupted run took; what lies between the runs does not count.
+        dataset = _assembled(sweep, chunks, parts, max(sum(seconds), time.monotonic() - began))
         write_dataset(dataset, out)
         shards.remove()
     return dataset
@@ -78,7 +81,14 @@ def _read_or_compute(shards: Shards, chunks: Chunks, index: int) -> dict:
     try:
         return shards.read(index)
     except DamagedShard:
-        return chunks.compute(index)
+        return _timed(chunks, index)
+
+
+def _timed(chunks: Chunks, index: int, told: Callable[[int], None] = lambda lanes: None) -> dict:
+    """A chunk's features, and the `seconds` that they took."""
+    began = time.monotonic()
+    features = chunks.compute(index, told)
+    return features | {"seconds": np.array(time.monotonic() - began)}
 
 
 def estimate(sweep: Sweep) -> dict:
