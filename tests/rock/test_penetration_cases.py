@@ -59,7 +59,7 @@ def test_mean_force_and_relief(datasets, shape):
     """P = A w f, 2/pi of it under half-sines, and eta = P/D."""
     for name in ("mean_force", "relief"):
         np.testing.assert_allclose(datasets[shape][name].values, expected(shape, name), rtol=1e-6)
-        np.testing.assert_allclose(datasets[shape][name].values, expected(shape, name), rtol=1e-12)  # seen
+        np.testing.assert_allclose(datasets[shape][name].values, expected(shape, name), rtol=1e-10)  # seen
 
 
 @pytest.mark.parametrize("shape", SHAPES)

@@ -59,9 +59,9 @@ class Located:
 
 def _converged(velocities, scale, tolerance):
     """The part of the step, at most 1, over which the last two terms of the series stay under tolerance scale."""
+    order = len(velocities[0]) - 1
     last = jnp.max(jnp.stack([jnp.abs(c) for series in velocities for c in series[-2:]]), axis=0)
-    # The eighth root: for orders from 8 on it errs to the short side.
-    return jnp.minimum(jnp.sqrt(jnp.sqrt(jnp.sqrt(tolerance * scale / last))), 1.0)
+    return jnp.minimum((tolerance * scale / last) ** (1 / (order - 1)), 1.0)
 
 
 def _at_rest(velocities, scale):

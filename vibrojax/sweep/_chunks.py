@@ -22,10 +22,10 @@ MOST_STEPS = 2e6
 COARSER = {"located": 100.0, "smoothed": 2.0}
 """The check run's tolerance or width is this many times coarser."""
 
-SHARES = {"located": 0.08, "smoothed": 3.5}
+SHARES = {"located": 0.028, "smoothed": 3.5}
 """Part of the two runs' difference that the finer one's error is taken for.
 
-Located: order 8/9 in the tolerance would leave 100^(-8/9) = 0.017 of it; smoothed: order 3/4 in the width, 1.5. Both
+Located: order 8/7 in the tolerance would leave 100^(-8/7) = 0.005 of it; smoothed: order 3/4 in the width, 1.5. Both
 are large enough for 95 % of periodic lanes to be within.
 """
 
@@ -74,8 +74,12 @@ class Chunks:
                 told(items[item][1] - items[item][0])
         fine = {name: np.concatenate([part[name] for part in found[::2]]) for name in found[0]}
         check = {name: np.concatenate([part[name] for part in found[1::2]]) for name in found[0]}
-        fine["error_estimate"] = error_estimate(fine, check, self.sweep.run.method, self.dtype)
+        fine["error_estimate"] = error_estimate(fine, check, self.sweep.run.method, self._least_error)
         return fine
+
+    @property
+    def _least_error(self) -> float:
+        return 4 * float(np.finfo(self.dtype).eps) + 0.03 * self.accuracy.tolerance
 
     def _run(self, worker, item: tuple[int, int, Accuracy]) -> dict:
         """Features of the lanes from `first` to before `last`, by name."""
@@ -103,19 +107,19 @@ class Chunks:
         return np.pad(x, (0, self.block - len(x)), mode="edge")
 
 
-def error_estimate(fine: dict, coarse: dict, method: str, dtype) -> np.ndarray:
+def error_estimate(fine: dict, coarse: dict, method: str, least: float) -> np.ndarray:
     """Estimated relative error of period and impact velocity, the larger; NaN where a lane does not repeat.
 
-    A share of the difference between the two runs, see `SHARES`. A lane whose repeat differs between them has no bound:
-    infinite.
+    A share of the difference between the two runs, see `SHARES`, and `least`, for where that is small by chance. A lane
+    whose repeat differs between them has no bound: infinite.
     """
     share = SHARES[method]
     if "cycles" not in fine:  # penetration
-        return share * _relative(fine["rate_of_penetration"], coarse["rate_of_penetration"]) + 4 * np.finfo(dtype).eps
+        return share * _relative(fine["rate_of_penetration"], coarse["rate_of_penetration"]) + least
     names = [name for name in ("period", "impact_velocity") if name in fine]
     errors = [np.abs(coarse[name] / fine[name] - 1) for name in names]
     with np.errstate(invalid="ignore"):
-        error = share * np.fmax.reduce(errors) + 4 * np.finfo(dtype).eps
+        error = share * np.fmax.reduce(errors) + least
     periodic = fine["cycles"] > 0
     agree = (coarse["cycles"] == fine["cycles"]) & (coarse.get("impacts", 0) == fine.get("impacts", 0))
     return np.where(periodic, np.where(agree, error, np.inf), np.nan)

@@ -15,7 +15,11 @@ BLOCK_ON_ACCELERATOR = 16384
 """Lanes that step together on an accelerator, where a step of a few costs as much as one of many."""
 
 
-@partial(jax.jit, static_argnames=("scene", "method", "recorder", "starts"))
+_WIDE = {"xla_cpu_prefer_vector_width": 512}
+"""A block fills the widest registers there are; where they are narrower this says nothing."""
+
+
+@partial(jax.jit, static_argnames=("scene", "method", "recorder", "starts"), compiler_options=_WIDE)
 def run_lanes(scene, method, recorder, starts, p, start, count, settings) -> dict:
     """Features of a block of lanes.
 
