@@ -12,10 +12,12 @@ from matplotlib.figure import Figure
 INK = "#222222"
 FAINT = "#9A9A9A"
 UNDEFINED = "#D0D0D0"  # a lane without the value, as grey in maps of values
+NOTHING = "#FFFFFF"  # a lane without penetration, in maps of values
 BIT = "#00598C"
 STRIKER = "#D1570A"
 STICK = "#111111"
 IMPACT = "#C2185B"
+ROCK = "#B08D57"
 
 # Readable apart in greyscale and by colour-blind eyes.
 START_COLOURS = {"drive": "#004488", "stuck": "#CC6677", "touching": "#2E8B57"}
