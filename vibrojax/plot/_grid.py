@@ -11,6 +11,7 @@ from vibrojax.errors import InputError, suggestion
 START, POINT, RETURN, FORM = "start", "point", "return_index", "form"
 _PLAIN = {START, POINT, RETURN, FORM}
 _EACH = ("regime", "rate_of_penetration", "C")  # what every lane has one of: of a drill, of rock, of a fit
+_MANY = 9  # values from which lines, one for each, are too many
 _ENOUGH = 6  # values from which an axis is one to draw along, rather than a choice between a few
 
 
@@ -33,6 +34,12 @@ def to_draw(ds: xr.Dataset) -> tuple[str, ...]:
         return ("gamma", "beta")
     long = tuple(name for name in axes if ds.sizes[name] >= _ENOUGH)
     return long or axes
+
+
+def to_map(ds: xr.Dataset) -> tuple[str, ...]:
+    """The axes of so many values that maps show more of them than lines: the frequency, then the longest."""
+    long = [name for name in swept(ds) if ds.sizes[name] >= _MANY]
+    return tuple(sorted(long, key=lambda name: (name != "frequency", -ds.sizes[name])))
 
 
 def chosen(ds: xr.Dataset, x: str | None, y: str | None) -> tuple[str, str]:

@@ -15,17 +15,18 @@ from vibrojax.plot._labels import label, scale, share_text
 from vibrojax.plot._region import outline_handle, outline_region
 from vibrojax.plot._sheet import Panel, sheet, write_margins
 from vibrojax.plot._style import UNDEFINED, new_figure
-from vibrojax.plot._values import undefined_handle, values_beside
+from vibrojax.plot._values import value_handles, values_beside
 
 
 def regime_points(ds: xr.Dataset) -> Figure:
     """The regimes of a list of points: over the two parameters that vary, else counted."""
-    varied = _varied(ds)
-    if len(varied) != 2:
+    names = varied(ds)
+    if len(names) != 2:
         return regime_counts(ds)
-    x, y = ("gamma", "beta") if set(varied) == {"beta", "gamma"} else varied
+    x, y = ("gamma", "beta") if set(names) == {"beta", "gamma"} else names
     panels = _by_start(ds)
-    drawn = sheet(panels, values_beside(ds))
+    values = values_beside(ds)
+    drawn = sheet(panels, (None, *values))
     for panel in drawn:
         _draw_points(panel, ds[x], ds[y])
     for panel in drawn:  # once all limits are known
@@ -35,7 +36,7 @@ def regime_points(ds: xr.Dataset) -> Figure:
         panel.axes.set_ylabel(label(ds[y]) if panel.left else "")
         panel.axes.set_xlabel(label(ds[x]) if panel.bottom else "")
     handles: list[Artist] = list(legend_handles([facet["regime"] for facet in panels.data]))
-    handles += undefined_handle(panels.data, drawn.values)
+    handles += value_handles(panels.data, values)
     drawn.finish(handles + outline_handle(drawn.panels[0].axes))
     write_margins(drawn.figure, str(ds.attrs.get("title", "")), point_text(ds))
     return drawn.figure
@@ -67,7 +68,7 @@ def _draw_counts(axes: Axes, regimes: xr.DataArray, found: list[int]) -> None:
     axes.xaxis.set_major_locator(MaxNLocator(5, integer=True))
 
 
-def _varied(ds: xr.Dataset) -> tuple[str, ...]:
+def varied(ds: xr.Dataset) -> tuple[str, ...]:
     """The parameters along the points that take more than one value."""
     along = {str(name): data for name, data in ds.coords.items() if data.dims == (POINT,) and name != POINT}
     numbers = {name: data.values for name, data in along.items() if np.issubdtype(data.dtype, np.number)}

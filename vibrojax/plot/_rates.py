@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from vibrojax.errors import InputError
-from vibrojax.label import REGIMES
 from vibrojax.plot._about import point_text
+from vibrojax.plot._cells import RATE, SINGLE
 from vibrojax.plot._facets import facets
 from vibrojax.plot._grid import POINT, lane_dims, without_single
 from vibrojax.plot._labels import scale, with_unit
@@ -21,11 +21,10 @@ from vibrojax.plot._sheet import write_margins
 from vibrojax.plot._stacks import LEGEND_WIDTH, legend_at_right
 from vibrojax.plot._style import INK, styled
 
-RATE, RELIEF, SLIP, PEAK = "rate_of_penetration", "relief", "slip_per_impact", "peak_impact_force"
+RELIEF, SLIP, PEAK = "relief", "slip_per_impact", "peak_impact_force"
 _NAMES = {RATE: "rate of penetration", SLIP: "slip per blow", PEAK: "peak impact force"}
 _SEVERAL = 40  # lanes of a line, from which marks on them are small
-_SAME = 1e-9  # relative, within which the relief does not vary
-_SINGLE = REGIMES.index("single-impact")
+_SAME = 1e-6  # relative, within which a value does not vary
 
 
 @dataclass(frozen=True)
@@ -79,10 +78,10 @@ def rates(ds: xr.Dataset) -> Figure:
 def _curves(ds: xr.Dataset, x: Across) -> list[_Curve]:
     """The rate over the axis, and over the relief where that varies; of a blow its force, or its slip."""
     pairs = [(RATE, x.name)]
-    relief = ds[RELIEF].values[np.isfinite(ds[RELIEF].values)] if RELIEF in ds else np.empty(0)
-    if relief.size and np.ptp(relief) > _SAME * np.abs(relief).max():
+    if RELIEF in ds and _varies(ds[RELIEF], x):  # along a line: else a curve over it is none
         pairs.append((RATE, RELIEF))
-    pairs += [(name, x.name) for name in (PEAK, SLIP) if name in ds][:1]
+    of_a_blow = [name for name in (PEAK, SLIP) if name in ds]
+    pairs += [(name, x.name) for name in sorted(of_a_blow, key=lambda name: not _varies(ds[name], x))[:1]]
     scales = [scale(ds[up]) for up, _ in pairs]
     return [
         _Curve(*pair, factor, with_unit(_NAMES[pair[0]], unit))
@@ -90,13 +89,26 @@ def _curves(ds: xr.Dataset, x: Across) -> list[_Curve]:
     ]
 
 
+def _varies(data: xr.DataArray, x: Across) -> bool:
+    """Whether `data` varies along any of the lines."""
+    dimension = x.name if x.name in data.dims else POINT
+    if dimension not in data.dims:
+        return False
+    swing = data.max(dimension) - data.min(dimension)
+    return bool((swing > _SAME * np.abs(data).max()).any())
+
+
 def _draw(axes: Axes, line: Line, curve: _Curve, x: Across, joined: str) -> None:
     places = np.atleast_1d(line.lanes[RELIEF].values) if curve.along == RELIEF else x.of(line.lanes)
     values, found = (np.atleast_1d(line.lanes[name].values) for name in (curve.up, RATE))
     values = curve.factor * values
-    axes.plot(places, values, color=line.colour, linestyle=joined, linewidth=1.2, label=line.name or curve.up)
+    kinds = _kinds(line.lanes, found)
+    # A jump to another motion is no part of the curve.
+    jumps = 1 + np.flatnonzero(np.diff(kinds["other"].astype(int)))
+    path = (np.insert(along, jumps, np.nan) for along in (places, values))
+    axes.plot(*path, color=line.colour, linestyle=joined, linewidth=1.2, label=line.name or curve.up)
     size = 3.8 if values.size < _SEVERAL else 2.0
-    for kind, there in _kinds(line.lanes, found).items():
+    for kind, there in kinds.items():
         if there.any():
             look = _look(kind, line.colour) | {"markersize": size + (kind == "none")}
             axes.plot(places[there], values[there], linestyle="none", label=f"_{kind}", **look)
@@ -104,8 +116,8 @@ def _draw(axes: Axes, line: Line, curve: _Curve, x: Across, joined: str) -> None
 
 def _kinds(lanes: xr.Dataset, found: np.ndarray) -> dict[str, np.ndarray]:
     """Which lanes get which mark."""
-    single = np.atleast_1d(lanes["regime"].values) == _SINGLE if "regime" in lanes else np.ones(found.shape, bool)
-    return {"single": single & ~(found == 0), "other": ~single & ~(found == 0), "none": found == 0}
+    single = np.atleast_1d(lanes["regime"].values) == SINGLE if "regime" in lanes else np.ones(found.shape, bool)
+    return {"single": single & ~(found == 0), "other": ~single, "none": single & (found == 0)}
 
 
 def _look(kind: str, colour: str) -> dict[str, object]:
@@ -117,7 +129,7 @@ def _look(kind: str, colour: str) -> dict[str, object]:
 def _limit(row: Row, curves: list[_Curve], x: Across) -> None:
     """Show zero: the question is whether lines go through it."""
     for axes, curve in zip(row.axes, curves, strict=True):
-        top = axes.get_ylim()[1] if axes.dataLim.y1 > 0 else 1.0
+        top = 1.05 * axes.dataLim.y1 if axes.dataLim.y1 > 0 else 1.0
         axes.set_ylim(-0.03 * top, top)
         if curve.along == RELIEF:
             right = axes.get_xlim()[1]

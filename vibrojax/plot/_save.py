@@ -8,7 +8,11 @@ from matplotlib.figure import Figure
 
 from vibrojax.errors import InputError
 from vibrojax.plot._bifurcation import RETURNS, bifurcation
-from vibrojax.plot._grid import swept
+from vibrojax.plot._cells import RATE
+from vibrojax.plot._grid import POINT, lane_dims, swept, to_map
+from vibrojax.plot._points import varied
+from vibrojax.plot._rate_map import rate_map
+from vibrojax.plot._rates import rates
 from vibrojax.plot._regimes import regime_map
 from vibrojax.plot._style import settings
 from vibrojax.plot._trajectory import trajectory
@@ -32,10 +36,21 @@ def picture(ds: xr.Dataset) -> Figure:
         return trajectory(ds)
     if "regime" in ds and RETURNS in ds and swept(ds):
         return bifurcation(ds)
+    if RATE in ds and _as_lines(ds):
+        return rates(ds)
     if "regime" in ds:
         return regime_map(ds)
+    if RATE in ds:
+        return rate_map(ds)
     held = ", ".join(str(name) for name in ds.data_vars) or "no variable"
     raise InputError(f"nothing to draw: a picture needs regime, or x1 along time; the dataset holds {held}")
+
+
+def _as_lines(ds: xr.Dataset) -> bool:
+    """Whether the lanes of a scene with rock are drawn as lines, or one by one."""
+    if POINT in lane_dims(ds):
+        return "regime" not in ds or len(varied(ds)) != 2
+    return len(to_map(ds)) < 2
 
 
 def save_picture(ds: xr.Dataset, path: str | Path) -> None:
