@@ -10,7 +10,7 @@ _HERTZ = {"s-1": "Hz", "s-2": "Hz/s"}  # the only such units here are of frequen
 _LINE = 32  # letters of a label that fit along a panel
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 # A prefix for a unit, where the greatest value is below (milli) or from (kilo, mega) the bound.
-_MILLI = {"m": ("mm", 1e3, 1.0), "s": ("ms", 1e3, 0.1), "m s-1": ("mm s-1", 1e3, 0.1)}
+_MILLI = {"m": ("mm", 1e3, 1.0), "s": ("ms", 1e3, 0.1), "m s-1": ("mm s-1", 1e3, 0.3)}
 _GREATER = {
     "N": (("MN", 1e-6, 1e6), ("kN", 1e-3, 1e3)),
     "N m-1": (("MN m-1", 1e-6, 1e6), ("kN m-1", 1e-3, 1e3)),

@@ -70,14 +70,14 @@ def _draw_relief(panel: Panel, x: str, y: str) -> bool:
         return False
     relief = panel.facet[RELIEF].transpose(y, x).values
     finite = relief[np.isfinite(relief)]
-    if not finite.size or np.ptp(finite) <= _SAME * np.abs(finite).max():
-        return False
+    if finite.size < relief.size or not all((np.ptp(relief, axis=i) > _SAME * relief.max()).any() for i in (0, 1)):
+        return False  # over one of the axes nothing but straight lines
     along = (panel.facet[name].values * scale(panel.facet[name])[0] for name in (x, y))
     levels = MaxNLocator(_LEVELS).tick_values(finite.min(), finite.max())
     levels = levels[(levels > finite.min()) & (levels < finite.max())]
     if not levels.size:
         return False
-    drawn = panel.axes.contour(*along, np.ma.masked_invalid(relief), levels, colors=[INK], linewidths=0.7)
+    drawn = panel.axes.contour(*along, relief, levels, colors=[INK], linewidths=0.7)
     drawn.set_path_effects([withStroke(linewidth=2.0, foreground="white")])
     for text in panel.axes.clabel(drawn, fmt=lambda level: f"{level:g}", fontsize=7.5, inline_spacing=3):
         text.set_path_effects([withStroke(linewidth=2.0, foreground="white")])

@@ -69,7 +69,7 @@ def rates(ds: xr.Dataset) -> Figure:
             for line in lines(row.facet, by):
                 _draw(row.axes[at], line, curve, x, joined)
             label_axes(row, at, x.label if curve.along == x.name else "relief P/D", curve.label)
-    _limit(drawn[0], curves, x)
+    _limit(drawn, curves, x)
     legend_at_right(figure, line_handles(lines(ds, by), linestyle=joined), _marks(ds))
     write_margins(figure, str(ds.attrs.get("title", "")), point_text(ds), panels.note, _lost(ds), legend=LEGEND_WIDTH)
     return figure
@@ -126,10 +126,12 @@ def _look(kind: str, colour: str) -> dict[str, object]:
     return {"color": colour, "marker": marker, "markeredgewidth": 1.0} | face
 
 
-def _limit(row: Row, curves: list[_Curve], x: Across) -> None:
+def _limit(drawn: tuple[Row, ...], curves: list[_Curve], x: Across) -> None:
     """Show zero: the question is whether lines go through it."""
-    for axes, curve in zip(row.axes, curves, strict=True):
-        top = 1.05 * axes.dataLim.y1 if axes.dataLim.y1 > 0 else 1.0
+    for at, curve in enumerate(curves):
+        axes = drawn[0].axes[at]
+        greatest = max(row.axes[at].dataLim.y1 for row in drawn)
+        top = 1.05 * greatest if 0 < greatest < np.inf else 1.0
         axes.set_ylim(-0.03 * top, top)
         if curve.along == RELIEF:
             right = axes.get_xlim()[1]

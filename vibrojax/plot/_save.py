@@ -11,9 +11,11 @@ from vibrojax.plot._bifurcation import RETURNS, bifurcation
 from vibrojax.plot._cells import RATE
 from vibrojax.plot._grid import POINT, lane_dims, swept, to_map
 from vibrojax.plot._points import varied
+from vibrojax.plot._pulses import pulses
 from vibrojax.plot._rate_map import rate_map
 from vibrojax.plot._rates import rates
 from vibrojax.plot._regimes import regime_map
+from vibrojax.plot._response import is_swept, response
 from vibrojax.plot._style import settings
 from vibrojax.plot._trajectory import trajectory
 
@@ -33,7 +35,7 @@ def picture(ds: xr.Dataset) -> Figure:
     **Raises:** `InputError` where the dataset holds nothing to draw.
     """
     if "time" in ds.dims:
-        return trajectory(ds)
+        return _over_time(ds)
     if "regime" in ds and RETURNS in ds and swept(ds):
         return bifurcation(ds)
     if RATE in ds and _as_lines(ds):
@@ -44,6 +46,12 @@ def picture(ds: xr.Dataset) -> Figure:
         return rate_map(ds)
     held = ", ".join(str(name) for name in ds.data_vars) or "no variable"
     raise InputError(f"nothing to draw: a picture needs regime, or x1 along time; the dataset holds {held}")
+
+
+def _over_time(ds: xr.Dataset) -> Figure:
+    if "x3" in ds and "x1" not in ds:
+        return response(ds) if is_swept(ds) else pulses(ds)
+    return trajectory(ds)
 
 
 def _as_lines(ds: xr.Dataset) -> bool:

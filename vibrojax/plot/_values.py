@@ -28,7 +28,7 @@ _OF_ROCK = ("rate_of_penetration", "slip_per_impact", "relief", "mean_force")
 _NOTHING_AT_ZERO = {"rate_of_penetration", "slip_per_impact"}
 _SHOWN = 2
 _ROBUST = (2.0, 98.0)  # percentiles
-_OUTLYING = 0.3  # of the range between them, from which what lies beyond is left out of the colours
+_OUTLYING = 1.0  # of the range between them, from which what lies beyond is left out of the colours
 _MANY, _WIDE = 20.0, 100.0  # that share [percent] of rates, so much smaller than the greatest: logarithmic colours
 _SAME = 1e-9  # relative, within which a value does not vary
 
