@@ -2,6 +2,7 @@
 
 from vibrojax.plot._bifurcation import bifurcation as bifurcation
 from vibrojax.plot._flags import REGIME_COLOURS as REGIME_COLOURS
+from vibrojax.plot._law import fitted_law as fitted_law
 from vibrojax.plot._pulses import pulses as pulses
 from vibrojax.plot._rate_map import rate_map as rate_map
 from vibrojax.plot._rates import rates as rates

@@ -9,6 +9,9 @@ from vibrojax.errors import InputError
 from vibrojax.plot._about import parameters_of
 
 _FEWEST = 16
+_LONGEST = 0.1  # [s] of what is shown of a blow
+_AT_REST = 0.01  # of its greatest speed
+_LEAD = 0.15  # of a blow's time, shown before it
 
 
 @dataclass(frozen=True)
@@ -54,3 +57,16 @@ def read_blows(ds: xr.Dataset) -> Blows:
     v3 = np.asarray(ds["v3"].values, float) if "v3" in ds else np.gradient(x3, time)
     forces = (np.asarray(ds[name].values, float) if name in ds else None for name in ("applied_force", "rock_force"))
     return Blows(time, x3, x4, v3, *forces, parameters_of(ds).get("threshold"))
+
+
+def last_blow(blows: Blows, impacts: np.ndarray) -> tuple[float, float] | None:
+    """From a little before the last of the times `impacts` [s] in which the bit moved, to when it is at rest again."""
+    end = float(blows.time[-1])
+    for begun in impacts[::-1]:
+        after = blows.between(float(begun), min(float(begun) + _LONGEST, end))
+        speed = np.abs(blows.v3[after])
+        moving = np.flatnonzero(speed > _AT_REST * speed.max(initial=0.0))
+        if moving.size and moving[-1] < speed.size - 1:
+            rest = float(blows.time[after][moving[-1]])
+            return float(begun) - _LEAD * (rest - float(begun)), rest + 2 * _LEAD * (rest - float(begun))
+    return None

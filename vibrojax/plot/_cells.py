@@ -5,7 +5,7 @@ import xarray as xr
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
-from matplotlib.colors import ListedColormap
+from matplotlib.colors import Colormap, ListedColormap, Normalize
 from matplotlib.lines import Line2D
 
 from vibrojax.label import REGIMES
@@ -23,19 +23,27 @@ SINGLE = REGIMES.index("single-impact")
 def draw_cells(panel: Panel, x: str, y: str) -> None:
     """Draw the regimes or the value of `panel` over the axes `x` and `y`; where there is no penetration, nothing."""
     axes, value = panel.axes, panel.value
-    across, up = (panel.facet[name].values * scale(panel.facet[name])[0] for name in (x, y))
     if value is None:
         cells, colours, norm = flags(panel.facet["regime"].transpose(y, x)), COLOUR_MAP, NORM
     else:
         cells, colours, norm = value.of(panel.facet).transpose(y, x).values, value.colour_map, value.norm
-    corners = edges(across), edges(up)
-    axes.pcolormesh(*corners, np.ma.masked_invalid(cells), cmap=colours, norm=norm, rasterized=True)
+    corners = fill_cells(panel, x, y, cells, colours, norm)
     if value is not None and value.of_rate and (nothing := cells == 0).any():
         axes.pcolormesh(*corners, np.ma.masked_where(~nothing, nothing), cmap=_NONE, rasterized=True)
     if value is not None and value.of_rate and "regime" in panel.facet:
         _outline_single(axes, panel.facet["regime"].transpose(y, x).values == SINGLE, *corners)
-    shape_axis(axes, "x", across)
-    shape_axis(axes, "y", up)
+
+
+def fill_cells(
+    panel: Panel, x: str, y: str, cells: np.ndarray, colours: Colormap, norm: Normalize
+) -> tuple[np.ndarray, np.ndarray]:
+    """Fill the `cells` (y, x) of `panel` with colours, and give their ends along the axes."""
+    across, up = (panel.facet[name].values * scale(panel.facet[name])[0] for name in (x, y))
+    corners = edges(across), edges(up)
+    panel.axes.pcolormesh(*corners, np.ma.masked_invalid(cells), cmap=colours, norm=norm, rasterized=True)
+    shape_axis(panel.axes, "x", across)
+    shape_axis(panel.axes, "y", up)
+    return corners
 
 
 def write_labels(panel: Panel, x: xr.DataArray, y: xr.DataArray) -> None:

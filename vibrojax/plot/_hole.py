@@ -38,6 +38,12 @@ def draw_rock_forces(axes: Axes, blows: Blows, start: float, end: float) -> None
     axes.set_ylabel(f"force\n[{unit}]")
 
 
+def growth_text(blows: Blows) -> str:
+    """How much the hole grew over the run, in words."""
+    depth, duration = 1e3 * blows.depth, float(np.ptp(blows.time))
+    return f"The hole grows by {depth:.3g} mm in {number(duration)} s" if depth > 0 else "No penetration"
+
+
 def length_scale(lengths: Sequence[np.ndarray]) -> tuple[float, str]:
     """The factor and the unit in which `lengths` [m] read well."""
     greatest = max((float(np.abs(one).max(initial=0.0)) for one in lengths), default=0.0)

@@ -8,8 +8,7 @@ from matplotlib.gridspec import GridSpec
 
 from vibrojax.plot._about import point_text
 from vibrojax.plot._blows import Blows, read_blows
-from vibrojax.plot._hole import draw_hole, draw_rock_forces
-from vibrojax.plot._labels import number
+from vibrojax.plot._hole import draw_hole, draw_rock_forces, growth_text
 from vibrojax.plot._sheet import write_margins
 from vibrojax.plot._style import FAINT, new_figure, styled
 
@@ -54,12 +53,6 @@ def pulses(ds: xr.Dataset, last: float | None = None) -> Figure:
     figure.align_ylabels()
     write_margins(figure, str(ds.attrs.get("title") or ds.attrs.get("scene", "")), point_text(ds), growth_text(blows))
     return figure
-
-
-def growth_text(blows: Blows) -> str:
-    """How fast the hole grew over the run, in words."""
-    rate = 1e3 * blows.depth / float(np.ptp(blows.time))
-    return f"The hole grows by {number(float(f'{rate:.3g}'))} mm/s" if rate > 0 else "No penetration"
 
 
 def _last_blows(blows: Blows) -> float:

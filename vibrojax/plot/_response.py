@@ -10,8 +10,7 @@ from matplotlib.figure import Figure
 from vibrojax.errors import InputError
 from vibrojax.plot._about import parameters_of, point_text
 from vibrojax.plot._blows import Blows, read_blows
-from vibrojax.plot._hole import length_scale
-from vibrojax.plot._pulses import growth_text
+from vibrojax.plot._hole import growth_text, length_scale
 from vibrojax.plot._sheet import write_margins
 from vibrojax.plot._style import BIT, FAINT, INK, ROCK, new_figure, styled
 

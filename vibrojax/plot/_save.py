@@ -9,7 +9,8 @@ from matplotlib.figure import Figure
 from vibrojax.errors import InputError
 from vibrojax.plot._bifurcation import RETURNS, bifurcation
 from vibrojax.plot._cells import RATE
-from vibrojax.plot._grid import POINT, lane_dims, swept, to_map
+from vibrojax.plot._grid import FORM, POINT, lane_dims, swept, to_map
+from vibrojax.plot._law import fitted_law
 from vibrojax.plot._points import varied
 from vibrojax.plot._pulses import pulses
 from vibrojax.plot._rate_map import rate_map
@@ -38,6 +39,8 @@ def picture(ds: xr.Dataset) -> Figure:
         return _over_time(ds)
     if "regime" in ds and RETURNS in ds and swept(ds):
         return bifurcation(ds)
+    if "C" in ds and FORM in ds.dims:
+        return fitted_law(ds)
     if RATE in ds and _as_lines(ds):
         return rates(ds)
     if "regime" in ds:

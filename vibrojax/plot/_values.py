@@ -22,6 +22,8 @@ _KNOWN = {
     "slip_per_impact": ("slip per blow", "viridis"),
     "mean_force": ("mean force P", "cividis"),
     "relief": ("relief P/D", "cividis"),
+    "C": ("C", "viridis"),
+    "C_relative_error": ("standard error of C", "cividis"),
 }
 _BESIDE = ("rate_of_penetration", "impact_velocity", "period", "bit_amplitude")
 _OF_ROCK = ("rate_of_penetration", "slip_per_impact", "relief", "mean_force")
@@ -57,7 +59,7 @@ class Value:
 def values_beside(ds: xr.Dataset) -> tuple[Value, ...]:
     """The values worth a panel beside the regimes; none for a variable without a single finite value."""
     named = [name for name in _BESIDE if name in ds and np.isfinite(ds[name].values).any()]
-    return tuple(_value(ds[name]) for name in named[:_SHOWN])
+    return tuple(value_of(ds[name]) for name in named[:_SHOWN])
 
 
 def values_of_rock(ds: xr.Dataset) -> tuple[Value, ...]:
@@ -65,7 +67,7 @@ def values_of_rock(ds: xr.Dataset) -> tuple[Value, ...]:
     named = [name for name in _OF_ROCK if name in ds and (name == _OF_ROCK[0] or _varies(ds[name].values))]
     if {"relief", "mean_force"} <= set(named) and not _varies((ds["mean_force"] / ds["relief"]).values):
         named.remove("relief")  # the same picture as that of the force
-    return tuple(_value(ds[name]) for name in named)
+    return tuple(value_of(ds[name]) for name in named)
 
 
 def value_handles(data: Sequence[xr.Dataset], values: Sequence[Value]) -> list[Artist]:
@@ -89,7 +91,8 @@ def _limits(finite: np.ndarray) -> tuple[float, float]:
     return (least if least >= low - beyond else low), (greatest if greatest <= high + beyond else high)
 
 
-def _value(data: xr.DataArray) -> Value:
+def value_of(data: xr.DataArray) -> Value:
+    """The variable `data`, which is one of the known, in colours."""
     name = str(data.name)
     (text, colours), (factor, unit) = _KNOWN[name], scale(data)
     finite = data.values[np.isfinite(data.values)] * factor
@@ -98,6 +101,7 @@ def _value(data: xr.DataArray) -> Value:
     low, high = _limits(finite)
     if high - low <= 1e-6 * abs(high):  # one value everywhere: a bar with room on both sides
         low, high = low - 0.05 * abs(low) - 1e-12, high + 0.05 * abs(high) + 1e-12
+    low = 0.0 if name == "C_relative_error" else low  # a share of a hundred, not of its own range
     below, above = bool(finite.min() < low), bool(finite.max() > high)
     extend = {(False, False): "neither", (True, False): "min", (False, True): "max", (True, True): "both"}[below, above]
     shown = colormaps[colours].with_extremes(bad=UNDEFINED)
