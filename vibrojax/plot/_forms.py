@@ -1,4 +1,4 @@
-"""The forms of the fitted law in pictures: one colour and mark each, which is as good as the best, and how far the others are off."""
+"""The forms of the fitted law in pictures: one colour and mark each, and how far each is from the best."""
 
 import numpy as np
 import xarray as xr
@@ -12,7 +12,7 @@ from vibrojax.plot._labels import share_text
 from vibrojax.plot._style import UNDEFINED
 
 READINGS = ("onset", "literal", "percent")  # of the logarithmic law; their C are speeds that can be compared
-COLOURS = {"onset": "#004488", "literal": "#BB5566", "percent": "#DDAA33", "line": "#222222", "power": "#56B4E9"}
+COLOURS = {"onset": "#004488", "literal": "#222222", "percent": "#DDAA33", "line": "#56B4E9", "power": "#BB5566"}
 _OTHER = "#8C8C8C"
 EQUAL = 2.0  # difference of AIC up to which a form is as good as the best
 _MARKS = {"onset": "o", "literal": "s", "percent": "^", "line": "D", "power": "v"}

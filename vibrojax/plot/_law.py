@@ -145,5 +145,7 @@ def _about(fit: xr.Dataset) -> list[str]:
     along = f"Fitted along {fit.attrs['along']}; bars of one standard error" if "along" in fit.attrs else ""
     lacking = {name: int(np.isnan(fit["C"].sel({FORM: name}).values).sum()) for name in readings(fit)}
     groups = fit["C"].size // fit.sizes[FORM]
-    parts = [f"{name}: {count} of {groups}" for name, count in lacking.items() if count]
-    return [along, f"Without a C: {', '.join(parts)}" if parts else ""]
+    parts = [f"{name}: {count}" for name, count in lacking.items() if count]
+    if len(set(lacking.values())) == 1:
+        parts = [str(count) for count in set(lacking.values()) if count]
+    return [along, f"Groups without a C, of {groups}: {', '.join(parts)}" if parts else ""]

@@ -14,11 +14,12 @@ from vibrojax.plot._sheet import sheet, write_margins
 from vibrojax.plot._values import Value, value_handles, value_of
 
 _MOST = 3  # facets
+_SAME = 0.1  # of the greatest error, within which it is worth a word rather than a map
 _BEST, _ERROR = "best_form", "C_relative_error"
 
 
 def law_map(fit: xr.Dataset, x: str, y: str) -> Figure:
-    """The first form as good as the best, C of the logarithmic law and its relative standard error, over `x` and `y`."""
+    """The first form as good as the best, C of the logarithmic law and its relative error, over `x` and `y`."""
     fit = fit.sortby([x, y])
     name = readings(fit)[0]
     shown = _shown(fit, name)
@@ -35,10 +36,11 @@ def law_map(fit: xr.Dataset, x: str, y: str) -> Figure:
         write_labels(panel, shown[x], shown[y])
     drawn.finish(_handles(fit, panels, values))
     along = f"fitted along {fit.attrs['along']}, " if "along" in fit.attrs else ""
+    error = _error_text(shown) if _ERROR in shown and len(values) == 1 else ""
     about = f"The law {along}C of the form {name}" + (
         "; at the left the first form within 2 of the least AIC" * (_BEST in shown)
     )
-    write_margins(drawn.figure, str(fit.attrs.get("title", "")), point_text(fit), panels.note, about)
+    write_margins(drawn.figure, str(fit.attrs.get("title", "")), point_text(fit), panels.note, about, error)
     return drawn.figure
 
 
@@ -55,8 +57,23 @@ def _shown(fit: xr.Dataset, name: str) -> xr.Dataset:
 
 
 def _values(shown: xr.Dataset) -> tuple[Value, ...]:
-    named = [name for name in ("C", _ERROR) if name in shown and np.isfinite(shown[name].values).any()]
-    return tuple(value_of(shown[name]) for name in named or ["C"])
+    low, high = _range(shown)
+    named = ["C"] + [_ERROR] * bool(high - low > _SAME * high)
+    return tuple(value_of(shown[name]) for name in named)
+
+
+def _range(shown: xr.Dataset) -> tuple[float, float]:
+    """The least and the greatest relative error; NaN where there is none."""
+    errors = shown[_ERROR].values if _ERROR in shown else np.empty(0)
+    errors = errors[np.isfinite(errors)]
+    return (float(errors.min()), float(errors.max())) if errors.size else (np.nan, np.nan)
+
+
+def _error_text(shown: xr.Dataset) -> str:
+    low, high = (f"{end:.2g}" for end in _range(shown))
+    if "nan" in (low, high):
+        return ""
+    return f"Standard error of C: {low} %" if low == high else f"Standard error of C: {low} to {high} %"
 
 
 def _handles(fit: xr.Dataset, panels: Facets, values: tuple[Value, ...]) -> list[Artist]:
