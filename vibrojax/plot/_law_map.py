@@ -11,7 +11,7 @@ from vibrojax.plot._facets import Facets, facets
 from vibrojax.plot._forms import best, colour_map, patch_handles, readings
 from vibrojax.plot._grid import FORM
 from vibrojax.plot._sheet import sheet, write_margins
-from vibrojax.plot._values import Value, value_handles, value_of
+from vibrojax.plot._values import ROBUST, Value, value_handles, value_of
 
 _MOST = 3  # facets
 _SAME = 0.1  # of the greatest error, within which it is worth a word rather than a map
@@ -63,10 +63,11 @@ def _values(shown: xr.Dataset) -> tuple[Value, ...]:
 
 
 def _range(shown: xr.Dataset) -> tuple[float, float]:
-    """The least and the greatest relative error; NaN where there is none."""
+    """The least and the greatest relative error but for outliers; NaN where there is none."""
     errors = shown[_ERROR].values if _ERROR in shown else np.empty(0)
     errors = errors[np.isfinite(errors)]
-    return (float(errors.min()), float(errors.max())) if errors.size else (np.nan, np.nan)
+    low, high = np.percentile(errors, ROBUST) if errors.size else (np.nan, np.nan)
+    return float(low), float(high)
 
 
 def _error_text(shown: xr.Dataset) -> str:

@@ -29,9 +29,10 @@ _BESIDE = ("rate_of_penetration", "impact_velocity", "period", "bit_amplitude")
 _OF_ROCK = ("rate_of_penetration", "slip_per_impact", "relief", "mean_force")
 _NOTHING_AT_ZERO = {"rate_of_penetration", "slip_per_impact"}
 _SHOWN = 2
-_ROBUST = (2.0, 98.0)  # percentiles
-_OUTLYING = 1.0  # of the range between them, from which what lies beyond is left out of the colours
-_MANY, _WIDE = 20.0, 100.0  # that share [percent] of rates, so much smaller than the greatest: logarithmic colours
+ROBUST = (2.0, 98.0)  # percentiles
+_OUTLYING = 2.0  # of the range between them, from which what lies beyond is left out of the colours
+_SPREAD = {"rate_of_penetration", "slip_per_impact", "C"}
+_MANY, _WIDE = 20.0, 20.0  # that share [percent] of rates, so much smaller than the greatest: logarithmic colours
 _SAME = 1e-9  # relative, within which a value does not vary
 
 
@@ -85,7 +86,7 @@ def _varies(values: np.ndarray) -> bool:
 
 def _limits(finite: np.ndarray) -> tuple[float, float]:
     """The least and the greatest value, or the robust limits where that is an outlier."""
-    low, high = (float(limit) for limit in np.percentile(finite, _ROBUST))
+    low, high = (float(limit) for limit in np.percentile(finite, ROBUST))
     beyond = _OUTLYING * (high - low)
     least, greatest = float(finite.min()), float(finite.max())
     return (least if least >= low - beyond else low), (greatest if greatest <= high + beyond else high)
@@ -105,6 +106,6 @@ def value_of(data: xr.DataArray) -> Value:
     below, above = bool(finite.min() < low), bool(finite.max() > high)
     extend = {(False, False): "neither", (True, False): "min", (False, True): "max", (True, True): "both"}[below, above]
     shown = colormaps[colours].with_extremes(bad=UNDEFINED)
-    wide = name in _NOTHING_AT_ZERO and high > _WIDE * float(np.percentile(finite, _MANY))
+    wide = name in _SPREAD and 0 < low < high / _WIDE and float(np.percentile(finite, _MANY)) < high / _WIDE
     norm = LogNorm(low, high) if wide else Normalize(low, high)
     return Value(name, with_unit(text, unit), factor, norm, extend, shown)
