@@ -16,6 +16,7 @@ from vibrojax.plot._sheet import Panel
 from vibrojax.plot._style import INK, NOTHING
 
 RATE = "rate_of_penetration"
+_LETTERS = 17  # of a label, for an inch of its axis
 _NONE = ListedColormap([NOTHING], name="nothing")
 SINGLE = REGIMES.index("single-impact")
 
@@ -52,7 +53,8 @@ def write_labels(panel: Panel, x: xr.DataArray, y: xr.DataArray) -> None:
         panel.axes.set_title(panel.title)
     panel.axes.tick_params(labelleft=panel.left, labelbottom=panel.bottom)
     if panel.left:
-        panel.axes.set_ylabel(label(y))
+        height = panel.axes.get_position().height * panel.axes.get_figure().get_figheight()
+        panel.axes.set_ylabel(label(y, int(_LETTERS * height)))
     if panel.bottom:
         panel.axes.set_xlabel(label(x))
 

@@ -55,12 +55,15 @@ def _power(power: int) -> str:
     return "" if power == 1 else str(power).translate(_SUPERSCRIPTS)
 
 
-def label(data: xr.DataArray) -> str:
-    """What stands along an axis: long name, symbol and unit of `data`, or its name where it has no attributes."""
+def label(data: xr.DataArray, letters: int = _LINE) -> str:
+    """What stands along an axis: long name, symbol and unit of `data`, or its name where it has no attributes.
+
+    On lines of at most `letters`.
+    """
     words = re.sub(r"\s*\([^)]*\)", "", str(data.attrs.get("long_name", ""))).strip()
     symbol = str(data.attrs.get("symbol", "")).strip()
     text = ", ".join(part for part in (words, symbol) if part) or str(data.name).replace("_", " ")
-    return fill(with_unit(text, scale(data)[1]).replace(" [", "\u00a0["), _LINE).replace("\u00a0", " ")
+    return fill(with_unit(text, scale(data)[1]).replace(" [", "\u00a0["), min(letters, _LINE)).replace("\u00a0", " ")
 
 
 def with_unit(text: str, unit: str) -> str:

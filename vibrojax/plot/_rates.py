@@ -105,7 +105,7 @@ def _draw(axes: Axes, line: Line, curve: _Curve, x: Across, joined: str) -> None
     kinds = _kinds(line.lanes, found)
     # A jump to another motion is no part of the curve.
     jumps = 1 + np.flatnonzero(np.diff(kinds["other"].astype(int)))
-    path = (np.insert(along, jumps, np.nan) for along in (places, values))
+    path = (np.insert(np.asarray(along, float), jumps, np.nan) for along in (places, values))
     axes.plot(*path, color=line.colour, linestyle=joined, linewidth=1.2, label=line.name or curve.up)
     size = 3.8 if values.size < _SEVERAL else 2.0
     for kind, there in kinds.items():

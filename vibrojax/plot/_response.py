@@ -78,7 +78,7 @@ def read_cycles(ds: xr.Dataset, blows: Blows) -> Cycles:
         raise InputError("no response to draw: the force is no swept sine (pulse_shape, sweep_rate)")
     start, rate = given.get("sweep_start", 0.0), given["sweep_rate"]
     phase = np.abs(start * blows.time + rate * blows.time**2 / 2)
-    turn = 1 + np.flatnonzero(np.diff(np.floor(phase)) != 0)
+    turn = np.concatenate([[0], 1 + np.flatnonzero(np.diff(np.floor(phase)) != 0)])
     if turn.size <= _LEAST_CYCLES:
         raise InputError(f"no response to draw: {max(turn.size - 1, 0)} whole cycles; simulate longer")
     compression = blows.x3 - blows.x4

@@ -99,13 +99,18 @@ def value_of(data: xr.DataArray) -> Value:
     finite = data.values[np.isfinite(data.values)] * factor
     finite = finite[finite > 0] if name in _NOTHING_AT_ZERO else finite
     finite = finite if finite.size else np.ones(1)
-    low, high = _limits(finite)
-    if high - low <= 1e-6 * abs(high):  # one value everywhere: a bar with room on both sides
-        low, high = low - 0.05 * abs(low) - 1e-12, high + 0.05 * abs(high) + 1e-12
-    low = 0.0 if name == "C_relative_error" else low  # a share of a hundred, not of its own range
-    below, above = bool(finite.min() < low), bool(finite.max() > high)
+    norm = _norm(name, finite)
+    below, above = bool(finite.min() < norm.vmin), bool(finite.max() > norm.vmax)
     extend = {(False, False): "neither", (True, False): "min", (False, True): "max", (True, True): "both"}[below, above]
     shown = colormaps[colours].with_extremes(bad=UNDEFINED)
-    wide = name in _SPREAD and 0 < low < high / _WIDE and float(np.percentile(finite, _MANY)) < high / _WIDE
-    norm = LogNorm(low, high) if wide else Normalize(low, high)
     return Value(name, with_unit(text, unit), factor, norm, extend, shown)
+
+
+def _norm(name: str, finite: np.ndarray) -> Normalize:
+    """The limits of the colours, from zero for a share; logarithmic for rates over decades."""
+    low, high = _limits(finite)
+    if name in _SPREAD and finite.min() > 0 and float(np.percentile(finite, _MANY)) < high / _WIDE:
+        return LogNorm(float(np.percentile(finite, ROBUST[0])), high)
+    if high - low <= 1e-6 * abs(high):  # one value everywhere: a bar with room on both sides
+        low, high = low - 0.05 * abs(low) - 1e-12, high + 0.05 * abs(high) + 1e-12
+    return Normalize(0.0 if name == "C_relative_error" else low, high)
