@@ -315,6 +315,19 @@ def test_points_are_drawn_over_the_parameter_of_most_values_and_not_joined():
     assert {line.get_linestyle() for line in over.lines} == {"None"}
 
 
+def test_points_over_two_parameters_of_many_values_are_scattered():
+    ds = points()
+    ds["rate_of_penetration"][:3], ds["rate_of_penetration"][3] = 0.0, np.nan
+    figure = picture(ds)
+    assert {"greatest force of a pulse,\nA [kN]", "stiffness of the rock, k₃ [MN/m]"} <= axis_labels(figure)
+    grey, white, known = (one for one in figure.axes[0].collections if isinstance(one, PathCollection))
+    at = np.column_stack([1e-3 * ds["force"], 1e-6 * ds["k3"]])
+    assert np.array_equal(grey.get_offsets(), at[3:4]) and np.array_equal(white.get_offsets(), at[:3])
+    assert np.array_equal(known.get_offsets(), at[4:])
+    assert np.array_equal(known.get_array(), 1e3 * ds["rate_of_penetration"][4:])
+    assert {"no penetration", "no value"} == set(legend(figure))
+
+
 def test_points_of_a_drill_over_two_parameters_are_scattered_with_their_rate():
     ds = drill({"delta": np.linspace(-0.005, 0.012, 20)}, starts=("drive",)).isel(start=0, drop=True)
     ds = ds.rename(delta="point").assign_coords(point=np.arange(20))
@@ -323,7 +336,8 @@ def test_points_of_a_drill_over_two_parameters_are_scattered_with_their_rate():
     figure = picture(ds)
     dots = [one for axes in figure.axes for one in axes.collections if isinstance(one, PathCollection)]
     shown = [one.get_array() for one in dots if one.get_array() is not None]
-    assert any(np.array_equal(one, 1e3 * ds["rate_of_penetration"]) for one in shown)
+    rate = ds["rate_of_penetration"].values
+    assert any(np.array_equal(one, 1e3 * rate[rate > 0]) for one in shown)
     assert "rate of penetration [mm/s]" in axis_labels(figure)
 
 

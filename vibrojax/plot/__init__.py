@@ -1,4 +1,4 @@
-"""Pictures of datasets: regime maps, bifurcation diagrams and trajectories."""
+"""Pictures of datasets: regimes, bifurcations, rates of penetration, their law, and trajectories."""
 
 from vibrojax.plot._bifurcation import bifurcation as bifurcation
 from vibrojax.plot._flags import REGIME_COLOURS as REGIME_COLOURS

@@ -12,8 +12,9 @@ from vibrojax.errors import InputError
 from vibrojax.plot._about import point_text
 from vibrojax.plot._cells import RATE, draw_cells, write_labels
 from vibrojax.plot._facets import facets
-from vibrojax.plot._grid import chosen, to_map, without_single
+from vibrojax.plot._grid import POINT, chosen, lane_dims, to_map, without_single
 from vibrojax.plot._labels import scale, value_text
+from vibrojax.plot._points import scattered, varied
 from vibrojax.plot._sheet import Panel, sheet, write_margins
 from vibrojax.plot._style import INK, styled
 from vibrojax.plot._values import Value, value_handles, values_of_rock
@@ -30,7 +31,8 @@ _SYMBOLS = {"mean_force": "P", "relief": "P/D"}
 def rate_map(ds: xr.Dataset, x: str | None = None, y: str | None = None) -> Figure:
     """The rate of penetration as a map over two axes, with slip per blow, mean force and relief where there is room.
 
-    Further axes become panels: nine at most, and the figure says which. What is the same all over is in the note.
+    Further axes become panels: nine at most, and the figure says which. What is the same all over is in the note. A
+    list of points is scattered over the two parameters that vary.
 
     **Arguments:**
 
@@ -40,11 +42,13 @@ def rate_map(ds: xr.Dataset, x: str | None = None, y: str | None = None) -> Figu
 
     **Returns:** a figure that pyplot knows nothing of.
 
-    **Raises:** `InputError` where there are no rates, or `x` or `y` is no axis of the sweep.
+    **Raises:** `InputError` where there are no rates, there are no two axes, or `x` or `y` is no axis of the sweep.
     """
     if RATE not in ds or ds[RATE].size == 0:
         raise InputError(f"no rates to draw: the dataset holds no variable {RATE}")
     ds = without_single(ds)
+    if POINT in lane_dims(ds):
+        return _points(ds)
     if x is None and y is None:
         x, y = (*to_map(ds), None, None)[:2]
     x, y = chosen(ds, x, y)
@@ -62,6 +66,13 @@ def rate_map(ds: xr.Dataset, x: str | None = None, y: str | None = None) -> Figu
     drawn.finish(value_handles(panels.data, shown) + ([_relief_handle()] if lines else []))
     write_margins(drawn.figure, str(ds.attrs.get("title", "")), _about(ds, values), panels.note)
     return drawn.figure
+
+
+def _points(ds: xr.Dataset) -> Figure:
+    names = varied(ds)
+    if len(names) != 2:
+        raise InputError(f"no map: {', '.join(names) or 'none'} is what varies over the points, not two parameters")
+    return scattered(ds, *names, values_of_rock(ds)[: _SHOWN[3]])
 
 
 def _draw_relief(panel: Panel, x: str, y: str) -> bool:

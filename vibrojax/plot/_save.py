@@ -3,6 +3,7 @@
 import os
 from pathlib import Path
 
+import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
@@ -17,6 +18,7 @@ from vibrojax.plot._rate_map import rate_map
 from vibrojax.plot._rates import rates
 from vibrojax.plot._regimes import regime_map
 from vibrojax.plot._response import is_swept, response
+from vibrojax.plot._series import MOST_LINES
 from vibrojax.plot._style import settings
 from vibrojax.plot._trajectory import trajectory
 
@@ -25,11 +27,11 @@ _METADATA: dict[str, dict[str, None]] = {".png": {}, ".pdf": {"CreationDate": No
 
 
 def picture(ds: xr.Dataset) -> Figure:
-    """The fitting picture for what `ds` holds: a trajectory, a bifurcation diagram or a regime map.
+    """The fitting picture for what `ds` holds: a trajectory, returns, regimes, rates of penetration, or a law.
 
     **Arguments:**
 
-    - `ds`: what `simulate` or a sweep gives.
+    - `ds`: what `simulate`, a sweep or a fit gives.
 
     **Returns:** a figure that pyplot knows nothing of.
 
@@ -48,7 +50,10 @@ def picture(ds: xr.Dataset) -> Figure:
     if RATE in ds:
         return rate_map(ds)
     held = ", ".join(str(name) for name in ds.data_vars) or "no variable"
-    raise InputError(f"nothing to draw: a picture needs regime, or x1 along time; the dataset holds {held}")
+    raise InputError(
+        f"nothing to draw: a picture needs regime, rate_of_penetration, C along form, or a motion along time; "
+        f"the dataset holds {held}"
+    )
 
 
 def _over_time(ds: xr.Dataset) -> Figure:
@@ -60,7 +65,9 @@ def _over_time(ds: xr.Dataset) -> Figure:
 def _as_lines(ds: xr.Dataset) -> bool:
     """Whether the lanes of a scene with rock are drawn as lines, or one by one."""
     if POINT in lane_dims(ds):
-        return "regime" not in ds or len(varied(ds)) != 2
+        values = [np.unique(ds[name].values).size for name in varied(ds)]
+        few = min(values, default=0) <= MOST_LINES and "regime" not in ds
+        return len(values) != 2 or few
     return len(to_map(ds)) < 2
 
 

@@ -15,7 +15,7 @@ from vibrojax.plot._labels import label, scale, value_text
 from vibrojax.plot._style import BIT, OTHER_COLOURS, ROCK_COLOURS, start_colour
 
 _FREQUENCY = "frequency"  # the axis to draw along where others are as long
-_NAMED_LINES = 8  # in the legend, from the first to the last
+MOST_LINES = 8  # in the legend, from the first to the last
 _VIRIDIS = (0.0, 0.87)  # its yellow end is lost on white
 
 
@@ -77,7 +77,7 @@ def across(ds: xr.Dataset) -> Across:
 def apart(ds: xr.Dataset, along: str) -> str:
     """The axis whose values are lines of one colour each: the longest but `along`, last the start."""
     if POINT in lane_dims(ds):
-        sizes = {name: count for name, count in _varied(ds, names=True).items() if count <= _NAMED_LINES}
+        sizes = {name: count for name, count in _varied(ds, names=True).items() if count <= MOST_LINES}
     else:
         sizes = {name: ds.sizes[name] for name in (*swept(ds), *_named_axes(ds))}
     rest = [name for name in sizes if name != along]
@@ -100,7 +100,7 @@ def line_handles(drawn: list[Line], **look: object) -> list[Artist]:
     """The legend's entries; where there are too many lines, for some of them, from the first to the last."""
     if len(drawn) == 1 and not drawn[0].name:
         return []
-    shown = np.unique(np.linspace(0, len(drawn) - 1, _NAMED_LINES).round().astype(int)) if drawn else []
+    shown = np.unique(np.linspace(0, len(drawn) - 1, MOST_LINES).round().astype(int)) if drawn else []
     marks: dict[str, object] = {"marker": "o", "markersize": 4.0} | look
     return [Line2D([], [], color=drawn[at].colour, label=drawn[at].name, **marks) for at in shown]
 

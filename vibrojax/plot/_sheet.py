@@ -79,13 +79,18 @@ def sheet(panels: Facets, values: tuple[Value | None, ...]) -> Sheet:
 
 
 def write_margins(figure: Figure, title: str, *notes: str, legend: float = 0.0) -> None:
-    """Write `title` above everything, but not over a legend that takes `legend` inches at the right; `notes` below."""
+    """Write `title` above everything, but not over a legend that takes `legend` inches at the right; `notes` below.
+
+    The figure grows by the lines after the first.
+    """
     width = figure.get_figwidth()
-    if title:
-        figure.suptitle(fill(title, int(9.5 * (width - legend))), x=0.01, ha="left", fontweight="bold")
-    text = ". ".join(note for note in notes if note)
-    if text:
-        figure.supxlabel(fill(text, int(17 * width)), x=0.01, ha="left", fontsize=8, color="0.3")
+    above = fill(title, int(9.5 * (width - legend)))
+    below = fill(". ".join(note for note in notes if note), int(17 * width))
+    if above:
+        figure.suptitle(above, x=0.01, ha="left", fontweight="bold")
+    if below:
+        figure.supxlabel(below, x=0.01, ha="left", fontsize=8, color="0.3")
+    figure.set_figheight(figure.get_figheight() + 0.18 * above.count("\n") + 0.13 * below.count("\n"))
 
 
 def wrapped(title: str, width: float) -> str:

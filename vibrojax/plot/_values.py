@@ -32,7 +32,7 @@ _SHOWN = 2
 ROBUST = (2.0, 98.0)  # percentiles
 _OUTLYING = 2.0  # of the range between them, from which what lies beyond is left out of the colours
 _SPREAD = {"rate_of_penetration", "slip_per_impact", "C"}
-_MANY, _WIDE = 20.0, 20.0  # that share [percent] of rates, so much smaller than the greatest: logarithmic colours
+_MANY, _WIDE = 20.0, 15.0  # that share [percent] of rates, so much smaller than the greatest: logarithmic colours
 _SAME = 1e-9  # relative, within which a value does not vary
 
 
