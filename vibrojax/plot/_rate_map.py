@@ -104,5 +104,9 @@ def _about(ds: xr.Dataset, values: tuple[Value, ...]) -> str:
     drawn = {value.name for value in values}
     drawn |= {"relief"} if "mean_force" in drawn else set()
     fixed = {text: ds[name] for name, text in _SYMBOLS.items() if name in ds and name not in drawn}
-    texts = [value_text(data.assign_attrs(symbol=text), float(data.max())) for text, data in fixed.items()]
+    texts = [
+        value_text(data.assign_attrs(symbol=text), float(data.max()))
+        for text, data in fixed.items()
+        if data.notnull().any()
+    ]
     return ", ".join(part for part in (point_text(ds), *texts) if part)

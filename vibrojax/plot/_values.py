@@ -98,7 +98,7 @@ def value_of(data: xr.DataArray) -> Value:
     (text, colours), (factor, unit) = _KNOWN[name], scale(data)
     finite = data.values[np.isfinite(data.values)] * factor
     finite = finite[finite > 0] if name in _NOTHING_AT_ZERO else finite
-    finite = finite if finite.size else np.ones(1)
+    finite = finite if finite.size else np.array([0.0, 1.0])  # nothing to show
     norm = _norm(name, finite)
     below, above = bool(finite.min() < norm.vmin), bool(finite.max() > norm.vmax)
     extend = {(False, False): "neither", (True, False): "min", (False, True): "max", (True, True): "both"}[below, above]
