@@ -25,7 +25,8 @@ _KNOWN = {
     "C": ("C", "viridis"),
     "C_relative_error": ("standard error of C", "cividis"),
 }
-_BESIDE = ("rate_of_penetration", "impact_velocity", "period", "bit_amplitude")
+_OF_DRILL = ("impact_velocity", "period", "bit_amplitude")
+_BESIDE = ("rate_of_penetration", *_OF_DRILL)
 _OF_ROCK = ("rate_of_penetration", "slip_per_impact", "relief", "mean_force")
 _NOTHING_AT_ZERO = {"rate_of_penetration", "slip_per_impact"}
 _SHOWN = 2
@@ -84,9 +85,11 @@ def _varies(values: np.ndarray) -> bool:
     return bool(finite.size) and bool(np.ptp(finite) > _SAME * np.abs(finite).max())
 
 
-def _limits(finite: np.ndarray) -> tuple[float, float]:
-    """The least and the greatest value, or the robust limits where that is an outlier."""
+def _limits(name: str, finite: np.ndarray) -> tuple[float, float]:
+    """The least and the greatest value, or the robust limits where that is an outlier, as in what the drill does."""
     low, high = (float(limit) for limit in np.percentile(finite, ROBUST))
+    if name in _OF_DRILL:
+        return low, high
     beyond = _OUTLYING * (high - low)
     least, greatest = float(finite.min()), float(finite.max())
     return (least if least >= low - beyond else low), (greatest if greatest <= high + beyond else high)
@@ -108,7 +111,7 @@ def value_of(data: xr.DataArray) -> Value:
 
 def _norm(name: str, finite: np.ndarray) -> Normalize:
     """The limits of the colours, from zero for a share; logarithmic for rates over decades."""
-    low, high = _limits(finite)
+    low, high = _limits(name, finite)
     if name in _SPREAD and finite.min() > 0 and float(np.percentile(finite, _MANY)) < high / _WIDE:
         return LogNorm(float(np.percentile(finite, ROBUST[0])), high)
     if high - low <= 1e-6 * abs(high):  # one value everywhere: a bar with room on both sides
