@@ -1,28 +1,16 @@
 """Bifurcation diagrams: the impact velocity at each stored return to the section, over the swept axis."""
 
+from functools import partial
+
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from vibrojax.errors import InputError
-from vibrojax.plot._about import point_text
-from vibrojax.plot._facets import facets
-from vibrojax.plot._flags import legend_handles
-from vibrojax.plot._grid import RETURN, START, swept, without_single
+from vibrojax.plot._grid import RETURN, swept, without_single
 from vibrojax.plot._labels import scale, with_unit
-from vibrojax.plot._sheet import write_margins
-from vibrojax.plot._stacks import (
-    LEGEND_WIDTH,
-    Stack,
-    draw_strip,
-    legend_at_right,
-    of_start,
-    stacks,
-    start_handles,
-    start_names,
-    values_along,
-)
+from vibrojax.plot._stacks import Stack, draw_stacks, of_start, start_names, values_along
 from vibrojax.plot._style import start_colour, styled
 
 RETURNS = "return_impact_velocity"
@@ -49,20 +37,19 @@ def bifurcation(ds: xr.Dataset) -> Figure:
     if not swept(ds):
         raise InputError("no bifurcation diagram: none of the grid's axes has more than one value")
     x = max(swept(ds), key=lambda name: ds.sizes[name])
-    panels = facets(ds.sortby(x), (x, START))
-    figure, drawn = stacks(panels, 1, 3.6 if len(panels) == 1 else 2.6)
-    for stack in drawn:
-        _draw_returns(stack, x)
-        draw_strip(stack, x)
-        if stack.left:
-            stack.curves[0].set_ylabel(with_unit("impact velocity at each return", scale(ds[RETURNS])[1]))
-    handles = legend_handles([facet["regime"] for facet in panels.data])
-    legend_at_right(figure, start_handles(ds, linestyle="none"), list(handles))
-    write_margins(figure, str(ds.attrs.get("title", "")), point_text(ds), panels.note, legend=LEGEND_WIDTH)
-    return figure
+    factor, unit = scale(ds[RETURNS])
+    label = with_unit("impact velocity at each return", unit)
+    return draw_stacks(
+        ds,
+        x,
+        1,
+        lambda count: 3.6 if count == 1 else 2.6,
+        partial(_draw_returns, x=x, factor=factor, label=label),
+        "none",
+    )
 
 
-def _draw_returns(stack: Stack, x: str) -> None:
+def _draw_returns(stack: Stack, x: str, factor: float, label: str) -> None:
     axes: Axes = stack.curves[0]
     for at, name in enumerate(start_names(stack.facet)):
         returns = of_start(stack.facet, at)[RETURNS].transpose(x, RETURN)
@@ -70,6 +57,10 @@ def _draw_returns(stack: Stack, x: str) -> None:
         there = np.isfinite(returns.values)
         # Later starts as smaller dots, so that a motion reached from both shows both colours.
         size = float(np.clip(1200.0 / stack.facet.sizes[x], 5.0, 20.0)) / (1 + at)
-        dots = axes.scatter(along[there], returns.values[there], s=size, color=start_colour(name, at), linewidths=0)
+        dots = axes.scatter(
+            along[there], factor * returns.values[there], s=size, color=start_colour(name, at), linewidths=0
+        )
         dots.set_label(name)
         dots.set_rasterized(True)
+    if stack.left:
+        axes.set_ylabel(label)

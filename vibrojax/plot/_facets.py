@@ -7,7 +7,7 @@ from itertools import product
 import numpy as np
 import xarray as xr
 
-from vibrojax.plot._grid import START
+from vibrojax.plot._grid import START, lane_dims
 from vibrojax.plot._labels import number, pretty_unit, scale, symbol, value_text
 
 MOST = 12
@@ -30,11 +30,11 @@ class Facets:
         return len(self.data)
 
 
-def facets(ds: xr.Dataset, along: Sequence[str]) -> Facets:
-    """`ds` cut into panels over the dimensions of `regime` that are not in `along`; at most twelve."""
-    axes = [str(name) for name in ds["regime"].dims if name not in along]
+def facets(ds: xr.Dataset, along: Sequence[str], most: int = MOST) -> Facets:
+    """`ds` cut into panels over the dimensions of its lanes that are not in `along`; at most `most`."""
+    axes = [name for name in lane_dims(ds) if name not in along]
     sizes = {name: ds.sizes[name] for name in axes}
-    counts = _representative(sizes)
+    counts = _representative(sizes, most)
     picks = {name: _spread(sizes[name], counts[name]) for name in axes}
     indices = [dict(zip(axes, (int(i) for i in pick), strict=True)) for pick in product(*picks.values())]
     titles = tuple(", ".join(value_text(ds[name], ds[name].values[i]) for name, i in at.items()) for at in indices)
@@ -52,10 +52,10 @@ def columns(panels: Facets, most: int) -> int:
     return min(choices, key=lambda n: (n < 3, -count % n, -n), default=most)
 
 
-def _representative(sizes: dict[str, int]) -> dict[str, int]:
-    """How many values of each axis to show, at most twelve together; starts are dropped last."""
+def _representative(sizes: dict[str, int], most: int) -> dict[str, int]:
+    """How many values of each axis to show, at most `most` together; starts are dropped last."""
     counts = dict(sizes)
-    while np.prod(list(counts.values()), initial=1) > MOST:
+    while np.prod(list(counts.values()), initial=1) > most:
         droppable = [name for name in counts if name != START and counts[name] > 1] or list(counts)
         longest = max(droppable, key=counts.__getitem__)
         counts[longest] -= 1

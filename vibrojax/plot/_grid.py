@@ -8,15 +8,23 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from vibrojax.errors import InputError, suggestion
 
-START, POINT, RETURN = "start", "point", "return_index"
-_PLAIN = {START, POINT, RETURN}
+START, POINT, RETURN, FORM = "start", "point", "return_index", "form"
+_PLAIN = {START, POINT, RETURN, FORM}
+_EACH = ("regime", "rate_of_penetration", "C")  # what every lane has one of: of a drill, of rock, of a fit
+_MANY = 9  # values from which lines, one for each, are too many
 _ENOUGH = 6  # values from which an axis is one to draw along, rather than a choice between a few
 
 
+def lane_dims(ds: xr.Dataset) -> tuple[str, ...]:
+    """The dimensions of the lanes of a sweep, or of the groups of a fit; none where there are neither."""
+    data = next((ds[name] for name in _EACH if name in ds), None)
+    return () if data is None else tuple(str(name) for name in data.dims if name != FORM)
+
+
 def swept(ds: xr.Dataset) -> tuple[str, ...]:
-    """The grid's axes of more than one value that are numbers, in the order of the dimensions of `regime`."""
-    names = [str(name) for name in ds["regime"].dims if name not in _PLAIN]
-    return tuple(name for name in names if ds.sizes[name] > 1 and _is_numeric(ds[name]))
+    """The grid's axes of more than one value that are numbers, in the order of the lanes' dimensions."""
+    names = [name for name in lane_dims(ds) if name not in _PLAIN and name in ds.coords]
+    return tuple(name for name in names if ds.sizes[name] > 1 and is_numeric(ds[name]))
 
 
 def to_draw(ds: xr.Dataset) -> tuple[str, ...]:
@@ -26,6 +34,12 @@ def to_draw(ds: xr.Dataset) -> tuple[str, ...]:
         return ("gamma", "beta")
     long = tuple(name for name in axes if ds.sizes[name] >= _ENOUGH)
     return long or axes
+
+
+def to_map(ds: xr.Dataset) -> tuple[str, ...]:
+    """The axes of so many values that maps show more of them than lines: the frequency, then the longest."""
+    long = [name for name in swept(ds) if ds.sizes[name] >= _MANY]
+    return tuple(sorted(long, key=lambda name: (name != "frequency", -ds.sizes[name])))
 
 
 def chosen(ds: xr.Dataset, x: str | None, y: str | None) -> tuple[str, str]:
@@ -48,7 +62,7 @@ def chosen(ds: xr.Dataset, x: str | None, y: str | None) -> tuple[str, str]:
 
 def without_single(ds: xr.Dataset) -> xr.Dataset:
     """`ds` with its axes of one value as scalars."""
-    single = tuple(str(name) for name in ds["regime"].dims if ds.sizes[name] == 1 and name not in (POINT, RETURN))
+    single = tuple(name for name in lane_dims(ds) if ds.sizes[name] == 1 and name != POINT)
     return ds.isel({name: 0 for name in single if name in ds.coords})
 
 
@@ -86,5 +100,6 @@ def _plain_log_ticks(axis: Axis, ends: np.ndarray) -> None:
     axis.set_minor_formatter(NullFormatter())
 
 
-def _is_numeric(data: xr.DataArray) -> bool:
+def is_numeric(data: xr.DataArray) -> bool:
+    """Whether the values of `data` are numbers, rather than names."""
     return bool(np.issubdtype(data.dtype, np.number))

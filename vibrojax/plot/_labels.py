@@ -6,10 +6,11 @@ from textwrap import fill
 import numpy as np
 import xarray as xr
 
+_HERTZ = {"s-1": "Hz", "s-2": "Hz/s"}  # the only such units here are of frequencies
 _LINE = 32  # letters of a label that fit along a panel
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 # A prefix for a unit, where the greatest value is below (milli) or from (kilo, mega) the bound.
-_MILLI = {"m": ("mm", 1e3, 1.0)}
+_MILLI = {"m": ("mm", 1e3, 1.0), "s": ("ms", 1e3, 0.1), "m s-1": ("mm s-1", 1e3, 0.3)}
 _GREATER = {
     "N": (("MN", 1e-6, 1e6), ("kN", 1e-3, 1e3)),
     "N m-1": (("MN m-1", 1e-6, 1e6), ("kN m-1", 1e-3, 1e3)),
@@ -36,6 +37,8 @@ def pretty_unit(unit: str) -> str:
     """`unit` as printed: `m s-1` is m/s, `N s m-1` is N s/m; nothing for a pure number."""
     if unit in ("", "1"):
         return ""
+    if unit in _HERTZ:
+        return _HERTZ[unit]
     over, under = [], []
     for part in unit.split():
         match = re.fullmatch(r"([^\W\d]+)(-?\d+)?", part)
@@ -52,12 +55,15 @@ def _power(power: int) -> str:
     return "" if power == 1 else str(power).translate(_SUPERSCRIPTS)
 
 
-def label(data: xr.DataArray) -> str:
-    """What stands along an axis: long name, symbol and unit of `data`, or its name where it has no attributes."""
+def label(data: xr.DataArray, letters: int = _LINE) -> str:
+    """What stands along an axis: long name, symbol and unit of `data`, or its name where it has no attributes.
+
+    On lines of at most `letters`.
+    """
     words = re.sub(r"\s*\([^)]*\)", "", str(data.attrs.get("long_name", ""))).strip()
     symbol = str(data.attrs.get("symbol", "")).strip()
     text = ", ".join(part for part in (words, symbol) if part) or str(data.name).replace("_", " ")
-    return fill(with_unit(text, scale(data)[1]).replace(" [", "\u00a0["), _LINE).replace("\u00a0", " ")
+    return fill(with_unit(text, scale(data)[1]).replace(" [", "\u00a0["), min(letters, _LINE)).replace("\u00a0", " ")
 
 
 def with_unit(text: str, unit: str) -> str:

@@ -1,27 +1,15 @@
 """A sweep along one axis: values as lines, regimes as a strip."""
 
+from functools import partial
+
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from vibrojax.plot._about import point_text
-from vibrojax.plot._facets import facets
-from vibrojax.plot._flags import legend_handles
-from vibrojax.plot._grid import START, to_draw
+from vibrojax.plot._grid import to_draw
 from vibrojax.plot._points import regime_counts
-from vibrojax.plot._sheet import write_margins
-from vibrojax.plot._stacks import (
-    LEGEND_WIDTH,
-    Stack,
-    draw_strip,
-    legend_at_right,
-    of_start,
-    stacks,
-    start_handles,
-    start_names,
-    values_along,
-)
+from vibrojax.plot._stacks import Stack, draw_stacks, of_start, start_names, values_along
 from vibrojax.plot._style import start_colour
 from vibrojax.plot._values import Value, values_beside
 
@@ -32,17 +20,13 @@ def regime_lines(ds: xr.Dataset) -> Figure:
     if not to_draw(ds) or not values:
         return regime_counts(ds)
     (x,) = to_draw(ds)
-    ds = ds.sortby(x)
-    panels = facets(ds, (x, START))
-    figure, drawn = stacks(panels, len(values), 1.9 if len(values) > 1 else 2.4)
-    for stack in drawn:
-        for axes, value in zip(stack.curves, values, strict=True):
-            _draw_value(stack, axes, value, x)
-        draw_strip(stack, x)
-    handles = legend_handles([facet["regime"] for facet in panels.data])
-    legend_at_right(figure, start_handles(ds), list(handles))
-    write_margins(figure, str(ds.attrs.get("title", "")), point_text(ds), panels.note, legend=LEGEND_WIDTH)
-    return figure
+    height = 1.9 if len(values) > 1 else 2.4
+    return draw_stacks(ds, x, len(values), lambda _: height, partial(_draw_values, values=values, x=x))
+
+
+def _draw_values(stack: Stack, values: tuple[Value, ...], x: str) -> None:
+    for axes, value in zip(stack.curves, values, strict=True):
+        _draw_value(stack, axes, value, x)
 
 
 def _draw_value(stack: Stack, axes: Axes, value: Value, x: str) -> None:

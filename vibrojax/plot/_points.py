@@ -8,34 +8,38 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from vibrojax.plot._about import point_text
+from vibrojax.plot._cells import write_labels
 from vibrojax.plot._facets import Facets
 from vibrojax.plot._flags import COLOUR_MAP, NORM, REGIME_COLOURS, counts, flags, legend_handles, names
 from vibrojax.plot._grid import POINT, START
-from vibrojax.plot._labels import label, scale, share_text
+from vibrojax.plot._labels import scale, share_text
 from vibrojax.plot._region import outline_handle, outline_region
 from vibrojax.plot._sheet import Panel, sheet, write_margins
-from vibrojax.plot._style import UNDEFINED, new_figure
-from vibrojax.plot._values import undefined_handle, values_beside
+from vibrojax.plot._style import NOTHING, UNDEFINED, new_figure
+from vibrojax.plot._values import Value, value_handles, values_beside
 
 
 def regime_points(ds: xr.Dataset) -> Figure:
     """The regimes of a list of points: over the two parameters that vary, else counted."""
-    varied = _varied(ds)
-    if len(varied) != 2:
+    names = varied(ds)
+    if len(names) != 2:
         return regime_counts(ds)
-    x, y = ("gamma", "beta") if set(varied) == {"beta", "gamma"} else varied
+    x, y = ("gamma", "beta") if set(names) == {"beta", "gamma"} else names
+    return scattered(ds, x, y, values_beside(ds))
+
+
+def scattered(ds: xr.Dataset, x: str, y: str, values: tuple[Value, ...]) -> Figure:
+    """The regimes of a list of points, where there are any, and `values`, over the parameters `x` and `y`."""
     panels = _by_start(ds)
-    drawn = sheet(panels, values_beside(ds))
+    regimes = (None,) if "regime" in ds else ()
+    drawn = sheet(panels, (*regimes, *values))
     for panel in drawn:
         _draw_points(panel, ds[x], ds[y])
     for panel in drawn:  # once all limits are known
         outline_region(panel.axes, x, y)
-        panel.axes.set_title(panel.title)
-        panel.axes.tick_params(labelleft=panel.left, labelbottom=panel.bottom)
-        panel.axes.set_ylabel(label(ds[y]) if panel.left else "")
-        panel.axes.set_xlabel(label(ds[x]) if panel.bottom else "")
-    handles: list[Artist] = list(legend_handles([facet["regime"] for facet in panels.data]))
-    handles += undefined_handle(panels.data, drawn.values)
+        write_labels(panel, ds[x], ds[y])
+    handles: list[Artist] = list(legend_handles([facet["regime"] for facet in panels.data])) if regimes else []
+    handles += value_handles(panels.data, values)
     drawn.finish(handles + outline_handle(drawn.panels[0].axes))
     write_margins(drawn.figure, str(ds.attrs.get("title", "")), point_text(ds))
     return drawn.figure
@@ -67,7 +71,7 @@ def _draw_counts(axes: Axes, regimes: xr.DataArray, found: list[int]) -> None:
     axes.xaxis.set_major_locator(MaxNLocator(5, integer=True))
 
 
-def _varied(ds: xr.Dataset) -> tuple[str, ...]:
+def varied(ds: xr.Dataset) -> tuple[str, ...]:
     """The parameters along the points that take more than one value."""
     along = {str(name): data for name, data in ds.coords.items() if data.dims == (POINT,) and name != POINT}
     numbers = {name: data.values for name, data in along.items() if np.issubdtype(data.dtype, np.number)}
@@ -88,12 +92,14 @@ def _by_start(ds: xr.Dataset) -> Facets:
 
 
 def _draw_points(panel: Panel, across: xr.DataArray, up: xr.DataArray) -> None:
-    value, regimes = panel.value, panel.facet["regime"]
+    value = panel.value
     if value is None:
-        cells, colours, norm = flags(regimes), COLOUR_MAP, NORM
+        cells, colours, norm = flags(panel.facet["regime"]), COLOUR_MAP, NORM
     else:
         cells, colours, norm = value.of(panel.facet).values, value.colour_map, value.norm
     at = [panel.facet[data.name].values * scale(data)[0] for data in (across, up)]
-    known = np.isfinite(cells)
-    for shown, colour in ((~known, {"c": UNDEFINED}), (known, {"c": cells[known], "cmap": colours, "norm": norm})):
+    nothing = (cells == 0) & (value is not None and value.of_rate)
+    known = np.isfinite(cells) & ~nothing
+    plain = ((np.isnan(cells), {"c": UNDEFINED}), (nothing, {"c": NOTHING}))
+    for shown, colour in (*plain, (known, {"c": cells[known], "cmap": colours, "norm": norm})):
         panel.axes.scatter(*(values[shown] for values in at), edgecolors="0.3", linewidths=0.3, s=20, **colour)

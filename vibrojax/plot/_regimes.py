@@ -1,22 +1,21 @@
 """Regime maps: which motion there is at each point of a sweep, from each start."""
 
-import numpy as np
 import xarray as xr
 from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 
 from vibrojax.errors import InputError
 from vibrojax.plot._about import point_text
+from vibrojax.plot._cells import draw_cells, single_handle, write_labels
 from vibrojax.plot._facets import facets
-from vibrojax.plot._flags import COLOUR_MAP, NORM, flags, legend_handles
-from vibrojax.plot._grid import POINT, chosen, edges, shape_axis, to_draw, without_single
-from vibrojax.plot._labels import label, scale
+from vibrojax.plot._flags import legend_handles
+from vibrojax.plot._grid import POINT, chosen, to_draw, without_single
 from vibrojax.plot._lines import regime_lines
 from vibrojax.plot._points import regime_points
 from vibrojax.plot._region import outline_handle, outline_region
-from vibrojax.plot._sheet import Panel, sheet, write_margins
+from vibrojax.plot._sheet import sheet, write_margins
 from vibrojax.plot._style import styled
-from vibrojax.plot._values import undefined_handle, values_beside
+from vibrojax.plot._values import value_handles, values_beside
 
 
 @styled
@@ -49,36 +48,14 @@ def regime_map(ds: xr.Dataset, x: str | None = None, y: str | None = None) -> Fi
 def _grid_map(ds: xr.Dataset, x: str, y: str) -> Figure:
     ds = ds.sortby([x, y])
     panels = facets(ds, (x, y))
-    drawn = sheet(panels, values_beside(ds))
+    values = values_beside(ds)
+    drawn = sheet(panels, (None, *values))
     for panel in drawn:
-        _draw_cells(panel, x, y)
-        _write_labels(panel, ds[x], ds[y])
+        draw_cells(panel, x, y)
+        outline_region(panel.axes, x, y)
+        write_labels(panel, ds[x], ds[y])
     handles: list[Artist] = list(legend_handles([facet["regime"] for facet in panels.data]))
-    handles += undefined_handle(panels.data, drawn.values)
+    handles += value_handles(panels.data, values) + single_handle(drawn.panels)
     drawn.finish(handles + outline_handle(drawn.panels[0].axes))
     write_margins(drawn.figure, str(ds.attrs.get("title", "")), point_text(ds), panels.note)
     return drawn.figure
-
-
-def _draw_cells(panel: Panel, x: str, y: str) -> None:
-    axes, value = panel.axes, panel.value
-    across, up = (panel.facet[name].values * scale(panel.facet[name])[0] for name in (x, y))
-    if value is None:
-        cells, colours, norm = flags(panel.facet["regime"].transpose(y, x)), COLOUR_MAP, NORM
-    else:
-        cells, colours, norm = value.of(panel.facet).transpose(y, x).values, value.colour_map, value.norm
-    masked = np.ma.masked_invalid(cells)
-    axes.pcolormesh(edges(across), edges(up), masked, cmap=colours, norm=norm, rasterized=True)
-    shape_axis(axes, "x", across)
-    shape_axis(axes, "y", up)
-    outline_region(axes, x, y)
-
-
-def _write_labels(panel: Panel, x: xr.DataArray, y: xr.DataArray) -> None:
-    if panel.title:
-        panel.axes.set_title(panel.title)
-    panel.axes.tick_params(labelleft=panel.left, labelbottom=panel.bottom)
-    if panel.left:
-        panel.axes.set_ylabel(label(y))
-    if panel.bottom:
-        panel.axes.set_xlabel(label(x))

@@ -3,13 +3,22 @@
 import os
 from pathlib import Path
 
+import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
 from vibrojax.errors import InputError
 from vibrojax.plot._bifurcation import RETURNS, bifurcation
-from vibrojax.plot._grid import swept
+from vibrojax.plot._cells import RATE
+from vibrojax.plot._grid import FORM, POINT, lane_dims, swept, to_map
+from vibrojax.plot._law import fitted_law
+from vibrojax.plot._points import varied
+from vibrojax.plot._pulses import pulses
+from vibrojax.plot._rate_map import rate_map
+from vibrojax.plot._rates import rates
 from vibrojax.plot._regimes import regime_map
+from vibrojax.plot._response import is_swept, response
+from vibrojax.plot._series import MOST_LINES
 from vibrojax.plot._style import settings
 from vibrojax.plot._trajectory import trajectory
 
@@ -18,24 +27,48 @@ _METADATA: dict[str, dict[str, None]] = {".png": {}, ".pdf": {"CreationDate": No
 
 
 def picture(ds: xr.Dataset) -> Figure:
-    """The fitting picture for what `ds` holds: a trajectory, a bifurcation diagram or a regime map.
+    """The fitting picture for what `ds` holds: a trajectory, returns, regimes, rates of penetration, or a law.
 
     **Arguments:**
 
-    - `ds`: what `simulate` or a sweep gives.
+    - `ds`: what `simulate`, a sweep or a fit gives.
 
     **Returns:** a figure that pyplot knows nothing of.
 
     **Raises:** `InputError` where the dataset holds nothing to draw.
     """
     if "time" in ds.dims:
-        return trajectory(ds)
+        return _over_time(ds)
     if "regime" in ds and RETURNS in ds and swept(ds):
         return bifurcation(ds)
+    if "C" in ds and FORM in ds.dims:
+        return fitted_law(ds)
+    if RATE in ds and _as_lines(ds):
+        return rates(ds)
     if "regime" in ds:
         return regime_map(ds)
+    if RATE in ds:
+        return rate_map(ds)
     held = ", ".join(str(name) for name in ds.data_vars) or "no variable"
-    raise InputError(f"nothing to draw: a picture needs regime, or x1 along time; the dataset holds {held}")
+    raise InputError(
+        f"nothing to draw: a picture needs regime, rate_of_penetration, C along form, or a motion along time; "
+        f"the dataset holds {held}"
+    )
+
+
+def _over_time(ds: xr.Dataset) -> Figure:
+    if "x3" in ds and "x1" not in ds:
+        return response(ds) if is_swept(ds) else pulses(ds)
+    return trajectory(ds)
+
+
+def _as_lines(ds: xr.Dataset) -> bool:
+    """Whether the lanes of a scene with rock are drawn as lines, or one by one."""
+    if POINT in lane_dims(ds):
+        values = [np.unique(ds[name].values).size for name in varied(ds)]
+        few = min(values, default=0) <= MOST_LINES and "regime" not in ds
+        return len(values) != 2 or few
+    return len(to_map(ds)) < 2
 
 
 def save_picture(ds: xr.Dataset, path: str | Path) -> None:

@@ -1,5 +1,6 @@
 """The layout of pictures along one axis: for each facet curves above, and a strip of regimes for each start below."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,10 +11,12 @@ from matplotlib.figure import Figure
 from matplotlib.gridspec import GridSpec
 from matplotlib.lines import Line2D
 
-from vibrojax.plot._facets import Facets, columns
-from vibrojax.plot._flags import COLOUR_MAP, NORM, flags
-from vibrojax.plot._grid import START, edges, shape_axis
+from vibrojax.plot._about import point_text
+from vibrojax.plot._facets import Facets, columns, facets
+from vibrojax.plot._flags import COLOUR_MAP, NORM, flags, legend_handles
+from vibrojax.plot._grid import START, edges, lane_dims, shape_axis
 from vibrojax.plot._labels import label, scale
+from vibrojax.plot._sheet import write_margins
 from vibrojax.plot._style import new_figure, start_colour
 
 LEGEND_WIDTH = 1.9  # inches, about
@@ -29,7 +32,30 @@ class Stack:
     left: bool
 
 
-def stacks(panels: Facets, curves: int, height: float) -> tuple[Figure, tuple[Stack, ...]]:
+def draw_stacks(
+    ds: xr.Dataset,
+    x: str,
+    curves: int,
+    height: Callable[[int], float],
+    draw: Callable[[Stack], None],
+    linestyle: str = "-",
+) -> Figure:
+    """A picture along `x`: what `draw` draws on `curves` panels of each facet, above the regimes of each start.
+
+    `height` [inch] of such a panel, by the number of facets; `linestyle` joins the marks in the legend.
+    """
+    panels = facets(ds.sortby(x), (x, START))
+    figure, drawn = _stacks(panels, curves, height(len(panels)))
+    for stack in drawn:
+        draw(stack)
+        _draw_strip(stack, x)
+    handles = legend_handles([facet["regime"] for facet in panels.data])
+    legend_at_right(figure, start_handles(ds, linestyle), list(handles))
+    write_margins(figure, str(ds.attrs.get("title", "")), point_text(ds), panels.note, legend=LEGEND_WIDTH)
+    return figure
+
+
+def _stacks(panels: Facets, curves: int, height: float) -> tuple[Figure, tuple[Stack, ...]]:
     """A figure with a stack of `curves` panels, each `height` inches high, and a strip for each facet."""
     wide = columns(panels, 3)
     deep = -(-len(panels) // wide)
@@ -57,7 +83,7 @@ def _join(axes: list[Axes], first: tuple[Axes, ...]) -> None:
         own.sharey(other)
 
 
-def draw_strip(stack: Stack, x: str) -> None:
+def _draw_strip(stack: Stack, x: str) -> None:
     """Draw the regimes along `x` as a strip of coloured cells, a row for each start."""
     starts = start_names(stack.facet)
     regimes = stack.facet["regime"]
@@ -81,12 +107,12 @@ def values_along(data: xr.DataArray) -> np.ndarray:
 
 def start_names(ds: xr.Dataset) -> list[str]:
     """The names of the starts in the dimension `start`, or the one empty name where there is no such dimension."""
-    return [str(name) for name in ds[START].values] if START in ds["regime"].dims else [""]
+    return [str(name) for name in ds[START].values] if START in lane_dims(ds) else [""]
 
 
 def of_start(ds: xr.Dataset, position: int) -> xr.Dataset:
     """The lanes of the start at `position`."""
-    return ds.isel({START: position}) if START in ds["regime"].dims else ds
+    return ds.isel({START: position}) if START in lane_dims(ds) else ds
 
 
 def start_handles(ds: xr.Dataset, linestyle: str = "-") -> list[Artist]:

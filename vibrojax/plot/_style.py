@@ -12,14 +12,17 @@ from matplotlib.figure import Figure
 INK = "#222222"
 FAINT = "#9A9A9A"
 UNDEFINED = "#D0D0D0"  # a lane without the value, as grey in maps of values
+NOTHING = "#FFFFFF"  # a lane without penetration, in maps of values
 BIT = "#00598C"
 STRIKER = "#D1570A"
 STICK = "#111111"
 IMPACT = "#C2185B"
+ROCK = "#B08D57"
 
 # Readable apart in greyscale and by colour-blind eyes.
 START_COLOURS = {"drive": "#004488", "stuck": "#CC6677", "touching": "#2E8B57"}
-_OTHER_STARTS = ("#7A5195", "#8C6D1F", "#4D4D4D", "#56B4E9")
+OTHER_COLOURS = ("#7A5195", "#8C6D1F", "#4D4D4D", "#56B4E9")
+ROCK_COLOURS = {"sandstone": "#D9A441", "limestone": "#3F8FA3", "granite": "#7A2E4D"}
 
 _SETTINGS = {
     "font.size": 9.0,
@@ -91,4 +94,4 @@ def new_figure(width: float, height: float) -> Picture:
 
 def start_colour(name: str, position: int) -> str:
     """The colour of the start `name`; starts without a fixed one take theirs by `position` among the starts."""
-    return START_COLOURS.get(name, _OTHER_STARTS[position % len(_OTHER_STARTS)])
+    return START_COLOURS.get(name, OTHER_COLOURS[position % len(OTHER_COLOURS)])

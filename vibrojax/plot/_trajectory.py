@@ -10,6 +10,8 @@ from matplotlib.lines import Line2D
 
 from vibrojax.errors import InputError
 from vibrojax.plot._about import point_text
+from vibrojax.plot._blows import Blows, last_blow, read_blows
+from vibrojax.plot._hole import draw_hole, growth_text
 from vibrojax.plot._labels import number
 from vibrojax.plot._motion import Motion, read_motion
 from vibrojax.plot._portraits import draw_bit, draw_spectrum, draw_striker
@@ -25,12 +27,12 @@ def trajectory(ds: xr.Dataset, last: float = 1.5) -> Figure:
 
     Displacements, velocities and forces over the last `last` seconds, with stick and impacts marked, below an overview
     of the whole run; the phase portraits of bit and striker, the transient faint; the amplitude spectrum of the run's
-    second half.
+    second half. With rock, also the bit in the hole, over the same time and at the last impact.
 
     **Arguments:**
 
     - `ds`: what `simulate` gives: `x1`, `x2` [m] and `v1`, `v2` [m/s] along `time` [s]; `impact_force` and
-      `friction_force` [N], `stuck`, `event_time` and `event_kind` where there are any.
+      `friction_force` [N], `stuck`, `event_time` and `event_kind`, `x3` and `x4` [m] where there are any.
     - `last`: how much of the end to show [s].
 
     **Returns:** a figure that pyplot knows nothing of.
@@ -40,25 +42,31 @@ def trajectory(ds: xr.Dataset, last: float = 1.5) -> Figure:
     if not last > 0:
         raise InputError(f"last = {last} s: give a time above 0")
     motion = read_motion(ds)
+    blows = read_blows(ds) if {"x3", "x4"} <= set(ds) else None
     start = max(float(motion.time[-1]) - last, float(motion.time[0]))
     overview = float(np.ptp(motion.time)) > _OVERVIEW_FROM * last
     forces = motion.impact_force is not None or motion.friction_force is not None
     heights = {"overview": 0.65} if overview else {}
-    heights |= {"displacement": 1.25, "velocity": 1.25} | ({"force": 0.9} if forces else {}) | {"portraits": 2.7}
+    heights |= {"displacement": 1.25, "velocity": 1.25} | ({"force": 0.9} if forces else {})
+    heights |= ({"rock": 1.3} if blows else {}) | {"portraits": 2.7}
     figure = new_figure(10.0, sum(heights.values()) + 0.33 * len(heights) + 1.2)
     grid = GridSpec(len(heights), 3, figure, height_ratios=list(heights.values()))
     places = {name: grid[row, :] for row, name in enumerate(heights)}
-    _draw_history(figure, places, motion, start)
+    lowest = _draw_history(figure, places, motion, start)
+    if blows is not None:
+        row = list(heights).index("rock")
+        _draw_rock(figure, grid[row, :2], grid[row, 2], blows, motion, lowest)
     row = len(heights) - 1
     draw_bit(figure.add_subplot(grid[row, 0]), motion, start)
     draw_striker(figure.add_subplot(grid[row, 1]), motion, start)
     draw_spectrum(figure.add_subplot(grid[row, 2]), motion)
-    write_margins(figure, str(ds.attrs.get("title") or ds.attrs.get("scene", "")), point_text(ds))
+    about = growth_text(blows) if blows else ""
+    write_margins(figure, str(ds.attrs.get("title") or ds.attrs.get("scene", "")), point_text(ds), about)
     return figure
 
 
-def _draw_history(figure: Figure, places: dict[str, SubplotSpec], motion: Motion, start: float) -> None:
-    """The panels over time that are in `places`."""
+def _draw_history(figure: Figure, places: dict[str, SubplotSpec], motion: Motion, start: float) -> Axes:
+    """Draw the panels over time that are in `places`, and give the lowest."""
     if "overview" in places:
         _draw_overview(figure.add_subplot(places["overview"]), motion, start)
     displacement = figure.add_subplot(places["displacement"])
@@ -74,6 +82,29 @@ def _draw_history(figure: Figure, places: dict[str, SubplotSpec], motion: Motion
     displacement.set_xlim(start, motion.time[-1])
     lowest.set_xlabel("time [s]")
     figure.align_ylabels()
+    return lowest
+
+
+def _draw_rock(
+    figure: Figure, history: SubplotSpec, enlarged: SubplotSpec, blows: Blows, motion: Motion, above: Axes
+) -> None:
+    """Draw the bit in the hole over the time of the panel `above`, and at the last impact in it."""
+    start, end = above.get_xlim()
+    axes = figure.add_subplot(history)
+    draw_hole(axes, blows, start, end)
+    axes.set_xlim(start, end)
+    axes.set_xlabel("time [s]")
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, borderpad=0.0, borderaxespad=0.3)
+    near = last_blow(blows, motion.impacts[(motion.impacts >= start) & (motion.impacts < end)])
+    if near is None:
+        return
+    one = figure.add_subplot(enlarged)
+    draw_hole(one, blows, *near)
+    one.set_xlim(*near)
+    one.set_title("enlarged: the shaded impact", loc="right")
+    one.set_xlabel("time [s]")
+    one.locator_params(axis="x", nbins=4)
+    axes.axvspan(*near, color=FAINT, alpha=0.4, linewidth=0)
 
 
 def _draw_overview(axes: Axes, motion: Motion, start: float) -> None:
