@@ -12,6 +12,8 @@ _HOMES = {
     "run_sweep": "vibrojax.sweep",
     "read_sweep": "vibrojax.sweep",
     "simulate": "vibrojax.simulation",
+    "fit_rop": "vibrojax.laws",
+    "fit_joint": "vibrojax.laws",
     "rop_derivatives": "vibrojax.laws",
     "open_dataset": "vibrojax.store.dataset",
     "write_dataset": "vibrojax.store.dataset",

@@ -1,0 +1,122 @@
+"""The law fitted in every form to every group of lanes, in one program."""
+
+import sys
+import time
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from functools import partial
+from os import PathLike
+
+import jax
+import numpy as np
+import xarray as xr
+
+from vibrojax.devices import precision
+from vibrojax.errors import Place, shown, suggestion
+from vibrojax.laws._forms import FORMS
+from vibrojax.laws._group import REASONS, fit_group
+from vibrojax.laws._lanes import Lanes, lanes_of, read_data, usable
+from vibrojax.laws._robust import LOSSES
+from vibrojax.store.provenance import source
+
+_ABOUT = {
+    "C": ("m s-1", "coefficient of the rate-of-penetration law"),
+    "C_stderr": ("m s-1", "standard error of C"),
+    "eta0": ("1", "relief at the onset"),
+    "eta0_stderr": ("1", "standard error of eta0"),
+    "exponent": ("1", "exponent of the relief"),
+    "exponent_stderr": ("1", "standard error of the exponent"),
+    "r_squared": ("1", "share of the rate's variance that the form explains"),
+    "aic": ("1", "n ln(RSS/n) + 2k, RSS in m2 s-2"),
+    "degrees_of_freedom": ("1", "of the standard errors: lanes with a residual less coefficients"),
+    "used": ("1", "lanes that the fit used, those at zero rate among them"),
+    "left_out": ("1", "lanes left out: failed, irregular, or without usable values"),
+    "reason": ("1", "why a coefficient is not a number"),
+}
+
+
+def fit_rop(
+    data: xr.Dataset | str | PathLike, along: str | None = None, progress: bool = True, robust: str | None = None
+) -> xr.Dataset:
+    """The rate-of-penetration law, eq. 6.4, in the readings of R9 and beside two rivals, fitted to each group of lanes.
+
+    Least squares of the rate. A lane at zero rate is censored: it counts only where a form predicts a rate above zero.
+    Lanes that failed or are irregular, or have no usable values, are left out and counted.
+
+    **Arguments:**
+
+    - `data`: a dataset with rate_of_penetration [m/s] and relief [1], and perhaps regime; or the path of such a .nc,
+      or of a CSV with columns rate_of_penetration, and relief or mean_force and threshold [N].
+    - `along`: the axis to fit along; by default frequency, else v, else the rows. One fit per point of the others.
+    - `progress`: say on stderr what was fitted.
+    - `robust`: "soft-l1" or "huber", for data with outliers; the scale comes from the median absolute deviation. R² and
+      AIC stay those of plain residuals.
+
+    **Returns:** a dataset over the groups and `form` (contract: fit dataset): coefficients with their standard errors,
+    goodness, and `reason`; NaN where a form has no such coefficient or the lanes cannot tell it.
+
+    **Raises:** `InputError`.
+    """
+    place, data = read_data(data, "fit_rop")
+    if robust is not None and robust not in LOSSES:
+        raise place.at("robust").error(f"{shown(robust)} is unknown; {suggestion(str(robust), LOSSES)}")
+    lanes = lanes_of(place, usable(data), along)
+    start = time.monotonic()
+    found = _fitted(lanes, robust)
+    if progress:
+        groups, size = lanes.rate.shape
+        took = time.monotonic() - start
+        print(f"{groups} groups of {size} lanes along {lanes.along} fitted in {took:.1f} s", file=sys.stderr)
+    dims = (*lanes.sizes, "form")
+    shape = (*lanes.sizes.values(), len(FORMS))
+    attributes = described(_ABOUT)
+    variables = {name: (dims, found[name].reshape(shape), about) for name, about in attributes.items()}
+    form = ("form", [form.name for form in FORMS], {"units": "1", "long_name": "form of the law"})
+    more = {"along": lanes.along, "formulas": "; ".join(f"{form.name}: {form.formula}" for form in FORMS)}
+    more |= {"robust": robust} if robust else {}
+    return xr.Dataset(variables, lanes.coordinates | {"form": form}, provenance(place, data, "fit", more))
+
+
+@partial(jax.jit, static_argnames="robust")
+def _program(relief, rate, valid, robust):
+    """All forms over all groups; by form, arrays (groups,)."""
+    return [jax.vmap(partial(fit_group, form, robust=robust))(relief, rate, valid) for form in FORMS]
+
+
+def _fitted(lanes: Lanes, robust: str | None) -> dict[str, np.ndarray]:
+    """By variable, (groups, forms)."""
+    with precision("float64"):
+        padded = (_padded(x) for x in (lanes.relief, lanes.rate, lanes.valid))
+        found = jax.device_get(_program(*padded, robust))
+    stacked = {name: np.stack([form[name][: len(lanes.rate)] for form in found], axis=-1) for name in found[0]}
+    counts = ("used", "degrees_of_freedom")
+    stacked |= {name: stacked[name].astype(np.int32) for name in counts}
+    stacked["left_out"] = (lanes.rate.shape[1] - stacked["used"]).astype(np.int32)
+    return stacked | {"reason": stacked["reason"].astype(np.int8)}
+
+
+def _padded(x: np.ndarray) -> np.ndarray:
+    """`x` with groups and lanes up to powers of two, the new ones not valid: data of about one size share a program."""
+    return np.pad(x, [(0, (1 << (size - 1).bit_length()) - size) for size in x.shape])
+
+
+def described(about: Mapping[str, tuple[str, str]]) -> dict[str, dict]:
+    """CF attributes of each variable from its unit and meaning."""
+    found = {name: {"units": unit, "long_name": meaning} for name, (unit, meaning) in about.items()}
+    flags = {"flag_values": np.arange(len(REASONS), dtype=np.int8), "flag_meanings": " ".join(REASONS)}
+    return found | {"reason": found["reason"] | flags}
+
+
+def provenance(place: Place, data: xr.Dataset, what: str, more: dict) -> dict:
+    """The attributes of a fit: where it comes from, and what of its data still holds."""
+    kept = {name: data.attrs[name] for name in ("scene", "sweep") if name in data.attrs}
+    now = f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} {what} {place.file}"
+    earlier = [str(data.attrs["history"])] if "history" in data.attrs else []
+    return {
+        "title": f"rate-of-penetration law: {data.attrs.get('title') or place.file}",
+        "source": source(),
+        "history": "\n".join([now, *earlier]),
+        "Conventions": "CF-1.11",
+        **kept,
+        **more,
+    }

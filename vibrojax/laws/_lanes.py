@@ -1,0 +1,107 @@
+"""From a dataset or a file to lanes: relief, rate, and whether a lane can be used."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from vibrojax.errors import InputError, Place, shown, suggestion
+from vibrojax.label import FAILED, IRREGULAR
+from vibrojax.laws._rig import RATE, RELIEF, read_rig
+
+USUAL_AXES = ("frequency", "v", "point")
+"""What a law is fitted along where nothing else is asked, the first that is there."""
+
+
+@dataclass(frozen=True)
+class Lanes:
+    """Lanes in groups: arrays (groups, lanes), the groups' dimensions, sizes and coordinates, and the axis."""
+
+    relief: np.ndarray
+    rate: np.ndarray
+    valid: np.ndarray
+    sizes: dict[str, int]
+    coordinates: dict[str, xr.DataArray]
+    along: str
+
+
+def read_data(data: xr.Dataset | str | PathLike, name: str, also: Sequence[str] = ()) -> tuple[Place, xr.Dataset]:
+    """The dataset that a user gave, or the path of, with the place to name in messages (`name` where it has no path).
+
+    `also`: columns of a CSV that become coordinates.
+
+    **Raises:** `InputError`.
+    """
+    if isinstance(data, xr.Dataset):
+        place = Place(name)
+    elif isinstance(data, (str, PathLike)):
+        path = Path(data)
+        place = Place(str(path))
+        if path.suffix.lower() not in (".nc", ".csv"):
+            raise place.error("ends in neither .nc nor .csv; give a sweep's dataset or a CSV file")
+        data = read_rig(path, also) if path.suffix.lower() == ".csv" else _opened(path)
+    else:
+        raise InputError(f"{name}: {shown(data)} is no data; give a dataset or a path")
+    for variable in (RATE, RELIEF):
+        if variable not in data:
+            held = ", ".join(str(name) for name in data.data_vars) or "nothing"
+            raise place.at(variable).error(f"missing; a sweep of a scene with rock has it, this holds {held}")
+        if data[variable].dtype.kind not in "fiu":
+            raise place.at(variable).error("does not hold numbers; the data of a sweep are needed")
+    return place, data
+
+
+def _opened(path: Path) -> xr.Dataset:
+    from vibrojax.store.dataset import open_dataset
+
+    return open_dataset(path)
+
+
+def usable(data: xr.Dataset) -> xr.Dataset:
+    """Relief, rate and `valid` on common dimensions.
+
+    Not valid are lanes that failed or are irregular, or have no finite values, a relief that is not above zero, or a
+    negative rate: a hole does not grow shallower.
+    """
+    relief, rate = xr.broadcast(data[RELIEF], data[RATE])
+    good = np.isfinite(relief) & np.isfinite(rate) & (relief > 0) & (rate >= 0)
+    if "regime" in data:
+        good = good & ~data["regime"].isin([FAILED, IRREGULAR])
+    if "status" in data:
+        good = good & (data["status"] == 0)
+    relief, rate, good = xr.broadcast(relief, rate, good)
+    found = {"relief": relief.astype(np.float64), "rate": rate.astype(np.float64), "valid": good}
+    return xr.Dataset({name: variable.variable for name, variable in found.items()}, relief.coords)
+
+
+def axis(place: Place, data: xr.Dataset, along: str | None) -> str:
+    """The dimension to fit along; raises `InputError` where there is no such or none by itself."""
+    dims = [str(dim) for dim in data["rate"].dims]
+    if not dims:
+        raise place.at("along").error("there is one lane only; a law needs an axis of several")
+    for dim in dims:
+        if not data.sizes[dim]:
+            raise place.at(dim).error("has no values, so there are no lanes; give at least one")
+    if along is None:
+        usual = [name for name in USUAL_AXES if name in dims] or (dims if len(dims) == 1 else [])
+        if not usual:
+            raise place.at("along").error(f"missing; choose the axis to fit along from {', '.join(dims)}")
+        return usual[0]
+    if along not in dims:
+        raise place.at("along").error(f"{shown(along)} is no axis of the data; {suggestion(str(along), dims)}")
+    return along
+
+
+def lanes_of(place: Place, data: xr.Dataset, along: str | None) -> Lanes:
+    """The lanes of `data` (see `usable`) in groups, one for each point of the axes that are not `along`."""
+    along = axis(place, data, along)
+    dims = [str(dim) for dim in data["rate"].dims if dim != along]
+    ordered = data.transpose(*dims, along)
+    sizes = {dim: data.sizes[dim] for dim in dims}
+    shape = (int(np.prod(list(sizes.values()))), data.sizes[along])
+    arrays = {name: ordered[name].values.reshape(shape) for name in ("relief", "rate", "valid")}
+    coordinates = {str(name): found for name, found in data.coords.items() if set(found.dims) <= set(dims)}
+    return Lanes(**arrays, sizes=sizes, coordinates=coordinates, along=along)
