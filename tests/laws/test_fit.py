@@ -170,13 +170,21 @@ def test_aic_and_r_squared_are_over_the_same_lanes_for_every_form(name, noise):
 def test_the_verdict_names_the_form_that_describes_the_data(noise):
     slight = 1 + 0.02 * noise.standard_normal((3, RELIEF.size))
     log, line = TRUTH["onset"](RELIEF), TRUTH["line"](RELIEF)
-    assert verdict(fitted(log * slight[0]))[0].startswith("onset has the lowest AIC in 1 of 1, the next is ")
-    assert verdict(fitted(log * slight[0]))[-1] == "the log law is not beaten"
+    said = verdict(fitted(log * slight[0]))
+    assert said[0] == "along frequency, over 1 of 1:"
+    assert said[1].startswith("  onset    lowest AIC in 1, within 2 of it in 1; R2 0.99")
+    assert said[-1] == "the log law holds in 1 of 1"
     said = verdict(fitted(np.stack([log, line, 0 * line]) * slight))
-    assert said[0] == "not every form can be told in 1 of 3: all-censored 1"
-    assert any(text.startswith("the log law is beaten in 1 of 2, by ") for text in said)
-    assert said[-1].startswith("  group=1: line by ")
+    assert said[:2] == ["not every form can be told in 1 of 3: all-censored 1", "along frequency, over 2 of 3:"]
+    assert said[-3].startswith("the log law holds in 1 of 2")
+    assert said[-2].startswith("it is beaten in 1, by an AIC of ") and said[-1].startswith("  group=1: line by ")
     assert verdict(fitted(0 * line))[-1] == "no form can be told from the lanes that are there"
+
+
+def test_the_verdict_says_where_the_log_law_holds():
+    rate = np.stack([TRUTH[name](RELIEF) for name in ("line", "onset", "onset", "line")])
+    fit = fit_rop(data(rate).assign_coords(group=("group", [1.0, 2.0, 3.0, 4.0], {"units": "N"})), progress=False)
+    assert "the log law holds in 2 of 4, all of them within group 2 N to 3 N" in verdict(fit)
 
 
 # censored lanes
@@ -345,6 +353,7 @@ def test_a_fit_does_not_depend_on_units():
 
 # the joint law
 
+TWO = ("force", "k3")
 FORCE, STIFFNESS, JOINT_RELIEF = np.array([2e5, 2.5e5, 3e5]), np.array([1e8, 3e8, 5e8]), np.linspace(0.1, 1.2, 12)
 
 
@@ -359,7 +368,7 @@ def joint_data(noise=0.0, a=(1.5, -0.4), b=(0.5, 0.0), relief=JOINT_RELIEF):
 
 
 def test_the_joint_law_recovers_planted_exponents():
-    fit = fit_joint(joint_data())
+    fit = fit_joint(joint_data(), over=TWO)
     force, stiffness = fit.reference.values
     assert list(fit.parameter.values) == ["force", "k3"] and fit.used.item() == 108
     np.testing.assert_allclose(fit.C_exponent, [1.5, -0.4], rtol=1e-8)
@@ -372,7 +381,9 @@ def test_the_joint_law_recovers_planted_exponents():
 def test_the_joint_law_holds_the_truth_in_its_intervals(noise):
     held = []
     for _ in range(40):
-        fit = fit_joint(joint_data(2e-5 * noise.standard_normal((3, 3, 12)), relief=np.linspace(0.4, 1.2, 12)))
+        fit = fit_joint(
+            joint_data(2e-5 * noise.standard_normal((3, 3, 12)), relief=np.linspace(0.4, 1.2, 12)), over=TWO
+        )
         t = stats.t.ppf(0.975, fit.degrees_of_freedom.item())
         for name, truth in (("C_exponent", [1.5, -0.4]), ("eta0_exponent", [0.5, 0.0])):
             held.append(abs(fit[name].values - truth) <= t * fit[f"{name}_stderr"].values)
@@ -380,7 +391,7 @@ def test_the_joint_law_holds_the_truth_in_its_intervals(noise):
 
 
 def test_a_shared_onset_is_one_number():
-    fit = fit_joint(joint_data(b=(0.0, 0.0)), onset="shared")
+    fit = fit_joint(joint_data(b=(0.0, 0.0)), onset="shared", over=TWO)
     assert fit.eta0.item() == pytest.approx(ETA0, rel=1e-8)
     np.testing.assert_allclose(fit.C_exponent, [1.5, -0.4], rtol=1e-8)
     assert not fit.eta0_exponent.values.any()
@@ -390,22 +401,48 @@ def test_the_joint_law_takes_points_and_skips_what_does_not_vary(tmp_path):
     data = joint_data().assign_coords(zeta=0.6, threshold=1.5e5)
     grid = fit_joint(data)
     points = fit_joint(data.stack(point=("force", "k3", "frequency")).reset_index("point"))
-    assert list(grid.parameter.values) == list(points.parameter.values) == ["force", "k3"]
+    assert list(grid.parameter.values) == ["force", "k3", "zeta", "threshold"]
+    assert [REASONS[i] for i in grid.exponent_reason.values] == ["identified", "identified", "no-spread", "no-spread"]
+    assert grid.attrs["not_identified"] == (
+        "C_exponent zeta, C_exponent threshold, eta0_exponent zeta, eta0_exponent threshold"
+    )
+    assert np.isnan(grid.C_exponent[2:]).all() and grid.reference[2].item() == pytest.approx(0.6)
     np.testing.assert_allclose(points.C_exponent, grid.C_exponent, rtol=1e-8)
     one = fit_joint(data.isel(force=0, k3=0))
-    assert one.sizes["parameter"] == 0 and one.eta0.item() == pytest.approx(ETA0 * 0.8**0.5, rel=1e-8)
+    assert np.isnan(one.C_exponent).all() and one.eta0.item() == pytest.approx(ETA0 * 0.8**0.5, rel=1e-8)
+
+
+def test_parameters_that_vary_together_are_confounded_and_the_rest_holds():
+    """k3 in proportion to the force: neither exponent can be told, zeta's can, and C and eta0 at the reference."""
+    data = xr.concat([joint_data(a=(1.1, 0.0)) * 1.0, joint_data(a=(1.1, 0.0))], xr.Variable("zeta", [0.5, 1.0]))
+    data["rate_of_penetration"] = data.rate_of_penetration * xr.DataArray([1.0, 3.0], dims="zeta")
+    data = data.isel(k3=1, drop=True).stack(point=("force", "zeta", "frequency")).reset_index("point")
+    fit = fit_joint(data.assign_coords(k3=1e3 * data.force), over=("force", "k3", "zeta"))
+    assert [REASONS[i] for i in fit.exponent_reason.values] == ["confounded", "confounded", "identified"]
+    assert np.isnan(fit.C_exponent[:2]).all() and np.isnan(fit.eta0_exponent_stderr[:2]).all()
+    assert fit.C_exponent[2].item() == pytest.approx(np.log2(3), rel=1e-8)
+    force, _, zeta = fit.reference.values
+    assert fit.C.item() == pytest.approx(C * (force / 2.5e5) ** 1.1 * (zeta / 0.5) ** np.log2(3), rel=1e-8)
+
+
+def test_coefficients_that_no_lane_tells_from_others_are_named():
+    """One relief for each force: C and eta0 change places, at the reference and in the force's exponents."""
+    force = np.linspace(2e5, 3e5, 12)
+    relief = ("point", 0.5 * force / 2.5e5)
+    rate = ("point", C * (force / 2.5e5) ** 1.5 * np.log(relief[1] / ETA0))
+    fit = fit_joint(xr.Dataset({"relief": relief, "rate_of_penetration": rate}, {"force": ("point", force)}))
+    assert REASONS[fit.reason.item()] in ("confounded", "not-converged") and np.isnan(fit.C.item())
+    assert "eta0_exponent force" in fit.attrs["not_identified"]
 
 
 def test_a_joint_law_that_cannot_be_told_says_so():
     data = joint_data()
-    tied = data.isel(k3=[0, 1]).isel(force=[0, 1]).stack(point=("force", "k3", "frequency")).reset_index("point")
-    tied = tied.assign_coords(k3=1e3 * tied.force)
     for found, reason in (
-        (fit_joint(tied), "confounded"),
         (fit_joint(data * 0 + xr.Dataset({"relief": data.relief, "rate_of_penetration": 0.0})), "all-censored"),
         (fit_joint(data.isel(frequency=[11], force=[0, 1], k3=[0, 1])), "too-few-lanes"),
         (fit_joint(data.isel(frequency=[10, 11, 11]).assign(relief=("frequency", [1.0, 1.0, 1.0]))), "no-spread"),
+        (fit_joint(data * np.nan), "too-few-lanes"),
     ):
         assert REASONS[found.reason.item()] == reason
         assert np.isnan([found[name].item() for name in ("C", "C_stderr", "eta0", "r_squared", "aic")]).all()
-        assert np.isnan(found.C_exponent.values).all()
+        assert np.isnan(found.C_exponent.values).all() and found.attrs["not_identified"].startswith("C, C_exponent")

@@ -1,5 +1,7 @@
 """The calibration of the joint law: least squares over all lanes, with what it takes to trust the coefficients."""
 
+from dataclasses import dataclass
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -17,69 +19,111 @@ from vibrojax.laws._group import (
     goodness,
 )
 from vibrojax.laws._least_squares import nonlinear, residuals
+from vibrojax.laws._normal import inverse
 
 _GREATEST = 60.0  # of an exponent, so that a wild step does not overflow
-_LEAST_SINGULAR = 1e-7  # of the Jacobian with columns of length one: below it coefficients cannot be told apart
+_ALONG = 1e-6  # a parameter of which less lies outside the directions that the lanes span is told
 
 
-def calibrated(relief: np.ndarray, rate: np.ndarray, logs: np.ndarray, shared: bool) -> dict:
-    """The law's coefficients with standard errors, or why there are none.
+@dataclass(frozen=True)
+class Calibration:
+    """The joint law's coefficients, or the `reason` why there are none.
 
-    **Arguments:** `logs`: (lanes, parameters), of the parameters over their reference; `shared`: one eta0 for all.
+    - `theta`, `errors`: ln C and its exponents, ln eta0 and its exponents: (2 + 2 parameters,), NaN where not told.
+    - `told`: (parameters,), whether the lanes tell the parameter's exponents.
+    - `lost`: which of theta the lanes cannot tell, (2 + 2 parameters,).
+    - `unit`: the rate [m/s] that C is in.
     """
-    number = logs.shape[1]
-    nothing = np.full(2 + number + (0 if shared else number), np.nan)
-    log, unit = np.log(relief), rate.max(initial=0.0)
-    reason = _told_apart(log, rate, logs, nothing.size)
+
+    theta: np.ndarray
+    errors: np.ndarray
+    told: np.ndarray
+    lost: np.ndarray
+    unit: float
+    reason: int
+    degrees_of_freedom: int = 0
+    r_squared: float = np.nan
+    aic: float = np.nan
+
+
+def calibrated(relief: np.ndarray, rate: np.ndarray, logs: np.ndarray, shared: bool) -> Calibration:
+    """The joint law by least squares over all lanes, those at zero rate censored.
+
+    What is calibrated are exponents along the directions in which the parameters of the seen lanes vary; a parameter's
+    exponent is told where these hold the parameter.
+
+    **Arguments:** `relief`, `rate` [m/s]: (lanes,); `logs`: (lanes, parameters), of the parameters over their
+    reference, the mean of the seen lanes; `shared`: one eta0 for all.
+    """
+    number, unit = logs.shape[1], rate.max(initial=0.0)
+    directions = _directions(logs[rate > 0])
+    told = (directions**2).sum(axis=0) > 1 - _ALONG
+    nothing, everything = np.full(2 + 2 * number, np.nan), np.ones(2 + 2 * number, bool)
+    free = 2 + len(directions) * (1 if shared else 2)
+
+    def untold(reason, lost=everything):
+        return Calibration(nothing, nothing, told, lost, unit, reason)
+
+    log = np.log(relief)
+    reason = _enough(log, rate, free)
     if reason != IDENTIFIED:
-        return _coefficients(nothing, nothing, number, unit, reason)
-    y, censored = rate / unit, rate == 0
+        return untold(reason)
+    y, censored, along = rate / unit, rate == 0, logs @ directions.T
     with precision("float64"):
-        found = jax.device_get(_refined(_start(log, y, logs, shared), log, y, logs, censored, unit))
-    inverse, reason = _inverse(found["jacobian"][found["lanes"]])
-    if reason == IDENTIFIED and not found["converged"]:
-        reason = NOT_CONVERGED
-    if reason != IDENTIFIED:
-        return _coefficients(nothing, nothing, number, unit, reason)
-    freedom = found["lanes"].sum() - nothing.size
-    errors = np.sqrt((found["residual"] ** 2).sum() / freedom * np.diag(inverse))
-    more = {name: found[name].item() for name in ("r_squared", "aic")} | {"degrees_of_freedom": np.int32(freedom)}
-    return _coefficients(found["theta"], errors, number, unit, IDENTIFIED) | more
+        found = jax.device_get(_refined(_start(log, y, along, shared), log, y, along, censored, unit))
+    if not (np.isfinite(found["jacobian"]).all() and found["lanes"].sum() > free):
+        return untold(NOT_CONVERGED)
+    back = _back(directions, shared)
+    square, lost = inverse(found["jacobian"][found["lanes"]])
+    if square is None:
+        return untold(CONFOUNDED, (back[:, lost] ** 2).sum(axis=1) > _ALONG)
+    if not found["converged"]:
+        return untold(NOT_CONVERGED)
+    freedom = int(found["lanes"].sum() - free)
+    variance = (found["residual"] ** 2).sum() / freedom
+    errors = np.sqrt(variance * np.einsum("ci,ij,cj->c", back, square, back))
+    holds = np.concatenate([[True], told, [True], told])
+    values = [np.where(holds, x, np.nan) for x in (back @ found["theta"], errors)]
+    fitness = (freedom, found["r_squared"].item(), found["aic"].item())
+    return Calibration(*values, told, ~holds, unit, IDENTIFIED, *fitness)
 
 
-def _inverse(jacobian: np.ndarray) -> tuple[np.ndarray | None, int]:
-    """(J^T J)^-1, or the reason why there is none."""
-    lanes, size = jacobian.shape
-    if lanes <= size or not np.isfinite(jacobian).all():
-        return None, TOO_FEW_LANES if lanes <= size else NOT_CONVERGED
-    lengths = np.linalg.norm(jacobian, axis=0)
-    if not lengths.all():
-        return None, CONFOUNDED
-    _, singular, directions = np.linalg.svd(jacobian / lengths, full_matrices=False)
-    if singular[-1] < _LEAST_SINGULAR * singular[0]:
-        return None, CONFOUNDED
-    half = directions.T / singular / lengths[:, None]
-    return half @ half.T, IDENTIFIED
+def _directions(logs: np.ndarray) -> np.ndarray:
+    """An orthonormal basis (directions, parameters) of how the parameters vary over the lanes."""
+    if not logs.size:
+        return np.zeros((0, logs.shape[1]))
+    _, singular, directions = np.linalg.svd(logs - logs.mean(axis=0), full_matrices=False)
+    return directions[singular > LEAST_SPREAD * np.sqrt(len(logs))]
 
 
-def _told_apart(log: np.ndarray, rate: np.ndarray, logs: np.ndarray, size: int) -> int:
-    """Whether the lanes can tell the coefficients at all; the reason why not."""
+def _back(directions: np.ndarray, shared: bool) -> np.ndarray:
+    """The matrix from what is calibrated to all coefficients; the onset's exponents are 0 where it is shared."""
+    count, number = directions.shape
+    back = np.zeros((2 + 2 * number, 2 + count * (1 if shared else 2)))
+    back[0, 0] = back[1 + number, 1 + count] = 1
+    back[1 : 1 + number, 1 : 1 + count] = directions.T
+    if not shared:
+        back[2 + number :, 2 + count :] = directions.T
+    return back
+
+
+def _enough(log: np.ndarray, rate: np.ndarray, free: int) -> int:
+    """Whether there are lanes for `free` coefficients at all; the reason why not."""
     seen = rate > 0
-    if not rate.size or (seen.any() and seen.sum() <= size):
+    if not rate.size:
         return TOO_FEW_LANES
     if not seen.any():
         return ALL_CENSORED
-    if np.ptp(log[seen]) <= LEAST_SPREAD:
-        return NO_SPREAD
-    design = np.column_stack([np.ones(seen.sum()), logs[seen]])
-    return IDENTIFIED if np.linalg.matrix_rank(design, tol=None) == design.shape[1] else CONFOUNDED
+    if seen.sum() <= free:
+        return TOO_FEW_LANES
+    return IDENTIFIED if np.ptp(log[seen]) > LEAST_SPREAD else NO_SPREAD
 
 
 def _start(log: np.ndarray, y: np.ndarray, logs: np.ndarray, shared: bool) -> np.ndarray:
     """Power laws through C and eta0 of straight lines in ln eta, one for every combination of parameters."""
     seen = y > 0
     every = np.zeros(seen.sum(), dtype=int)
-    group = np.unique(logs[seen], axis=0, return_inverse=True)[1].ravel() if logs.shape[1] else every
+    group = np.unique(logs[seen].round(9), axis=0, return_inverse=True)[1].ravel() if logs.shape[1] else every
     slope, onset, at = _lines(log[seen], y[seen], logs[seen], group)
     if not np.isfinite(slope).any():
         slope, onset, at = _lines(log[seen], y[seen], logs[seen], every)
@@ -134,25 +178,4 @@ def _refined(start: Array, log: Array, y: Array, logs: Array, censored: Array, u
         "jacobian": jax.jacfwd(rates)(theta),
         "r_squared": r_squared,
         "aic": aic,
-    }
-
-
-def _coefficients(theta: np.ndarray, errors: np.ndarray, number: int, unit: float, reason: int) -> dict:
-    """The dataset's variables; of a theta of NaN, NaN."""
-    c, eta0 = unit * np.exp(theta[0]), np.exp(theta[1 + number])
-    free = theta.size > 2 + number or not number
-    none = np.full(number, np.nan if reason != IDENTIFIED else 0.0)
-    return {
-        "C": c,
-        "C_stderr": c * errors[0],
-        "C_exponent": theta[1 : 1 + number],
-        "C_exponent_stderr": errors[1 : 1 + number],
-        "eta0": eta0,
-        "eta0_stderr": eta0 * errors[1 + number],
-        "eta0_exponent": theta[2 + number :] if free else none,
-        "eta0_exponent_stderr": errors[2 + number :] if free else none,
-        "r_squared": np.nan,
-        "aic": np.nan,
-        "degrees_of_freedom": np.int32(0),
-        "reason": np.int8(reason),
     }

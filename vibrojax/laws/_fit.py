@@ -2,7 +2,7 @@
 
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from functools import partial
 from os import PathLike
@@ -18,6 +18,9 @@ from vibrojax.laws._group import REASONS, fit_group
 from vibrojax.laws._lanes import Lanes, lanes_of, read_data, usable
 from vibrojax.laws._robust import LOSSES
 from vibrojax.store.provenance import source
+
+_MOST_GROUPS, _FEWEST_LANES, _BLOCK = 64, 32, 2**16
+"""Of a block: groups, lanes of each, and all lanes together."""
 
 _ABOUT = {
     "C": ("m s-1", "coefficient of the rate-of-penetration law"),
@@ -36,7 +39,11 @@ _ABOUT = {
 
 
 def fit_rop(
-    data: xr.Dataset | str | PathLike, along: str | None = None, progress: bool = True, robust: str | None = None
+    data: xr.Dataset | str | PathLike,
+    along: str | None = None,
+    by: Sequence[str] = (),
+    robust: str | None = None,
+    progress: bool = True,
 ) -> xr.Dataset:
     """The rate-of-penetration law, eq. 6.4, in the readings of R9 and beside two rivals, fitted to each group of lanes.
 
@@ -48,9 +55,11 @@ def fit_rop(
     - `data`: a dataset with rate_of_penetration [m/s] and relief [1], and perhaps regime; or the path of such a .nc,
       or of a CSV with columns rate_of_penetration, and relief or mean_force and threshold [N].
     - `along`: the axis to fit along; by default frequency, else v, else the rows. One fit per point of the others.
-    - `progress`: say on stderr what was fitted.
+    - `by`: of a table (a CSV, or a sweep of points), the columns whose values tell the groups apart; all but `along`
+      and mean_force where `along` is a column itself.
     - `robust`: "soft-l1" or "huber", for data with outliers; the scale comes from the median absolute deviation. R² and
       AIC stay those of plain residuals.
+    - `progress`: say on stderr what was fitted.
 
     **Returns:** a dataset over the groups and `form` (contract: fit dataset): coefficients with their standard errors,
     goodness, and `reason`; NaN where a form has no such coefficient or the lanes cannot tell it.
@@ -60,13 +69,12 @@ def fit_rop(
     place, data = read_data(data, "fit_rop")
     if robust is not None and robust not in LOSSES:
         raise place.at("robust").error(f"{shown(robust)} is unknown; {suggestion(str(robust), LOSSES)}")
-    lanes = lanes_of(place, usable(data), along)
+    lanes = lanes_of(place, usable(data), along, (by,) if isinstance(by, str) else tuple(by))
     start = time.monotonic()
     found = _fitted(lanes, robust)
     if progress:
-        groups, size = lanes.rate.shape
-        took = time.monotonic() - start
-        print(f"{groups} groups of {size} lanes along {lanes.along} fitted in {took:.1f} s", file=sys.stderr)
+        size, took = lanes.count.max(), time.monotonic() - start
+        print(f"{lanes.count.size} groups of {size} lanes along {lanes.along} fitted in {took:.1f} s", file=sys.stderr)
     dims = (*lanes.sizes, "form")
     shape = (*lanes.sizes.values(), len(FORMS))
     attributes = described(_ABOUT)
@@ -79,25 +87,35 @@ def fit_rop(
 
 @partial(jax.jit, static_argnames="robust")
 def _program(relief, rate, valid, robust):
-    """All forms over all groups; by form, arrays (groups,)."""
+    """All forms over the groups of a block; by form, arrays (groups,)."""
     return [jax.vmap(partial(fit_group, form, robust=robust))(relief, rate, valid) for form in FORMS]
 
 
 def _fitted(lanes: Lanes, robust: str | None) -> dict[str, np.ndarray]:
     """By variable, (groups, forms)."""
     with precision("float64"):
-        padded = (_padded(x) for x in (lanes.relief, lanes.rate, lanes.valid))
-        found = jax.device_get(_program(*padded, robust))
-    stacked = {name: np.stack([form[name][: len(lanes.rate)] for form in found], axis=-1) for name in found[0]}
+        found = [jax.device_get(_program(*block, robust)) for block in _blocks(lanes)]
+    stacked = {
+        name: np.concatenate([np.stack([form[name] for form in block], axis=-1) for block in found])[: len(lanes.rate)]
+        for name in found[0][0]
+    }
     counts = ("used", "degrees_of_freedom")
     stacked |= {name: stacked[name].astype(np.int32) for name in counts}
-    stacked["left_out"] = (lanes.rate.shape[1] - stacked["used"]).astype(np.int32)
+    stacked["left_out"] = (lanes.count[:, None] - stacked["used"]).astype(np.int32)
     return stacked | {"reason": stacked["reason"].astype(np.int8)}
 
 
-def _padded(x: np.ndarray) -> np.ndarray:
-    """`x` with groups and lanes up to powers of two, the new ones not valid: data of about one size share a program."""
-    return np.pad(x, [(0, (1 << (size - 1).bit_length()) - size) for size in x.shape])
+def _blocks(lanes: Lanes) -> Iterator[list[np.ndarray]]:
+    """Relief, rate and valid of some groups at a time, filled up with what is not valid.
+
+    Blocks are of one shape, lanes of a power of two: data of about one size share a program, and memory is bounded.
+    """
+    groups, longest = lanes.rate.shape
+    width = max(_FEWEST_LANES, 1 << (longest - 1).bit_length())
+    height = min(_MOST_GROUPS, max(1, _BLOCK // width))
+    for first in range(0, groups, height):
+        block = [x[first : first + height] for x in (lanes.relief, lanes.rate, lanes.valid)]
+        yield [np.pad(x, [(0, height - len(x)), (0, width - longest)]) for x in block]
 
 
 def described(about: Mapping[str, tuple[str, str]]) -> dict[str, dict]:

@@ -23,6 +23,9 @@ LEAST_SPREAD = 1e-9
 LEAST_SLOPE = 1e-10
 """Change of the rate over the lanes as a share of the greatest rate: below it there is no onset to be found."""
 
+LEAST_SLOPE_IN_ERRORS = 2.0
+"""The same in standard errors of that change: an interval of the onset (Fieller's) then has no ends."""
+
 
 def fit_group(form: Form, relief: Array, rate: Array, valid: Array, robust: str | None) -> dict[str, Array]:
     """Fit `form` to the valid lanes; a lane at zero rate is censored.
@@ -68,8 +71,9 @@ def fit_group(form: Form, relief: Array, rate: Array, valid: Array, robust: str 
     )
     known = reason == IDENTIFIED
     values, errors = jnp.where(known, values, jnp.nan), jnp.where(known, errors, jnp.nan)
-    if form.linear and form.size == 2:  # a level line has a C of zero, but no onset
-        level = (jnp.abs(theta[1]) <= LEAST_SLOPE) | ~jnp.isfinite(values[1])
+    if form.linear and form.size == 2:  # a level line has a C of about zero, but no onset
+        least = jnp.maximum(LEAST_SLOPE, LEAST_SLOPE_IN_ERRORS * jnp.sqrt(covariance[1, 1]))
+        level = (jnp.abs(theta[1]) <= least) | ~jnp.isfinite(values[1])
         onset = jnp.array([False, True, False]) & level
         values, errors = jnp.where(onset, jnp.nan, values), jnp.where(onset, jnp.nan, errors)
         reason = jnp.where(known & level, NO_SLOPE, reason)

@@ -10,7 +10,7 @@ import xarray as xr
 
 from vibrojax.errors import InputError, Place, shown, suggestion
 from vibrojax.label import FAILED, IRREGULAR
-from vibrojax.laws._rig import RATE, RELIEF, read_rig
+from vibrojax.laws._rig import FORCE, RATE, RELIEF, read_rig
 
 USUAL_AXES = ("frequency", "v", "point")
 """What a law is fitted along where nothing else is asked, the first that is there."""
@@ -18,20 +18,25 @@ USUAL_AXES = ("frequency", "v", "point")
 
 @dataclass(frozen=True)
 class Lanes:
-    """Lanes in groups: arrays (groups, lanes), the groups' dimensions, sizes and coordinates, and the axis."""
+    """Lanes in groups.
+
+    - `relief` [1], `rate` [m/s], `valid`: (groups, lanes).
+    - `count`: (groups,), how many lanes there are of each; what follows them is not valid and only fills up.
+    - `sizes`, `coordinates`: of the groups' dimensions.
+    - `along`: the axis that the lanes of a group lie on.
+    """
 
     relief: np.ndarray
     rate: np.ndarray
     valid: np.ndarray
+    count: np.ndarray
     sizes: dict[str, int]
-    coordinates: dict[str, xr.DataArray]
+    coordinates: dict[str, xr.DataArray | xr.Variable]
     along: str
 
 
-def read_data(data: xr.Dataset | str | PathLike, name: str, also: Sequence[str] = ()) -> tuple[Place, xr.Dataset]:
+def read_data(data: xr.Dataset | str | PathLike, name: str) -> tuple[Place, xr.Dataset]:
     """The dataset that a user gave, or the path of, with the place to name in messages (`name` where it has no path).
-
-    `also`: columns of a CSV that become coordinates.
 
     **Raises:** `InputError`.
     """
@@ -42,7 +47,7 @@ def read_data(data: xr.Dataset | str | PathLike, name: str, also: Sequence[str] 
         place = Place(str(path))
         if path.suffix.lower() not in (".nc", ".csv"):
             raise place.error("ends in neither .nc nor .csv; give a sweep's dataset or a CSV file")
-        data = read_rig(path, also) if path.suffix.lower() == ".csv" else _opened(path)
+        data = read_rig(path) if path.suffix.lower() == ".csv" else _opened(path)
     else:
         raise InputError(f"{name}: {shown(data)} is no data; give a dataset or a path")
     for variable in (RATE, RELIEF):
@@ -79,12 +84,7 @@ def usable(data: xr.Dataset) -> xr.Dataset:
 
 def axis(place: Place, data: xr.Dataset, along: str | None) -> str:
     """The dimension to fit along; raises `InputError` where there is no such or none by itself."""
-    dims = [str(dim) for dim in data["rate"].dims]
-    if not dims:
-        raise place.at("along").error("there is one lane only; a law needs an axis of several")
-    for dim in dims:
-        if not data.sizes[dim]:
-            raise place.at(dim).error("has no values, so there are no lanes; give at least one")
+    dims = _dims(place, data)
     if along is None:
         usual = [name for name in USUAL_AXES if name in dims] or (dims if len(dims) == 1 else [])
         if not usual:
@@ -95,8 +95,27 @@ def axis(place: Place, data: xr.Dataset, along: str | None) -> str:
     return along
 
 
-def lanes_of(place: Place, data: xr.Dataset, along: str | None) -> Lanes:
-    """The lanes of `data` (see `usable`) in groups, one for each point of the axes that are not `along`."""
+def _dims(place: Place, data: xr.Dataset) -> list[str]:
+    dims = [str(dim) for dim in data["rate"].dims]
+    if not dims:
+        raise place.at("along").error("there is one lane only; a law needs an axis of several")
+    for dim in dims:
+        if not data.sizes[dim]:
+            raise place.at(dim).error("has no values, so there are no lanes; give at least one")
+    return dims
+
+
+def lanes_of(place: Place, data: xr.Dataset, along: str | None, by: Sequence[str] = ()) -> Lanes:
+    """The lanes of `data` (see `usable`) in groups, one for each point of the axes that are not `along`.
+
+    Rows of a table (one dimension) are grouped by their columns where `by` names some, or `along` is a column: then by
+    all others but the mean force.
+
+    **Raises:** `InputError`.
+    """
+    columns = _columns(data)
+    if by or along in columns:
+        return _from_table(place, data, along, by, columns)
     along = axis(place, data, along)
     dims = [str(dim) for dim in data["rate"].dims if dim != along]
     ordered = data.transpose(*dims, along)
@@ -104,4 +123,34 @@ def lanes_of(place: Place, data: xr.Dataset, along: str | None) -> Lanes:
     shape = (int(np.prod(list(sizes.values()))), data.sizes[along])
     arrays = {name: ordered[name].values.reshape(shape) for name in ("relief", "rate", "valid")}
     coordinates = {str(name): found for name, found in data.coords.items() if set(found.dims) <= set(dims)}
-    return Lanes(**arrays, sizes=sizes, coordinates=coordinates, along=along)
+    return Lanes(**arrays, count=np.full(shape[0], shape[1]), sizes=sizes, coordinates=coordinates, along=along)
+
+
+def _columns(data: xr.Dataset) -> list[str]:
+    """Names of the columns of a table, which has one dimension; none of data with more."""
+    dims = data["rate"].dims
+    return [str(name) for name, found in data.coords.items() if len(dims) == 1 and found.dims == dims != (name,)]
+
+
+def _from_table(place: Place, data: xr.Dataset, along: str | None, by: Sequence[str], columns: list[str]) -> Lanes:
+    """Lanes from rows, those with the same values in the columns `by` in one group."""
+    (row,) = _dims(place, data) if columns else (None,)
+    for name in (*by, *([along] if along not in (None, row) else [])):
+        if name not in columns:
+            fault = f"; {suggestion(str(name), columns)}" if columns else ": the data are no table of rows with columns"
+            raise place.at("by" if name in by else "along").error(f"{shown(name)} is no column of the data{fault}")
+    keys = list(by) or [name for name in columns if name not in (along, FORCE)]
+    codes = [np.unique(data[name].values, return_inverse=True)[1].ravel() for name in keys]
+    codes = np.stack(codes or [np.zeros(data.sizes[row], int)], axis=1)
+    _, first, group = np.unique(codes, axis=0, return_index=True, return_inverse=True)
+    group = group.ravel()
+    count = np.bincount(group)
+    order = np.argsort(group, kind="stable")
+    place_in_group = np.arange(group.size) - np.repeat(np.cumsum(count) - count, count)
+    arrays = {}
+    for name in ("relief", "rate", "valid"):
+        values = data[name].values[order]
+        arrays[name] = np.zeros((count.size, count.max()), values.dtype)
+        arrays[name][group[order], place_in_group] = values
+    coordinates = {name: xr.Variable("group", data[name].values[first], data[name].attrs) for name in keys}
+    return Lanes(**arrays, count=count, sizes={"group": count.size}, coordinates=coordinates, along=along or row)

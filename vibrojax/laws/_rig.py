@@ -2,7 +2,6 @@
 
 import csv
 import io
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -17,11 +16,11 @@ _ABOUT = {
 }
 
 
-def read_rig(path: Path, also: Sequence[str] = ()) -> xr.Dataset:
+def read_rig(path: Path) -> xr.Dataset:
     """The columns rate_of_penetration [m/s] and relief [1], or mean_force and threshold [N], along `point`.
 
-    Columns of other names are ignored, but those of `also` become coordinates where they are there. A cell that is
-    empty or nan is a lane without a value.
+    Further columns become coordinates, of numbers where all their cells are. A cell that is empty or nan is a lane
+    without a value.
 
     **Raises:** `InputError` where it cannot be read, a column is missing, or a cell is not a number.
     """
@@ -35,13 +34,13 @@ def read_rig(path: Path, also: Sequence[str] = ()) -> xr.Dataset:
     for line, row in rows:
         if len(row) != len(header):
             raise place.at(f"line {line}").error(f"has {len(row)} cells; {len(header)} are needed, one a column")
-    wanted = [*needed, *(name for name in also if name in header and name not in needed)]
-    columns = {name: _column(place, name, header.index(name), rows) for name in wanted}
+    columns = {name: _column(place, name, header.index(name), rows) for name in needed}
     if RELIEF not in columns:
         with np.errstate(divide="ignore", invalid="ignore"):
             columns[RELIEF] = columns[FORCE] / columns[THRESHOLD]
     variables = {name: ("point", columns[name], _ABOUT[name]) for name in (RATE, RELIEF)}
-    coordinates = {name: ("point", columns[name]) for name in also if name in columns}
+    further = dict.fromkeys(name for name in header if name not in ("", "point", RATE, RELIEF))
+    coordinates = {name: ("point", _further(header.index(name), rows)) for name in further}
     number = ("point", np.arange(len(rows)), {"units": "1", "long_name": "number of the row"})
     return xr.Dataset(variables, {"point": number} | coordinates, {"title": path.name})
 
@@ -114,6 +113,15 @@ def _is_number(cell: str) -> bool:
 def _column(place: Place, name: str, index: int, rows: list[tuple[int, list[str]]]) -> np.ndarray:
     cells = [(line, row[index].strip()) for line, row in rows]
     return np.array([_number(place.at(f"line {line}, column {name}"), cell) for line, cell in cells])
+
+
+def _further(index: int, rows: list[tuple[int, list[str]]]) -> np.ndarray:
+    """A column that the law does not need: numbers where all cells are, else text."""
+    cells = [row[index].strip() for _, row in rows]
+    try:
+        return np.array([float(cell) if cell else np.nan for cell in cells])
+    except ValueError:
+        return np.array(cells)
 
 
 def _number(place: Place, cell: str) -> float:

@@ -12,7 +12,10 @@ _GROUPS_SHOWN = 5
 
 
 def verdict(fit: xr.Dataset) -> list[str]:
-    """Lines that tell which form describes the data, by AIC, and where a log law is beaten and by what.
+    """Lines that tell which form describes the data, by AIC, and where the log law holds and where it does not.
+
+    A form holds in a group where its AIC is no more than `CLEARLY` above the lowest; the log law where one of its three
+    readings does.
 
     **Arguments:** `fit`: from `fit_rop`.
     """
@@ -22,13 +25,15 @@ def verdict(fit: xr.Dataset) -> list[str]:
     lines = _untold(fit, told)
     if not told.any():
         return [*lines, "no form can be told from the lanes that are there"]
+    r_squared = table(fit, "r_squared")[1]
     best = np.argmin(np.where(told[:, None], aic, 0.0), axis=1)
-    counts = sorted(((int((best[told] == i).sum()), name) for i, name in enumerate(names)), key=lambda c: -c[0])
-    for count, name in counts:
-        if count:
-            margins = _margins(aic[told & (best == names.index(name))], names.index(name))
-            lines.append(f"{name} has the lowest AIC in {count} of {told.sum()}, the next is {_range(margins)} higher")
-    return lines + _log_law(groups, aic, told, best, names)
+    behind = np.where(told[:, None], aic - np.where(told[:, None], aic, 0.0).min(axis=1, keepdims=True), np.inf)
+    rows = [(int((best[told] == i).sum()), int((behind[:, i] <= CLEARLY).sum()), i) for i in range(len(names))]
+    lines.append(f"along {fit.attrs['along']}, over {told.sum()} of {told.size}:")
+    for lowest, holds, i in sorted(rows, reverse=True):
+        share = _range(r_squared[told, i])
+        lines.append(f"  {names[i]:<8} lowest AIC in {lowest}, within {CLEARLY:g} of it in {holds}; R2 {share}")
+    return lines + _log_law(fit, groups, behind, best, names)
 
 
 def table(fit: xr.Dataset, name: str) -> tuple[list[str], np.ndarray]:
@@ -42,11 +47,16 @@ def table(fit: xr.Dataset, name: str) -> tuple[list[str], np.ndarray]:
 def _called(fit: xr.Dataset, dims: list, index: tuple[int, ...]) -> str:
     parts = []
     for dim, position in zip(dims, index, strict=True):
-        value = fit[dim].values[position].item() if dim in fit.coords else position
-        unit = fit[dim].attrs.get("units", "1") if dim in fit.coords else "1"
-        number = f"{value:.6g}" if isinstance(value, float) else str(value)
-        parts.append(f"{dim}={number}" + ("" if unit == "1" else f" {unit}"))
+        columns = [name for name in fit.coords if fit[name].dims == (dim,)]
+        if not columns:
+            parts.append(f"{dim}={position}")
+        parts += [f"{name}={_value(fit[name], position)}" for name in columns]
     return ", ".join(parts) or "all lanes"
+
+
+def _value(coordinate: xr.DataArray, position: int) -> str:
+    value, unit = coordinate.values[position].item(), coordinate.attrs.get("units", "1")
+    return (f"{value:.6g}" if isinstance(value, float) else str(value)) + ("" if unit == "1" else f" {unit}")
 
 
 def _untold(fit: xr.Dataset, told: np.ndarray) -> list[str]:
@@ -61,24 +71,33 @@ def _untold(fit: xr.Dataset, told: np.ndarray) -> list[str]:
     return [f"not every form can be told in {len(first)} of {told.size}: {counted}"]
 
 
-def _margins(aic: np.ndarray, best: int) -> np.ndarray:
-    """How much higher the next form's AIC is in each group."""
-    return np.delete(aic, best, axis=1).min(axis=1) - aic[:, best]
-
-
 def _range(values: np.ndarray) -> str:
     low, middle, high = np.min(values), np.median(values), np.max(values)
-    return f"{low:.3g}" if len(values) == 1 else f"{low:.3g} to {high:.3g} (median {middle:.3g})"
+    return f"{low:.4g}" if len(values) == 1 else f"{low:.4g} to {high:.4g} (median {middle:.4g})"
 
 
-def _log_law(groups: list[str], aic: np.ndarray, told: np.ndarray, best: np.ndarray, names: list[str]) -> list[str]:
-    """Where the best of the three readings of the log law is beaten, and by what."""
-    log = aic[:, [names.index(name) for name in LOGARITHMIC]].min(axis=1)
-    behind = np.where(told, log - np.where(told[:, None], aic, 0.0).min(axis=1), 0.0)
-    beaten = told & (behind > CLEARLY)
+def _log_law(fit: xr.Dataset, groups: list[str], behind: np.ndarray, best: np.ndarray, names: list[str]) -> list[str]:
+    """Where the best of the three readings of the log law holds, and where it is beaten, by how much and by what."""
+    log = behind[:, [names.index(name) for name in LOGARITHMIC]].min(axis=1)
+    told, holds = np.isfinite(log), log <= CLEARLY
+    beaten = told & ~holds
+    lines = [f"the log law holds in {holds.sum()} of {told.sum()}{_where(fit, holds) if beaten.any() else ''}"]
     if not beaten.any():
-        return ["the log law is not beaten"]
-    worst = np.argsort(-behind, kind="stable")[: min(_GROUPS_SHOWN, beaten.sum())]
-    lines = [f"the log law is beaten in {beaten.sum()} of {told.sum()}, by {_range(behind[beaten])}:"]
-    lines += [f"  {groups[i]}: {names[best[i]]} by {behind[i]:.3g}" for i in worst]
+        return lines
+    lines.append(f"it is beaten in {beaten.sum()}, by an AIC of {_range(log[beaten])}:")
+    worst = np.argsort(-np.where(beaten, log, 0.0), kind="stable")[: min(_GROUPS_SHOWN, beaten.sum())]
+    lines += [f"  {groups[i]}: {names[best[i]]} by {log[i]:.3g}" for i in worst]
     return lines + ([f"  and {beaten.sum() - len(worst)} more"] if beaten.sum() > len(worst) else [])
+
+
+def _where(fit: xr.Dataset, holds: np.ndarray) -> str:
+    """The box of the groups' axes in which `holds`."""
+    if not holds.any():
+        return ""
+    dims = [dim for dim in fit["aic"].dims if dim != "form"]
+    found = []
+    for dim, positions in zip(dims, np.nonzero(holds.reshape([fit.sizes[dim] for dim in dims])), strict=True):
+        if dim in fit.coords:
+            low, high = (_value(fit[dim], position) for position in (positions.min(), positions.max()))
+            found.append(f"{dim} {low}" + (f" to {high}" if high != low else ""))
+    return f", all of them within {', '.join(found)}" if found else ""
