@@ -14,6 +14,8 @@ _HOMES = {
     "simulate": "vibrojax.simulation",
     "fit_rop": "vibrojax.laws",
     "fit_joint": "vibrojax.laws",
+    "fit_friction": "vibrojax.laws",
+    "refit_frequency": "vibrojax.laws",
     "rop_derivatives": "vibrojax.laws",
     "open_dataset": "vibrojax.store.dataset",
     "write_dataset": "vibrojax.store.dataset",

@@ -1,10 +1,9 @@
-"""What a designer carries away: laws fitted to what was measured, and how the rate of penetration follows from them.
-
-Names are imported when they are first used: the fits need neither sweeps nor scenes, and the derivatives no fits.
-"""
+"""What a designer carries away: laws fitted to what was measured or swept, and how rates depend on the parameters."""
 
 from vibrojax.laws._fit import fit_rop as fit_rop
 from vibrojax.laws._forms import FORMS as FORMS
+from vibrojax.laws._frequency import refit_frequency as refit_frequency
+from vibrojax.laws._friction import fit_friction as fit_friction
 from vibrojax.laws._group import REASONS as REASONS
 from vibrojax.laws._joint import fit_joint as fit_joint
 from vibrojax.laws._verdict import table as table

@@ -2,8 +2,7 @@
 
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from datetime import UTC, datetime
+from collections.abc import Iterator, Sequence
 from functools import partial
 from os import PathLike
 
@@ -12,12 +11,12 @@ import numpy as np
 import xarray as xr
 
 from vibrojax.devices import precision
-from vibrojax.errors import Place, shown, suggestion
+from vibrojax.errors import shown, suggestion
+from vibrojax.laws._about import described, law_title, provenance
 from vibrojax.laws._forms import FORMS
-from vibrojax.laws._group import REASONS, fit_group
+from vibrojax.laws._group import fit_group
 from vibrojax.laws._lanes import Lanes, lanes_of, read_data, usable
 from vibrojax.laws._robust import LOSSES
-from vibrojax.store.provenance import source
 
 _MOST_GROUPS, _FEWEST_LANES, _BLOCK = 64, 32, 2**16
 """Of a block: groups, lanes of each, and all lanes together."""
@@ -82,7 +81,9 @@ def fit_rop(
     form = ("form", [form.name for form in FORMS], {"units": "1", "long_name": "form of the law"})
     more = {"along": lanes.along, "formulas": "; ".join(f"{form.name}: {form.formula}" for form in FORMS)}
     more |= {"robust": robust} if robust else {}
-    return xr.Dataset(variables, lanes.coordinates | {"form": form}, provenance(place, data, "fit", more))
+    return xr.Dataset(
+        variables, lanes.coordinates | {"form": form}, provenance(place, data, "fit", law_title(place, data), more)
+    )
 
 
 @partial(jax.jit, static_argnames="robust")
@@ -116,25 +117,3 @@ def _blocks(lanes: Lanes) -> Iterator[list[np.ndarray]]:
     for first in range(0, groups, height):
         block = [x[first : first + height] for x in (lanes.relief, lanes.rate, lanes.valid)]
         yield [np.pad(x, [(0, height - len(x)), (0, width - longest)]) for x in block]
-
-
-def described(about: Mapping[str, tuple[str, str]]) -> dict[str, dict]:
-    """CF attributes of each variable from its unit and meaning."""
-    found = {name: {"units": unit, "long_name": meaning} for name, (unit, meaning) in about.items()}
-    flags = {"flag_values": np.arange(len(REASONS), dtype=np.int8), "flag_meanings": " ".join(REASONS)}
-    return found | {"reason": found["reason"] | flags}
-
-
-def provenance(place: Place, data: xr.Dataset, what: str, more: dict) -> dict:
-    """The attributes of a fit: where it comes from, and what of its data still holds."""
-    kept = {name: data.attrs[name] for name in ("scene", "sweep") if name in data.attrs}
-    now = f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} {what} {place.file}"
-    earlier = [str(data.attrs["history"])] if "history" in data.attrs else []
-    return {
-        "title": f"rate-of-penetration law: {data.attrs.get('title') or place.file}",
-        "source": source(),
-        "history": "\n".join([now, *earlier]),
-        "Conventions": "CF-1.11",
-        **kept,
-        **more,
-    }

@@ -7,8 +7,8 @@ import numpy as np
 import xarray as xr
 
 from vibrojax.errors import Place, shown, suggestion
+from vibrojax.laws._about import described, law_title, provenance
 from vibrojax.laws._calibrate import Calibration, calibrated
-from vibrojax.laws._fit import described, provenance
 from vibrojax.laws._group import CONFOUNDED, LEAST_SPREAD, NO_SPREAD
 from vibrojax.laws._lanes import axis, read_data, usable
 
@@ -85,7 +85,9 @@ def fit_joint(
     coordinate = ("parameter", np.array(names, dtype=str), {"units": "1", "long_name": "parameter"})
     more = {"formula": "C ln(eta/eta0), C and eta0 power laws of the parameters", "onset": onset}
     more["not_identified"] = ", ".join(_not_identified(found, names, onset == "shared")) or "none"
-    return xr.Dataset(variables, {"parameter": coordinate}, provenance(place, data, "joint fit", more))
+    return xr.Dataset(
+        variables, {"parameter": coordinate}, provenance(place, data, "joint fit", law_title(place, data), more)
+    )
 
 
 def _values(place: Place, lanes: xr.Dataset, name: str, along: str | None, valid: np.ndarray, required: bool):

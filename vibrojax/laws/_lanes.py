@@ -1,5 +1,6 @@
 """From a dataset or a file to lanes: relief, rate, and whether a lane can be used."""
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from os import PathLike
@@ -35,21 +36,36 @@ class Lanes:
     along: str
 
 
-def read_data(data: xr.Dataset | str | PathLike, name: str) -> tuple[Place, xr.Dataset]:
+def opened(data: xr.Dataset | str | PathLike, name: str, tables: bool = False) -> tuple[Place, xr.Dataset]:
     """The dataset that a user gave, or the path of, with the place to name in messages (`name` where it has no path).
+
+    `tables`: whether a CSV will do.
 
     **Raises:** `InputError`.
     """
     if isinstance(data, xr.Dataset):
-        place = Place(name)
-    elif isinstance(data, (str, PathLike)):
-        path = Path(data)
-        place = Place(str(path))
-        if path.suffix.lower() not in (".nc", ".csv"):
-            raise place.error("ends in neither .nc nor .csv; give a sweep's dataset or a CSV file")
-        data = read_rig(path) if path.suffix.lower() == ".csv" else _opened(path)
-    else:
+        return Place(name), data
+    if not isinstance(data, (str, PathLike)):
         raise InputError(f"{name}: {shown(data)} is no data; give a dataset or a path")
+    path = Path(data)
+    place = Place(str(path))
+    ending = path.suffix.lower()
+    if tables and ending == ".csv":
+        return place, read_rig(path)
+    if ending != ".nc":
+        wrong = "ends in neither .nc nor .csv" if tables else "does not end in .nc"
+        raise place.error(f"{wrong}; give a sweep's dataset{' or a CSV file' if tables else ''}")
+    from vibrojax.store.dataset import open_dataset
+
+    return place, open_dataset(path)
+
+
+def read_data(data: xr.Dataset | str | PathLike, name: str) -> tuple[Place, xr.Dataset]:
+    """Data with a rate of penetration and a relief, and their place (see `opened`).
+
+    **Raises:** `InputError`.
+    """
+    place, data = opened(data, name, tables=True)
     for variable in (RATE, RELIEF):
         if variable not in data:
             held = ", ".join(str(name) for name in data.data_vars) or "nothing"
@@ -59,10 +75,21 @@ def read_data(data: xr.Dataset | str | PathLike, name: str) -> tuple[Place, xr.D
     return place, data
 
 
-def _opened(path: Path) -> xr.Dataset:
-    from vibrojax.store.dataset import open_dataset
+def parameter(place: Place, data: xr.Dataset, name: str) -> xr.DataArray:
+    """A parameter's values: a coordinate of a sweep, or what is fixed in it.
 
-    return open_dataset(path)
+    **Raises:** `InputError` where it is neither, or no numbers.
+    """
+    if name in data.coords:
+        found = data[name]
+    else:
+        fixed = json.loads(data.attrs.get("parameters", "{}"))
+        if name not in fixed:
+            raise place.at(name).error("is neither a coordinate of the data nor fixed in them; give it as a coordinate")
+        found = xr.DataArray(fixed[name])
+    if found.dtype.kind not in "fiu":
+        raise place.at(name).error("does not hold numbers")
+    return found
 
 
 def usable(data: xr.Dataset) -> xr.Dataset:
