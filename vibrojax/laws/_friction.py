@@ -32,8 +32,9 @@ MOST_STEPS = 200_000
 _SCENE = Rotary()
 _SOUGHT = ("mu", "v_cr")
 _TOLERANCE = 1e-6
-_MOST_ITERATIONS = 200
+_MOST_ITERATIONS = 60
 _OFFSET = 0.05
+_UNTOLD = 0.5  # relative standard error from which a coefficient above zero is not told from zero
 _UNEVEN = 1e-6  # of the interval between samples
 
 _ABOUT = {
@@ -67,7 +68,7 @@ def fit_friction(
     Without impact there is no event whose time a fixed step would lose, so that over a few returns these derivatives
     are those of the sharp motion (see the tests); over many, every change between stick and slip adds its kink. The
     fit is repeated at half the step and half the smoothing, and that is the one returned; `mu_change` and `v_cr_change`
-    say what halving changed, which is about what the smoothing still does.
+    say what halving changed; what the smoothing still does is of that order.
 
     **Arguments:**
 
@@ -82,7 +83,7 @@ def fit_friction(
 
     **Returns:** a dataset: mu, v_cr [m/s], each with standard error (from the Jacobian, for independent noise of one
     size) and change; rms [m/s], used, left_out; the `state` at the beginning; `fitted` along `time`. NaN with a
-    `reason` where the window cannot tell them, as where the bit sticks all the time.
+    `reason` where the window cannot tell them: a bit that sticks all the time, a relative error of 1/2 and more.
 
     **Raises:** `InputError`.
     """
@@ -190,21 +191,14 @@ def _result(place: Place, data: xr.Dataset, time: np.ndarray, velocity: np.ndarr
     first, theta, jacobian, predicted = fit
     seen = np.isfinite(velocity)
     left = np.where(seen, predicted - velocity, 0.0)
-    freedom, square = seen.sum() - theta.size, None
-    if freedom < 1:
-        reason = TOO_FEW_LANES
-    elif not (np.isfinite(jacobian).all() and np.isfinite(predicted).all()):
-        reason = NOT_CONVERGED
-    else:
-        square, _ = inverse(jacobian[seen])
-        reason = CONFOUNDED if square is None else IDENTIFIED if _at_minimum(jacobian, left, freedom) else NOT_CONVERGED
+    freedom = int(seen.sum()) - theta.size
+    relative, reason = _relative_errors(jacobian, predicted, left, seen, freedom)
     if reason == IDENTIFIED:
-        relative = np.sqrt((left**2).sum() / freedom * np.diag(square))[:2]
         values, changes = np.exp(theta[:2]), np.exp(theta[:2]) - np.exp(first[:2])
         rms = np.sqrt((left**2).sum() / seen.sum())
     else:
         relative, values, changes, rms = np.full(2, np.nan), np.full(2, np.nan), np.full(2, np.nan), np.nan
-        theta, predicted = np.full_like(theta, np.nan), np.full_like(predicted, np.nan)
+        state, theta, predicted = (np.full_like(x, np.nan) for x in (np.asarray(state), theta, predicted))
     about = described(_ABOUT)
     found = {"rms": rms, "used": np.int32(seen.sum()), "left_out": np.int32((~seen).sum()), "reason": np.int8(reason)}
     for index, name in enumerate(_SOUGHT):
@@ -219,6 +213,21 @@ def _result(place: Place, data: xr.Dataset, time: np.ndarray, velocity: np.ndarr
     }
     title = f"friction, eq. 5.9, fitted: {data.attrs.get('title') or place.file}"
     return xr.Dataset(variables, coordinates, provenance(place, data, "fit of the friction", title, {}))
+
+
+def _relative_errors(jacobian, predicted, left, seen, freedom: int) -> tuple[np.ndarray | None, int]:
+    """Standard errors of ln mu and ln v_cr, and the reason where there are none to rely on."""
+    if freedom < 1:
+        return None, TOO_FEW_LANES
+    if not (np.isfinite(jacobian).all() and np.isfinite(predicted).all()):
+        return None, NOT_CONVERGED
+    square, _ = inverse(jacobian[seen])
+    if square is None:
+        return None, CONFOUNDED
+    if not _at_minimum(jacobian, left, freedom):
+        return None, NOT_CONVERGED
+    relative = np.sqrt((left**2).sum() / freedom * np.diag(square))[:2]
+    return relative, IDENTIFIED if (relative < _UNTOLD).all() else CONFOUNDED
 
 
 def _at_minimum(jacobian: np.ndarray, left: np.ndarray, freedom: int) -> bool:
