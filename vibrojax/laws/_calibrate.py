@@ -19,7 +19,7 @@ from vibrojax.laws._group import (
     goodness,
 )
 from vibrojax.laws._least_squares import nonlinear, residuals
-from vibrojax.laws._normal import inverse
+from vibrojax.laws._normal import covariance, inverse
 
 _GREATEST = 60.0  # of an exponent, so that a wild step does not overflow
 _ALONG = 1e-6  # a parameter of which less lies outside the directions that the lanes span is told
@@ -74,14 +74,16 @@ def calibrated(relief: np.ndarray, rate: np.ndarray, logs: np.ndarray, shared: b
     if not (np.isfinite(found["jacobian"]).all() and found["lanes"].sum() > free):
         return untold(NOT_CONVERGED)
     back = _back(directions, shared)
-    square, lost = inverse(found["jacobian"][found["lanes"]])
+    lanes = found["lanes"]
+    square, lost = inverse(found["jacobian"][lanes])
     if square is None:
         return untold(CONFOUNDED, (back[:, lost] ** 2).sum(axis=1) > _ALONG)
     if not found["converged"]:
         return untold(NOT_CONVERGED)
     freedom = int(found["lanes"].sum() - free)
-    variance = (found["residual"] ** 2).sum() / freedom
-    errors = np.sqrt(variance * np.einsum("ci,ij,cj->c", back, square, back))
+    with precision("float64"):
+        square = np.asarray(covariance(square, found["jacobian"][lanes], found["residual"][lanes], lanes[lanes]))
+    errors = np.sqrt(np.einsum("ci,ij,cj->c", back, square, back))
     holds = np.concatenate([[True], told, [True], told])
     values = [np.where(holds, x, np.nan) for x in (back @ found["theta"], errors)]
     fitness = (freedom, found["r_squared"].item(), found["aic"].item())

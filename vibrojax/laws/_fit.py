@@ -30,7 +30,7 @@ _ABOUT = {
     "exponent_stderr": ("1", "standard error of the exponent"),
     "r_squared": ("1", "share of the rate's variance that the form explains"),
     "aic": ("1", "n ln(RSS/n) + 2k, RSS in m2 s-2"),
-    "degrees_of_freedom": ("1", "of the standard errors: lanes with a residual less coefficients"),
+    "degrees_of_freedom": ("1", "lanes with a residual less coefficients"),
     "used": ("1", "lanes that the fit used, those at zero rate among them"),
     "left_out": ("1", "lanes left out: failed, irregular, or without usable values"),
     "reason": ("1", "why a coefficient is not a number"),
@@ -47,7 +47,8 @@ def fit_rop(
     """The rate-of-penetration law, eq. 6.4, in the readings of R9 and beside two rivals, fitted to each group of lanes.
 
     Least squares of the rate. A lane at zero rate is censored: it counts only where a form predicts a rate above zero.
-    Lanes that failed or are irregular, or have no usable values, are left out and counted.
+    Lanes that failed or are irregular, or have no usable values, are left out and counted. Standard errors follow from
+    the Jacobian and each lane's own residual, so that they hold for noise of one size and for noise in proportion.
 
     **Arguments:**
 

@@ -10,6 +10,7 @@ from jax import Array
 
 from vibrojax.laws._forms import Form
 from vibrojax.laws._least_squares import linear, nonlinear, residuals
+from vibrojax.laws._normal import covariance
 from vibrojax.laws._robust import LOSSES, Loss, reweighted
 
 REASONS = ("identified", "too-few-lanes", "no-spread", "all-censored", "not-converged", "no-slope", "confounded")
@@ -59,8 +60,8 @@ def fit_group(form: Form, relief: Array, rate: Array, valid: Array, robust: str 
         theta, scale, settled = reweighted(loss, solve, residual, theta, valid)
         converged &= settled
     found, lanes = residual(theta)
-    covariance, freedom = _covariance(form, theta, z, found, lanes, (loss, scale) if loss else None)
-    values, errors = _coefficients(form, theta, frame, unit, covariance)
+    square, freedom = _covariance(form, theta, z, found, lanes, (loss, scale) if loss else None)
+    values, errors = _coefficients(form, theta, frame, unit, square)
 
     used = jnp.sum(valid)
     spread = jnp.std(jnp.log(relief), where=seen)
@@ -72,7 +73,7 @@ def fit_group(form: Form, relief: Array, rate: Array, valid: Array, robust: str 
     known = reason == IDENTIFIED
     values, errors = jnp.where(known, values, jnp.nan), jnp.where(known, errors, jnp.nan)
     if form.linear and form.size == 2:  # a level line has a C of about zero, but no onset
-        least = jnp.maximum(LEAST_SLOPE, LEAST_SLOPE_IN_ERRORS * jnp.sqrt(covariance[1, 1]))
+        least = jnp.maximum(LEAST_SLOPE, LEAST_SLOPE_IN_ERRORS * jnp.sqrt(square[1, 1]))
         level = (jnp.abs(theta[1]) <= least) | ~jnp.isfinite(values[1])
         onset = jnp.array([False, True, False]) & level
         values, errors = jnp.where(onset, jnp.nan, values), jnp.where(onset, jnp.nan, errors)
@@ -107,29 +108,28 @@ def goodness(residual: Array, y: Array, unit: Array, valid: Array, size: int) ->
 def _covariance(
     form: Form, theta: Array, z: Array, residual: Array, lanes: Array, robust: tuple[Loss, Array] | None
 ) -> tuple[Array, Array]:
-    """Covariance of theta, s² (J^T J)^-1 over the lanes that have a residual, and the degrees of freedom of s².
+    """Covariance of theta over the lanes that have a residual, and how many more than coefficients these are.
 
-    A censored lane below the onset pins nothing, so it is in neither J nor the degrees of freedom. For a robust loss s²
-    is Huber's: sum psi²/(n − k) over (mean psi')².
+    A censored lane below the onset pins nothing, so it is in neither. For a robust loss Huber's psi over the mean of
+    its slope stands for the residual.
     """
     jacobian = jax.jacfwd(lambda theta: form.predict(theta, z))(theta) * lanes[:, None]
     count = jnp.sum(lanes)
-    freedom = count - form.size
     if robust:
         loss, scale = robust
         scaled = residual / scale
         slope = jnp.sum(jnp.where(lanes, loss.slope(scaled), 0.0)) / count
         residual = residual * loss.weight(scaled) / slope
-    variance = jnp.sum(jnp.where(lanes, residual, 0.0) ** 2) / jnp.maximum(freedom, 1)
-    return variance * jnp.linalg.inv(jacobian.T @ jacobian), freedom
+    residual = jnp.where(lanes, residual, 0.0)
+    return covariance(jnp.linalg.inv(jacobian.T @ jacobian), jacobian, residual, lanes), count - form.size
 
 
-def _coefficients(form: Form, theta: Array, frame, unit: Array, covariance: Array) -> tuple[Array, Array]:
+def _coefficients(form: Form, theta: Array, frame, unit: Array, square: Array) -> tuple[Array, Array]:
     """C, eta0 and exponent, and their standard errors by the delta method; NaN where the form has none."""
 
     def coefficients(theta):
         return form.coefficients(theta, frame) * jnp.array([unit, 1.0, 1.0])
 
     values, slopes = coefficients(theta), jax.jacfwd(coefficients)(theta)
-    errors = jnp.sqrt(jnp.einsum("ci,ij,cj->c", slopes, covariance, slopes))
+    errors = jnp.sqrt(jnp.einsum("ci,ij,cj->c", slopes, square, slopes))
     return values, jnp.where(jnp.isnan(values), jnp.nan, errors)

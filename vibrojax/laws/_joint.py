@@ -27,7 +27,7 @@ _ABOUT = {
     "reference": ("1", "value of the parameter at the reference, in its own unit"),
     "r_squared": ("1", "share of the rate's variance that the law explains"),
     "aic": ("1", "n ln(RSS/n) + 2k, RSS in m2 s-2"),
-    "degrees_of_freedom": ("1", "of the standard errors: lanes with a residual less coefficients"),
+    "degrees_of_freedom": ("1", "lanes with a residual less coefficients"),
     "used": ("1", "lanes that the fit used, those at zero rate among them"),
     "left_out": ("1", "lanes left out: failed, irregular, or without usable values"),
     "reason": ("1", "why a coefficient is not a number"),
