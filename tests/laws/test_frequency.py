@@ -57,6 +57,16 @@ def test_the_upper_natural_mode_gives_the_closed_form():
     assert loss(fit.share.item()) < min(loss(fit.share.item() + step) for step in (-1e-4, 1e-4))
 
 
+def test_the_region_is_where_every_lane_that_counts_holds():
+    """Two drive speeds, one of which is off at gamma 0.5 and does not count at 0.6."""
+    one = rotary_map(empirical_frequency(parameters()))
+    both = xr.concat([one, one], xr.Variable("v", [0.5, 1.5]), data_vars=["period"])
+    both["period"][1, :, 2] *= 1.02
+    both["period"][1, :, 3] = np.nan
+    region = refit_frequency(both).attrs["region"]
+    assert region.startswith("160 of 170 lanes; beta 0.1: gamma 0.3 to 0.4, 0.6 to 1.1; beta 0.2: ")
+
+
 def test_lanes_that_do_not_count_are_left_out():
     """Of other regimes, in the lower mode, without a period."""
     p = parameters()

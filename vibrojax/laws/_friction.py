@@ -114,7 +114,10 @@ def fit_friction(
 def _fitted(
     theta: Array, fixed: Mapping, velocity: Array, interval, substeps: int, width
 ) -> tuple[Array, Array, Array]:
-    """Where the search from `theta` (ln mu, ln v_cr, state) ends, and there the Jacobian and the velocity."""
+    """Where the search from `theta` (ln mu, ln v_cr, state) ends, and there the Jacobian and the velocity.
+
+    The Jacobian's columns are in units of their own.
+    """
     seen = jnp.isfinite(velocity)
     target = jnp.where(seen, velocity, 0.0)
     # Positions are small beside velocities: each is sought in units of its own.
@@ -125,7 +128,7 @@ def _fitted(
 
     solver = optimistix.LevenbergMarquardt(rtol=_TOLERANCE, atol=_TOLERANCE)
     solved = optimistix.least_squares(residual, solver, theta / unit, max_steps=_MOST_ITERATIONS, throw=False)
-    return solved.value * unit, jax.jacfwd(residual)(solved.value) / unit, residual(solved.value) + target
+    return solved.value * unit, jax.jacfwd(residual)(solved.value), residual(solved.value) + target
 
 
 def _velocity(theta: Array, fixed: Mapping, interval, substeps: int, samples: int, width) -> Array:
