@@ -1,6 +1,7 @@
 """Fit the rate-of-penetration law to a sweep's dataset or to rig data.
 
-A CSV needs the columns relief (or mean_force and threshold) and rate_of_penetration, in SI units.
+A CSV needs the columns relief (or mean_force and threshold) and rate_of_penetration, in SI units; further columns may
+tell groups of rows apart.
 """
 
 import math
@@ -17,6 +18,7 @@ def arguments(parser: ArgumentParser) -> None:
     """Add the command's arguments to `parser`."""
     parser.add_argument("file", metavar="FILE", help="a sweep's .nc, or a CSV: relief,rate_of_penetration")
     parser.add_argument("--along", metavar="AXIS", help="the axis to fit along (frequency, else v; of a CSV: its rows)")
+    parser.add_argument("--by", metavar="COLUMN", action="append", help="of a CSV: fit the rows of each of its values")
     parser.add_argument("-o", dest="out", metavar="FIT.nc", help="where to write (FILE-fit.nc in this folder)")
 
 
@@ -26,7 +28,7 @@ def run(options: Namespace) -> None:
     from vibrojax.laws import fit_rop, verdict
     from vibrojax.store.dataset import write_dataset
 
-    fit = fit_rop(options.file, options.along, progress=False)
+    fit = fit_rop(options.file, options.along, options.by or (), progress=False)
     write_dataset(fit, out)
     print("\n".join([*tables(fit), "", *verdict(fit), str(out)]))
 

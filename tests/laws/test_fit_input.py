@@ -1,0 +1,295 @@
+"""Data for a fit: datasets, files and rig data, the command, and what is refused."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import vibrojax as vj
+from vibrojax.cli import main
+from vibrojax.cli.fit import tables
+from vibrojax.errors import InputError
+from vibrojax.laws import REASONS, fit_joint, fit_rop
+from vibrojax.store.dataset import open_dataset, write_dataset
+
+C, ETA0 = 1.3e-3, 0.21
+RELIEF = np.linspace(0.25, 1.5, 8)
+RATE = C * np.log(RELIEF / ETA0)
+
+
+def sweep(**more):
+    """What a sweep of penetration writes, with a rate of the onset form along frequency."""
+    force = np.array([2e5, 3e5])
+    variables = {
+        "rate_of_penetration": (("force", "frequency"), np.outer([1.0, 2.0], RATE)),
+        "relief": (("force", "frequency"), np.stack([RELIEF, RELIEF])),
+        "status": (("force", "frequency"), np.zeros((2, 8), np.int8)),
+    }
+    coordinates = {"force": ("force", force, {"units": "N"}), "frequency": np.linspace(10, 40, 8), "k3": 3e8}
+    attributes = {"source": "vibrojax 0", "title": "a sweep", "scene": "penetration", "history": "made"}
+    return xr.Dataset(variables, coordinates, attributes).assign(**more)
+
+
+def rows(*names, **columns):
+    """The text of a CSV."""
+    lines = zip(*(np.broadcast_to(columns[name], RELIEF.shape) for name in names), strict=True)
+    return "\n".join([",".join(names), *(",".join(str(cell) for cell in line) for line in lines)]) + "\n"
+
+
+def refused(data, *arguments, fit=fit_rop, **named) -> str:
+    with pytest.raises(InputError) as caught:
+        fit(data, *arguments, **named)
+    line = str(caught.value)
+    assert "\n" not in line
+    return line
+
+
+# datasets
+
+
+def test_a_fit_has_the_contracts_variables_units_and_attributes():
+    fit = vj.fit_rop(sweep(), progress=False)
+    assert list(fit.form.values) == ["literal", "percent", "onset", "line", "power"]
+    names = ["C", "C_stderr", "eta0", "eta0_stderr", "exponent", "r_squared", "aic", "used", "left_out"]
+    assert set(names) < set(fit.data_vars)
+    for name, variable in fit.variables.items():
+        assert name in ("k3",) or variable.attrs["units"]
+        assert name in ("k3", "force") or variable.attrs["long_name"]
+    assert fit.C.dims == ("force", "form") and fit.C.attrs["units"] == "m s-1"
+    assert fit.attrs["source"].startswith("vibrojax") and fit.attrs["scene"] == "penetration"
+    assert fit.attrs["title"] == "rate-of-penetration law: a sweep" and fit.attrs["along"] == "frequency"
+    assert fit.attrs["history"].endswith("\nmade") and fit.k3.item() == 3e8
+    assert fit.reason.attrs["flag_meanings"].split() == list(REASONS)
+    np.testing.assert_allclose(fit.sel(form="onset").C, [C, 2 * C], rtol=1e-10)
+
+
+def test_the_axis_is_frequency_or_v_or_what_is_asked():
+    assert fit_rop(sweep(), progress=False).attrs["along"] == "frequency"
+    drill = sweep().rename(frequency="v")
+    assert fit_rop(drill, progress=False).attrs["along"] == "v"
+    assert fit_rop(sweep().rename(frequency="beta").isel(force=0), progress=False).attrs["along"] == "beta"
+    across = fit_rop(sweep(), "force", progress=False)
+    assert across.sizes == {"frequency": 8, "form": 5} and (across.used == 2).all()
+    assert "fit_rop: along: missing; choose the axis to fit along from force, beta" in refused(
+        sweep().rename(frequency="beta")
+    )
+
+
+def test_relief_may_lack_an_axis_and_dimensions_any_order():
+    data = sweep()
+    once = data.assign(relief=("frequency", RELIEF)).transpose("frequency", "force")
+    np.testing.assert_allclose(fit_rop(once, progress=False).C, fit_rop(data, progress=False).C)
+
+
+def test_lanes_of_a_status_that_failed_are_left_out():
+    data = sweep()
+    data["rate_of_penetration"][0, 2] = 1.0
+    data["status"][0, 2] = 1
+    fit = fit_rop(data, progress=False).sel(form="onset")
+    assert list(fit.left_out.values) == [1, 0] and list(fit.used.values) == [7, 8]
+    assert fit.C.values[0] == pytest.approx(C)
+
+
+def test_progress_is_one_line_on_stderr(capsys):
+    fit_rop(sweep(), progress=False)
+    assert capsys.readouterr() == ("", "")
+    fit_rop(sweep())
+    captured = capsys.readouterr()
+    assert captured.out == "" and captured.err.startswith("2 groups of 8 lanes along frequency fitted in ")
+
+
+@pytest.mark.parametrize(
+    ("data", "named", "line"),
+    [
+        (sweep().drop_vars("relief"), {}, "fit_rop: relief: missing; a sweep of a scene with rock has it, this holds"),
+        (sweep(), {"along": "frequncy"}, 'along: "frequncy" is no axis of the data; did you mean "frequency"?'),
+        (sweep(), {"robust": "hubber"}, 'fit_rop: robust: "hubber" is unknown; did you mean "huber"?'),
+        (sweep().isel(force=0, frequency=0), {}, "along: there is one lane only; a law needs an axis of several"),
+        (sweep().isel(frequency=[]), {}, "fit_rop: frequency: has no values, so there are no lanes"),
+        (sweep(relief=("force", ["a", "b"])), {}, "fit_rop: relief: does not hold numbers"),
+        (3, {}, "fit_rop: 3 is no data; give a dataset or a path"),
+        ("sweep.txt", {}, "sweep.txt: ends in neither .nc nor .csv"),
+        ("no.nc", {}, "no.nc: there is no such file"),
+        ("no.csv", {}, "no.csv: no such file"),
+    ],
+)
+def test_wrong_data_are_refused(data, named, line):
+    assert line in refused(data, **named)
+
+
+@pytest.mark.parametrize(
+    ("data", "named", "line"),
+    [
+        (sweep(), {"over": ("forc",)}, 'over.forc: no coordinate of the data beside along; did you mean "force"?'),
+        (sweep(), {"along": "force", "over": ("force",)}, "over.force: no coordinate of the data beside along"),
+        (sweep().assign_coords(force=[0.0, 1.0]), {}, "over.force: has values that are not above 0"),
+        (sweep().assign_coords(force=["a", "b"]), {}, "over.force: does not hold numbers"),
+        (sweep(), {"onset": "sharde"}, 'fit_joint: onset: "sharde" is unknown; did you mean "shared"?'),
+        (sweep(), {"along": "k0"}, 'fit_joint: along: "k0" is no axis of the data'),
+    ],
+)
+def test_wrong_joint_fits_are_refused(data, named, line):
+    assert line in refused(data, fit=fit_joint, **named)
+
+
+# rig data
+
+
+def test_rig_data_give_what_a_dataset_gives(tmp_path):
+    path = tmp_path / "rig.csv"
+    path.write_text(
+        rows("depth", "relief", "rate_of_penetration", depth="3 m", relief=RELIEF, rate_of_penetration=RATE)
+    )
+    fit = fit_rop(path, progress=False)
+    assert fit.sizes == {"form": 5} and fit.attrs["along"] == "point"
+    expected = fit_rop(sweep().isel(force=0), progress=False)
+    np.testing.assert_allclose(fit.C, expected.C, rtol=1e-12)
+
+
+def test_relief_comes_from_force_and_threshold_where_it_is_not_there(tmp_path):
+    path = tmp_path / "rig.csv"
+    columns = {"mean_force": RELIEF * 1.5e5, "threshold": 1.5e5, "rate_of_penetration": RATE}
+    path.write_bytes(b"\xef\xbb\xbf" + rows(*columns, **columns).replace("\n", "\r\n").encode())
+    assert fit_rop(path, progress=False).sel(form="onset").eta0.item() == pytest.approx(ETA0)
+
+
+def test_cells_without_a_value_are_left_out(tmp_path):
+    path = tmp_path / "rig.csv"
+    path.write_text(
+        rows("relief", "rate_of_penetration", relief=RELIEF, rate_of_penetration=RATE) + ",1\n0.3,nan\n-1,1\n"
+    )
+    fit = fit_rop(path, progress=False).sel(form="onset")
+    assert fit.left_out.item() == 3 and fit.C.item() == pytest.approx(C)
+
+
+def test_a_joint_law_takes_its_parameters_from_columns(tmp_path):
+    path = tmp_path / "rig.csv"
+    texts = [
+        rows(
+            "force",
+            "relief",
+            "rate_of_penetration",
+            force=force,
+            relief=RELIEF,
+            rate_of_penetration=RATE * (force / 2e5) ** 1.2,
+        )
+        for force in (1e5, 2e5, 4e5)
+    ]
+    path.write_text(texts[0] + "".join(text.partition("\n")[2] for text in texts[1:]))
+    fit = fit_joint(path)
+    assert fit.reference[0].item() == pytest.approx(2e5)
+    assert fit.C_exponent[0].item() == pytest.approx(1.2) and fit.C.item() == pytest.approx(C)
+
+
+def test_columns_tell_groups_apart(tmp_path):
+    """Rows of two forces and rocks, of unequal numbers; each group is fitted as alone."""
+    path = tmp_path / "rig.csv"
+    lines = [f"{f:.17g},{e:.17g},{r:.17g},granite,1e5" for f, e, r in zip(range(8), RELIEF, RATE, strict=True)]
+    lines += [f"{f},{e:.17g},{2 * r:.17g},chalk,2e5" for f, e, r in zip(range(6), RELIEF, RATE, strict=False)]
+    lines.insert(3, "9,0.5,nan,granite,1e5")
+    path.write_text("frequency,relief,rate_of_penetration,rock,force\n" + "\n".join(lines) + "\n")
+    for named in ({"along": "frequency"}, {"by": ("rock", "force")}, {"by": "rock"}):
+        fit = fit_rop(path, progress=False, **named).sel(form="onset")
+        assert fit.sizes == {"group": 2} and list(fit.rock.values) == ["chalk", "granite"]
+        assert list(fit.used.values) == [6, 8] and list(fit.left_out.values) == [0, 1]
+        np.testing.assert_allclose(fit.C, [2 * C, C], rtol=1e-10)
+    assert "rock=chalk, force=200000" in "\n".join(tables(fit_rop(path, "frequency", progress=False)))
+    assert fit_rop(path, progress=False).sel(form="onset").used.item() == 14
+    assert 'by: "rok" is no column of the data; did you mean "rock"?' in refused(path, by="rok")
+    assert 'by: "force" is no column of the data: the data are no table' in refused(sweep(), by="force")
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("", "rig.csv: empty; a line of column names"),
+        ("relief,rate_of_penetration\n", "rig.csv: no rows; add a line for each measurement"),
+        ("0.1,0.2\n0.3,0.4\n", 'rig.csv: line 1: "0.1, 0.2" are numbers; the first line names the columns'),
+        ("relief;rate_of_penetration\n1;2\n", "is one column; separate them by commas"),
+        (
+            "relief,rate_of_penetraton\n1,2\n",
+            'rig.csv: line 1: column rate_of_penetration [m/s] is missing; rename "rate_of_penetraton" if that is it',
+        ),
+        ("relief,depth\n1,2\n", "column rate_of_penetration [m/s] is missing; the file has relief, depth"),
+        ("releif,rate_of_penetration\n1,2\n", 'relief is missing, or mean_force and threshold; rename "releif"'),
+        ("mean_force,treshold,rate_of_penetration\n1,2,3\n", 'threshold [N] is missing, or relief; rename "treshold"'),
+        ("relief,relief,rate_of_penetration\n1,2,3\n", "column relief is there 2 times; give it once"),
+        ("relief,rate_of_penetration\n1\n", "rig.csv: line 2: has 1 cells; 2 are needed"),
+        ("relief,rate_of_penetration\n1,2\n\nx,1\n", 'rig.csv: line 4, column relief: "x" is not a number'),
+        ('relief,rate_of_penetration\n"1,2\n', "rig.csv: line 2: not CSV"),
+        (b"\xff\xfe", "rig.csv: not UTF-8 text (byte 0)"),
+    ],
+)
+def test_wrong_rig_data_are_refused(tmp_path, text, line):
+    path = tmp_path / "rig.csv"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    assert line in refused(path).replace(f"{tmp_path}/", "")
+
+
+# the command
+
+
+def test_the_command_prints_tables_and_writes_the_fit(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    write_dataset(sweep(), "map.nc")
+    assert main(["fit", "map.nc"]) == 0
+    printed = capsys.readouterr().out.splitlines()
+    assert printed[0] == "force=200000 N: 8 lanes along frequency"
+    assert printed[1].split() == ["form", "C", "[m/s]", "eta0", "exponent", "R2", "AIC"]
+    assert printed[4].startswith("  onset    0.0013 ± ") and printed[8] == "force=300000 N: 8 lanes along frequency"
+    assert printed[-3:-1] == [printed[-3], "the log law holds in 2 of 2"] and printed[-1] == "map-fit.nc"
+    stored = open_dataset("map-fit.nc")
+    xr.testing.assert_allclose(stored, fit_rop("map.nc", progress=False))
+    assert list(stored.form.values) == ["literal", "percent", "onset", "line", "power"]
+    assert stored.reason.dtype == np.int8 and stored.attrs["Conventions"] == "CF-1.11"
+    assert main(["info", "map-fit.nc"]) == 0
+    assert "a sweep" in capsys.readouterr().out
+
+
+def test_the_command_takes_an_axis_and_an_output(tmp_path, capsys):
+    write_dataset(sweep(), tmp_path / "map.nc")
+    out = tmp_path / "f.nc"
+    assert main(["fit", str(tmp_path / "map.nc"), "--along", "force", "-o", str(out)]) == 0
+    assert open_dataset(out).sizes["frequency"] == 8
+    assert "too-few-lanes" in capsys.readouterr().out
+
+
+def test_a_table_is_shown_for_the_first_groups_alone():
+    data = xr.concat([sweep().isel(force=0, drop=True)] * 15, xr.Variable("group", np.arange(15)))
+    lines = tables(fit_rop(data, progress=False))
+    assert sum(line.startswith("group=") for line in lines) == 12 and lines[-1] == "and 3 groups more"
+
+
+@pytest.mark.parametrize(
+    ("argv", "line"),
+    [
+        (["fit"], "fit: the following arguments are required: FILE"),
+        (["fit", "no.nc"], "no.nc: there is no such file"),
+        (["fit", "rig.csv", "-o", "a.png"], '-o: "a.png" does not end in .nc'),
+        (["fit", "rig.csv"], "rig.csv: line 1: column rate_of_penetration [m/s] is missing"),
+        (["fit", "map.nc", "--along", "k3"], 'map.nc: along: "k3" is no axis of the data; '),
+        (["fit", "other.nc"], "other.nc: rate_of_penetration: missing"),
+    ],
+)
+def test_the_command_refuses_bad_input_in_one_line(tmp_path, monkeypatch, capsys, argv, line):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "rig.csv").write_text("relief,depth\n1,2\n")
+    write_dataset(sweep(), "map.nc")
+    write_dataset(xr.Dataset(attrs={"source": "vibrojax 0"}), "other.nc")
+    assert main(argv) == 2
+    captured = capsys.readouterr()
+    assert captured.out == "" and captured.err.count("\n") == 1 and line in captured.err
+    assert not list(tmp_path.glob("*-fit.nc"))
+
+
+def test_fitting_needs_no_global_precision(tmp_path):
+    """Outside, JAX computes in float32; the fit does not."""
+    write_dataset(sweep(), tmp_path / "map.nc")
+    code = "import sys, vibrojax as vj; fit = vj.fit_rop(sys.argv[1], progress=False); print(float(fit.C[0, 2]))"
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", code, str(tmp_path / "map.nc")], capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    assert float(done.stdout) == pytest.approx(C, rel=1e-10)

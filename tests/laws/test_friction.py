@@ -1,0 +1,142 @@
+"""mu and v_cr from a velocity: the derivatives behind the fit, against those of the sharp motion, and the recovery."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import vibrojax as vj
+from vibrojax.errors import InputError
+from vibrojax.laws import REASONS, fit_friction
+from vibrojax.laws._friction import _velocity
+from vibrojax.scenes.rotary import Rotary
+
+TRUTH = {"mu": 0.35, "v_cr": 2.5}
+INTERVAL = 4e-3
+
+
+def measured(duration=0.5, start="stuck", error=1e-6, **parameters):
+    """The located, event-exact motion."""
+    given = TRUTH | parameters
+    return vj.simulate(
+        "rotary", start=start, duration=duration, sampling=INTERVAL, error=error, progress=False, **given
+    )
+
+
+@pytest.fixture(scope="module")
+def history():
+    return measured(1.0)
+
+
+@pytest.fixture
+def noise():
+    return np.random.default_rng(20260102)
+
+
+def sharp_derivatives(duration):
+    """d x1'/d ln mu and d x1'/d ln v_cr by central differences of the converged motion, (samples, 2)."""
+    share = 1e-5
+    columns = []
+    for name, value in TRUTH.items():
+        up, down = (measured(duration, error=1e-9, **{name: value * (1 + sign * share)}) for sign in (1, -1))
+        columns.append((up.v1.values - down.v1.values) / (2 * share))
+    return np.stack(columns, axis=1)
+
+
+def smoothed_derivatives(duration, width, substeps=20):
+    fixed = {name: jnp.asarray(one.default) for name, one in Rotary().parameters().items()}
+    fixed["state"] = jnp.asarray([0.0, -fixed["v"].item(), 0.0, 0.0])
+    at = jnp.log(jnp.asarray(list(TRUTH.values())))
+    samples = round(duration / INTERVAL) + 1
+    return np.asarray(jax.jacfwd(lambda theta: _velocity(theta, fixed, INTERVAL, substeps, samples, width))(at))
+
+
+def test_derivatives_are_those_of_the_sharp_motion_over_a_short_window():
+    """They come nearer in proportion to the smoothing, to under 1 %; over four times the window they are far off."""
+
+    def off(duration, width, expected):
+        found = smoothed_derivatives(duration, width, substeps=round(0.04 / width))
+        return np.linalg.norm(found - expected, axis=0) / np.linalg.norm(expected, axis=0)
+
+    expected = sharp_derivatives(0.5)
+    wide, narrow = off(0.5, 0.004, expected), off(0.5, 0.001, expected)
+    assert (narrow < 0.01).all() and (narrow < 0.4 * wide).all()
+    assert (off(2.0, 0.001, sharp_derivatives(2.0)) > 3 * narrow).all()
+
+
+def test_without_noise_what_is_left_is_the_smoothing(history):
+    """Of the order of what halving it changed; half the smoothing, half of that."""
+    fits = [fit_friction(history, (0.0, 0.5), "stuck", width) for width in (0.008, 0.004)]
+    for name, truth in TRUTH.items():
+        off = [abs(fit[name].item() - truth) for fit in fits]
+        assert off[1] < 0.02 * truth and off[1] < 0.75 * off[0]
+        assert off[1] < 4 * abs(fits[1][f"{name}_change"].item())
+    assert fits[1].rms.item() < 3e-3 and REASONS[fits[1].reason.item()] == "identified"
+
+
+@pytest.mark.parametrize(("start", "window"), [("stuck", (0.0, 0.5)), (None, (0.0, 1.0))], ids=["known", "sought"])
+def test_mu_and_v_cr_come_back_from_a_noisy_velocity(history, noise, start, window):
+    """Noise of 0.02 m/s, twelve times over: within their errors, which are about as large as they say."""
+    away = []
+    for _ in range(12):
+        noisy = history[["v1"]].assign(v1=history.v1 + 0.02 * noise.standard_normal(history.sizes["time"]))
+        fit = fit_friction(noisy, window, start)
+        assert fit.rms.item() == pytest.approx(0.02, rel=0.3) and fit.mu_stderr.item() < 0.05
+        away.append([(fit[name].item() - truth) / fit[f"{name}_stderr"].item() for name, truth in TRUTH.items()])
+    spread = np.sqrt(np.mean(np.square(away), axis=0))
+    assert (spread > 0.5).all() and (spread < 1.6).all()
+
+
+def test_the_search_begins_away_from_the_answer_and_parameters_are_the_users(history):
+    other = measured(m1=300.0, beta=0.3)
+    named = {"start": "stuck", "mu": 0.5, "v_cr": 4.0}
+    fit = fit_friction(other, **named)
+    assert fit.mu.item() == pytest.approx(0.35, rel=0.01) and fit.v_cr.item() == pytest.approx(2.5, rel=0.02)
+    bare = other[["v1"]].drop_attrs()
+    given = fit_friction(bare, **named, m1=300.0, beta=0.3)
+    assert given.mu.item() == fit.mu.item()
+    assert not abs(fit_friction(bare, **named).mu.item() - 0.35) < 0.05  # of another drill; perhaps there is no fit
+
+
+def test_a_window_later_on_and_samples_without_a_value(history):
+    later = history.copy(deep=True)
+    later["v1"][200:210] = np.nan
+    fit = fit_friction(later, window=(0.5, 1.0))
+    assert (fit.used.item(), fit.left_out.item()) == (116, 10)
+    assert fit.mu.item() == pytest.approx(0.35, rel=0.03) and fit.v_cr.item() == pytest.approx(2.5, rel=0.03)
+    np.testing.assert_allclose(fit.state, [later[name].values[125] for name in ("x1", "v1", "x2", "v2")], atol=0.02)
+
+
+def test_what_a_window_cannot_tell_is_nan_with_a_reason(history, noise):
+    """A bit that sticks slides at no speed, so nothing tells how friction falls with it."""
+    stuck = measured(v=0.0)
+    fit = fit_friction(stuck, start="stuck")
+    assert REASONS[fit.reason.item()] in ("confounded", "not-converged")
+    assert np.isnan([fit[name].item() for name in ("mu", "mu_stderr", "v_cr", "v_cr_stderr", "rms")]).all()
+    noisy = history.assign(v1=history.v1 + 1.0 * noise.standard_normal(history.sizes["time"]))
+    vague = fit_friction(noisy[["v1"]], window=(0.0, 0.5))
+    assert REASONS[vague.reason.item()] in ("confounded", "not-converged") and np.isnan(vague.v_cr.item())
+    few = fit_friction(history, window=(0.0, 2 * INTERVAL))
+    assert REASONS[few.reason.item()] == "too-few-lanes" and np.isnan(few.mu.item())
+
+
+@pytest.mark.parametrize(
+    ("change", "named", "line"),
+    [
+        (lambda d: d.drop_vars("v1"), {}, "fit_friction: v1: missing along time"),
+        (lambda d: d, {"window": (3.0, 4.0)}, "window: 3 to 4 s holds 0 samples; two or more are needed"),
+        (lambda d: d.isel(time=[0, 1, 3, 7]), {}, "time: is not evenly spaced"),
+        (lambda d: d.assign(impact_force=d.v1 * 0 + 1.0), {}, "window: holds impacts; choose one between them"),
+        (lambda d: d, {"start": "stock"}, 'start: "stock" is unknown; did you mean "stuck"?'),
+        (lambda d: d, {"start": (0.0, 1.0)}, "start: [0.0, 1.0] is not x1, x1', x2, x2'"),
+        (lambda d: d, {"mu": 0.0}, "mu: is 0; it must be above 0"),
+        (lambda d: d, {"m1": -1.0}, "m1: is -1; it must be above 0 kg"),
+        (lambda d: d, {"m2": 100.0}, "m2: is no parameter of the rotary scene; did you mean"),
+        (lambda d: d, {"smoothing": 0.0}, "smoothing: is 0.0; it must be above 0"),
+        (lambda d: d, {"smoothing": 1e-6}, "shorten the window"),
+    ],
+)
+def test_bad_input_is_refused_in_one_line(history, change, named, line):
+    with pytest.raises(InputError) as caught:
+        fit_friction(change(history), **named)
+    assert line in str(caught.value) and "\n" not in str(caught.value)

@@ -1,0 +1,127 @@
+"""The empirical frequency of eq. 5.17, its coefficient fitted anew to a map of the motion without impact."""
+
+from os import PathLike
+
+import numpy as np
+import xarray as xr
+
+from vibrojax.errors import Place
+from vibrojax.label import IMPACT_FREE
+from vibrojax.laws._about import described, provenance
+from vibrojax.laws._group import IDENTIFIED, TOO_FEW_LANES
+from vibrojax.laws._lanes import opened, parameter
+from vibrojax.physics.modes import empirical_frequency, natural_frequencies
+
+SHARE = 0.25
+"""The source's coefficient."""
+
+_NEEDED = ("m1", "k1", "beta", "gamma")
+
+_ABOUT = {
+    "share": ("1", "coefficient of eq. 5.17 fitted to all lanes"),
+    "share_stderr": ("1", "standard error of the coefficient"),
+    "share_of_lane": ("1", "coefficient of eq. 5.17 that meets the lane's frequency"),
+    "error": ("1", "relative error of eq. 5.17 with its coefficient of 1/4"),
+    "error_refitted": ("1", "relative error of eq. 5.17 with the coefficient fitted"),
+    "holds": ("1", "whether eq. 5.17 with 1/4 holds"),
+    "used": ("1", "lanes that the fit used"),
+    "left_out": ("1", "lanes left out: not impact-free, or in the lower mode"),
+    "reason": ("1", "why the coefficient is not a number"),
+}
+
+
+def refit_frequency(data: xr.Dataset | str | PathLike, within: float = 0.01) -> xr.Dataset:
+    """The coefficient a of w² = (k1 + k2)/m1 + a k2/m2 (eq. 5.17 has a = 1/4) fitted to the periods of a map.
+
+    The equation is of the mode in which bit and striker move against each other, so lanes count that repeat after one
+    return without impact, at a frequency nearer to the upper natural one (eq. 5.16) than to the lower. a is linear in
+    w²: least squares of w²(a)/w² − 1, twice the relative error of w to first order, in closed form.
+
+    **Arguments:**
+
+    - `data`: a rotary sweep's dataset with `period` [s] (and `regime`), or the path of one; m1, k1, beta and gamma are
+      its coordinates or fixed in it.
+    - `within`: the relative error up to which eq. 5.17 is said to hold.
+
+    **Returns:** a dataset with `share`, the a of all lanes, and `share_stderr`: what is left is no noise but the
+    equation's own misfit, so the error is that of a mean over the map. Over the map: `share_of_lane`, the a that meets
+    the lane; `error` and `error_refitted`, the relative errors of w with 1/4 and with `share`; `holds`, whether 1/4 is
+    within `within` (−1: the lane does not count). The attribute `region` says where that is. `used`, `left_out`,
+    `reason`; NaN where there are fewer than two lanes.
+
+    **Raises:** `InputError`.
+    """
+    place, data = opened(data, "refit_frequency")
+    p, period, w = _upper_mode(place, data)
+    counts = np.isfinite(w)
+    unit = p["gamma"] * np.sqrt(p["k1"] / p["m1"]) / w
+    missing, slope = 1 - (np.asarray(empirical_frequency(p, 0.0)) / w) ** 2, unit**2
+    share, share_error = _through_zero(slope[counts], missing[counts])
+    error = np.asarray(empirical_frequency(p, SHARE)) / w - 1
+    used = int(counts.sum())
+    values = {
+        "share": share,
+        "share_stderr": share_error,
+        "share_of_lane": missing / slope,
+        "error": error,
+        "error_refitted": np.asarray(empirical_frequency(p, share)) / w - 1,
+        "holds": np.where(counts, np.abs(np.where(counts, error, 1.0)) <= within, -1).astype(np.int8),
+        "used": np.int32(used),
+        "left_out": np.int32(counts.size - used),
+        "reason": np.int8(IDENTIFIED if used >= 2 else TOO_FEW_LANES),
+    }
+    about = described(_ABOUT)
+    about["holds"] |= {"flag_values": np.array([-1, 0, 1], np.int8), "flag_meanings": "not-counted no yes"}
+    variables = {name: (period.dims if np.ndim(x) else (), x, about[name]) for name, x in values.items()}
+    result = xr.Dataset(variables, period.coords)
+    title = f"eq. 5.17 refitted: {data.attrs.get('title') or place.file}"
+    more = {"within": float(within), "region": _region(result, used)}
+    return result.assign_attrs(provenance(place, data, "refit of eq. 5.17", title, more))
+
+
+def _upper_mode(place: Place, data: xr.Dataset) -> tuple[dict[str, np.ndarray], xr.DataArray, np.ndarray]:
+    """The parameters of all lanes, their period, and their frequency [rad/s], NaN where a lane does not count."""
+    if "period" not in data:
+        raise place.at("period").error("missing; a sweep of the rotary scene has it")
+    parts = xr.broadcast(data["period"], *(parameter(place, data, name) for name in _NEEDED))
+    period = parts[0]
+    p = {name: part.transpose(*period.dims).values for name, part in zip(_NEEDED, parts[1:], strict=True)}
+    counts = np.isfinite(period.values) & (period.values > 0)
+    if "regime" in data:
+        regime = xr.broadcast(data["regime"], period)[0].transpose(*period.dims)
+        counts = counts & (regime == IMPACT_FREE).values
+    w = 2 * np.pi / np.where(counts, period.values, np.nan)
+    lower, upper = np.moveaxis(np.asarray(natural_frequencies(p)), -1, 0)
+    return p, period, np.where(w > np.sqrt(lower * upper), w, np.nan)
+
+
+def _through_zero(slope: np.ndarray, y: np.ndarray) -> tuple[float, float]:
+    """The a of y = a slope by least squares, and its standard error; NaN where there are fewer than two lanes."""
+    if len(y) < 2:
+        return np.nan, np.nan
+    square = (slope**2).sum()
+    share = (slope * y).sum() / square
+    return share, np.sqrt(((y - share * slope) ** 2).sum() / (len(y) - 1) / square)
+
+
+def _region(fit: xr.Dataset, used: int) -> str:
+    """Where eq. 5.17 holds, in words: of a grid, for each beta the gamma at which it does in every lane that counts."""
+    held = fit["holds"]
+    text = f"{int((held == 1).sum())} of {used} lanes"
+    if not {"beta", "gamma"} <= set(held.dims):
+        return text
+    others = [dim for dim in held.dims if dim not in ("beta", "gamma")]
+    everywhere = ((held == 1).any(others) & (held != 0).all(others)).transpose("beta", "gamma").values
+    rows = [
+        f"beta {beta:.4g}: gamma {_stretches(row, fit['gamma'].values)}"
+        for beta, row in zip(fit["beta"].values, everywhere, strict=True)
+        if row.any()
+    ]
+    return "; ".join([text, *rows])
+
+
+def _stretches(row: np.ndarray, values: np.ndarray) -> str:
+    """The stretches of `values` along which `row` is true."""
+    ends = np.flatnonzero(np.diff(np.concatenate([[False], row, [False]]).astype(int)))
+    pairs = [(values[first], values[after - 1]) for first, after in zip(ends[::2], ends[1::2], strict=True)]
+    return ", ".join(f"{low:.4g}" if low == high else f"{low:.4g} to {high:.4g}" for low, high in pairs)
