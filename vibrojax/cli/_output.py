@@ -1,6 +1,7 @@
-"""Checks of what a command is to write, made before any work."""
+"""What a command writes: checked before any work, and drawn after it."""
 
 import os
+import sys
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -34,3 +35,15 @@ def output(path: str | Path, endings: Sequence[str] = (".nc",)) -> Path:
 def picture_beside(path: Path) -> Path:
     """The picture that lies beside the dataset at `path`, as one that can be written."""
     return output(path.with_suffix(".png"), PICTURES)
+
+
+def drawn(dataset: object, picture: Path) -> str:
+    """Draw the fitting picture; returns how to tell of it, or nothing where there is none (which stderr then says)."""
+    from vibrojax.plot import save_picture
+
+    try:
+        save_picture(dataset, picture)
+    except InputError as nothing:  # the dataset is written, and that is what was asked for
+        print(f"no picture: {nothing}", file=sys.stderr)
+        return ""
+    return f"; picture {picture}"

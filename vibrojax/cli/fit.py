@@ -9,7 +9,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import Any
 
-from vibrojax.cli._output import output
+from vibrojax.cli._output import drawn, output, picture_beside
 
 _GROUPS_SHOWN = 12
 
@@ -25,12 +25,14 @@ def arguments(parser: ArgumentParser) -> None:
 def run(options: Namespace) -> None:
     """Run the command."""
     out = output(options.out or f"{Path(options.file).stem}-fit.nc")
+    picture = picture_beside(out)
     from vibrojax.laws import fit_rop, verdict
     from vibrojax.store.dataset import write_dataset
 
     fit = fit_rop(options.file, options.along, options.by or (), progress=False)
     write_dataset(fit, out)
-    print("\n".join([*tables(fit), "", *verdict(fit), str(out)]))
+    told = drawn(fit, picture)
+    print("\n".join([*tables(fit), "", *verdict(fit), f"{out}{told}"]))
 
 
 def tables(fit: Any) -> list[str]:

@@ -1,11 +1,10 @@
 """Simulate one point: its trajectory as a dataset, and a picture beside it."""
 
 import json
-import sys
 from argparse import ArgumentParser, Namespace
 
-from vibrojax.cli._output import output, picture_beside
-from vibrojax.errors import InputError, Place, shown
+from vibrojax.cli._output import drawn, output, picture_beside
+from vibrojax.errors import Place, shown
 
 # Settings of the run, which are no parameters of a scene.
 _TEXTS = ("method", "solver")
@@ -38,18 +37,13 @@ def run(options: Namespace) -> None:
     out = output(options.out or f"{point.scene}.nc")
     picture = picture_beside(out)
 
-    from vibrojax.plot import save_picture
     from vibrojax.simulation import simulate
     from vibrojax.store.dataset import write_dataset
 
     start = {} if point.start is None else {"start": point.start}
     dataset = simulate(point.scene, **start, **settings, **point.options, **point.parameters, progress=True)
     write_dataset(dataset, out)
-    try:
-        save_picture(dataset, picture)
-    except InputError as nothing:  # the dataset is written, and that is what was asked for
-        print(f"no picture: {nothing}", file=sys.stderr)
-    print(f"{out}; picture {picture}")
+    print(f"{out}{drawn(dataset, picture)}")
 
 
 def read_values(place: Place, words: list[str]) -> tuple[dict[str, object], dict[str, object]]:

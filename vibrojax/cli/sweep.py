@@ -1,12 +1,9 @@
 """Run a sweep file: a labelled dataset, and a picture beside it."""
 
 import shlex
-import sys
 from argparse import ArgumentParser, Namespace
-from pathlib import Path
 
-from vibrojax.cli._output import output, picture_beside
-from vibrojax.errors import InputError
+from vibrojax.cli._output import drawn, output, picture_beside
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -33,18 +30,9 @@ def run(options: Namespace) -> None:
     command = shlex.join(["vibrojax", "sweep", options.sweep, "-o", str(out)])
     options.how_to_resume = f"finished chunks are kept; to go on: {command}"
     dataset = run_to_file(sweep, out, resume=not options.fresh, progress=not options.quiet)
-    _draw(dataset, picture)
+    told = drawn(dataset, picture)
     if not options.quiet:
-        print(f"{out}: {sweep.lanes} lanes; picture {picture}")
-
-
-def _draw(dataset: object, picture: Path) -> None:
-    from vibrojax.plot import save_picture
-
-    try:
-        save_picture(dataset, picture)
-    except InputError as nothing:  # the dataset is written, and that is what was asked for
-        print(f"no picture: {nothing}", file=sys.stderr)
+        print(f"{out}: {sweep.lanes} lanes{told}")
 
 
 def _estimated(shape: tuple[int, ...], dims: tuple[str, ...], found: dict) -> list[str]:
