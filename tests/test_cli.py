@@ -256,6 +256,16 @@ def test_info_tells_what_is_there():
         assert line in text, text
 
 
+def test_info_tells_of_what_is_not_sure():
+    """Lanes without a bound on their error count as outside; labels that flip are counted."""
+    dataset = labelled()
+    dataset["error_estimate"][2, 0] = np.inf
+    dataset["check_regime"] = dataset["regime"].copy(data=np.array([[2, 2], [3, 2], [2, 3]], np.int8))
+    text = "\n".join(describe(dataset))
+    assert "largest inf" in text and "66.67 % of 3 periodic lanes within the accepted 0.001" in text
+    assert "1 of 6 regimes are others at the check run's coarser resolution" in text
+
+
 @pytest.mark.parametrize("dropped", ["regime", "reason", "error_estimate", "beta"])
 def test_info_does_without(dropped):
     dataset = labelled().drop_vars(dropped)

@@ -137,6 +137,17 @@ def test_error_estimate_bounds_the_error(usual):
     assert np.all(np.isnan(dataset.error_estimate.values[~periodic]))
 
 
+def test_certificate(usual):
+    """The header counts the lanes with an estimate; no regime of a case flips, but for irregular ones."""
+    _, dataset = usual
+    told = json.loads(dataset.certified)
+    periodic = int((dataset.cycles > 0).sum())
+    assert told["lanes"] == dataset.sizes["point"] and told["estimated"] == told["within"] == periodic
+    flips = dataset.check_regime.values != dataset.regime.values
+    assert told["regime_flips"] == flips.sum()
+    assert not flips[dataset.cycles.values > 0].any()
+
+
 def test_hard_cases(hard):
     cases, dataset = hard
     assert regimes(dataset) == [case["expected"]["regime"] for case in cases]

@@ -16,6 +16,9 @@ REGIMES = (
 )
 """Meaning of each flag."""
 
+LABELLED_BY = ("finite", "finished", "bit_amplitude", "returns", "trend", "cycles", "impacts")
+"""The features that decide a label."""
+
 EQUILIBRIUM_SWING = 1e-3
 LEAST_FRICTION = 0.01
 FEWEST_RETURNS = 9

@@ -239,7 +239,10 @@ def test_the_command_prints_tables_and_writes_the_fit(tmp_path, monkeypatch, cap
     assert printed[0] == "force=200000 N: 8 lanes along frequency"
     assert printed[1].split() == ["form", "C", "[m/s]", "eta0", "exponent", "R2", "AIC"]
     assert printed[4].startswith("  onset    0.0013 ± ") and printed[8] == "force=300000 N: 8 lanes along frequency"
-    assert printed[-3:-1] == [printed[-3], "the log law holds in 2 of 2"] and printed[-1] == "map-fit.nc; picture map-fit.png"
+    assert (
+        printed[-3:-1] == [printed[-3], "the log law holds in 2 of 2"]
+        and printed[-1] == "map-fit.nc; picture map-fit.png"
+    )
     stored = open_dataset("map-fit.nc")
     xr.testing.assert_allclose(stored, fit_rop("map.nc", progress=False))
     assert list(stored.form.values) == ["literal", "percent", "onset", "line", "power"]

@@ -29,7 +29,11 @@ def describe(dataset: Any) -> list[str]:
     lines.append(("grid", _grid(dataset)))
     if "lanes" in attributes:
         lines.append(("lanes", [str(attributes["lanes"])]))
-    lines += [("regimes", _regimes(dataset)), ("failures", _failures(dataset)), ("accuracy", _accuracy(dataset))]
+    lines += [
+        ("regimes", _regimes(dataset)),
+        ("failures", _failures(dataset)),
+        ("accuracy", _accuracy(dataset) + _flips(dataset)),
+    ]
     lines.append(("variables", [", ".join(str(name) for name in dataset.data_vars)]))
     made_by = [name for name in ("solver", "source", "history") if name in attributes]
     lines += [(name, str(attributes[name]).split("\n")) for name in made_by]
@@ -119,6 +123,14 @@ def _accuracy(dataset: Any) -> list[str]:
         f"error_estimate median {np.median(errors):.2g}, largest {errors.max():.2g}",
         f"{share:.4g} % of {errors.size} periodic lanes within the accepted {accepted:g}",
     ]
+
+
+def _flips(dataset: Any) -> list[str]:
+    """Of how many lanes the regime is another one at a coarser resolution."""
+    if "regime" not in dataset or "check_regime" not in dataset:
+        return []
+    flips = int((dataset["regime"].values != dataset["check_regime"].values).sum())
+    return [f"{flips} of {dataset['regime'].size} regimes are others at the check run's coarser resolution"]
 
 
 def _accepted(text: str) -> float:

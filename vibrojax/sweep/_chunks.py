@@ -6,6 +6,7 @@ import jax
 import numpy as np
 
 from vibrojax.devices import precision, workers
+from vibrojax.label import LABELLED_BY
 from vibrojax.measure import recorder_for
 from vibrojax.stepping import Located, Smoothed
 from vibrojax.sweep._accuracy import Accuracy, accuracy_for
@@ -75,7 +76,7 @@ class Chunks:
         fine = {name: np.concatenate([part[name] for part in found[::2]]) for name in found[0]}
         check = {name: np.concatenate([part[name] for part in found[1::2]]) for name in found[0]}
         fine["error_estimate"] = error_estimate(fine, check, self.sweep.run.method, self._least_error)
-        return fine
+        return fine | {f"check_{name}": check[name] for name in LABELLED_BY if name in check}
 
     @property
     def _least_error(self) -> float:

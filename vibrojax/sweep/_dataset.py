@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 import numpy as np
 import xarray as xr
 
-from vibrojax.label import label
+from vibrojax.label import LABELLED_BY, label
 from vibrojax.physics.parameters import ROTATION, Parameter
 from vibrojax.store.provenance import source
 from vibrojax.store.variables import REASONS, STATUSES, VARIABLES
@@ -42,6 +42,7 @@ def dataset_of(sweep: Sweep, features: dict, solver: dict, wall_time: float) -> 
         "parameters": json.dumps(sweep.parameters),
         **sweep.options,
         "solver": json.dumps(solver),
+        "certified": json.dumps(_certified(sweep, features)),
         "wall_time_s": float(wall_time),
         "lanes": sweep.lanes,
         "Conventions": "CF-1.11",
@@ -69,10 +70,26 @@ def _finished(sweep: Sweep, features: dict) -> dict:
 
 
 def _labelled(sweep: Sweep, features: dict) -> dict:
-    """The regime of every lane."""
+    """The regime of every lane, and that by its check run."""
     values, _ = sweep.lane_values(0, sweep.lanes)
     rest = np.asarray(sweep.machine.friction.on_weight(0.0, values)) + np.zeros(sweep.lanes)
-    return {"regime": label(features, rest, values["m1"], values["g"], values["k1"])}
+    check = {name: features[f"check_{name}"] for name in LABELLED_BY if f"check_{name}" in features}
+    both = {"regime": features, "check_regime": check}
+    return {name: label(found, rest, values["m1"], values["g"], values["k1"]) for name, found in both.items()}
+
+
+def _certified(sweep: Sweep, features: dict) -> dict:
+    """How many lanes have an error estimate, of how many it is within what is accepted, and how many labels flip."""
+    estimate = features["error_estimate"][features["reason"] == 0]
+    found = {
+        "error": sweep.run.error,
+        "lanes": sweep.lanes,
+        "estimated": int(np.sum(~np.isnan(estimate))),
+        "within": int(np.sum(estimate <= sweep.run.error)),
+    }
+    if "regime" in features:
+        found["regime_flips"] = int(np.sum(features["regime"] != features["check_regime"]))
+    return found
 
 
 def _coordinates(sweep: Sweep, kept: dict) -> dict:
