@@ -1,7 +1,7 @@
-"""Settings of the whole test run, made before JAX starts: two CPU devices, float64."""
+"""Settings of the whole test run, made before JAX starts: float64, and no promotion that was not asked for."""
 
 import jax
 
-jax.config.update("jax_num_cpu_devices", 2)
 jax.config.update("jax_enable_x64", True)
-jax.config.update("jax_numpy_dtype_promotion", "standard")
+jax.config.update("jax_numpy_dtype_promotion", "strict")
+jax.config.update("jax_numpy_rank_promotion", "raise")

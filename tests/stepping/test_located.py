@@ -35,7 +35,7 @@ def end_states(scene, method, p, state, settings, end):
         lane, steps = carry
         moving = lane.clock.until(end) > 0
         lane, _ = method.step(scene, p, lane, settings, end, moving)
-        return lane, steps + moving
+        return lane, jnp.where(moving, steps + 1, steps)
 
     lane, steps = jax.lax.while_loop(goes_on, one, (lane_at(scene, p, state), jnp.zeros_like(state[0])))
     return jnp.stack(lane.state), steps

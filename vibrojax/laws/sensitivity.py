@@ -73,7 +73,7 @@ def _differentiated(scene, wrt, fixed, spans, at):
     """Rate, number of yields, derivative (parameters,), and yields with each parameter moved up and down."""
     run = partial(_rate, scene, wrt, fixed, spans)
     rate, tangents = jax.vmap(lambda t: jax.jvp(run, (at,), (t,)), out_axes=(None, 0))(jnp.eye(len(wrt)))
-    moved = at * (1 + NEARBY * jnp.stack([jnp.eye(len(wrt)), -jnp.eye(len(wrt))]))
+    moved = at[None, None] * (1 + NEARBY * jnp.stack([jnp.eye(len(wrt)), -jnp.eye(len(wrt))]))
     nearby = jax.vmap(jax.vmap(run))(moved)[..., 1]
     return rate[0], rate[1], tangents[:, 0], nearby
 

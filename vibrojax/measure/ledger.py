@@ -32,7 +32,7 @@ def section(ledger: dict, here, number) -> tuple[dict, dict]:
     now = keep(jnp.stack(list(sums.values())))
     since = dict(zip(sums, now - ledger["rows"][0], strict=True))
     shifted = jnp.concatenate([now[None], ledger["rows"][:-1]])
-    return {"sums": sums, "rows": jnp.where(here, shifted, ledger["rows"])}, since
+    return {"sums": sums, "rows": jnp.where(here[None, None], shifted, ledger["rows"])}, since
 
 
 def whole(ledger: dict, returns, cycles) -> tuple[dict, jnp.ndarray]:
@@ -41,5 +41,5 @@ def whole(ledger: dict, returns, cycles) -> tuple[dict, jnp.ndarray]:
     rest = jnp.where(cycles > 0, intervals % jnp.maximum(cycles, 1), 0)
     picked = ledger["rows"][0]
     for row in range(1, MOST_CYCLES):
-        picked = jnp.where(rest == row, ledger["rows"][row], picked)
+        picked = jnp.where((rest == row)[None], ledger["rows"][row], picked)
     return dict(zip(ledger["sums"], picked, strict=True)), intervals - rest

@@ -25,7 +25,7 @@ def _step(scene, p, carry: dict, lane, step) -> dict:
 
 def _turn_over(carry: dict, lane) -> dict:
     waiting = carry["waiting"]
-    return {"waiting": jnp.zeros_like(waiting), "number": carry["number"] + waiting}
+    return {"waiting": jnp.zeros_like(waiting), "number": jnp.where(waiting, carry["number"] + 1, carry["number"])}
 
 
 @dataclass(frozen=True)

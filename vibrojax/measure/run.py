@@ -74,7 +74,7 @@ def _stretch(scene, method, p, settings, end, lane, carry, take_in, turn_over, r
         lane, carry, steps = state
         moving = active(lane) & ~returns_of(carry)["waiting"] & (steps < settings["most_steps"])
         lane, step = method.step(scene, p, lane, settings, end, moving)
-        return lane, take_in(carry, lane, step), steps + moving
+        return lane, take_in(carry, lane, step), jnp.where(moving, steps + 1, steps)
 
     def turn(state):
         lane, carry, steps = jax.lax.fori_loop(0, STEPS_PER_TURN, one, state)

@@ -78,10 +78,10 @@ def turn_over(carry: dict, lane) -> dict:
     scale = keep(jnp.stack([bit, striker, striker * 2 * jnp.pi / carry["since"]]))
     differs = keep(jnp.abs(state[None] - carry["states"]))
     # A return that has not been yet is NaN, which compares false.
-    unsettled = here & jnp.any(differs > SETTLED_WITHIN * scale[None], axis=1)
+    unsettled = here[None] & jnp.any(differs > SETTLED_WITHIN * scale[None], axis=1)
     repeats = jnp.all(differs <= SETTLED_WITHIN * scale[None], axis=1)
-    back = jnp.arange(MOST_CYCLES).reshape(-1, *[1] * carry["number"].ndim)
-    compared = here & (back < carry["number"])
+    back = jnp.arange(MOST_CYCLES, dtype=carry["number"].dtype).reshape(-1, *[1] * carry["number"].ndim)
+    compared = here[None] & (back < carry["number"][None])
     worst = jnp.where(compared[:, None], jnp.maximum(carry["worst"], differs), carry["worst"])
     times = keep(jnp.concatenate([lane.clock.high[None], carry["times"][:-1]]))
     x1, _, x2, _ = lane.state[:4]
@@ -96,10 +96,10 @@ def turn_over(carry: dict, lane) -> dict:
         "since": jnp.where(here, 0, carry["since"]),
         "swing1": tuple(jnp.where(here, x1, one) for one in carry["swing1"]),
         "swing2": tuple(jnp.where(here, x2, one) for one in carry["swing2"]),
-        "states": jnp.where(here, jnp.concatenate([state[None], carry["states"][:-1]]), carry["states"]),
-        "times": jnp.where(here, times, carry["times"]),
+        "states": jnp.where(here[None, None], jnp.concatenate([state[None], carry["states"][:-1]]), carry["states"]),
+        "times": jnp.where(here[None], times, carry["times"]),
         "settled": jnp.where(unsettled, carry["times"], carry["settled"]),
-        "number": carry["number"] + here,
+        "number": jnp.where(here, carry["number"] + 1, carry["number"]),
         "worst": worst,
     }
 

@@ -27,7 +27,7 @@ class Swings(Gauge):
 
     def section(self, scene, p, carry, at):
         eighth = jnp.clip(jnp.floor(at.share * EIGHTHS), 0, EIGHTHS - 1)
-        index = jnp.arange(EIGHTHS).reshape(-1, *[1] * at.here.ndim)
+        index = jnp.arange(EIGHTHS, dtype=eighth.dtype).reshape(-1, *[1] * at.here.ndim)
         mine = at.here[None] & (at.number[None] > 0) & (eighth[None] == index)
         greatest = jnp.where(mine, jnp.fmax(carry["greatest"], at.bit_amplitude[None]), carry["greatest"])
         return carry | {"greatest": greatest}

@@ -34,7 +34,7 @@ def run_lanes(scene, method, recorder, starts, p, start, count, settings) -> dic
     """
     constants = dict(scene.constants(p))
     state = _start(scene, constants, starts, start)
-    real = jnp.arange(start.size) < count
+    real = jnp.arange(start.size, dtype=count.dtype) < count
     return run_block(scene, method, recorder, constants, state, real, settings)
 
 
