@@ -63,10 +63,7 @@ class Chunks:
         first, last = self.lanes(index)
         blocks = [(at, min(at + self.block, last)) for at in range(first, last, self.block)]
         items = [(*block, accuracy) for block in blocks for accuracy in (self.accuracy, coarse)]
-        if not self._compiled:  # once, and not by every thread
-            for worker in dict.fromkeys(self.workers):
-                self._run(worker, (first, first, self.accuracy))
-            self._compiled = True
+        self.compile()
         found: list[dict] = [{} for _ in items]
         for item, features in in_parallel(self._run, items, self.workers):
             found[item] = features
@@ -76,6 +73,20 @@ class Chunks:
         check = {name: np.concatenate([part[name] for part in found[1::2]]) for name in found[0]}
         fine["error_estimate"] = error_estimate(fine, check, self.sweep.run.method, self._least_error)
         return fine
+
+    def compile(self) -> None:
+        """Compile the program, once, and not by every thread."""
+        if not self._compiled:
+            for worker in dict.fromkeys(self.workers):
+                self._run(worker, (0, 0, self.accuracy))
+            self._compiled = True
+
+    def at(self, accuracy: Accuracy, index: int = 0) -> dict:
+        """Features of a chunk's lanes at an `accuracy` of the caller's, by name (lanes,), without the check run."""
+        first, last = self.lanes(index)
+        items = [(at, min(at + self.block, last), accuracy) for at in range(first, last, self.block)]
+        found = dict(in_parallel(self._run, items, self.workers))
+        return {name: np.concatenate([found[item][name] for item in range(len(items))]) for name in found[0]}
 
     @property
     def _least_error(self) -> float:
