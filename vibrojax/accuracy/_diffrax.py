@@ -33,8 +33,11 @@ class Diffrax(Program):
 
     def run(self, accuracy):
         end = self.lanes.settle + self.lanes.observe
-        found = in_parallel(lambda worker, _: self._solve(worker, accuracy, end), self.workers, self.workers)
-        return {"steps": np.concatenate([steps for _, (_, steps, _) in found])}
+        found = list(in_parallel(lambda worker, _: self._solve(worker, accuracy, end), self.workers, self.workers))
+        return {
+            "steps": np.concatenate([steps for _, (_, steps, _) in found]),
+            "finished": np.concatenate([finished for _, (_, _, finished) in found]),
+        }
 
     def features(self, accuracy, ran):
         count = round(self.lanes.observe / SAMPLING) + 1

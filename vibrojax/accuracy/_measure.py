@@ -65,13 +65,8 @@ def unsupported(setting: Setting, lanes: int) -> Measured:
 
 
 def measure(setting: Setting, program: Program, compile_time: float, reference: dict, usable, repeats: int) -> Measured:
-    """Run `setting`, at least twice, and compare the lanes that are `usable` with the `reference`."""
-    seconds: list[float] = []
-    ran: dict = {}
-    while len(seconds) < (repeats if sum(seconds) < LONG else 2):
-        began = time.perf_counter()
-        ran = program.run(setting.accuracy)
-        seconds.append(time.perf_counter() - began)
+    """Run `setting` up to so many `repeats`, and compare the lanes that are `usable` with the `reference`."""
+    ran, seconds = _timed(program, setting.accuracy, repeats)
     features = program.features(setting.accuracy, ran)
     features = {name: x[usable] for name, x in features.items()}
     expected = {name: x[usable] for name, x in reference.items()}
@@ -93,6 +88,19 @@ def measure(setting: Setting, program: Program, compile_time: float, reference: 
         int((good & (features["cycles"] == expected["cycles"])).sum()) if "cycles" in expected else int(good.sum()),
         {name: x[good] for name, x in errors.items()},
     )
+
+
+def _timed(program: Program, accuracy: Accuracy, repeats: int) -> tuple[dict, list[float]]:
+    """What a run gave, and the seconds of every repeat: two of long ones, one where lanes did not get to the end."""
+    seconds: list[float] = []
+    ran: dict = {}
+    while len(seconds) < (repeats if sum(seconds) < LONG else 2):
+        began = time.perf_counter()
+        ran = program.run(accuracy)
+        seconds.append(time.perf_counter() - began)
+        if not ran["finished"].all():
+            break
+    return ran, seconds
 
 
 _WORDS = {

@@ -6,6 +6,10 @@ from vibrojax.accuracy._lanes import Lanes
 from vibrojax.devices import workers
 from vibrojax.sweep import Accuracy, Chunks, read_sweep
 
+MOST_STEPS = 1e5
+"""Steps after which a lane is given up, beyond those that its longest step asks for: far fewer than in a sweep, because
+a setting that is too coarse for a scene should not keep the others waiting."""
+
 BLOCK = 64
 """Lanes per core: as many as step together in a sweep."""
 
@@ -29,7 +33,7 @@ class Program(ABC):
 
     @abstractmethod
     def run(self, accuracy: Accuracy) -> dict:
-        """Run all lanes: what is timed. Returns `steps` at least, (lanes and their copies,)."""
+        """Run all lanes: what is timed. Returns `steps` and `finished` at least, (lanes and their copies,)."""
 
     @abstractmethod
     def features(self, accuracy: Accuracy, ran: dict) -> dict:
@@ -42,6 +46,7 @@ class Own(Program):
     def __init__(self, lanes: Lanes, method: str, precision: str):
         super().__init__(lanes)
         self._chunks = Chunks(read_sweep(lanes.sweep(method, precision, self.copies)))
+        self._chunks.most_steps = MOST_STEPS
 
     def compile(self, accuracy):
         self._chunks.compile()

@@ -40,6 +40,7 @@ class Chunks:
         self.dtype = np.dtype(sweep.run.precision)
         self.method = Located() if sweep.run.method == "located" else Smoothed()
         self.accuracy = accuracy_for(sweep.run)
+        self.most_steps = MOST_STEPS
         self.workers = workers()
         self.block = BLOCK if self.workers[0].platform == "cpu" else BLOCK_ON_ACCELERATOR
         self._recorder = recorder_for(sweep.machine, sweep.run.keep_returns)
@@ -98,7 +99,7 @@ class Chunks:
         run = self.sweep.run
         values, start = self.sweep.lane_values(first, max(last, first + 1))
         asked = 2 * (run.settle + run.observe) / accuracy.step
-        settings = {"settle": run.settle, "observe": run.observe, "most_steps": MOST_STEPS + asked}
+        settings = {"settle": run.settle, "observe": run.observe, "most_steps": self.most_steps + asked}
         settings |= accuracy.settings()
         with precision(run.precision), jax.default_device(worker):
             found = run_lanes(
