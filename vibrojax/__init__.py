@@ -12,6 +12,7 @@ _HOMES = {
     "run_sweep": "vibrojax.sweep",
     "read_sweep": "vibrojax.sweep",
     "simulate": "vibrojax.simulation",
+    "run_accuracy": "vibrojax.accuracy",
     "rop_derivatives": "vibrojax.laws",
     "open_dataset": "vibrojax.store.dataset",
     "write_dataset": "vibrojax.store.dataset",
