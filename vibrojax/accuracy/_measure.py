@@ -12,7 +12,7 @@ from vibrojax.accuracy._programs import Own, Program
 from vibrojax.accuracy._settings import NO_ROCK, SOLVERS, Setting
 from vibrojax.sweep import Accuracy
 
-LONG = 1.0  # s
+LONG = 0.6  # s of repeats, from which on two are enough
 
 
 @dataclass(frozen=True)
