@@ -15,7 +15,7 @@ from vibrojax.devices import precision
 from vibrojax.stepping.adaptive import smoothed_solution, solver_named
 from vibrojax.sweep import in_parallel, read_sweep
 
-MOST_STEPS = 1_000_000
+MOST_STEPS = 300_000
 SAMPLING = 2e-4  # s
 
 
@@ -47,6 +47,7 @@ class Diffrax(Program):
             p, _ = self._inputs(self.lanes.count)
             found = features_of(self._sweep.machine, p, SAMPLING, states, accuracy.smoothing)
         finite = np.isfinite(states).all(axis=(0, 2))
+        finished &= ran["finished"][: len(finished)]
         return found | {"steps": steps, "finite": finite | ~finished, "finished": finished}
 
     def _solve(self, worker, accuracy, end, times=None):

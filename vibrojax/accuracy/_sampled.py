@@ -34,42 +34,51 @@ def features_of(scene, p, sampling: float, states: np.ndarray, width: float) -> 
 
 
 def _of_one(scene, p, sampling, states, width) -> dict:
-    x1, v1, x2 = states[:3]
-    overtakes = np.flatnonzero((v1[:-1] <= 0) & (v1[1:] > 0))
-    overtakes = _armed(v1, overtakes, -ARMED_BELOW * float(p["v"]))
+    contact = hasattr(scene, "contact_force")
+    nothing = {"period": np.nan, "cycles": 0, "stick_fraction": np.nan}
+    if contact:
+        nothing |= {"impacts": 0, "impact_velocity": np.nan, "peak_impact_force": np.nan}
+    if not np.isfinite(states).all():
+        return nothing
+    v = float(p["v"])
+    overtakes = _armed(states[1], -ARMED_BELOW * v)
     late, at = _landed(scene, p, sampling, states[:, overtakes], width, 1, 0.0)
     times = overtakes * sampling + late
-    found = {"period": np.nan, "cycles": 0, "stick_fraction": np.nan}
-    contact = hasattr(scene, "contact_force")
-    if contact:
-        found |= {"impacts": 0, "impact_velocity": np.nan, "peak_impact_force": np.nan}
     if len(times) < 3:
-        return found
-    swing = (np.ptp(x1) / 2, np.ptp(x2) / 2)
-    period = (times[-1] - times[0]) / (len(times) - 1)
-    scale = np.array([swing[0], swing[1], swing[1] * 2 * np.pi / period])
-    cycles = _cycles(np.stack([at[0], at[2], at[3]]) / scale[:, None])
-    returns = (len(times) - 1) // cycles * cycles if cycles else len(times) - 1
+        return nothing
+    bit, striker = np.ptp(states[0]) / 2, np.ptp(states[2]) / 2
+    scale = np.array([bit, striker, striker * 2 * np.pi / np.diff(times).mean()])
+    cycles = _cycles(at[[0, 2, 3]] / scale[:, None])
+    returns = len(times) - 1
+    returns -= returns % cycles if cycles else 0
     first, last = times[0], times[returns]
-    period = (last - first) / returns
-    stuck = np.abs(v1 + float(p["v"])) <= STICK_WIDTHS * width
-    found |= {"period": period, "cycles": cycles, "stick_fraction": _share(stuck, sampling, first, last)}
-    if contact:
-        delta = float(p["delta"])
-        begins = np.flatnonzero((x2[:-1] < delta) & (x2[1:] >= delta))
-        late, at = _landed(scene, p, sampling, states[:, begins], width, 2, delta)
-        inside = (begins * sampling + late >= first) & (begins * sampling + late < last)
-        per_return = inside.sum() / returns
-        velocity = at[3][inside].mean() if inside.any() else np.nan
-        impacts = round(per_return * cycles) if cycles else per_return
-        found |= {"impacts": impacts, "impact_velocity": velocity, "peak_impact_force": _peak(scene, p, states)}
-    return found
+    stuck = np.abs(states[1] + v) <= STICK_WIDTHS * width
+    found = {
+        "period": (last - first) / returns,
+        "cycles": cycles,
+        "stick_fraction": _share(stuck, sampling, first, last),
+    }
+    if not contact:
+        return found
+    number, velocity = _impacts(scene, p, sampling, states, width, first, last)
+    impacts = round(number / returns * cycles) if cycles else number / returns
+    return found | {"impacts": impacts, "impact_velocity": velocity, "peak_impact_force": _peak(scene, p, states)}
 
 
-def _armed(v1, crossings, below) -> np.ndarray:
-    """The crossings since the last of which the bit has been slower than `below` (contract: section)."""
+def _impacts(scene, p, sampling, states, width, first, last) -> tuple[int, float]:
+    """Number of impacts from `first` to before `last` [s], and their mean velocity [m/s]."""
+    delta = float(p["delta"])
+    begins = np.flatnonzero((states[2, :-1] < delta) & (states[2, 1:] >= delta))
+    late, at = _landed(scene, p, sampling, states[:, begins], width, 2, delta)
+    times = begins * sampling + late
+    inside = (times >= first) & (times < last)
+    return int(inside.sum()), float(at[3][inside].mean()) if inside.any() else np.nan
+
+
+def _armed(v1, below) -> np.ndarray:
+    """Samples before v1 rises through zero, having been slower than `below` since the last time (contract: section)."""
     kept, last = [], 0
-    for index in crossings:
+    for index in np.flatnonzero((v1[:-1] <= 0) & (v1[1:] > 0)):
         if v1[last : index + 1].min() < below:
             kept.append(index)
             last = index + 1
