@@ -6,12 +6,16 @@ import numpy as np
 import pytest
 
 from vibrojax.accuracy import pareto, run_accuracy, table
+from vibrojax.accuracy._dataset import dataset_of
 from vibrojax.accuracy._errors import STATUSES, errors_of, statuses_of, usable
 from vibrojax.accuracy._lanes import SCENES, lanes_of
+from vibrojax.accuracy._measure import measure
+from vibrojax.accuracy._programs import Program
 from vibrojax.accuracy._sampled import _cycles, _peak, _share
 from vibrojax.accuracy._settings import settings_of
 from vibrojax.cli import main
 from vibrojax.errors import InputError
+from vibrojax.plot import work_precision
 from vibrojax.store.dataset import open_dataset, write_dataset
 from vibrojax.sweep import read_sweep
 
@@ -130,6 +134,33 @@ def test_what_became_of_lanes():
     np.testing.assert_allclose(errors["overall"][0], 1e-6, rtol=1e-6)
     expected = ["done", "other-regime", "other-regime", "not-finite", "out-of-steps"]
     assert [STATUSES[status] for status in statuses_of(found, reference, errors)] == expected
+
+
+def test_a_setting_whose_lanes_fail_stays_with_the_reason():
+    lanes = lanes_of("penetration")
+    reference = {"rate_of_penetration": np.ones(4)}
+
+    class Failing(Program):
+        def compile(self, accuracy):
+            pass
+
+        def run(self, accuracy):
+            return {"steps": np.full(4, 7.0), "finished": np.arange(4) != 2}
+
+        def features(self, accuracy, ran):
+            return ran | {"rate_of_penetration": np.array([1.0, np.nan, 1.0, 3.0]), "finite": np.arange(4) != 1}
+
+    found = measure(settings_of("penetration")[0], Failing(lanes), 1.0, reference, np.ones(4, bool), repeats=5)
+    assert (found.status, found.lanes, found.agreeing, len(found.seconds)) == ("not-finite", 4, 1, 1)
+    reasons = [
+        "1 of 4 lanes did not stay finite",
+        "1 of 4 lanes did not reach the end within the steps allowed",
+        "1 of 4 lanes moved in another way than the reference",
+    ]
+    assert found.reason == "; ".join(reasons)
+    ds = dataset_of([found], {"penetration": 1e-14}, 1.0)
+    assert not ds["on_front"].any() and found.reason in table(ds)
+    assert work_precision(ds).axes
 
 
 def test_lanes_that_do_not_repeat_are_left_out():

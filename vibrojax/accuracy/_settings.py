@@ -16,6 +16,7 @@ SECOND_REFERENCE = Accuracy(tolerance=1e-13, stride=0.35, step=np.inf, smoothing
 STEP_PER_WIDTH = 0.3  # s per m/s
 WIDTH = 1e-3  # m/s
 STRIDE = 0.3
+LONGEST = 1e-2  # s, which no stride reaches
 TOLERANCE_PER_WIDTH = 1e-2
 
 TSIT5, FIXED = "diffrax Tsit5", "diffrax Tsit5, fixed steps"
@@ -66,7 +67,7 @@ def _full(scene: str) -> Iterator[tuple]:
     for tolerance in (1e-6, 1e-5, 1e-4, 1e-3):
         yield "located", "float32", "tolerance", tolerance, _tolerance(tolerance)
     if scene == "penetration":  # nothing in it is smoothed
-        for stride in (0.01, 0.03, 0.1, 0.3, 1.0):
+        for stride in (0.03, 0.1, 0.3, 1.0):
             yield "smoothed", "float64", "stride", stride, _smoothed_stride(stride)
         for stride in (0.03, 0.1, 0.3, 1.0):
             yield "smoothed", "float32", "stride", stride, _smoothed_stride(stride)
@@ -121,4 +122,4 @@ def _step(step: float) -> Accuracy:
 
 
 def _smoothed_stride(stride: float) -> Accuracy:
-    return Accuracy(0.0, stride, STEP_PER_WIDTH * WIDTH * 10, WIDTH)
+    return Accuracy(0.0, stride, LONGEST, WIDTH)
