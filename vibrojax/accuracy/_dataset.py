@@ -11,7 +11,7 @@ from vibrojax.accuracy._errors import ERRORS, RELATIVE, STATUSES
 from vibrojax.accuracy._front import pareto
 from vibrojax.accuracy._machine import machine
 from vibrojax.accuracy._measure import Measured
-from vibrojax.accuracy._settings import REFERENCE, SECOND_REFERENCE
+from vibrojax.accuracy._settings import REFERENCE, SECOND_REFERENCE, SETTINGS_TEXT
 from vibrojax.store.provenance import source
 
 SETTING = "setting"
@@ -39,6 +39,7 @@ def dataset_of(measured: list[Measured], floors: dict[str, float], wall_time: fl
         "source": source(),
         "history": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} accuracy",
         "reference": REFERENCE_TEXT,
+        "settings": SETTINGS_TEXT,
         "machine": json.dumps(machine()),
         "wall_time_s": float(wall_time),
         "Conventions": "CF-1.11",

@@ -47,7 +47,7 @@ class Diffrax(Program):
             p, _ = self._inputs(self.lanes.count)
             found = features_of(self._sweep.machine, p, SAMPLING, states, accuracy.smoothing)
         finite = np.isfinite(states).all(axis=(0, 2))
-        finished &= ran["finished"][: len(finished)]
+        finished = finished & ran["finished"][: len(finished)]
         return found | {"steps": steps, "finite": finite | ~finished, "finished": finished}
 
     def _solve(self, worker, accuracy, end, times=None):

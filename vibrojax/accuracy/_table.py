@@ -8,6 +8,14 @@ import xarray as xr
 _COLUMNS = ("method", "precision", "setting", "µs per lane-s", "spread", "worst", "median")
 _MORE = ("period", "impact_velocity", "peak_impact_force", "stick_fraction", "rate_of_penetration")
 _TITLES = ("period", "impact velocity", "peak force", "stick fraction", "ROP")
+_READING = (
+    "Time is that of all lanes on all cores, copied until each core has a block of them, divided by their number and the "
+    "seconds that each is simulated, without compiling and without a check run: the median of the repeats, and half "
+    "their range as its spread. Worst and median are over the lanes that move like the reference, of the larger relative "
+    "error of period and impact velocity (penetration: of the rate of penetration, ROP); the columns after them are the "
+    "worst lane's, relative, of the stick fraction the difference. Settings in bold are on the Pareto front of time and "
+    "worst error. Rows with a remark had lanes that failed; they are never on the front."
+)
 _UNITS = {"width": " m/s", "step": " s"}
 
 
@@ -22,12 +30,9 @@ def table(ds: xr.Dataset) -> str:
         "",
         f"Reference: {ds.attrs['reference']}.",
         "",
-        "Time is that of all lanes on all cores, divided by the lanes and the seconds that each is simulated, without",
-        "compiling: the median of the repeats, and half their range as its spread. Worst and median are over the lanes",
-        "that move like the reference, of the larger relative error of period and impact velocity (penetration: of the",
-        "rate of penetration, ROP); the columns after them are the worst lane's, relative, of the stick fraction the",
-        "difference. Settings in bold are on the Pareto front of time and worst error. Rows with a remark had lanes",
-        "that failed; they are never on the front.",
+        f"Settings: {ds.attrs['settings']}.",
+        "",
+        _READING,
     ]
     for scene in dict.fromkeys(ds["scene"].values.tolist()):
         lines += ["", f"## {scene}", "", *_scene(ds.isel(setting=ds["scene"].values == scene))]
