@@ -31,7 +31,7 @@ SOLVERS = {
 
 SETTINGS_TEXT = (
     "located over tolerance has strides of at most 1 over the mode's rate, over stride no tolerance; "
-    f"smoothed over width has steps of {STEP_PER_WIDTH:g} s per m/s of it, over step and stride a width of {WIDTH:g} m/s, "
+    f"smoothed over width has steps of {STEP_PER_WIDTH:g} s per m/s of it, over step and stride a width of {WIDTH:g}, "
     f"with strides of at most {STRIDE:g} over the mode's rate where they are not varied; "
     f"diffrax has the smoothed equations, with relative and absolute tolerances (SI) of {TOLERANCE_PER_WIDTH:g} of the "
     f"width, or fixed steps of {STEP_PER_WIDTH:g} s per m/s of it"

@@ -9,12 +9,13 @@ _COLUMNS = ("method", "precision", "setting", "µs per lane-s", "spread", "worst
 _MORE = ("period", "impact_velocity", "peak_impact_force", "stick_fraction", "rate_of_penetration")
 _TITLES = ("period", "impact velocity", "peak force", "stick fraction", "ROP")
 _READING = (
-    "Time is that of all lanes on all cores, copied until each core has a block of them, divided by their number and the "
-    "seconds that each is simulated, without compiling and without a check run: the median of the repeats, and half "
-    "their range as its spread. Worst and median are over the lanes that move like the reference, of the larger relative "
-    "error of period and impact velocity (penetration: of the rate of penetration, ROP); the columns after them are the "
-    "worst lane's, relative, of the stick fraction the difference. Settings in bold are on the Pareto front of time and "
-    "worst error. Rows with a remark had lanes that failed; they are never on the front."
+    "Time is that of all lanes on all cores, copied until each core has a block of them, divided by their number "
+    "and the seconds that each is simulated, without compiling and without a check run: the median of the "
+    "repeats, and half their range as its spread. Worst and median are over the lanes that move like the "
+    "reference, of the larger relative error of period and impact velocity (penetration: of the rate of "
+    "penetration, ROP); the columns after them are the worst lane's, relative, of the stick fraction the "
+    "difference. Settings in bold are on the Pareto front of time and worst error. Rows with a remark had lanes "
+    "that failed; they are never on the front."
 )
 _UNITS = {"width": " m/s", "step": " s"}
 
