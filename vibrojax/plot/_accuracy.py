@@ -36,7 +36,7 @@ _LOOKS = {
     ("located", "stride"): _Look("located, over fixed stride", "D", "#3F8FA3"),
     ("smoothed", "width"): _Look("smoothed, over width", "s", "#D1570A"),
     ("smoothed", "step"): _Look("smoothed, over step", "p", "#9C6B1E"),
-    ("smoothed", "stride"): _Look("Runge–Kutta, over stride", "p", "#9C6B1E"),
+    ("smoothed", "stride"): _Look("Runge–Kutta, over stride", "h", "#D9A441"),
     ("diffrax Tsit5", "width"): _Look("diffrax Tsit5, adaptive", "^", "#7A5195"),
     ("diffrax Dopri8", "width"): _Look("diffrax Dopri8, adaptive", "v", "#C2185B"),
     ("diffrax Kvaerno5", "width"): _Look("diffrax Kvaerno5, adaptive", "<", "#4D4D4D"),
