@@ -158,7 +158,7 @@ def _legend(axes: Axes, ds: xr.Dataset) -> None:
     if "float32" in ds["precision"].values:
         handles.append(Line2D([], [], **plain, linestyle=(0, (3, 1.5)), markerfacecolor="white", label="float32"))
     if ((ds["status"].values != 0) & np.isfinite(ds["error_worst"].values)).any():
-        handles.append(Line2D([], [], color=INK, marker="x", linestyle="none", label="some lanes in another regime"))
+        handles.append(Line2D([], [], color=INK, marker="x", linestyle="none", label="some lanes failed"))
     handles.append(
         Line2D([], [], color=INK, marker="|", markersize=9, linestyle="none", label="down to the median lane")
     )
