@@ -16,6 +16,7 @@ _HOMES = {
     "fit_joint": "vibrojax.laws",
     "fit_friction": "vibrojax.laws",
     "refit_frequency": "vibrojax.laws",
+    "run_accuracy": "vibrojax.accuracy",
     "rop_derivatives": "vibrojax.laws",
     "open_dataset": "vibrojax.store.dataset",
     "write_dataset": "vibrojax.store.dataset",

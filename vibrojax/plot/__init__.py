@@ -1,5 +1,6 @@
 """Pictures of datasets: regimes, bifurcations, rates of penetration, their law, and trajectories."""
 
+from vibrojax.plot._accuracy import work_precision as work_precision
 from vibrojax.plot._bifurcation import bifurcation as bifurcation
 from vibrojax.plot._flags import REGIME_COLOURS as REGIME_COLOURS
 from vibrojax.plot._law import fitted_law as fitted_law

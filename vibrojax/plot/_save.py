@@ -8,6 +8,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from vibrojax.errors import InputError
+from vibrojax.plot._accuracy import SETTING, work_precision
 from vibrojax.plot._bifurcation import RETURNS, bifurcation
 from vibrojax.plot._cells import RATE
 from vibrojax.plot._grid import FORM, POINT, lane_dims, swept, to_map
@@ -31,7 +32,7 @@ def picture(ds: xr.Dataset) -> Figure:
 
     **Arguments:**
 
-    - `ds`: what `simulate`, a sweep or a fit gives.
+    - `ds`: what `simulate`, a sweep, a fit or the study of speed against error gives.
 
     **Returns:** a figure that pyplot knows nothing of.
 
@@ -39,6 +40,8 @@ def picture(ds: xr.Dataset) -> Figure:
     """
     if "time" in ds.dims:
         return _over_time(ds)
+    if SETTING in ds.dims and "error_worst" in ds:
+        return work_precision(ds)
     if "regime" in ds and RETURNS in ds and swept(ds):
         return bifurcation(ds)
     if "C" in ds and FORM in ds.dims:

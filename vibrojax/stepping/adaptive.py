@@ -33,24 +33,38 @@ def adaptive_trajectory(scene, p, state, times, width, solver, tolerance, step=N
     **Returns:** tuple of arrays (samples,), and the number of steps taken.
     """
 
-    def rates(t, y, args):
-        return scene.smoothed_field(p, scene.mode_at(p, y), y, width)
-
     adapts = isinstance(solver, diffrax.AbstractAdaptiveSolver)
-    controller = diffrax.PIDController(rtol=tolerance, atol=tolerance) if adapts else diffrax.ConstantStepSize()
-    solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(rates),
-        solver,
-        t0=jnp.zeros_like(times[-1]),
-        t1=times[-1],
-        dt0=None if adapts else step,
-        y0=state,
-        saveat=diffrax.SaveAt(ts=times),
-        stepsize_controller=controller,
-        max_steps=MOST_STEPS,
-        throw=False,
-    )
+    saved = diffrax.SaveAt(ts=times)
+    tolerance = tolerance if adapts else None
+    solution = smoothed_solution(scene, p, state, times[-1], width, solver, tolerance, step, saved, MOST_STEPS)
     if solution.result != diffrax.RESULTS.successful:
         advice = "give a shorter duration, a wider smoothing, or another solver"
         raise InputError(f"solver: {type(solver).__name__} did not reach the end in {MOST_STEPS} steps; {advice}")
     return solution.ys, solution.stats["num_steps"]
+
+
+def smoothed_solution(scene, p, state, end, width, solver, tolerance, step, saved, most_steps) -> diffrax.Solution:
+    """What diffrax makes of a smoothed motion from t = 0 to `end` [s]; goes under `jit` and `vmap`.
+
+    **Arguments:**
+
+    - `tolerance`: of adaptive steps, as above; None for fixed ones of `step` [s].
+    - `saved`: what is kept of it, a `diffrax.SaveAt`; `most_steps`: after which it is given up (static).
+    """
+
+    def rates(t, y, args):
+        return scene.smoothed_field(p, scene.mode_at(p, y), y, width)
+
+    fixed = tolerance is None
+    return diffrax.diffeqsolve(
+        diffrax.ODETerm(rates),
+        solver,
+        t0=jnp.zeros_like(end),
+        t1=end,
+        dt0=step if fixed else None,
+        y0=state,
+        saveat=saved,
+        stepsize_controller=diffrax.ConstantStepSize() if fixed else diffrax.PIDController(tolerance, tolerance),
+        max_steps=most_steps,
+        throw=False,
+    )

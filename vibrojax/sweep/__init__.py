@@ -1,7 +1,10 @@
 """Sweeps: from a sweep file to a labelled dataset."""
 
+from vibrojax.sweep._accuracy import Accuracy as Accuracy
 from vibrojax.sweep._accuracy import accuracy_for as accuracy_for
+from vibrojax.sweep._chunks import Chunks as Chunks
 from vibrojax.sweep._numbers import quantity as quantity
+from vibrojax.sweep._parallel import in_parallel as in_parallel
 from vibrojax.sweep._point import read_point as read_point
 from vibrojax.sweep._read import read_sweep as read_sweep
 from vibrojax.sweep._run import estimate as estimate

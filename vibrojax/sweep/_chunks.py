@@ -41,6 +41,7 @@ class Chunks:
         self.dtype = np.dtype(sweep.run.precision)
         self.method = Located() if sweep.run.method == "located" else Smoothed()
         self.accuracy = accuracy_for(sweep.run)
+        self.most_steps = MOST_STEPS
         self.workers = workers()
         self.block = BLOCK if self.workers[0].platform == "cpu" else BLOCK_ON_ACCELERATOR
         self._recorder = recorder_for(sweep.machine, sweep.run.keep_returns)
@@ -64,10 +65,7 @@ class Chunks:
         first, last = self.lanes(index)
         blocks = [(at, min(at + self.block, last)) for at in range(first, last, self.block)]
         items = [(*block, accuracy) for block in blocks for accuracy in (self.accuracy, coarse)]
-        if not self._compiled:  # once, and not by every thread
-            for worker in dict.fromkeys(self.workers):
-                self._run(worker, (first, first, self.accuracy))
-            self._compiled = True
+        self.compile()
         found: list[dict] = [{} for _ in items]
         for item, features in in_parallel(self._run, items, self.workers):
             found[item] = features
@@ -77,6 +75,20 @@ class Chunks:
         check = {name: np.concatenate([part[name] for part in found[1::2]]) for name in found[0]}
         fine["error_estimate"] = error_estimate(fine, check, self.sweep.run.method, self._least_error)
         return fine | {f"check_{name}": check[name] for name in LABELLED_BY if name in check}
+
+    def compile(self) -> None:
+        """Compile the program, once, and not by every thread."""
+        if not self._compiled:
+            for worker in dict.fromkeys(self.workers):
+                self._run(worker, (0, 0, self.accuracy))
+            self._compiled = True
+
+    def at(self, accuracy: Accuracy, index: int = 0) -> dict:
+        """Features of a chunk's lanes at an `accuracy` of the caller's, by name (lanes,), without the check run."""
+        first, last = self.lanes(index)
+        items = [(at, min(at + self.block, last), accuracy) for at in range(first, last, self.block)]
+        found = dict(in_parallel(self._run, items, self.workers))
+        return {name: np.concatenate([found[item][name] for item in range(len(items))]) for name in found[0]}
 
     @property
     def _least_error(self) -> float:
@@ -88,7 +100,7 @@ class Chunks:
         run = self.sweep.run
         values, start = self.sweep.lane_values(first, max(last, first + 1))
         asked = 2 * (run.settle + run.observe) / accuracy.step
-        settings = {"settle": run.settle, "observe": run.observe, "most_steps": MOST_STEPS + asked}
+        settings = {"settle": run.settle, "observe": run.observe, "most_steps": self.most_steps + asked}
         settings |= accuracy.settings()
         with precision(run.precision), jax.default_device(worker):
             found = run_lanes(

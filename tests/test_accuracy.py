@@ -1,0 +1,204 @@
+"""Speed against error: errors fall with the tolerance, failures are kept, and the front is right."""
+
+import json
+
+import numpy as np
+import pytest
+
+from vibrojax.accuracy import pareto, run_accuracy, table
+from vibrojax.accuracy._dataset import dataset_of
+from vibrojax.accuracy._errors import STATUSES, errors_of, statuses_of, usable
+from vibrojax.accuracy._lanes import SCENES, lanes_of
+from vibrojax.accuracy._measure import measure
+from vibrojax.accuracy._programs import Program
+from vibrojax.accuracy._sampled import _cycles, _peak, _share
+from vibrojax.accuracy._settings import settings_of
+from vibrojax.cli import main
+from vibrojax.errors import InputError
+from vibrojax.plot import work_precision
+from vibrojax.store.dataset import open_dataset, write_dataset
+from vibrojax.sweep import read_sweep
+
+
+@pytest.fixture(scope="module")
+def study():
+    return run_accuracy(quick=True, progress=False)
+
+
+def of(study, scene, method, varied):
+    where = (study["scene"] == scene) & (study["method"] == method) & (study["varied"] == varied)
+    return study.isel(setting=where.values).sortby("value")
+
+
+@pytest.mark.parametrize("scene", ["vibro-impact", "penetration"])
+def test_errors_fall_with_the_tolerance(study, scene):
+    located = of(study, scene, "located", "tolerance")
+    assert np.all(np.diff(located["error_worst"].values) > 0)
+    assert np.all(located["error_worst"] < 10 * located["value"])
+    assert np.all(located["agreeing"] == located["lanes"]) and np.all(located["lanes"] >= 2)
+
+
+@pytest.mark.parametrize("method", ["smoothed", "diffrax Tsit5"])
+def test_errors_fall_with_the_width(study, method):
+    smoothed = of(study, "vibro-impact", method, "width")
+    for name in ("period", "impact_velocity", "peak_impact_force", "stick_fraction"):
+        assert np.all(np.diff(smoothed[f"{name}_error_worst"].values) > 0), name
+    assert np.all(smoothed["error_median"] <= smoothed["error_worst"])
+
+
+def test_two_ways_to_smooth_leave_the_same_error(study):
+    """What the width costs does not depend on who integrates it: the features read off samples are the same ones."""
+    own, others = of(study, "vibro-impact", "smoothed", "width"), of(study, "vibro-impact", "diffrax Tsit5", "width")
+    np.testing.assert_allclose(own["error_worst"], others["error_worst"], rtol=0.3)
+
+
+def test_failures_are_kept(study):
+    failed = of(study, "penetration", "diffrax Tsit5", "width")
+    assert failed.sizes["setting"] == 1 and STATUSES[int(failed["status"][0])] == "unsupported"
+    assert "rock" in str(failed["reason"].values[0])
+    assert np.isnan(failed["error_worst"]).all() and not failed["on_front"].any()
+    assert str(failed["reason"].values[0]) in table(study)
+
+
+def test_times_are_told(study):
+    done = study.isel(setting=study["status"].values == 0)
+    assert np.all(done["time_per_lane_second_min"] <= done["time_per_lane_second"])
+    assert np.all(done["time_per_lane_second"] <= done["time_per_lane_second_max"])
+    assert np.all(done["repeats"] >= 2) and np.all(done["compile_time"] > 0)
+    machine = json.loads(study.attrs["machine"])
+    assert {"processor", "cores", "python", "jax", "diffrax"} <= set(machine)
+    assert "tolerance of 1e-14" in study.attrs["reference"]
+    assert np.all(done["reference_spread"] < 1e-12)
+
+
+def test_the_front_is_told_by_scene(study):
+    for scene in np.unique(study["scene"]):
+        here = study.isel(setting=study["scene"].values == scene)
+        np.testing.assert_array_equal(here["on_front"], pareto(here["time_per_lane_second"], here["error_worst"]))
+
+
+def test_the_files_are_written(study, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("vibrojax.accuracy.run_accuracy", lambda quick, progress: study)
+    out = tmp_path / "new" / "folder"
+    assert main(["accuracy", "--quick", "-o", str(out)]) == 0
+    assert {path.name for path in out.iterdir()} == {"accuracy.nc", "accuracy.md", "accuracy.png"}
+    assert str(out / "accuracy.md") in capsys.readouterr().out
+    assert (out / "accuracy.png").stat().st_size > 20_000
+    rows = [line for line in (out / "accuracy.md").read_text().splitlines() if line.startswith("| ")]
+    assert len(rows) == study.sizes["setting"] + 2  # a header for each scene
+    assert len({row.count("|") for row in rows if "vibro" not in row}) <= 2
+    found = open_dataset(out / "accuracy.nc")
+    assert found["scene"].dtype.kind in "UO" and found["status"].attrs["flag_meanings"] == " ".join(STATUSES)
+    assert main(["plot", str(out / "accuracy.nc")]) == 0
+    assert main(["info", str(out / "accuracy.nc")]) == 0
+
+
+def test_a_folder_that_cannot_be(tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    assert main(["accuracy", "-o", str(tmp_path / "file")]) == 2
+    captured = capsys.readouterr()
+    assert captured.err.count("\n") == 1 and "-o" in captured.err
+
+
+def test_interrupted(tmp_path, monkeypatch, capsys):
+    def interrupted(**_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("vibrojax.accuracy.run_accuracy", interrupted)
+    assert main(["accuracy", "-o", str(tmp_path)]) == 130
+    line = f"vibrojax: interrupted; nothing is kept; to start again: vibrojax accuracy -o {tmp_path}\n"
+    assert capsys.readouterr().err == line
+
+
+def test_an_unknown_scene():
+    with pytest.raises(InputError, match='"rotory" is no scene; did you mean "rotary"'):
+        run_accuracy(["rotory"], progress=False)
+
+
+def test_the_front_of_some_points():
+    time = [1.0, 2.0, 3.0, 2.0, 0.5, 4.0, np.nan, 5.0]
+    error = [1e-2, 1e-4, 1e-4, 1e-3, np.nan, 1e-6, 1e-9, 1e-6]
+    assert pareto(time, error).tolist() == [True, True, False, False, False, True, False, False]
+    assert pareto([1.0, 1.0], [1.0, 1.0]).tolist() == [True, True]  # neither beats the other
+    assert pareto([], []).size == 0
+
+
+def test_what_became_of_lanes():
+    """Lanes: as the reference; twice the impacts; another period; not finite; not finished."""
+    reference = {"period": np.ones(5), "impact_velocity": np.ones(5), "impacts": np.ones(5), "cycles": np.ones(5)}
+    found = {name: x.copy() for name, x in reference.items()}
+    found["period"][0], found["period"][2], found["period"][3] = 1 + 1e-6, 2.0, np.nan
+    found["impacts"][1] = 2
+    found |= {"finite": np.arange(5) != 3, "finished": np.arange(5) != 4}
+    errors = errors_of(found, reference)
+    np.testing.assert_allclose(errors["overall"][0], 1e-6, rtol=1e-6)
+    expected = ["done", "other-regime", "other-regime", "not-finite", "out-of-steps"]
+    assert [STATUSES[status] for status in statuses_of(found, reference, errors)] == expected
+
+
+def test_a_setting_whose_lanes_fail_stays_with_the_reason():
+    lanes = lanes_of("penetration")
+    reference = {"rate_of_penetration": np.ones(4)}
+
+    class Failing(Program):
+        def compile(self, accuracy):
+            pass
+
+        def run(self, accuracy):
+            return {"steps": np.full(4, 7.0), "finished": np.arange(4) != 2}
+
+        def features(self, accuracy, ran):
+            return ran | {"rate_of_penetration": np.array([1.0, np.nan, 1.0, 3.0]), "finite": np.arange(4) != 1}
+
+    found = measure(settings_of("penetration")[0], Failing(lanes), 1.0, reference, np.ones(4, bool), repeats=5)
+    assert (found.status, found.lanes, found.agreeing, len(found.seconds)) == ("not-finite", 4, 1, 1)
+    reasons = [
+        "1 of 4 lanes did not stay finite",
+        "1 of 4 lanes did not reach the end within the steps allowed",
+        "1 of 4 lanes moved in another way than the reference",
+    ]
+    assert found.reason == "; ".join(reasons)
+    ds = dataset_of([found], {"penetration": 1e-14}, 1.0)
+    assert not ds["on_front"].any() and found.reason in table(ds)
+    assert work_precision(ds).axes
+
+
+def test_lanes_that_do_not_repeat_are_left_out():
+    whole = {"finite": np.ones(3, bool), "finished": np.ones(3, bool), "impacts": np.ones(3)}
+    fine = whole | {"period": np.ones(3), "impact_velocity": np.ones(3), "cycles": np.array([1, 0, 2])}
+    second = fine | {"period": np.array([1.0, 1.0, 1.001])}
+    assert usable(fine, second).tolist() == [True, False, False]
+
+
+def test_what_is_read_off_samples():
+    rows = np.tile([[1.0, 2.0], [0.0, 1.0], [3.0, 3.0]], 6)
+    assert _cycles(rows) == 2 and _cycles(rows[:, ::2]) == 1 and _cycles(rows[:, :6]) == 0
+    assert _cycles(np.random.default_rng(0).normal(size=(3, 40))) == 0
+    held = np.array([False, True, True, True, False, False])
+    assert _share(held, 0.1, 0.0, 0.5) == pytest.approx(0.6)
+
+    class Parabola:
+        def mode_at(self, p, y):
+            return ()
+
+        def contact_force(self, p, mode, y):
+            return 5.0 - (y[0] - 0.13) ** 2
+
+    x = np.arange(-1.0, 1.0, 0.25)
+    assert _peak(Parabola(), {"m1": x}, x[None]) == pytest.approx(5.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_every_scene_has_lanes_and_settings(scene):
+    lanes = lanes_of(scene)
+    sweep = read_sweep(lanes.sweep("located", "float64", copies=2))
+    assert sweep.lanes == 2 * lanes.count == 32 and not sweep.run.end_early
+    settings = settings_of(scene)
+    assert {one.precision for one in settings} == {"float64", "float32"}
+    assert {one.varied for one in settings} >= {"tolerance", "stride"}
+    assert any(one.method.startswith("diffrax") for one in settings)
+
+
+def test_it_survives_a_file(study, tmp_path):
+    write_dataset(study, tmp_path / "a.nc")
+    assert table(open_dataset(tmp_path / "a.nc")) == table(study)

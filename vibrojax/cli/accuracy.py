@@ -1,0 +1,46 @@
+"""Measure speed against error on this machine: a dataset, a table and a picture.
+
+Nothing is kept of an interrupted run: times of two runs do not go into one table.
+"""
+
+import shlex
+from argparse import ArgumentParser, Namespace
+from pathlib import Path
+
+from vibrojax.cli._output import PICTURES, output
+from vibrojax.errors import InputError, shown
+
+_NAMES = ("accuracy.nc", "accuracy.md", "accuracy.png")
+
+
+def arguments(parser: ArgumentParser) -> None:
+    """Add the command's arguments to `parser`."""
+    parser.add_argument("-o", dest="out", metavar="DIR", default="accuracy", help="the folder to write to (accuracy)")
+    parser.add_argument("--quick", action="store_true", help="few settings of two scenes, to see that it works")
+    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
+
+
+def run(options: Namespace) -> None:
+    """Run the command."""
+    dataset_path, table_path, picture_path = _files(Path(options.out))
+    command = shlex.join(["vibrojax", "accuracy", "-o", options.out, *["--quick"] * options.quick])
+    options.how_to_resume = f"nothing is kept; to start again: {command}"
+    from vibrojax.accuracy import run_accuracy, table
+    from vibrojax.plot import save_picture
+    from vibrojax.store.dataset import write_dataset
+
+    dataset = run_accuracy(quick=options.quick, progress=not options.quiet)
+    write_dataset(dataset, dataset_path)
+    table_path.write_text(table(dataset), encoding="utf-8")
+    save_picture(dataset, picture_path)
+    if not options.quiet:
+        print(f"{table_path}: {dataset.sizes['setting']} settings; dataset {dataset_path}, picture {picture_path}")
+
+
+def _files(folder: Path) -> list[Path]:
+    """The files to write, in a folder that is there then."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"-o: {shown(str(folder))} cannot be made a folder ({error.strerror})") from None
+    return [output(folder / name, (".nc", ".md", *PICTURES)) for name in _NAMES]
