@@ -144,11 +144,10 @@ def test_defaults():
 NUMBERS = {"threshold": 1e5, "k3": 1e8}
 
 
-@pytest.mark.xfail(reason="check_rock and the check for doubles both miss it: the grid's rock wins", strict=True)
 def test_a_fixed_rock_beside_an_axis_of_rocks_is_refused():
     """A name in both [parameters] and [grid] is an error (contract)."""
     sweep = {"scene": "penetration", "parameters": {"rock": "granite"}, "grid": {"rock": ["sandstone"]}}
-    with pytest.raises(InputError, match="rock"):
+    with pytest.raises(InputError, match=r"grid.rock: is in \[parameters\] as well"):
         read_sweep(sweep)
 
 

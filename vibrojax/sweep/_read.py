@@ -41,7 +41,8 @@ def read_sweep(source: str | PathLike[str] | Mapping[str, object]) -> Sweep:
     varying = place.at("points" if points else "grid")
     at = {name: place.at("parameters").at(name) for name in given} | {name: varying.at(name) for name in varied}
     check_rock(at)
-    homes = {name: place.at("parameters").at(name) for name in fixed}
+    # By what was written as well: a rock is no number of its own.
+    homes = {name: place.at("parameters").at(name) for name in (*given, *fixed)}
     for name in varied:
         home = varying.at(name)
         if name in homes:
