@@ -12,14 +12,19 @@ def begin(names, like) -> dict:
     """An empty ledger of the sums called `names`, lanes shaped as `like`."""
     return {
         "sums": {name: jnp.zeros_like(like) for name in names},
+        "lost": {name: jnp.zeros_like(like) for name in names},
         "rows": jnp.zeros((MOST_CYCLES, len(names), *like.shape), like.dtype),
     }
 
 
 def add(ledger: dict, increments: dict) -> dict:
-    """The ledger with a step's increments added."""
-    sums = {name: total + increments[name] for name, total in ledger["sums"].items()}
-    return ledger | {"sums": sums}
+    """The ledger with a step's increments added, and what rounding lost of them kept for the next (Kahan 1965)."""
+    sums, lost = {}, {}
+    for name, total in ledger["sums"].items():
+        more = increments[name] + ledger["lost"][name]
+        sums[name] = total + more
+        lost[name] = more - (sums[name] - total)
+    return ledger | {"sums": sums, "lost": lost}
 
 
 def section(ledger: dict, here, number) -> tuple[dict, dict]:
@@ -28,11 +33,14 @@ def section(ledger: dict, here, number) -> tuple[dict, dict]:
     Sums start at the first return (`number` 0). The last `MOST_CYCLES` returns keep theirs, newest first, because how
     many returns make a repeat is known only at the end.
     """
-    sums = {name: jnp.where(here & (number == 0), 0, total) for name, total in ledger["sums"].items()}
+    first = here & (number == 0)
+    sums, lost = (
+        {name: jnp.where(first, 0, total) for name, total in ledger[part].items()} for part in ("sums", "lost")
+    )
     now = keep(jnp.stack(list(sums.values())))
     since = dict(zip(sums, now - ledger["rows"][0], strict=True))
     shifted = jnp.concatenate([now[None], ledger["rows"][:-1]])
-    return {"sums": sums, "rows": jnp.where(here[None, None], shifted, ledger["rows"])}, since
+    return {"sums": sums, "lost": lost, "rows": jnp.where(here[None, None], shifted, ledger["rows"])}, since
 
 
 def whole(ledger: dict, returns, cycles) -> tuple[dict, jnp.ndarray]:
