@@ -5,30 +5,31 @@ import math
 import numpy as np
 
 from exact.motion import Motion, Piece
-from exact.polynomials import DERIVATIVE, falls, value
+from exact.polynomials import DERIVATIVE, N, falls, value
 
 MOST_CYCLES = 8
 
 
-def instants(piece: Piece, row: np.ndarray, derivative=False) -> list[float]:
-    """The times in the piece at which a linear form (or its derivative) falls through zero."""
-    c = piece.c @ row
-    if derivative:
-        c = DERIVATIVE @ c
-    found = (x for x in falls(c, min(piece.x(piece.end), 1.0)) if x > -1)
+def instants(motion: Motion, piece: Piece, row: np.ndarray) -> list[float]:
+    """The times in the piece at which a linear form falls through zero."""
+    return _times(piece, piece.c @ row, np.abs(row) @ motion.swing)
+
+
+def _times(piece, c, size):
+    found = (x for x in falls(c, min(piece.x(piece.end), 1.0), size) if x > piece.x(piece.begin))
     return [piece.origin + piece.h * (1 + x) / 2 for x in found]
 
 
-def extremes(piece: Piece, row: np.ndarray) -> tuple[float, float]:
+def extremes(motion: Motion, piece: Piece, row: np.ndarray) -> tuple[float, float]:
     """The least and the greatest value of a linear form in the piece."""
-    c = piece.c @ row
-    turns = instants(piece, row, derivative=True) + instants(piece, -row, derivative=True)
+    c, size = piece.c @ row, N**2 * (np.abs(row) @ motion.swing)
+    turns = _times(piece, DERIVATIVE @ c, size) + _times(piece, -DERIVATIVE @ c, size)
     values = [value(c, piece.x(t)) for t in (piece.begin, piece.end, *turns)]
     return min(values), max(values)
 
 
 def swing(motion: Motion, row) -> tuple[float, float]:
-    ends = np.array([extremes(piece, row) for piece in motion.pieces])
+    ends = np.array([extremes(motion, piece, row) for piece in motion.pieces])
     return ends[:, 0].min(), ends[:, 1].max()
 
 
@@ -45,7 +46,7 @@ def sections(motion: Motion) -> list[float]:
     found, armed = [], False
     for piece in motion.pieces:
         armed = armed or value(piece.c @ below, piece.x(piece.begin)) < 0
-        passed = [(t, False) for t in instants(piece, below)] + [(t, True) for t in instants(piece, -row["v1"])]
+        passed = [(t, False) for t in instants(motion, piece, below)] + [(t, True) for t in instants(motion, piece, -row["v1"])]
         for t, rises in sorted(passed):
             if rises and armed:
                 found.append(t)
@@ -91,7 +92,7 @@ def of_drill(motion: Motion) -> dict[str, float]:
 def peak_force(motion: Motion) -> float:
     """The greatest J in the observation."""
     touching = [piece for piece in motion.pieces if piece.phase.striker == "touching"]
-    return max((extremes(piece, motion.scene.press(piece.phase))[1] for piece in touching), default=0.0)
+    return max((extremes(motion, piece, motion.scene.press(piece.phase))[1] for piece in touching), default=0.0)
 
 
 def over_returns(motion: Motion, window, cycles) -> dict[str, float]:
@@ -109,7 +110,7 @@ def over_returns(motion: Motion, window, cycles) -> dict[str, float]:
 
     w = 2 * math.pi * returns / time
     tones = mean(lambda part, t, Y: Y[:, [0, 2]] * np.exp(-1j * w * (t[:, None] - begin)))
-    turns = sum(begin < t <= end for piece in motion.pieces for t in instants(piece, row["v2"]))
+    turns = sum(begin < t <= end for piece in motion.pieces for t in instants(motion, piece, row["v2"]))
     found = {
         "period": time / returns,
         "stick_fraction": share(0),
@@ -183,7 +184,7 @@ def drifts(motion: Motion, returns) -> bool:
     greatest = np.full(8, np.nan)
     for begin, end in zip(returns[:-1], returns[1:], strict=True):
         parts = [part for piece in motion.pieces if (part := piece.between(begin, end))]
-        ends = [extremes(part, motion.scene.row["x1"]) for part in parts]
+        ends = [extremes(motion, part, motion.scene.row["x1"]) for part in parts]
         swing = max(high for _, high in ends) - min(low for low, _ in ends)
         eighth = min(int(8 * (end - motion.observed) / (motion.end - motion.observed)), 7)
         greatest[eighth] = np.fmax(greatest[eighth], swing)

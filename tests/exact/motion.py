@@ -51,11 +51,15 @@ class Piece:
 
 @dataclass
 class Motion:
-    """Pieces from `observed` on (all, if it is 0), and the events (time, name, state, phase before) among them."""
+    """Pieces from `observed` on (all, if it is 0), and the events (time, name, state, phase before) among them.
+
+    `swing` [d] is the greatest size of each entry so far.
+    """
 
     scene: Scene
     observed: float
     end: float
+    swing: np.ndarray
     pieces: list[Piece] = field(default_factory=list)
     events: list[tuple] = field(default_factory=list)
 
@@ -97,17 +101,17 @@ def run(name, *, start="drive", settle=0.0, observe, pulses=None, **given) -> Mo
         else:
             pulses = Pulses(p.force, p.frequency, p.pulse_width, p.pulse_shape)
     scene = Scene(name, p, pulses)
-    motion = Motion(scene, settle, settle + observe)
-    t, y, swing = 0.0, initial(scene, start), np.zeros(len(scene.entries))
+    motion = Motion(scene, settle, settle + observe, np.zeros(len(scene.entries)))
+    t, y = 0.0, initial(scene, start)
     held, until = pulses.since(t) if pulses else (None, np.inf)
     phase = scene.first(y, held)
     stood = 0
     while t < motion.end:
         limit = min(until, motion.end, settle if t < settle else np.inf)
-        piece, last, event = _advance(scene.mode(phase, held), phase, t, y, swing, limit, held)
+        piece, last, event = _advance(scene.mode(phase, held), phase, t, y, motion.swing, limit, held)
         y = chebyshev.chebvander([last], N)[0] @ piece.c  # by its share of the step: times are rounded to 1e-15 s
         y[-1] = 1.0
-        swing = swung(swing, piece.c)
+        motion.swing = swung(motion.swing, piece.c)
         stood = stood + 1 if piece.end - t < 1e-14 else 0
         if stood > MOST_AT_ONCE:
             raise ArithmeticError(f"{event} and no time passes: t = {t}, {phase}, {dict(zip(scene.entries, y))}")
@@ -128,9 +132,9 @@ def _advance(mode, phase, t, y, swing, limit, held):
     h, c = mode.step(t, y, swing)
     end = min(t + h, limit)
     latest = min(2 * (end - t) / h - 1, 1.0)
-    event = None
+    event, size = None, swung(swing, c)
     for name, row in zip(mode.names, mode.surfaces, strict=True):
-        x = first_fall(c @ row, latest)
+        x = first_fall(c @ row, latest, np.abs(row) @ size)
         if x is not None and (event is None or x < latest):
             latest, event = x, name
     if event:

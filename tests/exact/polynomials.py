@@ -17,11 +17,10 @@ INTEGRAL = np.stack(
 DERIVATIVE = np.stack([np.append(chebyshev.chebder(e), 0.0) for e in np.eye(N + 1)], axis=1)
 """Coefficients of the derivative by x = those of the polynomial times this."""
 
-PARTS = 16
-MIDDLES = -1 + (2 * np.arange(PARTS) + 1) / PARTS
-AT_MIDDLES = chebyshev.chebvander(MIDDLES, N)
+LEFT, RIGHT = (COEFFICIENTS @ chebyshev.chebvander((X + side) / 2, N) for side in (-1, 1))
+"""Coefficients over a half of [-1, 1] = LEFT or RIGHT @ those over all of it."""
 NOISE = 1e-14
-"""Rounding of a polynomial's values, with a margin, relative to the sum of its coefficients' sizes."""
+"""Rounding of a polynomial's values, with a margin, relative to the size of what it is made of."""
 GAUSS, WEIGHTS = np.polynomial.legendre.leggauss(N)
 
 
@@ -33,52 +32,47 @@ def value(c: np.ndarray, x: float) -> float:
     return c[0] + x * one - two
 
 
-def falls(c: np.ndarray, end: float = 1.0) -> list[float]:
+def falls(c: np.ndarray, end: float, size: float) -> list[float]:
     """Every x in [-1, end] at which the polynomial falls through zero, in order; below zero at -1 counts as a fall there.
 
-    None is missed: a part of the interval is passed over only where a bound on the second derivative shows that the
-    polynomial has no zero in it, and is searched only once the same bound shows that it is monotone. A dip below
-    zero no deeper than rounding is none.
+    None is missed: a part of the interval is passed over only where its coefficients show that the polynomial has no
+    zero in it, and is searched only where they show that it is monotone; else it is halved. A dip below zero no deeper
+    than rounding of the given size is none.
     """
-    size = np.abs(c).sum()
-    if c[0] > size - c[0] or size == 0:
-        return []
     lifted = c.copy()
     lifted[0] += NOISE * size
+    if lifted[0] >= np.abs(c[1:]).sum():
+        return []
+    low, high = value(lifted, -1.0), value(lifted, 1.0)
+    found = [-1.0] if low < 0 else []
+    _search(lifted, -1.0, 1.0, low, high, found)
     slope = DERIVATIVE @ c
-    bend = np.abs(DERIVATIVE @ slope).sum()
-    found = [-1.0] if value(lifted, -1.0) < 0 else []
-    heights, slopes = AT_MIDDLES @ lifted, AT_MIDDLES @ slope
-    r = 1 / PARTS
-    unsure = np.abs(heights) <= np.abs(slopes) * r + bend * r * r / 2
-    for i in np.flatnonzero(unsure):
-        _search(lifted, slope, bend, MIDDLES[i] - r, MIDDLES[i] + r, found)
-    if not found:
-        return found
     return [x for x in (_polished(c, slope, x) for x in found) if x <= end]
 
 
-def first_fall(c: np.ndarray, end: float) -> float | None:
-    return min(falls(c, end), default=None)
+def first_fall(c: np.ndarray, end: float, size: float) -> float | None:
+    return min(falls(c, end, size), default=None)
 
 
-def _search(c, slope, bend, a, b, found):
-    """Adds the falls of c in [a, b]."""
-    middle, r = (a + b) / 2, (b - a) / 2
-    height, steep = value(c, middle), value(slope, middle)
-    if abs(height) > abs(steep) * r + bend * r * r / 2:
+def _search(c, a, b, low, high, found):
+    """Adds the falls in [a, b], over which c are the coefficients; low and high are the values at its ends."""
+    if abs(c[0]) > np.abs(c[1:]).sum():
         return
-    if abs(steep) > bend * r or r < 1e-13:
-        if steep < 0 and value(c, a) > 0 >= value(c, b):
-            found.append(_root(c, slope, a, b))
+    slope = DERIVATIVE @ c
+    if abs(slope[0]) > np.abs(slope[1:]).sum() or b - a < 1e-13:
+        if low > 0 >= high:
+            found.append(a + (b - a) * (1 + _root(c, slope)) / 2)
         return
-    _search(c, slope, bend, a, middle, found)
-    _search(c, slope, bend, middle, b, found)
+    middle = (a + b) / 2
+    left = LEFT @ c
+    height = left.sum()
+    _search(left, a, middle, low, height, found)
+    _search(RIGHT @ c, middle, b, height, high, found)
 
 
-def _root(c, slope, a, b):
-    """The zero of c in [a, b], where it falls, by Newton's steps kept within what is still in question."""
-    x = (a + b) / 2
+def _root(c, slope):
+    """The zero in [-1, 1] of what falls there, by Newton's steps kept within what is still in question."""
+    a, b, x = -1.0, 1.0, 0.0
     for _ in range(100):
         height, steep = value(c, x), value(slope, x)
         if height > 0:
