@@ -1,6 +1,6 @@
 """Runs every reference case (tests/data) by the exact reference and prints the worst deviation of each quantity.
 
-    python tests/exact/check.py [vibro_impact_cases hard_cases penetration_cases]
+python tests/exact/check.py [vibro_impact_cases hard_cases penetration_cases]
 """
 
 import json
@@ -45,7 +45,7 @@ def found_for(name: str, case: dict) -> dict:
 
 
 def deviations(expected: dict, found: dict) -> dict[str, float]:
-    """By quantity: relative, absolute for shares and counts. Of irregular lanes and equilibria only the regime counts."""
+    """By quantity: relative, absolute for shares and counts; irregular and at rest, only the regime counts."""
     result = {"regime": float(expected.get("regime") != found.get("regime"))}
     if expected.get("regime") in ("irregular", "equilibrium"):
         return result

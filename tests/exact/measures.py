@@ -1,6 +1,7 @@
 """Measures of a motion and its regime, from the contract's text: one function for the drill, one for the rock."""
 
 import math
+from itertools import pairwise
 
 import numpy as np
 
@@ -46,11 +47,12 @@ def sections(motion: Motion) -> list[float]:
     found, armed = [], False
     for piece in motion.pieces:
         armed = armed or value(piece.c @ below, piece.x(piece.begin)) < 0
-        passed = [(t, False) for t in instants(motion, piece, below)] + [(t, True) for t in instants(motion, piece, -row["v1"])]
+        passed = [(t, False) for t in instants(motion, piece, below)]
+        passed += [(t, True) for t in instants(motion, piece, -row["v1"])]
         for t, rises in sorted(passed):
             if rises and armed:
                 found.append(t)
-            armed = not rises if rises == armed else armed
+            armed = not rises
     return found
 
 
@@ -122,11 +124,11 @@ def over_returns(motion: Motion, window, cycles) -> dict[str, float]:
     if not scene.contact:
         return found
     found["mean_impact_force"] = mean(lambda part, t, Y: Y @ scene.J(part.phase))
-    begun = [(t, y, phase) for t, event, y, phase in motion.events if event == "strikes" and begin < t <= end]
+    begun = [event for event in motion.events if event.name == "strikes" and begin < event.time <= end]
     found["impacts"] = len(begun) * cycles / returns if cycles else len(begun) / returns
     if begun:
-        speed = np.array([scene.rate(phase) @ y for _, y, phase in begun])
-        struck = np.array([t for t, _, _ in begun])
+        speed = np.array([scene.rate(event.before) @ event.state for event in begun])
+        struck = np.array([event.time for event in begun])
         since = np.searchsorted(window, struck, side="left")
         phase = 2 * math.pi * (struck - np.array(window)[since - 1]) / np.diff(window)[since - 1]
         found |= {
@@ -134,7 +136,7 @@ def over_returns(motion: Motion, window, cycles) -> dict[str, float]:
             "impact_velocity_min": speed.min(),
             "impact_velocity_max": speed.max(),
             "impact_energy": (p.m2 * speed**2 / 2).mean(),
-            "bit_velocity_at_impact": np.mean([y[1] + p.v for _, y, _ in begun]),
+            "bit_velocity_at_impact": np.mean([event.state[1] + p.v for event in begun]),
             "impact_phase": phase.mean(),
         }
     if scene.rock:
@@ -182,7 +184,7 @@ def label(motion: Motion, found: dict) -> str:
 def drifts(motion: Motion, returns) -> bool:
     """Eight equal times, each with its greatest swing of x1 within one return, strictly rise or fall by over 1 %."""
     greatest = np.full(8, np.nan)
-    for begin, end in zip(returns[:-1], returns[1:], strict=True):
+    for begin, end in pairwise(returns):
         parts = [part for piece in motion.pieces if (part := piece.between(begin, end))]
         ends = [extremes(motion, part, motion.scene.row["x1"]) for part in parts]
         swing = max(high for _, high in ends) - min(low for low, _ in ends)

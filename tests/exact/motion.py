@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -49,9 +50,17 @@ class Piece:
         return replace(self, begin=begin, end=end) if begin < end else None
 
 
+class Event(NamedTuple):
+    time: float
+    name: str
+    state: np.ndarray
+    before: Phase
+    after: Phase
+
+
 @dataclass
 class Motion:
-    """Pieces from `observed` on (all, if it is 0), and the events (time, name, state, phase before) among them.
+    """Pieces from `observed` on (all, if it is 0), and the events among them.
 
     `swing` [d] is the greatest size of each entry so far.
     """
@@ -61,7 +70,7 @@ class Motion:
     end: float
     swing: np.ndarray
     pieces: list[Piece] = field(default_factory=list)
-    events: list[tuple] = field(default_factory=list)
+    events: list[Event] = field(default_factory=list)
 
     def at(self, times) -> np.ndarray:
         """States [times, entries]."""
@@ -114,14 +123,16 @@ def run(name, *, start="drive", settle=0.0, observe, pulses=None, **given) -> Mo
         motion.swing = swung(motion.swing, piece.c)
         stood = stood + 1 if piece.end - t < 1e-14 else 0
         if stood > MOST_AT_ONCE:
-            raise ArithmeticError(f"{event} and no time passes: t = {t}, {phase}, {dict(zip(scene.entries, y))}")
+            raise ArithmeticError(
+                f"{event} and no time passes: t = {t}, {phase}, {dict(zip(scene.entries, y, strict=True))}"
+            )
         t = piece.end
         if t > settle:
             motion.pieces.append(piece)
         if event:
             before, phase = phase, scene.after(phase, event, y)
             if t > settle:
-                motion.events.append((t, event, y.copy(), before))
+                motion.events.append(Event(t, event, y.copy(), before, phase))
         if t >= until:
             held, until = pulses.since(t)
     return motion

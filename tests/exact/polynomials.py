@@ -33,7 +33,7 @@ def value(c: np.ndarray, x: float) -> float:
 
 
 def falls(c: np.ndarray, end: float, size: float) -> list[float]:
-    """Every x in [-1, end] at which the polynomial falls through zero, in order; below zero at -1 counts as a fall there.
+    """Every x in [-1, end] at which the polynomial falls through zero, in order; being below it at -1 counts too.
 
     None is missed: a part of the interval is passed over only where its coefficients show that the polynomial has no
     zero in it, and is searched only where they show that it is monotone; else it is halved. A dip below zero no deeper
