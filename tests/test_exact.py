@@ -218,7 +218,7 @@ def test_simulate_friction_laws(law):
 
 
 def test_sweep_of_coupled_drilling():
-    """Settled lanes: labels, and measures to 1e-8; one of the two goes on drilling."""
+    """Settled lanes that drill: labels, and measures to 1e-7."""
     run_for = {"settle": 10.0, "observe": 6.0}
     sweep = {
         "scene": "coupled-drilling",
