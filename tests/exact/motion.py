@@ -62,7 +62,7 @@ class Event(NamedTuple):
 class Motion:
     """Pieces from `observed` on (all, if it is 0), and the events among them.
 
-    `swing` [d] is the greatest size of each entry so far.
+    `swing` [d] is the greatest size of each entry so far, or what it is small against.
     """
 
     scene: Scene
@@ -110,7 +110,7 @@ def run(name, *, start="drive", settle=0.0, observe, pulses=None, **given) -> Mo
         else:
             pulses = Pulses(p.force, p.frequency, p.pulse_width, p.pulse_shape)
     scene = Scene(name, p, pulses)
-    motion = Motion(scene, settle, settle + observe, np.zeros(len(scene.entries)))
+    motion = Motion(scene, settle, settle + observe, scene.sizes())
     t, y = 0.0, initial(scene, start)
     held, until = pulses.since(t) if pulses else (None, np.inf)
     phase = scene.first(y, held)

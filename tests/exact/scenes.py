@@ -147,6 +147,16 @@ class Scene:
 
     # Switches
 
+    def sizes(self) -> np.ndarray:
+        """What each entry is small against, from the start on: what grows from nothing has no size of its own yet."""
+        p, size = self.p, dict.fromkeys(self.entries, 0.0)
+        if self.drill:
+            size |= {"x1": p.v / np.sqrt(p.k1 / p.m1), "x2": p.v / np.sqrt(p.k1 / p.m1), "v1": p.v, "v2": p.v}
+        if self.rock:
+            e = min(p.threshold, p.m1 * 9.81) / p.k3
+            size |= {"e": e, "v3": e * np.sqrt(p.k3 / p.m1)}
+        return np.array(list(size.values()))
+
     def set(self, y, **values):
         for name, value in values.items():
             y[self.entries.index(name)] = value
