@@ -231,8 +231,8 @@ def test_pressing_again_as_the_rock_yields():
 
 
 def test_sweep_of_coupled_drilling():
-    """Lanes that drill: labels, and measures to 1e-7."""
-    run_for = {"settle": 4.0, "observe": 4.0}
+    """Settled lanes that drill: labels, and measures to 1e-7."""
+    run_for = {"settle": 10.0, "observe": 6.0}
     sweep = {
         "scene": "coupled-drilling",
         "starts": ["drive"],

@@ -93,7 +93,9 @@ def _polished(c, slope, x):
     new = x
     for _ in range(4):
         steep = value(slope, new)
-        if steep >= 0 or abs(new - x) > 1e-6:
+        if steep >= 0:
             return x
         new = new - value(c, new) / steep
-    return new if abs(new - x) < 1e-6 and new >= -1 else x
+        if abs(new - x) > 1e-6 or new < -1:
+            return x
+    return new
