@@ -1,0 +1,61 @@
+"""The friction laws of chapter 3 and 5.9, as plain formulas of the sliding speed w = |u|, w > 0.
+
+In a step that runs over w = 0 they are asked for slightly negative w, where they go on smoothly.
+"""
+
+import numpy as np
+
+
+def stribeck(w, p):
+    """(5.9) over mu m1 g."""
+    return p.mu * (1 - w / p.v_cr + w**3 / (3 * p.v_cr**3))
+
+
+def coulomb(w, p):
+    """(2.13)"""
+    return p.mu + 0 * w
+
+
+def popp_exponential(w, p):
+    """(2.14), the exponent of its second factor read as that of its first; flat at w = 0."""
+    w = np.asarray(w, float)
+    rise = np.exp(p.popp_c1 / np.where(w > 0, w, 1)) * (w > 0)
+    return 0.165 * (1 + rise) * (1 + np.exp(p.popp_c2 * w))
+
+
+def popp_arctan(w, p):
+    """(2.15)"""
+    return p.a1 * (1 + p.a2 * np.exp(-p.b1 * w)) * np.arctan(p.b2 * w)
+
+
+def hyperbolic(w, p):
+    """(2.16)"""
+    return p.mu0 / (1 + p.delta_f * w)
+
+
+def hyperbolic_quadratic(w, p):
+    """(2.17)"""
+    return (p.mu0 - p.mu1) / (1 + getattr(p, "lambda") * w) + p.mu1 + p.alpha * w**2
+
+
+LAWS = {
+    "stribeck": stribeck,
+    "coulomb": coulomb,
+    "popp-exponential": popp_exponential,
+    "popp-arctan": popp_arctan,
+    "hyperbolic": hyperbolic,
+    "hyperbolic-quadratic": hyperbolic_quadratic,
+}
+
+
+def force(w, J, p):
+    """|F| while the bit slides at the speed w and the striker presses with J (5.9, 5.12, R2; section 3)."""
+    mu = LAWS[p.friction](w, p)
+    if p.friction == "stribeck":
+        return mu * p.m1 * p.g + p.mu * J
+    return mu * (p.m1 * p.g + J)
+
+
+def stick_coefficient(p) -> float:
+    """mu(0+): the bit sticks while the pull is at most mu(0+) (m1 g + J) (5.11)."""
+    return float(LAWS[p.friction](0.0, p))

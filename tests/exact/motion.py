@@ -1,0 +1,153 @@
+"""A motion as pieces: polynomials over the time between one step or switch and the next."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.polynomial import chebyshev
+
+from exact.flow import swung
+from exact.parameters import parameters
+from exact.polynomials import GAUSS, WEIGHTS, N, first_fall
+from exact.pulses import Pulses, Sweep
+from exact.scenes import Phase, Scene
+
+MOST_AT_ONCE = 50
+"""Switches in a row without time between them: more is an endless loop."""
+
+
+@dataclass
+class Piece:
+    """From `begin` to `end` in one phase; `c` [N + 1, d] are coefficients over [origin, origin + h]."""
+
+    begin: float
+    end: float
+    origin: float
+    h: float
+    c: np.ndarray
+    phase: Phase
+    given: Callable | None = None
+
+    def x(self, t):
+        """The polynomial's variable."""
+        return 2 * (t - self.origin) / self.h - 1
+
+    def states(self, t) -> np.ndarray:
+        """[..., d]"""
+        x = np.asarray(self.x(t))
+        return (chebyshev.chebvander(x, N) @ self.c).reshape(*x.shape, -1)
+
+    def integral(self, function):
+        """Of function(t, states) over the piece, exactly for polynomials up to degree 47."""
+        half = (self.end - self.begin) / 2
+        t = self.begin + half * (GAUSS + 1)
+        return half * np.tensordot(WEIGHTS, function(t, self.states(t)), axes=(0, 0))
+
+    def between(self, begin, end) -> "Piece | None":
+        """What of the piece lies between two times."""
+        begin, end = max(begin, self.begin), min(end, self.end)
+        return replace(self, begin=begin, end=end) if begin < end else None
+
+
+class Event(NamedTuple):
+    time: float
+    name: str
+    state: np.ndarray
+    before: Phase
+    after: Phase
+
+
+@dataclass
+class Motion:
+    """Pieces from `observed` on (all, if it is 0), and the events among them.
+
+    `swing` [d] is the greatest size of each entry so far, or what it is small against.
+    """
+
+    scene: Scene
+    observed: float
+    end: float
+    swing: np.ndarray
+    pieces: list[Piece] = field(default_factory=list)
+    events: list[Event] = field(default_factory=list)
+
+    def at(self, times) -> np.ndarray:
+        """States [times, entries]."""
+        ends = np.array([piece.end for piece in self.pieces])
+        index = np.minimum(np.searchsorted(ends, times, side="left"), len(ends) - 1)
+        return np.stack([self.pieces[i].states(t) for i, t in zip(index, times, strict=True)])
+
+    def column(self, name, times) -> np.ndarray:
+        """x1, v1, x2, v2, x4, v3; x3 = e + x4."""
+        states = self.at(times)
+        if name == "x3":
+            return states @ (self.scene.row["e"] + self.scene.row["x4"])
+        return states @ self.scene.row[name]
+
+
+def initial(scene: Scene, start) -> np.ndarray:
+    """R5, R13, or a vector [x1, x1', x2, x2']; the rock begins at rest at zero."""
+    y = np.zeros(len(scene.entries))
+    y[-1] = 1.0
+    if scene.drill:
+        p = scene.p
+        named = {
+            "drive": (0.0, 0.0, 0.0, 0.0),
+            "stuck": (0.0, -p.v, 0.0, 0.0),
+            "touching": (0.0, 0.0, min(0.0, getattr(p, "delta", 0.0)), 0.0),
+        }
+        y[:4] = named[start] if isinstance(start, str) else start
+    return y
+
+
+def run(name, *, start="drive", settle=0.0, observe, pulses=None, **given) -> Motion:
+    """A motion of the scene from t = 0 to settle + observe; what lies before settle is not kept."""
+    p = parameters(name, **given)
+    if name == "penetration" and pulses is None:
+        if p.pulse_shape == "sweep":
+            pulses = Sweep(p.force, p.sweep_start, p.sweep_rate, p.bias)
+        else:
+            pulses = Pulses(p.force, p.frequency, p.pulse_width, p.pulse_shape)
+    scene = Scene(name, p, pulses)
+    motion = Motion(scene, settle, settle + observe, scene.sizes())
+    t, y = 0.0, initial(scene, start)
+    held, until = pulses.since(t) if pulses else (None, np.inf)
+    phase = scene.first(y, held)
+    stood = 0
+    while t < motion.end:
+        limit = min(until, motion.end, settle if t < settle else np.inf)
+        piece, last, event = _advance(scene.mode(phase, held), phase, t, y, motion.swing, limit, held)
+        y = chebyshev.chebvander([last], N)[0] @ piece.c  # by its share of the step: times are rounded to 1e-15 s
+        y[-1] = 1.0
+        motion.swing = swung(motion.swing, piece.c)
+        stood = stood + 1 if piece.end - t < 1e-14 else 0
+        if stood > MOST_AT_ONCE:
+            raise ArithmeticError(
+                f"{event} and no time passes: t = {t}, {phase}, {dict(zip(scene.entries, y, strict=True))}"
+            )
+        t = piece.end
+        if t > settle:
+            motion.pieces.append(piece)
+        if event:
+            before, phase = phase, scene.after(phase, event, y)
+            if t > settle:
+                motion.events.append(Event(t, event, y.copy(), before, phase))
+        if t >= until:
+            held, until = pulses.since(t)
+    return motion
+
+
+def _advance(mode, phase, t, y, swing, limit, held):
+    """The next piece, up to the first switch, the limit or the step's end, and what happens there."""
+    h, c = mode.step(t, y, swing)
+    end = min(t + h, limit)
+    latest = min(2 * (end - t) / h - 1, 1.0)
+    event, size = None, swung(swing, c)
+    for name, row in zip(mode.names, mode.surfaces, strict=True):
+        x = first_fall(c @ row, latest, np.abs(row) @ size)
+        if x is not None and (event is None or x < latest):
+            latest, event = x, name
+    if event:
+        end = t + h * (1 + latest) / 2
+    return Piece(t, end, t, h, c, phase, held), latest, event

@@ -1,0 +1,48 @@
+"""Forces on the bit in the penetration scene: functions that are smooth between given instants."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass
+class Pulses:
+    """A pulse begins at each t = n/frequency: rectangular, or half-sine force sin(pi t/w)."""
+
+    force: float
+    frequency: float
+    pulse_width: float
+    pulse_shape: str = "rectangular"
+
+    def since(self, t: float) -> tuple[Callable | None, float]:
+        """The force from t on, smooth for all times, and until when it holds; None is no force."""
+        n = math.floor(t * self.frequency + 1e-9)
+        begin, end = n / self.frequency, n / self.frequency + self.pulse_width
+        if t >= end - 1e-12:
+            return None, (n + 1) / self.frequency
+        if self.pulse_shape == "rectangular":
+            return lambda times: self.force + 0 * times, end
+        return lambda times: self.force * np.sin(np.pi * (times - begin) / self.pulse_width), end
+
+    def impulse(self) -> float:
+        """[N s] of one pulse."""
+        return self.force * self.pulse_width * (1 if self.pulse_shape == "rectangular" else 2 / math.pi)
+
+
+@dataclass
+class Sweep:
+    """bias + force sin 2 pi (sweep_start t + sweep_rate t^2/2)."""
+
+    force: float
+    sweep_start: float
+    sweep_rate: float
+    bias: float
+
+    def since(self, t: float) -> tuple[Callable | None, float]:
+        def force(times):
+            turns = self.sweep_start * times + self.sweep_rate * times**2 / 2
+            return self.bias + self.force * np.sin(2 * np.pi * turns)
+
+        return force, math.inf
