@@ -19,11 +19,10 @@ def begin(names, like) -> dict:
 
 def add(ledger: dict, increments: dict) -> dict:
     """The ledger with a step's increments added, and what rounding lost of them kept for the next (Kahan 1965)."""
-    sums, lost = {}, {}
-    for name, total in ledger["sums"].items():
-        more = increments[name] + ledger["lost"][name]
-        sums[name] = total + more
-        lost[name] = more - (sums[name] - total)
+    # Barriers: worked out again in another fusion, a sum may be rounded otherwise, and what it lost would be wrong.
+    more = keep({name: increments[name] + lost for name, lost in ledger["lost"].items()})
+    sums = keep({name: total + more[name] for name, total in ledger["sums"].items()})
+    lost = {name: more[name] - (sums[name] - total) for name, total in ledger["sums"].items()}
     return ledger | {"sums": sums, "lost": lost}
 
 
