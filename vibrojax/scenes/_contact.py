@@ -26,18 +26,19 @@ def energy(p, compression):
     return p["k0"] * inside * inside / 2
 
 
-def begins(p, touching, rate, hit):
-    """Where a contact begins from outside, which is an impact.
+def begins(p, touching, compression, rate, hit, noise):
+    """Where a contact begins from outside, which is an impact; a compression of `noise` [m] counts as none.
 
-    Let go while still compressed (c0 > 0), it may be caught again there, while the rate is negative: no new impact.
+    Let go while still compressed (c0 > 0), it may be caught again there: no new impact.
     """
-    return hit & (touching == 0) & (p["relaxation"] * rate >= 0)
+    return hit & (touching == 0) & (p["relaxation"] * rate >= 0) & (compression <= noise)
 
 
-def landed(p, touching, compression, rate, hit):
+def landed(p, touching, compression, rate, hit, noise):
     """The mode, and the compression put on the surface, after it is reached where `hit`."""
+    from_outside = begins(p, touching, compression, rate, hit, noise)
     compression = jnp.where(hit & (touching != 0), -p["relaxation"] * rate, compression)
-    compression = jnp.where(begins(p, touching, rate, hit), 0.0, compression)
+    compression = jnp.where(from_outside, 0.0, compression)
     return jnp.where(hit, 1.0 - touching, touching), compression
 
 

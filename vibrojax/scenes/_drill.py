@@ -94,6 +94,11 @@ def speed_noise(p):
     return 64 * jnp.finfo(p["v"].dtype).eps * p["speed_scale"]
 
 
+def length_noise(p):
+    """Distance [m] that counts as zero: a few roundings of a typical one."""
+    return speed_noise(p) * p["slowness"]
+
+
 def stick_noise(p, impact_noise=0.0):
     """Spring force [N] beyond the stick limit that counts as none; `impact_noise` is that of J [N]."""
     return p["impedance"] * speed_noise(p) + p["stick_gain"] * impact_noise
@@ -138,6 +143,20 @@ def flight_rate(p):
     """A bound on the fastest rate of change [1/s] of the sliding, free drill: its springs and its damper."""
     springs = (p["k1"] + p["k2"]) * p["inverse_m1"] + p["k2"] * p["inverse_m2"]
     return jnp.sqrt(springs) + p["c2"] * p["inverse_m2"]
+
+
+def in_sight(law, p, slip, v1):
+    """Part of a step in which a slip's speed changes by no more than half of itself and of what friction is flat below.
+
+    `v1` holds the coefficients of x1' in tau. None for a law that is nowhere flat: its series tell what follows.
+    """
+    if law.flat_below is None:
+        return None
+    change = (jnp.abs(v1[0] + p["v"]) + law.flat_below(p)) / 2
+    terms = [jnp.abs(c) for c in v1[1:]]
+    share = change / len(terms)
+    reach = jnp.min(jnp.stack([(share / term) ** (1 / k) for k, term in enumerate(terms, start=1)]), axis=0)
+    return jnp.where(slip == 0, 1.0, reach)
 
 
 def start(p, name, shape):

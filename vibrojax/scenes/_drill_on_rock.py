@@ -117,7 +117,7 @@ class DrillOnRock(Scene):
         slip, touching, rock = mode
         begins = self.impact_begins(p, mode, state, hits)
         before, rate = self._compression(p, rock, state)
-        touching, compression = _contact.landed(p, touching, before, rate, at_contact)
+        touching, compression = _contact.landed(p, touching, before, rate, at_contact, _drill.length_noise(p))
         x2 = jnp.where(at_contact, state[2] + (compression - before), state[2])
         rock, depth, v3 = _rock.land(p, rock, state[4], state[5], yields, touches)
         growth = jnp.where(begins, 0.0, state[6])
@@ -134,13 +134,14 @@ class DrillOnRock(Scene):
 
     def impact_begins(self, p, mode, state, hits):
         """Where an impact begins: the compression of the contact, apart before, rises through zero."""
-        return _contact.begins(p, mode[1], self.impact_rate(p, mode, state), hits[1])
+        compression, rate = self._compression(p, mode[2], state)
+        return _contact.begins(p, mode[1], compression, rate, hits[1], _drill.length_noise(p))
 
     def resolutions(self, p, mode):
-        speed = _drill.speed_noise(p)
-        rock = tuple(small + speed * p["slowness"] for small in _rock.resolutions(p))
+        speed, length = _drill.speed_noise(p), _drill.length_noise(p)
+        rock = tuple(small + length for small in _rock.resolutions(p))
         friction = _drill.friction_resolution(p, mode[0], self._stick_noise(p, mode[1]))
-        return (friction, speed * p["slowness"], *rock, speed, speed)
+        return (friction, length, *rock, speed, speed)
 
     def slope_resolutions(self, p, mode, h):
         friction = _drill.friction_slope_resolution(p, mode[0], self._stick_noise(p, mode[1]), h)
@@ -151,6 +152,9 @@ class DrillOnRock(Scene):
 
     def pull(self, p, state):
         return _drill.pull(p, state[0], state[2])
+
+    def in_sight(self, p, mode, polynomials):
+        return _drill.in_sight(self.friction, p, mode[0], polynomials[1])
 
     def rate(self, p, mode):
         flight = _drill.flight_rate(p)

@@ -101,6 +101,10 @@ class Scene(ABC):
         """First-order changes of the surfaces and markers over a step `h` [s] that count as zero at its start."""
         return tuple(16 * small for small in self.resolutions(p, mode))
 
+    def in_sight(self, p: Constants, mode: Values, polynomials: Values):
+        """Part of a step over which the field goes on as its series say, where these cannot tell; None: they can."""
+        return None
+
     @abstractmethod
     def rate(self, p: Constants, mode: Values):
         """The fastest rate of change in the mode [1/s]; the step follows from it."""

@@ -77,6 +77,9 @@ class Rotary(Scene):
     def pull(self, p, state):
         return _drill.pull(p, state[0], state[2])
 
+    def in_sight(self, p, mode, polynomials):
+        return _drill.in_sight(self.friction, p, mode[0], polynomials[1])
+
     def rate(self, p, mode):
         return _drill.flight_rate(p)
 

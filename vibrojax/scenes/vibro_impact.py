@@ -89,7 +89,7 @@ class VibroImpact(Scene):
         at_friction, at_contact, bit_turns, striker_turns = hits
         slip, touching = mode
         x1, v1, x2, v2 = state
-        touching, compression = _contact.landed(p, touching, x2 - p["delta"], v2, at_contact)
+        touching, compression = _contact.landed(p, touching, x2 - p["delta"], v2, at_contact, _drill.length_noise(p))
         x2 = jnp.where(at_contact, p["delta"] + compression, x2)
         state = (x1, v1, x2, v2)
         impact = touching * self.impact_force(p, state)
@@ -109,12 +109,13 @@ class VibroImpact(Scene):
 
     def impact_begins(self, p, mode, state, hits):
         """Where an impact begins: the striker, apart from the bit, rises through delta (contract: dataset)."""
-        return _contact.begins(p, mode[1], self.impact_rate(p, mode, state), hits[1])
+        rate = self.impact_rate(p, mode, state)
+        return _contact.begins(p, mode[1], state[2] - p["delta"], rate, hits[1], _drill.length_noise(p))
 
     def resolutions(self, p, mode):
         speed = _drill.speed_noise(p)
         friction = _drill.friction_resolution(p, mode[0], self._stick_noise(p, mode[1]))
-        return (friction, speed * p["slowness"], speed, speed)
+        return (friction, _drill.length_noise(p), speed, speed)
 
     def slope_resolutions(self, p, mode, h):
         friction = _drill.friction_slope_resolution(p, mode[0], self._stick_noise(p, mode[1]), h)
@@ -125,6 +126,9 @@ class VibroImpact(Scene):
 
     def pull(self, p, state):
         return _drill.pull(p, state[0], state[2])
+
+    def in_sight(self, p, mode, polynomials):
+        return _drill.in_sight(self.friction, p, mode[0], polynomials[1])
 
     def rate(self, p, mode):
         flight = _drill.flight_rate(p)

@@ -51,7 +51,8 @@ class Located:
         speed = p["speed_scale"]
         rest = keep(_at_rest(velocities, speed)) if scene.autonomous else jnp.zeros_like(moving)
         reach = jnp.where(rest, 1.0, _converged(velocities, speed, settings["tolerance"]))
-        reach = keep(lax.stop_gradient(reach))
+        in_sight = scene.in_sight(p, lane.mode, polynomials)
+        reach = keep(lax.stop_gradient(reach if in_sight is None else jnp.minimum(reach, in_sight)))
         landing = land(functions_at, scene, p, lane.mode, polynomials, functions, h, reach, moving & ~rest)
         h = jnp.where(moving & rest, lane.clock.until(end), h)
         return taken(scene, p, lane, polynomials, h, landing)

@@ -24,7 +24,8 @@ class FrictionLaw:
       at 0 is the limit mu(0+), which is the stick limit. Written with +, -, *, / and the functions of
       [vibrojax.physics.elementary][], so that it accepts arrays and Taylor series alike.
     - `mu_impact`: the coefficient under the impact force J; `mu` itself where left out (model, section 3).
-    - `entire`: whether `mu` is a polynomial, whose Taylor series converge at any step.
+    - `flat_below`: `flat_below(p)`, a speed [m/s] below which `mu` is constant to rounding though it varies above, so
+      that its series there says nothing of what follows; None where there is no such speed.
     """
 
     name: str
@@ -32,7 +33,7 @@ class FrictionLaw:
     parameters: Mapping[str, Parameter]
     mu: Coefficient
     mu_impact: Coefficient | None = None
-    entire: bool = False
+    flat_below: Callable[[Mapping[str, Any]], Any] | None = None
 
     def on_weight(self, speed, p):
         """Friction coefficient under the weight m1 g at `speed` >= 0 [m/s]; any shape; unit 1."""

@@ -14,5 +14,4 @@ LAW = FrictionLaw(
     reference="eq. 2.13",
     parameters=table(not_negative("mu", 0.4, "1", "friction coefficient", "μ")),
     mu=mu,
-    entire=True,
 )

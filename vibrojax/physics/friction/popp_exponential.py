@@ -4,13 +4,15 @@ from vibrojax.physics.elementary import exp, maximum
 from vibrojax.physics.friction._law import FrictionLaw
 from vibrojax.physics.parameters import Parameter, table
 
-# exp(c1/|u|) and all its derivatives vanish as |u| -> 0; below |c1|/_EXPONENT_FLOOR it is under 1e-17.
-_EXPONENT_FLOOR = 40.0
+
+def _flat_below(p):
+    """exp(c1/|u|) and all its derivatives vanish as |u| -> 0; below this speed it is under 1e-17."""
+    return p["popp_c1"] * (-1 / 40)
 
 
 def mu(speed, p):
     """0.165 (1 + exp(c1/|u|)) (1 + exp(c2 |u|)), eq. 2.14; `speed` = |u| [m/s], any shape; unit 1."""
-    slow = maximum(speed, p["popp_c1"] * (-1 / _EXPONENT_FLOOR))
+    slow = maximum(speed, _flat_below(p))
     return 0.165 * (1.0 + exp(p["popp_c1"] / slow)) * (1.0 + exp(p["popp_c2"] * speed))
 
 
@@ -22,4 +24,5 @@ LAW = FrictionLaw(
         Parameter("popp_c2", -0.25, "s m-1", "rate of the fall of Popp's friction law", "c₂"),
     ),
     mu=mu,
+    flat_below=_flat_below,
 )

@@ -24,5 +24,4 @@ LAW = FrictionLaw(
     ),
     mu=mu,
     mu_impact=mu_impact,
-    entire=True,
 )
