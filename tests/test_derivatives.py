@@ -29,7 +29,7 @@ def features(scene, wrt, names, settle, observe):
         p = dict(scene.constants(p))
         settings = EXACT | {"settle": settle, "observe": observe}
         start = scene.start(p, "drive", (1,))
-        read = run_block(scene, Located(), recorder_for(scene), p, start, True, settings)
+        read = run_block(scene, Located(), recorder_for(scene), p, start, settings)
         return jnp.concatenate([read[name] for name in names])
 
     return found, jnp.asarray([defaults[name] for name in wrt])

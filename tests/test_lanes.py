@@ -11,7 +11,7 @@ import vibrojax as vj
 from vibrojax import devices
 from vibrojax.sweep import read_sweep
 from vibrojax.sweep._chunks import Chunks
-from vibrojax.sweep._program import run_lanes
+from vibrojax.sweep._program import observe_lanes, settle_lanes
 
 CASES = json.loads((Path(__file__).parent / "data" / "vibro_impact_cases.json").read_text())
 PERIODIC = [case for case in CASES if case["expected"].get("cycles", 0) > 0]
@@ -73,23 +73,27 @@ def test_cores(tiled, cores, monkeypatch):
     assert_identical(features(vj.run_sweep(sweep(TILED, chunk=200, **SHORT), progress=False)), tiled)
 
 
+def programs_compiled():
+    return settle_lanes._cache_size(), observe_lanes._cache_size()
+
+
 def test_nothing_compiles_again(tiled):
     """Parameters, times, and the accuracy are values: another sweep of the scene runs in the same program."""
-    compiled = run_lanes._cache_size()
+    compiled = programs_compiled()
     other = [{"point": case["point"] | {"beta": 0.33, "v": 1.1}} for case in PERIODIC]
     for run in ({"error": 1e-3}, {"settle": 3.0, "observe": 2.0}, {"step": 2e-3}):
         vj.run_sweep(sweep(other, **(SHORT | run)), progress=False)
     fixed = sweep(other, **SHORT) | {"parameters": {"m1": 200.0, "k0": 4e7, "c0": 10.0, "mu": 0.3}}
     vj.run_sweep(fixed, progress=False)
-    assert run_lanes._cache_size() == compiled
+    assert programs_compiled() == compiled
 
 
 def test_memory_does_not_grow_with_time(tiled):
     """The program returns numbers per lane, and a run of ten times the time runs in it: it holds no more."""
-    compiled = run_lanes._cache_size()
+    compiled = programs_compiled()
     chunks = Chunks(read_sweep(sweep(PERIODIC[:4], settle=1.0, observe=60.0)))
     found = chunks.compute(0)
-    assert run_lanes._cache_size() == compiled
+    assert programs_compiled() == compiled
     assert {values.shape for values in found.values()} == {(4,)}
 
 

@@ -73,7 +73,7 @@ def test_undamped_slip_under_a_step(force):
     first = np.flatnonzero((motion.rock == YIELDING) & motion.steps.hits[:, 0])[0]
     np.testing.assert_allclose(motion.x4[first], slip, rtol=1e-11)
     assert motion.times[-1] > motion.times[first] + 0.06
-    assert motion.x4[-1] - motion.x4[first] <= 1e-12 * slip
+    assert motion.x4[-1] - motion.x4[first] <= 1e-11 * slip  # ten times the tolerance of the steps
 
 
 @pytest.mark.parametrize("zeta", [0.05, 0.3, 0.6, 0.9])

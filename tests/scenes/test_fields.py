@@ -280,7 +280,7 @@ def test_landings_on_the_contact():
     """Snapped to x2 = delta where an impact begins, to J = 0 where it ends; caught again above delta, x2 stays."""
     delta, relaxation = CONTACT["delta"], CONTACT["c0"] / CONTACT["k0"]
     contact = (False, True, False, False)
-    begins = landed(VibroImpact(), (1.0, 0.0), (0.01, 0.2, delta + 1e-15, 0.7), *contact)
+    begins = landed(VibroImpact(), (1.0, 0.0), (0.01, 0.2, delta + 1e-16, 0.7), *contact)
     assert begins == ((1, 1), (0.01, 0.2, delta, 0.7))
     mode, state = landed(VibroImpact(), (1.0, 1.0), (0.01, 0.2, delta + 0.7 * relaxation + 1e-12, -0.7), *contact)
     assert mode == (1, 0)

@@ -10,7 +10,7 @@ import pytest
 from vibrojax.physics import elementary
 from vibrojax.physics.friction import FRICTION_LAWS
 from vibrojax.scenes.vibro_impact import VibroImpact
-from vibrojax.stepping.series import Series, constant, expand
+from vibrojax.stepping.series import Sequence, Series, constant, expand, known
 
 ORDER = 9
 RANDOM = np.random.default_rng(7)
@@ -22,7 +22,7 @@ LANE = np.array([1.3, -0.6])
 
 
 def series(coefficients):
-    return Series(known=tuple(jnp.asarray(c) for c in coefficients))
+    return known([jnp.asarray(c) for c in coefficients])
 
 
 def cauchy(function):
@@ -102,7 +102,7 @@ def test_functions(function, reference):
 def test_functions_of_a_constant_and_of_a_line():
     """exp(c + tau) = exp(c) tau^k/k!; arctan(tau) = tau - tau³/3 + tau⁵/5; 1/(1 - tau) = 1 + tau + tau² ..."""
     one = jnp.ones(2)
-    line = Series(known=(0.0 * one, one, *[0.0] * (ORDER - 1)))
+    line = known([0.0 * one, one, *[0.0] * (ORDER - 1)])
     np.testing.assert_allclose(
         coefficients(elementary.exp(line + 0.4)),
         np.transpose([[np.exp(0.4) / factorial(k) for k in range(ORDER + 1)]] * 2),
@@ -131,9 +131,19 @@ def test_maximum_and_absolute_keep_the_branch_of_the_start():
 
 def test_each_coefficient_is_worked_out_once():
     asked = []
-    one = Series(lambda k: asked.append(k) or jnp.full(2, 0.5**k))
+    one = Series(jnp.ones(2), {Sequence(lambda k: asked.append(k) or jnp.full(2, 0.5**k)): 1.0})
     coefficients(one * one + elementary.exp(one))
-    assert asked == list(range(ORDER + 1))
+    assert asked == list(range(1, ORDER + 1))
+
+
+def test_what_is_linear_costs_one_factor():
+    """Sums and scalings only change factors: 2 (a + b)/3 - a is one part of each sequence, and one of a alone."""
+    a, b = series(A), series(B)
+    made = (a + b) * 2.0 / 3 - a
+    assert list(made.parts.values()) == [pytest.approx(-1 / 3), pytest.approx(2 / 3)]
+    np.testing.assert_allclose(coefficients(made), -A / 3 + 2 * B / 3, rtol=1e-14)
+    assert list((a * 0.25 + a * 0.75).parts.values()) == [1.0]
+    assert (a - a).parts == {}
 
 
 H = jnp.asarray([0.1, 0.7])

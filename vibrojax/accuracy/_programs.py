@@ -46,7 +46,7 @@ class Own(Program):
     def __init__(self, lanes: Lanes, method: str, precision: str):
         super().__init__(lanes)
         self._chunks = Chunks(read_sweep(lanes.sweep(method, precision, self.copies)))
-        self._chunks.most_steps = MOST_STEPS
+        self._chunks.programs.most_steps = MOST_STEPS
 
     def compile(self, accuracy):
         self._chunks.compile()

@@ -84,5 +84,5 @@ def _rate(scene, wrt, fixed, spans, values):
     p |= {name: values[index : index + 1] for index, name in enumerate(wrt)}
     p = dict(scene.constants(p))
     settings = {"stride": 1.0, "tolerance": 1e-12, "step": jnp.inf, "most_steps": 1e7} | spans
-    found = run_block(scene, Located(), recorder_for(scene), p, scene.start(p, None, (1,)), True, settings)
+    found = run_block(scene, Located(), recorder_for(scene), p, scene.start(p, None, (1,)), settings)
     return jnp.concatenate([found["rate_of_penetration"], found["yields"]])

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 
 from vibrojax.measure._gauge import Gauge
-from vibrojax.stepping.polynomial import value
+from vibrojax.stepping.polynomial import highest, value
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,10 @@ class Drilling(Gauge):
         return {"deepest": jnp.minimum(_compression(scene, lane), 0)}
 
     def step(self, scene, p, carry, moment):
-        return {"deepest": jnp.minimum(carry["deepest"], _compression(scene, moment.lane))}
+        step = moment.step
+        compression = step.polynomials[scene.states.index("compression")]
+        lowest = -highest([-c for c in compression], step.tau)
+        return {"deepest": jnp.minimum(carry["deepest"], lowest)}
 
     def read(self, scene, p, carry, whole):
         mean_force = whole.sums["force"] / whole.time

@@ -6,8 +6,8 @@ import jax.numpy as jnp
 
 from vibrojax.measure._gauge import Gauge
 from vibrojax.stepping import keep
-from vibrojax.stepping.polynomial import integral, slope, value
-from vibrojax.stepping.series import Series
+from vibrojax.stepping.polynomial import highest, integral
+from vibrojax.stepping.series import known
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Impacts(Gauge):
             jnp.where(begins, jnp.minimum(slowest, velocity), slowest),
             jnp.where(begins, jnp.maximum(fastest, velocity), fastest),
         )
-        return carry | {"since": since, "peak": jnp.maximum(carry["peak"], _peak(_force(scene, p, step), step.tau))}
+        return carry | {"since": since, "peak": jnp.maximum(carry["peak"], highest(_force(scene, p, step), step.tau))}
 
     def section(self, scene, p, carry, at):
         slowest, fastest = carry["since"]
@@ -75,13 +75,5 @@ class Impacts(Gauge):
 
 def _force(scene, p, step):
     """Coefficients in tau of the contact force J [N] over the step."""
-    force = scene.contact_force(p, step.mode, tuple(Series(known=one) for one in step.polynomials))
+    force = scene.contact_force(p, step.mode, tuple(known(one) for one in step.polynomials))
     return keep([force[k] for k in range(len(step.polynomials[0]))])
-
-
-def _peak(force, tau):
-    """Greatest value on the step: at its ends, or where its slope, taken as linear, vanishes between them."""
-    start, end = slope(force, jnp.zeros_like(tau)), slope(force, tau)
-    turns = (start > 0) & (end < 0)
-    top = jnp.where(turns, tau * start / jnp.where(turns, start - end, 1), 0)
-    return jnp.maximum(jnp.maximum(force[0], value(force, tau)), value(force, top))

@@ -7,16 +7,7 @@ import jax.numpy as jnp
 
 from vibrojax.measure import ledger
 from vibrojax.stepping.polynomial import integral, value
-from vibrojax.stepping.series import Series
-
-
-def _begin(lane) -> dict:
-    zero = jnp.zeros_like(lane.state[0])
-    return {"waiting": jnp.zeros_like(zero, bool), "number": zero}
-
-
-def _observe(carry: dict) -> dict:
-    return carry | {"number": jnp.zeros_like(carry["number"])}
+from vibrojax.stepping.series import known
 
 
 def _step(scene, p, carry: dict, lane, step) -> dict:
@@ -35,22 +26,24 @@ class PulseRecorder:
     Means are over whole pulses, NaN where there is none; over the whole observation under a swept sine.
     """
 
-    watch = SimpleNamespace(begin=_begin, observe=_observe, step=_step, turn_over=_turn_over)
+    watch = SimpleNamespace(  # before the observation there is nothing to know
+        begin=lambda lane: {}, pass_by=lambda scene, p, carry, lane, step: carry, turn_over_passed=lambda carry: carry
+    )
 
     def begin(self, scene, p, lane, returns: dict) -> dict:
         """What is carried at the start of the observation."""
         compression = lane.state[0]
         # At t = 0 a pulse begins that no event tells of.
-        first = (lane.clock.high == 0) if scene.has_pulses else returns["waiting"]
+        first = (lane.clock.high == 0) & scene.has_pulses
         return {
-            "returns": _observe(returns) | {"waiting": first},
+            "returns": {"waiting": first, "number": jnp.zeros_like(compression)},
             "ledger": ledger.begin(("time", "growth", "force", "yields"), compression),
             "deepest": jnp.minimum(compression, 0),
         }
 
     def step(self, scene, p, carry: dict, lane, step) -> dict:
         """Take in a step."""
-        states = tuple(Series(known=one) for one in step.polynomials)
+        states = tuple(known(one) for one in step.polynomials)
         force = scene.applied_force(p, step.mode, states)
         force = [force.array(k, step.dt) for k in range(len(step.polynomials[0]))]
         growth = step.polynomials[2]

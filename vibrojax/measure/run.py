@@ -1,4 +1,4 @@
-"""The program of one block of lanes: settle, observe, read."""
+"""The programs of one block of lanes: settle, as often as is asked, then observe and read."""
 
 import jax
 import jax.numpy as jnp
@@ -8,54 +8,60 @@ from vibrojax.stepping import lane_at
 STEPS_PER_TURN = 4
 """Steps between two looks at the section: a lane that reaches it waits there, on average half of them."""
 
+STEPS_PER_PASS = 3
+"""The same while it settles, where a lane goes on past the section: fewer than a period has at the longest strides."""
 
-def run_block(scene, method, recorder, p, state, real, settings) -> dict:
-    """Features of a block of lanes, by name.
+
+def start_block(scene, recorder, p, state) -> tuple:
+    """(lane, what its recorder watches) at t = 0, from `state`, each (lanes,)."""
+    lane = lane_at(scene, scene.scaled(p, state), state)
+    return lane, recorder.watch.begin(lane)
+
+
+def settle_block(scene, method, recorder, p, lane, returns, until, settings) -> tuple:
+    """(lane, what its recorder watches, steps taken) at the time `until` [s].
 
     **Arguments:**
 
-    - `p`: the scene's constants, each (lanes,); `state`: the states at t = 0, each (lanes,).
-    - `real`: False for lanes that only fill up the block; they take no step.
-    - `settings`: the method's, and `settle`, `observe` [s], `most_steps` (steps after which a lane is given up).
+    - `p`: the scene's constants, scaled for the lane's start, each (lanes,).
+    - `settings`: the method's, and `most_steps`, after which a lane is given up.
     """
-    p = scene.scaled(p, state)
-    lane = lane_at(scene, p, state, real)
-    settle = settings["settle"] * jnp.ones_like(state[0])
-    end = settle + settings["observe"]
-
     watch = recorder.watch
 
-    def settling_step(returns, lane, step):
-        return watch.step(scene, p, returns, lane, step)
+    def step(returns, lane, step):
+        return watch.pass_by(scene, p, returns, lane, step)
 
-    def settling_turn(returns, lane):
-        return watch.turn_over(returns, lane)
+    def turn(returns, lane):
+        return watch.turn_over_passed(returns)
 
-    lane, returns, steps = _stretch(
-        scene, method, p, settings, settle, lane, watch.begin(lane), settling_step, settling_turn, lambda c: c
-    )
+    def moves(returns):
+        return True
 
-    settled = lane.clock.until(settle) <= 0
+    until = until * jnp.ones_like(lane.clock.high)
+    return _stretch(scene, method, p, settings, until, lane, returns, step, turn, moves, STEPS_PER_PASS, marked=False)
 
-    def observing_step(carry, lane, step):
+
+def observe_block(scene, method, recorder, p, lane, returns, steps, settings) -> dict:
+    """Features of a block of lanes that have settled, by name.
+
+    **Arguments:** as of `settle_block`; `settings` also `settle`, `observe` [s]: when the observation begins, and how
+    long it is; `steps`, that the lanes have taken before.
+    """
+
+    def step(carry, lane, step):
         return recorder.step(scene, p, carry, lane, step)
 
-    def observing_turn(carry, lane):
+    def turn(carry, lane):
         share = 1 - lane.clock.until(end) / settings["observe"]
         return recorder.turn_over(scene, p, carry, lane, share)
 
-    lane, carry, more = _stretch(
-        scene,
-        method,
-        p,
-        settings,
-        end,
-        lane,
-        recorder.begin(scene, p, lane, returns),
-        observing_step,
-        observing_turn,
-        lambda c: c["returns"],
-    )
+    def moves(carry):
+        return ~carry["returns"]["waiting"]
+
+    end = (settings["settle"] + settings["observe"]) * jnp.ones_like(lane.clock.high)
+    settled = lane.clock.until(settings["settle"]) <= 0
+    carry = recorder.begin(scene, p, lane, returns)
+    lane, carry, more = _stretch(scene, method, p, settings, end, lane, carry, step, turn, moves, STEPS_PER_TURN)
     finite = jnp.all(jnp.stack([jnp.isfinite(y) for y in lane.state]), axis=0)
     return recorder.read(scene, p, carry) | {
         "steps": steps + more,
@@ -64,20 +70,28 @@ def run_block(scene, method, recorder, p, state, real, settings) -> dict:
     }
 
 
-def _stretch(scene, method, p, settings, end, lane, carry, take_in, turn_over, returns_of):
-    """Step every lane to its `end`, taking in each step, and each return while the lane waits at the section."""
+def run_block(scene, method, recorder, p, state, settings) -> dict:
+    """Features of a block of lanes from their start to their end, by name; see the programs above."""
+    lane, returns = start_block(scene, recorder, p, state)
+    p = scene.scaled(p, state)
+    lane, returns, steps = settle_block(scene, method, recorder, p, lane, returns, settings["settle"], settings)
+    return observe_block(scene, method, recorder, p, lane, returns, steps, settings)
+
+
+def _stretch(scene, method, p, settings, end, lane, carry, take_in, turn_over, moves, steps_per_turn, marked=True):
+    """Step every lane to its `end`, taking in each step, and what was met every few steps."""
 
     def active(lane):
         return lane.clock.until(end) > 0  # a NaN is not
 
     def one(_, state):
         lane, carry, steps = state
-        moving = active(lane) & ~returns_of(carry)["waiting"] & (steps < settings["most_steps"])
-        lane, step = method.step(scene, p, lane, settings, end, moving)
+        moving = active(lane) & moves(carry) & (steps < settings["most_steps"])
+        lane, step = method.step(scene, p, lane, settings, end, moving, marked)
         return lane, take_in(carry, lane, step), jnp.where(moving, steps + 1, steps)
 
     def turn(state):
-        lane, carry, steps = jax.lax.fori_loop(0, STEPS_PER_TURN, one, state)
+        lane, carry, steps = jax.lax.fori_loop(0, steps_per_turn, one, state)
         return lane, turn_over(carry, lane), steps
 
     def goes_on(state):

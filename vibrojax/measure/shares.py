@@ -6,7 +6,7 @@ import jax.numpy as jnp
 
 from vibrojax.measure._gauge import Gauge
 from vibrojax.stepping.polynomial import integral
-from vibrojax.stepping.series import Series
+from vibrojax.stepping.series import known
 
 
 @dataclass(frozen=True)
@@ -36,6 +36,6 @@ class Shares(Gauge):
 
 def friction_impulse(scene, p, step):
     """Integral of F over the step [N s], what the spring force did not give to the bit: sliding and in stick alike."""
-    pull = scene.pull(p, tuple(Series(known=one) for one in step.polynomials))
+    pull = scene.pull(p, tuple(known(one) for one in step.polynomials))
     spring = step.h * integral([pull[k] for k in range(len(step.polynomials[0]))], step.tau)
     return spring - p["m1"] * (step.after[1] - step.before[1])

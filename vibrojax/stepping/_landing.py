@@ -25,21 +25,22 @@ class Landing(NamedTuple):
 def land(functions_at, scene, p, mode, polynomials, functions, h, reach, moving) -> Landing:
     """Find the end of a trial step.
 
-    A function that is crossed ends the step there. If another turns out to be crossed before, or a surface may have
-    been touched and left again inside the step, the trial is rejected and repeated up to that point: at most a few
-    times, since each rejection shortens the step to an earlier candidate.
+    A function that is crossed ends the step there. If another turns out to be crossed before, or one may have been
+    touched and left again on the way, the trial is rejected and repeated up to that point: at most a few times, since
+    each rejection shortens the step to an earlier candidate.
 
     **Arguments:**
 
-    - `functions_at`: the surfaces, then the markers, at a state.
+    - `functions_at`: the surfaces, then the markers that are landed on, at a state.
     - `polynomials`: coefficients in tau of the states.
-    - `functions`: coefficients in tau of the surfaces and markers.
+    - `functions`: coefficients in tau of the surfaces and those markers.
     - `h`: the trial step [s].
     - `reach`: its end in tau, in [0, 1].
     - `moving`: booleans; the other lanes stand still (h = 0).
     """
     n_surfaces = len(scene.surfaces_named)
-    small = [Small(*one) for one in zip(scene.resolutions(p, mode), scene.slope_resolutions(p, mode, h), strict=True)]
+    resolutions = zip(scene.resolutions(p, mode), scene.slope_resolutions(p, mode, h), strict=True)
+    small = [Small(*one) for one, _ in zip(resolutions, functions, strict=False)]
     signs = [1.0] * n_surfaces + [_sign_at_start(*f) for f in list(zip(functions, small, strict=True))[n_surfaces:]]
     functions = [[sign * c for c in f] for sign, f in zip(signs, functions, strict=True)]
     trial = _crossings(functions, n_surfaces, reach, small, moving)
@@ -52,23 +53,26 @@ def land(functions_at, scene, p, mode, polynomials, functions, h, reach, moving)
     tau = keep(jnp.where(ending, jnp.where(at_once, 0.0, tau), reach))
 
     state = keep(tuple(value(one, tau) for one in polynomials))
-    landed = [sign * g for sign, g in zip(signs, functions_at(state), strict=True)]
+    landed = keep([sign * g for sign, g in zip(signs, functions_at(state), strict=True)])
     mine = [one & ending for one in chosen]
     # A root within roundings of the start is where the step starts: to try again would come back here for ever.
     there = at_once | (tau <= jnp.finfo(tau.dtype).eps)
-    early = _early(trial, landed, mine, small, ending, there)
-    unseen = keep(moving & _unseen(trial, landed, mine, small, functions, n_surfaces))
-    repeat = keep(early | unseen)
-
-    dips = [_dip(f, end, reach) for f, end in zip(functions, trial.ends, strict=True)]
+    early = keep(_any(_early(trial, landed, mine, small, ending)))
+    missed = keep(moving & ~there & _missed(trial, landed, mine, small, functions, n_surfaces))
+    dips = [jnp.where(here, jnp.inf, _dip(f, end, tau)) for f, end, here in zip(functions, landed, mine, strict=True)]
     dip = keep(reduce(jnp.minimum, dips))
-    dipped = moving & ~ending & (dip < 1)
+    dipped = moving & ~early & (dip < 1)
+    repeat = keep(early | missed | dipped)
+    # Short of the surface, by a root not found to the last digit or on a branch that is left before: it just goes on.
+    short = _any(here & ~there & (g > one.value) for g, here, one in zip(landed, mine, small, strict=True))
+    hit = keep(~repeat & ~short)
+    not_landed_on = (jnp.zeros_like(moving),) * (n_surfaces + len(scene.markers_named) - len(functions))
     landing = Landing(
-        tau=jnp.where(dipped, dip * reach, jnp.where(unseen, tau / 2, tau)),
+        tau=tau * jnp.where(dipped, dip, jnp.where(missed, 0.5, 1.0)),
         state=state,
-        accepted=~(repeat | dipped),
-        hits=tuple(one & ~repeat for one in mine),
-        falling=tuple(sign > 0 for sign in signs[n_surfaces:]),
+        accepted=~repeat,
+        hits=(*(one & hit for one in mine), *not_landed_on),
+        falling=(*(sign > 0 for sign in signs[n_surfaces:]), *not_landed_on),
     )
     return keep(landing)
 
@@ -81,9 +85,8 @@ class Small(NamedTuple):
 
 
 class _Trial(NamedTuple):
-    """Of each function: its value at the end of the trial step, whether it is crossed, and where, as a fraction."""
+    """Of each function: whether it is crossed by the end of the trial step, and where, as a fraction of it."""
 
-    ends: list
     crossed: list
     guesses: list
 
@@ -100,7 +103,7 @@ def _crossings(functions, n_surfaces, reach, resolutions, moving) -> _Trial:
         clear = _zeros_at_start(functions[index], resolutions[index]) < 2
         crossed[index] = crossed[index] & clear & (guesses[index] > 0) & (ends[index] < -resolutions[index].value)
     guesses = keep([jnp.where(over, guess, jnp.inf) for over, guess in zip(crossed, guesses, strict=True)])
-    return _Trial(ends, crossed, guesses)
+    return _Trial(crossed, guesses)
 
 
 def _root_of_chosen(functions, chosen, resolutions, guess, reach):
@@ -119,21 +122,23 @@ def _root_of_chosen(functions, chosen, resolutions, guess, reach):
     return root(target, zeros, guess * reach, reach)
 
 
-def _early(trial, landed, mine, resolutions, ending, there):
-    """Where the root is not on the surface yet, unless it is `there`, or another function is crossed before it."""
-    return _any(
-        jnp.where(here, ~there & (jnp.abs(value) > small.value), ending & over & (value < -small.value))
-        for value, over, here, small in zip(landed, trial.crossed, mine, resolutions, strict=True)
-    )
-
-
-def _unseen(trial, landed, mine, resolutions, functions, n_surfaces):
-    """Where a surface is crossed on a branch of |.| or max that its polynomial does not follow."""
-    found = [
-        ~over & ~here & (there < -small.value) & (f[0] > 0)
-        for there, over, here, small, f in zip(landed, trial.crossed, mine, resolutions, functions, strict=True)
+def _early(trial, landed, mine, resolutions, ending):
+    """Where another function than the one that ends the step is crossed before."""
+    return [
+        ending & ~here & over & (there < -small.value)
+        for there, over, here, small in zip(landed, trial.crossed, mine, resolutions, strict=True)
     ]
-    return _any(found[:n_surfaces])
+
+
+def _missed(trial, landed, mine, resolutions, functions, n_surfaces):
+    """Where a surface is crossed on a branch of |.| or max that its polynomial does not follow, or the root is."""
+    beyond = [there < -small.value for there, small in zip(landed, resolutions, strict=True)]
+    roots = [here & there for here, there in zip(mine, beyond, strict=True)]
+    others = [
+        ~over & ~here & there & (f[0] > 0)
+        for there, over, here, f in zip(beyond, trial.crossed, mine, functions, strict=True)
+    ]
+    return _any(roots + others[:n_surfaces])
 
 
 def _any(masks):
@@ -170,14 +175,14 @@ def _guess(f, end, reach, small):
     return jnp.where(leaves, 0.0, guess)
 
 
-def _dip(f, end, reach):
-    """Fraction of the step near which a function may have dipped below zero and come back; infinite where it has not.
+def _dip(f, end, tau):
+    """Fraction of the step to `tau` near which a function may have dipped below zero and come back; infinite where not.
 
     A convex function lies above both of its end tangents: where these meet above zero there is no dip.
     """
-    start, rate, end_rate = f[0], f[1] * reach, slope(f, reach) * reach
+    start, rate, end_rate = f[0], f[1] * tau, slope(f, tau) * tau
     falls_then_rises = (start > 0) & (end >= 0) & (rate < 0) & (end_rate > 0)
-    curvature = jnp.where(falls_then_rises, end_rate - rate, 1.0)
-    meeting = (start - end + end_rate) / curvature
-    suspect = falls_then_rises & (start + rate * meeting < 0)
-    return jnp.where(suspect, jnp.clip(-rate / curvature, 0.0, 0.999), jnp.inf)
+    curvature = end_rate - rate
+    # start + rate * meeting < 0, the tangents meeting at (start - end + end_rate) / curvature.
+    suspect = falls_then_rises & (start * curvature + rate * (start - end + end_rate) < 0)
+    return jnp.where(suspect, jnp.minimum(-rate / curvature, 0.999), jnp.inf)

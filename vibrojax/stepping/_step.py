@@ -57,12 +57,10 @@ class Step(NamedTuple):
     falling: tuple
 
 
-def lane_at(scene, p, state, real=True) -> Lane:
-    """The lane that starts at t = 0 from `state`; one that is not `real` starts when everything is over."""
+def lane_at(scene, p, state) -> Lane:
+    """The lane that starts at t = 0 from `state`."""
     zero = jnp.zeros_like(state[0])
-    return Lane(
-        Clock(jnp.where(real, zero, jnp.inf), zero), state, scene.mode_at(p, state), jnp.full_like(zero, jnp.inf)
-    )
+    return Lane(Clock(zero, zero), state, scene.mode_at(p, state), jnp.full_like(zero, jnp.inf))
 
 
 def trial_step(lane: Lane, nominal, longest, end, moving):

@@ -7,12 +7,14 @@ last coefficients say that the series has not converged (Jorba and Zou 2005, sec
 """
 
 from dataclasses import dataclass
+from functools import reduce
 
 import jax.numpy as jnp
 from jax import lax
 
 from vibrojax.stepping._keep import keep
 from vibrojax.stepping._landing import land
+from vibrojax.stepping._rough_root import rough_root
 from vibrojax.stepping._step import Lane, Step, taken, trial_step
 from vibrojax.stepping.series import expand
 
@@ -24,9 +26,9 @@ class Located:
     - `order`: order of the Taylor series.
     """
 
-    order: int = 8
+    order: int = 10
 
-    def step(self, scene, p, lane: Lane, settings, end, moving) -> tuple[Lane, Step]:
+    def step(self, scene, p, lane: Lane, settings, end, moving, marked=True) -> tuple[Lane, Step]:
         """One step of every lane.
 
         **Arguments:**
@@ -35,6 +37,7 @@ class Located:
           term that shortens it; `step`, the longest step [s]. Arrays or floats: changing them compiles nothing.
         - `end`: time [s] at which lanes stop.
         - `moving`: booleans (lanes,); the others stand still.
+        - `marked`: whether it also ends on markers (static).
 
         **Returns:** the lane after it, and the step.
         """
@@ -44,7 +47,7 @@ class Located:
         polynomials = tuple([one.array(k, h) for k in orders] for one in series)
 
         def functions_at(state):
-            return (*scene.surfaces(p, lane.mode, state), *scene.markers(p, state))
+            return (*scene.surfaces(p, lane.mode, state), *(scene.markers(p, state) if marked else ()))
 
         functions = [[one.array(k, h) for k in orders] for one in functions_at(series)]
         velocities = [polynomials[i] for i in scene.velocities]
@@ -61,11 +64,11 @@ class Located:
 def _converged(velocities, scale, tolerance):
     """The part of the step, at most 1, over which the last two terms of the series stay under tolerance scale."""
     order = len(velocities[0]) - 1
-    last = jnp.max(jnp.stack([jnp.abs(c) for series in velocities for c in series[-2:]]), axis=0)
-    return jnp.minimum((tolerance * scale / last) ** (1 / (order - 1)), 1.0)
+    last = reduce(jnp.maximum, [jnp.abs(c) for series in velocities for c in series[-2:]])
+    return jnp.minimum(rough_root(tolerance * scale / last, order - 1), 1.0)
 
 
 def _at_rest(velocities, scale):
     """Where nothing moves but by rounding: the rest of the run is one step, however stiff the contact it rests on."""
     noise = 512 * jnp.finfo(scale.dtype).eps
-    return jnp.max(jnp.stack([jnp.abs(c) for series in velocities for c in series]), axis=0) <= noise * scale
+    return reduce(jnp.maximum, [jnp.abs(c) for series in velocities for c in series]) <= noise * scale

@@ -3,6 +3,8 @@
 import jax.numpy as jnp
 from jax import custom_jvp, lax
 
+from vibrojax.stepping._keep import keep
+
 ROOT_ITERATIONS = 5
 
 
@@ -24,6 +26,21 @@ def integral(coefficients, tau):
     return tau * value([c / (k + 1) for k, c in enumerate(coefficients)], tau)
 
 
+def highest(coefficients, tau):
+    """Greatest value from 0 to tau: at an end, or where the slope falls through zero between them.
+
+    By two Newton iterations from where a straight slope would vanish: to rounding on a step of the located stepper.
+    """
+    rate = [k * c for k, c in enumerate(coefficients)][1:]
+    start, end = rate[0], value(rate, tau)
+    turns = (start > 0) & (end < 0)
+    top = jnp.where(turns, tau * start / jnp.where(turns, start - end, 1), 0)
+    for _ in range(2):
+        better = keep(top - value(rate, top) / slope(rate, top))
+        top = jnp.where(turns & (better > 0) & (better < tau), better, top)
+    return jnp.maximum(jnp.maximum(coefficients[0], value(coefficients, tau)), value(coefficients, top))
+
+
 def first_guess(start, rate, end):
     """Fraction r in (0, 1] at which the parabola start + rate r + c r², equal to `end` at 1, reaches zero.
 
@@ -31,9 +48,9 @@ def first_guess(start, rate, end):
     """
     c = end - start - rate
     root = jnp.sqrt(jnp.maximum(rate * rate - 4 * c * start, 0))
-    falling = 2 * start / (root - rate)
-    rising = (rate + root) / (-2 * c)
-    guess = jnp.clip(jnp.where(rate <= 0, falling, rising), 0, 1)
+    falls = rate <= 0
+    guess = jnp.where(falls, 2 * start, rate + root) / jnp.where(falls, root - rate, -2 * c)
+    guess = jnp.clip(guess, 0, 1)
     return jnp.where(jnp.isnan(guess), 0.5, guess)
 
 

@@ -1,9 +1,13 @@
 """Truncated Taylor series in the time of one step: the arithmetic of the located stepper.
 
-A `Series` is a node of an expression whose coefficients are worked out one order at a time, so that a state's next
-coefficient may depend on all lower ones: this is how an ordinary differential equation is expanded (Jorba and Zou,
-Experimental Mathematics 14 (2005); Biscani and Izzo, heyoka, MNRAS 504 (2021)). Physics written with +, -, *, /
-and [vibrojax.physics.elementary][] runs on it unchanged.
+A series' coefficients are worked out one order at a time, so that a state's next coefficient may depend on all lower
+ones: this is how an ordinary differential equation is expanded (Jorba and Zou, Experimental Mathematics 14 (2005);
+Biscani and Izzo, heyoka, MNRAS 504 (2021)). Physics written with +, -, *, / and [vibrojax.physics.elementary][] runs on
+it unchanged.
+
+Most of physics is linear. A series is therefore its value where the step starts, and beyond that a linear combination
+of sequences: the states', and one for each product, quotient or function. What equations add and scale becomes the
+combination's factors, which are worked out once per step, not at every order.
 """
 
 from collections.abc import Callable
@@ -19,7 +23,7 @@ def _is_zero(x) -> bool:
 
 
 def _keep(c):
-    return c if _is_zero(c) else keep(c)
+    return c if isinstance(c, float) else keep(c)
 
 
 def _add(a, b):
@@ -39,33 +43,62 @@ def _total(terms):
     return total
 
 
-class Series:
-    """A series sum_k c_k tau^k, known as a rule `term(k)` that gives c_k once all lower ones are known.
+class Sequence:
+    """Coefficients c_1, c_2, ..., each found by `term(k)` when it is first asked for, or appended."""
 
-    Coefficients are arrays of one shape (lanes), or the float 0.0 where the structure makes them vanish.
+    def __init__(self, term: Callable | None = None, known=()):
+        self._term = term
+        self._known = list(known)
+
+    def __getitem__(self, order: int):
+        while len(self._known) < order:
+            self.append(self._term(len(self._known) + 1))
+        return self._known[order - 1]
+
+    def append(self, c) -> None:
+        """Add the next coefficient."""
+        self._known.append(_keep(c))
+
+
+class Series:
+    """A series sum_k c_k tau^k: `value` = c_0, and c_k of the sum of factor times sequence, `parts`.
+
+    Values and factors are arrays of one shape (lanes) or floats; the float 0.0 is what the structure makes vanish.
     """
 
     __array_priority__ = 1000  # so that array * series comes here
     __array_ufunc__ = None
 
-    def __init__(self, term: Callable | None = None, known: tuple = ()):
-        self._term = term
-        self._coefficients = list(known)
+    def __init__(self, value, parts: dict):
+        self.value = value
+        self.parts = {sequence: factor for sequence, factor in parts.items() if not _is_zero(factor)}
+        self._factors: list | None = None
+        self._sequence: Sequence | None = None
 
     def __getitem__(self, order: int):
-        while len(self._coefficients) <= order:
-            self._coefficients.append(self._term(len(self._coefficients)))
-        return self._coefficients[order]
+        if order == 0:
+            return self.value
+        if self._factors is None:
+            self._factors = [_keep(factor) for factor in self.parts.values()]
+        return _total(_multiply(f, s[order]) for f, s in zip(self._factors, self.parts, strict=True))
 
     def array(self, order: int, like):
         """The coefficient of tau^order as an array shaped like `like`, where the structure makes it a number too."""
         c = self[order]
         return jnp.full_like(like, c) if isinstance(c, float) else c
 
+    def sequence(self) -> Sequence:
+        """c_1, c_2, ... as one sequence, for what is not linear."""
+        if self._sequence is None:
+            [*alone] = self.parts.items()
+            own = len(alone) == 1 and isinstance(alone[0][1], float) and alone[0][1] == 1.0
+            self._sequence = alone[0][0] if own else Sequence(lambda k: self[k])
+        return self._sequence
+
     def __add__(self, other):
         if isinstance(other, Series):
-            return Series(lambda k: _add(self[k], other[k]))
-        return Series(lambda k: self[0] + other if k == 0 else self[k])
+            return _combined(_add(self.value, other.value), self, other, _add)
+        return Series(self.value + other, self.parts)
 
     __radd__ = __add__
 
@@ -73,8 +106,6 @@ class Series:
         return self * -1.0
 
     def __sub__(self, other):
-        if isinstance(other, Series):
-            return Series(lambda k: self[k] if _is_zero(other[k]) else _add(self[k], -other[k]))
         return self + (-other)
 
     def __rsub__(self, other):
@@ -82,99 +113,135 @@ class Series:
 
     def __mul__(self, other):
         if not isinstance(other, Series):
-            return Series(lambda k: _multiply(self[k], other))
-        if other is self:
-            return Series(lambda k: _keep(_total(_square_terms(self, k))))
-        return Series(lambda k: _keep(_total(_multiply(self[j], other[k - j]) for j in range(k + 1))))
+            return Series(_multiply(self.value, other), {s: _multiply(f, other) for s, f in self.parts.items()})
+        if not other.parts:
+            return self * other.value
+        return other * self.value if not self.parts else _product(self, other)
 
     __rmul__ = __mul__
 
     def __truediv__(self, other):
-        return self * (1 / other) if not isinstance(other, Series) else _quotient(self, other)
+        if not isinstance(other, Series):
+            return self * (1 / other)
+        return _quotient(self, other) if other.parts else self * (1 / other.value)
 
     def __rtruediv__(self, other):
-        return _quotient(constant(other), self)
+        return constant(other) / self
 
 
-def _square_terms(a: Series, k: int):
+def constant(value) -> Series:
+    """A value that does not change within the step."""
+    return Series(value, {})
+
+
+def known(coefficients) -> Series:
+    """A series whose coefficients are given, from c_0 on."""
+    return Series(coefficients[0], {Sequence(known=coefficients[1:]): 1.0})
+
+
+def _combined(value, a: Series, b: Series, factor: Callable) -> Series:
+    """The series whose factors are `factor(a's, b's)`, 0.0 where one has no such part."""
+    sequences = dict.fromkeys((*a.parts, *b.parts))
+    return Series(value, {s: factor(a.parts.get(s, 0.0), b.parts.get(s, 0.0)) for s in sequences})
+
+
+def _found(value, term: Callable) -> Series:
+    """A series by its value and a rule for c_k, which is given the coefficients from c_0 on that are known."""
+    value = _keep(value)
+    coefficients = _FromZero(value)
+    coefficients.rest = Sequence(lambda k: term(k, coefficients))
+    return Series(value, {coefficients.rest: 1.0})
+
+
+class _FromZero:
+    """Coefficients of a series from c_0 on."""
+
+    def __init__(self, value, rest: Sequence | None = None):
+        self.value, self.rest = value, rest
+
+    def __getitem__(self, order: int):
+        return self.rest[order] if order else self.value
+
+
+def _coefficients(a: Series) -> _FromZero:
+    return _FromZero(a.value, a.sequence())
+
+
+def _product(a: Series, b: Series) -> Series:
+    """c_k = sum_j a_j b_{k-j}; of a square half of them, twice."""
+    one, two = _coefficients(a), _coefficients(b)
+    if a is b:
+        return _found(_multiply(a.value, a.value), lambda k, _: _total(_square_terms(one, k)))
+    return _found(_multiply(a.value, b.value), lambda k, _: _total(_multiply(one[j], two[k - j]) for j in range(k + 1)))
+
+
+def _square_terms(a, k: int):
     for j in range((k + 1) // 2):
         yield _multiply(_multiply(2.0, a[j]), a[k - j])
     if k % 2 == 0:
         yield _multiply(a[k // 2], a[k // 2])
 
 
-def constant(value) -> Series:
-    """A value that does not change within the step."""
-    return Series(lambda k: value if k == 0 else 0.0)
-
-
 def _quotient(a: Series, b: Series) -> Series:
     """q = a/b from a_k = sum_j q_j b_{k-j}."""
+    below = _coefficients(b)
 
-    def term(k):
-        known = _total(_multiply(q[j], b[k - j]) for j in range(k))
-        return _keep((a[k] - known) / b[0])
+    def term(k, q):
+        return (a[k] - _total(_multiply(q[j], below[k - j]) for j in range(k))) / b.value
 
-    q = Series(term)
-    return q
+    return _found(a.value / b.value, term)
 
 
 @elementary.exp.register
 def _exp(a: Series) -> Series:
     """e = exp(a) from e' = a' e, so k e_k = sum_j j a_j e_{k-j}."""
+    inside = _coefficients(a)
 
-    def term(k):
-        if k == 0:
-            return _keep(jnp.exp(a[0]))
-        return _keep(_total(_multiply(_multiply(j / k, a[j]), e[k - j]) for j in range(1, k + 1)))
+    def term(k, e):
+        return _total(_multiply(_multiply(j / k, inside[j]), e[k - j]) for j in range(1, k + 1))
 
-    e = Series(term)
-    return e
+    return _found(jnp.exp(a.value), term)
 
 
 @elementary.sin.register
 def _sin(a: Series) -> Series:
     """s = sin(a) with c = cos(a), from s' = a' c and c' = -a' s."""
+    inside = _coefficients(a)
+    s, c = (_FromZero(_keep(of(a.value))) for of in (jnp.sin, jnp.cos))
 
-    def term(of_zero, other, sign):
-        def found(k):
-            if k == 0:
-                return _keep(of_zero(a[0]))
-            return _keep(_total(_multiply(_multiply(sign * j / k, a[j]), other()[k - j]) for j in range(1, k + 1)))
+    def by(other, sign):
+        def term(k):
+            return _total(_multiply(_multiply(sign * j / k, inside[j]), other[k - j]) for j in range(1, k + 1))
 
-        return found
+        return Sequence(term)
 
-    s = Series(term(jnp.sin, lambda: c, 1.0))
-    c = Series(term(jnp.cos, lambda: s, -1.0))
-    return s
+    s.rest, c.rest = by(c, 1.0), by(s, -1.0)
+    return Series(s.value, {s.rest: 1.0})
 
 
 @elementary.arctan.register
 def _arctan(a: Series) -> Series:
     """y = arctan(a) from y' (1 + a²) = a'."""
-    denominator = a * a + 1.0
+    below = _coefficients(a * a + 1.0)
 
-    def term(k):
-        if k == 0:
-            return _keep(jnp.arctan(a[0]))
-        known = _total(_multiply(_multiply(j / k, y[j]), denominator[k - j]) for j in range(1, k))
-        return _keep((a[k] - known) / denominator[0])
+    def term(k, y):
+        return (a[k] - _total(_multiply(_multiply(j / k, y[j]), below[k - j]) for j in range(1, k))) / below[0]
 
-    y = Series(term)
-    return y
+    return _found(jnp.arctan(a.value), term)
 
 
 @elementary.maximum.register
 def _maximum(a: Series, b) -> Series:
     """The series of whichever of the two is greater where the step starts."""
     other = b if isinstance(b, Series) else constant(b)
-    return Series(lambda k: jnp.where(a[0] >= other[0], a[k], other[k]))
+    first = a.value >= other.value
+    return _combined(jnp.where(first, a.value, other.value), a, other, lambda f, g: jnp.where(first, f, g))
 
 
 @elementary.absolute.register
 def _absolute(a: Series) -> Series:
     """The series with the sign that makes it positive where the step starts."""
-    return Series(lambda k: _multiply(jnp.where(a[0] < 0, -1.0, 1.0), a[k]))
+    return a * jnp.where(a.value < 0, -1.0, 1.0)
 
 
 def expand(field: Callable, state: tuple, h, order: int) -> tuple[Series, ...]:
@@ -188,11 +255,11 @@ def expand(field: Callable, state: tuple, h, order: int) -> tuple[Series, ...]:
 
     **Returns:** one series per state, known up to `order`.
     """
-    series = tuple(Series(known=(value,)) for value in state)
-    rates = field(series)
+    sequences = tuple(Sequence() for _ in state)
+    series = tuple(Series(value, {own: 1.0}) for value, own in zip(state, sequences, strict=True))
+    changes = [rate * h for rate in field(series)]
     for k in range(order):
-        step = h / (k + 1)
-        found = [_keep(_multiply(step, rate[k])) for rate in rates]
-        for one, value in zip(series, found, strict=True):
-            one._coefficients.append(value)
+        found = [_multiply(1 / (k + 1), change[k]) for change in changes]
+        for own, c in zip(sequences, found, strict=True):
+            own.append(c)
     return series

@@ -11,7 +11,7 @@ from jax import lax
 
 from vibrojax.stepping._landing import land
 from vibrojax.stepping._step import Lane, Step, taken, trial_step
-from vibrojax.stepping.series import Series
+from vibrojax.stepping.series import known
 
 STICK_WIDTHS = 3.0
 """Sliding speeds below this many widths are counted as stick: friction has 95 % of its sharp value there."""
@@ -41,7 +41,7 @@ def hermite(start, end, rate, end_rate):
 class Smoothed:
     """The smoothed stepper; it has no static settings."""
 
-    def step(self, scene, p, lane: Lane, settings, end, moving) -> tuple[Lane, Step]:
+    def step(self, scene, p, lane: Lane, settings, end, moving, marked=True) -> tuple[Lane, Step]:
         """One step of every lane.
 
         **Arguments:**
@@ -50,6 +50,7 @@ class Smoothed:
           Arrays or floats: changing them compiles nothing.
         - `end`: time [s] at which lanes stop.
         - `moving`: booleans (lanes,); the others stand still.
+        - `marked`: whether it also ends on markers (static).
 
         **Returns:** the lane after it, and the step.
         """
@@ -67,9 +68,9 @@ class Smoothed:
         polynomials = tuple(hermite(y, z, h * dy, h * dz) for y, z, dy, dz in ends)
 
         def functions_at(state):
-            return (*scene.smoothed_surfaces(p, mode, state), *scene.markers(p, state))
+            return (*scene.smoothed_surfaces(p, mode, state), *(scene.markers(p, state) if marked else ()))
 
-        series = functions_at(tuple(Series(known=one) for one in polynomials))
+        series = functions_at(tuple(known(one) for one in polynomials))
         functions = [[f.array(k, h) for k in range(4)] for f in series]
         reach = jnp.ones_like(h)
         landing = land(functions_at, scene, p, lane.mode, polynomials, functions, h, reach, moving)

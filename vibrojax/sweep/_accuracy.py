@@ -6,9 +6,12 @@ import numpy as np
 
 from vibrojax.sweep._settings import RunSettings
 
-COARSEST = 5e-9
-"""Tolerance beyond which the check run, a hundred times coarser, would gain nothing: its steps end at events and at the
-stride, and its error no longer follows the tolerance."""
+COARSEST = 1e-6
+"""Tolerance beyond which little is gained, because most steps end at events, and from which on the difference from a
+coarser run tells of the error."""
+
+STRIDE = 2.0
+"""Longest step of the located method, in units of 1/rate: in it no surface is touched and left twice."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +45,6 @@ def accuracy_for(run: RunSettings) -> Accuracy:
         width = run.smoothing if run.smoothing is not None else max(run.error ** (4 / 3), 1e-6)
         return Accuracy(0.0, 0.3, run.step if run.step is not None else 0.3 * width, width)
     rounding = 1e-12 if run.precision == "float64" else 3e-6
-    # Errors of period and impact velocity are some ten times the tolerance, but a thousand times on hard lanes.
-    tolerance = min(max(5e-5 * run.error, rounding), COARSEST)
-    return Accuracy(tolerance, 1.0, run.step if run.step is not None else np.inf, 0.0)
+    # Errors of period and impact velocity are below the tolerance, but a hundred times it on hard lanes.
+    tolerance = min(max(1e-4 * run.error, rounding), COARSEST)
+    return Accuracy(tolerance, STRIDE, run.step if run.step is not None else np.inf, 0.0)

@@ -1,32 +1,28 @@
 """Lanes in chunks of one size through one compiled program; memory is bounded by the chunk."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
-import jax
 import numpy as np
 
-from vibrojax.devices import precision, workers
+from vibrojax.devices import workers
 from vibrojax.label import LABELLED_BY
 from vibrojax.measure import recorder_for
 from vibrojax.stepping import Located, Smoothed
 from vibrojax.sweep._accuracy import Accuracy, accuracy_for
-from vibrojax.sweep._parallel import in_parallel
-from vibrojax.sweep._program import BLOCK, BLOCK_ON_ACCELERATOR, run_lanes
+from vibrojax.sweep._passage import Passage, Programs
 from vibrojax.sweep._sweep import Sweep
 
-CHUNK = 1024
+CHUNK = 2048
 """Lanes per chunk where the user does not say."""
 
-MOST_STEPS = 2e6
-"""Steps after which a lane is given up, beyond those that its longest step asks for."""
-
-COARSER = {"located": 100.0, "smoothed": 2.0}
+COARSER = {"located": 10.0, "smoothed": 2.0}
 """The check run's tolerance or width is this many times coarser."""
 
-SHARES = {"located": 0.028, "smoothed": 3.5}
+SHARES = {"located": 0.4, "smoothed": 3.5}
 """Part of the two runs' difference that the finer one's error is taken for.
 
-Located: order 8/7 in the tolerance would leave 100^(-8/7) = 0.005 of it; smoothed: order 3/4 in the width, 1.5. Both
+Located: order 10/9 in the tolerance would leave 10^(-10/9) = 0.08 of it; smoothed: order 3/4 in the width, 1.5. Both
 are large enough for 95 % of periodic lanes to be within.
 """
 
@@ -36,15 +32,12 @@ class Chunks:
 
     def __init__(self, sweep: Sweep):
         self.sweep = sweep
-        self.size = sweep.run.chunk or CHUNK
-        self.count = -(-sweep.lanes // self.size)
-        self.dtype = np.dtype(sweep.run.precision)
         self.method = Located() if sweep.run.method == "located" else Smoothed()
         self.accuracy = accuracy_for(sweep.run)
-        self.most_steps = MOST_STEPS
-        self.workers = workers()
-        self.block = BLOCK if self.workers[0].platform == "cpu" else BLOCK_ON_ACCELERATOR
-        self._recorder = recorder_for(sweep.machine, sweep.run.keep_returns)
+        recorder = recorder_for(sweep.machine, sweep.run.keep_returns)
+        self.programs = Programs(sweep, self.method, recorder, workers())
+        self.size = sweep.run.chunk or max(CHUNK, self.programs.block)
+        self.count = -(-sweep.lanes // self.size)
         self._compiled = False
 
     def lanes(self, index: int) -> tuple[int, int]:
@@ -63,61 +56,50 @@ class Chunks:
         """
         coarse = self.accuracy.coarser(COARSER[self.sweep.run.method])
         first, last = self.lanes(index)
-        blocks = [(at, min(at + self.block, last)) for at in range(first, last, self.block)]
-        items = [(*block, accuracy) for block in blocks for accuracy in (self.accuracy, coarse)]
+        waiting = [0]
+
+        def finished(lanes):
+            # Those of both runs are told one after the other, mixed; together they are twice as many.
+            waiting[0] += lanes
+            told(waiting[0] // 2)
+            waiting[0] %= 2
+
         self.compile()
-        found: list[dict] = [{} for _ in items]
-        for item, features in in_parallel(self._run, items, self.workers):
-            found[item] = features
-            if found[item ^ 1]:  # the block's other run
-                told(items[item][1] - items[item][0])
-        fine = {name: np.concatenate([part[name] for part in found[::2]]) for name in found[0]}
-        check = {name: np.concatenate([part[name] for part in found[1::2]]) for name in found[0]}
+        halfway = self._halfway(self.programs.start(first, last, self.accuracy))
+        fine, check = self._to_the_end([halfway, replace(halfway, accuracy=coarse)], finished)
         fine["error_estimate"] = error_estimate(fine, check, self.sweep.run.method, self._least_error)
         return fine | {f"check_{name}": check[name] for name in LABELLED_BY if name in check}
 
-    def compile(self) -> None:
-        """Compile the program, once, and not by every thread."""
-        if not self._compiled:
-            for worker in dict.fromkeys(self.workers):
-                self._run(worker, (0, 0, self.accuracy))
-            self._compiled = True
-
     def at(self, accuracy: Accuracy, index: int = 0) -> dict:
         """Features of a chunk's lanes at an `accuracy` of the caller's, by name (lanes,), without the check run."""
-        first, last = self.lanes(index)
-        items = [(at, min(at + self.block, last), accuracy) for at in range(first, last, self.block)]
-        found = dict(in_parallel(self._run, items, self.workers))
-        return {name: np.concatenate([found[item][name] for item in range(len(items))]) for name in found[0]}
+        halfway = self._halfway(self.programs.start(*self.lanes(index), accuracy))
+        return self._to_the_end([halfway])[0]
+
+    def compile(self) -> None:
+        """Compile the programs, once."""
+        if not self._compiled:
+            self.programs.compile(self.accuracy)
+            self._compiled = True
+
+    def _halfway(self, passage: Passage) -> Passage:
+        """The lanes where the check run begins: half-way, or when they are observed."""
+        run = self.sweep.run
+        half = min(run.settle, (run.settle + run.observe) / 2)
+        for until in (half / 4, half):
+            if half > 0:
+                [passage] = self.programs.settle([passage], until)
+        return passage
+
+    def _to_the_end(self, passages: list[Passage], told: Callable[[int], None] = lambda lanes: None) -> list[dict]:
+        """The features of lanes that are half-way."""
+        run = self.sweep.run
+        if run.settle > run.observe:
+            passages = self.programs.settle(passages, run.settle)
+        return self.programs.observe(passages, told)
 
     @property
     def _least_error(self) -> float:
-        return 4 * float(np.finfo(self.dtype).eps) + 0.03 * self.accuracy.tolerance
-
-    def _run(self, worker, item: tuple[int, int, Accuracy]) -> dict:
-        """Features of the lanes from `first` to before `last`, by name."""
-        first, last, accuracy = item
-        run = self.sweep.run
-        values, start = self.sweep.lane_values(first, max(last, first + 1))
-        asked = 2 * (run.settle + run.observe) / accuracy.step
-        settings = {"settle": run.settle, "observe": run.observe, "most_steps": self.most_steps + asked}
-        settings |= accuracy.settings()
-        with precision(run.precision), jax.default_device(worker):
-            found = run_lanes(
-                self.sweep.machine,
-                self.method,
-                self._recorder,
-                self.sweep.starts,
-                {name: self._filled(x.astype(self.dtype)) for name, x in values.items()},
-                self._filled(start.astype(np.int32)),
-                np.int32(last - first),
-                {name: np.asarray(value, self.dtype) for name, value in settings.items()},
-            )
-            return {name: np.moveaxis(np.asarray(x), -1, 0)[: last - first] for name, x in found.items()}
-
-    def _filled(self, x: np.ndarray) -> np.ndarray:
-        """Values (lanes,) with copies of the last one up to a whole block."""
-        return np.pad(x, (0, self.block - len(x)), mode="edge")
+        return 4 * float(np.finfo(self.sweep.run.precision).eps) + 0.01 * self.accuracy.tolerance
 
 
 def error_estimate(fine: dict, coarse: dict, method: str, least: float) -> np.ndarray:
@@ -146,5 +128,5 @@ def _relative(fine, coarse):
 
 def devices_text(chunks: Chunks) -> str:
     """What lanes run on, in words."""
-    device, count = chunks.workers[0], len(chunks.workers)
+    device, count = chunks.programs.workers[0], len(chunks.programs.workers)
     return f"{count} cpu cores" if device.platform == "cpu" else f"{count} {device.device_kind}"

@@ -1,15 +1,18 @@
-"""The compiled program of a block of lanes."""
+"""The compiled programs of lanes: start, settle up to a time, observe; each for a few blocks of lanes one by one."""
 
 from functools import partial
 
 import jax
 import jax.numpy as jnp
 
-from vibrojax.measure.run import run_block
+from vibrojax.measure.run import observe_block, settle_block, start_block
 
 BLOCK = 64
 """Lanes that step together on a CPU core: a step's arrays stay in cache, and few lanes wait for others. Every block has
 this size, and one thread, so that a lane's answer does not depend, to the last bit, on what is computed beside it."""
+
+BLOCKS = 8
+"""Blocks per call of a program, one after the other: a call costs as much as some hundred steps of a block."""
 
 BLOCK_ON_ACCELERATOR = 16384
 """Lanes that step together on an accelerator, where a step of a few costs as much as one of many."""
@@ -18,27 +21,80 @@ BLOCK_ON_ACCELERATOR = 16384
 _WIDE = {"xla_cpu_prefer_vector_width": 512}
 """A block fills the widest registers there are; where they are narrower this says nothing."""
 
+_compiled = partial(jax.jit, compiler_options=_WIDE)
 
-@partial(jax.jit, static_argnames=("scene", "method", "recorder", "starts"), compiler_options=_WIDE)
-def run_lanes(scene, method, recorder, starts, p, start, count, settings) -> dict:
-    """Features of a block of lanes.
+
+@partial(_compiled, static_argnames=("scene", "recorder", "starts", "block"))
+def start_lanes(scene, recorder, starts, block, count, p, start) -> tuple:
+    """(lane, what its recorder watches) at t = 0.
 
     **Arguments:**
 
     - `starts`: names or vectors (static); `start` says which one each lane takes, integers (lanes,).
+    - `block`: how many lanes step together (static); `count`: how many blocks of the lanes are to be computed.
     - `p`: parameters by name, each (lanes,).
-    - `count`: how many of the lanes, from the first, are to be computed; the others only fill up the block.
-    - `settings`: see [vibrojax.measure.run.run_block][].
-
-    **Returns:** features by name, (lanes,), or (rows, lanes) for returns that are kept.
     """
+
+    def program(p, start):
+        constants = dict(scene.constants(p))
+        return start_block(scene, recorder, constants, _state(scene, constants, starts, start))
+
+    return _block_by_block(program, block, count, p, start)
+
+
+@partial(_compiled, static_argnames=("scene", "method", "recorder", "starts", "block"))
+def settle_lanes(scene, method, recorder, starts, block, count, p, start, lane, returns, until, settings) -> tuple:
+    """(lane, what its recorder watches, steps taken) at the time `until` [s]; see `settle_block`."""
+
+    def program(p, start, lane, returns):
+        constants = _constants(scene, starts, p, start)
+        return settle_block(scene, method, recorder, constants, lane, returns, until, settings)
+
+    return _block_by_block(program, block, count, p, start, lane, returns)
+
+
+@partial(_compiled, static_argnames=("scene", "method", "recorder", "starts", "block"))
+def observe_lanes(scene, method, recorder, starts, block, count, p, start, lane, returns, steps, settings) -> dict:
+    """Features by name, (lanes,), or (rows, lanes) for returns that are kept; see `observe_block`."""
+
+    def program(p, start, lane, returns, steps):
+        constants = _constants(scene, starts, p, start)
+        return observe_block(scene, method, recorder, constants, lane, returns, steps, settings)
+
+    return _block_by_block(program, block, count, p, start, lane, returns, steps)
+
+
+def _block_by_block(program, block, count, *given):
+    """What `program` gives for the first `count` blocks of lanes, one after the other; zeros for the others.
+
+    Lanes are the last axis of all that is given and of all that comes out.
+    """
+
+    def cut(x):
+        return jnp.moveaxis(x.reshape(*x.shape[:-1], -1, block), -2, 0)
+
+    def joined(x):
+        return jnp.moveaxis(x, 0, -2).reshape(*x.shape[1:-1], -1)
+
+    blocks = jax.tree.map(cut, given)
+    of_one = jax.eval_shape(program, *jax.tree.map(lambda x: x[0], blocks))
+    blocks_given = len(jax.tree.leaves(blocks)[0])
+
+    def one(index, found):
+        new = program(*jax.tree.map(lambda x: x[index], blocks))
+        return jax.tree.map(lambda whole, part: whole.at[index].set(part), found, new)
+
+    nothing = jax.tree.map(lambda x: jnp.zeros((blocks_given, *x.shape), x.dtype), of_one)
+    return jax.tree.map(joined, jax.lax.fori_loop(0, count, one, nothing))
+
+
+def _constants(scene, starts, p, start):
+    """The scene's constants, for a motion from the lane's start."""
     constants = dict(scene.constants(p))
-    state = _start(scene, constants, starts, start)
-    real = jnp.arange(start.size, dtype=count.dtype) < count
-    return run_block(scene, method, recorder, constants, state, real, settings)
+    return scene.scaled(constants, _state(scene, constants, starts, start))
 
 
-def _start(scene, p, starts, start):
+def _state(scene, p, starts, start):
     """The state at t = 0 of each lane, from the start that it takes; the scene's own where it has no starts."""
     candidates = [scene.start(p, name, start.shape) for name in starts or (None,)]
     state = candidates[0]

@@ -103,7 +103,7 @@ def estimate(sweep: Sweep) -> dict:
         # A lane in the loop carries some 300 numbers; the results are held once to be labelled and written.
         "memory_bytes": 400e6 + chunks.size * 8 * 300 + 3 * sweep.lanes * per_lane,
         "disk_bytes": ceil(sweep.lanes * per_lane),
-        "time_s": 8 + SECONDS_PER_STEP * steps * sweep.lanes * seconds / len(chunks.workers),
+        "time_s": 8 + SECONDS_PER_STEP * steps * sweep.lanes * seconds / len(chunks.programs.workers),
     }
 
 

@@ -1,0 +1,153 @@
+"""Lanes on their way from start to end: at rest on the host between stretches, in blocks through compiled programs."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import jax
+import numpy as np
+
+from vibrojax.devices import precision
+from vibrojax.sweep._accuracy import Accuracy
+from vibrojax.sweep._parallel import in_parallel
+from vibrojax.sweep._program import BLOCK, BLOCK_ON_ACCELERATOR, BLOCKS, observe_lanes, settle_lanes, start_lanes
+
+MOST_STEPS = 2e6
+"""Steps after which a lane is given up, beyond those that its longest step asks for."""
+
+
+@dataclass(frozen=True)
+class Passage:
+    """Some lanes at one instant, on their way at one accuracy; numpy arrays whose last axis is lanes.
+
+    - `accuracy`: what the steps follow from.
+    - `parameters`, `start`: of every lane.
+    - `moving`: the lanes, and what their recorder watches; None before t = 0.
+    - `steps`: taken so far; `recent`: in the last stretch.
+    """
+
+    accuracy: Accuracy
+    parameters: dict[str, np.ndarray]
+    start: np.ndarray
+    moving: Any
+    steps: np.ndarray
+    recent: np.ndarray
+
+
+class Programs:
+    """The compiled programs of a sweep's lanes, run by all `workers`."""
+
+    def __init__(self, sweep, method, recorder, workers: list):
+        self.sweep, self.method, self.recorder, self.workers = sweep, method, recorder, workers
+        on_cpu = workers[0].platform == "cpu"
+        self.block, self.blocks = (BLOCK, BLOCKS) if on_cpu else (BLOCK_ON_ACCELERATOR, 1)
+        self.most_steps = MOST_STEPS
+        self._static = (sweep.machine, method, recorder, sweep.starts, self.block)
+        self._dtype = np.dtype(sweep.run.precision)
+
+    def start(self, first: int, last: int, accuracy: Accuracy) -> Passage:
+        """The lanes from `first` to before `last`, at t = 0."""
+        values, start = self.sweep.lane_values(first, last)
+        parameters = {name: x.astype(self._dtype) for name, x in values.items()}
+        none = np.zeros(last - first, self._dtype)
+        passage = Passage(accuracy, parameters, start.astype(np.int32), None, none, none)
+
+        def program(count, some):
+            scene, _, recorder, starts, block = self._static
+            return start_lanes(scene, recorder, starts, block, count, some.parameters, some.start)
+
+        return replace(passage, moving=self._through([passage], program)[0])
+
+    def settle(self, passages: list[Passage], until: float) -> list[Passage]:
+        """The lanes at the time `until` [s]."""
+
+        def program(count, some):
+            time, settings = np.asarray(until, self._dtype), self._settings(some.accuracy)
+            return settle_lanes(*self._static, count, some.parameters, some.start, *some.moving, time, settings)
+
+        found = self._through(passages, program)
+        return [
+            replace(passage, moving=(lane, returns), steps=passage.steps + steps, recent=steps)
+            for passage, (lane, returns, steps) in zip(passages, found, strict=True)
+        ]
+
+    def observe(self, passages: list[Passage], told: Callable[[int], None] = lambda lanes: None) -> list[dict]:
+        """Features of the lanes of each passage, by name: (lanes,), or (lanes, rows) for returns that are kept.
+
+        `told` is called with the number of lanes that have just been finished, those of every passage counted.
+        """
+
+        def program(count, some):
+            given = (some.parameters, some.start, *some.moving, some.steps)
+            return observe_lanes(*self._static, count, *given, self._settings(some.accuracy))
+
+        return [
+            {name: np.moveaxis(x, -1, 0) for name, x in features.items()}
+            for features in self._through(passages, program, told)
+        ]
+
+    def compile(self, accuracy: Accuracy) -> None:
+        """Compile the programs, once, and not by every thread; nothing is stepped."""
+        at_once = replace(self.sweep, run=replace(self.sweep.run, settle=0.0, observe=0.0))
+        for worker in dict.fromkeys(self.workers):
+            alone = Programs(at_once, self.method, self.recorder, [worker])
+            still = [alone.start(0, 1, accuracy)]
+            compiling = [lambda: alone.settle(still, 0.0), lambda: alone.observe(still)]  # noqa: B023
+            for _ in in_parallel(lambda _, program: program(), compiling, range(len(compiling))):
+                pass
+
+    def _settings(self, accuracy: Accuracy) -> dict:
+        run = self.sweep.run
+        asked = 2 * (run.settle + run.observe) / accuracy.step
+        settings = {"settle": run.settle, "observe": run.observe, "most_steps": self.most_steps + asked}
+        return {name: np.asarray(x, self._dtype) for name, x in (settings | accuracy.settings()).items()}
+
+    def _through(self, passages, program, told=lambda lanes: None) -> list:
+        """What `program` gives for the lanes of each passage, run a few blocks at a time."""
+        items = [(at, lanes) for at, passage in enumerate(passages) for lanes in self._dealt(passage.recent)]
+
+        def work(worker, item):
+            at, lanes = item
+            count = np.int32(-(-len(lanes) // self.block))
+            with precision(self.sweep.run.precision), jax.default_device(worker):
+                found = program(count, _of_lanes(passages[at], np.resize(lanes, self.block * self.blocks)))
+                return jax.tree.map(np.asarray, found)
+
+        found: list = [None] * len(passages)
+        for index, part in in_parallel(work, items, self.workers):
+            at, lanes = items[index]
+            if found[at] is None:
+                count = len(passages[at].start)
+                found[at] = jax.tree.map(lambda x, n=count: np.empty((*x.shape[:-1], n), x.dtype), part)
+            for whole, mine in zip(jax.tree.leaves(found[at]), jax.tree.leaves(part), strict=True):
+                whole[..., lanes] = mine[..., : len(lanes)]
+            told(len(lanes))
+        return found
+
+    def _dealt(self, recent: np.ndarray) -> list[np.ndarray]:
+        """The lanes in blocks, dealt into hands of a few blocks.
+
+        Lanes of a block wait for the slowest, so those that took as many steps in the stretch before go together; and
+        every hand has slow blocks and fast ones, so that all take about as long.
+        """
+        by_pace = np.argsort(-recent, kind="stable")
+        blocks = np.split(by_pace, range(self.block, len(by_pace), self.block))
+        hands = max(-(-len(blocks) // self.blocks), min(len(self.workers), len(blocks)))
+        # The last block alone may be short, and only where no other follows it: it is the last of its hand.
+        return [np.concatenate(blocks[hand::hands]) for hand in range(hands)]
+
+
+def _of_lanes(passage: Passage, lanes: np.ndarray) -> Passage:
+    """Some of the lanes; some again to fill up the blocks."""
+
+    def of(x):
+        return x[..., lanes]
+
+    return Passage(
+        passage.accuracy,
+        {name: of(x) for name, x in passage.parameters.items()},
+        of(passage.start),
+        jax.tree.map(of, passage.moving),
+        of(passage.steps),
+        of(passage.recent),
+    )
