@@ -16,12 +16,12 @@ from vibrojax.devices import precision
 from vibrojax.sweep import in_parallel, read_sweep
 
 SAMPLING = 2e-4  # s: of a second run, untimed, whose samples the features are read off
-MOST_STEPS = 10_000_000
+MOST_STEPS = 500_000
 
 
 @dataclass(frozen=True)
 class Width:
-    """Solver, width of the friction switch [m/s], and the tolerance (absolute in SI, and relative) or fixed step [s]."""
+    """Solver, width of the friction switch [m/s], and tolerance (absolute in SI, and relative) or fixed step [s]."""
 
     solver: str
     width: float

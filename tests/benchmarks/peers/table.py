@@ -16,12 +16,12 @@ def table(results: list[Result], judged: Judged, settle: float, observe: float, 
         "",
         "Vibro-impact, beta 0.25–0.6, gamma 0.6–0.8, v 0.5–2, delta −0.005–0.01, from the start `stuck`; float64; "
         f"every lane stepped to its end, {settle:g} s and {observe:g} s observed. Errors are relative, of period and "
-        f"impact velocity the larger, on the same {len(judged.period)} lanes for everyone: drawn from the box, repeating "
-        f"after one return, and settled long before ({judged.settled:.0%} of the lanes drawn were); two references "
-        f"differ by at most {judged.spread:.0e} on them. A peer's best setting is the fastest one whose worst lane is "
-        "within the error. Times are of all lanes on all cores used, without compiling, the median of the repeats and "
-        "half their range; ratios are to ours at the same error, whose time includes the certification (a second run) "
-        "and the whole dataset. The peers do neither.",
+        f"impact velocity the larger, on the same {len(judged.period)} lanes for everyone: drawn from the box, "
+        f"repeating after one return, and settled long before ({judged.settled:.0%} of the lanes drawn were); two "
+        f"references differ by at most {judged.spread:.0e} on them. A peer's best setting is the fastest one whose "
+        "worst lane is within the error. Times are of all lanes on all cores used, without compiling, the median of "
+        "the repeats and half their range; ratios are to ours at the same error, whose time includes the certification "
+        "(a second run) and the whole dataset. The peers do neither.",
         "",
         "| " + " | ".join(COLUMNS) + " |",
         "|" + "|".join("---" if name in ("", "best setting") else "---:" for name in COLUMNS) + "|",
