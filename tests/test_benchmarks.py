@@ -22,8 +22,8 @@ from peers.simd import Simd, Steps
 from peers.table import table
 
 SETTLE, OBSERVE = 1.2, 1.0  # s
-POINTS = Points(*np.array([(0.4, 0.7, 1.2, -0.004), (0.3, 0.65, 0.8, 0.003)]).T)
-"""Both strike, stick and slip from the start on; the first one starts inside the contact."""
+POINTS = Points(*np.array([(0.4, 0.7, 1.2, -0.004), (0.25, 0.6, 0.7, 0.0015)]).T)
+"""Both strike, stick and slip; the first one starts inside the contact, the second one lets go within contact."""
 
 
 @pytest.fixture(scope="module")

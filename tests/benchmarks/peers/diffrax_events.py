@@ -44,8 +44,8 @@ class DiffraxEvents(Peer):
     def ladders(self, quick):
         if quick:
             return [[Tolerance("Tsit5", 1e-5, 1.0)]]
-        tsit5 = [Tolerance("Tsit5", one, 1.0) for one in (1e-4, 1e-5, 1e-7)]
-        return [tsit5, [Tolerance("Dopri8", 1e-5, 1.0)]]
+        tsit5 = [Tolerance("Tsit5", one, 1.0) for one in (3e-4, 3e-5, 3e-7)]
+        return [tsit5, [Tolerance("Dopri8", 1e-6, 0.5)]]
 
     def run(self, points, setting, settle, observe, judged):
         compiling = 0.0

@@ -16,7 +16,8 @@ from vibrojax.devices import precision
 from vibrojax.sweep import in_parallel, read_sweep
 
 SAMPLING = 2e-4  # s: of a second run, untimed, whose samples the features are read off
-MOST_STEPS = 500_000
+SHORTEST = 1e-3  # s per m/s of the width
+MOST_STEPS = 2_000_000
 
 
 @dataclass(frozen=True)
@@ -65,17 +66,18 @@ class DiffraxAdaptive(_Smoothed):
     def ladders(self, quick):
         if quick:
             return [[Width("Tsit5", 3e-3, 3e-5)]]
-        tsit5 = [Width("Tsit5", width, 1e-2 * width) for width in (1e-3, 3e-4, 2e-4, 1e-4, 3e-5)]
+        tsit5 = [Width("Tsit5", width, 1e-2 * width) for width in (1e-3, 2e-4, 1e-4, 2e-5)]
         return [tsit5, [Width("Dopri8", width, 1e-2 * width) for width in (3e-4,)]]
 
 
 class DiffraxFixed(_Smoothed):
     name = "diffrax, smoothed, fixed steps"
-    about = "as before"
+    about = "the same with 16 lanes on each core; steps are as long as friction's width lets them be"
+    lanes = 32
 
     def ladders(self, quick):
-        rows = ((1e-3, 2e-4),) if quick else ((1e-3, 2e-4), (1e-3, 1e-4), (3e-4, 5e-5), (1e-4, 2e-5), (3e-5, 6e-6))
-        return [[Width("Tsit5", width, None, step) for width, step in rows]]
+        rows = ((1e-3, 2e-4),) if quick else ((1e-3, 2e-4), (2.5e-4, 5e-5), (1e-4, 2e-5))
+        return [[Width("Heun", width, None, step) for width, step in rows]]
 
 
 def _solved(points: Points, setting: Width, end: float, times=None):
@@ -90,7 +92,9 @@ def _solved(points: Points, setting: Width, end: float, times=None):
 @partial(jax.jit, static_argnums=(0, 1))
 def _solve(solver, adapts, beta, gamma, v, delta, width, tolerance, step, end, times):
     saved = diffrax.SaveAt(t1=True) if times is None else diffrax.SaveAt(ts=times)
-    controller = diffrax.PIDController(tolerance, tolerance) if adapts else diffrax.ConstantStepSize()
+    # Where friction has its kinks steps would get ever shorter.
+    adaptive = diffrax.PIDController(tolerance, tolerance, dtmin=SHORTEST * width, force_dtmin=True)
+    controller = adaptive if adapts else diffrax.ConstantStepSize()
 
     def one(beta, gamma, v, delta):
         m2, k2 = striker(beta, gamma)
