@@ -1,0 +1,124 @@
+"""The peers of the benchmark move as the exact reference does, and the race picks what it says."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from exact import measure, run
+
+sys.path.insert(0, str(Path(__file__).parent / "benchmarks"))
+
+from peers._peer import Peer, Points, Ran, Returns
+from peers.diffrax_events import DiffraxEvents
+from peers.diffrax_events import Tolerance as EventTolerance
+from peers.diffrax_smoothed import DiffraxAdaptive, Width
+from peers.lanes import AXIS, BOX, Judged, box
+from peers.numba_loop import NumbaDormandPrince, NumbaTaylor, Series, Tolerance
+from peers.race import TARGETS, raced
+from peers.scipy_events import Solver
+from peers.scipy_events import lane as scipy_lane
+from peers.simd import Simd, Steps
+from peers.table import table
+
+SETTLE, OBSERVE = 1.2, 1.0  # s
+POINTS = Points(*np.array([(0.4, 0.7, 1.2, -0.004), (0.25, 0.6, 0.7, 0.0015)]).T)
+"""Both strike, stick and slip; the first one starts inside the contact, the second one lets go within contact."""
+
+
+@pytest.fixture(scope="module")
+def known():
+    """Period and impact velocity (2, lanes) of the exact reference."""
+    names = ("beta", "gamma", "v", "delta")
+    found = []
+    for lane in zip(*POINTS.columns, strict=True):
+        point = dict(zip(names, map(float, lane), strict=True))
+        measured = measure(run("vibro-impact", **point, start="stuck", settle=SETTLE, observe=OBSERVE))
+        assert measured["cycles"] in (0, 1) and measured["stick_fraction"] > 0
+        found.append((measured["period"], measured["impact_velocity"]))
+    return np.array(found).T
+
+
+@pytest.mark.parametrize(
+    ("peer", "setting", "bound"),
+    [
+        (NumbaTaylor, Series(8, 0.5), 1e-6),
+        (NumbaDormandPrince, Tolerance(1e-9), 1e-6),
+        (DiffraxEvents, EventTolerance("Tsit5", 1e-8, 0.5), 1e-6),
+        (DiffraxAdaptive, Width("Tsit5", 1e-4, 1e-6), 5e-3),
+        (Simd, Steps(1e-5, 2.5, 1e-3, 1e-4), 1e-3),
+    ],
+)
+def test_peers_find_what_is_exact(known, peer, setting, bound):
+    """Numba's loops are plain Python where there is no numba."""
+    racer = peer()
+    if peer is Simd and racer.missing():
+        pytest.skip(racer.missing())
+    ran = racer.run(POINTS, setting, SETTLE, OBSERVE, len(POINTS))
+    racer.close()
+    assert np.abs(np.stack([ran.period, ran.impact_velocity]) / known - 1).max() < bound
+
+
+@pytest.mark.parametrize("solver", [Solver("RK45", 1e-7, 0.5), Solver("DOP853", 1e-6, 0.5), Solver("LSODA", 1e-9, 0.5)])
+def test_scipy_finds_what_is_exact(known, solver):
+    found = [scipy_lane((*lane, solver, SETTLE, OBSERVE)) for lane in zip(*POINTS.columns, strict=True)]
+    assert np.abs(np.array(found).T / known - 1).max() < 1e-5
+
+
+def test_only_whole_returns_count():
+    returns = Returns()
+    returns.impact(9.0)
+    for t, velocity in ((1.0, 2.0), (1.5, 4.0), (2.1, 8.0)):
+        returns.section(t)
+        returns.impact(velocity)
+    period, velocity = returns.read()
+    assert period == pytest.approx(1.1 / 2)
+    assert velocity == 3.0
+
+
+def test_the_box_is_whole():
+    points = box()
+    assert len({lane for lane in zip(*points.columns, strict=True)}) == len(points) == AXIS**4
+    for column, ends in zip(points.columns, BOX.values(), strict=True):
+        assert (column.min(), column.max()) == ends
+
+
+class _Scripted(Peer):
+    """Takes a second over the error, and is as exact as it is told to be."""
+
+    about = "-"
+    lanes = 2
+
+    def __init__(self, name, errors, absent=None):
+        self.name, self._errors, self._absent = name, errors, absent
+
+    def missing(self):
+        return self._absent
+
+    def ladders(self, quick):
+        return [list(self._errors)]
+
+    def run(self, points, setting, settle, observe, judged):
+        if setting == 0:
+            raise ArithmeticError("broke")
+        off = np.full(judged, 1 + setting)
+        return Ran(off, np.ones(judged), 1e-3 / setting)
+
+
+def test_the_race_picks_the_fastest_within_the_error():
+    judged = Judged(POINTS, np.ones(2), np.ones(2), 0.0, 1.0)
+    ours = raced(_Scripted("ours", [1e-2, 9e-4, 9e-5, 9e-7, 1e-9]), judged, 1.0, 1.0)
+    assert [ours.best(target).setting for target in TARGETS] == [9e-4, 9e-5, 9e-7]
+    assert len(ours.runs) == 4  # what comes after the finest error is not run
+    assert len(ours.best(1e-3).times) == 3
+    slow = raced(_Scripted("slow", [5e-3, 5e-4]), judged, 1.0, 1.0)
+    absent = raced(_Scripted("absent", [], "it is not installed"), judged, 1.0, 1.0)
+    broken = raced(_Scripted("broken", [5e-3, 0]), judged, 1.0, 1.0)
+    machine = {"processor": "none", "cores": 2}
+    rows = table([ours, slow, absent, broken], judged, 1.0, 1.0, machine, 2).splitlines()
+    rows = [row for row in rows if row.startswith("| 1e")]
+    assert len(rows) == 4 * len(TARGETS)
+    assert "| 1.8 | 0.0005 |" in rows[1]
+    assert "not reached: best 5.0e-04" in rows[5]
+    assert "it is not installed" in rows[2]
+    assert "broke" in rows[3]
