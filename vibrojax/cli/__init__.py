@@ -9,6 +9,7 @@ from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
 
 from vibrojax.cli import accuracy, fit, info, plot, simulate, sweep
+from vibrojax.cli._work import interruptible
 from vibrojax.errors import InputError
 
 DONE, FAILED, BAD_INPUT, INTERRUPTED, PIPE_CLOSED = 0, 1, 2, 130, 141
@@ -40,7 +41,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns the exit status: 0 done, 2 bad input, 130 interrupted, 1 where the machine failed (a full disk), 141 where
     the reader of the output went away.
     """
-    options = Namespace(how_to_resume="run the same command again")
+    options = Namespace(command=None, how_to_resume="")
     try:
         _parser().parse_args(argv, options)
         if options.version:
@@ -48,7 +49,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         elif options.command is None:
             raise InputError(f"no command; choose from {', '.join(_COMMANDS)}, or see vibrojax --help")
         else:
-            _COMMANDS[options.command].run(options)
+            interruptible(lambda: _COMMANDS[options.command].run(options))
         sys.stdout.flush()
         return DONE
     except SystemExit as leaving:  # --help
@@ -56,13 +57,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     except InputError as error:
         return _say(str(error), BAD_INPUT)
     except KeyboardInterrupt:
-        return _say(f"interrupted; {options.how_to_resume}", INTERRUPTED)
+        return _say(f"interrupted; {options.how_to_resume or 'run the same command again'}", INTERRUPTED)
     except BrokenPipeError:
         # What is left in the buffer would raise again while Python leaves.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return PIPE_CLOSED
     except OSError as error:
-        return _say(f"{error.filename or options.command}: {error.strerror or error}", FAILED)
+        return _say(_and_then(f"{error.filename or options.command}: {error.strerror or error}", options), FAILED)
+    except MemoryError:
+        return _say(_and_then(f"{options.command}: not enough memory", options), FAILED)
 
 
 def _parser() -> ArgumentParser:
@@ -74,6 +77,11 @@ def _parser() -> ArgumentParser:
         summary = command.__doc__.splitlines()[0].rstrip(".")
         command.arguments(commands.add_parser(name, help=summary, description=summary, allow_abbrev=False))
     return parser
+
+
+def _and_then(problem: str, options: Namespace) -> str:
+    """What went wrong on this machine, and how to go on where anything is kept."""
+    return f"{problem}; {options.how_to_resume}" if options.how_to_resume else problem
 
 
 def _say(line: str, status: int) -> int:

@@ -21,7 +21,8 @@ class Variable:
         attributes = {"units": self.units, "long_name": self.long_name}
         if self.flags:
             attributes["flag_values"] = np.arange(len(self.flags), dtype=np.int8)
-            attributes["flag_meanings"] = " ".join(self.flags)
+            # CF 1.11, section 3.5: of other signs only - _ . + @ may stand in a flag's meaning.
+            attributes["flag_meanings"] = " ".join(flag.replace("/", "-over-") for flag in self.flags)
         return attributes
 
 

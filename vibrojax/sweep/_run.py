@@ -5,17 +5,19 @@ from collections.abc import Callable
 from math import ceil
 from pathlib import Path
 
+import jax
 import numpy as np
 import xarray as xr
 
 from vibrojax.store.dataset import write_dataset
 from vibrojax.store.provenance import source
-from vibrojax.store.shards import DamagedShard, Shards
+from vibrojax.store.shards import DamagedShard, Shards, tell
 from vibrojax.store.variables import VARIABLES
 from vibrojax.sweep._chunks import Chunks, devices_text
 from vibrojax.sweep._dataset import dataset_of
 from vibrojax.sweep._progress import Progress
 from vibrojax.sweep._read import read_sweep
+from vibrojax.sweep._size import check_size
 from vibrojax.sweep._sweep import Sweep
 
 SECONDS_PER_STEP = 0.15e-6
@@ -34,9 +36,10 @@ def run_sweep(source, progress: bool = True) -> xr.Dataset:
 
     **Returns:** the dataset, over the grid's dimensions and `start`.
 
-    **Raises:** `InputError`, before any work, where the sweep is not right.
+    **Raises:** `InputError`, before any work, where the sweep is not right or the machine too small for it.
     """
     sweep = source if isinstance(source, Sweep) else read_sweep(source)
+    check_size(sweep, estimate(sweep))
     began = time.monotonic()
     chunks = Chunks(sweep)
     told = Progress(sweep.lanes, progress)
@@ -55,11 +58,12 @@ def run_to_file(sweep: Sweep, out: Path, resume: bool = True, progress: bool = T
 
     **Returns:** the dataset that was written.
 
-    **Raises:** `InputError` where the chunks that are there are of another sweep.
+    **Raises:** `InputError` where the chunks that are there are of another sweep, or the machine is too small for it.
     """
+    check_size(sweep, estimate(sweep), out)
     began = time.monotonic()
     chunks = Chunks(sweep)
-    manifest = sweep.identity() | {"source": source(), "chunk size": chunks.size}
+    manifest = sweep.identity() | {"source": source(), "jax": jax.__version__, "chunk size": chunks.size}
     with Shards(out.with_name(out.name + ".chunks"), manifest) as shards:
         shards.open(resume)
         finished = shards.finished()
@@ -80,14 +84,16 @@ def _read_or_compute(shards: Shards, chunks: Chunks, index: int) -> dict:
     """A finished chunk from its file; computed again where that has been damaged meanwhile."""
     try:
         return shards.read(index)
-    except DamagedShard:
+    except DamagedShard as damage:
+        tell(damage)
         return _timed(chunks, index)
 
 
 def _timed(chunks: Chunks, index: int, told: Callable[[int], None] = lambda lanes: None) -> dict:
     """A chunk's features, and the `seconds` that they took."""
     began = time.monotonic()
-    features = chunks.compute(index, told)
+    with np.errstate(all="ignore"):  # lanes that blow up are flagged, and need no warnings beside
+        features = chunks.compute(index, told)
     return features | {"seconds": np.array(time.monotonic() - began)}
 
 
