@@ -249,7 +249,7 @@ def test_info_tells_what_is_there():
         "scene     rotary",
         "grid      beta: 0.1 to 0.4 (3)\n          start: drive, stuck (2)",
         "regimes   undecided             1   16.7 %\n          single-impact         3   50.0 %",
-        "failures  2\n          at beta=0.2 start=drive: not-finite\n          at beta=0.4 start=stuck: not-finite",
+        "failures  2\n          2 not-finite\n          at beta=0.2 start=drive: not-finite\n          at beta=0.4 start=stuck: not-finite",
         "accuracy  error_estimate median 1e-05, largest 0.005",
         "          66.67 % of 3 periodic lanes within the accepted 0.001",
         "wall time 2 s",

@@ -9,8 +9,8 @@ from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
 
 from vibrojax.cli import accuracy, fit, info, plot, simulate, sweep
-from vibrojax.cli._work import interruptible
 from vibrojax.errors import InputError
+from vibrojax.threads import apart
 
 DONE, FAILED, BAD_INPUT, INTERRUPTED, PIPE_CLOSED = 0, 1, 2, 130, 141
 
@@ -28,8 +28,8 @@ class _Parser(ArgumentParser):
 def command() -> None:
     """The process `vibrojax`: run it and leave."""
     status = main()
-    if status == INTERRUPTED:
-        # Threads may still be at their lanes: nobody waits for them.
+    if status in (INTERRUPTED, BAD_INPUT):
+        # Threads may still be at their lanes, or at a file that has no end: nobody waits for them.
         sys.stderr.flush()
         os._exit(status)
     sys.exit(status)
@@ -49,7 +49,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         elif options.command is None:
             raise InputError(f"no command; choose from {', '.join(_COMMANDS)}, or see vibrojax --help")
         else:
-            interruptible(lambda: _COMMANDS[options.command].run(options))
+            apart(lambda: _COMMANDS[options.command].run(options))
         sys.stdout.flush()
         return DONE
     except SystemExit as leaving:  # --help

@@ -8,9 +8,12 @@ import xarray as xr
 
 from vibrojax.errors import InputError
 from vibrojax.store._aside import aside
+from vibrojax.threads import apart
 
 MARK = "vibrojax"
 _PROBE = 1 << 20
+_PATIENCE, _SLOWEST = 20.0, 2e6
+"""A file that takes longer than so many seconds and bytes a second is not read."""
 
 
 def write_dataset(dataset: xr.Dataset, path: str | os.PathLike) -> None:
@@ -53,8 +56,12 @@ def open_dataset(path: str | os.PathLike) -> xr.Dataset:
         raise InputError(f"{path}: there is no such file")
     if path.is_dir():
         raise InputError(f"{path}: is a folder; give a .nc file")
+    if not path.is_file():
+        raise InputError(f"{path}: is no file with an end; give a .nc file")
     try:
-        dataset = xr.load_dataset(path, engine="netcdf4")
+        dataset = apart(lambda: xr.load_dataset(path, engine="netcdf4"), _PATIENCE + path.stat().st_size / _SLOWEST)
+    except TimeoutError:  # HDF5 goes round and round in some files that have lost a block
+        raise InputError(f"{path}: cannot be read as netCDF (its structure is damaged)") from None
     except Exception as error:  # whatever the library says of a file that is cut short, flipped or no netCDF at all
         raise InputError(f"{path}: cannot be read as netCDF ({_first_line(error)})") from None
     if not str(dataset.attrs.get("source", "")).startswith(MARK):

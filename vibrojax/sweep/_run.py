@@ -1,7 +1,9 @@
 """Run a sweep: to a dataset in memory, or to a file that loses nothing."""
 
 import time
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from math import ceil
 from pathlib import Path
 
@@ -45,7 +47,8 @@ def run_sweep(source, progress: bool = True) -> xr.Dataset:
     told = Progress(sweep.lanes, progress)
     parts = []
     for index in range(chunks.count):
-        parts.append(chunks.compute(index, told.add))
+        with _untold():
+            parts.append(chunks.compute(index, told.add))
     return _assembled(sweep, chunks, parts, time.monotonic() - began)
 
 
@@ -92,9 +95,17 @@ def _read_or_compute(shards: Shards, chunks: Chunks, index: int) -> dict:
 def _timed(chunks: Chunks, index: int, told: Callable[[int], None] = lambda lanes: None) -> dict:
     """A chunk's features, and the `seconds` that they took."""
     began = time.monotonic()
-    with np.errstate(all="ignore"):  # lanes that blow up are flagged, and need no warnings beside
+    with _untold():
         features = chunks.compute(index, told)
     return features | {"seconds": np.array(time.monotonic() - began)}
+
+
+@contextmanager
+def _untold() -> Iterator[None]:
+    """Lanes that blow up are flagged: numpy's warnings beside, from any thread, would be a storm."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        yield
 
 
 def estimate(sweep: Sweep) -> dict:
@@ -123,4 +134,5 @@ def _assembled(sweep: Sweep, chunks: Chunks, parts: list[dict], wall_time: float
         "steps": int(features["steps"].sum()),
         **chunks.accuracy.described(),
     }
-    return dataset_of(sweep, features, solver, wall_time)
+    with _untold():
+        return dataset_of(sweep, features, solver, wall_time)
