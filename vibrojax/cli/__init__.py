@@ -6,7 +6,7 @@ Nothing heavy is imported until a command runs, so that `--help` answers at once
 import os
 import sys
 from argparse import ArgumentParser, Namespace
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from vibrojax.cli import accuracy, fit, info, plot, simulate, sweep
 from vibrojax.errors import InputError
@@ -27,7 +27,7 @@ class _Parser(ArgumentParser):
 
 def command() -> None:
     """The process `vibrojax`: run it and leave."""
-    status = main()
+    status = main(do=apart)
     if status in (INTERRUPTED, BAD_INPUT):
         # Threads may still be at their lanes, or at a file that has no end: nobody waits for them.
         sys.stderr.flush()
@@ -35,8 +35,8 @@ def command() -> None:
     sys.exit(status)
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command with the arguments `argv` (None: the process's).
+def main(argv: Sequence[str] | None = None, do: Callable[[Callable], object] = lambda work: work()) -> int:
+    """Run the command with the arguments `argv` (None: the process's); `do` does the work.
 
     Returns the exit status: 0 done, 2 bad input, 130 interrupted, 1 where the machine failed (a full disk), 141 where
     the reader of the output went away.
@@ -49,7 +49,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         elif options.command is None:
             raise InputError(f"no command; choose from {', '.join(_COMMANDS)}, or see vibrojax --help")
         else:
-            apart(lambda: _COMMANDS[options.command].run(options))
+            do(lambda: _COMMANDS[options.command].run(options))
         sys.stdout.flush()
         return DONE
     except SystemExit as leaving:  # --help
