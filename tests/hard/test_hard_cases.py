@@ -11,6 +11,7 @@ import pytest
 from cases import DRILL, USUAL, bound_of, columns, lanes, reference, verdict
 
 import vibrojax as vj
+from vibrojax.sweep._stiff import too_stiff
 
 SWEEPS = Path(__file__).parents[2] / "sweeps"
 OBSERVE = 0.5
@@ -77,8 +78,6 @@ def test_a_lane_that_blows_up_leaves_its_neighbours_alone(short):
 @pytest.mark.parametrize("changes", [{"c2": 1e10}, {"beta": 1e-12}, {"k1": 1e30}, {"c0": 1e300}])
 def test_what_is_too_stiff_is_refused(changes):
     """Not labelled an equilibrium, because nothing moves in a step of 1e-12 s."""
-    from vibrojax.sweep._stiff import too_stiff
-
     sweep = vj.read_sweep(
         {"scene": "vibro-impact", "starts": ["stuck"], "points": {n: [x] for n, x in changes.items()}}
     )
