@@ -8,7 +8,8 @@ import time
 from collections import Counter
 from pathlib import Path
 
-sys.path[:0] = [str(Path(__file__).parents[1]), str(Path(__file__).parents[2])]
+sys.path.insert(0, str(Path(__file__).parents[1]))
+sys.path.insert(0, str(Path(__file__).parents[2]))
 from cases import DRILL, ROCK, USUAL, bound_of, columns, lanes, reference, verdict
 
 import vibrojax as vj
