@@ -41,7 +41,7 @@ def main(names):
         counts = Counter()
         for index, (case, changes) in enumerate(lanes(cases)):
             found = reference(scene, usual | changes, observe, SETTLE.get(scene, 0.0))
-            kind, remark = verdict(dataset.isel(point=index), found, bound_of(case, changes, bound))
+            kind, remark = verdict(dataset.isel(point=index), found, bound_of(case, changes, bound, precision))
             counts[kind] += 1
             print(f"{name:24}{case:22}{kind:10}{remark:34}{changes}", flush=True)
         print(f"{name}: {dict(counts)}, {time.perf_counter() - began:.0f} s\n", flush=True)

@@ -11,7 +11,7 @@ import pytest
 from cases import DRILL, USUAL, bound_of, columns, lanes, reference, verdict
 
 import vibrojax as vj
-from vibrojax.sweep._stiff import too_stiff
+from vibrojax.sweep._stiff import too_slow, too_stiff
 
 SWEEPS = Path(__file__).parents[2] / "sweeps"
 OBSERVE = 0.5
@@ -57,9 +57,10 @@ def test_exact_or_told(short):
         bound = bound_of(case, changes, 1e-5)
         kind, remark = verdict(short.isel(point=index), reference("vibro-impact", USUAL | changes, OBSERVE), bound)
         assert kind in ("exact", "refused", "flagged"), (case, changes, remark)
-        assert (kind == "exact") == (changes != {"gamma": 1e155}), (case, changes, kind, remark)
+        told = {"flagged": {"gamma": 1e155}, "refused": {"v": 5e-324}}.get(kind)
+        assert told in (None, changes), (case, changes, kind, remark)
         seen.add(kind)
-    assert seen == {"exact", "flagged"}
+    assert seen == {"exact", "flagged", "refused"}
 
 
 def test_a_lane_that_blows_up_leaves_its_neighbours_alone(short):
@@ -84,6 +85,14 @@ def test_what_is_too_stiff_is_refused(changes):
     assert too_stiff(sweep, sweep.lane_values(0, 1)[0]).tolist() == [True]
     usual = vj.read_sweep({"scene": "vibro-impact", "starts": ["stuck"], "grid": {"k0": [1e6, 50e6, 1e12]}})
     assert not too_stiff(usual, usual.lane_values(0, 3)[0]).any()
+
+
+def test_what_creeps_below_the_roundings_is_refused():
+    """In float32 a drive of 1e-6 m/s passes for being at rest; not so a drive at rest, or one in float64."""
+    grid = {"scene": "vibro-impact", "starts": ["stuck"], "grid": {"v": [0.0, 1e-6, 1.5]}}
+    for precision, expected in (("float32", [False, True, False]), ("float64", [False] * 3)):
+        sweep = vj.read_sweep(grid | {"run": {"precision": precision}})
+        assert too_slow(sweep, sweep.lane_values(0, 3)[0]).tolist() == expected
 
 
 @pytest.mark.parametrize("changes", [{}, {"k0": 1e9, "c0": 1e3}, {"delta": -0.02, "start": "drive"}])

@@ -27,7 +27,7 @@ class Variable:
 
 
 STATUSES = ("done", "failed", "refused")
-REASONS = ("none", "not-finite", "out-of-steps", "pulse-width-not-below-1/frequency", "too-stiff")
+REASONS = ("none", "not-finite", "out-of-steps", "pulse-width-not-below-1/frequency", "too-stiff", "too-slow")
 
 VARIABLES = {
     "regime": Variable("1", "regime of the striker's motion", np.int8, REGIMES),

@@ -10,7 +10,7 @@ from vibrojax.label import LABELLED_BY, label
 from vibrojax.physics.parameters import ROTATION, Parameter
 from vibrojax.store.provenance import source
 from vibrojax.store.variables import REASONS, STATUSES, VARIABLES
-from vibrojax.sweep._stiff import TOO_STIFF, too_stiff
+from vibrojax.sweep._stiff import TOO_SLOW, TOO_STIFF, too_slow, too_stiff
 from vibrojax.sweep._sweep import Sweep
 
 
@@ -56,10 +56,10 @@ def _finished(sweep: Sweep, features: dict) -> dict:
     bad = ~features["finite"]
     values = sweep.lane_values(0, sweep.lanes)[0]
     why, unfit = sweep.machine.refused(values) or ("none", np.zeros(sweep.lanes, bool))
-    stiff = too_stiff(sweep, values)
-    refused = unfit | stiff
-    flags = [REASONS.index(name) for name in (why, TOO_STIFF, "not-finite", "out-of-steps")]
-    reason = np.select([unfit, stiff, bad, ~features["finished"]], flags, 0)
+    stiff, slow = too_stiff(sweep, values), too_slow(sweep, values)
+    refused = unfit | stiff | slow
+    flags = [REASONS.index(name) for name in (why, TOO_STIFF, TOO_SLOW, "not-finite", "out-of-steps")]
+    reason = np.select([unfit, stiff, slow, bad, ~features["finished"]], flags, 0)
     failed = reason != 0
     sound = {name: features[name] & ~refused for name in ("finite", "check_finite") if name in features}
     labelled = _labelled(sweep, features | sound) if "cycles" in features else {}

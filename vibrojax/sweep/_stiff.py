@@ -1,11 +1,11 @@
-"""Lanes that are stiffer than steps or numbers reach: refused, instead of a regime that means nothing."""
+"""Lanes that are stiffer or slower than steps or numbers reach: refused, instead of a regime that means nothing."""
 
 import numpy as np
 
 from vibrojax.physics.modes import striker
 from vibrojax.sweep._sweep import Sweep
 
-TOO_STIFF = "too-stiff"
+TOO_STIFF, TOO_SLOW = "too-stiff", "too-slow"
 MOST_STEPS = 1e7
 """Of the mode's own time scale, that a run may have: several times those after which a lane is given up."""
 
@@ -27,3 +27,17 @@ def too_stiff(sweep: Sweep, p: dict) -> np.ndarray:
         resolved = 512 * np.finfo(sweep.run.precision).eps * (flight + contact) < slow
         steps = flight * (sweep.run.settle + sweep.run.observe)
     return np.isfinite(flight + contact) & ~(resolved & (steps < MOST_STEPS))
+
+
+def too_slow(sweep: Sweep, p: dict) -> np.ndarray:
+    """Which lanes of parameters `p`, each (lanes,), creep so slowly that they pass for being at rest; booleans.
+
+    What counts as at rest are a few roundings of a typical speed, which friction on the main spring gives too.
+    """
+    if "gamma" not in p or sweep.run.method != "located":
+        return np.zeros(sweep.lanes, bool)
+    with np.errstate(all="ignore"):
+        weight = p["m1"] * p["g"]
+        limit = np.asarray(sweep.machine.friction.on_weight(0.0, p)) * weight
+        typical = p["v"] + limit / np.sqrt(p["k1"] * p["m1"])
+        return (p["v"] > 0) & (p["v"] < 512 * np.finfo(sweep.run.precision).eps * typical)
