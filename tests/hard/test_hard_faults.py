@@ -3,7 +3,6 @@
 Each ends in one line and a status, and what was computed is there.
 """
 
-import ctypes
 import os
 import resource
 import shutil
@@ -33,25 +32,22 @@ settle = 0.8
 observe = 0.4
 chunk = 4
 """
-CAP_DAC_OVERRIDE, PR_CAPBSET_DROP = 1, 24
 
 
-def started(folder, *words, before=None, **environment) -> subprocess.Popen:
-    """`vibrojax WORDS` in a process of its own, at work in `folder`; `before` runs in it first."""
+def started(folder, *words, before="", **environment) -> subprocess.Popen:
+    """`vibrojax WORDS` in a process of its own, at work in `folder`; the program `before` runs in it first.
 
-    def first():
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-        if before:
-            before()
-
+    By exec, not in a fork of this process, whose threads are jax's.
+    """
+    first = "import os, signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler)"
+    then = "os.execv(sys.executable, [sys.executable, '-m', 'vibrojax', *sys.argv[1:]])"
     return subprocess.Popen(
-        [sys.executable, "-m", "vibrojax", *words],
+        [sys.executable, "-c", "\n".join([first, before, then]), *words],
         cwd=folder,
         env=os.environ | {"PYTHONPATH": str(ROOT)} | environment,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        preexec_fn=first,
     )
 
 
@@ -112,9 +108,9 @@ def assert_same(one, other) -> None:
         assert differing <= {"history", "wall_time_s"}
 
 
-def limited(size: int):
+def limited(size: int) -> str:
     """No file of this process grows beyond `size` bytes: the kernel refuses the rest, as of a full disk."""
-    return lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))
+    return f"import resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({size}, resource.RLIM_INFINITY))"
 
 
 def test_the_disk_fills_at_any_byte(tmp_path):
@@ -163,16 +159,17 @@ def test_a_full_disk(folder, whole, cache):
     assert sorted(path.name for path in folder.iterdir()) == ["map.nc", "map.png", "map.toml"]
 
 
-def bound_by_modes():
-    """Have the process obey the modes of files, though root runs the tests."""
-    if os.geteuid() == 0:
-        assert ctypes.CDLL(None, use_errno=True).prctl(PR_CAPBSET_DROP, CAP_DAC_OVERRIDE, 0, 0, 0) == 0
+BOUND_BY_MODES = """
+import ctypes
+if os.geteuid() == 0:  # root obeys the modes of files too, once it has dropped CAP_DAC_OVERRIDE (1) for what it starts
+    assert ctypes.CDLL(None).prctl(24, 1, 0, 0, 0) == 0
+"""
 
 
 def test_a_folder_that_cannot_be_written(folder):
     folder.chmod(0o555)
     try:
-        status, said = run(folder, "sweep", "map.toml", before=bound_by_modes)
+        status, said = run(folder, "sweep", "map.toml", before=BOUND_BY_MODES)
     finally:
         folder.chmod(0o755)
     assert status == 2 and '-o: "map.nc": folder "." cannot be written (Permission denied)' in one_line(said)
@@ -181,7 +178,7 @@ def test_a_folder_that_cannot_be_written(folder):
 def test_chunks_closed_deleted_cut_and_flipped(folder, whole, cache):
     """The folder is closed while the sweep runs: what was there stays. Of what is damaged then each is told, and
     computed again; the others are used."""
-    process = started(folder, "sweep", "map.toml", "--quiet", before=bound_by_modes, **cache)
+    process = started(folder, "sweep", "map.toml", "--quiet", before=BOUND_BY_MODES, **cache)
     wait_for(lambda: len(chunks(folder)) >= 3, process)
     closed = folder / "map.nc.chunks"
     closed.chmod(0o555)
