@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from vibrojax.amounts import size_text, time_text
 from vibrojax.cli import main
 from vibrojax.cli.info import describe
-from vibrojax.cli.sweep import size_text, time_text
 from vibrojax.errors import InputError
 from vibrojax.sweep._read import read_sweep
 
@@ -51,7 +51,7 @@ def calls(monkeypatch, tmp_path):
 
     dataset = xr.Dataset()
     cost = {"lanes": 4, "chunks": 1, "memory_bytes": 2.5e6, "disk_bytes": 1234, "time_s": 190.0}
-    module("vibrojax.sweep", run_to_file=dataset, estimate=cost).read_sweep = read_sweep
+    module("vibrojax.sweep", run_to_file=dataset, estimate=cost, check_size=None).read_sweep = read_sweep
     sys.modules["vibrojax.sweep"].__path__ = [str(ROOT / "vibrojax" / "sweep")]
     module("vibrojax.simulation", simulate=dataset)
     module("vibrojax.store.dataset", write_dataset=None, open_dataset=dataset)
@@ -115,7 +115,7 @@ def test_sweep_options(calls, capsys, tmp_path):
 
 def test_a_dry_run_only_tells(calls, capsys):
     assert main(["sweep", "map.toml", "--dry-run"]) == 0
-    assert calls.names() == ["estimate"]
+    assert calls.names() == ["estimate", "check_size"]
     expected = ["lanes   4 (2 beta x 2 start) in 1 chunks", "memory  2.5 MB", "disk    1.23 kB", "time    3.17 min"]
     assert capsys.readouterr().out.splitlines() == expected
 
@@ -130,7 +130,8 @@ def test_an_interrupted_sweep_says_how_to_resume(calls, capsys, monkeypatch):
 def test_a_full_disk_is_one_line(calls, capsys, monkeypatch):
     failing("vibrojax.sweep", "run_to_file", OSError(28, "No space left on device", "map.nc"), monkeypatch)
     assert main(["sweep", "map.toml"]) == 1
-    assert capsys.readouterr().err == "vibrojax: map.nc: No space left on device\n"
+    line = "vibrojax: map.nc: No space left on device; finished chunks are kept; to go on: vibrojax sweep map.toml"
+    assert capsys.readouterr().err == f"{line} -o map.nc\n"
 
 
 def test_bad_input_found_late_is_one_line(calls, capsys, monkeypatch):
@@ -248,7 +249,8 @@ def test_info_tells_what_is_there():
         "scene     rotary",
         "grid      beta: 0.1 to 0.4 (3)\n          start: drive, stuck (2)",
         "regimes   undecided             1   16.7 %\n          single-impact         3   50.0 %",
-        "failures  2\n          at beta=0.2 start=drive: not-finite\n          at beta=0.4 start=stuck: not-finite",
+        "failures  2\n          2 not-finite\n          at beta=0.2 start=drive: not-finite\n",
+        "          at beta=0.4 start=stuck: not-finite",
         "accuracy  error_estimate median 1e-05, largest 0.005",
         "          66.67 % of 3 periodic lanes within the accepted 0.001",
         "wall time 2 s",
@@ -285,3 +287,4 @@ def test_sizes_and_times_are_for_people():
     assert [time_text(time) for time in (0.5, 100, 600, 1e4, 1e6, 1e9)] == [
         "0.5 s", "100 s", "10 min", "2.78 h", "11.6 days", "11,574 days",
     ]  # fmt: skip
+    assert size_text(1e30) == "1e+18 TB" and time_text(1e300) == "1.16e+295 days"

@@ -59,7 +59,7 @@ def test_a_flipped_bit_is_found_out(shards, place, capsys):
     with again(shards) as opened:
         assert opened.finished() == {0}
         line = capsys.readouterr().err
-        assert line.count("\n") == 1 and "chunk-00000002" in line and "computed again" in line
+        assert line.count("\n") == 1 and "chunk-00000002" in line and "; computed again" in line
         with pytest.raises(DamagedShard):
             opened.read(2)
         opened.write(2, arrays(2))

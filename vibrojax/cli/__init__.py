@@ -6,10 +6,11 @@ Nothing heavy is imported until a command runs, so that `--help` answers at once
 import os
 import sys
 from argparse import ArgumentParser, Namespace
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from vibrojax.cli import accuracy, fit, info, plot, simulate, sweep
 from vibrojax.errors import InputError
+from vibrojax.threads import apart
 
 DONE, FAILED, BAD_INPUT, INTERRUPTED, PIPE_CLOSED = 0, 1, 2, 130, 141
 
@@ -26,21 +27,21 @@ class _Parser(ArgumentParser):
 
 def command() -> None:
     """The process `vibrojax`: run it and leave."""
-    status = main()
-    if status == INTERRUPTED:
-        # Threads may still be at their lanes: nobody waits for them.
+    status = main(do=apart)
+    if status in (INTERRUPTED, BAD_INPUT):
+        # Threads may still be at their lanes, or at a file that has no end: nobody waits for them.
         sys.stderr.flush()
         os._exit(status)
     sys.exit(status)
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command with the arguments `argv` (None: the process's).
+def main(argv: Sequence[str] | None = None, do: Callable[[Callable], object] = lambda work: work()) -> int:
+    """Run the command with the arguments `argv` (None: the process's); `do` does the work.
 
     Returns the exit status: 0 done, 2 bad input, 130 interrupted, 1 where the machine failed (a full disk), 141 where
     the reader of the output went away.
     """
-    options = Namespace(how_to_resume="run the same command again")
+    options = Namespace(command=None, how_to_resume="")
     try:
         _parser().parse_args(argv, options)
         if options.version:
@@ -48,7 +49,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         elif options.command is None:
             raise InputError(f"no command; choose from {', '.join(_COMMANDS)}, or see vibrojax --help")
         else:
-            _COMMANDS[options.command].run(options)
+            do(lambda: _COMMANDS[options.command].run(options))
         sys.stdout.flush()
         return DONE
     except SystemExit as leaving:  # --help
@@ -56,13 +57,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     except InputError as error:
         return _say(str(error), BAD_INPUT)
     except KeyboardInterrupt:
-        return _say(f"interrupted; {options.how_to_resume}", INTERRUPTED)
+        return _say(f"interrupted; {options.how_to_resume or 'run the same command again'}", INTERRUPTED)
     except BrokenPipeError:
         # What is left in the buffer would raise again while Python leaves.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return PIPE_CLOSED
     except OSError as error:
-        return _say(f"{error.filename or options.command}: {error.strerror or error}", FAILED)
+        return _say(_and_then(f"{error.filename or options.command}: {error.strerror or error}", options), FAILED)
+    except MemoryError:
+        return _say(_and_then(f"{options.command}: not enough memory", options), FAILED)
 
 
 def _parser() -> ArgumentParser:
@@ -74,6 +77,11 @@ def _parser() -> ArgumentParser:
         summary = command.__doc__.splitlines()[0].rstrip(".")
         command.arguments(commands.add_parser(name, help=summary, description=summary, allow_abbrev=False))
     return parser
+
+
+def _and_then(problem: str, options: Namespace) -> str:
+    """What went wrong on this machine, and how to go on where anything is kept."""
+    return f"{problem}; {options.how_to_resume}" if options.how_to_resume else problem
 
 
 def _say(line: str, status: int) -> int:

@@ -81,7 +81,7 @@ def _regimes(dataset: Any) -> list[str]:
 
 
 def _failures(dataset: Any) -> list[str]:
-    """How many lanes failed, and the first of them with the reason."""
+    """How many lanes failed, and of each reason how many and the first few."""
     import numpy as np
 
     if "regime" in dataset:
@@ -91,8 +91,15 @@ def _failures(dataset: Any) -> list[str]:
         mask = dataset["status"] != 0
     else:
         return []
-    where = np.argwhere(mask.values)
-    return [str(len(where)), *(_failure(dataset, mask.dims, index) for index in where[:_FAILURES_SHOWN].tolist())]
+    lines = [str(int(mask.sum()))]
+    told = "reason" in dataset and dataset["reason"].dims == mask.dims
+    reasons = dataset["reason"].values if told else np.zeros(mask.shape, int)
+    meanings = _flags(dataset["reason"]) if told else {}
+    for reason in np.unique(reasons[mask.values]).tolist():
+        where = np.argwhere(mask.values & (reasons == reason))
+        lines += [f"{len(where)} {meanings[reason]}"] if reason in meanings else []
+        lines += [_failure(dataset, mask.dims, index) for index in where[:_FAILURES_SHOWN].tolist()]
+    return lines
 
 
 def _failure(dataset: Any, dims: tuple[str, ...], index: list[int]) -> str:

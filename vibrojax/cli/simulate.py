@@ -65,7 +65,7 @@ def _value(place: Place, text: str) -> object:
     if text.startswith("["):
         try:
             return json.loads(text)
-        except ValueError:
+        except (ValueError, RecursionError):
             raise place.error(f"{shown(text)} is no vector; write one like [0,0,0.01,0]") from None
     try:
         return float(text)

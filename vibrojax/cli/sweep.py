@@ -3,6 +3,7 @@
 import shlex
 from argparse import ArgumentParser, Namespace
 
+from vibrojax.amounts import size_text, time_text
 from vibrojax.cli._output import drawn, output, picture_beside
 
 
@@ -19,14 +20,15 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(options: Namespace) -> None:
     """Run the command."""
-    from vibrojax.sweep import estimate, read_sweep, run_to_file
+    from vibrojax.sweep import check_size, estimate, read_sweep, run_to_file
 
     sweep = read_sweep(options.sweep)
     out = output(options.out or f"{sweep.name}.nc")
     picture = picture_beside(out)
     if options.dry_run:
-        print("\n".join(_estimated(sweep.shape, sweep.dims, estimate(sweep))))
-        return
+        cost = estimate(sweep)
+        print("\n".join(_estimated(sweep.shape, sweep.dims, cost)))
+        return check_size(sweep, cost, out)
     command = shlex.join(["vibrojax", "sweep", options.sweep, "-o", str(out)])
     options.how_to_resume = f"finished chunks are kept; to go on: {command}"
     dataset = run_to_file(sweep, out, resume=not options.fresh, progress=not options.quiet)
@@ -44,20 +46,3 @@ def _estimated(shape: tuple[int, ...], dims: tuple[str, ...], found: dict) -> li
         f"disk    {size_text(found['disk_bytes'])}",
         f"time    {time_text(found['time_s'])}",
     ]
-
-
-def size_text(size: float) -> str:
-    """A size in bytes, as people read it."""
-    for unit in ("B", "kB", "MB", "GB"):
-        if size < 999.5:
-            return f"{size:.3g} {unit}"
-        size /= 1000
-    return f"{size:.3g} TB" if size < 1000 else f"{size:,.0f} TB"
-
-
-def time_text(seconds: float) -> str:
-    """A time in seconds, as people read it."""
-    for unit, length in (("days", 86400), ("h", 3600), ("min", 60)):
-        if seconds >= 2 * length:
-            return f"{seconds / length:,.0f} {unit}" if seconds >= 1000 * length else f"{seconds / length:.3g} {unit}"
-    return f"{seconds:.3g} s"

@@ -1,6 +1,5 @@
 """The fitting picture for a dataset, on a figure or in a file."""
 
-import os
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +21,7 @@ from vibrojax.plot._response import is_swept, response
 from vibrojax.plot._series import MOST_LINES
 from vibrojax.plot._style import settings
 from vibrojax.plot._trajectory import trajectory
+from vibrojax.store._aside import aside
 
 # Without the date, so that the same dataset gives the same file.
 _METADATA: dict[str, dict[str, None]] = {".png": {}, ".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
@@ -89,12 +89,8 @@ def save_picture(ds: xr.Dataset, path: str | Path) -> None:
     if suffix not in _METADATA:
         raise InputError(f"{path}: pictures end in .png, .pdf or .svg, not in {suffix or 'nothing'}")
     figure = picture(ds)
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        with settings():
+        with settings(), aside(path, "part") as part:
             figure.savefig(part, format=suffix[1:], metadata=_METADATA[suffix])
-        os.replace(part, path)
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror}); give another file") from None
-    finally:
-        part.unlink(missing_ok=True)

@@ -47,6 +47,7 @@ def _locked(path: Path) -> int:
 
 def _open(path: Path) -> int:
     try:
+        path.parent.mkdir(exist_ok=True)  # another process may just have finished, and removed it
         return os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_CLOEXEC", 0), 0o666)
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror}); give another output") from None

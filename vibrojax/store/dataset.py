@@ -1,13 +1,19 @@
 """Datasets on disk: written whole or not at all, and recognised when they are opened."""
 
+import errno
 import os
 from pathlib import Path
 
 import xarray as xr
 
 from vibrojax.errors import InputError
+from vibrojax.store._aside import aside
+from vibrojax.threads import apart
 
 MARK = "vibrojax"
+_PROBE = 1 << 20
+_PATIENCE, _SLOWEST = 20.0, 2e6
+"""A file that takes longer than so many seconds and bytes a second is not read."""
 
 
 def write_dataset(dataset: xr.Dataset, path: str | os.PathLike) -> None:
@@ -16,19 +22,28 @@ def write_dataset(dataset: xr.Dataset, path: str | os.PathLike) -> None:
     Raises `OSError` where the disk is full or the folder cannot be written.
     """
     path = Path(path)
-    aside = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     # Flags stay integers only without a fill value, and floats keep NaN as it is.
     encoding = {name: {"_FillValue": None} for name in dataset.variables}
     for name, variable in dataset.data_vars.items():
         if variable.size > 4096 and variable.dtype.kind in "fi":
             encoding[name] |= {"zlib": True, "complevel": 1, "shuffle": True}
+    with aside(path) as part:
+        try:
+            dataset.to_netcdf(part, engine="netcdf4", format="NETCDF4", encoding=encoding)
+        except (RuntimeError, OSError) as error:
+            raise _why(part, path, dataset.nbytes, error) from None
+
+
+def _why(part: Path, path: Path, size: int, error: Exception) -> OSError:
+    """Why the disk did not take a dataset of `size` bytes: the library says no more than "HDF error"."""
     try:
-        dataset.to_netcdf(aside, engine="netcdf4", format="NETCDF4", encoding=encoding)
-        with open(aside, "rb") as file:
+        with open(part, "ab", buffering=0) as file:
+            for _ in range(2 + 2 * size // _PROBE):  # a write in part is no error, the next one is
+                file.write(bytes(_PROBE))
             os.fsync(file.fileno())
-        os.replace(aside, path)
-    finally:
-        aside.unlink(missing_ok=True)
+    except OSError as told:
+        return OSError(told.errno, told.strerror, str(path))
+    return OSError(errno.EIO, f"cannot be written ({_first_line(error)})", str(path))
 
 
 def open_dataset(path: str | os.PathLike) -> xr.Dataset:
@@ -41,8 +56,12 @@ def open_dataset(path: str | os.PathLike) -> xr.Dataset:
         raise InputError(f"{path}: there is no such file")
     if path.is_dir():
         raise InputError(f"{path}: is a folder; give a .nc file")
+    if not path.is_file():
+        raise InputError(f"{path}: is no file with an end; give a .nc file")
     try:
-        dataset = xr.load_dataset(path, engine="netcdf4")
+        dataset = apart(lambda: xr.load_dataset(path, engine="netcdf4"), _PATIENCE + path.stat().st_size / _SLOWEST)
+    except TimeoutError:  # HDF5 goes round and round in some files that have lost a block
+        raise InputError(f"{path}: cannot be read as netCDF (its structure is damaged)") from None
     except Exception as error:  # whatever the library says of a file that is cut short, flipped or no netCDF at all
         raise InputError(f"{path}: cannot be read as netCDF ({_first_line(error)})") from None
     if not str(dataset.attrs.get("source", "")).startswith(MARK):

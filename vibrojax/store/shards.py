@@ -12,11 +12,13 @@ from pathlib import Path
 import numpy as np
 
 from vibrojax.errors import InputError, shown
+from vibrojax.store._aside import sync_folder
 from vibrojax.store._lock import Lock
 
 _MANIFEST = "manifest.json"
 _LOCK = "lock"
 _SHARD = re.compile(r"chunk-(\d{8,})\.shard")
+_DAMAGES_TOLD = 3
 _DIGEST_SIZE = hashlib.sha256().digest_size
 
 
@@ -71,13 +73,17 @@ class Shards:
 
     def finished(self) -> set[int]:
         """The indices of the chunks that are there and whole; says which are damaged, on stderr."""
-        whole = set()
+        whole, damages = set(), []
         for index in sorted(self._indices()):
             try:
                 self._content(index)
                 whole.add(index)
             except DamagedShard as damage:
-                print(f"vibrojax: warning: {damage}; it is computed again", file=sys.stderr)
+                damages.append(damage)
+        for damage in damages[:_DAMAGES_TOLD]:
+            tell(damage)
+        if len(damages) > _DAMAGES_TOLD:
+            tell(f"{self.folder}: {len(damages) - _DAMAGES_TOLD} more chunks are damaged")
         return whole
 
     def write(self, index: int, arrays: Mapping[str, np.ndarray]) -> None:
@@ -142,19 +148,19 @@ class Shards:
 
     def _put(self, path: Path, *parts: bytes | memoryview) -> None:
         """Write a file so that it is either whole or not there, whenever the power goes."""
+        self.folder.mkdir(exist_ok=True)  # somebody may have removed it meanwhile
         temporary = path.with_name(path.name + ".tmp")
-        with open(temporary, "wb") as file:
-            for part in parts:
-                file.write(part)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-        if os.name == "posix":  # elsewhere a folder cannot be opened
-            folder = os.open(self.folder, os.O_RDONLY)
-            try:
-                os.fsync(folder)
-            finally:
-                os.close(folder)
+        try:
+            with open(temporary, "wb") as file:
+                for part in parts:
+                    file.write(part)
+                file.flush()
+                os.fsync(file.fileno())
+            os.replace(temporary, path)
+        except OSError as error:  # a write does not say of which file
+            temporary.unlink(missing_ok=True)
+            raise OSError(error.errno, error.strerror, str(path)) from None
+        sync_folder(self.folder)
 
     def _clear(self, shards: bool) -> None:
         """Remove the shards, or the unfinished files of a process that was killed; nothing that is not ours."""
@@ -182,6 +188,11 @@ class Shards:
             f"{self.folder}: holds chunks of another sweep: {'; '.join(changes)}{more}; "
             "--fresh starts over, or give another output"
         )
+
+
+def tell(damage: object) -> None:
+    """Say on stderr what has been found damaged."""
+    print(f"vibrojax: warning: {damage}; computed again", file=sys.stderr)
 
 
 def _canonical(manifest: Mapping[str, object]) -> bytes:

@@ -21,12 +21,13 @@ class Variable:
         attributes = {"units": self.units, "long_name": self.long_name}
         if self.flags:
             attributes["flag_values"] = np.arange(len(self.flags), dtype=np.int8)
-            attributes["flag_meanings"] = " ".join(self.flags)
+            # CF 1.11, section 3.5: of other signs only - _ . + @ may stand in a flag's meaning.
+            attributes["flag_meanings"] = " ".join(flag.replace("/", "-over-") for flag in self.flags)
         return attributes
 
 
 STATUSES = ("done", "failed", "refused")
-REASONS = ("none", "not-finite", "out-of-steps", "pulse-width-not-below-1/frequency")
+REASONS = ("none", "not-finite", "out-of-steps", "pulse-width-not-below-1/frequency", "too-stiff", "too-slow")
 
 VARIABLES = {
     "regime": Variable("1", "regime of the striker's motion", np.int8, REGIMES),

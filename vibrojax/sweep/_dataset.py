@@ -10,6 +10,7 @@ from vibrojax.label import LABELLED_BY, label
 from vibrojax.physics.parameters import ROTATION, Parameter
 from vibrojax.store.provenance import source
 from vibrojax.store.variables import REASONS, STATUSES, VARIABLES
+from vibrojax.sweep._stiff import TOO_SLOW, TOO_STIFF, too_slow, too_stiff
 from vibrojax.sweep._sweep import Sweep
 
 
@@ -53,12 +54,15 @@ def dataset_of(sweep: Sweep, features: dict, solver: dict, wall_time: float) -> 
 def _finished(sweep: Sweep, features: dict) -> dict:
     """The features with the regime, status and reason; NaN, or 0 for counts, where a lane failed or was refused."""
     bad = ~features["finite"]
-    refusal = sweep.machine.refused(sweep.lane_values(0, sweep.lanes)[0])
-    why, refused = refusal or ("none", np.zeros(sweep.lanes, bool))
-    flags = [REASONS.index(name) for name in (why, "not-finite", "out-of-steps")]
-    reason = np.select([refused, bad, ~features["finished"]], flags, 0)
-    labelled = _labelled(sweep, features) if "cycles" in features else {}
+    values = sweep.lane_values(0, sweep.lanes)[0]
+    why, unfit = sweep.machine.refused(values) or ("none", np.zeros(sweep.lanes, bool))
+    stiff, slow = too_stiff(sweep, values), too_slow(sweep, values)
+    refused = unfit | stiff | slow
+    flags = [REASONS.index(name) for name in (why, TOO_STIFF, TOO_SLOW, "not-finite", "out-of-steps")]
+    reason = np.select([unfit, stiff, slow, bad, ~features["finished"]], flags, 0)
     failed = reason != 0
+    sound = {name: features[name] & ~refused for name in ("finite", "check_finite") if name in features}
+    labelled = _labelled(sweep, features | sound) if "cycles" in features else {}
     known = {"finite", "finished", "steps"}
     blanked = {
         name: x if name in known else np.where(failed.reshape(-1, *[1] * (x.ndim - 1)), np.nan, x)

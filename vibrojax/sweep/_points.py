@@ -2,8 +2,11 @@
 
 import csv
 import io
+from array import array
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from sys import intern
 
 import numpy as np
 
@@ -14,6 +17,9 @@ from vibrojax.sweep._source import read_text
 
 _TEXTS = ("start", "rock")
 """Columns of names."""
+
+WhereFrom = Callable[[str, int], Place]
+"""Where the cell of a column and an index stands."""
 
 
 @dataclass(frozen=True)
@@ -39,38 +45,42 @@ def read_points(place: Place, value: object, folder: Path, names: Names) -> Poin
     for name, length in lengths.items():
         if length != lengths[first]:
             raise place.at(name).error(f"has {length} values; {lengths[first]} are needed, as in {first}")
-    cells = {}
-    for name, column in columns.items():
+    for name in columns:
         _check_column(place.at(name), name, names)
-        cells[name] = [(place.at(name).item(index), cell) for index, cell in enumerate(column)]
-    return _points(cells, names)
+    return _points(columns, lambda name, index: place.at(name).item(index), names)
 
 
 def _from_csv(path: Path, names: Names) -> Points:
     """Points from a CSV file with a line of column names."""
     place = Place(str(path))
     reader = csv.reader(io.StringIO(read_text(path), newline=""), skipinitialspace=True, strict=True)
+    rows = ((reader.line_num, row) for row in reader if any(map(str.strip, row)))
+    lines = array("q")  # of the file, one for each point
+
+    def at(name: str, index: int) -> Place:
+        return place.at(f"line {lines[index]}, column {name}")
+
     try:
-        rows = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
+        line, header = next(rows, (0, []))
+        if not header:
+            raise place.error("empty; a line of column names and a line for each point are needed")
+        columns = {name: [] if name in _TEXTS else array("d") for name in _header(place, line, header, names)}
+        for line, row in rows:
+            lines.append(line)
+            if len(row) != len(columns):
+                raise place.at(f"line {line}").error(f"has {len(row)} cells; {len(columns)} are needed, one a column")
+            for (name, column), cell in zip(columns.items(), row, strict=True):
+                column.append(intern(cell.strip()) if name in _TEXTS else _cell(at, name, cell))
     except csv.Error as error:
         raise place.at(f"line {reader.line_num}").error(f"not CSV: {error}") from None
-    if not rows:
-        raise place.error("empty; a line of column names and a line for each point are needed")
-    line, header = rows[0]
-    columns = _header(place.at(f"line {line}"), [cell.strip() for cell in header], names)
-    if len(rows) == 1:
+    if not lines:
         raise place.error("no points; add a line for each below the column names")
-    cells = {name: [] for name in columns}
-    for line, row in rows[1:]:
-        if len(row) != len(columns):
-            raise place.at(f"line {line}").error(f"has {len(row)} cells; {len(columns)} are needed, one a column")
-        for name, cell in zip(columns, row, strict=True):
-            at = place.at(f"line {line}, column {name}")
-            cells[name].append((at, cell.strip() if name in _TEXTS else _cell(at, cell.strip())))
-    return _points(cells, names)
+    return _points(columns, at, names)
 
 
-def _header(place: Place, columns: list[str], names: Names) -> list[str]:
+def _header(place: Place, line: int, header: list[str], names: Names) -> list[str]:
+    """The names of the columns, checked; they stand in the file's `line`."""
+    place, columns = place.at(f"line {line}"), [cell.strip() for cell in header]
     if len(columns) == 1 and any(mark in columns[0] for mark in ";\t"):
         raise place.error(f"{shown(columns[0])} is one column; separate them by commas")
     if all(_is_number(name) for name in columns):
@@ -101,22 +111,34 @@ def _is_number(cell: str) -> bool:
         return False
 
 
-def _cell(place: Place, cell: str) -> float:
+def _cell(at: WhereFrom, name: str, cell: str) -> float:
     try:
         return float(cell)
     except ValueError:
-        problem = f"{shown(cell)} is not a number" if cell else "empty"
-        raise place.error(f"{problem}; write one, like 0.4 or 50e6") from None
+        problem = f"{shown(cell.strip())} is not a number" if cell.strip() else "empty"
+        raise at(name, -1).error(f"{problem}; write one, like 0.4 or 50e6") from None
 
 
-def _points(cells: dict[str, list[tuple[Place, object]]], names: Names) -> Points:
-    """The checked columns of (place, cell)."""
-    columns = {
-        name: np.array([names.quantity(place, name, cell) for place, cell in column])
-        for name, column in cells.items()
-        if name not in _TEXTS
-    }
+def _points(cells: Mapping[str, Sequence], at: WhereFrom, names: Names) -> Points:
+    """The checked columns; `at(name, index)` is where a cell stands."""
+    columns = {name: _numbers(column, name, at, names) for name, column in cells.items() if name not in _TEXTS}
     if "rock" in cells:
-        columns["rock"] = np.array([names.rock(place, cell) for place, cell in cells["rock"]])
-    starts = [names.start(place, cell, vectors=False) for place, cell in cells["start"]] if "start" in cells else None
+        columns["rock"] = np.array([names.rock(at("rock", index), rock) for index, rock in enumerate(cells["rock"])])
+    if "start" not in cells:
+        return Points(columns, None)
+    starts = [
+        start if isinstance(start, str) and start in names.starts else names.start(at("start", index), start, False)
+        for index, start in enumerate(cells["start"])
+    ]
     return Points(columns, starts)
+
+
+def _numbers(column: Sequence, name: str, at: WhereFrom, names: Names) -> np.ndarray:
+    """A column of numbers that the parameter called `name` may have, float64 (points,)."""
+    parameter = names.parameter(at(name, 0), name)
+    if isinstance(column, array):
+        values = np.array(column)
+        # What is admissible is an interval: where both ends are in it, a million cells need no look one by one.
+        if parameter.problem(values.min()) is None and parameter.problem(values.max()) is None:
+            return values
+    return np.array([names.quantity(at(name, index), name, value) for index, value in enumerate(column)])

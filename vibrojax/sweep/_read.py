@@ -64,6 +64,7 @@ def read_sweep(source: str | PathLike[str] | Mapping[str, object]) -> Sweep:
         points=points.columns if points else None,
         point_starts=point_starts,
         run=read_settings(place.at("run"), as_table(place.at("run"), tables.get("run", {}))),
+        file=found.file,
     )
     if sweep.lanes > _MOST_LANES:
         raise place.at("grid").error(f"{shown(sweep.lanes)} lanes are too many; make the axes shorter")

@@ -1,21 +1,25 @@
 """Run a sweep: to a dataset in memory, or to a file that loses nothing."""
 
 import time
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from math import ceil
 from pathlib import Path
 
+import jax
 import numpy as np
 import xarray as xr
 
 from vibrojax.store.dataset import write_dataset
 from vibrojax.store.provenance import source
-from vibrojax.store.shards import DamagedShard, Shards
+from vibrojax.store.shards import DamagedShard, Shards, tell
 from vibrojax.store.variables import VARIABLES
 from vibrojax.sweep._chunks import Chunks, devices_text
 from vibrojax.sweep._dataset import dataset_of
 from vibrojax.sweep._progress import Progress
 from vibrojax.sweep._read import read_sweep
+from vibrojax.sweep._size import check_size
 from vibrojax.sweep._sweep import Sweep
 
 SECONDS_PER_STEP = 0.15e-6
@@ -34,15 +38,17 @@ def run_sweep(source, progress: bool = True) -> xr.Dataset:
 
     **Returns:** the dataset, over the grid's dimensions and `start`.
 
-    **Raises:** `InputError`, before any work, where the sweep is not right.
+    **Raises:** `InputError`, before any work, where the sweep is not right or the machine too small for it.
     """
     sweep = source if isinstance(source, Sweep) else read_sweep(source)
+    check_size(sweep, estimate(sweep))
     began = time.monotonic()
     chunks = Chunks(sweep)
     told = Progress(sweep.lanes, progress)
     parts = []
     for index in range(chunks.count):
-        parts.append(chunks.compute(index, told.add))
+        with _untold():
+            parts.append(chunks.compute(index, told.add))
     return _assembled(sweep, chunks, parts, time.monotonic() - began)
 
 
@@ -55,11 +61,12 @@ def run_to_file(sweep: Sweep, out: Path, resume: bool = True, progress: bool = T
 
     **Returns:** the dataset that was written.
 
-    **Raises:** `InputError` where the chunks that are there are of another sweep.
+    **Raises:** `InputError` where the chunks that are there are of another sweep, or the machine is too small for it.
     """
+    check_size(sweep, estimate(sweep), out)
     began = time.monotonic()
     chunks = Chunks(sweep)
-    manifest = sweep.identity() | {"source": source(), "chunk size": chunks.size}
+    manifest = sweep.identity() | {"source": source(), "jax": jax.__version__, "chunk size": chunks.size}
     with Shards(out.with_name(out.name + ".chunks"), manifest) as shards:
         shards.open(resume)
         finished = shards.finished()
@@ -80,15 +87,25 @@ def _read_or_compute(shards: Shards, chunks: Chunks, index: int) -> dict:
     """A finished chunk from its file; computed again where that has been damaged meanwhile."""
     try:
         return shards.read(index)
-    except DamagedShard:
+    except DamagedShard as damage:
+        tell(damage)
         return _timed(chunks, index)
 
 
 def _timed(chunks: Chunks, index: int, told: Callable[[int], None] = lambda lanes: None) -> dict:
     """A chunk's features, and the `seconds` that they took."""
     began = time.monotonic()
-    features = chunks.compute(index, told)
+    with _untold():
+        features = chunks.compute(index, told)
     return features | {"seconds": np.array(time.monotonic() - began)}
+
+
+@contextmanager
+def _untold() -> Iterator[None]:
+    """Lanes that blow up are flagged: numpy's warnings beside, from any thread, would be a storm."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        yield
 
 
 def estimate(sweep: Sweep) -> dict:
@@ -117,4 +134,5 @@ def _assembled(sweep: Sweep, chunks: Chunks, parts: list[dict], wall_time: float
         "steps": int(features["steps"].sum()),
         **chunks.accuracy.described(),
     }
-    return dataset_of(sweep, features, solver, wall_time)
+    with _untold():
+        return dataset_of(sweep, features, solver, wall_time)

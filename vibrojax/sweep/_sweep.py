@@ -18,7 +18,7 @@ Start = str | tuple[float, ...]
 class Sweep:
     """A sweep file's content, complete with defaults.
 
-    - `name`: what its output is called; `text`: its TOML; `title`: free text.
+    - `name`: what its output is called; `text`: its TOML; `title`: free text; `file`: what messages call it.
     - `scene`: its name; `options`: what is chosen by name in it, such as the friction law.
     - `starts`: names and vectors (x1, x1', x2, x2') [m, m/s]; None for a scene without.
     - `parameters`: all that is fixed, by name, SI; `given`: those of them that the user wrote.
@@ -42,6 +42,7 @@ class Sweep:
     points: dict[str, np.ndarray] | None = None
     point_starts: list[str] | None = None
     run: RunSettings = field(default_factory=RunSettings)
+    file: str = "sweep"
 
     @property
     def machine(self) -> Scene:

@@ -1,0 +1,126 @@
+"""The hard cases: lanes by name, and what each comes to beside the exact reference (tests/exact).
+
+The lanes of `DRILL` are those of sweeps/hard_cases.csv, in this order.
+"""
+
+import math
+
+import exact
+
+USUAL = {
+    "beta": 0.4,
+    "gamma": 0.75,
+    "v": 1.5,
+    "delta": 0.005,
+    "k0": 50e6,
+    "c0": 0.1,
+    "c2": 250.0,
+    "mu": 0.4,
+    "start": "stuck",
+}
+GRAZED = 0.06496005202147603
+"""The farthest that the usual striker comes in the first 1.2 s where nothing is in its way [m]."""
+
+DRILL = {
+    "contact stiffness": [{"k0": k0} for k0 in (1e6, 1e8, 1e10, 1e12)],
+    "contact damping": [{"c0": c0} for c0 in (0.0, 1e3, 1e5, 1e7, 1e9)],
+    "gap and preload": [{"delta": delta} for delta in (0.0, 0.5, -0.005, -0.02)],
+    "grazing": [{"delta": GRAZED + by} for by in (-1e-6, -1e-9, 1e-9)],
+    "chatter": [{"delta": -0.005, "c0": c0, "c2": c2} for c0 in (2e4, 1e5) for c2 in (0.0, 2500.0)],
+    "drive speed": [{"v": v} for v in (0.0, 1e-6, 3.0, 30.0)],
+    "friction": [{"mu": mu} for mu in (0.0, 1e-6, 10.0)],
+    "frequency ratio": [{"gamma": gamma} for gamma in (0.01, 5.0, 15.0)],
+    "mass ratio": [{"beta": beta} for beta in (1e-3, 0.01, 10.0)],
+    "damper": [{"c2": c2} for c2 in (0.0, 1e5, 1e7, 1e10)],
+    "coinciding switches": [{"delta": 0.0, "v": v, "c0": c0} for v in (0.5, 2.0) for c0 in (0.0, 1e4)],
+    "start on a surface": [{"delta": 0.0, "start": "drive", "c0": c0} for c0 in (0.0, 1e4)],
+    "kick of 10 kJ": [{"delta": -0.02, "start": "drive"}, {"delta": -0.02, "start": "drive", "k0": 5e9}],
+    "subnormal numbers": [{"c0": 5e-324}, {"c2": 5e-324}, {"v": 5e-324}, {"delta": 5e-324}, {"mu": 5e-324}],
+    "beyond all scales": [{"beta": 1e-12}, {"gamma": 1e155}, {"k0": 1e200}],
+}
+ROCK = {
+    "rock stiffness": [{"k3": k3} for k3 in (1e4, 1e6, 1e10, 1e12)],
+    "threshold": [{"threshold": threshold} for threshold in (1e-300, 1.0, 1e300)],
+    "damping of the rock": [{"zeta": zeta} for zeta in (0.01, 10.0)],
+}
+
+MEASURES = {  # scale [SI] beside the value itself: what is small against it is not told apart
+    "bit_amplitude": 1e-6,
+    "striker_amplitude": 1e-6,
+    "peak_impact_force": 1.0,
+    "period": 1e-3,
+    "impact_velocity": 1e-4,
+    "mean_impact_force": 1.0,
+    "stick_fraction": 1e-2,
+    "reverse_fraction": 1e-2,
+    "drive_power": 1.0,
+    "rate_of_penetration": 1e-6,
+    "mean_force": 1.0,
+    "deepest_gap": 1e-6,
+}
+
+
+SAME_PLACE = {"float64": 3e-10, "float32": 1e-7}
+"""What a place may differ by [m], of a swing of 0.06 m. A grazing blow of depth d is known to half of that over d, and
+one that is not as deep as that may be missed."""
+
+
+def bound_of(case: str, changes: dict, bound: float, precision: str = "float64") -> float:
+    """The relative deviation up to which a lane of a case counts as exact."""
+    if case != "grazing":
+        return bound
+    share = SAME_PLACE[precision] / 2 / abs(changes["delta"] - GRAZED)
+    return max(bound, share) if share < 1 else math.inf
+
+
+def lanes(cases: dict) -> list[tuple[str, dict]]:
+    """The name of the case and the point of each lane."""
+    return [(name, changes) for name, points in cases.items() for changes in points]
+
+
+def columns(cases: dict, usual: dict) -> dict[str, list]:
+    """The lanes as the points of a sweep."""
+    points = [usual | changes for _, changes in lanes(cases)]
+    names = dict.fromkeys(name for point in points for name in point)
+    return {name: [point[name] for point in points] for name in names}
+
+
+def reference(scene: str, point: dict, observe: float, settle: float = 0.0) -> dict | None:
+    """What the exact reference measures from `settle` on; None where it does not come to an end of its own accord."""
+    try:
+        return exact.measure(exact.run(scene, **point, settle=settle, observe=observe))
+    except (ArithmeticError, ValueError, OverflowError):
+        return None
+
+
+def deviation(lane, found: dict) -> tuple[float, str]:
+    """The greatest relative deviation of a sweep's lane from the reference, and of which measure."""
+    worst = (0.0, "")
+    for name, scale in MEASURES.items():
+        if name not in lane:
+            continue
+        # Over whole repeats of what repeats: where the two do not agree on that, over other spans of time.
+        if name not in ("bit_amplitude", "striker_amplitude", "peak_impact_force", "deepest_gap") and (
+            "cycles" in lane and int(lane["cycles"]) != found["cycles"]
+        ):
+            continue
+        value, expected = float(lane[name]), found.get(name, math.nan)
+        if name == "deepest_gap":  # of a bit that never leaves the rock the reference tells the least compression
+            expected = min(expected, 0.0)
+        if math.isnan(value) != math.isnan(expected):
+            return math.inf, name
+        if not math.isnan(value):
+            worst = max(worst, (abs(value - expected) / (abs(expected) + scale), name))
+    return worst
+
+
+def verdict(lane, found: dict | None, bound: float) -> tuple[str, str]:
+    """exact, refused, flagged, WRONG or unchecked (the reference does not come to an end), and a remark."""
+    status = lane["status"].attrs["flag_meanings"].split()[int(lane["status"])]
+    if status != "done":
+        reason = lane["reason"].attrs["flag_meanings"].split()[int(lane["reason"])]
+        return {"refused": "refused", "failed": "flagged"}[status], reason
+    if found is None:
+        return "unchecked", "the exact reference finds no end"
+    worst, name = deviation(lane, found)
+    return ("exact" if worst <= bound else "WRONG"), f"{worst:.1e} {name}".strip()

@@ -1,0 +1,51 @@
+"""Every hard case, in every precision and scene, beside the exact reference: a table, and the counts.
+
+python tests/hard/check.py        some 5 minutes
+"""
+
+import sys
+import time
+from collections import Counter
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+sys.path.insert(0, str(Path(__file__).parents[2]))
+from cases import DRILL, ROCK, USUAL, bound_of, columns, lanes, reference, verdict
+
+import vibrojax as vj
+
+DRILLING = {"beta": 0.4, "gamma": 0.6, "start": "stuck"}
+SETS = {  # scene, cases, usual point, precision, seconds, bound on the relative deviation
+    "vibro-impact": ("vibro-impact", DRILL, USUAL, "float64", 1.2, 1e-5),
+    "vibro-impact, float32": ("vibro-impact", DRILL, USUAL, "float32", 1.2, 3e-3),
+    "drilling": ("drilling", ROCK, DRILLING | {"zeta": 1.5, "threshold": 61.9e3, "k3": 100.68e6}, "float64", 1.0, 1e-5),
+    "coupled-drilling": (
+        "coupled-drilling",
+        ROCK,
+        DRILLING | {"zeta": 1.5, "threshold": 61.9e3, "k3": 100.68e6},
+        "float64",
+        1.0,
+        1e-5,
+    ),
+    "penetration": ("penetration", ROCK, {"zeta": 1.1, "threshold": 150e3, "k3": 300e6}, "float64", 0.5, 1e-5),
+}
+SETTLE = {"penetration": 0.1}  # s: the pulse at t = 0 is no return of the package's, so whole pulses differ by one
+
+
+def main(names):
+    for name in names:
+        scene, cases, usual, precision, observe, bound = SETS[name]
+        began = time.perf_counter()
+        run = {"settle": SETTLE.get(scene, 0.0), "observe": observe, "precision": precision}
+        dataset = vj.run_sweep({"scene": scene, "points": columns(cases, usual), "run": run}, progress=False)
+        counts = Counter()
+        for index, (case, changes) in enumerate(lanes(cases)):
+            found = reference(scene, usual | changes, observe, SETTLE.get(scene, 0.0))
+            kind, remark = verdict(dataset.isel(point=index), found, bound_of(case, changes, bound, precision))
+            counts[kind] += 1
+            print(f"{name:24}{case:22}{kind:10}{remark:34}{changes}", flush=True)
+        print(f"{name}: {dict(counts)}, {time.perf_counter() - began:.0f} s\n", flush=True)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:] or SETS)

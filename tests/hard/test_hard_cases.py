@@ -1,0 +1,115 @@
+"""Hard cases: each lane is what the exact reference says, or refused or flagged with a reason; none is silently wrong.
+
+Those that take long are in `python tests/hard/check.py`, whose table is in the README beside it.
+"""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cases import DRILL, USUAL, bound_of, columns, lanes, reference, verdict
+
+import vibrojax as vj
+from vibrojax.sweep._stiff import too_slow, too_stiff
+
+SWEEPS = Path(__file__).parents[2] / "sweeps"
+OBSERVE = 0.5
+SHORT = {
+    "gap and preload": [{"delta": -0.02}],
+    "grazing": DRILL["grazing"][1:],
+    "coinciding switches": [{"delta": 0.0, "v": 2.0, "c0": 1e4}],
+    "start on a surface": [{"delta": 0.0, "start": "drive", "c0": 0.0}],
+    "subnormal numbers": [{"v": 5e-324}, {"delta": 5e-324}],
+    "contact stiffness": [{"k0": 1e10}],
+    "contact damping": [{"c0": 0.0}, {"c0": 1e5}],
+    "drive speed": [{"v": 0.0}, {"v": 30.0}],
+    "friction": [{"mu": 0.0}, {"mu": 10.0}],
+    "frequency ratio": [{"gamma": 0.01}, {"gamma": 1e155}],
+    "mass ratio": [{"beta": 10.0}],
+}
+
+
+def swept(cases, **run):
+    run = {"settle": 0.0, "observe": OBSERVE} | run
+    return vj.run_sweep({"scene": "vibro-impact", "points": columns(cases, USUAL), "run": run}, progress=False)
+
+
+@pytest.fixture(scope="module")
+def short():
+    return swept(SHORT)
+
+
+def test_the_bundled_sweep_is_that_of_the_cases():
+    with open(SWEEPS / "hard_cases.csv", newline="") as file:
+        rows = list(csv.reader(file))
+    found = dict(zip(rows[0], zip(*rows[1:], strict=True), strict=True))
+    expected = columns(DRILL, USUAL)
+    assert list(found) == list(expected)
+    for name, column in found.items():
+        assert [cell if name == "start" else float(cell) for cell in column] == expected[name]
+    assert vj.read_sweep("hard-cases").lanes == len(lanes(DRILL))
+
+
+def test_exact_or_told(short):
+    seen = set()
+    for index, (case, changes) in enumerate(lanes(SHORT)):
+        bound = bound_of(case, changes, 1e-5)
+        kind, remark = verdict(short.isel(point=index), reference("vibro-impact", USUAL | changes, OBSERVE), bound)
+        assert kind in ("exact", "refused", "flagged"), (case, changes, remark)
+        told = {"flagged": {"gamma": 1e155}, "refused": {"v": 5e-324}}.get(kind)
+        assert told in (None, changes), (case, changes, kind, remark)
+        seen.add(kind)
+    assert seen == {"exact", "flagged", "refused"}
+
+
+def test_a_lane_that_blows_up_leaves_its_neighbours_alone(short):
+    """Bit for bit, wherever it stands in the block."""
+    without = {name: [point for point in points if point != {"gamma": 1e155}] for name, points in SHORT.items()}
+    alone = swept(without)
+    kept = [index for index, (_, changes) in enumerate(lanes(SHORT)) if changes != {"gamma": 1e155}]
+    for name in alone.data_vars:
+        np.testing.assert_array_equal(alone[name].values, short[name].values[kept], err_msg=name)
+    failed = short.isel(point=[index for index in range(short.sizes["point"]) if index not in kept])
+    flags = short.regime.attrs["flag_meanings"].split()
+    assert [flags[flag] for flag in failed.regime.values] == ["failed"]
+    assert np.isnan(failed.period.values).all() and failed.cycles.values.tolist() == [0]
+
+
+@pytest.mark.parametrize("changes", [{"c2": 1e10}, {"beta": 1e-12}, {"k1": 1e30}, {"c0": 1e300}])
+def test_what_is_too_stiff_is_refused(changes):
+    """Not labelled an equilibrium, because nothing moves in a step of 1e-12 s."""
+    sweep = vj.read_sweep(
+        {"scene": "vibro-impact", "starts": ["stuck"], "points": {n: [x] for n, x in changes.items()}}
+    )
+    assert too_stiff(sweep, sweep.lane_values(0, 1)[0]).tolist() == [True]
+    usual = vj.read_sweep({"scene": "vibro-impact", "starts": ["stuck"], "grid": {"k0": [1e6, 50e6, 1e12]}})
+    assert not too_stiff(usual, usual.lane_values(0, 3)[0]).any()
+
+
+def test_what_creeps_below_the_roundings_is_refused():
+    """In float32 a drive of 1e-6 m/s passes for being at rest; not so a drive at rest, or one in float64."""
+    grid = {"scene": "vibro-impact", "starts": ["stuck"], "grid": {"v": [0.0, 1e-6, 1.5]}}
+    for precision, expected in (("float32", [False, True, False]), ("float64", [False] * 3)):
+        sweep = vj.read_sweep(grid | {"run": {"precision": precision}})
+        assert too_slow(sweep, sweep.lane_values(0, 3)[0]).tolist() == expected
+
+
+@pytest.mark.parametrize("changes", [{}, {"k0": 1e9, "c0": 1e3}, {"delta": -0.02, "start": "drive"}])
+def test_what_holds_at_every_instant(changes):
+    """Friction brakes; J is no less than k0 (x2 - delta) + c0 x2' in contact, and never pulls; the ledger of energy:
+    F v = F u + c2 x2'^2 + J x2' + change of energy."""
+    point = USUAL | changes
+    motion = vj.simulate("vibro-impact", **point, duration=0.5, sampling=5e-6, progress=False)
+    m1, k1 = 250.0, 156250.0
+    m2, k2 = point["beta"] * m1, point["beta"] * k1 * point["gamma"] ** 2
+    x1, v1, x2, v2, F, J = (motion[n].values for n in ("x1", "v1", "x2", "v2", "friction_force", "impact_force"))
+    u = v1 + point["v"]
+    assert np.all(F * u >= -1e-9 * np.abs(F).max() * point["v"])
+    inside = x2 >= point["delta"]
+    raw = point["k0"] * (x2 - point["delta"]) + point["c0"] * v2
+    assert inside.any() and np.all(J >= 0) and np.all(raw[inside] <= J[inside] + 1e-6 * J.max())
+    energy = (m1 * v1**2 + m2 * v2**2 + k1 * x1**2 + k2 * (x1 - x2) ** 2) / 2
+    power = F * point["v"] - F * u - point["c2"] * v2**2 - J * v2
+    work = np.concatenate([[0.0], np.cumsum((power[1:] + power[:-1]) / 2 * np.diff(motion.time.values))])
+    np.testing.assert_allclose(work, energy - energy[0], atol=1e-3 * np.abs(energy).max())

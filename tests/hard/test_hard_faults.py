@@ -1,0 +1,300 @@
+"""Faults of the machine, made for real: a full disk, a folder that cannot be written, Ctrl-C, a clock that jumps.
+
+Each ends in one line and a status, and what was computed is there.
+"""
+
+import os
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+from kills import cached
+
+from vibrojax.store.dataset import open_dataset, write_dataset
+from vibrojax.store.shards import Shards
+
+ROOT = Path(__file__).parents[2]
+CHUNKS = 12
+SWEEP = f"""
+scene = "penetration"
+[grid]
+frequency = {{ start = 10, stop = 40, num = {CHUNKS} }}
+force = [100e3, 200e3, 300e3, 400e3]
+[run]
+settle = 0.8
+observe = 0.4
+chunk = 4
+"""
+
+
+def started(folder, *words, before="", **environment) -> subprocess.Popen:
+    """`vibrojax WORDS` in a process of its own, at work in `folder`; the program `before` runs in it first.
+
+    By exec, not in a fork of this process, whose threads are jax's.
+    """
+    first = "import os, signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler)"
+    then = "os.execv(sys.executable, [sys.executable, '-m', 'vibrojax', *sys.argv[1:]])"
+    return subprocess.Popen(
+        [sys.executable, "-c", "\n".join([first, before, then]), *words],
+        cwd=folder,
+        env=os.environ | {"PYTHONPATH": str(ROOT)} | environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def ended(process) -> tuple[int, str]:
+    """Status, and what it said on stderr."""
+    _, said = process.communicate(timeout=120)
+    return process.returncode, said
+
+
+def run(folder, *words, **named) -> tuple[int, str]:
+    return ended(started(folder, *words, **named))
+
+
+def one_line(said: str) -> str:
+    assert said.startswith("vibrojax: ") and said.count("\n") == 1, said
+    return said
+
+
+def chunks(folder) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in (folder / "map.nc.chunks").glob("*.shard")}
+
+
+def wait_for(condition, process) -> None:
+    for _ in range(12000):
+        if condition():
+            return
+        assert process.poll() is None, process.communicate()
+        time.sleep(0.01)
+    raise AssertionError("it never came to that")
+
+
+@pytest.fixture
+def folder(tmp_path):
+    (tmp_path / "map.toml").write_text(SWEEP)
+    return tmp_path
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory):
+    """The environment in which a process takes its compiled programs from those before it."""
+    return cached(tmp_path_factory.mktemp("cache"))
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory, cache):
+    """The dataset of the sweep as a process makes it that nothing disturbs."""
+    folder = tmp_path_factory.mktemp("whole")
+    (folder / "map.toml").write_text(SWEEP)
+    assert run(folder, "sweep", "map.toml", "--quiet", **cache) == (0, "")
+    return folder / "map.nc"
+
+
+def assert_same(one, other) -> None:
+    """Same variables and coordinates, bit for bit; of the attributes only times and dates may differ."""
+    with xr.open_dataset(one) as found, xr.open_dataset(other) as expected:
+        xr.testing.assert_identical(found.drop_attrs(deep=False), expected.drop_attrs(deep=False))
+        differing = {name for name in expected.attrs if found.attrs[name] != expected.attrs[name]}
+        assert differing <= {"history", "wall_time_s"}
+
+
+def limited(size: int) -> str:
+    """No file of this process grows beyond `size` bytes: the kernel refuses the rest, as of a full disk."""
+    return f"import resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({size}, resource.RLIM_INFINITY))"
+
+
+def test_the_disk_fills_at_any_byte(tmp_path):
+    """A dataset that is written is there whole, or not at all and with the system's reason."""
+    values = np.random.default_rng(0).random(2000)
+    dataset = xr.Dataset({"x": ("lane", values)}, attrs={"source": "vibrojax 0"})
+    out = tmp_path / "out.nc"
+    write_dataset(dataset, out)
+    size, seen = out.stat().st_size, set()
+    try:
+        for limit in [*range(1, size, size // 40), size]:
+            out.unlink(missing_ok=True)
+            resource.setrlimit(resource.RLIMIT_FSIZE, (limit, resource.RLIM_INFINITY))
+            try:
+                write_dataset(dataset, out)
+                seen.add("whole")
+                xr.testing.assert_identical(open_dataset(out), dataset)
+            except OSError as error:
+                seen.add(error.strerror)
+                assert list(tmp_path.iterdir()) == []
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+    assert seen == {"File too large", "whole"}
+
+
+def test_a_full_disk(folder, whole, cache):
+    """Full as the fourth chunk is written, then as the dataset is: what was computed is kept, and in the end used."""
+    process = started(folder, "sweep", "map.toml", "--quiet", **cache)
+    wait_for(lambda: len(chunks(folder)) >= 1, process)
+    for index in range(3, CHUNKS):  # /dev/full takes nothing, ever
+        path = folder / "map.nc.chunks" / f"chunk-{index:08d}.shard.tmp"
+        if not path.with_suffix("").exists():
+            path.symlink_to("/dev/full")
+    status, said = ended(process)
+    to_go_on = "finished chunks are kept; to go on: vibrojax sweep map.toml -o map.nc\n"
+    assert status == 1 and one_line(said).endswith(f".shard: No space left on device; {to_go_on}")
+    kept = chunks(folder)
+    assert kept
+    # No file may grow beyond that: a chunk does not, the dataset does.
+    status, said = run(folder, "sweep", "map.toml", "--quiet", before=limited(8000), **cache)
+    assert status == 1 and one_line(said) == f"vibrojax: map.nc: File too large; {to_go_on}"
+    assert len(chunks(folder)) == CHUNKS and kept.items() <= chunks(folder).items()
+    assert not (folder / "map.nc").exists()
+    assert run(folder, "sweep", "map.toml", "--quiet", **cache) == (0, "")
+    assert_same(folder / "map.nc", whole)
+    assert sorted(path.name for path in folder.iterdir()) == ["map.nc", "map.png", "map.toml"]
+
+
+BOUND_BY_MODES = """
+import ctypes
+if os.geteuid() == 0:  # root obeys the modes of files too, once it has dropped CAP_DAC_OVERRIDE (1) for what it starts
+    assert ctypes.CDLL(None).prctl(24, 1, 0, 0, 0) == 0
+"""
+
+
+def test_a_folder_that_cannot_be_written(folder):
+    folder.chmod(0o555)
+    try:
+        status, said = run(folder, "sweep", "map.toml", before=BOUND_BY_MODES)
+    finally:
+        folder.chmod(0o755)
+    assert status == 2 and '-o: "map.nc": folder "." cannot be written (Permission denied)' in one_line(said)
+
+
+def test_chunks_closed_deleted_cut_and_flipped(folder, whole, cache):
+    """The folder is closed while the sweep runs: what was there stays. Of what is damaged then each is told, and
+    computed again; the others are used."""
+    process = started(folder, "sweep", "map.toml", "--quiet", before=BOUND_BY_MODES, **cache)
+    wait_for(lambda: len(chunks(folder)) >= 3, process)
+    closed = folder / "map.nc.chunks"
+    closed.chmod(0o555)
+    status, said = ended(process)
+    closed.chmod(0o755)
+    assert status == 1 and "Permission denied; finished chunks are kept; to go on" in one_line(said)
+    paths = sorted(closed.glob("*.shard"))
+    assert len(paths) >= 3
+    paths[0].unlink()
+    os.truncate(paths[1], 100)
+    flipped = bytearray(paths[2].read_bytes())
+    flipped[len(flipped) // 2] ^= 16
+    paths[2].write_bytes(flipped)
+    (closed / "manifest.json").write_bytes(b"{")
+    status, said = run(folder, "sweep", "map.toml", "--quiet", **cache)
+    lines = [f"vibrojax: warning: {path.relative_to(folder)}: damaged; computed again" for path in paths[1:3]]
+    assert (status, said.splitlines()) == (0, lines)
+    assert_same(folder / "map.nc", whole)
+
+
+def test_two_processes_on_one_output(folder, whole):
+    """One does it, the other is sent away; at no time do both. Two fresh processes, so, give the same bits."""
+    processes = [started(folder, "sweep", "map.toml", "--quiet") for _ in range(2)]
+    found = sorted(ended(process) for process in processes)
+    assert found[0] == (0, "")
+    status, said = found[1]
+    if status:  # else it came when the other had ended
+        assert status == 2 and "map.nc.chunks: another process is at work there" in one_line(said)
+    assert_same(folder / "map.nc", whole)
+
+
+@pytest.mark.parametrize("seconds", [1.5, 3.0])
+def test_ctrl_c_ends_within_a_second(folder, seconds):
+    """Also while jax is imported and while lanes compile; with how to go on."""
+    process = started(folder, "sweep", "map.toml", "--quiet", "--fresh")
+    time.sleep(seconds)
+    began = time.monotonic()
+    process.send_signal(signal.SIGINT)
+    status, said = ended(process)
+    took = time.monotonic() - began
+    if status == 0:  # on a fast machine it had ended
+        return
+    assert status == 130 and took < 1.0
+    assert "interrupted; " in one_line(said)
+
+
+CLOCK = """
+#define _GNU_SOURCE
+#include <dlfcn.h>
+#include <stdlib.h>
+#include <time.h>
+int clock_gettime(clockid_t which, struct timespec *now) {
+    static int (*real)(clockid_t, struct timespec *);
+    static long calls;
+    if (!real) real = dlsym(RTLD_NEXT, "clock_gettime");
+    int status = real(which, now);
+    if (which == CLOCK_REALTIME) now->tv_sec = ++calls % 2 ? 4102444800 : -86400;
+    return status;
+}
+"""
+
+
+@pytest.mark.skipif(not shutil.which("cc"), reason="the clock is bent by a small library, which a C compiler makes")
+def test_ctrl_c_and_a_clock_that_jumps(folder, whole, cache):
+    """Back to before 1970 and on to 2100 at every second look at it; files bear the wrong dates too.
+
+    XLA says on stderr how slow its compiler must have been.
+    """
+    (folder / "clock.c").write_text(CLOCK)
+    subprocess.run(["cc", "-shared", "-fPIC", "-o", "clock.so", "clock.c", "-ldl"], cwd=folder, check=True)
+    bent = {"LD_PRELOAD": str(folder / "clock.so")}
+    process = started(folder, "sweep", "map.toml", "--quiet", **bent, **cache)
+    wait_for(lambda: len(chunks(folder)) >= 2, process)
+    process.send_signal(signal.SIGINT)
+    status, said = ended(process)
+    line = "vibrojax: interrupted; finished chunks are kept; to go on: vibrojax sweep map.toml -o map.nc\n"
+    assert status == 130 and said.endswith(line)
+    kept = chunks(folder)
+    for index, name in enumerate(kept):
+        os.utime(folder / "map.nc.chunks" / name, (0, 0) if index % 2 else (4102444800, 4102444800))
+    status, said = run(folder, "sweep", "map.toml", "--quiet", **bent, **cache)
+    assert status == 0 and len(kept) >= 2 and "vibrojax" not in said and "Traceback" not in said
+    assert_same(folder / "map.nc", whole)
+    with xr.open_dataset(folder / "map.nc") as dataset:
+        assert dataset.history[:4] in ("2100", "1969") and 0 < dataset.wall_time_s < 1000
+
+
+def test_chunks_deleted_while_it_runs(folder, whole, cache):
+    """Even the whole folder: it is made again, and the dataset is whole."""
+    process = started(folder, "sweep", "map.toml", "--quiet", **cache)
+    wait_for(lambda: len(chunks(folder)) >= 3, process)
+    shutil.rmtree(folder / "map.nc.chunks", ignore_errors=True)
+    status, said = ended(process)
+    assert status == 0, said
+    assert_same(folder / "map.nc", whole)
+
+
+def test_a_disk_that_is_too_small_is_seen_before(tmp_path):
+    sweep = 'scene = "rotary"\n[grid]\nbeta = { start = 0.1, stop = 1, num = 1000000 }\n'
+    for axis in ("gamma", "v"):
+        sweep += f"{axis} = {{ start = 0.1, stop = 1, num = 1000 }}\n"
+    (tmp_path / "map.toml").write_text(sweep)
+    status, said = run(tmp_path, "sweep", "map.toml")
+    assert status == 2
+    line = one_line(said)
+    assert "map.toml: grid: 2000000000000 lanes need some " in line and " TB of memory, " in line and " days of" in line
+    assert [path.name for path in tmp_path.iterdir()] == ["map.toml"]
+
+
+def test_a_folder_of_chunks_is_taken_from_one_who_just_left(tmp_path):
+    """Its maker removes it between this process's look at it and its lock."""
+    shards = Shards(tmp_path / "out.nc.chunks", {})
+    shards.open(resume=True)
+    shards.write(0, {"x": np.zeros(3)})
+    other = Shards(tmp_path / "out.nc.chunks", {})
+    shards.remove()
+    other.open(resume=True)
+    assert other.finished() == set()
+    other.close()

@@ -1,0 +1,9 @@
+"""A sweep that is killed loses no finished chunk; `python tests/hard/kills.py` kills it two hundred times."""
+
+from kills import Kills
+
+
+def test_three_kills(tmp_path):
+    kills = Kills(tmp_path)
+    assert kills.one_run(most=3) >= 1
+    assert kills.counted["chunks lost"] == 0

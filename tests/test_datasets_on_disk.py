@@ -1,0 +1,141 @@
+"""Datasets on disk: those of released versions stay readable, what is none of ours is refused, and all keep to CF."""
+
+import os
+import re
+import subprocess
+import time
+from pathlib import Path
+
+import jax
+import netCDF4
+import numpy as np
+import pytest
+import xarray as xr
+
+from vibrojax.cli import main
+from vibrojax.store.variables import VARIABLES
+from vibrojax.threads import apart
+
+KEPT = sorted((Path(__file__).parent / "data" / "versions").glob("*/*.nc"))
+RATES = next(path for path in KEPT if path.name == "rates.nc")
+NAMES = {"regimes.nc", "rates.nc", "points.nc", "law.nc", "motion.nc"}
+TELLS = {
+    "regimes.nc": ["scene     vibro-impact", "beta: 0.3 to 0.5 (2)", "start: drive, stuck (2)", "lanes     12"],
+    "rates.nc": ["rock: sandstone, granite (2)", "frequency: 10 to 40 s-1 (4)", "failures  0"],
+    "points.nc": ["failures  1", "gamma=1e+160", ": not-finite"],
+    "law.nc": ["form: literal, percent, onset, line, power (5)"],
+    "motion.nc": ["scene     drilling", "time: 0 to 0.3 s"],
+}
+
+
+def told(capsys, *argv) -> str:
+    """What a command prints that ends well."""
+    assert main(list(map(str, argv))) == 0
+    return capsys.readouterr().out
+
+
+def refused(capsys, *argv) -> str:
+    assert main(list(map(str, argv))) == 2
+    line = capsys.readouterr().err
+    assert line.startswith("vibrojax: ") and line.count("\n") == 1
+    return line
+
+
+def test_every_release_has_kept_its_samples():
+    assert {path.parent.name for path in KEPT} >= {"0.1.0"}
+    assert all({path.name for path in folder.iterdir()} >= NAMES for folder in {path.parent for path in KEPT})
+
+
+@pytest.mark.parametrize("path", KEPT, ids=lambda path: f"{path.parent.name}-{path.stem}")
+def test_datasets_of_earlier_versions_stay_readable(path, capsys, tmp_path):
+    text = told(capsys, "info", path)
+    assert all(line in text for line in TELLS[path.name]), text
+    picture = tmp_path / "picture.png"
+    told(capsys, "plot", path, "-o", picture)
+    assert picture.stat().st_size > 10_000
+    if path.name == "rates.nc":
+        with jax.numpy_dtype_promotion("standard"):
+            assert "rock=granite" in told(capsys, "fit", path, "-o", tmp_path / "law.nc")
+        with xr.open_dataset(tmp_path / "law.nc") as fit, xr.open_dataset(path.with_name("law.nc")) as kept:
+            np.testing.assert_allclose(fit.C.values, kept.C.values, rtol=1e-6)
+
+
+@pytest.mark.parametrize("path", KEPT, ids=lambda path: f"{path.parent.name}-{path.stem}")
+def test_cf(path):
+    """The rules of CF 1.11 that a dataset without places and dates can break; .ci/run has all of them checked."""
+    with netCDF4.Dataset(path) as dataset:
+        assert dataset.Conventions == "CF-1.11" and dataset.title and dataset.source and dataset.history
+        for name, variable in dataset.variables.items():
+            assert re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name)
+            assert variable.long_name and variable.units, name
+            assert "_FillValue" not in variable.ncattrs(), name  # flags stay integers, and NaN is NaN
+            if "flag_values" not in variable.ncattrs():
+                continue
+            flags, meanings = np.atleast_1d(variable.flag_values), variable.flag_meanings.split()
+            assert flags.dtype == variable.dtype and len(flags) == len(meanings), name
+            assert all(re.fullmatch(r"[A-Za-z0-9_.+@-]+", meaning) for meaning in meanings), name
+            assert set(np.unique(variable[:])) <= set(flags), name
+
+
+def test_all_flags_are_words_of_cf():
+    for name, variable in VARIABLES.items():
+        meanings = variable.attributes().get("flag_meanings", "none").split()
+        assert all(re.fullmatch(r"[A-Za-z0-9_.+@-]+", meaning) for meaning in meanings), name
+
+
+def test_files_of_others_are_refused(tmp_path, capsys):
+    foreign, text, garbage, folder = (tmp_path / f"{name}.nc" for name in ("foreign", "text", "garbage", "folder"))
+    xr.Dataset({"x": ("t", [1.0])}, attrs={"source": "somebody's"}).to_netcdf(foreign)
+    text.write_text("scene = 'rotary'\n")
+    garbage.write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(range(256)) * 20)
+    folder.mkdir()
+    for path, problem in (
+        (foreign, "was not written by vibrojax"),
+        (text, "cannot be read as netCDF"),
+        (garbage, "cannot be read as netCDF"),
+        (folder, "is a folder"),
+        (tmp_path / "gone.nc", "there is no such file"),
+    ):
+        for command in ("info", "plot", "fit"):
+            assert f"{path}: {problem}" in refused(capsys, command, path), command
+
+
+@pytest.mark.parametrize("share", [0.0, 0.001, 0.1, 0.5, 0.9, 0.999])
+def test_truncated_files_are_refused(tmp_path, capsys, share):
+    content = RATES.read_bytes()
+    path = tmp_path / "cut.nc"
+    path.write_bytes(content[: int(share * len(content))])
+    for command in ("info", "plot", "fit"):
+        assert f"{path}: cannot be read as netCDF" in refused(capsys, command, path)
+
+
+def test_a_file_without_an_end_is_not_waited_for(tmp_path, capsys):
+    """A pipe into which nobody writes; and files in which HDF5 goes round for ever, for which a thread waits."""
+    os.mkfifo(tmp_path / "pipe.nc")
+    for command in ("info", "plot", "fit"):
+        assert "pipe.nc: is no file with an end" in refused(capsys, command, tmp_path / "pipe.nc")
+    with pytest.raises(TimeoutError):
+        apart(lambda: time.sleep(3), seconds=0.1)
+
+
+def test_a_dataset_without_what_a_command_needs(tmp_path, capsys):
+    """Of ours, but bare: info tells what there is, the others say what is missing."""
+    path = tmp_path / "bare.nc"
+    xr.Dataset({"x": ("lane", [1.0])}, attrs={"source": "vibrojax 0.0.1"}).to_netcdf(path)
+    assert "variables x" in told(capsys, "info", path)
+    assert "nothing to draw" in refused(capsys, "plot", path)
+    assert "rate_of_penetration: missing" in refused(capsys, "fit", path)
+
+
+def test_what_a_killed_writer_left_is_cleared(tmp_path):
+    """Of a process that is gone; what one that still runs is writing stays."""
+    from vibrojax.store.dataset import write_dataset
+
+    gone = subprocess.Popen(["true"])
+    gone.wait()
+    (tmp_path / f".out.nc.{gone.pid}.tmp").write_text("half")
+    (tmp_path / f".out.nc.{os.getppid()}.tmp").write_text("half")
+    (tmp_path / ".out.nc.tmp").write_text("somebody's")
+    write_dataset(xr.Dataset({"x": 1.0}), tmp_path / "out.nc")
+    left = {path.name for path in tmp_path.iterdir()}
+    assert left == {"out.nc", f".out.nc.{os.getppid()}.tmp", ".out.nc.tmp"}

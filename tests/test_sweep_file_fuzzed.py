@@ -1,0 +1,145 @@
+"""Whatever stands in a sweep file, a dict or a CSV, reading it ends: in a sweep, or in one line that says why not.
+
+VIBROJAX_FUZZ=100000 pytest tests/test_sweep_file_fuzzed.py looks longer.
+"""
+
+import os
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, example, given, settings
+from hypothesis import strategies as st
+
+from vibrojax.cli.simulate import read_values
+from vibrojax.errors import InputError, Place
+from vibrojax.sweep import check_size, estimate, read_point, read_sweep
+
+SWEEPS = [path.read_text(encoding="utf-8") for path in sorted((Path(__file__).parents[1] / "sweeps").glob("*.toml"))]
+fuzzed = settings(
+    max_examples=int(os.environ.get("VIBROJAX_FUZZ", 60)),
+    deadline=5000,  # ms: never a hang
+    derandomize="VIBROJAX_FUZZ" not in os.environ,
+    suppress_health_check=list(HealthCheck),
+)
+
+KEYS = """
+    scene title starts points parameters grid run beta gamma v delta k0 c0 c2 m1 mu rpm bit_radius rock threshold k3
+    zeta force frequency friction pulse_shape settle observe error chunk keep_returns method step smoothing
+    precision end_early start stop num spacing
+"""
+VALID = """
+    vibro-impact rotary penetration drilling coupled-drilling drive stuck touching stribeck coulomb sandstone
+    granite located smoothed float32 float64 log linear sweep half-sine p.csv
+"""
+NAMES, WORDS = st.sampled_from(KEYS.split()), st.sampled_from(VALID.split())
+NUMBERS = (
+    st.floats()
+    | st.integers(-3, 10**6)
+    | st.sampled_from([0, -0.0, 1, 0.4, 1e-3, 5e-324, 1e308, 10**12, 2**63, 10**400])
+)
+SCALARS = NUMBERS | st.booleans() | WORDS | st.text(max_size=8) | st.none()
+VALUES = st.recursive(
+    SCALARS, lambda inner: st.lists(inner, max_size=5) | st.dictionaries(NAMES | st.text(max_size=5), inner, max_size=5)
+)
+RANGES = st.fixed_dictionaries(
+    {"start": NUMBERS, "stop": NUMBERS, "num": NUMBERS}, optional={"spacing": WORDS | st.none()}
+)
+AXES = st.lists(NUMBERS, max_size=4) | RANGES | VALUES
+TABLES = st.fixed_dictionaries(
+    {"scene": st.sampled_from(["vibro-impact", "rotary", "penetration", "drilling"]) | VALUES},
+    optional={
+        "title": VALUES,
+        "starts": st.lists(WORDS | st.lists(NUMBERS, max_size=5), max_size=3) | VALUES,
+        "parameters": st.dictionaries(NAMES, SCALARS, max_size=4) | VALUES,
+        "grid": st.dictionaries(NAMES, AXES, max_size=3) | VALUES,
+        "points": st.dictionaries(NAMES, st.lists(SCALARS, max_size=4), max_size=3) | VALUES,
+        "run": st.dictionaries(NAMES, SCALARS, max_size=4) | VALUES,
+    },
+)
+
+
+def ends(source) -> None:
+    """Reading ends in a sweep of which all can be asked before it runs, or in one line."""
+    try:
+        sweep = read_sweep(source)
+        assert sweep.lanes >= 1 and sweep.dims and sweep.identity()
+        values, starts = sweep.lane_values(sweep.lanes - 1, sweep.lanes)
+        assert set(values) == set(sweep.machine.parameters()) and starts.shape == (1,)
+        check_size(sweep, estimate(sweep))
+    except InputError as error:
+        assert str(error) and "\n" not in str(error)
+
+
+@fuzzed
+@given(TABLES | st.dictionaries(NAMES | st.text(max_size=5), VALUES, max_size=5))
+@example({"scene": "rotary", "grid": {"beta": [5e-324, 1.7e308]}, "run": {"settle": 1.7e308, "observe": 1.7e308}})
+@example({"scene": "rotary", "grid": {"beta": {"start": 1e-300, "stop": 1.7e308, "num": 3, "spacing": "log"}}})
+def test_dicts(tables):
+    ends(tables)
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory):
+    return tmp_path_factory.mktemp("fuzzed") / "map.toml"
+
+
+@st.composite
+def mutated(draw) -> str:
+    """A bundled sweep with parts cut out, doubled, exchanged and put in."""
+    text = draw(st.sampled_from(SWEEPS))
+    for _ in range(draw(st.integers(1, 4))):
+        a, b = sorted((draw(st.integers(0, len(text))), draw(st.integers(0, len(text)))))
+        b = min(b, a + draw(st.integers(0, 30)))
+        new = draw(st.sampled_from(["", text[a:b] * 2]) | SCALARS.map(str) | NAMES | st.text(max_size=5))
+        text = text[:a] + new + text[b:]
+    return text
+
+
+@fuzzed
+@given(mutated() | st.text(max_size=200))
+@example("a = " + "[" * 5000)
+@example("a" + ".a" * 5000 + " = 1")
+@example("scene = 'rotary'\ngrid.beta = [1_0e9999, 0x1f, 1979-05-27T07:32:00Z]")
+def test_files(file, text):
+    file.write_bytes(text.encode("utf-8", "surrogatepass"))
+    ends(file)
+
+
+@fuzzed
+@given(st.binary(max_size=300))
+def test_bytes(file, content):
+    file.write_bytes(content)
+    ends(file)
+
+
+CELLS = SCALARS.map(str) | st.sampled_from(["0.3", "", " 1e0 ", '"', '"0.3"', "\0", "nan", "1_0", "½"])
+
+
+@fuzzed
+@given(
+    st.lists(NAMES | CELLS, max_size=4),
+    st.lists(st.lists(CELLS, max_size=4), max_size=5),
+    st.sampled_from([",", ";", "\t"]),
+    st.sampled_from(["\n", "\r\n", "\r"]),
+    st.sampled_from(["utf-8", "utf-8-sig", "utf-16"]),
+)
+def test_points(file, header, rows, comma, newline, encoding):
+    text = newline.join(comma.join(row) for row in [header, *rows])
+    (file.parent / "p.csv").write_bytes(text.encode(encoding, "surrogatepass"))
+    file.write_text('scene = "vibro-impact"\npoints = "p.csv"\n')
+    ends(file)
+
+
+@fuzzed
+@given(
+    st.text(max_size=8) | WORDS,
+    st.lists(st.tuples(NAMES | st.text(max_size=5), st.sampled_from(["=", "", " = "]), SCALARS.map(str)), max_size=4),
+)
+@example("rotary", [("start", "=", "[" * 5000)])
+@example("rotary", [("beta", "=", "9" * 5000)])
+def test_names_and_values(scene, words):
+    try:
+        settings, parameters = read_values(Place("simulate"), ["".join(word) for word in words])
+        read_point(Place("simulate"), scene, parameters, settings.pop("start", None))
+    except InputError as error:
+        assert "\n" not in str(error)

@@ -1,0 +1,59 @@
+"""Files written aside: under a name of their own, synced, then renamed, so that they appear whole or not at all."""
+
+import os
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+
+@contextmanager
+def aside(path: Path, ending: str = "tmp") -> Iterator[Path]:
+    """The name under which to write what becomes `path` when the block ends; nothing is left of a block that fails.
+
+    What a process that was killed has left of `path` is removed.
+
+    Raises `OSError` where the disk or the folder does not take it.
+    """
+    name = re.compile(re.escape(f".{path.name}.") + r"(\d+)" + re.escape(f".{ending}"))
+    for other in path.parent.iterdir():
+        found = name.fullmatch(other.name)
+        if found and not _runs(int(found[1])):
+            other.unlink(missing_ok=True)
+    part = path.with_name(f".{path.name}.{os.getpid()}.{ending}")
+    try:
+        yield part
+        sync(part)
+        os.replace(part, path)
+        sync_folder(path.parent)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def sync(path: Path) -> None:
+    """Have the file's content on the disk."""
+    with open(path, "rb") as file:
+        os.fsync(file.fileno())
+
+
+def sync_folder(folder: Path) -> None:
+    """Have the names in a folder on the disk."""
+    if os.name != "posix":  # elsewhere a folder cannot be opened
+        return
+    file = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(file)
+    finally:
+        os.close(file)
+
+
+def _runs(process: int) -> bool:
+    if os.name != "posix":  # elsewhere to ask is to end it
+        return True
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:  # another user's
+        return True
+    return True
