@@ -12,8 +12,8 @@ from vibrojax.sweep._accuracy import Accuracy
 from vibrojax.sweep._parallel import in_parallel
 from vibrojax.sweep._program import BLOCK, BLOCK_ON_ACCELERATOR, BLOCKS, observe_lanes, settle_lanes, start_lanes
 
-MOST_STEPS = 2e6
-"""Steps after which a lane is given up, beyond those that its longest step asks for."""
+MOST_STEPS, MOST_PER_SECOND = 2e6, 1e3
+"""Steps after which a lane is given up: so many, and per second, and those that its longest step asks for."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ class Programs:
 
     def _settings(self, accuracy: Accuracy) -> dict:
         run = self.sweep.run
-        asked = 2 * (run.settle + run.observe) / accuracy.step
+        asked = (run.settle + run.observe) * (MOST_PER_SECOND + 2 / accuracy.step)
         settings = {"settle": run.settle, "observe": run.observe, "most_steps": self.most_steps + asked}
         return {name: np.asarray(x, self._dtype) for name, x in (settings | accuracy.settings()).items()}
 
