@@ -1,0 +1,19 @@
+"""The readings: how the source was read where it is misprinted or silent. R1 to R14 as in the model."""
+
+READINGS = {
+    "R1": "eq. 5.11 prints the stick force with the sign of the pull; read as against it, as the text says",
+    "R2": "eq. 5.10 prints +Φ on the bit; read as friction that grows by μJ against the sliding: impact brakes",
+    "R3": "tables give a gap of 0.005 m, Fig. 5.51 gives -0.005 m; read as -0.005 m, a preload of 5 mm",
+    "R4": "v_cr is not in the text; 3 m/s, from program listing A3-1",
+    "R5": "zero initial condition: x1 = x1' = x2 = x2' = 0, so the bit moves with the drive (start `drive`)",
+    "R6": "attractors coexist: another start can end in another motion",
+    "R7": "row w1 = 66 of Table 5.3 is a misprint: its own eqs. 5.16 and 5.17 give 77.5 and 77.1, not 79.6 and 78.5",
+    "R8": "the listing's rate of penetration is slip times 2πf; true rate = slip times f. C in the listing's rate",
+    "R9": "ROP = C ln(P/D) is negative for P/D < 1; read as C ln(eta/eta0) with eta0 fitted, beside a line",
+    "R10": "pulse width 2 and 4 ms in the text; 4 ms where none is given",
+    "R11": "Table 6.7's 470 kN: Table 6.6 does not give such a blow at drive speeds up to 2 m/s; trend only",
+    "R12": "c1 in the appendix tables is c2",
+    "R13": "with a preload, start `drive` begins inside the contact, which kicks the striker; `touching` does not",
+    "R14": "a few cycles to settle: in the best region; elsewhere transients last minutes",
+}
+"""By name."""
