@@ -89,4 +89,4 @@ def shown(value: float) -> str:
     value = float(value)
     if value and not 1e-3 <= abs(value) < 1e5:
         return f"{value:.3g}"
-    return f"{value:.4g}"
+    return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.4g}"
