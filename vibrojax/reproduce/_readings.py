@@ -20,5 +20,8 @@ READINGS = {
     "R17": "Figs 5.41 to 5.50 and appendix 5-3: c2 = 75 N s/m and v = 0.5 m/s wherever gamma is over 1",
     "R18": "a lobe of a phase portrait: a place farthest from its centre, faster than 0.4 of the greatest velocity; "
     "the small ones by the abscissa are not counted, as the source says",
+    "R19": "Fig. 5.67's caption says beta 0.4, its Table 5.5 beta 0.3: read as 0.4; the other stands in the remark",
+    "R21": "a clean blow: one swing of the striker per cycle; a strong one: an impact velocity over that of the drive",
+    "R20": "zero acceleration: under a tenth of the greatest in flight",
 }
 """By name."""
