@@ -57,7 +57,8 @@ def number(value: float, source: float, unit: str, within: float, note: str = ""
     """
     off = value / source - 1
     verdict = AGREES if abs(off) <= within else IN_TREND if trend else DIFFERS
-    return Here(f"{shown(value)} {unit} ({off:+.1%})".replace(" 1 (", " ("), verdict, note)
+    beside = f"{off:+.1%}" if off < 10 else f"{shown(value / source)} times"
+    return Here(" ".join(part for part in (shown(value), unit, f"({beside})") if part), verdict, note)
 
 
 def within_range(low: float, high: float, source: tuple[float, float], unit: str, slack: float = 0.0, note="") -> Here:

@@ -22,6 +22,13 @@ READINGS = {
     "the small ones by the abscissa are not counted, as the source says",
     "R19": "Fig. 5.67's caption says beta 0.4, its Table 5.5 beta 0.3: read as 0.4; the other stands in the remark",
     "R21": "a clean blow: one swing of the striker per cycle; a strong one: an impact velocity over that of the drive",
+    "R22": "the swept sine's force, damping and threshold are not given: 60 kN +- 70 kN, zeta 0.3, D 150 kN, 20 Hz/s",
+    "R23": "Table 6.2 and Fig. 6.15 give the stiffness at which slip begins as 0.01 MN/m, at which Fig. 6.14 has none",
+    "R24": "Fig. 6.27 gives no damping: the lightest of zeta 0.5 to 1.1 that slips",
+    "R25": "Table 6.6 gives no driving velocity and no gap: 1.5 m/s, -5 mm; D 50 kN, the lowest of its range",
+    "R26": "how the drill is set to 11.6 and 13.9 Hz is not said: k1 times the square of the frequencies' ratio",
+    "R27": "Table 6.7's blow: a half-sine of 470 kN as long as Table 6.6's contact lasts, on the bit alone",
+    "R28": "misprints of 2.14 and 2.17 corrected, and 2.16's coefficients chosen, as in the model",
     "R20": "zero acceleration: under a tenth of the greatest in flight",
 }
 """By name."""
