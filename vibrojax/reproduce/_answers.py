@@ -6,7 +6,8 @@ import numpy as np
 import xarray as xr
 
 from vibrojax.errors import Place
-from vibrojax.reproduce._needs import Lane, Map, Motion, starts_of
+from vibrojax.reproduce._needs import Lane, Map, Motion, StruckMass, starts_of
+from vibrojax.reproduce._struck import blows
 from vibrojax.simulation import simulate
 from vibrojax.sweep import read_point, run_sweep
 
@@ -50,6 +51,8 @@ class Answers:
         for need in needs:
             if isinstance(need, Motion):
                 self._motion(need)
+            elif isinstance(need, StruckMass):
+                self._found[need] = blows(need.start, need.duration, **dict(need.parameters))
 
     def __getitem__(self, need):
         return self._found[need]

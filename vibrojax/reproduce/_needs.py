@@ -46,6 +46,15 @@ class Map:
     observe: float
 
 
+@dataclass(frozen=True)
+class StruckMass:
+    """The impacts of a mass on a stop (see [vibrojax.reproduce._struck][]) from (x, x') over `duration` [s]."""
+
+    start: tuple[float, float]
+    duration: float
+    parameters: tuple[tuple[str, float], ...]
+
+
 def lane(scene: str, start: str = "drive", settle: float = SETTLE, observe: float = OBSERVE, **parameters) -> Lane:
     """A `Lane` by keywords; what is left out has the scene's default."""
     return Lane(scene, tuple(sorted(parameters.items())), start, settle, observe)
@@ -60,6 +69,11 @@ def grid(name: str, scene: str, axes: dict, starts=(), settle=SETTLE, observe=OB
     """A `Map` by keywords."""
     values = tuple((axis, tuple(float(x) for x in axes[axis])) for axis in axes)
     return Map(name, scene, tuple(sorted(parameters.items())), values, tuple(starts), settle, observe)
+
+
+def struck(start: tuple[float, float], duration: float, **parameters) -> StruckMass:
+    """A `StruckMass` by keywords."""
+    return StruckMass(start, duration, tuple(sorted(parameters.items())))
 
 
 def starts_of(scene: str) -> tuple[str, ...]:

@@ -2,6 +2,7 @@
 
 from vibrojax.reproduce._group import Group as Group
 from vibrojax.reproduce.groups import (
+    classical,
     drill,
     frequency_ratio,
     friction,
@@ -23,4 +24,5 @@ GROUPS: tuple[Group, ...] = (
     penetration.GROUP,
     law.GROUP,
     drill.GROUP,
+    classical.GROUP,
 )
