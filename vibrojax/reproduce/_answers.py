@@ -5,9 +5,10 @@ from collections.abc import Callable, Iterable
 import numpy as np
 import xarray as xr
 
-from vibrojax.errors import Place
+from vibrojax.errors import InputError, Place
+from vibrojax.reproduce._entry import Unanswered
 from vibrojax.reproduce._needs import Lane, Map, Motion, StruckMass, starts_of
-from vibrojax.reproduce._struck import blows
+from vibrojax.reproduce._struck import Blows, blows
 from vibrojax.simulation import simulate
 from vibrojax.sweep import read_point, run_sweep
 
@@ -36,23 +37,31 @@ class Row:
         return 2 * np.pi / self["period"]
 
 
+PROBES = 8
+"""Lanes of each scene that are tried before all."""
+MOST_FAILED = 0.25
+"""Share of the probes that may fail. Where the equations are wrong lanes do not end but by running out of steps, each
+after minutes."""
+
+
 class Answers:
-    """The answers to needs, and the datasets that they are read from, by name."""
+    """The answers to needs, and the datasets that they are read from, by name.
+
+    A scene whose probes fail is not computed: its needs are `Unanswered`.
+    """
 
     def __init__(self, needs: Iterable, told: Callable[[str], None] = lambda text: None):
         self.datasets: dict[str, xr.Dataset] = {}
         self._found: dict = {}
         self._told = told
+        self._failing: dict[str, str] = {}
         needs = list(dict.fromkeys(needs))
         self._lanes([need for need in needs if isinstance(need, Lane)])
-        for need in needs:
-            if isinstance(need, Map):
-                self._map(need)
-        for need in needs:
-            if isinstance(need, Motion):
-                self._motion(need)
-            elif isinstance(need, StruckMass):
-                self._found[need] = blows(need.start, need.duration, **dict(need.parameters))
+        for kind, compute in ((Map, self._map), (Motion, self._motion), (StruckMass, self._struck)):
+            for need in needs:
+                if isinstance(need, kind):
+                    failing = self._failing.get(getattr(need, "scene", ""))
+                    self._found[need] = Unanswered(failing) if failing else compute(need)
 
     def __getitem__(self, need):
         return self._found[need]
@@ -63,19 +72,24 @@ class Answers:
             kinds.setdefault((lane.scene, _names(lane.parameters), lane.settle, lane.observe), []).append(lane)
         for (scene, names, settle, observe), alike in kinds.items():
             points = list(dict.fromkeys(_numbers(lane.parameters) for lane in alike))
+            if scene not in self._failing and self._fails(scene, names, points[:: max(1, len(points) // PROBES)]):
+                self._failing[scene] = f"points of the scene {scene} fail"
+            if scene in self._failing:
+                self._found |= dict.fromkeys(alike, Unanswered(self._failing[scene]))
+                continue
             self._told(f"{scene}{''.join(' ' + value for _, value in names)}: {len(points)} points, {settle:g} s")
-            sweep = {"scene": scene, "parameters": dict(names), "points": _columns(scene, names, points)}
-            if starts_of(scene):
-                sweep["starts"] = list(starts_of(scene))
-            sweep["run"] = {"settle": settle, "observe": observe}
-            sweep["title"] = f"The source, reproduced: points of the scene {scene}"
-            dataset = run_sweep(sweep, progress=False)
+            dataset = run_sweep(_sweep(scene, names, points, settle, observe), progress=False)
             self.datasets[self._free("-".join([scene, *(value for _, value in names), f"{settle:g}s"]))] = dataset
             for lane in alike:
                 row = dataset.isel(point=points.index(_numbers(lane.parameters)))
                 self._found[lane] = Row(row.sel(start=lane.start) if starts_of(scene) else row)
 
-    def _map(self, need: Map) -> None:
+    def _fails(self, scene: str, names, points) -> bool:
+        """Whether many of some lanes fail within two seconds."""
+        dataset = run_sweep(_sweep(scene, names, points, 1.0, 1.0), progress=False)
+        return bool((dataset.status == 1).mean() > MOST_FAILED)
+
+    def _map(self, need: Map) -> xr.Dataset:
         axes = {name: list(values) for name, values in need.axes}
         self._told(f"{need.name}: {np.prod([len(values) for values in axes.values()])} points")
         sweep = {"scene": need.scene, "parameters": dict(need.parameters), "grid": axes, "title": need.name}
@@ -84,23 +98,36 @@ class Answers:
         sweep["run"] = {"settle": need.settle, "observe": need.observe}
         dataset = run_sweep(sweep, progress=False)
         self.datasets[self._free(need.name.replace(" ", "-"))] = dataset
-        self._found[need] = dataset
+        return dataset
 
-    def _motion(self, need: Motion) -> None:
+    def _motion(self, need: Motion) -> xr.Dataset | Unanswered:
         start = {} if need.scene == "penetration" else {"start": need.start}
         self._told(f"motion: {need.scene}, {need.duration:g} s")
-        self._found[need] = simulate(
-            need.scene,
-            duration=need.duration,
-            sampling=need.sampling,
-            progress=False,
-            **start,
-            **dict(need.parameters),
-        )
+        settings = {"duration": need.duration, "sampling": need.sampling, "progress": False}
+        try:
+            return simulate(need.scene, **settings, **start, **dict(need.parameters))
+        except InputError as problem:  # too many steps: the other answers are still good
+            return Unanswered(str(problem))
+
+    def _struck(self, need: StruckMass) -> Blows:
+        return blows(need.start, need.duration, **dict(need.parameters))
 
     def _free(self, name: str) -> str:
         count = sum(one.partition("--")[0] == name for one in self.datasets)
         return f"{name}--{count + 1}" if count else name
+
+
+def _sweep(scene: str, names, points, settle: float, observe: float) -> dict:
+    """A sweep over points from all starts of the scene, and so one compiled program whatever is asked."""
+    starts = {"starts": list(starts_of(scene))} if starts_of(scene) else {}
+    return {
+        "scene": scene,
+        "title": f"The source, reproduced: points of the scene {scene}",
+        "parameters": dict(names),
+        "points": _columns(scene, names, points),
+        "run": {"settle": settle, "observe": observe},
+        **starts,
+    }
 
 
 def _names(parameters) -> tuple:

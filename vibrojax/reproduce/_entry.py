@@ -42,12 +42,26 @@ class Entry:
     readings: tuple[str, ...] = ()
 
 
+@dataclass(frozen=True)
+class Unanswered:
+    """What takes the place of an answer that could not be computed, and why."""
+
+    why: str
+
+
+UNREADABLE = (ValueError, IndexError, ZeroDivisionError)
+"""What reading a motion raises that has none of what is looked for: no return, no impact, nothing but NaN."""
+
+
 def judged(entry: Entry, answers: list) -> Here:
-    """What the entry's judge says; where it finds nothing to read in the answers, that is a difference too."""
+    """What the entry's judge says; where there is nothing to read in the answers, that is a difference too."""
+    missing = [answer.why for answer in answers if isinstance(answer, Unanswered)]
+    if missing:
+        return Here("nan", DIFFERS, f"could not be computed: {missing[0]}")
     try:
         return entry.judge(*answers)
-    except (ValueError, IndexError, ZeroDivisionError) as problem:
-        return Here("nan", DIFFERS, f"the motion computed here cannot be read so: {problem}")
+    except UNREADABLE as problem:
+        return Here("nan", DIFFERS, f"nothing to read in what was computed: {problem}")
 
 
 def number(value: float, source: float, unit: str, within: float, note: str = "", trend: bool = False) -> Here:

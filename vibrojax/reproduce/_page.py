@@ -70,6 +70,8 @@ def _group(group, results, figures) -> str:
 
 
 def _figure(picture, figure) -> str:
+    if figure is None:
+        return f"<p>{escape(picture.ids)}: nothing to draw in what was computed.</p>"
     content = BytesIO()
     figure.savefig(content, format="png", dpi=120)
     image = base64.b64encode(content.getvalue()).decode()

@@ -6,12 +6,13 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import xarray as xr
+from matplotlib.figure import Figure
 
 from vibrojax.devices import precision
 from vibrojax.reproduce._answers import Answers
-from vibrojax.reproduce._entry import VERDICTS, Entry, Here, judged
+from vibrojax.reproduce._entry import UNREADABLE, VERDICTS, Entry, Here, Unanswered, judged
 from vibrojax.reproduce._group import Group, Picture
-from vibrojax.reproduce._needs import SETTLE, Lane
+from vibrojax.reproduce._needs import Lane
 from vibrojax.reproduce._registry import GROUPS
 
 QUICK_SCENES = ("rotary", "vibro-impact")
@@ -50,7 +51,7 @@ def run_reproduction(groups: Iterable[Group] = GROUPS, quick: bool = False, prog
 
     **Arguments:**
 
-    - `quick`: only what closed forms and the points of two scenes answer, and no pictures but those: half a minute.
+    - `quick`: only what closed forms and the points of two scenes answer: half a minute.
     - `progress`: whether to say on stderr what is being computed.
 
     **Returns:** a `Reproduction`; `write_reproduction` makes a page of it.
@@ -64,13 +65,23 @@ def run_reproduction(groups: Iterable[Group] = GROUPS, quick: bool = False, prog
         answers = Answers(needs, _teller(progress, began))
         for group, entries, pictures in chosen:
             results = tuple(Result(entry, judged(entry, _asked(answers, entry))) for entry in entries)
-            figures = tuple((picture, picture.draw(*_asked(answers, picture))) for picture in pictures)
+            figures = tuple((picture, _drawn(picture, _asked(answers, picture))) for picture in pictures)
             found.append((group, results, figures))
     return Reproduction(tuple(found), answers.datasets, time.monotonic() - began, quick)
 
 
 def _asked(answers: Answers, one: Entry | Picture) -> list:
     return [answers[need] for need in one.needs]
+
+
+def _drawn(picture: Picture, answers: list) -> Figure | None:
+    """The figure, or None where there is nothing to draw."""
+    if any(isinstance(answer, Unanswered) for answer in answers):
+        return None
+    try:
+        return picture.draw(*answers)
+    except UNREADABLE:
+        return None
 
 
 def _chosen(items, quick: bool) -> tuple:
@@ -80,7 +91,7 @@ def _chosen(items, quick: bool) -> tuple:
 def _is_quick(need) -> bool:
     """Whether a need is one more lane of a program that is compiled anyway."""
     plain = isinstance(need, Lane) and not any(isinstance(value, str) for _, value in need.parameters)
-    return plain and need.scene in QUICK_SCENES and need.settle == SETTLE
+    return plain and need.scene in QUICK_SCENES
 
 
 def _teller(progress: bool, began: float):

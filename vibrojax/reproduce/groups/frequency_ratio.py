@@ -72,6 +72,17 @@ def _change(source: float, others: tuple[str, ...] = ()):
     return judge
 
 
+def _sliding(*lanes) -> Here:
+    speeds = [one["bit_velocity_at_impact"] for one in lanes]
+    text = f"{listed(speeds)} m/s at (beta, gamma) (0.4, 0.6), (0.4, 0.9), (0.3, 0.5)"
+    return not_compared(text, "the source has it in figures only")
+
+
+def _coexist(drive, stuck) -> Here:
+    text = f"{change(stuck):.2f} m/s from `stuck` ({stuck.regime}), {change(drive):.2f} from `drive` ({drive.regime})"
+    return claim(text, drive.regime == stuck.regime, "two attractors coexist")
+
+
 def _faster(slow, fast) -> Here:
     ratio = fast["settling_time"] / slow["settling_time"]
     text = f"{fast['settling_time']:.1f} s with impact, {slow['settling_time']:.1f} s without ({ratio:.2f} times)"
@@ -314,6 +325,24 @@ GROUP = Group(
             _few,
             "10 cycles; in trend: under a third of those without impact",
             (*USUAL, "R14", "R16"),
+        ),
+        Entry(
+            "sec-5.6.1",
+            "gap +5 mm: change of the striker's velocity, and the start",
+            "always the same limit cycle",
+            (at(delta=0.005), OTHER_GAP),
+            _coexist,
+            "the same regime from both starts",
+            ("R2", "R4", "R5", "R6"),
+        ),
+        Entry(
+            "sec-5.6.2b",
+            "sliding speed of the bit at impact",
+            "not in the text",
+            (at(gamma=0.6), at(gamma=0.9), at(beta=0.3, gamma=0.5)),
+            _sliding,
+            "none",
+            USUAL,
         ),
         Entry(
             "fig-5.56",

@@ -1,0 +1,53 @@
+"""How many results of the source turn red where one sign of the drill is wrong: over the whole registry, some minutes.
+
+    python tests/reproduce_signs.py friction|contact|impact-friction TABLE.md
+
+TABLE.md is that of the right equations, from `vibrojax reproduce`.
+"""
+
+import sys
+from pathlib import Path
+
+from vibrojax.reproduce import run_reproduction
+from vibrojax.scenes import _drill
+
+_right = _drill.accelerations
+
+
+def friction(law, p, slip, state, impact):
+    """F drives the bit where it should brake it."""
+    bit, striker = _right(law, p, slip, state, impact)
+    return bit + 2.0 * p["inverse_m1"] * _drill.friction(law, p, slip, state[1], impact), striker
+
+
+def contact(law, p, slip, state, impact):
+    """J pulls the striker in where it should throw it back."""
+    bit, striker = _right(law, p, slip, state, impact)
+    return bit, striker if impact is None else striker + 2.0 * p["inverse_m2"] * impact
+
+
+def impact_friction(law, p, slip, state, impact):
+    """The part of friction that comes of the impact drives the bit, as eq. 5.10 is printed (R2)."""
+    bit, striker = _right(law, p, slip, state, impact)
+    if impact is None:
+        return bit, striker
+    speed = slip * (state[1] + p["v"])
+    return bit + 2.0 * p["inverse_m1"] * (slip * law.on_impact(speed, p) * impact), striker
+
+
+SIGNS = {"friction": friction, "contact": contact, "impact-friction": impact_friction}
+
+
+def main(sign: str, path: str) -> None:
+    """Run the registry with one sign wrong and say which results turned red."""
+    rows = [line.split("|") for line in Path(path).read_text().splitlines()[2:]]
+    before = {cells[1].strip(): cells[5].strip() for cells in rows}
+    _drill.accelerations = SIGNS[sign]
+    results = run_reproduction().results
+    red = [one.entry.id for one in results if one.here.verdict == "differs"]
+    turned = [name for name in red if before.get(name) != "differs"]
+    print(f"{sign}: {len(red)} of {len(results)} red, {len(turned)} of them turned so: {', '.join(turned)}")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
