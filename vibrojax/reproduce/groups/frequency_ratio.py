@@ -52,6 +52,12 @@ HIGH = (at(gamma=1.1, **STIFF), at(gamma=1.2, **STIFF), at(gamma=1.5, **STIFF), 
 TRIPLE = tuple(moving(20.0, gamma=gamma, **STIFF) for gamma in (1.0, 1.1, 1.2))
 GAPS = (-0.005, 0.0, 0.005, 0.010)
 STIFFNESSES = (9e6, 50e6, 200e6)
+UNSAID = tuple(
+    at(start=start, delta=delta, v_cr=v_cr)
+    for delta in pictures.GAPS
+    for start in pictures.STARTS
+    for v_cr in pictures.CRITICAL
+)
 
 
 def _frequency(one, other) -> Here:
@@ -637,6 +643,13 @@ GROUP = Group(
         ),
     ),
     pictures=(
+        Picture(
+            "Figs 5.53 and 5.54, what the source does not say",
+            "Frequency and change of velocity over the Stribeck speed v_cr, for both signs of the gap and three "
+            "starts; dashed: the source. Hollow: no single impact.",
+            UNSAID,
+            pictures.unsaid,
+        ),
         Picture(
             "Fig. 5.52 and 5.72",
             "The working cycle at v 0.5 m/s: stick (thick), slip, and the blow, which falls while the bit slows.",

@@ -328,6 +328,15 @@ GROUP = Group(
             USUAL,
         ),
         Entry(
+            "fig-5.32",
+            "sliding backwards on the rock",
+            "never, 0 of the time",
+            (lane("rotary"),),
+            lambda one: claim(f"{one['reverse_fraction']:.4f} of the time", one["reverse_fraction"] == 0),
+            "exactly",
+            USUAL,
+        ),
+        Entry(
             "fig-5.33a",
             "friction at the bit's highest sliding speed",
             "its critical value F_cr, at v_cr",

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from vibrojax.plot._style import BIT, FAINT, IMPACT, INK, ROCK, STICK, STRIKER, new_figure, styled
+from vibrojax.plot._style import BIT, FAINT, IMPACT, INK, ROCK, START_COLOURS, STICK, STRIKER, new_figure, styled
 from vibrojax.reproduce import _signal as signal
 
-__all__ = ["BIT", "FAINT", "IMPACT", "INK", "ROCK", "STICK", "STRIKER", "new_figure", "styled"]
+__all__ = ["BIT", "FAINT", "IMPACT", "INK", "ROCK", "START_COLOURS", "STICK", "STRIKER", "new_figure", "styled"]
 
 WIDTH = 6.4
 """Of a figure [inch]: on the page it is half a line wide."""

@@ -8,6 +8,7 @@ from vibrojax.reproduce.pictures._paper import (
     FAINT,
     IMPACT,
     INK,
+    START_COLOURS,
     STRIKER,
     beside,
     draw_portrait,
@@ -16,6 +17,36 @@ from vibrojax.reproduce.pictures._paper import (
     styled,
     window,
 )
+
+GAPS = (-0.005, 0.005)
+STARTS = ("drive", "stuck", "touching")
+CRITICAL = (2.0, 2.5, 3.0, 4.0, 5.0)
+
+
+@styled
+def unsaid(*lanes):
+    """Frequency and change of velocity over v_cr, for both gaps and three starts."""
+    figure, panels = beside(2, 3.2)
+    quantities = ((lambda one: one.angular_frequency, 27.45), (lambda one: 2 * one["impact_velocity"], 4.0))
+    for axes, (quantity, source) in zip(panels, quantities, strict=True):
+        axes.axhline(source, color=FAINT, linewidth=1.0, linestyle=(0, (4, 3)))
+        rest = iter(lanes)
+        for gap, look in zip(GAPS, ("o", "^"), strict=True):
+            for start in STARTS:
+                some = [next(rest) for _ in CRITICAL]
+                values = [quantity(one) for one in some]
+                colour = START_COLOURS[start]
+                axes.plot(CRITICAL, values, color=colour, linewidth=0.6)
+                for v_cr, value, one in zip(CRITICAL, values, some, strict=True):
+                    face = colour if one.regime == "single-impact" else "white"
+                    axes.plot(v_cr, value, look, color=colour, markerfacecolor=face, markersize=5)
+                axes.plot([], [], look + "-", color=colour, markersize=4, label=f"{1e3 * gap:+.0f} mm, {start}")
+        axes.set_xlabel("Stribeck speed v_cr [m/s]")
+        axes.grid(True)
+    panels[0].set_ylabel("frequency [rad/s]")
+    panels[1].set_ylabel("change of velocity [m/s]")
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    return figure
 
 
 @styled
