@@ -1,6 +1,7 @@
 """The results as one page that loads nothing from outside: score, differences, then the groups with their pictures."""
 
 import base64
+import re
 from html import escape
 from io import BytesIO
 
@@ -35,6 +36,11 @@ def page(found: Reproduction) -> str:
     )
 
 
+def _text(text: str) -> str:
+    """Text with what stands in backquotes as code."""
+    return re.sub("`([^`]+)`", r"<code>\1</code>", escape(text))
+
+
 def _head(found: Reproduction) -> str:
     score = found.score
     tiles = "".join(
@@ -62,7 +68,7 @@ def _first(title: str, results: list[Result]) -> str:
 
 def _group(group, results, figures) -> str:
     pictures = "".join(_figure(picture, figure) for picture, figure in figures)
-    text = "".join(f"<p>{escape(part)}</p>" for part in group.text.split("\n\n") if part)
+    text = "".join(f"<p>{_text(part)}</p>" for part in group.text.split("\n\n") if part)
     return (
         f'<section id="{group.name}"><h2>{escape(group.title)}</h2>{text}'
         f'<div class="pictures">{pictures}</div>{_results(results)}</section>'
@@ -77,7 +83,7 @@ def _figure(picture, figure) -> str:
     image = base64.b64encode(content.getvalue()).decode()
     return (
         f'<figure><img src="data:image/png;base64,{image}" alt="{escape(picture.ids)}: {escape(picture.caption)}">'
-        f"<figcaption><b>{escape(picture.ids)}.</b> {escape(picture.caption)}</figcaption></figure>"
+        f"<figcaption><b>{escape(picture.ids)}.</b> {_text(picture.caption)}</figcaption></figure>"
     )
 
 
@@ -91,16 +97,16 @@ def _results(results) -> str:
 def _row(result: Result) -> str:
     entry, here = result.entry, result.here
     links = " ".join(f'<a href="#{name}" title="{escape(READINGS[name])}">{name}</a>' for name in entry.readings)
-    note = f'<p class="note">{escape(here.note)}</p>' if here.note else ""
+    note = f'<p class="note">{_text(here.note)}</p>' if here.note else ""
     told = f'<p class="tolerance">Counted as agreement: {escape(entry.tolerance)}. {links}</p>'
     return (
         f'<tr class="{_CLASSES[here.verdict]}"><td class="id">{escape(entry.id)}</td>'
         f"<td>{escape(entry.what)}{note}{told}</td>"
-        f'<td data-name="source">{escape(entry.source)}</td><td data-name="here">{escape(here.text)}</td>'
+        f'<td data-name="source">{escape(entry.source)}</td><td data-name="here">{_text(here.text)}</td>'
         f'<td class="verdict">{escape(here.verdict)}</td></tr>'
     )
 
 
 def _readings() -> str:
-    items = "".join(f'<dt id="{name}">{name}</dt><dd>{escape(text)}</dd>' for name, text in READINGS.items())
+    items = "".join(f'<dt id="{name}">{name}</dt><dd>{_text(text)}</dd>' for name, text in READINGS.items())
     return f'<section id="readings"><h2>Readings</h2><dl>{items}</dl></section>'
