@@ -17,6 +17,8 @@ _HOMES = {
     "fit_friction": "vibrojax.laws",
     "refit_frequency": "vibrojax.laws",
     "run_accuracy": "vibrojax.accuracy",
+    "run_reproduction": "vibrojax.reproduce",
+    "write_reproduction": "vibrojax.reproduce",
     "rop_derivatives": "vibrojax.laws",
     "open_dataset": "vibrojax.store.dataset",
     "write_dataset": "vibrojax.store.dataset",

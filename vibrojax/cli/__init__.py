@@ -8,13 +8,21 @@ import sys
 from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Sequence
 
-from vibrojax.cli import accuracy, fit, info, plot, simulate, sweep
+from vibrojax.cli import accuracy, fit, info, plot, reproduce, simulate, sweep
 from vibrojax.errors import InputError
 from vibrojax.threads import apart
 
 DONE, FAILED, BAD_INPUT, INTERRUPTED, PIPE_CLOSED = 0, 1, 2, 130, 141
 
-_COMMANDS = {"sweep": sweep, "simulate": simulate, "plot": plot, "info": info, "fit": fit, "accuracy": accuracy}
+_COMMANDS = {
+    "sweep": sweep,
+    "simulate": simulate,
+    "plot": plot,
+    "info": info,
+    "fit": fit,
+    "accuracy": accuracy,
+    "reproduce": reproduce,
+}
 
 
 class _Parser(ArgumentParser):

@@ -1,0 +1,59 @@
+"""How many results of the source turn red where one sign of the drill is wrong: over the whole registry, some minutes.
+
+Lanes that go wrong so much never end; they are given up early here.
+
+    python tests/reproduce_signs.py friction|contact|impact-friction TABLE.md
+
+TABLE.md is that of the right equations, from `vibrojax reproduce`.
+"""
+
+import sys
+from pathlib import Path
+
+from vibrojax.reproduce import GROUPS, run_reproduction
+from vibrojax.scenes import _drill
+from vibrojax.sweep import _passage
+
+_right = _drill.accelerations
+
+
+def friction(law, p, slip, state, impact):
+    """F drives the bit where it should brake it."""
+    bit, striker = _right(law, p, slip, state, impact)
+    return bit + 2.0 * p["inverse_m1"] * _drill.friction(law, p, slip, state[1], impact), striker
+
+
+def contact(law, p, slip, state, impact):
+    """J pulls the striker in where it should throw it back."""
+    bit, striker = _right(law, p, slip, state, impact)
+    return bit, striker if impact is None else striker + 2.0 * p["inverse_m2"] * impact
+
+
+def impact_friction(law, p, slip, state, impact):
+    """The part of friction that comes of the impact drives the bit, as eq. 5.10 is printed (R2)."""
+    bit, striker = _right(law, p, slip, state, impact)
+    if impact is None:
+        return bit, striker
+    speed = slip * (state[1] + p["v"])
+    return bit + 2.0 * p["inverse_m1"] * (slip * law.on_impact(speed, p) * impact), striker
+
+
+WITHOUT_DRILL = ("linear", "penetration", "law", "classical")
+"""Groups that no sign of the drill can change."""
+
+SIGNS = {"friction": friction, "contact": contact, "impact-friction": impact_friction}
+
+
+def main(sign: str, path: str) -> None:
+    """Run the registry with one sign wrong and say which results turned red."""
+    rows = [line.split("|") for line in Path(path).read_text().splitlines()[2:]]
+    before = {cells[1].strip(): cells[5].strip() for cells in rows}
+    _drill.accelerations = SIGNS[sign]
+    _passage.MOST_STEPS = 1e5
+    results = run_reproduction([group for group in GROUPS if group.name not in WITHOUT_DRILL]).results
+    turned = [one.entry.id for one in results if one.here.verdict == "differs" != before.get(one.entry.id)]
+    print(f"{sign}: {len(turned)} of {len(before)} results turn red: {', '.join(turned)}")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

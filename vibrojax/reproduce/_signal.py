@@ -1,0 +1,67 @@
+"""What is read off a motion: peaks of its spectrum, returns, swings, lobes of a phase portrait."""
+
+import numpy as np
+import xarray as xr
+
+ABSCISSA = 0.4
+"""Lobes below this share of the greatest velocity are those by the abscissa, which the source does not count (R18)."""
+
+
+def part(motion: xr.Dataset, name: str, since: float, until: float = np.inf) -> np.ndarray:
+    """A variable between two times [s]."""
+    time = motion["time"].values
+    return motion[name].values[(time >= since) & (time < until)]
+
+
+def peak(motion: xr.Dataset, name: str, lowest: float, highest: float, since: float, until: float = np.inf):
+    """Frequency [Hz] and power of the highest peak between two frequencies [Hz] (Hann window, padded 16 times)."""
+    x = part(motion, name, since, until)
+    power = np.abs(np.fft.rfft(np.hanning(len(x)) * (x - x.mean()), 16 * len(x))) ** 2
+    frequencies = np.fft.rfftfreq(16 * len(x), float(motion["time"][1] - motion["time"][0]))
+    among = np.flatnonzero((frequencies > lowest) & (frequencies < highest))
+    best = among[np.argmax(power[among])]
+    return float(frequencies[best]), float(power[best])
+
+
+def events(motion: xr.Dataset, kind: str, since: float = 0.0) -> np.ndarray:
+    """Times [s] at which events of a kind happened."""
+    flag = motion["event_kind"].attrs["flag_meanings"].split().index(kind)
+    times = motion["event_time"].values[motion["event_kind"].values == flag]
+    return times[times >= since]
+
+
+def at(motion: xr.Dataset, name: str, times) -> np.ndarray:
+    """A variable at some times [s], by interpolation."""
+    return np.interp(times, motion["time"].values, motion[name].values)
+
+
+def amplitude(motion: xr.Dataset, name: str, since: float, until: float = np.inf) -> float:
+    """Half the swing."""
+    return float(np.ptp(part(motion, name, since, until)) / 2)
+
+
+def last_cycle(motion: xr.Dataset) -> tuple[float, float]:
+    """The last whole return to the section: when it begins and ends [s]."""
+    times = events(motion, "section")
+    return float(times[-2]), float(times[-1])
+
+
+def lobes(motion: xr.Dataset, x: str = "x2", v: str = "v2") -> int:
+    """Lobes of the phase portrait in the last cycle: where the motion is farthest from the centre, and not slow (R18).
+
+    Velocities are in units of position times the cycle's frequency.
+    """
+    begin, end = last_cycle(motion)
+    position, velocity = part(motion, x, begin, end), part(motion, v, begin, end)
+    centre = (position.max() + position.min()) / 2
+    radius = np.hypot(position - centre, velocity * (end - begin) / (2 * np.pi))
+    far = (radius > np.roll(radius, 1)) & (radius >= np.roll(radius, -1))
+    return int((far & (np.abs(velocity) > ABSCISSA * np.abs(velocity).max())).sum())
+
+
+def envelope(motion: xr.Dataset, name: str, window: float) -> tuple[np.ndarray, np.ndarray]:
+    """Half the swing in successive windows [s], and the middles of the windows."""
+    duration = float(motion["time"][-1])
+    edges = np.arange(0.0, duration - window / 2, window)
+    swings = np.array([amplitude(motion, name, edge, edge + window) for edge in edges])
+    return edges + window / 2, swings

@@ -1,0 +1,1 @@
+"""The groups of results, one file each; a file binds `GROUP`."""

@@ -1,0 +1,1 @@
+"""The pictures, in the source's axes, one file a group."""
