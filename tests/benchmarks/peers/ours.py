@@ -43,5 +43,5 @@ class Ours(Peer):
 
     @staticmethod
     def _sweep(points: Points, setting: Error, settle: float, observe: float):
-        run = {"error": setting.error, "end_early": False, "settle": settle, "observe": observe, "chunk": 1024}
+        run = {"error": setting.error, "end_early": False, "settle": settle, "observe": observe}
         return vj.run_sweep({"scene": "vibro-impact", "points": columns(points), "run": run}, progress=False)
