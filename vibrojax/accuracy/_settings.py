@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vibrojax.sweep import Accuracy
+from vibrojax.sweep import LOCATED_STRIDE, Accuracy
 
 REFERENCE = Accuracy(tolerance=1e-14, stride=0.5, step=np.inf, smoothing=0.0)
 """Far finer than what is measured, by the located method: its roundings are what is left."""
@@ -30,7 +30,7 @@ SOLVERS = {
 """Name of the solver in diffrax, and whether its steps adapt."""
 
 SETTINGS_TEXT = (
-    "located over tolerance has strides of at most 1 over the mode's rate, over stride no tolerance; "
+    f"located over tolerance has strides of at most {LOCATED_STRIDE:g} over the mode's rate, over stride no tolerance; "
     f"smoothed over width has steps of {STEP_PER_WIDTH:g} s per m/s of it, over step and stride a width of {WIDTH:g}, "
     f"with strides of at most {STRIDE:g} over the mode's rate where they are not varied; "
     f"diffrax has the smoothed equations, with relative and absolute tolerances (SI) of {TOLERANCE_PER_WIDTH:g} of the "
@@ -112,7 +112,7 @@ def _diffrax(scene: str, how_many: dict[str, int]) -> Iterator[tuple]:
 
 
 def _tolerance(tolerance: float) -> Accuracy:
-    return Accuracy(tolerance, 1.0, np.inf, 0.0)
+    return Accuracy(tolerance, LOCATED_STRIDE, np.inf, 0.0)
 
 
 def _stride(stride: float) -> Accuracy:

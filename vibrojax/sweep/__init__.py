@@ -1,5 +1,6 @@
 """Sweeps: from a sweep file to a labelled dataset."""
 
+from vibrojax.sweep._accuracy import LOCATED_STRIDE as LOCATED_STRIDE
 from vibrojax.sweep._accuracy import Accuracy as Accuracy
 from vibrojax.sweep._accuracy import accuracy_for as accuracy_for
 from vibrojax.sweep._chunks import Chunks as Chunks

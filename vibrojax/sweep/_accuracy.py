@@ -10,7 +10,7 @@ COARSEST = 1e-6
 """Tolerance beyond which little is gained, because most steps end at events, and from which on the difference from a
 coarser run tells of the error."""
 
-STRIDE = 2.0
+LOCATED_STRIDE = 2.0
 """Longest step of the located method, in units of 1/rate: in it no surface is touched and left twice."""
 
 
@@ -47,4 +47,4 @@ def accuracy_for(run: RunSettings) -> Accuracy:
     rounding = 1e-12 if run.precision == "float64" else 3e-6
     # Errors of period and impact velocity are below the tolerance, but a hundred times it on hard lanes.
     tolerance = min(max(1e-4 * run.error, rounding), COARSEST)
-    return Accuracy(tolerance, STRIDE, run.step if run.step is not None else np.inf, 0.0)
+    return Accuracy(tolerance, LOCATED_STRIDE, run.step if run.step is not None else np.inf, 0.0)
