@@ -1,4 +1,4 @@
-"""Two ways to step many lanes at once, with one interface: `method.step(scene, p, lane, settings, end, moving, marked)`."""
+"""Two ways to step many lanes at once, behind one interface: `method.step(scene, p, lane, ..., moving, marked)`."""
 
 from vibrojax.stepping._keep import keep as keep
 from vibrojax.stepping._step import Clock as Clock
