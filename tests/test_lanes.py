@@ -11,7 +11,7 @@ import vibrojax as vj
 from vibrojax import devices
 from vibrojax.sweep import read_sweep
 from vibrojax.sweep._chunks import Chunks
-from vibrojax.sweep._program import observe_lanes, settle_lanes
+from vibrojax.sweep._program import compiled
 
 CASES = json.loads((Path(__file__).parent / "data" / "vibro_impact_cases.json").read_text())
 PERIODIC = [case for case in CASES if case["expected"].get("cycles", 0) > 0]
@@ -74,7 +74,7 @@ def test_cores(tiled, cores, monkeypatch):
 
 
 def programs_compiled():
-    return settle_lanes._cache_size(), observe_lanes._cache_size()
+    return [program._cache_size() for program in compiled("cpu")]
 
 
 def test_nothing_compiles_again(tiled):

@@ -18,12 +18,13 @@ def start_block(scene, recorder, p, state) -> tuple:
     return lane, recorder.watch.begin(lane)
 
 
-def settle_block(scene, method, recorder, p, lane, returns, until, settings) -> tuple:
-    """(lane, what its recorder watches, steps taken) at the time `until` [s].
+def settle_block(scene, method, recorder, p, lane, returns, steps, until, settings) -> tuple:
+    """(lane, what its recorder watches, steps taken since t = 0) at the time `until` [s].
 
     **Arguments:**
 
     - `p`: the scene's constants, scaled for the lane's start, each (lanes,).
+    - `steps`: that the lanes have taken before.
     - `settings`: the method's, and `most_steps`, after which a lane is given up.
     """
     watch = recorder.watch
@@ -38,14 +39,15 @@ def settle_block(scene, method, recorder, p, lane, returns, until, settings) -> 
         return True
 
     until = until * jnp.ones_like(lane.clock.high)
-    return _stretch(scene, method, p, settings, until, lane, returns, step, turn, moves, STEPS_PER_PASS, marked=False)
+    begun = (lane, returns, steps)
+    return _stretch(scene, method, p, settings, until, begun, step, turn, moves, STEPS_PER_PASS, marked=False)
 
 
 def observe_block(scene, method, recorder, p, lane, returns, steps, settings) -> dict:
     """Features of a block of lanes that have settled, by name.
 
     **Arguments:** as of `settle_block`; `settings` also `settle`, `observe` [s]: when the observation begins, and how
-    long it is; `steps`, that the lanes have taken before.
+    long it is.
     """
 
     def step(carry, lane, step):
@@ -61,10 +63,11 @@ def observe_block(scene, method, recorder, p, lane, returns, steps, settings) ->
     end = (settings["settle"] + settings["observe"]) * jnp.ones_like(lane.clock.high)
     settled = lane.clock.until(settings["settle"]) <= 0
     carry = recorder.begin(scene, p, lane, returns)
-    lane, carry, more = _stretch(scene, method, p, settings, end, lane, carry, step, turn, moves, STEPS_PER_TURN)
+    begun = (lane, carry, steps)
+    lane, carry, steps = _stretch(scene, method, p, settings, end, begun, step, turn, moves, STEPS_PER_TURN)
     finite = jnp.all(jnp.stack([jnp.isfinite(y) for y in lane.state]), axis=0)
     return recorder.read(scene, p, carry) | {
-        "steps": steps + more,
+        "steps": steps,
         "finite": finite & jnp.isfinite(lane.clock.high),
         "finished": settled & (lane.clock.until(end) <= 0),
     }
@@ -74,12 +77,16 @@ def run_block(scene, method, recorder, p, state, settings) -> dict:
     """Features of a block of lanes from their start to their end, by name; see the programs above."""
     lane, returns = start_block(scene, recorder, p, state)
     p = scene.scaled(p, state)
-    lane, returns, steps = settle_block(scene, method, recorder, p, lane, returns, settings["settle"], settings)
+    none = jnp.zeros_like(state[0])
+    lane, returns, steps = settle_block(scene, method, recorder, p, lane, returns, none, settings["settle"], settings)
     return observe_block(scene, method, recorder, p, lane, returns, steps, settings)
 
 
-def _stretch(scene, method, p, settings, end, lane, carry, take_in, turn_over, moves, steps_per_turn, marked=True):
-    """Step every lane to its `end`, taking in each step, and what was met every few steps."""
+def _stretch(scene, method, p, settings, end, begun, take_in, turn_over, moves, steps_per_turn, marked=True):
+    """Step every lane to its `end`, taking in each step, and what was met every few steps.
+
+    `begun` is (lane, what is carried, steps taken so far), and so is what comes out.
+    """
 
     def active(lane):
         return lane.clock.until(end) > 0  # a NaN is not
@@ -98,4 +105,4 @@ def _stretch(scene, method, p, settings, end, lane, carry, take_in, turn_over, m
         lane, _, steps = state
         return jnp.any(active(lane) & (steps < settings["most_steps"]))
 
-    return jax.lax.while_loop(goes_on, turn, (lane, carry, jnp.zeros_like(end)))
+    return jax.lax.while_loop(goes_on, turn, begun)

@@ -10,9 +10,9 @@ import numpy as np
 from vibrojax.devices import precision
 from vibrojax.sweep._accuracy import Accuracy
 from vibrojax.sweep._parallel import in_parallel
-from vibrojax.sweep._program import BLOCK, BLOCK_ON_ACCELERATOR, BLOCKS, observe_lanes, settle_lanes, start_lanes
+from vibrojax.sweep._program import BLOCK, BLOCK_ON_ACCELERATOR, BLOCKS, compiled
 
-MOST_STEPS, MOST_PER_SECOND = 2e6, 1e3
+MOST_STEPS, MOST_PER_SECOND = 1e6, 1e3
 """Steps after which a lane is given up: so many, and per second, and those that its longest step asks for."""
 
 
@@ -39,8 +39,9 @@ class Programs:
 
     def __init__(self, sweep, method, recorder, workers: list):
         self.sweep, self.method, self.recorder, self.workers = sweep, method, recorder, workers
-        on_cpu = workers[0].platform == "cpu"
-        self.block, self.blocks = (BLOCK, BLOCKS) if on_cpu else (BLOCK_ON_ACCELERATOR, 1)
+        platform = workers[0].platform
+        self.block, self.blocks = (BLOCK, BLOCKS) if platform == "cpu" else (BLOCK_ON_ACCELERATOR, 1)
+        self._compiled = compiled(platform)
         self.most_steps = MOST_STEPS
         self._static = (sweep.machine, method, recorder, sweep.starts, self.block)
         self._dtype = np.dtype(sweep.run.precision)
@@ -54,7 +55,7 @@ class Programs:
 
         def program(count, some):
             scene, _, recorder, starts, block = self._static
-            return start_lanes(scene, recorder, starts, block, count, some.parameters, some.start)
+            return self._compiled.start(scene, recorder, starts, block, count, some.parameters, some.start)
 
         return replace(passage, moving=self._through([passage], program)[0])
 
@@ -63,11 +64,12 @@ class Programs:
 
         def program(count, some):
             time, settings = np.asarray(until, self._dtype), self._settings(some.accuracy)
-            return settle_lanes(*self._static, count, some.parameters, some.start, *some.moving, time, settings)
+            given = (some.parameters, some.start, *some.moving, some.steps)
+            return self._compiled.settle(*self._static, count, *given, time, settings)
 
         found = self._through(passages, program)
         return [
-            replace(passage, moving=(lane, returns), steps=passage.steps + steps, recent=steps)
+            replace(passage, moving=(lane, returns), steps=steps, recent=steps - passage.steps)
             for passage, (lane, returns, steps) in zip(passages, found, strict=True)
         ]
 
@@ -79,7 +81,7 @@ class Programs:
 
         def program(count, some):
             given = (some.parameters, some.start, *some.moving, some.steps)
-            return observe_lanes(*self._static, count, *given, self._settings(some.accuracy))
+            return self._compiled.observe(*self._static, count, *given, self._settings(some.accuracy))
 
         return [
             {name: np.moveaxis(x, -1, 0) for name, x in features.items()}

@@ -1,6 +1,8 @@
 """The compiled programs of lanes: start, settle up to a time, observe; each for a few blocks of lanes one by one."""
 
-from functools import partial
+from collections.abc import Callable
+from functools import cache
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -18,13 +20,34 @@ BLOCK_ON_ACCELERATOR = 16384
 """Lanes that step together on an accelerator, where a step of a few costs as much as one of many."""
 
 
-_WIDE = {"xla_cpu_prefer_vector_width": 512}
-"""A block fills the widest registers there are; where they are narrower this says nothing."""
+class Compiled(NamedTuple):
+    """The programs, jitted: see the functions of these names."""
 
-_compiled = partial(jax.jit, compiler_options=_WIDE)
+    start: Callable
+    settle: Callable
+    observe: Callable
 
 
-@partial(_compiled, static_argnames=("scene", "recorder", "starts", "block"))
+@cache
+def compiled(platform: str) -> Compiled:
+    """The programs for the devices of a platform, such as "cpu"."""
+    options: dict[str, int | str] = {}
+    if platform == "cpu":
+        # A block fills the widest registers there are; where they are narrower this says nothing.
+        options["xla_cpu_prefer_vector_width"] = 512
+        if jax.__version_info__ < (0, 11):
+            # It takes barriers out before values are fused, and then works them out again and again: eight times the
+            # arithmetic. Later versions do without.
+            options["xla_disable_hlo_passes"] = "cse_barrier_expander"
+
+    def jitted(program, *static):
+        return jax.jit(
+            program, static_argnames=("scene", *static, "recorder", "starts", "block"), compiler_options=options
+        )
+
+    return Compiled(jitted(start_lanes), jitted(settle_lanes, "method"), jitted(observe_lanes, "method"))
+
+
 def start_lanes(scene, recorder, starts, block, count, p, start) -> tuple:
     """(lane, what its recorder watches) at t = 0.
 
@@ -42,18 +65,18 @@ def start_lanes(scene, recorder, starts, block, count, p, start) -> tuple:
     return _block_by_block(program, block, count, p, start)
 
 
-@partial(_compiled, static_argnames=("scene", "method", "recorder", "starts", "block"))
-def settle_lanes(scene, method, recorder, starts, block, count, p, start, lane, returns, until, settings) -> tuple:
+def settle_lanes(
+    scene, method, recorder, starts, block, count, p, start, lane, returns, steps, until, settings
+) -> tuple:
     """(lane, what its recorder watches, steps taken) at the time `until` [s]; see `settle_block`."""
 
-    def program(p, start, lane, returns):
+    def program(p, start, lane, returns, steps):
         constants = _constants(scene, starts, p, start)
-        return settle_block(scene, method, recorder, constants, lane, returns, until, settings)
+        return settle_block(scene, method, recorder, constants, lane, returns, steps, until, settings)
 
-    return _block_by_block(program, block, count, p, start, lane, returns)
+    return _block_by_block(program, block, count, p, start, lane, returns, steps)
 
 
-@partial(_compiled, static_argnames=("scene", "method", "recorder", "starts", "block"))
 def observe_lanes(scene, method, recorder, starts, block, count, p, start, lane, returns, steps, settings) -> dict:
     """Features by name, (lanes,), or (rows, lanes) for returns that are kept; see `observe_block`."""
 
