@@ -31,6 +31,7 @@ force = [100e3, 200e3, 300e3, 400e3]
 settle = 0.8
 observe = 0.4
 chunk = 4
+step = 1e-4
 """
 
 

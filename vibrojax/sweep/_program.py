@@ -35,7 +35,7 @@ def compiled(platform: str) -> Compiled:
     if platform == "cpu":
         # A block fills the widest registers there are; where they are narrower this says nothing.
         options["xla_cpu_prefer_vector_width"] = 512
-        if jax.__version_info__ < (0, 11):
+        if jax.__version_info__ < (0, 11, 2):
             # It takes barriers out before values are fused, and then works them out again and again: eight times the
             # arithmetic. Later versions do without.
             options["xla_disable_hlo_passes"] = "cse_barrier_expander"
