@@ -32,7 +32,8 @@ def test_no_whole_pulse_has_no_rate():
 def test_pulses_that_run_together_are_refused():
     dataset = swept({"pulse_width": [0.05, 0.06, 0.0499], "frequency": [20.0, 20.0, 20.0]}, settle=0.2, observe=1.0)
     meanings = dataset.reason.attrs["flag_meanings"].split()
-    assert [meanings[flag] for flag in dataset.reason.values] == ["pulse-width-not-below-1-over-frequency"] * 2 + ["none"]
+    why = "pulse-width-not-below-1-over-frequency"
+    assert [meanings[flag] for flag in dataset.reason.values] == [why, why, "none"]
     np.testing.assert_array_equal(dataset.status, [2, 2, 0])
     np.testing.assert_array_equal(np.isnan(dataset.rate_of_penetration), [True, True, False])
     with pytest.raises(InputError, match="pulse width not below 1/frequency"):
