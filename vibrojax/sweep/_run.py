@@ -23,7 +23,7 @@ from vibrojax.sweep._size import check_size
 from vibrojax.sweep._sweep import Sweep
 
 SECONDS_PER_STEP = 0.15e-6
-STEPS_PER_SECOND = 400.0
+STEPS_PER_SECOND = 120.0
 """What a step of a lane takes on one core, and how many there are in a simulated second, located, both runs together:
 roughly, for estimates only."""
 
