@@ -15,7 +15,11 @@ from peers._peer import CORES, Peer, Ran
 LANES = 8
 """Abreast: one register of AVX-512, two of AVX. Sixteen are no faster, and wait for one another longer."""
 
-FLAGS = ("-O3", "-march=native", "-mprefer-vector-width=512", "-ffast-math", "-fopenmp", "-shared", "-fPIC")
+# Not -ffast-math: a library linked with it sets the whole process to flush subnormal numbers.
+FLAGS = (
+    *("-O3", "-march=native", "-mprefer-vector-width=512", "-fno-math-errno", "-fno-trapping-math"),
+    *("-fno-signed-zeros", "-freciprocal-math", "-fassociative-math", "-fopenmp", "-shared", "-fPIC"),
+)
 
 
 @dataclass(frozen=True)
