@@ -5,7 +5,7 @@ from jax import lax
 
 
 def rough_root(x, n: int):
-    """x^(1/n) for x >= 0, between it and 1.07 times it; of infinity and of what is no number, some number above 1.
+    """x^(1/n) for x > 0, between it and 1.07 times it; of 0 some tiny number, of infinity and of NaN one above 1.
 
     A float's bits, read as an integer, are its logarithm, straight between powers of two.
     """

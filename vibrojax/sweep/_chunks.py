@@ -1,4 +1,4 @@
-"""Lanes in chunks of one size through one compiled program; memory is bounded by the chunk."""
+"""Lanes in chunks of one size through the compiled programs; memory is bounded by the chunk."""
 
 from collections.abc import Callable
 from dataclasses import replace
