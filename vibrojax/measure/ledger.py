@@ -12,13 +12,18 @@ def begin(names, like) -> dict:
     """An empty ledger of the sums called `names`, lanes shaped as `like`."""
     return {
         "sums": {name: jnp.zeros_like(like) for name in names},
-        "lost": {name: jnp.zeros_like(like) for name in names},
+        "lost": {name: jnp.zeros_like(like) for name in names if like.dtype == jnp.float32},
         "rows": jnp.zeros((MOST_CYCLES, len(names), *like.shape), like.dtype),
     }
 
 
 def add(ledger: dict, increments: dict) -> dict:
-    """The ledger with a step's increments added, and what rounding lost of them kept for the next (Kahan 1965)."""
+    """The ledger with a step's increments added.
+
+    In float32 what rounding lost of them is kept for the next (Kahan 1965); float64 has digits enough for 1e8 steps.
+    """
+    if not ledger["lost"]:
+        return ledger | {"sums": {name: total + increments[name] for name, total in ledger["sums"].items()}}
     # Barriers: worked out again in another fusion, a sum may be rounded otherwise, and what it lost would be wrong.
     more = keep({name: increments[name] + lost for name, lost in ledger["lost"].items()})
     sums = keep({name: total + more[name] for name, total in ledger["sums"].items()})

@@ -19,7 +19,7 @@ def start_block(scene, recorder, p, state) -> tuple:
 
 
 def settle_block(scene, method, recorder, p, lane, returns, steps, until, settings) -> tuple:
-    """(lane, what its recorder watches, steps taken since t = 0) at the time `until` [s].
+    """(lane, what its recorder watches, steps taken since t = 0) at the times `until` [s], each (lanes,).
 
     **Arguments:**
 
@@ -38,30 +38,28 @@ def settle_block(scene, method, recorder, p, lane, returns, steps, until, settin
     def moves(returns):
         return True
 
-    until = until * jnp.ones_like(lane.clock.high)
     begun = (lane, returns, steps)
     return _stretch(scene, method, p, settings, until, begun, step, turn, moves, STEPS_PER_PASS, marked=False)
 
 
-def observe_block(scene, method, recorder, p, lane, returns, steps, settings) -> dict:
+def observe_block(scene, method, recorder, p, lane, returns, steps, begin, last, settings) -> dict:
     """Features of a block of lanes that have settled, by name.
 
-    **Arguments:** as of `settle_block`; `settings` also `settle`, `observe` [s]: when the observation begins, and how
-    long it is.
+    **Arguments:** as of `settle_block`; `begin`, `last` [s]: when each lane's observation begins, and how long it is.
     """
 
     def step(carry, lane, step):
         return recorder.step(scene, p, carry, lane, step)
 
     def turn(carry, lane):
-        share = 1 - lane.clock.until(end) / settings["observe"]
+        share = 1 - lane.clock.until(end) / last
         return recorder.turn_over(scene, p, carry, lane, share)
 
     def moves(carry):
         return ~carry["returns"]["waiting"]
 
-    end = (settings["settle"] + settings["observe"]) * jnp.ones_like(lane.clock.high)
-    settled = lane.clock.until(settings["settle"]) <= 0
+    end = begin + last
+    settled = lane.clock.until(begin) <= 0
     carry = recorder.begin(scene, p, lane, returns)
     begun = (lane, carry, steps)
     lane, carry, steps = _stretch(scene, method, p, settings, end, begun, step, turn, moves, STEPS_PER_TURN)
@@ -74,12 +72,16 @@ def observe_block(scene, method, recorder, p, lane, returns, steps, settings) ->
 
 
 def run_block(scene, method, recorder, p, state, settings) -> dict:
-    """Features of a block of lanes from their start to their end, by name; see the programs above."""
+    """Features of a block of lanes from their start to their end, by name; see the programs above.
+
+    `settings` also has `settle` and `observe` [s]: how long they settle, and are observed then.
+    """
     lane, returns = start_block(scene, recorder, p, state)
     p = scene.scaled(p, state)
     none = jnp.zeros_like(state[0])
-    lane, returns, steps = settle_block(scene, method, recorder, p, lane, returns, none, settings["settle"], settings)
-    return observe_block(scene, method, recorder, p, lane, returns, steps, settings)
+    begin, last = none + settings["settle"], none + settings["observe"]
+    lane, returns, steps = settle_block(scene, method, recorder, p, lane, returns, none, begin, settings)
+    return observe_block(scene, method, recorder, p, lane, returns, steps, begin, last, settings)
 
 
 def _stretch(scene, method, p, settings, end, begun, take_in, turn_over, moves, steps_per_turn, marked=True):

@@ -1,7 +1,8 @@
 """Lanes in chunks of one size through the compiled programs; memory is bounded by the chunk."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -9,8 +10,9 @@ from vibrojax.devices import workers
 from vibrojax.label import LABELLED_BY
 from vibrojax.measure import recorder_for
 from vibrojax.stepping import Located, Smoothed
-from vibrojax.sweep._accuracy import Accuracy, accuracy_for
+from vibrojax.sweep._accuracy import COARSEST, Accuracy, accuracy_for
 from vibrojax.sweep._passage import Passage, Programs
+from vibrojax.sweep._settled import settled
 from vibrojax.sweep._sweep import Sweep
 
 CHUNK = 2048
@@ -25,6 +27,29 @@ SHARES = {"located": 0.4, "smoothed": 3.5}
 Located: order 10/9 in the tolerance would leave 10^(-10/9) = 0.08 of it; smoothed: order 3/4 in the width, 1.5. Both
 are large enough for 95 % of periodic lanes to be within.
 """
+
+LOOKS = (0.25, 0.5, 1.0)
+"""Parts of the way to half-way at which lanes that have settled are found, and the others are sorted by their pace."""
+
+SETTLED = 0.01
+"""Part of the accepted error that a lane may still be away from where it settles, to be observed early."""
+
+CHECKED = 0.5
+"""The check run of a lane that has settled settles anew for this part of the time that it took."""
+
+
+class Part(NamedTuple):
+    """Some lanes of a chunk as far as one run serves both.
+
+    - `lanes`: which, by index (lanes,).
+    - `fine`, `check`: them, for either run.
+    - `away`: their relative distance from where they settle, of those that end early (lanes,).
+    """
+
+    lanes: np.ndarray
+    fine: Passage
+    check: Passage
+    away: np.ndarray
 
 
 class Chunks:
@@ -65,15 +90,25 @@ class Chunks:
             waiting[0] %= 2
 
         self.compile()
-        halfway = self._halfway(self.programs.start(first, last, self.accuracy))
-        fine, check = self._to_the_end([halfway, replace(halfway, accuracy=coarse)], finished)
-        fine["error_estimate"] = error_estimate(fine, check, self.sweep.run.method, self._least_error)
+        parts = list(self._on_their_way(first, last, coarse))
+        found = self._observed([one.fine for one in parts] + [one.check for one in parts], finished)
+        order = np.argsort(np.concatenate([one.lanes for one in parts]))
+        fine, check = (
+            {name: np.concatenate([some[name] for some in run])[order] for name in run[0]}
+            for run in (found[: len(parts)], found[len(parts) :])
+        )
+        away = np.concatenate([one.away for one in parts])[order]
+        least = 4 * float(np.finfo(self.sweep.run.precision).eps) + 0.01 * self.accuracy.tolerance
+        fine["error_estimate"] = error_estimate(fine, check, self.sweep.run.method, least + away)
         return fine | {f"check_{name}": check[name] for name in LABELLED_BY if name in check}
 
     def at(self, accuracy: Accuracy, index: int = 0) -> dict:
-        """Features of a chunk's lanes at an `accuracy` of the caller's, by name (lanes,), without the check run."""
-        halfway = self._halfway(self.programs.start(*self.lanes(index), accuracy))
-        return self._to_the_end([halfway])[0]
+        """Features of a chunk's lanes at an `accuracy` of the caller's, by name (lanes,), all stepped to their end,
+        without the check run."""
+        passages = [self.programs.start(*self.lanes(index), accuracy)]
+        for now in self._looks:
+            passages = self.programs.settle(passages, now)
+        return self._observed(passages)[0]
 
     def compile(self) -> None:
         """Compile the programs, once."""
@@ -81,25 +116,37 @@ class Chunks:
             self.programs.compile(self.accuracy)
             self._compiled = True
 
-    def _halfway(self, passage: Passage) -> Passage:
-        """The lanes where the check run begins: half-way, or when they are observed."""
-        run = self.sweep.run
-        half = min(run.settle, (run.settle + run.observe) / 2)
-        for until in (half / 4, half):
-            if half > 0:
-                [passage] = self.programs.settle([passage], until)
-        return passage
-
-    def _to_the_end(self, passages: list[Passage], told: Callable[[int], None] = lambda lanes: None) -> list[dict]:
-        """The features of lanes that are half-way."""
-        run = self.sweep.run
-        if run.settle > run.observe:
-            passages = self.programs.settle(passages, run.settle)
-        return self.programs.observe(passages, told)
-
     @property
-    def _least_error(self) -> float:
-        return 4 * float(np.finfo(self.sweep.run.precision).eps) + 0.01 * self.accuracy.tolerance
+    def _looks(self) -> list[float]:
+        """Times [s] at which lanes are looked at; the last is half-way, or when they are observed.
+
+        Half-way half of the work is left, a second under observation taken for two.
+        """
+        run = self.sweep.run
+        half = min(run.settle, run.settle / 2 + run.observe)
+        return [share * half for share in LOOKS] if half > 0 else []
+
+    def _on_their_way(self, first: int, last: int, coarse: Accuracy) -> Iterator[Part]:
+        """The lanes from `first` to before `last` as far as one run serves both; those that have settled come first."""
+        run, lanes = self.sweep.run, np.arange(last - first)
+        passage = self.programs.start(first, last, self.accuracy)
+        close = min(SETTLED * run.error, COARSEST)
+        for now in self._looks:
+            [passage] = self.programs.settle([passage], now)
+            if run.end_early and run.keep_returns == 0 and self.sweep.machine.autonomous:
+                done, lasts, away = settled(passage.moving[1], now, run.settle + run.observe, run.observe, close)
+                if done.any():
+                    fine = passage.of(np.flatnonzero(done)).observed(now, lasts[done])
+                    check = replace(fine, accuracy=coarse).observed((1 + CHECKED) * now, lasts[done])
+                    yield Part(lanes[done], fine, check, away[done])
+                    lanes, passage = lanes[~done], passage.of(np.flatnonzero(~done))
+                    if done.all():
+                        return
+        yield Part(lanes, passage, replace(passage, accuracy=coarse), np.zeros(len(lanes)))
+
+    def _observed(self, passages: list[Passage], told: Callable[[int], None] = lambda lanes: None) -> list[dict]:
+        """The features of lanes that are on their way."""
+        return self.programs.observe(self.programs.settle(passages), told)
 
 
 def error_estimate(fine: dict, coarse: dict, method: str, least: float) -> np.ndarray:

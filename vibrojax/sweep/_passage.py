@@ -22,6 +22,7 @@ class Passage:
 
     - `accuracy`: what the steps follow from.
     - `parameters`, `start`: of every lane.
+    - `begin`, `last`: when each is observed, and for how long [s].
     - `moving`: the lanes, and what their recorder watches; None before t = 0.
     - `steps`: taken so far; `recent`: in the last stretch.
     """
@@ -29,9 +30,20 @@ class Passage:
     accuracy: Accuracy
     parameters: dict[str, np.ndarray]
     start: np.ndarray
+    begin: np.ndarray
+    last: np.ndarray
     moving: Any
     steps: np.ndarray
     recent: np.ndarray
+
+    def of(self, lanes: np.ndarray) -> "Passage":
+        """Some of the lanes, by index."""
+        arrays = {name: one for name, one in vars(self).items() if name != "accuracy"}
+        return Passage(self.accuracy, **jax.tree.map(lambda x: np.take(x, lanes, axis=-1), arrays))
+
+    def observed(self, begin, last) -> "Passage":
+        """The lanes, to be observed from `begin` on for the time `last` [s], each (lanes,) or of all."""
+        return replace(self, begin=np.full_like(self.begin, begin), last=np.full_like(self.last, last))
 
 
 class Programs:
@@ -51,7 +63,10 @@ class Programs:
         values, start = self.sweep.lane_values(first, last)
         parameters = {name: x.astype(self._dtype) for name, x in values.items()}
         none = np.zeros(last - first, self._dtype)
-        passage = Passage(accuracy, parameters, start.astype(np.int32), None, none, none)
+        run = self.sweep.run
+        passage = Passage(
+            accuracy, parameters, start.astype(np.int32), none + run.settle, none + run.observe, None, none, none
+        )
 
         def program(count, some):
             scene, _, recorder, starts, block = self._static
@@ -59,13 +74,13 @@ class Programs:
 
         return replace(passage, moving=self._through([passage], program)[0])
 
-    def settle(self, passages: list[Passage], until: float) -> list[Passage]:
-        """The lanes at the time `until` [s]."""
+    def settle(self, passages: list[Passage], until: float = np.inf) -> list[Passage]:
+        """The lanes at the time `until` [s], or when they are to be observed, if that is before."""
 
         def program(count, some):
-            time, settings = np.asarray(until, self._dtype), self._settings(some.accuracy)
-            given = (some.parameters, some.start, *some.moving, some.steps)
-            return self._compiled.settle(*self._static, count, *given, time, settings)
+            until_when = np.minimum(some.begin, until).astype(self._dtype)
+            given = (some.parameters, some.start, *some.moving, some.steps, until_when)
+            return self._compiled.settle(*self._static, count, *given, self._settings(some.accuracy))
 
         found = self._through(passages, program)
         return [
@@ -80,7 +95,7 @@ class Programs:
         """
 
         def program(count, some):
-            given = (some.parameters, some.start, *some.moving, some.steps)
+            given = (some.parameters, some.start, *some.moving, some.steps, some.begin, some.last)
             return self._compiled.observe(*self._static, count, *given, self._settings(some.accuracy))
 
         return [
@@ -94,14 +109,14 @@ class Programs:
         for worker in dict.fromkeys(self.workers):
             alone = Programs(at_once, self.method, self.recorder, [worker])
             still = [alone.start(0, 1, accuracy)]
-            compiling = [lambda: alone.settle(still, 0.0), lambda: alone.observe(still)]  # noqa: B023
+            compiling = [lambda: alone.settle(still), lambda: alone.observe(still)]  # noqa: B023
             for _ in in_parallel(lambda _, program: program(), compiling, range(len(compiling))):
                 pass
 
     def _settings(self, accuracy: Accuracy) -> dict:
         run = self.sweep.run
         asked = (run.settle + run.observe) * (MOST_PER_SECOND + 2 / accuracy.step)
-        settings = {"settle": run.settle, "observe": run.observe, "most_steps": self.most_steps + asked}
+        settings = {"most_steps": self.most_steps + asked}
         return {name: np.asarray(x, self._dtype) for name, x in (settings | accuracy.settings()).items()}
 
     def _through(self, passages, program, told=lambda lanes: None) -> list:
@@ -112,7 +127,7 @@ class Programs:
             at, lanes = item
             count = np.int32(-(-len(lanes) // self.block))
             with precision(self.sweep.run.precision), jax.default_device(worker):
-                found = program(count, _of_lanes(passages[at], np.resize(lanes, self.block * self.blocks)))
+                found = program(count, passages[at].of(np.resize(lanes, self.block * self.blocks)))
                 return jax.tree.map(np.asarray, found)
 
         found: list = [None] * len(passages)
@@ -137,19 +152,3 @@ class Programs:
         hands = max(-(-len(blocks) // self.blocks), min(len(self.workers), len(blocks)))
         # The last block alone may be short, and only where no other follows it: it is the last of its hand.
         return [np.concatenate(blocks[hand::hands]) for hand in range(hands)]
-
-
-def _of_lanes(passage: Passage, lanes: np.ndarray) -> Passage:
-    """Some of the lanes; some again to fill up the blocks."""
-
-    def of(x):
-        return x[..., lanes]
-
-    return Passage(
-        passage.accuracy,
-        {name: of(x) for name, x in passage.parameters.items()},
-        of(passage.start),
-        jax.tree.map(of, passage.moving),
-        of(passage.steps),
-        of(passage.recent),
-    )

@@ -136,7 +136,7 @@ def _points(cells: Mapping[str, Sequence], at: WhereFrom, names: Names) -> Point
 def _numbers(column: Sequence, name: str, at: WhereFrom, names: Names) -> np.ndarray:
     """A column of numbers that the parameter called `name` may have, float64 (points,)."""
     parameter = names.parameter(at(name, 0), name)
-    if isinstance(column, array):
+    if isinstance(column, array) or all(type(value) is float for value in column):
         values = np.array(column)
         # What is admissible is an interval: where both ends are in it, a million cells need no look one by one.
         if parameter.problem(values.min()) is None and parameter.problem(values.max()) is None:

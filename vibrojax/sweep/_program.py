@@ -68,23 +68,25 @@ def start_lanes(scene, recorder, starts, block, count, p, start) -> tuple:
 def settle_lanes(
     scene, method, recorder, starts, block, count, p, start, lane, returns, steps, until, settings
 ) -> tuple:
-    """(lane, what its recorder watches, steps taken) at the time `until` [s]; see `settle_block`."""
+    """(lane, what its recorder watches, steps taken) at the times `until` [s]; see `settle_block`."""
 
-    def program(p, start, lane, returns, steps):
+    def program(p, start, lane, returns, steps, until):
         constants = _constants(scene, starts, p, start)
         return settle_block(scene, method, recorder, constants, lane, returns, steps, until, settings)
 
-    return _block_by_block(program, block, count, p, start, lane, returns, steps)
+    return _block_by_block(program, block, count, p, start, lane, returns, steps, until)
 
 
-def observe_lanes(scene, method, recorder, starts, block, count, p, start, lane, returns, steps, settings) -> dict:
+def observe_lanes(
+    scene, method, recorder, starts, block, count, p, start, lane, returns, steps, begin, last, settings
+) -> dict:
     """Features by name, (lanes,), or (rows, lanes) for returns that are kept; see `observe_block`."""
 
-    def program(p, start, lane, returns, steps):
+    def program(p, start, lane, returns, steps, begin, last):
         constants = _constants(scene, starts, p, start)
-        return observe_block(scene, method, recorder, constants, lane, returns, steps, settings)
+        return observe_block(scene, method, recorder, constants, lane, returns, steps, begin, last, settings)
 
-    return _block_by_block(program, block, count, p, start, lane, returns, steps)
+    return _block_by_block(program, block, count, p, start, lane, returns, steps, begin, last)
 
 
 def _block_by_block(program, block, count, *given):

@@ -23,6 +23,8 @@ def plain(place: Place, value: object) -> object:
     if isinstance(value, (np.ndarray, np.generic)):
         return plain(place, value.tolist())
     if isinstance(value, (list, tuple, range)):
+        if all(type(item) is float for item in value):
+            return list(value)  # columns of points are long
         return [plain(place.item(index), item) for index, item in enumerate(value)]
     if isinstance(value, PurePath):
         return str(value)
