@@ -29,10 +29,11 @@ def exact():
     return Chunks(sweep()).at(EXACT)
 
 
+@pytest.mark.parametrize("end_early", [True, False])
 @pytest.mark.parametrize("error", [1e-3, 1e-4, 1e-6])
-def test_error_estimate(exact, error):
+def test_error_estimate(exact, error, end_early):
     """At least 95 % of the true errors are within it, and its median is at most ten times the true one."""
-    found = Chunks(sweep(error=error)).compute(0)
+    found = Chunks(sweep(error=error, end_early=end_early)).compute(0)
     # A lane that is still settling where it is observed has no error that a finer step would tell.
     periodic = (exact["cycles"] > 0) & (exact["settling_time"] < 10) & (found["cycles"] == exact["cycles"])
     assert periodic.sum() >= 200

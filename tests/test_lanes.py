@@ -97,6 +97,16 @@ def test_memory_does_not_grow_with_time(tiled):
     assert {values.shape for values in found.values()} == {(4,)}
 
 
+@pytest.mark.parametrize("run", [SHORT, {"settle": 0.0, "observe": 2.0}, {"settle": 24.0, "observe": 8.0}])
+def test_lanes_are_told_as_work_goes_on(tiled, run):
+    """Each once, the last when all is done; a fifth of them before half of the work is."""
+    told = []
+    chunks = Chunks(read_sweep(sweep(PERIODIC, **run)))
+    chunks.compute(0, told.append)
+    assert sum(told) == len(PERIODIC) and min(told) > 0
+    assert len(told) >= (3 if run["settle"] else 2)
+
+
 def test_settle_0(tiled):
     """Observed from t = 0: the returns are all that `simulate` passes."""
     dataset = vj.run_sweep(sweep(PERIODIC[:8], settle=0.0, observe=6.0), progress=False)

@@ -67,7 +67,7 @@ def settings_of(scene: str, quick: bool = False) -> list[Setting]:
 
 
 def _full(scene: str) -> Iterator[tuple]:
-    for tolerance in (1e-12, 1e-11, 1e-10, 1e-9, 1e-8, 1e-7, 1e-5):
+    for tolerance in (1e-12, 1e-10, 1e-9, 1e-8, 1e-7, 1e-6, 1e-5):
         yield "located", "float64", "tolerance", tolerance, _tolerance(tolerance)
     for stride in (0.125, 0.25, 0.5, 1.0, 2.0, 4.0):
         yield "located", "float64", "stride", stride, _stride(stride)

@@ -46,5 +46,5 @@ def accuracy_for(run: RunSettings) -> Accuracy:
         return Accuracy(0.0, 0.3, run.step if run.step is not None else 0.3 * width, width)
     rounding = 1e-12 if run.precision == "float64" else 3e-6
     # Errors of period and impact velocity are below the tolerance, but a hundred times it on hard lanes.
-    tolerance = min(max(1e-2 * run.error, rounding), COARSEST)
+    tolerance = min(max(1e-3 * run.error, rounding), COARSEST)
     return Accuracy(tolerance, LOCATED_STRIDE, run.step if run.step is not None else np.inf, 0.0)

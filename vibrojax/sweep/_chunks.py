@@ -1,6 +1,6 @@
 """Lanes in chunks of one size through the compiled programs; memory is bounded by the chunk."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -10,8 +10,9 @@ from vibrojax.devices import workers
 from vibrojax.label import LABELLED_BY
 from vibrojax.measure import recorder_for
 from vibrojax.stepping import Located, Smoothed
-from vibrojax.sweep._accuracy import COARSEST, Accuracy, accuracy_for
-from vibrojax.sweep._passage import Passage, Programs
+from vibrojax.sweep._accuracy import Accuracy, accuracy_for
+from vibrojax.sweep._passage import Passage, Programs, Told
+from vibrojax.sweep._progress import Worked
 from vibrojax.sweep._settled import settled
 from vibrojax.sweep._sweep import Sweep
 
@@ -28,11 +29,15 @@ Located: order 10/9 in the tolerance would leave 10^(-10/9) = 0.08 of it; smooth
 are large enough for 95 % of periodic lanes to be within.
 """
 
+OBSERVING = 2.0
+"""Work of a second under observation, that of a second before being 1."""
+
 LOOKS = (0.25, 0.5, 1.0)
 """Parts of the way to half-way at which lanes that have settled are found, and the others are sorted by their pace."""
 
 SETTLED = 0.01
-"""Part of the accepted error that a lane may still be away from where it settles, to be observed early."""
+"""Part of the accepted error that a lane observed early may still be away from where it settles, where steps have no
+tolerance; else it may be as much as that."""
 
 CHECKED = 0.5
 """The check run of a lane that has settled settles anew for this part of the time that it took."""
@@ -74,24 +79,18 @@ class Chunks:
         first, last = self.lanes(index)
         return last - first
 
-    def compute(self, index: int, told: Callable[[int], None] = lambda lanes: None) -> dict:
+    def compute(self, index: int, told: Told = lambda lanes: None) -> dict:
         """Features of a chunk's lanes, by name: (lanes,), or (lanes, rows) for returns that are kept.
 
-        `told` is called with the number of lanes that have just been finished.
+        `told` is called with the number of lanes that are done as work goes on.
         """
         coarse = self.accuracy.coarser(COARSER[self.sweep.run.method])
         first, last = self.lanes(index)
-        waiting = [0]
-
-        def finished(lanes):
-            # Those of both runs are told one after the other, mixed; together they are twice as many.
-            waiting[0] += lanes
-            told(waiting[0] // 2)
-            waiting[0] %= 2
-
+        worked = Worked(last - first, told)
         self.compile()
-        parts = list(self._on_their_way(first, last, coarse))
-        found = self._observed([one.fine for one in parts] + [one.check for one in parts], finished)
+        parts = list(self._on_their_way(first, last, coarse, worked))
+        found = self._observed([one.fine for one in parts] + [one.check for one in parts], worked)
+        worked.finish()
         order = np.argsort(np.concatenate([one.lanes for one in parts]))
         fine, check = (
             {name: np.concatenate([some[name] for some in run])[order] for name in run[0]}
@@ -108,7 +107,7 @@ class Chunks:
         passages = [self.programs.start(*self.lanes(index), accuracy)]
         for now in self._looks:
             passages = self.programs.settle(passages, now)
-        return self._observed(passages)[0]
+        return self._observed(passages, Worked(self.width(index), lambda lanes: None))[0]
 
     def compile(self) -> None:
         """Compile the programs, once."""
@@ -120,19 +119,27 @@ class Chunks:
     def _looks(self) -> list[float]:
         """Times [s] at which lanes are looked at; the last is half-way, or when they are observed.
 
-        Half-way half of the work is left, a second under observation taken for two.
+        Half-way half of the work is left.
         """
         run = self.sweep.run
-        half = min(run.settle, run.settle / 2 + run.observe)
+        half = min(run.settle, (run.settle + OBSERVING * run.observe) / 2)
         return [share * half for share in LOOKS] if half > 0 else []
 
-    def _on_their_way(self, first: int, last: int, coarse: Accuracy) -> Iterator[Part]:
+    def _share(self, settling: float, observing: float = 0.0) -> float:
+        """Part of a lane's work, the check run's included, that such times [s] of it take."""
+        run = self.sweep.run
+        return (settling + OBSERVING * observing) / (1.5 * (run.settle + OBSERVING * run.observe))
+
+    def _on_their_way(self, first: int, last: int, coarse: Accuracy, worked: Worked) -> Iterator[Part]:
         """The lanes from `first` to before `last` as far as one run serves both; those that have settled come first."""
         run, lanes = self.sweep.run, np.arange(last - first)
         passage = self.programs.start(first, last, self.accuracy)
-        close = min(SETTLED * run.error, COARSEST)
+        close = self.accuracy.tolerance or SETTLED * run.error
+        before = 0.0
         for now in self._looks:
-            [passage] = self.programs.settle([passage], now)
+            share = self._share(now - before)
+            [passage] = self.programs.settle([passage], now, lambda lanes, each=share: worked.add(lanes * each))
+            before = now
             if run.end_early and run.keep_returns == 0 and self.sweep.machine.autonomous:
                 done, lasts, away = settled(passage.moving[1], now, run.settle + run.observe, run.observe, close)
                 if done.any():
@@ -144,9 +151,13 @@ class Chunks:
                         return
         yield Part(lanes, passage, replace(passage, accuracy=coarse), np.zeros(len(lanes)))
 
-    def _observed(self, passages: list[Passage], told: Callable[[int], None] = lambda lanes: None) -> list[dict]:
+    def _observed(self, passages: list[Passage], worked: Worked) -> list[dict]:
         """The features of lanes that are on their way."""
-        return self.programs.observe(self.programs.settle(passages), told)
+        run, looks = self.sweep.run, self._looks
+        settling = self._share(run.settle - (looks[-1] if looks else 0.0))
+        observing = self._share(0.0, run.observe)
+        passages = self.programs.settle(passages, told=lambda lanes: worked.add(lanes * settling))
+        return self.programs.observe(passages, lambda lanes: worked.add(lanes * observing))
 
 
 def error_estimate(fine: dict, coarse: dict, method: str, least: float) -> np.ndarray:

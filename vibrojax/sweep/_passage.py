@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import jax
@@ -14,6 +15,9 @@ from vibrojax.sweep._program import BLOCK, BLOCK_ON_ACCELERATOR, BLOCKS, compile
 
 MOST_STEPS, MOST_PER_SECOND = 1e6, 1e3
 """Steps after which a lane is given up: so many, and per second, and those that its longest step asks for."""
+
+Told = Callable[[int], None]
+"""Is called with a number of lanes, as they come."""
 
 
 @dataclass(frozen=True)
@@ -74,21 +78,24 @@ class Programs:
 
         return replace(passage, moving=self._through([passage], program)[0])
 
-    def settle(self, passages: list[Passage], until: float = np.inf) -> list[Passage]:
-        """The lanes at the time `until` [s], or when they are to be observed, if that is before."""
+    def settle(self, passages: list[Passage], until: float = np.inf, told: Told = lambda lanes: None) -> list[Passage]:
+        """The lanes at the time `until` [s], or when they are to be observed, if that is before.
+
+        `told` is called with the number of lanes that have just come there, those of every passage counted.
+        """
 
         def program(count, some):
             until_when = np.minimum(some.begin, until).astype(self._dtype)
             given = (some.parameters, some.start, *some.moving, some.steps, until_when)
             return self._compiled.settle(*self._static, count, *given, self._settings(some.accuracy))
 
-        found = self._through(passages, program)
+        found = self._through(passages, program, told)
         return [
             replace(passage, moving=(lane, returns), steps=steps, recent=steps - passage.steps)
             for passage, (lane, returns, steps) in zip(passages, found, strict=True)
         ]
 
-    def observe(self, passages: list[Passage], told: Callable[[int], None] = lambda lanes: None) -> list[dict]:
+    def observe(self, passages: list[Passage], told: Told = lambda lanes: None) -> list[dict]:
         """Features of the lanes of each passage, by name: (lanes,), or (lanes, rows) for returns that are kept.
 
         `told` is called with the number of lanes that have just been finished, those of every passage counted.
@@ -109,7 +116,7 @@ class Programs:
         for worker in dict.fromkeys(self.workers):
             alone = Programs(at_once, self.method, self.recorder, [worker])
             still = [alone.start(0, 1, accuracy)]
-            compiling = [lambda: alone.settle(still), lambda: alone.observe(still)]  # noqa: B023
+            compiling = [partial(alone.settle, still), partial(alone.observe, still)]
             for _ in in_parallel(lambda _, program: program(), compiling, range(len(compiling))):
                 pass
 
@@ -119,7 +126,7 @@ class Programs:
         settings = {"most_steps": self.most_steps + asked}
         return {name: np.asarray(x, self._dtype) for name, x in (settings | accuracy.settings()).items()}
 
-    def _through(self, passages, program, told=lambda lanes: None) -> list:
+    def _through(self, passages, program, told: Told = lambda lanes: None) -> list:
         """What `program` gives for the lanes of each passage, run a few blocks at a time."""
         items = [(at, lanes) for at, passage in enumerate(passages) for lanes in self._dealt(passage.recent)]
 

@@ -2,6 +2,7 @@
 
 import sys
 import time
+from collections.abc import Callable
 from typing import TextIO
 
 BAR = 30
@@ -31,7 +32,7 @@ class Progress:
     def add(self, lanes: int) -> None:
         """Lanes that have just been computed."""
         self._done += lanes
-        if not self._shown:
+        if not self._shown or not lanes:
             return
         now = time.monotonic()
         whole = self._done >= self._lanes
@@ -50,3 +51,28 @@ class Progress:
         left = (self._lanes - self._done) / max(rate, 1e-9)
         end = f"{left:.0f} s left" if self._done < self._lanes else f"{now - self._start:.1f} s"
         return f"{self._done}/{self._lanes} lanes, {rate:.0f} lanes/s, {end}"
+
+
+class Worked:
+    """Lanes of a chunk that count as done: so many as their work done together would finish.
+
+    `told` is called with whole lanes, the last of them by `finish`.
+    """
+
+    def __init__(self, lanes: int, told: Callable[[int], None]):
+        self._lanes, self._told = lanes, told
+        self._work, self._given = 0.0, 0
+
+    def add(self, work: float) -> None:
+        """Work in lanes: 1 is all of what one takes."""
+        self._work += work
+        self._give(min(int(self._work), self._lanes - 1))
+
+    def finish(self) -> None:
+        """All lanes are done."""
+        self._give(self._lanes)
+
+    def _give(self, done: int) -> None:
+        if done > self._given:
+            self._told(done - self._given)
+            self._given = done
