@@ -8,6 +8,7 @@ import vibrojax as vj
 from vibrojax.measure.swings import _trend
 
 SETTLE, OBSERVE, SAMPLING = 10.0, 4.0, 4e-5
+ERROR = 1e-5  # so small that periods of sweep and simulation agree to 1e-9
 USUAL = {"m1": 250.0, "beta": 0.4, "gamma": 0.75, "k1": 156250.0, "c2": 250.0, "v": 1.5, "g": 9.81, "mu": 0.4}
 CONTACT = {"delta": -0.005, "k0": 50e6, "c0": 1e3}
 # The gap first, from stuck: the starts come up as in the other tests, in whose program these lanes then run.
@@ -33,7 +34,7 @@ def features():
         first = next(iter(lanes.values()))[1]
         points = {key: [values[key] for _, values, _ in lanes.values()] for key in first}
         points["start"] = [start for *_, start in lanes.values()]
-        run = {"settle": SETTLE, "observe": OBSERVE}
+        run = {"settle": SETTLE, "observe": OBSERVE, "error": ERROR}
         dataset = vj.run_sweep({"scene": scene, "points": points, "run": run}, progress=False)
         found |= {name: dataset.isel(point=index) for index, name in enumerate(lanes)}
     return found
@@ -44,7 +45,9 @@ class Sampled:
 
     def __init__(self, name):
         scene, self.p, start = LANES[name]
-        motion = vj.simulate(scene, **self.p, start=start, duration=SETTLE + OBSERVE, sampling=SAMPLING, progress=False)
+        motion = vj.simulate(
+            scene, **self.p, start=start, duration=SETTLE + OBSERVE, sampling=SAMPLING, error=ERROR, progress=False
+        )
         self.m2 = self.p["beta"] * self.p["m1"]
         self.k2 = self.m2 * self.p["gamma"] ** 2 * self.p["k1"] / self.p["m1"]
         kinds = motion.event_kind.attrs["flag_meanings"].split()
@@ -208,7 +211,9 @@ def test_settling_time(features, sampled, name):
     """The last return whose s differs by over 0.01 from the next one's, s scaled by the swings between the two."""
     lane = features[name]
     scene, values, start = LANES[name]
-    motion = vj.simulate(scene, **values, start=start, duration=SETTLE + OBSERVE, sampling=1e-4, progress=False)
+    motion = vj.simulate(
+        scene, **values, start=start, duration=SETTLE + OBSERVE, sampling=1e-4, error=ERROR, progress=False
+    )
     sections = sampled[name].all_sections
     t = motion.time.values
     x1, x2, v2 = (np.interp(sections, t, motion[y].values) for y in ("x1", "x2", "v2"))

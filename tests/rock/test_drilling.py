@@ -12,7 +12,7 @@ from vibrojax.scenes.drilling import Drilling
 SWEEP = {
     "grid": {"gamma": [0.6, 0.7, 0.8], "beta": [0.25, 0.4], "v": [1.0, 2.0]},
     "starts": ["stuck"],
-    "run": {"settle": 10.0, "observe": 4.0},
+    "run": {"settle": 10.0, "observe": 4.0, "error": 1e-5},
 }
 SANDSTONE = 61.9e3
 DRILL = [

@@ -80,7 +80,7 @@ def simulate(
         run = RunSettings(
             method="located" if method == "located" else "smoothed", error=error, step=step, smoothing=smoothing
         )
-        accuracy = accuracy_for(run)
+        accuracy = accuracy_for(run, machine)
         happened, hole = {}, {}
         if method == "diffrax":
             states, modes, steps = _adaptive(

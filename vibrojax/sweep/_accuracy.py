@@ -4,11 +4,15 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
+from vibrojax.scenes import Scene
 from vibrojax.sweep._settings import RunSettings
 
 COARSEST = 1e-6
 """Tolerance beyond which little is gained, because most steps end at events, and from which on the difference from a
 coarser run tells of the error."""
+
+COARSEST_DRIVEN = 1e-8
+"""The same where pulses drive: nearly all steps end with them, and are the same at any tolerance above."""
 
 LOCATED_STRIDE = 2.0
 """Longest step of the located method, in units of 1/rate: in it no surface is touched and left twice."""
@@ -37,8 +41,8 @@ class Accuracy:
         return replace(self, tolerance=self.tolerance * factor, smoothing=self.smoothing * factor, step=step)
 
 
-def accuracy_for(run: RunSettings) -> Accuracy:
-    """Steps that keep the accepted error, unless the user chose them."""
+def accuracy_for(run: RunSettings, scene: Scene) -> Accuracy:
+    """Steps that keep the accepted error in `scene`, unless the user chose them."""
     if run.method == "smoothed":
         # Over the reference cases the error of the width is at most its power 3/4, in m/s; that of a step of 0.3 s per
         # m/s of it is far below.
@@ -46,5 +50,5 @@ def accuracy_for(run: RunSettings) -> Accuracy:
         return Accuracy(0.0, 0.3, run.step if run.step is not None else 0.3 * width, width)
     rounding = 1e-12 if run.precision == "float64" else 3e-6
     # Errors of period and impact velocity are below the tolerance, but a hundred times it on hard lanes.
-    tolerance = min(max(1e-3 * run.error, rounding), COARSEST)
+    tolerance = min(max(1e-3 * run.error, rounding), COARSEST if scene.autonomous else COARSEST_DRIVEN)
     return Accuracy(tolerance, LOCATED_STRIDE, run.step if run.step is not None else np.inf, 0.0)

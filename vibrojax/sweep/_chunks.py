@@ -63,7 +63,7 @@ class Chunks:
     def __init__(self, sweep: Sweep):
         self.sweep = sweep
         self.method = Located() if sweep.run.method == "located" else Smoothed()
-        self.accuracy = accuracy_for(sweep.run)
+        self.accuracy = accuracy_for(sweep.run, sweep.machine)
         recorder = recorder_for(sweep.machine, sweep.run.keep_returns)
         self.programs = Programs(sweep, self.method, recorder, workers())
         self.size = sweep.run.chunk or max(CHUNK, self.programs.block)
