@@ -125,6 +125,15 @@ class Chunks:
         half = min(run.settle, (run.settle + OBSERVING * run.observe) / 2)
         return [share * half for share in LOOKS] if half > 0 else []
 
+    @property
+    def _ends_early(self) -> bool:
+        """Whether lanes are looked at for having settled: not where pulses drive, or the last returns are kept.
+
+        Nor on an accelerator, where a step of a few lanes costs as much as one of many.
+        """
+        run, scene = self.sweep.run, self.sweep.machine
+        return run.end_early and not run.keep_returns and scene.autonomous and not self.programs.accelerated
+
     def _share(self, settling: float, observing: float = 0.0) -> float:
         """Part of a lane's work, the check run's included, that such times [s] of it take."""
         run = self.sweep.run
@@ -140,7 +149,7 @@ class Chunks:
             share = self._share(now - before)
             [passage] = self.programs.settle([passage], now, lambda lanes, each=share: worked.add(lanes * each))
             before = now
-            if run.end_early and run.keep_returns == 0 and self.sweep.machine.autonomous:
+            if self._ends_early:
                 done, lasts, away = settled(passage.moving[1], now, run.settle + run.observe, run.observe, close)
                 if done.any():
                     fine = passage.of(np.flatnonzero(done)).observed(now, lasts[done])

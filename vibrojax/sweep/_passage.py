@@ -56,7 +56,8 @@ class Programs:
     def __init__(self, sweep, method, recorder, workers: list):
         self.sweep, self.method, self.recorder, self.workers = sweep, method, recorder, workers
         platform = workers[0].platform
-        self.block, self.blocks = (BLOCK, BLOCKS) if platform == "cpu" else (BLOCK_ON_ACCELERATOR, 1)
+        self.accelerated = platform != "cpu"
+        self.block, self.blocks = (BLOCK_ON_ACCELERATOR, 1) if self.accelerated else (BLOCK, BLOCKS)
         self._compiled = compiled(platform)
         self.most_steps = MOST_STEPS
         self._static = (sweep.machine, method, recorder, sweep.starts, self.block)
