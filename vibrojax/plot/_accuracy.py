@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from matplotlib.ticker import FixedLocator, LogLocator, NullFormatter
+from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter
 
 from vibrojax.plot._style import FAINT, INK, new_figure, styled
 
@@ -131,8 +131,11 @@ def _label(panels: np.ndarray, ds: xr.Dataset, wide: int, count: int) -> None:
     decades = range(int(np.ceil(np.log10(low))), int(np.floor(np.log10(high))) + 1)
     axes.yaxis.set_major_locator(FixedLocator([10.0**power for power in decades if power % 2 == 0]))
     axes.yaxis.set_minor_locator(FixedLocator([10.0**power for power in decades]))
-    axes.xaxis.set_major_locator(LogLocator(numticks=12))
-    axes.yaxis.set_minor_formatter(NullFormatter())
+    fastest, slowest = axes.get_xlim()
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if slowest < 150 * fastest else (1.0,), numticks=12))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_minor_formatter(NullFormatter())
     for index, panel in enumerate(panels[:count]):
         if index % wide == 0:
             panel.set_ylabel("worst lane's relative error")
