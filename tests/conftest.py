@@ -9,6 +9,14 @@ jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
+LONGEST = ("test_reproduce.py", "test_exact.py", "test_accuracy.py", "test_hard_faults.py")
+"""Files that take longest: they begin first, so that no process is left alone with one of them."""
+
+
+def pytest_collection_modifyitems(items):
+    names = [*LONGEST, None]
+    items.sort(key=lambda item: names.index(item.path.name if item.path.name in LONGEST else None))
+
 
 @pytest.fixture(autouse=True, scope="module")
 def few_mappings():
