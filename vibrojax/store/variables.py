@@ -34,7 +34,7 @@ VARIABLES = {
     "check_regime": Variable("1", "regime found by the coarser run that errors are estimated with", np.int8, REGIMES),
     "period": Variable("s", "period"),
     "cycles": Variable("1", "returns after which the motion repeats (0: it does not)", np.int8),
-    "returns": Variable("1", "returns to the section in the observation", np.int32),
+    "returns": Variable("1", "returns to the section that were observed", np.int32),
     "impacts": Variable("1", "impacts in those cycles together (cycles 0: per return)"),
     "impact_velocity": Variable("m s-1", "impact velocity"),
     "impact_velocity_min": Variable("m s-1", "least impact velocity"),
