@@ -22,6 +22,7 @@ class Progress:
         self._start = self._last = time.monotonic()
         self._done = 0
         self._before = 0
+        self._first: tuple[float, int] | None = None  # programs are compiled before it: no pace to go by
 
     def resume(self, done: int) -> None:
         """Lanes that an earlier run has computed."""
@@ -35,6 +36,7 @@ class Progress:
         if not self._shown or not lanes:
             return
         now = time.monotonic()
+        self._first = self._first or (now, self._done)
         whole = self._done >= self._lanes
         if self._stream.isatty():
             filled = BAR * self._done // self._lanes
@@ -47,10 +49,14 @@ class Progress:
             print(self._line(now), file=self._stream, flush=True)
 
     def _line(self, now: float) -> str:
-        rate = (self._done - self._before) / max(now - self._start, 1e-9)
-        left = (self._lanes - self._done) / max(rate, 1e-9)
-        end = f"{left:.0f} s left" if self._done < self._lanes else f"{now - self._start:.1f} s"
-        return f"{self._done}/{self._lanes} lanes, {rate:.0f} lanes/s, {end}"
+        lanes, seconds = f"{self._done}/{self._lanes} lanes", now - self._start
+        if self._done >= self._lanes:
+            return f"{lanes}, {(self._done - self._before) / max(seconds, 1e-9):.0f} lanes/s, {seconds:.1f} s"
+        then, done = self._first or (now, self._done)
+        if self._done == done or now <= then:
+            return lanes
+        rate = (self._done - done) / (now - then)
+        return f"{lanes}, {rate:.0f} lanes/s, {(self._lanes - self._done) / rate:.0f} s left"
 
 
 class Worked:
