@@ -8,6 +8,10 @@ VERDICTS = (DIFFERS, NOT_COMPARED, IN_TREND, AGREES)
 """In the order in which they are shown: what is wrong comes first."""
 
 
+ORDER = "the order"
+"""A tolerance: what is said to grow grows here, however much."""
+
+
 @dataclass(frozen=True)
 class Here:
     """What is found here: a text that begins with the number in the source's unit, the verdict, and a remark."""
@@ -105,3 +109,8 @@ def shown(value: float) -> str:
     if value and not 1e-3 <= abs(value) < 1e5:
         return f"{value:.3g}"
     return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.4g}"
+
+
+def listed(values, digits: int = 3) -> str:
+    """Numbers to so many digits, with commas between."""
+    return ", ".join(f"{value:.{digits}g}" for value in values)

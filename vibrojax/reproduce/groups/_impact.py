@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from vibrojax.reproduce import _signal as signal
-from vibrojax.reproduce._entry import AGREES, DIFFERS, IN_TREND, Here, claim
+from vibrojax.reproduce._entry import AGREES, DIFFERS, IN_TREND, Here, claim, number
 from vibrojax.reproduce._needs import Lane, Motion, lane, motion
 
 USUAL = ("R2", "R3", "R4", "R5")
@@ -66,12 +66,24 @@ def _stick_slip(one) -> bool:
     return one["stick_fraction"] > 1e-3 and one["reverse_fraction"] == 0
 
 
-def listed(values, digits: int = 3) -> str:
-    return ", ".join(f"{value:.{digits}g}" for value in values)
-
-
 def acceleration_at_impacts(motion, since: float) -> np.ndarray:
     """The bit's acceleration [m/s²] in the two milliseconds before each impact."""
     times = signal.events(motion, "impact", since)
     before, later = (signal.at(motion, "v1", times - early) for early in (2.1e-3, 1e-4))
     return (later - before) / 2e-3
+
+
+def change_beside(source: float, others: tuple[str, ...] = ()):
+    def judge(one, *more):
+        note = "; ".join(f"{name} {change(other):.2f}" for name, other in zip(others, more, strict=True))
+        return number(change(one), source, "m/s", 0.1, note)
+
+    return judge
+
+
+def counter_phase(one) -> Here:
+    return claim(f"{one['phase_lag']:.2f} rad behind the bit", abs(one["phase_lag"]) > np.pi / 2)
+
+
+def in_phase(one) -> Here:
+    return claim(f"{one['phase_lag']:.2f} rad behind the bit", abs(one["phase_lag"]) < np.pi / 2)

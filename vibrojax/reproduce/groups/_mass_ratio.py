@@ -3,8 +3,8 @@
 import numpy as np
 
 from vibrojax.reproduce import _signal as signal
-from vibrojax.reproduce._entry import AGREES, DIFFERS, IN_TREND, Here, claim, trend
-from vibrojax.reproduce.groups._impact import change, is_single, listed
+from vibrojax.reproduce._entry import AGREES, DIFFERS, IN_TREND, Here, claim, listed, trend
+from vibrojax.reproduce.groups._impact import change, is_single
 
 BETAS = (0.25, 0.5, 0.6)
 SHARES = (0.1, 0.25, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)

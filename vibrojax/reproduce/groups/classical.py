@@ -4,10 +4,9 @@ import numpy as np
 
 from vibrojax.physics.contact import contact_time, restitution
 from vibrojax.reproduce import _signal as signal
-from vibrojax.reproduce._entry import Entry, Here, claim, number, within_range
+from vibrojax.reproduce._entry import Entry, Here, claim, listed, number, within_range
 from vibrojax.reproduce._group import Group, Picture
 from vibrojax.reproduce._needs import motion, struck
-from vibrojax.reproduce.groups._impact import listed
 from vibrojax.reproduce.pictures import classical as pictures
 
 NATURAL = 10.0

@@ -6,10 +6,9 @@ from vibrojax.laws import fit_rop
 from vibrojax.physics.contact import contact_time
 from vibrojax.physics.modes import empirical_frequency
 from vibrojax.reproduce import _signal as signal
-from vibrojax.reproduce._entry import DIFFERS, IN_TREND, Entry, Here, claim, not_compared, number, trend
+from vibrojax.reproduce._entry import DIFFERS, IN_TREND, Entry, Here, claim, listed, not_compared, number, trend
 from vibrojax.reproduce._group import Group, Picture
 from vibrojax.reproduce._needs import grid, lane, motion
-from vibrojax.reproduce.groups._impact import listed
 from vibrojax.reproduce.pictures import drill as pictures
 
 K1, K2, M2 = 246490.0, 55460.0, 100.0

@@ -4,10 +4,9 @@ import numpy as np
 
 from vibrojax.physics.friction import FRICTION_LAWS
 from vibrojax.reproduce import _signal as signal
-from vibrojax.reproduce._entry import Entry, Here, claim, trend
+from vibrojax.reproduce._entry import Entry, Here, claim, listed, trend
 from vibrojax.reproduce._group import Group, Picture
 from vibrojax.reproduce._needs import grid, motion
-from vibrojax.reproduce.groups._impact import listed
 from vibrojax.reproduce.pictures import friction as pictures
 
 SPEEDS = np.linspace(0.0, 5.0, 20001)

@@ -3,10 +3,9 @@
 import numpy as np
 
 from vibrojax.laws import fit_rop
-from vibrojax.reproduce._entry import AGREES, DIFFERS, IN_TREND, Entry, Here, claim, trend, within_range
+from vibrojax.reproduce._entry import AGREES, DIFFERS, IN_TREND, Entry, Here, claim, listed, trend, within_range
 from vibrojax.reproduce._group import Group, Picture
 from vibrojax.reproduce._needs import grid
-from vibrojax.reproduce.groups._impact import listed
 from vibrojax.reproduce.pictures import law as pictures
 
 _RUN = {"settle": 1.0, "observe": 1.0}
