@@ -35,6 +35,12 @@ def at(motion: xr.Dataset, name: str, times) -> np.ndarray:
     return np.interp(times, motion["time"].values, motion[name].values)
 
 
+def restitution(motion: xr.Dataset) -> float:
+    """The striker's velocity after its first blow over that before it."""
+    begin, end = events(motion, "impact")[0], events(motion, "release")[0]
+    return float(-at(motion, "v2", end) / at(motion, "v2", begin))
+
+
 def amplitude(motion: xr.Dataset, name: str, since: float, until: float = np.inf) -> float:
     """Half the swing."""
     return float(np.ptp(part(motion, name, since, until)) / 2)

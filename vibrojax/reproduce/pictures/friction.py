@@ -7,9 +7,8 @@ from matplotlib.patches import Patch
 from vibrojax.label import REGIMES
 from vibrojax.physics.friction import FRICTION_LAWS
 from vibrojax.plot import REGIME_COLOURS
+from vibrojax.reproduce._friction import LAWS, curve
 from vibrojax.reproduce.pictures._paper import FAINT, WIDTH, new_figure, styled
-
-LAWS = ("coulomb", "popp-exponential", "popp-arctan", "hyperbolic", "hyperbolic-quadratic", "stribeck")
 
 
 @styled
@@ -18,12 +17,10 @@ def curves():
     figure = new_figure(WIDTH, 3.6)
     speeds = np.linspace(0, 5, 1001)
     for axes, law in zip(figure.subplots(2, 3, sharex=True, sharey=True).ravel(), LAWS, strict=True):
-        found = FRICTION_LAWS[law]
-        p = {name: np.asarray(parameter.default) for name, parameter in found.parameters.items()}
-        mu = np.asarray(found.on_weight(speeds, p)) + 0 * speeds
+        mu = curve(law, speeds)
         axes.plot(np.concatenate([-speeds[::-1], speeds]), np.concatenate([-mu[::-1], mu]), linewidth=1.2)
         axes.axhline(0, color=FAINT, linewidth=0.5)
-        axes.set_title(f"{law} ({found.reference})", fontsize=8)
+        axes.set_title(f"{law} ({FRICTION_LAWS[law].reference})", fontsize=8)
         axes.set_ylim(-0.75, 0.75)
         axes.grid(True)
     figure.supxlabel("sliding speed u [m/s]", fontsize=9)
