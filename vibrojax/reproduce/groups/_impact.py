@@ -10,8 +10,6 @@ from vibrojax.reproduce._needs import Lane, Motion, lane, motion
 
 USUAL = ("R2", "R3", "R4", "R5")
 STIFF = {"k1": 625000.0}
-FREQUENCY = "2 %: the gap's sign and the start, which the source does not say, move it by 1 % each"
-CHANGE = "10 %: read off a plot to one or two digits"
 
 
 def at(settle: float = 40.0, start: str = "drive", **parameters) -> Lane:
@@ -73,10 +71,10 @@ def acceleration_at_impacts(motion, since: float) -> np.ndarray:
     return (later - before) / 2e-3
 
 
-def change_beside(source: float, others: tuple[str, ...] = ()):
+def change_beside(source: float, within: float, others: tuple[str, ...] = ()):
     def judge(one, *more):
         note = "; ".join(f"{name} {change(other):.2f}" for name, other in zip(others, more, strict=True))
-        return number(change(one), source, "m/s", 0.1, note)
+        return number(change(one), source, "m/s", within, note)
 
     return judge
 

@@ -26,7 +26,7 @@ def first_relief(*lanes) -> Here:
     if not found:
         return Here("nan", DIFFERS, "no slip")
     note = "lowest P/D with slip, of 10 to 40 Hz; it is proportional to the lowest frequency tried"
-    return number(100 * min(found), 12.0, "%", 0.1, note, trend=min(found) < 0.2)
+    return number(100 * min(found), 12.0, "%", 0.04, note, trend=min(found) < 0.2)
 
 
 def linear_in_frequency(*lanes) -> Here:
@@ -68,7 +68,7 @@ ENTRIES = (
         "only 12 %",
         _GRID_21,
         first_relief,
-        "10 %; in trend below 20 %",
+        "4 %: half a unit of its last digit; in trend below 20 %",
         PULSE,
     ),
     Entry(

@@ -26,13 +26,15 @@ _SINE = ("R22",)
 
 def _core_stiffness(name: str, source: float) -> Entry:
     area, length = np.pi * 0.027**2, 0.108
+    within = min(0.012, 0.1e9 / ROCKS[name].modulus)
     return Entry(
         f"table-4.5.{name}",
         f"{name}: stiffness of the core, 54 by 108 mm, from its Young's modulus",
         f"{source} kN/mm",
         (),
-        lambda: number(ROCKS[name].modulus * area / length / 1e6, source, "kN/mm", 0.012),
-        "1.2 %: the modulus has two digits",
+        lambda: number(ROCKS[name].modulus * area / length / 1e6, source, "kN/mm", within),
+        f"{100 * within:.2g} %: a unit of the modulus's last digit, which is cut (see R30)",
+        ("R30",),
     )
 
 

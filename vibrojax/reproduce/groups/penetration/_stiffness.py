@@ -85,7 +85,7 @@ ENTRIES = (
         "0.01 MN/m",
         tuple(pulses(k3=k3, force=150e3, zeta=0.5, frequency=10.0) for k3 in ONSETS),
         onset,
-        "50 %",
+        "50 %: half a unit of its one digit",
         ("R10", "R23"),
     ),
     Entry(

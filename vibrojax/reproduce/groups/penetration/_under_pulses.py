@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from vibrojax.reproduce._entry import ORDER, Entry, Here, claim, listed, trend, within_range
+from vibrojax.reproduce._entry import MOSTLY, ORDER, Entry, Here, claim, listed, trend, within_range
 from vibrojax.reproduce._needs import motion
 from vibrojax.reproduce.groups.penetration._pulsed import PULSE, pulses
 
@@ -87,7 +87,7 @@ ENTRIES = (
         "10 to 50 kN",
         (pulses(force=150e3, frequency=10.0), pulses(force=300e3, frequency=40.0)),
         mean_forces,
-        "within the range; in trend where they overlap",
+        MOSTLY,
         PULSE,
     ),
     Entry(

@@ -1,5 +1,5 @@
 """The readings that all parts rest on, and how well the source's frequencies can be read."""
 
 USUAL = ("R4", "R5")
-PERIOD = "1 %: a period of some 0.2 s read to 1 ms, printed to three digits"
-READ_OFF = "2 %: read off a spectrum with bins of some 0.1 Hz"
+PERIOD_WITHIN = 0.006
+PERIOD = "0.6 %: 1 ms of a period of some 0.25 s (Fig. 5.27 gives it to 1 ms), and half a unit of the third digit"
