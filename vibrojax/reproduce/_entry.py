@@ -95,7 +95,7 @@ def printed(value: float, source: str, unit: str, note: str = "", trend: bool = 
 def _beside(value: float, source: float, unit: str, agrees: bool, note: str, trend: bool) -> Here:
     off = value / source - 1
     verdict = AGREES if agrees else IN_TREND if trend else DIFFERS
-    beside = f"{off:+.1%}" if off < 10 else f"{shown(value / source)} times"
+    beside = "±0.0%" if abs(off) < 5e-4 else f"{off:+.1%}" if off < 10 else f"{shown(value / source)} times"
     return Here(" ".join(part for part in (shown(value), unit, f"({beside})") if part), verdict, note)
 
 

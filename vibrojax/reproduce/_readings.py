@@ -17,7 +17,7 @@ READINGS = {
     "R14": "a few cycles to settle: in the best region; elsewhere transients last minutes",
     "R15": "Figs 5.14 to 5.17 give no driving velocity: 1.5 m/s, and 0.5 and 3 m/s change nothing of it",
     "R16": "the source does not say what settled means: here all returns from then on repeat to 1 %",
-    "R17": "Figs 5.41 to 5.50 and appendix 5-3: c2 = 75 N s/m and v = 0.5 m/s wherever gamma is over 1",
+    "R17": "Figs 5.41 to 5.50 and appendix 5-3: c2 = 75 N s/m and v = 0.5 m/s wherever gamma is 1 or over",
     "R18": "a lobe of a phase portrait: a place farthest from its centre, faster than 0.4 of the greatest velocity; "
     "the small ones by the abscissa are not counted, as the source says",
     "R19": "Fig. 5.67's caption says beta 0.4, its Table 5.5 beta 0.3: read as 0.4; the other stands in the remark",

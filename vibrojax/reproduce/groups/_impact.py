@@ -51,7 +51,7 @@ def sticks(one, slower) -> Here:
     verdict = AGREES if _stick_slip(one) else DIFFERS
     held, backwards = slower["stick_fraction"], slower["reverse_fraction"]
     note = f"at v 0.5 m/s it sticks {held:.3f} of the time and slides backwards {backwards:.3f}"
-    return Here(f"{stick:.4f} of the time sticking, {back:.3f} sliding backwards", verdict, note)
+    return Here(f"{back:.3f} of the time sliding backwards, {stick:.4f} sticking", verdict, note)
 
 
 def sticks_at_some_speed(one, slower) -> Here:

@@ -17,6 +17,7 @@ from vibrojax.reproduce._entry import (
     not_compared,
     number,
     printed,
+    shown,
     trend,
 )
 from vibrojax.reproduce._group import Group, Picture
@@ -78,7 +79,7 @@ def _only_at_impact(moving) -> Here:
     for begin in signal.events(moving, "impact"):
         near |= (time >= begin - 1e-4) & (time <= begin + BLOW + 5e-3)
     share = float(growth[~near].sum() / growth.sum())
-    return trend(f"{share:.1e} of the hole grows away from impacts", share < 1e-6)
+    return trend(f"{shown(share)} of the hole grows away from impacts", share < 1e-6)
 
 
 def _over_gap(*lanes) -> Here:
@@ -237,7 +238,7 @@ GROUP = Group(
             for index, (k3, source) in enumerate(zip(STIFFNESSES, ("0.58", "0.73", "0.77"), strict=True))
         ),
         Entry(
-            "table-6.7.0",
+            "sec-6.6b",
             "highest impact force of Table 6.6",
             "470 kN",
             (OVER_SPEED,),
@@ -267,7 +268,9 @@ GROUP = Group(
             "1 % of the period, also with the bit's normal motion fed back",
             _USUAL,
         ),
-        Entry("sec-6.6", "contact of bit and rock", "no separation, 0 mm", (_drill(),), _in_contact, "0.01 mm", _USUAL),
+        Entry(
+            "sec-6.6a", "contact of bit and rock", "no separation, 0 mm", (_drill(),), _in_contact, "0.01 mm", _USUAL
+        ),
         Entry(
             "fig-6.37",
             "frequency with penetration beside that without",

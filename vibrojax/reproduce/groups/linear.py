@@ -3,7 +3,7 @@
 import numpy as np
 
 from vibrojax.physics.modes import empirical_frequency, natural_frequencies, striker
-from vibrojax.reproduce._entry import AGREES, DIFFERS, LAST_DIGIT, Entry, Here, claim, number, printed, trend
+from vibrojax.reproduce._entry import AGREES, DIFFERS, LAST_DIGIT, Entry, Here, claim, number, printed, shown, trend
 from vibrojax.reproduce._group import Group
 from vibrojax.reproduce.groups._table_5_3 import ROWS
 
@@ -40,7 +40,7 @@ def _roots() -> Here:
     matrix = np.array([[(156250.0 + k2) / 250.0, -k2 / 250.0], [-k2 / m2, k2 / m2]])
     found = np.sqrt(np.sort(np.linalg.eigvals(matrix).real))
     worst = np.abs(found / np.array(_modes(**TABLE_5_1)) - 1).max()
-    return claim(f"{worst:.0e} relative difference", worst < 1e-9)
+    return claim(f"{shown(worst)} relative difference", worst < 1e-9)
 
 
 def _without_impact() -> Here:
@@ -87,7 +87,7 @@ GROUP = Group(
             LAST_DIGIT,
         ),
         Entry(
-            "table-5.3-eq-5.16",
+            "eq-5.16c",
             "column of eq. 5.16 in Table 5.3",
             "25.0 to 95.1 rad/s",
             (),
@@ -96,7 +96,7 @@ GROUP = Group(
             ("R7",),
         ),
         Entry(
-            "table-5.3-eq-5.17",
+            "eq-5.17",
             "column of eq. 5.17 in Table 5.3",
             "25.0 to 94.7 rad/s",
             (),

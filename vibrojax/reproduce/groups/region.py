@@ -143,7 +143,7 @@ GROUP = Group(
             (*_USUAL, "R21"),
         ),
         Entry(
-            "sec-7",
+            "sec-7a",
             "single impact in beta 0.25 to 0.4, gamma 0.7 to 0.8, v 1.5",
             "all of it, 1",
             (INSIDE,),
@@ -170,7 +170,7 @@ GROUP = Group(
             _USUAL,
         ),
         Entry(
-            "sec-4.2",
+            "sec-5.4.2",
             "does a motion depend on how it is started, in the region",
             "always one limit cycle, 0",
             (INSIDE,),

@@ -132,7 +132,7 @@ ENTRIES = (
     Entry(
         "fig-5.68",
         "beta 0.3, gamma 0.6: stick, slip and impact in a cycle",
-        "all three (sticking over 0 of the time)",
+        "all three, and never backwards (0 of the time)",
         (at(beta=0.3, gamma=0.6), at(beta=0.3, gamma=0.6, v=0.5)),
         sticks_at_some_speed,
         "sticks over 0.1 % of the time and never slides backwards; in trend where it does so at v 0.5",

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from vibrojax.reproduce._entry import MOSTLY, ORDER, Entry, Here, claim, listed, trend, within_range
+from vibrojax.reproduce._entry import MOSTLY, ORDER, Entry, Here, claim, listed, shown, trend, within_range
 from vibrojax.reproduce._needs import motion
 from vibrojax.reproduce.groups.penetration._pulsed import PULSE, pulses
 
@@ -19,7 +19,7 @@ def staircase(moving) -> Here:
     growth = np.diff(moving["x4"].values)
     late = np.mod(moving["time"].values[:-1], 1 / 40) > 8e-3
     share = float(growth[late].sum() / growth.sum())
-    return trend(f"{share:.1e} of the hole grows later than 4 ms after a pulse", share < 1e-3)
+    return trend(f"{shown(share)} of the hole grows later than 4 ms after a pulse", share < 1e-3)
 
 
 def jumps(one) -> Here:

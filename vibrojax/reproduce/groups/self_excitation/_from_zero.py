@@ -217,7 +217,7 @@ ENTRIES = (
         (lane("rotary"),),
         reaches_the_drive,
         "it sticks at all",
-        USUAL,
+        ("R1", *USUAL),
     ),
     Entry(
         "fig-5.30",
@@ -253,6 +253,6 @@ ENTRIES = (
         (FROM_INSIDE,),
         static_friction,
         "0.2 %: sampled every 2 ms",
-        USUAL,
+        ("R1", *USUAL),
     ),
 )

@@ -111,7 +111,7 @@ ENTRIES = (
             (lane("rotary", gamma=gamma, **SLOW),),
             lambda one, most=most, least=least: lag(one, most, least),
             "within 0.3 rad of 0 or of pi: a twentieth of a cycle, as one sees it in a time history",
-            USUAL,
+            (*USUAL, "R17"),
         )
         for name, gamma, said, most, least in (
             ("fig-5.42", 1.0, "in counter-phase, 3.14 rad", np.pi, np.pi - 0.3),
@@ -127,7 +127,7 @@ ENTRIES = (
         tuple(LOBED.values()),
         lobes,
         "agreement where all are right, trend where all but one are",
-        (*USUAL, "R18"),
+        (*USUAL, "R17", "R18"),
     ),
     Entry(
         "fig-5.45",
@@ -136,7 +136,7 @@ ENTRIES = (
         (LOBED[3],),
         lambda one: claim(f"{signal.lobes(one)} lobes", signal.lobes(one) == 3),
         "the count",
-        (*USUAL, "R18"),
+        (*USUAL, "R17", "R18"),
     ),
     Entry(
         "fig-5.47",
@@ -145,7 +145,7 @@ ENTRIES = (
         tuple(lane("rotary", gamma=gamma, **SLOW) for gamma in (8.0, 8.5, 9.0)),
         equal,
         "3 %: what one tells apart in a phase portrait",
-        USUAL,
+        (*USUAL, "R17"),
     ),
     Entry(
         "fig-5.50a",
@@ -154,7 +154,7 @@ ENTRIES = (
         (TWO_FREQUENCIES,),
         lower,
         "1 %: the source itself has 6.14 and 6.2 Hz for it",
-        USUAL,
+        (*USUAL, "R17"),
     ),
     Entry(
         "fig-5.50b",
@@ -163,15 +163,15 @@ ENTRIES = (
         (TWO_FREQUENCIES,),
         higher,
         "the range",
-        USUAL,
+        (*USUAL, "R17"),
     ),
     Entry(
         "app-5.3",
         "beta 0.4, gamma 15, v 0.5, c2 75",
         "one limit cycle",
         (lane("rotary", beta=0.4, gamma=15.0, v=0.5, c2=75.0),),
-        lambda one: claim(f"{one['cycles']:.0f} returns to close", one["cycles"] == 1),
+        lambda one: claim(f"{one['cycles']:.0f} return to close", one["cycles"] == 1),
         "it repeats after one return to 0.1 %",
-        USUAL,
+        (*USUAL, "R17"),
     ),
 )
