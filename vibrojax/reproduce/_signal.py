@@ -41,6 +41,17 @@ def restitution(motion: xr.Dataset) -> float:
     return float(-at(motion, "v2", end) / at(motion, "v2", begin))
 
 
+def grown(motion: xr.Dataset, some) -> float:
+    """The share of the hole that grows in `some` of the steps from sample to sample.
+
+    **Raises:** `ValueError` where it does not grow at all.
+    """
+    growth = np.diff(motion["x4"].values)
+    if not growth.any():
+        raise ValueError("the hole does not grow")
+    return float(growth[some].sum() / growth.sum())
+
+
 def amplitude(motion: xr.Dataset, name: str, since: float, until: float = np.inf) -> float:
     """Half the swing."""
     return float(np.ptp(part(motion, name, since, until)) / 2)

@@ -6,7 +6,7 @@ from vibrojax.reproduce import _signal as signal
 from vibrojax.reproduce._entry import Entry, Here, claim, listed, trend
 from vibrojax.reproduce._friction import LAWS, curve
 from vibrojax.reproduce._group import Group, Picture
-from vibrojax.reproduce._needs import grid, motion
+from vibrojax.reproduce._needs import ALL_STARTS, grid, motion
 from vibrojax.reproduce.pictures import friction as pictures
 
 SPEEDS = np.linspace(0.0, 5.0, 20001)
@@ -14,7 +14,8 @@ _AXES = {
     "beta": np.round(np.arange(0.2, 0.801, 0.1), 2),
     "gamma": np.round(np.arange(0.5, 1.001, 0.1), 2),
 }
-MAPS = tuple(grid(f"regimes under {law}", "vibro-impact", _AXES, ("drive", "stuck"), friction=law) for law in LAWS)
+MAPS = tuple(grid(f"regimes under {law}", "vibro-impact", _AXES, ALL_STARTS, friction=law) for law in LAWS)
+"""From all starts, so that the source's own law needs no program of its own."""
 FALLING = {"coulomb": 1.5, "popp-exponential": 1.5, "popp-arctan": 0.5, "hyperbolic": 1.5, "hyperbolic-quadratic": 0.05}
 """A drive speed [m/s] on the falling branch of each law, where it has one."""
 FREE = {law: motion("rotary", 40.0, sampling=5e-3, friction=law, v=v) for law, v in FALLING.items()}

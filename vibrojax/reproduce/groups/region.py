@@ -4,11 +4,10 @@ import numpy as np
 
 from vibrojax.reproduce._entry import AGREES, DIFFERS, IN_TREND, VERDICTS, Entry, Here, claim
 from vibrojax.reproduce._group import Group, Picture
-from vibrojax.reproduce._needs import grid
+from vibrojax.reproduce._needs import ALL_STARTS, grid
 from vibrojax.reproduce._region import clean, coexisting, single, strong
 from vibrojax.reproduce.pictures import region as pictures
 
-STARTS = ("drive", "stuck", "touching")
 WIDE = grid(
     "region over beta and gamma",
     "vibro-impact",
@@ -18,7 +17,7 @@ WIDE = grid(
         "beta": np.round(np.arange(0.10, 1.2001, 0.05), 3),
         "gamma": np.round(np.arange(0.30, 1.2001, 0.05), 3),
     },
-    STARTS,
+    ALL_STARTS,
 )
 INSIDE = grid(
     "region over gap and speed",
@@ -29,7 +28,7 @@ INSIDE = grid(
         "beta": np.round(np.arange(0.25, 0.6001, 0.05), 3),
         "gamma": np.round(np.arange(0.60, 0.8001, 0.025), 4),
     },
-    STARTS,
+    ALL_STARTS,
 )
 
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from vibrojax.reproduce import _signal as signal
 from vibrojax.reproduce._entry import MOSTLY, ORDER, Entry, Here, claim, listed, shown, trend, within_range
 from vibrojax.reproduce._needs import motion
 from vibrojax.reproduce.groups.penetration._pulsed import PULSE, pulses
@@ -16,9 +17,7 @@ def _damped(zeta: float):
 
 def staircase(moving) -> Here:
     """The growth of the hole outside of a pulse and the 4 ms after it."""
-    growth = np.diff(moving["x4"].values)
-    late = np.mod(moving["time"].values[:-1], 1 / 40) > 8e-3
-    share = float(growth[late].sum() / growth.sum())
+    share = signal.grown(moving, np.mod(moving["time"].values[:-1], 1 / 40) > 8e-3)
     return trend(f"{shown(share)} of the hole grows later than 4 ms after a pulse", share < 1e-3)
 
 
