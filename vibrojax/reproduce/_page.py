@@ -13,15 +13,22 @@ from vibrojax.reproduce._style import STYLE
 from vibrojax.store.provenance import source
 
 _CLASSES = dict(zip(VERDICTS, ("differs", "uncompared", "trend", "agrees"), strict=True))
+_EXPLAINED = [name for finding in FINDINGS for name in finding.ids]
+_LEGEND = (
+    "Agrees: within the tolerance that stands beside the result, with its reason. Agrees in trend: the tendency that "
+    "the source shows is here too, but it gives no number for it, or ours is another one. Differs: what the source "
+    "says does not hold here. Cannot be compared: its text does not say enough."
+)
 
 
 def page(found: Reproduction) -> str:
     """The page as HTML text, pictures within it."""
     results = found.results
+    differing = sorted((one for one in results if one.here.verdict == DIFFERS), key=lambda one: _weight(one.entry.id))
     sections = [
         _head(found),
-        _findings([one.entry.id for one in results if one.here.verdict == DIFFERS]),
-        _first("What differs", [one for one in results if one.here.verdict == DIFFERS]),
+        _findings([one.entry.id for one in differing]),
+        _first("What differs", differing),
         _first("What cannot be compared", [one for one in results if one.here.verdict == NOT_COMPARED]),
         *(_group(*part) for part in found.groups),
         _readings(),
@@ -57,14 +64,19 @@ def _head(found: Reproduction) -> str:
         "from the same equations. Every number here is a simulation or a closed form of this run; none of the source's "
         "numbers goes into ours. What the source does not say was read in one way (R1, R2, ..., listed below), and the "
         "reading is named beside the result.</p>"
-        f'{quick}<ul class="score">{tiles}</ul><nav>{links}<a href="#readings">Readings</a></nav></header>'
+        f'{quick}<ul class="score">{tiles}</ul><p>{escape(_LEGEND)}</p>'
+        f'<nav>{links}<a href="#readings">Readings</a></nav></header>'
     )
+
+
+def _weight(name: str) -> int:
+    """Where a result stands among the findings, the weightiest first."""
+    return _EXPLAINED.index(name) if name in _EXPLAINED else len(_EXPLAINED)
 
 
 def _findings(differing: list[str]) -> str:
     """What the differences mean, each with the results that it explains; those of no finding come last."""
-    known = {name for finding in FINDINGS for name in finding.ids}
-    rest = Finding("Not explained:", tuple(name for name in differing if name not in known))
+    rest = Finding("Not explained:", tuple(name for name in differing if name not in _EXPLAINED))
     items = []
     for finding in (*FINDINGS, rest):
         links = [f'<a href="#{name}">{name}</a>' for name in finding.ids if name in differing]

@@ -63,17 +63,17 @@ def last_cycle(motion: xr.Dataset) -> tuple[float, float]:
     return float(times[-2]), float(times[-1])
 
 
-def lobes(motion: xr.Dataset, x: str = "x2", v: str = "v2") -> int:
-    """Lobes of the phase portrait in the last cycle: where the motion is farthest from the centre, and not slow (R18).
+def lobes(motion: xr.Dataset, abscissa: float = ABSCISSA) -> int:
+    """Lobes of the striker's phase portrait in the last cycle: farthest from the centre, and not slow (R18).
 
     Velocities are in units of position times the cycle's frequency.
     """
     begin, end = last_cycle(motion)
-    position, velocity = part(motion, x, begin, end), part(motion, v, begin, end)
+    position, velocity = part(motion, "x2", begin, end), part(motion, "v2", begin, end)
     centre = (position.max() + position.min()) / 2
     radius = np.hypot(position - centre, velocity * (end - begin) / (2 * np.pi))
     far = (radius > np.roll(radius, 1)) & (radius >= np.roll(radius, -1))
-    return int((far & (np.abs(velocity) > ABSCISSA * np.abs(velocity).max())).sum())
+    return int((far & (np.abs(velocity) > abscissa * np.abs(velocity).max())).sum())
 
 
 def envelope(motion: xr.Dataset, name: str, window: float) -> tuple[np.ndarray, np.ndarray]:

@@ -24,8 +24,9 @@ a { color: #0b5394; }
 .score .trend, tr.trend .verdict { color: var(--trend); }
 .score .uncompared, tr.uncompared .verdict { color: var(--uncompared); }
 .score .differs, tr.differs .verdict { color: var(--differs); }
-.findings { max-width: 54rem; padding-left: 1.4rem; }
+.findings { max-width: 54rem; padding-left: 2.2rem; }
 .findings li { margin: .5rem 0; }
+.findings small a { white-space: nowrap; }
 .findings small { font-family: ui-monospace, Consolas, monospace; }
 table { width: 100%; border-collapse: collapse; margin: 1rem 0; font-size: .92rem; }
 th { text-align: left; font-weight: 600; border-bottom: 2px solid var(--line); padding: .3rem .6rem; }
