@@ -61,7 +61,7 @@ footer { margin-top: 3rem; color: var(--faint); font-size: .85rem; }
   body { font-size: 8.5pt; line-height: 1.35; }
   main { max-width: none; padding: 0; }
   nav { display: none; }
-  p { max-width: none; orphans: 3; widows: 3; }
+  p { max-width: none; break-inside: avoid; }
   a { color: inherit; text-decoration: none; }
   table { table-layout: fixed; }
   th:first-child { width: 12%; }
@@ -71,7 +71,7 @@ footer { margin-top: 3rem; color: var(--faint); font-size: .85rem; }
   td.id, td.verdict, td[data-name] { min-width: 0; width: auto; }
   tr, li, dt, dd { break-inside: avoid; }
   h2 { break-after: avoid; margin-top: 1.5rem; }
-  h2 + p { break-after: avoid; }
+  section > p { break-after: avoid; }
   .pictures { grid-template-columns: 1fr 1fr; gap: .6rem; }
 }
 """

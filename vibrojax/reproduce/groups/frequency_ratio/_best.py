@@ -54,7 +54,7 @@ def rest(moving) -> Here:
     short, long = (1e3 * (time[1] - time[0]) * longest(still) for still in stills)
     return not_compared(
         f"{short:.1f} ms under a tenth of its greatest in flight",
-        f"what looks like zero depends on the axis, which the text has not: {long:.0f} ms under 2 % of that in the blow",
+        f"what looks like zero depends on the axis, not in the text: {long:.0f} ms under 2 % of that in the blow",
     )
 
 
