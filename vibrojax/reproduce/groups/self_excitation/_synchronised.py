@@ -27,7 +27,7 @@ def _row(index: int) -> Entry:
         (need,),
         lambda one: number(one.angular_frequency, row.simulation, "rad/s", PERIOD_WITHIN, _beside_5_16(row)),
         PERIOD,
-        (*USUAL, *(("R7",) if index == 10 else ())),
+        (*USUAL, *(("R7",) if index == 10 else ()), "R30"),
     )
 
 
