@@ -84,8 +84,8 @@ def printed(value: float, source: str, unit: str, note: str = "", trend: bool = 
     """A number beside one that the source prints: agreement within its last digit, from half a unit below it to a whole
     one above.
 
-    The source rounds, and it cuts: 29.34 rad/s, which are 4.67 Hz, are "4.6Hz on the graphs", and its moduli of 4.75,
-    8.27 and 10.57 GPa (their stiffness over the cores' area and length) are 4.7, 8.2 and 10.5 in Table 4.5.
+    The source cuts: all moduli of Table 4.5 and ten rows of eq. 5.16 in Table 5.3 are cut (R30), and 29.34 rad/s, which
+    are 4.67 Hz, are "4.6Hz on the graphs". That it always does is not known.
     """
     digit = 10.0 ** -len(source.partition(".")[2])
     off = (value - float(source)) / digit

@@ -31,6 +31,6 @@ READINGS = {
     "R27": "Table 6.7's blow: a half-sine of 470 kN as long as Table 6.6's contact lasts, on the bit alone",
     "R28": "misprints of 2.14 and 2.17 corrected, 2.16's coefficients chosen; driven where the law falls",
     "R29": "eqs. 5.6 to 5.8 print the root 1 - 2 xi², which should be 1 - xi²",
-    "R30": "last digits are cut: Table 4.5 has 4.7, 8.2, 10.5 GPa for 4.75, 8.27, 10.57; Table 5.3's eq. 5.16 27.8 for 27.87",
+    "R30": "last digits are cut: Table 4.5 has 4.7, 8.2, 10.5 GPa for 4.75, 8.27, 10.57; Table 5.3 27.8 for 27.87",
 }
 """By name."""
