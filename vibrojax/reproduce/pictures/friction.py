@@ -33,12 +33,15 @@ def regimes(*maps):
     """Regimes over beta and gamma under each law."""
     figure = new_figure(WIDTH, 4.2)
     colours = ListedColormap([REGIME_COLOURS[flag] for flag in range(len(REGIMES))])
-    for axes, ds, law in zip(figure.subplots(2, 3, sharex=True, sharey=True).ravel(), maps, LAWS, strict=True):
+    panels = figure.subplots(2, 3, sharex=True, sharey=True)
+    for axes, ds, law in zip(panels.ravel(), maps, LAWS, strict=True):
         regime = ds.regime.sel(start="drive").transpose("gamma", "beta")
         axes.pcolormesh(ds.beta, ds.gamma, regime, cmap=colours, vmin=-0.5, vmax=len(REGIMES) - 0.5)
         axes.set_title(law)
-    figure.supxlabel("mass ratio β", fontsize=9)
-    figure.supylabel("frequency ratio γ", fontsize=9)
+    for axes in panels[-1]:  # a label of the whole figure would lie under the legend
+        axes.set_xlabel("mass ratio β")
+    for axes in panels[:, 0]:
+        axes.set_ylabel("frequency ratio γ")
     shown = sorted({int(flag) for ds in maps for flag in np.unique(ds.regime)})
     handles = [Patch(facecolor=REGIME_COLOURS[flag], edgecolor=FAINT, label=REGIMES[flag]) for flag in shown]
     figure.legend(handles=handles, loc="outside lower center", ncols=4)
