@@ -5,6 +5,9 @@
 TABLE.md is that of the right equations, from `vibrojax reproduce`. `none` turns nothing round: nothing may turn red.
 
 Lanes that go wrong so much never end, so all are given up early; `none` shows that the right ones do not need more.
+
+Of the 189 results, 41 of which are red with the right equations: none 0, friction 94, contact 66, impact-friction 35 (the
+part of friction that a blow adds, by itself; without impact there is nothing of it).
 """
 
 import sys
