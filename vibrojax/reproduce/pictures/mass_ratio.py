@@ -1,13 +1,6 @@
 """Pictures of the influence of the mass ratio."""
 
-from vibrojax.reproduce.pictures._paper import (
-    beside,
-    draw_pair,
-    over_time,
-    strikers,
-    styled,
-    window,
-)
+from vibrojax.reproduce.pictures._paper import beside, draw_pair, over_time, strikers, styled, window
 
 
 @styled

@@ -5,15 +5,7 @@ import numpy as np
 from vibrojax.reproduce import _signal as signal
 from vibrojax.reproduce._entry import ORDER, Entry, Here, claim, listed, not_compared, number, trend
 from vibrojax.reproduce._needs import lane
-from vibrojax.reproduce.groups._impact import (
-    USUAL,
-    at,
-    change,
-    change_beside,
-    moving,
-    quickly,
-    sticks,
-)
+from vibrojax.reproduce.groups._impact import USUAL, at, change, change_beside, moving, quickly, sticks
 from vibrojax.reproduce.groups.frequency_ratio._points import OTHER_GAP, SLOW, USUAL_POINT
 
 WITHOUT = lane("rotary")
