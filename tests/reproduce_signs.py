@@ -1,13 +1,17 @@
 """How many results of the source turn red where one sign of the drill is wrong: over the whole registry, some minutes.
 
-Lanes that go wrong so much never end; they are given up early here.
+    python tests/reproduce_signs.py none|friction|contact|impact-friction TABLE.md
 
-    python tests/reproduce_signs.py friction|contact|impact-friction TABLE.md
+TABLE.md is that of the right equations, from `vibrojax reproduce`. `none` turns nothing round: nothing may turn red.
 
-TABLE.md is that of the right equations, from `vibrojax reproduce`.
+Lanes that go wrong so much never end, so all are given up early; `none` shows that the right ones do not need more.
+
+Of the 189 results, 41 of which are red with the right equations: none 0, friction 94, contact 66, impact-friction 35.
+The last is only the part of friction that a blow adds; without impact there is nothing of it.
 """
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 from vibrojax.reproduce import GROUPS, run_reproduction
@@ -38,10 +42,9 @@ def impact_friction(law, p, slip, state, impact):
     return bit + 2.0 * p["inverse_m1"] * (slip * law.on_impact(speed, p) * impact), striker
 
 
-WITHOUT_DRILL = ("linear", "penetration", "law", "classical")
+WITHOUT_DRILL = ("linear", "penetration", "law")
 """Groups that no sign of the drill can change."""
-
-SIGNS = {"friction": friction, "contact": contact, "impact-friction": impact_friction}
+SIGNS = {"none": _right, "friction": friction, "contact": contact, "impact-friction": impact_friction}
 
 
 def main(sign: str, path: str) -> None:
@@ -49,8 +52,9 @@ def main(sign: str, path: str) -> None:
     rows = [line.split("|") for line in Path(path).read_text().splitlines()[2:]]
     before = {cells[1].strip(): cells[5].strip() for cells in rows}
     _drill.accelerations = SIGNS[sign]
-    _passage.MOST_STEPS = 1e5
-    results = run_reproduction([group for group in GROUPS if group.name not in WITHOUT_DRILL]).results
+    _passage.MOST_STEPS, _passage.MOST_PER_SECOND = 1e4, 300.0
+    groups = [replace(group, pictures=()) for group in GROUPS if group.name not in WITHOUT_DRILL]
+    results = run_reproduction(groups).results
     turned = [one.entry.id for one in results if one.here.verdict == "differs" != before.get(one.entry.id)]
     print(f"{sign}: {len(turned)} of {len(before)} results turn red: {', '.join(turned)}")
 

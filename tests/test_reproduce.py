@@ -10,7 +10,18 @@ from wrong_signs import WRONG
 from vibrojax.cli import main
 from vibrojax.reproduce import GROUPS, VERDICTS, Entry, run_reproduction
 from vibrojax.reproduce._answers import Answers
-from vibrojax.reproduce._entry import AGREES, DIFFERS, IN_TREND, Unanswered, judged, number, trend, within_range
+from vibrojax.reproduce._entry import (
+    AGREES,
+    DIFFERS,
+    IN_TREND,
+    Unanswered,
+    judged,
+    number,
+    printed,
+    trend,
+    within_range,
+)
+from vibrojax.reproduce._findings import FINDINGS
 from vibrojax.reproduce._readings import READINGS
 from vibrojax.scenes import SCENES
 
@@ -64,9 +75,12 @@ def quick():
 
 @pytest.fixture(scope="module")
 def folder(quick, tmp_path_factory):
-    """What the command writes; the programs are compiled by then."""
+    """What the command writes of that run."""
     out = tmp_path_factory.mktemp("reproduction") / "made"
-    assert main(["reproduce", "--quick", "--quiet", "-o", str(out)]) == 0
+    asked = {"quick": True, "progress": False}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("vibrojax.reproduce.run_reproduction", lambda **given: quick if given == asked else None)
+        assert main(["reproduce", "--quick", "--quiet", "-o", str(out)]) == 0
     return out
 
 
@@ -82,6 +96,14 @@ def test_registry():
         assert "|" not in entry.id + entry.what + entry.source
         assert entry.what and entry.source and entry.tolerance
         assert set(entry.readings) <= set(READINGS), entry.id
+    assert {name for entry in ENTRIES.values() for name in entry.readings} == set(READINGS)
+
+
+def test_findings():
+    """Each result is explained once, and by its own name."""
+    explained = [name for finding in FINDINGS for name in finding.ids]
+    assert len(set(explained)) == len(explained)
+    assert set(explained) <= set(ENTRIES)
 
 
 def test_verdicts_of_numbers():
@@ -90,12 +112,23 @@ def test_verdicts_of_numbers():
     assert number(1.03, 1.0, "m", 0.02, trend=True).verdict == IN_TREND
     assert number(np.nan, 1.0, "m", 0.02).verdict == DIFFERS
     assert number(1.03, 1.0, "m", 0.02).text == "1.03 m (+3.0%)"
+    assert number(1.0, 1.0, "m", 0.02).text == "1 m (±0.0%)"
     assert number(35156.25, 35156.0, "N/m", 0.02).text.startswith("35156 N/m")
+
+
+def test_verdicts_of_printed_numbers():
+    """From half a unit of the last digit below, which is rounding, to a whole one above, which is cutting."""
+    for value, verdict in ((4.54, DIFFERS), (4.56, AGREES), (4.69, AGREES), (4.71, DIFFERS), (np.nan, DIFFERS)):
+        assert printed(value, "4.6", "Hz").verdict == verdict, value
+    assert printed(35156.9, "35156", "N/m").verdict == AGREES
+    assert printed(35157.2, "35156", "N/m").verdict == DIFFERS
+    assert printed(4.8, "4.6", "Hz", trend=True).verdict == IN_TREND
 
 
 def test_verdicts_of_ranges():
     assert within_range(2, 3, (1, 4), "m").verdict == AGREES
-    assert within_range(3, 5, (1, 4), "m").verdict == IN_TREND
+    assert within_range(3, 4.9, (1, 4), "m").verdict == IN_TREND
+    assert within_range(3, 5.1, (1, 4), "m").verdict == DIFFERS  # less than half of ours is in it
     assert within_range(5, 6, (1, 4), "m").verdict == DIFFERS
     assert within_range(np.nan, np.nan, (1, 4), "m").verdict == DIFFERS
 
@@ -173,6 +206,10 @@ def test_page(quick, folder):
         assert reference.startswith("data:image/png;base64,") or reference[0] == "#"
         assert reference[0] != "#" or reference[1:] in page.anchors
     assert page.tags.count("img") >= 1
+    differing = [result.entry.id for result in quick.results if result.here.verdict == DIFFERS]
+    assert all(text.count(f'id="{result.entry.id}"') == 1 for result in quick.results)
+    means = text[text.index("What the differences mean") : text.index("What differs")]
+    assert differing and all(f'href="#{name}"' in means for name in differing)
     first = quick.score[DIFFERS] + quick.score["cannot be compared"]
     assert page.tags.count("tr") == len(quick.results) + first + text.count("<thead>")
     assert text.index("What differs") < text.index(GROUPS[0].title + "</h2>")
@@ -190,7 +227,7 @@ def test_a_folder_that_cannot_be_made(tmp_path, capsys):
 
 @pytest.mark.parametrize("term", WRONG)
 def test_a_wrong_sign_is_seen(quick, monkeypatch, term):
-    """At least a third of the results with impact turn red; `tests/reproduce_signs.py` has all results.
+    """At least a third of the results with impact turn red; `tests/reproduce_signs.py` says how many of all do.
 
     Lanes that go wrong so much never end; few steps are enough to see it.
     """

@@ -8,6 +8,14 @@ VERDICTS = (DIFFERS, NOT_COMPARED, IN_TREND, AGREES)
 """In the order in which they are shown: what is wrong comes first."""
 
 
+MOSTLY = "within the range; in trend where more than half of ours is"
+"""The tolerance of `within_range`."""
+LAST_DIGIT = "its last digit, rounded or cut"
+"""The tolerance of `printed`."""
+ORDER = "the order"
+"""A tolerance: what is said to grow grows here, however much."""
+
+
 @dataclass(frozen=True)
 class Here:
     """What is found here: a text that begins with the number in the source's unit, the verdict, and a remark."""
@@ -69,17 +77,34 @@ def number(value: float, source: float, unit: str, within: float, note: str = ""
 
     `trend`: whether what the source concludes from it holds all the same.
     """
+    return _beside(value, source, unit, abs(value / source - 1) <= within, note, trend)
+
+
+def printed(value: float, source: str, unit: str, note: str = "", trend: bool = False) -> Here:
+    """A number beside one that the source prints: agreement within its last digit, from half a unit below it to a whole
+    one above.
+
+    The source cuts: all moduli of Table 4.5 and ten rows of eq. 5.16 in Table 5.3 are cut (R30), and 29.34 rad/s, which
+    are 4.67 Hz, are "4.6Hz on the graphs". That it always does is not known.
+    """
+    digit = 10.0 ** -len(source.partition(".")[2])
+    off = (value - float(source)) / digit
+    return _beside(value, float(source), unit, -0.5 <= off <= 1.0, note, trend)
+
+
+def _beside(value: float, source: float, unit: str, agrees: bool, note: str, trend: bool) -> Here:
     off = value / source - 1
-    verdict = AGREES if abs(off) <= within else IN_TREND if trend else DIFFERS
-    beside = f"{off:+.1%}" if off < 10 else f"{shown(value / source)} times"
+    verdict = AGREES if agrees else IN_TREND if trend else DIFFERS
+    beside = "±0.0%" if abs(off) < 5e-4 else f"{off:+.1%}" if off < 10 else f"{shown(value / source)} times"
     return Here(" ".join(part for part in (shown(value), unit, f"({beside})") if part), verdict, note)
 
 
-def within_range(low: float, high: float, source: tuple[float, float], unit: str, slack: float = 0.0, note="") -> Here:
-    """A range beside the source's: agreement where it lies within, in trend where the two overlap."""
-    least, most = source[0] * (1 - slack), source[1] * (1 + slack)
-    inside, overlaps = least <= low and high <= most, low <= most and high >= least
-    verdict = AGREES if inside else IN_TREND if overlaps else DIFFERS
+def within_range(low: float, high: float, source: tuple[float, float], unit: str, note: str = "") -> Here:
+    """A range beside the source's: agreement where it lies within, in trend where more than half of it does."""
+    least, most = source
+    inside = least <= low and high <= most
+    mostly = min(high, most) - max(low, least) > 0.5 * (high - low)
+    verdict = AGREES if inside else IN_TREND if mostly else DIFFERS
     text = f"{shown(low)} {unit}" if low == high else f"{shown(low)} to {shown(high)} {unit}"
     return Here(text, verdict, note)
 
@@ -105,3 +130,8 @@ def shown(value: float) -> str:
     if value and not 1e-3 <= abs(value) < 1e5:
         return f"{value:.3g}"
     return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.4g}"
+
+
+def listed(values, digits: int = 3) -> str:
+    """Numbers to so many digits, with commas between."""
+    return ", ".join(f"{value:.{digits}g}" for value in values)

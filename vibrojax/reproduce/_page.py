@@ -6,20 +6,29 @@ from html import escape
 from io import BytesIO
 
 from vibrojax.reproduce._entry import DIFFERS, NOT_COMPARED, VERDICTS
+from vibrojax.reproduce._findings import FINDINGS, Finding
 from vibrojax.reproduce._readings import READINGS
 from vibrojax.reproduce._run import Reproduction, Result
 from vibrojax.reproduce._style import STYLE
 from vibrojax.store.provenance import source
 
 _CLASSES = dict(zip(VERDICTS, ("differs", "uncompared", "trend", "agrees"), strict=True))
+_EXPLAINED = [name for finding in FINDINGS for name in finding.ids]
+_LEGEND = (
+    "Agrees: within the tolerance that stands beside the result, with its reason. Agrees in trend: the tendency that "
+    "the source shows is here too, but it gives no number for it, or ours is another one. Differs: what the source "
+    "says does not hold here. Cannot be compared: its text does not say enough."
+)
 
 
 def page(found: Reproduction) -> str:
     """The page as HTML text, pictures within it."""
     results = found.results
+    differing = sorted((one for one in results if one.here.verdict == DIFFERS), key=lambda one: _weight(one.entry.id))
     sections = [
         _head(found),
-        _first("What differs", [one for one in results if one.here.verdict == DIFFERS]),
+        _findings([one.entry.id for one in differing]),
+        _first("What differs", differing),
         _first("What cannot be compared", [one for one in results if one.here.verdict == NOT_COMPARED]),
         *(_group(*part) for part in found.groups),
         _readings(),
@@ -55,15 +64,31 @@ def _head(found: Reproduction) -> str:
         "from the same equations. Every number here is a simulation or a closed form of this run; none of the source's "
         "numbers goes into ours. What the source does not say was read in one way (R1, R2, ..., listed below), and the "
         "reading is named beside the result.</p>"
-        f'{quick}<ul class="score">{tiles}</ul><nav>{links}<a href="#readings">Readings</a></nav></header>'
+        f'{quick}<ul class="score">{tiles}</ul><p>{escape(_LEGEND)}</p>'
+        f'<nav>{links}<a href="#readings">Readings</a></nav></header>'
     )
+
+
+def _weight(name: str) -> int:
+    """Where a result stands among the findings, the weightiest first."""
+    return _EXPLAINED.index(name) if name in _EXPLAINED else len(_EXPLAINED)
+
+
+def _findings(differing: list[str]) -> str:
+    """What the differences mean, each with the results that it explains; those of no finding come last."""
+    rest = Finding("Not explained:", tuple(name for name in differing if name not in _EXPLAINED))
+    items = []
+    for finding in (*FINDINGS, rest):
+        links = [f'<a href="#{name}">{name}</a>' for name in finding.ids if name in differing]
+        items += [f"<li>{_text(finding.text)} <small>{', '.join(links)}</small></li>"] if links else []
+    return f'<section><h2>What the differences mean</h2><ol class="findings">{"".join(items)}</ol></section>'
 
 
 def _first(title: str, results: list[Result]) -> str:
     """Results of one verdict of all groups, with why."""
     if not results:
         return f"<section><h2>{title}</h2><p>Nothing.</p></section>"
-    return f"<section><h2>{title}</h2>{_results(results)}</section>"
+    return f"<section><h2>{title}</h2>{_results(results, 'linked')}</section>"
 
 
 def _group(group, results, figures) -> str:
@@ -87,20 +112,25 @@ def _figure(picture, figure) -> str:
     )
 
 
-def _results(results) -> str:
+def _results(results, ids: str = "anchors") -> str:
+    """A table of results; `ids`: whether theirs are `anchors`, or `linked` to where they are."""
     if not results:
         return ""
     head = "".join(f"<th>{name}</th>" for name in ("", "what", "source", "here", "verdict"))
-    return f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(map(_row, results))}</tbody></table>"
+    rows = "".join(_row(result, ids == "anchors") for result in results)
+    return f"<table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
 
 
-def _row(result: Result) -> str:
+def _row(result: Result, anchor: bool) -> str:
     entry, here = result.entry, result.here
+    name = escape(entry.id)
+    at, shown = (f' id="{name}"', name) if anchor else ("", f'<a href="#{name}">{name}</a>')
     links = " ".join(f'<a href="#{name}" title="{escape(READINGS[name])}">{name}</a>' for name in entry.readings)
     note = f'<p class="note">{_text(here.note)}</p>' if here.note else ""
-    told = f'<p class="tolerance">Counted as agreement: {escape(entry.tolerance)}. {links}</p>'
+    counted = "" if here.verdict == NOT_COMPARED else f"Counted as agreement: {escape(entry.tolerance)}. "
+    told = f'<p class="tolerance">{counted}{links}</p>'
     return (
-        f'<tr class="{_CLASSES[here.verdict]}"><td class="id">{escape(entry.id)}</td>'
+        f'<tr class="{_CLASSES[here.verdict]}"{at}><td class="id">{shown}</td>'
         f"<td>{escape(entry.what)}{note}{told}</td>"
         f'<td data-name="source">{escape(entry.source)}</td><td data-name="here">{_text(here.text)}</td>'
         f'<td class="verdict">{escape(here.verdict)}</td></tr>'

@@ -17,10 +17,11 @@ READINGS = {
     "R14": "a few cycles to settle: in the best region; elsewhere transients last minutes",
     "R15": "Figs 5.14 to 5.17 give no driving velocity: 1.5 m/s, and 0.5 and 3 m/s change nothing of it",
     "R16": "the source does not say what settled means: here all returns from then on repeat to 1 %",
-    "R17": "Figs 5.41 to 5.50 and appendix 5-3: c2 = 75 N s/m and v = 0.5 m/s wherever gamma is over 1",
+    "R17": "Figs 5.41 to 5.50 and appendix 5-3: c2 = 75 N s/m and v = 0.5 m/s wherever gamma is 1 or over",
     "R18": "a lobe of a phase portrait: a place farthest from its centre, faster than 0.4 of the greatest velocity; "
     "the small ones by the abscissa are not counted, as the source says",
     "R19": "Fig. 5.67's caption says beta 0.4, its Table 5.5 beta 0.3: read as 0.4; the other stands in the remark",
+    "R20": "zero acceleration: under a tenth of the greatest in flight",
     "R21": "a clean blow: one swing of the striker per cycle; a strong one: an impact velocity over that of the drive",
     "R22": "the swept sine's force, damping and threshold are not given: 60 kN +- 70 kN, zeta 0.3, D 150 kN, 20 Hz/s",
     "R23": "Table 6.2 and Fig. 6.15 give the stiffness at which slip begins as 0.01 MN/m, at which Fig. 6.14 has none",
@@ -30,6 +31,6 @@ READINGS = {
     "R27": "Table 6.7's blow: a half-sine of 470 kN as long as Table 6.6's contact lasts, on the bit alone",
     "R28": "misprints of 2.14 and 2.17 corrected, 2.16's coefficients chosen; driven where the law falls",
     "R29": "eqs. 5.6 to 5.8 print the root 1 - 2 xi², which should be 1 - xi²",
-    "R20": "zero acceleration: under a tenth of the greatest in flight",
+    "R30": "last digits are cut: Table 4.5 has 4.7, 8.2, 10.5 GPa for 4.75, 8.27, 10.57; Table 5.3 27.8 for 27.87",
 }
 """By name."""

@@ -35,6 +35,23 @@ def at(motion: xr.Dataset, name: str, times) -> np.ndarray:
     return np.interp(times, motion["time"].values, motion[name].values)
 
 
+def restitution(motion: xr.Dataset) -> float:
+    """The striker's velocity after its first blow over that before it."""
+    begin, end = events(motion, "impact")[0], events(motion, "release")[0]
+    return float(-at(motion, "v2", end) / at(motion, "v2", begin))
+
+
+def grown(motion: xr.Dataset, some) -> float:
+    """The share of the hole that grows in `some` of the steps from sample to sample.
+
+    **Raises:** `ValueError` where it does not grow at all.
+    """
+    growth = np.diff(motion["x4"].values)
+    if not growth.any():
+        raise ValueError("the hole does not grow")
+    return float(growth[some].sum() / growth.sum())
+
+
 def amplitude(motion: xr.Dataset, name: str, since: float, until: float = np.inf) -> float:
     """Half the swing."""
     return float(np.ptp(part(motion, name, since, until)) / 2)
@@ -46,17 +63,17 @@ def last_cycle(motion: xr.Dataset) -> tuple[float, float]:
     return float(times[-2]), float(times[-1])
 
 
-def lobes(motion: xr.Dataset, x: str = "x2", v: str = "v2") -> int:
-    """Lobes of the phase portrait in the last cycle: where the motion is farthest from the centre, and not slow (R18).
+def lobes(motion: xr.Dataset, abscissa: float = ABSCISSA) -> int:
+    """Lobes of the striker's phase portrait in the last cycle: farthest from the centre, and not slow (R18).
 
     Velocities are in units of position times the cycle's frequency.
     """
     begin, end = last_cycle(motion)
-    position, velocity = part(motion, x, begin, end), part(motion, v, begin, end)
+    position, velocity = part(motion, "x2", begin, end), part(motion, "v2", begin, end)
     centre = (position.max() + position.min()) / 2
     radius = np.hypot(position - centre, velocity * (end - begin) / (2 * np.pi))
     far = (radius > np.roll(radius, 1)) & (radius >= np.roll(radius, -1))
-    return int((far & (np.abs(velocity) > ABSCISSA * np.abs(velocity).max())).sum())
+    return int((far & (np.abs(velocity) > abscissa * np.abs(velocity).max())).sum())
 
 
 def envelope(motion: xr.Dataset, name: str, window: float) -> tuple[np.ndarray, np.ndarray]:

@@ -16,10 +16,18 @@ a { color: #0b5394; }
   margin: 1.2rem 0; padding: 0; }
 .score li { border: 1px solid var(--line); border-left: 5px solid; border-radius: 4px; padding: .5rem .8rem; }
 .score b { display: block; font-size: 1.9rem; line-height: 1.1; }
-.score .agrees, tr.agrees .verdict { border-color: var(--agrees); color: var(--agrees); }
-.score .trend, tr.trend .verdict { border-color: var(--trend); color: var(--trend); }
-.score .uncompared, tr.uncompared .verdict { border-color: var(--uncompared); color: var(--uncompared); }
-.score .differs, tr.differs .verdict { border-color: var(--differs); color: var(--differs); }
+.score .agrees { border-left-color: var(--agrees); }
+.score .trend { border-left-color: var(--trend); }
+.score .uncompared { border-left-color: var(--uncompared); }
+.score .differs { border-left-color: var(--differs); }
+.score .agrees, tr.agrees .verdict { color: var(--agrees); }
+.score .trend, tr.trend .verdict { color: var(--trend); }
+.score .uncompared, tr.uncompared .verdict { color: var(--uncompared); }
+.score .differs, tr.differs .verdict { color: var(--differs); }
+.findings { max-width: 54rem; padding-left: 2.2rem; }
+.findings li { margin: .5rem 0; }
+.findings small a { white-space: nowrap; }
+.findings small { font-family: ui-monospace, Consolas, monospace; }
 table { width: 100%; border-collapse: collapse; margin: 1rem 0; font-size: .92rem; }
 th { text-align: left; font-weight: 600; border-bottom: 2px solid var(--line); padding: .3rem .6rem; }
 td { vertical-align: top; border-bottom: 1px solid var(--line); padding: .45rem .6rem; overflow-wrap: anywhere; }
@@ -47,10 +55,23 @@ footer { margin-top: 3rem; color: var(--faint); font-size: .85rem; }
   td[data-name]::before { content: attr(data-name) ": "; color: var(--faint); }
 }
 @media print {
+  @page { size: A4; margin: 14mm 12mm; }
+  html { font-size: 8.5pt; }
+  * { print-color-adjust: exact; -webkit-print-color-adjust: exact; }
+  body { font-size: 8.5pt; line-height: 1.35; }
   main { max-width: none; padding: 0; }
   nav { display: none; }
-  body { font-size: 10pt; }
-  tr { break-inside: avoid; }
-  h2 { break-after: avoid; }
+  p { max-width: none; break-inside: avoid; }
+  a { color: inherit; text-decoration: none; }
+  table { table-layout: fixed; }
+  th:first-child { width: 12%; }
+  th:nth-child(3), th:nth-child(4) { width: 20%; }
+  th:last-child { width: 11%; }
+  td { padding: .25rem .5rem; }
+  td.id, td.verdict, td[data-name] { min-width: 0; width: auto; }
+  tr, li, dt, dd { break-inside: avoid; }
+  h2 { break-after: avoid; margin-top: 1.5rem; }
+  section > p { break-after: avoid; }
+  .pictures { grid-template-columns: 1fr 1fr; gap: .6rem; }
 }
 """

@@ -5,13 +5,11 @@ from dataclasses import replace
 import numpy as np
 
 from vibrojax.reproduce import _signal as signal
-from vibrojax.reproduce._entry import AGREES, DIFFERS, IN_TREND, Here, claim
+from vibrojax.reproduce._entry import AGREES, DIFFERS, IN_TREND, Here, claim, number
 from vibrojax.reproduce._needs import Lane, Motion, lane, motion
 
 USUAL = ("R2", "R3", "R4", "R5")
 STIFF = {"k1": 625000.0}
-FREQUENCY = "2 %: the gap's sign and the start, which the source does not say, move it by 1 % each"
-CHANGE = "10 %: read off a plot to one or two digits"
 
 
 def at(settle: float = 40.0, start: str = "drive", **parameters) -> Lane:
@@ -53,7 +51,7 @@ def sticks(one, slower) -> Here:
     verdict = AGREES if _stick_slip(one) else DIFFERS
     held, backwards = slower["stick_fraction"], slower["reverse_fraction"]
     note = f"at v 0.5 m/s it sticks {held:.3f} of the time and slides backwards {backwards:.3f}"
-    return Here(f"{stick:.4f} of the time sticking, {back:.3f} sliding backwards", verdict, note)
+    return Here(f"{back:.3f} of the time sliding backwards, {stick:.4f} sticking", verdict, note)
 
 
 def sticks_at_some_speed(one, slower) -> Here:
@@ -66,12 +64,24 @@ def _stick_slip(one) -> bool:
     return one["stick_fraction"] > 1e-3 and one["reverse_fraction"] == 0
 
 
-def listed(values, digits: int = 3) -> str:
-    return ", ".join(f"{value:.{digits}g}" for value in values)
-
-
 def acceleration_at_impacts(motion, since: float) -> np.ndarray:
     """The bit's acceleration [m/s²] in the two milliseconds before each impact."""
     times = signal.events(motion, "impact", since)
     before, later = (signal.at(motion, "v1", times - early) for early in (2.1e-3, 1e-4))
     return (later - before) / 2e-3
+
+
+def change_beside(source: float, within: float, others: tuple[str, ...] = ()):
+    def judge(one, *more):
+        note = "; ".join(f"{name} {change(other):.2f}" for name, other in zip(others, more, strict=True))
+        return number(change(one), source, "m/s", within, note)
+
+    return judge
+
+
+def counter_phase(one) -> Here:
+    return claim(f"{one['phase_lag']:.2f} rad behind the bit", abs(one["phase_lag"]) > np.pi / 2)
+
+
+def in_phase(one) -> Here:
+    return claim(f"{one['phase_lag']:.2f} rad behind the bit", abs(one["phase_lag"]) < np.pi / 2)

@@ -3,8 +3,8 @@
 import numpy as np
 
 from vibrojax.reproduce import _signal as signal
-from vibrojax.reproduce._entry import AGREES, DIFFERS, IN_TREND, Here, claim, trend
-from vibrojax.reproduce.groups._impact import change, is_single, listed
+from vibrojax.reproduce._entry import AGREES, DIFFERS, IN_TREND, Here, claim, listed, trend
+from vibrojax.reproduce.groups._impact import change, is_single
 
 BETAS = (0.25, 0.5, 0.6)
 SHARES = (0.1, 0.25, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
@@ -48,12 +48,14 @@ def all_single(*lanes) -> Here:
 def same_frequency(*lanes) -> Here:
     found = np.array([one.angular_frequency for one in lanes])
     return claim(
-        f"{100 * (found.max() / found.min() - 1):.1f} % between beta 0.25 and 0.6", np.ptp(found) < 0.05 * found.min()
+        f"{100 * (found.max() / found.min() - 1):.1f} % between beta 0.25 and 0.6", np.ptp(found) < 0.022 * found.min()
     )
 
 
 def settles_late(early, late) -> Here:
-    note = f"at 40 s it is still {early.regime}; settled after {late['settling_time']:.0f} s"
+    note = (
+        f"at 40 s it is {early.regime}, and creeps; returns differ by under 1 % from {late['settling_time']:.0f} s on"
+    )
     return claim(f"{late['cycles']:.0f} return to repeat, by 300 s", late["cycles"] == 1, note)
 
 
@@ -94,8 +96,7 @@ def neither(*lanes) -> Here:
         f"{one.regime} from `{start}`" for one, start in zip(lanes, ("drive", "stuck", "touching"), strict=True)
     )
     irregular = sum(one["cycles"] == 0 for one in lanes)
-    verdict = AGREES if irregular == len(lanes) else IN_TREND if irregular else DIFFERS
-    return Here(f"{irregular} of 3 starts not periodic by 40 s", verdict, regimes)
+    return claim(f"{irregular} of 3 starts not periodic by 40 s", lanes[0]["cycles"] == 0, regimes)
 
 
 def still_single(one, damped_less) -> Here:

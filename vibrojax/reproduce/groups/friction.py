@@ -2,41 +2,33 @@
 
 import numpy as np
 
-from vibrojax.physics.friction import FRICTION_LAWS
 from vibrojax.reproduce import _signal as signal
-from vibrojax.reproduce._entry import Entry, Here, claim, trend
+from vibrojax.reproduce._entry import Entry, Here, claim, listed, trend
+from vibrojax.reproduce._friction import LAWS, curve
 from vibrojax.reproduce._group import Group, Picture
-from vibrojax.reproduce._needs import grid, motion
-from vibrojax.reproduce.groups._impact import listed
+from vibrojax.reproduce._needs import ALL_STARTS, grid, motion
 from vibrojax.reproduce.pictures import friction as pictures
 
 SPEEDS = np.linspace(0.0, 5.0, 20001)
-LAWS = ("coulomb", "popp-exponential", "popp-arctan", "hyperbolic", "hyperbolic-quadratic", "stribeck")
 _AXES = {
     "beta": np.round(np.arange(0.2, 0.801, 0.1), 2),
     "gamma": np.round(np.arange(0.5, 1.001, 0.1), 2),
 }
-MAPS = tuple(grid(f"regimes under {law}", "vibro-impact", _AXES, ("drive", "stuck"), friction=law) for law in LAWS)
+MAPS = tuple(grid(f"regimes under {law}", "vibro-impact", _AXES, ALL_STARTS, friction=law) for law in LAWS)
+"""From all starts, so that the source's own law needs no program of its own."""
 FALLING = {"coulomb": 1.5, "popp-exponential": 1.5, "popp-arctan": 0.5, "hyperbolic": 1.5, "hyperbolic-quadratic": 0.05}
 """A drive speed [m/s] on the falling branch of each law, where it has one."""
 FREE = {law: motion("rotary", 40.0, sampling=5e-3, friction=law, v=v) for law, v in FALLING.items()}
 
 
-def curve(law: str, speeds: np.ndarray = SPEEDS) -> np.ndarray:
-    """mu at sliding speeds [m/s]."""
-    found = FRICTION_LAWS[law]
-    p = {name: np.asarray(parameter.default) for name, parameter in found.parameters.items()}
-    return np.asarray(found.on_weight(speeds, p)) + 0.0 * speeds
-
-
 def _constant() -> Here:
-    mu = curve("coulomb")
+    mu = curve("coulomb", SPEEDS)
     return claim(f"{np.ptp(mu):g} is the range of mu", np.ptp(mu) == 0)
 
 
 def _rises_then_falls(law: str):
     def judge() -> Here:
-        mu = curve(law)
+        mu = curve(law, SPEEDS)
         top = int(np.argmax(mu))
         holds = 0 < top < len(mu) - 1 and mu[-1] < 0.9 * mu[top]
         return trend(f"{SPEEDS[top]:.3f} m/s is where mu is greatest, {mu[top]:.3f}; {mu[-1]:.3f} at 5 m/s", holds)
@@ -45,13 +37,13 @@ def _rises_then_falls(law: str):
 
 
 def _falls() -> Here:
-    mu = curve("hyperbolic")
+    mu = curve("hyperbolic", SPEEDS)
     return trend(f"{mu[0]:.3f} at rest, {mu[-1]:.3f} at 5 m/s", bool(np.all(np.diff(mu) < 0)))
 
 
 def _falls_then_rises(law: str):
     def judge() -> Here:
-        mu = curve(law)
+        mu = curve(law, SPEEDS)
         low = int(np.argmin(mu))
         text = f"{SPEEDS[low]:.2f} m/s is where mu is least, {mu[low]:.3f}; {mu[0]:.3f} at rest"
         return trend(text, 0 < low < len(mu) - 1)
@@ -60,7 +52,7 @@ def _falls_then_rises(law: str):
 
 
 def _critical() -> Here:
-    mu = curve("stribeck")
+    mu = curve("stribeck", SPEEDS)
     low = int(np.argmin(mu))
     text = f"{SPEEDS[low]:.3f} m/s is where mu is least, {mu[low] / mu[0]:.4f} of that at rest"
     return claim(text, abs(SPEEDS[low] - 3) < 1e-3 and abs(mu[low] / mu[0] - 1 / 3) < 1e-6)

@@ -1,12 +1,13 @@
 """The law of the rate of penetration, eq. 6.4, and its constant C (chapter 6, section 5)."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from vibrojax.laws import fit_rop
-from vibrojax.reproduce._entry import AGREES, DIFFERS, IN_TREND, Entry, Here, claim, trend, within_range
+from vibrojax.reproduce._entry import AGREES, DIFFERS, IN_TREND, MOSTLY, Entry, Here, claim, listed, trend, within_range
 from vibrojax.reproduce._group import Group, Picture
 from vibrojax.reproduce._needs import grid
-from vibrojax.reproduce.groups._impact import listed
 from vibrojax.reproduce.pictures import law as pictures
 
 _RUN = {"settle": 1.0, "observe": 1.0}
@@ -16,6 +17,13 @@ C_MAP = grid(
     "penetration",
     {"pulse_width": (0.002, 0.004), "k3": (300e6, 500e6), "force": (200e3, 250e3, 300e3), "frequency": FREQUENCIES},
     zeta=0.6,
+    **_RUN,
+)
+DAMPINGS = (0.5, 0.6, 0.9, 1.1, 1.5)
+OVER_DAMPING = grid(
+    "rate constant over damping",
+    "penetration",
+    {"zeta": DAMPINGS, "k3": (300e6, 500e6), "force": (200e3, 250e3, 300e3), "frequency": FREQUENCIES},
     **_RUN,
 )
 SOFT_MAP = grid(
@@ -43,11 +51,16 @@ def _constants(ds, width: float) -> np.ndarray:
     return LISTED * fit.C.sel(form="onset").transpose("k3", "force").values
 
 
-def _range(ds) -> Here:
+def _range(ds, damped) -> Here:
     found, short = _constants(ds, 0.004), _constants(ds, 0.002)
-    note = f"in true rates {found.min() / LISTED:.4f} to {found.max() / LISTED:.4f} m/s; pulses of 2 ms give "
-    note += f"{np.nanmin(short):.3g} to {np.nanmax(short):.3g}" if np.isfinite(short).any() else "no slip"
-    return within_range(float(found.min()), float(found.max()), (0.046, 0.189), "m/s", note=note)
+    fit = fit_rop(damped, along="frequency", progress=False)
+    others = LISTED * fit.C.sel(form="onset")
+    extents = {zeta: (float(others.sel(zeta=zeta).min()), float(others.sel(zeta=zeta).max())) for zeta in DAMPINGS}
+    told = "; ".join(f"zeta {zeta}: {low:.3g} to {high:.3g}" for zeta, (low, high) in extents.items())
+    note = f"pulses of 2 ms give {np.nanmin(short):.3g} to {np.nanmax(short):.3g}; with 4 ms {told}"
+    here = within_range(float(found.min()), float(found.max()), (0.046, 0.189), "m/s", note)
+    any_damping = all(low >= 0.046 and high <= 0.189 for low, high in extents.values())
+    return here if any_damping or here.verdict != AGREES else replace(here, verdict=IN_TREND)
 
 
 def _of_force(ds) -> Here:
@@ -112,9 +125,9 @@ GROUP = Group(
             "eq-6.4a",
             "C for 200, 250, 300 kN and k3 300, 500 MN/m, in the listing's rate",
             "0.046 to 0.189",
-            (C_MAP,),
+            (C_MAP, OVER_DAMPING),
             _range,
-            "within the range; in trend where they overlap",
+            "the range at every damping of the source, zeta 0.5 to 1.5; in trend where that at zeta 0.6 is within it",
             _USUAL,
         ),
         Entry(
@@ -126,7 +139,15 @@ GROUP = Group(
             "over 2 times from 200 to 300 kN",
             _USUAL,
         ),
-        Entry("eq-6.4c", "C over the stiffness", "little effect", (C_MAP,), _of_stiffness, "under 25 %", _USUAL),
+        Entry(
+            "eq-6.4c",
+            "C over the stiffness",
+            "little effect",
+            (C_MAP,),
+            _of_stiffness,
+            "under 25 %, where the force makes over 100 %",
+            _USUAL,
+        ),
         Entry("eq-6.4d", "sign of C in the law as printed", "positive", (C_MAP,), _literal, "the sign", ("R9",)),
         Entry(
             "eq-6.4e",
@@ -156,12 +177,12 @@ GROUP = Group(
             (*_USUAL, "R24"),
         ),
         Entry(
-            "sec-7.1",
+            "sec-7b",
             "applied load compared with the threshold",
             "10 to 20 %",
             (C_MAP,),
             _thrust,
-            "within the range; in trend where they overlap",
+            MOSTLY,
             ("R10",),
         ),
     ),

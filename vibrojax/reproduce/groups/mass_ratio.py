@@ -99,7 +99,7 @@ GROUP = Group(
             "not affected, 0 %",
             BEST,
             judge.same_frequency,
-            "5 %",
+            "2.2 %: 0.1 Hz of 4.5, the last digit of the source's frequencies with impact",
             USUAL,
         ),
         Entry(
@@ -144,7 +144,7 @@ GROUP = Group(
             "1 in 1 cycle",
             (EQUAL, EQUAL_LATE, EQUAL_DAMPED_LESS),
             judge.equal_masses,
-            "the count; in trend where one impact is in the two returns of a repeat",
+            "the count; in trend where one impact is in each repeat, if that takes two returns",
             (*USUAL, "R14"),
         ),
         Entry(
@@ -162,7 +162,7 @@ GROUP = Group(
             "neither periodic nor synchronised",
             HEAVIER,
             judge.neither,
-            "agreement where no start repeats by 40 s, in trend where one does not",
+            "the source's own start, `drive`, does not repeat by 40 s",
             (*USUAL, "R6"),
         ),
         Entry(
@@ -191,7 +191,7 @@ GROUP = Group(
             "Fig. 5.80",
             "Phase portraits of the striker: its swing grows with the mass ratio.",
             PORTRAITS,
-            pictures.strikers,
+            pictures.by_mass,
         ),
         Picture(
             "Figs 5.78 and 5.81",

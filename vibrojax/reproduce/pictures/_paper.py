@@ -13,10 +13,10 @@ LINES = ("#004488", "#CC6677", "#8C6D1F", "#2E8B57", "#7A5195", "#56B4E9")
 """Colours of lines that are apart in greyscale too."""
 
 
-def stacked(rows: int, height: float = 1.5):
-    """A figure of `rows` panels over one abscissa."""
+def stacked(rows: int, height: float = 1.5, share: bool = True):
+    """A figure of `rows` panels, over one abscissa or each over its own."""
     figure = new_figure(WIDTH, 0.7 + height * rows)
-    return figure, figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0]
+    return figure, figure.subplots(rows, 1, sharex=share, squeeze=False)[:, 0]
 
 
 def beside(columns: int, height: float = 3.0, share: bool = False):
@@ -38,6 +38,50 @@ def draw_portrait(axes, motion, x: str, v: str, colour: str, since: float, drive
         x_mm, velocity = 1e3 * motion[x].values[part], motion[v].values[part] + drive
         axes.plot(x_mm[::stride], velocity[::stride], color=colour, rasterized=True, **look)
     axes.grid(True)
+
+
+def draw_pair(panels, motion, since: float, stride: int = 4) -> None:
+    """Phase portraits of bit and striker, in two panels."""
+    for axes, number, name, colour in zip(panels, "12", ("bit x₁", "striker x₂"), (BIT, STRIKER), strict=True):
+        draw_portrait(axes, motion, f"x{number}", f"v{number}", colour, since, stride=stride)
+        axes.set_xlabel(f"{name} [mm]")
+
+
+def pair(motion, since: float):
+    """A figure of the phase portraits of bit and striker."""
+    figure, panels = beside(2)
+    draw_pair(panels, motion, since)
+    panels[0].set_ylabel("velocity [m/s]")
+    return figure
+
+
+def strikers(motions, titles, since: float, share: bool = False, stride: int = 1):
+    """A figure of the striker's phase portraits from `since` [s] on, one panel for each motion."""
+    figure, panels = beside(len(motions), 2.6, share)
+    for axes, motion, title in zip(panels, motions, titles, strict=True):
+        draw_portrait(axes, motion.isel(time=window(motion, since)), "x2", "v2", STRIKER, since, stride=stride)
+        axes.set_title(title)
+        axes.set_xlabel("x₂ [mm]")
+    panels[0].set_ylabel("x₂′ [m/s]")
+    return figure
+
+
+LABELS = {"x1": "x₁ [mm]", "x2": "x₂ [mm]", "v1": "x₁′ [m/s]", "v2": "x₂′ [m/s]"}
+
+
+def over_time(rows, until: float, titles=None, height: float = 1.3, stride: int = 1):
+    """A figure of variables over time, one panel for each of `rows`, pairs of a motion and a name."""
+    figure, panels = stacked(len(rows), height)
+    for axes, (motion, name), title in zip(panels, rows, titles or [""] * len(rows), strict=True):
+        factor, colour = 1e3 if name[0] == "x" else 1.0, BIT if name[1] == "1" else STRIKER
+        values = factor * motion[name].values[::stride]
+        axes.plot(motion["time"].values[::stride], values, color=colour, linewidth=0.5, rasterized=True)
+        axes.set_title(title, loc="left")
+        axes.set_ylabel(LABELS[name])
+        axes.grid(True)
+    panels[-1].set_xlabel("time [s]")
+    panels[-1].set_xlim(0, until)
+    return figure
 
 
 def draw_stick(axes, motion, values: np.ndarray, inside: np.ndarray) -> None:

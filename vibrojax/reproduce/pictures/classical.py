@@ -12,9 +12,7 @@ XIS = (0.1, 0.3, 0.5, 0.7, 0.91)
 @styled
 def struck(*found):
     """Displacement over time of the three struck masses."""
-    figure, panels = stacked(3, 1.1)
-    figure.clear()
-    panels = figure.subplots(3, 1)
+    figure, panels = stacked(3, 1.1, share=False)
     cases = (("free, on an elastic stop", 0.0, 2.0), ("Tsaplin's hammer", 58.0, 60.0), ("thrown ball", 58.0, 60.0))
     for axes, one, (title, begin, end) in zip(panels, found, cases, strict=True):
         time, x = one.path
@@ -35,11 +33,7 @@ def restitutions(*motions):
     axes = figure.subplots()
     xi = np.linspace(0, 1, 200)
     axes.plot(xi, restitution(xi), color=INK, linewidth=1.1, label="closed form")
-    found = []
-    for one in motions:
-        begin, end = signal.events(one, "impact")[0], signal.events(one, "release")[0]
-        found.append(float(-signal.at(one, "v2", end) / signal.at(one, "v2", begin)))
-    axes.plot(XIS, found, "o", color=BIT, label="simulated blow")
+    axes.plot(XIS, [signal.restitution(one) for one in motions], "o", color=BIT, label="simulated blow")
     axes.set_xlabel("loss factor ξ")
     axes.set_ylabel("restitution R")
     axes.grid(True)

@@ -6,11 +6,9 @@ from vibrojax.reproduce.pictures._paper import (
     IMPACT,
     LINES,
     ROCK,
-    STRIKER,
     WIDTH,
-    beside,
-    draw_portrait,
     new_figure,
+    pair,
     stacked,
     styled,
     window,
@@ -54,9 +52,4 @@ def over_relief(ds):
 @styled
 def portraits(motion):
     """Phase portraits of bit and striker while drilling (Figs 6.35, 6.36)."""
-    figure, panels = beside(2)
-    for axes, number, colour in zip(panels, (1, 2), (BIT, STRIKER), strict=True):
-        draw_portrait(axes, motion, f"x{number}", f"v{number}", colour, 6.0, stride=4)
-        axes.set_xlabel(f"{'bit x₁' if number == 1 else 'striker x₂'} [mm]")
-    panels[0].set_ylabel("velocity [m/s]")
-    return figure
+    return pair(motion, 6.0)

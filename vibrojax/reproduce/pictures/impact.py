@@ -11,8 +11,9 @@ from vibrojax.reproduce.pictures._paper import (
     START_COLOURS,
     STRIKER,
     beside,
-    draw_portrait,
     draw_stick,
+    over_time,
+    pair,
     stacked,
     styled,
     window,
@@ -81,25 +82,13 @@ def working_cycle(motion):
 @styled
 def velocities(motion):
     """Velocities of bit and striker from zero (Fig. 5.53)."""
-    figure, panels = stacked(2, 1.4)
-    for axes, name, colour, label in zip(panels, ("v1", "v2"), (BIT, STRIKER), ("x₁′ [m/s]", "x₂′ [m/s]"), strict=True):
-        axes.plot(motion["time"], motion[name], color=colour, linewidth=0.6, rasterized=True)
-        axes.set_ylabel(label)
-        axes.grid(True)
-    panels[1].set_xlabel("time [s]")
-    panels[1].set_xlim(0, 6)
-    return figure
+    return over_time([(motion, "v1"), (motion, "v2")], 6.0)
 
 
 @styled
 def portraits(motion):
     """Phase portraits of bit and striker with impact (Figs 5.57, 5.68)."""
-    figure, panels = beside(2)
-    for axes, number, colour in zip(panels, (1, 2), (BIT, STRIKER), strict=True):
-        draw_portrait(axes, motion, f"x{number}", f"v{number}", colour, 10.0, stride=4)
-        axes.set_xlabel(f"{'bit x₁' if number == 1 else 'striker x₂'} [mm]")
-    panels[0].set_ylabel("velocity [m/s]")
-    return figure
+    return pair(motion, 10.0)
 
 
 @styled

@@ -74,13 +74,8 @@ def surfaces(ds):
     figure = new_figure(WIDTH, 3.4)
     for place, k3 in enumerate(ds.k3.values, start=1):
         axes = figure.add_subplot(1, 2, place, projection="3d")
-        force, frequency = np.meshgrid(ds.force / 1e3, ds.frequency, indexing="ij")
-        axes.plot_surface(force, frequency, 1e3 * ds.rate_of_penetration.sel(k3=k3).values, cmap="viridis")
-        axes.set_xlabel("force [kN]")
-        axes.set_ylabel("frequency [Hz]")
-        axes.set_zlabel("ROP [mm/s]")
+        _draw_surface(axes, ds.sel(k3=k3), "force", "force [kN]", -125)
         axes.set_title(f"k₃ = {k3 / 1e6:g} MN/m")
-        axes.view_init(25, -125)
     return figure
 
 
@@ -88,11 +83,15 @@ def surfaces(ds):
 def over_threshold(ds):
     """Rate of penetration over frequency and threshold (Fig. 6.23)."""
     figure = new_figure(WIDTH, 3.4)
-    axes = figure.add_subplot(projection="3d")
-    threshold, frequency = np.meshgrid(ds.threshold / 1e3, ds.frequency, indexing="ij")
-    axes.plot_surface(threshold, frequency, 1e3 * ds.rate_of_penetration.values, cmap="viridis")
-    axes.set_xlabel("threshold D [kN]")
+    _draw_surface(figure.add_subplot(projection="3d"), ds, "threshold", "threshold D [kN]", 35)
+    return figure
+
+
+def _draw_surface(axes, ds, name: str, label: str, turned: float) -> None:
+    """The rate over a force, by its name, and the frequency, seen from `turned` [degrees]."""
+    force, frequency = np.meshgrid(ds[name] / 1e3, ds.frequency, indexing="ij")
+    axes.plot_surface(force, frequency, 1e3 * ds.rate_of_penetration.values, cmap="viridis")
+    axes.set_xlabel(label)
     axes.set_ylabel("frequency [Hz]")
     axes.set_zlabel("ROP [mm/s]")
-    axes.view_init(25, 35)
-    return figure
+    axes.view_init(25, turned)

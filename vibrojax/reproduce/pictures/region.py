@@ -4,6 +4,7 @@ import numpy as np
 from matplotlib.colors import ListedColormap
 from matplotlib.patches import Patch, Rectangle
 
+from vibrojax.reproduce._region import coexisting, single, strong
 from vibrojax.reproduce.pictures._paper import FAINT, INK, LINES, WIDTH, new_figure, styled
 
 KINDS = ("none", "from some starts", "from every start", "and clean, strong")
@@ -17,8 +18,7 @@ def wide(ds):
     panels = figure.subplots(1, 2, sharey=True)
     for axes, delta in zip(panels, ds.delta.values, strict=True):
         part = ds.sel(delta=delta, v=1.5)
-        good = part.regime == 3
-        best = good & (part.striker_turns < 1.05) & (part.impact_velocity > part.v)
+        good, best = single(part), strong(part)
         kind = good.any("start").astype(int) + good.all("start").astype(int) + best.all("start").astype(int)
         kind = kind.transpose("gamma", "beta")
         axes.pcolormesh(part.beta, part.gamma, kind, cmap=ListedColormap(COLOURS), vmin=-0.5, vmax=3.5)
@@ -39,10 +39,7 @@ def over_gap(ds):
     figure = new_figure(WIDTH, 3.0)
     axes = figure.subplots()
     over = ("v", "beta", "gamma")
-    good = ds.regime == 3
-    best = good & (ds.striker_turns < 1.05) & (ds.impact_velocity > ds.v)
-    weakest, strongest = ds.impact_velocity.fillna(0).min("start"), ds.impact_velocity.where(good).max("start")
-    second = good.any("start") & (~good.all("start") | (weakest < 0.9 * strongest))
+    good, best, second = single(ds), strong(ds), coexisting(ds)
     gaps = 1e3 * ds.delta.values
     for start, colour in zip(ds.start.values, LINES, strict=False):
         axes.plot(

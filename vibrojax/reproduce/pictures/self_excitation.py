@@ -9,8 +9,10 @@ from vibrojax.reproduce.pictures._paper import (
     STRIKER,
     beside,
     draw_portrait,
+    over_time,
     spectrum,
     stacked,
+    strikers,
     styled,
     window,
 )
@@ -19,14 +21,7 @@ from vibrojax.reproduce.pictures._paper import (
 @styled
 def velocities(*motions):
     """Velocity of the bit over time, one panel for each drive speed (Figs 5.19 to 5.21)."""
-    figure, panels = stacked(len(motions), 1.2)
-    for axes, motion, v in zip(panels, motions, (0.5, 1.5, 2.5), strict=True):
-        axes.plot(motion["time"], motion["v1"], color=BIT, linewidth=0.4, rasterized=True)
-        axes.set_title(f"v = {v} m/s", loc="left")
-        axes.set_ylabel("x₁′ [m/s]")
-    panels[-1].set_xlabel("time [s]")
-    panels[-1].set_xlim(0, 40)
-    return figure
+    return over_time([(one, "v1") for one in motions], 40.0, [f"v = {v} m/s" for v in (0.5, 1.5, 2.5)])
 
 
 @styled
@@ -60,9 +55,7 @@ def settling(*lanes):
 @styled
 def friction_in_time(motion):
     """Friction force with its self-excitation, and with the velocity in the steady state (Figs 5.32, 5.33)."""
-    figure, panels = stacked(2, 1.6)
-    figure.clear()
-    panels = figure.subplots(2, 1)
+    figure, panels = stacked(2, 1.6, share=False)
     time = motion["time"].values
     panels[0].plot(time, motion["friction_force"], color=INK, linewidth=0.4, rasterized=True)
     panels[0].set_xlim(0, 12)
@@ -81,26 +74,13 @@ def friction_in_time(motion):
 @styled
 def decaying(*motions):
     """Decaying vibration at gamma 0.9 and 1.2 (Figs 5.39, 5.40)."""
-    figure, panels = stacked(2, 1.4)
-    for axes, motion, gamma in zip(panels, motions, (0.9, 1.2), strict=True):
-        axes.plot(motion["time"], motion["v1"], color=BIT, linewidth=0.6, rasterized=True)
-        axes.set_title(f"γ = {gamma}", loc="left")
-        axes.set_ylabel("x₁′ [m/s]")
-    panels[-1].set_xlabel("time [s]")
-    panels[-1].set_xlim(0, 30)
-    return figure
+    return over_time([(one, "v1") for one in motions], 30.0, [f"γ = {gamma}" for gamma in (0.9, 1.2)])
 
 
 @styled
 def lobed(*motions):
     """Phase portraits of the striker at gamma 3, 9 and 10 (Figs 5.44, 5.45, 5.47)."""
-    figure, panels = beside(3, 2.6)
-    for axes, motion, gamma in zip(panels, motions, (3, 9, 10), strict=True):
-        draw_portrait(axes, motion.isel(time=window(motion, 58.0)), "x2", "v2", STRIKER, 58.0)
-        axes.set_title(f"γ = {gamma}")
-        axes.set_xlabel("x₂ [mm]")
-    panels[0].set_ylabel("x₂′ [m/s]")
-    return figure
+    return strikers(motions, [f"γ = {gamma}" for gamma in (3, 9, 10)], 58.0)
 
 
 @styled
