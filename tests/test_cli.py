@@ -127,6 +127,15 @@ def test_an_interrupted_sweep_says_how_to_resume(calls, capsys, monkeypatch):
     assert capsys.readouterr().err == line
 
 
+@pytest.mark.parametrize("argv", [["sweep", "map.toml", "-o", "a b.nc"], ["simulate", "rotary", "-o", "a b.nc"]])
+def test_an_interrupted_picture_costs_no_more_than_itself(calls, capsys, monkeypatch, argv):
+    """The dataset is whole by then, and no chunk is left."""
+    failing("vibrojax.plot", "save_picture", KeyboardInterrupt(), monkeypatch)
+    assert main(argv) == 130
+    line = "vibrojax: interrupted; a b.nc is whole; for its picture: vibrojax plot 'a b.nc'\n"
+    assert capsys.readouterr().err == line
+
+
 def test_a_full_disk_is_one_line(calls, capsys, monkeypatch):
     failing("vibrojax.sweep", "run_to_file", OSError(28, "No space left on device", "map.nc"), monkeypatch)
     assert main(["sweep", "map.toml"]) == 1

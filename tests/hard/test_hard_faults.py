@@ -226,6 +226,20 @@ def test_ctrl_c_ends_within_a_second(folder, seconds):
     assert "interrupted; " in one_line(said)
 
 
+def test_sigterm_ends_as_cleanly_as_ctrl_c(folder, whole, cache):
+    """What a shutdown or a batch system's limit sends: one line on how to go on, status 128 + 15, and it does go on."""
+    process = started(folder, "sweep", "map.toml", "--quiet", **cache)
+    wait_for(lambda: len(chunks(folder)) >= 2, process)
+    process.send_signal(signal.SIGTERM)
+    status, said = ended(process)
+    kept = chunks(folder)
+    line = "vibrojax: terminated; finished chunks are kept; to go on: vibrojax sweep map.toml -o map.nc\n"
+    if not (folder / "map.nc").exists():  # else a fast machine had come to its picture, or to its end
+        assert (status, said) == (143, line) and len(kept) >= 2
+    assert run(folder, "sweep", "map.toml", "--quiet", **cache) == (0, "")
+    assert_same(folder / "map.nc", whole)
+
+
 CLOCK = """
 #define _GNU_SOURCE
 #include <dlfcn.h>
