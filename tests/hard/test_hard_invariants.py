@@ -118,7 +118,7 @@ def test_energy(motions):
     lost = sums["given"] - sums["spent"] - energy(*last) + energy(*first)
     size = sums["sizes"] + np.abs(sums["given"]) + energy(*first) + energy(*last)
     assert np.sum(np.abs(sums["given"]) > 1.0) > 100
-    assert not told(np.abs(lost) > 1e-7 * size), np.max(np.abs(lost) / size)
+    assert not told(np.abs(lost) > 1e-7 * size)
 
 
 def test_momenta(motions):
@@ -131,9 +131,9 @@ def test_momenta(motions):
     bit = p["m1"] * gain[1] + p["k1"] * sums["x1"] + apart + sums["F"]
     size = np.abs(sums["J"]) + np.abs(apart) + np.abs(p["c2"] * gain[2]) + p["m2"] * np.abs(gain[3])
     assert np.sum(sums["J"] > 1.0) > 80
-    assert not told(np.abs(striker) > 1e-7 * size), np.max(np.abs(striker) / size)
+    assert not told(np.abs(striker) > 1e-7 * size)
     size = np.abs(sums["F"]) + np.abs(p["k1"] * sums["x1"]) + p["m1"] * np.abs(gain[1])
-    assert not told(np.abs(bit) > 1e-7 * size), np.max(np.abs(bit) / size)
+    assert not told(np.abs(bit) > 1e-7 * size)
 
 
 def test_friction_brakes_and_the_contact_pushes(motions):
