@@ -248,7 +248,8 @@ def labelled() -> xr.Dataset:
             "error_estimate": (dims, errors),
         },
         coords={"beta": ("beta", [0.1, 0.2, 0.4], {"units": "1"}), "start": ["drive", "stuck"]},
-        attrs={"scene": "rotary", "title": "t", "sweep": "[run]\nerror = 1e-3\n", "lanes": 6, "wall_time_s": 2.0},
+        attrs={"scene": "rotary", "title": "t", "sweep": "[run]\nerror = 1e-3\n", "lanes": 6, "wall_time_s": 2.0}
+        | {"run": '{"settle": 40.0, "observe": 8.0}'},
     )
 
 
@@ -263,6 +264,7 @@ def test_info_tells_what_is_there():
         "accuracy  error_estimate median 1e-05, largest 0.005",
         "          66.67 % of 3 periodic lanes within the accepted 0.001",
         "wall time 2 s",
+        "run       settled for 40 s, observed for 8 s",
     ):
         assert line in text, text
 

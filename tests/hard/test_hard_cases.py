@@ -4,6 +4,7 @@ Those that take long are in `python tests/hard/check.py`, whose table is in the 
 """
 
 import csv
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -64,6 +65,13 @@ def test_exact_or_told(short):
         assert told in (None, changes), (case, changes, kind, remark)
         seen.add(kind)
     assert seen == {"exact", "flagged", "refused"}
+
+
+def test_the_file_says_how_long_lanes_settled(short):
+    """Labels depend on it; what the sweep leaves to defaults is there too."""
+    run = json.loads(short.attrs["run"])
+    expected = {"settle": 0.0, "observe": OBSERVE, "error": 1e-6, "end_early": True, "precision": "float64"}
+    assert expected.items() <= run.items()
 
 
 def test_a_lane_that_blows_up_leaves_its_neighbours_alone(short):
