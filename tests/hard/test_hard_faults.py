@@ -211,19 +211,23 @@ def test_two_processes_on_one_output(folder, whole):
     assert_same(folder / "map.nc", whole)
 
 
-@pytest.mark.parametrize("seconds", [1.5, 3.0])
-def test_ctrl_c_ends_within_a_second(folder, seconds):
-    """Also while jax is imported and while lanes compile; with how to go on."""
+@pytest.mark.parametrize(
+    ("sent", "seconds", "expected"),
+    [(signal.SIGINT, 1.5, (130, "interrupted; ")), (signal.SIGINT, 3.0, (130, "interrupted; "))]
+    + [(signal.SIGTERM, 3.0, (143, "terminated; "))],
+)
+def test_ctrl_c_ends_within_a_second(folder, sent, seconds, expected):
+    """Also while jax is imported and while lanes compile; with how to go on. SIGTERM does likewise."""
     process = started(folder, "sweep", "map.toml", "--quiet", "--fresh")
     time.sleep(seconds)
     began = time.monotonic()
-    process.send_signal(signal.SIGINT)
+    process.send_signal(sent)
     status, said = ended(process)
     took = time.monotonic() - began
     if status == 0:  # on a fast machine it had ended
         return
-    assert status == 130 and took < 1.0
-    assert "interrupted; " in one_line(said)
+    assert status == expected[0] and took < 1.0
+    assert expected[1] in one_line(said)
 
 
 def test_sigterm_ends_as_cleanly_as_ctrl_c(folder, whole, cache):
