@@ -17,7 +17,7 @@ POINTS = {
     "gamma": [0.75] * 32,
     "delta": [-0.005, 0.005] * 16,
 }
-ERROR = 1e-6
+ERROR = 1e-5
 SETTLE = {"short": 400.0, "twice": 800.0, "long": 4e4}  # s
 
 

@@ -34,8 +34,7 @@ SHORT = {
 
 
 def swept(cases, **run):
-    # The bounds are tighter than what the default error asks of the steps; what that gives is in the README.
-    run = {"settle": 0.0, "observe": OBSERVE, "error": 1e-6} | run
+    run = {"settle": 0.0, "observe": OBSERVE} | run
     return vj.run_sweep({"scene": "vibro-impact", "points": columns(cases, USUAL), "run": run}, progress=False)
 
 
@@ -70,7 +69,7 @@ def test_exact_or_told(short):
 def test_the_file_says_how_long_lanes_settled(short):
     """Labels depend on it; what the sweep leaves to defaults is there too."""
     run = json.loads(short.attrs["run"])
-    expected = {"settle": 0.0, "observe": OBSERVE, "error": 1e-6, "end_early": True, "precision": "float64"}
+    expected = {"settle": 0.0, "observe": OBSERVE, "error": 1e-4, "end_early": True, "precision": "float64"}
     assert expected.items() <= run.items()
 
 
