@@ -127,6 +127,15 @@ def test_an_interrupted_sweep_says_how_to_resume(calls, capsys, monkeypatch):
     assert capsys.readouterr().err == line
 
 
+@pytest.mark.parametrize("argv", [["sweep", "map.toml", "-o", "a b.nc"], ["simulate", "rotary", "-o", "a b.nc"]])
+def test_an_interrupted_picture_costs_no_more_than_itself(calls, capsys, monkeypatch, argv):
+    """The dataset is whole by then, and no chunk is left."""
+    failing("vibrojax.plot", "save_picture", KeyboardInterrupt(), monkeypatch)
+    assert main(argv) == 130
+    line = "vibrojax: interrupted; a b.nc is whole; for its picture: vibrojax plot 'a b.nc'\n"
+    assert capsys.readouterr().err == line
+
+
 def test_a_full_disk_is_one_line(calls, capsys, monkeypatch):
     failing("vibrojax.sweep", "run_to_file", OSError(28, "No space left on device", "map.nc"), monkeypatch)
     assert main(["sweep", "map.toml"]) == 1
@@ -239,7 +248,8 @@ def labelled() -> xr.Dataset:
             "error_estimate": (dims, errors),
         },
         coords={"beta": ("beta", [0.1, 0.2, 0.4], {"units": "1"}), "start": ["drive", "stuck"]},
-        attrs={"scene": "rotary", "title": "t", "sweep": "[run]\nerror = 1e-3\n", "lanes": 6, "wall_time_s": 2.0},
+        attrs={"scene": "rotary", "title": "t", "sweep": "[run]\nerror = 1e-3\n", "lanes": 6, "wall_time_s": 2.0}
+        | {"run": '{"settle": 40.0, "observe": 8.0}'},
     )
 
 
@@ -254,6 +264,7 @@ def test_info_tells_what_is_there():
         "accuracy  error_estimate median 1e-05, largest 0.005",
         "          66.67 % of 3 periodic lanes within the accepted 0.001",
         "wall time 2 s",
+        "run       settled for 40 s, observed for 8 s",
     ):
         assert line in text, text
 

@@ -4,6 +4,8 @@ Those that take long are in `python tests/hard/check.py`, whose table is in the 
 """
 
 import csv
+import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +13,7 @@ import pytest
 from cases import DRILL, USUAL, bound_of, columns, lanes, reference, verdict
 
 import vibrojax as vj
+from vibrojax.sweep import Chunks
 from vibrojax.sweep._stiff import too_slow, too_stiff
 
 SWEEPS = Path(__file__).parents[2] / "sweeps"
@@ -63,6 +66,13 @@ def test_exact_or_told(short):
     assert seen == {"exact", "flagged", "refused"}
 
 
+def test_the_file_says_how_long_lanes_settled(short):
+    """Labels depend on it; what the sweep leaves to defaults is there too."""
+    run = json.loads(short.attrs["run"])
+    expected = {"settle": 0.0, "observe": OBSERVE, "error": 1e-4, "end_early": True, "precision": "float64"}
+    assert expected.items() <= run.items()
+
+
 def test_a_lane_that_blows_up_leaves_its_neighbours_alone(short):
     """Bit for bit, wherever it stands in the block."""
     without = {name: [point for point in points if point != {"gamma": 1e155}] for name, points in SHORT.items()}
@@ -93,6 +103,19 @@ def test_what_creeps_below_the_roundings_is_refused():
     for precision, expected in (("float32", [False, True, False]), ("float64", [False] * 3)):
         sweep = vj.read_sweep(grid | {"run": {"precision": precision}})
         assert too_slow(sweep, sweep.lane_values(0, 3)[0]).tolist() == expected
+
+
+def test_a_lane_is_given_up_in_float32_too():
+    """After 1e6 steps and 1000 a second: in 2e4 s beyond 2^24, where a float32 plus one is itself."""
+    sweep = vj.read_sweep(
+        {"scene": "rotary", "starts": ["stuck"], "grid": {"v": [1.5]}, "run": {"precision": "float32"}}
+    )
+    programs = Chunks(sweep).programs
+    before = 2**24 - 10
+    programs.most_steps = before + 20 - 1000 * (sweep.run.settle + sweep.run.observe)
+    still = programs.start(0, 1, Chunks(sweep).accuracy)
+    [passage] = programs.settle([replace(still, steps=still.steps + np.asarray(before, still.steps.dtype))])
+    assert before + 20 <= passage.steps[0] < before + 30
 
 
 @pytest.mark.parametrize("changes", [{}, {"k0": 1e9, "c0": 1e3}, {"delta": -0.02, "start": "drive"}])

@@ -211,19 +211,37 @@ def test_two_processes_on_one_output(folder, whole):
     assert_same(folder / "map.nc", whole)
 
 
-@pytest.mark.parametrize("seconds", [1.5, 3.0])
-def test_ctrl_c_ends_within_a_second(folder, seconds):
-    """Also while jax is imported and while lanes compile; with how to go on."""
+@pytest.mark.parametrize(
+    ("sent", "seconds", "expected"),
+    [(signal.SIGINT, 1.5, (130, "interrupted; ")), (signal.SIGINT, 3.0, (130, "interrupted; "))]
+    + [(signal.SIGTERM, 3.0, (143, "terminated; "))],
+)
+def test_ctrl_c_ends_within_a_second(folder, sent, seconds, expected):
+    """Also while jax is imported and while lanes compile; with how to go on. SIGTERM does likewise."""
     process = started(folder, "sweep", "map.toml", "--quiet", "--fresh")
     time.sleep(seconds)
     began = time.monotonic()
-    process.send_signal(signal.SIGINT)
+    process.send_signal(sent)
     status, said = ended(process)
     took = time.monotonic() - began
     if status == 0:  # on a fast machine it had ended
         return
-    assert status == 130 and took < 1.0
-    assert "interrupted; " in one_line(said)
+    assert status == expected[0] and took < 1.0
+    assert expected[1] in one_line(said)
+
+
+def test_sigterm_ends_as_cleanly_as_ctrl_c(folder, whole, cache):
+    """What a shutdown or a batch system's limit sends: one line on how to go on, status 128 + 15, and it does go on."""
+    process = started(folder, "sweep", "map.toml", "--quiet", **cache)
+    wait_for(lambda: len(chunks(folder)) >= 2, process)
+    process.send_signal(signal.SIGTERM)
+    status, said = ended(process)
+    kept = chunks(folder)
+    line = "vibrojax: terminated; finished chunks are kept; to go on: vibrojax sweep map.toml -o map.nc\n"
+    if not (folder / "map.nc").exists():  # else a fast machine had come to its picture, or to its end
+        assert (status, said) == (143, line) and len(kept) >= 2
+    assert run(folder, "sweep", "map.toml", "--quiet", **cache) == (0, "")
+    assert_same(folder / "map.nc", whole)
 
 
 CLOCK = """
@@ -255,10 +273,11 @@ def test_ctrl_c_and_a_clock_that_jumps(folder, whole, cache):
     wait_for(lambda: len(chunks(folder)) >= 2, process)
     process.send_signal(signal.SIGINT)
     status, said = ended(process)
-    line = "vibrojax: interrupted; finished chunks are kept; to go on: vibrojax sweep map.toml -o map.nc\n"
-    assert status == 130 and said.endswith(line)
     kept = chunks(folder)
     done = (folder / "map.nc").exists()  # a fast machine had come to its picture
+    lines = ["vibrojax: interrupted; map.nc is whole; for its picture: vibrojax plot map.nc\n"] * done
+    lines.append("vibrojax: interrupted; finished chunks are kept; to go on: vibrojax sweep map.toml -o map.nc\n")
+    assert status == 130 and said.endswith(tuple(lines))
     for index, name in enumerate(kept):
         os.utime(folder / "map.nc.chunks" / name, (0, 0) if index % 2 else (4102444800, 4102444800))
     status, said = run(folder, "sweep", "map.toml", "--quiet", **bent, **cache)

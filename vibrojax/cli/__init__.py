@@ -4,6 +4,7 @@ Nothing heavy is imported until a command runs, so that `--help` answers at once
 """
 
 import os
+import signal
 import sys
 from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Sequence
@@ -12,7 +13,7 @@ from vibrojax.cli import accuracy, fit, info, plot, reproduce, simulate, sweep
 from vibrojax.errors import InputError
 from vibrojax.threads import apart
 
-DONE, FAILED, BAD_INPUT, INTERRUPTED, PIPE_CLOSED = 0, 1, 2, 130, 141
+DONE, FAILED, BAD_INPUT, INTERRUPTED, PIPE_CLOSED, TERMINATED = 0, 1, 2, 130, 141, 143
 
 _COMMANDS = {
     "sweep": sweep,
@@ -25,6 +26,10 @@ _COMMANDS = {
 }
 
 
+class Terminated(KeyboardInterrupt):
+    """The process was asked to end (SIGTERM), by a shutdown or a batch system's limit; it ends as after Ctrl-C."""
+
+
 class _Parser(ArgumentParser):
     """Wrong arguments are bad input like any other: one line, status 2."""
 
@@ -35,8 +40,10 @@ class _Parser(ArgumentParser):
 
 def command() -> None:
     """The process `vibrojax`: run it and leave."""
+    if signal.getsignal(signal.SIGTERM) == signal.SIG_DFL:  # who started it may have chosen that it be ignored
+        signal.signal(signal.SIGTERM, _terminate)
     status = main(do=apart)
-    if status in (INTERRUPTED, BAD_INPUT):
+    if status in (INTERRUPTED, TERMINATED, BAD_INPUT):
         # Threads may still be at their lanes, or at a file that has no end: nobody waits for them.
         sys.stderr.flush()
         os._exit(status)
@@ -46,8 +53,8 @@ def command() -> None:
 def main(argv: Sequence[str] | None = None, do: Callable[[Callable], object] = lambda work: work()) -> int:
     """Run the command with the arguments `argv` (None: the process's); `do` does the work.
 
-    Returns the exit status: 0 done, 2 bad input, 130 interrupted, 1 where the machine failed (a full disk), 141 where
-    the reader of the output went away.
+    Returns the exit status: 0 done, 2 bad input, 130 interrupted, 143 terminated, 1 where the machine failed (a full
+    disk), 141 where the reader of the output went away.
     """
     options = Namespace(command=None, how_to_resume="")
     try:
@@ -64,8 +71,9 @@ def main(argv: Sequence[str] | None = None, do: Callable[[Callable], object] = l
         return int(leaving.code or 0)
     except InputError as error:
         return _say(str(error), BAD_INPUT)
-    except KeyboardInterrupt:
-        return _say(f"interrupted; {options.how_to_resume or 'run the same command again'}", INTERRUPTED)
+    except KeyboardInterrupt as end:
+        told, status = ("terminated", TERMINATED) if isinstance(end, Terminated) else ("interrupted", INTERRUPTED)
+        return _say(f"{told}; {options.how_to_resume or 'run the same command again'}", status)
     except BrokenPipeError:
         # What is left in the buffer would raise again while Python leaves.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -85,6 +93,10 @@ def _parser() -> ArgumentParser:
         summary = command.__doc__.splitlines()[0].rstrip(".")
         command.arguments(commands.add_parser(name, help=summary, description=summary, allow_abbrev=False))
     return parser
+
+
+def _terminate(*_: object) -> None:
+    raise Terminated
 
 
 def _and_then(problem: str, options: Namespace) -> str:

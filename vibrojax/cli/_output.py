@@ -1,8 +1,10 @@
 """What a command writes: checked before any work, and drawn after it."""
 
 import os
+import shlex
 import sys
 import tempfile
+from argparse import Namespace
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -35,6 +37,11 @@ def output(path: str | Path, endings: Sequence[str] = (".nc",)) -> Path:
 def picture_beside(path: Path) -> Path:
     """The picture that lies beside the dataset at `path`, as one that can be written."""
     return output(path.with_suffix(".png"), PICTURES)
+
+
+def written(options: Namespace, out: Path) -> None:
+    """From here on an interrupt costs no more than the picture of the dataset at `out`."""
+    options.how_to_resume = f"{out} is whole; for its picture: {shlex.join(['vibrojax', 'plot', str(out)])}"
 
 
 def drawn(dataset: object, picture: Path) -> str:

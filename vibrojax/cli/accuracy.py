@@ -7,7 +7,7 @@ import shlex
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from vibrojax.cli._output import PICTURES, output
+from vibrojax.cli._output import PICTURES, output, written
 from vibrojax.errors import InputError, shown
 
 _NAMES = ("accuracy.nc", "accuracy.md", "accuracy.png")
@@ -32,6 +32,7 @@ def run(options: Namespace) -> None:
     dataset = run_accuracy(quick=options.quick, progress=not options.quiet)
     write_dataset(dataset, dataset_path)
     table_path.write_text(table(dataset), encoding="utf-8")
+    written(options, dataset_path)
     save_picture(dataset, picture_path)
     if not options.quiet:
         print(f"{table_path}: {dataset.sizes['setting']} settings; dataset {dataset_path}, picture {picture_path}")

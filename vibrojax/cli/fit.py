@@ -9,7 +9,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import Any
 
-from vibrojax.cli._output import drawn, output, picture_beside
+from vibrojax.cli._output import drawn, output, picture_beside, written
 
 _GROUPS_SHOWN = 12
 
@@ -31,6 +31,7 @@ def run(options: Namespace) -> None:
 
     fit = fit_rop(options.file, options.along, options.by or (), progress=False)
     write_dataset(fit, out)
+    written(options, out)
     told = drawn(fit, picture)
     print("\n".join([*tables(fit), "", *verdict(fit), f"{out}{told}"]))
 

@@ -1,5 +1,6 @@
 """Tell what a dataset holds: scene, grid, regimes, failures, accuracy, provenance."""
 
+import json
 import tomllib
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
@@ -29,6 +30,7 @@ def describe(dataset: Any) -> list[str]:
     lines.append(("grid", _grid(dataset)))
     if "lanes" in attributes:
         lines.append(("lanes", [str(attributes["lanes"])]))
+    lines.append(("run", _times(attributes.get("run", ""))))
     lines += [
         ("regimes", _regimes(dataset)),
         ("failures", _failures(dataset)),
@@ -41,6 +43,15 @@ def describe(dataset: Any) -> list[str]:
         lines.append(("wall time", [f"{float(attributes['wall_time_s']):.3g} s"]))
     shown = (f"{name if first else '':<10}{text}" for name, texts in lines for first, text in _marked(texts))
     return [line.rstrip() for line in shown]
+
+
+def _times(text: str) -> list[str]:
+    """How long lanes settled and were observed, on which their labels depend."""
+    try:
+        run = json.loads(text)
+        return [f"settled for {run['settle']:g} s, observed for {run['observe']:g} s"]
+    except (ValueError, KeyError, TypeError):
+        return []
 
 
 def _marked(texts: list[str]) -> list[tuple[bool, str]]:

@@ -3,7 +3,7 @@
 import json
 from argparse import ArgumentParser, Namespace
 
-from vibrojax.cli._output import drawn, output, picture_beside
+from vibrojax.cli._output import drawn, output, picture_beside, written
 from vibrojax.errors import Place, shown
 
 # Settings of the run, which are no parameters of a scene.
@@ -43,6 +43,7 @@ def run(options: Namespace) -> None:
     start = {} if point.start is None else {"start": point.start}
     dataset = simulate(point.scene, **start, **settings, **point.options, **point.parameters, progress=True)
     write_dataset(dataset, out)
+    written(options, out)
     print(f"{out}{drawn(dataset, picture)}")
 
 

@@ -4,7 +4,7 @@ import shlex
 from argparse import ArgumentParser, Namespace
 
 from vibrojax.amounts import size_text, time_text
-from vibrojax.cli._output import drawn, output, picture_beside
+from vibrojax.cli._output import drawn, output, picture_beside, written
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -32,6 +32,7 @@ def run(options: Namespace) -> None:
     command = shlex.join(["vibrojax", "sweep", options.sweep, "-o", str(out)])
     options.how_to_resume = f"finished chunks are kept; to go on: {command}"
     dataset = run_to_file(sweep, out, resume=not options.fresh, progress=not options.quiet)
+    written(options, out)
     told = drawn(dataset, picture)
     if not options.quiet:
         print(f"{out}: {sweep.lanes} lanes{told}")

@@ -55,7 +55,7 @@ def pass_by(scene, p, carry: dict, lane, step) -> dict:
     there = keep(jnp.stack([value(place1, at1), value(place2, at1), value(velocity2, at1)]))
     swing1 = _widened(carry["swing1"], jnp.where(turns1, there[0], x1))
     swing2 = _widened(carry["swing2"], jnp.where(turns2, value(place2, at2), x2))
-    armed = keep(carry["armed"] | (_lowest(velocity1, step) < -ARMED_BELOW * p["v"]))
+    armed = keep(carry["armed"] | (lowest(velocity1, step.tau) < -ARMED_BELOW * p["v"]))
     overtakes = keep(turns1 & (velocity1[0] < 0) & armed)
     since = carry["since"] + step.dt
     left = step.dt - at1 * step.h
@@ -112,7 +112,7 @@ def observe(carry: dict) -> dict:
 def step(scene, p, carry: dict, lane, step) -> dict:
     """Take in a step: extremes since the last return, and whether it ends on the section."""
     x1, _, x2, _ = lane.state[:4]
-    armed = keep(carry["armed"] | (_lowest(step.polynomials[1], step) < -ARMED_BELOW * p["v"]))
+    armed = keep(carry["armed"] | (lowest(step.polynomials[1], step.tau) < -ARMED_BELOW * p["v"]))
     overtakes = step.hits[scene.bit_turn] & ~step.falling[0] & armed
     return carry | {
         "armed": armed,
@@ -124,9 +124,9 @@ def step(scene, p, carry: dict, lane, step) -> dict:
     }
 
 
-def _lowest(velocity, step):
-    """Least value on the step, by the parabola through its ends and its middle."""
-    start, middle, end = velocity[0], value(velocity, step.tau / 2), value(velocity, step.tau)
+def lowest(velocity, tau):
+    """Least value of a velocity from 0 to `tau`, by the parabola through its ends and its middle."""
+    start, middle, end = velocity[0], value(velocity, tau / 2), value(velocity, tau)
     bend, fall = start + end - 2 * middle, 3 * start + end - 4 * middle
     # A step not taken is flat: 0/0 is no number, and no turn.
     share = fall / (4 * bend)

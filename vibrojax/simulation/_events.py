@@ -1,8 +1,9 @@
 """When the bit sticks and slips, when impacts begin and end, and when the section is passed."""
 
+import jax.numpy as jnp
 import numpy as np
 
-from vibrojax.measure.section import ARMED_BELOW
+from vibrojax.measure.section import ARMED_BELOW, lowest
 
 KINDS = ("none", "stick", "slip", "impact", "release", "section")
 """Meaning of the flags of `event_kind`."""
@@ -34,11 +35,14 @@ def events(scene, p, record) -> tuple[np.ndarray, np.ndarray]:
 
 def _sections(scene, p, record) -> np.ndarray:
     """Steps that end on the section: x1' rises through zero, having been below -0.05 v since the last one."""
-    v1 = record.after[:, 1]
     rises = record.hits[:, scene.bit_turn] & ~record.falling[:, 0]
-    armed, passed = False, np.zeros(len(v1), bool)
-    low = v1 < -ARMED_BELOW * float(np.ravel(p["v"])[0])
+    armed, passed = False, np.zeros(len(rises), bool)
+    # A step taken for a mere switch has no length, and nothing falls in it.
+    tau = np.where(record.dt > 0, record.dt / np.where(record.h > 0, record.h, 1), 0)
+    velocity = [jnp.asarray(c) for c in record.polynomials[:, 1].T]
+    low = np.asarray(lowest(velocity, jnp.asarray(tau))) < -ARMED_BELOW * float(np.ravel(p["v"])[0])
     for index in np.flatnonzero(rises | low):
+        armed = armed or low[index]
         passed[index] = rises[index] and armed
-        armed = (armed or low[index]) and not passed[index]
+        armed = armed and not passed[index]
     return passed

@@ -1,6 +1,7 @@
 """One lane, step by step: every step's polynomial is kept, so that the motion can be read at any time."""
 
 from functools import partial
+from math import ceil
 from typing import NamedTuple
 
 import jax
@@ -11,7 +12,7 @@ from vibrojax.errors import InputError
 from vibrojax.stepping import lane_at
 
 BATCH = 4096
-MOST_BATCHES = 2500
+MOST_STEPS = 2500 * BATCH
 
 
 class Record(NamedTuple):
@@ -31,15 +32,15 @@ class Record(NamedTuple):
     falling: np.ndarray
 
 
-def record(scene, method, p, state, settings, duration, told=None) -> Record:
+def record(scene, method, p, state, settings, duration, told=None, most_steps=MOST_STEPS) -> Record:
     """Step one lane, of shape (1,), from t = 0 to `duration` [s]; `told(t)` hears how far it is.
 
-    Raises `InputError` where that takes over ten million steps.
+    Raises `InputError` where that takes over `most_steps`, ten million unless there is no room for so many.
     """
     p = scene.scaled(p, state)
     lane = lane_at(scene, p, state)
     parts = []
-    for _ in range(MOST_BATCHES):
+    for _ in range(ceil(most_steps / BATCH)):
         lane, part = _batch(scene, method, p, lane, settings, duration)
         parts.append(jax.tree.map(np.asarray, part))
         if told:
@@ -49,7 +50,11 @@ def record(scene, method, p, state, settings, duration, told=None) -> Record:
             taken = whole.dt > 0
             taken |= whole.hits.any(axis=1)
             return Record(*(x[taken] for x in whole))
-    raise InputError(f"{BATCH * MOST_BATCHES} steps were not enough; the contact is too stiff for this duration")
+    reached = float(lane.clock.high[0])
+    raise InputError(
+        f"simulate: duration: {most_steps} steps, all there is room for, led to {reached:.3g} s of "
+        f"{float(duration):g} s; give a shorter duration, or a softer contact"
+    )
 
 
 @partial(jax.jit, static_argnames=("scene", "method"))

@@ -7,14 +7,15 @@ import numpy as np
 import xarray as xr
 
 from vibrojax.devices import precision
-from vibrojax.errors import InputError, Place
+from vibrojax.errors import Place
 from vibrojax.physics.parameters import positive
 from vibrojax.simulation._events import events
 from vibrojax.simulation._record import record, sample
+from vibrojax.simulation._size import check_size
 from vibrojax.simulation._trajectory import forces, holes, trajectory_dataset
 from vibrojax.stepping import Located, Smoothed
 from vibrojax.stepping.adaptive import adaptive_trajectory, solver_named
-from vibrojax.sweep import RunSettings, accuracy_for, quantity, read_point
+from vibrojax.sweep import RunSettings, accuracy_for, quantity, read_point, unresolved
 
 METHODS = ("located", "smoothed", "diffrax")
 MOST_SAMPLES = 2_000_000
@@ -51,7 +52,7 @@ def simulate(
     **Returns:** a dataset along `time`: x1, v1, x2, v2, friction_force, impact_force [N], stuck; with rock also x3, x4,
     v3, rock_force and applied_force [N]; and along `event` the times and kinds of what happened (not with diffrax).
 
-    **Raises:** `InputError` where a name or value is not right.
+    **Raises:** `InputError` where a name or value is not right, or, before any work, the steps or samples are too many.
     """
     place = Place("simulate")
     point = read_point(place, scene, parameters, start)
@@ -65,6 +66,8 @@ def simulate(
     duration, error = _positive(place, "duration", duration, "s"), _positive(place, "error", error, "1")
     step, smoothing = _positive(place, "step", step, "s"), _positive(place, "smoothing", smoothing, "m s-1")
     sampling = _positive(place, "sampling", sampling, "s")
+    if duration < np.finfo(float).tiny:  # the clock takes it for zero
+        raise place.at("duration").error(f"{duration:g} s is no time; give a longer one")
     if method == "diffrax" and "rock" in point.machine.modes:
         raise place.at("method").error('"diffrax" knows no rock that yields; choose from located, smoothed')
     told = _teller(duration) if progress and sys.stderr.isatty() else None
@@ -74,13 +77,17 @@ def simulate(
         refusal = machine.refused(p)
         if refusal is not None and bool(refusal[1][0]):
             raise place.error(f"the point cannot be run: {refusal[0].replace('-', ' ')}")
+        if method == "located" and "gamma" in p and bool(unresolved(point.parameters, "float64")):
+            advice = "give a smaller k0, c0, c2 or gamma, or a greater beta"
+            raise place.error(f"the point cannot be run: too stiff, so that nothing moves in a step; {advice}")
         p = dict(machine.constants(p))
-        times = _times(machine, p, duration, sampling)
+        times = _times(place, machine, p, duration, sampling)
         state = machine.start(p, point.start, (1,))
         run = RunSettings(
             method="located" if method == "located" else "smoothed", error=error, step=step, smoothing=smoothing
         )
         accuracy = accuracy_for(run, machine)
+        most_steps = check_size(place, machine, p, duration, accuracy, method, len(times))
         happened, hole = {}, {}
         if method == "diffrax":
             states, modes, steps = _adaptive(
@@ -88,7 +95,7 @@ def simulate(
             )
         else:
             stepper = Located() if method == "located" else Smoothed()
-            taken = record(machine, stepper, p, state, accuracy.settings(), jnp.asarray(duration), told)
+            taken = record(machine, stepper, p, state, accuracy.settings(), jnp.asarray(duration), told, most_steps)
             states, modes, step_of = sample(taken, times)
             steps = len(taken.dt)
             hole = holes(machine, p, taken, states, modes, step_of)
@@ -106,19 +113,22 @@ def _positive(place: Place, name: str, value, unit: str):
     return None if value is None else quantity(place.at(name), value, positive(name, 1.0, unit, name, name))
 
 
-def _times(machine, p, duration, sampling) -> np.ndarray:
+def _times(place: Place, machine, p, duration: float, sampling: float | None) -> np.ndarray:
+    """Times [s] of the samples, evenly from 0 to the end."""
     if sampling is None:
         sampling = 1e-3
         if hasattr(machine, "contact_time"):
             sampling = min(sampling, float(machine.contact_time(p)[0]) / 20)
         if "rock" in machine.modes:
             sampling = min(sampling, 0.2 * float(jnp.sqrt(p["m1"] / p["k3"])[0]))
-        sampling = max(sampling, duration / MOST_SAMPLES)
-    count = round(duration / sampling)
-    if not 1 <= count <= MOST_SAMPLES:
-        raise InputError(
-            f"simulate: sampling: {sampling:g} s gives {count} samples; between 1 and {MOST_SAMPLES} are needed"
+        sampling = min(max(sampling, duration / MOST_SAMPLES), duration)
+    intervals = duration / sampling
+    if not 0.5 < intervals <= MOST_SAMPLES:
+        raise place.at("sampling").error(
+            f"{sampling:g} s gives {intervals:.7g} samples in {duration:g} s; between 1 and {MOST_SAMPLES} are needed, "
+            f"so {duration / MOST_SAMPLES:.3g} to {duration:g} s"
         )
+    count = round(intervals)
     return np.arange(count + 1) * (duration / count)
 
 

@@ -13,4 +13,6 @@ from vibrojax.sweep._run import run_sweep as run_sweep
 from vibrojax.sweep._run import run_to_file as run_to_file
 from vibrojax.sweep._settings import RunSettings as RunSettings
 from vibrojax.sweep._size import check_size as check_size
+from vibrojax.sweep._size import memory as memory
+from vibrojax.sweep._stiff import unresolved as unresolved
 from vibrojax.sweep._sweep import Sweep as Sweep

@@ -1,6 +1,7 @@
 """From the features of lanes to the labelled dataset of a sweep (contract: dataset)."""
 
 import json
+from dataclasses import asdict
 from datetime import UTC, datetime
 
 import numpy as np
@@ -40,6 +41,7 @@ def dataset_of(sweep: Sweep, features: dict, solver: dict, wall_time: float) -> 
         "source": source(),
         "history": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} sweep {sweep.name}",
         "sweep": sweep.text,
+        "run": json.dumps(_settings(sweep)),
         "parameters": json.dumps(sweep.parameters),
         **sweep.options,
         "solver": json.dumps(solver),
@@ -80,6 +82,11 @@ def _labelled(sweep: Sweep, features: dict) -> dict:
     check = {name: features[f"check_{name}"] for name in LABELLED_BY if f"check_{name}" in features}
     both = {"regime": features, "check_regime": check}
     return {name: label(found, rest, values["m1"], values["g"], values["k1"]) for name, found in both.items()}
+
+
+def _settings(sweep: Sweep) -> dict:
+    """The table [run] with what the text leaves to defaults, since labels depend on the times; not the chunk."""
+    return {name: value for name, value in asdict(sweep.run).items() if value is not None and name != "chunk"}
 
 
 def _certified(sweep: Sweep, features: dict) -> dict:

@@ -69,8 +69,10 @@ class Programs:
         parameters = {name: x.astype(self._dtype) for name, x in values.items()}
         none = np.zeros(last - first, self._dtype)
         run = self.sweep.run
+        # Counted in integers: float32 has no number after 2^24, at which such a lane would stay for ever.
+        steps = np.zeros(last - first, np.int32)
         passage = Passage(
-            accuracy, parameters, start.astype(np.int32), none + run.settle, none + run.observe, None, none, none
+            accuracy, parameters, start.astype(np.int32), none + run.settle, none + run.observe, None, steps, steps
         )
 
         def program(count, some):
@@ -124,8 +126,8 @@ class Programs:
     def _settings(self, accuracy: Accuracy) -> dict:
         run = self.sweep.run
         asked = (run.settle + run.observe) * (MOST_PER_SECOND + 2 / accuracy.step)
-        settings = {"most_steps": self.most_steps + asked}
-        return {name: np.asarray(x, self._dtype) for name, x in (settings | accuracy.settings()).items()}
+        settings = {name: np.asarray(x, self._dtype) for name, x in accuracy.settings().items()}
+        return settings | {"most_steps": np.int32(min(self.most_steps + asked, 2**31 - 1))}
 
     def _through(self, passages, program, told: Told = lambda lanes: None) -> list:
         """What `program` gives for the lanes of each passage, run a few blocks at a time."""

@@ -13,20 +13,32 @@ MOST_STEPS = 1e7
 def too_stiff(sweep: Sweep, p: dict) -> np.ndarray:
     """Which lanes of parameters `p`, each (lanes,), are faster than can be resolved; booleans (lanes,).
 
-    The springs and the damper bound the fastest rate in flight, sqrt((k1 + k2)/m1 + k2/m2) + c2/m2, and with k0 and c0
-    in contact. 1/rate is the time that a step takes: what the bit on its main spring does meanwhile must not vanish in
-    the roundings of the run's precision, and the steps of the flight must come to an end.
+    Those of [vibrojax.sweep._stiff.unresolved][], and those whose steps of the flight do not come to an end.
     """
     if "gamma" not in p or sweep.run.method != "located":
         return np.zeros(sweep.lanes, bool)
-    m2, k2 = (np.asarray(x) for x in striker(p))
+    flight, contact = _rates(p)
     with np.errstate(all="ignore"):
-        flight = np.sqrt((p["k1"] + k2) / p["m1"] + k2 / m2) + p["c2"] / m2
-        contact = np.sqrt(p["k0"] / m2) + p["c0"] / m2 if "k0" in p else 0.0
-        slow = np.sqrt(p["k1"] / p["m1"])
-        resolved = 512 * np.finfo(sweep.run.precision).eps * (flight + contact) < slow
         steps = flight * (sweep.run.settle + sweep.run.observe)
-    return np.isfinite(flight + contact) & ~(resolved & (steps < MOST_STEPS))
+    return np.isfinite(flight + contact) & (unresolved(p, sweep.run.precision) | ~(steps < MOST_STEPS))
+
+
+def unresolved(p: dict, precision: str) -> np.ndarray:
+    """Where 1/rate, the time that a step takes, is so short that what the bit on its main spring does meanwhile
+    vanishes in the roundings of the `precision`: nothing would move; booleans (lanes,)."""
+    flight, contact = _rates(p)
+    with np.errstate(all="ignore"):
+        slow = np.sqrt(np.asarray(p["k1"]) / np.asarray(p["m1"]))
+        return ~(512 * np.finfo(precision).eps * (flight + contact) < slow)
+
+
+def _rates(p: dict) -> tuple:
+    """Bounds on the fastest rates [1/s], by springs and damper in flight, and what k0 and c0 add to it in contact."""
+    with np.errstate(all="ignore"):
+        m2, k2 = (np.asarray(x) for x in striker(p))
+        p = {name: np.asarray(value) for name, value in p.items()}
+        flight = np.sqrt((p["k1"] + k2) / p["m1"] + k2 / m2) + p["c2"] / m2
+        return flight, np.sqrt(p["k0"] / m2) + p["c0"] / m2 if "k0" in p else 0.0
 
 
 def too_slow(sweep: Sweep, p: dict) -> np.ndarray:

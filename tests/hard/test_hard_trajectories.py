@@ -1,0 +1,64 @@
+"""Trajectories that ask for too much: refused before any work, in one line that says how much, and what would do."""
+
+import re
+
+import pytest
+
+import vibrojax as vj
+from vibrojax.cli import main
+from vibrojax.errors import InputError
+from vibrojax.simulation import _record, _size
+
+TOO_LONG = r"simulate: duration: \S+ s need some \S+ steps.*; there is room for \S+ steps.*: give a shorter duration"
+
+
+@pytest.mark.parametrize(
+    ("scene", "asked", "told"),
+    [
+        ("vibro-impact", {"duration": 1e12}, TOO_LONG),
+        ("vibro-impact", {"duration": 1e300}, TOO_LONG),
+        ("penetration", {"duration": 1e12}, TOO_LONG),
+        ("coupled-drilling", {"duration": 1e12}, TOO_LONG),
+        ("rotary", {"duration": 1e12, "method": "diffrax"}, TOO_LONG),
+        ("rotary", {"duration": 20.0, "step": 1e-12}, TOO_LONG + ", a longer step or a greater error"),
+        ("rotary", {"duration": 20.0, "method": "smoothed"}, TOO_LONG + ", a longer step or a greater error"),
+        ("rotary", {"duration": 5e-324}, "simulate: duration: .* is no time; give a longer one"),
+        (
+            "rotary",
+            {"duration": 20.0, "sampling": 1e-12},
+            r"simulate: sampling: 1e-12 s gives 2e\+13 samples in 20 s; ",
+        ),
+        ("rotary", {"duration": 1e300, "sampling": 1e-300}, "simulate: sampling: .* gives inf samples"),
+        ("rotary", {"duration": 1.0, "sampling": 3.0}, ".* between 1 and 2000000 are needed, so 5e-07 to 1 s"),
+        ("vibro-impact", {"k0": 1e300}, "simulate: the point cannot be run: too stiff, .*; give a smaller k0, c0, "),
+        ("vibro-impact", {"c0": 1e300}, "simulate: the point cannot be run: too stiff, "),
+    ],
+)
+def test_refused_before_any_work(scene, asked, told, monkeypatch):
+    monkeypatch.setattr(_record, "_batch", None)
+    with pytest.raises(InputError) as refusal:
+        vj.simulate(scene, **asked, progress=False)
+    assert re.match(told, str(refusal.value)), refusal.value
+
+
+def test_the_command_says_it_in_one_line(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["simulate", "rotary", "duration=1e12"]) == 2
+    said = capsys.readouterr().err
+    assert re.fullmatch(f"vibrojax: {TOO_LONG}\n", said) and list(tmp_path.iterdir()) == []
+
+
+def test_memory_counts(monkeypatch):
+    """Beforehand, and on the way: the bound is that of a motion without events, which are not known before."""
+    monkeypatch.setattr(_size, "memory", lambda: 2e6)
+    told = r"duration: 10000 s need some 1.8e\+05 steps and 2\d\d MB of memory; .* and 2 MB of memory"
+    with pytest.raises(InputError, match=told):
+        vj.simulate("rotary", duration=1e4, sampling=100.0, progress=False)
+    told = r"duration: \d{4} steps, all there is room for, led to \S+ s of 80 s; give a shorter duration"
+    with pytest.raises(InputError, match=told):
+        vj.simulate("rotary", duration=80.0, sampling=1.0, progress=False)
+
+
+def test_a_trajectory_shorter_than_its_samples_has_two():
+    motion = vj.simulate("rotary", duration=1e-9, progress=False)
+    assert motion.time.values.tolist() == [0.0, 1e-9]
