@@ -50,5 +50,5 @@ def accuracy_for(run: RunSettings, scene: Scene) -> Accuracy:
         return Accuracy(0.0, 0.3, run.step if run.step is not None else 0.3 * width, width)
     rounding = 1e-12 if run.precision == "float64" else 3e-6
     # Errors of period and impact velocity are below the tolerance, but a hundred times it on hard lanes.
-    tolerance = min(max(1e-3 * run.error, rounding), COARSEST if scene.autonomous else COARSEST_DRIVEN)
+    tolerance = max(min(1e-3 * run.error, COARSEST if scene.autonomous else COARSEST_DRIVEN), rounding)
     return Accuracy(tolerance, LOCATED_STRIDE, run.step if run.step is not None else np.inf, 0.0)
