@@ -160,4 +160,4 @@ class DrillOnRock(Scene):
         flight = _drill.flight_rate(p)
         contact = _contact.stiff_rate(p, flight)
         drill = jnp.where(mode[1] != 0, contact, flight)
-        return jnp.where(mode[2] == _rock.REST, drill, jnp.maximum(drill, _rock.rate(p)))
+        return jnp.where(mode[2] == _rock.REST, drill, jnp.maximum(drill, _rock.rate(p, mode[2], mode[1] == 0)))

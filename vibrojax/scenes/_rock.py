@@ -82,6 +82,14 @@ def resolutions(p):
     return small, small
 
 
-def rate(p):
-    """The fastest rate of change of the bit on the rock [1/s]."""
-    return jnp.sqrt(p["k3"] * p["inverse_m1"]) + p["c3"] * p["inverse_m1"]
+def rate(p, rock, apart):
+    """The fastest rate of change of the bit on the rock [1/s]; `apart`, where its own springs alone act on it.
+
+    There, where it does not swing, it relaxes: nothing is touched on the way and left again, so that steps may be as
+    long as the series' tolerance lets them, up to where they would no longer damp the faster of the two exponentials
+    (order 10: 5 over its rate; half of the rate at a stride of 2 is 4).
+    """
+    own, half = jnp.sqrt(p["k3"] * p["inverse_m1"]), 0.5 * p["c3"] * p["inverse_m1"]
+    relaxes = half > own
+    faster = half + jnp.sqrt(jnp.where(relaxes, half * half - own * own, 1.0))
+    return jnp.where(relaxes & (rock == 0) & apart, 0.5 * faster, own + 2.0 * half)

@@ -112,7 +112,9 @@ class Penetration(Scene):
         return (*_rock.resolutions(p), eps * longest, eps * p["speed_scale"])
 
     def rate(self, p, mode):
-        rates = jnp.where(mode[0] == _rock.REST, p["frequency"], _rock.rate(p)) if self.has_pulses else _rock.rate(p)
+        rates = _rock.rate(p, mode[0], True)
+        if self.has_pulses:
+            rates = jnp.where(mode[0] == _rock.REST, p["frequency"], rates)
         if self.pulse_shape == "half-sine":
             rates = jnp.maximum(rates, pi / p["pulse_width"])
         return rates
