@@ -9,7 +9,7 @@ jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
-LONGEST = ("test_reproduce.py", "test_exact.py", "test_accuracy.py", "test_hard_faults.py")
+LONGEST = ("test_reproduce.py", "test_derivatives.py", "test_exact.py", "test_accuracy.py", "test_hard_faults.py")
 """Files that take longest: they begin first, so that no process is left alone with one of them."""
 
 
