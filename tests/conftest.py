@@ -14,8 +14,7 @@ LONGEST = ("test_reproduce.py", "test_derivatives.py", "test_exact.py", "test_ac
 
 
 def pytest_collection_modifyitems(items):
-    names = [*LONGEST, None]
-    items.sort(key=lambda item: names.index(item.path.name if item.path.name in LONGEST else None))
+    items.sort(key=lambda item: item.path.name not in LONGEST)
 
 
 @pytest.fixture(autouse=True, scope="module")

@@ -99,7 +99,7 @@ def test_memory_does_not_grow_with_time(tiled):
 
 @pytest.mark.parametrize("run", [SHORT, {"settle": 0.0, "observe": 2.0}, {"settle": 24.0, "observe": 8.0}])
 def test_lanes_are_told_as_work_goes_on(tiled, run):
-    """Each once, the last when all is done; a fifth of them before half of the work is."""
+    """Each once, and not all when the last is done."""
     told = []
     chunks = Chunks(read_sweep(sweep(PERIODIC, **run)))
     chunks.compute(0, told.append)

@@ -31,6 +31,16 @@ SEEN = {  # what error = 1e-4 gives in fact, with a margin of ten and more: a lo
     "bit_amplitude": 1e-4,
     "striker_amplitude": 1e-4,
 }
+SEEN_FINER = {  # the same of error = 1e-5
+    "period": 1e-9,
+    "impact_velocity": 1e-7,
+    "impact_velocity_min": 1e-7,
+    "impact_velocity_max": 1e-7,
+    "bit_velocity_at_impact": 1e-7,
+    "mean_impact_force": 1e-7,
+    "stick_fraction": 1e-7,
+    "reverse_fraction": 1e-7,
+}
 HARD = {  # stiff contacts, c0 and c2 at their extremes
     "period": 1e-6,
     "impact_velocity": 2e-4,  # the reference's own accuracy
@@ -47,7 +57,7 @@ decide, its swings in the eight eighths of the observation happen to rise or fal
 which comes first, takes it."""
 
 
-def read(name):
+def read(name, error=1e-4):
     """Cases, and the dataset of their sweep."""
     # The program depends on the order in which the starts come up: with "stuck" first, one is compiled for both files.
     cases = json.loads((DATA / name).read_text())
@@ -57,7 +67,7 @@ def read(name):
         else sorted(cases, key=lambda case: case["point"]["start"] != "stuck")
     )
     points = {key: [case["point"][key] for case in cases] for key in cases[0]["point"]}
-    sweep = {"scene": "vibro-impact", "points": points, "run": {"error": 1e-4}}
+    sweep = {"scene": "vibro-impact", "points": points, "run": {"error": error}}
     return cases, vj.run_sweep(sweep, progress=False)
 
 
@@ -124,6 +134,10 @@ def test_accuracy_that_was_asked_for(usual):
 
 def test_accuracy_that_is_reached(usual):
     check(*usual, SEEN)
+
+
+def test_accuracy_that_finer_steps_reach():
+    check(*read("vibro_impact_cases.json", error=1e-5), SEEN_FINER)
 
 
 def test_error_estimate_bounds_the_error(usual):

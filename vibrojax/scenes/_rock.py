@@ -83,7 +83,7 @@ def resolutions(p):
 
 
 def rate(p, rock, apart):
-    """The fastest rate of change of the bit on the rock [1/s]; `apart`, where its own springs alone act on it.
+    """The fastest rate of change of the bit on the rock [1/s]; `apart`, where only given forces act on it.
 
     There, where it does not swing, it relaxes: nothing is touched on the way and left again, so that steps may be as
     long as the series' tolerance lets them, up to where they would no longer damp the faster of the two exponentials

@@ -33,7 +33,7 @@ class Progress:
     def add(self, lanes: int) -> None:
         """Lanes that have just been computed."""
         self._done += lanes
-        if not self._shown or not lanes:
+        if not self._shown:
             return
         now = time.monotonic()
         self._first = self._first or (now, self._done)

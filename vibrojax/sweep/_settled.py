@@ -2,10 +2,8 @@
 
 import numpy as np
 
+from vibrojax.label import FEWEST_RETURNS
 from vibrojax.measure.section import REPEATS_WITHIN
-
-FEWEST_RETURNS = 9
-"""Returns below which a lane counts as undecided."""
 
 LONGEST_REPEAT = 3
 """Returns of a repeat up to which those that are kept show it several times over."""
@@ -14,8 +12,8 @@ LONGEST_REPEAT = 3
 def settled(returns: dict, now: float, end: float, observe: float, close: float) -> tuple:
     """Which lanes may be observed at once, for how long, and how far they still are from where they settle.
 
-    A lane may whose repeats differ less and less, like a geometric series that has next to nothing left; never one that
-    would still move by more at the pace of its last repeats until its `end`.
+    A lane may where the differences of its repeats add up to next to nothing from now on: as the geometric series that
+    they fall like, or, of a lane that creeps, as many of the last ones as there are repeats left until its `end`.
 
     **Arguments:**
 
