@@ -1,13 +1,48 @@
-"""Settings of the whole test run, made before JAX starts: float64, and no promotion that was not asked for."""
+"""Settings of the whole test run, made before JAX starts: float64, checked types, no promotion not asked for."""
 
+import atexit
+import os
+import shutil
+import tempfile
 from pathlib import Path
+
+if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
+    # What one process has compiled, no other compiles again: neither the other worker nor the commands that tests run.
+    os.environ["JAX_COMPILATION_CACHE_DIR"] = tempfile.mkdtemp(prefix="vibrojax-tests-")
+    atexit.register(shutil.rmtree, os.environ["JAX_COMPILATION_CACHE_DIR"], ignore_errors=True)
 
 import jax
 import pytest
+from jaxtyping import install_import_hook
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
+
+# Annotations, shapes of arrays among them, are checked in the tests; users pay nothing for them. What users call
+# themselves (simulation._simulate) is not: it tells what is wrong with an argument in its own words.
+CHECKED = [
+    "vibrojax.accuracy",
+    "vibrojax.amounts",
+    "vibrojax.arrays",
+    "vibrojax.cli",
+    "vibrojax.devices",
+    "vibrojax.errors",
+    "vibrojax.label",
+    "vibrojax.laws",
+    "vibrojax.measure",
+    "vibrojax.physics",
+    "vibrojax.plot",
+    "vibrojax.progress",
+    "vibrojax.reproduce",
+    "vibrojax.scenes",
+    "vibrojax.simulation._record",
+    "vibrojax.simulation._trajectory",
+    "vibrojax.stepping",
+    "vibrojax.store",
+    "vibrojax.threads",
+]
+install_import_hook(CHECKED, "beartype.beartype")
 
 LONGEST = ("test_reproduce.py", "test_derivatives.py", "test_exact.py", "test_accuracy.py", "test_hard_faults.py")
 """Files that take longest: they begin first, so that no process is left alone with one of them."""

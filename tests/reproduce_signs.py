@@ -14,32 +14,32 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+from vibrojax.engine import batch
 from vibrojax.reproduce import GROUPS, run_reproduction
-from vibrojax.scenes import _drill
-from vibrojax.sweep import _passage
+from vibrojax.scenes import drill, stick_slip
 
-_right = _drill.accelerations
+_right = drill.accelerations
 
 
-def friction(law, p, slip, state, impact):
+def friction(law, c, slip, state, impact):
     """F drives the bit where it should brake it."""
-    bit, striker = _right(law, p, slip, state, impact)
-    return bit + 2.0 * p["inverse_m1"] * _drill.friction(law, p, slip, state[1], impact), striker
+    bit, striker = _right(law, c, slip, state, impact)
+    return bit + 2.0 * c.inverse_m1 * stick_slip.friction(law, c.slip, slip, state[1] + c.slip.v, impact), striker
 
 
-def contact(law, p, slip, state, impact):
+def contact(law, c, slip, state, impact):
     """J pulls the striker in where it should throw it back."""
-    bit, striker = _right(law, p, slip, state, impact)
-    return bit, striker if impact is None else striker + 2.0 * p["inverse_m2"] * impact
+    bit, striker = _right(law, c, slip, state, impact)
+    return bit, striker if impact is None else striker + 2.0 * c.inverse_m2 * impact
 
 
-def impact_friction(law, p, slip, state, impact):
+def impact_friction(law, c, slip, state, impact):
     """The part of friction that comes of the impact drives the bit, as eq. 5.10 is printed (R2)."""
-    bit, striker = _right(law, p, slip, state, impact)
+    bit, striker = _right(law, c, slip, state, impact)
     if impact is None:
         return bit, striker
-    speed = slip * (state[1] + p["v"])
-    return bit + 2.0 * p["inverse_m1"] * (slip * law.on_impact(speed, p) * impact), striker
+    speed = slip * (state[1] + c.slip.v)
+    return bit + 2.0 * c.inverse_m1 * (slip * law.on_impact(speed, c.slip.law) * impact), striker
 
 
 WITHOUT_DRILL = ("linear", "penetration", "law")
@@ -51,8 +51,8 @@ def main(sign: str, path: str) -> None:
     """Run the registry with one sign wrong and say which results turned red."""
     rows = [line.split("|") for line in Path(path).read_text().splitlines()[2:]]
     before = {cells[1].strip(): cells[5].strip() for cells in rows}
-    _drill.accelerations = SIGNS[sign]
-    _passage.MOST_STEPS, _passage.MOST_PER_SECOND = 1e4, 300.0
+    drill.accelerations = SIGNS[sign]
+    batch.MOST_STEPS, batch.MOST_PER_SECOND = 1e4, 300.0
     groups = [replace(group, pictures=()) for group in GROUPS if group.name not in WITHOUT_DRILL]
     results = run_reproduction(groups).results
     turned = [one.entry.id for one in results if one.here.verdict == "differs" != before.get(one.entry.id)]

@@ -6,18 +6,16 @@ import numpy as np
 import pytest
 
 from vibrojax.accuracy import pareto, run_accuracy, table
-from vibrojax.accuracy._dataset import dataset_of
-from vibrojax.accuracy._errors import STATUSES, errors_of, statuses_of, usable
-from vibrojax.accuracy._lanes import SCENES, lanes_of
-from vibrojax.accuracy._measure import measure
+from vibrojax.accuracy._cases import SCENES, lanes_of, settings_of
+from vibrojax.accuracy._measured import STATUSES, errors_of, measure, statuses_of, usable
 from vibrojax.accuracy._programs import Program
+from vibrojax.accuracy._report import dataset_of
 from vibrojax.accuracy._sampled import _cycles, _peak, _share
-from vibrojax.accuracy._settings import settings_of
 from vibrojax.cli import main
 from vibrojax.errors import InputError
+from vibrojax.input.read import read_sweep
 from vibrojax.plot import work_precision
 from vibrojax.store.dataset import open_dataset, write_dataset
-from vibrojax.sweep import read_sweep
 
 
 @pytest.fixture(scope="module")
@@ -177,15 +175,8 @@ def test_what_is_read_off_samples():
     held = np.array([False, True, True, True, False, False])
     assert _share(held, 0.1, 0.0, 0.5) == pytest.approx(0.6)
 
-    class Parabola:
-        def mode_at(self, p, y):
-            return ()
-
-        def contact_force(self, p, mode, y):
-            return 5.0 - (y[0] - 0.13) ** 2
-
     x = np.arange(-1.0, 1.0, 0.25)
-    assert _peak(Parabola(), {"m1": x}, x[None]) == pytest.approx(5.0, abs=1e-12)
+    assert _peak(5.0 - (x - 0.13) ** 2) == pytest.approx(5.0, abs=1e-12)
 
 
 @pytest.mark.parametrize("scene", SCENES)

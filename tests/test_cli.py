@@ -14,7 +14,6 @@ from vibrojax.amounts import size_text, time_text
 from vibrojax.cli import main
 from vibrojax.cli.info import describe
 from vibrojax.errors import InputError
-from vibrojax.sweep._read import read_sweep
 
 ROOT = Path(__file__).parents[1]
 MAP = 'scene = "vibro-impact"\n[grid]\nbeta = [0.3, 0.4]\n'
@@ -51,8 +50,8 @@ def calls(monkeypatch, tmp_path):
 
     dataset = xr.Dataset()
     cost = {"lanes": 4, "chunks": 1, "memory_bytes": 2.5e6, "disk_bytes": 1234, "time_s": 190.0}
-    module("vibrojax.sweep", run_to_file=dataset, estimate=cost, check_size=None).read_sweep = read_sweep
-    sys.modules["vibrojax.sweep"].__path__ = [str(ROOT / "vibrojax" / "sweep")]
+    module("vibrojax.sweep", run_to_file=dataset, estimate=cost)
+    module("vibrojax.engine.resources", check_size=None)
     module("vibrojax.simulation", simulate=dataset)
     module("vibrojax.store.dataset", write_dataset=None, open_dataset=dataset)
     module("vibrojax.plot", save_picture=None, picture=None)

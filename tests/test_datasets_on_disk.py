@@ -3,7 +3,9 @@
 import os
 import re
 import subprocess
+import sys
 import time
+import warnings
 from pathlib import Path
 
 import jax
@@ -12,9 +14,11 @@ import numpy as np
 import pytest
 import xarray as xr
 
+import vibrojax as vj
 from vibrojax.cli import main
+from vibrojax.store.faults import KnownFault
 from vibrojax.store.variables import VARIABLES
-from vibrojax.threads import apart
+from vibrojax.threads import in_own_thread
 
 KEPT = sorted((Path(__file__).parent / "data" / "versions").glob("*/*.nc"))
 RATES = next(path for path in KEPT if path.name == "rates.nc")
@@ -115,7 +119,7 @@ def test_a_file_without_an_end_is_not_waited_for(tmp_path, capsys):
     for command in ("info", "plot", "fit"):
         assert "pipe.nc: is no file with an end" in refused(capsys, command, tmp_path / "pipe.nc")
     with pytest.raises(TimeoutError):
-        apart(lambda: time.sleep(3), seconds=0.1)
+        in_own_thread(lambda: time.sleep(3), seconds=0.1)
 
 
 def test_a_dataset_without_what_a_command_needs(tmp_path, capsys):
@@ -139,3 +143,29 @@ def test_what_a_killed_writer_left_is_cleared(tmp_path):
     write_dataset(xr.Dataset({"x": 1.0}), tmp_path / "out.nc")
     left = {path.name for path in tmp_path.iterdir()}
     assert left == {"out.nc", f".out.nc.{os.getppid()}.tmp", ".out.nc.tmp"}
+
+
+@pytest.mark.parametrize(
+    "changed, warned",
+    [
+        ({"source": "vibrojax 0.1.0", "friction": "popp-arctan"}, True),
+        ({"source": "vibrojax 0.1.1", "friction": "popp-arctan"}, False),
+        ({"source": "vibrojax 0.1.0", "friction": "stribeck"}, False),
+    ],
+)
+def test_datasets_that_may_be_wrong_say_so(changed, warned, tmp_path):
+    """Sweeps with popp-arctan by 0.1.0, which some versions of jax computed wrongly."""
+    path = tmp_path / "sweep.nc"
+    run = {"settle": 0.5, "observe": 0.5}
+    dataset = vj.run_sweep({"scene": "rotary", "grid": {"beta": [0.4]}, "run": run}, progress=False)
+    assert dataset.attrs["jax"] == jax.__version__
+    vj.write_dataset(dataset.assign_attrs(changed), path)
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        vj.open_dataset(path)
+    assert [one.category for one in told] == [KnownFault] * warned
+    assert all(f"{path}: made by vibrojax 0.1.0" in str(one.message) and "\n" not in str(one.message) for one in told)
+    said = subprocess.run(
+        [sys.executable, "-m", "vibrojax", "info", str(path)], capture_output=True, text=True, check=True
+    ).stderr
+    assert said.count("\n") == warned and ("vibrojax: warning: " in said) == warned

@@ -12,11 +12,11 @@ import pytest
 from vibrojax.errors import InputError
 from vibrojax.laws.sensitivity import rop_derivatives
 from vibrojax.measure import recorder_for
-from vibrojax.measure.run import run_block
+from vibrojax.measure.run import Effort, run_block
 from vibrojax.scenes import SCENES
-from vibrojax.stepping import Located
+from vibrojax.stepping import Accuracy, Located
 
-EXACT = {"stride": 1.0, "tolerance": 1e-12, "step": 1e9, "most_steps": 1e6}
+EXACT = Effort(Accuracy(tolerance=1e-12, stride=1.0, step=1e9), 1e6)
 
 
 def features(scene, wrt, names, settle, observe):
@@ -26,10 +26,9 @@ def features(scene, wrt, names, settle, observe):
     def found(values):
         p = {name: jnp.full(1, value) for name, value in defaults.items()}
         p |= {name: values[index : index + 1] for index, name in enumerate(wrt)}
-        p = dict(scene.constants(p))
-        settings = EXACT | {"settle": settle, "observe": observe}
+        p = scene.constants(p)
         start = scene.start(p, "drive", (1,))
-        read = run_block(scene, Located(), recorder_for(scene), p, start, settings)
+        read = run_block(scene, Located(), recorder_for(scene), p, start, EXACT, settle, observe)
         return jnp.concatenate([read[name] for name in names])
 
     return found, jnp.asarray([defaults[name] for name in wrt])

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
-from vibrojax.sweep._settled import settled
+from vibrojax.engine.settled import settled
+from vibrojax.measure.section import Passed, Seen, Settling
 
 LANES, ERROR = 128, 1e-4
 OF_BLOWS = ("impact_velocity", "impact_velocity_min", "bit_velocity_at_impact", "impact_energy", "mean_impact_force")
@@ -79,33 +80,35 @@ def returns(distances, period=0.5, last=9.9):
     """What would be seen of returns, newest first, of a lane at such relative `distances` from where it settles."""
     states = np.zeros((8, 3, 1))
     states[:, 1, 0] = 0.01 * np.asarray(distances)
-    passed = {"bit": np.array([0.02]), "striker": np.array([0.01]), "since": np.array([period])}
+    half = np.array([0.02]), np.array([0.01])
     times = np.where(np.isnan(states[:, 1]), np.nan, last - period * BACK[:, None])
-    return {"states": states, "times": times, "passed": passed}
+    seen = Seen(armed=None, since=None, ranges=(), states=states, times=times, settled=None, frequency=None)
+    return Settling(seen, Passed(waiting=None, state=None, time=None, since=np.array([period]), amplitudes=half))
 
 
 @pytest.mark.parametrize(
-    "distances, ends, away",
+    "distances, close, ends",
     [
-        (1e-8 * 2.0**BACK, True, 1e-8),  # halves its distance with every return
-        (1e-6 * 2.0**BACK, False, None),  # will be there, but is not yet
-        (1e-10 * np.cos(2.0 * BACK) * 1.6**BACK, True, None),  # spirals in
-        (1e-9 * BACK, True, 60e-9),  # creeps: 1e-9 with each of the sixty returns that are left
-        (1e-7 * BACK, False, None),  # creeps too far
-        (1e-8 * 0.5**BACK, False, None),  # leaves
-        (1e-3 * (-1.0) ** BACK, True, None),  # repeats after two returns
-        (np.where(BACK < 6, 1e-9, np.nan) * BACK, False, None),  # has not returned often enough
-        (0.01 * np.array([1, 5, 2, 8, 1, 7, 3, 3]), False, None),
+        (1e-8 * 2.0**BACK, 1e-7, True),  # halves its distance with every return
+        (1e-8 * 2.0**BACK, 5e-8, True),  # by how its repeats differ it is 1e-8 away, or up to five times that
+        (1e-8 * 2.0**BACK, 0.9e-8, False),
+        (1e-6 * 2.0**BACK, 1e-7, False),  # will be there, but is not yet
+        (1e-10 * np.cos(2.0 * BACK) * 1.6**BACK, 1e-7, True),  # spirals in
+        (1e-9 * BACK, 1e-7, True),
+        (1e-9 * BACK, 59e-9, False),  # creeps: 1e-9 with each of the sixty returns that are left
+        (1e-7 * BACK, 1e-7, False),  # creeps too far
+        (1e-8 * 0.5**BACK, 1e-7, False),  # leaves
+        (1e-3 * (-1.0) ** BACK, 1e-7, True),  # repeats after two returns
+        (np.where(BACK < 6, 1e-9, np.nan) * BACK, 1e-7, False),  # has not returned often enough
+        (0.01 * np.array([1, 5, 2, 8, 1, 7, 3, 3]), 1e-7, False),
     ],
 )
-def test_settled(distances, ends, away):
+def test_settled(distances, close, ends):
     """Told by how repeats differ; the distance of a geometric approach is that of its series, or a little more."""
-    found, lasts, left = settled(returns(distances), 10.0, 40.0, 8.0, 1e-7)
+    found, lasts = settled(returns(distances), 10.0, 40.0, 8.0, close)
     assert found.tolist() == [ends]
     if ends:
         assert 9 * 0.5 <= lasts[0] <= 8.0
-    if away is not None:
-        assert away <= left[0] * (1 + 1e-9) <= 5 * away
 
 
 def test_settled_needs_time():

@@ -1,46 +1,58 @@
-"""The certificate is honest: on random periodic lanes the error estimate bounds the error, and not by far too much."""
+"""The certificate is honest: on random lanes the error estimate bounds the distance from where a lane settles."""
 
 import numpy as np
 import pytest
 
-from vibrojax.sweep import Accuracy, Chunks, read_sweep
+from vibrojax.engine.chunks import Chunks
+from vibrojax.input.read import read_sweep
+from vibrojax.stepping import Accuracy
 
-LANES, SETTLE, OBSERVE = 640, 24.0, 8.0
-EXACT = Accuracy(tolerance=1e-13, stride=0.5, step=np.inf, smoothing=0.0)
+LANES = 512
+SETTLED = 400.0  # s
+EXACT = Accuracy(tolerance=1e-12, stride=1.0, step=np.inf, smoothing=0.0)
 """Far finer than what is measured; the exact reference agrees with such runs (test_exact)."""
 
+BOXES = {
+    "the source's region": {"beta": (0.25, 0.6), "gamma": (0.6, 0.8), "v": (1.5, 1.5), "delta": (-0.005, 0.005)},
+    "its surroundings": {"beta": (0.1, 0.9), "gamma": (0.4, 1.0), "v": (1.5, 1.5), "delta": (-0.006, 0.008)},
+    "wide": {"beta": (0.1, 1.2), "gamma": (0.3, 1.2), "v": (0.3, 3.0), "delta": (-0.006, 0.012)},
+}
 
-def sweep(**run):
+
+def sweep(box: str, **run):
     rng = np.random.default_rng(4)
-    points = {
-        "beta": rng.uniform(0.1, 1.2, LANES),
-        "gamma": rng.uniform(0.3, 1.2, LANES),
-        "v": np.exp(rng.uniform(np.log(0.3), np.log(3), LANES)),
-        "delta": rng.uniform(-0.006, 0.012, LANES),
-    }
-    starts = [("stuck", "drive")[lane % 2] for lane in range(LANES)]
-    times = {"settle": SETTLE, "observe": OBSERVE}
-    columns = {name: column.tolist() for name, column in points.items()} | {"start": starts}
-    return read_sweep({"scene": "vibro-impact", "points": columns, "run": times | run})
+    points = {name: rng.uniform(*ends, LANES).tolist() for name, ends in BOXES[box].items()}
+    points["start"] = [("stuck", "drive", "touching")[lane % 3] for lane in range(LANES)]
+    return read_sweep({"scene": "vibro-impact", "points": points, "run": run})
 
 
-@pytest.fixture(scope="module")
-def exact():
-    return Chunks(sweep()).at(EXACT)
+@pytest.fixture(scope="module", params=BOXES)
+def settled(request):
+    """A box, and the values that its lanes settle on."""
+    return request.param, Chunks(sweep(request.param, settle=SETTLED)).at(EXACT)
 
 
-@pytest.mark.parametrize("end_early", [True, False])
-@pytest.mark.parametrize("error", [1e-3, 1e-4, 1e-6])
-def test_error_estimate(exact, error, end_early):
-    """At least 95 % of the true errors are within it, and its median is at most ten times the true one."""
-    found = Chunks(sweep(error=error, end_early=end_early)).compute(0)
-    # A lane that is still settling where it is observed has no error that a finer step would tell.
-    periodic = (exact["cycles"] > 0) & (exact["settling_time"] < 10) & (found["cycles"] == exact["cycles"])
-    assert periodic.sum() >= 200
+@pytest.mark.parametrize("error, end_early", [(1e-3, True), (1e-4, True), (1e-4, False), (1e-6, True)])
+def test_error_estimate(settled, error, end_early):
+    """Of the lanes that repeat at 40 s, those on their way at 400 s included, at least 95 % are within their estimate
+    of the value there; the median estimate is at most ten times the true error."""
+    box, exact = settled
+    found = Chunks(sweep(box, error=error, end_early=end_early)).compute(0)
+    repeats = found["cycles"] > 0
+    assert repeats.sum() >= 200
     names = ("period", "impact_velocity")
-    true = np.fmax.reduce([np.abs(found[name] / exact[name] - 1) for name in names])[periodic]
-    estimate = found["error_estimate"][periodic]
-    assert np.mean(true <= estimate) >= 0.95
+    apart = np.fmax.reduce([np.abs(found[name] / exact[name] - 1) for name in names])
+    # A repeat that is another one by then has no error but an infinite one.
+    same = (found["cycles"] == exact["cycles"]) & (found["impacts"] == exact["impacts"])
+    true, estimate = np.where(same, apart, np.inf)[repeats], found["error_estimate"][repeats]
+    within = true <= estimate
+    assert np.mean(within) >= 0.95
     assert np.median(estimate) <= 10 * np.median(true)
-    assert np.mean(estimate <= error) >= 0.95
-    assert np.all(found["cycles"][(exact["cycles"] > 0) & (exact["settling_time"] < 10)] > 0)
+    # The slow ones by themselves, whose multipliers are 0.95 and more: what the steps leave is nothing beside.
+    slow = (true > 1e-6) & (true > error / 10) & np.isfinite(true)
+    assert np.mean(within[slow]) >= 0.9 or slow.sum() < 10
+    # Of those that settle soon nearly all are certified; to 1e-6 some are still on their way, and say so.
+    soon = found["settling_time"][repeats] < 10
+    assert np.mean(estimate[soon] <= error) >= (0.93 if error < 1e-4 else 0.95)
+    # The others have not settled to that in 40 s.
+    assert np.mean(estimate <= error) >= (0.75 if error < 1e-4 else 0.85)

@@ -1,4 +1,4 @@
-"""Each rule of the table of regimes, on features made by hand, in the order 7, 1, 0, 2 to 5, 6 (contract)."""
+"""Each rule of `vibrojax.label`, on features made by hand, in its order: flags 7, 1, 0, 2 to 5, 6."""
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ def regime(**changes):
     return REGIMES[flags[0]]
 
 
-def test_flags_are_the_contracts():
+def test_flags_keep_their_numbers():
     assert REGIMES == (
         "undecided",
         "equilibrium",

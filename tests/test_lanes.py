@@ -9,9 +9,9 @@ import pytest
 
 import vibrojax as vj
 from vibrojax import devices
-from vibrojax.sweep import read_sweep
-from vibrojax.sweep._chunks import Chunks
-from vibrojax.sweep._program import compiled
+from vibrojax.engine.chunks import Chunks
+from vibrojax.engine.programs import compiled
+from vibrojax.input.read import read_sweep
 
 CASES = json.loads((Path(__file__).parent / "data" / "vibro_impact_cases.json").read_text())
 PERIODIC = [case for case in CASES if case["expected"].get("cycles", 0) > 0]

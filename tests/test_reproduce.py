@@ -5,24 +5,16 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+import xarray as xr
 from wrong_signs import WRONG
 
 from vibrojax.cli import main
 from vibrojax.reproduce import GROUPS, VERDICTS, Entry, run_reproduction
-from vibrojax.reproduce._answers import Answers
-from vibrojax.reproduce._entry import (
-    AGREES,
-    DIFFERS,
-    IN_TREND,
-    Unanswered,
-    judged,
-    number,
-    printed,
-    trend,
-    within_range,
-)
-from vibrojax.reproduce._findings import FINDINGS
-from vibrojax.reproduce._readings import READINGS
+from vibrojax.reproduce.answers import Answers
+from vibrojax.reproduce.entry import judged
+from vibrojax.reproduce.findings import FINDINGS, READINGS
+from vibrojax.reproduce.needs import Unanswered
+from vibrojax.reproduce.verdicts import AGREES, DIFFERS, IN_TREND, number, printed, trend, within_range
 from vibrojax.scenes import SCENES
 
 ENTRIES = {entry.id: entry for group in GROUPS for entry in group.entries}
@@ -138,7 +130,7 @@ def test_verdict_where_nothing_can_be_read():
         raise IndexError("no return")
 
     entry = Entry("fig-0", "what", "source", (), empty, "none")
-    assert judged(entry, [1]).verdict == DIFFERS
+    assert judged(entry, [xr.Dataset()]).verdict == DIFFERS
     assert judged(entry, [Unanswered("too many steps")]).verdict == DIFFERS
     assert "too many steps" in judged(entry, [Unanswered("too many steps")]).note
     assert trend("1", False).verdict == DIFFERS
@@ -154,7 +146,9 @@ def test_quick_run_meets_what_was_seen(quick):
 
 
 def test_motions_meet_what_was_seen():
-    answers = Answers(need for name in SEEN_IN_MOTION for need in ENTRIES[name].needs)
+    said = []
+    answers = Answers((need for name in SEEN_IN_MOTION for need in ENTRIES[name].needs), said.append)
+    assert [line.split()[0] for line in said] == ["1/2", "2/2"]  # how far it is
     for name, (value, within) in SEEN_IN_MOTION.items():
         here = judged(ENTRIES[name], [answers[need] for need in ENTRIES[name].needs])
         assert abs(first_number(here.text) - value) <= within, (name, here.text)
@@ -231,7 +225,7 @@ def test_a_wrong_sign_is_seen(quick, monkeypatch, term):
 
     Lanes that go wrong so much never end; few steps are enough to see it.
     """
-    monkeypatch.setattr("vibrojax.sweep._passage.MOST_STEPS", 2e4)
+    monkeypatch.setattr("vibrojax.engine.batch.MOST_STEPS", 2e4)
     monkeypatch.setitem(SCENES, "vibro-impact", WRONG[term])
     groups = [group for group in GROUPS if group.name in ("frequency-ratio", "mass-ratio")]
     wrong = run_reproduction(groups, quick=True, progress=False)

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from vibrojax.sweep import read_sweep, run_to_file
-from vibrojax.sweep._chunks import Chunks
+from vibrojax.engine.chunks import Chunks
+from vibrojax.input.read import read_sweep
+from vibrojax.sweep import run_to_file
 
 SWEEP = {
     "scene": "vibro-impact",

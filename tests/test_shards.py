@@ -1,13 +1,16 @@
 """Chunks beside the output: they outlive a crash, and a damaged or foreign one is never taken for a whole one."""
 
+import errno
 import os
 import subprocess
 import sys
+from threading import Timer
 
 import numpy as np
 import pytest
 
 from vibrojax.errors import InputError
+from vibrojax.store.lock import Lock
 from vibrojax.store.shards import DamagedShard, Shards
 
 MANIFEST = {"scene": "rotary", "chunk": 4, "grid.beta": [0.1, 0.2], "version": "1"}
@@ -132,6 +135,52 @@ def test_two_processes_do_not_share_a_folder(shards):
         assert other.returncode == 1 and "another process is at work there" in other.stderr
     with again(shards) as opened:  # --fresh of the other has removed nothing
         assert opened.finished() == {0, 2}
+
+
+def test_a_killed_process_keeps_nobody_out(shards):
+    """The lock is the system's, which lets go of it with the process; the file that it leaves behind binds nobody."""
+    code = "import sys, time; from pathlib import Path; from vibrojax.store.shards import Shards; "
+    code += (
+        "taken = Shards(Path(sys.argv[1]), {}); taken.open(resume=False); print('taken', flush=True); time.sleep(60)"
+    )
+    other = subprocess.Popen([sys.executable, "-c", code, str(shards.folder)], stdout=subprocess.PIPE, text=True)
+    with other:
+        assert other.stdout.readline() == "taken\n"
+        with pytest.raises(InputError, match="another process is at work there"):
+            again(shards)
+        other.kill()
+    assert (shards.folder / "lock").exists()
+    with again(shards, resume=False) as opened:
+        opened.write(1, arrays(1))
+        assert opened.finished() == {1}
+
+
+def test_a_lock_that_was_removed_meanwhile_is_taken_anew(shards):
+    """As by a process that ends: it removes the file, and then lets go."""
+    first = Lock(shards.folder / "lock")
+    ending = Timer(0.05, first.release, kwargs={"remove": True})
+    ending.start()
+    second = Lock(shards.folder / "lock")
+    assert second.path.exists()
+    with pytest.raises(InputError, match="another process"):
+        Lock(shards.folder / "lock")
+    second.release()
+    ending.join()
+
+
+def test_a_lock_that_cannot_be_made_is_refused(tmp_path):
+    (tmp_path / "lock").mkdir()
+    with pytest.raises(InputError, match="lock: cannot be written"):
+        Lock(tmp_path / "lock")
+
+
+def test_a_file_system_without_locks_goes_without(tmp_path, monkeypatch):
+    def refuse(*_):
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr("fcntl.flock", refuse)
+    Lock(tmp_path / "lock").release(remove=True)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_the_folder_goes_when_all_is_done(shards):

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from vibrojax.errors import Place
-from vibrojax.sweep import _source
-from vibrojax.sweep._point import read_point
-from vibrojax.sweep._read import read_sweep
-from vibrojax.sweep._settings import RunSettings
-from vibrojax.sweep._toml import render
+from vibrojax.input import source
+from vibrojax.input.plain import render
+from vibrojax.input.point import read_point
+from vibrojax.input.read import read_sweep
+from vibrojax.input.run_settings import RunSettings
 
 FULL = """
 scene = "vibro-impact"
@@ -57,7 +57,7 @@ def test_a_full_file_is_read_with_its_defaults(tmp_path):
 def test_lanes_run_in_row_major_order(tmp_path):
     sweep = read_sweep(from_text(tmp_path, FULL))
     values, starts = sweep.lane_values(0, sweep.lanes)
-    assert set(values) == set(sweep.machine.parameters())
+    assert set(values) == set(sweep.system.parameters())
     assert all(column.shape == (144,) and column.dtype == np.float64 for column in values.values())
     mesh = np.meshgrid(*sweep.axes.values(), np.arange(2), indexing="ij")
     for name, expected in zip(sweep.axes, mesh, strict=False):
@@ -137,7 +137,7 @@ def test_rotation_on_an_axis_gives_the_drive_speed():
     assert sweep.dims == ("rpm", "beta", "start") and "v" not in sweep.parameters
     values, _ = sweep.lane_values(0, 4)
     assert values["v"] == pytest.approx([SPEED / 2, SPEED / 2, SPEED, SPEED])
-    assert set(values) == set(sweep.machine.parameters())
+    assert set(values) == set(sweep.system.parameters())
 
 
 def test_rotation_in_points_gives_the_drive_speed(tmp_path):
@@ -168,7 +168,7 @@ def test_a_column_start_takes_the_place_of_starts():
 
 def test_bundled_sweeps_have_names(tmp_path, monkeypatch):
     installed, checkout = tmp_path / "installed", tmp_path / "checkout"
-    monkeypatch.setattr(_source, "BUNDLED_FOLDERS", (installed, checkout))
+    monkeypatch.setattr(source, "BUNDLED_FOLDERS", (installed, checkout))
     monkeypatch.chdir(tmp_path)
     for folder in (checkout, installed):
         folder.mkdir()
@@ -190,4 +190,4 @@ def test_a_byte_order_mark_does_no_harm(tmp_path):
 def test_a_point_is_checked_like_a_file():
     point = read_point(Place("simulate"), "vibro-impact", {"rpm": 120, "bit_radius": 0.1, "friction": "coulomb"})
     assert (point.options, point.start) == ({"friction": "coulomb"}, "drive")
-    assert point.parameters["v"] == pytest.approx(SPEED) and set(point.parameters) == set(point.machine.parameters())
+    assert point.parameters["v"] == pytest.approx(SPEED) and set(point.parameters) == set(point.system.parameters())

@@ -11,8 +11,11 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from vibrojax.cli.simulate import read_values
+from vibrojax.engine.resources import check_size
 from vibrojax.errors import InputError, Place
-from vibrojax.sweep import check_size, estimate, read_point, read_sweep
+from vibrojax.input.point import read_point
+from vibrojax.input.read import read_sweep
+from vibrojax.sweep import estimate
 
 SWEEPS = [path.read_text(encoding="utf-8") for path in sorted((Path(__file__).parents[1] / "sweeps").glob("*.toml"))]
 fuzzed = settings(
@@ -64,7 +67,7 @@ def ends(source) -> None:
         sweep = read_sweep(source)
         assert sweep.lanes >= 1 and sweep.dims and sweep.identity()
         values, starts = sweep.lane_values(sweep.lanes - 1, sweep.lanes)
-        assert set(values) == set(sweep.machine.parameters()) and starts.shape == (1,)
+        assert set(values) == set(sweep.system.parameters()) and starts.shape == (1,)
         check_size(sweep, estimate(sweep))
     except InputError as error:
         assert str(error) and "\n" not in str(error)

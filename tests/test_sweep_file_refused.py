@@ -3,9 +3,9 @@
 import pytest
 
 from vibrojax.errors import InputError, Place
-from vibrojax.sweep import _source
-from vibrojax.sweep._point import read_point
-from vibrojax.sweep._read import read_sweep
+from vibrojax.input import source
+from vibrojax.input.point import read_point
+from vibrojax.input.read import read_sweep
 
 GRID = {"beta": [0.4]}
 
@@ -193,7 +193,7 @@ def test_files_that_are_not_there_are_refused(tmp_path):
 
 
 def test_a_bundled_name_that_is_not_there_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(_source, "BUNDLED_FOLDERS", (tmp_path,))
+    monkeypatch.setattr(source, "BUNDLED_FOLDERS", (tmp_path,))
     (tmp_path / "regime_map.toml").write_text("")
     assert problem("regime-mpa") == 'regime-mpa: no such bundled sweep or file; did you mean "regime-map"?'
 

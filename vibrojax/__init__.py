@@ -3,23 +3,24 @@
     import vibrojax as vj
     ds = vj.run_sweep("regime-map")
 
-Names are imported when they are first used, so that importing the package costs nothing and sets nothing.
+Names are imported when they are first used, so that importing the package costs nothing and sets nothing. Editors and
+type checkers read them in `__init__.pyi`.
 """
 
 from importlib import import_module
 
 _HOMES = {
     "run_sweep": "vibrojax.sweep",
-    "read_sweep": "vibrojax.sweep",
+    "read_sweep": "vibrojax.input.read",
     "simulate": "vibrojax.simulation",
     "fit_rop": "vibrojax.laws",
     "fit_joint": "vibrojax.laws",
     "fit_friction": "vibrojax.laws",
     "refit_frequency": "vibrojax.laws",
+    "rop_derivatives": "vibrojax.laws",
     "run_accuracy": "vibrojax.accuracy",
     "run_reproduction": "vibrojax.reproduce",
     "write_reproduction": "vibrojax.reproduce",
-    "rop_derivatives": "vibrojax.laws",
     "open_dataset": "vibrojax.store.dataset",
     "write_dataset": "vibrojax.store.dataset",
     "picture": "vibrojax.plot",
@@ -35,14 +36,17 @@ _HOMES = {
 __all__ = list(_HOMES)
 
 
-def __getattr__(name: str):
-    if name not in _HOMES:
+def __getattr__(name: str) -> object:
+    if name == "__version__":
+        value: object = import_module("vibrojax.store.provenance").package_version()
+    elif name in _HOMES:
+        home = import_module(_HOMES[name])
+        value = getattr(home, name) if hasattr(home, name) else import_module(f"{_HOMES[name]}.{name}")
+    else:
         raise AttributeError(f"module 'vibrojax' has no attribute {name!r}")
-    home = import_module(_HOMES[name])
-    found = getattr(home, name) if hasattr(home, name) else import_module(f"{_HOMES[name]}.{name}")
-    globals()[name] = found
-    return found
+    globals()[name] = value
+    return value
 
 
-def __dir__():
-    return sorted(__all__)
+def __dir__() -> list[str]:
+    return sorted([*__all__, "__version__"])

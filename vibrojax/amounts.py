@@ -1,7 +1,7 @@
 """Sizes and times in words, as people read them."""
 
 
-def size_text(size: float) -> str:
+def size_text(size: int | float) -> str:
     """A size in bytes, as people read it."""
     for unit in ("B", "kB", "MB", "GB"):
         if size < 999.5:
@@ -10,7 +10,7 @@ def size_text(size: float) -> str:
     return _text(size, "TB", 1e9)
 
 
-def time_text(seconds: float) -> str:
+def time_text(seconds: int | float) -> str:
     """A time in seconds, as people read it."""
     for unit, length in (("days", 86400), ("h", 3600), ("min", 60)):
         if seconds >= 2 * length:
@@ -18,7 +18,7 @@ def time_text(seconds: float) -> str:
     return f"{seconds:.3g} s"
 
 
-def _text(amount: float, unit: str, most: float) -> str:
+def _text(amount: int | float, unit: str, most: float) -> str:
     if amount < 1000:
         return f"{amount:.3g} {unit}"
     return f"{amount:,.0f} {unit}" if amount < most else f"{amount:.3g} {unit}"

@@ -1,4 +1,4 @@
-"""The machine that lanes run on: its devices, and in which precision."""
+"""What lanes run on: the devices of this computer, and in which precision."""
 
 import os
 from contextlib import AbstractContextManager
@@ -6,7 +6,7 @@ from contextlib import AbstractContextManager
 import jax
 
 
-def workers() -> list:
+def workers() -> list[jax.Device]:
     """The device that each of the threads that compute lanes uses.
 
     A jitted loop keeps one CPU core busy, so there are as many threads as cores; all share the first CPU device and so
@@ -21,6 +21,6 @@ def usable_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def precision(name: str) -> AbstractContextManager:
+def precision(name: str) -> AbstractContextManager[object]:
     """A context in which this thread's JAX computes in "float64" or "float32", whatever it does outside."""
     return jax.enable_x64(name == "float64")

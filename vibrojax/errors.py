@@ -55,9 +55,9 @@ def nearest(word: str, words: Iterable[str]) -> str | None:
     """The one of `words` most like `word`, None where none is alike."""
 
     def likeness(candidate: str) -> float:
-        wanted, found = word.lower().replace("_", "-"), candidate.lower().replace("_", "-")
+        wanted, offered = word.lower().replace("_", "-"), candidate.lower().replace("_", "-")
         # c1 is as far from c2 as from k1; the first letter decides.
-        return SequenceMatcher(None, wanted, found).ratio() + 0.1 * (wanted[:1] == found[:1])
+        return SequenceMatcher(None, wanted, offered).ratio() + 0.1 * (wanted[:1] == offered[:1])
 
     best = max(words, key=likeness, default=None)
     return best if best is not None and likeness(best) >= _ALIKE else None

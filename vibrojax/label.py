@@ -1,6 +1,9 @@
-"""From features to regimes: one flag per lane, by the rules of the contract, in their order."""
+"""From features to regimes: one flag per lane, by rules of which the first that holds decides."""
+
+from collections.abc import Mapping
 
 import numpy as np
+from jaxtyping import Float, Int8, Shaped
 
 UNDECIDED, EQUILIBRIUM, IMPACT_FREE, SINGLE_IMPACT, MULTI_IMPACT, SUBHARMONIC, IRREGULAR, FAILED = range(8)
 
@@ -14,25 +17,43 @@ REGIMES = (
     "irregular",
     "failed",
 )
-"""Meaning of each flag."""
+"""Meaning of each flag, by its number."""
 
 LABELLED_BY = ("finite", "finished", "bit_amplitude", "returns", "trend", "cycles", "impacts")
 """The features that decide a label."""
 
 EQUILIBRIUM_SWING = 1e-3
+"""A bit whose half swing is below this part of mu(0+) m1 g/k1, its static deflection, is at rest [1]."""
+
 LEAST_FRICTION = 0.01
+"""mu(0+) that the equilibrium's swing is measured by at least, for drills without friction [1]."""
+
 FEWEST_RETURNS = 9
+"""Fewest returns to the section by which a repeat can be told."""
 
 
-def label(features: dict, rest_coefficient, m1, g, k1) -> np.ndarray:
-    """The regime of each lane.
+def label(
+    features: Mapping[str, Shaped[np.ndarray, "..."]],
+    rest_coefficient: Float[np.ndarray, "..."],
+    m1: Float[np.ndarray, "..."],
+    g: Float[np.ndarray, "..."],
+    k1: Float[np.ndarray, "..."],
+) -> Int8[np.ndarray, "..."]:
+    """The regime of each lane. The first of these rules that holds decides; where none does, it is irregular:
+
+    1. failed: not finite, or not stepped to its end;
+    2. equilibrium: the bit's half swing is next to none;
+    3. undecided: too few returns, or swings that steadily grow or decay;
+    4. impact-free, single-impact, multi-impact: it repeats after one return, with none, one or more impacts;
+    5. subharmonic: it repeats after several returns.
 
     **Arguments:**
 
-    - `features`: from [vibrojax.measure][]; arrays of one shape. `impacts` may be absent (no contact).
-    - `rest_coefficient`: mu(0+) [1]; `m1` [kg], `g` [m/s²], `k1` [N/m]: arrays that broadcast to it.
+    - `features`: from [vibrojax.measure][], those of `LABELLED_BY`; arrays of one shape. `impacts` may be absent (no
+      contact).
+    - `rest_coefficient`: mu(0+) [1]; `m1` [kg], `g` [m/s²], `k1` [N/m]: arrays that broadcast to that shape.
 
-    **Returns:** int8 array of flags, see `REGIMES`.
+    **Returns:** flags, see `REGIMES`.
     """
     cycles = features["cycles"]
     impacts = features.get("impacts", np.zeros_like(cycles))

@@ -4,32 +4,39 @@ import threading
 from collections.abc import Callable
 from typing import TypeVar
 
-Found = TypeVar("Found")
+Result = TypeVar("Result")
 
 
-def apart(work: Callable[[], Found], seconds: float | None = None) -> Found:
-    """What `work` returns, done in a thread while this one only waits; raises what it raised.
+def in_own_thread(work: Callable[[], Result], seconds: float | None = None) -> Result:
+    """Do `work` in a thread while this one only waits.
 
     An interrupt reaches Python's main thread between two of its own instructions. One that compiles lanes or reads a
     file is for seconds at none of them, and jax drops an interrupt that comes while it collects garbage.
 
-    **Raises:** `TimeoutError` where it has taken more than `seconds`. Then, and after an interrupt, the thread is left
-    to itself.
+    **Arguments:**
+
+    - `work`: what to do.
+    - `seconds`: how long to wait [s]; None: to the end.
+
+    **Returns:** what `work` returned.
+
+    **Raises:** what `work` raised; `TimeoutError` where it has taken more than `seconds`. Then, and after an interrupt,
+    the thread is left to itself.
     """
-    found: list[Found] = []
-    raised: list[BaseException] = []
+    results: list[Result] = []
+    errors: list[BaseException] = []
 
     def run() -> None:
         try:
-            found.append(work())
+            results.append(work())
         except BaseException as error:
-            raised.append(error)
+            errors.append(error)
 
     thread = threading.Thread(target=run, name="work", daemon=True)
     thread.start()
     thread.join(seconds)
-    if raised:
-        raise raised[0]
-    if not found:
+    if errors:
+        raise errors[0]
+    if not results:
         raise TimeoutError
-    return found[0]
+    return results[0]

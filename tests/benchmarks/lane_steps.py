@@ -14,8 +14,8 @@ import jax
 import numpy as np
 
 from vibrojax.devices import usable_cores
-from vibrojax.sweep import read_sweep
-from vibrojax.sweep._chunks import Chunks
+from vibrojax.engine.chunks import Chunks
+from vibrojax.input.read import read_sweep
 
 REPEATS = 3
 SETTLE, OBSERVE = 12.0, 8.0  # s
@@ -47,7 +47,7 @@ def once(chunks: Chunks) -> tuple[float, float]:
 def measured(lanes: int, run: dict, cores: int) -> dict:
     """Compile time, and by the median run, what a lane-step costs and how many lane-seconds a second gives."""
     chunks = Chunks(sweep(lanes, run))
-    chunks.programs.workers = chunks.programs.workers[:cores]
+    chunks.engine.workers = chunks.engine.workers[:cores]
     began = time.perf_counter()
     chunks.compile()
     compiling = time.perf_counter() - began

@@ -13,8 +13,8 @@ import pytest
 from cases import DRILL, USUAL, bound_of, columns, lanes, reference, verdict
 
 import vibrojax as vj
-from vibrojax.sweep import Chunks
-from vibrojax.sweep._stiff import too_slow, too_stiff
+from vibrojax.engine.chunks import Chunks
+from vibrojax.engine.validity import too_slow, too_stiff
 
 SWEEPS = Path(__file__).parents[2] / "sweeps"
 OBSERVE = 0.5
@@ -110,12 +110,13 @@ def test_a_lane_is_given_up_in_float32_too():
     sweep = vj.read_sweep(
         {"scene": "rotary", "starts": ["stuck"], "grid": {"v": [1.5]}, "run": {"precision": "float32"}}
     )
-    programs = Chunks(sweep).programs
+    engine = Chunks(sweep).engine
     before = 2**24 - 10
-    programs.most_steps = before + 20 - 1000 * (sweep.run.settle + sweep.run.observe)
-    still = programs.start(0, 1, Chunks(sweep).accuracy)
-    [passage] = programs.settle([replace(still, steps=still.steps + np.asarray(before, still.steps.dtype))])
-    assert before + 20 <= passage.steps[0] < before + 30
+    engine.most_steps = before + 20 - 1000 * (sweep.run.settle + sweep.run.observe)
+    still = engine.start(0, 1, Chunks(sweep).accuracy)
+    steps = still.underway.steps + np.asarray(before, still.underway.steps.dtype)
+    [batch] = engine.settle([replace(still, underway=still.underway._replace(steps=steps))])
+    assert before + 20 <= batch.underway.steps[0] < before + 30
 
 
 @pytest.mark.parametrize("changes", [{}, {"k0": 1e9, "c0": 1e3}, {"delta": -0.02, "start": "drive"}])

@@ -9,14 +9,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from cases import DRILL, ROCK, USUAL, lanes
+from flat import Flat
 
 import vibrojax as vj
 from vibrojax.scenes.vibro_impact import VibroImpact
-from vibrojax.stepping import Located, keep, lane_at
+from vibrojax.stepping import Accuracy, Goal, Located, keep, lane_at
 
 SCENE = VibroImpact()
 DURATION = 0.5
-SETTINGS = {"tolerance": 1e-10, "stride": 2.0, "step": np.inf}
+SETTINGS = Accuracy(tolerance=1e-10, stride=2.0, step=np.inf)
 REFUSED = [{"c2": 1e10}, {"v": 5e-324}, *DRILL["beyond all scales"]]
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(12)
 
@@ -46,7 +47,7 @@ def forces(p, mode, y):
 
 
 @jax.jit
-def summed(p, state):
+def summed(constants, state):
     """The end state; sums over time of F, J, x1, x2, F v and what it is spent on; and the least of F u, J and J less
     k0 (x2 - delta) + c0 x2' where x2 >= delta, each (lanes,)."""
 
@@ -59,7 +60,7 @@ def summed(p, state):
                 value = value * tau + c[None]
             y.append(value)
         x1, v1, x2, v2 = y = keep(y)
-        each = {name: q[None] for name, q in p.items()}
+        each = {name: q[None] for name, q in Flat(constants).items()}
         mode = tuple(m[None] for m in step.mode)
         F, J, raw = keep(forces(each, mode, y))
         u = v1 + each["v"]
@@ -79,13 +80,14 @@ def summed(p, state):
     def one(carry):
         lane, sums, least, steps = carry
         moving = lane.clock.until(DURATION) > 0
-        lane, step = Located().step(SCENE, p, lane, SETTINGS, jnp.asarray(DURATION), moving, marked=False)
+        goal = Goal(jnp.asarray(DURATION), moving)
+        lane, step = Located().step(SCENE, constants, lane, SETTINGS, goal, marked=False)
         return lane, *take_in(keep(step), sums, least), steps + 1
 
     none = jnp.zeros_like(state[0])
     sums = dict.fromkeys(("F", "J", "x1", "x2", "given", "spent", "sizes"), none)
     least = dict.fromkeys(("F u", "J", "J - raw"), none)
-    lane, sums, least, _ = jax.lax.while_loop(goes_on, one, (lane_at(SCENE, p, state), sums, least, 0))
+    lane, sums, least, _ = jax.lax.while_loop(goes_on, one, (lane_at(SCENE, constants, state), sums, least, 0))
     return lane.state, lane.clock.until(DURATION), sums, least
 
 
@@ -94,13 +96,13 @@ def motions():
     """Constants, first and last states, sums and least values of all lanes, numpy."""
     values = {name: q.default for name, q in SCENE.parameters().items()}
     given = {name: jnp.asarray([float(point.get(name, x)) for point in POINTS]) for name, x in values.items()}
-    p = dict(SCENE.constants(given))
+    p = SCENE.constants(given)
     stuck = jnp.asarray([point["start"] == "stuck" for point in POINTS])
     starts = [SCENE.start(p, name, stuck.shape) for name in ("stuck", "drive")]
     state = tuple(jnp.where(stuck, *both) for both in zip(*starts, strict=True))
-    end, left, sums, least = summed(dict(SCENE.scaled(p, state)), state)
+    end, left, sums, least = summed(SCENE.scaled(p, state), state)
     assert np.all(np.asarray(left) <= 0), [POINTS[i] for i in np.flatnonzero(np.asarray(left) > 0)]
-    return jax.tree.map(np.asarray, (p, state, end, sums, least))
+    return jax.tree.map(np.asarray, (dict(Flat(p)), state, end, sums, least))
 
 
 def told(wrong):
@@ -140,7 +142,7 @@ def test_friction_brakes_and_the_contact_pushes(motions):
     """F u >= 0 (5.9); J >= 0; and J is no less than k0 (x2 - delta) + c0 x2' while x2 >= delta (5.18)."""
     p, _, _, _, least = motions
     speed = p["speed_scale"] + np.sqrt(p["k0"] / p["m2"]) * np.abs(p["delta"])
-    noise = 1e-11 * (p["k0"] * p["slowness"] + p["c0"]) * speed
+    noise = 1e-11 * (p["k0"] * p["period"] + p["c0"]) * speed
     assert not told(least["F u"] < -1e-11 * (p["mu"] * p["weight"] * speed + noise * speed))
     assert not told(least["J"] < -noise)
     assert not told(least["J - raw"] < -noise)

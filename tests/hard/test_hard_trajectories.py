@@ -7,7 +7,7 @@ import pytest
 import vibrojax as vj
 from vibrojax.cli import main
 from vibrojax.errors import InputError
-from vibrojax.simulation import _record, _size
+from vibrojax.simulation import _record
 
 TOO_LONG = r"simulate: duration: \S+ s need some \S+ steps.*; there is room for \S+ steps.*: give a shorter duration"
 
@@ -50,7 +50,7 @@ def test_the_command_says_it_in_one_line(capsys, tmp_path, monkeypatch):
 
 def test_memory_counts(monkeypatch):
     """Beforehand, and on the way: the bound is that of a motion without events, which are not known before."""
-    monkeypatch.setattr(_size, "memory", lambda: 2e6)
+    monkeypatch.setattr(_record, "memory", lambda: 2e6)
     told = r"duration: 10000 s need some 1.8e\+05 steps and 2\d\d MB of memory; .* and 2 MB of memory"
     with pytest.raises(InputError, match=told):
         vj.simulate("rotary", duration=1e4, sampling=100.0, progress=False)

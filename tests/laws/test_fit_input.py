@@ -49,7 +49,7 @@ def refused(data, *arguments, fit=fit_rop, **named) -> str:
 # datasets
 
 
-def test_a_fit_has_the_contracts_variables_units_and_attributes():
+def test_a_fit_has_variables_with_units_and_attributes():
     fit = vj.fit_rop(sweep(), progress=False)
     assert list(fit.form.values) == ["literal", "percent", "onset", "line", "power"]
     names = ["C", "C_stderr", "eta0", "eta0_stderr", "exponent", "r_squared", "aic", "used", "left_out"]

@@ -1,4 +1,4 @@
-"""The source's own question: C over force and stiffness, from pulses that are simulated (model.md, section 5; R8)."""
+"""The source's own question: C over force and stiffness, from pulses that are simulated (the reproduction's R8)."""
 
 import numpy as np
 import pytest

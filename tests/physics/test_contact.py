@@ -13,7 +13,7 @@ from vibrojax.physics.contact import contact_time, damping_ratio, force, raw_for
 
 MASS, K0 = 100.0, 50e6
 XIS = [0.0, 0.1, 0.5, 0.9, 0.999, 0.9995, 1.0, 1.0005, 1.001, 2.0, 5.0]
-P = {"k0": 50e6, "c0": 2e4}
+P = (50e6, 2e4)
 
 
 def blow(xi):
@@ -124,7 +124,7 @@ def test_restitution_falls_with_damping_and_never_leaves_0_to_1():
 @given(st.floats(-0.01, 0.01, allow_subnormal=False), st.floats(-20, 20, allow_subnormal=False))
 def test_force_is_one_sided(compression, rate):
     """J = k0 d + c0 d' while d >= 0 and that is positive, else 0 (5.18)."""
-    found = float(force(jnp.asarray(compression), jnp.asarray(rate), P))
+    found = float(force(jnp.asarray(compression), jnp.asarray(rate), *P))
     inside = 50e6 * compression + 2e4 * rate
     expected = inside if compression >= 0 and inside > 0 else 0.0
     np.testing.assert_allclose(found, expected, rtol=1e-13, atol=1e-9)
@@ -145,12 +145,12 @@ def test_force_is_one_sided(compression, rate):
     ],
 )
 def test_force_corner_by_corner(compression, rate, expected):
-    found = force(jnp.asarray(compression), jnp.asarray(rate), P)
+    found = force(jnp.asarray(compression), jnp.asarray(rate), *P)
     np.testing.assert_allclose(found, expected, rtol=1e-13)
-    slopes = jax.grad(force, argnums=(0, 1))(compression, rate, P)
+    slopes = jax.grad(force, argnums=(0, 1))(compression, rate, *P)
     if expected > 0:
         assert slopes == (50e6, 2e4)
-        np.testing.assert_allclose(raw_force(compression, rate, P), expected, rtol=1e-13)
+        np.testing.assert_allclose(raw_force(compression, rate, *P), expected, rtol=1e-13)
     else:
         assert slopes == (0, 0)
 

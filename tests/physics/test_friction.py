@@ -211,4 +211,4 @@ def test_a_new_law_needs_nothing_but_its_object():
     for slip, v1 in ((1.0, 0.3), (-1.0, -2.1)):
         acceleration = scene.field(p, (jnp.asarray(slip),), (zero, jnp.asarray(v1), zero, zero))[1]
         np.testing.assert_allclose(acceleration, -slip * 0.5 * np.exp(-abs(v1 + 1.5) / 2.0) * 9.81, rtol=1e-13)
-    np.testing.assert_allclose(p["stick_limit"], 0.5 * 250 * 9.81, rtol=1e-14)
+    np.testing.assert_allclose(p.drill.slip.stick_limit, 0.5 * 250 * 9.81, rtol=1e-14)

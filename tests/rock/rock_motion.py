@@ -1,14 +1,16 @@
 """One lane of a scene with rock, step by step, for the tests beside this file."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
+from flat import Flat
 from numpy.polynomial import polynomial
 
 from vibrojax.scenes.penetration import Penetration
 from vibrojax.simulation._record import record, sample
-from vibrojax.stepping import Located
+from vibrojax.stepping import Accuracy, Located
 
-FINE = {"tolerance": 1e-12, "stride": 1.0, "step": np.inf}
+FINE = Accuracy(tolerance=1e-12, stride=1.0, step=np.inf)
 ELASTIC, YIELDING, OFF, REST = 0, 1, -1, 2
 
 
@@ -16,7 +18,7 @@ def constants(scene, **values):
     """The constants of one lane, shape (1,), with the scene's defaults for what is not given."""
     given = {name: jnp.full(1, values.pop(name, q.default)) for name, q in scene.parameters().items()}
     assert not values
-    return dict(scene.constants(given))
+    return scene.constants(given)
 
 
 class Motion:
@@ -28,14 +30,15 @@ class Motion:
     def __init__(self, duration, shape="rectangular", scene=None, start=None, method=None, settings=None, **values):
         scene = scene or Penetration(shape)
         p = constants(scene, **values)
-        settings = {name: jnp.asarray(value) for name, value in (FINE | (settings or {})).items()}
+        settings = Accuracy(*map(jnp.asarray, FINE._replace(**(settings or {}))))
         self.steps = record(
             scene, method or Located(), p, scene.start(p, start, (1,)), settings, jnp.asarray(float(duration))
         )
         self.scene = scene
-        self.p = {name: float(np.ravel(value)[0]) for name, value in p.items()}
-        self.index = {name: i for i, name in enumerate(scene.states)}
-        self.rock = self.steps.mode[:, scene.modes.index("rock")]
+        self.p = {name: float(np.ravel(value)[0]) for name, value in Flat(p).items()}
+        self.constants = jax.tree.map(lambda value: jnp.ravel(jnp.asarray(value))[0], p)
+        self.index = {name: i for i, name in enumerate(scene.state_names)}
+        self.rock = self.steps.mode[:, scene.mode_place("rock")]
         self.times = self.steps.start + self.steps.dt
         self.growth = self._over_the_step("growth", lambda c, tau: polynomial.polyval(tau, c) - c[0])
         self.x4 = np.cumsum(self.growth)
@@ -63,8 +66,8 @@ class Motion:
 
     def pulses(self):
         """The steps at whose end a pulse begins, as indices."""
-        hit = self.steps.hits[:, self.scene.surfaces_named.index("pulse")]
-        return np.flatnonzero(hit & (self.steps.mode[:, self.scene.modes.index("pushing")] == 0))
+        hit = self.steps.hits[:, self.scene.event_names.index("pulse")]
+        return np.flatnonzero(hit & (self.steps.mode[:, self.scene.mode_place("pushing")] == 0))
 
     def _over_the_step(self, name, of):
         with np.errstate(invalid="ignore", divide="ignore"):

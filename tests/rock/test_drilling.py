@@ -6,8 +6,7 @@ import pytest
 from rock_motion import ELASTIC, YIELDING, Motion
 
 import vibrojax as vj
-from vibrojax.scenes.coupled_drilling import CoupledDrilling
-from vibrojax.scenes.drilling import Drilling
+from vibrojax.scenes.drilling import CoupledDrilling, Drilling
 
 SWEEP = {
     "grid": {"gamma": [0.6, 0.7, 0.8], "beta": [0.25, 0.4], "v": [1.0, 2.0]},
@@ -129,8 +128,8 @@ def powers(motion, stiffly):
         y = sum(steps.polynomials[moving][:, :, k] * at**k for k in range(steps.polynomials.shape[2])).T
         states = tuple(jnp.asarray(one) for one in y)
         x1, v1, x2, v2, e, v3, _ = y
-        rates = np.asarray(jnp.stack(scene.field(p, mode, states)))
-        blow = np.asarray(scene.contact_force(p, mode, states))
+        rates = np.asarray(jnp.stack(scene.field(motion.constants, mode, states)))
+        blow = np.asarray(scene.contact_force(motion.constants, mode, states))
         sinking = np.where(rock == YIELDING, v3, 0.0)
         pull = -p["k1"] * x1 - p["k2"] * (x1 - x2)
         friction = pull - p["m1"] * rates[1]

@@ -9,7 +9,7 @@ from rock_motion import FINE, constants
 import vibrojax as vj
 from vibrojax.devices import precision
 from vibrojax.scenes.penetration import Penetration
-from vibrojax.stepping import Located, lane_at
+from vibrojax.stepping import Accuracy, Goal, Located, lane_at
 
 SCENE, STEPPER = Penetration(), Located()
 BLOWS = 100_000
@@ -22,7 +22,7 @@ def _walk(p, lane, settings, end):
     """A thousand steps: (dt, states after each, pulse begins), and the lane after them."""
 
     def one(lane, _):
-        new, step = STEPPER.step(SCENE, p, lane, settings, end, lane.clock.until(end) > 0)
+        new, step = STEPPER.step(SCENE, p, lane, settings, Goal(end, lane.clock.until(end) > 0))
         return new, (step.dt[0], jnp.stack(step.after)[:, 0], SCENE.pulse_begins(p, step.mode, step.hits)[0])
 
     return jax.lax.scan(one, lane, length=1000)
@@ -32,9 +32,9 @@ def walk(name, began):
     """Steps of the default lane from `began` [s] on, in float64 or float32; numpy arrays."""
     with precision(name):
         p = constants(SCENE, zeta=0.6)
-        assert p["k3"].dtype == name
+        assert p.rock.k3.dtype == name
         tolerance = 1e-9 if name == "float64" else 3e-6
-        settings = {key: jnp.asarray(value, name) for key, value in (FINE | {"tolerance": tolerance}).items()}
+        settings = Accuracy(*(jnp.asarray(value, name) for value in FINE._replace(tolerance=tolerance)))
         lane = lane_at(SCENE, p, SCENE.start(p, None, (1,)))
         lane = lane._replace(clock=lane.clock._replace(high=jnp.full(1, began, name)))
         lane, steps = _walk(p, lane, settings, jnp.asarray(began + 1000.0, name))

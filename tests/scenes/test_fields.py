@@ -137,32 +137,32 @@ def test_surfaces(slip, touching):
     over_k0 = x2 - CONTACT["delta"] + CONTACT["c0"] / CONTACT["k0"] * v2
     impact = touching * CONTACT["k0"] * over_k0
     in_hand = (limit(impact) - np.abs(springs(x1, x2))) / np.sqrt(DRILL["k1"] * DRILL["m1"])
-    friction, contact = scene.surfaces(constants(scene), arrays(slip, touching), arrays(*state))
+    friction, contact = scene.guard_values(constants(scene), arrays(slip, touching), arrays(*state))
     np.testing.assert_allclose(friction, np.abs(v1 + DRILL["v"]) if slip else in_hand, rtol=1e-11, atol=1e-10)
     apart = np.maximum(CONTACT["delta"] - x2, -over_k0)
     np.testing.assert_allclose(contact, over_k0 if touching else apart, rtol=1e-11, atol=1e-15)
-    np.testing.assert_array_equal(scene.markers(constants(scene), arrays(*state)), [v1, v2])  # the turns
+    np.testing.assert_array_equal(scene.marker_values(arrays(*state)), [v1, v2])  # the turns
     if not touching:
         rotary = Rotary()
-        alone = rotary.surfaces(constants(rotary), arrays(slip), arrays(*state))
+        alone = rotary.guard_values(constants(rotary), arrays(slip), arrays(*state))
         np.testing.assert_allclose(alone, friction[None], rtol=1e-11, atol=1e-10)
 
 
 def test_surfaces_are_exactly_zero_on_the_surface():
     scene = VibroImpact()
     p = constants(scene)
-    delta = p["delta"]
-    at_rest = jnp.asarray(0.01), -p["v"], delta, jnp.asarray(0.7)  # u = 0
+    delta, v = p.contact.delta, p.drill.slip.v
+    at_rest = jnp.asarray(0.01), -v, delta, jnp.asarray(0.7)  # u = 0
     for slip in (1.0, -1.0):  # apart and rising through delta: x2 = delta, J = c0 x2' > 0
-        np.testing.assert_array_equal(scene.surfaces(p, (jnp.asarray(slip), jnp.asarray(0.0)), at_rest), 0)
+        np.testing.assert_array_equal(scene.guard_values(p, (jnp.asarray(slip), jnp.asarray(0.0)), at_rest), 0)
     # Let go at J = 0: x2 - delta = -c0/k0 x2'.
-    leaving = jnp.asarray(0.01), -p["v"], delta + 0.7 * p["c0"] / p["k0"], jnp.asarray(-0.7)
+    leaving = jnp.asarray(0.01), -v, delta + 0.7 * p.contact.c0 / p.contact.k0, jnp.asarray(-0.7)
     for touching in (1.0, 0.0):
-        surface = scene.surfaces(p, (jnp.asarray(1.0), jnp.asarray(touching)), leaving)[1]
+        surface = scene.guard_values(p, (jnp.asarray(1.0), jnp.asarray(touching)), leaving)[1]
         assert abs(surface) < 2 * np.spacing(abs(CONTACT["delta"]))
     # Let go above delta and falling: apart until J > 0 again.
     let_go = (*leaving[:3], jnp.asarray(-0.9))
-    assert scene.surfaces(p, (jnp.asarray(1.0), jnp.asarray(0.0)), let_go)[1] > 0
+    assert scene.guard_values(p, (jnp.asarray(1.0), jnp.asarray(0.0)), let_go)[1] > 0
 
 
 def mode_at(scene, *state, **values):
@@ -241,13 +241,16 @@ def test_starts():
     vector = (0.01, 3.5, 0.0, -1.0)
     np.testing.assert_array_equal(scene.start(p, vector, (2,)), np.transpose([vector, vector]))
     p = constants(scene, delta=-0.005)
-    np.testing.assert_allclose(scene.impact_force(p, scene.start(p, "drive", ())), 4e7 * 0.005)  # k0 |delta|
+    np.testing.assert_allclose(
+        scene.contact_force(p, (1.0, 1.0), scene.start(p, "drive", ())), 4e7 * 0.005
+    )  # k0 |delta|
 
 
 def landed(scene, mode, state, *hits):
     p = constants(scene)
     state = tuple(jnp.asarray(float(value)) for value in state)
-    mode, state = scene.land(p, tuple(map(jnp.asarray, mode)), state, tuple(jnp.asarray(hit) for hit in hits))
+    by_name = dict(zip(scene.event_names, map(jnp.asarray, hits), strict=True))
+    mode, state = scene.after_event(p, tuple(map(jnp.asarray, mode)), state, by_name)
     return tuple(map(float, mode)), tuple(map(float, state))
 
 

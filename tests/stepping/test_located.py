@@ -6,20 +6,21 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from flat import Flat
 
 from vibrojax.physics.friction import FRICTION_LAWS
 from vibrojax.scenes.rotary import Rotary
 from vibrojax.scenes.vibro_impact import VibroImpact
 from vibrojax.simulation._record import record
-from vibrojax.stepping import Located, lane_at
+from vibrojax.stepping import Accuracy, Goal, Located, lane_at
 
 DRILL = VibroImpact()
-FINE = {"tolerance": 1e-12, "stride": 1.0, "step": np.inf}
+FINE = Accuracy(tolerance=1e-12, stride=1.0, step=np.inf)
 
 
 def constants(scene, shape=(1,), **values):
-    return dict(
-        scene.constants({name: jnp.full(shape, values.get(name, q.default)) for name, q in scene.parameters().items()})
+    return scene.constants(
+        {name: jnp.full(shape, values.get(name, q.default)) for name, q in scene.parameters().items()}
     )
 
 
@@ -34,7 +35,7 @@ def end_states(scene, method, p, state, settings, end):
     def one(carry):
         lane, steps = carry
         moving = lane.clock.until(end) > 0
-        lane, _ = method.step(scene, p, lane, settings, end, moving)
+        lane, _ = method.step(scene, p, lane, settings, Goal(end, moving))
         return lane, jnp.where(moving, steps + 1, steps)
 
     lane, steps = jax.lax.while_loop(goes_on, one, (lane_at(scene, p, state), jnp.zeros_like(state[0])))
@@ -42,8 +43,8 @@ def end_states(scene, method, p, state, settings, end):
 
 
 def ends(scene, method, p, start, end, **settings):
-    shape = p["v"].shape
-    settings = {name: jnp.asarray(value) for name, value in (FINE | settings).items()}
+    shape = scene.speed_scale(p).shape
+    settings = Accuracy(*map(jnp.asarray, FINE._replace(**settings)))
     states, steps = end_states(scene, method, p, scene.start(p, start, shape), settings, jnp.asarray(end))
     return np.asarray(states), np.asarray(steps)
 
@@ -51,13 +52,19 @@ def ends(scene, method, p, start, end, **settings):
 def run(start, duration, **values):
     """Constants and record of one lane of the vibro-impact scene."""
     p = constants(DRILL, **values)
-    settings = {name: jnp.asarray(value) for name, value in FINE.items()}
-    return p, record(DRILL, Located(), p, DRILL.start(p, start, (1,)), settings, jnp.asarray(float(duration)))
+    settings = Accuracy(*map(jnp.asarray, FINE))
+    taken = record(DRILL, Located(), p, DRILL.start(p, start, (1,)), settings, jnp.asarray(float(duration)))
+    return Flat(p), taken
+
+
+def hits(taken):
+    """What steps ended on, by name."""
+    return dict(zip(DRILL.event_names, taken.hits.T, strict=True))
 
 
 def begins(p, taken):
     """Steps at whose end an impact begins."""
-    return np.asarray(DRILL.impact_begins(p, tuple(taken.mode.T), tuple(taken.after.T), tuple(taken.hits.T)))
+    return np.asarray(DRILL.impact_begins(p.constants, tuple(taken.mode.T), tuple(taken.after.T), hits(taken)))
 
 
 @pytest.fixture(scope="module")
@@ -223,7 +230,7 @@ def test_chatter_comes_to_rest(c0):
 def test_resting_striker_stays_at_rest_without_steps():
     """Pressed on the bit by the preload: k2 x2 = k0 (delta - x2); 48 s at one step a contact rate would be 34,000."""
     p = constants(DRILL)
-    k0, k2, delta = (float(p[name][0]) for name in ("k0", "k2", "delta"))
+    k0, k2, delta = (float(Flat(p)[name][0]) for name in ("k0", "k2", "delta"))
     _, taken = run((0.0, 0.0, k0 * delta / (k0 + k2), 0.0), 48.0, v=0.0)
     assert len(taken.dt) < 10
     _, taken = run("drive", 48.0, v=0.0, delta=0.005)
@@ -267,9 +274,9 @@ def test_turns_within_a_step(part):
     """
     p = constants(DRILL)
     behind, speed = 0.002, 1.0
-    dip = float(p["k2"][0] * p["inverse_m2"][0]) * behind**2 / (2 * speed)
+    dip = float(p.drill.k2[0] * p.drill.inverse_m2[0]) * behind**2 / (2 * speed)
     _, taken = run((-behind, speed, 0.0, part * dip), 0.006, delta=1.0)
-    turns = np.flatnonzero(taken.hits[:, DRILL.striker_turn])
+    turns = np.flatnonzero(hits(taken)["striker_turn"])
     assert len(turns) == (2 if part > 0 else 1)
     np.testing.assert_allclose(taken.after[turns, 3], 0, atol=1e-15)
     assert len(taken.dt) < 10
@@ -308,14 +315,15 @@ def test_slip_that_ends_as_it_begins(dtype, touching):
     beyond = 10.0 ** np.arange(-17, -1, dtype=float)
     lanes = beyond.shape
     p = constants(DRILL, lanes, delta=0.0 if touching else 1.0)
-    p = {name: jnp.asarray(value, dtype) for name, value in p.items()}
+    c = jax.tree.map(lambda value: jnp.asarray(value, dtype), p)
+    p = Flat(c)
     impact = 1000.0 * touching
     limit = p["stick_limit"] + p["stick_gain"] * impact
     x2 = jnp.full(lanes, impact / 5e7, dtype)
     x1 = (limit * (1 + jnp.asarray(beyond, dtype)) + p["k2"] * x2) / (p["k1"] + p["k2"])
     zero = jnp.zeros(lanes, dtype)
     state = (x1, -p["v"], x2, zero)
-    settings = {name: jnp.asarray(value, dtype) for name, value in (FINE | {"tolerance": 3e-6}).items()}
-    reached, steps = end_states(DRILL, Located(), p, state, settings, jnp.asarray(0.004, dtype))
+    settings = Accuracy(*(jnp.asarray(value, dtype) for value in FINE._replace(tolerance=3e-6)))
+    reached, steps = end_states(DRILL, Located(), c, state, settings, jnp.asarray(0.004, dtype))
     assert np.all(np.isfinite(reached))
     assert np.max(steps) < 100

@@ -9,7 +9,7 @@ import pytest
 
 from vibrojax.scenes.rotary import Rotary
 from vibrojax.scenes.vibro_impact import VibroImpact
-from vibrojax.stepping import Located, Smoothed, lane_at
+from vibrojax.stepping import Accuracy, Goal, Located, Smoothed, lane_at
 from vibrojax.stepping.smoothed import smoothed_trajectory
 
 ROTARY, DRILL = Rotary(), VibroImpact()
@@ -17,24 +17,24 @@ ROTARY, DRILL = Rotary(), VibroImpact()
 
 def constants(scene, shape=(1,), **values):
     defaults = {name: one.default for name, one in scene.parameters().items()}
-    return dict(scene.constants({name: jnp.full(shape, values.get(name, x)) for name, x in defaults.items()}))
+    return scene.constants({name: jnp.full(shape, values.get(name, x)) for name, x in defaults.items()})
 
 
 @partial(jax.jit, static_argnums=(0, 1, 2))
 def end_states(scene, method, start, p, settings, end):
     """States (states, lanes) at `end`."""
-    lane = lane_at(scene, p, scene.start(p, start, p["v"].shape))
+    lane = lane_at(scene, p, scene.start(p, start, scene.speed_scale(p).shape))
 
     def one(lane):
-        return method.step(scene, p, lane, settings, end, lane.clock.until(end) > 0)[0]
+        return method.step(scene, p, lane, settings, Goal(end, lane.clock.until(end) > 0))[0]
 
     return jnp.stack(jax.lax.while_loop(lambda lane: jnp.any(lane.clock.until(end) > 0), one, lane).state)
 
 
 def ends(scene, method, start, **settings):
     """States at 0.5 s of lanes that differ in their settings."""
-    settings = {name: jnp.asarray(value) for name, value in settings.items()}
-    return np.asarray(end_states(scene, method, start, constants(scene, settings["step"].shape), settings, 0.5))
+    settings = Accuracy(*map(jnp.asarray, Accuracy(tolerance=0.0, stride=0.0, step=0.0)._replace(**settings)))
+    return np.asarray(end_states(scene, method, start, constants(scene, settings.step.shape), settings, 0.5))
 
 
 def slopes(errors, sizes):
@@ -88,7 +88,7 @@ def test_width_where_the_bit_sticks_and_breaks_away(scene):
 def x2_at_the_end(values, h=1e-3, steps=60):
     """x2 [m] after 60 ms of the rotary scene with its friction switch 0.1 m/s wide, from `stuck`: it breaks away."""
     p = ROTARY.constants({name: jnp.asarray(one.default) for name, one in ROTARY.parameters().items()} | values)
-    start = (jnp.asarray(-0.004), -p["v"], jnp.asarray(0.01), jnp.asarray(0.5))
+    start = (jnp.asarray(-0.004), -p.drill.slip.v, jnp.asarray(0.01), jnp.asarray(0.5))
     return smoothed_trajectory(ROTARY, p, start, h, steps, 0.1)[2][-1]
 
 

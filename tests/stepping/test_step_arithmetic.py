@@ -6,9 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from vibrojax.measure._waves import cos_sin
-from vibrojax.stepping._rough_root import rough_root
-from vibrojax.stepping.polynomial import highest
+from vibrojax.measure.harmonics import cos_sin
+from vibrojax.stepping.polynomial import highest, rough_root
 
 
 @pytest.mark.parametrize("dtype", ["float64", "float32"])

@@ -6,16 +6,21 @@ Nothing heavy is imported until a command runs, so that `--help` answers at once
 import os
 import signal
 import sys
-from argparse import ArgumentParser, Namespace
+import warnings
+from argparse import ArgumentParser
 from collections.abc import Callable, Sequence
+from typing import NoReturn, TextIO
 
 from vibrojax.cli import accuracy, fit, info, plot, reproduce, simulate, sweep
+from vibrojax.cli._command import Command, Options
 from vibrojax.errors import InputError
-from vibrojax.threads import apart
+from vibrojax.progress import end_lines
+from vibrojax.store.provenance import package_version
+from vibrojax.threads import in_own_thread
 
 DONE, FAILED, BAD_INPUT, INTERRUPTED, PIPE_CLOSED, TERMINATED = 0, 1, 2, 130, 141, 143
 
-_COMMANDS = {
+_COMMANDS: dict[str, Command] = {
     "sweep": sweep,
     "simulate": simulate,
     "plot": plot,
@@ -33,7 +38,7 @@ class Terminated(KeyboardInterrupt):
 class _Parser(ArgumentParser):
     """Wrong arguments are bad input like any other: one line, status 2."""
 
-    def error(self, message: str):
+    def error(self, message: str) -> NoReturn:
         command = self.prog.partition(" ")[2]
         raise InputError(f"{command}{': ' * bool(command)}{message}; see {self.prog} --help")
 
@@ -42,7 +47,8 @@ def command() -> None:
     """The process `vibrojax`: run it and leave."""
     if signal.getsignal(signal.SIGTERM) == signal.SIG_DFL:  # who started it may have chosen that it be ignored
         signal.signal(signal.SIGTERM, _terminate)
-    status = main(do=apart)
+    warnings.showwarning = _warn
+    status = main(do=in_own_thread)
     if status in (INTERRUPTED, TERMINATED, BAD_INPUT):
         # Threads may still be at their lanes, or at a file that has no end: nobody waits for them.
         sys.stderr.flush()
@@ -50,21 +56,27 @@ def command() -> None:
     sys.exit(status)
 
 
-def main(argv: Sequence[str] | None = None, do: Callable[[Callable], object] = lambda work: work()) -> int:
-    """Run the command with the arguments `argv` (None: the process's); `do` does the work.
+def main(argv: Sequence[str] | None = None, do: Callable[[Callable[[], None]], object] = lambda work: work()) -> int:
+    """Run the command.
 
-    Returns the exit status: 0 done, 2 bad input, 130 interrupted, 143 terminated, 1 where the machine failed (a full
-    disk), 141 where the reader of the output went away.
+    **Arguments:**
+
+    - `argv`: its arguments; None: the process's.
+    - `do`: does the work, in this thread or another.
+
+    **Returns:** the exit status: 0 done, 2 bad input, 130 interrupted, 143 terminated, 1 where the computer failed (a
+    full disk), 141 where the reader of the output went away.
     """
-    options = Namespace(command=None, how_to_resume="")
+    options = Options()
     try:
         _parser().parse_args(argv, options)
         if options.version:
-            print(f"vibrojax {_version()}")
+            print(f"vibrojax {package_version()}")
         elif options.command is None:
             raise InputError(f"no command; choose from {', '.join(_COMMANDS)}, or see vibrojax --help")
         else:
-            do(lambda: _COMMANDS[options.command].run(options))
+            command = _COMMANDS[options.command]
+            do(lambda: command.run(options))
         sys.stdout.flush()
         return DONE
     except SystemExit as leaving:  # --help
@@ -72,16 +84,16 @@ def main(argv: Sequence[str] | None = None, do: Callable[[Callable], object] = l
     except InputError as error:
         return _say(str(error), BAD_INPUT)
     except KeyboardInterrupt as end:
-        told, status = ("terminated", TERMINATED) if isinstance(end, Terminated) else ("interrupted", INTERRUPTED)
-        return _say(f"{told}; {options.how_to_resume or 'run the same command again'}", status)
+        how, status = ("terminated", TERMINATED) if isinstance(end, Terminated) else ("interrupted", INTERRUPTED)
+        return _say(f"{how}; {options.how_to_resume or 'run the same command again'}", status)
     except BrokenPipeError:
         # What is left in the buffer would raise again while Python leaves.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return PIPE_CLOSED
     except OSError as error:
-        return _say(_and_then(f"{error.filename or options.command}: {error.strerror or error}", options), FAILED)
+        return _say(_failed(f"{error.filename or options.command}: {error.strerror or error}", options), FAILED)
     except MemoryError:
-        return _say(_and_then(f"{options.command}: not enough memory", options), FAILED)
+        return _say(_failed(f"{options.command}: not enough memory", options), FAILED)
 
 
 def _parser() -> ArgumentParser:
@@ -90,7 +102,7 @@ def _parser() -> ArgumentParser:
     parser.add_argument("--version", action="store_true", help="print the version")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND")
     for name, command in _COMMANDS.items():
-        summary = command.__doc__.splitlines()[0].rstrip(".")
+        summary = str(command.__doc__).splitlines()[0].rstrip(".")
         command.arguments(commands.add_parser(name, help=summary, description=summary, allow_abbrev=False))
     return parser
 
@@ -99,22 +111,26 @@ def _terminate(*_: object) -> None:
     raise Terminated
 
 
-def _and_then(problem: str, options: Namespace) -> str:
-    """What went wrong on this machine, and how to go on where anything is kept."""
+def _failed(problem: str, options: Options) -> str:
+    """What went wrong on this computer, and how to go on where anything is kept."""
     return f"{problem}; {options.how_to_resume}" if options.how_to_resume else problem
+
+
+def _warn(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,
+    line: str | None = None,
+) -> None:
+    """Show a warning as all that the command says: on one line of stderr."""
+    print("vibrojax: warning:", " ".join(str(message).split()), file=sys.stderr)
 
 
 def _say(line: str, status: int) -> int:
     """Say on stderr, on one line, why the command ended with `status`."""
+    end_lines()
     sys.stdout.flush()
     print("vibrojax:", " ".join(line.split()), file=sys.stderr)
     return status
-
-
-def _version() -> str:
-    from importlib.metadata import PackageNotFoundError, version
-
-    try:
-        return version("vibrojax")
-    except PackageNotFoundError:
-        return "(not installed)"

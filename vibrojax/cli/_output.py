@@ -4,17 +4,24 @@ import os
 import shlex
 import sys
 import tempfile
-from argparse import Namespace
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from vibrojax.cli._command import Options
 from vibrojax.errors import InputError, shown
+
+if TYPE_CHECKING:
+    import xarray
 
 PICTURES = (".png", ".pdf", ".svg")
 
 
 def output(path: str | Path, endings: Sequence[str] = (".nc",)) -> Path:
-    """`path` as one that can be written, with one of `endings`; raises `InputError` where it cannot."""
+    """`path` as one that can be written.
+
+    **Raises:** `InputError` where it cannot be written, or does not end in one of `endings`.
+    """
     path = Path(path)
     at = f"-o: {shown(str(path))}"
     if path.suffix not in endings:
@@ -39,13 +46,16 @@ def picture_beside(path: Path) -> Path:
     return output(path.with_suffix(".png"), PICTURES)
 
 
-def written(options: Namespace, out: Path) -> None:
-    """From here on an interrupt costs no more than the picture of the dataset at `out`."""
+def dataset_written(options: Options, out: Path) -> None:
+    """From here on an interrupt costs no more than the picture of the dataset at `out`, and says so."""
     options.how_to_resume = f"{out} is whole; for its picture: {shlex.join(['vibrojax', 'plot', str(out)])}"
 
 
-def drawn(dataset: object, picture: Path) -> str:
-    """Draw the fitting picture; returns how to tell of it, or nothing where there is none (which stderr then says)."""
+def draw(dataset: "xarray.Dataset", picture: Path) -> str:
+    """Draw the picture that fits a dataset.
+
+    **Returns:** what to say of it behind the dataset's name; nothing where there is none, for which stderr has why.
+    """
     from vibrojax.plot import save_picture
 
     try:

@@ -4,10 +4,11 @@ Nothing is kept of an interrupted run: times of two runs do not go into one tabl
 """
 
 import shlex
-from argparse import ArgumentParser, Namespace
+from argparse import ArgumentParser
 from pathlib import Path
 
-from vibrojax.cli._output import PICTURES, output, written
+from vibrojax.cli._command import Options
+from vibrojax.cli._output import PICTURES, dataset_written, output
 from vibrojax.errors import InputError, shown
 
 _NAMES = ("accuracy.nc", "accuracy.md", "accuracy.png")
@@ -20,7 +21,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
 
 
-def run(options: Namespace) -> None:
+def run(options: Options) -> None:
     """Run the command."""
     dataset_path, table_path, picture_path = _files(Path(options.out))
     command = shlex.join(["vibrojax", "accuracy", "-o", options.out, *["--quick"] * options.quick])
@@ -32,14 +33,17 @@ def run(options: Namespace) -> None:
     dataset = run_accuracy(quick=options.quick, progress=not options.quiet)
     write_dataset(dataset, dataset_path)
     table_path.write_text(table(dataset), encoding="utf-8")
-    written(options, dataset_path)
+    dataset_written(options, dataset_path)
     save_picture(dataset, picture_path)
     if not options.quiet:
         print(f"{table_path}: {dataset.sizes['setting']} settings; dataset {dataset_path}, picture {picture_path}")
 
 
 def _files(folder: Path) -> list[Path]:
-    """The files to write, in a folder that is there then."""
+    """The files to write, in a folder that is made if it is not there.
+
+    **Raises:** `InputError` where one of them cannot be written.
+    """
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -5,11 +5,16 @@ tell groups of rows apart.
 """
 
 import math
-from argparse import ArgumentParser, Namespace
+from argparse import ArgumentParser
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
-from vibrojax.cli._output import drawn, output, picture_beside, written
+from vibrojax.cli._command import Options
+from vibrojax.cli._output import dataset_written, draw, output, picture_beside
+
+if TYPE_CHECKING:
+    import xarray
 
 _GROUPS_SHOWN = 12
 
@@ -22,7 +27,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("-o", dest="out", metavar="FIT.nc", help="where to write (FILE-fit.nc in this folder)")
 
 
-def run(options: Namespace) -> None:
+def run(options: Options) -> None:
     """Run the command."""
     out = output(options.out or f"{Path(options.file).stem}-fit.nc")
     picture = picture_beside(out)
@@ -31,12 +36,12 @@ def run(options: Namespace) -> None:
 
     fit = fit_rop(options.file, options.along, options.by or (), progress=False)
     write_dataset(fit, out)
-    written(options, out)
-    told = drawn(fit, picture)
-    print("\n".join([*tables(fit), "", *verdict(fit), f"{out}{told}"]))
+    dataset_written(options, out)
+    drawn = draw(fit, picture)
+    print("\n".join([*tables(fit), "", *verdict(fit), f"{out}{drawn}"]))
 
 
-def tables(fit: Any) -> list[str]:
+def tables(fit: "xarray.Dataset") -> list[str]:
     """A table of the forms for each of the first groups of lanes, and how many there are more."""
     from vibrojax.laws import table
 
@@ -44,11 +49,11 @@ def tables(fit: Any) -> list[str]:
     values = {name: table(fit, name)[1] for name in (*names, "left_out", "reason")}
     groups = table(fit, "aic")[0]
     meanings = str(fit["reason"].attrs["flag_meanings"]).split()
-    lines = []
-    for group, called in enumerate(groups[:_GROUPS_SHOWN]):
+    lines: list[str] = []
+    for group, name_of_group in enumerate(groups[:_GROUPS_SHOWN]):
         row = {name: column[group] for name, column in values.items()}
         left_out = f", {row['left_out'][0]} left out" if row["left_out"][0] else ""
-        lines += [""] * bool(lines) + [f"{called}: {row['used'][0]} lanes along {fit.attrs['along']}{left_out}"]
+        lines += [""] * bool(lines) + [f"{name_of_group}: {row['used'][0]} lanes along {fit.attrs['along']}{left_out}"]
         lines.append(f"  {'form':<9}{'C [m/s]':<24}{'eta0':<22}{'exponent':<20}{'R2':>8}{'AIC':>10}")
         for index, form in enumerate(fit["form"].values):
             at = {name: column[index] for name, column in row.items()}
@@ -56,7 +61,7 @@ def tables(fit: Any) -> list[str]:
     return lines + ([f"and {len(groups) - _GROUPS_SHOWN} groups more"] if len(groups) > _GROUPS_SHOWN else [])
 
 
-def _row(at: dict, reason: str) -> str:
+def _row(at: Mapping[str, float], reason: str) -> str:
     """A form's coefficients with standard errors, or why there are none."""
     if not math.isfinite(at["C"]):
         return reason

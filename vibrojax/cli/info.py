@@ -2,12 +2,19 @@
 
 import json
 import tomllib
-from argparse import ArgumentParser, Namespace
+from argparse import ArgumentParser
+from collections.abc import Hashable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
+
+from vibrojax.cli._command import Options
+
+if TYPE_CHECKING:
+    import xarray
 
 _FAILURES_SHOWN = 3
-_ACCEPTED = 1e-4  # the sweep file's default
+_ACCEPTED = 1e-4
+"""Accepted relative error where the sweep's text does not say: the sweep file's default."""
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -15,7 +22,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("file", metavar="OUT.nc", help="a dataset written by vibrojax")
 
 
-def run(options: Namespace) -> None:
+def run(options: Options) -> None:
     """Run the command."""
     from vibrojax.store.dataset import open_dataset
 
@@ -23,7 +30,7 @@ def run(options: Namespace) -> None:
         print("\n".join(describe(dataset)))
 
 
-def describe(dataset: Any) -> list[str]:
+def describe(dataset: "xarray.Dataset") -> list[str]:
     """The lines that tell what `dataset` holds; what it lacks is left out."""
     attributes = dataset.attrs
     lines = [(name, [str(attributes[name])]) for name in ("title", "scene") if attributes.get(name)]
@@ -37,11 +44,11 @@ def describe(dataset: Any) -> list[str]:
         ("accuracy", _accuracy(dataset) + _flips(dataset)),
     ]
     lines.append(("variables", [", ".join(str(name) for name in dataset.data_vars)]))
-    made_by = [name for name in ("solver", "source", "history") if name in attributes]
-    lines += [(name, str(attributes[name]).split("\n")) for name in made_by]
+    provenance = [name for name in ("solver", "source", "jax", "history") if name in attributes]
+    lines += [(name, str(attributes[name]).split("\n")) for name in provenance]
     if "wall_time_s" in attributes:
         lines.append(("wall time", [f"{float(attributes['wall_time_s']):.3g} s"]))
-    shown = (f"{name if first else '':<10}{text}" for name, texts in lines for first, text in _marked(texts))
+    shown = (f"{'' if index else name:<10}{text}" for name, texts in lines for index, text in enumerate(texts))
     return [line.rstrip() for line in shown]
 
 
@@ -54,16 +61,12 @@ def _times(text: str) -> list[str]:
         return []
 
 
-def _marked(texts: list[str]) -> list[tuple[bool, str]]:
-    return [(index == 0, text) for index, text in enumerate(texts)]
-
-
-def _grid(dataset: Any) -> list[str]:
+def _grid(dataset: "xarray.Dataset") -> list[str]:
     """Each dimension: its range and size."""
     return [_dimension(dataset, name, size) for name, size in dataset.sizes.items()]
 
 
-def _dimension(dataset: Any, name: str, size: int) -> str:
+def _dimension(dataset: "xarray.Dataset", name: Hashable, size: int) -> str:
     if name not in dataset.coords or not size:
         return f"{name}: {size}"
     values = dataset[name].values
@@ -74,7 +77,7 @@ def _dimension(dataset: Any, name: str, size: int) -> str:
     return f"{name}: {values[0]:g} to {values[-1]:g}{'' if unit == '1' else f' {unit}'} ({size})"
 
 
-def _flags(variable: Any) -> dict[int, str]:
+def _flags(variable: "xarray.DataArray") -> dict[int, str]:
     """Value and meaning of each flag, by CF's attributes."""
     import numpy as np
 
@@ -82,7 +85,7 @@ def _flags(variable: Any) -> dict[int, str]:
     return dict(zip(values, str(variable.attrs.get("flag_meanings", "")).split(), strict=False))
 
 
-def _regimes(dataset: Any) -> list[str]:
+def _regimes(dataset: "xarray.Dataset") -> list[str]:
     if "regime" not in dataset:
         return []
     regime = dataset["regime"]
@@ -91,7 +94,7 @@ def _regimes(dataset: Any) -> list[str]:
     return [f"{meaning:<14}{count:>9}{100 * count / total:>7.1f} %" for meaning, count in counted if count]
 
 
-def _failures(dataset: Any) -> list[str]:
+def _failures(dataset: "xarray.Dataset") -> list[str]:
     """How many lanes failed, and of each reason how many and the first few."""
     import numpy as np
 
@@ -103,9 +106,9 @@ def _failures(dataset: Any) -> list[str]:
     else:
         return []
     lines = [str(int(mask.sum()))]
-    told = "reason" in dataset and dataset["reason"].dims == mask.dims
-    reasons = dataset["reason"].values if told else np.zeros(mask.shape, int)
-    meanings = _flags(dataset["reason"]) if told else {}
+    reasoned = "reason" in dataset and dataset["reason"].dims == mask.dims
+    reasons = dataset["reason"].values if reasoned else np.zeros(mask.shape, int)
+    meanings = _flags(dataset["reason"]) if reasoned else {}
     for reason in np.unique(reasons[mask.values]).tolist():
         where = np.argwhere(mask.values & (reasons == reason))
         lines += [f"{len(where)} {meanings[reason]}"] if reason in meanings else []
@@ -113,7 +116,7 @@ def _failures(dataset: Any) -> list[str]:
     return lines
 
 
-def _failure(dataset: Any, dims: tuple[str, ...], index: list[int]) -> str:
+def _failure(dataset: "xarray.Dataset", dims: tuple[Hashable, ...], index: list[int]) -> str:
     point = dataset.isel(dict(zip(dims, index, strict=True)))
     names = [name for name in point.coords if point[name].ndim == 0]
     values = [f"{name}={_number(point[name].item())}" for name in names]
@@ -125,7 +128,7 @@ def _number(value: object) -> str:
     return f"{value:.10g}" if isinstance(value, float) else str(value)
 
 
-def _accuracy(dataset: Any) -> list[str]:
+def _accuracy(dataset: "xarray.Dataset") -> list[str]:
     """Median and largest error estimate, and the share of lanes that keep what the caller accepts."""
     import numpy as np
 
@@ -140,10 +143,21 @@ def _accuracy(dataset: Any) -> list[str]:
     return [
         f"error_estimate median {np.median(errors):.2g}, largest {errors.max():.2g}",
         f"{share:.4g} % of {errors.size} periodic lanes within the accepted {accepted:g}",
+        *_still_settling(dataset, accepted),
     ]
 
 
-def _flips(dataset: Any) -> list[str]:
+def _still_settling(dataset: "xarray.Dataset", accepted: float) -> list[str]:
+    """How many lanes that repeat are still on their way to where they settle."""
+    if "cycles" not in dataset:
+        return []
+    if "drift_estimate" not in dataset:
+        return ["how far lanes still are from where they settle is no part of it: made before version 0.1.1"]
+    still = int((dataset["drift_estimate"] > accepted).sum())
+    return [f"{still} of them are farther than that from where they settle; a longer settle brings them there"]
+
+
+def _flips(dataset: "xarray.Dataset") -> list[str]:
     """Of how many lanes the regime is another one at a coarser resolution."""
     if "regime" not in dataset or "check_regime" not in dataset:
         return []

@@ -1,8 +1,9 @@
 """Draw the fitting picture for what a dataset holds."""
 
-from argparse import ArgumentParser, Namespace
+from argparse import ArgumentParser
 from pathlib import Path
 
+from vibrojax.cli._command import Options
 from vibrojax.cli._output import PICTURES, output, picture_beside
 
 
@@ -12,7 +13,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("-o", dest="out", metavar="PICTURE.png", help="where to draw (OUT.png beside OUT.nc)")
 
 
-def run(options: Namespace) -> None:
+def run(options: Options) -> None:
     """Run the command."""
     from vibrojax.store.dataset import open_dataset
 

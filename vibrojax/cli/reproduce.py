@@ -4,9 +4,10 @@ Nothing is kept of an interrupted run.
 """
 
 import shlex
-from argparse import ArgumentParser, Namespace
+from argparse import ArgumentParser
 from pathlib import Path
 
+from vibrojax.cli._command import Options
 from vibrojax.cli._output import output
 from vibrojax.errors import InputError, shown
 
@@ -18,22 +19,25 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
 
 
-def run(options: Namespace) -> None:
+def run(options: Options) -> None:
     """Run the command."""
     folder = _folder(Path(options.out))
     command = shlex.join(["vibrojax", "reproduce", "-o", options.out, *["--quick"] * options.quick])
     options.how_to_resume = f"nothing is kept; to start again: {command}"
     from vibrojax.reproduce import run_reproduction, write_reproduction
 
-    found = run_reproduction(quick=options.quick, progress=not options.quiet)
-    write_reproduction(found, folder)
+    reproduction = run_reproduction(quick=options.quick, progress=not options.quiet)
+    write_reproduction(reproduction, folder)
     if not options.quiet:
-        score = ", ".join(f"{count} {verdict}" for verdict, count in reversed(found.score.items()))
-        print(f"{folder / 'index.html'}: {len(found.results)} results: {score}; table {folder / 'table.md'}")
+        score = ", ".join(f"{count} {verdict}" for verdict, count in reversed(reproduction.score.items()))
+        print(f"{folder / 'index.html'}: {len(reproduction.results)} results: {score}; table {folder / 'table.md'}")
 
 
 def _folder(folder: Path) -> Path:
-    """The folder to write to, made if it is not there; raises where the page cannot be written in it."""
+    """The folder to write to, made if it is not there.
+
+    **Raises:** `InputError` where the page cannot be written in it.
+    """
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -1,9 +1,11 @@
 """Simulate one point: its trajectory as a dataset, and a picture beside it."""
 
 import json
-from argparse import ArgumentParser, Namespace
+from argparse import ArgumentParser
+from typing import Any
 
-from vibrojax.cli._output import drawn, output, picture_beside, written
+from vibrojax.cli._command import Options
+from vibrojax.cli._output import dataset_written, draw, output, picture_beside
 from vibrojax.errors import Place, shown
 
 # Settings of the run, which are no parameters of a scene.
@@ -26,30 +28,33 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("-o", dest="out", metavar="OUT.nc", help="where to write (SCENE.nc in this folder)")
 
 
-def run(options: Namespace) -> None:
+def run(options: Options) -> None:
     """Run the command."""
     place = Place("simulate")
     settings, parameters = read_values(place, options.values)
-    from vibrojax.sweep._point import read_point
+    from vibrojax.input.point import read_point
 
     point = read_point(place, options.scene, parameters, settings.pop("start", None))
-    settings = _checked(place, settings)
+    # Names and values are checked, each against what it is; that it fits the function's argument no type can say.
+    arguments: dict[str, Any] = _checked(place, settings) | point.options | point.parameters
+    if point.start is not None:
+        arguments["start"] = point.start
     out = output(options.out or f"{point.scene}.nc")
     picture = picture_beside(out)
 
     from vibrojax.simulation import simulate
     from vibrojax.store.dataset import write_dataset
 
-    start = {} if point.start is None else {"start": point.start}
-    dataset = simulate(point.scene, **start, **settings, **point.options, **point.parameters, progress=True)
+    dataset = simulate(point.scene, **arguments, progress=True)
     write_dataset(dataset, out)
-    written(options, out)
-    print(f"{out}{drawn(dataset, picture)}")
+    dataset_written(options, out)
+    print(f"{out}{draw(dataset, picture)}")
 
 
 def read_values(place: Place, words: list[str]) -> tuple[dict[str, object], dict[str, object]]:
     """Settings and parameters from words NAME=VALUE; numbers are numbers, all else is text or a vector."""
-    settings, parameters = {}, {}
+    settings: dict[str, object] = {}
+    parameters: dict[str, object] = {}
     for word in words:
         name, equals, text = word.partition("=")
         name = name.strip()
@@ -76,8 +81,8 @@ def _value(place: Place, text: str) -> object:
 
 def _checked(place: Place, settings: dict[str, object]) -> dict[str, object]:
     """The settings but for start; which methods and solvers there are, the simulation knows."""
+    from vibrojax.input.values import quantity
     from vibrojax.physics.parameters import positive
-    from vibrojax.sweep._numbers import quantity
 
     checked = dict(settings)
     for name, value in settings.items():

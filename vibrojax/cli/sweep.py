@@ -1,10 +1,15 @@
 """Run a sweep file: a labelled dataset, and a picture beside it."""
 
 import shlex
-from argparse import ArgumentParser, Namespace
+from argparse import ArgumentParser
+from typing import TYPE_CHECKING
 
 from vibrojax.amounts import size_text, time_text
-from vibrojax.cli._output import drawn, output, picture_beside, written
+from vibrojax.cli._command import Options
+from vibrojax.cli._output import dataset_written, draw, output, picture_beside
+
+if TYPE_CHECKING:
+    from vibrojax.engine.resources import Cost
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -18,32 +23,35 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
 
 
-def run(options: Namespace) -> None:
+def run(options: Options) -> None:
     """Run the command."""
-    from vibrojax.sweep import check_size, estimate, read_sweep, run_to_file
+    from vibrojax.engine.resources import check_size
+    from vibrojax.input.read import read_sweep
+    from vibrojax.sweep import estimate, run_to_file
 
     sweep = read_sweep(options.sweep)
     out = output(options.out or f"{sweep.name}.nc")
     picture = picture_beside(out)
     if options.dry_run:
         cost = estimate(sweep)
-        print("\n".join(_estimated(sweep.shape, sweep.dims, cost)))
-        return check_size(sweep, cost, out)
+        print("\n".join(_cost_lines(sweep.shape, sweep.dims, cost)))
+        check_size(sweep, cost, out)
+        return
     command = shlex.join(["vibrojax", "sweep", options.sweep, "-o", str(out)])
     options.how_to_resume = f"finished chunks are kept; to go on: {command}"
     dataset = run_to_file(sweep, out, resume=not options.fresh, progress=not options.quiet)
-    written(options, out)
-    told = drawn(dataset, picture)
+    dataset_written(options, out)
+    drawn = draw(dataset, picture)
     if not options.quiet:
-        print(f"{out}: {sweep.lanes} lanes{told}")
+        print(f"{out}: {sweep.lanes} lanes{drawn}")
 
 
-def _estimated(shape: tuple[int, ...], dims: tuple[str, ...], found: dict) -> list[str]:
+def _cost_lines(shape: tuple[int, ...], dims: tuple[str, ...], cost: "Cost") -> list[str]:
     """The lines of a dry run."""
     grid = " x ".join(f"{size} {name}" for name, size in zip(dims, shape, strict=True))
     return [
-        f"lanes   {found['lanes']} ({grid}) in {found['chunks']} chunks",
-        f"memory  {size_text(found['memory_bytes'])}",
-        f"disk    {size_text(found['disk_bytes'])}",
-        f"time    {time_text(found['time_s'])}",
+        f"lanes   {cost['lanes']} ({grid}) in {cost['chunks']} chunks",
+        f"memory  {size_text(cost['memory_bytes'])}",
+        f"disk    {size_text(cost['disk_bytes'])}",
+        f"time    {time_text(cost['time_s'])}",
     ]

@@ -1,11 +1,11 @@
-"""What a designer carries away: laws fitted to what was measured or swept, and how rates depend on the parameters."""
+"""Laws fitted to what was measured or swept, and how the rate of penetration depends on the parameters."""
 
-from vibrojax.laws._fit import fit_rop as fit_rop
 from vibrojax.laws._forms import FORMS as FORMS
 from vibrojax.laws._frequency import refit_frequency as refit_frequency
 from vibrojax.laws._friction import fit_friction as fit_friction
-from vibrojax.laws._group import REASONS as REASONS
 from vibrojax.laws._joint import fit_joint as fit_joint
-from vibrojax.laws._verdict import table as table
-from vibrojax.laws._verdict import verdict as verdict
+from vibrojax.laws._results import table as table
+from vibrojax.laws._results import verdict as verdict
+from vibrojax.laws._rop import fit_rop as fit_rop
+from vibrojax.laws._uncertainty import REASONS as REASONS
 from vibrojax.laws.sensitivity import rop_derivatives as rop_derivatives

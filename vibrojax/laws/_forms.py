@@ -1,19 +1,29 @@
-"""The forms of the rate-of-penetration law that are fitted beside each other (reading R9)."""
+"""The forms of the rate-of-penetration law that are fitted beside each other.
+
+The source's law, rate = C ln(P/D) (eq. 6.4), gives a negative rate where the relief P/D is below 1. It is therefore
+read in three ways, as printed, with P/D in percent, and with an onset, and compared with a line and a power law.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
 import jax.numpy as jnp
-from jax import Array
+from jaxtyping import Float
+
+from vibrojax.arrays import Array
+from vibrojax.laws._least_squares import LaneFlags, LaneValues, Minimum, Number, Theta, linear, nonlinear
+
+Coefficients = Float[Array, " 3"]
+"""C [rate's unit], eta0 [1], exponent [1]; NaN where the form has none."""
 
 
 @dataclass(frozen=True)
 class Frame:
     """Where a form's variable t lies in one group: z = (t − centre)/spread, so that coefficients are of order one."""
 
-    centre: Array
-    spread: Array
+    centre: Number
+    spread: Number
 
 
 @dataclass(frozen=True)
@@ -24,24 +34,32 @@ class Proportional:
     formula: str
     variable: Callable[[Array], Array]
     size: ClassVar[int] = 1
-    linear: ClassVar[bool] = True
 
-    def frame(self, t: Array, lanes: Array) -> Frame:
+    def frame(self, t: LaneValues, lanes: LaneFlags) -> Frame:
+        """The frame of the `lanes` at a rate above zero."""
         return Frame(jnp.zeros(()), jnp.sqrt(_mean(t**2, lanes)))
 
-    def columns(self, z: Array) -> Array:
-        return z[:, None]
-
-    def predict(self, theta: Array, z: Array) -> Array:
+    def predict(self, theta: Theta, z: LaneValues) -> LaneValues:
+        """The rate."""
         return theta[0] * z
 
-    def coefficients(self, theta: Array, frame: Frame) -> Array:
-        """C, eta0, exponent; NaN where the form has none."""
+    def start(self, z: LaneValues, rate: LaneValues, lanes: LaneFlags) -> Theta:
+        """Where a search begins; there is none for a linear form."""
+        return jnp.zeros(self.size)
+
+    def minimum(
+        self, z: LaneValues, rate: LaneValues, weight: LaneValues, censored: LaneFlags, start: Theta
+    ) -> Minimum:
+        """The least squares of the rate."""
+        return linear(z[:, None], rate, weight, censored)
+
+    def coefficients(self, theta: Theta, frame: Frame) -> Coefficients:
+        """Theta in terms of the law."""
         return jnp.array([theta[0] / frame.spread, jnp.nan, jnp.nan])
 
 
 @dataclass(frozen=True)
-class Chord:
+class WithOnset:
     """rate = C (t(eta) − t(eta0)): two coefficients, linear in C and C t(eta0)."""
 
     name: str
@@ -49,19 +67,27 @@ class Chord:
     variable: Callable[[Array], Array]
     inverse: Callable[[Array], Array]
     size: ClassVar[int] = 2
-    linear: ClassVar[bool] = True
 
-    def frame(self, t: Array, lanes: Array) -> Frame:
+    def frame(self, t: LaneValues, lanes: LaneFlags) -> Frame:
+        """The frame of the `lanes` at a rate above zero."""
         return _standard(t, lanes)
 
-    def columns(self, z: Array) -> Array:
-        return jnp.stack([jnp.ones_like(z), z], axis=1)
-
-    def predict(self, theta: Array, z: Array) -> Array:
+    def predict(self, theta: Theta, z: LaneValues) -> LaneValues:
+        """The rate."""
         return theta[0] + theta[1] * z
 
-    def coefficients(self, theta: Array, frame: Frame) -> Array:
-        """C, eta0, exponent; NaN where the form has none."""
+    def start(self, z: LaneValues, rate: LaneValues, lanes: LaneFlags) -> Theta:
+        """Where a search begins; there is none for a linear form."""
+        return jnp.zeros(self.size)
+
+    def minimum(
+        self, z: LaneValues, rate: LaneValues, weight: LaneValues, censored: LaneFlags, start: Theta
+    ) -> Minimum:
+        """The least squares of the rate."""
+        return linear(jnp.stack([jnp.ones_like(z), z], axis=1), rate, weight, censored)
+
+    def coefficients(self, theta: Theta, frame: Frame) -> Coefficients:
+        """Theta in terms of the law."""
         eta0 = self.inverse(frame.centre - frame.spread * theta[0] / theta[1])
         return jnp.array([theta[1] / frame.spread, eta0, jnp.nan])
 
@@ -73,19 +99,21 @@ class Power:
     name: str
     formula: str
     size: ClassVar[int] = 2
-    linear: ClassVar[bool] = False
     greatest: ClassVar[float] = 60.0  # of the exponent, so that a wild step does not overflow
 
     def variable(self, eta: Array) -> Array:
+        """t(eta)."""
         return jnp.log(eta)
 
-    def frame(self, t: Array, lanes: Array) -> Frame:
+    def frame(self, t: LaneValues, lanes: LaneFlags) -> Frame:
+        """The frame of the `lanes` at a rate above zero."""
         return _standard(t, lanes)
 
-    def predict(self, theta: Array, z: Array) -> Array:
+    def predict(self, theta: Theta, z: LaneValues) -> LaneValues:
+        """The rate."""
         return jnp.exp(jnp.minimum(theta[0] + theta[1] * z, self.greatest))
 
-    def start(self, z: Array, rate: Array, lanes: Array) -> Array:
+    def start(self, z: LaneValues, rate: LaneValues, lanes: LaneFlags) -> Theta:
         """The straight line through the logarithms, weighted by rate² so that its errors are about those of rates."""
         weight, log = lanes * rate**2, jnp.log(jnp.where(lanes, rate, 1.0))
         total = jnp.sum(weight)
@@ -93,13 +121,19 @@ class Power:
         slope = jnp.sum(weight * (z - z_mean) * (log - log_mean)) / jnp.sum(weight * (z - z_mean) ** 2)
         return jnp.stack([log_mean - slope * z_mean, slope])
 
-    def coefficients(self, theta: Array, frame: Frame) -> Array:
-        """C, eta0, exponent; NaN where the form has none."""
+    def minimum(
+        self, z: LaneValues, rate: LaneValues, weight: LaneValues, censored: LaneFlags, start: Theta
+    ) -> Minimum:
+        """The least squares of the rate."""
+        return nonlinear(lambda theta: self.predict(theta, z), start, rate, weight, censored)
+
+    def coefficients(self, theta: Theta, frame: Frame) -> Coefficients:
+        """Theta in terms of the law."""
         exponent = theta[1] / frame.spread
         return jnp.array([jnp.exp(theta[0] - exponent * frame.centre), jnp.nan, exponent])
 
 
-Form = Proportional | Chord | Power
+Form = Proportional | WithOnset | Power
 
 
 def _percent(eta: Array) -> Array:
@@ -113,8 +147,8 @@ def _itself(eta: Array) -> Array:
 FORMS: tuple[Form, ...] = (
     Proportional("literal", "C ln(eta)", jnp.log),
     Proportional("percent", "C ln(100 eta)", _percent),
-    Chord("onset", "C ln(eta/eta0)", jnp.log, jnp.exp),
-    Chord("line", "C (eta - eta0)", _itself, _itself),
+    WithOnset("onset", "C ln(eta/eta0)", jnp.log, jnp.exp),
+    WithOnset("line", "C (eta - eta0)", _itself, _itself),
     Power("power", "C eta^exponent"),
 )
 
@@ -122,10 +156,10 @@ LOGARITHMIC = ("literal", "percent", "onset")
 """The three readings of the source's law, eq. 6.4."""
 
 
-def _mean(x: Array, lanes: Array) -> Array:
+def _mean(x: LaneValues, lanes: LaneFlags) -> Number:
     return jnp.sum(jnp.where(lanes, x, 0.0)) / jnp.sum(lanes)
 
 
-def _standard(t: Array, lanes: Array) -> Frame:
+def _standard(t: LaneValues, lanes: LaneFlags) -> Frame:
     centre = _mean(t, lanes)
     return Frame(centre, jnp.sqrt(_mean((t - centre) ** 2, lanes)))

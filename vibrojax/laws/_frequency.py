@@ -1,36 +1,49 @@
 """The empirical frequency of eq. 5.17, its coefficient fitted anew to a map of the motion without impact."""
 
-from os import PathLike
+from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
+from jaxtyping import Bool, Float
 
 from vibrojax.errors import Place
 from vibrojax.label import IMPACT_FREE
-from vibrojax.laws._about import described, provenance
-from vibrojax.laws._group import IDENTIFIED, TOO_FEW_LANES
-from vibrojax.laws._lanes import opened, parameter
+from vibrojax.laws._data import Data, open_data, parameter
+from vibrojax.laws._results import provenance, reason, with_attributes
+from vibrojax.laws._uncertainty import IDENTIFIED, TOO_FEW_LANES
 from vibrojax.physics.modes import empirical_frequency, natural_frequencies
+from vibrojax.store.variables import Variable
 
 SHARE = 0.25
 """The source's coefficient."""
 
 _NEEDED = ("m1", "k1", "beta", "gamma")
 
-_ABOUT = {
-    "share": ("1", "coefficient of eq. 5.17 fitted to all lanes"),
-    "share_stderr": ("1", "standard error of the coefficient"),
-    "share_of_lane": ("1", "coefficient of eq. 5.17 that meets the lane's frequency"),
-    "error": ("1", "relative error of eq. 5.17 with its coefficient of 1/4"),
-    "error_refitted": ("1", "relative error of eq. 5.17 with the coefficient fitted"),
-    "holds": ("1", "whether eq. 5.17 with 1/4 holds"),
-    "used": ("1", "lanes that the fit used"),
-    "left_out": ("1", "lanes left out: not impact-free, or in the lower mode"),
-    "reason": ("1", "why the coefficient is not a number"),
+_VARIABLES = {
+    "share": Variable("1", "coefficient of eq. 5.17 fitted to all lanes"),
+    "share_stderr": Variable("1", "standard error of the coefficient"),
+    "share_of_lane": Variable("1", "coefficient of eq. 5.17 that meets the lane's frequency"),
+    "error": Variable("1", "relative error of eq. 5.17 with its coefficient of 1/4"),
+    "error_refitted": Variable("1", "relative error of eq. 5.17 with the coefficient fitted"),
+    "holds": Variable("1", "whether eq. 5.17 with 1/4 holds", np.int8),
+    "used": Variable("1", "lanes that the fit used", np.int32),
+    "left_out": Variable("1", "lanes left out: not impact-free, or in the lower mode", np.int32),
+    "reason": reason("why the coefficient is not a number"),
 }
 
+_OF_MAP = ("share_of_lane", "error", "error_refitted", "holds")
 
-def refit_frequency(data: xr.Dataset | str | PathLike, within: float = 0.01) -> xr.Dataset:
+
+@dataclass(frozen=True)
+class _Map:
+    """The lanes of a map: `parameters` by name, `period` [s], and `w` [rad/s], NaN where a lane does not count."""
+
+    parameters: dict[str, Float[np.ndarray, "*lanes"]]
+    period: xr.DataArray
+    w: Float[np.ndarray, "*lanes"]
+
+
+def refit_frequency(data: Data, within: float = 0.01) -> xr.Dataset:
     """The coefficient a of w² = (k1 + k2)/m1 + a k2/m2 (eq. 5.17 has a = 1/4) fitted to the periods of a map.
 
     The equation is of the mode in which bit and striker move against each other, so lanes count that repeat after one
@@ -51,8 +64,9 @@ def refit_frequency(data: xr.Dataset | str | PathLike, within: float = 0.01) -> 
 
     **Raises:** `InputError`.
     """
-    place, data = opened(data, "refit_frequency")
-    p, period, w = _upper_mode(place, data)
+    place, data = open_data(data, "refit_frequency")
+    lanes = _upper_mode(place, data)
+    p, w = lanes.parameters, lanes.w
     counts = np.isfinite(w)
     unit = p["gamma"] * np.sqrt(p["k1"] / p["m1"]) / w
     missing, slope = 1 - (np.asarray(empirical_frequency(p, 0.0)) / w) ** 2, unit**2
@@ -65,22 +79,21 @@ def refit_frequency(data: xr.Dataset | str | PathLike, within: float = 0.01) -> 
         "share_of_lane": missing / slope,
         "error": error,
         "error_refitted": np.asarray(empirical_frequency(p, share)) / w - 1,
-        "holds": np.where(counts, np.abs(np.where(counts, error, 1.0)) <= within, -1).astype(np.int8),
-        "used": np.int32(used),
-        "left_out": np.int32(counts.size - used),
-        "reason": np.int8(IDENTIFIED if used >= 2 else TOO_FEW_LANES),
+        "holds": np.where(counts, np.abs(np.where(counts, error, 1.0)) <= within, -1),
+        "used": used,
+        "left_out": counts.size - used,
+        "reason": IDENTIFIED if used >= 2 else TOO_FEW_LANES,
     }
-    about = described(_ABOUT)
-    about["holds"] |= {"flag_values": np.array([-1, 0, 1], np.int8), "flag_meanings": "not-counted no yes"}
-    variables = {name: (period.dims if np.ndim(x) else (), x, about[name]) for name, x in values.items()}
-    result = xr.Dataset(variables, period.coords)
+    variables = with_attributes(_VARIABLES, values, dict.fromkeys(_OF_MAP, lanes.period.dims))
+    variables["holds"].attrs |= {"flag_values": np.array([-1, 0, 1], np.int8), "flag_meanings": "not-counted no yes"}
+    result = xr.Dataset(variables, lanes.period.coords)
     title = f"eq. 5.17 refitted: {data.attrs.get('title') or place.file}"
-    more = {"within": float(within), "region": _region(result, used)}
+    more: dict[str, str | float] = {"within": float(within), "region": _region(result, used)}
     return result.assign_attrs(provenance(place, data, "refit of eq. 5.17", title, more))
 
 
-def _upper_mode(place: Place, data: xr.Dataset) -> tuple[dict[str, np.ndarray], xr.DataArray, np.ndarray]:
-    """The parameters of all lanes, their period, and their frequency [rad/s], NaN where a lane does not count."""
+def _upper_mode(place: Place, data: xr.Dataset) -> _Map:
+    """The lanes, of which those count that repeat without impact in the upper mode."""
     if "period" not in data:
         raise place.at("period").error("missing; a sweep of the rotary scene has it")
     parts = xr.broadcast(data["period"], *(parameter(place, data, name) for name in _NEEDED))
@@ -92,10 +105,10 @@ def _upper_mode(place: Place, data: xr.Dataset) -> tuple[dict[str, np.ndarray], 
         counts = counts & (regime == IMPACT_FREE).values
     w = 2 * np.pi / np.where(counts, period.values, np.nan)
     lower, upper = np.moveaxis(np.asarray(natural_frequencies(p)), -1, 0)
-    return p, period, np.where(w > np.sqrt(lower * upper), w, np.nan)
+    return _Map(p, period, np.where(w > np.sqrt(lower * upper), w, np.nan))
 
 
-def _through_zero(slope: np.ndarray, y: np.ndarray) -> tuple[float, float]:
+def _through_zero(slope: Float[np.ndarray, " lanes"], y: Float[np.ndarray, " lanes"]) -> tuple[float, float]:
     """The a of y = a slope by least squares, and its standard error; NaN where there are fewer than two lanes."""
     if len(y) < 2:
         return np.nan, np.nan
@@ -106,12 +119,12 @@ def _through_zero(slope: np.ndarray, y: np.ndarray) -> tuple[float, float]:
 
 def _region(fit: xr.Dataset, used: int) -> str:
     """Where eq. 5.17 holds, in words: of a grid, for each beta the gamma at which it does in every lane that counts."""
-    held = fit["holds"]
-    text = f"{int((held == 1).sum())} of {used} lanes"
-    if not {"beta", "gamma"} <= set(held.dims):
+    holds = fit["holds"]
+    text = f"{int((holds == 1).sum())} of {used} lanes"
+    if not {"beta", "gamma"} <= set(holds.dims):
         return text
-    others = [dim for dim in held.dims if dim not in ("beta", "gamma")]
-    everywhere = ((held == 1).any(others) & (held != 0).all(others)).transpose("beta", "gamma").values
+    others = [dim for dim in holds.dims if dim not in ("beta", "gamma")]
+    everywhere = ((holds == 1).any(others) & (holds != 0).all(others)).transpose("beta", "gamma").values
     rows = [
         f"beta {beta:.4g}: gamma {_stretches(row, fit['gamma'].values)}"
         for beta, row in zip(fit["beta"].values, everywhere, strict=True)
@@ -120,7 +133,7 @@ def _region(fit: xr.Dataset, used: int) -> str:
     return "; ".join([text, *rows])
 
 
-def _stretches(row: np.ndarray, values: np.ndarray) -> str:
+def _stretches(row: Bool[np.ndarray, " values"], values: Float[np.ndarray, " values"]) -> str:
     """The stretches of `values` along which `row` is true."""
     ends = np.flatnonzero(np.diff(np.concatenate([[False], row, [False]]).astype(int)))
     pairs = [(values[first], values[after - 1]) for first, after in zip(ends[::2], ends[1::2], strict=True)]

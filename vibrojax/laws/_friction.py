@@ -1,25 +1,34 @@
 """Friction from a measured velocity: mu and v_cr of eq. 5.9, by gradients through the smoothed motion."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
-from os import PathLike
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optimistix
 import xarray as xr
-from jax import Array
+from jaxtyping import Bool, Float
 
+from vibrojax.arrays import Array
 from vibrojax.devices import precision
 from vibrojax.errors import Place, shown, suggestion
-from vibrojax.laws._about import described, provenance
-from vibrojax.laws._group import CONFOUNDED, IDENTIFIED, NOT_CONVERGED, TOO_FEW_LANES
-from vibrojax.laws._lanes import opened
-from vibrojax.laws._normal import inverse
+from vibrojax.laws._data import Data, open_data
+from vibrojax.laws._least_squares import Number, levenberg_marquardt
+from vibrojax.laws._results import provenance, reason, with_attributes
+from vibrojax.laws._uncertainty import (
+    CONFOUNDED,
+    IDENTIFIED,
+    NOT_CONVERGED,
+    TOO_FEW_LANES,
+    at_minimum,
+    normal_inverse,
+)
 from vibrojax.scenes.rotary import Rotary
 from vibrojax.stepping.smoothed import smoothed_trajectory
+from vibrojax.store.variables import Variable
 
 WINDOW = 0.5
 """Length [s] of the window that is fitted by default: some two returns of the default drill."""
@@ -33,30 +42,59 @@ _SCENE = Rotary()
 _SOUGHT = ("mu", "v_cr")
 _TOLERANCE = 1e-6
 _MOST_ITERATIONS = 60
-_OFFSET = 0.05
-_UNTOLD = 0.5  # relative standard error from which a coefficient above zero is not told from zero
+_VAGUE = 0.5  # relative standard error from which a coefficient above zero cannot be distinguished from zero
 _UNEVEN = 1e-6  # of the interval between samples
 
-_ABOUT = {
-    "mu": ("1", "friction coefficient"),
-    "mu_stderr": ("1", "standard error of mu"),
-    "mu_change": ("1", "change of mu when step and smoothing are halved"),
-    "v_cr": ("m s-1", "Stribeck speed"),
-    "v_cr_stderr": ("m s-1", "standard error of v_cr"),
-    "v_cr_change": ("m s-1", "change of v_cr when step and smoothing are halved"),
-    "rms": ("m s-1", "root mean square of what is left of the velocity"),
-    "used": ("1", "samples that the fit used"),
-    "left_out": ("1", "samples of the window without a value"),
-    "reason": ("1", "why the coefficients are not numbers"),
-    "state": ("1", "state of the drill at the beginning of the window, in m and m s-1"),
-    "fitted": ("m s-1", "velocity of the bit relative to the drive, as fitted"),
+_VARIABLES = {
+    "mu": Variable("1", "friction coefficient"),
+    "mu_stderr": Variable("1", "standard error of mu"),
+    "mu_change": Variable("1", "change of mu when step and smoothing are halved"),
+    "v_cr": Variable("m s-1", "Stribeck speed"),
+    "v_cr_stderr": Variable("m s-1", "standard error of v_cr"),
+    "v_cr_change": Variable("m s-1", "change of v_cr when step and smoothing are halved"),
+    "rms": Variable("m s-1", "root mean square of what is left of the velocity"),
+    "used": Variable("1", "samples that the fit used", np.int32),
+    "left_out": Variable("1", "samples of the window without a value", np.int32),
+    "reason": reason("why the coefficients are not numbers"),
+    "state": Variable("1", "state of the drill at the beginning of the window, in m and m s-1"),
+    "fitted": Variable("m s-1", "velocity of the bit relative to the drive, as fitted"),
 }
+
+Samples = Float[np.ndarray, " samples"]
+Sought = Float[Array, " sought"]
+"""ln mu, ln v_cr, and the state at the window's beginning where it is not known."""
+
+
+@dataclass(frozen=True)
+class _History:
+    """The window that is fitted: `time` [s], evenly spaced, and `velocity` [m/s] of the bit, NaN without a value."""
+
+    time: Samples
+    velocity: Samples
+
+    @property
+    def interval(self) -> float:
+        """Between samples [s]."""
+        return (self.time[-1] - self.time[0]) / (len(self.time) - 1)
+
+    @property
+    def seen(self) -> Bool[np.ndarray, " samples"]:
+        """The samples with a value."""
+        return np.isfinite(self.velocity)
+
+
+class _Fit(NamedTuple):
+    """Where a search ends, the residual's Jacobian there (columns in units of their own), and the velocity [m/s]."""
+
+    sought: Sought
+    jacobian: Float[Array, "samples sought"]
+    velocity: Float[Array, " samples"]
 
 
 def fit_friction(
-    data: xr.Dataset | str | PathLike,
+    data: Data,
     window: tuple[float, float] | None = None,
-    start: str | tuple[float, float, float, float] | None = None,
+    start: str | Sequence[float] | None = None,
     smoothing: float = SMOOTHING,
     **parameters: float,
 ) -> xr.Dataset:
@@ -64,7 +102,7 @@ def fit_friction(
 
     Least squares of the velocity by Levenberg–Marquardt, with derivatives through the smoothed motion of the rotary
     scene. What is sought is ln mu and ln v_cr, which keeps them above zero, and the state at the window's beginning
-    where it is not known; but then an offset of the friction hides in that of the springs, and mu is told less well.
+    where it is not known; but then an offset of the friction hides in that of the springs, and mu is less well known.
     Without impact there is no event whose time a fixed step would lose, so that over a few returns these derivatives
     are those of the sharp motion (see the tests); over many, every change between stick and slip adds its kink. The
     fit is repeated at half the step and half the smoothing, and that is the one returned; `mu_change` and `v_cr_change`
@@ -83,64 +121,71 @@ def fit_friction(
 
     **Returns:** a dataset: mu, v_cr [m/s], each with standard error (from the Jacobian, for independent noise of one
     size) and change; rms [m/s], used, left_out; the `state` at the beginning; `fitted` along `time`. NaN with a
-    `reason` where the window cannot tell them: a bit that sticks all the time, a relative error of 1/2 and more.
+    `reason` where the window does not identify them: a bit that always sticks, a relative error of 1/2 and more.
 
     **Raises:** `InputError`.
     """
-    place, data = opened(data, "fit_friction")
-    time, velocity = _history(place, data, window)
+    place, data = open_data(data, "fit_friction")
+    history = _window(place, data, window)
     if not (np.isfinite(smoothing) and smoothing > 0):
         raise place.at("smoothing").error(f"is {smoothing}; it must be above 0")
     p = _parameters(place, data, parameters)
-    state = _start(place, data, start, time[0], velocity, p)
-    interval = (time[-1] - time[0]) / (len(time) - 1)
+    state = _start(place, data, start, history, p)
+    samples, interval = len(history.time), history.interval
     substeps = max(1, int(np.ceil(interval * p["g"] / smoothing)))
-    if 2 * substeps * len(time) > MOST_STEPS:
+    if 2 * substeps * samples > MOST_STEPS:
         raise place.at("smoothing").error(
-            f"{smoothing:g} m/s over this window takes {2 * substeps * len(time)} steps; "
+            f"{smoothing:g} m/s over this window takes {2 * substeps * samples} steps; "
             f"{MOST_STEPS} are the most: shorten the window"
         )
     sought = np.array([np.log(p["mu"]), np.log(p["v_cr"]), *(state if start is None else [])])
     with precision("float64"):
         fixed = {name: jnp.asarray(value) for name, value in p.items()} | {"state": jnp.asarray(state)}
-        first, _, _ = _fitted(jnp.asarray(sought), fixed, velocity, interval, substeps, smoothing)
-        found, jacobian, predicted = (
-            np.asarray(x) for x in _fitted(first, fixed, velocity, interval, 2 * substeps, smoothing / 2)
-        )
-    return _result(place, data, time, velocity, state, (np.asarray(first), found, jacobian, predicted))
+        first = _fit(jnp.asarray(sought), fixed, history.velocity, interval, substeps, smoothing)
+        second = _fit(first.sought, fixed, history.velocity, interval, 2 * substeps, smoothing / 2)
+        fits = [_Fit(*(np.asarray(x) for x in fit)) for fit in (first, second)]
+    return _result(place, data, history, state, *fits)
 
 
 @partial(jax.jit, static_argnames="substeps")
-def _fitted(
-    theta: Array, fixed: Mapping, velocity: Array, interval, substeps: int, width
-) -> tuple[Array, Array, Array]:
-    """Where the search from `theta` (ln mu, ln v_cr, state) ends, and there the Jacobian and the velocity.
-
-    The Jacobian's columns are in units of their own.
-    """
+def _fit(
+    sought: Sought,
+    fixed: Mapping[str, Array],
+    velocity: Float[Array, " samples"],
+    interval: Number,
+    substeps: int,
+    width: Number,
+) -> _Fit:
+    """The fit from `sought` on."""
     seen = jnp.isfinite(velocity)
     target = jnp.where(seen, velocity, 0.0)
     # Positions are small beside velocities: each is sought in units of its own.
-    unit = jnp.array([1.0, 1.0, 0.01, 1.0, 0.01, 1.0])[: theta.size]
+    unit = jnp.array([1.0, 1.0, 0.01, 1.0, 0.01, 1.0])[: sought.size]
 
-    def residual(scaled, _=None):
+    def residual(scaled: Sought, _: object = None) -> Float[Array, " samples"]:
         return jnp.where(seen, _velocity(scaled * unit, fixed, interval, substeps, len(velocity), width) - target, 0.0)
 
-    solver = optimistix.LevenbergMarquardt(rtol=_TOLERANCE, atol=_TOLERANCE)
-    solved = optimistix.least_squares(residual, solver, theta / unit, max_steps=_MOST_ITERATIONS, throw=False)
-    return solved.value * unit, jax.jacfwd(residual)(solved.value), residual(solved.value) + target
+    scaled = levenberg_marquardt(residual, sought / unit, _TOLERANCE, _MOST_ITERATIONS)
+    return _Fit(scaled * unit, jax.jacfwd(residual)(scaled), residual(scaled) + target)
 
 
-def _velocity(theta: Array, fixed: Mapping, interval, substeps: int, samples: int, width) -> Array:
-    """x1' [m/s] at the samples, (samples,), of the smoothed rotary motion."""
-    p = _SCENE.constants({**fixed, "mu": jnp.exp(theta[0]), "v_cr": jnp.exp(theta[1])})
-    state = tuple(theta[2:] if theta.size > len(_SOUGHT) else fixed["state"])
+def _velocity(
+    sought: Sought,
+    fixed: Mapping[str, Array],
+    interval: Number | float,
+    substeps: int,
+    samples: int,
+    width: Number | float,
+) -> Float[Array, " samples"]:
+    """x1' [m/s] at the samples of the smoothed rotary motion."""
+    p = _SCENE.constants({**fixed, "mu": jnp.exp(sought[0]), "v_cr": jnp.exp(sought[1])})
+    state = tuple(sought[2:] if sought.size > len(_SOUGHT) else fixed["state"])
     states = smoothed_trajectory(_SCENE, p, state, interval / substeps, substeps * (samples - 1), width)
     return jnp.concatenate([state[1][None], states[1][substeps - 1 :: substeps]])
 
 
-def _history(place: Place, data: xr.Dataset, window: tuple[float, float] | None) -> tuple[np.ndarray, np.ndarray]:
-    """Times [s] and velocities [m/s] of the window."""
+def _window(place: Place, data: xr.Dataset, window: tuple[float, float] | None) -> _History:
+    """The history in the window."""
     if "v1" not in data or data["v1"].dims != ("time",) or "time" not in data.coords:
         raise place.at("v1").error("missing along time; the bit's velocity relative to the drive [m/s] is needed")
     times = data["time"].values.astype(float)
@@ -154,15 +199,15 @@ def _history(place: Place, data: xr.Dataset, window: tuple[float, float] | None)
         raise place.at("time").error("is not evenly spaced; resample the velocity")
     if "impact_force" in data and (data["impact_force"].values[inside] > 0).any():
         raise place.at("window").error("holds impacts; choose one between them, the smoothed gradient needs that")
-    return time, velocity
+    return _History(time, velocity)
 
 
 def _parameters(place: Place, data: xr.Dataset, given: Mapping[str, float]) -> dict[str, float]:
     """The rotary scene's parameters; where the search begins is never taken from the data."""
     table = _SCENE.parameters()
-    held = json.loads(data.attrs.get("parameters", "{}"))
+    fixed = json.loads(data.attrs.get("parameters", "{}"))
     p = {name: one.default for name, one in table.items()}
-    p |= {name: value for name, value in held.items() if name in table and name not in _SOUGHT}
+    p |= {name: value for name, value in fixed.items() if name in table and name not in _SOUGHT}
     for name, value in given.items():
         if name not in table:
             raise place.at(name).error(f"is no parameter of the rotary scene; {suggestion(name, table)}")
@@ -173,7 +218,9 @@ def _parameters(place: Place, data: xr.Dataset, given: Mapping[str, float]) -> d
     return p | {name: float(value) for name, value in given.items()}
 
 
-def _start(place: Place, data: xr.Dataset, start, begin: float, velocity: np.ndarray, p: Mapping) -> list[float]:
+def _start(
+    place: Place, data: xr.Dataset, start: str | Sequence[float] | None, history: _History, p: Mapping[str, float]
+) -> list[float]:
     """The state at the window's beginning: known, or where the search for it begins."""
     if isinstance(start, str):
         if start not in _SCENE.starts:
@@ -184,62 +231,60 @@ def _start(place: Place, data: xr.Dataset, start, begin: float, velocity: np.nda
         if values.shape != (4,) or not np.isfinite(values).all():
             raise place.at("start").error(f"{shown(start)} is not x1, x1', x2, x2' [m, m/s]")
         return values.tolist()
-    at = data.sel(time=begin)
-    held = [float(at[name]) if name in data else 0.0 for name in _SCENE.states]
-    held[1] = velocity[0]
-    return [value if np.isfinite(value) else 0.0 for value in held]
+    at = data.sel(time=history.time[0])
+    state = [float(at[name]) if name in data else 0.0 for name in _SCENE.state_names]
+    state[1] = float(history.velocity[0])
+    return [value if np.isfinite(value) else 0.0 for value in state]
 
 
-def _result(place: Place, data: xr.Dataset, time: np.ndarray, velocity: np.ndarray, state: list, fit: tuple):
-    first, theta, jacobian, predicted = fit
-    seen = np.isfinite(velocity)
-    left = np.where(seen, predicted - velocity, 0.0)
-    freedom = int(seen.sum()) - theta.size
-    relative, reason = _relative_errors(jacobian, predicted, left, seen, freedom)
-    if reason == IDENTIFIED:
-        values, changes = np.exp(theta[:2]), np.exp(theta[:2]) - np.exp(first[:2])
-        rms = np.sqrt((left**2).sum() / seen.sum())
-    else:
-        relative, values, changes, rms = np.full(2, np.nan), np.full(2, np.nan), np.full(2, np.nan), np.nan
-        state, theta, predicted = (np.full_like(x, np.nan) for x in (np.asarray(state), theta, predicted))
-    about = described(_ABOUT)
-    found = {"rms": rms, "used": np.int32(seen.sum()), "left_out": np.int32((~seen).sum()), "reason": np.int8(reason)}
+def _result(
+    place: Place, data: xr.Dataset, history: _History, state: list[float], first: _Fit, fit: _Fit
+) -> xr.Dataset:
+    """The dataset of the second fit; the first, at twice the step and smoothing, says what halving changed."""
+    left = np.where(history.seen, fit.velocity - history.velocity, 0.0)
+    used = int(history.seen.sum())
+    relative, why = _relative_errors(fit, left, history.seen)
+    mu_v_cr = changes = np.full(2, np.nan)
+    rms, state_there, velocity = np.nan, np.full(len(state), np.nan), np.full(len(left), np.nan)
+    if why == IDENTIFIED:
+        mu_v_cr = np.exp(fit.sought[:2])
+        changes = mu_v_cr - np.exp(first.sought[:2])
+        rms, velocity = np.sqrt((left**2).sum() / used), np.asarray(fit.velocity)
+        state_there = np.asarray(fit.sought[2:] if fit.sought.size > len(_SOUGHT) else state)
+    values: dict[str, object] = {
+        "rms": rms,
+        "used": used,
+        "left_out": (~history.seen).sum(),
+        "reason": why,
+        "state": state_there,
+        "fitted": velocity,
+    }
     for index, name in enumerate(_SOUGHT):
-        found |= {name: values[index], f"{name}_stderr": values[index] * relative[index]}
-        found |= {f"{name}_change": changes[index]}
-    variables = {name: ((), found[name], about[name]) for name in _ABOUT if name in found}
-    variables["state"] = ("quantity", theta[2:] if theta.size > len(_SOUGHT) else state, about["state"])
-    variables["fitted"] = ("time", predicted, about["fitted"])
+        values |= {name: mu_v_cr[index], f"{name}_stderr": mu_v_cr[index] * relative[index]}
+        values |= {f"{name}_change": changes[index]}
+    variables = with_attributes(_VARIABLES, values, {"state": ("quantity",), "fitted": ("time",)})
     coordinates = {
-        "time": ("time", time, {"units": "s", "long_name": "time"}),
-        "quantity": ("quantity", list(_SCENE.states), {"units": "1", "long_name": "state"}),
+        "time": ("time", history.time, {"units": "s", "long_name": "time"}),
+        "quantity": ("quantity", list(_SCENE.state_names), {"units": "1", "long_name": "state"}),
     }
     title = f"friction, eq. 5.9, fitted: {data.attrs.get('title') or place.file}"
     return xr.Dataset(variables, coordinates, provenance(place, data, "fit of the friction", title, {}))
 
 
-def _relative_errors(jacobian, predicted, left, seen, freedom: int) -> tuple[np.ndarray | None, int]:
-    """Standard errors of ln mu and ln v_cr, and the reason where there are none to rely on."""
+def _relative_errors(
+    fit: _Fit, left: Samples, seen: Bool[np.ndarray, " samples"]
+) -> tuple[Float[np.ndarray, " 2"], int]:
+    """Standard errors of ln mu and ln v_cr, and the reason where there are none to rely on (then NaN)."""
+    none, freedom = np.full(2, np.nan), int(seen.sum()) - fit.sought.size
+    jacobian = np.asarray(fit.jacobian)
     if freedom < 1:
-        return None, TOO_FEW_LANES
-    if not (np.isfinite(jacobian).all() and np.isfinite(predicted).all()):
-        return None, NOT_CONVERGED
-    square, _ = inverse(jacobian[seen])
+        return none, TOO_FEW_LANES
+    if not (np.isfinite(jacobian).all() and np.isfinite(fit.velocity).all()):
+        return none, NOT_CONVERGED
+    square, _ = normal_inverse(jacobian[seen])
     if square is None:
-        return None, CONFOUNDED
-    if not _at_minimum(jacobian, left, freedom):
-        return None, NOT_CONVERGED
+        return none, CONFOUNDED
+    if not at_minimum(jacobian, left, freedom):
+        return none, NOT_CONVERGED
     relative = np.sqrt((left**2).sum() / freedom * np.diag(square))[:2]
-    return relative, IDENTIFIED if (relative < _UNTOLD).all() else CONFOUNDED
-
-
-def _at_minimum(jacobian: np.ndarray, left: np.ndarray, freedom: int) -> bool:
-    """Whether what is left has no part along the Jacobian to speak of (the relative offset of Bates and Watts 1981).
-
-    The motion's own kinks keep a search from its last digits; what matters is that another step would be small beside
-    the standard errors.
-    """
-    basis = np.linalg.qr(jacobian)[0]
-    along = basis @ (basis.T @ left)
-    across = np.linalg.norm(left - along) / np.sqrt(freedom)
-    return np.linalg.norm(along) / np.sqrt(jacobian.shape[1]) <= _OFFSET * across + np.finfo(float).eps
+    return relative, IDENTIFIED if (relative < _VAGUE).all() else CONFOUNDED

@@ -1,25 +1,44 @@
 """Derivatives of the rate of penetration with respect to the parameters, through the located motion."""
 
+from collections.abc import Mapping, Sequence
 from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
+from jaxtyping import Float
 
+from vibrojax.arrays import Array
 from vibrojax.devices import precision
 from vibrojax.errors import Place
+from vibrojax.input.point import read_point
 from vibrojax.measure import recorder_for
-from vibrojax.measure.run import run_block
-from vibrojax.stepping import Located
-from vibrojax.sweep import read_point
+from vibrojax.measure.run import Effort, run_block
+from vibrojax.scenes import Scene
+from vibrojax.stepping import Accuracy, Located
+from vibrojax.store.variables import Variable
 
 WITH_RESPECT_TO = ("force", "threshold", "k3", "zeta")
 NEARBY = 1e-4
 
+_VALID = Variable(
+    "1", "whether the derivative holds: the order of events does not change nearby", np.int8, ("not-valid", "valid")
+)
+
+
+class _Derivatives(NamedTuple):
+    """Rate [m/s], how often the rock yields, derivatives, and how often with each parameter moved up and down."""
+
+    rate: Float[Array, ""]
+    yields: Float[Array, ""]
+    derivative: Float[Array, " parameters"]
+    nearby: Float[Array, "2 parameters"]
+
 
 def rop_derivatives(
-    wrt: tuple[str, ...] = WITH_RESPECT_TO, settle: float = 1.0, observe: float = 1.0, **parameters
+    wrt: Sequence[str] = WITH_RESPECT_TO, settle: float = 1.0, observe: float = 1.0, **parameters: object
 ) -> xr.Dataset:
     """Rate of penetration under given pulses, and its derivatives.
 
@@ -48,41 +67,49 @@ def rop_derivatives(
         at = jnp.asarray([point.parameters[name] for name in wrt])
         fixed = {name: jnp.asarray(value) for name, value in point.parameters.items()}
         spans = {"settle": jnp.asarray(settle), "observe": jnp.asarray(observe)}
-        rate, yields, derivative, nearby = (
-            np.asarray(x) for x in _differentiated(point.machine, tuple(wrt), fixed, spans, at)
-        )
-    rate, at = float(rate), np.asarray(at)
-    valid = (nearby == yields).all(axis=0) & (rate > 0)
-    elasticity = derivative * at / rate if rate > 0 else np.full(len(wrt), np.nan)
-    about = {"units": "1", "long_name": "whether the derivative holds: the order of events does not change nearby"}
-    flags = {"flag_values": np.array([0, 1], np.int8), "flag_meanings": "not-valid valid"}
+        run = _Derivatives(*map(np.asarray, _differentiated(point.system, tuple(wrt), fixed, spans, at)))
+    rate, value = float(run.rate), np.asarray(at)
+    valid = (run.nearby == run.yields).all(axis=0) & (rate > 0)
+    elasticity = run.derivative * value / rate if rate > 0 else np.full(len(wrt), np.nan)
     return xr.Dataset(
         {
             "rate_of_penetration": ((), rate, {"units": "m s-1", "long_name": "rate of penetration"}),
-            "value": ("parameter", at, {"long_name": "value of the parameter, in its own unit"}),
-            "derivative": ("parameter", derivative, {"long_name": "derivative of the rate of penetration"}),
+            "value": ("parameter", value, {"long_name": "value of the parameter, in its own unit"}),
+            "derivative": ("parameter", run.derivative, {"long_name": "derivative of the rate of penetration"}),
             "elasticity": ("parameter", elasticity, {"units": "1", "long_name": "relative sensitivity"}),
-            "valid": ("parameter", valid.astype(np.int8), about | flags),
+            "valid": ("parameter", valid.astype(np.int8), _VALID.attributes()),
         },
         {"parameter": list(wrt)},
     )
 
 
 @partial(jax.jit, static_argnames=("scene", "wrt"))
-def _differentiated(scene, wrt, fixed, spans, at):
-    """Rate, number of yields, derivative (parameters,), and yields with each parameter moved up and down."""
+def _differentiated(
+    scene: Scene,
+    wrt: tuple[str, ...],
+    fixed: Mapping[str, Float[Array, ""]],
+    spans: Mapping[str, Array],
+    at: Float[Array, " parameters"],
+) -> _Derivatives:
     run = partial(_rate, scene, wrt, fixed, spans)
     rate, tangents = jax.vmap(lambda t: jax.jvp(run, (at,), (t,)), out_axes=(None, 0))(jnp.eye(len(wrt)))
     moved = at[None, None] * (1 + NEARBY * jnp.stack([jnp.eye(len(wrt)), -jnp.eye(len(wrt))]))
     nearby = jax.vmap(jax.vmap(run))(moved)[..., 1]
-    return rate[0], rate[1], tangents[:, 0], nearby
+    return _Derivatives(rate[0], rate[1], tangents[:, 0], nearby)
 
 
-def _rate(scene, wrt, fixed, spans, values):
-    """Rate of penetration [m/s] and number of yields, of one lane, as an array (2,)."""
+def _rate(
+    scene: Scene,
+    wrt: tuple[str, ...],
+    fixed: Mapping[str, Float[Array, ""]],
+    spans: Mapping[str, Array],
+    values: Float[Array, " parameters"],
+) -> Float[Array, " 2"]:
+    """Rate of penetration [m/s] and how often the rock yields, of one lane."""
     p = {name: value[None] for name, value in fixed.items()}
     p |= {name: values[index : index + 1] for index, name in enumerate(wrt)}
-    p = dict(scene.constants(p))
-    settings = {"stride": 1.0, "tolerance": 1e-12, "step": jnp.inf, "most_steps": 1e7} | spans
-    found = run_block(scene, Located(), recorder_for(scene), p, scene.start(p, None, (1,)), settings)
-    return jnp.concatenate([found["rate_of_penetration"], found["yields"]])
+    c = scene.constants(p)
+    effort = Effort(Accuracy(tolerance=1e-12, stride=1.0, step=jnp.inf), 1e7)
+    state = scene.start(c, None, (1,))
+    features = run_block(scene, Located(), recorder_for(scene), c, state, effort, **spans)
+    return jnp.concatenate([features["rate_of_penetration"], features["yields"]])

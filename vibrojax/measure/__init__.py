@@ -1,28 +1,60 @@
 """Measuring in the loop: features of a lane are accumulated while it steps, over whole returns to the section."""
 
+from typing import Any
+
+from vibrojax.errors import InputError
 from vibrojax.measure import section as section
-from vibrojax.measure._gauge import Gauge as Gauge
-from vibrojax.measure.drilling import Drilling
+from vibrojax.measure.gauge import Gauge as Gauge
+from vibrojax.measure.gauge import Moment as Moment
+from vibrojax.measure.gauge import Return as Return
+from vibrojax.measure.gauge import Whole as Whole
 from vibrojax.measure.harmonics import Harmonics
+from vibrojax.measure.hole import Hole
 from vibrojax.measure.impacts import Impacts
 from vibrojax.measure.kept_returns import KeptReturns
-from vibrojax.measure.pulses import PulseRecorder as PulseRecorder
+from vibrojax.measure.ledger import MOST_CYCLES
 from vibrojax.measure.recorder import Recorder as Recorder
+from vibrojax.measure.recorder import Records as Records
 from vibrojax.measure.shares import Shares
 from vibrojax.measure.swings import Swings
+from vibrojax.measure.whole_pulses import PulseRecorder as PulseRecorder
+from vibrojax.scenes import Driven, Scene
 
-GAUGES = {
+RETURNS_FOR_DRIFT = 3 * MOST_CYCLES + 1
+"""The fewest that show a repeat of any length three times over."""
+
+GAUGES: dict[str, Gauge[Any]] = {
     "swings": Swings(),
     "shares": Shares(),
     "impacts": Impacts(),
     "harmonics": Harmonics(),
-    "drilling": Drilling(),
+    "drilling": Hole(),
 }
 
 
-def recorder_for(scene, keep_returns: int = 0) -> Recorder | PulseRecorder:
-    """The recorder of what the scene names in `measures`, keeping the last `keep_returns` returns one by one."""
-    if scene.measures == ("penetration",):
-        return PulseRecorder()
-    kept = (KeptReturns(keep_returns),) if keep_returns else ()
-    return Recorder((*(GAUGES[name] for name in scene.measures), *kept))
+def gauge_named(gauge: str | Gauge[Any]) -> Gauge[Any]:
+    """The gauge of that name, or a gauge itself; raises `KeyError` where there is none of the name."""
+    return gauge if isinstance(gauge, Gauge) else GAUGES[gauge]
+
+
+def recorder_for(scene: Scene[Any], keep_returns: int = 0) -> Records:
+    """The recorder of what the scene names in `measures`.
+
+    It keeps the last returns one by one: `keep_returns` of them, or as many as it takes to tell where a lane is going.
+
+    Raises `InputError` where a gauge needs what the scene does not have, or nothing can be measured of it.
+    """
+    if scene.section is None:
+        if isinstance(scene, Driven):
+            return PulseRecorder()
+        raise InputError(f"scene: {scene.name} declares neither a section nor pulses; there is nothing to measure over")
+    gauges = [gauge_named(gauge) for gauge in scene.measures]
+    if not any(isinstance(gauge, Swings) for gauge in gauges):
+        gauges.insert(0, Swings())  # repeats are told against the swings
+    for gauge in gauges:
+        for need in gauge.needs:
+            if not isinstance(scene, need):
+                raise InputError(
+                    f"scene: {scene.name} is no {need.__name__}; {type(gauge).__name__} measures only those"
+                )
+    return Recorder(scene.section, (*gauges, KeptReturns(max(keep_returns, RETURNS_FOR_DRIFT))))

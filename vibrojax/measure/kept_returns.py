@@ -1,38 +1,66 @@
-"""The last returns to the section, kept one by one for bifurcation diagrams."""
+"""The last returns to the section, kept one by one: for bifurcation diagrams, and to tell where a lane is going."""
 
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
-from vibrojax.measure._gauge import Gauge
+from vibrojax.arrays import Array
+from vibrojax.measure.gauge import Gauge, Return, Whole
+from vibrojax.scenes.capabilities import HasContact
+from vibrojax.scenes.scene import Scene
+from vibrojax.stepping import Lane
+
+TIME, INTERVAL = "return_time", "return_interval"
+IMPACTS = ("return_impacts", "return_impact_velocity")
+
+
+class Ring(NamedTuple):
+    """The last returns: an array (keep, features, lanes) in whose rows they stand in turn."""
+
+    rows: Array
 
 
 @dataclass(frozen=True)
-class KeptReturns(Gauge):
-    """A ring of the last `keep` returns of the observation: time, section state, impacts, impact velocity."""
+class KeptReturns(Gauge[Scene[Any]]):
+    """The last `keep` returns of the observation: time, time since the one before, the states in which repeats are
+    looked for, and the impacts since the one before with their mean velocity."""
 
     keep: int
 
-    def begin(self, scene, p, lane):
-        empty = jnp.full((self.keep, *lane.state[0].shape), jnp.nan, lane.state[0].dtype)
-        return {name: empty for name in self._names(scene)}
+    def begin(self, scene: Scene[Any], c: Any, lane: Lane) -> Ring:
+        shape = (self.keep, len(_names(scene)), *lane.state[0].shape)
+        return Ring(jnp.full(shape, jnp.nan, lane.state[0].dtype))
 
-    def _names(self, scene):
-        names = ("return_time", "return_x1", "return_x2", "return_v2")
-        return (*names, "return_impacts", "return_impact_velocity") if hasattr(scene, "impact_begins") else names
-
-    def section(self, scene, p, carry, at):
-        x1, _, x2, v2 = at.lane.state[:4]
-        new = {"return_time": at.lane.clock.high, "return_x1": x1, "return_x2": x2, "return_v2": v2}
-        if "impacts" in at.sums:
+    def section(self, scene: Scene[Any], c: Any, carry: Ring, at: Return) -> Ring:
+        new = [at.lane.clock.high, at.interval, *(at.lane.state[place] for place in _states(scene).values())]
+        if isinstance(scene, HasContact):
             whole = at.number > 0
-            new["return_impacts"] = jnp.where(whole, at.sums["impacts"], jnp.nan)
-            new["return_impact_velocity"] = jnp.where(whole, at.sums["velocity"] / at.sums["impacts"], jnp.nan)
+            new.append(jnp.where(whole, at.sums["impacts"], jnp.nan))
+            new.append(jnp.where(whole, at.sums["velocity"] / at.sums["impacts"], jnp.nan))
         row = jnp.where(at.here, at.number % self.keep, self.keep).astype(jnp.int32)
         lanes = jnp.arange(row.shape[0])
-        return {name: old.at[row, lanes].set(new[name], mode="drop") for name, old in carry.items()}
+        return Ring(jnp.asarray(carry.rows).at[row, :, lanes].set(jnp.stack(new, axis=1), mode="drop"))
 
-    def read(self, scene, p, carry, whole):
+    def read(self, scene: Scene[Any], c: Any, carry: Ring, whole: Whole) -> dict[str, Array]:
         # Oldest first: where the ring is full, it starts at the row after the newest.
-        order = jnp.argsort(jnp.where(jnp.isnan(carry["return_time"]), -jnp.inf, carry["return_time"]), axis=0)
-        return {name: jnp.take_along_axis(kept, order, axis=0) for name, kept in carry.items()}
+        time = carry.rows[:, 0]
+        order = jnp.argsort(jnp.where(jnp.isnan(time), -jnp.inf, time), axis=0)
+        return {
+            name: jnp.take_along_axis(carry.rows[:, index], order, axis=0) for index, name in enumerate(_names(scene))
+        }
+
+
+def state_name(name: str) -> str:
+    """What a state at the returns is called among the features."""
+    return f"return_{name}"
+
+
+def _states(scene: Scene[Any]) -> dict[str, int]:
+    """Places of the states in which repeats are looked for, by the features' names."""
+    assert scene.section is not None
+    return {state_name(name): scene.place(name) for name in scene.section.compared}
+
+
+def _names(scene: Scene[Any]) -> tuple[str, ...]:
+    return (TIME, INTERVAL, *_states(scene), *(IMPACTS if isinstance(scene, HasContact) else ()))

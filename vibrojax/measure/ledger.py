@@ -1,57 +1,76 @@
 """Sums over whole returns to the section, and over whole repeats of lanes that repeat."""
 
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import jax
 import jax.numpy as jnp
 
-from vibrojax.stepping import keep
+from vibrojax.arrays import Array, Flags, Lanes, keep
+from vibrojax.measure.gauge import Sums
 
 MOST_CYCLES = 8
 """Repeats are looked for up to this many returns."""
 
 
-def begin(names, like) -> dict:
+class Ledger(NamedTuple):
+    """What has been summed.
+
+    - `sums`: by name, since the first return; `lost`: what rounding lost of them, in float32 only.
+    - `rows`: all sums at the last `MOST_CYCLES` returns, newest first, (8, names, lanes).
+    """
+
+    sums: Sums
+    lost: Sums
+    rows: Array
+
+
+def begin(names: Iterable[str], like: Lanes) -> Ledger:
     """An empty ledger of the sums called `names`, lanes shaped as `like`."""
-    return {
-        "sums": {name: jnp.zeros_like(like) for name in names},
-        "lost": {name: jnp.zeros_like(like) for name in names if like.dtype == jnp.float32},
-        "rows": jnp.zeros((MOST_CYCLES, len(names), *like.shape), like.dtype),
-    }
+    names = list(names)
+    sums: Sums = {name: jnp.zeros_like(like) for name in names}
+    lost: Sums = {name: jnp.zeros_like(like) for name in names if like.dtype == jnp.float32}
+    return Ledger(sums, lost, jnp.zeros((MOST_CYCLES, len(names), *like.shape), like.dtype))
 
 
-def add(ledger: dict, increments: dict) -> dict:
+def add(ledger: Ledger, increments: Sums) -> Ledger:
     """The ledger with a step's increments added.
 
     In float32 what rounding lost of them is kept for the next (Kahan 1965); float64 has digits enough for 1e8 steps.
     """
-    if not ledger["lost"]:
-        return ledger | {"sums": {name: total + increments[name] for name, total in ledger["sums"].items()}}
+    if not ledger.lost:
+        return ledger._replace(sums={name: total + increments[name] for name, total in ledger.sums.items()})
     # Barriers: worked out again in another fusion, a sum may be rounded otherwise, and what it lost would be wrong.
-    more = keep({name: increments[name] + lost for name, lost in ledger["lost"].items()})
-    sums = keep({name: total + more[name] for name, total in ledger["sums"].items()})
-    lost = {name: more[name] - (sums[name] - total) for name, total in ledger["sums"].items()}
-    return ledger | {"sums": sums, "lost": lost}
+    more = keep({name: increments[name] + lost for name, lost in ledger.lost.items()})
+    sums = keep({name: total + more[name] for name, total in ledger.sums.items()})
+    lost = {name: more[name] - (sums[name] - total) for name, total in ledger.sums.items()}
+    return ledger._replace(sums=sums, lost=lost)
 
 
-def section(ledger: dict, here, number) -> tuple[dict, dict]:
+def section(ledger: Ledger, here: Flags, number: Lanes) -> tuple[Ledger, Sums]:
     """The ledger after a return, and what was summed since the return before.
 
     Sums start at the first return (`number` 0). The last `MOST_CYCLES` returns keep theirs, newest first, because how
     many returns make a repeat is known only at the end.
     """
     first = here & (number == 0)
-    sums, lost = (
-        {name: jnp.where(first, 0, total) for name, total in ledger[part].items()} for part in ("sums", "lost")
-    )
+    sums, lost = (_without(ledger.sums, first), _without(ledger.lost, first))
     now = keep(jnp.stack(list(sums.values())))
-    since = dict(zip(sums, now - ledger["rows"][0], strict=True))
-    shifted = jnp.concatenate([now[None], ledger["rows"][:-1]])
-    return {"sums": sums, "lost": lost, "rows": jnp.where(here[None, None], shifted, ledger["rows"])}, since
+    since: Sums = dict(zip(sums, now - ledger.rows[0], strict=True))
+    shifted = jnp.concatenate([now[None], ledger.rows[:-1]])
+    return Ledger(sums, lost, jnp.where(here[None, None], shifted, ledger.rows)), since
 
 
-def whole(ledger: dict, returns, cycles) -> tuple[dict, jnp.ndarray]:
+def _without(sums: Sums, here: Flags) -> Sums:
+    """The sums, zero where `here`."""
+    return {name: jnp.where(here, 0, total) for name, total in sums.items()}
+
+
+def whole(ledger: Ledger, returns: Lanes, cycles: Lanes) -> tuple[Sums, jax.Array]:
     """Sums over the most returns that make whole repeats of `cycles` (0: all returns), and their number."""
     intervals = jnp.maximum(returns - 1, 0)
     rest = jnp.where(cycles > 0, intervals % jnp.maximum(cycles, 1), 0)
-    picked = ledger["rows"][0]
+    picked = ledger.rows[0]
     for row in range(1, MOST_CYCLES):
-        picked = jnp.where((rest == row)[None], ledger["rows"][row], picked)
-    return dict(zip(ledger["sums"], picked, strict=True)), intervals - rest
+        picked = jnp.where((rest == row)[None], ledger.rows[row], picked)
+    return dict(zip(ledger.sums, picked, strict=True)), intervals - rest

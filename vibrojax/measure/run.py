@@ -1,9 +1,15 @@
 """The programs of one block of lanes: settle, as often as is asked, then observe and read."""
 
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
 import jax
 import jax.numpy as jnp
 
-from vibrojax.stepping import lane_at
+from vibrojax.arrays import Array, Flags, Lanes, Real
+from vibrojax.measure.recorder import Features, Records
+from vibrojax.scenes.scene import Scene, Values
+from vibrojax.stepping import Accuracy, Goal, Lane, Step, Stepper, lane_at
 
 STEPS_PER_TURN = 4
 """Steps between two looks at the section: a lane that reaches it waits there, on average half of them."""
@@ -12,99 +18,131 @@ STEPS_PER_PASS = 3
 """The same while it settles, where a lane goes on past the section: fewer than a period has at the longest strides."""
 
 
-def start_block(scene, recorder, p, state) -> tuple:
-    """(lane, what its recorder watches) at t = 0, from `state`, each (lanes,)."""
-    lane = lane_at(scene, scene.scaled(p, state), state)
-    return lane, recorder.watch.begin(lane)
+class Effort(NamedTuple):
+    """What the steps follow from, and after how many of them a lane is given up."""
+
+    accuracy: Accuracy
+    most_steps: Any
 
 
-def settle_block(scene, method, recorder, p, lane, returns, steps, until, settings) -> tuple:
-    """(lane, what its recorder watches, steps taken since t = 0) at the times `until` [s], each (lanes,).
+class Underway(NamedTuple):
+    """Lanes between two programs: the lane, what its recorder carries, and the steps taken since t = 0."""
 
-    **Arguments:**
-
-    - `p`: the scene's constants, scaled for the lane's start, each (lanes,).
-    - `steps`: that the lanes have taken before.
-    - `settings`: the method's, and `most_steps`, after which a lane is given up.
-    """
-    watch = recorder.watch
-
-    def step(returns, lane, step):
-        return watch.pass_by(scene, p, returns, lane, step)
-
-    def turn(returns, lane):
-        return watch.turn_over_passed(returns)
-
-    def moves(returns):
-        return True
-
-    begun = (lane, returns, steps)
-    return _stretch(scene, method, p, settings, until, begun, step, turn, moves, STEPS_PER_PASS, marked=False)
+    lane: Lane
+    carry: Any
+    steps: Lanes
 
 
-def observe_block(scene, method, recorder, p, lane, returns, steps, begin, last, settings) -> dict:
-    """Features of a block of lanes that have settled, by name.
+class Phase(NamedTuple):
+    """What is done with the steps of one part of the way; `marked`: whether they end on markers.
 
-    **Arguments:** as of `settle_block`; `begin`, `last` [s]: when each lane's observation begins, and how long it is.
+    - `step`: takes in each; `turn`: what was met, every few (`steps`); `moves`: lanes that do not wait for that.
     """
 
-    def step(carry, lane, step):
-        return recorder.step(scene, p, carry, lane, step)
+    step: Callable[[Any, Lane, Step], Any]
+    turn: Callable[[Any, Lane], Any]
+    moves: Callable[[Any], Flags | bool]
+    steps: int
+    marked: bool
 
-    def turn(carry, lane):
-        share = 1 - lane.clock.until(end) / last
-        return recorder.turn_over(scene, p, carry, lane, share)
 
-    def moves(carry):
-        return ~carry["returns"]["waiting"]
+def start_block(scene: Scene[Any], recorder: Records, c: Any, state: Values) -> tuple[Lane, Any]:
+    """(lane, what its recorder carries) at t = 0, from `state`, each (lanes,); `c`: the scene's constants."""
+    lane = lane_at(scene, scene.scaled(c, state), state)
+    return lane, recorder.settling(scene, lane)
 
-    end = begin + last
-    settled = lane.clock.until(begin) <= 0
-    carry = recorder.begin(scene, p, lane, returns)
-    begun = (lane, carry, steps)
-    lane, carry, steps = _stretch(scene, method, p, settings, end, begun, step, turn, moves, STEPS_PER_TURN)
+
+def settle_block(
+    scene: Scene[Any], stepper: Stepper, recorder: Records, c: Any, begun: Underway, until: Lanes, effort: Effort
+) -> Underway:
+    """The lanes at the times `until` [s], each (lanes,); `c`: the scene's constants, scaled for the lane's start."""
+
+    def take_in(carry: Any, lane: Lane, step: Step) -> Any:
+        return recorder.settle(scene, c, carry, lane, step)
+
+    def turn(carry: Any, lane: Lane) -> Any:
+        return recorder.settle_returns(carry)
+
+    phase = Phase(take_in, turn, lambda carry: True, STEPS_PER_PASS, marked=False)
+    return _through(scene, stepper, c, begun, until, effort, phase)
+
+
+def observe_block(
+    scene: Scene[Any],
+    stepper: Stepper,
+    recorder: Records,
+    c: Any,
+    begun: Underway,
+    begin: Lanes,
+    lasts: Lanes,
+    effort: Effort,
+) -> Features:
+    """Features of lanes that have settled, by name.
+
+    **Arguments:** as of `settle_block`; `begin`, `lasts` [s]: when each lane's observation begins, how long it is.
+    """
+
+    def take_in(carry: Any, lane: Lane, step: Step) -> Any:
+        return recorder.step(scene, c, carry, lane, step)
+
+    def turn(carry: Any, lane: Lane) -> Any:
+        share = 1 - lane.clock.until(end) / lasts
+        return recorder.take_returns(scene, c, carry, lane, share)
+
+    end = begin + lasts
+    settled = begun.lane.clock.until(begin) <= 0
+    begun = begun._replace(carry=recorder.begin(scene, c, begun.lane, begun.carry))
+    phase = Phase(take_in, turn, lambda carry: ~recorder.waiting(carry), STEPS_PER_TURN, marked=True)
+    lane, carry, steps = _through(scene, stepper, c, begun, end, effort, phase)
     finite = jnp.all(jnp.stack([jnp.isfinite(y) for y in lane.state]), axis=0)
-    return recorder.read(scene, p, carry) | {
+    return recorder.read(scene, c, carry) | {
         "steps": steps,
         "finite": finite & jnp.isfinite(lane.clock.high),
         "finished": settled & (lane.clock.until(end) <= 0),
     }
 
 
-def run_block(scene, method, recorder, p, state, settings) -> dict:
+def run_block(
+    scene: Scene[Any],
+    stepper: Stepper,
+    recorder: Records,
+    c: Any,
+    state: Values,
+    effort: Effort,
+    settle: Real,
+    observe: Real,
+) -> Features:
     """Features of a block of lanes from their start to their end, by name; see the programs above.
 
-    `settings` also has `settle` and `observe` [s]: how long they settle, and are observed then.
+    `settle`, `observe` [s]: how long they settle, and are observed then.
     """
-    lane, returns = start_block(scene, recorder, p, state)
-    p = scene.scaled(p, state)
+    lane, carry = start_block(scene, recorder, c, state)
+    c = scene.scaled(c, state)
     none = jnp.zeros_like(state[0])
-    begin, last = none + settings["settle"], none + settings["observe"]
-    lane, returns, steps = settle_block(scene, method, recorder, p, lane, returns, none, begin, settings)
-    return observe_block(scene, method, recorder, p, lane, returns, steps, begin, last, settings)
+    begin, lasts = none + settle, none + observe
+    begun = settle_block(scene, stepper, recorder, c, Underway(lane, carry, none), begin, effort)
+    return observe_block(scene, stepper, recorder, c, begun, begin, lasts, effort)
 
 
-def _stretch(scene, method, p, settings, end, begun, take_in, turn_over, moves, steps_per_turn, marked=True):
-    """Step every lane to its `end`, taking in each step, and what was met every few steps.
+def _through(
+    scene: Scene[Any], stepper: Stepper, c: Any, begun: Underway, end: Lanes, effort: Effort, phase: Phase
+) -> Underway:
+    """Step every lane to its `end`."""
 
-    `begun` is (lane, what is carried, steps taken so far), and so is what comes out.
-    """
-
-    def active(lane):
+    def active(lane: Lane) -> Flags:
         return lane.clock.until(end) > 0  # a NaN is not
 
-    def one(_, state):
-        lane, carry, steps = state
-        moving = active(lane) & moves(carry) & (steps < settings["most_steps"])
-        lane, step = method.step(scene, p, lane, settings, end, moving, marked)
-        return lane, take_in(carry, lane, step), jnp.where(moving, steps + 1, steps)
+    def one(_: Any, now: Underway) -> Underway:
+        lane, carry, steps = now
+        moving = active(lane) & phase.moves(carry) & (steps < effort.most_steps)
+        lane, step = stepper.step(scene, c, lane, effort.accuracy, Goal(end, moving), phase.marked)
+        return Underway(lane, phase.step(carry, lane, step), jnp.where(moving, steps + 1, steps))
 
-    def turn(state):
-        lane, carry, steps = jax.lax.fori_loop(0, steps_per_turn, one, state)
-        return lane, turn_over(carry, lane), steps
+    def turn(now: Underway) -> Underway:
+        lane, carry, steps = jax.lax.fori_loop(0, phase.steps, one, now)
+        return Underway(lane, phase.turn(carry, lane), steps)
 
-    def goes_on(state):
-        lane, _, steps = state
-        return jnp.any(active(lane) & (steps < settings["most_steps"]))
+    def goes_on(now: Underway) -> Array:
+        return jnp.any(active(now.lane) & (now.steps < effort.most_steps))
 
     return jax.lax.while_loop(goes_on, turn, begun)

@@ -1,130 +1,197 @@
-"""Returns to the section: the instant at which the bit overtakes the drive (contract: dataset).
+"""Returns to a scene's section: here a lane's repeats are found, and when it settled.
 
-x1' rises through zero, having been below -0.05 v since the last return. Here a lane's repeats are found, and when it
-settled. Before the observation steps do not end on the section: a return on the way is read off the step's polynomials.
+A return counts where the section's velocity passes zero, having been beyond the re-arming level since the last one.
+Before the observation steps do not end on the section: a return on the way is read off the step's polynomials.
 """
 
+from collections.abc import Iterable
+from typing import Any, NamedTuple
+
+import jax
 import jax.numpy as jnp
 
+from vibrojax.arrays import Array, Flags, Lanes, keep
 from vibrojax.measure.ledger import MOST_CYCLES
-from vibrojax.stepping import keep
-from vibrojax.stepping.polynomial import first_guess, slope, value
+from vibrojax.measure.swings import widened
+from vibrojax.scenes.scene import Scene, Section
+from vibrojax.stepping import Lane, Step
+from vibrojax.stepping.polynomial import Coefficients, first_guess, slope, value
 
 REPEATS_WITHIN = 1e-3
 SETTLED_WITHIN = 0.01
-ARMED_BELOW = 0.05
+
+Range = tuple[Lanes, Lanes]
+"""The least and the greatest value."""
 
 
-def begin(lane) -> dict:
+class Passed(NamedTuple):
+    """The return that was last passed on the way: whether it is `waiting` to be taken in, and what it was.
+
+    - `state`: the states that are compared, (states, lanes); `time` [s]; `since` [s]: the time since the one before.
+    - `amplitudes`: half the swings since then [m].
+    """
+
+    waiting: Flags
+    state: Array
+    time: Lanes
+    since: Lanes
+    amplitudes: tuple[Lanes, ...]
+
+
+class Seen(NamedTuple):
+    """What has been seen of returns, the newest first where there are several.
+
+    - `armed`: whether the next zero counts; `since` [s]: the time since the last return.
+    - `ranges`: of each swing's position since then.
+    - `states` (8, states, lanes) and `times` (8, lanes) [s] of the last returns, NaN where there was none.
+    - `settled` (8, lanes) [s]: for each length of a repeat the time of the last return that differs from its repeat.
+    - `frequency` [rad/s]: of the returns; 0 before there are two.
+    """
+
+    armed: Flags
+    since: Lanes
+    ranges: tuple[Range, ...]
+    states: Array
+    times: Array
+    settled: Array
+    frequency: Lanes
+
+
+class Settling(NamedTuple):
+    """What is carried while lanes settle."""
+
+    seen: Seen
+    passed: Passed
+
+
+class Returns(NamedTuple):
+    """What is carried under observation: returns are counted, and landed on.
+
+    - `waiting`: lanes that stand at the section; `number`: of returns so far.
+    - `phase` [rad]: what has passed of the returns' frequency since the first.
+    - `worst` (8, states, lanes): the greatest differences between returns, for each length of a repeat.
+    """
+
+    seen: Seen
+    waiting: Flags
+    phase: Lanes
+    number: Lanes
+    worst: Array
+
+
+def begin(section: Section, scene: Scene[Any], lane: Lane) -> Settling:
     """What is known of returns at t = 0, while it settles."""
-    x1, _, x2, _ = lane.state[:4]
-    nothing = jnp.full((MOST_CYCLES, *x1.shape), jnp.nan, x1.dtype)
-    zero = jnp.zeros_like(x1)
-    return {
-        "armed": jnp.zeros_like(x1, bool),
-        "since": zero,
-        "swing1": (x1, x1),
-        "swing2": (x2, x2),
-        "states": jnp.stack([nothing] * 3, axis=1),
-        "times": nothing,
-        "settled": jnp.zeros_like(nothing),
-        "frequency": zero,
-        "passed": {
-            "waiting": jnp.zeros_like(x1, bool),
-            "state": jnp.stack([zero] * 3),
-            "time": zero,
-            "since": zero,
-            "bit": zero,
-            "striker": zero,
-        },
-    }
+    places = [lane.state[scene.place(swing.position)] for swing in section.swings]
+    first, compared = places[0], len(section.compared)
+    nothing = jnp.full((MOST_CYCLES, *first.shape), jnp.nan, first.dtype)
+    zero = jnp.zeros_like(first)
+    seen = Seen(
+        armed=jnp.zeros_like(first, bool),
+        since=zero,
+        ranges=tuple((x, x) for x in places),
+        states=jnp.stack([nothing] * compared, axis=1),
+        times=nothing,
+        settled=jnp.zeros_like(nothing),
+        frequency=zero,
+    )
+    waiting = jnp.zeros_like(first, bool)
+    return Settling(seen, Passed(waiting, jnp.stack([zero] * compared), zero, zero, tuple(zero for _ in places)))
 
 
-def pass_by(scene, p, carry: dict, lane, step) -> dict:
+def pass_by(section: Section, scene: Scene[Any], c: Any, carry: Settling, lane: Lane, step: Step) -> Settling:
     """Take in a step of the settling: extremes since the last return, and a return on the way.
 
-    The turns of bit and striker are where x1' and x2' pass zero on the step's polynomials.
+    Turns are where velocities pass zero on the step's polynomials.
     """
-    x1, v1, x2, v2 = lane.state[:4]
-    place1, velocity1, place2, velocity2 = step.polynomials[:4]
-    turns1, at1 = _turn(velocity1, v1, step)
+    seen, passed = carry
+    positions = [scene.place(swing.position) for swing in section.swings]
+    velocities = [scene.place(swing.velocity) for swing in section.swings]
+    rising = _rising(section, step.polynomials[velocities[0]])
+    after = _rising(section, [lane.state[velocities[0]]])[0]
+    turns, at = _turn(rising, after, step)
     for _ in range(2):
-        at1 = _polished(velocity1, at1, step)
-    # The striker's swing is flat there: a first guess of when will do.
-    turns2, at2 = _turn(velocity2, v2, step)
-    there = keep(jnp.stack([value(place1, at1), value(place2, at1), value(velocity2, at1)]))
-    swing1 = _widened(carry["swing1"], jnp.where(turns1, there[0], x1))
-    swing2 = _widened(carry["swing2"], jnp.where(turns2, value(place2, at2), x2))
-    armed = keep(carry["armed"] | (lowest(velocity1, step.tau) < -ARMED_BELOW * p["v"]))
-    overtakes = keep(turns1 & (velocity1[0] < 0) & armed)
-    since = carry["since"] + step.dt
-    left = step.dt - at1 * step.h
-    new = {
-        "state": there,
-        "time": lane.clock.high - left,
-        "since": since - left,
-        "bit": (swing1[1] - swing1[0]) / 2,
-        "striker": (swing2[1] - swing2[0]) / 2,
-    }
-    passed = {name: jnp.where(overtakes, now, carry["passed"][name]) for name, now in new.items()}
-    return carry | {
-        "armed": jnp.where(overtakes, v1 < 0, armed),
-        "since": jnp.where(overtakes, left, since),
-        "swing1": tuple(jnp.where(overtakes, there[0], one) for one in _widened(swing1, x1)),
-        "swing2": tuple(jnp.where(overtakes, there[1], one) for one in _widened(swing2, x2)),
-        "passed": passed | {"waiting": carry["passed"]["waiting"] | overtakes},
-    }
+        at = _polished(rising, at, step)
+    # The others' swings are flat at their turns: a first guess of when will do.
+    others = [_turn(step.polynomials[v], lane.state[v], step) for v in velocities[1:]]
+    compared = [scene.place(name) for name in section.compared]
+    there = keep(jnp.stack([value(step.polynomials[place], at) for place in compared]))
+    ends = [lane.state[place] for place in positions]
+    turned = [jnp.where(turns, there[0], ends[0])]
+    for place, end, (turns_too, when) in zip(positions[1:], ends[1:], others, strict=True):
+        turned.append(jnp.where(turns_too, value(step.polynomials[place], when), end))
+    ranges = tuple(widened(one, x) for one, x in zip(seen.ranges, turned, strict=True))
+    level = _rising(section, [section.rearm(c)])[0]
+    armed = keep(seen.armed | (lowest(rising, step.tau) < level))
+    returns = keep(turns & (rising[0] < 0) & armed)
+    since = seen.since + step.dt
+    left = step.dt - at * step.h
+    new = (there, lane.clock.high - left, since - left, _halves(ranges))
+    last = jax.tree.map(lambda now, before: jnp.where(returns, now, before), new, tuple(passed[1:]))
+    begun = [there[section.compared.index(swing.position)] for swing in section.swings]
+    begun_anew = [
+        _begun_at(returns, start, widened(swung, end)) for swung, start, end in zip(ranges, begun, ends, strict=True)
+    ]
+    known = seen._replace(
+        armed=jnp.where(returns, after < 0, armed),
+        since=jnp.where(returns, left, since),
+        ranges=tuple(begun_anew),
+    )
+    return Settling(known, Passed(passed.waiting | returns, *last))
 
 
-def _turn(velocity, after, step):
+def _rising(section: Section, values: Coefficients) -> Coefficients:
+    """Values of the section's velocity with the sign by which it rises through zero at a return."""
+    return values if section.rising else [-one for one in values]
+
+
+def _turn(velocity: Coefficients, after: Array, step: Step) -> tuple[Array, Array]:
     """Where a velocity passes zero on the step, and the tau of it by a parabola."""
     sign = jnp.where(velocity[0] < 0, -1.0, 1.0)
     guess = first_guess(jnp.abs(velocity[0]), sign * velocity[1] * step.tau, sign * after)
     return sign * after < 0, keep(guess * step.tau)
 
 
-def _polished(velocity, tau, step):
+def _polished(velocity: Coefficients, tau: Array, step: Step) -> Array:
     """A better zero by a Newton iteration, if that stays within the step."""
     better = tau - value(velocity, tau) / slope(velocity, tau)
     return keep(jnp.where((better > 0) & (better < step.tau), better, tau))
 
 
-def turn_over_passed(carry: dict) -> dict:
+def take_in_passed(carry: Settling) -> Settling:
     """Take in the returns that have been passed."""
-    passed = carry["passed"]
-    here = passed["waiting"]
-    carry, _ = _returned(carry, here, *(passed[name] for name in ("state", "time", "since", "bit", "striker")))
-    return carry | {"passed": passed | {"waiting": jnp.zeros_like(here)}}
+    seen, passed = carry
+    known, _ = _returned(seen, passed.waiting, passed.state, passed.time, passed.since, passed.amplitudes)
+    return Settling(known, passed._replace(waiting=jnp.zeros_like(passed.waiting)))
 
 
-def observe(carry: dict) -> dict:
+def observe(carry: Settling) -> Returns:
     """What is known of returns at the beginning of the observation: they are counted from here on, and landed on."""
-    zero = jnp.zeros_like(carry["since"])
-    known = {name: one for name, one in turn_over_passed(carry).items() if name != "passed"}
-    return known | {
-        "waiting": jnp.zeros_like(carry["armed"]),
-        "phase": zero,
-        "number": zero,
-        "worst": jnp.zeros_like(carry["states"]),
-    }
+    zero = jnp.zeros_like(carry.seen.since)
+    seen = take_in_passed(carry).seen
+    return Returns(seen, jnp.zeros_like(seen.armed), zero, zero, jnp.zeros_like(seen.states))
 
 
-def step(scene, p, carry: dict, lane, step) -> dict:
+def step(section: Section, scene: Scene[Any], c: Any, carry: Returns, lane: Lane, step: Step) -> Returns:
     """Take in a step: extremes since the last return, and whether it ends on the section."""
-    x1, _, x2, _ = lane.state[:4]
-    armed = keep(carry["armed"] | (lowest(step.polynomials[1], step.tau) < -ARMED_BELOW * p["v"]))
-    overtakes = step.hits[scene.bit_turn] & ~step.falling[0] & armed
-    return carry | {
-        "armed": armed,
-        "waiting": carry["waiting"] | overtakes,
-        "since": carry["since"] + step.dt,
-        "phase": carry["phase"] + carry["frequency"] * step.dt,
-        "swing1": _widened(carry["swing1"], x1),
-        "swing2": _widened(carry["swing2"], x2),
-    }
+    seen = carry.seen
+    rising = _rising(section, step.polynomials[scene.place(section.velocity)])
+    armed = keep(seen.armed | (lowest(rising, step.tau) < _rising(section, [section.rearm(c)])[0]))
+    marker = scene.marker_of(section.velocity)
+    falls = step.falling[marker] if section.rising else ~step.falling[marker]
+    returns = step.hits[marker] & ~falls & armed
+    places = [lane.state[scene.place(swing.position)] for swing in section.swings]
+    return carry._replace(
+        seen=seen._replace(
+            armed=armed,
+            since=seen.since + step.dt,
+            ranges=tuple(widened(one, x) for one, x in zip(seen.ranges, places, strict=True)),
+        ),
+        waiting=carry.waiting | returns,
+        phase=carry.phase + seen.frequency * step.dt,
+    )
 
 
-def lowest(velocity, tau):
+def lowest(velocity: Coefficients, tau: Array) -> jax.Array:
     """Least value of a velocity from 0 to `tau`, by the parabola through its ends and its middle."""
     start, middle, end = velocity[0], value(velocity, tau / 2), value(velocity, tau)
     bend, fall = start + end - 2 * middle, 3 * start + end - 4 * middle
@@ -134,63 +201,77 @@ def lowest(velocity, tau):
     return jnp.minimum(jnp.minimum(start, end), jnp.where((bend > 0) & (share > 0) & (share < 1), vertex, start))
 
 
-def _widened(extremes, x):
+def _begun_at(here: Flags, x: Lanes, extremes: Range) -> Range:
+    """The least and greatest value, both `x` where `here`."""
     lowest, highest = extremes
-    return jnp.minimum(lowest, x), jnp.maximum(highest, x)
+    return jnp.where(here, x, lowest), jnp.where(here, x, highest)
 
 
-def amplitudes(carry: dict):
-    """Half the swings of x1 and x2 since the last return [m]."""
-    return tuple((highest - lowest) / 2 for lowest, highest in (carry["swing1"], carry["swing2"]))
+def _halves(ranges: Iterable[Range]) -> tuple[Lanes, ...]:
+    return tuple((highest - lowest) / 2 for lowest, highest in ranges)
 
 
-def turn_over(carry: dict, lane) -> dict:
+def amplitudes(carry: Returns) -> tuple[Lanes, ...]:
+    """Half the swings since the last return [m]."""
+    return _halves(carry.seen.ranges)
+
+
+def take_in(section: Section, scene: Scene[Any], carry: Returns, lane: Lane) -> Returns:
     """Take in the returns of the lanes that wait at the section, and let them go on."""
-    here = carry["waiting"]
-    x1, _, x2, v2 = lane.state[:4]
-    at_section = (jnp.stack([x1, x2, v2]), lane.clock.high, carry["since"], *amplitudes(carry))
-    known, differs = _returned(carry, here, *at_section)
-    back = jnp.arange(MOST_CYCLES, dtype=carry["number"].dtype).reshape(-1, *[1] * carry["number"].ndim)
-    compared = here[None] & (back < carry["number"][None])
-    worst = jnp.where(compared[:, None], jnp.maximum(carry["worst"], differs), carry["worst"])
+    seen, here = carry.seen, carry.waiting
+    state = jnp.stack([lane.state[scene.place(name)] for name in section.compared])
+    known, differs = _returned(seen, here, state, lane.clock.high, seen.since, amplitudes(carry))
+    back = jnp.arange(MOST_CYCLES, dtype=carry.number.dtype).reshape(-1, *[1] * carry.number.ndim)
+    compared = here[None] & (back < carry.number[None])
+    worst = jnp.where(compared[:, None], jnp.maximum(carry.worst, differs), carry.worst)
     turn = 2 * jnp.pi
     # From the first return of the observation on, without the whole turns.
-    phase = jnp.where(carry["number"] == 0, 0, carry["phase"] - turn * jnp.round(carry["phase"] / turn))
-    return known | {
-        "armed": carry["armed"] & ~here,
-        "waiting": jnp.zeros_like(here),
-        "since": jnp.where(here, 0, carry["since"]),
-        "phase": jnp.where(here, phase, carry["phase"]),
-        "swing1": tuple(jnp.where(here, x1, one) for one in carry["swing1"]),
-        "swing2": tuple(jnp.where(here, x2, one) for one in carry["swing2"]),
-        "number": jnp.where(here, carry["number"] + 1, carry["number"]),
-        "worst": worst,
-    }
+    phase = jnp.where(carry.number == 0, 0, carry.phase - turn * jnp.round(carry.phase / turn))
+    places = [lane.state[scene.place(swing.position)] for swing in section.swings]
+    return Returns(
+        seen=known._replace(
+            armed=seen.armed & ~here,
+            since=jnp.where(here, 0, seen.since),
+            ranges=tuple(_begun_at(here, x, one) for one, x in zip(seen.ranges, places, strict=True)),
+        ),
+        waiting=jnp.zeros_like(here),
+        phase=jnp.where(here, phase, carry.phase),
+        number=jnp.where(here, carry.number + 1, carry.number),
+        worst=worst,
+    )
 
 
-def _returned(carry, here, state, time, since, bit, striker):
+def scales(amplitudes: tuple[Lanes, ...], period: Lanes) -> list[Lanes]:
+    """What the compared states are measured against: half the swings, and of velocities those by 2 pi over `period`."""
+    first, *others = amplitudes
+    return [first, *(one for half in others for one in (half, half * 2 * jnp.pi / period))]
+
+
+def _returned(
+    seen: Seen, here: Flags, state: Array, time: Lanes, since: Lanes, amplitudes: tuple[Lanes, ...]
+) -> tuple[Seen, Array]:
     """The returns that are kept after one in `state` at `time`, where `here`; and how it differs from those before.
 
-    `bit` and `striker` are half the swings in the time `since` the return before.
+    `amplitudes` are half the swings in the time `since` the return before.
     """
-    scale = keep(jnp.stack([bit, striker, striker * 2 * jnp.pi / since]))
-    differs = keep(jnp.abs(state[None] - carry["states"]))
+    scale = keep(jnp.stack(scales(amplitudes, since)))
+    differs = keep(jnp.abs(state[None] - seen.states))
     # A return that has not been yet is NaN, which compares false.
     unsettled = here[None] & jnp.any(differs > SETTLED_WITHIN * scale[None], axis=1)
     repeats = jnp.all(differs <= SETTLED_WITHIN * scale[None], axis=1)
-    times = keep(jnp.concatenate([time[None], carry["times"][:-1]]))
-    states = jnp.concatenate([state[None], carry["states"][:-1]])
-    rate = 2 * jnp.pi * _rate(carry["times"], repeats, time)
-    known = carry | {
-        "frequency": jnp.where(here, rate, carry["frequency"]),
-        "states": jnp.where(here[None, None], states, carry["states"]),
-        "times": jnp.where(here[None], times, carry["times"]),
-        "settled": jnp.where(unsettled, carry["times"], carry["settled"]),
-    }
+    times = keep(jnp.concatenate([time[None], seen.times[:-1]]))
+    states = jnp.concatenate([state[None], seen.states[:-1]])
+    rate = 2 * jnp.pi * _rate(seen.times, repeats, time)
+    known = seen._replace(
+        frequency=jnp.where(here, rate, seen.frequency),
+        states=jnp.where(here[None, None], states, seen.states),
+        times=jnp.where(here[None], times, seen.times),
+        settled=jnp.where(unsettled, seen.times, seen.settled),
+    )
     return known, differs
 
 
-def _rate(times, repeats, now):
+def _rate(times: Array, repeats: Array, now: Lanes) -> Lanes:
     """Returns per second, over the fewest returns after which the state repeats, else over all that are kept; 0 before
     there are two."""
     rate = jnp.zeros_like(now)
@@ -201,19 +282,22 @@ def _rate(times, repeats, now):
     return rate
 
 
-def cycles(carry: dict, bit_amplitude, striker_amplitude, period):
-    """Returns after which the motion repeats, 1 to 8; 0 where it does not, or where there are fewer than 3 p + 1."""
-    scale = jnp.stack([bit_amplitude, striker_amplitude, striker_amplitude * 2 * jnp.pi / period])
-    found = jnp.zeros_like(carry["number"])
+def cycles(carry: Returns, amplitudes: tuple[Lanes, ...], period: Lanes) -> jax.Array:
+    """Returns after which the motion repeats, 1 to 8; 0 where it does not, or where there are fewer than 3 p + 1.
+
+    `amplitudes` and `period` are those of the whole observation.
+    """
+    scale = jnp.stack(scales(amplitudes, period))
+    repeating = jnp.zeros_like(carry.number)
     for p in range(MOST_CYCLES, 0, -1):
-        repeats = jnp.all(carry["worst"][p - 1] < REPEATS_WITHIN * scale, axis=0) & (carry["number"] >= 3 * p + 1)
-        found = jnp.where(repeats, float(p), found)
-    return found
+        repeats = jnp.all(carry.worst[p - 1] < REPEATS_WITHIN * scale, axis=0) & (carry.number >= 3 * p + 1)
+        repeating = jnp.where(repeats, float(p), repeating)
+    return repeating
 
 
-def settling_time(carry: dict, cycles):
+def settling_time(carry: Returns, cycles: Lanes) -> jax.Array:
     """Time [s] of the last return that differs from that `cycles` returns later by over 0.01; NaN where cycles is 0."""
     time = jnp.full_like(cycles, jnp.nan)
     for p in range(1, MOST_CYCLES + 1):
-        time = jnp.where(cycles == p, carry["settled"][p - 1], time)
+        time = jnp.where(cycles == p, carry.seen.settled[p - 1], time)
     return time

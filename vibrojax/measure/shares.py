@@ -1,41 +1,52 @@
 """Shares of time in stick and in reverse, the striker's turns, and the power of the drive."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import jax.numpy as jnp
 
-from vibrojax.measure._gauge import Gauge
+from vibrojax.arrays import Lanes
+from vibrojax.measure.gauge import Gauge, Moment, Sums, Whole
+from vibrojax.scenes.capabilities import HasFriction
+from vibrojax.stepping import Step
 from vibrojax.stepping.polynomial import integral
 from vibrojax.stepping.series import known
 
 
 @dataclass(frozen=True)
-class Shares(Gauge):
-    """stick_fraction, reverse_fraction [1], striker_turns [1], drive_power [W]: mean F v."""
+class Shares(Gauge[HasFriction[Any]]):
+    """stick_fraction, reverse_fraction [1], striker_turns [1], drive_power [W]: mean F v.
+
+    The striker is the section's second swing.
+    """
 
     summed = ("stick", "reverse", "turns", "friction")
+    needs = (HasFriction,)
 
-    def increments(self, scene, p, moment):
+    def increments(self, scene: HasFriction[Any], c: Any, moment: Moment) -> Sums:
         step = moment.step
-        slip = step.mode[0]
+        slip = step.mode[scene.mode_place("slip")]
+        assert scene.section is not None
+        turn = scene.marker_of(scene.section.swings[1].velocity)
         return {
             "stick": jnp.where(slip == 0, step.dt, 0),
             "reverse": jnp.where(slip < 0, step.dt, 0),
-            "turns": (step.hits[scene.striker_turn] & step.falling[1]).astype(step.dt.dtype),
-            "friction": friction_impulse(scene, p, step),
+            "turns": (step.hits[turn] & step.falling[turn]).astype(step.dt.dtype),
+            "friction": friction_impulse(scene, c, step),
         }
 
-    def read(self, scene, p, carry, whole):
+    def read(self, scene: HasFriction[Any], c: Any, carry: Any, whole: Whole) -> dict[str, Lanes]:
         return {
             "stick_fraction": whole.sums["stick"] / whole.time,
             "reverse_fraction": whole.sums["reverse"] / whole.time,
             "striker_turns": whole.sums["turns"] / whole.returns,
-            "drive_power": whole.sums["friction"] / whole.time * p["v"],
+            "drive_power": whole.sums["friction"] / whole.time * scene.bit(c).drive_speed,
         }
 
 
-def friction_impulse(scene, p, step):
+def friction_impulse(scene: HasFriction[Any], c: Any, step: Step) -> Lanes:
     """Integral of F over the step [N s], what the spring force did not give to the bit: sliding and in stick alike."""
-    pull = scene.pull(p, tuple(known(one) for one in step.polynomials))
+    pull = scene.pull(c, tuple(known(one) for one in step.polynomials))
     spring = step.h * integral([pull[k] for k in range(len(step.polynomials[0]))], step.tau)
-    return spring - p["m1"] * (step.after[1] - step.before[1])
+    velocity = scene.place(scene.bit_velocity)
+    return spring - scene.bit(c).mass * (step.after[velocity] - step.before[velocity])

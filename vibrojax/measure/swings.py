@@ -1,50 +1,69 @@
 """How far bit and striker swing, and whether the swing steadily grows or decays."""
 
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 
-from vibrojax.measure._gauge import Gauge
+from vibrojax.arrays import Array, Lanes
+from vibrojax.measure.gauge import Gauge, Moment, Return, Whole
+from vibrojax.scenes.scene import Scene, Swing
+from vibrojax.stepping import Lane
 
 EIGHTHS = 8
 
 
+class Swung(NamedTuple):
+    """The least and greatest value of each swing's position, and the first one's greatest amplitude in each eighth of
+    the observation, (8, lanes)."""
+
+    ranges: tuple[tuple[Lanes, Lanes], ...]
+    greatest: Array
+
+
 @dataclass(frozen=True)
-class Swings(Gauge):
-    """bit_amplitude, striker_amplitude [m]; trend: 1 steadily growing, -1 decaying, 0 neither (contract: regime 0)."""
+class Swings(Gauge[Scene[Any]]):
+    """The amplitudes that the section names [m]; trend: 1 where the first one steadily grows, -1 decays, 0 neither."""
 
-    def begin(self, scene, p, lane):
-        x1, _, x2, _ = lane.state[:4]
-        return {
-            "bit": (x1, x1),
-            "striker": (x2, x2),
-            "greatest": jnp.full((EIGHTHS, *x1.shape), jnp.nan, x1.dtype),
-        }
+    def begin(self, scene: Scene[Any], c: Any, lane: Lane) -> Swung:
+        places = _positions(scene, lane)
+        none = jnp.full((EIGHTHS, *places[0].shape), jnp.nan, places[0].dtype)
+        return Swung(tuple((x, x) for x in places), none)
 
-    def step(self, scene, p, carry, moment):
-        x1, _, x2, _ = moment.lane.state[:4]
-        return carry | {"bit": _widened(carry["bit"], x1), "striker": _widened(carry["striker"], x2)}
+    def step(self, scene: Scene[Any], c: Any, carry: Swung, moment: Moment) -> Swung:
+        places = _positions(scene, moment.lane)
+        return carry._replace(ranges=tuple(widened(one, x) for one, x in zip(carry.ranges, places, strict=True)))
 
-    def section(self, scene, p, carry, at):
+    def section(self, scene: Scene[Any], c: Any, carry: Swung, at: Return) -> Swung:
         eighth = jnp.clip(jnp.floor(at.share * EIGHTHS), 0, EIGHTHS - 1)
         index = jnp.arange(EIGHTHS, dtype=eighth.dtype).reshape(-1, *[1] * at.here.ndim)
         mine = at.here[None] & (at.number[None] > 0) & (eighth[None] == index)
-        greatest = jnp.where(mine, jnp.fmax(carry["greatest"], at.bit_amplitude[None]), carry["greatest"])
-        return carry | {"greatest": greatest}
+        greatest = jnp.where(mine, jnp.fmax(carry.greatest, at.amplitudes[0][None]), carry.greatest)
+        return carry._replace(greatest=greatest)
 
-    def read(self, scene, p, carry, whole):
-        return {
-            "bit_amplitude": (carry["bit"][1] - carry["bit"][0]) / 2,
-            "striker_amplitude": (carry["striker"][1] - carry["striker"][0]) / 2,
-            "trend": _trend(carry["greatest"]),
-        }
+    def read(self, scene: Scene[Any], c: Any, carry: Swung, whole: Whole) -> dict[str, Lanes]:
+        swings = zip(_swings(scene), carry.ranges, strict=True)
+        amplitudes = {swing.amplitude: (highest - lowest) / 2 for swing, (lowest, highest) in swings}
+        return amplitudes | {"trend": _trend(carry.greatest)}
 
 
-def _widened(extremes, x):
-    return jnp.minimum(extremes[0], x), jnp.maximum(extremes[1], x)
+def widened(extremes: tuple[Lanes, Lanes], x: Lanes) -> tuple[jax.Array, jax.Array]:
+    """The least and greatest value, `x` taken in."""
+    lowest, highest = extremes
+    return jnp.minimum(lowest, x), jnp.maximum(highest, x)
 
 
-def _trend(greatest):
+def _swings(scene: Scene[Any]) -> tuple[Swing, ...]:
+    assert scene.section is not None
+    return scene.section.swings
+
+
+def _positions(scene: Scene[Any], lane: Lane) -> list[Lanes]:
+    return [lane.state[scene.place(swing.position)] for swing in _swings(scene)]
+
+
+def _trend(greatest: Array) -> jax.Array:
     """1 where the eighths strictly rise, -1 where they strictly fall, by over 1 % from first to last; else 0."""
     change = jnp.diff(greatest, axis=0)  # NaN, and so neither, where an eighth has no return
     first, last = greatest[0], greatest[-1]

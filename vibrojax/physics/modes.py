@@ -1,14 +1,23 @@
 """Linear modes of bit and striker without impact (eqs. 5.15 to 5.17)."""
 
+from collections.abc import Mapping
+from typing import Any
+
+import jax
 import jax.numpy as jnp
+from jaxtyping import Float
+
+from vibrojax.arrays import Value
+
+Values = Mapping[str, Any]
 
 
-def striker(p):
+def striker(p: Values) -> tuple[Any, Any]:
     """Striker's mass m2 = beta m1 [kg] and spring k2 = m2 (gamma w1)² [N/m], w1² = k1/m1."""
     return p["beta"] * p["m1"], p["beta"] * p["k1"] * p["gamma"] ** 2
 
 
-def natural_frequencies(p):
+def natural_frequencies(p: Values) -> Float[jax.Array, "*lanes 2"]:
     """The two undamped natural frequencies [rad/s], lower first, stacked along a last axis of 2 (eq. 5.16).
 
     Roots of w⁴ - w² (w1² + w2² (1 + beta)) + w1² w2² = 0 for `m1 [x1'' = -k1 x1 - k2 (x1 - x2)]` and
@@ -23,13 +32,13 @@ def natural_frequencies(p):
     return jnp.sqrt(jnp.stack([product / upper, upper], axis=-1))
 
 
-def empirical_frequency(p, share=0.25):
+def empirical_frequency(p: Values, share: Value = 0.25) -> Any:
     """Frequency [rad/s] of eq. 5.17, w² = (k1 + k2)/m1 + share k2/m2 with the source's `share` of 1/4."""
     m2, k2 = striker(p)
     return jnp.sqrt((p["k1"] + k2) / p["m1"] + share * k2 / m2)
 
 
-def linearised(p, friction_slope):
+def linearised(p: Values, friction_slope: Value) -> Float[jax.Array, "4 4"]:
     """Matrix of the motion about steady sliding, state (x1, x1', x2, x2'), for scalar parameters (eq. 5.15).
 
     **Arguments:** `friction_slope` [N s/m], dF/du at the drive speed; negative where friction feeds the vibration.

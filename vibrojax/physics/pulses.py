@@ -1,6 +1,8 @@
 """The given force on the bit: pulses, or a swept sine; what is known of them in closed form."""
 
+from collections.abc import Mapping
 from math import pi
+from typing import Any
 
 from vibrojax.physics.parameters import Parameter, not_negative, positive, table
 
@@ -18,7 +20,7 @@ SWEEP = table(
 )
 
 
-def mean_force(p, shape: str):
+def mean_force(p: Mapping[str, Any], shape: str) -> Any:
     """P [N] of pulses over whole periods: A w f, and 2/pi of that for a half-sine."""
     mean = p["force"] * p["pulse_width"] * p["frequency"]
     return mean * (2 / pi) if shape == "half-sine" else mean

@@ -4,16 +4,13 @@ from functools import partial
 
 import numpy as np
 import xarray as xr
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from vibrojax.errors import InputError
-from vibrojax.plot._grid import RETURN, swept, without_single
-from vibrojax.plot._labels import scale, with_unit
-from vibrojax.plot._stacks import Stack, draw_stacks, of_start, start_names, values_along
-from vibrojax.plot._style import start_colour, styled
-
-RETURNS = "return_impact_velocity"
+from vibrojax.plot._axes import scale, values_along, with_unit
+from vibrojax.plot._contents import REGIME, RETURN, RETURNS, swept, without_single
+from vibrojax.plot._strips import Stack, draw_stacks, of_start, start_names
+from vibrojax.plot.style import start_colour, styled
 
 
 @styled
@@ -31,7 +28,7 @@ def bifurcation(ds: xr.Dataset) -> Figure:
 
     **Raises:** `InputError` where there are no returns, or nothing is swept.
     """
-    if RETURNS not in ds or "regime" not in ds:
+    if RETURNS not in ds or REGIME not in ds:
         raise InputError(f"no returns to draw: the dataset holds no {RETURNS}; run the sweep with keep_returns above 0")
     ds = without_single(ds)
     if not swept(ds):
@@ -50,16 +47,15 @@ def bifurcation(ds: xr.Dataset) -> Figure:
 
 
 def _draw_returns(stack: Stack, x: str, factor: float, label: str) -> None:
-    axes: Axes = stack.curves[0]
+    axes = stack.curves[0]
     for at, name in enumerate(start_names(stack.facet)):
         returns = of_start(stack.facet, at)[RETURNS].transpose(x, RETURN)
         along = np.repeat(values_along(stack.facet[x])[:, None], returns.sizes[RETURN], axis=1)
-        there = np.isfinite(returns.values)
+        known = np.isfinite(returns.values)
         # Later starts as smaller dots, so that a motion reached from both shows both colours.
         size = float(np.clip(1200.0 / stack.facet.sizes[x], 5.0, 20.0)) / (1 + at)
-        dots = axes.scatter(
-            along[there], factor * returns.values[there], s=size, color=start_colour(name, at), linewidths=0
-        )
+        colour = start_colour(name, at)
+        dots = axes.scatter(along[known], factor * returns.values[known], s=size, color=colour, linewidths=0)
         dots.set_label(name)
         dots.set_rasterized(True)
     if stack.left:

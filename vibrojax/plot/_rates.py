@@ -1,30 +1,41 @@
 """Sweeps of scenes with rock, as lines: the rate of penetration over the swept axis and over the relief."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import xarray as xr
+from jaxtyping import Bool
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from vibrojax.errors import InputError
-from vibrojax.plot._about import point_text
-from vibrojax.plot._cells import RATE, SINGLE
-from vibrojax.plot._facets import facets
-from vibrojax.plot._grid import POINT, lane_dims, without_single
-from vibrojax.plot._labels import scale, with_unit
-from vibrojax.plot._rows import MOST_ROWS, Row, label_axes, rows
-from vibrojax.plot._series import Across, Line, across, apart, line_handles, lines
-from vibrojax.plot._sheet import write_margins
-from vibrojax.plot._stacks import LEGEND_WIDTH, legend_at_right
-from vibrojax.plot._style import INK, styled
+from vibrojax.plot._axes import point_text, scale, with_unit
+from vibrojax.plot._contents import POINT, RATE, REGIME, RELIEF, has_regimes, lane_dims, rates_in
+from vibrojax.plot._curves import (
+    MOST_ROWS,
+    Across,
+    Line,
+    Row,
+    across,
+    axis_of_lines,
+    label_axes,
+    line_handles,
+    lines,
+    rows,
+)
+from vibrojax.plot._maps import SINGLE
+from vibrojax.plot._sheet import LEGEND_WIDTH, facets, legend_at_right, write_margins
+from vibrojax.plot.style import INK, Mark, styled
 
-RELIEF, SLIP, PEAK = "relief", "slip_per_impact", "peak_impact_force"
+SLIP, PEAK = "slip_per_impact", "peak_impact_force"
 _NAMES = {RATE: "rate of penetration", SLIP: "slip per blow", PEAK: "peak impact force"}
 _SEVERAL = 40  # lanes of a line, from which marks on them are small
 _SAME = 1e-6  # relative, within which a value does not vary
+
+Motion = Literal["single", "other", "none"]  # a single impact, another motion, a single impact without penetration
 
 
 @dataclass(frozen=True)
@@ -41,7 +52,7 @@ class _Curve:
 def rates(ds: xr.Dataset) -> Figure:
     """The rate of penetration over the longest axis and over the relief P/D, and the slip or the force of a blow.
 
-    The second longest axis is told apart by colours, further ones become rows: four at most, and the figure says
+    The second longest axis has a colour for each value, further ones become rows: four at most, and the figure says
     which. Lanes without penetration are hollow marks, other motions than a single impact are crosses. A list of points
     is drawn over the parameter of most values.
 
@@ -54,24 +65,24 @@ def rates(ds: xr.Dataset) -> Figure:
 
     **Raises:** `InputError` where there are no rates.
     """
-    if RATE not in ds or ds[RATE].size == 0:
-        raise InputError(f"no rates to draw: the dataset holds no variable {RATE}")
-    ds = without_single(ds)
+    ds = rates_in(ds)
     x = across(ds)
-    by = apart(ds, x.name)
+    by = axis_of_lines(ds, x.name)
     ds = ds.sortby(x.name) if x.is_number else ds
     panels = facets(ds, (POINT, x.name, by), MOST_ROWS)
     curves = _curves(ds, x)
     figure, drawn = rows(panels, len(curves))
-    joined = "-" if x.is_number and POINT not in lane_dims(ds) else "none"
+    joined: Literal["-", "none"] = "-" if x.is_number and POINT not in lane_dims(ds) else "none"
     for row in drawn:
         for at, curve in enumerate(curves):
             for line in lines(row.facet, by):
                 _draw(row.axes[at], line, curve, x, joined)
             label_axes(row, at, x.label if curve.along == x.name else "relief P/D", curve.label)
     _limit(drawn, curves, x)
-    legend_at_right(figure, line_handles(lines(ds, by), linestyle=joined), _marks(ds))
-    write_margins(figure, str(ds.attrs.get("title", "")), point_text(ds), panels.note, _lost(ds), legend=LEGEND_WIDTH)
+    legend_at_right(figure, line_handles(lines(ds, by), Mark(linestyle=joined)), _mark_handles(ds))
+    write_margins(
+        figure, str(ds.attrs.get("title", "")), point_text(ds), panels.note, _without_rate(ds), legend=LEGEND_WIDTH
+    )
     return figure
 
 
@@ -98,35 +109,34 @@ def _varies(data: xr.DataArray, x: Across) -> bool:
     return bool((swing > _SAME * np.abs(data).max()).any())
 
 
-def _draw(axes: Axes, line: Line, curve: _Curve, x: Across, joined: str) -> None:
+def _draw(axes: Axes, line: Line, curve: _Curve, x: Across, joined: Literal["-", "none"]) -> None:
     places = np.atleast_1d(line.lanes[RELIEF].values) if curve.along == RELIEF else x.of(line.lanes)
-    values, found = (np.atleast_1d(line.lanes[name].values) for name in (curve.up, RATE))
-    values = curve.factor * values
-    kinds = _kinds(line.lanes, found)
+    values = curve.factor * np.atleast_1d(line.lanes[curve.up].values)
+    motions = _motions(line.lanes)
     # A jump to another motion is no part of the curve.
-    jumps = 1 + np.flatnonzero(np.diff(kinds["other"].astype(int)))
+    jumps = 1 + np.flatnonzero(np.diff(motions["other"].astype(int)))
     path = (np.insert(np.asarray(along, float), jumps, np.nan) for along in (places, values))
     axes.plot(*path, color=line.colour, linestyle=joined, linewidth=1.2, label=line.name or curve.up)
     size = 3.8 if values.size < _SEVERAL else 2.0
-    for kind, there in kinds.items():
+    for motion, there in motions.items():
         if there.any():
-            look = _look(kind, line.colour) | {"markersize": size + (kind == "none")}
-            axes.plot(places[there], values[there], linestyle="none", label=f"_{kind}", **look)
+            mark = _mark(motion, line.colour) | Mark(linestyle="none", markersize=size + (motion == "none"))
+            axes.plot(places[there], values[there], label=f"_{motion}", **mark)
 
 
-def _kinds(lanes: xr.Dataset, found: np.ndarray) -> dict[str, np.ndarray]:
+def _motions(lanes: xr.Dataset) -> dict[Motion, Bool[np.ndarray, "*lanes"]]:
     """Which lanes get which mark."""
-    single = np.atleast_1d(lanes["regime"].values) == SINGLE if "regime" in lanes else np.ones(found.shape, bool)
-    return {"single": single & ~(found == 0), "other": ~single, "none": single & (found == 0)}
+    nothing = np.atleast_1d(lanes[RATE].values) == 0
+    single = np.atleast_1d(lanes[REGIME].values) == SINGLE if has_regimes(lanes) else np.ones(nothing.shape, bool)
+    return {"single": single & ~nothing, "other": ~single, "none": single & nothing}
 
 
-def _look(kind: str, colour: str) -> dict[str, object]:
-    marker = "x" if kind == "other" else "o"
-    face = {"markerfacecolor": "white", "zorder": 4} if kind == "none" else {}
-    return {"color": colour, "marker": marker, "markeredgewidth": 1.0} | face
+def _mark(motion: Motion, colour: str) -> Mark:
+    mark = Mark(color=colour, marker="x" if motion == "other" else "o", markeredgewidth=1.0)
+    return mark | Mark(markerfacecolor="white", zorder=4) if motion == "none" else mark
 
 
-def _limit(drawn: tuple[Row, ...], curves: list[_Curve], x: Across) -> None:
+def _limit(drawn: Sequence[Row], curves: Sequence[_Curve], x: Across) -> None:
     """Show zero: the question is whether lines go through it."""
     for at, curve in enumerate(curves):
         axes = drawn[0].axes[at]
@@ -140,15 +150,16 @@ def _limit(drawn: tuple[Row, ...], curves: list[_Curve], x: Across) -> None:
             x.shape(axes)
 
 
-def _marks(ds: xr.Dataset) -> list[Artist]:
+def _mark_handles(ds: xr.Dataset) -> list[Artist]:
     """The legend's entries for the marks that need words."""
-    kinds = _kinds(ds, ds[RATE].values)
-    texts = {"single": "single impact", "other": "other motion", "none": "no penetration"}
-    wanted = [kind for kind in texts if kinds[kind].any() and (kind == "none" or "regime" in ds)]
-    return [Line2D([], [], linestyle="none", markersize=4.5, label=texts[k], **_look(k, INK)) for k in wanted]
+    motions = _motions(ds)
+    texts: dict[Motion, str] = {"single": "single impact", "other": "other motion", "none": "no penetration"}
+    wanted = [motion for motion in texts if motions[motion].any() and (motion == "none" or has_regimes(ds))]
+    look = Mark(linestyle="none", markersize=4.5)
+    return [Line2D([], [], label=texts[motion], **look | _mark(motion, INK)) for motion in wanted]
 
 
-def _lost(ds: xr.Dataset) -> str:
+def _without_rate(ds: xr.Dataset) -> str:
     """How many lanes have no rate."""
     count = int(np.isnan(ds[RATE].values).sum())
     return f"{count} of {ds[RATE].size} lanes without a rate" if count else ""

@@ -1,33 +1,138 @@
-"""The layout of maps: regimes and values, each over all facets, with one legend and one bar for each value.
+"""The layout of maps: a panel for each value of the axes that are not drawn along, for the regimes and each quantity.
 
-What is drawn is a value, or None for the regimes.
+What is drawn on a panel is a quantity, or None for the regimes.
 """
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import product
 from textwrap import fill
 
+import numpy as np
 import xarray as xr
+from jaxtyping import Int
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
 from matplotlib.gridspec import GridSpec, SubplotSpec
+from matplotlib.lines import Line2D
 
-from vibrojax.plot._facets import Facets, columns
-from vibrojax.plot._style import new_figure
-from vibrojax.plot._values import Value
+from vibrojax.plot._axes import number, pretty_unit, scale, symbol, value_text
+from vibrojax.plot._colours import Value
+from vibrojax.plot._contents import START, is_numeric, lane_dims
+from vibrojax.plot.style import new_figure
 
+MOST = 12
 _BESIDE = 3  # up to so many facets, the values stand beside the regimes; from there on below them
 _MOST_COLUMNS = 6
 _SQUARE = 4  # values of one facet, from which they stand two by two
-_LEGEND_WIDTH = 1.6  # inches, where the regimes leave no place for it
+LEGEND_WIDTH = 1.9  # inches, about
+_ROOM_AT_RIGHT = 1.6  # inches for the legend, where the regimes leave no place for it
+
+Indices = Int[np.ndarray, " values"]
+
+
+@dataclass(frozen=True)
+class Facets:
+    """The panels of a picture.
+
+    `titles` and `data` belong together; `runs` are the numbers of panels after which an axis begins anew, from the
+    last axis; `note` says what was left out, and is empty where nothing was.
+    """
+
+    titles: tuple[str, ...]
+    data: tuple[xr.Dataset, ...]
+    runs: tuple[int, ...]
+    note: str
+
+    def __len__(self) -> int:
+        return len(self.data)
+
+
+def facets(ds: xr.Dataset, along: Sequence[str], most: int = MOST) -> Facets:
+    """`ds` cut into panels over the dimensions of its lanes that are not in `along`; at most `most`."""
+    axes = [name for name in lane_dims(ds) if name not in along]
+    sizes = {name: ds.sizes[name] for name in axes}
+    counts = _representative(sizes, most)
+    picks = {name: _spread(sizes[name], counts[name]) for name in axes}
+    indices = [dict(zip(axes, (int(i) for i in pick), strict=True)) for pick in product(*picks.values())]
+    titles = tuple(", ".join(value_text(ds[name], ds[name].values[i]) for name, i in at.items()) for at in indices)
+    runs = tuple(int(run) for run in np.cumprod([counts[name] for name in reversed(axes)]))
+    return Facets(titles, tuple(ds.isel(at) for at in indices), runs, _note(ds, sizes, picks))
+
+
+def columns(panels: Facets, most: int) -> int:
+    """How many panels stand side by side, at most `most`: such that rows end where an axis does, with few gaps."""
+    count = len(panels)
+    if count <= most:
+        return count
+    step = max([run for run in panels.runs if run <= most], default=1)
+    choices = [n for n in range(most, 1, -1) if n % step == 0]
+    return min(choices, key=lambda n: (n < 3, -count % n, -n), default=most)
+
+
+def _representative(sizes: dict[str, int], most: int) -> dict[str, int]:
+    """How many values of each axis to show, at most `most` together; starts are dropped last."""
+    counts = dict(sizes)
+    while np.prod(list(counts.values()), initial=1) > most:
+        droppable = [name for name in counts if name != START and counts[name] > 1] or list(counts)
+        longest = max(droppable, key=counts.__getitem__)
+        counts[longest] -= 1
+    return counts
+
+
+def _spread(size: int, count: int) -> Indices:
+    """`count` of `size` indices, from the first to the last; the middle one where it is one."""
+    return np.array([size // 2]) if count == 1 else np.linspace(0, size - 1, count).round().astype(int)
+
+
+def _note(ds: xr.Dataset, sizes: dict[str, int], picks: dict[str, Indices]) -> str:
+    parts = [
+        f"{symbol(ds[name])} = {_listed(ds[name], pick)} ({pick.size} of {sizes[name]} values)"
+        for name, pick in picks.items()
+        if pick.size < sizes[name]
+    ]
+    return f"Too many panels to show all; here {'; '.join(parts)}" if parts else ""
+
+
+def _listed(coordinate: xr.DataArray, pick: Indices) -> str:
+    values = coordinate.values[pick]
+    if not is_numeric(coordinate):
+        return ", ".join(str(value) for value in values)
+    factor, unit = scale(coordinate)
+    return f"{', '.join(number(float(value) * factor) for value in values)} {pretty_unit(unit)}".rstrip()
+
+
+def write_margins(figure: Figure, title: str, *notes: str, legend: float = 0.0) -> None:
+    """Write `title` above everything, but not over a legend that takes `legend` inches at the right; `notes` below.
+
+    The figure grows by the lines after the first.
+    """
+    width = figure.get_figwidth()
+    above = fill(title, int(9.5 * (width - legend)))
+    below = fill(". ".join(note for note in notes if note), int(17 * width))
+    if above:
+        figure.suptitle(above, x=0.01, ha="left", fontweight="bold")
+    if below:
+        figure.supxlabel(below, x=0.01, ha="left", fontsize=8, color="0.3")
+    figure.set_figheight(figure.get_figheight() + 0.18 * above.count("\n") + 0.13 * below.count("\n"))
+
+
+def legend_at_right(figure: Figure, *groups: list[Artist]) -> None:
+    """One legend at the right of all axes, with `groups` set apart."""
+    gap: Artist = Line2D([], [], linestyle="none", label=" ")
+    handles: list[Artist] = []
+    for group in groups:
+        handles += ([gap] if handles and group else []) + group
+    figure.legend(handles=handles, loc="outside right upper")
 
 
 @dataclass(frozen=True)
 class Panel:
-    """One panel: its axes, the facet drawn there, and the value; `value` is None for the regimes."""
+    """One panel: its axes on the figure, the facet drawn there, and the value; `value` is None for the regimes."""
 
+    figure: Figure
     axes: Axes
     facet: xr.Dataset
     title: str
@@ -67,8 +172,10 @@ class Sheet:
 
     def _draw_legend(self, axes: Axes, handles: Sequence[Artist]) -> None:
         axes.axis("off")
-        where = {"loc": "center left"} if self.upright else {"loc": "upper left", "ncols": 2, "columnspacing": 1.0}
-        axes.legend(handles=handles, borderaxespad=0.0, borderpad=0.0, **where)
+        if self.upright:
+            axes.legend(handles=handles, borderaxespad=0.0, borderpad=0.0, loc="center left")
+        else:
+            axes.legend(handles=handles, borderaxespad=0.0, borderpad=0.0, loc="upper left", ncols=2, columnspacing=1.0)
 
 
 def sheet(panels: Facets, values: tuple[Value | None, ...]) -> Sheet:
@@ -78,37 +185,22 @@ def sheet(panels: Facets, values: tuple[Value | None, ...]) -> Sheet:
     return _beside(panels, values) if len(panels) <= _BESIDE else _below(panels, values)
 
 
-def write_margins(figure: Figure, title: str, *notes: str, legend: float = 0.0) -> None:
-    """Write `title` above everything, but not over a legend that takes `legend` inches at the right; `notes` below.
-
-    The figure grows by the lines after the first.
-    """
-    width = figure.get_figwidth()
-    above = fill(title, int(9.5 * (width - legend)))
-    below = fill(". ".join(note for note in notes if note), int(17 * width))
-    if above:
-        figure.suptitle(above, x=0.01, ha="left", fontweight="bold")
-    if below:
-        figure.supxlabel(below, x=0.01, ha="left", fontsize=8, color="0.3")
-    figure.set_figheight(figure.get_figheight() + 0.18 * above.count("\n") + 0.13 * below.count("\n"))
-
-
-def wrapped(title: str, width: float) -> str:
+def _wrapped(title: str, width: float) -> str:
     """`title` on lines of at most `width` inches, broken after commas only."""
-    kept = ", ".join(part.replace(" ", "\u00a0") for part in title.split(", "))
-    return fill(kept, int(13 * width)).replace("\u00a0", " ")
+    unbroken = ", ".join(part.replace(" ", "\u00a0") for part in title.split(", "))
+    return fill(unbroken, int(13 * width)).replace("\u00a0", " ")
 
 
 def _square(panels: Facets, values: tuple[Value | None, ...]) -> Sheet:
     """The values of one facet two by two, each with its bar at its right."""
     deep = -(-len(values) // 2)
-    figure = new_figure(9.2 + _LEGEND_WIDTH, 2.9 * deep + 0.8)
+    figure = new_figure(9.2 + _ROOM_AT_RIGHT, 2.9 * deep + 0.8)
     grid = GridSpec(deep, 4, figure, width_ratios=[1.0, 0.04, 1.0, 0.04])
     drawn: list[Panel] = []
     for at, value in enumerate(values):
         row, column = divmod(at, 2)
         axes = _shared(figure, grid[row, 2 * column], drawn)
-        drawn.append(Panel(axes, panels.data[0], panels.titles[0], value, column == 0, at + 2 >= len(values)))
+        drawn.append(Panel(figure, axes, panels.data[0], panels.titles[0], value, column == 0, at + 2 >= len(values)))
     bars = [figure.add_subplot(grid[at // 2, 2 * (at % 2) + 1]) for at in range(len(values))]
     return Sheet(figure, tuple(drawn), tuple(bars), values, upright=True)
 
@@ -116,14 +208,14 @@ def _square(panels: Facets, values: tuple[Value | None, ...]) -> Sheet:
 def _beside(panels: Facets, values: tuple[Value | None, ...]) -> Sheet:
     """A row for each facet; its regimes, then its values; the legend and the bars at the foot."""
     rows, wide = len(panels), len(values)
-    figure = new_figure(max(3.4 * wide, 4.6) + (0.0 if None in values else _LEGEND_WIDTH), 2.7 * rows + 1.5)
+    figure = new_figure(max(3.4 * wide, 4.6) + (0.0 if None in values else _ROOM_AT_RIGHT), 2.7 * rows + 1.5)
     grid = GridSpec(rows + 1, wide, figure, height_ratios=[1.0] * rows + [0.05])
     drawn: list[Panel] = []
     for row, (title, facet) in enumerate(zip(panels.titles, panels.data, strict=True)):
         for column, value in enumerate(values):
             axes = _shared(figure, grid[row, column], drawn)
             name = title if column == 0 else ""
-            drawn.append(Panel(axes, facet, name, value, column == 0, row == rows - 1))
+            drawn.append(Panel(figure, axes, facet, name, value, column == 0, row == rows - 1))
     foot = [figure.add_subplot(grid[rows, column]) for column in range(wide)]
     return Sheet(figure, tuple(drawn), tuple(foot), values, upright=False)
 
@@ -141,8 +233,8 @@ def _below(panels: Facets, values: tuple[Value | None, ...]) -> Sheet:
             row, column = divmod(at, wide)
             axes = _shared(figure, grid[block * deep + row, column], drawn)
             lowest = block == len(values) - 1 and at + wide >= len(panels)
-            name = wrapped(title, width) if deep > 1 or block == 0 else ""
-            drawn.append(Panel(axes, facet, name, value, column == 0, lowest))
+            name = _wrapped(title, width) if deep > 1 or block == 0 else ""
+            drawn.append(Panel(figure, axes, facet, name, value, column == 0, lowest))
     right = [figure.add_subplot(grid[block * deep : (block + 1) * deep, wide]) for block in range(len(values))]
     return Sheet(figure, tuple(drawn), tuple(right), values, upright=True)
 

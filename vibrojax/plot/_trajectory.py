@@ -7,18 +7,32 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.gridspec import GridSpec, SubplotSpec
 from matplotlib.lines import Line2D
+from matplotlib.patheffects import withStroke
 
 from vibrojax.errors import InputError
-from vibrojax.plot._about import point_text
-from vibrojax.plot._blows import Blows, last_blow, read_blows
-from vibrojax.plot._hole import draw_hole, growth_text
-from vibrojax.plot._labels import number
-from vibrojax.plot._motion import Motion, read_motion
-from vibrojax.plot._portraits import draw_bit, draw_spectrum, draw_striker
+from vibrojax.plot._axes import number, point_text
+from vibrojax.plot._contents import contents
+from vibrojax.plot._hole import draw_hole, force_scale, growth_text
+from vibrojax.plot._motion import (
+    Hole,
+    Motion,
+    Peak,
+    Samples,
+    amplitude_spectrum,
+    last_impact,
+    merged,
+    peaks,
+    read_hole,
+    read_motion,
+)
 from vibrojax.plot._sheet import write_margins
-from vibrojax.plot._style import BIT, FAINT, IMPACT, INK, STICK, STRIKER, new_figure, styled
+from vibrojax.plot.style import BIT, DASHED, FAINT, IMPACT, INK, STICK, STRIKER, Mark, new_figure, styled
 
 _OVERVIEW_FROM = 1.5  # times the window, from which a run is worth an overview
+_SPAN = 5.0  # of the spectrum, in units of the bit's dominant frequency
+_QUIET = 25.0  # the span [Hz] where nothing moves
+_LEAST = 1e-6  # amplitude [mm] below which there is nothing but rounding
+_DOTS = Mark(linestyle="none", marker="o", markersize=4.0, color=IMPACT)
 
 
 @styled
@@ -42,25 +56,25 @@ def trajectory(ds: xr.Dataset, last: float = 1.5) -> Figure:
     if not last > 0:
         raise InputError(f"last = {last} s: give a time above 0")
     motion = read_motion(ds)
-    blows = read_blows(ds) if {"x3", "x4"} <= set(ds) else None
+    hole = read_hole(ds) if contents(ds).hole else None
     start = max(float(motion.time[-1]) - last, float(motion.time[0]))
     overview = float(np.ptp(motion.time)) > _OVERVIEW_FROM * last
     forces = motion.impact_force is not None or motion.friction_force is not None
     heights = {"overview": 0.65} if overview else {}
     heights |= {"displacement": 1.25, "velocity": 1.25} | ({"force": 0.9} if forces else {})
-    heights |= ({"rock": 1.3} if blows else {}) | {"portraits": 2.7}
+    heights |= ({"rock": 1.3} if hole else {}) | {"portraits": 2.7}
     figure = new_figure(10.0, sum(heights.values()) + 0.33 * len(heights) + 1.2)
     grid = GridSpec(len(heights), 3, figure, height_ratios=list(heights.values()))
     places = {name: grid[row, :] for row, name in enumerate(heights)}
     lowest = _draw_history(figure, places, motion, start)
-    if blows is not None:
+    if hole is not None:
         row = list(heights).index("rock")
-        _draw_rock(figure, grid[row, :2], grid[row, 2], blows, motion, lowest)
+        _draw_rock(figure, grid[row, :2], grid[row, 2], hole, motion, lowest)
     row = len(heights) - 1
-    draw_bit(figure.add_subplot(grid[row, 0]), motion, start)
-    draw_striker(figure.add_subplot(grid[row, 1]), motion, start)
-    draw_spectrum(figure.add_subplot(grid[row, 2]), motion)
-    about = growth_text(blows) if blows else ""
+    _draw_bit(figure.add_subplot(grid[row, 0]), motion, start)
+    _draw_striker(figure.add_subplot(grid[row, 1]), motion, start)
+    _draw_spectrum(figure.add_subplot(grid[row, 2]), motion)
+    about = growth_text(hole) if hole else ""
     write_margins(figure, str(ds.attrs.get("title") or ds.attrs.get("scene", "")), point_text(ds), about)
     return figure
 
@@ -86,20 +100,20 @@ def _draw_history(figure: Figure, places: dict[str, SubplotSpec], motion: Motion
 
 
 def _draw_rock(
-    figure: Figure, history: SubplotSpec, enlarged: SubplotSpec, blows: Blows, motion: Motion, above: Axes
+    figure: Figure, history: SubplotSpec, enlarged: SubplotSpec, hole: Hole, motion: Motion, above: Axes
 ) -> None:
     """Draw the bit in the hole over the time of the panel `above`, and at the last impact in it."""
     start, end = above.get_xlim()
     axes = figure.add_subplot(history)
-    draw_hole(axes, blows, start, end)
+    draw_hole(axes, hole, start, end)
     axes.set_xlim(start, end)
     axes.set_xlabel("time [s]")
     axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, borderpad=0.0, borderaxespad=0.3)
-    near = last_blow(blows, motion.impacts[(motion.impacts >= start) & (motion.impacts < end)])
+    near = last_impact(hole, motion.impacts[(motion.impacts >= start) & (motion.impacts < end)])
     if near is None:
         return
     one = figure.add_subplot(enlarged)
-    draw_hole(one, blows, *near)
+    draw_hole(one, hole, *near)
     one.set_xlim(*near)
     one.set_title("enlarged: the shaded impact", loc="right")
     one.set_xlabel("time [s]")
@@ -120,7 +134,7 @@ def _draw_displacements(axes: Axes, motion: Motion, start: float) -> None:
     late = motion.since(start)
     axes.grid(True)
     if motion.delta is not None:
-        axes.axhline(1e3 * motion.delta, color=FAINT, linewidth=0.8, linestyle=(0, (4, 3)))
+        axes.axhline(1e3 * motion.delta, color=FAINT, linewidth=0.8, linestyle=DASHED)
     axes.plot(motion.time[late], 1e3 * motion.x2[late], color=STRIKER, linewidth=1.1)
     axes.plot(motion.time[late], 1e3 * motion.x1[late], color=BIT, linewidth=1.1)
     axes.plot(motion.time[late], _where_stuck(motion, 1e3 * motion.x1)[late], color=STICK, linewidth=2.6)
@@ -145,7 +159,7 @@ def _draw_forces(axes: Axes, motion: Motion, start: float) -> None:
     axes.grid(True)
     friction, impact = motion.friction_force, motion.impact_force
     shown = [values for values in (friction, impact) if values is not None]
-    factor, unit = (1e-3, "kN") if max(np.abs(values).max() for values in shown) >= 1e4 else (1.0, "N")
+    factor, unit = force_scale(shown)
     if impact is not None:
         axes.plot(motion.time[late], factor * impact[late], color=IMPACT, linewidth=1.0, label="impact force J")
     if friction is not None:
@@ -154,12 +168,12 @@ def _draw_forces(axes: Axes, motion: Motion, start: float) -> None:
     axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderpad=0.0, borderaxespad=0.2)
 
 
-def _mark_impacts(axes: Axes, motion: Motion, start: float, values: np.ndarray) -> None:
+def _mark_impacts(axes: Axes, motion: Motion, start: float, values: Samples) -> None:
     times = motion.impacts[motion.impacts >= start]
-    axes.plot(times, motion.at(times, values), linestyle="none", marker="o", markersize=4.0, color=IMPACT, zorder=4)
+    axes.plot(times, motion.at(times, values), zorder=4, **_DOTS)
 
 
-def _where_stuck(motion: Motion, values: np.ndarray) -> np.ndarray:
+def _where_stuck(motion: Motion, values: Samples) -> Samples:
     return np.where(motion.stuck, values, np.nan)
 
 
@@ -168,9 +182,75 @@ def _handles(motion: Motion) -> list[Artist]:
     if motion.stuck.any():
         handles.append(Line2D([], [], color=STICK, linewidth=2.6, label="bit sticks"))
     if motion.impacts.size:
-        look = {"color": IMPACT, "linestyle": "none", "marker": "o", "markersize": 4.0}
-        handles.append(Line2D([], [], label="impact begins", **look))
+        handles.append(Line2D([], [], label="impact begins", **_DOTS))
     if motion.delta is not None:
         gap = f"gap Δ = {number(1e3 * motion.delta)} mm"
-        handles.append(Line2D([], [], color=FAINT, linewidth=0.8, linestyle=(0, (4, 3)), label=gap))
+        handles.append(Line2D([], [], color=FAINT, linewidth=0.8, linestyle=DASHED, label=gap))
     return handles
+
+
+# Phase portraits and spectrum.
+
+
+def _draw_bit(axes: Axes, motion: Motion, start: float) -> None:
+    """Draw the bit's phase portrait: sliding speed against displacement, stick as a thick line."""
+    _draw_portrait(axes, motion, motion.x1, motion.u, start, BIT)
+    late = motion.since(start)
+    stuck = np.where(motion.stuck, motion.u, np.nan)
+    axes.plot(1e3 * motion.x1[late], stuck[late], color=STICK, linewidth=2.8, zorder=3)
+    axes.set_title("bit", color=BIT, fontweight="bold")
+    axes.set_xlabel("x₁ [mm]")
+    axes.set_ylabel("sliding speed u = x₁′ + v [m/s]" if motion.v is not None else "velocity x₁′ [m/s]")
+
+
+def _draw_striker(axes: Axes, motion: Motion, start: float) -> None:
+    """Draw the striker's phase portrait: velocity against displacement, the contact at delta as a line."""
+    if motion.delta is not None:
+        axes.axvline(1e3 * motion.delta, color=FAINT, linewidth=0.8, linestyle=DASHED)
+    _draw_portrait(axes, motion, motion.x2, motion.v2, start, STRIKER)
+    axes.set_title("striker", color=STRIKER, fontweight="bold")
+    axes.set_xlabel("x₂ [mm]")
+    axes.set_ylabel("velocity x₂′ [m/s]")
+
+
+def _draw_portrait(axes: Axes, motion: Motion, x: Samples, speed: Samples, start: float, colour: str) -> None:
+    """The transient faint, what comes after `start` strong, impacts as points."""
+    late = motion.since(start)
+    axes.axhline(0.0, color=FAINT, linewidth=0.6)
+    before = slice(None, late.start + 1)
+    axes.plot(1e3 * x[before], speed[before], color=FAINT, linewidth=0.4, alpha=0.6, rasterized=True)
+    axes.plot(1e3 * x[late], speed[late], color=colour, linewidth=1.1)
+    times = motion.impacts[motion.impacts >= start]
+    axes.plot(1e3 * motion.at(times, x), motion.at(times, speed), zorder=4, **_DOTS)
+
+
+def _draw_spectrum(axes: Axes, motion: Motion) -> None:
+    """Draw the amplitude spectra of both displacements, and name their peaks in Hz."""
+    named: list[Peak] = []
+    end, width = 0.0, 0.0
+    for name, x, colour in (("bit x₁", motion.x1, BIT), ("striker x₂", motion.x2, STRIKER)):
+        frequencies, amplitudes = amplitude_spectrum(motion.time, 1e3 * x)
+        highest = peaks(frequencies, amplitudes) if amplitudes.max() > _LEAST else []
+        end = end or (_SPAN * highest[0][0] if highest else 0.0)
+        width = 4.0 * float(frequencies[1])
+        axes.plot(frequencies, amplitudes, color=colour, linewidth=1.0, label=name)
+        # At the same frequency the higher line hides the lower one; not its top.
+        at = tuple(zip(*highest, strict=True)) or ((), ())
+        axes.plot(*at, "o", color=colour, markersize=3.2, zorder=4)
+        named += highest
+    end = end or _QUIET
+    axes.set_xlim(0.0, end)
+    axes.set_ylim(0.0, 1.12 * max(float(axes.dataLim.y1), _LEAST))  # room for the name of the highest peak
+    _name_peaks(axes, [peak for peak in merged(named, width) if peak[0] < end])
+    axes.set_title("spectrum, second half of the run")
+    axes.set_xlabel("frequency [Hz]")
+    axes.set_ylabel("amplitude [mm]")
+    axes.grid(True)
+    axes.legend(loc="upper right", handlelength=1.2)
+
+
+def _name_peaks(axes: Axes, named: list[Peak]) -> None:
+    for frequency, amplitude in named:
+        text = f"{number(round(frequency, 2))} Hz"
+        name = axes.annotate(text, (frequency, amplitude), (4, 2), textcoords="offset points", fontsize=8, zorder=5)
+        name.set_path_effects([withStroke(linewidth=2.0, foreground="white")])

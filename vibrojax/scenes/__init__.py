@@ -1,12 +1,31 @@
-"""The machines, one file each; a file in this folder that binds `SCENE` is found by itself."""
+"""The scenes, a few to a file; a file in this folder that names its classes in `SCENES` is found by itself."""
 
 from importlib import import_module
 from pkgutil import iter_modules
+from typing import Any
 
-from vibrojax.scenes._scene import Scene as Scene
+from vibrojax.scenes.capabilities import Driven as Driven
+from vibrojax.scenes.capabilities import HasContact as HasContact
+from vibrojax.scenes.capabilities import HasFriction as HasFriction
+from vibrojax.scenes.capabilities import HasRock as HasRock
+from vibrojax.scenes.scene import Guard as Guard
+from vibrojax.scenes.scene import Marker as Marker
+from vibrojax.scenes.scene import Mode as Mode
+from vibrojax.scenes.scene import Scene as Scene
+from vibrojax.scenes.scene import Section as Section
+from vibrojax.scenes.scene import State as State
+from vibrojax.scenes.scene import Swing as Swing
 
-_files = (
-    import_module(f"{__name__}.{found.name}") for found in iter_modules(__path__) if not found.name.startswith("_")
-)
+_files = (import_module(f"{__name__}.{file.name}") for file in iter_modules(__path__))
 
-SCENES: dict[str, type[Scene]] = {file.SCENE.name: file.SCENE for file in _files}
+_kinds = (kind for file in _files for kind in getattr(file, "SCENES", ()))
+
+SCENES: dict[str, type[Scene[Any]]] = {kind.name: kind for kind in sorted(_kinds, key=lambda kind: kind.name)}
+
+
+def scene_named(scene: str | Scene[Any], **options: Any) -> Scene[Any]:
+    """The scene of that name with its `options` (friction, pulse_shape), or a scene itself.
+
+    Raises `KeyError` where there is none of the name.
+    """
+    return scene if isinstance(scene, Scene) else SCENES[scene](**options)

@@ -1,22 +1,45 @@
 """The penetration scene: the bit on the rock under a given force, rectangular or half-sine pulses or a swept sine."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from math import pi
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
 from vibrojax.physics.elementary import sin
-from vibrojax.physics.parameters import BIT_AND_STRIKER
+from vibrojax.physics.parameters import BIT_AND_STRIKER, Parameter
 from vibrojax.physics.pulses import PULSES, SWEEP
 from vibrojax.physics.rock import ROCK
-from vibrojax.scenes import _rock
-from vibrojax.scenes._scene import Scene
+from vibrojax.scenes import bit_on_rock
+from vibrojax.scenes.bit_on_rock import OnRock, RockConstants, rock_constants
+from vibrojax.scenes.capabilities import Driven
+from vibrojax.scenes.scene import ROUNDINGS, Guard, Marker, Mode, Start, State, Values
 
 PULSE_SHAPES = ("rectangular", "half-sine", "sweep")
 
 
+class PenetrationConstants(NamedTuple):
+    """The constants of the scene: those of the bit on the rock, and of the force; what it does not have is 0.
+
+    - `force` [N]; of pulses their `frequency` [1/s] and `pulse_width` [s]; of a swept sine its `sweep_start` [1/s],
+      `sweep_rate` [1/s²] and `bias` [N].
+    - `period`: time between pulses [s], infinite where there are none; `speed` [m/s]: what the force alone gives.
+    """
+
+    rock: RockConstants
+    force: Any
+    period: Any
+    speed: Any
+    frequency: Any = 0.0
+    pulse_width: Any = 0.0
+    sweep_start: Any = 0.0
+    sweep_rate: Any = 0.0
+    bias: Any = 0.0
+
+
 @dataclass(frozen=True)
-class Penetration(Scene):
+class Penetration(OnRock[PenetrationConstants], Driven[PenetrationConstants]):
     """m1 x3'' + c3 x3' = -N + I(t), N = clip(k3 (x3 - x4), 0, D) (eqs. 6.1 to 6.3).
 
     States: compression x3 - x4, x3', the growth of x4 since the last pulse began, and the time since then (for a swept
@@ -26,107 +49,94 @@ class Penetration(Scene):
     pulse_shape: str = "rectangular"
 
     name = "penetration"
-    states = ("compression", "v3", "growth", "since")
-    velocities = (1,)
-    modes = ("rock", "pushing")
-    surfaces_named = ("yield", "contact", "pulse")
-    markers_named = ("bit_turn",)
-    bit_turn = 3  # where hits holds it
-    measures = ("penetration",)
-    starts = ()
+    states = (*bit_on_rock.STATES, State("since", "s", "time since the last pulse began", shown=False))
+    modes = (bit_on_rock.MODE, Mode("pushing", "1 during a pulse", 0.0))
+    markers = (Marker("bit_turn", "v3"),)
     autonomous = False
 
     @property
     def has_pulses(self) -> bool:
-        """Whether the force comes in pulses."""
         return self.pulse_shape != "sweep"
 
-    def parameters(self):
+    def parameters(self) -> Mapping[str, Parameter]:
         mass = {"m1": BIT_AND_STRIKER["m1"]}
         return mass | ROCK | (PULSES if self.has_pulses else SWEEP)
 
-    def constants(self, p):
-        p = _rock.with_derived(p)
+    def constants(self, p: Mapping[str, Any]) -> PenetrationConstants:
+        # There is no gravity in this scene; only what counts as roundings is told by a usual weight.
+        rock = rock_constants(p, BIT_AND_STRIKER["g"].default)
         bias = 0.0 if self.has_pulses else jnp.abs(p["bias"])
-        return p | {
-            "turns": 1 / p["frequency"] if self.has_pulses else jnp.full_like(p["m1"], jnp.inf),
-            "speed_scale": (jnp.abs(p["force"]) + bias) * p["mobility"],
-        }
+        given = {name: p[name] for name in (PULSES if self.has_pulses else SWEEP)}
+        return PenetrationConstants(
+            rock=rock,
+            period=1 / p["frequency"] if self.has_pulses else jnp.full_like(p["m1"], jnp.inf),
+            speed=(jnp.abs(p["force"]) + bias) * rock.mobility,
+            **given,
+        )
 
-    def refused(self, p):
+    def refused(self, p: Mapping[str, Any]) -> tuple[str, Any] | None:
         if self.has_pulses:
             return "pulse-width-not-below-1/frequency", p["pulse_width"] * p["frequency"] >= 1
         return None
 
-    def start(self, p, name, shape):
-        zero = jnp.zeros(shape, p["m1"].dtype)
+    def speed_scale(self, c: PenetrationConstants) -> Any:
+        return c.speed
+
+    def start(self, c: PenetrationConstants, name: Start, shape: tuple[int, ...]) -> Values:
+        zero = jnp.zeros(shape, c.rock.m1.dtype)
         return (zero, zero, zero, zero)
 
-    def mode_at(self, p, state):
+    def mode_at(self, c: PenetrationConstants, state: Values) -> Values:
         return (jnp.zeros_like(state[0]), jnp.ones_like(state[0]))
 
-    def applied_force(self, p, mode, state):
-        """I [N]; takes arrays and series."""
+    def applied_force(self, c: PenetrationConstants, mode: Values, state: Values) -> Any:
         since = state[3]
         if self.pulse_shape == "rectangular":
-            return mode[1] * p["force"] + 0.0 * since
+            return mode[1] * c.force + 0.0 * since
         if self.pulse_shape == "half-sine":
-            return (mode[1] * p["force"]) * sin(since * (pi / p["pulse_width"]))
-        return p["force"] * sin((since * p["sweep_rate"] * 0.5 + p["sweep_start"]) * since * (2 * pi)) + p["bias"]
+            return (mode[1] * c.force) * sin(since * (pi / c.pulse_width))
+        return c.force * sin((since * c.sweep_rate * 0.5 + c.sweep_start) * since * (2 * pi)) + c.bias
 
-    def field(self, p, mode, state):
-        rock, bit = _rock.rates(p, mode[0], state[0], state[1], self.applied_force(p, mode, state))
-        return (*rock[:1], bit, rock[1], 0.0 * state[3] + 1.0)
+    def field(self, c: PenetrationConstants, mode: Values, state: Values) -> Values:
+        rates = self.rock_rates(c, mode, state, self.applied_force(c, mode, state))
+        return (*rates, 0.0 * state[3] + 1.0)
 
-    def surfaces(self, p, mode, state):
-        return (*_rock.surfaces(p, mode[0], state[0], state[1]), self._pulse_surface(p, mode[1], state[3]))
+    def guards(self) -> tuple[Guard, ...]:
+        return (*self.rock_guards(), Guard("pulse", self._time_left, self._time_noise))
 
-    def _pulse_surface(self, p, pushing, since):
+    def _time_left(self, c: PenetrationConstants, mode: Values, state: Values) -> Any:
         """Time left to the end of the pulse, or to the next."""
+        pushing, since = mode[1], state[3]
         if not self.has_pulses:
             return 0.0 * since + 1.0
-        return (pushing * p["pulse_width"] + (1.0 - pushing) * p["turns"]) - since
+        return (pushing * c.pulse_width + (1.0 - pushing) * c.period) - since
 
-    def markers(self, p, state):
-        return (state[1],)
+    def _time_noise(self, c: PenetrationConstants, mode: Values) -> Any:
+        longest = jnp.where(jnp.isfinite(c.period), c.period, 1.0)
+        return ROUNDINGS * jnp.finfo(c.rock.m1.dtype).eps * longest
 
-    def land(self, p, mode, state, hits):
-        yields, touches, pulse, turns = hits
-        rock, compression, v3 = _rock.land(p, mode[0], state[0], state[1], yields, touches)
-        v3 = jnp.where(turns, 0.0, v3)
-        begins = self.pulse_begins(p, mode, hits)
-        pushing = jnp.where(pulse, 1.0 - mode[1], mode[1])
+    def reset(
+        self, c: PenetrationConstants, mode: Values, state: Values, hits: Mapping[str, Any]
+    ) -> tuple[Values, Values]:
+        rock, compression, v3 = self.reset_rock(c, mode, state, hits)
+        begins = self.pulse_begins(c, mode, hits)
+        pushing = jnp.where(hits["pulse"], 1.0 - mode[1], mode[1])
         growth = jnp.where(begins, 0.0, state[2])
         if self.has_pulses:
-            rock, compression, v3 = _rock.rest(p, rock, compression, v3, pushing != 0)
-        since = jnp.where(begins, 0.0, jnp.where(pulse, p.get("pulse_width", 0.0), state[3]))
+            rock, compression, v3 = bit_on_rock.at_rest(c.rock, rock, compression, v3, pushing != 0)
+        since = jnp.where(begins, 0.0, jnp.where(hits["pulse"], c.pulse_width, state[3]))
         return (rock, pushing), (compression, v3, growth, since)
 
-    def pulse_begins(self, p, mode, hits):
-        """Where a pulse begins."""
-        return hits[2] & (mode[1] == 0)
+    def pulse_begins(self, c: PenetrationConstants, mode: Values, hits: Mapping[str, Any]) -> Any:
+        return hits["pulse"] & (mode[1] == 0)
 
-    def resolutions(self, p, mode):
-        eps = 64 * jnp.finfo(p["m1"].dtype).eps
-        longest = jnp.where(jnp.isfinite(p["turns"]), p["turns"], 1.0)
-        return (*_rock.resolutions(p), eps * longest, eps * p["speed_scale"])
-
-    def rate(self, p, mode):
-        rates = _rock.rate(p, mode[0], True)
+    def rate(self, c: PenetrationConstants, mode: Values) -> Any:
+        rates = bit_on_rock.rock_rate(c.rock, mode[0], True)
         if self.has_pulses:
-            rates = jnp.where(mode[0] == _rock.REST, p["frequency"], rates)
+            rates = jnp.where(mode[0] == bit_on_rock.REST, c.frequency, rates)
         if self.pulse_shape == "half-sine":
-            rates = jnp.maximum(rates, pi / p["pulse_width"])
+            rates = jnp.maximum(rates, pi / c.pulse_width)
         return rates
 
-    def smoothed_field(self, p, mode, state, width):
-        return self.field(p, mode, state)  # nothing in it is smoothed
 
-    def smoothed_mode(self, p, mode, state, width):
-        return mode
-
-    def smoothed_surfaces(self, p, mode, state):
-        return self.surfaces(p, mode, state)
-
-
-SCENE = Penetration
+SCENES = (Penetration,)

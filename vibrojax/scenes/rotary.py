@@ -1,87 +1,61 @@
 """The rotary scene: bit and striker on their springs, stick-slip friction, no impact."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
-from vibrojax.physics.friction import FRICTION_LAWS, FrictionLaw
-from vibrojax.physics.parameters import BIT_AND_STRIKER
-from vibrojax.scenes import _drill
-from vibrojax.scenes._scene import Scene
+from vibrojax.physics.parameters import BIT_AND_STRIKER, Parameter
+from vibrojax.scenes.drill import Drill, DrillConstants, drill_constants, flight_rate, two_masses_start
+from vibrojax.scenes.scene import Guard, Start, Values
+
+
+class RotaryConstants(NamedTuple):
+    """The constants of the scene: those of the two masses."""
+
+    drill: DrillConstants
 
 
 @dataclass(frozen=True)
-class Rotary(Scene):
-    """m1 x1'' = -k1 x1 - k2 (x1 - x2) - F(u); m2 x2'' = -c2 x2' - k2 (x2 - x1) (section 1 with J = 0)."""
-
-    friction: FrictionLaw = FRICTION_LAWS["stribeck"]
+class Rotary(Drill[RotaryConstants]):
+    """m1 x1'' = -k1 x1 - k2 (x1 - x2) - F(u); m2 x2'' = -c2 x2' - k2 (x2 - x1)."""
 
     name = "rotary"
-    states = ("x1", "v1", "x2", "v2")
-    velocities = (1, 3)
-    modes = ("slip",)
-    surfaces_named = ("friction",)
-    markers_named = ("bit_turn", "striker_turn")
-    bit_turn, striker_turn = 1, 2  # where hits holds them
     measures = ("swings", "shares", "harmonics")
-    starts = ("drive", "stuck")
 
-    def parameters(self):
+    def parameters(self) -> Mapping[str, Parameter]:
         return BIT_AND_STRIKER | dict(self.friction.parameters)
 
-    def constants(self, p):
-        return _drill.with_derived(p, self.friction)
+    def constants(self, p: Mapping[str, Any]) -> RotaryConstants:
+        return RotaryConstants(drill_constants(p, self.friction))
 
-    def start(self, p, name, shape):
-        return _drill.start(p, name, shape)
+    def start(self, c: RotaryConstants, name: Start, shape: tuple[int, ...]) -> Values:
+        return two_masses_start(c.drill, name, shape)
 
-    def scaled(self, p, state):
-        return _drill.scaled(p, state)
+    def rate(self, c: RotaryConstants, mode: Values) -> Any:
+        return flight_rate(c.drill)
 
-    def mode_at(self, p, state):
-        return (_drill.slip_at(p, state, None, _drill.stick_noise(p)),)
+    def impact(self, c: RotaryConstants, mode: Values, state: Values) -> None:
+        return None
 
-    def field(self, p, mode, state):
-        (slip,) = mode
-        bit, striker = _drill.accelerations(self.friction, p, slip, state, None)
-        return (state[1], (slip * slip) * bit, state[3], striker)
+    def impact_noise(self, c: RotaryConstants, mode: Values) -> float:
+        return 0.0
 
-    def smoothed_field(self, p, mode, state, width):
-        slip = _drill.smoothed_slip(p, state, width)
-        bit, striker = _drill.accelerations(self.friction, p, slip, state, None)
-        return (state[1], bit, state[3], striker)
+    def stored(self, c: RotaryConstants, state: Values) -> float:
+        return 0.0
 
-    def smoothed_mode(self, p, mode, state, width):
-        return (_drill.smoothed_mode(p, state, width),)
+    def other_modes_at(self, c: RotaryConstants, state: Values) -> Values:
+        return ()
 
-    def smoothed_surfaces(self, p, mode, state):
-        return (_drill.never(state),)
+    def other_rates(self, c: RotaryConstants, mode: Values, state: Values, impact: Any) -> Values:
+        return ()
 
-    def surfaces(self, p, mode, state):
-        return (_drill.friction_surface(p, mode[0], state, None),)
+    def other_guards(self) -> tuple[Guard, ...]:
+        return ()
 
-    def markers(self, p, state):
-        return (state[1], state[3])
-
-    def land(self, p, mode, state, hits):
-        at_friction, bit_turns, striker_turns = hits
-        slip, state = _drill.land_friction(p, mode[0], state, at_friction, None, _drill.stick_noise(p))
-        return (slip,), _drill.land_turns(state, bit_turns, striker_turns)
-
-    def resolutions(self, p, mode):
-        speed = _drill.speed_noise(p)
-        return (_drill.friction_resolution(p, mode[0], _drill.stick_noise(p)), speed, speed)
-
-    def slope_resolutions(self, p, mode, h):
-        friction = _drill.friction_slope_resolution(p, mode[0], _drill.stick_noise(p), h)
-        return (friction, *super().slope_resolutions(p, mode, h)[1:])
-
-    def pull(self, p, state):
-        return _drill.pull(p, state[0], state[2])
-
-    def in_sight(self, p, mode, polynomials):
-        return _drill.in_sight(self.friction, p, mode[0], polynomials[1])
-
-    def rate(self, p, mode):
-        return _drill.flight_rate(p)
+    def other_reset(
+        self, c: RotaryConstants, mode: Values, state: Values, hits: Mapping[str, Any]
+    ) -> tuple[Values, Values]:
+        return mode, state
 
 
-SCENE = Rotary
+SCENES = (Rotary,)

@@ -1,52 +1,76 @@
-"""One lane, step by step: every step's polynomial is kept, so that the motion can be read at any time."""
+"""One lane, step by step: every step's polynomial is kept, so that the motion can be read at any time.
 
+Whether there is room for that is asked before any work.
+"""
+
+from collections.abc import Callable
 from functools import partial
 from math import ceil
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Bool, Float, Int
 
-from vibrojax.errors import InputError
-from vibrojax.stepping import lane_at
+from vibrojax.amounts import size_text
+from vibrojax.arrays import Array
+from vibrojax.engine.resources import memory
+from vibrojax.errors import InputError, Place
+from vibrojax.scenes import HasFriction, Scene
+from vibrojax.scenes.scene import Values
+from vibrojax.stepping import Accuracy, Goal, Lane, Stepper, lane_at
+from vibrojax.stepping.adaptive import MOST_STEPS as MOST_ADAPTIVE
 
 BATCH = 4096
 MOST_STEPS = 2500 * BATCH
 
+COPIES = 3
+"""Of every step's polynomials that are held at once: in batches, put together, and those that are read."""
+
 
 class Record(NamedTuple):
-    """The steps of one lane: numpy arrays with steps along the first axis.
+    """The steps of one lane, along the first axis.
 
-    `start`, `h`, `dt` [s]; `polynomials` (steps, states, orders) in (t - start)/h; `mode` (steps, modes);
-    `after` (steps, states); `hits` (steps, surfaces and markers); `falling` (steps, markers).
+    `start`, `h`, `dt` [s]; `polynomials` in (t - start)/h; `mode` where a step starts, `after` the state in which the
+    next one does; `hits`: the guards and markers, in the scene's order, that a step ended on; `falling`: whether a
+    marker came down through zero.
     """
 
-    start: np.ndarray
-    h: np.ndarray
-    dt: np.ndarray
-    polynomials: np.ndarray
-    mode: np.ndarray
-    after: np.ndarray
-    hits: np.ndarray
-    falling: np.ndarray
+    start: Float[Array, " steps"]
+    h: Float[Array, " steps"]
+    dt: Float[Array, " steps"]
+    polynomials: Float[Array, "steps states orders"]
+    mode: Float[Array, "steps modes"]
+    after: Float[Array, "steps states"]
+    hits: Bool[Array, "steps events"]
+    falling: Bool[Array, "steps markers"]
 
 
-def record(scene, method, p, state, settings, duration, told=None, most_steps=MOST_STEPS) -> Record:
-    """Step one lane, of shape (1,), from t = 0 to `duration` [s]; `told(t)` hears how far it is.
+def record(
+    scene: Scene[Any],
+    stepper: Stepper,
+    constants: Any,
+    state: Values,
+    accuracy: Accuracy,
+    duration: Array,
+    tell: Callable[[float], None] | None = None,
+    most_steps: int = MOST_STEPS,
+) -> Record:
+    """Step one lane, of shape (1,), from t = 0 to `duration` [s]; `tell(t)` hears how far it is.
 
     Raises `InputError` where that takes over `most_steps`, ten million unless there is no room for so many.
     """
-    p = scene.scaled(p, state)
-    lane = lane_at(scene, p, state)
+    constants = scene.scaled(constants, state)
+    lane = lane_at(scene, constants, state)
     parts = []
     for _ in range(ceil(most_steps / BATCH)):
-        lane, part = _batch(scene, method, p, lane, settings, duration)
+        lane, part = _batch(scene, stepper, constants, lane, accuracy, duration)
         parts.append(jax.tree.map(np.asarray, part))
-        if told:
-            told(float(lane.clock.high[0]))
+        if tell:
+            tell(float(lane.clock.high[0]))
         if not float(lane.clock.until(duration)[0]) > 0:
-            whole = jax.tree.map(lambda *x: np.concatenate(x), *parts)
+            whole = Record(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
             taken = whole.dt > 0
             taken |= whole.hits.any(axis=1)
             return Record(*(x[taken] for x in whole))
@@ -57,29 +81,36 @@ def record(scene, method, p, state, settings, duration, told=None, most_steps=MO
     )
 
 
-@partial(jax.jit, static_argnames=("scene", "method"))
-def _batch(scene, method, p, lane, settings, duration):
-    def one(lane, _):
+@partial(jax.jit, static_argnames=("scene", "stepper"))
+def _batch(
+    scene: Scene[Any], stepper: Stepper, constants: Any, lane: Lane, accuracy: Accuracy, duration: Array
+) -> tuple[Lane, Record]:
+    def one(lane: Lane, _: None) -> tuple[Lane, Record]:
         moving = lane.clock.until(duration) > 0
-        new, step = method.step(scene, p, lane, settings, duration, moving)
-        kept = Record(
+        new, step = stepper.step(scene, constants, lane, accuracy, Goal(duration, moving))
+        return new, Record(
             start=lane.clock.high[0],
             h=step.h[0],
             dt=step.dt[0],
             polynomials=jnp.stack([jnp.stack([c[0] for c in series]) for series in step.polynomials]),
             mode=jnp.stack([m[0] for m in step.mode]),
             after=jnp.stack([y[0] for y in step.after]),
-            hits=jnp.stack([hit[0] for hit in step.hits]),
-            falling=jnp.stack([down[0] for down in step.falling]),
+            hits=_flags(scene.event_names, step.hits),
+            falling=_flags(scene.marker_names, step.falling),
         )
-        return new, kept
 
-    return jax.lax.scan(one, lane, length=BATCH)
+    steps: tuple[Lane, Record] = jax.lax.scan(one, lane, length=BATCH)
+    return steps
 
 
-def sample(record: Record, times) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """States (states, samples) and modes (modes, samples) at `times` [s], read off the steps' polynomials; and which
-    of the moving steps each sample is of."""
+def _flags(names: tuple[str, ...], flags: Any) -> Bool[Array, " names"]:
+    return jnp.stack([flags[name][0] for name in names]) if names else jnp.zeros(0, bool)
+
+
+def sample(
+    record: Record, times: Float[np.ndarray, " samples"]
+) -> tuple[Float[Array, "states samples"], Float[Array, "modes samples"], Int[Array, " samples"]]:
+    """States and modes at `times` [s], read off the steps' polynomials; and which of the moving steps each is of."""
     moving = record.dt > 0
     start, h = record.start[moving], record.h[moving]
     step = np.clip(np.searchsorted(start, times, side="right") - 1, 0, len(start) - 1)
@@ -88,7 +119,7 @@ def sample(record: Record, times) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return states.T, record.mode[moving][step].T, step
 
 
-def accumulated(record: Record, state: int) -> np.ndarray:
+def accumulated(record: Record, state: int) -> Float[np.ndarray, " moving"]:
     """What to add in each moving step to a state that is set back to zero now and then, so that it is not."""
     moving = record.dt > 0
     polynomials = record.polynomials[moving][:, state : state + 1]
@@ -97,9 +128,58 @@ def accumulated(record: Record, state: int) -> np.ndarray:
     return np.concatenate([[0.0], np.cumsum(growth)[:-1]]) - start
 
 
-def _value(coefficients, tau) -> np.ndarray:
-    """Polynomials (steps, states, orders) at tau (steps,)."""
+def _value(
+    coefficients: Float[Array, "steps states orders"], tau: Float[Array, " steps"]
+) -> Float[Array, "steps states"]:
     values = coefficients[:, :, -1]
     for order in range(coefficients.shape[2] - 2, -1, -1):
         values = values * tau[:, None] + coefficients[:, :, order]
     return values
+
+
+def check_size(
+    place: Place,
+    scene: Scene[Any],
+    constants: Any,
+    duration: float,
+    accuracy: Accuracy,
+    stepper: Stepper | None,
+    samples: int,
+) -> int:
+    """The most steps that there is room for; raises `InputError` where the motion takes more even without events.
+
+    **Arguments:** `constants`: the scene's, each of shape (1,); `stepper`: None for a solver of diffrax, whose steps
+    are not kept; `samples`: how many are asked for.
+    """
+    most, each = _room(scene, stepper, samples)
+    natural = _calmest_rate(scene, constants, stepper) / accuracy.stride
+    # How a solver of diffrax steps is its own affair, but it must follow the main spring.
+    given = 0.0 if stepper is None else 1 / accuracy.step
+    steps = duration * max(natural, given)
+    if steps <= most:
+        return most
+    needs = f"{steps:.3g} steps" + (f" and {size_text(COPIES * steps * each)} of memory" if each else "")
+    there = memory() if each else None
+    allowed = f"{most:.3g} steps" + (f" and {size_text(there)} of memory" if there else "")
+    advice = "give a shorter duration" + (", a longer step or a greater error" if given > natural else "")
+    raise place.at("duration").error(f"{duration:g} s need some {needs}; there is room for {allowed}: {advice}")
+
+
+def _calmest_rate(scene: Scene[Any], constants: Any, stepper: Stepper | None) -> float:
+    """How fast the motion changes at least [1/s]."""
+    if stepper is None and isinstance(scene, HasFriction):
+        return float(scene.spring_rate(constants)[0])
+    return float(scene.rate(constants, tuple(jnp.full(1, mode.calmest) for mode in scene.modes))[0])
+
+
+def _room(scene: Scene[Any], stepper: Stepper | None, samples: int) -> tuple[int, float]:
+    """How many steps there is room for, and the bytes that each takes."""
+    if stepper is None:
+        return MOST_ADAPTIVE, 0.0
+    numbers = 3 + len(scene.states) * (stepper.degree + 2) + len(scene.modes)
+    flags = len(scene.guard_names) + 2 * len(scene.markers)
+    each = 8.0 * numbers + flags
+    there = memory()
+    if there is None:
+        return MOST_STEPS, each
+    return max(min(MOST_STEPS, int((there - 2 * samples * each) / (COPIES * each))), 0), each

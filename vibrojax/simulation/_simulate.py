@@ -1,39 +1,47 @@
 """Simulate one point and give its trajectory."""
 
 import sys
+from collections.abc import Sequence
+from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
+from diffrax import AbstractSolver
+from jaxtyping import Float
 
 from vibrojax.devices import precision
+from vibrojax.engine.validity import unresolved
 from vibrojax.errors import Place
+from vibrojax.input.point import Point, read_point
+from vibrojax.input.values import quantity
 from vibrojax.physics.parameters import positive
-from vibrojax.simulation._events import events
-from vibrojax.simulation._record import record, sample
-from vibrojax.simulation._size import check_size
-from vibrojax.simulation._trajectory import forces, holes, trajectory_dataset
-from vibrojax.stepping import Located, Smoothed
+from vibrojax.progress import Progress
+from vibrojax.scenes import HasContact, HasFriction, HasRock, Scene
+from vibrojax.scenes.scene import Values
+from vibrojax.simulation._record import check_size, record, sample
+from vibrojax.simulation._trajectory import Motion, events, forces, states_shown, trajectory_dataset
+from vibrojax.stepping import Accuracy, Smoothed, Stepper, Wanted, stepper_named
 from vibrojax.stepping.adaptive import adaptive_trajectory, solver_named
-from vibrojax.sweep import RunSettings, accuracy_for, quantity, read_point, unresolved
 
 METHODS = ("located", "smoothed", "diffrax")
 MOST_SAMPLES = 2_000_000
 
 
 def simulate(
-    scene: str,
+    scene: str | Scene[Any],
     *,
-    start=None,
+    start: str | Sequence[float] | None = None,
     duration: float = 20.0,
-    method: str | None = None,
-    solver=None,
+    method: str | Stepper | None = None,
+    solver: str | AbstractSolver | None = None,
     step: float | None = None,
     smoothing: float | None = None,
     error: float = 1e-4,
     sampling: float | None = None,
     progress: bool = True,
-    **parameters,
+    **parameters: Any,
 ) -> xr.Dataset:
     """Simulate one point of a scene.
 
@@ -57,70 +65,82 @@ def simulate(
     place = Place("simulate")
     point = read_point(place, scene, parameters, start)
     method = method or ("diffrax" if solver is not None else "located")
-    if method not in METHODS:
+    if not isinstance(method, Stepper) and method not in METHODS:
         raise place.at("method").error(f'"{method}" is not one; choose from {", ".join(METHODS)}')
     if solver is not None and method != "diffrax":
         raise place.at("solver").error(f'has no use with method "{method}"; leave one of them out')
-    if smoothing is not None and method == "located":
-        raise place.at("smoothing").error('has no use with method "located"; leave it out, or set method = "smoothed"')
+    stepper = None if method == "diffrax" else stepper_named(method)
+    if smoothing is not None and stepper is not None and not stepper.smooths:
+        raise place.at("smoothing").error(
+            f'has no use with method "{stepper.name}"; leave it out, or set method = "smoothed"'
+        )
     duration, error = _positive(place, "duration", duration, "s"), _positive(place, "error", error, "1")
-    step, smoothing = _positive(place, "step", step, "s"), _positive(place, "smoothing", smoothing, "m s-1")
-    sampling = _positive(place, "sampling", sampling, "s")
+    step, smoothing = _given(place, "step", step, "s"), _given(place, "smoothing", smoothing, "m s-1")
+    sampling = _given(place, "sampling", sampling, "s")
     if duration < np.finfo(float).tiny:  # the clock takes it for zero
         raise place.at("duration").error(f"{duration:g} s is no time; give a longer one")
-    if method == "diffrax" and "rock" in point.machine.modes:
+    system = point.system
+    if stepper is None and isinstance(system, HasRock):
         raise place.at("method").error('"diffrax" knows no rock that yields; choose from located, smoothed')
-    told = _teller(duration) if progress and sys.stderr.isatty() else None
+    shown = Progress(duration, "s simulated", progress and sys.stderr.isatty(), pace=False)
     with precision("float64"):
-        machine = point.machine
-        p = {name: jnp.full(1, value) for name, value in point.parameters.items()}
-        refusal = machine.refused(p)
-        if refusal is not None and bool(refusal[1][0]):
-            raise place.error(f"the point cannot be run: {refusal[0].replace('-', ' ')}")
-        if method == "located" and "gamma" in p and bool(unresolved(point.parameters, "float64")):
-            advice = "give a smaller k0, c0, c2 or gamma, or a greater beta"
-            raise place.error(f"the point cannot be run: too stiff, so that nothing moves in a step; {advice}")
-        p = dict(machine.constants(p))
-        times = _times(place, machine, p, duration, sampling)
-        state = machine.start(p, point.start, (1,))
-        run = RunSettings(
-            method="located" if method == "located" else "smoothed", error=error, step=step, smoothing=smoothing
-        )
-        accuracy = accuracy_for(run, machine)
-        most_steps = check_size(place, machine, p, duration, accuracy, method, len(times))
-        happened, hole = {}, {}
-        if method == "diffrax":
-            states, modes, steps = _adaptive(
-                machine, p, state, times, accuracy.smoothing, solver or "Tsit5", error, accuracy.step
-            )
+        constants = _constants(place, point, stepper)
+        times = _times(place, system, constants, duration, sampling)
+        state = system.start(constants, point.start, (1,))
+        accuracy = (stepper or Smoothed()).accuracy(Wanted(error, step, smoothing), system)
+        most_steps = check_size(place, system, constants, duration, accuracy, stepper, len(times))
+        happened = taken = step_of = None
+        if stepper is None:
+            kind = solver_named(solver or "Tsit5")
+            motion, steps = _adaptive(system, constants, state, times, accuracy, kind, 1e-3 * error)
         else:
-            stepper = Located() if method == "located" else Smoothed()
-            taken = record(machine, stepper, p, state, accuracy.settings(), jnp.asarray(duration), told, most_steps)
+            taken = record(system, stepper, constants, state, accuracy, jnp.asarray(duration), shown.reach, most_steps)
             states, modes, step_of = sample(taken, times)
-            steps = len(taken.dt)
-            hole = holes(machine, p, taken, states, modes, step_of)
-            when, kinds = events(machine, p, taken)
-            happened = {"event_time": when, "event_kind": kinds}
-        found = forces(machine, p, states, modes, None if method == "located" else accuracy.smoothing)
-    solver_text = {"method": method, "steps": int(steps), **accuracy.described()}
-    if method == "diffrax":
+            motion, steps = Motion(times, states, modes), len(taken.dt)
+            happened = events(system, constants, taken)
+        smooth = stepper is None or stepper.smooths
+        along_time = states_shown(system, motion, taken, step_of)
+        along_time |= forces(system, constants, motion, accuracy.smoothing if smooth else None)
+    solver_text = {"method": stepper.name if stepper else "diffrax", "steps": int(steps), **accuracy.described()}
+    if stepper is None:
         solver_text["solver"] = type(solver_named(solver or "Tsit5")).__name__
-    return trajectory_dataset(point, times, states, modes, found | hole, happened, solver_text)
+    return trajectory_dataset(point, system, motion, along_time, happened, solver_text)
 
 
-def _positive(place: Place, name: str, value, unit: str):
-    """A setting as a float above zero; None where it is not given."""
-    return None if value is None else quantity(place.at(name), value, positive(name, 1.0, unit, name, name))
+def _constants(place: Place, point: Point, stepper: Stepper | None) -> Any:
+    """The scene's constants at the point, each of shape (1,); raises where it cannot be run."""
+    scene = point.system
+    p = {name: jnp.full(1, value) for name, value in point.parameters.items()}
+    refusal = scene.refused(p)
+    if refusal is not None and bool(refusal[1][0]):
+        raise place.error(f"the point cannot be run: {refusal[0].replace('-', ' ')}")
+    exact = stepper is not None and stepper.rests
+    if exact and isinstance(scene, HasFriction) and bool(unresolved(scene, point.parameters, "float64")):
+        advice = "give a smaller k0, c0, c2 or gamma, or a greater beta"
+        raise place.error(f"the point cannot be run: too stiff, so that nothing moves in a step; {advice}")
+    return scene.constants(p)
 
 
-def _times(place: Place, machine, p, duration: float, sampling: float | None) -> np.ndarray:
+def _positive(place: Place, name: str, value: float, unit: str) -> float:
+    """A setting as a float above zero."""
+    return quantity(place.at(name), value, positive(name, 1.0, unit, name, name))
+
+
+def _given(place: Place, name: str, value: float | None, unit: str) -> float | None:
+    """The same, or None where it is not given."""
+    return None if value is None else _positive(place, name, value, unit)
+
+
+def _times(
+    place: Place, scene: Scene[Any], constants: Any, duration: float, sampling: float | None
+) -> Float[np.ndarray, " samples"]:
     """Times [s] of the samples, evenly from 0 to the end."""
     if sampling is None:
         sampling = 1e-3
-        if hasattr(machine, "contact_time"):
-            sampling = min(sampling, float(machine.contact_time(p)[0]) / 20)
-        if "rock" in machine.modes:
-            sampling = min(sampling, 0.2 * float(jnp.sqrt(p["m1"] / p["k3"])[0]))
+        if isinstance(scene, HasContact):
+            sampling = min(sampling, float(scene.contact_time(constants)[0]) / 20)
+        if isinstance(scene, HasRock):
+            sampling = min(sampling, 0.2 * float(scene.rock_period(constants)[0]))
         sampling = min(max(sampling, duration / MOST_SAMPLES), duration)
     intervals = duration / sampling
     if not 0.5 < intervals <= MOST_SAMPLES:
@@ -132,23 +152,21 @@ def _times(place: Place, machine, p, duration: float, sampling: float | None) ->
     return np.arange(count + 1) * (duration / count)
 
 
-def _adaptive(machine, p, state, times, width, solver, error, step):
-    scalars = {name: value[0] for name, value in p.items()}
-    start = tuple(y[0] for y in state)
+def _adaptive(
+    scene: Scene[Any],
+    constants: Any,
+    state: Values,
+    times: Float[np.ndarray, " samples"],
+    accuracy: Accuracy,
+    solver: AbstractSolver,
+    tolerance: float,
+) -> tuple[Motion, int]:
+    """The motion by a solver of diffrax, and how many steps it took."""
+    scalars, start = jax.tree.map(lambda value: value[0], (constants, state))
+    width = accuracy.smoothing
     states, steps = adaptive_trajectory(
-        machine, scalars, start, jnp.asarray(times), width, solver_named(solver), 1e-3 * error, step
+        scene, scalars, start, jnp.asarray(times), width, solver, tolerance, accuracy.step
     )
-    modes = machine.smoothed_mode(scalars, machine.mode_at(scalars, states), states, 3 * width)
-    return np.stack([np.asarray(y) for y in states]), np.stack([np.asarray(m) for m in modes]), int(steps)
-
-
-def _teller(duration: float):
-    def told(t: float) -> None:
-        print(
-            f"\r{min(t, duration):.1f} of {duration:g} s",
-            end="\n" if t >= duration else "",
-            file=sys.stderr,
-            flush=True,
-        )
-
-    return told
+    modes = scene.smoothed_mode(scalars, scene.mode_at(scalars, states), states, 3 * width)
+    columns = (np.stack([np.asarray(one) for one in many]) for many in (states, modes))
+    return Motion(times, *columns), int(steps)

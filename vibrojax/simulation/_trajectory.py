@@ -1,82 +1,161 @@
-"""From the samples of one lane to the labelled trajectory."""
+"""From the samples of one lane to the labelled trajectory: states, forces, and what happened when."""
 
 import json
 from collections.abc import Mapping
 from datetime import UTC, datetime
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
+from jaxtyping import Bool, Float, Int
 
-from vibrojax.scenes import _rock
-from vibrojax.simulation._events import KINDS
+from vibrojax.arrays import Array
+from vibrojax.input.point import Point
+from vibrojax.measure.section import lowest
+from vibrojax.scenes import Driven, HasContact, HasFriction, HasRock, Scene
 from vibrojax.simulation._record import Record, accumulated
 from vibrojax.store.provenance import source
 
-ABOUT = {
-    "x1": ("m", "position of the bit relative to the drive"),
-    "v1": ("m s-1", "velocity of the bit relative to the drive"),
-    "x2": ("m", "position of the striker relative to the drive"),
-    "v2": ("m s-1", "velocity of the striker relative to the drive"),
-    "x3": ("m", "normal position of the bit"),
-    "v3": ("m s-1", "normal velocity of the bit"),
-    "x4": ("m", "depth of the hole"),
-    "friction_force": ("N", "friction force of the rock on the bit, against its sliding"),
-    "impact_force": ("N", "contact force between striker and bit"),
-    "applied_force": ("N", "given force on the bit"),
-    "rock_force": ("N", "resistance of the rock under the bit"),
-}
+KINDS = ("none", "stick", "slip", "impact", "release", "section")
+"""Meaning of the flags of `event_kind`."""
+
+Samples = Float[Array, " samples"]
 
 
-def forces(machine, p, states, modes, width) -> dict:
+class Variable(NamedTuple):
+    """Values along time [unit], and what they are."""
+
+    values: Any
+    unit: str
+    long_name: str
+
+
+class Motion(NamedTuple):
+    """A sampled motion: `times` [s], and states and modes at them."""
+
+    times: Float[np.ndarray, " samples"]
+    states: Float[Array, "states samples"]
+    modes: Float[Array, "modes samples"]
+
+
+class Events(NamedTuple):
+    """Times [s] and kinds, indices into `KINDS`, of what happened, in order."""
+
+    times: Float[np.ndarray, " events"]
+    kinds: Int[np.ndarray, " events"]
+
+
+def events(scene: Scene[Any], c: Any, record: Record) -> Events:
+    """What happened in the `record` of one lane; `c`: the scene's constants."""
+    masks: dict[str, Bool[Array, " steps"]] = {}
+    hits = dict(zip(scene.event_names, record.hits.T, strict=True))
+    if isinstance(scene, HasFriction):
+        slip = record.mode[:, scene.mode_place("slip")]
+        after = np.append(slip[1:], slip[-1:])
+        masks["stick"] = hits["friction"] & (slip != 0) & (after == 0)
+        masks["slip"] = hits["friction"] & (after != 0)
+    if isinstance(scene, HasContact):
+        modes, states = tuple(record.mode.T), tuple(record.after.T)
+        masks["impact"] = np.asarray(scene.impact_begins(c, modes, states, hits))
+        masks["release"] = hits["contact"] & (record.mode[:, scene.mode_place("touching")] != 0)
+    if scene.section is not None:
+        masks["section"] = _returns(scene, c, record)
+    if not masks:
+        return Events(np.zeros(0), np.zeros(0, np.int8))
+    time = record.start + record.dt
+    kinds = np.concatenate([np.full(mask.sum(), KINDS.index(name)) for name, mask in masks.items()])
+    times = np.concatenate([time[mask] for mask in masks.values()])
+    order = np.argsort(times, kind="stable")
+    return Events(times[order], kinds[order].astype(np.int8))
+
+
+def _returns(scene: Scene[Any], c: Any, record: Record) -> Bool[np.ndarray, " steps"]:
+    """Steps that end on the section, having been beyond the re-arming level since the last one."""
+    section = scene.section
+    assert section is not None
+    sign, marker = 1.0 if section.rising else -1.0, scene.marker_of(section.velocity)
+    falling = record.falling[:, scene.marker_names.index(marker)]
+    returns = record.hits[:, scene.event_names.index(marker)] & (~falling if section.rising else falling)
+    armed, passed = False, np.zeros(len(returns), bool)
+    # A step taken for a mere switch has no length, and nothing falls in it.
+    tau = np.where(record.dt > 0, record.dt / np.where(record.h > 0, record.h, 1), 0)
+    velocity = [sign * jnp.asarray(one) for one in record.polynomials[:, scene.place(section.velocity)].T]
+    level = sign * float(np.ravel(section.rearm(c))[0])
+    low = np.asarray(lowest(velocity, jnp.asarray(tau))) < level
+    for index in np.flatnonzero(returns | low):
+        armed = armed or bool(low[index])
+        passed[index] = returns[index] and armed
+        armed = armed and not passed[index]
+    return passed
+
+
+def forces(scene: Scene[Any], c: Any, motion: Motion, width: float | None) -> dict[str, Variable]:
     """Forces [N] at the samples, by name; friction is what the springs do not give to the bit (Newton).
 
     `width` [m/s] is that of a smoothed motion, None of a sharp one.
     """
-    states, modes = tuple(jnp.asarray(y) for y in states), tuple(jnp.asarray(m) for m in modes)
-    found = {}
-    if "x1" in machine.states:
-        rates = machine.field(p, modes, states) if width is None else machine.smoothed_field(p, modes, states, width)
-        found["friction_force"] = machine.pull(p, states) - p["m1"] * rates[1]
-    if hasattr(machine, "contact_force"):
-        found["impact_force"] = machine.contact_force(p, modes, states)
-    if hasattr(machine, "applied_force"):
-        found["applied_force"] = machine.applied_force(p, modes, states)
-    if "rock" in machine.modes:
-        rock, compression = modes[machine.modes.index("rock")], states[machine.states.index("compression")]
-        found["rock_force"] = _rock.resistance(p, rock, compression)
-    return {name: np.asarray(force) + 0.0 for name, force in found.items()}  # no -0.0
+    states, modes = tuple(jnp.asarray(y) for y in motion.states), tuple(jnp.asarray(m) for m in motion.modes)
+    found: dict[str, tuple[Any, str]] = {}
+    if isinstance(scene, HasFriction):
+        rates = scene.field(c, modes, states) if width is None else scene.smoothed_field(c, modes, states, width)
+        force = scene.pull(c, states) - scene.bit(c).mass * rates[scene.place(scene.bit_velocity)]
+        found["friction_force"] = force, "friction force of the rock on the bit, against its sliding"
+    if isinstance(scene, HasContact):
+        found["impact_force"] = scene.contact_force(c, modes, states), "contact force between striker and bit"
+    if isinstance(scene, Driven):
+        found["applied_force"] = scene.applied_force(c, modes, states), "given force on the bit"
+    if isinstance(scene, HasRock):
+        found["rock_force"] = scene.rock_force(c, modes, states), "resistance of the rock under the bit"
+    return {name: Variable(np.asarray(force) + 0.0, "N", text) for name, (force, text) in found.items()}  # no -0.0
 
 
-def holes(machine, p, record: Record, states, modes, step_of) -> dict:
-    """x3 and x4 [m] at the samples, where there is rock: the growths of all blows together."""
-    if "growth" not in machine.states:
-        return {}
-    growth, compression = machine.states.index("growth"), machine.states.index("compression")
-    x4 = states[growth] + accumulated(record, growth)[step_of]
-    return {"x3": x4 + states[compression], "x4": x4}
+def states_shown(
+    scene: Scene[Any], motion: Motion, record: Record | None, step_of: Int[Array, " samples"] | None
+) -> dict[str, Variable]:
+    """The states at the samples, by name; where there is rock, x3 and x4 for compression and growth: those of all blows
+    together, by the `record` and the step of it that each sample is of."""
+    shown: dict[str, Variable] = {}
+    x3 = x4 = None
+    if isinstance(scene, HasRock) and record is not None and step_of is not None:
+        growth = scene.place("growth")
+        x4 = motion.states[growth] + accumulated(record, growth)[step_of]
+        x3 = x4 + motion.states[scene.place("compression")]
+    for state, values in zip(scene.states, motion.states, strict=True):
+        if state.shown:
+            shown[state.name] = Variable(values, state.unit, state.long_name)
+        elif state.name == "compression" and x3 is not None:
+            shown["x3"] = Variable(x3, "m", "normal position of the bit")
+        elif state.name == "growth" and x4 is not None:
+            shown["x4"] = Variable(x4, "m", "depth of the hole")
+    return shown
 
 
-def trajectory_dataset(point, times, states, modes, found: dict, happened: dict, solver: Mapping) -> xr.Dataset:
-    """The dataset of a trajectory: states, what was `found` of them along time, and what `happened` along events."""
-    machine = point.machine
-    values = dict(zip(machine.states, states, strict=True)) | found
-    variables = {
-        name: ("time", values[name], {"units": unit, "long_name": text})
-        for name, (unit, text) in ABOUT.items()
-        if name in values
+def trajectory_dataset(
+    point: Point,
+    scene: Scene[Any],
+    motion: Motion,
+    along_time: Mapping[str, Variable],
+    happened: Events | None,
+    solver: Mapping[str, object],
+) -> xr.Dataset:
+    """The dataset of a trajectory: variables along time, and what `happened` along events."""
+    variables: dict[str, tuple[str, Any, dict[str, Any]]] = {
+        name: ("time", one.values, {"units": one.unit, "long_name": one.long_name}) for name, one in along_time.items()
     }
-    if "slip" in machine.modes:
-        stuck = (modes[machine.modes.index("slip")] == 0).astype(np.int8)
+    if isinstance(scene, HasFriction):
+        stuck = (motion.modes[scene.mode_place("slip")] == 0).astype(np.int8)
         about = {"units": "1", "long_name": "whether the bit sticks to the rock"}
-        flags = {"flag_values": np.array([0, 1], np.int8), "flag_meanings": "slides sticks"}
-        variables["stuck"] = ("time", stuck, about | flags)
-    if happened:
+        variables["stuck"] = (
+            "time",
+            stuck,
+            about | {"flag_values": np.array([0, 1], np.int8), "flag_meanings": "slides sticks"},
+        )
+    if happened is not None:
         flags = {"flag_values": np.arange(len(KINDS), dtype=np.int8), "flag_meanings": " ".join(KINDS)}
         about = {"units": "s", "long_name": "time of the event"}
-        variables["event_time"] = ("event", happened["event_time"], about)
-        about = {"units": "1", "long_name": "what happened", **flags}
-        variables["event_kind"] = ("event", happened["event_kind"], about)
+        variables["event_time"] = ("event", happened.times, about)
+        variables["event_kind"] = ("event", happened.kinds, {"units": "1", "long_name": "what happened", **flags})
     start = {} if point.start is None else {"start": _written(point.start)}
     attributes = {
         "title": f"{point.scene}: trajectory",
@@ -89,8 +168,9 @@ def trajectory_dataset(point, times, states, modes, found: dict, happened: dict,
         "solver": json.dumps(solver),
         "Conventions": "CF-1.11",
     }
-    return xr.Dataset(variables, {"time": ("time", times, {"units": "s", "long_name": "time"})}, attributes)
+    times = {"time": ("time", motion.times, {"units": "s", "long_name": "time"})}
+    return xr.Dataset(variables, times, attributes)
 
 
-def _written(start) -> str:
+def _written(start: str | tuple[float, ...]) -> str:
     return start if isinstance(start, str) else json.dumps(list(start))

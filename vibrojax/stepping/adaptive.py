@@ -1,14 +1,18 @@
 """The adaptive backend: any diffrax solver on the smoothed equations."""
 
+from typing import Any
+
 import diffrax
 import jax.numpy as jnp
 
+from vibrojax.arrays import Array
 from vibrojax.errors import InputError
+from vibrojax.scenes.scene import Scene, Values
 
 MOST_STEPS = 10_000_000
 
 
-def solver_named(solver) -> diffrax.AbstractSolver:
+def solver_named(solver: object) -> diffrax.AbstractSolver:
     """A diffrax solver, or the one of that name, such as "Tsit5"; raises `InputError` where there is none."""
     if isinstance(solver, diffrax.AbstractSolver):
         return solver
@@ -21,12 +25,21 @@ def solver_named(solver) -> diffrax.AbstractSolver:
     raise InputError(f'solver: {solver!r} is no diffrax solver; give one, or its name, like "Tsit5" or "Kvaerno5"')
 
 
-def adaptive_trajectory(scene, p, state, times, width, solver, tolerance, step=None):
+def adaptive_trajectory(
+    scene: Scene[Any],
+    constants: Any,
+    state: Values,
+    times: Array,
+    width: Any,
+    solver: diffrax.AbstractSolver,
+    tolerance: Any,
+    step: Any = None,
+) -> tuple[Values, Any]:
     """States at `times` by a diffrax solver: with adaptive steps, or with fixed ones where it has no error estimate.
 
     **Arguments:**
 
-    - `p`: the scene's constants, scalars; `state`: tuple of scalars at t = 0; `times` (samples,) [s], rising.
+    - `constants`: the scene's, scalars; `state`: tuple of scalars at t = 0; `times` (samples,) [s], rising.
     - `width` [m/s]: of the friction switch; the contact is one-sided at every evaluation.
     - `solver`: a diffrax solver; `tolerance`: relative, and absolute in m and m/s; `step` [s]: of fixed steps.
 
@@ -34,16 +47,28 @@ def adaptive_trajectory(scene, p, state, times, width, solver, tolerance, step=N
     """
 
     adapts = isinstance(solver, diffrax.AbstractAdaptiveSolver)
-    saved = diffrax.SaveAt(ts=times)
+    saved = diffrax.SaveAt(ts=jnp.asarray(times))
     tolerance = tolerance if adapts else None
-    solution = smoothed_solution(scene, p, state, times[-1], width, solver, tolerance, step, saved, MOST_STEPS)
+    solution = smoothed_solution(scene, constants, state, times[-1], width, solver, tolerance, step, saved, MOST_STEPS)
     if solution.result != diffrax.RESULTS.successful:
         advice = "give a shorter duration, a wider smoothing, or another solver"
         raise InputError(f"solver: {type(solver).__name__} did not reach the end in {MOST_STEPS} steps; {advice}")
-    return solution.ys, solution.stats["num_steps"]
+    states: Any = solution.ys
+    return states, solution.stats["num_steps"]
 
 
-def smoothed_solution(scene, p, state, end, width, solver, tolerance, step, saved, most_steps) -> diffrax.Solution:
+def smoothed_solution(
+    scene: Scene[Any],
+    constants: Any,
+    state: Values,
+    end: Any,
+    width: Any,
+    solver: diffrax.AbstractSolver,
+    tolerance: Any,
+    step: Any,
+    saved: diffrax.SaveAt,
+    most_steps: int,
+) -> diffrax.Solution:
     """What diffrax makes of a smoothed motion from t = 0 to `end` [s]; goes under `jit` and `vmap`.
 
     **Arguments:**
@@ -52,8 +77,8 @@ def smoothed_solution(scene, p, state, end, width, solver, tolerance, step, save
     - `saved`: what is kept of it, a `diffrax.SaveAt`; `most_steps`: after which it is given up (static).
     """
 
-    def rates(t, y, args):
-        return scene.smoothed_field(p, scene.mode_at(p, y), y, width)
+    def rates(t: Any, y: Values, args: Any) -> Values:
+        return scene.smoothed_field(constants, scene.mode_at(constants, y), y, width)
 
     fixed = tolerance is None
     return diffrax.diffeqsolve(

@@ -1,14 +1,21 @@
 """Polynomials in the time of one step: values, slopes, integrals and the one root that ends the step."""
 
+from collections.abc import Sequence
+from typing import Any
+
+import jax
 import jax.numpy as jnp
 from jax import custom_jvp, lax
 
-from vibrojax.stepping._keep import keep
+from vibrojax.arrays import Array, Real, keep
+
+Coefficients = Sequence[Array]
+"""Of a polynomial in tau, from that of tau^0 on; each (lanes,)."""
 
 ROOT_ITERATIONS = 5
 
 
-def value(coefficients, tau):
+def value(coefficients: Sequence[Any], tau: Real) -> Any:
     """sum_k c_k tau^k by Horner's rule; coefficients and tau of one shape."""
     total = coefficients[-1]
     for c in reversed(coefficients[:-1]):
@@ -16,17 +23,17 @@ def value(coefficients, tau):
     return total
 
 
-def slope(coefficients, tau):
+def slope(coefficients: Coefficients, tau: Real) -> Any:
     """Derivative of the polynomial with respect to tau."""
     return value([k * c for k, c in enumerate(coefficients)][1:], tau)
 
 
-def integral(coefficients, tau):
+def integral(coefficients: Coefficients, tau: Real) -> Any:
     """Integral of the polynomial from 0 to tau."""
     return tau * value([c / (k + 1) for k, c in enumerate(coefficients)], tau)
 
 
-def highest(coefficients, tau):
+def highest(coefficients: Coefficients, tau: Array) -> jax.Array:
     """Greatest value from 0 to tau: at an end, or where the slope falls through zero between them.
 
     By two Newton iterations from where a straight slope would vanish: of a wave of 2 rad to 1e-10 of its height.
@@ -41,7 +48,7 @@ def highest(coefficients, tau):
     return jnp.maximum(jnp.maximum(coefficients[0], value(coefficients, tau)), value(coefficients, top))
 
 
-def first_guess(start, rate, end):
+def first_guess(start: Array, rate: Array, end: Array) -> jax.Array:
     """Fraction r in (0, 1] at which the parabola start + rate r + c r², equal to `end` at 1, reaches zero.
 
     For start >= 0 > end there is just one such root beyond a start on the surface; both forms are free of cancellation.
@@ -55,7 +62,7 @@ def first_guess(start, rate, end):
 
 
 @custom_jvp
-def root(coefficients, zeros, guess, end):
+def root(coefficients: Coefficients, zeros: Array, guess: Array, end: Array) -> jax.Array:
     """Root in (0, end) of a polynomial that leads from positive values to a negative one at `end`.
 
     Newton's iteration kept inside a shrinking bracket, on the polynomial divided by tau^zeros, so that a start on the
@@ -67,7 +74,7 @@ def root(coefficients, zeros, guess, end):
     the iteration: so an event's time moves with the parameters as it should.
     """
 
-    def refine(_, carry):
+    def refine(_: Any, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         tau, low, high = carry
         y = value(coefficients, tau)
         inside = y > 0
@@ -83,9 +90,24 @@ def root(coefficients, zeros, guess, end):
 
 
 @root.defjvp
-def _root_jvp(primals, tangents):
+def _root_jvp(primals: tuple, tangents: tuple) -> tuple[jax.Array, jax.Array]:
     coefficients, zeros, guess, end = primals
     tau = root(coefficients, zeros, guess, end)
     rate = slope(coefficients, tau)
     moved = value(tangents[0], tau)
     return tau, jnp.where(rate == 0, 0.0, -moved / jnp.where(rate == 0, 1.0, rate))
+
+
+def rough_root(x: Array, n: int) -> jax.Array:
+    """x^(1/n) for x > 0, between it and 1.07 times it; of 0 some tiny number, of infinity and of NaN one above 1.
+
+    For step lengths, at a twentieth of the price of a power: a float's bits, read as an integer, are its logarithm,
+    straight between powers of two.
+    """
+    x = lax.stop_gradient(x)
+    bits = jnp.finfo(x.dtype)
+    integer = jnp.dtype(f"int{bits.bits}")
+    one = jnp.asarray(1 - bits.minexp, integer) << bits.nmant
+    # Divided as a float: integers are divided one by one.
+    logarithm = (lax.bitcast_convert_type(x, integer) - one).astype(x.dtype) * (1 / n)
+    return lax.bitcast_convert_type(logarithm.astype(integer) + one, x.dtype)

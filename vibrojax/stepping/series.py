@@ -10,54 +10,64 @@ of sequences: the states', and one for each product, quotient or function. What 
 combination's factors, which are worked out once per step, not at every order.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any
 
+import jax
 import jax.numpy as jnp
 
-from vibrojax.physics import elementary
-from vibrojax.stepping._keep import keep
+from vibrojax.arrays import Array, Lanes, Real, Value, keep
+
+Number = Any
+"""A coefficient: an array (lanes,) or a float, of which 0.0 is what the structure makes vanish."""
 
 
-def _is_zero(x) -> bool:
+def is_zero(x: Number) -> bool:
+    """Whether a coefficient vanishes by the structure of the equations."""
     return isinstance(x, float) and x == 0.0
 
 
-def _keep(c):
+def kept(c: Number) -> Number:
+    """A coefficient that is worked out once."""
     return c if isinstance(c, float) else keep(c)
 
 
-def _add(a, b):
-    if _is_zero(a):
+def plus(a: Number, b: Number) -> Number:
+    """a + b, without what vanishes."""
+    if is_zero(a):
         return b
-    return a if _is_zero(b) else a + b
+    return a if is_zero(b) else a + b
 
 
-def _multiply(a, b):
-    return 0.0 if _is_zero(a) or _is_zero(b) else a * b
+def times(a: Number, b: Number) -> Number:
+    """a b, without what vanishes."""
+    return 0.0 if is_zero(a) or is_zero(b) else a * b
 
 
-def _total(terms):
-    total = 0.0
+def total(terms: Iterable[Number]) -> Number:
+    """The sum of coefficients, without what vanishes."""
+    found: Number = 0.0
     for term in terms:
-        total = _add(total, term)
-    return total
+        found = plus(found, term)
+    return found
 
 
 class Sequence:
     """Coefficients c_1, c_2, ..., each found by `term(k)` when it is first asked for, or appended."""
 
-    def __init__(self, term: Callable | None = None, known=()):
+    def __init__(self, term: Callable[[int], Number] | None = None, known: Iterable[Number] = ()):
         self._term = term
         self._known = list(known)
 
-    def __getitem__(self, order: int):
+    def __getitem__(self, order: int) -> Number:
         while len(self._known) < order:
+            assert self._term is not None, "a coefficient that is neither known nor follows from a rule"
             self.append(self._term(len(self._known) + 1))
         return self._known[order - 1]
 
-    def append(self, c) -> None:
+    def append(self, c: Number) -> None:
         """Add the next coefficient."""
-        self._known.append(_keep(c))
+        self._known.append(kept(c))
 
 
 class Series:
@@ -69,20 +79,20 @@ class Series:
     __array_priority__ = 1000  # so that array * series comes here
     __array_ufunc__ = None
 
-    def __init__(self, value, parts: dict):
+    def __init__(self, value: Number, parts: dict[Sequence, Number]):
         self.value = value
-        self.parts = {sequence: factor for sequence, factor in parts.items() if not _is_zero(factor)}
-        self._factors: list | None = None
+        self.parts = {sequence: factor for sequence, factor in parts.items() if not is_zero(factor)}
+        self._factors: list[Number] | None = None
         self._sequence: Sequence | None = None
 
-    def __getitem__(self, order: int):
+    def __getitem__(self, order: int) -> Number:
         if order == 0:
             return self.value
         if self._factors is None:
-            self._factors = [_keep(factor) for factor in self.parts.values()]
-        return _total(_multiply(f, s[order]) for f, s in zip(self._factors, self.parts, strict=True))
+            self._factors = [kept(factor) for factor in self.parts.values()]
+        return total(times(f, s[order]) for f, s in zip(self._factors, self.parts, strict=True))
 
-    def array(self, order: int, like):
+    def array(self, order: int, like: Lanes) -> jax.Array:
         """The coefficient of tau^order as an array shaped like `like`, where the structure makes it a number too."""
         c = self[order]
         return jnp.full_like(like, c) if isinstance(c, float) else c
@@ -95,156 +105,110 @@ class Series:
             self._sequence = alone[0][0] if own else Sequence(lambda k: self[k])
         return self._sequence
 
-    def __add__(self, other):
+    def __add__(self, other: "Series | Value") -> "Series":
         if isinstance(other, Series):
-            return _combined(_add(self.value, other.value), self, other, _add)
+            return combined(plus(self.value, other.value), self, other, plus)
         return Series(self.value + other, self.parts)
 
     __radd__ = __add__
 
-    def __neg__(self):
+    def __neg__(self) -> "Series":
         return self * -1.0
 
-    def __sub__(self, other):
+    def __sub__(self, other: "Series | Value") -> "Series":
         return self + (-other)
 
-    def __rsub__(self, other):
+    def __rsub__(self, other: "Series | Value") -> "Series":
         return -self + other
 
-    def __mul__(self, other):
+    def __mul__(self, other: "Series | Value") -> "Series":
         if not isinstance(other, Series):
-            return Series(_multiply(self.value, other), {s: _multiply(f, other) for s, f in self.parts.items()})
+            return Series(times(self.value, other), {s: times(f, other) for s, f in self.parts.items()})
         if not other.parts:
             return self * other.value
         return other * self.value if not self.parts else _product(self, other)
 
     __rmul__ = __mul__
 
-    def __truediv__(self, other):
+    def __truediv__(self, other: "Series | Value") -> "Series":
         if not isinstance(other, Series):
             return self * (1 / other)
         return _quotient(self, other) if other.parts else self * (1 / other.value)
 
-    def __rtruediv__(self, other):
+    def __rtruediv__(self, other: "Series | Value") -> "Series":
         return constant(other) / self
 
 
-def constant(value) -> Series:
+def constant(value: Number) -> Series:
     """A value that does not change within the step."""
     return Series(value, {})
 
 
-def known(coefficients) -> Series:
+def known(coefficients: list[Any]) -> Series:
     """A series whose coefficients are given, from c_0 on."""
     return Series(coefficients[0], {Sequence(known=coefficients[1:]): 1.0})
 
 
-def _combined(value, a: Series, b: Series, factor: Callable) -> Series:
+def combined(value: Number, a: Series, b: Series, factor: Callable[[Number, Number], Number]) -> Series:
     """The series whose factors are `factor(a's, b's)`, 0.0 where one has no such part."""
     sequences = dict.fromkeys((*a.parts, *b.parts))
     return Series(value, {s: factor(a.parts.get(s, 0.0), b.parts.get(s, 0.0)) for s in sequences})
 
 
-def _found(value, term: Callable) -> Series:
+def by_rule(value: Number, term: Callable[[int, "Coefficients"], Number]) -> Series:
     """A series by its value and a rule for c_k, which is given the coefficients from c_0 on that are known."""
-    value = _keep(value)
-    coefficients = _FromZero(value)
-    coefficients.rest = Sequence(lambda k: term(k, coefficients))
-    return Series(value, {coefficients.rest: 1.0})
+    value = kept(value)
+    coefficients = Coefficients(value)
+    rest = coefficients.rest = Sequence(lambda k: term(k, coefficients))
+    return Series(value, {rest: 1.0})
 
 
-class _FromZero:
+class Coefficients:
     """Coefficients of a series from c_0 on."""
 
-    def __init__(self, value, rest: Sequence | None = None):
+    def __init__(self, value: Number, rest: Sequence | None = None):
         self.value, self.rest = value, rest
 
-    def __getitem__(self, order: int):
-        return self.rest[order] if order else self.value
+    def __getitem__(self, order: int) -> Number:
+        if order == 0:
+            return self.value
+        assert self.rest is not None
+        return self.rest[order]
 
 
-def _coefficients(a: Series) -> _FromZero:
-    return _FromZero(a.value, a.sequence())
+def coefficients_of(a: Series) -> Coefficients:
+    """The coefficients of a series from c_0 on."""
+    return Coefficients(a.value, a.sequence())
 
 
 def _product(a: Series, b: Series) -> Series:
     """c_k = sum_j a_j b_{k-j}; of a square half of them, twice."""
-    one, two = _coefficients(a), _coefficients(b)
+    one, two = coefficients_of(a), coefficients_of(b)
     if a is b:
-        return _found(_multiply(a.value, a.value), lambda k, _: _total(_square_terms(one, k)))
-    return _found(_multiply(a.value, b.value), lambda k, _: _total(_multiply(one[j], two[k - j]) for j in range(k + 1)))
+        return by_rule(times(a.value, a.value), lambda k, _: total(_square_terms(one, k)))
+    return by_rule(times(a.value, b.value), lambda k, _: total(times(one[j], two[k - j]) for j in range(k + 1)))
 
 
-def _square_terms(a, k: int):
+def _square_terms(a: Coefficients, k: int) -> Iterator[Number]:
     for j in range((k + 1) // 2):
-        yield _multiply(_multiply(2.0, a[j]), a[k - j])
+        yield times(times(2.0, a[j]), a[k - j])
     if k % 2 == 0:
-        yield _multiply(a[k // 2], a[k // 2])
+        yield times(a[k // 2], a[k // 2])
 
 
 def _quotient(a: Series, b: Series) -> Series:
     """q = a/b from a_k = sum_j q_j b_{k-j}."""
-    below = _coefficients(b)
+    below = coefficients_of(b)
 
-    def term(k, q):
-        return (a[k] - _total(_multiply(q[j], below[k - j]) for j in range(k))) / b.value
+    def term(k: int, q: Coefficients) -> Number:
+        return (a[k] - total(times(q[j], below[k - j]) for j in range(k))) / b.value
 
-    return _found(a.value / b.value, term)
-
-
-@elementary.exp.register
-def _exp(a: Series) -> Series:
-    """e = exp(a) from e' = a' e, so k e_k = sum_j j a_j e_{k-j}."""
-    inside = _coefficients(a)
-
-    def term(k, e):
-        return _total(_multiply(_multiply(j / k, inside[j]), e[k - j]) for j in range(1, k + 1))
-
-    return _found(jnp.exp(a.value), term)
+    return by_rule(a.value / b.value, term)
 
 
-@elementary.sin.register
-def _sin(a: Series) -> Series:
-    """s = sin(a) with c = cos(a), from s' = a' c and c' = -a' s."""
-    inside = _coefficients(a)
-    s, c = (_FromZero(_keep(of(a.value))) for of in (jnp.sin, jnp.cos))
-
-    def by(other, sign):
-        def term(k):
-            return _total(_multiply(_multiply(sign * j / k, inside[j]), other[k - j]) for j in range(1, k + 1))
-
-        return Sequence(term)
-
-    s.rest, c.rest = by(c, 1.0), by(s, -1.0)
-    return Series(s.value, {s.rest: 1.0})
-
-
-@elementary.arctan.register
-def _arctan(a: Series) -> Series:
-    """y = arctan(a) from y' (1 + a²) = a'."""
-    below = _coefficients(a * a + 1.0)
-
-    def term(k, y):
-        return (a[k] - _total(_multiply(_multiply(j / k, y[j]), below[k - j]) for j in range(1, k))) / below[0]
-
-    return _found(jnp.arctan(a.value), term)
-
-
-@elementary.maximum.register
-def _maximum(a: Series, b) -> Series:
-    """The series of whichever of the two is greater where the step starts."""
-    other = b if isinstance(b, Series) else constant(b)
-    first = a.value >= other.value
-    return _combined(jnp.where(first, a.value, other.value), a, other, lambda f, g: jnp.where(first, f, g))
-
-
-@elementary.absolute.register
-def _absolute(a: Series) -> Series:
-    """The series with the sign that makes it positive where the step starts."""
-    return a * jnp.where(a.value < 0, -1.0, 1.0)
-
-
-def expand(field: Callable, state: tuple, h, order: int) -> tuple[Series, ...]:
+def expand(
+    field: Callable[[tuple[Series, ...]], tuple[Any, ...]], state: tuple[Array, ...], h: Real, order: int
+) -> tuple[Series, ...]:
     """Taylor coefficients of the solution of y' = field(y) from `state`, in tau = time/h, up to tau^order.
 
     **Arguments:**
@@ -259,7 +223,7 @@ def expand(field: Callable, state: tuple, h, order: int) -> tuple[Series, ...]:
     series = tuple(Series(value, {own: 1.0}) for value, own in zip(state, sequences, strict=True))
     changes = [rate * h for rate in field(series)]
     for k in range(order):
-        found = [_multiply(1 / (k + 1), change[k]) for change in changes]
+        found = [times(1 / (k + 1), change[k]) for change in changes]
         for own, c in zip(sequences, found, strict=True):
             own.append(c)
     return series

@@ -7,31 +7,73 @@ from pathlib import Path
 import xarray as xr
 
 from vibrojax.errors import InputError
-from vibrojax.store._aside import aside
-from vibrojax.threads import apart
+from vibrojax.store.atomic import atomic_write
+from vibrojax.store.faults import warn_of_faults
+from vibrojax.threads import in_own_thread
 
 MARK = "vibrojax"
+"""How the attribute `source` of every dataset of this package begins."""
+
+_COMPRESSED = 4096
+"""Variables of more values than this are compressed."""
 _PROBE = 1 << 20
+"""Bytes of one write that tries out whether the disk is full."""
 _PATIENCE, _SLOWEST = 20.0, 2e6
-"""A file that takes longer than so many seconds and bytes a second is not read."""
+"""A file that takes longer than so many seconds, and one more for each so many bytes, is not read."""
 
 
-def write_dataset(dataset: xr.Dataset, path: str | os.PathLike) -> None:
-    """Write a netCDF-4 file that appears whole or not at all: under a name of its own, synced, then renamed.
+def write_dataset(dataset: xr.Dataset, path: str | os.PathLike[str]) -> None:
+    """Write a netCDF-4 file that appears whole or not at all: under a temporary name, synced, then renamed.
 
-    Raises `OSError` where the disk is full or the folder cannot be written.
+    **Arguments:**
+
+    - `dataset`: what to write.
+    - `path`: the file to be; one that is there is replaced.
+
+    **Raises:** `OSError` where the disk is full or the folder cannot be written.
     """
     path = Path(path)
     # Flags stay integers only without a fill value, and floats keep NaN as it is.
-    encoding = {name: {"_FillValue": None} for name in dataset.variables}
+    encoding: dict[object, dict[str, object]] = {name: {"_FillValue": None} for name in dataset.variables}
     for name, variable in dataset.data_vars.items():
-        if variable.size > 4096 and variable.dtype.kind in "fi":
+        if variable.size > _COMPRESSED and variable.dtype.kind in "fi":
             encoding[name] |= {"zlib": True, "complevel": 1, "shuffle": True}
-    with aside(path) as part:
+    with atomic_write(path) as part:
         try:
             dataset.to_netcdf(part, engine="netcdf4", format="NETCDF4", encoding=encoding)
         except (RuntimeError, OSError) as error:
             raise _why(part, path, dataset.nbytes, error) from None
+
+
+def open_dataset(path: str | os.PathLike[str]) -> xr.Dataset:
+    """Open a dataset that this package wrote.
+
+    **Arguments:**
+
+    - `path`: the netCDF file.
+
+    **Returns:** the dataset, read into memory whole.
+
+    **Raises:** `InputError` where it is not there, no netCDF, cut short, or not written by this package.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise InputError(f"{path}: there is no such file")
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder; give a .nc file")
+    if not path.is_file():
+        raise InputError(f"{path}: is no file with an end; give a .nc file")
+    patience = _PATIENCE + path.stat().st_size / _SLOWEST
+    try:
+        dataset = in_own_thread(lambda: xr.load_dataset(path, engine="netcdf4"), patience)
+    except TimeoutError:  # HDF5 goes round and round in some files that have lost a block
+        raise InputError(f"{path}: cannot be read as netCDF (its structure is damaged)") from None
+    except Exception as error:  # whatever the library says of a file that is cut short, flipped or no netCDF at all
+        raise InputError(f"{path}: cannot be read as netCDF ({_first_line(error)})") from None
+    if not str(dataset.attrs.get("source", "")).startswith(MARK):
+        raise InputError(f"{path}: was not written by {MARK} (its attribute source does not say so)")
+    warn_of_faults(dataset, str(path))
+    return dataset
 
 
 def _why(part: Path, path: Path, size: int, error: Exception) -> OSError:
@@ -41,32 +83,9 @@ def _why(part: Path, path: Path, size: int, error: Exception) -> OSError:
             for _ in range(2 + 2 * size // _PROBE):  # a write in part is no error, the next one is
                 file.write(bytes(_PROBE))
             os.fsync(file.fileno())
-    except OSError as told:
-        return OSError(told.errno, told.strerror, str(path))
+    except OSError as reason:
+        return OSError(reason.errno, reason.strerror, str(path))
     return OSError(errno.EIO, f"cannot be written ({_first_line(error)})", str(path))
-
-
-def open_dataset(path: str | os.PathLike) -> xr.Dataset:
-    """Open a dataset that this package wrote.
-
-    Raises `InputError` where it is not there, no netCDF, cut short, or not ours.
-    """
-    path = Path(path)
-    if not path.exists():
-        raise InputError(f"{path}: there is no such file")
-    if path.is_dir():
-        raise InputError(f"{path}: is a folder; give a .nc file")
-    if not path.is_file():
-        raise InputError(f"{path}: is no file with an end; give a .nc file")
-    try:
-        dataset = apart(lambda: xr.load_dataset(path, engine="netcdf4"), _PATIENCE + path.stat().st_size / _SLOWEST)
-    except TimeoutError:  # HDF5 goes round and round in some files that have lost a block
-        raise InputError(f"{path}: cannot be read as netCDF (its structure is damaged)") from None
-    except Exception as error:  # whatever the library says of a file that is cut short, flipped or no netCDF at all
-        raise InputError(f"{path}: cannot be read as netCDF ({_first_line(error)})") from None
-    if not str(dataset.attrs.get("source", "")).startswith(MARK):
-        raise InputError(f"{path}: was not written by {MARK} (its attribute source does not say so)")
-    return dataset
 
 
 def _first_line(error: Exception) -> str:

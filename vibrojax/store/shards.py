@@ -8,18 +8,24 @@ import re
 import sys
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from jaxtyping import Shaped
 
 from vibrojax.errors import InputError, shown
-from vibrojax.store._aside import sync_folder
-from vibrojax.store._lock import Lock
+from vibrojax.store.atomic import sync_folder
+from vibrojax.store.lock import Lock
 
 _MANIFEST = "manifest.json"
 _LOCK = "lock"
 _SHARD = re.compile(r"chunk-(\d{8,})\.shard")
-_DAMAGES_TOLD = 3
+_DAMAGES_SHOWN = 3
+_CHANGES_SHOWN = 3
 _DIGEST_SIZE = hashlib.sha256().digest_size
+
+Arrays = Mapping[str, Shaped[np.ndarray, "..."]]
+"""The arrays of a chunk by name: features (lanes,) or (lanes, rows)."""
 
 
 class DamagedShard(Exception):
@@ -30,7 +36,7 @@ class Shards:
     """The finished chunks of one sweep, as immutable files in one folder.
 
     Each file is the SHA-256 of (manifest, index, content) and then the content, an npz. A file of another manifest, of
-    another index, cut short or with a flipped bit is therefore found out, and counts as missing.
+    another index, cut short or with a flipped bit is therefore recognised, and counts as missing.
 
     **Arguments:**
 
@@ -38,10 +44,10 @@ class Shards:
     - `manifest`: all that the results depend on, as JSON values.
     """
 
-    def __init__(self, folder: Path, manifest: Mapping[str, object]):
-        self.folder = Path(folder)
+    def __init__(self, folder: Path, manifest: Mapping[str, object]) -> None:
+        self.folder = folder
         # Through JSON, so that it equals what is read back.
-        self.manifest = json.loads(_canonical(manifest))
+        self.manifest: dict[str, object] = json.loads(_canonical(manifest))
         self.digest = hashlib.sha256(_canonical(self.manifest)).hexdigest()
         self._lock: Lock | None = None
 
@@ -50,8 +56,8 @@ class Shards:
 
         With `resume` what is there stays, unless its manifest differs; otherwise it is removed.
 
-        Raises `InputError` where another process is at work there, the folder cannot be written, or, with `resume`,
-        its manifest differs.
+        **Raises:** `InputError` where another process is at work there, the folder cannot be written, or, with
+        `resume`, its manifest differs.
         """
         try:
             self.folder.mkdir(exist_ok=True)
@@ -73,34 +79,39 @@ class Shards:
 
     def finished(self) -> set[int]:
         """The indices of the chunks that are there and whole; says which are damaged, on stderr."""
-        whole, damages = set(), []
+        whole: set[int] = set()
+        damages: list[DamagedShard] = []
         for index in sorted(self._indices()):
             try:
                 self._content(index)
                 whole.add(index)
             except DamagedShard as damage:
                 damages.append(damage)
-        for damage in damages[:_DAMAGES_TOLD]:
-            tell(damage)
-        if len(damages) > _DAMAGES_TOLD:
-            tell(f"{self.folder}: {len(damages) - _DAMAGES_TOLD} more chunks are damaged")
+        for shown_damage in damages[:_DAMAGES_SHOWN]:
+            report_damage(shown_damage)
+        if len(damages) > _DAMAGES_SHOWN:
+            report_damage(f"{self.folder}: {len(damages) - _DAMAGES_SHOWN} more chunks are damaged")
         return whole
 
-    def write(self, index: int, arrays: Mapping[str, np.ndarray]) -> None:
+    def write(self, index: int, arrays: Arrays) -> None:
         """Store a chunk's arrays; when this returns they are on the disk, whole."""
         buffer = io.BytesIO()
-        np.savez(buffer, **arrays)
+        named: dict[str, Any] = dict(arrays)  # of numpy's own keywords, which older ones lack, none is among the names
+        np.savez(buffer, **named)
         content = buffer.getbuffer()
         with content:
             self._put(self._path(index), self._checksum(index, content), content)
 
     def read(self, index: int) -> dict[str, np.ndarray]:
-        """A chunk's arrays; raises `DamagedShard` where they are not there or not whole."""
+        """A chunk's arrays by name, as they were written.
+
+        **Raises:** `DamagedShard` where they are not there or not whole.
+        """
         with np.load(io.BytesIO(self._content(index)), allow_pickle=False) as arrays:
             return dict(arrays)
 
     def remove(self) -> None:
-        """Remove the chunks and, where nothing else lies in it, the folder; ends this object's hold on it."""
+        """Remove the chunks and, where nothing else lies in it, the folder; lets go of it."""
         self._clear(shards=True)
         (self.folder / _MANIFEST).unlink(missing_ok=True)
         if self._lock is not None:
@@ -108,7 +119,7 @@ class Shards:
             self._lock = None
         try:
             self.folder.rmdir()
-        except OSError:  # somebody else's files lie there: they stay
+        except OSError:  # other files lie there: they stay
             return
 
     def close(self) -> None:
@@ -127,8 +138,8 @@ class Shards:
         return self.folder / f"chunk-{index:08d}.shard"
 
     def _indices(self) -> list[int]:
-        found = (_SHARD.fullmatch(path.name) for path in self.folder.iterdir())
-        return [int(match[1]) for match in found if match]
+        matches = (_SHARD.fullmatch(path.name) for path in self.folder.iterdir())
+        return [int(match[1]) for match in matches if match]
 
     def _checksum(self, index: int, content: bytes | memoryview) -> bytes:
         digest = hashlib.sha256(f"{self.digest} {index}\n".encode())
@@ -136,7 +147,7 @@ class Shards:
         return digest.digest()
 
     def _content(self, index: int) -> memoryview:
-        """A shard's npz, its checksum proved."""
+        """A shard's npz, its checksum verified."""
         path = self._path(index)
         try:
             data = memoryview(path.read_bytes())
@@ -174,24 +185,26 @@ class Shards:
         """Raise where the chunks in the folder are of something else."""
         try:
             stored = json.loads((self.folder / _MANIFEST).read_bytes())
-            other, digest = dict(stored["manifest"]), stored["sha256"]
+            other: dict[str, object] = dict(stored["manifest"])
+            digest: object = stored["sha256"]
         except (OSError, ValueError, KeyError, TypeError):
             return  # missing or damaged: the checksum of each shard tells whether it belongs here
         if digest == self.digest or hashlib.sha256(_canonical(other)).hexdigest() != digest:
             return
         if not self._indices():
             return
-        names = [name for name in {**other, **self.manifest} if other.get(name, ...) != self.manifest.get(name, ...)]
-        changes = [f"{name} was {_told(other, name)}, is {_told(self.manifest, name)}" for name in names[:3]]
-        more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+        ours = self.manifest
+        names = [name for name in other | ours if other.get(name, ...) != ours.get(name, ...)]
+        changes = [f"{name} was {_entry(other, name)}, is {_entry(ours, name)}" for name in names[:_CHANGES_SHOWN]]
+        more = f" and {len(names) - _CHANGES_SHOWN} more" if len(names) > _CHANGES_SHOWN else ""
         raise InputError(
             f"{self.folder}: holds chunks of another sweep: {'; '.join(changes)}{more}; "
             "--fresh starts over, or give another output"
         )
 
 
-def tell(damage: object) -> None:
-    """Say on stderr what has been found damaged."""
+def report_damage(damage: DamagedShard | str) -> None:
+    """Say on stderr what is damaged, and that it is computed again."""
     print(f"vibrojax: warning: {damage}; computed again", file=sys.stderr)
 
 
@@ -199,5 +212,6 @@ def _canonical(manifest: Mapping[str, object]) -> bytes:
     return json.dumps(manifest, sort_keys=True, separators=(",", ":"), allow_nan=False).encode()
 
 
-def _told(manifest: Mapping[str, object], name: str) -> str:
+def _entry(manifest: Mapping[str, object], name: str) -> str:
+    """A value of a manifest, in words."""
     return " ".join(shown(manifest[name]).split()) if name in manifest else "not there"

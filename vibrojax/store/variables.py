@@ -1,4 +1,4 @@
-"""The variables of a sweep's dataset: unit, meaning, and kind (contract: dataset)."""
+"""The variables of a sweep's dataset: name, unit, meaning, and how each is stored."""
 
 from dataclasses import dataclass
 
@@ -9,16 +9,16 @@ from vibrojax.label import REGIMES
 
 @dataclass(frozen=True)
 class Variable:
-    """How a variable is written: `units` and `long_name`, its dtype, and the meaning of its flags 0, 1, ..."""
+    """How a variable is stored: `units` and `long_name`, its dtype, and the meaning of its flags 0, 1, ..."""
 
     units: str
     long_name: str
-    dtype: type = np.float64
+    dtype: type[np.generic] = np.float64
     flags: tuple[str, ...] = ()
 
-    def attributes(self) -> dict:
-        """CF attributes."""
-        attributes = {"units": self.units, "long_name": self.long_name}
+    def attributes(self) -> dict[str, str | np.ndarray]:
+        """Its CF attributes, by name."""
+        attributes: dict[str, str | np.ndarray] = {"units": self.units, "long_name": self.long_name}
         if self.flags:
             attributes["flag_values"] = np.arange(len(self.flags), dtype=np.int8)
             # CF 1.11, section 3.5: of other signs only - _ . + @ may stand in a flag's meaning.
@@ -27,9 +27,12 @@ class Variable:
 
 
 STATUSES = ("done", "failed", "refused")
-REASONS = ("none", "not-finite", "out-of-steps", "pulse-width-not-below-1/frequency", "too-stiff", "too-slow")
+"""Meaning of each flag of `status`."""
 
-VARIABLES = {
+REASONS = ("none", "not-finite", "out-of-steps", "pulse-width-not-below-1/frequency", "too-stiff", "too-slow")
+"""Meaning of each flag of `reason`."""
+
+VARIABLES: dict[str, Variable] = {
     "regime": Variable("1", "regime of the striker's motion", np.int8, REGIMES),
     "check_regime": Variable("1", "regime found by the coarser run that errors are estimated with", np.int8, REGIMES),
     "period": Variable("s", "period"),
@@ -52,7 +55,8 @@ VARIABLES = {
     "phase_lag": Variable("rad", "lag of the striker's fundamental behind the bit's"),
     "settling_time": Variable("s", "time of the last return that differs from its repeat by over 1 %"),
     "drive_power": Variable("W", "mean power of the drive"),
-    "error_estimate": Variable("1", "estimated relative error of period and impact velocity, the larger"),
+    "error_estimate": Variable("1", "estimated relative error of the settled period and impact velocity, the larger"),
+    "drift_estimate": Variable("1", "how far period or impact velocity still are from where they settle, relative"),
     "status": Variable("1", "whether the lane was computed", np.int8, STATUSES),
     "reason": Variable("1", "why a lane failed or was refused", np.int8, REASONS),
     "rate_of_penetration": Variable("m s-1", "rate of penetration"),

@@ -13,7 +13,8 @@ from peers._machine import C0, C2, K0, K1, M1, MU, STICK_LIMIT, V_CR, striker
 from peers._peer import CORES, Peer, Points, Ran
 from vibrojax.accuracy._sampled import features_of
 from vibrojax.devices import precision
-from vibrojax.sweep import in_parallel, read_sweep
+from vibrojax.engine.parallel import in_parallel
+from vibrojax.input.read import read_sweep
 
 SAMPLING = 2e-4  # s: of a second run, untimed, whose samples the features are read off
 MOST_STEPS = 2_000_000
@@ -134,6 +135,6 @@ def _measured(points: Points, setting: Width, settle: float, observe: float) -> 
     sweep = read_sweep({"scene": "vibro-impact", "points": lanes | {"start": ["stuck"] * len(points)}})
     with precision("float64"):
         values, _ = sweep.lane_values(0, len(points))
-        p = dict(sweep.machine.constants({name: jnp.asarray(x, "float64") for name, x in values.items()}))
-        found = features_of(sweep.machine, p, SAMPLING, states, setting.width)
+        p = sweep.system.constants({name: jnp.asarray(x, "float64") for name, x in values.items()})
+        found = features_of(sweep.system, p, SAMPLING, states, setting.width)
     return found["period"], found["impact_velocity"]

@@ -1,10 +1,13 @@
 """Eq. 2.13: friction that does not depend on speed."""
 
-from vibrojax.physics.friction._law import FrictionLaw
+from typing import Any
+
+from vibrojax.arrays import Value
+from vibrojax.physics.friction._law import FrictionLaw, Numbers
 from vibrojax.physics.parameters import not_negative, table
 
 
-def mu(speed, p):
+def mu(speed: Value, p: Numbers) -> Any:
     """Constant mu, eq. 2.13; `speed` = |u| [m/s], any shape; unit 1."""
     return p["mu"]
 

@@ -1,10 +1,13 @@
 """Eq. 2.16: friction that falls hyperbolically with speed."""
 
-from vibrojax.physics.friction._law import FrictionLaw
+from typing import Any
+
+from vibrojax.arrays import Value
+from vibrojax.physics.friction._law import FrictionLaw, Numbers
 from vibrojax.physics.parameters import not_negative, table
 
 
-def mu(speed, p):
+def mu(speed: Value, p: Numbers) -> Any:
     """mu0/(1 + delta_f |u|), eq. 2.16; `speed` = |u| [m/s], any shape; unit 1."""
     return p["mu0"] / (1.0 + p["delta_f"] * speed)
 

@@ -1,10 +1,13 @@
 """Eq. 2.17: a hyperbolic fall to mu1 and a quadratic rise."""
 
-from vibrojax.physics.friction._law import FrictionLaw
+from typing import Any
+
+from vibrojax.arrays import Value
+from vibrojax.physics.friction._law import FrictionLaw, Numbers
 from vibrojax.physics.parameters import not_negative, table
 
 
-def mu(speed, p):
+def mu(speed: Value, p: Numbers) -> Any:
     """(mu0 - mu1)/(1 + lambda |u|) + mu1 + alpha u², eq. 2.17; `speed` = |u| [m/s], any shape; unit 1."""
     return (p["mu0"] - p["mu1"]) / (1.0 + p["lambda"] * speed) + p["mu1"] + p["alpha"] * speed * speed
 

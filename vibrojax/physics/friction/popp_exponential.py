@@ -1,16 +1,19 @@
-"""Eq. 2.14, Popp's exponential law (second exponent and units corrected, model section 3)."""
+"""Eq. 2.14, Popp's exponential law (its second exponent and units corrected)."""
 
+from typing import Any
+
+from vibrojax.arrays import Value
 from vibrojax.physics.elementary import exp, maximum
-from vibrojax.physics.friction._law import FrictionLaw
+from vibrojax.physics.friction._law import FrictionLaw, Numbers
 from vibrojax.physics.parameters import Parameter, table
 
 
-def _flat_below(p):
+def _flat_below(p: Numbers) -> Any:
     """exp(c1/|u|) and all its derivatives vanish as |u| -> 0; below this speed it is under 1e-17."""
     return p["popp_c1"] * (-1 / 40)
 
 
-def mu(speed, p):
+def mu(speed: Value, p: Numbers) -> Any:
     """0.165 (1 + exp(c1/|u|)) (1 + exp(c2 |u|)), eq. 2.14; `speed` = |u| [m/s], any shape; unit 1."""
     slow = maximum(speed, _flat_below(p))
     return 0.165 * (1.0 + exp(p["popp_c1"] / slow)) * (1.0 + exp(p["popp_c2"] * speed))

@@ -1,0 +1,60 @@
+"""What lanes are compiled with computes rightly: every function of the equations, in blocks of any size."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from vibrojax.cli import main
+from vibrojax.engine import compiler
+from vibrojax.engine.compiler import check_arithmetic, compiler_options, wrong_functions
+from vibrojax.errors import InputError
+
+TOML = 'scene = "rotary"\n[grid]\nbeta = [0.4]\n[run]\nsettle = 1.0\nobserve = 1.0\n'
+
+
+@pytest.mark.parametrize("dtype", ["float64", "float32"])
+@pytest.mark.parametrize("lanes", [4, 8, 16, 17, 32, 64, 100, 256, 1024, 4096])
+def test_functions_against_numpy(lanes, dtype):
+    """To four roundings, under the very options that sweeps are compiled with."""
+    assert wrong_functions(compiler_options("cpu"), np.dtype(dtype), lanes) == []
+
+
+def test_wide_vectors_only_where_they_were_checked(monkeypatch):
+    for version in ("0.10.2", "0.11.0", "0.11.2", "0.13.0"):
+        monkeypatch.setattr(compiler.jaxlib, "__version__", version)
+        assert "xla_cpu_prefer_vector_width" not in compiler_options("cpu")
+    monkeypatch.setattr(compiler.jaxlib, "__version__", "0.12.0.1")
+    assert compiler_options("cpu")["xla_cpu_prefer_vector_width"] == 512
+    assert compiler_options("gpu").keys() <= {"xla_disable_hlo_passes"}
+
+
+@pytest.fixture
+def shuffled(monkeypatch):
+    """An arctan that returns the values of a large block in other places, as jaxlib 0.10.2 does with AVX-512."""
+
+    def arctan(x):
+        found = jnp.arctan(x)
+        return found if found.size <= 16 else jnp.roll(found, 1)
+
+    functions = dict(compiler._functions()) | {"arctan": (arctan, 1)}
+    monkeypatch.setattr(compiler, "_functions", functions.items)
+    check_arithmetic.cache_clear()
+    yield
+    check_arithmetic.cache_clear()
+
+
+def test_a_wrong_function_is_named(shuffled):
+    """Where it is wrong only."""
+    assert wrong_functions({}, np.dtype("float64"), 16) == []
+    assert wrong_functions({}, np.dtype("float64"), 64) == ["arctan"]
+    with pytest.raises(InputError, match=r"computes arctan wrongly on this machine, 64 values of float64 at a time"):
+        check_arithmetic("cpu", np.dtype("float64"), 64)
+
+
+def test_a_sweep_is_refused_with_one_line(shuffled, tmp_path, capsys):
+    """Before anything is computed."""
+    (tmp_path / "sweep.toml").write_text(TOML)
+    assert main(["sweep", str(tmp_path / "sweep.toml"), "-o", str(tmp_path / "out.nc"), "--quiet"]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and "computes arctan wrongly" in said and "install another version of jax" in said
+    assert not (tmp_path / "out.nc").exists()

@@ -1,0 +1,119 @@
+"""Where a lane is going, told by its last returns: exact where the return map is linear."""
+
+import numpy as np
+import pytest
+
+from vibrojax.engine import drift as drift_of
+from vibrojax.scenes import SCENES
+
+
+def drift(features, precision, tolerance):
+    return drift_of.drift(features, SCENES["rotary"].section, precision, tolerance)
+
+
+PERIOD, VELOCITY = 0.23, 1.4
+OF_PERIOD, OF_VELOCITY = np.array([0.3, -0.2, 0.1]), np.array([2.0, 1.0, -3.0])
+ORBIT = np.array([0.5, -0.3, 0.8])
+BASIS = np.array([[1.0, 0.2, -0.4], [0.3, 1.0, 0.5], [-0.2, 0.1, 1.0]])
+
+
+def spiral(modulus, angle):
+    """A return map with a pair of multipliers, and a third near zero."""
+    c, s = modulus * np.cos(angle), modulus * np.sin(angle)
+    return BASIS @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 0.07]]) @ np.linalg.inv(BASIS)
+
+
+def two(first, second):
+    """A return map with two real multipliers, and a third near zero."""
+    return BASIS @ np.diag([first, second, 0.07]) @ np.linalg.inv(BASIS)
+
+
+def lane(return_map, away, cycles=1, returns=25, seen=25, alternating=0.0):
+    """Features of one lane whose first return is `away` from its orbit, relative, and the means that it settles on.
+
+    `alternating`: how much its returns differ in turn, on the orbit.
+    """
+    states, period, velocity = [], [], []
+    state = ORBIT + away * np.array([0.4, -1.0, 0.7])
+    for k in range(returns):
+        by = alternating * (-1) ** k
+        states.append(state + by)
+        period.append(PERIOD * (1 + OF_PERIOD @ (state - ORBIT) + by))
+        velocity.append(VELOCITY * (1 + OF_VELOCITY @ (state - ORBIT) - by))
+        state = ORBIT + return_map @ (state - ORBIT)
+    whole = (returns - 1) // cycles * cycles
+    features = {
+        "cycles": np.array([float(cycles)]),
+        "period": np.array([np.mean(period[-whole:])]),
+        "impact_velocity": np.array([np.mean(velocity[-whole:])]),
+        "bit_amplitude": np.array([1.0]),
+        "striker_amplitude": np.array([1.0]),
+        "return_time": np.cumsum(period)[None],
+        "return_interval": np.array(period)[None],
+        "return_impacts": np.ones((1, returns)),
+        "return_impact_velocity": np.array(velocity)[None],
+    }
+    features |= {f"return_{name}": np.array(states)[None, :, i] for i, name in enumerate(("x1", "x2", "v2"))}
+    kept = {name: x[:, -seen:] if x.ndim == 2 else x for name, x in features.items()}
+    true = max(abs(kept["period"][0] / PERIOD - 1), abs(kept["impact_velocity"][0] / VELOCITY - 1))
+    return kept, true
+
+
+@pytest.mark.parametrize(
+    "return_map",
+    [spiral(0.95, 0.3), spiral(0.985, 0.9), spiral(0.7, 0.1), two(0.99, 0.6), two(0.9, -0.8), two(-0.97, 0.3)],
+)
+@pytest.mark.parametrize("returns", [9, 12, 25])
+def test_a_linear_map(return_map, returns):
+    """The distance of the means from where they settle; with few returns, some of which the third multiplier has its
+    part in, up to two and a half times that."""
+    features, true = lane(return_map, 1e-3, returns=returns)
+    assert true > 5e-5
+    assert 0.99 * true <= drift(features, "float64", 1e-7)[0] <= (1.01 if returns == 25 else 2.5) * true
+
+
+@pytest.mark.parametrize("cycles, returns", [(2, 25), (2, 10), (3, 25), (8, 25)])
+def test_longer_repeats(cycles, returns):
+    """By every `cycles`-th return; of eight there are few."""
+    features, true = lane(two(0.99, 0.9), 1e-3, cycles=cycles, returns=returns, alternating=0.1 if cycles == 2 else 0.0)
+    found = drift(features, "float64", 1e-7)
+    if cycles == 2:
+        assert 0.99 * true <= found[0] <= 3 * true
+    else:
+        assert np.isinf(found)  # it comes closer to a repeat of one return
+
+
+def test_settled():
+    """What rounding does to returns is no drift."""
+    rng = np.random.default_rng(1)
+    features, _ = lane(two(0.5, 0.1), 0.0)
+    for name in ("return_x1", "return_x2", "return_v2", "return_interval", "return_impact_velocity"):
+        features[name] = features[name] * (1 + 1e-15 * rng.standard_normal(features[name].shape))
+    assert drift(features, "float64", 1e-7) < 1e-13
+
+
+def test_a_lane_that_leaves():
+    assert np.isinf(drift(lane(spiral(1.02, 0.5), 1e-4)[0], "float64", 1e-7))
+    assert np.isinf(drift(lane(two(1.05, 0.3), 1e-5)[0], "float64", 1e-7))
+
+
+def test_returns_that_tell_nothing():
+    """Differences that obey no linear map: not told, where they are no noise of the steps."""
+    rng = np.random.default_rng(3)
+    features, _ = lane(two(0.5, 0.1), 0.0)
+    for name in ("return_x1", "return_x2", "return_v2"):
+        features[name] = features[name] + 3e-4 * rng.standard_normal(features[name].shape)
+    assert np.isinf(drift(features, "float64", 1e-7))
+    assert np.isfinite(drift(features, "float64", 1e-2))
+
+
+def test_lanes_that_do_not_repeat_have_none():
+    features, _ = lane(two(0.5, 0.1), 1e-3)
+    assert np.isnan(drift(features | {"cycles": np.array([0.0])}, "float64", 1e-7))
+
+
+def test_without_impacts():
+    features, _ = lane(spiral(0.9, 0.4), 1e-3)
+    rotary = {name: x for name, x in features.items() if "impact" not in name}
+    true = abs(features["period"][0] / PERIOD - 1)
+    np.testing.assert_allclose(drift(rotary, "float64", 1e-7), true, rtol=1e-3)

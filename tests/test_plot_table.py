@@ -1,0 +1,65 @@
+"""The table of pictures: which row is the first that fits, without drawing."""
+
+import json
+
+import numpy as np
+import pytest
+import test_plot as drills
+import test_plot_rock as rocks
+import xarray as xr
+
+from vibrojax.plot._contents import contents
+from vibrojax.plot._pictures import PICTURES
+
+
+def first(ds):
+    return next((row.draw.__name__ for row in PICTURES if row.fits(contents(ds))), None)
+
+
+def bit_on_rock(**about):
+    states = {name: ("time", np.zeros(20)) for name in ("x3", "x4", "v3")}
+    return xr.Dataset(states, {"time": np.arange(20.0)}, about)
+
+
+SINE = {"pulse_shape": "sweep", "parameters": json.dumps({"sweep_rate": 300.0})}
+STUDY = xr.Dataset({"error_worst": ("setting", np.ones(3))})
+EXPECTED = {
+    "response": lambda: bit_on_rock(**SINE),
+    "pulses": bit_on_rock,
+    "trajectory": drills.KINDS["trajectory"],
+    "work_precision": lambda: STUDY,
+    "bifurcation": drills.KINDS["bifurcation"],
+    "law_map": rocks.KINDS["law-map"],
+    "law_lines": rocks.KINDS["law"],
+    "rates": rocks.KINDS["lines"],
+    "regime_scatter": drills.KINDS["points"],
+    "regime_grid": drills.KINDS["map"],
+    "regime_lines": drills.KINDS["line"],
+    "regime_bars": drills.KINDS["counts"],
+    "rate_scatter": rocks.KINDS["points"],
+    "rate_grid": rocks.KINDS["map"],
+}
+
+
+def test_every_row_has_its_dataset():
+    assert {row.draw.__name__ for row in PICTURES} == set(EXPECTED)
+
+
+@pytest.mark.parametrize("name", EXPECTED)
+def test_the_first_row_that_fits(name):
+    assert first(EXPECTED[name]()) == name
+
+
+def test_rates_beside_regimes_are_a_map_of_regimes_where_lines_are_too_many():
+    assert first(rocks.KINDS["drill-lines"]()) == "rates"
+    assert first(rocks.KINDS["drill-map"]()) == "regime_grid"
+
+
+def test_a_fit_of_points_is_drawn_as_lines():
+    fit = rocks.law({"point": np.arange(12.0)})
+    along = {name: ("point", np.linspace(1.0, 2.0, 12)) for name in ("force", "k3")}
+    assert first(fit.assign_coords(along)) == "law_lines"
+
+
+def test_nothing_fits_what_holds_none_of_it():
+    assert first(xr.Dataset({"threshold": 1.0})) is None

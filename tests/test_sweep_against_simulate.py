@@ -1,0 +1,124 @@
+"""Lanes compiled in blocks, as sweeps are, move as single trajectories do: for every scene, law and pulse shape.
+
+What a compiler does to many lanes at once it does not do to one, and the certificate's two runs are compiled alike.
+"""
+
+import numpy as np
+import pytest
+
+import vibrojax as vj
+from vibrojax.physics.friction import FRICTION_LAWS, FrictionLaw
+from vibrojax.physics.parameters import Parameter
+
+LANES = 96
+COMPARED = (0, 1, 31, 63, 64, 95)
+"""The first and the last lane, and those at the borders of a whole block and a short one."""
+
+SETTLE, OBSERVE, ERROR = 0.3, 0.9, 1e-4
+DRILLS = ("rotary", "vibro-impact", "drilling", "coupled-drilling")
+
+
+def all_laws() -> FrictionLaw:
+    """Every friction law at once, of which each lane's parameter `law` chooses one: a scene compiles once for all."""
+    laws = tuple(FRICTION_LAWS.values())
+    parameters = {name: parameter for law in laws for name, parameter in law.parameters.items()}
+
+    def chosen(coefficients, p):
+        chosen = 0.0
+        for index, coefficient in enumerate(coefficients):
+            chosen = coefficient * ((p["law"] > index - 0.5) & (p["law"] < index + 0.5)).astype(float) + chosen
+        return chosen
+
+    return FrictionLaw(
+        name="all-laws",
+        reference="eqs. 2.13 to 2.17, 5.9",
+        parameters=parameters | {"law": Parameter("law", 0.0, "1", "number of the law", "n")},
+        mu=lambda speed, p: chosen([law.mu(speed, p) for law in laws], p),
+        mu_impact=lambda speed, p: chosen([(law.mu_impact or law.mu)(speed, p) for law in laws], p),
+        flat_below=FRICTION_LAWS["popp-exponential"].flat_below,
+    )
+
+
+def columns(scene: str) -> dict:
+    """Lanes over the usual parameters, all different."""
+    rng = np.random.default_rng(96)
+    if scene == "penetration":
+        return {"zeta": rng.uniform(0.6, 1.5, LANES), "k3": rng.uniform(100e6, 400e6, LANES)}
+    drill = {
+        "beta": rng.uniform(0.25, 0.6, LANES),
+        "gamma": rng.uniform(0.5, 0.9, LANES),
+        "v": rng.uniform(0.5, 1.5, LANES),
+    }
+    if scene != "rotary":
+        drill["delta"] = rng.uniform(-0.005, 0.005, LANES)
+    return drill | {"start": np.array(["stuck", "drive"] * (LANES // 2))}
+
+
+def swept(scene: str, points: dict, run: dict, **parameters):
+    run = {"settle": SETTLE, "observe": OBSERVE, "error": ERROR} | run
+    points = {name: column.tolist() for name, column in points.items()}
+    sweep = {"scene": scene, "points": points, "parameters": parameters, "run": run}
+    return vj.run_sweep(sweep, progress=False)
+
+
+@pytest.fixture(scope="module", params=DRILLS)
+def drill(request):
+    """A scene's name, and the dataset of all lanes under each law in turn."""
+    laws = len(FRICTION_LAWS)
+    lanes = {name: np.tile(column, laws) for name, column in columns(request.param).items()}
+    lanes["law"] = np.repeat(np.arange(float(laws)), LANES)
+    FRICTION_LAWS["all-laws"] = all_laws()
+    yield request.param, swept(request.param, lanes, {"keep_returns": 25}, friction="all-laws")
+    del FRICTION_LAWS["all-laws"]
+
+
+def section_times(motion) -> np.ndarray:
+    kinds = motion.event_kind.attrs["flag_meanings"].split()
+    times = motion.event_time.values[motion.event_kind.values == kinds.index("section")]
+    return times[times > SETTLE]
+
+
+@pytest.mark.parametrize("law", list(FRICTION_LAWS))
+def test_drill(drill, law):
+    """Every return to the section comes at its time, and the hole has grown as much in between."""
+    scene, dataset = drill
+    number = list(FRICTION_LAWS).index(law)
+    returns = 0
+    for lane in COMPARED:
+        point = {name: column[lane].item() for name, column in columns(scene).items()}
+        motion = vj.simulate(
+            scene,
+            friction="all-laws",
+            law=float(number),
+            **point,
+            duration=SETTLE + OBSERVE,
+            error=ERROR,
+            sampling=1e-3,
+            progress=False,
+        )
+        times = section_times(motion)
+        found = dataset.isel(point=number * LANES + lane)
+        assert found.status == 0
+        kept = found.return_time.values
+        np.testing.assert_allclose(kept[np.isfinite(kept)], times, rtol=ERROR, err_msg=str(point))
+        returns += len(times)
+        if "x4" in motion and len(times) > 1:
+            first, last = np.interp(times[[0, -1]], motion.time, motion.x4)
+            rate = (last - first) / (times[-1] - times[0])
+            np.testing.assert_allclose(found.rate_of_penetration, rate, rtol=10 * ERROR, atol=1e-9)
+    assert returns >= 6
+
+
+@pytest.mark.parametrize("shape", ["rectangular", "half-sine"])
+def test_pulses(shape):
+    """The hole grows as much in 18 pulses."""
+    points = columns("penetration")
+    dataset = swept("penetration", points, {}, force=500e3, pulse_shape=shape)
+    for lane in COMPARED:
+        point = {name: column[lane].item() for name, column in points.items()}
+        motion = vj.simulate(
+            "penetration", pulse_shape=shape, force=500e3, **point, duration=1.2, sampling=1e-3, progress=False
+        )
+        before, after = np.interp([0.29, 1.19], motion.time, motion.x4)  # where nothing pushes
+        assert after > before
+        np.testing.assert_allclose(dataset.rate_of_penetration[lane], (after - before) / 0.9, rtol=ERROR)

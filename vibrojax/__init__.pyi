@@ -1,0 +1,25 @@
+"""The public names, as editors and type checkers read them; `__init__.py` imports each when it is first used."""
+
+from vibrojax.accuracy import run_accuracy as run_accuracy
+from vibrojax.errors import InputError as InputError
+from vibrojax.input.read import read_sweep as read_sweep
+from vibrojax.laws import fit_friction as fit_friction
+from vibrojax.laws import fit_joint as fit_joint
+from vibrojax.laws import fit_rop as fit_rop
+from vibrojax.laws import refit_frequency as refit_frequency
+from vibrojax.laws import rop_derivatives as rop_derivatives
+from vibrojax.physics import contact as contact
+from vibrojax.physics import friction as friction
+from vibrojax.physics import modes as modes
+from vibrojax.physics.friction import FRICTION_LAWS as FRICTION_LAWS
+from vibrojax.plot import picture as picture
+from vibrojax.plot import save_picture as save_picture
+from vibrojax.reproduce import run_reproduction as run_reproduction
+from vibrojax.reproduce import write_reproduction as write_reproduction
+from vibrojax.scenes import SCENES as SCENES
+from vibrojax.simulation import simulate as simulate
+from vibrojax.store.dataset import open_dataset as open_dataset
+from vibrojax.store.dataset import write_dataset as write_dataset
+from vibrojax.sweep import run_sweep as run_sweep
+
+__version__: str

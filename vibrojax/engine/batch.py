@@ -1,0 +1,197 @@
+"""Batches of lanes: at rest on the host between stretches, in blocks through compiled programs by all workers."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import jax
+import numpy as np
+from jaxtyping import Float, Int
+
+from vibrojax.arrays import Array
+from vibrojax.devices import precision
+from vibrojax.engine.compiler import check_arithmetic
+from vibrojax.engine.parallel import in_parallel
+from vibrojax.engine.programs import BLOCK, BLOCK_ON_ACCELERATOR, BLOCKS, Compiled, Given, Kind, compiled
+from vibrojax.input.definition import Sweep
+from vibrojax.measure.recorder import Records
+from vibrojax.measure.run import Effort, Underway
+from vibrojax.stepping import Accuracy, Stepper
+
+MOST_STEPS, MOST_PER_SECOND = 1e6, 1e3
+"""Steps after which a lane is given up: so many, and per second, and those that its longest step asks for."""
+
+Report = Callable[[int], None]
+"""Is called with a number of lanes, as they come."""
+
+Features = dict[str, np.ndarray]
+"""What was measured of lanes, by name: (lanes,), or (lanes, returns) for the last returns."""
+
+Index = Int[np.ndarray, " some"]
+PerLane = Float[np.ndarray, " lanes"]
+
+
+def unreported(lanes: int) -> None:
+    """No report."""
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Some lanes at one instant, underway at one accuracy; numpy arrays whose last axis is lanes.
+
+    - `accuracy`: what the steps follow from.
+    - `given`: parameters and start of every lane.
+    - `begin`, `lasts`: when each is observed, and for how long [s].
+    - `underway`: the lanes, what their recorder carries, and the steps taken so far; None before t = 0.
+    - `recent`: steps in the last stretch.
+    """
+
+    accuracy: Accuracy
+    given: Given
+    begin: PerLane
+    lasts: PerLane
+    underway: Underway | None
+    recent: Int[np.ndarray, " lanes"]
+
+    def of(self, lanes: Index) -> "Batch":
+        """Some of the lanes, by index."""
+        arrays = {name: one for name, one in vars(self).items() if name != "accuracy"}
+        return Batch(self.accuracy, **jax.tree.map(lambda x: np.take(x, lanes, axis=-1), arrays))
+
+    def observed(self, begin: float, lasts: PerLane) -> "Batch":
+        """The lanes, to be observed from `begin` on for the times `lasts` [s]."""
+        return replace(self, begin=np.full_like(self.begin, begin), lasts=lasts.astype(self.lasts.dtype))
+
+
+def _steps(batch: Batch) -> Array:
+    return np.zeros_like(batch.recent) if batch.underway is None else batch.underway.steps
+
+
+def _call(_: int, program: Callable[[], object]) -> object:
+    return program()
+
+
+class Engine:
+    """Runs the lanes of a sweep through its compiled programs, by all `workers`."""
+
+    def __init__(self, sweep: Sweep, stepper: Stepper, recorder: Records, workers: Sequence[jax.Device]) -> None:
+        self.sweep, self.workers = sweep, workers
+        platform = workers[0].platform
+        self.accelerated = platform != "cpu"
+        self.block, self.blocks = (BLOCK_ON_ACCELERATOR, 1) if self.accelerated else (BLOCK, BLOCKS)
+        self.most_steps = MOST_STEPS
+        self._programs: Compiled = compiled(platform)
+        self._kind = Kind(sweep.system, stepper, recorder, sweep.starts, self.block)
+        self._dtype = np.dtype(sweep.run.precision)
+
+    def start(self, first: int, end: int, accuracy: Accuracy) -> Batch:
+        """The lanes from `first` to before `end`, at t = 0."""
+        values, start = self.sweep.lane_values(first, end)
+        given = Given({name: x.astype(self._dtype) for name, x in values.items()}, start.astype(np.int32))
+        none = np.zeros(end - first, self._dtype)
+        # Counted in integers: float32 has no number after 2^24, at which such a lane would stay for ever.
+        steps = np.zeros(end - first, np.int32)
+        run = self.sweep.run
+        batch = Batch(accuracy, given, none + run.settle, none + run.observe, None, steps)
+
+        def program(count: np.int32, some: Batch) -> Any:
+            return self._programs.start(self._kind, count, some.given)
+
+        lane, carry = self._run([batch], program)[0]
+        return replace(batch, underway=Underway(lane, carry, steps))
+
+    def settle(self, batches: list[Batch], until: float = np.inf, report: Report = unreported) -> list[Batch]:
+        """The lanes at the time `until` [s], or when they are to be observed, if that is before.
+
+        `report` is called with the number of lanes that have just come there, those of every batch counted.
+        """
+
+        def program(count: np.int32, some: Batch) -> Any:
+            until_when = np.minimum(some.begin, until).astype(self._dtype)
+            return self._programs.settle(
+                self._kind, count, some.given, some.underway, until_when, self._effort(some.accuracy)
+            )
+
+        return [
+            replace(batch, underway=underway, recent=underway.steps - _steps(batch))
+            for batch, underway in zip(batches, self._run(batches, program, report), strict=True)
+        ]
+
+    def observe(self, batches: list[Batch], report: Report = unreported) -> list[Features]:
+        """Features of the lanes of each batch.
+
+        `report` is called with the number of lanes that have just been finished, those of every batch counted.
+        """
+
+        def program(count: np.int32, some: Batch) -> Any:
+            effort = self._effort(some.accuracy)
+            return self._programs.observe(self._kind, count, some.given, some.underway, some.begin, some.lasts, effort)
+
+        return [
+            {name: np.moveaxis(x, -1, 0) for name, x in features.items()}
+            for features in self._run(batches, program, report)
+        ]
+
+    def compile(self, accuracy: Accuracy) -> None:
+        """Compile the programs, once, and not by every thread; nothing is stepped.
+
+        **Raises:** `InputError` where what is compiled as lanes are computes wrongly on this machine.
+        """
+        at_once = replace(self.sweep, run=replace(self.sweep.run, settle=0.0, observe=0.0))
+        for worker in dict.fromkeys(self.workers):
+            alone = Engine(at_once, self._kind.stepper, self._kind.recorder, [worker])
+            still = [alone.start(0, 1, accuracy)]
+            compiling: list[Callable[[], object]] = [
+                alone._check_arithmetic,
+                partial(alone.settle, still),
+                partial(alone.observe, still),
+            ]
+            for _ in in_parallel(_call, compiling, range(len(compiling))):
+                pass
+
+    def _check_arithmetic(self) -> None:
+        with precision(self.sweep.run.precision), jax.default_device(self.workers[0]):
+            check_arithmetic(self.workers[0].platform, self._dtype, self.block)
+
+    def _effort(self, accuracy: Accuracy) -> Effort:
+        run = self.sweep.run
+        asked = (run.settle + run.observe) * (MOST_PER_SECOND + 2 / accuracy.step)
+        traced = Accuracy(*(np.asarray(x, self._dtype) for x in accuracy))
+        return Effort(traced, np.int32(min(self.most_steps + asked, 2**31 - 1)))
+
+    def _run(
+        self, batches: list[Batch], program: Callable[[np.int32, Batch], Any], report: Report = unreported
+    ) -> list[Any]:
+        """What `program` gives for the lanes of each batch, run a few blocks at a time."""
+        items = [(at, lanes) for at, batch in enumerate(batches) for lanes in self._dealt(batch.recent)]
+
+        def work(worker: jax.Device, item: tuple[int, Index]) -> Any:
+            at, lanes = item
+            count = np.int32(-(-len(lanes) // self.block))
+            with precision(self.sweep.run.precision), jax.default_device(worker):
+                result = program(count, batches[at].of(np.resize(lanes, self.block * self.blocks)))
+                return jax.tree.map(np.asarray, result)
+
+        results: list[Any] = [None] * len(batches)
+        for index, part in in_parallel(work, items, self.workers):
+            at, lanes = items[index]
+            if results[at] is None:
+                count = len(batches[at].begin)
+                results[at] = jax.tree.map(lambda x, n=count: np.empty((*x.shape[:-1], n), x.dtype), part)
+            for whole, mine in zip(jax.tree.leaves(results[at]), jax.tree.leaves(part), strict=True):
+                whole[..., lanes] = mine[..., : len(lanes)]
+            report(len(lanes))
+        return results
+
+    def _dealt(self, recent: Int[np.ndarray, " lanes"]) -> list[Index]:
+        """The lanes in blocks, dealt into hands of a few blocks.
+
+        Lanes of a block wait for the slowest, so those that took as many steps in the stretch before go together; and
+        every hand has slow blocks and fast ones, so that all take about as long.
+        """
+        by_pace = np.argsort(-recent, kind="stable")
+        blocks = np.split(by_pace, range(self.block, len(by_pace), self.block))
+        hands = max(-(-len(blocks) // self.blocks), min(len(self.workers), len(blocks)))
+        # The last block alone may be short, and only where no other follows it: it is the last of its hand.
+        return [np.concatenate(blocks[hand::hands]) for hand in range(hands)]

@@ -1,0 +1,144 @@
+"""From the features of lanes to the labelled dataset of a sweep."""
+
+import json
+from datetime import UTC, datetime
+
+import numpy as np
+import xarray as xr
+
+from vibrojax.engine.validity import TOO_SLOW, TOO_STIFF, too_slow, too_stiff
+from vibrojax.input.definition import Sweep
+from vibrojax.label import LABELLED_BY, label
+from vibrojax.measure import gauge_named
+from vibrojax.physics.parameters import ROTATION, Parameter
+from vibrojax.scenes import HasFriction
+from vibrojax.store.provenance import provenance
+from vibrojax.store.variables import REASONS, STATUSES, VARIABLES, Variable
+
+
+def dataset_of(sweep: Sweep, features: dict, solver: dict, wall_time: float) -> xr.Dataset:
+    """The dataset of a sweep.
+
+    **Arguments:**
+
+    - `features`: by name, (lanes,), or (lanes, rows) for returns that are kept.
+    - `solver`: what the lanes were stepped with, as JSON values.
+    - `wall_time`: seconds that it took.
+    """
+    features = _finished(sweep, features)
+    kept = {name: x for name, x in features.items() if x.ndim == 2}
+    variables = {}
+    for name, variable in (VARIABLES | _measured_besides(sweep)).items():
+        if name not in features:
+            continue
+        x, dims = features[name], (*sweep.dims, *(("return_index",) if name in kept else ()))
+        x = x.reshape(*sweep.shape, *x.shape[1:])
+        if np.issubdtype(variable.dtype, np.integer):
+            x = np.nan_to_num(x).astype(variable.dtype)
+        variables[name] = (dims, x, variable.attributes())
+    attributes = {
+        "title": sweep.title or f"{sweep.scene}: {sweep.name}",
+        "scene": sweep.scene,
+        **provenance(),
+        "history": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} sweep {sweep.name}",
+        "sweep": sweep.text,
+        "run": json.dumps(_settings(sweep)),
+        "parameters": json.dumps(sweep.parameters),
+        **sweep.options,
+        "solver": json.dumps(solver),
+        "certified": json.dumps(_certified(sweep, features)),
+        "wall_time_s": float(wall_time),
+        "lanes": sweep.lanes,
+        "Conventions": "CF-1.11",
+    }
+    return xr.Dataset(variables, _coordinates(sweep, kept), attributes)
+
+
+def _measured_besides(sweep: Sweep) -> dict[str, Variable]:
+    """The variables that the scene's own gauges declare."""
+    gauges = (gauge for gauge in map(gauge_named, sweep.system.measures) if sweep.system.section is not None)
+    return {name: Variable(*about) for gauge in gauges for name, about in gauge.variables.items()}
+
+
+def _finished(sweep: Sweep, features: dict) -> dict:
+    """The features with the regime, status and reason; NaN, or 0 for counts, where a lane failed or was refused."""
+    bad = ~features["finite"]
+    values = sweep.lane_values(0, sweep.lanes)[0]
+    why, unfit = sweep.system.refused(values) or ("none", np.zeros(sweep.lanes, bool))
+    stiff, slow = too_stiff(sweep, values), too_slow(sweep, values)
+    refused = unfit | stiff | slow
+    flags = [REASONS.index(name) for name in (why, TOO_STIFF, TOO_SLOW, "not-finite", "out-of-steps")]
+    reason = np.select([unfit, stiff, slow, bad, ~features["finished"]], flags, 0)
+    failed = reason != 0
+    sound = {name: features[name] & ~refused for name in ("finite", "check_finite") if name in features}
+    labelled = _labelled(sweep, features | sound) if "cycles" in features else {}
+    known = {"finite", "finished", "steps"}
+    blanked = {
+        name: x if name in known else np.where(failed.reshape(-1, *[1] * (x.ndim - 1)), np.nan, x)
+        for name, x in features.items()
+    }
+    flags = [STATUSES.index(name) for name in ("refused", "failed")]
+    status = np.select([refused, failed], flags, STATUSES.index("done"))
+    return blanked | labelled | {"status": status, "reason": reason}
+
+
+def _labelled(sweep: Sweep, features: dict) -> dict:
+    """The regime of every lane, and that by its check run."""
+    values, _ = sweep.lane_values(0, sweep.lanes)
+    rest, m1, g, k1 = np.zeros((4, sweep.lanes)) + [[0.0], [0.0], [0.0], [1.0]]  # what does not slide is never at rest
+    if isinstance(sweep.system, HasFriction):
+        rest = np.asarray(sweep.system.friction.on_weight(0.0, values)) + np.zeros(sweep.lanes)
+        m1, g, k1 = (values[name] for name in ("m1", "g", "k1"))
+    check = {name: features[f"check_{name}"] for name in LABELLED_BY if f"check_{name}" in features}
+    both = {"regime": features, "check_regime": check}
+    return {name: label(lanes, rest, m1, g, k1) for name, lanes in both.items()}
+
+
+def _settings(sweep: Sweep) -> dict:
+    """The table [run] with what the text leaves to defaults, since labels depend on the times; not the chunk."""
+    return {name: value for name, value in sweep.run.described().items() if value is not None}
+
+
+def _certified(sweep: Sweep, features: dict) -> dict:
+    """How many lanes have an error estimate, of how many it is within what is accepted, how many still are farther
+    than that from where they settle, and how many labels flip."""
+    estimate = features["error_estimate"][features["reason"] == 0]
+    found = {
+        "error": sweep.run.error,
+        "lanes": sweep.lanes,
+        "estimated": int(np.sum(~np.isnan(estimate))),
+        "within": int(np.sum(estimate <= sweep.run.error)),
+    }
+    if "drift_estimate" in features:
+        drift = features["drift_estimate"][features["reason"] == 0]
+        found["still_settling"] = int(np.sum(drift > sweep.run.error))
+    if "regime" in features:
+        found["regime_flips"] = int(np.sum(features["regime"] != features["check_regime"]))
+    return found
+
+
+def _coordinates(sweep: Sweep, kept: dict) -> dict:
+    parameters = dict(sweep.system.parameters()) | ROTATION
+    found = {name: ((name,), axis, _described(parameters, name)) for name, axis in sweep.axes.items()}
+    for name, column in (sweep.points or {}).items():
+        found[name] = (("point",), column, _described(parameters, name))
+    if sweep.points is not None or sweep.point_starts is not None:
+        found["point"] = (("point",), np.arange(sweep.shape[0]), {"units": "1", "long_name": "number of the point"})
+    about = {"units": "1", "long_name": "start of the motion"}
+    if sweep.point_starts is not None:
+        found["start"] = (("point",), np.array(sweep.point_starts), about)
+    elif sweep.starts is not None:
+        names = [start if isinstance(start, str) else json.dumps(list(start)) for start in sweep.starts]
+        found["start"] = (("start",), np.array(names), about)
+    if kept:
+        rows = next(iter(kept.values())).shape[1]
+        about = {"units": "1", "long_name": "number of the return that is kept, the newest last"}
+        found["return_index"] = (("return_index",), np.arange(rows), about)
+    return found
+
+
+def _described(parameters: dict[str, Parameter], name: str) -> dict:
+    if name == "rock":
+        return {"units": "1", "long_name": "rock of Table 4.5"}
+    parameter = parameters[name]
+    return {"units": parameter.unit, "long_name": parameter.long_name, "symbol": parameter.symbol}

@@ -1,0 +1,72 @@
+"""Lanes that are stiffer or slower than steps or numbers reach: refused, instead of a regime that means nothing."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float
+
+from vibrojax.devices import precision
+from vibrojax.input.definition import Sweep
+from vibrojax.scenes import HasContact, HasFriction, Scene
+
+TOO_STIFF, TOO_SLOW = "too-stiff", "too-slow"
+MOST_STEPS = 1e7
+"""Of the mode's own time scale, that a run may have: several times those after which a lane is given up."""
+
+Lanes = Float[np.ndarray, "*lanes"]
+Refused = Bool[np.ndarray, "*lanes"]
+Numbers = Mapping[str, Any]
+
+
+def too_stiff(sweep: Sweep, p: Numbers) -> Refused:
+    """Which lanes of parameters `p`, each (lanes,), are faster than can be resolved; booleans (lanes,).
+
+    Those of [vibrojax.engine.validity.unresolved][], and those whose steps of the flight do not come to an end.
+    """
+    scene = sweep.system
+    if not isinstance(scene, HasFriction) or not sweep.run.stepper.rests:
+        return np.zeros(sweep.lanes, bool)
+    flight, contact, _ = _rates(scene, p)
+    with np.errstate(all="ignore"):
+        steps = flight * (sweep.run.settle + sweep.run.observe)
+        known = np.isfinite(flight + contact)
+    return known & (unresolved(scene, p, sweep.run.precision) | ~(steps < MOST_STEPS))
+
+
+def unresolved(scene: HasFriction[Any], p: Numbers, numbers: str) -> Refused:
+    """Where 1/rate, the time that a step takes, is so short that what the bit on its main spring does meanwhile
+    vanishes in the roundings of the `numbers`, "float64" or "float32": nothing would move; booleans (lanes,)."""
+    flight, contact, slow = _rates(scene, p)
+    with np.errstate(all="ignore"):
+        return ~(512 * np.finfo(numbers).eps * (flight + contact) < slow)
+
+
+def _rates(scene: HasFriction[Any], p: Numbers) -> tuple[Lanes, Lanes, Lanes]:
+    """Bounds on the fastest rates [1/s], by springs and damper in flight and what the contact adds to it; and that of
+    the bit on its main spring."""
+    c = _constants(scene, p)
+    with precision("float64"):
+        contact = scene.contact_rate(c) if isinstance(scene, HasContact) else 0.0
+        return np.asarray(scene.flight_rate(c)), np.asarray(contact), np.asarray(scene.spring_rate(c))
+
+
+def too_slow(sweep: Sweep, p: Numbers) -> Refused:
+    """Which lanes of parameters `p`, each (lanes,), creep so slowly that they pass for being at rest; booleans.
+
+    What counts as at rest are a few roundings of a typical speed, which friction on the main spring gives too.
+    """
+    scene = sweep.system
+    if not isinstance(scene, HasFriction) or not sweep.run.stepper.rests:
+        return np.zeros(sweep.lanes, bool)
+    c = _constants(scene, p)
+    with precision("float64"):
+        typical = np.asarray(scene.typical_speed(c))
+    with np.errstate(all="ignore"):
+        return (p["v"] > 0) & (p["v"] < 512 * np.finfo(sweep.run.precision).eps * typical)
+
+
+def _constants(scene: Scene[Any], p: Numbers) -> Any:
+    with precision("float64"):
+        return scene.constants({name: jnp.asarray(value, "float64") for name, value in p.items()})

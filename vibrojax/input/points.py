@@ -1,0 +1,148 @@
+"""A list of points instead of a grid: a CSV file, or columns."""
+
+import csv
+import io
+from array import array
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from sys import intern
+from typing import Any
+
+import numpy as np
+
+from vibrojax.errors import Place, shown
+from vibrojax.input.names import Names
+from vibrojax.input.source import read_text
+from vibrojax.input.values import as_table
+
+_TEXTS = ("start", "rock")
+"""Columns of names."""
+
+WhereFrom = Callable[[str, int], Place]
+"""Where the cell of a column and an index stands."""
+
+
+@dataclass(frozen=True)
+class Points:
+    """Columns of parameters and rocks, each (points,), and the name of each point's start where the list has it."""
+
+    columns: dict[str, np.ndarray]
+    starts: list[str] | None
+
+
+def read_points(place: Place, value: object, folder: Path, names: Names) -> Points:
+    """The points of a sweep: the path of a CSV file, seen from `folder`, or a table of columns."""
+    if isinstance(value, str):
+        return _from_csv(folder / value, names)
+    columns = as_table(place, value)
+    if not columns:
+        raise place.error("no columns; name one like a parameter: beta = [0.3, 0.4]")
+    for name, column in columns.items():
+        if not isinstance(column, list) or not column:
+            raise place.at(name).error(f"{shown(column)} is no column; write a list like [0.3, 0.4]")
+    lists = {name: column for name, column in columns.items() if isinstance(column, list)}
+    lengths = {name: len(column) for name, column in lists.items()}
+    first = next(iter(lengths))
+    for name, length in lengths.items():
+        if length != lengths[first]:
+            raise place.at(name).error(f"has {length} values; {lengths[first]} are needed, as in {first}")
+    for name in columns:
+        _check_column(place.at(name), name, names)
+    return _points(lists, lambda name, index: place.at(name).item(index), names)
+
+
+def _from_csv(path: Path, names: Names) -> Points:
+    """Points from a CSV file with a line of column names."""
+    place = Place(str(path))
+    reader = csv.reader(io.StringIO(read_text(path), newline=""), skipinitialspace=True, strict=True)
+    rows = ((reader.line_num, row) for row in reader if any(map(str.strip, row)))
+    lines = array("q")  # of the file, one for each point
+
+    def at(name: str, index: int) -> Place:
+        return place.at(f"line {lines[index]}, column {name}")
+
+    try:
+        line, header = next(rows, (0, []))
+        if not header:
+            raise place.error("empty; a line of column names and a line for each point are needed")
+        columns: dict[str, Any] = {
+            name: [] if name in _TEXTS else array("d") for name in _header(place, line, header, names)
+        }
+        for line, row in rows:
+            lines.append(line)
+            if len(row) != len(columns):
+                raise place.at(f"line {line}").error(f"has {len(row)} cells; {len(columns)} are needed, one a column")
+            for (name, column), cell in zip(columns.items(), row, strict=True):
+                column.append(intern(cell.strip()) if name in _TEXTS else _cell(at, name, cell))
+    except csv.Error as error:
+        raise place.at(f"line {reader.line_num}").error(f"not CSV: {error}") from None
+    if not lines:
+        raise place.error("no points; add a line for each below the column names")
+    return _points(columns, at, names)
+
+
+def _header(place: Place, line: int, header: list[str], names: Names) -> list[str]:
+    """The names of the columns, checked; they stand in the file's `line`."""
+    place, columns = place.at(f"line {line}"), [cell.strip() for cell in header]
+    if len(columns) == 1 and any(mark in columns[0] for mark in ";\t"):
+        raise place.error(f"{shown(columns[0])} is one column; separate them by commas")
+    if all(_is_number(name) for name in columns):
+        raise place.error(f"{shown(', '.join(columns))} are numbers; the first line names the columns, like beta,gamma")
+    for position, name in enumerate(columns, 1):
+        if not name:
+            raise place.error(f"column {position} has no name; name it like a parameter")
+        at = Place(place.file, f"{place.key}, column {name}")
+        _check_column(at, name, names)
+        if name in columns[: position - 1]:
+            raise at.error("is there already; give each column once")
+    return columns
+
+
+def _check_column(place: Place, name: str, names: Names) -> None:
+    if name == "rock" and names.has_rock:
+        return
+    if name != "start":
+        names.parameter(place, name)
+    elif not names.starts:
+        raise place.error(f"scene {shown(names.scene)} has no starts; leave the column out")
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        return float(cell) == float(cell)
+    except ValueError:
+        return False
+
+
+def _cell(at: WhereFrom, name: str, cell: str) -> float:
+    try:
+        return float(cell)
+    except ValueError:
+        problem = f"{shown(cell.strip())} is not a number" if cell.strip() else "empty"
+        raise at(name, -1).error(f"{problem}; write one, like 0.4 or 50e6") from None
+
+
+def _points(cells: Mapping[str, Sequence[Any]], at: WhereFrom, names: Names) -> Points:
+    """The checked columns; `at(name, index)` is where a cell stands."""
+    columns = {name: _numbers(column, name, at, names) for name, column in cells.items() if name not in _TEXTS}
+    if "rock" in cells:
+        columns["rock"] = np.array([names.rock(at("rock", index), rock) for index, rock in enumerate(cells["rock"])])
+    if "start" not in cells:
+        return Points(columns, None)
+    starts = [
+        start if start in names.starts else names.named_start(at("start", index), start)
+        for index, start in enumerate(cells["start"])
+    ]
+    return Points(columns, starts)
+
+
+def _numbers(column: Sequence[Any], name: str, at: WhereFrom, names: Names) -> np.ndarray:
+    """A column of numbers that the parameter called `name` may have, float64 (points,)."""
+    parameter = names.parameter(at(name, 0), name)
+    if isinstance(column, array) or all(type(value) is float for value in column):
+        values = np.array(column)
+        # What is admissible is an interval: where both ends are in it, a million cells need no look one by one.
+        if parameter.problem(values.min()) is None and parameter.problem(values.max()) is None:
+            return values
+    return np.array([names.quantity(at(name, index), name, value) for index, value in enumerate(column)])

@@ -1,0 +1,95 @@
+"""How a sweep is run: the table [run]."""
+
+from dataclasses import dataclass, fields
+from typing import Any
+
+from vibrojax.errors import Place, shown
+from vibrojax.input.values import choice, count, known_keys, quantity
+from vibrojax.physics.parameters import Parameter, not_negative, positive, table
+from vibrojax.scenes import Scene
+from vibrojax.stepping import STEPPERS, Accuracy, Stepper, Wanted, stepper_named
+
+METHODS = tuple(STEPPERS)
+PRECISIONS = ("float64", "float32")
+
+
+@dataclass(frozen=True)
+class RunSettings:
+    """The table [run] of a sweep file.
+
+    - `settle`, `observe`: times [s] before and under observation.
+    - `error`: accepted `error_estimate` of a periodic lane.
+    - `end_early`: whether a settled lane may stop before its time.
+    - `keep_returns`: how many of the last returns to store.
+    - `method`: "located" or "smoothed"; `step` [s] and, for smoothed, `smoothing` [m/s]: None leaves them to `error`.
+    - `precision`: "float64" or "float32".
+    - `chunk`: lanes computed together; None leaves it to the program.
+    """
+
+    settle: float = 40.0
+    observe: float = 8.0
+    error: float = 1e-4
+    end_early: bool = True
+    keep_returns: int = 0
+    method: str | Stepper = "located"
+    step: float | None = None
+    smoothing: float | None = None
+    precision: str = "float64"
+    chunk: int | None = None
+
+    @property
+    def stepper(self) -> Stepper:
+        """The stepper itself."""
+        return stepper_named(self.method)
+
+    def described(self) -> dict[str, object]:
+        """What is set, with defaults, as JSON values; the chunk is no part of it."""
+        given = {name: value for name, value in vars(self).items() if name != "chunk"}
+        return given | {"method": self.stepper.name}
+
+    def accuracy(self, scene: Scene[Any]) -> Accuracy:
+        """Steps that keep the accepted error in `scene`, unless the user chose them."""
+        wanted = Wanted(self.error, self.step, self.smoothing, self.precision)
+        return self.stepper.accuracy(wanted, scene)
+
+
+_QUANTITIES: dict[str, Parameter] = table(
+    not_negative("settle", 40.0, "s", "time before the observation", "t"),
+    positive("observe", 8.0, "s", "time of the observation", "t"),
+    positive("error", 1e-4, "1", "accepted relative error", "e"),
+    positive("step", 1e-3, "s", "time step", "h"),
+    positive("smoothing", 1e-3, "m s-1", "width of the smoothed friction switch", "w"),
+)
+_COUNTS = {"keep_returns": 0, "chunk": 1}
+_CHOICES = {"method": METHODS, "precision": PRECISIONS}
+
+
+def read_setting(place: Place, name: str, value: object) -> object:
+    """The value of one key of [run], checked."""
+    if name in _COUNTS:
+        return count(place, value, _COUNTS[name], most=2**31 - 1)
+    if name == "method" and isinstance(value, Stepper):
+        return value
+    if name in _CHOICES:
+        return choice(place, value, _CHOICES[name])
+    if name in _QUANTITIES:
+        checked = quantity(place, value, _QUANTITIES[name])
+        if name == "error" and checked >= 1:
+            raise place.error(f"is {checked:g}; it must be below 1")
+        return checked
+    if not isinstance(value, bool):
+        raise place.error(f"{shown(value)} is neither true nor false; write one of them")
+    return value
+
+
+def read_settings(place: Place, given: dict[str, object]) -> RunSettings:
+    """The table [run], checked and complete; `place` is where the table stands."""
+    known_keys(place, given, [field.name for field in fields(RunSettings)])
+    checked: dict[str, Any] = {name: read_setting(place.at(name), name, value) for name, value in given.items()}
+    settings = RunSettings(**checked)
+    if settings.smoothing is not None and not settings.stepper.smooths:
+        raise place.at("smoothing").error(
+            f"{settings.smoothing:g} has no use with method {shown(settings.stepper.name)}; "
+            'leave it out, or set method = "smoothed"'
+        )
+    return settings

@@ -1,0 +1,214 @@
+"""Maps over two axes of a sweep: of regimes with quantities beside them, and of rates of penetration."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Bool, Float
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.colors import ListedColormap
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch, Rectangle
+from matplotlib.patheffects import withStroke
+from matplotlib.ticker import MaxNLocator
+
+from vibrojax.label import REGIMES
+from vibrojax.plot._axes import certified_text, edges, label, point_text, shape_axis, value_text, values_along
+from vibrojax.plot._colours import (
+    Coloured,
+    Value,
+    coloured,
+    regime_handles,
+    value_handles,
+    values_beside,
+    values_of_rock,
+)
+from vibrojax.plot._contents import REGIME, RELIEF, axes_of_map, has_regimes, long_axes, rates_in, regimes_in
+from vibrojax.plot._sheet import Panel, facets, sheet, write_margins
+from vibrojax.plot.style import INK, NOTHING, styled
+
+SINGLE = REGIMES.index("single-impact")
+MOST_VALUES = {1: 4, 2: 3, 3: 3}  # on maps of rates, by the number of facets; of more facets only the rate
+_MOST_FACETS = 9  # of maps of rates
+_LEVELS = 5  # of lines of equal relief, about
+_SAME = 1e-9  # relative, within which the relief does not vary
+_LETTERS = 17  # of a label, for an inch of its axis
+_NONE = ListedColormap([NOTHING], name="nothing")
+_SYMBOLS = {"mean_force": "P", "relief": "P/D"}
+
+# Chapter 5 of the source: stable single impact, "best".
+_REGION = {"beta": (0.25, 0.60), "gamma": (0.60, 0.80)}
+_REGION_NAME = "source's best region"
+
+
+@styled
+def regime_grid(ds: xr.Dataset, x: str | None = None, y: str | None = None) -> Figure:
+    """The regimes over two axes, with the quantities worth a panel beside them; see `regime_map`."""
+    ds = regimes_in(ds)
+    x, y = axes_of_map(ds, x, y)
+    ds = ds.sortby([x, y])
+    panels = facets(ds, (x, y))
+    values = values_beside(ds)
+    drawn = sheet(panels, (None, *values))
+    for panel in drawn:
+        draw_cells(panel, x, y)
+        outline_region(panel.axes, x, y)
+        write_labels(panel, ds[x], ds[y])
+    handles = regime_handles([facet[REGIME] for facet in panels.data]) + value_handles(panels.data, values)
+    drawn.finish(handles + _border_handle(drawn.panels) + region_handle(drawn.panels[0].axes))
+    write_margins(drawn.figure, str(ds.attrs.get("title", "")), point_text(ds), certified_text(ds), panels.note)
+    return drawn.figure
+
+
+@styled
+def rate_grid(ds: xr.Dataset, x: str | None = None, y: str | None = None) -> Figure:
+    """The rate of penetration over two axes, with what else varies; see `rate_map`."""
+    ds = rates_in(ds)
+    if x is None and y is None:
+        x, y = (*long_axes(ds), None, None)[:2]
+    x, y = axes_of_map(ds, x, y)
+    ds = ds.sortby([x, y])
+    panels = facets(ds, (x, y), _MOST_FACETS)
+    values = values_of_rock(ds)
+    shown = values[: MOST_VALUES.get(len(panels), 1)]
+    drawn = sheet(panels, shown)
+    lines = False
+    for panel in drawn:
+        draw_cells(panel, x, y)
+        write_labels(panel, ds[x], ds[y])
+        if panel.value is shown[0]:
+            lines |= _draw_relief(panel, x, y)
+    drawn.finish(value_handles(panels.data, shown) + ([_relief_handle()] if lines else []))
+    write_margins(drawn.figure, str(ds.attrs.get("title", "")), _same_all_over(ds, values), panels.note)
+    return drawn.figure
+
+
+# Cells.
+
+
+class Corners(NamedTuple):
+    """The ends of the cells of a map along its axes."""
+
+    right: Float[np.ndarray, " columns+1"]
+    top: Float[np.ndarray, " rows+1"]
+
+
+def draw_cells(panel: Panel, x: str, y: str) -> None:
+    """Draw the regimes or the value of `panel` over the axes `x` and `y`; where there is no penetration, nothing."""
+    axes, value = panel.axes, panel.value
+    shown = coloured(panel.facet, value, y, x)
+    corners = fill_cells(panel, x, y, shown)
+    if value is None or not value.of_rate:
+        return
+    nothing = shown.cells == 0
+    if nothing.any():
+        axes.pcolormesh(*corners, np.ma.masked_where(~nothing, nothing), cmap=_NONE, rasterized=True)
+    if has_regimes(panel.facet):
+        _outline_single(axes, panel.facet[REGIME].transpose(y, x).values == SINGLE, corners)
+
+
+def fill_cells(panel: Panel, x: str, y: str, shown: Coloured) -> Corners:
+    """Fill the cells (y, x) of `panel` with colours, and give their ends along the axes."""
+    across, up = (values_along(panel.facet[name]) for name in (x, y))
+    corners = Corners(edges(across), edges(up))
+    cells = np.ma.masked_invalid(shown.cells)
+    panel.axes.pcolormesh(*corners, cells, cmap=shown.colour_map, norm=shown.norm, rasterized=True)
+    shape_axis(panel.axes, "x", across)
+    shape_axis(panel.axes, "y", up)
+    return corners
+
+
+def write_labels(panel: Panel, x: xr.DataArray, y: xr.DataArray) -> None:
+    """Write the title of `panel`, and the labels of its axes where labels go."""
+    if panel.title:
+        panel.axes.set_title(panel.title)
+    panel.axes.tick_params(labelleft=panel.left, labelbottom=panel.bottom)
+    if panel.left:
+        height = panel.axes.get_position().height * panel.figure.get_figheight()
+        panel.axes.set_ylabel(label(y, int(_LETTERS * height)))
+    if panel.bottom:
+        panel.axes.set_xlabel(label(x))
+
+
+# The border of the single impact, and the source's region.
+
+
+def _outline_single(axes: Axes, single: Bool[np.ndarray, "rows columns"], corners: Corners) -> None:
+    """Draw the sides between cells of which one is a single impact and the other is not."""
+    right, top = corners
+    i, j = np.nonzero(single[:, 1:] != single[:, :-1])
+    upright = [((right[b + 1], top[a]), (right[b + 1], top[a + 1])) for a, b in zip(i, j, strict=True)]
+    i, j = np.nonzero(single[1:] != single[:-1])
+    flat = [((right[b], top[a + 1]), (right[b + 1], top[a + 1])) for a, b in zip(i, j, strict=True)]
+    if upright or flat:
+        for colour, width in (("white", 2.2), (INK, 1.0)):
+            axes.add_collection(LineCollection([*upright, *flat], colors=colour, linewidths=width), autolim=False)
+
+
+def _border_handle(panels: Sequence[Panel]) -> list[Artist]:
+    """The legend's entry for the border of the single impact, where one of `panels` shows it."""
+    shown = any(isinstance(one, LineCollection) for panel in panels for one in panel.axes.collections)
+    return [Line2D([], [], color=INK, linewidth=1.0, label="border of single impact")] if shown else []
+
+
+def outline_region(axes: Axes, x: str, y: str) -> None:
+    """Outline the region of the source's best single impacts where the axes are beta and gamma and show some of it."""
+    if {x, y} != set(_REGION):
+        return
+    (left, right), (low, high) = _REGION[x], _REGION[y]
+    (first, last), (bottom, top) = sorted(axes.get_xlim()), sorted(axes.get_ylim())
+    if left < last and right > first and low < top and high > bottom:
+        region = Rectangle((left, low), right - left, high - low, fill=False, edgecolor=INK, linewidth=1.3)
+        region.set_path_effects([withStroke(linewidth=3.0, foreground="white")])
+        region.set_label(_REGION_NAME)
+        axes.add_patch(region)
+
+
+def region_handle(axes: Axes) -> list[Artist]:
+    """The legend's entry for the source's region, where `axes` shows it."""
+    shown = any(isinstance(patch, Rectangle) and patch.get_label() == _REGION_NAME for patch in axes.patches)
+    return [Patch(fill=False, edgecolor=INK, linewidth=1.3, label=_REGION_NAME)] if shown else []
+
+
+# The relief, and what is the same all over.
+
+
+def _draw_relief(panel: Panel, x: str, y: str) -> bool:
+    """Draw lines of equal P/D, with their values; whether there are any."""
+    if RELIEF not in panel.facet:
+        return False
+    relief = panel.facet[RELIEF].transpose(y, x).values
+    finite = relief[np.isfinite(relief)]
+    if finite.size < relief.size or not all((np.ptp(relief, axis=i) > _SAME * relief.max()).any() for i in (0, 1)):
+        return False  # over one of the axes nothing but straight lines
+    levels = MaxNLocator(_LEVELS).tick_values(finite.min(), finite.max())
+    levels = levels[(levels > finite.min()) & (levels < finite.max())]
+    if not levels.size:
+        return False
+    along = values_along(panel.facet[x]), values_along(panel.facet[y])
+    drawn = panel.axes.contour(*along, relief, levels, colors=[INK], linewidths=0.7)
+    drawn.set_path_effects([withStroke(linewidth=2.0, foreground="white")])
+    for text in panel.axes.clabel(drawn, fmt=lambda level: f"{level:g}", fontsize=7.5, inline_spacing=3):
+        text.set_path_effects([withStroke(linewidth=2.0, foreground="white")])
+    return True
+
+
+def _relief_handle() -> Artist:
+    return Line2D([], [], color=INK, linewidth=0.7, label="equal relief P/D")
+
+
+def _same_all_over(ds: xr.Dataset, values: Sequence[Value]) -> str:
+    """What is the same all over `ds`, mean force and relief with it."""
+    drawn = {value.name for value in values}
+    drawn |= {"relief"} if "mean_force" in drawn else set()
+    fixed = {text: ds[name] for name, text in _SYMBOLS.items() if name in ds and name not in drawn}
+    texts = [
+        value_text(data.assign_attrs(symbol=text), float(data.max()))
+        for text, data in fixed.items()
+        if data.notnull().any()
+    ]
+    return ", ".join(part for part in (point_text(ds), *texts) if part)

@@ -1,0 +1,165 @@
+"""Which picture fits a dataset: one table, and the functions that look it up.
+
+A new picture is a function in a file of its own and a row in the table; a fact that tells its datasets from others is
+a property of [vibrojax.plot._contents.Contents][].
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import xarray as xr
+from matplotlib.figure import Figure
+
+from vibrojax.errors import InputError
+from vibrojax.plot._bifurcation import bifurcation
+from vibrojax.plot._contents import Contents, contents, law_in, rates_in, regimes_in
+from vibrojax.plot._hole import pulses, response
+from vibrojax.plot._law import law_lines, law_map
+from vibrojax.plot._maps import rate_grid, regime_grid
+from vibrojax.plot._rates import rates
+from vibrojax.plot._scatter import rate_scatter, regime_bars, regime_scatter
+from vibrojax.plot._strips import regime_lines
+from vibrojax.plot._trajectory import trajectory
+from vibrojax.plot._work_precision import work_precision
+from vibrojax.plot.style import settings
+from vibrojax.store.atomic import atomic_write
+
+# Without the date, so that the same dataset gives the same file.
+_METADATA: dict[str, dict[str, None]] = {".png": {}, ".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
+
+
+class Picture(NamedTuple):
+    """A row of the table: the datasets that `fits` accepts are drawn by `draw`."""
+
+    shows: str
+    fits: Callable[[Contents], bool]
+    draw: Callable[[xr.Dataset], Figure]
+
+
+# The first row that fits is taken.
+PICTURES = (
+    #       what it shows    what the dataset holds                                      what draws it
+    Picture("motion",        lambda held: held.bit_on_rock and held.swept_sine,          response),
+    Picture("motion",        lambda held: held.bit_on_rock,                              pulses),
+    Picture("motion",        lambda held: held.run,                                      trajectory),
+    Picture("accuracy",      lambda held: held.study,                                    work_precision),
+    Picture("returns",       lambda held: held.returns,                                  bifurcation),
+    Picture("law",           lambda held: held.law and len(held.long) > 1,               law_map),
+    Picture("law",           lambda held: held.law,                                      law_lines),
+    Picture("rates",         lambda held: held.rates and not held.worth_a_map,           rates),
+    Picture("regimes",       lambda held: held.regimes and held.points_over_two,         regime_scatter),
+    Picture("regimes",       lambda held: held.regimes and len(held.axes) > 1,           regime_grid),
+    Picture("regimes",       lambda held: held.regimes and held.quantities_over_one,     regime_lines),
+    Picture("regimes",       lambda held: held.regimes,                                  regime_bars),
+    Picture("map of rates",  lambda held: held.rates and held.points,                    rate_scatter),
+    Picture("map of rates",  lambda held: held.rates,                                    rate_grid),
+)  # fmt: skip
+
+
+def picture(ds: xr.Dataset) -> Figure:
+    """The fitting picture for what `ds` holds: a trajectory, returns, regimes, rates of penetration, or a law.
+
+    **Arguments:**
+
+    - `ds`: what `simulate`, a sweep, a fit or the study of speed against error gives.
+
+    **Returns:** a figure that pyplot knows nothing of.
+
+    **Raises:** `InputError` where the dataset holds nothing to draw.
+    """
+    held = contents(ds)
+    for row in PICTURES:
+        if row.fits(held):
+            return row.draw(ds)
+    names = ", ".join(str(name) for name in ds.data_vars) or "no variable"
+    raise InputError(
+        f"nothing to draw: a picture needs regime, rate_of_penetration, C along form, or a motion along time; "
+        f"the dataset holds {names}"
+    )
+
+
+def regime_map(ds: xr.Dataset, x: str | None = None, y: str | None = None) -> Figure:
+    """The regimes of a sweep as a map, with impact velocity and period beside it.
+
+    Further axes, and the starts, become panels: twelve at most, and the figure says which. A sweep along one axis
+    becomes lines, a list of points a scatter (two parameters vary) or a count.
+
+    **Arguments:**
+
+    - `ds`: a sweep's dataset, with `regime` and, where the scene has them, `impact_velocity` [m/s] and `period` [s].
+    - `x`, `y`: the axes to draw along; left out: gamma and beta, else the first two of six values or more, else the
+      first two.
+
+    **Returns:** a figure that pyplot knows nothing of.
+
+    **Raises:** `InputError` where there are no regimes, or `x` or `y` is no axis of the sweep.
+    """
+    held = contents(regimes_in(ds))
+    if held.points or (x is None and y is None):
+        return _fitting(held, "regimes")(ds)
+    return regime_grid(ds, x, y)
+
+
+def rate_map(ds: xr.Dataset, x: str | None = None, y: str | None = None) -> Figure:
+    """The rate of penetration as a map over two axes, with slip per blow, mean force and relief where there is room.
+
+    Further axes become panels: nine at most, and the figure says which. What is the same all over is in the note. A
+    list of points is scattered over the two parameters that vary.
+
+    **Arguments:**
+
+    - `ds`: a sweep's dataset with `rate_of_penetration` [m/s], and `slip_per_impact` [m], `mean_force` [N] and `relief`
+      [1] where there are any.
+    - `x`, `y`: the axes to draw along; left out: the frequency, then the longest.
+
+    **Returns:** a figure that pyplot knows nothing of.
+
+    **Raises:** `InputError` where there are no rates, there are no two axes, or `x` or `y` is no axis of the sweep.
+    """
+    held = contents(rates_in(ds))
+    return _fitting(held, "map of rates")(ds) if held.points else rate_grid(ds, x, y)
+
+
+def fitted_law(fit: xr.Dataset) -> Figure:
+    """C of ROP = C ln(eta) in its three readings, and the AIC of every form above that of the best of its group.
+
+    Both over the longest axis of the groups; further ones become rows. Over two axes of nine values and more, maps of C
+    and of the best form. Without groups, over the forms.
+
+    **Arguments:**
+
+    - `fit`: a fit's dataset: `C`, `C_stderr` [m/s] and `aic` along the groups and `form`.
+
+    **Returns:** a figure that pyplot knows nothing of.
+
+    **Raises:** `InputError` where there is no C along `form`.
+    """
+    return _fitting(contents(law_in(fit)), "law")(fit)
+
+
+def save_picture(ds: xr.Dataset, path: str | Path) -> None:
+    """Draw the fitting picture for `ds` into the file `path`, which is there whole or not at all.
+
+    **Arguments:**
+
+    - `ds`: what `simulate` or a sweep gives.
+    - `path`: ends in .png, .pdf or .svg.
+
+    **Raises:** `InputError` for another ending, a path that cannot be written, or a dataset with nothing to draw.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in _METADATA:
+        raise InputError(f"{path}: pictures end in .png, .pdf or .svg, not in {suffix or 'nothing'}")
+    figure = picture(ds)
+    try:
+        with settings(), atomic_write(path, "part") as part:
+            figure.savefig(part, format=suffix[1:], metadata=_METADATA[suffix])
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror}); give another file") from None
+
+
+def _fitting(held: Contents, shows: str) -> Callable[[xr.Dataset], Figure]:
+    """What draws the first picture that `shows` this and fits what is `held`."""
+    return next(row.draw for row in PICTURES if row.shows == shows and row.fits(held))

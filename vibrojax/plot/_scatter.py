@@ -1,0 +1,120 @@
+"""A list of points: scattered over the two parameters that vary, or their regimes counted."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from vibrojax.errors import InputError
+from vibrojax.plot._axes import certified_text, point_text, share_text, values_along
+from vibrojax.plot._colours import (
+    REGIME_COLOURS,
+    Value,
+    coloured,
+    regime_counts,
+    regime_handles,
+    regime_names,
+    value_handles,
+    values_beside,
+    values_of_rock,
+)
+from vibrojax.plot._contents import REGIME, START, has_regimes, rates_in, regimes_in, varied
+from vibrojax.plot._maps import MOST_VALUES, outline_region, region_handle, write_labels
+from vibrojax.plot._sheet import Facets, Panel, sheet, write_margins
+from vibrojax.plot.style import NOTHING, UNDEFINED, new_figure, styled
+
+
+@styled
+def regime_scatter(ds: xr.Dataset) -> Figure:
+    """The regimes of a list of points over the two parameters that vary, with the quantities beside them."""
+    ds = regimes_in(ds)
+    names = tuple(varied(ds))
+    x, y = ("gamma", "beta") if set(names) == {"beta", "gamma"} else names
+    return _scattered(ds, x, y, values_beside(ds))
+
+
+@styled
+def rate_scatter(ds: xr.Dataset) -> Figure:
+    """The rates of penetration of a list of points over the two parameters that vary."""
+    ds = rates_in(ds)
+    names = tuple(varied(ds))
+    if len(names) != 2:
+        raise InputError(f"no map: {', '.join(names) or 'none'} is what varies over the points, not two parameters")
+    x, y = names
+    return _scattered(ds, x, y, values_of_rock(ds)[: MOST_VALUES[3]])
+
+
+@styled
+def regime_bars(ds: xr.Dataset) -> Figure:
+    """How many lanes there are of each regime, by start."""
+    ds = regimes_in(ds)
+    panels = _by_start(ds)
+    occurring = list(regime_counts(facet[REGIME] for facet in panels.data))
+    names = regime_names(ds[REGIME])
+    figure = new_figure(1.6 + 3.0 * len(panels), 1.2 + 0.32 * max(len(occurring), 2))
+    row = figure.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]
+    for axes, title, facet in zip(row, panels.titles, panels.data, strict=True):
+        _draw_bars(axes, facet[REGIME], occurring)
+        axes.set_title(title, loc="left")
+        axes.set_xlabel("lanes")
+    row[0].set_yticks(range(len(occurring)), [names[flag] for flag in occurring])
+    row[0].invert_yaxis()
+    write_margins(figure, str(ds.attrs.get("title", "")), point_text(ds), certified_text(ds))
+    return figure
+
+
+def _scattered(ds: xr.Dataset, x: str, y: str, values: tuple[Value, ...]) -> Figure:
+    """The regimes of a list of points, where there are any, and `values`, over the parameters `x` and `y`."""
+    panels = _by_start(ds)
+    regimes = has_regimes(ds)
+    drawn = sheet(panels, (None, *values) if regimes else values)
+    for panel in drawn:
+        _draw_points(panel, x, y)
+    for panel in drawn:  # once all limits are known
+        outline_region(panel.axes, x, y)
+        write_labels(panel, ds[x], ds[y])
+    handles = regime_handles([facet[REGIME] for facet in panels.data]) if regimes else []
+    handles += value_handles(panels.data, values)
+    drawn.finish(handles + region_handle(drawn.panels[0].axes))
+    write_margins(drawn.figure, str(ds.attrs.get("title", "")), point_text(ds), certified_text(ds))
+    return drawn.figure
+
+
+def _draw_points(panel: Panel, x: str, y: str) -> None:
+    value = panel.value
+    shown = coloured(panel.facet, value)
+    across, up = values_along(panel.facet[x]), values_along(panel.facet[y])
+    nothing = (shown.cells == 0) & (value is not None and value.of_rate)
+    for among, colour in ((np.isnan(shown.cells), UNDEFINED), (nothing, NOTHING)):
+        panel.axes.scatter(across[among], up[among], c=colour, edgecolors="0.3", linewidths=0.3, s=20)
+    known = np.isfinite(shown.cells) & ~nothing
+    cells, colours, norm = shown.cells[known], shown.colour_map, shown.norm
+    panel.axes.scatter(
+        across[known], up[known], c=cells, cmap=colours, norm=norm, edgecolors="0.3", linewidths=0.3, s=20
+    )
+
+
+def _draw_bars(axes: Axes, regimes: xr.DataArray, flags: Sequence[int]) -> None:
+    counts = regime_counts([regimes])
+    lanes = [counts.get(flag, 0) for flag in flags]
+    colours = [REGIME_COLOURS[flag] for flag in flags]
+    bars = axes.barh(range(len(flags)), lanes, color=colours, edgecolor="0.35", linewidth=0.4)
+    axes.bar_label(bars, [f"{n}  ({share_text(n / regimes.size)})" if n else "" for n in lanes], padding=3)
+    axes.margins(x=0.4)
+    axes.xaxis.set_major_locator(MaxNLocator(5, integer=True))
+
+
+def _by_start(ds: xr.Dataset) -> Facets:
+    """A panel for each start: of the dimension `start`, or of the names along the points."""
+    if START not in ds.coords or ds[START].ndim == 0:
+        return Facets(("",), (ds,), (1,), "")
+    (dimension,) = ds[START].dims
+    starts = list(dict.fromkeys(str(name) for name in ds[START].values))
+    if dimension == START:
+        data = tuple(ds.isel({START: at}) for at in range(len(starts)))
+    else:
+        data = tuple(ds.isel({dimension: np.flatnonzero(ds[START].values.astype(str) == name)}) for name in starts)
+    return Facets(tuple(f"start: {name}" for name in starts), data, (len(starts),), "")

@@ -1,0 +1,154 @@
+"""Pictures along one axis: for each facet curves above, and a strip of regimes for each start below."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Float
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.gridspec import GridSpec
+from matplotlib.lines import Line2D
+from matplotlib.typing import LineStyleType
+
+from vibrojax.plot._axes import certified_text, edges, label, point_text, shape_axis, values_along
+from vibrojax.plot._colours import REGIME_MAP, REGIME_NORM, Value, flags, regime_handles, values_beside
+from vibrojax.plot._contents import REGIME, START, axes_to_draw, lane_dims, regimes_in
+from vibrojax.plot._sheet import LEGEND_WIDTH, Facets, columns, facets, legend_at_right, write_margins
+from vibrojax.plot.style import Mark, new_figure, start_colour, styled
+
+
+@dataclass(frozen=True)
+class Stack:
+    """The axes of one facet: those of the curves, from above, and that of the strip."""
+
+    curves: tuple[Axes, ...]
+    strip: Axes
+    facet: xr.Dataset
+    left: bool
+
+
+@styled
+def regime_lines(ds: xr.Dataset) -> Figure:
+    """Impact velocity and period along the one axis worth it, one line per start, above the regimes of each start."""
+    ds = regimes_in(ds)
+    values = values_beside(ds)
+    (x,) = axes_to_draw(ds)
+    height = 1.9 if len(values) > 1 else 2.4
+    return draw_stacks(ds, x, len(values), lambda _: height, partial(_draw_values, values=values, x=x))
+
+
+def draw_stacks(
+    ds: xr.Dataset,
+    x: str,
+    curves: int,
+    height: Callable[[int], float],
+    draw: Callable[[Stack], None],
+    linestyle: LineStyleType = "-",
+) -> Figure:
+    """A picture along `x`: what `draw` draws on `curves` panels of each facet, above the regimes of each start.
+
+    `height` [inch] of such a panel, by the number of facets; `linestyle` joins the marks in the legend.
+    """
+    panels = facets(ds.sortby(x), (x, START))
+    figure, drawn = _stacks(panels, curves, height(len(panels)))
+    for stack in drawn:
+        draw(stack)
+        _draw_strip(stack, x)
+    handles = regime_handles([facet[REGIME] for facet in panels.data])
+    legend_at_right(figure, _start_handles(ds, linestyle), handles)
+    write_margins(
+        figure, str(ds.attrs.get("title", "")), point_text(ds), certified_text(ds), panels.note, legend=LEGEND_WIDTH
+    )
+    return figure
+
+
+def start_names(ds: xr.Dataset) -> list[str]:
+    """The names of the starts in the dimension `start`, or the one empty name where there is no such dimension."""
+    return [str(name) for name in ds[START].values] if START in lane_dims(ds) else [""]
+
+
+def of_start(ds: xr.Dataset, position: int) -> xr.Dataset:
+    """The lanes of the start at `position`."""
+    return ds.isel({START: position}) if START in lane_dims(ds) else ds
+
+
+def _stacks(panels: Facets, curves: int, height: float) -> tuple[Figure, tuple[Stack, ...]]:
+    """A figure with a stack of `curves` panels, each `height` inches high, and a strip for each facet."""
+    wide = columns(panels, 3)
+    deep = -(-len(panels) // wide)
+    strip = 0.10 + 0.17 * max(panels.data[0].sizes.get(START, 1), 1)
+    figure = new_figure({1: 7.6, 2: 10.0, 3: 12.5}[wide], (curves * height + strip + 0.6) * deep + 0.7)
+    outer = GridSpec(deep, wide, figure)
+    drawn: list[Stack] = []
+    for at, (title, facet) in enumerate(zip(panels.titles, panels.data, strict=True)):
+        row, column = divmod(at, wide)
+        inner = outer[row, column].subgridspec(curves + 1, 1, height_ratios=[height] * curves + [strip])
+        axes = [figure.add_subplot(inner[i]) for i in range(curves + 1)]
+        _join(axes, drawn[0].curves if drawn else ())
+        axes[0].set_title(title, loc="left")
+        drawn.append(Stack(tuple(axes[:-1]), axes[-1], facet, column == 0))
+    return figure, tuple(drawn)
+
+
+def _join(axes: list[Axes], first: tuple[Axes, ...]) -> None:
+    """One x axis down the stack, labelled at the strip; one y axis for the same curves of all facets."""
+    for above in axes[:-1]:
+        above.sharex(axes[-1])
+        above.tick_params(labelbottom=False)
+        above.grid(True)
+    for own, other in zip(axes[:-1], first, strict=bool(first)):
+        own.sharey(other)
+
+
+def _draw_strip(stack: Stack, x: str) -> None:
+    """Draw the regimes along `x` as a strip of coloured cells, a row for each start."""
+    starts = start_names(stack.facet)
+    regimes = stack.facet[REGIME]
+    rows = flags(regimes.transpose(START, x) if START in regimes.dims else regimes.expand_dims(START))
+    along = values_along(stack.facet[x])
+    ends = np.arange(len(rows) + 1) - 0.5
+    cells = np.ma.masked_invalid(rows)
+    stack.strip.pcolormesh(edges(along), ends, cells, cmap=REGIME_MAP, norm=REGIME_NORM, rasterized=True)
+    stack.strip.set_yticks(range(len(starts)), starts)
+    stack.strip.set_ylim(len(starts) - 0.5, -0.5)
+    stack.strip.tick_params(axis="y", length=0)
+    for between in ends[1:-1]:
+        stack.strip.axhline(between, color="white", linewidth=1.2)
+    shape_axis(stack.strip, "x", along)
+    stack.strip.set_xlabel(label(stack.facet[x]))
+
+
+def _start_handles(ds: xr.Dataset, linestyle: LineStyleType) -> list[Artist]:
+    """An entry of the legend for each start; none where there is one only."""
+    mark = Mark(marker="o", markersize=4.0, linewidth=1.2, linestyle=linestyle)
+    colours = {name: start_colour(name, at) for at, name in enumerate(start_names(ds)) if name}
+    return [Line2D([], [], **mark | Mark(color=colour), label=f"start: {name}") for name, colour in colours.items()]
+
+
+def _draw_values(stack: Stack, values: tuple[Value, ...], x: str) -> None:
+    for axes, value in zip(stack.curves, values, strict=True):
+        _draw_value(stack, axes, value, x)
+
+
+def _draw_value(stack: Stack, axes: Axes, value: Value, x: str) -> None:
+    for at, name in enumerate(start_names(stack.facet)):
+        lanes = of_start(stack.facet, at)
+        along, colour = values_along(lanes[x]), start_colour(name, at)
+        _draw_range(axes, lanes, value, along, colour)
+        # Later starts as thinner lines, so that a motion reached from both shows both colours.
+        width = Mark(linewidth=2.2, markersize=4.0) if at == 0 else Mark(linewidth=1.0, markersize=2.2)
+        axes.plot(along, value.of(lanes).values, color=colour, marker="o", label=name, **width)
+    if stack.left:
+        axes.set_ylabel(value.label.replace(" [", "\n["))
+
+
+def _draw_range(axes: Axes, lanes: xr.Dataset, value: Value, along: Float[np.ndarray, " lanes"], colour: str) -> None:
+    """Shade from the least to the greatest of one lane's impacts, where the dataset has both."""
+    least, greatest = (f"{value.name}_{end}" for end in ("min", "max"))
+    if least in lanes and greatest in lanes:
+        low, high = (lanes[name].values * value.factor for name in (least, greatest))
+        axes.fill_between(along, low, high, color=colour, alpha=0.15, linewidth=0)

@@ -1,0 +1,117 @@
+"""How every picture looks: colours, sizes, and a figure that leaves pyplot and its settings alone."""
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from functools import wraps
+from io import BytesIO
+from typing import ParamSpec, TypedDict
+
+from matplotlib import style
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.typing import ColorType, LineStyleType, MarkerType
+
+INK = "#222222"
+FAINT = "#9A9A9A"
+UNDEFINED = "#D0D0D0"  # a lane without the value, as grey in maps of values
+NOTHING = "#FFFFFF"  # a lane without penetration, in maps of values
+BIT = "#00598C"
+STRIKER = "#D1570A"
+STICK = "#111111"
+IMPACT = "#C2185B"
+ROCK = "#B08D57"
+
+# Readable apart in greyscale and by colour-blind eyes.
+START_COLOURS = {"drive": "#004488", "stuck": "#CC6677", "touching": "#2E8B57"}
+OTHER_COLOURS = ("#7A5195", "#8C6D1F", "#4D4D4D", "#56B4E9")
+ROCK_COLOURS = {"sandstone": "#D9A441", "limestone": "#3F8FA3", "granite": "#7A2E4D"}
+
+DASHED = (0.0, (4.0, 3.0))
+
+_TICK_SIZE = 8.0
+_SETTINGS = {
+    "font.size": 9.0,
+    "axes.titlesize": 9.0,
+    "axes.labelsize": 9.0,
+    "axes.linewidth": 0.7,
+    "axes.edgecolor": INK,
+    "axes.labelcolor": INK,
+    "axes.axisbelow": True,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "xtick.labelsize": _TICK_SIZE,
+    "ytick.labelsize": _TICK_SIZE,
+    "xtick.direction": "out",
+    "ytick.direction": "out",
+    "legend.fontsize": 8.0,
+    "legend.frameon": False,
+    "legend.handlelength": 1.4,
+    "figure.titlesize": 11.0,
+    "grid.color": "#E2E2E2",
+    "grid.linewidth": 0.5,
+    "lines.solid_capstyle": "round",
+    "savefig.dpi": 160,
+    "figure.dpi": 110,
+    "svg.fonttype": "none",
+    "svg.hashsalt": "vibrojax",  # the same dataset gives the same file
+    "pdf.fonttype": 42,
+}
+
+Arguments = ParamSpec("Arguments")
+
+
+class Mark(TypedDict, total=False):
+    """How a line and its marks look, in matplotlib's words."""
+
+    color: ColorType
+    linestyle: LineStyleType
+    linewidth: float
+    marker: MarkerType
+    markersize: float
+    markerfacecolor: ColorType
+    markeredgecolor: ColorType
+    markeredgewidth: float
+    alpha: float
+    zorder: float
+
+
+class OwnFigure(Figure):
+    """A figure that belongs to nobody's pyplot, and shows itself in a notebook all the same."""
+
+    def _repr_png_(self) -> bytes:
+        with settings():
+            content = BytesIO()
+            self.savefig(content, format="png", dpi=self.dpi)
+        return content.getvalue()
+
+
+def settings() -> AbstractContextManager[None]:
+    """A context in which matplotlib has the settings of all pictures, whatever the user's are."""
+    return style.context(["default", _SETTINGS])
+
+
+def styled(draw: Callable[Arguments, Figure]) -> Callable[Arguments, Figure]:
+    """`draw` run under the settings of all pictures."""
+
+    @wraps(draw)
+    def drawn(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Figure:
+        with settings():
+            figure = draw(*args, **kwargs)
+        # Ticks are made as late as at drawing, when the user's settings hold again.
+        for axes in figure.axes:
+            axes.tick_params(labelsize=_TICK_SIZE)
+        return figure
+
+    return drawn
+
+
+def new_figure(width: float, height: float) -> OwnFigure:
+    """An empty figure of `width` by `height` [inch] on the Agg canvas."""
+    figure = OwnFigure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def start_colour(name: str, position: int) -> str:
+    """The colour of the start `name`; starts without a fixed one take theirs by `position` among the starts."""
+    return START_COLOURS.get(name, OTHER_COLOURS[position % len(OTHER_COLOURS)])

@@ -1,1 +1,0 @@
-"""The groups of results, one file each; a file binds `GROUP`."""

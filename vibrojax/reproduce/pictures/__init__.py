@@ -1,1 +1,0 @@
-"""The pictures, in the source's axes, one file a group."""

@@ -1,0 +1,65 @@
+"""A lane at one instant, and the step that leads to the next."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from vibrojax.arrays import Array, Flags, Lanes
+from vibrojax.scenes.scene import Scene
+
+
+class Clock(NamedTuple):
+    """Time [s] as a sum of two floats, so that a million additions lose nothing, in float32 too."""
+
+    high: Lanes
+    low: Lanes
+
+    def advanced(self, dt: Lanes) -> "Clock":
+        """This clock `dt` later (Knuth's two-sum)."""
+        small = dt + self.low
+        high = self.high + small
+        part = high - self.high
+        return Clock(high, (self.high - (high - part)) + (small - part))
+
+    def until(self, end: Array | float) -> Array:
+        """Time left to `end`."""
+        return (end - self.high) - self.low
+
+
+class Lane(NamedTuple):
+    """One lane at one instant: clock, continuous state, discrete mode, and the cap on its next trial step [s].
+
+    Every leaf has shape (lanes,).
+    """
+
+    clock: Clock
+    state: tuple[Array, ...]
+    mode: tuple[Array, ...]
+    trial: Lanes
+
+
+class Step(NamedTuple):
+    """A step taken (or, where `dt` is 0, not): what measures need to know of it.
+
+    `polynomials[i][k]` is the coefficient of tau^k of state i, tau = time/h from 0 to `tau`; `before` and `mode` hold
+    where it starts, `after` the state in which the next begins; `hits` says by name which guard or marker it ended on,
+    and `falling` for each marker whether it came down through zero.
+    """
+
+    before: tuple[Array, ...]
+    mode: tuple[Array, ...]
+    polynomials: tuple[list[Array], ...]
+    h: Lanes
+    tau: Lanes
+    dt: Lanes
+    after: tuple[Array, ...]
+    hits: Mapping[str, Flags]
+    falling: Mapping[str, Flags]
+
+
+def lane_at(scene: Scene[Any], constants: Any, state: tuple[Array, ...]) -> Lane:
+    """The lane that starts at t = 0 from `state`, a tuple of (lanes,)."""
+    zero: jax.Array = jnp.zeros_like(state[0])
+    return Lane(Clock(zero, zero), state, scene.mode_at(constants, state), jnp.full_like(zero, jnp.inf))
