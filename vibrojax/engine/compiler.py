@@ -1,8 +1,9 @@
 """What lanes are compiled with, and whether its arithmetic can be trusted on this machine."""
 
 from collections.abc import Callable, Iterator
-from functools import cache
+from functools import cache, wraps
 from inspect import signature
+from typing import ParamSpec, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -16,6 +17,9 @@ from vibrojax.physics import elementary
 WIDE_VECTORS_CHECKED = ("0.10.0", "0.12.0.1")
 """Versions of jaxlib whose functions are right with the widest registers (AVX-512). In 0.10.2, 0.11.0 and 0.11.2 arctan
 of more than 16 values returns them in the wrong places."""
+
+P = ParamSpec("P")
+R = TypeVar("R")
 
 ROUNDINGS = 4
 """Roundings of the value, or of 1 where it is smaller, that a function may be off."""
@@ -33,6 +37,23 @@ def compiler_options(platform: str) -> dict[str, int | str]:
             # arithmetic. Later versions do without.
             options["xla_disable_hlo_passes"] = "cse_barrier_expander"
     return options
+
+
+def jitted(static: tuple[str, ...] = ()) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """A decorator: `jax.jit` with the options of the platform in use; the arguments named in `static` are static."""
+
+    def decorate(function: Callable[P, R]) -> Callable[P, R]:
+        @cache
+        def program(platform: str) -> Callable[P, R]:
+            return jax.jit(function, static_argnames=static, compiler_options=compiler_options(platform))
+
+        @wraps(function)
+        def call(*args: P.args, **kwargs: P.kwargs) -> R:
+            return program(jax.default_backend())(*args, **kwargs)
+
+        return call
+
+    return decorate
 
 
 @cache

@@ -3,7 +3,6 @@
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -14,6 +13,7 @@ from jaxtyping import Bool, Float
 
 from vibrojax.arrays import Array
 from vibrojax.devices import precision
+from vibrojax.engine.compiler import jitted
 from vibrojax.errors import Place, shown, suggestion
 from vibrojax.laws._data import Data, open_data
 from vibrojax.laws._least_squares import Number, levenberg_marquardt
@@ -147,14 +147,14 @@ def fit_friction(
     return _result(place, data, history, state, *fits)
 
 
-@partial(jax.jit, static_argnames="substeps")
+@jitted(static=("substeps",))
 def _fit(
     sought: Sought,
     fixed: Mapping[str, Array],
     velocity: Float[Array, " samples"],
-    interval: Number,
+    interval: Number | float,
     substeps: int,
-    width: Number,
+    width: Number | float,
 ) -> _Fit:
     """The fit from `sought` on."""
     seen = jnp.isfinite(velocity)

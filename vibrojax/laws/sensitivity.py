@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from vibrojax.arrays import Array
 from vibrojax.devices import precision
+from vibrojax.engine.compiler import jitted
 from vibrojax.errors import Place
 from vibrojax.input.point import read_point
 from vibrojax.measure import recorder_for
@@ -83,7 +84,7 @@ def rop_derivatives(
     )
 
 
-@partial(jax.jit, static_argnames=("scene", "wrt"))
+@jitted(static=("scene", "wrt"))
 def _differentiated(
     scene: Scene,
     wrt: tuple[str, ...],

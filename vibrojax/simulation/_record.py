@@ -4,7 +4,6 @@ Whether there is room for that is asked before any work.
 """
 
 from collections.abc import Callable
-from functools import partial
 from math import ceil
 from typing import Any, NamedTuple
 
@@ -15,6 +14,7 @@ from jaxtyping import Bool, Float, Int
 
 from vibrojax.amounts import size_text
 from vibrojax.arrays import Array
+from vibrojax.engine.compiler import jitted
 from vibrojax.engine.resources import memory
 from vibrojax.errors import InputError, Place
 from vibrojax.scenes import HasFriction, Scene
@@ -81,7 +81,7 @@ def record(
     )
 
 
-@partial(jax.jit, static_argnames=("scene", "stepper"))
+@jitted(static=("scene", "stepper"))
 def _batch(
     scene: Scene[Any], stepper: Stepper, constants: Any, lane: Lane, accuracy: Accuracy, duration: Array
 ) -> tuple[Lane, Record]:
