@@ -26,14 +26,24 @@ jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
 # Annotations, shapes of arrays among them, are checked in the tests; users pay nothing for them. What users call
-# themselves (simulation._simulate) is not: it tells what is wrong with an argument in its own words.
+# themselves (input.read, input.source, simulation._simulate) is not: it says what is wrong with an argument in its own words.
 CHECKED = [
     "vibrojax.accuracy",
     "vibrojax.amounts",
     "vibrojax.arrays",
     "vibrojax.cli",
     "vibrojax.devices",
+    "vibrojax.engine",
     "vibrojax.errors",
+    "vibrojax.input.axes",
+    "vibrojax.input.definition",
+    "vibrojax.input.names",
+    "vibrojax.input.offered",
+    "vibrojax.input.plain",
+    "vibrojax.input.point",
+    "vibrojax.input.points",
+    "vibrojax.input.run_settings",
+    "vibrojax.input.values",
     "vibrojax.label",
     "vibrojax.laws",
     "vibrojax.measure",

@@ -1,6 +1,9 @@
 """What a user writes outside the package stands where names stand: a friction law, a scene, a stepper, a measure."""
 
+import subprocess
+import sys
 from dataclasses import dataclass
+from textwrap import dedent
 from typing import ClassVar
 
 import jax.numpy as jnp
@@ -90,3 +93,79 @@ def test_a_measured_quantity(usual):
     swings = 4 * own.striker_amplitude / own.period
     np.testing.assert_allclose(own.striker_mean_speed.where(clean), swings.where(clean), rtol=1e-2)
     np.testing.assert_allclose(own.impact_velocity, usual.impact_velocity, rtol=1e-9)
+
+
+class Deflected(VibroImpact):
+    """Five states, of which a start vector gives three."""
+
+    states = (*VibroImpact.states, vj.State("x5", "m", "a fifth"))
+    start_states = ("x1", "v1", "x5")
+
+
+def test_a_start_vector_has_the_states_that_the_scene_says():
+    with pytest.raises(vj.InputError, match=r"has 4 numbers; three are needed: \[x1, v1, x5\]"):
+        vj.read_sweep({"scene": Deflected(), "starts": [[0, 0, 0, 0]], "grid": {"gamma": [0.7]}})
+    assert vj.read_sweep({"scene": Deflected(), "starts": [[0, 1, 2]], "grid": {"gamma": [0.7]}}).starts == ((0, 1, 2),)
+
+
+def test_what_an_installed_package_offers(tmp_path):
+    """Its law, scene, stepper and gauge have names; what cannot be used is left out, with a line each that says why."""
+    (tmp_path / "mine.py").write_text(
+        dedent("""
+        import vibrojax as vj
+
+        law = vj.FrictionLaw("mine", "eq. 0", {}, lambda speed, p: 0.2 + 0.0 * speed)
+        taken = vj.FrictionLaw("coulomb", "eq. 0", {}, law.mu)
+
+        class Scene(vj.SCENES["vibro-impact"]):
+            name = "my-scene"
+            measures = (*vj.SCENES["vibro-impact"].measures, "my-gauge")
+
+        class Stepper(vj.Located):
+            name = "my-stepper"
+
+        class Gauge(vj.Gauge):
+            def read(self, scene, c, carry, whole):
+                return {}
+
+        stepper, gauge = Stepper(), Gauge()
+        """)
+    )
+    (tmp_path / "mine-1.0.dist-info").mkdir()
+    (tmp_path / "mine-1.0.dist-info" / "METADATA").write_text("Metadata-Version: 2.1\nName: mine\nVersion: 1.0\n")
+    (tmp_path / "mine-1.0.dist-info" / "entry_points.txt").write_text(
+        dedent("""
+        [vibrojax.friction_laws]
+        a = mine:law
+        b = mine:taken
+        c = mine:none
+        [vibrojax.scenes]
+        a = mine:Scene
+        b = mine:law
+        [vibrojax.steppers]
+        a = mine:stepper
+        [vibrojax.gauges]
+        my-gauge = mine:gauge
+        """)
+    )
+    code = """
+        import warnings
+        import vibrojax as vj
+        from vibrojax.measure import recorder_for
+        with warnings.catch_warnings(record=True) as left_out:
+            warnings.simplefilter("always")
+            grid = {"gamma": [0.7]}
+            run = {"method": "my-stepper"}
+            sweep = vj.read_sweep({"scene": "my-scene", "parameters": {"friction": "mine"}, "grid": grid, "run": run})
+        gauge = recorder_for(sweep.system).gauges[-2]
+        print(sweep.scene, sweep.friction, sweep.run.stepper.name, type(gauge).__name__)
+        print(*(one.message for one in left_out), sep="\\n")
+        """
+    done = subprocess.run([sys.executable, "-c", dedent(code)], capture_output=True, text=True, cwd=tmp_path)
+    assert done.stdout.splitlines() == [
+        "my-scene mine my-stepper Gauge",
+        'mine: vibrojax.friction_laws: b: the name "coulomb" is taken; it is left out',
+        "mine: vibrojax.friction_laws: c: mine:none cannot be imported (module 'mine' has no attribute 'none'); "
+        "it is left out",
+        "mine: vibrojax.scenes: b: mine:law is no subclass of Scene; it is left out",
+    ], done.stderr

@@ -31,6 +31,25 @@ _HOMES = {
     "contact": "vibrojax.physics",
     "friction": "vibrojax.physics",
     "modes": "vibrojax.physics",
+    # What physics of one's own is written with.
+    "elementary": "vibrojax.physics",
+    "parameters": "vibrojax.physics",
+    "FrictionLaw": "vibrojax.physics.friction",
+    "Scene": "vibrojax.scenes",
+    "State": "vibrojax.scenes",
+    "Mode": "vibrojax.scenes",
+    "Marker": "vibrojax.scenes",
+    "Guard": "vibrojax.scenes",
+    "Section": "vibrojax.scenes",
+    "Swing": "vibrojax.scenes",
+    "HasFriction": "vibrojax.scenes",
+    "HasContact": "vibrojax.scenes",
+    "HasRock": "vibrojax.scenes",
+    "Driven": "vibrojax.scenes",
+    "Gauge": "vibrojax.measure",
+    "Stepper": "vibrojax.stepping",
+    "Located": "vibrojax.stepping",
+    "Smoothed": "vibrojax.stepping",
 }
 
 __all__ = list(_HOMES)

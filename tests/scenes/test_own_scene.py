@@ -252,3 +252,11 @@ def test_a_gauge_says_what_it_needs():
 
     with pytest.raises(InputError, match="with-string is no HasRock; Hole measures only those"):
         recorder_for(NoContact())
+
+
+def test_a_gauge_that_there_is_not():
+    class Misnamed(WithString):
+        measures = ("swing",)
+
+    with pytest.raises(InputError, match='with-string measures "swing"; choose from swings, shares'):
+        recorder_for(Misnamed())

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Int
 
 from vibrojax.arrays import Array, Counts, Lanes
 from vibrojax.engine.compiler import compiler_options
@@ -25,6 +26,10 @@ BLOCKS = 8
 
 BLOCK_ON_ACCELERATOR = 16384
 """Lanes that step together on an accelerator, where a step of a few costs as much as one of many."""
+
+
+Count = Int[Array, ""]
+"""A whole number, an array so that another value compiles nothing again."""
 
 
 class Kind(NamedTuple):
@@ -60,7 +65,7 @@ def compiled(platform: str) -> Compiled:
     return Compiled(*(jax.jit(program, static_argnames="kind", compiler_options=options) for program in programs))
 
 
-def start_lanes(kind: Kind, count: Counts, given: Given) -> tuple[Lane, Any]:
+def start_lanes(kind: Kind, count: Count, given: Given) -> tuple[Lane, Any]:
     """(lane, what its recorder carries) at t = 0 of the lanes of the first `count` blocks."""
 
     def program(given: Given) -> tuple[Lane, Any]:
@@ -70,7 +75,7 @@ def start_lanes(kind: Kind, count: Counts, given: Given) -> tuple[Lane, Any]:
     return _block_by_block(program, kind.block, count, given)
 
 
-def settle_lanes(kind: Kind, count: Counts, given: Given, begun: Underway, until: Lanes, effort: Effort) -> Underway:
+def settle_lanes(kind: Kind, count: Count, given: Given, begun: Underway, until: Lanes, effort: Effort) -> Underway:
     """The lanes at the times `until` [s]; see `settle_block`."""
 
     def program(given: Given, begun: Underway, until: Lanes) -> Underway:
@@ -81,7 +86,7 @@ def settle_lanes(kind: Kind, count: Counts, given: Given, begun: Underway, until
 
 
 def observe_lanes(
-    kind: Kind, count: Counts, given: Given, begun: Underway, begin: Lanes, lasts: Lanes, effort: Effort
+    kind: Kind, count: Count, given: Given, begun: Underway, begin: Lanes, lasts: Lanes, effort: Effort
 ) -> Features:
     """Features by name, (lanes,), or (returns, lanes) for the last returns; see `observe_block`."""
 
@@ -92,7 +97,7 @@ def observe_lanes(
     return _block_by_block(program, kind.block, count, given, begun, begin, lasts)
 
 
-def _block_by_block(program: Callable[..., Any], block: int, count: Counts, *given: Any) -> Any:
+def _block_by_block(program: Callable[..., Any], block: int, count: Count, *given: Any) -> Any:
     """What `program` gives for the first `count` blocks of lanes, one after the other; zeros for the others.
 
     Lanes are the last axis of all that is given and of all that comes out.

@@ -67,7 +67,7 @@ def _reason(sweep: Sweep, beyond: AbstractSet[str]) -> tuple[str, str]:
     return ("points", "give fewer of them") if sweep.points is not None else ("grid", "give shorter axes")
 
 
-def _free(out: Path) -> float:
+def _free(out: Path) -> int:
     """Free bytes on the disk of `out`, with what its chunks have already taken."""
     chunks = out.with_name(f"{out.name}.chunks")
     taken = sum(path.stat().st_size for path in chunks.iterdir()) if chunks.is_dir() else 0

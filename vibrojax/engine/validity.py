@@ -40,7 +40,7 @@ def unresolved(scene: HasFriction[Any], p: Numbers, numbers: str) -> Refused:
     vanishes in the roundings of the `numbers`, "float64" or "float32": nothing would move; booleans (lanes,)."""
     flight, contact, slow = _rates(scene, p)
     with np.errstate(all="ignore"):
-        return ~(512 * np.finfo(numbers).eps * (flight + contact) < slow)
+        return np.asarray(~(512 * np.finfo(numbers).eps * (flight + contact) < slow))
 
 
 def _rates(scene: HasFriction[Any], p: Numbers) -> tuple[Lanes, Lanes, Lanes]:
@@ -48,8 +48,9 @@ def _rates(scene: HasFriction[Any], p: Numbers) -> tuple[Lanes, Lanes, Lanes]:
     the bit on its main spring."""
     c = _constants(scene, p)
     with precision("float64"):
-        contact = scene.contact_rate(c) if isinstance(scene, HasContact) else 0.0
-        return np.asarray(scene.flight_rate(c)), np.asarray(contact), np.asarray(scene.spring_rate(c))
+        flight = np.asarray(scene.flight_rate(c))
+        contact = np.asarray(scene.contact_rate(c)) if isinstance(scene, HasContact) else np.zeros_like(flight)
+        return flight, contact, np.asarray(scene.spring_rate(c))
 
 
 def too_slow(sweep: Sweep, p: Numbers) -> Refused:

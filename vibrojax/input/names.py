@@ -5,6 +5,7 @@ from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any
 
 from vibrojax.errors import InputError, Place, shown, suggestion
+from vibrojax.input.offered import enter_offered
 from vibrojax.input.run_settings import RunSettings
 from vibrojax.input.values import choice, quantity
 from vibrojax.physics.friction import FRICTION_LAWS, FrictionLaw
@@ -110,10 +111,12 @@ class Names:
         return "pulse_shape" in self.options
 
     def start(self, place: Place, value: object) -> str | tuple[float, ...]:
-        """A start: one of the scene's names, or a vector [x1, x1', x2, x2'] in m and m/s."""
+        """A start: one of the scene's names, or a vector of the states it gives, [x1, x1', x2, x2'] in m and m/s."""
         if isinstance(value, (list, tuple)):
-            if len(value) != 4:
-                raise place.error(f"{shown(value)} has {len(value)} numbers; four are needed: [x1, x1', x2, x2']")
+            wanted = self.system.start_states
+            if len(value) != len(wanted):
+                needed = f"{_in_words(len(wanted))} are needed: [{', '.join(wanted)}]"
+                raise place.error(f"{shown(value)} has {len(value)} numbers; {needed}")
             free = Parameter("start", 0.0, "1", "start", "s")
             return tuple(quantity(place.item(index), item, free) for index, item in enumerate(value))
         return self.named_start(place, value)
@@ -125,6 +128,12 @@ class Names:
             allowed = ", ".join(self.starts)
             raise place.error(f"{shown(value)} is no start of scene {shown(self.scene)}; choose from {allowed}")
         return choice(place, value, self.starts)
+
+
+def _in_words(count: int) -> str:
+    """A small number as a word."""
+    words = ("none", "one", "two", "three", "four", "five", "six", "seven", "eight")
+    return words[count] if count < len(words) else str(count)
 
 
 def _shaped(scene: str, shape: str) -> Mapping[str, Parameter]:
@@ -143,6 +152,7 @@ def read_names(
 
     `place` is where the scene stands, `at` where the options `chosen` do.
     """
+    enter_offered()
     system = scene if isinstance(scene, Scene) else scene_named(choice(place, scene, tuple(SCENES)))
     options = _options(system)
     for option, value in (chosen or {}).items():

@@ -1,5 +1,6 @@
 """How a sweep is run: the table [run]."""
 
+from collections.abc import Collection
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -9,7 +10,6 @@ from vibrojax.physics.parameters import Parameter, not_negative, positive, table
 from vibrojax.scenes import Scene
 from vibrojax.stepping import STEPPERS, Accuracy, Stepper, Wanted, stepper_named
 
-METHODS = tuple(STEPPERS)
 PRECISIONS = ("float64", "float32")
 
 
@@ -61,7 +61,7 @@ _QUANTITIES: dict[str, Parameter] = table(
     positive("smoothing", 1e-3, "m s-1", "width of the smoothed friction switch", "w"),
 )
 _COUNTS = {"keep_returns": 0, "chunk": 1}
-_CHOICES = {"method": METHODS, "precision": PRECISIONS}
+_CHOICES: dict[str, Collection[str]] = {"method": STEPPERS, "precision": PRECISIONS}
 
 
 def read_setting(place: Place, name: str, value: object) -> object:
@@ -71,7 +71,7 @@ def read_setting(place: Place, name: str, value: object) -> object:
     if name == "method" and isinstance(value, Stepper):
         return value
     if name in _CHOICES:
-        return choice(place, value, _CHOICES[name])
+        return choice(place, value, tuple(_CHOICES[name]))
     if name in _QUANTITIES:
         checked = quantity(place, value, _QUANTITIES[name])
         if name == "error" and checked >= 1:

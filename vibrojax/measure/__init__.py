@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from vibrojax.errors import InputError
+from vibrojax.errors import InputError, shown
 from vibrojax.measure import section as section
 from vibrojax.measure.gauge import Gauge as Gauge
 from vibrojax.measure.gauge import Moment as Moment
@@ -48,6 +48,9 @@ def recorder_for(scene: Scene[Any], keep_returns: int = 0) -> Records:
         if isinstance(scene, Driven):
             return PulseRecorder()
         raise InputError(f"scene: {scene.name} declares neither a section nor pulses; there is nothing to measure over")
+    unknown = [gauge for gauge in scene.measures if not isinstance(gauge, Gauge) and gauge not in GAUGES]
+    if unknown:
+        raise InputError(f"scene: {scene.name} measures {shown(unknown[0])}; choose from {', '.join(GAUGES)}")
     gauges = [gauge_named(gauge) for gauge in scene.measures]
     if not any(isinstance(gauge, Swings) for gauge in gauges):
         gauges.insert(0, Swings())  # repeats are told against the swings

@@ -62,21 +62,20 @@ def pull(c: DrillConstants, x1: Any, x2: Any) -> Any:
     return c.k2 * (x2 - x1) - c.k1 * x1
 
 
-def accelerations(law: FrictionLaw, c: DrillConstants, slip: Any, state: Values, impact: Any) -> tuple[Any, Any]:
-    """x1'' and x2'' [m/s²] of the sliding bit and of the striker; `impact` is J [N] or None."""
+def accelerations(
+    law: FrictionLaw, c: DrillConstants, slip: Any, state: Values, pull: Any, impact: Any
+) -> tuple[Any, Any]:
+    """x1'' and x2'' [m/s²]: of the bit that slides under the `pull` of its springs [N], and of the striker.
+
+    `impact` is J [N], or None where there is no contact.
+    """
     x1, v1, x2, v2 = state
     force = stick_slip.friction(law, c.slip, slip, v1 + c.slip.v, impact)
-    bit = (pull(c, x1, x2) - force) * c.inverse_m1
+    bit = (pull - force) * c.inverse_m1
     on_striker = c.k2 * (x1 - x2) - c.c2 * v2
     if impact is not None:
         on_striker = on_striker - impact
     return bit, on_striker * c.inverse_m2
-
-
-def flight_rate(c: DrillConstants) -> Any:
-    """A bound on the fastest rate of change [1/s] of the sliding, free drill: its springs and its damper."""
-    springs = (c.k1 + c.k2) * c.inverse_m1 + c.k2 * c.inverse_m2
-    return jnp.sqrt(springs) + c.c2 * c.inverse_m2
 
 
 def length_noise(c: DrillConstants) -> Any:
@@ -128,6 +127,7 @@ class Drill(HasFriction[D]):
     markers = (Marker("bit_turn", "v1"), Marker("striker_turn", "v2"))
     section = Section((Swing("x1", "v1", "bit_amplitude"), Swing("x2", "v2", "striker_amplitude")), _overtaken)
     starts: ClassVar[tuple[str, ...]] = ("drive", "stuck")
+    start_states: ClassVar[tuple[str, ...]] = ("x1", "v1", "x2", "v2")
 
     # What acts between the masses, and below them.
 
@@ -178,18 +178,18 @@ class Drill(HasFriction[D]):
     def mode_at(self, c: D, state: Values) -> Values:
         others = self.other_modes_at(c, state)
         impact, noise = self.impact(c, (None, *others), state), self._stick_noise(c, (None, *others))
-        u, pulls = state[1] + c.drill.slip.v, self._pulls(c, state)
+        u, pulls = state[1] + c.drill.slip.v, (self.pull(c, state), self.pull_rate(c, state))
         return (stick_slip.slip_at(c.drill.slip, u, *pulls, impact, noise), *others)
 
     def field(self, c: D, mode: Values, state: Values) -> Values:
         slip, impact = mode[0], self.impact(c, mode, state)
-        bit, striker = accelerations(self.friction, c.drill, slip, state[:4], impact)
+        bit, striker = self._accelerations(c, slip, state, impact)
         return (state[1], (slip * slip) * bit, state[3], striker, *self.other_rates(c, mode, state, impact))
 
     def smoothed_field(self, c: D, mode: Values, state: Values, width: Any) -> Values:
         impact = self.impact(c, mode, state)
         slip = stick_slip.smoothed_slip(state[1] + c.drill.slip.v, width)
-        bit, striker = accelerations(self.friction, c.drill, slip, state[:4], impact)
+        bit, striker = self._accelerations(c, slip, state, impact)
         return (state[1], bit, state[3], striker, *self.other_rates(c, mode, state, impact))
 
     def smoothed_mode(self, c: D, mode: Values, state: Values, width: Any) -> Values:
@@ -205,7 +205,8 @@ class Drill(HasFriction[D]):
         mode, state = self.other_reset(c, mode, state, hits)
         impact, noise = self.impact(c, mode, state), self._stick_noise(c, mode)
         state = (state[0], jnp.where(hits["friction"], -c.drill.slip.v, state[1]), *state[2:])
-        after = stick_slip.slip_after(c.drill.slip, mode[0], *self._pulls(c, state), impact, noise)
+        pulls = self.pull(c, state), self.pull_rate(c, state)
+        after = stick_slip.slip_after(c.drill.slip, mode[0], *pulls, impact, noise)
         return (jnp.where(hits["friction"], after, mode[0]), *mode[1:]), state
 
     def _slips(self, c: D, mode: Values, state: Values) -> Any:
@@ -221,9 +222,8 @@ class Drill(HasFriction[D]):
     def _stick_noise(self, c: D, mode: Values) -> Any:
         return stick_slip.stick_noise(c.drill.slip, self.impact_noise(c, mode))
 
-    def _pulls(self, c: D, state: Values) -> tuple[Any, Any]:
-        """The pull on the bit, and its rate."""
-        return pull(c.drill, state[0], state[2]), pull(c.drill, state[1], state[3])
+    def _accelerations(self, c: D, slip: Any, state: Values, impact: Any) -> tuple[Any, Any]:
+        return accelerations(self.friction, c.drill, slip, state[:4], self.pull(c, state), impact)
 
     def bit(self, c: D) -> Bit:
         return Bit(c.drill.m1, c.drill.slip.weight, c.drill.slip.v)
@@ -231,8 +231,14 @@ class Drill(HasFriction[D]):
     def pull(self, c: D, state: Values) -> Any:
         return pull(c.drill, state[0], state[2])
 
+    def pull_rate(self, c: D, state: Values) -> Any:
+        """Rate of change of the pull on the bit [N/s]: into which way it starts where the pull itself is zero."""
+        return pull(c.drill, state[1], state[3])
+
     def flight_rate(self, c: D) -> Any:
-        return flight_rate(c.drill)
+        drill = c.drill
+        springs = (drill.k1 + drill.k2) * drill.inverse_m1 + drill.k2 * drill.inverse_m2
+        return jnp.sqrt(springs) + drill.c2 * drill.inverse_m2
 
     def spring_rate(self, c: D) -> Any:
         return jnp.sqrt(c.drill.k1 / c.drill.m1)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from vibrojax.physics.parameters import BIT_AND_STRIKER, Parameter
-from vibrojax.scenes.drill import Drill, DrillConstants, drill_constants, flight_rate, two_masses_start
+from vibrojax.scenes.drill import Drill, DrillConstants, drill_constants, two_masses_start
 from vibrojax.scenes.scene import Guard, Start, Values
 
 
@@ -32,7 +32,7 @@ class Rotary(Drill[RotaryConstants]):
         return two_masses_start(c.drill, name, shape)
 
     def rate(self, c: RotaryConstants, mode: Values) -> Any:
-        return flight_rate(c.drill)
+        return self.flight_rate(c)
 
     def impact(self, c: RotaryConstants, mode: Values, state: Values) -> None:
         return None

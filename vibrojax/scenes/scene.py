@@ -134,7 +134,8 @@ class Scene(ABC, Generic[C]):
     - `states`: the continuous states; `modes`: the discrete ones, floats such as 0, 1, -1.
     - `markers`: velocities whose zeros are landed on.
     - `section`: where returns are counted; None for a scene that is driven by pulses, and measured over them.
-    - `starts`: names of the states it may start from, the usual one first.
+    - `starts`: names of the states it may start from, the usual one first; `start_states`: those that a vector gives
+      as a start, all others being zero; none where it always starts the same.
     - `measures`: what is measured of it: names or objects of gauges, see [vibrojax.measure][].
     - `autonomous`: whether nothing acts on it that changes with time, so that a state at rest stays.
     """
@@ -145,6 +146,7 @@ class Scene(ABC, Generic[C]):
     markers: ClassVar[tuple[Marker, ...]] = ()
     section: ClassVar[Section | None] = None
     starts: ClassVar[tuple[str, ...]] = ()
+    start_states: ClassVar[tuple[str, ...]] = ()
     measures: ClassVar[tuple[Any, ...]] = ()
     autonomous: ClassVar[bool] = True
 

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from vibrojax.physics.contact import contact_time
 from vibrojax.scenes import one_sided
 from vibrojax.scenes.capabilities import HasContact
-from vibrojax.scenes.drill import Drill, WithDrill, flight_rate, length_noise, two_masses_start
+from vibrojax.scenes.drill import Drill, WithDrill, length_noise, two_masses_start
 from vibrojax.scenes.one_sided import ContactConstants
 from vibrojax.scenes.scene import Guard, Mode, Start, Values
 
@@ -79,7 +79,7 @@ class Struck(Drill[S], HasContact[S]):
         return one_sided.energy(c.contact, state[2] - c.contact.delta)
 
     def rate(self, c: S, mode: Values) -> Any:
-        flight = flight_rate(c.drill)
+        flight = self.flight_rate(c)
         return jnp.where(mode[1] != 0, one_sided.stiff_rate(c.contact, c.drill.inverse_m2, flight), flight)
 
     def contact_force(self, c: S, mode: Values, state: Values) -> Any:

@@ -50,7 +50,7 @@ class VibroImpact(Struck[VibroImpactConstants]):
         self, c: VibroImpactConstants, mode: Values, state: Values, hits: Mapping[str, Any]
     ) -> tuple[Values, Values]:
         touching, x2 = self.reset_contact(c, mode, state, hits)
-        return (mode[0], touching), (state[0], state[1], x2, state[3])
+        return (mode[0], touching), (state[0], state[1], x2, *state[3:])
 
 
 SCENES = (VibroImpact,)

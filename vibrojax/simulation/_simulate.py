@@ -22,10 +22,9 @@ from vibrojax.scenes import HasContact, HasFriction, HasRock, Scene
 from vibrojax.scenes.scene import Values
 from vibrojax.simulation._record import check_size, record, sample
 from vibrojax.simulation._trajectory import Motion, events, forces, states_shown, trajectory_dataset
-from vibrojax.stepping import Accuracy, Smoothed, Stepper, Wanted, stepper_named
+from vibrojax.stepping import STEPPERS, Accuracy, Smoothed, Stepper, Wanted, stepper_named
 from vibrojax.stepping.adaptive import adaptive_trajectory, solver_named
 
-METHODS = ("located", "smoothed", "diffrax")
 MOST_SAMPLES = 2_000_000
 
 
@@ -65,8 +64,9 @@ def simulate(
     place = Place("simulate")
     point = read_point(place, scene, parameters, start)
     method = method or ("diffrax" if solver is not None else "located")
-    if not isinstance(method, Stepper) and method not in METHODS:
-        raise place.at("method").error(f'"{method}" is not one; choose from {", ".join(METHODS)}')
+    methods = (*STEPPERS, "diffrax")
+    if not isinstance(method, Stepper) and method not in methods:
+        raise place.at("method").error(f'"{method}" is not one; choose from {", ".join(methods)}')
     if solver is not None and method != "diffrax":
         raise place.at("solver").error(f'has no use with method "{method}"; leave one of them out')
     stepper = None if method == "diffrax" else stepper_named(method)
