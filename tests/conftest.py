@@ -26,7 +26,8 @@ jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
 # Annotations, shapes of arrays among them, are checked in the tests; users pay nothing for them. What users call
-# themselves (input.read, input.source, simulation._simulate) is not: it says what is wrong with an argument in its own words.
+# themselves (input.read and source, simulation._simulate) is not: it says what is wrong with an argument in its own
+# words.
 CHECKED = [
     "vibrojax.accuracy",
     "vibrojax.amounts",
