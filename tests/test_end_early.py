@@ -105,10 +105,10 @@ def returns(distances, period=0.5, last=9.9):
 )
 def test_settled(distances, close, ends):
     """Told by how repeats differ; the distance of a geometric approach is that of its series, or a little more."""
-    found, lasts = settled(returns(distances), 10.0, 40.0, 8.0, close)
+    found, duration = settled(returns(distances), 10.0, 40.0, 8.0, close)
     assert found.tolist() == [ends]
     if ends:
-        assert 9 * 0.5 <= lasts[0] <= 8.0
+        assert 9 * 0.5 <= duration[0] <= 8.0
 
 
 def test_settled_needs_time():

@@ -29,7 +29,7 @@ LEAST_FRICTION = 0.01
 """mu(0+) that the equilibrium's swing is measured by at least, for drills without friction [1]."""
 
 FEWEST_RETURNS = 9
-"""Fewest returns to the section by which a repeat can be told."""
+"""Fewest returns to the section that show a repeat."""
 
 
 def label(

@@ -111,7 +111,7 @@ def told(wrong):
 
 
 def test_energy(motions):
-    """F v = F u + c2 x2'^2 + J x2' + change of energy (contract: drive_power); the contact's spring is not in it."""
+    """F v = F u + c2 x2'^2 + J x2' + change of energy; the contact's spring is not in it."""
     p, first, last, sums, _ = motions
 
     def energy(x1, v1, x2, v2):

@@ -130,7 +130,7 @@ def pulled(force, x2):
 @pytest.mark.parametrize("slip", [1, -1, 0])
 @pytest.mark.parametrize("touching", [1, 0])
 def test_surfaces(slip, touching):
-    """|u|, or the force in hand over sqrt(k1 m1); J/k0, or in flight the greater of the gap and -J/k0."""
+    """|u|, or the force short of the stick limit over sqrt(k1 m1); J/k0, or in flight the gap or -J/k0, the greater."""
     scene = VibroImpact()
     state = states(slip, seed=5)
     x1, v1, x2, v2 = state

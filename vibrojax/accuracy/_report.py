@@ -121,7 +121,7 @@ def _errors(measured: Sequence[Measured]) -> Variables:
 
 
 def _outcomes(measured: Sequence[Measured]) -> Variables:
-    agreeing = "lanes that move like the reference, over which errors are told"
+    agreeing = "lanes that move like the reference, over which errors are counted"
     status = Variable("1", "what became of the setting", np.int8, STATUSES)
     statuses = np.array([STATUSES.index(one.status) for one in measured], np.int8)
     return {

@@ -42,7 +42,7 @@ class Batch:
 
     - `accuracy`: what the steps follow from.
     - `given`: parameters and start of every lane.
-    - `begin`, `lasts`: when each is observed, and for how long [s].
+    - `begin`, `duration`: when each is observed, and for how long [s].
     - `underway`: the lanes, what their recorder carries, and the steps taken so far; None before t = 0.
     - `recent`: steps in the last stretch.
     """
@@ -50,7 +50,7 @@ class Batch:
     accuracy: Accuracy
     given: Given
     begin: PerLane
-    lasts: PerLane
+    duration: PerLane
     underway: Underway | None
     recent: Int[np.ndarray, " lanes"]
 
@@ -59,9 +59,9 @@ class Batch:
         arrays = {name: one for name, one in vars(self).items() if name != "accuracy"}
         return Batch(self.accuracy, **jax.tree.map(lambda x: np.take(x, lanes, axis=-1), arrays))
 
-    def observed(self, begin: float, lasts: PerLane) -> "Batch":
-        """The lanes, to be observed from `begin` on for the times `lasts` [s]."""
-        return replace(self, begin=np.full_like(self.begin, begin), lasts=lasts.astype(self.lasts.dtype))
+    def observed(self, begin: float, duration: PerLane) -> "Batch":
+        """The lanes, to be observed from `begin` on for the times `duration` [s]."""
+        return replace(self, begin=np.full_like(self.begin, begin), duration=duration.astype(self.duration.dtype))
 
 
 def _steps(batch: Batch) -> Array:
@@ -126,7 +126,9 @@ class Engine:
 
         def program(count: np.int32, some: Batch) -> Any:
             effort = self._effort(some.accuracy)
-            return self._programs.observe(self._kind, count, some.given, some.underway, some.begin, some.lasts, effort)
+            return self._programs.observe(
+                self._kind, count, some.given, some.underway, some.begin, some.duration, effort
+            )
 
         return [
             {name: np.moveaxis(x, -1, 0) for name, x in features.items()}

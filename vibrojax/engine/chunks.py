@@ -141,10 +141,10 @@ class Chunks:
             before = now
             if self._ends_early:
                 assert batch.underway is not None
-                done, lasts = settled(batch.underway.carry, now, run.settle + run.observe, run.observe, close)
+                done, duration = settled(batch.underway.carry, now, run.settle + run.observe, run.observe, close)
                 if done.any():
-                    fine = batch.of(np.flatnonzero(done)).observed(now, lasts[done])
-                    check = replace(fine, accuracy=coarse).observed((1 + CHECKED) * now, lasts[done])
+                    fine = batch.of(np.flatnonzero(done)).observed(now, duration[done])
+                    check = replace(fine, accuracy=coarse).observed((1 + CHECKED) * now, duration[done])
                     yield Part(lanes[done], fine, check)
                     lanes, batch = lanes[~done], batch.of(np.flatnonzero(~done))
                     if done.all():

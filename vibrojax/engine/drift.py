@@ -1,4 +1,4 @@
-"""How far a lane that repeats still is from where it settles, told by its last returns to the section.
+"""How far a lane that repeats still is from where it settles, estimated from its last returns to the section.
 
 Near an orbit the distance of one return from it is a linear map of that of the return before, so the differences
 between returns d_k obey a linear recurrence d_k = sum_j c_j d_{k-jp}, p being the returns of a repeat: of order 1 for

@@ -86,15 +86,15 @@ def settle_lanes(kind: Kind, count: Count, given: Given, begun: Underway, until:
 
 
 def observe_lanes(
-    kind: Kind, count: Count, given: Given, begun: Underway, begin: Lanes, lasts: Lanes, effort: Effort
+    kind: Kind, count: Count, given: Given, begun: Underway, begin: Lanes, duration: Lanes, effort: Effort
 ) -> Features:
     """Features by name, (lanes,), or (returns, lanes) for the last returns; see `observe_block`."""
 
-    def program(given: Given, begun: Underway, begin: Lanes, lasts: Lanes) -> Features:
+    def program(given: Given, begun: Underway, begin: Lanes, duration: Lanes) -> Features:
         constants = _constants(kind, given)
-        return observe_block(kind.scene, kind.stepper, kind.recorder, constants, begun, begin, lasts, effort)
+        return observe_block(kind.scene, kind.stepper, kind.recorder, constants, begun, begin, duration, effort)
 
-    return _block_by_block(program, kind.block, count, given, begun, begin, lasts)
+    return _block_by_block(program, kind.block, count, given, begun, begin, duration)
 
 
 def _block_by_block(program: Callable[..., Any], block: int, count: Count, *given: Any) -> Any:

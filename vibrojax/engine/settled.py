@@ -30,7 +30,7 @@ def settled(returns: Settling, now: float, end: float, observe: float, close: fl
     """
     states, times, passed = returns.seen.states, returns.seen.times, returns.passed
     lanes = times.shape[-1]
-    done, lasts = np.zeros(lanes, bool), np.zeros(lanes)
+    done, duration = np.zeros(lanes, bool), np.zeros(lanes)
     with np.errstate(invalid="ignore", divide="ignore"):
         scale = np.stack(scales(passed.amplitudes, passed.since))
         lately = now - times[0] < 1.5 * np.max(times[:-1] - times[1:], axis=0)
@@ -46,7 +46,7 @@ def settled(returns: Settling, now: float, end: float, observe: float, close: fl
             still = newer * np.where(ratio < 1, np.minimum(ratio / (1 - ratio), repeats_left), repeats_left)
             needed = (max(FEWEST_RETURNS, 3 * repeat + 1) + 1.5) * seconds[0] / repeat
             new = ~done & (newer < REPEATS_WITHIN) & lately & (needed <= observe) & (still <= close)
-            lasts = np.where(new, needed, lasts)
+            duration = np.where(new, needed, duration)
             # A repeat of one return is one of two as well: the shortest holds.
             done |= new
-    return done, lasts
+    return done, duration

@@ -1,4 +1,7 @@
-"""The smallest writer of TOML that a sweep needs, for sweeps given as a dict."""
+"""The smallest writer of TOML that a sweep needs, for sweeps given as a dict.
+
+A general writer (tomli-w) puts tables behind values, and with that the axes of a grid in another order.
+"""
 
 import json
 import re

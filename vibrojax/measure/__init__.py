@@ -53,7 +53,7 @@ def recorder_for(scene: Scene[Any], keep_returns: int = 0) -> Records:
         raise InputError(f"scene: {scene.name} measures {shown(unknown[0])}; choose from {', '.join(GAUGES)}")
     gauges = [gauge_named(gauge) for gauge in scene.measures]
     if not any(isinstance(gauge, Swings) for gauge in gauges):
-        gauges.insert(0, Swings())  # repeats are told against the swings
+        gauges.insert(0, Swings())  # repeats are measured against the swings
     for gauge in gauges:
         for need in gauge.needs:
             if not isinstance(scene, need):

@@ -74,22 +74,22 @@ def observe_block(
     c: Any,
     begun: Underway,
     begin: Lanes,
-    lasts: Lanes,
+    duration: Lanes,
     effort: Effort,
 ) -> Features:
     """Features of lanes that have settled, by name.
 
-    **Arguments:** as of `settle_block`; `begin`, `lasts` [s]: when each lane's observation begins, how long it is.
+    **Arguments:** as of `settle_block`; `begin`, `duration` [s]: when each lane's observation begins, how long it is.
     """
 
     def take_in(carry: Any, lane: Lane, step: Step) -> Any:
         return recorder.step(scene, c, carry, lane, step)
 
     def turn(carry: Any, lane: Lane) -> Any:
-        share = 1 - lane.clock.until(end) / lasts
+        share = 1 - lane.clock.until(end) / duration
         return recorder.take_returns(scene, c, carry, lane, share)
 
-    end = begin + lasts
+    end = begin + duration
     settled = begun.lane.clock.until(begin) <= 0
     begun = begun._replace(carry=recorder.begin(scene, c, begun.lane, begun.carry))
     phase = Phase(take_in, turn, lambda carry: ~recorder.waiting(carry), STEPS_PER_TURN, marked=True)
@@ -119,9 +119,9 @@ def run_block(
     lane, carry = start_block(scene, recorder, c, state)
     c = scene.scaled(c, state)
     none = jnp.zeros_like(state[0])
-    begin, lasts = none + settle, none + observe
+    begin, duration = none + settle, none + observe
     begun = settle_block(scene, stepper, recorder, c, Underway(lane, carry, none), begin, effort)
-    return observe_block(scene, stepper, recorder, c, begun, begin, lasts, effort)
+    return observe_block(scene, stepper, recorder, c, begun, begin, duration, effort)
 
 
 def _through(

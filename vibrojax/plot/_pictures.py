@@ -15,12 +15,12 @@ from vibrojax.errors import InputError
 from vibrojax.plot._bifurcation import bifurcation
 from vibrojax.plot._contents import Contents, contents, law_in, rates_in, regimes_in
 from vibrojax.plot._hole import pulses, response
-from vibrojax.plot._law import law_lines, law_map
 from vibrojax.plot._maps import rate_grid, regime_grid
+from vibrojax.plot._rate_law import law_lines, law_map
 from vibrojax.plot._rates import rates
 from vibrojax.plot._scatter import rate_scatter, regime_bars, regime_scatter
 from vibrojax.plot._strips import regime_lines
-from vibrojax.plot._trajectory import trajectory
+from vibrojax.plot._time_history import trajectory
 from vibrojax.plot._work_precision import work_precision
 from vibrojax.plot.style import settings
 from vibrojax.store.atomic import atomic_write

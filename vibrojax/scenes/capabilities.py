@@ -39,7 +39,7 @@ class HasFriction(Scene[C]):
 
     @abstractmethod
     def flight_rate(self, c: C) -> Any:
-        """A bound on the fastest rate of change [1/s] without impact; lanes that are too stiff are told by it."""
+        """A bound on the fastest rate of change [1/s] without impact, by which lanes that are too stiff are found."""
 
     @abstractmethod
     def spring_rate(self, c: C) -> Any:

@@ -63,7 +63,7 @@ class Penetration(OnRock[PenetrationConstants], Driven[PenetrationConstants]):
         return mass | ROCK | (PULSES if self.has_pulses else SWEEP)
 
     def constants(self, p: Mapping[str, Any]) -> PenetrationConstants:
-        # There is no gravity in this scene; only what counts as roundings is told by a usual weight.
+        # There is no gravity in this scene; a usual weight only decides what counts as roundings.
         rock = rock_constants(p, BIT_AND_STRIKER["g"].default)
         bias = 0.0 if self.has_pulses else jnp.abs(p["bias"])
         given = {name: p[name] for name in (PULSES if self.has_pulses else SWEEP)}

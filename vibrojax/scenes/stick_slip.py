@@ -69,9 +69,12 @@ def stick_limit(c: SlipConstants, impact: Any) -> Any:
 
 
 def guard(c: SlipConstants, slip: Any, u: Any, pull: Any, impact: Any) -> Any:
-    """Positive while the bit goes on sliding one way, or sticking: |u|, or the force in hand over sqrt(k1 m1) [m/s]."""
-    in_hand = stick_limit(c, impact) - absolute(pull)
-    return slip * u + ((1.0 - slip * slip) / c.impedance) * in_hand
+    """Positive while the bit goes on sliding one way, or sticking [m/s].
+
+    |u|, or the force that the pull is short of the stick limit, over sqrt(k1 m1).
+    """
+    left = stick_limit(c, impact) - absolute(pull)
+    return slip * u + ((1.0 - slip * slip) / c.impedance) * left
 
 
 def speed_noise(c: SlipConstants) -> Any:

@@ -1,4 +1,4 @@
-"""What a stepper is: how it steps, what its steps follow from, and how its error is told from a coarser run."""
+"""What a stepper is: how it steps, what its steps follow from, and how its error follows from a coarser run."""
 
 from abc import ABC, abstractmethod
 from typing import Any, ClassVar, NamedTuple

@@ -1,4 +1,4 @@
-"""Datasets of earlier versions whose numbers are known to be wrong, told when they are opened."""
+"""Datasets of earlier versions whose numbers are known to be wrong: a warning when they are opened."""
 
 import warnings
 

@@ -71,7 +71,7 @@ class Peer(ABC):
 
 
 class Returns:
-    """Period and impact velocity over whole returns to the section, taken in as they come (contract: dataset)."""
+    """Period and impact velocity over whole returns to the section, taken in as they come."""
 
     def __init__(self):
         self.first = self.last = 0.0
