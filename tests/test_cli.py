@@ -248,7 +248,9 @@ def labelled() -> xr.Dataset:
         },
         coords={"beta": ("beta", [0.1, 0.2, 0.4], {"units": "1"}), "start": ["drive", "stuck"]},
         attrs={"scene": "rotary", "title": "t", "sweep": "[run]\nerror = 1e-3\n", "lanes": 6, "wall_time_s": 2.0}
-        | {"run": '{"settle": 40.0, "observe": 8.0}'},
+        | {"run": '{"settle": 40.0, "observe": 8.0}', "friction": "coulomb"}
+        | {"parameters": '{"m1": 250.0, "k1": 3e5, "v": 1.5}'}
+        | {"differing": '[{"name": "k1", "symbol": "k", "units": "N m-1", "value": 3e5, "default": 156250.0}]'},
     )
 
 
@@ -264,6 +266,7 @@ def test_info_tells_what_is_there():
         "          66.67 % of 3 periodic lanes within the accepted 0.001",
         "wall time 2 s",
         "run       settled for 40 s, observed for 8 s",
+        "friction  coulomb\nfixed     k1 = 300000 N m-1 (default 156250)\n          by default: m1 = 250, v = 1.5",
     ):
         assert line in text, text
 

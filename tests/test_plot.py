@@ -325,6 +325,17 @@ def test_a_run_has_history_portraits_and_spectrum():
     assert note(figure) == "β = 0.4, γ = 0.75, v = 1.5 m/s, Δ = −6 mm, start: drive"
 
 
+def test_the_note_names_what_differs_from_the_defaults():
+    ds = run()
+    changed = [
+        {"name": "k0", "symbol": "k₀", "units": "N m-1", "value": 2e7, "default": 5e7},
+        {"name": "delta", "symbol": "Δ", "units": "m", "value": -0.006, "default": -0.005},
+    ]
+    ds.attrs |= {"differing": json.dumps(changed), "friction": "coulomb"}
+    expected = "β = 0.4, γ = 0.75, v = 1.5 m/s, Δ = −6 mm, k₀ = 20 MN/m, friction: coulomb, start: drive"
+    assert note(trajectory(ds)) == expected
+
+
 @pytest.mark.parametrize("events", [True, False])
 def test_impacts_and_stick_are_marked(events):
     ds = run(events=events)

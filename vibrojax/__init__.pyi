@@ -18,6 +18,10 @@ from vibrojax.physics.friction import FRICTION_LAWS as FRICTION_LAWS
 from vibrojax.physics.friction import FrictionLaw as FrictionLaw
 from vibrojax.plot import picture as picture
 from vibrojax.plot import save_picture as save_picture
+from vibrojax.reference import list_parameters as list_parameters
+from vibrojax.reference import list_scenes as list_scenes
+from vibrojax.reference import list_settings as list_settings
+from vibrojax.reference import list_variables as list_variables
 from vibrojax.reproduce import run_reproduction as run_reproduction
 from vibrojax.reproduce import write_reproduction as write_reproduction
 from vibrojax.scenes import SCENES as SCENES

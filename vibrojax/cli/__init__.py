@@ -11,7 +11,7 @@ from argparse import ArgumentParser
 from collections.abc import Callable, Sequence
 from typing import NoReturn, TextIO
 
-from vibrojax.cli import accuracy, fit, info, plot, reproduce, simulate, sweep
+from vibrojax.cli import accuracy, fit, info, plot, reproduce, scenes, simulate, sweep
 from vibrojax.cli._command import Command, Options
 from vibrojax.errors import InputError
 from vibrojax.progress import end_lines
@@ -23,6 +23,7 @@ DONE, FAILED, BAD_INPUT, INTERRUPTED, PIPE_CLOSED, TERMINATED = 0, 1, 2, 130, 14
 _COMMANDS: dict[str, Command] = {
     "sweep": sweep,
     "simulate": simulate,
+    "scenes": scenes,
     "plot": plot,
     "info": info,
     "fit": fit,

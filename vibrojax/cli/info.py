@@ -5,7 +5,7 @@ import tomllib
 from argparse import ArgumentParser
 from collections.abc import Hashable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from vibrojax.cli._command import Options
 
@@ -37,6 +37,8 @@ def describe(dataset: "xarray.Dataset") -> list[str]:
     lines.append(("grid", _grid(dataset)))
     if "lanes" in attributes:
         lines.append(("lanes", [str(attributes["lanes"])]))
+    lines.append(("friction", [str(attributes[name]) for name in ("friction",) if name in attributes]))
+    lines.append(("fixed", _fixed(attributes)))
     lines.append(("run", _times(attributes.get("run", ""))))
     lines += [
         ("regimes", _regimes(dataset)),
@@ -50,6 +52,26 @@ def describe(dataset: "xarray.Dataset") -> list[str]:
         lines.append(("wall time", [f"{float(attributes['wall_time_s']):.3g} s"]))
     shown = (f"{'' if index else name:<10}{text}" for name, texts in lines for index, text in enumerate(texts))
     return [line.rstrip() for line in shown]
+
+
+def _fixed(attributes: dict[str, Any]) -> list[str]:
+    """The fixed parameters: those that are not the defaults one by one, then the others."""
+    try:
+        values, listed = json.loads(attributes["parameters"]), json.loads(attributes.get("differing", "[]"))
+        changed = {
+            one["name"]: f"{_with_unit(one['value'], one['units'])} (default {one['default']:g})" for one in listed
+        }
+        others = [f"{name} = {value:g}" for name, value in values.items() if name not in changed]
+    except (ValueError, KeyError, TypeError):
+        return []
+    lines = [f"{name} = {text}" for name, text in changed.items()]
+    if others:
+        lines.append(("by default: " if "differing" in attributes else "") + ", ".join(others))
+    return lines
+
+
+def _with_unit(value: float, unit: str) -> str:
+    return f"{value:g}" if unit == "1" else f"{value:g} {unit}"
 
 
 def _times(text: str) -> list[str]:

@@ -10,7 +10,7 @@ from vibrojax.engine.validity import TOO_SLOW, TOO_STIFF, too_slow, too_stiff
 from vibrojax.input.definition import Sweep
 from vibrojax.label import LABELLED_BY, label
 from vibrojax.measure import gauge_named
-from vibrojax.physics.parameters import ROTATION, Parameter
+from vibrojax.physics.parameters import ROTATION, Parameter, differing
 from vibrojax.scenes import HasFriction
 from vibrojax.store.provenance import provenance
 from vibrojax.store.variables import REASONS, STATUSES, VARIABLES, Variable
@@ -44,6 +44,7 @@ def dataset_of(sweep: Sweep, features: dict, solver: dict, wall_time: float) -> 
         "sweep": sweep.text,
         "run": json.dumps(_settings(sweep)),
         "parameters": json.dumps(sweep.parameters),
+        "differing": json.dumps(differing(sweep.system.parameters(), sweep.parameters)),
         **sweep.options,
         "solver": json.dumps(solver),
         "certified": json.dumps(_certified(sweep, features)),

@@ -8,6 +8,11 @@ from vibrojax.physics.parameters import Parameter
 
 MOST_VALUES = 10**7
 _RANGE_KEYS = ("start", "stop", "num", "spacing")
+_ADVICE = {
+    "step": "give num, how many values there are from start to stop, both included",
+    "scale": 'did you mean "spacing"?',
+    "log": 'write spacing = "log"',
+}
 _EXAMPLE = "write a list like [0.3, 0.4], or { start = 0.3, stop = 0.6, num = 7 }"
 
 
@@ -30,7 +35,7 @@ def read_axis(place: Place, value: object, parameter: Parameter) -> np.ndarray:
 
 def _range(place: Place, given: dict[str, object], parameter: Parameter) -> np.ndarray:
     """Evenly spaced values from start to stop, both included."""
-    known_keys(place, given, _RANGE_KEYS)
+    known_keys(place, given, _RANGE_KEYS, _ADVICE)
     for key in _RANGE_KEYS[:3]:
         if key not in given:
             raise place.error(f"{key} is missing; {_EXAMPLE}")

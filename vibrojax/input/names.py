@@ -18,6 +18,15 @@ DEFAULT_STARTS = ("drive", "stuck")
 _TOP = ("scene", "title", "starts", "points")
 
 
+# What follows from parameters, which decide it.
+_DERIVED = {
+    "m2": ("beta", "m2 = beta m1; give beta"),
+    "k2": ("gamma", "k2 = beta gamma^2 k1; give gamma"),
+    "w1": ("k1", "w1 = sqrt(k1/m1); give k1"),
+    "w2": ("gamma", "w2 = gamma w1; give gamma"),
+    "D": ("threshold", "the rock's D is called threshold; give that"),
+}
+
 # What is chosen by name for a whole sweep, and what there is to choose from.
 CHOICES: dict[str, Mapping[str, object]] = {
     "friction": FRICTION_LAWS,
@@ -101,6 +110,8 @@ class Names:
             return place.error(f"pulse_shape {mine} has no {name}; it belongs to pulse_shape = {owners}")
         if any(name in kind().parameters() for kind in SCENES.values()):
             return place.error(f"scene {shown(self.scene)} has no {name}; it has {has}")
+        if name in _DERIVED and _DERIVED[name][0] in self.writable:
+            return place.error(f"is no parameter: {_DERIVED[name][1]}")
         if name in _TOP or name in RunSettings.__dataclass_fields__:
             home = "at the top of the file" if name in _TOP else "in [run]"
             return place.error(f"is no parameter; it belongs {home}")

@@ -13,18 +13,24 @@ from vibrojax.stepping import STEPPERS, Accuracy, Stepper, Wanted, stepper_named
 PRECISIONS = ("float64", "float32")
 
 
+MEANINGS = {
+    "settle": "time before anything is observed [s]",
+    "observe": "time of the observation [s]",
+    "error": "accepted error_estimate of a lane that repeats; the steps follow from it",
+    "end_early": "whether a lane that has settled may stop before its time",
+    "keep_returns": "how many of the last returns to store",
+    "method": "how to step: located or smoothed",
+    "step": "length of the steps [s]; left out, it follows from error",
+    "smoothing": "width of the friction switch of the smoothed method [m/s]; left out, it follows from error",
+    "precision": "float64 or float32",
+    "chunk": "lanes computed together and kept on disk as one; left out, the program decides",
+}
+"""What the keys of [run] mean."""
+
+
 @dataclass(frozen=True)
 class RunSettings:
-    """The table [run] of a sweep file.
-
-    - `settle`, `observe`: times [s] before and under observation.
-    - `error`: accepted `error_estimate` of a periodic lane.
-    - `end_early`: whether a settled lane may stop before its time.
-    - `keep_returns`: how many of the last returns to store.
-    - `method`: "located" or "smoothed"; `step` [s] and, for smoothed, `smoothing` [m/s]: None leaves them to `error`.
-    - `precision`: "float64" or "float32".
-    - `chunk`: lanes computed together; None leaves it to the program.
-    """
+    """The table [run] of a sweep file; what each key means is in `MEANINGS`."""
 
     settle: float = 40.0
     observe: float = 8.0

@@ -1,6 +1,6 @@
 """Checks of single values: numbers, counts, choices."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from numbers import Integral, Real
 
 from vibrojax.errors import Place, shown, suggestion
@@ -53,8 +53,11 @@ def as_table(place: Place, value: object) -> dict[str, object]:
     return value
 
 
-def known_keys(place: Place, table: dict[str, object], keys: Collection[str]) -> None:
-    """Raise at the first key of `table` that is none of `keys`."""
+def known_keys(
+    place: Place, table: dict[str, object], keys: Collection[str], advice: Mapping[str, str] | None = None
+) -> None:
+    """Raise at the first key of `table` that is none of `keys`, with the `advice` for that key if there is any."""
     for key in table:
         if key not in keys:
-            raise place.at(str(key)).error(f"unknown key; {suggestion(str(key), keys)}")
+            right = (advice or {}).get(str(key)) or suggestion(str(key), keys)
+            raise place.at(str(key)).error(f"unknown key; {right}")

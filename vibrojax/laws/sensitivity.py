@@ -60,6 +60,8 @@ def rop_derivatives(
     **Raises:** `InputError` where a name or value is not right.
     """
     place = Place("rop_derivatives")
+    if "scene" in parameters:
+        raise place.at("scene").error("is always penetration here; leave it out")
     point = read_point(place, "penetration", parameters)
     for name in wrt:
         if name not in point.parameters:

@@ -1,5 +1,6 @@
 """The table of parameters: symbol, default, unit, meaning and admissible range (SI units)."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from math import isfinite
 
@@ -46,6 +47,18 @@ def not_negative(name: str, default: float, unit: str, long_name: str, symbol: s
 def table(*parameters: Parameter) -> dict[str, Parameter]:
     """Parameters by name."""
     return {parameter.name: parameter for parameter in parameters}
+
+
+def differing(parameters: Mapping[str, Parameter], values: Mapping[str, float]) -> list[dict[str, str | float]]:
+    """Those of `values` by name that are not their parameters' defaults, each with what it takes to write it.
+
+    The keys are `name`, `symbol`, `units`, `value` and `default`; values of no parameter here are left out.
+    """
+    changed = (parameters[name] for name in parameters if name in values and values[name] != parameters[name].default)
+    return [
+        {"name": one.name, "symbol": one.symbol, "units": one.unit, "value": values[one.name], "default": one.default}
+        for one in changed
+    ]
 
 
 BIT_AND_STRIKER = table(

@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from vibrojax.plot._contents import parameters_of
+from vibrojax.plot._contents import differing_from_defaults, parameters_of
 
 _HERTZ = {"s-1": "Hz", "s-2": "Hz/s"}  # the only such units here are of frequencies
 _LINE = 32  # letters of a label that fit along a panel
@@ -40,6 +40,10 @@ _NAMED = {
     "k3": ("k₃", 1e-6, " MN/m"),
     "zeta": ("ζ", 1.0, ""),
 }
+
+
+USUAL_FRICTION = "stribeck"
+"""The law that goes without saying."""
 
 
 def scale(data: xr.DataArray) -> tuple[float, str]:
@@ -133,6 +137,10 @@ def point_text(ds: xr.Dataset) -> str:
     for name, (symbol, factor, unit) in _NAMED.items():
         if name in given:
             parts.append(f"{symbol} = {number(factor * given[name])}{unit}")
+    others = (data for data in differing_from_defaults(ds) if data.name not in _NAMED and data.name not in known)
+    parts += [value_text(data, data.values.item()) for data in others]
+    if ds.attrs.get("friction", USUAL_FRICTION) != USUAL_FRICTION:
+        parts.append(f"friction: {ds.attrs['friction']}")
     if "start" in ds.attrs and "start" not in ds.coords:
         parts.append(f"start: {ds.attrs['start']}")
     return ", ".join(parts)

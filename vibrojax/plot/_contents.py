@@ -216,6 +216,17 @@ def parameters_of(ds: xr.Dataset) -> dict[str, float]:
     return {str(name): float(value) for name, value in pairs if isinstance(value, (int, float))}
 
 
+def differing_from_defaults(ds: xr.Dataset) -> tuple[xr.DataArray, ...]:
+    """The fixed parameters whose values are not the defaults, as the attribute `differing` lists them."""
+    try:
+        listed = json.loads(str(ds.attrs.get("differing", "[]")))
+        values = {one["name"]: float(one["value"]) for one in listed}
+        about = {one["name"]: {"units": one["units"], "symbol": one["symbol"]} for one in listed}
+        return tuple(xr.DataArray(value, name=name, attrs=about[name]) for name, value in values.items())
+    except (ValueError, KeyError, TypeError):
+        return ()
+
+
 def is_numeric(data: xr.DataArray) -> bool:
     """Whether the values of `data` are numbers, rather than names."""
     return bool(np.issubdtype(data.dtype, np.number))

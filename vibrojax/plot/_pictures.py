@@ -11,7 +11,7 @@ from typing import NamedTuple
 import xarray as xr
 from matplotlib.figure import Figure
 
-from vibrojax.errors import InputError
+from vibrojax.errors import InputError, shown
 from vibrojax.plot._bifurcation import bifurcation
 from vibrojax.plot._contents import Contents, contents, law_in, rates_in, regimes_in
 from vibrojax.plot._hole import pulses, response
@@ -68,6 +68,8 @@ def picture(ds: xr.Dataset) -> Figure:
 
     **Raises:** `InputError` where the dataset holds nothing to draw.
     """
+    if not isinstance(ds, xr.Dataset):
+        raise InputError(f"{shown(ds)} is no dataset; open it first: vj.picture(vj.open_dataset(PATH))")
     held = contents(ds)
     for row in PICTURES:
         if row.fits(held):

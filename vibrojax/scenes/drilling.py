@@ -32,8 +32,9 @@ def _sandstone() -> dict[str, Parameter]:
 
 @dataclass(frozen=True)
 class Drilling(Struck[DrillingConstants], OnRock[DrillingConstants]):
-    """Bit and striker as in vibro-impact; the bit's normal motion m1 x3'' + c3 x3' = -N + J (eqs. 5.18, 6.1 to 6.3).
+    """The vibro-impact drill whose blows drive the bit into the rock, one way, as in the source.
 
+    The bit's normal motion m1 x3'' + c3 x3' = -N + J (eqs. 5.18, 6.1 to 6.3).
     States: x1, x1', x2, x2', the rock's compression x3 - x4, x3', and the growth of x4 since the last impact began.
     What has been drilled before is thus no part of the state, and cannot blur it. The rock does not act back: the
     contact is that of the vibro-impact scene.
@@ -86,9 +87,9 @@ class Drilling(Struck[DrillingConstants], OnRock[DrillingConstants]):
 
 @dataclass(frozen=True)
 class CoupledDrilling(Drilling):
-    """Contact compression x2 - delta - (x3 - x4): the drive is fed down with the hole, so the gap does not open.
+    """As drilling, with the bit's normal motion fed back into the contact (the source's recommendation 1).
 
-    The bit's normal motion is fed back into the contact (the source's recommendation 1).
+    The contact's compression is x2 - delta - (x3 - x4): the drive is fed down with the hole, so the gap does not open.
     """
 
     name = "coupled-drilling"

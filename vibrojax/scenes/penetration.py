@@ -40,8 +40,9 @@ class PenetrationConstants(NamedTuple):
 
 @dataclass(frozen=True)
 class Penetration(OnRock[PenetrationConstants], Driven[PenetrationConstants]):
-    """m1 x3'' + c3 x3' = -N + I(t), N = clip(k3 (x3 - x4), 0, D) (eqs. 6.1 to 6.3).
+    """The bit on the rock under given pulses, rectangular or half-sine, or under a swept sine; no drill.
 
+    m1 x3'' + c3 x3' = -N + I(t), N = clip(k3 (x3 - x4), 0, D) (eqs. 6.1 to 6.3).
     States: compression x3 - x4, x3', the growth of x4 since the last pulse began, and the time since then (for a swept
     sine: since t = 0). What has been drilled before is thus no part of the state, and cannot blur it.
     """

@@ -17,7 +17,10 @@ class RotaryConstants(NamedTuple):
 
 @dataclass(frozen=True)
 class Rotary(Drill[RotaryConstants]):
-    """m1 x1'' = -k1 x1 - k2 (x1 - x2) - F(u); m2 x2'' = -c2 x2' - k2 (x2 - x1)."""
+    """Bit and striker on their springs, stick-slip friction, no impact.
+
+    m1 x1'' = -k1 x1 - k2 (x1 - x2) - F(u); m2 x2'' = -c2 x2' - k2 (x2 - x1)
+    """
 
     name = "rotary"
     measures = ("swings", "shares", "harmonics")

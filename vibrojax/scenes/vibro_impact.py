@@ -20,7 +20,10 @@ class VibroImpactConstants(NamedTuple):
 
 @dataclass(frozen=True)
 class VibroImpact(Struck[VibroImpactConstants]):
-    """m1 x1'' = -k1 x1 - k2 (x1 - x2) - F(u, J); m2 x2'' = -c2 x2' - k2 (x2 - x1) - J."""
+    """Bit and striker with stick-slip friction; the striker hits the bit through a one-sided contact.
+
+    m1 x1'' = -k1 x1 - k2 (x1 - x2) - F(u, J); m2 x2'' = -c2 x2' - k2 (x2 - x1) - J (eq. 5.18)
+    """
 
     name = "vibro-impact"
     measures = ("swings", "shares", "impacts", "harmonics")

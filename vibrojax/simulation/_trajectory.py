@@ -13,9 +13,10 @@ from jaxtyping import Bool, Float, Int
 from vibrojax.arrays import Array
 from vibrojax.input.point import Point
 from vibrojax.measure.section import lowest
+from vibrojax.physics.parameters import differing
 from vibrojax.scenes import Driven, HasContact, HasFriction, HasRock, Scene
 from vibrojax.simulation._record import Record, accumulated
-from vibrojax.store.provenance import source
+from vibrojax.store.provenance import provenance
 
 KINDS = ("none", "stick", "slip", "impact", "release", "section")
 """Meaning of the flags of `event_kind`."""
@@ -160,9 +161,10 @@ def trajectory_dataset(
     attributes = {
         "title": f"{point.scene}: trajectory",
         "scene": point.scene,
-        "source": source(),
+        **provenance(),
         "history": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} simulate {point.scene}",
         "parameters": json.dumps(point.parameters),
+        "differing": json.dumps(differing(point.system.parameters(), point.parameters)),
         **point.options,
         **start,
         "solver": json.dumps(solver),

@@ -1,0 +1,48 @@
+"""What scenes are made of, as tables and text: the same as what sweeps take and give."""
+
+import pytest
+
+import vibrojax as vj
+from vibrojax.cli import main
+from vibrojax.input.run_settings import RunSettings
+from vibrojax.reference import scene_text
+
+
+@pytest.mark.parametrize("scene", ["rotary", "vibro-impact", "penetration", "drilling", "coupled-drilling"])
+def test_parameters_are_those_that_sweeps_take(scene):
+    table = vj.list_parameters(scene)
+    always = table[table["where"] == ""]
+    sweep = vj.read_sweep({"scene": scene, "parameters": dict(always.default.drop("m1")), "grid": {"m1": [200.0]}})
+    usual = sweep.friction or "rectangular"
+    own = table[table["where"].str.contains(f'"{usual}"')]
+    assert {*always.index, *own.index} == set(sweep.system.parameters())
+    assert {**always.default, **own.default} == {"m1": 250.0, **sweep.parameters}
+
+
+def test_every_law_and_shape_has_its_own():
+    laws = vj.list_parameters("rotary")
+    for law in vj.FRICTION_LAWS.values():
+        assert set(laws[laws["where"].str.contains(f'"{law.name}"')].index) == set(law.parameters)
+    assert "sweep_rate" in vj.list_parameters("penetration").index
+
+
+@pytest.mark.parametrize(("scene", "axis"), [("vibro-impact", "gamma"), ("penetration", "m1")])
+def test_variables_are_those_of_the_dataset(scene, axis):
+    run = {"settle": 0.5, "observe": 0.5} | ({} if scene == "penetration" else {"keep_returns": 1})
+    ds = vj.run_sweep({"scene": scene, "grid": {axis: [0.7]}, "run": run}, progress=False)
+    assert list(vj.list_variables(scene).index) == list(ds.data_vars)
+
+
+def test_settings_are_those_of_run():
+    assert vj.list_settings().default.to_dict() == vars(RunSettings())
+
+
+def test_the_command(capsys):
+    assert main(["scenes"]) == 0
+    assert "vibro-impact      Bit and striker with stick-slip friction; the striker hits" in capsys.readouterr().out
+    assert main(["scenes", "rotary"]) == 0
+    text = capsys.readouterr().out
+    assert text == scene_text("rotary") + "\n"
+    assert "  gamma       γ     0.75    1        above 0     frequency ratio w2/w1\n" in text
+    assert main(["scenes", "rotry"]) == 2
+    assert capsys.readouterr().err == 'vibrojax: scenes: "rotry" is unknown; did you mean "rotary"?\n'

@@ -1,0 +1,176 @@
+"""What scenes are made of, as tables: parameters, starts, friction laws, variables and settings.
+
+Everything is read from what the code itself goes by, so that it cannot say anything else.
+"""
+
+from dataclasses import fields, is_dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import pandas as pd
+
+from vibrojax.devices import precision
+from vibrojax.errors import Place
+from vibrojax.input.names import Names, read_names
+from vibrojax.input.offered import enter_offered
+from vibrojax.input.run_settings import MEANINGS, RunSettings
+from vibrojax.measure import gauge_named, recorder_for
+from vibrojax.measure.run import Effort, run_block
+from vibrojax.physics.friction import FRICTION_LAWS
+from vibrojax.physics.parameters import ROTATION, Parameter
+from vibrojax.physics.rock import ROCKS
+from vibrojax.scenes import SCENES, HasFriction, Scene
+from vibrojax.scenes.penetration import PULSE_SHAPES
+from vibrojax.stepping import Wanted, stepper_named
+from vibrojax.store.variables import VARIABLES, Variable
+
+COLUMNS = ["symbol", "default", "units", "range", "meaning", "where"]
+
+
+def list_scenes() -> pd.DataFrame:
+    """The scenes by name: what each is, its states and its starts."""
+    enter_offered()
+    rows = {
+        name: {"what": _summary(kind), "states": ", ".join(kind().state_names), "starts": ", ".join(kind.starts)}
+        for name, kind in SCENES.items()
+    }
+    return pd.DataFrame.from_dict(rows, orient="index").rename_axis("scene")
+
+
+def list_parameters(scene: str | Scene[Any]) -> pd.DataFrame:
+    """The parameters of a scene by name, with those that stand for others, and those of every friction law.
+
+    The columns are `symbol`, `default`, `units`, `range`, `meaning` and `where`: with which friction law or shape of
+    pulses it goes; empty where it is there always.
+
+    **Raises:** `InputError` where there is no such scene.
+    """
+    names = read_names(Place("scenes"), scene)
+    own = {choice: set(parameters) for choice, parameters in _of_choices(names).items()}
+    shared = set(names.parameters) - set().union(*own.values())
+    rows = [(_row(names.parameters[name]) | {"name": name, "where": ""}) for name in names.parameters if name in shared]
+    for choice, parameters in _of_choices(names).items():
+        new = [parameter for name, parameter in parameters.items() if name not in shared]
+        rows += [_row(parameter) | {"name": parameter.name, "where": choice} for parameter in new]
+    if "v" in names.parameters:
+        rows += [_row(one) | {"name": one.name, "where": "both in place of v"} for one in ROTATION.values()]
+    return pd.DataFrame(rows).set_index("name")[COLUMNS]
+
+
+def list_variables(scene: str | Scene[Any]) -> pd.DataFrame:
+    """The variables of the datasets that sweeps of a scene give, by name: `units` and `meaning`.
+
+    **Raises:** `InputError` where there is no such scene.
+    """
+    system = read_names(Place("scenes"), scene).system
+    measured = set(_features(system))
+    labelled = {"regime", "check_regime", "drift_estimate"} if system.section is not None else set()
+    known = VARIABLES | {
+        name: Variable(*about) for gauge in system.measures for name, about in gauge_named(gauge).variables.items()
+    }
+    there = measured | labelled | {"status", "reason", "error_estimate"}
+    rows = {name: {"units": one.units, "meaning": one.long_name} for name, one in known.items() if name in there}
+    return pd.DataFrame.from_dict(rows, orient="index").rename_axis("variable")
+
+
+def list_settings() -> pd.DataFrame:
+    """The settings of a sweep, the table [run], with their defaults."""
+    rows = {field.name: {"default": field.default, "meaning": MEANINGS[field.name]} for field in fields(RunSettings)}
+    return pd.DataFrame.from_dict(rows, orient="index", dtype=object).rename_axis("setting")
+
+
+def scene_text(scene: str) -> str:
+    """All that there is to know of a scene to write a sweep file, as text."""
+    names = read_names(Place("scenes"), scene)
+    system = names.system
+    parts = [f"{system.name}: {_summary(type(system))}"]
+    starts = f"starts: {', '.join(system.starts)}"
+    if system.start_states:
+        starts += f", or a vector [{', '.join(system.start_states)}]"
+    parts.append(starts if system.starts else "starts: always the same")
+    if names.has_rock:
+        rocks = (f"{name} ({one.threshold / 1e3:g} kN, {one.k3 / 1e6:g} MN/m)" for name, one in ROCKS.items())
+        parts.append(f"rock, in place of threshold and k3: {', '.join(rocks)}")
+    for title, table in (
+        ("parameters", list_parameters(scene)),
+        ("variables", list_variables(scene)),
+        ("settings, in [run]", list_settings()),
+    ):
+        parts.append(f"{title}\n{_aligned(table)}")
+    return "\n\n".join(parts)
+
+
+def _aligned(table: pd.DataFrame) -> str:
+    """`table` as text, its columns aligned to the left, two blanks deep."""
+    rows = zip(table.index, table.to_numpy(), strict=True)
+    cells = [[str(name), *(_cell(value) for value in row)] for name, row in rows]
+    widths = [max(len(row[column]) for row in cells) for column in range(len(cells[0]))]
+    lines = ("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in cells)
+    return "\n".join(f"  {line}".rstrip() for line in lines)
+
+
+def _cell(value: object) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, bool):
+        return str(value).lower()
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _row(parameter: Parameter) -> dict[str, Any]:
+    return {
+        "symbol": parameter.symbol,
+        "default": parameter.default,
+        "units": parameter.unit,
+        "range": _range(parameter),
+        "meaning": parameter.long_name,
+    }
+
+
+def _range(parameter: Parameter) -> str:
+    """The admissible values, in words."""
+    parts = []
+    if parameter.lowest is not None:
+        parts.append(f"{'above' if parameter.open_below else 'at least'} {parameter.lowest:g}")
+    if parameter.below is not None:
+        parts.append(f"below {parameter.below:g}")
+    return ", ".join(parts) or "any"
+
+
+def _of_choices(names: Names) -> dict[str, dict[str, Parameter]]:
+    """The parameters that only some friction laws, or shapes of pulses, have, by what is chosen."""
+    if isinstance(names.system, HasFriction):
+        first = names.friction
+        laws = sorted(FRICTION_LAWS.values(), key=lambda law: law.name != first)
+        return {f'friction = "{law.name}" ({law.reference})': dict(law.parameters) for law in laws}
+    if "pulse_shape" not in names.options:
+        return {}
+    options = ({"pulse_shape": shape} for shape in PULSE_SHAPES)
+    of_shapes = (read_names(Place("scenes"), names.scene, chosen).parameters for chosen in options)
+    shapes = dict(zip(PULSE_SHAPES, map(dict, of_shapes), strict=True))
+    everywhere = set.intersection(*(set(parameters) for parameters in shapes.values()))
+    return {
+        f'pulse_shape = "{shape}"': {name: one for name, one in parameters.items() if name not in everywhere}
+        for shape, parameters in shapes.items()
+    }
+
+
+def _features(scene: Scene[Any]) -> list[str]:
+    """The names of what is measured of a scene; nothing is computed for it."""
+
+    def run() -> Any:
+        values = {name: jnp.full(1, one.default) for name, one in scene.parameters().items()}
+        constants = scene.constants(values)
+        state = scene.start(constants, scene.starts[0] if scene.starts else None, (1,))
+        stepper = stepper_named("located")
+        effort = Effort(stepper.accuracy(Wanted(error=1e-4), scene), 1.0)
+        return run_block(scene, stepper, recorder_for(scene), constants, state, effort, 1.0, 1.0)
+
+    with precision("float64"):
+        return list(jax.eval_shape(run))
+
+
+def _summary(kind: type) -> str:
+    """The first line of a class's docstring."""
+    return str(kind.__doc__ or kind.__name__).strip().splitlines()[0] if is_dataclass(kind) else kind.__name__
