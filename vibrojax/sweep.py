@@ -24,6 +24,7 @@ from vibrojax.input.definition import Sweep
 from vibrojax.input.read import read_sweep
 from vibrojax.progress import Progress
 from vibrojax.store.dataset import write_dataset
+from vibrojax.store.finished import check_replaceable
 from vibrojax.store.provenance import provenance
 from vibrojax.store.shards import DamagedShard, Shards, report_damage
 from vibrojax.store.variables import VARIABLES
@@ -61,12 +62,15 @@ def run_to_file(sweep: Sweep, out: Path, resume: bool = True, progress: bool = T
 
     **Arguments:**
 
-    - `resume`: go on with the chunks that are there, if any; otherwise start over.
+    - `resume`: go on with the chunks that are there, if any; otherwise start over, and replace whatever `out` holds.
 
     **Returns:** the dataset that was written.
 
-    **Raises:** `InputError` where the chunks that are there are of another sweep, or the computer is too small for it.
+    **Raises:** `InputError` where the chunks that are there, or the dataset, are of another sweep, or the computer is
+    too small for it.
     """
+    if resume:
+        check_replaceable(out, sweep.identity())
     check_size(sweep, estimate(sweep), out)
     began = time.monotonic()
     chunks = Chunks(sweep)

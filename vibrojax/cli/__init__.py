@@ -23,12 +23,12 @@ DONE, FAILED, BAD_INPUT, INTERRUPTED, PIPE_CLOSED, TERMINATED = 0, 1, 2, 130, 14
 _COMMANDS: dict[str, Command] = {
     "sweep": sweep,
     "simulate": simulate,
-    "scenes": scenes,
     "plot": plot,
     "info": info,
     "fit": fit,
     "accuracy": accuracy,
     "reproduce": reproduce,
+    "scenes": scenes,
 }
 
 

@@ -26,6 +26,7 @@ def arguments(parser: ArgumentParser) -> None:
         "step, smoothing",
     )
     parser.add_argument("-o", dest="out", metavar="OUT.nc", help="where to write (SCENE.nc in this folder)")
+    parser.add_argument("--fresh", action="store_true", help="replace OUT, whatever it holds")
 
 
 def run(options: Options) -> None:
@@ -44,8 +45,12 @@ def run(options: Options) -> None:
 
     from vibrojax.simulation import simulate
     from vibrojax.store.dataset import write_dataset
+    from vibrojax.store.finished import IDENTITY, check_replaceable, identity_text
 
-    dataset = simulate(point.scene, **arguments, progress=True)
+    identity = {"scene": point.scene, **arguments}
+    if not options.fresh:
+        check_replaceable(out, identity)
+    dataset = simulate(point.scene, **arguments, progress=True).assign_attrs({IDENTITY: identity_text(identity)})
     write_dataset(dataset, out)
     dataset_written(options, out)
     print(f"{out}{draw(dataset, picture)}")

@@ -18,7 +18,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("-o", dest="out", metavar="OUT.nc", help="where to write (NAME.nc in this folder)")
     start = parser.add_mutually_exclusive_group()
     start.add_argument("--resume", action="store_true", help="go on with the finished chunks beside OUT (the default)")
-    start.add_argument("--fresh", action="store_true", help="start over")
+    start.add_argument("--fresh", action="store_true", help="start over, and replace OUT whatever it holds")
     parser.add_argument("--dry-run", action="store_true", help="print lanes, memory, disk and time; compute nothing")
     parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
 

@@ -12,6 +12,7 @@ from vibrojax.label import LABELLED_BY, label
 from vibrojax.measure import gauge_named
 from vibrojax.physics.parameters import ROTATION, Parameter, differing
 from vibrojax.scenes import HasFriction
+from vibrojax.store.finished import IDENTITY, identity_text
 from vibrojax.store.provenance import provenance
 from vibrojax.store.variables import REASONS, STATUSES, VARIABLES, Variable
 
@@ -44,6 +45,7 @@ def dataset_of(sweep: Sweep, features: dict, solver: dict, wall_time: float) -> 
         "sweep": sweep.text,
         "run": json.dumps(_settings(sweep)),
         "parameters": json.dumps(sweep.parameters),
+        IDENTITY: identity_text(sweep.identity()),
         "differing": json.dumps(differing(sweep.system.parameters(), sweep.parameters)),
         **sweep.options,
         "solver": json.dumps(solver),

@@ -193,14 +193,18 @@ class Shards:
             return
         if not self._indices():
             return
-        ours = self.manifest
-        names = [name for name in other | ours if other.get(name, ...) != ours.get(name, ...)]
-        changes = [f"{name} was {_entry(other, name)}, is {_entry(ours, name)}" for name in names[:_CHANGES_SHOWN]]
-        more = f" and {len(names) - _CHANGES_SHOWN} more" if len(names) > _CHANGES_SHOWN else ""
         raise InputError(
-            f"{self.folder}: holds chunks of another sweep: {'; '.join(changes)}{more}; "
+            f"{self.folder}: holds chunks of another sweep: {changes(other, self.manifest)}; "
             "--fresh starts over, or give another output"
         )
+
+
+def changes(before: Mapping[str, object], now: Mapping[str, object]) -> str:
+    """Where two manifests differ, in words; empty where they do not."""
+    names = [name for name in {**before, **now} if before.get(name, ...) != now.get(name, ...)]
+    told = [f"{name} was {_entry(before, name)}, is {_entry(now, name)}" for name in names[:_CHANGES_SHOWN]]
+    more = f" and {len(names) - _CHANGES_SHOWN} more" if len(names) > _CHANGES_SHOWN else ""
+    return "; ".join(told) + more
 
 
 def report_damage(damage: DamagedShard | str) -> None:
