@@ -28,6 +28,12 @@ EQUILIBRIUM_SWING = 1e-3
 LEAST_FRICTION = 0.01
 """mu(0+) that the equilibrium's swing is measured by at least, for drills without friction [1]."""
 
+SAME_WITHIN = 0.01
+"""Two motions whose period, impact velocity and amplitudes differ by no more than this part are one [1]."""
+
+COMPARED = ("period", "impact_velocity", "bit_amplitude", "striker_amplitude")
+"""The features by which motions under one label are compared, where there are any."""
+
 FEWEST_RETURNS = 9
 """Fewest returns to the section that show a repeat."""
 
@@ -69,3 +75,32 @@ def label(
     ]
     conditions, flags = zip(*rules, strict=True)
     return np.select(conditions, flags, IRREGULAR).astype(np.int8)
+
+
+def hides_another(
+    features: Mapping[str, Shaped[np.ndarray, " lanes"]], regime: Int8[np.ndarray, " lanes"], starts: int
+) -> Int8[np.ndarray, " lanes"]:
+    """Lanes of whose point another start ends in another motion under the same label: 1, else 0.
+
+    Lanes that repeat are compared, beyond what their `error_estimate` leaves open.
+
+    **Arguments:**
+
+    - `features`: by name; the lanes of a point, `starts` of them, stand one after the other.
+    - `regime`: the labels.
+    """
+    known = [np.asarray(features[name], float).reshape(-1, starts) for name in COMPARED if name in features]
+    label, repeats = regime.reshape(-1, starts), features["cycles"].reshape(-1, starts) > 0
+    error = np.asarray(features["error_estimate"], float).reshape(-1, starts)
+    hidden = np.zeros(label.shape, np.int8)
+    for shift in range(1, starts):
+
+        def other(x: np.ndarray, shift: int = shift) -> np.ndarray:
+            return np.roll(x, shift, axis=1)
+
+        within = SAME_WITHIN + error + other(error)
+        with np.errstate(invalid="ignore"):  # infinite estimates, and motions without impact
+            apart = [np.abs(x - other(x)) > within * np.maximum(np.abs(x), np.abs(other(x))) for x in known]
+        pairs = repeats & other(repeats) & (label == other(label))
+        hidden[pairs & np.any(apart, axis=0)] = 1
+    return hidden.ravel()

@@ -65,7 +65,7 @@ def list_variables(scene: str | Scene[Any]) -> pd.DataFrame:
     """
     system = read_names(Place("scenes"), scene).system
     measured = set(_features(system))
-    labelled = {"regime", "check_regime", "drift_estimate"} if system.section is not None else set()
+    labelled = {"regime", "check_regime", "drift_estimate", "hidden_motion"} if system.section is not None else set()
     known = VARIABLES | {
         name: Variable(*about) for gauge in system.measures for name, about in gauge_named(gauge).variables.items()
     }

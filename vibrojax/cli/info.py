@@ -41,7 +41,7 @@ def describe(dataset: "xarray.Dataset") -> list[str]:
     lines.append(("fixed", _fixed(attributes)))
     lines.append(("run", _times(attributes.get("run", ""))))
     lines += [
-        ("regimes", _regimes(dataset)),
+        ("regimes", _regimes(dataset) + _hidden(dataset)),
         ("failures", _failures(dataset)),
         ("accuracy", _accuracy(dataset) + _flips(dataset)),
     ]
@@ -114,6 +114,14 @@ def _regimes(dataset: "xarray.Dataset") -> list[str]:
     total = max(regime.size, 1)
     counted = [(meaning, int((regime.values == value).sum())) for value, meaning in _flags(regime).items()]
     return [f"{meaning:<14}{count:>9}{100 * count / total:>7.1f} %" for meaning, count in counted if count]
+
+
+def _hidden(dataset: "xarray.Dataset") -> list[str]:
+    """At how many points starts end in different motions under one label."""
+    if "hidden_motion" not in dataset:
+        return []
+    points = int(dataset["hidden_motion"].any("start").sum())
+    return [f"at {points} points starts end in different motions under one label"] if points else []
 
 
 def _failures(dataset: "xarray.Dataset") -> list[str]:

@@ -8,7 +8,7 @@ import xarray as xr
 
 from vibrojax.engine.validity import TOO_SLOW, TOO_STIFF, too_slow, too_stiff
 from vibrojax.input.definition import Sweep
-from vibrojax.label import LABELLED_BY, label
+from vibrojax.label import LABELLED_BY, hides_another, label
 from vibrojax.measure import gauge_named
 from vibrojax.physics.parameters import ROTATION, Parameter, differing
 from vibrojax.scenes import HasFriction
@@ -82,7 +82,10 @@ def _finished(sweep: Sweep, features: dict) -> dict:
     }
     flags = [STATUSES.index(name) for name in ("refused", "failed")]
     status = np.select([refused, failed], flags, STATUSES.index("done"))
-    return blanked | labelled | {"status": status, "reason": reason}
+    found = blanked | labelled | {"status": status, "reason": reason}
+    if sweep.crosses_starts and len(sweep.starts or ()) > 1 and "regime" in found:
+        found["hidden_motion"] = hides_another(found, found["regime"], len(sweep.starts or ()))
+    return found
 
 
 def _labelled(sweep: Sweep, features: dict) -> dict:

@@ -53,13 +53,13 @@ class Sweep:
     @property
     def dims(self) -> tuple[str, ...]:
         """Names of the dimensions: the axes or "point", then "start" where every point runs from each of them."""
-        return (*(self.axes or ("point",)), *(("start",) if self._crosses_starts else ()))
+        return (*(self.axes or ("point",)), *(("start",) if self.crosses_starts else ()))
 
     @property
     def shape(self) -> tuple[int, ...]:
         """Sizes of the dimensions."""
         sizes = [len(axis) for axis in self.axes.values()] or [self._points]
-        return (*sizes, *((len(self.starts or ()),) if self._crosses_starts else ()))
+        return (*sizes, *((len(self.starts or ()),) if self.crosses_starts else ()))
 
     @property
     def lanes(self) -> int:
@@ -67,7 +67,8 @@ class Sweep:
         return prod(self.shape)
 
     @property
-    def _crosses_starts(self) -> bool:
+    def crosses_starts(self) -> bool:
+        """Whether every point runs from each of the starts."""
         return self.starts is not None and self.point_starts is None
 
     @property

@@ -11,6 +11,7 @@ from vibrojax.errors import InputError, suggestion
 
 TIME, SETTING = "time", "setting"  # the dimension of a run, and of a study of speed against error
 START, POINT, RETURN, FORM = "start", "point", "return_index", "form"
+HIDDEN = "hidden_motion"
 REGIME, RATE, RELIEF, COEFFICIENT = "regime", "rate_of_penetration", "relief", "C"
 RETURNS, ERROR = "return_impact_velocity", "error_worst"
 BESIDE_REGIMES = (RATE, "impact_velocity", "period", "bit_amplitude")  # the first two of these that a dataset has

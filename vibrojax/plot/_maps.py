@@ -1,7 +1,7 @@
 """Maps over two axes of a sweep: of regimes with quantities beside them, and of rates of penetration."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -27,7 +27,7 @@ from vibrojax.plot._colours import (
     values_beside,
     values_of_rock,
 )
-from vibrojax.plot._contents import REGIME, RELIEF, axes_of_map, has_regimes, long_axes, rates_in, regimes_in
+from vibrojax.plot._contents import HIDDEN, REGIME, RELIEF, axes_of_map, has_regimes, long_axes, rates_in, regimes_in
 from vibrojax.plot._sheet import Panel, facets, sheet, write_margins
 from vibrojax.plot.style import INK, NOTHING, styled
 
@@ -39,6 +39,8 @@ _SAME = 1e-9  # relative, within which the relief does not vary
 _LETTERS = 17  # of a label, for an inch of its axis
 _NONE = ListedColormap([NOTHING], name="nothing")
 _SYMBOLS = {"mean_force": "P", "relief": "P/D"}
+
+_HIDDEN_MARK: dict[str, Any] = {"s": 2.5, "marker": "o", "color": INK, "linewidths": 0.0}
 
 # Chapter 5 of the source: stable single impact, "best".
 _REGION = {"beta": (0.25, 0.60), "gamma": (0.60, 0.80)}
@@ -54,12 +56,19 @@ def regime_grid(ds: xr.Dataset, x: str | None = None, y: str | None = None) -> F
     panels = facets(ds, (x, y))
     values = values_beside(ds)
     drawn = sheet(panels, (None, *values))
+    marks = False
     for panel in drawn:
         draw_cells(panel, x, y)
+        marks |= panel.value is None and _mark_hidden(panel, x, y)
         outline_region(panel.axes, x, y)
         write_labels(panel, ds[x], ds[y])
     handles = regime_handles([facet[REGIME] for facet in panels.data]) + value_handles(panels.data, values)
-    drawn.finish(handles + _border_handle(drawn.panels) + region_handle(drawn.panels[0].axes))
+    drawn.finish(
+        handles
+        + ([_hidden_handle()] if marks else [])
+        + _border_handle(drawn.panels)
+        + region_handle(drawn.panels[0].axes)
+    )
     write_margins(drawn.figure, str(ds.attrs.get("title", "")), point_text(ds), certified_text(ds), panels.note)
     return drawn.figure
 
@@ -147,6 +156,21 @@ def _outline_single(axes: Axes, single: Bool[np.ndarray, "rows columns"], corner
     if upright or flat:
         for colour, width in (("white", 2.2), (INK, 1.0)):
             axes.add_collection(LineCollection([*upright, *flat], colors=colour, linewidths=width), autolim=False)
+
+
+def _mark_hidden(panel: Panel, x: str, y: str) -> bool:
+    """Mark the cells where another start ends in another motion under the same label; whether there are any."""
+    if HIDDEN not in panel.facet:
+        return False
+    at = np.argwhere(panel.facet[HIDDEN].transpose(y, x).values == 1)
+    across, up = (values_along(panel.facet[name]) for name in (x, y))
+    panel.axes.scatter(across[at[:, 1]], up[at[:, 0]], **_HIDDEN_MARK)
+    return len(at) > 0
+
+
+def _hidden_handle() -> Artist:
+    label = "another start: same label, other motion"
+    return Line2D([], [], label=label, marker="o", markersize=2.5, markeredgewidth=0.0, linestyle="none", color=INK)
 
 
 def _border_handle(panels: Sequence[Panel]) -> list[Artist]:

@@ -35,6 +35,12 @@ REASONS = ("none", "not-finite", "out-of-steps", "pulse-width-not-below-1/freque
 VARIABLES: dict[str, Variable] = {
     "regime": Variable("1", "regime of the striker's motion", np.int8, REGIMES),
     "check_regime": Variable("1", "regime found by the coarser run that errors are estimated with", np.int8, REGIMES),
+    "hidden_motion": Variable(
+        "1",
+        "whether another start of the point ends in another motion under the same label",
+        np.int8,
+        ("none", "another"),
+    ),
     "period": Variable("s", "period"),
     "cycles": Variable("1", "returns after which the motion repeats (0: it does not)", np.int8),
     "returns": Variable("1", "returns to the section that were observed", np.int32),

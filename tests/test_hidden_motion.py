@@ -1,0 +1,64 @@
+"""Where starts end in different motions under one label, the dataset says so and the map marks it."""
+
+import numpy as np
+import pytest
+
+import vibrojax as vj
+from vibrojax.cli.info import describe
+from vibrojax.label import SINGLE_IMPACT, hides_another
+from vibrojax.plot import regime_map
+
+STARTS = ["drive", "stuck", "touching"]
+
+
+def hidden(velocity, error=1e-6, regime=SINGLE_IMPACT, cycles=1):
+    lanes = np.size(velocity)
+    features = {"impact_velocity": np.array(velocity, float), "cycles": np.full(lanes, cycles)}
+    features["error_estimate"] = np.full(lanes, error)
+    return hides_another(features, np.full(lanes, regime, np.int8), lanes).tolist()
+
+
+def test_the_rule():
+    assert hidden([0.67, 3.03, 0.67]) == [1, 1, 1]  # each has one that differs
+    assert hidden([0.67, 0.675]) == [0, 0]  # one motion, within a hundredth
+    assert hidden([0.67, 0.69]) == [1, 1]
+    assert hidden([0.67, 0.69], error=0.05) == [0, 0] and hidden([0.67, 3.0], error=np.inf) == [0, 0]
+    assert hidden([0.67, 3.03], cycles=0) == [0, 0]  # what does not repeat has no motion to compare
+    assert hidden([np.nan, np.nan]) == [0, 0]
+    features = {
+        "impact_velocity": np.array([0.67, 3.03, 1.0, 1.0]),
+        "cycles": np.ones(4),
+        "error_estimate": np.zeros(4),
+    }
+    labels = np.array([3, 5, 3, 3], np.int8)
+    assert hides_another(features, labels, 2).tolist() == [0, 0, 0, 0]  # the labels tell these apart already
+
+
+@pytest.fixture(scope="module")
+def swept():
+    grid = {"beta": [0.4, 0.5], "gamma": [0.6, 0.9]}
+    return vj.run_sweep(
+        {"scene": "vibro-impact", "starts": STARTS, "parameters": {"delta": 0.0}, "grid": grid}, progress=False
+    )
+
+
+def test_three_starts_one_label(swept):
+    """The case that a plain map hid: 0.67, 3.03 and 0.67 m/s, all of them single impacts."""
+    point = swept.sel(beta=0.4, gamma=0.6)
+    assert (point.regime == SINGLE_IMPACT).all()
+    np.testing.assert_allclose(point.impact_velocity, [0.67, 3.03, 0.67], atol=0.01)
+    assert (point.hidden_motion == 1).all()
+    points = int(swept.hidden_motion.any("start").sum())
+    assert f"at {points} points starts end in different motions under one label" in "\n".join(describe(swept))
+
+
+def test_the_map_marks_it(swept):
+    figure = regime_map(swept)
+    panels = [axes for axes in figure.axes if axes.get_title().startswith("start:")]
+    for axes, start in zip(panels, STARTS, strict=True):
+        (marks,) = (one for one in axes.collections if type(one).__name__ == "PathCollection")
+        beta, gamma = np.nonzero(swept.hidden_motion.sel(start=start).values)
+        expected = sorted(zip(swept.gamma.values[gamma], swept.beta.values[beta], strict=True))
+        assert sorted(map(tuple, marks.get_offsets().tolist())) == expected
+    labels = [text.get_text() for axes in figure.axes if axes.get_legend() for text in axes.get_legend().get_texts()]
+    assert "another start: same label, other motion" in labels
