@@ -18,6 +18,7 @@ jax.config.update("jax_enable_x64", True)
 from test_sweep_against_simulate import DRILLS, LANES, all_laws, columns, swept  # noqa: E402
 
 from vibrojax.engine import batch, compiler, programs  # noqa: E402
+from vibrojax.errors import InputError  # noqa: E402
 from vibrojax.physics.friction import FRICTION_LAWS  # noqa: E402
 
 WIDTH, PASSES = "xla_cpu_prefer_vector_width", "xla_disable_hlo_passes"
@@ -81,9 +82,15 @@ def main() -> None:
         for name in options.choice or CHOICES:
             if CHOICES[name] == (USUAL, programs.BLOCK):
                 continue
-            with compiled_with(*CHOICES[name]):
-                found = [difference(*pair) for pair in zip(usual, results(scene), strict=True)]
-            print(f"{scene:<18}{name:<22}" + ", ".join(f"{size:.1e} of {of}" for size, of in found), flush=True)
+            try:
+                with compiled_with(*CHOICES[name]):
+                    found = [difference(*pair) for pair in zip(usual, results(scene), strict=True)]
+                text = ", ".join(f"{size:.1e} of {of}" for size, of in found)
+            except InputError as refusal:  # its arithmetic is wrong, and was found so before any lane
+                text = str(refusal)
+            except jax.errors.JaxRuntimeError as error:
+                text = str(error).splitlines()[0]
+            print(f"{scene:<18}{name:<22}{text}", flush=True)
 
 
 if __name__ == "__main__":
