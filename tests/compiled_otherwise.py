@@ -36,14 +36,18 @@ CHOICES = {
 
 @contextmanager
 def compiled_with(options: dict, block: int):
-    usual = programs.compiler_options, batch.BLOCK
-    programs.compiler_options, batch.BLOCK = (lambda platform: options), block
+    usual = compiler.compiler_options, batch.BLOCK
+    compiler.compiler_options = programs.compiler_options = lambda platform: options
+    batch.BLOCK = block
     programs.compiled.cache_clear()
+    compiler.check_arithmetic.cache_clear()
     try:
         yield
     finally:
-        programs.compiler_options, batch.BLOCK = usual
+        compiler.compiler_options, batch.BLOCK = usual
+        programs.compiler_options = usual[0]
         programs.compiled.cache_clear()
+        compiler.check_arithmetic.cache_clear()
         jax.clear_caches()
 
 

@@ -16,6 +16,14 @@ def arguments(parser: ArgumentParser) -> None:
     """Add the command's arguments to `parser`."""
     parser.add_argument("sweep", metavar="SWEEP", help="a bundled name, like regime-map, or the path of a TOML file")
     parser.add_argument("-o", dest="out", metavar="OUT.nc", help="where to write (NAME.nc in this folder)")
+    parser.add_argument(
+        "--set",
+        dest="changes",
+        metavar="NAME=VALUE",
+        action="append",
+        default=[],
+        help="set over the file: a parameter (a list is an axis), a key of [run], starts, scene or title; may repeat",
+    )
     start = parser.add_mutually_exclusive_group()
     start.add_argument("--resume", action="store_true", help="go on with the finished chunks beside OUT (the default)")
     start.add_argument("--fresh", action="store_true", help="start over, and replace OUT whatever it holds")
@@ -29,7 +37,7 @@ def run(options: Options) -> None:
     from vibrojax.input.read import read_sweep
     from vibrojax.sweep import estimate, run_to_file
 
-    sweep = read_sweep(options.sweep)
+    sweep = read_sweep(options.sweep, options.changes)
     out = output(options.out or f"{sweep.name}.nc")
     picture = picture_beside(out)
     if options.dry_run:
@@ -37,7 +45,8 @@ def run(options: Options) -> None:
         print("\n".join(_cost_lines(sweep.shape, sweep.dims, cost)))
         check_size(sweep, cost, out)
         return
-    command = shlex.join(["vibrojax", "sweep", options.sweep, "-o", str(out)])
+    changes = [part for word in options.changes for part in ("--set", word)]
+    command = shlex.join(["vibrojax", "sweep", options.sweep, *changes, "-o", str(out)])
     options.how_to_resume = f"finished chunks are kept; to go on: {command}"
     dataset = run_to_file(sweep, out, resume=not options.fresh, progress=not options.quiet)
     dataset_written(options, out)

@@ -7,6 +7,7 @@ import numpy as np
 
 from vibrojax.errors import Place, shown, suggestion
 from vibrojax.input.axes import read_axis
+from vibrojax.input.changes import with_changes
 from vibrojax.input.definition import Start, Sweep, rock_values, with_drive_speed
 from vibrojax.input.names import CHOICES, DEFAULT_STARTS, Names, read_names, take_options
 from vibrojax.input.points import Points, read_points
@@ -19,18 +20,21 @@ _TOP_KEYS = ("scene", "title", "starts", "parameters", "grid", "points", "run")
 _MOST_LANES = 2**62
 
 
-def read_sweep(source: str | PathLike[str] | Mapping[str, object]) -> Sweep:
+def read_sweep(source: str | PathLike[str] | Mapping[str, object], changes: Iterable[str] = ()) -> Sweep:
     """Read and check a sweep.
 
     **Arguments:**
 
     - `source`: the path of a TOML file, a bundled name, or a dict of the same shape.
+    - `changes`: words NAME=VALUE, set over it; see [vibrojax.input.changes.with_changes][].
 
     **Returns:** the `Sweep`, complete with defaults.
 
     **Raises:** `InputError`, one line, at the first thing that is wrong.
     """
     found = read_source(source)
+    if words := tuple(changes):
+        found = with_changes(found, words)
     place, tables = Place(found.file), found.tables
     _check_top(place, tables)
     given = dict(as_table(place.at("parameters"), tables.get("parameters", {})))

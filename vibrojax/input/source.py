@@ -35,7 +35,7 @@ def read_source(source: str | PathLike[str] | Mapping[str, object]) -> Source:
     In a dict a scene, a friction law or a stepper may stand itself where its name stands in a file.
     """
     if isinstance(source, Mapping):
-        objects, named = _without_objects(source)
+        objects, named = without_objects(source)
         tables = plain_table(Place("sweep"), named)
         text = render(tables)
         for (table, key), value in objects.items():
@@ -53,7 +53,7 @@ def read_source(source: str | PathLike[str] | Mapping[str, object]) -> Source:
     return Source(str(source) if found else path.stem, str(path), path.parent, text, _parse(path, text))
 
 
-def _without_objects(source: Mapping[str, object]) -> tuple[dict[tuple[str, str], object], dict[str, object]]:
+def without_objects(source: Mapping[str, object]) -> tuple[dict[tuple[str, str], object], dict[str, object]]:
     """The objects that stand in place of names, by table and key, and the tables with their names instead."""
     objects: dict[tuple[str, str], object] = {}
     named = dict(source)

@@ -1,0 +1,63 @@
+"""Values set over a sweep: `--set NAME=VALUE`."""
+
+import pytest
+
+import vibrojax as vj
+from vibrojax.cli import main
+
+BASE = {"scene": "vibro-impact", "parameters": {"k1": 2e5}, "grid": {"beta": [0.3, 0.4], "gamma": [0.6, 0.7]}}
+
+
+def changed(*words):
+    return vj.read_sweep(BASE, words)
+
+
+def test_parameters_are_fixed_or_become_axes():
+    sweep = changed("k1=312500", "v = 2", "beta=0.5", "friction=coulomb", "delta={start=-0.005, stop=0.005, num=3}")
+    assert sweep.parameters["k1"] == 312500 and sweep.parameters["v"] == 2.0 and sweep.parameters["beta"] == 0.5
+    assert sweep.friction == "coulomb" and list(sweep.axes) == ["gamma", "delta"] and len(sweep.axes["delta"]) == 3
+    assert list(changed("k1=[2e5, 3e5]").axes) == ["beta", "gamma", "k1"]
+
+
+def test_objects_stay_themselves():
+    law = vj.FRICTION_LAWS["coulomb"]
+    sweep = vj.read_sweep({**BASE, "parameters": {"friction": law}}, ["v=2"])
+    assert sweep.system.friction is law and 'friction = "coulomb"' in sweep.text
+
+
+def test_settings_and_the_rest():
+    sweep = changed("run.settle=200", "observe=4", "end_early=false", 'starts=["stuck"]', "title=over night")
+    assert (sweep.run.settle, sweep.run.observe, sweep.run.end_early) == (200.0, 4.0, False)
+    assert sweep.starts == ("stuck",) and sweep.title == "over night"
+    assert changed("scene=rotary", "grid.m1=[200.0]").scene == "rotary"
+
+
+def test_the_text_is_that_of_what_is_run():
+    sweep = changed("k1=312500", "settle=5", "beta=0.5")
+    again = changed("k1=312500", "settle=5", "beta=0.5")
+    assert "k1 = 312500" in sweep.text and "settle = 5" in sweep.text and "beta = 0.5" in sweep.text
+    assert sweep.identity() == again.identity() != vj.read_sweep(BASE).identity()
+    assert "k1" not in str(BASE["grid"]) and BASE["parameters"] == {"k1": 2e5}  # what was given stays as it is
+
+
+@pytest.mark.parametrize(
+    ("word", "line"),
+    [
+        ("k1", '--set: "k1" is no NAME=VALUE; write one, like k1=312500 or run.settle=200'),
+        ("ran.settle=3", '--set: ran.settle: there is no table "ran"; did you mean "run"?'),
+        ("kk1=3", 'scene "vibro-impact" has no such parameter; did you mean "k1"?'),
+        ("settle=long", 'run.settle: "long" is text'),
+    ],
+)
+def test_bad_words(word, line):
+    with pytest.raises(vj.InputError) as refused:
+        changed(word)
+    assert line in str(refused.value)
+
+
+def test_the_command(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    words = ["run.settle=0.5", "observe=0.5", "beta=0.4", "gamma=[0.6,0.7]", "delta=0.005"]
+    words = [part for word in words for part in ("--set", word)]
+    assert main(["sweep", "regime-map", "--dry-run", *words]) == 0
+    assert capsys.readouterr().out.startswith("lanes   4 (2 gamma x 2 start)")
