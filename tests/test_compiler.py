@@ -31,7 +31,9 @@ def test_wide_vectors_only_where_they_were_checked(monkeypatch):
 
 
 CPU = Path("/proc/cpuinfo")
-SHUFFLES = compiler.jaxlib.__version__ in ("0.10.2", "0.11.0", "0.11.2") and CPU.exists() and "avx512f" in CPU.read_text()
+SHUFFLES = (
+    compiler.jaxlib.__version__ in ("0.10.2", "0.11.0", "0.11.2") and CPU.exists() and "avx512f" in CPU.read_text()
+)
 
 
 @pytest.mark.parametrize("dtype", ["float64", "float32"])
