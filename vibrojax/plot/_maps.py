@@ -40,7 +40,7 @@ _LETTERS = 17  # of a label, for an inch of its axis
 _NONE = ListedColormap([NOTHING], name="nothing")
 _SYMBOLS = {"mean_force": "P", "relief": "P/D"}
 
-_HIDDEN_MARK: dict[str, Any] = {"s": 2.5, "marker": "o", "color": INK, "linewidths": 0.0}
+_HIDDEN_MARK: dict[str, Any] = {"s": 6.0, "marker": "o", "color": INK, "edgecolors": "white", "linewidths": 0.4}
 
 # Chapter 5 of the source: stable single impact, "best".
 _REGION = {"beta": (0.25, 0.60), "gamma": (0.60, 0.80)}
@@ -127,6 +127,8 @@ def fill_cells(panel: Panel, x: str, y: str, shown: Coloured) -> Corners:
     cells = np.ma.masked_invalid(shown.cells)
     panel.axes.pcolormesh(*corners, cells, cmap=shown.colour_map, norm=shown.norm, rasterized=True)
     shape_axis(panel.axes, "x", across)
+    if panel.axes.get_xscale() == "linear":  # no "-2.5", whose neighbours in the next panel would touch
+        panel.axes.xaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))
     shape_axis(panel.axes, "y", up)
     return corners
 
@@ -170,7 +172,7 @@ def _mark_hidden(panel: Panel, x: str, y: str) -> bool:
 
 def _hidden_handle() -> Artist:
     label = "another start: same label, other motion"
-    return Line2D([], [], label=label, marker="o", markersize=2.5, markeredgewidth=0.0, linestyle="none", color=INK)
+    return Line2D([], [], label=label, marker="o", markersize=3.0, markeredgewidth=0.0, linestyle="none", color=INK)
 
 
 def _border_handle(panels: Sequence[Panel]) -> list[Artist]:
