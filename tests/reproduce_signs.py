@@ -6,7 +6,7 @@ TABLE.md is that of the right equations, from `vibrojax reproduce`. `none` turns
 
 Lanes that go wrong so much never end, so all are given up early; `none` shows that the right ones do not need more.
 
-Of the 189 results, 41 of which are red with the right equations: none 0, friction 94, contact 66, impact-friction 35.
+Counted with 41 of the 189 results red under the right equations: none 0, friction 94, contact 66, impact-friction 35.
 The last is only the part of friction that a blow adds; without impact there is nothing of it.
 """
 
