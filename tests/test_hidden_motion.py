@@ -49,6 +49,7 @@ def test_three_starts_one_label(swept):
     np.testing.assert_allclose(point.impact_velocity, [0.67, 3.03, 0.67], atol=0.01)
     assert (point.hidden_motion == 1).all()
     points = int(swept.hidden_motion.any("start").sum())
+    assert describe(swept.isel(start=0))
     assert f"at {points} points starts end in different motions under one label" in "\n".join(describe(swept))
 
 

@@ -118,7 +118,7 @@ def _regimes(dataset: "xarray.Dataset") -> list[str]:
 
 def _hidden(dataset: "xarray.Dataset") -> list[str]:
     """At how many points starts end in different motions under one label."""
-    if "hidden_motion" not in dataset:
+    if "hidden_motion" not in dataset or "start" not in dataset["hidden_motion"].dims:
         return []
     points = int(dataset["hidden_motion"].any("start").sum())
     return [f"at {points} points starts end in different motions under one label"] if points else []
