@@ -216,7 +216,7 @@ def test_two_processes_on_one_output(folder, whole):
     [(signal.SIGINT, 1.5, (130, "interrupted; ")), (signal.SIGINT, 3.0, (130, "interrupted; "))]
     + [(signal.SIGTERM, 3.0, (143, "terminated; "))],
 )
-def test_ctrl_c_ends_within_a_second(folder, sent, seconds, expected):
+def test_ctrl_c_is_answered_at_once(folder, sent, seconds, expected):
     """Also while jax is imported and while lanes compile; with how to go on. SIGTERM does likewise."""
     process = started(folder, "sweep", "map.toml", "--quiet", "--fresh")
     time.sleep(seconds)
@@ -226,7 +226,9 @@ def test_ctrl_c_ends_within_a_second(folder, sent, seconds, expected):
     took = time.monotonic() - began
     if status == 0:  # on a fast machine it had ended
         return
-    assert status == expected[0] and took < 1.0
+    # Within a second on an idle machine. Beside other work importing alone takes seconds (4 were seen); what may not
+    # happen is that it waits for lanes.
+    assert status == expected[0] and took < 10.0
     assert expected[1] in one_line(said)
 
 
