@@ -47,10 +47,10 @@ def list_parameters(scene: str | Scene[Any]) -> pd.DataFrame:
     **Raises:** `InputError` where there is no such scene.
     """
     names = read_names(Place("scenes"), scene)
-    own = {choice: set(parameters) for choice, parameters in _of_choices(names).items()}
-    shared = set(names.parameters) - set().union(*own.values())
+    choices = _of_choices(names)
+    shared = set(names.parameters).difference(*choices.values())
     rows = [(_row(names.parameters[name]) | {"name": name, "where": ""}) for name in names.parameters if name in shared]
-    for choice, parameters in _of_choices(names).items():
+    for choice, parameters in choices.items():
         new = [parameter for name, parameter in parameters.items() if name not in shared]
         rows += [_row(parameter) | {"name": parameter.name, "where": choice} for parameter in new]
     if "v" in names.parameters:
@@ -147,7 +147,7 @@ def _of_choices(names: Names) -> dict[str, dict[str, Parameter]]:
     if "pulse_shape" not in names.options:
         return {}
     options = ({"pulse_shape": shape} for shape in PULSE_SHAPES)
-    of_shapes = (read_names(Place("scenes"), names.scene, chosen).parameters for chosen in options)
+    of_shapes = (read_names(Place("scenes"), names.system, chosen).parameters for chosen in options)
     shapes = dict(zip(PULSE_SHAPES, map(dict, of_shapes), strict=True))
     everywhere = set.intersection(*(set(parameters) for parameters in shapes.values()))
     return {

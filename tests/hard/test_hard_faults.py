@@ -217,19 +217,26 @@ def test_two_processes_on_one_output(folder, whole):
     + [(signal.SIGTERM, 3.0, (143, "terminated; "))],
 )
 def test_ctrl_c_is_answered_at_once(folder, sent, seconds, expected):
-    """Also while jax is imported and while lanes compile; with how to go on. SIGTERM does likewise."""
-    process = started(folder, "sweep", "map.toml", "--quiet", "--fresh")
-    time.sleep(seconds)
-    began = time.monotonic()
-    process.send_signal(sent)
-    status, said = ended(process)
-    took = time.monotonic() - began
-    if status == 0:  # on a fast machine it had ended
-        return
-    # Within a second on an idle machine. Beside other work importing alone takes seconds (4 were seen); what may not
-    # happen is that it waits for lanes.
-    assert status == expected[0] and took < 10.0
-    assert expected[1] in one_line(said)
+    """Also while jax is imported and while lanes compile; with how to go on. SIGTERM does likewise.
+
+    Within a second, or, where other work slows the machine, twice what importing jax takes there: at the third try at
+    the latest, since what lies beside comes and goes (4 s were seen once).
+    """
+    for _ in range(3):
+        process = started(folder, "sweep", "map.toml", "--quiet", "--fresh")
+        time.sleep(seconds)
+        began = time.monotonic()
+        process.send_signal(sent)
+        status, said = ended(process)
+        took = time.monotonic() - began
+        if status == 0:  # on a fast machine it had ended
+            return
+        assert status == expected[0] and expected[1] in one_line(said)
+        began = time.monotonic()
+        subprocess.run([sys.executable, "-c", "import jax"], check=True)
+        if took < max(1.0, 2 * (time.monotonic() - began)):
+            return
+    raise AssertionError(f"{took:.3g} s")
 
 
 def test_sigterm_ends_as_cleanly_as_ctrl_c(folder, whole, cache):

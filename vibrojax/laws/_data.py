@@ -12,6 +12,7 @@ import xarray as xr
 from jaxtyping import Float, Shaped
 
 from vibrojax.errors import InputError, Place, nearest, shown
+from vibrojax.input.source import read_text
 
 if TYPE_CHECKING:
     Data = xr.Dataset | str | PathLike[str]
@@ -93,7 +94,7 @@ def read_rig(path: Path) -> xr.Dataset:
     **Raises:** `InputError` where it cannot be read, a column is missing, or a cell is not a number.
     """
     place = Place(str(path))
-    (line, header), *rows = _rows(place, _text(path))
+    (line, header), *rows = _rows(place, read_text(path))
     header = [cell.strip() for cell in header]
     _check_header(place.at(f"line {line}"), header)
     needed = _needed(place.at(f"line {line}"), header)
@@ -111,19 +112,6 @@ def read_rig(path: Path) -> xr.Dataset:
     coordinates = {name: ("point", _numbers_or_text(header.index(name), rows)) for name in further}
     number = ("point", np.arange(len(rows)), {"units": "1", "long_name": "number of the row"})
     return xr.Dataset(variables, {"point": number, **coordinates}, {"title": path.name})
-
-
-def _text(path: Path) -> str:
-    try:
-        return path.read_bytes().decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: not UTF-8 text (byte {error.start}); save it as UTF-8") from None
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file; give the path of one that is there") from None
-    except IsADirectoryError:
-        raise InputError(f"{path}: is a folder; give the path of a file") from None
-    except (OSError, ValueError) as error:  # ValueError: a NUL in the name
-        raise InputError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from None
 
 
 def _rows(place: Place, text: str) -> Rows:
