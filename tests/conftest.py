@@ -7,10 +7,11 @@ import tempfile
 from importlib.metadata import version
 from pathlib import Path
 
-if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
-    # What one process has compiled, no other compiles again: neither the other worker nor the commands that tests run.
-    os.environ["JAX_COMPILATION_CACHE_DIR"] = tempfile.mkdtemp(prefix="vibrojax-tests-")
-    atexit.register(shutil.rmtree, os.environ["JAX_COMPILATION_CACHE_DIR"], ignore_errors=True)
+for variable in ("JAX_COMPILATION_CACHE_DIR", "VIBROJAX_CACHE"):
+    if variable not in os.environ:
+        # What one process has compiled, no other compiles again: neither the other worker nor commands that tests run.
+        os.environ[variable] = tempfile.mkdtemp(prefix="vibrojax-tests-")
+        atexit.register(shutil.rmtree, os.environ[variable], ignore_errors=True)
 
 if tuple(int(part) for part in version("jax").split(".")[:3]) < (0, 11, 2):
     # As `vibrojax.engine.compiler` does for the package's own programs: those that tests compile for themselves

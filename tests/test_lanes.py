@@ -10,7 +10,7 @@ import pytest
 import vibrojax as vj
 from vibrojax import devices
 from vibrojax.engine.chunks import Chunks
-from vibrojax.engine.programs import compiled
+from vibrojax.engine import by_llvm
 from vibrojax.input.read import read_sweep
 
 CASES = json.loads((Path(__file__).parent / "data" / "vibro_impact_cases.json").read_text())
@@ -74,7 +74,7 @@ def test_cores(tiled, cores, monkeypatch):
 
 
 def programs_compiled():
-    return [program._cache_size() for program in compiled("cpu")]
+    return list(by_llvm._kernels)
 
 
 def test_nothing_compiles_again(tiled):

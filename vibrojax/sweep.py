@@ -142,6 +142,7 @@ def _assembled(sweep: Sweep, chunks: Chunks, parts: list[Features], wall_time: f
         "method": chunks.stepper.name,
         "order": chunks.stepper.order,
         "precision": sweep.run.precision,
+        "compiler": chunks.engine.programs.compiler,
         "devices": _devices_text(chunks),
         "steps": int(features["steps"].sum()),
         **chunks.accuracy.described(),

@@ -1,6 +1,7 @@
 """Batches of lanes: at rest on the host between stretches, in blocks through compiled programs by all workers."""
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -11,10 +12,12 @@ from jaxtyping import Float, Int
 
 from vibrojax.arrays import Array
 from vibrojax.devices import precision
-from vibrojax.engine.compiler import check_arithmetic
+from vibrojax.engine.by_llvm import ByLlvm
+from vibrojax.engine.by_xla import ByXla
 from vibrojax.engine.parallel import in_parallel
-from vibrojax.engine.programs import BLOCK, BLOCK_ON_ACCELERATOR, BLOCKS, Compiled, Given, Kind, compiled
+from vibrojax.engine.programs import Given, Kind, Programs
 from vibrojax.input.definition import Sweep
+from vibrojax.kernels import Untranslatable
 from vibrojax.measure.recorder import Records
 from vibrojax.measure.run import Effort, Underway
 from vibrojax.stepping import Accuracy, Stepper
@@ -77,13 +80,11 @@ class Engine:
 
     def __init__(self, sweep: Sweep, stepper: Stepper, recorder: Records, workers: Sequence[jax.Device]) -> None:
         self.sweep, self.workers = sweep, workers
-        platform = workers[0].platform
-        self.accelerated = platform != "cpu"
-        self.block, self.blocks = (BLOCK_ON_ACCELERATOR, 1) if self.accelerated else (BLOCK, BLOCKS)
+        self.accelerated = workers[0].platform != "cpu"
         self.most_steps = MOST_STEPS
-        self._programs: Compiled = compiled(platform)
-        self._kind = Kind(sweep.system, stepper, recorder, sweep.starts, self.block)
         self._dtype = np.dtype(sweep.run.precision)
+        kind = Kind(sweep.system, stepper, recorder, sweep.starts)
+        self.programs: Programs = ByXla(kind, workers[0].platform) if self.accelerated else ByLlvm(kind, self._dtype)
 
     def start(self, first: int, end: int, accuracy: Accuracy) -> Batch:
         """The lanes from `first` to before `end`, at t = 0."""
@@ -95,8 +96,8 @@ class Engine:
         run = self.sweep.run
         batch = Batch(accuracy, given, none + run.settle, none + run.observe, None, steps)
 
-        def program(count: np.int32, some: Batch) -> Any:
-            return self._programs.start(self._kind, count, some.given)
+        def program(some: Batch) -> Any:
+            return self.programs.start(some.given)
 
         lane, carry = self._run([batch], program)[0]
         return replace(batch, underway=Underway(lane, carry, steps))
@@ -107,11 +108,10 @@ class Engine:
         `report` is called with the number of lanes that have just come there, those of every batch counted.
         """
 
-        def program(count: np.int32, some: Batch) -> Any:
+        def program(some: Batch) -> Any:
+            assert some.underway is not None
             until_when = np.minimum(some.begin, until).astype(self._dtype)
-            return self._programs.settle(
-                self._kind, count, some.given, some.underway, until_when, self._effort(some.accuracy)
-            )
+            return self.programs.settle(some.given, some.underway, until_when, self._effort(some.accuracy))
 
         return [
             replace(batch, underway=underway, recent=underway.steps - _steps(batch))
@@ -124,11 +124,10 @@ class Engine:
         `report` is called with the number of lanes that have just been finished, those of every batch counted.
         """
 
-        def program(count: np.int32, some: Batch) -> Any:
+        def program(some: Batch) -> Any:
+            assert some.underway is not None
             effort = self._effort(some.accuracy)
-            return self._programs.observe(
-                self._kind, count, some.given, some.underway, some.begin, some.duration, effort
-            )
+            return self.programs.observe(some.given, some.underway, some.begin, some.duration, effort)
 
         return [
             {name: np.moveaxis(x, -1, 0) for name, x in features.items()}
@@ -140,9 +139,17 @@ class Engine:
 
         **Raises:** `InputError` where what is compiled as lanes are computes wrongly on this machine.
         """
+        try:
+            self._compile(accuracy)
+        except Untranslatable:
+            self.programs = ByXla(self.programs.kind, self.workers[0].platform)
+            self._compile(accuracy)
+
+    def _compile(self, accuracy: Accuracy) -> None:
         at_once = replace(self.sweep, run=replace(self.sweep.run, settle=0.0, observe=0.0))
         for worker in dict.fromkeys(self.workers):
-            alone = Engine(at_once, self._kind.stepper, self._kind.recorder, [worker])
+            alone = copy(self)
+            alone.sweep, alone.workers = at_once, [worker]
             still = [alone.start(0, 1, accuracy)]
             compiling: list[Callable[[], object]] = [
                 alone._check_arithmetic,
@@ -154,7 +161,7 @@ class Engine:
 
     def _check_arithmetic(self) -> None:
         with precision(self.sweep.run.precision), jax.default_device(self.workers[0]):
-            check_arithmetic(self.workers[0].platform, self._dtype, self.block)
+            self.programs.check_arithmetic(self._dtype)
 
     def _effort(self, accuracy: Accuracy) -> Effort:
         run = self.sweep.run
@@ -162,18 +169,14 @@ class Engine:
         traced = Accuracy(*(np.asarray(x, self._dtype) for x in accuracy))
         return Effort(traced, np.int32(min(self.most_steps + asked, 2**31 - 1)))
 
-    def _run(
-        self, batches: list[Batch], program: Callable[[np.int32, Batch], Any], report: Report = unreported
-    ) -> list[Any]:
+    def _run(self, batches: list[Batch], program: Callable[[Batch], Any], report: Report = unreported) -> list[Any]:
         """What `program` gives for the lanes of each batch, run a few blocks at a time."""
         items = [(at, lanes) for at, batch in enumerate(batches) for lanes in self._dealt(batch.recent)]
 
         def work(worker: jax.Device, item: tuple[int, Index]) -> Any:
             at, lanes = item
-            count = np.int32(-(-len(lanes) // self.block))
             with precision(self.sweep.run.precision), jax.default_device(worker):
-                result = program(count, batches[at].of(np.resize(lanes, self.block * self.blocks)))
-                return jax.tree.map(np.asarray, result)
+                return program(batches[at].of(lanes))
 
         results: list[Any] = [None] * len(batches)
         for index, part in in_parallel(work, items, self.workers):
@@ -182,7 +185,7 @@ class Engine:
                 count = len(batches[at].begin)
                 results[at] = jax.tree.map(lambda x, n=count: np.empty((*x.shape[:-1], n), x.dtype), part)
             for whole, mine in zip(jax.tree.leaves(results[at]), jax.tree.leaves(part), strict=True):
-                whole[..., lanes] = mine[..., : len(lanes)]
+                whole[..., lanes] = mine
             report(len(lanes))
         return results
 
@@ -193,7 +196,8 @@ class Engine:
         every hand has slow blocks and fast ones, so that all take about as long.
         """
         by_pace = np.argsort(-recent, kind="stable")
-        blocks = np.split(by_pace, range(self.block, len(by_pace), self.block))
-        hands = max(-(-len(blocks) // self.blocks), min(len(self.workers), len(blocks)))
+        block = self.programs.block
+        blocks = np.split(by_pace, range(block, len(by_pace), block))
+        hands = max(-(-len(by_pace) // self.programs.hand), min(len(self.workers), len(blocks)))
         # The last block alone may be short, and only where no other follows it: it is the last of its hand.
         return [np.concatenate(blocks[hand::hands]) for hand in range(hands)]

@@ -60,7 +60,7 @@ class Chunks:
         self.accuracy = sweep.run.accuracy(sweep.system)
         recorder = recorder_for(sweep.system, sweep.run.keep_returns)
         self.engine = Engine(sweep, self.stepper, recorder, workers())
-        self.size = sweep.run.chunk or max(CHUNK, self.engine.block)
+        self.size = sweep.run.chunk or max(CHUNK, self.engine.programs.block)
         self.count = -(-sweep.lanes // self.size)
         self._compiled = False
 

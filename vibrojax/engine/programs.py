@@ -1,15 +1,13 @@
-"""The compiled programs of lanes: start, settle up to a time, observe; each for a few blocks of lanes one by one."""
+"""The programs of lanes: start, settle up to a time, observe."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
-from functools import cache
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
-from jaxtyping import Int
+import numpy as np
 
-from vibrojax.arrays import Array, Counts, Lanes
-from vibrojax.engine.compiler import compiler_options
+from vibrojax.arrays import Counts, Lanes
 from vibrojax.input.definition import Start
 from vibrojax.measure.recorder import Features, Records
 from vibrojax.measure.run import Effort, Underway, observe_block, settle_block, start_block
@@ -17,29 +15,14 @@ from vibrojax.scenes import Scene
 from vibrojax.scenes.scene import Values
 from vibrojax.stepping import Lane, Stepper
 
-BLOCK = 64
-"""Lanes that step together on a CPU core: a step's arrays stay in cache, and few lanes wait for others. Every block has
-this size, and one thread, so that a lane's answer does not depend, to the last bit, on what is computed beside it."""
-
-BLOCKS = 8
-"""Blocks per call of a program, one after the other: a call costs as much as some hundred steps of a block."""
-
-BLOCK_ON_ACCELERATOR = 16384
-"""Lanes that step together on an accelerator, where a step of a few costs as much as one of many."""
-
-
-Count = Int[Array, ""]
-"""A whole number, an array so that another value compiles nothing again."""
-
 
 class Kind(NamedTuple):
-    """What a program is compiled for: scene, stepper, recorder, the starts there are, and the lanes of a block."""
+    """What programs are compiled for: scene, stepper, recorder, and the starts there are."""
 
     scene: Scene[Any]
     stepper: Stepper
     recorder: Records
     starts: tuple[Start, ...] | None
-    block: int
 
 
 class Given(NamedTuple):
@@ -49,76 +32,57 @@ class Given(NamedTuple):
     start: Counts
 
 
-class Compiled(NamedTuple):
-    """The programs, jitted: see the functions of these names."""
+class Programs(ABC):
+    """The programs of one kind, compiled; they take and return arrays whose last axis is lanes, as many as there are.
 
-    start: Callable[..., tuple[Lane, Any]]
-    settle: Callable[..., Underway]
-    observe: Callable[..., Features]
-
-
-@cache
-def compiled(platform: str) -> Compiled:
-    """The programs for the devices of a platform, such as "cpu"."""
-    options = compiler_options(platform)
-    programs = (start_lanes, settle_lanes, observe_lanes)
-    return Compiled(*(jax.jit(program, static_argnames="kind", compiler_options=options) for program in programs))
-
-
-def start_lanes(kind: Kind, count: Count, given: Given) -> tuple[Lane, Any]:
-    """(lane, what its recorder carries) at t = 0 of the lanes of the first `count` blocks."""
-
-    def program(given: Given) -> tuple[Lane, Any]:
-        constants = kind.scene.constants(given.parameters)
-        return start_block(kind.scene, kind.recorder, constants, _state(kind, constants, given.start))
-
-    return _block_by_block(program, kind.block, count, given)
-
-
-def settle_lanes(kind: Kind, count: Count, given: Given, begun: Underway, until: Lanes, effort: Effort) -> Underway:
-    """The lanes at the times `until` [s]; see `settle_block`."""
-
-    def program(given: Given, begun: Underway, until: Lanes) -> Underway:
-        constants = _constants(kind, given)
-        return settle_block(kind.scene, kind.stepper, kind.recorder, constants, begun, until, effort)
-
-    return _block_by_block(program, kind.block, count, given, begun, until)
-
-
-def observe_lanes(
-    kind: Kind, count: Count, given: Given, begun: Underway, begin: Lanes, duration: Lanes, effort: Effort
-) -> Features:
-    """Features by name, (lanes,), or (returns, lanes) for the last returns; see `observe_block`."""
-
-    def program(given: Given, begun: Underway, begin: Lanes, duration: Lanes) -> Features:
-        constants = _constants(kind, given)
-        return observe_block(kind.scene, kind.stepper, kind.recorder, constants, begun, begin, duration, effort)
-
-    return _block_by_block(program, kind.block, count, given, begun, begin, duration)
-
-
-def _block_by_block(program: Callable[..., Any], block: int, count: Count, *given: Any) -> Any:
-    """What `program` gives for the first `count` blocks of lanes, one after the other; zeros for the others.
-
-    Lanes are the last axis of all that is given and of all that comes out.
+    - `block`: lanes that step together, so that each waits for the slowest.
+    - `hand`: lanes per call: so many that a call itself costs little.
+    - `compiler`: what compiles them.
     """
 
-    def cut(x: Array) -> Array:
-        return jnp.moveaxis(x.reshape(*x.shape[:-1], -1, block), -2, 0)
+    block: int
+    hand: int
+    compiler: str
 
-    def joined(x: Array) -> Array:
-        return jnp.moveaxis(x, 0, -2).reshape(*x.shape[1:-1], -1)
+    def __init__(self, kind: Kind) -> None:
+        self.kind = kind
 
-    blocks = jax.tree.map(cut, given)
-    of_one = jax.eval_shape(program, *jax.tree.map(lambda x: x[0], blocks))
-    number = len(jax.tree.leaves(blocks)[0])
+    def start(self, given: Given) -> tuple[Lane, Any]:
+        """See `start_lanes`."""
+        return self._run(start_lanes, given)
 
-    def one(index: Array, done: Any) -> Any:
-        new = program(*jax.tree.map(lambda x: x[index], blocks))
-        return jax.tree.map(lambda whole, part: whole.at[index].set(part), done, new)
+    def settle(self, given: Given, begun: Underway, until: Lanes, effort: Effort) -> Underway:
+        """See `settle_lanes`."""
+        return self._run(settle_lanes, given, begun, until, effort)
 
-    nothing = jax.tree.map(lambda x: jnp.zeros((number, *x.shape), x.dtype), of_one)
-    return jax.tree.map(joined, jax.lax.fori_loop(0, count, one, nothing))
+    def observe(self, given: Given, begun: Underway, begin: Lanes, duration: Lanes, effort: Effort) -> Features:
+        """See `observe_lanes`."""
+        return self._run(observe_lanes, given, begun, begin, duration, effort)
+
+    @abstractmethod
+    def check_arithmetic(self, dtype: np.dtype) -> None:
+        """Compare what equations are written in with numpy, compiled as lanes are; `InputError` where it is wrong."""
+
+    @abstractmethod
+    def _run(self, program: Callable[..., Any], *arguments: Any) -> Any:
+        """What a program gives for lanes, on the device and in the precision in use."""
+
+
+def start_lanes(kind: Kind, given: Given) -> tuple[Lane, Any]:
+    """(lane, what its recorder carries) at t = 0."""
+    constants = kind.scene.constants(given.parameters)
+    return start_block(kind.scene, kind.recorder, constants, _state(kind, constants, given.start))
+
+
+def settle_lanes(kind: Kind, given: Given, begun: Underway, until: Lanes, effort: Effort) -> Underway:
+    """The lanes at the times `until` [s]; see `settle_block`."""
+    return settle_block(kind.scene, kind.stepper, kind.recorder, _constants(kind, given), begun, until, effort)
+
+
+def observe_lanes(kind: Kind, given: Given, begun: Underway, begin: Lanes, duration: Lanes, effort: Effort) -> Features:
+    """Features by name, (lanes,), or (returns, lanes) for the last returns; see `observe_block`."""
+    constants = _constants(kind, given)
+    return observe_block(kind.scene, kind.stepper, kind.recorder, constants, begun, begin, duration, effort)
 
 
 def _constants(kind: Kind, given: Given) -> Any:

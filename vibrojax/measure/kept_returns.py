@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 
 from vibrojax.arrays import Array
@@ -39,8 +40,8 @@ class KeptReturns(Gauge[Scene[Any]]):
             new.append(jnp.where(whole, at.sums["impacts"], jnp.nan))
             new.append(jnp.where(whole, at.sums["velocity"] / at.sums["impacts"], jnp.nan))
         row = jnp.where(at.here, at.number % self.keep, self.keep).astype(jnp.int32)
-        lanes = jnp.arange(row.shape[0])
-        return Ring(jnp.asarray(carry.rows).at[row, :, lanes].set(jnp.stack(new, axis=1), mode="drop"))
+        put = jax.vmap(lambda rows, row, new: rows.at[row].set(new, mode="drop"), in_axes=-1, out_axes=-1)
+        return Ring(put(jnp.asarray(carry.rows), row, jnp.stack(new)))
 
     def read(self, scene: Scene[Any], c: Any, carry: Ring, whole: Whole) -> dict[str, Array]:
         # Oldest first: where the ring is full, it starts at the row after the newest.

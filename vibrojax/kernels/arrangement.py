@@ -1,0 +1,99 @@
+"""The primitives of jax that move entries and leave them as they are: they are done while the kernel is written."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from vibrojax.kernels.operands import LANES, Untranslatable, Value, literals, without_lanes
+
+Arranged = Callable[[Any, Sequence[Value]], list[Value]]
+"""A rule: from an equation of a jaxpr and its arguments to its results."""
+
+
+def _broadcast(equation: Any, values: Sequence[Value]) -> list[Value]:
+    shape, axes = without_lanes(equation.params["shape"]), equation.params["broadcast_dimensions"]
+    spread = [1] * len(shape)
+    for axis, length in zip(axes, values[0].shape, strict=True):
+        spread[axis] = length
+    return [np.broadcast_to(values[0].reshape(spread), shape)]
+
+
+def _reshaped(equation: Any, values: Sequence[Value]) -> list[Value]:
+    return [values[0].reshape(without_lanes(equation.outvars[0].aval.shape))]
+
+
+def _slice(equation: Any, values: Sequence[Value]) -> list[Value]:
+    params, shape = equation.params, equation.invars[0].aval.shape
+    strides = params["strides"] or [1] * len(shape)
+    parts = []
+    for length, start, end, stride in zip(
+        shape, params["start_indices"], params["limit_indices"], strides, strict=True
+    ):
+        if length == LANES and (start, end, stride) != (0, LANES, 1):
+            raise Untranslatable("some of the lanes")
+        parts.append(slice(start, end, stride) if length != LANES else slice(None))
+    return [values[0][tuple(parts)]]
+
+
+def _concatenated(equation: Any, values: Sequence[Value]) -> list[Value]:
+    axis = equation.params["dimension"]
+    if equation.outvars[0].aval.shape[axis] != sum(value.shape[axis] for value in values):
+        raise Untranslatable("lanes beside lanes")
+    return [np.concatenate(values, axis=axis)]
+
+
+def _stacked(equation: Any, values: Sequence[Value]) -> list[Value]:
+    return [np.stack(values, axis=equation.params["axis"])]
+
+
+def _unstacked(equation: Any, values: Sequence[Value]) -> list[Value]:
+    axis = equation.params["axis"]
+    return [np.take(values[0], [index], axis).squeeze(axis) for index in range(values[0].shape[axis])]
+
+
+def _split(equation: Any, values: Sequence[Value]) -> list[Value]:
+    ends = np.cumsum(equation.params["sizes"])[:-1]
+    return list(np.split(values[0], ends, axis=equation.params["axis"]))
+
+
+def _transposed(equation: Any, values: Sequence[Value]) -> list[Value]:
+    return [values[0].transpose(equation.params["permutation"])]
+
+
+def _reversed(equation: Any, values: Sequence[Value]) -> list[Value]:
+    axes = equation.params["dimensions"]
+    if any(equation.invars[0].aval.shape[axis] == LANES for axis in axes):
+        raise Untranslatable("lanes in reverse")
+    return [np.flip(values[0], axes)]
+
+
+def _counted(equation: Any, values: Sequence[Value]) -> list[Value]:
+    shape, axis, dtype = (equation.params[name] for name in ("shape", "dimension", "dtype"))
+    if shape[axis] == LANES:
+        raise Untranslatable("the numbers of lanes")
+    along = [1] * len(shape)
+    along[axis] = shape[axis]
+    numbers = np.arange(shape[axis], dtype=dtype).reshape(along)
+    return [literals(np.broadcast_to(numbers, without_lanes(shape)))]
+
+
+def _as_they_are(equation: Any, values: Sequence[Value]) -> list[Value]:
+    return list(values)
+
+
+RULES: dict[str, Arranged] = {
+    "broadcast_in_dim": _broadcast,
+    "reshape": _reshaped,
+    "squeeze": _reshaped,
+    "expand_dims": _reshaped,
+    "slice": _slice,
+    "concatenate": _concatenated,
+    "stack": _stacked,
+    "unstack": _unstacked,
+    "split": _split,
+    "transpose": _transposed,
+    "rev": _reversed,
+    "iota": _counted,
+    "optimization_barrier": _as_they_are,
+}

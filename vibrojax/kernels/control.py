@@ -1,0 +1,112 @@
+"""Loops, branches, and functions within functions."""
+
+from collections.abc import Callable, Collection, Sequence
+from typing import Any
+
+import numpy as np
+
+from vibrojax.kernels.assembly import IN_REGISTERS, Assembly
+from vibrojax.kernels.operands import Entry, Slot, Untranslatable, Value, dtype_of, varies, without_lanes
+
+Write = Callable[[Any, Sequence[Value], Collection[int]], list[Value]]
+"""Writes a closed jaxpr for its arguments; of those whose identities are given it may overwrite the memory."""
+
+Controlled = Callable[[Assembly, Write, Any, Sequence[Value], Collection[int]], list[Value]]
+"""A rule: it writes an equation of a jaxpr and, by `Write`, those within it."""
+
+
+def _places(asm: Assembly, avals: Sequence[Any]) -> list[Value]:
+    """Memory for arrays that are carried from one turn of a loop to the next, or out of a branch."""
+    few = sum(int(np.prod(without_lanes(aval.shape))) for aval in avals) <= IN_REGISTERS
+    places = []
+    for aval in avals:
+        slots = np.empty(without_lanes(aval.shape), object)
+        for index in np.ndindex(slots.shape):
+            slots[index] = asm.slot(dtype_of(aval), varies(aval), few)
+        places.append(slots)
+    return places
+
+
+def _put(asm: Assembly, places: Sequence[Value], values: Sequence[Value]) -> None:
+    """Write arrays to memory: all are read before any is written, because they may stand in each other's places."""
+    moved: list[tuple[Entry, Slot]] = []
+    for slots, entries in zip(places, values, strict=True):
+        for slot, entry in zip(slots.flat, entries.flat, strict=True):
+            if entry != slot:
+                moved.append((asm.register(entry), slot))
+    for entry, slot in moved:
+        asm.store(entry, slot)
+
+
+def _while(asm: Assembly, write: Write, equation: Any, values: Sequence[Value], owned: Collection[int]) -> list[Value]:
+    params = equation.params
+    of_condition, of_both = params["cond_nconsts"], params["cond_nconsts"] + params["body_nconsts"]
+    carried = _places(asm, [var.aval for var in equation.outvars])
+    _put(asm, carried, values[of_both:])
+    again, body, done = (asm.fresh(name) for name in ("again", "body", "done"))
+    asm.do(f"br label %{again}")
+    asm.label(again)
+    [goes_on] = write(params["cond_jaxpr"], [*values[:of_condition], *carried], ())
+    flag = asm.register(goes_on.item())
+    if flag.varying:
+        raise Untranslatable("a loop that each lane leaves by itself")
+    asm.do(f"br i1 {flag.text}, label %{body}, label %{done}")
+    asm.label(body)
+    _put(asm, carried, write(params["body_jaxpr"], [*values[of_condition:of_both], *carried], set(map(id, carried))))
+    asm.do(f"br label %{again}")
+    asm.label(done)
+    return carried
+
+
+def _scan(asm: Assembly, write: Write, equation: Any, values: Sequence[Value], owned: Collection[int]) -> list[Value]:
+    """A loop of a known number of turns, which nothing is taken from or added to along the way (`fori_loop`)."""
+    inner = equation.params["jaxpr"].jaxpr
+    inside = [var.aval.shape for var in (*inner.invars, *inner.outvars)]
+    if inside != [var.aval.shape for var in (*equation.invars, *equation.outvars)]:
+        raise Untranslatable("a scan over arrays")
+    constant = len(values) - len(equation.outvars)
+    carried = _places(asm, [var.aval for var in equation.outvars])
+    _put(asm, carried, values[constant:])
+
+    def turn() -> None:
+        given = [*values[:constant], *carried]
+        _put(asm, carried, write(equation.params["jaxpr"], given, set(map(id, carried))))
+
+    asm.repeated(equation.params["length"], turn)
+    return carried
+
+
+def _branch(asm: Assembly, write: Write, equation: Any, values: Sequence[Value], owned: Collection[int]) -> list[Value]:
+    """One of two functions, for all lanes alike."""
+    index, *given = values
+    which = asm.register(index.item())
+    branches = equation.params["branches"]
+    if which.varying or len(branches) != 2:
+        raise Untranslatable("a branch that each lane takes by itself, or of more than two")
+    places = _places(asm, [var.aval for var in equation.outvars])
+    names = [asm.fresh("branch") for _ in branches]
+    done = asm.fresh("done")
+    flag = which.text
+    if which.dtype != bool:
+        flag = asm.let(f"icmp sgt {asm.type(which.dtype, False)} {flag}, 0")
+    asm.do(f"br i1 {flag}, label %{names[1]}, label %{names[0]}")
+    for name, branch in zip(names, branches, strict=True):
+        asm.label(name)
+        _put(asm, places, write(branch, given, ()))
+        asm.do(f"br label %{done}")
+    asm.label(done)
+    return places
+
+
+def _called(asm: Assembly, write: Write, equation: Any, values: Sequence[Value], owned: Collection[int]) -> list[Value]:
+    params = equation.params
+    inner = params.get("jaxpr") or params.get("call_jaxpr") or params["fun_jaxpr"]
+    return write(inner, values, owned)
+
+
+RULES: dict[str, Controlled] = {
+    "while": _while,
+    "scan": _scan,
+    "cond": _branch,
+    **dict.fromkeys(("jit", "pjit", "closed_call", "custom_jvp_call", "custom_vjp_call"), _called),
+}

@@ -1,0 +1,262 @@
+"""The primitives of jax that bring entries of an array together: reductions, rows by their number, sorting."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from vibrojax.kernels.assembly import BOOL, Assembly
+from vibrojax.kernels.elementwise import applied
+from vibrojax.kernels.operands import (
+    LANES,
+    Entry,
+    Operand,
+    Slot,
+    Untranslatable,
+    Value,
+    dtype_of,
+    literal,
+    literals,
+    without_lanes,
+)
+
+INT64 = np.dtype(np.int64)
+
+Selected = Callable[[Assembly, Any, Sequence[Value]], list[Value]]
+"""A rule: it writes an equation of a jaxpr for its arguments, and gives the results."""
+
+
+def each(asm: Assembly, name: str, params: Any, values: Sequence[Value], gives: np.dtype) -> Value:
+    """An elementwise primitive of whole arrays; what has no axes goes with every entry."""
+    shape = np.broadcast_shapes(*(value.shape for value in values))
+    spread = [np.broadcast_to(value, shape) for value in values]
+    found = np.empty(shape, object)
+    for index in np.ndindex(shape):
+        found[index] = applied(asm, name, params, [value.item(index) for value in spread], gives)
+    return found
+
+
+def _reduction(name: str) -> Selected:
+    def reduced(asm: Assembly, equation: Any, values: Sequence[Value]) -> list[Value]:
+        [x], aval = values, equation.invars[0].aval
+        for axis in sorted(equation.params["axes"], reverse=True):
+            if aval.shape[axis] == LANES:
+                across = np.empty(x.shape, object)
+                for index in np.ndindex(x.shape):
+                    across[index] = _across(asm, name, x.item(index))
+                x = across.squeeze(axis)
+                continue
+            rows = np.moveaxis(x, axis, 0)
+            x = rows[:1].squeeze(0)
+            for row in range(1, len(rows)):
+                x = each(asm, name, {}, [x, rows[row : row + 1].squeeze(0)], dtype_of(aval))
+        return [x]
+
+    return reduced
+
+
+def _across(asm: Assembly, name: str, entry: Entry) -> Operand:
+    """Whether any, or all, of the lanes of a vector."""
+    x = asm.register(entry)
+    if name not in ("or", "and") or x.dtype != BOOL:
+        raise Untranslatable(f"{name} over lanes")
+    if not x.varying:
+        return x
+    function = f"llvm.vector.reduce.{name}.v{asm.width}i1"
+    return Operand(asm.call(function, [x.text], "i1", takes=asm.type(BOOL, True)), BOOL, False)
+
+
+def _row_numbers(asm: Assembly, equation: Any, wanted: Value, rows: int) -> Value:
+    """The numbers of rows that are asked for; where jax holds those beyond the ends to them, so is it done here."""
+    if "CLIP" not in str(equation.params["mode"]):
+        return wanted
+    dtype = wanted.flat[0].dtype
+    ends = [literals(np.asarray(row, dtype)) for row in (0, rows - 1)]
+    return each(asm, "clamp", {}, [ends[0], wanted, ends[1]], dtype)
+
+
+def _in_memory(asm: Assembly, rows: Value) -> Value:
+    """The rows of a column where a row's number tells where it lies: as they are, or copied there."""
+    if _stride(rows) is not None:
+        return rows
+    slots = np.empty(rows.shape, object)
+    for index in np.ndindex(rows.shape):
+        slots[index] = asm.slot(rows[index].dtype, True, in_registers=False)
+        asm.store(rows.item(index), slots.item(index))
+    return slots
+
+
+def _stride(rows: Value) -> int | None:
+    """Bytes between the rows (first axis) of slots in the workspace; None where they are no such slots."""
+    if not all(isinstance(entry, Slot) and entry.varying and entry.offset is not None for entry in rows.flat):
+        return None
+    offsets = np.vectorize(lambda slot: slot.offset, otypes=[int])(rows)
+    strides = np.unique(np.diff(offsets, axis=0))
+    return int(strides[0]) if len(strides) == 1 else 0 if len(rows) == 1 else None
+
+
+class _Rows:
+    """The row that each lane asks for, of slots in the workspace: where it lies, and whether there is such a row."""
+
+    def __init__(self, asm: Assembly, wanted: Entry, rows: Value) -> None:
+        stride, lanes = _stride(rows), range(asm.width)
+        assert stride is not None
+        self.asm = asm
+        number = applied(asm, "convert_element_type", {}, [wanted], INT64)
+        self.there = applied(
+            asm,
+            "and",
+            {},
+            [
+                applied(asm, "ge", {}, [number, literal(0, INT64)], BOOL),
+                applied(asm, "lt", {}, [number, literal(len(rows), INT64)], BOOL),
+            ],
+            BOOL,
+        )
+        self._moved = applied(asm, "mul", {}, [number, literal(stride, INT64)], INT64)
+        self._lanes = f"<{', '.join(f'i64 {lane}' for lane in lanes)}>"
+
+    def places(self, first: Slot) -> str:
+        """Pointers to the lanes' own numbers, where row 0 lies in `first`."""
+        asm, many = self.asm, f"<{self.asm.width} x ptr>"
+        kind = asm.type_in_memory(first.dtype, False)
+        start = f"getelementptr i8, ptr {first.pointer}, <{asm.width} x i64> {asm.vector(self._moved)}"
+        return asm.let(f"getelementptr {kind}, {many} {asm.let(start)}, <{asm.width} x i64> {self._lanes}")
+
+
+def _gathered(asm: Assembly, equation: Any, values: Sequence[Value]) -> list[Value]:
+    """Of each lane the row with the number that it asks for (`take_along_axis`); NaN, or 0, where there is none."""
+    rows, wanted = values
+    numbers = equation.params["dimension_numbers"]
+    [axis] = numbers.collapsed_slice_dims if len(numbers.collapsed_slice_dims) == 1 else [None]
+    batched = getattr(numbers, "operand_batching_dims", ())
+    if axis is None or numbers.start_index_map != (axis,) or numbers.offset_dims or len(batched) != rows.ndim - 1:
+        raise Untranslatable("a gather that takes no rows along one axis")
+    rows = np.moveaxis(rows, axis, 0)
+    if rows.size != len(rows) or rows.flat[0].dtype == BOOL:
+        raise Untranslatable("a gather of rows beside lanes, or of truth values")
+    rows = _in_memory(asm, rows.reshape(-1))
+    wanted = _row_numbers(asm, equation, wanted, len(rows))
+    first = rows[0]
+    none = literal(np.nan if first.dtype.kind == "f" else 0, first.dtype)
+    kind, flags = asm.type(first.dtype, True), asm.type(BOOL, True)
+    function = f"llvm.masked.gather.v{asm.width}{asm.suffix(first.dtype)}.v{asm.width}p0"
+    asm.declared.add(f"declare {kind} @{function}(<{asm.width} x ptr>, i32, {flags}, {kind})")
+    found = np.empty(wanted.shape[:-1], object)
+    for index in np.ndindex(found.shape):
+        row = _Rows(asm, wanted[(*index, 0)], rows)
+        given = f"<{asm.width} x ptr> {row.places(first)}, i32 {first.dtype.itemsize}, {flags} {asm.vector(row.there)}"
+        found[index] = Operand(
+            asm.let(f"call {kind} @{function}({given}, {kind} {asm.vector(none)})"), first.dtype, True
+        )
+    return [found]
+
+
+def scattered(asm: Assembly, equation: Any, values: Sequence[Value], in_place: bool) -> list[Value]:
+    """Of each lane the row with the number that it gives is replaced, if there is one.
+
+    `in_place`: nothing else wants the rows as they were.
+    """
+    rows, wanted, new = values
+    numbers = equation.params["dimension_numbers"]
+    axes = numbers.scatter_dims_to_operand_dims
+    if len(axes) != 1 or tuple(numbers.inserted_window_dims) != tuple(axes) or wanted.size != 1:
+        raise Untranslatable("a scatter that replaces no row")
+    [axis] = axes
+    by_row = np.moveaxis(rows, axis, 0)
+    if by_row.flat[0].dtype == BOOL:
+        raise Untranslatable("a scatter of truth values")
+    if not in_place or _stride(by_row) is None:
+        by_row = _in_memory(asm, _in_registers(asm, by_row))
+    wanted = _row_numbers(asm, equation, wanted, len(by_row))
+    row, new = _Rows(asm, wanted.reshape(-1)[0], by_row), new.reshape(by_row.shape[1:])
+    dtype = by_row.flat[0].dtype
+    kind, flags = asm.type(dtype, True), asm.type(BOOL, True)
+    function = f"llvm.masked.scatter.v{asm.width}{asm.suffix(dtype)}.v{asm.width}p0"
+    asm.declared.add(f"declare void @{function}({kind}, <{asm.width} x ptr>, i32, {flags})")
+    for index in np.ndindex(new.shape):
+        places = row.places(by_row[(0, *index)])
+        given = f"{kind} {asm.vector(new.item(index))}, <{asm.width} x ptr> {places}, i32 {dtype.itemsize}"
+        asm.do(f"call void @{function}({given}, {flags} {asm.vector(row.there)})")
+    asm.forget()
+    return [np.moveaxis(by_row, 0, axis)]
+
+
+def _in_registers(asm: Assembly, entries: Value) -> Value:
+    found = np.empty(entries.shape, object)
+    for index in np.ndindex(found.shape):
+        found[index] = asm.register(entries.item(index))
+    return found
+
+
+def _sorted(asm: Assembly, equation: Any, values: Sequence[Value]) -> list[Value]:
+    """Rows in the order of the first array, NaN last; those alike stay as they are (odd-even transposition).
+
+    The rows lie in memory and one loop goes over them, so that the text stays short.
+    """
+    axis, keys = equation.params["dimension"], equation.params["num_keys"]
+    columns = [np.moveaxis(value, axis, 0) for value in values]
+    count = len(columns[0])
+    if keys != 1 or columns[0].size != count or equation.invars[0].aval.shape[axis] == LANES:
+        raise Untranslatable("a sort by several keys, or beside lanes")
+    dtypes = [dtype_of(var.aval) for var in equation.invars]
+    slots = [[asm.slot(dtype, True, in_registers=False) for _ in range(count)] for dtype in dtypes]
+    for places, column in zip(slots, columns, strict=True):
+        for slot, entry in zip(places, column.reshape(-1), strict=True):
+            asm.store(entry, slot)
+
+    def swap(row: int) -> None:
+        above, below = slots[0][row], slots[0][row + 1]
+        wrong = applied(asm, "gt", {}, [above, below], BOOL)
+        if above.dtype.kind == "f":
+            last = applied(asm, "ne", {}, [above, above], BOOL)
+            number = applied(asm, "eq", {}, [below, below], BOOL)
+            wrong = applied(asm, "or", {}, [wrong, applied(asm, "and", {}, [last, number], BOOL)], BOOL)
+        for places in slots:
+            one, two = asm.register(places[row]), asm.register(places[row + 1])
+            asm.store(applied(asm, "select_n", {}, [wrong, one, two], one.dtype), places[row])
+            asm.store(applied(asm, "select_n", {}, [wrong, two, one], one.dtype), places[row + 1])
+
+    def turn() -> None:
+        for first in (0, 1):
+            for row in range(first, count - 1, 2):
+                swap(row)
+            asm.forget()
+
+    asm.repeated(-(-count // 2), turn)
+    found = []
+    for places, column in zip(slots, columns, strict=True):
+        entries = np.empty(count, object)
+        entries[:] = places
+        found.append(np.moveaxis(entries.reshape(column.shape), 0, axis))
+    return found
+
+
+def _dynamic_slice(asm: Assembly, equation: Any, values: Sequence[Value]) -> list[Value]:
+    """Rows from a number on that is known while the kernel is written."""
+    x, *starts = values
+    shape, sizes = without_lanes(equation.invars[0].aval.shape), without_lanes(equation.params["slice_sizes"])
+    parts = []
+    for length, size, start in zip(shape, sizes, starts, strict=True):
+        entry = start.reshape(-1)[0]
+        if size == length:
+            parts.append(slice(None))
+        elif isinstance(entry, Operand) and entry.is_literal:
+            first = min(max(int(entry.text), 0), length - size)
+            parts.append(slice(first, first + size))
+        else:
+            raise Untranslatable("rows from a number on that is not known beforehand")
+    return [x[tuple(parts)]]
+
+
+RULES: dict[str, Selected] = {
+    "reduce_or": _reduction("or"),
+    "reduce_and": _reduction("and"),
+    "reduce_max": _reduction("max"),
+    "reduce_min": _reduction("min"),
+    "reduce_sum": _reduction("add"),
+    "reduce_prod": _reduction("mul"),
+    "gather": _gathered,
+    "sort": _sorted,
+    "dynamic_slice": _dynamic_slice,
+}

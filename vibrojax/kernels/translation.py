@@ -1,0 +1,128 @@
+"""From a traced function to the text of a kernel."""
+
+from collections import Counter
+from collections.abc import Collection, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from vibrojax.kernels import arrangement, control, selection
+from vibrojax.kernels.assembly import Assembly
+from vibrojax.kernels.operands import Slot, Untranslatable, Value, dtype_of, literals, varies, without_lanes
+
+TEMPLATE = """{declarations}
+
+define internal void @group(ptr noalias %arrays, ptr noalias %workspace, i64 %count, i64 %lane) #0 {{
+{body}
+  ret void
+}}
+
+define void @lanes(ptr noalias %arrays, ptr noalias %workspace, i64 %count) #0 {{
+  br label %next
+next:
+  %lane = phi i64 [ 0, %0 ], [ %after, %next ]
+  call void @group(ptr %arrays, ptr %workspace, i64 %count, i64 %lane)
+  %after = add i64 %lane, {width}
+  %more = icmp slt i64 %after, %count
+  br i1 %more, label %next, label %done
+done:
+  ret void
+}}
+
+attributes #0 = {{ nounwind "prefer-vector-width"="512" "min-legal-vector-width"="512" }}
+"""
+"""`lanes(arrays, workspace, count)`: the function for `count` lanes, a whole number of groups. `arrays` points to the
+pointers of arguments and results, whose last axis is the lanes'."""
+
+
+def kernel_text(jaxpr: Any, width: int) -> tuple[str, int]:
+    """(the text of a closed jaxpr as a kernel for groups of `width` lanes, the bytes of workspace that it wants).
+
+    **Raises:** `Untranslatable` where the function does what no kernel can do.
+    """
+    asm = Assembly(width)
+    given = [_argument(asm, place, var.aval) for place, var in enumerate(jaxpr.jaxpr.invars)]
+    found = _written(asm, jaxpr, given)
+    for place, (var, value) in enumerate(zip(jaxpr.jaxpr.outvars, found, strict=True), start=len(given)):
+        for entry, slot in zip(value.reshape(-1), _slots(asm, place, var.aval).reshape(-1), strict=True):
+            asm.store(entry, slot, alignment=1)
+    body = "\n".join(asm.places + asm.lines)
+    text = TEMPLATE.format(declarations="\n".join(sorted(asm.declared)), body=body, width=width)
+    return text, asm.workspace
+
+
+def _written(asm: Assembly, closed: Any, values: Sequence[Value], owned: Collection[int] = ()) -> list[Value]:
+    """The results of a closed jaxpr, its instructions written.
+
+    `owned`: identities of those of the values that nothing else wants, so that they may be overwritten.
+    """
+    jaxpr = closed.jaxpr
+    known = dict(zip(jaxpr.constvars, map(literals, closed.consts), strict=True))
+    known |= dict(zip(jaxpr.invars, values, strict=True))
+    uses = _uses(jaxpr)
+    owned = set(owned)
+
+    def value(var: Any) -> Value:
+        return literals(np.asarray(var.val, dtype_of(var.aval))) if is_literal(var) else known[var]
+
+    for equation in jaxpr.eqns:
+        given = [value(var) for var in equation.invars]
+        last = {id(x) for x, var in zip(given, equation.invars, strict=True) if id(x) in owned and uses[var] == 1}
+        found = _applied(asm, equation, given, last)
+        if last and equation.primitive.name in arrangement.RULES:
+            owned |= {id(x) for x in found}
+        known |= dict(zip(equation.outvars, found, strict=True))
+    return [value(var) for var in jaxpr.outvars]
+
+
+def _uses(jaxpr: Any) -> Counter:
+    """How often each variable is wanted; not where it only goes to a loop or function without use for it."""
+    uses = Counter(var for var in jaxpr.outvars if not is_literal(var))
+    for equation in jaxpr.eqns:
+        inner = getattr(equation.params.get("jaxpr"), "jaxpr", None)
+        wanted = [True] * len(equation.invars) if inner is None else [var in _uses(inner) for var in inner.invars]
+        uses.update(var for var, needed in zip(equation.invars, wanted, strict=True) if needed and not is_literal(var))
+    return uses
+
+
+def is_literal(var: Any) -> bool:
+    return hasattr(var, "val")
+
+
+def _applied(asm: Assembly, equation: Any, values: list[Value], owned: Collection[int]) -> list[Value]:
+    name = equation.primitive.name
+    if name in arrangement.RULES:
+        return arrangement.RULES[name](equation, values)
+    if name in selection.RULES:
+        return selection.RULES[name](asm, equation, values)
+    if name == "scatter":
+        return selection.scattered(asm, equation, values, in_place=id(values[0]) in owned)
+    if name in control.RULES:
+        return control.RULES[name](asm, partial(_written, asm), equation, values, owned)
+    return [selection.each(asm, name, equation.params, values, dtype_of(equation.outvars[0].aval))]
+
+
+def _argument(asm: Assembly, place: int, aval: Any) -> Value:
+    """An argument of the kernel, read at once: its rows lie far apart."""
+    slots = _slots(asm, place, aval)
+    entries = np.empty(slots.shape, object)
+    for index in np.ndindex(slots.shape):
+        entries[index] = asm.load(slots.item(index), alignment=1)
+    return entries
+
+
+def _slots(asm: Assembly, place: int, aval: Any) -> Value:
+    """Where the entries of an argument or a result lie, for this group of lanes."""
+    varying, dtype = varies(aval), dtype_of(aval)
+    if varying != (aval.shape[-1:] != () and without_lanes(aval.shape[-1:]) != aval.shape[-1:]):
+        raise Untranslatable("lanes along another axis than the last")
+    slots = np.empty(without_lanes(aval.shape), object)
+    array = asm.let(f"load ptr, ptr {asm.let(f'getelementptr ptr, ptr %arrays, i64 {place}')}")
+    for row, index in enumerate(np.ndindex(slots.shape)):
+        number = str(row)
+        if varying:
+            number = asm.let(f"add i64 %lane, {asm.let(f'mul i64 %count, {row}')}")
+        pointer = asm.let(f"getelementptr {asm.type_in_memory(dtype, False)}, ptr {array}, i64 {number}")
+        slots[index] = Slot(pointer, dtype, varying)
+    return slots
