@@ -7,20 +7,21 @@ import tempfile
 from importlib.metadata import version
 from pathlib import Path
 
-for variable in ("JAX_COMPILATION_CACHE_DIR", "VIBROJAX_CACHE"):
-    if variable not in os.environ:
-        # What one process has compiled, no other compiles again: neither the other worker nor commands that tests run.
-        os.environ[variable] = tempfile.mkdtemp(prefix="vibrojax-tests-")
-        atexit.register(shutil.rmtree, os.environ[variable], ignore_errors=True)
+CACHES = ("JAX_COMPILATION_CACHE_DIR", "VIBROJAX_CACHE")
+"""What one process has compiled, no other compiles again: neither the other worker nor the commands that tests run."""
+
+FOR_CACHES = {name: tempfile.mkdtemp(prefix="vibrojax-tests-") for name in CACHES if name not in os.environ}
+os.environ |= FOR_CACHES
+atexit.register(lambda: [shutil.rmtree(folder, ignore_errors=True) for folder in FOR_CACHES.values()])
 
 if tuple(int(part) for part in version("jax").split(".")[:3]) < (0, 11, 2):
     # As `vibrojax.engine.compiler` does for the package's own programs: those that tests compile for themselves
     # take a quarter of the time without it.
     os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --xla_disable_hlo_passes=cse_barrier_expander"
 
-import jax
-import pytest
-from jaxtyping import install_import_hook
+import jax  # noqa: E402
+import pytest  # noqa: E402
+from jaxtyping import install_import_hook  # noqa: E402
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_dtype_promotion", "strict")

@@ -10,8 +10,8 @@ import pytest
 import vibrojax as vj
 from vibrojax import devices
 from vibrojax.engine.chunks import Chunks
-from vibrojax.engine import by_llvm
 from vibrojax.input.read import read_sweep
+from vibrojax.kernels import kernels
 
 CASES = json.loads((Path(__file__).parent / "data" / "vibro_impact_cases.json").read_text())
 PERIODIC = [case for case in CASES if case["expected"].get("cycles", 0) > 0]
@@ -74,7 +74,7 @@ def test_cores(tiled, cores, monkeypatch):
 
 
 def programs_compiled():
-    return list(by_llvm._kernels)
+    return list(kernels)
 
 
 def test_nothing_compiles_again(tiled):

@@ -1,4 +1,4 @@
-"""A kernel gives what the function gives: against numpy, against XLA, for any number of lanes, and each lane by itself."""
+"""A kernel gives what the function gives: against numpy and XLA, for any number of lanes, each lane by itself."""
 
 import jax
 import jax.numpy as jnp

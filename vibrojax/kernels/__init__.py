@@ -6,7 +6,8 @@ of the time, and it runs as one loop, the same on every version of jax.
 """
 
 from vibrojax.kernels.kernel import Kernel
+from vibrojax.kernels.made import kernels, run
 from vibrojax.kernels.native import vector_bytes
 from vibrojax.kernels.operands import Untranslatable
 
-__all__ = ["Kernel", "Untranslatable", "vector_bytes"]
+__all__ = ["Kernel", "Untranslatable", "kernels", "run", "vector_bytes"]

@@ -13,7 +13,11 @@ IN_REGISTERS = 24
 
 
 class Assembly:
-    """Instructions for a group of `width` lanes, written one by one. A vector has one element for each lane."""
+    """Instructions for a group of `width` lanes, written one by one. A vector has one element for each lane.
+
+    - `lines`, and before them `places`: the instructions; `declared`: functions from outside; `workspace`: bytes of it.
+    - `results`: which of the kernel's arrays a variable is; `streamed`: those that are written within a loop.
+    """
 
     def __init__(self, width: int) -> None:
         self.width = width
@@ -21,6 +25,8 @@ class Assembly:
         self.places: list[str] = []
         self.declared: set[str] = set()
         self.workspace = 0
+        self.results: dict[object, int] = {}
+        self.streamed: set[int] = set()
         self._names = 0
         self._read: dict[str, Operand] = {}
 
@@ -48,15 +54,16 @@ class Assembly:
         """What was read from memory is read again: it may have changed since."""
         self._read = {}
 
-    def repeated(self, turns: int, turn: Callable[[], None]) -> None:
-        """What `turn` writes, so many times."""
+    def repeated(self, turns: int, turn: Callable[[str], None]) -> None:
+        """What `turn` writes, so many times; it is given the register that counts them from 0."""
         body, done = self.fresh("body"), self.fresh("done")
         count = self.slot(np.dtype(np.int64), False, in_registers=True).pointer
         self.do(f"store i64 0, ptr {count}, align 8")
         self.do(f"br label %{body}")
         self.label(body)
-        turn()
-        made = self.let(f"add i64 {self.let(f'load i64, ptr {count}, align 8')}, 1")
+        number = self.let(f"load i64, ptr {count}, align 8")
+        turn(number)
+        made = self.let(f"add i64 {number}, 1")
         self.do(f"store i64 {made}, ptr {count}, align 8")
         self.do(f"br i1 {self.let(f'icmp slt i64 {made}, {turns}')}, label %{body}, label %{done}")
         self.label(done)

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from vibrojax.kernels.arrays import array_slots
 from vibrojax.kernels.assembly import IN_REGISTERS, Assembly
 from vibrojax.kernels.operands import Entry, Slot, Untranslatable, Value, dtype_of, varies, without_lanes
 
@@ -59,21 +60,33 @@ def _while(asm: Assembly, write: Write, equation: Any, values: Sequence[Value], 
 
 
 def _scan(asm: Assembly, write: Write, equation: Any, values: Sequence[Value], owned: Collection[int]) -> list[Value]:
-    """A loop of a known number of turns, which nothing is taken from or added to along the way (`fori_loop`)."""
-    inner = equation.params["jaxpr"].jaxpr
-    inside = [var.aval.shape for var in (*inner.invars, *inner.outvars)]
-    if inside != [var.aval.shape for var in (*equation.invars, *equation.outvars)]:
+    """A loop of a known number of turns (`fori_loop`); what each turn gives may be a result of the kernel."""
+    inner, turns = equation.params["jaxpr"].jaxpr, equation.params["length"]
+    streams = [
+        (var, one.aval)
+        for one, var in zip(inner.outvars, equation.outvars, strict=True)
+        if one.aval.ndim < var.aval.ndim
+    ]
+    carries = len(equation.outvars) - len(streams)
+    if [var.aval.shape for var in inner.invars] != [var.aval.shape for var in equation.invars]:
         raise Untranslatable("a scan over arrays")
-    constant = len(values) - len(equation.outvars)
-    carried = _places(asm, [var.aval for var in equation.outvars])
+    if any(var not in asm.results for var, _ in streams):
+        raise Untranslatable("a scan whose turns are kept, but are no results")
+    constant = len(values) - carries
+    carried = _places(asm, [var.aval for var in equation.outvars[:carries]])
     _put(asm, carried, values[constant:])
 
-    def turn() -> None:
-        given = [*values[:constant], *carried]
-        _put(asm, carried, write(equation.params["jaxpr"], given, set(map(id, carried))))
+    def turn(number: str) -> None:
+        found = write(equation.params["jaxpr"], [*values[:constant], *carried], set(map(id, carried)))
+        for (var, aval), value in zip(streams, found[carries:], strict=True):
+            slots = array_slots(asm, asm.results[var], aval, after=(number, value.size))
+            for slot, entry in zip(slots.flat, value.flat, strict=True):
+                asm.store(entry, slot, alignment=1)
+        _put(asm, carried, found[:carries])
 
-    asm.repeated(equation.params["length"], turn)
-    return carried
+    asm.repeated(turns, turn)
+    asm.streamed |= {asm.results[var] for var, _ in streams}
+    return [*carried, *(np.empty(without_lanes(var.aval.shape), object) for var, _ in streams)]
 
 
 def _branch(asm: Assembly, write: Write, equation: Any, values: Sequence[Value], owned: Collection[int]) -> list[Value]:

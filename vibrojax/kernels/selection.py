@@ -217,7 +217,7 @@ def _sorted(asm: Assembly, equation: Any, values: Sequence[Value]) -> list[Value
             asm.store(applied(asm, "select_n", {}, [wrong, one, two], one.dtype), places[row])
             asm.store(applied(asm, "select_n", {}, [wrong, two, one], one.dtype), places[row + 1])
 
-    def turn() -> None:
+    def turn(number: str) -> None:
         for first in (0, 1):
             for row in range(first, count - 1, 2):
                 swap(row)

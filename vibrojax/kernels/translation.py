@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from vibrojax.kernels import arrangement, control, selection
+from vibrojax.kernels.arrays import array_entries, array_slots
 from vibrojax.kernels.assembly import Assembly
-from vibrojax.kernels.operands import Slot, Untranslatable, Value, dtype_of, literals, varies, without_lanes
+from vibrojax.kernels.operands import Value, dtype_of, literals
 
 TEMPLATE = """{declarations}
 
@@ -42,10 +43,14 @@ def kernel_text(jaxpr: Any, width: int) -> tuple[str, int]:
     **Raises:** `Untranslatable` where the function does what no kernel can do.
     """
     asm = Assembly(width)
-    given = [_argument(asm, place, var.aval) for place, var in enumerate(jaxpr.jaxpr.invars)]
+    inner = jaxpr.jaxpr
+    given = [array_entries(asm, place, var.aval) for place, var in enumerate(inner.invars)]
+    asm.results = {var: place for place, var in enumerate(inner.outvars, start=len(given)) if not is_literal(var)}
     found = _written(asm, jaxpr, given)
-    for place, (var, value) in enumerate(zip(jaxpr.jaxpr.outvars, found, strict=True), start=len(given)):
-        for entry, slot in zip(value.reshape(-1), _slots(asm, place, var.aval).reshape(-1), strict=True):
+    for place, (var, value) in enumerate(zip(inner.outvars, found, strict=True), start=len(given)):
+        if place in asm.streamed:
+            continue
+        for entry, slot in zip(value.flat, array_slots(asm, place, var.aval).flat, strict=True):
             asm.store(entry, slot, alignment=1)
     body = "\n".join(asm.places + asm.lines)
     text = TEMPLATE.format(declarations="\n".join(sorted(asm.declared)), body=body, width=width)
@@ -101,28 +106,3 @@ def _applied(asm: Assembly, equation: Any, values: list[Value], owned: Collectio
     if name in control.RULES:
         return control.RULES[name](asm, partial(_written, asm), equation, values, owned)
     return [selection.each(asm, name, equation.params, values, dtype_of(equation.outvars[0].aval))]
-
-
-def _argument(asm: Assembly, place: int, aval: Any) -> Value:
-    """An argument of the kernel, read at once: its rows lie far apart."""
-    slots = _slots(asm, place, aval)
-    entries = np.empty(slots.shape, object)
-    for index in np.ndindex(slots.shape):
-        entries[index] = asm.load(slots.item(index), alignment=1)
-    return entries
-
-
-def _slots(asm: Assembly, place: int, aval: Any) -> Value:
-    """Where the entries of an argument or a result lie, for this group of lanes."""
-    varying, dtype = varies(aval), dtype_of(aval)
-    if varying != (aval.shape[-1:] != () and without_lanes(aval.shape[-1:]) != aval.shape[-1:]):
-        raise Untranslatable("lanes along another axis than the last")
-    slots = np.empty(without_lanes(aval.shape), object)
-    array = asm.let(f"load ptr, ptr {asm.let(f'getelementptr ptr, ptr %arrays, i64 {place}')}")
-    for row, index in enumerate(np.ndindex(slots.shape)):
-        number = str(row)
-        if varying:
-            number = asm.let(f"add i64 %lane, {asm.let(f'mul i64 %count, {row}')}")
-        pointer = asm.let(f"getelementptr {asm.type_in_memory(dtype, False)}, ptr {array}, i64 {number}")
-        slots[index] = Slot(pointer, dtype, varying)
-    return slots

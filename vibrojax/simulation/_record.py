@@ -17,13 +17,14 @@ from vibrojax.arrays import Array
 from vibrojax.engine.compiler import jitted
 from vibrojax.engine.resources import memory
 from vibrojax.errors import InputError, Place
+from vibrojax.kernels import Untranslatable, run
 from vibrojax.scenes import HasFriction, Scene
 from vibrojax.scenes.scene import Values
 from vibrojax.stepping import Accuracy, Goal, Lane, Stepper, lane_at
 from vibrojax.stepping.adaptive import MOST_STEPS as MOST_ADAPTIVE
 
-BATCH = 4096
-MOST_STEPS = 2500 * BATCH
+BATCH = 512
+MOST_STEPS = 20_000 * BATCH
 
 COPIES = 3
 """Of every step's polynomials that are held at once: in batches, put together, and those that are read."""
@@ -65,12 +66,12 @@ def record(
     lane = lane_at(scene, constants, state)
     parts = []
     for _ in range(ceil(most_steps / BATCH)):
-        lane, part = _batch(scene, stepper, constants, lane, accuracy, duration)
-        parts.append(jax.tree.map(np.asarray, part))
+        lane, part = _steps(scene, stepper, constants, lane, accuracy, duration)
+        parts.append(jax.tree.map(lambda x: np.asarray(x)[..., 0], part))
         if tell:
             tell(float(lane.clock.high[0]))
         if not float(lane.clock.until(duration)[0]) > 0:
-            whole = Record(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+            whole = Record(**{name: np.concatenate([part[name] for part in parts]) for name in Record._fields})
             taken = whole.dt > 0
             taken |= whole.hits.any(axis=1)
             return Record(*(x[taken] for x in whole))
@@ -81,30 +82,43 @@ def record(
     )
 
 
-@jitted(static=("scene", "stepper"))
+def _steps(scene: Scene[Any], stepper: Stepper, *given: Any) -> tuple[Lane, Any]:
+    """See `_batch`; the last axis is still that of lanes."""
+    try:
+        return run(_batch, (scene, stepper), *given)
+    except Untranslatable:
+        return _batch_by_xla(scene, stepper, *given)
+
+
 def _batch(
     scene: Scene[Any], stepper: Stepper, constants: Any, lane: Lane, accuracy: Accuracy, duration: Array
-) -> tuple[Lane, Record]:
-    def one(lane: Lane, _: None) -> tuple[Lane, Record]:
+) -> tuple[Lane, Any]:
+    """(the lane after some steps, the record of them)."""
+
+    def one(lane: Lane, _: None) -> tuple[Lane, Any]:
         moving = lane.clock.until(duration) > 0
         new, step = stepper.step(scene, constants, lane, accuracy, Goal(duration, moving))
-        return new, Record(
-            start=lane.clock.high[0],
-            h=step.h[0],
-            dt=step.dt[0],
-            polynomials=jnp.stack([jnp.stack([c[0] for c in series]) for series in step.polynomials]),
-            mode=jnp.stack([m[0] for m in step.mode]),
-            after=jnp.stack([y[0] for y in step.after]),
-            hits=_flags(scene.event_names, step.hits),
-            falling=_flags(scene.marker_names, step.falling),
-        )
+        columns = {
+            "start": lane.clock.high,
+            "h": step.h,
+            "dt": step.dt,
+            "polynomials": jnp.stack([jnp.stack(series) for series in step.polynomials]),
+            "mode": jnp.stack(step.mode),
+            "after": jnp.stack(step.after),
+            "hits": _flags(scene.event_names, step.hits, moving),
+            "falling": _flags(scene.marker_names, step.falling, moving),
+        }
+        return new, columns
 
-    steps: tuple[Lane, Record] = jax.lax.scan(one, lane, length=BATCH)
+    steps: tuple[Lane, Any] = jax.lax.scan(one, lane, length=BATCH)
     return steps
 
 
-def _flags(names: tuple[str, ...], flags: Any) -> Bool[Array, " names"]:
-    return jnp.stack([flags[name][0] for name in names]) if names else jnp.zeros(0, bool)
+_batch_by_xla = jitted(static=("scene", "stepper"))(_batch)
+
+
+def _flags(names: tuple[str, ...], flags: Any, like: Array) -> Bool[Array, "names lanes"]:
+    return jnp.stack([flags[name] for name in names]) if names else jnp.zeros((0, *like.shape), bool)
 
 
 def sample(

@@ -1,0 +1,41 @@
+"""Kernels made once, by whichever thread wants one first."""
+
+import threading
+from collections.abc import Callable, Hashable
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from vibrojax.kernels.kernel import Kernel
+
+
+class _Key(NamedTuple):
+    function: Callable[..., Any]
+    static: tuple[Hashable, ...]
+    types: tuple[Hashable, ...]
+
+
+kernels: dict[_Key, Kernel] = {}
+"""All that were made in this process."""
+
+_making: dict[_Key, threading.Lock] = {}
+_lock = threading.Lock()
+
+
+def run(function: Callable[..., Any], static: tuple[Hashable, ...], *arguments: Any, registers: int = 1) -> Any:
+    """`function(*static, *arguments)` by the kernel for such arguments, which is made where there is none yet.
+
+    **Arguments:** `registers`: see `Kernel`.
+
+    **Raises:** `Untranslatable`, where the function does what no kernel can do.
+    """
+    leaves, tree = jax.tree.flatten(arguments)
+    types = (jax.config.jax_enable_x64, tree, *((np.result_type(x), np.shape(x)[:-1], np.ndim(x)) for x in leaves))
+    key = _Key(function, static, types)
+    with _lock:
+        making = _making.setdefault(key, threading.Lock())
+    with making:
+        if key not in kernels:
+            kernels[key] = Kernel(lambda *given: function(*static, *given), *arguments, registers=registers)
+    return kernels[key](*arguments)
