@@ -31,7 +31,7 @@ def run(function: Callable[..., Any], static: tuple[Hashable, ...], *arguments: 
     **Raises:** `Untranslatable`, where the function does what no kernel can do.
     """
     leaves, tree = jax.tree.flatten(arguments)
-    types = (jax.config.jax_enable_x64, tree, *((np.result_type(x), np.shape(x)[:-1], np.ndim(x)) for x in leaves))
+    types = (jax.config.jax_enable_x64, tree, *map(_type, leaves))
     key = _Key(function, static, types)
     with _lock:
         making = _making.setdefault(key, threading.Lock())
@@ -39,3 +39,8 @@ def run(function: Callable[..., Any], static: tuple[Hashable, ...], *arguments: 
         if key not in kernels:
             kernels[key] = Kernel(lambda *given: function(*static, *given), *arguments, registers=registers)
     return kernels[key](*arguments)
+
+
+def _type(x: Any) -> Hashable:
+    dtype = x.dtype if hasattr(x, "dtype") else np.result_type(x)
+    return dtype, np.shape(x)[:-1], np.ndim(x)

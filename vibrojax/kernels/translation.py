@@ -1,6 +1,5 @@
 """From a traced function to the text of a kernel."""
 
-from collections import Counter
 from collections.abc import Collection, Sequence
 from functools import partial
 from typing import Any
@@ -65,15 +64,15 @@ def _written(asm: Assembly, closed: Any, values: Sequence[Value], owned: Collect
     jaxpr = closed.jaxpr
     known = dict(zip(jaxpr.constvars, map(literals, closed.consts), strict=True))
     known |= dict(zip(jaxpr.invars, values, strict=True))
-    uses = _uses(jaxpr)
     owned = set(owned)
+    uses = _uses(jaxpr) if owned else {}
 
     def value(var: Any) -> Value:
         return literals(np.asarray(var.val, dtype_of(var.aval))) if is_literal(var) else known[var]
 
     for equation in jaxpr.eqns:
         given = [value(var) for var in equation.invars]
-        last = {id(x) for x, var in zip(given, equation.invars, strict=True) if id(x) in owned and uses[var] == 1}
+        last = {id(x) for x, var in zip(given, equation.invars, strict=True) if id(x) in owned and uses.get(var) == 1}
         found = _applied(asm, equation, given, last)
         if last and equation.primitive.name in arrangement.RULES:
             owned |= {id(x) for x in found}
@@ -81,17 +80,23 @@ def _written(asm: Assembly, closed: Any, values: Sequence[Value], owned: Collect
     return [value(var) for var in jaxpr.outvars]
 
 
-def _uses(jaxpr: Any) -> Counter:
+def _uses(jaxpr: Any) -> dict[Any, int]:
     """How often each variable is wanted; not where it only goes to a loop or function without use for it."""
-    uses = Counter(var for var in jaxpr.outvars if not is_literal(var))
+    uses: dict[Any, int] = {}
+    for var in jaxpr.outvars:
+        if not is_literal(var):
+            uses[var] = uses.get(var, 0) + 1
     for equation in jaxpr.eqns:
         inner = getattr(equation.params.get("jaxpr"), "jaxpr", None)
-        wanted = [True] * len(equation.invars) if inner is None else [var in _uses(inner) for var in inner.invars]
-        uses.update(var for var, needed in zip(equation.invars, wanted, strict=True) if needed and not is_literal(var))
+        wanted = None if inner is None else _uses(inner)
+        for place, var in enumerate(equation.invars):
+            if not is_literal(var) and (inner is None or wanted is None or inner.invars[place] in wanted):
+                uses[var] = uses.get(var, 0) + 1
     return uses
 
 
 def is_literal(var: Any) -> bool:
+    """Whether an argument of an equation is a number and no variable."""
     return hasattr(var, "val")
 
 
