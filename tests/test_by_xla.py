@@ -1,0 +1,47 @@
+"""Lanes compiled by XLA, as on an accelerator or where no kernel can be made, come out as lanes of kernels do."""
+
+import json
+
+import numpy as np
+import pytest
+
+import vibrojax as vj
+from vibrojax.engine import by_llvm
+from vibrojax.kernels import Untranslatable
+
+RUN = {"settle": 12.0, "observe": 6.0, "error": 1e-4}
+SWEEPS = {
+    "vibro-impact": {"beta": [0.3, 0.4, 0.6, 0.9], "gamma": [0.6, 0.75, 0.9], "delta": [-0.005, 0.005]},
+    "penetration": {"force": [200e3, 300e3], "frequency": [20.0, 40.0]},
+}
+WITHIN = {"vibro-impact": 1e-8, "penetration": 1e-9}
+"""Roundings grow along twenty seconds of impacts before the motion repeats, and shrink after."""
+
+
+@pytest.fixture
+def no_kernels(monkeypatch):
+    def run(*given, **options):
+        raise Untranslatable("anything")
+
+    monkeypatch.setattr(by_llvm, "run", run)
+
+
+@pytest.mark.parametrize("scene", SWEEPS)
+def test_as_by_kernels(scene, request):
+    """Every label, and what repeats to the roundings' growth."""
+    sweep = {"scene": scene, "grid": SWEEPS[scene], "run": RUN if scene == "vibro-impact" else {}}
+    kernels = vj.run_sweep(sweep, progress=False)
+    request.getfixturevalue("no_kernels")
+    xla = vj.run_sweep(sweep, progress=False)
+    compilers = [json.loads(dataset.attrs["solver"])["compiler"] for dataset in (kernels, xla)]
+    assert compilers == ["llvm", "xla"]
+    if scene == "vibro-impact":
+        repeats = (kernels.cycles > 0).values
+        assert repeats.mean() > 0.4
+        np.testing.assert_array_equal(xla.regime.values[repeats], kernels.regime.values[repeats])
+        names = ["period", "impact_velocity", "phase_lag", "peak_impact_force", "drive_power"]
+    else:
+        repeats, names = np.ones(kernels.rate_of_penetration.shape, bool), ["rate_of_penetration", "slip_per_impact"]
+    for name in names:
+        one, other = (dataset[name].values[repeats] for dataset in (kernels, xla))
+        np.testing.assert_allclose(one, other, rtol=WITHIN[scene], atol=WITHIN[scene] * np.nanmax(np.abs(one)))
