@@ -113,9 +113,18 @@ def number(value: float) -> str:
 def value_text(data: xr.DataArray, value: float | str | np.number | np.str_) -> str:
     """`value` of the coordinate `data` as in `Δ = −5 mm`; `start: drive` where values are names."""
     if not np.issubdtype(np.asarray(value).dtype, np.number):
-        return f"{data.name}: {value}"
+        return f"{data.name}: {short(str(value))}"
     factor, unit = scale(data)
     return f"{symbol(data)} = {number(float(value) * factor)} {pretty_unit(unit)}".rstrip()
+
+
+def short(name: str) -> str:
+    """`name`, with no more digits than tell starts apart where it is a vector, "[0.0, 0.0, 0.0213, 1.0]"."""
+    try:
+        values = json.loads(name)
+        return f"[{', '.join(number(float(f'{value:.3g}')) for value in values)}]"
+    except (ValueError, TypeError):
+        return name
 
 
 def share_text(share: float) -> str:
@@ -142,7 +151,7 @@ def point_text(ds: xr.Dataset) -> str:
     if ds.attrs.get("friction", USUAL_FRICTION) != USUAL_FRICTION:
         parts.append(f"friction: {ds.attrs['friction']}")
     if "start" in ds.attrs and "start" not in ds.coords:
-        parts.append(f"start: {ds.attrs['start']}")
+        parts.append(f"start: {short(str(ds.attrs['start']))}")
     return ", ".join(parts)
 
 

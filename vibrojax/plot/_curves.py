@@ -16,7 +16,8 @@ from matplotlib.lines import Line2D
 
 from vibrojax.plot._axes import is_geometric, label, scale, shape_axis, value_text
 from vibrojax.plot._contents import MOST_LINES, POINT, START, is_numeric, lane_dims, named_axes, swept, varied
-from vibrojax.plot._sheet import LEGEND_WIDTH, Facets
+from vibrojax.plot._margins import LEGEND_WIDTH
+from vibrojax.plot._sheet import Facets
 from vibrojax.plot.style import BIT, OTHER_COLOURS, ROCK_COLOURS, Mark, new_figure, start_colour
 
 MOST_ROWS = 4

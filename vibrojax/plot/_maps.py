@@ -28,7 +28,8 @@ from vibrojax.plot._colours import (
     values_of_rock,
 )
 from vibrojax.plot._contents import HIDDEN, REGIME, RELIEF, axes_of_map, has_regimes, long_axes, rates_in, regimes_in
-from vibrojax.plot._sheet import Panel, facets, sheet, write_margins
+from vibrojax.plot._margins import write_margins
+from vibrojax.plot._sheet import Panel, facets, sheet
 from vibrojax.plot.style import INK, NOTHING, styled
 
 SINGLE = REGIMES.index("single-impact")

@@ -28,7 +28,8 @@ from vibrojax.plot._colours import (
 from vibrojax.plot._contents import FORM, POINT, law_in, long_axes
 from vibrojax.plot._curves import MOST_ROWS, Across, Row, across, label_axes, rows
 from vibrojax.plot._maps import fill_cells, write_labels
-from vibrojax.plot._sheet import LEGEND_WIDTH, facets, legend_at_right, sheet, write_margins
+from vibrojax.plot._margins import legend_at_right, write_margins
+from vibrojax.plot._sheet import facets, sheet
 from vibrojax.plot.style import FAINT, Mark, styled
 
 _READINGS = ("onset", "literal", "percent")  # of the logarithmic law; their C are speeds that can be compared
@@ -66,7 +67,7 @@ def law_lines(fit: xr.Dataset) -> Figure:
     _limit(drawn[0].axes[0], fit, factor)
     legend_at_right(figure, _line_handles(fit), _equal_handle() if has_aic else [])
     title = str(fit.attrs.get("title", ""))
-    write_margins(figure, title, point_text(fit), panels.note, *_about(fit), legend=LEGEND_WIDTH)
+    write_margins(figure, title, point_text(fit), panels.note, *_about(fit))
     return figure
 
 

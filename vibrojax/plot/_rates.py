@@ -27,7 +27,8 @@ from vibrojax.plot._curves import (
     rows,
 )
 from vibrojax.plot._maps import SINGLE
-from vibrojax.plot._sheet import LEGEND_WIDTH, facets, legend_at_right, write_margins
+from vibrojax.plot._margins import legend_at_right, write_margins
+from vibrojax.plot._sheet import facets
 from vibrojax.plot.style import INK, Mark, styled
 
 SLIP, PEAK = "slip_per_impact", "peak_impact_force"
@@ -80,9 +81,7 @@ def rates(ds: xr.Dataset) -> Figure:
             label_axes(row, at, x.label if curve.along == x.name else "relief P/D", curve.label)
     _limit(drawn, curves, x)
     legend_at_right(figure, line_handles(lines(ds, by), Mark(linestyle=joined)), _mark_handles(ds))
-    write_margins(
-        figure, str(ds.attrs.get("title", "")), point_text(ds), panels.note, _without_rate(ds), legend=LEGEND_WIDTH
-    )
+    write_margins(figure, str(ds.attrs.get("title", "")), point_text(ds), panels.note, _without_rate(ds))
     return figure
 
 

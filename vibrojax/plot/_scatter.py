@@ -23,7 +23,8 @@ from vibrojax.plot._colours import (
 )
 from vibrojax.plot._contents import REGIME, START, has_regimes, rates_in, regimes_in, varied
 from vibrojax.plot._maps import MOST_VALUES, outline_region, region_handle, write_labels
-from vibrojax.plot._sheet import Facets, Panel, sheet, write_margins
+from vibrojax.plot._margins import write_margins
+from vibrojax.plot._sheet import Facets, Panel, sheet
 from vibrojax.plot.style import NOTHING, UNDEFINED, new_figure, styled
 
 

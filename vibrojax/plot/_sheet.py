@@ -16,9 +16,8 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
 from matplotlib.gridspec import GridSpec, SubplotSpec
-from matplotlib.lines import Line2D
 
-from vibrojax.plot._axes import number, pretty_unit, scale, symbol, value_text
+from vibrojax.plot._axes import number, pretty_unit, scale, short, symbol, value_text
 from vibrojax.plot._colours import Value
 from vibrojax.plot._contents import START, is_numeric, lane_dims
 from vibrojax.plot.style import new_figure
@@ -27,7 +26,6 @@ MOST = 12
 _BESIDE = 3  # up to so many facets, the values stand beside the regimes; from there on below them
 _MOST_COLUMNS = 6
 _SQUARE = 4  # values of one facet, from which they stand two by two
-LEGEND_WIDTH = 1.9  # inches, about
 _ROOM_AT_RIGHT = 1.6  # inches for the legend, where the regimes leave no place for it
 
 Indices = Int[np.ndarray, " values"]
@@ -99,33 +97,9 @@ def _note(ds: xr.Dataset, sizes: dict[str, int], picks: dict[str, Indices]) -> s
 def _listed(coordinate: xr.DataArray, pick: Indices) -> str:
     values = coordinate.values[pick]
     if not is_numeric(coordinate):
-        return ", ".join(str(value) for value in values)
+        return ", ".join(short(str(value)) for value in values)
     factor, unit = scale(coordinate)
     return f"{', '.join(number(float(value) * factor) for value in values)} {pretty_unit(unit)}".rstrip()
-
-
-def write_margins(figure: Figure, title: str, *notes: str, legend: float = 0.0) -> None:
-    """Write `title` above everything, but not over a legend that takes `legend` inches at the right; `notes` below.
-
-    The figure grows by the lines after the first.
-    """
-    width = figure.get_figwidth()
-    above = fill(title, int(9.5 * (width - legend)))
-    below = fill(". ".join(note for note in notes if note), int(17 * width))
-    if above:
-        figure.suptitle(above, x=0.01, ha="left", fontweight="bold")
-    if below:
-        figure.supxlabel(below, x=0.01, ha="left", fontsize=8, color="0.3")
-    figure.set_figheight(figure.get_figheight() + 0.18 * above.count("\n") + 0.13 * below.count("\n"))
-
-
-def legend_at_right(figure: Figure, *groups: list[Artist]) -> None:
-    """One legend at the right of all axes, with `groups` set apart."""
-    gap: Artist = Line2D([], [], linestyle="none", label=" ")
-    handles: list[Artist] = []
-    for group in groups:
-        handles += ([gap] if handles and group else []) + group
-    figure.legend(handles=handles, loc="outside right upper")
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,8 @@ from matplotlib.typing import LineStyleType
 from vibrojax.plot._axes import certified_text, edges, label, point_text, shape_axis, values_along
 from vibrojax.plot._colours import REGIME_MAP, REGIME_NORM, Value, flags, regime_handles, values_beside
 from vibrojax.plot._contents import REGIME, START, axes_to_draw, lane_dims, regimes_in
-from vibrojax.plot._sheet import LEGEND_WIDTH, Facets, columns, facets, legend_at_right, write_margins
+from vibrojax.plot._margins import legend_at_right, write_margins
+from vibrojax.plot._sheet import Facets, columns, facets
 from vibrojax.plot.style import Mark, new_figure, start_colour, styled
 
 
@@ -60,9 +61,7 @@ def draw_stacks(
         _draw_strip(stack, x)
     handles = regime_handles([facet[REGIME] for facet in panels.data])
     legend_at_right(figure, _start_handles(ds, linestyle), handles)
-    write_margins(
-        figure, str(ds.attrs.get("title", "")), point_text(ds), certified_text(ds), panels.note, legend=LEGEND_WIDTH
-    )
+    write_margins(figure, str(ds.attrs.get("title", "")), point_text(ds), certified_text(ds), panels.note)
     return figure
 
 

@@ -23,11 +23,14 @@ ROCK = "#B08D57"
 
 # Readable apart in greyscale and by colour-blind eyes.
 START_COLOURS = {"drive": "#004488", "stuck": "#CC6677", "touching": "#2E8B57"}
-OTHER_COLOURS = ("#7A5195", "#8C6D1F", "#4D4D4D", "#56B4E9")
+OTHER_COLOURS = ("#56B4E9", "#C98A00", "#7A3E9D", "#222222", "#D81B60", "#7BA428", "#8C564B", "#9A9A9A")
 ROCK_COLOURS = {"sandstone": "#D9A441", "limestone": "#3F8FA3", "granite": "#7A2E4D"}
 
 DASHED = (0.0, (4.0, 3.0))
 
+FINEST = 160.0  # pixels an inch of a saved picture
+
+TITLE_SIZE = 11.0
 _TICK_SIZE = 8.0
 _SETTINGS = {
     "font.size": 9.0,
@@ -46,11 +49,11 @@ _SETTINGS = {
     "legend.fontsize": 8.0,
     "legend.frameon": False,
     "legend.handlelength": 1.4,
-    "figure.titlesize": 11.0,
+    "figure.titlesize": TITLE_SIZE,
     "grid.color": "#E2E2E2",
     "grid.linewidth": 0.5,
     "lines.solid_capstyle": "round",
-    "savefig.dpi": 160,
+    "savefig.dpi": FINEST,
     "figure.dpi": 110,
     "svg.fonttype": "none",
     "svg.hashsalt": "vibrojax",  # the same dataset gives the same file
