@@ -104,6 +104,13 @@ def flags(data: xr.DataArray) -> Cells:
     return np.where(np.isin(values, list(REGIME_COLOURS)), values, np.nan)
 
 
+def by_share(rows: Float[np.ndarray, "starts values"]) -> Float[np.ndarray, "starts values"]:
+    """The regimes of each column one above the other, so that their heights are their shares: single impacts first."""
+    single = REGIMES.index("single-impact")
+    ordered = np.sort(np.where(rows == single, -1.0, rows), axis=0)
+    return np.where(ordered == -1.0, float(single), ordered)
+
+
 def regime_names(data: xr.DataArray) -> dict[int, str]:
     """The name of each flag, by the attributes `flag_values` and `flag_meanings` of `data` where they are there."""
     values = np.atleast_1d(data.attrs.get("flag_values", [])).astype(int).tolist()

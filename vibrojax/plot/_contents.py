@@ -147,6 +147,11 @@ def lane_dims(ds: xr.Dataset) -> tuple[str, ...]:
     return () if data is None else tuple(str(name) for name in data.dims if name != FORM)
 
 
+def many_starts(ds: xr.Dataset) -> bool:
+    """Whether every point runs from more starts than have a colour, a row or a panel each."""
+    return START in lane_dims(ds) and ds.sizes[START] > MOST_LINES
+
+
 def swept(ds: xr.Dataset) -> tuple[str, ...]:
     """The grid's axes of more than one value that are numbers, in the order of the lanes' dimensions."""
     names = [name for name in lane_dims(ds) if name not in _NOT_SWEPT and name in ds.coords]

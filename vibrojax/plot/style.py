@@ -23,7 +23,7 @@ ROCK = "#B08D57"
 
 # Readable apart in greyscale and by colour-blind eyes.
 START_COLOURS = {"drive": "#004488", "stuck": "#CC6677", "touching": "#2E8B57"}
-OTHER_COLOURS = ("#56B4E9", "#C98A00", "#7A3E9D", "#222222", "#D81B60", "#7BA428", "#8C564B", "#9A9A9A")
+OTHER_COLOURS = ("#56B4E9", "#E69F00", "#9B30C9", "#222222", "#C6D937", "#7A1F1F", "#B5B5B5")
 ROCK_COLOURS = {"sandstone": "#D9A441", "limestone": "#3F8FA3", "granite": "#7A2E4D"}
 
 DASHED = (0.0, (4.0, 3.0))
