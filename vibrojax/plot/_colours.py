@@ -191,6 +191,11 @@ def value_of(data: xr.DataArray) -> Value:
     return Value(name, with_unit(text, unit), factor, norm, extend[beyond], shown)
 
 
+def share_value(data: xr.DataArray, name: str) -> Value:
+    """The share [%] `data` of starts that end in the regime `name`, in colours from 0 to 100 %."""
+    return Value(str(data.name), f"{name} [% of starts]", 1.0, Normalize(0.0, 100.0), "neither", colormaps["viridis"])
+
+
 def value_handles(data: Sequence[xr.Dataset], values: Sequence[Value]) -> list[Artist]:
     """The legend's entries for lanes without penetration and without a value, where there are any."""
     nothing = any((part[value.name].values == 0).any() for part in data for value in values if value.of_rate)

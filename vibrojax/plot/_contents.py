@@ -20,7 +20,7 @@ MOST_LINES = 8  # in one panel, and in the legend
 _NOT_SWEPT = {START, POINT, RETURN, FORM}
 _EACH_LANE = (REGIME, RATE, COEFFICIENT)  # what every lane has one of: of a drill, of rock, of a fit
 _MANY = 9  # values of an axis from which lines, one for each, are too many
-_ENOUGH = 6  # values from which an axis is one to draw along, rather than a choice between a few
+ENOUGH = 6  # values from which an axis is one to draw along, rather than a choice between a few
 
 
 @dataclass(frozen=True)
@@ -31,6 +31,7 @@ class Contents:
     - `axes`: the axes to draw along; `long`: those of so many values that a map shows more of them than lines.
     - `varied`: the parameters that vary along a list of points, each with its number of values.
     - `beside`: the quantities worth a panel beside the regimes.
+    - `many_starts`: whether every point runs from more starts than have a panel each.
     - `swept_sine`: whether the force of a run is a sine of a frequency that changes.
     """
 
@@ -41,6 +42,7 @@ class Contents:
     varied: Mapping[str, int]
     beside: tuple[str, ...]
     points: bool
+    many_starts: bool
     swept_sine: bool
 
     @property
@@ -111,6 +113,7 @@ def contents(ds: xr.Dataset) -> Contents:
         varied=varied(ds),
         beside=tuple(name for name in BESIDE_REGIMES if name in ds and np.isfinite(ds[name].values).any())[:2],
         points=POINT in lane_dims(ds),
+        many_starts=many_starts(ds),
         swept_sine=ds.attrs.get("pulse_shape") == "sweep" and parameters_of(ds).get("sweep_rate", 0.0) != 0.0,
     )
 
@@ -169,7 +172,7 @@ def axes_to_draw(ds: xr.Dataset) -> tuple[str, ...]:
     axes = swept(ds)
     if {"beta", "gamma"} <= set(axes):
         return ("gamma", "beta")
-    long = tuple(name for name in axes if ds.sizes[name] >= _ENOUGH)
+    long = tuple(name for name in axes if ds.sizes[name] >= ENOUGH)
     return long or axes
 
 

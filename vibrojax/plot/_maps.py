@@ -52,10 +52,13 @@ _REGION_NAME = "source's best region"
 def regime_grid(ds: xr.Dataset, x: str | None = None, y: str | None = None) -> Figure:
     """The regimes over two axes, with the quantities worth a panel beside them; see `regime_map`."""
     ds = regimes_in(ds)
-    x, y = axes_of_map(ds, x, y)
+    return regimes_and(ds, values_beside(ds), *axes_of_map(ds, x, y))
+
+
+def regimes_and(ds: xr.Dataset, values: tuple[Value, ...], x: str, y: str, *about: str) -> Figure:
+    """The regimes in `ds` over its axes `x` and `y`, with `values` beside them, and what there is to say `about` it."""
     ds = ds.sortby([x, y])
     panels = facets(ds, (x, y))
-    values = values_beside(ds)
     drawn = sheet(panels, (None, *values))
     marks = False
     for panel in drawn:
@@ -70,7 +73,8 @@ def regime_grid(ds: xr.Dataset, x: str | None = None, y: str | None = None) -> F
         + _border_handle(drawn.panels)
         + region_handle(drawn.panels[0].axes)
     )
-    write_margins(drawn.figure, str(ds.attrs.get("title", "")), point_text(ds), certified_text(ds), panels.note)
+    notes = point_text(ds), certified_text(ds), panels.note, *about
+    write_margins(drawn.figure, str(ds.attrs.get("title", "")), *notes)
     return drawn.figure
 
 

@@ -12,6 +12,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from vibrojax.errors import InputError, shown
+from vibrojax.plot._basins import many_starts, share_grid
 from vibrojax.plot._bifurcation import bifurcation
 from vibrojax.plot._contents import Contents, contents, law_in, rates_in, regimes_in
 from vibrojax.plot._hole import pulses, response
@@ -47,6 +48,7 @@ PICTURES = (
     Picture("returns",       lambda held: held.returns,                                  bifurcation),
     Picture("law",           lambda held: held.law and len(held.long) > 1,               law_map),
     Picture("law",           lambda held: held.law,                                      law_lines),
+    Picture("starts",        lambda held: held.regimes and held.many_starts,             many_starts),
     Picture("rates",         lambda held: held.rates and not held.worth_a_map,           rates),
     Picture("regimes",       lambda held: held.regimes and held.points_over_two,         regime_scatter),
     Picture("regimes",       lambda held: held.regimes and len(held.axes) > 1,           regime_grid),
@@ -85,7 +87,8 @@ def regime_map(ds: xr.Dataset, x: str | None = None, y: str | None = None) -> Fi
     """The regimes of a sweep as a map, with impact velocity and period beside it.
 
     Further axes, and the starts, become panels: twelve at most, and the figure says which. A sweep along one axis
-    becomes lines, a list of points a scatter (two parameters vary) or a count.
+    becomes lines, a list of points a scatter (two parameters vary) or a count. More than eight starts are a map over
+    their states where nothing else varies over many values, else the share of them that ends in each regime.
 
     **Arguments:**
 
@@ -98,6 +101,8 @@ def regime_map(ds: xr.Dataset, x: str | None = None, y: str | None = None) -> Fi
     **Raises:** `InputError` where there are no regimes, or `x` or `y` is no axis of the sweep.
     """
     held = contents(regimes_in(ds))
+    if held.many_starts:
+        return many_starts(ds) if x is None and y is None else share_grid(ds, x, y)
     if held.points or (x is None and y is None):
         return _fitting(held, "regimes")(ds)
     return regime_grid(ds, x, y)

@@ -43,14 +43,17 @@ class Stack:
 
 
 @styled
-def regime_lines(ds: xr.Dataset) -> Figure:
-    """Impact velocity and period along the one axis worth it, one line per start, above the regimes of each start."""
+def regime_lines(ds: xr.Dataset, x: str | None = None, about: str = "") -> Figure:
+    """Impact velocity and period along `x`, one line per start, above the regimes of each start.
+
+    `x` is the longest axis where it is left out; `about` is said of the picture in the notes.
+    """
     ds = regimes_in(ds)
     values = values_beside(ds)
-    (x,) = axes_to_draw(ds)
+    x = x or max(axes_to_draw(ds), key=lambda name: ds.sizes[name])
     height = 1.9 if len(values) > 1 else 2.4
     return draw_stacks(
-        ds, x, len(values), lambda _: height, partial(_draw_values, values=values, x=x), _start_handles(ds)
+        ds, x, len(values), lambda _: height, partial(_draw_values, values=values, x=x), _start_handles(ds), about
     )
 
 
@@ -61,10 +64,12 @@ def draw_stacks(
     height: Callable[[int], float],
     draw: Callable[[Stack], None],
     handles: Sequence[Artist] = (),
+    about: str = "",
 ) -> Figure:
     """A picture along `x`: what `draw` draws on `curves` panels of each facet, above the regimes of each start.
 
-    `height` [inch] of such a panel, by the number of facets; `handles` are in the legend above the regimes.
+    `height` [inch] of such a panel, by the number of facets; `handles` are in the legend above the regimes, `about` in
+    the notes.
     """
     panels = _panels(ds.sortby(x), x, curves, height)
     figure, drawn = _stacks(panels, curves, height(len(panels)))
@@ -72,8 +77,8 @@ def draw_stacks(
         draw(stack)
         _draw_strip(stack, x)
     legend_at_right(figure, handles, regime_handles([facet[REGIME] for facet in panels.data]))
-    about = shares_text(ds) if many_starts(ds) else ""
-    write_margins(figure, str(ds.attrs.get("title", "")), point_text(ds), certified_text(ds), panels.note, about)
+    notes = point_text(ds), certified_text(ds), panels.note, shares_text(ds) if many_starts(ds) else "", about
+    write_margins(figure, str(ds.attrs.get("title", "")), *notes)
     return figure
 
 

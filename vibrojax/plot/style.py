@@ -117,4 +117,6 @@ def new_figure(width: float, height: float) -> OwnFigure:
 
 def start_colour(name: str, position: int) -> str:
     """The colour of the start `name`; starts without a fixed one take theirs by `position` among the starts."""
+    if not name:
+        return BIT
     return START_COLOURS.get(name, OTHER_COLOURS[position % len(OTHER_COLOURS)])
