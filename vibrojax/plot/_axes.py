@@ -118,6 +118,12 @@ def value_text(data: xr.DataArray, value: float | str | np.number | np.str_) -> 
     return f"{symbol(data)} = {number(float(value) * factor)} {pretty_unit(unit)}".rstrip()
 
 
+def index_text(ds: xr.Dataset, dimension: str, index: int) -> str:
+    """The value at `index` of `dimension`; where it has none itself, those of all the coordinates along it."""
+    along = [dimension] if dimension in ds.coords else [name for name in ds.coords if ds[name].dims == (dimension,)]
+    return ", ".join(value_text(ds[name], ds[name].values[index]) for name in along) or f"{dimension} = {index}"
+
+
 def short(name: str) -> str:
     """`name`, with no more digits than tell starts apart where it is a vector, "[0.0, 0.0, 0.0213, 1.0]"."""
     try:

@@ -11,14 +11,14 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
-from matplotlib.gridspec import GridSpec
+from matplotlib.gridspec import SubplotSpec
 from matplotlib.lines import Line2D
 
 from vibrojax.plot._axes import is_geometric, label, scale, shape_axis, value_text
 from vibrojax.plot._contents import MOST_LINES, POINT, START, is_numeric, lane_dims, named_axes, swept, varied
 from vibrojax.plot._margins import LEGEND_WIDTH
 from vibrojax.plot._sheet import Facets
-from vibrojax.plot.style import BIT, OTHER_COLOURS, ROCK_COLOURS, Mark, new_figure, start_colour
+from vibrojax.plot.style import BIT, OTHER_COLOURS, ROCK_COLOURS, Mark, divided, new_figure, start_colour
 
 MOST_ROWS = 4
 _WIDTH = 3.3  # inches of a panel
@@ -121,21 +121,22 @@ def line_handles(drawn: Sequence[Line], mark: Mark) -> list[Artist]:
     return [Line2D([], [], label=drawn[at].name, **marker | mark | Mark(color=drawn[at].colour)) for at in shown]
 
 
-def rows(panels: Facets, quantities: int) -> tuple[Figure, tuple[Row, ...]]:
+def rows(panels: Facets, quantities: int, above: float = 0.0) -> tuple[Figure, tuple[Row, ...], SubplotSpec | None]:
     """An empty figure, with room for a legend at the right, and the axes of each facet of `panels`.
 
-    The panels of a quantity share their axes.
+    The panels of a quantity share their axes. Last, a place `above` them of so many inches, if any.
     """
     count = len(panels)
-    figure = new_figure(_WIDTH * quantities + LEGEND_WIDTH, (2.9 if count == 1 else 2.3) * count + 0.8)
-    grid = GridSpec(count, quantities, figure)
+    figure = new_figure(_WIDTH * quantities + LEGEND_WIDTH, (2.9 if count == 1 else 2.3) * count + 0.8 + above)
+    over, place = divided(figure, above)
+    grid = place.subgridspec(count, quantities)
     drawn: list[Row] = []
     for at, (title, facet) in enumerate(zip(panels.titles, panels.data, strict=True)):
         first = drawn[0].axes if drawn else (None,) * quantities
         axes = [figure.add_subplot(grid[at, i], sharex=first[i], sharey=first[i]) for i in range(quantities)]
         axes[0].set_title(title, loc="left")
         drawn.append(Row(tuple(axes), facet, at == count - 1))
-    return figure, tuple(drawn)
+    return figure, tuple(drawn), over
 
 
 def label_axes(row: Row, quantity: int, across: str, up: str) -> None:

@@ -72,7 +72,7 @@ def rates(ds: xr.Dataset) -> Figure:
     ds = ds.sortby(x.name) if x.is_number else ds
     panels = facets(ds, (POINT, x.name, by), MOST_ROWS)
     curves = _curves(ds, x)
-    figure, drawn = rows(panels, len(curves))
+    figure, drawn, _ = rows(panels, len(curves))
     joined: Literal["-", "none"] = "-" if x.is_number and POINT not in lane_dims(ds) else "none"
     for row in drawn:
         for at, curve in enumerate(curves):

@@ -9,6 +9,7 @@ from typing import ParamSpec, TypedDict
 from matplotlib import style
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.gridspec import GridSpec, SubplotSpec
 from matplotlib.typing import ColorType, LineStyleType, MarkerType
 
 INK = "#222222"
@@ -113,6 +114,14 @@ def new_figure(width: float, height: float) -> OwnFigure:
     figure = OwnFigure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
+
+
+def divided(figure: Figure, above: float) -> tuple[SubplotSpec | None, SubplotSpec]:
+    """`figure` as a place of `above` inches, none where that is zero, and the place below it."""
+    if not above > 0:
+        return None, GridSpec(1, 1, figure)[0]
+    places = GridSpec(2, 1, figure, height_ratios=[above, figure.get_figheight() - above])
+    return places[0], places[1]
 
 
 def start_colour(name: str, position: int) -> str:
