@@ -11,6 +11,7 @@ from vibrojax.errors import InputError, suggestion
 
 TIME, SETTING = "time", "setting"  # the dimension of a run, and of a study of speed against error
 START, POINT, RETURN, FORM = "start", "point", "return_index", "form"
+_GROUP = "group"  # the dimension of groups of rows of a table
 HIDDEN = "hidden_motion"
 REGIME, RATE, RELIEF, COEFFICIENT = "regime", "rate_of_penetration", "relief", "C"
 RETURNS, ERROR = "return_impact_velocity", "error_worst"
@@ -18,7 +19,7 @@ BESIDE_REGIMES = (RATE, "impact_velocity", "period", "bit_amplitude")  # the fir
 
 MOST_LINES = 8  # in one panel, and in the legend
 _NOT_SWEPT = {START, POINT, RETURN, FORM}
-_EACH_LANE = (REGIME, RATE, COEFFICIENT)  # what every lane has one of: of a drill, of rock, of a fit
+_EACH_LANE = (REGIME, RATE, COEFFICIENT, "status")  # what every lane has one of: of a drill, rock, a fit, any sweep
 _MANY = 9  # values of an axis from which lines, one for each, are too many
 ENOUGH = 6  # values from which an axis is one to draw along, rather than a choice between a few
 
@@ -141,7 +142,7 @@ def law_in(fit: xr.Dataset) -> xr.Dataset:
     """`fit` without axes of one value; raises `InputError` where it holds no coefficient of the law's forms."""
     if COEFFICIENT not in fit or FORM not in fit[COEFFICIENT].dims or fit[COEFFICIENT].size == 0:
         raise InputError("no law to draw: the dataset holds no variable C along form")
-    return without_single(fit)
+    return without_single(named_groups(fit))
 
 
 def lane_dims(ds: xr.Dataset) -> tuple[str, ...]:
@@ -211,6 +212,12 @@ def without_single(ds: xr.Dataset) -> xr.Dataset:
     """`ds` with its axes of one value as scalars."""
     single = tuple(name for name in lane_dims(ds) if ds.sizes[name] == 1 and name != POINT)
     return ds.isel({name: 0 for name in single if name in ds.coords})
+
+
+def named_groups(fit: xr.Dataset) -> xr.Dataset:
+    """`fit` with groups of rows that one column tells apart along that column, as along an axis of a sweep."""
+    columns = [str(name) for name, data in fit.coords.items() if data.dims == (_GROUP,)]
+    return fit.swap_dims({_GROUP: columns[0]}) if len(columns) == 1 and _GROUP not in fit.coords else fit
 
 
 def parameters_of(ds: xr.Dataset) -> dict[str, float]:

@@ -10,14 +10,14 @@ from matplotlib.colors import to_rgba
 from vibrojax.plot.style import FINEST
 
 _NARROWEST = 5.0  # pixels of a cycle, from which a line shows it
+_COLUMN = 8  # pixels over which a band takes its least and greatest value: a cycle and more
 _SHADE = 0.3
 
 Samples = Float[np.ndarray, " samples"]
 
 
 def draw_over_time(axes: Axes, time: Samples, values: Samples, color: str, linewidth: float, label: str = "") -> Artist:
-    """Draw `values` over `time`: a line; a band from the least to the greatest of each column of pixels where lines
-    would cover the panel.
+    """Draw `values` over `time`: a line; a band from the least to the greatest where a line would cover the panel.
 
     **Returns:** the line or the band, under `label`.
     """
@@ -25,10 +25,14 @@ def draw_over_time(axes: Axes, time: Samples, values: Samples, color: str, linew
     if not _covers(values, columns):
         (line,) = axes.plot(time, values, color=color, linewidth=linewidth, label=label)
         return line
-    first = np.flatnonzero(np.diff(_column_of(time, columns), prepend=-1))
+    first = np.flatnonzero(np.diff(_column_of(time, max(columns // _COLUMN, 1)), prepend=-1))
     least, greatest = np.minimum.reduceat(values, first), np.maximum.reduceat(values, first)
+    ends, last = np.append(time[first], time[-1]), slice(-1, None)  # to the end of the last column
+    least, greatest = np.append(least, least[last]), np.append(greatest, greatest[last])
     face, edge = to_rgba(color, _SHADE), to_rgba(color, 0.9)
-    return axes.fill_between(time[first], least, greatest, facecolor=face, edgecolor=edge, linewidth=0.6, label=label)
+    return axes.fill_between(
+        ends, least, greatest, facecolor=face, edgecolor=edge, linewidth=0.6, label=label, step="post"
+    )
 
 
 def is_band(drawn: Artist) -> bool:

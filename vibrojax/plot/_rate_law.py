@@ -33,7 +33,6 @@ from vibrojax.plot._margins import legend_at_right, write_margins
 from vibrojax.plot._sheet import facets, sheet
 from vibrojax.plot.style import FAINT, Mark, styled
 
-_GROUP = "group"  # the dimension of groups of rows of a table
 _READINGS = ("onset", "literal", "percent")  # of the logarithmic law; their C are speeds that can be compared
 _MARKS: dict[str, MarkerType] = {"onset": "o", "literal": "s", "percent": "^", "line": "D", "power": "v"}
 _EQUAL = 2.0  # difference of AIC up to which a form is as good as the best
@@ -50,7 +49,7 @@ _BEST, _ERROR = "best_form", "C_relative_error"
 @styled
 def law_lines(fit: xr.Dataset) -> Figure:
     """C in its readings and the AIC of every form, over the longest axis of the groups; see `fitted_law`."""
-    fit = _named(law_in(fit))
+    fit = law_in(fit)
     x = across(fit)
     fit = fit.sortby(x.name) if x.is_number else fit
     panels, groups = facets(fit, (POINT, x.name), MOST_ROWS), groups_to_show(fit)
@@ -187,12 +186,6 @@ def law_map(fit: xr.Dataset) -> Figure:
     notes = point_text(fit), panels.note, data_text(groups, fit), about, error
     write_margins(drawn.figure, str(fit.attrs.get("title", "")), *notes)
     return drawn.figure
-
-
-def _named(fit: xr.Dataset) -> xr.Dataset:
-    """`fit` with groups of rows told by one column along that column, as along an axis of a sweep."""
-    columns = [str(name) for name, data in fit.coords.items() if data.dims == (_GROUP,)]
-    return fit.swap_dims({_GROUP: columns[0]}) if len(columns) == 1 and _GROUP not in fit.coords else fit
 
 
 def _shown(fit: xr.Dataset, name: str) -> xr.Dataset:

@@ -36,7 +36,7 @@ def regime_scatter(ds: xr.Dataset) -> Figure:
     ds = regimes_in(ds)
     names = tuple(varied(ds))
     x, y = ("gamma", "beta") if set(names) == {"beta", "gamma"} else names
-    return scattered(ds, x, y, values_beside(ds))
+    return scattered(ds, x, y, (None, *values_beside(ds)))
 
 
 @styled
@@ -47,7 +47,8 @@ def rate_scatter(ds: xr.Dataset) -> Figure:
     if len(names) != 2:
         raise InputError(f"no map: {', '.join(names) or 'none'} is what varies over the points, not two parameters")
     x, y = names
-    return scattered(ds, x, y, values_of_rock(ds)[: MOST_VALUES[3]])
+    regimes = (None,) if has_regimes(ds) else ()
+    return scattered(ds, x, y, regimes + values_of_rock(ds)[: MOST_VALUES[3]])
 
 
 @styled
@@ -74,21 +75,20 @@ def regime_bars(ds: xr.Dataset) -> Figure:
     return figure
 
 
-def scattered(ds: xr.Dataset, x: str, y: str, values: tuple[Value, ...], *about: str) -> Figure:
-    """The regimes of a list of points, where there are any, and `values`, over the parameters `x` and `y`.
+def scattered(ds: xr.Dataset, x: str, y: str, values: tuple[Value | None, ...], *about: str) -> Figure:
+    """The `values` of a list of points, None for the regimes, over the parameters `x` and `y`.
 
     `about` is said of it in the notes.
     """
     panels = _by_start(ds)
-    regimes = has_regimes(ds)
-    drawn = sheet(panels, (None, *values) if regimes else values)
+    drawn = sheet(panels, values)
     for panel in drawn:
         draw_points(panel, x, y)
     for panel in drawn:  # once all limits are known
         outline_region(panel.axes, x, y)
         write_labels(panel, ds[x], ds[y])
-    handles = regime_handles([facet[REGIME] for facet in panels.data]) if regimes else []
-    handles += value_handles(panels.data, values)
+    handles = regime_handles([facet[REGIME] for facet in panels.data]) if None in values else []
+    handles += value_handles(panels.data, [value for value in values if value is not None])
     drawn.finish(handles + region_handle(drawn.panels[0].axes))
     write_margins(drawn.figure, str(ds.attrs.get("title", "")), point_text(ds), certified_text(ds), *about)
     return drawn.figure

@@ -1,5 +1,7 @@
 """Starts by the hundred: the axes that they lie on where they are a grid of states or a line, else their shares."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
@@ -89,6 +91,13 @@ def together(ds: xr.Dataset) -> xr.Dataset:
     found |= {f"{SHARE}{names[flag]}": shares[flag].assign_attrs(units="%") for flag in occurring}
     coordinates = {name: data for name, data in ds.coords.items() if START not in data.dims}
     return xr.Dataset(found, coordinates, ds.attrs)
+
+
+def medians(ds: xr.Dataset, names: Sequence[str]) -> xr.Dataset:
+    """The median over the starts of each of the variables `names`, and the regime that most of them end in."""
+    most = together(ds)
+    found = {name: ds[name].median(START, keep_attrs=True) for name in names}
+    return most[[REGIME]].assign(found)
 
 
 def _vectors(ds: xr.Dataset) -> np.ndarray:

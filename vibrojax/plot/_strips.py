@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.gridspec import GridSpec
 from matplotlib.lines import Line2D
 
-from vibrojax.plot._axes import certified_text, edges, label, point_text, shape_axis, short, values_along
+from vibrojax.plot._axes import certified_text, edges, label, point_text, shape_axis, short, steady, values_along
 from vibrojax.plot._colours import REGIME_MAP, REGIME_NORM, Value, by_share, flags, regime_handles, values_beside
 from vibrojax.plot._contents import REGIME, START, axes_to_draw, lane_dims, many_starts, regimes_in
 from vibrojax.plot._margins import PAGE, legend_at_right, write_margins
@@ -43,13 +43,15 @@ class Stack:
 
 
 @styled
-def regime_lines(ds: xr.Dataset, x: str | None = None, about: str = "") -> Figure:
-    """Impact velocity and period along `x`, one line per start, above the regimes of each start.
+def regime_lines(
+    ds: xr.Dataset, x: str | None = None, about: str = "", values: tuple[Value, ...] | None = None
+) -> Figure:
+    """Impact velocity and period, or `values`, along `x`, one line per start, above the regimes of each start.
 
     `x` is the longest axis where it is left out; `about` is said of the picture in the notes.
     """
     ds = regimes_in(ds)
-    values = values_beside(ds)
+    values = values_beside(ds) if values is None else values
     x = x or max(axes_to_draw(ds), key=lambda name: ds.sizes[name])
     height = 1.9 if len(values) > 1 else 2.4
     return draw_stacks(
@@ -211,6 +213,7 @@ def _draw_value(stack: Stack, axes: Axes, value: Value, x: str) -> None:
         # Later starts as thinner lines, so that a motion reached from both shows both colours.
         width = Mark(linewidth=2.2, markersize=4.0) if at == 0 else Mark(linewidth=1.0, markersize=2.2)
         axes.plot(along, value.of(lanes).values, color=colour, marker="o", label=name, **width)
+    steady(axes)
 
 
 def _draw_range(axes: Axes, lanes: xr.Dataset, value: Value, along: Float[np.ndarray, " lanes"], colour: str) -> None:

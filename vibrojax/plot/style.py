@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager
+from contextvars import ContextVar
 from functools import wraps
 from io import BytesIO
 from typing import ParamSpec, TypedDict
@@ -60,6 +61,9 @@ _SETTINGS = {
     "svg.hashsalt": "vibrojax",  # the same dataset gives the same file
     "pdf.fonttype": 42,
 }
+
+COLOURS: ContextVar[str | None] = ContextVar("COLOURS", default=None)
+"""The colour map that a user asked for, of quantities; None: each its own."""
 
 Arguments = ParamSpec("Arguments")
 
