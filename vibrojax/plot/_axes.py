@@ -183,7 +183,7 @@ def steady(axes: Axes) -> None:
     """Give `axes` upright limits wide of what it shows where that is one value but for rounding."""
     low, high = (float(end) for end in axes.dataLim.intervaly)
     if 0.0 <= high - low <= _ROUNDING * max(abs(low), abs(high)):
-        room = 0.1 * abs(high)
+        room = 0.1 * abs(high) or 1.0
         axes.set_ylim(low - room, high + room)
 
 

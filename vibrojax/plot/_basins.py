@@ -12,13 +12,22 @@ from vibrojax.plot._maps import map_of
 from vibrojax.plot._margins import legend_at_right, write_margins
 from vibrojax.plot._scatter import draw_points, regime_bars, scattered
 from vibrojax.plot._sheet import Panel
-from vibrojax.plot._starts import PREFIX, SHARE, described, left_out_text, medians, on_axes, together, varied_states
+from vibrojax.plot._starts import (
+    PREFIX,
+    SHARE,
+    described,
+    left_out_text,
+    medians,
+    medians_text,
+    on_axes,
+    together,
+    varied_states,
+)
 from vibrojax.plot._strips import regime_lines
 from vibrojax.plot.style import new_figure, styled
 
 _MOST_SHARES = 5  # on maps of one facet
 _SHARED = "The regime that most of {} starts end in, and the share of them that ends in each"
-_MEDIANS = "Of {} starts the median, and the regime that most end in"
 
 Values = tuple[Value | None, ...]
 
@@ -52,7 +61,7 @@ def many_starts(ds: xr.Dataset, values: Values | None = None, about: str = "") -
     if values is None:
         return share_grid(ds)
     x, y = axes_of_map(ds, None, None)
-    return map_of(_medians(ds, values), values, x, y, about, _MEDIANS.format(ds.sizes[START]))
+    return map_of(_medians(ds, values), values, x, y, about, medians_text(ds))
 
 
 @styled
@@ -72,7 +81,7 @@ def _over_points(ds: xr.Dataset, values: Values | None, about: str) -> Figure:
     if len(names) != 2:
         return regime_bars(ds)
     if values is not None:
-        return scattered(_medians(ds, values), *names, values, about, _MEDIANS.format(ds.sizes[START]))
+        return scattered(_medians(ds, values), *names, values, about, medians_text(ds))
     shares = together(ds)
     found, note = _share_values(shares, _MOST_SHARES)
     return scattered(shares, *names, (None, *found), _SHARED.format(ds.sizes[START]), note)

@@ -100,6 +100,11 @@ def medians(ds: xr.Dataset, names: Sequence[str]) -> xr.Dataset:
     return most[[REGIME]].assign(found)
 
 
+def medians_text(ds: xr.Dataset) -> str:
+    """What stands for many starts where medians are drawn, in words."""
+    return f"Of {ds.sizes[START]} starts the median, and the regime that most end in"
+
+
 def _vectors(ds: xr.Dataset) -> np.ndarray:
     """Which starts are vectors."""
     known = [np.isfinite(ds[name].values) for name in start_states(ds)]

@@ -16,9 +16,7 @@ from vibrojax.plot._contents import (
     REGIME,
     TIME,
     axes_of_map,
-    axes_to_draw,
     contents,
-    has_regimes,
     lane_dims,
     named_groups,
     varied,
@@ -30,6 +28,7 @@ from vibrojax.plot._maps import map_of
 from vibrojax.plot._margins import legend_at_right, write_margins
 from vibrojax.plot._scatter import scattered
 from vibrojax.plot._sheet import facets
+from vibrojax.plot._starts import medians, medians_text, varied_states
 from vibrojax.plot._strips import regime_lines
 from vibrojax.plot.style import BIT, Mark, new_figure, styled
 
@@ -61,13 +60,16 @@ def variables(ds: xr.Dataset, names: Sequence[str]) -> Figure:
     if FORM in ds[names[0]].dims:
         return _curves(ds, values, about)
     if held.many_starts and held.regimes:
-        return many_starts(ds, values, about)
+        if held.points_over_two or (not held.points and (held.axes or varied_states(ds))):
+            return many_starts(ds, values, about)
+        about = ". ".join(text for text in (about, medians_text(ds)) if text)
+        ds = medians(ds, [name for name in names if name != REGIME])
     if held.points_over_two:
         x, y = varied(ds)
         return scattered(ds, x, y, values, about)
-    if not held.points and len(axes_to_draw(ds)) > 1:
+    if not held.points and (held.worth_a_map or (held.regimes and len(held.axes) > 1)):
         return map_of(ds, values, *axes_of_map(ds, None, None), about)
-    if not held.points and has_regimes(ds) and axes_to_draw(ds):
+    if not held.points and held.regimes and held.axes:
         return regime_lines(ds, about=about, values=tuple(value for value in values if value is not None))
     return _curves(ds, values, about)
 
