@@ -159,7 +159,8 @@ def test_many_starts_along_one_axis_are_dots_above_their_shares():
     ds = basin(sample(50), {"gamma": LONG["gamma"]})
     figure = picture(ds)
     (dots,) = (one for one in figure.axes[0].collections if isinstance(one, PathCollection))
-    assert sorted(dots.get_offsets()[:, 1].tolist()) == sorted(ds["impact_velocity"].values.ravel().tolist())
+    expected = {(x, y) for x, ys in zip(ds["gamma"].values, ds["impact_velocity"].values, strict=True) for y in ys}
+    assert set(map(tuple, dots.get_offsets().tolist())) == expected
     single = (ds["regime"] == 3).sum("start").values
     assert np.array_equal((meshes(figure)[0].get_array() == 3).sum(axis=0), single)
     assert (meshes(figure)[0].get_array()[0] == np.where(single > 0, 3, 6)).all()  # from the foot up
@@ -169,7 +170,9 @@ def test_returns_of_many_starts_have_the_colours_of_their_regimes():
     ds = basin(sample(50), {"gamma": LONG["gamma"]}, keep=4)
     figure = picture(ds)
     (dots,) = (one for one in figure.axes[0].collections if isinstance(one, PathCollection))
-    assert len(dots.get_offsets()) == 50 * 7 * 4
+    lanes = np.stack(np.broadcast_arrays(ds["gamma"].values[:, None], ds["impact_velocity"].values), axis=-1)
+    assert set(map(tuple, dots.get_offsets().tolist())) == set(map(tuple, lanes.reshape(-1, 2).tolist()))
+    assert len(dots.get_offsets()) < 50 * 7 * 4  # one of those on top of each other
     assert np.array_equal(dots.get_array() == 3, dots.get_offsets()[:, 1] > 1.0)
     assert "start: " not in " ".join(legend(figure))
 

@@ -4,6 +4,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from vibrojax.plot._axes import certified_text, label, point_text
 from vibrojax.plot._colours import Value, regime_handles, share_value, values_beside
@@ -120,7 +121,15 @@ def _phase_planes(ds: xr.Dataset, shown: Values, note: str) -> Figure:
     for column, value in zip(panels.T, shown, strict=True):
         if value is not None:
             bar = ScalarMappable(value.norm, value.colour_map)
-            figure.colorbar(bar, ax=column, extend=value.extend, label=value.label, location="bottom", aspect=30)
+            figure.colorbar(
+                bar,
+                ax=column,
+                extend=value.extend,
+                label=value.label,
+                location="bottom",
+                aspect=30,
+                ticks=MaxNLocator(5),
+            )
     legend_at_right(figure, regime_handles([ds[REGIME]]) if None in shown else [])
     notes = point_text(ds), certified_text(ds), f"{ds.sizes[START]} starts", left_out_text(ds), note
     write_margins(figure, str(ds.attrs.get("title", "")), *notes)

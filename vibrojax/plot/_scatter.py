@@ -1,6 +1,7 @@
 """A list of points: scattered over the two parameters that vary, or their regimes counted."""
 
 from collections.abc import Sequence
+from typing import TypedDict
 
 import numpy as np
 import xarray as xr
@@ -28,6 +29,15 @@ from vibrojax.plot._sheet import Facets, Panel, sheet
 from vibrojax.plot.style import NOTHING, UNDEFINED, new_figure, styled
 
 _MOST_BESIDE = 4  # panels of bars
+_MANY = 600  # points, from which dots are smaller
+
+
+class Dots(TypedDict):
+    """How dots look, in matplotlib's words."""
+
+    s: float
+    edgecolors: str
+    linewidths: float
 
 
 @styled
@@ -100,13 +110,12 @@ def draw_points(panel: Panel, x: str, y: str) -> None:
     shown = coloured(panel.facet, value)
     across, up = values_along(panel.facet[x]), values_along(panel.facet[y])
     nothing = (shown.cells == 0) & (value is not None and value.of_rate)
+    many = shown.cells.size > _MANY
+    look = Dots(s=20.0 * _MANY / shown.cells.size if many else 20.0, edgecolors="0.3", linewidths=0.0 if many else 0.3)
     for among, colour in ((np.isnan(shown.cells), UNDEFINED), (nothing, NOTHING)):
-        panel.axes.scatter(across[among], up[among], c=colour, edgecolors="0.3", linewidths=0.3, s=20)
+        panel.axes.scatter(across[among], up[among], c=colour, **look)
     known = np.isfinite(shown.cells) & ~nothing
-    cells, colours, norm = shown.cells[known], shown.colour_map, shown.norm
-    panel.axes.scatter(
-        across[known], up[known], c=cells, cmap=colours, norm=norm, edgecolors="0.3", linewidths=0.3, s=20
-    )
+    panel.axes.scatter(across[known], up[known], c=shown.cells[known], cmap=shown.colour_map, norm=shown.norm, **look)
 
 
 def _draw_bars(axes: Axes, regimes: xr.DataArray, flags: Sequence[int]) -> None:

@@ -26,6 +26,7 @@ from vibrojax.plot.style import Mark, new_figure, start_colour, styled
 _WIDE = 3  # stacks side by side, at most
 _BETWEEN = 0.6  # inches for the titles and labels of a stack
 _SHARES_HIGH = 1.1  # inches
+_FINE = 1000  # heights on a panel that can be told apart
 _MARGINS = 2.6  # inches of a page for title, notes and the figure's edges
 
 Lanes = Float[np.ndarray, " lanes"]
@@ -111,11 +112,17 @@ def of_start(ds: xr.Dataset, position: int) -> xr.Dataset:
 
 
 def of_lanes(axes: Axes, along: Lanes, values: Lanes, regimes: Lanes, size: float) -> None:
-    """Draw a dot for each lane in the colour of its regime, in an order in which none hides all of another's."""
-    order = np.random.default_rng(0).permutation(np.flatnonzero(np.isfinite(values)))
-    dots = axes.scatter(
-        along[order], values[order], c=regimes[order], cmap=REGIME_MAP, norm=REGIME_NORM, s=size, linewidths=0
-    )
+    """Draw a dot for each lane in the colour of its regime, in an order in which none hides all of another's.
+
+    Of lanes of one regime that fall on the same dot, one is drawn: millions of them would take minutes.
+    """
+    known = np.flatnonzero(np.isfinite(values))
+    height = np.ptp(values[known]) if known.size else 1.0
+    rows = np.round(_FINE * (values[known] - values[known].min(initial=np.inf)) / (height or 1.0))
+    different = np.unique(np.stack([along[known], rows, regimes[known]]), axis=1, return_index=True)[1]
+    order = np.random.default_rng(0).permutation(known[different])
+    colours = {"c": regimes[order], "cmap": REGIME_MAP, "norm": REGIME_NORM}
+    dots = axes.scatter(along[order], values[order], s=size, linewidths=0, **colours)
     dots.set_rasterized(True)
 
 
