@@ -154,7 +154,7 @@ def _start_states(sweep: Sweep) -> dict:
     about = {
         state.name: {"units": state.unit, "long_name": f"{state.long_name}, at t = 0"} for state in sweep.system.states
     }
-    return {f"start_{name}": (("start",), rows[:, at], about[name]) for at, name in enumerate(names)}
+    return {f"start_{name}": (("start",), rows[:, at], about.get(name, {})) for at, name in enumerate(names)}
 
 
 def _described(parameters: dict[str, Parameter], name: str) -> dict:

@@ -93,7 +93,7 @@ def picture(
     try:
         ds = select(ds, where) if where else ds
         if variable is not None:
-            return variables(ds, (variable,) if isinstance(variable, str) else tuple(variable))
+            return variables(ds, (variable,) if isinstance(variable, str) else variable)
         return _fitting_picture(ds)
     finally:
         COLOURS.reset(token)
@@ -160,8 +160,9 @@ def rate_map(ds: xr.Dataset, x: str | None = None, y: str | None = None) -> Figu
 def fitted_law(fit: xr.Dataset) -> Figure:
     """C of ROP = C ln(eta) in its three readings, and the AIC of every form above that of the best of its group.
 
-    Both over the longest axis of the groups; further ones become rows. Over two axes of nine values and more, maps of C
-    and of the best form. Without groups, over the forms.
+    Above them the data of each group with the curve of every form, six groups at most. C and AIC are drawn over
+    the longest axis of the groups; further ones become rows. Over two axes of nine values and more, maps of C and of
+    the best form. Without groups, over the forms.
 
     **Arguments:**
 

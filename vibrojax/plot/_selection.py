@@ -4,6 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 import xarray as xr
+from jaxtyping import Float
 
 from vibrojax.errors import InputError, shown, suggestion
 from vibrojax.plot._axes import short
@@ -22,6 +23,8 @@ def select(ds: xr.Dataset, where: Mapping[str, Value]) -> xr.Dataset:
 
     **Raises:** `InputError` where there is no such axis, or no such value of it.
     """
+    if not isinstance(where, Mapping):
+        raise InputError(f'where: {shown(where)} does not say which axis; give {{"delta": 0.005}}')
     ds = named_groups(ds)
     for name, value in where.items():
         dims = (*lane_dims(ds), FORM)
@@ -45,7 +48,8 @@ def _same(data: xr.DataArray, value: Value) -> np.ndarray:
             wanted = float(value)
         except (TypeError, ValueError):
             wanted = np.nan
-        nearest = values[np.nanargmin(np.abs(values - wanted))] if np.isfinite(wanted) else np.nan
+        known: Float[np.ndarray, " values"] = values[np.isfinite(values)]
+        nearest = float(known[np.argmin(np.abs(known - wanted))]) if known.size and np.isfinite(wanted) else np.nan
         if abs(nearest - wanted) <= _DIGITS * abs(nearest) + np.finfo(float).tiny:
             return np.flatnonzero(values == nearest)
     else:

@@ -76,6 +76,8 @@ def variables(ds: xr.Dataset, names: Sequence[str]) -> Figure:
 
 def _check(ds: xr.Dataset, names: Sequence[str]) -> None:
     """Raise `InputError` unless all `names` can be drawn."""
+    if not isinstance(names, Sequence):
+        raise InputError(f"variable: {shown(names)} is no name of a variable; give one, or a list")
     run = TIME in ds.dims
     lanes = {TIME} if run else set(lane_dims(ds))
     found = {str(name): data for name, data in ds.data_vars.items() if data.dtype.kind in "fiub"}
