@@ -289,21 +289,24 @@ def test_points_over_more_parameters_are_counted():
 # Bifurcation diagrams.
 
 
-def test_both_starts_lie_in_one_diagram_above_their_regimes():
+def test_every_start_has_a_diagram_in_front_of_the_others():
     ds = returns({"gamma": np.linspace(0.3, 1.2, 15)}, keep=6)
     ds["return_impact_velocity"][{"gamma": 3}] = np.nan
     figure = bifurcation(ds)
-    dots = {c.get_label(): np.asarray(c.get_offsets()) for c in figure.axes[0].collections}
-    assert {name: len(at) for name, at in dots.items()} == {"drive": 14 * 6, "stuck": 14 * 6}
-    assert np.array_equal(dots["stuck"][:6, 1], ds["return_impact_velocity"].sel(start="stuck")[0])
-    assert len({to_hex(c.get_facecolor()[0]) for c in figure.axes[0].collections}) == 2
+    assert titles(figure) == ["start: drive", "start: stuck"]
+    for own, other, axes in (("drive", "stuck", figure.axes[0]), ("stuck", "drive", figure.axes[1])):
+        dots = {c.get_label(): c for c in axes.collections}
+        assert {name: len(c.get_offsets()) for name, c in dots.items()} == {own: 14 * 6, f"_{other}": 14 * 6}
+        assert dots[own].get_zorder() > dots[f"_{other}"].get_zorder()
+        assert np.array_equal(dots[own].get_offsets()[:6, 1], ds["return_impact_velocity"].sel(start=own)[0])
+        assert axes.get_ylim() == figure.axes[0].get_ylim()
     assert meshes(figure)[0].get_array().shape == (2, 15)
-    assert figure.axes[0].get_ylabel() == "impact velocity at each return [m/s]"
+    assert axis_labels(figure) >= {"impact velocity at each return [m/s]"}
 
 
 def test_further_axes_of_a_diagram_are_panels():
     ds = returns({"delta": [-0.005, 0.005], "gamma": np.linspace(0.3, 1.2, 9)}, keep=4)
-    assert titles(bifurcation(ds)) == ["Δ = −5 mm", "Δ = 5 mm"]
+    assert titles(bifurcation(ds)) == [f"Δ = {d} mm, start: {s}" for d in ("−5", "5") for s in ("drive", "stuck")]
 
 
 def test_a_sweep_that_kept_no_returns_is_refused():

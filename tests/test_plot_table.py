@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import test_plot as drills
 import test_plot_rock as rocks
+import test_plot_starts as starts
 import xarray as xr
 
 from vibrojax.plot._contents import contents
@@ -31,6 +32,7 @@ EXPECTED = {
     "bifurcation": drills.KINDS["bifurcation"],
     "law_map": rocks.KINDS["law-map"],
     "law_lines": rocks.KINDS["law"],
+    "many_starts": lambda: starts.basin(starts.sample(), starts.LONG),
     "rates": rocks.KINDS["lines"],
     "regime_scatter": drills.KINDS["points"],
     "regime_grid": drills.KINDS["map"],

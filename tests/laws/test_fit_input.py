@@ -71,7 +71,7 @@ def test_the_axis_is_frequency_or_v_or_what_is_asked():
     assert fit_rop(drill, progress=False).attrs["along"] == "v"
     assert fit_rop(sweep().rename(frequency="beta").isel(force=0), progress=False).attrs["along"] == "beta"
     across = fit_rop(sweep(), "force", progress=False)
-    assert across.sizes == {"frequency": 8, "form": 5} and (across.used == 2).all()
+    assert across.C.sizes == {"frequency": 8, "form": 5} and (across.used == 2).all()
     assert "fit_rop: along: missing; choose the axis to fit along from force, beta" in refused(
         sweep().rename(frequency="beta")
     )
@@ -143,7 +143,7 @@ def test_rig_data_give_what_a_dataset_gives(tmp_path):
         rows("depth", "relief", "rate_of_penetration", depth="3 m", relief=RELIEF, rate_of_penetration=RATE)
     )
     fit = fit_rop(path, progress=False)
-    assert fit.sizes == {"form": 5} and fit.attrs["along"] == "point"
+    assert fit.C.sizes == {"form": 5} and fit.attrs["along"] == "point"
     expected = fit_rop(sweep().isel(force=0), progress=False)
     np.testing.assert_allclose(fit.C, expected.C, rtol=1e-12)
 
@@ -192,7 +192,7 @@ def test_columns_tell_groups_apart(tmp_path):
     path.write_text("frequency,relief,rate_of_penetration,rock,force\n" + "\n".join(lines) + "\n")
     for named in ({"along": "frequency"}, {"by": ("rock", "force")}, {"by": "rock"}):
         fit = fit_rop(path, progress=False, **named).sel(form="onset")
-        assert fit.sizes == {"group": 2} and list(fit.rock.values) == ["chalk", "granite"]
+        assert fit.C.sizes == {"group": 2} and list(fit.rock.values) == ["chalk", "granite"]
         assert list(fit.used.values) == [6, 8] and list(fit.left_out.values) == [0, 1]
         np.testing.assert_allclose(fit.C, [2 * C, C], rtol=1e-10)
     assert "rock=chalk, force=200000" in "\n".join(tables(fit_rop(path, "frequency", progress=False)))

@@ -1,26 +1,57 @@
-"""Draw the fitting picture for what a dataset holds."""
+"""Draw the fitting picture for what a dataset holds, or variables of it, at values of its axes."""
 
 from argparse import ArgumentParser
+from collections.abc import Sequence
 from pathlib import Path
 
 from vibrojax.cli._command import Options
 from vibrojax.cli._output import PICTURES, output, picture_beside
+from vibrojax.errors import InputError, shown
 
 
 def arguments(parser: ArgumentParser) -> None:
     """Add the command's arguments to `parser`."""
     parser.add_argument("file", metavar="OUT.nc", help="a dataset written by vibrojax")
     parser.add_argument("-o", dest="out", metavar="PICTURE.png", help="where to draw (OUT.png beside OUT.nc)")
+    parser.add_argument(
+        "--variable",
+        metavar="NAME",
+        action="extend",
+        nargs="+",
+        help="draw these variables, over all that varies; regime is one of them",
+    )
+    parser.add_argument(
+        "--where",
+        metavar="AXIS=VALUE",
+        action="extend",
+        nargs="+",
+        help="draw only the lanes there, as in delta=0.005 start=stuck",
+    )
+    parser.add_argument("--colours", metavar="MAP", help="matplotlib's colour map for quantities")
 
 
 def run(options: Options) -> None:
     """Run the command."""
     from vibrojax.store.dataset import open_dataset
 
-    path = Path(options.file)
+    path, where = Path(options.file), _values(options.where or ())
     with open_dataset(path) as dataset:
         picture = output(options.out, PICTURES) if options.out else picture_beside(path)
         from vibrojax.plot import save_picture
 
-        save_picture(dataset, picture)
+        save_picture(dataset, picture, options.variable, where, options.colours)
     print(picture)
+
+
+def _values(words: Sequence[str]) -> dict[str, float | str]:
+    """What `words` like delta=0.005 say, by name."""
+    found: dict[str, float | str] = {}
+    for word in words:
+        name, equals, value = word.partition("=")
+        if not (name and equals and value):
+            raise InputError(f"--where: {shown(word)} is no AXIS=VALUE; write delta=0.005")
+        try:
+            found[name.strip()] = float(value)
+        except ValueError:
+            found[name.strip()] = value.strip()
+    return found

@@ -136,11 +136,25 @@ def _coordinates(sweep: Sweep, kept: dict) -> dict:
     elif sweep.starts is not None:
         names = [start if isinstance(start, str) else json.dumps(list(start)) for start in sweep.starts]
         found["start"] = (("start",), np.array(names), about)
+        found |= _start_states(sweep)
     if kept:
         rows = next(iter(kept.values())).shape[1]
         about = {"units": "1", "long_name": "number of the return that is kept, the newest last"}
         found["return_index"] = (("return_index",), np.arange(rows), about)
     return found
+
+
+def _start_states(sweep: Sweep) -> dict:
+    """The coordinates start_x1 and so on of starts among which are vectors; NaN for those that have names."""
+    vectors = [start if isinstance(start, tuple) else None for start in sweep.starts or ()]
+    if not any(vectors):
+        return {}
+    names = sweep.system.start_states
+    rows = np.array([vector or [np.nan] * len(names) for vector in vectors])
+    about = {
+        state.name: {"units": state.unit, "long_name": f"{state.long_name}, at t = 0"} for state in sweep.system.states
+    }
+    return {f"start_{name}": (("start",), rows[:, at], about.get(name, {})) for at, name in enumerate(names)}
 
 
 def _described(parameters: dict[str, Parameter], name: str) -> dict:

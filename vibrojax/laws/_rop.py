@@ -16,6 +16,7 @@ from vibrojax.arrays import Array
 from vibrojax.devices import precision
 from vibrojax.errors import shown, suggestion
 from vibrojax.laws._data import Data, open_rates
+from vibrojax.laws._fitted_data import fitted_data
 from vibrojax.laws._forms import FORMS, Coefficients, Form, Frame, WithOnset
 from vibrojax.laws._groups import Groups, grouped, usable_lanes
 from vibrojax.laws._least_squares import (
@@ -112,7 +113,8 @@ def fit_rop(
 
     **Returns:** a dataset over the groups and `form`: C [m/s], eta0 [1] and exponent [1], each with its standard error;
     r_squared, aic, degrees_of_freedom, used, left_out, and `reason`; NaN where a form has no such coefficient or the
-    lanes do not identify it.
+    lanes do not identify it. Beside them the data, over the groups and `lane`: data_relief [1],
+    data_rate_of_penetration [m/s], and `data_use` (fitted, censored, left-out).
 
     **Raises:** `InputError`.
     """
@@ -132,6 +134,7 @@ def fit_rop(
         {name: np.asarray(value).reshape(shape) for name, value in values.items()},
         dict.fromkeys(_VARIABLES, (*groups.sizes, "form")),
     )
+    variables |= fitted_data(groups)
     form = ("form", [form.name for form in FORMS], {"units": "1", "long_name": "form of the law"})
     more = {"along": groups.along, "formulas": "; ".join(f"{form.name}: {form.formula}" for form in FORMS)}
     more |= {"robust": robust} if robust else {}

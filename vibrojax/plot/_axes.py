@@ -16,6 +16,7 @@ from vibrojax.plot._contents import differing_from_defaults, parameters_of
 
 _HERTZ = {"s-1": "Hz", "s-2": "Hz/s"}  # the only such units here are of frequencies
 _LINE = 32  # letters of a label that fit along a panel
+_ROUNDING = 1e-6  # relative
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 # A prefix for a unit, where the greatest value is below (milli) or from (kilo, mega) the bound.
 _MILLI = {"m": ("mm", 1e3, 1.0), "s": ("ms", 1e3, 0.1), "m s-1": ("mm s-1", 1e3, 0.3)}
@@ -113,9 +114,24 @@ def number(value: float) -> str:
 def value_text(data: xr.DataArray, value: float | str | np.number | np.str_) -> str:
     """`value` of the coordinate `data` as in `Δ = −5 mm`; `start: drive` where values are names."""
     if not np.issubdtype(np.asarray(value).dtype, np.number):
-        return f"{data.name}: {value}"
+        return f"{data.name}: {short(str(value))}"
     factor, unit = scale(data)
     return f"{symbol(data)} = {number(float(value) * factor)} {pretty_unit(unit)}".rstrip()
+
+
+def index_text(ds: xr.Dataset, dimension: str, index: int) -> str:
+    """The value at `index` of `dimension`; where it has none itself, those of all the coordinates along it."""
+    along = [dimension] if dimension in ds.coords else [name for name in ds.coords if ds[name].dims == (dimension,)]
+    return ", ".join(value_text(ds[name], ds[name].values[index]) for name in along) or f"{dimension} = {index}"
+
+
+def short(name: str) -> str:
+    """`name`, with no more digits than tell starts apart where it is a vector, "[0.0, 0.0, 0.0213, 1.0]"."""
+    try:
+        values = json.loads(name)
+        return f"[{', '.join(number(float(f'{value:.3g}')) for value in values)}]"
+    except (ValueError, TypeError):
+        return name
 
 
 def share_text(share: float) -> str:
@@ -131,6 +147,8 @@ def share_text(share: float) -> str:
 def point_text(ds: xr.Dataset) -> str:
     """What is the same all over `ds`: its scalar coordinates, and parameters and start in its attributes."""
     scalars = {str(name): data for name, data in ds.coords.items() if data.ndim == 0}
+    if "start" in scalars:  # which says its states
+        scalars = {name: data for name, data in scalars.items() if not name.startswith("start_")}
     parts = [value_text(data, data.values.item()) for data in scalars.values()]
     known = {*ds.coords, *(("threshold", "k3") if "rock" in ds.coords else ())}
     given = {name: value for name, value in parameters_of(ds).items() if name in _NAMED and name not in known}
@@ -142,7 +160,7 @@ def point_text(ds: xr.Dataset) -> str:
     if ds.attrs.get("friction", USUAL_FRICTION) != USUAL_FRICTION:
         parts.append(f"friction: {ds.attrs['friction']}")
     if "start" in ds.attrs and "start" not in ds.coords:
-        parts.append(f"start: {ds.attrs['start']}")
+        parts.append(f"start: {short(str(ds.attrs['start']))}")
     return ", ".join(parts)
 
 
@@ -159,6 +177,14 @@ def certified_text(ds: xr.Dataset) -> str:
 def values_along(data: xr.DataArray) -> Float[np.ndarray, " values"]:
     """The values of the axis `data` in the unit of its label."""
     return np.asarray(data.values * scale(data)[0], float)
+
+
+def steady(axes: Axes) -> None:
+    """Give `axes` upright limits wide of what it shows where that is one value but for rounding."""
+    low, high = (float(end) for end in axes.dataLim.intervaly)
+    if 0.0 <= high - low <= _ROUNDING * max(abs(low), abs(high)):
+        room = 0.1 * abs(high) or 1.0
+        axes.set_ylim(low - room, high + room)
 
 
 def is_geometric(values: Float[np.ndarray, " values"]) -> bool:

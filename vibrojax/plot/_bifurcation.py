@@ -4,21 +4,30 @@ from functools import partial
 
 import numpy as np
 import xarray as xr
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from vibrojax.errors import InputError
 from vibrojax.plot._axes import scale, values_along, with_unit
-from vibrojax.plot._contents import REGIME, RETURN, RETURNS, swept, without_single
-from vibrojax.plot._strips import Stack, draw_stacks, of_start, start_names
-from vibrojax.plot.style import start_colour, styled
+from vibrojax.plot._colours import flags
+from vibrojax.plot._contents import REGIME, RETURN, RETURNS, START, many_starts, swept, without_single
+from vibrojax.plot._strips import Lanes, Stack, dot_size, draw_stacks, of_lanes, of_start, start_names
+from vibrojax.plot.style import Mark, start_colour, styled
+
+_HIGH = {1: (3.6, 2.6), 2: (2.4, 2.0), 3: (1.9, 1.6)}  # inches of a diagram by the starts: of one facet, of several
+_LOW = (1.5, 1.3)
+_OTHERS = "#CFCFCF"
+_GREY = Mark(linestyle="none", marker="o", markersize=4.0, color=_OTHERS)
 
 
 @styled
 def bifurcation(ds: xr.Dataset) -> Figure:
-    """The impact velocity at each stored return over the swept axis, all starts in one picture.
+    """The impact velocity at each stored return over the swept axis: a diagram for each start, over those of all.
 
-    Where the dots of two starts part, two motions coexist. Below, the regimes along the axis, a row for each start.
-    The swept axis is the one of most values; others become panels.
+    Where the dots of a start leave those of the others, grey, two motions coexist. Many starts are in one diagram, in
+    the colours of their regimes. Below, the regimes along the axis, a row for each start, or the shares of many. The
+    swept axis is the one of most values; others become panels.
 
     **Arguments:**
 
@@ -34,29 +43,46 @@ def bifurcation(ds: xr.Dataset) -> Figure:
     if not swept(ds):
         raise InputError("no bifurcation diagram: none of the grid's axes has more than one value")
     x = max(swept(ds), key=lambda name: ds.sizes[name])
-    factor, unit = scale(ds[RETURNS])
-    label = with_unit("impact velocity at each return", unit)
-    return draw_stacks(
-        ds,
-        x,
-        1,
-        lambda count: 3.6 if count == 1 else 2.6,
-        partial(_draw_returns, x=x, factor=factor, label=label),
-        "none",
-    )
+    diagrams = 1 if many_starts(ds) else len(start_names(ds))
+    of_one, of_several = _HIGH.get(diagrams, _LOW)
+    draw = partial(_draw_returns, x=x)
+    handles = [Line2D([], [], label="all other starts", **_GREY)] if diagrams > 1 else []
+    return draw_stacks(ds, x, diagrams, lambda count: of_one if count == 1 else of_several, draw, handles)
 
 
-def _draw_returns(stack: Stack, x: str, factor: float, label: str) -> None:
-    axes = stack.curves[0]
-    for at, name in enumerate(start_names(stack.facet)):
-        returns = of_start(stack.facet, at)[RETURNS].transpose(x, RETURN)
-        along = np.repeat(values_along(stack.facet[x])[:, None], returns.sizes[RETURN], axis=1)
-        known = np.isfinite(returns.values)
-        # Later starts as smaller dots, so that a motion reached from both shows both colours.
-        size = float(np.clip(1200.0 / stack.facet.sizes[x], 5.0, 20.0)) / (1 + at)
-        colour = start_colour(name, at)
-        dots = axes.scatter(along[known], factor * returns.values[known], s=size, color=colour, linewidths=0)
-        dots.set_label(name)
+def _draw_returns(stack: Stack, x: str) -> None:
+    factor, unit = scale(stack.facet[RETURNS])
+    names = start_names(stack.facet)
+    first = stack.curves[0]
+    for at, axes in enumerate(stack.curves):
+        if not axes.get_shared_y_axes().joined(axes, first):
+            axes.sharey(first)
+        if many_starts(stack.facet):
+            returns = stack.facet[RETURNS].transpose(x, START, RETURN)
+            regimes = np.repeat(flags(stack.facet[REGIME].transpose(x, START)).ravel(), returns.sizes[RETURN])
+            of_lanes(axes, *_dots(stack.facet, returns, x, factor), regimes, dot_size(stack.facet.sizes[x]) / 2)
+        else:
+            _draw_start(axes, stack, x, at, factor)
+            if names[at]:
+                axes.set_title(", ".join(part for part in (stack.title, f"start: {names[at]}") if part), loc="left")
+    if stack.left:  # written once, as high as the diagrams together
+        middle = stack.curves[len(stack.curves) // 2]
+        middle.set_ylabel(with_unit("impact velocity at each return", unit), y=0.5 if len(stack.curves) % 2 else 1.1)
+
+
+def _draw_start(axes: Axes, stack: Stack, x: str, at: int, factor: float) -> None:
+    """Draw the returns of the start at `at`, over those of all other starts."""
+    size = dot_size(stack.facet.sizes[x])
+    for other, name in enumerate(start_names(stack.facet)):
+        along, values = _dots(stack.facet, of_start(stack.facet, other)[RETURNS].transpose(x, RETURN), x, factor)
+        known, own = np.isfinite(values), other == at
+        colour = start_colour(name, other) if own else _OTHERS
+        dots = axes.scatter(along[known], values[known], s=size, color=colour, linewidths=0, zorder=2 + own)
+        dots.set_label(name if own else f"_{name}")
         dots.set_rasterized(True)
-    if stack.left:
-        axes.set_ylabel(label)
+
+
+def _dots(facet: xr.Dataset, returns: xr.DataArray, x: str, factor: float) -> tuple[Lanes, Lanes]:
+    """Where the dots lie: along the axis `x`, and up."""
+    along = np.repeat(values_along(facet[x]), returns.size // returns.sizes[x])
+    return along, factor * returns.values.ravel()

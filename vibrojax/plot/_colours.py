@@ -15,7 +15,7 @@ from matplotlib.patches import Patch
 from vibrojax.label import REGIMES
 from vibrojax.plot._axes import scale, share_text, with_unit
 from vibrojax.plot._contents import RATE, REGIME, RELIEF, contents
-from vibrojax.plot.style import NOTHING, UNDEFINED
+from vibrojax.plot.style import COLOURS, NOTHING, UNDEFINED
 
 # One colour for each regime, for ever, so that pictures of different runs can be read side by side. Any two differ by
 # 28 or more in CIELAB, also with any one kind of cone missing. The one to find, 3, is the brightest.
@@ -104,11 +104,21 @@ def flags(data: xr.DataArray) -> Cells:
     return np.where(np.isin(values, list(REGIME_COLOURS)), values, np.nan)
 
 
+def by_share(rows: Float[np.ndarray, "starts values"]) -> Float[np.ndarray, "starts values"]:
+    """The regimes of each column one above the other, so that their heights are their shares: single impacts first."""
+    single = REGIMES.index("single-impact")
+    ordered = np.sort(np.where(rows == single, -1.0, rows), axis=0)
+    return np.where(ordered == -1.0, float(single), ordered)
+
+
 def regime_names(data: xr.DataArray) -> dict[int, str]:
-    """The name of each flag, by the attributes `flag_values` and `flag_meanings` of `data` where they are there."""
+    """The name of each regime, by the attributes `flag_values` and `flag_meanings` of `data` where they are there."""
+    return dict(enumerate(REGIMES)) | _flag_names(data)
+
+
+def _flag_names(data: xr.DataArray) -> dict[int, str]:
     values = np.atleast_1d(data.attrs.get("flag_values", [])).astype(int).tolist()
-    meanings = str(data.attrs.get("flag_meanings", "")).split()
-    return dict(enumerate(REGIMES)) | dict(zip(values, meanings, strict=False))
+    return dict(zip(values, str(data.attrs.get("flag_meanings", "")).split(), strict=False))
 
 
 def regime_counts(data: Iterable[xr.DataArray]) -> dict[int, int]:
@@ -169,9 +179,9 @@ def values_of_rock(ds: xr.Dataset) -> tuple[Value, ...]:
 
 
 def value_of(data: xr.DataArray) -> Value:
-    """The quantity `data`, which is one of the known, in colours."""
+    """The quantity `data` in colours."""
     name = str(data.name)
-    (text, colours), (factor, unit) = _QUANTITIES[name], scale(data)
+    (text, colours), (factor, unit) = _QUANTITIES.get(name, (name.replace("_", " "), "viridis")), scale(data)
     finite: Cells = data.values[np.isfinite(data.values)] * factor
     finite = finite[finite > 0] if name in _NOTHING_AT_ZERO else finite
     if not finite.size:  # nothing to show
@@ -180,8 +190,22 @@ def value_of(data: xr.DataArray) -> Value:
     beyond = bool(finite.min() < low), bool(finite.max() > high)
     extend: dict[tuple[bool, bool], Literal["neither", "min", "max", "both"]]
     extend = {(False, False): "neither", (True, False): "min", (False, True): "max", (True, True): "both"}
-    shown = colormaps[colours].with_extremes(bad=UNDEFINED)
+    shown = colormaps[COLOURS.get() or colours].with_extremes(bad=UNDEFINED)
     return Value(name, with_unit(text, unit), factor, norm, extend[beyond], shown)
+
+
+def share_value(data: xr.DataArray, name: str) -> Value:
+    """The share [%] `data` of starts that end in the regime `name`, in colours from 0 to 100 %."""
+    colours = colormaps[COLOURS.get() or "viridis"]
+    return Value(str(data.name), f"{name} [% of starts]", 1.0, Normalize(0.0, 100.0), "neither", colours)
+
+
+def flags_text(data: xr.DataArray) -> str:
+    """What the numbers of a flag variable that occur mean, in words; nothing for others, and for regimes."""
+    if "flag_meanings" not in data.attrs or data.name == REGIME:
+        return ""
+    meanings, there = _flag_names(data), np.unique(data.values).astype(int).tolist()
+    return f"{data.name}: {', '.join(f'{flag} {meanings[flag]}' for flag in there if flag in meanings)}"
 
 
 def value_handles(data: Sequence[xr.Dataset], values: Sequence[Value]) -> list[Artist]:

@@ -11,6 +11,7 @@ from vibrojax.errors import InputError, suggestion
 
 TIME, SETTING = "time", "setting"  # the dimension of a run, and of a study of speed against error
 START, POINT, RETURN, FORM = "start", "point", "return_index", "form"
+_GROUP = "group"  # the dimension of groups of rows of a table
 HIDDEN = "hidden_motion"
 REGIME, RATE, RELIEF, COEFFICIENT = "regime", "rate_of_penetration", "relief", "C"
 RETURNS, ERROR = "return_impact_velocity", "error_worst"
@@ -18,9 +19,9 @@ BESIDE_REGIMES = (RATE, "impact_velocity", "period", "bit_amplitude")  # the fir
 
 MOST_LINES = 8  # in one panel, and in the legend
 _NOT_SWEPT = {START, POINT, RETURN, FORM}
-_EACH_LANE = (REGIME, RATE, COEFFICIENT)  # what every lane has one of: of a drill, of rock, of a fit
+_EACH_LANE = (REGIME, RATE, COEFFICIENT, "status")  # what every lane has one of: of a drill, rock, a fit, any sweep
 _MANY = 9  # values of an axis from which lines, one for each, are too many
-_ENOUGH = 6  # values from which an axis is one to draw along, rather than a choice between a few
+ENOUGH = 6  # values from which an axis is one to draw along, rather than a choice between a few
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,7 @@ class Contents:
     - `axes`: the axes to draw along; `long`: those of so many values that a map shows more of them than lines.
     - `varied`: the parameters that vary along a list of points, each with its number of values.
     - `beside`: the quantities worth a panel beside the regimes.
+    - `many_starts`: whether every point runs from more starts than have a panel each.
     - `swept_sine`: whether the force of a run is a sine of a frequency that changes.
     """
 
@@ -41,6 +43,7 @@ class Contents:
     varied: Mapping[str, int]
     beside: tuple[str, ...]
     points: bool
+    many_starts: bool
     swept_sine: bool
 
     @property
@@ -111,6 +114,7 @@ def contents(ds: xr.Dataset) -> Contents:
         varied=varied(ds),
         beside=tuple(name for name in BESIDE_REGIMES if name in ds and np.isfinite(ds[name].values).any())[:2],
         points=POINT in lane_dims(ds),
+        many_starts=many_starts(ds),
         swept_sine=ds.attrs.get("pulse_shape") == "sweep" and parameters_of(ds).get("sweep_rate", 0.0) != 0.0,
     )
 
@@ -138,13 +142,18 @@ def law_in(fit: xr.Dataset) -> xr.Dataset:
     """`fit` without axes of one value; raises `InputError` where it holds no coefficient of the law's forms."""
     if COEFFICIENT not in fit or FORM not in fit[COEFFICIENT].dims or fit[COEFFICIENT].size == 0:
         raise InputError("no law to draw: the dataset holds no variable C along form")
-    return without_single(fit)
+    return without_single(named_groups(fit))
 
 
 def lane_dims(ds: xr.Dataset) -> tuple[str, ...]:
     """The dimensions of the lanes of a sweep, or of the groups of a fit; none where there are neither."""
     data = next((ds[name] for name in _EACH_LANE if name in ds), None)
     return () if data is None else tuple(str(name) for name in data.dims if name != FORM)
+
+
+def many_starts(ds: xr.Dataset) -> bool:
+    """Whether every point runs from more starts than have a colour, a row or a panel each."""
+    return START in lane_dims(ds) and ds.sizes[START] > MOST_LINES
 
 
 def swept(ds: xr.Dataset) -> tuple[str, ...]:
@@ -164,7 +173,7 @@ def axes_to_draw(ds: xr.Dataset) -> tuple[str, ...]:
     axes = swept(ds)
     if {"beta", "gamma"} <= set(axes):
         return ("gamma", "beta")
-    long = tuple(name for name in axes if ds.sizes[name] >= _ENOUGH)
+    long = tuple(name for name in axes if ds.sizes[name] >= ENOUGH)
     return long or axes
 
 
@@ -203,6 +212,12 @@ def without_single(ds: xr.Dataset) -> xr.Dataset:
     """`ds` with its axes of one value as scalars."""
     single = tuple(name for name in lane_dims(ds) if ds.sizes[name] == 1 and name != POINT)
     return ds.isel({name: 0 for name in single if name in ds.coords})
+
+
+def named_groups(fit: xr.Dataset) -> xr.Dataset:
+    """`fit` with groups of rows that one column tells apart along that column, as along an axis of a sweep."""
+    columns = [str(name) for name, data in fit.coords.items() if data.dims == (_GROUP,)]
+    return fit.swap_dims({_GROUP: columns[0]}) if len(columns) == 1 and _GROUP not in fit.coords else fit
 
 
 def parameters_of(ds: xr.Dataset) -> dict[str, float]:

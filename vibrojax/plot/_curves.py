@@ -11,13 +11,15 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
-from matplotlib.gridspec import GridSpec
+from matplotlib.gridspec import SubplotSpec
 from matplotlib.lines import Line2D
 
 from vibrojax.plot._axes import is_geometric, label, scale, shape_axis, value_text
-from vibrojax.plot._contents import MOST_LINES, POINT, START, is_numeric, lane_dims, named_axes, swept, varied
-from vibrojax.plot._sheet import LEGEND_WIDTH, Facets
-from vibrojax.plot.style import BIT, OTHER_COLOURS, ROCK_COLOURS, Mark, new_figure, start_colour
+from vibrojax.plot._colours import form_colour
+from vibrojax.plot._contents import FORM, MOST_LINES, POINT, START, is_numeric, lane_dims, named_axes, swept, varied
+from vibrojax.plot._margins import LEGEND_WIDTH
+from vibrojax.plot._sheet import Facets
+from vibrojax.plot.style import BIT, COLOURS, OTHER_COLOURS, ROCK_COLOURS, Mark, divided, new_figure, start_colour
 
 MOST_ROWS = 4
 _WIDTH = 3.3  # inches of a panel
@@ -107,7 +109,7 @@ def lines(ds: xr.Dataset, by: str) -> list[Line]:
     values = sorted(values) if is_numeric(ds[by]) else values
     parts = [ds.isel({ds[by].dims[0]: np.flatnonzero(ds[by].values == value)}) for value in values]
     parts = [lanes.isel({by: 0}) if by in lanes.dims else lanes for lanes in parts]
-    names = [value_text(ds[by], value).removeprefix("rock: ") for value in values]
+    names = [value_text(ds[by], value).removeprefix("rock: ").removeprefix("form: ") for value in values]
     return [Line(*one) for one in zip(names, _colours(ds[by], values), parts, strict=True)]
 
 
@@ -120,21 +122,22 @@ def line_handles(drawn: Sequence[Line], mark: Mark) -> list[Artist]:
     return [Line2D([], [], label=drawn[at].name, **marker | mark | Mark(color=drawn[at].colour)) for at in shown]
 
 
-def rows(panels: Facets, quantities: int) -> tuple[Figure, tuple[Row, ...]]:
+def rows(panels: Facets, quantities: int, above: float = 0.0) -> tuple[Figure, tuple[Row, ...], SubplotSpec | None]:
     """An empty figure, with room for a legend at the right, and the axes of each facet of `panels`.
 
-    The panels of a quantity share their axes.
+    The panels of a quantity share their axes. Last, a place `above` them of so many inches, if any.
     """
     count = len(panels)
-    figure = new_figure(_WIDTH * quantities + LEGEND_WIDTH, (2.9 if count == 1 else 2.3) * count + 0.8)
-    grid = GridSpec(count, quantities, figure)
+    figure = new_figure(_WIDTH * quantities + LEGEND_WIDTH, (2.9 if count == 1 else 2.3) * count + 0.8 + above)
+    over, place = divided(figure, above)
+    grid = place.subgridspec(count, quantities)
     drawn: list[Row] = []
     for at, (title, facet) in enumerate(zip(panels.titles, panels.data, strict=True)):
         first = drawn[0].axes if drawn else (None,) * quantities
         axes = [figure.add_subplot(grid[at, i], sharex=first[i], sharey=first[i]) for i in range(quantities)]
         axes[0].set_title(title, loc="left")
         drawn.append(Row(tuple(axes), facet, at == count - 1))
-    return figure, tuple(drawn)
+    return figure, tuple(drawn), over
 
 
 def label_axes(row: Row, quantity: int, across: str, up: str) -> None:
@@ -149,7 +152,9 @@ def label_axes(row: Row, quantity: int, across: str, up: str) -> None:
 def _colours(data: xr.DataArray, values: Sequence[float | str]) -> list[str]:
     """In order for numbers; a rock's and a start's own for names."""
     if is_numeric(data):
-        return [to_hex(colormaps["viridis"](share)) for share in np.linspace(*_VIRIDIS, len(values))]
+        return [to_hex(colormaps[COLOURS.get() or "viridis"](share)) for share in np.linspace(*_VIRIDIS, len(values))]
+    if data.name == FORM:
+        return [form_colour(str(value)) for value in values]
     if data.name == START:
         return [start_colour(str(value), at) for at, value in enumerate(values)]
     return [ROCK_COLOURS.get(str(value), OTHER_COLOURS[at % len(OTHER_COLOURS)]) for at, value in enumerate(values)]

@@ -13,8 +13,9 @@ from matplotlib.gridspec import GridSpec
 from vibrojax.errors import InputError
 from vibrojax.plot._axes import number, point_text
 from vibrojax.plot._contents import contents, parameters_of
+from vibrojax.plot._envelope import band_text, draw_over_time
+from vibrojax.plot._margins import write_margins
 from vibrojax.plot._motion import Hole, Samples, read_hole
-from vibrojax.plot._sheet import write_margins
 from vibrojax.plot.style import BIT, DASHED, FAINT, INK, ROCK, Mark, new_figure, styled
 
 _UNITS = (("mm", 1e3, 2e-4), ("µm", 1e6, 0.0))  # from which swing [m]
@@ -32,8 +33,8 @@ def draw_hole(axes: Axes, hole: Hole, start: float, end: float) -> None:
     factor, unit = _length_scale([hole.x3[late], hole.x4[late]])
     axes.grid(True)
     # The hole below: where the bit presses on its bottom, both are seen.
-    axes.plot(hole.time[late], factor * hole.x4[late], color=ROCK, linewidth=2.4, label="hole x₄")
-    axes.plot(hole.time[late], factor * hole.x3[late], color=BIT, linewidth=0.9, label="bit x₃")
+    draw_over_time(axes, hole.time[late], factor * hole.x4[late], ROCK, 2.4, "hole x₄")
+    draw_over_time(axes, hole.time[late], factor * hole.x3[late], BIT, 0.9, "bit x₃")
     axes.set_ylabel(f"depth\n[{unit}]")
 
 
@@ -48,14 +49,18 @@ def _draw_forces(axes: Axes, hole: Hole, start: float, end: float) -> None:
         axes.axhline(factor * hole.threshold, color=ROCK, linewidth=1.0, linestyle=DASHED, label=name)
     for force, colour, name in ((hole.applied_force, FAINT, "given I"), (hole.rock_force, INK, "rock N")):
         if force is not None:
-            axes.plot(hole.time[late], factor * force[late], color=colour, linewidth=1.0, label=name)
+            draw_over_time(axes, hole.time[late], factor * force[late], colour, 1.0, name)
     axes.set_ylabel(f"force\n[{unit}]")
 
 
 def growth_text(hole: Hole) -> str:
     """How much the hole grew over the run, in words."""
     depth, duration = 1e3 * hole.growth, float(np.ptp(hole.time))
-    return f"The hole grows by {depth:.3g} mm in {number(duration)} s" if depth > 0 else "No penetration"
+    return (
+        f"The hole grows by {number(float(f'{depth:.3g}'))} mm in {number(duration)} s"
+        if depth > 0
+        else "No penetration"
+    )
 
 
 def _length_scale(lengths: Sequence[Float[np.ndarray, "*shape"]]) -> tuple[float, str]:
@@ -108,7 +113,8 @@ def pulses(ds: xr.Dataset, last: float | None = None) -> Figure:
                 axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, borderpad=0.0, borderaxespad=0.3)
     shown[0].set_title("enlarged: the shaded end of the run", loc="right")
     figure.align_ylabels()
-    write_margins(figure, str(ds.attrs.get("title") or ds.attrs.get("scene", "")), point_text(ds), growth_text(hole))
+    title = str(ds.attrs.get("title") or ds.attrs.get("scene", ""))
+    write_margins(figure, title, point_text(ds), growth_text(hole), band_text(*figure.axes))
     return figure
 
 

@@ -28,12 +28,14 @@ from vibrojax.plot._colours import (
     values_of_rock,
 )
 from vibrojax.plot._contents import HIDDEN, REGIME, RELIEF, axes_of_map, has_regimes, long_axes, rates_in, regimes_in
-from vibrojax.plot._sheet import Panel, facets, sheet, write_margins
+from vibrojax.plot._margins import write_margins
+from vibrojax.plot._sheet import MOST, Panel, facets, sheet
 from vibrojax.plot.style import INK, NOTHING, styled
 
 SINGLE = REGIMES.index("single-impact")
 MOST_VALUES = {1: 4, 2: 3, 3: 3}  # on maps of rates, by the number of facets; of more facets only the rate
 _MOST_FACETS = 9  # of maps of rates
+_SEVERAL = 4  # values, from which there are fewer facets
 _LEVELS = 5  # of lines of equal relief, about
 _SAME = 1e-9  # relative, within which the relief does not vary
 _LETTERS = 17  # of a label, for an inch of its axis
@@ -51,25 +53,30 @@ _REGION_NAME = "source's best region"
 def regime_grid(ds: xr.Dataset, x: str | None = None, y: str | None = None) -> Figure:
     """The regimes over two axes, with the quantities worth a panel beside them; see `regime_map`."""
     ds = regimes_in(ds)
-    x, y = axes_of_map(ds, x, y)
+    return map_of(ds, (None, *values_beside(ds)), *axes_of_map(ds, x, y))
+
+
+def map_of(ds: xr.Dataset, values: tuple[Value | None, ...], x: str, y: str, *about: str) -> Figure:
+    """The `values` in `ds`, None for the regimes, over its axes `x` and `y`, and what there is to say `about` it."""
     ds = ds.sortby([x, y])
-    panels = facets(ds, (x, y))
-    values = values_beside(ds)
-    drawn = sheet(panels, (None, *values))
+    panels = facets(ds, (x, y), MOST if len(values) < _SEVERAL else MOST // 2)
+    drawn = sheet(panels, values)
     marks = False
     for panel in drawn:
         draw_cells(panel, x, y)
         marks |= panel.value is None and _mark_hidden(panel, x, y)
         outline_region(panel.axes, x, y)
         write_labels(panel, ds[x], ds[y])
-    handles = regime_handles([facet[REGIME] for facet in panels.data]) + value_handles(panels.data, values)
+    handles = regime_handles([facet[REGIME] for facet in panels.data]) if None in values else []
+    handles += value_handles(panels.data, [value for value in values if value is not None])
     drawn.finish(
         handles
         + ([_hidden_handle()] if marks else [])
         + _border_handle(drawn.panels)
         + region_handle(drawn.panels[0].axes)
     )
-    write_margins(drawn.figure, str(ds.attrs.get("title", "")), point_text(ds), certified_text(ds), panels.note)
+    notes = point_text(ds), certified_text(ds), panels.note, *about
+    write_margins(drawn.figure, str(ds.attrs.get("title", "")), *notes)
     return drawn.figure
 
 

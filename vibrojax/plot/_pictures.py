@@ -4,14 +4,16 @@ A new picture is a function in a file of its own and a row in the table; a fact 
 a property of [vibrojax.plot._contents.Contents][].
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import xarray as xr
+from matplotlib import colormaps
 from matplotlib.figure import Figure
 
-from vibrojax.errors import InputError, shown
+from vibrojax.errors import InputError, nearest, shown
+from vibrojax.plot._basins import many_starts, share_grid
 from vibrojax.plot._bifurcation import bifurcation
 from vibrojax.plot._contents import Contents, contents, law_in, rates_in, regimes_in
 from vibrojax.plot._hole import pulses, response
@@ -19,10 +21,12 @@ from vibrojax.plot._maps import rate_grid, regime_grid
 from vibrojax.plot._rate_law import law_lines, law_map
 from vibrojax.plot._rates import rates
 from vibrojax.plot._scatter import rate_scatter, regime_bars, regime_scatter
+from vibrojax.plot._selection import select
 from vibrojax.plot._strips import regime_lines
 from vibrojax.plot._time_history import trajectory
+from vibrojax.plot._variables import variables
 from vibrojax.plot._work_precision import work_precision
-from vibrojax.plot.style import settings
+from vibrojax.plot.style import COLOURS, settings
 from vibrojax.store.atomic import atomic_write
 
 # Without the date, so that the same dataset gives the same file.
@@ -47,6 +51,7 @@ PICTURES = (
     Picture("returns",       lambda held: held.returns,                                  bifurcation),
     Picture("law",           lambda held: held.law and len(held.long) > 1,               law_map),
     Picture("law",           lambda held: held.law,                                      law_lines),
+    Picture("starts",        lambda held: held.regimes and held.many_starts,             many_starts),
     Picture("rates",         lambda held: held.rates and not held.worth_a_map,           rates),
     Picture("regimes",       lambda held: held.regimes and held.points_over_two,         regime_scatter),
     Picture("regimes",       lambda held: held.regimes and len(held.axes) > 1,           regime_grid),
@@ -57,19 +62,45 @@ PICTURES = (
 )  # fmt: skip
 
 
-def picture(ds: xr.Dataset) -> Figure:
+def picture(
+    ds: xr.Dataset,
+    variable: str | Sequence[str] | None = None,
+    where: Mapping[str, float | str] | None = None,
+    colours: str | None = None,
+) -> Figure:
     """The fitting picture for what `ds` holds: a trajectory, returns, regimes, rates of penetration, or a law.
 
     **Arguments:**
 
     - `ds`: what `simulate`, a sweep, a fit or the study of speed against error gives.
+    - `variable`: the name of a variable to draw instead, over all that varies; or several names, four at most, of a run
+      eight.
+    - `where`: values of axes or of coordinates along them, by name, in the dataset's units: only the lanes there are
+      drawn, `{"delta": 0.005, "start": "stuck"}`. Numbers need be right to four digits.
+    - `colours`: the name of the matplotlib colour map for quantities; regimes, forms and starts keep their colours.
 
     **Returns:** a figure that pyplot knows nothing of.
 
-    **Raises:** `InputError` where the dataset holds nothing to draw.
+    **Raises:** `InputError` where the dataset holds nothing to draw, or no such variable, axis, value or colour map.
     """
     if not isinstance(ds, xr.Dataset):
         raise InputError(f"{shown(ds)} is no dataset; open it first: vj.picture(vj.open_dataset(PATH))")
+    if colours is not None and colours not in colormaps:
+        like = nearest(str(colours), colormaps)
+        right = f"did you mean {shown(like)}?" if like else "choose one of matplotlib's, like viridis or magma"
+        raise InputError(f"colours: {shown(colours)} is no colour map; {right}")
+    token = COLOURS.set(colours)
+    try:
+        ds = select(ds, where) if where else ds
+        if variable is not None:
+            return variables(ds, (variable,) if isinstance(variable, str) else variable)
+        return _fitting_picture(ds)
+    finally:
+        COLOURS.reset(token)
+
+
+def _fitting_picture(ds: xr.Dataset) -> Figure:
+    """The first picture of the table that fits `ds`."""
     held = contents(ds)
     for row in PICTURES:
         if row.fits(held):
@@ -85,7 +116,8 @@ def regime_map(ds: xr.Dataset, x: str | None = None, y: str | None = None) -> Fi
     """The regimes of a sweep as a map, with impact velocity and period beside it.
 
     Further axes, and the starts, become panels: twelve at most, and the figure says which. A sweep along one axis
-    becomes lines, a list of points a scatter (two parameters vary) or a count.
+    becomes lines, a list of points a scatter (two parameters vary) or a count. More than eight starts are a map over
+    their states where nothing else varies over many values, else the share of them that ends in each regime.
 
     **Arguments:**
 
@@ -98,6 +130,8 @@ def regime_map(ds: xr.Dataset, x: str | None = None, y: str | None = None) -> Fi
     **Raises:** `InputError` where there are no regimes, or `x` or `y` is no axis of the sweep.
     """
     held = contents(regimes_in(ds))
+    if held.many_starts:
+        return many_starts(ds) if x is None and y is None else share_grid(ds, x, y)
     if held.points or (x is None and y is None):
         return _fitting(held, "regimes")(ds)
     return regime_grid(ds, x, y)
@@ -126,8 +160,9 @@ def rate_map(ds: xr.Dataset, x: str | None = None, y: str | None = None) -> Figu
 def fitted_law(fit: xr.Dataset) -> Figure:
     """C of ROP = C ln(eta) in its three readings, and the AIC of every form above that of the best of its group.
 
-    Both over the longest axis of the groups; further ones become rows. Over two axes of nine values and more, maps of C
-    and of the best form. Without groups, over the forms.
+    Above them the data of each group with the curve of every form, six groups at most. C and AIC are drawn over
+    the longest axis of the groups; further ones become rows. Over two axes of nine values and more, maps of C and of
+    the best form. Without groups, over the forms.
 
     **Arguments:**
 
@@ -140,21 +175,28 @@ def fitted_law(fit: xr.Dataset) -> Figure:
     return _fitting(contents(law_in(fit)), "law")(fit)
 
 
-def save_picture(ds: xr.Dataset, path: str | Path) -> None:
+def save_picture(
+    ds: xr.Dataset,
+    path: str | Path,
+    variable: str | Sequence[str] | None = None,
+    where: Mapping[str, float | str] | None = None,
+    colours: str | None = None,
+) -> None:
     """Draw the fitting picture for `ds` into the file `path`, which is there whole or not at all.
 
     **Arguments:**
 
     - `ds`: what `simulate` or a sweep gives.
     - `path`: ends in .png, .pdf or .svg.
+    - `variable`, `where`, `colours`: what to draw of it, and how; see [vibrojax.plot.picture][].
 
-    **Raises:** `InputError` for another ending, a path that cannot be written, or a dataset with nothing to draw.
+    **Raises:** `InputError` for another ending, a path that cannot be written, or what `picture` refuses.
     """
     path = Path(path)
     suffix = path.suffix.lower()
     if suffix not in _METADATA:
         raise InputError(f"{path}: pictures end in .png, .pdf or .svg, not in {suffix or 'nothing'}")
-    figure = picture(ds)
+    figure = picture(ds, variable, where, colours)
     try:
         with settings(), atomic_write(path, "part") as part:
             figure.savefig(part, format=suffix[1:], metadata=_METADATA[suffix])

@@ -27,8 +27,10 @@ from vibrojax.plot._colours import (
 )
 from vibrojax.plot._contents import FORM, POINT, law_in, long_axes
 from vibrojax.plot._curves import MOST_ROWS, Across, Row, across, label_axes, rows
+from vibrojax.plot._fit_curves import data_handles, data_text, draw_fits, groups_to_show, height_of
 from vibrojax.plot._maps import fill_cells, write_labels
-from vibrojax.plot._sheet import LEGEND_WIDTH, facets, legend_at_right, sheet, write_margins
+from vibrojax.plot._margins import legend_at_right, write_margins
+from vibrojax.plot._sheet import facets, sheet
 from vibrojax.plot.style import FAINT, Mark, styled
 
 _READINGS = ("onset", "literal", "percent")  # of the logarithmic law; their C are speeds that can be compared
@@ -50,9 +52,11 @@ def law_lines(fit: xr.Dataset) -> Figure:
     fit = law_in(fit)
     x = across(fit)
     fit = fit.sortby(x.name) if x.is_number else fit
-    panels = facets(fit, (POINT, x.name), MOST_ROWS)
+    panels, groups = facets(fit, (POINT, x.name), MOST_ROWS), groups_to_show(fit)
     has_aic = "aic" in fit
-    figure, drawn = rows(panels, 1 + has_aic)
+    figure, drawn, above = rows(panels, 1 + has_aic, height_of(groups))
+    if above is not None and groups is not None:
+        draw_fits(figure, above, groups)
     factor, unit = scale(fit["C"])
     for row in drawn:
         _draw_coefficients(row, x, factor)
@@ -64,9 +68,9 @@ def law_lines(fit: xr.Dataset) -> Figure:
         _scale_excess(drawn)
     _shape(drawn[0], x)
     _limit(drawn[0].axes[0], fit, factor)
-    legend_at_right(figure, _line_handles(fit), _equal_handle() if has_aic else [])
+    legend_at_right(figure, _line_handles(fit), _equal_handle() if has_aic else [], data_handles(groups))
     title = str(fit.attrs.get("title", ""))
-    write_margins(figure, title, point_text(fit), panels.note, *_about(fit), legend=LEGEND_WIDTH)
+    write_margins(figure, title, point_text(fit), panels.note, data_text(groups, fit), *_about(fit))
     return figure
 
 
@@ -160,9 +164,11 @@ def law_map(fit: xr.Dataset) -> Figure:
     fit = fit.sortby([x, y])
     name = _readings(fit)[0]
     shown = _shown(fit, name)
-    panels = facets(shown, (x, y), _MOST_FACETS)
+    panels, groups = facets(shown, (x, y), _MOST_FACETS), groups_to_show(fit)
     values = _values(shown)
-    drawn = sheet(panels, ((None,) if _BEST in shown else ()) + values)
+    drawn = sheet(panels, ((None,) if _BEST in shown else ()) + values, height_of(groups))
+    if drawn.above is not None and groups is not None:
+        draw_fits(drawn.figure, drawn.above, groups)
     for panel in drawn:
         if panel.value is None:
             best = panel.facet[_BEST].transpose(y, x).values
@@ -177,7 +183,8 @@ def law_map(fit: xr.Dataset) -> Figure:
     about = f"The law {along}C of the form {name}" + (
         "; at the left the first form within 2 of the least AIC" * (_BEST in shown)
     )
-    write_margins(drawn.figure, str(fit.attrs.get("title", "")), point_text(fit), panels.note, about, error)
+    notes = point_text(fit), panels.note, data_text(groups, fit), about, error
+    write_margins(drawn.figure, str(fit.attrs.get("title", "")), *notes)
     return drawn.figure
 
 

@@ -27,7 +27,8 @@ from vibrojax.plot._curves import (
     rows,
 )
 from vibrojax.plot._maps import SINGLE
-from vibrojax.plot._sheet import LEGEND_WIDTH, facets, legend_at_right, write_margins
+from vibrojax.plot._margins import legend_at_right, write_margins
+from vibrojax.plot._sheet import facets
 from vibrojax.plot.style import INK, Mark, styled
 
 SLIP, PEAK = "slip_per_impact", "peak_impact_force"
@@ -71,7 +72,7 @@ def rates(ds: xr.Dataset) -> Figure:
     ds = ds.sortby(x.name) if x.is_number else ds
     panels = facets(ds, (POINT, x.name, by), MOST_ROWS)
     curves = _curves(ds, x)
-    figure, drawn = rows(panels, len(curves))
+    figure, drawn, _ = rows(panels, len(curves))
     joined: Literal["-", "none"] = "-" if x.is_number and POINT not in lane_dims(ds) else "none"
     for row in drawn:
         for at, curve in enumerate(curves):
@@ -80,9 +81,7 @@ def rates(ds: xr.Dataset) -> Figure:
             label_axes(row, at, x.label if curve.along == x.name else "relief P/D", curve.label)
     _limit(drawn, curves, x)
     legend_at_right(figure, line_handles(lines(ds, by), Mark(linestyle=joined)), _mark_handles(ds))
-    write_margins(
-        figure, str(ds.attrs.get("title", "")), point_text(ds), panels.note, _without_rate(ds), legend=LEGEND_WIDTH
-    )
+    write_margins(figure, str(ds.attrs.get("title", "")), point_text(ds), panels.note, _without_rate(ds))
     return figure
 
 

@@ -15,19 +15,17 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
-from matplotlib.gridspec import GridSpec, SubplotSpec
-from matplotlib.lines import Line2D
+from matplotlib.gridspec import SubplotSpec
 
-from vibrojax.plot._axes import number, pretty_unit, scale, symbol, value_text
+from vibrojax.plot._axes import index_text, number, pretty_unit, scale, short, symbol
 from vibrojax.plot._colours import Value
 from vibrojax.plot._contents import START, is_numeric, lane_dims
-from vibrojax.plot.style import new_figure
+from vibrojax.plot.style import divided, new_figure
 
 MOST = 12
 _BESIDE = 3  # up to so many facets, the values stand beside the regimes; from there on below them
 _MOST_COLUMNS = 6
 _SQUARE = 4  # values of one facet, from which they stand two by two
-LEGEND_WIDTH = 1.9  # inches, about
 _ROOM_AT_RIGHT = 1.6  # inches for the legend, where the regimes leave no place for it
 
 Indices = Int[np.ndarray, " values"]
@@ -57,7 +55,7 @@ def facets(ds: xr.Dataset, along: Sequence[str], most: int = MOST) -> Facets:
     counts = _representative(sizes, most)
     picks = {name: _spread(sizes[name], counts[name]) for name in axes}
     indices = [dict(zip(axes, (int(i) for i in pick), strict=True)) for pick in product(*picks.values())]
-    titles = tuple(", ".join(value_text(ds[name], ds[name].values[i]) for name, i in at.items()) for at in indices)
+    titles = tuple(", ".join(index_text(ds, name, i) for name, i in at.items()) for at in indices)
     runs = tuple(int(run) for run in np.cumprod([counts[name] for name in reversed(axes)]))
     return Facets(titles, tuple(ds.isel(at) for at in indices), runs, _note(ds, sizes, picks))
 
@@ -89,43 +87,21 @@ def _spread(size: int, count: int) -> Indices:
 
 def _note(ds: xr.Dataset, sizes: dict[str, int], picks: dict[str, Indices]) -> str:
     parts = [
-        f"{symbol(ds[name])} = {_listed(ds[name], pick)} ({pick.size} of {sizes[name]} values)"
+        f"{_listed(ds, name, pick)} ({pick.size} of {sizes[name]} values)"
         for name, pick in picks.items()
         if pick.size < sizes[name]
     ]
     return f"Too many panels to show all; here {'; '.join(parts)}" if parts else ""
 
 
-def _listed(coordinate: xr.DataArray, pick: Indices) -> str:
-    values = coordinate.values[pick]
-    if not is_numeric(coordinate):
-        return ", ".join(str(value) for value in values)
-    factor, unit = scale(coordinate)
-    return f"{', '.join(number(float(value) * factor) for value in values)} {pretty_unit(unit)}".rstrip()
-
-
-def write_margins(figure: Figure, title: str, *notes: str, legend: float = 0.0) -> None:
-    """Write `title` above everything, but not over a legend that takes `legend` inches at the right; `notes` below.
-
-    The figure grows by the lines after the first.
-    """
-    width = figure.get_figwidth()
-    above = fill(title, int(9.5 * (width - legend)))
-    below = fill(". ".join(note for note in notes if note), int(17 * width))
-    if above:
-        figure.suptitle(above, x=0.01, ha="left", fontweight="bold")
-    if below:
-        figure.supxlabel(below, x=0.01, ha="left", fontsize=8, color="0.3")
-    figure.set_figheight(figure.get_figheight() + 0.18 * above.count("\n") + 0.13 * below.count("\n"))
-
-
-def legend_at_right(figure: Figure, *groups: list[Artist]) -> None:
-    """One legend at the right of all axes, with `groups` set apart."""
-    gap: Artist = Line2D([], [], linestyle="none", label=" ")
-    handles: list[Artist] = []
-    for group in groups:
-        handles += ([gap] if handles and group else []) + group
-    figure.legend(handles=handles, loc="outside right upper")
+def _listed(ds: xr.Dataset, name: str, pick: Indices) -> str:
+    if name not in ds.coords:
+        return "; ".join(index_text(ds, name, i) for i in pick.tolist())
+    values = ds[name].values[pick]
+    if not is_numeric(ds[name]):
+        return f"{symbol(ds[name])} = {', '.join(short(str(value)) for value in values)}"
+    factor, unit = scale(ds[name])
+    return f"{symbol(ds[name])} = {', '.join(number(float(x) * factor) for x in values)} {pretty_unit(unit)}".rstrip()
 
 
 @dataclass(frozen=True)
@@ -143,13 +119,17 @@ class Panel:
 
 @dataclass(frozen=True)
 class Sheet:
-    """A figure with its panels, and one axes for the bar of each value; that of the regimes is for the legend."""
+    """A figure with its panels, and one axes for the bar of each value; that of the regimes is for the legend.
+
+    `above` the panels there may be a place for others.
+    """
 
     figure: Figure
     panels: tuple[Panel, ...]
     bars: tuple[Axes, ...]
     values: tuple[Value | None, ...]
     upright: bool
+    above: SubplotSpec | None = None
 
     def __iter__(self) -> Iterator[Panel]:
         return iter(self.panels)
@@ -178,11 +158,11 @@ class Sheet:
             axes.legend(handles=handles, borderaxespad=0.0, borderpad=0.0, loc="upper left", ncols=2, columnspacing=1.0)
 
 
-def sheet(panels: Facets, values: tuple[Value | None, ...]) -> Sheet:
-    """The empty sheet for `panels` and `values`."""
+def sheet(panels: Facets, values: tuple[Value | None, ...], above: float = 0.0) -> Sheet:
+    """The empty sheet for `panels` and `values`, with a place of so many inches `above` them."""
     if len(panels) == 1 and len(values) >= _SQUARE:
-        return _square(panels, values)
-    return _beside(panels, values) if len(panels) <= _BESIDE else _below(panels, values)
+        return _square(panels, values, above)
+    return (_beside if len(panels) <= _BESIDE else _below)(panels, values, above)
 
 
 def _wrapped(title: str, width: float) -> str:
@@ -191,25 +171,27 @@ def _wrapped(title: str, width: float) -> str:
     return fill(unbroken, int(13 * width)).replace("\u00a0", " ")
 
 
-def _square(panels: Facets, values: tuple[Value | None, ...]) -> Sheet:
+def _square(panels: Facets, values: tuple[Value | None, ...], above: float) -> Sheet:
     """The values of one facet two by two, each with its bar at its right."""
     deep = -(-len(values) // 2)
-    figure = new_figure(9.2 + _ROOM_AT_RIGHT, 2.9 * deep + 0.8)
-    grid = GridSpec(deep, 4, figure, width_ratios=[1.0, 0.04, 1.0, 0.04])
+    figure = new_figure(9.2 + _ROOM_AT_RIGHT, 2.9 * deep + 0.8 + above)
+    over, place = divided(figure, above)
+    grid = place.subgridspec(deep, 4, width_ratios=[1.0, 0.04, 1.0, 0.04])
     drawn: list[Panel] = []
     for at, value in enumerate(values):
         row, column = divmod(at, 2)
         axes = _shared(figure, grid[row, 2 * column], drawn)
         drawn.append(Panel(figure, axes, panels.data[0], panels.titles[0], value, column == 0, at + 2 >= len(values)))
     bars = [figure.add_subplot(grid[at // 2, 2 * (at % 2) + 1]) for at in range(len(values))]
-    return Sheet(figure, tuple(drawn), tuple(bars), values, upright=True)
+    return Sheet(figure, tuple(drawn), tuple(bars), values, True, over)
 
 
-def _beside(panels: Facets, values: tuple[Value | None, ...]) -> Sheet:
+def _beside(panels: Facets, values: tuple[Value | None, ...], above: float) -> Sheet:
     """A row for each facet; its regimes, then its values; the legend and the bars at the foot."""
     rows, wide = len(panels), len(values)
-    figure = new_figure(max(3.4 * wide, 4.6) + (0.0 if None in values else _ROOM_AT_RIGHT), 2.7 * rows + 1.5)
-    grid = GridSpec(rows + 1, wide, figure, height_ratios=[1.0] * rows + [0.05])
+    figure = new_figure(max(3.4 * wide, 4.6) + (0.0 if None in values else _ROOM_AT_RIGHT), 2.7 * rows + 1.5 + above)
+    over, place = divided(figure, above)
+    grid = place.subgridspec(rows + 1, wide, height_ratios=[1.0] * rows + [0.05])
     drawn: list[Panel] = []
     for row, (title, facet) in enumerate(zip(panels.titles, panels.data, strict=True)):
         for column, value in enumerate(values):
@@ -217,16 +199,17 @@ def _beside(panels: Facets, values: tuple[Value | None, ...]) -> Sheet:
             name = title if column == 0 else ""
             drawn.append(Panel(figure, axes, facet, name, value, column == 0, row == rows - 1))
     foot = [figure.add_subplot(grid[rows, column]) for column in range(wide)]
-    return Sheet(figure, tuple(drawn), tuple(foot), values, upright=False)
+    return Sheet(figure, tuple(drawn), tuple(foot), values, False, over)
 
 
-def _below(panels: Facets, values: tuple[Value | None, ...]) -> Sheet:
+def _below(panels: Facets, values: tuple[Value | None, ...], above: float) -> Sheet:
     """A block of all facets for the regimes, then one for each value; the legend and the bars at the right."""
     wide = columns(panels, _MOST_COLUMNS)
     deep = -(-len(panels) // wide)
     width, height = (2.75 if wide <= 4 else 2.2), (2.35 if deep == 1 else 2.0)
-    figure = new_figure(width * wide + 2.2, height * deep * len(values) + 0.9)
-    grid = GridSpec(deep * len(values), wide + 1, figure, width_ratios=[1.0] * wide + [0.05])
+    figure = new_figure(width * wide + 2.2, height * deep * len(values) + 0.9 + above)
+    over, place = divided(figure, above)
+    grid = place.subgridspec(deep * len(values), wide + 1, width_ratios=[1.0] * wide + [0.05])
     drawn: list[Panel] = []
     for block, value in enumerate(values):
         for at, (title, facet) in enumerate(zip(panels.titles, panels.data, strict=True)):
@@ -236,7 +219,7 @@ def _below(panels: Facets, values: tuple[Value | None, ...]) -> Sheet:
             name = _wrapped(title, width) if deep > 1 or block == 0 else ""
             drawn.append(Panel(figure, axes, facet, name, value, column == 0, lowest))
     right = [figure.add_subplot(grid[block * deep : (block + 1) * deep, wide]) for block in range(len(values))]
-    return Sheet(figure, tuple(drawn), tuple(right), values, upright=True)
+    return Sheet(figure, tuple(drawn), tuple(right), values, True, over)
 
 
 def _shared(figure: Figure, place: SubplotSpec, drawn: list[Panel]) -> Axes:

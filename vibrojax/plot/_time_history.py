@@ -12,7 +12,9 @@ from matplotlib.patheffects import withStroke
 from vibrojax.errors import InputError
 from vibrojax.plot._axes import number, point_text
 from vibrojax.plot._contents import contents
+from vibrojax.plot._envelope import band_text, draw_over_time, is_band
 from vibrojax.plot._hole import draw_hole, force_scale, growth_text
+from vibrojax.plot._margins import write_margins
 from vibrojax.plot._motion import (
     Hole,
     Motion,
@@ -25,7 +27,6 @@ from vibrojax.plot._motion import (
     read_hole,
     read_motion,
 )
-from vibrojax.plot._sheet import write_margins
 from vibrojax.plot.style import BIT, DASHED, FAINT, IMPACT, INK, STICK, STRIKER, Mark, new_figure, styled
 
 _OVERVIEW_FROM = 1.5  # times the window, from which a run is worth an overview
@@ -74,8 +75,8 @@ def trajectory(ds: xr.Dataset, last: float = 1.5) -> Figure:
     _draw_bit(figure.add_subplot(grid[row, 0]), motion, start)
     _draw_striker(figure.add_subplot(grid[row, 1]), motion, start)
     _draw_spectrum(figure.add_subplot(grid[row, 2]), motion)
-    about = growth_text(hole) if hole else ""
-    write_margins(figure, str(ds.attrs.get("title") or ds.attrs.get("scene", "")), point_text(ds), about)
+    title = str(ds.attrs.get("title") or ds.attrs.get("scene", ""))
+    write_margins(figure, title, point_text(ds), growth_text(hole) if hole else "", band_text(*figure.axes))
     return figure
 
 
@@ -123,7 +124,7 @@ def _draw_rock(
 
 def _draw_overview(axes: Axes, motion: Motion, start: float) -> None:
     for values, colour in ((motion.x1, BIT), (motion.x2, STRIKER)):
-        axes.plot(motion.time, 1e3 * values, color=colour, linewidth=0.4, alpha=0.8, rasterized=True)
+        draw_over_time(axes, motion.time, 1e3 * values, colour, 0.4).set_rasterized(True)
     axes.axvspan(start, motion.time[-1], color=FAINT, alpha=0.3, linewidth=0)
     axes.set_xlim(motion.time[0], motion.time[-1])
     axes.set_ylabel("whole run\n[mm]")
@@ -135,10 +136,12 @@ def _draw_displacements(axes: Axes, motion: Motion, start: float) -> None:
     axes.grid(True)
     if motion.delta is not None:
         axes.axhline(1e3 * motion.delta, color=FAINT, linewidth=0.8, linestyle=DASHED)
-    axes.plot(motion.time[late], 1e3 * motion.x2[late], color=STRIKER, linewidth=1.1)
-    axes.plot(motion.time[late], 1e3 * motion.x1[late], color=BIT, linewidth=1.1)
-    axes.plot(motion.time[late], _where_stuck(motion, 1e3 * motion.x1)[late], color=STICK, linewidth=2.6)
-    _mark_impacts(axes, motion, start, 1e3 * motion.x2)
+    striker = draw_over_time(axes, motion.time[late], 1e3 * motion.x2[late], STRIKER, 1.1)
+    bit = draw_over_time(axes, motion.time[late], 1e3 * motion.x1[late], BIT, 1.1)
+    if not is_band(bit):
+        axes.plot(motion.time[late], _where_stuck(motion, 1e3 * motion.x1)[late], color=STICK, linewidth=2.6)
+    if not is_band(striker):
+        _mark_impacts(axes, motion, start, 1e3 * motion.x2)
     axes.set_ylabel("displacement\n[mm]")
     axes.legend(handles=_handles(motion), loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=5, borderpad=0.2)
 
@@ -147,10 +150,12 @@ def _draw_velocities(axes: Axes, motion: Motion, start: float) -> None:
     late = motion.since(start)
     axes.grid(True)
     axes.axhline(0.0, color=FAINT, linewidth=0.7)
-    axes.plot(motion.time[late], motion.v2[late], color=STRIKER, linewidth=1.1)
-    axes.plot(motion.time[late], motion.u[late], color=BIT, linewidth=1.1)
-    axes.plot(motion.time[late], _where_stuck(motion, motion.u)[late], color=STICK, linewidth=2.6)
-    _mark_impacts(axes, motion, start, motion.v2)
+    striker = draw_over_time(axes, motion.time[late], motion.v2[late], STRIKER, 1.1)
+    bit = draw_over_time(axes, motion.time[late], motion.u[late], BIT, 1.1)
+    if not is_band(bit):
+        axes.plot(motion.time[late], _where_stuck(motion, motion.u)[late], color=STICK, linewidth=2.6)
+    if not is_band(striker):
+        _mark_impacts(axes, motion, start, motion.v2)
     axes.set_ylabel("u and x₂′\n[m/s]" if motion.v is not None else "x₁′ and x₂′\n[m/s]")
 
 
@@ -161,9 +166,9 @@ def _draw_forces(axes: Axes, motion: Motion, start: float) -> None:
     shown = [values for values in (friction, impact) if values is not None]
     factor, unit = force_scale(shown)
     if impact is not None:
-        axes.plot(motion.time[late], factor * impact[late], color=IMPACT, linewidth=1.0, label="impact force J")
+        draw_over_time(axes, motion.time[late], factor * impact[late], IMPACT, 1.0, "impact force J")
     if friction is not None:
-        axes.plot(motion.time[late], factor * friction[late], color=INK, linewidth=0.8, label="friction force F")
+        draw_over_time(axes, motion.time[late], factor * friction[late], INK, 0.8, "friction force F")
     axes.set_ylabel(f"force\n[{unit}]")
     axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderpad=0.0, borderaxespad=0.2)
 

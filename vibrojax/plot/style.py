@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager
+from contextvars import ContextVar
 from functools import wraps
 from io import BytesIO
 from typing import ParamSpec, TypedDict
@@ -9,6 +10,7 @@ from typing import ParamSpec, TypedDict
 from matplotlib import style
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.gridspec import GridSpec, SubplotSpec
 from matplotlib.typing import ColorType, LineStyleType, MarkerType
 
 INK = "#222222"
@@ -23,11 +25,14 @@ ROCK = "#B08D57"
 
 # Readable apart in greyscale and by colour-blind eyes.
 START_COLOURS = {"drive": "#004488", "stuck": "#CC6677", "touching": "#2E8B57"}
-OTHER_COLOURS = ("#7A5195", "#8C6D1F", "#4D4D4D", "#56B4E9")
+OTHER_COLOURS = ("#56B4E9", "#E69F00", "#9B30C9", "#222222", "#C6D937", "#7A1F1F", "#B5B5B5")
 ROCK_COLOURS = {"sandstone": "#D9A441", "limestone": "#3F8FA3", "granite": "#7A2E4D"}
 
 DASHED = (0.0, (4.0, 3.0))
 
+FINEST = 160.0  # pixels an inch of a saved picture
+
+TITLE_SIZE = 11.0
 _TICK_SIZE = 8.0
 _SETTINGS = {
     "font.size": 9.0,
@@ -46,16 +51,19 @@ _SETTINGS = {
     "legend.fontsize": 8.0,
     "legend.frameon": False,
     "legend.handlelength": 1.4,
-    "figure.titlesize": 11.0,
+    "figure.titlesize": TITLE_SIZE,
     "grid.color": "#E2E2E2",
     "grid.linewidth": 0.5,
     "lines.solid_capstyle": "round",
-    "savefig.dpi": 160,
+    "savefig.dpi": FINEST,
     "figure.dpi": 110,
     "svg.fonttype": "none",
     "svg.hashsalt": "vibrojax",  # the same dataset gives the same file
     "pdf.fonttype": 42,
 }
+
+COLOURS: ContextVar[str | None] = ContextVar("COLOURS", default=None)
+"""The colour map that a user asked for, of quantities; None: each its own."""
 
 Arguments = ParamSpec("Arguments")
 
@@ -112,6 +120,16 @@ def new_figure(width: float, height: float) -> OwnFigure:
     return figure
 
 
+def divided(figure: Figure, above: float) -> tuple[SubplotSpec | None, SubplotSpec]:
+    """`figure` as a place of `above` inches, none where that is zero, and the place below it."""
+    if not above > 0:
+        return None, GridSpec(1, 1, figure)[0]
+    places = GridSpec(2, 1, figure, height_ratios=[above, figure.get_figheight() - above])
+    return places[0], places[1]
+
+
 def start_colour(name: str, position: int) -> str:
     """The colour of the start `name`; starts without a fixed one take theirs by `position` among the starts."""
+    if not name:
+        return BIT
     return START_COLOURS.get(name, OTHER_COLOURS[position % len(OTHER_COLOURS)])

@@ -1,0 +1,70 @@
+"""What stands around panels, and lines over time that would cover them: texts and artists, never pixels."""
+
+import numpy as np
+import pytest
+import xarray as xr
+from read_off import panel, texts
+from test_plot import lanes, returns, run, square
+
+from vibrojax.plot import picture, pulses, trajectory
+from vibrojax.plot._envelope import is_band
+
+
+def drawn(axes, label):
+    """The one artist of `axes` under `label`."""
+    (found,) = (one for one in (*axes.lines, *axes.collections) if one.get_label() == label)
+    return found
+
+
+def blows(count, amplitude=1.0):
+    """The bit on rock under `count` pulses in 10 s; a thousand samples a pulse would be too many to see."""
+    time = np.linspace(0.0, 10.0, 60 * count + 1)
+    force = 1e5 * amplitude * (np.sin(2 * np.pi * count / 10.0 * time) > 0)
+    depth = 1e-3 * time
+    held = {"x3": depth, "x4": depth, "applied_force": force, "rock_force": 0.5 * force}
+    return xr.Dataset({name: ("time", values) for name, values in held.items()}, {"time": time})
+
+
+def test_few_pulses_are_a_line_through_every_sample():
+    ds = blows(20)
+    line = drawn(pulses(ds).axes[1], "given I")
+    assert np.array_equal(line.get_ydata(), 1e-3 * ds["applied_force"])
+
+
+def test_more_pulses_than_pixels_are_a_band_from_the_least_to_the_greatest():
+    ds = blows(2000)
+    ds["applied_force"][ds["time"] > 5.0] *= 2.0  # the band follows
+    figure = pulses(ds)
+    band = drawn(figure.axes[1], "given I")
+    assert is_band(band)
+    (path,) = band.get_paths()
+    early, late = (path.vertices[(path.vertices[:, 0] > a) & (path.vertices[:, 0] < b)] for a, b in ((1, 4), (6, 9)))
+    assert (early[:, 1].min(), early[:, 1].max()) == (0.0, 100.0)
+    assert (late[:, 1].min(), late[:, 1].max()) == (0.0, 200.0)
+    assert len(path.vertices) < 3000 < ds.sizes["time"]
+    assert not is_band(drawn(figure.axes[0], "hole x₄"))  # it only grows
+    assert not is_band(drawn(figure.axes[3], "given I"))  # the last two blows
+    assert "Bands: from the least to the greatest" in figure.get_supxlabel()
+
+
+def test_a_long_run_has_a_band_for_its_overview_and_lines_for_its_end():
+    figure = trajectory(run(duration=400.0))
+    overview, displacement = panel(figure, ylabel="whole run"), panel(figure, ylabel="displacement")
+    assert sum(map(is_band, overview.collections)) == 2
+    assert not any(map(is_band, displacement.collections))
+    assert "Bands" not in trajectory(run()).get_supxlabel()
+
+
+def test_a_title_that_fits_beside_the_legend_stays_on_one_line():
+    title = "Impact velocity at each return over the frequency ratio"
+    figure = picture(returns({"gamma": np.linspace(0.3, 1.2, 15)}, keep=4).assign_attrs(title=title))
+    assert figure.get_suptitle() == title
+
+
+@pytest.mark.parametrize("title", ["word " * 900, "w" * 900])
+def test_a_title_without_end_is_cut_and_stays_on_the_page(title):
+    figure = picture(lanes(square(5)).assign_attrs(title=title))
+    assert figure.get_suptitle().endswith("…") and figure.get_suptitle().count("\n") <= 2
+    assert figure.get_figheight() < 20
+    whole = figure.bbox.padded(1)
+    assert all(whole.x0 <= box.x0 and box.x1 <= whole.x1 for _, box in texts(figure))

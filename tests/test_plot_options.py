@@ -1,0 +1,252 @@
+"""Pictures of chosen variables, at chosen values, in chosen colours: what is on them, and what is refused."""
+
+import json
+
+import numpy as np
+import pytest
+import xarray as xr
+from matplotlib.collections import PathCollection
+from read_off import axis_labels, legend, meshes, note, titles
+from test_plot import flagged, lanes, points, returns, run, square
+from test_plot_rock import law, rock
+from test_plot_starts import LONG, basin, line, plane, sample
+
+import vibrojax as vj
+from vibrojax.cli import main
+from vibrojax.errors import InputError
+from vibrojax.plot import picture
+from vibrojax.plot._margins import PAGE
+from vibrojax.plot._selection import select
+
+
+def with_shares(ds):
+    """`ds` with a variable that no picture shows by itself."""
+    values = np.linspace(0.0, 0.5, ds["regime"].size).reshape(ds["regime"].shape)
+    return ds.assign(stick_fraction=(ds["regime"].dims, values, {"units": "1", "long_name": "share of time"}))
+
+
+# Variables.
+
+
+def test_a_variable_over_two_axes_is_a_map_of_it_alone():
+    ds = with_shares(lanes(square(7, delta=[-0.005, 0.005])))
+    figure = picture(ds, variable="stick_fraction")
+    assert not meshes(figure) and len(meshes(figure, "viridis")) == 4
+    at = ds["stick_fraction"].sel(delta=-0.005, start="stuck").transpose("beta", "gamma")
+    assert np.array_equal(meshes(figure, "viridis")[1].get_array(), at)
+    assert {"stick fraction", "mass ratio m2/m1, β"} <= axis_labels(figure)
+
+
+def test_several_variables_stand_beside_each_other_in_the_order_given():
+    figure = picture(with_shares(lanes(square(7), ("drive",))), variable=["stick_fraction", "regime"])
+    assert [len(meshes(figure, name)) for name in (None, "viridis", "cividis")] == [1, 1, 0]
+    (share,), (regime,) = meshes(figure, "viridis"), meshes(figure)
+    assert share.axes.get_position().x0 < regime.axes.get_position().x0
+
+
+def test_a_variable_over_one_axis_is_curves_above_the_regimes():
+    ds = with_shares(lanes({"gamma": np.linspace(0.3, 1.2, 11)}))
+    figure = picture(ds, variable="stick_fraction")
+    shown = {line.get_label(): line.get_ydata() for line in figure.axes[0].lines}
+    assert np.array_equal(shown["stuck"], ds["stick_fraction"].sel(start="stuck"))
+    assert meshes(figure)[0].get_array().shape == (2, 11)
+
+
+def test_a_variable_of_a_list_of_points_is_scattered():
+    ds = with_shares(points())
+    figure = picture(ds, variable="stick_fraction")
+    dots = [c for axes in figure.axes for c in axes.collections if isinstance(c, PathCollection)]
+    shown = np.concatenate([c.get_array() for c in dots if c.get_array() is not None])
+    assert sorted(shown.tolist()) == sorted(ds["stick_fraction"].values.tolist())
+
+
+def test_a_variable_of_rock_and_of_a_fit_is_curves():
+    swept = rock({"k3": [1e8, 3e8], "frequency": np.linspace(10, 40, 5)})
+    shown = {line.get_label(): line.get_ydata() for line in picture(swept, variable="relief").axes[0].lines}
+    assert np.allclose(shown["k₃ = 300 MN/m"], swept["relief"].sel(k3=3e8))
+    fit = law({"force": [2e5, 2.5e5, 3e5]})
+    shown = {line.get_label(): line.get_ydata() for line in picture(fit, variable="aic").axes[0].lines}
+    assert set(shown) == set(fit["form"].values) and np.array_equal(shown["onset"], fit["aic"].sel(form="onset"))
+
+
+def test_variables_of_a_run_are_histories():
+    ds = run(duration=2.0)
+    figure = picture(ds, variable=["v2", "stuck"])
+    assert [axes.get_ylabel() for axes in figure.axes] == ["v2\n[m/s]", "stuck"]
+    assert np.array_equal(figure.axes[0].lines[0].get_ydata(), ds["v2"])
+
+
+def test_flags_are_numbers_that_the_note_explains():
+    ds = lanes(square(7), ("drive",))
+    ds["check_regime"] = flagged(
+        ds["regime"].dims, np.where(ds["beta"].values[:, None, None] > 0.6, 6, 3) + 0 * ds["regime"]
+    )
+    figure = picture(ds, variable="check_regime")
+    assert "check_regime: 3 single-impact, 6 irregular" in note(figure)
+
+
+def test_of_many_starts_a_variable_is_a_map_over_them_or_their_median():
+    over = picture(with_shares(basin(plane())), variable="stick_fraction")
+    assert meshes(over, "viridis")[0].get_array().shape == (10, 12) and not meshes(over)
+    ds = with_shares(basin(sample(64), LONG))
+    figure = picture(ds, variable="stick_fraction")
+    median = ds["stick_fraction"].median("start").transpose("beta", "gamma")
+    assert np.allclose(meshes(figure, "viridis")[0].get_array(), median)
+    assert "Of 64 starts the median" in note(figure)
+
+
+KINDS = {
+    "map": lambda: lanes(square(8, delta=[-0.005, 0.005])),
+    "line": lambda: lanes({"gamma": np.linspace(0.3, 1.2, 20)}),
+    "starts": lambda: lanes({"gamma": [0.7]}),
+    "one": lambda: lanes({"gamma": [0.7]}, ("drive",)),
+    "points": points,
+    "points-of-many": lambda: points(also_v=True),
+    "returns": lambda: returns({"gamma": np.linspace(0.3, 1.2, 20), "delta": [-0.005, 0.005]}).drop_dims(
+        "return_index"
+    ),
+    "facets": lambda: lanes(square(7, v=np.linspace(0.5, 2, 7), delta=np.linspace(-0.005, 0.005, 6))),
+    "plane": lambda: basin(plane(), {"gamma": [0.5, 0.7]}),
+    "start-line": lambda: basin(line()),
+    "sample": lambda: basin(sample()),
+    "nameless": lambda: basin(sample()).drop_vars([f"start_{name}" for name in ("x1", "v1", "x2", "v2")]),
+    "sample-line": lambda: basin(sample(20), {"gamma": LONG["gamma"]}),
+    "sample-map": lambda: basin(sample(20), LONG),
+    "sample-points": lambda: basin(sample(20), {"point": np.arange(9.0)}).assign_coords(beta=("point", np.arange(9.0))),
+}
+
+
+@pytest.mark.parametrize("count", [1, 4])
+@pytest.mark.parametrize("kind", KINDS)
+def test_any_variables_of_any_sweep_fit_on_a_page(kind, count):
+    ds = with_shares(KINDS[kind]())
+    figure = picture(ds, variable=["stick_fraction", "regime", "impact_velocity", "period"][:count])
+    figure.draw_without_rendering()
+    assert figure.get_figwidth() <= PAGE[0] and figure.get_figheight() <= PAGE[1]
+    assert "stick fraction" in " ".join(axis_labels(figure)).replace("\n", " ")
+
+
+# Where.
+
+
+def test_only_the_lanes_at_a_value_are_drawn():
+    ds = lanes(square(7, delta=[-0.005, 0.005])).assign_attrs(certified=json.dumps({"estimated": 9}))
+    figure = picture(ds, where={"delta": 0.005, "start": "stuck"})
+    assert np.array_equal(meshes(figure)[0].get_array(), ds["regime"].sel(delta=0.005, start="stuck").T.T)
+    assert not titles(figure) and note(figure).startswith("Δ = 5 mm, start: stuck")
+
+
+def test_values_need_be_right_to_four_digits():
+    ds = lanes({"gamma": np.linspace(0.6, 0.8, 7), "beta": [0.3, 0.4]})
+    assert float(select(ds, {"gamma": 0.63333})["gamma"]) == ds["gamma"].values[1]
+    with pytest.raises(InputError, match=r"gamma = 0\.64; there are 0\.6, 0\.633333"):
+        select(ds, {"gamma": 0.64})
+
+
+def test_a_coordinate_along_an_axis_selects_all_that_have_its_value():
+    ds = basin(plane())
+    assert select(ds, {"start_v2": 3.0}).sizes["start"] == 12
+    assert select(points(), {"start": "stuck"}).sizes["point"] == 20
+    vector = select(basin(line(3)), {"start": "[0,0,-0.05,0]"})
+    assert float(vector["start_x2"]) == -0.05
+
+
+def test_a_group_of_a_fit_is_found_by_its_column():
+    fit = law({"group": np.arange(3)}).drop_vars("group").assign_coords(rpm=("group", [80.0, 120.0, 160.0]))
+    assert float(select(fit, {"rpm": 120})["C"].sel(form="line")) == float(fit["C"].isel(group=1).sel(form="line"))
+
+
+# Colours.
+
+
+def test_quantities_have_the_colours_asked_for_and_regimes_their_own():
+    ds = lanes(square(7), ("drive",))
+    figure = picture(ds, colours="magma")
+    assert len(meshes(figure, "magma")) == 2 and len(meshes(figure)) == 1
+    assert len(meshes(picture(ds), "viridis")) == 1  # the next has its own again
+
+
+# What is wrong is said in one line.
+
+WRONG = [
+    (
+        {"variable": "stick_fractoin"},
+        'variable: "stick_fractoin" is not in the dataset; did you mean "stick_fraction"?',
+    ),
+    ({"variable": "qqq"}, '"qqq" is not in the dataset; choose from regime, impact_velocity, period'),
+    ({"variable": "return_impact_velocity"}, "is not one number a lane; choose from regime"),
+    ({"variable": ["period"] * 5}, "variable: 5 names; give one to 4"),
+    ({"variable": []}, "variable: 0 names"),
+    ({"where": {"k0": 1.0}}, 'where: "k0" is none of the dataset\'s axes; choose from gamma, start'),
+    ({"where": {"gama": 0.5}}, 'did you mean "gamma"?'),
+    (
+        {"where": {"gamma": 0.5}},
+        "no lane has gamma = 0.5; there are 15 from 0.3 to 1.2, beside it 0.492857 and 0.557143",
+    ),
+    ({"where": {"gamma": "much"}}, "no lane has gamma = much; there are 15 from 0.3 to 1.2"),
+    ({"where": {"gamma": np.nan}}, "no lane has gamma = nan"),
+    ({"where": {"start": "stopped"}}, "no lane has start = stopped; there are drive, stuck"),
+    ({"colours": "virdis"}, 'colours: "virdis" is no colour map; did you mean "viridis"?'),
+]
+
+
+@pytest.mark.parametrize(("given", "said"), WRONG)
+def test_what_is_wrong_is_said_with_what_there_is(given, said):
+    ds = with_shares(returns({"gamma": np.linspace(0.3, 1.2, 15)}, keep=4))
+    with pytest.raises(InputError) as refused:
+        picture(ds, **given)
+    assert said in str(refused.value) and "\n" not in str(refused.value)
+
+
+def test_a_run_has_no_axes_to_select_along():
+    with pytest.raises(InputError, match='"delta" is none of the dataset\'s axes; there are none'):
+        picture(run(duration=2.0), where={"delta": 0.005})
+    with pytest.raises(InputError, match='"event_kind" is not one number a time'):
+        picture(run(duration=2.0), variable="event_kind")
+
+
+# The command.
+
+
+@pytest.fixture
+def written(tmp_path):
+    ds = with_shares(lanes(square(5, delta=[-0.005, 0.005]))).assign_attrs(source="vibrojax 0")
+    vj.write_dataset(ds, tmp_path / "map.nc")
+    return tmp_path / "map.nc"
+
+
+def test_the_command_takes_the_same(written, monkeypatch):
+    asked = {}
+    monkeypatch.setattr("vibrojax.plot.save_picture", lambda ds, path, *how: asked.update(path=path, how=how))
+    argv = ["plot", str(written), "--variable", "stick_fraction", "regime", "--variable", "period"]
+    assert main([*argv, "--where", "delta=0.005", "start=stuck", "--colours", "magma"]) == 0
+    assert asked["path"] == written.with_suffix(".png")
+    assert asked["how"] == (["stick_fraction", "regime", "period"], {"delta": 0.005, "start": "stuck"}, "magma")
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--where", "delta"], '--where: "delta" is no AXIS=VALUE; write delta=0.005'),
+        (["--where", "delta=1"], "no lane has delta = 1.0; there are -0.005, 0.005"),
+        (["--variable", "stick"], 'did you mean "stick_fraction"?'),
+        (["--colours", "rainbows"], "is no colour map"),
+    ],
+)
+def test_the_command_refuses_in_one_line(written, capsys, words, said):
+    assert main(["plot", str(written), *words]) == 2
+    error = capsys.readouterr().err
+    assert said in error and error.count("\n") == 1 and not written.with_suffix(".png").exists()
+
+
+def test_the_command_draws(written):
+    assert main(["plot", str(written), "--variable", "stick_fraction", "--where", "start=drive"]) == 0
+    assert written.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_sweep_without_regime_and_rate_has_its_variables_drawn():
+    swept = xr.Dataset(
+        {"status": ("gamma", np.zeros(3, np.int8)), "power": ("gamma", [1.0, 2.0, 3.0])}, {"gamma": [1.0, 2.0, 3.0]}
+    )
+    assert "power" in axis_labels(picture(swept, variable="power"))
+    assert not legend(picture(swept, variable="power"))
