@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from vibrojax.cli._command import Options
+from vibrojax.cli._found import found_lines
 
 if TYPE_CHECKING:
     import xarray
@@ -41,6 +42,7 @@ def describe(dataset: "xarray.Dataset") -> list[str]:
     lines.append(("fixed", _fixed(attributes)))
     lines.append(("run", _times(attributes.get("run", ""))))
     lines += [
+        ("found", found_lines(dataset)),
         ("regimes", _regimes(dataset) + _hidden(dataset)),
         ("failures", _failures(dataset)),
         ("accuracy", _accuracy(dataset) + _flips(dataset)),
@@ -108,7 +110,7 @@ def _flags(variable: "xarray.DataArray") -> dict[int, str]:
 
 
 def _regimes(dataset: "xarray.Dataset") -> list[str]:
-    if "regime" not in dataset:
+    if "regime" not in dataset or "time" in dataset.dims:
         return []
     regime = dataset["regime"]
     total = max(regime.size, 1)
@@ -128,7 +130,7 @@ def _failures(dataset: "xarray.Dataset") -> list[str]:
     """How many lanes failed, and of each reason how many and the first few."""
     import numpy as np
 
-    if "regime" in dataset:
+    if "regime" in dataset and "time" not in dataset.dims:
         failing = [value for value, meaning in _flags(dataset["regime"]).items() if meaning == "failed"]
         mask = dataset["regime"].isin(failing)
     elif "status" in dataset:

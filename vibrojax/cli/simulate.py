@@ -5,6 +5,7 @@ from argparse import ArgumentParser
 from typing import Any
 
 from vibrojax.cli._command import Options
+from vibrojax.cli._found import found_lines
 from vibrojax.cli._output import dataset_written, draw, output, picture_beside
 from vibrojax.errors import Place, shown
 
@@ -53,7 +54,7 @@ def run(options: Options) -> None:
     dataset = simulate(point.scene, **arguments, progress=True).assign_attrs({IDENTITY: identity_text(identity)})
     write_dataset(dataset, out)
     dataset_written(options, out)
-    print(f"{out}{draw(dataset, picture)}")
+    print("\n".join([*found_lines(dataset), f"{out}{draw(dataset, picture)}"]))
 
 
 def read_values(place: Place, words: list[str]) -> tuple[dict[str, object], dict[str, object]]:
