@@ -1,6 +1,7 @@
 """Simulate one point: its trajectory as a dataset, and a picture beside it."""
 
 import json
+import warnings
 from argparse import ArgumentParser
 from typing import Any
 
@@ -34,6 +35,7 @@ def run(options: Options) -> None:
     """Run the command."""
     place = Place("simulate")
     settings, parameters = read_values(place, options.values)
+    from vibrojax.input.plausible import UnusualValue
     from vibrojax.input.point import read_point
 
     point = read_point(place, options.scene, parameters, settings.pop("start", None))
@@ -51,7 +53,10 @@ def run(options: Options) -> None:
     identity = {"scene": point.scene, **arguments}
     if not options.fresh:
         check_replaceable(out, identity)
-    dataset = simulate(point.scene, **arguments, progress=True).assign_attrs({IDENTITY: identity_text(identity)})
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UnusualValue)  # said above
+        dataset = simulate(point.scene, **arguments, progress=True)
+    dataset = dataset.assign_attrs({IDENTITY: identity_text(identity)})
     write_dataset(dataset, out)
     dataset_written(options, out)
     print("\n".join([*found_lines(dataset), f"{out}{draw(dataset, picture)}"]))

@@ -10,12 +10,13 @@ from vibrojax.input.axes import read_axis
 from vibrojax.input.changes import with_changes
 from vibrojax.input.definition import Start, Sweep, rock_values, with_drive_speed
 from vibrojax.input.names import CHOICES, DEFAULT_STARTS, Names, read_names, take_options
+from vibrojax.input.plausible import warn_if_far
 from vibrojax.input.points import Points, read_points
 from vibrojax.input.run_settings import RunSettings, read_settings
 from vibrojax.input.source import Source, read_source
 from vibrojax.input.values import as_table
 
-_TOP_KEYS = ("scene", "title", "starts", "parameters", "grid", "points", "run")
+_TOP_KEYS = ("scene", "title", "starts", "unusual", "parameters", "grid", "points", "run")
 # Lanes are numbered by 64-bit integers.
 _MOST_LANES = 2**62
 
@@ -73,6 +74,10 @@ def read_sweep(source: str | PathLike[str] | Mapping[str, object], changes: Iter
     )
     if sweep.lanes > _MOST_LANES:
         raise place.at("grid").error(f"{shown(sweep.lanes)} lanes are too many; make the axes shorter")
+    if not _read_unusual(place.at("unusual"), tables.get("unusual", False)):
+        for name, value in {**fixed, **varied}.items():
+            if name != "rock":
+                warn_if_far(homes[name], names.writable[name], value, "; unusual = true says that it is meant")
     return sweep
 
 
@@ -124,6 +129,13 @@ def _check_top(place: Place, tables: dict[str, object]) -> None:
 def _read_title(place: Place, value: object) -> str:
     if not isinstance(value, str):
         raise place.error(f"{shown(value)} is not text; write it in quotes")
+    return value
+
+
+def _read_unusual(place: Place, value: object) -> bool:
+    """Whether values far from the usual ones are meant, so that nothing is said of them."""
+    if not isinstance(value, bool):
+        raise place.error(f"{shown(value)} is neither true nor false; write one of them")
     return value
 
 
