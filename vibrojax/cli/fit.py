@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from vibrojax.cli._command import Options
 from vibrojax.cli._output import dataset_written, draw, output, picture_beside
+from vibrojax.errors import InputError
 
 if TYPE_CHECKING:
     import xarray
@@ -21,24 +22,39 @@ _GROUPS_SHOWN = 12
 
 def arguments(parser: ArgumentParser) -> None:
     """Add the command's arguments to `parser`."""
-    parser.add_argument("file", metavar="FILE", help="a sweep's .nc, or a CSV: relief,rate_of_penetration")
+    parser.add_argument("file", metavar="FILE", nargs="?", help="a sweep's .nc, or a CSV: relief,rate_of_penetration")
     parser.add_argument("--along", metavar="AXIS", help="the axis to fit along (frequency, else v; of a CSV: its rows)")
+    parser.add_argument(
+        "--columns",
+        metavar="NAME=COLUMN",
+        nargs="+",
+        action="extend",
+        help="of a CSV: which column is what, in which unit, like "
+        'rate_of_penetration="ROP (m/h)" mean_force="WOB (kN)", or one value for all rows, like threshold="150 kN"',
+    )
     parser.add_argument("--by", metavar="COLUMN", action="append", help="of a CSV: fit the rows of each of its values")
     parser.add_argument("-o", dest="out", metavar="FIT.nc", help="where to write (FILE-fit.nc in this folder)")
 
 
 def run(options: Options) -> None:
     """Run the command."""
+    words = list(options.columns or [])
+    if options.file is None and words and "=" not in words[-1]:
+        options.file = words.pop()  # it may stand behind the columns too
+    if options.file is None:
+        raise InputError("fit: the following arguments are required: FILE; see vibrojax fit --help")
     out = output(options.out or f"{Path(options.file).stem}-fit.nc")
     picture = picture_beside(out)
     from vibrojax.laws import fit_rop, verdict
+    from vibrojax.laws._columns import read_columns
     from vibrojax.store.dataset import write_dataset
 
-    fit = fit_rop(options.file, options.along, options.by or (), progress=False)
+    fit = fit_rop(options.file, options.along, options.by or (), progress=False, columns=read_columns(words))
     write_dataset(fit, out)
     dataset_written(options, out)
     drawn = draw(fit, picture)
-    print("\n".join([*tables(fit), "", *verdict(fit), f"{out}{drawn}"]))
+    taken = [*fit.attrs["columns"].split("\n"), ""] if "columns" in fit.attrs else []
+    print("\n".join([*taken, *tables(fit), "", *verdict(fit), f"{out}{drawn}"]))
 
 
 def tables(fit: "xarray.Dataset") -> list[str]:

@@ -19,11 +19,12 @@ class UnusualValue(UserWarning):
     """A value is so far from what the source and rigs have that it may be in another unit than it is read in."""
 
 
-def warn_if_far(place: Place, parameter: Parameter, values: object, advice: str = "") -> None:
+def warn_if_far(place: Place, parameter: Parameter, values: object, likely: str = "", meant: str = "") -> None:
     """Warn, on one line, where one of `values` is far from the usual ones.
 
     **Arguments:** `place`: where they stand; `parameter`: what they are of; `values`: a number or many, of any shape;
-    `advice`: what to do where they are meant so.
+    `likely`: which unit they are likely in, and what to do, where other words than the usual ones are needed; `meant`:
+    what to do where they are meant so.
     """
     if parameter.usual is None:
         return
@@ -37,14 +38,16 @@ def warn_if_far(place: Place, parameter: Parameter, values: object, advice: str 
         subject = f"{np.isin(many, far).sum()} of {many.size} values, such as {_with_unit(worst, parameter)}, are"
     low, high = parameter.usual
     usual = f"{low:g} to {_with_unit(high, parameter)}" if low != high else _with_unit(high, parameter)
-    line = f"{subject} far outside what the source and rigs have ({usual}); {_question(worst, parameter)}{advice}"
+    line = (
+        f"{subject} far outside what the source and rigs have ({usual}); {likely or _likely(worst, parameter)}{meant}"
+    )
     warnings.warn(str(place.error(line)), UnusualValue, stacklevel=_level_of_caller())
 
 
-def _question(value: float, parameter: Parameter) -> str:
+def _likely(value: float, parameter: Parameter) -> str:
     """In which unit it would be a usual one."""
     low, high = parameter.usual or (0.0, 0.0)
-    units = likely_units(abs(value), parameter.unit, (low if low > 0 else high / _SMALLEST, high))
+    units = likely_units(abs(value), parameter.unit, (low if low > 0 else high / _SMALLEST, high))[:3]
     besides = ["of a rotation give rpm and bit_radius"] if parameter.name == "v" else []
     if not units:
         return ", or ".join(besides) or "check its unit"

@@ -77,7 +77,7 @@ def read_sweep(source: str | PathLike[str] | Mapping[str, object], changes: Iter
     if not _read_unusual(place.at("unusual"), tables.get("unusual", False)):
         for name, value in {**fixed, **varied}.items():
             if name != "rock":
-                warn_if_far(homes[name], names.writable[name], value, "; unusual = true says that it is meant")
+                warn_if_far(homes[name], names.writable[name], value, meant="; unusual = true says that it is meant")
     return sweep
 
 

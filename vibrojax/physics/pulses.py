@@ -8,7 +8,7 @@ from vibrojax.physics.parameters import Parameter, not_negative, positive, table
 
 PULSES = table(
     not_negative("force", 200e3, "N", "greatest force of a pulse", "A", (50e3, 500e3)),
-    positive("frequency", 20.0, "s-1", "pulses per second", "f", (5.0, 60.0)),
+    positive("frequency", 20.0, "s-1", "pulses per second", "f", (10.0, 40.0)),
     positive("pulse_width", 4e-3, "s", "duration of a pulse", "w", (1e-3, 10e-3)),
 )
 
