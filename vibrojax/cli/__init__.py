@@ -3,12 +3,14 @@
 Nothing heavy is imported until a command runs, so that `--help` answers at once.
 """
 
+import logging
 import os
 import signal
 import sys
 import warnings
 from argparse import ArgumentParser
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import NoReturn, TextIO
 
 from vibrojax.cli import accuracy, fit, info, plot, reproduce, scenes, simulate, sweep
@@ -17,6 +19,7 @@ from vibrojax.errors import InputError
 from vibrojax.progress import end_lines
 from vibrojax.store.provenance import package_version
 from vibrojax.threads import in_own_thread
+from vibrojax.timings import LOG, timed
 
 DONE, FAILED, BAD_INPUT, INTERRUPTED, PIPE_CLOSED, TERMINATED = 0, 1, 2, 130, 141, 143
 
@@ -77,7 +80,8 @@ def main(argv: Sequence[str] | None = None, do: Callable[[Callable[[], None]], o
             raise InputError(f"no command; choose from {', '.join(_COMMANDS)}, or see vibrojax --help")
         else:
             command = _COMMANDS[options.command]
-            do(lambda: command.run(options))
+            with _verbosely(options):
+                do(lambda: command.run(options))
         sys.stdout.flush()
         return DONE
     except SystemExit as leaving:  # --help
@@ -104,8 +108,35 @@ def _parser() -> ArgumentParser:
     commands = parser.add_subparsers(dest="command", metavar="COMMAND")
     for name, command in _COMMANDS.items():
         summary = str(command.__doc__).splitlines()[0].rstrip(".")
-        command.arguments(commands.add_parser(name, help=summary, description=summary, allow_abbrev=False))
+        own = commands.add_parser(name, help=summary, description=summary, allow_abbrev=False)
+        command.arguments(own)
+        loudness = own.add_mutually_exclusive_group()
+        loudness.add_argument(
+            "--quiet", action="store_true", help="print only errors, warnings and the result that was asked for"
+        )
+        loudness.add_argument(
+            "--verbose", action="store_true", help="say on stderr what was chosen, and how long each part took"
+        )
     return parser
+
+
+@contextmanager
+def _verbosely(options: Options) -> Iterator[None]:
+    """Show on stderr what the package logs, if that is asked for, and how long the command took."""
+    if not options.verbose:
+        yield
+        return
+    handler = logging.StreamHandler()
+    handler.setFormatter(logging.Formatter("vibrojax: %(message)s"))
+    level = LOG.level
+    LOG.addHandler(handler)
+    LOG.setLevel(logging.INFO)
+    try:
+        with timed("all together"):
+            yield
+    finally:
+        LOG.removeHandler(handler)
+        LOG.setLevel(level)
 
 
 def _terminate(*_: object) -> None:

@@ -11,8 +11,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vibrojax.cli._command import Options
+from vibrojax.cli._json import HELP, from_json, numbers, print_json
 from vibrojax.cli._output import dataset_written, draw, output, picture_beside
 from vibrojax.errors import InputError
+from vibrojax.timings import timed
 
 if TYPE_CHECKING:
     import xarray
@@ -33,6 +35,7 @@ def arguments(parser: ArgumentParser) -> None:
         'rate_of_penetration="ROP (m/h)" mean_force="WOB (kN)", or one value for all rows, like threshold="150 kN"',
     )
     parser.add_argument("--by", metavar="COLUMN", action="append", help="of a CSV: fit the rows of each of its values")
+    parser.add_argument("--json", action="store_true", help=HELP)
     parser.add_argument("-o", dest="out", metavar="FIT.nc", help="where to write (FILE-fit.nc in this folder)")
 
 
@@ -46,15 +49,48 @@ def run(options: Options) -> None:
     out = output(options.out or f"{Path(options.file).stem}-fit.nc")
     picture = picture_beside(out)
     from vibrojax.laws import fit_rop, verdict
-    from vibrojax.laws._columns import read_columns
+    from vibrojax.laws._columns import columns_lines, read_columns
     from vibrojax.store.dataset import write_dataset
 
-    fit = fit_rop(options.file, options.along, options.by or (), progress=False, columns=read_columns(words))
-    write_dataset(fit, out)
+    with timed("read and fit"):
+        fit = fit_rop(options.file, options.along, options.by or (), progress=False, columns=read_columns(words))
+    with timed("write"):
+        write_dataset(fit, out)
     dataset_written(options, out)
     drawn = draw(fit, picture)
-    taken = [*fit.attrs["columns"].split("\n"), ""] if "columns" in fit.attrs else []
-    print("\n".join([*taken, *tables(fit), "", *verdict(fit), f"{out}{drawn}"]))
+    if options.json:
+        print_json(_facts(fit, options.file, out, picture if drawn else None))
+        return
+    taken = columns_lines(fit.attrs.get("columns", ""))
+    before = [*taken, ""] if taken and not options.quiet else []
+    after = [] if options.quiet else [f"{out}{drawn}"]
+    print("\n".join([*before, *tables(fit), "", *verdict(fit), *after]))
+
+
+def _facts(fit: "xarray.Dataset", file: str, out: Path, picture: Path | None) -> dict[str, object]:
+    """What `--json` prints: of each group its coordinates, and of each form its coefficients and why one is null."""
+    import numpy as np
+
+    from vibrojax.laws import table, verdict
+
+    names, _ = table(fit, "aic")
+    dims = [dim for dim in fit["aic"].dims if dim != "form"]
+    where = list(np.ndindex(*(fit.sizes[dim] for dim in dims)))
+    groups = []
+    for name, index in zip(names, where, strict=True):
+        one = fit.isel(dict(zip(dims, index, strict=True)))
+        coordinates = {str(c): one[c].item() for c in one.coords if one[c].ndim == 0}
+        forms = {str(form): numbers(one.sel(form=form), [str(v) for v in fit.data_vars]) for form in fit["form"].values}
+        groups.append({"name": name, "coordinates": coordinates, "forms": forms})
+    return {
+        "file": file,
+        "along": fit.attrs["along"],
+        "columns": from_json(fit.attrs, "columns"),
+        "groups": groups,
+        "verdict": verdict(fit),
+        "dataset": str(out),
+        "picture": None if picture is None else str(picture),
+    }
 
 
 def tables(fit: "xarray.Dataset") -> list[str]:

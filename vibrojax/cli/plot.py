@@ -5,6 +5,7 @@ from pathlib import Path
 
 from vibrojax.cli._command import Options
 from vibrojax.cli._output import PICTURES, output, picture_beside
+from vibrojax.timings import timed
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -18,9 +19,12 @@ def run(options: Options) -> None:
     from vibrojax.store.dataset import open_dataset
 
     path = Path(options.file)
-    with open_dataset(path) as dataset:
-        picture = output(options.out, PICTURES) if options.out else picture_beside(path)
-        from vibrojax.plot import save_picture
+    with timed("read"):
+        dataset = open_dataset(path)
+    picture = output(options.out, PICTURES) if options.out else picture_beside(path)
+    from vibrojax.plot import save_picture
 
+    with timed("draw"):
         save_picture(dataset, picture)
-    print(picture)
+    if not options.quiet:
+        print(picture)

@@ -3,12 +3,21 @@
 import json
 import warnings
 from argparse import ArgumentParser
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from vibrojax.cli._command import Options
+from vibrojax.cli._facts import found
 from vibrojax.cli._found import found_lines
+from vibrojax.cli._json import HELP, from_json, print_json
 from vibrojax.cli._output import dataset_written, draw, output, picture_beside
 from vibrojax.errors import Place, shown
+from vibrojax.timings import timed
+
+if TYPE_CHECKING:
+    import xarray
+
+    from vibrojax.input.point import Point
 
 # Settings of the run, which are no parameters of a scene.
 _TEXTS = ("method", "solver")
@@ -29,6 +38,7 @@ def arguments(parser: ArgumentParser) -> None:
     )
     parser.add_argument("-o", dest="out", metavar="OUT.nc", help="where to write (SCENE.nc in this folder)")
     parser.add_argument("--fresh", action="store_true", help="replace OUT, whatever it holds")
+    parser.add_argument("--json", action="store_true", help=HELP)
 
 
 def run(options: Options) -> None:
@@ -55,11 +65,32 @@ def run(options: Options) -> None:
         check_replaceable(out, identity)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UnusualValue)  # said above
-        dataset = simulate(point.scene, **arguments, progress=True)
+        dataset = simulate(point.scene, **arguments, progress=not options.quiet)
     dataset = dataset.assign_attrs({IDENTITY: identity_text(identity)})
-    write_dataset(dataset, out)
+    with timed("write"):
+        write_dataset(dataset, out)
     dataset_written(options, out)
-    print("\n".join([*found_lines(dataset), f"{out}{draw(dataset, picture)}"]))
+    drawn = draw(dataset, picture)
+    if options.json:
+        print_json(_facts(dataset, point, out, picture if drawn else None))
+    elif not options.quiet:
+        print("\n".join([*found_lines(dataset), f"{out}{drawn}"]))
+
+
+def _facts(dataset: "xarray.Dataset", point: "Point", out: Path, picture: Path | None) -> dict[str, object]:
+    """What `--json` prints; `found` has the names of a sweep's variables, `run` says over which time they hold."""
+    return {
+        "scene": point.scene,
+        **point.options,
+        "start": point.start,
+        "parameters": point.parameters,
+        "duration": float(dataset["time"][-1]),
+        "run": from_json(dataset.attrs, "run"),
+        "found": found(dataset),
+        "solver": from_json(dataset.attrs, "solver"),
+        "dataset": str(out),
+        "picture": None if picture is None else str(picture),
+    }
 
 
 def read_values(place: Place, words: list[str]) -> tuple[dict[str, object], dict[str, object]]:

@@ -28,7 +28,6 @@ def arguments(parser: ArgumentParser) -> None:
     start.add_argument("--resume", action="store_true", help="go on with the finished chunks beside OUT (the default)")
     start.add_argument("--fresh", action="store_true", help="start over, and replace OUT whatever it holds")
     parser.add_argument("--dry-run", action="store_true", help="print lanes, memory, disk and time; compute nothing")
-    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
 
 
 def run(options: Options) -> None:

@@ -4,6 +4,7 @@ rate_of_penetration="ROP (m/h)"    the column ROP (m/h), ROP [m/h] or ROP_m/h; o
 threshold="150 kN"                 no column: one value for all rows
 """
 
+import json
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -47,12 +48,23 @@ class Column:
     assumed: bool = False
     value: float | None = None
 
-    def described(self, name: str) -> str:
-        """In words, what was taken for `name`."""
-        how = f"taken as {self.unit}, since it names no unit" if self.assumed else f"in {self.unit}"
-        if self.index is None:
-            return f"{name}: {self.header} for all rows" + (f", {how}" if self.assumed else "")
-        return f"{name}: column {shown(self.header)}, {how}"
+    def described(self) -> dict[str, object]:
+        """What was taken, as JSON values: `column` of the file or `value` [SI], `unit`, and whether it is `assumed`."""
+        where = {"value": self.value} if self.index is None else {"column": self.header}
+        return {**where, "unit": self.unit, "assumed": self.assumed}
+
+
+def columns_lines(columns: str) -> list[str]:
+    """In words, what was taken for what; `columns`: the attribute of that name."""
+    return [_in_words(name, about) for name, about in json.loads(columns or "{}").items()]
+
+
+def _in_words(name: str, about: Mapping[str, object]) -> str:
+    unit = f"taken as {about['unit']}, since it names no unit" if about["assumed"] else f"in {about['unit']}"
+    if "value" in about:
+        si = next(iter(UNITS[KNOWN[name].unit]))
+        return f"{name}: {about['value']:g} {si} for all rows" + (f", {unit}" if about["assumed"] else "")
+    return f"{name}: column {shown(about['column'])}, {unit}"
 
 
 def choose(place: Place, header: list[str], columns: Mapping[str, str]) -> dict[str, Column]:

@@ -125,7 +125,10 @@ def read_rig(path: Path, columns: Columns = None) -> xr.Dataset:
         if index not in taken and name not in ("", "point", RATE, RELIEF) and name not in coordinates:
             coordinates[name] = ("point", _numbers_or_text(index, rows))
     number = ("point", np.arange(len(rows)), {"units": "1", "long_name": "number of the row"})
-    attributes = {"title": path.name, "columns": "\n".join(chosen[name].described(name) for name in chosen)}
+    attributes = {
+        "title": path.name,
+        "columns": json.dumps({name: column.described() for name, column in chosen.items()}),
+    }
     return xr.Dataset(variables, {"point": number, **coordinates}, attributes)
 
 

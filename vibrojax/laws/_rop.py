@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float, Int
 from vibrojax.arrays import Array
 from vibrojax.devices import precision
 from vibrojax.errors import shown, suggestion
+from vibrojax.laws._columns import columns_lines
 from vibrojax.laws._data import Columns, Data, open_rates
 from vibrojax.laws._forms import FORMS, Coefficients, Form, Frame, WithOnset
 from vibrojax.laws._groups import Groups, grouped, usable_lanes
@@ -44,6 +45,7 @@ from vibrojax.laws._uncertainty import (
     goodness,
 )
 from vibrojax.store.variables import Variable
+from vibrojax.timings import LOG
 
 LEAST_SLOPE = 1e-10
 """Change of the rate over the lanes as a share of the greatest rate: below it there is no onset."""
@@ -123,11 +125,12 @@ def fit_rop(
     if robust is not None and robust not in LOSSES:
         raise place.at("robust").error(f"{shown(robust)} is unknown; {suggestion(str(robust), LOSSES)}")
     groups = grouped(place, usable_lanes(data), along, (by,) if isinstance(by, str) else tuple(by))
+    LOG.info("chosen: along %s, %d groups, loss %s", groups.along, groups.count.size, robust or "squares")
     start = time.monotonic()
     fit = _fit_groups(groups, robust)
     if progress:
-        if "columns" in data.attrs:
-            print(data.attrs["columns"], file=sys.stderr)
+        for line in columns_lines(data.attrs.get("columns", "")):
+            print(line, file=sys.stderr)
         number, size, seconds = groups.count.size, groups.count.max(), time.monotonic() - start
         print(f"{number} groups of {size} lanes along {groups.along} fitted in {seconds:.1f} s", file=sys.stderr)
     values = {**fit._asdict(), "left_out": groups.count[:, None] - fit.used}
