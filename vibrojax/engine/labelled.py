@@ -11,6 +11,7 @@ from jaxtyping import Int8, Shaped
 
 from vibrojax.engine.validity import TOO_SLOW, TOO_STIFF, too_slow, too_stiff
 from vibrojax.input.definition import Sweep
+from vibrojax.input.points import VECTOR
 from vibrojax.label import LABELLED_BY, hides_another, label
 from vibrojax.measure import gauge_named
 from vibrojax.physics.parameters import ROTATION, Parameter, differing
@@ -139,6 +140,10 @@ def _coordinates(sweep: Sweep, kept: dict) -> dict:
     found = {name: ((name,), axis, _described(parameters, name)) for name, axis in sweep.axes.items()}
     for name, column in (sweep.points or {}).items():
         found[name] = (("point",), column, _described(parameters, name))
+    for name, column in (sweep.point_vectors or {}).items():
+        state = sweep.system.states[sweep.system.place(name.removeprefix(VECTOR))]
+        about = {"units": state.unit, "long_name": f"{state.long_name} at t = 0"}
+        found[name] = (("point",), column, about)
     if sweep.points is not None or sweep.point_starts is not None:
         found["point"] = (("point",), np.arange(sweep.shape[0]), {"units": "1", "long_name": "number of the point"})
     about = {"units": "1", "long_name": "start of the motion"}

@@ -43,10 +43,11 @@ class Kind(NamedTuple):
 
 
 class Given(NamedTuple):
-    """Parameters by name, and which of the starts, of each lane (lanes,)."""
+    """Parameters by name, and which of the starts, of each lane (lanes,); or the states of a start of its own."""
 
     parameters: dict[str, Lanes]
     start: Counts
+    states: tuple[Lanes, ...] = ()
 
 
 class Compiled(NamedTuple):
@@ -70,7 +71,7 @@ def start_lanes(kind: Kind, count: Count, given: Given) -> tuple[Lane, Any]:
 
     def program(given: Given) -> tuple[Lane, Any]:
         constants = kind.scene.constants(given.parameters)
-        return start_block(kind.scene, kind.recorder, constants, _state(kind, constants, given.start))
+        return start_block(kind.scene, kind.recorder, constants, _state(kind, constants, given))
 
     return _block_by_block(program, kind.block, count, given)
 
@@ -124,11 +125,14 @@ def _block_by_block(program: Callable[..., Any], block: int, count: Count, *give
 def _constants(kind: Kind, given: Given) -> Any:
     """The scene's constants, for a motion from the lane's start."""
     constants = kind.scene.constants(given.parameters)
-    return kind.scene.scaled(constants, _state(kind, constants, given.start))
+    return kind.scene.scaled(constants, _state(kind, constants, given))
 
 
-def _state(kind: Kind, constants: Any, start: Counts) -> Values:
+def _state(kind: Kind, constants: Any, given: Given) -> Values:
     """The state at t = 0 of each lane, from the start that it takes; the scene's own where it has no starts."""
+    start = given.start
+    if given.states:
+        return kind.scene.start(constants, given.states, start.shape)
     candidates = [kind.scene.start(constants, name, start.shape) for name in kind.starts or (None,)]
     state = candidates[0]
     for index, other in enumerate(candidates[1:], start=1):

@@ -11,7 +11,7 @@ from vibrojax.input.changes import with_changes
 from vibrojax.input.definition import Start, Sweep, rock_values, with_drive_speed
 from vibrojax.input.names import CHOICES, DEFAULT_STARTS, Names, read_names, take_options
 from vibrojax.input.plausible import warn_if_far
-from vibrojax.input.points import Points, read_points
+from vibrojax.input.points import VECTOR, Points, read_points
 from vibrojax.input.run_settings import RunSettings, read_settings
 from vibrojax.input.source import Source, read_source
 from vibrojax.input.values import as_table
@@ -55,7 +55,9 @@ def read_sweep(source: str | PathLike[str] | Mapping[str, object], changes: Iter
         homes[name] = home
     check_drive_speed(homes)
     starts = _read_starts(place.at("starts"), tables.get("starts"), names)
-    point_starts = points.starts if points else None
+    point_starts, vectors = (points.starts, points.vectors) if points else (None, None)
+    if vectors:
+        vectors = {name: vectors[name] for name in (f"{VECTOR}{state}" for state in names.system.start_states)}
     sweep = Sweep(
         name=found.name,
         text=found.text,
@@ -63,12 +65,13 @@ def read_sweep(source: str | PathLike[str] | Mapping[str, object], changes: Iter
         scene=names.scene,
         options=dict(names.options),
         system=names.system,
-        starts=tuple(dict.fromkeys(point_starts)) if point_starts else starts,
+        starts=None if vectors else tuple(dict.fromkeys(point_starts)) if point_starts else starts,
         parameters=_complete(fixed, varied, names),
         given=fixed,
         axes=axes,
         points=points.columns if points else None,
         point_starts=point_starts,
+        point_vectors=vectors,
         run=read_settings(place.at("run"), as_table(place.at("run"), tables.get("run", {}))),
         file=found.file,
     )
