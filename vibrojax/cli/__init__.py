@@ -8,18 +8,20 @@ import os
 import signal
 import sys
 import warnings
-from argparse import ArgumentParser
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import NoReturn, TextIO
 
 from vibrojax.cli import accuracy, fit, info, plot, reproduce, scenes, simulate, sweep
 from vibrojax.cli._command import Command, Options
+from vibrojax.cli._complete import complete
 from vibrojax.errors import InputError
 from vibrojax.progress import end_lines
 from vibrojax.store.provenance import package_version
 from vibrojax.threads import in_own_thread
 from vibrojax.timings import LOG, timed
+from vibrojax.words import glossary
 
 DONE, FAILED, BAD_INPUT, INTERRUPTED, PIPE_CLOSED, TERMINATED = 0, 1, 2, 130, 141, 143
 
@@ -73,7 +75,9 @@ def main(argv: Sequence[str] | None = None, do: Callable[[Callable[[], None]], o
     """
     options = Options()
     try:
-        _parser().parse_args(argv, options)
+        parser = _parser()
+        complete(parser)
+        parser.parse_args(argv, options)
         if options.version:
             print(f"vibrojax {package_version()}")
         elif options.command is None:
@@ -103,7 +107,14 @@ def main(argv: Sequence[str] | None = None, do: Callable[[Callable[[], None]], o
 
 def _parser() -> ArgumentParser:
     description = "Simulate a self-exciting percussive-rotary drill: maps over parameters, single points, pictures."
-    parser = _Parser(prog="vibrojax", description=description, allow_abbrev=False)
+    words = f"words that stand in what is printed:\n{glossary()}"
+    parser = _Parser(
+        prog="vibrojax",
+        description=description,
+        epilog=words,
+        allow_abbrev=False,
+        formatter_class=RawDescriptionHelpFormatter,
+    )
     parser.add_argument("--version", action="store_true", help="print the version")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND")
     for name, command in _COMMANDS.items():

@@ -11,10 +11,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vibrojax.cli._command import Options
+from vibrojax.cli._complete import files, with_completer
 from vibrojax.cli._json import HELP, from_json, numbers, print_json
 from vibrojax.cli._output import dataset_written, draw, output, picture_beside
 from vibrojax.errors import InputError
 from vibrojax.timings import timed
+from vibrojax.words import WORDS
 
 if TYPE_CHECKING:
     import xarray
@@ -24,7 +26,14 @@ _GROUPS_SHOWN = 12
 
 def arguments(parser: ArgumentParser) -> None:
     """Add the command's arguments to `parser`."""
-    parser.add_argument("file", metavar="FILE", nargs="?", help="a sweep's .nc, or a CSV: relief,rate_of_penetration")
+    file = parser.add_argument(
+        "file",
+        metavar="FILE",
+        nargs="?",
+        help="a sweep's .nc, or a CSV with columns relief (P/D, mean force over the force at which the rock yields) "
+        "and rate_of_penetration, or others that --columns names",
+    )
+    with_completer(file, files(".nc", ".csv"))
     parser.add_argument("--along", metavar="AXIS", help="the axis to fit along (frequency, else v; of a CSV: its rows)")
     parser.add_argument(
         "--columns",
@@ -64,7 +73,17 @@ def run(options: Options) -> None:
     taken = columns_lines(fit.attrs.get("columns", ""))
     before = [*taken, ""] if taken and not options.quiet else []
     after = [] if options.quiet else [f"{out}{drawn}"]
-    print("\n".join([*before, *tables(fit), "", *verdict(fit), *after]))
+    print("\n".join([*before, *tables(fit), "", *_legend(fit), "", *verdict(fit), *after]))
+
+
+def _legend(fit: "xarray.Dataset") -> list[str]:
+    """What stands in the table."""
+    lane = "a row of the CSV" if "columns" in fit.attrs else WORDS["lane"]
+    return [
+        f"forms of the rate of penetration: {fit.attrs['formulas']}",
+        f"eta: the relief P/D, {WORDS['relief P/D']}; eta0: where it begins; a lane: {lane}",
+        "AIC: by how much a form describes the data better (lower is better, by 2 or more clearly so)",
+    ]
 
 
 def _facts(fit: "xarray.Dataset", file: str, out: Path, picture: Path | None) -> dict[str, object]:

@@ -8,10 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from vibrojax.cli._command import Options
+from vibrojax.cli._complete import files, with_completer
 from vibrojax.cli._facts import facts
 from vibrojax.cli._found import found_lines
 from vibrojax.cli._json import HELP, flags, print_json
 from vibrojax.timings import timed
+from vibrojax.words import WORDS
 
 if TYPE_CHECKING:
     import xarray
@@ -23,7 +25,8 @@ _ACCEPTED = 1e-4
 
 def arguments(parser: ArgumentParser) -> None:
     """Add the command's arguments to `parser`."""
-    parser.add_argument("file", metavar="OUT.nc", help="a dataset written by vibrojax")
+    file = parser.add_argument("file", metavar="OUT.nc", help="a dataset written by vibrojax")
+    with_completer(file, files(".nc"))
     parser.add_argument("--json", action="store_true", help=HELP)
 
 
@@ -47,7 +50,7 @@ def describe(dataset: "xarray.Dataset") -> list[str]:
     lines = [(name, [str(attributes[name])]) for name in ("title", "scene") if attributes.get(name)]
     lines.append(("grid", _grid(dataset)))
     if "lanes" in attributes:
-        lines.append(("lanes", [str(attributes["lanes"])]))
+        lines.append(("lanes", [f"{attributes['lanes']} (a lane: {WORDS['lane']})"]))
     lines.append(("friction", [str(attributes[name]) for name in ("friction",) if name in attributes]))
     lines.append(("fixed", _fixed(attributes)))
     lines.append(("run", _times(attributes.get("run", ""))))

@@ -4,13 +4,15 @@ from argparse import ArgumentParser
 from pathlib import Path
 
 from vibrojax.cli._command import Options
+from vibrojax.cli._complete import files, with_completer
 from vibrojax.cli._output import PICTURES, output, picture_beside
 from vibrojax.timings import timed
 
 
 def arguments(parser: ArgumentParser) -> None:
     """Add the command's arguments to `parser`."""
-    parser.add_argument("file", metavar="OUT.nc", help="a dataset written by vibrojax")
+    file = parser.add_argument("file", metavar="OUT.nc", help="a dataset written by vibrojax")
+    with_completer(file, files(".nc"))
     parser.add_argument("-o", dest="out", metavar="PICTURE.png", help="where to draw (OUT.png beside OUT.nc)")
 
 

@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from vibrojax.cli._command import Options
+from vibrojax.cli._complete import scenes, with_completer
+from vibrojax.cli._complete import values as complete_values
 from vibrojax.cli._facts import found
 from vibrojax.cli._found import found_lines
 from vibrojax.cli._json import HELP, from_json, print_json
@@ -22,20 +24,23 @@ if TYPE_CHECKING:
 # Settings of the run, which are no parameters of a scene.
 _TEXTS = ("method", "solver")
 _NUMBERS = ("duration", "error", "sampling", "step", "smoothing")
+SETTINGS = ("start", *_TEXTS, *_NUMBERS)
 
 
 def arguments(parser: ArgumentParser) -> None:
     """Add the command's arguments to `parser`."""
-    parser.add_argument(
+    scene = parser.add_argument(
         "scene", metavar="SCENE", help="rotary, vibro-impact, penetration, drilling or coupled-drilling"
     )
-    parser.add_argument(
+    with_completer(scene, scenes)
+    values = parser.add_argument(
         "values",
         metavar="NAME=VALUE",
         nargs="*",
         help="a parameter; friction; start (a name, or [x1,x1',x2,x2']); duration, sampling, error, method, solver, "
         "step, smoothing",
     )
+    with_completer(values, complete_values)
     parser.add_argument("-o", dest="out", metavar="OUT.nc", help="where to write (SCENE.nc in this folder)")
     parser.add_argument("--fresh", action="store_true", help="replace OUT, whatever it holds")
     parser.add_argument("--json", action="store_true", help=HELP)
@@ -104,7 +109,7 @@ def read_values(place: Place, words: list[str]) -> tuple[dict[str, object], dict
             raise place.error(f"{shown(word)} is no NAME=VALUE; write one, like beta=0.4")
         if name in settings or name in parameters:
             raise place.at(name).error(f"{shown(text)} is a second value; give one")
-        home = settings if name in ("start", *_TEXTS, *_NUMBERS) else parameters
+        home = settings if name in SETTINGS else parameters
         home[name] = _value(place.at(name), text.strip())
     return settings, parameters
 
