@@ -162,7 +162,7 @@ def test_words_are_explained_where_they_are_printed(here, capsys):
 def test_what_may_stand_there_is_told(here):
     parsed = Namespace(scene="vibro-impact", values=["beta=0.4"])
     assert scenes("vi") == ["vibro-impact"] and sweeps("regime") == ["regime-map"] and sweeps("m") == ["map.toml"]
-    assert files(".nc")("map") == ["map.nc"] and files(".nc")(f"{here}/map") == [f"{here}/map.nc"]
+    assert files(".nc")("map.") == ["map.nc"] and files(".nc")(f"{here}/map.") == [f"{here}/map.nc"]
     assert files(".nc")("/no/such/folder/") == []
     assert values("b", parsed) == ["bit_radius="]  # beta is there already
     assert values("start=", parsed) == ["start=drive", "start=stuck", "start=touching"]
