@@ -101,7 +101,7 @@ def test_sweep_runs_then_draws(calls, capsys):
     (sweep, out), named = calls.of("run_to_file")
     assert sweep.lanes == 4 and out == Path("map.nc") and named == {"resume": True, "progress": True}
     assert calls.of("save_picture")[0][1] == Path("map.png")
-    assert capsys.readouterr().out == "map.nc: 4 lanes; picture map.png\n"
+    assert capsys.readouterr().out == "map.nc: 4 lanes (a point from one start each); picture map.png\n"
 
 
 def test_sweep_options(calls, capsys, tmp_path):

@@ -43,6 +43,6 @@ def test_the_command(capsys):
     assert main(["scenes", "rotary"]) == 0
     text = capsys.readouterr().out
     assert text == scene_text("rotary") + "\n"
-    assert "  gamma       γ     0.75    1        above 0     frequency ratio w2/w1\n" in text
+    assert "  gamma       γ     0.75    1        above 0     0.15 to 15      frequency ratio w2/w1\n" in text
     assert main(["scenes", "rotry"]) == 2
     assert capsys.readouterr().err == 'vibrojax: scenes: "rotry" is unknown; did you mean "rotary"?\n'

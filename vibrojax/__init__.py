@@ -26,6 +26,7 @@ _HOMES = {
     "picture": "vibrojax.plot",
     "save_picture": "vibrojax.plot",
     "InputError": "vibrojax.errors",
+    "UnusualValue": "vibrojax.input.plausible",
     "list_scenes": "vibrojax.reference",
     "list_parameters": "vibrojax.reference",
     "list_variables": "vibrojax.reference",

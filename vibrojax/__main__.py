@@ -1,3 +1,4 @@
+# PYTHON_ARGCOMPLETE_OK
 """`python -m vibrojax` is the command `vibrojax`."""
 
 from vibrojax.cli import command

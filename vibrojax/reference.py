@@ -14,18 +14,20 @@ from vibrojax.devices import precision
 from vibrojax.errors import Place
 from vibrojax.input.names import Names, read_names
 from vibrojax.input.offered import enter_offered
+from vibrojax.input.points import VECTOR
 from vibrojax.input.run_settings import MEANINGS, RunSettings
 from vibrojax.measure import gauge_named, recorder_for
 from vibrojax.measure.run import Effort, run_block
 from vibrojax.physics.friction import FRICTION_LAWS
 from vibrojax.physics.parameters import ROTATION, Parameter
 from vibrojax.physics.rock import ROCKS
-from vibrojax.scenes import SCENES, HasFriction, Scene
+from vibrojax.scenes import SCENES, HasFriction, HasRock, Scene
 from vibrojax.scenes.penetration import PULSE_SHAPES
 from vibrojax.stepping import Wanted, stepper_named
 from vibrojax.store.variables import VARIABLES, Variable
+from vibrojax.words import glossary
 
-COLUMNS = ["symbol", "default", "units", "range", "meaning", "where"]
+COLUMNS = ["symbol", "default", "units", "range", "usual", "meaning", "where"]
 
 
 def list_scenes() -> pd.DataFrame:
@@ -41,8 +43,9 @@ def list_scenes() -> pd.DataFrame:
 def list_parameters(scene: str | Scene[Any]) -> pd.DataFrame:
     """The parameters of a scene by name, with those that stand for others, and those of every friction law.
 
-    The columns are `symbol`, `default`, `units`, `range`, `meaning` and `where`: with which friction law or shape of
-    pulses it goes; empty where it is there always.
+    The columns are `symbol`, `default`, `units`, `range` (what is admissible), `usual` (what the source and rigs have;
+    a value far from that is warned of), `meaning` and `where`: with which friction law or shape of pulses it goes;
+    empty where it is there always.
 
     **Raises:** `InputError` where there is no such scene.
     """
@@ -87,18 +90,27 @@ def scene_text(scene: str) -> str:
     parts = [f"{system.name}: {_summary(type(system))}"]
     starts = f"starts: {', '.join(system.starts)}"
     if system.start_states:
-        starts += f", or a vector [{', '.join(system.start_states)}]"
+        states = ", ".join(f"{VECTOR}{state}" for state in system.start_states)
+        starts += f", or a vector [{', '.join(system.start_states)}]; in a list of points: columns {states}"
     parts.append(starts if system.starts else "starts: always the same")
     if names.has_rock:
         rocks = (f"{name} ({one.threshold / 1e3:g} kN, {one.k3 / 1e6:g} MN/m)" for name, one in ROCKS.items())
         parts.append(f"rock, in place of threshold and k3: {', '.join(rocks)}")
     for title, table in (
-        ("parameters", list_parameters(scene)),
+        ("parameters: symbol, default, unit, admissible, usual on rigs, meaning", list_parameters(scene)),
         ("variables", list_variables(scene)),
         ("settings, in [run]", list_settings()),
     ):
         parts.append(f"{title}\n{_aligned(table)}")
+    parts.append("words\n" + glossary(*_words(system)))
     return "\n\n".join(parts)
+
+
+def _words(scene: Scene[Any]) -> list[str]:
+    """The words that a scene's tables use."""
+    returns = ["section", "return", "regime"] if scene.section is not None else []
+    relief = ["relief P/D"] if isinstance(scene, HasRock) else []
+    return ["lane", *returns, *relief, "reading R1, R2, ..."]
 
 
 def _aligned(table: pd.DataFrame) -> str:
@@ -124,6 +136,7 @@ def _row(parameter: Parameter) -> dict[str, Any]:
         "default": parameter.default,
         "units": parameter.unit,
         "range": _range(parameter),
+        "usual": "" if parameter.usual is None else " to ".join(f"{end:g}" for end in parameter.usual),
         "meaning": parameter.long_name,
     }
 

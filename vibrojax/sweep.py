@@ -5,6 +5,7 @@ The road of the data: a sweep file is read and checked (`input`); its lanes go i
 which the store writes whole or not at all, its finished chunks kept meanwhile.
 """
 
+import json
 import time
 import warnings
 from collections.abc import Iterator, Mapping
@@ -28,6 +29,7 @@ from vibrojax.store.finished import check_replaceable
 from vibrojax.store.provenance import provenance
 from vibrojax.store.shards import DamagedShard, Shards, report_damage
 from vibrojax.store.variables import VARIABLES
+from vibrojax.timings import LOG, timed
 
 SECONDS_PER_STEP = 0.15e-6
 STEPS_PER_SECOND = 120.0
@@ -52,7 +54,7 @@ def run_sweep(source: str | PathLike[str] | Mapping[str, object] | Sweep, progre
     began = time.monotonic()
     chunks = Chunks(sweep)
     shown = Progress(sweep.lanes, "lanes", progress)
-    with shown:
+    with shown, timed("compile and step"):
         parts = [_computed(chunks, index, shown.add) for index in range(chunks.count)]
     return _assembled(sweep, chunks, parts, time.monotonic() - began)
 
@@ -80,13 +82,15 @@ def run_to_file(sweep: Sweep, out: Path, resume: bool = True, progress: bool = T
         shards.open(resume)
         finished = shards.finished()
         shown.resume(sum(chunks.width(index) for index in finished))
-        for index in sorted(set(range(chunks.count)) - finished):
-            shards.write(index, _timed(chunks, index, shown.add))
+        with timed("compile and step"):
+            for index in sorted(set(range(chunks.count)) - finished):
+                shards.write(index, _timed(chunks, index, shown.add))
         parts = [_read_or_compute(shards, chunks, index) for index in range(chunks.count)]
         seconds = [float(part.pop("seconds")) for part in parts]
         # Also what an interrupted run took; what lies between the runs does not count.
         dataset = _assembled(sweep, chunks, parts, max(sum(seconds), time.monotonic() - began))
-        write_dataset(dataset, out)
+        with timed("write"):
+            write_dataset(dataset, out)
         shards.remove()
     return dataset
 
@@ -147,6 +151,7 @@ def _assembled(sweep: Sweep, chunks: Chunks, parts: list[Features], wall_time: f
         "steps": int(features["steps"].sum()),
         **chunks.accuracy.described(),
     }
+    LOG.info("chosen: %s, %d chunks of %d lanes", json.dumps(solver), chunks.count, chunks.size)
     with _quiet():
         return dataset_of(sweep, features, solver, wall_time)
 

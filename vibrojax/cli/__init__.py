@@ -3,20 +3,25 @@
 Nothing heavy is imported until a command runs, so that `--help` answers at once.
 """
 
+import logging
 import os
 import signal
 import sys
 import warnings
-from argparse import ArgumentParser
-from collections.abc import Callable, Sequence
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import NoReturn, TextIO
 
 from vibrojax.cli import accuracy, fit, info, plot, reproduce, scenes, simulate, sweep
 from vibrojax.cli._command import Command, Options
+from vibrojax.cli._complete import complete
 from vibrojax.errors import InputError
 from vibrojax.progress import end_lines
 from vibrojax.store.provenance import package_version
 from vibrojax.threads import in_own_thread
+from vibrojax.timings import LOG, timed
+from vibrojax.words import glossary
 
 DONE, FAILED, BAD_INPUT, INTERRUPTED, PIPE_CLOSED, TERMINATED = 0, 1, 2, 130, 141, 143
 
@@ -70,14 +75,17 @@ def main(argv: Sequence[str] | None = None, do: Callable[[Callable[[], None]], o
     """
     options = Options()
     try:
-        _parser().parse_args(argv, options)
+        parser = _parser()
+        complete(parser)
+        parser.parse_args(argv, options)
         if options.version:
             print(f"vibrojax {package_version()}")
         elif options.command is None:
             raise InputError(f"no command; choose from {', '.join(_COMMANDS)}, or see vibrojax --help")
         else:
             command = _COMMANDS[options.command]
-            do(lambda: command.run(options))
+            with _verbosely(options):
+                do(lambda: command.run(options))
         sys.stdout.flush()
         return DONE
     except SystemExit as leaving:  # --help
@@ -99,13 +107,47 @@ def main(argv: Sequence[str] | None = None, do: Callable[[Callable[[], None]], o
 
 def _parser() -> ArgumentParser:
     description = "Simulate a self-exciting percussive-rotary drill: maps over parameters, single points, pictures."
-    parser = _Parser(prog="vibrojax", description=description, allow_abbrev=False)
+    words = f"words that stand in what is printed:\n{glossary()}"
+    parser = _Parser(
+        prog="vibrojax",
+        description=description,
+        epilog=words,
+        allow_abbrev=False,
+        formatter_class=RawDescriptionHelpFormatter,
+    )
     parser.add_argument("--version", action="store_true", help="print the version")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND")
     for name, command in _COMMANDS.items():
         summary = str(command.__doc__).splitlines()[0].rstrip(".")
-        command.arguments(commands.add_parser(name, help=summary, description=summary, allow_abbrev=False))
+        own = commands.add_parser(name, help=summary, description=summary, allow_abbrev=False)
+        command.arguments(own)
+        loudness = own.add_mutually_exclusive_group()
+        loudness.add_argument(
+            "--quiet", action="store_true", help="print only errors, warnings and the result that was asked for"
+        )
+        loudness.add_argument(
+            "--verbose", action="store_true", help="say on stderr what was chosen, and how long each part took"
+        )
     return parser
+
+
+@contextmanager
+def _verbosely(options: Options) -> Iterator[None]:
+    """Show on stderr what the package logs, if that is asked for, and how long the command took."""
+    if not options.verbose:
+        yield
+        return
+    handler = logging.StreamHandler()
+    handler.setFormatter(logging.Formatter("vibrojax: %(message)s"))
+    level = LOG.level
+    LOG.addHandler(handler)
+    LOG.setLevel(logging.INFO)
+    try:
+        with timed("all together"):
+            yield
+    finally:
+        LOG.removeHandler(handler)
+        LOG.setLevel(level)
 
 
 def _terminate(*_: object) -> None:

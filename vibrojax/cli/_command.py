@@ -9,6 +9,8 @@ class Options(Namespace):
 
     command: str | None = None
     version: bool = False
+    quiet: bool = False
+    verbose: bool = False
     how_to_resume: str = ""
     """How to go on after an interrupt, as it is said then; a command sets it as it goes."""
 

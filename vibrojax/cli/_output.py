@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from vibrojax.cli._command import Options
 from vibrojax.errors import InputError, shown
+from vibrojax.timings import timed
 
 if TYPE_CHECKING:
     import xarray
@@ -59,7 +60,8 @@ def draw(dataset: "xarray.Dataset", picture: Path) -> str:
     from vibrojax.plot import save_picture
 
     try:
-        save_picture(dataset, picture)
+        with timed("draw"):
+            save_picture(dataset, picture)
     except InputError as nothing:  # the dataset is written, and that is what was asked for
         print(f"no picture: {nothing}", file=sys.stderr)
         return ""

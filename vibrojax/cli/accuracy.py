@@ -18,7 +18,6 @@ def arguments(parser: ArgumentParser) -> None:
     """Add the command's arguments to `parser`."""
     parser.add_argument("-o", dest="out", metavar="DIR", default="accuracy", help="the folder to write to (accuracy)")
     parser.add_argument("--quick", action="store_true", help="few settings of two scenes, to see that it works")
-    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
 
 
 def run(options: Options) -> None:

@@ -11,7 +11,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vibrojax.cli._command import Options
+from vibrojax.cli._complete import files, with_completer
+from vibrojax.cli._json import HELP, from_json, numbers, print_json
 from vibrojax.cli._output import dataset_written, draw, output, picture_beside
+from vibrojax.errors import InputError
+from vibrojax.timings import timed
+from vibrojax.words import WORDS
 
 if TYPE_CHECKING:
     import xarray
@@ -21,24 +26,90 @@ _GROUPS_SHOWN = 12
 
 def arguments(parser: ArgumentParser) -> None:
     """Add the command's arguments to `parser`."""
-    parser.add_argument("file", metavar="FILE", help="a sweep's .nc, or a CSV: relief,rate_of_penetration")
+    file = parser.add_argument(
+        "file",
+        metavar="FILE",
+        nargs="?",
+        help="a sweep's .nc, or a CSV with columns relief (P/D, mean force over the force at which the rock yields) "
+        "and rate_of_penetration, or others that --columns names",
+    )
+    with_completer(file, files(".nc", ".csv"))
     parser.add_argument("--along", metavar="AXIS", help="the axis to fit along (frequency, else v; of a CSV: its rows)")
+    parser.add_argument(
+        "--columns",
+        metavar="NAME=COLUMN",
+        nargs="+",
+        action="extend",
+        help="of a CSV: which column is what, in which unit, like "
+        'rate_of_penetration="ROP (m/h)" mean_force="WOB (kN)", or one value for all rows, like threshold="150 kN"',
+    )
     parser.add_argument("--by", metavar="COLUMN", action="append", help="of a CSV: fit the rows of each of its values")
+    parser.add_argument("--json", action="store_true", help=HELP)
     parser.add_argument("-o", dest="out", metavar="FIT.nc", help="where to write (FILE-fit.nc in this folder)")
 
 
 def run(options: Options) -> None:
     """Run the command."""
+    words = list(options.columns or [])
+    if options.file is None and words and "=" not in words[-1]:
+        options.file = words.pop()  # it may stand behind the columns too
+    if options.file is None:
+        raise InputError("fit: the following arguments are required: FILE; see vibrojax fit --help")
     out = output(options.out or f"{Path(options.file).stem}-fit.nc")
     picture = picture_beside(out)
     from vibrojax.laws import fit_rop, verdict
+    from vibrojax.laws._columns import columns_lines, read_columns
     from vibrojax.store.dataset import write_dataset
 
-    fit = fit_rop(options.file, options.along, options.by or (), progress=False)
-    write_dataset(fit, out)
+    with timed("read and fit"):
+        fit = fit_rop(options.file, options.along, options.by or (), progress=False, columns=read_columns(words))
+    with timed("write"):
+        write_dataset(fit, out)
     dataset_written(options, out)
     drawn = draw(fit, picture)
-    print("\n".join([*tables(fit), "", *verdict(fit), f"{out}{drawn}"]))
+    if options.json:
+        print_json(_facts(fit, options.file, out, picture if drawn else None))
+        return
+    taken = columns_lines(fit.attrs.get("columns", ""))
+    before = [*taken, ""] if taken and not options.quiet else []
+    after = [] if options.quiet else [f"{out}{drawn}"]
+    print("\n".join([*before, *tables(fit), "", *_legend(fit), "", *verdict(fit), *after]))
+
+
+def _legend(fit: "xarray.Dataset") -> list[str]:
+    """What stands in the table."""
+    lane = "a row of the CSV" if "columns" in fit.attrs else WORDS["lane"]
+    return [
+        f"forms of the rate of penetration: {fit.attrs['formulas']}",
+        f"eta: the relief P/D, {WORDS['relief P/D']}; eta0: where it begins; a lane: {lane}",
+        "AIC: by how much a form describes the data better (lower is better, by 2 or more clearly so)",
+    ]
+
+
+def _facts(fit: "xarray.Dataset", file: str, out: Path, picture: Path | None) -> dict[str, object]:
+    """What `--json` prints: of each group its coordinates, and of each form its coefficients and why one is null."""
+    import numpy as np
+
+    from vibrojax.laws import table, verdict
+
+    names, _ = table(fit, "aic")
+    dims = [dim for dim in fit["aic"].dims if dim != "form"]
+    where = list(np.ndindex(*(fit.sizes[dim] for dim in dims)))
+    groups = []
+    for name, index in zip(names, where, strict=True):
+        one = fit.isel(dict(zip(dims, index, strict=True)))
+        coordinates = {str(c): one[c].item() for c in one.coords if one[c].ndim == 0}
+        forms = {str(form): numbers(one.sel(form=form), [str(v) for v in fit.data_vars]) for form in fit["form"].values}
+        groups.append({"name": name, "coordinates": coordinates, "forms": forms})
+    return {
+        "file": file,
+        "along": fit.attrs["along"],
+        "columns": from_json(fit.attrs, "columns"),
+        "groups": groups,
+        "verdict": verdict(fit),
+        "dataset": str(out),
+        "picture": None if picture is None else str(picture),
+    }
 
 
 def tables(fit: "xarray.Dataset") -> list[str]:

@@ -8,6 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from vibrojax.cli._command import Options
+from vibrojax.cli._complete import files, with_completer
+from vibrojax.cli._facts import facts
+from vibrojax.cli._found import found_lines
+from vibrojax.cli._json import HELP, flags, print_json
+from vibrojax.timings import timed
+from vibrojax.words import WORDS
 
 if TYPE_CHECKING:
     import xarray
@@ -19,28 +25,38 @@ _ACCEPTED = 1e-4
 
 def arguments(parser: ArgumentParser) -> None:
     """Add the command's arguments to `parser`."""
-    parser.add_argument("file", metavar="OUT.nc", help="a dataset written by vibrojax")
+    file = parser.add_argument("file", metavar="OUT.nc", help="a dataset written by vibrojax")
+    with_completer(file, files(".nc"))
+    parser.add_argument("--json", action="store_true", help=HELP)
 
 
 def run(options: Options) -> None:
     """Run the command."""
     from vibrojax.store.dataset import open_dataset
 
-    with open_dataset(Path(options.file)) as dataset:
+    with timed("read"):
+        dataset = open_dataset(Path(options.file))
+    if options.json:
+        print_json(facts(dataset, options.file))
+    else:
         print("\n".join(describe(dataset)))
 
 
 def describe(dataset: "xarray.Dataset") -> list[str]:
     """The lines that tell what `dataset` holds; what it lacks is left out."""
+    from vibrojax.laws._columns import columns_lines
+
     attributes = dataset.attrs
     lines = [(name, [str(attributes[name])]) for name in ("title", "scene") if attributes.get(name)]
     lines.append(("grid", _grid(dataset)))
     if "lanes" in attributes:
-        lines.append(("lanes", [str(attributes["lanes"])]))
+        lines.append(("lanes", [f"{attributes['lanes']} (a lane: {WORDS['lane']})"]))
     lines.append(("friction", [str(attributes[name]) for name in ("friction",) if name in attributes]))
     lines.append(("fixed", _fixed(attributes)))
     lines.append(("run", _times(attributes.get("run", ""))))
+    lines.append(("columns", columns_lines(attributes["columns"]) if "columns" in attributes else []))
     lines += [
+        ("found", found_lines(dataset)),
         ("regimes", _regimes(dataset) + _hidden(dataset)),
         ("failures", _failures(dataset)),
         ("accuracy", _accuracy(dataset) + _flips(dataset)),
@@ -99,20 +115,12 @@ def _dimension(dataset: "xarray.Dataset", name: Hashable, size: int) -> str:
     return f"{name}: {values[0]:g} to {values[-1]:g}{'' if unit == '1' else f' {unit}'} ({size})"
 
 
-def _flags(variable: "xarray.DataArray") -> dict[int, str]:
-    """Value and meaning of each flag, by CF's attributes."""
-    import numpy as np
-
-    values = np.atleast_1d(variable.attrs.get("flag_values", [])).tolist()
-    return dict(zip(values, str(variable.attrs.get("flag_meanings", "")).split(), strict=False))
-
-
 def _regimes(dataset: "xarray.Dataset") -> list[str]:
-    if "regime" not in dataset:
+    if "regime" not in dataset or "time" in dataset.dims:
         return []
     regime = dataset["regime"]
     total = max(regime.size, 1)
-    counted = [(meaning, int((regime.values == value).sum())) for value, meaning in _flags(regime).items()]
+    counted = [(meaning, int((regime.values == value).sum())) for value, meaning in flags(regime).items()]
     return [f"{meaning:<14}{count:>9}{100 * count / total:>7.1f} %" for meaning, count in counted if count]
 
 
@@ -128,8 +136,8 @@ def _failures(dataset: "xarray.Dataset") -> list[str]:
     """How many lanes failed, and of each reason how many and the first few."""
     import numpy as np
 
-    if "regime" in dataset:
-        failing = [value for value, meaning in _flags(dataset["regime"]).items() if meaning == "failed"]
+    if "regime" in dataset and "time" not in dataset.dims:
+        failing = [value for value, meaning in flags(dataset["regime"]).items() if meaning == "failed"]
         mask = dataset["regime"].isin(failing)
     elif "status" in dataset:
         mask = dataset["status"] != 0
@@ -138,7 +146,7 @@ def _failures(dataset: "xarray.Dataset") -> list[str]:
     lines = [str(int(mask.sum()))]
     reasoned = "reason" in dataset and dataset["reason"].dims == mask.dims
     reasons = dataset["reason"].values if reasoned else np.zeros(mask.shape, int)
-    meanings = _flags(dataset["reason"]) if reasoned else {}
+    meanings = flags(dataset["reason"]) if reasoned else {}
     for reason in np.unique(reasons[mask.values]).tolist():
         where = np.argwhere(mask.values & (reasons == reason))
         lines += [f"{len(where)} {meanings[reason]}"] if reason in meanings else []
@@ -150,7 +158,7 @@ def _failure(dataset: "xarray.Dataset", dims: tuple[Hashable, ...], index: list[
     point = dataset.isel(dict(zip(dims, index, strict=True)))
     names = [name for name in point.coords if point[name].ndim == 0]
     values = [f"{name}={_number(point[name].item())}" for name in names]
-    reason = _flags(point["reason"]).get(point["reason"].item()) if "reason" in point else None
+    reason = flags(point["reason"]).get(point["reason"].item()) if "reason" in point else None
     return "at " + " ".join(values) + (f": {reason}" if reason else "")
 
 

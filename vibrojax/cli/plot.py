@@ -5,13 +5,16 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from vibrojax.cli._command import Options
+from vibrojax.cli._complete import files, with_completer
 from vibrojax.cli._output import PICTURES, output, picture_beside
 from vibrojax.errors import InputError, shown
+from vibrojax.timings import timed
 
 
 def arguments(parser: ArgumentParser) -> None:
     """Add the command's arguments to `parser`."""
-    parser.add_argument("file", metavar="OUT.nc", help="a dataset written by vibrojax")
+    file = parser.add_argument("file", metavar="OUT.nc", help="a dataset written by vibrojax")
+    with_completer(file, files(".nc"))
     parser.add_argument("-o", dest="out", metavar="PICTURE.png", help="where to draw (OUT.png beside OUT.nc)")
     parser.add_argument(
         "--variable",
@@ -35,12 +38,16 @@ def run(options: Options) -> None:
     from vibrojax.store.dataset import open_dataset
 
     path, where = Path(options.file), _values(options.where or ())
-    with open_dataset(path) as dataset:
+    with timed("read"):
+        dataset = open_dataset(path)
+    with dataset:
         picture = output(options.out, PICTURES) if options.out else picture_beside(path)
         from vibrojax.plot import save_picture
 
-        save_picture(dataset, picture, options.variable, where, options.colours)
-    print(picture)
+        with timed("draw"):
+            save_picture(dataset, picture, options.variable, where, options.colours)
+    if not options.quiet:
+        print(picture)
 
 
 def _values(words: Sequence[str]) -> dict[str, float | str]:

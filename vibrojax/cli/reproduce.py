@@ -16,7 +16,6 @@ def arguments(parser: ArgumentParser) -> None:
     """Add the command's arguments to `parser`."""
     parser.add_argument("-o", dest="out", metavar="DIR", default="reproduction", help="the folder (reproduction)")
     parser.add_argument("--quick", action="store_true", help="only what half a minute answers, to see that it works")
-    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
 
 
 def run(options: Options) -> None:

@@ -3,11 +3,13 @@
 from argparse import ArgumentParser
 
 from vibrojax.cli._command import Options
+from vibrojax.cli._complete import scenes, with_completer
 
 
 def arguments(parser: ArgumentParser) -> None:
     """Add the command's arguments to `parser`."""
-    parser.add_argument("scene", metavar="SCENE", nargs="?", help="one of them, in full")
+    scene = parser.add_argument("scene", metavar="SCENE", nargs="?", help="one of them, in full")
+    with_completer(scene, scenes)
 
 
 def run(options: Options) -> None:

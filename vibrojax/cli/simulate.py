@@ -1,38 +1,56 @@
 """Simulate one point: its trajectory as a dataset, and a picture beside it."""
 
 import json
+import warnings
 from argparse import ArgumentParser
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from vibrojax.cli._command import Options
+from vibrojax.cli._complete import scenes, with_completer
+from vibrojax.cli._complete import values as complete_values
+from vibrojax.cli._facts import found
+from vibrojax.cli._found import found_lines
+from vibrojax.cli._json import HELP, from_json, print_json
 from vibrojax.cli._output import dataset_written, draw, output, picture_beside
 from vibrojax.errors import Place, shown
+from vibrojax.timings import timed
+
+if TYPE_CHECKING:
+    import xarray
+
+    from vibrojax.input.point import Point
 
 # Settings of the run, which are no parameters of a scene.
 _TEXTS = ("method", "solver")
 _NUMBERS = ("duration", "error", "sampling", "step", "smoothing")
+SETTINGS = ("start", *_TEXTS, *_NUMBERS)
 
 
 def arguments(parser: ArgumentParser) -> None:
     """Add the command's arguments to `parser`."""
-    parser.add_argument(
+    scene = parser.add_argument(
         "scene", metavar="SCENE", help="rotary, vibro-impact, penetration, drilling or coupled-drilling"
     )
-    parser.add_argument(
+    with_completer(scene, scenes)
+    values = parser.add_argument(
         "values",
         metavar="NAME=VALUE",
         nargs="*",
         help="a parameter; friction; start (a name, or [x1,x1',x2,x2']); duration, sampling, error, method, solver, "
         "step, smoothing",
     )
+    with_completer(values, complete_values)
     parser.add_argument("-o", dest="out", metavar="OUT.nc", help="where to write (SCENE.nc in this folder)")
     parser.add_argument("--fresh", action="store_true", help="replace OUT, whatever it holds")
+    parser.add_argument("--json", action="store_true", help=HELP)
 
 
 def run(options: Options) -> None:
     """Run the command."""
     place = Place("simulate")
     settings, parameters = read_values(place, options.values)
+    from vibrojax.input.plausible import UnusualValue
     from vibrojax.input.point import read_point
 
     point = read_point(place, options.scene, parameters, settings.pop("start", None))
@@ -50,10 +68,34 @@ def run(options: Options) -> None:
     identity = {"scene": point.scene, **arguments}
     if not options.fresh:
         check_replaceable(out, identity)
-    dataset = simulate(point.scene, **arguments, progress=True).assign_attrs({IDENTITY: identity_text(identity)})
-    write_dataset(dataset, out)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UnusualValue)  # said above
+        dataset = simulate(point.scene, **arguments, progress=not options.quiet)
+    dataset = dataset.assign_attrs({IDENTITY: identity_text(identity)})
+    with timed("write"):
+        write_dataset(dataset, out)
     dataset_written(options, out)
-    print(f"{out}{draw(dataset, picture)}")
+    drawn = draw(dataset, picture)
+    if options.json:
+        print_json(_facts(dataset, point, out, picture if drawn else None))
+    elif not options.quiet:
+        print("\n".join([*found_lines(dataset), f"{out}{drawn}"]))
+
+
+def _facts(dataset: "xarray.Dataset", point: "Point", out: Path, picture: Path | None) -> dict[str, object]:
+    """What `--json` prints; `found` has the names of a sweep's variables, `run` says over which time they hold."""
+    return {
+        "scene": point.scene,
+        **point.options,
+        "start": point.start,
+        "parameters": point.parameters,
+        "duration": float(dataset["time"][-1]),
+        "run": from_json(dataset.attrs, "run"),
+        "found": found(dataset),
+        "solver": from_json(dataset.attrs, "solver"),
+        "dataset": str(out),
+        "picture": None if picture is None else str(picture),
+    }
 
 
 def read_values(place: Place, words: list[str]) -> tuple[dict[str, object], dict[str, object]]:
@@ -67,7 +109,7 @@ def read_values(place: Place, words: list[str]) -> tuple[dict[str, object], dict
             raise place.error(f"{shown(word)} is no NAME=VALUE; write one, like beta=0.4")
         if name in settings or name in parameters:
             raise place.at(name).error(f"{shown(text)} is a second value; give one")
-        home = settings if name in ("start", *_TEXTS, *_NUMBERS) else parameters
+        home = settings if name in SETTINGS else parameters
         home[name] = _value(place.at(name), text.strip())
     return settings, parameters
 

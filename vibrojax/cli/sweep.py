@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from vibrojax.amounts import size_text, time_text
 from vibrojax.cli._command import Options
+from vibrojax.cli._complete import sweeps, with_completer
 from vibrojax.cli._output import dataset_written, draw, output, picture_beside
 
 if TYPE_CHECKING:
@@ -14,7 +15,10 @@ if TYPE_CHECKING:
 
 def arguments(parser: ArgumentParser) -> None:
     """Add the command's arguments to `parser`."""
-    parser.add_argument("sweep", metavar="SWEEP", help="a bundled name, like regime-map, or the path of a TOML file")
+    sweep = parser.add_argument(
+        "sweep", metavar="SWEEP", help="a bundled name, like regime-map, or the path of a TOML file"
+    )
+    with_completer(sweep, sweeps)
     parser.add_argument("-o", dest="out", metavar="OUT.nc", help="where to write (NAME.nc in this folder)")
     parser.add_argument(
         "--set",
@@ -28,7 +32,6 @@ def arguments(parser: ArgumentParser) -> None:
     start.add_argument("--resume", action="store_true", help="go on with the finished chunks beside OUT (the default)")
     start.add_argument("--fresh", action="store_true", help="start over, and replace OUT whatever it holds")
     parser.add_argument("--dry-run", action="store_true", help="print lanes, memory, disk and time; compute nothing")
-    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
 
 
 def run(options: Options) -> None:
@@ -52,7 +55,8 @@ def run(options: Options) -> None:
     dataset_written(options, out)
     drawn = draw(dataset, picture)
     if not options.quiet:
-        print(f"{out}: {sweep.lanes} lanes{drawn}")
+        each = "a point from one start each" if sweep.starts or sweep.point_vectors else "a point each"
+        print(f"{out}: {sweep.lanes} lanes ({each}){drawn}")
 
 
 def _cost_lines(shape: tuple[int, ...], dims: tuple[str, ...], cost: "Cost") -> list[str]:

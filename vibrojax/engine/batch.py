@@ -89,7 +89,8 @@ class Engine:
     def start(self, first: int, end: int, accuracy: Accuracy) -> Batch:
         """The lanes from `first` to before `end`, at t = 0."""
         values, start = self.sweep.lane_values(first, end)
-        given = Given({name: x.astype(self._dtype) for name, x in values.items()}, start.astype(np.int32))
+        states = tuple(x.astype(self._dtype) for x in self.sweep.lane_vectors(first, end))
+        given = Given({name: x.astype(self._dtype) for name, x in values.items()}, start.astype(np.int32), states)
         none = np.zeros(end - first, self._dtype)
         # Counted in integers: float32 has no number after 2^24, at which such a lane would stay for ever.
         steps = np.zeros(end - first, np.int32)

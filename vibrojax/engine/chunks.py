@@ -18,6 +18,7 @@ from vibrojax.measure import recorder_for
 from vibrojax.measure.kept_returns import INTERVAL
 from vibrojax.progress import Portions
 from vibrojax.stepping import Accuracy, Stepper
+from vibrojax.timings import timed
 
 CHUNK = 2048
 """Lanes per chunk where the user does not say."""
@@ -103,7 +104,8 @@ class Chunks:
     def compile(self) -> None:
         """Compile the programs, once."""
         if not self._compiled:
-            self.engine.compile(self.accuracy)
+            with timed("compile"):
+                self.engine.compile(self.accuracy)
             self._compiled = True
 
     @property

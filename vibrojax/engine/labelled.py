@@ -1,17 +1,21 @@
 """From the features of lanes to the labelled dataset of a sweep."""
 
 import json
+from collections.abc import Mapping
 from datetime import UTC, datetime
+from typing import Any
 
 import numpy as np
 import xarray as xr
+from jaxtyping import Int8, Shaped
 
 from vibrojax.engine.validity import TOO_SLOW, TOO_STIFF, too_slow, too_stiff
 from vibrojax.input.definition import Sweep
+from vibrojax.input.points import VECTOR
 from vibrojax.label import LABELLED_BY, hides_another, label
 from vibrojax.measure import gauge_named
 from vibrojax.physics.parameters import ROTATION, Parameter, differing
-from vibrojax.scenes import HasFriction
+from vibrojax.scenes import HasFriction, Scene
 from vibrojax.store.finished import IDENTITY, identity_text
 from vibrojax.store.provenance import provenance
 from vibrojax.store.variables import REASONS, STATUSES, VARIABLES, Variable
@@ -29,7 +33,7 @@ def dataset_of(sweep: Sweep, features: dict, solver: dict, wall_time: float) -> 
     features = _finished(sweep, features)
     kept = {name: x for name, x in features.items() if x.ndim == 2}
     variables = {}
-    for name, variable in (VARIABLES | _measured_besides(sweep)).items():
+    for name, variable in (VARIABLES | measured_besides(sweep.system)).items():
         if name not in features:
             continue
         x, dims = features[name], (*sweep.dims, *(("return_index",) if name in kept else ()))
@@ -57,9 +61,9 @@ def dataset_of(sweep: Sweep, features: dict, solver: dict, wall_time: float) -> 
     return xr.Dataset(variables, _coordinates(sweep, kept), attributes)
 
 
-def _measured_besides(sweep: Sweep) -> dict[str, Variable]:
+def measured_besides(scene: Scene[Any]) -> dict[str, Variable]:
     """The variables that the scene's own gauges declare."""
-    gauges = (gauge for gauge in map(gauge_named, sweep.system.measures) if sweep.system.section is not None)
+    gauges = (gauge for gauge in map(gauge_named, scene.measures) if scene.section is not None)
     return {name: Variable(*about) for gauge in gauges for name, about in gauge.variables.items()}
 
 
@@ -91,13 +95,21 @@ def _finished(sweep: Sweep, features: dict) -> dict:
 def _labelled(sweep: Sweep, features: dict) -> dict:
     """The regime of every lane, and that by its check run."""
     values, _ = sweep.lane_values(0, sweep.lanes)
-    rest, m1, g, k1 = np.zeros((4, sweep.lanes)) + [[0.0], [0.0], [0.0], [1.0]]  # what does not slide is never at rest
-    if isinstance(sweep.system, HasFriction):
-        rest = np.asarray(sweep.system.friction.on_weight(0.0, values)) + np.zeros(sweep.lanes)
-        m1, g, k1 = (values[name] for name in ("m1", "g", "k1"))
     check = {name: features[f"check_{name}"] for name in LABELLED_BY if f"check_{name}" in features}
     both = {"regime": features, "check_regime": check}
-    return {name: label(lanes, rest, m1, g, k1) for name, lanes in both.items()}
+    return {name: regimes(sweep.system, values, lanes) for name, lanes in both.items()}
+
+
+def regimes(
+    scene: Scene[Any], values: Mapping[str, Shaped[np.ndarray, " lanes"]], features: Mapping[str, np.ndarray]
+) -> Int8[np.ndarray, " lanes"]:
+    """The regime of lanes of a scene, from all of its parameters and the features that decide it, each (lanes,)."""
+    lanes = len(features["cycles"])
+    rest, m1, g, k1 = np.zeros((4, lanes)) + [[0.0], [0.0], [0.0], [1.0]]  # what does not slide is never at rest
+    if isinstance(scene, HasFriction):
+        rest = np.asarray(scene.friction.on_weight(0.0, values)) + np.zeros(lanes)
+        m1, g, k1 = (values[name] for name in ("m1", "g", "k1"))
+    return label(features, rest, m1, g, k1)
 
 
 def _settings(sweep: Sweep) -> dict:
@@ -128,6 +140,10 @@ def _coordinates(sweep: Sweep, kept: dict) -> dict:
     found = {name: ((name,), axis, _described(parameters, name)) for name, axis in sweep.axes.items()}
     for name, column in (sweep.points or {}).items():
         found[name] = (("point",), column, _described(parameters, name))
+    for name, column in (sweep.point_vectors or {}).items():
+        state = sweep.system.states[sweep.system.place(name.removeprefix(VECTOR))]
+        about = {"units": state.unit, "long_name": f"{state.long_name} at t = 0"}
+        found[name] = (("point",), column, about)
     if sweep.points is not None or sweep.point_starts is not None:
         found["point"] = (("point",), np.arange(sweep.shape[0]), {"units": "1", "long_name": "number of the point"})
     about = {"units": "1", "long_name": "start of the motion"}

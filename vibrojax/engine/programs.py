@@ -26,10 +26,11 @@ class Kind(NamedTuple):
 
 
 class Given(NamedTuple):
-    """Parameters by name, and which of the starts, of each lane (lanes,)."""
+    """Parameters by name, and which of the starts, of each lane (lanes,); or the states of a start of its own."""
 
     parameters: dict[str, Lanes]
     start: Counts
+    states: tuple[Lanes, ...] = ()
 
 
 class Programs(ABC):
@@ -71,7 +72,7 @@ class Programs(ABC):
 def start_lanes(kind: Kind, given: Given) -> tuple[Lane, Any]:
     """(lane, what its recorder carries) at t = 0."""
     constants = kind.scene.constants(given.parameters)
-    return start_block(kind.scene, kind.recorder, constants, _state(kind, constants, given.start))
+    return start_block(kind.scene, kind.recorder, constants, _state(kind, constants, given))
 
 
 def settle_lanes(kind: Kind, given: Given, begun: Underway, until: Lanes, effort: Effort) -> Underway:
@@ -88,11 +89,14 @@ def observe_lanes(kind: Kind, given: Given, begun: Underway, begin: Lanes, durat
 def _constants(kind: Kind, given: Given) -> Any:
     """The scene's constants, for a motion from the lane's start."""
     constants = kind.scene.constants(given.parameters)
-    return kind.scene.scaled(constants, _state(kind, constants, given.start))
+    return kind.scene.scaled(constants, _state(kind, constants, given))
 
 
-def _state(kind: Kind, constants: Any, start: Counts) -> Values:
+def _state(kind: Kind, constants: Any, given: Given) -> Values:
     """The state at t = 0 of each lane, from the start that it takes; the scene's own where it has no starts."""
+    start = given.start
+    if given.states:
+        return kind.scene.start(constants, given.states, start.shape)
     candidates = [kind.scene.start(constants, name, start.shape) for name in kind.starts or (None,)]
     state = candidates[0]
     for index, other in enumerate(candidates[1:], start=1):

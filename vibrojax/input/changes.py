@@ -10,14 +10,15 @@ from vibrojax.input.run_settings import RunSettings
 from vibrojax.input.source import Source, without_objects
 
 _TABLES = ("parameters", "grid", "run")
-_TOP = ("scene", "title", "starts")
+_TOP = ("scene", "title", "starts", "unusual")
 
 
 def with_changes(source: Source, words: Iterable[str]) -> Source:
     """The sweep with values set by `words` NAME=VALUE.
 
-    NAME is a key of [run], `scene`, `title` or `starts`, or a parameter: a number or a name fixes it, a list or a range
-    makes it an axis, wherever it was before. `run.settle`, `parameters.k1` and `grid.beta` may be written out.
+    NAME is a key of [run], `scene`, `title`, `starts` or `unusual`, or a parameter: a number or a name fixes it, a list
+    or a range makes it an axis, wherever it was before. `run.settle`, `parameters.k1` and `grid.beta` may be written
+    out.
 
     **Raises:** `InputError` where a word is no NAME=VALUE.
     """

@@ -23,7 +23,8 @@ class Sweep:
     - `starts`: names and vectors (x1, x1', x2, x2') [m, m/s]; None for a scene without.
     - `parameters`: all that is fixed, by name, SI; `given`: those of them that the user wrote.
     - `axes`: the grid, each of shape (values,), in the file's order; or `points`: columns of shape (points,), and
-      `point_starts`: the name of each point's start, where the list has it.
+      `point_starts`: the name of each point's start, where the list has it, or `point_vectors`: the states that each
+      starts from, by the names of their columns, each (points,), in the scene's order. There is then no other start.
     - `run`: how it is run.
 
     Where `rpm` and `bit_radius` stand for `v`, fixed ones are in `parameters` as `v`; if one of the two varies, `v` is
@@ -42,6 +43,7 @@ class Sweep:
     axes: dict[str, np.ndarray] = field(default_factory=dict)
     points: dict[str, np.ndarray] | None = None
     point_starts: list[str] | None = None
+    point_vectors: dict[str, np.ndarray] | None = None
     run: RunSettings = field(default_factory=RunSettings)
     file: str = "sweep"
 
@@ -73,7 +75,7 @@ class Sweep:
 
     @property
     def _points(self) -> int:
-        columns = [len(column) for column in (self.points or {}).values()]
+        columns = [len(column) for column in {**(self.points or {}), **(self.point_vectors or {})}.values()]
         return columns[0] if columns else len(self.point_starts or ())
 
     @property
@@ -101,6 +103,11 @@ class Sweep:
             return values, self._start_of_point[indices["point"]]
         return values, np.asarray(indices["start"] if self.starts is not None else np.zeros(lanes, int))
 
+    def lane_vectors(self, first: int, end: int) -> tuple[np.ndarray, ...]:
+        """The states that the lanes from `first` to before `end` start from, each (end - first,); none where starts
+        are not given so."""
+        return tuple(column[first:end] for column in (self.point_vectors or {}).values())
+
     def identity(self) -> dict[str, object]:
         """What the results depend on, as flat JSON values: equal for two sweeps that compute the same lanes.
 
@@ -108,6 +115,7 @@ class Sweep:
         """
         varied = {f"grid.{name}": axis for name, axis in self.axes.items()}
         varied |= {f"points.{name}": column for name, column in (self.points or {}).items()}
+        varied |= {f"points.{name}": column for name, column in (self.point_vectors or {}).items()}
         if self.point_starts is not None:
             varied["points.start"] = self._start_of_point
         run = {f"run.{name}": value for name, value in self.run.described().items()}

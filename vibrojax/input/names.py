@@ -15,7 +15,7 @@ from vibrojax.scenes import SCENES, Scene, scene_named
 from vibrojax.scenes.penetration import PULSE_SHAPES
 
 DEFAULT_STARTS = ("drive", "stuck")
-_TOP = ("scene", "title", "starts", "points")
+_TOP = ("scene", "title", "starts", "unusual", "points")
 
 
 # What follows from parameters, which decide it.

@@ -8,6 +8,7 @@ from vibrojax.errors import Place
 from vibrojax.input.definition import Start, with_drive_speed
 from vibrojax.input.names import read_names, take_options
 from vibrojax.input.plain import plain, plain_table
+from vibrojax.input.plausible import warn_if_far
 from vibrojax.input.read import check_drive_speed, check_rock, read_parameters
 from vibrojax.scenes import Scene
 
@@ -52,4 +53,7 @@ def read_point(place: Place, scene: object, parameters: Mapping[str, object], st
         raise place.at("start").error(f'scene "{names.scene}" has no starts; leave it out')
     else:
         start = names.start(place.at("start"), plain(place.at("start"), start))
+    for name, value in fixed.items():
+        if name in given:
+            warn_if_far(place.at(name), names.writable[name], value)
     return Point(names.scene, dict(names.options), start, defaults | with_drive_speed(fixed), names.system)

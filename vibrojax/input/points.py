@@ -14,10 +14,14 @@ import numpy as np
 from vibrojax.errors import Place, shown
 from vibrojax.input.names import Names
 from vibrojax.input.source import read_text
-from vibrojax.input.values import as_table
+from vibrojax.input.values import as_table, quantity
+from vibrojax.physics.parameters import Parameter
 
 _TEXTS = ("start", "rock")
 """Columns of names."""
+
+VECTOR = "start_"
+"""How columns begin that together give each point its start: `start_x1`, `start_v1`, ..."""
 
 WhereFrom = Callable[[str, int], Place]
 """Where the cell of a column and an index stands."""
@@ -25,10 +29,12 @@ WhereFrom = Callable[[str, int], Place]
 
 @dataclass(frozen=True)
 class Points:
-    """Columns of parameters and rocks, each (points,), and the name of each point's start where the list has it."""
+    """Columns of parameters and rocks, each (points,); and the start of each point, where the list has it: its name, or
+    the states that it starts from, by the names of their columns."""
 
     columns: dict[str, np.ndarray]
     starts: list[str] | None
+    vectors: dict[str, np.ndarray] | None
 
 
 def read_points(place: Place, value: object, folder: Path, names: Names) -> Points:
@@ -49,6 +55,7 @@ def read_points(place: Place, value: object, folder: Path, names: Names) -> Poin
             raise place.at(name).error(f"has {length} values; {lengths[first]} are needed, as in {first}")
     for name in columns:
         _check_column(place.at(name), name, names)
+    _check_vector(place.at, tuple(columns), names)
     return _points(lists, lambda name, index: place.at(name).item(index), names)
 
 
@@ -96,16 +103,35 @@ def _header(place: Place, line: int, header: list[str], names: Names) -> list[st
         _check_column(at, name, names)
         if name in columns[: position - 1]:
             raise at.error("is there already; give each column once")
+    _check_vector(lambda name: Place(place.file, f"{place.key}, column {name}"), tuple(columns), names)
     return columns
 
 
 def _check_column(place: Place, name: str, names: Names) -> None:
-    if name == "rock" and names.has_rock:
+    if (name == "rock" and names.has_rock) or name in _vector(names):
         return
+    if name.startswith(VECTOR) and names.starts:
+        raise place.error(f"scene {shown(names.scene)} has no such state; a start is {', '.join(_vector(names))}")
     if name != "start":
         names.parameter(place, name)
     elif not names.starts:
         raise place.error(f"scene {shown(names.scene)} has no starts; leave the column out")
+
+
+def _vector(names: Names) -> tuple[str, ...]:
+    """The columns that together give a start."""
+    return tuple(f"{VECTOR}{state}" for state in names.system.start_states)
+
+
+def _check_vector(at: Callable[[str], Place], columns: Sequence[str], names: Names) -> None:
+    """Raise where columns of a start's states are not all there, or stand beside a column of names; `at`: places."""
+    wanted = _vector(names)
+    given = [name for name in wanted if name in columns]
+    missing = [name for name in wanted if name not in columns]
+    if given and "start" in columns:
+        raise at("start").error(f"{given[0]} gives the start as well; give names, or {', '.join(wanted)}")
+    if given and missing:
+        raise at(given[0]).error(f"{' and '.join(missing)} missing; a start is {', '.join(wanted)} together")
 
 
 def _is_number(cell: str) -> bool:
@@ -125,16 +151,25 @@ def _cell(at: WhereFrom, name: str, cell: str) -> float:
 
 def _points(cells: Mapping[str, Sequence[Any]], at: WhereFrom, names: Names) -> Points:
     """The checked columns; `at(name, index)` is where a cell stands."""
-    columns = {name: _numbers(column, name, at, names) for name, column in cells.items() if name not in _TEXTS}
+    states = [name for name in cells if name in _vector(names)]
+    vectors = {name: _states(cells[name], name, at) for name in states} or None
+    numbers = (name for name in cells if name not in (*_TEXTS, *states))
+    columns = {name: _numbers(cells[name], name, at, names) for name in numbers}
     if "rock" in cells:
         columns["rock"] = np.array([names.rock(at("rock", index), rock) for index, rock in enumerate(cells["rock"])])
     if "start" not in cells:
-        return Points(columns, None)
+        return Points(columns, None, vectors)
     starts = [
         start if start in names.starts else names.named_start(at("start", index), start)
         for index, start in enumerate(cells["start"])
     ]
-    return Points(columns, starts)
+    return Points(columns, starts, None)
+
+
+def _states(column: Sequence[Any], name: str, at: WhereFrom) -> np.ndarray:
+    """A column of states that points start from, float64 (points,)."""
+    free = Parameter(name, 0.0, "1", "state at t = 0", name)
+    return np.array([quantity(at(name, index), value, free) for index, value in enumerate(column)])
 
 
 def _numbers(column: Sequence[Any], name: str, at: WhereFrom, names: Names) -> np.ndarray:

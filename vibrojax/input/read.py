@@ -10,12 +10,13 @@ from vibrojax.input.axes import read_axis
 from vibrojax.input.changes import with_changes
 from vibrojax.input.definition import Start, Sweep, rock_values, with_drive_speed
 from vibrojax.input.names import CHOICES, DEFAULT_STARTS, Names, read_names, take_options
-from vibrojax.input.points import Points, read_points
+from vibrojax.input.plausible import warn_if_far
+from vibrojax.input.points import VECTOR, Points, read_points
 from vibrojax.input.run_settings import RunSettings, read_settings
 from vibrojax.input.source import Source, read_source
 from vibrojax.input.values import as_table
 
-_TOP_KEYS = ("scene", "title", "starts", "parameters", "grid", "points", "run")
+_TOP_KEYS = ("scene", "title", "starts", "unusual", "parameters", "grid", "points", "run")
 # Lanes are numbered by 64-bit integers.
 _MOST_LANES = 2**62
 
@@ -54,7 +55,9 @@ def read_sweep(source: str | PathLike[str] | Mapping[str, object], changes: Iter
         homes[name] = home
     check_drive_speed(homes)
     starts = _read_starts(place.at("starts"), tables.get("starts"), names)
-    point_starts = points.starts if points else None
+    point_starts, vectors = (points.starts, points.vectors) if points else (None, None)
+    if vectors:
+        vectors = {name: vectors[name] for name in (f"{VECTOR}{state}" for state in names.system.start_states)}
     sweep = Sweep(
         name=found.name,
         text=found.text,
@@ -62,17 +65,22 @@ def read_sweep(source: str | PathLike[str] | Mapping[str, object], changes: Iter
         scene=names.scene,
         options=dict(names.options),
         system=names.system,
-        starts=tuple(dict.fromkeys(point_starts)) if point_starts else starts,
+        starts=None if vectors else tuple(dict.fromkeys(point_starts)) if point_starts else starts,
         parameters=_complete(fixed, varied, names),
         given=fixed,
         axes=axes,
         points=points.columns if points else None,
         point_starts=point_starts,
+        point_vectors=vectors,
         run=read_settings(place.at("run"), as_table(place.at("run"), tables.get("run", {}))),
         file=found.file,
     )
     if sweep.lanes > _MOST_LANES:
         raise place.at("grid").error(f"{shown(sweep.lanes)} lanes are too many; make the axes shorter")
+    if not _read_unusual(place.at("unusual"), tables.get("unusual", False)):
+        for name, value in {**fixed, **varied}.items():
+            if name != "rock":
+                warn_if_far(homes[name], names.writable[name], value, meant="; unusual = true says that it is meant")
     return sweep
 
 
@@ -124,6 +132,13 @@ def _check_top(place: Place, tables: dict[str, object]) -> None:
 def _read_title(place: Place, value: object) -> str:
     if not isinstance(value, str):
         raise place.error(f"{shown(value)} is not text; write it in quotes")
+    return value
+
+
+def _read_unusual(place: Place, value: object) -> bool:
+    """Whether values far from the usual ones are meant, so that nothing is said of them."""
+    if not isinstance(value, bool):
+        raise place.error(f"{shown(value)} is neither true nor false; write one of them")
     return value
 
 

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 
 from vibrojax.errors import Place, shown, suggestion
 from vibrojax.label import FAILED, IRREGULAR
-from vibrojax.laws._data import FORCE, RATE, RELIEF
+from vibrojax.laws._columns import FORCE, RATE, RELIEF
 
 USUAL_AXES = ("frequency", "v", "point")
 """What a law is fitted along where nothing else is asked, the first that is there."""
@@ -47,7 +47,8 @@ def usable_lanes(data: xr.Dataset) -> xr.Dataset:
         valid = valid & (data["status"] == 0)
     relief, rate, valid = xr.broadcast(relief, rate, valid)
     lanes = {"relief": relief.astype(np.float64), "rate": rate.astype(np.float64), "valid": valid}
-    return xr.Dataset({name: values.variable for name, values in lanes.items()}, relief.coords)
+    # Broadcasting gives either the other's axes, but not what else is known along them.
+    return xr.Dataset({name: values.variable for name, values in lanes.items()}, {**rate.coords, **relief.coords})
 
 
 def check_axis(place: Place, lanes: xr.Dataset, along: str | None) -> str:

@@ -7,7 +7,7 @@ import xarray as xr
 from jaxtyping import Bool, Float
 
 from vibrojax.errors import Place, shown, suggestion
-from vibrojax.laws._data import Data, open_rates
+from vibrojax.laws._data import Columns, Data, open_rates
 from vibrojax.laws._groups import check_axis, usable_lanes
 from vibrojax.laws._joint_calibration import calibrate
 from vibrojax.laws._results import law_title, provenance, reason, with_attributes
@@ -36,7 +36,13 @@ _VARIABLES = {
 }
 
 
-def fit_joint(data: Data, along: str | None = None, over: Sequence[str] = OVER, onset: str = "power-law") -> xr.Dataset:
+def fit_joint(
+    data: Data,
+    along: str | None = None,
+    over: Sequence[str] = OVER,
+    onset: str = "power-law",
+    columns: Columns = None,
+) -> xr.Dataset:
     """One law for all groups at once, calibrated on all lanes:
 
         rate = C ln(eta/eta0),  C = C_ref prod (x_j/ref_j)^a_j,  eta0 = eta0_ref prod (x_j/ref_j)^b_j
@@ -50,6 +56,7 @@ def fit_joint(data: Data, along: str | None = None, over: Sequence[str] = OVER, 
     - `along`: the axis of a group, which is then no parameter of the law; by default none is excluded.
     - `over`: the parameters x_j.
     - `onset`: "power-law", or "shared": one eta0 for all (b_j = 0).
+    - `columns`: of a CSV, which column is what, as in `fit_rop`.
 
     **Returns:** a dataset with C [m/s] and eta0 at the reference (the parameters' geometric means over the lanes that
     penetrate), and along `parameter` the exponents, each with standard error; r_squared, aic, used, left_out. NaN
@@ -58,7 +65,7 @@ def fit_joint(data: Data, along: str | None = None, over: Sequence[str] = OVER, 
 
     **Raises:** `InputError`.
     """
-    place, data = open_rates(data, "fit_joint")
+    place, data = open_rates(data, "fit_joint", columns)
     if onset not in ONSETS:
         raise place.at("onset").error(f"{shown(onset)} is unknown; {suggestion(str(onset), ONSETS)}")
     lanes = usable_lanes(data)

@@ -43,7 +43,7 @@ def provenance(
     place: Place, data: xr.Dataset, what: str, title: str, more: Mapping[str, str | float]
 ) -> dict[str, str | float]:
     """The attributes of a fit: where it comes from, and what of its data still holds."""
-    still_true = {name: data.attrs[name] for name in ("scene", "sweep", "parameters") if name in data.attrs}
+    still_true = {name: data.attrs[name] for name in ("scene", "sweep", "parameters", "columns") if name in data.attrs}
     now = f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} {what} {place.file}"
     earlier = [str(data.attrs["history"])] if "history" in data.attrs else []
     return {

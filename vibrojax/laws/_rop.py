@@ -15,7 +15,8 @@ from jaxtyping import Bool, Float, Int
 from vibrojax.arrays import Array
 from vibrojax.devices import precision
 from vibrojax.errors import shown, suggestion
-from vibrojax.laws._data import Data, open_rates
+from vibrojax.laws._columns import columns_lines
+from vibrojax.laws._data import Columns, Data, open_rates
 from vibrojax.laws._fitted_data import fitted_data
 from vibrojax.laws._forms import FORMS, Coefficients, Form, Frame, WithOnset
 from vibrojax.laws._groups import Groups, grouped, usable_lanes
@@ -45,6 +46,7 @@ from vibrojax.laws._uncertainty import (
     goodness,
 )
 from vibrojax.store.variables import Variable
+from vibrojax.timings import LOG
 
 LEAST_SLOPE = 1e-10
 """Change of the rate over the lanes as a share of the greatest rate: below it there is no onset."""
@@ -93,6 +95,7 @@ def fit_rop(
     by: Sequence[str] = (),
     robust: str | None = None,
     progress: bool = True,
+    columns: Columns = None,
 ) -> xr.Dataset:
     """The rate-of-penetration law, eq. 6.4, in three readings and beside two rivals, fitted to each group of lanes.
 
@@ -110,6 +113,8 @@ def fit_rop(
     - `robust`: "soft-l1" or "huber", for data with outliers; the scale comes from the median absolute deviation. R² and
       AIC stay those of plain residuals.
     - `progress`: say on stderr what was fitted.
+    - `columns`: of a CSV, by the names above the file's own column with its unit: {"rate_of_penetration": "ROP (m/h)",
+      "mean_force": "WOB (kN)"}, or a value that all rows have: {"threshold": "150 kN"}.
 
     **Returns:** a dataset over the groups and `form`: C [m/s], eta0 [1] and exponent [1], each with its standard error;
     r_squared, aic, degrees_of_freedom, used, left_out, and `reason`; NaN where a form has no such coefficient or the
@@ -118,13 +123,16 @@ def fit_rop(
 
     **Raises:** `InputError`.
     """
-    place, data = open_rates(data, "fit_rop")
+    place, data = open_rates(data, "fit_rop", columns)
     if robust is not None and robust not in LOSSES:
         raise place.at("robust").error(f"{shown(robust)} is unknown; {suggestion(str(robust), LOSSES)}")
     groups = grouped(place, usable_lanes(data), along, (by,) if isinstance(by, str) else tuple(by))
+    LOG.info("chosen: along %s, %d groups, loss %s", groups.along, groups.count.size, robust or "squares")
     start = time.monotonic()
     fit = _fit_groups(groups, robust)
     if progress:
+        for line in columns_lines(data.attrs.get("columns", "")):
+            print(line, file=sys.stderr)
         number, size, seconds = groups.count.size, groups.count.max(), time.monotonic() - start
         print(f"{number} groups of {size} lanes along {groups.along} fitted in {seconds:.1f} s", file=sys.stderr)
     values = {**fit._asdict(), "left_out": groups.count[:, None] - fit.used}

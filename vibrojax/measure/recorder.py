@@ -38,6 +38,11 @@ class Records(ABC):
         """Take in the returns that have been passed, every few steps."""
 
     @abstractmethod
+    def settled(self, begun: Any, observed: Any) -> Any:
+        """What is carried before an observation, where all the way to it was `observed` too: as it was `begun`, with
+        what has been seen of returns meanwhile."""
+
+    @abstractmethod
     def begin(self, scene: Scene[Any], c: Any, lane: Lane, settled: Any) -> Any:
         """What is carried at the start of the observation; `settled` is what was carried before."""
 
@@ -81,6 +86,9 @@ class Recorder(Records):
 
     def settle_returns(self, carry: Settling) -> Settling:
         return section.take_in_passed(carry)
+
+    def settled(self, begun: Settling, observed: Observed) -> Settling:
+        return begun._replace(seen=observed.returns.seen)
 
     def begin(self, scene: Scene[Any], c: Any, lane: Lane, settled: Settling) -> Observed:
         names = ("time", *(name for gauge in self.gauges for name in gauge.summed))

@@ -43,6 +43,9 @@ class PulseRecorder(Records):
     def settle_returns(self, carry: tuple[()]) -> tuple[()]:
         return carry
 
+    def settled(self, begun: tuple[()], observed: Pulses) -> tuple[()]:
+        return begun
+
     def begin(self, scene: Scene[Any], c: Any, lane: Lane, settled: tuple[()]) -> Pulses:
         compression = lane.state[scene.place("compression")]
         # At t = 0 a pulse begins that no event tells of.

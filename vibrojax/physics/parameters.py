@@ -4,13 +4,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from math import isfinite
 
+FAR = 20.0
+"""How many times beyond the usual values a number is far from them. The units that are mistaken for one another differ
+by more (rpm for m/s, per cent, per minute; mostly a thousand); studies that go beyond what rigs have go less far."""
+
 
 @dataclass(frozen=True)
 class Parameter:
     """One physical parameter as users write it in a sweep file or a call.
 
     `default` is in `unit`; `lowest` is the smallest admissible value, excluded where `open_below` is set; `below` is a
-    value that it must stay under.
+    value that it must stay under. `usual` are the least and the greatest value that the source or rigs have; None where
+    nothing is known of that.
     """
 
     name: str
@@ -21,6 +26,14 @@ class Parameter:
     lowest: float | None = None
     open_below: bool = False
     below: float | None = None
+    usual: tuple[float, float] | None = None
+
+    def is_far(self, value: float) -> bool:
+        """Whether `value` is so far from the usual ones, by size, that it may be in another unit; zero never is."""
+        if self.usual is None or not isfinite(value) or value == 0:
+            return False
+        low, high = self.usual
+        return not (low / FAR if low > 0 else 0.0) <= abs(value) <= FAR * max(abs(low), abs(high))
 
     def problem(self, value: float) -> str | None:
         """What is wrong with `value`, and what would be right; None where nothing is."""
@@ -34,14 +47,18 @@ class Parameter:
         return None
 
 
-def positive(name: str, default: float, unit: str, long_name: str, symbol: str) -> Parameter:
+def positive(
+    name: str, default: float, unit: str, long_name: str, symbol: str, usual: tuple[float, float] | None = None
+) -> Parameter:
     """A parameter that must be above zero."""
-    return Parameter(name, default, unit, long_name, symbol, lowest=0.0, open_below=True)
+    return Parameter(name, default, unit, long_name, symbol, lowest=0.0, open_below=True, usual=usual)
 
 
-def not_negative(name: str, default: float, unit: str, long_name: str, symbol: str) -> Parameter:
+def not_negative(
+    name: str, default: float, unit: str, long_name: str, symbol: str, usual: tuple[float, float] | None = None
+) -> Parameter:
     """A parameter that may be zero but not less."""
-    return Parameter(name, default, unit, long_name, symbol, lowest=0.0)
+    return Parameter(name, default, unit, long_name, symbol, lowest=0.0, usual=usual)
 
 
 def table(*parameters: Parameter) -> dict[str, Parameter]:
@@ -62,23 +79,23 @@ def differing(parameters: Mapping[str, Parameter], values: Mapping[str, float]) 
 
 
 BIT_AND_STRIKER = table(
-    positive("m1", 250.0, "kg", "bit mass", "m₁"),
-    positive("beta", 0.4, "1", "mass ratio m2/m1", "β"),
-    positive("gamma", 0.75, "1", "frequency ratio w2/w1", "γ"),
-    positive("k1", 156250.0, "N m-1", "main spring stiffness", "k₁"),
-    not_negative("c2", 250.0, "N s m-1", "damping between striker and drive", "c₂"),
-    not_negative("g", 9.81, "m s-2", "gravity", "g"),
-    not_negative("v", 1.5, "m s-1", "drive speed", "v"),
+    positive("m1", 250.0, "kg", "bit mass", "m₁", (100.0, 500.0)),
+    positive("beta", 0.4, "1", "mass ratio m2/m1", "β", (0.1, 1.5)),
+    positive("gamma", 0.75, "1", "frequency ratio w2/w1", "γ", (0.15, 15.0)),
+    positive("k1", 156250.0, "N m-1", "main spring stiffness", "k₁", (50e3, 1e6)),
+    not_negative("c2", 250.0, "N s m-1", "damping between striker and drive", "c₂", (0.0, 2500.0)),
+    not_negative("g", 9.81, "m s-2", "gravity", "g", (1.6, 9.81)),
+    not_negative("v", 1.5, "m s-1", "drive speed", "v", (0.1, 2.5)),
 )
 
 CONTACT = table(
-    positive("k0", 50e6, "N m-1", "contact stiffness", "k₀"),
-    not_negative("c0", 0.1, "N s m-1", "contact damping", "c₀"),
-    Parameter("delta", -0.005, "m", "gap between striker and bit (negative: preload)", "Δ"),
+    positive("k0", 50e6, "N m-1", "contact stiffness", "k₀", (1e6, 500e6)),
+    not_negative("c0", 0.1, "N s m-1", "contact damping", "c₀", (0.0, 10e3)),
+    Parameter("delta", -0.005, "m", "gap between striker and bit (negative: preload)", "Δ", usual=(-0.02, 0.02)),
 )
 
 # May stand for `v` together: v = 2 pi rpm/60 bit_radius.
 ROTATION = table(
-    not_negative("rpm", 120.0, "min-1", "rotation speed of the drive", "n"),
-    positive("bit_radius", 0.12, "m", "radius at which the bit slides", "r"),
+    not_negative("rpm", 120.0, "min-1", "rotation speed of the drive", "n", (10.0, 300.0)),
+    positive("bit_radius", 0.12, "m", "radius at which the bit slides", "r", (0.02, 0.5)),
 )

@@ -7,16 +7,16 @@ from typing import Any
 from vibrojax.physics.parameters import Parameter, not_negative, positive, table
 
 PULSES = table(
-    not_negative("force", 200e3, "N", "greatest force of a pulse", "A"),
-    positive("frequency", 20.0, "s-1", "pulses per second", "f"),
-    positive("pulse_width", 4e-3, "s", "duration of a pulse", "w"),
+    not_negative("force", 200e3, "N", "greatest force of a pulse", "A", (50e3, 500e3)),
+    positive("frequency", 20.0, "s-1", "pulses per second", "f", (10.0, 40.0)),
+    positive("pulse_width", 4e-3, "s", "duration of a pulse", "w", (1e-3, 10e-3)),
 )
 
 SWEEP = table(
-    not_negative("force", 200e3, "N", "amplitude of the swept sine", "A"),
-    not_negative("sweep_start", 0.0, "s-1", "frequency of the swept sine at t = 0", "f₀"),
+    not_negative("force", 200e3, "N", "amplitude of the swept sine", "A", (50e3, 500e3)),
+    not_negative("sweep_start", 0.0, "s-1", "frequency of the swept sine at t = 0", "f₀", (0.0, 100.0)),
     Parameter("sweep_rate", 10.0, "s-2", "rate of the swept sine's frequency", "r"),
-    Parameter("bias", 0.0, "N", "constant part of the force", "B"),
+    Parameter("bias", 0.0, "N", "constant part of the force", "B", usual=(20e3, 100e3)),
 )
 
 

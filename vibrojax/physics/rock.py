@@ -9,9 +9,9 @@ from vibrojax.arrays import Real, Value
 from vibrojax.physics.parameters import not_negative, positive, table
 
 ROCK = table(
-    positive("k3", 300e6, "N m-1", "stiffness of the rock", "k₃"),
-    not_negative("threshold", 150e3, "N", "force at which the rock yields", "D"),
-    not_negative("zeta", 1.1, "1", "damping ratio of the bit on the rock", "ζ"),
+    positive("k3", 300e6, "N m-1", "stiffness of the rock", "k₃", (20e6, 500e6)),
+    not_negative("threshold", 150e3, "N", "force at which the rock yields", "D", (30e3, 300e3)),
+    not_negative("zeta", 1.1, "1", "damping ratio of the bit on the rock", "ζ", (0.1, 2.0)),
 )
 
 

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.gridspec import SubplotSpec
 from matplotlib.lines import Line2D
 
+from vibrojax.errors import InputError
 from vibrojax.plot._axes import is_geometric, label, scale, shape_axis, value_text
 from vibrojax.plot._colours import form_colour
 from vibrojax.plot._contents import FORM, MOST_LINES, POINT, START, is_numeric, lane_dims, named_axes, swept, varied
@@ -79,9 +80,14 @@ class Row:
 
 
 def across(ds: xr.Dataset) -> Across:
-    """The longest axis of numbers, `frequency` among equals; an axis of names where there is no other."""
+    """The longest axis of numbers, `frequency` among equals; an axis of names where there is no other.
+
+    Raises `InputError` where there are several points and no parameter that tells them apart.
+    """
     numbers = varied(ds) if POINT in lane_dims(ds) else {name: ds.sizes[name] for name in swept(ds)}
     sizes = numbers or {name: ds.sizes[name] for name in named_axes(ds)}
+    if not sizes and ds.sizes.get(POINT, 1) > 1:
+        raise InputError(f"nothing to draw over: no parameter varies along the {ds.sizes[POINT]} points")
     if not sizes:
         return Across("", "", np.zeros(1), 1.0, False)
     name = max(sizes, key=lambda name: (sizes[name], name == _FREQUENCY))

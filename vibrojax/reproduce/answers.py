@@ -1,5 +1,6 @@
 """Computes what is asked for: lanes of one kind together in one sweep, motions one by one, maps as they are."""
 
+import warnings
 from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
@@ -7,6 +8,7 @@ import numpy as np
 import xarray as xr
 
 from vibrojax.errors import InputError, Place
+from vibrojax.input.plausible import UnusualValue
 from vibrojax.input.point import read_point
 from vibrojax.reproduce.needs import (
     Answer,
@@ -108,6 +110,7 @@ class Answers:
             "parameters": dict(need.parameters),
             "grid": axes,
             "title": need.name,
+            "unusual": True,
         }
         if need.starts:
             sweep["starts"] = list(need.starts)
@@ -122,7 +125,9 @@ class Answers:
         if need.scene != "penetration":
             settings["start"] = need.start
         try:
-            return simulate(need.scene, **settings, **dict[str, Any](need.parameters))
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", UnusualValue)
+                return simulate(need.scene, **settings, **dict[str, Any](need.parameters))
         except InputError as problem:  # too many steps: the other answers are still good
             return Unanswered(str(problem))
 
@@ -152,6 +157,7 @@ def _sweep(kind: _Kind, points: list[_Point]) -> dict[str, Any]:
     return {
         "scene": kind.scene,
         "title": f"The source, reproduced: points of the scene {kind.scene}",
+        "unusual": True,  # what the source itself asks of limits
         "parameters": dict(kind.names),
         "points": _columns(kind, points),
         "run": {"settle": kind.settle, "observe": kind.observe},

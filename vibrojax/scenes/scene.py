@@ -17,8 +17,9 @@ from vibrojax.physics.parameters import Parameter
 Values = tuple[Any, ...]
 """One value for each state, or for each discrete state: arrays of one shape (lanes), or Taylor series."""
 
-Start = str | tuple[float, ...] | None
-"""A start: one of the scene's names, a vector of the states it gives, or None for a scene with only one."""
+Start = str | tuple[Any, ...] | None
+"""A start: one of the scene's names, a vector of the states it gives (numbers, or arrays of lanes), or None for a scene
+with only one."""
 
 ROUNDINGS = 64
 """Values of so many roundings of a typical one count as zero."""

@@ -57,19 +57,24 @@ def record(
     duration: Array,
     tell: Callable[[float], None] | None = None,
     most_steps: int = MOST_STEPS,
+    pause: Array | None = None,
 ) -> Record:
     """Step one lane, of shape (1,), from t = 0 to `duration` [s]; `tell(t)` hears how far it is.
 
-    Raises `InputError` where that takes over `most_steps`, ten million unless there is no room for so many.
+    A step ends at the time `pause` [s], if there is one. Raises `InputError` where all this takes over `most_steps`,
+    ten million unless there is no room for so many.
     """
     constants = scene.scaled(constants, state)
     lane = lane_at(scene, constants, state)
     parts = []
+    goal = duration if pause is None else pause
     for _ in range(ceil(most_steps / BATCH)):
-        lane, part = _steps(scene, stepper, constants, lane, accuracy, duration)
+        lane, part = _steps(scene, stepper, constants, lane, accuracy, goal)
         parts.append(jax.tree.map(lambda x: np.asarray(x)[..., 0], part))
         if tell:
             tell(float(lane.clock.high[0]))
+        if not float(lane.clock.until(goal)[0]) > 0:
+            goal = duration
         if not float(lane.clock.until(duration)[0]) > 0:
             whole = Record(**{name: np.concatenate([part[name] for part in parts]) for name in Record._fields})
             taken = whole.dt > 0

@@ -1,5 +1,6 @@
-"""Simulate one point and give its trajectory."""
+"""Simulate one point: its trajectory, and what was found along it."""
 
+import json
 import sys
 from collections.abc import Sequence
 from typing import Any
@@ -12,18 +13,22 @@ from diffrax import AbstractSolver
 from jaxtyping import Float
 
 from vibrojax.devices import precision
+from vibrojax.engine.parallel import in_parallel
 from vibrojax.engine.validity import unresolved
 from vibrojax.errors import Place
 from vibrojax.input.point import Point, read_point
 from vibrojax.input.values import quantity
+from vibrojax.measure import Records
 from vibrojax.physics.parameters import positive
 from vibrojax.progress import Progress
 from vibrojax.scenes import HasContact, HasFriction, HasRock, Scene
 from vibrojax.scenes.scene import Values
+from vibrojax.simulation._measured import compile_measures, found_in, measured, recorder_of, window
 from vibrojax.simulation._record import check_size, record, sample
 from vibrojax.simulation._trajectory import Motion, events, forces, states_shown, trajectory_dataset
 from vibrojax.stepping import STEPPERS, Accuracy, Smoothed, Stepper, Wanted, stepper_named
 from vibrojax.stepping.adaptive import adaptive_trajectory, solver_named
+from vibrojax.timings import LOG, timed
 
 MOST_SAMPLES = 2_000_000
 
@@ -57,7 +62,10 @@ def simulate(
     - `sampling` [s]: interval of the samples; by default a twentieth of the contact's duration, 1 ms without contact.
 
     **Returns:** a dataset along `time`: x1, v1, x2, v2, friction_force, impact_force [N], stuck; with rock also x3, x4,
-    v3, rock_force and applied_force [N]; and along `event` the times and kinds of what happened (not with diffrax).
+    v3, rock_force and applied_force [N]; and along `event` the times and kinds of what happened; and as numbers what
+    was found in the last part of it, named and measured as in a sweep: the regime, the period and so on, of a scene
+    with rock the rate of penetration. The attribute `run` says how long it settled and was observed, a sixth of the
+    duration, of a short one half. A solver of diffrax gives neither events nor what was found.
 
     **Raises:** `InputError` where a name or value is not right, or, before any work, the steps or samples are too many.
     """
@@ -90,11 +98,21 @@ def simulate(
         accuracy = (stepper or Smoothed()).accuracy(Wanted(error, step, smoothing), system)
         most_steps = check_size(place, system, constants, duration, accuracy, stepper, len(times))
         happened = taken = step_of = None
+        found: dict[str, Any] = {}
+        begin, observe = window(duration)
         if stepper is None:
             kind = solver_named(solver or "Tsit5")
             motion, steps = _adaptive(system, constants, state, times, accuracy, kind, 1e-3 * error)
         else:
-            taken = record(system, stepper, constants, state, accuracy, jnp.asarray(duration), shown.reach, most_steps)
+            recorder = recorder_of(system)
+            _compile(system, recorder, stepper, constants, state, accuracy, progress)
+            with timed("step"):
+                end, pause = jnp.asarray(duration), jnp.asarray(begin)
+                taken = record(system, stepper, constants, state, accuracy, end, shown.reach, most_steps, pause)
+            if recorder is not None:
+                with timed("measure"):
+                    features = measured(system, recorder, constants, state, taken, begin, observe)
+                found = found_in(system, point.parameters, features, accuracy.tolerance)
             states, modes, step_of = sample(taken, times)
             motion, steps = Motion(times, states, modes), len(taken.dt)
             happened = events(system, constants, taken)
@@ -104,7 +122,44 @@ def simulate(
     solver_text = {"method": stepper.name if stepper else "diffrax", "steps": int(steps), **accuracy.described()}
     if stepper is None:
         solver_text["solver"] = type(solver_named(solver or "Tsit5")).__name__
-    return trajectory_dataset(point, system, motion, along_time, happened, solver_text)
+    LOG.info("chosen: %s, %d samples", json.dumps(solver_text), len(times))
+    dataset = trajectory_dataset(point, system, motion, along_time, happened, solver_text)
+    if not found:
+        return dataset
+    return dataset.assign(found).assign_attrs(run=json.dumps({"settle": begin, "observe": observe}))
+
+
+_compiled: set[tuple[Scene[Any], Stepper]] = set()
+"""What this process has compiled."""
+
+
+def _compile(
+    scene: Scene[Any],
+    recorder: Records | None,
+    stepper: Stepper,
+    constants: Any,
+    state: Values,
+    accuracy: Accuracy,
+    progress: bool,
+) -> None:
+    """Compile the programs that step a motion and measure it, side by side, where that has not been done."""
+    if (scene, stepper) in _compiled:
+        return
+    Progress(1, "motion", progress).say(f"compiling the scene {scene.name}, which takes some seconds, once")
+    at_once = jnp.asarray(0.0)
+
+    def step() -> None:
+        with precision("float64"):
+            record(scene, stepper, constants, state, accuracy, at_once)
+
+    def measure() -> None:
+        if recorder is not None:
+            compile_measures(scene, recorder, stepper, constants, state)
+
+    with timed("compile"):
+        for _ in in_parallel(lambda _, program: program(), [step, measure], [0, 1]):
+            pass
+    _compiled.add((scene, stepper))
 
 
 def _constants(place: Place, point: Point, stepper: Stepper | None) -> Any:

@@ -15,6 +15,6 @@ def mu(speed: Value, p: Numbers) -> Any:
 LAW = FrictionLaw(
     name="coulomb",
     reference="eq. 2.13",
-    parameters=table(not_negative("mu", 0.4, "1", "friction coefficient", "μ")),
+    parameters=table(not_negative("mu", 0.4, "1", "friction coefficient", "μ", (0.1, 1.0))),
     mu=mu,
 )

@@ -16,7 +16,7 @@ LAW = FrictionLaw(
     name="hyperbolic",
     reference="eq. 2.16",
     parameters=table(
-        not_negative("mu0", 0.4, "1", "friction coefficient at rest", "μ₀"),
+        not_negative("mu0", 0.4, "1", "friction coefficient at rest", "μ₀", (0.1, 1.0)),
         not_negative("delta_f", 1.0, "s m-1", "rate of the fall of friction with speed", "δ_f"),
     ),
     mu=mu,

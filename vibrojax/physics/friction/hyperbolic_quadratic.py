@@ -16,7 +16,7 @@ LAW = FrictionLaw(
     name="hyperbolic-quadratic",
     reference="eq. 2.17",
     parameters=table(
-        not_negative("mu0", 0.4, "1", "friction coefficient at rest", "μ₀"),
+        not_negative("mu0", 0.4, "1", "friction coefficient at rest", "μ₀", (0.1, 1.0)),
         not_negative("mu1", 0.1, "1", "friction coefficient after the hyperbolic fall", "μ₁"),
         not_negative("lambda", 99.4, "s m-1", "rate of the hyperbolic fall", "λ"),
         not_negative("alpha", 0.7, "s2 m-2", "rate of the quadratic rise", "α"),

@@ -22,8 +22,8 @@ LAW = FrictionLaw(
     name="stribeck",
     reference="eq. 5.9",
     parameters=table(
-        not_negative("mu", 0.4, "1", "friction coefficient", "μ"),
-        positive("v_cr", 3.0, "m s-1", "Stribeck speed (R4)", "v_cr"),
+        not_negative("mu", 0.4, "1", "friction coefficient", "μ", (0.1, 1.0)),
+        positive("v_cr", 3.0, "m s-1", "Stribeck speed (R4)", "v_cr", (0.5, 10.0)),
     ),
     mu=mu,
     mu_impact=mu_impact,

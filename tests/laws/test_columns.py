@@ -1,0 +1,198 @@
+"""Rig data with names and units of their own: what is taken for what, in which unit, what is refused or warned of."""
+
+import warnings
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import vibrojax as vj
+from vibrojax.cli import main
+from vibrojax.errors import InputError
+from vibrojax.laws import fit_joint, fit_rop
+from vibrojax.laws._columns import read_columns, split_unit
+from vibrojax.physics.units import factor
+
+C, ETA0, D = 1.2e-3, 0.08, 150e3
+FORCE = np.linspace(20e3, 60e3, 9)
+RATE = C * np.log(FORCE / D / ETA0)
+
+
+def rig(path, header, *columns):
+    rows = zip(*(np.broadcast_to(column, RATE.shape) for column in columns), strict=True)
+    path.write_text("\n".join([header, *(",".join(repr(float(cell)) for cell in row) for row in rows)]) + "\n")
+    return path
+
+
+def onset(path, **named):
+    """C and eta0 of the form that the data were made with."""
+    form = fit_rop(path, progress=False, **named).sel(form="onset")
+    return float(form.C), float(form.eta0)
+
+
+@pytest.mark.parametrize(
+    ("header", "columns"),
+    [
+        ("ROP (m/h),WOB (kN)", {"rate_of_penetration": "ROP (m/h)", "mean_force": "WOB (kN)"}),
+        ("ROP [m/h],WOB_kN", {"rate_of_penetration": "ROP (m/h)", "mean_force": "WOB (kN)"}),
+        ("ROP,WOB", {"rate_of_penetration": "ROP (m/h)", "mean_force": "WOB [kN]"}),
+        ("rop M/HR,Weight on bit [KN]", {"rate_of_penetration": "ROP", "mean_force": "weight on bit"}),
+        ('ROP_m/h,"WOB, kN"', {"rate_of_penetration": "ROP", "mean_force": "WOB"}),
+        ("rate_of_penetration (m/h),mean_force (kN)", {}),
+    ],
+)
+def test_columns_are_converted_whatever_they_are_called(tmp_path, header, columns):
+    path = rig(tmp_path / "rig.csv", header, 3600 * RATE, FORCE / 1e3)
+    assert onset(path, columns={**columns, "threshold": "150 kN"}) == pytest.approx((C, ETA0), rel=1e-6)
+
+
+def test_a_fit_says_what_it_took_and_in_which_unit(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    rig(tmp_path / "rig.csv", "ROP [m/h],WOB_kN,D", 3600 * RATE, FORCE / 1e3, D)
+    words = ["rate_of_penetration=ROP (m/h)", "mean_force=WOB", "threshold=D"]
+    for argv in (["fit", "rig.csv", "--columns", *words], ["fit", "--columns", *words, "rig.csv"]):
+        assert main(argv) == 0
+        assert capsys.readouterr().out.splitlines()[:3] == [
+            'rate_of_penetration: column "ROP [m/h]", in m/h',
+            'mean_force: column "WOB_kN", in kN',
+            'threshold: column "D", taken as N, since it names no unit',
+        ]
+    fit_rop("rig.csv", columns=read_columns(words))
+    assert 'mean_force: column "WOB_kN", in kN' in capsys.readouterr().err
+
+
+def test_parameters_are_converted_too_and_stay_coordinates(tmp_path):
+    path = rig(tmp_path / "rig.csv", "ROP (m/h),P/D,k (MN/m)", 3600 * RATE, FORCE / D, 300.0)
+    said = {"rate_of_penetration": "ROP", "relief": "P/D", "k3": "k (MN/m)"}
+    fit = fit_rop(path, along="k3", columns=said, progress=False)
+    assert float(fit.sel(form="onset").C.squeeze()) == pytest.approx(C, rel=1e-6)
+    joint = fit_joint(path, over=("k3",), columns=said)
+    assert float(joint.reference.item()) == pytest.approx(300e6, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("header", "columns", "line"),
+    [
+        (
+            "ROP (m/h),WOB (kN)",
+            {"rate_of_penetration": "ROP (kN)"},
+            '"kN" is no unit of rate_of_penetration; choose fr',
+        ),
+        ("ROP (m/h),WOB (kN)", {"rate_of_penetration": "ROP (m/s)"}, '"ROP (m/h)" is in m/h by its name, not in m/s'),
+        ("ROP,WOB", {"rate_of_penetration": "ROP (mph)"}, '"mph" is no unit of rate_of_penetration'),
+        ("ROP,WOB", {"mean_force": "WOB (mN)"}, '"mN" is no unit of mean_force'),
+        ("ROP,WOB", {"rate_of_penetration": "RPO (m/h)"}, 'the file has no column "RPO (m/h)"; did you mean "ROP"?'),
+        ("ROP,ROP", {"rate_of_penetration": "ROP (m/h)"}, '"ROP (m/h)" may be "ROP", "ROP"; give each column a name'),
+        ("ROP (m/h),ROP (ft/h)", {"rate_of_penetration": "ROP"}, '"ROP" may be "ROP (m/h)", "ROP (ft/h)"'),
+        ("ROP,WOB", {"rop": "ROP (m/h)"}, "columns: rop: is nothing that data have; choose from rate_of_penetration, "),
+        ("ROP,WOB", {"relief": "ROP", "mean_force": "ROP"}, 'column "ROP" is relief already; give another'),
+        ("ROP,WOB", {"threshold": "-150 kN"}, "columns: threshold: is -150000; it must be at least 0 N"),
+        ("ROP,WOB", {"threshold": "150 m/h"}, '"m/h" is no unit of threshold'),
+        ("ROP,WOB", {"relief": 3}, "columns: relief: 3 is no column; write one with its unit"),
+        ("ROP,rate_of_penetration", {"rate_of_penetration": "ROP"}, 'the file has a column "rate_of_penetration" too'),
+        ("ROP (m/h),WOB_kN", {}, 'missing; if "ROP (m/h)" is it, rename it, or say so: --columns rate_of_penetration='),
+        (
+            "ROP (m/h),WOB_kN",
+            {"rate_of_penetration": "ROP"},
+            'relief is missing, or mean_force and threshold; if "WOB_kN" is it, rename it, or say so: --columns m',
+        ),
+        (
+            "ROP (m/h),WOB_kN",
+            {"rate_of_penetration": "ROP", "mean_force": "WOB"},
+            'or for all rows: --columns threshold="150 kN"',
+        ),
+    ],
+)
+def test_wrong_columns_are_refused_in_one_line(tmp_path, header, columns, line):
+    path = rig(tmp_path / "rig.csv", header, RATE, FORCE)
+    with pytest.raises(InputError) as caught:
+        fit_rop(path, columns=columns, progress=False)
+    assert "\n" not in str(caught.value) and line in str(caught.value)
+
+
+def test_what_is_no_table_of_columns_is_refused(tmp_path):
+    path = tmp_path / "rig.csv"
+    path.write_text("ROP,WOB\nm/h,kN\n1,20\n")
+    said = {"rate_of_penetration": "ROP (m/h)", "mean_force": "WOB (kN)", "threshold": "150 kN"}
+    for text, line in (
+        (
+            "ROP,WOB\nm/h,kN\n1,20\n",
+            "line 2: holds units; write them behind the names, like ROP (m/h), and leave it out",
+        ),
+        ("ROP,WOB\n", "no rows; add a line for each measurement"),
+        ("", "empty; a line of column names"),
+    ):
+        path.write_text(text)
+        with pytest.raises(InputError, match="rig") as caught:
+            fit_rop(path, columns=said)
+        assert line in str(caught.value)
+    with pytest.raises(InputError, match="fit_rop: has its names and units already"):
+        fit_rop(xr.Dataset(), columns=said)
+    with pytest.raises(InputError, match="names no columns; give a dict"):
+        fit_rop(path, columns="ROP")
+
+
+def test_words_of_the_command_are_refused_in_one_line(capsys):
+    for argv, line in (
+        (
+            ["rig.csv", "--columns", "ROP"],
+            '--columns: "ROP" is no NAME=COLUMN; write one, like rate_of_penetration="ROP',
+        ),
+        (["rig.csv", "--columns", "a=b", "a=c"], '--columns: a: "c" is a second column; give one'),
+    ):
+        assert main(["fit", *argv]) == 2
+        assert line in capsys.readouterr().err
+
+
+def test_a_column_in_another_unit_is_warned_of_with_the_likely_one(tmp_path):
+    path = rig(tmp_path / "rig.csv", "rate_of_penetration,mean_force,threshold", 3600 * RATE, FORCE, D)
+    with pytest.warns(vj.UnusualValue, match="column: .* m/s is far outside .* likely in m/h") as caught:
+        fit_rop(path, progress=False)
+    assert len(caught) == 1 and '--columns rate_of_penetration="rate_of_penetration (m/h)"' in str(caught[0].message)
+    rig(path, "rate_of_penetration,mean_force,threshold", RATE, FORCE / 1e3, D / 1e3)
+    with pytest.warns(vj.UnusualValue, match="likely in kN") as caught:
+        fit_rop(path, progress=False)
+    assert len(caught) == 2
+    rig(path, "rate_of_penetration,mean_force,threshold", RATE, FORCE, D)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        fit_rop(path, progress=False)
+
+
+def test_units_are_what_they_are():
+    assert factor("m/h", "m s-1") * 3600 == factor("m/s", "m s-1") == factor("m s-1", "m s-1") == 1.0
+    assert factor("ft/hr", "m s-1") == pytest.approx(0.3048 / 3600)
+    assert factor("klbf", "N") == pytest.approx(4448.2216)  # of 9.80665 m/s2 and 0.45359237 kg
+    assert factor("t", "N") == pytest.approx(9806.65) and factor("t", "kg") == 1000.0
+    assert factor("KN", "N") == 1e3 and factor("MN", "N") == 1e6 and factor("mN", "N") is None
+    assert split_unit("ROP (m/h)") == ("ROP", "m/h") and split_unit("WOB (mean) [kN]") == ("WOB (mean)", "kN")
+    assert split_unit("rate_of_penetration") == ("rate_of_penetration", None) and split_unit("x_1") == ("x_1", None)
+
+
+# what was wrong before
+
+
+def groups_of_points(**coordinates):
+    relief = np.linspace(0.2, 1.0, 8)
+    rates = {"rate_of_penetration": (("start", "point"), np.stack([C * np.log(relief / ETA0)] * 2)), "relief": relief}
+    rates["relief"] = ("point", relief)
+    return xr.Dataset(rates, {"point": np.arange(8), "start": ["drive", "stuck"]} | coordinates)
+
+
+def test_a_joint_fit_keeps_parameters_that_vary_where_the_relief_does_not():
+    relief, k3 = np.linspace(0.2, 1.0, 8), np.array([100e6, 300e6, 500e6])
+    rate = 1e-3 * (k3 / 300e6)[:, None] ** -0.5 * np.log(relief / ETA0)
+    rates = {"rate_of_penetration": (("rock", "frequency"), rate), "relief": ("frequency", relief)}
+    joint = fit_joint(xr.Dataset(rates, {"k3": ("rock", k3), "frequency": np.arange(1.0, 9.0)}), over=("k3",))
+    assert float(joint.C_exponent.item()) == pytest.approx(-0.5, abs=1e-6)
+
+
+def test_points_that_no_parameter_tells_apart_are_fitted_and_not_drawn(tmp_path, monkeypatch, capsys):
+    with pytest.raises(InputError, match="nothing to draw over: no parameter varies along the 8 points"):
+        vj.picture(fit_rop(groups_of_points(), along="start", progress=False))
+    monkeypatch.chdir(tmp_path)
+    vj.write_dataset(groups_of_points().assign_attrs(source="vibrojax 0"), "points.nc")
+    assert main(["fit", "points.nc", "--along", "start"]) == 0
+    captured = capsys.readouterr()
+    assert captured.out.endswith("points-fit.nc\n")
+    assert captured.err == "no picture: nothing to draw over: no parameter varies along the 8 points\n"

@@ -1,0 +1,197 @@
+"""What commands print for programs and for quiet or curious people: --json, --quiet, --verbose, completion."""
+
+import json
+import os
+import subprocess
+import sys
+from argparse import Namespace
+from pathlib import Path
+
+import jax
+import pytest
+
+import vibrojax as vj
+from vibrojax.cli import main
+from vibrojax.cli._complete import files, scenes, sweeps, values
+from vibrojax.words import WORDS
+
+ROOT = Path(__file__).parents[1]
+SWEEP = """scene = "penetration"
+[grid]
+force = [10e3, 300e3]
+frequency = { start = 10, stop = 40, num = 6 }
+[run]
+settle = 0.2
+observe = 0.3
+"""
+
+
+@pytest.fixture(autouse=True, scope="module")
+def promotion():
+    """Fits may promote, see tests/laws/conftest.py."""
+    with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
+        yield
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder with a sweep's dataset and a trajectory."""
+    path = tmp_path_factory.mktemp("outputs")
+    (path / "map.toml").write_text(SWEEP)
+    vj.write_dataset(vj.run_sweep(path / "map.toml", progress=False), path / "map.nc")
+    return path
+
+
+@pytest.fixture
+def here(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    return folder
+
+
+def printed(capsys, *argv):
+    """The one JSON object on stdout."""
+    assert main(argv) == 0
+    return json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
+
+
+def test_simulate_prints_what_it_found_as_json(here, capsys):
+    facts = printed(capsys, "simulate", "vibro-impact", "duration=1", "beta=0.4", "--json", "-o", "a.nc")
+    assert set(facts) == {
+        *("scene", "friction", "start", "parameters", "duration", "run"),
+        *("found", "solver", "dataset", "picture"),
+    }
+    assert facts["parameters"]["beta"] == 0.4 and facts["duration"] == 1.0 and facts["start"] == "drive"
+    assert facts["found"]["regime"] == "undecided" and facts["found"]["returns"] == 2
+    assert facts["found"]["settling_time"] is None  # NaN
+    assert facts["run"] == {"settle": 0.5, "observe": 0.5}
+    assert (facts["dataset"], facts["picture"]) == ("a.nc", "a.png")
+    motion = printed(capsys, "info", "a.nc", "--json")
+    assert motion["found"] == facts["found"] and motion["run"] == facts["run"]
+    assert motion["dimensions"]["time"]["last"] == 1.0 and motion["regimes"] == {}
+
+
+def test_info_prints_a_sweep_as_json(here, capsys):
+    facts = printed(capsys, "info", "map.nc", "--json")
+    assert facts["scene"] == "penetration" and facts["lanes"] == 12 and facts["file"] == "map.nc"
+    assert facts["dimensions"]["force"] == {"size": 2, "units": "N", "first": 10e3, "last": 300e3}
+    assert facts["run"]["settle"] == 0.2 and facts["solver"]["method"] == "located"
+    assert facts["accuracy"]["accepted"] == 1e-4 and facts["accuracy"]["estimated"] == 12
+    assert facts["failures"] == {} and facts["found"] == {} and facts["friction"] is None
+    assert facts["variables"]["relief"] == {
+        "dims": ["force", "frequency"],
+        "units": "1",
+        "long_name": "mean force over threshold, P/D",
+    }
+
+
+def test_fit_prints_every_group_as_json(here, capsys):
+    facts = printed(capsys, "fit", "map.nc", "--json")
+    weak, strong = facts["groups"]
+    assert weak["coordinates"]["force"] == 10e3 and weak["forms"]["line"]["C"] is None  # nothing penetrates
+    assert weak["forms"]["line"]["reason"] != "identified"
+    assert strong["forms"]["onset"]["C"] > 0 and strong["forms"]["onset"]["used"] == 6
+    assert facts["along"] == "frequency" and facts["dataset"] == "map-fit.nc" and facts["columns"] is None
+    assert any("log law" in line for line in facts["verdict"])
+
+
+def test_bad_input_is_one_line_with_json_too(here, capsys):
+    assert main(["info", "no.nc", "--json"]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == "" and captured.err == "vibrojax: no.nc: there is no such file\n"
+
+
+def test_quiet_prints_the_result_alone(here, capsys):
+    for argv in (
+        ["simulate", "penetration", "duration=0.1", "--fresh"],
+        ["sweep", "map.toml", "--fresh"],
+        ["plot", "map.nc"],
+    ):
+        assert main([*argv, "--quiet"]) == 0
+        assert capsys.readouterr() == ("", "")
+    assert main(["info", "map.nc", "--quiet"]) == 0
+    assert "penetration" in capsys.readouterr().out
+    (here / "rig.csv").write_text("P/D,ROP (m/h)\n" + "\n".join(f"{0.1 * n},{n}" for n in range(1, 9)) + "\n")
+    columns = ["--columns", "relief=P/D", "rate_of_penetration=ROP"]
+    assert main(["fit", "rig.csv", *columns, "--quiet"]) == 0
+    text = capsys.readouterr().out
+    assert text.startswith("all lanes: 8 lanes") and "log law" in text and "rig-fit.nc" not in text
+
+
+def test_verbose_tells_what_was_chosen_and_how_long_it_took(here, capsys):
+    for argv, parts in (
+        (["simulate", "penetration", "duration=0.1", "--fresh"], ("step", "measure", "write", "draw")),
+        (["sweep", "map.toml", "--fresh"], ("compile", "compile and step", "write", "draw")),
+        (["fit", "map.nc"], ("read and fit", "write", "draw")),
+        (["info", "map.nc"], ("read",)),
+        (["plot", "map.nc"], ("read", "draw")),
+        (["scenes"], ()),
+    ):
+        assert main([*argv, "--verbose"]) == 0
+        lines = capsys.readouterr().err.splitlines()
+        for part in (*parts, "all together"):
+            assert any(line.startswith(f"vibrojax: {part}: ") and line.endswith(" s") for line in lines), part
+        assert argv[0] not in ("simulate", "sweep", "fit") or any("vibrojax: chosen: " in line for line in lines)
+    assert main(["info", "map.nc"]) == 0
+    assert capsys.readouterr().err == ""  # and not the next time
+
+
+def test_every_command_explains_both(capsys):
+    for command in ("sweep", "simulate", "plot", "info", "fit", "accuracy", "reproduce", "scenes"):
+        assert main([command, "--help"]) == 0
+        text = " ".join(capsys.readouterr().out.split())
+        assert "print only errors, warnings and the result" in text and "how long each part took" in text
+    assert main(["info", "map.nc", "--quiet", "--verbose"]) == 2
+
+
+def test_words_are_explained_where_they_are_printed(here, capsys):
+    assert main(["--help"]) == 0
+    text = capsys.readouterr().out
+    assert all(f"  {word}: {meaning}\n" in text + "\n" for word, meaning in WORDS.items())
+    assert main(["sweep", "map.toml", "--fresh"]) == 0
+    assert "12 lanes (a point each)" in capsys.readouterr().out
+    assert main(["info", "map.nc"]) == 0
+    assert f"(a lane: {WORDS['lane']})" in capsys.readouterr().out
+    assert main(["fit", "map.nc"]) == 0
+    text = capsys.readouterr().out
+    assert f"eta: the relief P/D, {WORDS['relief P/D']}" in text and "literal: C ln(eta)" in text
+
+
+# completion
+
+
+def test_what_may_stand_there_is_told(here):
+    parsed = Namespace(scene="vibro-impact", values=["beta=0.4"])
+    assert scenes("vi") == ["vibro-impact"] and sweeps("regime") == ["regime-map"] and sweeps("m") == ["map.toml"]
+    assert files(".nc")("map.") == ["map.nc"] and files(".nc")(f"{here}/map.") == [f"{here}/map.nc"]
+    assert files(".nc")("/no/such/folder/") == []
+    assert values("b", parsed) == ["bit_radius="]  # beta is there already
+    assert values("start=", parsed) == ["start=drive", "start=stuck", "start=touching"]
+    assert values("friction=cou", parsed) == ["friction=coulomb"]
+    parsed.scene = "nothing"
+    assert values("", parsed) == []
+
+
+@pytest.mark.parametrize(
+    ("line", "word"),
+    [("vibrojax sim", "simulate"), ("vibrojax simulate rot", "rotary"), ("vibrojax simulate rotary gam", "gamma=")],
+)
+def test_the_shell_is_answered(tmp_path, line, word):
+    pytest.importorskip("argcomplete")
+    answer = tmp_path / "answer"
+    asked = {
+        "COMP_LINE": line,
+        "COMP_POINT": str(len(line)),
+        "_ARGCOMPLETE": "1",
+        "_ARGCOMPLETE_IFS": "\n",
+        "_ARGCOMPLETE_STDOUT_FILENAME": str(answer),
+        "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]),
+    }
+    subprocess.run([sys.executable, "-m", "vibrojax"], env=os.environ | asked, check=True, capture_output=True)
+    assert answer.read_text().strip() == word
+
+
+def test_without_the_extra_nothing_is_completed(monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "argcomplete", None)
+    monkeypatch.setenv("_ARGCOMPLETE", "1")
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out.startswith("vibrojax ")

@@ -1,0 +1,97 @@
+"""What `simulate` says it found: as a sweep of the same point says it, and in words."""
+
+import json
+
+import numpy as np
+import pytest
+
+import vibrojax as vj
+from vibrojax.cli._found import found_lines
+from vibrojax.simulation import _simulate
+from vibrojax.simulation._measured import window
+
+STRONG = {"threshold": 30e3, "delta": 0.002}
+POINTS = {
+    "rotary": ({}, 9.0),
+    "vibro-impact": ({"delta": 0.002, "gamma": 0.5, "beta": 0.9}, 12.0),
+    "drilling": (STRONG, 5.0),
+    "coupled-drilling": (STRONG, 5.0),
+    "penetration": ({"force": 300e3}, 1.0),
+}
+ROUNDING = {"drift_estimate", "deepest_gap", "stick_fraction"}
+"""What is zero but for roundings here, or of them."""
+
+
+def swept(scene, parameters, run, **more):
+    """The one lane of a sweep that settles and is observed as `run` says."""
+    starts = {} if scene == "penetration" else {"starts": ["stuck"]}
+    sweep = {"scene": scene, "parameters": parameters, "grid": {"m1": [250.0]}, "run": run | more} | starts
+    return vj.run_sweep(sweep, progress=False).squeeze()
+
+
+@pytest.mark.parametrize("scene", POINTS)
+def test_a_motion_is_measured_and_labelled_as_the_lane_of_a_sweep(scene):
+    parameters, duration = POINTS[scene]
+    start = {} if scene == "penetration" else {"start": "stuck"}
+    motion = vj.simulate(scene, duration=duration, progress=False, **parameters, **start)
+    lane = swept(scene, parameters, json.loads(motion.attrs["run"]), end_early=False)
+    besides = {"check_regime", "error_estimate", "status", "reason"}
+    assert set(lane.data_vars) - besides == {name for name in motion.data_vars if motion[name].ndim == 0}
+    for name in set(lane.data_vars) - besides:
+        assert motion[name].attrs["units"] == lane[name].attrs["units"]
+        assert motion[name].dtype == lane[name].dtype
+        atol = 1e-7 if name in ROUNDING else 0.0
+        np.testing.assert_allclose(motion[name], lane[name], rtol=1e-7, atol=atol, err_msg=name)
+
+
+def test_what_is_observed_by_default_is_what_sweeps_observe():
+    assert window(48.0) == (40.0, 8.0)
+    assert window(20.0) == (12.0, 8.0)
+    assert window(1.0) == (0.5, 0.5)
+    assert window(120.0) == (100.0, 20.0)
+
+
+def test_a_motion_too_short_to_judge_says_so_and_how_long_would_do():
+    motion = vj.simulate("vibro-impact", duration=1.0, progress=False)
+    line = found_lines(motion)[0]
+    assert line.startswith("undecided: 2 returns to the section are too few to judge by, 9 are needed; give duration=")
+    enough = float(line.rpartition("=")[2])
+    longer = vj.simulate("vibro-impact", duration=enough, progress=False)
+    assert longer["returns"] >= 9
+
+
+def test_words_name_regime_period_velocity_and_energy():
+    motion = vj.simulate("vibro-impact", duration=20.0, progress=False)
+    period, velocity, energy = (float(motion[name]) for name in ("period", "impact_velocity", "impact_energy"))
+    assert energy == pytest.approx(0.4 * 250 / 2 * velocity**2, rel=1e-6)
+    text = f"single-impact: one blow in each period of {period:.5g} s, at {velocity:.4g} m/s and {energy:.4g} J"
+    assert found_lines(motion)[0] == text
+
+
+def test_rock_has_its_rate_relief_and_slip():
+    motion = vj.simulate("penetration", duration=1.0, force=300e3, progress=False)
+    rate, slip = float(motion["rate_of_penetration"]), float(motion["slip_per_impact"])
+    assert slip == pytest.approx(rate / 20, rel=1e-9)  # 20 pulses a second
+    lines = found_lines(motion)
+    assert (
+        lines[0]
+        == f"rate of penetration {rate:.4g} m/s ({3600 * rate:.4g} m/h), {1e3 * slip:.4g} mm for each pulse (slip)"
+    )
+    # 300 kN for 4 ms, 20 times a second
+    assert lines[1] == "relief P/D 0.16: mean force 24 kN over the 150 kN at which the rock yields"
+    assert found_lines(vj.simulate("penetration", duration=1.0, force=10e3, progress=False))[0].startswith("no penetr")
+    short = found_lines(vj.simulate("penetration", duration=0.02, progress=False))[0]
+    assert short == "no whole pulse was observed, so there is no rate of penetration; give a longer duration"
+
+
+def test_a_solver_of_diffrax_gives_the_motion_alone():
+    motion = vj.simulate("rotary", duration=0.2, solver="Tsit5", error=1e-2, progress=False)
+    assert "regime" not in motion and found_lines(motion) == []
+
+
+def test_it_is_said_that_programs_compile_once(capsys, monkeypatch):
+    monkeypatch.setattr(_simulate, "_compiled", set())
+    vj.simulate("penetration", duration=0.1)
+    assert "compiling the scene penetration" in capsys.readouterr().err
+    vj.simulate("penetration", duration=0.2)
+    assert capsys.readouterr().err == ""

@@ -1,0 +1,88 @@
+"""Points that start from states of their own: columns start_x1, start_v1, start_x2, start_v2."""
+
+import numpy as np
+import pytest
+
+import vibrojax as vj
+from vibrojax.engine import programs
+from vibrojax.errors import InputError
+from vibrojax.store.dataset import open_dataset, write_dataset
+
+COLUMNS = ("start_x1", "start_v1", "start_x2", "start_v2")
+VECTORS = np.array([[0.0, -1.5, 0.0, 0.0], [0.01, 0.3, -0.02, 1.0], [-0.03, 0.0, 0.001, -2.0]])
+RUN = {"settle": 1.0, "observe": 1.0}
+
+
+def sweep(vectors=VECTORS, **more):
+    points = {name: vectors[:, i].tolist() for i, name in enumerate(COLUMNS)}
+    return {"scene": "vibro-impact", "points": points | more, "run": RUN}
+
+
+def test_each_point_starts_from_its_own_state():
+    found = vj.run_sweep(sweep(beta=[0.4, 0.3, 0.5]), progress=False)
+    assert found.regime.dims == ("point",) and "start" not in found.dims
+    for i, beta in enumerate((0.4, 0.3, 0.5)):
+        one = {"scene": "vibro-impact", "starts": [VECTORS[i].tolist()], "grid": {"beta": [beta]}, "run": RUN}
+        alone = vj.run_sweep(one, progress=False).squeeze()
+        for name in ("period", "impact_velocity", "bit_amplitude", "drive_power"):
+            assert float(found[name][i]) == float(alone[name]), name
+    # the first is the named start `stuck`
+    named = vj.run_sweep({"scene": "vibro-impact", "starts": ["stuck"], "grid": {"beta": [0.4]}, "run": RUN}, False)
+    assert float(found.period[0]) == named.period.item()
+
+
+def test_the_dataset_carries_the_states_along_the_points(tmp_path):
+    found = vj.run_sweep(sweep(), progress=False)
+    write_dataset(found, tmp_path / "points.nc")
+    stored = open_dataset(tmp_path / "points.nc")
+    for i, (name, unit) in enumerate(zip(COLUMNS, ("m", "m s-1", "m", "m s-1"), strict=True)):
+        assert stored[name].dims == ("point",) and stored[name].attrs["units"] == unit
+        assert stored[name].attrs["long_name"].endswith("at t = 0")
+        np.testing.assert_array_equal(stored[name], VECTORS[:, i])
+    assert vj.picture(stored)
+
+
+def test_other_states_compile_nothing_anew():
+    vj.run_sweep(sweep(), progress=False)
+    before = programs.compiled("cpu").settle._cache_size()
+    vj.run_sweep(sweep(VECTORS * 0.5), progress=False)
+    assert programs.compiled("cpu").settle._cache_size() == before
+
+
+def test_states_are_part_of_what_a_result_depends_on():
+    first, second = (vj.read_sweep(sweep(vectors)).identity() for vectors in (VECTORS, VECTORS * 0.5))
+    assert first != second and {f"points.{name}" for name in COLUMNS} <= set(first)
+    assert vj.read_sweep(sweep()).lanes == 3
+
+
+@pytest.mark.parametrize(
+    ("header", "line"),
+    [
+        (
+            "beta,start_x1,start_v1,start_x2",
+            "line 1, column start_x1: start_v2 missing; a start is start_x1, start_v1, ",
+        ),
+        ("start,start_x1,start_v1,start_x2,start_v2", "column start: start_x1 gives the start as well; give names, or"),
+        ("start_x1,start_v1,start_x2,start_v2", 'line 2, column start_v1: "fast" is not a number'),
+        (
+            "start_x1,start_x2,start_v1,start_v3",
+            'scene "vibro-impact" has no such state; a start is start_x1, start_v1',
+        ),
+        ("start_x1,start_v2,start_v1,start_x1", "column start_x1: is there already"),
+    ],
+)
+def test_wrong_columns_are_refused_in_one_line(tmp_path, header, line):
+    cells = {"start": "drive", "beta": "0.4", "start_v1": "fast" if "not a number" in line else "0.1"}
+    row = ",".join(cells.get(name, "0.02") for name in header.split(","))
+    (tmp_path / "points.csv").write_text(f"{header}\n{row}\n")
+    (tmp_path / "map.toml").write_text('scene = "vibro-impact"\npoints = "points.csv"\n')
+    with pytest.raises(InputError) as caught:
+        vj.read_sweep(tmp_path / "map.toml")
+    assert line in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_values_that_are_no_states_are_refused():
+    with pytest.raises(InputError, match=r"points.start_v1\[0\]: is inf; a finite number is needed"):
+        vj.read_sweep(sweep(np.array([[0.0, np.inf, 0.0, 0.0]])))
+    with pytest.raises(InputError, match='scene "penetration" has no'):
+        vj.read_sweep({"scene": "penetration", "points": {"start_x1": [0.0]}})

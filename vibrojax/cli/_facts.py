@@ -1,0 +1,95 @@
+"""What a dataset holds, as values with stable keys: what `info --json` prints."""
+
+from typing import TYPE_CHECKING, Any
+
+from vibrojax.cli._json import flags, from_json, numbers
+
+if TYPE_CHECKING:
+    import xarray
+
+_TEXTS = ("title", "scene", "friction", "pulse_shape", "source", "jax", "along")
+_VALUES = ("parameters", "differing", "run", "solver", "columns", "certified")
+
+
+def facts(dataset: "xarray.Dataset", file: str) -> dict[str, Any]:
+    """The facts by key; what a dataset of the kind lacks is null, or empty.
+
+    `file`, `title`, `scene`, `friction`, `pulse_shape`, `source`, `jax`, `along`, `history` (lines, the newest first);
+    `dimensions` and `variables` by name; `parameters`, `differing`, `run`, `solver`, `columns`, `certified` as the
+    attributes have them; `lanes`; `regimes`: lanes by regime; `failures`: lanes by reason; `accuracy`; `found`: of one
+    motion; `wall_time_s`.
+    """
+    attributes = dataset.attrs
+    texts = {name: str(attributes[name]) if name in attributes else None for name in _TEXTS}
+    motion = "time" in dataset.dims
+    lanes = int(attributes["lanes"]) if "lanes" in attributes else None
+    seconds = float(attributes["wall_time_s"]) if "wall_time_s" in attributes else None
+    return {
+        "file": file,
+        **texts,
+        "history": str(attributes.get("history", "")).split("\n"),
+        "dimensions": {str(name): _dimension(dataset, name) for name in dataset.sizes},
+        **{name: from_json(attributes, name) for name in _VALUES},
+        "lanes": lanes,
+        "regimes": {} if motion else _counted(dataset, "regime"),
+        "failures": _failures(dataset),
+        "accuracy": _accuracy(dataset),
+        "found": found(dataset) if motion else {},
+        "variables": {str(name): _about(variable) for name, variable in dataset.data_vars.items()},
+        "wall_time_s": seconds,
+    }
+
+
+def found(dataset: "xarray.Dataset") -> dict[str, Any]:
+    """The single values of a motion: what was found along it."""
+    return numbers(dataset, [str(name) for name, one in dataset.data_vars.items() if one.ndim == 0])
+
+
+def _about(variable: "xarray.DataArray") -> dict[str, Any]:
+    return {
+        "dims": list(variable.dims),
+        "units": variable.attrs.get("units"),
+        "long_name": variable.attrs.get("long_name"),
+    }
+
+
+def _dimension(dataset: "xarray.Dataset", name: Any) -> dict[str, Any]:
+    """Its size, its unit, and its values where they are few, else the first and the last."""
+    size = dataset.sizes[name]
+    if name not in dataset.coords or not size:
+        return {"size": size}
+    values = dataset[name].values
+    ends = {"first": values[0], "last": values[-1]}
+    return {"size": size, "units": dataset[name].attrs.get("units"), **ends}
+
+
+def _counted(dataset: "xarray.Dataset", name: str) -> dict[str, int]:
+    """How many lanes have each flag of a variable; those that none has are left out."""
+    if name not in dataset:
+        return {}
+    values = dataset[name].values
+    counts = {meaning: int((values == flag).sum()) for flag, meaning in flags(dataset[name]).items()}
+    return {meaning: count for meaning, count in counts.items() if count}
+
+
+def _failures(dataset: "xarray.Dataset") -> dict[str, int]:
+    reasons = _counted(dataset, "reason") if "status" in dataset else {}  # a fit's reasons are no failures
+    return {name: count for name, count in reasons.items() if name != "none"}
+
+
+def _accuracy(dataset: "xarray.Dataset") -> dict[str, Any] | None:
+    """Median and largest error estimate; how many lanes have one, and how many are within the accepted error."""
+    import numpy as np
+
+    if "error_estimate" not in dataset:
+        return None
+    errors = dataset["error_estimate"].values
+    errors = errors[~np.isnan(errors)]
+    accepted = (from_json(dataset.attrs, "run") or {}).get("error")
+    return {
+        "accepted": accepted,
+        "estimated": int(errors.size),
+        "within": None if accepted is None else int((errors <= accepted).sum()),
+        "median": float(np.median(errors)) if errors.size else None,
+        "largest": float(errors.max()) if errors.size else None,
+    }
