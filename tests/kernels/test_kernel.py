@@ -194,6 +194,21 @@ def test_branches():
         assert_as_jax(function, X[:4], Y[:4], np.asarray(limit))
 
 
+def test_loops_along_arguments():
+    """And results of every turn: here running sums, and products of rows with what is carried."""
+
+    def function(rows, x):
+        def turn(total, row):
+            return total + row, (total * row, jnp.stack([row, total]))
+
+        total, (products, pairs) = lax.scan(turn, x, rows)
+        return total, products, pairs, total * 2
+
+    assert_as_jax(function, ROWS, X)
+    with pytest.raises(Untranslatable, match="something else wants"):
+        Kernel(lambda rows, x: lax.scan(lambda a, row: (a + row, None), x, rows)[0] + rows[0], ROWS, X)
+
+
 def test_one_for_all_lanes():
     """An argument without axes; a result that depends on nothing else."""
     assert_as_jax(lambda x, a, n: (x * a, x + n, jnp.where(n > 2, x, -x)), X, np.asarray(0.7), np.asarray(3.0))
@@ -235,7 +250,7 @@ def test_a_polynomial_and_its_derivative():
         lambda x: x[::2],
         lambda x: jnp.arange(len(x), dtype=x.dtype) * x,
         lambda x: x[::-1],
-        lambda x: lax.scan(lambda a, b: (a, a * b), x, jnp.arange(3.0))[1],
+        lambda x: lax.scan(lambda a, b: (a, a * b), x, jnp.arange(3.0))[1] + 1.0,
     ],
 )
 def test_what_no_kernel_can_do(function):

@@ -1,11 +1,14 @@
-"""What programs are compiled with where XLA compiles them."""
+"""Functions of lanes compiled: by LLVM where a kernel can do it, else by XLA, and with what options."""
 
 from collections.abc import Callable
 from functools import cache, wraps
+from inspect import signature
 from typing import ParamSpec, TypeVar
 
 import jax
 from jaxlib import version as jaxlib
+
+from vibrojax.kernels import Untranslatable, run
 
 WIDE_VECTORS_CHECKED = ("0.10.0", "0.12.0.1")
 """Versions of jaxlib whose functions are right with the widest registers (AVX-512). In 0.10.2, 0.11.0 and 0.11.2 arctan
@@ -40,6 +43,29 @@ def jitted(static: tuple[str, ...] = ()) -> Callable[[Callable[P, R]], Callable[
         @wraps(function)
         def call(*args: P.args, **kwargs: P.kwargs) -> R:
             return program(jax.default_backend())(*args, **kwargs)
+
+        return call
+
+    return decorate
+
+
+def lane_function(static: int) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """A decorator: a function of lanes, compiled; the first so many of its arguments are static.
+
+    What it is given and gives are arrays whose last axis is the lanes', or without axes, in any pytrees.
+    """
+
+    def decorate(function: Callable[P, R]) -> Callable[P, R]:
+        names = tuple(signature(function).parameters)[:static]
+        by_xla = jitted(names)(function)
+
+        @wraps(function)
+        def call(*args: P.args, **kwargs: P.kwargs) -> R:
+            assert not kwargs, "a compiled function goes by the places of its arguments"
+            try:
+                return run(function, args[:static], *args[static:])
+            except Untranslatable:
+                return by_xla(*args)
 
         return call
 

@@ -17,6 +17,11 @@ def array_entries(asm: Assembly, place: int, aval: Any) -> Value:
     return entries
 
 
+def elsewhere(aval: Any) -> Value:
+    """For an array that a loop goes along, which nothing else may want: it has no entries."""
+    return np.empty(without_lanes(aval.shape), object)
+
+
 def array_slots(asm: Assembly, place: int, aval: Any, after: tuple[str, int] = ("0", 0)) -> Value:
     """Where the entries of an array lie, for this group of lanes, which are its last axis.
 

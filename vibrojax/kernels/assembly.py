@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from vibrojax.kernels.operands import Entry, Operand, Slot, element
+from vibrojax.kernels.operands import Entry, Operand, Slot, Untranslatable, element
 
 BOOL = np.dtype(bool)
 
@@ -16,7 +16,7 @@ class Assembly:
     """Instructions for a group of `width` lanes, written one by one. A vector has one element for each lane.
 
     - `lines`, and before them `places`: the instructions; `declared`: functions from outside; `workspace`: bytes of it.
-    - `results`: which of the kernel's arrays a variable is; `streamed`: those that are written within a loop.
+    - `arrays`: which of the kernel's arrays a variable is; `filled`: those that are written within a loop.
     """
 
     def __init__(self, width: int) -> None:
@@ -25,8 +25,8 @@ class Assembly:
         self.places: list[str] = []
         self.declared: set[str] = set()
         self.workspace = 0
-        self.results: dict[object, int] = {}
-        self.streamed: set[int] = set()
+        self.arrays: dict[object, int] = {}
+        self.filled: set[int] = set()
         self._names = 0
         self._read: dict[str, Operand] = {}
 
@@ -80,6 +80,8 @@ class Assembly:
         """An entry, read from memory if that is where it is."""
         if isinstance(entry, Operand):
             return entry
+        if entry is None:
+            raise Untranslatable("an array that a loop goes along, and something else wants")
         if entry.pointer not in self._read:
             self._read[entry.pointer] = self.load(entry, self._alignment(entry.varying))
         return self._read[entry.pointer]

@@ -1,11 +1,12 @@
 """Loops, branches, and functions within functions."""
 
 from collections.abc import Callable, Collection, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from vibrojax.kernels.arrays import array_slots
+from vibrojax.kernels.arrays import array_slots, elsewhere
 from vibrojax.kernels.assembly import IN_REGISTERS, Assembly
 from vibrojax.kernels.operands import Entry, Slot, Untranslatable, Value, dtype_of, varies, without_lanes
 
@@ -59,34 +60,49 @@ def _while(asm: Assembly, write: Write, equation: Any, values: Sequence[Value], 
     return carried
 
 
+def scanned(equation: Any) -> list[Any]:
+    """The variables of a scan that its turns go along."""
+    if equation.primitive.name != "scan":
+        return []
+    return _longer(equation.invars, equation.params["jaxpr"].jaxpr.invars)
+
+
+def _longer(outside: Sequence[Any], inside: Sequence[Any]) -> list[Any]:
+    """Those variables outside of a loop that have an axis more than within."""
+    return [var for var, one in zip(outside, inside, strict=True) if one.aval.ndim < var.aval.ndim]
+
+
 def _scan(asm: Assembly, write: Write, equation: Any, values: Sequence[Value], owned: Collection[int]) -> list[Value]:
-    """A loop of a known number of turns (`fori_loop`); what each turn gives may be a result of the kernel."""
-    inner, turns = equation.params["jaxpr"].jaxpr, equation.params["length"]
-    streams = [
-        (var, one.aval)
-        for one, var in zip(inner.outvars, equation.outvars, strict=True)
-        if one.aval.ndim < var.aval.ndim
-    ]
-    carries = len(equation.outvars) - len(streams)
-    if [var.aval.shape for var in inner.invars] != [var.aval.shape for var in equation.invars]:
-        raise Untranslatable("a scan over arrays")
-    if any(var not in asm.results for var, _ in streams):
-        raise Untranslatable("a scan whose turns are kept, but are no results")
-    constant = len(values) - carries
+    """A loop of a known number of turns (`fori_loop`). It may go along arguments of the kernel, and what each turn
+    gives may be a result."""
+    inner = equation.params["jaxpr"].jaxpr
+    along, kept = scanned(equation), _longer(equation.outvars, inner.outvars)
+    if any(var not in asm.arrays for var in (*along, *kept)):
+        raise Untranslatable("a scan along what is no argument, or whose turns are kept and are no result")
+    carries = len(equation.outvars) - len(kept)
+    constant = len(values) - carries - len(along)
     carried = _places(asm, [var.aval for var in equation.outvars[:carries]])
-    _put(asm, carried, values[constant:])
+    _put(asm, carried, values[constant : constant + carries])
+
+    def rows(number: str, var: Any, one: Any) -> Value:
+        size = int(np.prod(without_lanes(one.aval.shape)))
+        return array_slots(asm, asm.arrays[var], one.aval, after=(number, size))
 
     def turn(number: str) -> None:
-        found = write(equation.params["jaxpr"], [*values[:constant], *carried], set(map(id, carried)))
-        for (var, aval), value in zip(streams, found[carries:], strict=True):
-            slots = array_slots(asm, asm.results[var], aval, after=(number, value.size))
-            for slot, entry in zip(slots.flat, value.flat, strict=True):
+        read = [
+            np.vectorize(partial(asm.load, alignment=1), otypes=[object])(rows(number, var, one))
+            for var, one in zip(along, inner.invars[constant + carries :], strict=True)
+        ]
+        given = [*values[:constant], *carried, *read]
+        found = write(equation.params["jaxpr"], given, set(map(id, carried)))
+        for var, one, value in zip(kept, inner.outvars[carries:], found[carries:], strict=True):
+            for slot, entry in zip(rows(number, var, one).flat, value.flat, strict=True):
                 asm.store(entry, slot, alignment=1)
         _put(asm, carried, found[:carries])
 
-    asm.repeated(turns, turn)
-    asm.streamed |= {asm.results[var] for var, _ in streams}
-    return [*carried, *(np.empty(without_lanes(var.aval.shape), object) for var, _ in streams)]
+    asm.repeated(equation.params["length"], turn)
+    asm.filled |= {asm.arrays[var] for var in kept}
+    return [*carried, *(elsewhere(var.aval) for var in kept)]
 
 
 def _branch(asm: Assembly, write: Write, equation: Any, values: Sequence[Value], owned: Collection[int]) -> list[Value]:

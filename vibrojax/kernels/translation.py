@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from vibrojax.kernels import arrangement, control, selection
-from vibrojax.kernels.arrays import array_entries, array_slots
+from vibrojax.kernels.arrays import array_entries, array_slots, elsewhere
 from vibrojax.kernels.assembly import Assembly
 from vibrojax.kernels.operands import Value, dtype_of, literals
 
@@ -43,11 +43,15 @@ def kernel_text(jaxpr: Any, width: int) -> tuple[str, int]:
     """
     asm = Assembly(width)
     inner = jaxpr.jaxpr
-    given = [array_entries(asm, place, var.aval) for place, var in enumerate(inner.invars)]
-    asm.results = {var: place for place, var in enumerate(inner.outvars, start=len(given)) if not is_literal(var)}
+    along = {var for equation in inner.eqns for var in control.scanned(equation)}
+    given = [
+        elsewhere(var.aval) if var in along else array_entries(asm, place, var.aval)
+        for place, var in enumerate(inner.invars)
+    ]
+    asm.arrays = {var: place for place, var in enumerate((*inner.invars, *inner.outvars)) if not is_literal(var)}
     found = _written(asm, jaxpr, given)
     for place, (var, value) in enumerate(zip(inner.outvars, found, strict=True), start=len(given)):
-        if place in asm.streamed:
+        if place in asm.filled:
             continue
         for entry, slot in zip(value.flat, array_slots(asm, place, var.aval).flat, strict=True):
             asm.store(entry, slot, alignment=1)

@@ -13,7 +13,7 @@ import numpy as np
 
 from vibrojax.arrays import Array
 from vibrojax.devices import precision
-from vibrojax.engine.compiler import jitted
+from vibrojax.engine.compiler import lane_function
 from vibrojax.engine.drift import drift
 from vibrojax.engine.labelled import measured_besides, regimes
 from vibrojax.measure import recorder_for
@@ -60,7 +60,7 @@ def measured(
         for part in _batches(before):
             observed = _observe(scene, recorder, constants, observed, part, 0.0, begin)
         settled = recorder.settled(settled, observed)
-        lane = _as_step(scene, Record(*(x[middle - 1] for x in taken)))[1]
+        lane = _as_step(scene, Record(*(x[middle - 1][..., None] for x in taken)))[1]
         lane = lane._replace(mode=tuple(mode[None] for mode in after.mode[0]))
     observed = _begin(scene, recorder, constants, lane, settled)
     for part in _batches(after):
@@ -110,13 +110,13 @@ def _as(variable: Variable, values: np.ndarray) -> np.ndarray:
 
 
 def _batches(steps: Record) -> Iterator[Record]:
-    """The steps in batches of one size; in the last the lane stands still where it ended."""
+    """The steps in batches of one size, an axis of lanes added; in the last the lane stands still where it ended."""
     for first in range(0, len(steps.dt), BATCH):
         batch = Record(*(x[first : first + BATCH] for x in steps))
         missing = BATCH - len(batch.dt)
         if missing:
             batch = _stretched(batch, missing)
-        yield batch
+        yield Record(*(x[..., None] for x in batch))
 
 
 def _stretched(steps: Record, more: int) -> Record:
@@ -135,12 +135,12 @@ def _stretched(steps: Record, more: int) -> Record:
     return Record(*(np.concatenate([x, np.broadcast_to(y, (more, *np.shape(y)))]) for x, y in both))
 
 
-@jitted(static=("scene", "recorder"))
+@lane_function(static=2)
 def _begin(scene: Scene[Any], recorder: Records, c: Any, lane: Lane, settled: Any) -> Any:
     return recorder.begin(scene, c, lane, settled)
 
 
-@jitted(static=("scene", "recorder"))
+@lane_function(static=2)
 def _observe(
     scene: Scene[Any], recorder: Records, c: Any, carry: Any, steps: Record, begin: float, observe: float
 ) -> Any:
@@ -153,20 +153,20 @@ def _observe(
     return jax.lax.scan(one, carry, steps)[0]
 
 
-@jitted(static=("scene", "recorder"))
+@lane_function(static=2)
 def _read(scene: Scene[Any], recorder: Records, c: Any, carry: Any) -> Features:
     return recorder.read(scene, c, carry)
 
 
 def _as_step(scene: Scene[Any], recorded: Record) -> tuple[Step, Lane]:
-    """A recorded step as one of a block of one lane, and the lane after it, in the mode in which the step began."""
+    """A recorded step, its last axis that of lanes, and the lane after it, in the mode in which the step began."""
 
     def each(x: Array) -> tuple[Array, ...]:
-        return tuple(x[i][None] for i in range(len(x)))
+        return tuple(x[i] for i in range(len(x)))
 
-    polynomials = tuple(list(each(coefficients)) for coefficients in recorded.polynomials)
+    polynomials = tuple(list(each(coefficients)) for coefficients in each(recorded.polynomials))
     mode, after = each(recorded.mode), each(recorded.after)
-    h, dt = recorded.h[None], recorded.dt[None]
+    h, dt = recorded.h, recorded.dt
     step = Step(
         before=tuple(series[0] for series in polynomials),
         mode=mode,
@@ -178,5 +178,5 @@ def _as_step(scene: Scene[Any], recorded: Record) -> tuple[Step, Lane]:
         hits=dict(zip(scene.event_names, each(recorded.hits), strict=True)),
         falling=dict(zip(scene.marker_names, each(recorded.falling), strict=True)),
     )
-    end = (recorded.start + recorded.dt)[None]
+    end = recorded.start + recorded.dt
     return step, Lane(Clock(end, jnp.zeros_like(end)), after, mode, jnp.full_like(end, jnp.inf))

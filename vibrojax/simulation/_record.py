@@ -14,10 +14,9 @@ from jaxtyping import Bool, Float, Int
 
 from vibrojax.amounts import size_text
 from vibrojax.arrays import Array
-from vibrojax.engine.compiler import jitted
+from vibrojax.engine.compiler import lane_function
 from vibrojax.engine.resources import memory
 from vibrojax.errors import InputError, Place
-from vibrojax.kernels import Untranslatable, run
 from vibrojax.scenes import HasFriction, Scene
 from vibrojax.scenes.scene import Values
 from vibrojax.stepping import Accuracy, Goal, Lane, Stepper, lane_at
@@ -69,7 +68,7 @@ def record(
     parts = []
     goal = duration if pause is None else pause
     for _ in range(ceil(most_steps / BATCH)):
-        lane, part = _steps(scene, stepper, constants, lane, accuracy, goal)
+        lane, part = _batch(scene, stepper, constants, lane, accuracy, goal)
         parts.append(jax.tree.map(lambda x: np.asarray(x)[..., 0], part))
         if tell:
             tell(float(lane.clock.high[0]))
@@ -87,18 +86,11 @@ def record(
     )
 
 
-def _steps(scene: Scene[Any], stepper: Stepper, *given: Any) -> tuple[Lane, Any]:
-    """See `_batch`; the last axis is still that of lanes."""
-    try:
-        return run(_batch, (scene, stepper), *given)
-    except Untranslatable:
-        return _batch_by_xla(scene, stepper, *given)
-
-
+@lane_function(static=2)
 def _batch(
     scene: Scene[Any], stepper: Stepper, constants: Any, lane: Lane, accuracy: Accuracy, duration: Array
 ) -> tuple[Lane, Any]:
-    """(the lane after some steps, the record of them)."""
+    """(the lane after some steps, the columns of their record)."""
 
     def one(lane: Lane, _: None) -> tuple[Lane, Any]:
         moving = lane.clock.until(duration) > 0
@@ -117,9 +109,6 @@ def _batch(
 
     steps: tuple[Lane, Any] = jax.lax.scan(one, lane, length=BATCH)
     return steps
-
-
-_batch_by_xla = jitted(static=("scene", "stepper"))(_batch)
 
 
 def _flags(names: tuple[str, ...], flags: Any, like: Array) -> Bool[Array, "names lanes"]:
