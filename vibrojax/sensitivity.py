@@ -1,5 +1,6 @@
 """Derivatives of what is measured with respect to the parameters, through the located motion, in forward mode."""
 
+import json
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any, TypeGuard
@@ -215,12 +216,15 @@ def _dataset(
         known = table.get(name)
         described = {"units": known.unit, "long_name": known.long_name} if known else {}
         coordinates[name] = ("point", column, described)
+    varied = {name for name in points[0].parameters if len({point.parameters[name] for point in points}) > 1}
     attributes = {
         "title": f"Derivatives of {', '.join(variables)} in {points[0].scene}",
         "scene": points[0].scene,
         **provenance(),
         "history": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} derivatives",
         **points[0].options,
+        **({} if points[0].start is None else {"start": json.dumps(points[0].start)}),
+        "parameters": json.dumps({name: x for name, x in points[0].parameters.items() if name not in varied}),
         "settle": times.settle,
         "observe": times.observe,
         "Conventions": "CF-1.11",
