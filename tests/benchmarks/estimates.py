@@ -68,7 +68,7 @@ def in_its_own_process(name: str) -> dict:
     with tempfile.TemporaryDirectory() as cache:
         environment = os.environ | {"JAX_COMPILATION_CACHE_DIR": cache, "MPLBACKEND": "agg"}
         command = [sys.executable, __file__, "--one", name]
-        done = subprocess.run(command, env=environment, check=True, capture_output=True, text=True)
+        done = subprocess.run(command, env=environment, check=True, stdout=subprocess.PIPE, text=True)
     return json.loads(done.stdout.splitlines()[-1])
 
 
