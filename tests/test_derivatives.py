@@ -1,16 +1,18 @@
-"""Derivatives through the events, against central differences of the same converged, located motion.
+"""Derivatives through the events: against central differences of the exact reference, which shares no code with them,
+and against those of the same converged, located motion.
 
 Finite differences of a fixed-step motion would not do: it loses the derivative of the impact time, and so agree with a
-wrong derivative. Here an event's time is located, so that what is differenced is the exact motion to 1e-11.
+wrong derivative.
 """
 
+import exact
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import vibrojax as vj
 from vibrojax.errors import InputError
-from vibrojax.laws.sensitivity import rop_derivatives
 from vibrojax.measure import recorder_for
 from vibrojax.measure.run import Effort, run_block
 from vibrojax.scenes import SCENES
@@ -19,67 +21,235 @@ from vibrojax.stepping import Accuracy, Located
 EXACT = Effort(Accuracy(tolerance=1e-12, stride=1.0, step=1e9), 1e6)
 
 
-def features(scene, wrt, names, settle, observe):
-    """A function of the parameters `wrt` that gives the features called `names` of one lane."""
-    defaults = {name: parameter.default for name, parameter in scene.parameters().items()}
+def derivatives(scene, **given):
+    return vj.derivatives(scene, progress=False, **given)
 
-    def found(values):
+
+def reasons(found):
+    """The reasons in words, an array like the derivatives."""
+    return np.array(found.reason.attrs["flag_meanings"].split())[found.reason.values]
+
+
+# What they are
+
+
+def exact_slopes(scene, of, by, point, share=1e-5, **times):
+    """Central differences of the exact motion, (variables, parameters)."""
+
+    def measured(name, value):
+        return np.array([exact.measure(exact.run(scene, **point | {name: value}, **times))[one] for one in of])
+
+    steps = {name: share * abs(point[name]) for name in by}
+    return np.stack(
+        [(measured(n, point[n] + h) - measured(n, point[n] - h)) / (2 * h) for n, h in steps.items()], axis=1
+    )
+
+
+DRILL = ("period", "impact_velocity", "stick_fraction", "mean_impact_force")
+CASES = {
+    "rotary": (("period", "bit_amplitude", "drive_power"), ("gamma", "v"), {"gamma": 0.6, "v": 1.0, "start": "stuck"}),
+    "drilling": (
+        ("period", "impact_velocity", "rate_of_penetration"),
+        ("beta",),
+        {"beta": 0.4, "gamma": 0.6, "zeta": 0.5, "threshold": 1e5, "start": "stuck"},
+    ),
+}
+
+
+@pytest.mark.parametrize("scene", CASES)
+def test_of_each_kind_of_drill_they_are_the_exact_slopes(scene):
+    of, by, point = CASES[scene]
+    times = {"settle": 4.0, "observe": 2.0}
+    found = derivatives(scene, of=of, by=by, **point, **times)
+    np.testing.assert_allclose(found.derivative, exact_slopes(scene, of, by, point, **times), rtol=1e-6)
+
+
+def test_at_random_points_they_are_the_exact_slopes():
+    """With preload and with a gap, where the motion repeats: on a long transient differences are no slopes."""
+    rng = np.random.default_rng(5)
+    size = 4
+    points = {
+        "beta": rng.uniform(0.3, 0.5, size),
+        "gamma": rng.uniform(0.62, 0.8, size),
+        "v": rng.uniform(1.0, 2.0, size),
+        "delta": np.where(np.arange(size) % 2, -1, 1) * rng.uniform(0.002, 0.006, size),
+    }
+    by, times = ("beta", "gamma"), {"start": "stuck", "settle": 10.0, "observe": 4.0}
+    found = derivatives("vibro-impact", of=DRILL, by=by, **points, **times)
+    repeat = np.flatnonzero((reasons(found)[:, 0] != "not-repeating").all(axis=-1))
+    assert len(repeat) >= 3
+    for index in repeat:
+        point = {name: float(column[index]) for name, column in points.items()}
+        slopes = exact_slopes("vibro-impact", DRILL, by, point, **times)
+        known = found.measured.values[index] != 0  # one never sticks
+        np.testing.assert_allclose(found.derivative.values[index][known], slopes[known], rtol=2e-6)
+
+
+def test_a_jacobian_of_ones_own_goes_through_the_pure_function():
+    scene = SCENES["vibro-impact"]()
+    defaults = {name: parameter.default for name, parameter in scene.parameters().items()}
+    wrt, of = ("beta", "gamma", "v", "mu"), ("period", "impact_velocity")
+
+    def run(values):
         p = {name: jnp.full(1, value) for name, value in defaults.items()}
         p |= {name: values[index : index + 1] for index, name in enumerate(wrt)}
-        p = scene.constants(p)
-        start = scene.start(p, "drive", (1,))
-        read = run_block(scene, Located(), recorder_for(scene), p, start, EXACT, settle, observe)
-        return jnp.concatenate([read[name] for name in names])
+        c = scene.constants(p)
+        start = scene.start(c, "drive", (1,))
+        read = run_block(scene, Located(), recorder_for(scene), c, start, EXACT, 14.0, 2.0)
+        return jnp.concatenate([read[name] for name in of])
 
-    return found, jnp.asarray([defaults[name] for name in wrt])
-
-
-def central(function, at, share=1e-5):
-    """Central differences, (outputs, inputs)."""
-    steps = share * jnp.diag(at)
-    columns = [
-        (function(at + step) - function(at - step)) / (2 * share * value) for step, value in zip(steps, at, strict=True)
-    ]
-    return jnp.stack(columns, axis=1)
-
-
-def test_period_and_impact_velocity_of_the_drill():
-    # 70 stick-slip cycles with as many impacts, at the defaults: a stable single impact.
-    run, at = features(
-        SCENES["vibro-impact"](), ("beta", "gamma", "v", "mu"), ("period", "impact_velocity"), settle=14.0, observe=2.0
-    )
-    run = jax.jit(run)
-    found = jax.jit(jax.jacfwd(run))(at)
-    np.testing.assert_allclose(found, central(run, at), rtol=1e-6)
+    at = jnp.asarray([defaults[name] for name in wrt])
+    found = derivatives("vibro-impact", of=of, by=wrt, settle=14.0, observe=2.0)
+    np.testing.assert_allclose(jax.jit(jax.jacfwd(run))(at), found.derivative, rtol=1e-8)
+    with pytest.raises(ValueError, match=r"Reverse-mode differentiation does not work for lax\.while_loop"):
+        jax.grad(lambda values: run(values)[0])(at)
 
 
 SHORT = {"settle": 0.3, "observe": 0.2, "zeta": 0.6}
+RATE = {"of": "rate_of_penetration", "by": ("force", "threshold", "k3", "zeta")}
 
 
 def test_rate_of_penetration():
-    given = SHORT | {"force": 250e3}
-    found = rop_derivatives(**given)
-    assert found.valid.values.tolist() == [1, 1, 1, 1]
-    for name in found.parameter.values:
-        value, derivative = float(found.value.sel(parameter=name)), float(found.derivative.sel(parameter=name))
-        step = 1e-5 * value
-        up, down = (
-            float(rop_derivatives(**given | {str(name): value + sign * step}).rate_of_penetration) for sign in (1, -1)
-        )
-        assert derivative == pytest.approx((up - down) / (2 * step), rel=1e-5), name
+    point = {"force": 250e3, "threshold": 150e3, "k3": 300e6, "zeta": 0.6}
+    found = derivatives("penetration", **RATE, **SHORT | point)
+    assert found.valid.values.tolist() == [[1, 1, 1, 1]]
+    slopes = exact_slopes("penetration", [RATE["of"]], RATE["by"], point, settle=0.3, observe=0.2)
+    np.testing.assert_allclose(found.derivative, slopes, rtol=1e-6)
 
 
-def test_derivatives_say_where_they_do_not_hold():
-    # Far below the threshold nothing yields; at the force whose peak just reaches D the count of yields changes.
-    assert not rop_derivatives(force=50e3, **SHORT).valid.any()
+def test_units_and_elasticities():
+    found = derivatives("penetration", **RATE, **SHORT)
+    assert found.derivative_unit.values.tolist() == [["m s-1 (N)-1", "m s-1 (N)-1", "m s-1 (N m-1)-1", "m s-1"]]
+    assert found.unit.values.tolist() == ["m s-1"]
+    # At one stiffness, force and threshold together only scale all lengths.
+    assert float(found.elasticity.sel(parameter=["force", "threshold"]).sum()) == pytest.approx(1, abs=1e-9)
+
+
+def test_points_in_lists_are_the_points_one_by_one():
+    lists = {"beta": [0.35, 0.4, 0.45], "v": [1.2, 1.5, 1.8]}
+    rest = {"of": ("period", "impact_velocity"), "by": ("gamma",), "settle": 3.0, "observe": 3.0}
+    together = derivatives("vibro-impact", **lists, **rest)
+    assert together.derivative.dims == ("point", "variable", "parameter")
+    assert together.beta.values.tolist() == lists["beta"] and together.v.attrs["units"] == "m s-1"
+    for index in range(3):
+        alone = derivatives("vibro-impact", **{name: x[index] for name, x in lists.items()}, **rest)
+        assert alone.derivative.dims == ("variable", "parameter")
+        for name in ("measured", "derivative", "drift", "reason"):
+            np.testing.assert_array_equal(alone[name], together[name].isel(point=index), name)
+
+
+# Where they hold
+
+
+def test_they_settle_after_the_motion():
+    """Over random points: the derivative comes closer to the orbit's with the time to settle, and where it is called
+    valid it is within the accepted error of it."""
+    rng = np.random.default_rng(3)
+    size = 12
+    points = {
+        "beta": rng.uniform(0.2, 0.8, size),
+        "gamma": rng.uniform(0.4, 1.0, size),
+        "v": rng.uniform(0.5, 2.5, size),
+        "delta": rng.uniform(-0.008, 0.008, size),
+    }
+    given = {"of": ("period", "impact_velocity"), "by": ("beta", "v"), "start": "stuck", **points}
+    orbit = derivatives("vibro-impact", settle=120.0, **given)
+    shorter = {settle: derivatives("vibro-impact", settle=settle, **given) for settle in (10.0, 20.0, 40.0)}
+    held = [int(found.valid.sum()) for found in shorter.values()]
+    assert held == sorted(held) and held[0] < held[-1]
+    for found in shorter.values():
+        valid = (found.valid & orbit.valid).values == 1
+        relative = np.abs(found.derivative / orbit.derivative - 1).values[valid]
+        insensitive = np.abs(orbit.elasticity.values[valid]) < 1e-3
+        assert np.max(relative[~insensitive]) < 1e-3
+    settled = orbit.valid.values == 1
+    worst = [float(np.abs(one.derivative - orbit.derivative).values[settled].max()) for one in shorter.values()]
+    assert worst[0] > 10 * worst[-1]
+
+
+def test_a_motion_that_does_not_repeat_has_none():
+    found = derivatives("vibro-impact", of="period", by="beta", delta=0.005, start="drive")  # a weak rattle
+    assert reasons(found).tolist() == [["not-repeating"]] and found.valid.values.tolist() == [[0]]
+
+
+def test_there_is_nothing_to_differentiate_without_a_value():
+    found = derivatives("vibro-impact", of=("period", "impact_velocity"), by="beta", delta=0.5)  # out of reach
+    assert reasons(found).tolist() == [["none"], ["zero-or-undefined"]]
+    assert set(reasons(derivatives("penetration", **RATE, **SHORT, force=50e3)).ravel()) == {"zero-or-undefined"}
+
+
+def test_what_cannot_be_run_is_refused():
+    found = derivatives("penetration", **RATE, pulse_width=0.2, frequency=[4.0, 10.0])
+    assert set(reasons(found)[1].ravel()) == {"refused"} and "refused" not in reasons(found)[0]
+
+
+def test_short_of_settling_they_are_flagged():
+    given = {"of": "period", "by": "gamma", "delta": 0.005, "start": "stuck"}
+    assert reasons(derivatives("vibro-impact", settle=5.0, observe=4.0, **given)).tolist() == [["still-settling"]]
+    assert reasons(derivatives("vibro-impact", settle=40.0, **given)).tolist() == [["none"]]
+
+
+def test_at_a_threshold_the_order_of_events_changes():
+    # At the force whose peak just reaches D the count of yields changes.
     low, high = 50e3, 250e3
-    for _ in range(30):
-        middle = (low + high) / 2
-        yields = float(rop_derivatives(force=middle, **SHORT).rate_of_penetration) > 0
-        low, high = (low, middle) if yields else (middle, high)
-    assert not rop_derivatives(force=high, **SHORT).valid.any()
+    for _ in range(8):
+        forces = np.linspace(low, high, 16)
+        rate = derivatives("penetration", of=RATE["of"], by="force", force=forces, **SHORT).measured.values[:, 0]
+        first = int(np.argmax(rate > 0))
+        low, high = forces[first - 1 : first + 1]
+    at = derivatives("penetration", **RATE, force=high, **SHORT)
+    assert set(reasons(at).ravel()) == {"order-of-events-changes-nearby"}
 
 
-def test_an_unknown_parameter_is_refused():
-    with pytest.raises(InputError, match="the scene has no beta"):
-        rop_derivatives(wrt=("beta",))
+def test_at_a_graze_the_order_of_events_changes():
+    """The gap at which the striker, having swung free, just reaches the bit."""
+    given = {"of": "striker_amplitude", "by": "delta", "start": "stuck"}
+    reach = float(derivatives("vibro-impact", delta=0.5, **given).measured[0])
+    found = derivatives("vibro-impact", delta=[0.9 * reach, 1.1 * reach], **given)
+    low, high = 0.0, 2 * reach
+    for _ in range(5):
+        gaps = np.linspace(low, high, 10)
+        impacts = derivatives("vibro-impact", of="impact_velocity", by="delta", delta=gaps, start="stuck").measured
+        free = int(np.argmax(np.isnan(impacts.values[:, 0])))
+        low, high = gaps[free - 1 : free + 1]
+    found = derivatives("vibro-impact", delta=[high, 1.1 * high], **given)
+    assert reasons(found).ravel().tolist() == ["order-of-events-changes-nearby", "none"]
+
+
+# What is refused
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"of": "rate_of_penetration"}, "of: the scene has no .* to differentiate"),
+        ({"of": "impacts"}, "of: the scene has no .* to differentiate; did you mean"),  # a count
+        ({"of": []}, "of: is empty; choose from period, "),
+        ({"by": "force"}, "by: the scene has no .* to differentiate"),
+        ({"beta": [0.4, 0.5], "v": [1.0]}, "v: has 1 values; beta has 2"),
+        ({"beta": []}, "beta: has 0 values; at least one is needed"),
+        ({"settle": 0.0}, "settle: is 0; it must be above 0 s"),
+        ({"error": "small"}, "error: .* is text"),
+        ({"bta": 0.4}, "bta: .* did you mean"),
+    ],
+)
+def test_wrong_input_is_one_line(given, message):
+    with pytest.raises(InputError, match=message):
+        derivatives("vibro-impact", **{"of": "period", "by": "beta"} | given)
+
+
+@pytest.mark.parametrize("transform", [jax.grad, jax.jit, jax.jacfwd])
+def test_transformations_of_jax_are_refused_with_what_to_do(transform):
+    def period(beta):
+        return derivatives("vibro-impact", of="period", by="beta", beta=beta).measured.values[0]
+
+    with pytest.raises(InputError, match=r"beta: is traced by jax .* derivatives come from vj.derivatives, in forward"):
+        transform(period)(0.4)
+    with pytest.raises(InputError, match=r"simulate: beta: is traced by jax .* vj.derivatives"):
+        transform(lambda beta: vj.simulate("vibro-impact", beta=beta))(0.4)
+
+
+def test_arrays_of_jax_are_numbers():
+    given = {"of": "rate_of_penetration", "by": "force", **SHORT}
+    found = [derivatives("penetration", force=x, **given).derivative.values for x in (250e3, jnp.asarray(250e3))]
+    np.testing.assert_array_equal(*found)

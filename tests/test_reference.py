@@ -31,6 +31,9 @@ SEEN = {  # what error = 1e-4 gives in fact, with a margin of ten and more: a lo
     "bit_amplitude": 1e-4,
     "striker_amplitude": 1e-4,
 }
+STATED = {"period": 3e-9, "impact_velocity": 3e-8}
+"""What the README says of it."""
+
 SEEN_FINER = {  # the same of error = 1e-5
     "period": 1e-9,
     "impact_velocity": 1e-7,
@@ -134,6 +137,13 @@ def test_accuracy_that_was_asked_for(usual):
 
 def test_accuracy_that_is_reached(usual):
     check(*usual, SEEN)
+
+
+def test_accuracy_that_the_readme_states(usual):
+    cases, dataset = usual
+    check(cases, dataset, STATED)
+    seconds = 48.0 * len(cases)
+    assert 40 < json.loads(dataset.solver)["steps"] / seconds < 50  # "some 45"
 
 
 def test_accuracy_that_finer_steps_reach():

@@ -17,7 +17,7 @@ _HOMES = {
     "fit_joint": "vibrojax.laws",
     "fit_friction": "vibrojax.laws",
     "refit_frequency": "vibrojax.laws",
-    "rop_derivatives": "vibrojax.laws",
+    "derivatives": "vibrojax.sensitivity",
     "run_accuracy": "vibrojax.accuracy",
     "run_reproduction": "vibrojax.reproduce",
     "write_reproduction": "vibrojax.reproduce",

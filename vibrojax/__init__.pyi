@@ -8,7 +8,6 @@ from vibrojax.laws import fit_friction as fit_friction
 from vibrojax.laws import fit_joint as fit_joint
 from vibrojax.laws import fit_rop as fit_rop
 from vibrojax.laws import refit_frequency as refit_frequency
-from vibrojax.laws import rop_derivatives as rop_derivatives
 from vibrojax.measure import Gauge as Gauge
 from vibrojax.physics import contact as contact
 from vibrojax.physics import elementary as elementary
@@ -37,6 +36,7 @@ from vibrojax.scenes import Scene as Scene
 from vibrojax.scenes import Section as Section
 from vibrojax.scenes import State as State
 from vibrojax.scenes import Swing as Swing
+from vibrojax.sensitivity import derivatives as derivatives
 from vibrojax.simulation import simulate as simulate
 from vibrojax.stepping import Located as Located
 from vibrojax.stepping import Smoothed as Smoothed

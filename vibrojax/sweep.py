@@ -19,6 +19,7 @@ import xarray as xr
 
 from vibrojax.engine.batch import Features, Report, unreported
 from vibrojax.engine.chunks import Chunks
+from vibrojax.engine.costs import by_the_clock, processor_time
 from vibrojax.engine.labelled import dataset_of
 from vibrojax.engine.resources import Cost, check_size
 from vibrojax.input.definition import Sweep
@@ -30,11 +31,6 @@ from vibrojax.store.provenance import provenance
 from vibrojax.store.shards import DamagedShard, Shards, report_damage
 from vibrojax.store.variables import VARIABLES
 from vibrojax.timings import LOG, timed
-
-SECONDS_PER_STEP = 0.15e-6
-STEPS_PER_SECOND = 120.0
-"""What a step of a lane takes on one core, and how many there are in a simulated second, located, both runs together:
-roughly, for estimates only."""
 
 
 def run_sweep(source: str | PathLike[str] | Mapping[str, object] | Sweep, progress: bool = True) -> xr.Dataset:
@@ -96,18 +92,21 @@ def run_to_file(sweep: Sweep, out: Path, resume: bool = True, progress: bool = T
 
 
 def estimate(sweep: Sweep) -> Cost:
-    """What a sweep will take, before any work; the time is rough."""
+    """What a sweep will take, before any work; the time is rough (see [vibrojax.engine.costs][])."""
     chunks = Chunks(sweep)
     per_lane = 8 * (len(VARIABLES) + 6 * sweep.run.keep_returns)
-    seconds = sweep.run.settle + sweep.run.observe
-    steps = STEPS_PER_SECOND + 1.5 / chunks.accuracy.step  # the check run's steps are twice as long
+    processor, cores = processor_time(chunks), len(chunks.engine.workers)
+    passing = by_the_clock(processor, cores)
     return Cost(
         lanes=sweep.lanes,
         chunks=chunks.count,
         # A lane in the loop carries some 500 numbers; the results are held once to be labelled and written.
         memory_bytes=400e6 + chunks.size * 8 * 500 + 3 * sweep.lanes * per_lane,
         disk_bytes=ceil(sweep.lanes * per_lane),
-        time_s=8 + SECONDS_PER_STEP * steps * sweep.lanes * seconds / len(chunks.engine.workers),
+        time_s=sum(passing),
+        compile_s=passing.start + passing.compile,
+        step_s=passing.step,
+        processor_s=sum(processor),
     )
 
 

@@ -66,5 +66,11 @@ def _cost_lines(shape: tuple[int, ...], dims: tuple[str, ...], cost: "Cost") -> 
         f"lanes   {cost['lanes']} ({grid}) in {cost['chunks']} chunks",
         f"memory  {size_text(cost['memory_bytes'])}",
         f"disk    {size_text(cost['disk_bytes'])}",
-        f"time    {time_text(cost['time_s'])}",
+        f"time    about {_about(cost['time_s'])}: {_about(cost['compile_s'])} to start and compile, "
+        f"{_about(cost['step_s'])} to step ({_about(cost['processor_s'])} of processor time)",
     ]
+
+
+def _about(seconds: float) -> str:
+    """A time of which two digits are known at best."""
+    return time_text(float(f"{seconds:.2g}"))

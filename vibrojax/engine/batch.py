@@ -67,6 +67,11 @@ class Batch:
         return replace(self, begin=np.full_like(self.begin, begin), duration=duration.astype(self.duration.dtype))
 
 
+def steps_at_most(seconds: float, accuracy: Accuracy, any_lane: float = MOST_STEPS) -> float:
+    """Steps after which a lane of so many `seconds` is given up; `any_lane`: those of one that lasts no time."""
+    return any_lane + seconds * (MOST_PER_SECOND + 2 / accuracy.step)
+
+
 def _steps(batch: Batch) -> Array:
     return np.zeros_like(batch.recent) if batch.underway is None else batch.underway.steps
 
@@ -166,9 +171,9 @@ class Engine:
 
     def _effort(self, accuracy: Accuracy) -> Effort:
         run = self.sweep.run
-        asked = (run.settle + run.observe) * (MOST_PER_SECOND + 2 / accuracy.step)
         traced = Accuracy(*(np.asarray(x, self._dtype) for x in accuracy))
-        return Effort(traced, np.int32(min(self.most_steps + asked, 2**31 - 1)))
+        most = steps_at_most(run.settle + run.observe, accuracy, self.most_steps)
+        return Effort(traced, np.int32(min(most, 2**31 - 1)))
 
     def _run(self, batches: list[Batch], program: Callable[[Batch], Any], report: Report = unreported) -> list[Any]:
         """What `program` gives for the lanes of each batch, run a few blocks at a time."""

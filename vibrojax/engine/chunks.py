@@ -119,7 +119,7 @@ class Chunks:
         return [share * half for share in LOOKS] if half > 0 else []
 
     @property
-    def _ends_early(self) -> bool:
+    def ends_early(self) -> bool:
         """Whether lanes are looked at for having settled: not where pulses drive, or the last returns are stored.
 
         Nor on an accelerator, where a step of a few lanes costs as much as one of many.
@@ -141,7 +141,7 @@ class Chunks:
         for now in self._looks:
             [batch] = self.engine.settle([batch], now, _portion(portions, self._share(now - before)))
             before = now
-            if self._ends_early:
+            if self.ends_early:
                 assert batch.underway is not None
                 done, duration = settled(batch.underway.carry, now, run.settle + run.observe, run.observe, close)
                 if done.any():

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from functools import cache, wraps
 from inspect import signature
-from typing import ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 import jax
 from jaxlib import version as jaxlib
@@ -49,19 +49,18 @@ def jitted(static: tuple[str, ...] = ()) -> Callable[[Callable[P, R]], Callable[
     return decorate
 
 
-def lane_function(static: int) -> Callable[[Callable[P, R]], Callable[P, R]]:
+def lane_function(static: int) -> Callable[[Callable[..., R]], Callable[..., R]]:
     """A decorator: a function of lanes, compiled; the first so many of its arguments are static.
 
     What it is given and gives are arrays whose last axis is the lanes', or without axes, in any pytrees.
     """
 
-    def decorate(function: Callable[P, R]) -> Callable[P, R]:
+    def decorate(function: Callable[..., R]) -> Callable[..., R]:
         names = tuple(signature(function).parameters)[:static]
         by_xla = jitted(names)(function)
 
         @wraps(function)
-        def call(*args: P.args, **kwargs: P.kwargs) -> R:
-            assert not kwargs, "a compiled function goes by the places of its arguments"
+        def call(*args: Any) -> R:
             try:
                 return run(function, args[:static], *args[static:])
             except Untranslatable:

@@ -13,13 +13,20 @@ from vibrojax.input.definition import Sweep
 
 
 class Cost(TypedDict):
-    """What a sweep will take: its lanes and chunks, bytes of memory and disk, seconds."""
+    """What a sweep will take: its lanes and chunks, bytes of memory and disk, seconds.
+
+    `time_s` is by the clock, of an idle machine: `compile_s`, which other lanes would take as well, and `step_s`;
+    `processor_s` is what all cores spend on it together.
+    """
 
     lanes: int
     chunks: int
     memory_bytes: float
     disk_bytes: float
     time_s: float
+    compile_s: float
+    step_s: float
+    processor_s: float
 
 
 LONGEST = 10 * 365.25 * 86400.0

@@ -43,12 +43,17 @@ def unresolved(scene: HasFriction[Any], p: Numbers, numbers: str) -> Refused:
         return np.asarray(~(512 * np.finfo(numbers).eps * (flight + contact) < slow))
 
 
+def flight_rates(scene: HasFriction[Any], p: Numbers) -> Lanes:
+    """A bound on the fastest rate [1/s] of lanes of parameters `p` in flight, from which their steps follow."""
+    with precision("float64"):
+        return np.asarray(scene.flight_rate(_constants(scene, p)))
+
+
 def _rates(scene: HasFriction[Any], p: Numbers) -> tuple[Lanes, Lanes, Lanes]:
     """Bounds on the fastest rates [1/s], by springs and damper in flight and what the contact adds to it; and that of
     the bit on its main spring."""
-    c = _constants(scene, p)
+    c, flight = _constants(scene, p), flight_rates(scene, p)
     with precision("float64"):
-        flight = np.asarray(scene.flight_rate(c))
         contact = np.asarray(scene.contact_rate(c)) if isinstance(scene, HasContact) else np.zeros_like(flight)
         return flight, contact, np.asarray(scene.spring_rate(c))
 

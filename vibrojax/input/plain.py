@@ -8,6 +8,7 @@ import re
 from collections.abc import Mapping
 from pathlib import PurePath
 
+import jax
 import numpy as np
 
 from vibrojax.errors import Place, shown
@@ -17,7 +18,7 @@ _BARE = re.compile(r"[A-Za-z0-9_-]+")
 
 
 def plain_table(place: Place, value: Mapping[str, object]) -> dict[str, object]:
-    """A table with numpy's arrays and numbers, tuples and paths turned into what TOML knows."""
+    """A table with arrays and numbers of numpy or jax, tuples and paths turned into what TOML knows."""
     for key in value:
         if not isinstance(key, str):
             raise place.error(f"{shown(key)} is not a name; keys are text")
@@ -25,10 +26,15 @@ def plain_table(place: Place, value: Mapping[str, object]) -> dict[str, object]:
 
 
 def plain(place: Place, value: object) -> object:
-    """`value` with numpy's arrays and numbers, tuples and paths turned into what TOML knows."""
+    """`value` with arrays and numbers of numpy or jax, tuples and paths turned into what TOML knows."""
     if isinstance(value, Mapping):
         return plain_table(place, value)
-    if isinstance(value, (np.ndarray, np.generic)):
+    if isinstance(value, jax.core.Tracer):
+        raise place.error(
+            "is traced by jax (grad, jit or vmap), which does not go through here: give a number; derivatives come "
+            "from vj.derivatives, in forward mode, since jax.grad does not pass through the loops of a motion"
+        )
+    if isinstance(value, (np.ndarray, np.generic, jax.Array)):
         return plain(place, value.tolist())
     if isinstance(value, (list, tuple, range)):
         if all(type(item) is float for item in value):

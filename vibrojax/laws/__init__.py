@@ -1,4 +1,4 @@
-"""Laws fitted to what was measured or swept, and how the rate of penetration depends on the parameters."""
+"""Laws fitted to what was measured or swept."""
 
 from vibrojax.laws._forms import FORMS as FORMS
 from vibrojax.laws._frequency import refit_frequency as refit_frequency
@@ -8,4 +8,3 @@ from vibrojax.laws._results import table as table
 from vibrojax.laws._results import verdict as verdict
 from vibrojax.laws._rop import fit_rop as fit_rop
 from vibrojax.laws._uncertainty import REASONS as REASONS
-from vibrojax.laws.sensitivity import rop_derivatives as rop_derivatives

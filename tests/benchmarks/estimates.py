@@ -1,0 +1,110 @@
+"""What `--dry-run` says of every bundled sweep beside what it takes, in seconds of processor time.
+
+    python tests/benchmarks/estimates.py [NAME ...]
+
+A printout, not a test: a table with the ratios, and the numbers of the table in `vibrojax/engine/costs.py` as they are
+on this machine and with this jax. Each sweep runs in a process of its own, with nothing compiled before. It takes five
+minutes, ten with a jax before 0.11.2; other work on the machine disturbs little, since only the process's own time
+counts.
+"""
+
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import jax
+
+from vibrojax.cli import main
+from vibrojax.engine.chunks import Chunks
+from vibrojax.engine.costs import COSTS, COSTS_BEFORE, FUSES_WHOLE_LOOPS, YARDSTICK, processor_time, slowness
+from vibrojax.input.read import read_sweep
+from vibrojax.input.source import bundled_names
+
+WITHIN = 1.5
+"""Factor within which the estimates are meant to be."""
+
+
+def processor() -> float:
+    """Seconds of processor time of this process."""
+    used = resource.getrusage(resource.RUSAGE_SELF)
+    return used.ru_utime + used.ru_stime
+
+
+def timed(kind: type, method: str, spent: dict[str, float]) -> None:
+    """Have the time that a method takes added up in `spent`."""
+    plain = getattr(kind, method)
+
+    def call(*given: object) -> object:
+        began = processor()
+        try:
+            return plain(*given)
+        finally:
+            spent[method] = spent.get(method, 0.0) + processor() - began
+
+    setattr(kind, method, call)
+
+
+def one(name: str) -> None:
+    """Run a sweep in this process, as the command does, and print what it was said to take and what it took."""
+    chunks = Chunks(read_sweep(name))
+    said = processor_time(chunks)
+    spent: dict[str, float] = {}
+    timed(Chunks, "compile", spent)
+    timed(Chunks, "compute", spent)
+    with tempfile.TemporaryDirectory() as folder:
+        assert main(["sweep", name, "-o", str(Path(folder) / "out.nc"), "--quiet"]) == 0
+    step = spent["compute"] - spent["compile"]
+    took = (processor() - spent["compute"], spent["compile"], step)
+    told = {"name": name, "scene": chunks.sweep.scene, "said": said, "took": took, "slowness": slowness()}
+    print(json.dumps(told))
+
+
+def in_its_own_process(name: str) -> dict:
+    """What `one` prints, from a process that finds nothing compiled."""
+    with tempfile.TemporaryDirectory() as cache:
+        environment = os.environ | {"JAX_COMPILATION_CACHE_DIR": cache, "MPLBACKEND": "agg"}
+        command = [sys.executable, __file__, "--one", name]
+        done = subprocess.run(command, env=environment, check=True, stdout=subprocess.PIPE, text=True)
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def table(names: list[str]) -> None:
+    """Run them, and print what there is to say."""
+    print(f"jax {jax.__version__}; seconds of processor time: said, took\n")
+    print(f"{'':24}{'start':>14}{'compile':>14}{'step':>14}{'all':>14}  said/took")
+    ratios, rows = [], []
+    for name in names:
+        row = in_its_own_process(name)
+        said, took = ([*row[key], sum(row[key])] for key in ("said", "took"))
+        ratios.append(said[-1] / took[-1])
+        rows.append(row)
+        pairs = "".join(f"{a:7.1f}{b:7.1f}" for a, b in zip(said, took, strict=True))
+        print(f"{name:24}{pairs}  {ratios[-1]:.2f}", flush=True)
+    beyond = sum(not 1 / WITHIN <= ratio <= WITHIN for ratio in ratios)
+    print(f"\n{min(ratios):.2f} to {max(ratios):.2f}; {beyond} of {len(ratios)} not within a factor of {WITHIN}")
+    fitted(rows)
+
+
+def fitted(rows: list[dict]) -> None:
+    """Print the table of costs that would have been right: for steps, in the sum over a scene's sweeps."""
+    costs = COSTS if FUSES_WHOLE_LOOPS else COSTS_BEFORE
+    slower = sum(row["slowness"] for row in rows) / len(rows)
+    print(f"\nyardstick {YARDSTICK * slower * 1e3:.2f} ms; on the machine of reference, by this:")
+    print(f"start {sum(row['took'][0] / row['slowness'] for row in rows) / len(rows):.1f}")
+    for scene, now in costs.items():
+        mine = [row for row in rows if row["scene"] == scene]
+        if mine:
+            compiling = sum(row["took"][1] / row["slowness"] for row in mine) / len(mine)
+            step = now.step * sum(row["took"][2] for row in mine) / sum(row["said"][2] for row in mine)
+            print(f'"{scene}": Costs({compiling:.1f}, {step * 1e9:.0f}e-9, {now.rate:g}),')
+
+
+if __name__ == "__main__":
+    if sys.argv[1:2] == ["--one"]:
+        one(sys.argv[2])
+    else:
+        table(sys.argv[1:] or bundled_names())

@@ -1,0 +1,175 @@
+"""Every figure of the README is kept true by a test, or has the command that measures it anew (`claims.toml`)."""
+
+import ast
+import json
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+
+import vibrojax as vj
+from vibrojax.input.source import bundled_names
+from vibrojax.reproduce import GROUPS
+from vibrojax.scenes import SCENES
+from vibrojax.stepping import Located
+
+ROOT = Path(__file__).parents[1]
+
+
+def flowing(text: str) -> str:
+    """The text with its line breaks as blanks."""
+    return " ".join(text.split())
+
+
+README = flowing(re.sub(r"^```.*?^```", "", (ROOT / "README.md").read_text(), flags=re.MULTILINE | re.DOTALL))
+BENCHMARKS = (ROOT / "tests" / "benchmarks" / "README.md").read_text()
+CLAIMS = tomllib.loads((ROOT / "tests" / "claims.toml").read_text())["claim"]
+
+NO_FIGURES = (
+    r"`[^`]*`",
+    r"\(\.?[\w/.-]+\)",  # the target of a link
+    r"Python 3\.\d+",
+    r"\b\d+\.\d+\.\d+\b",  # a version
+    r"(?:eq\.|Table|CF) [\d.]+\d",
+    r"chapters \d+ and \d+",
+    r"\b[Ra-z]\d\b",
+    r"\b(?:float|AVX-)\d+",
+)
+"""What has digits and is no figure: names, numbers of equations, symbols, versions."""
+
+
+def test_every_figure_has_its_line():
+    rest = README
+    for claim in sorted(CLAIMS, key=lambda claim: -len(claim["text"])):
+        rest = rest.replace(flowing(claim["text"]), " ")
+    for pattern in NO_FIGURES:
+        rest = re.sub(pattern, " ", rest)
+    left = [rest[max(found.start() - 60, 0) : found.end() + 30] for found in re.finditer(r"\d[\d.,]*", rest)]
+    assert not left, f"figures of the README without a line in tests/claims.toml: {left}"
+
+
+@pytest.mark.parametrize("claim", CLAIMS, ids=lambda claim: claim["text"][:40])
+def test_a_line_holds(claim):
+    assert flowing(claim["text"]) in README, "not, or no longer, in the README"
+    assert claim.keys() <= {"text", "test", "holds", "refresh", "kept"} and claim.keys() & {"test", "refresh"}
+    for test in claim.get("test", []):
+        path, _, name = test.partition("::")
+        functions = [
+            node.name for node in ast.parse((ROOT / path).read_text()).body if isinstance(node, ast.FunctionDef)
+        ]
+        assert name in functions, test
+    for script in re.findall(r"[\w/]+\.py\b", claim.get("refresh", "")):
+        assert (ROOT / script).is_file(), script
+    if "holds" in claim:
+        kept = claim["kept"] if "kept" in claim else claim["test"][0].partition("::")[0]
+        text = flowing((ROOT / kept).read_text())
+        assert [part for part in claim["holds"] if part not in text] == [], f"not in {kept}"
+
+
+# What is cheap enough to be worked out again
+
+
+def test_the_map_on_top_is_that_of_the_bundled_sweep():
+    sweep = vj.read_sweep("regime-map")
+    assert f"{sweep.lanes:,} points, {sweep.run.settle + sweep.run.observe:g} s of machine time each" in README
+    assert sweep.axes["delta"].tolist() == [-0.005, 0.005] and len(sweep.starts) == 2
+    assert "for a preload and a gap of 5 mm, from two starts" in README
+
+
+def test_the_bundled_sweeps_are_all_named():
+    told = README.partition("or a bundled one (")[2].partition("): a dataset")[0]
+    assert sorted(re.findall(r"`([\w-]+)`", told)) == bundled_names()
+
+
+def test_counts_of_cases():
+    counts = {name: len(json.loads((ROOT / "tests" / "data" / name).read_text())) for name in CASES}
+    assert f"on the {counts[CASES[0]]} reference cases in" in README
+    assert f"of the {counts[CASES[1]]} reference cases of penetration" in README
+
+
+CASES = ("vibro_impact_cases.json", "penetration_cases.json")
+
+
+def test_settings_of_the_stepper():
+    stepper = Located()
+    assert f"a Taylor series of order {stepper.order}" in README
+    assert stepper.coarser_by == 10 and "ten times coarser" in README
+
+
+def test_the_table_of_hard_cases():
+    """As in `tests/hard/README.md`, which `tests/hard/check.py` refreshes; each row sums up to its lanes."""
+    told = flowing((ROOT / "tests" / "hard" / "README.md").read_text())
+    rows = [
+        [int(x) for x in re.findall(r"\d+", cells)]
+        for cells in re.findall(r"\| drill, float\d\d \|((?: \d+ \|)+)", README)
+    ]
+    lanes, *double = rows[0]
+    assert sum(double) == lanes == sum(rows[1][1:]) == rows[1][0] == vj.read_sweep("hard-cases").lanes
+    single = ", ".join(map(str, rows[1][1:3])) + f" and {rows[1][3]}"
+    assert (
+        f"of {lanes} lanes {double[0]} are exact, {double[1]} refused and {double[2]} flagged (float32: {single})"
+        in told
+    )
+    rock = re.search(r"\| rock, three scenes \| (\d+) \| (\d+), and one to 2e-5 \|", README)
+    assert f"Of {rock[1]} on rock {rock[2]} are exact" in told and int(rock[2]) == int(rock[1]) - 1
+    assert "within 1e-5 (float32: 3e-3)" in told
+
+
+def test_the_score_counts_every_result():
+    """The verdicts themselves take three minutes: `vibrojax reproduce`."""
+    results = sum(len(group.entries) for group in GROUPS)
+    score = re.search(
+        r"of (\d+) results: (\d+) agree, (\d+) agree in trend, (\d+) cannot be compared, (\d+) differ", README
+    )
+    assert int(score[1]) == results == sum(int(count) for count in score.groups()[1:])
+
+
+def test_defaults():
+    scene = SCENES["vibro-impact"]()
+    table = scene.parameters()
+    assert f"the default gap is {1e3 * table['delta'].default:g} mm" in README
+    assert f"the Stribeck speed is {table['v_cr'].default:g} m/s" in README
+
+
+def row(start: str) -> list[float]:
+    """The numbers of a row of the table of times: on Python 3.13 and on 3.11, each without its spread."""
+    line = next(line for line in BENCHMARKS.splitlines() if line.startswith(f"| {start}"))
+    return [float(cell.split("±")[0]) for cell in line.split("|")[2:4]]
+
+
+def test_times_are_those_of_the_benchmarks():
+    fresh, old = row("`vibrojax sweep regime-map` from a fresh process")
+    assert f"takes {fresh:.0f} s from nothing on two cores (Python 3.13; {old:.0f} s on 3.11)" in README
+    assert f"then takes {row('the same from the compile cache')[0]:.0f} s instead of {fresh:.0f}" in README
+    lane_seconds = 12_096 * 48.0
+    full, early = (row(start) for start in ("12,096 lanes of the inner box", "the same, settled lanes ended early"))
+    slowest = peers()["vibrojax"][0]
+    words = {5: "five", 6: "six", 7: "seven", 8: "eight", 9: "nine", 10: "ten"}
+    least, most = (words[round(1e6 * early[0] / lane_seconds)], words[round(slowest)])
+    assert f"costs {least} to {most} microseconds" in README
+    assert 4 < 1e6 * early[0] / lane_seconds <= 1e6 * full[0] / lane_seconds <= slowest
+    older = [round(1e6 * seconds[1] / lane_seconds) for seconds in (early, full)]
+    assert f"older, {older[0]} to {older[1]})" in README
+
+
+def peers() -> dict[str, tuple[float, float]]:
+    """Microseconds per lane-second at 1e-4, and the ratio to ours, of each way in the table of the race."""
+    cells = [
+        [cell.strip() for cell in line.split("|")] for line in BENCHMARKS.splitlines() if line.startswith("| 1e-04")
+    ]
+    return {one[2]: (float(one[3]), float(one[5])) for one in cells if one[3] != "–"}
+
+
+def test_ratios_are_those_of_the_race():
+    ratio = {name: ratio for name, (_, ratio) in peers().items()}
+    for name, text in {
+        "SciPy, solve_ivp with events": "{:.0f} times faster than SciPy with events",
+        "diffrax, smoothed, adaptive": "{:.0f} times than diffrax with smoothed friction",
+        "diffrax with its events": "{:.0f} times than diffrax with its events in a loop of ours",
+        "C++ SIMD, RK4, smoothed": "{:.0f} times than a smoothed loop in SIMD",
+    }.items():
+        assert text.format(ratio[name]) in README, name
+    faster = {name: 1 / ratio[f"numba, {name}"] for name in ("Dormand-Prince 5(4)", "Taylor series")}
+    both = "{:.1f} times faster (Dormand-Prince) or {:.1f} times (the same Taylor steps)".format(*faster.values())
+    assert f"is {both}" in README

@@ -1,0 +1,91 @@
+"""What `--dry-run` says of the time; `tests/benchmarks/estimates.py` compares it with what all bundled sweeps take."""
+
+import time
+
+import numpy as np
+import pytest
+
+from vibrojax.engine import costs
+from vibrojax.engine.chunks import Chunks
+from vibrojax.engine.costs import by_the_clock, processor_time
+from vibrojax.input.read import read_sweep
+from vibrojax.input.source import bundled_names
+from vibrojax.sweep import estimate
+
+MAP = {"scene": "vibro-impact", "grid": {"beta": {"start": 0.2, "stop": 0.6, "num": 512}}, "starts": ["stuck"]}
+
+SLOWNESS = costs.slowness
+
+
+@pytest.fixture(autouse=True)
+def machine_of_reference(monkeypatch):
+    monkeypatch.setattr(costs, "slowness", lambda: 1.0)
+
+
+def time_of(changes=(), **tables):
+    return processor_time(Chunks(read_sweep(MAP | tables, changes)))
+
+
+def test_steps_are_in_proportion_to_lanes_and_time():
+    usual = time_of()
+    more = time_of(starts=["stuck", "drive", "touching"])
+    assert more.step == pytest.approx(3 * usual.step, rel=0.02)
+    longer = time_of(run={"settle": 80.0, "observe": 16.0})
+    assert longer.step == pytest.approx(2 * usual.step, rel=1e-6)
+    assert usual[:2] == more[:2] == longer[:2]  # what is compiled is the same
+
+
+def test_a_block_waits_for_its_slowest():
+    """A stiff damper asks for c2/m2 steps a second, over the stride, and the lanes beside it wait; beyond 1e6 steps and
+    1000 a second a lane is given up."""
+    one = time_of(grid={"beta": [0.4]})
+    assert time_of(grid={"beta": np.linspace(0.3, 0.5, 64).tolist()}).step == pytest.approx(one.step, rel=0.2)
+    stiff = time_of(grid={"c2": [*range(200, 263), 1e6]})
+    flight = 1e6 / 100.0 / 2.0  # m2 = 100 kg, stride 2
+    assert stiff.step / one.step == pytest.approx((flight + 45.0) / (45.0 + 18.0), rel=0.1)
+    stiffer, stiffest = (time_of(grid={"c2": [c2]}).step for c2 in (1e10, 1e13))
+    assert stiffer == stiffest == pytest.approx(stiff.step * (1e6 / 48 + 1000) / (flight + 45.0), rel=0.1)
+
+
+def test_smoothed_steps_are_as_many_as_asked_for():
+    coarse, fine = (time_of(run={"method": "smoothed", "step": step}) for step in (1e-3, 1e-4))
+    assert fine.step == pytest.approx(10 * coarse.step, rel=1e-6)
+
+
+def test_a_slower_machine_takes_longer(monkeypatch):
+    usual = time_of()
+    monkeypatch.setattr(costs, "slowness", lambda: 3.0)
+    assert time_of() == pytest.approx([3 * one for one in usual])
+
+
+def test_the_yardstick_is_short_and_repeats():
+    began = time.thread_time()
+    found = [SLOWNESS.__wrapped__() for _ in range(3)]
+    assert time.thread_time() - began < 1.0
+    assert max(found) < 2 * min(found)
+
+
+def test_the_parts_add_up():
+    sweep = read_sweep(MAP)
+    cost, processor = estimate(sweep), time_of()
+    assert cost["time_s"] == pytest.approx(cost["compile_s"] + cost["step_s"])
+    assert cost["processor_s"] == pytest.approx(sum(processor)) and cost["time_s"] <= cost["processor_s"]
+    assert by_the_clock(processor, 1) == processor
+    assert by_the_clock(processor, 4).step == processor.step / 4
+
+
+@pytest.mark.parametrize("name", bundled_names())
+def test_of_every_bundled_sweep_there_is_one(name):
+    found = processor_time(Chunks(read_sweep(name)))
+    assert all(0 < part < 300 for part in found)
+
+
+def test_the_steps_of_a_sweep_take_about_that():
+    """Of a sweep that takes seconds, once it is compiled; other tests may run beside, on the same core's other half."""
+    chunks = Chunks(read_sweep(MAP | {"grid": {"beta": {"start": 0.2, "stop": 0.6, "num": 1024}}}))
+    chunks.compile()
+    slower = SLOWNESS()
+    began = time.process_time()
+    chunks.compute(0)
+    taken = time.process_time() - began
+    assert 1 / 3 < slower * processor_time(chunks).step / taken < 3

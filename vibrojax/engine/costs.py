@@ -1,0 +1,155 @@
+"""How much processor time a sweep will take, told before any work: so much to compile its scene, and its lanes' steps.
+
+What a scene takes was measured on one machine; a yardstick of some milliseconds tells how much faster or slower the one
+in use is. `python tests/benchmarks/estimates.py` compares all bundled sweeps with what they take, and prints the
+numbers of the tables here anew.
+"""
+
+import bz2
+import time
+from functools import cache
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from vibrojax.engine.batch import steps_at_most
+from vibrojax.engine.chunks import OBSERVING, Chunks
+from vibrojax.engine.validity import flight_rates
+from vibrojax.input.definition import Sweep
+from vibrojax.scenes import HasContact, HasFriction, HasRock, Scene
+
+FUSES_WHOLE_LOOPS = jax.__version_info__ >= (0, 11, 2)
+"""jax before starts every fused loop of a step by itself."""
+
+
+class Costs(NamedTuple):
+    """What a scene takes on the machine of reference, in seconds of processor time.
+
+    - `compile`: to compile its programs; `step`: a step of a lane while it settles.
+    - `rate`: steps in a simulated second [1/s] that end at events, beside those that flight asks for.
+    """
+
+    compile: float
+    step: float
+    rate: float
+
+
+COSTS = {
+    "rotary": Costs(8.1, 84e-9, 12.0),
+    "vibro-impact": Costs(10.0, 100e-9, 45.0),
+    "drilling": Costs(13.9, 145e-9, 180.0),
+    "coupled-drilling": Costs(13.9, 140e-9, 200.0),
+    "penetration": Costs(3.9, 62e-9, 1000.0),
+}
+COSTS_BEFORE = {
+    "rotary": Costs(12.0, 350e-9, 12.0),
+    "vibro-impact": Costs(13.8, 520e-9, 45.0),
+    "drilling": Costs(17.0, 600e-9, 180.0),
+    "coupled-drilling": Costs(17.0, 630e-9, 200.0),
+    "penetration": Costs(6.4, 215e-9, 1000.0),
+}
+"""The same with a jax that starts every fused loop by itself."""
+
+START = 2.3
+"""Seconds to start, to read and write, and to draw."""
+
+OVERLAP = 0.6
+"""Part of the time to compile that passes on several cores: the programs are compiled beside each other."""
+
+YARDSTICK = 1.92e-3
+"""Seconds that the yardstick takes on the machine of reference."""
+
+CHECK_RUN = 1.5
+"""Work with the check run, without it being 1."""
+
+ENDING_EARLY = 0.75
+"""Part of the work that is left where settled lanes end early."""
+
+SMOOTHED = 0.6
+"""A smoothed step's time, a located one's being 1."""
+
+MOST_LANES = 2**40
+"""More than anybody steps."""
+
+SAMPLES, SAMPLE = 8, 256
+"""In so many places of a sweep, if it has more lanes, so many are looked at for how stiff they are."""
+
+Rates = Float[np.ndarray, " lanes"]
+
+
+class Seconds(NamedTuple):
+    """Time to start, to compile, which takes no longer for more lanes, and for the lanes' steps."""
+
+    start: float
+    compile: float
+    step: float
+
+
+def processor_time(chunks: Chunks) -> Seconds:
+    """What a sweep takes, in seconds of processor time, roughly; nothing is compiled or stepped for it."""
+    run, costs, slower = chunks.sweep.run, _costs(chunks.sweep.system), slowness()
+    share = CHECK_RUN * (ENDING_EARLY if chunks.ends_early else 1.0)
+    step = costs.step * (SMOOTHED if run.stepper.smooths else 1.0)
+    observing = 1 + (OBSERVING - 1) / (1 + run.settle / run.observe)
+    stepping = step * share * observing * _steps(chunks, costs.rate)
+    return Seconds(slower * START, slower * costs.compile, slower * stepping)
+
+
+def by_the_clock(processor: Seconds, cores: int) -> Seconds:
+    """The seconds that pass meanwhile on an idle machine with so many cores."""
+    beside = OVERLAP if cores > 1 else 1.0
+    return Seconds(processor.start, beside * processor.compile, processor.step / cores)
+
+
+def _costs(scene: Scene[Any]) -> Costs:
+    """Those of the scene, or of the package's that has as much in it."""
+    table = COSTS if FUSES_WHOLE_LOOPS else COSTS_BEFORE
+    if scene.name in table:
+        return table[scene.name]
+    if isinstance(scene, HasRock):
+        return table["drilling" if scene.autonomous else "penetration"]
+    return table["vibro-impact" if isinstance(scene, HasContact) else "rotary"]
+
+
+def _steps(chunks: Chunks, at_events: float) -> float:
+    """Steps of all lanes of the run, those counted in which lanes of a block wait for its slowest."""
+    sweep, block = chunks.sweep, chunks.engine.block
+    seconds, accuracy = sweep.run.settle + sweep.run.observe, chunks.accuracy
+    asked = 1 / accuracy.step if sweep.run.stepper.smooths else at_events + 1 / accuracy.step
+    with np.errstate(all="ignore"):
+        rates = asked + _in_flight(sweep) / accuracy.stride
+        steps = np.minimum(np.nan_to_num(rates, nan=np.inf) * seconds, steps_at_most(seconds, accuracy))
+    # Lanes of one pace go together: the first of each block is its slowest.
+    slowest = np.sort(steps)[::-1][::block]
+    return float(np.mean(slowest)) * block * -(-sweep.lanes // block)
+
+
+def _in_flight(sweep: Sweep) -> Rates:
+    """Fastest rates in flight [1/s] of some of the lanes; none where steps do not follow from them."""
+    scene = sweep.system
+    if not isinstance(scene, HasFriction) or sweep.run.stepper.smooths or sweep.lanes > MOST_LANES:
+        return np.zeros(1)
+    few = sweep.lanes <= SAMPLES * SAMPLE
+    firsts = (
+        range(0, sweep.lanes, SAMPLE) if few else np.linspace(0, sweep.lanes - SAMPLE, SAMPLES).astype(int).tolist()
+    )
+    ends = (min(first + SAMPLE, sweep.lanes) for first in firsts)
+    samples = (sweep.lane_values(first, end)[0] for first, end in zip(firsts, ends, strict=True))
+    return np.concatenate([np.broadcast_to(flight_rates(scene, p), len(next(iter(p.values())))) for p in samples])
+
+
+@cache
+def slowness() -> float:
+    """Processor time of this machine for what takes the machine of reference one second, by a yardstick of some 10 ms.
+
+    Compression branches and looks up much, as compilers do; its own time is taken, whatever else the machine does.
+    """
+    text = np.random.default_rng(0).integers(0, 40, 30_000, dtype=np.uint8).tobytes()
+    taken = []
+    for _ in range(6):
+        began = time.thread_time()
+        bz2.compress(text)
+        taken.append(time.thread_time() - began)
+    return min(taken) / YARDSTICK
