@@ -122,6 +122,7 @@ def test_a_map_of_fits_shows_the_data_of_some(tmp_path):
     assert "Data and curves of 6 of 81 groups" in note(figure)
     shown = [axes for axes in figure.axes if any(line.get_label() == "_fitted" for line in axes.lines)]
     assert len(shown) == 6 and all(len(curve(axes, "_fitted")) == 8 for axes in shown)
+    assert {"data", "onset\nC ln(η/η₀)"} <= set(legend(figure))
 
 
 def test_a_fit_without_its_data_is_drawn_as_before():

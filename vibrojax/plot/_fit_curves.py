@@ -21,6 +21,8 @@ _MOST_GROUPS, _MOST_BESIDE = 6, 3
 _HIGH = 2.4  # inches of a row of panels
 _MANY = 60  # lanes of a group, from which marks are small
 _FINE = 200  # points of a curve
+# The last is often on the one before, whose colour shows between its dashes.
+_LINE, _LINES = Mark(linewidth=1.4), {"power": Mark(linewidth=1.4, linestyle=(0.0, (2.5, 2.0)))}
 _RELIEF, _RATE, _USE = "data_relief", "data_rate_of_penetration", "data_use"
 
 Values = Float[np.ndarray, "*values"]
@@ -92,7 +94,7 @@ def _draw_group(axes: Axes, group: xr.Dataset, factor: float) -> None:
         coefficients = [float(one[x]) if x in one else np.nan for x in ("C", "eta0", "exponent")]
         if name in FORMULAS and np.isfinite(coefficients[0]):
             curve = factor * FORMULAS[name](eta, *coefficients)
-            axes.plot(eta, curve, color=form_colour(name), linewidth=1.3, label=name)
+            axes.plot(eta, curve, color=form_colour(name), label=name, **_LINES.get(name, _LINE))
     size = 4.2 if seen.sum() < _MANY else 2.2
     for use, at in _uses(group).items():
         look = Mark(linestyle="none", markersize=size, zorder=3) | _USES[use][1]

@@ -29,7 +29,7 @@ from vibrojax.plot._contents import FORM, POINT, law_in, long_axes
 from vibrojax.plot._curves import MOST_ROWS, Across, Row, across, label_axes, rows
 from vibrojax.plot._fit_curves import data_handles, data_text, draw_fits, groups_to_show, height_of
 from vibrojax.plot._maps import fill_cells, write_labels
-from vibrojax.plot._margins import legend_at_right, write_margins
+from vibrojax.plot._margins import LEGEND_WIDTH, legend_at_right, write_margins
 from vibrojax.plot._sheet import facets, sheet
 from vibrojax.plot.style import FAINT, Mark, styled
 
@@ -169,6 +169,8 @@ def law_map(fit: xr.Dataset) -> Figure:
     drawn = sheet(panels, ((None,) if _BEST in shown else ()) + values, height_of(groups))
     if drawn.above is not None and groups is not None:
         draw_fits(drawn.figure, drawn.above, groups)
+        drawn.figure.set_figwidth(drawn.figure.get_figwidth() + LEGEND_WIDTH)
+        legend_at_right(drawn.figure, _line_handles(fit), data_handles(groups))
     for panel in drawn:
         if panel.value is None:
             best = panel.facet[_BEST].transpose(y, x).values
