@@ -4,7 +4,7 @@
 
 A printout, not a test: a table with the ratios, and the numbers of the table in `vibrojax/engine/costs.py` as they are
 on this machine and with this jax. Each sweep runs in a process of its own, with nothing compiled before. It takes five
-minutes, ten with a jax before 0.11.2; other work on the machine disturbs little, since only the process's own time
+minutes; other work on the machine disturbs little, since only the process's own time
 counts.
 """
 
@@ -20,7 +20,7 @@ import jax
 
 from vibrojax.cli import main
 from vibrojax.engine.chunks import Chunks
-from vibrojax.engine.costs import COSTS, COSTS_BEFORE, FUSES_WHOLE_LOOPS, YARDSTICK, processor_time, slowness
+from vibrojax.engine.costs import COSTS, YARDSTICK, processor_time, slowness
 from vibrojax.input.read import read_sweep
 from vibrojax.input.source import bundled_names
 
@@ -66,7 +66,7 @@ def one(name: str) -> None:
 def in_its_own_process(name: str) -> dict:
     """What `one` prints, from a process that finds nothing compiled."""
     with tempfile.TemporaryDirectory() as cache:
-        environment = os.environ | {"JAX_COMPILATION_CACHE_DIR": cache, "MPLBACKEND": "agg"}
+        environment = os.environ | {"VIBROJAX_CACHE": cache, "MPLBACKEND": "agg"}
         command = [sys.executable, __file__, "--one", name]
         done = subprocess.run(command, env=environment, check=True, stdout=subprocess.PIPE, text=True)
     return json.loads(done.stdout.splitlines()[-1])
@@ -91,11 +91,10 @@ def table(names: list[str]) -> None:
 
 def fitted(rows: list[dict]) -> None:
     """Print the table of costs that would have been right: for steps, in the sum over a scene's sweeps."""
-    costs = COSTS if FUSES_WHOLE_LOOPS else COSTS_BEFORE
     slower = sum(row["slowness"] for row in rows) / len(rows)
     print(f"\nyardstick {YARDSTICK * slower * 1e3:.2f} ms; on the machine of reference, by this:")
     print(f"start {sum(row['took'][0] / row['slowness'] for row in rows) / len(rows):.1f}")
-    for scene, now in costs.items():
+    for scene, now in COSTS.items():
         mine = [row for row in rows if row["scene"] == scene]
         if mine:
             compiling = sum(row["took"][1] / row["slowness"] for row in mine) / len(mine)

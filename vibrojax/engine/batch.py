@@ -88,14 +88,15 @@ class Engine:
         self.accelerated = workers[0].platform != "cpu"
         self.most_steps = MOST_STEPS
         self._dtype = np.dtype(sweep.run.precision)
-        kind = Kind(sweep.system, stepper, recorder, sweep.starts)
+        kind = Kind(sweep.system, stepper, recorder, sweep.start_names)
         self.programs: Programs = ByXla(kind, workers[0].platform) if self.accelerated else ByLlvm(kind, self._dtype)
 
     def start(self, first: int, end: int, accuracy: Accuracy) -> Batch:
         """The lanes from `first` to before `end`, at t = 0."""
-        values, start = self.sweep.lane_values(first, end)
-        states = tuple(x.astype(self._dtype) for x in self.sweep.lane_vectors(first, end))
-        given = Given({name: x.astype(self._dtype) for name, x in values.items()}, start.astype(np.int32), states)
+        values, _ = self.sweep.lane_values(first, end)
+        start, states = self.sweep.lane_starts(first, end)
+        parameters: dict[str, Array] = {name: x.astype(self._dtype) for name, x in values.items()}
+        given = Given(parameters, start.astype(np.int32), tuple(x.astype(self._dtype) for x in states))
         none = np.zeros(end - first, self._dtype)
         # Counted in integers: float32 has no number after 2^24, at which such a lane would stay for ever.
         steps = np.zeros(end - first, np.int32)

@@ -10,7 +10,6 @@ import time
 from functools import cache
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Float
 
@@ -19,9 +18,6 @@ from vibrojax.engine.chunks import OBSERVING, Chunks
 from vibrojax.engine.validity import flight_rates
 from vibrojax.input.definition import Sweep
 from vibrojax.scenes import HasContact, HasFriction, HasRock, Scene
-
-FUSES_WHOLE_LOOPS = jax.__version_info__ >= (0, 11, 2)
-"""jax before starts every fused loop of a step by itself."""
 
 
 class Costs(NamedTuple):
@@ -43,15 +39,6 @@ COSTS = {
     "coupled-drilling": Costs(13.9, 140e-9, 200.0),
     "penetration": Costs(3.9, 62e-9, 1000.0),
 }
-COSTS_BEFORE = {
-    "rotary": Costs(12.0, 350e-9, 12.0),
-    "vibro-impact": Costs(13.8, 520e-9, 45.0),
-    "drilling": Costs(17.0, 600e-9, 180.0),
-    "coupled-drilling": Costs(17.0, 630e-9, 200.0),
-    "penetration": Costs(6.4, 215e-9, 1000.0),
-}
-"""The same with a jax that starts every fused loop by itself."""
-
 START = 2.3
 """Seconds to start, to read and write, and to draw."""
 
@@ -105,17 +92,16 @@ def by_the_clock(processor: Seconds, cores: int) -> Seconds:
 
 def _costs(scene: Scene[Any]) -> Costs:
     """Those of the scene, or of the package's that has as much in it."""
-    table = COSTS if FUSES_WHOLE_LOOPS else COSTS_BEFORE
-    if scene.name in table:
-        return table[scene.name]
+    if scene.name in COSTS:
+        return COSTS[scene.name]
     if isinstance(scene, HasRock):
-        return table["drilling" if scene.autonomous else "penetration"]
-    return table["vibro-impact" if isinstance(scene, HasContact) else "rotary"]
+        return COSTS["drilling" if scene.autonomous else "penetration"]
+    return COSTS["vibro-impact" if isinstance(scene, HasContact) else "rotary"]
 
 
 def _steps(chunks: Chunks, at_events: float) -> float:
     """Steps of all lanes of the run, those counted in which lanes of a block wait for its slowest."""
-    sweep, block = chunks.sweep, chunks.engine.block
+    sweep, block = chunks.sweep, chunks.engine.programs.block
     seconds, accuracy = sweep.run.settle + sweep.run.observe, chunks.accuracy
     asked = 1 / accuracy.step if sweep.run.stepper.smooths else at_events + 1 / accuracy.step
     with np.errstate(all="ignore"):

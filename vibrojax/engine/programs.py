@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from vibrojax.arrays import Counts, Lanes
-from vibrojax.input.definition import Start
 from vibrojax.measure.recorder import Features, Records
 from vibrojax.measure.run import Effort, Underway, observe_block, settle_block, start_block
 from vibrojax.scenes import Scene
@@ -17,16 +16,16 @@ from vibrojax.stepping import Lane, Stepper
 
 
 class Kind(NamedTuple):
-    """What programs are compiled for: scene, stepper, recorder, and the starts there are."""
+    """What programs are compiled for: scene, stepper, recorder, and the names of the starts there are."""
 
     scene: Scene[Any]
     stepper: Stepper
     recorder: Records
-    starts: tuple[Start, ...] | None
+    starts: tuple[str, ...]
 
 
 class Given(NamedTuple):
-    """Parameters by name, and which of the starts, of each lane (lanes,); or the states of a start of its own."""
+    """Parameters by name, which of the starts by name, and the states of one without a name, of each lane (lanes,)."""
 
     parameters: dict[str, Lanes]
     start: Counts
@@ -95,9 +94,8 @@ def _constants(kind: Kind, given: Given) -> Any:
 def _state(kind: Kind, constants: Any, given: Given) -> Values:
     """The state at t = 0 of each lane, from the start that it takes; the scene's own where it has no starts."""
     start = given.start
-    if given.states:
-        return kind.scene.start(constants, given.states, start.shape)
-    candidates = [kind.scene.start(constants, name, start.shape) for name in kind.starts or (None,)]
+    starts = (*kind.starts, *((given.states,) if given.states else ())) or (None,)
+    candidates = [kind.scene.start(constants, one, start.shape) for one in starts]
     state = candidates[0]
     for index, other in enumerate(candidates[1:], start=1):
         state = tuple(jnp.where(start == index, new, old) for new, old in zip(other, state, strict=True))

@@ -103,10 +103,24 @@ class Sweep:
             return values, self._start_of_point[indices["point"]]
         return values, np.asarray(indices["start"] if self.starts is not None else np.zeros(lanes, int))
 
-    def lane_vectors(self, first: int, end: int) -> tuple[np.ndarray, ...]:
-        """The states that the lanes from `first` to before `end` start from, each (end - first,); none where starts
-        are not given so."""
-        return tuple(column[first:end] for column in (self.point_vectors or {}).values())
+    @property
+    def start_names(self) -> tuple[str, ...]:
+        """The starts that have names."""
+        return tuple(start for start in self.starts or () if isinstance(start, str))
+
+    def lane_starts(self, first: int, end: int) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
+        """(index into `start_names`, their number for a start without a name; the states that such a one starts from)
+        of the lanes from `first` to before `end`, each (end - first,); no states where all starts have names."""
+        start = self.lane_values(first, end)[1]
+        if self.point_vectors is not None:
+            return start, tuple(column[first:end] for column in self.point_vectors.values())
+        names, starts = self.start_names, self.starts or ()
+        if len(names) == len(starts):
+            return start, ()
+        number = np.array([names.index(one) if isinstance(one, str) else len(names) for one in starts])
+        nowhere = (0.0,) * len(self.system.start_states)
+        vectors = np.array([nowhere if isinstance(one, str) else one for one in starts])
+        return number[start], tuple(vectors[start].T)
 
     def identity(self) -> dict[str, object]:
         """What the results depend on, as flat JSON values: equal for two sweeps that compute the same lanes.
