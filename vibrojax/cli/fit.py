@@ -95,11 +95,12 @@ def _facts(fit: "xarray.Dataset", file: str, out: Path, picture: Path | None) ->
     names, _ = table(fit, "aic")
     dims = [dim for dim in fit["aic"].dims if dim != "form"]
     where = list(np.ndindex(*(fit.sizes[dim] for dim in dims)))
+    of_forms = [str(name) for name, one in fit.data_vars.items() if set(one.dims) == {*dims, "form"}]
     groups = []
     for name, index in zip(names, where, strict=True):
         one = fit.isel(dict(zip(dims, index, strict=True)))
         coordinates = {str(c): one[c].item() for c in one.coords if one[c].ndim == 0}
-        forms = {str(form): numbers(one.sel(form=form), [str(v) for v in fit.data_vars]) for form in fit["form"].values}
+        forms = {str(form): numbers(one.sel(form=form), of_forms) for form in fit["form"].values}
         groups.append({"name": name, "coordinates": coordinates, "forms": forms})
     return {
         "file": file,

@@ -16,9 +16,10 @@ from vibrojax.devices import precision
 from vibrojax.engine.compiler import lane_function
 from vibrojax.engine.drift import drift
 from vibrojax.engine.labelled import measured_besides, regimes
+from vibrojax.errors import InputError
 from vibrojax.measure import recorder_for
 from vibrojax.measure.recorder import Features, Records
-from vibrojax.scenes import Driven, Scene
+from vibrojax.scenes import Scene
 from vibrojax.scenes.scene import Values
 from vibrojax.simulation._record import BATCH, Record
 from vibrojax.stepping import Clock, Lane, Step, Stepper, lane_at
@@ -35,10 +36,11 @@ def window(duration: float) -> tuple[float, float]:
 
 
 def recorder_of(scene: Scene[Any]) -> Records | None:
-    """What measures a scene; None where it declares nothing to measure over."""
-    if scene.section is None and not isinstance(scene, Driven):
+    """What measures a scene; None where it declares nothing to measure over, or what it is not (a sweep says why)."""
+    try:
+        return recorder_for(scene)
+    except InputError:
         return None
-    return recorder_for(scene)
 
 
 def measured(
@@ -91,8 +93,8 @@ def found_in(
     found = dict(features)
     if scene.section is not None and "cycles" in found:
         values = {name: np.array([value]) for name, value in parameters.items()}
-        sound = {"finite": np.isfinite(found["bit_amplitude"]), "finished": np.array([True])}
         if {"bit_amplitude", "trend"} <= set(found):
+            sound = {"finite": np.isfinite(found["bit_amplitude"]), "finished": np.array([True])}
             found["regime"] = regimes(scene, values, found | sound)
         found["drift_estimate"] = drift(found, scene.section, "float64", tolerance)
     known: dict[str, Variable] = VARIABLES | measured_besides(scene)
