@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from vibrojax.arrays import Array
 from vibrojax.devices import precision
-from vibrojax.engine.compiler import jitted
+from vibrojax.engine.compiler import lane_function
 from vibrojax.input.definition import Start
 from vibrojax.input.point import Point
 from vibrojax.measure import Gauge, Moment, Recorder, Whole, recorder_for
@@ -148,7 +148,7 @@ def _blocks(lanes: int) -> Iterator[np.ndarray]:
         yield np.minimum(np.arange(first, first + BLOCK), lanes - 1)
 
 
-@jitted(static=("scene", "start"))
+@lane_function(static=2)
 def _differentiated(
     scene: Scene[Any], start: Start | None, values: Features, along: Features, times: Times
 ) -> tuple[dict[str, Array], dict[str, Array]]:

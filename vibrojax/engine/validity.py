@@ -1,15 +1,16 @@
 """Lanes that are stiffer or slower than steps or numbers reach: refused, instead of a regime that means nothing."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
 from vibrojax.devices import precision
+from vibrojax.engine.compiler import lane_function
 from vibrojax.input.definition import Sweep
-from vibrojax.scenes import HasContact, HasFriction, Scene
+from vibrojax.scenes import HasContact, HasFriction
 
 TOO_STIFF, TOO_SLOW = "too-stiff", "too-slow"
 MOST_STEPS = 1e7
@@ -28,7 +29,7 @@ def too_stiff(sweep: Sweep, p: Numbers) -> Refused:
     scene = sweep.system
     if not isinstance(scene, HasFriction) or not sweep.run.stepper.rests:
         return np.zeros(sweep.lanes, bool)
-    flight, contact, _ = _rates(scene, p)
+    flight, contact, *_ = _paces(scene, p)
     with np.errstate(all="ignore"):
         steps = flight * (sweep.run.settle + sweep.run.observe)
         known = np.isfinite(flight + contact)
@@ -38,24 +39,40 @@ def too_stiff(sweep: Sweep, p: Numbers) -> Refused:
 def unresolved(scene: HasFriction[Any], p: Numbers, numbers: str) -> Refused:
     """Where 1/rate, the time that a step takes, is so short that what the bit on its main spring does meanwhile
     vanishes in the roundings of the `numbers`, "float64" or "float32": nothing would move; booleans (lanes,)."""
-    flight, contact, slow = _rates(scene, p)
+    paces = _paces(scene, p)
     with np.errstate(all="ignore"):
-        return np.asarray(~(512 * np.finfo(numbers).eps * (flight + contact) < slow))
+        return np.asarray(~(512 * np.finfo(numbers).eps * (paces.flight + paces.contact) < paces.spring))
 
 
 def flight_rates(scene: HasFriction[Any], p: Numbers) -> Lanes:
     """A bound on the fastest rate [1/s] of lanes of parameters `p` in flight, from which their steps follow."""
-    with precision("float64"):
-        return np.asarray(scene.flight_rate(_constants(scene, p)))
+    return _paces(scene, p).flight
 
 
-def _rates(scene: HasFriction[Any], p: Numbers) -> tuple[Lanes, Lanes, Lanes]:
-    """Bounds on the fastest rates [1/s], by springs and damper in flight and what the contact adds to it; and that of
-    the bit on its main spring."""
-    c, flight = _constants(scene, p), flight_rates(scene, p)
+class _Paces(NamedTuple):
+    """Bounds on the fastest rates [1/s], by springs and damper in flight and what the contact adds to it; the rate of
+    the bit on its main spring; and a typical speed [m/s]."""
+
+    flight: Any
+    contact: Any
+    spring: Any
+    speed: Any
+
+
+def _paces(scene: HasFriction[Any], p: Numbers) -> _Paces:
     with precision("float64"):
-        contact = np.asarray(scene.contact_rate(c)) if isinstance(scene, HasContact) else np.zeros_like(flight)
-        return flight, contact, np.asarray(scene.spring_rate(c))
+        lanes = np.broadcast_arrays(*(np.atleast_1d(np.asarray(x, np.float64)) for x in p.values()))
+        found = _compiled_paces(scene, dict(zip(p, lanes, strict=True)))
+        shape = np.broadcast_shapes(*(np.shape(x) for x in p.values()))
+        return _Paces(*(np.asarray(x).reshape(shape) for x in found))
+
+
+@lane_function(static=1)
+def _compiled_paces(scene: HasFriction[Any], p: Numbers) -> _Paces:
+    c = scene.constants(p)
+    flight = scene.flight_rate(c)
+    contact = scene.contact_rate(c) if isinstance(scene, HasContact) else jnp.zeros_like(flight)
+    return _Paces(*jnp.broadcast_arrays(flight, contact, scene.spring_rate(c), scene.typical_speed(c)))
 
 
 def too_slow(sweep: Sweep, p: Numbers) -> Refused:
@@ -66,13 +83,5 @@ def too_slow(sweep: Sweep, p: Numbers) -> Refused:
     scene = sweep.system
     if not isinstance(scene, HasFriction) or not sweep.run.stepper.rests:
         return np.zeros(sweep.lanes, bool)
-    c = _constants(scene, p)
-    with precision("float64"):
-        typical = np.asarray(scene.typical_speed(c))
     with np.errstate(all="ignore"):
-        return (p["v"] > 0) & (p["v"] < 512 * np.finfo(sweep.run.precision).eps * typical)
-
-
-def _constants(scene: Scene[Any], p: Numbers) -> Any:
-    with precision("float64"):
-        return scene.constants({name: jnp.asarray(value, "float64") for name, value in p.items()})
+        return (p["v"] > 0) & (p["v"] < 512 * np.finfo(sweep.run.precision).eps * _paces(scene, p).speed)
