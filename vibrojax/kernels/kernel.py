@@ -38,7 +38,7 @@ class Kernel:
         traced = jax.jit(function).trace(*jax.tree.map(_with_lanes, examples))
         inner = traced.jaxpr.jaxpr
         self._given = [(np.dtype(var.aval.dtype), varies(var.aval)) for var in inner.invars]
-        self._found = [(np.dtype(var.aval.dtype), var.aval.shape[:-1]) for var in inner.outvars]
+        self._found = [(np.dtype(var.aval.dtype), var.aval.shape, varies(var.aval)) for var in inner.outvars]
         self._tree = jax.tree.structure(traced.out_info)
         widest = max((dtype.itemsize for dtype, _ in self._given if dtype.kind == "f"), default=8)
         self.width = registers * vector_bytes() // widest
@@ -53,11 +53,12 @@ class Kernel:
         given = [
             self._prepared(x, dtype, varying, padded) for x, (dtype, varying) in zip(leaves, self._given, strict=True)
         ]
-        found = [np.empty((*shape, padded), dtype) for dtype, shape in self._found]
+        found = [np.empty((*shape[:-1], padded) if varying else shape, dtype) for dtype, shape, varying in self._found]
         workspace = np.empty(self._workspace + ALIGNMENT, np.uint8)
         pointers = np.array([x.ctypes.data for x in (*given, *found)], np.uintp)
         self._native.function(pointers.ctypes.data, -(-workspace.ctypes.data // ALIGNMENT) * ALIGNMENT, padded)
-        return jax.tree.unflatten(self._tree, [x[..., :lanes] for x in found])
+        cut = [x[..., :lanes] if varying else x for x, (*_, varying) in zip(found, self._found, strict=True)]
+        return jax.tree.unflatten(self._tree, cut)
 
     def _prepared(self, x: Any, dtype: np.dtype, varying: bool, padded: int) -> np.ndarray:
         """An argument as the kernel reads it; where the last group is not full its last lane is there again."""

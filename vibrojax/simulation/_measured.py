@@ -21,8 +21,8 @@ from vibrojax.measure import recorder_for
 from vibrojax.measure.recorder import Features, Records
 from vibrojax.scenes import Scene
 from vibrojax.scenes.scene import Values
-from vibrojax.simulation._record import BATCH, Record
-from vibrojax.stepping import Clock, Lane, Step, Stepper, lane_at
+from vibrojax.simulation._record import BATCH, Record, begun
+from vibrojax.stepping import Clock, Lane, Step, Stepper
 from vibrojax.store.variables import VARIABLES, Variable
 
 OBSERVED, LONGEST_HALF = 1 / 6, 8.0
@@ -51,10 +51,9 @@ def measured(
     **Arguments:** `constants`: the scene's; `state` at t = 0, each (1,); `taken`: its steps, one of which ends at the
     time `begin` [s], from which on it is observed for `observe` [s].
     """
-    constants = scene.scaled(constants, state)
+    constants, lane = begun(scene, constants, state)
     middle = int(np.searchsorted(taken.start + taken.dt / 2, begin))
     before, after = (Record(*(x[part] for x in taken)) for part in (slice(middle), slice(middle, None)))
-    lane = lane_at(scene, constants, state)
     settled = recorder.settling(scene, lane)
     if middle:
         # Recorded steps end on the section already, as those of a sweep do only under observation.

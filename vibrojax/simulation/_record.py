@@ -20,7 +20,6 @@ from vibrojax.errors import InputError, Place
 from vibrojax.scenes import HasFriction, Scene
 from vibrojax.scenes.scene import Values
 from vibrojax.stepping import Accuracy, Goal, Lane, Stepper, lane_at
-from vibrojax.stepping.adaptive import MOST_STEPS as MOST_ADAPTIVE
 
 BATCH = 512
 MOST_STEPS = 20_000 * BATCH
@@ -63,8 +62,7 @@ def record(
     A step ends at the time `pause` [s], if there is one. Raises `InputError` where all this takes over `most_steps`,
     ten million unless there is no room for so many.
     """
-    constants = scene.scaled(constants, state)
-    lane = lane_at(scene, constants, state)
+    constants, lane = begun(scene, constants, state)
     parts = []
     goal = duration if pause is None else pause
     for _ in range(ceil(most_steps / BATCH)):
@@ -84,6 +82,13 @@ def record(
         f"simulate: duration: {most_steps} steps, all there is room for, led to {reached:.3g} s of "
         f"{float(duration):g} s; give a shorter duration, or a softer contact"
     )
+
+
+@lane_function(static=1)
+def begun(scene: Scene[Any], constants: Any, state: Values) -> tuple[Any, Lane]:
+    """(the constants scaled for a motion from `state`, the lane that starts there)."""
+    constants = scene.scaled(constants, state)
+    return constants, lane_at(scene, constants, state)
 
 
 @lane_function(static=2)
@@ -177,12 +182,19 @@ def _calmest_rate(scene: Scene[Any], constants: Any, stepper: Stepper | None) ->
     """How fast the motion changes at least [1/s]."""
     if stepper is None and isinstance(scene, HasFriction):
         return float(scene.spring_rate(constants)[0])
-    return float(scene.rate(constants, tuple(jnp.full(1, mode.calmest) for mode in scene.modes))[0])
+    return float(_rate(scene, constants, tuple(np.full(1, mode.calmest) for mode in scene.modes))[0])
+
+
+@lane_function(static=1)
+def _rate(scene: Scene[Any], constants: Any, mode: Values) -> Array:
+    return scene.rate(constants, mode)
 
 
 def _room(scene: Scene[Any], stepper: Stepper | None, samples: int) -> tuple[int, float]:
     """How many steps there is room for, and the bytes that each takes."""
     if stepper is None:
+        from vibrojax.stepping.adaptive import MOST_STEPS as MOST_ADAPTIVE
+
         return MOST_ADAPTIVE, 0.0
     numbers = 3 + len(scene.states) * (stepper.degree + 2) + len(scene.modes)
     flags = len(scene.guard_names) + 2 * len(scene.markers)

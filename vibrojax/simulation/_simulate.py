@@ -3,16 +3,17 @@
 import json
 import sys
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
-from diffrax import AbstractSolver
 from jaxtyping import Float
 
+from vibrojax.arrays import Array
 from vibrojax.devices import precision
+from vibrojax.engine.compiler import lane_function
 from vibrojax.engine.parallel import in_parallel
 from vibrojax.engine.validity import unresolved
 from vibrojax.errors import Place
@@ -27,8 +28,10 @@ from vibrojax.simulation._measured import compile_measures, found_in, measured, 
 from vibrojax.simulation._record import check_size, record, sample
 from vibrojax.simulation._trajectory import Motion, events, forces, states_shown, trajectory_dataset
 from vibrojax.stepping import STEPPERS, Accuracy, Smoothed, Stepper, Wanted, stepper_named
-from vibrojax.stepping.adaptive import adaptive_trajectory, solver_named
 from vibrojax.timings import LOG, timed
+
+if TYPE_CHECKING:
+    from diffrax import AbstractSolver
 
 MOST_SAMPLES = 2_000_000
 
@@ -39,7 +42,7 @@ def simulate(
     start: str | Sequence[float] | None = None,
     duration: float = 20.0,
     method: str | Stepper | None = None,
-    solver: str | AbstractSolver | None = None,
+    solver: "str | AbstractSolver | None" = None,
     step: float | None = None,
     smoothing: float | None = None,
     error: float = 1e-4,
@@ -101,6 +104,8 @@ def simulate(
         found: dict[str, Any] = {}
         begin, observe = window(duration)
         if stepper is None:
+            from vibrojax.stepping.adaptive import solver_named  # diffrax takes a second to import
+
             kind = solver_named(solver or "Tsit5")
             motion, steps = _adaptive(system, constants, state, times, accuracy, kind, 1e-3 * error)
         else:
@@ -121,7 +126,7 @@ def simulate(
         along_time |= forces(system, constants, motion, accuracy.smoothing if smooth else None)
     solver_text = {"method": stepper.name if stepper else "diffrax", "steps": int(steps), **accuracy.described()}
     if stepper is None:
-        solver_text["solver"] = type(solver_named(solver or "Tsit5")).__name__
+        solver_text["solver"] = type(kind).__name__
     LOG.info("chosen: %s, %d samples", json.dumps(solver_text), len(times))
     dataset = trajectory_dataset(point, system, motion, along_time, happened, solver_text)
     if not found:
@@ -165,7 +170,7 @@ def _compile(
 def _constants(place: Place, point: Point, stepper: Stepper | None) -> Any:
     """The scene's constants at the point, each of shape (1,); raises where it cannot be run."""
     scene = point.system
-    p = {name: jnp.full(1, value) for name, value in point.parameters.items()}
+    p = {name: np.full(1, value) for name, value in point.parameters.items()}
     refusal = scene.refused(p)
     if refusal is not None and bool(refusal[1][0]):
         raise place.error(f"the point cannot be run: {refusal[0].replace('-', ' ')}")
@@ -173,7 +178,23 @@ def _constants(place: Place, point: Point, stepper: Stepper | None) -> Any:
     if exact and isinstance(scene, HasFriction) and bool(unresolved(scene, point.parameters, "float64")):
         advice = "give a smaller k0, c0, c2 or gamma, or a greater beta"
         raise place.error(f"the point cannot be run: too stiff, so that nothing moves in a step; {advice}")
+    return _compiled_constants(scene, p)
+
+
+@lane_function(static=1)
+def _compiled_constants(scene: Scene[Any], p: dict[str, Array]) -> Any:
     return scene.constants(p)
+
+
+@lane_function(static=1)
+def _usual_sampling(scene: Scene[Any], constants: Any) -> Array:
+    """The interval of samples [s] where none is asked for."""
+    shortest: Any = jnp.asarray(1e-3)
+    if isinstance(scene, HasContact):
+        shortest = jnp.minimum(shortest, scene.contact_time(constants) / 20)
+    if isinstance(scene, HasRock):
+        shortest = jnp.minimum(shortest, 0.2 * scene.rock_period(constants))
+    return shortest
 
 
 def _positive(place: Place, name: str, value: float, unit: str) -> float:
@@ -191,11 +212,7 @@ def _times(
 ) -> Float[np.ndarray, " samples"]:
     """Times [s] of the samples, evenly from 0 to the end."""
     if sampling is None:
-        sampling = 1e-3
-        if isinstance(scene, HasContact):
-            sampling = min(sampling, float(scene.contact_time(constants)[0]) / 20)
-        if isinstance(scene, HasRock):
-            sampling = min(sampling, 0.2 * float(scene.rock_period(constants)[0]))
+        sampling = float(np.ravel(_usual_sampling(scene, constants))[0])
         sampling = min(max(sampling, duration / MOST_SAMPLES), duration)
     intervals = duration / sampling
     if not 0.5 < intervals <= MOST_SAMPLES:
@@ -213,12 +230,14 @@ def _adaptive(
     state: Values,
     times: Float[np.ndarray, " samples"],
     accuracy: Accuracy,
-    solver: AbstractSolver,
+    solver: "AbstractSolver",
     tolerance: float,
 ) -> tuple[Motion, int]:
     """The motion by a solver of diffrax, and how many steps it took."""
     scalars, start = jax.tree.map(lambda value: value[0], (constants, state))
     width = accuracy.smoothing
+    from vibrojax.stepping.adaptive import adaptive_trajectory
+
     states, steps = adaptive_trajectory(
         scene, scalars, start, jnp.asarray(times), width, solver, tolerance, accuracy.step
     )

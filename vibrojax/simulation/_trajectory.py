@@ -5,16 +5,19 @@ from collections.abc import Mapping
 from datetime import UTC, datetime
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 from jaxtyping import Bool, Float, Int
 
 from vibrojax.arrays import Array
+from vibrojax.engine.compiler import lane_function
 from vibrojax.input.point import Point
 from vibrojax.measure.section import lowest
 from vibrojax.physics.parameters import differing
 from vibrojax.scenes import Driven, HasContact, HasFriction, HasRock, Scene
+from vibrojax.scenes.scene import Values
 from vibrojax.simulation._record import Record, accumulated
 from vibrojax.store.provenance import provenance
 
@@ -30,6 +33,15 @@ class Variable(NamedTuple):
     values: Any
     unit: str
     long_name: str
+
+
+FORCES = {
+    "friction_force": "friction force of the rock on the bit, against its sliding",
+    "impact_force": "contact force between striker and bit",
+    "applied_force": "given force on the bit",
+    "rock_force": "resistance of the rock under the bit",
+}
+"""Forces [N] at the samples, by the names of their variables."""
 
 
 class Motion(NamedTuple):
@@ -58,7 +70,7 @@ def events(scene: Scene[Any], c: Any, record: Record) -> Events:
         masks["slip"] = hits["friction"] & (after != 0)
     if isinstance(scene, HasContact):
         modes, states = tuple(record.mode.T), tuple(record.after.T)
-        masks["impact"] = np.asarray(scene.impact_begins(c, modes, states, hits))
+        masks["impact"] = np.asarray(_impact_begins(scene, one_for_all(c), modes, states, hits))
         masks["release"] = hits["contact"] & (record.mode[:, scene.mode_place("touching")] != 0)
     if scene.section is not None:
         masks["section"] = _returns(scene, c, record)
@@ -81,9 +93,9 @@ def _returns(scene: Scene[Any], c: Any, record: Record) -> Bool[np.ndarray, " st
     armed, passed = False, np.zeros(len(returns), bool)
     # A step taken for a mere switch has no length, and nothing falls in it.
     tau = np.where(record.dt > 0, record.dt / np.where(record.h > 0, record.h, 1), 0)
-    velocity = [sign * jnp.asarray(one) for one in record.polynomials[:, scene.place(section.velocity)].T]
+    velocity = [sign * one for one in record.polynomials[:, scene.place(section.velocity)].T]
     level = sign * float(np.ravel(section.rearm(c))[0])
-    low = np.asarray(lowest(velocity, jnp.asarray(tau))) < level
+    low = np.asarray(_lowest(velocity, tau)) < level
     for index in np.flatnonzero(returns | low):
         armed = armed or bool(low[index])
         passed[index] = returns[index] and armed
@@ -96,19 +108,38 @@ def forces(scene: Scene[Any], c: Any, motion: Motion, width: float | None) -> di
 
     `width` [m/s] is that of a smoothed motion, None of a sharp one.
     """
-    states, modes = tuple(jnp.asarray(y) for y in motion.states), tuple(jnp.asarray(m) for m in motion.modes)
-    found: dict[str, tuple[Any, str]] = {}
+    found = _forces(scene, width is None, one_for_all(c), tuple(motion.modes), tuple(motion.states), width or 0.0)
+    return {name: Variable(np.asarray(force) + 0.0, "N", FORCES[name]) for name, force in found.items()}  # no -0.0
+
+
+@lane_function(static=2)
+def _forces(scene: Scene[Any], is_sharp: bool, c: Any, modes: Values, states: Values, width: Any) -> dict[str, Array]:
+    found: dict[str, Any] = {}
     if isinstance(scene, HasFriction):
-        rates = scene.field(c, modes, states) if width is None else scene.smoothed_field(c, modes, states, width)
-        force = scene.pull(c, states) - scene.bit(c).mass * rates[scene.place(scene.bit_velocity)]
-        found["friction_force"] = force, "friction force of the rock on the bit, against its sliding"
+        rates = scene.field(c, modes, states) if is_sharp else scene.smoothed_field(c, modes, states, width)
+        found["friction_force"] = scene.pull(c, states) - scene.bit(c).mass * rates[scene.place(scene.bit_velocity)]
     if isinstance(scene, HasContact):
-        found["impact_force"] = scene.contact_force(c, modes, states), "contact force between striker and bit"
+        found["impact_force"] = scene.contact_force(c, modes, states)
     if isinstance(scene, Driven):
-        found["applied_force"] = scene.applied_force(c, modes, states), "given force on the bit"
+        found["applied_force"] = scene.applied_force(c, modes, states)
     if isinstance(scene, HasRock):
-        found["rock_force"] = scene.rock_force(c, modes, states), "resistance of the rock under the bit"
-    return {name: Variable(np.asarray(force) + 0.0, "N", text) for name, (force, text) in found.items()}  # no -0.0
+        found["rock_force"] = scene.rock_force(c, modes, states)
+    return {name: force + jnp.zeros_like(states[0]) for name, force in found.items()}
+
+
+@lane_function(static=1)
+def _impact_begins(scene: HasContact, c: Any, modes: Values, states: Values, hits: dict[str, Array]) -> Array:
+    return scene.impact_begins(c, modes, states, hits)
+
+
+@lane_function(static=0)
+def _lowest(velocity: list[Array], tau: Array) -> Array:
+    return lowest(velocity, tau)
+
+
+def one_for_all(c: Any) -> Any:
+    """The constants of one lane, of shape (1,), for all samples."""
+    return jax.tree.map(lambda x: np.asarray(x)[0], c)
 
 
 def states_shown(
