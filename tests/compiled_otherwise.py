@@ -2,13 +2,17 @@
 
     python tests/compiled_otherwise.py [SCENE ...] [--choice CHOICE ...]
 
-With jax before 0.11.2 "no options" and "barriers expanded" take minutes to compile. What differs by more than roundings
-(which grow, along 1.2 s of an impacting motion, by some powers of ten) is a fault of a compiler, or of ours. Friction
-laws are all in one sweep (see test_sweep_against_simulate.py); pulses have both shapes.
+With jax before 0.11.2 "XLA, no options" takes minutes to compile. What differs by more than roundings (which grow,
+along 1.2 s of an impacting motion, by some powers of ten) is a fault of a compiler, or of ours; kernels of another
+width, or through other passes, give the same bits. Friction laws are all in one sweep (see
+test_sweep_against_simulate.py); pulses have both shapes.
 """
 
 from argparse import ArgumentParser
+from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
+from unittest.mock import patch
 
 import jax
 import numpy as np
@@ -17,37 +21,66 @@ jax.config.update("jax_enable_x64", True)
 
 from test_sweep_against_simulate import DRILLS, LANES, all_laws, columns, swept  # noqa: E402
 
-from vibrojax.engine import batch, compiler, programs  # noqa: E402
+from vibrojax.engine import arithmetic, by_llvm, by_xla, compiler  # noqa: E402
 from vibrojax.errors import InputError  # noqa: E402
+from vibrojax.kernels import Untranslatable, elementwise, kernels, native  # noqa: E402
 from vibrojax.physics.friction import FRICTION_LAWS  # noqa: E402
 
 WIDTH, PASSES = "xla_cpu_prefer_vector_width", "xla_disable_hlo_passes"
-USUAL = compiler.compiler_options("cpu")
-CHOICES = {
-    "no options": (dict[str, int | str](), programs.BLOCK),
-    "vectors of 128 bits": (USUAL | {WIDTH: 128}, programs.BLOCK),
-    "vectors of 512 bits": (USUAL | {WIDTH: 512}, programs.BLOCK),
-    "barriers expanded": ({name: x for name, x in USUAL.items() if name != PASSES}, programs.BLOCK),
-    "barriers kept": (USUAL | {PASSES: "cse_barrier_expander"}, programs.BLOCK),
-    "blocks of 16": (USUAL, 16),
-    "blocks of 128": (USUAL, 128),
+OF_XLA = compiler.compiler_options("cpu")
+MORE_PASSES = ("sroa", "instruction_combine", "new_gvn", "aggressive_instcombine", "simplify_cfg", "aggressive_dce")
+
+
+def no_kernel(*given: Any, **options: Any) -> Any:
+    raise Untranslatable("on purpose")
+
+
+def by_xla_with(options: dict[str, Any], block: int = by_xla.BLOCK) -> list[Any]:
+    return [
+        patch.object(by_llvm, "run", no_kernel),
+        patch.object(by_xla, "compiler_options", lambda platform: options),
+        patch.object(by_xla, "BLOCK", block),
+    ]
+
+
+CHOICES: dict[str, list[Any]] = {
+    "vectors of 128 bits": [
+        patch.object(by_llvm, "REGISTERS", {}),
+        patch("vibrojax.kernels.kernel.vector_bytes", lambda: 16),
+    ],
+    "four registers": [patch.object(by_llvm, "REGISTERS", dict.fromkeys(by_llvm.REGISTERS, 4))],
+    "more passes": [patch.object(native, "PASSES", MORE_PASSES)],
+    "sums rounded apart": [
+        patch.dict(
+            elementwise.RULES,
+            {name: elementwise.partial(elementwise._arithmetic, f"f{name}", name) for name in ("add", "sub", "mul")},
+        )
+    ],
+    "XLA": by_xla_with(OF_XLA),
+    "XLA, no options": by_xla_with({}),
+    "XLA, 128 bits": by_xla_with(OF_XLA | {WIDTH: 128}),
+    "XLA, 512 bits": by_xla_with(OF_XLA | {WIDTH: 512}),
+    "XLA, blocks of 16": by_xla_with(OF_XLA, 16),
 }
 
 
 @contextmanager
-def compiled_with(options: dict, block: int):
-    usual = compiler.compiler_options, batch.BLOCK
-    compiler.compiler_options = programs.compiler_options = lambda platform: options
-    batch.BLOCK = block
-    programs.compiled.cache_clear()
-    compiler.check_arithmetic.cache_clear()
+def compiled_with(changes: list[Any]) -> Iterator[None]:
+    """Sweeps compiled anew, with these changes."""
+    caches = (by_xla._compiled, by_xla._evaluated_by, arithmetic.check)
+    for change in changes:
+        change.start()
     try:
+        kernels.clear()
+        for cache in caches:
+            cache.cache_clear()
         yield
     finally:
-        compiler.compiler_options, batch.BLOCK = usual
-        programs.compiler_options = usual[0]
-        programs.compiled.cache_clear()
-        compiler.check_arithmetic.cache_clear()
+        for change in changes:
+            change.stop()
+        kernels.clear()
+        for cache in caches:
+            cache.cache_clear()
         jax.clear_caches()
 
 
@@ -80,14 +113,12 @@ def main() -> None:
     parser.add_argument("--choice", action="append", choices=CHOICES, help="only these")
     options = parser.parse_args()
     FRICTION_LAWS["all-laws"] = all_laws()
-    print(f"jax {jax.__version__}, usually {USUAL}, blocks of {programs.BLOCK}")
+    print(f"jax {jax.__version__}, kernels for {native.processor().name}")
     for scene in options.scenes:
         usual = results(scene)
         for name in options.choice or CHOICES:
-            if CHOICES[name] == (USUAL, programs.BLOCK):
-                continue
             try:
-                with compiled_with(*CHOICES[name]):
+                with compiled_with(CHOICES[name]):
                     found = [difference(*pair) for pair in zip(usual, results(scene), strict=True)]
                 text = ", ".join(f"{size:.1e} of {of}" for size, of in found)
             except InputError as refusal:  # its arithmetic is wrong, and was found so before any lane
