@@ -38,9 +38,10 @@ def test_steps_are_in_proportion_to_lanes_and_time():
 def test_a_block_waits_for_its_slowest():
     """A stiff damper asks for c2/m2 steps a second, over the stride, and the lanes beside it wait; beyond 1e6 steps and
     1000 a second a lane is given up."""
+    block = Chunks(read_sweep(MAP)).engine.programs.block
     one = time_of(grid={"beta": [0.4]})
-    assert time_of(grid={"beta": np.linspace(0.3, 0.5, 64).tolist()}).step == pytest.approx(one.step, rel=0.2)
-    stiff = time_of(grid={"c2": [*range(200, 263), 1e6]})
+    assert time_of(grid={"beta": np.linspace(0.3, 0.5, block).tolist()}).step == pytest.approx(one.step, rel=0.2)
+    stiff = time_of(grid={"c2": [*range(201, 200 + block), 1e6]})
     flight = 1e6 / 100.0 / 2.0  # m2 = 100 kg, stride 2
     assert stiff.step / one.step == pytest.approx((flight + 45.0) / (45.0 + 18.0), rel=0.1)
     stiffer, stiffest = (time_of(grid={"c2": [c2]}).step for c2 in (1e10, 1e13))

@@ -4,9 +4,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from vibrojax.kernels.operands import Entry, Operand, Slot, Untranslatable, element
-
-BOOL = np.dtype(bool)
+from vibrojax.kernels.operands import BOOL, Entry, Operand, Slot, Untranslatable, element
 
 IN_REGISTERS = 24
 """Values that a loop may carry in registers; those of larger loops stay in memory, where each is read as it is used."""

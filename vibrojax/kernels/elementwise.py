@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from vibrojax.kernels.assembly import BOOL, Assembly
-from vibrojax.kernels.operands import Entry, Operand, Untranslatable, element, literal
+from vibrojax.kernels.assembly import Assembly
+from vibrojax.kernels.operands import BOOL, Entry, Operand, Untranslatable, element, literal
 
 Rule = Callable[["Applied"], str]
 

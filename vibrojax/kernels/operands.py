@@ -3,8 +3,11 @@
 import struct
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
+
+BOOL = np.dtype(bool)
 
 LANES = 1009
 """The length by which the axis of lanes is told from others while a function is traced: a prime that nothing else has.
@@ -78,6 +81,8 @@ def literal(x: Any, dtype: np.dtype) -> Operand:
 def literals(x: Any) -> Value:
     """An array whose numbers are known, the same for all lanes."""
     x = np.asarray(x)
+    if x.dtype == jax.dtypes.float0:
+        x = np.zeros(x.shape, bool)
     if LANES in x.shape:
         raise Untranslatable("an array that is captured and has lanes")
     entries = np.empty(x.shape, object)
@@ -99,5 +104,5 @@ def varies(aval: Any) -> bool:
 
 
 def dtype_of(aval: Any) -> np.dtype:
-    """numpy's type of an array's numbers."""
-    return np.dtype(jnp.dtype(aval.dtype))
+    """numpy's type of an array's numbers; tangents of whole numbers, which say nothing, are truth values here."""
+    return BOOL if aval.dtype == jax.dtypes.float0 else np.dtype(jnp.dtype(aval.dtype))

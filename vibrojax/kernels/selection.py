@@ -5,9 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from vibrojax.kernels.assembly import BOOL, Assembly
+from vibrojax.kernels.assembly import Assembly
 from vibrojax.kernels.elementwise import applied
 from vibrojax.kernels.operands import (
+    BOOL,
     LANES,
     Entry,
     Operand,

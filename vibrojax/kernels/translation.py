@@ -4,6 +4,7 @@ from collections.abc import Collection, Sequence
 from functools import partial
 from typing import Any
 
+import jax
 import numpy as np
 
 from vibrojax.kernels import arrangement, control, selection
@@ -72,7 +73,7 @@ def _written(asm: Assembly, closed: Any, values: Sequence[Value], owned: Collect
     uses = _uses(jaxpr) if owned else {}
 
     def value(var: Any) -> Value:
-        return literals(np.asarray(var.val, dtype_of(var.aval))) if is_literal(var) else known[var]
+        return known[var] if not is_literal(var) else literals(number(var))
 
     for equation in jaxpr.eqns:
         given = [value(var) for var in equation.invars]
@@ -97,6 +98,12 @@ def _uses(jaxpr: Any) -> dict[Any, int]:
             if not is_literal(var) and (inner is None or wanted is None or inner.invars[place] in wanted):
                 uses[var] = uses.get(var, 0) + 1
     return uses
+
+
+def number(var: Any) -> np.ndarray:
+    """The value of an argument that is a number; of a Python number the trace knows the type."""
+    found = np.asarray(var.val)
+    return found if found.dtype == jax.dtypes.float0 else found.astype(dtype_of(var.aval))
 
 
 def is_literal(var: Any) -> bool:

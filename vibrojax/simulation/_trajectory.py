@@ -138,8 +138,8 @@ def _lowest(velocity: list[Array], tau: Array) -> Array:
 
 
 def one_for_all(c: Any) -> Any:
-    """The constants of one lane, of shape (1,), for all samples."""
-    return jax.tree.map(lambda x: np.asarray(x)[0], c)
+    """The constants of one lane, of shape (1,) or none, for all samples."""
+    return jax.tree.map(lambda x: np.asarray(x).reshape(()), c)
 
 
 def states_shown(
