@@ -1,7 +1,9 @@
 """Run a sweep file: a labelled dataset, and a picture beside it."""
 
 import shlex
+import threading
 from argparse import ArgumentParser
+from importlib import import_module
 from typing import TYPE_CHECKING
 
 from vibrojax.amounts import size_text, time_text
@@ -51,6 +53,8 @@ def run(options: Options) -> None:
     changes = [part for word in options.changes for part in ("--set", word)]
     command = shlex.join(["vibrojax", "sweep", options.sweep, *changes, "-o", str(out)])
     options.how_to_resume = f"finished chunks are kept; to go on: {command}"
+    # What draws is imported while the lanes step, which leave Python to itself.
+    threading.Thread(target=import_module, args=("vibrojax.plot",), daemon=True).start()
     dataset = run_to_file(sweep, out, resume=not options.fresh, progress=not options.quiet)
     dataset_written(options, out)
     drawn = draw(dataset, picture)

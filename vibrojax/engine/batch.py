@@ -1,5 +1,6 @@
 """Batches of lanes: at rest on the host between stretches, in blocks through compiled programs by all workers."""
 
+import threading
 from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
@@ -142,29 +143,23 @@ class Engine:
         ]
 
     def compile(self, accuracy: Accuracy) -> None:
-        """Compile the programs, once, and not by every thread; nothing is stepped.
+        """Compile the programs, once, and not by every thread; nothing is stepped. The one that comes last is compiled
+        while others run already: who wants it waits for it.
 
         **Raises:** `InputError` where what is compiled as lanes are computes wrongly on this machine.
         """
-        try:
-            self._compile(accuracy)
-        except Untranslatable:
-            self.programs = ByXla(self.programs.kind, self.workers[0].platform)
-            self._compile(accuracy)
-
-    def _compile(self, accuracy: Accuracy) -> None:
         at_once = replace(self.sweep, run=replace(self.sweep.run, settle=0.0, observe=0.0))
         for worker in dict.fromkeys(self.workers):
             alone = copy(self)
             alone.sweep, alone.workers = at_once, [worker]
             still = [alone.start(0, 1, accuracy)]
-            compiling: list[Callable[[], object]] = [
-                alone._check_arithmetic,
-                partial(alone.settle, still),
-                partial(alone.observe, still),
-            ]
-            for _ in in_parallel(_call, compiling, range(len(compiling))):
+            first: list[Callable[[], object]] = [alone._check_arithmetic, partial(alone.settle, still)]
+            if self.accelerated:  # where two that want a program both compile it
+                first.append(partial(alone.observe, still))
+            for _ in in_parallel(_call, first, range(len(first))):
                 pass
+            if not self.accelerated:
+                threading.Thread(target=alone.observe, args=(still,), daemon=True).start()
 
     def _check_arithmetic(self) -> None:
         with precision(self.sweep.run.precision), jax.default_device(self.workers[0]):
@@ -183,7 +178,11 @@ class Engine:
         def work(worker: jax.Device, item: tuple[int, Index]) -> Any:
             at, lanes = item
             with precision(self.sweep.run.precision), jax.default_device(worker):
-                return program(batches[at].of(lanes))
+                try:
+                    return program(batches[at].of(lanes))
+                except Untranslatable:
+                    self.programs = ByXla(self.programs.kind, worker.platform)
+                    return program(batches[at].of(lanes))
 
         results: list[Any] = [None] * len(batches)
         for index, part in in_parallel(work, items, self.workers):

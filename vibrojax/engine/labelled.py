@@ -5,10 +5,14 @@ from collections.abc import Mapping
 from datetime import UTC, datetime
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 from jaxtyping import Int8, Shaped
 
+from vibrojax.arrays import Array
+from vibrojax.devices import precision
+from vibrojax.engine.compiler import lane_function
 from vibrojax.engine.validity import TOO_SLOW, TOO_STIFF, too_slow, too_stiff
 from vibrojax.input.definition import Sweep
 from vibrojax.input.points import VECTOR
@@ -107,9 +111,16 @@ def regimes(
     lanes = len(features["cycles"])
     rest, m1, g, k1 = np.zeros((4, lanes)) + [[0.0], [0.0], [0.0], [1.0]]  # what does not slide is never at rest
     if isinstance(scene, HasFriction):
-        rest = np.asarray(scene.friction.on_weight(0.0, values)) + np.zeros(lanes)
+        with precision("float64"):
+            rest = np.asarray(_friction_at_rest(scene, dict(values)))
         m1, g, k1 = (values[name] for name in ("m1", "g", "k1"))
     return label(features, rest, m1, g, k1)
+
+
+@lane_function(static=1)
+def _friction_at_rest(scene: HasFriction[Any], values: dict[str, Array]) -> Array:
+    """mu(0+) (lanes,)."""
+    return scene.friction.on_weight(0.0, values) + jnp.zeros_like(values["m1"])
 
 
 def _settings(sweep: Sweep) -> dict:
