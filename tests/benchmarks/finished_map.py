@@ -30,8 +30,7 @@ REPEATS = 5
 
 def process(*command: str, cache: str | None = None) -> float:
     """Seconds of a fresh process."""
-    environment = {name: value for name, value in os.environ.items() if name != "JAX_COMPILATION_CACHE_DIR"}
-    environment |= {"JAX_COMPILATION_CACHE_DIR": cache} if cache else {}
+    environment = os.environ | {"VIBROJAX_CACHE": cache or "off"}
     began = time.perf_counter()
     subprocess.run(command, env=environment, check=True, capture_output=True)
     return time.perf_counter() - began

@@ -33,13 +33,13 @@ class Costs(NamedTuple):
 
 
 COSTS = {
-    "rotary": Costs(8.1, 84e-9, 12.0),
-    "vibro-impact": Costs(10.0, 100e-9, 45.0),
-    "drilling": Costs(13.9, 145e-9, 180.0),
-    "coupled-drilling": Costs(13.9, 140e-9, 200.0),
-    "penetration": Costs(3.9, 62e-9, 1000.0),
+    "rotary": Costs(1.2, 53e-9, 12.0),
+    "vibro-impact": Costs(1.6, 75e-9, 45.0),
+    "drilling": Costs(1.9, 80e-9, 180.0),
+    "coupled-drilling": Costs(1.9, 92e-9, 200.0),
+    "penetration": Costs(0.7, 53e-9, 1000.0),
 }
-START = 2.3
+START = 1.6
 """Seconds to start, to read and write, and to draw."""
 
 OVERLAP = 0.6
