@@ -98,8 +98,8 @@ class Chunks:
             {name: np.concatenate([some[name] for some in run])[order] for name in run[0]}
             for run in (observed[: len(parts)], observed[len(parts) :])
         )
-        beyond = self._beyond(first, end, fine) if self._beyond is not None else {}
-        return self._certified(fine, check) | beyond
+        certified = self._certified(fine, check)
+        return certified | self._beyond(first, end, fine) if self._beyond is not None else certified
 
     def at(self, accuracy: Accuracy, index: int = 0) -> Features:
         """Features of a chunk's lanes at an `accuracy` of the caller's, by name (lanes,), all stepped to their end,

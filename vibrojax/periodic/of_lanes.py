@@ -10,11 +10,10 @@ from vibrojax.engine.batch import Engine, Features, Index
 from vibrojax.engine.parallel import in_parallel
 from vibrojax.engine.programs import Given
 from vibrojax.input.definition import Sweep
-from vibrojax.label import LABELLED_BY
 from vibrojax.measure import recorder_for
 from vibrojax.measure.kept_returns import TIME, state_name
 from vibrojax.measure.ledger import MOST_CYCLES
-from vibrojax.measure.section import REPEATS_WITHIN, scales
+from vibrojax.measure.section import scales
 from vibrojax.periodic.newton import ACCEPTED, Found, orbits
 from vibrojax.periodic.return_map import Mapped, mapped
 from vibrojax.stepping import Accuracy, LOCATED_STRIDE, Located
@@ -26,17 +25,20 @@ STEPS = Accuracy(tolerance=1e-12, stride=LOCATED_STRIDE, step=np.inf)
 MEASURED = Accuracy(tolerance=1e-10, stride=LOCATED_STRIDE, step=np.inf)
 """Of the steps in which an orbit is measured."""
 
-GRAZING = 1e-3
-"""Margin below which multipliers are not given. At a graze the map has a root's edge: its derivative goes as 1/margin,
-and changes over a distance of margin squared, so that here an error of 1e-12 of the orbit is one of 1e-6 of them."""
+GRAZING = 1e-5
+"""Margin below which multipliers are not given. Beside a graze the map goes as a root, so that its derivative holds over
+a distance of about the margin squared: here that of the residual which is accepted, 1e-10."""
+
+SAME = 1e-6
+"""Distance over the scales within which two states of an orbit are one."""
 
 NEAR = 1e-2
 """Distance over the scales, at least, that the lane's own orbit may be away from it."""
 
-DRIFTS = 10.0
+DRIFTS = 100.0
 """The same in distances that the lane itself has from where it settles, by its estimate."""
 
-FAR = 0.1
+FAR = 0.5
 """The same at most."""
 
 DRIVEN_RETURNS = 4
@@ -45,7 +47,7 @@ DRIVEN_RETURNS = 4
 SEGMENTS = 512
 """Returns per call of the map."""
 
-NOT_MEASURED = frozenset({"finite", "finished", "steps", "returns", "trend", "cycles", "settling_time"})
+NOT_MEASURED = frozenset({"finite", "finished", "steps", "returns", "trend", "cycles", "impacts", "settling_time"})
 """Features of the lane itself, which its orbit does not replace."""
 
 
@@ -85,6 +87,7 @@ class Orbits:
             "stable": np.full(lanes, -1),
             "orbit_residual": np.full(lanes, np.nan),
             "grazing_margin": np.full(lanes, np.nan),
+            "orbit_cycles": np.zeros(lanes),
             "orbit_reason": reason,
         }
         measured = {
@@ -113,13 +116,15 @@ class Orbits:
     ) -> None:
         """Enter what is found of `lanes`, which all repeat after so many returns."""
         begin, scale = self._begun(lanes, repeat, features)
-        drift = np.nan_to_num(features.get("drift_estimate", np.zeros(len(features["cycles"])))[lanes], posinf=np.inf)
-        reach = np.clip(DRIFTS * drift, NEAR, FAR)
+        reach = np.clip(DRIFTS * features["drift_estimate"][lanes], NEAR, FAR)
         given = {name: parameters[name][lanes] for name in self.scene.parameters()}
         orbit = orbits(begin, scale, reach, lambda some, states: self._returns(given, some, states))
-        own = self._own(orbit, scale, reach, lanes, features)
+        own = orbit.moved <= reach
+        if "impacts" in features:
+            own &= orbit.impacts == features["impacts"][lanes]
         is_found = (orbit.residual <= ACCEPTED) & own
         again, agrees = self._measure(first, lanes[is_found], orbit, is_found, features)
+        sooner = _repeats_after(orbit, scale)
         own[is_found] &= agrees
         here = lanes[is_found][agrees]
         for name, x in measured.items():
@@ -130,9 +135,10 @@ class Orbits:
         rules = {"not-converged": ~(orbit.residual <= ACCEPTED), "another-orbit": ~own, "near-grazing": close}
         why = np.select(list(rules.values()), [ORBIT_REASONS.index(name) for name in rules], ORBIT_REASONS.index("found"))
         found["orbit_reason"][lanes] = why
-        known = np.isfinite(orbit.residual)
-        found["orbit_residual"][lanes] = np.where(known, orbit.residual, np.nan)
-        found["grazing_margin"][lanes] = np.where((orbit.residual <= ACCEPTED) & own, orbit.margin, np.nan)
+        there = (orbit.residual <= ACCEPTED) & own
+        found["orbit_residual"][lanes] = np.where(np.isfinite(orbit.residual), orbit.residual, np.nan)
+        found["grazing_margin"][lanes] = np.where(there, orbit.margin, np.nan)
+        found["orbit_cycles"][lanes] = np.where(there, sooner, 0)
         right = why == ORBIT_REASONS.index("found")
         values = np.linalg.eigvals(orbit.product[right])
         order = np.argsort(-np.abs(values), axis=1, kind="stable")
@@ -151,19 +157,6 @@ class Orbits:
         known = scales(swings, features["period"][lanes])
         more = [np.full(len(lanes), np.nan)] * (len(rows) - len(known))
         return np.stack(rows, axis=-1).astype(float), np.stack([*known, *more], axis=-1).astype(float)
-
-    def _own(
-        self, orbit: Found, scale: np.ndarray, reach: np.ndarray, lanes: Index, features: Features
-    ) -> np.ndarray:
-        """Where an orbit is the lane's own: near it, with as many impacts, and repeating no sooner."""
-        own = orbit.moved <= reach
-        if "impacts" in features:
-            own &= orbit.impacts == features["impacts"][lanes]
-        repeat = orbit.states.shape[1]
-        for sooner in (q for q in range(1, repeat) if repeat % q == 0):
-            apart = np.abs(np.roll(orbit.states, sooner, axis=1) - orbit.states) / scale[:, None]
-            own &= np.nanmax(apart, axis=(1, 2)) > REPEATS_WITHIN
-        return own
 
     def _returns(self, given: dict[str, np.ndarray], lanes: Index, states: np.ndarray) -> Mapped:
         """The return map, by all workers."""
@@ -201,13 +194,27 @@ class Orbits:
         when = [-(ago[:, k % repeat] + (k // repeat) * length) for k in range(MOST_CYCLES)]
         compared = len(scene.section.compared)  # type: ignore[union-attr]
         past = np.moveaxis(states[:, back, :compared], 0, -1)
-        settle = np.zeros(count) if scene is self.scene else (DRIVEN_RETURNS + 0.5) * length / repeat
-        duration = 3 * length + 1.5 * length / repeat
+        # From between two returns to between two, so that it is clear how many are seen: three repeats and one more.
+        settle, duration = np.zeros(count), 3 * length + times[:, 0] + times[:, 1 % repeat] / 2
+        if scene is not self.scene:
+            settle = -(-DRIVEN_RETURNS // repeat) * length - times[:, -1] / 2
+            duration = 3 * length + (times[:, -1] + times[:, 0]) / 2
         batch = replace(batch, begin=settle, duration=duration, recent=orbit.steps[which].astype(np.int32))
         batch = self.engine.on_orbit(batch, state, past, np.stack(when), length / repeat)
         [batch] = self.engine.settle([batch])
         [features] = self.engine.observe([batch])
-        agrees = features["finished"] & features["finite"] & (features["cycles"] == repeat)
+        cycles = features["cycles"]
+        agrees = features["finished"] & features["finite"] & (cycles > 0) & (repeat % np.maximum(cycles, 1) == 0)
         if "impacts" in features:
-            agrees &= features["impacts"] == own["impacts"][lanes]
+            agrees &= features["impacts"] * repeat == own["impacts"][lanes] * cycles
         return features, agrees
+
+
+def _repeats_after(orbit: Found, scale: np.ndarray) -> np.ndarray:
+    """Returns after which orbits repeat: as many as they have states, or fewer, which divide that."""
+    repeat = orbit.states.shape[1]
+    found = np.full(len(orbit.states), repeat)
+    for sooner in (q for q in range(repeat - 1, 0, -1) if repeat % q == 0):
+        apart = np.abs(np.roll(orbit.states, sooner, axis=1) - orbit.states) / scale[:, None]
+        found[np.nanmax(apart, axis=(1, 2)) <= SAME] = sooner
+    return found
