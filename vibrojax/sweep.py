@@ -157,7 +157,10 @@ def _assembled(sweep: Sweep, chunks: Chunks, parts: list[Features], wall_time: f
     }
     LOG.info("chosen: %s, %d chunks of %d lanes", json.dumps(solver), chunks.count, chunks.size)
     with _quiet():
-        return dataset_of(sweep, features, solver, wall_time)
+        dataset = dataset_of(sweep, features, solver, wall_time)
+    if sweep.run.orbits:
+        dataset.attrs["orbits"] = json.dumps(Orbits(sweep).described)
+    return dataset
 
 
 def _devices_text(chunks: Chunks) -> str:
