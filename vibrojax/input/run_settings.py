@@ -53,6 +53,8 @@ class RunSettings:
     def described(self) -> dict[str, object]:
         """What is set, with defaults, as JSON values; the chunk is no part of it."""
         given = {name: value for name, value in vars(self).items() if name != "chunk"}
+        if not self.orbits:
+            del given["orbits"]  # as it was before there were any
         return given | {"method": self.stepper.name}
 
     def accuracy(self, scene: Scene[Any]) -> Accuracy:
