@@ -18,7 +18,7 @@ from vibrojax.physics.parameters import ROTATION, Parameter, differing
 from vibrojax.scenes import HasFriction, Scene
 from vibrojax.store.finished import IDENTITY, identity_text
 from vibrojax.store.provenance import provenance
-from vibrojax.store.variables import ORBIT_REASONS, REASONS, STATUSES, VARIABLES, Variable
+from vibrojax.store.variables import ORBIT_REASONS, REASONS, STATUSES, VARIABLES, Variable, orbit_name
 
 
 _DIMENSIONS = {
@@ -39,7 +39,7 @@ def dataset_of(sweep: Sweep, features: dict, solver: dict, wall_time: float) -> 
     """
     features = _finished(sweep, features)
     variables = {}
-    for name, variable in (VARIABLES | measured_besides(sweep.system)).items():
+    for name, variable in (VARIABLES | measured_besides(sweep.system) | of_orbits(sweep.system)).items():
         if name not in features:
             continue
         x = features[name]
@@ -72,6 +72,15 @@ def measured_besides(scene: Scene[Any]) -> dict[str, Variable]:
     """The variables that the scene's own gauges declare."""
     gauges = (gauge for gauge in map(gauge_named, scene.measures) if scene.section is not None)
     return {name: Variable(*about) for gauge in gauges for name, about in gauge.variables.items()}
+
+
+def of_orbits(scene: Scene[Any]) -> dict[str, Variable]:
+    """The states of orbits at the section."""
+    return {
+        orbit_name(state.name): Variable(state.unit, f"{state.long_name}, on the orbit at the section")
+        for state in scene.states
+        if state.name in scene.driving_part().return_states
+    }
 
 
 def _finished(sweep: Sweep, features: dict) -> dict:

@@ -18,7 +18,7 @@ from vibrojax.periodic.measured import Begun, Measuring, begun, joined
 from vibrojax.periodic.newton import ACCEPTED, Found, States, orbits
 from vibrojax.periodic.return_map import Mapped, mapped
 from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Located
-from vibrojax.store.variables import ORBIT_REASONS
+from vibrojax.store.variables import ORBIT_REASONS, orbit_name
 
 STEPS = Accuracy(tolerance=1e-11, stride=LOCATED_STRIDE, step=np.inf)
 """Of the return map. Over the default map multipliers differ by up to 1.2e-8 from those at 1e-14, periods by 3e-13 s."""
@@ -84,6 +84,7 @@ class Orbits:
             "stable": np.full(lanes, -1),
             "orbit_residual": np.full(lanes, np.nan),
             "grazing_margin": np.full(lanes, np.nan),
+            **{orbit_name(name): np.full(lanes, np.nan) for name in self._scene.return_states},
             "orbit_cycles": np.zeros(lanes),
             "orbit_reason": np.full(lanes, reason("not-repeating")),
         }
@@ -120,6 +121,8 @@ class Orbits:
         found["orbit_residual"][lanes] = np.where(np.isfinite(orbit.residual), orbit.residual, np.nan)
         found["grazing_margin"][lanes] = np.where(converged & own, orbit.margin, np.nan)
         found["orbit_cycles"][lanes] = np.where(converged & own, _repeats_after(orbit, scale), 0)
+        for name, x in zip(self._scene.return_states, orbit.states[:, 0].T, strict=True):
+            found[orbit_name(name)][lanes] = np.where(converged & own, x, np.nan)
         right = np.flatnonzero(found["orbit_reason"][lanes] == reason("found"))
         values = np.linalg.eigvals(orbit.product[right])
         values = np.take_along_axis(values, np.argsort(-np.abs(values), axis=1, kind="stable"), axis=1)
@@ -152,7 +155,8 @@ class Orbits:
         lost, kept = orbit.lanes[~whole], orbit.lanes[whole]
         found["orbit_reason"][lost] = reason("another-orbit")
         found["stable"][lost], found["orbit_cycles"][lost] = -1, 0
-        for name in ("multiplier_abs", "multiplier_arg", "grazing_margin"):
+        states = map(orbit_name, self._scene.return_states)
+        for name in ("multiplier_abs", "multiplier_arg", "grazing_margin", *states):
             found[name][lost] = np.nan
         again["period"] = orbit.length / orbit.cycles
         measured = {name: own[name].copy() for name in again if again[name].ndim == 1 and name not in OF_THE_LANE}

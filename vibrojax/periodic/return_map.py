@@ -110,7 +110,7 @@ def one_return(
         seen = Seen(
             returned=seen.returned | (returns & moving),
             impacts=seen.impacts + _impacts(scene, c, step),
-            steps=seen.steps + moving,
+            steps=seen.steps + moving.astype(seen.steps.dtype),
             margin=jnp.where(moving, margin.after(seen.margin, way.armed, lane, step), seen.margin),
             least=jnp.minimum(seen.least, own),
             greatest=jnp.maximum(seen.greatest, own),

@@ -41,6 +41,11 @@ ORBIT_REASONS = ("found", "not-repeating", "not-converged", "near-grazing", "ano
 STABILITIES = ("not-known", "unstable", "stable")
 """Meaning of the flags -1, 0 and 1 of `stable`."""
 
+def orbit_name(state: str) -> str:
+    """What a state at the section of an orbit is called."""
+    return f"orbit_{state}"
+
+
 VARIABLES: dict[str, Variable] = {
     "regime": Variable("1", "regime of the striker's motion", np.int8, REGIMES),
     "check_regime": Variable("1", "regime found by the coarser run that errors are estimated with", np.int8, REGIMES),
