@@ -103,7 +103,9 @@ def test_against_central_differences_of_the_exact_motion(scene, seed):
         columns = []
         for k, size in enumerate((0.05, 0.05, 1.0)):
             moved = 1e-6 * size * np.eye(3)[k]
-            columns.append((returned(scene, at, section + moved) - returned(scene, at, section - moved)) / (2 * moved[k]))
+            columns.append(
+                (returned(scene, at, section + moved) - returned(scene, at, section - moved)) / (2 * moved[k])
+            )
         exact = in_upper_half(np.linalg.eigvals(np.array(columns).T))
         np.testing.assert_allclose(multipliers(lane), exact, atol=1e-6)
         checked += 1
@@ -111,8 +113,8 @@ def test_against_central_differences_of_the_exact_motion(scene, seed):
 
 
 def test_the_product_of_multipliers_is_what_the_flow_contracts():
-    """While the bit slides forwards, and the contact has no damper, rates do not jump: the determinant is the exponential
-    of the divergence integrated over the orbit (Liouville)."""
+    """While the bit slides forwards, and the contact has no damper, rates do not jump: the determinant is the
+    exponential of the divergence integrated over the orbit (Liouville)."""
     point = {"beta": 0.57, "gamma": 0.66, "c0": 0.0}
     sweep = {"scene": "vibro-impact", "points": {name: [x] for name, x in point.items()}, "starts": ["stuck"]}
     lane = vj.run_sweep(sweep | {"run": ORBITS}, progress=False).squeeze()
@@ -291,7 +293,16 @@ def test_nothing_else_changes(lanes):
     sweep, _ = lanes
     without = vj.run_sweep(replace(sweep, run=replace(sweep.run, orbits=False)), progress=False)
     with_orbits = vj.run_sweep(sweep, progress=False)
-    for name in ("regime", "cycles", "impacts", "returns", "settling_time", "error_estimate", "drift_estimate", "status"):
+    for name in (
+        "regime",
+        "cycles",
+        "impacts",
+        "returns",
+        "settling_time",
+        "error_estimate",
+        "drift_estimate",
+        "status",
+    ):
         np.testing.assert_array_equal(without[name], with_orbits[name], name)
     for name in ("period", "impact_velocity", "bit_amplitude", "drive_power"):
         np.testing.assert_allclose(without[name], with_orbits[name], rtol=1e-4)

@@ -66,7 +66,9 @@ def _sweep_of(dataset: xr.Dataset) -> Sweep:
     try:
         tables = tomllib.loads(str(dataset.attrs["sweep"]))
     except (KeyError, ValueError):
-        raise InputError("orbits: not the dataset of a sweep (it has no attribute sweep); give one, or a sweep") from None
+        raise InputError(
+            "orbits: not the dataset of a sweep (it has no attribute sweep); give one, or a sweep"
+        ) from None
     if "points" in tables:
         columns = {str(name): one.values.tolist() for name, one in dataset.coords.items() if one.dims == ("point",)}
         vectors = any(name.startswith(VECTOR) for name in columns)
@@ -76,6 +78,8 @@ def _sweep_of(dataset: xr.Dataset) -> Sweep:
     before = json.loads(str(dataset.attrs.get(IDENTITY, "{}")))
     differing = changes({**before, "run.orbits": True}, json.loads(identity_text(identity)))
     if before and differing:
-        raise InputError(f"orbits: the sweep that the dataset names is another one now: {differing}; give the sweep itself")
+        raise InputError(
+            f"orbits: the sweep that the dataset names is another one now: {differing}; give the sweep itself"
+        )
     title = str(dataset.attrs.get("title", ""))
     return replace(sweep, title=sweep.title or title)

@@ -16,7 +16,8 @@ def orbit_lines(dataset: "xarray.Dataset") -> list[str]:
     reason, stable = dataset["orbit_reason"].values, dataset["stable"].values
     counts = {meaning: int((reason == flag).sum()) for flag, meaning in flags(dataset["orbit_reason"]).items()}
     asked = sum(count for meaning, count in counts.items() if meaning not in ("not-repeating", "refused"))
-    found = f"{counts['found']} found of {asked} lanes that repeat: {(stable == 1).sum()} stable, {(stable == 0).sum()} unstable"
+    which = f"{(stable == 1).sum()} stable, {(stable == 0).sum()} unstable"
+    found = f"{counts['found']} found of {asked} lanes that repeat: {which}"
     others = [f"{count} {meaning}" for meaning, count in counts.items() if count and meaning != "found"]
     sooner = int(((dataset["orbit_cycles"] > 0) & (dataset["orbit_cycles"] < dataset["cycles"])).sum())
     if sooner:

@@ -20,7 +20,6 @@ from vibrojax.store.finished import IDENTITY, identity_text
 from vibrojax.store.provenance import provenance
 from vibrojax.store.variables import ORBIT_REASONS, REASONS, STATUSES, VARIABLES, Variable, orbit_name
 
-
 _DIMENSIONS = {
     "return_index": ("return_time", "number of the return that is kept, the newest last"),
     "multiplier": ("multiplier_abs", "number of the multiplier, by falling modulus"),

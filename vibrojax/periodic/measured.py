@@ -44,7 +44,10 @@ class Begun(NamedTuple):
 
 
 def begun(
-    lanes: Index, states: Float[np.ndarray, "lanes cycles states"], times: Float[np.ndarray, "lanes cycles"], steps: PerLane
+    lanes: Index,
+    states: Float[np.ndarray, "lanes cycles states"],
+    times: Float[np.ndarray, "lanes cycles"],
+    steps: PerLane,
 ) -> Begun:
     """Lanes at the first of the `states` of their orbits, from each of which the next is reached after `times` [s]."""
     cycles, length = states.shape[1], times.sum(axis=1)

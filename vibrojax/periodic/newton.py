@@ -10,7 +10,7 @@ gives the step; so that a map that stretches is never followed for longer than o
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -52,12 +52,12 @@ class Found(NamedTuple):
 
 
 class _Evaluated(NamedTuple):
-    """The map at the states of lanes: where it leads, times, derivatives, all (lanes, cycles, ...), and what it saw."""
+    """The map at the states of lanes: where it leads, times, derivatives, and what it saw; all (lanes, cycles, ...)."""
 
     there: States
     times: Float[np.ndarray, "lanes cycles"]
     jacobian: Float[np.ndarray, "lanes cycles states states"]
-    seen: Seen
+    seen: Any
 
 
 def orbits(begin: States, scales: Float[np.ndarray, "lanes states"], reach: np.ndarray, go: ReturnMap) -> Found:
@@ -110,7 +110,7 @@ def _evaluated(states: States, lanes: Index, go: ReturnMap) -> _Evaluated:
     flat = states.reshape(-1, rows).T
     mapped = go(np.repeat(lanes, cycles), flat)
 
-    def by_lane(x: np.ndarray) -> np.ndarray:
+    def by_lane(x: Any) -> np.ndarray:
         return np.moveaxis(np.array(x), -1, 0).reshape(count, cycles, *np.shape(x)[:-1])
 
     seen = Seen(*map(by_lane, mapped.seen))
@@ -126,7 +126,7 @@ def _of(evaluated: _Evaluated, lanes: Bool[np.ndarray, " lanes"]) -> _Evaluated:
     return _Evaluated(first, second, third, Seen(*seen))
 
 
-def _swings(seen: Seen) -> Float[np.ndarray, "lanes states"]:
+def _swings(seen: Any) -> Float[np.ndarray, "lanes states"]:
     """Half the swings over the repeat; 1 for what does not move."""
     half = (seen.greatest.max(axis=1) - seen.least.min(axis=1)) / 2
     return np.where(half > 0, half, 1.0)
@@ -147,11 +147,11 @@ def _step(states: States, now: _Evaluated, scales: np.ndarray) -> States:
     lanes, cycles, rows = states.shape
     jacobian = now.jacobian * scales[:, None, None, :] / scales[:, None, :, None]
     off = (np.roll(states, -1, axis=1) - now.there) / scales[:, None]
-    matrix = np.zeros((lanes, cycles, rows, cycles, rows))
+    blocks = np.zeros((lanes, cycles, rows, cycles, rows))
     for k in range(cycles):
-        matrix[:, k, :, k] += jacobian[:, k]
-        matrix[:, k, :, (k + 1) % cycles] -= np.eye(rows)
-    matrix = matrix.reshape(lanes, cycles * rows, cycles * rows)
+        blocks[:, k, :, k] += jacobian[:, k]
+        blocks[:, k, :, (k + 1) % cycles] -= np.eye(rows)
+    matrix: np.ndarray = blocks.reshape(lanes, cycles * rows, cycles * rows)
     right = off.reshape(lanes, cycles * rows, 1)
     sound = np.isfinite(matrix).all(axis=(1, 2)) & np.isfinite(right).all(axis=(1, 2))
     matrix = np.where(sound[:, None, None], matrix, np.eye(cycles * rows))

@@ -21,11 +21,11 @@ from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Located
 from vibrojax.store.variables import ORBIT_REASONS, orbit_name
 
 STEPS = Accuracy(tolerance=1e-11, stride=LOCATED_STRIDE, step=np.inf)
-"""Of the return map. Over the default map multipliers differ by up to 1.2e-8 from those at 1e-14, periods by 3e-13 s."""
+"""Of the return map. Over the default map multipliers are within 1.2e-8 of those at 1e-14, periods within 3e-13 s."""
 
 GRAZING = 1e-5
-"""Margin below which multipliers are not given. Beside a graze the map goes as a root, so that its derivative holds over
-a distance of about the margin squared: here that of the residual which is accepted, 1e-10."""
+"""Margin below which multipliers are not given. Beside a graze the map goes as a root, so its derivative holds over a
+distance of about the margin squared: here that of the residual which is accepted, 1e-10."""
 
 NEAR, FAR = 1e-2, 0.5
 """Least and greatest distance, over the scales, within which an orbit may be a lane's own."""
@@ -166,7 +166,7 @@ class Orbits:
 
 
 def _last_returns(scene: Any, lanes: Index, repeat: int, features: Features) -> tuple[States, np.ndarray]:
-    """States at the last returns (lanes, cycles, states), and their scales (lanes, states), NaN where labels have none."""
+    """States at the last returns (lanes, cycles, states), and their scales (lanes, states); NaN: labels have none."""
     section = scene.section
     rows = [features[state_name(name)][lanes][:, -repeat:].astype(float) for name in scene.return_states]
     swings = tuple(features[swing.amplitude][lanes] for swing in section.swings)

@@ -1,8 +1,8 @@
 """The return map: from one return to the section to the next, with its derivative, through all events on the way.
 
-Steps are located, so the map is that of the exact motion but for their tolerance. A derivative in forward mode goes with
-the time of every event (the root's implicit derivative), so that what events do to a neighbour, the saltation, is in it
-(Leine and Nijmeijer, *Dynamics and Bifurcations of Non-Smooth Mechanical Systems*, 2004, chapter 7).
+Steps are located, so the map is that of the exact motion but for their tolerance. A derivative in forward mode goes
+with the time of every event (the root's implicit derivative), so that what events do to a neighbour, the saltation, is
+in it (Leine and Nijmeijer, *Dynamics and Bifurcations of Non-Smooth Mechanical Systems*, 2004, chapter 7).
 """
 
 from typing import Any, NamedTuple

@@ -41,6 +41,7 @@ ORBIT_REASONS = ("found", "not-repeating", "not-converged", "near-grazing", "ano
 STABILITIES = ("not-known", "unstable", "stable")
 """Meaning of the flags -1, 0 and 1 of `stable`."""
 
+
 def orbit_name(state: str) -> str:
     """What a state at the section of an orbit is called."""
     return f"orbit_{state}"
@@ -89,7 +90,9 @@ VARIABLES: dict[str, Variable] = {
     "stable": Variable("1", "whether all multipliers are inside the unit circle", np.int8, STABILITIES, -1),
     "orbit_residual": Variable("1", "greatest return - state of the orbit, over the scales of labels"),
     "grazing_margin": Variable("1", "how far the order of events along the orbit is from changing"),
-    "orbit_cycles": Variable("1", "returns after which the orbit itself repeats (a lane may still be on its way)", np.int8),
+    "orbit_cycles": Variable(
+        "1", "returns after which the orbit itself repeats (a lane may still be on its way)", np.int8
+    ),
     "orbit_reason": Variable("1", "what became of the search for the orbit", np.int8, ORBIT_REASONS),
     "return_time": Variable("s", "time of the return", along="return_index"),
     "return_x1": Variable("m", "position of the bit at the return", along="return_index"),
