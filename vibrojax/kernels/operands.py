@@ -3,6 +3,7 @@
 import struct
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -78,6 +79,8 @@ def literal(x: Any, dtype: np.dtype) -> Operand:
 def literals(x: Any) -> Value:
     """An array whose numbers are known, the same for all lanes."""
     x = np.asarray(x)
+    if x.dtype == jax.dtypes.float0:
+        x = np.zeros(x.shape, bool)  # the tangent of what has none: jax carries it along, and nothing asks for it
     if LANES in x.shape:
         raise Untranslatable("an array that is captured and has lanes")
     entries = np.empty(x.shape, object)
