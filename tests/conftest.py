@@ -51,6 +51,7 @@ CHECKED = [
     "vibrojax.laws",
     "vibrojax.measure",
     "vibrojax.physics",
+    "vibrojax.periodic",
     "vibrojax.plot",
     "vibrojax.progress",
     "vibrojax.reproduce",

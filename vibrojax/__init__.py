@@ -12,6 +12,7 @@ from importlib import import_module
 _HOMES = {
     "run_sweep": "vibrojax.sweep",
     "read_sweep": "vibrojax.input.read",
+    "orbits": "vibrojax.found_orbits",
     "simulate": "vibrojax.simulation",
     "fit_rop": "vibrojax.laws",
     "fit_joint": "vibrojax.laws",

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import pandas as pd
 
 from vibrojax.devices import precision
+from vibrojax.engine.labelled import of_orbits
 from vibrojax.errors import Place
 from vibrojax.input.names import Names, read_names
 from vibrojax.input.offered import enter_offered
@@ -28,6 +29,18 @@ from vibrojax.store.variables import VARIABLES, Variable
 from vibrojax.words import glossary
 
 COLUMNS = ["symbol", "default", "units", "range", "usual", "meaning", "where"]
+
+
+_OF_ORBITS = {
+    "multiplier_abs",
+    "multiplier_arg",
+    "stable",
+    "orbit_residual",
+    "grazing_margin",
+    "orbit_cycles",
+    "orbit_reason",
+}
+"""Variables that there are with `orbits = true`."""
 
 
 def list_scenes() -> pd.DataFrame:
@@ -62,7 +75,7 @@ def list_parameters(scene: str | Scene[Any]) -> pd.DataFrame:
 
 
 def list_variables(scene: str | Scene[Any]) -> pd.DataFrame:
-    """The variables of the datasets that sweeps of a scene give, by name: `units` and `meaning`.
+    """The variables of the datasets that sweeps of a scene give, by name: `units` and `meaning`; those of orbits too.
 
     **Raises:** `InputError` where there is no such scene.
     """
@@ -72,7 +85,9 @@ def list_variables(scene: str | Scene[Any]) -> pd.DataFrame:
     known = VARIABLES | {
         name: Variable(*about) for gauge in system.measures for name, about in gauge_named(gauge).variables.items()
     }
-    there = measured | labelled | {"status", "reason", "error_estimate"}
+    known |= of_orbits(system)
+    found = {*_OF_ORBITS, *of_orbits(system)} if system.section is not None else set()
+    there = measured | labelled | found | {"status", "reason", "error_estimate"}
     rows = {name: {"units": one.units, "meaning": one.long_name} for name, one in known.items() if name in there}
     return pd.DataFrame.from_dict(rows, orient="index").rename_axis("variable")
 

@@ -24,6 +24,7 @@ from vibrojax.engine.labelled import dataset_of
 from vibrojax.engine.resources import Cost, check_size
 from vibrojax.input.definition import Sweep
 from vibrojax.input.read import read_sweep
+from vibrojax.periodic import Orbits
 from vibrojax.progress import Progress
 from vibrojax.store.dataset import write_dataset
 from vibrojax.store.finished import check_replaceable
@@ -48,7 +49,7 @@ def run_sweep(source: str | PathLike[str] | Mapping[str, object] | Sweep, progre
     sweep = source if isinstance(source, Sweep) else read_sweep(source)
     check_size(sweep, estimate(sweep))
     began = time.monotonic()
-    chunks = Chunks(sweep)
+    chunks = _chunks(sweep)
     shown = Progress(sweep.lanes, "lanes", progress)
     with shown, timed("compile and step"):
         parts = [_computed(chunks, index, shown.add) for index in range(chunks.count)]
@@ -71,7 +72,7 @@ def run_to_file(sweep: Sweep, out: Path, resume: bool = True, progress: bool = T
         check_replaceable(out, sweep.identity())
     check_size(sweep, estimate(sweep), out)
     began = time.monotonic()
-    chunks = Chunks(sweep)
+    chunks = _chunks(sweep)
     manifest = sweep.identity() | provenance() | {"chunk size": chunks.size}
     shown = Progress(sweep.lanes, "lanes", progress)
     with shown, Shards(out.with_name(out.name + ".chunks"), manifest) as shards:
@@ -108,6 +109,10 @@ def estimate(sweep: Sweep) -> Cost:
         step_s=passing.step,
         processor_s=sum(processor),
     )
+
+
+def _chunks(sweep: Sweep) -> Chunks:
+    return Chunks(sweep, Orbits(sweep) if sweep.run.orbits else None)
 
 
 def _read_or_compute(shards: Shards, chunks: Chunks, index: int) -> Features:
@@ -152,7 +157,10 @@ def _assembled(sweep: Sweep, chunks: Chunks, parts: list[Features], wall_time: f
     }
     LOG.info("chosen: %s, %d chunks of %d lanes", json.dumps(solver), chunks.count, chunks.size)
     with _quiet():
-        return dataset_of(sweep, features, solver, wall_time)
+        dataset = dataset_of(sweep, features, solver, wall_time)
+    if sweep.run.orbits:
+        dataset.attrs["orbits"] = json.dumps(Orbits(sweep).described)
+    return dataset
 
 
 def _devices_text(chunks: Chunks) -> str:

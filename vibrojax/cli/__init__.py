@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import NoReturn, TextIO
 
-from vibrojax.cli import accuracy, fit, info, plot, reproduce, scenes, simulate, sweep
+from vibrojax.cli import accuracy, fit, info, orbits, plot, reproduce, scenes, simulate, sweep
 from vibrojax.cli._command import Command, Options
 from vibrojax.cli._complete import complete
 from vibrojax.errors import InputError
@@ -28,6 +28,7 @@ DONE, FAILED, BAD_INPUT, INTERRUPTED, PIPE_CLOSED, TERMINATED = 0, 1, 2, 130, 14
 _COMMANDS: dict[str, Command] = {
     "sweep": sweep,
     "simulate": simulate,
+    "orbits": orbits,
     "plot": plot,
     "info": info,
     "fit": fit,

@@ -16,7 +16,8 @@ def facts(dataset: "xarray.Dataset", file: str) -> dict[str, Any]:
 
     `file`, `title`, `scene`, `friction`, `pulse_shape`, `source`, `jax`, `along`, `history` (lines, the newest first);
     `dimensions` and `variables` by name; `parameters`, `differing`, `run`, `solver`, `columns`, `certified` as the
-    attributes have them; `lanes`; `regimes`: lanes by regime; `failures`: lanes by reason; `accuracy`; `found`: of one
+    attributes have them; `lanes`; `regimes`: lanes by regime; `orbits`: lanes by `reason` and by
+    `stable`; `failures`: lanes by reason; `accuracy`; `found`: of one
     motion; `wall_time_s`.
     """
     attributes = dataset.attrs
@@ -32,6 +33,7 @@ def facts(dataset: "xarray.Dataset", file: str) -> dict[str, Any]:
         **{name: from_json(attributes, name) for name in _VALUES},
         "lanes": lanes,
         "regimes": {} if motion else _counted(dataset, "regime"),
+        "orbits": {} if motion else _orbits(dataset),
         "failures": _failures(dataset),
         "accuracy": _accuracy(dataset),
         "found": found(dataset) if motion else {},
@@ -70,6 +72,12 @@ def _counted(dataset: "xarray.Dataset", name: str) -> dict[str, int]:
     values = dataset[name].values
     counts = {meaning: int((values == flag).sum()) for flag, meaning in flags(dataset[name]).items()}
     return {meaning: count for meaning, count in counts.items() if count}
+
+
+def _orbits(dataset: "xarray.Dataset") -> dict[str, dict[str, int]]:
+    """Lanes by what became of their orbits, and by their stability."""
+    names = {"reason": "orbit_reason", "stable": "stable"} if "orbit_reason" in dataset else {}
+    return {key: _counted(dataset, name) for key, name in names.items()}
 
 
 def _failures(dataset: "xarray.Dataset") -> dict[str, int]:

@@ -12,6 +12,7 @@ from vibrojax.cli._complete import files, with_completer
 from vibrojax.cli._facts import facts
 from vibrojax.cli._found import found_lines
 from vibrojax.cli._json import HELP, flags, print_json
+from vibrojax.cli._orbit_lines import orbit_lines
 from vibrojax.timings import timed
 from vibrojax.words import WORDS
 
@@ -58,6 +59,7 @@ def describe(dataset: "xarray.Dataset") -> list[str]:
     lines += [
         ("found", found_lines(dataset)),
         ("regimes", _regimes(dataset) + _hidden(dataset)),
+        ("orbits", orbit_lines(dataset)),
         ("failures", _failures(dataset)),
         ("accuracy", _accuracy(dataset) + _flips(dataset)),
     ]

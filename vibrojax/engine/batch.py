@@ -21,6 +21,7 @@ from vibrojax.input.definition import Sweep
 from vibrojax.kernels import Untranslatable
 from vibrojax.measure.recorder import Records
 from vibrojax.measure.run import Effort, Underway
+from vibrojax.scenes.scene import Values
 from vibrojax.stepping import Accuracy, Stepper
 
 MOST_STEPS, MOST_PER_SECOND = 1e6, 1e3
@@ -109,6 +110,16 @@ class Engine:
 
         lane, carry = self._run([batch], program)[0]
         return replace(batch, underway=Underway(lane, carry, steps))
+
+    def on_orbit(self, batch: Batch, state: Values, states: Array, times: Array, period: PerLane) -> Batch:
+        """The batch's lanes at t = 0 at the section of a periodic orbit, `state` being all states there, (lanes,) each.
+
+        `states` (8, states, lanes) and `times` (8, lanes) [s]: of the last returns, see
+        [vibrojax.measure.section.on_orbit][]; `period` (lanes,) [s]: between returns.
+        """
+        with precision(self.sweep.run.precision), jax.default_device(self.workers[0]):
+            lane, carry = self.programs.on_orbit(batch.given, state, states, times, period)
+        return replace(batch, underway=Underway(lane, carry, np.zeros(len(batch.begin), np.int32)))
 
     def settle(self, batches: list[Batch], until: float = np.inf, report: Report = unreported) -> list[Batch]:
         """The lanes at the time `until` [s], or when they are to be observed, if that is before.

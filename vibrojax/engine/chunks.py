@@ -1,6 +1,6 @@
 """Lanes in chunks of one size through the compiled programs; memory is bounded by the chunk."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import reduce
 from typing import NamedTuple
@@ -44,6 +44,10 @@ CHECKED = 0.5
 """The check run of a lane that has settled settles anew for this part of the time that it took."""
 
 
+Beyond = Callable[[int, int, Features], Features]
+"""`beyond(first, end, features)`: more features of the lanes from `first` to before `end`, or other ones."""
+
+
 class Part(NamedTuple):
     """Some lanes of a chunk as far as one run serves both: which, by index, and the batches of either run."""
 
@@ -53,10 +57,13 @@ class Part(NamedTuple):
 
 
 class Chunks:
-    """The chunks of a sweep, ready to be computed one by one, by all workers."""
+    """The chunks of a sweep, ready to be computed one by one, by all workers.
 
-    def __init__(self, sweep: Sweep) -> None:
-        self.sweep = sweep
+    `beyond`: what else is to be found of lanes that have been observed.
+    """
+
+    def __init__(self, sweep: Sweep, beyond: Beyond | None = None) -> None:
+        self.sweep, self._beyond = sweep, beyond
         self.stepper = sweep.run.stepper
         self.accuracy = sweep.run.accuracy(sweep.system)
         recorder = recorder_for(sweep.system, sweep.run.keep_returns)
@@ -91,7 +98,8 @@ class Chunks:
             {name: np.concatenate([some[name] for some in run])[order] for name in run[0]}
             for run in (observed[: len(parts)], observed[len(parts) :])
         )
-        return self._certified(fine, check)
+        certified = self._certified(fine, check)
+        return certified | self._beyond(first, end, fine) if self._beyond is not None else certified
 
     def at(self, accuracy: Accuracy, index: int = 0) -> Features:
         """Features of a chunk's lanes at an `accuracy` of the caller's, by name (lanes,), all stepped to their end,

@@ -22,7 +22,13 @@ from vibrojax.physics.parameters import ROTATION, Parameter, differing
 from vibrojax.scenes import HasFriction, Scene
 from vibrojax.store.finished import IDENTITY, identity_text
 from vibrojax.store.provenance import provenance
-from vibrojax.store.variables import REASONS, STATUSES, VARIABLES, Variable
+from vibrojax.store.variables import ORBIT_REASONS, REASONS, STATUSES, VARIABLES, Variable, orbit_name
+
+_DIMENSIONS = {
+    "return_index": ("return_time", "number of the return that is kept, the newest last"),
+    "multiplier": ("multiplier_abs", "number of the multiplier, by falling modulus"),
+}
+"""The dimensions beyond the sweep's: a variable that has each, and its meaning."""
 
 
 def dataset_of(sweep: Sweep, features: dict, solver: dict, wall_time: float) -> xr.Dataset:
@@ -35,12 +41,12 @@ def dataset_of(sweep: Sweep, features: dict, solver: dict, wall_time: float) -> 
     - `wall_time`: seconds that it took.
     """
     features = _finished(sweep, features)
-    kept = {name: x for name, x in features.items() if x.ndim == 2}
     variables = {}
-    for name, variable in (VARIABLES | measured_besides(sweep.system)).items():
+    for name, variable in (VARIABLES | measured_besides(sweep.system) | of_orbits(sweep.system)).items():
         if name not in features:
             continue
-        x, dims = features[name], (*sweep.dims, *(("return_index",) if name in kept else ()))
+        x = features[name]
+        dims = (*sweep.dims, *((variable.along,) if x.ndim == 2 else ()))
         x = x.reshape(*sweep.shape, *x.shape[1:])
         if np.issubdtype(variable.dtype, np.integer):
             x = np.nan_to_num(x).astype(variable.dtype)
@@ -62,13 +68,22 @@ def dataset_of(sweep: Sweep, features: dict, solver: dict, wall_time: float) -> 
         "lanes": sweep.lanes,
         "Conventions": "CF-1.11",
     }
-    return xr.Dataset(variables, _coordinates(sweep, kept), attributes)
+    return xr.Dataset(variables, _coordinates(sweep, features), attributes)
 
 
 def measured_besides(scene: Scene[Any]) -> dict[str, Variable]:
     """The variables that the scene's own gauges declare."""
     gauges = (gauge for gauge in map(gauge_named, scene.measures) if scene.section is not None)
     return {name: Variable(*about) for gauge in gauges for name, about in gauge.variables.items()}
+
+
+def of_orbits(scene: Scene[Any]) -> dict[str, Variable]:
+    """The states of orbits at the section."""
+    return {
+        orbit_name(state.name): Variable(state.unit, f"{state.long_name}, on the orbit at the section")
+        for state in scene.states
+        if state.name in scene.driving_part().return_states
+    }
 
 
 def _finished(sweep: Sweep, features: dict) -> dict:
@@ -83,7 +98,12 @@ def _finished(sweep: Sweep, features: dict) -> dict:
     failed = reason != 0
     sound = {name: features[name] & ~refused for name in ("finite", "check_finite") if name in features}
     labelled = _labelled(sweep, features | sound) if "cycles" in features else {}
-    known = {"finite", "finished", "steps"}
+    if "orbit_reason" in features:
+        features = features | {
+            "orbit_reason": np.where(failed, ORBIT_REASONS.index("refused"), features["orbit_reason"]),
+            "stable": np.where(failed, -1, features["stable"]),
+        }
+    known = {"finite", "finished", "steps", "orbit_reason", "stable"}
     blanked = {
         name: x if name in known else np.where(failed.reshape(-1, *[1] * (x.ndim - 1)), np.nan, x)
         for name, x in features.items()
@@ -146,7 +166,7 @@ def _certified(sweep: Sweep, features: dict) -> dict:
     return found
 
 
-def _coordinates(sweep: Sweep, kept: dict) -> dict:
+def _coordinates(sweep: Sweep, features: dict) -> dict:
     parameters = dict(sweep.system.parameters()) | ROTATION
     found = {name: ((name,), axis, _described(parameters, name)) for name, axis in sweep.axes.items()}
     for name, column in (sweep.points or {}).items():
@@ -164,10 +184,10 @@ def _coordinates(sweep: Sweep, kept: dict) -> dict:
         names = [start if isinstance(start, str) else json.dumps(list(start)) for start in sweep.starts]
         found["start"] = (("start",), np.array(names), about)
         found |= _start_states(sweep)
-    if kept:
-        rows = next(iter(kept.values())).shape[1]
-        about = {"units": "1", "long_name": "number of the return that is kept, the newest last"}
-        found["return_index"] = (("return_index",), np.arange(rows), about)
+    for dimension, (one, long_name) in _DIMENSIONS.items():
+        if one in features:
+            about = {"units": "1", "long_name": long_name}
+            found[dimension] = ((dimension,), np.arange(features[one].shape[1]), about)
     return found
 
 

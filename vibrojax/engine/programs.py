@@ -7,12 +7,13 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from vibrojax.arrays import Counts, Lanes
-from vibrojax.measure.recorder import Features, Records
+from vibrojax.arrays import Array, Counts, Lanes
+from vibrojax.measure.recorder import Features, Recorder, Records
 from vibrojax.measure.run import Effort, Underway, observe_block, settle_block, start_block
+from vibrojax.measure.section import on_orbit
 from vibrojax.scenes import Scene
 from vibrojax.scenes.scene import Values
-from vibrojax.stepping import Lane, Stepper
+from vibrojax.stepping import Lane, Stepper, lane_at
 
 
 class Kind(NamedTuple):
@@ -59,6 +60,10 @@ class Programs(ABC):
         """See `observe_lanes`."""
         return self._run(observe_lanes, given, begun, begin, duration, effort)
 
+    def on_orbit(self, given: Given, state: Values, states: Array, times: Array, period: Lanes) -> tuple[Lane, Any]:
+        """See `lanes_on_orbit`."""
+        return self._run(lanes_on_orbit, given, state, states, times, period)
+
     @abstractmethod
     def check_arithmetic(self, dtype: np.dtype) -> None:
         """Compare what equations are written in with numpy, compiled as lanes are; `InputError` where it is wrong."""
@@ -72,6 +77,17 @@ def start_lanes(kind: Kind, given: Given) -> tuple[Lane, Any]:
     """(lane, what its recorder carries) at t = 0."""
     constants = kind.scene.constants(given.parameters)
     return start_block(kind.scene, kind.recorder, constants, _state(kind, constants, given))
+
+
+def lanes_on_orbit(
+    kind: Kind, given: Given, state: Values, states: Array, times: Array, period: Lanes
+) -> tuple[Lane, Any]:
+    """(lane, what its recorder carries) at t = 0, from all states at the section of a periodic orbit; see
+    [vibrojax.measure.section.on_orbit][] for the last returns."""
+    assert isinstance(kind.recorder, Recorder)
+    lane = lane_at(kind.scene, _constants(kind, given), state)
+    begun = kind.recorder.settling(kind.scene, lane)
+    return lane, on_orbit(begun, states, times, period)
 
 
 def settle_lanes(kind: Kind, given: Given, begun: Underway, until: Lanes, effort: Effort) -> Underway:

@@ -8,7 +8,7 @@ from vibrojax.errors import Place, shown
 from vibrojax.input.values import choice, count, known_keys, quantity
 from vibrojax.physics.parameters import Parameter, not_negative, positive, table
 from vibrojax.scenes import Scene
-from vibrojax.stepping import STEPPERS, Accuracy, Stepper, Wanted, stepper_named
+from vibrojax.stepping import STEPPERS, Accuracy, Located, Stepper, Wanted, stepper_named
 
 PRECISIONS = ("float64", "float32")
 
@@ -19,6 +19,7 @@ MEANINGS = {
     "error": "accepted error_estimate of a lane that repeats; the steps follow from it",
     "end_early": "whether a lane that has settled may stop before its time",
     "keep_returns": "how many of the last returns to store",
+    "orbits": "whether to find the periodic orbits of lanes that repeat, with multipliers",
     "method": "how to step: located or smoothed",
     "step": "length of the steps [s]; left out, it follows from error",
     "smoothing": "width of the friction switch of the smoothed method [m/s]; left out, it follows from error",
@@ -37,6 +38,7 @@ class RunSettings:
     error: float = 1e-4
     end_early: bool = True
     keep_returns: int = 0
+    orbits: bool = False
     method: str | Stepper = "located"
     step: float | None = None
     smoothing: float | None = None
@@ -51,6 +53,8 @@ class RunSettings:
     def described(self) -> dict[str, object]:
         """What is set, with defaults, as JSON values; the chunk is no part of it."""
         given = {name: value for name, value in vars(self).items() if name != "chunk"}
+        if not self.orbits:
+            del given["orbits"]  # as it was before there were any
         return given | {"method": self.stepper.name}
 
     def accuracy(self, scene: Scene[Any]) -> Accuracy:
@@ -97,5 +101,10 @@ def read_settings(place: Place, given: dict[str, object]) -> RunSettings:
         raise place.at("smoothing").error(
             f"{settings.smoothing:g} has no use with method {shown(settings.stepper.name)}; "
             'leave it out, or set method = "smoothed"'
+        )
+    if settings.orbits and not isinstance(settings.stepper, Located):
+        raise place.at("orbits").error(
+            f"true has no use with method {shown(settings.stepper.name)}, whose events are not located; "
+            'leave it out, or set method = "located"'
         )
     return settings

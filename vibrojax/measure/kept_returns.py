@@ -24,8 +24,8 @@ class Ring(NamedTuple):
 
 @dataclass(frozen=True)
 class KeptReturns(Gauge[Scene[Any]]):
-    """The last `keep` returns of the observation: time, time since the one before, the states in which repeats are
-    looked for, and the impacts since the one before with their mean velocity."""
+    """The last `keep` returns of the observation: time, time since the one before, the return map's states, and the
+    impacts since the one before with their mean velocity."""
 
     keep: int
 
@@ -58,9 +58,8 @@ def state_name(name: str) -> str:
 
 
 def _states(scene: Scene[Any]) -> dict[str, int]:
-    """Places of the states in which repeats are looked for, by the features' names."""
-    assert scene.section is not None
-    return {state_name(name): scene.place(name) for name in scene.section.compared}
+    """Places of the return map's states, by the features' names."""
+    return {state_name(name): scene.place(name) for name in scene.return_states}
 
 
 def _names(scene: Scene[Any]) -> tuple[str, ...]:

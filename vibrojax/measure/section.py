@@ -98,6 +98,16 @@ def begin(section: Section, scene: Scene[Any], lane: Lane) -> Settling:
     return Settling(seen, Passed(waiting, jnp.stack([zero] * compared), zero, zero, tuple(zero for _ in places)))
 
 
+def on_orbit(begun: Settling, states: Array, times: Array, period: Lanes) -> Settling:
+    """What is known of returns at the section of a periodic orbit, from `begun`: that the last ones were on it too.
+
+    `states` (8, states, lanes) and `times` (8, lanes) [s] of the last returns, the newest first: the one it stands at;
+    `period` [s]: between returns.
+    """
+    seen = begun.seen._replace(states=states, times=times, frequency=2 * jnp.pi / period)
+    return begun._replace(seen=seen)
+
+
 def pass_by(section: Section, scene: Scene[Any], c: Any, carry: Settling, lane: Lane, step: Step) -> Settling:
     """Take in a step of the settling: extremes since the last return, and a return on the way.
 
@@ -106,11 +116,11 @@ def pass_by(section: Section, scene: Scene[Any], c: Any, carry: Settling, lane: 
     seen, passed = carry
     positions = [scene.place(swing.position) for swing in section.swings]
     velocities = [scene.place(swing.velocity) for swing in section.swings]
-    rising = _rising(section, step.polynomials[velocities[0]])
-    after = _rising(section, [lane.state[velocities[0]]])[0]
-    turns, at = _turn(rising, after, step)
+    velocity = rising(section, step.polynomials[velocities[0]])
+    after = rising(section, [lane.state[velocities[0]]])[0]
+    turns, at = _turn(velocity, after, step)
     for _ in range(2):
-        at = _polished(rising, at, step)
+        at = _polished(velocity, at, step)
     # The others' swings are flat at their turns: a first guess of when will do.
     others = [_turn(step.polynomials[v], lane.state[v], step) for v in velocities[1:]]
     compared = [scene.place(name) for name in section.compared]
@@ -120,9 +130,9 @@ def pass_by(section: Section, scene: Scene[Any], c: Any, carry: Settling, lane: 
     for place, end, (turns_too, when) in zip(positions[1:], ends[1:], others, strict=True):
         turned.append(jnp.where(turns_too, value(step.polynomials[place], when), end))
     ranges = tuple(widened(one, x) for one, x in zip(seen.ranges, turned, strict=True))
-    level = _rising(section, [section.rearm(c)])[0]
-    armed = keep(seen.armed | (lowest(rising, step.tau) < level))
-    returns = keep(turns & (rising[0] < 0) & armed)
+    level = rising(section, [section.rearm(c)])[0]
+    armed = keep(seen.armed | (lowest(velocity, step.tau) < level))
+    returns = keep(turns & (velocity[0] < 0) & armed)
     since = seen.since + step.dt
     left = step.dt - at * step.h
     new = (there, lane.clock.high - left, since - left, _halves(ranges))
@@ -139,7 +149,7 @@ def pass_by(section: Section, scene: Scene[Any], c: Any, carry: Settling, lane: 
     return Settling(known, Passed(passed.waiting | returns, *last))
 
 
-def _rising(section: Section, values: Coefficients) -> Coefficients:
+def rising(section: Section, values: Coefficients) -> Coefficients:
     """Values of the section's velocity with the sign by which it rises through zero at a return."""
     return values if section.rising else [-one for one in values]
 
@@ -174,8 +184,8 @@ def observe(carry: Settling) -> Returns:
 def step(section: Section, scene: Scene[Any], c: Any, carry: Returns, lane: Lane, step: Step) -> Returns:
     """Take in a step: extremes since the last return, and whether it ends on the section."""
     seen = carry.seen
-    rising = _rising(section, step.polynomials[scene.place(section.velocity)])
-    armed = keep(seen.armed | (lowest(rising, step.tau) < _rising(section, [section.rearm(c)])[0]))
+    velocity = rising(section, step.polynomials[scene.place(section.velocity)])
+    armed = keep(seen.armed | (lowest(velocity, step.tau) < rising(section, [section.rearm(c)])[0]))
     marker = scene.marker_of(section.velocity)
     falls = step.falling[marker] if section.rising else ~step.falling[marker]
     returns = step.hits[marker] & ~falls & armed

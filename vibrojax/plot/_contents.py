@@ -11,6 +11,7 @@ from vibrojax.errors import InputError, suggestion
 
 TIME, SETTING = "time", "setting"  # the dimension of a run, and of a study of speed against error
 START, POINT, RETURN, FORM = "start", "point", "return_index", "form"
+_MULTIPLIER = "multiplier"
 _GROUP = "group"  # the dimension of groups of rows of a table
 HIDDEN = "hidden_motion"
 REGIME, RATE, RELIEF, COEFFICIENT = "regime", "rate_of_penetration", "relief", "C"
@@ -18,7 +19,7 @@ RETURNS, ERROR = "return_impact_velocity", "error_worst"
 BESIDE_REGIMES = (RATE, "impact_velocity", "period", "bit_amplitude")  # the first two of these that a dataset has
 
 MOST_LINES = 8  # in one panel, and in the legend
-_NOT_SWEPT = {START, POINT, RETURN, FORM}
+_NOT_SWEPT = {START, POINT, RETURN, FORM, _MULTIPLIER}
 _EACH_LANE = (REGIME, RATE, COEFFICIENT, "status")  # what every lane has one of: of a drill, rock, a fit, any sweep
 _MANY = 9  # values of an axis from which lines, one for each, are too many
 ENOUGH = 6  # values from which an axis is one to draw along, rather than a choice between a few

@@ -126,6 +126,12 @@ class OnRock(HasRock[R]):
         return state[self.place("compression")], state[self.place("v3")]
 
 
+def rock_at(c: RockConstants, compression: Any, v3: Any) -> Any:
+    """The mode at a state: it yields where it is compressed so far and still driven in."""
+    yields = (compression >= c.yield_compression) & (v3 > 0)
+    return jnp.where(compression < 0, -1.0, jnp.where(yields, 1.0, 0.0))
+
+
 def at_rest(c: RockConstants, rock: Any, compression: Any, v3: Any, loaded: Any) -> tuple[Any, Any, Any]:
     """The mode, compression and velocity where the motion has died out, or is woken where `loaded`.
 

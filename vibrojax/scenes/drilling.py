@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import jax.numpy as jnp
 
@@ -12,8 +12,9 @@ from vibrojax.scenes import bit_on_rock
 from vibrojax.scenes.bit_on_rock import OnRock, RockConstants, rock_constants
 from vibrojax.scenes.drill import Drill, DrillConstants, drill_constants, length_noise
 from vibrojax.scenes.one_sided import ContactConstants, contact_constants
-from vibrojax.scenes.scene import Guard, Values
+from vibrojax.scenes.scene import Guard, Scene, Values
 from vibrojax.scenes.struck import Struck
+from vibrojax.scenes.vibro_impact import VibroImpact
 
 
 class DrillingConstants(NamedTuple):
@@ -44,6 +45,10 @@ class Drilling(Struck[DrillingConstants], OnRock[DrillingConstants]):
     states = (*Drill.states, *bit_on_rock.STATES)
     modes = (*Struck.modes, bit_on_rock.MODE)
     measures = ("swings", "shares", "impacts", "harmonics", "drilling")
+    drifting: ClassVar[tuple[str, ...]] = ("growth",)
+
+    def driving_part(self) -> Scene[Any]:
+        return VibroImpact(self.friction)
 
     def parameters(self) -> Mapping[str, Parameter]:
         return BIT_AND_STRIKER | CONTACT | _sandstone() | dict(self.friction.parameters)
@@ -61,7 +66,7 @@ class Drilling(Struck[DrillingConstants], OnRock[DrillingConstants]):
         return super().rock_resolution(c, mode) + length_noise(c.drill)
 
     def other_modes_at(self, c: DrillingConstants, state: Values) -> Values:
-        rock = jnp.zeros_like(state[0])
+        rock = bit_on_rock.rock_at(c.rock, state[4], state[5])
         return (self.touching_at(c, (None, None, rock), state), rock)
 
     def other_rates(self, c: DrillingConstants, mode: Values, state: Values, impact: Any) -> Values:
@@ -93,6 +98,9 @@ class CoupledDrilling(Drilling):
     """
 
     name = "coupled-drilling"
+
+    def driving_part(self) -> Scene[Any]:
+        return self
 
     def compression(self, c: DrillingConstants, mode: Values, state: Values) -> tuple[Any, Any]:
         depth, rate = state[4], state[5] * jnp.where(mode[2] == 1, 0.0, 1.0)  # while it yields, x3' = x4'

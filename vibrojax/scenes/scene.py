@@ -139,6 +139,7 @@ class Scene(ABC, Generic[C]):
       as a start, all others being zero; none where it always starts the same.
     - `measures`: what is measured of it: names or objects of gauges, see [vibrojax.measure][].
     - `autonomous`: whether nothing acts on it that changes with time, so that a state at rest stays.
+    - `drifting`: states that go on growing and on which nothing depends: no part of the return map.
     """
 
     name: ClassVar[str]
@@ -150,6 +151,7 @@ class Scene(ABC, Generic[C]):
     start_states: ClassVar[tuple[str, ...]] = ()
     measures: ClassVar[tuple[Any, ...]] = ()
     autonomous: ClassVar[bool] = True
+    drifting: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod
     def parameters(self) -> Mapping[str, Parameter]:
@@ -217,6 +219,10 @@ class Scene(ABC, Generic[C]):
         """The mode by which a smoothed motion is measured: it sticks where it slides slower than `width` [m/s]."""
         return mode
 
+    def driving_part(self) -> "Scene[Any]":
+        """The scene without what is only driven and acts on nothing: its orbits are those of this one."""
+        return self
+
     # What steppers and measures ask for, which follows from the above.
 
     @property
@@ -248,6 +254,18 @@ class Scene(ABC, Generic[C]):
     def velocities(self) -> tuple[int, ...]:
         """Places of the velocities among the states."""
         return tuple(place for place, state in enumerate(self.states) if state.is_velocity)
+
+    @property
+    def return_states(self) -> tuple[str, ...]:
+        """Names of the states at the section, which the return map takes to those of the next return.
+
+        First those in which repeats are looked for; the section's velocity is zero there, and what drifts is none.
+        """
+        if self.section is None:
+            return ()
+        compared = self.section.compared
+        known = {*compared, self.section.velocity, *self.drifting}
+        return (*compared, *(name for name in self.state_names if name not in known))
 
     def place(self, name: str) -> int:
         """Place of a state, by its name."""

@@ -9,18 +9,21 @@ from vibrojax.label import REGIMES
 
 @dataclass(frozen=True)
 class Variable:
-    """How a variable is stored: `units` and `long_name`, its dtype, and the meaning of its flags 0, 1, ..."""
+    """How a variable is stored: `units` and `long_name`, its dtype, and the meaning of its flags, 0, 1, ... or from
+    `first_flag` on; `along`: the dimension that it has beside those of the sweep."""
 
     units: str
     long_name: str
     dtype: type[np.generic] = np.float64
     flags: tuple[str, ...] = ()
+    first_flag: int = 0
+    along: str = ""
 
     def attributes(self) -> dict[str, str | np.ndarray]:
         """Its CF attributes, by name."""
         attributes: dict[str, str | np.ndarray] = {"units": self.units, "long_name": self.long_name}
         if self.flags:
-            attributes["flag_values"] = np.arange(len(self.flags), dtype=np.int8)
+            attributes["flag_values"] = self.first_flag + np.arange(len(self.flags), dtype=np.int8)
             # CF 1.11, section 3.5: of other signs only - _ . + @ may stand in a flag's meaning.
             attributes["flag_meanings"] = " ".join(flag.replace("/", "-over-") for flag in self.flags)
         return attributes
@@ -31,6 +34,18 @@ STATUSES = ("done", "failed", "refused")
 
 REASONS = ("none", "not-finite", "out-of-steps", "pulse-width-not-below-1/frequency", "too-stiff", "too-slow")
 """Meaning of each flag of `reason`."""
+
+ORBIT_REASONS = ("found", "not-repeating", "not-converged", "near-grazing", "another-orbit", "refused")
+"""Meaning of each flag of `orbit_reason`."""
+
+STABILITIES = ("not-known", "unstable", "stable")
+"""Meaning of the flags -1, 0 and 1 of `stable`."""
+
+
+def orbit_name(state: str) -> str:
+    """What a state at the section of an orbit is called."""
+    return f"orbit_{state}"
+
 
 VARIABLES: dict[str, Variable] = {
     "regime": Variable("1", "regime of the striker's motion", np.int8, REGIMES),
@@ -70,10 +85,19 @@ VARIABLES: dict[str, Variable] = {
     "relief": Variable("1", "mean force over threshold, P/D"),
     "slip_per_impact": Variable("m", "growth of the hole per impact (per pulse under a given force)"),
     "deepest_gap": Variable("m", "deepest gap between bit and rock (negative: how far the bit jumps off)"),
-    "return_time": Variable("s", "time of the return"),
-    "return_x1": Variable("m", "position of the bit at the return"),
-    "return_x2": Variable("m", "position of the striker at the return"),
-    "return_v2": Variable("m s-1", "velocity of the striker at the return"),
-    "return_impacts": Variable("1", "impacts since the return before"),
-    "return_impact_velocity": Variable("m s-1", "impact velocity at the return"),
+    "multiplier_abs": Variable("1", "modulus of the orbit's multipliers, falling", along="multiplier"),
+    "multiplier_arg": Variable("rad", "argument of the orbit's multipliers, 0 to pi", along="multiplier"),
+    "stable": Variable("1", "whether all multipliers are inside the unit circle", np.int8, STABILITIES, -1),
+    "orbit_residual": Variable("1", "greatest return - state of the orbit, over the scales of labels"),
+    "grazing_margin": Variable("1", "how far the order of events along the orbit is from changing"),
+    "orbit_cycles": Variable(
+        "1", "returns after which the orbit itself repeats (a lane may still be on its way)", np.int8
+    ),
+    "orbit_reason": Variable("1", "what became of the search for the orbit", np.int8, ORBIT_REASONS),
+    "return_time": Variable("s", "time of the return", along="return_index"),
+    "return_x1": Variable("m", "position of the bit at the return", along="return_index"),
+    "return_x2": Variable("m", "position of the striker at the return", along="return_index"),
+    "return_v2": Variable("m s-1", "velocity of the striker at the return", along="return_index"),
+    "return_impacts": Variable("1", "impacts since the return before", along="return_index"),
+    "return_impact_velocity": Variable("m s-1", "impact velocity at the return", along="return_index"),
 }

@@ -1,0 +1,309 @@
+"""Periodic orbits: against reference cases, the exact integrator, closed forms, and with what must be refused."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from exact import friction, run
+from exact.measures import sections
+
+import vibrojax as vj
+from vibrojax.cli import main
+from vibrojax.cli._orbit_lines import orbit_lines
+from vibrojax.engine.chunks import Chunks
+from vibrojax.errors import InputError
+from vibrojax.input.read import read_sweep
+from vibrojax.periodic import Orbits
+from vibrojax.store.dataset import open_dataset
+
+CASES = json.loads((Path(__file__).parent / "data" / "orbit_cases.json").read_text())["orbits"]
+ORBITS = {"orbits": True}
+FOUND, NOT_REPEATING, NOT_CONVERGED, NEAR_GRAZING, ANOTHER, REFUSED = range(6)
+MEASURED = {"impact_velocity": 1e-8, "stick_fraction": 1e-7, "reverse_fraction": 1e-8}
+SMALL = {"scene": "vibro-impact", "grid": {"beta": [0.3, 0.4, 0.5], "gamma": [0.7, 0.75]}}
+
+
+def multipliers(point):
+    return point.multiplier_abs.values * np.exp(1j * point.multiplier_arg.values)
+
+
+def in_upper_half(values):
+    """By falling modulus, as the dataset has them: of a pair both are the one above the axis."""
+    values = np.array([complex(x.real, abs(x.imag)) for x in np.asarray(values)])
+    return values[np.argsort(-np.abs(values), kind="stable")]
+
+
+@pytest.fixture(scope="module")
+def cases():
+    # At the usual error a path to one of several attractors may end on another one than the exact motion's.
+    points = {name: [case["point"][name] for case in CASES] for name in CASES[0]["point"]}
+    return vj.run_sweep({"scene": "vibro-impact", "points": points, "run": ORBITS | {"error": 1e-6}}, progress=False)
+
+
+@pytest.mark.parametrize("index", range(len(CASES)))
+def test_reference_cases(cases, index):
+    point, expected = cases.isel(point=index), CASES[index]["expected"]
+    assert point.orbit_reason == FOUND and point.stable == 1
+    assert point.orbit_residual < 1e-10
+    assert point.cycles == point.orbit_cycles == CASES[index]["cycles"]
+    assert abs(point.period.item() - expected["period"]) < 1e-9
+    exact = in_upper_half([complex(*x) for x in expected["multipliers"]])
+    np.testing.assert_allclose(multipliers(point), exact, atol=1e-6)
+    assert point.impacts == expected["impacts"]
+    for name, within in MEASURED.items():
+        assert abs(point[name].item() - expected[name]) < within, name
+
+
+def test_what_is_stored(cases):
+    assert cases.multiplier_abs.dims == cases.multiplier_arg.dims == ("point", "multiplier")
+    assert cases.stable.dtype == np.int8 and cases.stable.attrs["flag_values"].tolist() == [-1, 0, 1]
+    assert (np.diff(cases.multiplier_abs.values) <= 0).all()
+    assert ((cases.multiplier_arg >= 0) & (cases.multiplier_arg <= np.pi)).all()
+    about = json.loads(cases.attrs["orbits"])
+    assert about["states"] == ["x1", "x2", "v2"] and 0 < about["grazing_limit"] < 1e-3
+
+
+def test_a_bit_that_sticks_makes_a_multiplier_zero(cases):
+    sticks = cases.stick_fraction.values > 0
+    assert sticks.any() and not sticks.all()
+    assert (cases.multiplier_abs.values[sticks, -1] < 1e-12).all()
+    assert (cases.multiplier_abs.values[~sticks, -1] > 1e-3).all()
+
+
+# Independent of the package
+
+
+def returned(scene, point, section, **more):
+    """The exact motion's first return from a state at the section (x1, x2, x2')."""
+    start = [section[0], 0.0, section[1], section[2]]
+    motion = run(scene, start=start, observe=0.6, **point, **more)
+    return motion.at(sections(motion)[:1])[0][[0, 2, 3]]
+
+
+@pytest.mark.parametrize(("scene", "seed"), [("rotary", 1), ("vibro-impact", 2), ("vibro-impact", 3)])
+def test_against_central_differences_of_the_exact_motion(scene, seed):
+    """Random lanes; steps of 1e-6 of the scales leave errors of some 1e-8."""
+    random = np.random.default_rng(seed)
+    points = {
+        "beta": random.uniform(0.25, 0.6, 6).tolist(),
+        "gamma": random.uniform(0.6, 0.8, 6).tolist(),
+        "v": random.uniform(0.8, 1.4, 6).tolist(),
+    }
+    found = vj.run_sweep({"scene": scene, "points": points, "starts": ["stuck"], "run": ORBITS}, progress=False)
+    checked = 0
+    for index in range(6):
+        lane = found.isel(point=index, start=0)
+        if lane.orbit_reason != FOUND or lane.cycles != 1:
+            continue
+        at = {name: column[index] for name, column in points.items()}
+        section = np.array([lane[f"orbit_{name}"].item() for name in ("x1", "x2", "v2")])
+        np.testing.assert_allclose(returned(scene, at, section), section, atol=1e-10)
+        columns = []
+        for k, size in enumerate((0.05, 0.05, 1.0)):
+            moved = 1e-6 * size * np.eye(3)[k]
+            columns.append(
+                (returned(scene, at, section + moved) - returned(scene, at, section - moved)) / (2 * moved[k])
+            )
+        exact = in_upper_half(np.linalg.eigvals(np.array(columns).T))
+        np.testing.assert_allclose(multipliers(lane), exact, atol=1e-6)
+        checked += 1
+    assert checked >= 3
+
+
+def test_the_product_of_multipliers_is_what_the_flow_contracts():
+    """While the bit slides forwards, and the contact has no damper, rates do not jump: the determinant is the
+    exponential of the divergence integrated over the orbit (Liouville)."""
+    point = {"beta": 0.57, "gamma": 0.66, "c0": 0.0}
+    sweep = {"scene": "vibro-impact", "points": {name: [x] for name, x in point.items()}, "starts": ["stuck"]}
+    lane = vj.run_sweep(sweep | {"run": ORBITS}, progress=False).squeeze()
+    assert lane.orbit_reason == FOUND and lane.impacts == 1
+    assert lane.stick_fraction == 0 and lane.reverse_fraction == 0
+    start = [lane.orbit_x1.item(), 0.0, lane.orbit_x2.item(), lane.orbit_v2.item()]
+    motion = run("vibro-impact", start=start, observe=lane.period.item(), **point)
+    p, h = motion.scene.p, 1e-4
+
+    def divergence(piece):
+        def rate(t, states):
+            u, blow = states[:, 1] + p.v, states @ motion.scene.J(piece.phase)
+            return -p.c2 / p.m2 - (friction.force(u + h, blow, p) - friction.force(u - h, blow, p)) / (2 * h * p.m1)
+
+        return piece.integral(rate)
+
+    exponent = sum(divergence(piece) for piece in motion.pieces)
+    assert abs(np.prod(lane.multiplier_abs.values) / np.exp(exponent) - 1) < 1e-7
+
+
+# Other scenes
+
+
+def test_what_the_rock_adds():
+    points, soft = {"beta": [0.3, 0.4], "gamma": [0.7, 0.75]}, {"threshold": [2e4, 2e4]}
+    drill, one_way, coupled = (
+        vj.run_sweep({"scene": scene, "points": points | rock, "starts": ["stuck"], "run": ORBITS}, progress=False)
+        for scene, rock in (("vibro-impact", {}), ("drilling", soft), ("coupled-drilling", soft))
+    )
+    for found in (one_way, coupled):
+        assert (found.orbit_reason == FOUND).all() and (found.stable == 1).all()
+        assert (found.rate_of_penetration > 0).all()
+    # The rock does not act back: the orbits are those of the drill without it.
+    np.testing.assert_allclose(one_way.multiplier_abs, drill.multiplier_abs, atol=1e-9)
+    np.testing.assert_allclose(one_way.period, drill.period, rtol=1e-12)
+    # It does here, and yields, and comes to rest before the next blow.
+    assert coupled.sizes["multiplier"] == 5
+    assert (coupled.multiplier_abs.values[..., 3:] < 1e-9).all()
+    assert (np.abs(coupled.multiplier_abs.values[..., :3] - drill.multiplier_abs.values) > 1e-3).any()
+
+
+# What an orbit replaces, and what is refused
+
+
+@pytest.fixture(scope="module")
+def lanes():
+    """Lanes that repeat after one and two returns and their features, ready to be damaged."""
+    chosen = [CASES[0], CASES[4], CASES[8]]
+    points = {name: [case["point"][name] for case in chosen] for name in CASES[0]["point"]}
+    sweep = read_sweep({"scene": "vibro-impact", "points": points, "run": ORBITS})
+    kept = {}
+    chunks = Chunks(sweep, lambda first, end, features: kept.update(features) or {})
+    chunks.compute(0)
+    return sweep, kept
+
+
+def found_of(lanes, **damage):
+    sweep, features = lanes
+    return Orbits(sweep)(0, sweep.lanes, {name: x.copy() for name, x in features.items()} | damage)
+
+
+def test_orbits_are_those_of_the_lanes(lanes):
+    found = found_of(lanes)
+    assert (found["orbit_reason"] == FOUND).all()
+    np.testing.assert_allclose(found["period"], lanes[1]["period"], rtol=1e-6)
+
+
+def test_another_orbit_is_refused(lanes):
+    more = found_of(lanes, impacts=lanes[1]["impacts"] + 1)
+    assert (more["orbit_reason"] == ANOTHER).all() and (more["stable"] == -1).all()
+    assert np.isnan(more["multiplier_abs"]).all()
+    assert "period" not in more  # nothing is replaced
+    wrong = found_of(lanes, cycles=np.ones(3))  # the third repeats after two
+    assert wrong["orbit_reason"][:2].tolist() == [FOUND, FOUND] and wrong["orbit_reason"][2] != FOUND
+    away = found_of(lanes, return_x2=lanes[1]["return_x2"] + 0.3)
+    assert not (away["orbit_reason"] == FOUND).any()
+
+
+def test_a_spiral_to_a_shorter_repeat_says_so(lanes):
+    features = lanes[1]
+    twice = found_of(lanes, cycles=features["cycles"] * 2, impacts=features["impacts"] * 2)
+    once = found_of(lanes)
+    assert (twice["orbit_reason"] == FOUND).all()
+    assert twice["orbit_cycles"].tolist() == [1, 1, 2]
+    np.testing.assert_allclose(twice["multiplier_abs"], once["multiplier_abs"] ** 2, atol=1e-9)
+
+
+def test_what_does_not_repeat_and_what_fails():
+    none = vj.run_sweep(
+        {"scene": "vibro-impact", "grid": {"beta": [0.95], "gamma": [0.35, 0.7]}, "run": ORBITS | {"observe": 0.5}},
+        progress=False,
+    )
+    assert (none.orbit_reason == NOT_REPEATING).all() and (none.stable == -1).all()
+    stiff = SMALL | {"parameters": {"k0": 1e30}, "run": ORBITS, "unusual": True}
+    refused = vj.run_sweep(stiff, progress=False)
+    assert (refused.status != 0).all() and (refused.orbit_reason == REFUSED).all() and (refused.stable == -1).all()
+
+
+def test_the_margin_is_no_more_than_the_slowest_blow(cases):
+    """A blow that just touches is a graze: its velocity over a typical one bounds the margin."""
+    sweep = read_sweep({"scene": "vibro-impact", "points": {"beta": [case["point"]["beta"] for case in CASES]}})
+    typical = []
+    for index in range(len(CASES)):
+        p = {name: float(one.default) for name, one in sweep.system.parameters().items()}
+        p |= {name: x for name, x in CASES[index]["point"].items() if name in p}
+        c = sweep.system.constants({name: np.array([x]) for name, x in p.items()})
+        rate = sweep.system.flight_rate(c)
+        typical.append(float((sweep.system.speed_scale(c) * c.drill.period * rate)[0]))
+    bound = cases.impact_velocity_min.values / np.array(typical)
+    assert (cases.grazing_margin.values <= bound * (1 + 1e-3)).all()
+    assert (cases.grazing_margin.values > 0).all()
+
+
+# Commands and files
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("orbits")
+    table = 'scene = "vibro-impact"\n[grid]\nbeta = [0.3, 0.4]\ngamma = [0.7]\n[run]\n'
+    (folder / "with.toml").write_text(table + "orbits = true\n")
+    (folder / "without.toml").write_text(table)
+    assert main(["sweep", str(folder / "with.toml"), "-o", str(folder / "with.nc"), "--quiet"]) == 0
+    assert main(["sweep", str(folder / "without.toml"), "-o", str(folder / "without.nc"), "--quiet"]) == 0
+    return folder
+
+
+@pytest.mark.parametrize("given", ["without.toml", "without.nc", "with.nc"])
+def test_the_command_gives_what_the_sweep_does(folder, given, capsys):
+    out = folder / f"of-{given.replace('.', '-')}.nc"
+    assert main(["orbits", str(folder / given), "-o", str(out)]) == 0
+    assert "4 found of 4 lanes that repeat: 4 stable, 0 unstable" in capsys.readouterr().out
+    expected, found = open_dataset(folder / "with.nc"), open_dataset(out)
+    assert out.with_suffix(".png").exists()
+    assert set(found.data_vars) == set(expected.data_vars)
+    for name in expected.data_vars:
+        np.testing.assert_array_equal(found[name], expected[name], name)
+
+
+def test_info_says_what_was_found(folder, capsys):
+    assert main(["info", str(folder / "with.nc")]) == 0
+    assert "4 found of 4 lanes that repeat" in capsys.readouterr().out
+    assert main(["info", str(folder / "with.nc"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["orbits"] == {"reason": {"found": 4}, "stable": {"stable": 4}}
+    assert orbit_lines(open_dataset(folder / "without.nc")) == []
+
+
+def test_in_python(folder):
+    without = open_dataset(folder / "without.nc")
+    found = vj.orbits(without, progress=False)
+    assert (found.orbit_reason == FOUND).all()
+    assert vj.orbits(found) is found
+    with pytest.raises(InputError, match="not the dataset of a sweep"):
+        vj.orbits(vj.simulate("rotary", duration=1.0, progress=False), progress=False)
+    changed = without.assign_attrs(identity=json.dumps(json.loads(without.attrs["identity"]) | {"scene": "rotary"}))
+    with pytest.raises(InputError, match="another one now"):
+        vj.orbits(changed, progress=False)
+
+
+@pytest.mark.parametrize(
+    ("sweep", "says"),
+    [
+        ({"scene": "penetration", "points": {"force": [5e3]}, "run": ORBITS}, "no section"),
+        (SMALL | {"run": ORBITS | {"method": "smoothed"}}, "not located"),
+        (SMALL | {"run": {"orbits": 1}}, "neither true nor false"),
+    ],
+)
+def test_bad_settings_are_one_line(sweep, says):
+    with pytest.raises(InputError, match=says) as error:
+        vj.run_sweep(sweep, progress=False)
+    assert "\n" not in str(error.value)
+
+
+def test_nothing_else_changes(lanes):
+    """With orbits a sweep is the same but for what the orbits replace, and for their own variables."""
+    sweep, _ = lanes
+    without = vj.run_sweep(replace(sweep, run=replace(sweep.run, orbits=False)), progress=False)
+    with_orbits = vj.run_sweep(sweep, progress=False)
+    for name in (
+        "regime",
+        "cycles",
+        "impacts",
+        "returns",
+        "settling_time",
+        "error_estimate",
+        "drift_estimate",
+        "status",
+    ):
+        np.testing.assert_array_equal(without[name], with_orbits[name], name)
+    for name in ("period", "impact_velocity", "bit_amplitude", "drive_power"):
+        np.testing.assert_allclose(without[name], with_orbits[name], rtol=1e-4)
+    assert not {"stable", "orbit_reason"} & set(without.data_vars)

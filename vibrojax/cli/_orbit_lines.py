@@ -1,0 +1,34 @@
+"""What became of the periodic orbits of a sweep's lanes, in words."""
+
+import json
+from typing import TYPE_CHECKING
+
+from vibrojax.cli._json import flags
+
+if TYPE_CHECKING:
+    import xarray
+
+
+def orbit_lines(dataset: "xarray.Dataset") -> list[str]:
+    """How many orbits were found, how many of them are stable, and why others were not; no lines without orbits."""
+    if "orbit_reason" not in dataset:
+        return []
+    reason, stable = dataset["orbit_reason"].values, dataset["stable"].values
+    counts = {meaning: int((reason == flag).sum()) for flag, meaning in flags(dataset["orbit_reason"]).items()}
+    asked = sum(count for meaning, count in counts.items() if meaning not in ("not-repeating", "refused"))
+    which = f"{(stable == 1).sum()} stable, {(stable == 0).sum()} unstable"
+    found = f"{counts['found']} found of {asked} lanes that repeat: {which}"
+    others = [f"{count} {meaning}" for meaning, count in counts.items() if count and meaning != "found"]
+    sooner = int(((dataset["orbit_cycles"] > 0) & (dataset["orbit_cycles"] < dataset["cycles"])).sum())
+    if sooner:
+        others.append(f"{sooner} lanes are on their way to an orbit that repeats sooner than they do")
+    return [found, *others, *_limit(dataset)]
+
+
+def _limit(dataset: "xarray.Dataset") -> list[str]:
+    """The margin below which there are no multipliers."""
+    try:
+        limit = json.loads(dataset.attrs["orbits"])["grazing_limit"]
+    except (ValueError, KeyError, TypeError):
+        return []
+    return [f"multipliers are given from a grazing_margin of {limit:g} on"]

@@ -1,0 +1,45 @@
+"""Find the periodic orbits of a sweep's lanes: multipliers and stability."""
+
+import shlex
+from argparse import ArgumentParser
+from pathlib import Path
+
+from vibrojax.cli._command import Options
+from vibrojax.cli._complete import files, with_completer
+from vibrojax.cli._orbit_lines import orbit_lines
+from vibrojax.cli._output import dataset_written, draw, output, picture_beside
+
+
+def arguments(parser: ArgumentParser) -> None:
+    """Add the command's arguments to `parser`."""
+    file = parser.add_argument(
+        "file",
+        metavar="FILE",
+        help="a sweep: a bundled name, like regime-map, or the path of a TOML file; or a sweep's dataset (.nc), whose "
+        "sweep is then run again",
+    )
+    with_completer(file, files(".toml", ".nc"))
+    parser.add_argument("-o", dest="out", metavar="OUT.nc", help="where to write (NAME-orbits.nc in this folder)")
+    parser.add_argument("--fresh", action="store_true", help="start over, and replace OUT whatever it holds")
+
+
+def run(options: Options) -> None:
+    """Run the command."""
+    from vibrojax.found_orbits import sweep_with_orbits
+    from vibrojax.store.dataset import open_dataset
+    from vibrojax.sweep import run_to_file
+
+    given = str(options.file)
+    of_dataset = given.endswith(".nc")
+    sweep = sweep_with_orbits(open_dataset(Path(given)) if of_dataset else given)
+    name = Path(given).stem if of_dataset else sweep.name
+    out = output(options.out or f"{name}-orbits.nc")
+    picture = picture_beside(out)
+    command = shlex.join(["vibrojax", "orbits", given, "-o", str(out)])
+    options.how_to_resume = f"finished chunks are kept; to go on: {command}"
+    dataset = run_to_file(sweep, out, resume=not options.fresh, progress=not options.quiet)
+    dataset_written(options, out)
+    drawn = draw(dataset, picture)
+    if not options.quiet:
+        print(f"{out}: {sweep.lanes} lanes{drawn}")
+        print("\n".join(orbit_lines(dataset)))

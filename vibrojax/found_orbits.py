@@ -1,0 +1,85 @@
+"""The periodic orbits of a sweep's lanes: of a sweep, or of the dataset of one."""
+
+import json
+import tomllib
+from collections.abc import Mapping
+from dataclasses import replace
+from os import PathLike
+
+import xarray as xr
+
+from vibrojax.errors import InputError
+from vibrojax.input.definition import Sweep
+from vibrojax.input.points import VECTOR
+from vibrojax.input.read import read_sweep
+from vibrojax.store.finished import IDENTITY, identity_text
+from vibrojax.store.shards import changes
+from vibrojax.sweep import run_sweep
+
+
+def orbits(
+    source: xr.Dataset | str | PathLike[str] | Mapping[str, object] | Sweep, progress: bool = True
+) -> xr.Dataset:
+    """The dataset of a sweep with the periodic orbits of its lanes, their multipliers and stability.
+
+        orb = vj.orbits(ds)
+
+    An orbit is a fixed point of the return map, from one return to the section to the next, or of its `cycles`-th
+    iterate. It is found by Newton's method from a lane's last returns; the map's derivative goes through all events, so
+    that multipliers are those of the exact motion. A lane whose multipliers all have moduli under 1 is stable.
+
+    **Arguments:**
+
+    - `source`: the dataset of a sweep, or a sweep as `run_sweep` takes it. A dataset does not hold the states that
+      Newton's method begins with, so that its sweep is run again; one with orbits is returned as it is.
+    - `progress`: whether to say on stderr how far it is.
+
+    **Returns:** the sweep's dataset, and over its dimensions
+
+    - `multiplier_abs` [1], `multiplier_arg` [rad] along `multiplier`, by falling modulus: the eigenvalues of the map's
+      derivative over the whole repeat; and `stable`: 1, 0, or -1 where there are none.
+    - `orbit_reason`: whether it was found, or why not. `orbit_residual`: the greatest return - state, over the scales
+      of labels; `grazing_margin`: how far the order of events is from changing (the attribute `orbits` says how).
+    - `orbit_cycles`: returns after which the orbit repeats; fewer than the lane's `cycles` where a lane is still on its
+      way to a shorter repeat than it shows. The multipliers are those over `cycles` returns.
+
+    Of a lane with a found orbit, `period` and what is measured over the repeat are the orbit's.
+
+    **Raises:** `InputError` where it is no sweep's dataset, or the sweep cannot be run, or the scene has no section.
+    """
+    if isinstance(source, xr.Dataset) and "orbit_reason" in source:
+        return source
+    return run_sweep(sweep_with_orbits(source), progress=progress)
+
+
+def sweep_with_orbits(source: xr.Dataset | str | PathLike[str] | Mapping[str, object] | Sweep) -> Sweep:
+    """The sweep, or that of a dataset, with `orbits = true`; raises `InputError` where there is none."""
+    if isinstance(source, xr.Dataset):
+        return _sweep_of(source)
+    if isinstance(source, Sweep):
+        return replace(source, run=replace(source.run, orbits=True))
+    return read_sweep(source, ["run.orbits=true"])
+
+
+def _sweep_of(dataset: xr.Dataset) -> Sweep:
+    """The sweep that a dataset is of: by its text, and of a list of points by its coordinates."""
+    try:
+        tables = tomllib.loads(str(dataset.attrs["sweep"]))
+    except (KeyError, ValueError):
+        raise InputError(
+            "orbits: not the dataset of a sweep (it has no attribute sweep); give one, or a sweep"
+        ) from None
+    if "points" in tables:
+        columns = {str(name): one.values.tolist() for name, one in dataset.coords.items() if one.dims == ("point",)}
+        vectors = any(name.startswith(VECTOR) for name in columns)
+        tables["points"] = {n: x for n, x in columns.items() if n != "point" and not (vectors and n == "start")}
+    sweep = read_sweep(tables, ["run.orbits=true"])
+    identity = sweep.identity()
+    before = json.loads(str(dataset.attrs.get(IDENTITY, "{}")))
+    differing = changes({**before, "run.orbits": True}, json.loads(identity_text(identity)))
+    if before and differing:
+        raise InputError(
+            f"orbits: the sweep that the dataset names is another one now: {differing}; give the sweep itself"
+        )
+    title = str(dataset.attrs.get("title", ""))
+    return replace(sweep, title=sweep.title or title)

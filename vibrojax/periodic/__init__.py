@@ -1,0 +1,3 @@
+"""Periodic orbits of lanes that repeat: fixed points of the return map, by Newton's method, and their multipliers."""
+
+from vibrojax.periodic.of_lanes import Orbits as Orbits

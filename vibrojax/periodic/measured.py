@@ -1,0 +1,93 @@
+"""What is measured of a lane that repeats, over one repeat of its periodic orbit."""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from vibrojax.devices import workers
+from vibrojax.engine.batch import Engine, Features, Index
+from vibrojax.input.definition import Sweep
+from vibrojax.measure import recorder_for
+from vibrojax.measure.ledger import MOST_CYCLES
+from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Located
+
+STEPS = Accuracy(tolerance=1e-10, stride=LOCATED_STRIDE, step=np.inf)
+"""Of the steps in which an orbit is measured."""
+
+DRIVEN_RETURNS = 4
+"""Returns that what is only driven has to come to the motion that the orbit drives."""
+
+PerLane = Float[np.ndarray, " lanes"]
+
+
+class Begun(NamedTuple):
+    """Lanes at the section of their orbits; the last axis is lanes.
+
+    - `lanes`: by index in their chunk; `state` (states, lanes): of the return map.
+    - `past` (8, states, lanes), `when` (8, lanes) [s]: the last returns, the newest, which is `state` at 0, first.
+    - `cycles`: returns of a repeat; `steps` of it, roughly.
+    - `length` [s] of a repeat; `first`, `second`, `last` [s]: from the state to the next return, and so on.
+    """
+
+    lanes: Index
+    state: Float[np.ndarray, "states lanes"]
+    past: Float[np.ndarray, "8 states lanes"]
+    when: Float[np.ndarray, "8 lanes"]
+    cycles: Int[np.ndarray, " lanes"]
+    steps: PerLane
+    length: PerLane
+    first: PerLane
+    second: PerLane
+    last: PerLane
+
+
+def begun(
+    lanes: Index,
+    states: Float[np.ndarray, "lanes cycles states"],
+    times: Float[np.ndarray, "lanes cycles"],
+    steps: PerLane,
+) -> Begun:
+    """Lanes at the first of the `states` of their orbits, from each of which the next is reached after `times` [s]."""
+    cycles, length = states.shape[1], times.sum(axis=1)
+    ago = np.concatenate([np.zeros((len(lanes), 1)), np.cumsum(times[:, ::-1], axis=1)], axis=1)
+    when = [-(ago[:, k % cycles] + (k // cycles) * length) for k in range(MOST_CYCLES)]
+    past = np.moveaxis(states[:, -np.arange(MOST_CYCLES) % cycles], 0, -1)
+    between = times[:, 0], times[:, 1 % cycles], times[:, -1]
+    return Begun(lanes, states[:, 0].T, past, np.stack(when), np.full(len(lanes), cycles), steps, length, *between)
+
+
+def joined(parts: list[Begun]) -> Begun:
+    """The lanes of all `parts`."""
+    return Begun(*(np.concatenate(some, axis=-1) for some in zip(*parts, strict=True)))
+
+
+class Measuring:
+    """Measures lanes of a sweep over their orbits, by the sweep's own programs."""
+
+    def __init__(self, sweep: Sweep) -> None:
+        self._scene = sweep.system
+        self._driving = sweep.system.driving_part()
+        exact = replace(sweep, run=replace(sweep.run, precision="float64", method="located"))
+        self._engine = Engine(exact, Located(), recorder_for(sweep.system, sweep.run.keep_returns), workers())
+
+    def __call__(self, first: int, end: int, begun: Begun) -> tuple[Features, Bool[np.ndarray, " lanes"]]:
+        """Features of lanes of the chunk from `first` to before `end`, and which of them went round as they should."""
+        lanes, scene = begun.lanes, self._scene
+        known = dict(zip(self._driving.return_states, begun.state, strict=True))
+        zero = np.zeros(len(lanes))
+        state = tuple(np.ascontiguousarray(known.get(name, zero)) for name in scene.state_names)
+        # One repeat between returns, and to between two returns, so that it is clear how many are seen.
+        settle, duration = zero, begun.length + begun.first + begun.second / 2
+        if scene is not self._driving:
+            settle = -(-DRIVEN_RETURNS // begun.cycles) * begun.length - begun.last / 2
+            duration = begun.length + (begun.last + begun.first) / 2
+        batch = self._engine.start(first, end, STEPS).of(lanes)
+        batch = replace(batch, begin=settle, duration=duration, recent=begun.steps.astype(np.int32))
+        compared = len(self._driving.section.compared) if self._driving.section is not None else 0
+        batch = self._engine.on_orbit(batch, state, begun.past[:, :compared], begun.when, begun.length / begun.cycles)
+        [features] = self._engine.observe(self._engine.settle([batch]))
+        # So short an observation shows no repeat: means are over all of it, and impacts are per return.
+        whole = features["finished"] & features["finite"] & (features["returns"] == begun.cycles + 1)
+        return features, whole

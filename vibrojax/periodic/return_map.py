@@ -1,0 +1,146 @@
+"""The return map: from one return to the section to the next, with its derivative, through all events on the way.
+
+Steps are located, so the map is that of the exact motion but for their tolerance. A derivative in forward mode goes
+with the time of every event (the root's implicit derivative), so that what events do to a neighbour, the saltation, is
+in it (Leine and Nijmeijer, *Dynamics and Bifurcations of Non-Smooth Mechanical Systems*, 2004, chapter 7).
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from vibrojax.arrays import Array, Flags, Lanes
+from vibrojax.engine.compiler import lane_function
+from vibrojax.measure.section import lowest, rising
+from vibrojax.periodic.margin import Margin
+from vibrojax.scenes import HasContact, Scene
+from vibrojax.scenes.scene import Section, Values
+from vibrojax.stepping import Accuracy, Goal, Lane, Step, Stepper, lane_at
+
+MOST_STEPS = 4000
+"""Of one return; one of the usual drill takes some fifty."""
+
+
+class Seen(NamedTuple):
+    """What is seen on the way, each (lanes,) but the ranges.
+
+    - `returned`: whether the section was reached; `impacts` on the way; `steps` taken.
+    - `margin`: how far the order of events is from changing, see [vibrojax.periodic.margin][].
+    - `least`, `greatest` (states, lanes): of the return map's states.
+    """
+
+    returned: Flags
+    impacts: Lanes
+    steps: Lanes
+    margin: Lanes
+    least: Array
+    greatest: Array
+
+
+class Mapped(NamedTuple):
+    """Where lanes return: `state` (states, lanes), after the `time` [s]; its derivative `jacobian` (states, states,
+    lanes), by the state returned to and then by that begun with; and what was seen on the way."""
+
+    state: Array
+    time: Lanes
+    jacobian: Array
+    seen: Seen
+
+
+class _Way(NamedTuple):
+    """Lanes on their way to the next return."""
+
+    lane: Lane
+    time: Lanes
+    armed: Flags
+    seen: Seen
+
+
+@lane_function(static=2)
+def mapped(scene: Scene[Any], stepper: Stepper, p: dict[str, Lanes], state: Array, accuracy: Accuracy) -> Mapped:
+    """The next return of lanes that stand at the section, and its derivative.
+
+    **Arguments:** `p`: parameters by name (lanes,); `state` (states, lanes): of `scene.return_states`.
+    """
+    c = scene.scaled(scene.constants(p), at_section(scene, state))
+
+    def go(state: Array) -> tuple[tuple[Array, Lanes], Seen]:
+        return one_return(scene, stepper, c, state, accuracy)
+
+    def push(tangent: Array) -> Any:
+        (there, time), (moved, _), seen = jax.jvp(go, (state,), (tangent,), has_aux=True)
+        return there, time, moved, seen
+
+    rows = state.shape[0]
+    ways = jnp.broadcast_to(jnp.eye(rows, dtype=state.dtype)[:, :, None], (rows, *state.shape))
+    there, time, moved, seen = jax.vmap(push, out_axes=(None, None, 1, None))(ways)
+    return Mapped(there, time, moved, seen)
+
+
+def at_section(scene: Scene[Any], state: Array) -> Values:
+    """All states of the scene at the section, each (lanes,), from those of the return map (states, lanes)."""
+    rows = dict(zip(scene.return_states, state, strict=True))
+    zero = jnp.zeros_like(state[0])
+    return tuple(rows.get(name, zero) for name in scene.state_names)
+
+
+def one_return(
+    scene: Scene[Any], stepper: Stepper, c: Any, state: Array, accuracy: Accuracy
+) -> tuple[tuple[Array, Lanes], Seen]:
+    """((state at the next return, time [s] to it), what was seen on the way); pure, so that derivatives go through.
+
+    **Arguments:** `c`: the scene's constants, scaled for the motion; `state` (states, lanes).
+    """
+    section = scene.section
+    assert section is not None
+    margin = Margin(scene, section, c)
+    lane = lane_at(scene, c, at_section(scene, state))
+    zero = jnp.zeros_like(state[0])
+    none = jnp.zeros_like(zero, bool)
+    own = jax.lax.stop_gradient(_own(scene, lane))
+    begun = _Way(lane, zero, none, Seen(none, zero, zero, jnp.full_like(zero, jnp.inf), own, own))
+
+    def one(way: _Way) -> _Way:
+        moving = _active(way)
+        lane, step = stepper.step(scene, c, way.lane, accuracy, Goal(jnp.inf, moving), marked=True)
+        armed, returns = _passed(scene, section, c, way.armed, step)
+        seen = way.seen
+        own = jax.lax.stop_gradient(_own(scene, lane))
+        seen = Seen(
+            returned=seen.returned | (returns & moving),
+            impacts=seen.impacts + _impacts(scene, c, step),
+            steps=seen.steps + moving.astype(seen.steps.dtype),
+            margin=jnp.where(moving, margin.after(seen.margin, way.armed, lane, step), seen.margin),
+            least=jnp.minimum(seen.least, own),
+            greatest=jnp.maximum(seen.greatest, own),
+        )
+        return _Way(lane, way.time + step.dt, jnp.where(moving, armed, way.armed), seen)
+
+    way = jax.lax.while_loop(lambda way: jnp.any(_active(way)), one, begun)
+    return (_own(scene, way.lane), way.time), way.seen
+
+
+def _active(way: _Way) -> Flags:
+    return ~way.seen.returned & (way.seen.steps < MOST_STEPS) & jnp.isfinite(way.lane.state[0])
+
+
+def _own(scene: Scene[Any], lane: Lane) -> Array:
+    """The return map's states of a lane, (states, lanes)."""
+    return jnp.stack([lane.state[scene.place(name)] for name in scene.return_states])
+
+
+def _passed(scene: Scene[Any], section: Section, c: Any, armed: Flags, step: Step) -> tuple[Flags, Flags]:
+    """(whether the next zero counts, whether the step ends on the section), as where lanes are observed."""
+    velocity = rising(section, step.polynomials[scene.place(section.velocity)])
+    armed = armed | (lowest(velocity, step.tau) < rising(section, [section.rearm(c)])[0])
+    marker = scene.marker_of(section.velocity)
+    falls = step.falling[marker] if section.rising else ~step.falling[marker]
+    return armed, step.hits[marker] & ~falls & armed
+
+
+def _impacts(scene: Scene[Any], c: Any, step: Step) -> Lanes:
+    """1 where an impact begins at the end of the step."""
+    if not isinstance(scene, HasContact):
+        return jnp.zeros_like(step.dt)
+    return scene.impact_begins(c, step.mode, step.after, step.hits).astype(step.dt.dtype)
