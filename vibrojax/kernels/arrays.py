@@ -18,8 +18,10 @@ def array_entries(asm: Assembly, place: int, aval: Any) -> Value:
 
 
 def elsewhere(aval: Any) -> Value:
-    """For an array that a loop goes along, which nothing else may want: it has no entries."""
-    return np.empty(without_lanes(aval.shape), object)
+    """For an array that a loop goes along, and nothing else may want: entries that are nowhere."""
+    entries = np.empty(without_lanes(aval.shape), object)
+    entries.fill(Slot("", dtype_of(aval), varies(aval)))
+    return entries
 
 
 def array_slots(asm: Assembly, place: int, aval: Any, after: tuple[str, int] = ("0", 0)) -> Value:

@@ -78,7 +78,7 @@ class Assembly:
         """An entry, read from memory if that is where it is."""
         if isinstance(entry, Operand):
             return entry
-        if entry is None:
+        if not entry.pointer:
             raise Untranslatable("an array that a loop goes along, and something else wants")
         if entry.pointer not in self._read:
             self._read[entry.pointer] = self.load(entry, self._alignment(entry.varying))

@@ -45,7 +45,8 @@ class Operand(NamedTuple):
 
 
 class Slot(NamedTuple):
-    """A value that is read from memory where it is used; `offset` [bytes] into the workspace, None if not there."""
+    """A value that is read from memory where it is used, nowhere if it has no `pointer`; `offset` [bytes] into the
+    workspace, None if not there."""
 
     pointer: str
     dtype: np.dtype
