@@ -57,14 +57,6 @@ ENDING_EARLY = 0.75
 SMOOTHED = 0.6
 """A smoothed step's time, a located one's being 1."""
 
-MOST_LANES = 2**40
-"""More than anybody steps."""
-
-SAMPLES, SAMPLE = 8, 256
-"""In so many places of a sweep, if it has more lanes, so many are looked at for how stiff they are."""
-
-Rates = Float[np.ndarray, " lanes"]
-
 
 class Seconds(NamedTuple):
     """Time to start, to compile, which takes no longer for more lanes, and for the lanes' steps."""
@@ -74,6 +66,18 @@ class Seconds(NamedTuple):
     step: float
 
 
+ORBITS = Seconds(start=1.0, compile=1.5, step=1.15)
+"""How many times that a sweep with orbits takes."""
+
+MOST_LANES = 2**40
+"""More than anybody steps."""
+
+SAMPLES, SAMPLE = 8, 256
+"""In so many places of a sweep, if it has more lanes, so many are looked at for how stiff they are."""
+
+Rates = Float[np.ndarray, " lanes"]
+
+
 def processor_time(chunks: Chunks) -> Seconds:
     """What a sweep takes, in seconds of processor time, roughly; nothing is compiled or stepped for it."""
     run, costs, slower = chunks.sweep.run, _costs(chunks.sweep.system), slowness()
@@ -81,7 +85,10 @@ def processor_time(chunks: Chunks) -> Seconds:
     step = costs.step * (SMOOTHED if run.stepper.smooths else 1.0)
     observing = 1 + (OBSERVING - 1) / (1 + run.settle / run.observe)
     stepping = step * share * observing * _steps(chunks, costs.rate)
-    return Seconds(slower * START, slower * costs.compile, slower * stepping)
+    compiling = costs.compile
+    if run.orbits:
+        compiling, stepping = compiling * ORBITS.compile, stepping * ORBITS.step
+    return Seconds(slower * START, slower * compiling, slower * stepping)
 
 
 def by_the_clock(processor: Seconds, cores: int) -> Seconds:

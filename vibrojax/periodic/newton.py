@@ -155,10 +155,10 @@ def _step(states: States, now: _Evaluated, scales: np.ndarray) -> States:
     right = off.reshape(lanes, cycles * rows, 1)
     sound = np.isfinite(matrix).all(axis=(1, 2)) & np.isfinite(right).all(axis=(1, 2))
     matrix = np.where(sound[:, None, None], matrix, np.eye(cycles * rows))
-    try:
-        step = np.linalg.solve(matrix, right)
-    except np.linalg.LinAlgError:  # of one lane at a fold: the least step there, the usual one of the others
-        step = np.linalg.pinv(matrix) @ right
+    # Exactly at a fold there is no step; what others take must not depend on such a lane beside them.
+    singular = np.linalg.slogdet(matrix)[0] == 0
+    step = np.linalg.solve(np.where(singular[:, None, None], np.eye(cycles * rows), matrix), right)
+    step[singular] = np.nan
     return step.reshape(states.shape) * scales[:, None]
 
 
