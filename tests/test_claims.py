@@ -72,7 +72,8 @@ def test_a_line_holds(claim):
 
 def test_the_map_on_top_is_that_of_the_bundled_sweep():
     sweep = vj.read_sweep("regime-map")
-    assert f"{sweep.lanes:,} points, {sweep.run.settle + sweep.run.observe:g} s of simulated time each" in README
+    seconds = sweep.run.settle + sweep.run.observe
+    assert f"{sweep.lanes:,} lanes (a point from one start each), {seconds:g} s of simulated time each" in README
     assert sweep.axes["delta"].tolist() == [-0.005, 0.005] and len(sweep.starts) == 2
     assert "for a preload and a gap of 5 mm, from two starts" in README
 

@@ -242,6 +242,19 @@ def test_a_polynomial_and_its_derivative():
     np.testing.assert_allclose(slope, 12 * X**11, rtol=1e-14)
 
 
+def test_tangents_of_whole_numbers():
+    """They say nothing, and take no room that is not theirs."""
+
+    def function(x):
+        return jax.jvp(lambda x: (x * x, jnp.floor(x).astype(jnp.int32), x > 0), (x,), (jnp.ones_like(x),))
+
+    (square, whole, sign), (slope, *_) = of_lanes(function, X)
+    np.testing.assert_array_equal(square, X * X)
+    np.testing.assert_array_equal(slope, 2 * X)
+    np.testing.assert_array_equal(whole, np.floor(X))
+    np.testing.assert_array_equal(sign, X > 0)
+
+
 @pytest.mark.parametrize(
     "function",
     [

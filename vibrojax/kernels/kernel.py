@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from vibrojax.kernels.native import native, vector_bytes
-from vibrojax.kernels.operands import LANES, varies
+from vibrojax.kernels.operands import LANES, dtype_of, varies
 from vibrojax.kernels.translation import kernel_text
 
 ALIGNMENT = 64
@@ -37,8 +37,8 @@ class Kernel:
     def __init__(self, function: Callable[..., Any], *examples: Any, registers: int = 1) -> None:
         traced = jax.jit(function).trace(*jax.tree.map(_with_lanes, examples))
         inner = traced.jaxpr.jaxpr
-        self._given = [(np.dtype(var.aval.dtype), varies(var.aval)) for var in inner.invars]
-        self._found = [(np.dtype(var.aval.dtype), var.aval.shape, varies(var.aval)) for var in inner.outvars]
+        self._given = [(dtype_of(var.aval), varies(var.aval)) for var in inner.invars]
+        self._found = [(dtype_of(var.aval), var.aval.shape, varies(var.aval)) for var in inner.outvars]
         self._tree = jax.tree.structure(traced.out_info)
         widest = max((dtype.itemsize for dtype, _ in self._given if dtype.kind == "f"), default=8)
         self.width = registers * vector_bytes() // widest

@@ -19,6 +19,12 @@ PASSES = ("sroa", "aggressive_dce")
 long as before, because jax's equations are plain arithmetic already."""
 
 
+REFERENCES = {"codemodel": "large", "reloc": "static"}
+"""How code refers to its constants and to functions outside: by whole addresses. The parts of an object file are put
+wherever there is room, which may be farther apart than shorter references reach (LLVM then ends the process). It costs
+nothing that could be measured."""
+
+
 class Processor(NamedTuple):
     """What code is made for."""
 
@@ -52,7 +58,8 @@ def vector_bytes() -> int:
 
 def native(text: str, name: str) -> Native:
     """The machine's function for the text of a kernel, from the cache if it was made before; `name` has no other."""
-    key = sha256("\n".join((llvmlite.__version__, *processor(), *PASSES, text)).encode()).hexdigest()
+    made_of = (llvmlite.__version__, *processor(), *PASSES, *REFERENCES.values(), text)
+    key = sha256("\n".join(made_of).encode()).hexdigest()
     code = store.read(key)
     if code is None:
         code = _compiled(text)
@@ -62,9 +69,7 @@ def native(text: str, name: str) -> Native:
 
 def _machine() -> llvm.TargetMachine:
     target = llvm.Target.from_triple(processor().triple)
-    return target.create_target_machine(
-        cpu=processor().name, features=processor().features, opt=2, reloc="pic", codemodel="default"
-    )
+    return target.create_target_machine(cpu=processor().name, features=processor().features, opt=2, **REFERENCES)
 
 
 def _compiled(text: str) -> bytes:

@@ -49,9 +49,11 @@ class Column:
     value: float | None = None
 
     def described(self) -> dict[str, object]:
-        """What was taken, as JSON values: `column` of the file or `value` [SI], `unit`, and whether it is `assumed`."""
-        where = {"value": self.value} if self.index is None else {"column": self.header}
-        return {**where, "unit": self.unit, "assumed": self.assumed}
+        """What was taken, as JSON values: `column` of the file with its `unit`, or `value` [SI] that was `given_in`
+        another; and whether that is `assumed`."""
+        if self.index is None:
+            return {"value": self.value, "given_in": self.unit, "assumed": self.assumed}
+        return {"column": self.header, "unit": self.unit, "assumed": self.assumed}
 
 
 def columns_lines(columns: str) -> list[str]:
@@ -60,7 +62,8 @@ def columns_lines(columns: str) -> list[str]:
 
 
 def _in_words(name: str, about: Mapping[str, object]) -> str:
-    unit = f"taken as {about['unit']}, since it names no unit" if about["assumed"] else f"in {about['unit']}"
+    named = about.get("unit", about.get("given_in"))
+    unit = f"taken as {named}, since it names no unit" if about["assumed"] else f"in {named}"
     if "value" in about:
         si = next(iter(UNITS[KNOWN[name].unit]))
         return f"{name}: {about['value']:g} {si} for all rows" + (f", {unit}" if about["assumed"] else "")

@@ -150,7 +150,7 @@ def _compile(
     """Compile the programs that step a motion and measure it, side by side, where that has not been done."""
     if (scene, stepper) in _compiled:
         return
-    Progress(1, "motion", progress).say(f"compiling the scene {scene.name}, which takes a second or two, once")
+    Progress(1, "motion", progress).say(f"compiling the scene {scene.name}, if it is not in the cache")
     at_once = jnp.asarray(0.0)
 
     def step() -> None:
