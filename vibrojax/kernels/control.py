@@ -33,7 +33,7 @@ def _put(asm: Assembly, places: Sequence[Value], values: Sequence[Value]) -> Non
     """Write arrays to memory: all are read before any is written, because they may stand in each other's places."""
     moved: list[tuple[Entry, Slot]] = []
     for slots, entries in zip(places, values, strict=True):
-        for slot, entry in zip(slots.flat, entries.flat, strict=True):
+        for slot, entry in zip(slots.ravel().tolist(), entries.ravel().tolist(), strict=True):
             if entry != slot:
                 moved.append((asm.register(entry), slot))
     for entry, slot in moved:
@@ -96,7 +96,7 @@ def _scan(asm: Assembly, write: Write, equation: Any, values: Sequence[Value], o
         given = [*values[:constant], *carried, *read]
         found = write(equation.params["jaxpr"], given, set(map(id, carried)))
         for var, one, value in zip(kept, inner.outvars[carries:], found[carries:], strict=True):
-            for slot, entry in zip(rows(number, var, one).flat, value.flat, strict=True):
+            for slot, entry in zip(rows(number, var, one).ravel().tolist(), value.ravel().tolist(), strict=True):
                 asm.store(entry, slot, alignment=1)
         _put(asm, carried, found[:carries])
 

@@ -5,6 +5,7 @@ from collections.abc import Callable, Hashable
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from vibrojax.kernels.kernel import Kernel
@@ -31,7 +32,7 @@ def run(function: Callable[..., Any], static: tuple[Hashable, ...], *arguments: 
     **Raises:** `Untranslatable`, where the function does what no kernel can do.
     """
     leaves, tree = jax.tree.flatten(arguments)
-    types = (jax.config.jax_enable_x64, tree, *map(_type, leaves))
+    types = (jnp.result_type(float), tree, *map(_type, leaves))
     key = _Key(function, static, types)
     with _lock:
         making = _making.setdefault(key, threading.Lock())

@@ -54,7 +54,7 @@ def kernel_text(jaxpr: Any, width: int) -> tuple[str, int]:
     for place, (var, value) in enumerate(zip(inner.outvars, found, strict=True), start=len(given)):
         if place in asm.filled:
             continue
-        for entry, slot in zip(value.flat, array_slots(asm, place, var.aval).flat, strict=True):
+        for entry, slot in zip(value.ravel().tolist(), array_slots(asm, place, var.aval).ravel().tolist(), strict=True):
             asm.store(entry, slot, alignment=1)
     body = "\n".join(asm.places + asm.lines)
     text = TEMPLATE.format(declarations="\n".join(sorted(asm.declared)), body=body, width=width)
