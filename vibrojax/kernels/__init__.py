@@ -2,7 +2,7 @@
 
 XLA compiles a program of lanes in seconds, and starts its pieces one by one. What a step of lanes does is plain
 arithmetic, the same for every lane: written out from jax's own trace for vectors of lanes, LLVM compiles it in a tenth
-of the time, and it runs as one loop, the same on every version of jax.
+of the time, and it runs as one loop, whatever the version of jax.
 """
 
 from vibrojax.kernels.kernel import Kernel

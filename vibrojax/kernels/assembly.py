@@ -124,7 +124,7 @@ class Assembly:
             return Slot(name, dtype, varying)
         offset = self.workspace
         self.places.append(f"  {name} = getelementptr i8, ptr %workspace, i64 {offset}")
-        self.workspace += self._alignment(True)
+        self.workspace += self.alignment
         return Slot(name, dtype, varying, offset)
 
     def call(self, function: str, arguments: Sequence[str], gives: str, takes: str | None = None) -> str:
@@ -142,5 +142,10 @@ class Assembly:
         """How names of LLVM's own functions tell of a type of numbers."""
         return ("f" if dtype.kind == "f" else "i") + str(1 if dtype == BOOL else 8 * dtype.itemsize)
 
+    @property
+    def alignment(self) -> int:
+        """Of vectors in memory, and so of the workspace [bytes]."""
+        return 8 * self.width
+
     def _alignment(self, varying: bool) -> int:
-        return 8 * self.width if varying else 8
+        return self.alignment if varying else 8

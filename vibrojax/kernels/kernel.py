@@ -12,9 +12,6 @@ from vibrojax.kernels.native import native, vector_bytes
 from vibrojax.kernels.operands import LANES, dtype_of, varies
 from vibrojax.kernels.translation import kernel_text
 
-ALIGNMENT = 64
-"""Of the workspace [bytes]; the widest registers want it."""
-
 _number = count()
 
 
@@ -30,6 +27,7 @@ class Kernel:
     - `function`: takes and returns any pytrees. It is traced in the precision that is set.
     - `examples`: its arguments, or their like (`jax.ShapeDtypeStruct`): arrays without axes are one for all lanes, of
       others the last axis is the lanes', of any length.
+    - `registers`: how many each value of a group fills.
 
     **Raises:** `Untranslatable`, where the function does what no kernel can do.
     """
@@ -42,7 +40,7 @@ class Kernel:
         self._tree = jax.tree.structure(traced.out_info)
         widest = max((dtype.itemsize for dtype, _ in self._given if dtype.kind == "f"), default=8)
         self.width = registers * vector_bytes() // widest
-        text, self._workspace = kernel_text(traced.jaxpr, self.width)
+        text, self._workspace, self._alignment = kernel_text(traced.jaxpr, self.width)
         self._native = native(text, f"kernel {next(_number)}")
 
     def __call__(self, *arguments: Any) -> Any:
@@ -54,9 +52,10 @@ class Kernel:
             self._prepared(x, dtype, varying, padded) for x, (dtype, varying) in zip(leaves, self._given, strict=True)
         ]
         found = [np.empty((*shape[:-1], padded) if varying else shape, dtype) for dtype, shape, varying in self._found]
-        workspace = np.empty(self._workspace + ALIGNMENT, np.uint8)
+        workspace = np.empty(self._workspace + self._alignment, np.uint8)
         pointers = np.array([x.ctypes.data for x in (*given, *found)], np.uintp)
-        self._native.function(pointers.ctypes.data, -(-workspace.ctypes.data // ALIGNMENT) * ALIGNMENT, padded)
+        aligned = -(-workspace.ctypes.data // self._alignment) * self._alignment
+        self._native.function(pointers.ctypes.data, aligned, padded)
         cut = [x[..., :lanes] if varying else x for x, (*_, varying) in zip(found, self._found, strict=True)]
         return jax.tree.unflatten(self._tree, cut)
 

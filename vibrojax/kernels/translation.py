@@ -37,8 +37,9 @@ attributes #0 = {{ nounwind "prefer-vector-width"="512" "min-legal-vector-width"
 pointers of arguments and results, whose last axis is the lanes'."""
 
 
-def kernel_text(jaxpr: Any, width: int) -> tuple[str, int]:
-    """(the text of a closed jaxpr as a kernel for groups of `width` lanes, the bytes of workspace that it wants).
+def kernel_text(jaxpr: Any, width: int) -> tuple[str, int, int]:
+    """(the text of a closed jaxpr as a kernel for groups of `width` lanes, the bytes of workspace that it wants, and
+    the alignment [bytes] of that).
 
     **Raises:** `Untranslatable` where the function does what no kernel can do.
     """
@@ -58,7 +59,7 @@ def kernel_text(jaxpr: Any, width: int) -> tuple[str, int]:
             asm.store(entry, slot, alignment=1)
     body = "\n".join(asm.places + asm.lines)
     text = TEMPLATE.format(declarations="\n".join(sorted(asm.declared)), body=body, width=width)
-    return text, asm.workspace
+    return text, asm.workspace, asm.alignment
 
 
 def _written(asm: Assembly, closed: Any, values: Sequence[Value], owned: Collection[int] = ()) -> list[Value]:
