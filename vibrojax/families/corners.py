@@ -7,7 +7,6 @@ back. Where the section is touched, the same motion has another number of return
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Int
 
 from vibrojax.families.problem import At, Flags, Index, PerLane, Problem, Unknowns, corrected, tangent
 from vibrojax.measure.ledger import MOST_CYCLES
@@ -79,9 +78,7 @@ def _null(matrix: np.ndarray) -> Unknowns:
     return found
 
 
-def counted_otherwise(
-    problem: Problem, family: int, last: At, ahead: Unknowns
-) -> tuple[At, Unknowns] | None:
+def counted_otherwise(problem: Problem, family: int, last: At, ahead: Unknowns) -> tuple[At, Unknowns] | None:
     """The same motion with another number of returns, right behind where the section is touched; None if there is none.
 
     **Arguments:** of one lane: its last point and the tangent there.

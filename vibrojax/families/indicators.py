@@ -41,7 +41,7 @@ def _doubling(at: At, tangent: Unknowns) -> PerLane:
 
 
 def _torus(at: At, tangent: Unknowns) -> PerLane:
-    """The product of mu_i mu_j - 1 over all pairs (Kuznetsov, *Elements of Applied Bifurcation Theory*, section 10.2)."""
+    """The product of mu_i mu_j - 1 over all pairs (Kuznetsov, *Elements of Applied Bifurcation Theory*, 10.2)."""
     values = multipliers(at.product)
     first, second = np.triu_indices(values.shape[1], 1)
     return np.prod(values[:, first] * values[:, second] - 1, axis=1).real

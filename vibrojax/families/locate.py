@@ -28,11 +28,11 @@ EVENTS = "events"
 
 
 class Arcs(NamedTuple):
-    """Arcs with a point of a kind on each: `index` of the point of a trail that comes before, of the `family`; the
+    """Arcs with a point of a kind on each: `place` of the point of a trail that comes before, of the `family`; the
     equations at its two ends, and the tangents there."""
 
     kind: str
-    index: Int[np.ndarray, " arcs"]
+    place: Int[np.ndarray, " arcs"]
     family: Index
     near: At
     ahead: Unknowns
@@ -41,15 +41,16 @@ class Arcs(NamedTuple):
 
     def of(self, some: Flags) -> "Arcs":
         """Some of the arcs."""
-        return Arcs(self.kind, *(one.of(some) if isinstance(one, At) else one[some] for one in self[1:]))
+        ends = self.near.of(some), self.ahead[some], self.far.of(some), self.ahead_far[some]
+        return Arcs(self.kind, self.place[some], self.family[some], *ends)
 
 
 class Special(NamedTuple):
-    """Located points, of lanes: `at` and `tangent` there, on the near side; `kind` as a flag; `index` of the point of
+    """Located points, of lanes: `at` and `tangent` there, on the near side; `kind` as a flag; `place` of the point of
     the trail that comes before; and `beyond`, the equations right behind."""
 
     kind: Int[np.ndarray, " points"]
-    index: Int[np.ndarray, " points"]
+    place: Int[np.ndarray, " points"]
     at: At
     tangent: Unknowns
     beyond: At
@@ -66,15 +67,15 @@ def candidates(family: Index, trail: Trail) -> list[Arcs]:
     return [
         Arcs(
             kind,
-            index,
-            family[trail.lane[index]],
-            trail.at.of(index),
-            trail.tangent[index],
-            trail.at.of(index + 1),
-            trail.tangent[index + 1],
+            place,
+            family[trail.lane[place]],
+            trail.at.of(place),
+            trail.tangent[place],
+            trail.at.of(place + 1),
+            trail.tangent[place + 1],
         )
-        for kind, index in found.items()
-        if len(index)
+        for kind, place in found.items()
+        if len(place)
     ]
 
 
@@ -89,8 +90,8 @@ def located(problem: Problem, family: Index, trail: Trail) -> Special | None:
             fine, got = _refined(problem, arcs)
             right = got & holds(arcs.kind, fine.near.product)
             fine = fine.of(right)
-            kind = np.full(len(fine.index), KINDS.index(arcs.kind))
-            found.append(Special(kind, fine.index, fine.near, fine.ahead, fine.far))
+            kind = np.full(len(fine.place), KINDS.place(arcs.kind))
+            found.append(Special(kind, fine.place, fine.near, fine.ahead, fine.far))
     return joined(found)
 
 
@@ -98,24 +99,25 @@ def joined(found: list[Special]) -> Special | None:
     """All of them together."""
     if not found:
         return None
-    kind, index, tangents = (np.concatenate([getattr(one, n) for one in found]) for n in ("kind", "index", "tangent"))
+    kind, place, tangents = (np.concatenate([getattr(one, n) for one in found]) for n in ("kind", "place", "tangent"))
     at, beyond = (
         At(*(np.concatenate(some) for some in zip(*(getattr(one, name) for one in found), strict=True)))
         for name in ("at", "beyond")
     )
-    return Special(kind, index, at, tangents, beyond)
+    return Special(kind, place, at, tangents, beyond)
 
 
 def _events(problem: Problem, arcs: Arcs) -> list[Special]:
     """All points on arcs at which other events begin to be met, one after another."""
     found: list[Special] = []
     for _ in range(MOST_CHANGES):
-        if not len(arcs.index):
+        if not len(arcs.place):
             break
         fine, got = _refined(problem, arcs)
         found += by_events(fine.of(got))
         more = got & (fine.far.signature != arcs.far.signature).any(axis=1)
-        arcs = Arcs(arcs.kind, *fine.of(more)[1:3], fine.far.of(more), fine.ahead_far[more], *arcs.of(more)[5:])
+        fine, arcs = fine.of(more), arcs.of(more)
+        arcs = Arcs(arcs.kind, arcs.place, arcs.family, fine.far, fine.ahead_far, arcs.far, arcs.ahead_far)
     return found
 
 
@@ -132,8 +134,8 @@ def by_events(arcs: Arcs) -> list[Special]:
     found = []
     for kind, some in (("grazing", impact | other), ("stick", stick), ("section", section)):
         if some.any():
-            flags = np.full(some.sum(), KINDS.index(kind))
-            found.append(Special(flags, arcs.index[some], near.of(some), arcs.ahead[some], far.of(some)))
+            flags = np.full(some.sum(), KINDS.place(kind))
+            found.append(Special(flags, arcs.place[some], near.of(some), arcs.ahead[some], far.of(some)))
     return found
 
 
@@ -142,15 +144,15 @@ def _refined(problem: Problem, arcs: Arcs) -> tuple[Arcs, Flags]:
 
     By the Illinois variant of the false position, which draws both ends; where what passes zero is a step, by halves.
     """
-    kind, index, family, near, ahead, far, ahead_far = arcs
-    near, far = near.of(np.arange(len(index))), far.of(np.arange(len(index)))
+    kind, place, family, near, ahead, far, ahead_far = arcs
+    near, far = near.of(np.arange(len(place))), far.of(np.arange(len(place)))
     ahead, ahead_far = ahead.copy(), ahead_far.copy()
     row, counts = ahead.copy(), near.signature
     base = np.einsum("ij,ij->i", row, near.u)
-    low, high = np.zeros(len(index)), np.einsum("ij,ij->i", row, far.u) - base
+    low, high = np.zeros(len(place)), np.einsum("ij,ij->i", row, far.u) - base
     f_low, f_high = _value(kind, near, ahead, counts), _value(kind, far, ahead_far, counts)
-    side = np.zeros(len(index), int)
-    active = np.arange(len(index))
+    side = np.zeros(len(place), int)
+    active = np.arange(len(place))
     for turn in range(MOST_TURNS):
         apart = np.abs(far.u[active] - near.u[active]).max(axis=1)
         active = active[(apart > WITHIN) & (np.minimum(np.abs(f_low[active]), np.abs(f_high[active])) > 0)]
@@ -178,7 +180,7 @@ def _refined(problem: Problem, arcs: Arcs) -> tuple[Arcs, Flags]:
             side[lanes] = way
         active = active[done]
     got = np.abs(far.u - near.u).max(axis=1) < CLOSE_ENDS
-    return Arcs(kind, index, family, near, ahead, far, ahead_far), got
+    return Arcs(kind, place, family, near, ahead, far, ahead_far), got
 
 
 def _value(kind: str, at: At, ahead: Unknowns, counts: Float[np.ndarray, "arcs counts"]) -> PerLane:

@@ -93,9 +93,7 @@ class Problem:
         """Returns of a repeat that so many unknowns belong to."""
         return (unknowns - 1) // self.rows
 
-    def unknowns(
-        self, family: Index, states: Float[np.ndarray, "lanes cycles states"], value: PerLane
-    ) -> Unknowns:
+    def unknowns(self, family: Index, states: Float[np.ndarray, "lanes cycles states"], value: PerLane) -> Unknowns:
         """The unknowns of orbits."""
         scaled = states / self.scales[family][:, None]
         return np.column_stack([scaled.reshape(len(family), -1), value / self.unit[family]])
@@ -147,9 +145,7 @@ class Problem:
         )
 
 
-def solved(
-    matrix: Float[np.ndarray, "lanes equations unknowns"], row: Unknowns, right: Unknowns
-) -> Unknowns:
+def solved(matrix: Float[np.ndarray, "lanes equations unknowns"], row: Unknowns, right: Unknowns) -> Unknowns:
     """The solution x of matrix x = right but for its last, row x = the last of `right`; NaN where there is none."""
     square = np.concatenate([matrix, row[:, None]], axis=1)
     sound = np.isfinite(square).all(axis=(1, 2)) & np.isfinite(right).all(axis=1)

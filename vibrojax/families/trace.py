@@ -32,6 +32,8 @@ FIRST_STEP, AFTER_CORNER = 0.02, 1e-3
 MOST_LEGS = 24
 """Corners and touches of the section on one way of a branch."""
 
+MOST_BRANCHES = 32
+
 SAME_PLACE = 1e-6
 """Distance over the scales within which special points of one kind are one."""
 
@@ -45,11 +47,11 @@ ENDS = {
 
 
 class Mark(NamedTuple):
-    """A special point of a leg: its kind, the equations there, the point before it, and what there is to say."""
+    """A special point of a leg: its kind, the equations there, the place of the point before it, and what there is to say."""
 
     kind: str
     at: At
-    index: int
+    place: int
     note: str = ""
 
 
@@ -80,29 +82,34 @@ class Leg:
 class Tracer:
     """Follows families of one problem.
 
-    **Arguments:** `longest`: step, over the scales; `branches`: at most so many of a family.
+    **Arguments:**
+
+    - `longest`: step, over the scales.
+    - `cycles`: the most returns of doubled branches; `branches`: at most so many of a family.
     """
 
-    def __init__(self, problem: Problem, longest: float = LONGEST, branches: int = 32) -> None:
-        self._problem, self._longest, self._branches = problem, longest, branches
+    def __init__(
+        self, problem: Problem, longest: float = LONGEST, cycles: int = MOST_CYCLES, branches: int = MOST_BRANCHES
+    ) -> None:
+        self._problem, self._longest, self._cycles, self._branches = problem, longest, cycles, branches
         self._count: dict[int, int] = {}
-        self._joined: set[tuple[int, int]] = set()
 
-    def __call__(self, family: Index, u: Unknowns) -> list[Leg]:
-        """All legs of the families that orbits `u` belong to."""
-        problem = self._problem
-        at = problem.at(family, u)
-        up = np.zeros_like(u)
-        up[:, -1] = 1.0
-        ahead = tangent(at.matrix, up)
+    def __call__(self, family: Index, u: Sequence[np.ndarray]) -> list[Leg]:
+        """All legs of the families that orbits belong to, of each its unknowns, as many as it has."""
         self._count = dict.fromkeys(family.tolist(), 1)
-        begun = {one: (u[k], ahead[k]) for k, one in enumerate(family.tolist())}
+        begun = {one: (x, self._upwards(one, x)) for one, x in zip(family.tolist(), u, strict=True)}
         up_first = [Leg(one, 0, 1, *begun[one], FIRST_STEP, home=begun[one]) for one in begun]
         legs = self._all(up_first)
         # A closed branch is known whole by one way.
         closed = {leg.family for leg in legs if any(mark.note == ENDS[CLOSED] for mark in leg.marks)}
         others = [Leg(one, 0, -1, begun[one][0], -begun[one][1], FIRST_STEP) for one in begun if one not in closed]
         return legs + self._all(others)
+
+    def _upwards(self, family: int, u: np.ndarray) -> np.ndarray:
+        """The tangent at an orbit, in the direction in which the parameter grows."""
+        up = np.zeros_like(u[None])
+        up[:, -1] = 1.0
+        return tangent(self._problem.at(np.array([family]), u[None]).matrix, up)[0]
 
     def _all(self, waiting: list[Leg]) -> list[Leg]:
         """The legs, and all that go on from them."""
@@ -151,9 +158,9 @@ class Tracer:
 
     def _mark(self, leg: Leg, special: Special, first: int, last: int) -> None:
         """Enter the special points between two points of a trail."""
-        for k in np.flatnonzero((special.index >= first) & (special.index < last - 1)):
-            leg.marks.append(Mark(KINDS[special.kind[k]], special.at.of([k]), int(special.index[k]) - first))
-        leg.marks.sort(key=lambda mark: mark.index)
+        for k in np.flatnonzero((special.place >= first) & (special.place < last - 1)):
+            leg.marks.append(Mark(KINDS[special.kind[k]], special.at.of([k]), int(special.place[k]) - first))
+        leg.marks.sort(key=lambda mark: mark.place)
 
     def _beyond_ends(self, legs: list[Leg], trail: Trail, bounds: np.ndarray) -> list[Leg]:
         """Enter how legs end; the legs that go on."""
@@ -163,14 +170,14 @@ class Tracer:
             at = leg.at
             assert at is not None
             end, status = at.of([-1]), int(trail.status[k])
-            index = len(at.u) - 1
+            place = len(at.u) - 1
             if status == ENDED:
                 one = np.array([leg.family])
                 bound = "last" if problem.value(one, end.u) == problem.last[one] else "first"
-                leg.marks.append(Mark("end", end, index, f"the {bound} value is reached"))
+                leg.marks.append(Mark("end", end, place, f"the {bound} value is reached"))
                 continue
             if status != STALLED or leg.number >= MOST_LEGS:
-                leg.marks.append(Mark("end", end, index, ENDS[status]))
+                leg.marks.append(Mark("end", end, place, ENDS[status]))
                 continue
             ahead = trail.tangent[bounds[k + 1] - 1][None]
             onward += self._past(leg, end, ahead)
@@ -183,9 +190,9 @@ class Tracer:
         assert at is not None
         away = np.flatnonzero(np.abs(at.u - end.u).max(axis=1) > 100 * SHORTEST)
         before = at.of([away[-1] if len(away) else 0])
-        index = len(at.u) - 1
+        place = len(at.u) - 1
         turned = around(problem, one, end, ahead, before)
-        passed = Arcs(EVENTS, np.array([index]), one, before, ahead, turned.at, ahead)
+        passed = Arcs(EVENTS, np.array([place]), one, before, ahead, turned.at, ahead)
         changed = (before.signature != turned.at.signature).any()
         kinds = [KINDS[special.kind[0]] for special in by_events(passed)] if changed else []
         if turned.found[0]:
@@ -196,14 +203,14 @@ class Tracer:
         found = counted_otherwise(problem, leg.family, end, ahead)
         if found is not None:
             otherwise, t = found
-            leg.marks.append(Mark("section", end, index, f"{otherwise.times.shape[1]} returns from here"))
+            leg.marks.append(Mark("section", end, place, f"{otherwise.times.shape[1]} returns from here"))
             go = Leg(leg.family, leg.branch, leg.way, otherwise.u[0], t[0], AFTER_CORNER, leg.number + 1)
             go.home = leg.home
             return [go]
         if kinds:
             self._enter(leg, kinds, end, "the family ends here")
         else:
-            leg.marks.append(Mark("end", end, index, f"{ENDS[STALLED]}; grazing margin {end.margin[0]:.1e}"))
+            leg.marks.append(Mark("end", end, place, f"{ENDS[STALLED]}; grazing margin {end.margin[0]:.1e}"))
         return []
 
     def _enter(self, leg: Leg, kinds: Sequence[str], end: At, note: str) -> None:
@@ -223,7 +230,7 @@ class Tracer:
         for leg in legs:
             for mark in leg.marks:
                 cycles = mark.at.times.shape[1]
-                if mark.kind != "period-doubling" or 2 * cycles > MOST_CYCLES:
+                if mark.kind != "period-doubling" or 2 * cycles > self._cycles:
                     continue
                 if self._count[leg.family] >= self._branches:
                     continue

@@ -1,16 +1,16 @@
 """Pseudo-arclength continuation of many families at once (Keller; Doedel, *Lecture Notes on Numerical Analysis of
 Nonlinear Equations*, 2007).
 
-From a point u0 with tangent t0 the next lies on the plane t0 (u - u0) = h, where Newton's method finds it from u0 + h t0.
-The step h of each lane follows from how far its tangent turns and how often Newton's method is asked. All lanes that
-are underway are asked together, each for its own next iterate, so that none waits for another.
+From a point u0 with tangent t0 the next lies on the plane t0 (u - u0) = h, where Newton's method finds it from
+u0 + h t0. The step h of each lane follows from how far its tangent turns and how often Newton's method is asked. All
+lanes that are underway are asked together, each for its own next iterate, so that none waits for another.
 """
 
 from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Int
 
 from vibrojax.families.indicators import spectral_radius
 from vibrojax.families.problem import At, Flags, Index, PerLane, Problem, Unknowns, solved, tangent
