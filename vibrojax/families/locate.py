@@ -90,7 +90,7 @@ def located(problem: Problem, family: Index, trail: Trail) -> Special | None:
             fine, got = _refined(problem, arcs)
             right = got & holds(arcs.kind, fine.near.product)
             fine = fine.of(right)
-            kind = np.full(len(fine.place), KINDS.place(arcs.kind))
+            kind = np.full(len(fine.place), KINDS.index(arcs.kind))
             found.append(Special(kind, fine.place, fine.near, fine.ahead, fine.far))
     return joined(found)
 
@@ -134,7 +134,7 @@ def by_events(arcs: Arcs) -> list[Special]:
     found = []
     for kind, some in (("grazing", impact | other), ("stick", stick), ("section", section)):
         if some.any():
-            flags = np.full(some.sum(), KINDS.place(kind))
+            flags = np.full(some.sum(), KINDS.index(kind))
             found.append(Special(flags, arcs.place[some], near.of(some), arcs.ahead[some], far.of(some)))
     return found
 

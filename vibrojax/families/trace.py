@@ -47,7 +47,7 @@ ENDS = {
 
 
 class Mark(NamedTuple):
-    """A special point of a leg: its kind, the equations there, the place of the point before it, and what there is to say."""
+    """A special point of a leg: its kind, the equations there, the place of the point before it, and what to say."""
 
     kind: str
     at: At
