@@ -34,6 +34,9 @@ from vibrojax.sweep import run_sweep
 UNITS = 8
 """Of the parameter, between its bounds: what a step over the scales is along it."""
 
+STRAYING = 20
+"""Steps, over those of the orbits begun with, after which an orbit is taken not to return."""
+
 BRANCH = Variable("1", "branch of the family, 0 the one that it begins with", np.int32)
 SPECIAL_KIND = Variable("1", "kind of the special point", np.int8, KINDS)
 
@@ -158,17 +161,18 @@ def _problem(
     parameters = {name: values[name].astype(float) for name in system.parameters()}
     begun = np.stack([dataset[orbit_name(name)].values for name in system.return_states])
     known = {name: x[families] for name, x in parameters.items()}
-    states, swings = _gone_round(Segments(system), known, begun[:, families], cycles)
+    states, swings, most = _gone_round(Segments(system), known, begun[:, families], cycles)
     scale = np.ones((sweep.lanes, len(begun)))
     scale[families] = swings
     amplitudes = tuple(dataset[swing.amplitude].values[families] for swing in _section(system).swings)
     for k, one in enumerate(scales(amplitudes, dataset["period"].values[families])):
         scale[families, k] = one
     unit = np.full(sweep.lanes, (high - low) / UNITS)
-    problem = Problem(system, along, parameters, scale, unit, np.full(sweep.lanes, low), np.full(sweep.lanes, high))
+    first, last = np.full(sweep.lanes, low), np.full(sweep.lanes, high)
+    problem = Problem(system, along, parameters, scale, unit, first, last, STRAYING * most)
     at = parameters[along]
-    first = [problem.unknowns(one[None], x[None], at[[one]])[0] for one, x in zip(families, states, strict=True)]
-    return problem, families, first
+    begin = [problem.unknowns(one[None], x[None], at[[one]])[0] for one, x in zip(families, states, strict=True)]
+    return problem, families, begin
 
 
 def _section(scene: Scene[Any]) -> Section:
@@ -178,9 +182,9 @@ def _section(scene: Scene[Any]) -> Section:
 
 def _gone_round(
     go: Segments, parameters: Mapping[str, np.ndarray], begun: np.ndarray, cycles: np.ndarray
-) -> tuple[list[np.ndarray], np.ndarray]:
-    """The states of orbits at all their returns, each (cycles, states), from the first (states, orbits); and half their
-    swings on the way (orbits, states)."""
+) -> tuple[list[np.ndarray], np.ndarray, float]:
+    """The states of orbits at all their returns, each (cycles, states), from the first (states, orbits); half their
+    swings on the way (orbits, states); and the most steps of a return."""
     here, seen = begun, []
     found = [begun]
     for _ in range(int(cycles.max())):
@@ -192,7 +196,7 @@ def _gone_round(
     high = np.max([one.greatest for one in seen], axis=0)
     swings = (high - low) / 2
     states = [np.stack([one[:, k] for one in found[: cycles[k]]]) for k in range(len(cycles))]
-    return states, np.where(swings > 0, swings, 1.0).T
+    return states, np.where(swings > 0, swings, 1.0).T, max(float(one.steps.max()) for one in seen)
 
 
 def _what_instead(lane: xr.Dataset, at: str) -> str:

@@ -5,18 +5,16 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from vibrojax.families.corners import SAME_TIME
 from vibrojax.families.indicators import INDICATORS, KINDS, holds
-from vibrojax.families.problem import At, Flags, Index, PerLane, Problem, Unknowns, corrected, tangent
+from vibrojax.families.problem import At, Flags, Index, PerLane, Problem, Unknowns, corrected, joined_at, tangent
 from vibrojax.families.walk import Trail
 
-WITHIN = 1e-11
+WITHIN = 1e-10
 """Distance over the scales of the two ends between which a point is located."""
 
 CLOSE_ENDS = 1e-6
 """The same up to which it counts as located, where no orbits are found any nearer."""
-
-SAME_TIME = 1e-2
-"""Relative difference of the time of a repeat, at two neighbouring points, up to which the returns are the same."""
 
 MOST_TURNS = 60
 
@@ -100,10 +98,7 @@ def joined(found: list[Special]) -> Special | None:
     if not found:
         return None
     kind, place, tangents = (np.concatenate([getattr(one, n) for one in found]) for n in ("kind", "place", "tangent"))
-    at, beyond = (
-        At(*(np.concatenate(some) for some in zip(*(getattr(one, name) for one in found), strict=True)))
-        for name in ("at", "beyond")
-    )
+    at, beyond = joined_at([one.at for one in found]), joined_at([one.beyond for one in found])
     return Special(kind, place, at, tangents, beyond)
 
 
