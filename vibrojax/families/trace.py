@@ -6,9 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from vibrojax.families.arcs import Arcs
 from vibrojax.families.corners import apart, around, counted_otherwise, doubled
 from vibrojax.families.indicators import KINDS
-from vibrojax.families.locate import EVENTS, Arcs, Special, by_events, located
+from vibrojax.families.locate import Special, by_events, located
 from vibrojax.families.problem import At, Flags, Index, Problem, Unknowns, joined_at, tangent
 from vibrojax.families.walk import (
     CLOSED,
@@ -44,6 +45,8 @@ ENDS = {
     STOPPED: "joins the branch that it left",
     UNSTABLE: f"a multiplier over {MOST_UNSTABLE:g} is not followed",
 }
+
+_NO_FURTHER = {"section": "the motion goes on, its returns are not counted any more"}
 
 
 class Mark(NamedTuple):
@@ -187,12 +190,12 @@ class Tracer:
         before = joined_at([at.of([some[-1] if len(some) else 0]) for at, some in zip(ats, away, strict=True)])
         turned = around(self._problem, family, end, ahead, before)
         place = np.array([len(at.u) - 1 for at in ats])
-        passed = Arcs(EVENTS, place, family, before, ahead, turned.at, ahead)
+        passed = Arcs(family, place, before, ahead, turned.at, ahead)
         onward: list[Leg] = []
         for k, leg in enumerate(legs):
             one = np.arange(len(legs)) == k
             changed = (before.signature[k] != turned.at.signature[k]).any()
-            kinds = [KINDS[special.kind[0]] for special in by_events(passed.of(one))] if changed else []
+            kinds = [KINDS[special.kind[0]] for special in by_events(self._problem, passed.of(one))] if changed else []
             go = Leg(
                 leg.family,
                 leg.branch,
@@ -216,7 +219,7 @@ class Tracer:
                 go.u, go.ahead = at.u[0], t[0]
                 onward.append(go)
             elif kinds:
-                self._enter(leg, kinds, end.of([k]), "the family ends here")
+                self._enter(leg, kinds, end.of([k]), _NO_FURTHER.get(kinds[0], "the family ends here"))
             elif leg.leaves is not None and abs(apart(end.u[[k]], leg.leaves[None])[0]) < SAME_PLACE:
                 leg.marks.append(Mark("end", end.of([k]), int(place[k]), ENDS[STOPPED]))
             else:

@@ -113,7 +113,7 @@ def one_return(
     zero = jnp.zeros_like(state[0])
     none = jnp.zeros_like(zero, bool)
     own = jax.lax.stop_gradient(_own(scene, lane))
-    entered = jnp.zeros((len(scene.modes), 3, *zero.shape), zero.dtype)
+    entered = jnp.zeros((max(len(scene.modes), 1), 3, *zero.shape), zero.dtype)
     begun = _Way(lane, zero, none, Seen(none, zero, zero, entered, jnp.full_like(zero, jnp.inf), own, own))
 
     def one(way: _Way) -> _Way:
@@ -148,6 +148,8 @@ def _own(scene: Scene[Any], lane: Lane) -> Array:
 
 def _entered(before: tuple[Array, ...], after: tuple[Array, ...]) -> Array:
     """Which modes have changed, to -1, to 0 or to 1, (modes, 3, lanes)."""
+    if not before:
+        return jnp.zeros((1, 3, 1))
     rows = [[(old != new) & (new == value) for value in (-1, 0, 1)] for old, new in zip(before, after, strict=True)]
     return jnp.stack([jnp.stack(row) for row in rows]).astype(before[0].dtype)
 
