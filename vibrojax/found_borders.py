@@ -25,7 +25,7 @@ from vibrojax.store.provenance import provenance
 from vibrojax.store.variables import Variable
 
 BORDER_KINDS = (*KINDS, "basin", "not-settled")
-"""Meaning of each flag of `kind`: those of special points, and where a start no longer leads to an orbit that goes on."""
+"""Flags of `kind`: those of special points, and where a start no longer leads to an orbit that goes on."""
 
 AREA = Variable("1", "share of the plane with a stable single impact")
 KIND = Variable("1", "what ends the region there", np.int8, BORDER_KINDS)

@@ -77,16 +77,15 @@ def _squares(
     ring = ring[first:] + ring[:first]
     found = []
     polygon: list[tuple[float, float]] = []
-    begin: Crossing | None = None
+    begun: list[Crossing] = []
     for within, point, side in ring:
         if side is not None:
             polygon.append(point)
-            if begin is None:
-                begin = side
-            else:
-                found.append((polygon, [(begin, side)]))
-                polygon, begin = [], None
-        elif within and begin is not None:
+            begun.append(side)
+            if len(begun) == 2:
+                found.append((polygon, [(begun[0], begun[1])]))
+                polygon, begun = [], []
+        elif within and begun:
             polygon.append(point)
     return found
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from vibrojax.borders.edges import Edges, Followed, followed
 from vibrojax.scenes import Scene
@@ -19,8 +19,10 @@ MOST_PER_POINT = 6
 Cell = tuple[int, int, int]
 """A point: number of its plane, and of its values along the plane's two axes."""
 
-STEPS = ((0, 1), (0, -1), (1, 1), (1, -1))
-"""Which axis of the plane, and which way."""
+Step = tuple[int, int]
+"""To a neighbour: which axis of the plane, and which way."""
+
+STEPS: tuple[Step, ...] = ((0, 1), (0, -1), (1, 1), (1, -1))
 
 
 class Planes(NamedTuple):
@@ -36,7 +38,7 @@ class Planes(NamedTuple):
         planes, xs, ys = next(iter(self.parameters.values())).shape
         return planes, xs, ys
 
-    def neighbour(self, cell: Cell, step: tuple[int, int]) -> Cell | None:
+    def neighbour(self, cell: Cell, step: Step) -> Cell | None:
         """The next point along an axis; None at the plane's edge."""
         at = list(cell)
         at[1 + step[0]] += step[1]
@@ -63,7 +65,7 @@ class Orbits:
     states: list[np.ndarray] = field(default_factory=list)
     scales: list[np.ndarray] = field(default_factory=list)
     at: dict[Cell, list[int]] = field(default_factory=dict)
-    leads: list[dict[tuple[int, int], int | Loss]] = field(default_factory=list)
+    leads: list[dict[Step, int | Loss]] = field(default_factory=list)
 
     def known(self, cell: Cell, state: np.ndarray) -> int | None:
         """The number of an orbit at a point; None where there is none such."""
@@ -96,19 +98,13 @@ def spread(scene: Scene[Any], planes: Planes, orbits: Orbits, most_steps: float)
                 if step[0] == axis and step not in orbits.leads[number] and planes.neighbour(orbits.cells[number], step)
             ]
             if asked:
-                numbers = np.array([number for number, _ in asked])
-                edges = _edges(planes, orbits, numbers, asked, axis)
+                edges = _edges(planes, orbits, asked, axis)
                 new += _enter(planes, orbits, asked, followed(scene, planes.names[axis], edges, most_steps))
         front = new
 
 
-def _edges(
-    planes: Planes,
-    orbits: Orbits,
-    numbers: Int[np.ndarray, " edges"],
-    asked: list[tuple[int, tuple[int, int]]],
-    axis: int,
-) -> Edges:
+def _edges(planes: Planes, orbits: Orbits, asked: list[tuple[int, Step]], axis: int) -> Edges:
+    numbers = [number for number, _ in asked]
     cells = np.array([orbits.cells[number] for number in numbers])
     ends = [planes.neighbour(orbits.cells[number], step) for number, step in asked]
     return Edges(
@@ -120,7 +116,7 @@ def _edges(
     )
 
 
-def _enter(planes: Planes, orbits: Orbits, asked: list[tuple[int, tuple[int, int]]], found: Followed) -> list[int]:
+def _enter(planes: Planes, orbits: Orbits, asked: list[tuple[int, Step]], found: Followed) -> list[int]:
     """Enter what was found; the orbits that are new."""
     new = []
     for k, (number, step) in enumerate(asked):
