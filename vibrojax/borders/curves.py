@@ -65,10 +65,10 @@ def _squares(
     corners = [(i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1)]
     sides: list[Crossing] = [(0, i, j), (1, i + 1, j), (0, i, j + 1), (1, i, j)]
     ring: list[tuple[bool, tuple[float, float], Crossing | None]] = []
-    for corner, side in zip(corners, sides, strict=True):
+    for corner, crossing in zip(corners, sides, strict=True):
         ring.append((bool(inside[corner]), (float(x[corner[0]]), float(y[corner[1]])), None))
-        if side in vertices:
-            ring.append((True, (vertices[side].x, vertices[side].y), side))
+        if crossing in vertices:
+            ring.append((True, (vertices[crossing].x, vertices[crossing].y), crossing))
     crossings = [side for _, _, side in ring if side is not None]
     if not crossings:
         return [([point for within, point, _ in ring if within], [])] if ring[0][0] else []
