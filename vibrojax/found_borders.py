@@ -63,23 +63,16 @@ def borders(
 
     **Raises:** `InputError` where it is no sweep over a grid of two parameters, or the scene has no impacts.
     """
-    sweep, dataset = _with_orbits(source, progress)
+    sweep = sweep_with_orbits(source)
+    names = checked(sweep, axes)
+    dataset = with_orbits(source if isinstance(source, xr.Dataset) else sweep, progress)
+    return _Regions(sweep, dataset, names).dataset()
+
+
+def checked(sweep: Sweep, axes: tuple[str, str] | None) -> tuple[str, str]:
+    """The axes of the plane; raises `InputError` where the sweep has no such plane, or no impacts."""
     if not isinstance(sweep.system, HasContact):
         raise InputError(f'borders: scene "{sweep.scene}" has no impacts; give a sweep of one with a striker')
-    names = _plane(sweep, axes)
-    regions = _Regions(sweep, dataset, names)
-    return regions.dataset()
-
-
-def _with_orbits(source: Any, progress: bool) -> tuple[Sweep, xr.Dataset]:
-    sweep = sweep_with_orbits(source)
-    if isinstance(source, xr.Dataset):
-        return sweep, with_orbits(source, progress)
-    return sweep, with_orbits(sweep, progress)
-
-
-def _plane(sweep: Sweep, axes: tuple[str, str] | None) -> tuple[str, str]:
-    """The axes of the plane."""
     long = {name: len(values) for name, values in sweep.axes.items() if len(values) > 1}
     if len(long) < 2:
         raise InputError("borders: the sweep has no two axes of two values or more; give one with a [grid] of two")
