@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any
 
@@ -120,6 +121,7 @@ def _read(
     if start is not None:
         tables["starts"] = [start]
     sweep = read_sweep(tables)
+    sweep = replace(sweep, starts=sweep.starts and sweep.starts[:1])
     known = sweep.system.parameters()
     if along not in known:
         raise place.at("along").error(f"{shown(along)} is no parameter of the scene; {suggestion(along, known)}")
