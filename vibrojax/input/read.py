@@ -191,7 +191,7 @@ def _read_starts(place: Place, value: object, names: Names) -> tuple[Start, ...]
             raise place.error(f"scene {shown(names.scene)} has no starts; leave it out")
         return None
     if value is None:
-        return DEFAULT_STARTS
+        return tuple(start for start in DEFAULT_STARTS if start in names.starts) or names.starts[:1]
     if not isinstance(value, list) or not value:
         raise place.error(f'{shown(value)} is no list of starts; write one like ["drive", "stuck"]')
     starts = tuple(names.start(place.item(index), item) for index, item in enumerate(value))
