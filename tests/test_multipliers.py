@@ -1,4 +1,4 @@
-"""Multipliers against the exact integrator, by two roads: `python tests/benchmarks/multipliers.py` goes 64 orbits far."""
+"""Multipliers against the exact integrator, by two roads; `python tests/benchmarks/multipliers.py` does 64 orbits."""
 
 import numpy as np
 import pytest

@@ -31,7 +31,7 @@ def main(wanted: int = 64) -> None:
         )
         if volumes:
             worst, jumps = max(one for one, _ in volumes), [jump for _, jump in volumes if abs(jump - 1) > 1e-9]
-            print(f"    {len(volumes)} without stick: products {worst:.1e} off; {len(jumps)} with saltations", flush=True)
+            print(f"    {len(volumes)} without stick: products {worst:.1e} off; saltations in {len(jumps)}", flush=True)
 
 
 if __name__ == "__main__":
