@@ -214,7 +214,15 @@ def test_in_python(folder):
 @pytest.mark.parametrize(
     ("sweep", "says"),
     [
-        ({"scene": "penetration", "points": {"force": [5e3]}, "run": ORBITS}, "no section"),
+        (
+            {
+                "scene": "penetration",
+                "parameters": {"pulse_shape": "sweep", "sweep_start": 1.0, "sweep_rate": 1.0, "bias": 0.0},
+                "points": {"force": [5e3]},
+                "run": ORBITS,
+            },
+            "without a section or pulses",
+        ),
         (SMALL | {"run": ORBITS | {"method": "smoothed"}}, "not located"),
         (SMALL | {"run": {"orbits": 1}}, "neither true nor false"),
     ],

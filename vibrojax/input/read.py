@@ -77,11 +77,11 @@ def read_sweep(source: str | PathLike[str] | Mapping[str, object], changes: Iter
     )
     if sweep.lanes > _MOST_LANES:
         raise place.at("grid").error(f"{shown(sweep.lanes)} lanes are too many; make the axes shorter")
-    if sweep.run.orbits and sweep.system.section is None:
+    if sweep.run.orbits and not sweep.system.driving_part().return_states:
         raise (
             place.at("run")
             .at("orbits")
-            .error(f"true has no use in {sweep.scene}, which has no section to return to; leave it out")
+            .error(f"true has no use in {sweep.scene} without a section or pulses to return to; leave it out")
         )
     if not _read_unusual(place.at("unusual"), tables.get("unusual", False)):
         for name, value in {**fixed, **varied}.items():

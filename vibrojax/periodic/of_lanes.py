@@ -1,5 +1,6 @@
 """The orbits of a sweep's lanes: from their last returns by Newton's method, with multipliers, and measured."""
 
+from functools import partial
 from typing import Any
 
 import jax
@@ -17,6 +18,7 @@ from vibrojax.periodic.margin import HOW
 from vibrojax.periodic.measured import Begun, Measuring, begun, joined
 from vibrojax.periodic.newton import ACCEPTED, Found, States, orbits
 from vibrojax.periodic.return_map import Mapped, mapped
+from vibrojax.periodic.under_pulses import repeats
 from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Located
 from vibrojax.store.variables import ORBIT_REASONS, orbit_name
 
@@ -40,7 +42,9 @@ SAME = 1e-6
 SEGMENTS = 512
 """Returns per call of the map."""
 
-OF_THE_LANE = frozenset({"finite", "finished", "steps", "returns", "trend", "cycles", "impacts", "settling_time"})
+OF_THE_LANE = frozenset(
+    {"finite", "finished", "steps", "returns", "trend", "cycles", "impacts", "settling_time", "pulses", "yields"}
+)
 """Features of the lane itself, which its orbit does not replace; `impacts` are the same."""
 
 PerLane = Float[np.ndarray, " lanes"]
@@ -88,12 +92,15 @@ class Orbits:
             "orbit_cycles": np.zeros(lanes),
             "orbit_reason": np.full(lanes, reason("not-repeating")),
         }
-        cycles = np.nan_to_num(features["cycles"]).astype(int)
-        sound = features["finite"] & features["finished"] & (cycles > 0)
         parameters, _ = self._sweep.lane_values(first, end)
         parameters = {name: parameters[name] for name in self._scene.parameters()}
         parts: list[Begun] = []
         with np.errstate(all="ignore"):
+            if self._scene.section is None:
+                go = partial(self._returns, parameters)
+                features = features | repeats(self._scene, features, go)
+            cycles = np.nan_to_num(features["cycles"]).astype(int)
+            sound = features["finite"] & features["finished"] & (cycles > 0)
             for repeat in range(1, MOST_CYCLES + 1):
                 some = np.flatnonzero(sound & (cycles == repeat))
                 if len(some):
@@ -158,8 +165,10 @@ class Orbits:
         states = map(orbit_name, self._scene.return_states)
         for name in ("multiplier_abs", "multiplier_arg", "grazing_margin", *states):
             found[name][lost] = np.nan
-        again["period"] = orbit.length / orbit.cycles
-        measured = {name: own[name].copy() for name in again if again[name].ndim == 1 and name not in OF_THE_LANE}
+        if "period" in again:
+            again["period"] = orbit.length / orbit.cycles
+        lane = OF_THE_LANE | {state_name(name) for name in self._scene.return_states}
+        measured = {name: own[name].copy() for name in again if again[name].ndim == 1 and name not in lane}
         for name, x in measured.items():
             x[kept] = again[name][whole]
         return measured
@@ -167,10 +176,11 @@ class Orbits:
 
 def _last_returns(scene: Any, lanes: Index, repeat: int, features: Features) -> tuple[States, np.ndarray]:
     """States at the last returns (lanes, cycles, states), and their scales (lanes, states); NaN: labels have none."""
-    section = scene.section
     rows = [features[state_name(name)][lanes][:, -repeat:].astype(float) for name in scene.return_states]
-    swings = tuple(features[swing.amplitude][lanes] for swing in section.swings)
-    known = scales(swings, features["period"][lanes])
+    known: list[Any] = []
+    if scene.section is not None:
+        swings = tuple(features[swing.amplitude][lanes] for swing in scene.section.swings)
+        known = scales(swings, features["period"][lanes])
     unknown = [np.full(len(lanes), np.nan)] * (len(rows) - len(known))
     return np.stack(rows, axis=-1), np.stack([*known, *unknown], axis=-1).astype(float)
 

@@ -269,7 +269,7 @@ class Scene(ABC, Generic[C]):
 
     @property
     def return_states(self) -> tuple[str, ...]:
-        """Names of the states at the section, which the return map takes to those of the next return.
+        """Names of the states at the section, which the return map takes to those of the next return; none without one.
 
         First those in which repeats are looked for; the section's velocity is zero there, and what drifts is none.
         """
