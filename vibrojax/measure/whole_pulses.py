@@ -82,9 +82,8 @@ class PulseRecorder(Records):
         totals, _ = ledger.section(carry.ledger, here, number)
         last = carry.last
         if scene.return_states:
-            last = jnp.where(
-                here[None], jnp.stack([lane.state[scene.place(name)] for name in scene.return_states]), last
-            )
+            states = jnp.stack([lane.state[scene.place(name)] for name in scene.return_states])
+            last = jnp.where(here[None], states, last)
         return Pulses(jnp.zeros_like(here), jnp.where(here, number + 1, number), totals, carry.deepest, last)
 
     def read(self, scene: Scene[Any], c: Any, carry: Pulses) -> Features:

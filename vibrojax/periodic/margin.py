@@ -47,12 +47,11 @@ class Margin:
         for name, one, scale in zip(self.scene.guard_names, functions, scales, strict=True):
             f = [one.array(k, step.dt) for k in range(len(step.polynomials[0]))]
             found += [_at_hit(f, step, step.hits[name], scale * pace), _near_miss(f, step, scale)]
-        return reduce(
-            jnp.minimum, [*found, *self._of_section(self.section, armed, step, pace), *self._begun(lane, step)]
-        )
+        return reduce(jnp.minimum, [*found, *self._of_section(armed, step, pace), *self._begun(lane, step)])
 
-    def _of_section(self, section: Section | None, armed: Flags, step: Step, pace: Lanes) -> list[Array]:
+    def _of_section(self, armed: Flags, step: Step, pace: Lanes) -> list[Array]:
         """Those of the section's velocity; none where returns are the beginnings of pulses."""
+        section = self.section
         if section is None:
             return []
         velocity = step.polynomials[self.scene.place(section.velocity)]

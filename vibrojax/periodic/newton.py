@@ -34,7 +34,7 @@ ReturnMap = Callable[[Index, Float[np.ndarray, "states segments"]], Mapped]
 class Found(NamedTuple):
     """What Newton's method came to, over lanes that repeat after the same number of returns.
 
-    - `states`: at the section; `times` (lanes, cycles) [s]: from each to the next.
+    - `states`: at the section; `scales` (lanes, states) of them; `times` (lanes, cycles) [s]: from each to the next.
     - `residual` (lanes,): greatest return - state, over the scales; infinite where a lane did not return.
     - `product` (lanes, states, states): derivative of the map over the whole repeat.
     - `moved` (lanes,): greatest distance from where it began, over the scales.
@@ -42,6 +42,7 @@ class Found(NamedTuple):
     """
 
     states: States
+    scales: Float[np.ndarray, "lanes states"]
     times: Float[np.ndarray, "lanes cycles"]
     residual: Float[np.ndarray, " lanes"]
     product: Float[np.ndarray, "lanes states states"]
@@ -94,6 +95,7 @@ def orbits(begin: States, scales: Float[np.ndarray, "lanes states"], reach: np.n
         active, at, now = active[on], at[on], _of(now, on)
     return Found(
         states=states,
+        scales=scales,
         times=best.times,
         residual=residual,
         product=_product(best.jacobian),

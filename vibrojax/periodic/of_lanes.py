@@ -127,7 +127,7 @@ class Orbits:
         found["orbit_reason"][lanes] = np.select(list(rules.values()), list(map(reason, rules)), reason("found"))
         found["orbit_residual"][lanes] = np.where(np.isfinite(orbit.residual), orbit.residual, np.nan)
         found["grazing_margin"][lanes] = np.where(converged & own, orbit.margin, np.nan)
-        found["orbit_cycles"][lanes] = np.where(converged & own, _repeats_after(orbit, scale), 0)
+        found["orbit_cycles"][lanes] = np.where(converged & own, _repeats_after(orbit), 0)
         for name, x in zip(self._scene.return_states, orbit.states[:, 0].T, strict=True):
             found[orbit_name(name)][lanes] = np.where(converged & own, x, np.nan)
         right = np.flatnonzero(found["orbit_reason"][lanes] == reason("found"))
@@ -185,11 +185,11 @@ def _last_returns(scene: Any, lanes: Index, repeat: int, features: Features) -> 
     return np.stack(rows, axis=-1), np.stack([*known, *unknown], axis=-1).astype(float)
 
 
-def _repeats_after(orbit: Found, scale: Float[np.ndarray, "lanes states"]) -> Int[np.ndarray, " lanes"]:
+def _repeats_after(orbit: Found) -> Int[np.ndarray, " lanes"]:
     """Returns after which orbits repeat: as many as they have states, or fewer, which divide that."""
     repeat = orbit.states.shape[1]
     found = np.full(len(orbit.states), repeat)
     for sooner in (q for q in range(repeat - 1, 0, -1) if repeat % q == 0):
-        apart = np.abs(np.roll(orbit.states, sooner, axis=1) - orbit.states) / scale[:, None]
-        found[np.nanmax(apart, axis=(1, 2)) <= SAME] = sooner
+        apart = np.abs(np.roll(orbit.states, sooner, axis=1) - orbit.states) / orbit.scales[:, None]
+        found[np.max(apart, axis=(1, 2)) <= SAME] = sooner
     return found

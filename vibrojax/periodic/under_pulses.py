@@ -1,4 +1,4 @@
-"""Lanes that pulses drive: whether they repeat is found by the return map itself, from the state at their last pulse."""
+"""Whether lanes that pulses drive repeat, found by the return map itself, from the state at their last pulse."""
 
 from collections.abc import Callable
 
@@ -24,7 +24,7 @@ def repeats(scene: Scene, features: Features, go: Return) -> Features:
     **Arguments:** `features`: of the lanes, among them the states where the last pulse begins; `go`: the return map.
     """
     names = [state_name(name) for name in scene.return_states]
-    begin = np.stack([features[name] for name in names])
+    begin = np.stack([features[name] for name in names]).astype(float)
     rows, count = begin.shape
     passed = np.full((rows, count, MOST_CYCLES), np.nan)
     cycles = np.zeros(count)
