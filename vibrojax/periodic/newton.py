@@ -23,6 +23,9 @@ CONVERGED = 1e-12
 ACCEPTED = 1e-10
 """Residual of an orbit that counts as found."""
 
+LEAST_SWING = 1e-3
+"""Part of its size that a state's half swing is taken for at least: one that stands still moves by its roundings."""
+
 MOST_ITERATIONS = 8
 
 States = Float[np.ndarray, "lanes cycles states"]
@@ -129,8 +132,9 @@ def _of(evaluated: _Evaluated, lanes: Bool[np.ndarray, " lanes"]) -> _Evaluated:
 
 
 def _swings(seen: Any) -> Float[np.ndarray, "lanes states"]:
-    """Half the swings over the repeat; 1 for what does not move."""
-    half = (seen.greatest.max(axis=1) - seen.least.min(axis=1)) / 2
+    """Half the swings over the repeat; of what hardly moves a part of its size, and 1 for what is zero all the way."""
+    most, least = seen.greatest.max(axis=1), seen.least.min(axis=1)
+    half = np.maximum((most - least) / 2, LEAST_SWING * np.maximum(most, -least))
     return np.where(half > 0, half, 1.0)
 
 

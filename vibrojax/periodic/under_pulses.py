@@ -9,6 +9,7 @@ from vibrojax.engine.batch import Features, Index
 from vibrojax.measure.kept_returns import state_name
 from vibrojax.measure.ledger import MOST_CYCLES
 from vibrojax.measure.section import REPEATS_WITHIN
+from vibrojax.periodic.newton import LEAST_SWING
 from vibrojax.periodic.return_map import Mapped
 from vibrojax.scenes.scene import Scene
 
@@ -39,7 +40,8 @@ def repeats(scene: Scene, features: Features, go: Return) -> Features:
         state[:, active] = mapped.state
         least[:, active] = np.minimum(least[:, active], mapped.seen.least)
         greatest[:, active] = np.maximum(greatest[:, active], mapped.seen.greatest)
-        swing = (greatest[:, active] - least[:, active]) / 2
+        size = np.maximum(greatest[:, active], -least[:, active])
+        swing = np.maximum((greatest[:, active] - least[:, active]) / 2, LEAST_SWING * size)
         back = np.all(np.abs(mapped.state - begin[:, active]) <= REPEATS_WITHIN * swing, axis=0)
         cycles[active[back & mapped.seen.returned]] = pulses
         active = active[~back & mapped.seen.returned]
