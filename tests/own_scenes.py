@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
+from scipy.optimize import brentq
 
 import vibrojax as vj
 
@@ -213,8 +214,8 @@ def restitution(xi: float) -> float:
 
 
 class Rigid(NamedTuple):
-    """An orbit of one impact in every `n`-th part of the force: its `phase` [rad] and speed there, its `multipliers`
-    by falling modulus, and the state (x, v) at the section."""
+    """An orbit of one impact: the force's `phase` [rad] and the `speed` [m/s] at it, the `multipliers` by falling
+    modulus, and the state (x, v) at the `section`."""
 
     phase: float
     speed: float
@@ -282,6 +283,18 @@ def oscillator_orbits(
         section = since + [forced.real, -w * forced.imag]
         found.append(Rigid(phase, V, _multipliers(np.trace(M), np.linalg.det(M)), section))
     return found
+
+
+def oscillator_doubles(
+    between: tuple[float, float], R: float, w: float, stiffness: float, damping: float, stop: float, n: int = 1
+) -> float:
+    """The amplitude `a` between two at which the period of the fastest of its orbits doubles, 1 + trace + determinant
+    = 0."""
+
+    def off(a: float) -> float:
+        return float(np.prod(1 + oscillator_orbits(a, R, w, stiffness, damping, stop, n)[-1].multipliers).real)
+
+    return float(brentq(off, *between, xtol=1e-15))
 
 
 def _flow(t: float, stiffness: float, damping: float) -> np.ndarray:

@@ -8,6 +8,7 @@ from own_scenes import (
     ball_appears,
     ball_doubles,
     ball_orbit,
+    oscillator_doubles,
     oscillator_grazes,
     oscillator_orbits,
     restitution,
@@ -104,6 +105,18 @@ def assert_ends_at(found, rigid, within):
         assert abs(limit(one) - exact) < within
 
 
+def test_the_rigid_orbits_bifurcate_where_they_should():
+    """The closed forms of parameters and of multipliers agree: 1 at the fold, -1 at the doublings."""
+    w, gravity = 2 * np.pi, 9.81
+    fold, doubling = (ball_orbit(one * (1 + 1e-12), R, w, gravity) for one in (ball_appears(R), ball_doubles(R)))
+    np.testing.assert_allclose(sorted(fold.multipliers.real), [R**2, 1], atol=1e-5)
+    np.testing.assert_allclose(sorted(doubling.multipliers.real), [-1, -(R**2)], atol=1e-9)
+    values = {"w": 0.9, "stiffness": 1.0, "damping": 0.1, "stop": 1.0}
+    grazing = oscillator_grazes(**values)
+    a = oscillator_doubles((1.5 * grazing, 3 * grazing), R, **values)
+    np.testing.assert_allclose(oscillator_orbits(a, R, **values)[-1].multipliers[0], -1, atol=1e-12)
+
+
 @pytest.mark.parametrize("share", [0.3, 0.95])
 def test_the_bouncing_ball(share):
     """Between its fold and its period doubling: of a pair, and near the doubling of one multiplier close to -1."""
@@ -119,7 +132,7 @@ def test_the_bouncing_ball(share):
 def test_the_impact_oscillator(times):
     w, stiffness, damping, stop = 0.9, 1.0, 0.1, 1.0
     a = times * oscillator_grazes(w, stiffness, damping, stop)
-    [rigid] = oscillator_orbits(a, R, w, stiffness, damping, stop)
+    *_, rigid = oscillator_orbits(a, R, w, stiffness, damping, stop)
     values = {"gravity": 0.0, "stiffness": stiffness, "damping": damping, "a": a, "w": w, "stop": stop}
     found = shaken(rigid.section, {"settle": 150.0, "observe": 100.0}, **values)
     assert_ends_at(found, rigid, 1e-5)
@@ -134,5 +147,6 @@ def test_just_under_the_graze_it_does_not_touch():
     sweep = {"scene": Shaken(), "points": points, "run": ORBITS | {"settle": 600.0, "observe": 100.0}}
     found = vj.run_sweep(sweep, progress=False).squeeze("start")
     assert found.impacts.values.tolist() == [0, 1]
+    assert found.amplitude.attrs["units"] == "m" and "amplitude" in vj.list_variables(Shaken()).index
     # Short of the stop the map is that of the linear flow: |multiplier| = exp(-damping/2 T).
     np.testing.assert_allclose(found.multiplier_abs[0], np.exp(-damping / 2 * 2 * np.pi / w), rtol=1e-9)
