@@ -3,7 +3,7 @@
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 
@@ -57,7 +57,7 @@ def read_asked(
     **Raises:** `InputError`, one line, at the first thing that is wrong.
     """
     place = Place("follow")
-    several = {name: list(x) for name, x in parameters.items() if _is_column(x)}
+    several: dict[str, list[Any]] = {name: list(x) for name, x in parameters.items() if _is_column(x)}
     fixed = {name: x for name, x in parameters.items() if name not in several}
     names = read_names(place.at("scene"), scene, take_options(dict(fixed)), place)
     if names.system.section is None:
@@ -98,7 +98,7 @@ def read_asked(
     return Asked(read_sweep(tables), along, low, high, cycles)
 
 
-def _is_column(x: object) -> bool:
+def _is_column(x: object) -> TypeGuard[Sequence[Any]]:
     return isinstance(x, (list, tuple)) or (isinstance(x, np.ndarray) and x.ndim > 0)
 
 
