@@ -44,7 +44,7 @@ class Asked:
 
 def read_asked(
     scene: str | Scene[Any],
-    along: str,
+    along: object,
     at: object,
     span: object,
     start: object,

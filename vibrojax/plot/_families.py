@@ -18,7 +18,6 @@ from matplotlib.patches import Circle
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from matplotlib.typing import LineStyleType
-from scipy.interpolate import PchipInterpolator
 
 from vibrojax.errors import InputError
 from vibrojax.families.stretches import (
@@ -198,15 +197,20 @@ def draw_families(
     for branch, colour in curves:
         marked, segments = places(ds, branch), stability(ds, branch)
         for shown in shown_as(ds, branch, name):
-            heights = np.where((along >= within[0]) & (along <= within[1]), _values(ds, shown, factor), np.nan)
+            heights = _values(ds, shown, factor)
             for first, last, stable in runs(segments):
                 points = branch.points[first : last + 1]
                 width = (0.9 if thin else 1.6) if stable == STABLE else (0.7 if thin else 1.1)
                 look = Mark(color=colour, linestyle=_LINES[stable], linewidth=width, zorder=4)
                 corners = np.flatnonzero(np.isin(points, marked))
                 for x, y in smooth(along[points], heights[points], corners, name == LARGEST):
-                    axes.plot(x, y, path_effects=edge, **look)
+                    there = np.where(
+                        (x >= within[0]) & (x <= within[1]), y, np.nan
+                    )  # no other limits for what is not there
+                    axes.plot(x, there, path_effects=edge, **look)
             for one, place in zip(branch.special, marked, strict=True):
+                if not within[0] <= along[place] <= within[1]:
+                    continue
                 mark = _mark(names[one], 0.7 if thin or branch.number else 1.0)
                 axes.plot(along[place], heights[place], linestyle="none", label=f"_{names[one]}", zorder=5, **mark)
     steady(axes)
@@ -217,6 +221,8 @@ def smooth(x: Column, y: Column, corners: Column, logarithmic: bool = False) -> 
 
     Orbits are as far apart as their continuation allows, which on a steep curve is further than the eye does.
     """
+    from scipy.interpolate import PchipInterpolator  # slow to import, and no other picture needs it
+
     for first, last in pairwise(sorted({0, *corners.tolist(), len(x) - 1})):
         part = np.stack([x[first : last + 1], y[first : last + 1]])
         if logarithmic and (part[1] > 0).all():
