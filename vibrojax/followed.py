@@ -11,6 +11,7 @@ import xarray as xr
 from vibrojax.engine.labelled import measured_besides, of_orbits
 from vibrojax.errors import Place
 from vibrojax.families.asked import Asked, read_asked
+from vibrojax.families.begin import known_orbits
 from vibrojax.families.indicators import KINDS
 from vibrojax.families.measured import measured
 from vibrojax.families.points import Point, SpecialPoint, columns, in_order, states
@@ -20,12 +21,9 @@ from vibrojax.families.walk import CONVERGED
 from vibrojax.input.definition import Start, Sweep
 from vibrojax.label import REGIMES
 from vibrojax.measure.ledger import MOST_CYCLES
-from vibrojax.measure.section import scales
 from vibrojax.periodic.margin import HOW
-from vibrojax.periodic.segments import Segments
 from vibrojax.physics.parameters import ROTATION, Parameter, differing
 from vibrojax.scenes import HasContact, Scene
-from vibrojax.scenes.scene import Section
 from vibrojax.store.provenance import provenance
 from vibrojax.store.variables import ORBIT_REASONS, REASONS, VARIABLES, Variable, orbit_name
 from vibrojax.sweep import run_sweep
@@ -95,52 +93,24 @@ def _problem(
 ) -> tuple[Problem, np.ndarray, list[np.ndarray]]:
     """The equations of the families; which of them have an orbit to begin with, and the unknowns there."""
     dataset = dataset.isel(start=0) if "start" in dataset.dims else dataset
-    right = dataset["orbit_reason"].values == ORBIT_REASONS.index("found")
-    if not right.any():
-        lane = dataset.isel(point=0)
-        raise place.at("at").error(_what_instead(lane, f"{along} = {float(lane[along]):g}"))
     system = sweep.system.driving_part()
-    families = np.flatnonzero(right)
-    cycles = dataset["orbit_cycles"].values[families].astype(int)
     values, _ = sweep.lane_values(0, sweep.lanes)
     parameters = {name: values[name].astype(float) for name in system.parameters()}
-    begun = np.stack([dataset[orbit_name(name)].values for name in system.return_states])
-    known = {name: x[families] for name, x in parameters.items()}
-    states, swings = _gone_round(Segments(system), known, begun[:, families], cycles)
-    scale = np.ones((sweep.lanes, len(begun)))
-    scale[families] = swings
-    amplitudes = tuple(dataset[swing.amplitude].values[families] for swing in _section(system).swings)
-    for k, one in enumerate(scales(amplitudes, dataset["period"].values[families])):
-        scale[families, k] = one
-    unit = np.full(sweep.lanes, (high - low) / UNITS)
-    problem = Problem(system, along, parameters, scale, unit, np.full(sweep.lanes, low), np.full(sweep.lanes, high))
+    known = known_orbits(system, dataset, parameters)
+    families = known.lanes
+    if not len(families):
+        lane = dataset.isel(point=0)
+        raise place.at("at").error(_what_instead(lane, f"{along} = {float(lane[along]):g}"))
+    scale = np.ones((sweep.lanes, len(system.return_states)))
+    scale[families] = known.scales
+    unit, first, last = (np.full(sweep.lanes, x) for x in ((high - low) / UNITS, low, high))
+    problem = Problem(system, along, parameters, scale, unit, first, last, known.most_steps)
     at = parameters[along]
-    first = [problem.unknowns(one[None], x[None], at[[one]])[0] for one, x in zip(families, states, strict=True)]
-    return problem, families, first
-
-
-def _section(scene: Scene[Any]) -> Section:
-    assert scene.section is not None
-    return scene.section
-
-
-def _gone_round(
-    go: Segments, parameters: Mapping[str, np.ndarray], begun: np.ndarray, cycles: np.ndarray
-) -> tuple[list[np.ndarray], np.ndarray]:
-    """The states of orbits at all their returns, each (cycles, states), from the first (states, orbits); and half their
-    swings on the way (orbits, states)."""
-    here, seen = begun, []
-    found = [begun]
-    for _ in range(int(cycles.max())):
-        mapped = go(parameters, here)
-        seen.append(mapped.seen)
-        here = np.asarray(mapped.state)
-        found.append(here)
-    low = np.min([one.least for one in seen], axis=0)
-    high = np.max([one.greatest for one in seen], axis=0)
-    swings = (high - low) / 2
-    states = [np.stack([one[:, k] for one in found[: cycles[k]]]) for k in range(len(cycles))]
-    return states, np.where(swings > 0, swings, 1.0).T
+    begin = [
+        problem.unknowns(np.array([one]), x[None], at[[one]])[0]
+        for one, x in zip(families.tolist(), known.states, strict=True)
+    ]
+    return problem, families, begin
 
 
 def _what_instead(lane: xr.Dataset, at: str) -> str:

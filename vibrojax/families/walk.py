@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Int
 
 from vibrojax.families.indicators import spectral_radius
-from vibrojax.families.problem import At, Flags, Index, PerLane, Problem, Unknowns, solved, tangent
+from vibrojax.families.problem import At, Flags, Index, PerLane, Problem, Unknowns, joined_at, solved, tangent
 
 CONVERGED = 1e-10
 """Residual of the equations at which a point counts as found; Newton's next step would be that squared."""
@@ -23,7 +23,7 @@ MOST_ITERATIONS = 6
 SHORTEST, LONGEST = 1e-9, 0.2
 """Steps, over the scales."""
 
-TURN, SHARP_TURN = 0.1, 0.35
+TURN, SHARP_TURN = 0.2, 0.5
 """Angles [rad] between tangents: aimed at, and beyond which the step is taken again by halves."""
 
 CORNER = 2e-2
@@ -204,6 +204,6 @@ class _Walker:
         """All points that were found."""
         lane = np.concatenate([lanes for lanes, _, _ in self._found])
         order = np.argsort(lane, kind="stable")
-        at = At(*(np.concatenate(some)[order] for some in zip(*(at for _, at, _ in self._found), strict=True)))
+        at = joined_at([at for _, at, _ in self._found]).of(order)
         ahead = np.concatenate([one for *_, one in self._found])[order]
         return Trail(lane[order], at, ahead, self._status, self._step)
