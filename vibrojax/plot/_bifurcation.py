@@ -58,7 +58,7 @@ def bifurcation(ds: xr.Dataset, over: xr.Dataset | None = None) -> Figure:
     if over is not None:
         check_over(ds, over, x)
         handles += over_handles(over)
-    about = "" if over is None else over_text(over, RETURNS_OF)
+    about = "" if over is None else over_text(ds, over, RETURNS_OF)
     return draw_stacks(ds, x, diagrams, lambda count: of_one if count == 1 else of_several, draw, handles, about)
 
 

@@ -300,7 +300,8 @@ def _draw_plane(axes: Axes, bar: Axes, ds: xr.Dataset, curves: Sequence[Curve], 
     bar.axis("off") if many else bar.figure.colorbar(
         ScalarMappable(norm, map_), cax=bar, orientation="horizontal", label=label(ds[along_name(ds)], 60)
     )
-    outside = int((np.abs(values[:, 0].real) > half).sum()) if values.ndim > 1 else 0
+    largest = values[:, 0] if values.ndim > 1 else values
+    outside = int((np.maximum(np.abs(largest.real), np.abs(largest.imag)) > half).sum())
     return f"The plane leaves out {outside} of {len(points)} orbits' largest multiplier" if outside else ""
 
 

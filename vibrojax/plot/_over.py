@@ -63,9 +63,11 @@ def over_handles(over: xr.Dataset) -> list[Artist]:
     return [*stability_handles(over, curves, " orbit"), *special_handles(over, count=False)]
 
 
-def over_text(over: xr.Dataset, name: str) -> str:
-    """What the lines are, in words."""
-    return ". ".join(text for text in ("Lines: orbits that were followed", ranges_text(over, (name,))) if text)
+def over_text(ds: xr.Dataset, over: xr.Dataset, name: str) -> str:
+    """What the lines over the returns in `ds` are, in words."""
+    several = "return_impacts" in ds and bool((ds["return_impacts"].values > 1).any())
+    mean = "A dot is the mean of the blows since the return before" if several else ""
+    return ". ".join(text for text in ("Lines: orbits that were followed", ranges_text(over, (name,)), mean) if text)
 
 
 def _telling(over: xr.Dataset) -> list[str]:

@@ -22,7 +22,7 @@ from vibrojax.plot._maps import rate_grid, regime_grid
 from vibrojax.plot._rate_law import law_lines, law_map
 from vibrojax.plot._rates import rates
 from vibrojax.plot._scatter import rate_scatter, regime_bars, regime_scatter
-from vibrojax.plot._selection import select
+from vibrojax.plot._selection import Value, select
 from vibrojax.plot._strips import regime_lines
 from vibrojax.plot._time_history import trajectory
 from vibrojax.plot._variables import variables
@@ -67,7 +67,7 @@ PICTURES = (
 def picture(
     ds: xr.Dataset,
     variable: str | Sequence[str] | None = None,
-    where: Mapping[str, float | str] | None = None,
+    where: Mapping[str, Value] | None = None,
     colours: str | None = None,
     over: xr.Dataset | None = None,
 ) -> Figure:
@@ -192,7 +192,7 @@ def save_picture(
     ds: xr.Dataset,
     path: str | Path,
     variable: str | Sequence[str] | None = None,
-    where: Mapping[str, float | str] | None = None,
+    where: Mapping[str, Value] | None = None,
     colours: str | None = None,
     over: xr.Dataset | None = None,
 ) -> None:
