@@ -10,8 +10,6 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Bool
 
-from vibrojax.borders.curves import Border, Vertex, around_region
-from vibrojax.borders.spread import Cell, Loss, Orbits, Planes, spread
 from vibrojax.errors import InputError, shown
 from vibrojax.families.begin import known_orbits
 from vibrojax.families.indicators import KINDS
@@ -20,6 +18,8 @@ from vibrojax.found_orbits import sweep_with_orbits
 from vibrojax.input.definition import Sweep
 from vibrojax.label import SINGLE_IMPACT, UNDECIDED
 from vibrojax.physics.parameters import differing
+from vibrojax.regions.curves import Border, Vertex, around_region
+from vibrojax.regions.spread import Cell, Loss, Orbits, Planes, spread
 from vibrojax.scenes import HasContact
 from vibrojax.store.provenance import provenance
 from vibrojax.store.variables import Variable

@@ -16,6 +16,9 @@ CLOSE_ENDS = 1e-6
 
 MOST_TURNS = 60
 
+OTHERWISE = np.array([0.5, 0.1, 0.9, 0.01, 0.99])
+"""Where on an arc an orbit is looked for after so many were not found: beside corners some planes have none."""
+
 
 class Arcs(NamedTuple):
     """Arcs of lanes: their `family`; the `place` of the point of a trail that comes before; the equations at their two
@@ -56,7 +59,7 @@ def drawn_together(problem: Problem, arcs: Arcs, value: Value, by_halves: Flags)
     base = np.einsum("ij,ij->i", row, near.u)
     low, high = np.zeros(len(every)), np.einsum("ij,ij->i", row, far.u) - base
     f_low, f_high = value(every, near, ahead), value(every, far, ahead_far)
-    side = np.zeros(len(every), int)
+    side, misses = np.zeros((2, len(every)), int)
     active = every
     for turn in range(MOST_TURNS):
         apart = np.abs(far.u[active] - near.u[active]).max(axis=1)
@@ -66,6 +69,7 @@ def drawn_together(problem: Problem, arcs: Arcs, value: Value, by_halves: Flags)
         fa, fb = f_low[active], f_high[active]
         share = np.where((turn % 4 == 3) | by_halves[active], 0.5, fa / (fa - fb))
         share = np.where(np.isfinite(share), np.clip(share, 1e-3, 1 - 1e-3), 0.5)
+        share = np.where(misses[active] > 0, OTHERWISE[np.minimum(misses[active], len(OTHERWISE) - 1)], share)
         guess = near.u[active] + share[:, None] * (far.u[active] - near.u[active])
         arc = low[active] + share * (high[active] - low[active])
         now, done = corrected(problem, arcs.family[active], guess, row[active], base[active] + arc)
@@ -82,5 +86,6 @@ def drawn_together(problem: Problem, arcs: Arcs, value: Value, by_halves: Flags)
             end.put(lanes, now.of(mine))
             f_other[lanes[side[lanes] == way]] /= 2
             side[lanes] = way
-        active = active[done]
+        misses[active] = np.where(done, 0, misses[active] + 1)
+        active = active[misses[active] < len(OTHERWISE)]
     return arcs, np.abs(far.u - near.u).max(axis=1) < CLOSE_ENDS

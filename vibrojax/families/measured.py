@@ -9,7 +9,7 @@ from vibrojax.families.problem import Problem
 from vibrojax.input.definition import Sweep
 from vibrojax.periodic.measured import Measuring, begun, joined
 
-STEPS_PER_RETURN = 60
+STEPS_PER_RETURN = 60.0
 """Roughly, by which lanes are put together that take as long."""
 
 OF_THE_ORBIT = frozenset({"period", "cycles", "impacts", "returns", "settling_time", "trend", "steps"})

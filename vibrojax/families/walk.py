@@ -27,8 +27,10 @@ TURN, SHARP_TURN = 0.2, 0.5
 """Angles [rad] between tangents: aimed at, and beyond which the step is taken again by halves."""
 
 CORNER = 2e-2
-"""Step up to which the tangent may turn by any angle where events begin or vanish on the way: a family has corners
-there."""
+"""Step up to which the tangent may turn by more where events begin or vanish on the way: a family has corners there."""
+
+BLUNT = 1.0
+"""By how much [rad]; around sharper corners another way is taken."""
 
 RUNNING, ENDED, STALLED, STOPPED, CLOSED, TOO_LONG, UNSTABLE = range(7)
 """How a lane's way goes on: underway; at a bound of the parameter; no further point found; where the caller asked; back
@@ -169,7 +171,7 @@ class _Walker:
         taken = np.linalg.norm(now.u - last.u, axis=1)
         changed = (now.signature != last.signature).any(axis=1)
         sound = np.isfinite(ahead).all(axis=1)
-        sound &= (turn <= SHARP_TURN) | (taken < 10 * SHORTEST) | (changed & (taken <= CORNER) & (turn <= 1.5))
+        sound &= (turn <= SHARP_TURN) | (taken < 10 * SHORTEST) | (changed & (taken <= CORNER) & (turn <= BLUNT))
         value = problem.value(family, now.u)
         beyond = (value > problem.last[family]) | (value < problem.first[family])
         beyond &= np.isnan(self._bound[lanes])
