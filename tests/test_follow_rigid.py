@@ -27,7 +27,7 @@ BALL = {"gravity": 9.81, "stiffness": 0.0, "damping": 0.0, "w": 2 * np.pi, "stop
 def families(start, at, span, settle, **values):
     """A family over the amplitude of the force for each stiffness."""
     start = np.asarray(start).tolist()
-    more = {"xi": XI, "k0": STIFF, "progress": False, "settle": settle}
+    more = {"xi": XI, "k0": STIFF, "progress": False, "settle": settle, "observe": 100.0}
     return vj.follow(Shaken(), along="a", at=at, span=span, start=start, **values, **more)
 
 
@@ -69,7 +69,7 @@ def test_the_impact_oscillator_doubles():
 def test_the_impact_oscillator_grazes_where_the_forced_motion_touches(k0):
     """The family without impact goes on to the graze, which no stiffness moves, and turns into that with impacts."""
     graze = oscillator_grazes(**OSCILLATOR)
-    more = {"xi": XI, "k0": k0, "gravity": 0.0, "progress": False, "settle": 300.0, "cycles": 1}
+    more = {"xi": XI, "k0": k0, "gravity": 0.0, "progress": False, "settle": 300.0, "observe": 100.0, "cycles": 1}
     found = vj.follow(Shaken(), along="a", at=0.9 * graze, span=(0.8 * graze, 1.2 * graze), **OSCILLATOR, **more)
     at = specials(found, "grazing")
     assert np.abs(at - graze).min() < 1e-8
