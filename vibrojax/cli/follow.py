@@ -30,7 +30,9 @@ def arguments(parser: ArgumentParser) -> None:
     """Add the command's arguments to `parser`."""
     parser.formatter_class = RawDescriptionHelpFormatter
     parser.epilog = f"words that stand in what is printed:\n{glossary(*FAMILY_WORDS)}"
-    scene = parser.add_argument("scene", metavar="SCENE", help="rotary, vibro-impact, drilling or coupled-drilling")
+    scene = parser.add_argument(
+        "scene", metavar="SCENE", help="rotary, vibro-impact, penetration, drilling or coupled-drilling"
+    )
     with_completer(scene, scenes)
     values = parser.add_argument(
         "values",

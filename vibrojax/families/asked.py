@@ -74,10 +74,8 @@ def read_asked(
     begin = names.quantity(place.at("at"), along, at)
     if not low <= begin <= high:
         raise place.at("at").error(f"{begin:g} is not between from = {low:g} and to = {high:g}")
-    run = {
-        "settle": quantity(place.at("settle"), settle, SETTLE),
-        "observe": quantity(place.at("observe"), observe, OBSERVE),
-    }
+    times = {"settle": (settle, SETTLE), "observe": (observe, OBSERVE)}
+    run = {name: quantity(place.at(name), value, about) for name, (value, about) in times.items()}
     count = _check_columns(place, names, several)
     first = {name: column[0] for name, column in several.items()}
     with warnings.catch_warnings():  # of single values; below of all
