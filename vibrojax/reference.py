@@ -120,7 +120,7 @@ def scene_text(scene: str) -> str:
 
 def _words(scene: Scene[Any]) -> list[str]:
     """The words that a scene's tables use."""
-    returns = ["section", "return", "regime"] if scene.section is not None else []
+    returns = ["section", "return", "regime", "orbit", "multiplier"] if scene.section is not None else []
     relief = ["relief P/D"] if isinstance(scene, HasRock) else []
     return ["lane", *returns, *relief, "reading R1, R2, ..."]
 

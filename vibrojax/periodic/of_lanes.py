@@ -128,7 +128,7 @@ class Orbits:
         found["stable"][lanes[right]] = np.abs(values[:, 0]) < 1
         return begun(lanes[right], orbit.states[right], orbit.times[right], orbit.steps[right])
 
-    def _returns(self, given: dict[str, np.ndarray], lanes: Index, states: Float[np.ndarray, "_ segments"]) -> Mapped:
+    def _returns(self, given: Features, lanes: Index, states: Float[np.ndarray, "_ segments"]) -> Mapped:
         """The return map of segments, each of one of the `lanes`."""
         return self._map({name: x[lanes] for name, x in given.items()}, states)
 
