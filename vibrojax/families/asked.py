@@ -63,7 +63,7 @@ def read_asked(
     if names.system.section is None:
         right = [name for name, kind in SCENES.items() if kind().section is not None]
         raise place.at("scene").error(
-            f"{names.scene} has no section to return to, and so no orbits to follow; choose from {', '.join(right)}"
+            f"{names.scene} has no section, and families over pulses are not followed; choose from {', '.join(right)}"
         )
     if not isinstance(along, str) or along not in names.parameters:
         raise place.at("along").error(f"{shown(along)} is no parameter of the scene; {_which(along, names)}")
