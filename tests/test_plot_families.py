@@ -284,6 +284,15 @@ def test_each_panel_has_the_families_of_its_parameters():
     assert drawn == {"β = 0.3": False, "β = 0.4": True}
 
 
+def test_several_families_may_lie_over_each_other():
+    weak = one_family()
+    weak["impact_velocity"] = 0.5 * weak["impact_velocity"]
+    alone, both = picture(swept(), over=one_family()), picture(swept(), over=[one_family(), weak])
+    assert legend(alone) == legend(both)
+    counts = [sum(map(len, lines_of(figure.axes[0]))) for figure in (alone, both)]
+    assert counts[1] == 2 * counts[0] > 0
+
+
 @pytest.mark.parametrize(
     ("over", "said"),
     [
