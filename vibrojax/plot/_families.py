@@ -45,7 +45,7 @@ _LINES: dict[int, LineStyleType] = {STABLE: "-", UNSTABLE: (0.0, (3.5, 2.0)), UN
 _MEANINGS = {STABLE: "stable", UNSTABLE: "unstable", UNKNOWN: "stability not known"}
 
 # Shapes and colours that are told apart in greyscale and by colour-blind eyes.
-_MARKS: dict[str, Mark] = {
+MARKS: dict[str, Mark] = {
     "fold": Mark(marker="s", color="#222222", markersize=5.5),
     "period-doubling": Mark(marker="o", color="#D55E00", markersize=5.5),
     "torus": Mark(marker="*", color="#CC79A7", markersize=9.0),
@@ -191,7 +191,7 @@ def draw_families(
 ) -> None:
     """Draw the variable `name`, times `factor`, along branches, with their special points, as far as they are `within`
     values of the parameter; `over_dots` with a white edge."""
-    edge = [withStroke(linewidth=2.0, foreground="white")] if over_dots else []
+    edge = [withStroke(linewidth=1.5, foreground="white")] if over_dots else []
     factor = scale(ds[name])[0] if factor is None else factor
     along, names = values_along(ds[along_name(ds)]), kind_names(ds)
     for branch, colour in curves:
@@ -239,7 +239,7 @@ def smooth(x: Column, y: Column, corners: Column, logarithmic: bool = False) -> 
 
 
 def _mark(kind: str, size: float) -> Mark:
-    mark = _MARKS.get(kind, Mark(marker="P", color=FAINT, markersize=5.0))
+    mark = MARKS.get(kind, Mark(marker="P", color=FAINT, markersize=5.0))
     own = Mark(markersize=size * float(mark["markersize"]))
     return (
         mark | own if mark["marker"] in ("|", "x") else mark | own | Mark(markeredgecolor="white", markeredgewidth=0.5)
@@ -337,7 +337,7 @@ def special_handles(ds: xr.Dataset, count: bool = True) -> list[Artist]:
     names = kind_names(ds)
     return [
         Line2D([], [], label=kind + f"  {names.count(kind)}" * count, **_mark(kind, 1.0) | Mark(linestyle="none"))
-        for kind in (*_MARKS, *dict.fromkeys(one for one in names if one not in _MARKS))
+        for kind in (*MARKS, *dict.fromkeys(one for one in names if one not in MARKS))
         if kind in names
     ]
 

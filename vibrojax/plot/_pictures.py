@@ -71,7 +71,7 @@ def picture(
     variable: str | Sequence[str] | None = None,
     where: Mapping[str, Value] | None = None,
     colours: str | None = None,
-    over: xr.Dataset | None = None,
+    over: xr.Dataset | Sequence[xr.Dataset] | None = None,
 ) -> Figure:
     """The fitting picture for what `ds` holds: a trajectory, returns, regimes, rates of penetration, a law, families of
     orbits, or borders.
@@ -84,8 +84,8 @@ def picture(
     - `where`: values of axes or of coordinates along them, by name, in the dataset's units: only the lanes there are
       drawn, `{"delta": 0.005, "start": "stuck"}`. Numbers need be right to four digits.
     - `colours`: the name of the matplotlib colour map for quantities; regimes, forms and starts keep their colours.
-    - `over`: families of orbits, as `follow` gives them, to lay over the returns of a sweep along the same parameter;
-      or borders, as `borders` gives them, to lay over the map of regimes.
+    - `over`: families of orbits, as `follow` gives them, in one dataset or several, to lay over the returns of a sweep
+      along the same parameter; or borders, as `borders` gives them, to lay over the map of regimes.
 
     **Returns:** a figure that pyplot knows nothing of.
 
@@ -210,7 +210,7 @@ def save_picture(
     variable: str | Sequence[str] | None = None,
     where: Mapping[str, Value] | None = None,
     colours: str | None = None,
-    over: xr.Dataset | None = None,
+    over: xr.Dataset | Sequence[xr.Dataset] | None = None,
 ) -> None:
     """Draw the fitting picture for `ds` into the file `path`, which is there whole or not at all.
 
