@@ -110,7 +110,7 @@ def picture(
         COLOURS.reset(token)
 
 
-def _laid_over(ds: xr.Dataset, over: xr.Dataset, variable: object) -> Figure:
+def _laid_over(ds: xr.Dataset, over: xr.Dataset | Sequence[xr.Dataset], variable: object) -> Figure:
     """Borders over a map of regimes, or families over returns."""
     held = contents(ds)
     if isinstance(over, xr.Dataset) and contents(over).borders:
