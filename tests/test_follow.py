@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from exact import run
 from exact.measures import sections
+from scipy.linalg import expm
 
 import vibrojax as vj
 from vibrojax.errors import InputError
@@ -182,6 +183,22 @@ def test_what_is_not_right_is_refused(more, says):
     assert "\n" not in str(error.value)
 
 
-def test_a_scene_without_a_section_is_refused():
-    with pytest.raises(InputError, match="section"):
-        vj.follow("penetration", along="force", at=2e5, span=(1e5, 3e5), progress=False)
+def test_rock_begins_to_yield_at_the_force_of_the_linear_answer():
+    """Until it yields, rock and bit are linear: the greatest compression is in proportion to the force."""
+    width, frequency, m1, k3, zeta, threshold = 4e-3, 20.0, 250.0, 3e8, 1.1, 150e3
+    family = vj.follow("penetration", along="force", at=1e5, span=(1e5, 2.5e5), zeta=zeta, progress=False)
+    w0 = np.sqrt(k3 / m1)
+    field = np.array([[0.0, 1.0], [-(w0**2), -2 * zeta * w0]])
+    still = np.array([1 / k3, 0.0])  # under 1 N
+    within, after = expm(field * width), expm(field * (1 / frequency - width))
+    # The state x at the beginning of a pulse is there again after it and the pause.
+    begin = np.linalg.solve(np.eye(2) - after @ within, after @ (still - within @ still))
+    end = still + within @ (begin - still)
+    peak = max((expm(field * t) @ end)[0] for t in np.linspace(0, 4e-3, 4001))
+    [onset] = specials(family, "grazing")
+    assert abs(onset / (threshold / k3 / peak) - 1) < 1e-7
+    below = family.force.values < onset - 1.0
+    assert (family.rate_of_penetration.values[below] == 0).all()
+    assert (family.rate_of_penetration.values[family.force.values > onset + 1.0] > 0).all()
+    [note] = family.special_note.values[family.special_kind.values == KINDS.index("grazing")]
+    assert "rock" in note

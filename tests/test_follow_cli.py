@@ -165,7 +165,7 @@ WRONG = [
     ),
     ("vibro-impact", {"to": None}, "to missing"),
     ("nowhere", {}, 'scene: "nowhere" is unknown'),
-    ("penetration", {}, "scene: penetration has no section to return to, and so no orbits to follow; choose from"),
+    ("penetration", {}, 'along: "gamma" is no parameter of the scene; choose from'),
     ("vibro-impact", {"along": "gama"}, 'along: "gama" is no parameter of the scene; did you mean "gamma"?'),
     ("vibro-impact", {"along": "rpm"}, 'along: "rpm" is no parameter of the scene; v follows from rpm and bit_radius'),
     ("vibro-impact", {"gamma": "0.4"}, "gamma: is what the family is followed along; say where it begins by at=0.4"),

@@ -43,6 +43,7 @@ def follow(
     span: tuple[float, float],
     start: str | Sequence[float] | None = None,
     settle: float = 40.0,
+    observe: float = 8.0,
     cycles: int = MOST_CYCLES,
     progress: bool = True,
     **parameters: Any,
@@ -61,7 +62,8 @@ def follow(
     - `scene`: a name or a scene; `parameters`: any of its (SI), as `simulate` takes them. One or several may be
       sequences of one length: then as many families are followed, all at once, numbered along `family`.
     - `along`: the name of the parameter; `at`: its value where the family begins; `span`: its bounds, `at` between.
-    - `start`: of the motion that settles, by default the scene's first; `settle` [s]: for how long it does.
+    - `start`: of the motion that settles, by default the scene's first; `settle` [s]: for how long it does, and
+      `observe` [s]: how long it is then watched, nine returns at least.
     - `cycles`: the most returns of doubled branches that are followed, 1 to 8; 1 for no such branch.
     - `progress`: whether to say on stderr how far it is.
 
@@ -74,7 +76,7 @@ def follow(
 
     **Raises:** `InputError` where a name or value is not right, or the motion does not settle on a periodic orbit.
     """
-    return follow_asked(read_asked(scene, along, at, span, start, settle, cycles, parameters), progress)
+    return follow_asked(read_asked(scene, along, at, span, start, settle, observe, cycles, parameters), progress)
 
 
 def follow_asked(asked: Asked, progress: bool = True) -> xr.Dataset:

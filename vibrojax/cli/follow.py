@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 NEEDED = {"along": "NAME", "at": "VALUE", "from": "A", "to": "B"}
 """What there is no default for, and what stands behind it in the help."""
 
-SETTINGS = (*NEEDED, "start", "settle", "cycles")
+SETTINGS = (*NEEDED, "start", "settle", "observe", "cycles")
 """Arguments of `follow` that are no parameters of a scene."""
 
 _SYNTAX = "along=NAME at=VALUE from=A to=B"
@@ -30,14 +30,17 @@ def arguments(parser: ArgumentParser) -> None:
     """Add the command's arguments to `parser`."""
     parser.formatter_class = RawDescriptionHelpFormatter
     parser.epilog = f"words that stand in what is printed:\n{glossary(*FAMILY_WORDS)}"
-    scene = parser.add_argument("scene", metavar="SCENE", help="rotary, vibro-impact, drilling or coupled-drilling")
+    scene = parser.add_argument(
+        "scene", metavar="SCENE", help="rotary, vibro-impact, penetration, drilling or coupled-drilling"
+    )
     with_completer(scene, scenes)
     values = parser.add_argument(
         "values",
         metavar="NAME=VALUE",
         nargs="*",
         help=f"{_SYNTAX}: the parameter, where the family begins, and its bounds; start (a name, or [x1,x1',x2,x2']), "
-        "settle (s, for which the motion settles at VALUE: 40) and cycles (the most returns of doubled branches: 8); "
+        "settle and observe (s, for which the motion at VALUE settles and is then watched: 40, 8) and cycles (the most "
+        "returns of doubled branches: 8); "
         "parameters, and friction. A list, beta=0.3,0.4,0.5, is as many families, followed together; of several lists "
         "the first values are of one family, the second ones of the next",
     )
@@ -50,7 +53,7 @@ def arguments(parser: ArgumentParser) -> None:
 def run(options: Options) -> None:
     """Run the command."""
     settings, parameters = _read(options.values)
-    from vibrojax.families.asked import SETTLE, read_asked
+    from vibrojax.families.asked import OBSERVE, SETTLE, read_asked
     from vibrojax.measure.ledger import MOST_CYCLES
 
     asked = read_asked(
@@ -60,6 +63,7 @@ def run(options: Options) -> None:
         span=(settings["from"], settings["to"]),
         start=settings.get("start"),
         settle=settings.get("settle", SETTLE.default),
+        observe=settings.get("observe", OBSERVE.default),
         cycles=_whole(settings.get("cycles", MOST_CYCLES)),
         parameters=parameters,
     )

@@ -15,10 +15,11 @@ from vibrojax.input.point import read_point
 from vibrojax.input.read import read_sweep
 from vibrojax.input.values import quantity
 from vibrojax.measure.ledger import MOST_CYCLES
-from vibrojax.physics.parameters import not_negative
-from vibrojax.scenes import SCENES, Scene
+from vibrojax.physics.parameters import not_negative, positive
+from vibrojax.scenes import Scene
 
 SETTLE = not_negative("settle", 40.0, "s", "time for which motions settle", "settle")
+OBSERVE = positive("observe", 8.0, "s", "time for which they are then observed", "observe")
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +50,7 @@ def read_asked(
     span: object,
     start: object,
     settle: object,
+    observe: object,
     cycles: object,
     parameters: Mapping[str, object],
 ) -> Asked:
@@ -60,11 +62,6 @@ def read_asked(
     several: dict[str, list[Any]] = {name: list(x) for name, x in parameters.items() if _is_column(x)}
     fixed = {name: x for name, x in parameters.items() if name not in several}
     names = read_names(place.at("scene"), scene, take_options(dict(fixed)), place)
-    if names.system.section is None:
-        right = [name for name, kind in SCENES.items() if kind().section is not None]
-        raise place.at("scene").error(
-            f"{names.scene} has no section to return to, and so no orbits to follow; choose from {', '.join(right)}"
-        )
     if not isinstance(along, str) or along not in names.parameters:
         raise place.at("along").error(f"{shown(along)} is no parameter of the scene; {_which(along, names)}")
     if along in parameters:
@@ -77,7 +74,8 @@ def read_asked(
     begin = names.quantity(place.at("at"), along, at)
     if not low <= begin <= high:
         raise place.at("at").error(f"{begin:g} is not between from = {low:g} and to = {high:g}")
-    settled = quantity(place.at("settle"), settle, SETTLE)
+    times = {"settle": (settle, SETTLE), "observe": (observe, OBSERVE)}
+    run = {name: quantity(place.at(name), value, about) for name, (value, about) in times.items()}
     count = _check_columns(place, names, several)
     first = {name: column[0] for name, column in several.items()}
     with warnings.catch_warnings():  # of single values; below of all
@@ -90,7 +88,7 @@ def read_asked(
         "scene": scene,
         "points": {along: [begin] * count} | several,
         "parameters": fixed,
-        "run": {"orbits": True, "settle": settled},
+        "run": {"orbits": True, **run},
         "unusual": True,
     }
     if point.start is not None:

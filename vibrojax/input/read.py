@@ -77,11 +77,11 @@ def read_sweep(source: str | PathLike[str] | Mapping[str, object], changes: Iter
     )
     if sweep.lanes > _MOST_LANES:
         raise place.at("grid").error(f"{shown(sweep.lanes)} lanes are too many; make the axes shorter")
-    if sweep.run.orbits and sweep.system.section is None:
+    if sweep.run.orbits and not sweep.system.driving_part().return_states:
         raise (
             place.at("run")
             .at("orbits")
-            .error(f"true has no use in {sweep.scene}, which has no section to return to; leave it out")
+            .error(f"true has no use in {sweep.scene} without a section or pulses to return to; leave it out")
         )
     if not _read_unusual(place.at("unusual"), tables.get("unusual", False)):
         for name, value in {**fixed, **varied}.items():
@@ -191,7 +191,7 @@ def _read_starts(place: Place, value: object, names: Names) -> tuple[Start, ...]
             raise place.error(f"scene {shown(names.scene)} has no starts; leave it out")
         return None
     if value is None:
-        return DEFAULT_STARTS
+        return tuple(start for start in DEFAULT_STARTS if start in names.starts) or names.starts[:1]
     if not isinstance(value, list) or not value:
         raise place.error(f'{shown(value)} is no list of starts; write one like ["drive", "stuck"]')
     starts = tuple(names.start(place.item(index), item) for index, item in enumerate(value))

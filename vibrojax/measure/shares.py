@@ -27,7 +27,9 @@ class Shares(Gauge[HasFriction[Any]]):
         step = moment.step
         slip = step.mode[scene.mode_place("slip")]
         assert scene.section is not None
-        turn = scene.marker_of(scene.section.swings[1].velocity)
+        striker = scene.section.swings[1].velocity
+        assert striker is not None
+        turn = scene.marker_of(striker)
         return {
             "stick": jnp.where(slip == 0, step.dt, 0),
             "reverse": jnp.where(slip < 0, step.dt, 0),

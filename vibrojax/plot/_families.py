@@ -60,6 +60,7 @@ _MODULI = (1e-2, 1e2)  # greatest range of the largest modulus that is drawn
 _FEW = 50.0  # between its ends, up to which 2 and 5 have ticks as well
 _PLANE = (1.2, 1.5)  # half the width of the plane of multipliers, at least and at most
 _FINER = 8  # times as many points as there are orbits, on a line
+_QUANTITIES = ("impact_velocity", "slip_per_impact", "bit_amplitude", "period")  # the first of them is drawn
 _HEIGHT = 2.1  # inches of a panel
 
 
@@ -124,9 +125,10 @@ def families(ds: xr.Dataset, names: Sequence[str] = ()) -> Figure:
 
 
 def _usual(ds: xr.Dataset) -> tuple[str, ...]:
-    blows = "impact_velocity" in ds and bool(np.isfinite(ds["impact_velocity"].values).any())
+    """What there is of the blows, else of the bit, and its position at the section."""
+    known = [name for name in _QUANTITIES if name in ds and bool(np.isfinite(ds[name].values).any())]
     states = [str(name) for name in ds.data_vars if str(name).startswith("orbit_")]
-    return ("impact_velocity" if blows else "bit_amplitude", *states[:1])
+    return (*known[:1], *states[:1])
 
 
 # Lines and marks.
