@@ -120,7 +120,8 @@ def families(ds: xr.Dataset, names: Sequence[str] = ()) -> Figure:
         ncols=2,
         borderpad=0.0,
     )
-    write_margins(figure, str(ds.attrs.get("title", "")), point_text(ds), ranges_text(ds, names), beyond)
+    notes = point_text(ds), ranges_text(ds, names), _moduli_text(ds), beyond
+    write_margins(figure, str(ds.attrs.get("title", "")), *notes)
     return figure
 
 
@@ -266,6 +267,15 @@ def _shape_moduli(axes: Axes) -> None:
     axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if ends[1] / ends[0] < _FEW else (1.0,)))
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.yaxis.set_minor_formatter(NullFormatter())
+
+
+def _moduli_text(ds: xr.Dataset) -> str:
+    """What is left out of the largest moduli, in words."""
+    largest = _values(ds, LARGEST, 1.0)
+    low, high = _MODULI
+    return (
+        f"The largest modulus is drawn from {low:g} to {high:g}" if ((largest < low) | (largest > high)).any() else ""
+    )
 
 
 # The plane of multipliers.
