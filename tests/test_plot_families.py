@@ -13,7 +13,7 @@ from test_plot import lanes, returns, square
 from vibrojax.errors import InputError
 from vibrojax.families.stretches import branches, places, stability, stable_intervals
 from vibrojax.plot import bifurcation, picture
-from vibrojax.plot._families import smooth
+from vibrojax.plot._branches import smooth
 
 KINDS = "fold period-doubling torus grazing stick section end"
 FOLD, DOUBLING, TORUS, GRAZING, STICK, SECTION, END = range(7)
