@@ -13,7 +13,7 @@ from test_plot import lanes, returns, square
 from vibrojax.errors import InputError
 from vibrojax.families.stretches import branches, places, stability, stable_intervals
 from vibrojax.plot import bifurcation, picture
-from vibrojax.plot._families import smooth
+from vibrojax.plot._branches import smooth
 
 KINDS = "fold period-doubling torus grazing stick section end"
 FOLD, DOUBLING, TORUS, GRAZING, STICK, SECTION, END = range(7)
@@ -190,6 +190,20 @@ def test_moduli_have_the_border_of_stability_and_multipliers_the_circle():
     expected = {(0.0, 0.5), (0.0, -0.5), (0.25, 0.0), (0.0, 3.0), (0.0, -3.0)}  # pairs are drawn whole
     assert {(round(float(x), 9) + 0.0, round(float(y), 9) + 0.0) for x, y in dots} == expected
     assert "The plane leaves out 10 of 19" in note(figure)
+
+
+def test_moduli_off_the_panel_are_told():
+    assert "largest modulus is drawn" not in note(picture(one_family()))
+    ds = one_family()
+    ds["multiplier_abs"][{"point": 2, "multiplier": 0}] = 500.0
+    assert "The largest modulus is drawn from 0.01 to 100" in note(picture(ds))
+
+
+def test_without_impacts_the_bit_is_drawn():
+    ds = one_family().drop_vars(["impact_velocity", "impact_velocity_min", "impact_velocity_max", "impacts"])
+    bit = ds.assign(bit_amplitude=("point", 0.04 * ds["gamma"].values, {"units": "m", "long_name": "amplitude"}))
+    assert "bit amplitude\n[mm]" in axis_labels(picture(bit))
+    assert not any("amplitude" in text for text in axis_labels(picture(ds)))
 
 
 def test_the_legend_counts_kinds_and_names_what_lines_are():

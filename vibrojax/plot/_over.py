@@ -10,8 +10,8 @@ from matplotlib.axes import Axes
 from vibrojax.errors import InputError
 from vibrojax.families.stretches import FAMILY, along_name, branches, is_families, numbers_of
 from vibrojax.plot._axes import edges, number, values_along
+from vibrojax.plot._branches import MARKS, Curve, draw_families, ranges_text, special_handles, stability_handles
 from vibrojax.plot._contents import is_numeric, parameters_of
-from vibrojax.plot._families import MARKS, Curve, draw_families, ranges_text, special_handles, stability_handles
 from vibrojax.plot.style import INK
 
 _SAME = 1e-4  # relative: as many digits as a picture prints

@@ -20,6 +20,7 @@ from vibrojax.plot._contents import Contents, contents, law_in, rates_in, regime
 from vibrojax.plot._families import families
 from vibrojax.plot._hole import pulses, response
 from vibrojax.plot._maps import rate_grid, regime_grid
+from vibrojax.plot._over import several
 from vibrojax.plot._rate_law import law_lines, law_map
 from vibrojax.plot._rates import rates
 from vibrojax.plot._scatter import rate_scatter, regime_bars, regime_scatter
@@ -112,20 +113,22 @@ def picture(
 
 def _laid_over(ds: xr.Dataset, over: xr.Dataset | Sequence[xr.Dataset], variable: object) -> Figure:
     """Borders over a map of regimes, or families over returns."""
-    held = contents(ds)
-    if isinstance(over, xr.Dataset) and contents(over).borders:
+    held, every = contents(ds), several(over)
+    if any(isinstance(one, xr.Dataset) and contents(one).borders for one in every):
+        if len(every) > 1:
+            raise InputError("over: borders are laid over a map one dataset at a time; give one")
         if variable is not None or not held.regimes or held.points or len(held.axes) < 2:
             raise InputError(
                 "over: borders are laid over the map of regimes of a sweep over a grid of two parameters, "
                 + ("and over no other variable" if variable is not None else "and the dataset holds none")
             )
-        return regime_grid(ds, over=over)
+        return regime_grid(ds, over=every[0])
     if variable is not None or not held.returns:
         raise InputError(
             "over: families are laid over the returns of a sweep with keep_returns above 0, "
             + ("and over no other variable" if variable is not None else "and the dataset holds none")
         )
-    return bifurcation(ds, over)
+    return bifurcation(ds, every)
 
 
 def _fitting_picture(ds: xr.Dataset) -> Figure:
