@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 
 from vibrojax.input.run_settings import RunSettings
+from vibrojax.input.starts import Starts
 from vibrojax.physics.rock import ROCKS
 from vibrojax.scenes import Scene
-
-Start = str | tuple[float, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,9 +19,10 @@ class Sweep:
 
     - `name`: what its output is called; `text`: its TOML; `title`: free text; `file`: what messages call it.
     - `scene`: its name; `options`: the names of what is chosen in it, such as the friction law; `system`: itself.
-    - `starts`: names and vectors (x1, x1', x2, x2') [m, m/s]; None for a scene without.
+    - `starts`: names, and vectors such as (x1, x1', x2, x2') [m, m/s]; None for a scene without.
     - `parameters`: all that is fixed, by name, SI; `given`: those of them that the user wrote.
-    - `axes`: the grid, each of shape (values,), in the file's order; or `points`: columns of shape (points,), and
+    - `axes`: the grid, each of shape (values,), in the file's order, none where only the start varies; or
+      `points`: columns of shape (points,), and
       `point_starts`: the name of each point's start, where the list has it, or `point_vectors`: the states that each
       starts from, by the names of their columns, each (points,), in the scene's order. There is then no other start.
     - `run`: how it is run.
@@ -37,7 +37,7 @@ class Sweep:
     scene: str
     options: dict[str, str]
     system: Scene[Any]
-    starts: tuple[Start, ...] | None
+    starts: Starts | None
     parameters: dict[str, float]
     given: dict[str, float]
     axes: dict[str, np.ndarray] = field(default_factory=dict)
@@ -54,14 +54,16 @@ class Sweep:
 
     @property
     def dims(self) -> tuple[str, ...]:
-        """Names of the dimensions: the axes or "point", then "start" where every point runs from each of them."""
-        return (*(self.axes or ("point",)), *(("start",) if self.crosses_starts else ()))
+        """Names of the dimensions: the axes or "point", if any, then "start" where there are several each."""
+        listed = self.points is not None or self.point_starts is not None or self.point_vectors is not None
+        return (*self.axes, *(("point",) if listed else ()), *(("start",) if self.crosses_starts else ()))
 
     @property
     def shape(self) -> tuple[int, ...]:
         """Sizes of the dimensions."""
-        sizes = [len(axis) for axis in self.axes.values()] or [self._points]
-        return (*sizes, *((len(self.starts or ()),) if self.crosses_starts else ()))
+        sizes = {name: len(axis) for name, axis in self.axes.items()}
+        sizes |= {"point": self._points, "start": len(self.starts or ())}
+        return tuple(sizes[name] for name in self.dims)
 
     @property
     def lanes(self) -> int:
@@ -81,7 +83,7 @@ class Sweep:
     @property
     def _start_of_point(self) -> np.ndarray:
         """Index into `starts` of each point."""
-        index = {start: number for number, start in enumerate(self.starts or ())}
+        index = {name: number for number, name in enumerate(self.start_names)}
         return np.array([index[name] for name in self.point_starts or ()], dtype=int)
 
     def lane_values(self, first: int, end: int) -> tuple[dict[str, np.ndarray], np.ndarray]:
@@ -106,7 +108,7 @@ class Sweep:
     @property
     def start_names(self) -> tuple[str, ...]:
         """The starts that have names."""
-        return tuple(start for start in self.starts or () if isinstance(start, str))
+        return self.starts.names if self.starts is not None else ()
 
     def lane_starts(self, first: int, end: int) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
         """(index into `start_names`, their number for a start without a name; the states that such a one starts from)
@@ -114,13 +116,10 @@ class Sweep:
         start = self.lane_values(first, end)[1]
         if self.point_vectors is not None:
             return start, tuple(column[first:end] for column in self.point_vectors.values())
-        names, starts = self.start_names, self.starts or ()
-        if len(names) == len(starts):
+        if self.starts is None or not self.starts.has_vectors:
             return start, ()
-        number = np.array([names.index(one) if isinstance(one, str) else len(names) for one in starts])
-        nowhere = (0.0,) * len(self.system.start_states)
-        vectors = np.array([nowhere if isinstance(one, str) else one for one in starts])
-        return number[start], tuple(vectors[start].T)
+        # Where a start has a name, its states are not asked for.
+        return self.starts.number[start], tuple(np.nan_to_num(self.starts.vectors[start]).T)
 
     def identity(self) -> dict[str, object]:
         """What the results depend on, as flat JSON values: equal for two sweeps that compute the same lanes.
@@ -134,7 +133,11 @@ class Sweep:
             varied["points.start"] = self._start_of_point
         run = {f"run.{name}": value for name, value in self.run.described().items()}
         parameters = {f"parameters.{name}": value for name, value in self.parameters.items()}
-        starts = None if self.starts is None else [s if isinstance(s, str) else list(s) for s in self.starts]
+        starts: object = None
+        if self.starts is not None and self.starts.listed:
+            starts = [start if isinstance(start, str) else list(start) for start in self.starts]
+        elif self.starts is not None:
+            varied |= {f"starts.{name}": x for name, x in zip(self.starts.states, self.starts.vectors.T, strict=True)}
         fixed = {"scene": self.scene, **self.options, "dims": list(self.dims), "starts": starts}
         return fixed | parameters | {name: _outline(column) for name, column in varied.items()} | run
 

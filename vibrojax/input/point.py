@@ -5,11 +5,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from vibrojax.errors import Place
-from vibrojax.input.definition import Start, with_drive_speed
+from vibrojax.input.definition import with_drive_speed
 from vibrojax.input.names import read_names, take_options
 from vibrojax.input.plain import plain, plain_table
 from vibrojax.input.plausible import warn_if_far
 from vibrojax.input.read import check_drive_speed, check_rock, read_parameters
+from vibrojax.input.starts import Start
 from vibrojax.scenes import Scene
 
 

@@ -8,12 +8,13 @@ import numpy as np
 from vibrojax.errors import Place, shown, suggestion
 from vibrojax.input.axes import read_axis
 from vibrojax.input.changes import with_changes
-from vibrojax.input.definition import Start, Sweep, rock_values, with_drive_speed
-from vibrojax.input.names import CHOICES, DEFAULT_STARTS, Names, read_names, take_options
+from vibrojax.input.definition import Sweep, rock_values, with_drive_speed
+from vibrojax.input.names import CHOICES, Names, read_names, take_options
 from vibrojax.input.plausible import warn_if_far
 from vibrojax.input.points import VECTOR, Points, read_points
 from vibrojax.input.run_settings import RunSettings, read_settings
 from vibrojax.input.source import Source, read_source
+from vibrojax.input.starts import Starts, list_of, read_starts
 from vibrojax.input.values import as_table
 
 _TOP_KEYS = ("scene", "title", "starts", "unusual", "parameters", "grid", "points", "run")
@@ -54,8 +55,10 @@ def read_sweep(source: str | PathLike[str] | Mapping[str, object], changes: Iter
             raise home.error("is in [parameters] as well; give it in one of the two")
         homes[name] = home
     check_drive_speed(homes)
-    starts = _read_starts(place.at("starts"), tables.get("starts"), names)
+    starts: Starts | None = read_starts(place.at("starts"), tables.get("starts"), names)
     point_starts, vectors = (points.starts, points.vectors) if points else (None, None)
+    if point_starts:
+        starts = list_of(tuple(dict.fromkeys(point_starts)), names.system.start_states)
     if vectors:
         vectors = {name: vectors[name] for name in (f"{VECTOR}{state}" for state in names.system.start_states)}
     sweep = Sweep(
@@ -65,7 +68,7 @@ def read_sweep(source: str | PathLike[str] | Mapping[str, object], changes: Iter
         scene=names.scene,
         options=dict(names.options),
         system=names.system,
-        starts=None if vectors else tuple(dict.fromkeys(point_starts)) if point_starts else starts,
+        starts=None if vectors else starts,
         parameters=_complete(fixed, varied, names),
         given=fixed,
         axes=axes,
@@ -156,7 +159,7 @@ def _read_varied(place: Place, found: Source, names: Names) -> tuple[dict[str, n
     if "points" in tables:
         return {}, read_points(place.at("points"), tables["points"], found.folder, names)
     grid = as_table(place.at("grid"), tables.get("grid", {}))
-    if not grid:
+    if not grid and ("grid" in tables or "starts" not in tables or not names.has_starts):
         problem = "empty" if "grid" in tables else "missing"
         raise place.at("grid").error(f"{problem}, so there is nothing to sweep; add an axis like beta = [0.3, 0.4]")
     at = place.at("grid")
@@ -182,20 +185,3 @@ def _complete(fixed: dict[str, float], varied: Iterable[str], names: Names) -> d
     absent |= {"threshold", "k3"} if "rock" in absent else set()
     defaults = {name: p.default for name, p in names.parameters.items() if name not in absent}
     return defaults | with_drive_speed(fixed)
-
-
-def _read_starts(place: Place, value: object, names: Names) -> tuple[Start, ...] | None:
-    """The starts, each once; None for a scene without."""
-    if not names.starts:
-        if value is not None:
-            raise place.error(f"scene {shown(names.scene)} has no starts; leave it out")
-        return None
-    if value is None:
-        return DEFAULT_STARTS
-    if not isinstance(value, list) or not value:
-        raise place.error(f'{shown(value)} is no list of starts; write one like ["drive", "stuck"]')
-    starts = tuple(names.start(place.item(index), item) for index, item in enumerate(value))
-    for index, start in enumerate(starts):
-        if start in starts[:index]:
-            raise place.item(index).error(f"{shown(start)} is there already; give each start once")
-    return starts
