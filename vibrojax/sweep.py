@@ -18,6 +18,7 @@ import numpy as np
 import xarray as xr
 
 from vibrojax.engine.batch import Features, Report, unreported
+from vibrojax.engine.carried import Carried
 from vibrojax.engine.chunks import Chunks
 from vibrojax.engine.costs import by_the_clock, processor_time
 from vibrojax.engine.labelled import dataset_of
@@ -94,7 +95,7 @@ def run_to_file(sweep: Sweep, out: Path, resume: bool = True, progress: bool = T
 
 def estimate(sweep: Sweep) -> Cost:
     """What a sweep will take, before any work; the time is rough (see [vibrojax.engine.costs][])."""
-    chunks = Chunks(sweep)
+    chunks = _chunks(sweep)
     per_lane = 8 * (len(VARIABLES) + 6 * sweep.run.keep_returns)
     processor, cores = processor_time(chunks), len(chunks.engine.workers)
     passing = by_the_clock(processor, cores)
@@ -112,7 +113,8 @@ def estimate(sweep: Sweep) -> Cost:
 
 
 def _chunks(sweep: Sweep) -> Chunks:
-    return Chunks(sweep, Orbits(sweep) if sweep.run.orbits else None)
+    kind = Chunks if sweep.run.carry is None else Carried
+    return kind(sweep, Orbits(sweep) if sweep.run.orbits else None)
 
 
 def _read_or_compute(shards: Shards, chunks: Chunks, index: int) -> Features:

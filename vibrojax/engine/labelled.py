@@ -14,7 +14,7 @@ from vibrojax.arrays import Array
 from vibrojax.devices import precision
 from vibrojax.engine.compiler import lane_function
 from vibrojax.engine.validity import TOO_SLOW, TOO_STIFF, too_slow, too_stiff
-from vibrojax.input.definition import Sweep
+from vibrojax.input.definition import DIRECTIONS, Sweep
 from vibrojax.input.points import VECTOR
 from vibrojax.input.starts import Starts
 from vibrojax.label import LABELLED_BY, hides_another, label
@@ -48,7 +48,7 @@ def dataset_of(sweep: Sweep, features: dict, solver: dict, wall_time: float) -> 
             continue
         x = features[name]
         dims = (*sweep.dims, *((variable.along,) if x.ndim == 2 else ()))
-        x = x.reshape(*sweep.shape, *x.shape[1:])
+        x = sweep.over_dims(x)
         if np.issubdtype(variable.dtype, np.integer):
             x = np.nan_to_num(x).astype(variable.dtype)
         variables[name] = (dims, x, variable.attributes())
@@ -181,6 +181,9 @@ def _coordinates(sweep: Sweep, features: dict) -> dict:
     about = {"units": "1", "long_name": "start of the motion"}
     if sweep.point_starts is not None:
         found["start"] = (("point",), np.array(sweep.point_starts), about)
+    elif sweep.run.carry is not None:
+        words = f"way along {sweep.run.carry} in which lanes run, each from where the last one ended"
+        found["direction"] = (("direction",), np.array(DIRECTIONS), {"units": "1", "long_name": words})
     elif sweep.starts is not None:
         found["start"] = (("start",), _numbered(sweep.starts), about)
         found |= _start_states(sweep, sweep.starts)

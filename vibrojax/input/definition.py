@@ -12,6 +12,9 @@ from vibrojax.input.starts import Starts
 from vibrojax.physics.rock import ROCKS
 from vibrojax.scenes import Scene
 
+DIRECTIONS = ("up", "down")
+"""The ways along an axis along which lanes are carried."""
+
 
 @dataclass(frozen=True, eq=False)
 class Sweep:
@@ -56,14 +59,30 @@ class Sweep:
     def dims(self) -> tuple[str, ...]:
         """Names of the dimensions: the axes or "point", if any, then "start" where there are several each."""
         listed = self.points is not None or self.point_starts is not None or self.point_vectors is not None
-        return (*self.axes, *(("point",) if listed else ()), *(("start",) if self.crosses_starts else ()))
+        each = ("direction",) if self.run.carry is not None else ("start",) if self.crosses_starts else ()
+        return (*self.axes, *(("point",) if listed else ()), *each)
 
     @property
     def shape(self) -> tuple[int, ...]:
         """Sizes of the dimensions."""
+        return self._sizes(self.dims)
+
+    @property
+    def counted(self) -> tuple[str, ...]:
+        """The dimensions in the order in which lanes are counted, row by row: as in `dims`, but one along which lanes
+        are carried comes last."""
+        return tuple(sorted(self.dims, key=lambda name: name == self.run.carry))
+
+    def over_dims(self, lanes: np.ndarray) -> np.ndarray:
+        """What is known of all lanes, (lanes, ...), over the dimensions, (*shape, ...)."""
+        grid = lanes.reshape(*self._sizes(self.counted), *lanes.shape[1:])
+        order = [self.counted.index(name) for name in self.dims]
+        return grid.transpose(*order, *range(len(order), grid.ndim))
+
+    def _sizes(self, dims: tuple[str, ...]) -> tuple[int, ...]:
         sizes = {name: len(axis) for name, axis in self.axes.items()}
-        sizes |= {"point": self._points, "start": len(self.starts or ())}
-        return tuple(sizes[name] for name in self.dims)
+        sizes |= {"point": self._points, "start": len(self.starts or ()), "direction": len(DIRECTIONS)}
+        return tuple(sizes[name] for name in dims)
 
     @property
     def lanes(self) -> int:
@@ -73,7 +92,7 @@ class Sweep:
     @property
     def crosses_starts(self) -> bool:
         """Whether every point runs from each of the starts."""
-        return self.starts is not None and self.point_starts is None
+        return self.starts is not None and self.point_starts is None and self.run.carry is None
 
     @property
     def _points(self) -> int:
@@ -89,10 +108,11 @@ class Sweep:
     def lane_values(self, first: int, end: int) -> tuple[dict[str, np.ndarray], np.ndarray]:
         """All of the scene's parameters, and the index into `starts`, of the lanes from `first` to before `end`.
 
-        Lanes are counted in row-major order over `dims`. Returns float64 arrays of shape (end - first,) by name, and
+        Lanes are counted in row-major order over `counted`. Returns float64 arrays of shape (end - first,) by name, and
         an integer array of that shape (zeros for a scene without starts). Memory grows with end - first only.
         """
-        indices = dict(zip(self.dims, np.unravel_index(np.arange(first, end), self.shape), strict=True))
+        places = np.unravel_index(np.arange(first, end), self._sizes(self.counted))
+        indices = dict(zip(self.counted, places, strict=True))
         lanes = end - first
         varied = {name: axis[indices[name]] for name, axis in self.axes.items()}
         if self.points is not None:
@@ -103,7 +123,7 @@ class Sweep:
         values = {name: np.broadcast_to(values[name], lanes).astype(float) for name in self.system.parameters()}
         if self.point_starts is not None:
             return values, self._start_of_point[indices["point"]]
-        return values, np.asarray(indices["start"] if self.starts is not None else np.zeros(lanes, int))
+        return values, np.asarray(indices["start"] if self.crosses_starts else np.zeros(lanes, int))
 
     @property
     def start_names(self) -> tuple[str, ...]:

@@ -80,6 +80,8 @@ def read_sweep(source: str | PathLike[str] | Mapping[str, object], changes: Iter
     )
     if sweep.lanes > _MOST_LANES:
         raise place.at("grid").error(f"{shown(sweep.lanes)} lanes are too many; make the axes shorter")
+    if sweep.run.carry is not None:
+        _check_carried(place.at("run").at("carry"), sweep)
     if sweep.run.orbits and sweep.system.section is None:
         raise (
             place.at("run")
@@ -91,6 +93,18 @@ def read_sweep(source: str | PathLike[str] | Mapping[str, object], changes: Iter
             if name != "rock":
                 warn_if_far(homes[name], names.writable[name], value, meant="; unusual = true says that it is meant")
     return sweep
+
+
+def _check_carried(place: Place, sweep: Sweep) -> None:
+    """Raise where lanes cannot be carried along the axis that is named."""
+    name = str(sweep.run.carry)
+    if name not in sweep.axes:
+        raise place.error(f"{shown(name)} is no axis of [grid]; {suggestion(name, sweep.axes)}")
+    axis = sweep.axes[name]
+    if axis.dtype.kind != "f" or len(axis) < 2 or np.any(np.diff(axis) <= 0):
+        raise place.error(f"the values of {name} do not rise, so there is no up and down; write two or more that do")
+    if sweep.starts is not None and len(sweep.starts) != 1:
+        raise place.error(f'{len(sweep.starts)} starts; the first lane of each way has one: write starts = ["stuck"]')
 
 
 def read_parameters(place: Place, given: dict[str, object], names: Names) -> dict[str, float]:

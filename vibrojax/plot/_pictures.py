@@ -17,6 +17,7 @@ from vibrojax.plot._basins import many_starts, share_grid
 from vibrojax.plot._bifurcation import bifurcation
 from vibrojax.plot._contents import Contents, contents, law_in, rates_in, regimes_in
 from vibrojax.plot._hole import pulses, response
+from vibrojax.plot._hysteresis import hysteresis
 from vibrojax.plot._maps import rate_grid, regime_grid
 from vibrojax.plot._rate_law import law_lines, law_map
 from vibrojax.plot._rates import rates
@@ -48,6 +49,7 @@ PICTURES = (
     Picture("motion",        lambda held: held.bit_on_rock,                              pulses),
     Picture("motion",        lambda held: held.run,                                      trajectory),
     Picture("accuracy",      lambda held: held.study,                                    work_precision),
+    Picture("returns",       lambda held: held.carried,                                  hysteresis),
     Picture("returns",       lambda held: held.returns,                                  bifurcation),
     Picture("law",           lambda held: held.law and len(held.long) > 1,               law_map),
     Picture("law",           lambda held: held.law,                                      law_lines),
