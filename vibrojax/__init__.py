@@ -13,6 +13,7 @@ _HOMES = {
     "run_sweep": "vibrojax.sweep",
     "read_sweep": "vibrojax.input.read",
     "orbits": "vibrojax.found_orbits",
+    "follow": "vibrojax.followed",
     "simulate": "vibrojax.simulation",
     "fit_rop": "vibrojax.laws",
     "fit_joint": "vibrojax.laws",

@@ -2,13 +2,10 @@
 
 from typing import Any
 
-import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from vibrojax.devices import precision, workers
 from vibrojax.engine.batch import Features, Index
-from vibrojax.engine.parallel import in_parallel
 from vibrojax.input.definition import Sweep
 from vibrojax.measure.kept_returns import state_name
 from vibrojax.measure.ledger import MOST_CYCLES
@@ -16,12 +13,8 @@ from vibrojax.measure.section import scales
 from vibrojax.periodic.margin import HOW
 from vibrojax.periodic.measured import Begun, Measuring, begun, joined
 from vibrojax.periodic.newton import ACCEPTED, Found, States, orbits
-from vibrojax.periodic.return_map import Mapped, mapped
-from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Located
+from vibrojax.periodic.segments import STEPS, Segments
 from vibrojax.store.variables import ORBIT_REASONS, orbit_name
-
-STEPS = Accuracy(tolerance=1e-11, stride=LOCATED_STRIDE, step=np.inf)
-"""Of the return map. Over the default map multipliers are within 1.2e-8 of those at 1e-14, periods within 3e-13 s."""
 
 GRAZING = 1e-5
 """Margin below which multipliers are not given. Beside a graze the map goes as a root, so its derivative holds over a
@@ -36,9 +29,6 @@ far its state is."""
 
 SAME = 1e-6
 """Distance over the scales within which two states of an orbit are one."""
-
-SEGMENTS = 512
-"""Returns per call of the map."""
 
 OF_THE_LANE = frozenset({"finite", "finished", "steps", "returns", "trend", "cycles", "impacts", "settling_time"})
 """Features of the lane itself, which its orbit does not replace; `impacts` are the same."""
@@ -59,7 +49,7 @@ class Orbits:
         self._sweep = sweep
         self._scene = sweep.system.driving_part()
         self._measure = Measuring(sweep)
-        self._workers = workers()
+        self._map = Segments(self._scene)
 
     @property
     def described(self) -> dict[str, object]:
@@ -108,7 +98,9 @@ class Orbits:
         drift = features["drift_estimate"][lanes]
         reach = np.where(np.isnan(drift), NEAR, np.clip(DRIFTS * drift, NEAR, FAR))
         given = {name: x[lanes] for name, x in parameters.items()}
-        orbit = orbits(begin, scale, reach, lambda some, states: self._returns(given, some, states))
+        orbit = orbits(
+            begin, scale, reach, lambda some, states: self._map({name: x[some] for name, x in given.items()}, states)
+        )
         converged, own = orbit.residual <= ACCEPTED, orbit.moved <= reach
         if "impacts" in features:
             own &= orbit.impacts == features["impacts"][lanes]
@@ -130,20 +122,6 @@ class Orbits:
         found["multiplier_arg"][lanes[right]] = np.abs(np.angle(values))
         found["stable"][lanes[right]] = np.abs(values[:, 0]) < 1
         return begun(lanes[right], orbit.states[right], orbit.times[right], orbit.steps[right])
-
-    def _returns(self, given: dict[str, np.ndarray], lanes: Index, states: Float[np.ndarray, "_ segments"]) -> Mapped:
-        """The return map of segments, each of one of the `lanes`, by all workers."""
-        items = np.array_split(np.arange(len(lanes)), -(-len(lanes) // SEGMENTS))
-
-        def work(_: jax.Device, some: Index) -> Mapped:
-            with precision("float64"):
-                p = {name: x[lanes[some]] for name, x in given.items()}
-                return mapped(self._scene, Located(), p, states[:, some], Accuracy(*map(np.float64, STEPS)))
-
-        parts: list[Any] = [None] * len(items)
-        for index, part in in_parallel(work, items, self._workers):
-            parts[index] = part
-        return jax.tree.map(lambda *x: np.concatenate(x, axis=-1), *parts)
 
     def _measured(self, first: int, end: int, orbit: Begun, own: Features, found: Features) -> Features:
         """The features of the chunk, of lanes with an orbit measured over it; one that it does not bear out is lost."""

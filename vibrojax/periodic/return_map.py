@@ -26,6 +26,7 @@ class Seen(NamedTuple):
     """What is seen on the way, each (lanes,) but the ranges.
 
     - `returned`: whether the section was reached; `impacts` on the way; `steps` taken.
+    - `entered` (modes, 3, lanes): how often each mode changed to -1, to 0 and to 1.
     - `margin`: how far the order of events is from changing, see [vibrojax.periodic.margin][].
     - `least`, `greatest` (states, lanes): of the return map's states.
     """
@@ -33,14 +34,15 @@ class Seen(NamedTuple):
     returned: Flags
     impacts: Lanes
     steps: Lanes
+    entered: Array
     margin: Lanes
     least: Array
     greatest: Array
 
 
 class Mapped(NamedTuple):
-    """Where lanes return: `state` (states, lanes), after the `time` [s]; its derivative `jacobian` (states, states,
-    lanes), by the state returned to and then by that begun with; and what was seen on the way."""
+    """Where lanes return: `state` (states, lanes), after the `time` [s]; its derivative `jacobian` (states, states and
+    parameters, lanes), by the state returned to and then by that begun with, or the parameter; and what was seen."""
 
     state: Array
     time: Lanes
@@ -57,23 +59,34 @@ class _Way(NamedTuple):
     seen: Seen
 
 
-@lane_function(static=2)
-def mapped(scene: Scene[Any], stepper: Stepper, p: dict[str, Lanes], state: Array, accuracy: Accuracy) -> Mapped:
+@lane_function(static=3)
+def mapped(
+    scene: Scene[Any],
+    stepper: Stepper,
+    along: tuple[str, ...],
+    p: dict[str, Lanes],
+    state: Array,
+    accuracy: Accuracy,
+) -> Mapped:
     """The next return of lanes that stand at the section, and its derivative.
 
-    **Arguments:** `p`: parameters by name (lanes,); `state` (states, lanes): of `scene.return_states`.
+    **Arguments:** `along`: names of the parameters that it is taken by too; `p`: parameters by name (lanes,); `state`
+    (states, lanes): of `scene.return_states`.
     """
-    c = scene.scaled(scene.constants(p), at_section(scene, state))
+    rows = state.shape[0]
 
-    def go(state: Array) -> tuple[tuple[Array, Lanes], Seen]:
-        return one_return(scene, stepper, c, state, accuracy)
+    def go(given: Array) -> tuple[tuple[Array, Lanes], Seen]:
+        varied = dict(zip(along, given[rows:], strict=True))
+        begin = jax.lax.stop_gradient(at_section(scene, state))
+        c = scene.scaled(scene.constants(p | varied), begin)
+        return one_return(scene, stepper, c, given[:rows], accuracy)
 
     def push(tangent: Array) -> Any:
-        (there, time), (moved, _), seen = jax.jvp(go, (state,), (tangent,), has_aux=True)
+        (there, time), (moved, _), seen = jax.jvp(go, (given,), (tangent,), has_aux=True)
         return there, time, moved, seen
 
-    rows = state.shape[0]
-    ways = jnp.broadcast_to(jnp.eye(rows, dtype=state.dtype)[:, :, None], (rows, *state.shape))
+    given = jnp.stack([*state, *(p[name] for name in along)])
+    ways = jnp.broadcast_to(jnp.eye(len(given), dtype=state.dtype)[:, :, None], (len(given), *given.shape))
     there, time, moved, seen = jax.vmap(push, out_axes=(None, None, 1, None))(ways)
     return Mapped(there, time, moved, seen)
 
@@ -99,7 +112,8 @@ def one_return(
     zero = jnp.zeros_like(state[0])
     none = jnp.zeros_like(zero, bool)
     own = jax.lax.stop_gradient(_own(scene, lane))
-    begun = _Way(lane, zero, none, Seen(none, zero, zero, jnp.full_like(zero, jnp.inf), own, own))
+    entered = jnp.zeros((len(scene.modes), 3, *zero.shape), zero.dtype)
+    begun = _Way(lane, zero, none, Seen(none, zero, zero, entered, jnp.full_like(zero, jnp.inf), own, own))
 
     def one(way: _Way) -> _Way:
         moving = _active(way)
@@ -111,6 +125,7 @@ def one_return(
             returned=seen.returned | (returns & moving),
             impacts=seen.impacts + _impacts(scene, c, step),
             steps=seen.steps + moving.astype(seen.steps.dtype),
+            entered=seen.entered + _entered(step.mode, lane.mode),
             margin=jnp.where(moving, margin.after(seen.margin, way.armed, lane, step), seen.margin),
             least=jnp.minimum(seen.least, own),
             greatest=jnp.maximum(seen.greatest, own),
@@ -128,6 +143,12 @@ def _active(way: _Way) -> Flags:
 def _own(scene: Scene[Any], lane: Lane) -> Array:
     """The return map's states of a lane, (states, lanes)."""
     return jnp.stack([lane.state[scene.place(name)] for name in scene.return_states])
+
+
+def _entered(before: tuple[Array, ...], after: tuple[Array, ...]) -> Array:
+    """Which modes have changed, to -1, to 0 or to 1, (modes, 3, lanes)."""
+    rows = [[(old != new) & (new == value) for value in (-1, 0, 1)] for old, new in zip(before, after, strict=True)]
+    return jnp.stack([jnp.stack(row) for row in rows]).astype(before[0].dtype)
 
 
 def _passed(scene: Scene[Any], section: Section, c: Any, armed: Flags, step: Step) -> tuple[Flags, Flags]:
