@@ -21,6 +21,7 @@ MEANINGS = {
     "keep_returns": "how many of the last returns to store",
     "orbits": "whether to find the periodic orbits of lanes that repeat, with multipliers",
     "carry": "an axis along which lanes run one after another, each from where the last one ended, up and down",
+    "lyapunov": "whether to find the greatest Lyapunov exponents of lanes, and the natures of those that do not repeat",
     "method": "how to step: located or smoothed",
     "step": "length of the steps [s]; left out, it follows from error",
     "smoothing": "width of the friction switch of the smoothed method [m/s]; left out, it follows from error",
@@ -40,6 +41,7 @@ class RunSettings:
     end_early: bool = True
     keep_returns: int = 0
     orbits: bool = False
+    lyapunov: bool = False
     carry: str | None = None
     method: str | Stepper = "located"
     step: float | None = None
@@ -73,7 +75,7 @@ _QUANTITIES: dict[str, Parameter] = table(
     positive("smoothing", 1e-3, "m s-1", "width of the smoothed friction switch", "w"),
 )
 _COUNTS = {"keep_returns": 0, "chunk": 1}
-_LATER: dict[str, object] = {"orbits": False, "carry": None}
+_LATER: dict[str, object] = {"orbits": False, "lyapunov": False, "carry": None}
 _CHOICES: dict[str, Collection[str]] = {"method": STEPPERS, "precision": PRECISIONS}
 
 
@@ -109,9 +111,10 @@ def read_settings(place: Place, given: dict[str, object]) -> RunSettings:
             f"{settings.smoothing:g} has no use with method {shown(settings.stepper.name)}; "
             'leave it out, or set method = "smoothed"'
         )
-    if settings.orbits and not isinstance(settings.stepper, Located):
-        raise place.at("orbits").error(
-            f"true has no use with method {shown(settings.stepper.name)}, whose events are not located; "
-            'leave it out, or set method = "located"'
-        )
+    for name in ("orbits", "lyapunov"):
+        if getattr(settings, name) and not isinstance(settings.stepper, Located):
+            raise place.at(name).error(
+                f"true has no use with method {shown(settings.stepper.name)}, whose events are not located; "
+                'leave it out, or set method = "located"'
+            )
     return settings
