@@ -122,7 +122,7 @@ def test_natures(found):
     assert abs(float(found.lyapunov[1])) < 3 * float(found.lyapunov_stderr[1]) < 0.03
     assert (found.lyapunov[2:] < 0).all() and (found.lyapunov_stderr[2:] == 0).all()
     assert float(found.zero_one[0]) > 0.95 and np.isnan(found.zero_one.values[2:]).all()
-    assert found.lyapunov.attrs["units"] == "s-1" and "natural logarithm" in found.attrs["lyapunov"]
+    assert found.lyapunov.attrs["units"] == "1/s" and "natural logarithm" in found.attrs["lyapunov"]
 
 
 def test_they_need_no_orbits_in_the_dataset_and_change_nothing_else(found):

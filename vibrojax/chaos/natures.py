@@ -179,16 +179,19 @@ def _of_repeats(
     """Returns after which lanes have come to repeat, 0: none; their exponents and errors, over what repeats alone."""
     repeat = np.zeros(len(exponent), int)
     for length in range(LONGEST_REPEAT, 0, -1):
-        apart = np.max(np.abs(gone.states[length:] - gone.states[:-length]) / scale, axis=1)
-        within = np.cumprod(apart[::-1] < REPEATS_WITHIN, axis=0).sum(axis=0) + length
-        for lane in np.flatnonzero(within > 3 * length):
-            blocks = min(BLOCKS, within[lane] // length)
-            late = within[lane] // (length * blocks) * length * blocks
-            growth, seconds = (x[-late:, lane].reshape(blocks, -1).sum(axis=1) for x in (gone.rate, gone.time))
+        late = gone.states[-3 * length - 1 :]
+        some = np.flatnonzero(np.all(np.abs(late[length:] - late[:-length]) < REPEATS_WITHIN * scale, axis=(0, 1)))
+        for lane in some:
+            states = gone.states[:, :, lane]
+            apart = np.all(np.abs(states[length:] - states[:-length]) < REPEATS_WITHIN * scale[:, lane], axis=1)
+            within = int(np.cumprod(apart[::-1]).sum()) + length
+            blocks = min(BLOCKS, within // length)
+            whole = within // (length * blocks) * length * blocks
+            growth, seconds = (x[-whole:, lane].reshape(blocks, -1).sum(axis=1) for x in (gone.rate, gone.time))
             # A motion that only lingers by one that repeats still goes away from it.
             if growth.sum() < 0:
-                repeat[lane], exponent[lane] = length, growth.sum() / seconds.sum()
-                error[lane] = np.std(growth / seconds, ddof=1) / np.sqrt(blocks)
+                repeat[lane], exponent[lane] = length, float(growth.sum()) / float(seconds.sum())
+                error[lane] = float(np.std(growth / seconds, ddof=1)) / blocks**0.5
     return repeat, exponent, error
 
 

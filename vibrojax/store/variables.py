@@ -98,8 +98,8 @@ VARIABLES: dict[str, Variable] = {
         "1", "returns after which the orbit itself repeats (a lane may still be on its way)", np.int8
     ),
     "orbit_reason": Variable("1", "what became of the search for the orbit", np.int8, ORBIT_REASONS),
-    "lyapunov": Variable("s-1", "greatest Lyapunov exponent of the flow but the trivial zero"),
-    "lyapunov_stderr": Variable("s-1", "standard error of lyapunov, by blocks of returns (0: by multipliers)"),
+    "lyapunov": Variable("1/s", "greatest Lyapunov exponent of the flow but the trivial zero"),
+    "lyapunov_stderr": Variable("1/s", "standard error of lyapunov, by blocks of returns (0: by multipliers)"),
     "zero_one": Variable("1", "0-1 test on the returns of lanes that do not repeat: near 1 if chaotic, 0 if regular"),
     "nature": Variable("1", "nature of the motion, by its greatest exponent", np.int8, NATURES),
     "return_time": Variable("s", "time of the return", along="return_index"),
