@@ -7,6 +7,8 @@ import jax.numpy as jnp
 
 import vibrojax as vj
 from vibrojax.physics.parameters import positive, table
+from vibrojax.scenes import stick_slip as slips
+from vibrojax.scenes.capabilities import Bit
 
 
 class LorenzConstants(NamedTuple):
@@ -140,3 +142,111 @@ class ImpactOscillator(vj.Scene[OscillatorConstants]):
 
     def speed_scale(self, c):
         return c.force
+
+
+class BeltConstants(NamedTuple):
+    damping: Any
+    slip: slips.SlipConstants
+
+
+EXPONENTIAL = vj.FrictionLaw(
+    name="exponential",
+    reference="Stender and Hoffmann, Nonlinear Dynamics (2021), 10.1007/s11071-021-06786-5",
+    parameters=table(
+        positive("mu_d", 0.5, "1", "dynamic friction coefficient", "m"),
+        positive("mu_sd", 2.0, "1", "static over dynamic", "r"),
+        positive("v0", 0.5, "m s-1", "speed of the decay", "u"),
+    ),
+    mu=lambda speed, p: p["mu_d"] * (1.0 + (p["mu_sd"] - 1.0) * vj.elementary.exp(speed * (-1 / p["v0"]))),
+)
+
+
+@dataclass(frozen=True)
+class BeltOscillator(vj.HasFriction[BeltConstants]):
+    """x'' + 2 xi x' + x = -sgn(u) mu(|u|), u = x' + v: a unit mass of unit weight on a belt that goes the other way.
+
+    Smoothed, its switch is tanh(u/width), as bSTAB's successor has it with a width of 1/200.
+    """
+
+    friction: vj.FrictionLaw = EXPONENTIAL
+
+    name = "belt-oscillator"
+    states = (
+        vj.State("x1", "m", "position"),
+        vj.State("v1", "m s-1", "velocity", is_velocity=True),
+    )
+    modes = (vj.Mode("slip", "sgn u, 0 where it sticks", 1.0),)
+    markers = (vj.Marker("turn", "v1"),)
+    section = vj.Section((vj.Swing("x1", "v1", "bit_amplitude"),), rearm=lambda c: -0.001 * c.slip.v)
+    start_states = ("x1", "v1")
+    measures = ("swings", "shares")
+
+    def parameters(self):
+        own = table(
+            positive("m1", 1.0, "kg", "mass", "m"),
+            positive("k1", 1.0, "N m-1", "stiffness", "k"),
+            positive("g", 1.0, "m s-2", "weight over mass", "g"),
+            positive("v", 1.5, "m s-1", "speed of the belt", "v"),
+            positive("xi", 0.05, "1", "damping ratio", "x"),
+        )
+        return own | dict(self.friction.parameters)
+
+    def constants(self, p):
+        return BeltConstants(2 * p["xi"], slips.slip_constants(p, self.friction))
+
+    def start(self, c, name, shape):
+        given = (0.0, 0.0) if name is None else name
+        return tuple(jnp.full(shape, x, c.slip.v.dtype) for x in given)
+
+    def pull(self, c, state):
+        return -state[0] - c.damping * state[1]
+
+    def mode_at(self, c, state):
+        x1, v1 = state
+        return (slips.slip_at(c.slip, v1 + c.slip.v, self.pull(c, state), -v1, None, slips.stick_noise(c.slip)),)
+
+    def field(self, c, mode, state):
+        (slip,) = mode
+        force = slips.friction(self.friction, c.slip, slip, state[1] + c.slip.v, None)
+        return (state[1], (slip * slip) * (self.pull(c, state) - force))
+
+    def smoothed_field(self, c, mode, state, width):
+        u = state[1] + c.slip.v
+        force = vj.elementary.tanh(u / width) * self.friction.on_weight(vj.elementary.absolute(u), c.slip.law)
+        return (state[1], self.pull(c, state) - force)
+
+    def smoothed_mode(self, c, mode, state, width):
+        return (slips.smoothed_mode(state[1] + c.slip.v, width),)
+
+    def guards(self):
+        def slipping(c, mode, state):
+            return slips.guard(c.slip, mode[0], state[1] + c.slip.v, self.pull(c, state), None)
+
+        def resolution(c, mode):
+            return slips.resolution(c.slip, mode[0], slips.stick_noise(c.slip))
+
+        def slope(c, mode, h):
+            return slips.slope_resolution(c.slip, mode[0], slips.stick_noise(c.slip), h)
+
+        return (vj.Guard("friction", slipping, resolution, slope, is_switch=True),)
+
+    def reset(self, c, mode, state, hits):
+        hit = hits["friction"]
+        state = (state[0], jnp.where(hit, -c.slip.v, state[1]))
+        slip = slips.slip_after(c.slip, mode[0], self.pull(c, state), -state[1], None, slips.stick_noise(c.slip))
+        return (jnp.where(hit, slip, mode[0]),), state
+
+    def rate(self, c, mode):
+        return 2.0 + 0 * c.slip.v
+
+    def speed_scale(self, c):
+        return c.slip.speed_scale
+
+    def bit(self, c):
+        return Bit(1.0 + 0 * c.slip.v, c.slip.weight, c.slip.v)
+
+    def flight_rate(self, c):
+        return 1.0 + c.damping
+
+    def spring_rate(self, c):
+        return 1.0 + 0 * c.slip.v

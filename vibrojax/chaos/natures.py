@@ -16,8 +16,11 @@ from vibrojax.periodic import Orbits
 from vibrojax.periodic.of_lanes import last_returns, reason
 from vibrojax.store.variables import NATURES
 
-FEWEST, MOST = 512, 4096
-"""Returns that a lane goes on for: doubled until its nature is clear."""
+FEWEST, MOST = 2048, 4096
+"""Returns that a lane goes on for: doubled where its nature is not clear. Chaos may be a transient of some hundred."""
+
+TOGETHER = 512
+"""Lanes that go on together: their returns are kept meanwhile."""
 
 LATE = 0.75
 """Part of them, the last, that the exponent is of; the tangent turns into its direction before, and transients end."""
@@ -94,7 +97,9 @@ class Natures:
             still = astray | np.isin(regime, (IRREGULAR, UNDECIDED))
             still &= features["finite"] & features["finished"] & (features["returns"] > 0)
             given = {name: parameters[name] for name in self._scene.parameters()}
-            self._of_others(np.flatnonzero(still), given, features, found)
+            lanes = np.flatnonzero(still)
+            for some in np.array_split(lanes, -(-len(lanes) // TOGETHER) or 1):
+                self._of_others(some, given, features, found)
         return found
 
     def _of_orbits(self, orbits: Features, features: Features, found: Features) -> None:

@@ -50,7 +50,7 @@ def read_point(place: Place, scene: object, parameters: Mapping[str, object], st
     defaults = {name: parameter.default for name, parameter in names.parameters.items()}
     if start is None:
         start = names.starts[0] if names.starts else None
-    elif not names.starts:
+    elif not names.has_starts:
         raise place.at("start").error(f'scene "{names.scene}" has no starts; leave it out')
     else:
         start = names.start(place.at("start"), plain(place.at("start"), start))
