@@ -1,252 +1,307 @@
-"""Scenes that are no drills, by the public interface: what is known of their motion from elsewhere."""
+"""Scenes of one's own with answers in closed form: a flow that switches, a bouncing ball and an impact oscillator.
+
+They are written by the public interface alone. The last two are forced: the force's phase is a state, set back by a
+turn where it reaches half of one, and the section is where it passes zero.
+"""
 
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
+from scipy.optimize import brentq
 
 import vibrojax as vj
-from vibrojax.physics.parameters import positive, table
-from vibrojax.scenes import stick_slip as slips
-from vibrojax.scenes.capabilities import Bit
+
+positive, not_negative, table = vj.parameters.positive, vj.parameters.not_negative, vj.parameters.table
+sqrt, sin, maximum = vj.elementary.sqrt, vj.elementary.sin, vj.elementary.maximum
+
+ROUNDINGS = 64 * np.finfo(float).eps
 
 
-class LorenzConstants(NamedTuple):
-    sigma: Any
-    r: Any
-    b: Any
+# A flow that switches
+
+
+class SwitchedConstants(NamedTuple):
+    al: Any
+    be: Any
+    ga: Any
 
 
 @dataclass(frozen=True)
-class Lorenz(vj.Scene[LorenzConstants]):
-    """Lorenz, J. Atmospheric Sciences 20 (1963) 130; w is z - (r - 1), whose zero, rising, is the section."""
+class Switched(vj.Scene[SwitchedConstants]):
+    """In polar form, left: r' = (1 - r) r, th' = 1; right: r' = al (be - r) r, th' = ga + be - r.
 
-    name = "lorenz"
-    states = (
-        vj.State("x", "1", "convection"),
-        vj.State("y", "1", "difference of temperature"),
-        vj.State("w", "1", "distortion of the profile, from the fixed points'", is_velocity=True),
-    )
-    modes = (vj.Mode("on", "always 1", 1.0),)
-    markers = (vj.Marker("turn", "w"),)
-    section = vj.Section((vj.Swing("x", "w", "bit_amplitude"),), rearm=lambda c: -0.1 * c.r)
-    start_states = ("x", "y", "w")
-    measures = ("swings",)
+    The field jumps on the axis x = 0, and turns about the origin: the section is y = 0 on the right.
+    """
+
+    name = "switched"
+    states = (vj.State("x", "1", "across", is_velocity=True), vj.State("y", "1", "upwards", is_velocity=True))
+    modes = (vj.Mode("side", "sgn x", -1.0),)
+    markers = (vj.Marker("level", "y"),)
+    section = vj.Section((vj.Swing("x", None, "amplitude"),), rearm=lambda c: -0.1 * jnp.ones_like(c.be), at="y")
 
     def parameters(self):
         return table(
-            positive("sigma", 10.0, "1", "Prandtl number", "s"),
-            positive("r", 28.0, "1", "Rayleigh number over its critical value", "r"),
-            positive("b", 8 / 3, "1", "shape of the cells", "b"),
+            positive("al", 1.0, "1", "pace on the right", "al"),
+            positive("be", 2.0, "1", "radius of the orbit on the right", "be"),
+            positive("ga", 1.5, "1", "what the right turns faster", "ga"),
         )
 
     def constants(self, p):
-        return LorenzConstants(p["sigma"], p["r"], p["b"])
+        return SwitchedConstants(p["al"], p["be"], p["ga"])
 
     def start(self, c, name, shape):
-        given = (1.0, 1.0, 0.0) if name is None else name
-        return tuple(jnp.full(shape, x, c.r.dtype) for x in given)
+        return (jnp.full(shape, 1.5, c.be.dtype), jnp.zeros(shape, c.be.dtype))
 
     def mode_at(self, c, state):
-        return (jnp.ones_like(state[0]),)
+        x, y = state
+        return (jnp.where(jnp.where(x == 0, -y, x) < 0, -1.0, 1.0),)
 
     def field(self, c, mode, state):
-        x, y, w = state
-        z = w + (c.r - 1.0)
-        return (c.sigma * (y - x), x * (c.r - z) - y, x * y - c.b * z)
+        x, y = state
+        right = (1.0 + mode[0]) / 2
+        r = sqrt(x * x + y * y)
+        growth = (1.0 - r) * (1.0 - right) + (c.be - r) * (c.al * right)
+        turning = (1.0 - right) + (c.ga + c.be - r) * right
+        return (growth * x - turning * y, growth * y + turning * x)
 
     def guards(self):
-        return ()
-
-    def reset(self, c, mode, state, hits):
-        return mode, state
-
-    def rate(self, c, mode):
-        return c.sigma + c.r
-
-    def speed_scale(self, c):
-        return 1.0 * c.r
-
-
-class OscillatorConstants(NamedTuple):
-    damping: Any
-    force: Any
-    frequency: Any
-    wall: Any
-    restitution: Any
-
-
-@dataclass(frozen=True)
-class ImpactOscillator(vj.Scene[OscillatorConstants]):
-    """x'' + 2 zeta x' + x = force cos(frequency t) up to the wall, from which it rebounds with restitution.
-
-    The phase is that of a rotor (c, s) = (cos, sin), which comes back to its circle at once; the section is where s
-    rises through zero, t = 0, 2 pi/frequency, ...
-    """
-
-    name = "impact-oscillator"
-    states = (
-        vj.State("c", "1", "cosine of the phase"),
-        vj.State("s", "1", "sine of the phase", is_velocity=True),
-        vj.State("x", "m", "position"),
-        vj.State("v", "m s-1", "velocity", is_velocity=True),
-    )
-    modes = (vj.Mode("on", "always 1", 1.0),)
-    markers = (vj.Marker("phase", "s"), vj.Marker("turn", "v"))
-    section = vj.Section(
-        (vj.Swing("c", "s", "bit_amplitude"), vj.Swing("x", "v", "striker_amplitude")),
-        rearm=lambda c: -0.5 + 0 * c.wall,
-    )
-    start_states = ("c", "s", "x", "v")
-    measures = ("swings",)
-
-    def parameters(self):
-        return table(
-            positive("damping", 0.05, "1", "damping ratio", "z"),
-            positive("force", 1.0, "N", "force", "F"),
-            positive("frequency", 2.0, "rad s-1", "frequency", "w"),
-            positive("wall", 0.1, "m", "place of the wall", "d"),
-            positive("restitution", 0.8, "1", "restitution", "e"),
-        )
-
-    def constants(self, p):
-        return OscillatorConstants(p["damping"], p["force"], p["frequency"], p["wall"], p["restitution"])
-
-    def start(self, c, name, shape):
-        given = (1.0, 0.0, 0.0, 0.0) if name is None else name
-        return tuple(jnp.full(shape, x, c.wall.dtype) for x in given)
-
-    def mode_at(self, c, state):
-        return (jnp.ones_like(state[0]),)
-
-    def field(self, c, mode, state):
-        rotor, s, x, v = state
-        back = 3.0 * (1.0 - rotor * rotor - s * s)
-        return (
-            back * rotor - c.frequency * s,
-            back * s + c.frequency * rotor,
-            v,
-            c.force * rotor - x - 2.0 * c.damping * v,
-        )
-
-    def guards(self):
-        return (vj.Guard("wall", lambda c, mode, state: c.wall - state[2], lambda c, mode: 1e-14 * c.wall),)
-
-    def reset(self, c, mode, state, hits):
-        rotor, s, x, v = state
-        hit = hits["wall"]
-        return mode, (rotor, s, jnp.where(hit, c.wall, x), jnp.where(hit, -c.restitution * v, v))
-
-    def rate(self, c, mode):
-        return c.frequency + 7.0
-
-    def speed_scale(self, c):
-        return c.force
-
-
-class BeltConstants(NamedTuple):
-    damping: Any
-    slip: slips.SlipConstants
-
-
-EXPONENTIAL = vj.FrictionLaw(
-    name="exponential",
-    reference="Stender and Hoffmann, Nonlinear Dynamics (2021), 10.1007/s11071-021-06786-5",
-    parameters=table(
-        positive("mu_d", 0.5, "1", "dynamic friction coefficient", "m"),
-        positive("mu_sd", 2.0, "1", "static over dynamic", "r"),
-        positive("v0", 0.5, "m s-1", "speed of the decay", "u"),
-    ),
-    mu=lambda speed, p: p["mu_d"] * (1.0 + (p["mu_sd"] - 1.0) * vj.elementary.exp(speed * (-1 / p["v0"]))),
-)
-
-
-@dataclass(frozen=True)
-class BeltOscillator(vj.HasFriction[BeltConstants]):
-    """x'' + 2 xi x' + x = -sgn(u) mu(|u|), u = x' + v: a unit mass of unit weight on a belt that goes the other way.
-
-    Smoothed, its switch is tanh(u/width), as bSTAB's successor has it with a width of 1/200.
-    """
-
-    friction: vj.FrictionLaw = EXPONENTIAL
-
-    name = "belt-oscillator"
-    states = (
-        vj.State("x1", "m", "position"),
-        vj.State("v1", "m s-1", "velocity", is_velocity=True),
-    )
-    modes = (vj.Mode("slip", "sgn u, 0 where it sticks", 1.0),)
-    markers = (vj.Marker("turn", "v1"),)
-    section = vj.Section((vj.Swing("x1", "v1", "bit_amplitude"),), rearm=lambda c: -0.001 * c.slip.v)
-    start_states = ("x1", "v1")
-    measures = ("swings", "shares")
-
-    def parameters(self):
-        own = table(
-            positive("m1", 1.0, "kg", "mass", "m"),
-            positive("k1", 1.0, "N m-1", "stiffness", "k"),
-            positive("g", 1.0, "m s-2", "weight over mass", "g"),
-            positive("v", 1.5, "m s-1", "speed of the belt", "v"),
-            positive("xi", 0.05, "1", "damping ratio", "x"),
-        )
-        return own | dict(self.friction.parameters)
-
-    def constants(self, p):
-        return BeltConstants(2 * p["xi"], slips.slip_constants(p, self.friction))
-
-    def start(self, c, name, shape):
-        given = (0.0, 0.0) if name is None else name
-        return tuple(jnp.full(shape, x, c.slip.v.dtype) for x in given)
-
-    def pull(self, c, state):
-        return -state[0] - c.damping * state[1]
-
-    def mode_at(self, c, state):
-        x1, v1 = state
-        return (slips.slip_at(c.slip, v1 + c.slip.v, self.pull(c, state), -v1, None, slips.stick_noise(c.slip)),)
-
-    def field(self, c, mode, state):
-        (slip,) = mode
-        force = slips.friction(self.friction, c.slip, slip, state[1] + c.slip.v, None)
-        return (state[1], (slip * slip) * (self.pull(c, state) - force))
-
-    def smoothed_field(self, c, mode, state, width):
-        u = state[1] + c.slip.v
-        force = vj.elementary.tanh(u / width) * self.friction.on_weight(vj.elementary.absolute(u), c.slip.law)
-        return (state[1], self.pull(c, state) - force)
-
-    def smoothed_mode(self, c, mode, state, width):
-        return (slips.smoothed_mode(state[1] + c.slip.v, width),)
-
-    def guards(self):
-        def slipping(c, mode, state):
-            return slips.guard(c.slip, mode[0], state[1] + c.slip.v, self.pull(c, state), None)
+        def side(c, mode, state):
+            return mode[0] * state[0]
 
         def resolution(c, mode):
-            return slips.resolution(c.slip, mode[0], slips.stick_noise(c.slip))
+            return ROUNDINGS * c.be
 
-        def slope(c, mode, h):
-            return slips.slope_resolution(c.slip, mode[0], slips.stick_noise(c.slip), h)
-
-        return (vj.Guard("friction", slipping, resolution, slope, is_switch=True),)
+        return (vj.Guard("side", side, resolution),)
 
     def reset(self, c, mode, state, hits):
-        hit = hits["friction"]
-        state = (state[0], jnp.where(hit, -c.slip.v, state[1]))
-        slip = slips.slip_after(c.slip, mode[0], self.pull(c, state), -state[1], None, slips.stick_noise(c.slip))
-        return (jnp.where(hit, slip, mode[0]),), state
+        hit = hits["side"]
+        return (jnp.where(hit, -mode[0], mode[0]),), (jnp.where(hit, 0.0, state[0]), state[1])
 
     def rate(self, c, mode):
-        return 2.0 + 0 * c.slip.v
+        return jnp.where(mode[0] < 0, 1.0, c.ga + c.be + c.al * c.be)
 
     def speed_scale(self, c):
-        return c.slip.speed_scale
+        return c.be
 
-    def bit(self, c):
-        return Bit(1.0 + 0 * c.slip.v, c.slip.weight, c.slip.v)
 
-    def flight_rate(self, c):
-        return 1.0 + c.damping
+# A mass that is shaken against a stop
 
-    def spring_rate(self, c):
-        return 1.0 + 0 * c.slip.v
+
+class ShakenConstants(NamedTuple):
+    gravity: Any
+    stiffness: Any
+    damping: Any
+    a: Any
+    w: Any
+    stop: Any
+    k0: Any
+    c0: Any
+
+
+@dataclass(frozen=True)
+class Shaken(vj.HasContact[ShakenConstants]):
+    """x'' = gravity - stiffness x - damping x' + a cos(w t) - J per mass, J of a soft stop at x = `stop`.
+
+    Without gravity it is the impact oscillator. Without stiffness it is the ball that bounces on a table, x being how
+    far it is below the table's surface, which moves as (a/w²) sin(w t - pi/2).
+    """
+
+    name = "shaken"
+    states = (
+        vj.State("x", "m", "position of the mass"),
+        vj.State("v", "m s-1", "velocity of the mass", is_velocity=True),
+        vj.State("phase", "rad", "phase of the force"),
+    )
+    modes = (vj.Mode("touching", "1 where the mass touches the stop", 0.0),)
+    markers = (vj.Marker("strobe", "phase"), vj.Marker("turn", "v"))
+    section = vj.Section((vj.Swing("x", "v", "amplitude"),), rearm=lambda c: -0.1 * jnp.ones_like(c.w), at="phase")
+    starts = ("rest",)
+    start_states = ("x", "v")
+
+    def parameters(self):
+        return table(
+            not_negative("gravity", 0.0, "m s-2", "gravity", "g"),
+            not_negative("stiffness", 1.0, "s-2", "stiffness per mass", "k"),
+            not_negative("damping", 0.1, "s-1", "damping per mass", "c"),
+            not_negative("a", 1.0, "m s-2", "amplitude of the force per mass", "a"),
+            positive("w", 1.0, "rad s-1", "frequency of the force", "w"),
+            not_negative("stop", 1.0, "m", "where the stop is", "d"),
+            positive("k0", 1e6, "s-2", "stiffness of the stop per mass", "k0"),
+            not_negative("xi", 0.1, "1", "damping ratio of the stop", "xi"),
+        )
+
+    def constants(self, p):
+        own = [p[name] for name in ShakenConstants._fields[:-1]]
+        return ShakenConstants(*own, 2 * p["xi"] * jnp.sqrt(p["k0"]))
+
+    def start(self, c, name, shape):
+        x, v = (0.0, 0.0) if isinstance(name, str) else name
+        full = [jnp.full(shape, value, c.w.dtype) for value in (x, v, 0.0)]
+        return tuple(full)
+
+    def mode_at(self, c, state):
+        compression, length = self._contact(c, state)
+        return (jnp.where((compression > 0) & (length > 0), 1.0, 0.0),)
+
+    def field(self, c, mode, state):
+        x, v, phase = state
+        force = c.gravity - c.stiffness * x - c.damping * v + c.a * vj.elementary.cos(phase)
+        return (v, force - self.contact_force(c, mode, state), 0.0 * phase + c.w)
+
+    def guards(self):
+        def touches(c, mode, state):
+            compression, length = self._contact(c, state)
+            # Let go while still compressed (xi > 0), it is caught again only by a force.
+            return mode[0] * length + (1.0 - mode[0]) * maximum(-compression, -length)
+
+        def left(c, mode, state):
+            return np.pi - state[2]
+
+        return (
+            vj.Guard("contact", touches, lambda c, mode: self._noise(c)),
+            vj.Guard("turned", left, lambda c, mode: ROUNDINGS * jnp.ones_like(c.w)),
+        )
+
+    def reset(self, c, mode, state, hits):
+        x, v, phase = state
+        hit, relaxation = hits["contact"], c.c0 / c.k0
+        x = jnp.where(self.impact_begins(c, mode, state, hits), c.stop, x)
+        x = jnp.where(hit & (mode[0] == 1), c.stop - relaxation * v, x)
+        return (jnp.where(hit, 1.0 - mode[0], mode[0]),), (x, v, jnp.where(hits["turned"], -np.pi, phase))
+
+    def rate(self, c, mode):
+        flight = jnp.sqrt(c.stiffness) + c.damping + c.w
+        return jnp.where(mode[0] == 1, jnp.sqrt(c.k0 + flight * flight) + c.c0, flight)
+
+    def speed_scale(self, c):
+        return (c.a + c.gravity) / c.w
+
+    def contact_force(self, c, mode, state):
+        return mode[0] * (c.k0 * (state[0] - c.stop) + c.c0 * state[1])
+
+    def impact_rate(self, c, mode, state):
+        return state[1]
+
+    def impact_begins(self, c, mode, state, hits):
+        return hits["contact"] & (mode[0] == 0) & (state[1] >= 0) & (state[0] - c.stop <= self._noise(c))
+
+    def striker_mass(self, c):
+        return jnp.ones_like(c.w)
+
+    def contact_time(self, c):
+        return np.pi / jnp.sqrt(c.k0)
+
+    def contact_rate(self, c):
+        return jnp.sqrt(c.k0) + c.c0
+
+    def _contact(self, c, state):
+        """How far the stop is compressed, and that and the force of its damper as a length [m]."""
+        compression = state[0] - c.stop
+        return compression, compression + c.c0 / c.k0 * state[1]
+
+    def _noise(self, c):
+        return ROUNDINGS * (c.stop + (c.a + c.gravity) / (c.w * c.w))
+
+
+# Against a rigid stop
+
+
+def restitution(xi: float) -> float:
+    """R of a free mass that meets a spring and damper, and is let go at zero force."""
+    return float(np.exp(-2 * xi * np.arccos(xi) / np.sqrt(1 - xi**2)))
+
+
+class Rigid(NamedTuple):
+    """An orbit of one impact: the force's `phase` [rad] and the `speed` [m/s] at it, the `multipliers` by falling
+    modulus, and the state (x, v) at the `section`."""
+
+    phase: float
+    speed: float
+    multipliers: np.ndarray
+    section: np.ndarray
+
+
+def _multipliers(trace: float, determinant: float) -> np.ndarray:
+    found = np.roots([1.0, -trace, determinant])
+    return found[np.argsort(-np.abs(found), kind="stable")]
+
+
+def ball_orbit(ratio: float, R: float, w: float, gravity: float) -> Rigid:
+    """The ball that meets the table once a period at its upper (stable) phase; `ratio` is a/g.
+
+    It flies up and down for a period T, so that it leaves and meets the table at gT/2, and the table's velocity there
+    is gT/2 (1 - R)/(1 + R). The determinant is R², the trace 1 + R² - (1 + R)² (a/g) sin: Guckenheimer and Holmes,
+    *Nonlinear Oscillations*, 1983, section 2.4, here without its high bounces.
+    """
+    above = np.arccos(np.pi * (1 - R) / (1 + R) / ratio)  # of the table's sine
+    T, height = 2 * np.pi / w, ratio * gravity / w**2
+    speed = gravity * T / (1 + R)
+    left = T - (above + np.pi / 2) / w  # from the impact to the next section
+    flown, rises = height * np.sin(above) + gravity * (T / 2) * left - gravity * left**2 / 2, gravity * (T / 2 - left)
+    values = _multipliers(1 + R**2 - (1 + R) ** 2 * ratio * np.sin(above), R**2)
+    return Rigid(above + np.pi / 2, speed, values, np.array([-height - flown, -rises]))
+
+
+def ball_appears(R: float) -> float:
+    """a/g from which on there is such an orbit: a fold."""
+    return np.pi * (1 - R) / (1 + R)
+
+
+def ball_doubles(R: float) -> float:
+    """a/g at which its period doubles."""
+    return float(np.hypot(ball_appears(R), 2 * (1 + R**2) / (1 + R) ** 2))
+
+
+def oscillator_grazes(w: float, stiffness: float, damping: float, stop: float) -> float:
+    """The amplitude `a` at which the steady motion without impact touches the stop, soft or rigid."""
+    return float(stop * np.hypot(stiffness - w**2, damping * w))
+
+
+def oscillator_orbits(
+    a: float, R: float, w: float, stiffness: float, damping: float, stop: float, n: int = 1
+) -> list[Rigid]:
+    """The orbits of one impact in `n` periods of the force, by the speed there; those that cross the stop are not told.
+
+    With E the flow of the homogeneous equation over the time between impacts, the state less the forced motion's
+    u = (stop - p, -q) obeys (E - 1) u = V (R E + 1) e2, and (p, q/w) lies on the forced motion's circle: Shaw and
+    Holmes, Journal of Sound and Vibration 90 (1983), 129.
+    """
+    E, forced = _flow(2 * np.pi * n / w, stiffness, damping), a / complex(stiffness - w**2, damping * w)
+    u = np.linalg.solve(E - np.eye(2), (R * E + np.eye(2)) @ [0.0, 1.0])
+    square = [u[0] ** 2 + (u[1] / w) ** 2, -2 * stop * u[0], stop**2 - abs(forced) ** 2]
+    found = []
+    for V in sorted(root.real for root in np.roots(square) if root.imag == 0 and root.real > 0):
+        p, q = stop - V * u[0], -V * u[1]
+        phase = (np.angle(complex(p, -q / w)) - np.angle(forced)) % (2 * np.pi)
+        push = a * np.cos(phase) - stiffness * stop
+        before, after = push - damping * V, push + damping * R * V
+        saltation = np.array([[-R, 0.0], [(after + R * before) / V, -R]])
+        M = E @ saltation
+        since = _flow((2 * np.pi * n - phase) / w, stiffness, damping) @ (np.array([stop, -R * V]) - [p, q])
+        section = since + [forced.real, -w * forced.imag]
+        found.append(Rigid(phase, V, _multipliers(np.trace(M), np.linalg.det(M)), section))
+    return found
+
+
+def oscillator_doubles(
+    between: tuple[float, float], R: float, w: float, stiffness: float, damping: float, stop: float, n: int = 1
+) -> float:
+    """The amplitude `a` between two at which the period of the fastest of its orbits doubles, 1 + trace + determinant
+    = 0."""
+
+    def off(a: float) -> float:
+        return float(np.prod(1 + oscillator_orbits(a, R, w, stiffness, damping, stop, n)[-1].multipliers).real)
+
+    return float(brentq(off, *between, xtol=1e-15))
+
+
+def _flow(t: float, stiffness: float, damping: float) -> np.ndarray:
+    """The flow of x'' = -stiffness x - damping x' over t, below critical damping."""
+    half = damping / 2
+    wd = np.sqrt(stiffness - half**2)
+    cos, sin_over = np.cos(wd * t), np.sin(wd * t) / wd
+    return np.exp(-half * t) * np.array(
+        [[cos + half * sin_over, sin_over], [-stiffness * sin_over, cos - half * sin_over]]
+    )

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from own_scenes import BeltOscillator
+from known_scenes import BeltOscillator
 
 import vibrojax as vj
 

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from own_scenes import ImpactOscillator, Lorenz
+from known_scenes import ImpactOscillator, Lorenz
 
 import vibrojax as vj
 from vibrojax.chaos.growth import STEPS, grow

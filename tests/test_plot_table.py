@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 import test_plot as drills
+import test_plot_families as families
 import test_plot_rock as rocks
 import test_plot_starts as starts
 import xarray as xr
@@ -28,6 +29,7 @@ EXPECTED = {
     "response": lambda: bit_on_rock(**SINE),
     "pulses": bit_on_rock,
     "trajectory": drills.KINDS["trajectory"],
+    "families": families.one_family,
     "work_precision": lambda: STUDY,
     "bifurcation": drills.KINDS["bifurcation"],
     "law_map": rocks.KINDS["law-map"],

@@ -14,6 +14,7 @@ _HOMES = {
     "read_sweep": "vibrojax.input.read",
     "orbits": "vibrojax.found_orbits",
     "follow": "vibrojax.followed",
+    "borders": "vibrojax.found_borders",
     "simulate": "vibrojax.simulation",
     "fit_rop": "vibrojax.laws",
     "fit_joint": "vibrojax.laws",

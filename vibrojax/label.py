@@ -59,7 +59,7 @@ def label(
     **Arguments:**
 
     - `features`: from [vibrojax.measure][], those of `LABELLED_BY`; arrays of one shape. `impacts` may be absent (no
-      contact).
+      contact), and `bit_amplitude` (no bit, and no equilibrium).
     - `rest_coefficient`: mu(0+) [1]; `m1` [kg], `g` [m/s²], `k1` [N/m]: arrays that broadcast to that shape.
 
     **Returns:** flags, see `REGIMES`.
@@ -69,7 +69,7 @@ def label(
     swing = EQUILIBRIUM_SWING * np.maximum(rest_coefficient, LEAST_FRICTION) * m1 * g / k1
     rules = [
         (~(features["finite"] & features["finished"]), FAILED),
-        (features["bit_amplitude"] < swing, EQUILIBRIUM),
+        (features.get("bit_amplitude", np.full_like(swing, np.inf)) < swing, EQUILIBRIUM),
         ((features["returns"] < FEWEST_RETURNS) | (features["trend"] != 0), UNDECIDED),
         ((cycles == 1) & (impacts == 0), IMPACT_FREE),
         ((cycles == 1) & (impacts == 1), SINGLE_IMPACT),

@@ -97,8 +97,7 @@ class Natures:
             still = astray | np.isin(regime, (IRREGULAR, UNDECIDED))
             still &= features["finite"] & features["finished"] & (features["returns"] > 0)
             given = {name: parameters[name] for name in self._scene.parameters()}
-            lanes = np.flatnonzero(still)
-            for some in np.array_split(lanes, -(-len(lanes) // TOGETHER) or 1):
+            for some in np.array_split(np.flatnonzero(still), -(-int(still.sum()) // TOGETHER) or 1):
                 self._of_others(some, given, features, found)
         return found
 

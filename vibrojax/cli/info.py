@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from vibrojax.cli._command import Options
 from vibrojax.cli._complete import files, with_completer
 from vibrojax.cli._facts import facts
+from vibrojax.cli._family_lines import family_lines
 from vibrojax.cli._found import found_lines
 from vibrojax.cli._json import HELP, flags, print_json
 from vibrojax.cli._orbit_lines import orbit_lines
@@ -61,6 +62,7 @@ def describe(dataset: "xarray.Dataset") -> list[str]:
         ("regimes", _regimes(dataset) + _hidden(dataset)),
         ("orbits", orbit_lines(dataset)),
         ("natures", _natures(dataset)),
+        ("families", family_lines(dataset)),
         ("failures", _failures(dataset)),
         ("accuracy", _accuracy(dataset) + _flips(dataset)),
     ]

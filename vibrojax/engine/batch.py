@@ -125,7 +125,7 @@ class Engine:
         """The batch's lanes at t = 0 at the section of a periodic orbit, `state` being all states there, (lanes,) each.
 
         `states` (8, states, lanes) and `times` (8, lanes) [s]: of the last returns, see
-        [vibrojax.measure.section.on_orbit][]; `period` (lanes,) [s]: between returns.
+        [vibrojax.measure.section.on_orbit][] (under pulses none is asked for); `period` (lanes,) [s]: between returns.
         """
         with precision(self.sweep.run.precision), jax.default_device(self.workers[0]):
             lane, carry = self.programs.on_orbit(batch.given, state, states, times, period)

@@ -73,9 +73,16 @@ def dataset_of(sweep: Sweep, features: dict, solver: dict, wall_time: float) -> 
 
 
 def measured_besides(scene: Scene[Any]) -> dict[str, Variable]:
-    """The variables that the scene's own gauges declare."""
-    gauges = (gauge for gauge in map(gauge_named, scene.measures) if scene.section is not None)
-    return {name: Variable(*about) for gauge in gauges for name, about in gauge.variables.items()}
+    """The variables that the scene's section and its own gauges declare."""
+    if scene.section is None:
+        return {}
+    found = {}
+    for swing in scene.section.swings:
+        state = scene.states[scene.place(swing.position)]
+        if swing.amplitude not in VARIABLES:
+            found[swing.amplitude] = Variable(state.unit, f"half the swing of: {state.long_name}")
+    gauges = map(gauge_named, scene.measures)
+    return found | {name: Variable(*about) for gauge in gauges for name, about in gauge.variables.items()}
 
 
 def of_orbits(scene: Scene[Any]) -> dict[str, Variable]:

@@ -96,11 +96,10 @@ def lanes_on_orbit(
     kind: Kind, given: Given, state: Values, states: Array, times: Array, period: Lanes
 ) -> tuple[Lane, Any]:
     """(lane, what its recorder carries) at t = 0, from all states at the section of a periodic orbit; see
-    [vibrojax.measure.section.on_orbit][] for the last returns."""
-    assert isinstance(kind.recorder, Recorder)
+    [vibrojax.measure.section.on_orbit][] for the last returns, which under pulses are not asked for."""
     lane = lane_at(kind.scene, _constants(kind, given), state)
     begun = kind.recorder.settling(kind.scene, lane)
-    return lane, on_orbit(begun, states, times, period)
+    return lane, on_orbit(begun, states, times, period) if isinstance(kind.recorder, Recorder) else begun
 
 
 def settle_lanes(kind: Kind, given: Given, begun: Underway, until: Lanes, effort: Effort) -> Underway:

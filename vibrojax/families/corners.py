@@ -17,6 +17,9 @@ PROBES = (1e-9, 1e-8, 1e-7, 1e-6, 1e-5)
 LEAVING = (1e-6, 1e-5, 1e-4, 1e-3)
 """Distances at which the next point is looked for beyond a corner."""
 
+SAME_TIME = 1e-2
+"""Relative difference of the time of a repeat, at two neighbouring points, up to which the returns are the same."""
+
 SAME_PERIOD = 1e-4
 """Relative difference of the time of a repeat, up to which the motion is the same with other returns."""
 
@@ -40,9 +43,12 @@ def around(problem: Problem, family: Index, last: At, ahead: Unknowns, before: A
         lanes = len(family)
         found, best, tangents = np.zeros(lanes, bool), other.of(np.arange(lanes)), ahead.copy()
         along = _null(other.matrix)
+        # Where the time of a repeat is another, returns are counted otherwise, and no corner is turned.
+        period = last.times.sum(axis=1)
+        same = np.abs(other.times.sum(axis=1) - period) < SAME_TIME * period
         for distance in LEAVING:
             for way in (1.0, -1.0):
-                some = np.flatnonzero(~found & np.isfinite(along).all(axis=1))
+                some = np.flatnonzero(~found & same & np.isfinite(along).all(axis=1))
                 if not len(some):
                     break
                 t = way * along[some]

@@ -4,13 +4,14 @@ The unknowns u of a lane are the states s_1 ... s_p over the scales, and the par
 takes each state to the next and the last to the first: as many equations as states, so that the solutions are curves.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from vibrojax.periodic.return_map import MOST_STEPS
 from vibrojax.periodic.segments import Segments
 from vibrojax.scenes import Scene
 from vibrojax.stepping import LOCATED_STRIDE, Accuracy
@@ -64,6 +65,11 @@ class At(NamedTuple):
         return np.column_stack([self.impacts, self.entered.reshape(len(self.u), -1)])
 
 
+def joined_at(parts: Sequence[At]) -> At:
+    """The lanes of all parts, which have as many unknowns."""
+    return At(*(np.concatenate(some) for some in zip(*parts, strict=True)))
+
+
 @dataclass(frozen=True)
 class Problem:
     """Families of one scene over one parameter.
@@ -71,6 +77,7 @@ class Problem:
     - `along`: its name; `parameters`: of the scene by name, each (families,), that of `along` not being asked for.
     - `scales` (families, states): of the states; `unit` (families,): of the parameter.
     - `first`, `last` (families,): the bounds of the parameter, `first` < `last`.
+    - `most_steps`: after which an orbit is taken not to return.
     """
 
     scene: Scene[Any]
@@ -80,9 +87,10 @@ class Problem:
     unit: PerLane
     first: PerLane
     last: PerLane
+    most_steps: float = MOST_STEPS
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "_map", Segments(self.scene, (self.along,), STEPS))
+        object.__setattr__(self, "_map", Segments(self.scene, (self.along,), STEPS, self.most_steps))
 
     @property
     def rows(self) -> int:

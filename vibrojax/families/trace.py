@@ -6,10 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from vibrojax.families.arcs import Arcs
 from vibrojax.families.corners import apart, around, counted_otherwise, doubled
 from vibrojax.families.indicators import KINDS
-from vibrojax.families.locate import EVENTS, Arcs, Special, by_events, located
-from vibrojax.families.problem import At, Flags, Index, Problem, Unknowns, tangent
+from vibrojax.families.locate import Special, by_events, located
+from vibrojax.families.problem import At, Flags, Index, Problem, Unknowns, joined_at, tangent
 from vibrojax.families.walk import (
     CLOSED,
     ENDED,
@@ -45,9 +46,11 @@ ENDS = {
     UNSTABLE: f"a multiplier over {MOST_UNSTABLE:g} is not followed",
 }
 
+_NO_FURTHER = {"section": "the motion goes on, its returns are not counted any more"}
+
 
 class Mark(NamedTuple):
-    """A special point of a leg: its kind, the equations there, the place of the point before it, and what there is to say."""
+    """A special point of a leg: its kind, the equations there, the place of the point before it, and what to say."""
 
     kind: str
     at: At
@@ -62,7 +65,7 @@ class Leg:
     - `family`, `branch`: which; `way`: 1 or -1, towards or against the direction in which the branch is listed;
       `number`: of the leg on this way.
     - `u`, `ahead`, `step`: where and how it begins; `leaves`: the direction in which a doubled branch left, or None.
-    - `home`: the branch's first solution and tangent.
+    - `home`: the branch's first solution and tangent; `after`: the leg that it goes on from, or left.
     - `at`, `marks`: what was found.
     """
 
@@ -75,6 +78,7 @@ class Leg:
     number: int = 0
     leaves: np.ndarray | None = None
     home: tuple[np.ndarray, np.ndarray] | None = None
+    after: "Leg | None" = None
     at: At | None = None
     marks: list[Mark] = field(default_factory=list)
 
@@ -98,21 +102,11 @@ class Tracer:
         """All legs of the families that orbits belong to, of each its unknowns, as many as it has."""
         self._count = dict.fromkeys(family.tolist(), 1)
         begun = {one: (x, self._upwards(one, x)) for one, x in zip(family.tolist(), u, strict=True)}
-        up_first = [Leg(one, 0, 1, *begun[one], FIRST_STEP, home=begun[one]) for one in begun]
-        legs = self._all(up_first)
-        # A closed branch is known whole by one way.
-        closed = {leg.family for leg in legs if any(mark.note == ENDS[CLOSED] for mark in leg.marks)}
-        others = [Leg(one, 0, -1, begun[one][0], -begun[one][1], FIRST_STEP) for one in begun if one not in closed]
-        return legs + self._all(others)
-
-    def _upwards(self, family: int, u: np.ndarray) -> np.ndarray:
-        """The tangent at an orbit, in the direction in which the parameter grows."""
-        up = np.zeros_like(u[None])
-        up[:, -1] = 1.0
-        return tangent(self._problem.at(np.array([family]), u[None]).matrix, up)[0]
-
-    def _all(self, waiting: list[Leg]) -> list[Leg]:
-        """The legs, and all that go on from them."""
+        waiting = [
+            Leg(one, 0, way, x, way * t, FIRST_STEP, home=(x, way * t))
+            for one, (x, t) in begun.items()
+            for way in (1, -1)
+        ]
         done: list[Leg] = []
         while waiting:
             onward: list[Leg] = []
@@ -121,7 +115,13 @@ class Tracer:
                 onward += self._follow(group)
                 done += group
             waiting = onward
-        return done
+        return _once(done)
+
+    def _upwards(self, family: int, u: np.ndarray) -> np.ndarray:
+        """The tangent at an orbit, in the direction in which the parameter grows."""
+        up = np.zeros_like(u[None])
+        up[:, -1] = 1.0
+        return tangent(self._problem.at(np.array([family]), u[None]).matrix, up)[0]
 
     def _follow(self, legs: list[Leg]) -> list[Leg]:
         """Follow legs of one number of returns to their ends; the legs that go on from there."""
@@ -159,59 +159,83 @@ class Tracer:
     def _mark(self, leg: Leg, special: Special, first: int, last: int) -> None:
         """Enter the special points between two points of a trail."""
         for k in np.flatnonzero((special.place >= first) & (special.place < last - 1)):
-            leg.marks.append(Mark(KINDS[special.kind[k]], special.at.of([k]), int(special.place[k]) - first))
+            kind, at = KINDS[special.kind[k]], special.at.of([k])
+            note = self._without_impact(at, special.beyond.of([k])) if kind == "grazing" else ""
+            leg.marks.append(Mark(kind, at, int(special.place[k]) - first, note))
         leg.marks.sort(key=lambda mark: mark.place)
+
+    def _without_impact(self, at: At, beyond: At) -> str:
+        """What there is to say where other events begin or vanish than impacts: of which modes."""
+        if at.impacts[0] != beyond.impacts[0]:
+            return ""
+        changed = (at.entered[0] != beyond.entered[0]).any(axis=1)
+        names = [mode.name for mode, here in zip(self._problem.scene.modes, changed, strict=True) if here]
+        return f"no impact: another order of events of {', '.join(names)}"
 
     def _beyond_ends(self, legs: list[Leg], trail: Trail, bounds: np.ndarray) -> list[Leg]:
         """Enter how legs end; the legs that go on."""
-        problem = self._problem
-        onward: list[Leg] = []
+        stalled: list[Leg] = []
+        last: list[np.ndarray] = []
         for k, leg in enumerate(legs):
-            at = leg.at
-            assert at is not None
-            end, status = at.of([-1]), int(trail.status[k])
-            place = len(at.u) - 1
+            assert leg.at is not None
+            end, status = leg.at.of([-1]), int(trail.status[k])
+            if status == STALLED and leg.number < MOST_LEGS:
+                stalled.append(leg)
+                last.append(trail.tangent[bounds[k + 1] - 1])
+                continue
+            note = ENDS.get(status, "")
             if status == ENDED:
                 one = np.array([leg.family])
-                bound = "last" if problem.value(one, end.u) == problem.last[one] else "first"
-                leg.marks.append(Mark("end", end, place, f"the {bound} value is reached"))
-                continue
-            if status != STALLED or leg.number >= MOST_LEGS:
-                leg.marks.append(Mark("end", end, place, ENDS[status]))
-                continue
-            ahead = trail.tangent[bounds[k + 1] - 1][None]
-            onward += self._past(leg, end, ahead)
-        return onward
+                bound = "last" if self._problem.value(one, end.u) == self._problem.last[one] else "first"
+                note = f"the {bound} value is reached"
+            leg.marks.append(Mark("end", end, len(leg.at.u) - 1, note))
+        return self._past_corners(stalled, np.array(last)) if stalled else []
 
-    def _past(self, leg: Leg, end: At, ahead: Unknowns) -> list[Leg]:
-        """The leg that goes on where another found no next point ahead; enter what is passed there."""
-        problem, one = self._problem, np.array([leg.family])
-        at = leg.at
-        assert at is not None
-        away = np.flatnonzero(np.abs(at.u - end.u).max(axis=1) > 100 * SHORTEST)
-        before = at.of([away[-1] if len(away) else 0])
-        place = len(at.u) - 1
-        turned = around(problem, one, end, ahead, before)
-        passed = Arcs(EVENTS, np.array([place]), one, before, ahead, turned.at, ahead)
-        changed = (before.signature != turned.at.signature).any()
-        kinds = [KINDS[special.kind[0]] for special in by_events(passed)] if changed else []
-        if turned.found[0]:
-            self._enter(leg, kinds, end, "")
-            go = Leg(leg.family, leg.branch, leg.way, turned.at.u[0], turned.tangent[0], AFTER_CORNER, leg.number + 1)
-            go.leaves, go.home = leg.leaves, leg.home
-            return [go]
-        found = counted_otherwise(problem, leg.family, end, ahead)
-        if found is not None:
-            otherwise, t = found
-            leg.marks.append(Mark("section", end, place, f"{otherwise.times.shape[1]} returns from here"))
-            go = Leg(leg.family, leg.branch, leg.way, otherwise.u[0], t[0], AFTER_CORNER, leg.number + 1)
-            go.home = leg.home
-            return [go]
-        if kinds:
-            self._enter(leg, kinds, end, "the family ends here")
-        else:
-            leg.marks.append(Mark("end", end, place, f"{ENDS[STALLED]}; grazing margin {end.margin[0]:.1e}"))
-        return []
+    def _past_corners(self, legs: list[Leg], ahead: Unknowns) -> list[Leg]:
+        """The legs that go on where others found no next point ahead; enter what is passed there."""
+        ats = [leg.at for leg in legs if leg.at is not None]
+        family = np.array([leg.family for leg in legs])
+        end = joined_at([at.of([-1]) for at in ats])
+        away = [np.flatnonzero(np.abs(at.u - at.u[-1]).max(axis=1) > 100 * SHORTEST) for at in ats]
+        before = joined_at([at.of([some[-1] if len(some) else 0]) for at, some in zip(ats, away, strict=True)])
+        turned = around(self._problem, family, end, ahead, before)
+        place = np.array([len(at.u) - 1 for at in ats])
+        passed = Arcs(family, place, before, ahead, turned.at, ahead)
+        onward: list[Leg] = []
+        for k, leg in enumerate(legs):
+            one = np.arange(len(legs)) == k
+            changed = (before.signature[k] != turned.at.signature[k]).any()
+            kinds = [KINDS[special.kind[0]] for special in by_events(self._problem, passed.of(one))] if changed else []
+            go = Leg(
+                leg.family,
+                leg.branch,
+                leg.way,
+                leg.u,
+                leg.ahead,
+                AFTER_CORNER,
+                leg.number + 1,
+                home=leg.home,
+                after=leg,
+            )
+            if turned.found[k]:
+                self._enter(leg, kinds, end.of([k]), "")
+                go.u, go.ahead, go.leaves = turned.at.u[k], turned.tangent[k], leg.leaves
+                onward.append(go)
+                continue
+            otherwise = counted_otherwise(self._problem, leg.family, end.of([k]), ahead[[k]])
+            if otherwise is not None:
+                at, t = otherwise
+                self._enter(leg, ["section"], end.of([k]), f"{at.times.shape[1]} returns from here")
+                go.u, go.ahead = at.u[0], t[0]
+                onward.append(go)
+            elif kinds:
+                self._enter(leg, kinds, end.of([k]), _NO_FURTHER.get(kinds[0], "the family ends here"))
+            elif leg.leaves is not None and abs(apart(end.u[[k]], leg.leaves[None])[0]) < SAME_PLACE:
+                leg.marks.append(Mark("end", end.of([k]), int(place[k]), ENDS[STOPPED]))
+            else:
+                note = f"{ENDS[STALLED]}; grazing margin {end.margin[k]:.1e}"
+                leg.marks.append(Mark("end", end.of([k]), int(place[k]), note))
+        return onward
 
     def _enter(self, leg: Leg, kinds: Sequence[str], end: At, note: str) -> None:
         """Enter special points at a leg's end that are not known yet."""
@@ -237,5 +261,24 @@ class Tracer:
                 u, ahead = doubled(self._problem, mark.at)
                 branch = self._count[leg.family]
                 self._count[leg.family] += 1
-                found.append(Leg(leg.family, branch, 1, u[0], ahead[0], FIRST_STEP, leaves=ahead[0]))
+                found.append(Leg(leg.family, branch, 1, u[0], ahead[0], FIRST_STEP, leaves=ahead[0], after=leg))
         return found
+
+
+def _once(legs: list[Leg]) -> list[Leg]:
+    """The legs without those that a closed branch was followed by the other way; the branches numbered anew."""
+    closed = {leg.family for leg in legs if leg.branch == 0 and any(mark.note == ENDS[CLOSED] for mark in leg.marks)}
+
+    def dropped(leg: Leg | None) -> bool:
+        while leg is not None:
+            if leg.branch == 0 and leg.way < 0:
+                return True
+            leg = leg.after
+        return False
+
+    kept = [leg for leg in legs if not (leg.family in closed and dropped(leg))]
+    numbers: dict[tuple[int, int], int] = {}
+    for leg in kept:
+        among = sum(family == leg.family for family, _ in numbers)
+        leg.branch = numbers.setdefault((leg.family, leg.branch), among)
+    return kept

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Int
 
 from vibrojax.families.indicators import spectral_radius
-from vibrojax.families.problem import At, Flags, Index, PerLane, Problem, Unknowns, solved, tangent
+from vibrojax.families.problem import At, Flags, Index, PerLane, Problem, Unknowns, joined_at, solved, tangent
 
 CONVERGED = 1e-10
 """Residual of the equations at which a point counts as found; Newton's next step would be that squared."""
@@ -23,12 +23,14 @@ MOST_ITERATIONS = 6
 SHORTEST, LONGEST = 1e-9, 0.2
 """Steps, over the scales."""
 
-TURN, SHARP_TURN = 0.1, 0.35
+TURN, SHARP_TURN = 0.2, 0.5
 """Angles [rad] between tangents: aimed at, and beyond which the step is taken again by halves."""
 
 CORNER = 2e-2
-"""Step up to which the tangent may turn by any angle where events begin or vanish on the way: a family has corners
-there."""
+"""Step up to which the tangent may turn by more where events begin or vanish on the way: a family has corners there."""
+
+BLUNT = 1.0
+"""By how much [rad]; around sharper corners another way is taken."""
 
 RUNNING, ENDED, STALLED, STOPPED, CLOSED, TOO_LONG, UNSTABLE = range(7)
 """How a lane's way goes on: underway; at a bound of the parameter; no further point found; where the caller asked; back
@@ -169,7 +171,7 @@ class _Walker:
         taken = np.linalg.norm(now.u - last.u, axis=1)
         changed = (now.signature != last.signature).any(axis=1)
         sound = np.isfinite(ahead).all(axis=1)
-        sound &= (turn <= SHARP_TURN) | (taken < 10 * SHORTEST) | (changed & (taken <= CORNER) & (turn <= 1.5))
+        sound &= (turn <= SHARP_TURN) | (taken < 10 * SHORTEST) | (changed & (taken <= CORNER) & (turn <= BLUNT))
         value = problem.value(family, now.u)
         beyond = (value > problem.last[family]) | (value < problem.first[family])
         beyond &= np.isnan(self._bound[lanes])
@@ -204,6 +206,6 @@ class _Walker:
         """All points that were found."""
         lane = np.concatenate([lanes for lanes, _, _ in self._found])
         order = np.argsort(lane, kind="stable")
-        at = At(*(np.concatenate(some)[order] for some in zip(*(at for _, at, _ in self._found), strict=True)))
+        at = joined_at([at for _, at, _ in self._found]).of(order)
         ahead = np.concatenate([one for *_, one in self._found])[order]
         return Trail(lane[order], at, ahead, self._status, self._step)

@@ -82,10 +82,15 @@ def read_sweep(source: str | PathLike[str] | Mapping[str, object], changes: Iter
         raise place.at("grid").error(f"{shown(sweep.lanes)} lanes are too many; make the axes shorter")
     if sweep.run.carry is not None:
         _check_carried(place.at("run").at("carry"), sweep)
-    for name in ("orbits", "lyapunov"):
-        if getattr(sweep.run, name) and sweep.system.section is None:
-            problem = f"true has no use in {sweep.scene}, which has no section to return to; leave it out"
-            raise place.at("run").at(name).error(problem)
+    if sweep.run.orbits and not sweep.system.driving_part().return_states:
+        raise (
+            place.at("run")
+            .at("orbits")
+            .error(f"true has no use in {sweep.scene} without a section or pulses to return to; leave it out")
+        )
+    if sweep.run.lyapunov and sweep.system.section is None:
+        problem = f"true has no use in {sweep.scene}, which has no section to return to; leave it out"
+        raise place.at("run").at("lyapunov").error(problem)
     if not _read_unusual(place.at("unusual"), tables.get("unusual", False)):
         for name, value in {**fixed, **varied}.items():
             if name != "rock":

@@ -26,10 +26,9 @@ class Shares(Gauge[HasFriction[Any]]):
     def increments(self, scene: HasFriction[Any], c: Any, moment: Moment) -> Sums:
         step = moment.step
         slip = step.mode[scene.mode_place("slip")]
-        turns = jnp.zeros_like(step.dt)
-        if _has_striker(scene):
-            assert scene.section is not None
-            turn = scene.marker_of(scene.section.swings[1].velocity)
+        turns: Lanes = jnp.zeros_like(step.dt)
+        if (striker := _striker(scene)) is not None:
+            turn = scene.marker_of(striker)
             turns = (step.hits[turn] & step.falling[turn]).astype(step.dt.dtype)
         return {
             "stick": jnp.where(slip == 0, step.dt, 0),
@@ -39,7 +38,7 @@ class Shares(Gauge[HasFriction[Any]]):
         }
 
     def read(self, scene: HasFriction[Any], c: Any, carry: Any, whole: Whole) -> dict[str, Lanes]:
-        turns = {"striker_turns": whole.sums["turns"] / whole.returns} if _has_striker(scene) else {}
+        turns = {"striker_turns": whole.sums["turns"] / whole.returns} if _striker(scene) is not None else {}
         return {
             "stick_fraction": whole.sums["stick"] / whole.time,
             "reverse_fraction": whole.sums["reverse"] / whole.time,
@@ -48,8 +47,10 @@ class Shares(Gauge[HasFriction[Any]]):
         }
 
 
-def _has_striker(scene: HasFriction[Any]) -> bool:
-    return scene.section is not None and len(scene.section.swings) > 1
+def _striker(scene: HasFriction[Any]) -> str | None:
+    """The velocity of the section's second swing, if there is one."""
+    assert scene.section is not None
+    return scene.section.swings[1].velocity if len(scene.section.swings) > 1 else None
 
 
 def friction_impulse(scene: HasFriction[Any], c: Any, step: Step) -> Lanes:

@@ -4,6 +4,7 @@ from functools import partial
 
 import numpy as np
 import xarray as xr
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -12,17 +13,21 @@ from vibrojax.errors import InputError
 from vibrojax.plot._axes import scale, values_along, with_unit
 from vibrojax.plot._colours import flags
 from vibrojax.plot._contents import REGIME, RETURN, RETURNS, START, many_starts, swept, without_single
+from vibrojax.plot._over import check_over, draw_over, over_handles, over_text
 from vibrojax.plot._strips import Lanes, Stack, dot_size, draw_stacks, of_lanes, of_start, start_names
 from vibrojax.plot.style import Mark, start_colour, styled
 
 _HIGH = {1: (3.6, 2.6), 2: (2.4, 2.0), 3: (1.9, 1.6)}  # inches of a diagram by the starts: of one facet, of several
 _LOW = (1.5, 1.3)
 _OTHERS = "#CFCFCF"
+RETURNS_OF = "impact_velocity"
+"""The variable of a family that the returns are those of."""
+
 _GREY = Mark(linestyle="none", marker="o", markersize=4.0, color=_OTHERS)
 
 
 @styled
-def bifurcation(ds: xr.Dataset) -> Figure:
+def bifurcation(ds: xr.Dataset, over: xr.Dataset | None = None) -> Figure:
     """The impact velocity at each stored return over the swept axis: a diagram for each start, over those of all.
 
     Where the dots of a start leave those of the others, grey, two motions coexist. Many starts are in one diagram, in
@@ -32,10 +37,13 @@ def bifurcation(ds: xr.Dataset) -> Figure:
     **Arguments:**
 
     - `ds`: a sweep's dataset with `regime` and `return_impact_velocity` [m/s] along `return_index`.
+    - `over`: families of orbits along the swept axis, as `vj.follow` gives them: drawn over the returns, solid where
+      they are stable, dashed where not. Each panel has the families of its parameters.
 
     **Returns:** a figure that pyplot knows nothing of.
 
-    **Raises:** `InputError` where there are no returns, or nothing is swept.
+    **Raises:** `InputError` where there are no returns, or nothing is swept; where `over` has no families along that
+    axis, or of another machine.
     """
     if RETURNS not in ds or REGIME not in ds:
         raise InputError(f"no returns to draw: the dataset holds no {RETURNS}; run the sweep with keep_returns above 0")
@@ -45,12 +53,16 @@ def bifurcation(ds: xr.Dataset) -> Figure:
     x = max(swept(ds), key=lambda name: ds.sizes[name])
     diagrams = 1 if many_starts(ds) else len(start_names(ds))
     of_one, of_several = _HIGH.get(diagrams, _LOW)
-    draw = partial(_draw_returns, x=x)
-    handles = [Line2D([], [], label="all other starts", **_GREY)] if diagrams > 1 else []
-    return draw_stacks(ds, x, diagrams, lambda count: of_one if count == 1 else of_several, draw, handles)
+    draw = partial(_draw_returns, x=x, over=over)
+    handles: list[Artist] = [Line2D([], [], label="all other starts", **_GREY)] if diagrams > 1 else []
+    if over is not None:
+        check_over(ds, over, x)
+        handles += over_handles(over)
+    about = "" if over is None else over_text(ds, over, RETURNS_OF)
+    return draw_stacks(ds, x, diagrams, lambda count: of_one if count == 1 else of_several, draw, handles, about)
 
 
-def _draw_returns(stack: Stack, x: str) -> None:
+def _draw_returns(stack: Stack, x: str, over: xr.Dataset | None) -> None:
     factor, unit = scale(stack.facet[RETURNS])
     names = start_names(stack.facet)
     first = stack.curves[0]
@@ -65,6 +77,8 @@ def _draw_returns(stack: Stack, x: str) -> None:
             _draw_start(axes, stack, x, at, factor)
             if names[at]:
                 axes.set_title(", ".join(part for part in (stack.title, f"start: {names[at]}") if part), loc="left")
+        if over is not None:
+            draw_over(axes, over, stack.facet, x, RETURNS_OF, factor)
     if stack.left:  # written once, as high as the diagrams together
         middle = stack.curves[len(stack.curves) // 2]
         middle.set_ylabel(with_unit("impact velocity at each return", unit), y=0.5 if len(stack.curves) % 2 else 1.1)

@@ -17,7 +17,16 @@ from matplotlib.gridspec import GridSpec
 from matplotlib.lines import Line2D
 
 from vibrojax.plot._axes import certified_text, edges, label, point_text, shape_axis, short, steady, values_along
-from vibrojax.plot._colours import REGIME_MAP, REGIME_NORM, Value, by_share, flags, regime_handles, values_beside
+from vibrojax.plot._colours import (
+    REGIME_MAP,
+    REGIME_NORM,
+    Value,
+    by_share,
+    flags,
+    regime_handles,
+    shape_flags,
+    values_beside,
+)
 from vibrojax.plot._contents import REGIME, START, axes_to_draw, lane_dims, many_starts, regimes_in
 from vibrojax.plot._margins import PAGE, legend_at_right, write_margins
 from vibrojax.plot._sheet import MOST, Facets, columns, facets
@@ -209,6 +218,7 @@ def draw_values(stack: Stack, values: tuple[Value, ...], x: str) -> None:
 def _draw_value(stack: Stack, axes: Axes, value: Value, x: str) -> None:
     if stack.left:
         axes.set_ylabel(value.label.replace(" [", "\n["))
+    shape_flags(axes, value)
     if many_starts(stack.facet):
         values, regimes = (data.transpose(x, START) for data in (value.of(stack.facet), stack.facet[REGIME]))
         along = np.repeat(values_along(stack.facet[x]), values.sizes[START])
@@ -222,6 +232,7 @@ def _draw_value(stack: Stack, axes: Axes, value: Value, x: str) -> None:
         width = Mark(linewidth=2.2, markersize=4.0) if at == 0 else Mark(linewidth=1.0, markersize=2.2)
         axes.plot(along, value.of(lanes).values, color=colour, marker="o", label=name, **width)
     steady(axes)
+    shape_flags(axes, value)
 
 
 def _draw_range(axes: Axes, lanes: xr.Dataset, value: Value, along: Float[np.ndarray, " lanes"], colour: str) -> None:
