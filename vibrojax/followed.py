@@ -18,7 +18,8 @@ from vibrojax.families.points import Point, SpecialPoint, columns, in_order, sta
 from vibrojax.families.problem import STEPS, Problem
 from vibrojax.families.trace import Tracer
 from vibrojax.families.walk import CONVERGED
-from vibrojax.input.definition import Start, Sweep
+from vibrojax.input.definition import Sweep
+from vibrojax.input.starts import Start
 from vibrojax.label import REGIMES
 from vibrojax.measure.ledger import MOST_CYCLES
 from vibrojax.periodic.margin import HOW

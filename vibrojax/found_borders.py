@@ -73,6 +73,8 @@ def checked(sweep: Sweep, axes: tuple[str, str] | None) -> tuple[str, str]:
     """The axes of the plane; raises `InputError` where the sweep has no such plane, or no impacts."""
     if not isinstance(sweep.system, HasContact):
         raise InputError(f'borders: scene "{sweep.scene}" has no impacts; give a sweep of one with a striker')
+    if sweep.run.carry is not None:
+        raise InputError("borders: lanes of this sweep are carried, so they have no starts; leave carry out")
     long = {name: len(values) for name, values in sweep.axes.items() if len(values) > 1}
     if len(long) < 2:
         raise InputError("borders: the sweep has no two axes of two values or more; give one with a [grid] of two")

@@ -17,6 +17,7 @@ from vibrojax.input.names import Names, read_names
 from vibrojax.input.offered import enter_offered
 from vibrojax.input.points import VECTOR
 from vibrojax.input.run_settings import MEANINGS, RunSettings
+from vibrojax.input.starts import PLANE, SAMPLE
 from vibrojax.measure import recorder_for
 from vibrojax.measure.run import Effort, run_block
 from vibrojax.physics.friction import FRICTION_LAWS
@@ -104,7 +105,8 @@ def scene_text(scene: str) -> str:
     if system.start_states:
         states = ", ".join(f"{VECTOR}{state}" for state in system.start_states)
         starts += f", or a vector [{', '.join(system.start_states)}]; in a list of points: columns {states}"
-    parts.append(starts if system.starts else "starts: always the same")
+        starts += f"; many: {SAMPLE}, or {PLANE}"
+    parts.append(starts if names.has_starts else "starts: always the same")
     if names.has_rock:
         rocks = (f"{name} ({one.threshold / 1e3:g} kN, {one.k3 / 1e6:g} MN/m)" for name, one in ROCKS.items())
         parts.append(f"rock, in place of threshold and k3: {', '.join(rocks)}")

@@ -101,7 +101,7 @@ class Orbits:
         self, lanes: Index, repeat: int, parameters: dict[str, np.ndarray], features: Features, found: Features
     ) -> Begun:
         """Enter in `found` the orbits of `lanes`, which all repeat after so many returns; those that were found."""
-        begin, scale = _last_returns(self._scene, lanes, repeat, features)
+        begin, scale = last_returns(self._scene, lanes, repeat, features)
         drift = features["drift_estimate"][lanes]
         reach = np.where(np.isnan(drift), NEAR, np.clip(DRIFTS * drift, NEAR, FAR))
         given = {name: x[lanes] for name, x in parameters.items()}
@@ -154,7 +154,7 @@ class Orbits:
         return measured
 
 
-def _last_returns(scene: Any, lanes: Index, repeat: int, features: Features) -> tuple[States, np.ndarray]:
+def last_returns(scene: Any, lanes: Index, repeat: int, features: Features) -> tuple[States, np.ndarray]:
     """States at the last returns (lanes, cycles, states), and their scales (lanes, states); NaN: labels have none."""
     rows = [features[state_name(name)][lanes][:, -repeat:].astype(float) for name in scene.return_states]
     known: list[Any] = []

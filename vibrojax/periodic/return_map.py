@@ -120,7 +120,7 @@ def one_return(
     def one(way: _Way) -> _Way:
         moving = _active(way, most_steps)
         lane, step = stepper.step(scene, c, way.lane, accuracy, Goal(jnp.inf, moving), marked=True)
-        armed, returns = _passed(scene, section, c, way.armed, step)
+        armed, returns = passed(scene, section, c, way.armed, step)
         seen = way.seen
         own = jax.lax.stop_gradient(_own(scene, lane))
         seen = Seen(
@@ -155,7 +155,7 @@ def _entered(before: tuple[Array, ...], after: tuple[Array, ...]) -> Array:
     return jnp.stack([jnp.stack(row) for row in rows]).astype(before[0].dtype)
 
 
-def _passed(scene: Scene[Any], section: Section | None, c: Any, armed: Flags, step: Step) -> tuple[Flags, Flags]:
+def passed(scene: Scene[Any], section: Section | None, c: Any, armed: Flags, step: Step) -> tuple[Flags, Flags]:
     """(whether the next zero counts, whether the step ends on the section), as where lanes are observed."""
     if section is None:
         assert isinstance(scene, Driven)

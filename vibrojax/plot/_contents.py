@@ -13,6 +13,7 @@ from vibrojax.families.stretches import is_families
 TIME, SETTING = "time", "setting"  # the dimension of a run, and of a study of speed against error
 START, POINT, RETURN, FORM = "start", "point", "return_index", "form"
 MULTIPLIER = "multiplier"
+DIRECTION = "direction"  # of lanes that are carried along an axis
 _GROUP = "group"  # the dimension of groups of rows of a table
 HIDDEN = "hidden_motion"
 REGIME, RATE, RELIEF, COEFFICIENT = "regime", "rate_of_penetration", "relief", "C"
@@ -80,6 +81,11 @@ class Contents:
     def returns(self) -> bool:
         """A sweep that kept the returns to the section, over an axis at least."""
         return self.regimes and RETURNS in self.variables and bool(self.axes)
+
+    @property
+    def carried(self) -> bool:
+        """A sweep whose lanes were carried up and down along an axis."""
+        return self.regimes and DIRECTION in self.dimensions
 
     @property
     def rates(self) -> bool:

@@ -19,6 +19,7 @@ from vibrojax.plot._borders import border_curves
 from vibrojax.plot._contents import Contents, contents, law_in, rates_in, regimes_in
 from vibrojax.plot._families import families
 from vibrojax.plot._hole import pulses, response
+from vibrojax.plot._hysteresis import hysteresis
 from vibrojax.plot._maps import rate_grid, regime_grid
 from vibrojax.plot._over import several
 from vibrojax.plot._rate_law import law_lines, law_map
@@ -53,6 +54,7 @@ PICTURES = (
     Picture("families",      lambda held: held.families,                                 families),
     Picture("borders",       lambda held: held.borders,                                  border_curves),
     Picture("accuracy",      lambda held: held.study,                                    work_precision),
+    Picture("returns",       lambda held: held.carried,                                  hysteresis),
     Picture("returns",       lambda held: held.returns,                                  bifurcation),
     Picture("law",           lambda held: held.law and len(held.long) > 1,               law_map),
     Picture("law",           lambda held: held.law,                                      law_lines),

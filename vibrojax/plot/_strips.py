@@ -65,7 +65,7 @@ def regime_lines(
     x = x or max(axes_to_draw(ds), key=lambda name: ds.sizes[name])
     height = 1.9 if len(values) > 1 else 2.4
     return draw_stacks(
-        ds, x, len(values), lambda _: height, partial(_draw_values, values=values, x=x), _start_handles(ds), about
+        ds, x, len(values), lambda _: height, partial(draw_values, values=values, x=x), _start_handles(ds), about
     )
 
 
@@ -209,7 +209,8 @@ def _start_handles(ds: xr.Dataset) -> list[Artist]:
     return [Line2D([], [], **mark | Mark(color=colour), label=f"start: {name}") for name, colour in colours.items()]
 
 
-def _draw_values(stack: Stack, values: tuple[Value, ...], x: str) -> None:
+def draw_values(stack: Stack, values: tuple[Value, ...], x: str) -> None:
+    """Draw each of the `values` along `x` on a panel of the stack, a line for each start."""
     for axes, value in zip(stack.curves, values, strict=True):
         _draw_value(stack, axes, value, x)
 
