@@ -160,6 +160,40 @@ def test_other_scenes_are_followed_too():
     assert set(coupled.special_note.values.tolist()) >= {"the first value is reached", "the last value is reached"}
 
 
+def random_lines(seed, count):
+    """Lines through the box along one parameter each: what is fixed, the parameter, where it begins, and its bounds."""
+    random = np.random.default_rng(seed)
+    wide = {"beta": (0.1, 1.2), "gamma": (0.3, 1.2), "v": (0.5, 3.0), "delta": (-0.01, 0.02)}
+    for _ in range(count):
+        at = {
+            "beta": random.uniform(0.25, 0.6),
+            "gamma": random.uniform(0.6, 0.8),
+            "v": random.uniform(0.6, 2.0),
+            "delta": -0.005,
+        }
+        along = str(random.choice(list(wide)))
+        begin = at.pop(along)
+        yield at, along, begin, wide[along]
+
+
+@pytest.mark.parametrize("line", list(random_lines(11, 8)), ids=lambda line: line[1])
+def test_lanes_begun_beside_orbits_stay_where_these_are_stable_and_leave_where_not(line):
+    """Along random lines: the sweep knows nothing of multipliers or special points."""
+    at, along, begin, span = line
+    family = followed(along=along, at=begin, span=span, start="drive", cycles=1, **at)
+    some = family.isel(point=np.abs(family.multiplier_abs[:, 0].values - 1) > 0.03)
+    count = some.sizes["point"]
+    points = {name: [value] * count for name, value in at.items()} | {along: some[along].values.tolist()}
+    points |= {"start_x1": some.orbit_x1.values.tolist(), "start_v1": [0.0] * count}
+    points |= {"start_x2": (some.orbit_x2.values + 1e-6).tolist(), "start_v2": some.orbit_v2.values.tolist()}
+    run = {"settle": 120.0, "end_early": False}
+    lanes = vj.run_sweep({"scene": "vibro-impact", "points": points, "run": run, "unusual": True}, progress=False)
+    stays = np.abs(lanes.period.values / some.period.values - 1) < 1e-6
+    stays &= (lanes.cycles.values == 1) & (lanes.impacts.values == some.impacts.values)
+    np.testing.assert_array_equal(stays, some.stable.values == 1)
+    assert stays.any()
+
+
 # What is refused
 
 
