@@ -316,6 +316,28 @@ def test_several_families_may_lie_over_each_other():
     assert counts[1] == 2 * counts[0] > 0
 
 
+def carried(keep=True):
+    """Lanes carried up and down."""
+    ds = swept().rename(start="direction").assign_coords(direction=["up", "down"])
+    ds = ds.assign(cycles=xr.ones_like(ds["regime"]), error_estimate=xr.zeros_like(ds["period"]))
+    ds = ds if keep else ds.drop_vars("return_impact_velocity")
+    return ds.assign_attrs(run=json.dumps({"carry": "gamma"}))
+
+
+def test_families_lie_over_lanes_that_are_carried():
+    figure = picture(carried(), over=one_family())
+    solid, dashed = lines_of(panel(figure, ylabel="impact velocity at each return"))
+    assert solid and dashed and "period-doubling" in marks(figure.axes[0])
+    assert {"up", "down", "stable orbit", "unstable orbit"} <= set(legend(figure))
+    ds = one_family()
+    ds["period"] = ("point", 0.2 + 0.01 * ds["gamma"].values, {"units": "s", "long_name": "period"})
+    periods = panel(picture(carried(keep=False), over=ds), ylabel="period")
+    drawn = [line for line in periods.lines if line.get_color() == "#222222" and len(line.get_xdata()) > 2]
+    x, y = (np.concatenate([getattr(line, f"get_{one}data")() for line in drawn]) for one in "xy")
+    shown = np.isfinite(y)
+    assert shown.any() and np.allclose(y[shown], 0.2 + 0.01 * x[shown], atol=1e-4)
+
+
 @pytest.mark.parametrize(
     ("over", "said"),
     [

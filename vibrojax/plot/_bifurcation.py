@@ -14,16 +14,13 @@ from vibrojax.errors import InputError
 from vibrojax.plot._axes import scale, values_along, with_unit
 from vibrojax.plot._colours import flags
 from vibrojax.plot._contents import REGIME, RETURN, RETURNS, START, many_starts, swept, without_single
-from vibrojax.plot._over import check_over, draw_over, over_handles, over_text, several
+from vibrojax.plot._over import OF_RETURNS, check_over, draw_over, over_handles, over_text, several
 from vibrojax.plot._strips import Lanes, Stack, dot_size, draw_stacks, of_lanes, of_start, start_names
 from vibrojax.plot.style import Mark, start_colour, styled
 
 _HIGH = {1: (3.6, 2.6), 2: (2.4, 2.0), 3: (1.9, 1.6)}  # inches of a diagram by the starts: of one facet, of several
 _LOW = (1.5, 1.3)
 _OTHERS = "#CFCFCF"
-RETURNS_OF = "impact_velocity"
-"""The variable of a family that the returns are those of."""
-
 _GREY = Mark(linestyle="none", marker="o", markersize=4.0, color=_OTHERS)
 
 
@@ -60,7 +57,7 @@ def bifurcation(ds: xr.Dataset, over: xr.Dataset | Sequence[xr.Dataset] | None =
     draw = partial(_draw_returns, x=x, every=every)
     handles: list[Artist] = [Line2D([], [], label="all other starts", **_GREY)] if diagrams > 1 else []
     handles += over_handles(every)
-    about = over_text(ds, every, RETURNS_OF)
+    about = over_text(ds, every, OF_RETURNS)
     return draw_stacks(ds, x, diagrams, lambda count: of_one if count == 1 else of_several, draw, handles, about)
 
 
@@ -80,7 +77,7 @@ def _draw_returns(stack: Stack, x: str, every: Sequence[xr.Dataset]) -> None:
             if names[at]:
                 axes.set_title(", ".join(part for part in (stack.title, f"start: {names[at]}") if part), loc="left")
         for over in every:
-            draw_over(axes, over, stack.facet, x, RETURNS_OF, factor)
+            draw_over(axes, over, stack.facet, x, OF_RETURNS, factor)
     if stack.left:  # written once, as high as the diagrams together
         middle = stack.curves[len(stack.curves) // 2]
         middle.set_ylabel(with_unit("impact velocity at each return", unit), y=0.5 if len(stack.curves) % 2 else 1.1)

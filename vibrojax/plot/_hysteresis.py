@@ -1,6 +1,7 @@
 """Lanes carried up and down along an axis: both ways in one picture, and where they jump."""
 
 import json
+from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
@@ -14,6 +15,7 @@ from vibrojax.label import COMPARED, FAILED, SAME_WITHIN, UNDECIDED
 from vibrojax.plot._axes import scale, values_along, with_unit
 from vibrojax.plot._colours import Value, values_beside
 from vibrojax.plot._contents import DIRECTION, REGIME, RETURN, RETURNS, START, regimes_in
+from vibrojax.plot._over import OF_RETURNS, check_over, draw_over, over_handles, over_text, several
 from vibrojax.plot._strips import Stack, dot_size, draw_stacks, draw_values, of_start, start_names
 from vibrojax.plot.style import INK, Mark, start_colour, styled
 
@@ -24,18 +26,24 @@ _ABOUT = "Each lane starts from where its neighbour ended; where the two ways di
 
 
 @styled
-def hysteresis(ds: xr.Dataset) -> Figure:
+def hysteresis(ds: xr.Dataset, over: xr.Dataset | Sequence[xr.Dataset] | None = None) -> Figure:
     """What lanes do that are carried up and down along an axis: the impact velocity at each return where these were
     kept, else impact velocity and period; with the jumps of both ways, above the regimes of each.
 
-    A jump is where the two ways begin to differ, or cease to.
+    A jump is where the two ways begin to differ, or cease to. `over`: families of orbits along the axis, as `vj.follow`
+    gives them, drawn over the lanes.
     """
     along = json.loads(str(ds.attrs["run"]))["carry"]
     ds = regimes_in(ds.rename({DIRECTION: START}))
     values = () if RETURNS in ds else values_beside(ds)
-    draw = partial(_draw, values=values, x=along)
+    every = several(over)
+    for one in every:
+        check_over(ds, one, along)
+    draw = partial(_draw, values=values, x=along, every=every)
     height = 3.4 if len(values) < 2 else 1.9
-    return draw_stacks(ds, along, max(len(values), 1), lambda count: height, draw, _handles(ds), _ABOUT)
+    handles = [*_handles(ds), *over_handles(every)]
+    about = ". ".join(text for text in (_ABOUT, over_text(ds, every, OF_RETURNS)) if text)
+    return draw_stacks(ds, along, max(len(values), 1), lambda count: height, draw, handles, about)
 
 
 def jumps(ds: xr.Dataset, along: str) -> tuple[Places, Places]:
@@ -84,11 +92,15 @@ def _relative(a: Float[np.ndarray, " lanes"], b: Float[np.ndarray, " lanes"]) ->
     return np.abs(a - b) / np.where(greater > 0, greater, 1.0)
 
 
-def _draw(stack: Stack, values: tuple[Value, ...], x: str) -> None:
+def _draw(stack: Stack, values: tuple[Value, ...], x: str, every: Sequence[xr.Dataset]) -> None:
     if values:
         draw_values(stack, values, x)
     else:
         _draw_returns(stack, x)
+    shown = {value.name: value.factor for value in values} or {OF_RETURNS: scale(stack.facet[RETURNS])[0]}
+    for axes, (name, factor) in zip(stack.curves, shown.items(), strict=True):
+        for over in every:
+            draw_over(axes, over, stack.facet, x, name, factor)
     ends = values_along(stack.facet[x])
     between = (ends[1:] + ends[:-1]) / 2
     for at, (name, where) in enumerate(zip(start_names(stack.facet), jumps(stack.facet, x), strict=True)):

@@ -14,6 +14,9 @@ from vibrojax.plot._branches import MARKS, Curve, draw_families, ranges_text, sp
 from vibrojax.plot._contents import is_numeric, parameters_of
 from vibrojax.plot.style import INK
 
+OF_RETURNS = "impact_velocity"
+"""The variable of a family that the returns of a sweep are those of."""
+
 _SAME = 1e-4  # relative: as many digits as a picture prints
 
 
@@ -51,6 +54,8 @@ def check_over(ds: xr.Dataset, over: xr.Dataset, x: str) -> None:
 def draw_over(axes: Axes, over: xr.Dataset, facet: xr.Dataset, x: str, name: str, factor: float) -> None:
     """Draw the variable `name` of the families in `over` that are of the parameters of `facet`, as far as its axis `x`
     goes."""
+    if name not in over:
+        return
     fits = np.ones(over.sizes.get(FAMILY, 1), bool)
     values = _values(facet)
     for one in _telling(over):

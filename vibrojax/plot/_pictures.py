@@ -88,7 +88,8 @@ def picture(
       drawn, `{"delta": 0.005, "start": "stuck"}`. Numbers need be right to four digits.
     - `colours`: the name of the matplotlib colour map for quantities; regimes, forms and starts keep their colours.
     - `over`: families of orbits, as `follow` gives them, in one dataset or several, to lay over the returns of a sweep
-      along the same parameter; or borders, as `borders` gives them, to lay over the map of regimes.
+      along the same parameter, or over lanes carried along it; or borders, as `borders` gives them, to lay over the map
+      of regimes.
 
     **Returns:** a figure that pyplot knows nothing of.
 
@@ -125,11 +126,13 @@ def _laid_over(ds: xr.Dataset, over: xr.Dataset | Sequence[xr.Dataset], variable
                 + ("and over no other variable" if variable is not None else "and the dataset holds none")
             )
         return regime_grid(ds, over=every[0])
-    if variable is not None or not held.returns:
+    if variable is not None or not (held.returns or held.carried):
         raise InputError(
-            "over: families are laid over the returns of a sweep with keep_returns above 0, "
+            "over: families are laid over the returns of a sweep with keep_returns above 0, or over carried lanes, "
             + ("and over no other variable" if variable is not None else "and the dataset holds none")
         )
+    if held.carried:
+        return hysteresis(ds, every)
     return bifurcation(ds, every)
 
 
