@@ -76,3 +76,12 @@ def test_the_impact_oscillator_grazes_where_the_forced_motion_touches(k0):
     below = found.a.values < graze - 1e-7
     assert (found.impacts.values[below & (np.arange(len(below)) < below.argmin())] == 0).all()
     assert found.impacts.values.max() >= 1
+
+
+def test_a_graze_is_found_where_only_the_side_without_impact_has_orbits_near_it():
+    """A stop so stiff that the multiplier grows from 30 to over 1e3 within a step before the graze."""
+    stiff = {"w": 9.0, "stiffness": 100.0, "damping": 1.0, "stop": 1.0}
+    more = {"xi": XI, "k0": 4e8, "gravity": 0.0, "progress": False, "settle": 20.0, "observe": 30.0, "cycles": 1}
+    found = vj.follow(Shaken(), along="a", at=63.0, span=(10.5, 67.3), **stiff, **more)
+    [graze] = specials(found, "grazing")
+    assert abs(graze - oscillator_grazes(**stiff)) < 1e-8

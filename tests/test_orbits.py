@@ -93,6 +93,31 @@ def test_what_the_rock_adds():
     assert (np.abs(coupled.multiplier_abs.values[..., :3] - drill.multiplier_abs.values) > 1e-3).any()
 
 
+def test_rock_that_acts_back_against_the_exact_motion():
+    """Five states, by central differences; rock so light-damped that its motion has not died out by the next blow. It
+    yields in the second, which makes a multiplier zero."""
+    points = {
+        "beta": [0.4626, 0.58],
+        "gamma": [0.67, 0.6341],
+        "v": [1.349, 1.351],
+        "zeta": [0.02357, 0.03134],
+        "threshold": [13.81e3, 26.87e3],
+        "k3": [9.912e6, 26.69e6],
+    }
+    sweep = {"scene": "coupled-drilling", "points": points, "starts": ["stuck"], "unusual": True}
+    found = vj.run_sweep(sweep | {"run": ORBITS | {"settle": 100.0}}, progress=False).squeeze("start")
+    assert (found.orbit_reason == FOUND).all() and (found.cycles == 1).all()
+    for index in range(2):
+        lane, at = found.isel(point=index), {name: column[index] for name, column in points.items()}
+        section = np.array([lane[f"orbit_{name}"].item() for name in ("x1", "x2", "v2", "compression", "v3")])
+        span = lane.period.item()
+        np.testing.assert_allclose(exact.returns(lane.scene, at, section, 1.01 * span)[1][0], section, atol=1e-10)
+        values = in_upper_half(exact.multipliers(lane.scene, at, section, span))
+        np.testing.assert_allclose(multipliers(lane), values, atol=1e-6)
+        assert (lane.rate_of_penetration > 0) == (index > 0)
+        assert (lane.multiplier_abs[-1] < 1e-12) == (index > 0)
+
+
 # What an orbit replaces, and what is refused
 
 

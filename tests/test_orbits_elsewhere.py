@@ -150,3 +150,50 @@ def test_just_under_the_graze_it_does_not_touch():
     assert found.amplitude.attrs["units"] == "m" and "amplitude" in vj.list_variables(Shaken()).index
     # Short of the stop the map is that of the linear flow: |multiplier| = exp(-damping/2 T).
     np.testing.assert_allclose(found.multiplier_abs[0], np.exp(-damping / 2 * 2 * np.pi / w), rtol=1e-9)
+
+
+# Families of them
+
+
+def special(family, kind, count):
+    """Values of the parameter at the special points of a kind, in the order of the families."""
+    flag = family.special_kind.attrs["flag_meanings"].split().index(kind)
+    here = (family.special_kind == flag).values
+    assert family.special_family.values[here].tolist() == list(range(count))
+    return family.special_value.values[here]
+
+
+def test_the_ball_appears_and_doubles_where_it_does_on_a_rigid_table():
+    w, gravity = 2 * np.pi, 9.81
+    rigid = ball_orbit(1.5 * ball_appears(R), R, w, gravity)
+    family = vj.follow(
+        Shaken(),
+        along="a",
+        at=1.5 * ball_appears(R) * gravity,
+        span=(0.9 * ball_appears(R) * gravity, 1.05 * ball_doubles(R) * gravity),
+        start=rigid.section.tolist(),
+        k0=STIFF,
+        settle=60.0,
+        progress=False,
+        **{"gravity": gravity, "stiffness": 0.0, "damping": 0.0, "w": w, "stop": 0.0, "xi": XI},
+    )
+    for kind, exact in (("fold", ball_appears(R)), ("period-doubling", ball_doubles(R))):
+        values = special(family, kind, 3) / gravity
+        assert halves(values, exact)
+        assert abs(limit(values) - exact) < 1e-6
+
+
+def test_the_oscillator_grazes_and_doubles_where_it_does_with_a_rigid_stop():
+    values = {"w": 9.0, "stiffness": 100.0, "damping": 1.0, "stop": 1.0}
+    grazes = oscillator_grazes(**values)
+    doubles = oscillator_doubles((1.5 * grazes, 3 * grazes), R, **values)
+    begins = oscillator_orbits(3 * grazes, R, **values)[-1].section.tolist()
+    about = {"along": "a", "at": 3 * grazes, "start": begins, "settle": 20.0, "progress": False}
+    stiff = [100 * one for one in STIFF]
+    family = vj.follow(Shaken(), span=(2 * grazes, 3.2 * grazes), k0=stiff, gravity=0.0, xi=XI, **about, **values)
+    found = special(family, "period-doubling", 3)
+    assert halves(found, doubles)
+    assert abs(limit(found) / doubles - 1) < 1e-6
+    # However soft the stop is, it is touched at the same amplitude; towards a stiff one the map has a root there.
+    soft = vj.follow(Shaken(), span=(0.5 * grazes, 3.2 * grazes), k0=[stiff[0]], gravity=0.0, xi=XI, **about, **values)
+    np.testing.assert_allclose(special(soft, "grazing", 1), grazes, rtol=1e-8)

@@ -180,7 +180,8 @@ class _Regions:
         parameters = self._sweep.system.parameters()
 
         def about(name: str, long_name: str = "") -> dict[str, str]:
-            return {"units": parameters[name].unit, "long_name": long_name or parameters[name].long_name}
+            one = parameters[name]
+            return {"units": one.unit, "long_name": long_name or one.long_name, "symbol": one.symbol}
 
         vertices = np.concatenate([piece.points for piece, _, _ in found]) if found else np.zeros((0, 2))
         number = np.repeat(np.arange(len(found)), [len(piece.points) for piece, _, _ in found])

@@ -11,28 +11,29 @@ from exact import friction
 from exact.measures import sections
 from exact.motion import Motion, run
 
-AT_SECTION = [0, 2, 3]
-"""x1, x2, x2' among the drill's states: the section is x1' = 0."""
+SIZES = {"x1": 0.05, "x2": 0.05, "v2": 1.0, "e": 5e-3, "v3": 0.1}
+"""Typical states at the section, where x1' = 0 [m, m/s]; the last two only where the rock acts back."""
 
 
 def returns(scene: str, point: dict, section, span: float) -> tuple[list[float], np.ndarray]:
-    """(times [s] of the returns within the `span` [s] after that at the `section`; the states (x1, x2, x2') there)."""
+    """(times [s] of the returns within the `span` [s] after that at the `section`; the states there, as many)."""
     motion = _from(scene, point, section, span)
     times = sections(motion)
-    return times, motion.at(times)[:, AT_SECTION]
+    names = [motion.scene.entries.index(name) for name in list(SIZES)[: len(section)]]
+    return times, motion.at(times)[:, names]
 
 
 def multipliers(scene: str, point: dict, section, span: float, cycles: int = 1) -> np.ndarray:
     """Eigenvalues of the map's derivative over `cycles` returns, by falling modulus, by central differences.
 
-    Return by return, so that what bends is never followed for long; steps are 1e-6 of 0.05 m and 1 m/s.
+    Return by return, so that what bends is never followed for long; steps are 1e-6 of the sizes.
     """
-    product = np.eye(3)
+    product = np.eye(len(section))
     times, states = returns(scene, point, section, 1.01 * span)
     for state, time in zip([section, *states[: cycles - 1]], np.diff([0.0, *times[:cycles]]), strict=True):
         columns = []
-        for k, size in enumerate((0.05, 0.05, 1.0)):
-            moved = 1e-6 * size * np.eye(3)[k]
+        for k, size in enumerate(list(SIZES.values())[: len(section)]):
+            moved = 1e-6 * size * np.eye(len(section))[k]
             (_, after), (_, before) = (returns(scene, point, state + way * moved, 1.01 * time) for way in (1, -1))
             columns.append((after[0] - before[0]) / (2 * moved[k]))
         product = np.array(columns).T @ product
@@ -52,8 +53,8 @@ def product(scene: str, point: dict, section, span: float) -> tuple[float, float
 
 
 def _from(scene: str, point: dict, section, observe: float) -> Motion:
-    x1, x2, v2 = section
-    return run(scene, start=[x1, 0.0, x2, v2], observe=observe, **point)
+    x1, x2, v2, *rock = section
+    return run(scene, start=[x1, 0.0, x2, v2, *rock], observe=observe, **point)
 
 
 def _divergence(motion: Motion, phase, states) -> np.ndarray:

@@ -30,7 +30,7 @@ def measured(sweep: Sweep, problem: Problem, points: list[Point], found: Columns
         some = np.flatnonzero(found.cycles == cycles)
         u = np.concatenate([points[k].at.u for k in some])
         times = np.concatenate([points[k].at.times for k in some])
-        steps = np.full(len(some), float(STEPS_PER_RETURN * cycles))
+        steps = np.full(len(some), STEPS_PER_RETURN * cycles)
         parts.append(begun(some, problem.states(found.family[some], u), times, steps))
     orbits = joined(parts)
     features, whole = Measuring(lanes)(0, lanes.lanes, orbits)

@@ -88,8 +88,7 @@ class Orbits:
         parts: list[Begun] = []
         with np.errstate(all="ignore"):
             if self._scene.section is None:
-                go = partial(self._returns, parameters)
-                features = features | repeats(self._scene, features, go)
+                features = features | repeats(self._scene, features, partial(self._returns, parameters))
             cycles = np.nan_to_num(features["cycles"]).astype(int)
             sound = features["finite"] & features["finished"] & (cycles > 0)
             for repeat in range(1, MOST_CYCLES + 1):

@@ -1,5 +1,6 @@
 """Bifurcation diagrams: the impact velocity at each stored return to the section, over the swept axis."""
 
+from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
@@ -13,7 +14,7 @@ from vibrojax.errors import InputError
 from vibrojax.plot._axes import scale, values_along, with_unit
 from vibrojax.plot._colours import flags
 from vibrojax.plot._contents import REGIME, RETURN, RETURNS, START, many_starts, swept, without_single
-from vibrojax.plot._over import check_over, draw_over, over_handles, over_text
+from vibrojax.plot._over import check_over, draw_over, over_handles, over_text, several
 from vibrojax.plot._strips import Lanes, Stack, dot_size, draw_stacks, of_lanes, of_start, start_names
 from vibrojax.plot.style import Mark, start_colour, styled
 
@@ -27,7 +28,7 @@ _GREY = Mark(linestyle="none", marker="o", markersize=4.0, color=_OTHERS)
 
 
 @styled
-def bifurcation(ds: xr.Dataset, over: xr.Dataset | None = None) -> Figure:
+def bifurcation(ds: xr.Dataset, over: xr.Dataset | Sequence[xr.Dataset] | None = None) -> Figure:
     """The impact velocity at each stored return over the swept axis: a diagram for each start, over those of all.
 
     Where the dots of a start leave those of the others, grey, two motions coexist. Many starts are in one diagram, in
@@ -37,8 +38,8 @@ def bifurcation(ds: xr.Dataset, over: xr.Dataset | None = None) -> Figure:
     **Arguments:**
 
     - `ds`: a sweep's dataset with `regime` and `return_impact_velocity` [m/s] along `return_index`.
-    - `over`: families of orbits along the swept axis, as `vj.follow` gives them: drawn over the returns, solid where
-      they are stable, dashed where not. Each panel has the families of its parameters.
+    - `over`: families of orbits along the swept axis, as `vj.follow` gives them, in one dataset or several: drawn over
+      the returns, solid where they are stable, dashed where not. Each panel has the families of its parameters.
 
     **Returns:** a figure that pyplot knows nothing of.
 
@@ -53,16 +54,17 @@ def bifurcation(ds: xr.Dataset, over: xr.Dataset | None = None) -> Figure:
     x = max(swept(ds), key=lambda name: ds.sizes[name])
     diagrams = 1 if many_starts(ds) else len(start_names(ds))
     of_one, of_several = _HIGH.get(diagrams, _LOW)
-    draw = partial(_draw_returns, x=x, over=over)
+    every = several(over)
+    for one in every:
+        check_over(ds, one, x)
+    draw = partial(_draw_returns, x=x, every=every)
     handles: list[Artist] = [Line2D([], [], label="all other starts", **_GREY)] if diagrams > 1 else []
-    if over is not None:
-        check_over(ds, over, x)
-        handles += over_handles(over)
-    about = "" if over is None else over_text(ds, over, RETURNS_OF)
+    handles += over_handles(every)
+    about = over_text(ds, every, RETURNS_OF)
     return draw_stacks(ds, x, diagrams, lambda count: of_one if count == 1 else of_several, draw, handles, about)
 
 
-def _draw_returns(stack: Stack, x: str, over: xr.Dataset | None) -> None:
+def _draw_returns(stack: Stack, x: str, every: Sequence[xr.Dataset]) -> None:
     factor, unit = scale(stack.facet[RETURNS])
     names = start_names(stack.facet)
     first = stack.curves[0]
@@ -77,7 +79,7 @@ def _draw_returns(stack: Stack, x: str, over: xr.Dataset | None) -> None:
             _draw_start(axes, stack, x, at, factor)
             if names[at]:
                 axes.set_title(", ".join(part for part in (stack.title, f"start: {names[at]}") if part), loc="left")
-        if over is not None:
+        for over in every:
             draw_over(axes, over, stack.facet, x, RETURNS_OF, factor)
     if stack.left:  # written once, as high as the diagrams together
         middle = stack.curves[len(stack.curves) // 2]

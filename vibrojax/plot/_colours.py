@@ -123,10 +123,11 @@ def by_share(rows: Float[np.ndarray, "starts values"]) -> Float[np.ndarray, "sta
 
 def regime_names(data: xr.DataArray) -> dict[int, str]:
     """The name of each regime, by the attributes `flag_values` and `flag_meanings` of `data` where they are there."""
-    return dict(enumerate(REGIMES)) | _flag_names(data)
+    return dict(enumerate(REGIMES)) | flag_names(data)
 
 
-def _flag_names(data: xr.DataArray) -> dict[int, str]:
+def flag_names(data: xr.DataArray) -> dict[int, str]:
+    """What the flags of `data` mean, by its attributes."""
     values = np.atleast_1d(data.attrs.get("flag_values", [])).astype(int).tolist()
     return dict(zip(values, str(data.attrs.get("flag_meanings", "")).split(), strict=False))
 
@@ -208,7 +209,7 @@ def value_of(data: xr.DataArray) -> Value:
 
 def _flags_value(data: xr.DataArray) -> Value:
     """Flags in colours: of stability and of regimes their own, of others in order."""
-    meanings, there = _flag_names(data), np.unique(data.values).astype(int).tolist()
+    meanings, there = flag_names(data), np.unique(data.values).astype(int).tolist()
     own = (
         REGIME_COLOURS if "single-impact" in meanings.values() else _STABILITY_COLOURS if data.name == "stable" else {}
     )

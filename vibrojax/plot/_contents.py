@@ -37,7 +37,7 @@ class Contents:
     - `beside`: the quantities worth a panel beside the regimes.
     - `many_starts`: whether every point runs from more starts than have a panel each.
     - `swept_sine`: whether the force of a run is a sine of a frequency that changes.
-    - `families`: whether these are families of orbits along a parameter.
+    - `families`: whether these are families of orbits along a parameter; `borders`: curves around the single impact.
     """
 
     variables: frozenset[str]
@@ -50,6 +50,7 @@ class Contents:
     many_starts: bool
     swept_sine: bool
     families: bool
+    borders: bool
 
     @property
     def run(self) -> bool:
@@ -127,7 +128,13 @@ def contents(ds: xr.Dataset) -> Contents:
         many_starts=many_starts(ds),
         swept_sine=ds.attrs.get("pulse_shape") == "sweep" and parameters_of(ds).get("sweep_rate", 0.0) != 0.0,
         families=is_families(ds),
+        borders=is_borders(ds),
     )
+
+
+def is_borders(ds: xr.Dataset) -> bool:
+    """Whether `ds` holds borders of the single impact."""
+    return {"curve", "kind", "region_area"} <= set(ds.variables) and "axes" in ds.attrs
 
 
 def has_regimes(ds: xr.Dataset) -> bool:

@@ -1,5 +1,7 @@
 """Families of orbits laid over what a sweep found along the same parameter."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import xarray as xr
 from matplotlib.artist import Artist
@@ -8,11 +10,18 @@ from matplotlib.axes import Axes
 from vibrojax.errors import InputError
 from vibrojax.families.stretches import FAMILY, along_name, branches, is_families, numbers_of
 from vibrojax.plot._axes import edges, number, values_along
+from vibrojax.plot._branches import MARKS, Curve, draw_families, ranges_text, special_handles, stability_handles
 from vibrojax.plot._contents import is_numeric, parameters_of
-from vibrojax.plot._families import Curve, draw_families, ranges_text, special_handles, stability_handles
 from vibrojax.plot.style import INK
 
 _SAME = 1e-4  # relative: as many digits as a picture prints
+
+
+def several(over: xr.Dataset | Sequence[xr.Dataset] | None) -> tuple[xr.Dataset, ...]:
+    """The datasets that were given to be laid over another: one, several or none."""
+    if over is None:
+        return ()
+    return (over,) if isinstance(over, xr.Dataset) else tuple(over)
 
 
 def check_over(ds: xr.Dataset, over: xr.Dataset, x: str) -> None:
@@ -57,17 +66,26 @@ def draw_over(axes: Axes, over: xr.Dataset, facet: xr.Dataset, x: str, name: str
     draw_families(axes, over, curves, name, thin=True, factor=factor, within=within, over_dots=True)
 
 
-def over_handles(over: xr.Dataset) -> list[Artist]:
-    """The legend's entries for families."""
-    curves = [Curve(branch, INK) for branch in branches(over)]
-    return [*stability_handles(over, curves, " orbit"), *special_handles(over, count=False)]
+def over_handles(every: Sequence[xr.Dataset]) -> list[Artist]:
+    """The legend's entries for families, each once."""
+    lines: dict[str, Artist] = {}
+    marks: dict[str, Artist] = {}
+    for over in every:
+        curves = [Curve(branch, INK) for branch in branches(over)]
+        lines |= {str(one.get_label()): one for one in stability_handles(over, curves, " orbit")}
+        marks |= {str(one.get_label()): one for one in special_handles(over, count=False)}
+    order = [*MARKS, *marks]
+    return [*lines.values(), *(marks[kind] for kind in sorted(marks, key=order.index))]
 
 
-def over_text(ds: xr.Dataset, over: xr.Dataset, name: str) -> str:
+def over_text(ds: xr.Dataset, every: Sequence[xr.Dataset], name: str) -> str:
     """What the lines over the returns in `ds` are, in words."""
+    if not every:
+        return ""
     several = "return_impacts" in ds and bool((ds["return_impacts"].values > 1).any())
     mean = "A dot is the mean of the blows since the return before" if several else ""
-    return ". ".join(text for text in ("Lines: orbits that were followed", ranges_text(over, (name,)), mean) if text)
+    ranges = {ranges_text(over, (name,)) for over in every}
+    return ". ".join(text for text in ("Lines: orbits that were followed", *sorted(ranges), mean) if text)
 
 
 def _telling(over: xr.Dataset) -> list[str]:

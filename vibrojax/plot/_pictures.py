@@ -15,11 +15,13 @@ from matplotlib.figure import Figure
 from vibrojax.errors import InputError, nearest, shown
 from vibrojax.plot._basins import many_starts, share_grid
 from vibrojax.plot._bifurcation import bifurcation
+from vibrojax.plot._borders import border_curves
 from vibrojax.plot._contents import Contents, contents, law_in, rates_in, regimes_in
 from vibrojax.plot._families import families
 from vibrojax.plot._hole import pulses, response
 from vibrojax.plot._hysteresis import hysteresis
 from vibrojax.plot._maps import rate_grid, regime_grid
+from vibrojax.plot._over import several
 from vibrojax.plot._rate_law import law_lines, law_map
 from vibrojax.plot._rates import rates
 from vibrojax.plot._scatter import rate_scatter, regime_bars, regime_scatter
@@ -50,6 +52,7 @@ PICTURES = (
     Picture("motion",        lambda held: held.bit_on_rock,                              pulses),
     Picture("motion",        lambda held: held.run,                                      trajectory),
     Picture("families",      lambda held: held.families,                                 families),
+    Picture("borders",       lambda held: held.borders,                                  border_curves),
     Picture("accuracy",      lambda held: held.study,                                    work_precision),
     Picture("returns",       lambda held: held.carried,                                  hysteresis),
     Picture("returns",       lambda held: held.returns,                                  bifurcation),
@@ -71,10 +74,10 @@ def picture(
     variable: str | Sequence[str] | None = None,
     where: Mapping[str, Value] | None = None,
     colours: str | None = None,
-    over: xr.Dataset | None = None,
+    over: xr.Dataset | Sequence[xr.Dataset] | None = None,
 ) -> Figure:
-    """The fitting picture for what `ds` holds: a trajectory, returns, regimes, rates of penetration, a law, or families
-    of orbits.
+    """The fitting picture for what `ds` holds: a trajectory, returns, regimes, rates of penetration, a law, families of
+    orbits, or borders.
 
     **Arguments:**
 
@@ -84,7 +87,8 @@ def picture(
     - `where`: values of axes or of coordinates along them, by name, in the dataset's units: only the lanes there are
       drawn, `{"delta": 0.005, "start": "stuck"}`. Numbers need be right to four digits.
     - `colours`: the name of the matplotlib colour map for quantities; regimes, forms and starts keep their colours.
-    - `over`: families of orbits, as `follow` gives them, to lay over the returns of a sweep along the same parameter.
+    - `over`: families of orbits, as `follow` gives them, in one dataset or several, to lay over the returns of a sweep
+      along the same parameter; or borders, as `borders` gives them, to lay over the map of regimes.
 
     **Returns:** a figure that pyplot knows nothing of.
 
@@ -101,17 +105,32 @@ def picture(
     try:
         ds = select(ds, where) if where else ds
         if over is not None:
-            if variable is not None or not contents(ds).returns:
-                raise InputError(
-                    "over: families are laid over the returns of a sweep with keep_returns above 0, "
-                    + ("and over no other variable" if variable is not None else "and the dataset holds none")
-                )
-            return bifurcation(ds, over)
+            return _laid_over(ds, over, variable)
         if variable is not None:
             return variables(ds, (variable,) if isinstance(variable, str) else variable)
         return _fitting_picture(ds)
     finally:
         COLOURS.reset(token)
+
+
+def _laid_over(ds: xr.Dataset, over: xr.Dataset | Sequence[xr.Dataset], variable: object) -> Figure:
+    """Borders over a map of regimes, or families over returns."""
+    held, every = contents(ds), several(over)
+    if any(isinstance(one, xr.Dataset) and contents(one).borders for one in every):
+        if len(every) > 1:
+            raise InputError("over: borders are laid over a map one dataset at a time; give one")
+        if variable is not None or not held.regimes or held.points or len(held.axes) < 2:
+            raise InputError(
+                "over: borders are laid over the map of regimes of a sweep over a grid of two parameters, "
+                + ("and over no other variable" if variable is not None else "and the dataset holds none")
+            )
+        return regime_grid(ds, over=every[0])
+    if variable is not None or not held.returns:
+        raise InputError(
+            "over: families are laid over the returns of a sweep with keep_returns above 0, "
+            + ("and over no other variable" if variable is not None else "and the dataset holds none")
+        )
+    return bifurcation(ds, every)
 
 
 def _fitting_picture(ds: xr.Dataset) -> Figure:
@@ -196,7 +215,7 @@ def save_picture(
     variable: str | Sequence[str] | None = None,
     where: Mapping[str, Value] | None = None,
     colours: str | None = None,
-    over: xr.Dataset | None = None,
+    over: xr.Dataset | Sequence[xr.Dataset] | None = None,
 ) -> None:
     """Draw the fitting picture for `ds` into the file `path`, which is there whole or not at all.
 

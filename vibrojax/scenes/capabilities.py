@@ -51,7 +51,8 @@ class HasFriction(Scene[C]):
 
 
 class HasContact(Scene[C]):
-    """A striker that hits the bit: the mode `touching` is 1 while it does, the guard `contact` begins and ends it."""
+    """A striker that hits the bit, or a stop: the mode `touching` is 1 while it does, the guard `contact` begins and
+    ends it. Impacts are measured, and labels count them."""
 
     @abstractmethod
     def contact_force(self, c: C, mode: Values, state: Values) -> Any:

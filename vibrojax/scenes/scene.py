@@ -1,7 +1,8 @@
 """What a scene is: a hybrid dynamical system of the drill, from which steppers, measures and pictures follow.
 
 Within a mode the motion follows a vector field. It ends where a guard's function passes zero; a reset then gives the
-mode and the state in which it goes on. Markers are zeros of velocities that are landed on to measure there.
+mode and the state in which it goes on. Markers are zeros of states, velocities mostly, that are landed on to measure
+there.
 """
 
 from abc import ABC, abstractmethod
@@ -145,7 +146,7 @@ class Scene(ABC, Generic[C]):
 
     - `name`: what sweep files call it.
     - `states`: the continuous states; `modes`: the discrete ones, floats such as 0, 1, -1.
-    - `markers`: velocities whose zeros are landed on.
+    - `markers`: states, velocities mostly, whose zeros are landed on.
     - `section`: where returns are counted; None for a scene that is driven by pulses, and measured over them.
     - `starts`: names of the states it may start from, the usual one first; `start_states`: those that a vector gives
       as a start, all others being zero; none where it always starts the same.
