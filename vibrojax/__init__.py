@@ -15,6 +15,7 @@ _HOMES = {
     "orbits": "vibrojax.found_orbits",
     "follow": "vibrojax.followed",
     "borders": "vibrojax.found_borders",
+    "attractors": "vibrojax.found_attractors",
     "simulate": "vibrojax.simulation",
     "fit_rop": "vibrojax.laws",
     "fit_joint": "vibrojax.laws",

@@ -28,16 +28,22 @@ class KnownOrbits(NamedTuple):
     most_steps: float
 
 
-def known_orbits(scene: Scene[Any], dataset: xr.Dataset, parameters: Mapping[str, np.ndarray]) -> KnownOrbits:
-    """The orbits that were found of a dataset's lanes.
+def known_orbits(
+    scene: Scene[Any],
+    dataset: xr.Dataset,
+    parameters: Mapping[str, np.ndarray],
+    lanes: Int[np.ndarray, " orbits"] | None = None,
+) -> KnownOrbits:
+    """The orbits that were found of a dataset's lanes, or of some `lanes`, by index.
 
-    **Arguments:** `scene`: what the return map is of; `parameters`: of the lanes by name, in the dataset's order.
+    **Arguments:** `scene`: what the return map is of; `parameters`: of all lanes by name, in the dataset's order.
     """
 
     def column(name: str) -> np.ndarray:
         return dataset[name].values.ravel()
 
-    lanes = np.flatnonzero(column("orbit_reason") == FOUND)
+    if lanes is None:
+        lanes = np.flatnonzero(column("orbit_reason") == FOUND)
     cycles = column("orbit_cycles")[lanes].astype(int)
     here = np.stack([column(orbit_name(name))[lanes] for name in scene.return_states])
     if not len(lanes):

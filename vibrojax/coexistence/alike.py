@@ -1,0 +1,140 @@
+"""Lanes of a point that end in the same motion: by their orbit, or by statistics where they do not repeat."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Float, Int
+
+from vibrojax.families.begin import known_orbits
+from vibrojax.label import EQUILIBRIUM, FAILED, IRREGULAR, UNDECIDED
+from vibrojax.scenes import Scene
+from vibrojax.store.variables import NATURES, orbit_name
+
+SAME = 1e-4
+"""Distance over the scales within which two orbits of a point are the same; they are found to 1e-10."""
+
+IRREGULAR_WITHIN = 0.15
+"""Part by which statistics of irregular lanes of one motion may differ: over some hundred returns theirs scatter so."""
+
+STATISTICS = ("period", "impact_velocity", "bit_amplitude", "striker_amplitude")
+"""What irregular lanes are compared by, where there is any."""
+
+Index = Int[np.ndarray, " lanes"]
+
+
+@dataclass
+class Motions:
+    """The motions of all points, and which of them each lane ends in.
+
+    - `of_lane` (lanes,): by number; -1 where it could not be told.
+    - `cell`: the point of each motion; `kind`: EQUILIBRIUM, IRREGULAR, or a number of returns as `cycles`, 0 for those.
+    - `states` (cycles, states) at the section and `scales` (states,) of orbits; `statistics` of irregular motions, as
+      logarithms; None for others.
+    - `most_steps`: after which a return of a neighbour of the orbits is taken not to come.
+    """
+
+    of_lane: Index
+    cell: list[int] = field(default_factory=list)
+    cycles: list[int] = field(default_factory=list)
+    regime: list[int] = field(default_factory=list)
+    states: list[np.ndarray | None] = field(default_factory=list)
+    scales: list[np.ndarray | None] = field(default_factory=list)
+    statistics: list[np.ndarray | None] = field(default_factory=list)
+    most_steps: float = 0.0
+
+    def add(
+        self,
+        lanes: Index,
+        cell: int,
+        regime: int,
+        states: np.ndarray | None = None,
+        scales: np.ndarray | None = None,
+        statistics: np.ndarray | None = None,
+    ) -> None:
+        """Enter a motion of a point and the lanes that end in it."""
+        self.of_lane[lanes] = len(self.cell)
+        self.cell.append(cell)
+        self.cycles.append(0 if states is None else len(states))
+        self.regime.append(regime)
+        self.states.append(states)
+        self.scales.append(scales)
+        self.statistics.append(statistics)
+
+
+def told_apart(scene: Scene[Any], dataset: xr.Dataset, parameters: Mapping[str, np.ndarray], starts: int) -> Motions:
+    """The motions that lanes end in, point by point.
+
+    **Arguments:** `scene`: what the return map is of; `dataset`: with orbits, the start its last dimension; `parameters`
+    of the lanes by name; `starts`: lanes of a point, which stand one after the other.
+    """
+    regime = dataset["regime"].values.ravel()
+    motions = Motions(np.full(regime.size, -1))
+    _by_orbit(scene, dataset, parameters, starts, motions)
+    for some in _by_cell(np.flatnonzero(regime == EQUILIBRIUM), starts):
+        motions.add(some, int(some[0]) // starts, EQUILIBRIUM)
+    _by_statistics(dataset, regime, starts, motions)
+    return motions
+
+
+def _by_orbit(
+    scene: Scene[Any], dataset: xr.Dataset, parameters: Mapping[str, np.ndarray], starts: int, motions: Motions
+) -> None:
+    """Enter the orbits: of each point the first lane's, then that of the first lane that is on none of them yet."""
+    states = np.stack([dataset[orbit_name(name)].values.ravel() for name in scene.return_states], axis=1)
+    cycles, regime = dataset["orbit_cycles"].values.ravel(), dataset["regime"].values.ravel()
+    # An orbit beside a graze has no multipliers, and is one all the same; on an unstable one no lane stays.
+    there = np.isfinite(states).all(axis=1) & (cycles > 0) & (dataset["stable"].values.ravel() != 0)
+    left = np.flatnonzero(there & ~np.isin(regime, (EQUILIBRIUM, FAILED, UNDECIDED)))
+    while len(left):
+        cells = _by_cell(left, starts)
+        known = known_orbits(scene, dataset, parameters, np.array([some[0] for some in cells]))
+        motions.most_steps = max(motions.most_steps, known.most_steps)
+        for some, orbit, scale in zip(cells, known.states, known.scales, strict=True):
+            apart = np.abs(states[some, None] - orbit[None]) / scale
+            mine = (apart.max(axis=2).min(axis=1) < SAME) & (cycles[some] == len(orbit))
+            mine[0] = True
+            label = int(np.bincount(regime[some[mine]]).argmax())
+            motions.add(some[mine], int(some[0]) // starts, label, orbit, scale)
+        left = left[motions.of_lane[left] < 0]
+
+
+def _by_statistics(dataset: xr.Dataset, regime: np.ndarray, starts: int, motions: Motions) -> None:
+    """Enter the irregular motions: lanes that are joined by neighbours within a part of their statistics are one."""
+    names = [name for name in STATISTICS if name in dataset]
+    values = np.stack([dataset[name].values.ravel() for name in names], axis=1)
+    irregular = regime == IRREGULAR
+    if "nature" in dataset:
+        irregular &= dataset["nature"].values.ravel() != NATURES.index("not-settled")
+    # Without an impact there is no velocity; such a motion is far from all that have one.
+    with np.errstate(invalid="ignore", divide="ignore"):
+        logs = np.where(values > 0, np.log(values), -99.0)
+    for some in _by_cell(np.flatnonzero(irregular), starts):
+        group = joined_within(logs[some], np.log1p(IRREGULAR_WITHIN))
+        for number in range(int(group.max()) + 1):
+            mine = group == number
+            motions.add(
+                some[mine], int(some[0]) // starts, IRREGULAR, statistics=np.median(logs[some][mine], axis=0)
+            )
+
+
+def joined_within(x: Float[np.ndarray, "lanes values"], distance: float) -> Index:
+    """Groups of lanes, by number, that chains of steps no longer than `distance` in any value join."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree
+
+    # What lies within a tenth of the distance stands for each other, so that pairs stay few.
+    cells, index = np.unique(np.round(x / (distance / 10)), axis=0, return_inverse=True)
+    pairs = cKDTree(cells).query_pairs(10.0, p=np.inf, output_type="ndarray")
+    links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(cells), len(cells)))
+    return np.asarray(connected_components(links, directed=False)[1])[index.ravel()]
+
+
+def _by_cell(lanes: Index, starts: int) -> list[Index]:
+    """The lanes of each point, in order."""
+    if not len(lanes):
+        return []
+    return np.split(lanes, np.flatnonzero(np.diff(lanes // starts)) + 1)

@@ -1,0 +1,169 @@
+"""The attractors that a sweep's starts lead to, over its grid: `attractors`."""
+
+import json
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from os import PathLike
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Float, Int
+
+from vibrojax.coexistence.alike import IRREGULAR_WITHIN, SAME, Motions, told_apart
+from vibrojax.coexistence.neighbours import ASIDE, links
+from vibrojax.coexistence.numbers import numbered
+from vibrojax.errors import InputError
+from vibrojax.found_orbits import orbits as with_orbits
+from vibrojax.found_orbits import sweep_with_orbits
+from vibrojax.input.definition import Sweep
+from vibrojax.physics.parameters import differing
+from vibrojax.store.provenance import provenance
+from vibrojax.store.variables import VARIABLES, Variable
+
+SHARE = Variable("1", "share of the starts that end in the attractor")
+SHARE_STDERR = Variable("1", "standard error of share, binomial")
+UNASSIGNED = Variable("1", "starts of which no attractor could be told", np.int32)
+LANE_ATTRACTOR = Variable("1", "number of the attractor that the lane ends in; -1: none could be told", np.int32)
+
+MEASURED = ("period", "impacts", "impact_velocity")
+"""What is said of attractors besides their regime and cycles: the median of their lanes."""
+
+METHOD = (
+    "lanes of a point are one motion if their orbits are within same_within over the scales of labels, or, irregular "
+    "ones, if chains of lanes within irregular_within of each other in period, impact velocity and amplitudes join them; "
+    "motions of neighbouring points are one attractor if the orbit of one, followed as a stable one, leads to the "
+    "other, never farther than aside from where it is expected, or irregular ones are within irregular_within; "
+    "numbers from 0 by falling share over the grid"
+)
+
+
+def attractors(
+    source: xr.Dataset | str | PathLike[str] | Mapping[str, object] | Sweep, progress: bool = True
+) -> xr.Dataset:
+    """The attractors that a sweep's starts lead to, and the share of starts of each, over the grid.
+
+        att = vj.attractors(ds)
+
+    Lanes of a point end in one motion where their orbits are the same; irregular ones, where their statistics are (see
+    the attribute `attractors`). A motion is the same attractor as one of the next point of the grid where its orbit,
+    followed there, becomes that of the other: through grazes and changes of label, and through a period doubling, whose
+    orbit keeps the number of the one that it doubled from. An irregular motion has a number of its own. Numbers do not
+    depend on the order of an axis; 0 is the attractor with the greatest share over the grid.
+
+    **Arguments:**
+
+    - `source`: the dataset of a sweep with starts, or a sweep as `run_sweep` takes it. One without orbits is run again.
+      With `lyapunov = true`, irregular lanes that had not settled are left out.
+    - `progress`: whether to say on stderr how far it is.
+
+    **Returns:** a dataset. Over the grid and `attractor`: `share` and its binomial `share_stderr`, which is an upper
+    bound for Sobol starts; `regime`, that of most of its lanes, `period`, `cycles`, `impacts` and `impact_velocity`,
+    where the share is not 0. Over the grid `unassigned`: starts of which none could be told, because they failed, were
+    undecided, had not settled, or their orbit was not found. Over the sweep's dimensions `lane_attractor`, -1 for these.
+
+    **Raises:** `InputError` where it is no sweep over a grid, or of starts, of a scene that returns to a section.
+    """
+    sweep = sweep_with_orbits(source)
+    check(sweep)
+    dataset = with_orbits(source if isinstance(source, xr.Dataset) else sweep, progress)
+    dataset = dataset.transpose(*sweep.dims, ...)
+    shape, starts = sweep.shape[:-1], sweep.shape[-1]
+    values, _ = sweep.lane_values(0, sweep.lanes)
+    scene = sweep.system.driving_part()
+    lanes = {name: values[name] for name in scene.parameters()}
+    motions = told_apart(scene, dataset, lanes, starts)
+    points = {name: x[::starts] for name, x in lanes.items()}
+    count = np.bincount(motions.of_lane[motions.of_lane >= 0], minlength=len(motions.cell))
+    number = numbered(motions.cell, count.tolist(), links(scene, points, shape, motions), _order(sweep, motions, count))
+    return _described(sweep, dataset, motions, number)
+
+
+def check(sweep: Sweep) -> None:
+    """Raise `InputError` where a sweep has no attractors to be told."""
+    if sweep.run.carry is not None:
+        raise InputError("attractors: lanes of this sweep are carried, so they have no starts; leave carry out")
+    if sweep.points is not None or sweep.point_starts is not None or sweep.point_vectors is not None:
+        raise InputError("attractors: a list of points has no neighbours to number along; give a [grid] in place of points")
+    if not sweep.crosses_starts or sweep.system.driving_part().section is None:
+        raise InputError(f'attractors: scene "{sweep.scene}" has no starts; give a sweep of one with a drill')
+
+
+def _order(sweep: Sweep, motions: Motions, count: Int[np.ndarray, " motions"]) -> list[tuple[float, ...]]:
+    """By what motions are ordered: their point, by rising values of the axes, then how many lanes they have."""
+    ranks = [np.argsort(np.argsort(axis)) for axis in sweep.axes.values()]
+    places = [np.unravel_index(cell, sweep.shape[:-1]) if ranks else () for cell in motions.cell]
+    return [
+        (*(float(rank[k]) for rank, k in zip(ranks, place, strict=True)), -float(count[motion]), float(motion))
+        for motion, place in enumerate(places)
+    ]
+
+
+def _described(sweep: Sweep, dataset: xr.Dataset, motions: Motions, number: Int[np.ndarray, " motions"]) -> xr.Dataset:
+    """The dataset of attractors."""
+    shape, starts = sweep.shape[:-1], sweep.shape[-1]
+    points, many = int(np.prod(shape, dtype=int)), int(number.max(initial=-1)) + 1
+    of_lane = np.where(motions.of_lane >= 0, np.append(number, -1)[motions.of_lane], -1)
+    told = np.flatnonzero(of_lane >= 0)
+    share = np.zeros((points, many))
+    np.add.at(share, (told // starts, of_lane[told]), 1 / starts)
+    found = {
+        "share": (SHARE, share),
+        "share_stderr": (SHARE_STDERR, np.sqrt(share * (1 - share).clip(0) / starts)),
+        **{name: (VARIABLES[name], x) for name, x in _measured(dataset, motions, number, points, many).items()},
+    }
+    dims = (*sweep.dims[:-1], "attractor")
+    variables: dict[str, Any] = {
+        name: (dims, x.reshape(*shape, many).astype(about.dtype), about.attributes())
+        for name, (about, x) in found.items()
+    }
+    unassigned = (of_lane < 0).reshape(points, starts).sum(axis=1).reshape(shape).astype(UNASSIGNED.dtype)
+    variables["unassigned"] = (sweep.dims[:-1], unassigned, UNASSIGNED.attributes())
+    lanes = of_lane.reshape(sweep.shape).astype(LANE_ATTRACTOR.dtype)
+    variables["lane_attractor"] = (sweep.dims, lanes, LANE_ATTRACTOR.attributes())
+    about = {"units": "1", "long_name": "number of the attractor"}
+    kept = {name: x for name, x in dataset.coords.items() if set(x.dims) <= set(sweep.dims)}
+    described = {
+        "method": METHOD,
+        "same_within": SAME,
+        "irregular_within": IRREGULAR_WITHIN,
+        "aside": ASIDE,
+    }
+    attributes = {
+        "title": f"Attractors: {sweep.title or sweep.name}",
+        "scene": sweep.scene,
+        **provenance(),
+        "history": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} attractors",
+        "sweep": sweep.text,
+        **sweep.options,
+        "attractors": json.dumps(described),
+        "parameters": json.dumps(sweep.parameters),
+        "differing": json.dumps(differing(sweep.system.parameters(), sweep.parameters)),
+        "lanes": sweep.lanes,
+        "Conventions": "CF-1.11",
+    }
+    return xr.Dataset(variables, {**kept, "attractor": ("attractor", np.arange(many), about)}, attributes)
+
+
+def _measured(
+    dataset: xr.Dataset, motions: Motions, number: Int[np.ndarray, " motions"], points: int, many: int
+) -> dict[str, Float[np.ndarray, "points many"]]:
+    """Regime, cycles and the medians of what is measured, of each attractor at each point; 0 or NaN where it is not."""
+    names = [name for name in MEASURED if name in dataset]
+    found = {name: np.full((points, many), 0.0 if name in ("regime", "cycles") else np.nan) for name in
+             ("regime", "cycles", *names)}
+    columns = {name: dataset[name].values.ravel().astype(float) for name in names}
+    cycles = dataset["cycles"].values.ravel()
+    order = np.argsort(motions.of_lane, kind="stable")
+    ends = np.searchsorted(motions.of_lane[order], np.arange(len(number) + 1))
+    for motion, (first, end) in enumerate(zip(ends[:-1], ends[1:], strict=True)):
+        lanes, at = order[first:end], (motions.cell[motion], number[motion])
+        found["regime"][at], found["cycles"][at] = motions.regime[motion], motions.cycles[motion]
+        for name, column in columns.items():
+            x = column[lanes]
+            if name == "impacts" and motions.cycles[motion]:  # a lane may show a longer repeat than its orbit has
+                x = x * motions.cycles[motion] / cycles[lanes]
+            x = x[np.isfinite(x)]
+            if len(x):
+                found[name][at] = np.median(x)
+    return found
