@@ -10,8 +10,8 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
 
-from vibrojax.coexistence.alike import IRREGULAR_WITHIN, SAME, Motions, told_apart
-from vibrojax.coexistence.neighbours import ASIDE, links
+from vibrojax.coexistence.alike import EXPONENT_WITHIN, IRREGULAR_WITHIN, SAME, Motions, told_apart
+from vibrojax.coexistence.neighbours import ASIDE, IRREGULAR_FACTOR, links
 from vibrojax.coexistence.numbers import numbered
 from vibrojax.errors import InputError
 from vibrojax.found_orbits import orbits as with_orbits
@@ -30,11 +30,12 @@ MEASURED = ("period", "impacts", "impact_velocity")
 """What is said of attractors besides their regime and cycles: the median of their lanes."""
 
 METHOD = (
-    "lanes of a point are one motion if their orbits are within same_within over the scales of labels, or, irregular "
-    "ones, if chains of lanes within irregular_within of each other in period, impact velocity and amplitudes join them; "
-    "motions of neighbouring points are one attractor if the orbit of one, followed as a stable one, leads to the "
-    "other, never farther than aside from where it is expected, or irregular ones are within irregular_within; "
-    "numbers from 0 by falling share over the grid"
+    "lanes of a point are one motion if their orbits are within same_within over the scales of labels; irregular ones "
+    "if chains of lanes join them, each within irregular_within of the next in period, impact velocity and amplitudes, "
+    "or, where exponents are known, within exponent_within standard errors. Motions of neighbouring points are one "
+    "attractor if the orbit of one, followed as a stable one and never farther than aside over the scales from where it "
+    "is expected, leads to that of the other; irregular ones if they are nearest, and within irregular_factor. Numbers "
+    "from 0 by falling share over the grid"
 )
 
 
@@ -127,6 +128,8 @@ def _described(sweep: Sweep, dataset: xr.Dataset, motions: Motions, number: Int[
         "method": METHOD,
         "same_within": SAME,
         "irregular_within": IRREGULAR_WITHIN,
+        "exponent_within": EXPONENT_WITHIN,
+        "irregular_factor": IRREGULAR_FACTOR,
         "aside": ASIDE,
     }
     attributes = {

@@ -16,11 +16,20 @@ from vibrojax.store.variables import NATURES, orbit_name
 SAME = 1e-4
 """Distance over the scales within which two orbits of a point are the same; they are found to 1e-10."""
 
-IRREGULAR_WITHIN = 0.15
-"""Part by which statistics of irregular lanes of one motion may differ: over some hundred returns theirs scatter so."""
+IRREGULAR_WITHIN = 0.25
+"""Part by which statistics of irregular lanes of one motion differ at most from lane to lane: so they scatter over the
+some forty returns of a usual observation."""
+
+EXPONENT_WITHIN = 4.0
+"""The same of their exponents, where they are known, over the standard error; at least `LEAST_ERROR`."""
+
+LEAST_ERROR = 1e-3
+"""Standard error [1/s] that an exponent has at least: of lanes that come to a long repeat it is next to none."""
 
 STATISTICS = ("period", "impact_velocity", "bit_amplitude", "striker_amplitude")
 """What irregular lanes are compared by, where there is any."""
+
+_APART = 1e3  # farther than any two values
 
 Index = Int[np.ndarray, " lanes"]
 
@@ -102,32 +111,45 @@ def _by_orbit(
 
 
 def _by_statistics(dataset: xr.Dataset, regime: np.ndarray, starts: int, motions: Motions) -> None:
-    """Enter the irregular motions: lanes that are joined by neighbours within a part of their statistics are one."""
-    names = [name for name in STATISTICS if name in dataset]
-    values = np.stack([dataset[name].values.ravel() for name in names], axis=1)
+    """Enter the irregular motions: what chains of lanes join, each near the next, is one.
+
+    Lanes are compared by their exponents where those are known, being of thousands of returns, else by statistics of
+    what was observed; quasi-periodic ones, whose exponent is 0, by statistics in any case.
+    """
     irregular = regime == IRREGULAR
+    values = np.log1p(IRREGULAR_WITHIN) ** -1 * _statistics(dataset)
     if "nature" in dataset:
-        irregular &= dataset["nature"].values.ravel() != NATURES.index("not-settled")
-    # Without an impact there is no velocity; such a motion is far from all that have one.
-    with np.errstate(invalid="ignore", divide="ignore"):
-        logs = np.where(values > 0, np.log(values), -99.0)
+        nature, exponent, error = (dataset[name].values.ravel() for name in ("nature", "lyapunov", "lyapunov_stderr"))
+        irregular &= nature != NATURES.index("not-settled")
+        known = irregular & np.isin(nature, [NATURES.index("chaotic"), NATURES.index("periodic")])
+        for some in _by_cell(np.flatnonzero(known), starts):
+            typical = max(float(np.median(error[some])), LEAST_ERROR)
+            values[some] = 0.0
+            values[some, 0] = exponent[some] / (EXPONENT_WITHIN * typical)
+        values = np.column_stack([values, _APART * nature.astype(float)])
     for some in _by_cell(np.flatnonzero(irregular), starts):
-        group = joined_within(logs[some], np.log1p(IRREGULAR_WITHIN))
+        group = joined_within(values[some])
         for number in range(int(group.max()) + 1):
-            mine = group == number
-            motions.add(
-                some[mine], int(some[0]) // starts, IRREGULAR, statistics=np.median(logs[some][mine], axis=0)
-            )
+            mine = some[group == number]
+            middle = np.median(_statistics(dataset, mine), axis=0)
+            motions.add(mine, int(some[0]) // starts, IRREGULAR, statistics=middle)
 
 
-def joined_within(x: Float[np.ndarray, "lanes values"], distance: float) -> Index:
-    """Groups of lanes, by number, that chains of steps no longer than `distance` in any value join."""
+def _statistics(dataset: xr.Dataset, lanes: Index | slice = slice(None)) -> Float[np.ndarray, "lanes statistics"]:
+    """The logarithms of what irregular lanes are compared by; of motions without it, far from all that have it."""
+    values = np.stack([dataset[name].values.ravel()[lanes] for name in STATISTICS if name in dataset], axis=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.where(values > 0, np.log(values), -_APART)
+
+
+def joined_within(x: Float[np.ndarray, "lanes values"]) -> Index:
+    """Groups of lanes, by number, that chains of steps no longer than 1 in any value join."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
 
-    # What lies within a tenth of the distance stands for each other, so that pairs stay few.
-    cells, index = np.unique(np.round(x / (distance / 10)), axis=0, return_inverse=True)
+    # What lies within a tenth of a step stands for each other, so that pairs stay few.
+    cells, index = np.unique(np.round(10 * x), axis=0, return_inverse=True)
     pairs = cKDTree(cells).query_pairs(10.0, p=np.inf, output_type="ndarray")
     links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(cells), len(cells)))
     return np.asarray(connected_components(links, directed=False)[1])[index.ravel()]

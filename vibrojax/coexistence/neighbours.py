@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from vibrojax.coexistence.alike import IRREGULAR_WITHIN, SAME, Motions
+from vibrojax.coexistence.alike import SAME, Motions
 from vibrojax.label import EQUILIBRIUM
 from vibrojax.periodic.newton import ACCEPTED, orbits
 from vibrojax.periodic.return_map import Mapped
@@ -18,6 +18,9 @@ FIRST, LEAST = 1 / 4, 1 / 256
 
 ASIDE = 0.05
 """Distance over the scales from where an orbit is expected, beyond which it is taken for another one."""
+
+IRREGULAR_FACTOR = 2.0
+"""Factor within which statistics of neighbouring irregular motions must be; of several the nearest is taken."""
 
 PerPoint = Float[np.ndarray, " points"]
 States = Float[np.ndarray, "edges cycles states"]
@@ -80,7 +83,7 @@ def _of_others(motions: Motions, one: int, other: int) -> float | None:
     if a is None or b is None:
         return None
     distance = float(np.abs(a - b).max())
-    return distance if distance <= np.log1p(IRREGULAR_WITHIN) else None
+    return distance if distance <= np.log(IRREGULAR_FACTOR) else None
 
 
 def _follow(
