@@ -24,7 +24,7 @@ def facts(dataset: "xarray.Dataset", file: str) -> dict[str, Any]:
     """
     attributes = dataset.attrs
     texts = {name: str(attributes[name]) if name in attributes else None for name in _TEXTS}
-    motion = "time" in dataset.dims
+    motion = bool({"time", "attractor"} & set(dataset.dims))  # one motion, or attractors: no lanes to count
     lanes = int(attributes["lanes"]) if "lanes" in attributes else None
     seconds = float(attributes["wall_time_s"]) if "wall_time_s" in attributes else None
     return {
@@ -40,7 +40,7 @@ def facts(dataset: "xarray.Dataset", file: str) -> dict[str, Any]:
         "families": family_facts(dataset),
         "failures": _failures(dataset),
         "accuracy": _accuracy(dataset),
-        "found": found(dataset) if motion else {},
+        "found": found(dataset) if "time" in dataset.dims else {},
         "variables": {str(name): _about(variable) for name, variable in dataset.data_vars.items()},
         "wall_time_s": seconds,
     }

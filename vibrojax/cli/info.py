@@ -14,6 +14,7 @@ from vibrojax.cli._family_lines import family_lines
 from vibrojax.cli._found import found_lines
 from vibrojax.cli._json import HELP, flags, print_json
 from vibrojax.cli._orbit_lines import orbit_lines
+from vibrojax.cli.attractors import attractor_lines
 from vibrojax.timings import timed
 from vibrojax.words import WORDS
 
@@ -63,6 +64,7 @@ def describe(dataset: "xarray.Dataset") -> list[str]:
         ("orbits", orbit_lines(dataset)),
         ("natures", _natures(dataset)),
         ("families", family_lines(dataset)),
+        ("shares", attractor_lines(dataset)),
         ("failures", _failures(dataset)),
         ("accuracy", _accuracy(dataset) + _flips(dataset)),
     ]
@@ -121,12 +123,17 @@ def _dimension(dataset: "xarray.Dataset", name: Hashable, size: int) -> str:
 
 
 def _regimes(dataset: "xarray.Dataset") -> list[str]:
-    if "regime" not in dataset or "time" in dataset.dims:
+    if not _of_lanes(dataset):
         return []
     regime = dataset["regime"]
     total = max(regime.size, 1)
     counted = [(meaning, int((regime.values == value).sum())) for value, meaning in flags(regime).items()]
     return [f"{meaning:<14}{count:>9}{100 * count / total:>7.1f} %" for meaning, count in counted if count]
+
+
+def _of_lanes(dataset: "xarray.Dataset") -> bool:
+    """Whether regimes are those of lanes, rather than of one motion or of attractors."""
+    return "regime" in dataset and not {"time", "attractor"} & set(dataset.dims)
 
 
 def _natures(dataset: "xarray.Dataset") -> list[str]:
@@ -156,7 +163,7 @@ def _failures(dataset: "xarray.Dataset") -> list[str]:
     """How many lanes failed, and of each reason how many and the first few."""
     import numpy as np
 
-    if "regime" in dataset and "time" not in dataset.dims:
+    if _of_lanes(dataset):
         failing = [value for value, meaning in flags(dataset["regime"]).items() if meaning == "failed"]
         mask = dataset["regime"].isin(failing)
     elif "status" in dataset:

@@ -37,7 +37,8 @@ class Contents:
     - `beside`: the quantities worth a panel beside the regimes.
     - `many_starts`: whether every point runs from more starts than have a panel each.
     - `swept_sine`: whether the force of a run is a sine of a frequency that changes.
-    - `families`: whether these are families of orbits along a parameter; `borders`: curves around the single impact.
+    - `families`: whether these are families of orbits along a parameter; `borders`: curves around the single impact;
+      `attractors`: shares of starts of attractors.
     """
 
     variables: frozenset[str]
@@ -51,6 +52,7 @@ class Contents:
     swept_sine: bool
     families: bool
     borders: bool
+    attractors: bool
 
     @property
     def run(self) -> bool:
@@ -129,12 +131,18 @@ def contents(ds: xr.Dataset) -> Contents:
         swept_sine=ds.attrs.get("pulse_shape") == "sweep" and parameters_of(ds).get("sweep_rate", 0.0) != 0.0,
         families=is_families(ds),
         borders=is_borders(ds),
+        attractors=is_attractors(ds),
     )
 
 
 def is_borders(ds: xr.Dataset) -> bool:
     """Whether `ds` holds borders of the single impact."""
     return {"curve", "kind", "region_area"} <= set(ds.variables) and "axes" in ds.attrs
+
+
+def is_attractors(ds: xr.Dataset) -> bool:
+    """Whether `ds` holds attractors with their shares of starts."""
+    return {"share", "share_stderr", "lane_attractor"} <= set(ds.variables)
 
 
 def has_regimes(ds: xr.Dataset) -> bool:

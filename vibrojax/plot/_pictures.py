@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 
 from vibrojax.errors import InputError, nearest, shown
 from vibrojax.plot._basins import many_starts, share_grid
+from vibrojax.plot._attractors import attractor_shares
 from vibrojax.plot._bifurcation import bifurcation
 from vibrojax.plot._borders import border_curves
 from vibrojax.plot._contents import Contents, contents, law_in, rates_in, regimes_in
@@ -53,6 +54,7 @@ PICTURES = (
     Picture("motion",        lambda held: held.run,                                      trajectory),
     Picture("families",      lambda held: held.families,                                 families),
     Picture("borders",       lambda held: held.borders,                                  border_curves),
+    Picture("attractors",    lambda held: held.attractors,                               attractor_shares),
     Picture("accuracy",      lambda held: held.study,                                    work_precision),
     Picture("returns",       lambda held: held.carried,                                  hysteresis),
     Picture("returns",       lambda held: held.returns,                                  bifurcation),
@@ -77,7 +79,7 @@ def picture(
     over: xr.Dataset | Sequence[xr.Dataset] | None = None,
 ) -> Figure:
     """The fitting picture for what `ds` holds: a trajectory, returns, regimes, rates of penetration, a law, families of
-    orbits, or borders.
+    orbits, borders, or shares of attractors.
 
     **Arguments:**
 
