@@ -39,6 +39,7 @@ CHECKED = [
     "vibrojax.engine",
     "vibrojax.errors",
     "vibrojax.chaos",
+    "vibrojax.coexistence",
     "vibrojax.input.axes",
     "vibrojax.input.definition",
     "vibrojax.input.names",

@@ -28,12 +28,21 @@ STUDY = xr.Dataset({"error_worst": ("setting", np.ones(3))})
 BORDERS = xr.Dataset(
     {"curve": ("vertex", [0]), "kind": ("curve", [0]), "region_area": ("region", [0.5])}, attrs={"axes": "gamma beta"}
 )
+ATTRACTORS = xr.Dataset(
+    {
+        "share": (("gamma", "attractor"), [[1.0]]),
+        "share_stderr": (("gamma", "attractor"), [[0.0]]),
+        "regime": (("gamma", "attractor"), [[3]]),
+        "lane_attractor": (("gamma", "start"), [[0]]),
+    }
+)
 EXPECTED = {
     "response": lambda: bit_on_rock(**SINE),
     "pulses": bit_on_rock,
     "trajectory": drills.KINDS["trajectory"],
     "families": families.one_family,
     "border_curves": lambda: BORDERS,
+    "attractor_shares": lambda: ATTRACTORS,
     "hysteresis": families.carried,
     "work_precision": lambda: STUDY,
     "bifurcation": drills.KINDS["bifurcation"],

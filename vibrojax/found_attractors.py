@@ -3,6 +3,7 @@
 import json
 from collections.abc import Mapping
 from datetime import UTC, datetime
+from itertools import pairwise
 from os import PathLike
 from typing import Any
 
@@ -33,8 +34,8 @@ METHOD = (
     "lanes of a point are one motion if their orbits are within same_within over the scales of labels; irregular ones "
     "if chains of lanes join them, each within irregular_within of the next in period, impact velocity and amplitudes, "
     "or, where exponents are known, within exponent_within standard errors. Motions of neighbouring points are one "
-    "attractor if the orbit of one, followed as a stable one and never farther than aside over the scales from where it "
-    "is expected, leads to that of the other; irregular ones if they are nearest, and within irregular_factor. Numbers "
+    "attractor if the orbit of one, followed as a stable one and never farther than aside over the scales from where "
+    "it is expected, leads to that of the other; irregular ones if they are nearest, and within irregular_factor. Numbers "
     "from 0 by falling share over the grid"
 )
 
@@ -61,7 +62,7 @@ def attractors(
     **Returns:** a dataset. Over the grid and `attractor`: `share` and its binomial `share_stderr`, which is an upper
     bound for Sobol starts; `regime`, that of most of its lanes, `period`, `cycles`, `impacts` and `impact_velocity`,
     where the share is not 0. Over the grid `unassigned`: starts of which none could be told, because they failed, were
-    undecided, had not settled, or their orbit was not found. Over the sweep's dimensions `lane_attractor`, -1 for these.
+    undecided, had not settled, or their orbit was not found. Over the sweep's dimensions `lane_attractor`: -1 there.
 
     **Raises:** `InputError` where it is no sweep over a grid, or of starts, of a scene that returns to a section.
     """
@@ -85,9 +86,11 @@ def check(sweep: Sweep) -> None:
     if sweep.run.carry is not None:
         raise InputError("attractors: lanes of this sweep are carried, so they have no starts; leave carry out")
     if sweep.points is not None or sweep.point_starts is not None or sweep.point_vectors is not None:
-        raise InputError("attractors: a list of points has no neighbours to number along; give a [grid] in place of points")
+        raise InputError("attractors: points of a list have no neighbours to number along; give a [grid] instead")
     if not sweep.crosses_starts or sweep.system.driving_part().section is None:
-        raise InputError(f'attractors: scene "{sweep.scene}" has no starts; give a sweep of one with a drill')
+        raise InputError(
+            f'attractors: scene "{sweep.scene}" starts from nothing of the user\'s; give a sweep of one with a drill'
+        )
 
 
 def _order(sweep: Sweep, motions: Motions, count: Int[np.ndarray, " motions"]) -> list[tuple[float, ...]]:
@@ -153,13 +156,15 @@ def _measured(
 ) -> dict[str, Float[np.ndarray, "points many"]]:
     """Regime, cycles and the medians of what is measured, of each attractor at each point; 0 or NaN where it is not."""
     names = [name for name in MEASURED if name in dataset]
-    found = {name: np.full((points, many), 0.0 if name in ("regime", "cycles") else np.nan) for name in
-             ("regime", "cycles", *names)}
+    found = {
+        name: np.full((points, many), 0.0 if name in ("regime", "cycles") else np.nan)
+        for name in ("regime", "cycles", *names)
+    }
     columns = {name: dataset[name].values.ravel().astype(float) for name in names}
     cycles = dataset["cycles"].values.ravel()
     order = np.argsort(motions.of_lane, kind="stable")
     ends = np.searchsorted(motions.of_lane[order], np.arange(len(number) + 1))
-    for motion, (first, end) in enumerate(zip(ends[:-1], ends[1:], strict=True)):
+    for motion, (first, end) in enumerate(pairwise(ends.tolist())):
         lanes, at = order[first:end], (motions.cell[motion], number[motion])
         found["regime"][at], found["cycles"][at] = motions.regime[motion], motions.cycles[motion]
         for name, column in columns.items():

@@ -13,7 +13,20 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import NoReturn, TextIO
 
-from vibrojax.cli import accuracy, attractors, borders, fit, follow, info, orbits, plot, reproduce, scenes, simulate, sweep
+from vibrojax.cli import (
+    accuracy,
+    attractors,
+    borders,
+    fit,
+    follow,
+    info,
+    orbits,
+    plot,
+    reproduce,
+    scenes,
+    simulate,
+    sweep,
+)
 from vibrojax.cli._command import Command, Options
 from vibrojax.cli._complete import complete
 from vibrojax.errors import InputError

@@ -31,7 +31,7 @@ STATISTICS = ("period", "impact_velocity", "bit_amplitude", "striker_amplitude")
 
 _APART = 1e3  # farther than any two values
 
-Index = Int[np.ndarray, " lanes"]
+Index = Int[np.ndarray, " _"]
 
 
 @dataclass
@@ -76,8 +76,8 @@ class Motions:
 def told_apart(scene: Scene[Any], dataset: xr.Dataset, parameters: Mapping[str, np.ndarray], starts: int) -> Motions:
     """The motions that lanes end in, point by point.
 
-    **Arguments:** `scene`: what the return map is of; `dataset`: with orbits, the start its last dimension; `parameters`
-    of the lanes by name; `starts`: lanes of a point, which stand one after the other.
+    **Arguments:** `scene`: what the return map is of; `dataset`: with orbits, the start its last dimension;
+    `parameters` of the lanes by name; `starts`: lanes of a point, which stand one after the other.
     """
     regime = dataset["regime"].values.ravel()
     motions = Motions(np.full(regime.size, -1))
@@ -104,8 +104,8 @@ def _by_orbit(
         for some, orbit, scale in zip(cells, known.states, known.scales, strict=True):
             apart = np.abs(states[some, None] - orbit[None]) / scale
             mine = (apart.max(axis=2).min(axis=1) < SAME) & (cycles[some] == len(orbit))
-            mine[0] = True
-            label = int(np.bincount(regime[some[mine]]).argmax())
+            mine[0] = True  # itself, whatever its scales
+            label = int(np.argmax(np.bincount(regime[some[mine]])))
             motions.add(some[mine], int(some[0]) // starts, label, orbit, scale)
         left = left[motions.of_lane[left] < 0]
 
@@ -135,7 +135,7 @@ def _by_statistics(dataset: xr.Dataset, regime: np.ndarray, starts: int, motions
             motions.add(mine, int(some[0]) // starts, IRREGULAR, statistics=middle)
 
 
-def _statistics(dataset: xr.Dataset, lanes: Index | slice = slice(None)) -> Float[np.ndarray, "lanes statistics"]:
+def _statistics(dataset: xr.Dataset, lanes: Index | slice = slice(None)) -> Float[np.ndarray, "_ statistics"]:
     """The logarithms of what irregular lanes are compared by; of motions without it, far from all that have it."""
     values = np.stack([dataset[name].values.ravel()[lanes] for name in STATISTICS if name in dataset], axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):

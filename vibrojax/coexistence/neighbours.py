@@ -34,7 +34,9 @@ class Link(NamedTuple):
     distance: float
 
 
-def links(scene: Scene[Any], parameters: Mapping[str, PerPoint], shape: tuple[int, ...], motions: Motions) -> list[Link]:
+def links(
+    scene: Scene[Any], parameters: Mapping[str, PerPoint], shape: tuple[int, ...], motions: Motions
+) -> list[Link]:
     """The motions of neighbouring points of a grid that are one attractor; whichever way it is gone along.
 
     Orbits are followed by Newton's method to the neighbour's parameters, as stable ones; a doubled orbit that is

@@ -17,8 +17,8 @@ def numbered(
     same number: around a cusp two attractors go over into each other. So numbers do not depend on the way in which the
     grid is gone along.
 
-    **Arguments:** of each motion, `cells`: its point; `lanes`: how many end in it; `order`: by what attractors of as many
-    lanes are ordered, the least of any of their motions first.
+    **Arguments:** of each motion, `cells`: its point; `lanes`: how many end in it; `order`: by what attractors of as
+    many lanes are ordered, the least of any of their motions first.
     """
     parent = list(range(len(cells)))
     points = [{cell} for cell in cells]

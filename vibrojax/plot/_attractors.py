@@ -1,4 +1,4 @@
-"""Attractors: the share of starts of each along an axis, beside how hard it strikes; or where the starts of one point end."""
+"""Attractors: the share of starts of each along an axis, and how hard it strikes; or where starts of one point end."""
 
 import numpy as np
 import xarray as xr
@@ -47,7 +47,7 @@ def attractor_shares(ds: xr.Dataset) -> Figure:
     figure = _over_axis(ds, max(along, key=lambda name: ds.sizes[name])) if along else _of_point(ds)
     legend_at_right(figure, _handles(ds))
     unassigned = int(ds["unassigned"].sum())
-    about = f"Of {ds.sizes[START]} starts a point; bars: one standard error"
+    about = f"{ds.sizes[START]} starts at each point"
     write_margins(
         figure,
         str(ds.attrs.get("title", "")),
@@ -78,7 +78,8 @@ def _over_axis(ds: xr.Dataset, x: str) -> Figure:
                 axes.set_xlabel(label(ds[x]))
                 axes.tick_params(labelbottom=True)
             if k % wide == 0:
-                axes.set_ylabel("share of starts [%]" if name == "share" else with_unit("impact velocity", scale(ds[name])[1]))
+                unit = scale(ds[_VELOCITY])[1] if name == _VELOCITY else ""
+                axes.set_ylabel(with_unit("impact velocity", unit) if unit else "share of starts [%]")
     for k in range(len(panels), rows * wide):
         for which in range(len(curves)):
             grid[k // wide * len(curves) + which, k % wide].remove()
@@ -86,7 +87,7 @@ def _over_axis(ds: xr.Dataset, x: str) -> Figure:
 
 
 def _draw(axes: Axes, facet: xr.Dataset, x: str, name: str) -> None:
-    """A quantity of every attractor where it is; 0 of the first eight beside it, so that lines end where it does."""
+    """A quantity of every attractor where there is one, the greatest shares above the others."""
     values = facet[name].transpose(x, ATTRACTOR).values * (100.0 if name == "share" else scale(facet[name])[0])
     error = 100.0 * facet["share_stderr"].transpose(x, ATTRACTOR).values if name == "share" else None
     there = facet["share"].transpose(x, ATTRACTOR).values > 0
@@ -136,18 +137,15 @@ def _colour(number: int) -> str:
 
 
 def _handles(ds: xr.Dataset) -> list[Artist]:
-    """The attractors by colour: number, regime where it has most starts, and share over the grid."""
+    """The attractors by colour: number, the regime of most of its starts, and share over the grid."""
     many = ds.sizes[ATTRACTOR]
     share = ds["share"].transpose(..., ATTRACTOR).values.reshape(-1, many)
     regime = ds[REGIME].transpose(..., ATTRACTOR).values.reshape(-1, many)
+    found: list[Artist] = []
     names = regime_names(ds[REGIME])
-    found: list[Artist] = [
-        Patch(
-            color=_colour(k),
-            label=f"{k}: {names[int(regime[share[:, k].argmax(), k])]}, {share_text(float(share[:, k].mean()))}",
-        )
-        for k in range(min(many, len(COLOURS)))
-    ]
+    for k in range(min(many, len(COLOURS))):
+        most = int(np.argmax(np.bincount(regime[:, k], weights=share[:, k])))
+        found.append(Patch(color=_colour(k), label=f"{k}: {names[most]}, {share_text(float(share[:, k].mean()))}"))
     if many > len(COLOURS):
         found.append(Patch(color=BEYOND, label=f"{many - len(COLOURS)} others"))
     if int(ds["unassigned"].sum()) and share.shape[0] == 1:

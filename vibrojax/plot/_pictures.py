@@ -13,8 +13,8 @@ from matplotlib import colormaps
 from matplotlib.figure import Figure
 
 from vibrojax.errors import InputError, nearest, shown
-from vibrojax.plot._basins import many_starts, share_grid
 from vibrojax.plot._attractors import attractor_shares
+from vibrojax.plot._basins import many_starts, share_grid
 from vibrojax.plot._bifurcation import bifurcation
 from vibrojax.plot._borders import border_curves
 from vibrojax.plot._contents import Contents, contents, law_in, rates_in, regimes_in

@@ -1,0 +1,220 @@
+"""Attractors of a sweep: told apart, counted, and numbered alike from both ends of an axis."""
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import vibrojax as vj
+from vibrojax.cli import main
+from vibrojax.coexistence.alike import joined_within, told_apart
+from vibrojax.coexistence.neighbours import Link
+from vibrojax.coexistence.numbers import numbered
+from vibrojax.errors import InputError
+from vibrojax.label import EQUILIBRIUM, FAILED, IRREGULAR, SINGLE_IMPACT, SUBHARMONIC
+from vibrojax.scenes import SCENES
+from vibrojax.store.variables import NATURES
+
+BOX = {"x1": [-0.02, 0.02], "v1": [-2.0, 1.0], "x2": [-0.05, 0.05], "v2": [-3.0, 3.0]}
+GAMMA = [0.35, 0.3625, 0.7375, 0.75, 0.7625]
+SWEEP = {
+    "scene": "vibro-impact",
+    "parameters": {"delta": 0.005},
+    "starts": {"sample": "sobol", "count": 64, "seed": 1, "box": BOX},
+    "grid": {"beta": [0.395, 0.4], "gamma": GAMMA},
+    "run": {"orbits": True},
+}
+REGIMES_AT = {"beta": 0.4, "gamma": 0.75}
+
+
+@pytest.fixture(scope="module")
+def sweep():
+    return vj.run_sweep(SWEEP, progress=False)
+
+
+@pytest.fixture(scope="module")
+def found(sweep):
+    return vj.attractors(sweep, progress=False)
+
+
+def present(found, **at):
+    """The attractors at a point, by falling share."""
+    here = found.sel(at)
+    share = here.share.values
+    return here.isel(attractor=np.argsort(-share, kind="stable")[: int((share > 0).sum())])
+
+
+def test_what_is_in_it(sweep, found):
+    assert found.share.dims == ("beta", "gamma", "attractor") and found.unassigned.dims == ("beta", "gamma")
+    assert found.lane_attractor.dims == sweep.regime.dims and found.lane_attractor.dtype == np.int32
+    assert found.attractor.values.tolist() == list(range(found.sizes["attractor"]))
+    assert all({"units", "long_name"} <= set(found[name].attrs) for name in found.variables)
+    np.testing.assert_array_equal(found.start_x2, sweep.start_x2)
+
+
+def test_every_start_is_counted(found):
+    starts = found.sizes["start"]
+    np.testing.assert_allclose(found.share.sum("attractor") + found.unassigned / starts, 1.0, atol=1e-12)
+    np.testing.assert_array_equal((found.lane_attractor == -1).sum("start"), found.unassigned)
+    for number in found.attractor.values:
+        np.testing.assert_allclose((found.lane_attractor == number).mean("start"), found.share.sel(attractor=number))
+    np.testing.assert_allclose(found.share_stderr**2, found.share * (1 - found.share) / starts, atol=1e-15)
+    assert (np.diff(found.share.sum(("beta", "gamma")).values) <= 0).all()
+
+
+@pytest.mark.parametrize("gamma", GAMMA[2:])
+def test_the_strong_single_impact_and_the_rattle(sweep, found, gamma):
+    """Which lane is in which follows from how hard it strikes: one is above 2 m/s, the other below 0.5."""
+    here, lanes = present(found, beta=0.4, gamma=gamma), sweep.sel(beta=0.4, gamma=gamma)
+    assert here.regime.values.tolist() == [SINGLE_IMPACT, IRREGULAR]
+    assert here.cycles.values.tolist() == [1, 0] and here.impacts.values[0] == 1
+    strong = lanes.impact_velocity.values > 1.0
+    np.testing.assert_array_equal(found.lane_attractor.sel(beta=0.4, gamma=gamma) == here.attractor[0], strong)
+    assert here.share.values[0] == strong.mean() and 0.8 < strong.mean() < 1
+    velocity = here.impact_velocity.values
+    assert velocity[0] > 2.0 and velocity[1] < 0.5
+    assert velocity[0] == pytest.approx(float(lanes.impact_velocity.values[strong][0]), rel=1e-9)
+
+
+def test_numbers_stay_along_the_axes(found):
+    numbers = {
+        (beta, gamma): present(found, beta=beta, gamma=gamma).attractor.values.tolist()
+        for beta in found.beta.values
+        for gamma in GAMMA[2:]
+    }
+    assert len(set(map(tuple, numbers.values()))) == 1
+    # Over the wide gap in the axis none of those below is one of those above.
+    below = set(np.flatnonzero((found.share.sel(gamma=GAMMA[:2]) > 0).any(("beta", "gamma"))))
+    assert not below & set(next(iter(numbers.values())))
+
+
+@pytest.mark.parametrize("axes", [("gamma",), ("beta",), ("beta", "gamma")])
+def test_the_same_from_the_other_end_of_an_axis(found, axes):
+    grid = {name: x[::-1] if name in axes else x for name, x in SWEEP["grid"].items()}
+    other = vj.attractors(SWEEP | {"grid": grid}, progress=False)
+    other = other.isel({name: slice(None, None, -1) for name in axes})
+    for name in found.data_vars:
+        np.testing.assert_array_equal(found[name], other[name])
+
+
+def test_a_doubled_orbit_keeps_the_number(found):
+    before, after = present(found, beta=0.4, gamma=0.35), present(found, beta=0.4, gamma=0.3625)
+    assert (int(before.cycles[0]), int(after.cycles[0])) == (2, 4)
+    assert before.regime.values[0] == after.regime.values[0] == SUBHARMONIC
+    assert int(before.attractor[0]) == int(after.attractor[0])
+    # By the family of the orbit before: it doubles between the two.
+    start = {"start": "drive", "beta": 0.4, "delta": 0.005, "cycles": 2}
+    family = vj.follow("vibro-impact", along="gamma", at=0.35, span=(0.35, 0.3625), progress=False, **start)
+    kinds = family.special_kind.attrs["flag_meanings"].split()
+    doubled = family.special_kind.values == kinds.index("period-doubling")
+    assert ((family.special_value.values[doubled] > 0.35) & (family.special_value.values[doubled] < 0.3625)).any()
+
+
+def test_a_lane_without_a_stable_orbit_is_unassigned(sweep, found):
+    lanes = {"beta": 1, "gamma": 3, "start": np.flatnonzero(sweep.regime.sel(REGIMES_AT) == SINGLE_IMPACT)[:3]}
+    changed = sweep.copy(deep=True)
+    changed.stable[lanes] = 0
+    changed.regime[lanes | {"gamma": 2}] = FAILED
+    other = vj.attractors(changed, progress=False)
+    assert other.unassigned.sel(REGIMES_AT) == found.unassigned.sel(REGIMES_AT) + 3
+    assert (other.lane_attractor[lanes] == -1).all() and (other.lane_attractor[lanes | {"gamma": 2}] == -1).all()
+    assert (other.lane_attractor.values != found.lane_attractor.values).sum() == 6
+
+
+def test_where_nothing_is_decided_all_is_unassigned(tmp_path):
+    short = SWEEP | {"grid": {"gamma": [0.7, 0.75]}, "run": {"settle": 0.5, "observe": 1.0}}
+    found = vj.attractors(short | {"starts": ["drive", "stuck"]}, progress=False)
+    assert found.sizes["attractor"] == 0 and found.unassigned.values.tolist() == [2, 2]
+    vj.save_picture(found, tmp_path / "none.png")
+
+
+def irregular(**lanes):
+    """A dataset of irregular lanes of one point."""
+    count = len(next(iter(lanes.values())))
+    fixed = {"regime": np.full(count, IRREGULAR), "stable": np.full(count, -1), "orbit_cycles": np.zeros(count)}
+    orbits = {f"orbit_{name}": np.full(count, np.nan) for name in ("x1", "x2", "v2")}
+    base = {"period": np.full(count, 0.2), "bit_amplitude": np.ones(count), "striker_amplitude": np.ones(count)}
+    return xr.Dataset({name: ("start", np.array(x)) for name, x in (fixed | orbits | base | lanes).items()})
+
+
+def groups(dataset, starts=None):
+    return told_apart(SCENES["vibro-impact"], dataset, {}, starts or dataset.sizes["start"]).of_lane.tolist()
+
+
+def test_irregular_lanes_by_their_statistics():
+    """Within a quarter of the next: a chain of lanes is one motion, one without impacts is another."""
+    assert groups(irregular(impact_velocity=[1.0, 1.4, 1.2, 2.0, np.nan, 2.2])) == [0, 0, 0, 1, 2, 1]
+
+
+def test_lanes_of_different_points_are_different_motions():
+    assert groups(irregular(impact_velocity=[1.0, 1.0, 1.0, 1.0]), 2) == [0, 0, 1, 1]
+
+
+def test_irregular_lanes_by_their_exponents():
+    """Where exponents are known, what was observed while lanes had not settled counts no more."""
+    names = ["chaotic", "chaotic", "chaotic", "quasi-periodic", "not-settled", "chaotic"]
+    lanes = {"nature": [NATURES.index(name) for name in names], "lyapunov": [1.0, 1.02, 2.0, 0.0, -0.1, 1.01]}
+    lanes |= {"lyapunov_stderr": [0.01] * 6, "impact_velocity": [1.0, 3.0, 1.0, 1.0, 1.0, 9.0]}
+    assert groups(irregular(**lanes)) == [0, 0, 1, 2, -1, 0]
+
+
+def test_equilibria_of_a_point_are_one():
+    dataset = irregular(impact_velocity=[1.0, np.nan, np.nan])
+    dataset.regime[1:] = EQUILIBRIUM
+    assert groups(dataset) == [1, 0, 0]
+
+
+def test_chains():
+    x = np.array([[0.0, 0.0], [0.9, 0.5], [1.8, 0.0], [0.0, 1.6], [5.0, 0.0]])
+    assert joined_within(x).tolist() == [0, 0, 0, 1, 2]
+
+
+def test_no_number_twice_at_a_point():
+    """Around a cusp two motions of one point are linked by way of others; the farthest link is left out."""
+    cells, lanes = [0, 0, 1, 2], [5, 4, 9, 9]
+    links = [Link(0, 2, 0.1), Link(2, 3, 0.2), Link(1, 3, 0.3)]
+    order = [(float(cell), float(k)) for k, cell in enumerate(cells)]
+    expected = [0, 1, 0, 0]
+    for some in ([0, 1, 2], [2, 1, 0], [1, 2, 0]):
+        assert numbered(cells, lanes, [links[k] for k in some], order).tolist() == expected
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"scene": "penetration", "starts": None, "parameters": {}, "grid": {"k3": [5e7, 6e7]}}, "with a drill"),
+        ({"starts": ["drive"], "grid": {"gamma": [0.7, 0.75]}, "run": {"carry": "gamma"}}, "leave carry out"),
+        ({"grid": None, "points": {"gamma": [0.7, 0.75]}, "starts": ["drive"]}, r"give a \[grid\] instead"),
+    ],
+)
+def test_what_has_no_attractors_is_refused(change, says):
+    tables = {name: x for name, x in (SWEEP | change).items() if x is not None}
+    with pytest.raises(InputError, match=says):
+        vj.attractors(tables, progress=False)
+
+
+def test_the_picture_shows_shares(found):
+    figure = vj.picture(found)
+    panel = next(axes for axes in figure.axes if axes.get_title() == "β = 0.4")
+    number = int(present(found, beta=0.4, gamma=0.75).attractor[0])
+    drawn = [line.get_ydata() for line in panel.lines]
+    share = found.share.sel(beta=0.4, attractor=number).values
+    assert any(np.array_equal(y, np.where(share > 0, 100 * share, np.nan), equal_nan=True) for y in drawn)
+
+
+def test_the_command(sweep, found, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    vj.write_dataset(sweep, tmp_path / "map.nc")
+    assert main(["attractors", "map.nc"]) == 0
+    said = capsys.readouterr().out
+    assert f"{found.sizes['attractor']} attractors; picture map-attractors.png" in said
+    assert f"{int(found.unassigned.sum())} of 640 lanes unassigned" in said
+    again = vj.open_dataset(tmp_path / "map-attractors.nc")
+    for name in found.data_vars:
+        np.testing.assert_array_equal(again[name], found[name])
+    assert main(["info", "map-attractors.nc"]) == 0
+    assert "single-impact" in capsys.readouterr().out
+    assert main(["attractors", "map-attractors.nc"]) == 0  # its sweep is run again
+    assert main(["attractors", "map.nc", "-o", "map.txt"]) == 2
+    vj.write_dataset(xr.Dataset({"x": 1.0}), tmp_path / "other.nc")
+    assert main(["attractors", "other.nc"]) == 2
+    assert capsys.readouterr().err.count("\n") >= 2
