@@ -11,7 +11,6 @@ from vibrojax.coexistence.neighbours import Link
 from vibrojax.coexistence.numbers import numbered
 from vibrojax.errors import InputError
 from vibrojax.label import EQUILIBRIUM, FAILED, IRREGULAR, SINGLE_IMPACT, SUBHARMONIC
-from vibrojax.scenes import SCENES
 from vibrojax.store.variables import NATURES
 
 BOX = {"x1": [-0.02, 0.02], "v1": [-2.0, 1.0], "x2": [-0.05, 0.05], "v2": [-3.0, 3.0]}
@@ -23,6 +22,7 @@ SWEEP = {
     "grid": {"beta": [0.395, 0.4], "gamma": GAMMA},
     "run": {"orbits": True},
 }
+SCENE = vj.read_sweep(SWEEP).system
 REGIMES_AT = {"beta": 0.4, "gamma": 0.75}
 
 
@@ -137,7 +137,7 @@ def irregular(**lanes):
 
 
 def groups(dataset, starts=None):
-    return told_apart(SCENES["vibro-impact"], dataset, {}, starts or dataset.sizes["start"]).of_lane.tolist()
+    return told_apart(SCENE, dataset, {}, starts or dataset.sizes["start"]).of_lane.tolist()
 
 
 def test_irregular_lanes_by_their_statistics():
@@ -213,8 +213,10 @@ def test_the_command(sweep, found, tmp_path, capsys, monkeypatch):
         np.testing.assert_array_equal(again[name], found[name])
     assert main(["info", "map-attractors.nc"]) == 0
     assert "single-impact" in capsys.readouterr().out
-    assert main(["attractors", "map-attractors.nc"]) == 0  # its sweep is run again
+    assert main(["attractors", "map-attractors.nc"]) == 2
+    assert "give the sweep" in capsys.readouterr().err
     assert main(["attractors", "map.nc", "-o", "map.txt"]) == 2
+    capsys.readouterr()
     vj.write_dataset(xr.Dataset({"x": 1.0}), tmp_path / "other.nc")
     assert main(["attractors", "other.nc"]) == 2
-    assert capsys.readouterr().err.count("\n") >= 2
+    assert capsys.readouterr().err.count("\n") == 1

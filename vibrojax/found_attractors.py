@@ -35,8 +35,8 @@ METHOD = (
     "if chains of lanes join them, each within irregular_within of the next in period, impact velocity and amplitudes, "
     "or, where exponents are known, within exponent_within standard errors. Motions of neighbouring points are one "
     "attractor if the orbit of one, followed as a stable one and never farther than aside over the scales from where "
-    "it is expected, leads to that of the other; irregular ones if they are nearest, and within irregular_factor. Numbers "
-    "from 0 by falling share over the grid"
+    "it is expected, leads to that of the other; irregular ones if they are nearest, and within irregular_factor. "
+    "Numbers from 0 by falling share over the grid"
 )
 
 
@@ -66,8 +66,7 @@ def attractors(
 
     **Raises:** `InputError` where it is no sweep over a grid, or of starts, of a scene that returns to a section.
     """
-    sweep = sweep_with_orbits(source)
-    check(sweep)
+    sweep = sweep_of(source)
     dataset = with_orbits(source if isinstance(source, xr.Dataset) else sweep, progress)
     dataset = dataset.transpose(*sweep.dims, ...)
     shape, starts = sweep.shape[:-1], sweep.shape[-1]
@@ -81,8 +80,11 @@ def attractors(
     return _described(sweep, dataset, motions, number)
 
 
-def check(sweep: Sweep) -> None:
-    """Raise `InputError` where a sweep has no attractors to be told."""
+def sweep_of(source: xr.Dataset | str | PathLike[str] | Mapping[str, object] | Sweep) -> Sweep:
+    """The sweep whose attractors are asked for; raises `InputError` where there are none to be told."""
+    if isinstance(source, xr.Dataset) and "lane_attractor" in source:
+        raise InputError("attractors: the dataset holds attractors already; give the sweep, or its dataset")
+    sweep = sweep_with_orbits(source)
     if sweep.run.carry is not None:
         raise InputError("attractors: lanes of this sweep are carried, so they have no starts; leave carry out")
     if sweep.points is not None or sweep.point_starts is not None or sweep.point_vectors is not None:
@@ -91,6 +93,7 @@ def check(sweep: Sweep) -> None:
         raise InputError(
             f'attractors: scene "{sweep.scene}" starts from nothing of the user\'s; give a sweep of one with a drill'
         )
+    return sweep
 
 
 def _order(sweep: Sweep, motions: Motions, count: Int[np.ndarray, " motions"]) -> list[tuple[float, ...]]:

@@ -33,15 +33,14 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(options: Options) -> None:
     """Run the command."""
-    from vibrojax.found_attractors import attractors, check
+    from vibrojax.found_attractors import attractors, sweep_of
     from vibrojax.found_orbits import sweep_with_orbits
     from vibrojax.store.dataset import open_dataset, write_dataset
     from vibrojax.store.finished import IDENTITY, check_replaceable, identity_text
 
     given = str(options.file)
     source = open_dataset(Path(given)) if given.endswith(".nc") else sweep_with_orbits(given)
-    sweep = sweep_with_orbits(source)
-    check(sweep)
+    sweep = sweep_of(source)
     out = output(options.out or f"{Path(given).stem if given.endswith('.nc') else sweep.name}-attractors.nc")
     picture = picture_beside(out)
     identity = {"attractors": True, **sweep.identity()}
