@@ -64,7 +64,7 @@ def attractor_lines(dataset: "xarray.Dataset") -> list[str]:
 
     if "lane_attractor" not in dataset:
         return []
-    share = dataset["share"].values.reshape(-1, dataset.sizes["attractor"])
+    share = dataset["share"].values.reshape(dataset["unassigned"].size, dataset.sizes["attractor"])
     there, counts = np.unique((share > 0).sum(axis=1), return_counts=True)
     points = ", ".join(f"{number} at {count}" for number, count in zip(there.tolist(), counts.tolist(), strict=True))
     lines = [f"at a point: {points} (attractors at points)"]

@@ -139,8 +139,8 @@ def _colour(number: int) -> str:
 def _handles(ds: xr.Dataset) -> list[Artist]:
     """The attractors by colour: number, the regime of most of its starts, and share over the grid."""
     many = ds.sizes[ATTRACTOR]
-    share = ds["share"].transpose(..., ATTRACTOR).values.reshape(-1, many)
-    regime = ds[REGIME].transpose(..., ATTRACTOR).values.reshape(-1, many)
+    shape = ds["unassigned"].size, many
+    share, regime = (ds[name].transpose(..., ATTRACTOR).values.reshape(shape) for name in ("share", REGIME))
     found: list[Artist] = []
     names = regime_names(ds[REGIME])
     for k in range(min(many, len(COLOURS))):
@@ -148,6 +148,6 @@ def _handles(ds: xr.Dataset) -> list[Artist]:
         found.append(Patch(color=_colour(k), label=f"{k}: {names[most]}, {share_text(float(share[:, k].mean()))}"))
     if many > len(COLOURS):
         found.append(Patch(color=BEYOND, label=f"{many - len(COLOURS)} others"))
-    if int(ds["unassigned"].sum()) and share.shape[0] == 1:
+    if int(ds["unassigned"].sum()) and shape[0] == 1:
         found.append(Patch(color=UNDEFINED, label="could not be told"))
     return found
