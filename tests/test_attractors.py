@@ -126,7 +126,7 @@ def test_where_nothing_is_decided_all_is_unassigned(tmp_path):
     found = vj.attractors(short | {"starts": ["drive", "stuck"]}, progress=False)
     assert found.sizes["attractor"] == 0 and found.unassigned.values.tolist() == [2, 2]
     vj.save_picture(found, tmp_path / "none.png")
-    assert "4 of 4 lanes unassigned (100 %)" in attractor_lines(found)
+    assert "4 of 4 lanes unassigned (100.0 %)" in attractor_lines(found)
 
 
 def irregular(**lanes):
@@ -169,7 +169,7 @@ def test_equilibria_of_a_point_are_one():
 
 
 def test_chains():
-    x = np.array([[0.0, 0.0], [0.9, 0.5], [1.8, 0.0], [0.0, 1.6], [5.0, 0.0]])
+    x = np.array([[0.0, 0.0], [0.9, 0.5], [1.8, 0.0], [0.0, 2.5], [5.0, 0.0]])
     assert joined_within(x).tolist() == [0, 0, 0, 1, 2]
 
 

@@ -70,7 +70,7 @@ def attractor_lines(dataset: "xarray.Dataset") -> list[str]:
     lines = [f"at a point: {points} (attractors at points)"]
     lanes = dataset["lane_attractor"].size
     unassigned = int(dataset["unassigned"].sum())
-    lines.append(f"{unassigned} of {lanes} lanes unassigned ({100 * unassigned / max(lanes, 1):.2g} %)")
+    lines.append(f"{unassigned} of {lanes} lanes unassigned ({100 * unassigned / max(lanes, 1):.1f} %)")
     meanings = flags(dataset["regime"])
     regime = dataset["regime"].values.reshape(share.shape)
     for number in range(min(share.shape[1], _SHOWN)):

@@ -143,14 +143,14 @@ def _statistics(dataset: xr.Dataset, lanes: Index | slice = slice(None)) -> Floa
 
 
 def joined_within(x: Float[np.ndarray, "lanes values"]) -> Index:
-    """Groups of lanes, by number, that chains of steps no longer than 1 in any value join."""
+    """Groups of lanes, by number, that chains of steps no longer than about 1 in any value join."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
 
-    # What lies within a tenth of a step stands for each other, so that pairs stay few.
-    cells, index = np.unique(np.round(10 * x), axis=0, return_inverse=True)
-    pairs = cKDTree(cells).query_pairs(10.0, p=np.inf, output_type="ndarray")
+    # To a quarter of a step, so that pairs of thousands of lanes stay few.
+    cells, index = np.unique(np.round(4 * x), axis=0, return_inverse=True)
+    pairs = cKDTree(cells).query_pairs(4.0, p=np.inf, output_type="ndarray")
     links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(cells), len(cells)))
     return np.asarray(connected_components(links, directed=False)[1])[index.ravel()]
 
