@@ -5,42 +5,48 @@ The road of the data: a sweep file is read and checked (`input`); its lanes go i
 which the store writes whole or not at all, its finished chunks kept meanwhile.
 """
 
-import json
 import time
-import warnings
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from math import ceil
 from os import PathLike
 from pathlib import Path
 
-import numpy as np
 import xarray as xr
 
-from vibrojax.engine.batch import Features, Report, unreported
+from vibrojax.engine.batch import Features
 from vibrojax.engine.chunks import Chunks
 from vibrojax.engine.costs import by_the_clock, processor_time
-from vibrojax.engine.labelled import dataset_of
 from vibrojax.engine.resources import Cost, check_size
 from vibrojax.input.definition import Sweep
 from vibrojax.input.read import read_sweep
-from vibrojax.periodic import Orbits
+from vibrojax.joining import WallTime, join
 from vibrojax.progress import Progress
-from vibrojax.store.dataset import write_dataset
+from vibrojax.store.dataset import open_dataset
 from vibrojax.store.finished import check_replaceable
 from vibrojax.store.provenance import provenance
 from vibrojax.store.shards import DamagedShard, Shards, report_damage
+from vibrojax.store.targets import InMemory, file_target
 from vibrojax.store.variables import VARIABLES
-from vibrojax.timings import LOG, timed
+from vibrojax.timings import timed
+from vibrojax.workers.executor import Executor, Store, by_executor, check_executor
+from vibrojax.workers.order import by_cost
+from vibrojax.workers.work import Work
 
 
-def run_sweep(source: str | PathLike[str] | Mapping[str, object] | Sweep, progress: bool = True) -> xr.Dataset:
+def run_sweep(
+    source: str | PathLike[str] | Mapping[str, object] | Sweep,
+    progress: bool = True,
+    executor: Executor | None = None,
+) -> xr.Dataset:
     """Run a sweep and return its dataset.
 
     **Arguments:**
 
     - `source`: path of a TOML file, a bundled name such as "regime-map", or a dict of the same shape.
     - `progress`: whether to say on stderr how far it is.
+    - `executor`: what computes the chunks: any `concurrent.futures.Executor` whose processes are spawned, such as
+      `ProcessPoolExecutor(4, mp_context=multiprocessing.get_context("spawn"))`, `dask.distributed`'s
+      `client.get_executor()`, loky's, MPI's; or submitit's. None: this process, by all its cores. The bits are equal.
 
     **Returns:** the dataset, over the grid's dimensions and `start`.
 
@@ -49,19 +55,24 @@ def run_sweep(source: str | PathLike[str] | Mapping[str, object] | Sweep, progre
     sweep = source if isinstance(source, Sweep) else read_sweep(source)
     check_size(sweep, estimate(sweep))
     began = time.monotonic()
-    chunks = _chunks(sweep)
-    shown = Progress(sweep.lanes, "lanes", progress)
-    with shown, timed("compile and step"):
-        parts = [_computed(chunks, index, shown.add) for index in range(chunks.count)]
-    return _assembled(sweep, chunks, parts, time.monotonic() - began)
+    work = Work(sweep)
+    parts: dict[int, Features] = {}
+    with Progress(sweep.lanes, "lanes", progress) as shown:
+        _compute(sweep, work, range(work.chunks.count), parts.__setitem__, shown, executor)
+    target = InMemory()
+    join(sweep, work.chunks, parts.pop, target, lambda _: time.monotonic() - began)
+    return target.dataset
 
 
-def run_to_file(sweep: Sweep, out: Path, resume: bool = True, progress: bool = True) -> xr.Dataset:
-    """Run a sweep into the netCDF file `out`; its finished chunks lie beside it until it is whole.
+def run_to_file(
+    sweep: Sweep, out: Path, resume: bool = True, progress: bool = True, executor: Executor | None = None
+) -> xr.Dataset:
+    """Run a sweep into the file `out`, netCDF or Zarr; its finished chunks lie beside it until it is whole.
 
     **Arguments:**
 
     - `resume`: go on with the chunks that are there, if any; otherwise start over, and replace whatever `out` holds.
+    - `executor`: what computes the chunks, see `run_sweep`.
 
     **Returns:** the dataset that was written.
 
@@ -72,24 +83,55 @@ def run_to_file(sweep: Sweep, out: Path, resume: bool = True, progress: bool = T
         check_replaceable(out, sweep.identity())
     check_size(sweep, estimate(sweep), out)
     began = time.monotonic()
-    chunks = _chunks(sweep)
-    manifest = sweep.identity() | provenance() | {"chunk size": chunks.size}
-    shown = Progress(sweep.lanes, "lanes", progress)
-    with shown, Shards(out.with_name(out.name + ".chunks"), manifest) as shards:
+    work = Work(sweep)
+    with Progress(sweep.lanes, "lanes", progress) as shown, shards_of(sweep, work.chunks, out) as shards:
         shards.open(resume)
         finished = shards.finished()
-        shown.resume(sum(chunks.width(index) for index in finished))
-        with timed("compile and step"):
-            for index in sorted(set(range(chunks.count)) - finished):
-                shards.write(index, _timed(chunks, index, shown.add))
-        parts = [_read_or_compute(shards, chunks, index) for index in range(chunks.count)]
-        seconds = [float(part.pop("seconds")) for part in parts]
+        shown.resume(sum(work.chunks.width(index) for index in finished))
+        missing = sorted(set(range(work.chunks.count)) - finished)
+        _compute(sweep, work, missing, shards.write, shown, executor)
         # Also what an interrupted run took; what lies between the runs does not count.
-        dataset = _assembled(sweep, chunks, parts, max(sum(seconds), time.monotonic() - began))
-        with timed("write"):
-            write_dataset(dataset, out)
+        write_joined(sweep, work, shards, out, lambda seconds: max(seconds, time.monotonic() - began))
         shards.remove()
-    return dataset
+    return open_dataset(out)
+
+
+def shards_of(sweep: Sweep, chunks: Chunks, out: Path) -> Shards:
+    """The finished chunks beside `out`."""
+    manifest = sweep.identity() | provenance() | {"chunk size": chunks.size}
+    return Shards(out.with_name(out.name + ".chunks"), manifest)
+
+
+def write_joined(sweep: Sweep, work: Work, shards: Shards, out: Path, wall_time: WallTime) -> None:
+    """Write the dataset `out` from the finished chunks; one that has been damaged meanwhile is computed again."""
+
+    def read(index: int) -> Features:
+        try:
+            return shards.read(index)
+        except DamagedShard as damage:
+            report_damage(damage)
+            return work.compute(index)
+
+    with timed("write"), file_target(out) as target:
+        join(sweep, work.chunks, read, target, wall_time)
+
+
+def _compute(
+    sweep: Sweep, work: Work, indices: Sequence[int], store: Store, shown: Progress, executor: Executor | None
+) -> None:
+    """Have the chunks of these indices computed, and stored when they are done."""
+    with timed("compile and step"):
+        if executor is None:
+            for index in indices:
+                store(index, work.compute(index, shown.add))
+            return
+        check_executor(executor)
+
+        def stored(index: int, features: Features) -> None:
+            store(index, features)
+            shown.add(work.chunks.width(index))
+
+        by_executor(sweep, executor, by_cost(work.chunks, indices), stored)
 
 
 def estimate(sweep: Sweep) -> Cost:
@@ -109,61 +151,3 @@ def estimate(sweep: Sweep) -> Cost:
         step_s=passing.step,
         processor_s=sum(processor),
     )
-
-
-def _chunks(sweep: Sweep) -> Chunks:
-    return Chunks(sweep, Orbits(sweep) if sweep.run.orbits else None)
-
-
-def _read_or_compute(shards: Shards, chunks: Chunks, index: int) -> Features:
-    """A finished chunk from its file; computed again where that has been damaged meanwhile."""
-    try:
-        return shards.read(index)
-    except DamagedShard as damage:
-        report_damage(damage)
-        return _timed(chunks, index)
-
-
-def _timed(chunks: Chunks, index: int, report: Report = unreported) -> Features:
-    """A chunk's features, and the `seconds` that they took."""
-    began = time.monotonic()
-    features = _computed(chunks, index, report)
-    return features | {"seconds": np.array(time.monotonic() - began)}
-
-
-def _computed(chunks: Chunks, index: int, report: Report) -> Features:
-    with _quiet():
-        return chunks.compute(index, report)
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Lanes that blow up are flagged: numpy's warnings beside, from any thread, would be a storm."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)
-        yield
-
-
-def _assembled(sweep: Sweep, chunks: Chunks, parts: list[Features], wall_time: float) -> xr.Dataset:
-    features = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    solver = {
-        "method": chunks.stepper.name,
-        "order": chunks.stepper.order,
-        "precision": sweep.run.precision,
-        "compiler": chunks.engine.programs.compiler,
-        "devices": _devices_text(chunks),
-        "steps": int(features["steps"].sum()),
-        **chunks.accuracy.described(),
-    }
-    LOG.info("chosen: %s, %d chunks of %d lanes", json.dumps(solver), chunks.count, chunks.size)
-    with _quiet():
-        dataset = dataset_of(sweep, features, solver, wall_time)
-    if sweep.run.orbits:
-        dataset.attrs["orbits"] = json.dumps(Orbits(sweep).described)
-    return dataset
-
-
-def _devices_text(chunks: Chunks) -> str:
-    """What lanes run on, in words."""
-    device, count = chunks.engine.workers[0], len(chunks.engine.workers)
-    return f"{count} cpu cores" if device.platform == "cpu" else f"{count} {device.device_kind}"

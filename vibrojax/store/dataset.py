@@ -14,7 +14,7 @@ from vibrojax.threads import in_own_thread
 MARK = "vibrojax"
 """How the attribute `source` of every dataset of this package begins."""
 
-_COMPRESSED = 4096
+COMPRESSED = 4096
 """Variables of more values than this are compressed."""
 _PROBE = 1 << 20
 """Bytes of one write that tries out whether the disk is full."""
@@ -36,13 +36,13 @@ def write_dataset(dataset: xr.Dataset, path: str | os.PathLike[str]) -> None:
     # Flags stay integers only without a fill value, and floats keep NaN as it is.
     encoding: dict[object, dict[str, object]] = {name: {"_FillValue": None} for name in dataset.variables}
     for name, variable in dataset.data_vars.items():
-        if variable.size > _COMPRESSED and variable.dtype.kind in "fi":
+        if variable.size > COMPRESSED and variable.dtype.kind in "fi":
             encoding[name] |= {"zlib": True, "complevel": 1, "shuffle": True}
     with atomic_write(path) as part:
         try:
             dataset.to_netcdf(part, engine="netcdf4", format="NETCDF4", encoding=encoding)
         except (RuntimeError, OSError) as error:
-            raise _why(part, path, dataset.nbytes, error) from None
+            raise write_failed(part, path, dataset.nbytes, error) from None
 
 
 def open_dataset(path: str | os.PathLike[str]) -> xr.Dataset:
@@ -76,7 +76,7 @@ def open_dataset(path: str | os.PathLike[str]) -> xr.Dataset:
     return dataset
 
 
-def _why(part: Path, path: Path, size: int, error: Exception) -> OSError:
+def write_failed(part: Path, path: Path, size: int, error: Exception) -> OSError:
     """Why the disk did not take a dataset of `size` bytes: the library says no more than "HDF error"."""
     try:
         with open(part, "ab", buffering=0) as file:
