@@ -6,7 +6,7 @@ which the store writes whole or not at all, its finished chunks kept meanwhile.
 """
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from math import ceil
 from os import PathLike
 from pathlib import Path
@@ -29,8 +29,14 @@ from vibrojax.store.targets import InMemory, file_target
 from vibrojax.store.variables import VARIABLES
 from vibrojax.timings import timed
 from vibrojax.workers.executor import Executor, Store, by_executor, check_executor
+from vibrojax.workers.member import Finished, compute_shared
 from vibrojax.workers.order import by_cost
+from vibrojax.workers.processes import by_processes
+from vibrojax.workers.slurm import by_slurm
 from vibrojax.workers.work import Work
+
+DATASET = "dataset"
+"""What who writes the dataset of several processes claims."""
 
 
 def run_sweep(
@@ -65,14 +71,21 @@ def run_sweep(
 
 
 def run_to_file(
-    sweep: Sweep, out: Path, resume: bool = True, progress: bool = True, executor: Executor | None = None
+    sweep: Sweep,
+    out: Path,
+    resume: bool = True,
+    progress: bool = True,
+    executor: Executor | None = None,
+    processes: int = 0,
+    jobs: int = 0,
 ) -> xr.Dataset:
     """Run a sweep into the file `out`, netCDF or Zarr; its finished chunks lie beside it until it is whole.
 
     **Arguments:**
 
     - `resume`: go on with the chunks that are there, if any; otherwise start over, and replace whatever `out` holds.
-    - `executor`: what computes the chunks, see `run_sweep`.
+    - `executor`: what computes the chunks, see `run_sweep`; or so many `processes` that are spawned on this machine,
+      or so many `jobs` of SLURM.
 
     **Returns:** the dataset that was written.
 
@@ -89,6 +102,10 @@ def run_to_file(
         finished = shards.finished()
         shown.resume(sum(work.chunks.width(index) for index in finished))
         missing = sorted(set(range(work.chunks.count)) - finished)
+        if processes and missing:
+            missing = _shared(by_processes, sweep, work, shards, missing, shown, processes)
+        if jobs and missing:
+            missing = _shared(by_slurm, sweep, work, shards, missing, shown, jobs)
         _compute(sweep, work, missing, shards.write, shown, executor)
         # Also what an interrupted run took; what lies between the runs does not count.
         write_joined(sweep, work, shards, out, lambda seconds: max(seconds, time.monotonic() - began))
@@ -96,10 +113,41 @@ def run_to_file(
     return open_dataset(out)
 
 
+def run_share(sweep: Sweep, out: Path, part: tuple[int, int], progress: bool = True) -> Path | None:
+    """Compute the chunks `part[0]`, `part[0] + part[1]`, ... (counted from 1) into the folder beside `out`, which other
+    processes share; write `out` where all chunks are there.
+
+    **Returns:** `out` where it is whole, else None.
+
+    **Raises:** `InputError` where the chunks that are there, or the dataset, are of another sweep, or a process has the
+    folder for itself.
+    """
+    began = time.monotonic()
+    check_replaceable(out, sweep.identity())
+    check_size(sweep, estimate(sweep), out)
+    work = Work(sweep)
+    number, of = part
+    mine = range(number - 1, work.chunks.count, of)
+    with shards_of(sweep, work.chunks, out) as shards:
+        if out.exists() and not shards.folder.exists():
+            return out
+        shards.share()
+        with Progress(sum(map(work.chunks.width, mine)), "lanes", progress) as shown, timed("compile and step"):
+            shown.resume(sum(work.chunks.width(index) for index in mine if shards.has(index)))
+            compute_shared(shards, work, mine, report=shown.add)
+        if len(shards.there()) < work.chunks.count or not shards.claims.take(DATASET):
+            return out if out.exists() and not shards.folder.exists() else None
+        write_joined(sweep, work, shards, out, lambda seconds: max(seconds / of, time.monotonic() - began))
+        shards.remove()
+    return out
+
+
 def shards_of(sweep: Sweep, chunks: Chunks, out: Path) -> Shards:
     """The finished chunks beside `out`."""
     manifest = sweep.identity() | provenance() | {"chunk size": chunks.size}
-    return Shards(out.with_name(out.name + ".chunks"), manifest)
+    title = sweep.title or f"{sweep.scene}: {sweep.name}"
+    about = {"title": title, "lanes": sweep.lanes, "chunks": chunks.count, "size": chunks.size}
+    return Shards(out.with_name(out.name + ".chunks"), manifest, about)
 
 
 def write_joined(sweep: Sweep, work: Work, shards: Shards, out: Path, wall_time: WallTime) -> None:
@@ -114,6 +162,26 @@ def write_joined(sweep: Sweep, work: Work, shards: Shards, out: Path, wall_time:
 
     with timed("write"), file_target(out) as target:
         join(sweep, work.chunks, read, target, wall_time)
+
+
+def _shared(
+    by: Callable[[Sweep, Shards, Sequence[int], int, Finished], list[int]],
+    sweep: Sweep,
+    work: Work,
+    shards: Shards,
+    missing: Sequence[int],
+    shown: Progress,
+    count: int,
+) -> list[int]:
+    """Have chunks computed by so many processes that share the folder; the indices of those that they could not."""
+    for index in missing:
+        shards.discard(index)
+
+    def finished(index: int, _: float) -> None:
+        shown.add(work.chunks.width(index))
+
+    with timed("compile and step"):
+        return by(sweep, shards, by_cost(work.chunks, missing), count, finished)
 
 
 def _compute(

@@ -3,6 +3,7 @@
 import shlex
 import threading
 from argparse import ArgumentParser
+from contextlib import nullcontext
 from importlib import import_module
 from typing import TYPE_CHECKING
 
@@ -10,8 +11,12 @@ from vibrojax.amounts import size_text, time_text
 from vibrojax.cli._command import Options
 from vibrojax.cli._complete import sweeps, with_completer
 from vibrojax.cli._output import dataset_written, draw, output, picture_beside
+from vibrojax.cli._workers import dask_executor, read_share, read_workers
+from vibrojax.errors import InputError
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from vibrojax.engine.resources import Cost
 
 
@@ -33,6 +38,17 @@ def arguments(parser: ArgumentParser) -> None:
     start = parser.add_mutually_exclusive_group()
     start.add_argument("--resume", action="store_true", help="go on with the finished chunks beside OUT (the default)")
     start.add_argument("--fresh", action="store_true", help="start over, and replace OUT whatever it holds")
+    by = parser.add_mutually_exclusive_group()
+    by.add_argument(
+        "--workers",
+        metavar="N | dask://HOST:PORT | slurm",
+        help="compute by N processes on this machine, the workers of a dask scheduler, or jobs of SLURM (slurm:JOBS)",
+    )
+    by.add_argument(
+        "--only",
+        metavar="I/N",
+        help="compute each N-th chunk from the I-th, beside other processes that do the rest in the same folder",
+    )
     parser.add_argument("--dry-run", action="store_true", help="print lanes, memory, disk and time; compute nothing")
 
 
@@ -40,8 +56,15 @@ def run(options: Options) -> None:
     """Run the command."""
     from vibrojax.engine.resources import check_size
     from vibrojax.input.read import read_sweep
-    from vibrojax.sweep import estimate, run_to_file
+    from vibrojax.store.dataset import open_dataset
+    from vibrojax.sweep import estimate, run_share, run_to_file
+    from vibrojax.workers.slurm import check_slurm
 
+    workers, share = read_workers(options.workers), read_share(options.only)
+    if share and options.fresh:
+        raise InputError("--fresh: has no use with --only, whose processes share what is there; remove the folder")
+    if workers.jobs is not None:
+        check_slurm(f"--workers {options.workers}")
     sweep = read_sweep(options.sweep, options.changes)
     out = output(options.out or f"{sweep.name}.nc")
     picture = picture_beside(out)
@@ -51,16 +74,46 @@ def run(options: Options) -> None:
         check_size(sweep, cost, out)
         return
     changes = [part for word in options.changes for part in ("--set", word)]
-    command = shlex.join(["vibrojax", "sweep", options.sweep, *changes, "-o", str(out)])
+    by = [part for name in ("workers", "only") if (word := getattr(options, name)) for part in (f"--{name}", word)]
+    command = shlex.join(["vibrojax", "sweep", options.sweep, *changes, "-o", str(out), *by])
     options.how_to_resume = f"finished chunks are kept; to go on: {command}"
     # What draws is imported while the lanes step, which leave Python to itself.
     threading.Thread(target=import_module, args=("vibrojax.plot",), daemon=True).start()
-    dataset = run_to_file(sweep, out, resume=not options.fresh, progress=not options.quiet)
+    progress = not options.quiet
+    if share:
+        if run_share(sweep, out, share, progress) is None:
+            if progress:
+                print(f"{out}: share {options.only} is done; {_unfinished(out)}")
+            return
+        dataset = open_dataset(out)
+    else:
+        with dask_executor(workers.dask) if workers.dask else nullcontext() as executor:
+            dataset = run_to_file(
+                sweep,
+                out,
+                resume=not options.fresh,
+                progress=progress,
+                executor=executor,
+                processes=workers.processes or 0,
+                jobs=workers.jobs or 0,
+            )
     dataset_written(options, out)
     drawn = draw(dataset, picture)
     if not options.quiet:
         each = "a point from one start each" if sweep.starts or sweep.point_vectors else "a point each"
         print(f"{out}: {sweep.lanes} lanes ({each}){drawn}")
+
+
+def _unfinished(out: "Path") -> str:
+    """What is left to do for the sweep of several processes that becomes `out`."""
+    from vibrojax.store.standing import CHUNKS, standing
+
+    try:
+        found = standing(out.with_name(out.name + CHUNKS))
+    except InputError:  # finished and removed this moment
+        return "the dataset is whole"
+    left = found.chunks - len(found.finished)
+    return f"{left} of {found.chunks} chunks are left to others" if left else "another process writes the dataset"
 
 
 def _cost_lines(shape: tuple[int, ...], dims: tuple[str, ...], cost: "Cost") -> list[str]:
