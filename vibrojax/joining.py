@@ -3,6 +3,7 @@
 import json
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
 
@@ -33,20 +34,21 @@ def join(sweep: Sweep, chunks: Chunks, read: Read, target: Target, wall_time: Wa
     """
     lanes = _Lanes(chunks, read)
     counted: Counter[str] = Counter()
-    frame = None
-    with quiet():
+    writing: Future[None] | None = None
+    with quiet(), ThreadPoolExecutor(1) as writer:
         for group in _groups(sweep):
             first, end = group[0].first, group[-1].end
             features = lanes.take(first, end)
             variables = labelled(sweep, first, end, features)
             counted.update(certified(sweep, variables) | {"steps": int(features["steps"].sum())})
-            if frame is None:
-                frame = _frame(sweep, variables)
-                target.begin(frame)
-            for region in group:
-                for name, x in variables.items():
-                    part = x[region.first - first : region.end - first]
-                    target.put(name, region.box, part.reshape(*region.shape, *x.shape[1:]))
+            if writing is None:
+                target.begin(_frame(sweep, variables))
+            else:
+                writing.result()
+            # Compressed and written while the next ones are read.
+            writing = writer.submit(_write, target, group, variables)
+        assert writing is not None
+        writing.result()
     solver = {
         "method": chunks.stepper.name,
         "order": chunks.stepper.order,
@@ -61,6 +63,14 @@ def join(sweep: Sweep, chunks: Chunks, read: Read, target: Target, wall_time: Wa
     if sweep.run.orbits:
         found["orbits"] = json.dumps(Orbits(sweep).described)
     target.finish(found)
+
+
+def _write(target: Target, group: list[Region], variables: Mapping[str, np.ndarray]) -> None:
+    first = group[0].first
+    for region in group:
+        for name, x in variables.items():
+            part = x[region.first - first : region.end - first]
+            target.put(name, region.box, part.reshape(*region.shape, *x.shape[1:]))
 
 
 class _Lanes:

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Shaped
 
 from vibrojax.errors import InputError, shown
+from vibrojax.store import npz
 from vibrojax.store.atomic import sync_folder
 from vibrojax.store.claims import Claims, this_process
 from vibrojax.store.lock import Lock
@@ -169,12 +170,11 @@ class Shards:
         (self.folder / f"{chunk_name(index)}.failed").unlink(missing_ok=True)
 
     def read(self, index: int) -> dict[str, np.ndarray]:
-        """A chunk's arrays by name, as they were written.
+        """A chunk's arrays by name, as they were written; not to be written to.
 
         **Raises:** `DamagedShard` where they are not there or not whole.
         """
-        with np.load(io.BytesIO(self._content(index)), allow_pickle=False) as arrays:
-            return dict(arrays)
+        return npz.arrays(self._content(index))
 
     def remove(self) -> None:
         """Remove the chunks and, where nothing else lies in it, the folder; lets go of it."""

@@ -114,8 +114,8 @@ class _Netcdf(Target):
             large = frame.size(name) > COMPRESSED
             packed: dict[str, Any] = {"zlib": True, "complevel": 1, "shuffle": True, "chunksizes": one.chunk}
             variable = self._create(name, one.dtype, one.dims, packed if large else {"contiguous": True})
-            if large:  # chunks are written whole: one that is kept would only take memory
-                variable.set_var_chunk_cache(size=0, nelems=1, preemption=1.0)
+            if large:  # chunks are written whole: to keep them would only take memory (0 means 64 MB)
+                variable.set_var_chunk_cache(size=1, nelems=1, preemption=1.0)
             beside = frame.beside(name)
             variable.setncatts(dict(one.attributes) | ({"coordinates": " ".join(beside)} if beside else {}))
             self._variables[name] = variable
