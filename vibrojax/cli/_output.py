@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     import xarray
 
 PICTURES = (".png", ".pdf", ".svg")
+ZARR = ".zarr"
 
 
 def output(path: str | Path, endings: Sequence[str] = (".nc",)) -> Path:
@@ -27,7 +28,7 @@ def output(path: str | Path, endings: Sequence[str] = (".nc",)) -> Path:
     at = f"-o: {shown(str(path))}"
     if path.suffix not in endings:
         raise InputError(f"{at} does not end in {' or '.join(endings)}; give the name of such a file")
-    if path.is_dir():
+    if path.is_dir() and path.suffix != ZARR:
         raise InputError(f"{at} is a folder; give the name of a file")
     folder = path.parent
     if not folder.is_dir():
@@ -57,7 +58,7 @@ def draw(dataset: "xarray.Dataset", picture: Path) -> str:
 
     **Returns:** what to say of it behind the dataset's name; nothing where there is none, for which stderr has why.
     """
-    from vibrojax.plot import save_picture
+    from vibrojax.plot import save_picture, thinned_text
 
     try:
         with timed("draw"):
@@ -65,4 +66,5 @@ def draw(dataset: "xarray.Dataset", picture: Path) -> str:
     except InputError as nothing:  # the dataset is written, and that is what was asked for
         print(f"no picture: {nothing}", file=sys.stderr)
         return ""
-    return f"; picture {picture}"
+    part = thinned_text(dataset)
+    return f"; picture {picture}{part and f' ({part})'}"

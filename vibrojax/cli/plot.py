@@ -42,12 +42,13 @@ def run(options: Options) -> None:
         dataset = open_dataset(path)
     with dataset:
         picture = output(options.out, PICTURES) if options.out else picture_beside(path)
-        from vibrojax.plot import save_picture
+        from vibrojax.plot import save_picture, thinned_text
 
         with timed("draw"):
             save_picture(dataset, picture, options.variable, where, options.colours)
+        part = "" if where else thinned_text(dataset)
     if not options.quiet:
-        print(picture)
+        print(f"{picture}{part and f': {part}'}")
 
 
 def _values(words: Sequence[str]) -> dict[str, float | str]:

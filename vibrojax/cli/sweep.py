@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from vibrojax.amounts import size_text, time_text
 from vibrojax.cli._command import Options
 from vibrojax.cli._complete import sweeps, with_completer
-from vibrojax.cli._output import dataset_written, draw, output, picture_beside
+from vibrojax.cli._output import ZARR, dataset_written, draw, output, picture_beside
 from vibrojax.cli._workers import dask_executor, read_share, read_workers
 from vibrojax.errors import InputError
 
@@ -26,7 +26,7 @@ def arguments(parser: ArgumentParser) -> None:
         "sweep", metavar="SWEEP", help="a bundled name, like regime-map, or the path of a TOML file"
     )
     with_completer(sweep, sweeps)
-    parser.add_argument("-o", dest="out", metavar="OUT.nc", help="where to write (NAME.nc in this folder)")
+    parser.add_argument("-o", dest="out", metavar="OUT.nc", help="where to write (NAME.nc in this folder); .zarr too")
     parser.add_argument(
         "--set",
         dest="changes",
@@ -56,7 +56,7 @@ def run(options: Options) -> None:
     """Run the command."""
     from vibrojax.engine.resources import check_size
     from vibrojax.input.read import read_sweep
-    from vibrojax.store.dataset import open_dataset
+    from vibrojax.store.dataset import check_zarr, open_dataset
     from vibrojax.sweep import estimate, run_share, run_to_file
     from vibrojax.workers.slurm import check_slurm
 
@@ -66,7 +66,9 @@ def run(options: Options) -> None:
     if workers.jobs is not None:
         check_slurm(f"--workers {options.workers}")
     sweep = read_sweep(options.sweep, options.changes)
-    out = output(options.out or f"{sweep.name}.nc")
+    out = output(options.out or f"{sweep.name}.nc", (".nc", ZARR))
+    if out.suffix == ZARR:
+        check_zarr(out)
     picture = picture_beside(out)
     if options.dry_run:
         cost = estimate(sweep)

@@ -23,6 +23,7 @@ from vibrojax.plot._rates import rates
 from vibrojax.plot._scatter import rate_scatter, regime_bars, regime_scatter
 from vibrojax.plot._selection import select
 from vibrojax.plot._strips import regime_lines
+from vibrojax.plot._thinned import thinned
 from vibrojax.plot._time_history import trajectory
 from vibrojax.plot._variables import variables
 from vibrojax.plot._work_precision import work_precision
@@ -76,7 +77,8 @@ def picture(
     - `variable`: the name of a variable to draw instead, over all that varies; or several names, four at most, of a run
       eight.
     - `where`: values of axes or of coordinates along them, by name, in the dataset's units: only the lanes there are
-      drawn, `{"delta": 0.005, "start": "stuck"}`. Numbers need be right to four digits.
+      drawn, `{"delta": 0.005, "start": "stuck"}`. Numbers need be right to four digits. Of more than 300,000 lanes
+      every second value of the longest axes is drawn, or every third, ...
     - `colours`: the name of the matplotlib colour map for quantities; regimes, forms and starts keep their colours.
 
     **Returns:** a figure that pyplot knows nothing of.
@@ -91,7 +93,7 @@ def picture(
         raise InputError(f"colours: {shown(colours)} is no colour map; {right}")
     token = COLOURS.set(colours)
     try:
-        ds = select(ds, where) if where else ds
+        ds = thinned(select(ds, where) if where else ds)
         if variable is not None:
             return variables(ds, (variable,) if isinstance(variable, str) else variable)
         return _fitting_picture(ds)
@@ -129,6 +131,7 @@ def regime_map(ds: xr.Dataset, x: str | None = None, y: str | None = None) -> Fi
 
     **Raises:** `InputError` where there are no regimes, or `x` or `y` is no axis of the sweep.
     """
+    ds = thinned(ds)
     held = contents(regimes_in(ds))
     if held.many_starts:
         return many_starts(ds) if x is None and y is None else share_grid(ds, x, y)
@@ -153,6 +156,7 @@ def rate_map(ds: xr.Dataset, x: str | None = None, y: str | None = None) -> Figu
 
     **Raises:** `InputError` where there are no rates, there are no two axes, or `x` or `y` is no axis of the sweep.
     """
+    ds = thinned(ds)
     held = contents(rates_in(ds))
     return _fitting(held, "map of rates")(ds) if held.points else rate_grid(ds, x, y)
 

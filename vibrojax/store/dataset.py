@@ -2,6 +2,7 @@
 
 import errno
 import os
+from importlib.util import find_spec
 from pathlib import Path
 
 import xarray as xr
@@ -9,10 +10,17 @@ import xarray as xr
 from vibrojax.errors import InputError
 from vibrojax.store.atomic import atomic_write
 from vibrojax.store.faults import warn_of_faults
+from vibrojax.store.variables import VARIABLES
 from vibrojax.threads import in_own_thread
 
 MARK = "vibrojax"
 """How the attribute `source` of every dataset of this package begins."""
+
+ZARR = ".zarr"
+"""How the name of a Zarr store ends."""
+
+LAZY_FROM = 256e6
+"""Bytes of a dataset from which on it is not read at once."""
 
 COMPRESSED = 4096
 """Variables of more values than this are compressed."""
@@ -50,22 +58,25 @@ def open_dataset(path: str | os.PathLike[str]) -> xr.Dataset:
 
     **Arguments:**
 
-    - `path`: the netCDF file.
+    - `path`: the netCDF file, or the Zarr store.
 
-    **Returns:** the dataset, read into memory whole.
+    **Returns:** the dataset: read into memory whole, or, where it would take over a quarter of a gigabyte, with
+    variables that are read when they are used: by dask, in parts, where it is installed.
 
     **Raises:** `InputError` where it is not there, no netCDF, cut short, or not written by this package.
     """
     path = Path(path)
     if not path.exists():
         raise InputError(f"{path}: there is no such file")
-    if path.is_dir():
+    if path.is_dir() and path.suffix != ZARR:
         raise InputError(f"{path}: is a folder; give a .nc file")
-    if not path.is_file():
+    if not path.is_file() and path.suffix != ZARR:
         raise InputError(f"{path}: is no file with an end; give a .nc file")
+    if path.suffix == ZARR:
+        check_zarr(path)
     patience = _PATIENCE + path.stat().st_size / _SLOWEST
     try:
-        dataset = in_own_thread(lambda: xr.load_dataset(path, engine="netcdf4"), patience)
+        dataset = in_own_thread(lambda: _opened(path), patience)
     except TimeoutError:  # HDF5 goes round and round in some files that have lost a block
         raise InputError(f"{path}: cannot be read as netCDF (its structure is damaged)") from None
     except Exception as error:  # whatever the library says of a file that is cut short, flipped or no netCDF at all
@@ -74,6 +85,25 @@ def open_dataset(path: str | os.PathLike[str]) -> xr.Dataset:
         raise InputError(f"{path}: was not written by {MARK} (its attribute source does not say so)")
     warn_of_faults(dataset, str(path))
     return dataset
+
+
+def _opened(path: Path) -> xr.Dataset:
+    """The dataset, in memory where it is small."""
+    kind = {"engine": "zarr", "consolidated": True} if path.suffix == ZARR else {"engine": "netcdf4"}
+    dataset = xr.open_dataset(path, cache=False, **kind)
+    if path.suffix == ZARR:  # which has no order of its own
+        known = [name for name in VARIABLES if name in dataset]
+        dataset = dataset[[*known, *(name for name in dataset.data_vars if name not in VARIABLES)]]
+    if dataset.nbytes <= LAZY_FROM:
+        with dataset:
+            return dataset.load()
+    return dataset.chunk({}) if find_spec("dask") is not None else dataset
+
+
+def check_zarr(path: Path) -> None:
+    """Raise `InputError`, in one line, where a Zarr store cannot be written or read: zarr is an extra."""
+    if find_spec("zarr") is None:
+        raise InputError(f'{path}: zarr is not installed; pip install "vibrojax[zarr]", or give a .nc file')
 
 
 def write_failed(part: Path, path: Path, size: int, error: Exception) -> OSError:

@@ -14,7 +14,7 @@ _LOCAL_HEADER = struct.Struct("<26xHH")
 
 
 def arrays(content: memoryview) -> dict[str, np.ndarray]:
-    """The arrays of an npz by name, which cannot be written to; `content`: as `np.savez` wrote it, known to be whole."""
+    """The arrays of an npz by name, not to be written to; `content`: as `np.savez` wrote it, known to be whole."""
     with zipfile.ZipFile(io.BytesIO(content)) as files:
         return {one.filename.removesuffix(".npy"): _array(_stored(content, one)) for one in files.infolist()}
 

@@ -23,6 +23,8 @@ from vibrojax.store.lock import Lock
 
 _MANIFEST = "manifest.json"
 _LOCK = "lock"
+_WHOLE = "all"
+"""What one claims who has all chunks for himself."""
 _SHARD = re.compile(r"chunk-(\d{8,})\.shard")
 _BESIDE = re.compile(r"chunk-\d{8,}\.failed|[\w-]+\.claim")
 _UNFINISHED = re.compile(r"(\.\d+)*\.tmp")
@@ -75,16 +77,14 @@ class Shards:
         self._make_folder()
         self._lock = Lock(self.folder / _LOCK)
         try:
-            for held in self.claims.held():
-                if not held.stale:
-                    line = f"{self.folder}: another process is at work there ({held.owner.text}, at {held.name})"
-                    raise InputError(f"{line}; wait for it, or give another output")
+            self._check_claims()
             if resume:
                 self._check_manifest()
             else:
                 self._clear(shards=True)
             self._clear(shards=False)
             self._write_manifest()
+            self.claims.take(_WHOLE)
         except BaseException:
             self.close()
             raise
@@ -95,6 +95,7 @@ class Shards:
         **Raises:** `InputError` where a process has it for itself, it cannot be written, or its manifest differs.
         """
         self._make_folder()
+        self._check_claims(_WHOLE)
         lock = Lock(self.folder / _LOCK, _PATIENCE)
         try:
             self._check_manifest()
@@ -259,6 +260,13 @@ class Shards:
                 ends = (bool(_SHARD.fullmatch(ours)) and (unfinished or shards)) or bool(_BESIDE.fullmatch(ours))
             if ends:
                 path.unlink(missing_ok=True)
+
+    def _check_claims(self, name: str = "") -> None:
+        """Raise where another process has what is called `name`, or anything."""
+        for held in self.claims.held():
+            if not held.stale and held.name.startswith(name):
+                line = f"{self.folder}: another process is at work there ({held.owner.text}, at {held.name})"
+                raise InputError(f"{line}; wait for it, or give another output")
 
     def _make_folder(self) -> None:
         try:

@@ -11,13 +11,9 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from vibrojax.errors import InputError
 from vibrojax.store.atomic import atomic_write, sync, sync_folder
-from vibrojax.store.dataset import COMPRESSED, write_failed
+from vibrojax.store.dataset import COMPRESSED, ZARR, check_zarr, write_failed
 from vibrojax.store.regions import Box
-
-ZARR = ".zarr"
-"""How the name of a Zarr store ends."""
 
 Columns = Mapping[str, tuple[tuple[str, ...], np.ndarray, Mapping[str, Any]]]
 """Coordinates by name: dimensions, values, attributes."""
@@ -213,14 +209,6 @@ def _atomic_folder(path: Path) -> Iterator[Path]:
     finally:
         for left in (part, before):
             shutil.rmtree(left, ignore_errors=True)
-
-
-def check_zarr(path: Path) -> None:
-    """Raise `InputError`, in one line, where a Zarr store cannot be written or read: zarr is an extra."""
-    try:
-        import zarr  # noqa: F401
-    except ImportError:
-        raise InputError(f'{path}: zarr is not installed; pip install "vibrojax[zarr]", or give a .nc file') from None
 
 
 def _plain(value: Any) -> Any:
