@@ -15,25 +15,30 @@ import xarray as xr
 
 from vibrojax.engine.batch import Features
 from vibrojax.engine.chunks import Chunks
-from vibrojax.engine.costs import by_the_clock, processor_time
+from vibrojax.engine.costs import PACKED, by_the_clock, lane_bytes, processor_time
 from vibrojax.engine.resources import Cost, check_size
 from vibrojax.input.definition import Sweep
 from vibrojax.input.read import read_sweep
-from vibrojax.joining import WallTime, join
+from vibrojax.joining import REGION, WallTime, join
 from vibrojax.progress import Progress
-from vibrojax.store.dataset import open_dataset
+from vibrojax.store.dataset import COMPRESSED, open_dataset
 from vibrojax.store.finished import check_replaceable
 from vibrojax.store.provenance import provenance
 from vibrojax.store.shards import DamagedShard, Shards, report_damage
 from vibrojax.store.targets import InMemory, file_target
-from vibrojax.store.variables import VARIABLES
 from vibrojax.timings import timed
 from vibrojax.workers.executor import Executor, Store, by_executor, check_executor
+from vibrojax.workers.measured import Measured
 from vibrojax.workers.member import Finished, compute_shared
 from vibrojax.workers.order import by_cost
 from vibrojax.workers.processes import by_processes
 from vibrojax.workers.slurm import by_slurm
 from vibrojax.workers.work import Work
+
+MEMORY = 450e6
+"""Bytes that a process takes, what it imports and compiles."""
+
+HOUR = 3600.0
 
 DATASET = "dataset"
 """What who writes the dataset of several processes claims."""
@@ -94,7 +99,7 @@ def run_to_file(
     """
     if resume:
         check_replaceable(out, sweep.identity())
-    check_size(sweep, estimate(sweep), out)
+    check_size(sweep, estimate(sweep, to_file=True), out)
     began = time.monotonic()
     work = Work(sweep)
     with Progress(sweep.lanes, "lanes", progress) as shown, shards_of(sweep, work.chunks, out) as shards:
@@ -124,7 +129,7 @@ def run_share(sweep: Sweep, out: Path, part: tuple[int, int], progress: bool = T
     """
     began = time.monotonic()
     check_replaceable(out, sweep.identity())
-    check_size(sweep, estimate(sweep), out)
+    check_size(sweep, estimate(sweep, to_file=True), out)
     work = Work(sweep)
     number, of = part
     mine = range(number - 1, work.chunks.count, of)
@@ -202,20 +207,36 @@ def _compute(
         by_executor(sweep, executor, by_cost(work.chunks, indices), stored)
 
 
-def estimate(sweep: Sweep) -> Cost:
-    """What a sweep will take, before any work; the time is rough (see [vibrojax.engine.costs][])."""
+def estimate(sweep: Sweep, to_file: bool = False, processes: int = 0, measured: Measured | None = None) -> Cost:
+    """What a sweep will take, before any work; the time is rough (see [vibrojax.engine.costs][]).
+
+    **Arguments:**
+
+    - `to_file`: whether its chunks go to the disk, as in `run_to_file`, or stay in memory.
+    - `processes`: how many processes on this machine compute it; 0: this one.
+    - `measured`: what some of its lanes took, see [vibrojax.workers.measured][], which is less rough.
+    """
     chunks = Chunks(sweep)
-    per_lane = 8 * (len(VARIABLES) + 6 * sweep.run.keep_returns)
-    processor, cores = processor_time(chunks), len(chunks.engine.workers)
+    in_chunk, in_file = map(float, lane_bytes(sweep))
+    packed = PACKED if sweep.lanes > COMPRESSED else 1.0
+    processor, cores = processor_time(chunks), processes or len(chunks.engine.workers)
+    if measured is not None:
+        in_chunk, in_file, packed = measured.chunk_bytes, measured.file_bytes, measured.packed
+        processor = processor._replace(step=measured.lane_s * sweep.lanes)
     passing = by_the_clock(processor, cores)
+    before = passing.start + passing.compile
+    # A lane in the loop carries some 500 numbers; of a region the features, the variables, and those being written.
+    memory = MEMORY * (1 + processes) + max(1, processes) * chunks.size * 8 * 500
+    memory += 3 * min(REGION, sweep.lanes) * (in_chunk + in_file) if to_file else sweep.lanes * (in_chunk + in_file)
     return Cost(
         lanes=sweep.lanes,
         chunks=chunks.count,
-        # A lane in the loop carries some 500 numbers; the results are held once to be labelled and written.
-        memory_bytes=400e6 + chunks.size * 8 * 500 + 3 * sweep.lanes * per_lane,
-        disk_bytes=ceil(sweep.lanes * per_lane),
+        memory_bytes=memory,
+        disk_bytes=ceil(sweep.lanes * (in_chunk + packed * in_file)),
+        file_bytes=ceil(sweep.lanes * packed * in_file),
+        hour_workers=min(chunks.count, ceil(processor.step / (HOUR - before))) if before < HOUR else 0,
         time_s=sum(passing),
-        compile_s=passing.start + passing.compile,
+        compile_s=before,
         step_s=passing.step,
         processor_s=sum(processor),
     )

@@ -50,6 +50,7 @@ def arguments(parser: ArgumentParser) -> None:
         help="compute each N-th chunk from the I-th, beside other processes that do the rest in the same folder",
     )
     parser.add_argument("--dry-run", action="store_true", help="print lanes, memory, disk and time; compute nothing")
+    parser.add_argument("--measure", action="store_true", help="have --dry-run compute some chunks, to know better")
 
 
 def run(options: Options) -> None:
@@ -58,11 +59,14 @@ def run(options: Options) -> None:
     from vibrojax.input.read import read_sweep
     from vibrojax.store.dataset import check_zarr, open_dataset
     from vibrojax.sweep import estimate, run_share, run_to_file
+    from vibrojax.workers.measured import measured
     from vibrojax.workers.slurm import check_slurm
 
     workers, share = read_workers(options.workers), read_share(options.only)
     if share and options.fresh:
         raise InputError("--fresh: has no use with --only, whose processes share what is there; remove the folder")
+    if options.measure and not options.dry_run:
+        raise InputError("--measure: has no use without --dry-run")
     if workers.jobs is not None:
         check_slurm(f"--workers {options.workers}")
     sweep = read_sweep(options.sweep, options.changes)
@@ -71,7 +75,8 @@ def run(options: Options) -> None:
         check_zarr(out)
     picture = picture_beside(out)
     if options.dry_run:
-        cost = estimate(sweep)
+        found = measured(sweep) if options.measure else None
+        cost = estimate(sweep, to_file=True, processes=workers.processes or 0, measured=found)
         print("\n".join(_cost_lines(sweep.shape, sweep.dims, cost)))
         check_size(sweep, cost, out)
         return
@@ -124,10 +129,17 @@ def _cost_lines(shape: tuple[int, ...], dims: tuple[str, ...], cost: "Cost") -> 
     return [
         f"lanes   {cost['lanes']} ({grid}) in {cost['chunks']} chunks",
         f"memory  {size_text(cost['memory_bytes'])}",
-        f"disk    {size_text(cost['disk_bytes'])}",
+        f"disk    {size_text(cost['disk_bytes'])} while it runs, {size_text(cost['file_bytes'])} then",
         f"time    about {_about(cost['time_s'])}: {_about(cost['compile_s'])} to start and compile, "
         f"{_about(cost['step_s'])} to step ({_about(cost['processor_s'])} of processor time)",
+        *_hour_line(cost),
     ]
+
+
+def _hour_line(cost: "Cost") -> list[str]:
+    if cost["time_s"] <= 3600 or not cost["hour_workers"]:
+        return []
+    return [f"hour    {cost['hour_workers']} workers of one core each bring it under an hour"]
 
 
 def _about(seconds: float) -> str:

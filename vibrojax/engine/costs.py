@@ -25,20 +25,28 @@ class Costs(NamedTuple):
 
     - `compile`: to compile its programs; `step`: a step of a lane while it settles.
     - `rate`: steps in a simulated second [1/s] that end at events, beside those that flight asks for.
+    - `chunk_bytes`, `file_bytes`: of a lane, in a finished chunk and in the dataset.
     """
 
     compile: float
     step: float
     rate: float
+    chunk_bytes: int
+    file_bytes: int
 
 
 COSTS = {
-    "rotary": Costs(1.2, 53e-9, 12.0),
-    "vibro-impact": Costs(1.6, 75e-9, 45.0),
-    "drilling": Costs(1.9, 80e-9, 180.0),
-    "coupled-drilling": Costs(1.9, 92e-9, 200.0),
-    "penetration": Costs(0.7, 53e-9, 1000.0),
+    "rotary": Costs(1.2, 53e-9, 12.0, 152, 98),
+    "vibro-impact": Costs(1.6, 75e-9, 45.0, 232, 170),
+    "drilling": Costs(1.9, 80e-9, 180.0, 272, 210),
+    "coupled-drilling": Costs(1.9, 92e-9, 200.0, 272, 210),
+    "penetration": Costs(0.7, 53e-9, 1000.0, 72, 50),
 }
+OF_ORBITS, OF_A_RETURN = (112, 91), (48, 48)
+"""Bytes of a lane with orbits, and of each return that is kept, beside those."""
+
+PACKED = 0.75
+"""What is left of a large dataset when it is compressed."""
 START = 1.6
 """Seconds to start, to read and write, and to draw."""
 
@@ -89,6 +97,14 @@ def processor_time(chunks: Chunks) -> Seconds:
     if run.orbits:
         compiling, stepping = compiling * ORBITS.compile, stepping * ORBITS.step
     return Seconds(slower * START, slower * compiling, slower * stepping)
+
+
+def lane_bytes(sweep: Sweep) -> tuple[int, int]:
+    """Bytes of a lane in a finished chunk, and in the dataset before it is compressed."""
+    costs, run = _costs(sweep.system), sweep.run
+    kept = [one * run.keep_returns for one in OF_A_RETURN]
+    orbits = OF_ORBITS if run.orbits else (0, 0)
+    return costs.chunk_bytes + kept[0] + orbits[0], costs.file_bytes + kept[1] + orbits[1]
 
 
 def by_the_clock(processor: Seconds, cores: int) -> Seconds:
