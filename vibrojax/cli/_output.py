@@ -58,13 +58,12 @@ def draw(dataset: "xarray.Dataset", picture: Path) -> str:
 
     **Returns:** what to say of it behind the dataset's name; nothing where there is none, for which stderr has why.
     """
-    from vibrojax.plot import save_picture, thinned_text
+    from vibrojax.plot import save_picture
 
     try:
         with timed("draw"):
-            save_picture(dataset, picture)
+            part = save_picture(dataset, picture)
     except InputError as nothing:  # the dataset is written, and that is what was asked for
         print(f"no picture: {nothing}", file=sys.stderr)
         return ""
-    part = thinned_text(dataset)
-    return f"; picture {picture}{part and f' ({part})'}"
+    return f"; picture {picture}" + (f" ({part})" if part else "")

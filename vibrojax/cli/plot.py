@@ -42,13 +42,12 @@ def run(options: Options) -> None:
         dataset = open_dataset(path)
     with dataset:
         picture = output(options.out, PICTURES) if options.out else picture_beside(path)
-        from vibrojax.plot import save_picture, thinned_text
+        from vibrojax.plot import save_picture
 
         with timed("draw"):
-            save_picture(dataset, picture, options.variable, where, options.colours)
-        part = "" if where else thinned_text(dataset)
+            part = save_picture(dataset, picture, options.variable, where, options.colours)
     if not options.quiet:
-        print(f"{picture}{part and f': {part}'}")
+        print(f"{picture}: {part}" if part else picture)
 
 
 def _values(words: Sequence[str]) -> dict[str, float | str]:

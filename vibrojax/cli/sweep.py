@@ -5,7 +5,7 @@ import threading
 from argparse import ArgumentParser
 from contextlib import nullcontext
 from importlib import import_module
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from vibrojax.amounts import size_text, time_text
 from vibrojax.cli._command import Options
@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from vibrojax.engine.resources import Cost
+    from vibrojax.input.definition import Sweep
+    from vibrojax.workers.measured import Measured
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -57,10 +59,7 @@ def run(options: Options) -> None:
     """Run the command."""
     from vibrojax.engine.resources import check_size
     from vibrojax.input.read import read_sweep
-    from vibrojax.store.dataset import check_zarr, open_dataset
-    from vibrojax.sweep import estimate, run_share, run_to_file
-    from vibrojax.workers.measured import measured
-    from vibrojax.workers.slurm import check_slurm
+    from vibrojax.sweep import estimate, run_to_file
 
     workers, share = read_workers(options.workers), read_share(options.only)
     if share and options.fresh:
@@ -68,15 +67,18 @@ def run(options: Options) -> None:
     if options.measure and not options.dry_run:
         raise InputError("--measure: has no use without --dry-run")
     if workers.jobs is not None:
+        from vibrojax.workers.slurm import check_slurm
+
         check_slurm(f"--workers {options.workers}")
     sweep = read_sweep(options.sweep, options.changes)
     out = output(options.out or f"{sweep.name}.nc", (".nc", ZARR))
     if out.suffix == ZARR:
+        from vibrojax.store.dataset import check_zarr
+
         check_zarr(out)
     picture = picture_beside(out)
     if options.dry_run:
-        found = measured(sweep) if options.measure else None
-        cost = estimate(sweep, to_file=True, processes=workers.processes or 0, measured=found)
+        cost = estimate(sweep, to_file=True, processes=workers.processes or 0, measured=_measured(options, sweep))
         print("\n".join(_cost_lines(sweep.shape, sweep.dims, cost)))
         check_size(sweep, cost, out)
         return
@@ -88,6 +90,9 @@ def run(options: Options) -> None:
     threading.Thread(target=import_module, args=("vibrojax.plot",), daemon=True).start()
     progress = not options.quiet
     if share:
+        from vibrojax.store.dataset import open_dataset
+        from vibrojax.sweep import run_share
+
         if run_share(sweep, out, share, progress) is None:
             if progress:
                 print(f"{out}: share {options.only} is done; {_unfinished(out)}")
@@ -95,20 +100,23 @@ def run(options: Options) -> None:
         dataset = open_dataset(out)
     else:
         with dask_executor(workers.dask) if workers.dask else nullcontext() as executor:
-            dataset = run_to_file(
-                sweep,
-                out,
-                resume=not options.fresh,
-                progress=progress,
-                executor=executor,
-                processes=workers.processes or 0,
-                jobs=workers.jobs or 0,
-            )
+            by_whom = {"executor": executor, "processes": workers.processes, "jobs": workers.jobs}
+            given: dict[str, Any] = {name: one for name, one in by_whom.items() if one is not None}
+            dataset = run_to_file(sweep, out, resume=not options.fresh, progress=progress, **given)
     dataset_written(options, out)
     drawn = draw(dataset, picture)
     if not options.quiet:
         each = "a point from one start each" if sweep.starts or sweep.point_vectors else "a point each"
         print(f"{out}: {sweep.lanes} lanes ({each}){drawn}")
+
+
+def _measured(options: Options, sweep: "Sweep") -> "Measured | None":
+    """What some of the sweep's lanes take, if that is asked for."""
+    if not options.measure:
+        return None
+    from vibrojax.workers.measured import measured
+
+    return measured(sweep)
 
 
 def _unfinished(out: "Path") -> str:

@@ -10,6 +10,5 @@ from vibrojax.plot._pictures import rate_map as rate_map
 from vibrojax.plot._pictures import regime_map as regime_map
 from vibrojax.plot._pictures import save_picture as save_picture
 from vibrojax.plot._rates import rates as rates
-from vibrojax.plot._thinned import thinned_text as thinned_text
 from vibrojax.plot._time_history import trajectory as trajectory
 from vibrojax.plot._work_precision import work_precision as work_precision

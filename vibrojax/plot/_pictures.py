@@ -23,7 +23,7 @@ from vibrojax.plot._rates import rates
 from vibrojax.plot._scatter import rate_scatter, regime_bars, regime_scatter
 from vibrojax.plot._selection import select
 from vibrojax.plot._strips import regime_lines
-from vibrojax.plot._thinned import thinned
+from vibrojax.plot._thinned import thinned, thinned_text
 from vibrojax.plot._time_history import trajectory
 from vibrojax.plot._variables import variables
 from vibrojax.plot._work_precision import work_precision
@@ -185,7 +185,7 @@ def save_picture(
     variable: str | Sequence[str] | None = None,
     where: Mapping[str, float | str] | None = None,
     colours: str | None = None,
-) -> None:
+) -> str:
     """Draw the fitting picture for `ds` into the file `path`, which is there whole or not at all.
 
     **Arguments:**
@@ -193,6 +193,8 @@ def save_picture(
     - `ds`: what `simulate` or a sweep gives.
     - `path`: ends in .png, .pdf or .svg.
     - `variable`, `where`, `colours`: what to draw of it, and how; see [vibrojax.plot.picture][].
+
+    **Returns:** which of its values are drawn, in words; nothing where all are.
 
     **Raises:** `InputError` for another ending, a path that cannot be written, or what `picture` refuses.
     """
@@ -206,6 +208,7 @@ def save_picture(
             figure.savefig(part, format=suffix[1:], metadata=_METADATA[suffix])
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror}); give another file") from None
+    return thinned_text(select(ds, where) if where else ds)
 
 
 def _fitting(held: Contents, shows: str) -> Callable[[xr.Dataset], Figure]:
