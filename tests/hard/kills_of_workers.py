@@ -121,7 +121,7 @@ class Kills:
 
     def __init__(self, folder: Path, seed: int = 0, doors: tuple[str, ...] = tuple(DOORS)):
         self.folder, self.random, self.counted, self.doors = folder, random.Random(seed), Counter(), doors
-        self.out = folder / OUT
+        self.out, self.wanted = folder / OUT, ""
         (folder / "sweep.toml").write_text(SWEEP)
         for name, text in SCRIPTS.items():
             (folder / f"by_{name}.py").write_text(_SCRIPT + text)
@@ -149,9 +149,12 @@ class Kills:
             wait = self.random.uniform(0.3, 6.0)
             while any(one.poll() is None for one in started):
                 time.sleep(0.02)
+                self.wanted = self.wanted or self.random.choice(["driver", "worker", "worker"])
+                if door == "only":
+                    self.wanted = "driver"
                 if kills < most and time.monotonic() - began > wait and (victim := self._victim(door, started)):
                     self._kill(door, victim, started)
-                    kills += 1
+                    kills, self.wanted = kills + 1, ""
                     began, wait = time.monotonic(), self.random.uniform(0.3, 4.0)
             for one in started:
                 status, said = one.wait(), one.stderr.read().decode()
@@ -170,8 +173,7 @@ class Kills:
         below = [process for one in drivers for process in children(one)]
         if door == "dask" and self.cluster is not None:
             below += [worker.process.pid for worker in self.cluster.workers.values() if worker.process]
-        below = computing(below)
-        choice = self.random.choice([drivers, below or drivers])
+        choice = drivers if self.wanted == "driver" or door == "plain" else computing(below)
         return self.random.choice(choice) if choice else None
 
     def _kill(self, door: str, victim: int, started: list[subprocess.Popen]) -> None:

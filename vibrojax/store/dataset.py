@@ -8,16 +8,13 @@ from pathlib import Path
 import xarray as xr
 
 from vibrojax.errors import InputError
-from vibrojax.store.atomic import atomic_write
+from vibrojax.store.atomic import ZARR, atomic_write
 from vibrojax.store.faults import warn_of_faults
 from vibrojax.store.variables import VARIABLES
 from vibrojax.threads import in_own_thread
 
 MARK = "vibrojax"
 """How the attribute `source` of every dataset of this package begins."""
-
-ZARR = ".zarr"
-"""How the name of a Zarr store ends."""
 
 LAZY_FROM = 256e6
 """Bytes of a dataset from which on it is not read at once."""

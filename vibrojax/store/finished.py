@@ -7,7 +7,7 @@ from pathlib import Path
 import netCDF4
 
 from vibrojax.errors import InputError
-from vibrojax.store.dataset import ZARR
+from vibrojax.store.atomic import ZARR
 from vibrojax.store.shards import changes
 from vibrojax.threads import in_own_thread
 

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from vibrojax.store.atomic import atomic_write, sync, sync_folder
-from vibrojax.store.dataset import COMPRESSED, ZARR, check_zarr, write_failed
+from vibrojax.store.atomic import ZARR, atomic_write, sync, sync_folder
+from vibrojax.store.dataset import COMPRESSED, check_zarr, write_failed
 from vibrojax.store.regions import Box
 
 Columns = Mapping[str, tuple[tuple[str, ...], np.ndarray, Mapping[str, Any]]]
