@@ -11,7 +11,6 @@ from contextlib import contextmanager, suppress
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
-from pathlib import Path
 from typing import Any
 
 from vibrojax.devices import usable_cores
@@ -21,8 +20,8 @@ from vibrojax.leaving import on_leaving
 from vibrojax.store.shards import Shards
 from vibrojax.timings import LOG
 from vibrojax.workers.executor import pickled
-from vibrojax.workers.member import Finished, compute_shared
-from vibrojax.workers.work import Work
+from vibrojax.workers.member import Finished
+from vibrojax.workers.spawned import work
 
 DEATHS = 3
 """Workers that may die one after the other, no chunk being finished in between, before it is given up."""
@@ -95,7 +94,7 @@ class _Workers:
             if self._over:
                 return
             ours, theirs = _SPAWN.Pipe(duplex=False)
-            worker = _SPAWN.Process(target=_work, args=(*self._given, theirs), daemon=True)
+            worker = _SPAWN.Process(target=work, args=(*self._given, theirs), daemon=True)
             worker.start()
             theirs.close()
             self.running.append((worker, ours))
@@ -132,38 +131,6 @@ class _Workers:
         connection.close()
         with suppress(OSError):
             self._shards.claims.release_of(worker.pid or 0)
-
-
-def _work(
-    task: bytes, folder: str, manifest: dict[str, object], order: list[int], threads: int, told: Connection
-) -> None:
-    """What a worker does."""
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-    shards = Shards(Path(folder), manifest)
-    shards.join()
-    try:
-        work = Work(pickle.loads(task), threads)
-        compute_shared(
-            shards,
-            work,
-            order,
-            finished=lambda index, seconds: told.send(("finished", index, seconds)),
-            failed=lambda index, _: told.send(("failed", index)),
-            patient=True,
-        )
-    except InputError as error:
-        told.send(("input", str(error)))
-    except BrokenPipeError:  # nobody listens any more
-        pass
-    finally:
-        shards.claims.close()
-
-
-def _end_with_parent() -> None:
-    parent = multiprocessing.parent_process()
-    assert parent is not None
-    wait([parent.sentinel])
-    os._exit(1)
 
 
 @contextmanager
