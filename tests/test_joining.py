@@ -62,6 +62,19 @@ def test_regions_do_not_show(region, keep, tmp_path, monkeypatch):
         assert file["period"].filters()["zlib"] and file["period"].filters()["shuffle"]
 
 
+def test_lanes_that_are_carried_come_to_their_places(tmp_path, monkeypatch):
+    """They are counted in another order than that of the dataset's dimensions."""
+    sweep = read_sweep(
+        SWEEP | {"starts": ["stuck"]}, ["run.carry=beta", "run.settle=2.0", "run.observe=1.0", "run.chunk=4"]
+    )
+    expected = run_sweep(sweep, progress=False)
+    assert expected.period.dims == ("beta", "gamma", "direction")
+    monkeypatch.setattr(joining, "REGION", 3)
+    monkeypatch.setattr("vibrojax.store.targets.COMPRESSED", 4)
+    found = run_to_file(sweep, tmp_path / "out.nc", progress=False, processes=2)
+    xr.testing.assert_identical(found.drop_attrs(), expected.drop_attrs())
+
+
 def test_points_keep_their_parameters_as_coordinates(tmp_path):
     points = {"beta": [0.3, 0.4], "gamma": [0.7, 0.8], "start": ["stuck", "drive"]}
     sweep = read_sweep({"scene": "vibro-impact", "points": points, "run": {"settle": 3.0, "observe": 2.0}})

@@ -7,6 +7,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
 
+from vibrojax.chaos import Natures
 from vibrojax.engine.batch import Features
 from vibrojax.engine.chunks import Chunks
 from vibrojax.engine.labelled import attributes, certified, coordinates, labelled, variables_of
@@ -46,7 +47,7 @@ def join(sweep: Sweep, chunks: Chunks, read: Read, target: Target, wall_time: Wa
             else:
                 writing.result()
             # Compressed and written while the next ones are read.
-            writing = writer.submit(_write, target, group, variables)
+            writing = writer.submit(_write, sweep, target, group, variables)
         assert writing is not None
         writing.result()
     solver = {
@@ -62,15 +63,19 @@ def join(sweep: Sweep, chunks: Chunks, read: Read, target: Target, wall_time: Wa
     found = attributes(sweep, solver, counted, wall_time(lanes.seconds))
     if sweep.run.orbits:
         found["orbits"] = json.dumps(Orbits(sweep).described)
+    if sweep.run.lyapunov:
+        found["lyapunov"] = json.dumps(Natures(sweep).described)
     target.finish(found)
 
 
-def _write(target: Target, group: list[Region], variables: Mapping[str, np.ndarray]) -> None:
-    first = group[0].first
+def _write(sweep: Sweep, target: Target, group: list[Region], variables: Mapping[str, np.ndarray]) -> None:
+    """Lanes are counted over the dimensions in another order than that of the dataset where they are carried."""
+    first, order = group[0].first, [sweep.counted.index(name) for name in sweep.dims]
     for region in group:
+        box = tuple(region.box[at] for at in order)
         for name, x in variables.items():
-            part = x[region.first - first : region.end - first]
-            target.put(name, region.box, part.reshape(*region.shape, *x.shape[1:]))
+            part = x[region.first - first : region.end - first].reshape(*region.shape, *x.shape[1:])
+            target.put(name, box, part.transpose(*order, *range(len(order), part.ndim)))
 
 
 class _Lanes:
@@ -111,12 +116,15 @@ def _groups(sweep: Sweep) -> Iterator[list[Region]]:
 
 def _regions(sweep: Sweep) -> Regions:
     per_lane = 8 * (len(variables_of(sweep)) + 6 * sweep.run.keep_returns)
-    return Regions(sweep.shape, int(min(REGION, max(1, REGION_BYTES // per_lane))))
+    sizes = dict(zip(sweep.dims, sweep.shape, strict=True))
+    counted = tuple(sizes[name] for name in sweep.counted)
+    return Regions(counted, int(min(REGION, max(1, REGION_BYTES // per_lane))))
 
 
 def _frame(sweep: Sweep, variables: Mapping[str, np.ndarray]) -> Frame:
     """What the dataset is going to hold, from the variables of some of its lanes."""
-    chunk, stored = _regions(sweep).chunk, {}
+    sizes = dict(zip(sweep.counted, _regions(sweep).chunk, strict=True))
+    chunk, stored = tuple(sizes[name] for name in sweep.dims), {}
     rows: dict[str, int] = {}
     known = variables_of(sweep)
     for name, x in variables.items():

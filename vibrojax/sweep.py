@@ -216,7 +216,7 @@ def estimate(sweep: Sweep, to_file: bool = False, processes: int = 0, measured: 
     - `processes`: how many processes on this machine compute it; 0: this one.
     - `measured`: what some of its lanes took, see [vibrojax.workers.measured][], which is less rough.
     """
-    chunks = Chunks(sweep)
+    chunks = Work(sweep).chunks
     in_chunk, in_file = map(float, lane_bytes(sweep))
     packed = PACKED if sweep.lanes > COMPRESSED else 1.0
     processor, cores = processor_time(chunks), processes or len(chunks.engine.workers)

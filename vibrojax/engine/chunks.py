@@ -86,18 +86,27 @@ class Chunks:
 
         `report` is called with the number of lanes that are done as work goes on.
         """
-        coarse = self.stepper.coarser(self.accuracy)
         first, end = self.lanes(index)
         portions = Portions(end - first, report)
         self.compile()
-        parts = list(self._underway(first, end, coarse, portions))
-        observed = self._observed([part.fine for part in parts] + [part.check for part in parts], portions)
+        fine, check = self.both_runs(self.engine.start(first, end, self.accuracy), portions)
         portions.finish()
+        return self.finished(index, fine, check)
+
+    def both_runs(self, batch: Batch, portions: Portions) -> tuple[Features, Features]:
+        """Features of lanes that stand at t = 0, and those by the check run."""
+        parts = list(self._underway(batch, self.stepper.coarser(self.accuracy), portions))
+        observed = self._observed([part.fine for part in parts] + [part.check for part in parts], portions)
         order = np.argsort(np.concatenate([part.lanes for part in parts]))
         fine, check = (
             {name: np.concatenate([some[name] for some in run])[order] for name in run[0]}
             for run in (observed[: len(parts)], observed[len(parts) :])
         )
+        return fine, check
+
+    def finished(self, index: int, fine: Features, check: Features) -> Features:
+        """The features of a chunk's lanes with what follows from them, by both runs."""
+        first, end = self.lanes(index)
         certified = self._certified(fine, check)
         return certified | self._beyond(first, end, fine) if self._beyond is not None else certified
 
@@ -140,10 +149,9 @@ class Chunks:
         run = self.sweep.run
         return (settling + OBSERVING * observing) / (1.5 * (run.settle + OBSERVING * run.observe))
 
-    def _underway(self, first: int, end: int, coarse: Accuracy, portions: Portions) -> Iterator[Part]:
-        """The lanes from `first` to before `end` as far as one run serves both; those that have settled come first."""
-        run, lanes = self.sweep.run, np.arange(end - first)
-        batch = self.engine.start(first, end, self.accuracy)
+    def _underway(self, batch: Batch, coarse: Accuracy, portions: Portions) -> Iterator[Part]:
+        """The lanes of a batch as far as one run serves both; those that have settled come first."""
+        run, lanes = self.sweep.run, np.arange(len(batch.begin))
         close = self.accuracy.tolerance or SETTLED * run.error
         before = 0.0
         for now in self._looks:

@@ -23,6 +23,9 @@ CONVERGED = 1e-12
 ACCEPTED = 1e-10
 """Residual of an orbit that counts as found."""
 
+LEAST_SWING = 1e-3
+"""Part of its size that a state's half swing is taken for at least: one that stands still moves by its roundings."""
+
 MOST_ITERATIONS = 8
 
 States = Float[np.ndarray, "lanes cycles states"]
@@ -34,7 +37,7 @@ ReturnMap = Callable[[Index, Float[np.ndarray, "states segments"]], Mapped]
 class Found(NamedTuple):
     """What Newton's method came to, over lanes that repeat after the same number of returns.
 
-    - `states`: at the section; `times` (lanes, cycles) [s]: from each to the next.
+    - `states`: at the section; `scales` (lanes, states) of them; `times` (lanes, cycles) [s]: from each to the next.
     - `residual` (lanes,): greatest return - state, over the scales; infinite where a lane did not return.
     - `product` (lanes, states, states): derivative of the map over the whole repeat.
     - `moved` (lanes,): greatest distance from where it began, over the scales.
@@ -42,6 +45,7 @@ class Found(NamedTuple):
     """
 
     states: States
+    scales: Float[np.ndarray, "lanes states"]
     times: Float[np.ndarray, "lanes cycles"]
     residual: Float[np.ndarray, " lanes"]
     product: Float[np.ndarray, "lanes states states"]
@@ -94,6 +98,7 @@ def orbits(begin: States, scales: Float[np.ndarray, "lanes states"], reach: np.n
         active, at, now = active[on], at[on], _of(now, on)
     return Found(
         states=states,
+        scales=scales,
         times=best.times,
         residual=residual,
         product=_product(best.jacobian),
@@ -127,8 +132,9 @@ def _of(evaluated: _Evaluated, lanes: Bool[np.ndarray, " lanes"]) -> _Evaluated:
 
 
 def _swings(seen: Any) -> Float[np.ndarray, "lanes states"]:
-    """Half the swings over the repeat; 1 for what does not move."""
-    half = (seen.greatest.max(axis=1) - seen.least.min(axis=1)) / 2
+    """Half the swings over the repeat; of what hardly moves a part of its size, and 1 for what is zero all the way."""
+    most, least = seen.greatest.max(axis=1), seen.least.min(axis=1)
+    half = np.maximum((most - least) / 2, LEAST_SWING * np.maximum(most, -least))
     return np.where(half > 0, half, 1.0)
 
 

@@ -1,14 +1,12 @@
 """The orbits of a sweep's lanes: from their last returns by Newton's method, with multipliers, and measured."""
 
+from functools import partial
 from typing import Any
 
-import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from vibrojax.devices import precision, workers
 from vibrojax.engine.batch import Features, Index
-from vibrojax.engine.parallel import in_parallel
 from vibrojax.input.definition import Sweep
 from vibrojax.measure.kept_returns import state_name
 from vibrojax.measure.ledger import MOST_CYCLES
@@ -16,12 +14,10 @@ from vibrojax.measure.section import scales
 from vibrojax.periodic.margin import HOW
 from vibrojax.periodic.measured import Begun, Measuring, begun, joined
 from vibrojax.periodic.newton import ACCEPTED, Found, States, orbits
-from vibrojax.periodic.return_map import Mapped, mapped
-from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Located
+from vibrojax.periodic.return_map import Mapped
+from vibrojax.periodic.segments import STEPS, Segments
+from vibrojax.periodic.under_pulses import repeats
 from vibrojax.store.variables import ORBIT_REASONS, orbit_name
-
-STEPS = Accuracy(tolerance=1e-11, stride=LOCATED_STRIDE, step=np.inf)
-"""Of the return map. Over the default map multipliers are within 1.2e-8 of those at 1e-14, periods within 3e-13 s."""
 
 GRAZING = 1e-5
 """Margin below which multipliers are not given. Beside a graze the map goes as a root, so its derivative holds over a
@@ -37,10 +33,9 @@ far its state is."""
 SAME = 1e-6
 """Distance over the scales within which two states of an orbit are one."""
 
-SEGMENTS = 512
-"""Returns per call of the map."""
-
-OF_THE_LANE = frozenset({"finite", "finished", "steps", "returns", "trend", "cycles", "impacts", "settling_time"})
+OF_THE_LANE = frozenset(
+    {"finite", "finished", "steps", "returns", "trend", "cycles", "impacts", "settling_time", "pulses", "yields"}
+)
 """Features of the lane itself, which its orbit does not replace; `impacts` are the same."""
 
 PerLane = Float[np.ndarray, " lanes"]
@@ -59,7 +54,7 @@ class Orbits:
         self._sweep = sweep
         self._scene = sweep.system.driving_part()
         self._measure = Measuring(sweep)
-        self._workers = workers()
+        self._map = Segments(self._scene)
 
     @property
     def described(self) -> dict[str, object]:
@@ -88,12 +83,14 @@ class Orbits:
             "orbit_cycles": np.zeros(lanes),
             "orbit_reason": np.full(lanes, reason("not-repeating")),
         }
-        cycles = np.nan_to_num(features["cycles"]).astype(int)
-        sound = features["finite"] & features["finished"] & (cycles > 0)
         parameters, _ = self._sweep.lane_values(first, end)
         parameters = {name: parameters[name] for name in self._scene.parameters()}
         parts: list[Begun] = []
         with np.errstate(all="ignore"):
+            if self._scene.section is None:
+                features = features | repeats(self._scene, features, partial(self._returns, parameters))
+            cycles = np.nan_to_num(features["cycles"]).astype(int)
+            sound = features["finite"] & features["finished"] & (cycles > 0)
             for repeat in range(1, MOST_CYCLES + 1):
                 some = np.flatnonzero(sound & (cycles == repeat))
                 if len(some):
@@ -104,11 +101,11 @@ class Orbits:
         self, lanes: Index, repeat: int, parameters: dict[str, np.ndarray], features: Features, found: Features
     ) -> Begun:
         """Enter in `found` the orbits of `lanes`, which all repeat after so many returns; those that were found."""
-        begin, scale = _last_returns(self._scene, lanes, repeat, features)
+        begin, scale = last_returns(self._scene, lanes, repeat, features)
         drift = features["drift_estimate"][lanes]
         reach = np.where(np.isnan(drift), NEAR, np.clip(DRIFTS * drift, NEAR, FAR))
         given = {name: x[lanes] for name, x in parameters.items()}
-        orbit = orbits(begin, scale, reach, lambda some, states: self._returns(given, some, states))
+        orbit = orbits(begin, scale, reach, partial(self._returns, given))
         converged, own = orbit.residual <= ACCEPTED, orbit.moved <= reach
         if "impacts" in features:
             own &= orbit.impacts == features["impacts"][lanes]
@@ -120,7 +117,7 @@ class Orbits:
         found["orbit_reason"][lanes] = np.select(list(rules.values()), list(map(reason, rules)), reason("found"))
         found["orbit_residual"][lanes] = np.where(np.isfinite(orbit.residual), orbit.residual, np.nan)
         found["grazing_margin"][lanes] = np.where(converged & own, orbit.margin, np.nan)
-        found["orbit_cycles"][lanes] = np.where(converged & own, _repeats_after(orbit, scale), 0)
+        found["orbit_cycles"][lanes] = np.where(converged & own, _repeats_after(orbit), 0)
         for name, x in zip(self._scene.return_states, orbit.states[:, 0].T, strict=True):
             found[orbit_name(name)][lanes] = np.where(converged & own, x, np.nan)
         right = np.flatnonzero(found["orbit_reason"][lanes] == reason("found"))
@@ -131,19 +128,9 @@ class Orbits:
         found["stable"][lanes[right]] = np.abs(values[:, 0]) < 1
         return begun(lanes[right], orbit.states[right], orbit.times[right], orbit.steps[right])
 
-    def _returns(self, given: dict[str, np.ndarray], lanes: Index, states: Float[np.ndarray, "_ segments"]) -> Mapped:
-        """The return map of segments, each of one of the `lanes`, by all workers."""
-        items = np.array_split(np.arange(len(lanes)), -(-len(lanes) // SEGMENTS))
-
-        def work(_: jax.Device, some: Index) -> Mapped:
-            with precision("float64"):
-                p = {name: x[lanes[some]] for name, x in given.items()}
-                return mapped(self._scene, Located(), p, states[:, some], Accuracy(*map(np.float64, STEPS)))
-
-        parts: list[Any] = [None] * len(items)
-        for index, part in in_parallel(work, items, self._workers):
-            parts[index] = part
-        return jax.tree.map(lambda *x: np.concatenate(x, axis=-1), *parts)
+    def _returns(self, given: Features, lanes: Index, states: Float[np.ndarray, "_ segments"]) -> Mapped:
+        """The return map of segments, each of one of the `lanes`."""
+        return self._map({name: x[lanes] for name, x in given.items()}, states)
 
     def _measured(self, first: int, end: int, orbit: Begun, own: Features, found: Features) -> Features:
         """The features of the chunk, of lanes with an orbit measured over it; one that it does not bear out is lost."""
@@ -158,28 +145,31 @@ class Orbits:
         states = map(orbit_name, self._scene.return_states)
         for name in ("multiplier_abs", "multiplier_arg", "grazing_margin", *states):
             found[name][lost] = np.nan
-        again["period"] = orbit.length / orbit.cycles
-        measured = {name: own[name].copy() for name in again if again[name].ndim == 1 and name not in OF_THE_LANE}
+        if "period" in again:
+            again["period"] = orbit.length / orbit.cycles
+        lane = OF_THE_LANE | {state_name(name) for name in self._scene.return_states}
+        measured = {name: own[name].copy() for name in again if again[name].ndim == 1 and name not in lane}
         for name, x in measured.items():
             x[kept] = again[name][whole]
         return measured
 
 
-def _last_returns(scene: Any, lanes: Index, repeat: int, features: Features) -> tuple[States, np.ndarray]:
+def last_returns(scene: Any, lanes: Index, repeat: int, features: Features) -> tuple[States, np.ndarray]:
     """States at the last returns (lanes, cycles, states), and their scales (lanes, states); NaN: labels have none."""
-    section = scene.section
     rows = [features[state_name(name)][lanes][:, -repeat:].astype(float) for name in scene.return_states]
-    swings = tuple(features[swing.amplitude][lanes] for swing in section.swings)
-    known = scales(swings, features["period"][lanes])
+    known: list[Any] = []
+    if scene.section is not None:
+        swings = tuple(features[swing.amplitude][lanes] for swing in scene.section.swings)
+        known = scales(swings, features["period"][lanes])
     unknown = [np.full(len(lanes), np.nan)] * (len(rows) - len(known))
     return np.stack(rows, axis=-1), np.stack([*known, *unknown], axis=-1).astype(float)
 
 
-def _repeats_after(orbit: Found, scale: Float[np.ndarray, "lanes states"]) -> Int[np.ndarray, " lanes"]:
+def _repeats_after(orbit: Found) -> Int[np.ndarray, " lanes"]:
     """Returns after which orbits repeat: as many as they have states, or fewer, which divide that."""
     repeat = orbit.states.shape[1]
     found = np.full(len(orbit.states), repeat)
     for sooner in (q for q in range(repeat - 1, 0, -1) if repeat % q == 0):
-        apart = np.abs(np.roll(orbit.states, sooner, axis=1) - orbit.states) / scale[:, None]
-        found[np.nanmax(apart, axis=(1, 2)) <= SAME] = sooner
+        apart = np.abs(np.roll(orbit.states, sooner, axis=1) - orbit.states) / orbit.scales[:, None]
+        found[np.max(apart, axis=(1, 2)) <= SAME] = sooner
     return found

@@ -7,9 +7,11 @@ from contextlib import contextmanager
 
 import numpy as np
 
+from vibrojax.chaos import Natures
 from vibrojax.devices import with_threads
 from vibrojax.engine.batch import Features, Report, unreported
-from vibrojax.engine.chunks import Chunks
+from vibrojax.engine.carried import Carried
+from vibrojax.engine.chunks import Beyond, Chunks
 from vibrojax.input.definition import Sweep
 from vibrojax.periodic import Orbits
 
@@ -24,8 +26,9 @@ class Work:
     """
 
     def __init__(self, sweep: Sweep, threads: int | None = None) -> None:
+        kind = Chunks if sweep.run.carry is None else Carried
         with with_threads(threads):
-            self.chunks = Chunks(sweep, Orbits(sweep) if sweep.run.orbits else None)
+            self.chunks = kind(sweep, _beyond(sweep))
 
     def compute(self, index: int, report: Report = unreported) -> Features:
         """A chunk's features, see [vibrojax.engine.chunks.Chunks.compute][], and the `seconds` that they took."""
@@ -33,6 +36,20 @@ class Work:
         with quiet():
             features = self.chunks.compute(index, report)
         return features | {SECONDS: np.array(time.monotonic() - began)}
+
+
+def _beyond(sweep: Sweep) -> Beyond | None:
+    """What is to be found of lanes that have been observed."""
+    parts: list[Beyond] = [Orbits(sweep)] if sweep.run.orbits else []
+    parts += [Natures(sweep)] if sweep.run.lyapunov else []
+
+    def found(first: int, end: int, features: Features) -> Features:
+        more: Features = {}
+        for part in parts:
+            more |= part(first, end, features | more)
+        return more
+
+    return found if parts else None
 
 
 @contextmanager
