@@ -5,6 +5,7 @@ import os
 from importlib.util import find_spec
 from pathlib import Path
 
+import netCDF4
 import xarray as xr
 
 from vibrojax.errors import InputError
@@ -87,6 +88,7 @@ def open_dataset(path: str | os.PathLike[str]) -> xr.Dataset:
 def _opened(path: Path) -> xr.Dataset:
     """The dataset, in memory where it is small."""
     kind = {"engine": "zarr", "consolidated": True} if path.suffix == ZARR else {"engine": "netcdf4"}
+    netCDF4.set_chunk_cache(1 << 20)  # of each variable: else 64 MB of every one that is read are kept
     dataset = xr.open_dataset(path, cache=False, **kind)
     if path.suffix == ZARR:  # which has no order of its own
         known = [name for name in VARIABLES if name in dataset]
