@@ -30,6 +30,7 @@ from vibrojax.cli import (
 from vibrojax.cli._command import Command, Options
 from vibrojax.cli._complete import complete
 from vibrojax.errors import InputError
+from vibrojax.leaving import leave
 from vibrojax.progress import end_lines
 from vibrojax.store.provenance import package_version
 from vibrojax.threads import in_own_thread
@@ -72,8 +73,10 @@ def command() -> None:
         signal.signal(signal.SIGTERM, _terminate)
     warnings.showwarning = _warn
     status = main(do=in_own_thread)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # all is done: what Python still tidies up needs no interrupt
     if status in (INTERRUPTED, TERMINATED, BAD_INPUT):
         # Threads may still be at their lanes, or at a file that has no end: nobody waits for them.
+        leave()
         sys.stderr.flush()
         os._exit(status)
     sys.exit(status)
