@@ -1,5 +1,7 @@
 """Attractors of a sweep: told apart, counted, and numbered alike from both ends of an axis."""
 
+import json
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -218,6 +220,10 @@ def test_the_command(sweep, found, tmp_path, capsys, monkeypatch):
         np.testing.assert_array_equal(again[name], found[name])
     assert main(["info", "map-attractors.nc"]) == 0
     assert "single-impact" in capsys.readouterr().out
+    assert main(["info", "--json", "map-attractors.nc"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["attractors"]["shares"] == pytest.approx(found.share.mean(("beta", "gamma")).values.tolist())
+    assert facts["regimes"] == {}
     assert main(["attractors", "map-attractors.nc"]) == 2
     assert "give the sweep" in capsys.readouterr().err
     assert main(["attractors", "map.nc", "-o", "map.txt"]) == 2

@@ -18,13 +18,13 @@ def facts(dataset: "xarray.Dataset", file: str) -> dict[str, Any]:
     `file`, `title`, `scene`, `friction`, `pulse_shape`, `source`, `jax`, `along`, `history` (lines, the newest first);
     `dimensions` and `variables` by name; `parameters`, `differing`, `run`, `solver`, `columns`, `certified` as the
     attributes have them; `lanes`; `regimes`: lanes by regime; `orbits`: lanes by `reason` and by
-    `stable`; `natures`: lanes by nature; `families`: what `follow --json` prints of them; `failures`: lanes by reason;
-    `accuracy`; `found`: of one
-    motion; `wall_time_s`.
+    `stable`; `natures`: lanes by nature; `families`: what `follow --json` prints of them; `attractors`: their mean `shares`
+    over the grid by number, and the lanes `unassigned`; `failures`: lanes by reason; `accuracy`; `found`: of one motion;
+    `wall_time_s`.
     """
     attributes = dataset.attrs
     texts = {name: str(attributes[name]) if name in attributes else None for name in _TEXTS}
-    motion = bool({"time", "attractor"} & set(dataset.dims))  # one motion, or attractors: no lanes to count
+    no_lanes = bool({"time", "attractor"} & set(dataset.dims))  # one motion, or attractors
     lanes = int(attributes["lanes"]) if "lanes" in attributes else None
     seconds = float(attributes["wall_time_s"]) if "wall_time_s" in attributes else None
     return {
@@ -34,10 +34,11 @@ def facts(dataset: "xarray.Dataset", file: str) -> dict[str, Any]:
         "dimensions": {str(name): _dimension(dataset, name) for name in dataset.sizes},
         **{name: from_json(attributes, name) for name in _VALUES},
         "lanes": lanes,
-        "regimes": {} if motion else _counted(dataset, "regime"),
-        "orbits": {} if motion else _orbits(dataset),
-        "natures": {} if motion else _counted(dataset, "nature"),
+        "regimes": {} if no_lanes else _counted(dataset, "regime"),
+        "orbits": {} if no_lanes else _orbits(dataset),
+        "natures": {} if no_lanes else _counted(dataset, "nature"),
         "families": family_facts(dataset),
+        "attractors": _attractors(dataset),
         "failures": _failures(dataset),
         "accuracy": _accuracy(dataset),
         "found": found(dataset) if "time" in dataset.dims else {},
@@ -82,6 +83,14 @@ def _orbits(dataset: "xarray.Dataset") -> dict[str, dict[str, int]]:
     """Lanes by what became of their orbits, and by their stability."""
     names = {"reason": "orbit_reason", "stable": "stable"} if "orbit_reason" in dataset else {}
     return {key: _counted(dataset, name) for key, name in names.items()}
+
+
+def _attractors(dataset: "xarray.Dataset") -> dict[str, Any]:
+    """The share of each attractor over the grid, in the order of their numbers, and lanes without one."""
+    if "lane_attractor" not in dataset:
+        return {}
+    grid = [name for name in dataset["share"].dims if name != "attractor"]
+    return {"shares": dataset["share"].mean(grid).values, "unassigned": int(dataset["unassigned"].sum())}
 
 
 def _failures(dataset: "xarray.Dataset") -> dict[str, int]:
