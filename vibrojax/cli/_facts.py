@@ -17,10 +17,9 @@ def facts(dataset: "xarray.Dataset", file: str) -> dict[str, Any]:
 
     `file`, `title`, `scene`, `friction`, `pulse_shape`, `source`, `jax`, `along`, `history` (lines, the newest first);
     `dimensions` and `variables` by name; `parameters`, `differing`, `run`, `solver`, `columns`, `certified` as the
-    attributes have them; `lanes`; `regimes`: lanes by regime; `orbits`: lanes by `reason` and by
-    `stable`; `natures`: lanes by nature; `families`: what `follow --json` prints of them; `attractors`: their mean `shares`
-    over the grid by number, and the lanes `unassigned`; `failures`: lanes by reason; `accuracy`; `found`: of one motion;
-    `wall_time_s`.
+    attributes have them; `lanes`; `regimes`: lanes by regime; `orbits`: lanes by `reason` and by `stable`; `natures`:
+    lanes by nature; `families`: what `follow --json` prints of them; `attractors`: their mean `shares` over the grid by
+    number, and the lanes `unassigned`; `failures`: lanes by reason; `accuracy`; `found`: of one motion; `wall_time_s`.
     """
     attributes = dataset.attrs
     texts = {name: str(attributes[name]) if name in attributes else None for name in _TEXTS}

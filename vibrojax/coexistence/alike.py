@@ -39,7 +39,7 @@ class Motions:
     """The motions of all points, and which of them each lane ends in.
 
     - `of_lane` (lanes,): by number; -1 where it could not be told.
-    - `cell`: the point of each motion; `kind`: EQUILIBRIUM, IRREGULAR, or a number of returns as `cycles`, 0 for those.
+    - `cell`: the point of each motion; `regime`: of most of its lanes; `cycles`: of an orbit, 0 of others.
     - `states` (cycles, states) at the section and `scales` (states,) of orbits; `statistics` of irregular motions, as
       logarithms; None for others.
     - `most_steps`: after which a return of a neighbour of the orbits is taken not to come.
