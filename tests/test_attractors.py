@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 import xarray as xr
+from known_scenes import BeltOscillator
 
 import vibrojax as vj
 from vibrojax.cli import main
@@ -110,6 +111,19 @@ def test_a_doubled_orbit_keeps_the_number(found):
     kinds = family.special_kind.attrs["flag_meanings"].split()
     doubled = family.special_kind.values == kinds.index("period-doubling")
     assert ((family.special_value.values[doubled] > 0.35) & (family.special_value.values[doubled] < 0.3625)).any()
+
+
+def test_shares_of_an_oscillator_on_a_belt():
+    """Steady sliding and stick-slip of bSTAB's oscillator (Stender and Hoffmann 2021), whose shares are published."""
+    speeds = {1.5: 0.3165, 1.55: 0.3636}
+    starts = {"sample": "sobol", "count": 256, "seed": 1, "box": {"x1": [-2.0, 2.0], "v1": [-2.0, 0.0]}}
+    tables = {"scene": BeltOscillator(), "starts": starts, "grid": {"v": list(speeds)}}
+    found = vj.attractors(tables | {"run": {"settle": 400.0, "observe": 60.0}}, progress=False)
+    assert found.sizes["attractor"] == 2 and found.unassigned.sum() == 0
+    assert found.cycles.values.tolist() == [[1, 0], [1, 0]]  # 0 sticks and slips, 1 slides
+    sliding = found.isel(attractor=1)
+    assert (sliding.regime == EQUILIBRIUM).all()
+    assert (np.abs(sliding.share - np.array(list(speeds.values()))) < 2 * sliding.share_stderr).all()
 
 
 def test_a_lane_without_a_stable_orbit_is_unassigned(sweep, found):
