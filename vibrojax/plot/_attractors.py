@@ -47,7 +47,7 @@ def attractor_shares(ds: xr.Dataset) -> Figure:
     figure = _over_axis(ds, max(along, key=lambda name: ds.sizes[name])) if along else _of_point(ds)
     legend_at_right(figure, _handles(ds))
     unassigned = int(ds["unassigned"].sum())
-    about = f"{ds.sizes[START]} starts at each point"
+    about = f"{ds.sizes[START]} starts at each point" + ("; upright lines: one standard error" if along else "")
     write_margins(
         figure,
         str(ds.attrs.get("title", "")),
