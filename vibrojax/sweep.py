@@ -24,7 +24,7 @@ from vibrojax.engine.labelled import dataset_of
 from vibrojax.engine.resources import Cost, check_size
 from vibrojax.input.definition import Sweep
 from vibrojax.input.read import read_sweep
-from vibrojax.periodic import Orbits
+from vibrojax.periodic import Orbits, early_ends
 from vibrojax.progress import Progress
 from vibrojax.store.dataset import write_dataset
 from vibrojax.store.finished import check_replaceable
@@ -112,7 +112,7 @@ def estimate(sweep: Sweep) -> Cost:
 
 
 def _chunks(sweep: Sweep) -> Chunks:
-    return Chunks(sweep, Orbits(sweep) if sweep.run.orbits else None)
+    return Chunks(sweep, Orbits(sweep) if sweep.run.orbits else None, early_ends(sweep))
 
 
 def _read_or_compute(shards: Shards, chunks: Chunks, index: int) -> Features:

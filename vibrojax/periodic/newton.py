@@ -37,6 +37,7 @@ class Found(NamedTuple):
     - `states`: at the section; `times` (lanes, cycles) [s]: from each to the next.
     - `residual` (lanes,): greatest return - state, over the scales; infinite where a lane did not return.
     - `product` (lanes, states, states): derivative of the map over the whole repeat.
+    - `step`: Newton's step from there, which was not taken; its size is about the distance from the orbit.
     - `moved` (lanes,): greatest distance from where it began, over the scales.
     - `impacts` in the repeat, the least `margin`, and the `steps` of it, each (lanes,).
     """
@@ -45,6 +46,7 @@ class Found(NamedTuple):
     times: Float[np.ndarray, "lanes cycles"]
     residual: Float[np.ndarray, " lanes"]
     product: Float[np.ndarray, "lanes states states"]
+    step: States
     moved: Float[np.ndarray, " lanes"]
     impacts: Float[np.ndarray, " lanes"]
     margin: Float[np.ndarray, " lanes"]
@@ -60,13 +62,23 @@ class _Evaluated(NamedTuple):
     seen: Any
 
 
-def orbits(begin: States, scales: Float[np.ndarray, "lanes states"], reach: np.ndarray, go: ReturnMap) -> Found:
+def orbits(
+    begin: States,
+    scales: Float[np.ndarray, "lanes states"],
+    reach: np.ndarray,
+    go: ReturnMap,
+    enough: float = CONVERGED,
+    most: int = MOST_ITERATIONS,
+) -> Found:
     """The orbits near the states `begin` of lanes that repeat after as many returns as these have.
 
     **Arguments:**
 
     - `scales`: of the states; those that are NaN are half the swing on the way from return to return.
     - `reach` (lanes,): how far, over the scales, a lane may be moved; it is left alone beyond.
+    - `enough`: residual at which a lane is done; `most`: iterations, at most.
+
+    What was found stands where its derivative was taken, so that one more step may be taken by it (`Found.step`).
     """
     lanes = len(begin)
     best = _evaluated(begin, np.arange(lanes), go)
@@ -74,8 +86,8 @@ def orbits(begin: States, scales: Float[np.ndarray, "lanes states"], reach: np.n
     states, residual = begin.copy(), _residual(begin, best, scales)
     at, now = begin, best
     active = np.arange(lanes)
-    for _ in range(MOST_ITERATIONS):
-        on = (residual[active] > CONVERGED) & np.isfinite(residual[active])
+    for _ in range(most):
+        on = (residual[active] > enough) & np.isfinite(residual[active])
         on &= _distance(at, begin[active], scales[active]) <= reach[active]
         active, at, now = active[on], at[on], _of(now, on)
         if not len(active):
@@ -97,6 +109,7 @@ def orbits(begin: States, scales: Float[np.ndarray, "lanes states"], reach: np.n
         times=best.times,
         residual=residual,
         product=_product(best.jacobian),
+        step=_step(states, best, scales),
         moved=_distance(states, begin, scales),
         impacts=best.seen.impacts.sum(axis=1),
         margin=best.seen.margin.min(axis=1),

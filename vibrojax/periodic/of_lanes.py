@@ -127,7 +127,7 @@ class Orbits:
         """The features of the chunk, of lanes with an orbit measured over it; one that it does not bear out is lost."""
         if not len(orbit.lanes):
             return {}
-        again, whole = self._measure(first, end, orbit)
+        again, whole = self._measure(self._measure.given(first, end), orbit)
         if "impacts" in own:
             whole &= np.abs(again["impacts"] * orbit.cycles - own["impacts"][orbit.lanes]) < 0.5
         lost, kept = orbit.lanes[~whole], orbit.lanes[whole]

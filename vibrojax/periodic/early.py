@@ -1,0 +1,137 @@
+"""Lanes that end before their time because a stable orbit is where they will be.
+
+A lane whose last returns are near a stable periodic orbit, and come closer to it as the orbit's multipliers say, is
+within its linear reach: the rest of the way follows from the derivative of the return map. Where that way is over
+before the lane is to be observed, what would be observed is the orbit, and it is measured instead.
+"""
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from vibrojax.engine.batch import Batch, Features, Index, PerLane
+from vibrojax.engine.underway import Ended
+from vibrojax.input.definition import Sweep
+from vibrojax.periodic.approach import SPLIT, Approach, approach, approaching, comes_closer
+from vibrojax.periodic.measured import Measuring, begun
+from vibrojax.periodic.newton import Found, orbits
+from vibrojax.periodic.segments import STEPS, Segments
+from vibrojax.stepping import Accuracy, Located
+
+REPEATS = (1, 2, 3)
+"""Returns of a repeat up to which the last eight show it several times over."""
+
+FAR = 2e-2
+"""Distance over the scales that Newton's method may go from where the last returns lead."""
+
+MOST_ITERATIONS = 3
+
+CLOSE = 1e-6
+"""Residual after which one more step, by the derivative there is, leaves nothing that counts."""
+
+MARGIN = 1e-4
+"""Least grazing margin: Newton's steps fall as their squares over it."""
+
+FINER = 1e-2
+"""Tolerance of the return map, in that of the sweep's steps."""
+
+WORTH = 2e5
+"""Simulated seconds of all lanes below which to compile the return map takes longer than it spares."""
+
+
+def early_ends(sweep: Sweep) -> "EarlyEnds | None":
+    """What finds lanes that need no more steps; None where none can be found, or it is not worth its while."""
+    run, scene = sweep.run, sweep.system.driving_part()
+    apt = isinstance(run.stepper, Located) and scene.section is not None and len(scene.return_states) == 3
+    worth = run.orbits or sweep.lanes * (run.settle + run.observe) >= WORTH
+    return EarlyEnds(sweep, run.accuracy(sweep.system)) if apt and worth and run.end_early else None
+
+
+class EarlyEnds:
+    """Finds lanes of a sweep that are where they will be; `accuracy`: that of their steps."""
+
+    def __init__(self, sweep: Sweep, accuracy: Accuracy) -> None:
+        self._run, self._accuracy = sweep.run, accuracy
+        self._scene = sweep.system.driving_part()
+        finer = max(FINER * accuracy.tolerance, STEPS.tolerance)
+        self._map = Segments(self._scene, steps=STEPS._replace(tolerance=finer))
+        self._measure = Measuring(sweep)
+
+    def near(self, batch: Batch) -> Bool[np.ndarray, " lanes"]:
+        """Which lanes may be within the reach of an orbit, so that they are to be looked at."""
+        return np.any([self._approaching(batch, repeat) for repeat in REPEATS], axis=0)
+
+    def __call__(self, batch: Batch) -> list[Ended]:
+        """Those lanes of the `batch` that need no more steps, by their index in it."""
+        assert batch.underway is not None
+        free = np.ones(len(batch.begin), bool)
+        found = []
+        with np.errstate(all="ignore"):
+            for repeat in REPEATS:
+                lanes = np.flatnonzero(free & self._approaching(batch, repeat))
+                if len(lanes):
+                    near = approach(batch.underway.carry, lanes, repeat, self._accuracy.tolerance)
+                    for ended in self._ended(near, batch.of(lanes)):
+                        free[ended.lanes] = False
+                        found.append(ended)
+        return found
+
+    def _approaching(self, batch: Batch, repeat: int) -> Bool[np.ndarray, " lanes"]:
+        assert batch.underway is not None
+        now = batch.underway.lane.clock.high
+        with np.errstate(all="ignore"):
+            return approaching(batch.underway.carry, repeat, now, self._run.observe, self._accuracy.tolerance)
+
+    def _ended(self, near: Approach, batch: Batch) -> list[Ended]:
+        """Of lanes that approach an orbit, and their `batch`, those that will be on it."""
+        assert batch.underway is not None
+        given = {name: batch.given.parameters[name].astype(float) for name in self._scene.parameters()}
+        orbit = orbits(
+            near.limit,
+            near.scale,
+            np.full(len(near.lanes), FAR),
+            lambda some, states: self._map({name: x[some] for name, x in given.items()}, states),
+            enough=CLOSE,
+            most=MOST_ITERATIONS,
+        )
+        step = np.max(np.abs(orbit.step) / near.scale[:, None], axis=(1, 2))
+        orbit = orbit._replace(states=orbit.states + orbit.step)
+        repeats = np.floor((self._run.settle - batch.underway.lane.clock.high) / orbit.times.sum(axis=1))
+        sure = (step < 10 * CLOSE) & (orbit.margin > MARGIN) & _distinct(orbit, near.scale)
+        sure &= comes_closer(near, orbit, repeats, self._accuracy.tolerance, self._run.error)
+        if not sure.any():
+            return []
+        still = step**2 / orbit.margin
+        return [self._measured(np.flatnonzero(sure), near.lanes, orbit, still, batch)]
+
+    def _measured(self, sure: Index, lanes: Index, orbit: Found, still: PerLane, batch: Batch) -> Ended:
+        """The `sure` ones, measured over their orbits at the accuracy of the sweep, and at that of the check run."""
+        batch, cycles = batch.of(sure), orbit.states.shape[1]
+        assert batch.underway is not None
+        one = begun(np.arange(len(sure)), orbit.states[sure], orbit.times[sure], orbit.steps[sure])
+        right, runs = np.ones(len(sure), bool), []
+        for accuracy in (self._accuracy, Located().coarser(self._accuracy)):
+            features, whole = self._measure(batch.given, one, accuracy)
+            right &= whole
+            if "impacts" in features:
+                features["impacts"] = np.round(features["impacts"] * cycles)
+                right &= features["impacts"] == orbit.impacts[sure]
+            # As if it had been observed for as long as the others.
+            features["returns"] = np.floor(self._run.observe / features["period"])
+            features["cycles"] = np.full(len(sure), float(cycles))
+            features["trend"] = np.zeros(len(sure))
+            features["settling_time"] = batch.underway.carry.seen.settled[cycles - 1].astype(float)
+            features["steps"] = features["steps"] + batch.underway.steps
+            runs.append(features)
+        runs[0]["drift_estimate"] = still[sure]
+        some = np.flatnonzero(right)
+        fine, check = ({name: x[some] for name, x in features.items()} for features in runs)
+        return Ended(lanes[sure[some]], fine, check)
+
+
+def _distinct(orbit: Found, scale: Float[np.ndarray, "lanes states"]) -> Bool[np.ndarray, " lanes"]:
+    """Where no fewer returns than the orbit has make a repeat."""
+    found = np.ones(len(orbit.states), bool)
+    for shift in range(1, orbit.states.shape[1]):
+        apart = np.abs(np.roll(orbit.states, shift, axis=1) - orbit.states) / scale[:, None]
+        found &= np.max(apart, axis=(1, 2)) > SPLIT
+    return found
