@@ -16,7 +16,7 @@ from vibrojax.label import LABELLED_BY
 from vibrojax.measure import recorder_for
 from vibrojax.measure.kept_returns import INTERVAL
 from vibrojax.progress import Portions
-from vibrojax.stepping import Accuracy, Stepper
+from vibrojax.stepping import Accuracy
 from vibrojax.timings import timed
 
 CHUNK = 2048
@@ -76,16 +76,17 @@ class Chunks:
         observed = self._observed([part.fine for part in parts] + [part.check for part in parts], portions)
         portions.finish()
         order = np.argsort(np.concatenate([part.lanes for part in (*parts, *ended)]))
-        fine = self._with_drift(_joined(observed[: len(parts)]))
+        fine, check = _joined(observed[: len(parts)]), _joined(observed[len(parts) :])
+        fine = fine | self._errors(fine, check) if parts else fine
         fine, check = (
             {name: x[order] for name, x in _joined(some).items()}
             for some in (
                 [fine, *(part.fine for part in ended)],
-                [*observed[len(parts) :], *(part.check for part in ended)],
+                [check, *(part.check for part in ended)],
             )
         )
-        certified = self._certified(fine, check)
-        return certified | self._beyond(first, end, fine) if self._beyond is not None else certified
+        stored = self._stored(fine, check)
+        return stored | self._beyond(first, end, fine) if self._beyond is not None else stored
 
     def at(self, accuracy: Accuracy, index: int = 0) -> Features:
         """Features of a chunk's lanes at an `accuracy` of the caller's, by name (lanes,), all stepped to their end,
@@ -123,33 +124,29 @@ class Chunks:
         batches = self.engine.settle(batches, report=_portion(portions, settling))
         return self.engine.observe(batches, _portion(portions, self._share(0.0, run.observe)))
 
-    def _with_drift(self, fine: Features) -> Features:
-        """The features of lanes that have been stepped to their end, with how far each still is from where it settles."""
-        section, tolerance = self.sweep.system.section, self.accuracy.tolerance
-        if section is None or not fine:
-            return fine
-        return fine | {"drift_estimate": drift(fine, section, self.sweep.run.precision, tolerance)}
+    def _errors(self, fine: Features, check: Features) -> Features:
+        """The error estimates of lanes that have been observed, and how far each still is from where it settles."""
+        run, section, tolerance = self.sweep.run, self.sweep.system.section, self.accuracy.tolerance
+        far = {"drift_estimate": drift(fine, section, run.precision, tolerance)} if section is not None else {}
+        least = 4 * float(np.finfo(run.precision).eps) + LEAST * tolerance
+        return far | {"error_estimate": error_estimate(fine | far, check, self.stepper.error_share, least)}
 
-    def _certified(self, fine: Features, check: Features) -> Features:
-        """The features with their error estimates, what the check run's labels need, and the returns to be stored."""
-        run = self.sweep.run
-        least = 4 * float(np.finfo(run.precision).eps) + LEAST * self.accuracy.tolerance
-        fine["error_estimate"] = error_estimate(fine, check, self.stepper, least)
-        stored = {name: x[:, x.shape[1] - run.keep_returns :] if x.ndim == 2 else x for name, x in fine.items()}
+    def _stored(self, fine: Features, check: Features) -> Features:
+        """The features, with what the check run's labels need, and the returns to be stored."""
+        kept = self.sweep.run.keep_returns
+        stored = {name: x[:, x.shape[1] - kept :] if x.ndim == 2 else x for name, x in fine.items()}
         return {
             **{name: x for name, x in stored.items() if x.size and name != INTERVAL},
             **{f"check_{name}": check[name] for name in LABELLED_BY if name in check},
         }
 
 
-def error_estimate(fine: Features, coarse: Features, stepper: Stepper, least: float) -> Float[np.ndarray, " lanes"]:
+def error_estimate(fine: Features, coarse: Features, share: float, least: float) -> Float[np.ndarray, " lanes"]:
     """Estimated relative error of period and impact velocity, the larger; NaN where a lane does not repeat.
 
-    It is that of the values which the lane settles on: the stepper's share of the difference between the two runs,
-    `least`, for where that is small by chance, and how far the lane still is on its way, its `drift_estimate`. A lane
+    It is that of the values which the lane settles on: a `share` of the difference between the two runs, `least`, for where that is small by chance, and how far the lane still is on its way, its `drift_estimate`. A lane
     whose repeat differs between the runs, or whose drift has no bound, has none: infinite.
     """
-    share = stepper.error_share
     if "cycles" not in fine:  # penetration
         return share * _relative(fine["rate_of_penetration"], coarse["rate_of_penetration"]) + least
     names = [name for name in ("period", "impact_velocity") if name in fine]

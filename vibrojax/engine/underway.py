@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool
@@ -43,6 +43,7 @@ class Ended(NamedTuple):
     check: Features
 
 
+@runtime_checkable
 class Ends(Protocol):
     """Finds lanes that need no more steps, each at whatever time it has come to."""
 

@@ -18,10 +18,11 @@ FOLLOWS = 0.25
 NOISE = 30.0
 """The same in tolerances of the steps."""
 
-LEFT = 0.03
-"""Part of the accepted error that a lane may still be away from its orbit when it would be observed."""
+LEFT, LABELLED = 0.3, 1e-4
+"""Part of the accepted error that a lane may still be away from its orbit when it would be observed; and the distance
+by which no label differs."""
 
-WEAKEST = 0.1
+WEAKEST = 0.5
 """What is left by then of any distance, at most: it is the multipliers that bring a lane there, and no chance."""
 
 SPLIT = 2e-3
@@ -68,7 +69,10 @@ def approaching(
     scale = np.stack(scales(returns.passed.amplitudes, returns.passed.since))
     found = np.max(np.abs(states[0] - states[repeat]) / scale, axis=0) < NEAR
     for fewer in range(1, repeat):
-        found &= np.max(np.abs(states[0] - states[fewer]) / scale, axis=0) > SPLIT
+        now_apart = np.max(np.abs(states[0] - states[fewer]) / scale, axis=0)
+        # What comes closer to a shorter repeat is on its way there.
+        before = np.max(np.abs(states[-1 - fewer] - states[-1]) / scale, axis=0)
+        found &= now_apart > np.maximum(SPLIT, before / 2)
     some = np.flatnonzero(found)
     states, times, scale = states[..., some], times[:, some], scale[:, some]
     moved = np.max(np.abs(states[:-repeat] - states[repeat:]) / scale, axis=1)
@@ -129,20 +133,22 @@ def comes_closer(
         then = np.einsum("lij,lj->li", derivative, last)
         found &= np.max(np.abs(then - last), axis=1) < 0.8 * SETTLED_WITHIN
         last = then
-    rest = _after(derivative, repeats)
-    distance = np.maximum(np.max(np.abs(away[:, 0]), axis=1), noise)
-    return found & (rest < WEAKEST) & (rest * distance < LEFT * error)
+    left, weakest = _after(derivative, away[:, 0], repeats)
+    return found & (weakest < WEAKEST) & (left + noise * weakest < min(LEFT * error, LABELLED))
 
 
-def _after(derivative: Float[np.ndarray, "lanes states states"], repeats: PerLane) -> PerLane:
-    """A bound on the part of a distance that is left after so many repeats: that after a power of two of them."""
-    power = derivative
-    found = np.full(len(power), np.inf)
-    number = 1
+def _after(
+    derivative: Float[np.ndarray, "lanes states states"], away: Float[np.ndarray, "lanes states"], repeats: PerLane
+) -> tuple[PerLane, PerLane]:
+    """What is left of a distance after so many repeats, and of any, at most, after a power of two of them."""
+    power, number = derivative, 1
+    weakest = np.full(len(power), np.inf)
     while number <= np.max(repeats, initial=0):
         size = np.max(np.sum(np.abs(power), axis=2), axis=1)
-        found = np.where(number <= repeats, size, found)
+        weakest = np.where(number <= repeats, size, weakest)
+        this = (repeats // number) % 2 == 1
+        away = np.where(this[:, None], np.einsum("lij,lj->li", power, away), away)
         # What has vanished or grown beyond all bounds stays there.
         power = np.clip(power @ power, -1e100, 1e100)
         number *= 2
-    return found
+    return np.max(np.abs(away), axis=1), weakest

@@ -6,16 +6,17 @@ before the lane is to be observed, what would be observed is the orbit, and it i
 """
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
-from vibrojax.engine.batch import Batch, Features, Index, PerLane
+from vibrojax.engine.batch import Batch, Index, PerLane
+from vibrojax.engine.chunks import error_estimate
 from vibrojax.engine.underway import Ended
 from vibrojax.input.definition import Sweep
 from vibrojax.periodic.approach import SPLIT, Approach, approach, approaching, comes_closer
 from vibrojax.periodic.measured import Measuring, begun
 from vibrojax.periodic.newton import Found, orbits
 from vibrojax.periodic.segments import STEPS, Segments
-from vibrojax.stepping import Accuracy, Located
+from vibrojax.stepping import Located
 
 REPEATS = (1, 2, 3)
 """Returns of a repeat up to which the last eight show it several times over."""
@@ -34,6 +35,14 @@ MARGIN = 1e-4
 FINER = 1e-2
 """Tolerance of the return map, in that of the sweep's steps."""
 
+MEASURED = 1e-7
+"""Tolerance at which orbits are measured, at most: at a coarser one most steps end at events or are the longest, and the
+difference from another run does not tell of the error."""
+
+SHARE, LEAST = 0.25, 0.04
+"""Part of the two runs' difference that the error is taken for, and that of the tolerance which it has at least. No more
+than one repeat adds to it, because the orbit that lanes begin on is nearly exact."""
+
 WORTH = 2e5
 """Simulated seconds of all lanes below which to compile the return map takes longer than it spares."""
 
@@ -43,18 +52,19 @@ def early_ends(sweep: Sweep) -> "EarlyEnds | None":
     run, scene = sweep.run, sweep.system.driving_part()
     apt = isinstance(run.stepper, Located) and scene.section is not None and len(scene.return_states) == 3
     worth = run.orbits or sweep.lanes * (run.settle + run.observe) >= WORTH
-    return EarlyEnds(sweep, run.accuracy(sweep.system)) if apt and worth and run.end_early else None
+    return EarlyEnds(sweep) if apt and worth and run.end_early else None
 
 
 class EarlyEnds:
-    """Finds lanes of a sweep that are where they will be; `accuracy`: that of their steps."""
+    """Finds lanes of a sweep that are where they will be."""
 
-    def __init__(self, sweep: Sweep, accuracy: Accuracy) -> None:
-        self._run, self._accuracy = sweep.run, accuracy
+    def __init__(self, sweep: Sweep) -> None:
+        self._run, self._accuracy = sweep.run, sweep.run.accuracy(sweep.system)
         self._scene = sweep.system.driving_part()
-        finer = max(FINER * accuracy.tolerance, STEPS.tolerance)
+        finer = max(FINER * self._accuracy.tolerance, STEPS.tolerance)
         self._map = Segments(self._scene, steps=STEPS._replace(tolerance=finer))
         self._measure = Measuring(sweep)
+        self._measured_at = self._accuracy._replace(tolerance=min(self._accuracy.tolerance, MEASURED))
 
     def near(self, batch: Batch) -> Bool[np.ndarray, " lanes"]:
         """Which lanes may be within the reach of an orbit, so that they are to be looked at."""
@@ -103,13 +113,13 @@ class EarlyEnds:
         still = step**2 / orbit.margin
         return [self._measured(np.flatnonzero(sure), near.lanes, orbit, still, batch)]
 
-    def _measured(self, sure: Index, lanes: Index, orbit: Found, still: PerLane, batch: Batch) -> Ended:
+    def _measured(self, sure: Int[np.ndarray, " sure"], lanes: Index, orbit: Found, still: PerLane, batch: Batch) -> Ended:
         """The `sure` ones, measured over their orbits at the accuracy of the sweep, and at that of the check run."""
         batch, cycles = batch.of(sure), orbit.states.shape[1]
         assert batch.underway is not None
         one = begun(np.arange(len(sure)), orbit.states[sure], orbit.times[sure], orbit.steps[sure])
         right, runs = np.ones(len(sure), bool), []
-        for accuracy in (self._accuracy, Located().coarser(self._accuracy)):
+        for accuracy in (self._measured_at, Located().coarser(self._measured_at)):
             features, whole = self._measure(batch.given, one, accuracy)
             right &= whole
             if "impacts" in features:
@@ -123,6 +133,7 @@ class EarlyEnds:
             features["steps"] = features["steps"] + batch.underway.steps
             runs.append(features)
         runs[0]["drift_estimate"] = still[sure]
+        runs[0]["error_estimate"] = error_estimate(*runs, SHARE, LEAST * self._measured_at.tolerance)
         some = np.flatnonzero(right)
         fine, check = ({name: x[some] for name, x in features.items()} for features in runs)
         return Ended(lanes[sure[some]], fine, check)
