@@ -42,7 +42,7 @@ Away = Float[np.ndarray, "returns states lanes"]
 class Approach(NamedTuple):
     """Lanes whose last returns come closer to a repeat of so many.
 
-    - `lanes`: by index; `scale` (lanes, states).
+    - `lanes`: by index; `scale` (lanes, states): NaN of states that labels do not compare.
     - `returns` (returns, states, lanes): at the section, the newest first.
     - `limit` (lanes, repeat, states): where those of the last repeat seem to lead, the newest last.
     """
@@ -65,8 +65,8 @@ def approaching(
     - `observe` [s]: the time that a lane is observed for, in which labels ask for so many returns.
     - `tolerance`: of the steps, relative.
     """
-    states, times = returns.seen.states, returns.seen.times
     scale = np.stack(scales(returns.passed.amplitudes, returns.passed.since))
+    states, times = returns.seen.states[:, : len(scale)], returns.seen.times
     found = np.max(np.abs(states[0] - states[repeat]) / scale, axis=0) < NEAR
     for fewer in range(1, repeat):
         now_apart = np.max(np.abs(states[0] - states[fewer]) / scale, axis=0)
@@ -89,25 +89,28 @@ def approach(returns: Settling, lanes: Index, repeat: int, tolerance: float) -> 
     """Of `lanes` that seem to come closer to an orbit of `repeat` returns, by index: where these lead."""
     scale = np.stack(scales(returns.passed.amplitudes, returns.passed.since))[:, lanes].astype(float)
     states = returns.seen.states[..., lanes].astype(float)
-    limit = [_extrapolated(states[phase::repeat] / scale, NOISE * tolerance) * scale for phase in range(repeat)]
-    return Approach(lanes, scale.T, states, np.stack(limit[::-1]).transpose(2, 0, 1))
+    limit = [_extrapolated(states[phase::repeat], scale, NOISE * tolerance) for phase in range(repeat)]
+    unknown = np.full((states.shape[1] - len(scale), len(lanes)), np.nan)
+    return Approach(lanes, np.concatenate([scale, unknown]).T, states, np.stack(limit[::-1]).transpose(2, 0, 1))
 
 
-def _extrapolated(series: Away, noise: float) -> Float[np.ndarray, "states lanes"]:
-    """Where a series of states leads, the newest first, if they obey a linear recurrence.
+def _extrapolated(
+    series: Away, scale: Float[np.ndarray, "compared lanes"], noise: float
+) -> Float[np.ndarray, "states lanes"]:
+    """Where a series of states leads, the newest first, if they obey a linear recurrence; the first have a `scale`.
 
     That weighted mean of the states for which the same mean of their differences is the least (reduced rank
     extrapolation: Sidi, *Vector Extrapolation Methods*, 2017, chapter 2).
     """
     order = min(HIGHEST_ORDER, len(series) - 2)
-    differences = (series[:-1] - series[1:])[: order + 1]
+    differences = (series[:-1] - series[1:])[: order + 1, : len(scale)] / scale
     gram = np.einsum("isl,jsl->lij", differences, differences)
     # What is smaller than noise says nothing.
     gram += (1e-2 * noise**2 + 1e-14 * np.trace(gram, axis1=1, axis2=2))[:, None, None] * np.eye(order + 1)
     weights = np.linalg.solve(gram, np.ones((*gram.shape[:2], 1)))[..., 0]
     weights /= weights.sum(axis=1, keepdims=True)
     found = np.einsum("li,isl->sl", weights, series[: order + 1])
-    sound = np.max(np.abs(found - series[0]), axis=0) < 3 * NEAR
+    sound = np.max(np.abs(found - series[0])[: len(scale)] / scale, axis=0) < 3 * NEAR
     return np.where(sound, found, series[0])
 
 
@@ -118,7 +121,7 @@ def comes_closer(
 
     **Arguments:** `tolerance`: of the steps; `error`: what is accepted, both relative.
     """
-    scale, cycles = near.scale, orbit.states.shape[1]
+    scale, cycles = orbit.scales, orbit.states.shape[1]
     derivative = orbit.product * scale[:, None, :] / scale[:, :, None]
     on_orbit = np.moveaxis(orbit.states[:, ::-1], 0, -1)  # the newest first
     newest = np.abs(near.returns[:cycles] - on_orbit) / scale.T

@@ -6,7 +6,7 @@ before the lane is to be observed, what would be observed is the orbit, and it i
 """
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Int
 
 from vibrojax.engine.batch import Batch, Index, PerLane
 from vibrojax.engine.chunks import error_estimate
@@ -50,7 +50,7 @@ WORTH = 2e5
 def early_ends(sweep: Sweep) -> "EarlyEnds | None":
     """What finds lanes that need no more steps; None where none can be found, or it is not worth its while."""
     run, scene = sweep.run, sweep.system.driving_part()
-    apt = isinstance(run.stepper, Located) and scene.section is not None and len(scene.return_states) == 3
+    apt = isinstance(run.stepper, Located) and scene.section is not None
     worth = run.orbits or sweep.lanes * (run.settle + run.observe) >= WORTH
     return EarlyEnds(sweep) if apt and worth and run.end_early else None
 
@@ -103,17 +103,19 @@ class EarlyEnds:
             enough=CLOSE,
             most=MOST_ITERATIONS,
         )
-        step = np.max(np.abs(orbit.step) / near.scale[:, None], axis=(1, 2))
+        step = np.max(np.abs(orbit.step) / orbit.scales[:, None], axis=(1, 2))
         orbit = orbit._replace(states=orbit.states + orbit.step)
         repeats = np.floor((self._run.settle - batch.underway.lane.clock.high) / orbit.times.sum(axis=1))
-        sure = (step < 10 * CLOSE) & (orbit.margin > MARGIN) & _distinct(orbit, near.scale)
+        sure = (step < 10 * CLOSE) & (orbit.margin > MARGIN) & _distinct(orbit)
         sure &= comes_closer(near, orbit, repeats, self._accuracy.tolerance, self._run.error)
         if not sure.any():
             return []
         still = step**2 / orbit.margin
         return [self._measured(np.flatnonzero(sure), near.lanes, orbit, still, batch)]
 
-    def _measured(self, sure: Int[np.ndarray, " sure"], lanes: Index, orbit: Found, still: PerLane, batch: Batch) -> Ended:
+    def _measured(
+        self, sure: Int[np.ndarray, " sure"], lanes: Index, orbit: Found, still: PerLane, batch: Batch
+    ) -> Ended:
         """The `sure` ones, measured over their orbits at the accuracy of the sweep, and at that of the check run."""
         batch, cycles = batch.of(sure), orbit.states.shape[1]
         assert batch.underway is not None
@@ -139,10 +141,10 @@ class EarlyEnds:
         return Ended(lanes[sure[some]], fine, check)
 
 
-def _distinct(orbit: Found, scale: Float[np.ndarray, "lanes states"]) -> Bool[np.ndarray, " lanes"]:
+def _distinct(orbit: Found) -> Bool[np.ndarray, " lanes"]:
     """Where no fewer returns than the orbit has make a repeat."""
     found = np.ones(len(orbit.states), bool)
     for shift in range(1, orbit.states.shape[1]):
-        apart = np.abs(np.roll(orbit.states, shift, axis=1) - orbit.states) / scale[:, None]
+        apart = np.abs(np.roll(orbit.states, shift, axis=1) - orbit.states) / orbit.scales[:, None]
         found &= np.max(apart, axis=(1, 2)) > SPLIT
     return found

@@ -93,8 +93,7 @@ class Measuring:
             duration = begun.length + (begun.last + begun.first) / 2
         given = jax.tree.map(lambda x: np.take(x, lanes).astype(float if x.dtype.kind == "f" else x.dtype), given)
         batch = Batch(steps, given, settle, duration, None, begun.steps.astype(np.int32))
-        compared = len(self._driving.section.compared) if self._driving.section is not None else 0
-        batch = self._engine.on_orbit(batch, state, begun.past[:, :compared], begun.when, begun.length / begun.cycles)
+        batch = self._engine.on_orbit(batch, state, begun.past, begun.when, begun.length / begun.cycles)
         [features] = self._engine.observe(self._engine.settle([batch]) if np.any(settle) else [batch])
         # So short an observation shows no repeat: means are over all of it, and impacts are per return.
         whole = features["finished"] & features["finite"] & (features["returns"] == begun.cycles + 1)

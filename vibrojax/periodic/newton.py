@@ -34,6 +34,7 @@ ReturnMap = Callable[[Index, Float[np.ndarray, "states segments"]], Mapped]
 class Found(NamedTuple):
     """What Newton's method came to, over lanes that repeat after the same number of returns.
 
+    - `scales` (lanes, states): of the states.
     - `states`: at the section; `times` (lanes, cycles) [s]: from each to the next.
     - `residual` (lanes,): greatest return - state, over the scales; infinite where a lane did not return.
     - `product` (lanes, states, states): derivative of the map over the whole repeat.
@@ -42,6 +43,7 @@ class Found(NamedTuple):
     - `impacts` in the repeat, the least `margin`, and the `steps` of it, each (lanes,).
     """
 
+    scales: Float[np.ndarray, "lanes states"]
     states: States
     times: Float[np.ndarray, "lanes cycles"]
     residual: Float[np.ndarray, " lanes"]
@@ -105,6 +107,7 @@ def orbits(
         on = (found < before / 2) | (found > ACCEPTED)
         active, at, now = active[on], at[on], _of(now, on)
     return Found(
+        scales=scales,
         states=states,
         times=best.times,
         residual=residual,
