@@ -37,7 +37,7 @@ Beyond = Callable[[int, int, Features], Features]
 class Chunks:
     """The chunks of a sweep, ready to be computed one by one, by all workers.
 
-    `beyond`: what else is to be found of lanes that have been observed; `ends`: finds lanes that are where they will be.
+    `beyond`: what else is to be found of lanes that have been observed; `ends`: finds those that are where they will be.
     """
 
     def __init__(self, sweep: Sweep, beyond: Beyond | None = None, ends: Ends | None = None) -> None:
@@ -75,18 +75,13 @@ class Chunks:
         ended = [part for part in found if isinstance(part, Ended)]
         observed = self._observed([part.fine for part in parts] + [part.check for part in parts], portions)
         portions.finish()
-        order = np.argsort(np.concatenate([part.lanes for part in (*parts, *ended)]))
         fine, check = _joined(observed[: len(parts)]), _joined(observed[len(parts) :])
-        fine = fine | self._errors(fine, check) if parts else fine
-        fine, check = (
-            {name: x[order] for name, x in _joined(some).items()}
-            for some in (
-                [fine, *(part.fine for part in ended)],
-                [check, *(part.check for part in ended)],
-            )
-        )
-        stored = self._stored(fine, check)
-        return stored | self._beyond(first, end, fine) if self._beyond is not None else stored
+        features = [*([self._certified(fine, check)] if parts else []), *(one.features for one in ended)]
+        if self._beyond is None:
+            features = [self._stored(one) for one in features]
+        order = np.argsort(np.concatenate([part.lanes for part in (*parts, *ended)]))
+        every = {name: x[order] for name, x in _joined(features).items()}
+        return self._stored(every) | (self._beyond(first, end, every) if self._beyond is not None else {})
 
     def at(self, accuracy: Accuracy, index: int = 0) -> Features:
         """Features of a chunk's lanes at an `accuracy` of the caller's, by name (lanes,), all stepped to their end,
@@ -124,28 +119,33 @@ class Chunks:
         batches = self.engine.settle(batches, report=_portion(portions, settling))
         return self.engine.observe(batches, _portion(portions, self._share(0.0, run.observe)))
 
-    def _errors(self, fine: Features, check: Features) -> Features:
-        """The error estimates of lanes that have been observed, and how far each still is from where it settles."""
+    def _certified(self, fine: Features, check: Features) -> Features:
+        """The features of lanes that have been observed, with their error estimates, and what labels the check run."""
         run, section, tolerance = self.sweep.run, self.sweep.system.section, self.accuracy.tolerance
-        far = {"drift_estimate": drift(fine, section, run.precision, tolerance)} if section is not None else {}
+        if section is not None:
+            fine = fine | {"drift_estimate": drift(fine, section, run.precision, tolerance)}
         least = 4 * float(np.finfo(run.precision).eps) + LEAST * tolerance
-        return far | {"error_estimate": error_estimate(fine | far, check, self.stepper.error_share, least)}
+        return certified(fine, check, self.stepper.error_share, least)
 
-    def _stored(self, fine: Features, check: Features) -> Features:
-        """The features, with what the check run's labels need, and the returns to be stored."""
+    def _stored(self, features: Features) -> Features:
+        """The features without the returns that are not to be stored."""
         kept = self.sweep.run.keep_returns
-        stored = {name: x[:, x.shape[1] - kept :] if x.ndim == 2 else x for name, x in fine.items()}
-        return {
-            **{name: x for name, x in stored.items() if x.size and name != INTERVAL},
-            **{f"check_{name}": check[name] for name in LABELLED_BY if name in check},
-        }
+        stored = {name: x[:, x.shape[1] - kept :] if x.ndim == 2 else x for name, x in features.items()}
+        return {name: x for name, x in stored.items() if x.size and name != INTERVAL}
+
+
+def certified(fine: Features, check: Features, share: float, least: float) -> Features:
+    """The features of lanes with their `error_estimate`, and with what labels the check run."""
+    labelling = {f"check_{name}": check[name] for name in LABELLED_BY if name in check}
+    return fine | labelling | {"error_estimate": error_estimate(fine, check, share, least)}
 
 
 def error_estimate(fine: Features, coarse: Features, share: float, least: float) -> Float[np.ndarray, " lanes"]:
     """Estimated relative error of period and impact velocity, the larger; NaN where a lane does not repeat.
 
-    It is that of the values which the lane settles on: a `share` of the difference between the two runs, `least`, for where that is small by chance, and how far the lane still is on its way, its `drift_estimate`. A lane
-    whose repeat differs between the runs, or whose drift has no bound, has none: infinite.
+    It is that of the values which the lane settles on: a `share` of the difference between the two runs, `least`, for
+    where that is small by chance, and how far the lane still is on its way, its `drift_estimate`. A lane whose repeat
+    differs between the runs, or whose drift has no bound, has none: infinite.
     """
     if "cycles" not in fine:  # penetration
         return share * _relative(fine["rate_of_penetration"], coarse["rate_of_penetration"]) + least

@@ -36,11 +36,10 @@ class Part(NamedTuple):
 
 
 class Ended(NamedTuple):
-    """Some lanes that need no more steps: which, by index, and their features by either run."""
+    """Some lanes that need no more steps: which, by index, and their features, certified."""
 
     lanes: Index
-    fine: Features
-    check: Features
+    features: Features
 
 
 @runtime_checkable

@@ -127,7 +127,8 @@ def comes_closer(
     newest = np.abs(near.returns[:cycles] - on_orbit) / scale.T
     away = np.moveaxis((near.returns[cycles - 1 :: cycles] - on_orbit[-1]) / scale.T, -1, 0)
     noise = NOISE * tolerance
-    found = np.max(newest, axis=(0, 1)) < NEAR
+    # Only the first of an orbit's states is followed, so that of several all must be close.
+    found = np.max(newest, axis=(0, 1)) < (NEAR if cycles == 1 else NEAR / 10)
     led = np.einsum("lij,lrj->lri", derivative, away[:, 1:])
     off, distance = np.max(np.abs(away[:, :-1] - led), axis=2), np.max(np.abs(away[:, 1:]), axis=2)
     found &= np.all((off < FOLLOWS * distance + noise)[:, : HIGHEST_ORDER + 1], axis=1)

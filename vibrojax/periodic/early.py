@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Int
 
 from vibrojax.engine.batch import Batch, Index, PerLane
-from vibrojax.engine.chunks import error_estimate
+from vibrojax.engine.chunks import certified
 from vibrojax.engine.underway import Ended
 from vibrojax.input.definition import Sweep
 from vibrojax.periodic.approach import SPLIT, Approach, approach, approaching, comes_closer
@@ -36,12 +36,12 @@ FINER = 1e-2
 """Tolerance of the return map, in that of the sweep's steps."""
 
 MEASURED = 1e-7
-"""Tolerance at which orbits are measured, at most: at a coarser one most steps end at events or are the longest, and the
-difference from another run does not tell of the error."""
+"""Tolerance at which orbits are measured, at most: at a coarser one most steps end at events or are the longest, so that
+the difference from another run does not tell of the error."""
 
 SHARE, LEAST = 0.25, 0.04
-"""Part of the two runs' difference that the error is taken for, and that of the tolerance which it has at least. No more
-than one repeat adds to it, because the orbit that lanes begin on is nearly exact."""
+"""Part of the two runs' difference that the error is taken for, and that of the tolerance which it has at least. Only
+one repeat adds to it, because the orbit that lanes begin on is nearly exact."""
 
 WORTH = 2e5
 """Simulated seconds of all lanes below which to compile the return map takes longer than it spares."""
@@ -134,11 +134,10 @@ class EarlyEnds:
             features["settling_time"] = batch.underway.carry.seen.settled[cycles - 1].astype(float)
             features["steps"] = features["steps"] + batch.underway.steps
             runs.append(features)
-        runs[0]["drift_estimate"] = still[sure]
-        runs[0]["error_estimate"] = error_estimate(*runs, SHARE, LEAST * self._measured_at.tolerance)
+        fine, check = runs
+        found = certified(fine | {"drift_estimate": still[sure]}, check, SHARE, LEAST * self._measured_at.tolerance)
         some = np.flatnonzero(right)
-        fine, check = ({name: x[some] for name, x in features.items()} for features in runs)
-        return Ended(lanes[sure[some]], fine, check)
+        return Ended(lanes[sure[some]], {name: x[some] for name, x in found.items()})
 
 
 def _distinct(orbit: Found) -> Bool[np.ndarray, " lanes"]:
