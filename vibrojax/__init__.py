@@ -13,6 +13,8 @@ _HOMES = {
     "run_sweep": "vibrojax.sweep",
     "read_sweep": "vibrojax.input.read",
     "orbits": "vibrojax.found_orbits",
+    "follow": "vibrojax.followed",
+    "borders": "vibrojax.found_borders",
     "simulate": "vibrojax.simulation",
     "fit_rop": "vibrojax.laws",
     "fit_joint": "vibrojax.laws",

@@ -2,6 +2,8 @@
 
 from vibrojax.accuracy import run_accuracy as run_accuracy
 from vibrojax.errors import InputError as InputError
+from vibrojax.followed import follow as follow
+from vibrojax.found_borders import borders as borders
 from vibrojax.found_orbits import orbits as orbits
 from vibrojax.input.plausible import UnusualValue as UnusualValue
 from vibrojax.input.read import read_sweep as read_sweep

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from vibrojax.arrays import Array, Flags, Lanes
+from vibrojax.arrays import Array, Flags, Lanes, Real
 from vibrojax.engine.compiler import lane_function
 from vibrojax.measure.section import lowest, rising
 from vibrojax.periodic.margin import Margin
@@ -67,11 +67,12 @@ def mapped(
     p: dict[str, Lanes],
     state: Array,
     accuracy: Accuracy,
+    most_steps: Real,
 ) -> Mapped:
     """The next return of lanes that stand at the section, and its derivative.
 
     **Arguments:** `along`: names of the parameters that it is taken by too; `p`: parameters by name (lanes,); `state`
-    (states, lanes): of `scene.return_states`.
+    (states, lanes): of `scene.return_states`; `most_steps`: after which a lane is taken not to return.
     """
     rows = state.shape[0]
 
@@ -79,7 +80,7 @@ def mapped(
         varied = dict(zip(along, given[rows:], strict=True))
         begin = jax.lax.stop_gradient(at_section(scene, state))
         c = scene.scaled(scene.constants(p | varied), begin)
-        return one_return(scene, stepper, c, given[:rows], accuracy)
+        return one_return(scene, stepper, c, given[:rows], accuracy, most_steps)
 
     def push(tangent: Array) -> Any:
         (there, time), (moved, _), seen = jax.jvp(go, (given,), (tangent,), has_aux=True)
@@ -99,7 +100,7 @@ def at_section(scene: Scene[Any], state: Array) -> Values:
 
 
 def one_return(
-    scene: Scene[Any], stepper: Stepper, c: Any, state: Array, accuracy: Accuracy
+    scene: Scene[Any], stepper: Stepper, c: Any, state: Array, accuracy: Accuracy, most_steps: Real = MOST_STEPS
 ) -> tuple[tuple[Array, Lanes], Seen]:
     """((state at the next return, time [s] to it), what was seen on the way); pure, so that derivatives go through.
 
@@ -112,11 +113,11 @@ def one_return(
     zero = jnp.zeros_like(state[0])
     none = jnp.zeros_like(zero, bool)
     own = jax.lax.stop_gradient(_own(scene, lane))
-    entered = jnp.zeros((len(scene.modes), 3, *zero.shape), zero.dtype)
+    entered = jnp.zeros((max(len(scene.modes), 1), 3, *zero.shape), zero.dtype)
     begun = _Way(lane, zero, none, Seen(none, zero, zero, entered, jnp.full_like(zero, jnp.inf), own, own))
 
     def one(way: _Way) -> _Way:
-        moving = _active(way)
+        moving = _active(way, most_steps)
         lane, step = stepper.step(scene, c, way.lane, accuracy, Goal(jnp.inf, moving), marked=True)
         armed, returns = _passed(scene, section, c, way.armed, step)
         seen = way.seen
@@ -132,12 +133,12 @@ def one_return(
         )
         return _Way(lane, way.time + step.dt, jnp.where(moving, armed, way.armed), seen)
 
-    way = jax.lax.while_loop(lambda way: jnp.any(_active(way)), one, begun)
+    way = jax.lax.while_loop(lambda way: jnp.any(_active(way, most_steps)), one, begun)
     return (_own(scene, way.lane), way.time), way.seen
 
 
-def _active(way: _Way) -> Flags:
-    return ~way.seen.returned & (way.seen.steps < MOST_STEPS) & jnp.isfinite(way.lane.state[0])
+def _active(way: _Way, most_steps: Real) -> Flags:
+    return ~way.seen.returned & (way.seen.steps < most_steps) & jnp.isfinite(way.lane.state[0])
 
 
 def _own(scene: Scene[Any], lane: Lane) -> Array:
@@ -147,6 +148,8 @@ def _own(scene: Scene[Any], lane: Lane) -> Array:
 
 def _entered(before: tuple[Array, ...], after: tuple[Array, ...]) -> Array:
     """Which modes have changed, to -1, to 0 or to 1, (modes, 3, lanes)."""
+    if not before:
+        return jnp.zeros((1, 3, 1))
     rows = [[(old != new) & (new == value) for value in (-1, 0, 1)] for old, new in zip(before, after, strict=True)]
     return jnp.stack([jnp.stack(row) for row in rows]).astype(before[0].dtype)
 

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from vibrojax.devices import precision, workers
 from vibrojax.engine.parallel import in_parallel
-from vibrojax.periodic.return_map import Mapped, mapped
+from vibrojax.periodic.return_map import MOST_STEPS, Mapped, mapped
 from vibrojax.scenes import Scene
 from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Located
 
@@ -24,11 +24,18 @@ STEPS = Accuracy(tolerance=1e-11, stride=LOCATED_STRIDE, step=np.inf)
 
 
 class Segments:
-    """The return map of a scene and its derivative, in float64; `along`: the parameters that it is taken by too."""
+    """The return map of a scene and its derivative, in float64.
 
-    def __init__(self, scene: Scene[Any], along: tuple[str, ...] = (), steps: Accuracy = STEPS) -> None:
+    **Arguments:** `along`: the parameters that it is taken by too; `most`: steps after which a lane is taken not to
+    return.
+    """
+
+    def __init__(
+        self, scene: Scene[Any], along: tuple[str, ...] = (), steps: Accuracy = STEPS, most: float = MOST_STEPS
+    ) -> None:
         self._scene, self._along = scene, along
         self._steps = Accuracy(*map(np.float64, steps))
+        self._most = np.float64(most)
         self._workers = workers()
 
     def __call__(
@@ -42,7 +49,7 @@ class Segments:
         def work(_: jax.Device, some: np.ndarray) -> Mapped:
             with precision("float64"):
                 p = {name: x[some] for name, x in parameters.items()}
-                return mapped(self._scene, Located(), self._along, p, states[:, some], self._steps)
+                return mapped(self._scene, Located(), self._along, p, states[:, some], self._steps, self._most)
 
         if len(items) == 1:
             return work(self._workers[0], items[0])

@@ -1,0 +1,187 @@
+"""Families of orbits: against reference cases, the exact motion, and what folds and doublings are by theory."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from exact import run
+from exact.measures import sections
+
+import vibrojax as vj
+from vibrojax.errors import InputError
+from vibrojax.families.indicators import KINDS
+
+ENDS = json.loads((Path(__file__).parent / "data" / "orbit_cases.json").read_text())["ends_of_families"]
+STATES = ("orbit_x1", "orbit_x2", "orbit_v2")
+
+
+def followed(**more):
+    return vj.follow("vibro-impact", progress=False, **more)
+
+
+def specials(family, kind, branch=0):
+    """Where special points of a kind lie on a branch."""
+    here = (family.special_kind.values == KINDS.index(kind)) & (family.special_branch.values == branch)
+    return np.sort(family.special_value.values[here])
+
+
+@pytest.fixture(scope="module")
+def family():
+    """Over gamma, from the usual single impact down to its doubling and on to both ends."""
+    return followed(along="gamma", at=0.75, span=(0.3, 1.6), start="stuck", beta=0.4, cycles=2)
+
+
+def branch_of(family, number):
+    return family.isel(point=family.branch.values == number)
+
+
+# Against others
+
+
+@pytest.mark.parametrize(("case", "kind"), [(ENDS[0], "torus"), (ENDS[1], "fold")])
+def test_ends_of_families(case, kind):
+    """The reference is good to some 1e-8."""
+    low, high = sorted((case["at"], case["end_value"] + 0.1 * np.sign(case["end_value"] - case["at"])))
+    family = followed(
+        along=case["along"], at=case["at"], span=(low, high), start=case["start"], cycles=1, **case["fixed"]
+    )
+    found = specials(family, kind)
+    assert np.abs(found - case["end_value"]).min() < 3e-9
+    at = np.abs(family[case["along"]].values - case["end_value"]).argmin()
+    exact = abs(complex(*case["largest_multiplier"]))
+    # At the reference's own end the fold's multiplier is still 3e-6 from 1: it goes as the root of the distance.
+    assert abs(family.multiplier_abs.values[at, 0] - exact) < 1e-5
+
+
+def returned(at, section):
+    start = [section[0], 0.0, section[1], section[2]]
+    motion = run("vibro-impact", start=start, observe=1.0, **at)
+    return motion.at(sections(motion)[:1])[0][[0, 2, 3]]
+
+
+@pytest.mark.parametrize("gamma", [0.33, 0.37, 1.5])
+def test_unstable_orbits_are_orbits_of_the_exact_motion(family, gamma):
+    branch = branch_of(family, 0)
+    point = branch.isel(point=np.abs(branch.gamma.values - gamma).argmin())
+    at = {"beta": 0.4, "gamma": float(point.gamma)}
+    section = np.array([float(point[name]) for name in STATES])
+    np.testing.assert_allclose(returned(at, section), section, atol=1e-9)
+    columns = []
+    for k, size in enumerate((0.05, 0.05, 1.0)):
+        moved = 1e-6 * size * np.eye(3)[k]
+        columns.append((returned(at, section + moved) - returned(at, section - moved)) / (2 * moved[k]))
+    exact = np.sort(np.abs(np.linalg.eigvals(np.array(columns).T)))[::-1]
+    np.testing.assert_allclose(point.multiplier_abs.values, exact, atol=1e-6 * max(1, exact[0]))
+    assert (point.stable == 1) == (exact[0] < 1)
+
+
+def test_some_orbits_are_unstable(family):
+    assert (family.stable == 0).any() and (family.stable == 1).any()
+
+
+# What theory says of special points
+
+
+def test_the_stability_changes_at_special_points_only(family):
+    branch = branch_of(family, 0)
+    changes = np.flatnonzero(np.diff(branch.stable.values))
+    assert len(changes)
+    turning = np.concatenate(
+        [specials(family, kind) for kind in ("fold", "period-doubling", "torus", "grazing", "stick")]
+    )
+    for k in changes:
+        low, high = sorted(branch.gamma.values[k : k + 2])
+        assert ((turning >= low - 1e-9) & (turning <= high + 1e-9)).any()
+
+
+def test_a_doubled_branch_leaves_as_the_root_of_the_distance(family):
+    [doubling] = specials(family, "period-doubling")
+    single, double = branch_of(family, 0), branch_of(family, 1)
+    assert (double.cycles == 2).all() and double.impacts[0] == 2
+    # It begins with the orbit gone round twice: multipliers are squared, and the one at -1 becomes 1.
+    begin = np.abs(single.gamma.values - doubling).argmin()
+    np.testing.assert_allclose(double.multiplier_abs[0], single.multiplier_abs[begin] ** 2, atol=1e-6)
+    away = double.gamma.values - doubling
+    near = np.flatnonzero((np.abs(away) > 1e-7) & (np.abs(away) < 2e-3))
+    order = np.argsort(single.gamma.values)
+    between = np.interp(double.gamma.values[near], single.gamma.values[order], single.orbit_x1.values[order])
+    apart = (double.orbit_x1.values[near] - between) / np.sqrt(np.abs(away[near]))
+    assert len(near) >= 3
+    np.testing.assert_allclose(apart, apart[0], rtol=0.1)
+    np.testing.assert_allclose(double.period.values[0], single.period.values[begin], rtol=1e-9)
+
+
+def test_multipliers_at_a_fold_go_as_the_root_of_the_distance():
+    family = followed(along="v", at=2.6, span=(2.6, 3.0), beta=0.3, gamma=0.8, start="drive", cycles=1)
+    [fold] = specials(family, "fold")
+    near = np.abs(family.v.values - fold)
+    some = (near > 1e-6) & (near < 5e-3)
+    assert some.sum() >= 4
+    nearest = np.abs(family.multiplier_abs.values * np.exp(1j * family.multiplier_arg.values) - 1).min(axis=1)[some]
+    rate = nearest / np.sqrt(near[some])
+    np.testing.assert_allclose(rate, rate.mean(), rtol=0.2)
+    assert {0, 1} <= set(family.stable.values[some].tolist())
+
+
+def test_what_begins_at_special_points(family):
+    branch = branch_of(family, 0)
+    for value in specials(family, "stick"):
+        k = np.abs(branch.gamma.values - value).argmin()
+        around = branch.isel(point=slice(max(k - 1, 0), k + 2))
+        # A share of time that sticks or slides backwards changes its rate; another number of each is met.
+        assert float(around.stick_fraction.min()) < 0.2
+    assert len(specials(family, "stick")) == 10
+
+
+def test_a_family_is_the_same_followed_from_elsewhere(family):
+    other = followed(along="gamma", at=0.68, span=(0.3, 1.6), start="stuck", beta=0.4, cycles=1)
+    for kind in ("period-doubling", "stick"):
+        np.testing.assert_allclose(specials(other, kind), specials(family, kind), atol=1e-9)
+
+
+def test_many_at_once_are_as_each_alone():
+    both = followed(along="gamma", at=0.72, span=(0.6, 0.8), start="stuck", beta=[0.35, 0.5], cycles=1)
+    assert both.beta.dims == ("family",)
+    for number, beta in enumerate((0.35, 0.5)):
+        alone = followed(along="gamma", at=0.72, span=(0.6, 0.8), start="stuck", beta=beta, cycles=1)
+        mine = both.isel(special=both.special_family.values == number)
+        np.testing.assert_array_equal(mine.special_kind, alone.special_kind)
+        np.testing.assert_allclose(mine.special_value, alone.special_value, atol=1e-9)
+
+
+def test_other_scenes_are_followed_too():
+    rotary = vj.follow("rotary", along="v", at=1.0, span=(0.6, 1.4), beta=0.3, gamma=0.5, progress=False)
+    assert "impacts" not in rotary and (rotary.stable == 1).all()
+    soft = {"beta": 0.3, "gamma": 0.7, "threshold": 2e4, "start": "stuck", "cycles": 1}
+    coupled = vj.follow("coupled-drilling", along="zeta", at=1.5, span=(1.2, 1.8), progress=False, **soft)
+    assert coupled.sizes["multiplier"] == 5 and (coupled.rate_of_penetration > 0).all()
+    assert set(coupled.special_note.values.tolist()) >= {"the first value is reached", "the last value is reached"}
+
+
+# What is refused
+
+
+@pytest.mark.parametrize(
+    ("more", "says"),
+    [
+        ({"gamma": 0.7}, "gamma"),
+        ({"at": 2.0}, "not between"),
+        ({"along": "gama"}, "gamma"),
+        ({"span": (0.5, 0.5)}, "same"),
+        ({"span": 0.5}, "span"),
+        ({"cycles": 9}, "cycles"),
+        ({"beta": [0.4, 0.5], "v": [1.0]}, "different lengths"),
+        ({"beta": []}, "empty"),
+        ({"beta": 0.3, "at": 0.3}, "irregular"),
+    ],
+)
+def test_what_is_not_right_is_refused(more, says):
+    with pytest.raises(InputError, match=says) as error:
+        followed(**({"along": "gamma", "at": 0.75, "span": (0.3, 1.6)} | more))
+    assert "\n" not in str(error.value)
+
+
+def test_a_scene_without_a_section_is_refused():
+    with pytest.raises(InputError, match="section"):
+        vj.follow("penetration", along="force", at=2e5, span=(1e5, 3e5), progress=False)

@@ -1,0 +1,102 @@
+"""Draw the borders of the stable single impact in a sweep's plane: curves named by what happens there."""
+
+import shlex
+from argparse import ArgumentParser
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from vibrojax.cli._command import Options
+from vibrojax.cli._complete import files, with_completer
+from vibrojax.cli._json import flags
+from vibrojax.cli._output import dataset_written, draw, output, picture_beside
+from vibrojax.errors import InputError
+from vibrojax.timings import timed
+
+if TYPE_CHECKING:
+    import xarray
+
+
+def arguments(parser: ArgumentParser) -> None:
+    """Add the command's arguments to `parser`."""
+    file = parser.add_argument(
+        "file",
+        metavar="FILE",
+        help="a sweep over a grid: a bundled name, like regime-map, or the path of a TOML file; or a sweep's dataset "
+        "(.nc), which is run again where it has no orbits",
+    )
+    with_completer(file, files(".toml", ".nc"))
+    parser.add_argument(
+        "--axes",
+        metavar="X,Y",
+        help="the two axes of the plane (gamma and beta, else the two with most values)",
+    )
+    parser.add_argument("-o", dest="out", metavar="OUT.nc", help="where to write (NAME-borders.nc in this folder)")
+    parser.add_argument("--fresh", action="store_true", help="replace OUT, whatever it holds")
+
+
+def run(options: Options) -> None:
+    """Run the command."""
+    from vibrojax.found_borders import borders, checked
+    from vibrojax.found_orbits import sweep_with_orbits
+    from vibrojax.store.dataset import open_dataset, write_dataset
+    from vibrojax.store.finished import IDENTITY, check_replaceable, identity_text
+
+    given = str(options.file)
+    axes = _axes(options.axes)
+    source = open_dataset(Path(given)) if given.endswith(".nc") else sweep_with_orbits(given)
+    sweep = sweep_with_orbits(source)
+    names = checked(sweep, axes)
+    out = output(options.out or f"{Path(given).stem if given.endswith('.nc') else sweep.name}-borders.nc")
+    picture = picture_beside(out)
+    identity = {"borders": list(names), **sweep.identity()}
+    if not options.fresh:
+        check_replaceable(out, identity)
+    command = shlex.join(["vibrojax", "borders", given, "-o", str(out)])
+    options.how_to_resume = f"nothing is kept of what was computed; to begin again: {command}"
+    dataset = borders(source, axes, progress=not options.quiet).assign_attrs({IDENTITY: identity_text(identity)})
+    with timed("write"):
+        write_dataset(dataset, out)
+    dataset_written(options, out)
+    drawn = draw(dataset, picture)
+    if not options.quiet:
+        print(f"{out}: {dataset.sizes['curve']} curves{drawn}")
+        print("\n".join(border_lines(dataset)))
+
+
+def _axes(text: str | None) -> tuple[str, str] | None:
+    if text is None:
+        return None
+    names = [name.strip() for name in text.split(",")]
+    if len(names) != 2 or not all(names):
+        raise InputError(f'--axes: "{text}" is no pair of axes; write two names, like gamma,beta')
+    return names[0], names[1]
+
+
+def border_lines(dataset: "xarray.Dataset") -> list[str]:
+    """The share of each plane in which there is a stable single impact, and what ends it, by start."""
+    beyond = [str(name) for name in dataset.coords if dataset[name].dims == ("region",) and name != "region_start"]
+    lines = []
+    for k in range(dataset.sizes["region"]):
+        at = {name.removeprefix("region_"): float(dataset[name][k]) for name in beyond}
+        start = str(dataset["region_start"].values[k]) if "region_start" in dataset.coords else ""
+        words = [f"{name} = {value:g}" for name, value in at.items()]
+        words += [f"start {start}" if start not in ("", "any") else "any start"]
+        mine = [
+            c
+            for c in range(dataset.sizes["curve"])
+            if all(float(dataset[name][c]) == value for name, value in at.items())
+            and (not start or str(dataset["start"].values[c]) == start)
+        ]
+        ends = ", ".join(_counted(dataset, mine))
+        lines.append(f"{', '.join(words)}: {100 * float(dataset['region_area'][k]):.1f} % of the plane; ends by {ends}")
+    return lines
+
+
+def _counted(dataset: "xarray.Dataset", curves: list[int]) -> list[str]:
+    """How many vertices the curves of each kind have, the most first."""
+    sizes: dict[str, int] = {}
+    meanings = flags(dataset["kind"])
+    for c in curves:
+        kind = meanings[int(dataset["kind"][c])]
+        sizes[kind] = sizes.get(kind, 0) + int((dataset["curve"].values == c).sum())
+    return [f"{kind} ({size})" for kind, size in sorted(sizes.items(), key=lambda one: -one[1])] or ["nothing"]

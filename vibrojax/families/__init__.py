@@ -1,0 +1,1 @@
+"""Families of periodic orbits over a parameter, stable and unstable, and their special points."""

@@ -1,0 +1,263 @@
+"""Families of periodic orbits over one parameter: `follow`."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from vibrojax.engine.labelled import measured_besides, of_orbits
+from vibrojax.errors import Place, shown, suggestion
+from vibrojax.families.begin import known_orbits
+from vibrojax.families.indicators import KINDS
+from vibrojax.families.measured import measured
+from vibrojax.families.points import Point, SpecialPoint, columns, in_order, states
+from vibrojax.families.problem import STEPS, Problem
+from vibrojax.families.trace import Tracer
+from vibrojax.families.walk import CONVERGED
+from vibrojax.input.definition import Sweep
+from vibrojax.input.read import read_sweep
+from vibrojax.input.values import quantity
+from vibrojax.label import REGIMES
+from vibrojax.measure.ledger import MOST_CYCLES
+from vibrojax.periodic.margin import HOW
+from vibrojax.physics.parameters import ROTATION, differing
+from vibrojax.scenes import HasContact, Scene
+from vibrojax.store.provenance import provenance
+from vibrojax.store.variables import ORBIT_REASONS, REASONS, VARIABLES, Variable, orbit_name
+from vibrojax.sweep import run_sweep
+
+UNITS = 8
+"""Of the parameter, between its bounds: what a step over the scales is along it."""
+
+BRANCH = Variable("1", "branch of the family, 0 the one that it begins with", np.int32)
+SPECIAL_KIND = Variable("1", "kind of the special point", np.int8, KINDS)
+
+
+def follow(
+    scene: str | Scene[Any],
+    *,
+    along: str,
+    at: float,
+    span: tuple[float, float],
+    start: str | Sequence[float] | None = None,
+    settle: float = 40.0,
+    cycles: int = MOST_CYCLES,
+    progress: bool = True,
+    **parameters: Any,
+) -> xr.Dataset:
+    """The family of periodic orbits over one parameter, stable and unstable, with its special points.
+
+        fam = vj.follow("vibro-impact", along="gamma", at=0.75, span=(0.3, 1.6), start="stuck", beta=0.4)
+
+    The family begins with the orbit on which the motion at `along` = `at` settles, and is followed both ways by
+    pseudo-arclength continuation, through folds, around the corners that it has where an impact or a stick begins or
+    vanishes, and onto the branches of twice the period at period doublings. Where the order of events changes it does
+    so by itself.
+
+    **Arguments:**
+
+    - `scene`: a name or a scene; `parameters`: any of its (SI), as `simulate` takes them. One or several may be
+      sequences of one length: then as many families are followed, all at once, numbered along `family`.
+    - `along`: the name of the parameter; `at`: its value where the family begins; `span`: its bounds, `at` between.
+    - `start`: of the motion that settles, by default the scene's first; `settle` [s]: for how long it does.
+    - `cycles`: the most returns of doubled branches that are followed, 1 to 8; 1 for no such branch.
+    - `progress`: whether to say on stderr how far it is.
+
+    **Returns:** a dataset. Along `point`: `branch` (0 is the one begun with), the parameter, `stable`,
+    `multiplier_abs`, `multiplier_arg` [rad] along `multiplier`, `period` [s] (per return), `cycles`, `impacts` (per
+    repeat), `grazing_margin`, the state at the section (`orbit_x1` and so on), and what a sweep measures of the scene,
+    over the repeat. Along `special`: `special_kind` (fold, period-doubling, torus, grazing, stick, section, end),
+    `special_value` of the parameter, `special_branch`, and `special_note`. Multipliers at a special point are those on
+    the side from which it was reached; beside a grazing impact they hold over a very small distance.
+
+    **Raises:** `InputError` where a name or value is not right, or the motion does not settle on a periodic orbit.
+    """
+    place = Place("follow")
+    sweep, low, high = _read(place, scene, along, at, span, start, settle, cycles, parameters)
+    dataset = run_sweep(sweep, progress=progress)
+    problem, families, first = _problem(place, sweep, dataset, along, low, high)
+    legs = Tracer(problem, cycles=cycles)(families, first)
+    points, special = in_order(legs)
+    found = measured(sweep, problem, points, columns(problem, points))
+    return _dataset(sweep, problem, points, special, found, along)
+
+
+def _read(
+    place: Place,
+    scene: str | Scene[Any],
+    along: str,
+    at: float,
+    span: tuple[float, float],
+    start: object,
+    settle: float,
+    cycles: int,
+    parameters: Mapping[str, Any],
+) -> tuple[Sweep, float, float]:
+    """The sweep of the points at which families begin, and the bounds of the parameter."""
+    several = {name: list(x) for name, x in parameters.items() if _is_column(x)}
+    sizes = {name: len(x) for name, x in several.items()}
+    if len(set(sizes.values())) > 1:
+        lengths = ", ".join(f"{name} {size}" for name, size in sizes.items())
+        raise place.error(
+            f"sequences of different lengths ({lengths}); give one family's values at the same place of each"
+        )
+    if any(size == 0 for size in sizes.values()):
+        raise place.at(next(name for name, size in sizes.items() if size == 0)).error("is empty; give a value")
+    count = next(iter(sizes.values()), 1)
+    if along in parameters:
+        raise place.at(along).error("is what the family is followed along; give its value as at")
+    if not isinstance(cycles, int) or not 1 <= cycles <= MOST_CYCLES:
+        raise place.at("cycles").error(f"{shown(cycles)} is not a whole number from 1 to {MOST_CYCLES}")
+    tables: dict[str, Any] = {
+        "scene": scene,
+        "points": {along: [at] * count} | several,
+        "parameters": {name: x for name, x in parameters.items() if name not in several},
+        "run": {"orbits": True, "settle": settle},
+    }
+    if start is not None:
+        tables["starts"] = [start]
+    sweep = read_sweep(tables)
+    sweep = replace(sweep, starts=sweep.starts and sweep.starts[:1])
+    known = sweep.system.parameters()
+    if along not in known:
+        raise place.at("along").error(f"{shown(along)} is no parameter of the scene; {suggestion(along, known)}")
+    try:
+        first, last = span
+    except (TypeError, ValueError):
+        raise place.at("span").error(f"{shown(span)} is no pair of numbers; give the bounds of {along}") from None
+    bounds = [quantity(place.at(name), x, known[along]) for name, x in (("from", first), ("to", last))]
+    low, high = sorted(bounds)
+    if not low < high:
+        raise place.at("to").error(f"{high:g} is the same as from; give the two bounds of {along}")
+    if not low <= at <= high:
+        raise place.at("at").error(f"{at:g} is not between the bounds {low:g} and {high:g}")
+    return sweep, low, high
+
+
+def _is_column(x: object) -> bool:
+    return isinstance(x, (list, tuple)) or (isinstance(x, np.ndarray) and x.ndim > 0)
+
+
+def _problem(
+    place: Place, sweep: Sweep, dataset: xr.Dataset, along: str, low: float, high: float
+) -> tuple[Problem, np.ndarray, list[np.ndarray]]:
+    """The equations of the families; which of them have an orbit to begin with, and the unknowns there."""
+    dataset = dataset.isel(start=0) if "start" in dataset.dims else dataset
+    system = sweep.system.driving_part()
+    values, _ = sweep.lane_values(0, sweep.lanes)
+    parameters = {name: values[name].astype(float) for name in system.parameters()}
+    known = known_orbits(system, dataset, parameters)
+    families = known.lanes
+    if not len(families):
+        lane = dataset.isel(point=0)
+        raise place.at("at").error(_what_instead(lane, f"{along} = {float(lane[along]):g}"))
+    scale = np.ones((sweep.lanes, len(system.return_states)))
+    scale[families] = known.scales
+    unit, first, last = (np.full(sweep.lanes, x) for x in ((high - low) / UNITS, low, high))
+    problem = Problem(system, along, parameters, scale, unit, first, last, known.most_steps)
+    at = parameters[along]
+    begin = [
+        problem.unknowns(np.array([one]), x[None], at[[one]])[0]
+        for one, x in zip(families.tolist(), known.states, strict=True)
+    ]
+    return problem, families, begin
+
+
+def _what_instead(lane: xr.Dataset, at: str) -> str:
+    """Why there is no orbit to begin with."""
+    reason = ORBIT_REASONS[int(lane["orbit_reason"])]
+    settled = json.loads(str(lane.attrs["run"]))["settle"]
+    if reason == "not-repeating":
+        regime = REGIMES[int(lane["regime"])]
+        return f"the motion at {at} does not repeat ({regime} after {settled:g} s); begin where it does"
+    if reason == "refused":
+        return f"the motion at {at} cannot be run ({REASONS[int(lane['reason'])].replace('-', ' ')}); begin elsewhere"
+    return f"the motion at {at} repeats, but its orbit is not known ({reason.replace('-', ' ')}); begin elsewhere"
+
+
+def _dataset(
+    sweep: Sweep,
+    problem: Problem,
+    points: list[Point],
+    special: list[SpecialPoint],
+    measures: Mapping[str, np.ndarray],
+    along: str,
+) -> xr.Dataset:
+    """The dataset of families."""
+    found, at_special = columns(problem, points), columns(problem, [one.point for one in special])
+    system, known = problem.scene, sweep.system.parameters()[along]
+    about = {"units": known.unit, "long_name": known.long_name, "symbol": known.symbol}
+    table = VARIABLES | measured_besides(sweep.system) | of_orbits(sweep.system)
+    stable = np.where(np.isfinite(found.multiplier_abs).all(axis=1), found.multiplier_abs[:, 0] < 1, -1)
+    section_states = zip(map(orbit_name, system.return_states), states(problem, points).T, strict=True)
+    values = {
+        "branch": found.branch,
+        "stable": stable,
+        "period": found.period,
+        "cycles": found.cycles,
+        "impacts": found.impacts,
+        "grazing_margin": found.margin,
+        **dict(section_states),
+        **{name: x for name, x in measures.items() if name in table},
+    }
+    if not isinstance(system, HasContact):
+        del values["impacts"]
+    variables: dict[str, Any] = {along: ("point", found.value, about)}
+    for name, x in values.items():
+        one = BRANCH if name == "branch" else table[name]
+        variables[name] = ("point", np.asarray(x, one.dtype), one.attributes())
+    for name in ("multiplier_abs", "multiplier_arg"):
+        variables[name] = (("point", "multiplier"), getattr(found, name), table[name].attributes())
+    kinds = np.array([one.kind for one in special], np.int8)
+    branch_of = BRANCH.attributes() | {"long_name": "branch of the special point"}
+    variables |= {
+        "special_kind": ("special", kinds, SPECIAL_KIND.attributes()),
+        "special_value": (
+            "special",
+            at_special.value,
+            about | {"long_name": f"{known.long_name} at the special point"},
+        ),
+        "special_branch": ("special", at_special.branch.astype(np.int32), branch_of),
+        "special_note": (
+            "special",
+            np.array([one.note for one in special], str),
+            {"long_name": "what there is to say"},
+        ),
+    }
+    several = {name: x for name, x in (sweep.points or {}).items() if name != along}
+    coordinates: dict[str, Any] = {}
+    if several:
+        of_family = {"units": "1", "long_name": "number of the family"}
+        variables["point_family"] = ("point", found.family.astype(np.int32), of_family)
+        variables["special_family"] = ("special", at_special.family.astype(np.int32), of_family)
+        coordinates["family"] = ("family", np.arange(sweep.lanes), of_family)
+        parameters = dict(sweep.system.parameters()) | ROTATION
+        for name, x in several.items():
+            described = {"units": parameters[name].unit, "long_name": parameters[name].long_name}
+            coordinates[name] = ("family", x, described)
+    attributes = {
+        "title": f"Families of periodic orbits of {sweep.scene} over {along}",
+        "scene": sweep.scene,
+        **provenance(),
+        "history": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} follow",
+        **sweep.options,
+        **({} if sweep.starts is None else {"start": json.dumps(sweep.starts[0])}),
+        "along": along,
+        "span": [float(problem.first[0]), float(problem.last[0])],
+        "parameters": json.dumps({name: x for name, x in sweep.parameters.items() if name != along}),
+        "differing": json.dumps(differing(sweep.system.parameters(), sweep.parameters)),
+        "orbits": json.dumps(
+            {
+                "states": list(system.return_states),
+                "tolerance": STEPS.tolerance,
+                "accepted_residual": CONVERGED,
+                "grazing_margin": HOW,
+            }
+        ),
+        "Conventions": "CF-1.11",
+    }
+    return xr.Dataset(variables, coordinates, attributes)
