@@ -39,6 +39,9 @@ _OF_ORBITS = {
     "grazing_margin",
     "orbit_cycles",
     "orbit_reason",
+    "nearby_cycles",
+    "nearby_impacts",
+    "nearby_distance",
 }
 """Variables that there are with `orbits = true`."""
 

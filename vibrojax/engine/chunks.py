@@ -37,7 +37,7 @@ Beyond = Callable[[int, int, Features], Features]
 class Chunks:
     """The chunks of a sweep, ready to be computed one by one, by all workers.
 
-    `beyond`: what else is to be found of lanes that have been observed; `ends`: finds those that are where they will be.
+    `beyond`: what else is to be found of lanes that have been observed; `ends`: finds those that need no more steps.
     """
 
     def __init__(self, sweep: Sweep, beyond: Beyond | None = None, ends: Ends | None = None) -> None:
@@ -79,7 +79,7 @@ class Chunks:
         features = [*([self._certified(fine, check)] if parts else []), *(one.features for one in ended)]
         if self._beyond is None:
             features = [self._stored(one) for one in features]
-        order = np.argsort(np.concatenate([part.lanes for part in (*parts, *ended)]))
+        order = np.argsort(np.concatenate([*(part.lanes for part in parts), *(one.lanes for one in ended)]))
         every = {name: x[order] for name, x in _joined(features).items()}
         return self._stored(every) | (self._beyond(first, end, every) if self._beyond is not None else {})
 

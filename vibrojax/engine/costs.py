@@ -14,7 +14,8 @@ import numpy as np
 from jaxtyping import Float
 
 from vibrojax.engine.batch import steps_at_most
-from vibrojax.engine.chunks import OBSERVING, Chunks
+from vibrojax.engine.chunks import Chunks
+from vibrojax.engine.underway import OBSERVING
 from vibrojax.engine.validity import flight_rates
 from vibrojax.input.definition import Sweep
 from vibrojax.scenes import HasContact, HasFriction, HasRock, Scene

@@ -88,7 +88,7 @@ def approaching(
 def approach(returns: Settling, lanes: Index, repeat: int, tolerance: float) -> Approach:
     """Of `lanes` that seem to come closer to an orbit of `repeat` returns, by index: where these lead."""
     scale = np.stack(scales(returns.passed.amplitudes, returns.passed.since))[:, lanes].astype(float)
-    states = returns.seen.states[..., lanes].astype(float)
+    states = np.asarray(returns.seen.states)[..., lanes].astype(float)
     limit = [_extrapolated(states[phase::repeat], scale, NOISE * tolerance) for phase in range(repeat)]
     unknown = np.full((states.shape[1] - len(scale), len(lanes)), np.nan)
     return Approach(lanes, np.concatenate([scale, unknown]).T, states, np.stack(limit[::-1]).transpose(2, 0, 1))

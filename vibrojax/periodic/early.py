@@ -36,7 +36,7 @@ FINER = 1e-2
 """Tolerance of the return map, in that of the sweep's steps."""
 
 MEASURED = 1e-7
-"""Tolerance at which orbits are measured, at most: at a coarser one most steps end at events or are the longest, so that
+"""Tolerance at which orbits are measured, at most: at a coarser one most steps end at events or are the longest, and
 the difference from another run does not tell of the error."""
 
 SHARE, LEAST = 0.25, 0.04
@@ -87,14 +87,14 @@ class EarlyEnds:
 
     def _approaching(self, batch: Batch, repeat: int) -> Bool[np.ndarray, " lanes"]:
         assert batch.underway is not None
-        now = batch.underway.lane.clock.high
+        now = np.asarray(batch.underway.lane.clock.high)
         with np.errstate(all="ignore"):
             return approaching(batch.underway.carry, repeat, now, self._run.observe, self._accuracy.tolerance)
 
     def _ended(self, near: Approach, batch: Batch) -> list[Ended]:
         """Of lanes that approach an orbit, and their `batch`, those that will be on it."""
         assert batch.underway is not None
-        given = {name: batch.given.parameters[name].astype(float) for name in self._scene.parameters()}
+        given = {name: np.asarray(batch.given.parameters[name], float) for name in self._scene.parameters()}
         orbit = orbits(
             near.limit,
             near.scale,
@@ -122,7 +122,7 @@ class EarlyEnds:
         one = begun(np.arange(len(sure)), orbit.states[sure], orbit.times[sure], orbit.steps[sure])
         right, runs = np.ones(len(sure), bool), []
         for accuracy in (self._measured_at, Located().coarser(self._measured_at)):
-            features, whole = self._measure(batch.given, one, accuracy)
+            features, whole = self._measure.of(batch.given, one, accuracy)
             right &= whole
             if "impacts" in features:
                 features["impacts"] = np.round(features["impacts"] * cycles)

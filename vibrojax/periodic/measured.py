@@ -78,9 +78,11 @@ class Measuring:
         """Parameters and starts of the lanes from `first` to before `end`."""
         return self._engine.given(first, end)
 
-    def __call__(
-        self, given: Given, begun: Begun, steps: Accuracy = STEPS
-    ) -> tuple[Features, Bool[np.ndarray, " lanes"]]:
+    def __call__(self, first: int, end: int, begun: Begun) -> tuple[Features, Bool[np.ndarray, " lanes"]]:
+        """Features of lanes of the chunk from `first` to before `end`, and which of them went round as they should."""
+        return self.of(self.given(first, end), begun)
+
+    def of(self, given: Given, begun: Begun, steps: Accuracy = STEPS) -> tuple[Features, Bool[np.ndarray, " lanes"]]:
         """Features of some of the lanes that are `given`, and which of them went round as they should."""
         lanes, scene = begun.lanes, self._scene
         known = dict(zip(self._driving.return_states, begun.state, strict=True))

@@ -25,6 +25,9 @@ ACCEPTED = 1e-10
 
 MOST_ITERATIONS = 8
 
+SAME = 1e-6
+"""Distance over the scales within which two states of an orbit are one."""
+
 States = Float[np.ndarray, "lanes cycles states"]
 Index = Int[np.ndarray, " some"]
 ReturnMap = Callable[[Index, Float[np.ndarray, "states segments"]], Mapped]
@@ -39,7 +42,7 @@ class Found(NamedTuple):
     - `residual` (lanes,): greatest return - state, over the scales; infinite where a lane did not return.
     - `product` (lanes, states, states): derivative of the map over the whole repeat.
     - `step`: Newton's step from there, which was not taken; its size is about the distance from the orbit.
-    - `moved` (lanes,): greatest distance from where it began, over the scales.
+    - `moved` (lanes,): greatest distance from where it began, over the scales; infinite where it left the reach.
     - `impacts` in the repeat, the least `margin`, and the `steps` of it, each (lanes,).
     """
 
@@ -87,14 +90,20 @@ def orbits(
     scales = np.where(np.isnan(scales), _swings(best.seen), scales)
     states, residual = begin.copy(), _residual(begin, best, scales)
     at, now = begin, best
+    left = np.zeros(lanes, bool)
     active = np.arange(lanes)
     for _ in range(most):
         on = (residual[active] > enough) & np.isfinite(residual[active])
-        on &= _distance(at, begin[active], scales[active]) <= reach[active]
         active, at, now = active[on], at[on], _of(now, on)
         if not len(active):
             break
         at = at + _step(at, now, scales[active])
+        # From far away it may take thousands of steps to return.
+        on = _distance(at, begin[active], scales[active]) <= reach[active]
+        left[active[~on]] = True
+        active, at = active[on], at[on]
+        if not len(active):
+            break
         now = _evaluated(at, active, go)
         found = _residual(at, now, scales[active])
         before = residual[active]
@@ -104,7 +113,7 @@ def orbits(
         for whole, part in zip(_leaves(best), _leaves(now), strict=True):
             whole[kept] = part[better]
         # What no longer comes closer by much stands at its roundings, or has no orbit here.
-        on = (found < before / 2) | (found > ACCEPTED)
+        on = np.isfinite(found) & ((found < before / 2) | (found > ACCEPTED))
         active, at, now = active[on], at[on], _of(now, on)
     return Found(
         scales=scales,
@@ -113,11 +122,21 @@ def orbits(
         residual=residual,
         product=_product(best.jacobian),
         step=_step(states, best, scales),
-        moved=_distance(states, begin, scales),
+        moved=np.where(left, np.inf, _distance(states, begin, scales)),
         impacts=best.seen.impacts.sum(axis=1),
         margin=best.seen.margin.min(axis=1),
         steps=best.seen.steps.sum(axis=1),
     )
+
+
+def repeats_after(orbit: Found, scale: Float[np.ndarray, "lanes states"]) -> Int[np.ndarray, " lanes"]:
+    """Returns after which orbits repeat: as many as they have states, or fewer, which divide that."""
+    repeat = orbit.states.shape[1]
+    found = np.full(len(orbit.states), repeat)
+    for sooner in (q for q in range(repeat - 1, 0, -1) if repeat % q == 0):
+        apart = np.abs(np.roll(orbit.states, sooner, axis=1) - orbit.states) / scale[:, None]
+        found[np.nanmax(apart, axis=(1, 2)) <= SAME] = sooner
+    return found
 
 
 def _evaluated(states: States, lanes: Index, go: ReturnMap) -> _Evaluated:

@@ -3,22 +3,20 @@
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from vibrojax.engine.batch import Features, Index
+from vibrojax.engine.programs import Given
 from vibrojax.input.definition import Sweep
 from vibrojax.measure.kept_returns import state_name
 from vibrojax.measure.ledger import MOST_CYCLES
 from vibrojax.measure.section import scales
-from vibrojax.periodic.margin import HOW
+from vibrojax.periodic.margin import GRAZING, HOW
 from vibrojax.periodic.measured import Begun, Measuring, begun, joined
-from vibrojax.periodic.newton import ACCEPTED, Found, States, orbits
+from vibrojax.periodic.nearby import REACH, Nearby
+from vibrojax.periodic.newton import ACCEPTED, States, orbits, repeats_after
 from vibrojax.periodic.segments import STEPS, Segments
 from vibrojax.store.variables import ORBIT_REASONS, orbit_name
-
-GRAZING = 1e-5
-"""Margin below which multipliers are not given. Beside a graze the map goes as a root, so its derivative holds over a
-distance of about the margin squared: here that of the residual which is accepted, 1e-10."""
 
 NEAR, FAR = 1e-2, 0.5
 """Least and greatest distance, over the scales, within which an orbit may be a lane's own."""
@@ -26,9 +24,6 @@ NEAR, FAR = 1e-2, 0.5
 DRIFTS = 100.0
 """The same between them, in estimates of how far the lane's period still is from where it settles: a small part of how
 far its state is."""
-
-SAME = 1e-6
-"""Distance over the scales within which two states of an orbit are one."""
 
 OF_THE_LANE = frozenset({"finite", "finished", "steps", "returns", "trend", "cycles", "impacts", "settling_time"})
 """Features of the lane itself, which its orbit does not replace; `impacts` are the same."""
@@ -50,6 +45,7 @@ class Orbits:
         self._scene = sweep.system.driving_part()
         self._measure = Measuring(sweep)
         self._map = Segments(self._scene)
+        self._nearby = Nearby(self._scene, self._measure)
 
     @property
     def described(self) -> dict[str, object]:
@@ -59,6 +55,7 @@ class Orbits:
             "tolerance": STEPS.tolerance,
             "accepted_residual": ACCEPTED,
             "grazing_limit": GRAZING,
+            "nearby_reach": REACH,
             "grazing_margin": HOW,
         }
 
@@ -79,7 +76,8 @@ class Orbits:
             "orbit_reason": np.full(lanes, reason("not-repeating")),
         }
         cycles = np.nan_to_num(features["cycles"]).astype(int)
-        sound = features["finite"] & features["finished"] & (cycles > 0)
+        sound = features["finite"] & features["finished"]
+        unsettled = np.flatnonzero(sound & ((cycles == 0) | (features["trend"] != 0)))
         parameters, _ = self._sweep.lane_values(first, end)
         parameters = {name: parameters[name] for name in self._scene.parameters()}
         parts: list[Begun] = []
@@ -88,7 +86,9 @@ class Orbits:
                 some = np.flatnonzero(sound & (cycles == repeat))
                 if len(some):
                     parts.append(self._find(some, repeat, parameters, features, found))
-            return found | (self._measured(first, end, joined(parts), features, found) if parts else {})
+            given = self._measure.given(first, end)
+            found |= self._nearby(unsettled, parameters, given, features)
+            return found | (self._measured(given, joined(parts), features, found) if parts else {})
 
     def _find(
         self, lanes: Index, repeat: int, parameters: dict[str, np.ndarray], features: Features, found: Features
@@ -105,14 +105,14 @@ class Orbits:
         if "impacts" in features:
             own &= orbit.impacts == features["impacts"][lanes]
         rules = {
-            "not-converged": ~converged,
+            "not-converged": ~converged & np.isfinite(orbit.moved),
             "another-orbit": ~own,
             "near-grazing": orbit.margin < GRAZING,
         }
         found["orbit_reason"][lanes] = np.select(list(rules.values()), list(map(reason, rules)), reason("found"))
         found["orbit_residual"][lanes] = np.where(np.isfinite(orbit.residual), orbit.residual, np.nan)
         found["grazing_margin"][lanes] = np.where(converged & own, orbit.margin, np.nan)
-        found["orbit_cycles"][lanes] = np.where(converged & own, _repeats_after(orbit, scale), 0)
+        found["orbit_cycles"][lanes] = np.where(converged & own, repeats_after(orbit, scale), 0)
         for name, x in zip(self._scene.return_states, orbit.states[:, 0].T, strict=True):
             found[orbit_name(name)][lanes] = np.where(converged & own, x, np.nan)
         right = np.flatnonzero(found["orbit_reason"][lanes] == reason("found"))
@@ -123,11 +123,11 @@ class Orbits:
         found["stable"][lanes[right]] = np.abs(values[:, 0]) < 1
         return begun(lanes[right], orbit.states[right], orbit.times[right], orbit.steps[right])
 
-    def _measured(self, first: int, end: int, orbit: Begun, own: Features, found: Features) -> Features:
+    def _measured(self, given: Given, orbit: Begun, own: Features, found: Features) -> Features:
         """The features of the chunk, of lanes with an orbit measured over it; one that it does not bear out is lost."""
         if not len(orbit.lanes):
             return {}
-        again, whole = self._measure(self._measure.given(first, end), orbit)
+        again, whole = self._measure.of(given, orbit)
         if "impacts" in own:
             whole &= np.abs(again["impacts"] * orbit.cycles - own["impacts"][orbit.lanes]) < 0.5
         lost, kept = orbit.lanes[~whole], orbit.lanes[whole]
@@ -151,13 +151,3 @@ def _last_returns(scene: Any, lanes: Index, repeat: int, features: Features) -> 
     known = scales(swings, features["period"][lanes])
     unknown = [np.full(len(lanes), np.nan)] * (len(rows) - len(known))
     return np.stack(rows, axis=-1), np.stack([*known, *unknown], axis=-1).astype(float)
-
-
-def _repeats_after(orbit: Found, scale: Float[np.ndarray, "lanes states"]) -> Int[np.ndarray, " lanes"]:
-    """Returns after which orbits repeat: as many as they have states, or fewer, which divide that."""
-    repeat = orbit.states.shape[1]
-    found = np.full(len(orbit.states), repeat)
-    for sooner in (q for q in range(repeat - 1, 0, -1) if repeat % q == 0):
-        apart = np.abs(np.roll(orbit.states, sooner, axis=1) - orbit.states) / scale[:, None]
-        found[np.nanmax(apart, axis=(1, 2)) <= SAME] = sooner
-    return found

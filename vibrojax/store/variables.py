@@ -94,6 +94,11 @@ VARIABLES: dict[str, Variable] = {
         "1", "returns after which the orbit itself repeats (a lane may still be on its way)", np.int8
     ),
     "orbit_reason": Variable("1", "what became of the search for the orbit", np.int8, ORBIT_REASONS),
+    "nearby_cycles": Variable(
+        "1", "returns of a stable orbit near a lane that has not settled (0: none was found)", np.int8
+    ),
+    "nearby_impacts": Variable("1", "impacts in the repeat of that orbit"),
+    "nearby_distance": Variable("1", "greatest distance of the last returns from that orbit, over half the swings"),
     "return_time": Variable("s", "time of the return", along="return_index"),
     "return_x1": Variable("m", "position of the bit at the return", along="return_index"),
     "return_x2": Variable("m", "position of the striker at the return", along="return_index"),
