@@ -19,15 +19,15 @@ from vibrojax.measure.section import scales
 from vibrojax.periodic.margin import GRAZING
 from vibrojax.periodic.measured import Measuring, begun
 from vibrojax.periodic.newton import ACCEPTED, Found, States, orbits, repeats_after
-from vibrojax.periodic.segments import Segments
+from vibrojax.periodic.segments import STEPS, Segments
 
 REACH = 0.5
 """Distance, over half the swings, within which all last returns are of a nearby orbit. Of 237 lanes (beta 0.1 to 1.2,
 gamma 0.3 to 1.2) that had one after 40 s, 225 were on it after 300 s; within 0.1 the share is the same."""
 
-MOST_ITERATIONS = 5
+MOST_ITERATIONS = 4
 
-MOST_STEPS = 400
+MOST_STEPS = 300.0
 """Of one return: a hundred are many, and where Newton's method goes astray there may be no return at all."""
 
 PerLane = Float[np.ndarray, " all"]
@@ -41,7 +41,11 @@ class Nearby:
     """Finds stable orbits near lanes that have not settled."""
 
     def __init__(self, scene: Any, measure: Measuring) -> None:
-        self._scene, self._map, self._measure = scene, Segments(scene, most=MOST_STEPS), measure
+        self._scene, self._map, self._measure = (
+            scene,
+            Segments(scene, steps=STEPS._replace(tolerance=1e-9), most=MOST_STEPS),
+            measure,
+        )
 
     def __call__(self, lanes: Index, parameters: dict[str, PerLane], given: Given, features: Features) -> Features:
         """`nearby_cycles`, `nearby_impacts` and `nearby_distance` of some `lanes`, by index; arrays of all lanes.
