@@ -78,14 +78,13 @@ def test_the_same_bits_by_any_chunks():
 def test_not_where_it_is_not_worth_its_while(monkeypatch):
     monkeypatch.undo()
     assert early.WORTH == 2e5
-    few = sweep(lanes=8)
-    assert early.early_ends(read_sweep(few)) is None
-    few["run"]["orbits"] = True
-    assert early.early_ends(read_sweep(few)) is not None
-    few["run"]["end_early"] = False
-    assert early.early_ends(read_sweep(few)) is None
-    asked = read_sweep({"scene": "penetration", "grid": {"frequency": [40.0, 50.0]}})
-    assert early.early_ends(asked) is None
+    few, many = read_sweep(sweep(lanes=8)), sweep(lanes=8, settle=1e5)
+    assert early.early_ends(few) is None
+    assert early.early_ends(read_sweep(many)) is not None
+    many["run"]["end_early"] = False
+    assert early.early_ends(read_sweep(many)) is None
+    pulses = {"scene": "penetration", "grid": {"frequency": [40.0, 50.0]}, "run": {"settle": 1e6}}
+    assert early.early_ends(read_sweep(pulses)) is None
 
 
 BASIS = np.array([[1.0, 0.2, -0.4], [0.3, 1.0, 0.5], [-0.2, 0.1, 1.0]])

@@ -51,7 +51,7 @@ def early_ends(sweep: Sweep) -> "EarlyEnds | None":
     """What finds lanes that need no more steps; None where none can be found, or it is not worth its while."""
     run, scene = sweep.run, sweep.system.driving_part()
     apt = isinstance(run.stepper, Located) and scene.section is not None
-    worth = run.orbits or sweep.lanes * (run.settle + run.observe) >= WORTH
+    worth = sweep.lanes * (run.settle + run.observe) >= WORTH
     return EarlyEnds(sweep) if apt and worth and run.end_early else None
 
 
