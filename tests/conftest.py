@@ -38,6 +38,7 @@ CHECKED = [
     "vibrojax.devices",
     "vibrojax.engine",
     "vibrojax.errors",
+    "vibrojax.chaos",
     "vibrojax.input.axes",
     "vibrojax.input.definition",
     "vibrojax.input.names",

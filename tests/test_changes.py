@@ -28,7 +28,7 @@ def test_objects_stay_themselves():
 def test_settings_and_the_rest():
     sweep = changed("run.settle=200", "observe=4", "end_early=false", 'starts=["stuck"]', "title=over night")
     assert (sweep.run.settle, sweep.run.observe, sweep.run.end_early) == (200.0, 4.0, False)
-    assert sweep.starts == ("stuck",) and sweep.title == "over night"
+    assert list(sweep.starts) == ["stuck"] and sweep.title == "over night"
     assert changed("scene=rotary", "grid.m1=[200.0]").scene == "rotary"
 
 

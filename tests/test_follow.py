@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from exact import run
 from exact.measures import sections
+from scipy.linalg import expm
 
 import vibrojax as vj
 from vibrojax.errors import InputError
@@ -159,6 +160,40 @@ def test_other_scenes_are_followed_too():
     assert set(coupled.special_note.values.tolist()) >= {"the first value is reached", "the last value is reached"}
 
 
+def random_lines(seed, count):
+    """Lines through the box along one parameter each: what is fixed, the parameter, where it begins, and its bounds."""
+    random = np.random.default_rng(seed)
+    wide = {"beta": (0.1, 1.2), "gamma": (0.3, 1.2), "v": (0.5, 3.0), "delta": (-0.01, 0.02)}
+    for _ in range(count):
+        at = {
+            "beta": random.uniform(0.25, 0.6),
+            "gamma": random.uniform(0.6, 0.8),
+            "v": random.uniform(0.6, 2.0),
+            "delta": -0.005,
+        }
+        along = str(random.choice(list(wide)))
+        begin = at.pop(along)
+        yield at, along, begin, wide[along]
+
+
+@pytest.mark.parametrize("line", list(random_lines(11, 8)), ids=lambda line: line[1])
+def test_lanes_begun_beside_orbits_stay_where_these_are_stable_and_leave_where_not(line):
+    """Along random lines: the sweep knows nothing of multipliers or special points."""
+    at, along, begin, span = line
+    family = followed(along=along, at=begin, span=span, start="drive", cycles=1, **at)
+    some = family.isel(point=np.abs(family.multiplier_abs[:, 0].values - 1) > 0.03)
+    count = some.sizes["point"]
+    points = {name: [value] * count for name, value in at.items()} | {along: some[along].values.tolist()}
+    points |= {"start_x1": some.orbit_x1.values.tolist(), "start_v1": [0.0] * count}
+    points |= {"start_x2": (some.orbit_x2.values + 1e-6).tolist(), "start_v2": some.orbit_v2.values.tolist()}
+    run = {"settle": 120.0, "end_early": False}
+    lanes = vj.run_sweep({"scene": "vibro-impact", "points": points, "run": run, "unusual": True}, progress=False)
+    stays = np.abs(lanes.period.values / some.period.values - 1) < 1e-6
+    stays &= (lanes.cycles.values == 1) & (lanes.impacts.values == some.impacts.values)
+    np.testing.assert_array_equal(stays, some.stable.values == 1)
+    assert stays.any()
+
+
 # What is refused
 
 
@@ -182,6 +217,22 @@ def test_what_is_not_right_is_refused(more, says):
     assert "\n" not in str(error.value)
 
 
-def test_a_scene_without_a_section_is_refused():
-    with pytest.raises(InputError, match="section"):
-        vj.follow("penetration", along="force", at=2e5, span=(1e5, 3e5), progress=False)
+def test_rock_begins_to_yield_at_the_force_of_the_linear_answer():
+    """Until it yields, rock and bit are linear: the greatest compression is in proportion to the force."""
+    width, frequency, m1, k3, zeta, threshold = 4e-3, 20.0, 250.0, 3e8, 1.1, 150e3
+    family = vj.follow("penetration", along="force", at=1e5, span=(1e5, 2.5e5), zeta=zeta, progress=False)
+    w0 = np.sqrt(k3 / m1)
+    field = np.array([[0.0, 1.0], [-(w0**2), -2 * zeta * w0]])
+    still = np.array([1 / k3, 0.0])  # under 1 N
+    within, after = expm(field * width), expm(field * (1 / frequency - width))
+    # The state x at the beginning of a pulse is there again after it and the pause.
+    begin = np.linalg.solve(np.eye(2) - after @ within, after @ (still - within @ still))
+    end = still + within @ (begin - still)
+    peak = max((expm(field * t) @ end)[0] for t in np.linspace(0, 4e-3, 4001))
+    [onset] = specials(family, "grazing")
+    assert abs(onset / (threshold / k3 / peak) - 1) < 1e-7
+    below = family.force.values < onset - 1.0
+    assert (family.rate_of_penetration.values[below] == 0).all()
+    assert (family.rate_of_penetration.values[family.force.values > onset + 1.0] > 0).all()
+    [note] = family.special_note.values[family.special_kind.values == KINDS.index("grazing")]
+    assert "rock" in note

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from matplotlib.collections import PathCollection
+from matplotlib.colors import to_hex
 from read_off import axis_labels, legend, meshes, note, titles
 from test_plot import flagged, lanes, points, returns, run, square
 from test_plot_rock import law, rock
@@ -14,7 +15,7 @@ from test_plot_starts import LONG, basin, line, plane, sample
 import vibrojax as vj
 from vibrojax.cli import main
 from vibrojax.errors import InputError
-from vibrojax.plot import picture
+from vibrojax.plot import REGIME_COLOURS, picture
 from vibrojax.plot._margins import PAGE
 from vibrojax.plot._selection import select
 
@@ -76,13 +77,19 @@ def test_variables_of_a_run_are_histories():
     assert np.array_equal(figure.axes[0].lines[0].get_ydata(), ds["v2"])
 
 
-def test_flags_are_numbers_that_the_note_explains():
+def test_flags_have_their_names_on_the_bar():
     ds = lanes(square(7), ("drive",))
     ds["check_regime"] = flagged(
         ds["regime"].dims, np.where(ds["beta"].values[:, None, None] > 0.6, 6, 3) + 0 * ds["regime"]
     )
     figure = picture(ds, variable="check_regime")
-    assert "check_regime: 3 single-impact, 6 irregular" in note(figure)
+    (mesh,) = meshes(figure, "check_regime")
+    cells = mesh.to_rgba(mesh.get_array())
+    regimes = np.array([[REGIME_COLOURS[flag] for flag in row] for row in mesh.get_array().astype(int).tolist()])
+    assert [to_hex(one).upper() for row in cells for one in row] == regimes.ravel().tolist()
+    bar = next(axes for axes in figure.axes if "check regime" in (axes.get_xlabel(), axes.get_ylabel()))
+    names = [text.get_text() for axis in (bar.xaxis, bar.yaxis) for text in axis.get_ticklabels()]
+    assert names == ["single-impact", "irregular"]
 
 
 def test_of_many_starts_a_variable_is_a_map_over_them_or_their_median():
@@ -221,7 +228,7 @@ def test_the_command_takes_the_same(written, monkeypatch):
     argv = ["plot", str(written), "--variable", "stick_fraction", "regime", "--variable", "period"]
     assert main([*argv, "--where", "delta=0.005", "start=stuck", "--colours", "magma"]) == 0
     assert asked["path"] == written.with_suffix(".png")
-    assert asked["how"] == (["stick_fraction", "regime", "period"], {"delta": 0.005, "start": "stuck"}, "magma")
+    assert asked["how"] == (["stick_fraction", "regime", "period"], {"delta": 0.005, "start": "stuck"}, "magma", None)
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 import test_plot as drills
+import test_plot_families as families
 import test_plot_rock as rocks
 import test_plot_starts as starts
 import xarray as xr
@@ -24,10 +25,16 @@ def bit_on_rock(**about):
 
 SINE = {"pulse_shape": "sweep", "parameters": json.dumps({"sweep_rate": 300.0})}
 STUDY = xr.Dataset({"error_worst": ("setting", np.ones(3))})
+BORDERS = xr.Dataset(
+    {"curve": ("vertex", [0]), "kind": ("curve", [0]), "region_area": ("region", [0.5])}, attrs={"axes": "gamma beta"}
+)
 EXPECTED = {
     "response": lambda: bit_on_rock(**SINE),
     "pulses": bit_on_rock,
     "trajectory": drills.KINDS["trajectory"],
+    "families": families.one_family,
+    "border_curves": lambda: BORDERS,
+    "hysteresis": families.carried,
     "work_precision": lambda: STUDY,
     "bifurcation": drills.KINDS["bifurcation"],
     "law_map": rocks.KINDS["law-map"],

@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any
 
@@ -10,7 +9,8 @@ import numpy as np
 import xarray as xr
 
 from vibrojax.engine.labelled import measured_besides, of_orbits
-from vibrojax.errors import Place, shown, suggestion
+from vibrojax.errors import Place
+from vibrojax.families.asked import Asked, read_asked
 from vibrojax.families.begin import known_orbits
 from vibrojax.families.indicators import KINDS
 from vibrojax.families.measured import measured
@@ -19,12 +19,11 @@ from vibrojax.families.problem import STEPS, Problem
 from vibrojax.families.trace import Tracer
 from vibrojax.families.walk import CONVERGED
 from vibrojax.input.definition import Sweep
-from vibrojax.input.read import read_sweep
-from vibrojax.input.values import quantity
+from vibrojax.input.starts import Start
 from vibrojax.label import REGIMES
 from vibrojax.measure.ledger import MOST_CYCLES
 from vibrojax.periodic.margin import HOW
-from vibrojax.physics.parameters import ROTATION, differing
+from vibrojax.physics.parameters import ROTATION, Parameter, differing
 from vibrojax.scenes import HasContact, Scene
 from vibrojax.store.provenance import provenance
 from vibrojax.store.variables import ORBIT_REASONS, REASONS, VARIABLES, Variable, orbit_name
@@ -45,6 +44,7 @@ def follow(
     span: tuple[float, float],
     start: str | Sequence[float] | None = None,
     settle: float = 40.0,
+    observe: float = 8.0,
     cycles: int = MOST_CYCLES,
     progress: bool = True,
     **parameters: Any,
@@ -63,7 +63,8 @@ def follow(
     - `scene`: a name or a scene; `parameters`: any of its (SI), as `simulate` takes them. One or several may be
       sequences of one length: then as many families are followed, all at once, numbered along `family`.
     - `along`: the name of the parameter; `at`: its value where the family begins; `span`: its bounds, `at` between.
-    - `start`: of the motion that settles, by default the scene's first; `settle` [s]: for how long it does.
+    - `start`: of the motion that settles, by default the scene's first; `settle` [s]: for how long it does, and
+      `observe` [s]: how long it is then watched, nine returns at least.
     - `cycles`: the most returns of doubled branches that are followed, 1 to 8; 1 for no such branch.
     - `progress`: whether to say on stderr how far it is.
 
@@ -76,70 +77,18 @@ def follow(
 
     **Raises:** `InputError` where a name or value is not right, or the motion does not settle on a periodic orbit.
     """
-    place = Place("follow")
-    sweep, low, high = _read(place, scene, along, at, span, start, settle, cycles, parameters)
+    return follow_asked(read_asked(scene, along, at, span, start, settle, observe, cycles, parameters), progress)
+
+
+def follow_asked(asked: Asked, progress: bool = True) -> xr.Dataset:
+    """The families, as `follow` gives them; raises `InputError` where there is no orbit to begin with."""
+    sweep, along = asked.sweep, asked.along
     dataset = run_sweep(sweep, progress=progress)
-    problem, families, first = _problem(place, sweep, dataset, along, low, high)
-    legs = Tracer(problem, cycles=cycles)(families, first)
+    problem, families, first = _problem(Place("follow"), sweep, dataset, along, asked.low, asked.high)
+    legs = Tracer(problem, cycles=asked.cycles)(families, first)
     points, special = in_order(legs)
     found = measured(sweep, problem, points, columns(problem, points))
     return _dataset(sweep, problem, points, special, found, along)
-
-
-def _read(
-    place: Place,
-    scene: str | Scene[Any],
-    along: str,
-    at: float,
-    span: tuple[float, float],
-    start: object,
-    settle: float,
-    cycles: int,
-    parameters: Mapping[str, Any],
-) -> tuple[Sweep, float, float]:
-    """The sweep of the points at which families begin, and the bounds of the parameter."""
-    several = {name: list(x) for name, x in parameters.items() if _is_column(x)}
-    sizes = {name: len(x) for name, x in several.items()}
-    if len(set(sizes.values())) > 1:
-        lengths = ", ".join(f"{name} {size}" for name, size in sizes.items())
-        raise place.error(
-            f"sequences of different lengths ({lengths}); give one family's values at the same place of each"
-        )
-    if any(size == 0 for size in sizes.values()):
-        raise place.at(next(name for name, size in sizes.items() if size == 0)).error("is empty; give a value")
-    count = next(iter(sizes.values()), 1)
-    if along in parameters:
-        raise place.at(along).error("is what the family is followed along; give its value as at")
-    if not isinstance(cycles, int) or not 1 <= cycles <= MOST_CYCLES:
-        raise place.at("cycles").error(f"{shown(cycles)} is not a whole number from 1 to {MOST_CYCLES}")
-    tables: dict[str, Any] = {
-        "scene": scene,
-        "points": {along: [at] * count} | several,
-        "parameters": {name: x for name, x in parameters.items() if name not in several},
-        "run": {"orbits": True, "settle": settle},
-    }
-    if start is not None:
-        tables["starts"] = [start]
-    sweep = read_sweep(tables)
-    sweep = replace(sweep, starts=sweep.starts and sweep.starts[:1])
-    known = sweep.system.parameters()
-    if along not in known:
-        raise place.at("along").error(f"{shown(along)} is no parameter of the scene; {suggestion(along, known)}")
-    try:
-        first, last = span
-    except (TypeError, ValueError):
-        raise place.at("span").error(f"{shown(span)} is no pair of numbers; give the bounds of {along}") from None
-    bounds = [quantity(place.at(name), x, known[along]) for name, x in (("from", first), ("to", last))]
-    low, high = sorted(bounds)
-    if not low < high:
-        raise place.at("to").error(f"{high:g} is the same as from; give the two bounds of {along}")
-    if not low <= at <= high:
-        raise place.at("at").error(f"{at:g} is not between the bounds {low:g} and {high:g}")
-    return sweep, low, high
-
-
-def _is_column(x: object) -> bool:
-    return isinstance(x, (list, tuple)) or (isinstance(x, np.ndarray) and x.ndim > 0)
 
 
 def _problem(
@@ -190,7 +139,7 @@ def _dataset(
     """The dataset of families."""
     found, at_special = columns(problem, points), columns(problem, [one.point for one in special])
     system, known = problem.scene, sweep.system.parameters()[along]
-    about = {"units": known.unit, "long_name": known.long_name, "symbol": known.symbol}
+    about = _described(known)
     table = VARIABLES | measured_besides(sweep.system) | of_orbits(sweep.system)
     stable = np.where(np.isfinite(found.multiplier_abs).all(axis=1), found.multiplier_abs[:, 0] < 1, -1)
     section_states = zip(map(orbit_name, system.return_states), states(problem, points).T, strict=True)
@@ -237,15 +186,14 @@ def _dataset(
         coordinates["family"] = ("family", np.arange(sweep.lanes), of_family)
         parameters = dict(sweep.system.parameters()) | ROTATION
         for name, x in several.items():
-            described = {"units": parameters[name].unit, "long_name": parameters[name].long_name}
-            coordinates[name] = ("family", x, described)
+            coordinates[name] = ("family", x, _described(parameters[name]) if name != "rock" else {"long_name": "rock"})
     attributes = {
         "title": f"Families of periodic orbits of {sweep.scene} over {along}",
         "scene": sweep.scene,
         **provenance(),
         "history": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} follow",
         **sweep.options,
-        **({} if sweep.starts is None else {"start": json.dumps(sweep.starts[0])}),
+        **({} if sweep.starts is None else {"start": _start_text(sweep.starts[0])}),
         "along": along,
         "span": [float(problem.first[0]), float(problem.last[0])],
         "parameters": json.dumps({name: x for name, x in sweep.parameters.items() if name != along}),
@@ -261,3 +209,11 @@ def _dataset(
         "Conventions": "CF-1.11",
     }
     return xr.Dataset(variables, coordinates, attributes)
+
+
+def _described(parameter: Parameter) -> dict[str, str]:
+    return {"units": parameter.unit, "long_name": parameter.long_name, "symbol": parameter.symbol}
+
+
+def _start_text(start: Start) -> str:
+    return start if isinstance(start, str) else json.dumps(start)

@@ -10,8 +10,6 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Bool
 
-from vibrojax.borders.curves import Border, Vertex, around_region
-from vibrojax.borders.spread import Cell, Loss, Orbits, Planes, spread
 from vibrojax.errors import InputError, shown
 from vibrojax.families.begin import known_orbits
 from vibrojax.families.indicators import KINDS
@@ -20,6 +18,8 @@ from vibrojax.found_orbits import sweep_with_orbits
 from vibrojax.input.definition import Sweep
 from vibrojax.label import SINGLE_IMPACT, UNDECIDED
 from vibrojax.physics.parameters import differing
+from vibrojax.regions.curves import Border, Vertex, around_region
+from vibrojax.regions.spread import Cell, Loss, Orbits, Planes, spread
 from vibrojax.scenes import HasContact
 from vibrojax.store.provenance import provenance
 from vibrojax.store.variables import Variable
@@ -73,6 +73,8 @@ def checked(sweep: Sweep, axes: tuple[str, str] | None) -> tuple[str, str]:
     """The axes of the plane; raises `InputError` where the sweep has no such plane, or no impacts."""
     if not isinstance(sweep.system, HasContact):
         raise InputError(f'borders: scene "{sweep.scene}" has no impacts; give a sweep of one with a striker')
+    if sweep.run.carry is not None:
+        raise InputError("borders: lanes of this sweep are carried, so they have no starts; leave carry out")
     long = {name: len(values) for name, values in sweep.axes.items() if len(values) > 1}
     if len(long) < 2:
         raise InputError("borders: the sweep has no two axes of two values or more; give one with a [grid] of two")
@@ -178,7 +180,8 @@ class _Regions:
         parameters = self._sweep.system.parameters()
 
         def about(name: str, long_name: str = "") -> dict[str, str]:
-            return {"units": parameters[name].unit, "long_name": long_name or parameters[name].long_name}
+            one = parameters[name]
+            return {"units": one.unit, "long_name": long_name or one.long_name, "symbol": one.symbol}
 
         vertices = np.concatenate([piece.points for piece, _, _ in found]) if found else np.zeros((0, 2))
         number = np.repeat(np.arange(len(found)), [len(piece.points) for piece, _, _ in found])

@@ -38,14 +38,21 @@ def orbits(
 
     - `multiplier_abs` [1], `multiplier_arg` [rad] along `multiplier`, by falling modulus: the eigenvalues of the map's
       derivative over the whole repeat; and `stable`: 1, 0, or -1 where there are none.
-    - `orbit_reason`: whether it was found, or why not. `orbit_residual`: the greatest return - state, over the scales
-      of labels; `grazing_margin`: how far the order of events is from changing (the attribute `orbits` says how).
+    - `orbit_reason`: *found*, or why there is none: the lane is *not-repeating* or was *refused*; Newton's method is
+      *not-converged*; the orbit is *near-grazing*, so that multipliers would mean nothing; or it is *another-orbit*
+      than the lane's own: too far from it, with other impacts, or not borne out by a simulation.
+    - `orbit_residual`: the greatest return - state, over the scales of labels; `grazing_margin`: how far the order of
+      events is from changing (the attribute `orbits` says how).
     - `orbit_cycles`: returns after which the orbit repeats; fewer than the lane's `cycles` where a lane is still on its
       way to a shorter repeat than it shows. The multipliers are those over `cycles` returns.
 
     Of a lane with a found orbit, `period` and what is measured over the repeat are the orbit's.
 
-    **Raises:** `InputError` where it is no sweep's dataset, or the sweep cannot be run, or the scene has no section.
+    In penetration a return is the beginning of a pulse, and a lane repeats where the map itself, followed from its last
+    pulse, comes back after 1 to 8 of them.
+
+    **Raises:** `InputError` where it is no sweep's dataset, or the sweep cannot be run, or the scene has neither a
+    section nor pulses.
     """
     if isinstance(source, xr.Dataset) and "orbit_reason" in source:
         return source

@@ -1,9 +1,10 @@
 """From features to regimes: one flag per lane, by rules of which the first that holds decides."""
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int8, Shaped
+from jaxtyping import Bool, Float, Int8, Shaped
 
 UNDECIDED, EQUILIBRIUM, IMPACT_FREE, SINGLE_IMPACT, MULTI_IMPACT, SUBHARMONIC, IRREGULAR, FAILED = range(8)
 
@@ -37,6 +38,8 @@ COMPARED = ("period", "impact_velocity", "bit_amplitude", "striker_amplitude")
 FEWEST_RETURNS = 9
 """Fewest returns to the section that show a repeat."""
 
+PerStart = Float[np.ndarray, "points starts"]
+
 
 def label(
     features: Mapping[str, Shaped[np.ndarray, "..."]],
@@ -56,7 +59,7 @@ def label(
     **Arguments:**
 
     - `features`: from [vibrojax.measure][], those of `LABELLED_BY`; arrays of one shape. `impacts` may be absent (no
-      contact).
+      contact), and `bit_amplitude` (no bit, and no equilibrium).
     - `rest_coefficient`: mu(0+) [1]; `m1` [kg], `g` [m/s²], `k1` [N/m]: arrays that broadcast to that shape.
 
     **Returns:** flags, see `REGIMES`.
@@ -66,7 +69,7 @@ def label(
     swing = EQUILIBRIUM_SWING * np.maximum(rest_coefficient, LEAST_FRICTION) * m1 * g / k1
     rules = [
         (~(features["finite"] & features["finished"]), FAILED),
-        (features["bit_amplitude"] < swing, EQUILIBRIUM),
+        (features.get("bit_amplitude", np.full_like(swing, np.inf)) < swing, EQUILIBRIUM),
         ((features["returns"] < FEWEST_RETURNS) | (features["trend"] != 0), UNDECIDED),
         ((cycles == 1) & (impacts == 0), IMPACT_FREE),
         ((cycles == 1) & (impacts == 1), SINGLE_IMPACT),
@@ -89,18 +92,39 @@ def hides_another(
     - `features`: by name; the lanes of a point, `starts` of them, stand one after the other.
     - `regime`: the labels.
     """
-    known = [np.asarray(features[name], float).reshape(-1, starts) for name in COMPARED if name in features]
     label, repeats = regime.reshape(-1, starts), features["cycles"].reshape(-1, starts) > 0
     error = np.asarray(features["error_estimate"], float).reshape(-1, starts)
-    hidden = np.zeros(label.shape, np.int8)
-    for shift in range(1, starts):
+    known = [np.asarray(features[name], float).reshape(-1, starts) for name in COMPARED if name in features]
+    hidden = np.zeros(label.shape, bool)
+    for flag in np.unique(label[repeats]):
+        for x in known:
+            hidden |= _away(x, error, repeats & (label == flag) & np.isfinite(x) & np.isfinite(error))
+    return hidden.ravel().astype(np.int8)
 
-        def other(x: np.ndarray, shift: int = shift) -> np.ndarray:
-            return np.roll(x, shift, axis=1)
 
-        within = SAME_WITHIN + error + other(error)
-        with np.errstate(invalid="ignore"):  # infinite estimates, and motions without impact
-            apart = [np.abs(x - other(x)) > within * np.maximum(np.abs(x), np.abs(other(x))) for x in known]
-        pairs = repeats & other(repeats) & (label == other(label))
-        hidden[pairs & np.any(apart, axis=0)] = 1
-    return hidden.ravel()
+def _away(x: PerStart, error: PerStart, among: Bool[np.ndarray, "points starts"]) -> Bool[np.ndarray, "points starts"]:
+    """Lanes `among` those of a point another of which differs in `x` by more than the two errors leave open.
+
+    The lanes of the point's least and greatest value show nearly all of them. Of the others only those are compared
+    with all lanes for which the farthest is far enough, were its error nothing: the time goes with the lanes.
+    """
+    least, greatest = (np.where(among, x, end) for end in (np.inf, -np.inf))
+    found = np.zeros(x.shape, bool)
+    for farthest in (least.argmin(axis=1), greatest.argmax(axis=1)):
+        one = farthest[:, None]
+        there = np.take_along_axis(among, one, 1)
+        found |= among & there & _differ(x, error, np.take_along_axis(x, one, 1), np.take_along_axis(error, one, 1))
+    with np.errstate(invalid="ignore"):  # points without such lanes
+        reach = np.maximum(x - least.min(axis=1)[:, None], greatest.max(axis=1)[:, None] - x)
+        open_ = among & ~found & (reach > (SAME_WITHIN + error) * np.abs(x))
+    for point, start in zip(*np.nonzero(open_), strict=True):
+        with_all = _differ(x[point, start], error[point, start], x[point], error[point])
+        found[point, start] = np.any(with_all & among[point])
+    return found
+
+
+def _differ(x: Any, error: Any, other: Any, other_error: Any) -> Any:
+    """Whether two values differ by more than the part of the greater that errors leave open."""
+    within = SAME_WITHIN + error + other_error
+    with np.errstate(invalid="ignore"):  # motions without impact
+        return np.abs(x - other) > within * np.maximum(np.abs(x), np.abs(other))

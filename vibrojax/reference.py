@@ -11,13 +11,14 @@ import jax.numpy as jnp
 import pandas as pd
 
 from vibrojax.devices import precision
-from vibrojax.engine.labelled import of_orbits
+from vibrojax.engine.labelled import measured_besides, of_orbits
 from vibrojax.errors import Place
 from vibrojax.input.names import Names, read_names
 from vibrojax.input.offered import enter_offered
 from vibrojax.input.points import VECTOR
 from vibrojax.input.run_settings import MEANINGS, RunSettings
-from vibrojax.measure import gauge_named, recorder_for
+from vibrojax.input.starts import PLANE, SAMPLE
+from vibrojax.measure import recorder_for
 from vibrojax.measure.run import Effort, run_block
 from vibrojax.physics.friction import FRICTION_LAWS
 from vibrojax.physics.parameters import ROTATION, Parameter
@@ -25,7 +26,7 @@ from vibrojax.physics.rock import ROCKS
 from vibrojax.scenes import SCENES, HasFriction, HasRock, Scene
 from vibrojax.scenes.penetration import PULSE_SHAPES
 from vibrojax.stepping import Wanted, stepper_named
-from vibrojax.store.variables import VARIABLES, Variable
+from vibrojax.store.variables import VARIABLES
 from vibrojax.words import glossary
 
 COLUMNS = ["symbol", "default", "units", "range", "usual", "meaning", "where"]
@@ -85,11 +86,8 @@ def list_variables(scene: str | Scene[Any]) -> pd.DataFrame:
     system = read_names(Place("scenes"), scene).system
     measured = set(_features(system))
     labelled = {"regime", "check_regime", "drift_estimate", "hidden_motion"} if system.section is not None else set()
-    known = VARIABLES | {
-        name: Variable(*about) for gauge in system.measures for name, about in gauge_named(gauge).variables.items()
-    }
-    known |= of_orbits(system)
-    found = {*_OF_ORBITS, *of_orbits(system)} if system.section is not None else set()
+    known = VARIABLES | measured_besides(system) | of_orbits(system)
+    found = {*_OF_ORBITS, *of_orbits(system)} if of_orbits(system) else set()
     there = measured | labelled | found | {"status", "reason", "error_estimate"}
     rows = {name: {"units": one.units, "meaning": one.long_name} for name, one in known.items() if name in there}
     return pd.DataFrame.from_dict(rows, orient="index").rename_axis("variable")
@@ -110,7 +108,8 @@ def scene_text(scene: str) -> str:
     if system.start_states:
         states = ", ".join(f"{VECTOR}{state}" for state in system.start_states)
         starts += f", or a vector [{', '.join(system.start_states)}]; in a list of points: columns {states}"
-    parts.append(starts if system.starts else "starts: always the same")
+        starts += f"; many: {SAMPLE}, or {PLANE}"
+    parts.append(starts if names.has_starts else "starts: always the same")
     if names.has_rock:
         rocks = (f"{name} ({one.threshold / 1e3:g} kN, {one.k3 / 1e6:g} MN/m)" for name, one in ROCKS.items())
         parts.append(f"rock, in place of threshold and k3: {', '.join(rocks)}")
@@ -126,7 +125,7 @@ def scene_text(scene: str) -> str:
 
 def _words(scene: Scene[Any]) -> list[str]:
     """The words that a scene's tables use."""
-    returns = ["section", "return", "regime"] if scene.section is not None else []
+    returns = ["section", "return", "regime", "orbit", "multiplier"] if scene.section is not None else []
     relief = ["relief P/D"] if isinstance(scene, HasRock) else []
     return ["lane", *returns, *relief, "reading R1, R2, ..."]
 

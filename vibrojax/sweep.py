@@ -17,14 +17,16 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
+from vibrojax.chaos import Natures
 from vibrojax.engine.batch import Features, Report, unreported
-from vibrojax.engine.chunks import Chunks
+from vibrojax.engine.carried import Carried
+from vibrojax.engine.chunks import Beyond, Chunks
 from vibrojax.engine.costs import by_the_clock, processor_time
 from vibrojax.engine.labelled import dataset_of
 from vibrojax.engine.resources import Cost, check_size
 from vibrojax.input.definition import Sweep
 from vibrojax.input.read import read_sweep
-from vibrojax.periodic import Orbits, early_ends
+from vibrojax.periodic import Nearby, Orbits, early_ends
 from vibrojax.progress import Progress
 from vibrojax.store.dataset import write_dataset
 from vibrojax.store.finished import check_replaceable
@@ -94,7 +96,7 @@ def run_to_file(sweep: Sweep, out: Path, resume: bool = True, progress: bool = T
 
 def estimate(sweep: Sweep) -> Cost:
     """What a sweep will take, before any work; the time is rough (see [vibrojax.engine.costs][])."""
-    chunks = Chunks(sweep)
+    chunks = _chunks(sweep)
     per_lane = 8 * (len(VARIABLES) + 6 * sweep.run.keep_returns)
     processor, cores = processor_time(chunks), len(chunks.engine.workers)
     passing = by_the_clock(processor, cores)
@@ -112,7 +114,23 @@ def estimate(sweep: Sweep) -> Cost:
 
 
 def _chunks(sweep: Sweep) -> Chunks:
-    return Chunks(sweep, Orbits(sweep) if sweep.run.orbits else None, early_ends(sweep))
+    if sweep.run.carry is None:
+        return Chunks(sweep, _beyond(sweep), early_ends(sweep))
+    return Carried(sweep, _beyond(sweep))
+
+
+def _beyond(sweep: Sweep) -> Beyond | None:
+    """What is to be found of lanes that have been observed."""
+    parts: list[Beyond] = [Orbits(sweep), Nearby(sweep)] if sweep.run.orbits else []
+    parts += [Natures(sweep)] if sweep.run.lyapunov else []
+
+    def found(first: int, end: int, features: Features) -> Features:
+        more: Features = {}
+        for part in parts:
+            more |= part(first, end, features | more)
+        return more
+
+    return found if parts else None
 
 
 def _read_or_compute(shards: Shards, chunks: Chunks, index: int) -> Features:
@@ -159,7 +177,9 @@ def _assembled(sweep: Sweep, chunks: Chunks, parts: list[Features], wall_time: f
     with _quiet():
         dataset = dataset_of(sweep, features, solver, wall_time)
     if sweep.run.orbits:
-        dataset.attrs["orbits"] = json.dumps(Orbits(sweep).described)
+        dataset.attrs["orbits"] = json.dumps(Orbits(sweep).described | Nearby(sweep).described)
+    if sweep.run.lyapunov:
+        dataset.attrs["lyapunov"] = json.dumps(Natures(sweep).described)
     return dataset
 
 

@@ -87,7 +87,7 @@ class Motion:
 
 
 def initial(scene: Scene, start) -> np.ndarray:
-    """R5, R13, or a vector [x1, x1', x2, x2']; the rock begins at rest at zero."""
+    """R5, R13, or a vector [x1, x1', x2, x2'], or [..., x3 - x4, x3'] with rock, which else begins at rest at zero."""
     y = np.zeros(len(scene.entries))
     y[-1] = 1.0
     if scene.drill:
@@ -97,7 +97,8 @@ def initial(scene: Scene, start) -> np.ndarray:
             "stuck": (0.0, -p.v, 0.0, 0.0),
             "touching": (0.0, 0.0, min(0.0, getattr(p, "delta", 0.0)), 0.0),
         }
-        y[:4] = named[start] if isinstance(start, str) else start
+        given = named[start] if isinstance(start, str) else start
+        y[: len(given)] = given
     return y
 
 

@@ -168,8 +168,9 @@ class Scene:
     def first(self, y, given=None) -> Phase:
         """The phase in which a motion begins at t = 0."""
         p, bit, striker, rock = self.p, None, None, None
-        if self.rock:  # x3 = x3' = 0, on the edge between off and elastic
-            rock = "off" if given is not None and given(np.zeros(1))[0] < 0 else "elastic"
+        if self.rock:  # x3 = x3' = 0 is on the edge between off and elastic
+            lifted = self.row["e"] @ y < 0 or (given is not None and given(np.zeros(1))[0] < 0)
+            rock = "off" if lifted else "elastic"
         if self.contact:
             at_rest = Phase(1, "apart", rock)
             towards = (self.compression() @ y, self.rate(at_rest) @ y, self.rates(at_rest)["v2"] @ y)

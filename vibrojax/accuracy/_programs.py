@@ -164,7 +164,7 @@ class Diffrax(Program):
         values, start = self._sweep.lane_values(0, count)
         scene = self._sweep.system
         p = scene.constants({name: jnp.asarray(x, self._precision) for name, x in values.items()})
-        each = [scene.start(p, name, (count,)) for name in self._sweep.starts or ()]
+        each = [scene.start(p, name, (count,)) for name in self._sweep.start_names]
         return p, tuple(jnp.stack(column)[start, np.arange(count)] for column in zip(*each, strict=True))
 
 

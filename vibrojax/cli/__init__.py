@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import NoReturn, TextIO
 
-from vibrojax.cli import accuracy, borders, fit, info, orbits, plot, reproduce, scenes, simulate, sweep
+from vibrojax.cli import accuracy, borders, fit, follow, info, orbits, plot, reproduce, scenes, simulate, sweep
 from vibrojax.cli._command import Command, Options
 from vibrojax.cli._complete import complete
 from vibrojax.errors import InputError
@@ -29,6 +29,7 @@ _COMMANDS: dict[str, Command] = {
     "sweep": sweep,
     "simulate": simulate,
     "orbits": orbits,
+    "follow": follow,
     "borders": borders,
     "plot": plot,
     "info": info,

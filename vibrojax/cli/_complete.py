@@ -6,6 +6,10 @@ It takes `pip install vibrojax[completion]`, and in the shell: eval "$(register-
 import os
 from argparse import Action, ArgumentParser, Namespace
 from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from vibrojax.input.names import Names
 
 Completer = Callable[..., Iterable[str]]
 """Gives the words that may begin with `prefix`, by what was parsed before it."""
@@ -58,12 +62,30 @@ def files(*endings: str) -> Callable[..., list[str]]:
 
 
 def values(prefix: str, parsed_args: Namespace, **_: object) -> list[str]:
-    """NAME= of the scene's parameters and of the settings, and behind it the names that may stand there."""
+    """NAME= of the scene's parameters and the settings of `simulate`, and behind it the names that may stand there."""
     from vibrojax.cli.simulate import SETTINGS
+    from vibrojax.stepping import STEPPERS
+
+    return _values(prefix, parsed_args, SETTINGS, lambda names: {"method": tuple(STEPPERS)})
+
+
+def follow_values(prefix: str, parsed_args: Namespace, **_: object) -> list[str]:
+    """The same with the settings of `follow`."""
+    from vibrojax.cli.follow import SETTINGS
+
+    return _values(prefix, parsed_args, SETTINGS, lambda names: {"along": tuple(names.parameters)})
+
+
+def _values(
+    prefix: str,
+    parsed_args: Namespace,
+    settings: tuple[str, ...],
+    besides: "Callable[[Names], dict[str, tuple[str, ...]]]",
+) -> list[str]:
+    """NAME= of a scene's parameters and of `settings`, and behind it names; `besides`: those of settings."""
     from vibrojax.errors import InputError, Place
     from vibrojax.input.names import CHOICES, read_names
     from vibrojax.physics.rock import ROCKS
-    from vibrojax.stepping import STEPPERS
 
     given = [str(word).partition("=") for word in getattr(parsed_args, "values", None) or ()]
     chosen = {name: value for name, _, value in given if name in CHOICES}
@@ -73,8 +95,8 @@ def values(prefix: str, parsed_args: Namespace, **_: object) -> list[str]:
         return []
     rock = {"rock": tuple(ROCKS)} if names.has_rock else {}
     starts = {"start": names.starts} if names.starts else {}
-    choices = {name: tuple(CHOICES[name]) for name in names.options} | starts | rock | {"method": tuple(STEPPERS)}
-    there = [*choices, *names.writable, *SETTINGS]
+    choices = {name: tuple(CHOICES[name]) for name in names.options} | starts | rock | besides(names)
+    there = [*choices, *names.writable, *settings]
     taken = {name for name, _, _ in given}
     name, equals, _value = prefix.partition("=")
     if equals:

@@ -2,6 +2,7 @@
 
 from typing import TYPE_CHECKING, Any
 
+from vibrojax.cli._family_lines import family_facts
 from vibrojax.cli._json import flags, from_json, numbers
 
 if TYPE_CHECKING:
@@ -17,7 +18,8 @@ def facts(dataset: "xarray.Dataset", file: str) -> dict[str, Any]:
     `file`, `title`, `scene`, `friction`, `pulse_shape`, `source`, `jax`, `along`, `history` (lines, the newest first);
     `dimensions` and `variables` by name; `parameters`, `differing`, `run`, `solver`, `columns`, `certified` as the
     attributes have them; `lanes`; `regimes`: lanes by regime; `orbits`: lanes by `reason` and by
-    `stable`; `failures`: lanes by reason; `accuracy`; `found`: of one
+    `stable`; `natures`: lanes by nature; `families`: what `follow --json` prints of them; `failures`: lanes by reason;
+    `accuracy`; `found`: of one
     motion; `wall_time_s`.
     """
     attributes = dataset.attrs
@@ -34,6 +36,8 @@ def facts(dataset: "xarray.Dataset", file: str) -> dict[str, Any]:
         "lanes": lanes,
         "regimes": {} if motion else _counted(dataset, "regime"),
         "orbits": {} if motion else _orbits(dataset),
+        "natures": {} if motion else _counted(dataset, "nature"),
+        "families": family_facts(dataset),
         "failures": _failures(dataset),
         "accuracy": _accuracy(dataset),
         "found": found(dataset) if motion else {},

@@ -19,7 +19,8 @@ def orbit_lines(dataset: "xarray.Dataset") -> list[str]:
     which = f"{(stable == 1).sum()} stable, {(stable == 0).sum()} unstable"
     found = f"{counts['found']} found of {asked} lanes that repeat: {which}"
     others = [f"{count} {meaning}" for meaning, count in counts.items() if count and meaning != "found"]
-    sooner = int(((dataset["orbit_cycles"] > 0) & (dataset["orbit_cycles"] < dataset["cycles"])).sum())
+    cycles, own = dataset["orbit_cycles"], dataset.get("cycles")
+    sooner = int(((cycles > 0) & (cycles < own)).sum()) if own is not None else 0
     if sooner:
         others.append(f"{sooner} lanes are on their way to an orbit that repeats sooner than they do")
     return [found, *others, *_limit(dataset), *_nearby(dataset)]

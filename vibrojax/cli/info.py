@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from vibrojax.cli._command import Options
 from vibrojax.cli._complete import files, with_completer
 from vibrojax.cli._facts import facts
+from vibrojax.cli._family_lines import family_lines
 from vibrojax.cli._found import found_lines
 from vibrojax.cli._json import HELP, flags, print_json
 from vibrojax.cli._orbit_lines import orbit_lines
@@ -60,6 +61,8 @@ def describe(dataset: "xarray.Dataset") -> list[str]:
         ("found", found_lines(dataset)),
         ("regimes", _regimes(dataset) + _hidden(dataset)),
         ("orbits", orbit_lines(dataset)),
+        ("natures", _natures(dataset)),
+        ("families", family_lines(dataset)),
         ("failures", _failures(dataset)),
         ("accuracy", _accuracy(dataset) + _flips(dataset)),
     ]
@@ -124,6 +127,21 @@ def _regimes(dataset: "xarray.Dataset") -> list[str]:
     total = max(regime.size, 1)
     counted = [(meaning, int((regime.values == value).sum())) for value, meaning in flags(regime).items()]
     return [f"{meaning:<14}{count:>9}{100 * count / total:>7.1f} %" for meaning, count in counted if count]
+
+
+def _natures(dataset: "xarray.Dataset") -> list[str]:
+    """How many lanes are periodic, chaotic and so on, and how many of them those labels call irregular."""
+    if "nature" not in dataset or "regime" not in dataset:
+        return []
+    nature = dataset["nature"]
+    labels = [flag for flag, name in flags(dataset["regime"]).items() if name == "irregular"]
+    irregular = dataset["regime"].isin(labels).values
+    counted = ((name, nature.values == flag) for flag, name in flags(nature).items())
+    return [
+        f"{name:<14}{int(here.sum()):>9}{int((here & irregular).sum()):>9} of them irregular"
+        for name, here in counted
+        if here.any()
+    ]
 
 
 def _hidden(dataset: "xarray.Dataset") -> list[str]:

@@ -30,6 +30,14 @@ def arguments(parser: ArgumentParser) -> None:
         nargs="+",
         help="draw only the lanes there, as in delta=0.005 start=stuck",
     )
+    over = parser.add_argument(
+        "--over",
+        metavar="FAMILY.nc",
+        action="extend",
+        nargs="+",
+        help="over the returns of a sweep: what vibrojax follow has found along its axis",
+    )
+    with_completer(over, files(".nc"))
     parser.add_argument("--colours", metavar="MAP", help="matplotlib's colour map for quantities")
 
 
@@ -40,12 +48,13 @@ def run(options: Options) -> None:
     path, where = Path(options.file), _values(options.where or ())
     with timed("read"):
         dataset = open_dataset(path)
+        over = [open_dataset(Path(name)) for name in options.over or ()] or None
     with dataset:
         picture = output(options.out, PICTURES) if options.out else picture_beside(path)
         from vibrojax.plot import save_picture
 
         with timed("draw"):
-            save_picture(dataset, picture, options.variable, where, options.colours)
+            save_picture(dataset, picture, options.variable, where, options.colours, over)
     if not options.quiet:
         print(picture)
 

@@ -59,7 +59,7 @@ def run(options: Options) -> None:
     dataset_written(options, out)
     drawn = draw(dataset, picture)
     if not options.quiet:
-        each = "a point from one start each" if sweep.starts or sweep.point_vectors else "a point each"
+        each = "a point from one start each" if sweep.starts is not None or sweep.point_vectors else "a point each"
         print(f"{out}: {sweep.lanes} lanes ({each}){drawn}")
 
 

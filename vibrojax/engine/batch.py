@@ -16,7 +16,7 @@ from vibrojax.devices import precision
 from vibrojax.engine.by_llvm import ByLlvm
 from vibrojax.engine.by_xla import ByXla
 from vibrojax.engine.parallel import in_parallel
-from vibrojax.engine.programs import Given, Kind, Programs
+from vibrojax.engine.programs import CARRIED, Given, Kind, Programs
 from vibrojax.input.definition import Sweep
 from vibrojax.kernels import Untranslatable
 from vibrojax.measure.recorder import Records
@@ -95,7 +95,7 @@ class Engine:
         self.accelerated = workers[0].platform != "cpu"
         self.most_steps = MOST_STEPS
         self._dtype = np.dtype(sweep.run.precision)
-        kind = Kind(sweep.system, stepper, recorder, sweep.start_names)
+        kind = Kind(sweep.system, stepper, recorder, sweep.start_names, sweep.run.carry is not None)
         self.programs: Programs = ByXla(kind, workers[0].platform) if self.accelerated else ByLlvm(kind, self._dtype)
 
     def given(self, first: int, end: int) -> Given:
@@ -112,19 +112,29 @@ class Engine:
         # Counted in integers: float32 has no number after 2^24, at which such a lane would stay for ever.
         steps = np.zeros(end - first, np.int32)
         run = self.sweep.run
-        batch = Batch(accuracy, given, none + run.settle, none + run.observe, None, steps)
+        if run.carry is not None:
+            given = given._replace(carried=tuple(none for _ in self.sweep.system.states))
+        return self._begun(Batch(accuracy, given, none + run.settle, none + run.observe, None, steps))
+
+    def carried(self, batch: Batch, state: Values) -> Batch:
+        """The batch's lanes at t = 0 in `state`, all states, (lanes,) each; of a sweep that carries lanes."""
+        start = np.full_like(batch.given.start, CARRIED)
+        return self._begun(replace(batch, given=batch.given._replace(start=start, carried=state)))
+
+    def _begun(self, batch: Batch) -> Batch:
+        """The lanes at t = 0, as they are given."""
 
         def program(some: Batch) -> Any:
             return self.programs.start(some.given)
 
         lane, carry = self._run([batch], program)[0]
-        return replace(batch, underway=Underway(lane, carry, steps))
+        return replace(batch, underway=Underway(lane, carry, np.zeros_like(batch.recent)))
 
     def on_orbit(self, batch: Batch, state: Values, states: Array, times: Array, period: PerLane) -> Batch:
         """The batch's lanes at t = 0 at the section of a periodic orbit, `state` being all states there, (lanes,) each.
 
         `states` (8, states, lanes) and `times` (8, lanes) [s]: of the last returns, see
-        [vibrojax.measure.section.on_orbit][]; `period` (lanes,) [s]: between returns.
+        [vibrojax.measure.section.on_orbit][] (under pulses none is asked for); `period` (lanes,) [s]: between returns.
         """
         with precision(self.sweep.run.precision), jax.default_device(self.workers[0]):
             lane, carry = self.programs.on_orbit(batch.given, state, states, times, period)

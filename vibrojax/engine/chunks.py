@@ -69,19 +69,25 @@ class Chunks:
         first, end = self.lanes(index)
         portions = Portions(end - first, report)
         self.compile()
-        start = self.engine.start(first, end, self.accuracy)
-        found = list(self._underway(self.engine, start, lambda seconds: _portion(portions, self._share(seconds))))
+        features = self.measured(self.engine.start(first, end, self.accuracy), portions)
+        portions.finish()
+        return self.finished(index, features)
+
+    def measured(self, batch: Batch, portions: Portions) -> Features:
+        """The features of lanes that stand at t = 0, with their error estimates."""
+        found = list(self._underway(self.engine, batch, lambda seconds: _portion(portions, self._share(seconds))))
         parts = [part for part in found if isinstance(part, Part)]
         ended = [part for part in found if isinstance(part, Ended)]
         observed = self._observed([part.fine for part in parts] + [part.check for part in parts], portions)
-        portions.finish()
-        fine, check = _joined(observed[: len(parts)]), _joined(observed[len(parts) :])
-        features = [*([self._certified(fine, check)] if parts else []), *(one.features for one in ended)]
-        if self._beyond is None:
-            features = [self._stored(one) for one in features]
-        order = np.argsort(np.concatenate([*(part.lanes for part in parts), *(one.lanes for one in ended)]))
-        every = {name: x[order] for name, x in _joined(features).items()}
-        return self._stored(every) | (self._beyond(first, end, every) if self._beyond is not None else {})
+        runs = (observed[: len(parts)], observed[len(parts) :])
+        features = [self._certified(*map(joined, runs))] if parts else []
+        order = np.argsort(np.concatenate([part.lanes for part in parts] + [one.lanes for one in ended]))
+        return {name: x[order] for name, x in joined(features + [one.features for one in ended]).items()}
+
+    def finished(self, index: int, features: Features) -> Features:
+        """The features of a chunk's lanes that are stored, with what follows from them."""
+        first, end = self.lanes(index)
+        return self._stored(features) | (self._beyond(first, end, features) if self._beyond is not None else {})
 
     def at(self, accuracy: Accuracy, index: int = 0) -> Features:
         """Features of a chunk's lanes at an `accuracy` of the caller's, by name (lanes,), all stepped to their end,
@@ -160,10 +166,9 @@ def error_estimate(fine: Features, coarse: Features, share: float, least: float)
     return np.where(periodic, np.where(agree, error, np.inf), np.nan)
 
 
-def _joined(parts: list[Features]) -> Features:
-    """The features of all lanes of the parts; none of no parts."""
-    parts = [part for part in parts if part]
-    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]} if parts else {}
+def joined(parts: list[Features]) -> Features:
+    """The features of all lanes of the parts."""
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
 def _relative(fine: Float[np.ndarray, " lanes"], coarse: Float[np.ndarray, " lanes"]) -> Float[np.ndarray, " lanes"]:

@@ -70,6 +70,9 @@ class Seconds(NamedTuple):
 ORBITS = Seconds(start=1.0, compile=1.5, step=1.15)
 """How many times that a sweep with orbits takes."""
 
+LYAPUNOV = Seconds(start=1.0, compile=1.5, step=8.0)
+"""How many times that one with exponents takes, where a quarter of its lanes is irregular; each of these takes 8 ms."""
+
 MOST_LANES = 2**40
 """More than anybody steps."""
 
@@ -89,6 +92,8 @@ def processor_time(chunks: Chunks) -> Seconds:
     compiling = costs.compile
     if run.orbits:
         compiling, stepping = compiling * ORBITS.compile, stepping * ORBITS.step
+    if run.lyapunov:
+        compiling, stepping = compiling * LYAPUNOV.compile, stepping * LYAPUNOV.step
     return Seconds(slower * START, slower * compiling, slower * stepping)
 
 

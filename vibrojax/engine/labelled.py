@@ -14,8 +14,9 @@ from vibrojax.arrays import Array
 from vibrojax.devices import precision
 from vibrojax.engine.compiler import lane_function
 from vibrojax.engine.validity import TOO_SLOW, TOO_STIFF, too_slow, too_stiff
-from vibrojax.input.definition import Sweep
+from vibrojax.input.definition import DIRECTIONS, Sweep
 from vibrojax.input.points import VECTOR
+from vibrojax.input.starts import Starts
 from vibrojax.label import LABELLED_BY, hides_another, label
 from vibrojax.measure import gauge_named
 from vibrojax.physics.parameters import ROTATION, Parameter, differing
@@ -47,7 +48,7 @@ def dataset_of(sweep: Sweep, features: dict, solver: dict, wall_time: float) -> 
             continue
         x = features[name]
         dims = (*sweep.dims, *((variable.along,) if x.ndim == 2 else ()))
-        x = x.reshape(*sweep.shape, *x.shape[1:])
+        x = sweep.over_dims(x)
         if np.issubdtype(variable.dtype, np.integer):
             x = np.nan_to_num(x).astype(variable.dtype)
         variables[name] = (dims, x, variable.attributes())
@@ -72,9 +73,16 @@ def dataset_of(sweep: Sweep, features: dict, solver: dict, wall_time: float) -> 
 
 
 def measured_besides(scene: Scene[Any]) -> dict[str, Variable]:
-    """The variables that the scene's own gauges declare."""
-    gauges = (gauge for gauge in map(gauge_named, scene.measures) if scene.section is not None)
-    return {name: Variable(*about) for gauge in gauges for name, about in gauge.variables.items()}
+    """The variables that the scene's section and its own gauges declare."""
+    if scene.section is None:
+        return {}
+    found = {}
+    for swing in scene.section.swings:
+        state = scene.states[scene.place(swing.position)]
+        if swing.amplitude not in VARIABLES:
+            found[swing.amplitude] = Variable(state.unit, f"half the swing of: {state.long_name}")
+    gauges = map(gauge_named, scene.measures)
+    return found | {name: Variable(*about) for gauge in gauges for name, about in gauge.variables.items()}
 
 
 def of_orbits(scene: Scene[Any]) -> dict[str, Variable]:
@@ -111,8 +119,8 @@ def _finished(sweep: Sweep, features: dict) -> dict:
     flags = [STATUSES.index(name) for name in ("refused", "failed")]
     status = np.select([refused, failed], flags, STATUSES.index("done"))
     found = blanked | labelled | {"status": status, "reason": reason}
-    if sweep.crosses_starts and len(sweep.starts or ()) > 1 and "regime" in found:
-        found["hidden_motion"] = hides_another(found, found["regime"], len(sweep.starts or ()))
+    if sweep.crosses_starts and sweep.starts is not None and len(sweep.starts) > 1 and "regime" in found:
+        found["hidden_motion"] = hides_another(found, found["regime"], len(sweep.starts))
     return found
 
 
@@ -180,10 +188,12 @@ def _coordinates(sweep: Sweep, features: dict) -> dict:
     about = {"units": "1", "long_name": "start of the motion"}
     if sweep.point_starts is not None:
         found["start"] = (("point",), np.array(sweep.point_starts), about)
+    elif sweep.run.carry is not None:
+        words = f"way along {sweep.run.carry} in which lanes run, each from where the last one ended"
+        found["direction"] = (("direction",), np.array(DIRECTIONS), {"units": "1", "long_name": words})
     elif sweep.starts is not None:
-        names = [start if isinstance(start, str) else json.dumps(list(start)) for start in sweep.starts]
-        found["start"] = (("start",), np.array(names), about)
-        found |= _start_states(sweep)
+        found["start"] = (("start",), _numbered(sweep.starts), about)
+        found |= _start_states(sweep, sweep.starts)
     for dimension, (one, long_name) in _DIMENSIONS.items():
         if one in features:
             about = {"units": "1", "long_name": long_name}
@@ -191,17 +201,22 @@ def _coordinates(sweep: Sweep, features: dict) -> dict:
     return found
 
 
-def _start_states(sweep: Sweep) -> dict:
+def _numbered(starts: Starts) -> np.ndarray:
+    """What starts are called: names, vectors as text, or their numbers where they were not written one by one."""
+    if not starts.listed:
+        return np.arange(len(starts))
+    return np.array([start if isinstance(start, str) else json.dumps(list(start)) for start in starts])
+
+
+def _start_states(sweep: Sweep, starts: Starts) -> dict:
     """The coordinates start_x1 and so on of starts among which are vectors; NaN for those that have names."""
-    vectors = [start if isinstance(start, tuple) else None for start in sweep.starts or ()]
-    if not any(vectors):
+    if not starts.has_vectors:
         return {}
-    names = sweep.system.start_states
-    rows = np.array([vector or [np.nan] * len(names) for vector in vectors])
     about = {
         state.name: {"units": state.unit, "long_name": f"{state.long_name}, at t = 0"} for state in sweep.system.states
     }
-    return {f"start_{name}": (("start",), rows[:, at], about.get(name, {})) for at, name in enumerate(names)}
+    columns = zip(starts.states, starts.vectors.T, strict=True)
+    return {f"start_{name}": (("start",), column, about.get(name, {})) for name, column in columns}
 
 
 def _described(parameters: dict[str, Parameter], name: str) -> dict:

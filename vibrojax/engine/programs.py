@@ -17,20 +17,33 @@ from vibrojax.stepping import Lane, Stepper, lane_at
 
 
 class Kind(NamedTuple):
-    """What programs are compiled for: scene, stepper, recorder, and the names of the starts there are."""
+    """What programs are compiled for: scene, stepper, recorder, the names of the starts there are, and whether lanes
+    that have been observed are asked where they ended."""
 
     scene: Scene[Any]
     stepper: Stepper
     recorder: Records
     starts: tuple[str, ...]
+    tells_end: bool = False
+
+
+CARRIED = -1
+"""The number of a start where another lane ended."""
+
+END = "end_state"
+"""What the feature is called that says where a lane ended: (states, lanes)."""
 
 
 class Given(NamedTuple):
-    """Parameters by name, which of the starts by name, and the states of one without a name, of each lane (lanes,)."""
+    """Parameters by name, which of the starts by name, and the states of one without a name, of each lane (lanes,).
+
+    `carried`: all states of lanes that start where others ended, where `start` is `CARRIED`.
+    """
 
     parameters: dict[str, Lanes]
     start: Counts
     states: tuple[Lanes, ...] = ()
+    carried: tuple[Lanes, ...] = ()
 
 
 class Programs(ABC):
@@ -83,11 +96,10 @@ def lanes_on_orbit(
     kind: Kind, given: Given, state: Values, states: Array, times: Array, period: Lanes
 ) -> tuple[Lane, Any]:
     """(lane, what its recorder carries) at t = 0, from all states at the section of a periodic orbit; see
-    [vibrojax.measure.section.on_orbit][] for the last returns."""
-    assert isinstance(kind.recorder, Recorder)
+    [vibrojax.measure.section.on_orbit][] for the last returns, which under pulses are not asked for."""
     lane = lane_at(kind.scene, _constants(kind, given), state)
     begun = kind.recorder.settling(kind.scene, lane)
-    return lane, on_orbit(begun, states, times, period)
+    return lane, on_orbit(begun, states, times, period) if isinstance(kind.recorder, Recorder) else begun
 
 
 def settle_lanes(kind: Kind, given: Given, begun: Underway, until: Lanes, effort: Effort) -> Underway:
@@ -98,7 +110,8 @@ def settle_lanes(kind: Kind, given: Given, begun: Underway, until: Lanes, effort
 def observe_lanes(kind: Kind, given: Given, begun: Underway, begin: Lanes, duration: Lanes, effort: Effort) -> Features:
     """Features by name, (lanes,), or (returns, lanes) for the last returns; see `observe_block`."""
     constants = _constants(kind, given)
-    return observe_block(kind.scene, kind.stepper, kind.recorder, constants, begun, begin, duration, effort)
+    lane, features = observe_block(kind.scene, kind.stepper, kind.recorder, constants, begun, begin, duration, effort)
+    return features | ({END: jnp.stack(lane.state)} if kind.tells_end else {})
 
 
 def _constants(kind: Kind, given: Given) -> Any:
@@ -115,4 +128,6 @@ def _state(kind: Kind, constants: Any, given: Given) -> Values:
     state = candidates[0]
     for index, other in enumerate(candidates[1:], start=1):
         state = tuple(jnp.where(start == index, new, old) for new, old in zip(other, state, strict=True))
+    if given.carried:
+        state = tuple(jnp.where(start == CARRIED, new, old) for new, old in zip(given.carried, state, strict=True))
     return state

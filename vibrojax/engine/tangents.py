@@ -12,8 +12,8 @@ from jaxtyping import Float
 from vibrojax.arrays import Array
 from vibrojax.devices import precision
 from vibrojax.engine.compiler import lane_function
-from vibrojax.input.definition import Start
 from vibrojax.input.point import Point
+from vibrojax.input.starts import Start
 from vibrojax.measure import Gauge, Moment, Recorder, Whole, recorder_for
 from vibrojax.measure.kept_returns import KeptReturns
 from vibrojax.measure.run import Effort, run_block

@@ -50,7 +50,9 @@ Value = Callable[[Index, At, Unknowns], PerLane]
 def drawn_together(problem: Problem, arcs: Arcs, value: Value, by_halves: Flags) -> tuple[Arcs, Flags]:
     """The arcs with their ends at the point where `value` passes zero; and for which that was possible.
 
-    By the Illinois variant of the false position, which draws both ends; where the value is a step, `by_halves`.
+    By the Illinois variant of the false position, which draws both ends; where the value is a step, `by_halves`. Beside
+    a step orbits may be found on one side only, because the map goes as a root on the other: then the end where fewer
+    events are met is drawn to the last orbit of its kind, and the other stays.
     """
     every = np.arange(len(arcs.place))
     arcs = arcs.of(every)
@@ -58,34 +60,55 @@ def drawn_together(problem: Problem, arcs: Arcs, value: Value, by_halves: Flags)
     row = ahead.copy()
     base = np.einsum("ij,ij->i", row, near.u)
     low, high = np.zeros(len(every)), np.einsum("ij,ij->i", row, far.u) - base
+    low_at, high_at = low.copy(), high.copy()  # of the ends, from which the bracket may have moved on
     f_low, f_high = value(every, near, ahead), value(every, far, ahead_far)
     side, misses = np.zeros((2, len(every)), int)
+    fewer = np.where(by_halves, np.sign(far.signature.sum(axis=1) - near.signature.sum(axis=1)), 0)
+    one_sided = np.zeros(len(every), bool)
     active = every
     for turn in range(MOST_TURNS):
-        apart = np.abs(far.u[active] - near.u[active]).max(axis=1)
+        apart = np.where(one_sided, high - low, np.abs(far.u - near.u).max(axis=1))[active]
         active = active[(apart > WITHIN) & (np.minimum(np.abs(f_low[active]), np.abs(f_high[active])) > 0)]
         if not len(active):
             break
         fa, fb = f_low[active], f_high[active]
         share = np.where((turn % 4 == 3) | by_halves[active], 0.5, fa / (fa - fb))
         share = np.where(np.isfinite(share), np.clip(share, 1e-3, 1 - 1e-3), 0.5)
-        share = np.where(misses[active] > 0, OTHERWISE[np.minimum(misses[active], len(OTHERWISE) - 1)], share)
-        guess = near.u[active] + share[:, None] * (far.u[active] - near.u[active])
+        others = OTHERWISE[np.minimum(misses[active], len(OTHERWISE) - 1)]
+        share = np.where((misses[active] > 0) & ~one_sided[active], others, share)
         arc = low[active] + share * (high[active] - low[active])
+        along = (arc - low_at[active]) / (high_at[active] - low_at[active])
+        guess = near.u[active] + along[:, None] * (far.u[active] - near.u[active])
+        from_near, from_far = (
+            end.u[active] + _onward(t[active], row[active], arc - at[active])
+            for end, t, at in ((near, ahead, low_at), (far, ahead_far, high_at))
+        )
+        lone = np.where((fewer[active] > 0)[:, None], from_near, from_far)
+        guess = np.where(one_sided[active][:, None], lone, guess)
         now, done = corrected(problem, arcs.family[active], guess, row[active], base[active] + arc)
         there = tangent(now.matrix, row[active])
         f = value(active, now, there)
         stays = done & (np.sign(f) == np.sign(fa))
         passes = done & ~stays
-        for mine, length, end, tangents, f_end, f_other, way in (
-            (stays, low, near, ahead, f_low, f_high, 1),
-            (passes, high, far, ahead_far, f_high, f_low, -1),
+        for mine, length, at, end, tangents, f_end, f_other, way in (
+            (stays, low, low_at, near, ahead, f_low, f_high, 1),
+            (passes, high, high_at, far, ahead_far, f_high, f_low, -1),
         ):
             lanes = active[mine]
-            length[lanes], f_end[lanes], tangents[lanes] = arc[mine], f[mine], there[mine]
+            length[lanes], at[lanes], f_end[lanes], tangents[lanes] = arc[mine], arc[mine], f[mine], there[mine]
             end.put(lanes, now.of(mine))
             f_other[lanes[side[lanes] == way]] /= 2
             side[lanes] = way
-        misses[active] = np.where(done, 0, misses[active] + 1)
+        missed = active[~done]
+        high[missed] = np.where(one_sided[missed] & (fewer[missed] > 0), arc[~done], high[missed])
+        low[missed] = np.where(one_sided[missed] & (fewer[missed] < 0), arc[~done], low[missed])
+        one_sided[missed] |= fewer[missed] != 0
+        misses[active] = np.where(done | one_sided[active], 0, misses[active] + 1)
         active = active[misses[active] < len(OTHERWISE)]
-    return arcs, np.abs(far.u - near.u).max(axis=1) < CLOSE_ENDS
+    together = np.where(one_sided, high - low, np.abs(far.u - near.u).max(axis=1)) < CLOSE_ENDS
+    return arcs, together
+
+
+def _onward(tangents: Unknowns, row: Unknowns, arc: PerLane) -> Unknowns:
+    """How far to go along tangents, that it is so far along a direction."""
+    return (arc / np.einsum("ij,ij->i", tangents, row))[:, None] * tangents

@@ -33,7 +33,6 @@ def known_orbits(scene: Scene[Any], dataset: xr.Dataset, parameters: Mapping[str
 
     **Arguments:** `scene`: what the return map is of; `parameters`: of the lanes by name, in the dataset's order.
     """
-    assert scene.section is not None
 
     def column(name: str) -> np.ndarray:
         return dataset[name].values.ravel()
@@ -51,8 +50,9 @@ def known_orbits(scene: Scene[Any], dataset: xr.Dataset, parameters: Mapping[str
         found.append(np.asarray(mapped.state))
     swings = (np.max([one.greatest for one in seen], axis=0) - np.min([one.least for one in seen], axis=0)) / 2
     size = np.where(swings > 0, swings, 1.0).T
-    amplitudes = tuple(column(swing.amplitude)[lanes] for swing in scene.section.swings)
-    for k, one in enumerate(scales(amplitudes, column("period")[lanes])):
-        size[:, k] = one
+    if scene.section is not None:
+        amplitudes = tuple(column(swing.amplitude)[lanes] for swing in scene.section.swings)
+        for k, one in enumerate(scales(amplitudes, column("period")[lanes])):
+            size[:, k] = one
     states = [np.stack([one[:, k] for one in found[: cycles[k]]]) for k in range(len(lanes))]
     return KnownOrbits(lanes, states, size, STRAYING * max(float(one.steps.max()) for one in seen))

@@ -159,8 +159,18 @@ class Tracer:
     def _mark(self, leg: Leg, special: Special, first: int, last: int) -> None:
         """Enter the special points between two points of a trail."""
         for k in np.flatnonzero((special.place >= first) & (special.place < last - 1)):
-            leg.marks.append(Mark(KINDS[special.kind[k]], special.at.of([k]), int(special.place[k]) - first))
+            kind, at = KINDS[special.kind[k]], special.at.of([k])
+            note = self._without_impact(at, special.beyond.of([k])) if kind == "grazing" else ""
+            leg.marks.append(Mark(kind, at, int(special.place[k]) - first, note))
         leg.marks.sort(key=lambda mark: mark.place)
+
+    def _without_impact(self, at: At, beyond: At) -> str:
+        """What there is to say where other events begin or vanish than impacts: of which modes."""
+        if at.impacts[0] != beyond.impacts[0]:
+            return ""
+        changed = (at.entered[0] != beyond.entered[0]).any(axis=1)
+        names = [mode.name for mode, here in zip(self._problem.scene.modes, changed, strict=True) if here]
+        return f"no impact: another order of events of {', '.join(names)}"
 
     def _beyond_ends(self, legs: list[Leg], trail: Trail, bounds: np.ndarray) -> list[Leg]:
         """Enter how legs end; the legs that go on."""

@@ -8,10 +8,12 @@ from typing import Any
 import numpy as np
 
 from vibrojax.input.run_settings import RunSettings
+from vibrojax.input.starts import Starts
 from vibrojax.physics.rock import ROCKS
 from vibrojax.scenes import Scene
 
-Start = str | tuple[float, ...]
+DIRECTIONS = ("up", "down")
+"""The ways along an axis along which lanes are carried."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,9 +22,10 @@ class Sweep:
 
     - `name`: what its output is called; `text`: its TOML; `title`: free text; `file`: what messages call it.
     - `scene`: its name; `options`: the names of what is chosen in it, such as the friction law; `system`: itself.
-    - `starts`: names and vectors (x1, x1', x2, x2') [m, m/s]; None for a scene without.
+    - `starts`: names, and vectors such as (x1, x1', x2, x2') [m, m/s]; None for a scene without.
     - `parameters`: all that is fixed, by name, SI; `given`: those of them that the user wrote.
-    - `axes`: the grid, each of shape (values,), in the file's order; or `points`: columns of shape (points,), and
+    - `axes`: the grid, each of shape (values,), in the file's order, none where only the start varies; or
+      `points`: columns of shape (points,), and
       `point_starts`: the name of each point's start, where the list has it, or `point_vectors`: the states that each
       starts from, by the names of their columns, each (points,), in the scene's order. There is then no other start.
     - `run`: how it is run.
@@ -37,7 +40,7 @@ class Sweep:
     scene: str
     options: dict[str, str]
     system: Scene[Any]
-    starts: tuple[Start, ...] | None
+    starts: Starts | None
     parameters: dict[str, float]
     given: dict[str, float]
     axes: dict[str, np.ndarray] = field(default_factory=dict)
@@ -54,14 +57,32 @@ class Sweep:
 
     @property
     def dims(self) -> tuple[str, ...]:
-        """Names of the dimensions: the axes or "point", then "start" where every point runs from each of them."""
-        return (*(self.axes or ("point",)), *(("start",) if self.crosses_starts else ()))
+        """Names of the dimensions: the axes or "point", if any, then "start" where there are several each."""
+        listed = self.points is not None or self.point_starts is not None or self.point_vectors is not None
+        each = ("direction",) if self.run.carry is not None else ("start",) if self.crosses_starts else ()
+        return (*self.axes, *(("point",) if listed else ()), *each)
 
     @property
     def shape(self) -> tuple[int, ...]:
         """Sizes of the dimensions."""
-        sizes = [len(axis) for axis in self.axes.values()] or [self._points]
-        return (*sizes, *((len(self.starts or ()),) if self.crosses_starts else ()))
+        return self._sizes(self.dims)
+
+    @property
+    def counted(self) -> tuple[str, ...]:
+        """The dimensions in the order in which lanes are counted, row by row: as in `dims`, but one along which lanes
+        are carried comes last."""
+        return tuple(sorted(self.dims, key=lambda name: name == self.run.carry))
+
+    def over_dims(self, lanes: np.ndarray) -> np.ndarray:
+        """What is known of all lanes, (lanes, ...), over the dimensions, (*shape, ...)."""
+        grid = lanes.reshape(*self._sizes(self.counted), *lanes.shape[1:])
+        order = [self.counted.index(name) for name in self.dims]
+        return grid.transpose(*order, *range(len(order), grid.ndim))
+
+    def _sizes(self, dims: tuple[str, ...]) -> tuple[int, ...]:
+        sizes = {name: len(axis) for name, axis in self.axes.items()}
+        sizes |= {"point": self._points, "start": len(self.starts or ()), "direction": len(DIRECTIONS)}
+        return tuple(sizes[name] for name in dims)
 
     @property
     def lanes(self) -> int:
@@ -71,7 +92,7 @@ class Sweep:
     @property
     def crosses_starts(self) -> bool:
         """Whether every point runs from each of the starts."""
-        return self.starts is not None and self.point_starts is None
+        return self.starts is not None and self.point_starts is None and self.run.carry is None
 
     @property
     def _points(self) -> int:
@@ -81,16 +102,17 @@ class Sweep:
     @property
     def _start_of_point(self) -> np.ndarray:
         """Index into `starts` of each point."""
-        index = {start: number for number, start in enumerate(self.starts or ())}
+        index = {name: number for number, name in enumerate(self.start_names)}
         return np.array([index[name] for name in self.point_starts or ()], dtype=int)
 
     def lane_values(self, first: int, end: int) -> tuple[dict[str, np.ndarray], np.ndarray]:
         """All of the scene's parameters, and the index into `starts`, of the lanes from `first` to before `end`.
 
-        Lanes are counted in row-major order over `dims`. Returns float64 arrays of shape (end - first,) by name, and
+        Lanes are counted in row-major order over `counted`. Returns float64 arrays of shape (end - first,) by name, and
         an integer array of that shape (zeros for a scene without starts). Memory grows with end - first only.
         """
-        indices = dict(zip(self.dims, np.unravel_index(np.arange(first, end), self.shape), strict=True))
+        places = np.unravel_index(np.arange(first, end), self._sizes(self.counted))
+        indices = dict(zip(self.counted, places, strict=True))
         lanes = end - first
         varied = {name: axis[indices[name]] for name, axis in self.axes.items()}
         if self.points is not None:
@@ -101,12 +123,12 @@ class Sweep:
         values = {name: np.broadcast_to(values[name], lanes).astype(float) for name in self.system.parameters()}
         if self.point_starts is not None:
             return values, self._start_of_point[indices["point"]]
-        return values, np.asarray(indices["start"] if self.starts is not None else np.zeros(lanes, int))
+        return values, np.asarray(indices["start"] if self.crosses_starts else np.zeros(lanes, int))
 
     @property
     def start_names(self) -> tuple[str, ...]:
         """The starts that have names."""
-        return tuple(start for start in self.starts or () if isinstance(start, str))
+        return self.starts.names if self.starts is not None else ()
 
     def lane_starts(self, first: int, end: int) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
         """(index into `start_names`, their number for a start without a name; the states that such a one starts from)
@@ -114,13 +136,10 @@ class Sweep:
         start = self.lane_values(first, end)[1]
         if self.point_vectors is not None:
             return start, tuple(column[first:end] for column in self.point_vectors.values())
-        names, starts = self.start_names, self.starts or ()
-        if len(names) == len(starts):
+        if self.starts is None or not self.starts.has_vectors:
             return start, ()
-        number = np.array([names.index(one) if isinstance(one, str) else len(names) for one in starts])
-        nowhere = (0.0,) * len(self.system.start_states)
-        vectors = np.array([nowhere if isinstance(one, str) else one for one in starts])
-        return number[start], tuple(vectors[start].T)
+        # Where a start has a name, its states are not asked for.
+        return self.starts.number[start], tuple(np.nan_to_num(self.starts.vectors[start]).T)
 
     def identity(self) -> dict[str, object]:
         """What the results depend on, as flat JSON values: equal for two sweeps that compute the same lanes.
@@ -134,7 +153,11 @@ class Sweep:
             varied["points.start"] = self._start_of_point
         run = {f"run.{name}": value for name, value in self.run.described().items()}
         parameters = {f"parameters.{name}": value for name, value in self.parameters.items()}
-        starts = None if self.starts is None else [s if isinstance(s, str) else list(s) for s in self.starts]
+        starts: object = None
+        if self.starts is not None and self.starts.listed:
+            starts = [start if isinstance(start, str) else list(start) for start in self.starts]
+        elif self.starts is not None:
+            varied |= {f"starts.{name}": x for name, x in zip(self.starts.states, self.starts.vectors.T, strict=True)}
         fixed = {"scene": self.scene, **self.options, "dims": list(self.dims), "starts": starts}
         return fixed | parameters | {name: _outline(column) for name, column in varied.items()} | run
 

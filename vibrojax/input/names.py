@@ -68,6 +68,11 @@ class Names:
         return self.options.get("friction")
 
     @property
+    def has_starts(self) -> bool:
+        """Whether it may start from more than one state."""
+        return bool(self.starts or self.system.start_states)
+
+    @property
     def has_rock(self) -> bool:
         """Whether `rock` may stand for `threshold` and `k3`."""
         return {"threshold", "k3"} <= set(self.parameters)

@@ -5,11 +5,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from vibrojax.errors import Place
-from vibrojax.input.definition import Start, with_drive_speed
+from vibrojax.input.definition import with_drive_speed
 from vibrojax.input.names import read_names, take_options
 from vibrojax.input.plain import plain, plain_table
 from vibrojax.input.plausible import warn_if_far
 from vibrojax.input.read import check_drive_speed, check_rock, read_parameters
+from vibrojax.input.starts import Start
 from vibrojax.scenes import Scene
 
 
@@ -49,7 +50,7 @@ def read_point(place: Place, scene: object, parameters: Mapping[str, object], st
     defaults = {name: parameter.default for name, parameter in names.parameters.items()}
     if start is None:
         start = names.starts[0] if names.starts else None
-    elif not names.starts:
+    elif not names.has_starts:
         raise place.at("start").error(f'scene "{names.scene}" has no starts; leave it out')
     else:
         start = names.start(place.at("start"), plain(place.at("start"), start))

@@ -8,12 +8,13 @@ import numpy as np
 from vibrojax.errors import Place, shown, suggestion
 from vibrojax.input.axes import read_axis
 from vibrojax.input.changes import with_changes
-from vibrojax.input.definition import Start, Sweep, rock_values, with_drive_speed
-from vibrojax.input.names import CHOICES, DEFAULT_STARTS, Names, read_names, take_options
+from vibrojax.input.definition import Sweep, rock_values, with_drive_speed
+from vibrojax.input.names import CHOICES, Names, read_names, take_options
 from vibrojax.input.plausible import warn_if_far
 from vibrojax.input.points import VECTOR, Points, read_points
 from vibrojax.input.run_settings import RunSettings, read_settings
 from vibrojax.input.source import Source, read_source
+from vibrojax.input.starts import Starts, list_of, read_starts
 from vibrojax.input.values import as_table
 
 _TOP_KEYS = ("scene", "title", "starts", "unusual", "parameters", "grid", "points", "run")
@@ -54,8 +55,10 @@ def read_sweep(source: str | PathLike[str] | Mapping[str, object], changes: Iter
             raise home.error("is in [parameters] as well; give it in one of the two")
         homes[name] = home
     check_drive_speed(homes)
-    starts = _read_starts(place.at("starts"), tables.get("starts"), names)
+    starts: Starts | None = read_starts(place.at("starts"), tables.get("starts"), names)
     point_starts, vectors = (points.starts, points.vectors) if points else (None, None)
+    if point_starts:
+        starts = list_of(tuple(dict.fromkeys(point_starts)), names.system.start_states)
     if vectors:
         vectors = {name: vectors[name] for name in (f"{VECTOR}{state}" for state in names.system.start_states)}
     sweep = Sweep(
@@ -65,7 +68,7 @@ def read_sweep(source: str | PathLike[str] | Mapping[str, object], changes: Iter
         scene=names.scene,
         options=dict(names.options),
         system=names.system,
-        starts=None if vectors else tuple(dict.fromkeys(point_starts)) if point_starts else starts,
+        starts=None if vectors else starts,
         parameters=_complete(fixed, varied, names),
         given=fixed,
         axes=axes,
@@ -77,17 +80,34 @@ def read_sweep(source: str | PathLike[str] | Mapping[str, object], changes: Iter
     )
     if sweep.lanes > _MOST_LANES:
         raise place.at("grid").error(f"{shown(sweep.lanes)} lanes are too many; make the axes shorter")
-    if sweep.run.orbits and sweep.system.section is None:
+    if sweep.run.carry is not None:
+        _check_carried(place.at("run").at("carry"), sweep)
+    if sweep.run.orbits and not sweep.system.driving_part().return_states:
         raise (
             place.at("run")
             .at("orbits")
-            .error(f"true has no use in {sweep.scene}, which has no section to return to; leave it out")
+            .error(f"true has no use in {sweep.scene} without a section or pulses to return to; leave it out")
         )
+    if sweep.run.lyapunov and sweep.system.section is None:
+        problem = f"true has no use in {sweep.scene}, which has no section to return to; leave it out"
+        raise place.at("run").at("lyapunov").error(problem)
     if not _read_unusual(place.at("unusual"), tables.get("unusual", False)):
         for name, value in {**fixed, **varied}.items():
             if name != "rock":
                 warn_if_far(homes[name], names.writable[name], value, meant="; unusual = true says that it is meant")
     return sweep
+
+
+def _check_carried(place: Place, sweep: Sweep) -> None:
+    """Raise where lanes cannot be carried along the axis that is named."""
+    name = str(sweep.run.carry)
+    if name not in sweep.axes:
+        raise place.error(f"{shown(name)} is no axis of [grid]; {suggestion(name, sweep.axes)}")
+    axis = sweep.axes[name]
+    if axis.dtype.kind != "f" or len(axis) < 2 or np.any(np.diff(axis) <= 0):
+        raise place.error(f"the values of {name} do not rise, so there is no up and down; write two or more that do")
+    if sweep.starts is not None and len(sweep.starts) != 1:
+        raise place.error(f'{len(sweep.starts)} starts; the first lane of each way has one: write starts = ["stuck"]')
 
 
 def read_parameters(place: Place, given: dict[str, object], names: Names) -> dict[str, float]:
@@ -156,7 +176,7 @@ def _read_varied(place: Place, found: Source, names: Names) -> tuple[dict[str, n
     if "points" in tables:
         return {}, read_points(place.at("points"), tables["points"], found.folder, names)
     grid = as_table(place.at("grid"), tables.get("grid", {}))
-    if not grid:
+    if not grid and ("grid" in tables or "starts" not in tables or not names.has_starts):
         problem = "empty" if "grid" in tables else "missing"
         raise place.at("grid").error(f"{problem}, so there is nothing to sweep; add an axis like beta = [0.3, 0.4]")
     at = place.at("grid")
@@ -182,20 +202,3 @@ def _complete(fixed: dict[str, float], varied: Iterable[str], names: Names) -> d
     absent |= {"threshold", "k3"} if "rock" in absent else set()
     defaults = {name: p.default for name, p in names.parameters.items() if name not in absent}
     return defaults | with_drive_speed(fixed)
-
-
-def _read_starts(place: Place, value: object, names: Names) -> tuple[Start, ...] | None:
-    """The starts, each once; None for a scene without."""
-    if not names.starts:
-        if value is not None:
-            raise place.error(f"scene {shown(names.scene)} has no starts; leave it out")
-        return None
-    if value is None:
-        return DEFAULT_STARTS
-    if not isinstance(value, list) or not value:
-        raise place.error(f'{shown(value)} is no list of starts; write one like ["drive", "stuck"]')
-    starts = tuple(names.start(place.item(index), item) for index, item in enumerate(value))
-    for index, start in enumerate(starts):
-        if start in starts[:index]:
-            raise place.item(index).error(f"{shown(start)} is there already; give each start once")
-    return starts

@@ -20,6 +20,8 @@ MEANINGS = {
     "end_early": "whether a lane that has settled may stop before its time",
     "keep_returns": "how many of the last returns to store",
     "orbits": "whether to find the periodic orbits of lanes that repeat, with multipliers",
+    "carry": "an axis along which lanes run one after another, each from where the last one ended, up and down",
+    "lyapunov": "whether to find the greatest Lyapunov exponents of lanes, and the natures of those that do not repeat",
     "method": "how to step: located or smoothed",
     "step": "length of the steps [s]; left out, it follows from error",
     "smoothing": "width of the friction switch of the smoothed method [m/s]; left out, it follows from error",
@@ -39,6 +41,8 @@ class RunSettings:
     end_early: bool = True
     keep_returns: int = 0
     orbits: bool = False
+    lyapunov: bool = False
+    carry: str | None = None
     method: str | Stepper = "located"
     step: float | None = None
     smoothing: float | None = None
@@ -53,8 +57,8 @@ class RunSettings:
     def described(self) -> dict[str, object]:
         """What is set, with defaults, as JSON values; the chunk is no part of it."""
         given = {name: value for name, value in vars(self).items() if name != "chunk"}
-        if not self.orbits:
-            del given["orbits"]  # as it was before there were any
+        # As it was before there were any.
+        given = {name: value for name, value in given.items() if name not in _LATER or value != _LATER[name]}
         return given | {"method": self.stepper.name}
 
     def accuracy(self, scene: Scene[Any]) -> Accuracy:
@@ -71,6 +75,7 @@ _QUANTITIES: dict[str, Parameter] = table(
     positive("smoothing", 1e-3, "m s-1", "width of the smoothed friction switch", "w"),
 )
 _COUNTS = {"keep_returns": 0, "chunk": 1}
+_LATER: dict[str, object] = {"orbits": False, "lyapunov": False, "carry": None}
 _CHOICES: dict[str, Collection[str]] = {"method": STEPPERS, "precision": PRECISIONS}
 
 
@@ -87,6 +92,10 @@ def read_setting(place: Place, name: str, value: object) -> object:
         if name == "error" and checked >= 1:
             raise place.error(f"is {checked:g}; it must be below 1")
         return checked
+    if name == "carry":
+        if not isinstance(value, str):
+            raise place.error(f'{shown(value)} is not a name; write that of an axis of [grid], like "gamma"')
+        return value
     if not isinstance(value, bool):
         raise place.error(f"{shown(value)} is neither true nor false; write one of them")
     return value
@@ -102,9 +111,10 @@ def read_settings(place: Place, given: dict[str, object]) -> RunSettings:
             f"{settings.smoothing:g} has no use with method {shown(settings.stepper.name)}; "
             'leave it out, or set method = "smoothed"'
         )
-    if settings.orbits and not isinstance(settings.stepper, Located):
-        raise place.at("orbits").error(
-            f"true has no use with method {shown(settings.stepper.name)}, whose events are not located; "
-            'leave it out, or set method = "located"'
-        )
+    for name in ("orbits", "lyapunov"):
+        if getattr(settings, name) and not isinstance(settings.stepper, Located):
+            raise place.at(name).error(
+                f"true has no use with method {shown(settings.stepper.name)}, whose events are not located; "
+                'leave it out, or set method = "located"'
+            )
     return settings

@@ -18,7 +18,7 @@ from vibrojax.measure.recorder import Records as Records
 from vibrojax.measure.shares import Shares
 from vibrojax.measure.swings import Swings
 from vibrojax.measure.whole_pulses import PulseRecorder as PulseRecorder
-from vibrojax.scenes import Driven, Scene
+from vibrojax.scenes import Driven, HasContact, Scene
 
 RETURNS_FOR_DRIFT = 3 * MOST_CYCLES + 1
 """The fewest that show a repeat of any length three times over."""
@@ -40,7 +40,8 @@ def gauge_named(gauge: str | Gauge[Any]) -> Gauge[Any]:
 def recorder_for(scene: Scene[Any], keep_returns: int = 0) -> Records:
     """The recorder of what the scene names in `measures`.
 
-    It keeps the last returns one by one: `keep_returns` of them, or as many as it takes to tell where a lane is going.
+    The swings and, where there is a contact, the impacts are always measured: repeats and labels go by them. It keeps
+    the last returns one by one: `keep_returns` of them, or as many as it takes to tell where a lane is going.
 
     Raises `InputError` where a gauge needs what the scene does not have, or nothing can be measured of it.
     """
@@ -52,8 +53,8 @@ def recorder_for(scene: Scene[Any], keep_returns: int = 0) -> Records:
     if unknown:
         raise InputError(f"scene: {scene.name} measures {shown(unknown[0])}; choose from {', '.join(GAUGES)}")
     gauges = [gauge_named(gauge) for gauge in scene.measures]
-    if not any(isinstance(gauge, Swings) for gauge in gauges):
-        gauges.insert(0, Swings())  # repeats are measured against the swings
+    always = (Swings(), Impacts()) if isinstance(scene, HasContact) else (Swings(),)
+    gauges = [*(one for one in always if not any(isinstance(gauge, type(one)) for gauge in gauges)), *gauges]
     for gauge in gauges:
         for need in gauge.needs:
             if not isinstance(scene, need):

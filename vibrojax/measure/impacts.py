@@ -24,10 +24,11 @@ class Extremes(NamedTuple):
 
 @dataclass(frozen=True)
 class Impacts(Gauge[HasContact[Any]]):
-    """impacts, impact_velocity(_min, _max), bit_velocity_at_impact, impact_phase, impact_energy, impact forces."""
+    """impacts, impact_velocity(_min, _max), impact_phase, impact_energy, impact forces; and of a bit that slides
+    bit_velocity_at_impact."""
 
     summed = ("impacts", "velocity", "velocity_squared", "bit_velocity", "lag", "force")
-    needs = (HasContact, HasFriction)
+    needs = (HasContact,)
 
     def increments(self, scene: HasContact[Any], c: Any, moment: Moment) -> Sums:
         step = moment.step
@@ -74,12 +75,12 @@ class Impacts(Gauge[HasContact[Any]]):
         per_return = count / whole.returns
         slowest, fastest = carry.whole
         period = whole.time / whole.returns
-        return {
+        sliding = {"bit_velocity_at_impact": sums["bit_velocity"] / count} if isinstance(scene, HasFriction) else {}
+        return sliding | {
             "impacts": jnp.where(whole.cycles > 0, jnp.round(per_return * whole.cycles), per_return),
             "impact_velocity": sums["velocity"] / count,
             "impact_velocity_min": jnp.where(count > 0, slowest, jnp.nan),
             "impact_velocity_max": jnp.where(count > 0, fastest, jnp.nan),
-            "bit_velocity_at_impact": sums["bit_velocity"] / count,
             "impact_phase": 2 * jnp.pi * sums["lag"] / count / period,
             "impact_energy": scene.striker_mass(c) / 2 * sums["velocity_squared"] / count,
             "peak_impact_force": carry.peak,
@@ -88,8 +89,9 @@ class Impacts(Gauge[HasContact[Any]]):
 
 
 def _sliding_velocity(scene: HasContact[Any], c: Any, state: tuple[Lanes, ...]) -> Lanes:
-    """u = x1' + v [m/s]."""
-    assert isinstance(scene, HasFriction)
+    """u = x1' + v [m/s]; 0 where nothing slides."""
+    if not isinstance(scene, HasFriction):
+        return jnp.zeros_like(state[0])
     return state[scene.place(scene.bit_velocity)] + scene.bit(c).drive_speed
 
 

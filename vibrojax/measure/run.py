@@ -76,8 +76,8 @@ def observe_block(
     begin: Lanes,
     duration: Lanes,
     effort: Effort,
-) -> Features:
-    """Features of lanes that have settled, by name.
+) -> tuple[Lane, Features]:
+    """Lanes that have settled at the end of their observation, and their features, by name.
 
     **Arguments:** as of `settle_block`; `begin`, `duration` [s]: when each lane's observation begins, how long it is.
     """
@@ -95,7 +95,7 @@ def observe_block(
     phase = Phase(take_in, turn, lambda carry: ~recorder.waiting(carry), STEPS_PER_TURN, marked=True)
     lane, carry, steps = _through(scene, stepper, c, begun, end, effort, phase)
     finite = jnp.all(jnp.stack([jnp.isfinite(y) for y in lane.state]), axis=0)
-    return recorder.read(scene, c, carry) | {
+    return lane, recorder.read(scene, c, carry) | {
         "steps": steps,
         "finite": finite & jnp.isfinite(lane.clock.high),
         "finished": settled & (lane.clock.until(end) <= 0),
@@ -121,7 +121,7 @@ def run_block(
     none = jnp.zeros_like(state[0])
     begin, duration = none + settle, none + observe
     begun = settle_block(scene, stepper, recorder, c, Underway(lane, carry, none), begin, effort)
-    return observe_block(scene, stepper, recorder, c, begun, begin, duration, effort)
+    return observe_block(scene, stepper, recorder, c, begun, begin, duration, effort)[1]
 
 
 def _through(

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from vibrojax.arrays import Array, Flags, Lanes, keep
 from vibrojax.measure.ledger import MOST_CYCLES
 from vibrojax.measure.swings import widened
-from vibrojax.scenes.scene import Scene, Section
+from vibrojax.scenes.scene import Scene, Section, Swing
 from vibrojax.stepping import Lane, Step
 from vibrojax.stepping.polynomial import Coefficients, first_guess, slope, value
 
@@ -116,19 +116,19 @@ def pass_by(section: Section, scene: Scene[Any], c: Any, carry: Settling, lane: 
     """
     seen, passed = carry
     positions = [scene.place(swing.position) for swing in section.swings]
-    velocities = [scene.place(swing.velocity) for swing in section.swings]
-    velocity = rising(section, step.polynomials[velocities[0]])
-    after = rising(section, [lane.state[velocities[0]]])[0]
+    own = scene.place(section.velocity)
+    velocity, after = rising(section, step.polynomials[own]), rising(section, [lane.state[own]])[0]
     turns, at = _turn(velocity, after, step)
     for _ in range(2):
         at = _polished(velocity, at, step)
-    # The others' swings are flat at their turns: a first guess of when will do.
-    others = [_turn(step.polynomials[v], lane.state[v], step) for v in velocities[1:]]
     there = keep(jnp.stack([value(step.polynomials[place], at) for place in _kept(scene)]))
     ends = [lane.state[place] for place in positions]
-    turned = [jnp.where(turns, there[0], ends[0])]
-    for place, end, (turns_too, when) in zip(positions[1:], ends[1:], others, strict=True):
-        turned.append(jnp.where(turns_too, value(step.polynomials[place], when), end))
+    turned = [
+        jnp.where(turns, there[0], end)
+        if swing.velocity == section.velocity
+        else _turned(step, place, end, scene, swing, lane)
+        for swing, place, end in zip(section.swings, positions, ends, strict=True)
+    ]
     ranges = tuple(widened(one, x) for one, x in zip(seen.ranges, turned, strict=True))
     level = rising(section, [section.rearm(c)])[0]
     armed = keep(seen.armed | (lowest(velocity, step.tau) < level))
@@ -164,6 +164,15 @@ def _turn(velocity: Coefficients, after: Array, step: Step) -> tuple[Array, Arra
     sign = jnp.where(velocity[0] < 0, -1.0, 1.0)
     guess = first_guess(jnp.abs(velocity[0]), sign * velocity[1] * step.tau, sign * after)
     return sign * after < 0, keep(guess * step.tau)
+
+
+def _turned(step: Step, place: int, end: Lanes, scene: Scene[Any], swing: Swing, lane: Lane) -> jax.Array:
+    """A swing's position where it turns on the step, else at its `end`."""
+    if swing.velocity is None:
+        return jnp.asarray(end)
+    # It is flat there: a first guess of when will do.
+    turns, when = _turn(step.polynomials[scene.place(swing.velocity)], lane.state[scene.place(swing.velocity)], step)
+    return jnp.where(turns, value(step.polynomials[place], when), end)
 
 
 def _polished(velocity: Coefficients, tau: Array, step: Step) -> Array:

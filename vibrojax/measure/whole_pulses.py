@@ -5,8 +5,9 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
-from vibrojax.arrays import Flags, Lanes
+from vibrojax.arrays import Array, Flags, Lanes
 from vibrojax.measure import ledger
+from vibrojax.measure.kept_returns import state_name
 from vibrojax.measure.ledger import Ledger
 from vibrojax.measure.recorder import Features, Records
 from vibrojax.scenes.capabilities import Driven, HasRock
@@ -18,12 +19,13 @@ from vibrojax.stepping.series import known
 
 class Pulses(NamedTuple):
     """What is carried: lanes that are `waiting` where a pulse begins, the `number` of them so far, the sums over them,
-    and the `deepest` gap [m]."""
+    the `deepest` gap [m], and the states at the `last` one (states, lanes)."""
 
     waiting: Flags
     number: Lanes
     ledger: Ledger
     deepest: Lanes
+    last: Array
 
 
 @dataclass(frozen=True)
@@ -31,7 +33,7 @@ class PulseRecorder(Records):
     """rate_of_penetration [m/s], slip_per_impact [m], mean_force [N], relief [1], deepest_gap [m].
 
     Means are over whole pulses, NaN where there is none; over the whole observation under a swept sine. Before the
-    observation there is nothing to know.
+    observation there is nothing to know. The states where the last pulse begins are kept, to tell where a lane is.
     """
 
     def settling(self, scene: Scene[Any], lane: Lane) -> tuple[()]:
@@ -51,7 +53,8 @@ class PulseRecorder(Records):
         # At t = 0 a pulse begins that no event tells of.
         first = (lane.clock.high == 0) & _driven(scene).has_pulses
         sums = ledger.begin(("time", "growth", "force", "yields"), compression)
-        return Pulses(first, jnp.zeros_like(compression), sums, jnp.minimum(compression, 0))
+        last = jnp.full((len(scene.return_states), *compression.shape), jnp.nan, compression.dtype)
+        return Pulses(first, jnp.zeros_like(compression), sums, jnp.minimum(compression, 0), last)
 
     def step(self, scene: Scene[Any], c: Any, carry: Pulses, lane: Lane, step: Step) -> Pulses:
         states = tuple(known(one) for one in step.polynomials)
@@ -65,11 +68,10 @@ class PulseRecorder(Records):
             "force": step.h * integral(force, step.tau),
             "yields": yields.astype(step.dt.dtype),
         }
-        return Pulses(
-            carry.waiting | _driven(scene).pulse_begins(c, step.mode, step.hits),
-            carry.number,
-            ledger.add(carry.ledger, increments),
-            jnp.minimum(carry.deepest, lane.state[scene.place("compression")]),
+        return carry._replace(
+            waiting=carry.waiting | _driven(scene).pulse_begins(c, step.mode, step.hits),
+            ledger=ledger.add(carry.ledger, increments),
+            deepest=jnp.minimum(carry.deepest, lane.state[scene.place("compression")]),
         )
 
     def waiting(self, carry: Pulses) -> Flags:
@@ -78,7 +80,11 @@ class PulseRecorder(Records):
     def take_returns(self, scene: Scene[Any], c: Any, carry: Pulses, lane: Lane, share: Lanes) -> Pulses:
         here, number = carry.waiting, carry.number
         totals, _ = ledger.section(carry.ledger, here, number)
-        return Pulses(jnp.zeros_like(here), jnp.where(here, number + 1, number), totals, carry.deepest)
+        last = carry.last
+        if scene.return_states:
+            states = jnp.stack([lane.state[scene.place(name)] for name in scene.return_states])
+            last = jnp.where(here[None], states, last)
+        return Pulses(jnp.zeros_like(here), jnp.where(here, number + 1, number), totals, carry.deepest, last)
 
     def read(self, scene: Scene[Any], c: Any, carry: Pulses) -> Features:
         number = carry.number
@@ -88,6 +94,7 @@ class PulseRecorder(Records):
         sums = {name: jnp.where(alone, carry.ledger.sums[name], whole[name]) for name in whole}
         mean_force = sums["force"] / sums["time"]
         return {
+            **{state_name(name): carry.last[index] for index, name in enumerate(scene.return_states)},
             "rate_of_penetration": sums["growth"] / sums["time"],
             "slip_per_impact": sums["growth"] / pulses,
             "mean_force": mean_force,

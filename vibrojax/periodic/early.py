@@ -14,7 +14,7 @@ from vibrojax.engine.underway import Ended
 from vibrojax.input.definition import Sweep
 from vibrojax.periodic.approach import SPLIT, Approach, approach, approaching, comes_closer
 from vibrojax.periodic.measured import Measuring, begun
-from vibrojax.periodic.newton import Found, orbits
+from vibrojax.periodic.newton import Found, orbits, repeats_after
 from vibrojax.periodic.segments import STEPS, Segments
 from vibrojax.stepping import Located
 
@@ -99,14 +99,14 @@ class EarlyEnds:
             near.limit,
             near.scale,
             np.full(len(near.lanes), FAR),
-            lambda some, states: self._map({name: x[some] for name, x in given.items()}, states),
+            self._map.of(given),
             enough=CLOSE,
             most=MOST_ITERATIONS,
         )
         step = np.max(np.abs(orbit.step) / orbit.scales[:, None], axis=(1, 2))
         orbit = orbit._replace(states=orbit.states + orbit.step)
         repeats = np.floor((self._run.settle - batch.underway.lane.clock.high) / orbit.times.sum(axis=1))
-        sure = (step < 10 * CLOSE) & (orbit.margin > MARGIN) & _distinct(orbit)
+        sure = (step < 10 * CLOSE) & (orbit.margin > MARGIN) & (repeats_after(orbit, SPLIT) == orbit.states.shape[1])
         sure &= comes_closer(near, orbit, repeats, self._accuracy.tolerance, self._run.error)
         if not sure.any():
             return []
@@ -138,12 +138,3 @@ class EarlyEnds:
         found = certified(fine | {"drift_estimate": still[sure]}, check, SHARE, LEAST * self._measured_at.tolerance)
         some = np.flatnonzero(right)
         return Ended(lanes[sure[some]], {name: x[some] for name, x in found.items()})
-
-
-def _distinct(orbit: Found) -> Bool[np.ndarray, " lanes"]:
-    """Where no fewer returns than the orbit has make a repeat."""
-    found = np.ones(len(orbit.states), bool)
-    for shift in range(1, orbit.states.shape[1]):
-        apart = np.abs(np.roll(orbit.states, shift, axis=1) - orbit.states) / orbit.scales[:, None]
-        found &= np.max(apart, axis=(1, 2)) > SPLIT
-    return found

@@ -37,7 +37,7 @@ class Margin:
     """The least margin on the way, from the scene, its section and its constants."""
 
     scene: Scene[Any]
-    section: Section
+    section: Section | None
     c: Any
 
     def after(self, least: Lanes, armed: Flags, lane: Lane, step: Step) -> Lanes:
@@ -51,13 +51,19 @@ class Margin:
         for name, one, scale in zip(self.scene.guard_names, functions, scales, strict=True):
             f = [one.array(k, step.dt) for k in range(len(step.polynomials[0]))]
             found += [_at_hit(f, step, step.hits[name], scale * pace), _near_miss(f, step, scale)]
-        velocity = step.polynomials[self.scene.place(self.section.velocity)]
+        return reduce(jnp.minimum, [*found, *self._of_section(armed, step, pace), *self._begun(lane, step)])
+
+    def _of_section(self, armed: Flags, step: Step, pace: Lanes) -> list[Array]:
+        """Those of the section's velocity; none where returns are the beginnings of pulses."""
+        section = self.section
+        if section is None:
+            return []
+        velocity = step.polynomials[self.scene.place(section.velocity)]
         speed = self.scene.speed_scale(self.c)
-        hit = step.hits[self.scene.marker_of(self.section.velocity)]
-        away = [-one for one in velocity] if self.section.rising else velocity
+        hit = step.hits[self.scene.marker_of(section.velocity)]
+        away = [-one for one in velocity] if section.rising else velocity
         near = jnp.where(armed, _near_miss(away, step, speed), jnp.inf)
-        found += [_at_hit(velocity, step, hit & armed, speed * pace), near, *self._begun(lane, step)]
-        return reduce(jnp.minimum, found)
+        return [_at_hit(velocity, step, hit & armed, speed * pace), near]
 
     def _begun(self, lane: Lane, step: Step) -> list[Array]:
         """What switches begin a mode with, where it is not zero."""

@@ -89,7 +89,9 @@ class Measuring:
         zero = np.zeros(len(lanes))
         state = tuple(np.ascontiguousarray(known.get(name, zero)) for name in scene.state_names)
         # One repeat between returns, and to between two returns, so that it is clear how many are seen.
-        settle, duration = zero, begun.length + begun.first + begun.second / 2
+        settle, duration, seen = zero, begun.length + begun.first + begun.second / 2, "returns"
+        if self._driving.section is None:  # the pulse that begins at t = 0 is one of them
+            duration, seen = begun.length + begun.first / 2, "pulses"
         if scene is not self._driving:
             settle = -(-DRIVEN_RETURNS // begun.cycles) * begun.length - begun.last / 2
             duration = begun.length + (begun.last + begun.first) / 2
@@ -98,5 +100,6 @@ class Measuring:
         batch = self._engine.on_orbit(batch, state, begun.past, begun.when, begun.length / begun.cycles)
         [features] = self._engine.observe(self._engine.settle([batch]) if np.any(settle) else [batch])
         # So short an observation shows no repeat: means are over all of it, and impacts are per return.
-        whole = features["finished"] & features["finite"] & (features["returns"] == begun.cycles + 1)
+        number = features[seen] == begun.cycles + (seen == "returns")
+        whole = features["finished"] & features["finite"] & number
         return features, whole

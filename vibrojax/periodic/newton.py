@@ -23,6 +23,9 @@ CONVERGED = 1e-12
 ACCEPTED = 1e-10
 """Residual of an orbit that counts as found."""
 
+LEAST_SWING = 1e-3
+"""Part of its size that a state's half swing is taken for at least: one that stands still moves by its roundings."""
+
 MOST_ITERATIONS = 8
 
 SAME = 1e-6
@@ -37,8 +40,7 @@ ReturnMap = Callable[[Index, Float[np.ndarray, "states segments"]], Mapped]
 class Found(NamedTuple):
     """What Newton's method came to, over lanes that repeat after the same number of returns.
 
-    - `scales` (lanes, states): of the states.
-    - `states`: at the section; `times` (lanes, cycles) [s]: from each to the next.
+    - `states`: at the section; `scales` (lanes, states) of them; `times` (lanes, cycles) [s]: from each to the next.
     - `residual` (lanes,): greatest return - state, over the scales; infinite where a lane did not return.
     - `product` (lanes, states, states): derivative of the map over the whole repeat.
     - `step`: Newton's step from there, which was not taken; its size is about the distance from the orbit.
@@ -46,8 +48,8 @@ class Found(NamedTuple):
     - `impacts` in the repeat, the least `margin`, and the `steps` of it, each (lanes,).
     """
 
-    scales: Float[np.ndarray, "lanes states"]
     states: States
+    scales: Float[np.ndarray, "lanes states"]
     times: Float[np.ndarray, "lanes cycles"]
     residual: Float[np.ndarray, " lanes"]
     product: Float[np.ndarray, "lanes states states"]
@@ -99,8 +101,9 @@ def orbits(
             break
         at = at + _step(at, now, scales[active])
         # From far away it may take thousands of steps to return.
-        on = _distance(at, begin[active], scales[active]) <= reach[active]
-        left[active[~on]] = True
+        distance = _distance(at, begin[active], scales[active])
+        left[active[distance > reach[active]]] = True
+        on = distance <= reach[active]
         active, at = active[on], at[on]
         if not len(active):
             break
@@ -116,8 +119,8 @@ def orbits(
         on = np.isfinite(found) & ((found < before / 2) | (found > ACCEPTED))
         active, at, now = active[on], at[on], _of(now, on)
     return Found(
-        scales=scales,
         states=states,
+        scales=scales,
         times=best.times,
         residual=residual,
         product=_product(best.jacobian),
@@ -129,13 +132,16 @@ def orbits(
     )
 
 
-def repeats_after(orbit: Found, scale: Float[np.ndarray, "lanes states"]) -> Int[np.ndarray, " lanes"]:
-    """Returns after which orbits repeat: as many as they have states, or fewer, which divide that."""
+def repeats_after(orbit: Found, same: float = SAME) -> Int[np.ndarray, " lanes"]:
+    """Returns after which orbits repeat: as many as they have states, or fewer, which divide that.
+
+    States that are no farther apart than `same`, over the scales, are taken for one.
+    """
     repeat = orbit.states.shape[1]
     found = np.full(len(orbit.states), repeat)
     for sooner in (q for q in range(repeat - 1, 0, -1) if repeat % q == 0):
-        apart = np.abs(np.roll(orbit.states, sooner, axis=1) - orbit.states) / scale[:, None]
-        found[np.nanmax(apart, axis=(1, 2)) <= SAME] = sooner
+        apart = np.abs(np.roll(orbit.states, sooner, axis=1) - orbit.states) / orbit.scales[:, None]
+        found[np.max(apart, axis=(1, 2)) <= same] = sooner
     return found
 
 
@@ -162,8 +168,9 @@ def _of(evaluated: _Evaluated, lanes: Bool[np.ndarray, " lanes"]) -> _Evaluated:
 
 
 def _swings(seen: Any) -> Float[np.ndarray, "lanes states"]:
-    """Half the swings over the repeat; 1 for what does not move."""
-    half = (seen.greatest.max(axis=1) - seen.least.min(axis=1)) / 2
+    """Half the swings over the repeat; of what hardly moves a part of its size, and 1 for what is zero all the way."""
+    most, least = seen.greatest.max(axis=1), seen.least.min(axis=1)
+    half = np.maximum((most - least) / 2, LEAST_SWING * np.maximum(most, -least))
     return np.where(half > 0, half, 1.0)
 
 

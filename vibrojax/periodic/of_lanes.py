@@ -6,16 +6,15 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from vibrojax.engine.batch import Features, Index
-from vibrojax.engine.programs import Given
 from vibrojax.input.definition import Sweep
 from vibrojax.measure.kept_returns import state_name
 from vibrojax.measure.ledger import MOST_CYCLES
 from vibrojax.measure.section import scales
 from vibrojax.periodic.margin import GRAZING, HOW
 from vibrojax.periodic.measured import Begun, Measuring, begun, joined
-from vibrojax.periodic.nearby import REACH, Nearby
 from vibrojax.periodic.newton import ACCEPTED, States, orbits, repeats_after
 from vibrojax.periodic.segments import STEPS, Segments
+from vibrojax.periodic.under_pulses import repeats
 from vibrojax.store.variables import ORBIT_REASONS, orbit_name
 
 NEAR, FAR = 1e-2, 0.5
@@ -25,7 +24,9 @@ DRIFTS = 100.0
 """The same between them, in estimates of how far the lane's period still is from where it settles: a small part of how
 far its state is."""
 
-OF_THE_LANE = frozenset({"finite", "finished", "steps", "returns", "trend", "cycles", "impacts", "settling_time"})
+OF_THE_LANE = frozenset(
+    {"finite", "finished", "steps", "returns", "trend", "cycles", "impacts", "settling_time", "pulses", "yields"}
+)
 """Features of the lane itself, which its orbit does not replace; `impacts` are the same."""
 
 PerLane = Float[np.ndarray, " lanes"]
@@ -45,7 +46,6 @@ class Orbits:
         self._scene = sweep.system.driving_part()
         self._measure = Measuring(sweep)
         self._map = Segments(self._scene)
-        self._nearby = Nearby(self._scene, self._measure)
 
     @property
     def described(self) -> dict[str, object]:
@@ -55,7 +55,6 @@ class Orbits:
             "tolerance": STEPS.tolerance,
             "accepted_residual": ACCEPTED,
             "grazing_limit": GRAZING,
-            "nearby_reach": REACH,
             "grazing_margin": HOW,
         }
 
@@ -75,32 +74,29 @@ class Orbits:
             "orbit_cycles": np.zeros(lanes),
             "orbit_reason": np.full(lanes, reason("not-repeating")),
         }
-        cycles = np.nan_to_num(features["cycles"]).astype(int)
-        sound = features["finite"] & features["finished"]
-        unsettled = np.flatnonzero(sound & ((cycles == 0) | (features["trend"] != 0)))
         parameters, _ = self._sweep.lane_values(first, end)
         parameters = {name: parameters[name] for name in self._scene.parameters()}
         parts: list[Begun] = []
         with np.errstate(all="ignore"):
+            if self._scene.section is None:
+                features = features | repeats(self._scene, features, self._map.of(parameters))
+            cycles = np.nan_to_num(features["cycles"]).astype(int)
+            sound = features["finite"] & features["finished"] & (cycles > 0)
             for repeat in range(1, MOST_CYCLES + 1):
                 some = np.flatnonzero(sound & (cycles == repeat))
                 if len(some):
                     parts.append(self._find(some, repeat, parameters, features, found))
-            given = self._measure.given(first, end)
-            found |= self._nearby(unsettled, parameters, given, features)
-            return found | (self._measured(given, joined(parts), features, found) if parts else {})
+            return found | (self._measured(first, end, joined(parts), features, found) if parts else {})
 
     def _find(
         self, lanes: Index, repeat: int, parameters: dict[str, np.ndarray], features: Features, found: Features
     ) -> Begun:
         """Enter in `found` the orbits of `lanes`, which all repeat after so many returns; those that were found."""
-        begin, scale = _last_returns(self._scene, lanes, repeat, features)
+        begin, scale = last_returns(self._scene, lanes, repeat, features)
         drift = features["drift_estimate"][lanes]
         reach = np.where(np.isnan(drift), NEAR, np.clip(DRIFTS * drift, NEAR, FAR))
         given = {name: x[lanes] for name, x in parameters.items()}
-        orbit = orbits(
-            begin, scale, reach, lambda some, states: self._map({name: x[some] for name, x in given.items()}, states)
-        )
+        orbit = orbits(begin, scale, reach, self._map.of(given))
         converged, own = orbit.residual <= ACCEPTED, orbit.moved <= reach
         if "impacts" in features:
             own &= orbit.impacts == features["impacts"][lanes]
@@ -112,7 +108,7 @@ class Orbits:
         found["orbit_reason"][lanes] = np.select(list(rules.values()), list(map(reason, rules)), reason("found"))
         found["orbit_residual"][lanes] = np.where(np.isfinite(orbit.residual), orbit.residual, np.nan)
         found["grazing_margin"][lanes] = np.where(converged & own, orbit.margin, np.nan)
-        found["orbit_cycles"][lanes] = np.where(converged & own, repeats_after(orbit, scale), 0)
+        found["orbit_cycles"][lanes] = np.where(converged & own, repeats_after(orbit), 0)
         for name, x in zip(self._scene.return_states, orbit.states[:, 0].T, strict=True):
             found[orbit_name(name)][lanes] = np.where(converged & own, x, np.nan)
         right = np.flatnonzero(found["orbit_reason"][lanes] == reason("found"))
@@ -123,11 +119,11 @@ class Orbits:
         found["stable"][lanes[right]] = np.abs(values[:, 0]) < 1
         return begun(lanes[right], orbit.states[right], orbit.times[right], orbit.steps[right])
 
-    def _measured(self, given: Given, orbit: Begun, own: Features, found: Features) -> Features:
+    def _measured(self, first: int, end: int, orbit: Begun, own: Features, found: Features) -> Features:
         """The features of the chunk, of lanes with an orbit measured over it; one that it does not bear out is lost."""
         if not len(orbit.lanes):
             return {}
-        again, whole = self._measure.of(given, orbit)
+        again, whole = self._measure(first, end, orbit)
         if "impacts" in own:
             whole &= np.abs(again["impacts"] * orbit.cycles - own["impacts"][orbit.lanes]) < 0.5
         lost, kept = orbit.lanes[~whole], orbit.lanes[whole]
@@ -136,18 +132,21 @@ class Orbits:
         states = map(orbit_name, self._scene.return_states)
         for name in ("multiplier_abs", "multiplier_arg", "grazing_margin", *states):
             found[name][lost] = np.nan
-        again["period"] = orbit.length / orbit.cycles
-        measured = {name: own[name].copy() for name in again if again[name].ndim == 1 and name not in OF_THE_LANE}
+        if "period" in again:
+            again["period"] = orbit.length / orbit.cycles
+        lane = OF_THE_LANE | {state_name(name) for name in self._scene.return_states}
+        measured = {name: own[name].copy() for name in again if again[name].ndim == 1 and name not in lane}
         for name, x in measured.items():
             x[kept] = again[name][whole]
         return measured
 
 
-def _last_returns(scene: Any, lanes: Index, repeat: int, features: Features) -> tuple[States, np.ndarray]:
+def last_returns(scene: Any, lanes: Index, repeat: int, features: Features) -> tuple[States, np.ndarray]:
     """States at the last returns (lanes, cycles, states), and their scales (lanes, states); NaN: labels have none."""
-    section = scene.section
     rows = [features[state_name(name)][lanes][:, -repeat:].astype(float) for name in scene.return_states]
-    swings = tuple(features[swing.amplitude][lanes] for swing in section.swings)
-    known = scales(swings, features["period"][lanes])
+    known: list[Any] = []
+    if scene.section is not None:
+        swings = tuple(features[swing.amplitude][lanes] for swing in scene.section.swings)
+        known = scales(swings, features["period"][lanes])
     unknown = [np.full(len(lanes), np.nan)] * (len(rows) - len(known))
     return np.stack(rows, axis=-1), np.stack([*known, *unknown], axis=-1).astype(float)

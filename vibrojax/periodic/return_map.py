@@ -1,5 +1,7 @@
 """The return map: from one return to the section to the next, with its derivative, through all events on the way.
 
+Of a scene that is driven by pulses it is from the beginning of one to that of the next: stroboscopic.
+
 Steps are located, so the map is that of the exact motion but for their tolerance. A derivative in forward mode goes
 with the time of every event (the root's implicit derivative), so that what events do to a neighbour, the saltation, is
 in it (Leine and Nijmeijer, *Dynamics and Bifurcations of Non-Smooth Mechanical Systems*, 2004, chapter 7).
@@ -14,7 +16,7 @@ from vibrojax.arrays import Array, Flags, Lanes, Real
 from vibrojax.engine.compiler import lane_function
 from vibrojax.measure.section import lowest, rising
 from vibrojax.periodic.margin import Margin
-from vibrojax.scenes import HasContact, Scene
+from vibrojax.scenes import Driven, HasContact, Scene
 from vibrojax.scenes.scene import Section, Values
 from vibrojax.stepping import Accuracy, Goal, Lane, Step, Stepper, lane_at
 
@@ -107,7 +109,6 @@ def one_return(
     **Arguments:** `c`: the scene's constants, scaled for the motion; `state` (states, lanes).
     """
     section = scene.section
-    assert section is not None
     margin = Margin(scene, section, c)
     lane = lane_at(scene, c, at_section(scene, state))
     zero = jnp.zeros_like(state[0])
@@ -119,7 +120,7 @@ def one_return(
     def one(way: _Way) -> _Way:
         moving = _active(way, most_steps)
         lane, step = stepper.step(scene, c, way.lane, accuracy, Goal(jnp.inf, moving), marked=True)
-        armed, returns = _passed(scene, section, c, way.armed, step)
+        armed, returns = passed(scene, section, c, way.armed, step)
         seen = way.seen
         own = jax.lax.stop_gradient(_own(scene, lane))
         seen = Seen(
@@ -154,8 +155,11 @@ def _entered(before: tuple[Array, ...], after: tuple[Array, ...]) -> Array:
     return jnp.stack([jnp.stack(row) for row in rows]).astype(before[0].dtype)
 
 
-def _passed(scene: Scene[Any], section: Section, c: Any, armed: Flags, step: Step) -> tuple[Flags, Flags]:
+def passed(scene: Scene[Any], section: Section | None, c: Any, armed: Flags, step: Step) -> tuple[Flags, Flags]:
     """(whether the next zero counts, whether the step ends on the section), as where lanes are observed."""
+    if section is None:
+        assert isinstance(scene, Driven)
+        return armed, scene.pulse_begins(c, step.mode, step.hits)
     velocity = rising(section, step.polynomials[scene.place(section.velocity)])
     armed = armed | (lowest(velocity, step.tau) < rising(section, [section.rearm(c)])[0])
     marker = scene.marker_of(section.velocity)

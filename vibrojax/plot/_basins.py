@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from vibrojax.plot._axes import certified_text, label, point_text
-from vibrojax.plot._colours import Value, regime_handles, share_value, values_beside
+from vibrojax.plot._colours import Value, name_flags, regime_handles, share_value, values_beside
 from vibrojax.plot._contents import ENOUGH, POINT, REGIME, START, axes_of_map, lane_dims, regimes_in, swept, varied
 from vibrojax.plot._maps import map_of
 from vibrojax.plot._margins import legend_at_right, write_margins
@@ -121,7 +121,7 @@ def _phase_planes(ds: xr.Dataset, shown: Values, note: str) -> Figure:
     for column, value in zip(panels.T, shown, strict=True):
         if value is not None:
             bar = ScalarMappable(value.norm, value.colour_map)
-            figure.colorbar(
+            drawn = figure.colorbar(
                 bar,
                 ax=column,
                 extend=value.extend,
@@ -130,6 +130,7 @@ def _phase_planes(ds: xr.Dataset, shown: Values, note: str) -> Figure:
                 aspect=30,
                 ticks=MaxNLocator(5),
             )
+            name_flags(drawn.long_axis, value)
     legend_at_right(figure, regime_handles([ds[REGIME]]) if None in shown else [])
     notes = point_text(ds), certified_text(ds), f"{ds.sizes[START]} starts", left_out_text(ds), note
     write_margins(figure, str(ds.attrs.get("title", "")), *notes)

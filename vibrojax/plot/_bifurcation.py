@@ -1,9 +1,11 @@
 """Bifurcation diagrams: the impact velocity at each stored return to the section, over the swept axis."""
 
+from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
 import xarray as xr
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -12,6 +14,7 @@ from vibrojax.errors import InputError
 from vibrojax.plot._axes import scale, values_along, with_unit
 from vibrojax.plot._colours import flags
 from vibrojax.plot._contents import REGIME, RETURN, RETURNS, START, many_starts, swept, without_single
+from vibrojax.plot._over import OF_RETURNS, check_over, draw_over, over_handles, over_text, several
 from vibrojax.plot._strips import Lanes, Stack, dot_size, draw_stacks, of_lanes, of_start, start_names
 from vibrojax.plot.style import Mark, start_colour, styled
 
@@ -22,7 +25,7 @@ _GREY = Mark(linestyle="none", marker="o", markersize=4.0, color=_OTHERS)
 
 
 @styled
-def bifurcation(ds: xr.Dataset) -> Figure:
+def bifurcation(ds: xr.Dataset, over: xr.Dataset | Sequence[xr.Dataset] | None = None) -> Figure:
     """The impact velocity at each stored return over the swept axis: a diagram for each start, over those of all.
 
     Where the dots of a start leave those of the others, grey, two motions coexist. Many starts are in one diagram, in
@@ -32,10 +35,13 @@ def bifurcation(ds: xr.Dataset) -> Figure:
     **Arguments:**
 
     - `ds`: a sweep's dataset with `regime` and `return_impact_velocity` [m/s] along `return_index`.
+    - `over`: families of orbits along the swept axis, as `vj.follow` gives them, in one dataset or several: drawn over
+      the returns, solid where they are stable, dashed where not. Each panel has the families of its parameters.
 
     **Returns:** a figure that pyplot knows nothing of.
 
-    **Raises:** `InputError` where there are no returns, or nothing is swept.
+    **Raises:** `InputError` where there are no returns, or nothing is swept; where `over` has no families along that
+    axis, or of another machine.
     """
     if RETURNS not in ds or REGIME not in ds:
         raise InputError(f"no returns to draw: the dataset holds no {RETURNS}; run the sweep with keep_returns above 0")
@@ -45,12 +51,17 @@ def bifurcation(ds: xr.Dataset) -> Figure:
     x = max(swept(ds), key=lambda name: ds.sizes[name])
     diagrams = 1 if many_starts(ds) else len(start_names(ds))
     of_one, of_several = _HIGH.get(diagrams, _LOW)
-    draw = partial(_draw_returns, x=x)
-    handles = [Line2D([], [], label="all other starts", **_GREY)] if diagrams > 1 else []
-    return draw_stacks(ds, x, diagrams, lambda count: of_one if count == 1 else of_several, draw, handles)
+    every = several(over)
+    for one in every:
+        check_over(ds, one, x)
+    draw = partial(_draw_returns, x=x, every=every)
+    handles: list[Artist] = [Line2D([], [], label="all other starts", **_GREY)] if diagrams > 1 else []
+    handles += over_handles(every)
+    about = over_text(ds, every, OF_RETURNS)
+    return draw_stacks(ds, x, diagrams, lambda count: of_one if count == 1 else of_several, draw, handles, about)
 
 
-def _draw_returns(stack: Stack, x: str) -> None:
+def _draw_returns(stack: Stack, x: str, every: Sequence[xr.Dataset]) -> None:
     factor, unit = scale(stack.facet[RETURNS])
     names = start_names(stack.facet)
     first = stack.curves[0]
@@ -65,6 +76,8 @@ def _draw_returns(stack: Stack, x: str) -> None:
             _draw_start(axes, stack, x, at, factor)
             if names[at]:
                 axes.set_title(", ".join(part for part in (stack.title, f"start: {names[at]}") if part), loc="left")
+        for over in every:
+            draw_over(axes, over, stack.facet, x, OF_RETURNS, factor)
     if stack.left:  # written once, as high as the diagrams together
         middle = stack.curves[len(stack.curves) // 2]
         middle.set_ylabel(with_unit("impact velocity at each return", unit), y=0.5 if len(stack.curves) % 2 else 1.1)

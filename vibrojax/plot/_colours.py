@@ -1,7 +1,8 @@
 """Colours of what is drawn: the regimes and the forms of the law one each, quantities by a scale that panels share."""
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -9,13 +10,16 @@ import xarray as xr
 from jaxtyping import Float
 from matplotlib import colormaps
 from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.colors import BoundaryNorm, Colormap, ListedColormap, LogNorm, Normalize
 from matplotlib.patches import Patch
+from matplotlib.ticker import NullLocator
 
 from vibrojax.label import REGIMES
 from vibrojax.plot._axes import scale, share_text, with_unit
 from vibrojax.plot._contents import RATE, REGIME, RELIEF, contents
-from vibrojax.plot.style import COLOURS, NOTHING, UNDEFINED
+from vibrojax.plot.style import COLOURS, NOTHING, OTHER_COLOURS, UNDEFINED
 
 # One colour for each regime, for ever, so that pictures of different runs can be read side by side. Any two differ by
 # 28 or more in CIELAB, also with any one kind of cone missing. The one to find, 3, is the brightest.
@@ -45,8 +49,12 @@ _QUANTITIES = {
     "mean_force": ("mean force P", "cividis"),
     "relief": ("relief P/D", "cividis"),
     "C": ("C", "viridis"),
+    "multiplier_abs": ("largest |multiplier|", "viridis"),
+    "multiplier_arg": ("argument of the largest\nmultiplier", "viridis"),
+    "stable": ("stability", ""),
     "C_relative_error": ("standard error of C", "cividis"),
 }
+_STABILITY_COLOURS = {-1: "#BBBBBB", 0: "#D55E00", 1: "#0072B2"}
 _OF_DRILL = ("impact_velocity", "period", "bit_amplitude")
 _OF_ROCK = (RATE, "slip_per_impact", RELIEF, "mean_force")
 _NOTHING_AT_ZERO = {"rate_of_penetration", "slip_per_impact"}
@@ -69,6 +77,8 @@ class Value:
     norm: Normalize
     extend: Literal["neither", "min", "max", "both"]
     colour_map: Colormap
+    names: Mapping[int, str] = field(default_factory=dict)
+    """What its values mean, where they are flags."""
 
     @property
     def of_rate(self) -> bool:
@@ -113,10 +123,11 @@ def by_share(rows: Float[np.ndarray, "starts values"]) -> Float[np.ndarray, "sta
 
 def regime_names(data: xr.DataArray) -> dict[int, str]:
     """The name of each regime, by the attributes `flag_values` and `flag_meanings` of `data` where they are there."""
-    return dict(enumerate(REGIMES)) | _flag_names(data)
+    return dict(enumerate(REGIMES)) | flag_names(data)
 
 
-def _flag_names(data: xr.DataArray) -> dict[int, str]:
+def flag_names(data: xr.DataArray) -> dict[int, str]:
+    """What the flags of `data` mean, by its attributes."""
     values = np.atleast_1d(data.attrs.get("flag_values", [])).astype(int).tolist()
     return dict(zip(values, str(data.attrs.get("flag_meanings", "")).split(), strict=False))
 
@@ -179,8 +190,10 @@ def values_of_rock(ds: xr.Dataset) -> tuple[Value, ...]:
 
 
 def value_of(data: xr.DataArray) -> Value:
-    """The quantity `data` in colours."""
+    """The quantity `data` in colours; of flags those that occur, one each."""
     name = str(data.name)
+    if "flag_meanings" in data.attrs and np.size(data.values):
+        return _flags_value(data)
     (text, colours), (factor, unit) = _QUANTITIES.get(name, (name.replace("_", " "), "viridis")), scale(data)
     finite: Cells = data.values[np.isfinite(data.values)] * factor
     finite = finite[finite > 0] if name in _NOTHING_AT_ZERO else finite
@@ -194,18 +207,39 @@ def value_of(data: xr.DataArray) -> Value:
     return Value(name, with_unit(text, unit), factor, norm, extend[beyond], shown)
 
 
+def _flags_value(data: xr.DataArray) -> Value:
+    """Flags in colours: of stability and of regimes their own, of others in order."""
+    meanings, there = flag_names(data), np.unique(data.values).astype(int).tolist()
+    own = (
+        REGIME_COLOURS if "single-impact" in meanings.values() else _STABILITY_COLOURS if data.name == "stable" else {}
+    )
+    colours = [own.get(flag, OTHER_COLOURS[at % len(OTHER_COLOURS)]) for at, flag in enumerate(there)]
+    between = [(one + other) / 2 for one, other in pairwise(there)]
+    norm = BoundaryNorm([there[0] - 0.5, *between, there[-1] + 0.5], len(there))
+    name = str(data.name)
+    names = {flag: meanings.get(flag, str(flag)) for flag in there}
+    shown = ListedColormap(colours, name=name).with_extremes(bad=UNDEFINED)
+    return Value(name, _QUANTITIES.get(name, (name.replace("_", " "), ""))[0], 1.0, norm, "neither", shown, names)
+
+
+def name_flags(axis: Axis, value: Value) -> None:
+    """Write along an axis what the flags mean, where `value` has flags."""
+    if value.names:
+        axis.set_ticks(list(value.names), list(value.names.values()))
+        axis.set_minor_locator(NullLocator())
+
+
+def shape_flags(axes: Axes, value: Value) -> None:
+    """Give the y axis of `axes` the names and the limits of flags, where `value` has flags."""
+    if value.names:
+        name_flags(axes.yaxis, value)
+        axes.set_ylim(min(value.names) - 0.5, max(value.names) + 0.5)
+
+
 def share_value(data: xr.DataArray, name: str) -> Value:
     """The share [%] `data` of starts that end in the regime `name`, in colours from 0 to 100 %."""
     colours = colormaps[COLOURS.get() or "viridis"]
     return Value(str(data.name), f"{name} [% of starts]", 1.0, Normalize(0.0, 100.0), "neither", colours)
-
-
-def flags_text(data: xr.DataArray) -> str:
-    """What the numbers of a flag variable that occur mean, in words; nothing for others, and for regimes."""
-    if "flag_meanings" not in data.attrs or data.name == REGIME:
-        return ""
-    meanings, there = _flag_names(data), np.unique(data.values).astype(int).tolist()
-    return f"{data.name}: {', '.join(f'{flag} {meanings[flag]}' for flag in there if flag in meanings)}"
 
 
 def value_handles(data: Sequence[xr.Dataset], values: Sequence[Value]) -> list[Artist]:

@@ -8,10 +8,12 @@ import numpy as np
 import xarray as xr
 
 from vibrojax.errors import InputError, suggestion
+from vibrojax.families.stretches import is_families
 
 TIME, SETTING = "time", "setting"  # the dimension of a run, and of a study of speed against error
 START, POINT, RETURN, FORM = "start", "point", "return_index", "form"
-_MULTIPLIER = "multiplier"
+MULTIPLIER = "multiplier"
+DIRECTION = "direction"  # of lanes that are carried along an axis
 _GROUP = "group"  # the dimension of groups of rows of a table
 HIDDEN = "hidden_motion"
 REGIME, RATE, RELIEF, COEFFICIENT = "regime", "rate_of_penetration", "relief", "C"
@@ -19,7 +21,7 @@ RETURNS, ERROR = "return_impact_velocity", "error_worst"
 BESIDE_REGIMES = (RATE, "impact_velocity", "period", "bit_amplitude")  # the first two of these that a dataset has
 
 MOST_LINES = 8  # in one panel, and in the legend
-_NOT_SWEPT = {START, POINT, RETURN, FORM, _MULTIPLIER}
+_NOT_SWEPT = {START, POINT, RETURN, FORM, MULTIPLIER}
 _EACH_LANE = (REGIME, RATE, COEFFICIENT, "status")  # what every lane has one of: of a drill, rock, a fit, any sweep
 _MANY = 9  # values of an axis from which lines, one for each, are too many
 ENOUGH = 6  # values from which an axis is one to draw along, rather than a choice between a few
@@ -35,6 +37,7 @@ class Contents:
     - `beside`: the quantities worth a panel beside the regimes.
     - `many_starts`: whether every point runs from more starts than have a panel each.
     - `swept_sine`: whether the force of a run is a sine of a frequency that changes.
+    - `families`: whether these are families of orbits along a parameter; `borders`: curves around the single impact.
     """
 
     variables: frozenset[str]
@@ -46,6 +49,8 @@ class Contents:
     points: bool
     many_starts: bool
     swept_sine: bool
+    families: bool
+    borders: bool
 
     @property
     def run(self) -> bool:
@@ -76,6 +81,11 @@ class Contents:
     def returns(self) -> bool:
         """A sweep that kept the returns to the section, over an axis at least."""
         return self.regimes and RETURNS in self.variables and bool(self.axes)
+
+    @property
+    def carried(self) -> bool:
+        """A sweep whose lanes were carried up and down along an axis."""
+        return self.regimes and DIRECTION in self.dimensions
 
     @property
     def rates(self) -> bool:
@@ -117,7 +127,14 @@ def contents(ds: xr.Dataset) -> Contents:
         points=POINT in lane_dims(ds),
         many_starts=many_starts(ds),
         swept_sine=ds.attrs.get("pulse_shape") == "sweep" and parameters_of(ds).get("sweep_rate", 0.0) != 0.0,
+        families=is_families(ds),
+        borders=is_borders(ds),
     )
+
+
+def is_borders(ds: xr.Dataset) -> bool:
+    """Whether `ds` holds borders of the single impact."""
+    return {"curve", "kind", "region_area"} <= set(ds.variables) and "axes" in ds.attrs
 
 
 def has_regimes(ds: xr.Dataset) -> bool:

@@ -18,6 +18,7 @@ from matplotlib.ticker import MaxNLocator
 
 from vibrojax.label import REGIMES
 from vibrojax.plot._axes import certified_text, edges, label, point_text, shape_axis, value_text, values_along
+from vibrojax.plot._borders import OVER_TEXT, border_handles, check_borders, draw_over_panel
 from vibrojax.plot._colours import (
     Coloured,
     Value,
@@ -50,21 +51,35 @@ _REGION_NAME = "source's best region"
 
 
 @styled
-def regime_grid(ds: xr.Dataset, x: str | None = None, y: str | None = None) -> Figure:
-    """The regimes over two axes, with the quantities worth a panel beside them; see `regime_map`."""
+def regime_grid(ds: xr.Dataset, x: str | None = None, y: str | None = None, over: xr.Dataset | None = None) -> Figure:
+    """The regimes over two axes, with the quantities worth a panel beside them; see `regime_map`. `over`: borders to
+    lay over the regimes."""
     ds = regimes_in(ds)
-    return map_of(ds, (None, *values_beside(ds)), *axes_of_map(ds, x, y))
+    return map_of(ds, (None, *values_beside(ds)), *axes_of_map(ds, x, y), over=over)
 
 
-def map_of(ds: xr.Dataset, values: tuple[Value | None, ...], x: str, y: str, *about: str) -> Figure:
-    """The `values` in `ds`, None for the regimes, over its axes `x` and `y`, and what there is to say `about` it."""
+def map_of(
+    ds: xr.Dataset,
+    values: tuple[Value | None, ...],
+    x: str,
+    y: str,
+    *about: str,
+    over: xr.Dataset | None = None,
+) -> Figure:
+    """The `values` in `ds`, None for the regimes, over its axes `x` and `y`, and what there is to say `about` it.
+    `over`: borders to lay over the regimes."""
+    if over is not None:
+        check_borders(ds, over, x, y)
     ds = ds.sortby([x, y])
     panels = facets(ds, (x, y), MOST if len(values) < _SEVERAL else MOST // 2)
     drawn = sheet(panels, values)
     marks = False
+    kinds: list[str] = []
     for panel in drawn:
         draw_cells(panel, x, y)
         marks |= panel.value is None and _mark_hidden(panel, x, y)
+        if over is not None and panel.value is None:
+            kinds += draw_over_panel(panel.axes, over, panel.facet, x, y)
         outline_region(panel.axes, x, y)
         write_labels(panel, ds[x], ds[y])
     handles = regime_handles([facet[REGIME] for facet in panels.data]) if None in values else []
@@ -73,9 +88,10 @@ def map_of(ds: xr.Dataset, values: tuple[Value | None, ...], x: str, y: str, *ab
         handles
         + ([_hidden_handle()] if marks else [])
         + _border_handle(drawn.panels)
+        + border_handles(kinds)
         + region_handle(drawn.panels[0].axes)
     )
-    notes = point_text(ds), certified_text(ds), panels.note, *about
+    notes = point_text(ds), certified_text(ds), panels.note, *about, OVER_TEXT if kinds else ""
     write_margins(drawn.figure, str(ds.attrs.get("title", "")), *notes)
     return drawn.figure
 

@@ -32,7 +32,8 @@ def write_margins(figure: Figure, title: str, *notes: str) -> None:
     bold = FontProperties(size=TITLE_SIZE, weight="bold")
     above = _wrapped(figure, title, bold, width - _legend_width(figure), _MOST_LINES["title"])
     note = ". ".join(note for note in notes if note)
-    below = _wrapped(figure, note, FontProperties(size=_NOTE_SIZE), width, _MOST_LINES["note"])
+    # Small letters are wider, by a hundredth, on the finer pixels of a saved picture.
+    below = _wrapped(figure, note, FontProperties(size=_NOTE_SIZE), 0.985 * width, _MOST_LINES["note"])
     if above:
         figure.suptitle("\n".join(above), x=0.01, ha="left", fontproperties=bold)
     if below:

@@ -15,13 +15,17 @@ from matplotlib.figure import Figure
 from vibrojax.errors import InputError, nearest, shown
 from vibrojax.plot._basins import many_starts, share_grid
 from vibrojax.plot._bifurcation import bifurcation
+from vibrojax.plot._borders import border_curves
 from vibrojax.plot._contents import Contents, contents, law_in, rates_in, regimes_in
+from vibrojax.plot._families import families
 from vibrojax.plot._hole import pulses, response
+from vibrojax.plot._hysteresis import hysteresis
 from vibrojax.plot._maps import rate_grid, regime_grid
+from vibrojax.plot._over import several
 from vibrojax.plot._rate_law import law_lines, law_map
 from vibrojax.plot._rates import rates
 from vibrojax.plot._scatter import rate_scatter, regime_bars, regime_scatter
-from vibrojax.plot._selection import select
+from vibrojax.plot._selection import Value, select
 from vibrojax.plot._strips import regime_lines
 from vibrojax.plot._time_history import trajectory
 from vibrojax.plot._variables import variables
@@ -47,7 +51,10 @@ PICTURES = (
     Picture("motion",        lambda held: held.bit_on_rock and held.swept_sine,          response),
     Picture("motion",        lambda held: held.bit_on_rock,                              pulses),
     Picture("motion",        lambda held: held.run,                                      trajectory),
+    Picture("families",      lambda held: held.families,                                 families),
+    Picture("borders",       lambda held: held.borders,                                  border_curves),
     Picture("accuracy",      lambda held: held.study,                                    work_precision),
+    Picture("returns",       lambda held: held.carried,                                  hysteresis),
     Picture("returns",       lambda held: held.returns,                                  bifurcation),
     Picture("law",           lambda held: held.law and len(held.long) > 1,               law_map),
     Picture("law",           lambda held: held.law,                                      law_lines),
@@ -65,23 +72,29 @@ PICTURES = (
 def picture(
     ds: xr.Dataset,
     variable: str | Sequence[str] | None = None,
-    where: Mapping[str, float | str] | None = None,
+    where: Mapping[str, Value] | None = None,
     colours: str | None = None,
+    over: xr.Dataset | Sequence[xr.Dataset] | None = None,
 ) -> Figure:
-    """The fitting picture for what `ds` holds: a trajectory, returns, regimes, rates of penetration, or a law.
+    """The fitting picture for what `ds` holds: a trajectory, returns, regimes, rates of penetration, a law, families of
+    orbits, or borders.
 
     **Arguments:**
 
-    - `ds`: what `simulate`, a sweep, a fit or the study of speed against error gives.
+    - `ds`: what `simulate`, a sweep, a fit, `follow` or the study of speed against error gives.
     - `variable`: the name of a variable to draw instead, over all that varies; or several names, four at most, of a run
       eight.
     - `where`: values of axes or of coordinates along them, by name, in the dataset's units: only the lanes there are
       drawn, `{"delta": 0.005, "start": "stuck"}`. Numbers need be right to four digits.
     - `colours`: the name of the matplotlib colour map for quantities; regimes, forms and starts keep their colours.
+    - `over`: families of orbits, as `follow` gives them, in one dataset or several, to lay over the returns of a sweep
+      along the same parameter, or over lanes carried along it; or borders, as `borders` gives them, to lay over the map
+      of regimes.
 
     **Returns:** a figure that pyplot knows nothing of.
 
-    **Raises:** `InputError` where the dataset holds nothing to draw, or no such variable, axis, value or colour map.
+    **Raises:** `InputError` where the dataset holds nothing to draw, or no such variable, axis, value or colour map; or
+    `over` does not belong there.
     """
     if not isinstance(ds, xr.Dataset):
         raise InputError(f"{shown(ds)} is no dataset; open it first: vj.picture(vj.open_dataset(PATH))")
@@ -92,11 +105,35 @@ def picture(
     token = COLOURS.set(colours)
     try:
         ds = select(ds, where) if where else ds
+        if over is not None:
+            return _laid_over(ds, over, variable)
         if variable is not None:
             return variables(ds, (variable,) if isinstance(variable, str) else variable)
         return _fitting_picture(ds)
     finally:
         COLOURS.reset(token)
+
+
+def _laid_over(ds: xr.Dataset, over: xr.Dataset | Sequence[xr.Dataset], variable: object) -> Figure:
+    """Borders over a map of regimes, or families over returns."""
+    held, every = contents(ds), several(over)
+    if any(isinstance(one, xr.Dataset) and contents(one).borders for one in every):
+        if len(every) > 1:
+            raise InputError("over: borders are laid over a map one dataset at a time; give one")
+        if variable is not None or not held.regimes or held.points or len(held.axes) < 2:
+            raise InputError(
+                "over: borders are laid over the map of regimes of a sweep over a grid of two parameters, "
+                + ("and over no other variable" if variable is not None else "and the dataset holds none")
+            )
+        return regime_grid(ds, over=every[0])
+    if variable is not None or not (held.returns or held.carried):
+        raise InputError(
+            "over: families are laid over the returns of a sweep with keep_returns above 0, or over carried lanes, "
+            + ("and over no other variable" if variable is not None else "and the dataset holds none")
+        )
+    if held.carried:
+        return hysteresis(ds, every)
+    return bifurcation(ds, every)
 
 
 def _fitting_picture(ds: xr.Dataset) -> Figure:
@@ -179,8 +216,9 @@ def save_picture(
     ds: xr.Dataset,
     path: str | Path,
     variable: str | Sequence[str] | None = None,
-    where: Mapping[str, float | str] | None = None,
+    where: Mapping[str, Value] | None = None,
     colours: str | None = None,
+    over: xr.Dataset | Sequence[xr.Dataset] | None = None,
 ) -> None:
     """Draw the fitting picture for `ds` into the file `path`, which is there whole or not at all.
 
@@ -188,7 +226,7 @@ def save_picture(
 
     - `ds`: what `simulate` or a sweep gives.
     - `path`: ends in .png, .pdf or .svg.
-    - `variable`, `where`, `colours`: what to draw of it, and how; see [vibrojax.plot.picture][].
+    - `variable`, `where`, `colours`, `over`: what to draw of it, and how; see [vibrojax.plot.picture][].
 
     **Raises:** `InputError` for another ending, a path that cannot be written, or what `picture` refuses.
     """
@@ -196,7 +234,7 @@ def save_picture(
     suffix = path.suffix.lower()
     if suffix not in _METADATA:
         raise InputError(f"{path}: pictures end in .png, .pdf or .svg, not in {suffix or 'nothing'}")
-    figure = picture(ds, variable, where, colours)
+    figure = picture(ds, variable, where, colours, over)
     try:
         with settings(), atomic_write(path, "part") as part:
             figure.savefig(part, format=suffix[1:], metadata=_METADATA[suffix])

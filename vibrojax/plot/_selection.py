@@ -7,6 +7,7 @@ import xarray as xr
 from jaxtyping import Float
 
 from vibrojax.errors import InputError, shown, suggestion
+from vibrojax.families.stretches import FAMILY, is_families, numbers_of
 from vibrojax.plot._axes import short
 from vibrojax.plot._contents import FORM, is_numeric, lane_dims, named_groups
 
@@ -17,7 +18,8 @@ _LISTED, _NAMES = 12, 5
 
 
 def select(ds: xr.Dataset, where: Mapping[str, Value]) -> xr.Dataset:
-    """The lanes of `ds` at the values `where` names them: of its axes, or of coordinates along these.
+    """The lanes of `ds` at the values `where` names them: of its axes, or of coordinates along these; of families those
+    at values of what tells them apart, or one `branch`.
 
     **Arguments:** `where`: by name, a number in the unit of the dataset, right to four digits, or a name.
 
@@ -25,6 +27,8 @@ def select(ds: xr.Dataset, where: Mapping[str, Value]) -> xr.Dataset:
     """
     if not isinstance(where, Mapping):
         raise InputError(f'where: {shown(where)} does not say which axis; give {{"delta": 0.005}}')
+    if is_families(ds):
+        return _of_families(ds, where)
     ds = named_groups(ds)
     for name, value in where.items():
         dims = (*lane_dims(ds), FORM)
@@ -38,6 +42,24 @@ def select(ds: xr.Dataset, where: Mapping[str, Value]) -> xr.Dataset:
     selected = ds.copy()
     selected.attrs = {name: value for name, value in ds.attrs.items() if name != "certified"}  # counted over all lanes
     return selected
+
+
+def _of_families(ds: xr.Dataset, where: Mapping[str, Value]) -> xr.Dataset:
+    """The points and special points of some families, or of one branch."""
+    for name, value in where.items():
+        choices = [*(str(one) for one, data in ds.coords.items() if data.dims == (FAMILY,)), "branch"]
+        if name not in choices:
+            raise InputError(f"where: {shown(name)} tells no families apart; {suggestion(str(name), choices)}")
+        if name == "branch":
+            there = ds["branch"].isel(point=_same(ds["branch"], value)).values
+            wanted = {"point": ds["branch"].values, "special": ds["special_branch"].values}
+        else:
+            at = _same(ds[name], value)
+            there = ds[FAMILY].values[at]
+            wanted = {which: numbers_of(ds, which) for which in ("point", "special")}
+            ds = ds.isel({FAMILY: int(at[0])}).drop_vars(FAMILY) if len(at) == 1 else ds.isel({FAMILY: at})
+        ds = ds.isel({which: np.flatnonzero(np.isin(numbers, there)) for which, numbers in wanted.items()})
+    return ds
 
 
 def _same(data: xr.DataArray, value: Value) -> np.ndarray:

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from matplotlib.gridspec import SubplotSpec
 
 from vibrojax.plot._axes import index_text, number, pretty_unit, scale, short, symbol
-from vibrojax.plot._colours import Value
+from vibrojax.plot._colours import Value, name_flags
 from vibrojax.plot._contents import START, is_numeric, lane_dims
 from vibrojax.plot.style import divided, new_figure
 
@@ -140,13 +140,14 @@ class Sheet:
             if value is None:
                 self._draw_legend(bar, handles)
                 continue
-            self.figure.colorbar(
+            drawn = self.figure.colorbar(
                 ScalarMappable(value.norm, value.colour_map),
                 cax=bar,
                 extend=value.extend,
                 orientation="vertical" if self.upright else "horizontal",
                 label=value.label,
             )
+            name_flags(drawn.long_axis, value)
         if None not in self.values and handles:
             self.figure.legend(handles=handles, loc="outside right upper")
 

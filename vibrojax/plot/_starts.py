@@ -18,7 +18,7 @@ SHARE = "share_"
 """How the name of the share of a regime begins."""
 
 _SAME = 1e-9  # of a state's range, within which two starts have one value of it
-_SYMBOLS = {"x1": "x₁", "v1": "x₁′", "x2": "x₂", "v2": "x₂′", "x3": "x₃", "v3": "x₃′", "x4": "x₄"}
+SYMBOLS = {"x1": "x₁", "v1": "x₁′", "x2": "x₂", "v2": "x₂′", "x3": "x₃", "v3": "x₃′", "x4": "x₄"}
 
 Steps = Int[np.ndarray, " starts"]
 
@@ -155,5 +155,5 @@ def _about(data: xr.DataArray) -> dict[str, str]:
     return {
         "units": str(data.attrs.get("units", "1")),
         "long_name": "start",
-        "symbol": f"{_SYMBOLS.get(name, name)}(0)",
+        "symbol": f"{SYMBOLS.get(name, name)}(0)",
     }

@@ -17,7 +17,16 @@ from matplotlib.gridspec import GridSpec
 from matplotlib.lines import Line2D
 
 from vibrojax.plot._axes import certified_text, edges, label, point_text, shape_axis, short, steady, values_along
-from vibrojax.plot._colours import REGIME_MAP, REGIME_NORM, Value, by_share, flags, regime_handles, values_beside
+from vibrojax.plot._colours import (
+    REGIME_MAP,
+    REGIME_NORM,
+    Value,
+    by_share,
+    flags,
+    regime_handles,
+    shape_flags,
+    values_beside,
+)
 from vibrojax.plot._contents import REGIME, START, axes_to_draw, lane_dims, many_starts, regimes_in
 from vibrojax.plot._margins import PAGE, legend_at_right, write_margins
 from vibrojax.plot._sheet import MOST, Facets, columns, facets
@@ -56,7 +65,7 @@ def regime_lines(
     x = x or max(axes_to_draw(ds), key=lambda name: ds.sizes[name])
     height = 1.9 if len(values) > 1 else 2.4
     return draw_stacks(
-        ds, x, len(values), lambda _: height, partial(_draw_values, values=values, x=x), _start_handles(ds), about
+        ds, x, len(values), lambda _: height, partial(draw_values, values=values, x=x), _start_handles(ds), about
     )
 
 
@@ -200,7 +209,8 @@ def _start_handles(ds: xr.Dataset) -> list[Artist]:
     return [Line2D([], [], **mark | Mark(color=colour), label=f"start: {name}") for name, colour in colours.items()]
 
 
-def _draw_values(stack: Stack, values: tuple[Value, ...], x: str) -> None:
+def draw_values(stack: Stack, values: tuple[Value, ...], x: str) -> None:
+    """Draw each of the `values` along `x` on a panel of the stack, a line for each start."""
     for axes, value in zip(stack.curves, values, strict=True):
         _draw_value(stack, axes, value, x)
 
@@ -208,6 +218,7 @@ def _draw_values(stack: Stack, values: tuple[Value, ...], x: str) -> None:
 def _draw_value(stack: Stack, axes: Axes, value: Value, x: str) -> None:
     if stack.left:
         axes.set_ylabel(value.label.replace(" [", "\n["))
+    shape_flags(axes, value)
     if many_starts(stack.facet):
         values, regimes = (data.transpose(x, START) for data in (value.of(stack.facet), stack.facet[REGIME]))
         along = np.repeat(values_along(stack.facet[x]), values.sizes[START])
@@ -221,6 +232,7 @@ def _draw_value(stack: Stack, axes: Axes, value: Value, x: str) -> None:
         width = Mark(linewidth=2.2, markersize=4.0) if at == 0 else Mark(linewidth=1.0, markersize=2.2)
         axes.plot(along, value.of(lanes).values, color=colour, marker="o", label=name, **width)
     steady(axes)
+    shape_flags(axes, value)
 
 
 def _draw_range(axes: Axes, lanes: xr.Dataset, value: Value, along: Float[np.ndarray, " lanes"], colour: str) -> None:

@@ -7,11 +7,13 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from vibrojax.errors import InputError, shown, suggestion
+from vibrojax.families.stretches import is_families
 from vibrojax.plot._axes import label, point_text, steady
 from vibrojax.plot._basins import many_starts
-from vibrojax.plot._colours import Value, flags_text, value_of
+from vibrojax.plot._colours import Value, shape_flags, value_of
 from vibrojax.plot._contents import (
     FORM,
+    MULTIPLIER,
     POINT,
     REGIME,
     TIME,
@@ -24,6 +26,7 @@ from vibrojax.plot._contents import (
 )
 from vibrojax.plot._curves import MOST_ROWS, across, axis_of_lines, label_axes, line_handles, lines, rows
 from vibrojax.plot._envelope import band_text, draw_over_time
+from vibrojax.plot._families import families
 from vibrojax.plot._maps import map_of
 from vibrojax.plot._margins import legend_at_right, write_margins
 from vibrojax.plot._scatter import scattered
@@ -40,7 +43,8 @@ def variables(ds: xr.Dataset, names: Sequence[str]) -> Figure:
     """The variables `names` of `ds`, each on panels of its own.
 
     Over two axes they are maps, over one, curves; of a list of points over two parameters, dots; of a run, time
-    histories. Of many starts the median stands for all where there is no room for each.
+    histories; of families, lines along them. Of multipliers the largest is drawn. Of many starts the median stands for
+    all where there is no room for each.
 
     **Arguments:**
 
@@ -54,8 +58,10 @@ def variables(ds: xr.Dataset, names: Sequence[str]) -> Figure:
     _check(ds, names)
     if TIME in ds.dims:
         return _histories(ds, names)
-    ds = without_single(named_groups(ds))
-    held, about = contents(ds), ". ".join(text for text in (flags_text(ds[name]) for name in names) if text)
+    if is_families(ds):
+        return families(ds, names)
+    ds = without_single(_largest(named_groups(ds), names))
+    held, about = contents(ds), ""
     values = tuple(None if name == REGIME else value_of(ds[name]) for name in names)
     if FORM in ds[names[0]].dims:
         return _curves(ds, values, about)
@@ -78,19 +84,26 @@ def _check(ds: xr.Dataset, names: Sequence[str]) -> None:
     """Raise `InputError` unless all `names` can be drawn."""
     if not isinstance(names, Sequence):
         raise InputError(f"variable: {shown(names)} is no name of a variable; give one, or a list")
-    run = TIME in ds.dims
-    lanes = {TIME} if run else set(lane_dims(ds))
-    found = {str(name): data for name, data in ds.data_vars.items() if data.dtype.kind in "fiub"}
-    drawable = [name for name, data in found.items() if lanes in ({*data.dims}, {*data.dims} - {FORM})]
+    run, orbits = TIME in ds.dims, is_families(ds)
+    lanes = {TIME} if run else {POINT} if orbits else set(lane_dims(ds))
+    found = {str(name): data for name, data in ds.data_vars.items() if data.dtype.kind in ("f" if orbits else "fiub")}
+    drawable = [name for name, data in found.items() if lanes == {*data.dims} - {FORM, MULTIPLIER}]
+    what = "time" if run else "point of the families" if orbits else "lane"
     for name in names:
         if name in ds.data_vars and name not in drawable:
             choices = f"choose from {', '.join(drawable)}" if drawable else "there is none that can"
-            raise InputError(f"variable: {shown(name)} is not one number a {'time' if run else 'lane'}; {choices}")
+            raise InputError(f"variable: {shown(name)} is not one number a {what}; {choices}")
         if name not in drawable:
             raise InputError(f"variable: {shown(name)} is not in the dataset; {suggestion(str(name), drawable)}")
     most = _MOST_OF_RUN if run else _MOST
     if not 1 <= len(names) <= most:
         raise InputError(f"variable: {len(names)} names; give one to {most} for a picture")
+
+
+def _largest(ds: xr.Dataset, names: Sequence[str]) -> xr.Dataset:
+    """`ds` with the first along `multiplier`, which is the largest, of those `names` that have several."""
+    several = [name for name in names if MULTIPLIER in ds[name].dims]
+    return ds.assign({name: ds[name].isel({MULTIPLIER: 0}) for name in several})
 
 
 def _curves(ds: xr.Dataset, values: tuple[Value | None, ...], about: str) -> Figure:
@@ -111,6 +124,7 @@ def _curves(ds: xr.Dataset, values: tuple[Value | None, ...], about: str) -> Fig
             label_axes(row, at, x.label, value.label)
             x.shape(row.axes[at])
             steady(row.axes[at])
+            shape_flags(row.axes[at], value)
     legend_at_right(figure, line_handles(lines(ds, by), Mark(linestyle=joined)))
     write_margins(figure, str(ds.attrs.get("title", "")), point_text(ds), panels.note, about)
     return figure
@@ -127,8 +141,9 @@ def _histories(ds: xr.Dataset, names: Sequence[str]) -> Figure:
         axes.set_xlim(time[0], time[-1])
         draw_over_time(axes, time, value.of(ds).values.astype(float), BIT, 1.0, name)
         axes.set_ylabel(value.label.replace(" [", "\n["))
+        shape_flags(axes, value)
     panels[-1].set_xlabel(label(ds[TIME]))
     figure.align_ylabels()
     title = str(ds.attrs.get("title") or ds.attrs.get("scene", ""))
-    write_margins(figure, title, point_text(ds), *(flags_text(ds[name]) for name in names), band_text(*panels))
+    write_margins(figure, title, point_text(ds), band_text(*panels))
     return figure

@@ -51,7 +51,8 @@ class HasFriction(Scene[C]):
 
 
 class HasContact(Scene[C]):
-    """A striker that hits the bit: the mode `touching` is 1 while it does, the guard `contact` begins and ends it."""
+    """A striker that hits the bit, or a stop: the mode `touching` is 1 while it does, the guard `contact` begins and
+    ends it. Impacts are measured, and labels count them."""
 
     @abstractmethod
     def contact_force(self, c: C, mode: Values, state: Values) -> Any:
@@ -104,7 +105,12 @@ class HasRock(Scene[C]):
 
 
 class Driven(Scene[C]):
-    """A scene under a given force; where that comes in pulses, means are over whole ones."""
+    """A scene under a given force; where that comes in pulses, means are over whole ones.
+
+    A return is then the beginning of a pulse; `pulse_states` are what the return map takes from one to the next.
+    """
+
+    pulse_states: ClassVar[tuple[str, ...]]
 
     @property
     @abstractmethod
@@ -114,6 +120,10 @@ class Driven(Scene[C]):
     @abstractmethod
     def applied_force(self, c: C, mode: Values, state: Values) -> Any:
         """I [N]; takes arrays and series."""
+
+    @property
+    def return_states(self) -> tuple[str, ...]:
+        return self.pulse_states if self.has_pulses else ()
 
     @abstractmethod
     def pulse_begins(self, c: C, mode: Values, hits: Mapping[str, Any]) -> Any:

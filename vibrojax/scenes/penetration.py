@@ -53,6 +53,7 @@ class Penetration(OnRock[PenetrationConstants], Driven[PenetrationConstants]):
     states = (*bit_on_rock.STATES, State("since", "s", "time since the last pulse began", shown=False))
     modes = (bit_on_rock.MODE, Mode("pushing", "1 during a pulse", 0.0))
     markers = (Marker("bit_turn", "v3"),)
+    pulse_states = ("compression", "v3")
     autonomous = False
 
     @property
@@ -88,7 +89,7 @@ class Penetration(OnRock[PenetrationConstants], Driven[PenetrationConstants]):
         return (zero, zero, zero, zero)
 
     def mode_at(self, c: PenetrationConstants, state: Values) -> Values:
-        return (jnp.zeros_like(state[0]), jnp.ones_like(state[0]))
+        return (bit_on_rock.rock_at(c.rock, state[0], state[1]), jnp.ones_like(state[0]))
 
     def applied_force(self, c: PenetrationConstants, mode: Values, state: Values) -> Any:
         since = state[3]
@@ -123,6 +124,8 @@ class Penetration(OnRock[PenetrationConstants], Driven[PenetrationConstants]):
         begins = self.pulse_begins(c, mode, hits)
         pushing = jnp.where(hits["pulse"], 1.0 - mode[1], mode[1])
         growth = jnp.where(begins, 0.0, state[2])
+        # It is there, whatever it was before it yielded: so a return map forgets that.
+        compression = jnp.where(begins & (rock == 1), c.rock.yield_compression, compression)
         if self.has_pulses:
             rock, compression, v3 = bit_on_rock.at_rest(c.rock, rock, compression, v3, pushing != 0)
         since = jnp.where(begins, 0.0, jnp.where(hits["pulse"], c.pulse_width, state[3]))

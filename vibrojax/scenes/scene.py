@@ -1,7 +1,8 @@
 """What a scene is: a hybrid dynamical system of the drill, from which steppers, measures and pictures follow.
 
 Within a mode the motion follows a vector field. It ends where a guard's function passes zero; a reset then gives the
-mode and the state in which it goes on. Markers are zeros of velocities that are landed on to measure there.
+mode and the state in which it goes on. Markers are zeros of states, velocities mostly, that are landed on to measure
+there.
 """
 
 from abc import ABC, abstractmethod
@@ -54,7 +55,11 @@ class Mode(NamedTuple):
 
 
 class Marker(NamedTuple):
-    """Zeros of the state `velocity`, either way: steps end on them, and there it is exactly zero."""
+    """Zeros of the state `velocity`, either way: steps end on them, and there it is exactly zero.
+
+    It may be any state that is alike in size to velocities, such as the phase of what forces a motion; no guard may
+    have the same zeros.
+    """
 
     name: str
     velocity: str
@@ -83,37 +88,45 @@ class Guard:
 class Swing(NamedTuple):
     """A state `position`, its rate of change, the state `velocity`, and the `amplitude`: what half its swing is called.
 
-    The turns are landed on where the velocity is a marker's.
+    The turns are landed on where the velocity is a marker's. The first swing of a section `at` another state may do
+    without a velocity, None: no state is its rate.
     """
 
     position: str
-    velocity: str
+    velocity: str | None
     amplitude: str
 
 
 @dataclass(frozen=True)
 class Section:
-    """Where returns are counted: the velocity of the first swing passes zero, rising, or falling.
+    """Where returns are counted: the velocity of the first swing passes zero, rising, or falling; or the state `at`.
 
-    It must have passed the level `rearm(constants)` [m/s] the other way since the last return, so that a velocity that
-    trembles about zero counts once. Repeats are looked for in the positions of all swings and the velocities of all
-    but the first, scaled by half the swings and by those times 2 pi over the time between returns.
+    That state is a marker's. It must have passed the level `rearm(constants)` the other way since the last return, so
+    that a velocity that trembles about zero counts once. Repeats are looked for in the positions of all swings and the
+    velocities of all but the first, scaled by half the swings and by those times 2 pi over the time between returns.
+
+    A motion under a force that repeats is the motion of an autonomous scene with one more state, the force's phase,
+    which a guard sets back by a whole turn, away from zero: `at` that phase the section is stroboscopic.
     """
 
     swings: tuple[Swing, ...]
     rearm: Callable[[Any], Any]
     rising: bool = True
+    at: str | None = None
 
     @property
     def velocity(self) -> str:
         """The state whose zero the section is."""
-        return self.swings[0].velocity
+        state = self.at or self.swings[0].velocity
+        assert state is not None, "a section without `at` is where the velocity of its first swing passes zero"
+        return state
 
     @property
     def compared(self) -> tuple[str, ...]:
         """Names of the states in which repeats are looked for."""
         first, *others = self.swings
-        return (first.position, *(name for other in others for name in (other.position, other.velocity)))
+        pairs = (name for other in others for name in (other.position, other.velocity))
+        return (first.position, *(name for name in pairs if name is not None))
 
 
 C = TypeVar("C")
@@ -133,7 +146,7 @@ class Scene(ABC, Generic[C]):
 
     - `name`: what sweep files call it.
     - `states`: the continuous states; `modes`: the discrete ones, floats such as 0, 1, -1.
-    - `markers`: velocities whose zeros are landed on.
+    - `markers`: states, velocities mostly, whose zeros are landed on.
     - `section`: where returns are counted; None for a scene that is driven by pulses, and measured over them.
     - `starts`: names of the states it may start from, the usual one first; `start_states`: those that a vector gives
       as a start, all others being zero; none where it always starts the same.
@@ -257,7 +270,7 @@ class Scene(ABC, Generic[C]):
 
     @property
     def return_states(self) -> tuple[str, ...]:
-        """Names of the states at the section, which the return map takes to those of the next return.
+        """Names of the states at the section, which the return map takes to those of the next return; none without one.
 
         First those in which repeats are looked for; the section's velocity is zero there, and what drifts is none.
         """

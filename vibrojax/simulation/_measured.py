@@ -92,8 +92,9 @@ def found_in(
     found = dict(features)
     if scene.section is not None and "cycles" in found:
         values = {name: np.array([value]) for name, value in parameters.items()}
-        if {"bit_amplitude", "trend"} <= set(found):
-            sound = {"finite": np.isfinite(found["bit_amplitude"]), "finished": np.array([True])}
+        swing = scene.section.swings[0].amplitude
+        if {swing, "trend"} <= set(found):
+            sound = {"finite": np.isfinite(found[swing]), "finished": np.array([True])}
             found["regime"] = regimes(scene, values, found | sound)
         found["drift_estimate"] = drift(found, scene.section, "float64", tolerance)
     known: dict[str, Variable] = VARIABLES | measured_besides(scene)

@@ -42,6 +42,10 @@ STABILITIES = ("not-known", "unstable", "stable")
 """Meaning of the flags -1, 0 and 1 of `stable`."""
 
 
+NATURES = ("unknown", "periodic", "quasi-periodic", "chaotic", "not-settled")
+"""Meaning of each flag of `nature`."""
+
+
 def orbit_name(state: str) -> str:
     """What a state at the section of an orbit is called."""
     return f"orbit_{state}"
@@ -99,6 +103,10 @@ VARIABLES: dict[str, Variable] = {
     ),
     "nearby_impacts": Variable("1", "impacts in the repeat of that orbit"),
     "nearby_distance": Variable("1", "greatest distance of the last returns from that orbit, over half the swings"),
+    "lyapunov": Variable("1/s", "greatest Lyapunov exponent of the flow but the trivial zero"),
+    "lyapunov_stderr": Variable("1/s", "standard error of lyapunov, by blocks of returns (0: by multipliers)"),
+    "zero_one": Variable("1", "0-1 test on the returns of lanes that do not repeat: near 1 if chaotic, 0 if regular"),
+    "nature": Variable("1", "nature of the motion, by its greatest exponent", np.int8, NATURES),
     "return_time": Variable("s", "time of the return", along="return_index"),
     "return_x1": Variable("m", "position of the bit at the return", along="return_index"),
     "return_x2": Variable("m", "position of the striker at the return", along="return_index"),

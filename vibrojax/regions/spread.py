@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from vibrojax.borders.edges import Edges, Followed, followed
+from vibrojax.regions.edges import Edges, Followed, followed
 from vibrojax.scenes import Scene
 
 SAME = 1e-4

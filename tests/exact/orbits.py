@@ -1,0 +1,79 @@
+"""Multipliers of periodic orbits, by two roads that need no derivative of an event.
+
+By central differences of the return map; and their product, by what the flow does to volumes: within a mode exp of the
+divergence, integrated, and at a switch the determinant of the saltation, n f+ / n f- for a state that is continuous and
+a surface with the normal n (Leine and Nijmeijer, chapter 7).
+"""
+
+import numpy as np
+
+from exact import friction
+from exact.measures import sections
+from exact.motion import Motion, run
+
+SIZES = {"x1": 0.05, "x2": 0.05, "v2": 1.0, "e": 5e-3, "v3": 0.1}
+"""Typical states at the section, where x1' = 0 [m, m/s]; the last two only where the rock acts back."""
+
+
+def returns(scene: str, point: dict, section, span: float) -> tuple[list[float], np.ndarray]:
+    """(times [s] of the returns within the `span` [s] after that at the `section`; the states there, as many)."""
+    motion = _from(scene, point, section, span)
+    times = sections(motion)
+    names = [motion.scene.entries.index(name) for name in list(SIZES)[: len(section)]]
+    return times, motion.at(times)[:, names]
+
+
+def multipliers(scene: str, point: dict, section, span: float, cycles: int = 1) -> np.ndarray:
+    """Eigenvalues of the map's derivative over `cycles` returns, by falling modulus, by central differences.
+
+    Return by return, so that what bends is never followed for long; steps are 1e-6 of the sizes.
+    """
+    product = np.eye(len(section))
+    times, states = returns(scene, point, section, 1.01 * span)
+    for state, time in zip([section, *states[: cycles - 1]], np.diff([0.0, *times[:cycles]]), strict=True):
+        columns = []
+        for k, size in enumerate(list(SIZES.values())[: len(section)]):
+            moved = 1e-6 * size * np.eye(len(section))[k]
+            (_, after), (_, before) = (returns(scene, point, state + way * moved, 1.01 * time) for way in (1, -1))
+            columns.append((after[0] - before[0]) / (2 * moved[k]))
+        product = np.array(columns).T @ product
+    values = np.linalg.eigvals(product)
+    return values[np.argsort(-np.abs(values), kind="stable")]
+
+
+def product(scene: str, point: dict, section, span: float) -> tuple[float, float]:
+    """(the product of the multipliers of an orbit that takes `span` [s]; the part of it that saltations are).
+
+    For orbits that do not stick, of which a multiplier is zero.
+    """
+    motion = _from(scene, point, section, span)
+    exponent = sum(piece.integral(lambda t, Y, p=piece.phase: _divergence(motion, p, Y)) for piece in motion.pieces)
+    jumps = float(np.prod([_jump(motion, event) for event in motion.events]))
+    return float(np.exp(exponent)) * jumps, jumps
+
+
+def _from(scene: str, point: dict, section, observe: float) -> Motion:
+    x1, x2, v2, *rock = section
+    return run(scene, start=[x1, 0.0, x2, v2, *rock], observe=observe, **point)
+
+
+def _divergence(motion: Motion, phase, states) -> np.ndarray:
+    """Of the field of a phase: its linear part's trace, and what friction's slope gives to it."""
+    assert phase.bit, "it sticks"
+    scene, p, h = motion.scene, motion.scene.p, 2e-5
+    mode = scene.mode(phase)
+    u, J = phase.bit * (states[:, 1] + p.v), states @ scene.J(phase)
+    near = [friction.force(u + k * h, J, p) for k in (-2, -1, 1, 2)]
+    slope = (near[0] - 8 * near[1] + 8 * near[2] - near[3]) / (12 * h)
+    return np.trace(mode.A) - slope / p.m1
+
+
+def _jump(motion: Motion, event) -> float:
+    scene = motion.scene
+    normal = scene.surfaces(event.before)[event.name]
+
+    def rate(phase):
+        mode = scene.mode(phase)
+        return normal @ (mode.A @ event.state + mode.G * mode.force(event.time, event.state[None])[0])
+
+    return rate(event.after) / rate(event.before)

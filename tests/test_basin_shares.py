@@ -1,0 +1,59 @@
+"""Shares of starts against bSTAB's friction oscillator (Stender and Hoffmann, Nonlinear Dynamics 2021)."""
+
+import numpy as np
+import pytest
+from known_scenes import BeltOscillator
+
+import vibrojax as vj
+
+# Belt speed: share of starts that end in steady sliding, and how many starts it was found from (of the paper's MATLAB
+# program; of its successor's test file where it has no such speed).
+SHARES = {
+    1.25: (0.0838, 5000),
+    1.4: (0.211, 5000),
+    1.475: (0.2824, 5000),
+    1.5: (0.3165, 4000),
+    1.55: (0.3636, 5000),
+    1.625: (0.4336, 5000),
+    1.7: (0.4912, 5000),
+    1.775: (0.5552, 5000),
+}
+STARTS = {"sample": "sobol", "count": 2048, "seed": 1, "box": {"x1": [-2.0, 2.0], "v1": [-2.0, 0.0]}}
+RUN = {"settle": 400.0, "observe": 60.0}
+
+
+def sliding(speeds, starts=STARTS, **run):
+    """Share of starts that end without sticking, by speed; the belt goes the other way, so the box is mirrored."""
+    tables = {"scene": BeltOscillator(), "starts": starts, "grid": {"v": speeds}, "run": RUN | run}
+    lanes = vj.run_sweep(tables, progress=False)
+    return (~(lanes.stick_fraction > 0)).mean("start").values
+
+
+def test_shares_of_steady_sliding():
+    ours = sliding(list(SHARES))
+    share, starts = (np.array(column) for column in zip(*SHARES.values(), strict=True))
+    error = np.sqrt(share * (1 - share) / starts + ours * (1 - ours) / STARTS["count"])
+    apart = (ours - share) / error
+    assert np.abs(apart).max() < 2 and abs(apart.mean()) < 1
+
+
+def test_where_nothing_slides_and_where_everything_does():
+    few = STARTS | {"count": 256}
+    slow, fast = sliding([1.0, 1.9], few)
+    assert slow == 0 and fast == 1
+
+
+def test_shares_of_a_sample_drawn_anew_and_at_half_the_error():
+    starts = STARTS | {"sample": "random", "count": 1024}
+    one, other, half = (
+        sliding([1.5], starts | {"seed": seed}, error=error)[0] for seed, error in ((1, 1e-4), (2, 1e-4), (2, 5e-5))
+    )
+    error = np.sqrt(one * (1 - one) / 1024)
+    assert abs(one - other) < 3 * np.sqrt(2) * error and abs(half - other) < error
+
+
+@pytest.mark.parametrize("start", [[0.4, -1.0], [1.5, 0.0]])
+def test_it_settles_on_the_friction_force(start):
+    """Steady sliding rests where the spring carries the friction force at the belt's speed."""
+    lane = vj.simulate(BeltOscillator(), v=1.9, start=start, duration=400.0, progress=False)
+    assert abs(float(lane.x1[-1]) + 0.5 * (1 + np.exp(-1.9 / 0.5))) < 1e-3

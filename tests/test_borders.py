@@ -1,0 +1,192 @@
+"""Borders of the single impact: against families, labels, and a circle."""
+
+import numpy as np
+import pytest
+
+import vibrojax as vj
+from vibrojax.cli import main
+from vibrojax.errors import InputError
+from vibrojax.found_borders import BORDER_KINDS
+from vibrojax.label import SINGLE_IMPACT
+from vibrojax.regions.curves import Vertex, around_region
+
+SWEEP = {
+    "scene": "vibro-impact",
+    "starts": ["stuck"],
+    "grid": {
+        "beta": {"start": 0.3, "stop": 0.5, "num": 3},
+        "gamma": {"start": 0.35, "stop": 0.75, "num": 9},
+        "delta": [-0.005, 0.005],
+    },
+    "run": {"orbits": True},
+}
+BY_ORBITS = ("fold", "period-doubling", "torus", "grazing", "stick", "section")
+
+
+@pytest.fixture(scope="module")
+def sweep():
+    return vj.run_sweep(SWEEP, progress=False)
+
+
+@pytest.fixture(scope="module")
+def borders(sweep):
+    return vj.borders(sweep, progress=False)
+
+
+def kinds(borders):
+    return np.array(BORDER_KINDS)[borders.kind.values]
+
+
+def test_what_is_in_it(borders):
+    assert borders["curve"].dims == ("vertex",) and borders["kind"].dims == ("curve",)
+    assert {"beta", "gamma"} <= set(borders.data_vars)
+    assert borders["start"].dims == borders["delta"].dims == ("curve",)
+    assert set(borders["start"].values) <= {"stuck", "any"}
+    assert (np.diff(borders["curve"].values) >= 0).all()
+    assert borders["curve"].values.max() == borders.sizes["curve"] - 1
+
+
+def test_vertices_are_special_points_of_families(sweep, borders):
+    """Along a line of the grid `follow` finds the same point, begun with two grid points away from it."""
+    checked = 0
+    for curve in np.flatnonzero(np.isin(kinds(borders), BY_ORBITS) & (borders["start"].values == "any")):
+        vertices = borders.isel(vertex=borders["curve"].values == curve)
+        delta = float(borders["delta"][curve])
+        for beta, gamma in zip(vertices.beta.values, vertices.gamma.values, strict=True):
+            line = sweep.regime.sel(delta=delta, start="stuck").transpose("beta", "gamma")
+            row = np.abs(sweep.beta.values - beta)
+            right = np.flatnonzero(sweep.gamma.values > gamma)
+            if row.min() > 1e-12 or len(right) < 2 or line.values[row.argmin(), right[1]] != SINGLE_IMPACT:
+                continue
+            at = float(sweep.gamma[right[1]])
+            start = {"start": "stuck", "beta": beta, "delta": delta, "cycles": 1}
+            family = vj.follow("vibro-impact", along="gamma", at=at, span=(gamma - 0.02, at), progress=False, **start)
+            assert np.abs(family.special_value.values - gamma).min() < 1e-8
+            checked += 1
+    assert checked >= 3
+
+
+def cells_away_from_curves(sweep, borders, delta, start):
+    """Of the points at the border of the region of a start, those farther than a cell from its curves."""
+    regimes = sweep.regime.sel(delta=delta, start=start).transpose("beta", "gamma").values
+    mine = (borders["delta"].values == delta) & (borders["start"].values == start)
+    some = np.isin(borders["curve"].values, np.flatnonzero(mine))
+    x, y = borders.beta.values[some], borders.gamma.values[some]
+    inside = regimes == SINGLE_IMPACT
+    assert inside.any() and not inside.all()
+    padded = np.pad(inside, 1, mode="edge")
+    beside = padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:]
+    wide, high = np.diff(sweep.beta.values)[0], np.diff(sweep.gamma.values)[0]
+    cells = np.argwhere(inside & ~beside)
+    away = [
+        np.maximum(np.abs(x - sweep.beta.values[i]) / wide, np.abs(y - sweep.gamma.values[j]) / high) for i, j in cells
+    ]
+    return [cell for cell, one in zip(cells.tolist(), away, strict=True) if one.min() > 1 + 1e-9]
+
+
+@pytest.mark.parametrize("delta", [-0.005, 0.005])
+def test_every_cell_at_a_border_is_beside_a_curve(sweep, borders, delta):
+    assert cells_away_from_curves(sweep, borders, delta, "stuck") == []
+
+
+def test_the_default_map():
+    """What the README says of it; and where the source's best region ends."""
+    sweep = vj.run_sweep(vj.read_sweep("regime-map", ["run.orbits=true"]), progress=False)
+    borders = vj.borders(sweep, progress=False)
+    names = zip(borders["region_delta"].values.tolist(), borders["region_start"].values.tolist(), strict=True)
+    area = dict(zip(names, 100 * borders.region_area.values, strict=True))
+    said = {(-0.005, "drive"): 56.6, (-0.005, "stuck"): 55.1, (-0.005, "any"): 68.5}
+    said |= {(0.005, "drive"): 18.2, (0.005, "stuck"): 39.1, (0.005, "any"): 50.8}
+    # A lane more or less at the border of a basin is 0.05 % of a plane.
+    assert {at: abs(area[at] - percent) < 0.25 for at, percent in said.items()} == dict.fromkeys(said, True)
+    for delta in (-0.005, 0.005):
+        for start in ("drive", "stuck"):
+            assert cells_away_from_curves(sweep, borders, delta, start) == []
+    beta, gamma, kind = borders.beta.values, borders.gamma.values, kinds(borders)[borders["curve"].values]
+    of_any = (borders["start"].values == "any")[borders["curve"].values]
+    best = of_any & (beta >= 0.25) & (beta <= 0.6) & (gamma >= 0.6) & (gamma <= 0.8)
+    with_gap = (borders["delta"].values > 0)[borders["curve"].values]
+    assert not (best & ~with_gap).any()
+    assert set(kind[best & with_gap]) == {"torus", "stick"}
+    assert 0.39 < beta[best & with_gap].min() < 0.41
+
+
+def test_areas(borders):
+    for delta in (-0.005, 0.005):
+        here = borders.isel(region=borders["region_delta"].values == delta)
+        area = dict(zip(here["region_start"].values.tolist(), here.region_area.values.tolist(), strict=True))
+        assert 0 < area["stuck"] <= area["any"] + 1e-12 < 1
+
+
+def test_a_circle():
+    x, y = np.linspace(-1.0, 1.0, 41), np.linspace(-1.5, 1.5, 61)
+    inside = x[:, None] ** 2 + y**2 < 0.64
+
+    def ends(here, there):
+        if here[0] != there[0]:
+            return Vertex(np.sign(x[there[0]]) * np.sqrt(0.64 - y[here[1]] ** 2), y[here[1]], "rim")
+        kind = "rim" if y[here[1]] > 0 else "keel"
+        return Vertex(x[here[0]], np.sign(y[there[1]]) * np.sqrt(0.64 - x[here[0]] ** 2), kind)
+
+    pieces, area = around_region(inside, x, y, ends)
+    # Chords of length h leave out h^2/12 of a circle.
+    assert abs(area * 6 / (np.pi * 0.64) - 1) < 2e-3
+    assert {piece.kind for piece in pieces} == {"rim", "keel"}
+    radius = np.concatenate([np.hypot(*piece.points.T) for piece in pieces])
+    assert radius.max() < 0.8 + 1e-12 and radius.min() > 0.798
+    ends_of = np.array([[piece.points[0], piece.points[-1]] for piece in pieces]).reshape(-1, 2)
+    # Every piece ends where another begins.
+    for end in ends_of:
+        assert np.sum(np.abs(ends_of - end).max(axis=1) < 1e-12) == 2
+
+
+def test_regions_that_touch_at_a_corner_stay_apart():
+    inside = np.array([[True, False], [False, True]])
+    x = y = np.array([0.0, 1.0])
+
+    def middle(here, there):
+        return Vertex((here[0] + there[0]) / 2, (here[1] + there[1]) / 2, "any")
+
+    pieces, area = around_region(inside, x, y, middle)
+    assert len(pieces) == 2 and area == 0.25
+
+
+def test_a_lone_line_of_the_grid_in_or_out():
+    def never(here, there):
+        raise AssertionError
+
+    x = np.arange(3.0)
+    assert around_region(np.ones((3, 3), bool), x, x, never) == ([], 1.0)
+    assert around_region(np.zeros((3, 3), bool), x, x, never) == ([], 0.0)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"scene": "rotary", "grid": {"beta": [0.3, 0.4], "gamma": [0.5, 0.6]}}, "no impacts"),
+        ({"grid": {"beta": [0.3, 0.4]}}, "no two axes"),
+        ({"grid": {"beta": [0.3, 0.4], "gamma": [0.7]}}, "no two axes"),
+    ],
+)
+def test_what_has_no_plane_is_refused(change, says):
+    with pytest.raises(InputError, match=says):
+        vj.borders(SWEEP | change, progress=False)
+
+
+def test_axes_that_are_none_are_refused(sweep):
+    with pytest.raises(InputError, match="choose from"):
+        vj.borders(sweep, axes=("beta", "nu"), progress=False)
+
+
+def test_the_command(sweep, borders, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    vj.write_dataset(sweep, tmp_path / "map.nc")
+    assert main(["borders", "map.nc"]) == 0
+    said = capsys.readouterr().out
+    assert "any start" in said and "period-doubling" in said
+    again = vj.open_dataset(tmp_path / "map-borders.nc")
+    np.testing.assert_array_equal(again.gamma, borders.gamma)
+    assert main(["borders", "map.nc", "--axes", "gamma"]) == 2
+    assert "no pair" in capsys.readouterr().err
+    assert main(["borders", "map.nc", "--axes", "gamma,delta"]) == 2
+    assert "holds another result" in capsys.readouterr().err

@@ -1,0 +1,125 @@
+"""Lanes carried along an axis, up and down: each from where the last one ended."""
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import vibrojax as vj
+from vibrojax.errors import InputError
+from vibrojax.input.read import read_sweep
+from vibrojax.label import IRREGULAR, SINGLE_IMPACT
+from vibrojax.plot._hysteresis import jumps
+from vibrojax.store.dataset import open_dataset
+from vibrojax.sweep import run_to_file
+
+BETAS, GAMMAS = [0.3, 0.4], [0.59, 0.61, 0.63, 0.7, 0.75]
+MAP = {
+    "scene": "vibro-impact",
+    "starts": ["stuck"],
+    "parameters": {"delta": 0.005},
+    "grid": {"beta": BETAS, "gamma": GAMMAS, "v": [1.5, 2.0]},
+}
+STATES = ("x1", "v1", "x2", "v2")
+
+
+def sweep(**run):
+    return MAP | {"run": {"settle": 10.0, "observe": 4.0, "carry": "gamma"} | run}
+
+
+@pytest.fixture(scope="module")
+def carried():
+    return vj.run_sweep(sweep(), progress=False)
+
+
+def test_each_lane_goes_on_from_where_the_last_one_ended():
+    """As trajectories, each of which starts from the end of the one before."""
+    run = {"settle": 0.7, "observe": 0.5, "end_early": False}
+    found = vj.run_sweep(sweep(**run), progress=False)
+    for direction, gammas in (("up", GAMMAS), ("down", GAMMAS[::-1])):
+        start: object = "stuck"
+        for gamma in gammas:
+            lane = found.sel(beta=0.4, gamma=gamma, v=1.5, direction=direction)
+            motion = vj.simulate(
+                "vibro-impact", beta=0.4, gamma=gamma, delta=0.005, start=start, duration=1.2, progress=False
+            )
+            late = motion.sel(time=slice(0.7, None))
+            for name, state in (("bit_amplitude", "x1"), ("striker_amplitude", "x2")):
+                swing = float(late[state].max() - late[state].min()) / 2  # of samples, not of the turns
+                assert abs(float(lane[name]) - swing) < 2e-3 * swing, (direction, gamma, name)
+            start = [float(motion[name][-1]) for name in STATES]
+
+
+def test_the_ways_have_no_starts_and_a_direction(carried):
+    assert carried.regime.dims == ("beta", "gamma", "v", "direction")
+    assert carried.direction.values.tolist() == ["up", "down"] and "start" not in carried.dims
+    assert "gamma" in carried.direction.attrs["long_name"]
+
+
+def test_a_motion_that_is_there_already_is_held(carried):
+    """At beta 0.4 and gap 5 mm the single impact from above coexists with an irregular motion from below."""
+    at = carried.sel(beta=0.4, gamma=[0.7, 0.75], v=1.5)
+    assert (at.regime.sel(direction="up") == IRREGULAR).all()
+    assert (at.regime.sel(direction="down") == SINGLE_IMPACT).all()
+
+
+def test_other_axes_change_nothing(carried):
+    alone = vj.run_sweep(sweep() | {"grid": {"beta": [0.3], "gamma": GAMMAS, "v": [2.0]}}, progress=False)
+    for name in ("regime", "period", "impact_velocity", "error_estimate"):
+        np.testing.assert_array_equal(alone[name].squeeze(), carried[name].sel(beta=0.3, v=2.0), err_msg=name)
+
+
+def test_chunks_are_whole_ways_and_are_gone_on_with(tmp_path, carried, monkeypatch):
+    def interrupted(chunks, index, report):
+        if index == 2:
+            raise KeyboardInterrupt
+        return was(chunks, index, report)
+
+    was = vj.sweep._computed
+    monkeypatch.setattr("vibrojax.sweep._computed", interrupted)
+    out, chunked = tmp_path / "out.nc", read_sweep(sweep(chunk=13))  # two ways of five lanes
+    with pytest.raises(KeyboardInterrupt):
+        run_to_file(chunked, out, progress=False)
+    assert len(list((tmp_path / "out.nc.chunks").glob("chunk-*"))) == 2
+    monkeypatch.setattr("vibrojax.sweep._computed", was)
+    run_to_file(chunked, out, progress=False)
+    xr.testing.assert_equal(open_dataset(out), carried)
+
+
+def test_a_lane_that_fails_does_not_end_the_way():
+    """Where nothing is left to go on from, the way begins anew: beyond the refused lane it is the first lane's."""
+    stiff = {"scene": "vibro-impact", "starts": ["stuck"], "grid": {"k0": [5e7, 1e300]}, "run": sweep()["run"]}
+    found = vj.run_sweep(stiff | {"run": stiff["run"] | {"carry": "k0"}, "unusual": True}, progress=False)
+    alone = vj.run_sweep(stiff | {"grid": {"k0": [5e7]}, "run": {"settle": 10.0, "observe": 4.0}}, progress=False)
+    assert (found.regime.sel(k0=1e300) == vj.label.FAILED).all()
+    np.testing.assert_array_equal(found.period.sel(k0=5e7), [alone.period.item()] * 2)
+
+
+def test_orbits_are_found_of_carried_lanes():
+    found = vj.run_sweep(sweep(orbits=True) | {"grid": {"gamma": GAMMAS}, "parameters": {"beta": 0.3}}, progress=False)
+    assert (found.stable == 1).all() and found.multiplier_abs.dims == ("gamma", "direction", "multiplier")
+
+
+def test_the_picture_marks_where_a_way_leaves_the_other(carried):
+    one = carried.sel(beta=0.4, v=1.5, drop=True).rename(direction="start")
+    up, down = jumps(one, "gamma")
+    assert up.tolist() == [] and down.tolist() == [1]
+    figure = vj.picture(carried)
+    titles = [axes.get_title(loc="left") for axes in figure.axes]
+    marked = [axes for axes in figure.axes if any(line.get_linestyle() == "--" for line in axes.lines)]
+    assert any("0.4" in title for title in titles) and marked
+
+
+@pytest.mark.parametrize(
+    ("run", "tables", "line"),
+    [
+        ({"carry": "gama"}, {}, 'run.carry: "gama" is no axis of [grid]; did you mean "gamma"?'),
+        ({"carry": True}, {}, 'run.carry: true is not a name; write that of an axis of [grid], like "gamma"'),
+        ({"carry": "gamma"}, {"starts": ["drive", "stuck"]}, "run.carry: 2 starts; the first lane of each way has one"),
+        ({"carry": "gamma"}, {"grid": {"gamma": [0.7, 0.6]}}, "run.carry: the values of gamma do not rise"),
+        ({"carry": "beta"}, {"grid": {"beta": [0.4]}}, "run.carry: the values of beta do not rise"),
+    ],
+)
+def test_what_cannot_be_carried_is_refused_in_one_line(run, tables, line):
+    with pytest.raises(InputError) as caught:
+        read_sweep(MAP | tables | {"run": run})
+    assert line in str(caught.value) and "\n" not in str(caught.value)

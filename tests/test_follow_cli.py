@@ -1,0 +1,251 @@
+"""`vibrojax follow`: what it writes and says, what it refuses, and what `info` and `plot` make of its files."""
+
+import json
+from argparse import Namespace
+
+import numpy as np
+import pytest
+from exact import run
+from exact.measures import sections
+
+import vibrojax as vj
+from vibrojax.cli import main
+from vibrojax.cli._complete import follow_values
+from vibrojax.cli._family_lines import family_lines
+from vibrojax.store.dataset import open_dataset
+
+ASKED = ("along=gamma", "at=0.45", "from=0.36", "to=0.5", "beta=0.4", "settle=30", "cycles=2")
+DOUBLING = 0.392500037
+"""Where the single impact doubles: see `test_the_doubling_is_one_of_the_exact_motion`."""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder with a family, and with three over a second parameter."""
+    folder = tmp_path_factory.mktemp("follow")
+    assert main(["follow", "vibro-impact", *ASKED, "-o", str(folder / "one.nc"), "--quiet"]) == 0
+    three = [word for word in ASKED if "beta" not in word]
+    assert (
+        main(["follow", "vibro-impact", *three, "beta=0.38,0.4,0.42", "-o", str(folder / "three.nc"), "--quiet"]) == 0
+    )
+    return folder
+
+
+@pytest.fixture
+def here(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    return folder
+
+
+def refused(capsys, *argv):
+    """The one line on stderr of a command that is refused."""
+    assert main(list(argv)) == 2
+    captured = capsys.readouterr()
+    assert captured.out == "" and captured.err.count("\n") == 1
+    return captured.err.removeprefix("vibrojax: ").strip()
+
+
+def test_the_command_writes_what_python_gives(here):
+    given = {"along": "gamma", "at": 0.45, "span": (0.36, 0.5), "beta": 0.4, "settle": 30.0, "cycles": 2}
+    expected, found = vj.follow("vibro-impact", progress=False, **given), open_dataset("one.nc")
+    assert (here / "one.png").exists()
+    assert set(found.variables) == set(expected.variables)
+    for name in expected.variables:
+        np.testing.assert_array_equal(found[name], expected[name], name)
+    assert found.attrs["start"] == "drive" and found.attrs["span"].tolist() == [0.36, 0.5]
+
+
+def test_the_doubling_is_one_of_the_exact_motion(here):
+    """The derivative of the exact motion's return map, by central differences, has an eigenvalue -1 there."""
+    ds = open_dataset("one.nc")
+    on_first = (ds.special_kind == 1) & (ds.special_branch == 0)
+    gamma = ds.special_value[on_first].item()
+    assert abs(gamma - DOUBLING) < 1e-8
+    orbit = ds.isel(point=np.flatnonzero((ds["gamma"] == gamma) & (ds["branch"] == 0))[0])
+    section = np.array([orbit[f"orbit_{name}"].item() for name in ("x1", "x2", "v2")])
+
+    def returned(state):
+        start = [state[0], 0.0, state[1], state[2]]
+        motion = run("vibro-impact", start=start, observe=0.6, beta=0.4, gamma=gamma)
+        return motion.at(sections(motion)[:1])[0][[0, 2, 3]]
+
+    np.testing.assert_allclose(returned(section), section, atol=1e-9)
+    moves = 1e-6 * np.diag([0.05, 0.05, 1.0])
+    columns = [(returned(section + one) - returned(section - one)) / (2 * one.sum()) for one in moves]
+    assert abs(np.linalg.eigvals(np.array(columns).T) + 1).min() < 1e-5
+
+
+def test_what_it_says(here, capsys):
+    assert main(["follow", "vibro-impact", *ASKED, "-o", "one.nc"]) == 0  # the same again
+    lines = capsys.readouterr().out.splitlines()
+    assert "on 2 branches over gamma 0.36 to 0.5" in lines[0]
+    (doubling,) = (line for line in lines if line.startswith("period-doubling"))
+    assert doubling.endswith("on branch 0 at gamma 0.39250004")
+    assert "branch 0 is stable for gamma 0.39250004 (period-doubling) to 0.5 (end)" in lines
+    assert lines[-1] == "one.nc; picture one.png"
+
+
+def test_info_says_it_too(here, capsys):
+    dataset = open_dataset("one.nc")
+    assert main(["info", "one.nc"]) == 0
+    text = capsys.readouterr().out
+    assert all(line in text for line in family_lines(dataset)) and len(family_lines(dataset)) >= 4
+    assert main(["info", "one.nc", "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)["families"]
+    assert (facts["along"], facts["families"], facts["branches"]) == ("gamma", 1, 2)
+    assert facts["points"] == dataset.sizes["point"] and sum(facts["kinds"].values()) == dataset.sizes["special"]
+    (stable,) = (one for one in facts["stable"] if one["branch"] == 0)
+    assert (stable["from"], stable["to_kind"]) == (pytest.approx(DOUBLING, abs=1e-7), "end")
+    assert facts["special"][0].keys() == {"kind", "value", "family", "branch", "note"}
+
+
+def test_json(here, capsys):
+    assert main(["follow", "vibro-impact", *ASKED, "-o", "one.nc", "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
+    assert facts["scene"] == "vibro-impact" and facts["start"] == "drive" and facts["parameters"]["beta"] == 0.4
+    assert (facts["dataset"], facts["picture"]) == ("one.nc", "one.png") and facts["branches"] == 2
+
+
+def test_a_list_is_as_many_families(here, capsys):
+    three, one = open_dataset("three.nc"), open_dataset("one.nc")
+    assert three["beta"].values.tolist() == [0.38, 0.4, 0.42] and three["beta"].dims == ("family",)
+    # The one in the middle is what it is alone.
+    mine = three.isel(point=np.flatnonzero(three["point_family"] == 1))
+    np.testing.assert_allclose(mine["gamma"], one["gamma"], rtol=1e-9)
+    np.testing.assert_allclose(mine["impact_velocity"], one["impact_velocity"], rtol=1e-7)
+    text = "\n".join(family_lines(three))
+    assert text.startswith("3 families, ") and "beta 0.4: 0.39250004 (period-doubling) to 0.5 (end)" in text
+    assert main(["plot", "three.nc", "--where", "beta=0.4", "-o", "middle.png"]) == 0
+
+
+def test_families_without_an_orbit_are_named():
+    three = vj.follow("vibro-impact", along="gamma", at=0.45, span=(0.42, 0.5), beta=[0.4, 0.42], progress=False)
+    part = three.isel(
+        point=np.flatnonzero(three["point_family"] == 0), special=np.flatnonzero(three["special_family"] == 0)
+    )
+    assert family_lines(part)[-1] == "no orbit to begin with: beta 0.42"
+
+
+def test_the_default_name_and_another_point(here, capsys):
+    asked = ["follow", "rotary", "along=v", "at=1.2", "from=1.1", "to=1.3", "settle=20"]
+    assert main([*asked, "--quiet"]) == 0 and (here / "rotary-v.nc").exists() and (here / "rotary-v.png").exists()
+    assert main([*asked, "--quiet"]) == 0
+    other = [*asked[:-1], "settle=21"]
+    said = refused(capsys, *other)
+    assert said.startswith("rotary-v.nc: holds another result: run.settle was 20.0, is 21.0; --fresh replaces it")
+    for change in ("from=1.15", "cycles=1", "beta=0.6"):
+        name = change.partition("=")[0]
+        assert "holds another result" in refused(capsys, *(word for word in asked if not word.startswith(name)), change)
+    assert main([*other, "--fresh", "--quiet"]) == 0
+    assert "impacts" not in open_dataset("rotary-v.nc")
+
+
+def test_a_family_over_the_returns_of_a_sweep(here, capsys):
+    run = {"settle": 5.0, "observe": 3.0, "keep_returns": 6}
+    sweep = {"scene": "vibro-impact", "grid": {"gamma": np.linspace(0.38, 0.48, 5).tolist()}, "run": run}
+    vj.write_dataset(vj.run_sweep(sweep | {"parameters": {"beta": 0.4}}, progress=False), "returns.nc")
+    assert main(["plot", "returns.nc", "--over", "one.nc", "-o", "over.png"]) == 0
+    assert (here / "over.png").exists() and capsys.readouterr().out == "over.png\n"
+    vj.write_dataset(vj.run_sweep(sweep | {"parameters": {"beta": 0.5}}, progress=False), "other.nc")
+    assert "the families are of beta = 0.4, the returns of 0.5" in refused(
+        capsys, "plot", "other.nc", "--over", "one.nc"
+    )
+    assert "no such file" in refused(capsys, "plot", "returns.nc", "--over", "no.nc")
+    assert "laid over the returns of a sweep" in refused(capsys, "plot", "one.nc", "--over", "one.nc")
+
+
+# What is refused.
+
+BASE = {"along": "gamma", "at": "0.45", "from": "0.36", "to": "0.5"}
+WRONG = [
+    (
+        "vibro-impact",
+        {"along": None, "at": None},
+        "along and at missing; write vibrojax follow SCENE along=NAME at=VALUE",
+    ),
+    ("vibro-impact", {"to": None}, "to missing"),
+    ("nowhere", {}, 'scene: "nowhere" is unknown'),
+    ("penetration", {}, 'along: "gamma" is no parameter of the scene; choose from'),
+    ("vibro-impact", {"along": "gama"}, 'along: "gama" is no parameter of the scene; did you mean "gamma"?'),
+    ("vibro-impact", {"along": "rpm"}, 'along: "rpm" is no parameter of the scene; v follows from rpm and bit_radius'),
+    ("vibro-impact", {"gamma": "0.4"}, "gamma: is what the family is followed along; say where it begins by at=0.4"),
+    ("vibro-impact", {"at": "0.7"}, "at: 0.7 is not between from = 0.36 and to = 0.5"),
+    ("vibro-impact", {"at": "x"}, 'at: "x" is text'),
+    ("vibro-impact", {"at": "0.4,0.45"}, 'at: "0.4,0.45" is text'),
+    ("vibro-impact", {"from": "-1"}, "from: is -1; it must be above 0"),
+    ("vibro-impact", {"to": "0.36"}, "to: 0.36 is the same as from"),
+    ("vibro-impact", {"settle": "-3"}, "settle: is -3; it must be at least 0 s"),
+    ("vibro-impact", {"cycles": "9"}, "cycles: 9 is not a whole number from 1 to 8"),
+    ("vibro-impact", {"cycles": "1.5"}, "cycles: 1.5 is not a whole number from 1 to 8"),
+    ("vibro-impact", {"start": "nowhere"}, 'start: "nowhere" is unknown; choose from drive, stuck, touching'),
+    ("vibro-impact", {"start": "[0,0,1]"}, "four are needed"),
+    ("vibro-impact", {"beta": "0.3,x"}, 'beta[1]: "x" is text'),
+    ("vibro-impact", {"beta": "[0.3"}, 'beta: "[0.3" is no list'),
+    ("vibro-impact", {"beta": "0.3,0.4", "v": "1,1.1,1.2"}, "lists of different lengths (beta 2, v 3)"),
+    ("vibro-impact", {"bta": "0.3"}, 'bta: scene "vibro-impact" has no such parameter; did you mean "beta"?'),
+    ("vibro-impact", {"friction": "stribeck,coulomb"}, 'friction: ["stribeck", "coulomb"] is a list'),
+    ("drilling", {"rock": "slate,granite"}, 'rock[0]: "slate" is unknown'),
+]
+
+
+@pytest.mark.parametrize(("scene", "changes", "said"), WRONG, ids=lambda part: str(part)[:50])
+def test_bad_input_is_one_line(here, capsys, scene, changes, said):
+    words = [f"{name}={value}" for name, value in (BASE | changes).items() if value is not None]
+    line = refused(capsys, "follow", scene, *words, "-o", "wrong.nc")
+    assert line.startswith("follow: ") and said in line
+    assert not (here / "wrong.nc").exists()
+
+
+def test_words_that_are_no_name_and_value(here, capsys):
+    assert '"gamma" is no NAME=VALUE' in refused(capsys, "follow", "vibro-impact", "gamma")
+    assert 'at: "2" is a second value; give one' in refused(capsys, "follow", "rotary", "at=1", "at=2")
+    assert "does not end in .nc" in refused(capsys, "follow", "vibro-impact", *ASKED, "-o", "one.txt")
+
+
+def test_a_motion_that_does_not_repeat_says_what_it_does(here, capsys):
+    asked = ("along=gamma", "at=0.35", "from=0.3", "to=0.5", "beta=0.95", "settle=3", "-o", "none.nc", "--quiet")
+    said = refused(capsys, "follow", "vibro-impact", *asked)
+    assert said == "follow: at: the motion at gamma = 0.35 does not repeat (irregular after 3 s); begin where it does"
+
+
+def test_an_unusual_value_is_warned_of_by_its_own_name(here):
+    with pytest.warns(vj.UnusualValue, match="follow: delta: 5 m is far outside"):
+        vj.follow("vibro-impact", along="gamma", at=0.45, span=(0.44, 0.46), delta=5.0, settle=20.0, progress=False)
+
+
+def test_rocks_are_families_too():
+    ds = vj.follow(
+        "drilling",
+        along="gamma",
+        at=0.75,
+        span=(0.74, 0.76),
+        rock=["sandstone", "granite"],
+        start="stuck",
+        settle=20.0,
+        progress=False,
+    )
+    assert ds["rock"].values.tolist() == ["sandstone", "granite"]
+    assert (np.bincount(ds["point_family"].values) > 1).all()
+
+
+def test_what_may_stand_there_is_told():
+    parsed = Namespace(scene="vibro-impact", values=["along=gamma"])
+    assert follow_values("a", parsed) == ["at="] and follow_values("f", parsed) == ["friction=", "from="]
+    assert follow_values("along=b", parsed) == ["along=beta"]
+
+
+def test_the_words_are_explained(capsys):
+    assert main(["follow", "--help"]) == 0
+    text = capsys.readouterr().out
+    for word in (
+        "family",
+        "branch",
+        "special point",
+        "fold",
+        "period-doubling",
+        "torus",
+        "grazing",
+        "stick",
+        "multiplier",
+    ):
+        assert f"\n  {word}: " in text, word

@@ -1,0 +1,38 @@
+"""Multipliers against the exact integrator, by two roads; `python tests/benchmarks/multipliers.py` does 64 orbits."""
+
+import numpy as np
+import pytest
+from exact import orbits as exact
+from random_orbits import drawn, in_upper_half, off_by_differences, off_by_volumes
+
+import vibrojax as vj
+
+
+@pytest.mark.parametrize(("law", "seed"), [("stribeck", 2), ("hyperbolic", 3)])
+def test_at_random_points(law, seed):
+    """Central differences are themselves off by some 1e-8. Volumes: most saltations that change them are of a bit that
+    turns without sticking, because there friction changes its sign; a missing one would show as a part like 0.01."""
+    found = drawn(law, 64, seed)
+    for orbit in found[:4]:
+        assert off_by_differences(orbit) < 1e-6
+    sliding = [off_by_volumes(orbit) for orbit in found if orbit.stick == 0]
+    assert len(sliding) >= 5
+    assert all(off < 1e-7 for off, _ in sliding)
+    assert sum(jumps < 0.9 for _, jumps in sliding) >= 2
+
+
+def test_without_impacts():
+    points = {"beta": [0.3, 0.45], "gamma": [0.65, 0.75], "v": [1.0, 1.3]}
+    found = vj.run_sweep(
+        {"scene": "rotary", "points": points, "starts": ["stuck"], "run": {"orbits": True}}, progress=False
+    )
+    for index in range(2):
+        lane = found.isel(point=index, start=0)
+        assert lane.orbit_reason == 0 and lane.cycles == 1
+        at = {name: column[index] for name, column in points.items()}
+        section = np.array([lane[f"orbit_{name}"].item() for name in ("x1", "x2", "v2")])
+        _, states = exact.returns("rotary", at, section, 1.01 * lane.period.item())
+        np.testing.assert_allclose(states[0], section, atol=1e-10)
+        values = exact.multipliers("rotary", at, section, lane.period.item())
+        own = lane.multiplier_abs.values * np.exp(1j * lane.multiplier_arg.values)
+        np.testing.assert_allclose(own, in_upper_half(values), atol=1e-6)

@@ -1,0 +1,215 @@
+"""The natures of a sweep's lanes: periodic, quasi-periodic, chaotic, or not settled, by their greatest exponent."""
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from vibrojax.chaos.growth import STEPS, Growth, grow
+from vibrojax.chaos.zero_one import zero_one
+from vibrojax.engine.batch import Features, Index
+from vibrojax.engine.labelled import regimes
+from vibrojax.input.definition import Sweep
+from vibrojax.label import IRREGULAR, UNDECIDED
+from vibrojax.measure.section import REPEATS_WITHIN
+from vibrojax.periodic import Orbits
+from vibrojax.periodic.of_lanes import last_returns, reason
+from vibrojax.store.variables import NATURES
+
+FEWEST, MOST = 2048, 4096
+"""Returns that a lane goes on for: doubled where its nature is not clear. Chaos may be a transient of some hundred."""
+
+TOGETHER = 512
+"""Lanes that go on together: their returns are kept meanwhile."""
+
+LATE = 0.75
+"""Part of them, the last, that the exponent is of; the tangent turns into its direction before, and transients end."""
+
+BLOCKS = 16
+"""Blocks of returns, whose means scatter as the standard error says."""
+
+CLEAR, ENOUGH = 6.0, 3.0
+"""Standard errors from zero at which an exponent's sign is clear before the last return, and then."""
+
+RESOLVED = 0.002
+"""Standard error per return below which an exponent that does not differ from zero is taken for zero."""
+
+LONGEST_REPEAT = 64
+"""Returns of the longest repeat that is looked for."""
+
+LABELLED_REPEAT = 8
+"""Those of the longest that labels know; a lane that comes to one of these later had not settled."""
+
+STEADY = 0.99
+"""Part of their spread that the states of a long repeat keep over a few of them."""
+
+TESTED = 1024
+"""Returns, the last, that the 0-1 test takes."""
+
+PerLane = Float[np.ndarray, " lanes"]
+PerReturn = Float[np.ndarray, "returns lanes"]
+
+
+def nature(name: str) -> int:
+    """The flag of `nature` that means `name`."""
+    return NATURES.index(name)
+
+
+class Natures:
+    """Finds the greatest exponents of lanes, and their natures, chunk by chunk.
+
+    A lane that repeats has that of its orbit, ln|greatest multiplier| over the repeat's time. Others go on along the
+    return map with a tangent, see [vibrojax.chaos.growth][].
+    """
+
+    def __init__(self, sweep: Sweep) -> None:
+        self._sweep = sweep
+        self._scene = sweep.system.driving_part()
+        self._orbits = None if sweep.run.orbits else Orbits(sweep)
+
+    @property
+    def described(self) -> dict[str, object]:
+        """What the attribute `lyapunov` of a dataset says: which exponent it is, and how it was found."""
+        return {
+            "exponent": "greatest of the flow but the trivial zero: of the return map, per second; natural logarithm",
+            "stick": "loses one direction, whose exponent is minus infinity; the greatest of the others stays finite",
+            "of_lanes_that_repeat": "ln of the orbit's greatest |multiplier| over the time of its repeat",
+            "tolerance": STEPS.tolerance,
+            "returns": [FEWEST, MOST],
+            "blocks": BLOCKS,
+        }
+
+    def __call__(self, first: int, end: int, features: Features) -> Features:
+        """`lyapunov`, `lyapunov_stderr`, `zero_one` and `nature` of the lanes from `first` to before `end`.
+
+        `features` are those of the lanes, by name, among them their last returns, and their orbits if the sweep is to
+        have them; not changed.
+        """
+        lanes = end - first
+        parameters, _ = self._sweep.lane_values(first, end)
+        regime = regimes(self._sweep.system, parameters, features)
+        orbits = features if self._orbits is None else self._orbits(first, end, features)
+        found: Features = {name: np.full(lanes, np.nan) for name in ("lyapunov", "lyapunov_stderr", "zero_one")}
+        found["nature"] = np.full(lanes, nature("unknown"))
+        with np.errstate(all="ignore"):
+            self._of_orbits(orbits, features, found)
+            astray = np.isin(orbits["orbit_reason"], [reason("not-converged"), reason("another-orbit")])
+            still = astray | np.isin(regime, (IRREGULAR, UNDECIDED))
+            still &= features["finite"] & features["finished"] & (features["returns"] > 0)
+            given = {name: parameters[name] for name in self._scene.parameters()}
+            for some in np.array_split(np.flatnonzero(still), -(-int(still.sum()) // TOGETHER) or 1):
+                self._of_others(some, given, features, found)
+        return found
+
+    def _of_orbits(self, orbits: Features, features: Features, found: Features) -> None:
+        """Enter those of lanes whose orbit was found."""
+        period = orbits.get("period", features["period"])
+        known = orbits["orbit_reason"] == reason("found")
+        exponent = np.log(orbits["multiplier_abs"][:, 0]) / (period * features["cycles"])
+        found["lyapunov"][known] = exponent[known]
+        found["lyapunov_stderr"][known] = 0.0
+        stable = known & (orbits["stable"] == 1)
+        found["nature"][stable | (orbits["orbit_reason"] == reason("near-grazing"))] = nature("periodic")
+        found["nature"][known & ~stable] = nature("not-settled")
+
+    def _of_others(self, lanes: Index, parameters: dict[str, np.ndarray], features: Features, found: Features) -> None:
+        """Enter those of lanes that do not repeat: they go on until it is clear what they are."""
+        begin, scales = last_returns(self._scene, lanes, 1, features)
+        state, scale = begin[:, 0].T, _complete(scales, begin[:, 0]).T
+        usable = np.isfinite(state).all(axis=0) & (np.isfinite(scale) & (scale > 0)).all(axis=0)
+        lanes, state, scale = lanes[usable], state[:, usable], scale[:, usable]
+        tangent = np.full(state.shape, len(state) ** -0.5)
+        gone: Growth | None = None
+        more = FEWEST
+        while len(lanes):
+            given = {name: x[lanes] for name, x in parameters.items()}
+            new = grow(self._scene, given, state, tangent, scale, more)
+            gone = new if gone is None else _joined(gone, new)
+            more = len(gone.rate)
+            exponent, error = exponents(gone.rate, gone.time)
+            repeat, exponent, error = _of_repeats(gone, scale, exponent, error)
+            clear, flags = judged(gone, repeat, exponent, error, last=more >= MOST)
+            found["lyapunov"][lanes], found["lyapunov_stderr"][lanes] = exponent, error
+            found["nature"][lanes] = flags
+            found["zero_one"][lanes[clear]] = _tested(gone.states[-TESTED:][..., clear])
+            keep = ~clear
+            lanes, state, scale = lanes[keep], gone.states[-1][:, keep], scale[:, keep]
+            gone = Growth(*(x[..., keep] for x in gone))
+            tangent = gone.tangent
+
+
+def exponents(rate: PerReturn, time: PerReturn) -> tuple[PerLane, PerLane]:
+    """Growth per second of each lane over the later returns, and its standard error.
+
+    The mean is weighted by a bump that is flat at both ends, with which that of a regular motion converges faster than
+    any power of its length (Das, Saiki, Sander and Yorke, Nonlinearity 30 (2017) 4111); that of a chaotic one is as
+    good as any. The error is by blocks: of a ratio, so by what is left over in each.
+    """
+    late = int(LATE * len(rate)) // BLOCKS * BLOCKS
+    share = (np.arange(late) + 0.5) / late
+    weight = np.exp(-1 / (share * (1 - share)))
+    growth, seconds = rate[-late:], time[-late:]
+    whole = weight @ seconds
+    exponent = weight @ growth / whole
+    left = (growth - exponent * seconds).reshape(BLOCKS, -1, rate.shape[1]).sum(axis=1)
+    each = weight.reshape(BLOCKS, -1).mean(axis=1)
+    return exponent, np.std(left, axis=0, ddof=1) * np.sqrt(each @ each) / whole
+
+
+def judged(
+    gone: Growth, repeat: Int[np.ndarray, " lanes"], exponent: PerLane, error: PerLane, last: bool
+) -> tuple[Bool[np.ndarray, " lanes"], Int[np.ndarray, " lanes"]]:
+    """Of which lanes it is clear what they are, all if these returns are the `last`; and their natures."""
+    away = ~np.isfinite(gone.states[-1]).all(axis=0)
+    enough = (ENOUGH if last else CLEAR) * error
+    per_return = gone.time[-BLOCKS:].mean(axis=0)
+    spread = np.ptp(gone.states[-LONGEST_REPEAT:], axis=0), np.ptp(gone.states[-4 * LONGEST_REPEAT :], axis=0)
+    # What spirals towards an orbit repeats after its turn, but for less and less.
+    spirals = np.any(spread[0] < STEADY * spread[1], axis=0)
+    rules = [
+        (away | ((repeat > 0) & ((repeat <= LABELLED_REPEAT) | spirals)), "not-settled"),
+        (repeat > LABELLED_REPEAT, "periodic"),
+        (exponent > enough, "chaotic"),
+        (exponent < -enough, "not-settled"),
+        (last & (error * per_return < RESOLVED), "quasi-periodic"),
+    ]
+    conditions, names = zip(*rules, strict=True)
+    return np.any(conditions, axis=0) | last, np.select(conditions, list(map(nature, names)), nature("unknown"))
+
+
+def _of_repeats(
+    gone: Growth, scale: Float[np.ndarray, "states lanes"], exponent: PerLane, error: PerLane
+) -> tuple[Int[np.ndarray, " lanes"], PerLane, PerLane]:
+    """Returns after which lanes have come to repeat, 0: none; their exponents and errors, over what repeats alone."""
+    repeat = np.zeros(len(exponent), int)
+    for length in range(LONGEST_REPEAT, 0, -1):
+        late = gone.states[-3 * length - 1 :]
+        some = np.flatnonzero(np.all(np.abs(late[length:] - late[:-length]) < REPEATS_WITHIN * scale, axis=(0, 1)))
+        for lane in some:
+            states = gone.states[:, :, lane]
+            apart = np.all(np.abs(states[length:] - states[:-length]) < REPEATS_WITHIN * scale[:, lane], axis=1)
+            within = int(np.cumprod(apart[::-1]).sum()) + length
+            blocks = min(BLOCKS, within // length)
+            whole = within // (length * blocks) * length * blocks
+            growth, seconds = (x[-whole:, lane].reshape(blocks, -1).sum(axis=1) for x in (gone.rate, gone.time))
+            # A motion that only lingers by one that repeats still goes away from it.
+            if growth.sum() < 0:
+                repeat[lane], exponent[lane] = length, float(growth.sum()) / float(seconds.sum())
+                error[lane] = float(np.std(growth / seconds, ddof=1)) / blocks**0.5
+    return repeat, exponent, error
+
+
+def _tested(states: Float[np.ndarray, "returns states lanes"]) -> PerLane:
+    """The 0-1 test by the state that says most: chaos shows in some later than in others."""
+    return np.max([zero_one(states[:, index]) for index in range(states.shape[1])], axis=0)
+
+
+def _complete(scales: Float[np.ndarray, "lanes states"], states: Float[np.ndarray, "lanes states"]) -> Any:
+    """Scales of all states: of those that labels do not compare, their size."""
+    return np.where(np.isfinite(scales), scales, np.maximum(np.abs(states), np.finfo(float).tiny))
+
+
+def _joined(before: Growth, after: Growth) -> Growth:
+    """One after the other."""
+    rate, time, states = (np.concatenate(pair) for pair in zip(before[:3], after[:3], strict=True))
+    return Growth(rate, time, states, after.tangent)
