@@ -84,17 +84,21 @@ def follow_asked(asked: Asked, progress: bool = True) -> xr.Dataset:
     """The families, as `follow` gives them; raises `InputError` where there is no orbit to begin with."""
     sweep, along = asked.sweep, asked.along
     dataset = run_sweep(sweep, progress=progress)
-    problem, families, first = _problem(Place("follow"), sweep, dataset, along, asked.low, asked.high)
+    problem, families, first = problem_of(asked, dataset)
     legs = Tracer(problem, cycles=asked.cycles)(families, first)
     points, special = in_order(legs)
     found = measured(sweep, problem, points, columns(problem, points))
     return _dataset(sweep, problem, points, special, found, along)
 
 
-def _problem(
-    place: Place, sweep: Sweep, dataset: xr.Dataset, along: str, low: float, high: float
-) -> tuple[Problem, np.ndarray, list[np.ndarray]]:
-    """The equations of the families; which of them have an orbit to begin with, and the unknowns there."""
+def problem_of(asked: Asked, dataset: xr.Dataset) -> tuple[Problem, np.ndarray, list[np.ndarray]]:
+    """The equations of the families; which of them have an orbit to begin with, and the unknowns there.
+
+    **Arguments:** `dataset`: of the sweep that is asked for.
+
+    **Raises:** `InputError` where none has.
+    """
+    sweep, along = asked.sweep, asked.along
     dataset = dataset.isel(start=0) if "start" in dataset.dims else dataset
     system = sweep.system.driving_part()
     values, _ = sweep.lane_values(0, sweep.lanes)
@@ -103,10 +107,10 @@ def _problem(
     families = known.lanes
     if not len(families):
         lane = dataset.isel(point=0)
-        raise place.at("at").error(_what_instead(lane, f"{along} = {float(lane[along]):g}"))
+        raise Place("follow").at("at").error(_what_instead(lane, f"{along} = {float(lane[along]):g}"))
     scale = np.ones((sweep.lanes, len(system.return_states)))
     scale[families] = known.scales
-    unit, first, last = (np.full(sweep.lanes, x) for x in ((high - low) / UNITS, low, high))
+    unit, first, last = (np.full(sweep.lanes, x) for x in ((asked.high - asked.low) / UNITS, asked.low, asked.high))
     problem = Problem(system, along, parameters, scale, unit, first, last, known.most_steps)
     at = parameters[along]
     begin = [

@@ -100,6 +100,7 @@ class _Walker:
         self._bound = np.full(lanes, np.nan)
         self._iterations = np.zeros(lanes, int)
         self._before = np.full(lanes, np.inf)
+        self._shortened = np.zeros(lanes, bool)
         self._found = [(np.arange(lanes), self._last.of(np.arange(lanes)), begin.tangent.copy())]
         self.active = np.arange(lanes)
         with np.errstate(all="ignore"):
@@ -158,6 +159,7 @@ class _Walker:
         """Take the step again, a shorter one."""
         taken = np.linalg.norm(self._guess[lanes] - self._last.u[lanes], axis=1)
         self._step[lanes] = taken / 3
+        self._shortened[lanes] = True
         self._status[lanes[taken / 3 < SHORTEST]] = STALLED
         self._predict(lanes)
 
@@ -185,6 +187,9 @@ class _Walker:
         self._length[kept] += taken[sound]
         easy = np.clip(TURN / np.maximum(turn[sound], 1e-12), 0.5, 2.0)
         easy = np.where(self._iterations[kept] >= 4, np.minimum(easy, 0.7), easy)
+        # What shortened this step lies within twice its length.
+        easy = np.where(self._shortened[kept], np.minimum(easy, 1.0), easy)
+        self._shortened[kept] = False
         self._step[kept] = np.minimum(np.maximum(taken[sound] * easy, 10 * SHORTEST), self._longest)
         self._end(kept, at, ahead)
         self._predict(kept)

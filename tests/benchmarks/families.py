@@ -1,0 +1,53 @@
+"""How fast families are followed, and borders found: `python tests/benchmarks/families.py`, a minute.
+
+Families of the usual drill over gamma, 0.3 to 1.6, from the strong single impact at as many mass ratios: 10, 100 and
+400 at once, without doubled branches and with those of two returns; warm. Then the borders of the default map, the map
+given.
+"""
+
+import time
+
+import numpy as np
+
+import vibrojax as vj
+from vibrojax.families.asked import read_asked
+from vibrojax.families.problem import Problem
+from vibrojax.families.trace import Tracer
+from vibrojax.followed import problem_of
+
+SPAN = (0.3, 1.6)
+
+
+def problem(count: int) -> tuple[Problem, np.ndarray, list[np.ndarray]]:
+    """The equations of so many families, and where they begin."""
+    betas = np.linspace(0.26, 0.6, count).tolist()
+    asked = read_asked("vibro-impact", "gamma", 0.72, SPAN, "stuck", 40.0, 8.0, 8, {"beta": betas})
+    return problem_of(asked, vj.run_sweep(asked.sweep, progress=False))
+
+
+def main() -> None:
+    print("families  returns  branches  legs  points  special  seconds  processor  branches/s  points/s")
+    for count in (10, 100, 400):
+        equations, families, begin = problem(count)
+        Tracer(equations, cycles=2)(families[:2], begin[:2])
+        for cycles in (1, 2):
+            wall, cpu = time.perf_counter(), time.process_time()
+            legs = Tracer(equations, cycles=cycles)(families, begin)
+            wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+            branches = len({(leg.family, leg.branch) for leg in legs})
+            points = sum(len(leg.at.u) for leg in legs if leg.at is not None)
+            special = sum(len(leg.marks) for leg in legs)
+            print(
+                f"{len(families):8d} {cycles:8d} {branches:9d} {len(legs):5d} {points:7d} {special:8d} {wall:8.2f} "
+                f"{cpu:10.2f} {branches / wall:11.1f} {points / wall:9.0f}"
+            )
+    sweep = vj.run_sweep(vj.read_sweep("regime-map", ["run.orbits=true"]), progress=False)
+    for _ in range(2):
+        wall, cpu = time.perf_counter(), time.process_time()
+        found = vj.borders(sweep, progress=False)
+        wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+        print(f"borders of the default map: {wall:.1f} s ({cpu:.1f} of processor time), {found.sizes['curve']} curves")
+
+
+if __name__ == "__main__":
+    main()
