@@ -67,7 +67,7 @@ class Seconds(NamedTuple):
     step: float
 
 
-ORBITS = Seconds(start=1.0, compile=1.5, step=1.15)
+ORBITS = Seconds(start=1.0, compile=2.0, step=1.2)
 """How many times that a sweep with orbits takes."""
 
 LYAPUNOV = Seconds(start=1.0, compile=1.5, step=8.0)

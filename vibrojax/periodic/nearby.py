@@ -20,8 +20,12 @@ from vibrojax.periodic.of_lanes import last_returns
 from vibrojax.periodic.segments import STEPS, Segments
 
 REACH = 0.5
-"""Distance, over half the swings, within which all last returns are of a nearby orbit. Of 208 lanes (beta 0.1 to 1.2,
-gamma 0.3 to 1.2) that had one after 40 s, 203 were on it after 300 s; half of that reach finds fewer, no surer."""
+"""Distance, over half the swings, within which all last returns are of a nearby orbit. Of 205 lanes (beta 0.1 to 1.2,
+gamma 0.3 to 1.2) that had one after 40 s, 200 were on it after 300 s; half of that reach finds fewer, no surer."""
+
+BACK = 0.3
+"""The same between returns that may repeat. Over the default map 468 of 1,184 that come back to within this have an
+orbit nearby; 2 of 459 that come back to within 0.5 only, and Newton's method takes as long for each of them."""
 
 MOST_ITERATIONS = 4
 
@@ -76,7 +80,7 @@ class Nearby:
                     begin = np.stack([returns[some, closest + k] for k in range(repeat)], axis=1)
                     given = {name: parameters[name][lanes[some]] for name in self._scene.parameters()}
                     reach = np.full(len(some), REACH)
-                    orbit = orbits(begin, scale[some], reach, self._map.of(given), most=MOST_ITERATIONS)
+                    orbit = orbits(begin, scale[some], reach, self._map.of(given), ACCEPTED, MOST_ITERATIONS)
                     distance = _distance(compared[some], orbit)
                     self._enter(first, end, lanes[some], orbit, distance, found)
         return found
@@ -105,7 +109,7 @@ def _comes_back(back: Float[np.ndarray, "lanes pairs"], repeat: int) -> Bool[np.
     enough = np.isfinite(back).sum(axis=1) >= max(FEWEST_RETURNS - 1, 2 * repeat)
     half = back.shape[1] // 2
     closer = np.nanmax(back[:, half:], axis=1) < np.nanmax(back[:, :half], axis=1)
-    return enough & closer & (np.nanmax(back, axis=1) < REACH)
+    return enough & closer & (np.nanmax(back, axis=1) < BACK)
 
 
 def _distance(returns: Returns, orbit: Found) -> PerLane:
