@@ -155,6 +155,6 @@ def test_where_a_long_transient_leads():
     assert near.sum() >= 5
     assert not near[(soon.regime.isin([2, 3, 4, 5])).values].any()
     there = (soon.nearby_cycles == late.cycles).values & (soon.nearby_impacts == late.impacts).values
-    assert there[near].mean() >= 0.8
+    assert there[near].mean() >= 0.9
     assert (soon.nearby_distance.values[near] < 0.5).all()
     assert np.isnan(soon.nearby_distance.values[~near]).all()
