@@ -11,6 +11,7 @@ from vibrojax.label import IRREGULAR, SINGLE_IMPACT
 from vibrojax.plot._hysteresis import jumps
 from vibrojax.store.dataset import open_dataset
 from vibrojax.sweep import run_to_file
+from vibrojax.workers.work import Work
 
 BETAS, GAMMAS = [0.3, 0.4], [0.59, 0.61, 0.63, 0.7, 0.75]
 MAP = {
@@ -69,18 +70,18 @@ def test_other_axes_change_nothing(carried):
 
 
 def test_chunks_are_whole_ways_and_are_gone_on_with(tmp_path, carried, monkeypatch):
-    def interrupted(chunks, index, report):
+    def interrupted(work, index, report):
         if index == 2:
             raise KeyboardInterrupt
-        return was(chunks, index, report)
+        return was(work, index, report)
 
-    was = vj.sweep._computed
-    monkeypatch.setattr("vibrojax.sweep._computed", interrupted)
+    was = Work.compute
+    monkeypatch.setattr(Work, "compute", interrupted)
     out, chunked = tmp_path / "out.nc", read_sweep(sweep(chunk=13))  # two ways of five lanes
     with pytest.raises(KeyboardInterrupt):
         run_to_file(chunked, out, progress=False)
     assert len(list((tmp_path / "out.nc.chunks").glob("chunk-*"))) == 2
-    monkeypatch.setattr("vibrojax.sweep._computed", was)
+    monkeypatch.setattr(Work, "compute", was)
     run_to_file(chunked, out, progress=False)
     xr.testing.assert_equal(open_dataset(out), carried)
 

@@ -49,8 +49,8 @@ def calls(monkeypatch, tmp_path):
         return call
 
     dataset = xr.Dataset()
-    cost = {"lanes": 4, "chunks": 1, "memory_bytes": 2.5e6, "disk_bytes": 1234, "time_s": 190.0}
-    cost |= {"compile_s": 8.0, "step_s": 182.0, "processor_s": 370.0}
+    cost = {"lanes": 4, "chunks": 1, "memory_bytes": 2.5e6, "disk_bytes": 1234, "file_bytes": 512, "time_s": 190.0}
+    cost |= {"compile_s": 8.0, "step_s": 182.0, "processor_s": 370.0, "hour_workers": 1}
     module("vibrojax.sweep", run_to_file=dataset, estimate=cost)
     module("vibrojax.engine.resources", check_size=None)
     module("vibrojax.simulation", simulate=dataset)
@@ -116,7 +116,11 @@ def test_sweep_options(calls, capsys, tmp_path):
 def test_a_dry_run_only_tells(calls, capsys):
     assert main(["sweep", "map.toml", "--dry-run"]) == 0
     assert calls.names() == ["estimate", "check_size"]
-    expected = ["lanes   4 (2 beta x 2 start) in 1 chunks", "memory  2.5 MB", "disk    1.23 kB"]
+    expected = [
+        "lanes   4 (2 beta x 2 start) in 1 chunks",
+        "memory  2.5 MB",
+        "disk    1.23 kB while it runs, 512 B then",
+    ]
     expected.append("time    about 3.17 min: 8 s to start and compile, 3 min to step (6.17 min of processor time)")
     assert capsys.readouterr().out.splitlines() == expected
 

@@ -1,9 +1,16 @@
 """What lanes run on: the devices of this computer, and in which precision."""
 
 import os
-from contextlib import AbstractContextManager
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager
+from contextvars import ContextVar
 
 import jax
+
+THREADS = ("VIBROJAX_THREADS", "SLURM_CPUS_PER_TASK")
+"""Of the environment: threads that compute lanes, where not one for each core; the first that is a number counts."""
+
+_THREADS: ContextVar[int | None] = ContextVar("threads", default=None)
 
 
 def workers() -> list[jax.Device]:
@@ -13,7 +20,23 @@ def workers() -> list[jax.Device]:
     one compiled program. Of accelerators, each has a thread.
     """
     devices = jax.local_devices()
-    return devices[:1] * usable_cores() if devices[0].platform == "cpu" else devices
+    return devices[:1] * threads() if devices[0].platform == "cpu" else devices
+
+
+@contextmanager
+def with_threads(count: int | None) -> Iterator[None]:
+    """In this context so many threads compute lanes, where one process is one of several; None: as without."""
+    before = _THREADS.set(count)
+    try:
+        yield
+    finally:
+        _THREADS.reset(before)
+
+
+def threads() -> int:
+    """How many threads compute lanes: as many as are asked for, else as there are cores."""
+    asked = [os.environ.get(name, "") for name in THREADS]
+    return _THREADS.get() or next((int(one) for one in asked if one.isdecimal() and int(one)), usable_cores())
 
 
 def usable_cores() -> int:

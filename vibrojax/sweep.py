@@ -5,44 +5,59 @@ The road of the data: a sweep file is read and checked (`input`); its lanes go i
 which the store writes whole or not at all, its finished chunks kept meanwhile.
 """
 
-import json
 import time
-import warnings
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from math import ceil
 from os import PathLike
 from pathlib import Path
 
-import numpy as np
 import xarray as xr
 
-from vibrojax.chaos import Natures
-from vibrojax.engine.batch import Features, Report, unreported
-from vibrojax.engine.carried import Carried
-from vibrojax.engine.chunks import Beyond, Chunks
-from vibrojax.engine.costs import by_the_clock, processor_time
-from vibrojax.engine.labelled import dataset_of
+from vibrojax.engine.batch import Features
+from vibrojax.engine.chunks import Chunks
+from vibrojax.engine.costs import PACKED, by_the_clock, lane_bytes, processor_time
 from vibrojax.engine.resources import Cost, check_size
 from vibrojax.input.definition import Sweep
 from vibrojax.input.read import read_sweep
-from vibrojax.periodic import Nearby, Orbits, early_ends
+from vibrojax.joining import REGION, WallTime, join
 from vibrojax.progress import Progress
-from vibrojax.store.dataset import write_dataset
+from vibrojax.store.dataset import COMPRESSED, open_dataset
 from vibrojax.store.finished import check_replaceable
 from vibrojax.store.provenance import provenance
 from vibrojax.store.shards import DamagedShard, Shards, report_damage
-from vibrojax.store.variables import VARIABLES
-from vibrojax.timings import LOG, timed
+from vibrojax.store.targets import InMemory, file_target
+from vibrojax.timings import timed
+from vibrojax.workers.executor import Executor, Store, by_executor, check_executor
+from vibrojax.workers.measured import Measured
+from vibrojax.workers.member import Finished, compute_shared
+from vibrojax.workers.order import by_cost
+from vibrojax.workers.processes import by_processes
+from vibrojax.workers.slurm import by_slurm
+from vibrojax.workers.work import Work
+
+MEMORY = 450e6
+"""Bytes that a process takes, what it imports and compiles."""
+
+HOUR = 3600.0
+
+DATASET = "dataset"
+"""What who writes the dataset of several processes claims."""
 
 
-def run_sweep(source: str | PathLike[str] | Mapping[str, object] | Sweep, progress: bool = True) -> xr.Dataset:
+def run_sweep(
+    source: str | PathLike[str] | Mapping[str, object] | Sweep,
+    progress: bool = True,
+    executor: Executor | None = None,
+) -> xr.Dataset:
     """Run a sweep and return its dataset.
 
     **Arguments:**
 
     - `source`: path of a TOML file, a bundled name such as "regime-map", or a dict of the same shape.
     - `progress`: whether to say on stderr how far it is.
+    - `executor`: what computes the chunks: any `concurrent.futures.Executor` whose processes are spawned, such as
+      `ProcessPoolExecutor(4, mp_context=multiprocessing.get_context("spawn"))`, `dask.distributed`'s
+      `client.get_executor()`, loky's, MPI's; or submitit's. None: this process, by all its cores. The bits are equal.
 
     **Returns:** the dataset, over the grid's dimensions and `start`.
 
@@ -51,19 +66,31 @@ def run_sweep(source: str | PathLike[str] | Mapping[str, object] | Sweep, progre
     sweep = source if isinstance(source, Sweep) else read_sweep(source)
     check_size(sweep, estimate(sweep))
     began = time.monotonic()
-    chunks = _chunks(sweep)
-    shown = Progress(sweep.lanes, "lanes", progress)
-    with shown, timed("compile and step"):
-        parts = [_computed(chunks, index, shown.add) for index in range(chunks.count)]
-    return _assembled(sweep, chunks, parts, time.monotonic() - began)
+    work = Work(sweep)
+    parts: dict[int, Features] = {}
+    with Progress(sweep.lanes, "lanes", progress) as shown:
+        _compute(sweep, work, range(work.chunks.count), parts.__setitem__, shown, executor)
+    target = InMemory()
+    join(sweep, work.chunks, parts.pop, target, lambda _: time.monotonic() - began)
+    return target.dataset
 
 
-def run_to_file(sweep: Sweep, out: Path, resume: bool = True, progress: bool = True) -> xr.Dataset:
-    """Run a sweep into the netCDF file `out`; its finished chunks lie beside it until it is whole.
+def run_to_file(
+    sweep: Sweep,
+    out: Path,
+    resume: bool = True,
+    progress: bool = True,
+    executor: Executor | None = None,
+    processes: int = 0,
+    jobs: int = 0,
+) -> xr.Dataset:
+    """Run a sweep into the file `out`, netCDF or Zarr; its finished chunks lie beside it until it is whole.
 
     **Arguments:**
 
     - `resume`: go on with the chunks that are there, if any; otherwise start over, and replace whatever `out` holds.
+    - `executor`: what computes the chunks, see `run_sweep`; or so many `processes` that are spawned on this machine,
+      or so many `jobs` of SLURM.
 
     **Returns:** the dataset that was written.
 
@@ -72,118 +99,144 @@ def run_to_file(sweep: Sweep, out: Path, resume: bool = True, progress: bool = T
     """
     if resume:
         check_replaceable(out, sweep.identity())
-    check_size(sweep, estimate(sweep), out)
+    check_size(sweep, estimate(sweep, to_file=True), out)
     began = time.monotonic()
-    chunks = _chunks(sweep)
-    manifest = sweep.identity() | provenance() | {"chunk size": chunks.size}
-    shown = Progress(sweep.lanes, "lanes", progress)
-    with shown, Shards(out.with_name(out.name + ".chunks"), manifest) as shards:
+    work = Work(sweep)
+    with Progress(sweep.lanes, "lanes", progress) as shown, shards_of(sweep, work.chunks, out) as shards:
         shards.open(resume)
         finished = shards.finished()
-        shown.resume(sum(chunks.width(index) for index in finished))
-        with timed("compile and step"):
-            for index in sorted(set(range(chunks.count)) - finished):
-                shards.write(index, _timed(chunks, index, shown.add))
-        parts = [_read_or_compute(shards, chunks, index) for index in range(chunks.count)]
-        seconds = [float(part.pop("seconds")) for part in parts]
+        shown.resume(sum(work.chunks.width(index) for index in finished))
+        missing = sorted(set(range(work.chunks.count)) - finished)
+        if processes and missing:
+            missing = _shared(by_processes, sweep, work, shards, missing, shown, processes)
+        if jobs and missing:
+            missing = _shared(by_slurm, sweep, work, shards, missing, shown, jobs)
+        _compute(sweep, work, missing, shards.write, shown, executor)
         # Also what an interrupted run took; what lies between the runs does not count.
-        dataset = _assembled(sweep, chunks, parts, max(sum(seconds), time.monotonic() - began))
-        with timed("write"):
-            write_dataset(dataset, out)
+        write_joined(sweep, work, shards, out, lambda seconds: max(seconds, time.monotonic() - began))
         shards.remove()
-    return dataset
+    return open_dataset(out)
 
 
-def estimate(sweep: Sweep) -> Cost:
-    """What a sweep will take, before any work; the time is rough (see [vibrojax.engine.costs][])."""
-    chunks = _chunks(sweep)
-    per_lane = 8 * (len(VARIABLES) + 6 * sweep.run.keep_returns)
-    processor, cores = processor_time(chunks), len(chunks.engine.workers)
+def run_share(sweep: Sweep, out: Path, part: tuple[int, int], progress: bool = True) -> Path | None:
+    """Compute the chunks `part[0]`, `part[0] + part[1]`, ... (counted from 1) into the folder beside `out`, which other
+    processes share; write `out` where all chunks are there.
+
+    **Returns:** `out` where it is whole, else None.
+
+    **Raises:** `InputError` where the chunks that are there, or the dataset, are of another sweep, or a process has the
+    folder for itself.
+    """
+    began = time.monotonic()
+    check_replaceable(out, sweep.identity())
+    check_size(sweep, estimate(sweep, to_file=True), out)
+    work = Work(sweep)
+    number, of = part
+    mine = range(number - 1, work.chunks.count, of)
+    with shards_of(sweep, work.chunks, out) as shards:
+        if out.exists() and not shards.folder.exists():
+            return out
+        shards.share()
+        with Progress(sum(map(work.chunks.width, mine)), "lanes", progress) as shown, timed("compile and step"):
+            shown.resume(sum(work.chunks.width(index) for index in mine if shards.has(index)))
+            compute_shared(shards, work, mine, report=shown.add)
+        if len(shards.there()) < work.chunks.count or not shards.claims.take(DATASET):
+            return out if out.exists() and not shards.folder.exists() else None
+        write_joined(sweep, work, shards, out, lambda seconds: max(seconds / of, time.monotonic() - began))
+        shards.remove()
+    return out
+
+
+def shards_of(sweep: Sweep, chunks: Chunks, out: Path) -> Shards:
+    """The finished chunks beside `out`."""
+    manifest = sweep.identity() | provenance() | {"chunk size": chunks.size}
+    title = sweep.title or f"{sweep.scene}: {sweep.name}"
+    about = {"title": title, "lanes": sweep.lanes, "chunks": chunks.count, "size": chunks.size}
+    return Shards(out.with_name(out.name + ".chunks"), manifest, about)
+
+
+def write_joined(sweep: Sweep, work: Work, shards: Shards, out: Path, wall_time: WallTime) -> None:
+    """Write the dataset `out` from the finished chunks; one that has been damaged meanwhile is computed again."""
+
+    def read(index: int) -> Features:
+        try:
+            return shards.read(index)
+        except DamagedShard as damage:
+            report_damage(damage)
+            return work.compute(index)
+
+    with timed("write"), file_target(out) as target:
+        join(sweep, work.chunks, read, target, wall_time)
+
+
+def _shared(
+    by: Callable[[Sweep, Shards, Sequence[int], int, Finished], list[int]],
+    sweep: Sweep,
+    work: Work,
+    shards: Shards,
+    missing: Sequence[int],
+    shown: Progress,
+    count: int,
+) -> list[int]:
+    """Have chunks computed by so many processes that share the folder; the indices of those that they could not."""
+    for index in missing:
+        shards.discard(index)
+
+    def finished(index: int, _: float) -> None:
+        shown.add(work.chunks.width(index))
+
+    with timed("compile and step"):
+        return by(sweep, shards, by_cost(work.chunks, missing), count, finished)
+
+
+def _compute(
+    sweep: Sweep, work: Work, indices: Sequence[int], store: Store, shown: Progress, executor: Executor | None
+) -> None:
+    """Have the chunks of these indices computed, and stored when they are done."""
+    with timed("compile and step"):
+        if executor is None:
+            for index in indices:
+                store(index, work.compute(index, shown.add))
+            return
+        check_executor(executor)
+
+        def stored(index: int, features: Features) -> None:
+            store(index, features)
+            shown.add(work.chunks.width(index))
+
+        by_executor(sweep, executor, by_cost(work.chunks, indices), stored)
+
+
+def estimate(sweep: Sweep, to_file: bool = False, processes: int = 0, measured: Measured | None = None) -> Cost:
+    """What a sweep will take, before any work; the time is rough (see [vibrojax.engine.costs][]).
+
+    **Arguments:**
+
+    - `to_file`: whether its chunks go to the disk, as in `run_to_file`, or stay in memory.
+    - `processes`: how many processes on this machine compute it; 0: this one.
+    - `measured`: what some of its lanes took, see [vibrojax.workers.measured][], which is less rough.
+    """
+    chunks = Work(sweep).chunks
+    in_chunk, in_file = map(float, lane_bytes(sweep))
+    packed = PACKED if sweep.lanes > COMPRESSED else 1.0
+    processor, cores = processor_time(chunks), processes or len(chunks.engine.workers)
+    if measured is not None:
+        in_chunk, in_file, packed = measured.chunk_bytes, measured.file_bytes, measured.packed
+        processor = processor._replace(step=measured.lane_s * sweep.lanes)
     passing = by_the_clock(processor, cores)
+    before = passing.start + passing.compile
+    # A lane in the loop carries some 500 numbers; of a region the features, the variables, and those being written.
+    memory = MEMORY * (1 + processes) + max(1, processes) * chunks.size * 8 * 500
+    memory += 3 * min(REGION, sweep.lanes) * (in_chunk + in_file) if to_file else sweep.lanes * (in_chunk + in_file)
     return Cost(
         lanes=sweep.lanes,
         chunks=chunks.count,
-        # A lane in the loop carries some 500 numbers; the results are held once to be labelled and written.
-        memory_bytes=400e6 + chunks.size * 8 * 500 + 3 * sweep.lanes * per_lane,
-        disk_bytes=ceil(sweep.lanes * per_lane),
+        memory_bytes=memory,
+        disk_bytes=ceil(sweep.lanes * (in_chunk + packed * in_file)),
+        file_bytes=ceil(sweep.lanes * packed * in_file),
+        hour_workers=min(chunks.count, ceil(processor.step / (HOUR - before))) if before < HOUR else 0,
         time_s=sum(passing),
-        compile_s=passing.start + passing.compile,
+        compile_s=before,
         step_s=passing.step,
         processor_s=sum(processor),
     )
-
-
-def _chunks(sweep: Sweep) -> Chunks:
-    if sweep.run.carry is None:
-        return Chunks(sweep, _beyond(sweep), early_ends(sweep))
-    return Carried(sweep, _beyond(sweep))
-
-
-def _beyond(sweep: Sweep) -> Beyond | None:
-    """What is to be found of lanes that have been observed."""
-    parts: list[Beyond] = [Orbits(sweep), Nearby(sweep)] if sweep.run.orbits else []
-    parts += [Natures(sweep)] if sweep.run.lyapunov else []
-
-    def found(first: int, end: int, features: Features) -> Features:
-        more: Features = {}
-        for part in parts:
-            more |= part(first, end, features | more)
-        return more
-
-    return found if parts else None
-
-
-def _read_or_compute(shards: Shards, chunks: Chunks, index: int) -> Features:
-    """A finished chunk from its file; computed again where that has been damaged meanwhile."""
-    try:
-        return shards.read(index)
-    except DamagedShard as damage:
-        report_damage(damage)
-        return _timed(chunks, index)
-
-
-def _timed(chunks: Chunks, index: int, report: Report = unreported) -> Features:
-    """A chunk's features, and the `seconds` that they took."""
-    began = time.monotonic()
-    features = _computed(chunks, index, report)
-    return features | {"seconds": np.array(time.monotonic() - began)}
-
-
-def _computed(chunks: Chunks, index: int, report: Report) -> Features:
-    with _quiet():
-        return chunks.compute(index, report)
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Lanes that blow up are flagged: numpy's warnings beside, from any thread, would be a storm."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)
-        yield
-
-
-def _assembled(sweep: Sweep, chunks: Chunks, parts: list[Features], wall_time: float) -> xr.Dataset:
-    features = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    solver = {
-        "method": chunks.stepper.name,
-        "order": chunks.stepper.order,
-        "precision": sweep.run.precision,
-        "compiler": chunks.engine.programs.compiler,
-        "devices": _devices_text(chunks),
-        "steps": int(features["steps"].sum()),
-        **chunks.accuracy.described(),
-    }
-    LOG.info("chosen: %s, %d chunks of %d lanes", json.dumps(solver), chunks.count, chunks.size)
-    with _quiet():
-        dataset = dataset_of(sweep, features, solver, wall_time)
-    if sweep.run.orbits:
-        dataset.attrs["orbits"] = json.dumps(Orbits(sweep).described | Nearby(sweep).described)
-    if sweep.run.lyapunov:
-        dataset.attrs["lyapunov"] = json.dumps(Natures(sweep).described)
-    return dataset
-
-
-def _devices_text(chunks: Chunks) -> str:
-    """What lanes run on, in words."""
-    device, count = chunks.engine.workers[0], len(chunks.engine.workers)
-    return f"{count} cpu cores" if device.platform == "cpu" else f"{count} {device.device_kind}"

@@ -1,10 +1,14 @@
 """Work in a thread of its own, which nothing in it can keep the caller from leaving."""
 
 import threading
+import time
 from collections.abc import Callable
 from typing import TypeVar
 
 Result = TypeVar("Result")
+
+_PATIENCE = 0.2
+"""Seconds after which an interrupt is answered at the latest."""
 
 
 def in_own_thread(work: Callable[[], Result], seconds: float | None = None) -> Result:
@@ -34,7 +38,10 @@ def in_own_thread(work: Callable[[], Result], seconds: float | None = None) -> R
 
     thread = threading.Thread(target=run, name="work", daemon=True)
     thread.start()
-    thread.join(seconds)
+    end = None if seconds is None else time.monotonic() + seconds
+    # Again and again: a signal that another thread has received does not end a wait.
+    while thread.is_alive() and (end is None or time.monotonic() < end):
+        thread.join(_PATIENCE if end is None else min(_PATIENCE, max(0.0, end - time.monotonic())))
     if errors:
         raise errors[0]
     if not results:

@@ -17,6 +17,7 @@ from vibrojax.cli import accuracy, borders, fit, follow, info, orbits, plot, rep
 from vibrojax.cli._command import Command, Options
 from vibrojax.cli._complete import complete
 from vibrojax.errors import InputError
+from vibrojax.leaving import leave
 from vibrojax.progress import end_lines
 from vibrojax.store.provenance import package_version
 from vibrojax.threads import in_own_thread
@@ -60,6 +61,7 @@ def command() -> None:
     status = main(do=in_own_thread)
     if status in (INTERRUPTED, TERMINATED, BAD_INPUT):
         # Threads may still be at their lanes, or at a file that has no end: nobody waits for them.
+        leave()
         sys.stderr.flush()
         os._exit(status)
     sys.exit(status)

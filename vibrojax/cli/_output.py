@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     import xarray
 
 PICTURES = (".png", ".pdf", ".svg")
+ZARR = ".zarr"
 
 
 def output(path: str | Path, endings: Sequence[str] = (".nc",)) -> Path:
@@ -27,7 +28,7 @@ def output(path: str | Path, endings: Sequence[str] = (".nc",)) -> Path:
     at = f"-o: {shown(str(path))}"
     if path.suffix not in endings:
         raise InputError(f"{at} does not end in {' or '.join(endings)}; give the name of such a file")
-    if path.is_dir():
+    if path.is_dir() and path.suffix != ZARR:
         raise InputError(f"{at} is a folder; give the name of a file")
     folder = path.parent
     if not folder.is_dir():
@@ -61,8 +62,8 @@ def draw(dataset: "xarray.Dataset", picture: Path) -> str:
 
     try:
         with timed("draw"):
-            save_picture(dataset, picture)
+            part = save_picture(dataset, picture)
     except InputError as nothing:  # the dataset is written, and that is what was asked for
         print(f"no picture: {nothing}", file=sys.stderr)
         return ""
-    return f"; picture {picture}"
+    return f"; picture {picture}" + (f" ({part})" if part else "")

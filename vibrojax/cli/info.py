@@ -1,4 +1,4 @@
-"""Tell what a dataset holds: scene, grid, regimes, failures, accuracy, provenance."""
+"""Tell what a dataset holds: scene, grid, regimes, failures, accuracy, provenance; or how far a sweep is."""
 
 import json
 import tomllib
@@ -14,6 +14,7 @@ from vibrojax.cli._family_lines import family_lines
 from vibrojax.cli._found import found_lines
 from vibrojax.cli._json import HELP, flags, print_json
 from vibrojax.cli._orbit_lines import orbit_lines
+from vibrojax.cli._standing import folder_of, standing_facts, standing_lines
 from vibrojax.timings import timed
 from vibrojax.words import WORDS
 
@@ -27,7 +28,9 @@ _ACCEPTED = 1e-4
 
 def arguments(parser: ArgumentParser) -> None:
     """Add the command's arguments to `parser`."""
-    file = parser.add_argument("file", metavar="OUT.nc", help="a dataset written by vibrojax")
+    file = parser.add_argument(
+        "file", metavar="OUT.nc", help="a dataset written by vibrojax, or the folder of one that is underway"
+    )
     with_completer(file, files(".nc"))
     parser.add_argument("--json", action="store_true", help=HELP)
 
@@ -36,6 +39,16 @@ def run(options: Options) -> None:
     """Run the command."""
     from vibrojax.store.dataset import open_dataset
 
+    folder = folder_of(Path(options.file))
+    if folder is not None:
+        from vibrojax.store.standing import standing
+
+        found = standing(folder)
+        if options.json:
+            print_json(standing_facts(found))
+        else:
+            print("\n".join(standing_lines(found)))
+        return
     with timed("read"):
         dataset = open_dataset(Path(options.file))
     if options.json:

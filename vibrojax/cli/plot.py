@@ -54,9 +54,9 @@ def run(options: Options) -> None:
         from vibrojax.plot import save_picture
 
         with timed("draw"):
-            save_picture(dataset, picture, options.variable, where, options.colours, over)
+            part = save_picture(dataset, picture, options.variable, where, options.colours, over)
     if not options.quiet:
-        print(picture)
+        print(f"{picture}: {part}" if part else picture)
 
 
 def _values(words: Sequence[str]) -> dict[str, float | str]:

@@ -3,16 +3,23 @@
 import shlex
 import threading
 from argparse import ArgumentParser
+from contextlib import nullcontext
 from importlib import import_module
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from vibrojax.amounts import size_text, time_text
 from vibrojax.cli._command import Options
 from vibrojax.cli._complete import sweeps, with_completer
-from vibrojax.cli._output import dataset_written, draw, output, picture_beside
+from vibrojax.cli._output import ZARR, dataset_written, draw, output, picture_beside
+from vibrojax.cli._workers import dask_executor, read_share, read_workers
+from vibrojax.errors import InputError
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from vibrojax.engine.resources import Cost
+    from vibrojax.input.definition import Sweep
+    from vibrojax.workers.measured import Measured
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -21,7 +28,7 @@ def arguments(parser: ArgumentParser) -> None:
         "sweep", metavar="SWEEP", help="a bundled name, like regime-map, or the path of a TOML file"
     )
     with_completer(sweep, sweeps)
-    parser.add_argument("-o", dest="out", metavar="OUT.nc", help="where to write (NAME.nc in this folder)")
+    parser.add_argument("-o", dest="out", metavar="OUT.nc", help="where to write (NAME.nc in this folder); .zarr too")
     parser.add_argument(
         "--set",
         dest="changes",
@@ -33,7 +40,19 @@ def arguments(parser: ArgumentParser) -> None:
     start = parser.add_mutually_exclusive_group()
     start.add_argument("--resume", action="store_true", help="go on with the finished chunks beside OUT (the default)")
     start.add_argument("--fresh", action="store_true", help="start over, and replace OUT whatever it holds")
+    by = parser.add_mutually_exclusive_group()
+    by.add_argument(
+        "--workers",
+        metavar="N | dask://HOST:PORT | slurm",
+        help="compute by N processes on this machine, the workers of a dask scheduler, or jobs of SLURM (slurm:JOBS)",
+    )
+    by.add_argument(
+        "--only",
+        metavar="I/N",
+        help="compute each N-th chunk from the I-th, beside other processes that do the rest in the same folder",
+    )
     parser.add_argument("--dry-run", action="store_true", help="print lanes, memory, disk and time; compute nothing")
+    parser.add_argument("--measure", action="store_true", help="have --dry-run compute some chunks, to know better")
 
 
 def run(options: Options) -> None:
@@ -42,25 +61,74 @@ def run(options: Options) -> None:
     from vibrojax.input.read import read_sweep
     from vibrojax.sweep import estimate, run_to_file
 
+    workers, share = read_workers(options.workers), read_share(options.only)
+    if share and options.fresh:
+        raise InputError("--fresh: has no use with --only, whose processes share what is there; remove the folder")
+    if options.measure and not options.dry_run:
+        raise InputError("--measure: has no use without --dry-run")
+    if workers.jobs is not None:
+        from vibrojax.workers.slurm import check_slurm
+
+        check_slurm(f"--workers {options.workers}")
     sweep = read_sweep(options.sweep, options.changes)
-    out = output(options.out or f"{sweep.name}.nc")
+    out = output(options.out or f"{sweep.name}.nc", (".nc", ZARR))
+    if out.suffix == ZARR:
+        from vibrojax.store.dataset import check_zarr
+
+        check_zarr(out)
     picture = picture_beside(out)
     if options.dry_run:
-        cost = estimate(sweep)
+        cost = estimate(sweep, to_file=True, processes=workers.processes or 0, measured=_measured(options, sweep))
         print("\n".join(_cost_lines(sweep.shape, sweep.dims, cost)))
         check_size(sweep, cost, out)
         return
     changes = [part for word in options.changes for part in ("--set", word)]
-    command = shlex.join(["vibrojax", "sweep", options.sweep, *changes, "-o", str(out)])
+    by = [part for name in ("workers", "only") if (word := getattr(options, name)) for part in (f"--{name}", word)]
+    command = shlex.join(["vibrojax", "sweep", options.sweep, *changes, "-o", str(out), *by])
     options.how_to_resume = f"finished chunks are kept; to go on: {command}"
     # What draws is imported while the lanes step, which leave Python to itself.
     threading.Thread(target=import_module, args=("vibrojax.plot",), daemon=True).start()
-    dataset = run_to_file(sweep, out, resume=not options.fresh, progress=not options.quiet)
+    progress = not options.quiet
+    if share:
+        from vibrojax.store.dataset import open_dataset
+        from vibrojax.sweep import run_share
+
+        if run_share(sweep, out, share, progress) is None:
+            if progress:
+                print(f"{out}: share {options.only} is done; {_unfinished(out)}")
+            return
+        dataset = open_dataset(out)
+    else:
+        with dask_executor(workers.dask) if workers.dask else nullcontext() as executor:
+            by_whom = {"executor": executor, "processes": workers.processes, "jobs": workers.jobs}
+            given: dict[str, Any] = {name: one for name, one in by_whom.items() if one is not None}
+            dataset = run_to_file(sweep, out, resume=not options.fresh, progress=progress, **given)
     dataset_written(options, out)
     drawn = draw(dataset, picture)
     if not options.quiet:
         each = "a point from one start each" if sweep.starts is not None or sweep.point_vectors else "a point each"
         print(f"{out}: {sweep.lanes} lanes ({each}){drawn}")
+
+
+def _measured(options: Options, sweep: "Sweep") -> "Measured | None":
+    """What some of the sweep's lanes take, if that is asked for."""
+    if not options.measure:
+        return None
+    from vibrojax.workers.measured import measured
+
+    return measured(sweep)
+
+
+def _unfinished(out: "Path") -> str:
+    """What is left to do for the sweep of several processes that becomes `out`."""
+    from vibrojax.store.standing import CHUNKS, standing
+
+    try:
+        found = standing(out.with_name(out.name + CHUNKS))
+    except InputError:  # finished and removed this moment
+        return "the dataset is whole"
+    left = found.chunks - len(found.finished)
+    return f"{left} of {found.chunks} chunks are left to others" if left else "another process writes the dataset"
 
 
 def _cost_lines(shape: tuple[int, ...], dims: tuple[str, ...], cost: "Cost") -> list[str]:
@@ -69,10 +137,17 @@ def _cost_lines(shape: tuple[int, ...], dims: tuple[str, ...], cost: "Cost") -> 
     return [
         f"lanes   {cost['lanes']} ({grid}) in {cost['chunks']} chunks",
         f"memory  {size_text(cost['memory_bytes'])}",
-        f"disk    {size_text(cost['disk_bytes'])}",
+        f"disk    {size_text(cost['disk_bytes'])} while it runs, {size_text(cost['file_bytes'])} then",
         f"time    about {_about(cost['time_s'])}: {_about(cost['compile_s'])} to start and compile, "
         f"{_about(cost['step_s'])} to step ({_about(cost['processor_s'])} of processor time)",
+        *_hour_line(cost),
     ]
+
+
+def _hour_line(cost: "Cost") -> list[str]:
+    if cost["time_s"] <= 3600 or not cost["hour_workers"]:
+        return []
+    return [f"hour    {cost['hour_workers']} workers of one core each bring it under an hour"]
 
 
 def _about(seconds: float) -> str:

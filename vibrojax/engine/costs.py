@@ -26,20 +26,28 @@ class Costs(NamedTuple):
 
     - `compile`: to compile its programs; `step`: a step of a lane while it settles.
     - `rate`: steps in a simulated second [1/s] that end at events, beside those that flight asks for.
+    - `chunk_bytes`, `file_bytes`: of a lane, in a finished chunk and in the dataset.
     """
 
     compile: float
     step: float
     rate: float
+    chunk_bytes: int
+    file_bytes: int
 
 
 COSTS = {
-    "rotary": Costs(1.2, 53e-9, 12.0),
-    "vibro-impact": Costs(1.6, 75e-9, 45.0),
-    "drilling": Costs(1.9, 80e-9, 180.0),
-    "coupled-drilling": Costs(1.9, 92e-9, 200.0),
-    "penetration": Costs(0.7, 53e-9, 1000.0),
+    "rotary": Costs(1.2, 53e-9, 12.0, 152, 98),
+    "vibro-impact": Costs(1.6, 75e-9, 45.0, 232, 170),
+    "drilling": Costs(1.9, 80e-9, 180.0, 272, 210),
+    "coupled-drilling": Costs(1.9, 92e-9, 200.0, 272, 210),
+    "penetration": Costs(0.7, 53e-9, 1000.0, 72, 50),
 }
+OF_ORBITS, OF_A_RETURN = (136, 108), (48, 48)
+"""Bytes of a lane with orbits, and of each return that is kept, beside those."""
+
+PACKED = 0.75
+"""What is left of a large dataset when it is compressed."""
 START = 1.6
 """Seconds to start, to read and write, and to draw."""
 
@@ -97,6 +105,14 @@ def processor_time(chunks: Chunks) -> Seconds:
     return Seconds(slower * START, slower * compiling, slower * stepping)
 
 
+def lane_bytes(sweep: Sweep) -> tuple[int, int]:
+    """Bytes of a lane in a finished chunk, and in the dataset before it is compressed."""
+    costs, run = _costs(sweep.system), sweep.run
+    kept = [one * run.keep_returns for one in OF_A_RETURN]
+    orbits = OF_ORBITS if run.orbits else (0, 0)
+    return costs.chunk_bytes + kept[0] + orbits[0], costs.file_bytes + kept[1] + orbits[1]
+
+
 def by_the_clock(processor: Seconds, cores: int) -> Seconds:
     """The seconds that pass meanwhile on an idle machine with so many cores."""
     beside = OVERLAP if cores > 1 else 1.0
@@ -115,28 +131,39 @@ def _costs(scene: Scene[Any]) -> Costs:
 def _steps(chunks: Chunks, at_events: float) -> float:
     """Steps of all lanes of the run, those counted in which lanes of a block wait for its slowest."""
     sweep, block = chunks.sweep, chunks.engine.programs.block
-    seconds, accuracy = sweep.run.settle + sweep.run.observe, chunks.accuracy
-    asked = 1 / accuracy.step if sweep.run.stepper.smooths else at_events + 1 / accuracy.step
-    with np.errstate(all="ignore"):
-        rates = asked + _in_flight(sweep) / accuracy.stride
-        steps = np.minimum(np.nan_to_num(rates, nan=np.inf) * seconds, steps_at_most(seconds, accuracy))
+    if sweep.lanes > MOST_LANES:
+        places = [(0, 1)]
+    elif sweep.lanes <= SAMPLES * SAMPLE:
+        places = [(0, sweep.lanes)]
+    else:
+        firsts = np.linspace(0, sweep.lanes - SAMPLE, SAMPLES).astype(int).tolist()
+        places = [(first, first + SAMPLE) for first in firsts]
+    steps = np.concatenate([_lane_steps(chunks, at_events, *place) for place in places])
     # Lanes of one pace go together: the first of each block is its slowest.
     slowest = np.sort(steps)[::-1][::block]
     return float(np.mean(slowest)) * block * -(-sweep.lanes // block)
 
 
-def _in_flight(sweep: Sweep) -> Rates:
-    """Fastest rates in flight [1/s] of some of the lanes; none where steps do not follow from them."""
+def lane_steps(chunks: Chunks, first: int, end: int) -> Rates:
+    """Steps that each lane from `first` to before `end` takes, roughly (end - first,)."""
+    return _lane_steps(chunks, _costs(chunks.sweep.system).rate, first, end)
+
+
+def _lane_steps(chunks: Chunks, at_events: float, first: int, end: int) -> Rates:
+    run, accuracy = chunks.sweep.run, chunks.accuracy
+    seconds = run.settle + run.observe
+    asked = 1 / accuracy.step if run.stepper.smooths else at_events + 1 / accuracy.step
+    with np.errstate(all="ignore"):
+        rates = asked + _in_flight(chunks.sweep, first, end) / accuracy.stride
+        return np.minimum(np.nan_to_num(rates, nan=np.inf) * seconds, steps_at_most(seconds, accuracy))
+
+
+def _in_flight(sweep: Sweep, first: int, end: int) -> Rates:
+    """Fastest rates in flight [1/s] of lanes; none where steps do not follow from them."""
     scene = sweep.system
     if not isinstance(scene, HasFriction) or sweep.run.stepper.smooths or sweep.lanes > MOST_LANES:
-        return np.zeros(1)
-    few = sweep.lanes <= SAMPLES * SAMPLE
-    firsts = (
-        range(0, sweep.lanes, SAMPLE) if few else np.linspace(0, sweep.lanes - SAMPLE, SAMPLES).astype(int).tolist()
-    )
-    ends = (min(first + SAMPLE, sweep.lanes) for first in firsts)
-    samples = (sweep.lane_values(first, end)[0] for first, end in zip(firsts, ends, strict=True))
-    return np.concatenate([np.broadcast_to(flight_rates(scene, p), len(next(iter(p.values())))) for p in samples])
+        return np.zeros(end - first)
+    return np.broadcast_to(flight_rates(scene, sweep.lane_values(first, end)[0]), end - first)
 
 
 @cache

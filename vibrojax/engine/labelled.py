@@ -1,4 +1,4 @@
-"""From the features of lanes to the labelled dataset of a sweep."""
+"""From the features of lanes to the labelled variables of a sweep, any whole points of it at a time."""
 
 import json
 from collections.abc import Mapping
@@ -7,7 +7,6 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-import xarray as xr
 from jaxtyping import Int8, Shaped
 
 from vibrojax.arrays import Array
@@ -25,34 +24,47 @@ from vibrojax.store.finished import IDENTITY, identity_text
 from vibrojax.store.provenance import provenance
 from vibrojax.store.variables import ORBIT_REASONS, REASONS, STATUSES, VARIABLES, Variable, orbit_name
 
-_DIMENSIONS = {
-    "return_index": ("return_time", "number of the return that is kept, the newest last"),
-    "multiplier": ("multiplier_abs", "number of the multiplier, by falling modulus"),
+_ROWS = {
+    "return_index": "number of the return that is kept, the newest last",
+    "multiplier": "number of the multiplier, by falling modulus",
 }
-"""The dimensions beyond the sweep's: a variable that has each, and its meaning."""
+"""What the dimensions beyond the sweep's mean."""
 
 
-def dataset_of(sweep: Sweep, features: dict, solver: dict, wall_time: float) -> xr.Dataset:
-    """The dataset of a sweep.
+def labelled(sweep: Sweep, first: int, end: int, features: dict) -> dict[str, np.ndarray]:
+    """The variables of the lanes from `first` to before `end`, all starts of their points among them, as stored.
 
     **Arguments:**
 
     - `features`: by name, (lanes,), or (lanes, rows) for returns that are kept.
+
+    **Returns:** by name, in the order of the dataset, in the same shapes.
+    """
+    features = _finished(sweep, first, end, features)
+    variables = {}
+    for name, variable in variables_of(sweep).items():
+        if name in features:
+            x = features[name]
+            integer = np.issubdtype(variable.dtype, np.integer)
+            variables[name] = np.nan_to_num(x).astype(variable.dtype) if integer else x
+    return variables
+
+
+def variables_of(sweep: Sweep) -> dict[str, Variable]:
+    """All variables that the dataset of a sweep may have, by name, in their order."""
+    return VARIABLES | measured_besides(sweep.system) | of_orbits(sweep.system)
+
+
+def attributes(sweep: Sweep, solver: dict, certified: Mapping[str, int], wall_time: float) -> dict[str, Any]:
+    """The attributes of the dataset.
+
+    **Arguments:**
+
     - `solver`: what the lanes were stepped with, as JSON values.
+    - `certified`: what [vibrojax.engine.labelled.certified][] counts, of all lanes.
     - `wall_time`: seconds that it took.
     """
-    features = _finished(sweep, features)
-    variables = {}
-    for name, variable in (VARIABLES | measured_besides(sweep.system) | of_orbits(sweep.system)).items():
-        if name not in features:
-            continue
-        x = features[name]
-        dims = (*sweep.dims, *((variable.along,) if x.ndim == 2 else ()))
-        x = sweep.over_dims(x)
-        if np.issubdtype(variable.dtype, np.integer):
-            x = np.nan_to_num(x).astype(variable.dtype)
-        variables[name] = (dims, x, variable.attributes())
-    attributes = {
+    return {
         "title": sweep.title or f"{sweep.scene}: {sweep.name}",
         "scene": sweep.scene,
         **provenance(),
@@ -64,12 +76,11 @@ def dataset_of(sweep: Sweep, features: dict, solver: dict, wall_time: float) -> 
         "differing": json.dumps(differing(sweep.system.parameters(), sweep.parameters)),
         **sweep.options,
         "solver": json.dumps(solver),
-        "certified": json.dumps(_certified(sweep, features)),
+        "certified": json.dumps({"error": sweep.run.error, "lanes": sweep.lanes, **certified}),
         "wall_time_s": float(wall_time),
         "lanes": sweep.lanes,
         "Conventions": "CF-1.11",
     }
-    return xr.Dataset(variables, _coordinates(sweep, features), attributes)
 
 
 def measured_besides(scene: Scene[Any]) -> dict[str, Variable]:
@@ -94,18 +105,18 @@ def of_orbits(scene: Scene[Any]) -> dict[str, Variable]:
     }
 
 
-def _finished(sweep: Sweep, features: dict) -> dict:
+def _finished(sweep: Sweep, first: int, end: int, features: dict) -> dict:
     """The features with the regime, status and reason; NaN, or 0 for counts, where a lane failed or was refused."""
     bad = ~features["finite"]
-    values = sweep.lane_values(0, sweep.lanes)[0]
-    why, unfit = sweep.system.refused(values) or ("none", np.zeros(sweep.lanes, bool))
+    values = sweep.lane_values(first, end)[0]
+    why, unfit = sweep.system.refused(values) or ("none", np.zeros(end - first, bool))
     stiff, slow = too_stiff(sweep, values), too_slow(sweep, values)
     refused = unfit | stiff | slow
     flags = [REASONS.index(name) for name in (why, TOO_STIFF, TOO_SLOW, "not-finite", "out-of-steps")]
     reason = np.select([unfit, stiff, slow, bad, ~features["finished"]], flags, 0)
     failed = reason != 0
     sound = {name: features[name] & ~refused for name in ("finite", "check_finite") if name in features}
-    labelled = _labelled(sweep, features | sound) if "cycles" in features else {}
+    regimes = _regimes(sweep, values, features | sound) if "cycles" in features else {}
     if "orbit_reason" in features:
         features = features | {
             "orbit_reason": np.where(failed, ORBIT_REASONS.index("refused"), features["orbit_reason"]),
@@ -118,15 +129,14 @@ def _finished(sweep: Sweep, features: dict) -> dict:
     }
     flags = [STATUSES.index(name) for name in ("refused", "failed")]
     status = np.select([refused, failed], flags, STATUSES.index("done"))
-    found = blanked | labelled | {"status": status, "reason": reason}
+    found = blanked | regimes | {"status": status, "reason": reason}
     if sweep.crosses_starts and sweep.starts is not None and len(sweep.starts) > 1 and "regime" in found:
         found["hidden_motion"] = hides_another(found, found["regime"], len(sweep.starts))
     return found
 
 
-def _labelled(sweep: Sweep, features: dict) -> dict:
+def _regimes(sweep: Sweep, values: dict, features: dict) -> dict:
     """The regime of every lane, and that by its check run."""
-    values, _ = sweep.lane_values(0, sweep.lanes)
     check = {name: features[f"check_{name}"] for name in LABELLED_BY if f"check_{name}" in features}
     both = {"regime": features, "check_regime": check}
     return {name: regimes(sweep.system, values, lanes) for name, lanes in both.items()}
@@ -156,25 +166,24 @@ def _settings(sweep: Sweep) -> dict:
     return {name: value for name, value in sweep.run.described().items() if value is not None}
 
 
-def _certified(sweep: Sweep, features: dict) -> dict:
-    """How many lanes have an error estimate, of how many it is within what is accepted, how many still are farther
-    than that from where they settle, and how many labels flip."""
-    estimate = features["error_estimate"][features["reason"] == 0]
-    found = {
-        "error": sweep.run.error,
-        "lanes": sweep.lanes,
-        "estimated": int(np.sum(~np.isnan(estimate))),
-        "within": int(np.sum(estimate <= sweep.run.error)),
-    }
-    if "drift_estimate" in features:
-        drift = features["drift_estimate"][features["reason"] == 0]
-        found["still_settling"] = int(np.sum(drift > sweep.run.error))
-    if "regime" in features:
-        found["regime_flips"] = int(np.sum(features["regime"] != features["check_regime"]))
+def certified(sweep: Sweep, variables: Mapping[str, np.ndarray]) -> dict[str, int]:
+    """How many of some lanes have an error estimate, of how many it is within what is accepted, how many still are
+    farther than that from where they settle, and how many labels flip."""
+    done = variables["reason"] == 0
+    estimate = variables["error_estimate"][done]
+    found = {"estimated": int(np.sum(~np.isnan(estimate))), "within": int(np.sum(estimate <= sweep.run.error))}
+    if "drift_estimate" in variables:
+        found["still_settling"] = int(np.sum(variables["drift_estimate"][done] > sweep.run.error))
+    if "regime" in variables:
+        found["regime_flips"] = int(np.sum(variables["regime"] != variables["check_regime"]))
     return found
 
 
-def _coordinates(sweep: Sweep, features: dict) -> dict:
+def coordinates(sweep: Sweep, rows: Mapping[str, int]) -> dict:
+    """The coordinates of the dataset, each (dimensions, values, attributes).
+
+    `rows`: the sizes of the dimensions beyond the sweep's, by name.
+    """
     parameters = dict(sweep.system.parameters()) | ROTATION
     found = {name: ((name,), axis, _described(parameters, name)) for name, axis in sweep.axes.items()}
     for name, column in (sweep.points or {}).items():
@@ -194,10 +203,8 @@ def _coordinates(sweep: Sweep, features: dict) -> dict:
     elif sweep.starts is not None:
         found["start"] = (("start",), _numbered(sweep.starts), about)
         found |= _start_states(sweep, sweep.starts)
-    for dimension, (one, long_name) in _DIMENSIONS.items():
-        if one in features:
-            about = {"units": "1", "long_name": long_name}
-            found[dimension] = ((dimension,), np.arange(features[one].shape[1]), about)
+    for dimension, size in rows.items():
+        found[dimension] = ((dimension,), np.arange(size), {"units": "1", "long_name": _ROWS[dimension]})
     return found
 
 

@@ -16,13 +16,16 @@ class Cost(TypedDict):
     """What a sweep will take: its lanes and chunks, bytes of memory and disk, seconds.
 
     `time_s` is by the clock, of an idle machine: `compile_s`, which other lanes would take as well, and `step_s`;
-    `processor_s` is what all cores spend on it together.
+    `processor_s` is what all cores spend on it together. `file_bytes` are those of `disk_bytes` that stay;
+    `hour_workers`: processes of one core each that bring it under an hour, 0 where none do.
     """
 
     lanes: int
     chunks: int
     memory_bytes: float
     disk_bytes: float
+    file_bytes: float
+    hour_workers: int
     time_s: float
     compile_s: float
     step_s: float

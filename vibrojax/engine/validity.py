@@ -28,7 +28,7 @@ def too_stiff(sweep: Sweep, p: Numbers) -> Refused:
     """
     scene = sweep.system
     if not isinstance(scene, HasFriction) or not sweep.run.stepper.rests:
-        return np.zeros(sweep.lanes, bool)
+        return np.zeros(np.broadcast_shapes(*(np.shape(x) for x in p.values())), bool)
     flight, contact, *_ = _paces(scene, p)
     with np.errstate(all="ignore"):
         steps = flight * (sweep.run.settle + sweep.run.observe)
@@ -82,6 +82,6 @@ def too_slow(sweep: Sweep, p: Numbers) -> Refused:
     """
     scene = sweep.system
     if not isinstance(scene, HasFriction) or not sweep.run.stepper.rests:
-        return np.zeros(sweep.lanes, bool)
+        return np.zeros(np.broadcast_shapes(*(np.shape(x) for x in p.values())), bool)
     with np.errstate(all="ignore"):
         return (p["v"] > 0) & (p["v"] < 512 * np.finfo(sweep.run.precision).eps * _paces(scene, p).speed)

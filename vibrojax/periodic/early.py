@@ -119,7 +119,7 @@ class EarlyEnds:
         self, sure: Int[np.ndarray, " sure"], lanes: Index, orbit: Found, still: PerLane, batch: Batch
     ) -> Ended:
         """The `sure` ones, measured over their orbits at the accuracy of the sweep, and at that of the check run."""
-        batch, cycles = batch.of(sure), orbit.states.shape[1]
+        batch, cycles, precision = batch.of(sure), orbit.states.shape[1], np.dtype(self._run.precision)
         assert batch.underway is not None
         one = begun(np.arange(len(sure)), orbit.states[sure], orbit.times[sure], orbit.steps[sure])
         right, runs = np.ones(len(sure), bool), []
@@ -135,8 +135,10 @@ class EarlyEnds:
             features["trend"] = np.zeros(len(sure))
             features["settling_time"] = batch.underway.carry.seen.settled[cycles - 1].astype(float)
             features["steps"] = features["steps"] + batch.underway.steps
-            runs.append(features)
+            # In the precision of lanes that are stepped to their end, since they are stored beside each other.
+            runs.append({name: x.astype(precision) if x.dtype.kind == "f" else x for name, x in features.items()})
         fine, check = runs
-        found = certified(fine | {"drift_estimate": still[sure]}, check, SHARE, LEAST * self._measured_at.tolerance)
+        least = 4 * float(np.finfo(precision).eps) + LEAST * self._measured_at.tolerance
+        found = certified(fine | {"drift_estimate": still[sure]}, check, SHARE, least)
         some = np.flatnonzero(right)
         return Ended(lanes[sure[some]], {name: x[some] for name, x in found.items()})

@@ -27,6 +27,7 @@ from vibrojax.plot._rates import rates
 from vibrojax.plot._scatter import rate_scatter, regime_bars, regime_scatter
 from vibrojax.plot._selection import Value, select
 from vibrojax.plot._strips import regime_lines
+from vibrojax.plot._thinned import thinned, thinned_text
 from vibrojax.plot._time_history import trajectory
 from vibrojax.plot._variables import variables
 from vibrojax.plot._work_precision import work_precision
@@ -85,7 +86,8 @@ def picture(
     - `variable`: the name of a variable to draw instead, over all that varies; or several names, four at most, of a run
       eight.
     - `where`: values of axes or of coordinates along them, by name, in the dataset's units: only the lanes there are
-      drawn, `{"delta": 0.005, "start": "stuck"}`. Numbers need be right to four digits.
+      drawn, `{"delta": 0.005, "start": "stuck"}`. Numbers need be right to four digits. Of more than 300,000 lanes
+      every second value of the longest axes is drawn, or every third, ...
     - `colours`: the name of the matplotlib colour map for quantities; regimes, forms and starts keep their colours.
     - `over`: families of orbits, as `follow` gives them, in one dataset or several, to lay over the returns of a sweep
       along the same parameter, or over lanes carried along it; or borders, as `borders` gives them, to lay over the map
@@ -107,6 +109,7 @@ def picture(
         ds = select(ds, where) if where else ds
         if over is not None:
             return _laid_over(ds, over, variable)
+        ds = thinned(ds)
         if variable is not None:
             return variables(ds, (variable,) if isinstance(variable, str) else variable)
         return _fitting_picture(ds)
@@ -166,6 +169,7 @@ def regime_map(ds: xr.Dataset, x: str | None = None, y: str | None = None) -> Fi
 
     **Raises:** `InputError` where there are no regimes, or `x` or `y` is no axis of the sweep.
     """
+    ds = thinned(ds)
     held = contents(regimes_in(ds))
     if held.many_starts:
         return many_starts(ds) if x is None and y is None else share_grid(ds, x, y)
@@ -190,6 +194,7 @@ def rate_map(ds: xr.Dataset, x: str | None = None, y: str | None = None) -> Figu
 
     **Raises:** `InputError` where there are no rates, there are no two axes, or `x` or `y` is no axis of the sweep.
     """
+    ds = thinned(ds)
     held = contents(rates_in(ds))
     return _fitting(held, "map of rates")(ds) if held.points else rate_grid(ds, x, y)
 
@@ -219,7 +224,7 @@ def save_picture(
     where: Mapping[str, Value] | None = None,
     colours: str | None = None,
     over: xr.Dataset | Sequence[xr.Dataset] | None = None,
-) -> None:
+) -> str:
     """Draw the fitting picture for `ds` into the file `path`, which is there whole or not at all.
 
     **Arguments:**
@@ -227,6 +232,8 @@ def save_picture(
     - `ds`: what `simulate` or a sweep gives.
     - `path`: ends in .png, .pdf or .svg.
     - `variable`, `where`, `colours`, `over`: what to draw of it, and how; see [vibrojax.plot.picture][].
+
+    **Returns:** which of its values are drawn, in words; nothing where all are.
 
     **Raises:** `InputError` for another ending, a path that cannot be written, or what `picture` refuses.
     """
@@ -240,6 +247,7 @@ def save_picture(
             figure.savefig(part, format=suffix[1:], metadata=_METADATA[suffix])
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror}); give another file") from None
+    return thinned_text(select(ds, where) if where else ds)
 
 
 def _fitting(held: Contents, shows: str) -> Callable[[xr.Dataset], Figure]:

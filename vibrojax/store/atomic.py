@@ -6,6 +6,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+ZARR = ".zarr"
+"""How the name of a dataset ends that is no file but a folder: a Zarr store."""
+
 
 @contextmanager
 def atomic_write(path: Path, ending: str = "tmp") -> Iterator[Path]:

@@ -2,19 +2,25 @@
 
 import errno
 import os
+from importlib.util import find_spec
 from pathlib import Path
 
+import netCDF4
 import xarray as xr
 
 from vibrojax.errors import InputError
-from vibrojax.store.atomic import atomic_write
+from vibrojax.store.atomic import ZARR, atomic_write
 from vibrojax.store.faults import warn_of_faults
+from vibrojax.store.variables import VARIABLES
 from vibrojax.threads import in_own_thread
 
 MARK = "vibrojax"
 """How the attribute `source` of every dataset of this package begins."""
 
-_COMPRESSED = 4096
+LAZY_FROM = 256e6
+"""Bytes of a dataset from which on it is not read at once."""
+
+COMPRESSED = 4096
 """Variables of more values than this are compressed."""
 _PROBE = 1 << 20
 """Bytes of one write that tries out whether the disk is full."""
@@ -36,13 +42,13 @@ def write_dataset(dataset: xr.Dataset, path: str | os.PathLike[str]) -> None:
     # Flags stay integers only without a fill value, and floats keep NaN as it is.
     encoding: dict[object, dict[str, object]] = {name: {"_FillValue": None} for name in dataset.variables}
     for name, variable in dataset.data_vars.items():
-        if variable.size > _COMPRESSED and variable.dtype.kind in "fi":
+        if variable.size > COMPRESSED and variable.dtype.kind in "fi":
             encoding[name] |= {"zlib": True, "complevel": 1, "shuffle": True}
     with atomic_write(path) as part:
         try:
             dataset.to_netcdf(part, engine="netcdf4", format="NETCDF4", encoding=encoding)
         except (RuntimeError, OSError) as error:
-            raise _why(part, path, dataset.nbytes, error) from None
+            raise write_failed(part, path, dataset.nbytes, error) from None
 
 
 def open_dataset(path: str | os.PathLike[str]) -> xr.Dataset:
@@ -50,22 +56,25 @@ def open_dataset(path: str | os.PathLike[str]) -> xr.Dataset:
 
     **Arguments:**
 
-    - `path`: the netCDF file.
+    - `path`: the netCDF file, or the Zarr store.
 
-    **Returns:** the dataset, read into memory whole.
+    **Returns:** the dataset: read into memory whole, or, where it would take over a quarter of a gigabyte, with
+    variables that are read when they are used: by dask, in parts, where it is installed.
 
     **Raises:** `InputError` where it is not there, no netCDF, cut short, or not written by this package.
     """
     path = Path(path)
     if not path.exists():
         raise InputError(f"{path}: there is no such file")
-    if path.is_dir():
+    if path.is_dir() and path.suffix != ZARR:
         raise InputError(f"{path}: is a folder; give a .nc file")
-    if not path.is_file():
+    if not path.is_file() and path.suffix != ZARR:
         raise InputError(f"{path}: is no file with an end; give a .nc file")
+    if path.suffix == ZARR:
+        check_zarr(path)
     patience = _PATIENCE + path.stat().st_size / _SLOWEST
     try:
-        dataset = in_own_thread(lambda: xr.load_dataset(path, engine="netcdf4"), patience)
+        dataset = in_own_thread(lambda: _opened(path), patience)
     except TimeoutError:  # HDF5 goes round and round in some files that have lost a block
         raise InputError(f"{path}: cannot be read as netCDF (its structure is damaged)") from None
     except Exception as error:  # whatever the library says of a file that is cut short, flipped or no netCDF at all
@@ -76,7 +85,27 @@ def open_dataset(path: str | os.PathLike[str]) -> xr.Dataset:
     return dataset
 
 
-def _why(part: Path, path: Path, size: int, error: Exception) -> OSError:
+def _opened(path: Path) -> xr.Dataset:
+    """The dataset, in memory where it is small."""
+    kind = {"engine": "zarr", "consolidated": True} if path.suffix == ZARR else {"engine": "netcdf4"}
+    netCDF4.set_chunk_cache(1 << 20)  # of each variable: else 64 MB of every one that is read are kept
+    dataset = xr.open_dataset(path, cache=False, **kind)
+    if path.suffix == ZARR:  # which has no order of its own
+        known = [name for name in VARIABLES if name in dataset]
+        dataset = dataset[[*known, *(name for name in dataset.data_vars if name not in VARIABLES)]]
+    if dataset.nbytes <= LAZY_FROM:
+        with dataset:
+            return dataset.load()
+    return dataset.chunk({}) if find_spec("dask") is not None else dataset
+
+
+def check_zarr(path: Path) -> None:
+    """Raise `InputError`, in one line, where a Zarr store cannot be written or read: zarr is an extra."""
+    if find_spec("zarr") is None:
+        raise InputError(f'{path}: zarr is not installed; pip install "vibrojax[zarr]", or give a .nc file')
+
+
+def write_failed(part: Path, path: Path, size: int, error: Exception) -> OSError:
     """Why the disk did not take a dataset of `size` bytes: the library says no more than "HDF error"."""
     try:
         with open(part, "ab", buffering=0) as file:

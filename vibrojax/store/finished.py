@@ -7,6 +7,7 @@ from pathlib import Path
 import netCDF4
 
 from vibrojax.errors import InputError
+from vibrojax.store.atomic import ZARR
 from vibrojax.store.shards import changes
 from vibrojax.threads import in_own_thread
 
@@ -40,11 +41,13 @@ def _identity_of(path: Path) -> dict[str, object] | None:
     """The identity that a dataset carries; None where it has none, or cannot be read."""
 
     def read() -> object:
+        if path.suffix == ZARR:
+            return json.loads(json.loads((path / ".zattrs").read_text())[IDENTITY])
         with netCDF4.Dataset(path) as dataset:
             return json.loads(dataset.getncattr(IDENTITY))
 
     try:
-        found = in_own_thread(read, _PATIENCE) if path.is_file() else None
+        found = in_own_thread(read, _PATIENCE) if path.is_file() or path.suffix == ZARR else None
     except Exception:  # whatever the library says of a file that is damaged, or none of ours
         return None
     return found if isinstance(found, dict) else None

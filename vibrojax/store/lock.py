@@ -12,7 +12,7 @@ _PATIENCE = 0.2
 
 
 class Lock:
-    """An exclusive lock on the file at `path`, held until released.
+    """An exclusive lock on the file at `path`, held until released; it is waited for so many seconds of `patience`.
 
     It is the system's own lock on the open file: the system lets go of it when the process ends, however it ends, so
     that the file that a killed process leaves behind keeps nobody out. A file system that has no locks goes without.
@@ -20,10 +20,10 @@ class Lock:
     **Raises:** `InputError` where another process holds it, or where the file cannot be written.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, patience: float = _PATIENCE) -> None:
         self.path = path
         # Any thread may let go of it: a sweep runs in a thread of its own.
-        self._lock = FileLock(path, timeout=_PATIENCE, thread_local=False)
+        self._lock = FileLock(path, timeout=patience, thread_local=False)
         try:
             self._lock.acquire()  # makes the folder again, if another process has just finished and removed it
         except Timeout:
@@ -39,3 +39,14 @@ class Lock:
             with suppress(PermissionError):  # Windows keeps an open file, and removes it on release
                 self.path.unlink(missing_ok=True)
         self._lock.release()
+
+
+def is_held(path: Path) -> bool:
+    """Whether a process has the lock at `path`; nothing is changed."""
+    if not path.exists():
+        return False
+    try:
+        with FileLock(path, timeout=0, thread_local=False):
+            return False
+    except (Timeout, OSError):
+        return True

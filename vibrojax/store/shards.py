@@ -7,19 +7,29 @@ import os
 import re
 import sys
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from jaxtyping import Shaped
 
 from vibrojax.errors import InputError, shown
+from vibrojax.store import npz
 from vibrojax.store.atomic import sync_folder
+from vibrojax.store.claims import Claims, this_process
 from vibrojax.store.lock import Lock
 
 _MANIFEST = "manifest.json"
 _LOCK = "lock"
+_WHOLE = "all"
+"""What one claims who has all chunks for himself."""
 _SHARD = re.compile(r"chunk-(\d{8,})\.shard")
+_BESIDE = re.compile(r"chunk-\d{8,}\.failed|[\w-]+\.claim")
+_UNFINISHED = re.compile(r"(\.\d+)*\.tmp")
+_PATIENCE = 30.0
+"""Seconds that one of many processes which begin together waits for the others to have looked at the manifest."""
 _DAMAGES_SHOWN = 3
 _CHANGES_SHOWN = 3
 _DIGEST_SIZE = hashlib.sha256().digest_size
@@ -42,14 +52,19 @@ class Shards:
 
     - `folder`: the folder `OUT.nc.chunks`.
     - `manifest`: all that the results depend on, as JSON values.
+    - `about`: what else there is to tell of the sweep, as JSON values.
     """
 
-    def __init__(self, folder: Path, manifest: Mapping[str, object]) -> None:
-        self.folder = folder
+    def __init__(
+        self, folder: Path, manifest: Mapping[str, object], about: Mapping[str, object] = MappingProxyType({})
+    ) -> None:
+        self.folder, self._about = folder, dict(about)
+        self.claims = Claims(folder)
         # Through JSON, so that it equals what is read back.
         self.manifest: dict[str, object] = json.loads(_canonical(manifest))
         self.digest = hashlib.sha256(_canonical(self.manifest)).hexdigest()
         self._lock: Lock | None = None
+        self._shared = False
 
     def open(self, resume: bool) -> None:
         """Take the folder for this process and make it ready.
@@ -59,23 +74,40 @@ class Shards:
         **Raises:** `InputError` where another process is at work there, the folder cannot be written, or, with
         `resume`, its manifest differs.
         """
-        try:
-            self.folder.mkdir(exist_ok=True)
-        except OSError as error:
-            line = f"{self.folder}: cannot be made a folder ({error.strerror}); give another output"
-            raise InputError(line) from None
+        self._make_folder()
         self._lock = Lock(self.folder / _LOCK)
         try:
+            self._check_claims()
             if resume:
                 self._check_manifest()
             else:
                 self._clear(shards=True)
             self._clear(shards=False)
-            text = json.dumps({"sha256": self.digest, "manifest": self.manifest}, indent=1)
-            self._put(self.folder / _MANIFEST, text.encode())
+            self._write_manifest()
+            self.claims.take(_WHOLE)
         except BaseException:
             self.close()
             raise
+
+    def share(self) -> None:
+        """Make the folder ready for several processes, each of which takes a chunk by its claim; what is there stays.
+
+        **Raises:** `InputError` where a process has it for itself, it cannot be written, or its manifest differs.
+        """
+        self._make_folder()
+        self._check_claims(_WHOLE)
+        lock = Lock(self.folder / _LOCK, _PATIENCE)
+        try:
+            self._check_manifest()
+            if not (self.folder / _MANIFEST).exists():
+                self._write_manifest()
+        finally:
+            lock.release()
+        self._shared = True
+
+    def join(self) -> None:
+        """Work in the folder of another process that has it for itself, and has asked for that."""
+        self._shared = True
 
     def finished(self) -> set[int]:
         """The indices of the chunks that are there and whole; says which are damaged, on stderr."""
@@ -93,6 +125,41 @@ class Shards:
             report_damage(f"{self.folder}: {len(damages) - _DAMAGES_SHOWN} more chunks are damaged")
         return whole
 
+    def there(self) -> set[int]:
+        """The indices of the chunks that are there; whether they are whole is not looked at."""
+        return set(self._indices())
+
+    def has(self, index: int) -> bool:
+        """Whether a chunk is there; not whether it is whole."""
+        return self._path(index).exists()
+
+    def discard(self, index: int) -> None:
+        """Remove a chunk that is not whole, if it is there."""
+        self._path(index).unlink(missing_ok=True)
+
+    def claim(self, index: int) -> bool:
+        """Take a chunk for this process; False where another has it, or it is there."""
+        name = chunk_name(index)
+        if not self.claims.take(name):
+            return False
+        if self.has(index):  # finished between the look and the claim
+            self.claims.release(name)
+            return False
+        return True
+
+    def let_go(self, index: int) -> None:
+        """Let go of a chunk that this process took."""
+        self.claims.release(chunk_name(index))
+
+    def failed(self, index: int, why: str) -> None:
+        """Have it known that a chunk could not be computed."""
+        content = json.dumps({"chunk": index, "by": this_process().text, "why": why})
+        self._put(self.folder / f"{chunk_name(index)}.failed", content.encode())
+
+    def has_failed(self, index: int) -> bool:
+        """Whether a chunk is known to have failed."""
+        return (self.folder / f"{chunk_name(index)}.failed").exists()
+
     def write(self, index: int, arrays: Arrays) -> None:
         """Store a chunk's arrays; when this returns they are on the disk, whole."""
         buffer = io.BytesIO()
@@ -101,19 +168,23 @@ class Shards:
         content = buffer.getbuffer()
         with content:
             self._put(self._path(index), self._checksum(index, content), content)
+        (self.folder / f"{chunk_name(index)}.failed").unlink(missing_ok=True)
 
     def read(self, index: int) -> dict[str, np.ndarray]:
-        """A chunk's arrays by name, as they were written.
+        """A chunk's arrays by name, as they were written; not to be written to.
 
         **Raises:** `DamagedShard` where they are not there or not whole.
         """
-        with np.load(io.BytesIO(self._content(index)), allow_pickle=False) as arrays:
-            return dict(arrays)
+        return npz.arrays(self._content(index))
 
     def remove(self) -> None:
         """Remove the chunks and, where nothing else lies in it, the folder; lets go of it."""
         self._clear(shards=True)
+        self.claims.close()
         (self.folder / _MANIFEST).unlink(missing_ok=True)
+        if self._lock is None:
+            with suppress(InputError):  # another one has just come to look
+                self._lock = Lock(self.folder / _LOCK)
         if self._lock is not None:
             self._lock.release(remove=True)
             self._lock = None
@@ -124,6 +195,7 @@ class Shards:
 
     def close(self) -> None:
         """Let another process have the folder; what is in it stays."""
+        self.claims.close()
         if self._lock is not None:
             self._lock.release()
             self._lock = None
@@ -135,10 +207,13 @@ class Shards:
         self.close()
 
     def _path(self, index: int) -> Path:
-        return self.folder / f"chunk-{index:08d}.shard"
+        return self.folder / f"{chunk_name(index)}.shard"
 
     def _indices(self) -> list[int]:
-        matches = (_SHARD.fullmatch(path.name) for path in self.folder.iterdir())
+        try:
+            matches = [_SHARD.fullmatch(name) for name in os.listdir(self.folder)]
+        except FileNotFoundError:  # all is done, and the folder removed
+            return []
         return [int(match[1]) for match in matches if match]
 
     def _checksum(self, index: int, content: bytes | memoryview) -> bytes:
@@ -159,8 +234,9 @@ class Shards:
 
     def _put(self, path: Path, *parts: bytes | memoryview) -> None:
         """Write a file so that it is either whole or not there, whenever the power goes."""
-        self.folder.mkdir(exist_ok=True)  # somebody may have removed it meanwhile
-        temporary = path.with_name(path.name + ".tmp")
+        if not self._shared:
+            self.folder.mkdir(exist_ok=True)  # somebody may have removed it meanwhile
+        temporary = path.with_name(f"{path.name}.{os.getpid()}.tmp")
         try:
             with open(temporary, "wb") as file:
                 for part in parts:
@@ -176,10 +252,32 @@ class Shards:
     def _clear(self, shards: bool) -> None:
         """Remove the shards, or the unfinished files of a process that was killed; nothing that is not ours."""
         for path in self.folder.iterdir():
-            ours = path.name.removesuffix(".tmp")
+            ours = _UNFINISHED.sub("", path.name)
             unfinished = ours != path.name
-            if (_SHARD.fullmatch(ours) or ours == _MANIFEST) and (unfinished or (shards and ours != _MANIFEST)):
+            if ours == _MANIFEST or ours == "clock":
+                ends = unfinished
+            else:
+                ends = (bool(_SHARD.fullmatch(ours)) and (unfinished or shards)) or bool(_BESIDE.fullmatch(ours))
+            if ends:
                 path.unlink(missing_ok=True)
+
+    def _check_claims(self, name: str = "") -> None:
+        """Raise where another process has what is called `name`, or anything."""
+        for held in self.claims.held():
+            if not held.stale and held.name.startswith(name):
+                line = f"{self.folder}: another process is at work there ({held.owner.text}, at {held.name})"
+                raise InputError(f"{line}; wait for it, or give another output")
+
+    def _make_folder(self) -> None:
+        try:
+            self.folder.mkdir(exist_ok=True)
+        except OSError as error:
+            line = f"{self.folder}: cannot be made a folder ({error.strerror}); give another output"
+            raise InputError(line) from None
+
+    def _write_manifest(self) -> None:
+        text = json.dumps({"sha256": self.digest, "manifest": self.manifest, "about": self._about}, indent=1)
+        self._put(self.folder / _MANIFEST, text.encode())
 
     def _check_manifest(self) -> None:
         """Raise where the chunks in the folder are of something else."""
@@ -197,6 +295,11 @@ class Shards:
             f"{self.folder}: holds chunks of another sweep: {changes(other, self.manifest)}; "
             "--fresh starts over, or give another output"
         )
+
+
+def chunk_name(index: int) -> str:
+    """How the files of a chunk begin."""
+    return f"chunk-{index:08d}"
 
 
 def changes(before: Mapping[str, object], now: Mapping[str, object]) -> str:

@@ -1,0 +1,133 @@
+"""What is said of workers: one line for what is wrong, and how far a sweep is."""
+
+import json
+import sys
+
+import pytest
+
+from vibrojax.cli import main
+from vibrojax.sweep import run_share
+
+TEXT = """
+scene = "rotary"
+title = "a map"
+starts = ["stuck"]
+[grid]
+v = { start = 1.0, stop = 2.0, num = 20 }
+[run]
+settle = 0.5
+observe = 0.5
+chunk = 4
+"""
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "map.toml").write_text(TEXT)
+    return tmp_path
+
+
+def refused(capsys, *argv) -> str:
+    assert main(list(argv)) == 2
+    captured = capsys.readouterr()
+    assert captured.out == "" and captured.err.count("\n") == 1 and captured.err.startswith("vibrojax: ")
+    return captured.err
+
+
+@pytest.mark.parametrize(
+    "words, problem",
+    [
+        (["--only", "4/3"], '--only: "4/3" is no I/N with I from 1 to N; write 2/3'),
+        (["--only", "0/3"], "is no I/N"),
+        (["--only", "1"], "is no I/N"),
+        (["--only", "a/b"], "is no I/N"),
+        (["--only", "1/2", "--fresh"], "--fresh: has no use with --only"),
+        (["--only", "1/2", "--workers", "2"], "not allowed with argument"),
+        (["--workers", "nonsense"], '--workers: "nonsense" is no number (1 to 1000), dask://HOST:PORT, slurm'),
+        (["--workers", "0"], "is no number (1 to 1000)"),
+        (["--workers", "-1"], "--workers"),
+        (["--workers", "dask://host"], "is no number (1 to 1000), dask://HOST:PORT"),
+        (["--workers", "slurm:0"], "slurm or slurm:JOBS"),
+        (["--workers", "slurm"], "--workers slurm: there is no sbatch and no srun on this machine"),
+        (["--measure"], "--measure: has no use without --dry-run"),
+    ],
+)
+def test_what_is_wrong_is_said_before_any_work(words, problem, capsys, folder, monkeypatch):
+    monkeypatch.setenv("PATH", str(folder))
+    assert problem in refused(capsys, "sweep", "map.toml", *words)
+    assert [path.name for path in folder.iterdir()] == ["map.toml"]
+
+
+@pytest.mark.parametrize(
+    "words, module, extra",
+    [
+        (["--workers", "dask://localhost:8786"], "distributed", "dask"),
+        (["--workers", "slurm"], "submitit", "slurm"),
+        (["-o", "map.zarr"], "zarr", "zarr"),
+    ],
+)
+def test_extras_that_are_not_installed(words, module, extra, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, module, None)
+    assert f'not installed; pip install "vibrojax[{extra}]"' in refused(capsys, "sweep", "map.toml", *words)
+
+
+def test_a_scheduler_that_does_not_answer(capsys, monkeypatch):
+    pytest.importorskip("distributed")
+    monkeypatch.setattr("vibrojax.cli._workers._PATIENCE", "0.3 s")
+    line = refused(capsys, "sweep", "map.toml", "--workers", "dask://127.0.0.1:1")
+    assert "--workers dask://127.0.0.1:1: no scheduler of dask answers there" in line
+
+
+def test_how_far_it_is(capsys, folder):
+    assert main(["sweep", "map.toml", "--only", "1/3"]) == 0
+    assert capsys.readouterr().out == "map.nc: share 1/3 is done; 3 of 5 chunks are left to others\n"
+    (folder / "map.nc.chunks" / "chunk-00000002.failed").write_text(
+        json.dumps({"chunk": 2, "by": "far, process 7", "why": "MemoryError: too much"})
+    )
+    for name in ("map.nc", "map.nc.chunks"):
+        assert main(["info", name]) == 0
+        lines = capsys.readouterr().out.splitlines()
+        assert lines[:3] == ["title     a map", "finished  2 of 5 chunks (40 %)", "lanes     8 of 20"]
+        assert "failed    chunk 2: MemoryError: too much (far, process 7)" in lines
+        assert "at work   none" in lines
+    assert main(["info", "map.nc", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["chunks"] == {"finished": 2, "all": 5, "size": 4} and found["lanes"] == {"finished": 8, "all": 20}
+    assert [one["chunk"] for one in found["failures"]] == [2]
+    assert main(["sweep", "map.toml", "--only", "2/3", "--quiet"]) == 0
+    assert main(["sweep", "map.toml", "--only", "3/3"]) == 0
+    assert capsys.readouterr().out.startswith("map.nc: 20 lanes (a point from one start each); picture map.png")
+    assert not (folder / "map.nc.chunks").exists()
+
+
+def test_shares_of_another_sweep_are_refused(capsys):
+    assert main(["sweep", "map.toml", "--only", "1/3", "--quiet"]) == 0
+    line = refused(capsys, "sweep", "map.toml", "--only", "2/3", "--set", "mu=0.3")
+    assert "holds chunks of another sweep: parameters.mu was 0.4, is 0.3" in line
+
+
+def test_a_chunk_that_fails_is_known(capsys, monkeypatch, folder):
+    from vibrojax.engine.chunks import Chunks
+    from vibrojax.input.read import read_sweep
+
+    def compute(self, index, *told):
+        raise MemoryError("too much")
+
+    monkeypatch.setattr(Chunks, "compute", compute)
+    with pytest.raises(MemoryError):
+        run_share(read_sweep("map.toml"), folder / "map.nc", (2, 3), progress=False)
+    assert main(["info", "map.nc"]) == 0
+    assert "failed    chunk 1: MemoryError: too much (" in capsys.readouterr().out
+
+
+def test_a_folder_that_is_none(capsys, folder):
+    (folder / "other.nc.chunks").mkdir()
+    assert "other.nc.chunks: is no folder of a sweep's chunks" in refused(capsys, "info", "other.nc.chunks")
+    assert "none.nc: there is no such file" in refused(capsys, "info", "none.nc")
+
+
+def test_a_dry_run_that_measures(capsys):
+    assert main(["sweep", "map.toml", "--dry-run", "--measure"]) == 0
+    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == ["lanes", "memory", "disk", "time"]
+    assert main(["sweep", "map.toml", "--dry-run", "--set", "v=[1.0,2.0]", "--set", "run.settle=1e9"]) == 0

@@ -1,0 +1,132 @@
+"""Chunks become a dataset region by region: the same values whatever the regions, in memory that they bound."""
+
+import os
+import subprocess
+import sys
+from math import prod
+from pathlib import Path
+
+import netCDF4
+import numpy as np
+import pytest
+import xarray as xr
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vibrojax import joining
+from vibrojax.input.read import read_sweep
+from vibrojax.store import dataset as on_disk
+from vibrojax.store.dataset import open_dataset
+from vibrojax.store.regions import Regions
+from vibrojax.sweep import run_sweep, run_to_file
+
+SWEEP = {
+    "scene": "vibro-impact",
+    "parameters": {"delta": 0.0},
+    "grid": {"beta": [0.4, 0.5], "gamma": [0.6, 0.7, 0.9]},
+    "starts": ["drive", "stuck", "touching"],
+    "run": {"settle": 40.0, "observe": 8.0, "chunk": 4},
+}
+
+
+@given(st.lists(st.integers(1, 6), min_size=1, max_size=4), st.integers(1, 90))
+def test_regions_are_whole_chunks_one_after_the_other(shape, most):
+    regions = Regions(tuple(shape), most)
+    found, at = np.full(shape, -1), 0
+    for region in regions:
+        assert region.first == at and 0 < region.end - region.first <= most
+        at = region.end
+        assert all(part.start % size == 0 for part, size in zip(region.box, regions.chunk, strict=True))
+        assert all(part.stop - part.start <= size for part, size in zip(region.box, regions.chunk, strict=True))
+        found[region.box] = np.arange(region.first, region.end).reshape(region.shape)
+    np.testing.assert_array_equal(found.ravel(), np.arange(prod(shape)))
+
+
+@pytest.mark.parametrize("region", [1, 2, 7, 20])
+@pytest.mark.parametrize("keep", [0, 3])
+def test_regions_do_not_show(region, keep, tmp_path, monkeypatch):
+    """Points are cut by chunks and by regions: `hidden_motion` compares all of their starts nevertheless."""
+    sweep = read_sweep(SWEEP, [f"run.keep_returns={keep}"])
+    expected = run_sweep(sweep, progress=False)
+    assert expected.hidden_motion.values.any()
+    monkeypatch.setattr(joining, "REGION", region)
+    monkeypatch.setattr("vibrojax.store.targets.COMPRESSED", 4)
+    for found in (run_sweep(sweep, progress=False), run_to_file(sweep, tmp_path / "out.nc", progress=False)):
+        xr.testing.assert_identical(found.drop_attrs(), expected.drop_attrs())
+        assert found.attrs["certified"] == expected.attrs["certified"]
+        assert {name: one.attrs.keys() for name, one in found.variables.items()} == {
+            name: one.attrs.keys() for name, one in expected.variables.items()
+        }
+    with netCDF4.Dataset(tmp_path / "out.nc") as file:
+        assert file["period"].chunking() == list(Regions(sweep.shape, region).chunk)
+        assert file["period"].filters()["zlib"] and file["period"].filters()["shuffle"]
+
+
+def test_lanes_that_are_carried_come_to_their_places(tmp_path, monkeypatch):
+    """They are counted in another order than that of the dataset's dimensions."""
+    sweep = read_sweep(
+        SWEEP | {"starts": ["stuck"]}, ["run.carry=beta", "run.settle=2.0", "run.observe=1.0", "run.chunk=4"]
+    )
+    expected = run_sweep(sweep, progress=False)
+    assert expected.period.dims == ("beta", "gamma", "direction")
+    monkeypatch.setattr(joining, "REGION", 3)
+    monkeypatch.setattr("vibrojax.store.targets.COMPRESSED", 4)
+    found = run_to_file(sweep, tmp_path / "out.nc", progress=False, processes=2)
+    xr.testing.assert_identical(found.drop_attrs(), expected.drop_attrs())
+
+
+def test_points_keep_their_parameters_as_coordinates(tmp_path):
+    points = {"beta": [0.3, 0.4], "gamma": [0.7, 0.8], "start": ["stuck", "drive"]}
+    sweep = read_sweep({"scene": "vibro-impact", "points": points, "run": {"settle": 3.0, "observe": 2.0}})
+    found = run_to_file(sweep, tmp_path / "out.nc", progress=False)
+    assert set(found.coords) == {"point", "beta", "gamma", "start"}
+    xr.testing.assert_identical(found.drop_attrs(), run_sweep(sweep, progress=False).drop_attrs())
+
+
+@pytest.mark.parametrize("dask", [True, False])
+def test_large_files_are_read_when_they_are_used(dask, tmp_path, monkeypatch):
+    expected = run_to_file(read_sweep(SWEEP), tmp_path / "out.nc", progress=False)
+    monkeypatch.setattr(on_disk, "LAZY_FROM", 0)
+    if dask:
+        pytest.importorskip("dask")
+    else:
+        monkeypatch.setattr(on_disk, "find_spec", lambda _: None)
+    with open_dataset(tmp_path / "out.nc") as found:
+        assert all(one._in_memory is False for name, one in found.variables.items() if name in found.data_vars)
+        assert (found.chunks != {}) == dask
+        xr.testing.assert_identical(found.load(), expected)
+
+
+JOINED = """
+import resource, sys
+from pathlib import Path
+import numpy as np
+from vibrojax.input.read import read_sweep
+from vibrojax.joining import join
+from vibrojax.store.targets import file_target
+from vibrojax.workers.work import Work
+sweep = read_sweep({"scene": "rotary", "starts": ["stuck"], "run": {"settle": 0.1, "observe": 0.1},
+                    "grid": {"v": {"start": 0.5, "stop": 2.0, "num": int(sys.argv[2])}, "k1": {"start": 1e5, "stop": 2e5, "num": 1000}}})
+work = Work(sweep)
+one = work.compute(0)
+noise = np.random.default_rng(0).random(len(one["period"]))
+one = {name: x + noise if x.dtype == float and x.ndim == 1 and name in ("bit_amplitude", "drive_power") else x for name, x in one.items()}
+def read(index):
+    return {name: x[:work.chunks.width(index)] if x.ndim else x for name, x in one.items()}
+with file_target(Path(sys.argv[1])) as target:
+    join(sweep, work.chunks, read, target, lambda seconds: seconds)
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+"""  # noqa: E501
+
+
+def test_memory_is_bounded_by_a_region(tmp_path):
+    """Three times the lanes take as much memory: 150 MB of values more would show."""
+    root = Path(__file__).parents[1]
+    peaks = []
+    for rows in ("500", "1500"):
+        command = [sys.executable, "-c", JOINED, str(tmp_path / "out.nc"), rows]
+        done = subprocess.run(
+            command, capture_output=True, text=True, check=True, env=os.environ | {"PYTHONPATH": str(root)}
+        )
+        peaks.append(int(done.stdout) / 1e3)
+    assert peaks[1] - peaks[0] < 40.0, peaks

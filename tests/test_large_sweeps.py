@@ -1,0 +1,87 @@
+"""The page on large sweeps: its commands are run as they stand there, and give what a plain run gives."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import vibrojax as vj
+
+ROOT = Path(__file__).parents[1]
+BLOCK = re.compile(r"^```(\w+) (file|run)=(\S+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+BLOCKS = {name: text for _, _, name, text in BLOCK.findall((ROOT / "notebooks/large_sweeps.md").read_text())}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder with the files of the page."""
+    path = tmp_path_factory.mktemp("page")
+    for name, text in BLOCKS.items():
+        if "." in name:
+            (path / name).write_text(text)
+    commands = path / "bin"
+    commands.mkdir()
+    (commands / "vibrojax").write_text(f'#!/bin/sh\nexec "{sys.executable}" -m vibrojax "$@"\n')
+    (commands / "python").write_text(f'#!/bin/sh\nexec "{sys.executable}" "$@"\n')
+    for command in commands.iterdir():
+        command.chmod(0o755)
+    return path
+
+
+@pytest.fixture(scope="module")
+def expected(folder):
+    return vj.run_sweep(folder / "map.toml", progress=False)
+
+
+def started(folder, script, **environment) -> subprocess.Popen:
+    variables = os.environ | {"PYTHONPATH": str(ROOT), "PATH": f"{folder / 'bin'}:{os.environ['PATH']}"} | environment
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    return subprocess.Popen(["bash", "-e", *script], cwd=folder, env=variables, **pipes)
+
+
+def told(process) -> str:
+    out, said = process.communicate()
+    assert process.returncode == 0, said
+    return out
+
+
+def assert_same(path, expected):
+    found = vj.open_dataset(path)
+    for name in expected.variables:
+        np.testing.assert_array_equal(found[name].values, expected[name].values, err_msg=name)
+
+
+def test_plan(folder):
+    lines = told(started(folder, ["-c", BLOCKS["plan"]])).splitlines()
+    assert [line.split()[0] for line in lines] == ["lanes", "memory", "disk", "time"] * 2
+    assert lines[0] == "lanes   60 (6 beta x 5 gamma x 2 start) in 8 chunks"
+
+
+def test_one_machine(folder, expected):
+    out = told(started(folder, ["-c", BLOCKS["single"]]))
+    assert "single.nc: 60 lanes" in out and "lanes     60" in out
+    assert_same(folder / "single.nc", expected)
+
+
+def test_array_job(folder, expected):
+    """As SLURM runs the script: three times at once, each with its number."""
+    numbers = re.search(r"--array=1-(\d+)", BLOCKS["job.sh"])[1]
+    tasks = [
+        started(
+            folder, ["job.sh"], SLURM_ARRAY_TASK_ID=str(one), SLURM_ARRAY_TASK_COUNT=numbers, SLURM_CPUS_PER_TASK="1"
+        )
+        for one in range(1, int(numbers) + 1)
+    ]
+    assert [told(task) for task in tasks] == [""] * int(numbers)
+    assert_same(folder / "slurm.nc", expected)
+    assert not (folder / "slurm.nc.chunks").exists()
+
+
+def test_dask(folder, expected):
+    pytest.importorskip("distributed")
+    told(started(folder, ["-c", BLOCKS["dask"]]))
+    assert_same(folder / "dask.nc", expected)

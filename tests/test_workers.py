@@ -1,0 +1,247 @@
+"""A sweep by many workers: whoever computes its chunks, the dataset is the same, bit for bit."""
+
+import json
+import multiprocessing
+import os
+import subprocess
+import sys
+from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import vibrojax as vj
+from vibrojax.errors import InputError
+from vibrojax.input.read import read_sweep
+from vibrojax.sweep import run_share, run_to_file
+from vibrojax.workers.executor import compute_chunk
+
+ROOT = Path(__file__).parents[1]
+TEXT = """
+scene = "vibro-impact"
+[grid]
+beta = [0.3, 0.4, 0.5]
+gamma = [0.6, 0.7, 0.75, 0.8]
+[run]
+settle = 3.0
+observe = 2.0
+chunk = 5
+"""
+SPAWN = multiprocessing.get_context("spawn")
+
+
+@pytest.fixture
+def file(tmp_path):
+    path = tmp_path / "map.toml"
+    path.write_text(TEXT)
+    return path
+
+
+@pytest.fixture(scope="module")
+def expected(tmp_path_factory):
+    path = tmp_path_factory.mktemp("expected") / "map.toml"
+    path.write_text(TEXT)
+    return vj.run_sweep(path, progress=False)
+
+
+def assert_same(found, expected):
+    """Bit for bit, names, order, units and all; of the attributes what was computed."""
+    assert list(found.data_vars) == list(expected.data_vars) and found.coords.keys() == expected.coords.keys()
+    for name in expected.variables:
+        one, other = found[name], expected[name]
+        assert one.dims == other.dims and one.dtype == other.dtype and one.attrs.keys() == other.attrs.keys(), name
+        assert one.values.tolist() == other.values.tolist() or one.values.tobytes() == other.values.tobytes(), name
+    assert found.attrs.keys() == expected.attrs.keys()
+    for name in ("identity", "certified", "sweep", "lanes"):
+        assert found.attrs[name] == expected.attrs[name], name
+    assert json.loads(found.attrs["solver"])["steps"] == json.loads(expected.attrs["solver"])["steps"]
+
+
+def command(*words, **more) -> subprocess.Popen:
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    return subprocess.Popen([sys.executable, "-m", "vibrojax", *map(str, words)], env=environment, **pipes, **more)
+
+
+def test_spawned_pool_in_memory(file, expected):
+    with ProcessPoolExecutor(2, mp_context=SPAWN) as executor:
+        assert_same(vj.run_sweep(file, progress=False, executor=executor), expected)
+
+
+def test_four_workers_into_a_file(file, expected, capfd):
+    out = file.with_name("out.nc")
+    run_to_file(read_sweep(file), out, processes=4)
+    assert_same(vj.open_dataset(out), expected)
+    assert {path.name for path in file.parent.iterdir()} == {"map.toml", "out.nc"}
+    said = capfd.readouterr().err.splitlines()
+    assert said[-1].startswith("24/24 lanes, ") and all("lanes" in line for line in said)  # one progress over all
+
+
+def test_three_shares_at_once(file, expected):
+    out = file.with_name("out.nc")
+    shares = [command("sweep", file, "-o", out, "--only", f"{part}/3", "--quiet") for part in (1, 2, 3)]
+    for share in shares:
+        assert (share.wait(), share.communicate()) == (0, ("", ""))
+    assert_same(vj.open_dataset(out), expected)
+    assert {path.name for path in file.parent.iterdir()} == {"map.toml", "out.nc", "out.png"}
+    assert run_share(read_sweep(file), out, (2, 3), progress=False) == out  # which is whole: nothing is left to do
+
+
+def test_dask(file, expected):
+    distributed = pytest.importorskip("distributed")
+    from vibrojax.cli import main
+
+    out = file.with_name("out.nc")
+    with distributed.LocalCluster(
+        2, processes=True, threads_per_worker=1, dashboard_address=None, silence_logs=50
+    ) as cluster:
+        with distributed.Client(cluster, set_as_default=False) as client:
+            assert_same(vj.run_sweep(file, progress=False, executor=client.get_executor()), expected)
+        address = cluster.scheduler_address.replace("tcp://", "dask://")
+        assert main(["sweep", str(file), "-o", str(out), "--workers", address, "--quiet"]) == 0
+    assert_same(vj.open_dataset(out), expected)
+
+
+def test_submitit(file, expected, tmp_path):
+    submitit = pytest.importorskip("submitit")
+    file.write_text(TEXT.replace("chunk = 5", "chunk = 12"))  # a process for each
+    found = vj.run_sweep(file, progress=False, executor=submitit.LocalExecutor(folder=tmp_path / "jobs"))
+    assert_same(found.assign_attrs(sweep=expected.attrs["sweep"]), expected)
+
+
+def test_zarr(file, expected):
+    pytest.importorskip("zarr")
+    out = file.with_name("out.zarr")
+    for _ in range(2):  # the second replaces the first
+        found = run_to_file(read_sweep(file), out, progress=False)
+        assert_same(found, expected)
+    with pytest.raises(InputError, match=r"holds another result: parameters\.v was 1\.5, is 1\.2"):
+        run_to_file(read_sweep(file, ["v=1.2"]), out, progress=False)
+    assert {path.name for path in file.parent.iterdir()} == {"map.toml", "out.zarr"}
+
+
+class Here:
+    """An executor that computes at once, in this thread, each chunk by `compute`."""
+
+    def __init__(self, compute):
+        self.compute, self.asked = compute, []
+
+    def submit(self, fn, task, index, threads):
+        future: Future = Future()
+        self.asked.append(index)
+        try:
+            future.set_result(self.compute(self, fn, task, index, threads))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+
+def test_no_chunk_is_asked_for_twice(file, expected):
+    executor = Here(lambda self, fn, *arguments: fn(*arguments))
+    assert_same(vj.run_sweep(file, progress=False, executor=executor), expected)
+    assert sorted(executor.asked) == [0, 1, 2, 3, 4]
+
+
+def test_what_a_worker_cannot_do_is_done_here(file, expected, capsys):
+    def compute(self, fn, task, index, threads):
+        if index == 3:
+            raise MemoryError("too much")
+        return fn(task, index, threads)
+
+    executor = Here(compute)
+    assert_same(vj.run_sweep(file, progress=False, executor=executor), expected)
+    assert "chunk 3 failed with a worker (MemoryError: too much); computed here" in capsys.readouterr().err
+    assert sorted(executor.asked) == [0, 1, 2, 3, 4]
+
+
+def test_what_a_broken_executor_leaves_is_done_here(file, expected, capsys):
+    def compute(self, fn, task, index, threads):
+        if len(self.asked) > 2:
+            raise BrokenExecutor("a worker died")
+        return fn(task, index, threads)
+
+    assert_same(vj.run_sweep(file, progress=False, executor=Here(compute)), expected)
+    said = capsys.readouterr().err
+    assert said.count("the executor broke down (BrokenExecutor: a worker died); the rest is computed here") == 1
+
+
+def test_what_is_wrong_with_a_sweep_is_said_once(file):
+    def compute(self, fn, task, index, threads):
+        raise InputError("wrong")
+
+    with pytest.raises(InputError, match="wrong"):
+        vj.run_sweep(file, progress=False, executor=Here(compute))
+
+
+def test_futures_that_are_not_pythons_are_polled(file, expected):
+    """Like those of submitit: they have done() and result(), and nothing else that Python's have."""
+
+    class Job:
+        def __init__(self, work):
+            self.work, self.looks = work, 0
+
+        def done(self):
+            self.looks += 1
+            return self.looks > 1
+
+        def result(self):
+            return self.work()
+
+        def cancel(self):
+            pass
+
+    class Jobs:
+        def submit(self, fn, *arguments):
+            return Job(lambda: fn(*arguments))
+
+    assert_same(vj.run_sweep(file, progress=False, executor=Jobs()), expected)
+
+
+@pytest.mark.parametrize(
+    "executor, problem",
+    [
+        (lambda: 4, "executor: int has no submit; give a concurrent.futures.Executor"),
+        (
+            lambda: ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("fork")),
+            "its processes are forked, and jax hangs in such; make it with mp_context",
+        ),
+    ],
+)
+def test_executors_that_will_not_do(file, executor, problem):
+    with pytest.raises(InputError, match=problem):
+        vj.run_sweep(file, progress=False, executor=executor())
+
+
+def test_physics_that_cannot_be_sent(tmp_path):
+    law = vj.FrictionLaw(
+        name="mine", reference="", parameters=vj.parameters.table(), mu=lambda speed, p: 0.3 - 0.1 * speed
+    )
+    sweep = {"scene": "vibro-impact", "parameters": {"friction": law}, "grid": {"beta": [0.4]}}
+    with ThreadPoolExecutor(1) as executor, pytest.raises(InputError, match="cannot be sent to other processes"):
+        vj.run_sweep(sweep, progress=False, executor=executor)
+
+
+def test_a_share_of_the_cores_each(file):
+    """Of two workers on this machine each has half of its cores; the environment has the last word."""
+    from vibrojax.devices import threads, usable_cores, with_threads
+    from vibrojax.workers.executor import _threads_each
+
+    with ThreadPoolExecutor(2) as two:
+        assert _threads_each(two) == max(1, usable_cores() // 2)
+    assert _threads_each(object()) == 1
+    with with_threads(3):
+        assert threads() == 3
+    assert threads() == usable_cores()
+
+
+def test_a_worker_compiles_once(file, monkeypatch):
+    from vibrojax.engine.batch import Engine
+    from vibrojax.workers.executor import pickled
+
+    compiled = []
+    compile_ = Engine.compile
+    monkeypatch.setattr(Engine, "compile", lambda self, accuracy: (compiled.append(1), compile_(self, accuracy)))
+    task = pickled(read_sweep(file, ["title=once"]))
+    parts = [compute_chunk(task, index, 1) for index in (0, 1, 2)]
+    assert len(compiled) == 1 and all(np.isfinite(part["period"]).any() for part in parts)
