@@ -61,6 +61,7 @@ def test_labels_and_values_of_the_full_run(ended, scene, precision, lanes, share
     )
     repeats = (full.cycles > 0).values
     assert share * repeats.sum() < sum(ended) <= repeats.sum()
+    assert early_.dtypes == full.dtypes
     np.testing.assert_array_equal(early_.regime, full.regime)
     for name in {"cycles", "impacts", "check_regime"} & set(full):
         np.testing.assert_array_equal(early_[name].values[repeats], full[name].values[repeats], err_msg=name)
