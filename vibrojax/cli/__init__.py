@@ -59,6 +59,7 @@ def command() -> None:
         signal.signal(signal.SIGTERM, _terminate)
     warnings.showwarning = _warn
     status = main(do=in_own_thread)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # all is done: what Python still tidies up needs no interrupt
     if status in (INTERRUPTED, TERMINATED, BAD_INPUT):
         # Threads may still be at their lanes, or at a file that has no end: nobody waits for them.
         leave()

@@ -139,9 +139,11 @@ class Tracer:
         )
         leaves = np.array([np.full(len(leg.u), np.nan) if leg.leaves is None else leg.leaves for leg in legs])
 
+        can_be_doubled = len(leaves[0]) % 2 == 1  # states that can be halved, and the parameter
+
         def stop(lanes: Index, at: At, ahead: Unknowns) -> Flags:
             with np.errstate(invalid="ignore"):
-                return apart(at.u, leaves[lanes]) <= 0 if len(leaves[0]) % 2 else np.zeros(len(lanes), bool)
+                return apart(at.u, leaves[lanes]) <= 0 if can_be_doubled else np.zeros(len(lanes), bool)
 
         trail = walk(problem, begin, self._longest, stop)
         bounds = np.searchsorted(trail.lane, np.arange(len(legs) + 1))
