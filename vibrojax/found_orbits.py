@@ -46,6 +46,10 @@ def orbits(
     - `orbit_cycles`: returns after which the orbit repeats; fewer than the lane's `cycles` where a lane is still on its
       way to a shorter repeat than it shows. The multipliers are those over `cycles` returns.
 
+    - `nearby_cycles`: returns of a stable orbit near a lane that is irregular or undecided, which it has not reached; 0
+      where none was found, and not in penetration; `nearby_impacts` in its repeat, and `nearby_distance`: the greatest
+      of the last returns from it, over half the swings.
+
     Of a lane with a found orbit, `period` and what is measured over the repeat are the orbit's.
 
     In penetration a return is the beginning of a pulse, and a lane repeats where the map itself, followed from its last

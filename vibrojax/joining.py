@@ -12,7 +12,7 @@ from vibrojax.engine.batch import Features
 from vibrojax.engine.chunks import Chunks
 from vibrojax.engine.labelled import attributes, certified, coordinates, labelled, variables_of
 from vibrojax.input.definition import Sweep
-from vibrojax.periodic import Orbits
+from vibrojax.periodic import Nearby, Orbits
 from vibrojax.store.regions import Region, Regions
 from vibrojax.store.targets import Frame, Stored, Target
 from vibrojax.timings import LOG
@@ -62,7 +62,7 @@ def join(sweep: Sweep, chunks: Chunks, read: Read, target: Target, wall_time: Wa
     LOG.info("chosen: %s, %d chunks of %d lanes", json.dumps(solver), chunks.count, chunks.size)
     found = attributes(sweep, solver, counted, wall_time(lanes.seconds))
     if sweep.run.orbits:
-        found["orbits"] = json.dumps(Orbits(sweep).described)
+        found["orbits"] = json.dumps(Orbits(sweep).described | Nearby(sweep).described)
     if sweep.run.lyapunov:
         found["lyapunov"] = json.dumps(Natures(sweep).described)
     target.finish(found)

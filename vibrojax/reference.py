@@ -43,6 +43,9 @@ _OF_ORBITS = {
 }
 """Variables that there are with `orbits = true`."""
 
+_NEARBY = {"nearby_cycles", "nearby_impacts", "nearby_distance"}
+"""Those that there are then where lanes return to a section."""
+
 
 def list_scenes() -> pd.DataFrame:
     """The scenes by name: what each is, its states and its starts."""
@@ -85,6 +88,7 @@ def list_variables(scene: str | Scene[Any]) -> pd.DataFrame:
     labelled = {"regime", "check_regime", "drift_estimate", "hidden_motion"} if system.section is not None else set()
     known = VARIABLES | measured_besides(system) | of_orbits(system)
     found = {*_OF_ORBITS, *of_orbits(system)} if of_orbits(system) else set()
+    found |= _NEARBY if system.section is not None else set()
     there = measured | labelled | found | {"status", "reason", "error_estimate"}
     rows = {name: {"units": one.units, "meaning": one.long_name} for name, one in known.items() if name in there}
     return pd.DataFrame.from_dict(rows, orient="index").rename_axis("variable")

@@ -23,7 +23,7 @@ def orbit_lines(dataset: "xarray.Dataset") -> list[str]:
     sooner = int(((cycles > 0) & (cycles < own)).sum()) if own is not None else 0
     if sooner:
         others.append(f"{sooner} lanes are on their way to an orbit that repeats sooner than they do")
-    return [found, *others, *_limit(dataset)]
+    return [found, *others, *_limit(dataset), *_nearby(dataset)]
 
 
 def _limit(dataset: "xarray.Dataset") -> list[str]:
@@ -33,3 +33,16 @@ def _limit(dataset: "xarray.Dataset") -> list[str]:
     except (ValueError, KeyError, TypeError):
         return []
     return [f"multipliers are given from a grazing_margin of {limit:g} on"]
+
+
+def _nearby(dataset: "xarray.Dataset") -> list[str]:
+    """Of the lanes that have not settled, how many have a stable orbit nearby."""
+    if "nearby_cycles" not in dataset or "regime" not in dataset:
+        return []
+    unsettled = [flag for flag, meaning in flags(dataset["regime"]).items() if meaning in ("irregular", "undecided")]
+    asked = dataset["regime"].isin(unsettled).values
+    near = int((asked & (dataset["nearby_cycles"].values > 0)).sum())
+    return [
+        f"of {asked.sum()} lanes labelled irregular or undecided, {near} have a stable orbit nearby that they have not "
+        "reached (nearby_cycles); a longer settle leads most of those there"
+    ]

@@ -68,6 +68,11 @@ class Batch:
         """The lanes, to be observed from `begin` on for the times `duration` [s]."""
         return replace(self, begin=np.full_like(self.begin, begin), duration=duration.astype(self.duration.dtype))
 
+    def joined(self, others: "list[Batch]") -> "Batch":
+        """These lanes and the others', which are all underway, or none."""
+        parts = [{name: one for name, one in vars(batch).items() if name != "accuracy"} for batch in (self, *others)]
+        return Batch(self.accuracy, **jax.tree.map(lambda *x: np.concatenate(x, axis=-1), *parts))
+
 
 def steps_at_most(seconds: float, accuracy: Accuracy, any_lane: float = MOST_STEPS) -> float:
     """Steps after which a lane of so many `seconds` is given up; `any_lane`: those of one that lasts no time."""
@@ -93,12 +98,16 @@ class Engine:
         kind = Kind(sweep.system, stepper, recorder, sweep.start_names, sweep.run.carry is not None)
         self.programs: Programs = ByXla(kind, workers[0].platform) if self.accelerated else ByLlvm(kind, self._dtype)
 
-    def start(self, first: int, end: int, accuracy: Accuracy) -> Batch:
-        """The lanes from `first` to before `end`, at t = 0."""
+    def given(self, first: int, end: int) -> Given:
+        """Parameters and starts of the lanes from `first` to before `end`."""
         values, _ = self.sweep.lane_values(first, end)
         start, states = self.sweep.lane_starts(first, end)
         parameters: dict[str, Array] = {name: x.astype(self._dtype) for name, x in values.items()}
-        given = Given(parameters, start.astype(np.int32), tuple(x.astype(self._dtype) for x in states))
+        return Given(parameters, start.astype(np.int32), tuple(x.astype(self._dtype) for x in states))
+
+    def start(self, first: int, end: int, accuracy: Accuracy) -> Batch:
+        """The lanes from `first` to before `end`, at t = 0."""
+        given = self.given(first, end)
         none = np.zeros(end - first, self._dtype)
         # Counted in integers: float32 has no number after 2^24, at which such a lane would stay for ever.
         steps = np.zeros(end - first, np.int32)

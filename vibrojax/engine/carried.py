@@ -6,7 +6,7 @@ What stays where it is although another motion is there too shows by this: the t
 import numpy as np
 
 from vibrojax.engine.batch import Features, Report, unreported
-from vibrojax.engine.chunks import CHUNK, Beyond, Chunks
+from vibrojax.engine.chunks import CHUNK, Beyond, Chunks, joined
 from vibrojax.engine.programs import END
 from vibrojax.input.definition import DIRECTIONS, Sweep
 from vibrojax.progress import Portions
@@ -37,7 +37,7 @@ class Carried(Chunks):
         ways = np.arange(end - first).reshape(-1, self._values)
         up = (first + ways[:, 0]) // self._values % len(DIRECTIONS) == DIRECTIONS.index("up")
         order = np.where(up[:, None], ways, ways[:, ::-1])
-        runs: list[tuple[Features, Features]] = []
+        runs: list[Features] = []
         ended = None
         for lanes in order.T:
             portions = Portions(len(lanes), report)
@@ -50,13 +50,9 @@ class Carried(Chunks):
                 batch = self.engine.carried(
                     batch, tuple(np.where(usable, new, old) for new, old in zip(ended.T, begun, strict=True))
                 )
-            fine, check = self.both_runs(batch, portions)
+            features = self.measured(batch, portions)
             portions.finish()
-            ended, _ = fine.pop(END), check.pop(END)
-            runs.append((fine, check))
+            ended = features.pop(END)
+            runs.append(features)
         place = np.argsort(order.T.ravel())
-        fine, check = (
-            {name: np.concatenate([one[name] for one in run])[place] for name in run[0]}
-            for run in zip(*runs, strict=True)
-        )
-        return self.finished(index, fine, check)
+        return self.finished(index, {name: x[place] for name, x in joined(runs).items()})

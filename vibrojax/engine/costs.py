@@ -14,7 +14,8 @@ import numpy as np
 from jaxtyping import Float
 
 from vibrojax.engine.batch import steps_at_most
-from vibrojax.engine.chunks import OBSERVING, Chunks
+from vibrojax.engine.chunks import Chunks
+from vibrojax.engine.underway import OBSERVING
 from vibrojax.engine.validity import flight_rates
 from vibrojax.input.definition import Sweep
 from vibrojax.scenes import HasContact, HasFriction, HasRock, Scene
@@ -42,7 +43,7 @@ COSTS = {
     "coupled-drilling": Costs(1.9, 92e-9, 200.0, 272, 210),
     "penetration": Costs(0.7, 53e-9, 1000.0, 72, 50),
 }
-OF_ORBITS, OF_A_RETURN = (112, 91), (48, 48)
+OF_ORBITS, OF_A_RETURN = (136, 108), (48, 48)
 """Bytes of a lane with orbits, and of each return that is kept, beside those."""
 
 PACKED = 0.75
@@ -74,7 +75,7 @@ class Seconds(NamedTuple):
     step: float
 
 
-ORBITS = Seconds(start=1.0, compile=1.5, step=1.15)
+ORBITS = Seconds(start=1.0, compile=2.0, step=1.2)
 """How many times that a sweep with orbits takes."""
 
 LYAPUNOV = Seconds(start=1.0, compile=1.5, step=8.0)

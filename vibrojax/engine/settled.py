@@ -33,6 +33,7 @@ def settled(returns: Settling, now: float, end: float, observe: float, close: fl
     done, duration = np.zeros(lanes, bool), np.zeros(lanes)
     with np.errstate(invalid="ignore", divide="ignore"):
         scale = np.stack(scales(passed.amplitudes, passed.since))
+        states = states[:, : len(scale)]
         lately = now - times[0] < 1.5 * np.max(times[:-1] - times[1:], axis=0)
         for repeat in range(1, LONGEST_REPEAT + 1):
             seconds = times[:-repeat] - times[repeat:]

@@ -93,7 +93,7 @@ class Recorder(Records):
     def begin(self, scene: Scene[Any], c: Any, lane: Lane, settled: Settling) -> Observed:
         names = ("time", *(name for gauge in self.gauges for name in gauge.summed))
         gauges = tuple(gauge.begin(scene, c, lane) for gauge in self.gauges)
-        return Observed(section.observe(settled), ledger.begin(names, lane.state[0]), gauges)
+        return Observed(section.observe(self.section, settled), ledger.begin(names, lane.state[0]), gauges)
 
     def step(self, scene: Scene[Any], c: Any, carry: Observed, lane: Lane, step: Step) -> Observed:
         returns = section.step(self.section, scene, c, carry.returns, lane, step)

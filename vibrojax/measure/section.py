@@ -43,7 +43,8 @@ class Seen(NamedTuple):
 
     - `armed`: whether the next zero counts; `since` [s]: the time since the last return.
     - `ranges`: of each swing's position since then.
-    - `states` (8, states, lanes) and `times` (8, lanes) [s] of the last returns, NaN where there was none.
+    - `states` (8, states, lanes) and `times` (8, lanes) [s] of the last returns, NaN where there was none: first the
+      states that are compared, then what else the return map has.
     - `settled` (8, lanes) [s]: for each length of a repeat the time of the last return that differs from its repeat.
     - `frequency` [rad/s]: of the returns; 0 before there are two.
     """
@@ -82,20 +83,20 @@ class Returns(NamedTuple):
 def begin(section: Section, scene: Scene[Any], lane: Lane) -> Settling:
     """What is known of returns at t = 0, while it settles."""
     places = [lane.state[scene.place(swing.position)] for swing in section.swings]
-    first, compared = places[0], len(section.compared)
+    first, kept = places[0], len(_kept(scene))
     nothing = jnp.full((MOST_CYCLES, *first.shape), jnp.nan, first.dtype)
     zero = jnp.zeros_like(first)
     seen = Seen(
         armed=jnp.zeros_like(first, bool),
         since=zero,
         ranges=tuple((x, x) for x in places),
-        states=jnp.stack([nothing] * compared, axis=1),
+        states=jnp.stack([nothing] * kept, axis=1),
         times=nothing,
         settled=jnp.zeros_like(nothing),
         frequency=zero,
     )
     waiting = jnp.zeros_like(first, bool)
-    return Settling(seen, Passed(waiting, jnp.stack([zero] * compared), zero, zero, tuple(zero for _ in places)))
+    return Settling(seen, Passed(waiting, jnp.stack([zero] * kept), zero, zero, tuple(zero for _ in places)))
 
 
 def on_orbit(begun: Settling, states: Array, times: Array, period: Lanes) -> Settling:
@@ -120,8 +121,7 @@ def pass_by(section: Section, scene: Scene[Any], c: Any, carry: Settling, lane: 
     turns, at = _turn(velocity, after, step)
     for _ in range(2):
         at = _polished(velocity, at, step)
-    compared = [scene.place(name) for name in section.compared]
-    there = keep(jnp.stack([value(step.polynomials[place], at) for place in compared]))
+    there = keep(jnp.stack([value(step.polynomials[place], at) for place in _kept(scene)]))
     ends = [lane.state[place] for place in positions]
     turned = [
         jnp.where(turns, there[0], end)
@@ -147,6 +147,11 @@ def pass_by(section: Section, scene: Scene[Any], c: Any, carry: Settling, lane: 
         ranges=tuple(begun_anew),
     )
     return Settling(known, Passed(passed.waiting | returns, *last))
+
+
+def _kept(scene: Scene[Any]) -> list[int]:
+    """Places of the states that are kept of returns: those that the orbits of what drives the scene are told by."""
+    return [scene.place(name) for name in scene.driving_part().return_states]
 
 
 def rising(section: Section, values: Coefficients) -> Coefficients:
@@ -183,11 +188,13 @@ def take_in_passed(carry: Settling) -> Settling:
     return Settling(known, passed._replace(waiting=jnp.zeros_like(passed.waiting)))
 
 
-def observe(carry: Settling) -> Returns:
+def observe(section: Section, carry: Settling) -> Returns:
     """What is known of returns at the beginning of the observation: they are counted from here on, and landed on."""
     zero = jnp.zeros_like(carry.seen.since)
     seen = take_in_passed(carry).seen
-    return Returns(seen, jnp.zeros_like(seen.armed), zero, zero, jnp.zeros_like(seen.states))
+    return Returns(
+        seen, jnp.zeros_like(seen.armed), zero, zero, jnp.zeros_like(seen.states[:, : len(section.compared)])
+    )
 
 
 def step(section: Section, scene: Scene[Any], c: Any, carry: Returns, lane: Lane, step: Step) -> Returns:
@@ -238,7 +245,7 @@ def amplitudes(carry: Returns) -> tuple[Lanes, ...]:
 def take_in(section: Section, scene: Scene[Any], carry: Returns, lane: Lane) -> Returns:
     """Take in the returns of the lanes that wait at the section, and let them go on."""
     seen, here = carry.seen, carry.waiting
-    state = jnp.stack([lane.state[scene.place(name)] for name in section.compared])
+    state = jnp.stack([lane.state[place] for place in _kept(scene)])
     known, differs = _returned(seen, here, state, lane.clock.high, seen.since, amplitudes(carry))
     back = jnp.arange(MOST_CYCLES, dtype=carry.number.dtype).reshape(-1, *[1] * carry.number.ndim)
     compared = here[None] & (back < carry.number[None])
@@ -274,7 +281,8 @@ def _returned(
     `amplitudes` are half the swings in the time `since` the return before.
     """
     scale = keep(jnp.stack(scales(amplitudes, since)))
-    differs = keep(jnp.abs(state[None] - seen.states))
+    compared = len(scale)
+    differs = keep(jnp.abs(state[None, :compared] - seen.states[:, :compared]))
     # A return that has not been yet is NaN, which compares false.
     unsettled = here[None] & jnp.any(differs > SETTLED_WITHIN * scale[None], axis=1)
     repeats = jnp.all(differs <= SETTLED_WITHIN * scale[None], axis=1)

@@ -27,6 +27,10 @@ HOW = (
 )
 """In a sentence, for the attributes."""
 
+GRAZING = 1e-5
+"""Margin below which multipliers are not given. Beside a graze the map goes as a root, so its derivative holds over a
+distance of about the margin squared: here that of the residual which is accepted, 1e-10."""
+
 
 @dataclass(frozen=True)
 class Margin:

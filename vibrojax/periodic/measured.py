@@ -3,11 +3,13 @@
 from dataclasses import replace
 from typing import NamedTuple
 
+import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from vibrojax.devices import workers
-from vibrojax.engine.batch import Engine, Features, Index
+from vibrojax.engine.batch import Batch, Engine, Features, Index
+from vibrojax.engine.programs import Given
 from vibrojax.input.definition import Sweep
 from vibrojax.measure import recorder_for
 from vibrojax.measure.ledger import MOST_CYCLES
@@ -72,8 +74,16 @@ class Measuring:
         exact = replace(sweep, run=replace(sweep.run, precision="float64", method="located"))
         self._engine = Engine(exact, Located(), recorder_for(sweep.system, sweep.run.keep_returns), workers())
 
+    def given(self, first: int, end: int) -> Given:
+        """Parameters and starts of the lanes from `first` to before `end`."""
+        return self._engine.given(first, end)
+
     def __call__(self, first: int, end: int, begun: Begun) -> tuple[Features, Bool[np.ndarray, " lanes"]]:
         """Features of lanes of the chunk from `first` to before `end`, and which of them went round as they should."""
+        return self.of(self.given(first, end), begun)
+
+    def of(self, given: Given, begun: Begun, steps: Accuracy = STEPS) -> tuple[Features, Bool[np.ndarray, " lanes"]]:
+        """Features of some of the lanes that are `given`, and which of them went round as they should."""
         lanes, scene = begun.lanes, self._scene
         known = dict(zip(self._driving.return_states, begun.state, strict=True))
         zero = np.zeros(len(lanes))
@@ -85,11 +95,10 @@ class Measuring:
         if scene is not self._driving:
             settle = -(-DRIVEN_RETURNS // begun.cycles) * begun.length - begun.last / 2
             duration = begun.length + (begun.last + begun.first) / 2
-        batch = self._engine.start(first, end, STEPS).of(lanes)
-        batch = replace(batch, begin=settle, duration=duration, recent=begun.steps.astype(np.int32))
-        compared = len(self._driving.section.compared) if self._driving.section is not None else 0
-        batch = self._engine.on_orbit(batch, state, begun.past[:, :compared], begun.when, begun.length / begun.cycles)
-        [features] = self._engine.observe(self._engine.settle([batch]))
+        given = jax.tree.map(lambda x: np.take(x, lanes).astype(float if x.dtype.kind == "f" else x.dtype), given)
+        batch = Batch(steps, given, settle, duration, None, begun.steps.astype(np.int32))
+        batch = self._engine.on_orbit(batch, state, begun.past, begun.when, begun.length / begun.cycles)
+        [features] = self._engine.observe(self._engine.settle([batch]) if np.any(settle) else [batch])
         # So short an observation shows no repeat: means are over all of it, and impacts are per return.
         number = features[seen] == begun.cycles + (seen == "returns")
         whole = features["finished"] & features["finite"] & number

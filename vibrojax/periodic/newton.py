@@ -28,6 +28,9 @@ LEAST_SWING = 1e-3
 
 MOST_ITERATIONS = 8
 
+SAME = 1e-6
+"""Distance over the scales within which two states of an orbit are one."""
+
 States = Float[np.ndarray, "lanes cycles states"]
 Index = Int[np.ndarray, " some"]
 ReturnMap = Callable[[Index, Float[np.ndarray, "states segments"]], Mapped]
@@ -40,7 +43,8 @@ class Found(NamedTuple):
     - `states`: at the section; `scales` (lanes, states) of them; `times` (lanes, cycles) [s]: from each to the next.
     - `residual` (lanes,): greatest return - state, over the scales; infinite where a lane did not return.
     - `product` (lanes, states, states): derivative of the map over the whole repeat.
-    - `moved` (lanes,): greatest distance from where it began, over the scales.
+    - `step`: Newton's step from there, which was not taken; its size is about the distance from the orbit.
+    - `moved` (lanes,): greatest distance from where it began, over the scales; infinite where it left the reach.
     - `impacts` in the repeat, the least `margin`, and the `steps` of it, each (lanes,).
     """
 
@@ -49,6 +53,7 @@ class Found(NamedTuple):
     times: Float[np.ndarray, "lanes cycles"]
     residual: Float[np.ndarray, " lanes"]
     product: Float[np.ndarray, "lanes states states"]
+    step: States
     moved: Float[np.ndarray, " lanes"]
     impacts: Float[np.ndarray, " lanes"]
     margin: Float[np.ndarray, " lanes"]
@@ -64,27 +69,44 @@ class _Evaluated(NamedTuple):
     seen: Any
 
 
-def orbits(begin: States, scales: Float[np.ndarray, "lanes states"], reach: np.ndarray, go: ReturnMap) -> Found:
+def orbits(
+    begin: States,
+    scales: Float[np.ndarray, "lanes states"],
+    reach: np.ndarray,
+    go: ReturnMap,
+    enough: float = CONVERGED,
+    most: int = MOST_ITERATIONS,
+) -> Found:
     """The orbits near the states `begin` of lanes that repeat after as many returns as these have.
 
     **Arguments:**
 
     - `scales`: of the states; those that are NaN are half the swing on the way from return to return.
     - `reach` (lanes,): how far, over the scales, a lane may be moved; it is left alone beyond.
+    - `enough`: residual at which a lane is done; `most`: iterations, at most.
+
+    What was found stands where its derivative was taken, so that one more step may be taken by it (`Found.step`).
     """
     lanes = len(begin)
     best = _evaluated(begin, np.arange(lanes), go)
     scales = np.where(np.isnan(scales), _swings(best.seen), scales)
     states, residual = begin.copy(), _residual(begin, best, scales)
     at, now = begin, best
+    left = np.zeros(lanes, bool)
     active = np.arange(lanes)
-    for _ in range(MOST_ITERATIONS):
-        on = (residual[active] > CONVERGED) & np.isfinite(residual[active])
-        on &= _distance(at, begin[active], scales[active]) <= reach[active]
+    for _ in range(most):
+        on = (residual[active] > enough) & np.isfinite(residual[active])
         active, at, now = active[on], at[on], _of(now, on)
         if not len(active):
             break
         at = at + _step(at, now, scales[active])
+        # From far away it may take thousands of steps to return.
+        distance = _distance(at, begin[active], scales[active])
+        left[active[distance > reach[active]]] = True
+        on = distance <= reach[active]
+        active, at = active[on], at[on]
+        if not len(active):
+            break
         now = _evaluated(at, active, go)
         found = _residual(at, now, scales[active])
         before = residual[active]
@@ -94,7 +116,7 @@ def orbits(begin: States, scales: Float[np.ndarray, "lanes states"], reach: np.n
         for whole, part in zip(_leaves(best), _leaves(now), strict=True):
             whole[kept] = part[better]
         # What no longer comes closer by much stands at its roundings, or has no orbit here.
-        on = (found < before / 2) | (found > ACCEPTED)
+        on = np.isfinite(found) & ((found < before / 2) | (found > ACCEPTED))
         active, at, now = active[on], at[on], _of(now, on)
     return Found(
         states=states,
@@ -102,11 +124,25 @@ def orbits(begin: States, scales: Float[np.ndarray, "lanes states"], reach: np.n
         times=best.times,
         residual=residual,
         product=_product(best.jacobian),
-        moved=_distance(states, begin, scales),
+        step=_step(states, best, scales),
+        moved=np.where(left, np.inf, _distance(states, begin, scales)),
         impacts=best.seen.impacts.sum(axis=1),
         margin=best.seen.margin.min(axis=1),
         steps=best.seen.steps.sum(axis=1),
     )
+
+
+def repeats_after(orbit: Found, same: float = SAME) -> Int[np.ndarray, " lanes"]:
+    """Returns after which orbits repeat: as many as they have states, or fewer, which divide that.
+
+    States that are no farther apart than `same`, over the scales, are taken for one.
+    """
+    repeat = orbit.states.shape[1]
+    found = np.full(len(orbit.states), repeat)
+    for sooner in (q for q in range(repeat - 1, 0, -1) if repeat % q == 0):
+        apart = np.abs(np.roll(orbit.states, sooner, axis=1) - orbit.states) / orbit.scales[:, None]
+        found[np.max(apart, axis=(1, 2)) <= same] = sooner
+    return found
 
 
 def _evaluated(states: States, lanes: Index, go: ReturnMap) -> _Evaluated:

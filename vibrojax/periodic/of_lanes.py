@@ -1,27 +1,21 @@
 """The orbits of a sweep's lanes: from their last returns by Newton's method, with multipliers, and measured."""
 
-from functools import partial
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from vibrojax.engine.batch import Features, Index
 from vibrojax.input.definition import Sweep
 from vibrojax.measure.kept_returns import state_name
 from vibrojax.measure.ledger import MOST_CYCLES
 from vibrojax.measure.section import scales
-from vibrojax.periodic.margin import HOW
+from vibrojax.periodic.margin import GRAZING, HOW
 from vibrojax.periodic.measured import Begun, Measuring, begun, joined
-from vibrojax.periodic.newton import ACCEPTED, Found, States, orbits
-from vibrojax.periodic.return_map import Mapped
+from vibrojax.periodic.newton import ACCEPTED, States, orbits, repeats_after
 from vibrojax.periodic.segments import STEPS, Segments
 from vibrojax.periodic.under_pulses import repeats
 from vibrojax.store.variables import ORBIT_REASONS, orbit_name
-
-GRAZING = 1e-5
-"""Margin below which multipliers are not given. Beside a graze the map goes as a root, so its derivative holds over a
-distance of about the margin squared: here that of the residual which is accepted, 1e-10."""
 
 NEAR, FAR = 1e-2, 0.5
 """Least and greatest distance, over the scales, within which an orbit may be a lane's own."""
@@ -29,9 +23,6 @@ NEAR, FAR = 1e-2, 0.5
 DRIFTS = 100.0
 """The same between them, in estimates of how far the lane's period still is from where it settles: a small part of how
 far its state is."""
-
-SAME = 1e-6
-"""Distance over the scales within which two states of an orbit are one."""
 
 OF_THE_LANE = frozenset(
     {"finite", "finished", "steps", "returns", "trend", "cycles", "impacts", "settling_time", "pulses", "yields"}
@@ -88,7 +79,7 @@ class Orbits:
         parts: list[Begun] = []
         with np.errstate(all="ignore"):
             if self._scene.section is None:
-                features = features | repeats(self._scene, features, partial(self._returns, parameters))
+                features = features | repeats(self._scene, features, self._map.of(parameters))
             cycles = np.nan_to_num(features["cycles"]).astype(int)
             sound = features["finite"] & features["finished"] & (cycles > 0)
             for repeat in range(1, MOST_CYCLES + 1):
@@ -105,19 +96,19 @@ class Orbits:
         drift = features["drift_estimate"][lanes]
         reach = np.where(np.isnan(drift), NEAR, np.clip(DRIFTS * drift, NEAR, FAR))
         given = {name: x[lanes] for name, x in parameters.items()}
-        orbit = orbits(begin, scale, reach, partial(self._returns, given))
+        orbit = orbits(begin, scale, reach, self._map.of(given))
         converged, own = orbit.residual <= ACCEPTED, orbit.moved <= reach
         if "impacts" in features:
             own &= orbit.impacts == features["impacts"][lanes]
         rules = {
-            "not-converged": ~converged,
+            "not-converged": ~converged & np.isfinite(orbit.moved),
             "another-orbit": ~own,
             "near-grazing": orbit.margin < GRAZING,
         }
         found["orbit_reason"][lanes] = np.select(list(rules.values()), list(map(reason, rules)), reason("found"))
         found["orbit_residual"][lanes] = np.where(np.isfinite(orbit.residual), orbit.residual, np.nan)
         found["grazing_margin"][lanes] = np.where(converged & own, orbit.margin, np.nan)
-        found["orbit_cycles"][lanes] = np.where(converged & own, _repeats_after(orbit), 0)
+        found["orbit_cycles"][lanes] = np.where(converged & own, repeats_after(orbit), 0)
         for name, x in zip(self._scene.return_states, orbit.states[:, 0].T, strict=True):
             found[orbit_name(name)][lanes] = np.where(converged & own, x, np.nan)
         right = np.flatnonzero(found["orbit_reason"][lanes] == reason("found"))
@@ -127,10 +118,6 @@ class Orbits:
         found["multiplier_arg"][lanes[right]] = np.abs(np.angle(values))
         found["stable"][lanes[right]] = np.abs(values[:, 0]) < 1
         return begun(lanes[right], orbit.states[right], orbit.times[right], orbit.steps[right])
-
-    def _returns(self, given: Features, lanes: Index, states: Float[np.ndarray, "_ segments"]) -> Mapped:
-        """The return map of segments, each of one of the `lanes`."""
-        return self._map({name: x[lanes] for name, x in given.items()}, states)
 
     def _measured(self, first: int, end: int, orbit: Begun, own: Features, found: Features) -> Features:
         """The features of the chunk, of lanes with an orbit measured over it; one that it does not bear out is lost."""
@@ -163,13 +150,3 @@ def last_returns(scene: Any, lanes: Index, repeat: int, features: Features) -> t
         known = scales(swings, features["period"][lanes])
     unknown = [np.full(len(lanes), np.nan)] * (len(rows) - len(known))
     return np.stack(rows, axis=-1), np.stack([*known, *unknown], axis=-1).astype(float)
-
-
-def _repeats_after(orbit: Found) -> Int[np.ndarray, " lanes"]:
-    """Returns after which orbits repeat: as many as they have states, or fewer, which divide that."""
-    repeat = orbit.states.shape[1]
-    found = np.full(len(orbit.states), repeat)
-    for sooner in (q for q in range(repeat - 1, 0, -1) if repeat % q == 0):
-        apart = np.abs(np.roll(orbit.states, sooner, axis=1) - orbit.states) / orbit.scales[:, None]
-        found[np.max(apart, axis=(1, 2)) <= SAME] = sooner
-    return found

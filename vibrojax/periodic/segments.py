@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from vibrojax.devices import precision, workers
 from vibrojax.engine.parallel import in_parallel
+from vibrojax.periodic.newton import ReturnMap
 from vibrojax.periodic.return_map import MOST_STEPS, Mapped, mapped
 from vibrojax.scenes import Scene
 from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Located
@@ -37,6 +38,10 @@ class Segments:
         self._steps = Accuracy(*map(np.float64, steps))
         self._most = np.float64(most)
         self._workers = workers()
+
+    def of(self, parameters: Mapping[str, Float[np.ndarray, " lanes"]]) -> ReturnMap:
+        """The return map of segments, each of one of the lanes that have such `parameters`."""
+        return lambda lanes, states: self({name: x[lanes] for name, x in parameters.items()}, states)
 
     def __call__(
         self, parameters: Mapping[str, Float[np.ndarray, " segments"]], states: Float[np.ndarray, "states segments"]

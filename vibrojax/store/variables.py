@@ -98,6 +98,11 @@ VARIABLES: dict[str, Variable] = {
         "1", "returns after which the orbit itself repeats (a lane may still be on its way)", np.int8
     ),
     "orbit_reason": Variable("1", "what became of the search for the orbit", np.int8, ORBIT_REASONS),
+    "nearby_cycles": Variable(
+        "1", "returns of a stable orbit near a lane that has not settled (0: none was found)", np.int8
+    ),
+    "nearby_impacts": Variable("1", "impacts in the repeat of that orbit"),
+    "nearby_distance": Variable("1", "greatest distance of the last returns from that orbit, over half the swings"),
     "lyapunov": Variable("1/s", "greatest Lyapunov exponent of the flow but the trivial zero"),
     "lyapunov_stderr": Variable("1/s", "standard error of lyapunov, by blocks of returns (0: by multipliers)"),
     "zero_one": Variable("1", "0-1 test on the returns of lanes that do not repeat: near 1 if chaotic, 0 if regular"),

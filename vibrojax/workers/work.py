@@ -13,7 +13,7 @@ from vibrojax.engine.batch import Features, Report, unreported
 from vibrojax.engine.carried import Carried
 from vibrojax.engine.chunks import Beyond, Chunks
 from vibrojax.input.definition import Sweep
-from vibrojax.periodic import Orbits
+from vibrojax.periodic import Nearby, Orbits, early_ends
 
 SECONDS = "seconds"
 """The feature of a chunk, (), that says how long it took."""
@@ -26,9 +26,8 @@ class Work:
     """
 
     def __init__(self, sweep: Sweep, threads: int | None = None) -> None:
-        kind = Chunks if sweep.run.carry is None else Carried
         with with_threads(threads):
-            self.chunks = kind(sweep, _beyond(sweep))
+            self.chunks = _chunks(sweep)
 
     def compute(self, index: int, report: Report = unreported) -> Features:
         """A chunk's features, see [vibrojax.engine.chunks.Chunks.compute][], and the `seconds` that they took."""
@@ -38,9 +37,15 @@ class Work:
         return features | {SECONDS: np.array(time.monotonic() - began)}
 
 
+def _chunks(sweep: Sweep) -> Chunks:
+    if sweep.run.carry is None:
+        return Chunks(sweep, _beyond(sweep), early_ends(sweep))
+    return Carried(sweep, _beyond(sweep))
+
+
 def _beyond(sweep: Sweep) -> Beyond | None:
     """What is to be found of lanes that have been observed."""
-    parts: list[Beyond] = [Orbits(sweep)] if sweep.run.orbits else []
+    parts: list[Beyond] = [Orbits(sweep), Nearby(sweep)] if sweep.run.orbits else []
     parts += [Natures(sweep)] if sweep.run.lyapunov else []
 
     def found(first: int, end: int, features: Features) -> Features:
