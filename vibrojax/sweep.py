@@ -234,7 +234,7 @@ def estimate(sweep: Sweep, to_file: bool = False, processes: int = 0, measured: 
         memory_bytes=memory,
         disk_bytes=ceil(sweep.lanes * (in_chunk + packed * in_file)),
         file_bytes=ceil(sweep.lanes * packed * in_file),
-        hour_workers=min(chunks.count, ceil(processor.step / (HOUR - before))) if before < HOUR else 0,
+        hour_workers=ceil(min(chunks.count, processor.step / (HOUR - before))) if before < HOUR else 0,
         time_s=sum(passing),
         compile_s=before,
         step_s=passing.step,

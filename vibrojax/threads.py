@@ -7,6 +7,9 @@ from typing import TypeVar
 
 Result = TypeVar("Result")
 
+asked_to_end: list[BaseException] = []
+"""What signals have asked for, as their handlers enter it: jax drops what is raised while it collects garbage."""
+
 _PATIENCE = 0.2
 """Seconds after which an interrupt is answered at the latest."""
 
@@ -41,6 +44,8 @@ def in_own_thread(work: Callable[[], Result], seconds: float | None = None) -> R
     end = None if seconds is None else time.monotonic() + seconds
     # Again and again: a signal that another thread has received does not end a wait.
     while thread.is_alive() and (end is None or time.monotonic() < end):
+        if asked_to_end:
+            raise asked_to_end[0]
         thread.join(_PATIENCE if end is None else min(_PATIENCE, max(0.0, end - time.monotonic())))
     if errors:
         raise errors[0]

@@ -33,7 +33,7 @@ from vibrojax.errors import InputError
 from vibrojax.leaving import leave
 from vibrojax.progress import end_lines
 from vibrojax.store.provenance import package_version
-from vibrojax.threads import in_own_thread
+from vibrojax.threads import asked_to_end, in_own_thread
 from vibrojax.timings import LOG, timed
 from vibrojax.words import glossary
 
@@ -71,9 +71,12 @@ def command() -> None:
     """The process `vibrojax`: run it and leave."""
     if signal.getsignal(signal.SIGTERM) == signal.SIG_DFL:  # who started it may have chosen that it be ignored
         signal.signal(signal.SIGTERM, _terminate)
+    if signal.getsignal(signal.SIGINT) == signal.default_int_handler:
+        signal.signal(signal.SIGINT, _interrupt)
     warnings.showwarning = _warn
     status = main(do=in_own_thread)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # all is done: what Python still tidies up needs no interrupt
+    for sent in (signal.SIGINT, signal.SIGTERM):  # all is done: what Python still tidies up needs no interrupt
+        signal.signal(sent, signal.SIG_IGN)
     if status in (INTERRUPTED, TERMINATED, BAD_INPUT):
         # Threads may still be at their lanes, or at a file that has no end: nobody waits for them.
         leave()
@@ -171,7 +174,13 @@ def _verbosely(options: Options) -> Iterator[None]:
 
 
 def _terminate(*_: object) -> None:
-    raise Terminated
+    asked_to_end.append(Terminated())
+    raise asked_to_end[-1]
+
+
+def _interrupt(*_: object) -> None:
+    asked_to_end.append(KeyboardInterrupt())
+    raise asked_to_end[-1]
 
 
 def _failed(problem: str, options: Options) -> str:
