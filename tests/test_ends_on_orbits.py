@@ -82,8 +82,6 @@ def test_not_where_it_is_not_worth_its_while(monkeypatch):
     few, many = read_sweep(sweep(lanes=8)), sweep(lanes=8, settle=1e6)
     assert early.early_ends(few) is None
     assert early.early_ends(read_sweep(many)) is not None
-    many["run"]["end_early"] = False
-    assert early.early_ends(read_sweep(many)) is None
     pulses = {"scene": "penetration", "grid": {"frequency": [40.0, 50.0]}, "run": {"settle": 1e7}}
     assert early.early_ends(read_sweep(pulses)) is None
 

@@ -137,8 +137,7 @@ def test_keep_returns():
         times = times[times > 2.0]
         kept = dataset.return_time[index].values
         expected = np.concatenate([np.full(max(keep - len(times), 0), np.nan), times[-keep:]])
-        # Steps also end where lanes are looked at, so that the errors on the way are not those of `simulate`.
-        np.testing.assert_allclose(kept, expected, rtol=3e-9)
+        np.testing.assert_allclose(kept, expected, rtol=1e-9)
         assert dataset.returns[index] == len(times)
     known = dataset.isel(point=0)
     assert np.all(known.return_impacts == 1)

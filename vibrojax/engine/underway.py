@@ -15,9 +15,12 @@ from vibrojax.stepping import Accuracy
 OBSERVING = 2.0
 """Work of a second under observation, that of a second before being 1."""
 
-LOOKS = ((0.16, 0.21, 0.28), (0.38, 0.5), (0.7, 1.0))
-"""Parts of the way at which lanes are looked at, and the others sorted by their pace; in rounds, at the end of which
-those are looked at closely that seemed to be worth it: a few cost as much as many."""
+LOOKS = ((0.25,), (0.5,), (1.0,))
+"""Parts of the way at which lanes are looked at, and the others sorted by their pace."""
+
+LOOKS_NEAR = ((0.16, 0.21, 0.28), (0.38, 0.5), (0.7, 1.0))
+"""The same where lanes end on orbits: in rounds, at the end of which those are looked at closely that seemed to be
+worth it, because a few cost as much as many."""
 
 SETTLED = 0.01
 """Part of the accepted error that a lane observed early may still be away from where it settles, where steps have no
@@ -81,25 +84,27 @@ class Going(NamedTuple):
         return Going(self.lanes, engine.settle([self.batch], now, report)[0]) if len(self.lanes) else self
 
 
-def looks(run: RunSettings) -> list[list[float]]:
-    """Times [s] at which lanes are looked at, in rounds; the last is half-way, or when they are observed.
+def looks(run: RunSettings, near: bool = False) -> list[list[float]]:
+    """Times [s] at which lanes are looked at, in rounds, also for being `near` an orbit; the last is half-way, or when
+    they are observed.
 
     Half-way half of the work is left.
     """
     half = min(run.settle, (run.settle + OBSERVING * run.observe) / 2)
-    return [[share * half for share in shares] for shares in LOOKS] if half > 0 else []
+    return [[share * half for share in shares] for shares in (LOOKS_NEAR if near else LOOKS)] if half > 0 else []
 
 
 class Underway:
     """How the lanes of a sweep go on their way.
 
     - `coarse`: the accuracy of the check run; `close`: the relative distance from where a lane settles at which it has.
-    - `early`: whether lanes end early; `ends`: finds those that are where they will be.
+    - `early`: whether lanes end early; `ends`: finds those that are where they will be. Lanes are looked at as often
+      where they do not, so that the way of those that never settle is the same.
     """
 
     def __init__(self, run: RunSettings, coarse: Accuracy, close: float, early: bool, ends: Ends | None) -> None:
         self._run, self._coarse, self._close, self._early = run, coarse, close, early
-        self._ends = ends if early else None
+        self._ends, self._near = ends if early else None, ends is not None
 
     def __call__(self, engine: Engine, start: Batch, report: Callable[[float], Report]) -> Iterator[Part | Ended]:
         """The lanes as far as one run serves both; those that leave the way come first.
@@ -107,7 +112,7 @@ class Underway:
         `report(seconds)` reports lanes that have been settled for so long.
         """
         going, before = Going(np.arange(len(start.begin)), start), 0.0
-        for times in looks(self._run):
+        for times in looks(self._run, self._near):
             near = []
             for now in times:
                 going = going.at(engine, now, report(now - before))

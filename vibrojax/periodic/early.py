@@ -50,11 +50,14 @@ source's region, and 0.4 s over the default map, where more lanes are irregular 
 
 
 def early_ends(sweep: Sweep) -> "EarlyEnds | None":
-    """What finds lanes that need no more steps; None where none can be found, or it is not worth its while."""
+    """What finds lanes that need no more steps; None where none can be found, or it is not worth its while.
+
+    Whether lanes do end early is for who steps them to see: all are looked at alike, so that the others go one way.
+    """
     run, scene = sweep.run, sweep.system.driving_part()
     apt = isinstance(run.stepper, Located) and scene.section is not None
     worth = sweep.lanes * (run.settle + run.observe) >= WORTH
-    return EarlyEnds(sweep) if apt and worth and run.end_early else None
+    return EarlyEnds(sweep) if apt and worth else None
 
 
 class EarlyEnds:
