@@ -51,6 +51,8 @@ def command():
     def start(*words) -> subprocess.Popen:
         environment = os.environ | {"PYTHONPATH": str(ROOT)}
         pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+        # Whoever runs the tests may be deaf to interrupts (a job in the background); the command is not to be.
+        pipes["preexec_fn"] = lambda: signal.signal(signal.SIGINT, signal.default_int_handler)
         started.append(subprocess.Popen([sys.executable, "-m", "vibrojax", *map(str, words)], env=environment, **pipes))
         return started[-1]
 
