@@ -54,7 +54,6 @@ CHECKED = [
     "vibrojax.measure",
     "vibrojax.periodic",
     "vibrojax.physics",
-    "vibrojax.periodic",
     "vibrojax.plot",
     "vibrojax.progress",
     "vibrojax.reproduce",

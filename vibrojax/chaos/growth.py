@@ -17,7 +17,7 @@ from vibrojax.arrays import Array, Flags, Lanes
 from vibrojax.devices import precision, workers
 from vibrojax.engine.compiler import lane_function
 from vibrojax.engine.parallel import in_parallel
-from vibrojax.periodic.return_map import at_section, passed
+from vibrojax.periodic.return_map import MOST_STEPS, at_section, passed
 from vibrojax.scenes import Scene
 from vibrojax.scenes.scene import Values
 from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Goal, Lane, Located, Step, Stepper, lane_at
@@ -30,9 +30,6 @@ HAND = 256
 
 ROWS = 32
 """Returns per call: a lane goes on past its own, and waits for others only in the end."""
-
-MOST_STEPS = 4000
-"""Of one return; one of the usual drill takes some fifty."""
 
 PerLane = Float[np.ndarray, " lanes"]
 

@@ -1,15 +1,11 @@
 """Find the attractors that a sweep's starts lead to, and the share of starts of each."""
 
-import shlex
 from argparse import ArgumentParser
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vibrojax.cli._command import Options
-from vibrojax.cli._complete import files, with_completer
 from vibrojax.cli._json import flags
-from vibrojax.cli._output import dataset_written, draw, output, picture_beside
-from vibrojax.timings import timed
+from vibrojax.cli._of_sweep import add_arguments, read_source, result_of, written
 
 if TYPE_CHECKING:
     import xarray
@@ -20,41 +16,20 @@ _SHOWN = 12
 
 def arguments(parser: ArgumentParser) -> None:
     """Add the command's arguments to `parser`."""
-    file = parser.add_argument(
-        "file",
-        metavar="FILE",
-        help="a sweep with starts: a bundled name, like regime-map, or the path of a TOML file; or a sweep's dataset "
-        "(.nc), which is run again where it has no orbits",
-    )
-    with_completer(file, files(".toml", ".nc"))
-    parser.add_argument("-o", dest="out", metavar="OUT.nc", help="where to write (NAME-attractors.nc in this folder)")
-    parser.add_argument("--fresh", action="store_true", help="replace OUT, whatever it holds")
+    add_arguments(parser, "a sweep with starts", "attractors")
 
 
 def run(options: Options) -> None:
     """Run the command."""
     from vibrojax.found_attractors import attractors, sweep_of
-    from vibrojax.found_orbits import sweep_with_orbits
-    from vibrojax.store.dataset import open_dataset, write_dataset
-    from vibrojax.store.finished import IDENTITY, check_replaceable, identity_text
 
-    given = str(options.file)
-    source = open_dataset(Path(given)) if given.endswith(".nc") else sweep_with_orbits(given)
+    source = read_source(str(options.file))
     sweep = sweep_of(source)
-    out = output(options.out or f"{Path(given).stem if given.endswith('.nc') else sweep.name}-attractors.nc")
-    picture = picture_beside(out)
-    identity = {"attractors": True, **sweep.identity()}
-    if not options.fresh:
-        check_replaceable(out, identity)
-    command = shlex.join(["vibrojax", "attractors", given, "-o", str(out)])
-    options.how_to_resume = f"nothing is kept of what was computed; to begin again: {command}"
-    dataset = attractors(source, progress=not options.quiet).assign_attrs({IDENTITY: identity_text(identity)})
-    with timed("write"):
-        write_dataset(dataset, out)
-    dataset_written(options, out)
-    drawn = draw(dataset, picture)
+    result = result_of(options, sweep.name, "attractors", {"attractors": True, **sweep.identity()})
+    dataset = attractors(source, progress=not options.quiet)
+    drawn = written(options, dataset, result)
     if not options.quiet:
-        print(f"{out}: {dataset.sizes['attractor']} attractors{drawn}")
+        print(f"{result.out}: {dataset.sizes['attractor']} attractors{drawn}")
         print("\n".join(attractor_lines(dataset)))
 
 

@@ -1,16 +1,12 @@
 """Draw the borders of the stable single impact in a sweep's plane: curves named by what happens there."""
 
-import shlex
 from argparse import ArgumentParser
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vibrojax.cli._command import Options
-from vibrojax.cli._complete import files, with_completer
 from vibrojax.cli._json import flags
-from vibrojax.cli._output import dataset_written, draw, output, picture_beside
+from vibrojax.cli._of_sweep import add_arguments, read_source, result_of, written
 from vibrojax.errors import InputError
-from vibrojax.timings import timed
 
 if TYPE_CHECKING:
     import xarray
@@ -18,48 +14,28 @@ if TYPE_CHECKING:
 
 def arguments(parser: ArgumentParser) -> None:
     """Add the command's arguments to `parser`."""
-    file = parser.add_argument(
-        "file",
-        metavar="FILE",
-        help="a sweep over a grid: a bundled name, like regime-map, or the path of a TOML file; or a sweep's dataset "
-        "(.nc), which is run again where it has no orbits",
-    )
-    with_completer(file, files(".toml", ".nc"))
+    add_arguments(parser, "a sweep over a grid", "borders")
     parser.add_argument(
         "--axes",
         metavar="X,Y",
         help="the two axes of the plane (gamma and beta, else the two with most values)",
     )
-    parser.add_argument("-o", dest="out", metavar="OUT.nc", help="where to write (NAME-borders.nc in this folder)")
-    parser.add_argument("--fresh", action="store_true", help="replace OUT, whatever it holds")
 
 
 def run(options: Options) -> None:
     """Run the command."""
     from vibrojax.found_borders import borders, checked
     from vibrojax.found_orbits import sweep_with_orbits
-    from vibrojax.store.dataset import open_dataset, write_dataset
-    from vibrojax.store.finished import IDENTITY, check_replaceable, identity_text
 
-    given = str(options.file)
     axes = _axes(options.axes)
-    source = open_dataset(Path(given)) if given.endswith(".nc") else sweep_with_orbits(given)
+    source = read_source(str(options.file))
     sweep = sweep_with_orbits(source)
     names = checked(sweep, axes)
-    out = output(options.out or f"{Path(given).stem if given.endswith('.nc') else sweep.name}-borders.nc")
-    picture = picture_beside(out)
-    identity = {"borders": list(names), **sweep.identity()}
-    if not options.fresh:
-        check_replaceable(out, identity)
-    command = shlex.join(["vibrojax", "borders", given, "-o", str(out)])
-    options.how_to_resume = f"nothing is kept of what was computed; to begin again: {command}"
-    dataset = borders(source, axes, progress=not options.quiet).assign_attrs({IDENTITY: identity_text(identity)})
-    with timed("write"):
-        write_dataset(dataset, out)
-    dataset_written(options, out)
-    drawn = draw(dataset, picture)
+    result = result_of(options, sweep.name, "borders", {"borders": list(names), **sweep.identity()})
+    dataset = borders(source, axes, progress=not options.quiet)
+    drawn = written(options, dataset, result)
     if not options.quiet:
-        print(f"{out}: {dataset.sizes['curve']} curves{drawn}")
+        print(f"{result.out}: {dataset.sizes['curve']} curves{drawn}")
         print("\n".join(border_lines(dataset)))
 
 
