@@ -186,6 +186,9 @@ def test_the_command(sweep, borders, tmp_path, capsys, monkeypatch):
     assert "any start" in said and "period-doubling" in said
     again = vj.open_dataset(tmp_path / "map-borders.nc")
     np.testing.assert_array_equal(again.gamma, borders.gamma)
+    assert main(["info", "map-borders.nc"]) == 0
+    told = capsys.readouterr().out
+    assert "any start" in told and "% of the plane" in told
     assert main(["borders", "map.nc", "--axes", "gamma"]) == 2
     assert "no pair" in capsys.readouterr().err
     assert main(["borders", "map.nc", "--axes", "gamma,delta"]) == 2

@@ -50,6 +50,8 @@ def _axes(text: str | None) -> tuple[str, str] | None:
 
 def border_lines(dataset: "xarray.Dataset") -> list[str]:
     """The share of each plane in which there is a stable single impact, and what ends it, by start."""
+    if "region_area" not in dataset:
+        return []
     beyond = [str(name) for name in dataset.coords if dataset[name].dims == ("region",) and name != "region_start"]
     lines = []
     for k in range(dataset.sizes["region"]):

@@ -16,6 +16,7 @@ from vibrojax.cli._json import HELP, flags, print_json
 from vibrojax.cli._orbit_lines import orbit_lines
 from vibrojax.cli._standing import folder_of, standing_facts, standing_lines
 from vibrojax.cli.attractors import attractor_lines
+from vibrojax.cli.borders import border_lines
 from vibrojax.timings import timed
 from vibrojax.words import WORDS
 
@@ -77,6 +78,7 @@ def describe(dataset: "xarray.Dataset") -> list[str]:
         ("orbits", orbit_lines(dataset)),
         ("natures", _natures(dataset)),
         ("families", family_lines(dataset)),
+        ("borders", border_lines(dataset)),
         ("shares", attractor_lines(dataset)),
         ("failures", _failures(dataset)),
         ("accuracy", _accuracy(dataset) + _flips(dataset)),
