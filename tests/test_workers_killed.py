@@ -32,6 +32,13 @@ observe = 2.0
 end_early = false
 chunk = 2
 """
+# Whoever runs the tests may be deaf to interrupts (a job in the background); the command is not to be. (Not by
+# `preexec_fn`: the fork that it takes makes jax warn wherever a test before has used it.)
+HEARS = """
+import os, signal, sys
+signal.signal(signal.SIGINT, signal.SIG_DFL)
+os.execv(sys.executable, [sys.executable, "-m", "vibrojax", *sys.argv[1:]])
+"""
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks for processes where Linux has them")
 
@@ -51,9 +58,7 @@ def command():
     def start(*words) -> subprocess.Popen:
         environment = os.environ | {"PYTHONPATH": str(ROOT)}
         pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-        # Whoever runs the tests may be deaf to interrupts (a job in the background); the command is not to be.
-        pipes["preexec_fn"] = lambda: signal.signal(signal.SIGINT, signal.default_int_handler)
-        started.append(subprocess.Popen([sys.executable, "-m", "vibrojax", *map(str, words)], env=environment, **pipes))
+        started.append(subprocess.Popen([sys.executable, "-c", HEARS, *map(str, words)], env=environment, **pipes))
         return started[-1]
 
     yield start
