@@ -353,6 +353,7 @@ def test_turns_keep_their_order():
     go.set()
     for one in threads:
         one.join()
+    assert turns.ask("c", 1, lambda check: "c") == "c"  # the same number again: it was sent away, not answered
     assert done == ["long", "b"]
     turns.close()
     with pytest.raises(Closed):

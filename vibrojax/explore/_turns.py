@@ -55,7 +55,8 @@ class Turns:
     """One thread that works for many, in the order in which they came.
 
     Of a client, a newer number ends what it asked before: what waits gives its place to the newer, what is being worked
-    on is left at its next `check`, and a number that comes after a newer one is refused.
+    on is left at its next `check`, and a number that comes after a newer one is refused. Who finds no place may come again
+    with the same number.
     """
 
     def __init__(self, waiting: int = WAITING) -> None:
@@ -94,6 +95,8 @@ class Turns:
             raise Closed
         if number <= self._newest.get(client, -1):
             raise Superseded
+        if client not in self._waiting and len(self._waiting) >= self._most:
+            raise Busy
         self._newest[client] = number
         self._newest.move_to_end(client)
         while len(self._newest) > CLIENTS:
@@ -102,8 +105,6 @@ class Turns:
             self._current.end(error=Superseded())
         if client in self._waiting:
             self._waiting[client].end(error=Superseded())
-        elif len(self._waiting) >= self._most:
-            raise Busy
         self._waiting[client] = turn  # in the place of the older one, if there was one
 
     def _work(self) -> None:
