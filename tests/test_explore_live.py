@@ -10,9 +10,9 @@ from contextlib import contextmanager
 import pytest
 
 from vibrojax.errors import InputError
-from vibrojax.explore import live as server
-from vibrojax.explore._turns import Busy, Closed, Superseded, Turns
-from vibrojax.explore.live import Live, content_policy
+from vibrojax.explorer import live as server
+from vibrojax.explorer._turns import Busy, Closed, Superseded, Turns
+from vibrojax.explorer.live import Live, content_policy
 
 HTML = "<!doctype html><title>page</title><script type=module>export const a = 1;</script>"
 

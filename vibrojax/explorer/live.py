@@ -5,7 +5,7 @@ It answers two things, under a path that begins with a token that only its addre
     GET  /TOKEN/          the page
     POST /TOKEN/motion    JSON {"client": text, "number": whole, "parameters": {name: value}, "start": name or vector,
                           "options": {"friction": name, ...}}: that motion as a block of one cell (see
-                          [vibrojax.explore.cells][])
+                          [vibrojax.explorer.cells][])
 
 Of a client (a page that is open), a greater number makes smaller ones obsolete. What is refused is said in one line,
 {"error": line}: 400 (wrong values or no such request), 403 (no token, another host or origin), 404, 405, 408, 409
@@ -34,7 +34,7 @@ from types import TracebackType
 from typing import Any, Protocol
 
 from vibrojax.errors import InputError
-from vibrojax.explore._turns import Busy, Check, Closed, Superseded, Turns
+from vibrojax.explorer._turns import Busy, Check, Closed, Superseded, Turns
 from vibrojax.timings import LOG
 
 HOST = "127.0.0.1"
@@ -63,7 +63,7 @@ class Refused(Exception):
 
 
 class Answers(Protocol):
-    """What computes: see [vibrojax.explore._motions.Motions][]."""
+    """What computes: see [vibrojax.explorer._motions.Motions][]."""
 
     def answer(self, asked: dict[str, Any], check: Check) -> bytes:
         """The block for a request; raises `InputError`, or what `check()` raises."""

@@ -9,8 +9,10 @@ import xarray as xr
 
 from vibrojax.devices import precision
 from vibrojax.errors import InputError, Place, shown
-from vibrojax.explore.cells import Cell, encode
-from vibrojax.explore.motions import PASSED, SHOWN, STILL, Begin, cell_of, events_of
+from vibrojax.explorer.cells import Cell, encode
+from vibrojax.explorer.motions import PASSED, SHOWN, STILL, Begin
+from vibrojax.explorer.motions import _cell as cell_of
+from vibrojax.explorer.motions import _events as events_of
 from vibrojax.input.definition import Sweep
 from vibrojax.input.names import Names, read_names
 from vibrojax.input.plausible import UnusualValue
