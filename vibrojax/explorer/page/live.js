@@ -1,9 +1,11 @@
 // Sources of motions that are computed when they are asked for: by a server (--live), or by a notebook's kernel.
-// A source has `offered` (what may be asked for) and `motion(parameters, start)`, a promise of a cell (see cells.py).
+// Beside `cell(lane)` and `motion(parameters, start)`, promises of a cell (see cells.py), such a source has
+// `attach(page)`, by which the page shows sliders.
 
 import { decodeCells } from "./decode.js";
+import { Computing } from "./computing.js";
 
-/** What a question is refused with that a newer one has overtaken; nothing to be said of it. */
+/** What a question is refused with that a newer one has overtaken; nothing is to be said of it. */
 export class Overtaken extends Error {
   constructor() { super("overtaken by a newer question"); }
 }
@@ -34,26 +36,36 @@ export function newest(ask, patience = 400) {
   });
 }
 
+/** The source of what `offered` says, by `ask(question, number)`, a promise of a block of one cell. */
+export function askingSource(offered, ask) {
+  const asked = newest(async (question, number) => decodeCells(await ask(question, number))[0]);
+  const source = {
+    cell: (lane) => asked({ lane }),
+    motion: (parameters, start) => asked({ parameters, start }),
+    attach: (page) => new Computing(page, offered, source.motion),
+  };
+  if (!offered.lanes) delete source.cell;
+  return source;
+}
+
 const pause = (seconds) => new Promise((done) => setTimeout(done, 1000 * seconds));
 
 /** The source that asks the server whose page this is. */
 export function serverSource(offered, address = "motion") {
   const client = `${Math.random()}`.slice(2) + Date.now();
-  const ask = async ({ parameters, start }, number) => {
+  return askingSource(offered, async (question, number) => {
     for (;;) {
-      const body = JSON.stringify({ client, number, parameters, start });
+      const body = JSON.stringify({ client, number, ...question });
       let answer;
       try {
         answer = await fetch(address, { method: "POST", headers: { "Content-Type": "application/json" }, body });
       } catch {
         throw new Error("the server does not answer; it may have been stopped");
       }
-      if (answer.ok) return decodeCells(await answer.arrayBuffer())[0];
+      if (answer.ok) return answer.arrayBuffer();
       if (answer.status === 409) throw new Overtaken();
       if (answer.status !== 503) throw new Error((await answer.json()).error);
       await pause(Number(answer.headers.get("Retry-After")) || 1);
     }
-  };
-  const asked = newest(ask);
-  return { offered, motion: (parameters, start) => asked({ parameters, start }) };
+  });
 }

@@ -27,11 +27,13 @@ export class Sliders {
   constructor(offered, onChange) {
     Object.assign(this, { offered, onChange, id: `vx-s${++forms}`, values: { ...offered.values }, start: offered.start });
     this.rows = new Map(offered.parameters.map((one) => [one.name, this.row(one)]));
-    this.said = make("p", { className: "vx-said" });
+    this.said = make("span", { className: "vx-said" });
     this.said.setAttribute("role", "status");
+    this.back = make("button", { type: "button", className: "vx-copy", textContent: "back to the cell" });
     const rows = [...this.rows.values()].map(({ element }) => element);
     this.element = make("details", { className: "vx-sliders", open: true },
-      make("summary", { textContent: "Simulate" }), this.said, ...this.startControls(), make("div", { className: "vx-rows" }, ...rows));
+      make("summary", { textContent: `Simulate, for ${offered.duration} s` }),
+      make("div", { className: "vx-asked" }, ...this.startControls(), this.back, this.said), make("div", { className: "vx-rows" }, ...rows));
     this.set(offered.values, offered.start);
   }
 
@@ -64,7 +66,7 @@ export class Sliders {
     });
     this.which.addEventListener("change", () => this.started());
     this.states = make("span", { className: "vx-vector" }, ...states.flatMap((name, k) => [make("small", { textContent: ` ${name} ` }), this.vector[k]]));
-    return [make("div", { className: "vx-start" }, make("label", { htmlFor: this.which.id, textContent: "start " }), this.which, this.states)];
+    return [make("span", {}, make("label", { htmlFor: this.which.id, textContent: "start " }), this.which), this.states];
   }
 
   started() {
