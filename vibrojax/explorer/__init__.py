@@ -5,16 +5,17 @@
 `mount(element, {data, source, state, onPick, onState})` of `page/mount.js` shows a dataset in an element of a page:
 
 - `data`: the *document* of a dataset, what `document_of` makes, as JSON (below).
-- `source`: where motions come from: `{cell(lane), motion(parameters, start)}`, both promises of a cell, or of null where
-  there is none. `lane` is the number of the lane, or of the point of a family. A page reads its own
-  (`embeddedSource`); a server or a widget answers with `encode([cell])`, of which `decodeCells(buffer)[0]` is the cell.
-  `cells_of(ds)` makes the cells of all lanes, `cells_of(ds, lanes)` of some, `cell_of(motion)` that of a trajectory, which
-  has its own `numbers`, by the names of the document's variables.
-- `state`: the fragment of an address, `variable=regime&x=gamma&y=beta&at.beta=0.4&...`; `onState(state)` hears of changes.
+- `source`: where motions come from: `{cell(lane), motion(parameters, start)}`, both promises of a cell, or of null
+  where there is none. `lane` is the number of the lane, or of the point of a family. A page reads its own
+  (`embeddedSource`); a server or a widget answers with `encode([cell])`, of which `decodeCells(buffer)[0]` is the
+  cell. `cells_of(ds)` makes the cells of all lanes; `cell_of(motion)` that of a trajectory, which has its own
+  `numbers`, by the names of the document's variables.
+- `state`: the fragment of an address, `variable=regime&x=gamma&y=beta&at.beta=0.4&...`; `onState(state)` hears of
+  changes.
 - `onPick({cell, lane, values})` hears of every chosen cell: indices by axis, its lane, and its coordinates by name.
 
-It gives `{pick(cell), show(changes), showMotion(cell), restore(state), state, calls(), destroy()}`. The module as one text,
-style and page: `module_text(exported=True)`, `style_text()`, `page_text(document)`.
+It gives `{pick(cell), show(changes), showMotion(cell), restore(state), state, calls(), destroy()}`. The module as one
+text, style and page: `module_text(exported=True)`, `style_text()`, `page_text(document)`.
 
 **The document:**
 
@@ -44,6 +45,7 @@ from vibrojax.explorer.cells import decode as decode
 from vibrojax.explorer.cells import encode as encode
 from vibrojax.explorer.of_dataset import cells_of as cells_of
 from vibrojax.explorer.of_dataset import document_of as document_of
+from vibrojax.explorer.trajectory import cell_of as cell_of
 from vibrojax.explorer.write import module_text as module_text
 from vibrojax.explorer.write import page_text as page_text
 from vibrojax.explorer.write import style_text as style_text

@@ -1,7 +1,7 @@
 """A cell: what the page shows of one motion beyond its numbers; and cells as bytes, for page, server and widget alike.
 
-**The form.** `encode(cells)` gives bytes, which the page's `decodeCells(buffer)` reads; a page embeds blocks of cells so
-(deflated, in base64), a server answers with a block of one, a widget sends the same bytes over its channel.
+**The form.** `encode(cells)` gives bytes, which the page's `decodeCells(buffer)` reads; a page embeds blocks of cells
+so (deflated, in base64), a server answers with a block of one, a widget sends the same bytes over its channel.
 
     block   = uint32 (little-endian): length of the header in bytes
             | header: JSON in UTF-8

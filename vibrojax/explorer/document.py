@@ -1,4 +1,4 @@
-"""What a page knows of a dataset over axes: a sweep, its orbits, attractors, a fit. See `vibrojax.explorer` for the form."""
+"""What a page knows of a dataset over axes: a sweep, its orbits, attractors, a fit; `vibrojax.explorer` has the form."""
 
 import json
 import tomllib
@@ -108,10 +108,8 @@ def sweep_text(ds: xr.Dataset) -> dict[str, Any]:
 
 def axis_document(ds: xr.Dataset, name: str) -> Document:
     """An axis: its values, or names, and the columns along it (of a list of points, or of starts)."""
-    if name not in ds.coords:
-        data = xr.DataArray(np.arange(ds.sizes[name]), dims=name, name=name)
-    else:
-        data = ds[name]
+    counted = xr.DataArray(np.arange(ds.sizes[name]), dims=name, name=name)
+    data = ds[name] if name in ds.coords else counted
     columns = [
         coordinate_document(one)
         for other, one in ds.coords.items()

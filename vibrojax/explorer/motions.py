@@ -1,7 +1,8 @@
 """The motions of a sweep's lanes as cells: of lanes that repeat one repeat of their orbit, of others some returns.
 
 They follow from where the lanes ended: the sweep is run again with its orbits, which says at which state each lane
-passes the section; from there its steps are recorded, many lanes at once, and read at evenly spaced times and at events.
+passes the section; from there its steps are recorded, many lanes at once, and read at evenly spaced times and at
+events.
 """
 
 from collections.abc import Iterator

@@ -36,8 +36,8 @@ def write_page(
 
         vj.write_page(vj.run_sweep("regime-map"), "regime-map.html")
 
-    A click on the map, or arrow keys, choose a cell; its motion is shown in phase planes, over time, as a spectrum and by
-    its returns and multipliers, with its numbers and the command that simulates it. What is chosen stands in the
+    A click on the map, or arrow keys, choose a cell; its motion is shown in phase planes, over time, as a spectrum and
+    by its returns and multipliers, with its numbers and the command that simulates it. What is chosen stands in the
     address, so that a link restores it.
 
     **Arguments:**
@@ -45,8 +45,7 @@ def write_page(
     - `ds`: the dataset of a sweep, of its orbits or attractors, of families, borders, a trajectory, or a fit.
     - `path`: the file to be; one that is there is replaced.
     - `over`: borders, as `borders` gives them, to lay over a map of the same parameters.
-    - `progress`: whether to say on stderr how far it is. A sweep is run again for its motions, about as long as the first
-      time.
+    - `progress`: whether to say on stderr how far it is. A sweep is run again for its motions, with its orbits.
 
     **Returns:** the path.
 
@@ -64,7 +63,7 @@ def write_page(
 
 
 def blocks_of(cells: Iterable[Cell]) -> list[str]:
-    """Cells in blocks by their number, deflated, in base64: those of the page's k-th line are k SIZE to (k + 1) SIZE."""
+    """Cells in blocks by their number, deflated, in base64: of the page's k-th line from k SIZE to before (k + 1) SIZE."""
     some: dict[int, list[Cell]] = {}
     for cell in cells:
         some.setdefault(cell.lane // SIZE, []).append(cell)
