@@ -1,7 +1,9 @@
 """What a click is answered with: the motion at a point, simulated and measured as `vj.simulate` does it, as a cell."""
 
+import json
 import warnings
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,12 +15,13 @@ from vibrojax.explorer.cells import Cell, encode
 from vibrojax.explorer.motions import PASSED, SHOWN, STILL, Begin
 from vibrojax.explorer.motions import _cell as cell_of
 from vibrojax.explorer.motions import _events as events_of
-from vibrojax.input.definition import Sweep
+from vibrojax.input.definition import Sweep, rock_values
 from vibrojax.input.names import Names, read_names
 from vibrojax.input.plausible import UnusualValue
 from vibrojax.input.point import Point, read_point
 from vibrojax.input.starts import Start
-from vibrojax.physics.parameters import Parameter
+from vibrojax.physics.parameters import ROTATION, Parameter
+from vibrojax.physics.rock import ROCKS
 from vibrojax.plot._axes import pretty_unit, scale
 from vibrojax.scenes import Scene
 from vibrojax.simulation._measured import window
@@ -48,6 +51,7 @@ class Motions:
     - `start`: the start that motions have of themselves; None: the scene's first.
     - `duration` [s]: how long they are simulated; the last part is observed.
     - `axes`: values between which parameters vary at least, by name.
+    - `sweep`: of whose lanes motions are asked for too.
 
     **Raises:** `InputError`.
     """
@@ -59,24 +63,27 @@ class Motions:
         start: object = None,
         duration: float = 48.0,
         axes: Mapping[str, np.ndarray] | None = None,
+        sweep: Sweep | None = None,
     ) -> None:
         self.point: Point = read_point(PLACE, scene, given, start)
         self.names: Names = read_names(PLACE.at("scene"), self.point.system)
         self.duration = min(duration, LONGEST)
-        self.axes = dict(axes or {})
+        self.axes, self.sweep = dict(axes or {}), sweep
         self._stepper = Located()
 
     def answer(self, asked: Mapping[str, Any], check: Callable[..., None]) -> bytes:
         """The motion that a request asks for, as a block of one cell.
 
-        **Arguments:** `asked`: `parameters`, numbers by name (others are the point's), and `start`, a name or a vector;
-        `check` is called often, and what it raises ends the motion.
+        **Arguments:** `asked`: `lane`, the number of a lane; or `parameters`, numbers by name (others are the point's),
+        and `start`, a name or a vector; `check` is called often, and what it raises ends the motion.
 
         **Raises:** `InputError` where something is not right, or the motion takes too long.
         """
+        if set(asked) == {"lane"}:
+            return encode([self.lane(asked["lane"], check)])
         unknown = set(asked) - {"parameters", "start"}
         if unknown:
-            raise PLACE.at(str(min(unknown))).error("there is no such thing to ask for; give parameters and start")
+            raise PLACE.at(min(unknown)).error("there is no such thing to ask for; give lane, or parameters and start")
         parameters = asked.get("parameters")
         if not isinstance(parameters, dict):
             raise PLACE.at("parameters").error(f"{shown(parameters)} is no table; give numbers by name")
@@ -92,6 +99,25 @@ class Motions:
         done, constants = self.recorded(point, check)
         note = "; ".join(str(one.message) for one in said if issubclass(one.category, UnusualValue))
         return _cell(point.system, constants, done, self.duration, note)
+
+    def lane(self, number: object, check: Callable[..., None] | None = None) -> Cell:
+        """The motion of a lane of the sweep, simulated from its start; its numbers are the dataset's."""
+        lanes = self.sweep.lanes if self.sweep is not None else 0
+        if type(number) is not int or not 0 <= number < lanes or self.sweep is None:
+            raise PLACE.at("lane").error(f"{shown(number)} is no lane; there are {lanes}, from 0")
+        values, _ = self.sweep.lane_values(number, number + 1)
+        found = self.cell({name: float(x[0]) for name, x in values.items()}, self._start_of(self.sweep, number), check)
+        carried = "" if self.sweep.run.carry is None else "from the start, not carried on from the point before"
+        return replace(found, lane=number, numbers=None, note="; ".join(text for text in (found.note, carried) if text))
+
+    def _start_of(self, sweep: Sweep, number: int) -> object:
+        """The start of a lane: a name, or a vector."""
+        if not self.names.has_starts:
+            return None
+        start, vectors = sweep.lane_starts(number, number + 1)
+        if int(start[0]) < len(sweep.start_names):
+            return sweep.start_names[int(start[0])]
+        return [float(x[0]) for x in vectors]
 
     def recorded(self, point: Point, check: Callable[..., None] | None = None) -> tuple[Recorded, Any]:
         """A point's motion, and the scene's constants at it."""
@@ -118,13 +144,16 @@ class Motions:
             "start": list(self.point.start) if isinstance(self.point.start, tuple) else self.point.start,
             "duration": self.duration,
             "observed": window(self.duration)[1],
+            "lanes": self.sweep.lanes if self.sweep is not None else 0,
+            "rocks": {name: rock_values(name) for name in ROCKS} if self.names.has_rock else {},
+            "bit_radius": ROTATION["bit_radius"].default,
         }
 
     def _start(self, start: object) -> object:
         return self.point.start if start is None else start
 
     def _slider(self, one: Parameter) -> dict[str, Any]:
-        """A parameter between its usual values and all that occur; without usual ones, up to three times its default."""
+        """A parameter between its usual values and all that occur; without usual ones, to three times its default."""
         value = self.point.parameters[one.name]
         size = 3 * max(abs(one.default), abs(value)) or 1.0
         usual = one.usual or ((0.0 if one.default >= 0 else -size), size if one.default >= 0 else 0.0)
@@ -153,13 +182,27 @@ def motions_of(sweep: Sweep) -> Motions:
     start: Start | None = sweep.starts[0] if sweep.starts is not None and len(sweep.starts) else None
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UnusualValue)  # said when the sweep was read
-        return Motions(sweep.system, values, start, sweep.run.settle + sweep.run.observe, axes)
+        return Motions(sweep.system, values, start, sweep.run.settle + sweep.run.observe, axes, sweep)
+
+
+def motions_around(ds: xr.Dataset) -> Motions:
+    """The motions around what a dataset holds, by its attributes; raises `InputError` where they name no scene."""
+    names = [name for name in ("friction", "pulse_shape") if name in ds.attrs]
+    try:
+        given = {one["name"]: one["value"] for one in json.loads(str(ds.attrs.get("differing", "[]")))}
+        run = json.loads(str(ds.attrs.get("run", "{}")))
+        start = str(ds.attrs["start"]) if "start" in ds.attrs else None
+        vector = json.loads(start) if start and start.startswith("[") else start
+        duration = float(run.get("settle", 40.0)) + float(run.get("observe", 8.0))
+    except (ValueError, TypeError, KeyError, AttributeError):
+        raise InputError("explore: the dataset's attributes do not say what to simulate") from None
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UnusualValue)
+        return Motions(str(ds.attrs.get("scene", "")), given | {n: ds.attrs[n] for n in names}, vector, duration)
 
 
 def _cell(scene: Scene[Any], constants: Any, done: Recorded, duration: float, note: str) -> Cell:
     """A recorded motion's last repeat, or some of its last returns, and its numbers."""
-    from dataclasses import replace
-
     steps = done.steps
     if not np.isfinite(steps.after).all():
         raise InputError("explore: the motion is not finite; give values nearer to the usual ones")

@@ -55,8 +55,8 @@ class Turns:
     """One thread that works for many, in the order in which they came.
 
     Of a client, a newer number ends what it asked before: what waits gives its place to the newer, what is being worked
-    on is left at its next `check`, and a number that comes after a newer one is refused. Who finds no place may come again
-    with the same number.
+    on is left at its next `check`, and a number that comes after a newer one is refused. Who finds no place may come
+    again with the same number.
     """
 
     def __init__(self, waiting: int = WAITING) -> None:

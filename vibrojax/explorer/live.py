@@ -3,8 +3,8 @@
 It answers two things, under a path that begins with a token that only its address tells:
 
     GET  /TOKEN/          the page
-    POST /TOKEN/motion    JSON {"client": text, "number": whole, "parameters": {name: value}, "start": name or vector,
-                          "options": {"friction": name, ...}}: that motion as a block of one cell (see
+    POST /TOKEN/motion    JSON {"client": text, "number": whole} with {"parameters": {name: value}, "start": name or
+                          vector} or {"lane": whole}: that motion as a block of one cell (see
                           [vibrojax.explorer.cells][])
 
 Of a client (a page that is open), a greater number makes smaller ones obsolete. What is refused is said in one line,
@@ -33,8 +33,14 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from types import TracebackType
 from typing import Any, Protocol
 
+import xarray as xr
+
 from vibrojax.errors import InputError
+from vibrojax.explorer._motions import motions_around, motions_of
 from vibrojax.explorer._turns import Busy, Check, Closed, Superseded, Turns
+from vibrojax.explorer.of_dataset import _sweep as sweep_of
+from vibrojax.explorer.of_dataset import cells_of, document_of
+from vibrojax.explorer.write import SIZE, blocks_of, page_text
 from vibrojax.timings import LOG
 
 HOST = "127.0.0.1"
@@ -101,6 +107,11 @@ class Live:
     ) -> None:
         self.close()
 
+    def wait(self) -> None:
+        """Wait until it is closed, or this thread is interrupted."""
+        while self._threads[0].is_alive():
+            self._threads[0].join(0.5)
+
     def close(self, seconds: float = 10.0) -> None:
         """Close the port, and wait so long [s] for the threads to end."""
         self.turns.close(seconds)
@@ -117,14 +128,31 @@ class Live:
             LOG.info("not warm: %s", error)
 
 
+def serve(ds: xr.Dataset, over: xr.Dataset | None = None) -> Live:
+    """The live page of a dataset, served until it is closed.
+
+    **Arguments:** `ds`, `over`: as `write_page` takes them.
+
+    **Raises:** `InputError` where there is nothing of the dataset to show or to simulate, `OSError` where this machine
+    gives no port.
+    """
+    document = document_of(ds, over)
+    sweep = sweep_of(ds)
+    motions = motions_of(sweep) if sweep is not None else motions_around(ds)
+    blocks = [] if sweep is not None else blocks_of(cells_of(ds, progress=False))
+    if blocks:
+        document["cells"] = {"size": SIZE, "blocks": len(blocks)}
+    return Live(page_text(document | {"live": motions.offered()}, blocks), motions)
+
+
 def content_policy(html: str) -> str:
     """What the page may do: run the scripts that stand in it, and ask this server; load nothing else."""
-    scripts = re.findall(r"<script\b[^>]*>(.*?)</script>", html, flags=re.DOTALL)
+    scripts = re.findall(r"<script type=\"?module\"?>(.*?)</script>", html, flags=re.DOTALL)
     hashes = (base64.b64encode(sha256(script.encode()).digest()).decode() for script in scripts)
     allowed = " ".join(f"'sha256-{one}'" for one in dict.fromkeys(hashes)) or "'none'"
     return (
-        f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; img-src data: blob:; connect-src 'self'; "
-        "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+        f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; img-src data: blob:; "
+        "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
     )
 
 

@@ -86,8 +86,10 @@ def page_text(document: Document, blocks: Sequence[str] = ()) -> str:
 
 
 def style_text(live: bool = False) -> str:
-    """The style sheet, all of whose rules are below the class `vibrojax` or of names that begin with `vx-`; `live`: with
-    what a page has that computes."""
+    """The style sheet, all of whose rules are below the class `vibrojax` or of names that begin with `vx-`.
+
+    `live`: with what a page has that computes.
+    """
     return _file("page.css") + (_file("live.css") if live else "")
 
 

@@ -41,8 +41,9 @@ export class Sliders {
     const range = make("input", { type: "range", min: 0, max: STEPS, step: 1, id: `${this.id}-${one.name}` });
     const number = make("input", { type: "number", step: "any", name: one.name });
     const unit = one.units ? ` [${one.units}]` : "";
-    const label = make("label", { htmlFor: range.id, textContent: `${one.symbol} `, title: one.label },
-      make("small", { textContent: `${one.label.replace(/ \(.*/, "")}${unit}` }));
+    const label = make("label", { htmlFor: range.id, title: one.label },
+      make("span", { textContent: `${one.symbol} ` }, make("small", { textContent: one.label.replace(/ \(.*/, "") })),
+      make("small", { textContent: one.units }));
     range.setAttribute("data-parameter", one.name);
     number.setAttribute("aria-label", `${one.label}${unit}`);
     range.addEventListener("input", () => this.change(one, valueAt(one, Number(range.value)), range));
