@@ -45,6 +45,7 @@ from vibrojax.explorer.cells import decode as decode
 from vibrojax.explorer.cells import encode as encode
 from vibrojax.explorer.of_dataset import cells_of as cells_of
 from vibrojax.explorer.of_dataset import document_of as document_of
+from vibrojax.explorer.of_dataset import explored as explored
 from vibrojax.explorer.trajectory import cell_of as cell_of
 from vibrojax.explorer.write import module_text as module_text
 from vibrojax.explorer.write import page_text as page_text

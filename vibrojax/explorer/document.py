@@ -14,9 +14,10 @@ from vibrojax.input.definition import Sweep
 from vibrojax.plot._attractors import BEYOND
 from vibrojax.plot._attractors import COLOURS as ATTRACTOR_COLOURS
 from vibrojax.plot._axes import certified_text, is_geometric, point_text, pretty_unit, scale, symbol
+from vibrojax.plot._borders import LINES, axes_of, beyond, check_borders
 from vibrojax.plot._colours import REGIME_COLOURS, Value, flag_names, value_of
 from vibrojax.plot._contents import POINT, START
-from vibrojax.plot._maps import _REGION as REGION
+from vibrojax.plot._maps import REGION
 from vibrojax.plot._starts import on_axes
 from vibrojax.plot.style import OTHER_COLOURS
 
@@ -46,17 +47,17 @@ def grid_document(ds: xr.Dataset, sweep: Sweep | None = None) -> Document:
     names = _shown(ds)
     if not names:
         return {}
-    dims = list(dict.fromkeys(str(dim) for name in names for dim in _reduced(ds[name]).dims))
+    dims = list(dict.fromkeys(str(dim) for name in names for dim in reduced(ds[name]).dims))
     lanes = [str(dim) for dim in ds[LANE].dims] if LANE in ds else []
     axes = sorted(dims, key=lambda name: lanes.index(name) if name in lanes else len(lanes))
-    variables = [variable_document(_reduced(ds[name])) for name in names]
+    variables = [variable_document(reduced(ds[name])) for name in names]
     return {
         "format": 1,
         "kind": "grid",
         **about(ds),
         "axes": [axis_document(ds, name) for name in axes],
         "variables": variables,
-        "maps": _maps(variables),
+        "maps": maps_of(variables),
         "lanes": packed(ds[LANE].values) | {"axes": lanes} if LANE in ds else None,
         "fixed": {str(n): _plain(d.values.item()) for n, d in ds.coords.items() if d.ndim == 0},
         "region": {name: list(ends) for name, ends in REGION.items()},
@@ -177,13 +178,13 @@ def _colours_of(value: Value) -> dict[int, str]:
     return {flag: to_hex(value.colour_map(value.norm(flag))) for flag in value.names}
 
 
-def _maps(variables: list[Document]) -> dict[str, list[str]]:
+def maps_of(variables: list[Document]) -> dict[str, list[str]]:
     """The colour maps in use, as 256 colours each."""
     names = dict.fromkeys(one["map"] for one in variables if one["map"])
     return {name: [to_hex(colormaps[name](at)) for at in range(256)] for name in names}
 
 
-def _reduced(data: xr.DataArray) -> xr.DataArray:
+def reduced(data: xr.DataArray) -> xr.DataArray:
     """Of multipliers the largest."""
     return data.isel(multiplier=0) if "multiplier" in data.dims else data
 
@@ -201,3 +202,19 @@ def _plain(value: object) -> object:
     if isinstance(value, float):
         return float(f"{value:.10g}") if np.isfinite(value) else None
     return value if isinstance(value, int) else str(value)
+
+
+def curves_document(ds: xr.Dataset, over: xr.Dataset) -> Document:
+    """Borders, as `borders` gives them, over the map of `ds`; raises `InputError` where they do not belong there."""
+    check_borders(ds, over, *axes_of(over))
+    kinds, number = flag_names(over["kind"]), over["curve"].values
+    planes = beyond(over)
+    found: list[Document] = []
+    for curve in range(over.sizes["curve"]):
+        mine = number == curve
+        at: Document = {name: _plain(over[name].values[curve].item()) for name in planes}
+        if START in over.coords:
+            at[START] = str(over[START].values[curve])
+        points = {name: [_plain(x) for x in over[name].values[mine].tolist()] for name in axes_of(over)}
+        found.append({"kind": kinds[int(over["kind"][curve])], "at": at, "points": points})
+    return {"colours": {kind: str(line["color"]) for kind, line in LINES.items()}, "list": found}

@@ -107,7 +107,7 @@ def _cells(sweep: Sweep, chunks: Chunks, lanes: tuple[int, int], features: Featu
         some = order[at : at + LANES]
         given = {name: x[some] for name, x in parameters.items()}
         part = Begin(*(x[..., some] for x in begin))
-        for which, cell in zip(some, _recorded(sweep.system, given, part), strict=True):
+        for which, cell in zip(some, recorded(sweep.system, given, part), strict=True):
             multipliers = np.stack([features[f"multiplier_{name}"][which] for name in ("abs", "arg")], axis=1)
             known = multipliers if np.isfinite(multipliers).all() else None
             found[which] = replace(cell, lane=first + int(which), multipliers=known)
@@ -158,7 +158,7 @@ def _begun(scene: Scene[Any], p: dict[str, Any], state: Values) -> tuple[Any, La
     return constants, lane_at(scene, constants, state)
 
 
-def _recorded(scene: Scene[Any], parameters: dict[str, np.ndarray], begin: Begin) -> Iterator[Cell]:
+def recorded(scene: Scene[Any], parameters: dict[str, np.ndarray], begin: Begin) -> Iterator[Cell]:
     """The cells of lanes from where they begin."""
     stepper = Located()
     lanes = begin.state.shape[1]
@@ -191,7 +191,7 @@ def _events(scene: Scene[Any], c: Any, record: Record) -> dict[str, np.ndarray]:
         slip = record.mode[:, scene.mode_place("slip")]
         after = np.concatenate([slip[1:], slip[-1:]])
         masks["stick"] = hits["friction"] & (slip != 0) & (after == 0)
-        masks["slip"] = hits["friction"] & (slip == 0) & (after != 0)
+        masks["slip"] = hits["friction"] & (after != 0)
     shape = record.dt.shape
     if isinstance(scene, HasContact):
         flat = _along_steps(c, shape)

@@ -116,7 +116,9 @@ def _turns(motion: xr.Dataset, begin: float, end: float) -> Float[np.ndarray, " 
 def _flags(motion: xr.Dataset, at: np.ndarray, happened: dict[str, np.ndarray], within: float) -> np.ndarray:
     flags = np.zeros(len(at), np.uint8)
     if "stuck" in motion:
-        place = np.clip(np.searchsorted(motion["time"].values, at + within, side="right") - 1, 0, motion.sizes["time"] - 1)
+        place = np.clip(
+            np.searchsorted(motion["time"].values, at + within, side="right") - 1, 0, motion.sizes["time"] - 1
+        )
         flags |= np.where(motion["stuck"].values[place] == 1, STUCK, 0).astype(np.uint8)
     if len(happened["impact"]) or len(happened["release"]):
         begun = np.searchsorted(happened["impact"], at + within)

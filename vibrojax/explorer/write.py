@@ -12,7 +12,7 @@ import xarray as xr
 
 from vibrojax.explorer.cells import Cell, encode
 from vibrojax.explorer.document import Document
-from vibrojax.explorer.of_dataset import cells_of, document_of
+from vibrojax.explorer.of_dataset import cells_of, document_of, explored
 from vibrojax.explorer.packed import deflated
 from vibrojax.store.atomic import atomic_write
 
@@ -53,6 +53,7 @@ def write_page(
     where the file cannot be written.
     """
     path = Path(path)
+    ds, over = explored(ds, over, progress)
     document = document_of(ds, over)
     blocks = blocks_of(cells_of(ds, progress=progress))
     if blocks:

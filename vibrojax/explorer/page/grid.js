@@ -46,7 +46,7 @@ export class Grid {
         if (axis.values.length > 1) found.push({ id: axis.name, axis, column: axis });
       } else
         for (const column of axis.columns)
-          if (column.numeric && new Set(column.values).size > 1) found.push({ id: `${axis.name}:${column.name}`, axis, column });
+          if (column.numeric && !column.silent && new Set(column.values).size > 1) found.push({ id: `${axis.name}:${column.name}`, axis, column });
     }
     return found;
   }
@@ -78,7 +78,7 @@ export class Grid {
     const parts = [];
     for (const axis of this.data.axes) {
       if (!(axis.name in cell)) continue;
-      const columns = axis.columns.filter((one) => new Set(one.values).size > 1 || !one.numeric);
+      const columns = axis.columns.filter((one) => !one.silent && (new Set(one.values).size > 1 || !one.numeric));
       if (columns.length) for (const column of columns) parts.push(this.coordinateText(column, cell[axis.name]));
       else parts.push(this.coordinateText(axis, cell[axis.name]));
     }

@@ -84,9 +84,10 @@ export class MapView {
 
   /** Whether a curve is of the plane and the start that are shown. */
   onPlane(curve) {
-    const { cell } = this.view;
+    const { cell } = this.view, any = this.view.borders === "any";
     return Object.entries(curve.at).every(([name, value]) => {
       const axis = this.grid.axes.get(name);
+      if (name === "start") return any || !axis ? value === "any" : axis.values[cell.start ?? 0] === value;
       if (!axis) return true;
       const here = axis.values[cell[name] ?? 0];
       return axis.numeric ? Math.abs(here - value) <= 1e-4 * Math.abs(value) : here === value;
@@ -122,7 +123,7 @@ export class MapView {
     const across = { limits: limitsOf([xs], 0.03), label: labelOf(column), log: column.log, ticks: named };
     return framed(this.canvas, ink, across, up, (c, sx, sy) => {
       if (family) for (const run of family.runs) {
-        const part = run.points, colour = family.colours[run.branch % family.colours.length];
+        const part = run.points, colour = run.colour;
         line(c, part.map((k) => xs[k]), part.map((k) => rows[k]), sx, sy, colour, run.stable === 1 ? 2.4 : 1.4, run.stable === 1 ? [] : [5, 4]);
       } else if (!flags && column.numeric) line(c, xs, rows, sx, sy, ink.bit, 1.4);
       const size = family ? 1.6 : Math.max(1.8, Math.min(4.5, 700 / xs.length));

@@ -36,7 +36,7 @@ class Page {
   constructor(element, data, source, onPick, onState) {
     Object.assign(this, { element, data, source, onPick, onState, grid: new Grid(data), id: `vx${++instances}` });
     this.cell = Object.fromEntries(data.axes.map((axis) => [axis.name, 0]));
-    this.shown = { variable: data.variables[0]?.name, x: null, y: null, region: true, borders: true, returns: null };
+    this.shown = { variable: data.variables[0]?.name, x: null, y: null, region: true, borders: "own", returns: null };
     this.asked = 0;
   }
 
@@ -162,7 +162,10 @@ class Page {
       onchange: (event) => this.show({ [name]: event.target.checked }) }), el("span", { text: label })));
     const ends = this.data.region, over = [shown.x, shown.y];
     if (ends && over.every((one) => one in ends)) check("region", "source's region", "The region that the source recommends: beta 0.25 to 0.6, gamma 0.6 to 0.8");
-    if (this.data.curves) check("borders", "borders", "Borders of the stable single impact");
+    if (this.data.curves && over.every((one) => one in this.data.curves.list[0].points)) {
+      const own = grid.axes.has("start") ? [["own", "from this start"]] : [];
+      select("borders", "Borders of the single impact", [...own, ["any", "from any start"], ["off", "none"]], shown.borders, (value) => this.show({ borders: value }));
+    }
     const focus = document.activeElement?.dataset?.control;
     this.controls.replaceChildren(...controls);
     if (focus && focus !== "") this.controls.querySelector(`[data-control="${focus}"]`)?.focus();
@@ -187,7 +190,7 @@ class Page {
   draw() {
     const x = this.direction(this.shown.x), y = this.direction(this.shown.y), { region, borders } = this.shown;
     this.element.querySelector(".vx-map").classList.toggle("vx-low", !y);
-    this.view.draw({ x, y, variable: this.variable, cell: this.cell, region, borders });
+    this.view.draw({ x, y, variable: this.variable, cell: this.cell, region, borders: borders !== "off" && borders });
     this.drawLegend();
     this.drawSlices();
   }
@@ -226,7 +229,7 @@ class Page {
 
   overLegend() {
     const found = [], { curves, family } = this.data;
-    if (curves && this.shown.borders)
+    if (curves && this.shown.borders !== "off" && this.view.view.y)
       for (const kind of [...new Set(curves.list.filter((one) => this.view.onPlane(one)).map((one) => one.kind))])
         found.push(el("li", {}, el("span", { class: "vx-dash", style: `border-color:${curves.colours[kind]}` }), kind));
     if (family) {
@@ -425,7 +428,8 @@ class Page {
     if (shown.x) parts.push(["x", shown.x]);
     if (shown.x) parts.push(["y", shown.y ?? ""]);
     for (const axis of data.axes) if (axis.values.length > 1) parts.push([`at.${axis.name}`, axis.numeric && !axis.columns.length ? Number(axis.values[this.cell[axis.name]].toPrecision(8)) : this.cell[axis.name]]);
-    for (const name of ["region", "borders"]) if (!shown[name]) parts.push([name, "off"]);
+    if (!shown.region) parts.push(["region", "off"]);
+    if (data.curves) parts.push(["borders", shown.borders]);
     const scheme = this.element.dataset.scheme;
     if (scheme) parts.push(["scheme", scheme]);
     return parts.map(([name, value]) => `${name}=${encodeURIComponent(value)}`).join("&");
@@ -448,7 +452,9 @@ class Page {
         this.cell[axis.name] = best;
       } else this.cell[axis.name] = Math.max(0, Math.min(axis.values.length - 1, Math.round(value)));
     }
-    for (const name of ["region", "borders"]) this.shown[name] = given.get(name) !== "off";
+    this.shown.region = given.get("region") !== "off";
+    if (["own", "any", "off"].includes(given.get("borders"))) this.shown.borders = given.get("borders");
+    if (this.shown.borders === "own" && !this.grid.axes.has("start")) this.shown.borders = "any";
     if (["dark", "light"].includes(given.get("scheme"))) this.element.dataset.scheme = given.get("scheme");
     this.nameScheme();
   }

@@ -161,6 +161,7 @@ export function mark(c, kind, x, y, size, colour, edge) {
   else if (kind === "diamond") { c.moveTo(x, y - 1.3 * size); c.lineTo(x + 1.3 * size, y); c.lineTo(x, y + 1.3 * size); c.lineTo(x - 1.3 * size, y); c.closePath(); }
   else if (kind === "square") c.rect(x - size, y - size, 2 * size, 2 * size);
   else if (kind === "triangle") { c.moveTo(x, y - 1.2 * size); c.lineTo(x + 1.2 * size, y + size); c.lineTo(x - 1.2 * size, y + size); c.closePath(); }
+  else if (kind === "bar") { c.rect(x - 1.4, y - 1.6 * size, 2.8, 3.2 * size); }
   else if (kind === "cross") { c.moveTo(x - size, y - size); c.lineTo(x + size, y + size); c.moveTo(x - size, y + size); c.lineTo(x + size, y - size); c.strokeStyle = colour; c.lineWidth = 1.8; c.stroke(); return; }
   c.fillStyle = colour;
   c.fill();
