@@ -38,8 +38,7 @@ import xarray as xr
 from vibrojax.errors import InputError
 from vibrojax.explorer._motions import motions_around, motions_of
 from vibrojax.explorer._turns import Busy, Check, Closed, Superseded, Turns
-from vibrojax.explorer.of_dataset import _sweep as sweep_of
-from vibrojax.explorer.of_dataset import cells_of, document_of
+from vibrojax.explorer.of_dataset import _sweep, cells_of, document_of
 from vibrojax.explorer.write import SIZE, blocks_of, page_text
 from vibrojax.timings import LOG
 
@@ -137,7 +136,7 @@ def serve(ds: xr.Dataset, over: xr.Dataset | None = None) -> Live:
     gives no port.
     """
     document = document_of(ds, over)
-    sweep = sweep_of(ds)
+    sweep, _ = _sweep(ds)
     motions = motions_of(sweep) if sweep is not None else motions_around(ds)
     blocks = [] if sweep is not None else blocks_of(cells_of(ds, progress=False))
     if blocks:
