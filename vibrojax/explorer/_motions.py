@@ -84,7 +84,7 @@ class Motions:
         unknown = set(asked) - {"parameters", "start"}
         if unknown:
             raise PLACE.at(min(unknown)).error("there is no such thing to ask for; give lane, or parameters and start")
-        parameters = asked.get("parameters")
+        parameters = asked.get("parameters", {})
         if not isinstance(parameters, dict):
             raise PLACE.at("parameters").error(f"{shown(parameters)} is no table; give numbers by name")
         return encode([self.cell(parameters, asked.get("start"), check)])
