@@ -128,7 +128,9 @@ def test_the_page_may_run_its_own_scripts_alone():
     assert "script-src 'none'" in content_policy("<p>")
 
 
-@pytest.mark.parametrize("host", ["evil.example", "evil.example:{port}", "127.0.0.1", "127.0.0.1:1", "", "[::1]:{port}"])
+@pytest.mark.parametrize(
+    "host", ["evil.example", "evil.example:{port}", "127.0.0.1", "127.0.0.1:1", "", "[::1]:{port}"]
+)
 def test_other_hosts_are_refused(live, host):
     """A name that was made to lead to the loopback (DNS rebinding) is another host."""
     for method, path in (("GET", ""), ("POST", "motion")):
@@ -147,7 +149,9 @@ def test_no_host_and_two_hosts_are_refused(live):
     assert raw(live, two.encode()).startswith(b"HTTP/1.1 403")
 
 
-@pytest.mark.parametrize("origin", ["http://evil.example", "null", "https://127.0.0.1:{port}", "http://127.0.0.1:1", ""])
+@pytest.mark.parametrize(
+    "origin", ["http://evil.example", "null", "https://127.0.0.1:{port}", "http://127.0.0.1:1", ""]
+)
 def test_other_origins_are_refused(live, origin):
     assert refusal(live, body=asked(), Origin=origin.format(port=live.port))[0] == 403
     assert refusal(live, "OPTIONS", body=None, Origin=origin.format(port=live.port))[0] in (403, 405)
@@ -206,7 +210,12 @@ def test_malformed_headers_are_refused(live):
         assert raw(live, f"{begin}Content-Length: {length}\r\n\r\n".encode()).startswith(b"HTTP/1.1 400")
     assert raw(live, f"{begin}Content-Length: 1\r\nContent-Length: 2\r\n\r\n".encode()).startswith(b"HTTP/1.1 400")
     assert raw(live, f"{begin}Content-Length: 9\r\n\r\n{{}}".encode(), end=True).startswith(b"HTTP/1.1 400")
-    for content in (b"\x16\x03\x01\x02\x00\x01\r\n\r\n", b"GET\r\n\r\n", b"GET / HTTP/9.9\r\n\r\n", b"GET / HTTP/x\r\n\r\n"):
+    for content in (
+        b"\x16\x03\x01\x02\x00\x01\r\n\r\n",
+        b"GET\r\n\r\n",
+        b"GET / HTTP/9.9\r\n\r\n",
+        b"GET / HTTP/x\r\n\r\n",
+    ):
         assert b"200 OK" not in raw(live, content, end=True)
 
 

@@ -60,7 +60,9 @@ def command(*words):
         running.communicate()
 
 
-@pytest.mark.parametrize(("sent", "status", "said"), [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "term")])
+@pytest.mark.parametrize(
+    ("sent", "status", "said"), [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "term")]
+)
 def test_the_command_serves_until_it_is_interrupted(file, sent, status, said):
     with command("explore", file, "--live", "--no-browser") as running:
         url = running.stdout.readline().strip()

@@ -82,7 +82,7 @@ def _serve(options: Options, dataset: "xarray.Dataset", over: "xarray.Dataset | 
 
     with dataset:
         try:
-            live = serve(dataset, over)
+            live = serve(dataset, over, progress=not options.quiet)
         except InputError as error:
             raise InputError(f"{options.file}: {error}") from None
     with live, on_leaving(lambda: live.close(1.0)):

@@ -210,7 +210,7 @@ def _cell(scene: Scene[Any], constants: Any, done: Recorded, duration: float, no
     last = Record(*(x[late, ..., None] for x in steps))
     with precision("float64"):
         events = events_of(scene, constants, last)
-    ends = (last.start + last.dt)[events["section"]]
+    ends = np.asarray(last.start + last.dt)[events["section"]]
     cycles = int(done.found["cycles"][1]) if "cycles" in done.found else 0
     begin = _begin(ends, cycles, duration)
     alone = Record(*(x[..., 0] for x in last))

@@ -38,7 +38,7 @@ import xarray as xr
 from vibrojax.errors import InputError
 from vibrojax.explorer._motions import motions_around, motions_of
 from vibrojax.explorer._turns import Busy, Check, Closed, Superseded, Turns
-from vibrojax.explorer.of_dataset import _sweep, cells_of, document_of
+from vibrojax.explorer.of_dataset import _sweep, cells_of, document_of, explored
 from vibrojax.explorer.write import SIZE, blocks_of, page_text
 from vibrojax.timings import LOG
 
@@ -127,18 +127,19 @@ class Live:
             LOG.info("not warm: %s", error)
 
 
-def serve(ds: xr.Dataset, over: xr.Dataset | None = None) -> Live:
+def serve(ds: xr.Dataset, over: xr.Dataset | None = None, progress: bool = False) -> Live:
     """The live page of a dataset, served until it is closed.
 
-    **Arguments:** `ds`, `over`: as `write_page` takes them.
+    **Arguments:** `ds`, `over`, `progress`: as `write_page` takes them.
 
     **Raises:** `InputError` where there is nothing of the dataset to show or to simulate, `OSError` where this machine
     gives no port.
     """
+    ds, over = explored(ds, over, progress)
     document = document_of(ds, over)
     sweep, _ = _sweep(ds)
     motions = motions_of(sweep) if sweep is not None else motions_around(ds)
-    blocks = [] if sweep is not None else blocks_of(cells_of(ds, progress=False))
+    blocks = [] if sweep is not None else blocks_of(cells_of(ds, progress))
     if blocks:
         document["cells"] = {"size": SIZE, "blocks": len(blocks)}
     return Live(page_text(document | {"live": motions.offered()}, blocks), motions)

@@ -5,7 +5,7 @@ import { Sliders } from "./sliders.js";
 export class Computing {
   /** `page`: whose chosen cell it is; `offered`, `motion`: of the source. */
   constructor(page, offered, motion) {
-    Object.assign(this, { page, offered, motion, here: { ...offered.values }, from: offered.start });
+    Object.assign(this, { page, offered, motion, at: { ...offered.values }, from: offered.start });
     this.sliders = new Sliders(offered, (parameters, start) => this.compute(parameters, start));
     this.sliders.back.addEventListener("click", () => page.pick(page.cell));
     this.element = this.sliders.element;
@@ -18,10 +18,13 @@ export class Computing {
     if ("v" in values && typeof own.rpm === "number") values.v = ((2 * Math.PI) / 60) * own.rpm * (own.bit_radius ?? offered.bit_radius);
     const vector = offered.states.map((name) => own[`start_${name}`]);
     const start = vector.length && vector.every((x) => typeof x === "number") ? vector : own.start ?? offered.start;
-    Object.assign(this, { here: values, from: start });
+    Object.assign(this, { at: values, from: start });
     this.sliders.set(values, start);
     this.sliders.say("");
   }
+
+  /** The motion at the cell's point; its numbers are the dataset's. */
+  async here() { return { ...(await this.motion(this.at, this.from)), numbers: undefined }; }
 
   async compute(parameters, start) {
     const { page } = this, number = ++page.asked, began = performance.now();
@@ -37,7 +40,7 @@ export class Computing {
 
   /** In words what differs from the chosen cell. */
   title(parameters, start) {
-    const changed = this.offered.parameters.filter(({ name }) => parameters[name] !== this.here[name]);
+    const changed = this.offered.parameters.filter(({ name }) => parameters[name] !== this.at[name]);
     const texts = changed.map(({ name, symbol, factor, units }) => `${symbol} = ${numberText(parameters[name] * factor, 4)} ${units}`.trim());
     if (JSON.stringify(start) !== JSON.stringify(this.from)) texts.push(`start ${Array.isArray(start) ? this.written(start) : start}`);
     return texts.length ? `With ${texts.join(", ")}` : "";

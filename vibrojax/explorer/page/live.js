@@ -20,6 +20,7 @@ export function newest(ask, patience = 400) {
     clearTimeout(timer);
     if (!waiting) return;
     const left = underway ? began + patience - performance.now() : 0;
+    if (left === Infinity) return;
     if (left > 0) { timer = setTimeout(next, left); return; }
     const { question, resolve, reject } = waiting, mine = ++number;
     waiting = null;
@@ -37,8 +38,8 @@ export function newest(ask, patience = 400) {
 }
 
 /** The source of what `offered` says, by `ask(question, number)`, a promise of a block of one cell. */
-export function askingSource(offered, ask) {
-  const asked = newest(async (question, number) => decodeCells(await ask(question, number))[0]);
+export function askingSource(offered, ask, patience) {
+  const asked = newest(async (question, number) => decodeCells(await ask(question, number))[0], patience);
   const source = {
     cell: (lane) => asked({ lane }),
     motion: (parameters, start) => asked({ parameters, start }),

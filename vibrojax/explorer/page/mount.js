@@ -299,7 +299,7 @@ class Page {
     this.onPick?.({ cell: this.cell, lane, values: this.coordinates() });
     this.computing?.stand(this.coordinates());
     let motion = null;
-    try { motion = this.source.cell && lane >= 0 ? await this.source.cell(lane) : null; } catch (error) { motion = { kind: "none", note: String(error.message ?? error) }; }
+    try { motion = this.source.cell && lane >= 0 ? await this.source.cell(lane) : await this.computing?.here() ?? null; } catch (error) { motion = { kind: "none", note: String(error.message ?? error) }; }
     if (number === this.asked) this.showMotion(motion);
   }
 

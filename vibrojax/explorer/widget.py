@@ -1,0 +1,46 @@
+"""In a notebook: the page as a widget, which gives what is picked to Python."""
+
+from typing import TYPE_CHECKING
+
+import xarray as xr
+
+from vibrojax.errors import InputError
+
+if TYPE_CHECKING:
+    from vibrojax.explorer._anywidget import Explorer
+
+
+def explore(ds: xr.Dataset, *, over: xr.Dataset | None = None, live: bool | None = None) -> "Explorer":
+    """The page of a dataset as a widget of a notebook: click a cell, and Python has it.
+
+        widget = vj.explore(vj.run_sweep("regime-map"))
+        widget                                        # shows it
+        widget.point                                  # {"beta": 0.42, "gamma": 0.7, "delta": 0.005, "start": "stuck"}
+        widget.point = {"beta": 0.35}                 # picks the cell nearest to it; what is not named stays
+        widget.lane["impact_velocity"]                # what the dataset has of the picked cell
+        widget.observe(lambda change: print(change.new), "point")
+
+    It is shown by JupyterLab, Jupyter Notebook from 7 on and VS Code, and loads nothing from outside.
+
+    **Arguments:**
+
+    - `ds`: the dataset of a sweep, of its orbits or attractors, of families, borders, a trajectory, or a fit.
+    - `over`: borders, as `borders` gives them, to lay over a map of the same parameters.
+    - `live`: whether the kernel simulates what is picked, and what sliders for every parameter say. False: the widget
+      holds the motions of all lanes, for which a sweep is run again, and needs no kernel once it is shown. None: True
+      wherever the dataset names a scene of the package.
+
+    **Returns:** the widget, with the traits `cell` (index by axis), `point` (value by axis in SI; a start by its name
+    or its states) and `simulated` (`parameters` in SI and `start` of the motion shown last, if sliders said so), and
+    the property `lane` (the dataset at the picked cell).
+
+    **Raises:** `InputError` where there is nothing of the dataset to show, or anywidget is not installed
+    (`pip install "vibrojax[widget]"`); in `widget.point = ...` where there is no such axis or value.
+    """
+    try:
+        from vibrojax.explorer._anywidget import Explorer
+    except ModuleNotFoundError as error:
+        if error.name not in ("anywidget", "ipywidgets", "traitlets"):
+            raise
+        raise InputError('explore: anywidget is not installed; pip install "vibrojax[widget]"') from None
+    return Explorer(ds, over, live)
