@@ -70,12 +70,12 @@ def motions(sweep: Sweep, progress: bool = True) -> Iterator[Cell]:
 
     The sweep is run again, in its own chunks, with orbits; of its lanes one repeat is recorded, or some returns.
     """
-    asked = replace(sweep, run=replace(sweep.run, orbits=True))
-    orbits = Orbits(asked)
     names = sweep.system.driving_part().return_states
+    asked = replace(sweep, run=replace(sweep.run, orbits=bool(names)))
+    orbits = Orbits(asked) if names else None
 
     def beyond(first: int, end: int, features: Features) -> Features:
-        found = features | orbits(first, end, features)
+        found = features | (orbits(first, end, features) if orbits is not None else {})
         last = {f"last_{name}": _newest(features[state_name(name)]) for name in names if state_name(name) in features}
         return {
             name: x for name, x in (found | last).items() if x.ndim == 1 or name in ("multiplier_abs", "multiplier_arg")
@@ -99,8 +99,9 @@ def _cells(sweep: Sweep, chunks: Chunks, lanes: tuple[int, int], features: Featu
     first, end = lanes
     parameters, _ = sweep.lane_values(first, end)
     begin = _begins(sweep, chunks, lanes, features, parameters)
-    found: list[Cell] = [Cell(lane, "none", "its motion was not found") for lane in range(first, end)]
+    found = [Cell(lane, "none", why) for lane, why in enumerate(_why_not(sweep, features, parameters), first)]
     usable = np.isfinite(begin.state).all(axis=0) & np.isfinite(begin.whole) & (begin.whole > 0)
+    usable &= np.array([not cell.note.startswith(("refused", "failed")) for cell in found])
     order = np.flatnonzero(usable)
     order = order[np.argsort(begin.whole[order] / np.maximum(begin.duration[order], 1e-9), kind="stable")]
     for at in range(0, len(order), LANES):
@@ -108,10 +109,27 @@ def _cells(sweep: Sweep, chunks: Chunks, lanes: tuple[int, int], features: Featu
         given = {name: x[some] for name, x in parameters.items()}
         part = Begin(*(x[..., some] for x in begin))
         for which, cell in zip(some, recorded(sweep.system, given, part), strict=True):
-            multipliers = np.stack([features[f"multiplier_{name}"][which] for name in ("abs", "arg")], axis=1)
-            known = multipliers if np.isfinite(multipliers).all() else None
-            found[which] = replace(cell, lane=first + int(which), multipliers=known)
+            found[which] = replace(cell, lane=first + int(which), multipliers=_multipliers(features, int(which)))
     return found
+
+
+def _multipliers(features: Features, lane: int) -> np.ndarray | None:
+    """Moduli and arguments of a lane's multipliers, None where there are none."""
+    if "multiplier_abs" not in features:
+        return None
+    both = np.stack([features[f"multiplier_{name}"][lane] for name in ("abs", "arg")], axis=1)
+    return both if np.isfinite(both).all() else None
+
+
+def _why_not(sweep: Sweep, features: Features, parameters: dict[str, np.ndarray]) -> list[str]:
+    """Why each lane has no motion, if it has none."""
+    why = np.full(len(features["finite"]), "its motion was not found", object)
+    why[~features["finished"]] = "failed: it took too many steps"
+    why[~features["finite"]] = "failed: it is not finite"
+    refusal = sweep.system.refused(parameters)
+    if refusal is not None:
+        why[np.broadcast_to(np.asarray(refusal[1]), why.shape)] = f"refused: {refusal[0].replace('-', ' ')}"
+    return [str(text) for text in why]
 
 
 def _begins(
@@ -121,19 +139,20 @@ def _begins(
     first, end = lanes
     scene, count = sweep.system, end - first
     driving = scene.driving_part()
-    orbit = features["orbit_cycles"] > 0
+    orbit = features["orbit_cycles"] > 0 if "orbit_cycles" in features else np.zeros(count, bool)
     state = np.zeros((len(scene.states), count))
     unknown = np.zeros(count, bool)
     for name in driving.return_states:
         last = features.get(f"last_{name}", np.full(count, np.nan))
-        row = np.where(orbit, features[orbit_name(name)], last)
+        row = np.where(orbit, features.get(orbit_name(name), last), last)
         unknown |= ~np.isfinite(row)
         state[scene.place(name)] = row
     if not driving.return_states:
         unknown[:] = True
     period = features["period"] if "period" in features else 1 / parameters.get("frequency", np.full(count, np.nan))
     unknown |= ~(np.isfinite(period) & (period > 0))
-    cycles = np.where(orbit, features["orbit_cycles"], features.get("cycles", np.zeros(count)))
+    zero = np.zeros(count)
+    cycles = np.where(orbit, features.get("orbit_cycles", zero), features.get("cycles", zero))
     returns = np.where(unknown, 0, np.where(cycles > 0, np.maximum(cycles, 1), SHOWN)).astype(int)
     repeats = ~unknown & (cycles > 0)
     before = np.where(unknown, 0.0, (DRIVEN_RETURNS if driving is not scene else 0) * period)
@@ -234,6 +253,25 @@ def _passes(scene: Scene[Any], c: Any, record: Record, hits: dict[str, np.ndarra
     return passed
 
 
+def _along_motion(record: Record, begin: float, duration: float, count: int) -> np.ndarray:
+    """So many times and one more, evenly spaced along the motion: along time and along what the states pass, each over
+    its swing. A blow that takes a hundredth of the time has more than a hundredth of them."""
+    fractions = np.arange(_FINE) / _FINE
+    times = (record.start[:, None] + record.dt[:, None] * fractions).ravel()
+    times = np.unique(np.concatenate([times[(times > begin) & (times < begin + duration)], [begin, begin + duration]]))
+    states, _, _ = sample(record, times)
+    states = np.asarray(states)
+    swing = np.ptp(states, axis=1)
+    moving = swing > 1e-12 * np.abs(states).max(axis=1)
+    passed = np.abs(np.diff(states[moving], axis=1)) / swing[moving][:, None]
+    steps = len(states) * np.diff(times) / duration + passed.sum(axis=0)
+    along = np.concatenate([[0.0], np.cumsum(steps)])
+    return np.interp(np.linspace(0.0, along[-1], count + 1), along, times)
+
+
+_FINE = 6
+"""Places in each step at which the way that the states pass is measured."""
+
 _URGENCE = ("section", "release", "slip", "stick", "impact")
 """Events of one instant: the last of them is shown."""
 
@@ -249,7 +287,7 @@ def _cell(scene: Scene[Any], record: Record, events: dict[str, np.ndarray], begi
         return Cell(-1, "none", "its motion could not be recorded: it took too many steps")
     even = min(EVEN * max(int(begin.returns), 1), MOST_EVEN)
     marked = record.hits.any(axis=1) & (end > from_) & (end < from_ + duration)
-    times = np.unique(np.concatenate([from_ + np.linspace(0.0, duration, even + 1), end[marked]]))
+    times = np.unique(np.concatenate([_along_motion(record, from_, duration, even), end[marked]]))
     least = duration * 1e-6
     times = times[np.concatenate([[True], np.diff(times) > least])]
     states, modes, step_of = sample(record, times)
