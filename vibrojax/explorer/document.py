@@ -17,7 +17,7 @@ from vibrojax.plot._attractors import COLOURS as ATTRACTOR_COLOURS
 from vibrojax.plot._axes import certified_text, is_geometric, point_text, pretty_unit, scale, symbol
 from vibrojax.plot._borders import LINES, axes_of, beyond, check_borders
 from vibrojax.plot._colours import REGIME_COLOURS, Value, flag_names, value_of
-from vibrojax.plot._contents import POINT, START, axes_of_map
+from vibrojax.plot._contents import POINT, START, axes_of_map, has_regimes, long_axes
 from vibrojax.plot._maps import REGION
 from vibrojax.plot._starts import described, on_axes
 from vibrojax.plot.style import OTHER_COLOURS
@@ -71,6 +71,9 @@ def grid_document(ds: xr.Dataset, sweep: Sweep | None = None) -> Document:
 
 def _view(ds: xr.Dataset) -> list[str]:
     """The directions of the first map, as in the picture; none where that has no map over two axes."""
+    long = long_axes(ds)
+    if len(long) > 1 and not has_regimes(ds):
+        return list(long[:2])
     try:
         return list(axes_of_map(ds, None, None))
     except InputError:

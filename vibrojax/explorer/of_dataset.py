@@ -14,8 +14,7 @@ from vibrojax.explorer.trajectory import cell_of
 from vibrojax.families.stretches import is_families
 from vibrojax.found_orbits import sweep_of_dataset
 from vibrojax.input.definition import Sweep
-from vibrojax.plot._borders import is_borders
-from vibrojax.plot._contents import contents
+from vibrojax.plot._contents import contents, is_borders
 from vibrojax.sweep import run_sweep
 
 MOST_MOTIONS = 40_000

@@ -198,7 +198,7 @@ class Page {
   draw() {
     if (!this.shown.x) { this.drawWhole(); return; }
     const x = this.direction(this.shown.x), y = this.direction(this.shown.y), { region, borders } = this.shown;
-    this.element.querySelector(".vx-map").classList.toggle("vx-low", !y || (y.column === y.axis && y.axis.values.length < 4));
+    this.element.querySelector(".vx-map").classList.toggle("vx-low", !y || (!y.column.numeric && y.axis.values.length < 4));
     this.view.draw({ x, y, variable: this.variable, cell: this.cell, region, borders: borders !== "off" && borders });
     this.drawLegend();
     this.drawSlices();
