@@ -22,7 +22,7 @@ so (deflated, in base64), a server answers with a block of one, a widget sends t
                           "section_scales": [least, greatest] of each of them
                           "numbers":      {variable: value}, only of what was simulated live}]}
 
-    numbers = of each cell its times, its columns, its section's columns, each a 16-bit integer: times from 0 to 65,535
+    numbers = of each cell its times, its columns, its section's columns, each a 16-bit integer: times from 0 to 16,383
               over the duration, states from 0 to `LEVELS` between least and greatest. Times and columns are stored as
               second differences (modulo 2^16), section columns as they are.
     flags   = one byte a sample: bits 0 to 2 the event at it (an index into `EVENTS`), bit 3 whether the bit sticks,
@@ -49,7 +49,7 @@ STUCK, TOUCHING = 8, 16
 LEVELS = 2047
 """Steps between the least and the greatest value of a column: finer than any screen shows it."""
 
-_TIMES = 65535
+_TIMES = 16383
 
 Samples = Float[np.ndarray, " samples"]
 

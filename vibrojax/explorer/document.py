@@ -1,4 +1,4 @@
-"""What a page knows of a dataset over axes: a sweep, its orbits, attractors, a fit; `vibrojax.explorer` has the form."""
+"""What a page knows of a dataset over axes: a sweep, orbits, attractors, a fit; `vibrojax.explorer` has the form."""
 
 import json
 import tomllib
@@ -9,6 +9,7 @@ import xarray as xr
 from matplotlib import colormaps
 from matplotlib.colors import LogNorm, to_hex
 
+from vibrojax.errors import InputError
 from vibrojax.explorer.packed import packed
 from vibrojax.input.definition import Sweep
 from vibrojax.plot._attractors import BEYOND
@@ -16,9 +17,9 @@ from vibrojax.plot._attractors import COLOURS as ATTRACTOR_COLOURS
 from vibrojax.plot._axes import certified_text, is_geometric, point_text, pretty_unit, scale, symbol
 from vibrojax.plot._borders import LINES, axes_of, beyond, check_borders
 from vibrojax.plot._colours import REGIME_COLOURS, Value, flag_names, value_of
-from vibrojax.plot._contents import POINT, START
+from vibrojax.plot._contents import POINT, START, axes_of_map, has_regimes, long_axes
 from vibrojax.plot._maps import REGION
-from vibrojax.plot._starts import on_axes
+from vibrojax.plot._starts import described, on_axes
 from vibrojax.plot.style import OTHER_COLOURS
 
 Document = dict[str, Any]
@@ -43,7 +44,7 @@ def grid_document(ds: xr.Dataset, sweep: Sweep | None = None) -> Document:
     """The document of a dataset over axes; `sweep`: the one it is of, if any."""
     ds = with_lanes(ds, sweep)
     if START in ds.dims and START in ds.coords:
-        ds = on_axes(ds)
+        ds = described(on_axes(ds))
     names = _shown(ds)
     if not names:
         return {}
@@ -63,8 +64,20 @@ def grid_document(ds: xr.Dataset, sweep: Sweep | None = None) -> Document:
         "region": {name: list(ends) for name, ends in REGION.items()},
         "run": run_document(ds, sweep),
         "curves": None,
+        "view": _view(ds),
         "cells": None,
     }
+
+
+def _view(ds: xr.Dataset) -> list[str]:
+    """The directions of the first map, as in the picture; none where that has no map over two axes."""
+    long = long_axes(ds)
+    if len(long) > 1 and not has_regimes(ds):
+        return list(long[:2])
+    try:
+        return list(axes_of_map(ds, None, None))
+    except InputError:
+        return []
 
 
 def about(ds: xr.Dataset) -> Document:

@@ -31,13 +31,13 @@ from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Lane, Located, lane_at
 from vibrojax.store.variables import orbit_name
 from vibrojax.workers.work import quiet
 
-SHOWN = 6
+SHOWN = 5
 """Returns that are shown of a lane that does not repeat."""
 
 PASSED = 48
 """Returns of it whose states at the section are shown."""
 
-EVEN, MOST_EVEN = 64, 216
+EVEN, MOST_EVEN = 56, 180
 """Evenly spaced samples a return, and of all returns at most, beside those at events."""
 
 LANES = 128
@@ -51,6 +51,10 @@ STILL = 2.0
 
 STEPS = Accuracy(tolerance=1e-9, stride=LOCATED_STRIDE, step=np.inf)
 """Of what is recorded."""
+
+
+Steps = dict[str, np.ndarray]
+"""The columns of a record by their names, those of many lanes with an axis of lanes last."""
 
 
 class Begin(NamedTuple):
@@ -70,12 +74,12 @@ def motions(sweep: Sweep, progress: bool = True) -> Iterator[Cell]:
 
     The sweep is run again, in its own chunks, with orbits; of its lanes one repeat is recorded, or some returns.
     """
-    asked = replace(sweep, run=replace(sweep.run, orbits=True))
-    orbits = Orbits(asked)
     names = sweep.system.driving_part().return_states
+    asked = replace(sweep, run=replace(sweep.run, orbits=bool(names)))
+    orbits = Orbits(asked) if names else None
 
     def beyond(first: int, end: int, features: Features) -> Features:
-        found = features | orbits(first, end, features)
+        found = features | (orbits(first, end, features) if orbits is not None else {})
         last = {f"last_{name}": _newest(features[state_name(name)]) for name in names if state_name(name) in features}
         return {
             name: x for name, x in (found | last).items() if x.ndim == 1 or name in ("multiplier_abs", "multiplier_arg")
@@ -99,8 +103,9 @@ def _cells(sweep: Sweep, chunks: Chunks, lanes: tuple[int, int], features: Featu
     first, end = lanes
     parameters, _ = sweep.lane_values(first, end)
     begin = _begins(sweep, chunks, lanes, features, parameters)
-    found: list[Cell] = [Cell(lane, "none", "its motion was not found") for lane in range(first, end)]
+    found = [Cell(lane, "none", why) for lane, why in enumerate(_why_not(sweep, features, parameters), first)]
     usable = np.isfinite(begin.state).all(axis=0) & np.isfinite(begin.whole) & (begin.whole > 0)
+    usable &= np.array([not cell.note.startswith(("refused", "failed")) for cell in found])
     order = np.flatnonzero(usable)
     order = order[np.argsort(begin.whole[order] / np.maximum(begin.duration[order], 1e-9), kind="stable")]
     for at in range(0, len(order), LANES):
@@ -108,10 +113,27 @@ def _cells(sweep: Sweep, chunks: Chunks, lanes: tuple[int, int], features: Featu
         given = {name: x[some] for name, x in parameters.items()}
         part = Begin(*(x[..., some] for x in begin))
         for which, cell in zip(some, recorded(sweep.system, given, part), strict=True):
-            multipliers = np.stack([features[f"multiplier_{name}"][which] for name in ("abs", "arg")], axis=1)
-            known = multipliers if np.isfinite(multipliers).all() else None
-            found[which] = replace(cell, lane=first + int(which), multipliers=known)
+            found[which] = replace(cell, lane=first + int(which), multipliers=_multipliers(features, int(which)))
     return found
+
+
+def _multipliers(features: Features, lane: int) -> np.ndarray | None:
+    """Moduli and arguments of a lane's multipliers, None where there are none."""
+    if "multiplier_abs" not in features:
+        return None
+    both = np.stack([features[f"multiplier_{name}"][lane] for name in ("abs", "arg")], axis=1)
+    return both if np.isfinite(both).all() else None
+
+
+def _why_not(sweep: Sweep, features: Features, parameters: dict[str, np.ndarray]) -> list[str]:
+    """Why each lane has no motion, if it has none."""
+    why = np.full(len(features["finite"]), "its motion was not found", object)
+    why[~features["finished"]] = "failed: it took too many steps"
+    why[~features["finite"]] = "failed: it is not finite"
+    refusal = sweep.system.refused(parameters)
+    if refusal is not None:
+        why[np.broadcast_to(np.asarray(refusal[1]), why.shape)] = f"refused: {refusal[0].replace('-', ' ')}"
+    return [str(text) for text in why]
 
 
 def _begins(
@@ -121,19 +143,20 @@ def _begins(
     first, end = lanes
     scene, count = sweep.system, end - first
     driving = scene.driving_part()
-    orbit = features["orbit_cycles"] > 0
+    orbit = features["orbit_cycles"] > 0 if "orbit_cycles" in features else np.zeros(count, bool)
     state = np.zeros((len(scene.states), count))
     unknown = np.zeros(count, bool)
     for name in driving.return_states:
         last = features.get(f"last_{name}", np.full(count, np.nan))
-        row = np.where(orbit, features[orbit_name(name)], last)
+        row = np.where(orbit, features.get(orbit_name(name), last), last)
         unknown |= ~np.isfinite(row)
         state[scene.place(name)] = row
     if not driving.return_states:
         unknown[:] = True
     period = features["period"] if "period" in features else 1 / parameters.get("frequency", np.full(count, np.nan))
     unknown |= ~(np.isfinite(period) & (period > 0))
-    cycles = np.where(orbit, features["orbit_cycles"], features.get("cycles", np.zeros(count)))
+    zero = np.zeros(count)
+    cycles = np.where(orbit, features.get("orbit_cycles", zero), features.get("cycles", zero))
     returns = np.where(unknown, 0, np.where(cycles > 0, np.maximum(cycles, 1), SHOWN)).astype(int)
     repeats = ~unknown & (cycles > 0)
     before = np.where(unknown, 0.0, (DRIVEN_RETURNS if driving is not scene else 0) * period)
@@ -172,10 +195,10 @@ def recorded(scene: Scene[Any], parameters: dict[str, np.ndarray], begin: Begin)
             parts.append({name: np.asarray(x) for name, x in part.items()})
             if not (np.asarray(lane.clock.until(begin.whole)) > 0).any():
                 break
-        record = Record(**{name: np.concatenate([part[name] for part in parts]) for name in Record._fields})
+        record = {name: np.concatenate([part[name] for part in parts]) for name in Record._fields}
         events = _events(scene, constants, record)
     for at in range(lanes):
-        alone = Record(*(x[..., at] for x in record))
+        alone = {name: x[..., at] for name, x in record.items()}
         own = {name: mask[:, at] for name, mask in events.items()}
         yield _cell(scene, alone, own, Begin(*(x[..., at] for x in begin)))
 
@@ -183,22 +206,22 @@ def recorded(scene: Scene[Any], parameters: dict[str, np.ndarray], begin: Begin)
 STEPS_AT_ONCE = 64
 
 
-def _events(scene: Scene[Any], c: Any, record: Record) -> dict[str, np.ndarray]:
+def _events(scene: Scene[Any], c: Any, record: Steps) -> dict[str, np.ndarray]:
     """Which steps (steps, lanes) end on what, by the names of `EVENTS`."""
-    hits = {name: record.hits[:, at] for at, name in enumerate(scene.event_names)}
+    hits = {name: record["hits"][:, at] for at, name in enumerate(scene.event_names)}
     masks: dict[str, np.ndarray] = {}
     if isinstance(scene, HasFriction):
-        slip = record.mode[:, scene.mode_place("slip")]
+        slip = record["mode"][:, scene.mode_place("slip")]
         after = np.concatenate([slip[1:], slip[-1:]])
         masks["stick"] = hits["friction"] & (slip != 0) & (after == 0)
         masks["slip"] = hits["friction"] & (after != 0)
-    shape = record.dt.shape
+    shape = record["dt"].shape
     if isinstance(scene, HasContact):
         flat = _along_steps(c, shape)
-        modes, states = (tuple(np.moveaxis(x, 1, 0).reshape(x.shape[1], -1)) for x in (record.mode, record.after))
+        modes, states = (tuple(np.moveaxis(x, 1, 0).reshape(x.shape[1], -1)) for x in (record["mode"], record["after"]))
         flags = {name: mask.ravel() for name, mask in hits.items()}
         masks["impact"] = np.asarray(impact_begins(scene, flat, modes, states, flags)).reshape(shape)
-        masks["release"] = hits["contact"] & (record.mode[:, scene.mode_place("touching")] != 0)
+        masks["release"] = hits["contact"] & (record["mode"][:, scene.mode_place("touching")] != 0)
     masks["section"] = _passes(scene, c, record, hits)
     return masks
 
@@ -210,20 +233,20 @@ def _along_steps(c: Any, shape: tuple[int, ...]) -> Any:
     return jax.tree.map(lambda x: np.broadcast_to(np.asarray(x), shape).ravel(), c)
 
 
-def _passes(scene: Scene[Any], c: Any, record: Record, hits: dict[str, np.ndarray]) -> np.ndarray:
+def _passes(scene: Scene[Any], c: Any, record: Steps, hits: dict[str, np.ndarray]) -> np.ndarray:
     """Steps that end on the section, having been beyond the level that re-arms it; under pulses, where one begins."""
-    shape = record.dt.shape
+    shape = record["dt"].shape
     section = scene.section
     if section is None:
         begins = getattr(scene, "pulse_begins", None)
         if begins is None or "pulse" not in hits:
             return np.zeros(shape, bool)
-        return np.asarray(begins(c, tuple(np.moveaxis(record.mode, 1, 0)), hits))
+        return np.asarray(begins(c, tuple(np.moveaxis(record["mode"], 1, 0)), hits))
     sign, marker = 1.0 if section.rising else -1.0, scene.marker_of(section.velocity)
-    falling = record.falling[:, scene.marker_names.index(marker)]
+    falling = record["falling"][:, scene.marker_names.index(marker)]
     returns = hits[marker] & (~falling if section.rising else falling)
-    tau = np.where(record.dt > 0, record.dt / np.where(record.h > 0, record.h, 1), 0)
-    series = np.moveaxis(record.polynomials[:, scene.place(section.velocity)], 1, 0)
+    tau = np.where(record["dt"] > 0, record["dt"] / np.where(record["h"] > 0, record["h"], 1), 0)
+    series = np.moveaxis(record["polynomials"][:, scene.place(section.velocity)], 1, 0)
     least = np.asarray(lowest_velocity([sign * one.ravel() for one in series], tau.ravel())).reshape(shape)
     low = least < sign * np.asarray(section.rearm(c))
     armed, passed = np.zeros(shape[1], bool), np.zeros(shape, bool)
@@ -234,22 +257,44 @@ def _passes(scene: Scene[Any], c: Any, record: Record, hits: dict[str, np.ndarra
     return passed
 
 
+def _along_motion(record: Record, begin: float, duration: float, count: int) -> np.ndarray:
+    """So many times and one more, evenly spaced along the motion: along time and along what the states pass, each over
+    its swing. A blow that takes a hundredth of the time has more than a hundredth of them."""
+    fractions = np.arange(_FINE) / _FINE
+    times = (np.asarray(record.start)[:, None] + np.asarray(record.dt)[:, None] * fractions).ravel()
+    times = np.unique(np.concatenate([times[(times > begin) & (times < begin + duration)], [begin, begin + duration]]))
+    states, _, _ = sample(record, times)
+    states = np.asarray(states)
+    swing = np.ptp(states, axis=1)
+    moving = swing > 1e-12 * np.abs(states).max(axis=1)
+    passed = np.abs(np.diff(states[moving], axis=1)) / swing[moving][:, None]
+    steps = len(states) * np.diff(times) / duration + passed.sum(axis=0)
+    along = np.concatenate([[0.0], np.cumsum(steps)])
+    return np.interp(np.linspace(0.0, along[-1], count + 1), along, times)
+
+
+_FINE = 6
+"""Places in each step at which the way that the states pass is measured."""
+
 _URGENCE = ("section", "release", "slip", "stick", "impact")
 """Events of one instant: the last of them is shown."""
 
 
-def _cell(scene: Scene[Any], record: Record, events: dict[str, np.ndarray], begin: Begin) -> Cell:
+def _cell(scene: Scene[Any], steps: Steps, events: dict[str, np.ndarray], begin: Begin) -> Cell:
     """One lane's cell from its steps."""
-    taken = (record.dt > 0) | record.hits.any(axis=1)
-    record = Record(*(x[taken] for x in record))
-    end = record.start + record.dt
+    taken = (steps["dt"] > 0) | steps["hits"].any(axis=1)
+    steps = {name: x[taken] for name, x in steps.items()}
+    record = Record(**steps)
+    end = steps["start"] + steps["dt"]
     reached = float(end[-1]) if len(end) else 0.0
     from_, duration = float(begin.before), float(begin.duration)
-    if not len(end) or reached < from_ + 0.999 * duration or not np.isfinite(record.after).all():
+    if not begin.returns:  # of what passes no section, as much as was recorded
+        duration = min(duration, reached)
+    if not duration > 0 or reached < from_ + 0.999 * duration or not np.isfinite(steps["after"]).all():
         return Cell(-1, "none", "its motion could not be recorded: it took too many steps")
     even = min(EVEN * max(int(begin.returns), 1), MOST_EVEN)
-    marked = record.hits.any(axis=1) & (end > from_) & (end < from_ + duration)
-    times = np.unique(np.concatenate([from_ + np.linspace(0.0, duration, even + 1), end[marked]]))
+    marked = steps["hits"].any(axis=1) & (end > from_) & (end < from_ + duration)
+    times = np.unique(np.concatenate([_along_motion(record, from_, duration, even), end[marked]]))
     least = duration * 1e-6
     times = times[np.concatenate([[True], np.diff(times) > least])]
     states, modes, step_of = sample(record, times)
@@ -268,7 +313,7 @@ def _cell(scene: Scene[Any], record: Record, events: dict[str, np.ndarray], begi
     last = from_ + duration + least if begin.orbit else np.inf
     passed = np.flatnonzero(events["section"][taken] & (end > from_ + least) & (end < last))[:PASSED]
     names = [name for name in scene.driving_part().return_states if name in scene.state_names]
-    section = {name: record.after[passed, scene.place(name)] for name in names} if len(passed) else {}
+    section = {name: steps["after"][passed, scene.place(name)] for name in names} if len(passed) else {}
     columns = tuple(Column(name, one.unit, one.long_name) for name, one in shown.items())
     kind = "orbit" if begin.orbit else "motion"
     return Cell(

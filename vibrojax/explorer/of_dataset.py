@@ -12,10 +12,9 @@ from vibrojax.explorer.motions import motions
 from vibrojax.explorer.single import motion_document
 from vibrojax.explorer.trajectory import cell_of
 from vibrojax.families.stretches import is_families
-from vibrojax.found_orbits import sweep_with_orbits
+from vibrojax.found_orbits import sweep_of_dataset
 from vibrojax.input.definition import Sweep
-from vibrojax.plot._borders import is_borders
-from vibrojax.plot._contents import contents
+from vibrojax.plot._contents import contents, is_borders
 from vibrojax.sweep import run_sweep
 
 MOST_MOTIONS = 40_000
@@ -29,7 +28,7 @@ def explored(
     if not isinstance(ds, xr.Dataset):
         raise InputError(f"{shown(ds)} is no dataset; open it first: vj.open_dataset(PATH)")
     if over is None and is_borders(ds):
-        return run_sweep(_sweep_or_fail(ds), progress=progress), ds
+        return run_sweep(sweep_of_dataset(ds, orbits=False), progress=progress), ds
     return ds, over
 
 
@@ -75,10 +74,6 @@ def _sweep(ds: xr.Dataset) -> tuple[Sweep | None, str]:
     if "sweep" not in ds.attrs:
         return None, "the dataset is of no sweep, so that it has no motions"
     try:
-        return _sweep_or_fail(ds), ""
+        return sweep_of_dataset(ds, orbits=False), ""
     except InputError as error:
         return None, f"its motions cannot be computed: {str(error).removeprefix('orbits: ')}"
-
-
-def _sweep_or_fail(ds: xr.Dataset) -> Sweep:
-    return sweep_with_orbits(ds)

@@ -18,9 +18,9 @@ def packed(values: np.ndarray) -> dict[str, object]:
     """
     kind = "f4" if values.dtype.kind == "f" else "i1" if _fits(values) else "i4"
     array = _rounded(values) if kind == "f4" else values.astype(kind)
-    planes = np.ascontiguousarray(array).astype(f"<{kind}").reshape(-1).view(np.uint8)
-    planes = planes.reshape(-1, np.dtype(kind).itemsize).T
-    return {"dtype": kind, "shape": list(values.shape), "data": deflated(planes.tobytes())}
+    content = np.frombuffer(np.ascontiguousarray(array).astype(f"<{kind}").tobytes(), np.uint8)
+    planes = content.reshape(-1, np.dtype(kind).itemsize).T.tobytes()
+    return {"dtype": kind, "shape": list(values.shape), "data": deflated(planes)}
 
 
 def deflated(content: bytes) -> str:

@@ -19,8 +19,8 @@ _SAME = 1e-3
 def cell_of(motion: xr.Dataset, lane: int = -1) -> Cell:
     """The cell of a trajectory.
 
-    **Arguments:** `motion`: what `simulate` gives; one of a solver of diffrax has no events, and shows its last seconds;
-    `lane`: its number, -1 for what was simulated live.
+    **Arguments:** `motion`: what `simulate` gives; one of a solver of diffrax has no events, and shows its last
+    seconds; `lane`: its number, -1 for what was simulated live.
 
     **Returns:** a cell with `numbers`: what was found in the motion, by the names of a sweep's variables.
     """
@@ -84,7 +84,7 @@ def _pulses(motion: xr.Dataset, end: float) -> Float[np.ndarray, " pulses"]:
 
 
 def _pulses_in_repeat(motion: xr.Dataset, pulses: np.ndarray) -> int:
-    """After how many pulses the motion repeats, by what it does between the last two beginnings; 0: not after 1 to 8."""
+    """After how many pulses the motion repeats, by what it does before and after; 0: not after 1 to 8."""
     time = motion["time"].values
     states = [motion["v3"].values, motion["x3"].values - motion["x4"].values]
     for count in range(1, min(8, len(pulses) - 1) + 1):

@@ -64,7 +64,7 @@ def write_page(
 
 
 def blocks_of(cells: Iterable[Cell]) -> list[str]:
-    """Cells in blocks by their number, deflated, in base64: of the page's k-th line from k SIZE to before (k + 1) SIZE."""
+    """Cells in blocks by their number, `SIZE` in each, deflated, in base64: the lines of a page."""
     some: dict[int, list[Cell]] = {}
     for cell in cells:
         some.setdefault(cell.lane // SIZE, []).append(cell)

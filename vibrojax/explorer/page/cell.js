@@ -46,6 +46,12 @@ function stuckParts(cell, values) {
   return values.map((value, i) => (cell.flags[i] & STUCK || (i > 0 && cell.flags[i - 1] & STUCK) ? value : NaN));
 }
 
+/** By how much a state grows over what is shown, as the hole does; 0 where it comes back. */
+function growth(values) {
+  const [low, high] = limitsOf([values], 0), grown = values.at(-1) - values[0];
+  return Math.abs(grown) > 0.02 * (high - low) ? grown : 0;
+}
+
 const scaled = (values, factor) => Array.from(values, (x) => x * factor);
 
 export function drawPlane(canvas, cell, [position, velocity], k) {
@@ -68,7 +74,7 @@ export function drawHistory(canvas, cell, columns, isLast) {
   const times = [...cell.time, ...(twice === 2 ? Array.from(cell.time, (t) => t + length) : [])];
   const [ft, ut] = shownIn("s", [times.at(-1) ?? 1]);
   const every = columns.map((one) => cell.states[one.name]), [fy, uy] = shownIn(columns[0].units, every.flatMap((x) => [Math.min(...x), Math.max(...x)]));
-  const xs = scaled(times, ft), rows = every.map((x) => { const one = scaled(x, fy); return twice === 2 ? [...one, ...one] : one; });
+  const xs = scaled(times, ft), rows = every.map((x) => { const one = scaled(x, fy); return twice === 2 ? [...one, ...one.map((v) => v + growth(one))] : one; });
   framed(canvas, ink,
     { limits: [0, (xs.at(-1) ?? 1) || 1], label: isLast ? withUnit("time", ut) : "" },
     { limits: limitsOf(rows, 0.09), label: withUnit(columns.map((one) => symbolOf(one.name)).join(", "), uy) },
@@ -82,7 +88,19 @@ export function drawHistory(canvas, cell, columns, isLast) {
         }
         if (one.name === "x2" || one.name === "v2") markEvents(c, first, xs, rows[k], sx, sy, ink, ["impact"]);
       });
-    });
+    }, { left: 62 });
+}
+
+/** The whole course of a trajectory: states of one unit, from the beginning; a line where the observation begins. */
+export function drawCourse(canvas, course, columns, isLast) {
+  const ink = inkOf(canvas), [fy, uy] = shownIn(columns[0].units, columns.flatMap((one) => limitsOf([course[one.name]], 0)));
+  framed(canvas, ink,
+    { limits: [course.time[0], course.time.at(-1)], label: isLast ? "time [s]" : "" },
+    { limits: limitsOf(columns.map((one) => scaled(course[one.name], fy)), 0.06), label: withUnit(columns.map((one) => symbolOf(one.name)).join(", "), uy) },
+    (c, sx, sy, box) => {
+      columns.forEach((one, k) => line(c, course.time, scaled(course[one.name], fy), sx, sy, colourOf(ink, one.name, k), 0.9));
+      if (course.observed) line(c, [course.observed, course.observed], [sy.inverse(box.bottom), sy.inverse(box.top)], sx, sy, ink.ink, 1.2, [4, 3]);
+    }, { left: 62 });
 }
 
 /** Values at even times: of an orbit over one repeat, which closes on itself. */
@@ -101,6 +119,8 @@ export function resampled(cell, name, count) {
 /** Amplitudes of a motion at multiples of one over its duration, a Hann window over what does not repeat. */
 export function spectrumOf(cell, name, lines) {
   const count = 1024, values = resampled(cell, name, count), windowed = cell.kind !== "orbit";
+  const grown = growth(Array.from(cell.states[name]));
+  for (let i = 0; i < count; i++) values[i] -= (grown * i) / count;
   let mean = 0;
   for (const x of values) mean += x / count;
   for (let i = 0; i < count; i++) values[i] = (values[i] - mean) * (windowed ? 1 - Math.cos((2 * Math.PI * i) / count) : 1);

@@ -43,7 +43,7 @@ export function decodeCells(buffer) {
   };
   return header.cells.map((one) => {
     const cell = { ...one, columns, states: {}, section: {} };
-    cell.time = read(one.samples, true, 0, one.duration, 65535);
+    cell.time = read(one.samples, true, 0, one.duration, 16383);
     columns.forEach((column, k) => {
       const [least, greatest] = one.scales[k] ?? [0, 0];
       cell.states[column.name] = read(one.samples, true, least, greatest, 2047);

@@ -120,7 +120,9 @@ export function edgesOf(axis) {
 
 /** What stands along a direction. */
 export function labelOf(column) {
-  const words = column.label.replace(/\s*\([^)]*\)/g, "");
+  let words = column.label.replace(/\s*\([^)]*\)/g, "");
+  if (words.length > 44) words = words.split(",")[0];
+  if (words.length > 44) words = column.name.replaceAll("_", " ");
   const symbol = column.symbol && column.symbol !== column.name && column.symbol !== words ? `, ${column.symbol}` : "";
   return `${words}${symbol}${column.units ? ` [${column.units}]` : ""}`;
 }

@@ -1,5 +1,6 @@
 // The page: controls, map, slices and the chosen cell. `mount` is the door of page, server and widget.
-import { described, drawHistory, drawMultipliers, drawPlane, drawReturns, drawSpectrum, planesOf, symbolOf } from "./cell.js";
+import { described, drawCourse, drawHistory, drawMultipliers, drawPlane, drawReturns, drawSpectrum, planesOf, symbolOf } from "./cell.js";
+import { unpack } from "./decode.js";
 import { Grid } from "./grid.js";
 import { drawBar, MapView } from "./map.js";
 import { framed, inkOf, limitsOf, line, mark, numberText } from "./plots.js";
@@ -44,8 +45,12 @@ class Page {
     this.build();
     this.choose();
     this.restore(state);
-    await this.grid.load(this.shown.variable);
+    if (this.shown.variable) await this.grid.load(this.shown.variable);
     if (this.grid.variables.has("hidden_motion")) await this.grid.load("hidden_motion");
+    if (this.data.history) {
+      this.history = { time: await unpack(this.data.history.time), observed: this.data.history.observed_from };
+      for (const one of this.data.history.columns) this.history[one.name] = await unpack(one.data);
+    }
     this.fillControls();
     this.draw();
     this.resized = new ResizeObserver(() => this.redraw());
@@ -79,6 +84,7 @@ class Page {
     this.slices = el("div", { class: "vx-slices" });
     this.side = el("div", { class: "vx-side" });
     this.computing = this.source.attach?.(this) ?? null;
+    this.table = el("section", { class: "vx-table", "aria-label": "Numbers of the chosen cell" });
     this.view = new MapView(this.map, this.over, this.grid);
     this.theme = el("button", { type: "button", class: "vx-theme", onclick: () => this.switchScheme() });
     const notes = data.notes.length ? [el("p", { class: "vx-notes", text: data.notes.join(". ") })] : [];
@@ -88,7 +94,8 @@ class Page {
       el("div", { class: "vx-main" },
         el("section", { class: "vx-left", "aria-label": "Map" }, this.controls,
           el("div", { class: "vx-map" }, this.map, this.over, this.tip), this.legend, this.live, this.slices),
-        el("section", { class: "vx-side", "aria-label": "The chosen cell" }, ...(this.computing ? [this.computing.element] : []), this.side)),
+        el("section", { class: "vx-side", "aria-label": "The chosen cell" }, ...(this.computing ? [this.computing.element] : []), this.side),
+        this.table),
       el("footer", { class: "vx-foot" }, el("p", { text: `${data.scene}${data.source ? `, ${data.source}` : ""}. ` },),
         el("p", { text: "Click a cell, or give the map the focus and use the arrow keys (with Shift ten cells, Home and End the first and last). What is chosen stands in the address: a link restores it." })));
     this.listen();
@@ -141,7 +148,10 @@ class Page {
       controls.push(el("label", { for: one.id }, el("span", { text: label }), one));
     };
     select("variable", "Variable", [...grid.variables.values()].map((one) => [one.name, one.name.replaceAll("_", " ")]), shown.variable, (value) => this.show({ variable: value }));
-    const along = this.directions.filter((one) => this.along(one)), x = this.direction(shown.x), name = (one) => one.column.label.length < 26 ? one.column.label : one.column.symbol;
+    const along = this.directions.filter((one) => this.along(one)), x = this.direction(shown.x), name = (one) => {
+      const { label, symbol } = one.column, whole = symbol === one.column.name || symbol === label ? label : `${label}, ${symbol}`;
+      return whole.length < 30 ? whole : label.length < 26 && along.filter((other) => other.column.label === label).length === 1 ? label : symbol;
+    };
     if (along.length > 1) {
       select("x", "To the right", along.map((one) => [one.id, name(one)]), shown.x, (value) => this.show({ x: value }));
       const ups = along.filter((one) => Grid.together(x, one));
@@ -171,7 +181,7 @@ class Page {
     if (focus && focus !== "") this.controls.querySelector(`[data-control="${focus}"]`)?.focus();
   }
 
-  facets() { return this.grid.facets(this.shown.variable, this.direction(this.shown.x), this.direction(this.shown.y)); }
+  facets() { return !this.variable ? [] : this.grid.facets(this.shown.variable, this.direction(this.shown.x), this.direction(this.shown.y)); }
 
   /** Show another variable, other directions, or lay something over. */
   async show(changes) {
@@ -188,8 +198,9 @@ class Page {
   }
 
   draw() {
+    if (!this.shown.x) { this.drawWhole(); return; }
     const x = this.direction(this.shown.x), y = this.direction(this.shown.y), { region, borders } = this.shown;
-    this.element.querySelector(".vx-map").classList.toggle("vx-low", !y);
+    this.element.querySelector(".vx-map").classList.toggle("vx-low", !y || (!y.column.numeric && y.axis.values.length < 4));
     this.view.draw({ x, y, variable: this.variable, cell: this.cell, region, borders: borders !== "off" && borders });
     this.drawLegend();
     this.drawSlices();
@@ -198,6 +209,18 @@ class Page {
   redraw() {
     this.draw();
     this.current?.draw?.();
+  }
+
+  /** In place of a map: a trajectory from its beginning. */
+  drawWhole() {
+    const { history } = this.data;
+    this.element.querySelector(".vx-map").hidden = true;
+    this.controls.hidden = this.live.hidden = true;
+    if (!history || !this.history) return;
+    const units = [...new Set(history.columns.map((one) => one.units))];
+    if (!this.slices.childElementCount)
+      this.slices.replaceChildren(...units.map((unit) => el("figure", { class: "vx-whole" }, el("figcaption", { text: history.columns.filter((one) => one.units === unit).map((one) => one.long_name).join(", ") }), el("canvas", { role: "img", "aria-label": "The whole course over time" }))));
+    units.forEach((unit, k) => drawCourse(this.slices.children[k].querySelector("canvas"), this.history, history.columns.filter((one) => one.units === unit), k === units.length - 1));
   }
 
   /** The cells of the plane that is shown. */
@@ -233,10 +256,10 @@ class Page {
       for (const kind of [...new Set(curves.list.filter((one) => this.view.onPlane(one)).map((one) => one.kind))])
         found.push(el("li", {}, el("span", { class: "vx-dash", style: `border-color:${curves.colours[kind]}` }), kind));
     if (family) {
-      found.push(el("li", {}, el("span", { class: "vx-dash", style: `border-color:${family.colours[0]}` }), "stable"), el("li", {}, el("span", { class: "vx-dash vx-dashed", style: `border-color:${family.colours[0]}` }), "not stable"));
+      found.push(el("li", {}, el("span", { class: "vx-dash", style: `border-color:${family.runs[0]?.colour}` }), "stable"), el("li", {}, el("span", { class: "vx-dash vx-dashed", style: `border-color:${family.runs[0]?.colour}` }), "not stable"));
       for (const kind of [...new Set(family.special.map((one) => one.kind))]) found.push(el("li", {}, el("span", { class: "vx-swatch vx-round", style: `background:${family.kinds[kind]}` }), kind));
     }
-    if (this.variable.name === "regime" && this.grid.variables.has("hidden_motion")) found.push(el("li", {}, el("span", { class: "vx-dot" }), "another start: same label, other motion"));
+    if (this.variable.name === "regime" && this.grid.variables.has("hidden_motion") && [...this.plane()].some((cell) => this.grid.value("hidden_motion", cell) === 1)) found.push(el("li", {}, el("span", { class: "vx-dot" }), "another start: same label, other motion"));
     return found;
   }
 
@@ -320,6 +343,7 @@ class Page {
   }
 
   say() {
+    if (!this.shown.x) return;
     const main = this.variable, text = `${this.grid.cellText(this.cell)}: ${main.name.replaceAll("_", " ")} ${this.grid.valueText(main, this.grid.value(main.name, this.cell))}`;
     this.live.textContent = text;
   }
@@ -337,7 +361,8 @@ class Page {
     };
     if (motion && motion.kind !== "none") {
       const about = described(motion), planes = planesOf(motion.columns), inPlanes = new Set(planes.flat().map((one) => one.name));
-      planes.forEach((plane, k) => panel(`Phase plane of ${plane[0].long_name.replace(/^(position|displacement) of (the )?/, "the ").replace(/ \(.*/, "")}`, (canvas) => drawPlane(canvas, motion, plane, k), about));
+      const mass = (one) => one.long_name.replace(/^.*(position|displacement) of (the )?/, "").replace(/ (relative|\().*/, "");
+      planes.forEach((plane, k) => panel(`Phase plane, ${mass(plane[0])}`, (canvas) => drawPlane(canvas, motion, plane, k), about, planes.length === 1 ? "vx-wide vx-tall" : planes.length === 2 ? "vx-half" : ""));
       const units = [...new Set(motion.columns.map((one) => one.units))];
       units.forEach((unit, k) => { const some = motion.columns.filter((one) => one.units === unit);
         panel(k ? "" : motion.kind === "orbit" ? "Two cycles" : "Time history", (canvas) => drawHistory(canvas, motion, some, k === units.length - 1), `${some.map((one) => one.long_name).join(", ")} over time; ${about}`, "vx-wide"); });
@@ -354,7 +379,8 @@ class Page {
       if (motion.multipliers?.length) panel("Multipliers", (canvas) => drawMultipliers(canvas, motion), motion.multipliers.map(([modulus, argument]) => `modulus ${numberText(modulus)}, argument ${numberText(argument)} rad`).join("; "));
     }
     const keys = motion && motion.kind !== "none" ? [this.eventKeys(motion)] : [];
-    this.side.replaceChildren(head, ...keys, el("div", { class: "vx-panels" }, ...panels), this.commands(), this.numbers(motion));
+    this.side.replaceChildren(head, ...keys, el("div", { class: "vx-panels" }, ...panels), this.commands());
+    this.table.replaceChildren(this.numbers(motion));
     this.current = { motion, draw: () => draws.forEach((draw) => draw()) };
     this.current.draw();
     this.element.dataset.ready = String(this.asked);
@@ -375,7 +401,8 @@ class Page {
       if (value === undefined) continue;
       rows.push(el("tr", {}, el("th", { scope: "row", text: variable.long_name }), el("td", { "data-name": variable.name, "data-value": value, text: grid.valueText(variable, value, 5) })));
     }
-    return el("details", { class: "vx-numbers", open: true }, el("summary", { text: "Numbers" }), el("table", {}, el("tbody", {}, ...rows)));
+    const wasClosed = this.table.querySelector("details")?.open === false;
+    return el("details", { class: "vx-numbers", open: !wasClosed }, el("summary", { text: "Numbers" }), el("table", {}, el("tbody", {}, ...rows)));
   }
 
   /** The command line and the Python call of the cell. */

@@ -84,14 +84,16 @@ export function framed(canvas, ink, x, y, draw, options = {}) {
   c.font = `11px ${FONT}`;
   c.textBaseline = "middle";
   const textOf = (axis, value) => numberText(Math.abs(value) < 1e-12 * (axis.limits[1] - axis.limits[0]) ? 0 : value, 5);
-  const yTicks = y.ticks ?? ticks(...y.limits, Math.max(2, height / 45), y.log).map((v) => [v, textOf(y, v)]);
+  const yTicks = y.ticks ?? ticks(...y.limits, Math.max(3.2, height / 42), y.log).map((v) => [v, textOf(y, v)]);
   const wide = Math.max(0, ...yTicks.map(([, text]) => c.measureText(text).width));
   const left = Math.round(options.left ?? wide + (y.label ? 30 : 12)), bottom = x.label ? 36 : 20, top = options.top ?? 8;
   const box = { left, top, right: width - (options.right ?? 10), bottom: height - bottom };
   if (options.square) {
     const side = Math.min(box.right - box.left, box.bottom - box.top);
+    box.left += Math.max(0, (box.right - box.left - side) / 2);
     box.right = box.left + side;
-    box.top = box.bottom - side;
+    box.top += Math.max(0, (box.bottom - box.top - side) / 2);
+    box.bottom = box.top + side;
   }
   const sx = scaleOf(...x.limits, box.left, box.right, x.log), sy = scaleOf(...y.limits, box.bottom, box.top, y.log);
   const wanted = Math.max(2, (box.right - box.left) / 62);
@@ -128,7 +130,7 @@ export function framed(canvas, ink, x, y, draw, options = {}) {
   if (x.label) { c.textAlign = "center"; c.fillText(x.label, (box.left + box.right) / 2, box.bottom + 27, width - 8); }
   if (y.label) {
     c.save();
-    c.translate(9, (box.top + box.bottom) / 2);
+    c.translate(options.square ? Math.max(9, box.left - wide - 18) : 9, (box.top + box.bottom) / 2);
     c.rotate(-Math.PI / 2);
     c.textAlign = "center";
     c.fillText(y.label, 0, 0, height - 6);
