@@ -8,7 +8,7 @@ import pytest
 
 import vibrojax as vj
 from vibrojax.errors import InputError
-from vibrojax.explorer import _motions
+from vibrojax.explorer import _motions, cells
 from vibrojax.explorer._motions import Motions, motions_around, motions_of
 from vibrojax.explorer.cells import decode
 from vibrojax.kernels import made
@@ -60,8 +60,11 @@ def test_what_is_shown_lies_on_the_motion(motions):
     sections = motion["event_time"].values[motion["event_kind"].values == 5]
     assert cell.kind == "orbit" and cell.duration == pytest.approx(sections[-1] - sections[-1 - cell.returns], rel=1e-6)
     for name in ("x1", "v1", "x2", "v2"):
-        there = np.interp(sections[-1 - cell.returns] + cell.time, motion["time"], motion[name])
-        within = 2 * np.ptp(cell.states[name]) / 4095 + 1e-3 * np.ptp(there)
+        at = sections[-1 - cell.returns] + cell.time
+        there = np.interp(at, motion["time"], motion[name])
+        rate = np.abs(np.gradient(motion[name], motion["time"])).max()
+        # A state is as exact as its levels, at a time that is as exact as its own.
+        within = 0.6 * np.ptp(there) / cells.LEVELS + 0.6 * rate * cell.duration / cells._TIMES
         np.testing.assert_allclose(cell.states[name], there, atol=within)
 
 

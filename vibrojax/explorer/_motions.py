@@ -25,7 +25,7 @@ from vibrojax.physics.rock import ROCKS
 from vibrojax.plot._axes import pretty_unit, scale
 from vibrojax.scenes import Scene
 from vibrojax.simulation._measured import window
-from vibrojax.simulation._record import Record, check_size
+from vibrojax.simulation._record import check_size
 from vibrojax.simulation._recorded import Recorded, constants_at, recorded
 from vibrojax.stepping import Located, Wanted
 
@@ -207,13 +207,13 @@ def _cell(scene: Scene[Any], constants: Any, done: Recorded, duration: float, no
     if not np.isfinite(steps.after).all():
         raise InputError("explore: the motion is not finite; give values nearer to the usual ones")
     late = steps.start >= window(duration)[0]
-    last = Record(*(x[late, ..., None] for x in steps))
+    last = {name: np.asarray(x)[late, ..., None] for name, x in steps._asdict().items()}
     with precision("float64"):
         events = events_of(scene, constants, last)
-    ends = np.asarray(last.start + last.dt)[events["section"]]
+    ends = (last["start"] + last["dt"])[events["section"]]
     cycles = int(done.found["cycles"][1]) if "cycles" in done.found else 0
     begin = _begin(ends, cycles, duration)
-    alone = Record(*(x[..., 0] for x in last))
+    alone = {name: x[..., 0] for name, x in last.items()}
     cell = cell_of(scene, alone, {name: mask[:, 0] for name, mask in events.items()}, begin)
     numbers = {name: _plain(value) for name, (_, value, _) in done.found.items()}
     return replace(cell, note="; ".join(text for text in (cell.note, note) if text), numbers=numbers)
