@@ -258,7 +258,7 @@ def test_too_many_connections_are_sent_away(live, monkeypatch):
 
 
 def test_a_thousand_quick_clicks_are_answered_or_refused_in_order():
-    """Six at a time, as browsers do: who was overtaken is told so, the last one is answered, and nothing is out of order."""
+    """Six at a time, as browsers do: who was overtaken is told so, the last is answered, nothing is out of order."""
     answers = Slow(0.01)
     with served(answers) as live:
         next_number, lock, found = iter(range(1000)), threading.Lock(), {}

@@ -156,7 +156,8 @@ def test_without_anywidget_it_says_what_to_install(dataset, monkeypatch):
 
 HOST = """
 <!doctype html><div id="here"></div><script type="module">
-const text = await getModule(), module = await import(URL.createObjectURL(new Blob([text], { type: "text/javascript" })));
+const text = await getModule(), blob = new Blob([text], { type: "text/javascript" });
+const module = await import(URL.createObjectURL(blob));
 const state = JSON.parse(await getState()), heard = new Map();
 window.tell = (name, ...rest) => (heard.get(name) ?? []).forEach((one) => one(...rest));
 window.answer = (content, base64) => {
