@@ -10,7 +10,7 @@ from contextlib import contextmanager
 import pytest
 
 from vibrojax.errors import InputError
-from vibrojax.explorer import live as server
+from vibrojax.explorer import _loopback as server
 from vibrojax.explorer._turns import Busy, Closed, Superseded, Turns
 from vibrojax.explorer.live import Live, content_policy
 

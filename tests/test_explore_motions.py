@@ -122,8 +122,16 @@ def test_wrong_questions_are_refused_in_one_line(motions, asked, line):
 
 def test_a_motion_of_too_many_steps_is_given_up(motions, monkeypatch):
     monkeypatch.setattr(_motions, "MOST_STEPS", 512)
-    with pytest.raises(InputError, match="explore: .*512 steps.*shorter|512 steps"):
+    with pytest.raises(InputError, match=r"explore: over 512 steps led to .* s of 14 s; give a softer contact"):
         motions.answer({"parameters": {"k0": 300e6}}, never)
+
+
+def test_pulses_repeat():
+    """The bit under equal pulses is after each where it was after the one before, but deeper."""
+    cell = one(Motions("penetration", {"frequency": 25.0}, None, 2.0).answer({}, never))
+    assert (cell.kind, cell.returns, cell.duration) == ("orbit", 1, pytest.approx(0.04, rel=1e-6))
+    swept = Motions("penetration", {"pulse_shape": "sweep", "bias": 60e3}, None, 2.0)
+    assert one(swept.answer({}, never)).kind == "motion"
 
 
 def test_unusual_values_are_noted(motions):

@@ -25,7 +25,7 @@ from vibrojax.physics.rock import ROCKS
 from vibrojax.plot._axes import pretty_unit, scale
 from vibrojax.scenes import Scene
 from vibrojax.simulation._measured import window
-from vibrojax.simulation._record import check_size
+from vibrojax.simulation._record import BATCH, check_size
 from vibrojax.simulation._recorded import Recorded, constants_at, recorded
 from vibrojax.stepping import Located, Wanted
 
@@ -36,6 +36,9 @@ LONGEST = 60.0
 
 MOST_STEPS = 400_000
 """Of one motion, so that none takes seconds and gigabytes; a usual one has some thousands."""
+
+SAME, MOST_CYCLES = 1e-3, 8
+"""How near the states at pulses are to those that they repeat, over half their swings, and after how many pulses."""
 
 WIDE = 30.0
 """How many times the least usual value the greatest is where a slider is logarithmic."""
@@ -124,9 +127,21 @@ class Motions:
         with precision("float64"):
             constants = constants_at(PLACE, point, self._stepper)
             accuracy = self._stepper.accuracy(Wanted(1e-4, None, None), point.system)
-            most = check_size(PLACE, point.system, constants, self.duration, accuracy, self._stepper, 0)
-            most = min(most, MOST_STEPS)
-            return recorded(point, self._stepper, constants, accuracy, self.duration, check, most), constants
+            check_size(PLACE, point.system, constants, self.duration, accuracy, self._stepper, 0)
+            steps = 0
+
+            def tell(reached: float) -> None:
+                nonlocal steps
+                steps += BATCH
+                if check is not None:
+                    check()
+                if steps > MOST_STEPS:
+                    raise PLACE.error(
+                        f"over {MOST_STEPS} steps led to {reached:.3g} s of {self.duration:g} s; "
+                        "give a softer contact, or less damping"
+                    )
+
+            return recorded(point, self._stepper, constants, accuracy, self.duration, tell), constants
 
     def warm(self) -> None:
         """Compile what motions need, by one of them."""
@@ -211,12 +226,29 @@ def _cell(scene: Scene[Any], constants: Any, done: Recorded, duration: float, no
     with precision("float64"):
         events = events_of(scene, constants, last)
     ends = (last["start"] + last["dt"])[events["section"]]
-    cycles = int(done.found["cycles"][1]) if "cycles" in done.found else 0
+    if "cycles" in done.found:
+        cycles = int(done.found["cycles"][1])
+    else:
+        cycles = _repeats(last["after"][..., 0], events["section"][:, 0], scene)
     begin = _begin(ends, cycles, duration)
     alone = {name: x[..., 0] for name, x in last.items()}
     cell = cell_of(scene, alone, {name: mask[:, 0] for name, mask in events.items()}, begin)
     numbers = {name: _plain(value) for name, (_, value, _) in done.found.items()}
     return replace(cell, note="; ".join(text for text in (cell.note, note) if text), numbers=numbers)
+
+
+def _repeats(after: np.ndarray, returns: np.ndarray, scene: Scene[Any]) -> int:
+    """After how many pulses the states repeat, as returns do; 0 where they do not.
+
+    **Arguments:** `after`: the states after each step (steps, states); `returns`: which of the steps a pulse ends on.
+    """
+    columns = after[:, [scene.place(name) for name in scene.driving_part().return_states]]
+    passed, swing = columns[returns], np.maximum(np.ptp(columns, axis=0), np.finfo(float).tiny) / 2
+    for cycles in range(1, MOST_CYCLES + 1):
+        away = np.abs(passed[cycles:] - passed[:-cycles]) / swing
+        if len(passed) > 3 * cycles and (away < SAME).all():
+            return cycles
+    return 0
 
 
 def _begin(returns: np.ndarray, cycles: int, duration: float) -> Begin:
