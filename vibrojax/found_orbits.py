@@ -16,6 +16,9 @@ from vibrojax.store.finished import IDENTITY, identity_text
 from vibrojax.store.shards import changes
 from vibrojax.sweep import run_sweep
 
+_OF_WHAT_WAS_FOUND = ("attractors", "borders")
+"""What a dataset's identity says beside the sweep's, where it is of what was found in it."""
+
 
 def orbits(
     source: xr.Dataset | str | PathLike[str] | Mapping[str, object] | Sweep, progress: bool = True
@@ -90,6 +93,7 @@ def sweep_of_dataset(dataset: xr.Dataset, orbits: bool = True) -> Sweep:
     sweep = read_sweep(tables, ["run.orbits=true"] if orbits else ())
     identity = sweep.identity()
     before = json.loads(str(dataset.attrs.get(IDENTITY, "{}")))
+    before = {name: value for name, value in before.items() if name not in _OF_WHAT_WAS_FOUND}
     wanted = {**before, "run.orbits": True} if orbits else before
     differing = changes(wanted, json.loads(identity_text(identity)))
     if before and differing:
