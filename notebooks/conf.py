@@ -1,7 +1,7 @@
 """How the site is built: `sphinx-build -W --keep-going -n notebooks build/site`.
 
-Pages are Markdown and notebooks, executed while it is built; what is executed is kept by the sources' fingerprint, so that
-a second build takes seconds. Nothing is fetched: equations are MathML, inventories of other sites are not asked for.
+Pages are Markdown and notebooks, executed while it is built; what they gave is kept by the fingerprint of the package, so
+that a second build takes seconds. Nothing is fetched: equations are MathML, other sites' inventories are not asked for.
 """
 
 import os

@@ -1,4 +1,4 @@
-"""The package's docstrings are Markdown; autodoc reads reStructuredText. What differs between the two in them, and no more."""
+"""The package's docstrings are Markdown, and autodoc reads reStructuredText: what differs between the two in them."""
 
 import re
 
@@ -15,7 +15,7 @@ def setup(app: Sphinx) -> dict[str, bool]:
 
 
 def rewrite(lines: list[str]) -> None:
-    """In place: references, emphasised stars of parameters, and indented code, which reStructuredText would take for a quote."""
+    """In place: references, and indented code, which reStructuredText would take for a quotation."""
     out: list[str] = []
     code = False
     for line in lines:

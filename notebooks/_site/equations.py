@@ -1,4 +1,4 @@
-"""Equations as MathML, which browsers draw by themselves: no script, no font and no request, and screen readers read it."""
+"""Equations as MathML, which browsers draw by themselves and screen readers read: no script, no font, no request."""
 
 from docutils import nodes
 from docutils.utils.math import MathError, latex2mathml
