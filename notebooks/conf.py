@@ -1,6 +1,6 @@
 """How the site is built: `sphinx-build -W --keep-going -n notebooks build/site`.
 
-Pages are Markdown and notebooks, executed while it is built; what they gave is kept by the fingerprint of the package, so
+Pages are Markdown and notebooks, executed while it is built; what they gave is kept by the package's fingerprint, so
 that a second build takes seconds. Nothing is fetched: equations are MathML, other sites' inventories are not asked for.
 """
 
@@ -57,6 +57,7 @@ myst_dmath_double_inline = True
 # Docstrings
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
+autodoc_preserve_defaults = True
 autodoc_default_options = {"members": True}
 default_role = "code"
 add_module_names = False
