@@ -28,6 +28,7 @@ extensions = [
     "sphinx_copybutton",
     "equations",
     "docstrings",
+    "tables",
 ]
 exclude_patterns = ["_site", ".ipynb_checkpoints"]
 nitpicky = True
