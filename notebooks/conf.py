@@ -29,6 +29,7 @@ extensions = [
     "equations",
     "docstrings",
     "tables",
+    "reproduction",
 ]
 exclude_patterns = ["_site", ".ipynb_checkpoints"]
 nitpicky = True
@@ -66,5 +67,6 @@ html_title = f"vibrojax {release}"
 html_static_path = ["_site/static"]
 html_css_files = ["site.css"]
 html_show_sphinx = False
+html_math_renderer = "mathml"
 copybutton_prompt_text = r">>> |\.\.\. |\$ "
 copybutton_prompt_is_regexp = True

@@ -1,5 +1,6 @@
 """Tables of what the code itself goes by: a directive `{code-table} NAME` writes one of those below onto a page."""
 
+import re
 from collections.abc import Callable, Iterable
 from dataclasses import asdict
 
@@ -25,13 +26,29 @@ def setup(app: Sphinx) -> dict[str, bool]:
 
 
 def of_all_scenes(listed: Callable[[str], pd.DataFrame]) -> pd.DataFrame:
-    """The tables of every scene as one, a row saying in which scenes it is as it stands there."""
+    """The tables of every scene as one, a row saying in which scenes, and with what, it is as it stands there."""
     parts = [listed(name).reset_index().assign(scenes=name) for name in vj.SCENES]
-    joined = pd.concat(parts).fillna("").astype({"scenes": str})
-    own = [column for column in joined.columns if column != "scenes"]
-    rows = joined.groupby(own, sort=False).scenes.agg(list).reset_index()
-    rows["scenes"] = ["all" if len(names) == len(vj.SCENES) else ", ".join(names) for names in rows.scenes]
+    joined = pd.concat(parts)
+    told = [column for column in ("where", "scenes") if column in joined.columns]
+    own = [column for column in joined.columns if column not in told]
+    rows = joined.groupby(own, sort=False)[told].agg(lambda values: [*dict.fromkeys(values)]).reset_index()
+    rows["scenes"] = [in_short(names) for names in rows.scenes]
+    if "where" in rows:
+        rows["where"] = [", ".join(CHOSEN.sub(r"\1", one) for one in places) for places in rows["where"]]
+        rows = rows.rename(columns={"where": "with"})
     return rows
+
+
+CHOSEN = re.compile(r'^\w+ = "([\w-]+)".*')
+"""The name in `friction = "stribeck" (eq. 5.9)`."""
+
+
+def in_short(names: list[str]) -> str:
+    """Names of scenes, by what is missing where that is shorter."""
+    missing = [name for name in vj.SCENES if name not in names]
+    if not missing:
+        return "all"
+    return f"all but {', '.join(missing)}" if len(missing) < len(names) else ", ".join(names)
 
 
 def flags() -> pd.DataFrame:
@@ -50,7 +67,7 @@ def flags() -> pd.DataFrame:
 def sweeps() -> pd.DataFrame:
     """The bundled sweeps."""
     found = {name: read_sweep(name) for name in bundled_names()}
-    rows = [(name, one.scene.name, ", ".join(one.axes) or "points", one.lanes) for name, one in found.items()]
+    rows = [(name, one.scene, ", ".join(one.axes) or "points", one.lanes) for name, one in found.items()]
     return pd.DataFrame(rows, columns=["name", "scene", "over", "lanes"])
 
 
@@ -82,22 +99,26 @@ class CodeTable(SphinxDirective):
     required_arguments = 1
 
     def run(self) -> list[nodes.Node]:
+        self.env.note_reread()
         table = TABLES[self.arguments[0]]()
-        group = nodes.tgroup("", cols=len(table.columns))
-        group += [nodes.colspec("", colwidth=1) for _ in table.columns]
-        group += nodes.thead("", row([nodes.Text(str(column)) for column in table.columns]))
-        literal = self.arguments[0] != "words"
-        group += nodes.tbody("", *(row(cells(values, literal)) for values in table.itertuples(index=False)))
-        return [nodes.table("", group, classes=["code-table"])]
+        return [as_table(table.columns, table.itertuples(index=False), literal=self.arguments[0] != "words")]
 
 
-def cells(values: Iterable[object], literal: bool) -> list[nodes.Node]:
-    """The cells of a row, the first as what one writes."""
-    texts = [f"{value:g}" if isinstance(value, float) else "" if value is None else str(value) for value in values]
-    first = nodes.literal("", texts[0]) if literal else nodes.Text(texts[0])
-    return [first, *(nodes.Text(text) for text in texts[1:])]
+def as_table(header: Iterable[object], rows: Iterable[Iterable[object]], literal: bool = True) -> nodes.table:
+    """A table of plain cells, the first of each row as what one writes if that is `literal`."""
+    header = list(header)
+    group = nodes.tgroup("", cols=len(header))
+    group += [nodes.colspec("", colwidth=1) for _ in header]
+    group += nodes.thead("", _row(map(_text, header), False))
+    group += nodes.tbody("", *(_row(map(_text, values), literal) for values in rows))
+    return nodes.table("", group, classes=["code-table"])
 
 
-def row(inside: list[nodes.Node]) -> nodes.row:
-    """A row of cells."""
-    return nodes.row("", *(nodes.entry("", nodes.paragraph("", "", one)) for one in inside))
+def _text(value: object) -> str:
+    return f"{value:g}" if isinstance(value, float) else "" if value is None else str(value)
+
+
+def _row(texts: Iterable[str], literal: bool) -> nodes.row:
+    first, *others = texts
+    cells = [nodes.literal("", first) if literal else nodes.Text(first), *map(nodes.Text, others)]
+    return nodes.row("", *(nodes.entry("", nodes.paragraph("", "", one)) for one in cells))
