@@ -1,6 +1,6 @@
 """Every figure of the README and of the site's pages is kept true by a test, or has the command that measures it anew.
 
-The lines are in `claims.toml` and, of the site, in `claims_site.toml`.
+The lines are in `claims.toml` and, of the site, in `claims_site.toml` (any `claims*.toml`).
 """
 
 import ast
@@ -50,8 +50,8 @@ PAGES = {
 BENCHMARKS = (ROOT / "tests" / "benchmarks" / "README.md").read_text()
 CLAIMS = [
     claim
-    for file in ("claims.toml", "claims_site.toml")
-    for claim in tomllib.loads((ROOT / "tests" / file).read_text()).get("claim", [])
+    for file in sorted((ROOT / "tests").glob("claims*.toml"))
+    for claim in tomllib.loads(file.read_text()).get("claim", [])
 ]
 
 NO_FIGURES = (
