@@ -33,7 +33,7 @@ extensions = [
 ]
 exclude_patterns = ["_site", ".ipynb_checkpoints"]
 nitpicky = True
-suppress_warnings: list[str] = []
+smartquotes = False  # x' is a derivative
 
 # What is executed
 nb_execution_mode = "cache"
@@ -67,6 +67,7 @@ html_title = f"vibrojax {release}"
 html_static_path = ["_site/static"]
 html_css_files = ["site.css"]
 html_show_sphinx = False
+pygments_dark_style = "github-dark"
 html_math_renderer = "mathml"
 copybutton_prompt_text = r">>> |\.\.\. |\$ "
 copybutton_prompt_is_regexp = True

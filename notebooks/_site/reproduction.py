@@ -17,6 +17,7 @@ from tables import as_table
 
 KEPT = Path(__file__).parents[2] / "build" / "reproduction" / fingerprint()
 PAGE = "reproduced/index.html"
+PLURAL = {"agrees": "agree", "agrees in trend": "agree in trend", "differs": "differ"}
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
@@ -49,7 +50,7 @@ class ReproductionTable(SphinxDirective):
         lines = (KEPT / PAGE).with_name("table.md").read_text(encoding="utf-8").splitlines()
         header, _, *rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
         verdicts = [row[header.index("verdict")] for row in rows]
-        counts = ", ".join(f"{verdicts.count(one)} {one}" for one in sorted({*verdicts}))
+        counts = ", ".join(f"{verdicts.count(one)} {PLURAL.get(one, one)}" for one in sorted({*verdicts}))
         whole = nodes.reference("", "The whole page", refuri=PAGE)
         score = nodes.paragraph("", f"Of {len(rows)} results: {counts}. ")
         score += [whole, nodes.Text(" has pictures, and says what is behind the differences.")]
