@@ -59,7 +59,8 @@ NO_FIGURES = (
     r"\(\.?[\w/.-]+\)",  # the target of a link
     r"Python 3\.\d+",
     r"\b\d+\.\d+\.\d+\b",  # a version
-    r"(?:eq\.|Table|CF) [\d.]+\d",
+    r"(?:eqs?\.|[Ee]quations?|Tables?|CF) [\d.]+\d(?: (?:to|and) [\d.]+\d)?",
+    r"\[1(?:/s)?\]",
     r"chapters? \d+(?: and \d+)?",
     r"\b[Ra-z]\d\b",
     r"\b(?:float|AVX-)\d+",
