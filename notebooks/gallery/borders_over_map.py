@@ -1,0 +1,12 @@
+"""Where the stable single impact ends, and by what."""
+
+import vibrojax as vj
+
+sweep = {
+    "scene": "vibro-impact",
+    "starts": ["drive", "stuck"],
+    "parameters": {"delta": 0.005},
+    "grid": {"beta": {"start": 0.1, "stop": 1.2, "num": 23}, "gamma": {"start": 0.3, "stop": 1.2, "num": 23}},
+}
+ds = vj.run_sweep(sweep, progress=False)
+vj.save_picture(ds, "borders_over_map.png", over=vj.borders(ds, progress=False))
