@@ -4,6 +4,7 @@ import vibrojax as vj
 
 sweep = {
     "scene": "vibro-impact",
+    "title": "Where the stable single impact ends",
     "starts": ["drive", "stuck"],
     "parameters": {"delta": 0.005},
     "grid": {"beta": {"start": 0.1, "stop": 1.2, "num": 23}, "gamma": {"start": 0.3, "stop": 1.2, "num": 23}},

@@ -4,6 +4,7 @@ import vibrojax as vj
 
 sweep = {
     "scene": "drilling",
+    "title": "The drill on sandstone",
     "starts": ["stuck"],
     "parameters": {"rock": "sandstone"},
     "grid": {

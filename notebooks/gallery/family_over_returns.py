@@ -6,6 +6,7 @@ point = {"beta": 0.4, "delta": 0.005}
 strong = vj.follow("vibro-impact", along="gamma", at=0.75, span=(0.5, 1.0), start="stuck", progress=False, **point)
 sweep = {
     "scene": "vibro-impact",
+    "title": "A family of orbits over the returns",
     "starts": ["drive", "stuck"],
     "parameters": point,
     "grid": {"gamma": {"start": 0.5, "stop": 1.0, "num": 61}},

@@ -4,6 +4,7 @@ import vibrojax as vj
 
 sweep = {
     "scene": "vibro-impact",
+    "title": "Regimes over drive speed and gap",
     "starts": ["drive", "stuck"],
     "parameters": {"beta": 0.4, "gamma": 0.75},
     "grid": {

@@ -1,9 +1,10 @@
-"""What the irregular motions are: the greatest Lyapunov exponent, and the nature that follows from it."""
+"""What the irregular motions are: the greatest Lyapunov exponent, and what follows from it."""
 
 import vibrojax as vj
 
 sweep = {
     "scene": "vibro-impact",
+    "title": "What the irregular motions are",
     "starts": ["drive"],
     "parameters": {"delta": 0.005},
     "grid": {"beta": {"start": 0.25, "stop": 0.6, "num": 25}, "gamma": {"start": 0.6, "stop": 0.8, "num": 25}},

@@ -4,10 +4,10 @@ import vibrojax as vj
 
 law = vj.FrictionLaw(
     name="falling",
-    reference="rig of ours",
-    parameters=vj.parameters.table(vj.parameters.positive("v_s", 1.8, "m s-1", "speed over which friction falls", "v_s")),
+    reference="a rig of one's own",
+    parameters=vj.parameters.table(vj.parameters.positive("v_s", 1.8, "m s-1", "speed of the fall", "vₛ")),
     mu=lambda speed, p: 0.13 + 0.27 * vj.elementary.exp(-speed / p["v_s"]),
 )
 grid = {"v_s": {"start": 0.3, "stop": 4.0, "num": 38}, "gamma": {"start": 0.4, "stop": 1.0, "num": 31}}
-ds = vj.run_sweep({"scene": "vibro-impact", "parameters": {"friction": law}, "grid": grid}, progress=False)
-vj.save_picture(ds, "own_friction_law.png")
+sweep = {"scene": "vibro-impact", "title": "A law of one's own", "parameters": {"friction": law}, "grid": grid}
+vj.save_picture(vj.run_sweep(sweep, progress=False), "own_friction_law.png")

@@ -4,6 +4,7 @@ import vibrojax as vj
 
 sweep = {
     "scene": "vibro-impact",
+    "title": "Stick, and slip backwards",
     "starts": ["stuck"],
     "grid": {
         "v": {"start": 0.25, "stop": 2.5, "num": 31},
