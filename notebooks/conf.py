@@ -28,10 +28,12 @@ extensions = [
     "sphinx_copybutton",
     "equations",
     "docstrings",
+    "tables",
+    "reproduction",
 ]
 exclude_patterns = ["_site", ".ipynb_checkpoints"]
 nitpicky = True
-suppress_warnings: list[str] = []
+smartquotes = False  # x' is a derivative
 
 # What is executed
 nb_execution_mode = "cache"
@@ -42,15 +44,7 @@ nb_merge_streams = True
 nb_ipywidgets_js: dict[str, dict[str, str]] = {}
 
 # Markdown
-myst_enable_extensions = [
-    "dollarmath",
-    "amsmath",
-    "deflist",
-    "colon_fence",
-    "attrs_inline",
-    "attrs_block",
-    "smartquotes",
-]
+myst_enable_extensions = ["dollarmath", "amsmath", "deflist", "colon_fence", "attrs_inline", "attrs_block"]
 myst_heading_anchors = 3
 myst_dmath_double_inline = True
 
@@ -61,8 +55,11 @@ autodoc_preserve_defaults = True
 autodoc_default_options = {"members": True}
 default_role = "code"
 add_module_names = False
-nitpick_ignore_regex = [("py:.*", r"(?!vibrojax\.).*")]
-"""Types in signatures, ours by their short names and those of others; what a page refers to is looked at."""
+nitpick_ignore_regex = [
+    ("py:.*", r"(?!vibrojax\.).*"),
+    ("py:.*", r"vibrojax\.(arrays|workers|reproduce|stepping\.series)\..*|.*\.[A-Z]"),
+]
+"""Types in signatures: those of others, whose sites are not asked, and aliases and type variables."""
 
 # Pages
 html_theme = "furo"
@@ -70,5 +67,7 @@ html_title = f"vibrojax {release}"
 html_static_path = ["_site/static"]
 html_css_files = ["site.css"]
 html_show_sphinx = False
+pygments_dark_style = "github-dark"
+html_math_renderer = "mathml"
 copybutton_prompt_text = r">>> |\.\.\. |\$ "
 copybutton_prompt_is_regexp = True

@@ -7,6 +7,11 @@ from sphinx.application import Sphinx
 REFERENCE = re.compile(r"\[([\w.]+)\]\[\]")
 """`[vibrojax.scenes][]`: a name of the package."""
 
+LITERAL = re.compile(r"(`[^`]*`)")
+
+SIGNS = re.compile(r"(\||(?<![\w*])\*(?=[\s,)]))")
+"""Bars and stars that are meant as such; reStructuredText would take them for the beginning of something."""
+
 
 def setup(app: Sphinx) -> dict[str, bool]:
     """Have every docstring rewritten before it is read."""
@@ -15,20 +20,26 @@ def setup(app: Sphinx) -> dict[str, bool]:
 
 
 def rewrite(lines: list[str]) -> None:
-    """In place: references, and indented code, which reStructuredText would take for a quotation."""
+    """In place: references, signs, and indented code, which reStructuredText would take for a quotation."""
     out: list[str] = []
-    code = False
+    code = example = False
     for line in lines:
         indent = len(line) - len(line.lstrip())
-        begins = indent >= 4 and not code and out and not out[-1].strip() and not _in_list(out)
+        begins = indent >= 4 and not code and bool(out) and not out[-1].strip() and not _in_list(out)
         if begins:
-            out += [".. code-block:: python" if not line.lstrip().startswith("vibrojax ") else ".. code-block:: sh", ""]
-        code = (code or bool(begins)) and (indent >= 4 or not line.strip())
-        out.append(line if code else REFERENCE.sub(r"`\1`", line))
+            out += [".. code-block:: python", ""]
+        code = (code or begins) and (indent >= 4 or not line.strip())
+        example = line.startswith(">>>") or (example and bool(line.strip()))
+        out.append(line if code or example else _in_words(line))
     lines[:] = [*out, ""]
 
 
+def _in_words(line: str) -> str:
+    parts = LITERAL.split(REFERENCE.sub(r"`\1`", line))
+    return "".join(part if part.startswith("`") else SIGNS.sub(r"\\\1", part) for part in parts)
+
+
 def _in_list(lines: list[str]) -> bool:
-    """Whether the last paragraph above the blank lines is, or goes on, an item of a list."""
+    """Whether the last line above the blank ones is, or goes on, an item of a list."""
     above = [line for line in lines if line.strip()]
-    return bool(above) and (above[-1].startswith(("- ", "  ")) or above[-1].lstrip().startswith("- "))
+    return bool(above) and above[-1].startswith(("- ", "  "))

@@ -8,9 +8,8 @@ from sphinx.writers.html5 import HTML5Translator
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
-    """Make MathML the way in which equations are written."""
+    """Make it known; `html_math_renderer = "mathml"` chooses it."""
     app.add_html_math_renderer("mathml", (inline, None), (block, None))
-    app.connect("config-inited", lambda app, config: config.__setitem__("html_math_renderer", "mathml"))
     return {"parallel_read_safe": True, "parallel_write_safe": True}
 
 

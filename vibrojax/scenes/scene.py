@@ -37,6 +37,13 @@ class State(NamedTuple):
 
     Errors are weighed on the velocities, against [vibrojax.scenes.scene.Scene.speed_scale][]: units in which velocities
     are alike in size serve best.
+
+    **Example:**
+
+    >>> vj.State("v1", "m s-1", "velocity of the bit", is_velocity=True).unit
+    'm s-1'
+    >>> [state.name for state in vj.SCENES["rotary"]().states]
+    ['x1', 'v1', 'x2', 'v2']
     """
 
     name: str
@@ -47,7 +54,13 @@ class State(NamedTuple):
 
 
 class Mode(NamedTuple):
-    """A discrete state: its name, what its values mean, and the value in which steps are longest."""
+    """A discrete state: its name, what its values mean, and the value in which steps are longest.
+
+    **Example:**
+
+    >>> [(mode.name, mode.calmest) for mode in vj.SCENES["vibro-impact"]().modes]
+    [('slip', 1.0), ('touching', 0.0)]
+    """
 
     name: str
     meaning: str
@@ -59,6 +72,11 @@ class Marker(NamedTuple):
 
     It may be any state that is alike in size to velocities, such as the phase of what forces a motion; no guard may
     have the same zeros.
+
+    **Example:**
+
+    >>> vj.SCENES["vibro-impact"]().markers[0]
+    Marker(name='bit_turn', velocity='v1')
     """
 
     name: str
@@ -76,6 +94,14 @@ class Guard:
     - `slope_resolution`: `slope_resolution(constants, mode, h)`, first-order changes over a step `h` [s] that count as
       zero where it starts on the guard; None: 16 times the resolution.
     - `is_switch`: whether a smoothed motion spreads it out, and so never reaches it.
+
+    **Example:**
+
+    >>> wall = vj.Guard("wall", lambda c, mode, y: 1.0 - y[0], resolution=lambda c, mode: 1e-14)
+    >>> wall.function(None, (), (0.25, 0.0))  # so far from x = 1
+    0.75
+    >>> [guard.name for guard in vj.SCENES["vibro-impact"]().guards()]
+    ['friction', 'contact']
     """
 
     name: str
@@ -90,6 +116,11 @@ class Swing(NamedTuple):
 
     The turns are landed on where the velocity is a marker's. The first swing of a section `at` another state may do
     without a velocity, None: no state is its rate.
+
+    **Example:**
+
+    >>> vj.SCENES["vibro-impact"]().section.swings[1]
+    Swing(position='x2', velocity='v2', amplitude='striker_amplitude')
     """
 
     position: str
@@ -107,6 +138,12 @@ class Section:
 
     A motion under a force that repeats is the motion of an autonomous scene with one more state, the force's phase,
     which a guard sets back by a whole turn, away from zero: `at` that phase the section is stroboscopic.
+
+    **Example:**
+
+    >>> section = vj.Section((vj.Swing("x", "v", "amplitude"),), rearm=lambda c: -0.1, at="phase")
+    >>> section.velocity, section.compared
+    ('phase', ('x',))
     """
 
     swings: tuple[Swing, ...]
@@ -153,6 +190,18 @@ class Scene(ABC, Generic[C]):
     - `measures`: what is measured of it: names or objects of gauges, see [vibrojax.measure][].
     - `autonomous`: whether nothing acts on it that changes with time, so that a state at rest stays.
     - `drifting`: states that go on growing and on which nothing depends: no part of the return map.
+
+    **Example:**
+
+    >>> class OnTheMoon(vj.SCENES["rotary"]):  # one of the package, with another default
+    ...     name = "on-the-moon"
+    ...
+    ...     def parameters(self):
+    ...         gravity = vj.parameters.positive("g", 1.62, "m s-2", "gravity", "g")
+    ...         return super().parameters() | vj.parameters.table(gravity)
+    >>> motion = vj.simulate(OnTheMoon(), start="stuck", duration=4.0, progress=False)
+    >>> round(float(abs(motion.friction_force).max()))  # N, where the bit breaks loose: 0.4 m1 g
+    162
     """
 
     name: ClassVar[str]
