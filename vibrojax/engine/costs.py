@@ -11,7 +11,7 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from vibrojax.engine.batch import steps_at_most
 from vibrojax.engine.chunks import Chunks
@@ -88,6 +88,7 @@ SAMPLES, SAMPLE = 8, 256
 """In so many places of a sweep, if it has more lanes, so many are looked at for how stiff they are."""
 
 Rates = Float[np.ndarray, " lanes"]
+Numbers = Int[np.ndarray, " lanes"]
 
 
 def processor_time(chunks: Chunks) -> Seconds:
@@ -132,38 +133,38 @@ def _steps(chunks: Chunks, at_events: float) -> float:
     """Steps of all lanes of the run, those counted in which lanes of a block wait for its slowest."""
     sweep, block = chunks.sweep, chunks.engine.programs.block
     if sweep.lanes > MOST_LANES:
-        places = [(0, 1)]
+        numbers = np.zeros(1, int)
     elif sweep.lanes <= SAMPLES * SAMPLE:
-        places = [(0, sweep.lanes)]
+        numbers = np.arange(sweep.lanes)
     else:
-        firsts = np.linspace(0, sweep.lanes - SAMPLE, SAMPLES).astype(int).tolist()
-        places = [(first, first + SAMPLE) for first in firsts]
-    steps = np.concatenate([_lane_steps(chunks, at_events, *place) for place in places])
+        firsts = np.linspace(0, sweep.lanes - SAMPLE, SAMPLES).astype(int)
+        numbers = (firsts[:, None] + np.arange(SAMPLE)).ravel()
+    steps = _lane_steps(chunks, at_events, numbers)
     # Lanes of one pace go together: the first of each block is its slowest.
     slowest = np.sort(steps)[::-1][::block]
     return float(np.mean(slowest)) * block * -(-sweep.lanes // block)
 
 
-def lane_steps(chunks: Chunks, first: int, end: int) -> Rates:
-    """Steps that each lane from `first` to before `end` takes, roughly (end - first,)."""
-    return _lane_steps(chunks, _costs(chunks.sweep.system).rate, first, end)
+def lane_steps(chunks: Chunks, numbers: Numbers) -> Rates:
+    """Steps that lanes take, roughly, by their numbers (lanes,)."""
+    return _lane_steps(chunks, _costs(chunks.sweep.system).rate, numbers)
 
 
-def _lane_steps(chunks: Chunks, at_events: float, first: int, end: int) -> Rates:
+def _lane_steps(chunks: Chunks, at_events: float, numbers: Numbers) -> Rates:
     run, accuracy = chunks.sweep.run, chunks.accuracy
     seconds = run.settle + run.observe
     asked = 1 / accuracy.step if run.stepper.smooths else at_events + 1 / accuracy.step
     with np.errstate(all="ignore"):
-        rates = asked + _in_flight(chunks.sweep, first, end) / accuracy.stride
+        rates = asked + _in_flight(chunks.sweep, numbers) / accuracy.stride
         return np.minimum(np.nan_to_num(rates, nan=np.inf) * seconds, steps_at_most(seconds, accuracy))
 
 
-def _in_flight(sweep: Sweep, first: int, end: int) -> Rates:
+def _in_flight(sweep: Sweep, numbers: Numbers) -> Rates:
     """Fastest rates in flight [1/s] of lanes; none where steps do not follow from them."""
     scene = sweep.system
     if not isinstance(scene, HasFriction) or sweep.run.stepper.smooths or sweep.lanes > MOST_LANES:
-        return np.zeros(end - first)
-    return np.broadcast_to(flight_rates(scene, sweep.lane_values(first, end)[0]), end - first)
+        return np.zeros(len(numbers))
+    return np.broadcast_to(flight_rates(scene, sweep.values_of(numbers)[0]), len(numbers))
 
 
 @cache
