@@ -9,6 +9,7 @@ from vibrojax.engine.costs import by_the_clock, lane_steps, processor_time
 from vibrojax.input.read import read_sweep
 from vibrojax.input.source import bundled_names
 from vibrojax.sweep import estimate
+from vibrojax.workers.work import Work
 
 MAP = {"scene": "vibro-impact", "grid": {"beta": {"start": 0.2, "stop": 0.6, "num": 512}}, "starts": ["stuck"]}
 
@@ -18,6 +19,7 @@ SLOWNESS = costs.slowness
 @pytest.fixture(autouse=True)
 def machine_of_reference(monkeypatch):
     monkeypatch.setattr(costs, "slowness", lambda: 1.0)
+    monkeypatch.setattr(costs, "LANE", 0.0)
 
 
 def time_of(changes=(), **tables):
@@ -55,6 +57,21 @@ def test_a_slower_machine_takes_longer(monkeypatch):
     usual = time_of()
     monkeypatch.setattr(costs, "slowness", lambda: 3.0)
     assert time_of() == pytest.approx([3 * one for one in usual])
+
+
+def test_lanes_that_take_hardly_any_step_take_time_nevertheless(monkeypatch):
+    short = {"run": {"settle": 1e-3, "observe": 1e-3}}
+    steps = time_of(**short).step
+    monkeypatch.setattr(costs, "LANE", 1.0)
+    assert time_of(**short).step == pytest.approx(512 + steps)
+
+
+def test_where_many_lanes_end_on_orbits_fewer_steps_are_taken_and_more_is_compiled():
+    many = {"grid": {"beta": {"start": 0.2, "stop": 0.6, "num": 110_000}}}
+    for changes, ends in (([], True), (["run.end_early=false"], False)):
+        sweep = read_sweep(MAP | many, changes)
+        one, other = processor_time(Work(sweep).chunks), processor_time(Chunks(sweep))
+        assert (one.step < other.step) == (one.compile > other.compile) == ends
 
 
 def test_the_yardstick_goes_by_its_shortest_run(monkeypatch):

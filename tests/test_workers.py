@@ -4,6 +4,7 @@ import json
 import multiprocessing
 import os
 import re
+import shutil
 import subprocess
 import sys
 from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor, ThreadPoolExecutor
@@ -110,6 +111,36 @@ def test_submitit(file, expected, tmp_path):
     file.write_text(TEXT.replace("chunk = 5", "chunk = 12"))  # a process for each
     found = vj.run_sweep(file, progress=False, executor=submitit.LocalExecutor(folder=tmp_path / "jobs"))
     assert_same(found.assign_attrs(sweep=expected.attrs["sweep"]), expected)
+
+
+def test_loky(file, expected):
+    loky = pytest.importorskip("loky")
+    with loky.ProcessPoolExecutor(2) as executor:
+        assert_same(vj.run_sweep(file, progress=False, executor=executor), expected)
+
+
+BY_MPI = """
+import sys
+from mpi4py.futures import MPIPoolExecutor
+import vibrojax as vj
+if __name__ == "__main__":
+    with MPIPoolExecutor(2) as executor:
+        vj.write_dataset(vj.run_sweep(sys.argv[1], progress=False, executor=executor), sys.argv[2])
+"""
+
+
+def test_mpi(file, expected):
+    """Where mpi4py is installed, and an MPI with it, such as `pip install mpi4py mpich` has."""
+    pytest.importorskip("mpi4py")
+    start = shutil.which("mpiexec", path=f"{Path(sys.executable).parent}:{os.environ['PATH']}")
+    if start is None:
+        pytest.skip("there is no mpiexec")
+    (file.parent / "by_mpi.py").write_text(BY_MPI)
+    command = [start, "-n", "3", sys.executable, "-m", "mpi4py.futures", "by_mpi.py", file.name, "out.nc"]
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    done = subprocess.run(command, cwd=file.parent, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert_same(vj.open_dataset(file.with_name("out.nc")), expected)
 
 
 def test_zarr(file, expected):

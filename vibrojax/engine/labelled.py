@@ -126,7 +126,7 @@ def _finished(sweep: Sweep, first: int, end: int, features: dict) -> dict:
             "orbit_reason": np.where(failed, ORBIT_REASONS.index("refused"), features["orbit_reason"]),
             "stable": np.where(failed, -1, features["stable"]),
         }
-    known = {"finite", "finished", "steps", "orbit_reason", "stable"}
+    known = set(features) if not failed.any() else {"finite", "finished", "steps", "orbit_reason", "stable"}
     blanked = {
         name: x if name in known else np.where(failed.reshape(-1, *[1] * (x.ndim - 1)), np.nan, x)
         for name, x in features.items()

@@ -131,6 +131,10 @@ class Shards:
         """Whether a chunk is there; not whether it is whole."""
         return self._path(index).exists()
 
+    def size(self, index: int) -> int:
+        """Bytes of a chunk that is there."""
+        return self._path(index).stat().st_size
+
     def discard(self, index: int) -> None:
         """Remove a chunk that is not whole, if it is there."""
         self._path(index).unlink(missing_ok=True)
