@@ -13,8 +13,11 @@ from vibrojax.input.definition import Sweep
 from vibrojax.input.points import VECTOR
 from vibrojax.input.read import read_sweep
 from vibrojax.store.finished import IDENTITY, identity_text
-from vibrojax.store.shards import changes
+from vibrojax.store.manifest import changes
 from vibrojax.sweep import run_sweep
+
+_OF_WHAT_WAS_FOUND = ("attractors", "borders")
+"""What a dataset's identity says beside the sweep's, where it is of what was found in it."""
 
 
 def orbits(
@@ -57,6 +60,13 @@ def orbits(
 
     **Raises:** `InputError` where it is no sweep's dataset, or the sweep cannot be run, or the scene has neither a
     section nor pulses.
+
+    **Example:**
+
+    >>> point = {"beta": 0.4, "gamma": 0.75, "delta": 0.005}
+    >>> orb = vj.orbits({"scene": "vibro-impact", "parameters": point, "starts": ["stuck"]}, progress=False)
+    >>> int(orb.stable.item()), orb.multiplier_abs.values.ravel().round(3).tolist()  # the bit sticks: one is 0
+    (1, [0.697, 0.697, 0.0])
     """
     if isinstance(source, xr.Dataset) and "orbit_reason" in source:
         return source
@@ -90,6 +100,7 @@ def sweep_of_dataset(dataset: xr.Dataset, orbits: bool = True) -> Sweep:
     sweep = read_sweep(tables, ["run.orbits=true"] if orbits else ())
     identity = sweep.identity()
     before = json.loads(str(dataset.attrs.get(IDENTITY, "{}")))
+    before = {name: value for name, value in before.items() if name not in _OF_WHAT_WAS_FOUND}
     wanted = {**before, "run.orbits": True} if orbits else before
     differing = changes(wanted, json.loads(identity_text(identity)))
     if before and differing:

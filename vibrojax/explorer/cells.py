@@ -140,7 +140,8 @@ def decode(block: bytes) -> list[Cell]:
         returns = every[at : at + len(section) * passed].reshape(len(section), passed).astype(float)
         at += len(section) * passed
         numbers = one.pop("numbers", None)
-        states = {c.name: _read(row, s) for c, row, s in zip(columns, rows[1:], one["scales"], strict=False)}
+        scales = one["scales"] or [[0.0, 0.0]] * len(columns)
+        states = {c.name: _read(row, s) for c, row, s in zip(columns, rows[1:], scales, strict=True)}
         cells.append(
             Cell(
                 one["lane"],

@@ -30,7 +30,7 @@ LANE = "lane_number"
 _LEFT_OUT = ("return_", "check_")
 """How variables begin that are of single returns, or of the check run."""
 
-_FIRST = ("regime", "rate_of_penetration", "lane_attractor", "share", "impact_velocity", "period", "bit_amplitude")
+_FIRST = ("lane_attractor", "regime", "rate_of_penetration", "share", "impact_velocity", "period", "bit_amplitude")
 
 
 def with_lanes(ds: xr.Dataset, sweep: Sweep | None) -> xr.Dataset:
@@ -77,7 +77,7 @@ def _view(ds: xr.Dataset) -> list[str]:
     try:
         return list(axes_of_map(ds, None, None))
     except InputError:
-        return []
+        return [str(name) for name in ds.dims if str(name).startswith("start_")][:2]
 
 
 def about(ds: xr.Dataset) -> Document:
@@ -207,7 +207,11 @@ def _shown(ds: xr.Dataset) -> list[str]:
     names = [str(name) for name, data in ds.data_vars.items() if data.dtype.kind in "fiu" and data.ndim > 0]
     names = [name for name in names if name != LANE and not name.startswith(_LEFT_OUT)]
     names = [name for name in names if "return_index" not in ds[name].dims]
-    return [name for name in _FIRST if name in names] + [name for name in names if name not in _FIRST]
+    first = [name for name in _FIRST if name in names]
+    if "share" in first and START in ds.dims:  # of starts that are no plane, shares say more than where each ends
+        first.remove("share")
+        first.insert(0, "share")
+    return first + [name for name in names if name not in first]
 
 
 def _plain(value: object) -> object:

@@ -24,7 +24,7 @@ from vibrojax.periodic import Orbits, early_ends
 from vibrojax.periodic.measured import DRIVEN_RETURNS
 from vibrojax.progress import Progress
 from vibrojax.scenes import HasContact, HasFriction, Scene
-from vibrojax.scenes.scene import Values
+from vibrojax.scenes.declared import Values
 from vibrojax.simulation._record import Record, record_batch, sample
 from vibrojax.simulation._trajectory import Motion, impact_begins, lowest_velocity, states_shown
 from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Lane, Located, lane_at
@@ -258,17 +258,21 @@ def _passes(scene: Scene[Any], c: Any, record: Steps, hits: dict[str, np.ndarray
 
 
 def _along_motion(record: Record, begin: float, duration: float, count: int) -> np.ndarray:
-    """So many times and one more, evenly spaced along the motion: along time and along what the states pass, each over
-    its swing. A blow that takes a hundredth of the time has more than a hundredth of them."""
+    """Times of samples of a record, see `evenly_passed`."""
     fractions = np.arange(_FINE) / _FINE
     times = (np.asarray(record.start)[:, None] + np.asarray(record.dt)[:, None] * fractions).ravel()
     times = np.unique(np.concatenate([times[(times > begin) & (times < begin + duration)], [begin, begin + duration]]))
     states, _, _ = sample(record, times)
-    states = np.asarray(states)
+    return evenly_passed(times, np.asarray(states), count)
+
+
+def evenly_passed(times: np.ndarray, states: np.ndarray, count: int) -> np.ndarray:
+    """So many times and one more, evenly spaced along the motion: along time and along what the states (states, times)
+    pass, each over its swing. A blow that takes a hundredth of the time has more than a hundredth of them."""
     swing = np.ptp(states, axis=1)
     moving = swing > 1e-12 * np.abs(states).max(axis=1)
     passed = np.abs(np.diff(states[moving], axis=1)) / swing[moving][:, None]
-    steps = len(states) * np.diff(times) / duration + passed.sum(axis=0)
+    steps = len(states) * np.diff(times) / (times[-1] - times[0]) + passed.sum(axis=0)
     along = np.concatenate([[0.0], np.cumsum(steps)])
     return np.interp(np.linspace(0.0, along[-1], count + 1), along, times)
 

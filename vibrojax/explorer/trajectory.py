@@ -8,7 +8,7 @@ import xarray as xr
 from jaxtyping import Float
 
 from vibrojax.explorer.cells import EVENTS, STUCK, TOUCHING, Cell, Column
-from vibrojax.explorer.motions import EVEN, MOST_EVEN, PASSED, SHOWN, STILL
+from vibrojax.explorer.motions import EVEN, MOST_EVEN, PASSED, SHOWN, STILL, evenly_passed
 
 RETURN_STATES = ("x1", "x2", "v2", "x3", "v3")
 """States whose values at returns are shown, where there are such."""
@@ -41,18 +41,19 @@ def cell_of(motion: xr.Dataset, lane: int = -1) -> Cell:
         begin, end = max(float(time[0]), float(time[-1]) - STILL), float(time[-1])
     even = min(EVEN * max(shown, 1), MOST_EVEN)
     marked = np.concatenate([x[(x > begin) & (x < end)] for x in happened.values()])
-    turns = _turns(motion, begin, end)
-    at = np.unique(np.concatenate([np.linspace(begin, end, even + 1), marked, turns]))
+    names = [str(name) for name in motion.data_vars if _is_state(motion[name])]
+    inside = np.concatenate([[begin], time[(time > begin) & (time < end)], [end]])
+    passed = evenly_passed(inside, np.stack([np.interp(inside, time, motion[name].values) for name in names]), even)
+    at = np.unique(np.concatenate([passed, marked]))
     at = at[np.concatenate([[True], np.diff(at) > 1e-6 * (end - begin)])]
     columns = tuple(
-        Column(str(name), str(data.attrs.get("units", "")), str(data.attrs.get("long_name", "")))
-        for name, data in motion.data_vars.items()
-        if data.dims == ("time",) and data.dtype.kind == "f" and not str(name).endswith("_force")
+        Column(name, str(motion[name].attrs.get("units", "")), str(motion[name].attrs.get("long_name", "")))
+        for name in names
     )
     states = {one.name: np.interp(at, time, motion[one.name].values) for one in columns}
-    passed = returns[1:] if kind == "motion" else returns[len(returns) - cycles :]
-    names = [name for name in RETURN_STATES if name in states] if len(passed) else []
-    section = {name: np.interp(passed[-PASSED:], time, motion[name].values) for name in names}
+    seen = returns[1:] if kind == "motion" else returns[len(returns) - cycles :]
+    known = [name for name in RETURN_STATES if name in states] if len(seen) else []
+    section = {name: np.interp(seen[-PASSED:], time, motion[name].values) for name in known}
     return Cell(
         lane=lane,
         kind=kind,
@@ -98,19 +99,8 @@ def _pulses_in_repeat(motion: xr.Dataset, pulses: np.ndarray) -> int:
     return 0
 
 
-def _turns(motion: xr.Dataset, begin: float, end: float) -> Float[np.ndarray, " turns"]:
-    """Samples at which a velocity has a sharp turn: those around events are not all at an event."""
-    time = motion["time"].values
-    found: list[np.ndarray] = []
-    for name in ("v1", "v2", "v3"):
-        if name in motion:
-            values = motion[name].values
-            swing = np.ptp(values) or 1.0
-            sharp = np.flatnonzero(np.abs(np.diff(values, 2)) > 0.02 * swing) + 1
-            found.append(time[sharp])
-    times = np.concatenate(found) if found else np.zeros(0)
-    times = np.unique(times[(times > begin) & (times < end)])
-    return times[:: max(1, len(times) // MOST_EVEN)]
+def _is_state(data: xr.DataArray) -> bool:
+    return data.dims == ("time",) and data.dtype.kind == "f" and not str(data.name).endswith("_force")
 
 
 def _flags(motion: xr.Dataset, at: np.ndarray, happened: dict[str, np.ndarray], within: float) -> np.ndarray:

@@ -16,7 +16,7 @@ from vibrojax.input.point import Point
 from vibrojax.measure import Records
 from vibrojax.progress import Progress
 from vibrojax.scenes import HasFriction, Scene
-from vibrojax.scenes.scene import Values
+from vibrojax.scenes.declared import Values
 from vibrojax.simulation._measured import compile_measures, found_in, measured, recorder_of, window
 from vibrojax.simulation._record import MOST_STEPS, Record, record
 from vibrojax.stepping import Accuracy, Stepper

@@ -20,6 +20,7 @@ export async function begin(source) {
       state: location.hash,
       onState: (state) => { told = `#${state}`; history.replaceState(null, "", told); },
     });
+    window.vibrojax = page;  // for who wants to go on from here in the browser's console
     window.addEventListener("hashchange", async () => {
       if (location.hash === told) return;
       page.restore(location.hash);

@@ -53,6 +53,7 @@ class Page {
     }
     this.fillControls();
     this.draw();
+    performance.mark("vibrojax-first-map");
     this.resized = new ResizeObserver(() => this.redraw());
     this.resized.observe(this.element);
     this.scheme = window.matchMedia("(prefers-color-scheme: dark)");
