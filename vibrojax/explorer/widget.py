@@ -13,13 +13,6 @@ if TYPE_CHECKING:
 def explore(ds: xr.Dataset, *, over: xr.Dataset | None = None, live: bool | None = None) -> "Explorer":
     """The page of a dataset as a widget of a notebook: click a cell, and Python has it.
 
-        widget = vj.explore(vj.run_sweep("regime-map"))
-        widget                                        # shows it
-        widget.point                                  # {"beta": 0.42, "gamma": 0.7, "delta": 0.005, "start": "stuck"}
-        widget.point = {"beta": 0.35}                 # picks the cell nearest to it; what is not named stays
-        widget.lane["impact_velocity"]                # what the dataset has of the picked cell
-        widget.observe(lambda change: print(change.new), "point")
-
     It is shown by JupyterLab, Jupyter Notebook from 7 on and VS Code, and loads nothing from outside.
 
     **Arguments:**
@@ -36,6 +29,16 @@ def explore(ds: xr.Dataset, *, over: xr.Dataset | None = None, live: bool | None
 
     **Raises:** `InputError` where there is nothing of the dataset to show, or anywidget is not installed
     (`pip install "vibrojax[widget]"`); in `widget.point = ...` where there is no such axis or value.
+
+    **Example:** (in a notebook, a line `widget` shows it; a click picks a cell as `widget.point = ...` does)
+
+    >>> sweep = {"scene": "vibro-impact", "grid": {"beta": [0.3, 0.4]}, "run": {"settle": 8.0}}
+    >>> widget = vj.explore(vj.run_sweep(sweep, progress=False))
+    >>> widget.observe(lambda change: print("picked", change.new), "point")
+    >>> widget.point = {"beta": 0.31, "start": "stuck"}  # the nearest cell; what is not named stays
+    picked {'beta': 0.3, 'start': 'stuck'}
+    >>> f"{float(widget.lane.impact_velocity):.2f} m/s"
+    '1.76 m/s'
     """
     try:
         from vibrojax.explorer._anywidget import Explorer
