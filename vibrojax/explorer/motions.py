@@ -24,7 +24,7 @@ from vibrojax.periodic import Orbits, early_ends
 from vibrojax.periodic.measured import DRIVEN_RETURNS
 from vibrojax.progress import Progress
 from vibrojax.scenes import HasContact, HasFriction, Scene
-from vibrojax.scenes.scene import Values
+from vibrojax.scenes.declared import Values
 from vibrojax.simulation._record import Record, record_batch, sample
 from vibrojax.simulation._trajectory import Motion, impact_begins, lowest_velocity, states_shown
 from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Lane, Located, lane_at
