@@ -32,8 +32,10 @@ def explored(
     return ds, over
 
 
-def document_of(ds: xr.Dataset, over: xr.Dataset | None = None) -> Document:
-    """What the page knows of a dataset, as JSON values; see `vibrojax.explorer`. `over`: borders over its map.
+def document_of(ds: xr.Dataset, over: xr.Dataset | None = None, own: Sweep | None = None) -> Document:
+    """What the page knows of a dataset, as JSON values; see `vibrojax.explorer`.
+
+    **Arguments:** `over`: borders over its map; `own`: the sweep that it is of, where no file names what is in that.
 
     **Raises:** `InputError` where there is nothing to show, or `over` does not belong there.
     """
@@ -44,7 +46,7 @@ def document_of(ds: xr.Dataset, over: xr.Dataset | None = None) -> Document:
         if over is not None:
             raise InputError("over: borders are laid over the map of a sweep, and the dataset is of no sweep")
         return family_document(ds) if held.families else motion_document(ds)
-    sweep, why = _sweep(ds)
+    sweep, why = _sweep(ds, own)
     document = grid_document(ds, sweep)
     if not document:
         raise InputError("explore: holds nothing over axes that a page could show")
@@ -57,20 +59,30 @@ def document_of(ds: xr.Dataset, over: xr.Dataset | None = None) -> Document:
     return document | {"without": why}
 
 
-def cells_of(ds: xr.Dataset, progress: bool = True) -> Iterator[Cell]:
-    """The motions of a dataset's lanes, or points, in the order of their numbers; none where there are none."""
+def cells_of(ds: xr.Dataset, progress: bool = True, own: Sweep | None = None) -> Iterator[Cell]:
+    """The motions of a dataset's lanes, or points, in the order of their numbers; none where there are none.
+
+    `own`: the sweep that it is of, where no file names what is in that.
+    """
     if is_families(ds):
         yield from family_cells(ds)
     elif contents(ds).run:
         yield cell_of(ds, 0)
     else:
-        sweep, _ = _sweep(ds)
+        sweep, _ = _sweep(ds, own)
         if sweep is not None and sweep.lanes <= MOST_MOTIONS:
             yield from motions(sweep, progress)
 
 
-def _sweep(ds: xr.Dataset) -> tuple[Sweep | None, str]:
+def _sweep(ds: xr.Dataset, own: Sweep | None) -> tuple[Sweep | None, str]:
     """The sweep that the dataset's lanes are of; none, and why, where no file names it."""
+    if own is not None:
+        sizes = {name: size for name, size in zip(own.dims, own.shape, strict=True)}
+        if any(ds.sizes.get(name) != size for name, size in sizes.items()):
+            raise InputError(
+                f"sweep: its lanes are {sizes}, and the dataset's {dict(ds.sizes)}; give the one that it is of"
+            )
+        return own, ""
     if "sweep" not in ds.attrs:
         return None, "the dataset is of no sweep, so that it has no motions"
     try:

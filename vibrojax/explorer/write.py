@@ -3,7 +3,7 @@
 import html
 import json
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from importlib.resources import files
 from os import PathLike
 from pathlib import Path
@@ -14,6 +14,8 @@ from vibrojax.explorer.cells import Cell, encode
 from vibrojax.explorer.document import Document
 from vibrojax.explorer.of_dataset import cells_of, document_of, explored
 from vibrojax.explorer.packed import deflated
+from vibrojax.input.definition import Sweep
+from vibrojax.input.read import read_sweep
 from vibrojax.store.atomic import atomic_write
 
 SIZE = 256
@@ -30,7 +32,11 @@ _EXPORT = re.compile(r"^export (?=async |class |const |function |let )", re.MULT
 
 
 def write_page(
-    ds: xr.Dataset, path: str | PathLike[str], over: xr.Dataset | None = None, progress: bool = True
+    ds: xr.Dataset,
+    path: str | PathLike[str],
+    over: xr.Dataset | None = None,
+    sweep: Sweep | Mapping[str, object] | None = None,
+    progress: bool = True,
 ) -> Path:
     """Write the page of a dataset: one HTML file that loads nothing from outside.
 
@@ -45,17 +51,26 @@ def write_page(
     - `ds`: the dataset of a sweep, of its orbits or attractors, of families, borders, a trajectory, or a fit.
     - `path`: the file to be; one that is there is replaced.
     - `over`: borders, as `borders` gives them, to lay over a map of the same parameters.
+    - `sweep`: the sweep that the dataset is of, where it holds objects of yours (a scene, a law), which no file names.
     - `progress`: whether to say on stderr how far it is. A sweep is run again for its motions, with its orbits.
 
     **Returns:** the path.
 
-    **Raises:** `InputError` where there is nothing of the dataset to show, or `over` does not belong there; `OSError`
-    where the file cannot be written.
+    **Raises:** `InputError` where there is nothing of the dataset to show, or `over` or `sweep` does not belong there;
+    `OSError` where the file cannot be written.
+
+    **Example:**
+
+    >>> ds = vj.run_sweep({"scene": "rotary", "grid": {"gamma": [0.6, 0.8]}}, progress=False)
+    >>> page = vj.write_page(ds, "page.html", progress=False)
+    >>> page.read_text()[:15]
+    '<!doctype html>'
     """
     path = Path(path)
+    own = read_sweep(sweep) if isinstance(sweep, Mapping) else sweep
     ds, over = explored(ds, over, progress)
-    document = document_of(ds, over)
-    blocks = blocks_of(cells_of(ds, progress=progress))
+    document = document_of(ds, over, own)
+    blocks = blocks_of(cells_of(ds, progress, own))
     if blocks:
         document["cells"] = {"size": SIZE, "blocks": len(blocks)}
     with atomic_write(path) as part:

@@ -217,7 +217,7 @@ export class MapView {
 /** A bar of a quantity's colours. */
 export function drawBar(canvas, grid, variable) {
   const ink = inkOf(canvas), map = grid.data.maps[variable.map], { low, high, log } = variable;
-  const { context: c, width, height } = prepared(canvas), left = 14, right = width - 14;
+  const { context: c, width, height } = prepared(canvas), left = 22, right = width - 22;
   map.forEach((colour, k) => {
     c.fillStyle = colour;
     c.fillRect(left + (k / map.length) * (right - left), 2, (right - left) / map.length + 1, 12);
