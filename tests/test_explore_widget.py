@@ -130,9 +130,8 @@ def test_a_trajectory_and_a_plane_of_starts():
     assert widget.point == {"start_x2": 0.02, "start_v2": -1.0} and widget.lane["regime"].ndim == 0
 
 
-def test_what_is_no_dataset_and_what_cannot_be_simulated(dataset):
-    with pytest.raises(InputError, match="dataset"):
-        vj.explore("out.nc")
+def test_a_dataset_of_an_unknown_scene(dataset):
+    """It is shown, and nothing is simulated."""
     foreign = dataset.drop_attrs().assign_attrs(scene="mine")
     assert vj.explore(foreign).offered is None
     with pytest.raises(InputError, match="explore: "):

@@ -12,6 +12,7 @@ from vibrojax.errors import InputError, Place, shown, suggestion
 from vibrojax.explorer._motions import Motions, motions_around, motions_of
 from vibrojax.explorer.of_dataset import _sweep, cells_of, document_of, explored
 from vibrojax.explorer.write import LIVE, SIZE, blocks_of, module_text, style_text
+from vibrojax.input.definition import Sweep
 from vibrojax.plot._contents import START
 from vibrojax.plot._starts import on_axes
 from vibrojax.timings import LOG
@@ -33,13 +34,15 @@ class Explorer(anywidget.AnyWidget):
     point = traitlets.Dict()
     simulated = traitlets.Dict()
 
-    def __init__(self, ds: xr.Dataset, over: xr.Dataset | None = None, live: bool | None = None) -> None:
+    def __init__(
+        self, ds: xr.Dataset, over: xr.Dataset | None = None, own: Sweep | None = None, live: bool | None = None
+    ) -> None:
         ds, over = explored(ds, over, progress=False)
-        document = document_of(ds, over)
-        self.motions = None if live is False else _motions(ds, live is True)
+        document = document_of(ds, over, own)
+        self.motions = None if live is False else _motions(ds, own, live is True)
         blocks: list[str] = []
         if self.motions is None or self.motions.sweep is None:
-            blocks = blocks_of(cells_of(ds, progress=False))
+            blocks = blocks_of(cells_of(ds, False, own))
         if blocks:
             document["cells"] = {"size": SIZE, "blocks": len(blocks)}
         self.dataset = on_axes(ds) if START in ds.dims and START in ds.coords else ds
@@ -127,10 +130,10 @@ def _distance(place: Place, values: list[Any], wanted: object) -> np.ndarray:
     return np.nan_to_num((numbers - float(wanted)) / span, nan=np.inf) ** 2
 
 
-def _motions(ds: xr.Dataset, required: bool) -> Motions | None:
+def _motions(ds: xr.Dataset, own: Sweep | None, required: bool) -> Motions | None:
     """What computes motions around a dataset, None where it names no scene of the package, unless they are required."""
     try:
-        sweep, _ = _sweep(ds)
+        sweep, _ = _sweep(ds, own)
         return motions_around(ds) if sweep is None else motions_of(sweep)
     except InputError:
         if required:

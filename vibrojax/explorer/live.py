@@ -20,7 +20,7 @@ import secrets
 import threading
 from hashlib import sha256
 from types import TracebackType
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import xarray as xr
 
@@ -32,6 +32,7 @@ from vibrojax.explorer.write import SIZE, blocks_of, page_text
 from vibrojax.timings import LOG
 
 
+@runtime_checkable
 class Answers(Protocol):
     """What computes: see [vibrojax.explorer._motions.Motions][]."""
 
@@ -104,7 +105,7 @@ def serve(ds: xr.Dataset, over: xr.Dataset | None = None, progress: bool = False
     """
     ds, over = explored(ds, over, progress)
     document = document_of(ds, over)
-    sweep, _ = _sweep(ds)
+    sweep, _ = _sweep(ds, None)
     motions = motions_of(sweep) if sweep is not None else motions_around(ds)
     blocks = [] if sweep is not None else blocks_of(cells_of(ds, progress))
     if blocks:

@@ -1,16 +1,25 @@
 """In a notebook: the page as a widget, which gives what is picked to Python."""
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import xarray as xr
 
 from vibrojax.errors import InputError
+from vibrojax.input.definition import Sweep
+from vibrojax.input.read import read_sweep
 
 if TYPE_CHECKING:
     from vibrojax.explorer._anywidget import Explorer
 
 
-def explore(ds: xr.Dataset, *, over: xr.Dataset | None = None, live: bool | None = None) -> "Explorer":
+def explore(
+    ds: xr.Dataset,
+    *,
+    over: xr.Dataset | None = None,
+    sweep: Sweep | Mapping[str, object] | None = None,
+    live: bool | None = None,
+) -> "Explorer":
     """The page of a dataset as a widget of a notebook: click a cell, and Python has it.
 
     It is shown by JupyterLab, Jupyter Notebook from 7 on and VS Code, and loads nothing from outside.
@@ -19,6 +28,7 @@ def explore(ds: xr.Dataset, *, over: xr.Dataset | None = None, live: bool | None
 
     - `ds`: the dataset of a sweep, of its orbits or attractors, of families, borders, a trajectory, or a fit.
     - `over`: borders, as `borders` gives them, to lay over a map of the same parameters.
+    - `sweep`: the sweep that the dataset is of, where it holds objects of yours (a scene, a law), which no file names.
     - `live`: whether the kernel simulates what is picked, and what sliders for every parameter say. False: the widget
       holds the motions of all lanes, for which a sweep is run again, and needs no kernel once it is shown. None: True
       wherever the dataset names a scene of the package.
@@ -46,4 +56,5 @@ def explore(ds: xr.Dataset, *, over: xr.Dataset | None = None, live: bool | None
         if error.name not in ("anywidget", "ipywidgets", "traitlets"):
             raise
         raise InputError('explore: anywidget is not installed; pip install "vibrojax[widget]"') from None
-    return Explorer(ds, over, live)
+    own = read_sweep(sweep) if isinstance(sweep, Mapping) else sweep
+    return Explorer(ds, over, own, live)
