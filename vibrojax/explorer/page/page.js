@@ -3,8 +3,10 @@ import { embeddedSource } from "./decode.js";
 import { mount } from "./mount.js";
 
 const data = JSON.parse(document.getElementById("vibrojax-data").textContent);
-const cells = document.getElementById("vibrojax-cells");
-const source = data.cells ? embeddedSource(() => cells.textContent, data.cells.size) : {};
+// The cells come last in the file: the map is drawn before they have been read.
+const whole = new Promise((done) => { if (document.readyState === "loading") document.addEventListener("DOMContentLoaded", done); else done(); });
+const cells = async () => { await whole; return document.getElementById("vibrojax-cells").textContent; };
+const source = data.cells ? embeddedSource(cells, data.cells.size) : {};
 const element = document.getElementById("vibrojax");
 const start = async () => {
   let told = location.hash;
