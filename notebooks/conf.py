@@ -28,6 +28,7 @@ extensions = [
     "sphinx_copybutton",
     "equations",
     "docstrings",
+    "commands",
     "tables",
     "reproduction",
 ]
