@@ -218,27 +218,6 @@ def test_ratios_are_those_of_the_race():
     assert f"one of the same Taylor steps {1 / ratio['numba, Taylor series']:.1f} times faster" in README
 
 
-def test_the_table_of_the_race():
-    page = (ROOT / "notebooks" / "comparison.md").read_text()
-    rows = [
-        [cell.strip() for cell in line.strip("|").split("|")] for line in page.splitlines() if line.startswith("| ")
-    ]
-    table = {cells[0]: cells[1:] for cells in rows if len(cells) == 3}
-    for told, way in {
-        "here, certificate": "vibrojax",
-        "numba, the same Taylor steps": "numba, Taylor series",
-        "numba, Dormand-Prince": "numba, Dormand-Prince 5(4)",
-        "diffrax with its events": "diffrax with its events",
-        "C++ in SIMD": "C++ SIMD, RK4, smoothed",
-        "diffrax, smoothed": "diffrax, smoothed, adaptive",
-        "SciPy": "SciPy, solve_ivp with events",
-    }.items():
-        ((micros, ratio),) = (cells for name, cells in table.items() if name.startswith(told))
-        for text, value in zip((micros, ratio), peers()[way], strict=True):
-            rounding = 0.5 * 10.0 ** -len(text.partition(".")[2])
-            assert float(text.replace(",", "")) == pytest.approx(value, abs=1.001 * rounding), (told, text, value)
-
-
 def test_limits_of_large_sweeps():
     page = PAGES["notebooks/large_sweeps.md"]
     assert f"chunks of {CHUNK:,} lanes" in page
