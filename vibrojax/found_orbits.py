@@ -13,7 +13,7 @@ from vibrojax.input.definition import Sweep
 from vibrojax.input.points import VECTOR
 from vibrojax.input.read import read_sweep
 from vibrojax.store.finished import IDENTITY, identity_text
-from vibrojax.store.shards import changes
+from vibrojax.store.manifest import changes
 from vibrojax.sweep import run_sweep
 
 

@@ -15,7 +15,7 @@ import xarray as xr
 
 from vibrojax.engine.batch import Features
 from vibrojax.engine.chunks import Chunks
-from vibrojax.engine.costs import PACKED, by_the_clock, lane_bytes, processor_time
+from vibrojax.engine.costs import by_the_clock, lane_bytes, packed_share, processor_time
 from vibrojax.engine.resources import Cost, check_size
 from vibrojax.input.definition import Sweep
 from vibrojax.input.read import read_sweep
@@ -227,11 +227,11 @@ def estimate(sweep: Sweep, to_file: bool = False, processes: int = 0, measured: 
     """
     chunks = Work(sweep).chunks
     in_chunk, in_file = map(float, lane_bytes(sweep))
-    packed = PACKED if sweep.lanes > COMPRESSED else 1.0
+    packed = packed_share(sweep) if sweep.lanes > COMPRESSED else 1.0
     processor, cores = processor_time(chunks), processes or len(chunks.engine.workers)
     if measured is not None:
         in_chunk, in_file, packed = measured.chunk_bytes, measured.file_bytes, measured.packed
-        processor = processor._replace(step=measured.lane_s * sweep.lanes)
+        processor = processor._replace(compile=measured.compile_s, step=measured.lane_s * sweep.lanes)
     passing = by_the_clock(processor, cores)
     before = passing.start + passing.compile
     # A lane in the loop carries some 500 numbers; of a region the features, the variables, and those being written.

@@ -128,7 +128,7 @@ class Kills:
         self.whole = folder / "whole.nc"
         whole = self._command("sweep.toml", "-o", self.whole.name)
         assert whole.wait() == 0, whole.stderr.read()
-        self.cluster = None
+        self.cluster, self.seen_all = None, time.monotonic()
         if "dask" in doors:
             from distributed import LocalCluster
 
@@ -145,13 +145,15 @@ class Kills:
         while not self.out.exists():
             [door] = self.random.choices(self.doors, [DOORS[one] for one in self.doors])
             started = self._started(door)
-            began = time.monotonic()
+            self.seen_all = began = time.monotonic()
             wait = self.random.uniform(0.3, 6.0)
             while any(one.poll() is None for one in started):
                 time.sleep(0.02)
                 self.wanted = self.wanted or self.random.choice(["driver", "worker", "worker"])
                 if door == "only":
                     self.wanted = "driver"
+                if door == "dask":
+                    self._dask_workers()
                 if kills < most and time.monotonic() - began > wait and (victim := self._victim(door, started)):
                     self._kill(door, victim, started)
                     kills, self.wanted = kills + 1, ""
@@ -173,9 +175,22 @@ class Kills:
         drivers = [one.pid for one in started if one.poll() is None]
         below = [process for one in drivers for process in children(one)]
         if door == "dask" and self.cluster is not None:
-            below += [worker.process.pid for worker in self.cluster.workers.values() if worker.process]
+            below += self._dask_workers()
         choice = drivers if self.wanted == "driver" or door == "plain" else computing(below)
         return self.random.choice(choice) if choice else None
+
+    def _dask_workers(self) -> list[int]:
+        """Those of dask, once all of them are there: one that is killed while it starts its nanny gives up at times."""
+        nannies = list(self.cluster.workers.values())
+        if all(one.status.name == "running" and one.pid for one in nannies):
+            self.seen_all = time.monotonic()
+            return [one.pid for one in nannies]
+        if time.monotonic() - self.seen_all > 30.0:  # given up: new ones, as who looks after a cluster would start
+            self.cluster.scale(0)
+            self.cluster.scale(2)
+            self.seen_all = time.monotonic()
+            self.counted["dask's workers begun anew"] += 1
+        return []
 
     def _kill(self, door: str, victim: int, started: list[subprocess.Popen]) -> None:
         driver = next((one for one in started if one.pid == victim), None)
