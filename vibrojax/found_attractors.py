@@ -65,6 +65,15 @@ def attractors(
     undecided, had not settled, or their orbit was not found. Over the sweep's dimensions `lane_attractor`: -1 there.
 
     **Raises:** `InputError` where it is no sweep over a grid, or of starts, of a scene that returns to a section.
+
+    **Example:**
+
+    >>> starts = {"scene": "vibro-impact", "parameters": {"beta": 0.4, "delta": 0.0}, "grid": {"gamma": [0.6]}}
+    >>> att = vj.attractors(starts | {"starts": ["drive", "stuck", "touching"]}, progress=False)
+    >>> att.share.round(2).values.tolist()
+    [[0.67, 0.33]]
+    >>> att.impact_velocity.round(1).values.tolist()  # m/s: both are single impacts
+    [[0.7, 3.0]]
     """
     sweep = sweep_of(source)
     return attractors_of(sweep, with_orbits(source if isinstance(source, xr.Dataset) else sweep, progress))

@@ -63,6 +63,15 @@ def run_sweep(
     **Returns:** the dataset, over the grid's dimensions and `start`.
 
     **Raises:** `InputError`, before any work, where the sweep is not right or the computer too small for it.
+
+    **Example:**
+
+    >>> axes = {"gamma": [0.6, 0.75], "delta": [-0.005, 0.005]}
+    >>> ds = vj.run_sweep({"scene": "vibro-impact", "parameters": {"beta": 0.4}, "grid": axes}, progress=False)
+    >>> dict(ds.sizes)
+    {'gamma': 2, 'delta': 2, 'start': 2}
+    >>> ds.impact_velocity.sel(gamma=0.75, delta=0.005).round(2).to_pandas().to_dict()  # m/s: two motions at one point
+    {'drive': 0.21, 'stuck': 2.24}
     """
     sweep = source if isinstance(source, Sweep) else read_sweep(source)
     check_size(sweep, estimate(sweep))

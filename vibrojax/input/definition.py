@@ -74,7 +74,7 @@ class Sweep:
         return tuple(sorted(self.dims, key=lambda name: name == self.run.carry))
 
     def over_dims(self, lanes: np.ndarray) -> np.ndarray:
-        """What is known of all lanes, (lanes, ...), over the dimensions, (*shape, ...)."""
+        """What is known of all lanes, (lanes, ...), over the dimensions, `(*shape, ...)`."""
         grid = lanes.reshape(*self._sizes(self.counted), *lanes.shape[1:])
         order = [self.counted.index(name) for name in self.dims]
         return grid.transpose(*order, *range(len(order), grid.ndim))

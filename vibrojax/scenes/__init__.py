@@ -21,6 +21,15 @@ _files = (import_module(f"{__name__}.{file.name}") for file in iter_modules(__pa
 _kinds = (kind for file in _files for kind in getattr(file, "SCENES", ()))
 
 SCENES: dict[str, type[Scene[Any]]] = {kind.name: kind for kind in sorted(_kinds, key=lambda kind: kind.name)}
+"""The scenes of the package, classes, by the names that sweep files call them.
+
+**Example:**
+
+>>> list(vj.SCENES)
+['coupled-drilling', 'drilling', 'penetration', 'rotary', 'vibro-impact']
+>>> vj.SCENES["vibro-impact"](friction=vj.FRICTION_LAWS["coulomb"]).state_names
+('x1', 'v1', 'x2', 'v2')
+"""
 
 
 def scene_named(scene: str | Scene[Any], **options: Any) -> Scene[Any]:

@@ -17,6 +17,13 @@ class State(NamedTuple):
 
     Errors are weighed on the velocities, against [vibrojax.scenes.scene.Scene.speed_scale][]: units in which velocities
     are alike in size serve best.
+
+    **Example:**
+
+    >>> vj.State("v1", "m s-1", "velocity of the bit", is_velocity=True).unit
+    'm s-1'
+    >>> [state.name for state in vj.SCENES["rotary"]().states]
+    ['x1', 'v1', 'x2', 'v2']
     """
 
     name: str
@@ -27,7 +34,13 @@ class State(NamedTuple):
 
 
 class Mode(NamedTuple):
-    """A discrete state: its name, what its values mean, and the value in which steps are longest."""
+    """A discrete state: its name, what its values mean, and the value in which steps are longest.
+
+    **Example:**
+
+    >>> [(mode.name, mode.calmest) for mode in vj.SCENES["vibro-impact"]().modes]
+    [('slip', 1.0), ('touching', 0.0)]
+    """
 
     name: str
     meaning: str
@@ -39,6 +52,11 @@ class Marker(NamedTuple):
 
     It may be any state that is alike in size to velocities, such as the phase of what forces a motion; no guard may
     have the same zeros.
+
+    **Example:**
+
+    >>> vj.SCENES["vibro-impact"]().markers[0]
+    Marker(name='bit_turn', velocity='v1')
     """
 
     name: str
@@ -56,6 +74,14 @@ class Guard:
     - `slope_resolution`: `slope_resolution(constants, mode, h)`, first-order changes over a step `h` [s] that count as
       zero where it starts on the guard; None: 16 times the resolution.
     - `is_switch`: whether a smoothed motion spreads it out, and so never reaches it.
+
+    **Example:**
+
+    >>> wall = vj.Guard("wall", lambda c, mode, y: 1.0 - y[0], resolution=lambda c, mode: 1e-14)
+    >>> wall.function(None, (), (0.25, 0.0))  # so far from x = 1
+    0.75
+    >>> [guard.name for guard in vj.SCENES["vibro-impact"]().guards()]
+    ['friction', 'contact']
     """
 
     name: str
@@ -70,6 +96,11 @@ class Swing(NamedTuple):
 
     The turns are landed on where the velocity is a marker's. The first swing of a section `at` another state may do
     without a velocity, None: no state is its rate.
+
+    **Example:**
+
+    >>> vj.SCENES["vibro-impact"]().section.swings[1]
+    Swing(position='x2', velocity='v2', amplitude='striker_amplitude')
     """
 
     position: str
@@ -87,6 +118,12 @@ class Section:
 
     A motion under a force that repeats is the motion of an autonomous scene with one more state, the force's phase,
     which a guard sets back by a whole turn, away from zero: `at` that phase the section is stroboscopic.
+
+    **Example:**
+
+    >>> section = vj.Section((vj.Swing("x", "v", "amplitude"),), rearm=lambda c: -0.1, at="phase")
+    >>> section.velocity, section.compared
+    ('phase', ('x',))
     """
 
     swings: tuple[Swing, ...]

@@ -49,6 +49,18 @@ class Scene(ABC, Generic[C]):
     - `measures`: what is measured of it: names or objects of gauges, see [vibrojax.measure][].
     - `autonomous`: whether nothing acts on it that changes with time, so that a state at rest stays.
     - `drifting`: states that go on growing and on which nothing depends: no part of the return map.
+
+    **Example:**
+
+    >>> class OnTheMoon(vj.SCENES["rotary"]):  # one of the package, with another default
+    ...     name = "on-the-moon"
+    ...
+    ...     def parameters(self):
+    ...         gravity = vj.parameters.positive("g", 1.62, "m s-2", "gravity", "g")
+    ...         return super().parameters() | vj.parameters.table(gravity)
+    >>> motion = vj.simulate(OnTheMoon(), start="stuck", duration=4.0, progress=False)
+    >>> round(float(abs(motion.friction_force).max()))  # N, where the bit breaks loose: 0.4 m1 g
+    162
     """
 
     name: ClassVar[str]

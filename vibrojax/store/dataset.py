@@ -38,6 +38,13 @@ def write_dataset(dataset: xr.Dataset, path: str | os.PathLike[str]) -> None:
     - `path`: the file to be; one that is there is replaced.
 
     **Raises:** `OSError` where the disk is full or the folder cannot be written.
+
+    **Example:**
+
+    >>> speeds = {"scene": "rotary", "grid": {"v": [1.0, 1.5]}}
+    >>> vj.write_dataset(vj.run_sweep(speeds, progress=False), "speeds.nc")
+    >>> vj.open_dataset("speeds.nc").attrs["Conventions"]
+    'CF-1.11'
     """
     path = Path(path)
     # Flags stay integers only without a fill value, and floats keep NaN as it is.
@@ -63,6 +70,13 @@ def open_dataset(path: str | os.PathLike[str]) -> xr.Dataset:
     variables that are read when they are used: by dask, in parts, where it is installed.
 
     **Raises:** `InputError` where it is not there, no netCDF, cut short, or not written by this package.
+
+    **Example:**
+
+    >>> motion = vj.simulate("rotary", duration=2.0, progress=False)
+    >>> vj.write_dataset(motion, "motion.nc")
+    >>> vj.open_dataset("motion.nc").equals(motion)
+    True
     """
     path = Path(path)
     if not path.exists():
