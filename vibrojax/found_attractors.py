@@ -76,7 +76,11 @@ def attractors(
     [[0.7, 3.0]]
     """
     sweep = sweep_of(source)
-    dataset = with_orbits(source if isinstance(source, xr.Dataset) else sweep, progress)
+    return attractors_of(sweep, with_orbits(source if isinstance(source, xr.Dataset) else sweep, progress))
+
+
+def attractors_of(sweep: Sweep, dataset: xr.Dataset) -> xr.Dataset:
+    """The attractors of a sweep, from its dataset with orbits; see `attractors`."""
     dataset = dataset.transpose(*sweep.dims, ...)
     shape, starts = sweep.shape[:-1], sweep.shape[-1]
     values, _ = sweep.lane_values(0, sweep.lanes)

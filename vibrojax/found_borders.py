@@ -76,6 +76,11 @@ def borders(
     sweep = sweep_with_orbits(source)
     names = checked(sweep, axes)
     dataset = with_orbits(source if isinstance(source, xr.Dataset) else sweep, progress)
+    return borders_of(sweep, dataset, names)
+
+
+def borders_of(sweep: Sweep, dataset: xr.Dataset, names: tuple[str, str]) -> xr.Dataset:
+    """The borders in the plane of two axes of a sweep, from its dataset with orbits; see `borders`."""
     return _Regions(sweep, dataset, names).dataset()
 
 
