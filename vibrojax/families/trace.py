@@ -164,7 +164,9 @@ class Tracer:
             kind, at = KINDS[special.kind[k]], special.at.of([k])
             note = self._without_impact(at, special.beyond.of([k])) if kind == "grazing" else ""
             leg.marks.append(Mark(kind, at, int(special.place[k]) - first, note))
-        leg.marks.sort(key=lambda mark: mark.place)
+        trail = leg.at
+        assert trail is not None
+        leg.marks.sort(key=lambda mark: (mark.place, np.abs(mark.at.u[0] - trail.u[mark.place]).max()))
 
     def _without_impact(self, at: At, beyond: At) -> str:
         """What there is to say where other events begin or vanish than impacts: of which modes."""
