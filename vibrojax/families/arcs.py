@@ -64,10 +64,10 @@ def drawn_together(problem: Problem, arcs: Arcs, value: Value, events: Flags) ->
     """The arcs with their ends at the point where `value` passes zero; and for which that was possible.
 
     Orbits are looked for where the value is foretold to vanish, or rather beside, by as much as that is in doubt, so
-    that both ends are drawn in; by halves where nothing can be foretold. Where events begin or vanish the value may jump:
-    then its signs tell the sides, and each side foretells for itself. Where they do (`events`), orbits may be found on
-    one side only, because the map goes as a root on the other: then the end where fewer events are met is drawn to the
-    last orbit of its kind, and the other stays.
+    that both ends are drawn in; by halves where nothing can be foretold. Where events begin or vanish the value may
+    jump: then its signs tell the sides, and each side foretells for itself. Where they do (`events`), orbits may be
+    found on one side only, because the map goes as a root on the other: then the end where fewer events are met is
+    drawn to the last orbit of its kind, and the other stays.
     """
     drawing = _Drawing(problem, arcs.of(np.arange(len(arcs.place))), value, events)
     for turn in range(MOST_TURNS):
@@ -99,7 +99,12 @@ class _Drawing:
         self._one_sided = np.zeros(len(lanes), bool)
         # What is known of the value: on the near side, on the far one, and of both.
         self._known_at, self._known = np.full((2, 3, len(lanes), 3), np.nan)
-        for side, at, f in ((0, self._low, f_low), (1, self._high, f_high), (2, self._high, f_high), (2, self._low, f_low)):
+        for side, at, f in (
+            (0, self._low, f_low),
+            (1, self._high, f_high),
+            (2, self._high, f_high),
+            (2, self._low, f_low),
+        ):
             self._learn(side, lanes, at, f)
 
     def apart(self) -> PerLane:
@@ -193,7 +198,9 @@ class _Drawing:
         )
         whole, part = (high - low)[:, None], ((arc - low) / (high - low))[:, None]
         between = near + part * (far - near)
-        between += part * (1 - part) * ((1 - part) * (whole * ahead - far + near) - part * (whole * ahead_far - far + near))
+        between += (
+            part * (1 - part) * ((1 - part) * (whole * ahead - far + near) - part * (whole * ahead_far - far + near))
+        )
         return np.where(self._jumps[lanes][:, None], lone, between)
 
 

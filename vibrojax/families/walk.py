@@ -196,7 +196,9 @@ class _Walker:
         ahead = at - self._along[lanes, 0]
         sound = (ahead > 0) & (ahead < within) & (doubt < ahead / 4)
         over = ~self._blocked[lanes] & (doubt < CROSSING / 8)
-        before = np.where(over, np.maximum(ahead - CROSSING / 4, ahead / 2), ahead - np.maximum(2 * doubt, SHORTEST / 2))
+        before = np.where(
+            over, np.maximum(ahead - CROSSING / 4, ahead / 2), ahead - np.maximum(2 * doubt, SHORTEST / 2)
+        )
         step = np.where(over & (ahead < CROSSING / 2), ahead + CROSSING / 4, before)
         return np.where(sound, np.maximum(step, 1.01 * SHORTEST), np.nan)
 
@@ -210,8 +212,10 @@ class _Walker:
         taken = np.linalg.norm(now.u - last.u, axis=1)
         changed = (now.signature != last.signature).any(axis=1)
         sound = np.isfinite(ahead).all(axis=1)
-        sound &= (turn <= SHARP_TURN) | (taken < 10 * SHORTEST) | changed & (
-            (taken <= CORNER) & (turn <= BLUNT) | (taken <= CROSSING) & (turn <= SHARP)
+        sound &= (
+            (turn <= SHARP_TURN)
+            | (taken < 10 * SHORTEST)
+            | changed & ((taken <= CORNER) & (turn <= BLUNT) | (taken <= CROSSING) & (turn <= SHARP))
         )
         value = problem.value(family, now.u)
         beyond = (value > problem.last[family]) | (value < problem.first[family])
