@@ -1,15 +1,14 @@
-"""What commands share that make a dataset from a sweep's orbits: their arguments, and how they read and write."""
+"""What commands share that make a dataset from a sweep's orbits: arguments, what they read and where they write."""
 
 import shlex
 from argparse import ArgumentParser
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from vibrojax.cli._command import Options
 from vibrojax.cli._complete import files, with_completer
-from vibrojax.cli._output import dataset_written, draw, output, picture_beside
-from vibrojax.timings import timed
+from vibrojax.cli._output import Result, result_at
 
 if TYPE_CHECKING:
     import xarray
@@ -38,35 +37,11 @@ def read_source(given: str) -> "xarray.Dataset | Sweep":
     return open_dataset(Path(given)) if given.endswith(".nc") else sweep_with_orbits(given)
 
 
-class Result(NamedTuple):
-    """Where a result goes, and its `picture`; and what it depends on, see [vibrojax.store.finished][]."""
-
-    out: Path
-    picture: Path
-    identity: Mapping[str, object]
-
-
 def result_of(options: Options, name: str, result: str, identity: Mapping[str, object]) -> Result:
     """Where the `result` of a sweep of this `name` goes; raises `InputError` where it cannot, or something else is
     there. An interrupt says how to begin again."""
-    from vibrojax.store.finished import check_replaceable
-
     given = str(options.file)
-    out = output(options.out or f"{Path(given).stem if given.endswith('.nc') else name}-{result}.nc")
-    picture = picture_beside(out)
-    if not options.fresh:
-        check_replaceable(out, identity)
-    command = shlex.join(["vibrojax", result, given, "-o", str(out)])
+    found = result_at(options, f"{Path(given).stem if given.endswith('.nc') else name}-{result}.nc", identity)
+    command = shlex.join(["vibrojax", result, given, "-o", str(found.out)])
     options.how_to_resume = f"nothing is kept of what was computed; to begin again: {command}"
-    return Result(out, picture, identity)
-
-
-def written(options: Options, dataset: "xarray.Dataset", result: Result) -> str:
-    """Write a result, and draw it; what to say of its picture."""
-    from vibrojax.store.dataset import write_dataset
-    from vibrojax.store.finished import IDENTITY, identity_text
-
-    with timed("write"):
-        write_dataset(dataset.assign_attrs({IDENTITY: identity_text(result.identity)}), result.out)
-    dataset_written(options, result.out)
-    return draw(dataset, result.picture)
+    return found
