@@ -19,13 +19,9 @@ from vibrojax.found_orbits import orbits as with_orbits
 from vibrojax.found_orbits import sweep_with_orbits
 from vibrojax.input.definition import Sweep
 from vibrojax.physics.parameters import differing
+from vibrojax.store.derived import OF_ATTRACTORS
 from vibrojax.store.provenance import provenance
-from vibrojax.store.variables import VARIABLES, Variable
-
-SHARE = Variable("1", "share of the starts that end in the attractor")
-SHARE_STDERR = Variable("1", "standard error of share, binomial")
-UNASSIGNED = Variable("1", "starts of which no attractor could be told", np.int32)
-LANE_ATTRACTOR = Variable("1", "number of the attractor that the lane ends in; -1: none could be told", np.int32)
+from vibrojax.store.variables import VARIABLES
 
 MEASURED = ("period", "impacts", "impact_velocity")
 """What is said of attractors besides their regime and cycles: the median of their lanes."""
@@ -128,8 +124,8 @@ def _described(sweep: Sweep, dataset: xr.Dataset, motions: Motions, number: Int[
     share = np.zeros((points, many))
     np.add.at(share, (told // starts, of_lane[told]), 1 / starts)
     found = {
-        "share": (SHARE, share),
-        "share_stderr": (SHARE_STDERR, np.sqrt(share * (1 - share).clip(0) / starts)),
+        "share": (OF_ATTRACTORS["share"], share),
+        "share_stderr": (OF_ATTRACTORS["share_stderr"], np.sqrt(share * (1 - share).clip(0) / starts)),
         **{name: (VARIABLES[name], x) for name, x in _measured(dataset, motions, number, points, many).items()},
     }
     dims = (*sweep.dims[:-1], "attractor")
@@ -137,10 +133,14 @@ def _described(sweep: Sweep, dataset: xr.Dataset, motions: Motions, number: Int[
         name: (dims, x.reshape(*shape, many).astype(about.dtype), about.attributes())
         for name, (about, x) in found.items()
     }
-    unassigned = (of_lane < 0).reshape(points, starts).sum(axis=1).reshape(shape).astype(UNASSIGNED.dtype)
-    variables["unassigned"] = (sweep.dims[:-1], unassigned, UNASSIGNED.attributes())
-    lanes = of_lane.reshape(sweep.shape).astype(LANE_ATTRACTOR.dtype)
-    variables["lane_attractor"] = (sweep.dims, lanes, LANE_ATTRACTOR.attributes())
+    unassigned = (of_lane < 0).reshape(points, starts).sum(axis=1).reshape(shape)
+    counted = (
+        ("unassigned", sweep.dims[:-1], unassigned),
+        ("lane_attractor", sweep.dims, of_lane.reshape(sweep.shape)),
+    )
+    for name, along, x in counted:
+        one = OF_ATTRACTORS[name]
+        variables[name] = (along, x.astype(one.dtype), one.attributes())
     about = {"units": "1", "long_name": "number of the attractor"}
     kept = {name: x for name, x in dataset.coords.items() if set(x.dims) <= set(sweep.dims)}
     described = {

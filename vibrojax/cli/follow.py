@@ -9,9 +9,8 @@ from vibrojax.cli._command import Options
 from vibrojax.cli._complete import follow_values, scenes, with_completer
 from vibrojax.cli._family_lines import family_facts, family_lines
 from vibrojax.cli._json import HELP, from_json, print_json
-from vibrojax.cli._output import dataset_written, draw, output, picture_beside
+from vibrojax.cli._output import result_at, result_written
 from vibrojax.errors import Place, shown
-from vibrojax.timings import timed
 from vibrojax.words import FAMILY_WORDS, glossary
 
 if TYPE_CHECKING:
@@ -67,26 +66,16 @@ def run(options: Options) -> None:
         cycles=_whole(settings.get("cycles", MOST_CYCLES)),
         parameters=parameters,
     )
-    out = output(options.out or f"{asked.sweep.scene}-{asked.along}.nc")
-    picture = picture_beside(out)
+    result = result_at(options, f"{asked.sweep.scene}-{asked.along}.nc", asked.identity())
 
     from vibrojax.followed import follow_asked
-    from vibrojax.store.dataset import write_dataset
-    from vibrojax.store.finished import IDENTITY, check_replaceable, identity_text
 
-    identity = asked.identity()
-    if not options.fresh:
-        check_replaceable(out, identity)
     dataset = follow_asked(asked, progress=not options.quiet)
-    dataset = dataset.assign_attrs({IDENTITY: identity_text(identity)})
-    with timed("write"):
-        write_dataset(dataset, out)
-    dataset_written(options, out)
-    drawn = draw(dataset, picture)
+    drawn = result_written(options, dataset, result)
     if options.json:
-        print_json(_facts(dataset, out, picture if drawn else None))
+        print_json(_facts(dataset, result.out, result.picture if drawn else None))
     elif not options.quiet:
-        print("\n".join([*family_lines(dataset), f"{out}{drawn}"]))
+        print("\n".join([*family_lines(dataset), f"{result.out}{drawn}"]))
 
 
 def _facts(dataset: "xarray.Dataset", out: Path, picture: Path | None) -> dict[str, object]:
