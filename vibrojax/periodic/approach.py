@@ -52,6 +52,10 @@ class Approach(NamedTuple):
     returns: Away
     limit: States
 
+    def of(self, lanes: Index, since: int = 0) -> "Approach":
+        """Some of the lanes, by index; their returns without the newest, as many as `since`."""
+        return Approach(self.lanes[lanes], self.scale[lanes], self.returns[since:, :, lanes], self.limit[lanes])
+
 
 def approaching(
     returns: Settling, repeat: int, now: PerLane, observe: float, tolerance: float
