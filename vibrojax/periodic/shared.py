@@ -4,8 +4,7 @@ Of hundreds of starts of a point most lead to one of a few orbits. What is known
 what lanes of its own chunk have led to, so that it follows from the sweep alone.
 """
 
-from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 from jaxtyping import Bool
@@ -21,29 +20,28 @@ class Known:
     """Orbits of points that are known, all of as many returns."""
 
     def __init__(self) -> None:
-        self._of_point: dict[bytes, list[int]] = {}
+        self._points = np.zeros(0, int)
         self._orbits: list[Found] = []
         self._features: list[Features] = []
 
     def __len__(self) -> int:
-        return sum(map(len, self._of_point.values()))
+        return len(self._points)
 
-    def add(self, points: Sequence[bytes], found: OnOrbits) -> None:
+    def add(self, points: Index, found: OnOrbits) -> None:
         """Enter orbits, each of one of the `points`."""
-        for number, point in enumerate(points, start=len(self)):
-            self._of_point.setdefault(point, []).append(number)
+        self._points = np.concatenate([self._points, points])
         self._orbits.append(found.orbits)
         self._features.append(found.features)
 
-    def candidates(self, points: Sequence[bytes], lanes: Index, since: int) -> Iterator[tuple[Index, Index]]:
-        """The `lanes`, and an orbit that each may be on, by number; then the next; of those from the number `since` on.
-
-        `points`: of all lanes.
-        """
-        of_lane = [[number for number in self._of_point.get(points[lane], ()) if number >= since] for lane in lanes]
-        for rank in range(max(map(len, of_lane), default=0)):
-            some = [(lane, own[rank]) for lane, own in zip(lanes.tolist(), of_lane, strict=True) if len(own) > rank]
-            yield tuple(np.array(one, int) for one in zip(*some, strict=True))
+    def candidates(self, points: Index, since: int) -> Iterator[Index]:
+        """An orbit that a lane of each of the `points` may be on, by number, -1: none; then the next; of those that
+        are known from the number `since` on."""
+        numbers = np.arange(since, len(self))
+        rank = _rank(self._points[since:])
+        for nth in range(int(rank.max(initial=-1)) + 1):
+            of_point = np.full(max(self._points.max(), points.max(initial=0)) + 1, -1)
+            of_point[self._points[numbers[rank == nth]]] = numbers[rank == nth]
+            yield of_point[points]
 
     def orbits(self, which: Index) -> Found:
         """Orbits by their numbers."""
@@ -60,6 +58,7 @@ class SharedEnds:
     def __init__(self, alone: EarlyEnds) -> None:
         self._alone = alone
         self._known: dict[int, Known] = {}  # by returns of a repeat
+        self._numbers: dict[bytes, int] = {}  # of points, by their parameters
 
     def of_chunk(self) -> "SharedEnds":
         """The same, of which nothing is known yet."""
@@ -77,55 +76,55 @@ class SharedEnds:
         """Hold lanes against what is known; then one lane of each point is looked at by itself, two, four, ...; and
         those that are left are held against what that has found."""
         known = self._known.setdefault(near.limit.shape[1], Known())
-        points = _points(batch)
+        points = self._points(batch)
         ended, left = self._held(near, batch, points, known, 0, np.arange(len(near.lanes)))
         many = 1
         while len(left):
             before = len(known)
-            alone = _first(points, left, many)
+            first = _rank(points[left]) < many
+            alone, left = left[first], left[~first]
             found = self._alone.on_orbits(near.of(alone), batch.of(alone))
             lanes = alone[found.lanes]
             if len(lanes):
-                known.add([points[lane] for lane in lanes], found)
+                known.add(points[lanes], found)
                 ended.append(self._alone.ended(near.lanes[lanes], found.features, batch.of(lanes)))
-            left = np.setdiff1d(left, alone)
             more, left = self._held(near, batch, points, known, before, left)
             ended += more
             many *= 2
         return ended
 
     def _held(
-        self, near: Approach, batch: Batch, points: Sequence[bytes], known: "Known", since: int, left: Index
+        self, near: Approach, batch: Batch, points: Index, known: Known, since: int, left: Index
     ) -> tuple[list[Ended], Index]:
         """Those of the lanes that are `left` which will be on orbits that are known `since`; and the others."""
-        ended = []
-        for lanes, which in known.candidates(points, left, since):
-            lanes, which = lanes[np.isin(lanes, left)], which[np.isin(lanes, left)]
+        mine, orbits = [], []
+        for number in known.candidates(points, since):
+            # A lane's newest return may be any of those of the repeat.
             for late in range(near.limit.shape[1]):
+                lanes = left[number[left] >= 0]
                 if not len(lanes):
                     break
-                orbit = known.orbits(which)
+                orbit = known.orbits(number[lanes])
                 there = self._alone.will_be_there(near.of(lanes, late), orbit, batch.of(lanes))
-                if there.any():
-                    mine, features = lanes[there], known.features(which[there])
-                    ended.append(self._alone.ended(near.lanes[mine], features, batch.of(mine)))
-                    left = np.setdiff1d(left, mine)
-                    lanes, which = lanes[~there], which[~there]
-        return ended, left
+                mine.append(lanes[there])
+                orbits.append(number[lanes[there]])
+                left = left[~np.isin(left, lanes[there])]
+        lanes = np.concatenate([np.zeros(0, int), *mine])
+        if not len(lanes):
+            return [], left
+        features = known.features(np.concatenate(orbits))
+        return [self._alone.ended(near.lanes[lanes], features, batch.of(lanes))], left
+
+    def _points(self, batch: Batch) -> Index:
+        """The point of each lane, by number; told by the values of its parameters."""
+        values = np.stack([np.asarray(x, float) for x in batch.given.parameters.values()], axis=1)
+        return np.array([self._numbers.setdefault(row.tobytes(), len(self._numbers)) for row in values], int)
 
 
-def _points(batch: Batch) -> list[bytes]:
-    """The point of each lane, by the values of its parameters."""
-    values = np.stack([np.asarray(x, float) for x in batch.given.parameters.values()], axis=1)
-    return [row.tobytes() for row in values]
-
-
-def _first(points: Sequence[bytes], lanes: Index, many: int) -> Index:
-    """The first lanes of each point, so `many` at most."""
-    seen: Counter[bytes] = Counter()
-    chosen = []
-    for lane in lanes.tolist():
-        seen[points[lane]] += 1
-        if seen[points[lane]] <= many:
-            chosen.append(lane)
-    return np.array(chosen, int)
+def _rank(points: Index) -> Index:
+    """How many lanes of its point stand before each."""
+    order = np.argsort(points, kind="stable")
+    _, first, count = np.unique(points[order], return_index=True, return_counts=True)
+    rank = np.empty(len(points), int)
+    rank[order] = np.arange(len(points)) - np.repeat(first, count)
+    return rank
