@@ -46,6 +46,7 @@ SHARE, LEAST = 0.25, 0.04
 """Part of the two runs' difference that the error is taken for, and that of the tolerance which it has at least. Only
 one repeat adds to it, because the orbit that lanes begin on is nearly exact."""
 
+
 class OnOrbits(NamedTuple):
     """Lanes that will be on orbits: which, by index; their orbits, and what is measured over these at two accuracies,
     certified: all features but those that are the lane's own."""

@@ -3,7 +3,7 @@
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from vibrojax.engine.batch import Features, Index
 from vibrojax.input.definition import Sweep
@@ -146,7 +146,7 @@ class Orbits:
         return measured
 
 
-def _distinct(columns: list[np.ndarray]) -> tuple[Index, Index]:
+def _distinct(columns: list[np.ndarray]) -> tuple[Int[np.ndarray, " distinct"], Index]:
     """The first of all lanes that are alike to the last bit in all columns, (lanes, ...), and of each lane its number.
 
     Lanes that ended on an orbit which they share are: what follows from them need be found once.

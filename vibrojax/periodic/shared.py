@@ -7,13 +7,15 @@ what lanes of its own chunk have led to, so that it follows from the sweep alone
 from collections.abc import Iterator
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Int
 
-from vibrojax.engine.batch import Batch, Features, Index
+from vibrojax.engine.batch import Batch, Features
 from vibrojax.engine.underway import Ended
-from vibrojax.periodic.approach import Approach
+from vibrojax.periodic.approach import NEAR, Approach, distance
 from vibrojax.periodic.early import EarlyEnds, OnOrbits
 from vibrojax.periodic.newton import Found
+
+Index = Int[np.ndarray, " _"]
 
 
 class Known:
@@ -96,7 +98,7 @@ class SharedEnds:
     def _held(
         self, near: Approach, batch: Batch, points: Index, known: Known, since: int, left: Index
     ) -> tuple[list[Ended], Index]:
-        """Those of the lanes that are `left` which will be on orbits that are known `since`; and the others."""
+        """Those of the lanes that are `left` which will be on orbits that are known `since`; and those not near any."""
         mine, orbits = [], []
         for number in known.candidates(points, since):
             # A lane's newest return may be any of those of the repeat.
@@ -104,11 +106,12 @@ class SharedEnds:
                 lanes = left[number[left] >= 0]
                 if not len(lanes):
                     break
-                orbit = known.orbits(number[lanes])
-                there = self._alone.will_be_there(near.of(lanes, late), orbit, batch.of(lanes))
+                orbit, those = known.orbits(number[lanes]), near.of(lanes, late)
+                there = self._alone.will_be_there(those, orbit, batch.of(lanes))
                 mine.append(lanes[there])
                 orbits.append(number[lanes[there]])
-                left = left[~np.isin(left, lanes[there])]
+                # Newton's method would find the same orbit of one that is near it, but not there yet.
+                left = left[~np.isin(left, lanes[there | (distance(those, orbit) < NEAR)])]
         lanes = np.concatenate([np.zeros(0, int), *mine])
         if not len(lanes):
             return [], left
