@@ -28,6 +28,18 @@ def early_ends(sweep: Sweep) -> Ends | None:
     if not isinstance(run.stepper, Located) or scene.section is None:
         return None
     seconds = sweep.lanes * (run.settle + run.observe)
-    if sweep.crosses_starts and sweep.shape[-1] >= SHARED:
+    if _starts_of_a_point(sweep) >= SHARED:
         return SharedEnds(EarlyEnds(sweep)) if run.orbits or seconds >= SHARED_WORTH else None
     return EarlyEnds(sweep) if seconds >= WORTH else None
+
+
+def _starts_of_a_point(sweep: Sweep) -> float:
+    """How many starts each point has; of a list of points that give their starts, on average."""
+    if sweep.crosses_starts:
+        return sweep.shape[-1]
+    if sweep.point_vectors is None:
+        return 1.0
+    columns = list((sweep.points or {}).values())
+    return (
+        sweep.lanes / len(set(zip(*(column.tolist() for column in columns), strict=True))) if columns else sweep.lanes
+    )
