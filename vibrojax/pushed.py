@@ -2,61 +2,56 @@
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
 
-from vibrojax.coexistence.alike import told_apart
-from vibrojax.errors import Place, shown, suggestion
-from vibrojax.input.definition import Sweep
-from vibrojax.input.point import read_point
+from vibrojax.coexistence.alike import SAME
+from vibrojax.coexistence.push_asked import PRECISION, SCAN, PushAsked, read_pushed
+from vibrojax.errors import Place
+from vibrojax.families.begin import KnownOrbits, known_orbits
 from vibrojax.input.points import VECTOR
 from vibrojax.input.read import read_sweep
-from vibrojax.input.values import quantity
-from vibrojax.label import REGIMES
-from vibrojax.physics.parameters import differing, positive
+from vibrojax.label import EQUILIBRIUM, IRREGULAR, REGIMES, UNDECIDED
+from vibrojax.physics.parameters import differing
 from vibrojax.scenes import Scene
 from vibrojax.store.provenance import provenance
 from vibrojax.store.variables import ORBIT_REASONS, REASONS, VARIABLES, orbit_name
 from vibrojax.sweep import run_sweep
 
-SCAN, PRECISION = 64, 1e-3
-"""Pushes of a first scan, up to the bound; and the width of the bracket in the end, over the push."""
+SCANS = 5
+"""Scans at most, each below the smallest push that the one before found."""
 
 PIECES, ROUNDS = 32, 4
 """In so many pieces a bracket is cut at once, so many times at most."""
 
+PATIENCE = 6.0
+"""A motion that is irregular goes on for so many times as long: it may be on its way back."""
+
 SIGNS = (-1, 1)
 
 METHOD = (
-    "pushes at the section of the working cycle, scan of them in each direction evenly up to the bound; between the "
-    "first after which the motion ends elsewhere and the last before that which it returns from, the same again until "
-    "that bracket is narrow. A basin with a hole narrower than the bound over scan may be left by a smaller push"
+    "pushes at the section of the working cycle, scan of them in each direction evenly up to the bound, then as many "
+    "below the smallest that leaves, until nothing smaller is found; between that and the greatest below it that is "
+    "returned from, the same until that bracket is narrow. What is irregular then goes on for patience times as long. "
+    "Basins have holes: what is narrower than the steps of the scans is missed"
 )
 
 Pushes = Float[np.ndarray, "points directions pushes"]
+PerDirection = Float[np.ndarray, "points directions"]
+Regimes = Int[np.ndarray, "points directions"]
 
 
-@dataclass(frozen=True, eq=False)
-class PushAsked:
-    """Whose working cycles are pushed: `sweep`, of one motion each; `columns`: what differs between them, by name; and
-    as `smallest_push` takes them, `most`, `scan` and `precision`."""
+class Brackets(NamedTuple):
+    """Of each direction the greatest push that is known to return below the smallest that leaves; that, NaN where none
+    was found; and the regime that it ends in, 0 there."""
 
-    sweep: Sweep
-    tables: dict[str, Any]
-    columns: dict[str, list[Any]]
-    most: dict[str, float]
-    scan: int
-    precision: float
-
-    def identity(self) -> dict[str, object]:
-        """What the result depends on, as flat JSON values."""
-        own = {"scan": self.scan, "precision": self.precision, **{f"most_{name}": x for name, x in self.most.items()}}
-        return self.sweep.identity() | own
+    low: PerDirection
+    high: PerDirection
+    regime: Regimes
 
 
 def smallest_push(
@@ -77,9 +72,10 @@ def smallest_push(
         push.push_v2.sel(sign=1)  # m/s that are added to the striker's velocity
 
     The working cycle is the orbit that the motion settles on. Where it passes the section (the bit overtakes the drive)
-    one state is changed at once, to either side, and the motion goes on for `settle` and `observe`. It is a scan, and
-    then a refinement of the first push that leaves: basins may have holes, and one that is narrower than the bound over
-    `scan` may be missed.
+    one state is changed at once, to either side, and the motion goes on for `settle` and `observe`, six times as long
+    where it is irregular. A scan up to the bound is followed by scans below the smallest push that leaves, until they
+    find no smaller one, and that is refined. Basins have holes, and one that is narrower than the steps of these scans
+    is missed: what is given is a push that leaves, the smallest that was found.
 
     **Arguments:**
 
@@ -88,7 +84,7 @@ def smallest_push(
     - `start`: of the motion whose cycle is pushed, by default the scene's first.
     - `most`: the greatest push in a state, by its name (x1, x2 [m], v1, v2 [m/s]); by default its whole swing over the
       cycle, or of a velocity that over the period times 2 pi.
-    - `scan`: pushes of the first scan in each direction; `precision`: the width of the bracket in the end, over the
+    - `scan`: pushes of each scan in a direction; `precision`: the width of the bracket in the end, over the
       push.
     - `settle`, `observe` [s]: for which motions settle and are watched then.
     - `progress`: whether to say on stderr how far it is.
@@ -101,57 +97,6 @@ def smallest_push(
     **Raises:** `InputError` where a name or value is not right, or there is no stable cycle to be pushed out of.
     """
     return push_asked(read_pushed(scene, start, most, scan, precision, settle, observe, parameters), progress)
-
-
-def read_pushed(
-    scene: str | Scene[Any],
-    start: object,
-    most: object,
-    scan: object,
-    precision: object,
-    settle: object,
-    observe: object,
-    parameters: Mapping[str, Any],
-) -> PushAsked:
-    """What is asked for, checked; raises `InputError`, one line, at the first thing that is wrong."""
-    place = Place("smallest_push")
-    columns = {name: list(x) for name, x in parameters.items() if _is_column(x)}
-    fixed = {name: x for name, x in parameters.items() if name not in columns}
-    for name, column in columns.items():
-        if not column:
-            raise place.at(name).error("is empty; give a value")
-    point = read_point(place, scene, fixed | {name: column[0] for name, column in columns.items()}, start)
-    system = point.system
-    lacking = [name for name in system.driving_part().return_states if name not in system.start_states]
-    if system.driving_part().section is None or lacking or point.start is None:
-        what = f"{', '.join(lacking)} of it cannot be given as a start" if lacking else "it has no drill"
-        raise place.at("scene").error(f"{shown(point.scene)} has no working cycle to push: {what}")
-    if isinstance(scan, bool) or not isinstance(scan, int) or not 2 <= scan <= 10_000:
-        raise place.at("scan").error(f"{shown(scan)} is not a whole number from 2 to 10000")
-    within = quantity(place.at("precision"), precision, positive("precision", PRECISION, "1", "precision", "precision"))
-    bounds = {}
-    for name, value in dict(most if isinstance(most, Mapping) else {}).items():
-        if name not in system.start_states:
-            raise place.at("most").error(
-                f"{shown(name)} is no state of a start; {suggestion(name, system.start_states)}"
-            )
-        about = positive(name, 1.0, "1", "greatest push", name)
-        bounds[name] = quantity(place.at("most").at(name), value, about)
-    if most is not None and not isinstance(most, Mapping):
-        raise place.at("most").error(f"{shown(most)} is no table; give one like {{'v2': 3.0}}")
-    tables: dict[str, Any] = {
-        "scene": scene,
-        "parameters": fixed,
-        "run": {"orbits": True, "settle": settle, "observe": observe},
-        "unusual": True,
-    }
-    start_item = point.start if isinstance(point.start, str) else list(point.start)
-    asked = {"starts": [start_item]} | ({"points": columns} if columns else {})
-    return PushAsked(read_sweep(tables | asked), tables, columns, bounds, scan, within)
-
-
-def _is_column(x: object) -> bool:
-    return isinstance(x, (list, tuple)) or (isinstance(x, np.ndarray) and x.ndim > 0)
 
 
 def push_asked(asked: PushAsked, progress: bool = True) -> xr.Dataset:
@@ -167,9 +112,10 @@ def push_asked(asked: PushAsked, progress: bool = True) -> xr.Dataset:
     section = {name: cycle[orbit_name(name)].values[stable] for name in sweep.system.driving_part().return_states}
     at = np.stack([section.get(name, np.zeros(len(stable))) for name in states], axis=1)
     bound = _bounds(asked, cycle.isel(point=stable))
-    pushed = _Pushed(asked, stable, at, progress)
-    low, high, regime = pushed.smallest(np.repeat(bound, len(SIGNS), axis=1))
-    return _described(asked, cycle, stable, bound, low, high, regime)
+    scene, values = sweep.system.driving_part(), sweep.lane_values(0, sweep.lanes)[0]
+    cycles = known_orbits(scene, cycle, {name: values[name] for name in scene.parameters()}, stable)
+    found = _Pushed(asked, stable, at, cycles, progress).smallest(np.repeat(bound, len(SIGNS), axis=1))
+    return _described(asked, cycle, stable, bound, found)
 
 
 def _what_instead(lane: xr.Dataset) -> str:
@@ -202,74 +148,91 @@ def _bounds(asked: PushAsked, cycle: xr.Dataset) -> Float[np.ndarray, "points st
 class _Pushed:
     """Runs motions that begin on cycles, pushed.
 
-    `points`: those that have a cycle, by index; `at` (points, states): where each passes the section.
+    `points`: those that have a cycle, by index; `at` (points, states): where each passes the section; `cycles`: they.
     """
 
     def __init__(
-        self, asked: PushAsked, points: Int[np.ndarray, " points"], at: Float[np.ndarray, "points states"], shown: bool
+        self,
+        asked: PushAsked,
+        points: Int[np.ndarray, " points"],
+        at: Float[np.ndarray, "points states"],
+        cycles: KnownOrbits,
+        shown: bool,
     ) -> None:
-        self._asked, self._points, self._at, self._shown = asked, points, at, shown
+        self._asked, self._points, self._at, self._cycles, self._shown = asked, points, at, cycles, shown
 
-    def smallest(
-        self, bound: Float[np.ndarray, "points directions"]
-    ) -> tuple[Float[np.ndarray, "..."], Float[np.ndarray, "..."], Int[np.ndarray, "..."]]:
-        """The greatest push that is known to return below the smallest that leaves; that, NaN where there is none up to
-        its `bound`; and the regime that it ends in, 0 there; each (points, directions)."""
-        low, high, regime = np.zeros_like(bound), np.full_like(bound, np.nan), np.zeros(bound.shape, int)
-        pushes = bound[..., None] * np.arange(1, self._asked.scan + 1) / self._asked.scan
-        for _ in range(1 + ROUNDS):
-            low, high, regime = _narrowed(pushes, *self._run(pushes), low, high, regime)
-            wide = high - low > self._asked.precision * high  # NaN is not
+    def smallest(self, bound: PerDirection) -> Brackets:
+        """The smallest pushes that leave, each up to its `bound`."""
+        scan = np.arange(1, self._asked.scan + 1) / self._asked.scan
+        found = Brackets(np.zeros_like(bound), np.full_like(bound, np.nan), np.zeros(bound.shape, int))
+        top, wanted = bound, np.ones(bound.shape, bool)
+        for _ in range(SCANS):
+            before = found.high
+            found = self._narrowed(found, top[..., None] * scan, wanted)
+            top, wanted = found.high, found.high < np.where(np.isnan(before), np.inf, before)
+            if not wanted.any():
+                break
+        share = np.arange(1, PIECES) / PIECES
+        for _ in range(ROUNDS):
+            wide = found.high - found.low > self._asked.precision * found.high  # NaN is not
             if not wide.any():
                 break
-            between = low[..., None] + (high - low)[..., None] * np.arange(1, PIECES) / PIECES
-            # Where nothing is left to be narrowed the cycle itself is run again, which ends at once.
-            pushes = np.where(wide[..., None], between, 0.0)
-        return low, high, regime
+            found = self._narrowed(found, found.low[..., None] + (found.high - found.low)[..., None] * share, wide)
+        return found
 
-    def _run(self, pushes: Pushes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Which pushes the cycle is returned to after, which are left by, and the regimes; as `pushes`."""
-        points, directions, many = pushes.shape
-        begin = np.repeat(self._at[:, None], 1 + directions * many, axis=1)
-        for direction in range(directions):
-            state, sign = divmod(direction, len(SIGNS))
-            begin[:, 1 + direction * many : 1 + (direction + 1) * many, state] += SIGNS[sign] * pushes[:, direction]
-        lanes = begin.shape[1]
-        columns: dict[str, list[Any]] = {
-            name: np.repeat(np.array(x)[self._points], lanes).tolist() for name, x in self._asked.columns.items()
-        }
-        states = self._asked.sweep.system.start_states
-        columns |= {f"{VECTOR}{name}": begin[..., k].ravel().tolist() for k, name in enumerate(states)}
-        sweep = read_sweep(self._asked.tables | {"points": columns})
-        dataset = run_sweep(sweep, progress=self._shown)
-        scene = sweep.system.driving_part()
-        values, _ = sweep.lane_values(0, sweep.lanes)
-        motions = told_apart(scene, dataset, {name: values[name] for name in scene.parameters()}, lanes)
-        ended = motions.of_lane.reshape(points, lanes)
-        back = ended == ended[:, :1]
+    def _narrowed(self, found: Brackets, pushes: Pushes, wanted: np.ndarray) -> Brackets:
+        """The brackets after more pushes in the directions that are `wanted`: up to the smallest push that leaves, from
+        the greatest below it that is returned from."""
+        low, high, regime = (x.copy() for x in found)
+        tried = pushes[wanted]
+        back, left, ends = self._told(np.argwhere(wanted), tried)
+        first = np.argmax(left, axis=1)[:, None]
+        some = left.any(axis=1)
+        high[wanted] = np.where(some, np.take_along_axis(tried, first, axis=1)[:, 0], high[wanted])
+        regime[wanted] = np.where(some, np.take_along_axis(ends, first, axis=1)[:, 0], regime[wanted])
+        top = np.where(np.isnan(high), np.inf, high)[wanted]
+        below = np.max(np.where(back & (tried < top[:, None]), tried, 0.0), axis=1)
+        low[wanted] = np.maximum(np.where(low[wanted] < top, low[wanted], 0.0), below)
+        return Brackets(low, high, regime)
+
+    def _told(self, directions: np.ndarray, pushes: Float[np.ndarray, "some pushes"]) -> tuple[np.ndarray, ...]:
+        """Which pushes the cycle is returned to after, which are left by, and the regimes; as `pushes`.
+
+        `directions` (some, 2): the point of each, and the number of the direction.
+        """
+        many = pushes.shape[1]
+        point, state = np.repeat(directions[:, 0], many), np.repeat(directions[:, 1] // len(SIGNS), many)
+        begin = self._at[point]
+        begin[np.arange(len(point)), state] += np.repeat(np.array(SIGNS)[directions[:, 1] % 2], many) * pushes.ravel()
+        back, left, regime = self._ended(point, begin, 1.0)
+        again = np.flatnonzero(left & (regime == IRREGULAR))
+        if len(again):
+            later = self._ended(point[again], begin[again], PATIENCE)
+            for whole, part in zip((back, left, regime), later, strict=True):
+                whole[again] = part
+        return tuple(x.reshape(pushes.shape) for x in (back, left, regime))
+
+    def _ended(self, point: np.ndarray, begin: np.ndarray, times: float) -> tuple[np.ndarray, ...]:
+        """Of motions of points that `begin` somewhere, each (lanes,), after so many `times` as long."""
+        sweep, tables = self._asked.sweep, self._asked.tables
+        columns = {name: np.array(x)[self._points[point]].tolist() for name, x in self._asked.columns.items()}
+        columns |= {f"{VECTOR}{name}": x.tolist() for name, x in zip(sweep.system.start_states, begin.T, strict=True)}
+        run = tables["run"] | {"settle": times * tables["run"]["settle"]}
+        dataset = run_sweep(read_sweep(tables | {"points": columns, "run": run}), progress=self._shown)
+        names = map(orbit_name, sweep.system.driving_part().return_states)
+        orbits, regime = (
+            np.stack([dataset[name].values for name in names], axis=1),
+            dataset["regime"].values.astype(int),
+        )
+        back = np.zeros(len(point), bool)
+        for number, (states, scales) in enumerate(zip(self._cycles.states, self._cycles.scales, strict=True)):
+            some = np.flatnonzero((point == number) & (dataset["orbit_cycles"].values == len(states)))
+            apart = np.abs(orbits[some, None] - states[None]) / scales
+            back[some] = apart.max(axis=2).min(axis=1) < SAME
+        on_another = np.isfinite(orbits).all(axis=1) & (dataset["stable"].values != 0) & (regime != UNDECIDED)
         # What only seems irregular, on its long way to an orbit nearby, is not told yet.
-        left = (ended >= 0) & ~back & ~(dataset["nearby_cycles"].values.reshape(points, lanes) > 0)
-        regime = dataset["regime"].values.reshape(points, lanes)
-        shape = pushes.shape
-        return back[:, 1:].reshape(shape), left[:, 1:].reshape(shape), regime[:, 1:].reshape(shape)
-
-
-def _narrowed(
-    pushes: Pushes,
-    back: np.ndarray,
-    left: np.ndarray,
-    regimes: np.ndarray,
-    low: Float[np.ndarray, "points directions"],
-    high: Float[np.ndarray, "points directions"],
-    regime: Int[np.ndarray, "points directions"],
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The brackets after more pushes: up to the first that leaves, from the last below it that is returned from."""
-    some = left.any(axis=2)
-    first = np.argmax(left, axis=2)
-    high = np.where(some, np.take_along_axis(pushes, first[..., None], axis=2)[..., 0], high)
-    regime = np.where(some, np.take_along_axis(regimes, first[..., None], axis=2)[..., 0], regime)
-    below = back & (pushes < np.where(np.isnan(high), np.inf, high)[..., None])
-    return np.maximum(low, np.max(np.where(below, pushes, 0.0), axis=2)), high, regime
+        irregular = (regime == IRREGULAR) & (dataset["nearby_cycles"].values == 0)
+        return back, ~back & (on_another | irregular | (regime == EQUILIBRIUM)), regime
 
 
 def _described(
@@ -277,9 +240,7 @@ def _described(
     cycle: xr.Dataset,
     stable: Int[np.ndarray, " stable"],
     bound: Float[np.ndarray, "stable states"],
-    low: Float[np.ndarray, "stable directions"],
-    high: Float[np.ndarray, "stable directions"],
-    regime: Int[np.ndarray, "stable directions"],
+    found: Brackets,
 ) -> xr.Dataset:
     """The dataset of pushes."""
     sweep, points = asked.sweep, cycle.sizes["point"]
@@ -293,14 +254,16 @@ def _described(
     for k, name in enumerate(sweep.system.start_states):
         state, both = sweep.system.states[sweep.system.place(name)], slice(2 * k, 2 * k + 2)
         of, units = f"push in the {state.long_name}, at the section", {"units": state.unit}
-        entered(f"push_{name}", high[:, both], units | {"long_name": f"smallest {of}, that leaves the working cycle"})
-        width = high[:, both] - low[:, both]
+        entered(
+            f"push_{name}", found.high[:, both], units | {"long_name": f"smallest {of}, that leaves the working cycle"}
+        )
+        width = found.high[:, both] - found.low[:, both]
         entered(
             f"bracket_{name}", width, units | {"long_name": f"down to the next smaller {of}, that is returned from"}
         )
         entered(f"bound_{name}", bound[:, k], units | {"long_name": f"greatest {of}, that was tried"})
         flags = VARIABLES["regime"].attributes() | {"long_name": f"where the motion ends after the smallest {of}"}
-        entered(f"regime_{name}", regime[:, both].astype(VARIABLES["regime"].dtype), flags, 0)
+        entered(f"regime_{name}", found.regime[:, both].astype(VARIABLES["regime"].dtype), flags, 0)
     own = ["regime", "period", *map(orbit_name, sweep.system.driving_part().return_states)]
     variables |= {name: ("point", cycle[name].values, cycle[name].attrs) for name in own}
     about = {"units": "1", "long_name": "side to which is pushed: -1 less, 1 more"}
@@ -315,8 +278,10 @@ def _described(
         "run": cycle.attrs["run"],
         "parameters": json.dumps(sweep.parameters),
         "differing": json.dumps(differing(sweep.system.parameters(), sweep.parameters)),
-        "pushes": json.dumps({"method": METHOD, "scan": asked.scan, "precision": asked.precision}),
+        "pushes": json.dumps(
+            {"method": METHOD, "scan": asked.scan, "precision": asked.precision, "patience": PATIENCE}
+        ),
         "Conventions": "CF-1.11",
     }
-    found = xr.Dataset(variables, {**kept, "sign": ("sign", list(SIGNS), about)}, attributes)
-    return found if asked.columns else found.isel(point=0, drop=True)
+    dataset = xr.Dataset(variables, {**kept, "sign": ("sign", list(SIGNS), about)}, attributes)
+    return dataset if asked.columns else dataset.isel(point=0, drop=True)

@@ -30,7 +30,7 @@ def arguments(parser: ArgumentParser) -> None:
         nargs="*",
         help="parameters, and friction; a list, beta=0.3,0.4,0.5, is as many machines, pushed together. start (a name, "
         "or [x1,x1',x2,x2']: of the motion whose cycle is pushed), most_x1, most_v1, most_x2, most_v2 (the greatest "
-        "push, m or m/s; by default the whole swing), scan (pushes of the first scan in each direction: 64), precision "
+        "push, m or m/s; by default the whole swing), scan (pushes of each scan in a direction: 256), precision "
         "(0.001), settle and observe (s, for which motions settle and are then watched: 40, 8)",
     )
     with_completer(values, push_values)
@@ -41,7 +41,7 @@ def arguments(parser: ArgumentParser) -> None:
 def run(options: Options) -> None:
     """Run the command."""
     settings, parameters = named_values(Place("push"), options.values, SETTINGS)
-    from vibrojax.pushed import PRECISION, SCAN, push_asked, read_pushed
+    from vibrojax.coexistence.push_asked import PRECISION, SCAN, read_pushed
 
     most = {name.removeprefix(_MOST): x for name, x in settings.items() if name.startswith(_MOST)}
     asked = read_pushed(
@@ -56,6 +56,7 @@ def run(options: Options) -> None:
     )
     out = output(options.out or f"{asked.sweep.scene}-push.nc")
 
+    from vibrojax.pushed import push_asked
     from vibrojax.store.dataset import write_dataset
     from vibrojax.store.finished import IDENTITY, check_replaceable, identity_text
 
