@@ -36,10 +36,8 @@ def early_ends(sweep: Sweep) -> Ends | None:
 def _starts_of_a_point(sweep: Sweep) -> float:
     """How many starts each point has; of a list of points that give their starts, on average."""
     if sweep.crosses_starts:
-        return sweep.shape[-1]
+        return float(sweep.shape[-1])
     if sweep.point_vectors is None:
         return 1.0
-    columns = list((sweep.points or {}).values())
-    return (
-        sweep.lanes / len(set(zip(*(column.tolist() for column in columns), strict=True))) if columns else sweep.lanes
-    )
+    columns = [column.tolist() for column in (sweep.points or {}).values()]
+    return sweep.lanes / max(len(set(zip(*columns, strict=True))), 1)
