@@ -112,6 +112,7 @@ def test_where_it_is_worth_its_while():
     def kind(count, **run):
         return type(ends.early_ends(read_sweep(sweep(count, **run)))).__name__
 
+    assert ends.SHARED == 16 and ends.SHARED_WORTH == 1.5e6
     assert kind(ends.SHARED, orbits=True) == "SharedEnds" and kind(ends.SHARED) == "NoneType"
     assert kind(ends.SHARED - 1, orbits=True) == "NoneType"
     assert kind(4096, settle=100.0) == "SharedEnds"

@@ -72,6 +72,18 @@ def test_several_machines_at_once(strong):
     assert np.isfinite(velocity[0]) and np.isnan(velocity[1])  # it strikes no more
 
 
+def test_the_picture(strong):
+    figure = vj.picture(strong)
+    panel = figure.axes[0]
+    heights = [bar.get_height() for bar in panel.patches]
+    assert heights == [0.0, pytest.approx(1e3 * float(strong.push_x1[1]))]  # mm
+    assert panel.get_ylabel() == "push in x₁ [mm]" and len(figure.axes) == 4
+    both = strong.expand_dims(point=2).assign_coords(gamma=("point", [0.7, 0.75]))
+    drawn = [line.get_ydata() for line in vj.picture(both).axes[0].lines]
+    np.testing.assert_allclose(drawn[1], [1e3 * float(strong.push_x1[1])] * 2)
+    assert np.isnan(drawn[0]).all()
+
+
 def test_the_bound_is_what_is_asked_for():
     found = pushed(gamma=0.75, most={"x1": 0.04})
     assert float(found.bound_x1) == 0.04 and np.isnan(found.push_x1.values).all()
@@ -85,7 +97,11 @@ def test_the_bound_is_what_is_asked_for():
     [
         ("penetration", {}, "has no working cycle to push"),
         ("coupled-drilling", {}, "compression, v3 of it cannot be given as a start"),
-        ("vibro-impact", AT | {"gamma": 0.75, "start": "drive"}, "irregular after 40 s.: no cycle to push; give another start"),
+        (
+            "vibro-impact",
+            AT | {"gamma": 0.75, "start": "drive"},
+            "irregular after 40 s.: no cycle to push; give another start",
+        ),
         ("vibro-impact", {"scan": 1}, "scan: 1 is not a whole number from 2 to 10000"),
         ("vibro-impact", {"most": {"x9": 1.0}}, '"x9" is no state of a start'),
         ("vibro-impact", {"most": {"x1": -1.0}}, "most.x1"),

@@ -7,7 +7,7 @@ from vibrojax.cli._command import Options
 from vibrojax.cli._complete import push_values, scenes, with_completer
 from vibrojax.cli._json import flags
 from vibrojax.cli._named_values import named_values, whole
-from vibrojax.cli._output import dataset_written, output
+from vibrojax.cli._output import dataset_written, draw, output, picture_beside
 from vibrojax.errors import Place
 from vibrojax.timings import timed
 
@@ -55,6 +55,7 @@ def run(options: Options) -> None:
         parameters=parameters,
     )
     out = output(options.out or f"{asked.sweep.scene}-push.nc")
+    picture = picture_beside(out)
 
     from vibrojax.pushed import push_asked
     from vibrojax.store.dataset import write_dataset
@@ -67,8 +68,9 @@ def run(options: Options) -> None:
     with timed("write"):
         write_dataset(dataset.assign_attrs({IDENTITY: identity_text(identity)}), out)
     dataset_written(options, out)
+    drawn = draw(dataset, picture)
     if not options.quiet:
-        print("\n".join([*push_lines(dataset), str(out)]))
+        print("\n".join([*push_lines(dataset), f"{out}{drawn}"]))
 
 
 def push_lines(dataset: "xarray.Dataset") -> list[str]:
