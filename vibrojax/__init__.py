@@ -30,6 +30,7 @@ _HOMES = {
     "write_dataset": "vibrojax.store.dataset",
     "picture": "vibrojax.plot",
     "save_picture": "vibrojax.plot",
+    "write_page": "vibrojax.explorer",
     "InputError": "vibrojax.errors",
     "UnusualValue": "vibrojax.input.plausible",
     "list_scenes": "vibrojax.reference",
