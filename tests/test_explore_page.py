@@ -185,8 +185,8 @@ def test_everything_by_keyboard(browser: Any, files: dict[str, Path]) -> None:
         page.keyboard.press("ArrowDown")
         assert opened.cell["start"] == 1
         page.locator("[data-control='variable']").focus()
-        page.keyboard.type("peri")
-        assert opened.evaluate("vibrojax.shown.variable") == "period"
+        page.keyboard.press("ArrowDown")
+        assert opened.evaluate("vibrojax.shown.variable") == "impact_velocity"
         page.locator(".vx-theme").focus()
         page.keyboard.press("Enter")
         assert page.locator("#vibrojax").get_attribute("data-scheme") == "dark"
@@ -265,3 +265,38 @@ def test_cells_that_a_page_shows_are_those_that_were_written(browser: Any, files
             np.testing.assert_array_equal(shown["flags"], cell.flags)
             for name, values in cell.states.items():
                 np.testing.assert_allclose(shown["states"][name], values, rtol=1e-9, atol=1e-15)
+
+
+def test_it_works_in_firefox(files: dict[str, Path]) -> None:
+    pytest.importorskip("tornado", reason='tornado is missing, which distributed brings: pip install ".[test]"')
+    from firefox import binary, in_firefox
+
+    if binary() is None:
+        pytest.skip("no Firefox is installed: apt install firefox-esr, or firefox")
+
+    async def work(firefox: Any) -> None:
+        await firefox.open(files["few"].as_uri() + "#variable=impact_velocity&at.beta=0.3&at.gamma=0.6&at.start=1")
+        assert await firefox.evaluate("vibrojax.cell") == {"beta": 0, "gamma": 0, "start": 1}
+        assert await firefox.evaluate("vibrojax.shown.variable") == "impact_velocity"
+        await firefox.evaluate("document.querySelector('.vx-over').focus()")
+        await firefox.press("\ue014", "\ue013")  # right, up
+        assert await firefox.evaluate("vibrojax.cell") == {"beta": 1, "gamma": 1, "start": 1}
+        place = """(() => {
+            const box = document.querySelector('.vx-over').getBoundingClientRect(), { left, top, right, bottom } =
+                vibrojax.view.frame.box;
+            return [box.left + left + 0.9 * (right - left), box.top + top + 0.1 * (bottom - top)];
+        })()"""
+        await firefox.click(*await firefox.evaluate(place))
+        assert await firefox.evaluate("vibrojax.cell") == {"beta": 2, "gamma": 2, "start": 1}
+        shown = await firefox.evaluate("[...document.querySelectorAll('.vx-panel canvas')].map(one => one.ariaLabel)")
+        assert len(shown) >= 6 and all(shown)
+        await firefox.open(files["few"].as_uri(), width=500)  # Firefox's windows are no narrower
+        assert await firefox.evaluate("document.scrollingElement.scrollWidth <= innerWidth")
+        # It reads its own pictures for open details as data, besides the page's empty icon.
+        assert {address for address in firefox.asked if not address.startswith("data:")} <= {
+            files["few"].as_uri(),
+            files["few"].as_uri() + "#variable=impact_velocity&at.beta=0.3&at.gamma=0.6&at.start=1",
+        }
+        assert firefox.heard == []
+
+    in_firefox(work)

@@ -17,6 +17,7 @@ _HOMES = {
     "borders": "vibrojax.found_borders",
     "attractors": "vibrojax.found_attractors",
     "explore": "vibrojax.explorer.widget",
+    "smallest_push": "vibrojax.pushed",
     "simulate": "vibrojax.simulation",
     "fit_rop": "vibrojax.laws",
     "fit_joint": "vibrojax.laws",

@@ -24,6 +24,7 @@ from vibrojax.physics.friction import FRICTION_LAWS as FRICTION_LAWS
 from vibrojax.physics.friction import FrictionLaw as FrictionLaw
 from vibrojax.plot import picture as picture
 from vibrojax.plot import save_picture as save_picture
+from vibrojax.pushed import smallest_push as smallest_push
 from vibrojax.reference import list_parameters as list_parameters
 from vibrojax.reference import list_scenes as list_scenes
 from vibrojax.reference import list_settings as list_settings

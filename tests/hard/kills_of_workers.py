@@ -63,6 +63,9 @@ SCRIPTS = {"pool": _POOL, "submitit": _SUBMITIT, "array": _ARRAY}
 DOORS = {"plain": 1, "processes": 3, "only": 3, "dask": 2, "pool": 2, "array": 2, "submitit": 0.3}
 """The doors, and how often each is taken: submitit starts a process for every chunk."""
 
+WORKERS = ("spawn_main", "submitit.core._submit")
+"""What stands in the commands of processes that compute chunks."""
+
 
 def children(process: int) -> list[int]:
     """All processes below one, by number."""
@@ -75,12 +78,12 @@ def children(process: int) -> list[int]:
 
 
 def computing(processes: list[int]) -> list[int]:
-    """Those of them that compute chunks: not what looks after their semaphores."""
+    """Those of them that compute chunks: not what looks after their semaphores, nor what is not yet what it will be."""
     found = []
     for process in processes:
         with contextlib.suppress(OSError):
             command = Path(f"/proc/{process}/cmdline").read_text()
-            if command and "resource_tracker" not in command and "forkserver" not in command:
+            if any(word in command for word in WORKERS) and "resource_tracker" not in command:
                 found.append(process)
     return found
 
@@ -161,7 +164,9 @@ class Kills:
             for one in started:
                 status, said = one.wait(), one.stderr.read().decode()
                 busy = status == 2 and "another process is at work there" in said
-                ended = status == 1 and "the jobs ended, and" in said  # all of them were killed
+                # All jobs were killed, or so many workers in a row that it was given up: what is finished is kept.
+                ended = status == 1 and ("the jobs ended, and" in said or "workers die before they finish" in said)
+                self.counted["given up after kills in a row"] += ended
                 assert status in (0, -signal.SIGKILL) or busy or ended, (door, status, said)
                 if busy:  # jobs that outlive who began them
                     time.sleep(0.5)

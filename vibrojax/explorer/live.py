@@ -115,7 +115,7 @@ def serve(ds: xr.Dataset, over: xr.Dataset | None = None, progress: bool = False
 
 def content_policy(html: str) -> str:
     """What the page may do: run the scripts that stand in it, and ask this server; load nothing else."""
-    scripts = re.findall(r"<script type=\"?module\"?>(.*?)</script>", html, flags=re.DOTALL)
+    scripts = re.findall(r"<script(?: type=\"?module\"?)?>(.*?)</script>", html, flags=re.DOTALL)
     hashes = (base64.b64encode(sha256(script.encode()).digest()).decode() for script in scripts)
     allowed = " ".join(f"'sha256-{one}'" for one in dict.fromkeys(hashes)) or "'none'"
     return (

@@ -6,8 +6,10 @@ export const held = JSON.parse(document.getElementById("vibrojax-data").textCont
 
 /** The source of the motions that the page holds, if it holds any. */
 export function heldSource() {
-  const cells = document.getElementById("vibrojax-cells");
-  return held.cells ? embeddedSource(() => cells.textContent, held.cells.size) : {};
+  if (!held.cells) return {};
+  // The cells come last in the file: the map is drawn before they have been read.
+  const whole = new Promise((done) => { if (document.readyState === "loading") document.addEventListener("DOMContentLoaded", done); else done(); });
+  return embeddedSource(async () => { await whole; return document.getElementById("vibrojax-cells").textContent; }, held.cells.size);
 }
 
 export async function begin(source) {

@@ -116,21 +116,22 @@ export function resampled(cell, name, count) {
   return found;
 }
 
+const COSINES = Float64Array.from({ length: 1024 }, (_, i) => Math.cos((2 * Math.PI * i) / 1024));
+
 /** Amplitudes of a motion at multiples of one over its duration, a Hann window over what does not repeat. */
 export function spectrumOf(cell, name, lines) {
-  const count = 1024, values = resampled(cell, name, count), windowed = cell.kind !== "orbit";
+  const count = COSINES.length, values = resampled(cell, name, count), windowed = cell.kind !== "orbit";
   const grown = growth(Array.from(cell.states[name]));
   for (let i = 0; i < count; i++) values[i] -= (grown * i) / count;
   let mean = 0;
   for (const x of values) mean += x / count;
-  for (let i = 0; i < count; i++) values[i] = (values[i] - mean) * (windowed ? 1 - Math.cos((2 * Math.PI * i) / count) : 1);
+  for (let i = 0; i < count; i++) values[i] = (values[i] - mean) * (windowed ? 1 - COSINES[i] : 1);
   const found = new Float64Array(lines);
   for (let h = 1; h <= lines; h++) {
     let re = 0, im = 0;
     for (let i = 0; i < count; i++) {
-      const phase = (2 * Math.PI * ((h * i) % count)) / count;
-      re += values[i] * Math.cos(phase);
-      im += values[i] * Math.sin(phase);
+      re += values[i] * COSINES[(h * i) % count];
+      im += values[i] * COSINES[(h * i + 3 * (count / 4)) % count];
     }
     found[h - 1] = (2 * Math.hypot(re, im)) / count;
   }

@@ -58,13 +58,13 @@ export function decodeCells(buffer) {
   });
 }
 
-/** The source of a page that holds its cells: `text` has a block a line, `size` cells each. */
+/** The source of a page that holds its cells: `text()` gives, or promises, a block a line, `size` cells each. */
 export function embeddedSource(text, size) {
   let lines = null;
   const blocks = new Map();
   return {
     async cell(lane) {
-      lines ??= text().trim().split("\n");
+      lines ??= (await text()).trim().split("\n");
       const index = Math.floor(lane / size);
       if (!(index in lines)) return null;
       if (!blocks.has(index)) blocks.set(index, inflated(bytesOf(lines[index])).then(decodeCells));

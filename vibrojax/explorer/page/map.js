@@ -16,9 +16,11 @@ export class MapView {
     this.frame = null;
   }
 
-  draw(view) {
+  /** Draw a view; where only the chosen cell differs from what is there, no more than what lies over the map. */
+  draw(view, anew = true) {
     this.view = view;
     const { x, y, variable } = view, ink = inkOf(this.canvas);
+    if (!anew) { this.drawOver(); return; }
     this.ink = ink;
     if (!x) { this.frame = null; prepared(this.canvas); return; }
     if (!y) this.frame = this.drawCurve(x, variable, ink);

@@ -198,12 +198,12 @@ class Page {
     this.tell();
   }
 
-  draw() {
+  draw(anew = true) {
     if (!this.shown.x) { this.drawWhole(); return; }
     const x = this.direction(this.shown.x), y = this.direction(this.shown.y), { region, borders } = this.shown;
     this.element.querySelector(".vx-map").classList.toggle("vx-low", !y || (!y.column.numeric && y.axis.values.length < 4));
-    this.view.draw({ x, y, variable: this.variable, cell: this.cell, region, borders: borders !== "off" && borders });
-    this.drawLegend();
+    this.view.draw({ x, y, variable: this.variable, cell: this.cell, region, borders: borders !== "off" && borders }, anew);
+    if (anew) this.drawLegend();
     this.drawSlices();
   }
 
@@ -313,11 +313,12 @@ class Page {
   // The chosen cell.
 
   async pick(cell) {
+    const before = this.cell, anew = !this.current || this.facets().some((axis) => before[axis] !== cell[axis]);
     this.cell = { ...cell };
     this.point = null;
     const number = ++this.asked, lane = this.grid.lane(this.cell);
     for (const facet of this.facets()) { const one = this.controls.querySelector(`[data-control="at-${facet}"]`); if (one) one.value = `${this.cell[facet]}`; }
-    this.draw();
+    this.draw(anew);
     this.tell();
     this.say();
     this.onPick?.({ cell: this.cell, lane, values: this.coordinates() });
