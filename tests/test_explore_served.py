@@ -82,6 +82,7 @@ def test_the_command_serves_until_it_is_interrupted(file, sent, status, said):
     ("words", "line"),
     [
         (["--live", "-o", "page.html"], "-o: --live writes no page"),
+        (["beta=0.4", "--live"], '"beta=0.4": values are for a scene, with --live; leave them out'),
         (["--no-browser"], "--no-browser: there is no browser to open without --live"),
     ],
 )
@@ -105,6 +106,19 @@ def test_a_browser_is_opened_where_there_is_a_display(file, monkeypatch, capsys)
     capsys.readouterr()
     assert main(["explore", str(file), "--live"]) == 0
     assert opened == [capsys.readouterr().out.strip()]
+
+
+def test_a_scene_without_a_dataset(monkeypatch, capsys):
+    """Its sliders stand where NAME=VALUE say."""
+    served = []
+    monkeypatch.setattr("vibrojax.explorer.live.Live.wait", lambda self: served.append(self))
+    assert main(["explore", "rotary", "v=0.7", "start=stuck", "duration=2", "--live", "--no-browser", "--quiet"]) == 0
+    [live] = served
+    assert live.answers.point.parameters["v"] == 0.7 and live.answers.point.start == "stuck"
+    assert main(["explore", "rotary", "v=-1", "--live"]) == 2
+    assert "v: is -1" in capsys.readouterr().err
+    assert main(["explore", "rotry", "--live"]) == 2
+    assert 'did you mean "rotary"?' in capsys.readouterr().err
 
 
 @contextmanager

@@ -9,12 +9,13 @@ import sys
 import webbrowser
 from argparse import ArgumentParser
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from vibrojax.cli._command import Options
 from vibrojax.cli._complete import files, with_completer
+from vibrojax.cli._complete import values as complete_values
 from vibrojax.cli._output import output
-from vibrojax.errors import InputError
+from vibrojax.errors import InputError, shown
 from vibrojax.timings import timed
 
 if TYPE_CHECKING:
@@ -26,9 +27,14 @@ def arguments(parser: ArgumentParser) -> None:
     file = parser.add_argument(
         "file",
         metavar="OUT.nc",
-        help="a dataset of vibrojax: of a sweep, its orbits, attractors or borders, families, one motion, or a fit",
+        help="a dataset of vibrojax: of a sweep, its orbits, attractors or borders, families, one motion, or a fit; "
+        "with --live also a scene",
     )
     with_completer(file, files(".nc"))
+    values = parser.add_argument(
+        "values", metavar="NAME=VALUE", nargs="*", help="of a scene: where its motion begins, as for vibrojax simulate"
+    )
+    with_completer(values, complete_values)
     parser.add_argument("-o", dest="out", metavar="PAGE.html", help="where to write (OUT.html beside OUT.nc)")
     over = parser.add_argument(
         "--over", metavar="BORDERS.nc", help="lay over the map what vibrojax borders has found in the same plane"
@@ -50,6 +56,9 @@ def run(options: Options) -> None:
     _check_together(options)
     if not options.live:
         out = output(options.out, (".html",)) if options.out else path.with_suffix(".html")
+    if options.live and not path.suffix:
+        _serve(options, _motion(options), None)
+        return
     with timed("read"):
         dataset = open_dataset(path)
         over = open_dataset(Path(options.over)) if options.over else None
@@ -73,6 +82,22 @@ def _check_together(options: Options) -> None:
         raise InputError("explore: -o: --live writes no page; leave one of them out")
     if options.no_browser and not options.live:
         raise InputError("explore: --no-browser: there is no browser to open without --live")
+    scene = options.live and not Path(options.file).suffix
+    if options.values and not scene:
+        raise InputError(f"explore: {shown(options.values[0])}: values are for a scene, with --live; leave them out")
+    if scene and options.over:
+        raise InputError("explore: --over: a motion has no map to lay borders over; leave it out")
+
+
+def _motion(options: Options) -> "xarray.Dataset":
+    """The motion of a scene that the page opens with."""
+    from vibrojax.cli.simulate import read_values
+    from vibrojax.errors import Place
+    from vibrojax.simulation import simulate
+
+    settings, parameters = read_values(Place("explore"), options.values)
+    arguments: dict[str, Any] = settings | parameters
+    return simulate(options.file, **arguments, progress=not options.quiet)
 
 
 def _serve(options: Options, dataset: "xarray.Dataset", over: "xarray.Dataset | None") -> None:
@@ -97,7 +122,7 @@ def _serve(options: Options, dataset: "xarray.Dataset", over: "xarray.Dataset | 
 
 def _words(options: Options) -> list[str]:
     over = ["--over", str(options.over)] if options.over else []
-    return ["explore", str(options.file), *over, "--live"]
+    return ["explore", str(options.file), *options.values, *over, "--live"]
 
 
 def _has_display() -> bool:
