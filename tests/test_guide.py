@@ -59,6 +59,32 @@ def test_the_first_map(folder):
     assert (folder / "stick.png").is_file()
 
 
+def rows(text: str) -> dict[str, list[str]]:
+    """The cells of the tables of a text, by the first of each row."""
+    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in text.splitlines() if line[:1] == "|"]
+    return {first: rest for first, *rest in cells}
+
+
+def test_the_race_is_that_of_the_benchmarks():
+    """At an error of 1e-4, with the digits that are told."""
+    benchmarks = (ROOT / "tests" / "benchmarks" / "README.md").read_text()
+    raced = rows("\n".join(line.replace("| 1e-04 |", "|") for line in benchmarks.splitlines() if "| 1e-04 |" in line))
+    told = {way.partition(";")[0]: cells for way, cells in rows((NOTEBOOKS / "comparison.md").read_text()).items()}
+    for way, name in {
+        "here, certificate and twenty measures included": "vibrojax",
+        "numba, the same Taylor steps written out by hand for this scene": "numba, Taylor series",
+        "numba, Dormand-Prince 5(4), for this scene": "numba, Dormand-Prince 5(4)",
+        "diffrax with its events, located in a loop of ours": "diffrax with its events",
+        "C++ in SIMD, Runge-Kutta, smoothed friction": "C++ SIMD, RK4, smoothed",
+        "diffrax, smoothed friction, adaptive": "diffrax, smoothed, adaptive",
+        "SciPy, `solve_ivp` with events": "SciPy, solve_ivp with events",
+    }.items():
+        time, _, ratio, *_ = raced[name]
+        assert [float(cell.replace(",", "")) for cell in told[way]] == pytest.approx(
+            [float(time), float(ratio)], rel=0.025
+        ), way
+
+
 @pytest.mark.parametrize("page", PAGES)
 def test_a_page_says_first_what_one_can_do_after_it(page):
     text = re.sub(r"\A---\n.*?^---\n", "", (NOTEBOOKS / f"{page}.md").read_text(), flags=re.MULTILINE | re.DOTALL)

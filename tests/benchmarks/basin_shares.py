@@ -56,13 +56,17 @@ def pybasin() -> float:
 
 
 def main() -> None:
-    ways = {"pybasin": pybasin} if "pybasin" in sys.argv[1:] else {"here": ours, "here, to the end": partial(ours, False)}
+    ways = (
+        {"pybasin": pybasin} if "pybasin" in sys.argv[1:] else {"here": ours, "here, to the end": partial(ours, False)}
+    )
     for name, way in ways.items():
         for what in ("with compilation", "again"):
             began = time.process_time()
             share = way()
             taken = time.process_time() - began
-            print(f"{name}, {what}: share {share:.4f}, {taken:.1f} s, {STARTS / taken:,.0f} starts per second of a core")
+            print(
+                f"{name}, {what}: share {share:.4f}, {taken:.1f} s, {STARTS / taken:,.0f} starts per second of a core"
+            )
 
 
 if __name__ == "__main__":
