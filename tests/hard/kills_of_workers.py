@@ -201,7 +201,7 @@ class Kills:
     def _cluster(self):
         from distributed import LocalCluster
 
-        return LocalCluster(2, processes=True, threads_per_worker=1, dashboard_address=None)
+        return LocalCluster(2, processes=True, threads_per_worker=1, dashboard_address=":0")
 
     def _kill(self, door: str, victim: int, started: list[subprocess.Popen]) -> None:
         driver = next((one for one in started if one.pid == victim), None)
