@@ -2,9 +2,9 @@
 
 5,000 starts in the box of Stender and Hoffmann (Nonlinear Dynamics 2021), 500 s each, at a belt speed of 1.5: the share
 that ends in steady sliding. Here with exact switches, steps for an error of 1e-4, and labels, measures and error
-estimates of every lane. With `pybasin` as an argument, in an environment that has pybasin and jax (vibrojax is not needed
-there), by its solver alone: with the settings of its own case study, whose friction is smoothed by tanh(200 u), without
-its features and its classifier. Processor time of the process: user and system, all cores.
+estimates of every lane. With `pybasin` as an argument, in an environment that has pybasin and jax (vibrojax is not
+needed there), by its solver alone: with the settings of its own case study, whose friction is smoothed by tanh(200 u),
+without its features and its classifier. Processor time of the process: user and system, all cores.
 """
 
 import sys
