@@ -28,11 +28,13 @@ extensions = [
     "sphinx_copybutton",
     "equations",
     "docstrings",
+    "commands",
     "tables",
     "reproduction",
 ]
 exclude_patterns = ["_site", ".ipynb_checkpoints"]
 nitpicky = True
+suppress_warnings = ["myst-nb.lexer"]  # of pages that are not executed, with -D nb_execution_mode=off
 smartquotes = False  # x' is a derivative
 
 # What is executed

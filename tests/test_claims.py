@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 import vibrojax as vj
+from vibrojax import cli
 from vibrojax.engine.chunks import CHUNK
 from vibrojax.input.source import bundled_names
 from vibrojax.plot._thinned import MOST_LANES
@@ -62,8 +63,8 @@ NO_FIGURES = (
     r"(?:eqs?\.|[Ee]quations?|Tables?|CF) [\d.]+\d(?: (?:to|and) [\d.]+\d)?",
     r"\[1(?:/s)?\]",
     r"chapters? \d+(?: and \d+)?",
-    r"\b[Ra-z]\d\b",
-    r"\b(?:float|AVX-)\d+",
+    r"\b[A-Za-z]+\d\w*\b",
+    r"\bAVX-\d+|\b0-1 test\b",
 )
 """What has digits and is no figure: names, numbers of equations, symbols, versions."""
 
@@ -224,3 +225,9 @@ def test_limits_of_large_sweeps():
     assert STALE == 150 and "after two and a half minutes on another" in page
     assert f"over {LAZY_FROM / 1e6:g} MB is opened without being read" in page
     assert f"draws {MOST_LANES:,} lanes at most" in page
+
+
+def test_exit_statuses():
+    page = PAGES["notebooks/commands.md"]
+    assert f"Exit status: {cli.DONE} done; {cli.BAD_INPUT} bad input" in page
+    assert f"{cli.INTERRUPTED} interrupted" in page and f"{cli.TERMINATED} asked to end" in page

@@ -7,12 +7,12 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
 
-from vibrojax.measure.section import scales
+from vibrojax.measure.repeats import scales
 from vibrojax.periodic.segments import Segments
 from vibrojax.scenes import Scene
 from vibrojax.store.variables import ORBIT_REASONS, orbit_name
 
-STRAYING = 20
+STRAYING = 8
 """Steps, over the most that a return of these orbits takes, after which an orbit is taken not to return."""
 
 FOUND = ORBIT_REASONS.index("found")

@@ -111,9 +111,13 @@ class Sweep:
         Lanes are counted in row-major order over `counted`. Returns float64 arrays of shape (end - first,) by name, and
         an integer array of that shape (zeros for a scene without starts). Memory grows with end - first only.
         """
-        places = np.unravel_index(np.arange(first, end), self._sizes(self.counted))
+        return self.values_of(np.arange(first, end))
+
+    def values_of(self, numbers: np.ndarray) -> tuple[dict[str, np.ndarray], np.ndarray]:
+        """The same of any lanes, by their numbers (lanes,)."""
+        places = np.unravel_index(numbers, self._sizes(self.counted))
         indices = dict(zip(self.counted, places, strict=True))
-        lanes = end - first
+        lanes = len(numbers)
         varied = {name: axis[indices[name]] for name, axis in self.axes.items()}
         if self.points is not None:
             varied |= {name: column[indices["point"]] for name, column in self.points.items()}

@@ -8,13 +8,13 @@ from vibrojax.scenes.capabilities import Driven as Driven
 from vibrojax.scenes.capabilities import HasContact as HasContact
 from vibrojax.scenes.capabilities import HasFriction as HasFriction
 from vibrojax.scenes.capabilities import HasRock as HasRock
-from vibrojax.scenes.scene import Guard as Guard
-from vibrojax.scenes.scene import Marker as Marker
-from vibrojax.scenes.scene import Mode as Mode
+from vibrojax.scenes.declared import Guard as Guard
+from vibrojax.scenes.declared import Marker as Marker
+from vibrojax.scenes.declared import Mode as Mode
+from vibrojax.scenes.declared import Section as Section
+from vibrojax.scenes.declared import State as State
+from vibrojax.scenes.declared import Swing as Swing
 from vibrojax.scenes.scene import Scene as Scene
-from vibrojax.scenes.scene import Section as Section
-from vibrojax.scenes.scene import State as State
-from vibrojax.scenes.scene import Swing as Swing
 
 _files = (import_module(f"{__name__}.{file.name}") for file in iter_modules(__path__))
 

@@ -9,7 +9,8 @@ from typing import Any, ClassVar, NamedTuple
 
 from vibrojax.physics import rock
 from vibrojax.physics.friction import FrictionLaw
-from vibrojax.scenes.scene import C, Scene, Values
+from vibrojax.scenes.declared import Values
+from vibrojax.scenes.scene import C, Scene
 
 
 class Bit(NamedTuple):

@@ -23,7 +23,7 @@ from vibrojax.measure import Records
 from vibrojax.physics.parameters import positive
 from vibrojax.progress import Progress
 from vibrojax.scenes import HasContact, HasFriction, HasRock, Scene
-from vibrojax.scenes.scene import Values
+from vibrojax.scenes.declared import Values
 from vibrojax.simulation._measured import compile_measures, found_in, measured, recorder_of, window
 from vibrojax.simulation._record import check_size, record, sample
 from vibrojax.simulation._trajectory import Motion, events, forces, states_shown, trajectory_dataset

@@ -12,7 +12,8 @@ import jax.numpy as jnp
 from jax import lax
 
 from vibrojax.arrays import Array, Real
-from vibrojax.scenes.scene import Scene, Values
+from vibrojax.scenes.declared import Values
+from vibrojax.scenes.scene import Scene
 from vibrojax.stepping.event import Event, Trial, locate
 from vibrojax.stepping.lane import Lane, Step
 from vibrojax.stepping.series import known

@@ -11,6 +11,7 @@ import xarray as xr
 from vibrojax.errors import InputError
 from vibrojax.store.atomic import ZARR, atomic_write
 from vibrojax.store.faults import warn_of_faults
+from vibrojax.store.packing import LEVEL
 from vibrojax.store.variables import VARIABLES
 from vibrojax.threads import in_own_thread
 
@@ -50,7 +51,7 @@ def write_dataset(dataset: xr.Dataset, path: str | os.PathLike[str]) -> None:
     encoding: dict[object, dict[str, object]] = {name: {"_FillValue": None} for name in dataset.variables}
     for name, variable in dataset.data_vars.items():
         if variable.size > COMPRESSED and variable.dtype.kind in "fi":
-            encoding[name] |= {"zlib": True, "complevel": 1, "shuffle": True}
+            encoding[name] |= {"zlib": True, "complevel": LEVEL, "shuffle": True}
     with atomic_write(path) as part:
         try:
             dataset.to_netcdf(part, engine="netcdf4", format="NETCDF4", encoding=encoding)
