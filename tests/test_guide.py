@@ -57,6 +57,9 @@ def test_the_first_map(folder):
     done = run(folder, "sh run=plot")
     assert done.returncode == 0, done.stderr
     assert (folder / "stick.png").is_file()
+    done = run(folder, "sh run=explore")
+    assert done.returncode == 0, done.stderr
+    assert (folder / "map.html").read_text().startswith("<!doctype html>")
 
 
 def rows(text: str) -> dict[str, list[str]]:
