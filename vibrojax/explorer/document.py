@@ -37,7 +37,7 @@ _FIRST = ("lane_attractor", "regime", "rate_of_penetration", "share", "impact_ve
 
 def with_lanes(ds: xr.Dataset, sweep: Sweep | None) -> xr.Dataset:
     """`ds` with the number of each lane, where it is a sweep's."""
-    if sweep is None or not set(sweep.dims) <= set(ds.dims):
+    if sweep is None or any(ds.sizes.get(name) != size for name, size in zip(sweep.dims, sweep.shape, strict=True)):
         return ds
     return ds.assign({LANE: (sweep.dims, sweep.over_dims(np.arange(sweep.lanes)).astype(np.int32))})
 
