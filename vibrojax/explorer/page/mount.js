@@ -315,10 +315,10 @@ class Page {
   async pick(cell) {
     const before = this.cell, anew = !this.current || this.facets().some((axis) => before[axis] !== cell[axis]);
     this.cell = { ...cell };
-    this.point = null;
     // What is said of attractors is said of that which the lane ends in, unless they run along the map.
     const own = this.grid.value("lane_attractor", this.cell);
     if (own >= 0 && "attractor" in this.cell && ![this.shown.x, this.shown.y].includes("attractor")) this.cell.attractor = own;
+    this.point = null;
     const number = ++this.asked, lane = this.grid.lane(this.cell);
     for (const facet of this.facets()) { const one = this.controls.querySelector(`[data-control="at-${facet}"]`); if (one) one.value = `${this.cell[facet]}`; }
     this.draw(anew);
@@ -355,8 +355,8 @@ class Page {
 
   showMotion(motion) {
     const { grid } = this, panels = [], draws = [];
-    const regime = grid.variables.get("regime"), value = regime && (this.point ? motion?.numbers?.regime : grid.value("regime", this.cell));
-    const ofLane = this.point || regime?.axes.every((axis) => !this.data.lanes || this.data.lanes.axes.includes(axis) || (axis === "attractor" && ![this.shown.x, this.shown.y].includes(axis)));
+    const regime = grid.variables.get("regime"), value = this.point ? motion?.numbers?.regime : regime && grid.value("regime", this.cell);
+    const ofLane = this.point ? Boolean(regime) : regime?.axes.every((axis) => !this.data.lanes || this.data.lanes.axes.includes(axis) || (axis === "attractor" && ![this.shown.x, this.shown.y].includes(axis)));
     const badge = ofLane && value !== undefined ? [el("span", { class: "vx-badge" }, el("span", { class: "vx-swatch", style: `background:${grid.colour(regime, value)}` }), grid.valueText(regime, value))] : [];
     const head = el("div", { class: "vx-cellhead" }, el("h2", { text: this.point?.title || grid.cellText(this.cell) || "The motion" }), ...badge,
       motion ? el("p", { class: "vx-motion", text: described(motion) + (motion.kind !== "none" && motion.note && motion.returns ? ` (${motion.note})` : "") }) : el("p", { class: "vx-motion", text: this.data.without ?? "no motion is kept of this dataset" }));
