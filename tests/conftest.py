@@ -38,8 +38,10 @@ CHECKED = [
     "vibrojax.devices",
     "vibrojax.engine",
     "vibrojax.errors",
+    "vibrojax.explorer",
     "vibrojax.chaos",
     "vibrojax.coexistence",
+    "vibrojax.families",
     "vibrojax.input.axes",
     "vibrojax.input.definition",
     "vibrojax.input.names",
@@ -56,6 +58,7 @@ CHECKED = [
     "vibrojax.physics",
     "vibrojax.plot",
     "vibrojax.progress",
+    "vibrojax.regions",
     "vibrojax.reproduce",
     "vibrojax.scenes",
     "vibrojax.simulation._record",
@@ -63,6 +66,8 @@ CHECKED = [
     "vibrojax.stepping",
     "vibrojax.store",
     "vibrojax.threads",
+    "vibrojax.timings",
+    "vibrojax.workers",
 ]
 install_import_hook(CHECKED, "beartype.beartype")
 

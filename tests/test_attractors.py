@@ -13,6 +13,7 @@ from vibrojax.cli.attractors import attractor_lines
 from vibrojax.coexistence.alike import joined_within, told_apart
 from vibrojax.coexistence.neighbours import Link
 from vibrojax.coexistence.numbers import numbered
+from vibrojax.engine.chunks import Chunks
 from vibrojax.errors import InputError
 from vibrojax.label import EQUILIBRIUM, FAILED, IRREGULAR, SINGLE_IMPACT, SUBHARMONIC
 from vibrojax.store.variables import NATURES
@@ -220,6 +221,68 @@ def test_the_picture_shows_shares(found):
     drawn = [line.get_ydata() for line in panel.lines]
     share = found.share.sel(beta=0.4, attractor=number).values
     assert any(np.array_equal(y, np.where(share > 0, 100 * share, np.nan), equal_nan=True) for y in drawn)
+
+
+FEW = """
+scene = "vibro-impact"
+starts = ["drive", "stuck", "touching"]
+[parameters]
+delta = 0.005
+[grid]
+gamma = [0.7375, 0.75, 0.7625]
+[run]
+settle = 20.0
+observe = 6.0
+chunk = 4
+"""
+
+
+@pytest.mark.parametrize("by", ["links", "lanes"])
+def test_what_was_computed_outlives_an_interrupt(by, tmp_path, capsys, monkeypatch):
+    """While lanes are computed, and while they are linked, which may take as long."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "few.toml").write_text(FEW)
+    compute, computed = Chunks.compute, []
+
+    def counted(self, index, *told):
+        if by == "lanes" and len(computed) == 2:
+            raise KeyboardInterrupt
+        computed.append(index)
+        return compute(self, index, *told)
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Chunks, "compute", counted)
+    if by == "links":
+        monkeypatch.setattr("vibrojax.found_attractors.attractors_of", interrupted)
+    assert main(["attractors", "few.toml", "-o", "out.nc", "--quiet"]) == 130
+    assert "finished chunks are kept; to go on: vibrojax attractors few.toml -o out.nc" in capsys.readouterr().err
+    kept = len(list((tmp_path / "out.nc.chunks").glob("*.shard")))
+    assert kept == len(computed) == (2 if by == "lanes" else 3) and not (tmp_path / "out.nc").exists()
+    monkeypatch.undo()
+    monkeypatch.chdir(tmp_path)
+    computed.clear()
+    by = ""
+    monkeypatch.setattr(Chunks, "compute", counted)
+    assert main(["attractors", "few.toml", "-o", "out.nc", "--quiet"]) == 0
+    assert len(computed) == 3 - kept and {path.name for path in tmp_path.iterdir()} == {"few.toml", "out.nc", "out.png"}
+    expected = vj.attractors("few.toml", progress=False)
+    found = vj.open_dataset("out.nc")
+    for name in expected.data_vars:
+        np.testing.assert_array_equal(found[name], expected[name])
+
+
+def test_orbits_are_marked_in_a_plane_of_starts():
+    """Where the section is passed, by the returns that another sweep keeps."""
+    plane = {"plane": {"x1": np.linspace(-0.1, 0.1, 6).tolist(), "x2": np.linspace(-0.15, 0.05, 6).tolist()}}
+    asked = {"scene": "vibro-impact", "parameters": {"delta": 0.005, **REGIMES_AT}, "starts": plane}
+    found = vj.attractors(asked, progress=False)
+    kept = vj.run_sweep(asked | {"starts": ["stuck"], "run": {"keep_returns": 1}}, progress=False)
+    at = [1e3 * float(kept[f"return_{state}"].squeeze()) for state in ("x1", "x2")]
+    circle = next(line for line in vj.picture(found).axes[0].lines if line.get_marker() == "o")
+    np.testing.assert_allclose([circle.get_xdata()[0], circle.get_ydata()[0]], at, rtol=1e-6)
+    assert np.isfinite(found.orbit_v2.values).tolist() == (found.cycles.values > 0).tolist()
 
 
 def test_the_command(sweep, found, tmp_path, capsys, monkeypatch):

@@ -14,6 +14,7 @@ from jaxtyping import Float, Int
 from vibrojax.coexistence.alike import EXPONENT_WITHIN, IRREGULAR_WITHIN, SAME, Motions, told_apart
 from vibrojax.coexistence.neighbours import ASIDE, IRREGULAR_FACTOR, links
 from vibrojax.coexistence.numbers import numbered
+from vibrojax.engine.labelled import of_orbits
 from vibrojax.errors import InputError
 from vibrojax.found_orbits import orbits as with_orbits
 from vibrojax.found_orbits import sweep_with_orbits
@@ -21,7 +22,7 @@ from vibrojax.input.definition import Sweep
 from vibrojax.physics.parameters import differing
 from vibrojax.store.derived import OF_ATTRACTORS
 from vibrojax.store.provenance import provenance
-from vibrojax.store.variables import VARIABLES
+from vibrojax.store.variables import VARIABLES, Variable
 
 MEASURED = ("period", "impacts", "impact_velocity")
 """What is said of attractors besides their regime and cycles: the median of their lanes."""
@@ -57,13 +58,27 @@ def attractors(
 
     **Returns:** a dataset. Over the grid and `attractor`: `share` and its binomial `share_stderr`, which is an upper
     bound for Sobol starts; `regime`, that of most of its lanes, `period`, `cycles`, `impacts` and `impact_velocity`,
-    where the share is not 0. Over the grid `unassigned`: starts of which none could be told, because they failed, were
-    undecided, had not settled, or their orbit was not found. Over the sweep's dimensions `lane_attractor`: -1 there.
+    where the share is not 0, and of orbits the state at the section (`orbit_x1` and so on), at one of their returns.
+    Over the grid `unassigned`: starts of which none could be told, because they failed, were undecided, had not
+    settled, or their orbit was not found. Over the sweep's dimensions `lane_attractor`: -1 there.
 
     **Raises:** `InputError` where it is no sweep over a grid, or of starts, of a scene that returns to a section.
+
+    **Example:**
+
+    >>> starts = {"scene": "vibro-impact", "parameters": {"beta": 0.4, "delta": 0.0}, "grid": {"gamma": [0.6]}}
+    >>> att = vj.attractors(starts | {"starts": ["drive", "stuck", "touching"]}, progress=False)
+    >>> att.share.round(2).values.tolist()
+    [[0.67, 0.33]]
+    >>> att.impact_velocity.round(1).values.tolist()  # m/s: both are single impacts
+    [[0.7, 3.0]]
     """
     sweep = sweep_of(source)
-    dataset = with_orbits(source if isinstance(source, xr.Dataset) else sweep, progress)
+    return attractors_of(sweep, with_orbits(source if isinstance(source, xr.Dataset) else sweep, progress))
+
+
+def attractors_of(sweep: Sweep, dataset: xr.Dataset) -> xr.Dataset:
+    """The attractors of a sweep, from its dataset with orbits; see `attractors`."""
     dataset = dataset.transpose(*sweep.dims, ...)
     shape, starts = sweep.shape[:-1], sweep.shape[-1]
     values, _ = sweep.lane_values(0, sweep.lanes)
@@ -114,6 +129,7 @@ def _described(sweep: Sweep, dataset: xr.Dataset, motions: Motions, number: Int[
         "share": (OF_ATTRACTORS["share"], share),
         "share_stderr": (OF_ATTRACTORS["share_stderr"], np.sqrt(share * (1 - share).clip(0) / starts)),
         **{name: (VARIABLES[name], x) for name, x in _measured(dataset, motions, number, points, many).items()},
+        **_at_section(sweep, motions, number, points, many),
     }
     dims = (*sweep.dims[:-1], "attractor")
     variables: dict[str, Any] = {
@@ -177,4 +193,18 @@ def _measured(
             x = x[np.isfinite(x)]
             if len(x):
                 found[name][at] = np.median(x)
+    return found
+
+
+def _at_section(
+    sweep: Sweep, motions: Motions, number: Int[np.ndarray, " motions"], points: int, many: int
+) -> dict[str, tuple[Variable, Float[np.ndarray, "points many"]]]:
+    """Where the orbit of each attractor passes the section, at one of its returns; NaN where it has none."""
+    found = {}
+    for k, (name, about) in enumerate(of_orbits(sweep.system).items()):
+        column = np.full((points, many), np.nan)
+        for motion, states in enumerate(motions.states):
+            if states is not None:
+                column[motions.cell[motion], number[motion]] = states[0, k]
+        found[name] = (about, column)
     return found

@@ -11,7 +11,7 @@ from vibrojax.engine.batch import Features, Index
 from vibrojax.engine.labelled import regimes
 from vibrojax.input.definition import Sweep
 from vibrojax.label import IRREGULAR, UNDECIDED
-from vibrojax.measure.section import REPEATS_WITHIN
+from vibrojax.measure.repeats import REPEATS_WITHIN
 from vibrojax.periodic import Orbits
 from vibrojax.periodic.of_lanes import last_returns, reason
 from vibrojax.store.variables import NATURES

@@ -2,7 +2,8 @@
 
 import shlex
 from argparse import ArgumentParser
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -37,11 +38,34 @@ def read_source(given: str) -> "xarray.Dataset | Sweep":
     return open_dataset(Path(given)) if given.endswith(".nc") else sweep_with_orbits(given)
 
 
+@contextmanager
+def lanes_of(
+    options: Options, source: "xarray.Dataset | Sweep", sweep: "Sweep", name: str, out: Path
+) -> Iterator["xarray.Dataset"]:
+    """The dataset of the sweep with orbits: `source`, where it is that; else computed, and its finished chunks are kept
+    beside `out` until the command of this `name` has written it, so that an interrupt costs none of them."""
+    import xarray
+
+    from vibrojax.sweep import lanes_beside
+
+    if isinstance(source, xarray.Dataset) and "orbit_reason" in source:
+        yield source
+        return
+    options.how_to_resume = f"finished chunks are kept; to go on: {_command(options, name, out)}"
+    with lanes_beside(sweep, out, resume=not options.fresh, progress=not options.quiet) as dataset:
+        yield dataset
+
+
 def result_of(options: Options, name: str, result: str, identity: Mapping[str, object]) -> Result:
     """Where the `result` of a sweep of this `name` goes; raises `InputError` where it cannot, or something else is
     there. An interrupt says how to begin again."""
     given = str(options.file)
     found = result_at(options, f"{Path(given).stem if given.endswith('.nc') else name}-{result}.nc", identity)
-    command = shlex.join(["vibrojax", result, given, "-o", str(found.out)])
-    options.how_to_resume = f"nothing is kept of what was computed; to begin again: {command}"
+    again = _command(options, result, found.out)
+    options.how_to_resume = f"nothing is kept of what was computed; to begin again: {again}"
     return found
+
+
+def _command(options: Options, result: str, out: Path) -> str:
+    axes = ["--axes", options.axes] if getattr(options, "axes", None) else []
+    return shlex.join(["vibrojax", result, str(options.file), "-o", str(out), *axes])
