@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Mapping
+from dataclasses import replace
 from datetime import UTC, datetime
 from itertools import pairwise
 from os import PathLike
@@ -18,14 +19,22 @@ from vibrojax.errors import InputError
 from vibrojax.found_orbits import orbits as with_orbits
 from vibrojax.found_orbits import sweep_with_orbits
 from vibrojax.input.definition import Sweep
+from vibrojax.input.names import DEFAULT_STARTS
+from vibrojax.input.starts import list_of
 from vibrojax.physics.parameters import differing
 from vibrojax.store.provenance import provenance
 from vibrojax.store.variables import VARIABLES, Variable
+from vibrojax.sweep import run_sweep
 
 SHARE = Variable("1", "share of the starts that end in the attractor")
 SHARE_STDERR = Variable("1", "standard error of share, binomial")
 UNASSIGNED = Variable("1", "starts of which no attractor could be told", np.int32)
 LANE_ATTRACTOR = Variable("1", "number of the attractor that the lane ends in; -1: none could be told", np.int32)
+NAMED_ATTRACTOR = Variable("1", "number of the attractor that the start with this name leads to; -1: none told", np.int32)
+NAMED_REGIME = replace(VARIABLES["regime"], long_name="regime that the start with this name leads to")
+
+NAMED = "named_start"
+"""Dimension of the scene's own starts, beside a sample or a plane of them."""
 
 MEASURED = ("period", "impacts", "impact_velocity")
 """What is said of attractors besides their regime and cycles: the median of their lanes."""
@@ -61,8 +70,10 @@ def attractors(
 
     **Returns:** a dataset. Over the grid and `attractor`: `share` and its binomial `share_stderr`, which is an upper
     bound for Sobol starts; `regime`, that of most of its lanes, `period`, `cycles`, `impacts` and `impact_velocity`,
-    where the share is not 0. Over the grid `unassigned`: starts of which none could be told, because they failed, were
+    where a lane ends in it. Over the grid `unassigned`: starts of which none could be told, because they failed, were
     undecided, had not settled, or their orbit was not found. Over the sweep's dimensions `lane_attractor`: -1 there.
+    Where the starts are a sample or a plane, the scene's own, `drive` and `stuck`, are run beside them and are no part
+    of the shares: over the grid and `named_start`, `named_attractor` and `named_regime`, where each of these leads.
 
     **Raises:** `InputError` where it is no sweep over a grid, or of starts, of a scene that returns to a section.
     """
@@ -70,14 +81,49 @@ def attractors(
     dataset = with_orbits(source if isinstance(source, xr.Dataset) else sweep, progress)
     dataset = dataset.transpose(*sweep.dims, ...)
     shape, starts = sweep.shape[:-1], sweep.shape[-1]
-    values, _ = sweep.lane_values(0, sweep.lanes)
+    named = _from_named(sweep, progress)
+    lanes = dataset if named is None else _beside(dataset, named)
     scene = sweep.system.driving_part()
-    lanes = {name: values[name] for name in scene.parameters()}
-    motions = told_apart(scene, dataset, lanes, starts)
-    points = {name: x[::starts] for name, x in lanes.items()}
-    count = np.bincount(motions.of_lane[motions.of_lane >= 0], minlength=len(motions.cell))
+    values, _ = sweep.lane_values(0, sweep.lanes)
+    points = {name: values[name][::starts] for name in scene.parameters()}
+    each = lanes.sizes["start"]
+    motions = told_apart(scene, lanes, {name: np.repeat(x, each) for name, x in points.items()}, each)
+    drawn = np.arange(each) < starts  # what the scene's own starts lead to is no part of the shares
+    count = np.bincount(
+        motions.of_lane[(motions.of_lane >= 0) & np.tile(drawn, len(motions.of_lane) // each)],
+        minlength=len(motions.cell),
+    )
     number = numbered(motions.cell, count.tolist(), links(scene, points, shape, motions), _order(sweep, motions, count))
-    return _described(sweep, dataset, motions, number)
+    of_lane = np.where(motions.of_lane >= 0, np.append(number, -1)[motions.of_lane], -1).reshape(*shape, each)
+    measured = _measured(lanes, motions, number)
+    found = _described(sweep, dataset, measured, of_lane[..., :starts])
+    return found if named is None else found.assign(_of_named(sweep, named, of_lane[..., starts:]))
+
+
+def _from_named(sweep: Sweep, progress: bool) -> xr.Dataset | None:
+    """The lanes from the scene's own starts, where the sweep's are drawn from a box or a plane; None else."""
+    names = [name for name in DEFAULT_STARTS if name in sweep.system.starts]
+    if sweep.starts is None or sweep.starts.listed or not names:
+        return None
+    own = replace(sweep, starts=list_of(names, sweep.starts.states), run=replace(sweep.run, orbits=True))
+    return run_sweep(own, progress=progress).transpose(*sweep.dims, ...)
+
+
+def _beside(dataset: xr.Dataset, named: xr.Dataset) -> xr.Dataset:
+    """Both datasets' lanes, along `start`."""
+    both = [one[[name for name in one.data_vars if name in dataset]].reset_coords(drop=True) for one in (dataset, named)]
+    return xr.concat([one.drop_vars("start", errors="ignore") for one in both], "start", data_vars="minimal")
+
+
+def _of_named(sweep: Sweep, named: xr.Dataset, number: Int[np.ndarray, "*shape"]) -> dict[str, Any]:
+    """What the scene's own starts lead to, over the grid."""
+    dims = (*sweep.dims[:-1], NAMED)
+    about = {"units": "1", "long_name": "start of the scene, by name"}
+    return {
+        NAMED: (NAMED, named["start"].values, about),
+        "named_attractor": (dims, number.astype(NAMED_ATTRACTOR.dtype), NAMED_ATTRACTOR.attributes()),
+        "named_regime": (dims, named["regime"].values, NAMED_REGIME.attributes()),
+    }
 
 
 def sweep_of(source: xr.Dataset | str | PathLike[str] | Mapping[str, object] | Sweep) -> Sweep:
@@ -106,18 +152,23 @@ def _order(sweep: Sweep, motions: Motions, count: Int[np.ndarray, " motions"]) -
     ]
 
 
-def _described(sweep: Sweep, dataset: xr.Dataset, motions: Motions, number: Int[np.ndarray, " motions"]) -> xr.Dataset:
+def _described(
+    sweep: Sweep,
+    dataset: xr.Dataset,
+    measured: Mapping[str, Float[np.ndarray, "points many"]],
+    of_lane: Int[np.ndarray, "*lanes"],
+) -> xr.Dataset:
     """The dataset of attractors."""
     shape, starts = sweep.shape[:-1], sweep.shape[-1]
-    points, many = int(np.prod(shape, dtype=int)), int(number.max(initial=-1)) + 1
-    of_lane = np.where(motions.of_lane >= 0, np.append(number, -1)[motions.of_lane], -1)
+    points, many = measured["regime"].shape
+    of_lane = of_lane.ravel()
     told = np.flatnonzero(of_lane >= 0)
     share = np.zeros((points, many))
     np.add.at(share, (told // starts, of_lane[told]), 1 / starts)
     found = {
         "share": (SHARE, share),
         "share_stderr": (SHARE_STDERR, np.sqrt(share * (1 - share).clip(0) / starts)),
-        **{name: (VARIABLES[name], x) for name, x in _measured(dataset, motions, number, points, many).items()},
+        **{name: (VARIABLES[name], x) for name, x in measured.items()},
     }
     dims = (*sweep.dims[:-1], "attractor")
     variables: dict[str, Any] = {
@@ -155,9 +206,10 @@ def _described(sweep: Sweep, dataset: xr.Dataset, motions: Motions, number: Int[
 
 
 def _measured(
-    dataset: xr.Dataset, motions: Motions, number: Int[np.ndarray, " motions"], points: int, many: int
+    dataset: xr.Dataset, motions: Motions, number: Int[np.ndarray, " motions"]
 ) -> dict[str, Float[np.ndarray, "points many"]]:
     """Regime, cycles and the medians of what is measured, of each attractor at each point; 0 or NaN where it is not."""
+    points, many = dataset["regime"].size // dataset.sizes["start"], int(number.max(initial=-1)) + 1
     names = [name for name in MEASURED if name in dataset]
     found = {
         name: np.full((points, many), 0.0 if name in ("regime", "cycles") else np.nan)
