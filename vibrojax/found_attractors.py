@@ -12,8 +12,17 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
 
-from vibrojax.coexistence.alike import EXPONENT_WITHIN, IRREGULAR_WITHIN, SAME, Motions, told_apart
-from vibrojax.coexistence.neighbours import ASIDE, IRREGULAR_FACTOR, links
+from vibrojax.coexistence.alike import (
+    EXPONENT_WITHIN,
+    FEWEST,
+    IRREGULAR_FACTOR,
+    IRREGULAR_WITHIN,
+    SAME,
+    Motions,
+    doubtful,
+    told_apart,
+)
+from vibrojax.coexistence.neighbours import ASIDE, links
 from vibrojax.coexistence.numbers import numbered
 from vibrojax.errors import InputError
 from vibrojax.found_orbits import orbits as with_orbits
@@ -42,7 +51,9 @@ MEASURED = ("period", "impacts", "impact_velocity")
 METHOD = (
     "lanes of a point are one motion if their orbits are within same_within over the scales of labels; irregular ones "
     "if chains of lanes join them, each within irregular_within of the next in period, impact velocity and amplitudes, "
-    "or, where exponents are known, within exponent_within standard errors. Motions of neighbouring points are one "
+    "or, where exponents are known, within exponent_within standard errors; one that nowhere has "
+    "fewest lanes is not told beside another of more, nor, without exponents, one of fewer within irregular_factor of it. "
+    "Motions of neighbouring points are one "
     "attractor if the orbit of one, followed as a stable one and never farther than aside over the scales from where "
     "it is expected, leads to that of the other; irregular ones if they are nearest, and within irregular_factor. "
     "Numbers from 0 by falling share over the grid"
@@ -94,6 +105,9 @@ def attractors(
         minlength=len(motions.cell),
     )
     number = numbered(motions.cell, count.tolist(), links(scene, points, shape, motions), _order(sweep, motions, count))
+    out = doubtful(motions, number)
+    motions.leave_out(out)
+    number = np.unique(number[~out], return_inverse=True)[1]
     of_lane = np.where(motions.of_lane >= 0, np.append(number, -1)[motions.of_lane], -1).reshape(*shape, each)
     measured = _measured(lanes, motions, number)
     found = _described(sweep, dataset, measured, of_lane[..., :starts])
@@ -187,6 +201,7 @@ def _described(
         "irregular_within": IRREGULAR_WITHIN,
         "exponent_within": EXPONENT_WITHIN,
         "irregular_factor": IRREGULAR_FACTOR,
+        "fewest": FEWEST,
         "aside": ASIDE,
     }
     attributes = {

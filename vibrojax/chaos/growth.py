@@ -29,7 +29,7 @@ STEPS = Accuracy(tolerance=1e-7, stride=LOCATED_STRIDE, step=np.inf)
 HAND = 256
 """Lanes that one worker takes through all returns."""
 
-ROWS = 32
+ROWS = 128
 """Returns per call: a lane goes on past its own, and waits for others only in the end."""
 
 PerLane = Float[np.ndarray, " lanes"]

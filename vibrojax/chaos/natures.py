@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from vibrojax.chaos.amid import stable_amid
 from vibrojax.chaos.growth import STEPS, Growth, go_on, grow
 from vibrojax.chaos.zero_one import zero_one
 from vibrojax.engine.batch import Features, Index
@@ -17,10 +18,10 @@ from vibrojax.periodic import Orbits
 from vibrojax.periodic.of_lanes import last_returns, reason
 from vibrojax.store.variables import NATURES
 
-BEFORE, EACH = 6144, 2048
+BEFORE, EACH = 14336, 2048
 """Returns that a lane goes on for before its exponent is taken, and after how many of them it is looked at whether it has
-come to repeat. Chaos may be a transient: over the default map one lane in fifteen that is chaotic for the first 2,048
-returns is not after 8,192, and next to none of the others changes later."""
+come to repeat. Chaos may be a transient, of any length: over the default map, of 100 lanes that are chaotic for so many
+returns, 4 or 5 are not for twice as many."""
 
 FEWEST, MOST = 2048, 8192
 """Returns that its exponent is taken over: doubled where its nature is not clear."""
@@ -39,6 +40,12 @@ CLEAR, ENOUGH = 6.0, 3.0
 
 RESOLVED = 0.002
 """Standard error per return below which an exponent that does not differ from zero is taken for zero."""
+
+NEXT_TO_NONE = 5e-4
+"""Exponent per return that is taken for zero however sure it is."""
+
+SECOND_OPINION = 0.9
+"""K of the 0-1 test from which a lane is chaotic whose exponent decides nothing."""
 
 LONGEST_REPEAT = 64
 """Returns of the longest repeat that is looked for."""
@@ -139,9 +146,17 @@ class Natures:
             exponent, error = exponents(gone.rate, gone.time)
             repeat, exponent, error = _of_repeats(gone, scale, exponent, error)
             clear, flags = judged(gone, repeat, exponent, error, last=more >= MOST)
+            tested = _tested(gone.states[-TESTED:][..., clear])
+            flags[clear] = np.where(
+                (flags[clear] == nature("unknown")) & (tested > SECOND_OPINION), nature("chaotic"), flags[clear]
+            )
+            chaos = np.flatnonzero(clear & (flags == nature("chaotic")))
+            amid = stable_amid(
+                self._scene, {name: x[chaos] for name, x in given.items()}, gone.states[..., chaos], scale[:, chaos]
+            )
+            flags[chaos[amid]] = nature("not-settled")
             found["lyapunov"][lanes], found["lyapunov_stderr"][lanes] = exponent, error
-            found["nature"][lanes] = flags
-            found["zero_one"][lanes[clear]] = _tested(gone.states[-TESTED:][..., clear])
+            found["nature"][lanes], found["zero_one"][lanes[clear]] = flags, tested
             keep = ~clear
             lanes, state, scale = lanes[keep], gone.states[-1][:, keep], scale[:, keep]
             gone = Growth(*(x[..., keep] for x in gone))
@@ -189,8 +204,8 @@ def judged(
 ) -> tuple[Bool[np.ndarray, " lanes"], Int[np.ndarray, " lanes"]]:
     """Of which lanes it is clear what they are, all if these returns are the `last`; and their natures."""
     away = ~np.isfinite(gone.states[-1]).all(axis=0)
-    enough = (ENOUGH if last else CLEAR) * error
     per_return = gone.time[-BLOCKS:].mean(axis=0)
+    enough = np.maximum((ENOUGH if last else CLEAR) * error, NEXT_TO_NONE / per_return)
     spread = np.ptp(gone.states[-LONGEST_REPEAT:], axis=0), np.ptp(gone.states[-4 * LONGEST_REPEAT :], axis=0)
     # What spirals towards an orbit repeats after its turn, but for less and less.
     spirals = np.any(spread[0] < STEADY * spread[1], axis=0)
