@@ -39,7 +39,9 @@ SHARE = Variable("1", "share of the starts that end in the attractor")
 SHARE_STDERR = Variable("1", "standard error of share, binomial")
 UNASSIGNED = Variable("1", "starts of which no attractor could be told", np.int32)
 LANE_ATTRACTOR = Variable("1", "number of the attractor that the lane ends in; -1: none could be told", np.int32)
-NAMED_ATTRACTOR = Variable("1", "number of the attractor that the start with this name leads to; -1: none told", np.int32)
+NAMED_ATTRACTOR = Variable(
+    "1", "number of the attractor that the start with this name leads to; -1: none told", np.int32
+)
 NAMED_REGIME = replace(VARIABLES["regime"], long_name="regime that the start with this name leads to")
 
 NAMED = "named_start"
@@ -125,7 +127,9 @@ def _from_named(sweep: Sweep, progress: bool) -> xr.Dataset | None:
 
 def _beside(dataset: xr.Dataset, named: xr.Dataset) -> xr.Dataset:
     """Both datasets' lanes, along `start`."""
-    both = [one[[name for name in one.data_vars if name in dataset]].reset_coords(drop=True) for one in (dataset, named)]
+    both = [
+        one[[name for name in one.data_vars if name in dataset]].reset_coords(drop=True) for one in (dataset, named)
+    ]
     return xr.concat([one.drop_vars("start", errors="ignore") for one in both], "start", data_vars="minimal")
 
 

@@ -38,8 +38,6 @@ def stable_amid(
     found = np.zeros(states.shape[2], bool)
     for repeat in range(1, LONGEST + 1):
         lanes = np.flatnonzero(~found)
-        if not len(lanes):
-            break
         few = states[..., lanes]
         back = np.max(np.abs(few[repeat:] - few[:-repeat]) / scale[:, lanes], axis=1)
         part = len(back) // TRIALS
@@ -48,6 +46,8 @@ def stable_amid(
         first = parts.argmin(axis=1)[trial, lane] + part * trial
         begin = np.stack([few[first + k, :, lane] for k in range(repeat)], axis=1)
         some = lanes[lane]
+        if not len(some):
+            continue
         given = {name: x[some] for name, x in parameters.items()}
         with np.errstate(all="ignore"):
             orbit = orbits(begin, scale.T[some], np.full(len(some), REACH), go.of(given), ACCEPTED)

@@ -147,13 +147,11 @@ class Natures:
             repeat, exponent, error = _of_repeats(gone, scale, exponent, error)
             clear, flags = judged(gone, repeat, exponent, error, last=more >= MOST)
             tested = _tested(gone.states[-TESTED:][..., clear])
-            flags[clear] = np.where(
-                (flags[clear] == nature("unknown")) & (tested > SECOND_OPINION), nature("chaotic"), flags[clear]
-            )
+            known = flags[clear]
+            flags[clear] = np.where((known == nature("unknown")) & (tested > SECOND_OPINION), nature("chaotic"), known)
             chaos = np.flatnonzero(clear & (flags == nature("chaotic")))
-            amid = stable_amid(
-                self._scene, {name: x[chaos] for name, x in given.items()}, gone.states[..., chaos], scale[:, chaos]
-            )
+            of_chaos = {name: x[chaos] for name, x in given.items()}
+            amid = stable_amid(self._scene, of_chaos, gone.states[..., chaos], scale[:, chaos])
             flags[chaos[amid]] = nature("not-settled")
             found["lyapunov"][lanes], found["lyapunov_stderr"][lanes] = exponent, error
             found["nature"][lanes], found["zero_one"][lanes[clear]] = flags, tested
@@ -162,17 +160,16 @@ class Natures:
             gone = Growth(*(x[..., keep] for x in gone))
             tangent = gone.tangent
 
-
     def _later(self, parameters: Mapping[str, PerLane], state: States, scale: States) -> States:
         """Where lanes are `BEFORE` returns later, or where they have come to repeat."""
         state, active = state.copy(), np.arange(state.shape[1])
         for _ in range(BEFORE // EACH):
+            if not len(active):
+                break
             given = {name: x[active] for name, x in parameters.items()}
             states = go_on(self._scene, given, state[:, active], scale[:, active], EACH, kept=4 * LONGEST_REPEAT)
             state[:, active] = states[-1]
             active = active[(_repeat(states, scale[:, active]) == 0) & np.isfinite(states[-1]).all(axis=0)]
-            if not len(active):
-                break
         return state
 
 
