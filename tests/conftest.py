@@ -40,6 +40,7 @@ CHECKED = [
     "vibrojax.errors",
     "vibrojax.chaos",
     "vibrojax.coexistence",
+    "vibrojax.families",
     "vibrojax.input.axes",
     "vibrojax.input.definition",
     "vibrojax.input.names",
@@ -56,6 +57,7 @@ CHECKED = [
     "vibrojax.physics",
     "vibrojax.plot",
     "vibrojax.progress",
+    "vibrojax.regions",
     "vibrojax.reproduce",
     "vibrojax.scenes",
     "vibrojax.simulation._record",
@@ -63,6 +65,8 @@ CHECKED = [
     "vibrojax.stepping",
     "vibrojax.store",
     "vibrojax.threads",
+    "vibrojax.timings",
+    "vibrojax.workers",
 ]
 install_import_hook(CHECKED, "beartype.beartype")
 

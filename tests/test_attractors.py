@@ -14,6 +14,7 @@ from vibrojax.cli.attractors import attractor_lines
 from vibrojax.coexistence.alike import Motions, doubtful, joined_within, told_apart
 from vibrojax.coexistence.neighbours import Link
 from vibrojax.coexistence.numbers import numbered
+from vibrojax.engine.chunks import Chunks
 from vibrojax.errors import InputError
 from vibrojax.label import EQUILIBRIUM, FAILED, IRREGULAR, SINGLE_IMPACT, SUBHARMONIC
 from vibrojax.store.variables import NATURES
@@ -283,6 +284,56 @@ def test_the_share_map(found):
     alone = vj.picture(ds.drop_dims("named_start"))
     maps = [axes for axes in alone.axes if axes.get_xlabel().startswith("gamma") and axes.collections]
     np.testing.assert_array_equal(maps[1].collections[0].get_array().reshape(shape), (share > 0).sum(axis=-1))
+
+
+FEW = """
+scene = "vibro-impact"
+starts = ["drive", "stuck", "touching"]
+[parameters]
+delta = 0.005
+[grid]
+gamma = [0.7375, 0.75, 0.7625]
+[run]
+settle = 20.0
+observe = 6.0
+chunk = 4
+"""
+
+
+@pytest.mark.parametrize("by", ["links", "lanes"])
+def test_what_was_computed_outlives_an_interrupt(by, tmp_path, capsys, monkeypatch):
+    """While lanes are computed, and while they are linked, which may take as long."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "few.toml").write_text(FEW)
+    compute, computed = Chunks.compute, []
+
+    def counted(self, index, *told):
+        if by == "lanes" and len(computed) == 2:
+            raise KeyboardInterrupt
+        computed.append(index)
+        return compute(self, index, *told)
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Chunks, "compute", counted)
+    if by == "links":
+        monkeypatch.setattr("vibrojax.found_attractors.attractors_of", interrupted)
+    assert main(["attractors", "few.toml", "-o", "out.nc", "--quiet"]) == 130
+    assert "finished chunks are kept; to go on: vibrojax attractors few.toml -o out.nc" in capsys.readouterr().err
+    kept = len(list((tmp_path / "out.nc.chunks").glob("*.shard")))
+    assert kept == len(computed) == (2 if by == "lanes" else 3) and not (tmp_path / "out.nc").exists()
+    monkeypatch.undo()
+    monkeypatch.chdir(tmp_path)
+    computed.clear()
+    by = ""
+    monkeypatch.setattr(Chunks, "compute", counted)
+    assert main(["attractors", "few.toml", "-o", "out.nc", "--quiet"]) == 0
+    assert len(computed) == 3 - kept and {path.name for path in tmp_path.iterdir()} == {"few.toml", "out.nc", "out.png"}
+    expected = vj.attractors("few.toml", progress=False)
+    found = vj.open_dataset("out.nc")
+    for name in expected.data_vars:
+        np.testing.assert_array_equal(found[name], expected[name])
 
 
 def test_the_command(sweep, found, tmp_path, capsys, monkeypatch):

@@ -1,4 +1,7 @@
-"""Every figure of the README is kept true by a test, or has the command that measures it anew (`claims.toml`)."""
+"""Every figure of the README and of the site's pages is kept true by a test, or has the command that measures it anew.
+
+The lines are in `claims.toml` and, of the site, in `claims_site.toml` (any `claims*.toml`).
+"""
 
 import ast
 import json
@@ -9,10 +12,15 @@ from pathlib import Path
 import pytest
 
 import vibrojax as vj
+from vibrojax import cli
+from vibrojax.engine.chunks import CHUNK
 from vibrojax.input.source import bundled_names
+from vibrojax.plot._thinned import MOST_LANES
 from vibrojax.reproduce import GROUPS
 from vibrojax.scenes import SCENES
 from vibrojax.stepping import Located
+from vibrojax.store.claims import BEAT, STALE
+from vibrojax.store.dataset import LAZY_FROM
 
 ROOT = Path(__file__).parents[1]
 
@@ -22,37 +30,72 @@ def flowing(text: str) -> str:
     return " ".join(text.split())
 
 
-README = flowing(re.sub(r"^```.*?^```", "", (ROOT / "README.md").read_text(), flags=re.MULTILINE | re.DOTALL))
+ASIDE = re.compile(
+    r"^(`{3,}).*?^\1|\A---\n.*?^---$|^ *:[\w-]+:.*?$|^ *\d+\. |^%.*?$|^\(.*?\)=$"
+    r"|<svg.*?</svg>|</?[a-zA-Z][^>\n]*>|\$\$.*?\$\$|\$[^$]*\$",
+    flags=re.MULTILINE | re.DOTALL,
+)
+"""What is no prose: code and directives, front matter, options, numbers of lists, comments, tags, equations, labels."""
+
+
+def prose(path: Path) -> str:
+    """The text of a page, in which every figure needs a line."""
+    return flowing(ASIDE.sub(" ", path.read_text()))
+
+
+README = prose(ROOT / "README.md")
+PAGES = {
+    path.relative_to(ROOT).as_posix(): prose(path)
+    for path in [ROOT / "README.md", *sorted((ROOT / "notebooks").rglob("*.md"))]
+}
 BENCHMARKS = (ROOT / "tests" / "benchmarks" / "README.md").read_text()
-CLAIMS = tomllib.loads((ROOT / "tests" / "claims.toml").read_text())["claim"]
+CLAIMS = [
+    claim
+    for file in sorted((ROOT / "tests").glob("claims*.toml"))
+    for claim in tomllib.loads(file.read_text()).get("claim", [])
+]
 
 NO_FIGURES = (
     r"`[^`]*`",
     r"\(\.?[\w/.-]+\)",  # the target of a link
     r"Python 3\.\d+",
     r"\b\d+\.\d+\.\d+\b",  # a version
-    r"(?:eq\.|Table|CF) [\d.]+\d",
-    r"chapters \d+ and \d+",
-    r"\b[Ra-z]\d\b",
-    r"\b(?:float|AVX-)\d+",
+    r"(?:eqs?\.|[Ee]quations?|Tables?|CF) [\d.]+\d(?: (?:to|and) [\d.]+\d)?",
+    r"\[1(?:/s)?\]",
+    r"chapters? \d+(?: and \d+)?",
+    r"\b[A-Za-z]+\d\w*\b",
+    r"\bAVX-\d+|\b0-1 test\b",
 )
 """What has digits and is no figure: names, numbers of equations, symbols, versions."""
 
 
-def test_every_figure_has_its_line():
-    rest = README
+def figures_without_a_line(page: str) -> list[str]:
+    """Figures of a page that no line covers, each with the words around it."""
+    rest = page
     for claim in sorted(CLAIMS, key=lambda claim: -len(claim["text"])):
         rest = rest.replace(flowing(claim["text"]), " ")
     for pattern in NO_FIGURES:
         rest = re.sub(pattern, " ", rest)
-    left = [rest[max(found.start() - 60, 0) : found.end() + 30] for found in re.finditer(r"\d[\d.,]*", rest)]
-    assert not left, f"figures of the README without a line in tests/claims.toml: {left}"
+    return [rest[max(found.start() - 60, 0) : found.end() + 30] for found in re.finditer(r"\d[\d.,]*", rest)]
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_every_figure_has_its_line(name):
+    left = figures_without_a_line(PAGES[name])
+    assert not left, f"figures of {name} without a line in tests/claims.toml or tests/claims_site.toml: {left}"
+
+
+def test_a_figure_without_a_line_is_told(tmp_path):
+    page = tmp_path / "page.md"
+    page.write_text("---\na: 1\n---\n# A\n1. `x = 3` and $y = 4$\n```{code-cell}\n5\n```\n<b id='6'>in 7.5 s</b>\n")
+    assert [flowing(told) for told in figures_without_a_line(prose(page))] == ["# A and in 7.5 s"]
 
 
 @pytest.mark.parametrize("claim", CLAIMS, ids=lambda claim: claim["text"][:40])
 def test_a_line_holds(claim):
-    assert flowing(claim["text"]) in README, "not, or no longer, in the README"
-    assert claim.keys() <= {"text", "test", "holds", "refresh", "kept"} and claim.keys() & {"test", "refresh"}
+    assert any(flowing(claim["text"]) in page for page in PAGES.values()), "not, or no longer, in README or site"
+    assert claim.keys() <= {"text", "test", "holds", "refresh", "kept", "cited"}
+    assert claim.keys() & {"test", "refresh", "cited"}
     for test in claim.get("test", []):
         path, _, name = test.partition("::")
         functions = [
@@ -173,3 +216,18 @@ def test_ratios_are_those_of_the_race():
     assert ratio["numba, Dormand-Prince 5(4)"] == pytest.approx(1.0, abs=0.05)
     assert "one by Dormand-Prince is as fast" in README
     assert f"one of the same Taylor steps {1 / ratio['numba, Taylor series']:.1f} times faster" in README
+
+
+def test_limits_of_large_sweeps():
+    page = PAGES["notebooks/large_sweeps.md"]
+    assert f"chunks of {CHUNK:,} lanes" in page
+    assert f"touches it every {BEAT:g} s" in page
+    assert STALE == 150 and "after two and a half minutes on another" in page
+    assert f"over {LAZY_FROM / 1e6:g} MB is opened without being read" in page
+    assert f"draws {MOST_LANES:,} lanes at most" in page
+
+
+def test_exit_statuses():
+    page = PAGES["notebooks/commands.md"]
+    assert f"Exit status: {cli.DONE} done; {cli.BAD_INPUT} bad input" in page
+    assert f"{cli.INTERRUPTED} interrupted" in page and f"{cli.TERMINATED} asked to end" in page

@@ -2,11 +2,16 @@
 
 import json
 import sys
+import tracemalloc
+from types import SimpleNamespace
 
 import pytest
 
 from vibrojax.cli import main
+from vibrojax.engine.chunks import Chunks
+from vibrojax.input.read import read_sweep
 from vibrojax.sweep import run_share
+from vibrojax.workers.order import by_cost
 
 TEXT = """
 scene = "rotary"
@@ -131,3 +136,39 @@ def test_a_dry_run_that_measures(capsys):
     assert main(["sweep", "map.toml", "--dry-run", "--measure"]) == 0
     assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == ["lanes", "memory", "disk", "time"]
     assert main(["sweep", "map.toml", "--dry-run", "--set", "v=[1.0,2.0]", "--set", "run.settle=1e9"]) == 0
+
+
+MANY = TEXT.replace("chunk = 4", "").replace(
+    "v = { start = 1.0, stop = 2.0, num = 20 }",
+    "v = { start = 1.0, stop = 2.0, num = 10000 }\nc2 = { start = 0.0, stop = 2500.0, num = 10000 }",
+)
+
+
+@pytest.mark.parametrize("free, enough", [(10**10, False), (10**11, True)])
+def test_a_hundred_million_lanes_are_a_matter_of_disk_alone(free, enough, capsys, folder, monkeypatch):
+    """Nothing grows with them but what lies on the disk: not what a plan takes, nor the memory that it says."""
+    (folder / "map.toml").write_text(MANY)
+    monkeypatch.setattr("vibrojax.engine.resources.shutil.disk_usage", lambda _: SimpleNamespace(free=free))
+    tracemalloc.start()
+    status = main(["sweep", "map.toml", "--dry-run"])
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    captured = capsys.readouterr()
+    assert status == (0 if enough else 2) and most < 50e6
+    lines = dict(line.split(maxsplit=1) for line in captured.out.splitlines())
+    assert lines["lanes"].startswith("100000000 (10000 v x 10000 c2 x 1 start) in 48829 chunks")
+    assert float(lines["memory"].removesuffix(" MB")) < 1500
+    if not enough:
+        assert (
+            "grid: 100000000 lanes need some" in captured.err
+            and "; there is 10 GB of disk: give shorter axes" in captured.err
+        )
+        assert main(["sweep", "map.toml"]) == 2 and not (folder / "map.nc.chunks").exists()
+
+
+def test_chunks_of_a_hundred_million_lanes_are_ordered(folder):
+    """By their cost, looked at a few thousand at once."""
+    (folder / "map.toml").write_text(MANY)
+    chunks = Chunks(read_sweep("map.toml"))
+    order = by_cost(chunks, range(chunks.count))
+    assert sorted(order) == list(range(48829)) and order != sorted(order)

@@ -7,7 +7,8 @@ import pytest
 
 import vibrojax as vj
 from vibrojax.engine.settled import settled
-from vibrojax.measure.section import Passed, Seen, Settling
+from vibrojax.measure.repeats import Seen
+from vibrojax.measure.section import Passed, Settling
 
 LANES, ERROR = 128, 1e-4
 OF_BLOWS = ("impact_velocity", "impact_velocity_min", "bit_velocity_at_impact", "impact_energy", "mean_impact_force")

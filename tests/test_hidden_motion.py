@@ -62,4 +62,4 @@ def test_the_map_marks_it(swept):
         expected = sorted(zip(swept.gamma.values[gamma], swept.beta.values[beta], strict=True))
         assert sorted(map(tuple, marks.get_offsets().tolist())) == expected
     labels = [text.get_text() for axes in figure.axes if axes.get_legend() for text in axes.get_legend().get_texts()]
-    assert "another start: same label, other motion" in labels
+    assert "same label, other motion\nfrom another start" in labels

@@ -3,6 +3,8 @@
 import json
 import multiprocessing
 import os
+import re
+import shutil
 import subprocess
 import sys
 from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor, ThreadPoolExecutor
@@ -16,6 +18,7 @@ from vibrojax.errors import InputError
 from vibrojax.input.read import read_sweep
 from vibrojax.sweep import run_share, run_to_file
 from vibrojax.workers.executor import compute_chunk
+from vibrojax.workers.work import Work
 
 ROOT = Path(__file__).parents[1]
 TEXT = """
@@ -110,6 +113,36 @@ def test_submitit(file, expected, tmp_path):
     assert_same(found.assign_attrs(sweep=expected.attrs["sweep"]), expected)
 
 
+def test_loky(file, expected):
+    loky = pytest.importorskip("loky")
+    with loky.ProcessPoolExecutor(2) as executor:
+        assert_same(vj.run_sweep(file, progress=False, executor=executor), expected)
+
+
+BY_MPI = """
+import sys
+from mpi4py.futures import MPIPoolExecutor
+import vibrojax as vj
+if __name__ == "__main__":
+    with MPIPoolExecutor(2) as executor:
+        vj.write_dataset(vj.run_sweep(sys.argv[1], progress=False, executor=executor), sys.argv[2])
+"""
+
+
+def test_mpi(file, expected):
+    """Where mpi4py is installed, and an MPI with it, such as `pip install mpi4py mpich` has."""
+    pytest.importorskip("mpi4py")
+    start = shutil.which("mpiexec", path=f"{Path(sys.executable).parent}:{os.environ['PATH']}")
+    if start is None:
+        pytest.skip("there is no mpiexec")
+    (file.parent / "by_mpi.py").write_text(BY_MPI)
+    command = [start, "-n", "3", sys.executable, "-m", "mpi4py.futures", "by_mpi.py", file.name, "out.nc"]
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    done = subprocess.run(command, cwd=file.parent, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert_same(vj.open_dataset(file.with_name("out.nc")), expected)
+
+
 def test_zarr(file, expected):
     pytest.importorskip("zarr")
     out = file.with_name("out.zarr")
@@ -141,6 +174,27 @@ def test_no_chunk_is_asked_for_twice(file, expected):
     executor = Here(lambda self, fn, *arguments: fn(*arguments))
     assert_same(vj.run_sweep(file, progress=False, executor=executor), expected)
     assert sorted(executor.asked) == [0, 1, 2, 3, 4]
+
+
+def test_the_dearest_chunks_come_first(file):
+    """Lanes that are stiff in flight take c2/m2 steps a second, over the stride; the dataset is the same."""
+    file.write_text(
+        TEXT.replace("beta = [0.3, 0.4, 0.5]", "c2 = [200.0, 1e6, 250.0, 1e5]").replace("chunk = 5", "chunk = 8")
+    )
+    executor = Here(lambda self, fn, *arguments: fn(*arguments))
+    found = vj.run_sweep(file, progress=False, executor=executor)
+    assert executor.asked == [1, 3, 2, 0]
+    assert_same(found, vj.run_sweep(file, progress=False))
+    steps = [work["steps"].sum() for work in map(Work(read_sweep(file)).compute, range(4))]
+    assert steps[1] > 20 * steps[0] and np.argsort(steps)[::-1].tolist()[:2] == [1, 3]
+
+
+def test_workers_are_not_idle_at_the_end(file, caplog):
+    """Nobody waits for the processes themselves to come to their end, which may take a second."""
+    caplog.set_level("INFO", "vibrojax")
+    run_to_file(read_sweep(file), file.with_name("out.nc"), progress=False, processes=2)
+    [line] = [line for line in caplog.messages if line.startswith("workers: ")]
+    assert re.fullmatch(r"workers: [12] in [\d.]+ s; busy for [\d.]+ s, idle at the end for [\d.]+ s(; for .+)?", line)
 
 
 def test_what_a_worker_cannot_do_is_done_here(file, expected, capsys):

@@ -10,7 +10,14 @@ _ALIKE = 0.5
 
 
 class InputError(ValueError):
-    """Bad input from a user; its text is one line, shown without a traceback."""
+    """Bad input from a user; its text is one line, shown without a traceback.
+
+    **Example:**
+
+    >>> vj.read_sweep({"scene": "vibro-impact", "grid": {"gama": [0.6, 0.8]}})
+    Traceback (most recent call last):
+    vibrojax.errors.InputError: sweep: grid.gama: scene "vibro-impact" has no such parameter; did you mean "gamma"?
+    """
 
 
 @dataclass(frozen=True)

@@ -76,6 +76,16 @@ def follow(
     the side from which it was reached; beside a grazing impact they hold over a very small distance.
 
     **Raises:** `InputError` where a name or value is not right, or the motion does not settle on a periodic orbit.
+
+    **Example:**
+
+    >>> point = {"beta": 0.4, "delta": 0.005, "start": "stuck"}
+    >>> fam = vj.follow("vibro-impact", along="gamma", at=0.75, span=(0.7, 0.9), **point, progress=False)
+    >>> kinds = fam.special_kind.attrs["flag_meanings"].split()
+    >>> [(kinds[int(kind)], round(float(value), 3)) for kind, value in zip(fam.special_kind, fam.special_value)]
+    [('end', 0.7), ('end', 0.9)]
+    >>> bool((fam.stable == 1).all())
+    True
     """
     return follow_asked(read_asked(scene, along, at, span, start, settle, observe, cycles, parameters), progress)
 

@@ -89,9 +89,22 @@ def attractors(
     of the shares: over the grid and `named_start`, `named_attractor` and `named_regime`, where each of these leads.
 
     **Raises:** `InputError` where it is no sweep over a grid, or of starts, of a scene that returns to a section.
+
+    **Example:**
+
+    >>> starts = {"scene": "vibro-impact", "parameters": {"beta": 0.4, "delta": 0.0}, "grid": {"gamma": [0.6]}}
+    >>> att = vj.attractors(starts | {"starts": ["drive", "stuck", "touching"]}, progress=False)
+    >>> att.share.round(2).values.tolist()
+    [[0.67, 0.33]]
+    >>> att.impact_velocity.round(1).values.tolist()  # m/s: both are single impacts
+    [[0.7, 3.0]]
     """
     sweep = sweep_of(source)
-    dataset = with_orbits(source if isinstance(source, xr.Dataset) else sweep, progress)
+    return attractors_of(sweep, with_orbits(source if isinstance(source, xr.Dataset) else sweep, progress))
+
+
+def attractors_of(sweep: Sweep, dataset: xr.Dataset) -> xr.Dataset:
+    """The attractors of a sweep, from its dataset with orbits; see `attractors`."""
     dataset = dataset.transpose(*sweep.dims, ...)
     shape, starts = sweep.shape[:-1], sweep.shape[-1]
     named = _from_named(sweep, progress)

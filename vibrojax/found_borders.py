@@ -62,10 +62,25 @@ def borders(
     the share of the plane with a stable single impact, with the coordinates `region_start` and so on.
 
     **Raises:** `InputError` where it is no sweep over a grid of two parameters, or the scene has no impacts.
+
+    **Example:**
+
+    >>> axes = {"beta": [0.3, 0.5, 0.7], "gamma": [0.6, 0.8, 1.0]}
+    >>> plane = {"scene": "vibro-impact", "parameters": {"delta": 0.005}, "grid": axes, "starts": ["stuck"]}
+    >>> cur = vj.borders(plane, progress=False)
+    >>> cur.region_start.values.tolist()
+    ['stuck', 'any']
+    >>> bool(cur.region_area[0] < cur.region_area[1])  # where this start leads to one is less than where there is one
+    True
     """
     sweep = sweep_with_orbits(source)
     names = checked(sweep, axes)
     dataset = with_orbits(source if isinstance(source, xr.Dataset) else sweep, progress)
+    return borders_of(sweep, dataset, names)
+
+
+def borders_of(sweep: Sweep, dataset: xr.Dataset, names: tuple[str, str]) -> xr.Dataset:
+    """The borders in the plane of two axes of a sweep, from its dataset with orbits; see `borders`."""
     return _Regions(sweep, dataset, names).dataset()
 
 

@@ -13,7 +13,7 @@ from vibrojax.input.definition import Sweep
 from vibrojax.input.points import VECTOR
 from vibrojax.input.read import read_sweep
 from vibrojax.store.finished import IDENTITY, identity_text
-from vibrojax.store.shards import changes
+from vibrojax.store.manifest import changes
 from vibrojax.sweep import run_sweep
 
 
@@ -57,6 +57,13 @@ def orbits(
 
     **Raises:** `InputError` where it is no sweep's dataset, or the sweep cannot be run, or the scene has neither a
     section nor pulses.
+
+    **Example:**
+
+    >>> point = {"beta": 0.4, "gamma": 0.75, "delta": 0.005}
+    >>> orb = vj.orbits({"scene": "vibro-impact", "parameters": point, "starts": ["stuck"]}, progress=False)
+    >>> int(orb.stable.item()), orb.multiplier_abs.values.ravel().round(3).tolist()  # the bit sticks: one is 0
+    (1, [0.697, 0.697, 0.0])
     """
     if isinstance(source, xr.Dataset) and "orbit_reason" in source:
         return source

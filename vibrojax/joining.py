@@ -1,9 +1,14 @@
-"""From finished chunks to a dataset: region by region, so that memory is bounded by a region whatever the lanes."""
+"""From finished chunks to a dataset: region by region, so that memory is bounded by a region whatever the lanes.
+
+Regions go through three hands at once, each a thread: chunks are read and checked, lanes labelled, values written. A
+large dataset is written about as fast as the disk takes it, which packing is not, see [vibrojax.store.packing][].
+"""
 
 import json
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,6 +18,7 @@ from vibrojax.engine.chunks import Chunks
 from vibrojax.engine.labelled import attributes, certified, coordinates, labelled, variables_of
 from vibrojax.input.definition import Sweep
 from vibrojax.periodic import Nearby, Orbits
+from vibrojax.store.packing import UP_TO, Sizes
 from vibrojax.store.regions import Region, Regions
 from vibrojax.store.targets import Frame, Stored, Target
 from vibrojax.timings import LOG
@@ -21,8 +27,15 @@ from vibrojax.workers.work import SECONDS, quiet
 REGION, REGION_BYTES = 1 << 16, 32e6
 """Lanes that are labelled and written together at most, and about how many bytes of features they have."""
 
+AHEAD = 2
+"""Regions that are read or labelled before they are written."""
+
+SAMPLES = 4
+"""Chunks from all over a large dataset that are looked at to tell what packing leaves of it."""
+
 Read = Callable[[int], Features]
-"""A finished chunk's features, by its index; asked for once each, in order."""
+"""A finished chunk's features, by its index; asked for once each, in order, and before that for a few of a large sweep
+that goes to a file."""
 
 WallTime = Callable[[float], float]
 """The seconds that a sweep took, from those that its chunks took together."""
@@ -35,21 +48,17 @@ def join(sweep: Sweep, chunks: Chunks, read: Read, target: Target, wall_time: Wa
     """
     lanes = _Lanes(chunks, read)
     counted: Counter[str] = Counter()
-    writing: Future[None] | None = None
-    with quiet(), ThreadPoolExecutor(1) as writer:
-        for group in _groups(sweep):
-            first, end = group[0].first, group[-1].end
-            features = lanes.take(first, end)
-            variables = labelled(sweep, first, end, features)
-            counted.update(certified(sweep, variables) | {"steps": int(features["steps"].sum())})
-            if writing is None:
-                target.begin(_frame(sweep, variables))
-            else:
-                writing.result()
-            # Compressed and written while the next ones are read.
-            writing = writer.submit(_write, sweep, target, group, variables)
-        assert writing is not None
-        writing.result()
+    begun = False
+    with quiet():
+        for part in _labelled(sweep, lanes):
+            counted.update(certified(sweep, part.variables) | {"steps": part.steps})
+            if not begun:
+                frame = _frame(sweep, part.variables)
+                if target.packs and frame.nbytes > UP_TO:
+                    frame = frame.without_packing(_looked_at(sweep, chunks, read).plain(sweep.lanes))
+                target.begin(frame)
+                begun = True
+            _write(sweep, target, part)
     solver = {
         "method": chunks.stepper.name,
         "order": chunks.stepper.order,
@@ -68,14 +77,45 @@ def join(sweep: Sweep, chunks: Chunks, read: Read, target: Target, wall_time: Wa
     target.finish(found)
 
 
-def _write(sweep: Sweep, target: Target, group: list[Region], variables: Mapping[str, np.ndarray]) -> None:
+class _Part(NamedTuple):
+    """Regions that are written together: the variables of their lanes, and the steps that these took."""
+
+    regions: list[Region]
+    variables: dict[str, np.ndarray]
+    steps: int
+
+
+def _labelled(sweep: Sweep, lanes: "_Lanes") -> Iterator[_Part]:
+    """The parts of the dataset, in order; while one is written the next is labelled, and the one after read."""
+
+    def label(regions: list[Region], reading: Future[Features]) -> _Part:
+        features = reading.result()
+        variables = labelled(sweep, regions[0].first, regions[-1].end, features)
+        return _Part(regions, variables, int(features["steps"].sum()))
+
+    ahead: deque[Future[_Part]] = deque()
+    with ThreadPoolExecutor(1) as reader, ThreadPoolExecutor(1) as labeller:
+        try:
+            for regions in _groups(sweep):
+                reading = reader.submit(lanes.take, regions[0].first, regions[-1].end)
+                ahead.append(labeller.submit(label, regions, reading))
+                if len(ahead) > AHEAD:
+                    yield ahead.popleft().result()
+            while ahead:
+                yield ahead.popleft().result()
+        finally:
+            for one in ahead:
+                one.cancel()
+
+
+def _write(sweep: Sweep, target: Target, part: _Part) -> None:
     """Lanes are counted over the dimensions in another order than that of the dataset where they are carried."""
-    first, order = group[0].first, [sweep.counted.index(name) for name in sweep.dims]
-    for region in group:
+    first, order = part.regions[0].first, [sweep.counted.index(name) for name in sweep.dims]
+    for region in part.regions:
         box = tuple(region.box[at] for at in order)
-        for name, x in variables.items():
-            part = x[region.first - first : region.end - first].reshape(*region.shape, *x.shape[1:])
-            target.put(name, box, part.transpose(*order, *range(len(order), part.ndim)))
+        for name, x in part.variables.items():
+            values = x[region.first - first : region.end - first].reshape(*region.shape, *x.shape[1:])
+            target.put(name, box, values.transpose(*order, *range(len(order), values.ndim)))
 
 
 class _Lanes:
@@ -133,6 +173,15 @@ def _frame(sweep: Sweep, variables: Mapping[str, np.ndarray]) -> Frame:
         stored[name] = Stored((*sweep.dims, *along), x.dtype, known[name].attributes(), (*chunk, *x.shape[1:]))
     sizes = dict(zip(sweep.dims, sweep.shape, strict=True)) | rows
     return Frame(sizes, coordinates(sweep, rows), stored)
+
+
+def _looked_at(sweep: Sweep, chunks: Chunks, read: Read) -> Sizes:
+    """What lanes from all over the sweep take."""
+    sizes = Sizes()
+    for index in dict.fromkeys(np.linspace(0, chunks.count - 1, SAMPLES).astype(int).tolist()):
+        some = {name: x for name, x in read(index).items() if name != SECONDS}
+        sizes.add(labelled(sweep, *chunks.lanes(index), some, whole=False))
+    return sizes
 
 
 def _devices_text(chunks: Chunks) -> str:

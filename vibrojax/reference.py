@@ -48,7 +48,13 @@ _NEARBY = {"nearby_cycles", "nearby_impacts", "nearby_distance"}
 
 
 def list_scenes() -> pd.DataFrame:
-    """The scenes by name: what each is, its states and its starts."""
+    """The scenes by name: what each is, its states and its starts.
+
+    **Example:**
+
+    >>> vj.list_scenes().states["vibro-impact"]
+    'x1, v1, x2, v2'
+    """
     enter_offered()
     rows = {
         name: {"what": _summary(kind), "states": ", ".join(kind().state_names), "starts": ", ".join(kind.starts)}
@@ -65,6 +71,11 @@ def list_parameters(scene: str | Scene[Any]) -> pd.DataFrame:
     empty where it is there always.
 
     **Raises:** `InputError` where there is no such scene.
+
+    **Example:**
+
+    >>> vj.list_parameters("vibro-impact").loc["beta", ["symbol", "range", "usual", "meaning"]].tolist()
+    ['β', 'above 0', '0.1 to 1.5', 'mass ratio m2/m1']
     """
     names = read_names(Place("scenes"), scene)
     choices = _of_choices(names)
@@ -82,6 +93,11 @@ def list_variables(scene: str | Scene[Any]) -> pd.DataFrame:
     """The variables of the datasets that sweeps of a scene give, by name: `units` and `meaning`; those of orbits too.
 
     **Raises:** `InputError` where there is no such scene.
+
+    **Example:**
+
+    >>> vj.list_variables("drilling").loc["rate_of_penetration"].to_dict()
+    {'units': 'm s-1', 'meaning': 'rate of penetration'}
     """
     system = read_names(Place("scenes"), scene).system
     measured = set(_features(system))
@@ -95,7 +111,13 @@ def list_variables(scene: str | Scene[Any]) -> pd.DataFrame:
 
 
 def list_settings() -> pd.DataFrame:
-    """The settings of a sweep, the table [run], with their defaults."""
+    """The settings of a sweep, the table [run], with their defaults.
+
+    **Example:**
+
+    >>> vj.list_settings().default[["settle", "observe", "error"]].to_dict()
+    {'settle': 40.0, 'observe': 8.0, 'error': 0.0001}
+    """
     rows = {field.name: {"default": field.default, "meaning": MEANINGS[field.name]} for field in fields(RunSettings)}
     return pd.DataFrame.from_dict(rows, orient="index", dtype=object).rename_axis("setting")
 

@@ -92,6 +92,15 @@ def derivatives(
     then in proportion to that.
 
     **Raises:** `InputError` where a name or value is not right.
+
+    **Example:**
+
+    >>> point = {"rock": "granite", "force": 500e3, "frequency": 20.0, "progress": False}
+    >>> found = vj.derivatives("penetration", of="rate_of_penetration", by=["force", "frequency"], **point)
+    >>> found.elasticity.sel(variable="rate_of_penetration").round(1).to_pandas().to_dict()
+    {'force': 2.2, 'frequency': 1.0}
+    >>> bool((found.valid == 1).all())
+    True
     """
     place = Place("derivatives")
     points, columns = _points(place, scene, parameters, start)

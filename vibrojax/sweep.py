@@ -6,7 +6,8 @@ which the store writes whole or not at all, its finished chunks kept meanwhile.
 """
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from math import ceil
 from os import PathLike
 from pathlib import Path
@@ -15,11 +16,11 @@ import xarray as xr
 
 from vibrojax.engine.batch import Features
 from vibrojax.engine.chunks import Chunks
-from vibrojax.engine.costs import PACKED, by_the_clock, lane_bytes, processor_time
+from vibrojax.engine.costs import by_the_clock, lane_bytes, packed_share, processor_time
 from vibrojax.engine.resources import Cost, check_size
 from vibrojax.input.definition import Sweep
 from vibrojax.input.read import read_sweep
-from vibrojax.joining import REGION, WallTime, join
+from vibrojax.joining import REGION, Read, WallTime, join
 from vibrojax.progress import Progress
 from vibrojax.store.dataset import COMPRESSED, open_dataset
 from vibrojax.store.finished import check_replaceable
@@ -62,6 +63,15 @@ def run_sweep(
     **Returns:** the dataset, over the grid's dimensions and `start`.
 
     **Raises:** `InputError`, before any work, where the sweep is not right or the computer too small for it.
+
+    **Example:**
+
+    >>> axes = {"gamma": [0.6, 0.75], "delta": [-0.005, 0.005]}
+    >>> ds = vj.run_sweep({"scene": "vibro-impact", "parameters": {"beta": 0.4}, "grid": axes}, progress=False)
+    >>> dict(ds.sizes)
+    {'gamma': 2, 'delta': 2, 'start': 2}
+    >>> ds.impact_velocity.sel(gamma=0.75, delta=0.005).round(2).to_pandas().to_dict()  # m/s: two motions at one point
+    {'drive': 0.21, 'stuck': 2.24}
     """
     sweep = source if isinstance(source, Sweep) else read_sweep(source)
     check_size(sweep, estimate(sweep))
@@ -103,10 +113,7 @@ def run_to_file(
     began = time.monotonic()
     work = Work(sweep)
     with Progress(sweep.lanes, "lanes", progress) as shown, shards_of(sweep, work.chunks, out) as shards:
-        shards.open(resume)
-        finished = shards.finished()
-        shown.resume(sum(work.chunks.width(index) for index in finished))
-        missing = sorted(set(range(work.chunks.count)) - finished)
+        missing = _missing(work, shards, resume, shown)
         if processes and missing:
             missing = _shared(by_processes, sweep, work, shards, missing, shown, processes)
         if jobs and missing:
@@ -116,6 +123,27 @@ def run_to_file(
         write_joined(sweep, work, shards, out, lambda seconds: max(seconds, time.monotonic() - began))
         shards.remove()
     return open_dataset(out)
+
+
+@contextmanager
+def lanes_beside(sweep: Sweep, out: Path, resume: bool = True, progress: bool = True) -> Iterator[xr.Dataset]:
+    """The dataset of a sweep, in memory, for what `out` is going to be made of: its finished chunks lie beside `out`
+    until the block has come to its end.
+
+    `resume`: go on with the chunks that are there, if any; otherwise start over.
+
+    **Raises:** `InputError` where the chunks that are there are of another sweep, or the computer is too small for it.
+    """
+    check_size(sweep, estimate(sweep), out)
+    began = time.monotonic()
+    work = Work(sweep)
+    with shards_of(sweep, work.chunks, out) as shards:
+        with Progress(sweep.lanes, "lanes", progress) as shown:
+            _compute(sweep, work, _missing(work, shards, resume, shown), shards.write, shown, None)
+        target = InMemory()
+        join(sweep, work.chunks, _reading(work, shards), target, lambda seconds: max(seconds, time.monotonic() - began))
+        yield target.dataset
+        shards.remove()
 
 
 def run_share(sweep: Sweep, out: Path, part: tuple[int, int], progress: bool = True) -> Path | None:
@@ -157,6 +185,20 @@ def shards_of(sweep: Sweep, chunks: Chunks, out: Path) -> Shards:
 
 def write_joined(sweep: Sweep, work: Work, shards: Shards, out: Path, wall_time: WallTime) -> None:
     """Write the dataset `out` from the finished chunks; one that has been damaged meanwhile is computed again."""
+    with timed("write"), file_target(out) as target:
+        join(sweep, work.chunks, _reading(work, shards), target, wall_time)
+
+
+def _missing(work: Work, shards: Shards, resume: bool, shown: Progress) -> list[int]:
+    """Take the folder of the chunks; those that are not finished."""
+    shards.open(resume)
+    finished = shards.finished()
+    shown.resume(sum(work.chunks.width(index) for index in finished))
+    return sorted(set(range(work.chunks.count)) - finished)
+
+
+def _reading(work: Work, shards: Shards) -> Read:
+    """Reads finished chunks; one that has been damaged meanwhile is computed again."""
 
     def read(index: int) -> Features:
         try:
@@ -165,8 +207,7 @@ def write_joined(sweep: Sweep, work: Work, shards: Shards, out: Path, wall_time:
             report_damage(damage)
             return work.compute(index)
 
-    with timed("write"), file_target(out) as target:
-        join(sweep, work.chunks, read, target, wall_time)
+    return read
 
 
 def _shared(
@@ -218,11 +259,11 @@ def estimate(sweep: Sweep, to_file: bool = False, processes: int = 0, measured: 
     """
     chunks = Work(sweep).chunks
     in_chunk, in_file = map(float, lane_bytes(sweep))
-    packed = PACKED if sweep.lanes > COMPRESSED else 1.0
+    packed = packed_share(sweep) if sweep.lanes > COMPRESSED else 1.0
     processor, cores = processor_time(chunks), processes or len(chunks.engine.workers)
     if measured is not None:
         in_chunk, in_file, packed = measured.chunk_bytes, measured.file_bytes, measured.packed
-        processor = processor._replace(step=measured.lane_s * sweep.lanes)
+        processor = processor._replace(compile=measured.compile_s, step=measured.lane_s * sweep.lanes)
     passing = by_the_clock(processor, cores)
     before = passing.start + passing.compile
     # A lane in the loop carries some 500 numbers; of a region the features, the variables, and those being written.

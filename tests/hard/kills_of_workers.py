@@ -63,6 +63,9 @@ SCRIPTS = {"pool": _POOL, "submitit": _SUBMITIT, "array": _ARRAY}
 DOORS = {"plain": 1, "processes": 3, "only": 3, "dask": 2, "pool": 2, "array": 2, "submitit": 0.3}
 """The doors, and how often each is taken: submitit starts a process for every chunk."""
 
+WORKERS = ("spawn_main", "submitit.core._submit")
+"""What stands in the commands of processes that compute chunks."""
+
 
 def children(process: int) -> list[int]:
     """All processes below one, by number."""
@@ -75,12 +78,12 @@ def children(process: int) -> list[int]:
 
 
 def computing(processes: list[int]) -> list[int]:
-    """Those of them that compute chunks: not what looks after their semaphores."""
+    """Those of them that compute chunks: not what looks after their semaphores, nor what is not yet what it will be."""
     found = []
     for process in processes:
         with contextlib.suppress(OSError):
             command = Path(f"/proc/{process}/cmdline").read_text()
-            if command and "resource_tracker" not in command and "forkserver" not in command:
+            if any(word in command for word in WORKERS) and "resource_tracker" not in command:
                 found.append(process)
     return found
 
@@ -128,7 +131,7 @@ class Kills:
         self.whole = folder / "whole.nc"
         whole = self._command("sweep.toml", "-o", self.whole.name)
         assert whole.wait() == 0, whole.stderr.read()
-        self.cluster = None
+        self.cluster, self.seen_all = None, time.monotonic()
         if "dask" in doors:
             from distributed import LocalCluster
 
@@ -145,13 +148,15 @@ class Kills:
         while not self.out.exists():
             [door] = self.random.choices(self.doors, [DOORS[one] for one in self.doors])
             started = self._started(door)
-            began = time.monotonic()
+            self.seen_all = began = time.monotonic()
             wait = self.random.uniform(0.3, 6.0)
             while any(one.poll() is None for one in started):
                 time.sleep(0.02)
                 self.wanted = self.wanted or self.random.choice(["driver", "worker", "worker"])
                 if door == "only":
                     self.wanted = "driver"
+                if door == "dask":
+                    self._dask_workers()
                 if kills < most and time.monotonic() - began > wait and (victim := self._victim(door, started)):
                     self._kill(door, victim, started)
                     kills, self.wanted = kills + 1, ""
@@ -159,7 +164,9 @@ class Kills:
             for one in started:
                 status, said = one.wait(), one.stderr.read().decode()
                 busy = status == 2 and "another process is at work there" in said
-                ended = status == 1 and "the jobs ended, and" in said  # all of them were killed
+                # All jobs were killed, or so many workers in a row that it was given up: what is finished is kept.
+                ended = status == 1 and ("the jobs ended, and" in said or "workers die before they finish" in said)
+                self.counted["given up after kills in a row"] += ended
                 assert status in (0, -signal.SIGKILL) or busy or ended, (door, status, said)
                 if busy:  # jobs that outlive who began them
                     time.sleep(0.5)
@@ -173,9 +180,22 @@ class Kills:
         drivers = [one.pid for one in started if one.poll() is None]
         below = [process for one in drivers for process in children(one)]
         if door == "dask" and self.cluster is not None:
-            below += [worker.process.pid for worker in self.cluster.workers.values() if worker.process]
+            below += self._dask_workers()
         choice = drivers if self.wanted == "driver" or door == "plain" else computing(below)
         return self.random.choice(choice) if choice else None
+
+    def _dask_workers(self) -> list[int]:
+        """Those of dask, once all of them are there: one that is killed while it starts its nanny gives up at times."""
+        nannies = list(self.cluster.workers.values())
+        if all(one.status.name == "running" and one.pid for one in nannies):
+            self.seen_all = time.monotonic()
+            return [one.pid for one in nannies]
+        if time.monotonic() - self.seen_all > 30.0:  # given up: new ones, as who looks after a cluster would start
+            self.cluster.scale(0)
+            self.cluster.scale(2)
+            self.seen_all = time.monotonic()
+            self.counted["dask's workers begun anew"] += 1
+        return []
 
     def _kill(self, door: str, victim: int, started: list[subprocess.Popen]) -> None:
         driver = next((one for one in started if one.pid == victim), None)

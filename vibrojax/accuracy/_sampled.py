@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, Int, Shaped
 
 from vibrojax.arrays import Array
 from vibrojax.measure.ledger import MOST_CYCLES
-from vibrojax.measure.section import REPEATS_WITHIN
+from vibrojax.measure.repeats import REPEATS_WITHIN
 from vibrojax.scenes import HasContact, HasFriction, Scene
 from vibrojax.scenes.scene import ARMED_BELOW
 from vibrojax.stepping.smoothed import STICK_WIDTHS, runge_kutta

@@ -15,7 +15,7 @@ from vibrojax.periodic.segments import STEPS, Segments
 from vibrojax.scenes import Scene
 
 LONGEST = 4
-"""Returns of the longest orbit that is looked for; of 16 that were found up to 12, over the default map, none was longer."""
+"""Returns of the longest orbit that is looked for: over the default map next to none is longer."""
 
 TRIALS = 8
 """From how many returns, of each length of orbit; each the closest of an equal part of the time."""

@@ -20,7 +20,7 @@ from vibrojax.engine.compiler import lane_function
 from vibrojax.engine.parallel import in_parallel
 from vibrojax.periodic.return_map import MOST_STEPS, at_section, passed
 from vibrojax.scenes import Scene
-from vibrojax.scenes.scene import Values
+from vibrojax.scenes.declared import Values
 from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Goal, Lane, Located, Step, Stepper, lane_at
 
 STEPS = Accuracy(tolerance=1e-7, stride=LOCATED_STRIDE, step=np.inf)

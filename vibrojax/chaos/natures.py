@@ -13,14 +13,14 @@ from vibrojax.engine.batch import Features, Index
 from vibrojax.engine.labelled import regimes
 from vibrojax.input.definition import Sweep
 from vibrojax.label import IRREGULAR, UNDECIDED
-from vibrojax.measure.section import REPEATS_WITHIN
+from vibrojax.measure.repeats import REPEATS_WITHIN
 from vibrojax.periodic import Orbits
 from vibrojax.periodic.of_lanes import last_returns, reason
 from vibrojax.store.variables import NATURES
 
 BEFORE, EACH = 14336, 2048
-"""Returns that a lane goes on for before its exponent is taken, and after how many of them it is looked at whether it has
-come to repeat. Chaos may be a transient, of any length: over the default map, of 100 lanes that are chaotic for so many
+"""Returns that a lane goes on for before its exponent is taken, and after how many of them it is looked at whether it
+has come to repeat. Chaos may be a transient, of any length: over the default map, of 100 lanes that are chaotic for so many
 returns, 4 or 5 are not for twice as many."""
 
 FEWEST, MOST = 2048, 8192

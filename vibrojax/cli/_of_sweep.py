@@ -2,7 +2,8 @@
 
 import shlex
 from argparse import ArgumentParser
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -39,11 +40,31 @@ def read_source(given: str) -> "xarray.Dataset | Sweep":
 
 
 class Result(NamedTuple):
-    """Where a result goes, and its `picture`; and what it depends on, see [vibrojax.store.finished][]."""
+    """The command that makes a result, where it goes, and its `picture`; and what it depends on, see
+    [vibrojax.store.finished][]."""
 
+    name: str
     out: Path
     picture: Path
     identity: Mapping[str, object]
+
+
+@contextmanager
+def lanes_of(
+    options: Options, source: "xarray.Dataset | Sweep", sweep: "Sweep", result: "Result"
+) -> Iterator["xarray.Dataset"]:
+    """The dataset of the sweep with orbits: `source`, where it is that; else computed, and its finished chunks are kept
+    beside the result until that is written, so that an interrupt costs none of them."""
+    import xarray
+
+    from vibrojax.sweep import lanes_beside
+
+    if isinstance(source, xarray.Dataset) and "orbit_reason" in source:
+        yield source
+        return
+    options.how_to_resume = f"finished chunks are kept; to go on: {_command(options, result.name, result.out)}"
+    with lanes_beside(sweep, result.out, resume=not options.fresh, progress=not options.quiet) as dataset:
+        yield dataset
 
 
 def result_of(options: Options, name: str, result: str, identity: Mapping[str, object]) -> Result:
@@ -56,9 +77,13 @@ def result_of(options: Options, name: str, result: str, identity: Mapping[str, o
     picture = picture_beside(out)
     if not options.fresh:
         check_replaceable(out, identity)
-    command = shlex.join(["vibrojax", result, given, "-o", str(out)])
-    options.how_to_resume = f"nothing is kept of what was computed; to begin again: {command}"
-    return Result(out, picture, identity)
+    options.how_to_resume = f"nothing is kept of what was computed; to begin again: {_command(options, result, out)}"
+    return Result(result, out, picture, identity)
+
+
+def _command(options: Options, result: str, out: Path) -> str:
+    axes = ["--axes", options.axes] if getattr(options, "axes", None) else []
+    return shlex.join(["vibrojax", result, str(options.file), "-o", str(out), *axes])
 
 
 def written(options: Options, dataset: "xarray.Dataset", result: Result) -> str:

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 from vibrojax.cli._command import Options
 from vibrojax.cli._json import flags
-from vibrojax.cli._of_sweep import add_arguments, read_source, result_of, written
+from vibrojax.cli._of_sweep import add_arguments, lanes_of, read_source, result_of, written
 
 if TYPE_CHECKING:
     import xarray
@@ -21,13 +21,14 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(options: Options) -> None:
     """Run the command."""
-    from vibrojax.found_attractors import attractors, sweep_of
+    from vibrojax.found_attractors import attractors_of, sweep_of
 
     source = read_source(str(options.file))
     sweep = sweep_of(source)
     result = result_of(options, sweep.name, "attractors", {"attractors": True, **sweep.identity()})
-    dataset = attractors(source, progress=not options.quiet)
-    drawn = written(options, dataset, result)
+    with lanes_of(options, source, sweep, result) as lanes:
+        dataset = attractors_of(sweep, lanes)
+        drawn = written(options, dataset, result)
     if not options.quiet:
         print(f"{result.out}: {dataset.sizes['attractor']} attractors{drawn}")
         print("\n".join(attractor_lines(dataset)))

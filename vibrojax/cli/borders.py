@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 from vibrojax.cli._command import Options
 from vibrojax.cli._json import flags
-from vibrojax.cli._of_sweep import add_arguments, read_source, result_of, written
+from vibrojax.cli._of_sweep import add_arguments, lanes_of, read_source, result_of, written
 from vibrojax.errors import InputError
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(options: Options) -> None:
     """Run the command."""
-    from vibrojax.found_borders import borders, checked
+    from vibrojax.found_borders import borders_of, checked
     from vibrojax.found_orbits import sweep_with_orbits
 
     axes = _axes(options.axes)
@@ -32,8 +32,9 @@ def run(options: Options) -> None:
     sweep = sweep_with_orbits(source)
     names = checked(sweep, axes)
     result = result_of(options, sweep.name, "borders", {"borders": list(names), **sweep.identity()})
-    dataset = borders(source, axes, progress=not options.quiet)
-    drawn = written(options, dataset, result)
+    with lanes_of(options, source, sweep, result) as lanes:
+        dataset = borders_of(sweep, lanes, names)
+        drawn = written(options, dataset, result)
     if not options.quiet:
         print(f"{result.out}: {dataset.sizes['curve']} curves{drawn}")
         print("\n".join(border_lines(dataset)))

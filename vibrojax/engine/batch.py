@@ -21,7 +21,7 @@ from vibrojax.input.definition import Sweep
 from vibrojax.kernels import Untranslatable
 from vibrojax.measure.recorder import Records
 from vibrojax.measure.run import Effort, Underway
-from vibrojax.scenes.scene import Values
+from vibrojax.scenes.declared import Values
 from vibrojax.stepping import Accuracy, Stepper
 
 MOST_STEPS, MOST_PER_SECOND = 1e6, 1e3

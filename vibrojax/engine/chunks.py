@@ -38,10 +38,12 @@ class Chunks:
     """The chunks of a sweep, ready to be computed one by one, by all workers.
 
     `beyond`: what else is to be found of lanes that have been observed; `ends`: finds those that need no more steps.
+
+    `ends_on_orbits`: whether any are looked for.
     """
 
     def __init__(self, sweep: Sweep, beyond: Beyond | None = None, ends: Ends | None = None) -> None:
-        self.sweep, self._beyond = sweep, beyond
+        self.sweep, self._beyond, self.ends_on_orbits = sweep, beyond, ends is not None
         self.stepper = sweep.run.stepper
         self.accuracy = sweep.run.accuracy(sweep.system)
         recorder = recorder_for(sweep.system, sweep.run.keep_returns)

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from vibrojax.measure.kept_returns import INTERVAL, TIME, state_name
-from vibrojax.measure.section import scales
+from vibrojax.measure.repeats import scales
 from vibrojax.scenes import Section
 
 HIGHEST_ORDER = 3

@@ -31,16 +31,20 @@ _ROWS = {
 """What the dimensions beyond the sweep's mean."""
 
 
-def labelled(sweep: Sweep, first: int, end: int, features: dict) -> dict[str, np.ndarray]:
-    """The variables of the lanes from `first` to before `end`, all starts of their points among them, as stored.
+def labelled(sweep: Sweep, first: int, end: int, features: dict, whole: bool = True) -> dict[str, np.ndarray]:
+    """The variables of the lanes from `first` to before `end`, as stored.
 
     **Arguments:**
 
     - `features`: by name, (lanes,), or (lanes, rows) for returns that are kept.
+    - `whole`: whether all starts of their points are among them; `hidden_motion`, which compares these, is left out
+      where not.
 
     **Returns:** by name, in the order of the dataset, in the same shapes.
     """
     features = _finished(sweep, first, end, features)
+    if whole and sweep.crosses_starts and sweep.starts is not None and len(sweep.starts) > 1 and "regime" in features:
+        features["hidden_motion"] = hides_another(features, features["regime"], len(sweep.starts))
     variables = {}
     for name, variable in variables_of(sweep).items():
         if name in features:
@@ -122,17 +126,14 @@ def _finished(sweep: Sweep, first: int, end: int, features: dict) -> dict:
             "orbit_reason": np.where(failed, ORBIT_REASONS.index("refused"), features["orbit_reason"]),
             "stable": np.where(failed, -1, features["stable"]),
         }
-    known = {"finite", "finished", "steps", "orbit_reason", "stable"}
+    known = set(features) if not failed.any() else {"finite", "finished", "steps", "orbit_reason", "stable"}
     blanked = {
         name: x if name in known else np.where(failed.reshape(-1, *[1] * (x.ndim - 1)), np.nan, x)
         for name, x in features.items()
     }
     flags = [STATUSES.index(name) for name in ("refused", "failed")]
     status = np.select([refused, failed], flags, STATUSES.index("done"))
-    found = blanked | regimes | {"status": status, "reason": reason}
-    if sweep.crosses_starts and sweep.starts is not None and len(sweep.starts) > 1 and "regime" in found:
-        found["hidden_motion"] = hides_another(found, found["regime"], len(sweep.starts))
-    return found
+    return blanked | regimes | {"status": status, "reason": reason}
 
 
 def _regimes(sweep: Sweep, values: dict, features: dict) -> dict:

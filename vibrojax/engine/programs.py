@@ -12,7 +12,7 @@ from vibrojax.measure.recorder import Features, Recorder, Records
 from vibrojax.measure.run import Effort, Underway, observe_block, settle_block, start_block
 from vibrojax.measure.section import on_orbit
 from vibrojax.scenes import Scene
-from vibrojax.scenes.scene import Values
+from vibrojax.scenes.declared import Values
 from vibrojax.stepping import Lane, Stepper, lane_at
 
 

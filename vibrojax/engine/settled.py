@@ -4,7 +4,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from vibrojax.label import FEWEST_RETURNS
-from vibrojax.measure.section import REPEATS_WITHIN, Settling, scales
+from vibrojax.measure.repeats import REPEATS_WITHIN, scales
+from vibrojax.measure.section import Settling
 
 LONGEST_REPEAT = 3
 """Returns of a repeat up to which the last eight show it several times over."""

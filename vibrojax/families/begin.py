@@ -7,7 +7,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
 
-from vibrojax.measure.section import scales
+from vibrojax.measure.repeats import scales
 from vibrojax.periodic.segments import Segments
 from vibrojax.scenes import Scene
 from vibrojax.store.variables import ORBIT_REASONS, orbit_name

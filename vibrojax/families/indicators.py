@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Complex, Float
 
-from vibrojax.families.problem import At, PerLane, Unknowns
+from vibrojax.families.problem import At, Flags, PerLane, Unknowns
 
 KINDS = ("fold", "period-doubling", "torus", "grazing", "stick", "section", "end")
 """Kinds of special points, in the order of their flags."""
@@ -55,7 +55,7 @@ INDICATORS: dict[str, Callable[[At, Unknowns], PerLane]] = {
 """By kind: what vanishes there; (lanes,) of the equations at a point and the tangent."""
 
 
-def holds(kind: str, product: Float[np.ndarray, "lanes states states"]) -> PerLane:
+def holds(kind: str, product: Float[np.ndarray, "lanes states states"]) -> Flags:
     """Whether there is a multiplier where those of a located point of that kind have one (lanes,)."""
     values = multipliers(product)
     if kind == "fold":

@@ -74,7 +74,7 @@ class Sweep:
         return tuple(sorted(self.dims, key=lambda name: name == self.run.carry))
 
     def over_dims(self, lanes: np.ndarray) -> np.ndarray:
-        """What is known of all lanes, (lanes, ...), over the dimensions, (*shape, ...)."""
+        """What is known of all lanes, (lanes, ...), over the dimensions, `(*shape, ...)`."""
         grid = lanes.reshape(*self._sizes(self.counted), *lanes.shape[1:])
         order = [self.counted.index(name) for name in self.dims]
         return grid.transpose(*order, *range(len(order), grid.ndim))
@@ -111,9 +111,13 @@ class Sweep:
         Lanes are counted in row-major order over `counted`. Returns float64 arrays of shape (end - first,) by name, and
         an integer array of that shape (zeros for a scene without starts). Memory grows with end - first only.
         """
-        places = np.unravel_index(np.arange(first, end), self._sizes(self.counted))
+        return self.values_of(np.arange(first, end))
+
+    def values_of(self, numbers: np.ndarray) -> tuple[dict[str, np.ndarray], np.ndarray]:
+        """The same of any lanes, by their numbers (lanes,)."""
+        places = np.unravel_index(numbers, self._sizes(self.counted))
         indices = dict(zip(self.counted, places, strict=True))
-        lanes = end - first
+        lanes = len(numbers)
         varied = {name: axis[indices[name]] for name, axis in self.axes.items()}
         if self.points is not None:
             varied |= {name: column[indices["point"]] for name, column in self.points.items()}

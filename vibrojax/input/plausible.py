@@ -16,7 +16,17 @@ _PACKAGE = str(Path(__file__).parents[1])
 
 
 class UnusualValue(UserWarning):
-    """A value is so far from what the source and rigs have that it may be in another unit than it is read in."""
+    """A value is so far from what the source and rigs have that it may be in another unit than it is read in.
+
+    **Example:**
+
+    >>> import warnings
+    >>> with warnings.catch_warnings(record=True) as told:
+    ...     warnings.simplefilter("always", vj.UnusualValue)  # "error" would end here, "ignore" say nothing
+    ...     sweep = vj.read_sweep({"scene": "vibro-impact", "grid": {"delta": [5.0]}})
+    >>> str(told[0].message).partition(";")[0]
+    'sweep: grid.delta: 5 m is far outside what the source and rigs have (-0.02 to 0.02 m)'
+    """
 
 
 def warn_if_far(place: Place, parameter: Parameter, values: object, likely: str = "", meant: str = "") -> None:

@@ -33,6 +33,12 @@ def read_sweep(source: str | PathLike[str] | Mapping[str, object], changes: Iter
     **Returns:** the `Sweep`, complete with defaults.
 
     **Raises:** `InputError`, one line, at the first thing that is wrong.
+
+    **Example:**
+
+    >>> sweep = vj.read_sweep("regime-map", ["run.error=1e-6", "v=2.0"])
+    >>> sweep.lanes, sweep.run.error
+    (8280, 1e-06)
     """
     found = read_source(source)
     if words := tuple(changes):

@@ -157,7 +157,7 @@ LOGARITHMIC = ("literal", "percent", "onset")
 
 
 def _mean(x: LaneValues, lanes: LaneFlags) -> Number:
-    return jnp.sum(jnp.where(lanes, x, 0.0)) / jnp.sum(lanes)
+    return jnp.sum(jnp.where(lanes, x, 0.0)) / jnp.sum(jnp.where(lanes, 1.0, 0.0))
 
 
 def _standard(t: LaneValues, lanes: LaneFlags) -> Frame:

@@ -63,6 +63,14 @@ def refit_frequency(data: Data, within: float = 0.01) -> xr.Dataset:
     `reason`; NaN where there are fewer than two lanes.
 
     **Raises:** `InputError`.
+
+    **Example:**
+
+    >>> axes = {"beta": [0.2, 0.4, 0.6], "gamma": [0.6, 0.8, 1.0]}
+    >>> periods = vj.run_sweep({"scene": "rotary", "grid": axes, "starts": ["drive"]}, progress=False)
+    >>> refitted = vj.refit_frequency(periods)
+    >>> f"{float(refitted.share):.2f}, of {int(refitted.used)} lanes"  # the source has 1/4
+    '0.25, of 5 lanes'
     """
     place, data = open_data(data, "refit_frequency")
     lanes = _upper_mode(place, data)

@@ -124,6 +124,13 @@ def fit_friction(
     `reason` where the window does not identify them: a bit that always sticks, a relative error of 1/2 and more.
 
     **Raises:** `InputError`.
+
+    **Example:**
+
+    >>> motion = vj.simulate("rotary", mu=0.3, start="stuck", duration=1.0, progress=False)
+    >>> found = vj.fit_friction(motion, window=(0.0, 0.4), start="stuck")
+    >>> f"{float(found.mu):.2f}"
+    '0.30'
     """
     place, data = open_data(data, "fit_friction")
     history = _window(place, data, window)

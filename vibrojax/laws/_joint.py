@@ -64,6 +64,14 @@ def fit_joint(
     with an `exponent_reason`, and the others hold without it. The attribute `not_identified` names what is not.
 
     **Raises:** `InputError`.
+
+    **Example:**
+
+    >>> axes = {"force": [300e3, 400e3, 500e3], "frequency": [10.0, 20.0, 30.0]}
+    >>> rates = vj.run_sweep({"scene": "penetration", "parameters": {"rock": "granite"}, "grid": axes}, progress=False)
+    >>> joint = vj.fit_joint(rates, over=["force"])
+    >>> f"C = {1e3 * float(joint.C):.0f} mm/s, in proportion to force^{joint.C_exponent.item():.1f}"
+    'C = 14 mm/s, in proportion to force^2.9'
     """
     place, data = open_rates(data, "fit_joint", columns)
     if onset not in ONSETS:

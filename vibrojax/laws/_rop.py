@@ -122,6 +122,14 @@ def fit_rop(
     data_rate_of_penetration [m/s], and `data_use` (fitted, censored, left-out).
 
     **Raises:** `InputError`.
+
+    **Example:**
+
+    >>> axes = {"force": [400e3, 500e3], "frequency": [10.0, 20.0, 30.0, 40.0]}
+    >>> rates = vj.run_sweep({"scene": "penetration", "parameters": {"rock": "granite"}, "grid": axes}, progress=False)
+    >>> fit = vj.fit_rop(rates, along="frequency", progress=False)
+    >>> fit.exponent.sel(form="power").round(3).values.tolist()  # along frequency the rate is in proportion to P/D
+    [1.0, 1.0]
     """
     place, data = open_rates(data, "fit_rop", columns)
     if robust is not None and robust not in LOSSES:

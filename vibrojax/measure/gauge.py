@@ -64,6 +64,20 @@ class Gauge(ABC, Generic[K]):
     functions. Its objects are static arguments of programs, so it is a frozen dataclass; a scene names it, or holds it,
     in `measures`. `needs` are the capabilities that the scene must have; `variables` holds unit and long name of those
     of its features that go to the dataset and are not in [vibrojax.store.variables][].
+
+    **Example:**
+
+    >>> class Returns(vj.Gauge):  # how many whole returns were observed; `step` and `section` would take in more
+    ...     variables = {"returns": ("1", "whole returns in the observation")}
+    ...
+    ...     def read(self, scene, c, carry, whole):
+    ...         return {"returns": whole.returns}
+    >>> class Counted(vj.SCENES["rotary"]):
+    ...     name = "counted"
+    ...     measures = (*vj.SCENES["rotary"].measures, Returns())
+    >>> ds = vj.run_sweep({"scene": Counted(), "starts": ["drive"], "grid": {"v": [1.0, 1.5]}}, progress=False)
+    >>> ds.returns.values.ravel().tolist()
+    [38.0, 10.0]
     """
 
     summed: ClassVar[tuple[str, ...]] = ()

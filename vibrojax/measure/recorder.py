@@ -7,11 +7,13 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 
 from vibrojax.arrays import Flags, Lanes
-from vibrojax.measure import ledger, section
+from vibrojax.measure import ledger, repeats, section
 from vibrojax.measure.gauge import Gauge, Moment, Return, Whole
 from vibrojax.measure.ledger import Ledger
-from vibrojax.measure.section import Returns, Settling
-from vibrojax.scenes.scene import Scene, Section
+from vibrojax.measure.repeats import Returns
+from vibrojax.measure.section import Settling
+from vibrojax.scenes.declared import Section
+from vibrojax.scenes.scene import Scene
 from vibrojax.stepping import Lane, Step
 
 Features = dict[str, Any]
@@ -125,14 +127,14 @@ class Recorder(Records):
         first = self._features(scene, c, carry, unknown)
         period = everything["time"] / intervals
         amplitudes = tuple(first[swing.amplitude] for swing in self.section.swings)
-        cycles = section.cycles(returns, amplitudes, period)
+        cycles = repeats.cycles(returns, amplitudes, period)
         sums, whole_returns = ledger.whole(carry.ledger, returns.number, cycles)
         features = self._features(scene, c, carry, Whole(whole_returns, sums["time"], sums, cycles))
         return features | {
             "returns": returns.number,
             "cycles": cycles,
             "period": sums["time"] / whole_returns,
-            "settling_time": section.settling_time(returns, cycles),
+            "settling_time": repeats.settling_time(returns, cycles),
         }
 
     def _features(self, scene: Scene[Any], c: Any, carry: Observed, whole: Whole) -> Features:

@@ -8,7 +8,8 @@ import jax.numpy as jnp
 
 from vibrojax.arrays import Array, Flags, Lanes, Real
 from vibrojax.measure.recorder import Features, Records
-from vibrojax.scenes.scene import Scene, Values
+from vibrojax.scenes.declared import Values
+from vibrojax.scenes.scene import Scene
 from vibrojax.stepping import Accuracy, Goal, Lane, Step, Stepper, lane_at
 
 STEPS_PER_TURN = 4

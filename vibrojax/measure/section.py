@@ -1,4 +1,4 @@
-"""Returns to a scene's section: here a lane's repeats are found, and when it settled.
+"""Returns to a scene's section, passed on the way and landed on under observation.
 
 A return counts where the section's velocity passes zero, having been beyond the re-arming level since the last one.
 Before the observation steps do not end on the section: a return on the way is read off the step's polynomials.
@@ -12,16 +12,12 @@ import jax.numpy as jnp
 
 from vibrojax.arrays import Array, Flags, Lanes, keep
 from vibrojax.measure.ledger import MOST_CYCLES
+from vibrojax.measure.repeats import Range, Returns, Seen, returned
 from vibrojax.measure.swings import widened
-from vibrojax.scenes.scene import Scene, Section, Swing
+from vibrojax.scenes.declared import Section, Swing
+from vibrojax.scenes.scene import Scene
 from vibrojax.stepping import Lane, Step
 from vibrojax.stepping.polynomial import Coefficients, first_guess, slope, value
-
-REPEATS_WITHIN = 1e-3
-SETTLED_WITHIN = 0.01
-
-Range = tuple[Lanes, Lanes]
-"""The least and the greatest value."""
 
 
 class Passed(NamedTuple):
@@ -38,46 +34,11 @@ class Passed(NamedTuple):
     amplitudes: tuple[Lanes, ...]
 
 
-class Seen(NamedTuple):
-    """What has been seen of returns, the newest first where there are several.
-
-    - `armed`: whether the next zero counts; `since` [s]: the time since the last return.
-    - `ranges`: of each swing's position since then.
-    - `states` (8, states, lanes) and `times` (8, lanes) [s] of the last returns, NaN where there was none: first the
-      states that are compared, then what else the return map has.
-    - `settled` (8, lanes) [s]: for each length of a repeat the time of the last return that differs from its repeat.
-    - `frequency` [rad/s]: of the returns; 0 before there are two.
-    """
-
-    armed: Flags
-    since: Lanes
-    ranges: tuple[Range, ...]
-    states: Array
-    times: Array
-    settled: Array
-    frequency: Lanes
-
-
 class Settling(NamedTuple):
     """What is carried while lanes settle."""
 
     seen: Seen
     passed: Passed
-
-
-class Returns(NamedTuple):
-    """What is carried under observation: returns are counted, and landed on.
-
-    - `waiting`: lanes that stand at the section; `number`: of returns so far.
-    - `phase` [rad]: what has passed of the returns' frequency since the first.
-    - `worst` (8, states, lanes): the greatest differences between returns, for each length of a repeat.
-    """
-
-    seen: Seen
-    waiting: Flags
-    phase: Lanes
-    number: Lanes
-    worst: Array
 
 
 def begin(section: Section, scene: Scene[Any], lane: Lane) -> Settling:
@@ -184,7 +145,7 @@ def _polished(velocity: Coefficients, tau: Array, step: Step) -> Array:
 def take_in_passed(carry: Settling) -> Settling:
     """Take in the returns that have been passed."""
     seen, passed = carry
-    known, _ = _returned(seen, passed.waiting, passed.state, passed.time, passed.since, passed.amplitudes)
+    known, _ = returned(seen, passed.waiting, passed.state, passed.time, passed.since, passed.amplitudes)
     return Settling(known, passed._replace(waiting=jnp.zeros_like(passed.waiting)))
 
 
@@ -246,7 +207,7 @@ def take_in(section: Section, scene: Scene[Any], carry: Returns, lane: Lane) -> 
     """Take in the returns of the lanes that wait at the section, and let them go on."""
     seen, here = carry.seen, carry.waiting
     state = jnp.stack([lane.state[place] for place in _kept(scene)])
-    known, differs = _returned(seen, here, state, lane.clock.high, seen.since, amplitudes(carry))
+    known, differs = returned(seen, here, state, lane.clock.high, seen.since, amplitudes(carry))
     back = jnp.arange(MOST_CYCLES, dtype=carry.number.dtype).reshape(-1, *[1] * carry.number.ndim)
     compared = here[None] & (back < carry.number[None])
     worst = jnp.where(compared[:, None], jnp.maximum(carry.worst, differs), carry.worst)
@@ -265,66 +226,3 @@ def take_in(section: Section, scene: Scene[Any], carry: Returns, lane: Lane) -> 
         number=jnp.where(here, carry.number + 1, carry.number),
         worst=worst,
     )
-
-
-def scales(amplitudes: tuple[Lanes, ...], period: Lanes) -> list[Lanes]:
-    """What the compared states are measured against: half the swings, and of velocities those by 2 pi over `period`."""
-    first, *others = amplitudes
-    return [first, *(one for half in others for one in (half, half * 2 * jnp.pi / period))]
-
-
-def _returned(
-    seen: Seen, here: Flags, state: Array, time: Lanes, since: Lanes, amplitudes: tuple[Lanes, ...]
-) -> tuple[Seen, Array]:
-    """The returns that are kept after one in `state` at `time`, where `here`; and how it differs from those before.
-
-    `amplitudes` are half the swings in the time `since` the return before.
-    """
-    scale = keep(jnp.stack(scales(amplitudes, since)))
-    compared = len(scale)
-    differs = keep(jnp.abs(state[None, :compared] - seen.states[:, :compared]))
-    # A return that has not been yet is NaN, which compares false.
-    unsettled = here[None] & jnp.any(differs > SETTLED_WITHIN * scale[None], axis=1)
-    repeats = jnp.all(differs <= SETTLED_WITHIN * scale[None], axis=1)
-    times = keep(jnp.concatenate([time[None], seen.times[:-1]]))
-    states = jnp.concatenate([state[None], seen.states[:-1]])
-    rate = 2 * jnp.pi * _rate(seen.times, repeats, time)
-    known = seen._replace(
-        frequency=jnp.where(here, rate, seen.frequency),
-        states=jnp.where(here[None, None], states, seen.states),
-        times=jnp.where(here[None], times, seen.times),
-        settled=jnp.where(unsettled, seen.times, seen.settled),
-    )
-    return known, differs
-
-
-def _rate(times: Array, repeats: Array, now: Lanes) -> Lanes:
-    """Returns per second, over the fewest returns after which the state repeats, else over all that are kept; 0 before
-    there are two."""
-    rate = jnp.zeros_like(now)
-    for p in range(1, MOST_CYCLES + 1):
-        rate = jnp.where(jnp.isfinite(times[p - 1]), p / (now - times[p - 1]), rate)
-    for p in range(MOST_CYCLES, 0, -1):
-        rate = jnp.where(repeats[p - 1], p / (now - times[p - 1]), rate)
-    return rate
-
-
-def cycles(carry: Returns, amplitudes: tuple[Lanes, ...], period: Lanes) -> jax.Array:
-    """Returns after which the motion repeats, 1 to 8; 0 where it does not, or where there are fewer than 3 p + 1.
-
-    `amplitudes` and `period` are those of the whole observation.
-    """
-    scale = jnp.stack(scales(amplitudes, period))
-    repeating = jnp.zeros_like(carry.number)
-    for p in range(MOST_CYCLES, 0, -1):
-        repeats = jnp.all(carry.worst[p - 1] < REPEATS_WITHIN * scale, axis=0) & (carry.number >= 3 * p + 1)
-        repeating = jnp.where(repeats, float(p), repeating)
-    return repeating
-
-
-def settling_time(carry: Returns, cycles: Lanes) -> jax.Array:
-    """Time [s] of the last return that differs from that `cycles` returns later by over 0.01; NaN where cycles is 0."""
-    time = jnp.full_like(cycles, jnp.nan)
-    for p in range(1, MOST_CYCLES + 1):
-        time = jnp.where(cycles == p, carry.seen.settled[p - 1], time)
-    return time

@@ -8,7 +8,8 @@ import jax.numpy as jnp
 
 from vibrojax.arrays import Array, Lanes
 from vibrojax.measure.gauge import Gauge, Moment, Return, Whole
-from vibrojax.scenes.scene import Scene, Swing
+from vibrojax.scenes.declared import Swing
+from vibrojax.scenes.scene import Scene
 from vibrojax.stepping import Lane
 
 EIGHTHS = 8

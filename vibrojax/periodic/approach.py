@@ -6,7 +6,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from vibrojax.label import FEWEST_RETURNS
-from vibrojax.measure.section import SETTLED_WITHIN, Settling, scales
+from vibrojax.measure.repeats import SETTLED_WITHIN, scales
+from vibrojax.measure.section import Settling
 from vibrojax.periodic.newton import Found, States
 
 NEAR = SETTLED_WITHIN / 2

@@ -9,7 +9,7 @@ from vibrojax.engine.batch import Features, Index
 from vibrojax.input.definition import Sweep
 from vibrojax.measure.kept_returns import state_name
 from vibrojax.measure.ledger import MOST_CYCLES
-from vibrojax.measure.section import scales
+from vibrojax.measure.repeats import scales
 from vibrojax.periodic.margin import GRAZING, HOW
 from vibrojax.periodic.measured import Begun, Measuring, begun, joined
 from vibrojax.periodic.newton import ACCEPTED, States, orbits, repeats_after

@@ -17,7 +17,7 @@ from vibrojax.engine.compiler import lane_function
 from vibrojax.measure.section import lowest, rising
 from vibrojax.periodic.margin import Margin
 from vibrojax.scenes import Driven, HasContact, Scene
-from vibrojax.scenes.scene import Section, Values
+from vibrojax.scenes.declared import Section, Values
 from vibrojax.stepping import Accuracy, Goal, Lane, Step, Stepper, lane_at
 
 MOST_STEPS = 4000

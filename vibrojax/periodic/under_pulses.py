@@ -8,7 +8,7 @@ from jaxtyping import Float
 from vibrojax.engine.batch import Features, Index
 from vibrojax.measure.kept_returns import state_name
 from vibrojax.measure.ledger import MOST_CYCLES
-from vibrojax.measure.section import REPEATS_WITHIN
+from vibrojax.measure.repeats import REPEATS_WITHIN
 from vibrojax.periodic.newton import LEAST_SWING
 from vibrojax.periodic.return_map import Mapped
 from vibrojax.scenes.scene import Scene

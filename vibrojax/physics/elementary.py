@@ -2,6 +2,13 @@
 
 Each accepts an array or a Python number, and any other number type that registers itself (the stepper's truncated
 Taylor series do), so that an equation is written once and every stepper can use it.
+
+**Example:**
+
+>>> def falling(speed, p):  # serves numbers, arrays of lanes, and the Taylor series of a step
+...     return 0.13 + 0.27 * vj.elementary.exp(-speed / p["v_s"])
+>>> round(float(falling(0.0, {"v_s": 1.8})), 2)
+0.4
 """
 
 from functools import singledispatch

@@ -1,4 +1,11 @@
-"""Linear modes of bit and striker without impact (eqs. 5.15 to 5.17)."""
+"""Linear modes of bit and striker without impact (eqs. 5.15 to 5.17).
+
+**Example:**
+
+>>> lower, upper = vj.modes.natural_frequencies({"m1": 250.0, "k1": 156250.0, "beta": 0.4, "gamma": 0.75})
+>>> f"{lower:.2f} and {upper:.2f} rad/s"
+'15.96 and 29.37 rad/s'
+"""
 
 from collections.abc import Mapping
 from typing import Any

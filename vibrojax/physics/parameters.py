@@ -1,4 +1,11 @@
-"""The table of parameters: symbol, default, unit, meaning and admissible range (SI units)."""
+"""The table of parameters: symbol, default, unit, meaning and admissible range (SI units).
+
+**Example:**
+
+>>> own = vj.parameters.table(vj.parameters.positive("v_s", 1.8, "m s-1", "speed over which friction falls", "v_s"))
+>>> own["v_s"].problem(-1.0)
+'is -1; it must be above 0 m s-1'
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

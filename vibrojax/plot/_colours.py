@@ -52,6 +52,10 @@ _QUANTITIES = {
     "multiplier_abs": ("largest |multiplier|", "viridis"),
     "multiplier_arg": ("argument of the largest\nmultiplier", "viridis"),
     "stable": ("stability", ""),
+    "lyapunov": ("greatest Lyapunov exponent", "viridis"),
+    "nature": ("nature", ""),
+    "stick_fraction": ("share of stick", "viridis"),
+    "reverse_fraction": ("share of slip backwards", "viridis"),
     "C_relative_error": ("standard error of C", "cividis"),
 }
 _STABILITY_COLOURS = {-1: "#BBBBBB", 0: "#D55E00", 1: "#0072B2"}
@@ -62,6 +66,7 @@ ROBUST = (2.0, 98.0)  # percentiles
 _OUTLYING = 2.0  # of the range between them, from which what lies beyond is left out of the colours
 _SPREAD = {"rate_of_penetration", "slip_per_impact", "C"}
 _MANY, _WIDE = 20.0, 15.0  # that share [percent] of rates, so much smaller than the greatest: logarithmic colours
+_BESIDE = 3  # flags whose names have room side by side
 _SAME = 1e-9  # relative, within which a value does not vary
 
 Cells = Float[np.ndarray, "*shape"]
@@ -223,9 +228,11 @@ def _flags_value(data: xr.DataArray) -> Value:
 
 
 def name_flags(axis: Axis, value: Value) -> None:
-    """Write along an axis what the flags mean, where `value` has flags."""
+    """Write along an axis what the flags mean, where `value` has flags; many side by side on two lines, if they can."""
     if value.names:
-        axis.set_ticks(list(value.names), list(value.names.values()))
+        side_by_side = axis.axis_name == "x" and len(value.names) > _BESIDE
+        names = [name.replace("-", "-\n", 1) if side_by_side else name for name in value.names.values()]
+        axis.set_ticks(list(value.names), names)
         axis.set_minor_locator(NullLocator())
 
 

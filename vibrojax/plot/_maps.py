@@ -194,7 +194,7 @@ def _mark_hidden(panel: Panel, x: str, y: str) -> bool:
 
 
 def _hidden_handle() -> Artist:
-    label = "another start: same label, other motion"
+    label = "same label, other motion\nfrom another start"  # on two lines, else its panel gets wider than the others
     return Line2D([], [], label=label, marker="o", markersize=3.0, markeredgewidth=0.0, linestyle="none", color=INK)
 
 

@@ -101,6 +101,13 @@ def picture(
 
     **Raises:** `InputError` where the dataset holds nothing to draw, or no such variable, axis, value or colour map; or
     `over` does not belong there.
+
+    **Example:**
+
+    >>> axes = {"beta": [0.3, 0.4, 0.5], "gamma": [0.6, 0.7, 0.8]}
+    >>> ds = vj.run_sweep({"scene": "vibro-impact", "grid": axes}, progress=False)
+    >>> figure = vj.picture(ds, variable="stick_fraction", where={"start": "stuck"})
+    >>> figure.savefig("stick.png")
     """
     if not isinstance(ds, xr.Dataset):
         raise InputError(f"{shown(ds)} is no dataset; open it first: vj.picture(vj.open_dataset(PATH))")
@@ -240,6 +247,12 @@ def save_picture(
     **Returns:** which of its values are drawn, in words; nothing where all are.
 
     **Raises:** `InputError` for another ending, a path that cannot be written, or what `picture` refuses.
+
+    **Example:**
+
+    >>> motion = vj.simulate("vibro-impact", start="stuck", duration=4.0, progress=False)
+    >>> vj.save_picture(motion, "motion.svg")  # nothing is left out
+    ''
     """
     path = Path(path)
     suffix = path.suffix.lower()

@@ -10,7 +10,7 @@ from vibrojax.families.arcs import Arcs, drawn_together
 from vibrojax.families.corners import around
 from vibrojax.families.indicators import KINDS, multipliers, spectral_radius
 from vibrojax.families.locate import by_events
-from vibrojax.families.problem import At, Flags, Index, PerLane, Problem, Unknowns, joined_at, tangent
+from vibrojax.families.problem import At, Flags, Index, PerLane, Problem, joined_at, tangent
 from vibrojax.families.walk import ENDED, STALLED, Begin, Trail, walk
 from vibrojax.scenes import Scene
 
@@ -24,6 +24,7 @@ MOST_CORNERS = 4
 """Corners that are turned on one edge."""
 
 States = Float[np.ndarray, "edges states"]
+Some = Int[np.ndarray, " some"]
 
 
 class Edges(NamedTuple):
@@ -95,7 +96,7 @@ def right(at: At) -> Flags:
     return np.isfinite(at.residual) & (spectral_radius(at.product) < 1) & (at.impacts == 1)
 
 
-def _enter_lost(problem: Problem, lanes: Index, trail: Trail, end: Index, lost: Index, found: Followed) -> None:
+def _enter_lost(problem: Problem, lanes: Index, trail: Trail, end: Index, lost: Some, found: Followed) -> None:
     """Enter where orbits cease to be stable single impacts, between their last two points."""
     place = end[lost] - 1
     lost, place = lost[place >= 0], place[place >= 0]
@@ -126,8 +127,8 @@ def _kinds(problem: Problem, arcs: Arcs) -> Int[np.ndarray, " arcs"]:
 
 
 def _beyond_corners(
-    problem: Problem, lanes: Index, trail: Trail, ends: Index, stalled: Index, found: Followed
-) -> tuple[Index, Unknowns, Unknowns]:
+    problem: Problem, lanes: Index, trail: Trail, ends: Int[np.ndarray, " ends"], stalled: Some, found: Followed
+) -> tuple[Int[np.ndarray, " on"], Float[np.ndarray, "on unknowns"], Float[np.ndarray, "on unknowns"]]:
     """The lanes that go on as stable single impacts where they found no next point ahead; enter the others."""
     last = trail.at.of(ends[stalled + 1] - 1)
     before = []

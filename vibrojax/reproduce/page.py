@@ -28,6 +28,14 @@ def write_reproduction(reproduction: Reproduction, folder: str | Path) -> None:
     """Write `index.html`, `table.md` and the datasets into `folder`, which is made if it is not there.
 
     **Raises:** `InputError` where the folder cannot be written.
+
+    **Example:**
+
+    >>> from pathlib import Path
+    >>> from vibrojax.reproduce import GROUPS
+    >>> vj.write_reproduction(vj.run_reproduction(GROUPS[:1], progress=False), "reproduction")
+    >>> sorted(path.name for path in Path("reproduction").iterdir() if path.is_file())
+    ['index.html', 'table.md']
     """
     folder = Path(folder)
     try:

@@ -64,6 +64,14 @@ def run_reproduction(groups: Iterable[Group] = GROUPS, quick: bool = False, prog
     - `progress`: whether to say on stderr what is being computed, and how far it is.
 
     **Returns:** a `Reproduction`; `write_reproduction` makes a page of it.
+
+    **Example:**
+
+    >>> from vibrojax.reproduce import GROUPS
+    >>> classical = [group for group in GROUPS if group.name == "classical"]
+    >>> found = vj.run_reproduction(classical, progress=False)
+    >>> found.score["agrees"], len(found.results)
+    (8, 8)
     """
     began = time.monotonic()
     chosen = [_quick(group) for group in groups] if quick else list(groups)

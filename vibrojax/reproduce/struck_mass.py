@@ -19,7 +19,7 @@ from jaxtyping import Float
 from vibrojax.physics.elementary import sin
 from vibrojax.physics.parameters import Parameter, not_negative, positive, table
 from vibrojax.scenes import Guard, Marker, Mode, Scene, State
-from vibrojax.scenes.scene import Start, Values
+from vibrojax.scenes.declared import Start, Values
 from vibrojax.simulation import record
 from vibrojax.stepping import Accuracy, Located
 

@@ -8,19 +8,28 @@ from vibrojax.scenes.capabilities import Driven as Driven
 from vibrojax.scenes.capabilities import HasContact as HasContact
 from vibrojax.scenes.capabilities import HasFriction as HasFriction
 from vibrojax.scenes.capabilities import HasRock as HasRock
-from vibrojax.scenes.scene import Guard as Guard
-from vibrojax.scenes.scene import Marker as Marker
-from vibrojax.scenes.scene import Mode as Mode
+from vibrojax.scenes.declared import Guard as Guard
+from vibrojax.scenes.declared import Marker as Marker
+from vibrojax.scenes.declared import Mode as Mode
+from vibrojax.scenes.declared import Section as Section
+from vibrojax.scenes.declared import State as State
+from vibrojax.scenes.declared import Swing as Swing
 from vibrojax.scenes.scene import Scene as Scene
-from vibrojax.scenes.scene import Section as Section
-from vibrojax.scenes.scene import State as State
-from vibrojax.scenes.scene import Swing as Swing
 
 _files = (import_module(f"{__name__}.{file.name}") for file in iter_modules(__path__))
 
 _kinds = (kind for file in _files for kind in getattr(file, "SCENES", ()))
 
 SCENES: dict[str, type[Scene[Any]]] = {kind.name: kind for kind in sorted(_kinds, key=lambda kind: kind.name)}
+"""The scenes of the package, classes, by the names that sweep files call them.
+
+**Example:**
+
+>>> list(vj.SCENES)
+['coupled-drilling', 'drilling', 'penetration', 'rotary', 'vibro-impact']
+>>> vj.SCENES["vibro-impact"](friction=vj.FRICTION_LAWS["coulomb"]).state_names
+('x1', 'v1', 'x2', 'v2')
+"""
 
 
 def scene_named(scene: str | Scene[Any], **options: Any) -> Scene[Any]:

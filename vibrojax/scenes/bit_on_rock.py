@@ -12,7 +12,8 @@ import jax.numpy as jnp
 
 from vibrojax.physics import rock as rocks
 from vibrojax.scenes.capabilities import HasRock
-from vibrojax.scenes.scene import ROUNDINGS, Guard, Mode, State, Values
+from vibrojax.scenes.declared import Guard, Mode, State, Values
+from vibrojax.scenes.scene import ROUNDINGS
 
 REST = 2
 

@@ -9,7 +9,8 @@ from typing import Any, ClassVar, NamedTuple
 
 from vibrojax.physics import rock
 from vibrojax.physics.friction import FrictionLaw
-from vibrojax.scenes.scene import C, Scene, Values
+from vibrojax.scenes.declared import Values
+from vibrojax.scenes.scene import C, Scene
 
 
 class Bit(NamedTuple):
@@ -24,6 +25,15 @@ class HasFriction(Scene[C]):
     """A bit that slides on the rock with dry friction.
 
     Its mode `slip` is sgn u of the sliding speed u = x1' + v, and 0 where the bit sticks; `bit_velocity` names x1'.
+
+    **Example:**
+
+    >>> scene = vj.SCENES["vibro-impact"]()
+    >>> isinstance(scene, vj.HasFriction)
+    True
+    >>> constants = scene.constants({name: one.default for name, one in scene.parameters().items()})
+    >>> f"{float(scene.bit(constants).weight):.1f} N, {scene.spring_rate(constants):.0f} rad/s"
+    '2452.5 N, 25 rad/s'
     """
 
     friction: FrictionLaw
@@ -52,7 +62,17 @@ class HasFriction(Scene[C]):
 
 class HasContact(Scene[C]):
     """A striker that hits the bit, or a stop: the mode `touching` is 1 while it does, the guard `contact` begins and
-    ends it. Impacts are measured, and labels count them."""
+    ends it. Impacts are measured, and labels count them.
+
+    **Example:**
+
+    >>> scene = vj.SCENES["vibro-impact"]()
+    >>> isinstance(scene, vj.HasContact)
+    True
+    >>> constants = scene.constants({name: one.default for name, one in scene.parameters().items()})
+    >>> f"{scene.striker_mass(constants):.0f} kg, {1e3 * scene.contact_time(constants):.2f} ms"
+    '100 kg, 4.44 ms'
+    """
 
     @abstractmethod
     def contact_force(self, c: C, mode: Values, state: Values) -> Any:
@@ -84,6 +104,15 @@ class HasRock(Scene[C]):
 
     Its states `compression` = x3 - x4, `v3` = x3' and `growth` of x4 since it was last set back to zero, and its mode
     `rock` (0 elastic, 1 yielding, -1 off the rock, 2 at rest), are those of [vibrojax.scenes.bit_on_rock][].
+
+    **Example:**
+
+    >>> scene = vj.SCENES["penetration"]()
+    >>> isinstance(scene, vj.HasRock)
+    True
+    >>> constants = scene.constants({name: one.default for name, one in scene.parameters().items()})
+    >>> f"{scene.threshold(constants) / 1e3:.0f} kN, {scene.stiffness(constants) / 1e6:.0f} MN/m"
+    '150 kN, 300 MN/m'
     """
 
     @abstractmethod
@@ -108,6 +137,13 @@ class Driven(Scene[C]):
     """A scene under a given force; where that comes in pulses, means are over whole ones.
 
     A return is then the beginning of a pulse; `pulse_states` are what the return map takes from one to the next.
+
+    **Example:**
+
+    >>> [name for name, kind in vj.SCENES.items() if issubclass(kind, vj.Driven)]
+    ['penetration']
+    >>> vj.SCENES["penetration"](pulse_shape="half-sine").has_pulses
+    True
     """
 
     pulse_states: ClassVar[tuple[str, ...]]

@@ -15,7 +15,8 @@ from vibrojax.physics.friction import FRICTION_LAWS, FrictionLaw
 from vibrojax.physics.modes import striker
 from vibrojax.scenes import stick_slip
 from vibrojax.scenes.capabilities import Bit, HasFriction
-from vibrojax.scenes.scene import ARMED_BELOW, Guard, Marker, Mode, Section, Start, State, Swing, Values
+from vibrojax.scenes.declared import Guard, Marker, Mode, Section, Start, State, Swing, Values
+from vibrojax.scenes.scene import ARMED_BELOW
 from vibrojax.scenes.stick_slip import SlipConstants, slip_constants
 
 STARTING_SHARE = 0.05

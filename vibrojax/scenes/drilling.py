@@ -10,9 +10,10 @@ from vibrojax.physics.parameters import BIT_AND_STRIKER, CONTACT, Parameter
 from vibrojax.physics.rock import ROCK, ROCKS
 from vibrojax.scenes import bit_on_rock
 from vibrojax.scenes.bit_on_rock import OnRock, RockConstants, rock_constants
+from vibrojax.scenes.declared import Guard, Values
 from vibrojax.scenes.drill import Drill, DrillConstants, drill_constants, length_noise
 from vibrojax.scenes.one_sided import ContactConstants, contact_constants
-from vibrojax.scenes.scene import Guard, Scene, Values
+from vibrojax.scenes.scene import Scene
 from vibrojax.scenes.struck import Struck
 from vibrojax.scenes.vibro_impact import VibroImpact
 

@@ -14,7 +14,8 @@ from vibrojax.physics.rock import ROCK
 from vibrojax.scenes import bit_on_rock
 from vibrojax.scenes.bit_on_rock import OnRock, RockConstants, rock_constants
 from vibrojax.scenes.capabilities import Driven
-from vibrojax.scenes.scene import ROUNDINGS, Guard, Marker, Mode, Start, State, Values
+from vibrojax.scenes.declared import Guard, Marker, Mode, Start, State, Values
+from vibrojax.scenes.scene import ROUNDINGS
 
 PULSE_SHAPES = ("rectangular", "half-sine", "sweep")
 

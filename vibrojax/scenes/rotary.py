@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from vibrojax.physics.parameters import BIT_AND_STRIKER, Parameter
+from vibrojax.scenes.declared import Guard, Start, Values
 from vibrojax.scenes.drill import Drill, DrillConstants, drill_constants, two_masses_start
-from vibrojax.scenes.scene import Guard, Start, Values
 
 
 class RotaryConstants(NamedTuple):

@@ -6,21 +6,14 @@ there.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
+from collections.abc import Mapping
+from typing import Any, ClassVar, Generic, TypeVar
 
 import jax.numpy as jnp
 
 from vibrojax.arrays import Array
 from vibrojax.physics.parameters import Parameter
-
-Values = tuple[Any, ...]
-"""One value for each state, or for each discrete state: arrays of one shape (lanes), or Taylor series."""
-
-Start = str | tuple[Any, ...] | None
-"""A start: one of the scene's names, a vector of the states it gives (numbers, or arrays of lanes), or None for a scene
-with only one."""
+from vibrojax.scenes.declared import Guard, Marker, Mode, Section, Start, State, Values
 
 ROUNDINGS = 64
 """Values of so many roundings of a typical one count as zero."""
@@ -30,103 +23,6 @@ SLOPE_ROUNDINGS = 16
 
 ARMED_BELOW = 0.05
 """Part of the drive speed by which the bit must have been slower than the drive before it can overtake it again."""
-
-
-class State(NamedTuple):
-    """A continuous state: its name, unit and meaning, whether it is a velocity, and whether trajectories show it.
-
-    Errors are weighed on the velocities, against [vibrojax.scenes.scene.Scene.speed_scale][]: units in which velocities
-    are alike in size serve best.
-    """
-
-    name: str
-    unit: str
-    long_name: str
-    is_velocity: bool = False
-    shown: bool = True
-
-
-class Mode(NamedTuple):
-    """A discrete state: its name, what its values mean, and the value in which steps are longest."""
-
-    name: str
-    meaning: str
-    calmest: float
-
-
-class Marker(NamedTuple):
-    """Zeros of the state `velocity`, either way: steps end on them, and there it is exactly zero.
-
-    It may be any state that is alike in size to velocities, such as the phase of what forces a motion; no guard may
-    have the same zeros.
-    """
-
-    name: str
-    velocity: str
-
-
-@dataclass(frozen=True)
-class Guard:
-    """What ends a mode.
-
-    - `name`: of the guard, by which `hits` tells that it was reached.
-    - `function`: `function(constants, mode, state)`, positive while the mode lasts and zero where it ends; it takes
-      arrays and Taylor series.
-    - `resolution`: `resolution(constants, mode)`, values of it that count as zero: a few roundings of a typical one.
-    - `slope_resolution`: `slope_resolution(constants, mode, h)`, first-order changes over a step `h` [s] that count as
-      zero where it starts on the guard; None: 16 times the resolution.
-    - `is_switch`: whether a smoothed motion spreads it out, and so never reaches it.
-    """
-
-    name: str
-    function: Callable[[Any, Values, Values], Any]
-    resolution: Callable[[Any, Values], Any]
-    slope_resolution: Callable[[Any, Values, Any], Any] | None = None
-    is_switch: bool = False
-
-
-class Swing(NamedTuple):
-    """A state `position`, its rate of change, the state `velocity`, and the `amplitude`: what half its swing is called.
-
-    The turns are landed on where the velocity is a marker's. The first swing of a section `at` another state may do
-    without a velocity, None: no state is its rate.
-    """
-
-    position: str
-    velocity: str | None
-    amplitude: str
-
-
-@dataclass(frozen=True)
-class Section:
-    """Where returns are counted: the velocity of the first swing passes zero, rising, or falling; or the state `at`.
-
-    That state is a marker's. It must have passed the level `rearm(constants)` the other way since the last return, so
-    that a velocity that trembles about zero counts once. Repeats are looked for in the positions of all swings and the
-    velocities of all but the first, scaled by half the swings and by those times 2 pi over the time between returns.
-
-    A motion under a force that repeats is the motion of an autonomous scene with one more state, the force's phase,
-    which a guard sets back by a whole turn, away from zero: `at` that phase the section is stroboscopic.
-    """
-
-    swings: tuple[Swing, ...]
-    rearm: Callable[[Any], Any]
-    rising: bool = True
-    at: str | None = None
-
-    @property
-    def velocity(self) -> str:
-        """The state whose zero the section is."""
-        state = self.at or self.swings[0].velocity
-        assert state is not None, "a section without `at` is where the velocity of its first swing passes zero"
-        return state
-
-    @property
-    def compared(self) -> tuple[str, ...]:
-        """Names of the states in which repeats are looked for."""
-        first, *others = self.swings
-        pairs = (name for other in others for name in (other.position, other.velocity))
-        return (first.position, *(name for name in pairs if name is not None))
 
 
 C = TypeVar("C")
@@ -153,6 +49,18 @@ class Scene(ABC, Generic[C]):
     - `measures`: what is measured of it: names or objects of gauges, see [vibrojax.measure][].
     - `autonomous`: whether nothing acts on it that changes with time, so that a state at rest stays.
     - `drifting`: states that go on growing and on which nothing depends: no part of the return map.
+
+    **Example:**
+
+    >>> class OnTheMoon(vj.SCENES["rotary"]):  # one of the package, with another default
+    ...     name = "on-the-moon"
+    ...
+    ...     def parameters(self):
+    ...         gravity = vj.parameters.positive("g", 1.62, "m s-2", "gravity", "g")
+    ...         return super().parameters() | vj.parameters.table(gravity)
+    >>> motion = vj.simulate(OnTheMoon(), start="stuck", duration=4.0, progress=False)
+    >>> round(float(abs(motion.friction_force).max()))  # N, where the bit breaks loose: 0.4 m1 g
+    162
     """
 
     name: ClassVar[str]

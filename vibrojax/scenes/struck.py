@@ -10,9 +10,9 @@ import jax.numpy as jnp
 from vibrojax.physics.contact import contact_time
 from vibrojax.scenes import one_sided
 from vibrojax.scenes.capabilities import HasContact
+from vibrojax.scenes.declared import Guard, Mode, Start, Values
 from vibrojax.scenes.drill import Drill, WithDrill, length_noise, two_masses_start
 from vibrojax.scenes.one_sided import ContactConstants
-from vibrojax.scenes.scene import Guard, Mode, Start, Values
 
 
 @runtime_checkable

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from vibrojax.physics.parameters import BIT_AND_STRIKER, CONTACT, Parameter
+from vibrojax.scenes.declared import Guard, Values
 from vibrojax.scenes.drill import DrillConstants, drill_constants
 from vibrojax.scenes.one_sided import ContactConstants, contact_constants
-from vibrojax.scenes.scene import Guard, Values
 from vibrojax.scenes.struck import Struck
 
 

@@ -20,7 +20,7 @@ from vibrojax.errors import InputError
 from vibrojax.measure import recorder_for
 from vibrojax.measure.recorder import Features, Records
 from vibrojax.scenes import Scene
-from vibrojax.scenes.scene import Values
+from vibrojax.scenes.declared import Values
 from vibrojax.simulation._record import BATCH, Record, begun
 from vibrojax.stepping import Clock, Lane, Step, Stepper
 from vibrojax.store.variables import VARIABLES, Variable

@@ -18,7 +18,7 @@ from vibrojax.engine.compiler import lane_function
 from vibrojax.engine.resources import memory
 from vibrojax.errors import InputError, Place
 from vibrojax.scenes import HasFriction, Scene
-from vibrojax.scenes.scene import Values
+from vibrojax.scenes.declared import Values
 from vibrojax.stepping import Accuracy, Goal, Lane, Stepper, lane_at
 
 BATCH = 512

@@ -23,7 +23,7 @@ from vibrojax.measure import Records
 from vibrojax.physics.parameters import positive
 from vibrojax.progress import Progress
 from vibrojax.scenes import HasContact, HasFriction, HasRock, Scene
-from vibrojax.scenes.scene import Values
+from vibrojax.scenes.declared import Values
 from vibrojax.simulation._measured import compile_measures, found_in, measured, recorder_of, window
 from vibrojax.simulation._record import check_size, record, sample
 from vibrojax.simulation._trajectory import Motion, events, forces, states_shown, trajectory_dataset
@@ -71,6 +71,14 @@ def simulate(
     duration, of a short one half. A solver of diffrax gives neither events nor what was found.
 
     **Raises:** `InputError` where a name or value is not right, or, before any work, the steps or samples are too many.
+
+    **Example:**
+
+    >>> motion = vj.simulate("vibro-impact", beta=0.4, gamma=0.75, delta=0.005, start="stuck", progress=False)
+    >>> f"{float(motion.period):.4f} s, {float(motion.impact_velocity):.3f} m/s"
+    '0.2296 s, 2.238 m/s'
+    >>> sorted(motion[["x1", "v1", "x2", "v2", "impact_force"]].data_vars)
+    ['impact_force', 'v1', 'v2', 'x1', 'x2']
     """
     place = Place("simulate")
     point = read_point(place, scene, parameters, start)

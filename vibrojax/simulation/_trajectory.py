@@ -17,7 +17,7 @@ from vibrojax.input.point import Point
 from vibrojax.measure.section import lowest
 from vibrojax.physics.parameters import differing
 from vibrojax.scenes import Driven, HasContact, HasFriction, HasRock, Scene
-from vibrojax.scenes.scene import Values
+from vibrojax.scenes.declared import Values
 from vibrojax.simulation._record import Record, accumulated
 from vibrojax.store.provenance import provenance
 

@@ -7,7 +7,8 @@ import jax.numpy as jnp
 
 from vibrojax.arrays import Array
 from vibrojax.errors import InputError
-from vibrojax.scenes.scene import Scene, Values
+from vibrojax.scenes.declared import Values
+from vibrojax.scenes.scene import Scene
 
 MOST_STEPS = 10_000_000
 

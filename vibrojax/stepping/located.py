@@ -35,7 +35,15 @@ LOCATED_STRIDE = 2.0
 
 @dataclass(frozen=True)
 class Located(Stepper):
-    """The located stepper; `order` of the Taylor series. It takes `stride`, `tolerance` and the longest `step`."""
+    """The located stepper; `order` of the Taylor series. It takes `stride`, `tolerance` and the longest `step`.
+
+    **Example:**
+
+    >>> method = vj.Located(order=14)
+    >>> motion = vj.simulate("vibro-impact", method=method, gamma=0.75, delta=0.005, start="stuck", progress=False)
+    >>> round(float(motion.period), 4)
+    0.2296
+    """
 
     order: int = 10
 

@@ -12,7 +12,8 @@ import jax.numpy as jnp
 from jax import lax
 
 from vibrojax.arrays import Array, Real
-from vibrojax.scenes.scene import Scene, Values
+from vibrojax.scenes.declared import Values
+from vibrojax.scenes.scene import Scene
 from vibrojax.stepping.event import Event, Trial, locate
 from vibrojax.stepping.lane import Lane, Step
 from vibrojax.stepping.series import known
@@ -47,6 +48,13 @@ class Smoothed(Stepper):
     """The smoothed stepper.
 
     It takes `smoothing` [m/s], the longest `step` [s], and `stride`, since a stiff contact asks for shorter steps.
+
+    **Example:**
+
+    >>> point = {"gamma": 0.75, "delta": 0.005, "start": "stuck"}
+    >>> motion = vj.simulate("vibro-impact", method=vj.Smoothed(), smoothing=1e-3, step=1e-4, **point, progress=False)
+    >>> abs(float(motion.period) / 0.2296 - 1) < 0.01
+    True
     """
 
     name = "smoothed"

@@ -65,6 +65,18 @@ class Stepper(ABC):
     - `smooths`: whether it spreads the friction switch over a width, so that nothing sticks.
     - `rests`: whether what moves by no more than roundings is at rest for it, so that lanes that are too stiff or too
       slow for their precision must be refused.
+
+    **Example:**
+
+    >>> class Short(vj.Located):  # located steps, half as long
+    ...     name = "short"
+    ...
+    ...     def accuracy(self, wanted, scene):
+    ...         asked = super().accuracy(wanted, scene)
+    ...         return asked._replace(stride=asked.stride / 2)
+    >>> isinstance(Short(), vj.Stepper)
+    True
+    >>> motion = vj.simulate("vibro-impact", method=Short(), start="stuck", duration=4.0, progress=False)
     """
 
     name: ClassVar[str]

@@ -11,6 +11,7 @@ import xarray as xr
 from vibrojax.errors import InputError
 from vibrojax.store.atomic import ZARR, atomic_write
 from vibrojax.store.faults import warn_of_faults
+from vibrojax.store.packing import LEVEL
 from vibrojax.store.variables import VARIABLES
 from vibrojax.threads import in_own_thread
 
@@ -37,13 +38,20 @@ def write_dataset(dataset: xr.Dataset, path: str | os.PathLike[str]) -> None:
     - `path`: the file to be; one that is there is replaced.
 
     **Raises:** `OSError` where the disk is full or the folder cannot be written.
+
+    **Example:**
+
+    >>> speeds = {"scene": "rotary", "grid": {"v": [1.0, 1.5]}}
+    >>> vj.write_dataset(vj.run_sweep(speeds, progress=False), "speeds.nc")
+    >>> vj.open_dataset("speeds.nc").attrs["Conventions"]
+    'CF-1.11'
     """
     path = Path(path)
     # Flags stay integers only without a fill value, and floats keep NaN as it is.
     encoding: dict[object, dict[str, object]] = {name: {"_FillValue": None} for name in dataset.variables}
     for name, variable in dataset.data_vars.items():
         if variable.size > COMPRESSED and variable.dtype.kind in "fi":
-            encoding[name] |= {"zlib": True, "complevel": 1, "shuffle": True}
+            encoding[name] |= {"zlib": True, "complevel": LEVEL, "shuffle": True}
     with atomic_write(path) as part:
         try:
             dataset.to_netcdf(part, engine="netcdf4", format="NETCDF4", encoding=encoding)
@@ -62,6 +70,13 @@ def open_dataset(path: str | os.PathLike[str]) -> xr.Dataset:
     variables that are read when they are used: by dask, in parts, where it is installed.
 
     **Raises:** `InputError` where it is not there, no netCDF, cut short, or not written by this package.
+
+    **Example:**
+
+    >>> motion = vj.simulate("rotary", duration=2.0, progress=False)
+    >>> vj.write_dataset(motion, "motion.nc")
+    >>> vj.open_dataset("motion.nc").equals(motion)
+    True
     """
     path = Path(path)
     if not path.exists():

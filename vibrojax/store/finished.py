@@ -8,7 +8,7 @@ import netCDF4
 
 from vibrojax.errors import InputError
 from vibrojax.store.atomic import ZARR
-from vibrojax.store.shards import changes
+from vibrojax.store.manifest import changes
 from vibrojax.threads import in_own_thread
 
 IDENTITY = "identity"

@@ -4,7 +4,6 @@ import hashlib
 import io
 import json
 import os
-import re
 import sys
 from collections.abc import Mapping
 from contextlib import suppress
@@ -15,23 +14,19 @@ from typing import Any
 import numpy as np
 from jaxtyping import Shaped
 
-from vibrojax.errors import InputError, shown
+from vibrojax.errors import InputError
 from vibrojax.store import npz
 from vibrojax.store.atomic import sync_folder
 from vibrojax.store.claims import Claims, this_process
+from vibrojax.store.folder import LOCK, chunk_name, failure_name, is_to_go, shard_index, shard_name
 from vibrojax.store.lock import Lock
+from vibrojax.store.manifest import MANIFEST, Manifest
 
-_MANIFEST = "manifest.json"
-_LOCK = "lock"
 _WHOLE = "all"
 """What one claims who has all chunks for himself."""
-_SHARD = re.compile(r"chunk-(\d{8,})\.shard")
-_BESIDE = re.compile(r"chunk-\d{8,}\.failed|[\w-]+\.claim")
-_UNFINISHED = re.compile(r"(\.\d+)*\.tmp")
 _PATIENCE = 30.0
 """Seconds that one of many processes which begin together waits for the others to have looked at the manifest."""
 _DAMAGES_SHOWN = 3
-_CHANGES_SHOWN = 3
 _DIGEST_SIZE = hashlib.sha256().digest_size
 
 Arrays = Mapping[str, Shaped[np.ndarray, "..."]]
@@ -60,11 +55,14 @@ class Shards:
     ) -> None:
         self.folder, self._about = folder, dict(about)
         self.claims = Claims(folder)
-        # Through JSON, so that it equals what is read back.
-        self.manifest: dict[str, object] = json.loads(_canonical(manifest))
-        self.digest = hashlib.sha256(_canonical(self.manifest)).hexdigest()
+        self._manifest = Manifest(manifest)
         self._lock: Lock | None = None
         self._shared = False
+
+    @property
+    def manifest(self) -> dict[str, object]:
+        """All that the results depend on."""
+        return self._manifest.values
 
     def open(self, resume: bool) -> None:
         """Take the folder for this process and make it ready.
@@ -75,7 +73,7 @@ class Shards:
         `resume`, its manifest differs.
         """
         self._make_folder()
-        self._lock = Lock(self.folder / _LOCK)
+        self._lock = Lock(self.folder / LOCK)
         try:
             self._check_claims()
             if resume:
@@ -96,10 +94,10 @@ class Shards:
         """
         self._make_folder()
         self._check_claims(_WHOLE)
-        lock = Lock(self.folder / _LOCK, _PATIENCE)
+        lock = Lock(self.folder / LOCK, _PATIENCE)
         try:
             self._check_manifest()
-            if not (self.folder / _MANIFEST).exists():
+            if not (self.folder / MANIFEST).exists():
                 self._write_manifest()
         finally:
             lock.release()
@@ -133,6 +131,10 @@ class Shards:
         """Whether a chunk is there; not whether it is whole."""
         return self._path(index).exists()
 
+    def size(self, index: int) -> int:
+        """Bytes of a chunk that is there."""
+        return self._path(index).stat().st_size
+
     def discard(self, index: int) -> None:
         """Remove a chunk that is not whole, if it is there."""
         self._path(index).unlink(missing_ok=True)
@@ -154,11 +156,11 @@ class Shards:
     def failed(self, index: int, why: str) -> None:
         """Have it known that a chunk could not be computed."""
         content = json.dumps({"chunk": index, "by": this_process().text, "why": why})
-        self._put(self.folder / f"{chunk_name(index)}.failed", content.encode())
+        self._put(self.folder / failure_name(index), content.encode())
 
     def has_failed(self, index: int) -> bool:
         """Whether a chunk is known to have failed."""
-        return (self.folder / f"{chunk_name(index)}.failed").exists()
+        return (self.folder / failure_name(index)).exists()
 
     def write(self, index: int, arrays: Arrays) -> None:
         """Store a chunk's arrays; when this returns they are on the disk, whole."""
@@ -168,7 +170,7 @@ class Shards:
         content = buffer.getbuffer()
         with content:
             self._put(self._path(index), self._checksum(index, content), content)
-        (self.folder / f"{chunk_name(index)}.failed").unlink(missing_ok=True)
+        (self.folder / failure_name(index)).unlink(missing_ok=True)
 
     def read(self, index: int) -> dict[str, np.ndarray]:
         """A chunk's arrays by name, as they were written; not to be written to.
@@ -181,10 +183,10 @@ class Shards:
         """Remove the chunks and, where nothing else lies in it, the folder; lets go of it."""
         self._clear(shards=True)
         self.claims.close()
-        (self.folder / _MANIFEST).unlink(missing_ok=True)
+        (self.folder / MANIFEST).unlink(missing_ok=True)
         if self._lock is None:
             with suppress(InputError):  # another one has just come to look
-                self._lock = Lock(self.folder / _LOCK)
+                self._lock = Lock(self.folder / LOCK)
         if self._lock is not None:
             self._lock.release(remove=True)
             self._lock = None
@@ -207,17 +209,17 @@ class Shards:
         self.close()
 
     def _path(self, index: int) -> Path:
-        return self.folder / f"{chunk_name(index)}.shard"
+        return self.folder / shard_name(index)
 
     def _indices(self) -> list[int]:
         try:
-            matches = [_SHARD.fullmatch(name) for name in os.listdir(self.folder)]
+            found = [shard_index(name) for name in os.listdir(self.folder)]
         except FileNotFoundError:  # all is done, and the folder removed
             return []
-        return [int(match[1]) for match in matches if match]
+        return [index for index in found if index is not None]
 
     def _checksum(self, index: int, content: bytes | memoryview) -> bytes:
-        digest = hashlib.sha256(f"{self.digest} {index}\n".encode())
+        digest = hashlib.sha256(f"{self._manifest.digest} {index}\n".encode())
         digest.update(content)
         return digest.digest()
 
@@ -252,13 +254,7 @@ class Shards:
     def _clear(self, shards: bool) -> None:
         """Remove the shards, or the unfinished files of a process that was killed; nothing that is not ours."""
         for path in self.folder.iterdir():
-            ours = _UNFINISHED.sub("", path.name)
-            unfinished = ours != path.name
-            if ours == _MANIFEST or ours == "clock":
-                ends = unfinished
-            else:
-                ends = (bool(_SHARD.fullmatch(ours)) and (unfinished or shards)) or bool(_BESIDE.fullmatch(ours))
-            if ends:
+            if is_to_go(path.name, shards):
                 path.unlink(missing_ok=True)
 
     def _check_claims(self, name: str = "") -> None:
@@ -276,49 +272,19 @@ class Shards:
             raise InputError(line) from None
 
     def _write_manifest(self) -> None:
-        text = json.dumps({"sha256": self.digest, "manifest": self.manifest, "about": self._about}, indent=1)
-        self._put(self.folder / _MANIFEST, text.encode())
+        self._put(self.folder / MANIFEST, self._manifest.content(self._about))
 
     def _check_manifest(self) -> None:
-        """Raise where the chunks in the folder are of something else."""
-        try:
-            stored = json.loads((self.folder / _MANIFEST).read_bytes())
-            other: dict[str, object] = dict(stored["manifest"])
-            digest: object = stored["sha256"]
-        except (OSError, ValueError, KeyError, TypeError):
-            return  # missing or damaged: the checksum of each shard tells whether it belongs here
-        if digest == self.digest or hashlib.sha256(_canonical(other)).hexdigest() != digest:
-            return
-        if not self._indices():
-            return
-        raise InputError(
-            f"{self.folder}: holds chunks of another sweep: {changes(other, self.manifest)}; "
-            "--fresh starts over, or give another output"
-        )
-
-
-def chunk_name(index: int) -> str:
-    """How the files of a chunk begin."""
-    return f"chunk-{index:08d}"
-
-
-def changes(before: Mapping[str, object], now: Mapping[str, object]) -> str:
-    """Where two manifests differ, in words; empty where they do not."""
-    names = [name for name in {**before, **now} if before.get(name, ...) != now.get(name, ...)]
-    told = [f"{name} was {_entry(before, name)}, is {_entry(now, name)}" for name in names[:_CHANGES_SHOWN]]
-    more = f" and {len(names) - _CHANGES_SHOWN} more" if len(names) > _CHANGES_SHOWN else ""
-    return "; ".join(told) + more
+        """Raise where the chunks in the folder are of something else; where its manifest is not whole each of them
+        tells for itself."""
+        differing = self._manifest.changes_since(self.folder / MANIFEST)
+        if differing and self._indices():
+            raise InputError(
+                f"{self.folder}: holds chunks of another sweep: {differing}; "
+                "--fresh starts over, or give another output"
+            )
 
 
 def report_damage(damage: DamagedShard | str) -> None:
     """Say on stderr what is damaged, and that it is computed again."""
     print(f"vibrojax: warning: {damage}; computed again", file=sys.stderr)
-
-
-def _canonical(manifest: Mapping[str, object]) -> bytes:
-    return json.dumps(manifest, sort_keys=True, separators=(",", ":"), allow_nan=False).encode()
-
-
-def _entry(manifest: Mapping[str, object], name: str) -> str:
-    """A value of a manifest, in words."""
-    return " ".join(shown(manifest[name]).split()) if name in manifest else "not there"

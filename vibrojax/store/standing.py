@@ -2,19 +2,19 @@
 
 import json
 import os
-import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from vibrojax.errors import InputError
 from vibrojax.store.claims import Claims, Held
+from vibrojax.store.folder import LOCK, shard_index
 from vibrojax.store.lock import is_held
+from vibrojax.store.manifest import MANIFEST
 
 CHUNKS = ".chunks"
 """How the name of the folder beside an output ends."""
 
-_SHARD = re.compile(r"chunk-(\d{8,})\.shard")
 _SHORTEST = 10.0
 """Seconds over which chunks must have come for a pace to be told."""
 
@@ -59,17 +59,18 @@ class Standing:
 def standing(folder: Path) -> Standing:
     """What the folder beside an output tells; raises `InputError` where it is none."""
     try:
-        about = json.loads((folder / "manifest.json").read_bytes())["about"]
+        about = json.loads((folder / MANIFEST).read_bytes())["about"]
         title, lanes, chunks, size = str(about["title"]), int(about["lanes"]), int(about["chunks"]), int(about["size"])
     except (OSError, ValueError, KeyError, TypeError):
         raise InputError(
-            f"{folder}: is no folder of a sweep's chunks (it has no whole manifest.json); give OUT.nc or OUT.nc{CHUNKS}"
+            f"{folder}: is no folder of a sweep's chunks (it has no whole {MANIFEST}); give OUT.nc or OUT.nc{CHUNKS}"
         ) from None
     finished, times, nbytes, failures = [], [], 0, []
     for entry in os.scandir(folder):
-        if match := _SHARD.fullmatch(entry.name):
+        index = shard_index(entry.name)
+        if index is not None:
             about_it = entry.stat()
-            finished.append(int(match[1]))
+            finished.append(index)
             times.append(about_it.st_mtime)
             nbytes += about_it.st_size
         elif entry.name.endswith(".failed"):
@@ -85,7 +86,7 @@ def standing(folder: Path) -> Standing:
         nbytes=nbytes,
         per_second=(len(times) - 1) / passed if passed > _SHORTEST else None,
         held=Claims(folder).held(),
-        whole_held=is_held(folder / "lock"),
+        whole_held=is_held(folder / LOCK),
         failures=sorted(failures, key=lambda one: one.chunk),
     )
 

@@ -3,8 +3,9 @@
 import shutil
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
+from collections.abc import Set as AbstractSet
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import xarray as xr
 
 from vibrojax.store.atomic import ZARR, atomic_write, sync, sync_folder
 from vibrojax.store.dataset import COMPRESSED, check_zarr, write_failed
+from vibrojax.store.packing import LEVEL
 from vibrojax.store.regions import Box
 
 Columns = Mapping[str, tuple[tuple[str, ...], np.ndarray, Mapping[str, Any]]]
@@ -21,12 +23,14 @@ Columns = Mapping[str, tuple[tuple[str, ...], np.ndarray, Mapping[str, Any]]]
 
 @dataclass(frozen=True)
 class Stored:
-    """A variable as it is stored: its dimensions, dtype, attributes, and the sizes of its chunks."""
+    """A variable as it is stored: its dimensions, dtype, attributes, the sizes of its chunks, and whether these are
+    packed."""
 
     dims: tuple[str, ...]
     dtype: np.dtype
     attributes: Mapping[str, Any]
     chunk: tuple[int, ...]
+    packed: bool = True
 
 
 @dataclass(frozen=True)
@@ -50,6 +54,11 @@ class Frame:
         """Bytes of all values."""
         return sum(self.size(name) * one.dtype.itemsize for name, one in self.variables.items())
 
+    def without_packing(self, names: AbstractSet[str]) -> "Frame":
+        """The same, of whose variables those of these names are not packed."""
+        variables = {name: replace(one, packed=name not in names) for name, one in self.variables.items()}
+        return replace(self, variables=variables)
+
     def beside(self, name: str) -> list[str]:
         """The coordinates of a variable that are none of its dimensions."""
         dims = set(self.variables[name].dims)
@@ -59,7 +68,9 @@ class Frame:
 
 
 class Target(ABC):
-    """A dataset that is being written."""
+    """A dataset that is being written; `packs`: whether it heeds which variables are packed."""
+
+    packs = False
 
     @abstractmethod
     def begin(self, frame: Frame) -> None:
@@ -94,6 +105,8 @@ class InMemory(Target):
 
 
 class _Netcdf(Target):
+    packs = True
+
     def __init__(self, path: Path) -> None:
         import netCDF4
 
@@ -108,8 +121,10 @@ class _Netcdf(Target):
             self._file.createDimension(dimension, size)
         for name, one in frame.variables.items():
             large = frame.size(name) > COMPRESSED
-            packed: dict[str, Any] = {"zlib": True, "complevel": 1, "shuffle": True, "chunksizes": one.chunk}
-            variable = self._create(name, one.dtype, one.dims, packed if large else {"contiguous": True})
+            how: dict[str, Any] = {"chunksizes": one.chunk} if large else {"contiguous": True}
+            if large and one.packed:
+                how |= {"zlib": True, "complevel": LEVEL, "shuffle": True}
+            variable = self._create(name, one.dtype, one.dims, how)
             if large:  # chunks are written whole: to keep them would only take memory (0 means 64 MB)
                 variable.set_var_chunk_cache(size=1, nelems=1, preemption=1.0)
             beside = frame.beside(name)

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, ProcessPoolExecutor, wait
 from functools import lru_cache
 from threading import Lock
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from vibrojax.devices import usable_cores
 from vibrojax.engine.batch import Features
@@ -30,6 +30,7 @@ Store = Callable[[int, Features], None]
 """Takes a chunk's index and its features when they are there."""
 
 
+@runtime_checkable
 class Executor(Protocol):
     """What computes chunks: Python's, dask's, loky's, MPI's; submitit's has the same `submit`."""
 

@@ -1,13 +1,16 @@
 """What some lanes of a sweep take: measured, for plans that hold."""
 
 import time
-import zlib
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
 import numpy as np
 
 from vibrojax.engine.labelled import labelled
 from vibrojax.input.definition import Sweep
+from vibrojax.store.packing import Sizes
+from vibrojax.store.shards import Shards
 from vibrojax.workers.work import SECONDS, Work
 
 CHUNKS, LONGEST = 8, 20.0
@@ -15,9 +18,10 @@ CHUNKS, LONGEST = 8, 20.0
 
 
 class Measured(NamedTuple):
-    """Of a lane: `lane_s`, seconds of processor time; bytes in a finished chunk, and in the dataset before it is
-    compressed; `packed`: what is left of these."""
+    """Of a lane: `lane_s`, seconds of processor time; bytes in a finished chunk, and in the dataset before any of it is
+    packed; `packed`: what is left of these. `compile_s`: processor time that it takes whatever the lanes."""
 
+    compile_s: float
     lane_s: float
     chunk_bytes: float
     file_bytes: float
@@ -25,40 +29,28 @@ class Measured(NamedTuple):
 
 
 def measured(sweep: Sweep) -> Measured:
-    """Compute some chunks of a sweep, one by one, to see what they take; they are not kept."""
+    """Compute some chunks of a sweep, one by one, to see what they take, with storing and labelling; they are not
+    kept."""
     work = Work(sweep)
     chunks = work.chunks
+    processor = time.process_time()
     work.compute(chunks.count - 1)  # what is compiled is no part of what lanes take
-    lanes, labelled_lanes, chunk_bytes, file_bytes, packed = 0, 0, 0, 0, 0
+    first = time.process_time() - processor
+    sizes, lanes, chunk_bytes = Sizes(), 0, 0
     began, spent = time.monotonic(), 0.0
-    for index in dict.fromkeys(np.linspace(0, chunks.count - 1, CHUNKS + 2).astype(int)[1:-1].tolist()):
-        processor = time.process_time()
-        features = work.compute(index)
-        spent += time.process_time() - processor
-        del features[SECONDS]
-        first, end = _whole_points(sweep, *chunks.lanes(index))
-        begin = chunks.lanes(index)[0]
-        lanes += chunks.width(index)
-        chunk_bytes += sum(x.nbytes for x in features.values())
-        if end > first:
-            some = {name: x[first - begin : end - begin] for name, x in features.items()}
-            labelled_lanes += end - first
-            variables = list(labelled(sweep, first, end, some).values())
-            file_bytes += sum(x.nbytes for x in variables)
-            packed += sum(len(zlib.compress(_shuffled(x), 1)) for x in variables)
-        if time.monotonic() - began > LONGEST:
-            break
-    return Measured(
-        spent / lanes, chunk_bytes / lanes, file_bytes / max(labelled_lanes, 1), packed / max(file_bytes, 1)
-    )
-
-
-def _whole_points(sweep: Sweep, first: int, end: int) -> tuple[int, int]:
-    """The lanes of a run of them whose points are whole."""
-    starts = sweep.shape[-1] if sweep.crosses_starts else 1
-    return -(-first // starts) * starts, end // starts * starts
-
-
-def _shuffled(x: np.ndarray) -> bytes:
-    """The bytes of numbers as HDF5 has them before it compresses: all first ones, all second ones, ..."""
-    return x.reshape(-1).view(np.uint8).reshape(-1, x.dtype.itemsize).T.tobytes()
+    with TemporaryDirectory(prefix="vibrojax-") as folder, Shards(Path(folder) / "measured.chunks", {}) as shards:
+        shards.open(resume=False)
+        for index in dict.fromkeys(np.linspace(0, chunks.count - 1, CHUNKS + 2).astype(int)[1:-1].tolist()):
+            processor = time.process_time()
+            shards.write(index, work.compute(index))
+            features = shards.read(index)
+            del features[SECONDS]
+            variables = labelled(sweep, *chunks.lanes(index), features, whole=False)
+            spent += time.process_time() - processor
+            lanes += chunks.width(index)
+            chunk_bytes += shards.size(index)
+            sizes.add(variables)
+            if time.monotonic() - began > LONGEST:
+                break
+    compiling = max(0.0, first - chunks.width(chunks.count - 1) * spent / lanes)
+    return Measured(compiling, spent / lanes, chunk_bytes / lanes, sizes.lane_bytes, sizes.left(sweep.lanes))

@@ -6,7 +6,8 @@ import pickle
 import signal
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
@@ -49,19 +50,25 @@ def by_processes(sweep: Sweep, shards: Shards, order: Sequence[int], count: int,
     """
     failed: set[int] = set()
     workers = _Workers(sweep, shards, order, count)
-    began, busy, deaths = time.monotonic(), 0.0, 0
+    began, deaths = time.monotonic(), 0
+    busy: defaultdict[int, float] = defaultdict(float)
+    last: dict[int, float] = {}
     with on_leaving(workers.end):
         try:
             for _ in range(min(count, len(order))):
                 workers.start()
-            while workers.running:
-                for kind, *said in workers.heard():
+            left = set(order)
+            while workers.running and left:  # they are not waited for to end: an interpreter takes its time
+                for process, kind, *said in workers.heard():
                     if kind == "finished":
                         deaths = 0
-                        busy += said[1]
+                        left.discard(said[0])
+                        busy[process] += said[1]
+                        last[process] = time.monotonic()
                         finished(*said)
                     elif kind == "failed":
                         failed.add(said[0])
+                        left.discard(said[0])
                     elif kind == "input":
                         raise InputError(said[0])
                     elif kind == "died":
@@ -74,9 +81,15 @@ def by_processes(sweep: Sweep, shards: Shards, order: Sequence[int], count: int,
                         workers.start()
         finally:
             workers.end()
-    passed = (time.monotonic() - began) * min(count, len(order))
-    LOG.info("workers: %d, busy %.1f s of %.1f s", count, busy, passed)
+    _tell(began, busy, last)
     return sorted(failed)
+
+
+def _tell(began: float, busy: Mapping[int, float], last: Mapping[int, float]) -> None:
+    """How long each worker computed, and how long it had nothing left to do at the end: to the log."""
+    ended = time.monotonic()
+    each = [f"{busy[one]:.1f} s, idle at the end for {ended - last[one]:.1f} s" for one in last]
+    LOG.info("workers: %d in %.1f s; busy for %s", len(last), ended - began, "; for ".join(each))
 
 
 class _Workers:
@@ -100,19 +113,19 @@ class _Workers:
             self.running.append((worker, ours))
 
     def heard(self) -> Iterator[tuple[Any, ...]]:
-        """What some of them say now, one of them at least: ("finished", index, seconds), ("failed", index), ("input",
-        text), ("died", status); nothing where one has come to its end."""
+        """What some of them say now, one of them at least: its process, and ("finished", index, seconds), ("failed",
+        index), ("input", text) or ("died", status); nothing where one has come to its end."""
         ready = wait([connection for _, connection in self.running])
         for worker, connection in list(self.running):
             if connection not in ready:
                 continue
             try:
-                yield connection.recv()
+                yield worker.pid, *connection.recv()
             except (EOFError, OSError, pickle.UnpicklingError):  # it has ended, perhaps in the middle of a word
                 self.running.remove((worker, connection))
                 self._gone(worker, connection)
                 if worker.exitcode:
-                    yield "died", worker.exitcode
+                    yield worker.pid, "died", worker.exitcode
 
     def end(self) -> None:
         """Kill all of them: what they are at is lost, what is finished is not."""

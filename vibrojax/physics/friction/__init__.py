@@ -1,4 +1,12 @@
-"""Dry-friction laws, one file each; a file in this folder that binds `LAW` is found by itself."""
+"""Dry-friction laws, one file each; a file in this folder that binds `LAW` is found by itself.
+
+**Example:**
+
+>>> law = vj.friction.law_named("stribeck")
+>>> defaults = {name: one.default for name, one in law.parameters.items()}
+>>> round(float(law.on_weight(0.0, defaults)), 3), law.reference
+(0.4, 'eq. 5.9')
+"""
 
 from importlib import import_module
 from pkgutil import iter_modules
@@ -11,6 +19,15 @@ _laws = (
 )
 
 FRICTION_LAWS: dict[str, FrictionLaw] = {module.LAW.name: module.LAW for module in _laws}
+"""The friction laws of the package by the names that sweep files call them.
+
+**Example:**
+
+>>> sorted(vj.FRICTION_LAWS)
+['coulomb', 'hyperbolic', 'hyperbolic-quadratic', 'popp-arctan', 'popp-exponential', 'stribeck']
+>>> list(vj.FRICTION_LAWS["stribeck"].parameters)
+['mu', 'v_cr']
+"""
 
 
 def law_named(law: str | FrictionLaw) -> FrictionLaw:

@@ -32,6 +32,14 @@ class FrictionLaw:
     - `mu_impact`: the coefficient under the impact force J; `mu` itself where left out.
     - `flat_below`: `flat_below(p)`, a speed [m/s] below which `mu` is constant to rounding though it varies above, so
       that its series there says nothing of what follows; None where there is no such speed.
+
+    **Example:**
+
+    >>> own = vj.parameters.table(vj.parameters.positive("v_s", 1.8, "m s-1", "speed over which friction falls", "v_s"))
+    >>> law = vj.FrictionLaw("falling", "my rig", own, mu=lambda u, p: 0.13 + 0.27 * vj.elementary.exp(-u / p["v_s"]))
+    >>> motion = vj.simulate("rotary", friction=law, v_s=1.0, start="stuck", progress=False)
+    >>> round(float(abs(motion.friction_force).max()))  # N, where the bit breaks loose: 0.4 m1 g
+    981
     """
 
     name: str

@@ -1,0 +1,124 @@
+"""Tables of what the code itself goes by: a directive `{code-table} NAME` writes one of those below onto a page."""
+
+import re
+from collections.abc import Callable, Iterable
+from dataclasses import asdict
+
+import pandas as pd
+from docutils import nodes
+from sphinx.application import Sphinx
+from sphinx.util.docutils import SphinxDirective
+
+import vibrojax as vj
+from vibrojax.families.indicators import KINDS
+from vibrojax.input.read import read_sweep
+from vibrojax.input.source import bundled_names
+from vibrojax.physics.rock import ROCKS
+from vibrojax.scenes import HasFriction
+from vibrojax.store.variables import NATURES, VARIABLES
+from vibrojax.words import WORDS
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    """Make the directive known."""
+    app.add_directive("code-table", CodeTable)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}
+
+
+def of_all_scenes(listed: Callable[[str], pd.DataFrame]) -> pd.DataFrame:
+    """The tables of every scene as one, a row saying in which scenes, and with what, it is as it stands there."""
+    parts = [listed(name).reset_index().assign(scenes=name) for name in vj.SCENES]
+    joined = pd.concat(parts)
+    told = [column for column in ("where", "scenes") if column in joined.columns]
+    own = [column for column in joined.columns if column not in told]
+    rows = joined.groupby(own, sort=False)[told].agg(lambda values: [*dict.fromkeys(values)]).reset_index()
+    rows["scenes"] = [in_short(names) for names in rows.scenes]
+    if "where" in rows:
+        rows["where"] = [", ".join(CHOSEN.sub(r"\1", one) for one in places) for places in rows["where"]]
+        rows = rows.rename(columns={"where": "with"})
+    return rows
+
+
+CHOSEN = re.compile(r'^\w+ = "([\w-]+)".*')
+"""The name in `friction = "stribeck" (eq. 5.9)`."""
+
+
+def in_short(names: list[str]) -> str:
+    """Names of scenes, by what is missing where that is shorter."""
+    missing = [name for name in vj.SCENES if name not in names]
+    if not missing:
+        return "all"
+    return f"all but {', '.join(missing)}" if len(missing) < len(names) else ", ".join(names)
+
+
+def flags() -> pd.DataFrame:
+    """Variables whose values are flags, with what each value means."""
+    kept = {name: (one.first_flag, one.flags) for name, one in VARIABLES.items() if one.flags}
+    kept |= {"nature": (0, NATURES), "special_kind": (0, KINDS)}
+    return pd.DataFrame(
+        [
+            (name, ", ".join(f"{value} {flag}" for value, flag in enumerate(names, first)))
+            for name, (first, names) in kept.items()
+        ],
+        columns=["variable", "values"],
+    )
+
+
+def sweeps() -> pd.DataFrame:
+    """The bundled sweeps."""
+    found = {name: read_sweep(name) for name in bundled_names()}
+    rows = [(name, one.scene, ", ".join(one.axes) or "points", one.lanes) for name, one in found.items()]
+    return pd.DataFrame(rows, columns=["name", "scene", "over", "lanes"])
+
+
+def laws() -> pd.DataFrame:
+    """Friction laws, with their own parameters and equation; what a scene has by default is said there."""
+    rows = [(name, ", ".join(law.parameters), law.reference) for name, law in vj.FRICTION_LAWS.items()]
+    first = next(scene for scene in (kind() for kind in vj.SCENES.values()) if isinstance(scene, HasFriction))
+    table = pd.DataFrame(rows, columns=["name", "its parameters", "equation of the source"])
+    table["default"] = ["yes" if name == first.friction.name else "" for name in table.name]
+    return table
+
+
+TABLES: dict[str, Callable[[], pd.DataFrame]] = {
+    "scenes": lambda: vj.list_scenes().reset_index(),
+    "parameters": lambda: of_all_scenes(vj.list_parameters),
+    "variables": lambda: of_all_scenes(vj.list_variables),
+    "settings": lambda: vj.list_settings().reset_index(),
+    "flags": flags,
+    "laws": laws,
+    "rocks": lambda: pd.DataFrame([{"rock": name} | asdict(one) for name, one in ROCKS.items()]),
+    "sweeps": sweeps,
+    "words": lambda: pd.DataFrame(WORDS.items(), columns=["word", "meaning"]),
+}
+
+
+class CodeTable(SphinxDirective):
+    """`{code-table} NAME`: the table of that name; its first column is what one writes."""
+
+    required_arguments = 1
+
+    def run(self) -> list[nodes.Node]:
+        self.env.note_reread()
+        table = TABLES[self.arguments[0]]()
+        return [as_table(table.columns, table.itertuples(index=False), literal=self.arguments[0] != "words")]
+
+
+def as_table(header: Iterable[object], rows: Iterable[Iterable[object]], literal: bool = True) -> nodes.table:
+    """A table of plain cells, the first of each row as what one writes if that is `literal`."""
+    header = list(header)
+    group = nodes.tgroup("", cols=len(header))
+    group += [nodes.colspec("", colwidth=1) for _ in header]
+    group += nodes.thead("", _row(map(_text, header), False))
+    group += nodes.tbody("", *(_row(map(_text, values), literal) for values in rows))
+    return nodes.table("", group, classes=["code-table"])
+
+
+def _text(value: object) -> str:
+    return f"{value:g}" if isinstance(value, float) else "" if value is None else str(value)
+
+
+def _row(texts: Iterable[str], literal: bool) -> nodes.row:
+    first, *others = texts
+    cells = [nodes.literal("", first) if literal else nodes.Text(first), *map(nodes.Text, others)]
+    return nodes.row("", *(nodes.entry("", nodes.paragraph("", "", one)) for one in cells))

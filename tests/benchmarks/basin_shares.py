@@ -1,0 +1,73 @@
+"""What a start costs, in processor time, of bSTAB's friction oscillator: `python tests/benchmarks/basin_shares.py`.
+
+5,000 starts in the box of Stender and Hoffmann (Nonlinear Dynamics 2021), 500 s each, at a belt speed of 1.5: the share that ends in
+steady sliding. Here with exact switches, steps for an error of 1e-4, and labels, measures and error estimates of every
+lane. Where pybasin is installed with jax, as well (`python tests/benchmarks/basin_shares.py pybasin`, in an environment of its
+own; vibrojax is not needed there): its solver alone, with the settings of its own case study, whose friction is smoothed by tanh(200 u);
+without its features and its classifier, which take a second more. Processor time of the process: user and system, all cores.
+"""
+
+import sys
+import time
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+STARTS, SETTLE, OBSERVE, SPEED = 5000, 400.0, 100.0, 1.5
+
+
+def ours(end_early: bool = True) -> float:
+    """Share of starts that end without sticking; settled lanes end early, or every lane is stepped to its end."""
+    sys.path[:0] = [str(Path(__file__).parents[1]), str(Path(__file__).parents[2])]
+    from known_scenes import BeltOscillator
+
+    import vibrojax as vj
+
+    box = {"x1": [-2.0, 2.0], "v1": [-2.0, 0.0]}  # the belt goes the other way, so the box is mirrored
+    starts = {"sample": "random", "count": STARTS, "seed": 1, "box": box}
+    run = {"settle": SETTLE, "observe": OBSERVE, "end_early": end_early}
+    tables = {"scene": BeltOscillator(), "starts": starts, "parameters": {"v": SPEED}, "run": run}
+    lanes = vj.run_sweep(tables, progress=False)
+    return float((~(lanes.stick_fraction > 0)).mean())
+
+
+def pybasin() -> float:
+    """The same share by pybasin's solver: starts whose velocity stays small in the end."""
+    import jax.numpy as jnp
+    import torch
+    from pybasin.solvers import JaxSolver
+    from pybasin.solvers.jax_ode_system import JaxODESystem
+
+    class Belt(JaxODESystem):
+        def ode(self, t, y, args=None):
+            sliding = y[1] - SPEED
+            friction = jnp.tanh(200.0 * sliding) * 0.5 * (1.0 + jnp.exp(-jnp.abs(sliding) / 0.5))
+            return jnp.array([y[1], -y[0] - 0.1 * y[1] - friction])
+
+    rng = np.random.default_rng(1)
+    y0 = torch.tensor(rng.uniform([-2.0, 0.0], [2.0, 2.0], (STARTS, 2)), dtype=torch.float64)
+    end = SETTLE + OBSERVE
+    solver = JaxSolver(
+        t_span=(0, end), t_steps=500, t_eval=(SETTLE, end), device="cpu", rtol=1e-8, atol=1e-6, cache_dir=None
+    )
+    _, y = solver.integrate(Belt({}), y0)
+    return float((y[..., 1].abs().amax(0) < 0.5).double().mean())
+
+
+def main() -> None:
+    ways = (
+        {"pybasin": pybasin} if "pybasin" in sys.argv[1:] else {"here": ours, "here, to the end": partial(ours, False)}
+    )
+    for name, way in ways.items():
+        for what in ("with compilation", "again"):
+            began = time.process_time()
+            share = way()
+            taken = time.process_time() - began
+            print(
+                f"{name}, {what}: share {share:.4f}, {taken:.1f} s, {STARTS / taken:,.0f} starts per second of a core"
+            )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,84 @@
+"""How fast finished chunks become a dataset, beside writing the same bytes and nothing else.
+
+    python tests/benchmarks/joining.py [LANES [FOLDER]]
+
+The chunks of a map of so many lanes (2,000,000) are laid out in FOLDER (the current one), its first ones over and over.
+Then, three times in turns: the bytes of the dataset are written to a file, as `dd conv=fsync` does; the chunks are
+joined. A printout, not a test: bytes per second by the clock, and the processor time that it took. Nothing else should
+run meanwhile; the system should have the chunks in its memory still, as after a sweep, or they are read from the disk.
+"""
+
+import os
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from vibrojax.input.read import read_sweep
+from vibrojax.joining import join
+from vibrojax.store.shards import Shards
+from vibrojax.store.targets import file_target
+from vibrojax.workers.work import Work
+
+COMPUTED = 16
+"""Chunks that are really computed."""
+
+
+def taken(what, *given) -> tuple[float, float]:
+    """Seconds by the clock, and of processor time."""
+    clock, processor = time.monotonic(), time.process_time()
+    what(*given)
+    return time.monotonic() - clock, time.process_time() - processor
+
+
+def written(path: Path, size: int) -> None:
+    """So many bytes, that no disk packs, on the disk."""
+    block = os.urandom(1 << 20)
+    with open(path, "wb") as file:
+        for _ in range(size >> 20):
+            file.write(block)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def main(lanes: int = 2_000_000, at: str = ".") -> None:
+    grid = {
+        "beta": {"start": 0.25, "stop": 0.6, "num": lanes // 1000},
+        "gamma": {"start": 0.6, "stop": 0.8, "num": 1000},
+    }
+    sweep = read_sweep({"scene": "vibro-impact", "starts": ["stuck"], "grid": grid})
+    work = Work(sweep)
+    count = work.chunks.count
+    some = [work.compute(index) for index in range(0, count, -(-count // COMPUTED))]
+    with tempfile.TemporaryDirectory(dir=at) as folder:
+        out = Path(folder) / "out.nc"
+
+        def joined() -> None:
+            with file_target(out) as target:
+                join(sweep, work.chunks, shards.read, target, lambda seconds: seconds)
+
+        with Shards(Path(folder) / "out.nc.chunks", sweep.identity()) as shards:
+            shards.open(resume=False)
+            for index in range(count):
+                width = work.chunks.width(index)
+                features = {name: x[:width] if x.ndim else x for name, x in some[index % len(some)].items()}
+                shards.write(index, features)
+            read = sum(path.stat().st_size for path in shards.folder.iterdir())
+            joined()  # what is compiled is no part of it
+            size = out.stat().st_size
+            print(f"{lanes} lanes, {count} chunks of {read / 1e6:.0f} MB together; dataset {size / 1e6:.0f} MB")
+            for _ in range(3):
+                for name, what, given in (
+                    ("plain write", written, (Path(folder) / "plain", size)),
+                    ("joining", joined, ()),
+                ):
+                    clock, processor = taken(what, *given)
+                    print(
+                        f"{name:12} {clock:6.2f} s, {size / clock / 1e6:5.0f} MB/s; processor {processor:6.2f} s",
+                        flush=True,
+                    )
+            shards.remove()
+
+
+if __name__ == "__main__":
+    main(*(int(one) if one.isdecimal() else one for one in sys.argv[1:]))

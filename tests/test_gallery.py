@@ -1,0 +1,53 @@
+"""The gallery: short scripts, each of which runs as it stands and leaves one picture, and the page that shows them."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from matplotlib.image import imread
+
+ROOT = Path(__file__).parents[1]
+GALLERY = ROOT / "notebooks" / "gallery"
+SCRIPTS = sorted(GALLERY.glob("*.py"))
+PAGE = (GALLERY.parent / "gallery.md").read_text()
+RUNS_ALL = """
+import os, runpy, sys, traceback
+for script in sys.argv[2:]:
+    folder = os.path.join(sys.argv[1], os.path.basename(script)[:-3])
+    os.mkdir(folder)
+    os.chdir(folder)
+    try:
+        runpy.run_path(script, run_name="__main__")
+    except Exception:
+        traceback.print_exc()
+"""
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A folder for each script, in which it was run; as users run it, in one process to compile once."""
+    folder = tmp_path_factory.mktemp("gallery")
+    command = [sys.executable, "-W", "error", "-c", RUNS_ALL, folder, *SCRIPTS]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0 and done.stdout == done.stderr == "", done.stdout + done.stderr
+    return folder
+
+
+def test_the_page_shows_every_script_with_its_picture():
+    names = [script.stem for script in SCRIPTS]
+    assert len(names) >= 12
+    assert sorted(re.findall(r"\{literalinclude\} gallery/(\w+)\.py", PAGE)) == names
+    assert sorted(re.findall(r'^made_by\("(\w+)"\)$', PAGE, re.MULTILINE)) == names
+    assert len(re.findall(r'^    alt: "[^"]+"$', PAGE, re.MULTILINE)) == len(names)
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda script: script.stem)
+def test_a_script_is_short_and_leaves_one_picture(script, made):
+    lines = script.read_text().splitlines()
+    assert len(lines) <= 15 and max(map(len, lines)) <= 120
+    (picture,) = (made / script.stem).iterdir()
+    assert picture.name == f"{script.stem}.png"
+    pixels = imread(picture)
+    assert min(pixels.shape[:2]) > 400 and pixels.std() > 0.05  # of one colour it would be 0

@@ -1,0 +1,76 @@
+"""The site's pages, without building it: links of texts, the reference's names; and the checker of what is built."""
+
+import re
+from pathlib import Path
+from urllib.parse import unquote
+
+import pytest
+from links import faults
+
+import vibrojax as vj
+
+ROOT = Path(__file__).parents[1]
+PAGES = sorted((ROOT / "notebooks").rglob("*.md"))
+TEXTS = ["README.md", "CHANGELOG.md", ".github/CONTRIBUTING.md", "tests/benchmarks/README.md", "tests/hard/README.md"]
+
+
+def places(text: str) -> set[str]:
+    """The anchors of a text's headings, as GitHub makes them."""
+    headings = re.findall(r"^#+ (.+)$", text, flags=re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("name", TEXTS)
+def test_links_of_texts_lead_somewhere(name):
+    text = (ROOT / name).read_text()
+    for link in re.findall(
+        r"\]\(([^)\s]+)\)", re.sub(r"`[^`]*`|^```.*?^```", "", text, flags=re.MULTILINE | re.DOTALL)
+    ):
+        if link.startswith(("http://", "https://", "mailto:")):
+            continue
+        path, _, place = unquote(link).partition("#")
+        target = (ROOT / name).parent / path if path else ROOT / name
+        assert target.exists(), link
+        assert not place or place in places(target.read_text()), link
+
+
+def test_files_that_the_readme_names_are_there():
+    text = (ROOT / "README.md").read_text()
+    named = re.findall(r"`((?:notebooks|tests|vibrojax|\.github)/[\w/.-]+)`", text)
+    assert len(named) > 10
+    assert [name for name in named if not (ROOT / name).exists()] == []
+
+
+def test_every_public_name_is_in_the_reference():
+    text = "".join(path.read_text() for path in PAGES if path.parent.name == "api")
+    told = {name.rpartition(".")[2] for name in re.findall(r"^\.\. auto\w+:: ([\w.]+)$", text, flags=re.MULTILINE)}
+    assert sorted(set(vj.__all__) - told) == [], "write these onto a page of notebooks/api"
+
+
+def test_every_page_is_in_a_table_of_contents():
+    listed = set()
+    for path in PAGES:
+        for block in re.findall(r"```\{toctree\}\n(.*?)```", path.read_text(), flags=re.DOTALL):
+            names = [line.strip() for line in block.splitlines() if line.strip() and not line.startswith(":")]
+            listed |= {(path.parent / name).resolve() for name in names}
+    pages = {path.with_suffix("").resolve() for path in [*PAGES, *(ROOT / "notebooks").glob("*.ipynb")]}
+    assert pages - listed == {(ROOT / "notebooks" / "index").resolve()} and listed <= pages
+
+
+def test_notebooks_carry_no_outputs():
+    assert [path.name for path in (ROOT / "notebooks").glob("*.ipynb") if '"output_type"' in path.read_text()] == []
+
+
+def test_dead_links_are_told(tmp_path):
+    page = '<h1 id="a b">x</h1><a href="other.html#c">x</a><a href="#a%20b">x</a><a href="https://x.org/">x</a>'
+    (tmp_path / "page.html").write_text(page)
+    (tmp_path / "other.html").write_text('<p id="c"><img src="page.html"><a href="page.html">x</a>')
+    assert faults(tmp_path) == []
+    wrong = '<a href="page.html#d">x</a><a href="gone.html">x</a><script src="https://x.org/y.js"></script>'
+    (tmp_path / "wrong.html").write_text(wrong)
+    assert faults(tmp_path) == [
+        "wrong.html: loads https://x.org/y.js from elsewhere",
+        "wrong.html: page.html#d has no such place",
+        "wrong.html: gone.html is not there",
+    ]
+    assert faults(tmp_path / "none") == [f"{tmp_path / 'none'}: no pages"]
