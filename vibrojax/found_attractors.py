@@ -39,9 +39,7 @@ SHARE = Variable("1", "share of the starts that end in the attractor")
 SHARE_STDERR = Variable("1", "standard error of share, binomial")
 UNASSIGNED = Variable("1", "starts of which no attractor could be told", np.int32)
 LANE_ATTRACTOR = Variable("1", "number of the attractor that the lane ends in; -1: none could be told", np.int32)
-NAMED_ATTRACTOR = Variable(
-    "1", "number of the attractor that the start with this name leads to; -1: none told", np.int32
-)
+NAMED_ATTRACTOR = Variable("1", "number of the attractor that the start of this name leads to; -1: none told", np.int32)
 NAMED_REGIME = replace(VARIABLES["regime"], long_name="regime that the start with this name leads to")
 
 NAMED = "named_start"
@@ -53,9 +51,8 @@ MEASURED = ("period", "impacts", "impact_velocity")
 METHOD = (
     "lanes of a point are one motion if their orbits are within same_within over the scales of labels; irregular ones "
     "if chains of lanes join them, each within irregular_within of the next in period, impact velocity and amplitudes, "
-    "or, where exponents are known, within exponent_within standard errors; one that nowhere has "
-    "fewest lanes is not told beside another of more, nor, without exponents, one of fewer within irregular_factor of it. "
-    "Motions of neighbouring points are one "
+    "or, where exponents are known, within exponent_within standard errors; one that nowhere has fewest lanes is not "
+    "told beside another of more, nor, without exponents, one of fewer within irregular_factor of it. Motions of neighbouring points are one "
     "attractor if the orbit of one, followed as a stable one and never farther than aside over the scales from where "
     "it is expected, leads to that of the other; irregular ones if they are nearest, and within irregular_factor. "
     "Numbers from 0 by falling share over the grid"
@@ -100,10 +97,10 @@ def attractors(
     [[0.7, 3.0]]
     """
     sweep = sweep_of(source)
-    return attractors_of(sweep, with_orbits(source if isinstance(source, xr.Dataset) else sweep, progress))
+    return attractors_of(sweep, with_orbits(source if isinstance(source, xr.Dataset) else sweep, progress), progress)
 
 
-def attractors_of(sweep: Sweep, dataset: xr.Dataset) -> xr.Dataset:
+def attractors_of(sweep: Sweep, dataset: xr.Dataset, progress: bool = True) -> xr.Dataset:
     """The attractors of a sweep, from its dataset with orbits; see `attractors`."""
     dataset = dataset.transpose(*sweep.dims, ...)
     shape, starts = sweep.shape[:-1], sweep.shape[-1]
@@ -140,10 +137,9 @@ def _from_named(sweep: Sweep, progress: bool) -> xr.Dataset | None:
 
 def _beside(dataset: xr.Dataset, named: xr.Dataset) -> xr.Dataset:
     """Both datasets' lanes, along `start`."""
-    both = [
-        one[[name for name in one.data_vars if name in dataset]].reset_coords(drop=True) for one in (dataset, named)
-    ]
-    return xr.concat([one.drop_vars("start", errors="ignore") for one in both], "start", data_vars="minimal")
+    names = [name for name in dataset.data_vars if name in named]
+    both = [one[names].reset_coords(drop=True).drop_vars("start", errors="ignore") for one in (dataset, named)]
+    return xr.concat(both, "start", data_vars="minimal")
 
 
 def _of_named(sweep: Sweep, named: xr.Dataset, number: Int[np.ndarray, "*shape"]) -> dict[str, Any]:

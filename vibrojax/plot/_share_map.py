@@ -38,10 +38,8 @@ def share_map(ds: xr.Dataset) -> Figure:
     ds = ds.sortby([x, y])
     names = [str(name) for name in ds[NAMED].values] if NAMED in ds.dims else []
     share = strong_share(ds)
-    shown = xr.Dataset(
-        {_STRONG: share}, {name: one for name, one in ds.coords.items() if set(one.dims) <= set(share.dims)}
-    )
-    shown.attrs = ds.attrs
+    kept = {name: one for name, one in ds.coords.items() if set(one.dims) <= set(share.dims)}
+    shown = xr.Dataset({_STRONG: share}, kept, ds.attrs)
     columns: tuple[Value | None, ...] = (share_value(shown[_STRONG], "strong single impact"),)
     if names:
         for name in names:
