@@ -38,6 +38,7 @@ CHECKED = [
     "vibrojax.devices",
     "vibrojax.engine",
     "vibrojax.errors",
+    "vibrojax.explorer",
     "vibrojax.chaos",
     "vibrojax.coexistence",
     "vibrojax.families",

@@ -336,6 +336,18 @@ def test_what_was_computed_outlives_an_interrupt(by, tmp_path, capsys, monkeypat
         np.testing.assert_array_equal(found[name], expected[name])
 
 
+def test_orbits_are_marked_in_a_plane_of_starts():
+    """Where the section is passed, by the returns that another sweep keeps."""
+    plane = {"plane": {"x1": np.linspace(-0.1, 0.1, 6).tolist(), "x2": np.linspace(-0.15, 0.05, 6).tolist()}}
+    asked = {"scene": "vibro-impact", "parameters": {"delta": 0.005, **REGIMES_AT}, "starts": plane}
+    found = vj.attractors(asked, progress=False)
+    kept = vj.run_sweep(asked | {"starts": ["stuck"], "run": {"keep_returns": 1}}, progress=False)
+    at = [1e3 * float(kept[f"return_{state}"].squeeze()) for state in ("x1", "x2")]
+    circle = next(line for line in vj.picture(found).axes[0].lines if line.get_marker() == "o")
+    np.testing.assert_allclose([circle.get_xdata()[0], circle.get_ydata()[0]], at, rtol=1e-6)
+    assert np.isfinite(found.orbit_v2.values).tolist() == (found.cycles.values > 0).tolist()
+
+
 def test_the_command(sweep, found, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     vj.write_dataset(sweep, tmp_path / "map.nc")

@@ -112,8 +112,8 @@ def test_the_picture_marks_where_a_way_leaves_the_other(carried):
 
 
 def test_both_ways_jump_where_the_families_say():
-    """Over the gap at beta 0.4, gamma 0.6 the strong single impact and the weak one take turns: the strong one ends where
-    it meets an unstable orbit in a corner, the weak one where the bit no longer falls behind the drive."""
+    """Over the gap at beta 0.4, gamma 0.6 the strong single impact and the weak one take turns: the strong one ends
+    where it meets an unstable orbit in a corner, the weak one where the bit no longer falls behind the drive."""
     point, gap = {"beta": 0.4, "gamma": 0.6}, {"start": -0.006, "stop": 0.008, "num": 29}
     run = {"carry": "delta", "keep_returns": 4}
     tables = {"scene": "vibro-impact", "starts": ["drive"], "parameters": point, "grid": {"delta": gap}, "run": run}

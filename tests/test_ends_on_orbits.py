@@ -5,7 +5,7 @@ import pytest
 
 import vibrojax as vj
 from vibrojax.input.read import read_sweep
-from vibrojax.periodic import early
+from vibrojax.periodic import early, ends
 from vibrojax.periodic.approach import Approach, _extrapolated, comes_closer
 from vibrojax.periodic.newton import Found
 
@@ -18,7 +18,7 @@ the label of the full run, 5,829 of which end on orbits; in float32 of 6,758 lan
 @pytest.fixture(autouse=True)
 def however_few(monkeypatch):
     """Also where to compile the return map takes longer than it spares."""
-    monkeypatch.setattr(early, "WORTH", 0.0)
+    monkeypatch.setattr(ends, "WORTH", 0.0)
 
 
 def sweep(scene="vibro-impact", lanes=LANES, **run):
@@ -78,12 +78,12 @@ def test_the_same_bits_by_any_chunks():
 
 def test_not_where_it_is_not_worth_its_while(monkeypatch):
     monkeypatch.undo()
-    assert early.WORTH == 5e6
+    assert ends.WORTH == 5e6
     few, many = read_sweep(sweep(lanes=8)), sweep(lanes=8, settle=1e6)
-    assert early.early_ends(few) is None
-    assert early.early_ends(read_sweep(many)) is not None
+    assert ends.early_ends(few) is None
+    assert ends.early_ends(read_sweep(many)) is not None
     pulses = {"scene": "penetration", "grid": {"frequency": [40.0, 50.0]}, "run": {"settle": 1e7}}
-    assert early.early_ends(read_sweep(pulses)) is None
+    assert ends.early_ends(read_sweep(pulses)) is None
 
 
 BASIS = np.array([[1.0, 0.2, -0.4], [0.3, 1.0, 0.5], [-0.2, 0.1, 1.0]])

@@ -30,7 +30,17 @@ def test_every_law_and_shape_has_its_own():
 def test_variables_are_those_of_the_dataset(scene, axis):
     run = {"settle": 0.5, "observe": 0.5, "orbits": True} | ({} if scene == "penetration" else {"keep_returns": 1})
     ds = vj.run_sweep({"scene": scene, "grid": {axis: [0.7]}, "run": run}, progress=False)
-    assert list(vj.list_variables(scene).index) == list(ds.data_vars)
+    known = vj.list_variables(scene)
+    assert list(known.index[known["where"] == ""]) == list(ds.data_vars)
+
+
+def test_variables_of_what_is_made_of_orbits():
+    known = vj.list_variables("vibro-impact")
+    family = vj.follow("vibro-impact", along="gamma", at=0.72, span=(0.71, 0.73), start="stuck", progress=False)
+    assert set(family.variables) - {"gamma"} <= set(known.index)
+    assert known["where"]["special_kind"] == "follow" and known["where"]["region_area"] == "borders"
+    assert known["where"]["share"] == "attractors"
+    assert set(vj.list_variables("rotary")["where"]) == {"", "follow", "attractors"}
 
 
 def test_settings_are_those_of_run():

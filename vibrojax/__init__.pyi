@@ -2,6 +2,7 @@
 
 from vibrojax.accuracy import run_accuracy as run_accuracy
 from vibrojax.errors import InputError as InputError
+from vibrojax.explorer import write_page as write_page
 from vibrojax.followed import follow as follow
 from vibrojax.found_attractors import attractors as attractors
 from vibrojax.found_borders import borders as borders
@@ -22,6 +23,7 @@ from vibrojax.physics.friction import FRICTION_LAWS as FRICTION_LAWS
 from vibrojax.physics.friction import FrictionLaw as FrictionLaw
 from vibrojax.plot import picture as picture
 from vibrojax.plot import save_picture as save_picture
+from vibrojax.pushed import smallest_push as smallest_push
 from vibrojax.reference import list_parameters as list_parameters
 from vibrojax.reference import list_scenes as list_scenes
 from vibrojax.reference import list_settings as list_settings

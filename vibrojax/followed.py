@@ -12,7 +12,6 @@ from vibrojax.engine.labelled import measured_besides, of_orbits
 from vibrojax.errors import Place
 from vibrojax.families.asked import Asked, read_asked
 from vibrojax.families.begin import known_orbits
-from vibrojax.families.indicators import KINDS
 from vibrojax.families.measured import measured
 from vibrojax.families.points import Point, SpecialPoint, columns, in_order, states
 from vibrojax.families.problem import STEPS, Problem
@@ -25,15 +24,13 @@ from vibrojax.measure.ledger import MOST_CYCLES
 from vibrojax.periodic.margin import HOW
 from vibrojax.physics.parameters import ROTATION, Parameter, differing
 from vibrojax.scenes import HasContact, Scene
+from vibrojax.store.derived import OF_FAMILIES
 from vibrojax.store.provenance import provenance
-from vibrojax.store.variables import ORBIT_REASONS, REASONS, VARIABLES, Variable, orbit_name
+from vibrojax.store.variables import ORBIT_REASONS, REASONS, VARIABLES, orbit_name
 from vibrojax.sweep import run_sweep
 
 UNITS = 8
 """Of the parameter, between its bounds: what a step over the scales is along it."""
-
-BRANCH = Variable("1", "branch of the family, 0 the one that it begins with", np.int32)
-SPECIAL_KIND = Variable("1", "kind of the special point", np.int8, KINDS)
 
 
 def follow(
@@ -154,7 +151,7 @@ def _dataset(
     found, at_special = columns(problem, points), columns(problem, [one.point for one in special])
     system, known = problem.scene, sweep.system.parameters()[along]
     about = _described(known)
-    table = VARIABLES | measured_besides(sweep.system) | of_orbits(sweep.system)
+    table = VARIABLES | OF_FAMILIES | measured_besides(sweep.system) | of_orbits(sweep.system)
     stable = np.where(np.isfinite(found.multiplier_abs).all(axis=1), found.multiplier_abs[:, 0] < 1, -1)
     section_states = zip(map(orbit_name, system.return_states), states(problem, points).T, strict=True)
     values = {
@@ -171,30 +168,29 @@ def _dataset(
         del values["impacts"]
     variables: dict[str, Any] = {along: ("point", found.value, about)}
     for name, x in values.items():
-        one = BRANCH if name == "branch" else table[name]
+        one = table[name]
         variables[name] = ("point", np.asarray(x, one.dtype), one.attributes())
     for name in ("multiplier_abs", "multiplier_arg"):
         variables[name] = (("point", "multiplier"), getattr(found, name), table[name].attributes())
     kinds = np.array([one.kind for one in special], np.int8)
-    branch_of = BRANCH.attributes() | {"long_name": "branch of the special point"}
     variables |= {
-        "special_kind": ("special", kinds, SPECIAL_KIND.attributes()),
+        "special_kind": ("special", kinds, table["special_kind"].attributes()),
         "special_value": (
             "special",
             at_special.value,
             about | {"long_name": f"{known.long_name} at the special point"},
         ),
-        "special_branch": ("special", at_special.branch.astype(np.int32), branch_of),
+        "special_branch": ("special", at_special.branch.astype(np.int32), table["special_branch"].attributes()),
         "special_note": (
             "special",
             np.array([one.note for one in special], str),
-            {"long_name": "what there is to say"},
+            {"long_name": table["special_note"].long_name},
         ),
     }
     several = {name: x for name, x in (sweep.points or {}).items() if name != along}
     coordinates: dict[str, Any] = {}
     if several:
-        of_family = {"units": "1", "long_name": "number of the family"}
+        of_family = table["point_family"].attributes()
         variables["point_family"] = ("point", found.family.astype(np.int32), of_family)
         variables["special_family"] = ("special", at_special.family.astype(np.int32), of_family)
         coordinates["family"] = ("family", np.arange(sweep.lanes), of_family)

@@ -24,6 +24,7 @@ from vibrojax.coexistence.alike import (
 )
 from vibrojax.coexistence.neighbours import ASIDE, links
 from vibrojax.coexistence.numbers import numbered
+from vibrojax.engine.labelled import of_orbits
 from vibrojax.errors import InputError
 from vibrojax.found_orbits import orbits as with_orbits
 from vibrojax.found_orbits import sweep_with_orbits
@@ -31,16 +32,10 @@ from vibrojax.input.definition import Sweep
 from vibrojax.input.names import DEFAULT_STARTS
 from vibrojax.input.starts import list_of
 from vibrojax.physics.parameters import differing
+from vibrojax.store.derived import OF_ATTRACTORS
 from vibrojax.store.provenance import provenance
 from vibrojax.store.variables import VARIABLES, Variable
 from vibrojax.sweep import run_sweep
-
-SHARE = Variable("1", "share of the starts that end in the attractor")
-SHARE_STDERR = Variable("1", "standard error of share, binomial")
-UNASSIGNED = Variable("1", "starts of which no attractor could be told", np.int32)
-LANE_ATTRACTOR = Variable("1", "number of the attractor that the lane ends in; -1: none could be told", np.int32)
-NAMED_ATTRACTOR = Variable("1", "number of the attractor that the start of this name leads to; -1: none told", np.int32)
-NAMED_REGIME = replace(VARIABLES["regime"], long_name="regime that the start with this name leads to")
 
 NAMED = "named_start"
 """Dimension of the scene's own starts, beside a sample or a plane of them."""
@@ -52,9 +47,9 @@ METHOD = (
     "lanes of a point are one motion if their orbits are within same_within over the scales of labels; irregular ones "
     "if chains of lanes join them, each within irregular_within of the next in period, impact velocity and amplitudes, "
     "or, where exponents are known, within exponent_within standard errors; one that nowhere has fewest lanes is not "
-    "told beside another of more, nor, without exponents, one of fewer within irregular_factor of it. Motions of neighbouring points are one "
-    "attractor if the orbit of one, followed as a stable one and never farther than aside over the scales from where "
-    "it is expected, leads to that of the other; irregular ones if they are nearest, and within irregular_factor. "
+    "told beside another of more, nor, without exponents, one of fewer within irregular_factor of it. Motions of "
+    "neighbouring points are one attractor if the orbit of one, followed as a stable one and never farther than aside "
+    "over the scales from where it is expected, leads to that of the other; irregular ones if they are nearest, and within irregular_factor. "
     "Numbers from 0 by falling share over the grid"
 )
 
@@ -80,8 +75,9 @@ def attractors(
 
     **Returns:** a dataset. Over the grid and `attractor`: `share` and its binomial `share_stderr`, which is an upper
     bound for Sobol starts; `regime`, that of most of its lanes, `period`, `cycles`, `impacts` and `impact_velocity`,
-    where a lane ends in it. Over the grid `unassigned`: starts of which none could be told, because they failed, were
-    undecided, had not settled, or their orbit was not found. Over the sweep's dimensions `lane_attractor`: -1 there.
+    where a lane ends in it, and of orbits the state at the section (`orbit_x1` and so on), at one of their returns.
+    Over the grid `unassigned`: starts of which none could be told, because they failed, were undecided, had not
+    settled, or their orbit was not found. Over the sweep's dimensions `lane_attractor`: -1 there.
     Where the starts are a sample or a plane, the scene's own, `drive` and `stuck`, are run beside them and are no part
     of the shares: over the grid and `named_start`, `named_attractor` and `named_regime`, where each of these leads.
 
@@ -121,7 +117,8 @@ def attractors_of(sweep: Sweep, dataset: xr.Dataset, progress: bool = True) -> x
     motions.leave_out(out)
     number = np.unique(number[~out], return_inverse=True)[1]
     of_lane = np.where(motions.of_lane >= 0, np.append(number, -1)[motions.of_lane], -1).reshape(*shape, each)
-    measured = _measured(lanes, motions, number)
+    measured = {name: (VARIABLES[name], x) for name, x in _measured(lanes, motions, number).items()}
+    measured |= _at_section(sweep, motions, number, *measured["regime"][1].shape)
     found = _described(sweep, dataset, measured, of_lane[..., :starts])
     return found if named is None else found.assign(_of_named(sweep, named, of_lane[..., starts:]))
 
@@ -148,8 +145,8 @@ def _of_named(sweep: Sweep, named: xr.Dataset, number: Int[np.ndarray, "*shape"]
     about = {"units": "1", "long_name": "start of the scene, by name"}
     return {
         NAMED: (NAMED, named["start"].values, about),
-        "named_attractor": (dims, number.astype(NAMED_ATTRACTOR.dtype), NAMED_ATTRACTOR.attributes()),
-        "named_regime": (dims, named["regime"].values, NAMED_REGIME.attributes()),
+        "named_attractor": (dims, number.astype(np.int32), OF_ATTRACTORS["named_attractor"].attributes()),
+        "named_regime": (dims, named["regime"].values, OF_ATTRACTORS["named_regime"].attributes()),
     }
 
 
@@ -182,30 +179,34 @@ def _order(sweep: Sweep, motions: Motions, count: Int[np.ndarray, " motions"]) -
 def _described(
     sweep: Sweep,
     dataset: xr.Dataset,
-    measured: Mapping[str, Float[np.ndarray, "points many"]],
+    measured: Mapping[str, tuple[Variable, Float[np.ndarray, "points many"]]],
     of_lane: Int[np.ndarray, "*lanes"],
 ) -> xr.Dataset:
     """The dataset of attractors."""
     shape, starts = sweep.shape[:-1], sweep.shape[-1]
-    points, many = measured["regime"].shape
+    points, many = measured["regime"][1].shape
     of_lane = of_lane.ravel()
     told = np.flatnonzero(of_lane >= 0)
     share = np.zeros((points, many))
     np.add.at(share, (told // starts, of_lane[told]), 1 / starts)
     found = {
-        "share": (SHARE, share),
-        "share_stderr": (SHARE_STDERR, np.sqrt(share * (1 - share).clip(0) / starts)),
-        **{name: (VARIABLES[name], x) for name, x in measured.items()},
+        "share": (OF_ATTRACTORS["share"], share),
+        "share_stderr": (OF_ATTRACTORS["share_stderr"], np.sqrt(share * (1 - share).clip(0) / starts)),
+        **measured,
     }
     dims = (*sweep.dims[:-1], "attractor")
     variables: dict[str, Any] = {
         name: (dims, x.reshape(*shape, many).astype(about.dtype), about.attributes())
         for name, (about, x) in found.items()
     }
-    unassigned = (of_lane < 0).reshape(points, starts).sum(axis=1).reshape(shape).astype(UNASSIGNED.dtype)
-    variables["unassigned"] = (sweep.dims[:-1], unassigned, UNASSIGNED.attributes())
-    lanes = of_lane.reshape(sweep.shape).astype(LANE_ATTRACTOR.dtype)
-    variables["lane_attractor"] = (sweep.dims, lanes, LANE_ATTRACTOR.attributes())
+    unassigned = (of_lane < 0).reshape(points, starts).sum(axis=1).reshape(shape)
+    counted = (
+        ("unassigned", sweep.dims[:-1], unassigned),
+        ("lane_attractor", sweep.dims, of_lane.reshape(sweep.shape)),
+    )
+    for name, along, x in counted:
+        one = OF_ATTRACTORS[name]
+        variables[name] = (along, x.astype(one.dtype), one.attributes())
     about = {"units": "1", "long_name": "number of the attractor"}
     kept = {name: x for name, x in dataset.coords.items() if set(x.dims) <= set(sweep.dims)}
     described = {
@@ -257,4 +258,18 @@ def _measured(
             x = x[np.isfinite(x)]
             if len(x):
                 found[name][at] = np.median(x)
+    return found
+
+
+def _at_section(
+    sweep: Sweep, motions: Motions, number: Int[np.ndarray, " motions"], points: int, many: int
+) -> dict[str, tuple[Variable, Float[np.ndarray, "points many"]]]:
+    """Where the orbit of each attractor passes the section, at one of its returns; NaN where it has none."""
+    found = {}
+    for k, (name, about) in enumerate(of_orbits(sweep.system).items()):
+        column = np.full((points, many), np.nan)
+        for motion, states in enumerate(motions.states):
+            if states is not None:
+                column[motions.cell[motion], number[motion]] = states[0, k]
+        found[name] = (about, column)
     return found

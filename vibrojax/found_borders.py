@@ -12,7 +12,6 @@ from jaxtyping import Bool
 
 from vibrojax.errors import InputError, shown
 from vibrojax.families.begin import known_orbits
-from vibrojax.families.indicators import KINDS
 from vibrojax.found_orbits import orbits as with_orbits
 from vibrojax.found_orbits import sweep_with_orbits
 from vibrojax.input.definition import Sweep
@@ -21,14 +20,8 @@ from vibrojax.physics.parameters import differing
 from vibrojax.regions.curves import Border, Vertex, around_region
 from vibrojax.regions.spread import Cell, Loss, Orbits, Planes, spread
 from vibrojax.scenes import HasContact
+from vibrojax.store.derived import BORDER_KINDS, OF_BORDERS
 from vibrojax.store.provenance import provenance
-from vibrojax.store.variables import Variable
-
-BORDER_KINDS = (*KINDS, "basin", "not-settled")
-"""Flags of `kind`: those of special points, and where a start no longer leads to an orbit that goes on."""
-
-AREA = Variable("1", "share of the plane with a stable single impact")
-KIND = Variable("1", "what ends the region there", np.int8, BORDER_KINDS)
 
 ANY = "any"
 """Instead of a start: the region of orbits, however they are reached."""
@@ -202,9 +195,9 @@ class _Regions:
         number = np.repeat(np.arange(len(found)), [len(piece.points) for piece, _, _ in found])
         kinds = np.array([BORDER_KINDS.index(piece.kind) for piece, _, _ in found], np.int8)
         variables: dict[str, Any] = {
-            "curve": ("vertex", number.astype(np.int32), {"units": "1", "long_name": "number of the curve"}),
-            "kind": ("curve", kinds, KIND.attributes()),
-            "region_area": ("region", np.array([area for *_, area in areas]), AREA.attributes()),
+            "curve": ("vertex", number.astype(np.int32), OF_BORDERS["curve"].attributes()),
+            "kind": ("curve", kinds, OF_BORDERS["kind"].attributes()),
+            "region_area": ("region", np.array([area for *_, area in areas]), OF_BORDERS["region_area"].attributes()),
         }
         for k, name in enumerate(self._names):
             variables[name] = ("vertex", vertices[:, k], about(name))

@@ -16,6 +16,9 @@ from vibrojax.store.finished import IDENTITY, identity_text
 from vibrojax.store.manifest import changes
 from vibrojax.sweep import run_sweep
 
+_OF_WHAT_WAS_FOUND = ("attractors", "borders")
+"""What a dataset's identity says beside the sweep's, where it is of what was found in it."""
+
 
 def orbits(
     source: xr.Dataset | str | PathLike[str] | Mapping[str, object] | Sweep, progress: bool = True
@@ -73,14 +76,17 @@ def orbits(
 def sweep_with_orbits(source: xr.Dataset | str | PathLike[str] | Mapping[str, object] | Sweep) -> Sweep:
     """The sweep, or that of a dataset, with `orbits = true`; raises `InputError` where there is none."""
     if isinstance(source, xr.Dataset):
-        return _sweep_of(source)
+        return sweep_of_dataset(source)
     if isinstance(source, Sweep):
         return replace(source, run=replace(source.run, orbits=True))
     return read_sweep(source, ["run.orbits=true"])
 
 
-def _sweep_of(dataset: xr.Dataset) -> Sweep:
-    """The sweep that a dataset is of: by its text, and of a list of points by its coordinates."""
+def sweep_of_dataset(dataset: xr.Dataset, orbits: bool = True) -> Sweep:
+    """The sweep that a dataset is of, with its `orbits` if wanted: by its text, and of points by its coordinates.
+
+    Raises `InputError` where there is none, or its file says something else by now.
+    """
     try:
         tables = tomllib.loads(str(dataset.attrs["sweep"]))
     except (KeyError, ValueError):
@@ -91,10 +97,12 @@ def _sweep_of(dataset: xr.Dataset) -> Sweep:
         columns = {str(name): one.values.tolist() for name, one in dataset.coords.items() if one.dims == ("point",)}
         vectors = any(name.startswith(VECTOR) for name in columns)
         tables["points"] = {n: x for n, x in columns.items() if n != "point" and not (vectors and n == "start")}
-    sweep = read_sweep(tables, ["run.orbits=true"])
+    sweep = read_sweep(tables, ["run.orbits=true"] if orbits else ())
     identity = sweep.identity()
     before = json.loads(str(dataset.attrs.get(IDENTITY, "{}")))
-    differing = changes({**before, "run.orbits": True}, json.loads(identity_text(identity)))
+    before = {name: value for name, value in before.items() if name not in _OF_WHAT_WAS_FOUND}
+    wanted = {**before, "run.orbits": True} if orbits else before
+    differing = changes(wanted, json.loads(identity_text(identity)))
     if before and differing:
         raise InputError(
             f"orbits: the sweep that the dataset names is another one now: {differing}; give the sweep itself"

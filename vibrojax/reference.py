@@ -23,9 +23,10 @@ from vibrojax.measure.run import Effort, run_block
 from vibrojax.physics.friction import FRICTION_LAWS
 from vibrojax.physics.parameters import ROTATION, Parameter
 from vibrojax.physics.rock import ROCKS
-from vibrojax.scenes import SCENES, HasFriction, HasRock, Scene
+from vibrojax.scenes import SCENES, HasContact, HasFriction, HasRock, Scene
 from vibrojax.scenes.penetration import PULSE_SHAPES
 from vibrojax.stepping import Wanted, stepper_named
+from vibrojax.store.derived import OF_ATTRACTORS, OF_BORDERS, OF_FAMILIES
 from vibrojax.store.variables import VARIABLES
 from vibrojax.words import glossary
 
@@ -90,7 +91,8 @@ def list_parameters(scene: str | Scene[Any]) -> pd.DataFrame:
 
 
 def list_variables(scene: str | Scene[Any]) -> pd.DataFrame:
-    """The variables of the datasets that sweeps of a scene give, by name: `units` and `meaning`; those of orbits too.
+    """The variables of the datasets that there are of a scene, by name: `units` and `meaning`; and `where`: empty for
+    those of sweeps, with orbits; else with which command there are more.
 
     **Raises:** `InputError` where there is no such scene.
 
@@ -106,7 +108,15 @@ def list_variables(scene: str | Scene[Any]) -> pd.DataFrame:
     found = {*_OF_ORBITS, *of_orbits(system)} if of_orbits(system) else set()
     found |= _NEARBY if system.section is not None else set()
     there = measured | labelled | found | {"status", "reason", "error_estimate"}
-    rows = {name: {"units": one.units, "meaning": one.long_name} for name, one in known.items() if name in there}
+    tables = {"": {name: one for name, one in known.items() if name in there}}
+    tables["follow"] = OF_FAMILIES if of_orbits(system) else {}
+    tables["borders"] = OF_BORDERS if isinstance(system, HasContact) and system.section is not None else {}
+    tables["attractors"] = OF_ATTRACTORS if system.section is not None else {}
+    rows = {
+        name: {"units": one.units, "meaning": one.long_name, "where": where}
+        for where, table in tables.items()
+        for name, one in table.items()
+    }
     return pd.DataFrame.from_dict(rows, orient="index").rename_axis("variable")
 
 
@@ -138,7 +148,7 @@ def scene_text(scene: str) -> str:
         parts.append(f"rock, in place of threshold and k3: {', '.join(rocks)}")
     for title, table in (
         ("parameters: symbol, default, unit, admissible, usual on rigs, meaning", list_parameters(scene)),
-        ("variables", list_variables(scene)),
+        ("variables: unit, meaning, where: with which command, if not in a sweep", list_variables(scene)),
         ("settings, in [run]", list_settings()),
     ):
         parts.append(f"{title}\n{_aligned(table)}")

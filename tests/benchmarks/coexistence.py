@@ -1,6 +1,6 @@
 """How many attractors coexist over the default map, what `drive` and `stuck` miss, and what is irregular there.
 
-    python tests/benchmarks/coexistence.py FOLDER             # attractors from 64 starts a point: 265,000 lanes of 308 s
+    python tests/benchmarks/coexistence.py FOLDER             # attractors from 64 starts a point: 264,960 lanes
     python tests/benchmarks/coexistence.py FOLDER natures     # of the irregular lanes, and when run four times as long
 
 A printout, not a test: some ten minutes of processor time each. The lanes stay in FOLDER, so that it goes on where it

@@ -76,6 +76,13 @@ def follow_values(prefix: str, parsed_args: Namespace, **_: object) -> list[str]
     return _values(prefix, parsed_args, SETTINGS, lambda names: {"along": tuple(names.parameters)})
 
 
+def push_values(prefix: str, parsed_args: Namespace, **_: object) -> list[str]:
+    """The same with the settings of `push`."""
+    from vibrojax.cli.push import SETTINGS
+
+    return _values(prefix, parsed_args, SETTINGS, lambda names: {})
+
+
 def _values(
     prefix: str,
     parsed_args: Namespace,

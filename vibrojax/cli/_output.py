@@ -4,9 +4,9 @@ import os
 import shlex
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from vibrojax.cli._command import Options
 from vibrojax.errors import InputError, shown
@@ -46,6 +46,37 @@ def output(path: str | Path, endings: Sequence[str] = (".nc",)) -> Path:
 def picture_beside(path: Path) -> Path:
     """The picture that lies beside the dataset at `path`, as one that can be written."""
     return output(path.with_suffix(".png"), PICTURES)
+
+
+class Result(NamedTuple):
+    """Where a result goes, and its `picture`; and what it depends on, see [vibrojax.store.finished][]."""
+
+    out: Path
+    picture: Path
+    identity: Mapping[str, object]
+
+
+def result_at(options: Options, default: str, identity: Mapping[str, object]) -> Result:
+    """Where a result goes, by `default` to a file of that name; raises `InputError` where it cannot, or something else
+    is there."""
+    from vibrojax.store.finished import check_replaceable
+
+    out = output(options.out or default)
+    picture = picture_beside(out)
+    if not options.fresh:
+        check_replaceable(out, identity)
+    return Result(out, picture, identity)
+
+
+def result_written(options: Options, dataset: "xarray.Dataset", result: Result) -> str:
+    """Write a result, and draw it; what to say of its picture."""
+    from vibrojax.store.dataset import write_dataset
+    from vibrojax.store.finished import IDENTITY, identity_text
+
+    with timed("write"):
+        write_dataset(dataset.assign_attrs({IDENTITY: identity_text(result.identity)}), result.out)
+    dataset_written(options, result.out)
+    return draw(dataset, result.picture)
 
 
 def dataset_written(options: Options, out: Path) -> None:

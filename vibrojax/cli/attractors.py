@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING
 
 from vibrojax.cli._command import Options
 from vibrojax.cli._json import flags
-from vibrojax.cli._of_sweep import add_arguments, lanes_of, read_source, result_of, written
+from vibrojax.cli._of_sweep import add_arguments, lanes_of, read_source, result_of
+from vibrojax.cli._output import result_written
 
 if TYPE_CHECKING:
     import xarray
@@ -26,9 +27,9 @@ def run(options: Options) -> None:
     source = read_source(str(options.file))
     sweep = sweep_of(source)
     result = result_of(options, sweep.name, "attractors", {"attractors": True, **sweep.identity()})
-    with lanes_of(options, source, sweep, result) as lanes:
+    with lanes_of(options, source, sweep, "attractors", result.out) as lanes:
         dataset = attractors_of(sweep, lanes)
-        drawn = written(options, dataset, result)
+        drawn = result_written(options, dataset, result)
     if not options.quiet:
         print(f"{result.out}: {dataset.sizes['attractor']} attractors{drawn}")
         print("\n".join(attractor_lines(dataset)))

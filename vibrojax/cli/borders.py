@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING
 
 from vibrojax.cli._command import Options
 from vibrojax.cli._json import flags
-from vibrojax.cli._of_sweep import add_arguments, lanes_of, read_source, result_of, written
+from vibrojax.cli._of_sweep import add_arguments, lanes_of, read_source, result_of
+from vibrojax.cli._output import result_written
 from vibrojax.errors import InputError
 
 if TYPE_CHECKING:
@@ -32,9 +33,9 @@ def run(options: Options) -> None:
     sweep = sweep_with_orbits(source)
     names = checked(sweep, axes)
     result = result_of(options, sweep.name, "borders", {"borders": list(names), **sweep.identity()})
-    with lanes_of(options, source, sweep, result) as lanes:
+    with lanes_of(options, source, sweep, "borders", result.out) as lanes:
         dataset = borders_of(sweep, lanes, names)
-        drawn = written(options, dataset, result)
+        drawn = result_written(options, dataset, result)
     if not options.quiet:
         print(f"{result.out}: {dataset.sizes['curve']} curves{drawn}")
         print("\n".join(border_lines(dataset)))

@@ -1,6 +1,5 @@
 """Follow the family of periodic orbits over one parameter, stable and unstable, with its special points."""
 
-import json
 from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -9,9 +8,9 @@ from vibrojax.cli._command import Options
 from vibrojax.cli._complete import follow_values, scenes, with_completer
 from vibrojax.cli._family_lines import family_facts, family_lines
 from vibrojax.cli._json import HELP, from_json, print_json
-from vibrojax.cli._output import dataset_written, draw, output, picture_beside
-from vibrojax.errors import Place, shown
-from vibrojax.timings import timed
+from vibrojax.cli._named_values import named_values, whole
+from vibrojax.cli._output import result_at, result_written
+from vibrojax.errors import Place
 from vibrojax.words import FAMILY_WORDS, glossary
 
 if TYPE_CHECKING:
@@ -64,29 +63,19 @@ def run(options: Options) -> None:
         start=settings.get("start"),
         settle=settings.get("settle", SETTLE.default),
         observe=settings.get("observe", OBSERVE.default),
-        cycles=_whole(settings.get("cycles", MOST_CYCLES)),
+        cycles=whole(settings.get("cycles", MOST_CYCLES)),
         parameters=parameters,
     )
-    out = output(options.out or f"{asked.sweep.scene}-{asked.along}.nc")
-    picture = picture_beside(out)
+    result = result_at(options, f"{asked.sweep.scene}-{asked.along}.nc", asked.identity())
 
     from vibrojax.followed import follow_asked
-    from vibrojax.store.dataset import write_dataset
-    from vibrojax.store.finished import IDENTITY, check_replaceable, identity_text
 
-    identity = asked.identity()
-    if not options.fresh:
-        check_replaceable(out, identity)
     dataset = follow_asked(asked, progress=not options.quiet)
-    dataset = dataset.assign_attrs({IDENTITY: identity_text(identity)})
-    with timed("write"):
-        write_dataset(dataset, out)
-    dataset_written(options, out)
-    drawn = draw(dataset, picture)
+    drawn = result_written(options, dataset, result)
     if options.json:
-        print_json(_facts(dataset, out, picture if drawn else None))
+        print_json(_facts(dataset, result.out, result.picture if drawn else None))
     elif not options.quiet:
-        print("\n".join([*family_lines(dataset), f"{out}{drawn}"]))
+        print("\n".join([*family_lines(dataset), f"{result.out}{drawn}"]))
 
 
 def _facts(dataset: "xarray.Dataset", out: Path, picture: Path | None) -> dict[str, object]:
@@ -105,42 +94,8 @@ def _facts(dataset: "xarray.Dataset", out: Path, picture: Path | None) -> dict[s
 def _read(words: list[str]) -> tuple[dict[str, object], dict[str, object]]:
     """Settings and parameters from words NAME=VALUE."""
     place = Place("follow")
-    settings: dict[str, object] = {}
-    parameters: dict[str, object] = {}
-    for word in words:
-        name, equals, text = (part.strip() for part in word.partition("="))
-        if not equals or not name:
-            raise place.error(f"{shown(word)} is no NAME=VALUE; write one, like beta=0.4")
-        if name in settings or name in parameters:
-            several = "" if name in SETTINGS else f", or a list like {name}=0.3,0.4"
-            raise place.at(name).error(f"{shown(text)} is a second value; give one{several}")
-        home = settings if name in SETTINGS else parameters
-        home[name] = _value(place.at(name), text, listed=name not in SETTINGS)
+    settings, parameters = named_values(place, words, SETTINGS)
     missing = [name for name in NEEDED if name not in settings]
     if missing:
         raise place.error(f"{' and '.join(missing)} missing; write vibrojax follow SCENE {_SYNTAX}")
     return settings, parameters
-
-
-def _value(place: Place, text: str, listed: bool) -> object:
-    """A number, a name or a vector; where values may be `listed`, 0.3,0.4 or [0.3,0.4]."""
-    if text.startswith("["):
-        try:
-            return list(json.loads(text))
-        except (ValueError, RecursionError):
-            raise place.error(f"{shown(text)} is no list; write one like [0.3,0.4]") from None
-    if listed and "," in text:
-        return [_single(part.strip()) for part in text.split(",")]
-    return _single(text)
-
-
-def _single(text: str) -> object:
-    try:
-        return float(text)
-    except ValueError:
-        return text
-
-
-def _whole(value: object) -> object:
-    """A whole number as one."""
-    return int(value) if isinstance(value, float) and value.is_integer() else value

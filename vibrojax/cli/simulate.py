@@ -12,9 +12,8 @@ from vibrojax.cli._complete import values as complete_values
 from vibrojax.cli._facts import found
 from vibrojax.cli._found import found_lines
 from vibrojax.cli._json import HELP, from_json, print_json
-from vibrojax.cli._output import dataset_written, draw, output, picture_beside
+from vibrojax.cli._output import result_at, result_written
 from vibrojax.errors import Place, shown
-from vibrojax.timings import timed
 
 if TYPE_CHECKING:
     import xarray
@@ -58,28 +57,18 @@ def run(options: Options) -> None:
     arguments: dict[str, Any] = _checked(place, settings) | point.options | point.parameters
     if point.start is not None:
         arguments["start"] = point.start
-    out = output(options.out or f"{point.scene}.nc")
-    picture = picture_beside(out)
+    result = result_at(options, f"{point.scene}.nc", {"scene": point.scene, **arguments})
 
     from vibrojax.simulation import simulate
-    from vibrojax.store.dataset import write_dataset
-    from vibrojax.store.finished import IDENTITY, check_replaceable, identity_text
 
-    identity = {"scene": point.scene, **arguments}
-    if not options.fresh:
-        check_replaceable(out, identity)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UnusualValue)  # said above
         dataset = simulate(point.scene, **arguments, progress=not options.quiet)
-    dataset = dataset.assign_attrs({IDENTITY: identity_text(identity)})
-    with timed("write"):
-        write_dataset(dataset, out)
-    dataset_written(options, out)
-    drawn = draw(dataset, picture)
+    drawn = result_written(options, dataset, result)
     if options.json:
-        print_json(_facts(dataset, point, out, picture if drawn else None))
+        print_json(_facts(dataset, point, result.out, result.picture if drawn else None))
     elif not options.quiet:
-        print("\n".join([*found_lines(dataset), f"{out}{drawn}"]))
+        print("\n".join([*found_lines(dataset), f"{result.out}{drawn}"]))
 
 
 def _facts(dataset: "xarray.Dataset", point: "Point", out: Path, picture: Path | None) -> dict[str, object]:

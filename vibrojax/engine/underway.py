@@ -49,6 +49,10 @@ class Ended(NamedTuple):
 class Ends(Protocol):
     """Finds lanes that need no more steps, each at whatever time it has come to."""
 
+    def of_chunk(self) -> "Ends":
+        """The same for the lanes of one chunk, whatever may become known of them."""
+        ...
+
     def near(self, batch: Batch) -> Bool[np.ndarray, " lanes"]:
         """Which lanes are worth a closer look; this costs next to nothing."""
         ...
@@ -112,21 +116,22 @@ class Underway:
         `report(seconds)` reports lanes that have been settled for so long.
         """
         going, before = Going(np.arange(len(start.begin)), start), 0.0
+        ends = self._ends.of_chunk() if self._ends is not None else None
         for times in looks(self._run, self._near):
             near = []
             for now in times:
                 going = going.at(engine, now, report(now - before))
                 before = now
-                if self._ends is not None:
-                    some, going = going.split(self._ends.near(going.batch))
+                if ends is not None:
+                    some, going = going.split(ends.near(going.batch))
                     near.append(some)
             if self._early:
                 settled, going = self._settled(going, now)
                 yield from settled
-            if self._ends is not None:
+            if ends is not None:
                 looked = near[0].and_also(near[1:])
                 still = np.ones(len(looked.lanes), bool)
-                for ended in self._ends(looked.batch):
+                for ended in ends(looked.batch):
                     still[ended.lanes] = False
                     yield ended._replace(lanes=looked.lanes[ended.lanes])
                 going = going.and_also([looked.split(still)[0]])

@@ -12,7 +12,7 @@ from vibrojax.periodic.segments import Segments
 from vibrojax.scenes import Scene
 from vibrojax.store.variables import ORBIT_REASONS, orbit_name
 
-STRAYING = 20
+STRAYING = 8
 """Steps, over the most that a return of these orbits takes, after which an orbit is taken not to return."""
 
 FOUND = ORBIT_REASONS.index("found")

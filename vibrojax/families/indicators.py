@@ -6,8 +6,9 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from vibrojax.families.problem import At, Flags, PerLane, Unknowns
+from vibrojax.store.derived import SPECIAL_KINDS
 
-KINDS = ("fold", "period-doubling", "torus", "grazing", "stick", "section", "end")
+KINDS = SPECIAL_KINDS
 """Kinds of special points, in the order of their flags."""
 
 CLOSE = 1e-3

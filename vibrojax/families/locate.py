@@ -1,5 +1,6 @@
 """Special points of families: between which points they lie, and located there."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -31,24 +32,30 @@ class Special(NamedTuple):
 
 
 def located(problem: Problem, family: Index, trail: Trail) -> Special | None:
-    """All special points of a trail, `family` (lanes,) being those of its lanes; None where there are none."""
+    """All special points of a trail, `family` (lanes,) being those of its lanes; None where there are none.
+
+    Multipliers jump where events begin or vanish: those points are found first, and others between them.
+    """
+    found: list[Special] = []
     with np.errstate(all="ignore"):
-        kind, arcs = _candidates(family, trail)
-        found: list[Special] = []
-        for _ in range(MOST_CHANGES):
+        kind, arcs = _to_draw(_between_points(family, trail))
+        for _ in range(MOST_CHANGES + 1):
             if not len(kind):
                 break
             fine, got = _drawn(problem, kind, arcs)
-            smooth = np.flatnonzero(got & (kind != EVENTS))
-            smooth = smooth[_holds(kind[smooth], fine.of(smooth))]
-            found.append(_special(kind[smooth], fine.of(smooth)))
-            events = got & (kind == EVENTS)
-            found += by_events(problem, fine.of(events))
-            # More of them may lie between what was found and the arc's end.
-            more = events & (fine.far.signature != arcs.far.signature).any(axis=1)
-            onward, rest = fine.of(more), arcs.of(more)
-            kind = kind[more]
-            arcs = Arcs(rest.family, rest.place, onward.far, onward.ahead_far, rest.far, rest.ahead_far)
+            events = kind == EVENTS
+            for end in (fine, fine.turned()):
+                smooth = np.flatnonzero(got & ~events)
+                smooth = smooth[_holds(kind[smooth], end.of(smooth))]
+                found.append(_special(kind[smooth], end.of(smooth)))
+                got[smooth] = False
+            here, whole = fine.of(got & events), arcs.of(got & events)
+            found += by_events(problem, here)
+            before = Arcs(whole.family, whole.place, whole.near, whole.ahead, here.near, here.ahead)
+            behind = Arcs(whole.family, whole.place, here.far, here.ahead_far, whole.far, whole.ahead_far)
+            parts = _turning(before), _to_draw(behind), _turning(arcs.of(~got & events))
+            kind = np.concatenate([part for part, _ in parts])
+            arcs = _joined_arcs([part for _, part in parts])
     return _joined([one for one in found if len(one.kind)])
 
 
@@ -73,25 +80,45 @@ def _special(kind: Int[np.ndarray, " arcs"], arcs: Arcs) -> Special:
     return Special(kind, arcs.place, arcs.near, arcs.ahead, arcs.far)
 
 
-def _candidates(family: Index, trail: Trail) -> tuple[Int[np.ndarray, " arcs"], Arcs]:
-    """Where along a trail the indicators change their signs, and where other events are met: kinds, and arcs."""
-    same = trail.lane[1:] == trail.lane[:-1]
-    changes = [(KINDS.index(kind), value(trail.at, trail.tangent)) for kind, value in INDICATORS.items()]
-    found = [(kind, np.flatnonzero(same & (x[1:] * x[:-1] < 0))) for kind, x in changes]
-    counts = trail.at.signature
-    found.append((EVENTS, np.flatnonzero(same & (counts[1:] != counts[:-1]).any(axis=1))))
-    kind = np.concatenate([np.full(len(place), kind) for kind, place in found])
-    place = np.concatenate([place for _, place in found])
+def _between_points(family: Index, trail: Trail) -> Arcs:
+    """The arcs between the points of a trail."""
+    place = np.flatnonzero(trail.lane[1:] == trail.lane[:-1])
     ends = trail.at.of(place), trail.tangent[place], trail.at.of(place + 1), trail.tangent[place + 1]
-    return kind, Arcs(family[trail.lane[place]], place, *ends)
+    return Arcs(family[trail.lane[place]], place, *ends)
+
+
+def _to_draw(arcs: Arcs) -> tuple[Int[np.ndarray, " found"], Arcs]:
+    """What special points lie on arcs, as kinds, and the arcs of each: where other events are met, these first."""
+    changed = (arcs.near.signature != arcs.far.signature).any(axis=1)
+    kind, smooth = _turning(arcs.of(~changed))
+    return np.concatenate([np.full(changed.sum(), EVENTS), kind]), _joined_arcs([arcs.of(changed), smooth])
+
+
+def _turning(arcs: Arcs) -> tuple[Int[np.ndarray, " found"], Arcs]:
+    """The kinds whose indicators change their signs on arcs, and the arcs of each."""
+    found = [
+        (KINDS.index(kind), np.flatnonzero(value(arcs.near, arcs.ahead) * value(arcs.far, arcs.ahead_far) < 0))
+        for kind, value in INDICATORS.items()
+    ]
+    kind = np.concatenate([np.full(len(some), kind) for kind, some in found])
+    return kind, arcs.of(np.concatenate([some for _, some in found]))
+
+
+def _joined_arcs(parts: Sequence[Arcs]) -> Arcs:
+    families, places, near, ahead, far, ahead_far = zip(*parts, strict=True)
+    whole = (np.concatenate(one) for one in (families, places, ahead, ahead_far))
+    family, place, ahead, ahead_far = whole
+    return Arcs(family, place, joined_at(near), ahead, joined_at(far), ahead_far)
 
 
 def _drawn(problem: Problem, kind: Int[np.ndarray, " arcs"], arcs: Arcs) -> tuple[Arcs, Flags]:
-    """The arcs drawn together, each to what passes zero at points of its kind; where events change, a step."""
+    """The arcs drawn together, each to what passes zero at points of its kind; where events change, the margin,
+    which vanishes from one side at least, and passes zero to be negative where other events are met."""
     counts = arcs.near.signature
 
     def value(some: Index, at: At, ahead: Unknowns) -> PerLane:
-        found = np.where((at.signature == counts[some]).all(axis=1), 1.0, -1.0)
+        same = (at.signature == counts[some]).all(axis=1)
+        found = np.where(same, 1.0, -1.0) * np.maximum(at.margin, np.finfo(float).tiny)
         for name, indicator in INDICATORS.items():
             mine = kind[some] == KINDS.index(name)
             if mine.any():

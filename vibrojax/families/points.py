@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from vibrojax.families.indicators import KINDS, multipliers
+from vibrojax.families.legs import Leg
 from vibrojax.families.problem import At, Problem
-from vibrojax.families.trace import Leg
 
 SPACING = 0.02
 """Distance over the scales within which points that are not special are left out."""

@@ -62,7 +62,8 @@ class At(NamedTuple):
     @property
     def signature(self) -> Float[np.ndarray, "lanes counts"]:
         """What events the repeat consists of, as counts."""
-        return np.column_stack([self.impacts, self.entered.reshape(len(self.u), -1)])
+        modes = self.entered.shape[1]
+        return np.column_stack([self.impacts, self.entered.reshape(len(self.u), modes * 3)])
 
 
 def joined_at(parts: Sequence[At]) -> At:

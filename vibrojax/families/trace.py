@@ -1,26 +1,21 @@
 """Whole families: every branch in both directions, through its special points and onto the doubled branches."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
 
 from vibrojax.families.arcs import Arcs
 from vibrojax.families.corners import apart, around, counted_otherwise, doubled
 from vibrojax.families.indicators import KINDS
+from vibrojax.families.legs import ENDS, Leg, Mark, each_once
 from vibrojax.families.locate import Special, by_events, located
 from vibrojax.families.problem import At, Flags, Index, Problem, Unknowns, joined_at, tangent
 from vibrojax.families.walk import (
-    CLOSED,
     ENDED,
     LONGEST,
-    MOST_UNSTABLE,
     SHORTEST,
     STALLED,
     STOPPED,
-    TOO_LONG,
-    UNSTABLE,
     Begin,
     Trail,
     walk,
@@ -38,49 +33,7 @@ MOST_BRANCHES = 32
 SAME_PLACE = 1e-6
 """Distance over the scales within which special points of one kind are one."""
 
-ENDS = {
-    CLOSED: "back where it began",
-    TOO_LONG: "more points than are followed",
-    STALLED: "no orbit is found any further",
-    STOPPED: "joins the branch that it left",
-    UNSTABLE: f"a multiplier over {MOST_UNSTABLE:g} is not followed",
-}
-
 _NO_FURTHER = {"section": "the motion goes on, its returns are not counted any more"}
-
-
-class Mark(NamedTuple):
-    """A special point of a leg: its kind, the equations there, the place of the point before it, and what to say."""
-
-    kind: str
-    at: At
-    place: int
-    note: str = ""
-
-
-@dataclass
-class Leg:
-    """A stretch of a branch between a beginning and an end, with one number of returns.
-
-    - `family`, `branch`: which; `way`: 1 or -1, towards or against the direction in which the branch is listed;
-      `number`: of the leg on this way.
-    - `u`, `ahead`, `step`: where and how it begins; `leaves`: the direction in which a doubled branch left, or None.
-    - `home`: the branch's first solution and tangent; `after`: the leg that it goes on from, or left.
-    - `at`, `marks`: what was found.
-    """
-
-    family: int
-    branch: int
-    way: int
-    u: np.ndarray
-    ahead: np.ndarray
-    step: float
-    number: int = 0
-    leaves: np.ndarray | None = None
-    home: tuple[np.ndarray, np.ndarray] | None = None
-    after: "Leg | None" = None
-    at: At | None = None
-    marks: list[Mark] = field(default_factory=list)
 
 
 class Tracer:
@@ -115,7 +68,7 @@ class Tracer:
                 onward += self._follow(group)
                 done += group
             waiting = onward
-        return _once(done)
+        return each_once(done, self._problem.rows)
 
     def _upwards(self, family: int, u: np.ndarray) -> np.ndarray:
         """The tangent at an orbit, in the direction in which the parameter grows."""
@@ -152,6 +105,8 @@ class Tracer:
         for k, leg in enumerate(legs):
             last = bounds[k + 1] - (trail.status[k] == STOPPED)
             leg.at = trail.at.of(slice(bounds[k], last))
+            if last < bounds[k + 1]:
+                leg.reach = max(leg.reach, float(np.abs(trail.at.u[last] - leg.at.u[-1]).max()))
             if special is not None:
                 self._mark(leg, special, int(bounds[k]), int(last))
         onward += self._beyond_ends(legs, trail, bounds)
@@ -164,7 +119,9 @@ class Tracer:
             kind, at = KINDS[special.kind[k]], special.at.of([k])
             note = self._without_impact(at, special.beyond.of([k])) if kind == "grazing" else ""
             leg.marks.append(Mark(kind, at, int(special.place[k]) - first, note))
-        leg.marks.sort(key=lambda mark: mark.place)
+        trail = leg.at
+        assert trail is not None
+        leg.marks.sort(key=lambda mark: (mark.place, np.abs(mark.at.u[0] - trail.u[mark.place]).max()))
 
     def _without_impact(self, at: At, beyond: At) -> str:
         """What there is to say where other events begin or vanish than impacts: of which modes."""
@@ -265,22 +222,3 @@ class Tracer:
                 self._count[leg.family] += 1
                 found.append(Leg(leg.family, branch, 1, u[0], ahead[0], FIRST_STEP, leaves=ahead[0], after=leg))
         return found
-
-
-def _once(legs: list[Leg]) -> list[Leg]:
-    """The legs without those that a closed branch was followed by the other way; the branches numbered anew."""
-    closed = {leg.family for leg in legs if leg.branch == 0 and any(mark.note == ENDS[CLOSED] for mark in leg.marks)}
-
-    def dropped(leg: Leg | None) -> bool:
-        while leg is not None:
-            if leg.branch == 0 and leg.way < 0:
-                return True
-            leg = leg.after
-        return False
-
-    kept = [leg for leg in legs if not (leg.family in closed and dropped(leg))]
-    numbers: dict[tuple[int, int], int] = {}
-    for leg in kept:
-        among = sum(family == leg.family for family, _ in numbers)
-        leg.branch = numbers.setdefault((leg.family, leg.branch), among)
-    return kept

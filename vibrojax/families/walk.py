@@ -1,9 +1,11 @@
 """Pseudo-arclength continuation of many families at once (Keller; Doedel, *Lecture Notes on Numerical Analysis of
 Nonlinear Equations*, 2007).
 
-From a point u0 with tangent t0 the next lies on the plane t0 (u - u0) = h, where Newton's method finds it from
-u0 + h t0. The step h of each lane follows from how far its tangent turns and how often Newton's method is asked. All
-lanes that are underway are asked together, each for its own next iterate, so that none waits for another.
+From a point with tangent t the next lies on the plane t u = t g, where Newton's method finds it from the guess g, which
+goes on as the cubic through the last two points and their tangents. The step of each lane follows from how far its
+tangent turns and how often Newton's method is asked. Where steps fail because the order of events changes ahead, the
+margin foretells how far away that is, so that they end before it or right behind. All lanes that are underway are asked
+together, each for its own next iterate, so that none waits for another.
 """
 
 from collections.abc import Callable
@@ -14,6 +16,7 @@ from jaxtyping import Int
 
 from vibrojax.families.indicators import spectral_radius
 from vibrojax.families.problem import At, Flags, Index, PerLane, Problem, Unknowns, joined_at, solved, tangent
+from vibrojax.families.vanishing import entered, foretold
 
 CONVERGED = 1e-10
 """Residual of the equations at which a point counts as found; Newton's next step would be that squared."""
@@ -29,8 +32,14 @@ TURN, SHARP_TURN = 0.2, 0.5
 CORNER = 2e-2
 """Step up to which the tangent may turn by more where events begin or vanish on the way: a family has corners there."""
 
-BLUNT = 1.0
-"""By how much [rad]; around sharper corners another way is taken."""
+CROSSING = 1e-4
+"""The same for sharper corners."""
+
+BLUNT, SHARP = 1.0, 1.4
+"""By how much [rad] for each; around sharper corners another way is taken."""
+
+FASTER, FAST = 5.0, 2.0
+"""By how much steps grow at most: short ones, up to CORNER, and others."""
 
 RUNNING, ENDED, STALLED, STOPPED, CLOSED, TOO_LONG, UNSTABLE = range(7)
 """How a lane's way goes on: underway; at a bound of the parameter; no further point found; where the caller asked; back
@@ -100,7 +109,12 @@ class _Walker:
         self._bound = np.full(lanes, np.nan)
         self._iterations = np.zeros(lanes, int)
         self._before = np.full(lanes, np.inf)
-        self._shortened = np.zeros(lanes, bool)
+        self._shortened, self._blocked = np.zeros((2, lanes), bool)
+        self._level = np.zeros(lanes)
+        # The last points with the same events, the very last first: how far along, and the margins there.
+        self._along, self._margins = np.full((2, lanes, 3), np.nan)
+        self._along[:, 0], self._margins[:, 0] = 0.0, self._last.margin
+        self._prior_u, self._prior_tangent = np.full((2, *begin.u.shape), np.nan)
         self._found = [(np.arange(lanes), self._last.of(np.arange(lanes)), begin.tangent.copy())]
         self.active = np.arange(lanes)
         with np.errstate(all="ignore"):
@@ -114,18 +128,28 @@ class _Walker:
         room = (ahead - u[:, -1]) / t[:, -1]
         short = (t[:, -1] != 0) & (room < 1.0001 * h)
         self._bound[lanes] = np.where(short, ahead, np.nan)
-        self._guess[lanes] = self._iterate[lanes] = u + np.where(short, np.maximum(room, 0), h)[:, None] * t
+        guess = self._onward(lanes, np.where(short, np.maximum(room, 0), h))
+        guess[short, -1] = ahead[short]
+        self._guess[lanes] = self._iterate[lanes] = guess
+        self._level[lanes] = np.where(short, ahead, np.einsum("ij,ij->i", t, guess))
         self._iterations[lanes] = 0
         self._before[lanes] = np.inf
 
+    def _onward(self, lanes: Index, h: PerLane) -> Unknowns:
+        """So far on from the last points, by the cubic where the step before was not much shorter, else straight on."""
+        u, t, before = self._last.u[lanes], self._tangent[lanes], self._prior_u[lanes]
+        d, h = np.linalg.norm(u - before, axis=1)[:, None], h[:, None]
+        apart, turn = (before - u + d * t) / d**2, (self._prior_tangent[lanes] - t) / d
+        bend = (3 * apart + turn) * h**2 + (turn + 2 * apart) / d * h**3
+        sound = (h <= 1.1 * FAST * d) & (np.linalg.norm(bend, axis=1, keepdims=True) < 0.3 * h)
+        return u + h * t + np.where(sound, bend, 0)
+
     def _rows(self, lanes: Index) -> tuple[Unknowns, PerLane]:
         """The plane on which each lane's next point lies, row u = value."""
-        bounded = ~np.isnan(self._bound[lanes])
         along = np.zeros_like(self._tangent[lanes])
         along[:, -1] = 1.0
-        t = self._tangent[lanes]
-        value = np.einsum("ij,ij->i", t, self._last.u[lanes]) + self._step[lanes]
-        return np.where(bounded[:, None], along, t), np.where(bounded, self._bound[lanes], value)
+        bounded = ~np.isnan(self._bound[lanes])
+        return np.where(bounded[:, None], along, self._tangent[lanes]), self._level[lanes]
 
     def tick(self) -> None:
         """One iterate of every lane."""
@@ -158,10 +182,25 @@ class _Walker:
     def _shorten(self, lanes: Index) -> None:
         """Take the step again, a shorter one."""
         taken = np.linalg.norm(self._guess[lanes] - self._last.u[lanes], axis=1)
-        self._step[lanes] = taken / 3
+        self._blocked[lanes] |= taken <= CROSSING
         self._shortened[lanes] = True
+        to_corner = self._to_corner(lanes, taken)
+        self._step[lanes] = np.where(np.isnan(to_corner), taken / 3, np.minimum(to_corner, 0.7 * taken))
         self._status[lanes[taken / 3 < SHORTEST]] = STALLED
         self._predict(lanes)
+
+    def _to_corner(self, lanes: Index, within: PerLane) -> PerLane:
+        """The steps towards where the margin vanishes `within` so far ahead: over it where it is known well enough and
+        was not found to be closed, else up to it but for what is in doubt; NaN where nothing is foretold."""
+        at, doubt = foretold(self._along[lanes], self._margins[lanes])
+        ahead = at - self._along[lanes, 0]
+        sound = (ahead > 0) & (ahead < within) & (doubt < ahead / 4)
+        over = ~self._blocked[lanes] & (doubt < CROSSING / 8)
+        before = np.where(
+            over, np.maximum(ahead - CROSSING / 4, ahead / 2), ahead - np.maximum(2 * doubt, SHORTEST / 2)
+        )
+        step = np.where(over & (ahead < CROSSING / 2), ahead + CROSSING / 4, before)
+        return np.where(sound, np.maximum(step, 1.01 * SHORTEST), np.nan)
 
     def _accept(self, lanes: Index, now: At) -> Flags:
         """Go on from what was found, where it is a next point of the same curve."""
@@ -173,27 +212,44 @@ class _Walker:
         taken = np.linalg.norm(now.u - last.u, axis=1)
         changed = (now.signature != last.signature).any(axis=1)
         sound = np.isfinite(ahead).all(axis=1)
-        sound &= (turn <= SHARP_TURN) | (taken < 10 * SHORTEST) | (changed & (taken <= CORNER) & (turn <= BLUNT))
+        sound &= (
+            (turn <= SHARP_TURN)
+            | (taken < 10 * SHORTEST)
+            | changed & ((taken <= CORNER) & (turn <= BLUNT) | (taken <= CROSSING) & (turn <= SHARP))
+        )
         value = problem.value(family, now.u)
         beyond = (value > problem.last[family]) | (value < problem.first[family])
         beyond &= np.isnan(self._bound[lanes])
         sound &= ~beyond
         kept = lanes[sound]
         at, ahead = now.of(sound), ahead[sound]
-        self._last.put(kept, at)
-        self._tangent[kept] = ahead
         self._found.append((kept, at, ahead))
         self._count[kept] += 1
         self._length[kept] += taken[sound]
-        easy = np.clip(TURN / np.maximum(turn[sound], 1e-12), 0.5, 2.0)
+        self._remember(kept, at, changed[sound])
+        self._last.put(kept, at)
+        self._tangent[kept] = ahead
+        grown = np.where(taken[sound] < CORNER, FASTER, FAST)
+        easy = np.clip(TURN / np.maximum(turn[sound], 1e-12), 0.5, grown)
         easy = np.where(self._iterations[kept] >= 4, np.minimum(easy, 0.7), easy)
         # What shortened this step lies within twice its length.
         easy = np.where(self._shortened[kept], np.minimum(easy, 1.0), easy)
-        self._shortened[kept] = False
-        self._step[kept] = np.minimum(np.maximum(taken[sound] * easy, 10 * SHORTEST), self._longest)
+        step = np.minimum(np.maximum(taken[sound] * easy, 10 * SHORTEST), self._longest)
+        to_corner = np.where(self._shortened[kept], self._to_corner(kept, 3 * step), np.nan)
+        self._step[kept] = np.where(np.isnan(to_corner), step, to_corner)
+        self._shortened[kept] = ~np.isnan(to_corner)
         self._end(kept, at, ahead)
         self._predict(kept)
         return sound
+
+    def _remember(self, lanes: Index, now: At, changed: Flags) -> None:
+        """Put points that were found before those that are known, and forget these where other events were met."""
+        self._prior_u[lanes] = np.where(changed[:, None], np.nan, self._last.u[lanes])
+        self._prior_tangent[lanes] = self._tangent[lanes]
+        for known, new in ((self._along, self._length[lanes]), (self._margins, now.margin)):
+            known[lanes[changed]] = np.nan
+            entered(known, lanes, new)
+        self._shortened[lanes[changed]] = self._blocked[lanes[changed]] = False
 
     def _end(self, lanes: Index, at: At, ahead: Unknowns) -> None:
         """Which lanes go no further."""

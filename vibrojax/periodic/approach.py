@@ -53,6 +53,10 @@ class Approach(NamedTuple):
     returns: Away
     limit: States
 
+    def of(self, lanes: Index, since: int = 0) -> "Approach":
+        """Some of the lanes, by index; their returns without the newest, as many as `since`."""
+        return Approach(self.lanes[lanes], self.scale[lanes], self.returns[since:, :, lanes], self.limit[lanes])
+
 
 def approaching(
     returns: Settling, repeat: int, now: PerLane, observe: float, tolerance: float
@@ -115,6 +119,13 @@ def _extrapolated(
     return np.where(sound, found, series[0])
 
 
+def distance(near: Approach, orbit: Found) -> PerLane:
+    """How far the last returns of lanes are from an `orbit` each, over its scales."""
+    on_orbit = np.moveaxis(orbit.states[:, ::-1], 0, -1)  # the newest first
+    apart = np.abs(near.returns[: len(on_orbit)] - on_orbit) / orbit.scales.T
+    return np.asarray(np.max(apart, axis=(0, 1)))
+
+
 def comes_closer(
     near: Approach, orbit: Found, repeats: PerLane, tolerance: float, error: float
 ) -> Bool[np.ndarray, " lanes"]:
@@ -124,15 +135,14 @@ def comes_closer(
     """
     scale, cycles = orbit.scales, orbit.states.shape[1]
     derivative = orbit.product * scale[:, None, :] / scale[:, :, None]
-    on_orbit = np.moveaxis(orbit.states[:, ::-1], 0, -1)  # the newest first
-    newest = np.abs(near.returns[:cycles] - on_orbit) / scale.T
-    away = np.moveaxis((near.returns[cycles - 1 :: cycles] - on_orbit[-1]) / scale.T, -1, 0)
+    on_orbit = np.moveaxis(orbit.states, 0, -1)
+    away = np.moveaxis((near.returns[cycles - 1 :: cycles] - on_orbit[0]) / scale.T, -1, 0)
     noise = NOISE * tolerance
     # Only the first of an orbit's states is followed, so that of several all must be close.
-    found = np.max(newest, axis=(0, 1)) < (NEAR if cycles == 1 else NEAR / 10)
+    found = distance(near, orbit) < (NEAR if cycles == 1 else NEAR / 10)
     led = np.einsum("lij,lrj->lri", derivative, away[:, 1:])
-    off, distance = np.max(np.abs(away[:, :-1] - led), axis=2), np.max(np.abs(away[:, 1:]), axis=2)
-    found &= np.all((off < FOLLOWS * distance + noise)[:, : HIGHEST_ORDER + 1], axis=1)
+    off, far = np.max(np.abs(away[:, :-1] - led), axis=2), np.max(np.abs(away[:, 1:]), axis=2)
+    found &= np.all((off < FOLLOWS * far + noise)[:, : HIGHEST_ORDER + 1], axis=1)
     last = away[:, 0]
     for _ in range(NEXT):
         then = np.einsum("lij,lj->li", derivative, last)

@@ -5,10 +5,13 @@ within its linear reach: the rest of the way follows from the derivative of the 
 before the lane is to be observed, what would be observed is the orbit, and it is measured instead.
 """
 
-import numpy as np
-from jaxtyping import Bool, Int
+from collections.abc import Callable
+from typing import NamedTuple
 
-from vibrojax.engine.batch import Batch, Index, PerLane
+import numpy as np
+from jaxtyping import Bool
+
+from vibrojax.engine.batch import Batch, Features, Index, PerLane
 from vibrojax.engine.chunks import certified
 from vibrojax.engine.underway import Ended
 from vibrojax.input.definition import Sweep
@@ -43,21 +46,14 @@ SHARE, LEAST = 0.25, 0.04
 """Part of the two runs' difference that the error is taken for, and that of the tolerance which it has at least. Only
 one repeat adds to it, because the orbit that lanes begin on is nearly exact."""
 
-WORTH = 5e6
-"""Simulated seconds of all lanes below which to compile the return map takes longer than it spares. To compile it, and
-what measures orbits, takes 2 s of processor time from nothing; of a million simulated seconds 1.4 s are spared over the
-source's region, and 0.4 s over the default map, where more lanes are irregular and most others settle soon."""
 
+class OnOrbits(NamedTuple):
+    """Lanes that will be on orbits: which, by index; their orbits, and what is measured over these at two accuracies,
+    certified: all features but those that are the lane's own."""
 
-def early_ends(sweep: Sweep) -> "EarlyEnds | None":
-    """What finds lanes that need no more steps; None where none can be found, or it is not worth its while.
-
-    Whether lanes do end early is for who steps them to see: all are looked at alike, so that the others go one way.
-    """
-    run, scene = sweep.run, sweep.system.driving_part()
-    apt = isinstance(run.stepper, Located) and scene.section is not None
-    worth = sweep.lanes * (run.settle + run.observe) >= WORTH
-    return EarlyEnds(sweep) if apt and worth else None
+    lanes: Index
+    orbits: Found
+    features: Features
 
 
 class EarlyEnds:
@@ -75,8 +71,17 @@ class EarlyEnds:
         """Which lanes may be within the reach of an orbit, so that they are to be looked at."""
         return np.any([self._approaching(batch, repeat) for repeat in REPEATS], axis=0)
 
+    def of_chunk(self) -> "EarlyEnds":
+        """Itself: nothing is known of other lanes."""
+        return self
+
     def __call__(self, batch: Batch) -> list[Ended]:
         """Those lanes of the `batch` that need no more steps, by their index in it."""
+        return self.among(batch, self._each)
+
+    def among(self, batch: Batch, find: Callable[[Approach, Batch], list[Ended]]) -> list[Ended]:
+        """What `find(approach, batch)` finds of those lanes of the `batch` that approach repeats, the shortest first;
+        by their index in it."""
         assert batch.underway is not None
         free = np.ones(len(batch.begin), bool)
         found = []
@@ -85,10 +90,17 @@ class EarlyEnds:
                 lanes = np.flatnonzero(free & self._approaching(batch, repeat))
                 if len(lanes):
                     near = approach(batch.underway.carry, lanes, repeat, self._accuracy.tolerance)
-                    for ended in self._ended(near, batch.of(lanes)):
+                    for ended in find(near, batch.of(lanes)):
                         free[ended.lanes] = False
                         found.append(ended)
         return found
+
+    def _each(self, near: Approach, batch: Batch) -> list[Ended]:
+        """Each lane on an orbit of its own."""
+        found = self.on_orbits(near, batch)
+        if not len(found.lanes):
+            return []
+        return [self.ended(near.lanes[found.lanes], found.features, batch.of(found.lanes))]
 
     def _approaching(self, batch: Batch, repeat: int) -> Bool[np.ndarray, " lanes"]:
         assert batch.underway is not None
@@ -96,8 +108,8 @@ class EarlyEnds:
         with np.errstate(all="ignore"):
             return approaching(batch.underway.carry, repeat, now, self._run.observe, self._accuracy.tolerance)
 
-    def _ended(self, near: Approach, batch: Batch) -> list[Ended]:
-        """Of lanes that approach an orbit, and their `batch`, those that will be on it."""
+    def on_orbits(self, near: Approach, batch: Batch) -> OnOrbits:
+        """Of lanes that approach orbits, and their `batch`, those that will be there; by Newton's method for each."""
         assert batch.underway is not None
         given = {name: np.asarray(batch.given.parameters[name], float) for name in self._scene.parameters()}
         orbit = orbits(
@@ -110,38 +122,49 @@ class EarlyEnds:
         )
         step = np.max(np.abs(orbit.step) / orbit.scales[:, None], axis=(1, 2))
         orbit = orbit._replace(states=orbit.states + orbit.step)
-        repeats = np.floor((self._run.settle - batch.underway.lane.clock.high) / orbit.times.sum(axis=1))
         sure = (step < 10 * CLOSE) & (orbit.margin > MARGIN) & (repeats_after(orbit, SPLIT) == orbit.states.shape[1])
-        sure &= comes_closer(near, orbit, repeats, self._accuracy.tolerance, self._run.error)
-        if not sure.any():
-            return []
-        still = step**2 / orbit.margin
-        return [self._measured(np.flatnonzero(sure), near.lanes, orbit, still, batch)]
+        lanes = np.flatnonzero(sure & self.will_be_there(near, orbit, batch))
+        orbit = orbit.of(lanes)
+        return self._measured(lanes, orbit, step[lanes] ** 2 / orbit.margin, batch.of(lanes))
 
-    def _measured(
-        self, sure: Int[np.ndarray, " sure"], lanes: Index, orbit: Found, still: PerLane, batch: Batch
-    ) -> Ended:
-        """The `sure` ones, measured over their orbits at the accuracy of the sweep, and at that of the check run."""
-        batch, cycles, precision = batch.of(sure), orbit.states.shape[1], np.dtype(self._run.precision)
+    def will_be_there(self, near: Approach, orbit: Found, batch: Batch) -> Bool[np.ndarray, " lanes"]:
+        """Which lanes are within the linear reach of an `orbit` each, and will be on it when they are observed."""
         assert batch.underway is not None
-        one = begun(np.arange(len(sure)), orbit.states[sure], orbit.times[sure], orbit.steps[sure])
-        right, runs = np.ones(len(sure), bool), []
+        repeats = np.floor((self._run.settle - batch.underway.lane.clock.high) / orbit.times.sum(axis=1))
+        return comes_closer(near, orbit, repeats, self._accuracy.tolerance, self._run.error)
+
+    def ended(self, lanes: Index, features: Features, batch: Batch) -> Ended:
+        """The `lanes`, whose `batch` this is, with what was measured over their orbits, and what is their own."""
+        assert batch.underway is not None
+        settled, precision = np.asarray(batch.underway.carry.seen.settled), np.dtype(self._run.precision)
+        repeat = features["cycles"].astype(int) - 1
+        own = {
+            "settling_time": settled[repeat, np.arange(len(lanes))].astype(precision),
+            "steps": features["steps"] + batch.underway.steps,
+        }
+        return Ended(lanes, features | own)
+
+    def _measured(self, lanes: Index, orbit: Found, still: PerLane, batch: Batch) -> OnOrbits:
+        """The `lanes`, measured over their orbits at the accuracy of the sweep, and at that of the check run."""
+        cycles, precision = orbit.states.shape[1], np.dtype(self._run.precision)
+        if not len(lanes):
+            return OnOrbits(lanes, orbit, {})
+        one = begun(np.arange(len(lanes)), orbit.states, orbit.times, orbit.steps)
+        right, runs = np.ones(len(lanes), bool), []
         for accuracy in (self._measured_at, Located().coarser(self._measured_at)):
             features, whole = self._measure.of(batch.given, one, accuracy)
             right &= whole
             if "impacts" in features:
                 features["impacts"] = np.round(features["impacts"] * cycles)
-                right &= features["impacts"] == orbit.impacts[sure]
+                right &= features["impacts"] == orbit.impacts
             # As if it had been observed for as long as the others.
             features["returns"] = np.floor(self._run.observe / features["period"])
-            features["cycles"] = np.full(len(sure), float(cycles))
-            features["trend"] = np.zeros(len(sure))
-            features["settling_time"] = batch.underway.carry.seen.settled[cycles - 1].astype(float)
-            features["steps"] = features["steps"] + batch.underway.steps
+            features["cycles"] = np.full(len(lanes), float(cycles))
+            features["trend"] = np.zeros(len(lanes))
             # In the precision of lanes that are stepped to their end, since they are stored beside each other.
             runs.append({name: x.astype(precision) if x.dtype.kind == "f" else x for name, x in features.items()})
         fine, check = runs
         least = 4 * float(np.finfo(precision).eps) + LEAST * self._measured_at.tolerance
-        found = certified(fine | {"drift_estimate": still[sure]}, check, SHARE, least)
+        found = certified(fine | {"drift_estimate": still}, check, SHARE, least)
         some = np.flatnonzero(right)
-        return Ended(lanes[sure[some]], {name: x[some] for name, x in found.items()})
+        return OnOrbits(lanes[some], orbit.of(some), {name: x[some] for name, x in found.items()})

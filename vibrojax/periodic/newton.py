@@ -59,6 +59,10 @@ class Found(NamedTuple):
     margin: Float[np.ndarray, " lanes"]
     steps: Float[np.ndarray, " lanes"]
 
+    def of(self, lanes: Index) -> "Found":
+        """Those of some of the lanes, by index."""
+        return Found(*(x[lanes] for x in self))
+
 
 class _Evaluated(NamedTuple):
     """The map at the states of lanes: where it leads, times, derivatives, and what it saw; all (lanes, cycles, ...)."""

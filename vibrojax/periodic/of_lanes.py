@@ -3,7 +3,7 @@
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from vibrojax.engine.batch import Features, Index
 from vibrojax.input.definition import Sweep
@@ -96,7 +96,9 @@ class Orbits:
         drift = features["drift_estimate"][lanes]
         reach = np.where(np.isnan(drift), NEAR, np.clip(DRIFTS * drift, NEAR, FAR))
         given = {name: x[lanes] for name, x in parameters.items()}
-        orbit = orbits(begin, scale, reach, self._map.of(given))
+        one, of_lane = _distinct([begin, scale, reach, *given.values()])
+        given = {name: x[one] for name, x in given.items()}
+        orbit = orbits(begin[one], scale[one], reach[one], self._map.of(given)).of(of_lane)
         converged, own = orbit.residual <= ACCEPTED, orbit.moved <= reach
         if "impacts" in features:
             own &= orbit.impacts == features["impacts"][lanes]
@@ -123,7 +125,10 @@ class Orbits:
         """The features of the chunk, of lanes with an orbit measured over it; one that it does not bear out is lost."""
         if not len(orbit.lanes):
             return {}
-        again, whole = self._measure(first, end, orbit)
+        parameters, _ = self._sweep.lane_values(first, end)
+        one, of_lane = _distinct([orbit.state.T, orbit.steps, *(x[orbit.lanes] for x in parameters.values())])
+        again, whole = self._measure(first, end, Begun(*(x[..., one] for x in orbit)))
+        again, whole = {name: x[of_lane] for name, x in again.items()}, whole[of_lane]
         if "impacts" in own:
             whole &= np.abs(again["impacts"] * orbit.cycles - own["impacts"][orbit.lanes]) < 0.5
         lost, kept = orbit.lanes[~whole], orbit.lanes[whole]
@@ -139,6 +144,17 @@ class Orbits:
         for name, x in measured.items():
             x[kept] = again[name][whole]
         return measured
+
+
+def _distinct(columns: list[np.ndarray]) -> tuple[Int[np.ndarray, " distinct"], Index]:
+    """The first of all lanes that are alike to the last bit in all columns, (lanes, ...), and of each lane its number.
+
+    Lanes that ended on an orbit which they share are: what follows from them need be found once.
+    """
+    rows = np.concatenate([x.reshape(len(x), -1).astype(float) for x in columns], axis=1)
+    numbers: dict[bytes, int] = {}
+    of_lane = np.array([numbers.setdefault(row.tobytes(), len(numbers)) for row in rows], int)
+    return np.unique(of_lane, return_index=True)[1], of_lane
 
 
 def last_returns(scene: Any, lanes: Index, repeat: int, features: Features) -> tuple[States, np.ndarray]:

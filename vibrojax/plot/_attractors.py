@@ -15,7 +15,7 @@ from vibrojax.plot._colours import regime_names
 from vibrojax.plot._contents import ATTRACTOR, HIDDEN, REGIME, START, is_attractors, swept
 from vibrojax.plot._margins import legend_at_right, write_margins
 from vibrojax.plot._sheet import columns, facets
-from vibrojax.plot._starts import on_axes
+from vibrojax.plot._starts import PREFIX, on_axes
 from vibrojax.plot.style import UNDEFINED, new_figure, styled
 
 LANES = "lane_attractor"
@@ -44,7 +44,11 @@ def attractor_shares(ds: xr.Dataset) -> Figure:
     single = [name for name in ds["share"].dims if name != ATTRACTOR and ds.sizes[name] == 1]
     ds = ds.isel(dict.fromkeys(single, 0))
     along = swept(ds)
-    figure = _over_axis(ds, max(along, key=lambda name: ds.sizes[name])) if along else _of_point(ds)
+    marked = ""
+    if along:
+        figure = _over_axis(ds, max(along, key=lambda name: ds.sizes[name]))
+    else:
+        figure, marked = _of_point(ds)
     legend_at_right(figure, _handles(ds))
     unassigned = int(ds["unassigned"].sum())
     about = f"{ds.sizes[START]} starts at each point" + ("; upright lines: one standard error" if along else "")
@@ -53,6 +57,7 @@ def attractor_shares(ds: xr.Dataset) -> Figure:
         str(ds.attrs.get("title", "")),
         point_text(ds),
         about,
+        marked,
         f"{unassigned} lanes of {ds[LANES].size} end in none that could be told" if unassigned else "",
     )
     return figure
@@ -102,7 +107,8 @@ def _draw(axes: Axes, facet: xr.Dataset, x: str, name: str) -> None:
         axes.set_ylim(-3.0, 103.0)
 
 
-def _of_point(ds: xr.Dataset) -> Figure:
+def _of_point(ds: xr.Dataset) -> tuple[Figure, str]:
+    """The figure of one point, and what is to be said of what is marked in it."""
     lanes = ds[[LANES]].assign({REGIME: ds[LANES]})
     spread = on_axes(lanes.drop_vars(HIDDEN, errors="ignore"))
     states = [name for name in spread[LANES].dims if name != START]
@@ -110,7 +116,7 @@ def _of_point(ds: xr.Dataset) -> Figure:
     axes = figure.add_subplot()
     if len(states) != 2:
         _draw_bars(axes, ds)
-        return figure
+        return figure, ""
     x, y = (str(name) for name in states)
     cells = np.asarray(spread[LANES].transpose(y, x).values)
     shown = np.minimum(np.where(cells < 0, len(COLOURS) + 1, cells), len(COLOURS) + (cells < 0))
@@ -120,7 +126,35 @@ def _of_point(ds: xr.Dataset) -> Figure:
     mesh.set_rasterized(True)
     axes.set_xlabel(label(spread[x]))
     axes.set_ylabel(label(spread[y]))
-    return figure
+    return figure, _mark(axes, ds, spread, x, y)
+
+
+def _mark(axes: Axes, ds: xr.Dataset, spread: xr.Dataset, x: str, y: str) -> str:
+    """Mark where orbits pass the section, projected on the plane of starts; what is to be said of it."""
+    at = [_at_section(ds, name) * scale(spread[name])[0] for name in (x, y)]
+    limits = axes.get_xlim(), axes.get_ylim()
+    inside = np.all([(min(ends) <= one) & (one <= max(ends)) for one, ends in zip(at, limits, strict=True)], axis=0)
+    orbits = np.isfinite(at).all(axis=0)
+    for k in np.flatnonzero(inside):
+        axes.plot(at[0][k], at[1][k], "o", markersize=11, markerfacecolor="white", markeredgecolor="black", zorder=3)
+        axes.annotate(str(k), (at[0][k], at[1][k]), ha="center", va="center", fontsize=7.5, color="black", zorder=4)
+    beyond = ", ".join(map(str, np.flatnonzero(orbits & ~inside)))
+    texts = (
+        "circles: where the orbits pass the section" if inside.any() else "",
+        f"the section of {beyond} lies beyond the picture" if beyond else "",
+        f"no orbit: {', '.join(map(str, np.flatnonzero(~orbits)))}" if orbits.any() and not orbits.all() else "",
+    )
+    return "; ".join(filter(None, texts))
+
+
+def _at_section(ds: xr.Dataset, start_state: str) -> np.ndarray:
+    """A state of all attractors where they pass the section, NaN of those without an orbit."""
+    name = f"orbit_{start_state.removeprefix(PREFIX)}"
+    if name in ds:
+        return np.asarray(ds[name].values, float)
+    others = [one.values for key, one in ds.data_vars.items() if str(key).startswith("orbit_")]
+    # What is no state of the return map is zero there: the velocity that the section is told by.
+    return np.where(np.isfinite(others[0]), 0.0, np.nan) if others else np.full(ds.sizes[ATTRACTOR], np.nan)
 
 
 def _draw_bars(axes: Axes, ds: xr.Dataset) -> None:

@@ -25,7 +25,7 @@ _PANEL = (3.3, 3.0)  # inches
 _MOST = (4, 4)  # planes and starts that are shown
 
 # Told apart in greyscale and by colour-blind eyes, with the colours that the same kinds have along families.
-_LINES: dict[str, dict[str, Any]] = {
+LINES: dict[str, dict[str, Any]] = {
     "fold": {"color": "#222222", "linestyle": "-"},
     "period-doubling": {"color": "#D55E00", "linestyle": "-"},
     "torus": {"color": "#B5468B", "linestyle": (0.0, (7.0, 1.5))},
@@ -123,7 +123,7 @@ def border_handles(kinds: Iterable[str]) -> list[Artist]:
     found = set(kinds)
     return [
         Line2D([], [], label=kind, linewidth=1.8, **_line(kind))
-        for kind in (*_LINES, *sorted(found - set(_LINES)))
+        for kind in (*LINES, *sorted(found - set(LINES)))
         if kind in found
     ]
 
@@ -151,7 +151,7 @@ def draw_over_panel(axes: Axes, over: xr.Dataset, facet: xr.Dataset, x: str, y: 
 
 
 def _line(kind: str) -> dict[str, Any]:
-    return _LINES.get(kind, {"color": INK, "linestyle": "-"})
+    return LINES.get(kind, {"color": INK, "linestyle": "-"})
 
 
 def _area(ds: xr.Dataset, at: dict[str, float], start: str) -> float:

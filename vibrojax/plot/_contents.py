@@ -40,7 +40,7 @@ class Contents:
     - `many_starts`: whether every point runs from more starts than have a panel each.
     - `swept_sine`: whether the force of a run is a sine of a frequency that changes.
     - `families`: whether these are families of orbits along a parameter; `borders`: curves around the single impact;
-      `attractors`: shares of starts of attractors.
+      `attractors`: shares of starts of attractors; `pushes`: smallest pushes out of working cycles.
     """
 
     variables: frozenset[str]
@@ -56,6 +56,7 @@ class Contents:
     families: bool
     borders: bool
     attractors: bool
+    pushes: bool
 
     @property
     def run(self) -> bool:
@@ -136,6 +137,7 @@ def contents(ds: xr.Dataset) -> Contents:
         families=is_families(ds),
         borders=is_borders(ds),
         attractors=is_attractors(ds),
+        pushes=is_pushes(ds),
     )
 
 
@@ -147,6 +149,11 @@ def is_borders(ds: xr.Dataset) -> bool:
 def is_attractors(ds: xr.Dataset) -> bool:
     """Whether `ds` holds attractors with their shares of starts."""
     return {"share", "share_stderr", "lane_attractor"} <= set(ds.variables)
+
+
+def is_pushes(ds: xr.Dataset) -> bool:
+    """Whether `ds` holds smallest pushes out of working cycles."""
+    return "sign" in ds.dims and any(str(name).startswith("push_") for name in ds.data_vars)
 
 
 def has_regimes(ds: xr.Dataset) -> bool:

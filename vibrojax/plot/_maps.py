@@ -46,7 +46,7 @@ _SYMBOLS = {"mean_force": "P", "relief": "P/D"}
 _HIDDEN_MARK: dict[str, Any] = {"s": 6.0, "marker": "o", "color": INK, "edgecolors": "white", "linewidths": 0.4}
 
 # Chapter 5 of the source: stable single impact, "best".
-_REGION = {"beta": (0.25, 0.60), "gamma": (0.60, 0.80)}
+REGION = {"beta": (0.25, 0.60), "gamma": (0.60, 0.80)}
 _REGION_NAME = "source's best region"
 
 
@@ -206,9 +206,9 @@ def _border_handle(panels: Sequence[Panel]) -> list[Artist]:
 
 def outline_region(axes: Axes, x: str, y: str) -> None:
     """Outline the region of the source's best single impacts where the axes are beta and gamma and show some of it."""
-    if {x, y} != set(_REGION):
+    if {x, y} != set(REGION):
         return
-    (left, right), (low, high) = _REGION[x], _REGION[y]
+    (left, right), (low, high) = REGION[x], REGION[y]
     (first, last), (bottom, top) = sorted(axes.get_xlim()), sorted(axes.get_ylim())
     if left < last and right > first and low < top and high > bottom:
         region = Rectangle((left, low), right - left, high - low, fill=False, edgecolor=INK, linewidth=1.3)

@@ -23,6 +23,7 @@ from vibrojax.plot._hole import pulses, response
 from vibrojax.plot._hysteresis import hysteresis
 from vibrojax.plot._maps import rate_grid, regime_grid
 from vibrojax.plot._over import several
+from vibrojax.plot._pushes import smallest_pushes
 from vibrojax.plot._rate_law import law_lines, law_map
 from vibrojax.plot._rates import rates
 from vibrojax.plot._scatter import rate_scatter, regime_bars, regime_scatter
@@ -58,6 +59,7 @@ PICTURES = (
     Picture("borders",       lambda held: held.borders,                                  border_curves),
     Picture("attractors",    lambda held: held.attractors and held.wide,                 share_map),
     Picture("attractors",    lambda held: held.attractors,                               attractor_shares),
+    Picture("pushes",        lambda held: held.pushes,                                   smallest_pushes),
     Picture("accuracy",      lambda held: held.study,                                    work_precision),
     Picture("returns",       lambda held: held.carried,                                  hysteresis),
     Picture("returns",       lambda held: held.returns,                                  bifurcation),

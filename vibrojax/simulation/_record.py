@@ -66,7 +66,7 @@ def record(
     parts = []
     goal = duration if pause is None else pause
     for _ in range(ceil(most_steps / BATCH)):
-        lane, part = _batch(scene, stepper, constants, lane, accuracy, goal)
+        lane, part = record_batch(scene, stepper, BATCH, constants, lane, accuracy, goal)
         parts.append(jax.tree.map(lambda x: np.asarray(x)[..., 0], part))
         if tell:
             tell(float(lane.clock.high[0]))
@@ -91,11 +91,12 @@ def begun(scene: Scene[Any], constants: Any, state: Values) -> tuple[Any, Lane]:
     return constants, lane_at(scene, constants, state)
 
 
-@lane_function(static=2)
-def _batch(
-    scene: Scene[Any], stepper: Stepper, constants: Any, lane: Lane, accuracy: Accuracy, duration: Array
+@lane_function(static=3)
+def record_batch(
+    scene: Scene[Any], stepper: Stepper, count: int, constants: Any, lane: Lane, accuracy: Accuracy, duration: Array
 ) -> tuple[Lane, Any]:
-    """(the lane after some steps, the columns of their record)."""
+    """(lanes after so many steps, or less where they come to the time `duration` [s]; the columns of their record, each
+    (steps, ..., lanes))."""
 
     def one(lane: Lane, _: None) -> tuple[Lane, Any]:
         moving = lane.clock.until(duration) > 0
@@ -112,7 +113,7 @@ def _batch(
         }
         return new, columns
 
-    steps: tuple[Lane, Any] = jax.lax.scan(one, lane, length=BATCH)
+    steps: tuple[Lane, Any] = jax.lax.scan(one, lane, length=count)
     return steps
 
 

@@ -70,7 +70,7 @@ def events(scene: Scene[Any], c: Any, record: Record) -> Events:
         masks["slip"] = hits["friction"] & (after != 0)
     if isinstance(scene, HasContact):
         modes, states = tuple(record.mode.T), tuple(record.after.T)
-        masks["impact"] = np.asarray(_impact_begins(scene, one_for_all(c), modes, states, hits))
+        masks["impact"] = np.asarray(impact_begins(scene, one_for_all(c), modes, states, hits))
         masks["release"] = hits["contact"] & (record.mode[:, scene.mode_place("touching")] != 0)
     if scene.section is not None:
         masks["section"] = _returns(scene, c, record)
@@ -95,7 +95,7 @@ def _returns(scene: Scene[Any], c: Any, record: Record) -> Bool[np.ndarray, " st
     tau = np.where(record.dt > 0, record.dt / np.where(record.h > 0, record.h, 1), 0)
     velocity = [sign * one for one in record.polynomials[:, scene.place(section.velocity)].T]
     level = sign * float(np.ravel(section.rearm(c))[0])
-    low = np.asarray(_lowest(velocity, tau)) < level
+    low = np.asarray(lowest_velocity(velocity, tau)) < level
     for index in np.flatnonzero(returns | low):
         armed = armed or bool(low[index])
         passed[index] = returns[index] and armed
@@ -128,12 +128,14 @@ def _forces(scene: Scene[Any], is_sharp: bool, c: Any, modes: Values, states: Va
 
 
 @lane_function(static=1)
-def _impact_begins(scene: HasContact, c: Any, modes: Values, states: Values, hits: dict[str, Array]) -> Array:
+def impact_begins(scene: HasContact, c: Any, modes: Values, states: Values, hits: dict[str, Array]) -> Array:
+    """Whether steps that end in `states` on what they hit end on the beginning of an impact."""
     return scene.impact_begins(c, modes, states, hits)
 
 
 @lane_function(static=0)
-def _lowest(velocity: list[Array], tau: Array) -> Array:
+def lowest_velocity(velocity: list[Array], tau: Array) -> Array:
+    """The least value of steps' polynomials from 0 to `tau`."""
     return lowest(velocity, tau)
 
 

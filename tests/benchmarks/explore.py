@@ -1,0 +1,66 @@
+"""How long a page takes to show its first map, and a click to show a cell's motion, in a Chromium of this machine.
+
+    python tests/benchmarks/explore.py PAGE.html
+
+By the clock: the first map from the navigation's beginning, a click from the event to the drawn plots, of cells all over
+the page. And in processor time of the page's main thread, which other work on the machine does not lengthen much.
+"""
+
+import sys
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from browser import chromium
+
+CLICKS = 60
+OPENED = 5
+
+PICKED = """async clicks => {
+    const took = [], { axes } = vibrojax.grid.data;
+    for (let k = 0; k < clicks; k++) {
+        const cell = Object.fromEntries(axes.map((a, n) => [a.name, (k * (7 + 4 * n) + n) % a.values.length]));
+        const began = performance.now();
+        await vibrojax.pick(cell);
+        took.push(performance.now() - began);
+    }
+    return took;
+}"""
+
+
+def main(path: Path) -> None:
+    firsts, at_first, whole = [], [], []
+    with chromium() as browser:
+        for _ in range(OPENED):
+            page = browser.new_page(viewport={"width": 1280, "height": 900})
+            session = page.context.new_cdp_session(page)
+            session.send("Performance.enable", {"timeDomain": "threadTicks"})
+            page.goto(path.as_uri(), wait_until="commit")
+            page.wait_for_function("performance.getEntriesByName('vibrojax-first-map').length > 0")
+            at_first.append(busy(session))
+            page.wait_for_selector("[data-ready]")
+            whole.append(busy(session))
+            firsts.append(page.evaluate("performance.getEntriesByName('vibrojax-first-map')[0].startTime"))
+        before = busy(session)
+        took = page.evaluate(PICKED, CLICKS)
+        each = (busy(session) - before) / CLICKS
+    print(f"{path.name}: {path.stat().st_size / 1e6:.1f} MB")
+    print(
+        f"first map: {median(firsts):.0f} ms by the clock (least {min(firsts):.0f}); {median(at_first):.0f} ms of processor"
+    )
+    print(f"whole page: {median(whole):.0f} ms of processor time")
+    print(
+        f"click to motion: {median(took):.0f} ms by the clock (least {min(took):.0f}); {each:.0f} ms of processor time"
+    )
+
+
+def busy(session: Any) -> float:
+    """Processor time [ms] that the page's main thread has spent in tasks."""
+    metrics = {one["name"]: one["value"] for one in session.send("Performance.getMetrics")["metrics"]}
+    return 1e3 * metrics["TaskDuration"]
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]).resolve())

@@ -1,0 +1,39 @@
+"""A browser for tests: Chromium as it is installed, or playwright's own; none where there is neither."""
+
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import pytest
+
+NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+ARGUMENTS = [
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--no-first-run",
+]
+
+
+@contextmanager
+def chromium() -> Iterator[Any]:
+    """A Chromium of playwright's; the test is skipped, and says what is missing, where there is none.
+
+    The environment's VIBROJAX_BROWSER names another binary.
+    """
+    playwright = pytest.importorskip("playwright.sync_api", reason='playwright is missing: pip install ".[browser]"')
+    binary = os.environ.get("VIBROJAX_BROWSER") or next(filter(None, map(shutil.which, NAMES)), None)
+    with playwright.sync_playwright() as tools:
+        try:
+            browser = tools.chromium.launch(executable_path=binary, args=ARGUMENTS)
+        except playwright.Error as error:
+            what = (
+                f"{binary} cannot be started" if binary else "no Chromium: playwright install chromium, or apt install"
+            )
+            pytest.skip(f"{what} ({str(error).splitlines()[0][:100]})")
+        yield browser
+        browser.close()

@@ -1,0 +1,295 @@
+"""What a page holds, before any browser: the form of cells and arrays, motions against single runs, what is refused."""
+
+import base64
+import json
+import re
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import vibrojax as vj
+from vibrojax.cli import main
+from vibrojax.explorer import Cell, cell_of, cells_of, decode, document_of, encode, module_text, page_text, write_page
+from vibrojax.explorer.cells import EVENTS, LEVELS, STUCK, Column
+from vibrojax.explorer.packed import DIGITS, packed
+from vibrojax.explorer.write import blocks_of
+from vibrojax.input.read import read_sweep
+
+COLUMNS = (Column("x1", "m", "position"), Column("v1", "m s-1", "velocity"))
+PLANE = {
+    "scene": "vibro-impact",
+    "starts": ["drive", "stuck"],
+    "grid": {"beta": [0.3, 0.4], "gamma": [0.35, 0.75], "delta": [0.005]},
+}
+
+
+@pytest.fixture(scope="module")
+def plane() -> xr.Dataset:
+    return vj.run_sweep(PLANE, progress=False)
+
+
+@pytest.fixture(scope="module")
+def cells(plane: xr.Dataset) -> list[Cell]:
+    return list(cells_of(plane, progress=False))
+
+
+def unpacked(one: dict) -> np.ndarray:
+    """What the page's `unpack` does, written anew."""
+    width = np.dtype(one["dtype"]).itemsize
+    planes = np.frombuffer(zlib.decompress(base64.b64decode(one["data"])), np.uint8).reshape(width, -1)
+    return np.ascontiguousarray(planes.T).view(f"<{one['dtype']}").reshape(one["shape"])
+
+
+# The forms.
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.lists(st.integers(0, 40), min_size=1, max_size=4))
+def test_cells_come_back_from_their_bytes(seed: int, sizes: list[int]) -> None:
+    random = np.random.default_rng(seed)
+    cells = []
+    for lane, size in enumerate(sizes):
+        states = {one.name: random.normal(size=size) * 10.0 ** random.integers(-6, 6) for one in COLUMNS}
+        time = np.sort(random.uniform(size=size))
+        flags = random.integers(0, 32, size).astype(np.uint8)
+        section = {"x1": random.normal(size=3), "v1": np.full(3, 7.5)}
+        numbers = {"regime": 3, "period": 0.25, "impact_velocity": None}
+        known = random.uniform(size=(2, 2)) if size % 2 else None
+        cells.append(Cell(lane, "motion", "a note", 5, 1.0, COLUMNS, time, states, flags, known, section, numbers))
+    for one, back in zip(cells, decode(encode(cells)), strict=True):
+        assert (back.lane, back.kind, back.note, back.returns) == (one.lane, one.kind, one.note, one.returns)
+        assert back.numbers == one.numbers
+        np.testing.assert_array_equal(back.flags, one.flags)
+        np.testing.assert_allclose(back.time, one.time, atol=0.51 / 16383)
+        for name, values in one.states.items():
+            step = np.ptp(values) / LEVELS if values.size else 0.0
+            np.testing.assert_allclose(back.states[name], values, atol=0.51 * step, rtol=1e-6)
+        np.testing.assert_allclose(back.section["v1"], 7.5)
+        if one.multipliers is not None and back.multipliers is not None:
+            np.testing.assert_allclose(back.multipliers, one.multipliers, rtol=1e-6)
+
+
+def test_a_block_of_nothing_and_a_cell_without_a_motion() -> None:
+    assert decode(encode([])) == []
+    [back] = decode(encode([Cell(7, "none", "refused: too stiff")]))
+    assert (back.lane, back.kind, back.note, len(back.time)) == (7, "none", "refused: too stiff", 0)
+
+
+def test_arrays_keep_five_digits_and_what_is_no_number() -> None:
+    values = np.array([[1.0, np.nan, -np.inf], [1.23456789e-8, 98765.4321, 0.0]])
+    back = unpacked(packed(values))
+    finite = np.isfinite(values)
+    np.testing.assert_allclose(back[finite], values[finite], rtol=2.0 ** -(DIGITS + 1))
+    np.testing.assert_array_equal(back[~finite], values[~finite].astype(np.float32))
+    for whole in (np.array([-1, 0, 7], np.int8), np.array([0, 70_000, -5])):
+        np.testing.assert_array_equal(unpacked(packed(whole)), whole)
+
+
+# Motions.
+
+
+def test_a_cell_is_the_motion_that_its_lane_settles_on(plane: xr.Dataset, cells: list[Cell]) -> None:
+    """Against single runs of the lanes: an orbit starts at its section, closes, and is where the run is."""
+    sweep = read_sweep(PLANE)
+    assert [cell.lane for cell in cells] == list(range(sweep.lanes))
+    orbits = 0
+    regimes = plane["regime"].transpose(*sweep.dims).values.ravel()
+    for lane, cell in enumerate(cells):
+        if cell.kind != "orbit":
+            continue
+        orbits += 1
+        values, start = sweep.lane_values(lane, lane + 1)
+        point = {name: float(values[name][0]) for name in ("beta", "gamma", "delta")}
+        run = vj.simulate("vibro-impact", **point, start=sweep.start_names[start[0]], duration=48.0, progress=False)
+        sections = run["event_time"].values[run["event_kind"].values == EVENTS.index("section")]
+        assert cell.duration == pytest.approx(sections[-1] - sections[-1 - cell.returns], rel=1e-4)
+        begin = min(sections[-1 - cell.returns : -1], key=lambda t: abs(_at(run, "x2", t) - cell.states["x2"][0]))
+        for name, values_ in cell.states.items():
+            swing = np.ptp(values_)
+            # A sample of the run every millisecond: at a blow a velocity turns between two of them.
+            where = np.full(len(cell.time), name.startswith("x")) | (cell.flags & 7 == 0)
+            apart = np.abs(_at(run, name, begin + cell.time - 1e-9) - values_)[where]
+            assert np.quantile(apart, 0.95) < 2e-3 * swing, (lane, name)
+            assert abs(values_[-1] - values_[0]) < 1e-3 * swing
+        impacts = int((cell.flags & 7 == EVENTS.index("impact")).sum())
+        assert impacts == float(plane["impacts"].transpose(*sweep.dims).values.ravel()[lane])
+        assert cell.multipliers is not None and cell.multipliers[0, 0] < 1.0
+    assert orbits >= 4
+    assert (regimes == 3).sum() >= 2
+
+
+def _at(run: xr.Dataset, name: str, times: np.ndarray) -> np.ndarray:
+    length = float(run["time"][-1])
+    return np.interp(np.minimum(times, length), run["time"].values, run[name].values)
+
+
+def test_what_sticks_goes_back_with_the_drive(cells: list[Cell]) -> None:
+    """Stuck to the rock, or just coming to that or leaving it, the bit has x1' = -v."""
+    events = {name: 0 for name in ("stick", "slip")}
+    for cell in cells:
+        at_rest = (cell.flags & STUCK) > 0
+        for name in events:
+            there = cell.flags & 7 == EVENTS.index(name)
+            events[name] += int(there.sum())
+            at_rest |= there
+        np.testing.assert_allclose(cell.states["v1"][at_rest], -1.5, atol=1e-6)
+    assert events["stick"] >= 1 and events["slip"] >= 4
+
+
+def test_a_trajectory_ends_as_its_lane_does(cells: list[Cell]) -> None:
+    sweep = read_sweep(PLANE)
+    lane = next(cell.lane for cell in cells if cell.kind == "orbit" and cell.returns == 1)
+    values, start = sweep.lane_values(lane, lane + 1)
+    point = {name: float(values[name][0]) for name in ("beta", "gamma", "delta")}
+    run = vj.simulate("vibro-impact", **point, start=sweep.start_names[start[0]], duration=48.0, progress=False)
+    cell, of_lane = cell_of(run), cells[lane]
+    assert (cell.kind, cell.returns) == ("orbit", 1)
+    assert cell.duration == pytest.approx(of_lane.duration, rel=1e-5)
+    for name in ("x1", "x2"):
+        ends = [(np.min(one.states[name]), np.max(one.states[name])) for one in (cell, of_lane)]
+        np.testing.assert_allclose(ends[0], ends[1], atol=3e-3 * np.ptp(ends[1]))
+    assert cell.numbers is not None and cell.numbers["regime"] == 3
+
+
+def test_lanes_that_were_refused_say_why() -> None:
+    grid = {"pulse_width": [4e-3, 3e-2], "frequency": [20.0, 50.0]}
+    ds = vj.run_sweep({"scene": "penetration", "grid": grid, "run": {"settle": 0.5, "observe": 0.5}}, progress=False)
+    cells = list(cells_of(ds, progress=False))
+    assert [cell.kind for cell in cells] == ["orbit", "orbit", "orbit", "none"]
+    assert cells[3].note.startswith("refused: pulse width not below 1/frequency")
+    assert cells[0].duration == pytest.approx(1 / 20.0)
+
+
+# Documents.
+
+
+def test_numbers_of_a_document_are_those_of_the_dataset(plane: xr.Dataset) -> None:
+    document = document_of(plane)
+    assert document["view"] == ["gamma", "beta"]
+    for variable in document["variables"]:
+        data = plane[variable["name"]].transpose(*variable["axes"])
+        back = unpacked(variable["data"])
+        if data.dtype.kind == "f":
+            np.testing.assert_allclose(back, data.values, rtol=1e-5)
+        else:
+            np.testing.assert_array_equal(back, data.values)
+    lanes = unpacked(document["lanes"])
+    assert sorted(lanes.ravel().tolist()) == list(range(8))
+    json.dumps(document, allow_nan=False)
+
+
+def test_colours_are_those_of_the_picture(plane: xr.Dataset) -> None:
+    from matplotlib.colors import to_hex
+
+    from vibrojax.plot._colours import REGIME_COLOURS, value_of
+
+    variables = {one["name"]: one for one in document_of(plane)["variables"]}
+    assert variables["regime"]["colours"]["3"] == REGIME_COLOURS[3]
+    value, one = value_of(plane["impact_velocity"]), variables["impact_velocity"]
+    map_ = document_of(plane)["maps"][one["map"]]
+    for x in plane["impact_velocity"].values.ravel()[:4]:
+        share = (x * one["factor"] - one["low"]) / (one["high"] - one["low"])
+        shown = map_[max(0, min(255, int(share * 256)))]
+        assert shown == to_hex(value.colour_map(value.norm(x * value.factor)))
+
+
+def test_a_plane_of_starts_has_its_lanes_where_they_belong() -> None:
+    starts = {"plane": {"x2": {"start": -0.05, "stop": 0.05, "num": 3}, "v2": [-1.0, 1.0]}, "at": {"v1": -1.5}}
+    given = {"scene": "vibro-impact", "starts": starts, "run": {"settle": 1.0, "observe": 1.0}}
+    ds = vj.run_sweep(given, progress=False)
+    document = document_of(ds)
+    assert document["lanes"]["axes"] == ["start_x2", "start_v2"]
+    lanes, x2 = unpacked(document["lanes"]), document["axes"][0]["values"]
+    for i, j in np.ndindex(lanes.shape):
+        assert x2[i] == pytest.approx(float(ds["start_x2"][lanes[i, j]]))
+        assert document["axes"][1]["values"][j] == pytest.approx(float(ds["start_v2"][lanes[i, j]]))
+
+
+def test_families_open_with_their_branches_and_orbits() -> None:
+    fam = vj.follow("vibro-impact", along="gamma", at=0.75, span=(0.74, 0.76), start="stuck", beta=0.4, progress=False)
+    document, cells = document_of(fam), list(cells_of(fam))
+    assert document["kind"] == "family"
+    assert {tuple(run["points"]) for run in document["family"]["runs"]} == {tuple(range(fam.sizes["point"]))}
+    assert len(cells) == fam.sizes["point"]
+    for k, cell in enumerate(cells):
+        assert cell.lane == k and cell.kind == "orbit"
+        assert cell.duration == pytest.approx(float(fam["period"][k]), rel=1e-6)
+        closes = abs(cell.states["x2"][-1] - cell.states["x2"][0])
+        assert closes < 1e-6 * np.ptp(cell.states["x2"])
+
+
+# The page.
+
+
+def test_the_page_of_the_default_map_is_under_ten_megabytes() -> None:
+    """By every 36th of its lanes: those of a coarser grid over the same plane."""
+    grid = {
+        "beta": {"start": 0.1, "stop": 1.2, "num": 8},
+        "gamma": {"start": 0.3, "stop": 1.2, "num": 8},
+        "delta": [-0.005, 0.005],
+    }
+    ds = vj.run_sweep({**PLANE, "grid": grid}, progress=False)
+    blocks = blocks_of(cells_of(ds, progress=False))
+    document = document_of(ds)
+    text = page_text(document, blocks)
+    each = (sum(map(len, blocks)) + sum(len(one["data"]["data"]) for one in document["variables"])) / ds["regime"].size
+    assert 8280 * each + len(text) < 10e6
+    assert each > 300  # there is something in it
+
+
+def test_a_page_loads_nothing_and_nothing_ends_its_script(plane: xr.Dataset, tmp_path: Path) -> None:
+    path = write_page(
+        plane.assign_attrs(title="</script><script>alert(1)</script>"), tmp_path / "page.html", None, False
+    )
+    text = path.read_text(encoding="utf-8")
+    assert "@" not in re.sub(r"@(media|supports|container)", "", text.split("<body>")[0])
+    assert text.count("</script>") == 3 and "alert(1)</script>" not in text
+    assert not re.findall(r"""(?:src|href)\s*=\s*["'](?!data:)""", text)
+    assert not re.findall(r"\b(?:fetch|XMLHttpRequest|WebSocket|EventSource|sendBeacon|import)\s*\(", text)
+    assert not re.findall(r"url\((?!data:)", text)
+
+
+def test_the_module_is_one_text_that_imports_nothing() -> None:
+    text = module_text(exported=True)
+    assert "import " not in re.sub(r"//.*|/\*.*?\*/", "", text, flags=re.DOTALL).replace("important", "")
+    assert text.rstrip().endswith("export { mount, decodeCells, embeddedSource };")
+    assert text.count("\nexport ") == 1
+
+
+# What is refused.
+
+
+def _said(capsys: pytest.CaptureFixture[str], *words: str) -> str:
+    assert main(["explore", *words]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    return said
+
+
+def test_what_cannot_be_shown_is_refused_in_one_line(
+    plane: xr.Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    sweep, study, nothing = (str(tmp_path / f"{name}.nc") for name in ("sweep", "study", "nothing"))
+    vj.write_dataset(plane, sweep)
+    about = {"source": "vibrojax 0"}
+    vj.write_dataset(xr.Dataset({"error_worst": ("setting", [1.0])}, attrs=about), study)
+    vj.write_dataset(xr.Dataset(attrs=about), nothing)
+    assert "no such file" in _said(capsys, str(tmp_path / "none.nc"))
+    assert "does not end in .html" in _said(capsys, sweep, "-o", str(tmp_path / "page.txt"))
+    assert "holds no borders" in _said(capsys, sweep, "--over", sweep)
+    assert f"{study}: explore: holds speed against error" in _said(capsys, study)
+    assert "nothing over axes" in _said(capsys, nothing)
+    assert not list(tmp_path.glob("*.html"))
+
+
+def test_a_dataset_whose_sweep_is_not_known_opens_without_motions(plane: xr.Dataset) -> None:
+    alone = plane.copy()
+    del alone.attrs["sweep"]
+    document = document_of(alone)
+    assert document["lanes"] is None and "no motions" in document["without"]
+    assert list(cells_of(alone)) == []

@@ -1,0 +1,302 @@
+"""The page in a browser: what it says against the dataset, by pointer, by keyboard and by link, without any request."""
+
+import base64
+import re
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+from browser import chromium
+
+import vibrojax as vj
+from vibrojax.explorer import decode, document_of, page_text, write_page
+
+# Short lanes serve for what a page says; the motions of the others are those that lanes settle on.
+MANY = {
+    "scene": "vibro-impact",
+    "starts": ["drive", "stuck"],
+    "grid": {
+        "beta": {"start": 0.2, "stop": 0.8, "num": 17},
+        "gamma": {"start": 0.4, "stop": 1.0, "num": 16},
+        "delta": [-0.005, 0.005],
+    },
+    "run": {"settle": 2.0, "observe": 3.0},
+}
+FEW = {
+    "scene": "vibro-impact",
+    "starts": ["drive", "stuck"],
+    "grid": {"beta": [0.3, 0.4, 0.5], "gamma": [0.6, 0.7, 0.8]},
+}
+
+
+@pytest.fixture(scope="module")
+def many() -> xr.Dataset:
+    return vj.run_sweep(MANY, progress=False)
+
+
+@pytest.fixture(scope="module")
+def files(many: xr.Dataset, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    folder = tmp_path_factory.mktemp("pages")
+    (folder / "many.html").write_text(page_text(document_of(many)), encoding="utf-8")
+    write_page(vj.run_sweep(FEW, progress=False), folder / "few.html", progress=False)
+    return {name: folder / f"{name}.html" for name in ("many", "few")}
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with chromium() as one:
+        yield one
+
+
+class Opened:
+    """A page that is open: `heard` has what its console said, `asked` what it requested."""
+
+    def __init__(self, browser: Any, path: Path, fragment: str = "", width: int = 1280, scheme: str = "light") -> None:
+        self.context = browser.new_context(viewport={"width": width, "height": 900}, color_scheme=scheme)
+        self.page = self.context.new_page()
+        self.heard: list[str] = []
+        self.asked: list[str] = []
+        self.page.on("console", lambda message: self.heard.append(message.text))
+        self.page.on("pageerror", lambda error: self.heard.append(str(error)))
+        self.page.on("request", lambda request: self.asked.append(request.url))
+        self.page.goto(path.as_uri() + fragment)
+        self.page.wait_for_selector("[data-ready]")
+
+    def __enter__(self) -> "Opened":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.context.close()
+
+    def evaluate(self, script: str, *given: object) -> Any:
+        return self.page.evaluate(script, *given)
+
+    @property
+    def cell(self) -> dict[str, int]:
+        return self.evaluate("vibrojax.cell")
+
+    def settled(self) -> None:
+        """Wait until what was picked last is shown."""
+        self.page.wait_for_function("Number(document.querySelector('[data-ready]').dataset.ready) === vibrojax.asked")
+
+
+def test_no_request_and_nothing_on_the_console(browser: Any, files: dict[str, Path]) -> None:
+    for scheme in ("light", "dark"):
+        with Opened(browser, files["few"], scheme=scheme) as opened:
+            for key in ("ArrowRight", "ArrowUp", "End", "Home"):
+                opened.page.locator(".vx-over").press(key)
+                opened.settled()
+            for name in ("impact_velocity", "stable", "cycles"):
+                if opened.evaluate("name => vibrojax.grid.variables.has(name)", name):
+                    opened.page.get_by_label("Variable").select_option(name)
+            assert opened.asked == [files["few"].as_uri()]
+            assert opened.heard == []
+
+
+def test_numbers_of_a_thousand_cells_are_those_of_the_dataset(
+    browser: Any, files: dict[str, Path], many: xr.Dataset
+) -> None:
+    random = np.random.default_rng(0)
+    dims = ("beta", "gamma", "delta", "start")
+    picked = [{name: int(random.integers(many.sizes[name])) for name in dims} for _ in range(1000)]
+    rows = """cells => cells.map(cell => {
+        vibrojax.cell = cell;
+        return [...vibrojax.numbers(null).querySelectorAll("td")].map(td => [td.dataset.name, td.textContent]);
+    })"""
+    with Opened(browser, files["many"]) as opened:
+        shown = opened.evaluate(rows, picked)
+        factors = opened.evaluate(
+            "Object.fromEntries([...vibrojax.grid.variables].map(([name, v]) => [name, v.factor]))"
+        )
+    compared = 0
+    for cell, numbers in zip(picked, shown, strict=True):
+        assert len(numbers) > 20
+        for name, text in numbers:
+            data = many[name].isel({dim: cell[dim] for dim in many[name].dims})
+            value = data.values.item()
+            if "flag_meanings" in data.attrs:
+                meanings = dict(zip(data.attrs["flag_values"], data.attrs["flag_meanings"].split(), strict=True))
+                assert text.replace("\u2011", "-") == meanings[value], (name, cell)
+            elif not np.isfinite(value):
+                assert text in ("no value", "∞") or text.startswith("∞"), (name, text)
+            else:
+                number = float(re.split(r"[\s\u202f]", text.replace("\u2212", "-"))[0])
+                assert number == pytest.approx(value * factors[name], rel=5e-4, abs=1e-300), (name, cell)
+                compared += 1
+    assert compared > 10_000
+
+
+def test_a_click_picks_the_cell_under_it_and_hovering_says_its_value(
+    browser: Any, files: dict[str, Path], many: xr.Dataset
+) -> None:
+    with Opened(browser, files["many"], "#variable=impact_velocity&at.delta=0.005&at.start=1") as opened:
+        frame = "({left: vibrojax.view.frame.box.left, top: vibrojax.view.frame.box.top})"
+        corner = opened.evaluate(frame)
+        size = opened.evaluate("(b => [b.right - b.left, b.bottom - b.top])(vibrojax.view.frame.box)")
+        place = {"x": corner["left"] + size[0] * 4.5 / 16, "y": corner["top"] + size[1] * (1 - 11.5 / 17)}
+        over = opened.page.locator(".vx-over")
+        over.hover(position=place)
+        tip = opened.page.locator(".vx-tip").inner_text()
+        value = float(many["impact_velocity"].isel(beta=11, gamma=4, delta=1, start=1))
+        assert f"{value:.4g}" in tip and "m/s" in tip and "γ = 0.56" in tip
+        over.click(position=place)
+        assert opened.cell == {"beta": 11, "gamma": 4, "delta": 1, "start": 1}
+        assert "γ = 0.56" in opened.page.locator("h2").inner_text()
+        figure = opened.page.locator("[data-slice='1']")
+        figure.click(position={"x": figure.bounding_box()["width"] - 14, "y": 40})
+        assert opened.cell["beta"] == 16
+
+
+def test_everything_by_keyboard(browser: Any, files: dict[str, Path]) -> None:
+    with Opened(browser, files["few"]) as opened:
+        page = opened.page
+        page.evaluate("document.activeElement.blur()")
+        reached: dict[str, int] = {}
+        for tab in range(30):
+            page.keyboard.press("Tab")
+            name = page.evaluate(
+                "(e => e.dataset.control || e.className.split(' ')[0] || e.tagName)(document.activeElement)"
+            )
+            reached.setdefault(name, tab)
+            assert page.evaluate("getComputedStyle(document.activeElement).outlineStyle") != "none" or name == "BODY"
+        controls = {"vx-theme", "variable", "x", "y", "at-start", "region", "vx-over", "returns", "vx-copy", "SUMMARY"}
+        assert controls <= set(reached), reached
+        page.locator(".vx-over").focus()
+        opened.evaluate("vibrojax.pick({beta: 0, gamma: 0, start: 0})")
+        for key, cell in (
+            ("ArrowRight", {"beta": 0, "gamma": 1, "start": 0}),
+            ("ArrowUp", {"beta": 1, "gamma": 1, "start": 0}),
+            ("Shift+ArrowRight", {"beta": 1, "gamma": 2, "start": 0}),
+            ("Home", {"beta": 1, "gamma": 0, "start": 0}),
+            ("PageUp", {"beta": 2, "gamma": 0, "start": 0}),
+            ("ArrowDown", {"beta": 1, "gamma": 0, "start": 0}),
+            ("ArrowLeft", {"beta": 1, "gamma": 0, "start": 0}),
+        ):
+            page.keyboard.press(key)
+            assert opened.cell == cell, key
+        opened.settled()
+        live = page.locator("[aria-live]").inner_text()
+        assert "β = 0.4" in live and "γ = 0.6" in live and "regime" in live
+        page.locator("[data-control='at-start']").focus()
+        page.keyboard.press("ArrowDown")
+        assert opened.cell["start"] == 1
+        page.locator("[data-control='variable']").focus()
+        page.keyboard.type("peri")
+        assert opened.evaluate("vibrojax.shown.variable") == "period"
+        page.locator(".vx-theme").focus()
+        page.keyboard.press("Enter")
+        assert page.locator("#vibrojax").get_attribute("data-scheme") == "dark"
+        page.locator(".vx-copy").first.focus()
+        page.keyboard.press("Enter")
+        page.wait_for_function("document.querySelector('.vx-copy').textContent === 'copied'")
+        page.locator("summary").focus()
+        page.keyboard.press("Enter")
+        assert not page.locator("details").evaluate("e => e.open")
+        assert opened.heard == []
+
+
+def test_every_picture_has_words(browser: Any, files: dict[str, Path]) -> None:
+    with Opened(browser, files["few"]) as opened:
+        pictures = opened.page.locator("canvas[role='img']")
+        texts = [pictures.nth(k).get_attribute("aria-label") for k in range(pictures.count())]
+        assert len(texts) >= 9 and all(texts)
+        assert any("repeats after" in str(text) and "impact" in str(text) for text in texts)
+        labels = opened.evaluate(
+            "[...document.querySelectorAll('select, input')].every(e => e.labels.length || e.ariaLabel)"
+        )
+        assert labels
+
+
+def test_a_link_restores_what_is_chosen(browser: Any, files: dict[str, Path]) -> None:
+    with Opened(browser, files["few"]) as opened:
+        opened.page.get_by_label("Variable").select_option("impact_velocity")
+        opened.page.locator("[data-control='x']").select_option("beta")
+        opened.page.locator(".vx-over").press("ArrowRight")
+        opened.page.locator("[data-control='at-start']").select_option("1")
+        opened.page.get_by_label("source's region").uncheck()
+        opened.page.locator(".vx-theme").click()
+        opened.settled()
+        before = opened.evaluate("[vibrojax.cell, vibrojax.shown, vibrojax.state]")
+        link = opened.evaluate("location.hash")
+    with Opened(browser, files["few"], link) as again:
+        assert again.evaluate("[vibrojax.cell, vibrojax.shown, vibrojax.state]") == before
+        assert again.page.locator("#vibrojax").get_attribute("data-scheme") == "dark"
+        # A link to another cell that is opened in the same window.
+        again.evaluate("location.hash = '#variable=regime&at.beta=0.5&at.gamma=0.8&at.start=0'")
+        again.page.wait_for_function("vibrojax.shown.variable === 'regime' && vibrojax.cell.beta === 2")
+        assert again.cell == {"beta": 2, "gamma": 2, "start": 0}
+
+
+def test_the_command_of_a_cell_simulates_it(browser: Any, files: dict[str, Path]) -> None:
+    with Opened(browser, files["few"], "#at.beta=0.4&at.gamma=0.7&at.start=1") as opened:
+        calls = opened.evaluate("vibrojax.calls()")
+        period = opened.evaluate("vibrojax.grid.value('period', vibrojax.cell)")
+    assert calls["command"] == "vibrojax simulate vibro-impact beta=0.4 gamma=0.7 start=stuck duration=48"
+    call = calls["python"].replace(")", ", progress=False)")
+    motion = eval(call, {"vj": vj})  # what the page gives to copy, as it stands
+    assert float(motion["period"]) == pytest.approx(period, rel=1e-4)
+
+
+def test_it_reads_at_390_pixels(browser: Any, files: dict[str, Path]) -> None:
+    with Opened(browser, files["few"], width=390) as opened:
+        assert opened.evaluate("document.scrollingElement.scrollWidth") <= 390
+        order = opened.evaluate(
+            "['.vx-left', '.vx-side', '.vx-table'].map(s => document.querySelector(s).getBoundingClientRect().top)"
+        )
+        assert order == sorted(order)
+
+
+def test_cells_that_a_page_shows_are_those_that_were_written(browser: Any, files: dict[str, Path]) -> None:
+    """The page's decoder against Python's."""
+    text = files["few"].read_text(encoding="utf-8")
+    found = re.search(r'id="vibrojax-cells">(.*?)</script>', text, re.DOTALL)
+    assert found
+    cells = decode(zlib.decompress(base64.b64decode(found[1].strip().split("\n")[0])))
+    read = """lane => vibrojax.source.cell(lane).then(one => ({...one, time: [...one.time], flags: [...one.flags],
+        states: Object.fromEntries(Object.entries(one.states).map(([name, x]) => [name, [...x]]))}))"""
+    with Opened(browser, files["few"]) as opened:
+        for cell in cells[::5]:
+            shown = opened.evaluate(read, cell.lane)
+            np.testing.assert_allclose(shown["time"], cell.time, rtol=1e-12)
+            np.testing.assert_array_equal(shown["flags"], cell.flags)
+            for name, values in cell.states.items():
+                np.testing.assert_allclose(shown["states"][name], values, rtol=1e-9, atol=1e-15)
+
+
+def test_it_works_in_firefox(files: dict[str, Path]) -> None:
+    pytest.importorskip("tornado", reason='tornado is missing, which distributed brings: pip install ".[test]"')
+    from firefox import binary, in_firefox
+
+    if binary() is None:
+        pytest.skip("no Firefox is installed: apt install firefox-esr, or firefox")
+
+    async def work(firefox: Any) -> None:
+        await firefox.open(files["few"].as_uri() + "#variable=impact_velocity&at.beta=0.3&at.gamma=0.6&at.start=1")
+        assert await firefox.evaluate("vibrojax.cell") == {"beta": 0, "gamma": 0, "start": 1}
+        assert await firefox.evaluate("vibrojax.shown.variable") == "impact_velocity"
+        await firefox.evaluate("document.querySelector('.vx-over').focus()")
+        await firefox.press("\ue014", "\ue013")  # right, up
+        assert await firefox.evaluate("vibrojax.cell") == {"beta": 1, "gamma": 1, "start": 1}
+        place = """(() => {
+            const box = document.querySelector('.vx-over').getBoundingClientRect(), { left, top, right, bottom } =
+                vibrojax.view.frame.box;
+            return [box.left + left + 0.9 * (right - left), box.top + top + 0.1 * (bottom - top)];
+        })()"""
+        await firefox.click(*await firefox.evaluate(place))
+        assert await firefox.evaluate("vibrojax.cell") == {"beta": 2, "gamma": 2, "start": 1}
+        shown = await firefox.evaluate("[...document.querySelectorAll('.vx-panel canvas')].map(one => one.ariaLabel)")
+        assert len(shown) >= 6 and all(shown)
+        await firefox.open(files["few"].as_uri(), width=500)  # Firefox's windows are no narrower
+        assert await firefox.evaluate("document.scrollingElement.scrollWidth <= innerWidth")
+        # It reads its own pictures for open details as data, besides the page's empty icon.
+        assert {address for address in firefox.asked if not address.startswith("data:")} <= {
+            files["few"].as_uri(),
+            files["few"].as_uri() + "#variable=impact_velocity&at.beta=0.3&at.gamma=0.6&at.start=1",
+        }
+        assert firefox.heard == []
+
+    in_firefox(work)

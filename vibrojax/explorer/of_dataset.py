@@ -1,0 +1,91 @@
+"""What a page holds of a dataset, by what the dataset is: its document, and its cells."""
+
+from collections.abc import Iterator
+
+import xarray as xr
+
+from vibrojax.errors import InputError, shown
+from vibrojax.explorer.cells import Cell
+from vibrojax.explorer.document import Document, curves_document, grid_document
+from vibrojax.explorer.families import family_cells, family_document
+from vibrojax.explorer.motions import motions
+from vibrojax.explorer.single import motion_document
+from vibrojax.explorer.trajectory import cell_of
+from vibrojax.families.stretches import is_families
+from vibrojax.found_orbits import sweep_of_dataset
+from vibrojax.input.definition import Sweep
+from vibrojax.plot._contents import contents, is_borders
+from vibrojax.sweep import run_sweep
+
+MOST_MOTIONS = 40_000
+"""Lanes above which a page holds no motions: it would be larger than a browser likes."""
+
+
+def explored(
+    ds: xr.Dataset, over: xr.Dataset | None = None, progress: bool = True
+) -> tuple[xr.Dataset, xr.Dataset | None]:
+    """The dataset that is shown, and what lies over it: of borders the sweep that they are of, which is run again."""
+    if not isinstance(ds, xr.Dataset):
+        raise InputError(f"{shown(ds)} is no dataset; open it first: vj.open_dataset(PATH)")
+    if over is None and is_borders(ds):
+        return run_sweep(sweep_of_dataset(ds, orbits=False), progress=progress), ds
+    return ds, over
+
+
+def document_of(ds: xr.Dataset, over: xr.Dataset | None = None, own: Sweep | None = None) -> Document:
+    """What the page knows of a dataset, as JSON values; see `vibrojax.explorer`.
+
+    **Arguments:** `over`: borders over its map; `own`: the sweep that it is of, where no file names what is in that.
+
+    **Raises:** `InputError` where there is nothing to show, or `over` does not belong there.
+    """
+    held = contents(ds)
+    if held.study:
+        raise InputError("explore: holds speed against error, over no axes; vibrojax plot draws it")
+    if held.families or held.run:
+        if over is not None:
+            raise InputError("over: borders are laid over the map of a sweep, and the dataset is of no sweep")
+        return family_document(ds) if held.families else motion_document(ds)
+    sweep, why = _sweep(ds, own)
+    document = grid_document(ds, sweep)
+    if not document:
+        raise InputError("explore: holds nothing over axes that a page could show")
+    if over is not None:
+        if not is_borders(over):
+            raise InputError("over: holds no borders, as vibrojax borders gives them")
+        document["curves"] = curves_document(ds, over)
+    if sweep is not None and sweep.lanes > MOST_MOTIONS:
+        why = f"no motions are kept of over {MOST_MOTIONS} lanes"
+    return document | {"without": why}
+
+
+def cells_of(ds: xr.Dataset, progress: bool = True, own: Sweep | None = None) -> Iterator[Cell]:
+    """The motions of a dataset's lanes, or points, in the order of their numbers; none where there are none.
+
+    `own`: the sweep that it is of, where no file names what is in that.
+    """
+    if is_families(ds):
+        yield from family_cells(ds)
+    elif contents(ds).run:
+        yield cell_of(ds, 0)
+    else:
+        sweep, _ = _sweep(ds, own)
+        if sweep is not None and sweep.lanes <= MOST_MOTIONS:
+            yield from motions(sweep, progress)
+
+
+def _sweep(ds: xr.Dataset, own: Sweep | None) -> tuple[Sweep | None, str]:
+    """The sweep that the dataset's lanes are of; none, and why, where no file names it."""
+    if own is not None:
+        sizes = {name: size for name, size in zip(own.dims, own.shape, strict=True)}
+        if any(ds.sizes.get(name) != size for name, size in sizes.items()):
+            raise InputError(
+                f"sweep: its lanes are {sizes}, and the dataset's {dict(ds.sizes)}; give the one that it is of"
+            )
+        return own, ""
+    if "sweep" not in ds.attrs:
+        return None, "the dataset is of no sweep, so that it has no motions"
+    try:
+        return sweep_of_dataset(ds, orbits=False), ""
+    except InputError as error:
+        return None, f"its motions cannot be computed: {str(error).removeprefix('orbits: ')}"

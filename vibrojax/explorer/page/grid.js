@@ -1,0 +1,128 @@
+// The data of a page: axes, variables, which cell is chosen, and what a value looks like.
+import { unpack } from "./decode.js";
+import { numberText } from "./plots.js";
+
+/** What is known of a dataset, by the document of vibrojax.explorer. */
+export class Grid {
+  constructor(data) {
+    this.data = data;
+    this.axes = new Map(data.axes.map((axis) => [axis.name, axis]));
+    this.variables = new Map(data.variables.map((one) => [one.name, one]));
+    this.values = new Map();
+    this.lanes = null;
+  }
+
+  /** Read what the first map needs; the other variables come when they are asked for. */
+  async load(name) {
+    if (!this.values.has(name)) this.values.set(name, await unpack(this.variables.get(name).data));
+    if (this.data.lanes && !this.lanes) this.lanes = await unpack(this.data.lanes);
+  }
+
+  async loadAll() {
+    await Promise.all([...this.variables.keys()].map((name) => this.load(name)));
+  }
+
+  /** The place of a cell {axis: index} in an array over `axes`. */
+  place(axes, cell) {
+    let flat = 0;
+    for (const name of axes) flat = flat * this.axes.get(name).values.length + (cell[name] ?? 0);
+    return flat;
+  }
+
+  value(name, cell) {
+    const values = this.values.get(name);
+    return values ? values[this.place(this.variables.get(name).axes, cell)] : undefined;
+  }
+
+  lane(cell) {
+    return this.lanes ? this.lanes[this.place(this.data.lanes.axes, cell)] : -1;
+  }
+
+  /** What may run to the right or up: numeric axes, and columns along one that is a list, as "axis:column". */
+  directions() {
+    const found = [];
+    for (const axis of this.data.axes) {
+      if (axis.columns.length === 0 || !axis.columns.some((one) => one.numeric)) {
+        if (axis.values.length > 1) found.push({ id: axis.name, axis, column: axis });
+      } else
+        for (const column of axis.columns)
+          if (column.numeric && !column.silent && new Set(column.values).size > 1) found.push({ id: `${axis.name}:${column.name}`, axis, column });
+    }
+    return found;
+  }
+
+  /** Whether two directions make a map: two axes, or two columns along one. */
+  static together(one, other) {
+    return one.id !== other.id && (one.column !== one.axis) === (other.column !== other.axis) &&
+      (one.column === one.axis || one.axis === other.axis);
+  }
+
+  /** The axes of a variable that a view over `x` and `y` does not run along. */
+  facets(name, x, y) {
+    const along = new Set([x?.axis.name, y?.axis.name]);
+    return this.variables.get(name).axes.filter((axis) => !along.has(axis) && this.axes.get(axis).values.length > 1)
+      .concat((this.data.lanes?.axes ?? []).filter((axis) =>
+        !along.has(axis) && !this.variables.get(name).axes.includes(axis) && this.axes.get(axis).values.length > 1));
+  }
+
+  /** The value of an axis (or a column along it) in words, with its unit. */
+  coordinateText(column, index, digits = 5) {
+    const value = column.values[index];
+    if (!column.numeric) return `${column.name} ${value}`;
+    const unit = column.units ? ` ${column.units}` : "";
+    return `${column.symbol} = ${numberText(value * column.factor, digits)}${unit}`;
+  }
+
+  /** Where a cell is, in words. */
+  cellText(cell) {
+    const parts = [];
+    for (const axis of this.data.axes) {
+      if (!(axis.name in cell)) continue;
+      const columns = axis.columns.filter((one) => !one.silent && (new Set(one.values).size > 1 || !one.numeric));
+      if (columns.length) for (const column of columns) parts.push(this.coordinateText(column, cell[axis.name]));
+      else parts.push(this.coordinateText(axis, cell[axis.name]));
+    }
+    return parts.join(", ");
+  }
+
+  /** A variable's value in words, with its unit. */
+  valueText(variable, value, digits = 4) {
+    if (value === undefined) return "…";
+    if (variable.flags) return (variable.flags[String(value)] ?? `${value}`).replaceAll("-", "‑");
+    if (Number.isNaN(value)) return "no value";
+    const number = variable.whole ? String(value) : numberText(value * variable.factor, digits);
+    return variable.units ? `${number} ${variable.units}` : number;
+  }
+
+  /** The colour of a value, as in the pictures. */
+  colour(variable, value, undefinedColour) {
+    if (variable.flags) return variable.colours[String(value)] ?? undefinedColour;
+    if (Number.isNaN(value) || value === undefined) return undefinedColour;
+    if (variable.nothing_at_zero && value === 0) return "#FFFFFF";
+    const shown = value * variable.factor, { low, high } = variable;
+    const share = variable.log ? Math.log(shown / low) / Math.log(high / low) : (shown - low) / (high - low);
+    const map = this.data.maps[variable.map];
+    return map[Math.max(0, Math.min(map.length - 1, Math.floor(share * map.length)))];
+  }
+}
+
+/** The ends of the cells around values: half-way, in the logarithm for geometric ones. */
+export function edgesOf(axis) {
+  const n = axis.values.length;
+  const values = axis.numeric ? axis.values.map((v) => v * axis.factor) : axis.values.map((_, k) => k);
+  if (n === 1) { const half = Math.abs(values[0]) * 0.1 || 0.5; return { values, edges: [values[0] - half, values[0] + half] }; }
+  const map = axis.log ? Math.log : (x) => x, back = axis.log ? Math.exp : (x) => x, at = values.map(map);
+  const edges = [at[0] - (at[1] - at[0]) / 2];
+  for (let k = 0; k + 1 < n; k++) edges.push((at[k] + at[k + 1]) / 2);
+  edges.push(at[n - 1] + (at[n - 1] - at[n - 2]) / 2);
+  return { values, edges: edges.map(back) };
+}
+
+/** What stands along a direction. */
+export function labelOf(column) {
+  let words = column.label.replace(/\s*\([^)]*\)/g, "");
+  if (words.length > 44) words = words.split(",")[0];
+  if (words.length > 44) words = column.name.replaceAll("_", " ");
+  const symbol = column.symbol && column.symbol !== column.name && column.symbol !== words ? `, ${column.symbol}` : "";
+  return `${words}${symbol}${column.units ? ` [${column.units}]` : ""}`;
+}

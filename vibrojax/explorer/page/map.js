@@ -1,0 +1,243 @@
+// The map: cells over two axes, dots over two columns of a list, or a curve along one axis; and what lies over it.
+import { edgesOf, labelOf } from "./grid.js";
+import { framed, inkOf, limitsOf, line, mark, numberText, prepared } from "./plots.js";
+
+export const DASHES = {
+  fold: [], "period-doubling": [], torus: [8, 2], grazing: [6, 2, 2, 2], stick: [], section: [2, 2], end: [1, 2],
+  basin: [5, 4], "not-settled": [2, 2],
+};
+
+/** The map's view: draws, says which cell is at a place, and where a cell is. */
+export class MapView {
+  constructor(canvas, overlay, grid) {
+    this.canvas = canvas;
+    this.overlay = overlay;
+    this.grid = grid;
+    this.frame = null;
+  }
+
+  /** Draw a view; where only the chosen cell differs from what is there, no more than what lies over the map. */
+  draw(view, anew = true) {
+    this.view = view;
+    const { x, y, variable } = view, ink = inkOf(this.canvas);
+    if (!anew) { this.drawOver(); return; }
+    this.ink = ink;
+    if (!x) { this.frame = null; prepared(this.canvas); return; }
+    if (!y) this.frame = this.drawCurve(x, variable, ink);
+    else if (x.column === x.axis) this.frame = this.drawCells(x, y, variable, ink);
+    else this.frame = this.drawDots(x, y, variable, ink);
+    this.drawOver();
+  }
+
+  /** The cell with other indices along some axes. */
+  cellAt(changes) {
+    return { ...this.view.cell, ...changes };
+  }
+
+  axisOf(direction) {
+    const { edges, values } = edgesOf(direction.column);
+    const low = Math.min(edges[0], edges.at(-1)), high = Math.max(edges[0], edges.at(-1));
+    const named = direction.column.numeric ? undefined : direction.column.values.map((text, k) => [k, text]);
+    return { limits: [low, high], label: labelOf(direction.column), log: direction.column.log, edges, values, ticks: named };
+  }
+
+  drawCells(x, y, variable, ink) {
+    const across = this.axisOf(x), up = this.axisOf(y), grid = this.grid;
+    const hidden = variable.name === "regime" && grid.variables.get("hidden_motion");
+    return framed(this.canvas, ink, across, up, (c, sx, sy) => {
+      for (let i = 0; i < across.values.length; i++) {
+        const x0 = Math.floor(sx(across.edges[i])), x1 = Math.floor(sx(across.edges[i + 1]));
+        for (let j = 0; j < up.values.length; j++) {
+          const cell = this.cellAt({ [x.axis.name]: i, [y.axis.name]: j });
+          const y0 = Math.floor(sy(up.edges[j])), y1 = Math.floor(sy(up.edges[j + 1]));
+          c.fillStyle = grid.colour(variable, grid.value(variable.name, cell), ink.undefined);
+          c.fillRect(Math.min(x0, x1), Math.min(y0, y1), Math.abs(x1 - x0), Math.abs(y1 - y0));
+          if (hidden && grid.value("hidden_motion", cell) === 1 && Math.abs(x1 - x0) > 4)
+            mark(c, "circle", (x0 + x1) / 2, (y0 + y1) / 2, Math.min(1.8, Math.abs(x1 - x0) / 5), "#222222", "#FFFFFF");
+        }
+      }
+      this.drawRegion(c, sx, sy, x, y, ink);
+      this.drawCurves(c, sx, sy, x, y);
+    }, { grid: false });
+  }
+
+  drawRegion(c, sx, sy, x, y, ink) {
+    const ends = this.grid.data.region;
+    if (!this.view.region || !ends || !(x.axis.name in ends) || !(y.axis.name in ends)) return;
+    const [left, right] = ends[x.axis.name].map((v) => sx(v * x.column.factor));
+    const [low, high] = ends[y.axis.name].map((v) => sy(v * y.column.factor));
+    for (const [colour, width] of [["#FFFFFF", 3.5], ["#222222", 1.5]]) {
+      c.strokeStyle = colour;
+      c.lineWidth = width;
+      c.strokeRect(left, high, right - left, low - high);
+    }
+  }
+
+  drawCurves(c, sx, sy, x, y) {
+    if (!this.view.borders || !this.grid.data.curves) return;
+    const { curves } = this.grid.data;
+    for (const curve of curves.list) {
+      if (!(x.axis.name in curve.points) || !(y.axis.name in curve.points) || !this.onPlane(curve)) continue;
+      const xs = curve.points[x.axis.name].map((v) => v * x.column.factor), ys = curve.points[y.axis.name].map((v) => v * y.column.factor);
+      line(c, xs, ys, sx, sy, "#FFFFFF", 3.6);
+      line(c, xs, ys, sx, sy, curves.colours[curve.kind], 1.8, DASHES[curve.kind] ?? []);
+    }
+  }
+
+  /** Whether a curve is of the plane and the start that are shown. */
+  onPlane(curve) {
+    const { cell } = this.view, any = this.view.borders === "any";
+    return Object.entries(curve.at).every(([name, value]) => {
+      const axis = this.grid.axes.get(name);
+      if (name === "start") return any || !axis ? value === "any" : axis.values[cell.start ?? 0] === value;
+      if (!axis) return true;
+      const here = axis.values[cell[name] ?? 0];
+      return axis.numeric ? Math.abs(here - value) <= 1e-4 * Math.abs(value) : here === value;
+    });
+  }
+
+  drawDots(x, y, variable, ink) {
+    const place = (direction) => direction.column.values.map((v) => (v === null ? NaN : v * direction.column.factor));
+    const xs = place(x), ys = place(y);
+    this.dots = { xs, ys, axis: x.axis.name };
+    const size = Math.max(2.2, Math.min(6, 260 / Math.sqrt(xs.length + 1)));
+    const of = (direction, values) => ({ limits: limitsOf([values], 0.04), label: labelOf(direction.column) });
+    return framed(this.canvas, ink, of(x, xs), of(y, ys), (c, sx, sy) => {
+      xs.forEach((value, k) => {
+        const cell = this.cellAt({ [x.axis.name]: k });
+        mark(c, "circle", sx(value), sy(ys[k]), size, this.grid.colour(variable, this.grid.value(variable.name, cell), ink.undefined), ink.faint);
+      });
+    });
+  }
+
+  /** A variable along one axis; over a family its branches, solid where stable. */
+  drawCurve(x, variable, ink) {
+    const column = x.column, grid = this.grid, family = grid.data.family, flags = variable.flags;
+    const xs = column.numeric ? column.values.map((v) => v * column.factor) : column.values.map((_, k) => k);
+    const ys = xs.map((_, k) => grid.value(variable.name, this.cellAt({ [x.axis.name]: k })) * (flags ? 1 : variable.factor));
+    const known = flags ? Object.keys(flags).map(Number).filter((flag) => ys.includes(flag)).sort((a, b) => a - b) : [];
+    const rows = flags ? ys.map((value) => known.indexOf(value)) : ys;
+    const up = flags
+      ? { limits: [-0.5, known.length - 0.5], label: "", ticks: known.map((flag, k) => [k, flags[flag]]) }
+      : { limits: limitsOf([ys]), label: variable.label.replace("\n", " ") };
+    this.dots = { xs, ys: rows, axis: x.axis.name };
+    const named = column.numeric ? undefined : column.values.map((text, k) => [k, text]);
+    const across = { limits: limitsOf([xs], 0.03), label: labelOf(column), log: column.log, ticks: named };
+    return framed(this.canvas, ink, across, up, (c, sx, sy) => {
+      if (family) for (const run of family.runs) {
+        const part = run.points, colour = run.colour;
+        line(c, part.map((k) => xs[k]), part.map((k) => rows[k]), sx, sy, colour, run.stable === 1 ? 2.4 : 1.4, run.stable === 1 ? [] : [5, 4]);
+      } else if (!flags && column.numeric) line(c, xs, rows, sx, sy, ink.bit, 1.4);
+      const size = family ? 1.6 : Math.max(1.8, Math.min(4.5, 700 / xs.length));
+      xs.forEach((value, k) => {
+        const colour = family ? ink.ink : flags ? grid.colour(variable, ys[k], ink.undefined) : ink.bit;
+        if (Number.isFinite(rows[k]) && rows[k] >= (flags ? 0 : -Infinity)) mark(c, "circle", sx(value), sy(rows[k]), size, colour, flags ? ink.faint : null);
+      });
+      for (const one of family?.special ?? []) mark(c, one.shape, sx(xs[one.point]), sy(rows[one.point]), 4.5, family.kinds[one.kind], ink.plate);
+    });
+  }
+
+  /** The cell at a place of the canvas, null outside. */
+  at(px, py) {
+    const { frame, view } = this;
+    if (!frame || px < frame.box.left || px > frame.box.right || py < frame.box.top || py > frame.box.bottom) return null;
+    if (view.y && view.x.column === view.x.axis) {
+      const index = (direction, value) => {
+        const { edges } = edgesOf(direction.column);
+        const k = edges.findIndex((edge, i) => i > 0 && (value - edges[i - 1]) * (value - edge) <= 0) - 1;
+        return Math.max(0, k);
+      };
+      return this.cellAt({ [view.x.axis.name]: index(view.x, frame.x.inverse(px)), [view.y.axis.name]: index(view.y, frame.y.inverse(py)) });
+    }
+    let best = -1, least = Infinity;
+    this.dots.xs.forEach((value, k) => {
+      const distance = Math.hypot(frame.x(value) - px, frame.y(this.dots.ys[k]) - py);
+      if (distance < least) { least = distance; best = k; }
+    });
+    return best < 0 ? null : this.cellAt({ [this.dots.axis]: best });
+  }
+
+  /** The cell that an arrow key leads to from the chosen one. */
+  moved(dx, dy) {
+    const { x, y, cell } = this.view;
+    const step = (axis, by) => Math.max(0, Math.min(axis.values.length - 1, cell[axis.name] + by));
+    if (y && x.column === x.axis) {
+      const way = (direction) => (edgesOf(direction.column).values.at(-1) >= edgesOf(direction.column).values[0] ? 1 : -1);
+      return this.cellAt({ [x.axis.name]: step(x.axis, dx * way(x)), [y.axis.name]: step(y.axis, dy * way(y)) });
+    }
+    if (!y) return this.cellAt({ [x.axis.name]: step(x.axis, dx + dy) });
+    const { frame, dots } = this, from = cell[dots.axis], [fx, fy] = [frame.x(dots.xs[from]), frame.y(dots.ys[from])];
+    let best = from, least = Infinity;  // the nearest dot within a quarter turn of the way
+    dots.xs.forEach((value, k) => {
+      const [vx, vy] = [frame.x(value) - fx, fy - frame.y(dots.ys[k])];
+      const along = vx * Math.sign(dx) + vy * Math.sign(dy), aside = Math.abs(dx ? vy : vx);
+      if (k !== from && along > 0 && aside <= along && along + 2 * aside < least) { least = along + 2 * aside; best = k; }
+    });
+    return this.cellAt({ [dots.axis]: best });
+  }
+
+  /** Where a cell is drawn: [left, top, width, height], or a dot's [x, y]. */
+  drawOver(hover = null) {
+    const { context: c } = prepared(this.overlay), { frame, view } = this;
+    if (!frame) return;
+    for (const [cell, strong] of [[hover, false], [view.cell, true]]) {
+      if (!cell) continue;
+      if (view.y && view.x.column === view.x.axis) {
+        const ends = (direction, scale) => { const { edges } = edgesOf(direction.column), k = cell[direction.axis.name]; return [scale(edges[k]), scale(edges[k + 1])]; };
+        const [x0, x1] = ends(view.x, frame.x), [y0, y1] = ends(view.y, frame.y);
+        const [left, top, wide, high] = [Math.min(x0, x1), Math.min(y0, y1), Math.abs(x1 - x0), Math.abs(y1 - y0)];
+        if (strong) {
+          c.strokeStyle = "rgba(128,128,128,0.75)";
+          c.lineWidth = 1;
+          c.setLineDash([3, 3]);
+          c.beginPath();
+          c.moveTo(left + wide / 2, frame.box.top); c.lineTo(left + wide / 2, frame.box.bottom);
+          c.moveTo(frame.box.left, top + high / 2); c.lineTo(frame.box.right, top + high / 2);
+          c.stroke();
+          c.setLineDash([]);
+        }
+        for (const [colour, width, more] of strong ? [["#FFFFFF", 4, 2], ["#111111", 2, 2]] : [["#FFFFFF", 2.5, 1], ["#111111", 1, 1]]) {
+          c.strokeStyle = colour;
+          c.lineWidth = width;
+          c.strokeRect(left - more, top - more, wide + 2 * more, high + 2 * more);
+        }
+      } else {
+        const k = cell[this.dots.axis];
+        c.beginPath();
+        c.arc(frame.x(this.dots.xs[k]), frame.y(this.dots.ys[k]), strong ? 8 : 6, 0, 2 * Math.PI);
+        c.strokeStyle = this.ink.plate;
+        c.lineWidth = strong ? 4.5 : 3;
+        c.stroke();
+        c.strokeStyle = this.ink.ink;
+        c.lineWidth = strong ? 2.2 : 1.2;
+        c.stroke();
+      }
+    }
+  }
+}
+
+/** A bar of a quantity's colours. */
+export function drawBar(canvas, grid, variable) {
+  const ink = inkOf(canvas), map = grid.data.maps[variable.map], { low, high, log } = variable;
+  const { context: c, width, height } = prepared(canvas), left = 22, right = width - 22;
+  map.forEach((colour, k) => {
+    c.fillStyle = colour;
+    c.fillRect(left + (k / map.length) * (right - left), 2, (right - left) / map.length + 1, 12);
+  });
+  for (const [at, way, shown] of [[left, -1, ["min", "both"]], [right, 1, ["max", "both"]]]) {
+    if (!shown.includes(variable.extend)) continue;
+    c.beginPath();
+    c.moveTo(at, 2); c.lineTo(at + way * 8, 8); c.lineTo(at, 14);
+    c.fillStyle = way < 0 ? map[0] : map.at(-1);
+    c.fill();
+  }
+  c.fillStyle = ink.ink;
+  c.font = "11px system-ui, sans-serif";
+  c.textAlign = "center";
+  c.textBaseline = "top";
+  const n = width < 300 ? 3 : 5;
+  for (let k = 0; k <= n; k++) {
+    const share = k / n, value = log ? low * (high / low) ** share : low + share * (high - low);
+    c.fillText(numberText(value, 3), left + share * (right - left), 18);
+  }
+}

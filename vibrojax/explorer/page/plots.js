@@ -1,0 +1,171 @@
+// Plots on canvas: scales, ticks, frames, lines. Sizes are in CSS pixels.
+
+const FONT = "system-ui, -apple-system, 'Segoe UI', sans-serif";
+
+/** Colours of the scheme in use; those of lines are the pictures', lighter on dark ground. */
+export function inkOf(element) {
+  const style = getComputedStyle(element);
+  const get = (name) => style.getPropertyValue(`--${name}`).trim();
+  return Object.fromEntries(
+    ["ink", "faint", "grid", "ground", "plate", "bit", "striker", "stick", "impact", "rock", "slip", "accent",
+      "undefined"].map((name) => [name, get(name)]));
+}
+
+/** A number as it is read: `digits` significant ones, a true minus, no trailing noise. */
+export function numberText(value, digits = 4) {
+  if (value === null || value === undefined || Number.isNaN(value)) return "—";
+  if (!Number.isFinite(value)) return value > 0 ? "∞" : "−∞";
+  const size = Math.abs(value);
+  const text = size !== 0 && (size < 1e-3 || size >= 1e5)
+    ? value.toExponential(digits - 1).replace(/\.?0+e/, "e") : String(Number(value.toPrecision(digits)));
+  return text.replace("-", "−").replace("e+", "e");
+}
+
+/** Round values between two limits, about `count` of them. */
+export function ticks(low, high, count, log = false) {
+  if (!(high > low)) return [low];
+  if (log && low > 0) {
+    const found = [];
+    for (let power = Math.floor(Math.log10(low)); power <= Math.ceil(Math.log10(high)); power++)
+      for (const lead of high / low < 30 ? [1, 2, 5] : [1]) found.push(lead * 10 ** power);
+    const inside = found.filter((x) => x >= low * 0.999 && x <= high * 1.001);
+    const every = Math.ceil(inside.length / Math.max(count, 2));
+    if (inside.length > 1) return inside.filter((_, k) => k % every === 0);
+  }
+  const rough = (high - low) / Math.max(count, 1), power = 10 ** Math.floor(Math.log10(rough));
+  const step = [1, 2, 5, 10].find((lead) => lead * power >= rough * 0.999) * power;
+  const found = [];
+  for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step; k++) found.push(k * step);
+  return found;
+}
+
+/** A scale from values to pixels. */
+export function scaleOf(low, high, from, to, log = false) {
+  const map = log ? Math.log : (x) => x, a = map(low), b = map(high);
+  const scale = (x) => from + ((map(x) - a) / (b - a || 1)) * (to - from);
+  scale.inverse = (pixel) => {
+    const value = a + ((pixel - from) / (to - from)) * (b - a);
+    return log ? Math.exp(value) : value;
+  };
+  return scale;
+}
+
+/** The canvas made as large as it is shown, and its context in CSS pixels. */
+export function prepared(canvas) {
+  const ratio = window.devicePixelRatio || 1, { width, height } = canvas.getBoundingClientRect();
+  if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) {
+    canvas.width = Math.round(width * ratio);
+    canvas.height = Math.round(height * ratio);
+  }
+  const context = canvas.getContext("2d");
+  context.setTransform(ratio, 0, 0, ratio, 0, 0);
+  context.clearRect(0, 0, width, height);
+  return { context, width, height };
+}
+
+/** Limits of values with some room around them. */
+export function limitsOf(arrays, room = 0.06) {
+  let low = Infinity, high = -Infinity;
+  for (const values of arrays) for (const x of values) if (Number.isFinite(x)) { if (x < low) low = x; if (x > high) high = x; }
+  if (!(high >= low)) return [0, 1];
+  const size = Math.max(Math.abs(low), Math.abs(high));
+  if (high - low <= 1e-9 * size) { const more = 0.1 * size || 1; return [low - more, high + more]; }
+  const more = room * (high - low);
+  return [low - more, high + more];
+}
+
+/**
+ * A frame with ticks and labels, and in it what `draw(context, x, y, box)` draws.
+ * `x`, `y`: {limits, label, log, ticks: [[value, text]]}; returns the frame {x, y, box}.
+ */
+export function framed(canvas, ink, x, y, draw, options = {}) {
+  const { context: c, width, height } = prepared(canvas);
+  if (width < 20 || height < 20) return null;
+  c.font = `11px ${FONT}`;
+  c.textBaseline = "middle";
+  const textOf = (axis, value) => numberText(Math.abs(value) < 1e-12 * (axis.limits[1] - axis.limits[0]) ? 0 : value, 5);
+  const yTicks = y.ticks ?? ticks(...y.limits, Math.max(3.2, height / 42), y.log).map((v) => [v, textOf(y, v)]);
+  const wide = Math.max(0, ...yTicks.map(([, text]) => c.measureText(text).width));
+  const left = Math.round(options.left ?? wide + (y.label ? 30 : 12)), bottom = x.label ? 36 : 20, top = options.top ?? 8;
+  const box = { left, top, right: width - (options.right ?? 10), bottom: height - bottom };
+  if (options.square) {
+    const side = Math.min(box.right - box.left, box.bottom - box.top);
+    box.left += Math.max(0, (box.right - box.left - side) / 2);
+    box.right = box.left + side;
+    box.top += Math.max(0, (box.bottom - box.top - side) / 2);
+    box.bottom = box.top + side;
+  }
+  const sx = scaleOf(...x.limits, box.left, box.right, x.log), sy = scaleOf(...y.limits, box.bottom, box.top, y.log);
+  const wanted = Math.max(2, (box.right - box.left) / 62);
+  const xTicks = x.ticks ?? ticks(...x.limits, wanted, x.log).map((v) => [v, textOf(x, v)]);
+  c.lineWidth = 1;
+  if (options.grid !== false) {
+    c.strokeStyle = ink.grid;
+    c.beginPath();
+    for (const [value] of xTicks) { const at = Math.round(sx(value)) + 0.5; c.moveTo(at, box.top); c.lineTo(at, box.bottom); }
+    for (const [value] of yTicks) { const at = Math.round(sy(value)) + 0.5; c.moveTo(box.left, at); c.lineTo(box.right, at); }
+    c.stroke();
+  }
+  c.save();
+  c.beginPath();
+  c.rect(box.left, box.top, box.right - box.left, box.bottom - box.top);
+  c.clip();
+  draw(c, sx, sy, box);
+  c.restore();
+  c.strokeStyle = ink.faint;
+  c.strokeRect(box.left + 0.5, box.top + 0.5, box.right - box.left - 1, box.bottom - box.top - 1);
+  c.fillStyle = ink.ink;
+  c.textAlign = "center";
+  let end = -Infinity;
+  for (const [value, text] of xTicks) {
+    const half = c.measureText(text).width / 2;
+    const at = Math.min(Math.max(sx(value), half + 1), width - half - 1);
+    if (at - half < end + 6) continue;
+    c.fillText(text, at, box.bottom + 11);
+    end = at + half;
+  }
+  c.textAlign = "right";
+  for (const [value, text] of yTicks) c.fillText(text, box.left - 5, sy(value));
+  c.font = `11.5px ${FONT}`;
+  if (x.label) { c.textAlign = "center"; c.fillText(x.label, (box.left + box.right) / 2, box.bottom + 27, width - 8); }
+  if (y.label) {
+    c.save();
+    c.translate(options.square ? Math.max(9, box.left - wide - 18) : 9, (box.top + box.bottom) / 2);
+    c.rotate(-Math.PI / 2);
+    c.textAlign = "center";
+    c.fillText(y.label, 0, 0, height - 6);
+    c.restore();
+  }
+  return { x: sx, y: sy, box, context: c };
+}
+
+/** A line through points; not-finite ones part it. */
+export function line(c, xs, ys, sx, sy, colour, width = 1.6, dash = []) {
+  c.strokeStyle = colour;
+  c.lineWidth = width;
+  c.setLineDash(dash);
+  c.lineJoin = "round";
+  c.beginPath();
+  let down = false;
+  for (let i = 0; i < xs.length; i++) {
+    if (!Number.isFinite(xs[i]) || !Number.isFinite(ys[i])) { down = false; continue; }
+    if (down) c.lineTo(sx(xs[i]), sy(ys[i])); else c.moveTo(sx(xs[i]), sy(ys[i]));
+    down = true;
+  }
+  c.stroke();
+  c.setLineDash([]);
+}
+
+/** A mark: "circle", "diamond", "square", "triangle" or "cross". */
+export function mark(c, kind, x, y, size, colour, edge) {
+  c.beginPath();
+  if (kind === "circle") c.arc(x, y, size, 0, 2 * Math.PI);
+  else if (kind === "diamond") { c.moveTo(x, y - 1.3 * size); c.lineTo(x + 1.3 * size, y); c.lineTo(x, y + 1.3 * size); c.lineTo(x - 1.3 * size, y); c.closePath(); }
+  else if (kind === "square") c.rect(x - size, y - size, 2 * size, 2 * size);
+  else if (kind === "triangle") { c.moveTo(x, y - 1.2 * size); c.lineTo(x + 1.2 * size, y + size); c.lineTo(x - 1.2 * size, y + size); c.closePath(); }
+  else if (kind === "bar") { c.rect(x - 1.4, y - 1.6 * size, 2.8, 3.2 * size); }
+  else if (kind === "cross") { c.moveTo(x - size, y - size); c.lineTo(x + size, y + size); c.moveTo(x - size, y + size); c.lineTo(x + size, y - size); c.strokeStyle = colour; c.lineWidth = 1.8; c.stroke(); return; }
+  c.fillStyle = colour;
+  c.fill();
+  if (edge) { c.strokeStyle = edge; c.lineWidth = 1; c.stroke(); }
+}

@@ -1,0 +1,60 @@
+"""What a page holds of one trajectory: its whole course, thinned, and its last repeat as a cell."""
+
+import json
+
+import numpy as np
+import xarray as xr
+
+from vibrojax.explorer.document import Document, about, run_document, variable_document
+from vibrojax.explorer.packed import packed
+
+_BINS = 1200
+"""Stretches of time of each of which the least and the greatest value are shown."""
+
+
+def motion_document(ds: xr.Dataset) -> Document:
+    """The document of a trajectory, as `simulate` gives it."""
+    names = [str(name) for name, data in ds.data_vars.items() if data.ndim == 0 and data.dtype.kind in "fiu"]
+    run = run_document(ds) | {"duration": float(f"{float(ds['time'][-1]):.6g}"), "names": [], "states": []}
+    return {
+        "format": 1,
+        "kind": "motion",
+        **about(ds),
+        "axes": [],
+        "variables": [variable_document(ds[name]) | {"map": None} for name in names],
+        "maps": {},
+        "lanes": packed(np.zeros(1, np.int32)) | {"axes": []},
+        "fixed": {},
+        "region": None,
+        "run": run,
+        "curves": None,
+        "history": _history(ds),
+        "cells": None,
+    }
+
+
+def _history(ds: xr.Dataset) -> Document:
+    """All variables along time: of each of some stretches the least and the greatest value, in their order."""
+    time = ds["time"].values
+    bins = np.array_split(np.arange(len(time)), min(_BINS, len(time)))
+    found: list[Document] = []
+    at = np.stack([[time[part[0]], time[part[-1]]] for part in bins]).ravel()
+    for name, data in ds.data_vars.items():
+        if data.dims != ("time",) or data.dtype.kind != "f":
+            continue
+        rows = np.stack([_ends(data.values[part]) for part in bins]).ravel()
+        about_it = {
+            "name": str(name),
+            "units": str(data.attrs.get("units", "")),
+            "long_name": str(data.attrs["long_name"]),
+        }
+        found.append(about_it | {"data": packed(rows)})
+    window = json.loads(str(ds.attrs.get("run", "null")))
+    return {"time": packed(at), "columns": found, "observed_from": window["settle"] if window else None}
+
+
+def _ends(values: np.ndarray) -> tuple[float, float]:
+    """The least and the greatest value, in the order in which they come."""
+    low, high = int(np.argmin(values)), int(np.argmax(values))
+    first, last = sorted((low, high))
+    return float(values[first]), float(values[last])
