@@ -49,8 +49,8 @@ METHOD = (
     "or, where exponents are known, within exponent_within standard errors; one that nowhere has fewest lanes is not "
     "told beside another of more, nor, without exponents, one of fewer within irregular_factor of it. Motions of "
     "neighbouring points are one attractor if the orbit of one, followed as a stable one and never farther than aside "
-    "over the scales from where it is expected, leads to that of the other; irregular ones if they are nearest, and within irregular_factor. "
-    "Numbers from 0 by falling share over the grid"
+    "over the scales from where it is expected, leads to that of the other; irregular ones if they are nearest, and "
+    "within irregular_factor. Numbers from 0 by falling share over the grid"
 )
 
 
