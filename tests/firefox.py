@@ -1,4 +1,4 @@
-"""Firefox for tests, by its own WebDriver BiDi (https://w3c.github.io/webdriver-bidi/): nothing but the browser is needed."""
+"""Firefox for tests, by its own WebDriver BiDi (w3c.github.io/webdriver-bidi): nothing but the browser is needed."""
 
 import asyncio
 import json
@@ -6,6 +6,7 @@ import re
 import shutil
 import subprocess
 import tempfile
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -57,7 +58,7 @@ class Firefox:
             said = re.search(r"WebDriver BiDi listening on (ws://\S+)", line)
             address = said[1] if said else ""
         # It goes on writing; nobody reads what else it says.
-        asyncio.get_running_loop().run_in_executor(None, process.stderr.read)
+        self._rest = asyncio.create_task(asyncio.to_thread(process.stderr.read))
         self._socket = await websocket_connect(f"{address}/session", max_message_size=1 << 28)
         await self.call("session.new", capabilities={})
         await self.call("session.subscribe", events=["log.entryAdded", "network.beforeRequestSent"])
@@ -112,6 +113,13 @@ class Firefox:
         source = [{"type": "pointer", "id": "mouse", "actions": actions}]
         await self.call("input.performActions", context=self._context, actions=source)
 
+    async def leave(self, process: subprocess.Popen[str]) -> None:
+        """Close what is open to a process that has ended."""
+        assert process.stderr is not None
+        self._socket.close()
+        await self._rest
+        process.stderr.close()
+
     async def screenshot(self) -> str:
         """The whole page as PNG, in base64."""
         shot = await self.call("browsingContext.captureScreenshot", context=self._context, origin="document")
@@ -133,5 +141,8 @@ def in_firefox(work: Any) -> None:
                         await firefox.call("browser.close")
                     process.terminate()
                     await asyncio.to_thread(process.wait, PATIENCE)
+                    await firefox.leave(process)
 
-    asyncio.run(whole())
+    # In a thread of its own: playwright keeps a loop running in that of the tests.
+    with ThreadPoolExecutor(1) as thread:
+        thread.submit(asyncio.run, whole()).result()

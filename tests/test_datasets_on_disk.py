@@ -93,6 +93,8 @@ def test_files_of_others_are_refused(tmp_path, capsys):
     text.write_text("scene = 'rotary'\n")
     garbage.write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(range(256)) * 20)
     folder.mkdir()
+    sweep = tmp_path / "map.toml"
+    sweep.write_text("scene = 'rotary'\n")
     for path, problem in (
         (foreign, "was not written by vibrojax"),
         (text, "cannot be read as netCDF"),
@@ -102,6 +104,9 @@ def test_files_of_others_are_refused(tmp_path, capsys):
     ):
         for command in ("info", "plot", "fit"):
             assert f"{path}: {problem}" in refused(capsys, command, path), command
+    for command in ("info", "plot"):
+        assert ".: is a folder" in refused(capsys, command, ".")
+        assert f"is no dataset; give the .nc file that vibrojax sweep {sweep} writes" in refused(capsys, command, sweep)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.001, 0.1, 0.5, 0.9, 0.999])

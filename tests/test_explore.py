@@ -243,9 +243,8 @@ def test_the_page_of_the_default_map_is_under_ten_megabytes() -> None:
 
 
 def test_a_page_loads_nothing_and_nothing_ends_its_script(plane: xr.Dataset, tmp_path: Path) -> None:
-    path = write_page(
-        plane.assign_attrs(title="</script><script>alert(1)</script>"), tmp_path / "page.html", None, False
-    )
+    named = plane.assign_attrs(title="</script><script>alert(1)</script>")
+    path = write_page(named, tmp_path / "page.html", progress=False)
     text = path.read_text(encoding="utf-8")
     assert "@" not in re.sub(r"@(media|supports|container)", "", text.split("<body>")[0])
     assert text.count("</script>") == 3 and "alert(1)</script>" not in text

@@ -7,7 +7,7 @@ import pytest
 
 import vibrojax as vj
 from vibrojax.cli._found import found_lines
-from vibrojax.simulation import _simulate
+from vibrojax.simulation import _recorded
 from vibrojax.simulation._measured import window
 
 STRONG = {"threshold": 30e3, "delta": 0.002}
@@ -90,7 +90,7 @@ def test_a_solver_of_diffrax_gives_the_motion_alone():
 
 
 def test_it_is_said_that_programs_compile_once(capsys, monkeypatch):
-    monkeypatch.setattr(_simulate, "_compiled", set())
+    monkeypatch.setattr(_recorded, "_compiled", set())
     vj.simulate("penetration", duration=0.1)
     assert "compiling the scene penetration" in capsys.readouterr().err
     vj.simulate("penetration", duration=0.2)

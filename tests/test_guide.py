@@ -57,6 +57,9 @@ def test_the_first_map(folder):
     done = run(folder, "sh run=plot")
     assert done.returncode == 0, done.stderr
     assert (folder / "stick.png").is_file()
+    done = run(folder, "sh run=explore")
+    assert done.returncode == 0, done.stderr
+    assert (folder / "map.html").read_text().startswith("<!doctype html>")
 
 
 def rows(text: str) -> dict[str, list[str]]:
@@ -95,7 +98,7 @@ def test_a_page_says_first_what_one_can_do_after_it(page):
 
 @pytest.mark.parametrize("page", PAGES)
 def test_no_code_of_a_page_is_only_shown(page):
-    """Python is executed; commands and files are run here, but for the installation and a table of another's project."""
+    """Python is executed; commands and files are run here, but for the installation and a table of another project."""
     shown = [match for match in FENCE.finditer((NOTEBOOKS / f"{page}.md").read_text())]
     left = [match["info"] for match in shown if re.match(r"(python|sh|toml)\b", match["info"])]
     assert [info for info in left if "=" not in info] == {"start": ["sh"], "your_own": ["toml"]}.get(page, [])

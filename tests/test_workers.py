@@ -97,7 +97,7 @@ def test_dask(file, expected):
 
     out = file.with_name("out.nc")
     with distributed.LocalCluster(
-        2, processes=True, threads_per_worker=1, dashboard_address=None, silence_logs=50
+        2, processes=True, threads_per_worker=1, dashboard_address=":0", silence_logs=50
     ) as cluster:
         with distributed.Client(cluster, set_as_default=False) as client:
             assert_same(vj.run_sweep(file, progress=False, executor=client.get_executor()), expected)

@@ -16,6 +16,7 @@ _HOMES = {
     "follow": "vibrojax.followed",
     "borders": "vibrojax.found_borders",
     "attractors": "vibrojax.found_attractors",
+    "explore": "vibrojax.explorer.widget",
     "smallest_push": "vibrojax.pushed",
     "simulate": "vibrojax.simulation",
     "fit_rop": "vibrojax.laws",

@@ -3,6 +3,7 @@
 from vibrojax.accuracy import run_accuracy as run_accuracy
 from vibrojax.errors import InputError as InputError
 from vibrojax.explorer import write_page as write_page
+from vibrojax.explorer.widget import explore as explore
 from vibrojax.followed import follow as follow
 from vibrojax.found_attractors import attractors as attractors
 from vibrojax.found_borders import borders as borders

@@ -95,6 +95,13 @@ def smallest_push(
     `period` and the state at the section (`orbit_x1` and so on).
 
     **Raises:** `InputError` where a name or value is not right, or there is no stable cycle to be pushed out of.
+
+    **Example:**
+
+    >>> point = {"beta": 0.4, "gamma": 0.75, "delta": 0.005, "start": "stuck"}
+    >>> pushed = vj.smallest_push("vibro-impact", **point, progress=False)
+    >>> f"{1e3 * float(pushed.push_x1.sel(sign=1)):.0f} mm"  # of the bit at the section; it ends in another motion
+    '48 mm'
     """
     return push_asked(read_pushed(scene, start, most, scan, precision, settle, observe, parameters), progress)
 

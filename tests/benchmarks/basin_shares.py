@@ -1,10 +1,10 @@
 """What a start costs, in processor time, of bSTAB's friction oscillator: `python tests/benchmarks/basin_shares.py`.
 
-5,000 starts in the box of Stender and Hoffmann (Nonlinear Dynamics 2021), 500 s each, at a belt speed of 1.5: the share that ends in
-steady sliding. Here with exact switches, steps for an error of 1e-4, and labels, measures and error estimates of every
-lane. Where pybasin is installed with jax, as well (`python tests/benchmarks/basin_shares.py pybasin`, in an environment of its
-own; vibrojax is not needed there): its solver alone, with the settings of its own case study, whose friction is smoothed by tanh(200 u);
-without its features and its classifier, which take a second more. Processor time of the process: user and system, all cores.
+5,000 starts in the box of Stender and Hoffmann (Nonlinear Dynamics 2021), 500 s each, at a belt speed of 1.5: the share
+that ends in steady sliding. Here with exact switches, steps for an error of 1e-4, and labels, measures and error
+estimates of every lane. With `pybasin` as an argument, in an environment that has pybasin and jax (vibrojax is not
+needed there), by its solver alone: with the settings of its own case study, whose friction is smoothed by tanh(200 u),
+without its features and its classifier. Processor time of the process: user and system, all cores.
 """
 
 import sys
@@ -56,17 +56,16 @@ def pybasin() -> float:
 
 
 def main() -> None:
-    ways = (
-        {"pybasin": pybasin} if "pybasin" in sys.argv[1:] else {"here": ours, "here, to the end": partial(ours, False)}
-    )
+    ways = {"here": ours, "here, to the end": partial(ours, False)}
+    if "pybasin" in sys.argv[1:]:
+        ways = {"pybasin": pybasin}
     for name, way in ways.items():
         for what in ("with compilation", "again"):
             began = time.process_time()
             share = way()
             taken = time.process_time() - began
-            print(
-                f"{name}, {what}: share {share:.4f}, {taken:.1f} s, {STARTS / taken:,.0f} starts per second of a core"
-            )
+            pace = f"{STARTS / taken:,.0f} starts per second of a core"
+            print(f"{name}, {what}: share {share:.4f}, {taken:.1f} s, {pace}")
 
 
 if __name__ == "__main__":

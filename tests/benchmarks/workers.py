@@ -49,9 +49,8 @@ def taken(*words: str) -> tuple[float, float, str]:
     """Seconds by the clock and of processor time that a command takes, its workers' too; and what it said."""
     before, clock = resource.getrusage(resource.RUSAGE_CHILDREN), time.monotonic()
     command = [sys.executable, "-m", "vibrojax", "sweep", *words]
-    done = subprocess.run(
-        command, check=True, stderr=subprocess.PIPE, text=True, env=os.environ | {"MPLBACKEND": "agg"}
-    )
+    pipes = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True}
+    done = subprocess.run(command, check=True, env=os.environ | {"MPLBACKEND": "agg"}, **pipes)
     passed, after = time.monotonic() - clock, resource.getrusage(resource.RUSAGE_CHILDREN)
     return passed, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, done.stderr
 

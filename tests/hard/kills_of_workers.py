@@ -133,9 +133,7 @@ class Kills:
         assert whole.wait() == 0, whole.stderr.read()
         self.cluster, self.seen_all = None, time.monotonic()
         if "dask" in doors:
-            from distributed import LocalCluster
-
-            self.cluster = LocalCluster(2, processes=True, threads_per_worker=1, dashboard_address=None)
+            self.cluster = self._cluster()
 
     def close(self) -> None:
         if self.cluster is not None:
@@ -155,8 +153,8 @@ class Kills:
                 self.wanted = self.wanted or self.random.choice(["driver", "worker", "worker"])
                 if door == "only":
                     self.wanted = "driver"
-                if door == "dask":
-                    self._dask_workers()
+                if door == "dask" and not self._dask_workers() and time.monotonic() - self.seen_all > 30.0:
+                    self._begun_anew(started)
                 if kills < most and time.monotonic() - began > wait and (victim := self._victim(door, started)):
                     self._kill(door, victim, started)
                     kills, self.wanted = kills + 1, ""
@@ -187,15 +185,23 @@ class Kills:
     def _dask_workers(self) -> list[int]:
         """Those of dask, once all of them are there: one that is killed while it starts its nanny gives up at times."""
         nannies = list(self.cluster.workers.values())
-        if all(one.status.name == "running" and one.pid for one in nannies):
+        if len(nannies) == 2 and all(one.status.name == "running" and one.pid for one in nannies):
             self.seen_all = time.monotonic()
             return [one.pid for one in nannies]
-        if time.monotonic() - self.seen_all > 30.0:  # given up: new ones, as who looks after a cluster would start
-            self.cluster.scale(0)
-            self.cluster.scale(2)
-            self.seen_all = time.monotonic()
-            self.counted["dask's workers begun anew"] += 1
         return []
+
+    def _begun_anew(self, started: list[subprocess.Popen]) -> None:
+        """A new cluster, where dask has given up its workers: a sweep would wait for them, as it should."""
+        for one in started:
+            one.kill()
+        self.counted["clusters of dask begun anew"] += 1
+        self.cluster.close(timeout=10)
+        self.cluster, self.seen_all = self._cluster(), time.monotonic()
+
+    def _cluster(self):
+        from distributed import LocalCluster
+
+        return LocalCluster(2, processes=True, threads_per_worker=1, dashboard_address=":0")
 
     def _kill(self, door: str, victim: int, started: list[subprocess.Popen]) -> None:
         driver = next((one for one in started if one.pid == victim), None)

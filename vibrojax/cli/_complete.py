@@ -97,7 +97,7 @@ def _values(
     given = [str(word).partition("=") for word in getattr(parsed_args, "values", None) or ()]
     chosen = {name: value for name, _, value in given if name in CHOICES}
     try:
-        names = read_names(Place("simulate"), parsed_args.scene, chosen)
+        names = read_names(Place("simulate"), getattr(parsed_args, "scene", None) or parsed_args.file, chosen)
     except InputError:
         return []
     rock = {"rock": tuple(ROCKS)} if names.has_rock else {}

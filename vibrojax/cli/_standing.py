@@ -17,6 +17,8 @@ def folder_of(path: Path) -> Path | None:
 
     if path.name.endswith(CHUNKS) and path.is_dir():
         return path
+    if not path.name:  # "." and "/" have none
+        return None
     beside = path.with_name(path.name + CHUNKS)
     return beside if beside.is_dir() and not path.exists() else None
 

@@ -1,13 +1,25 @@
-"""Write a page to click through, one HTML file: map, and of every cell its orbit, history, spectrum and numbers."""
+"""Write a page to click through, one HTML file: map, and of every cell its orbit, history, spectrum and numbers.
 
+With --live nothing is written: a server on this machine gives the page, and computes what is clicked or dragged.
+"""
+
+import os
+import shlex
+import sys
+import webbrowser
 from argparse import ArgumentParser
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from vibrojax.cli._command import Options
 from vibrojax.cli._complete import files, with_completer
+from vibrojax.cli._complete import values as complete_values
 from vibrojax.cli._output import output
-from vibrojax.errors import InputError
+from vibrojax.errors import InputError, shown
 from vibrojax.timings import timed
+
+if TYPE_CHECKING:
+    import xarray
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -15,14 +27,25 @@ def arguments(parser: ArgumentParser) -> None:
     file = parser.add_argument(
         "file",
         metavar="OUT.nc",
-        help="a dataset of vibrojax: of a sweep, its orbits, attractors or borders, families, one motion, or a fit",
+        help="a dataset of vibrojax: of a sweep, its orbits, attractors or borders, families, one motion, or a fit; "
+        "with --live also a scene",
     )
     with_completer(file, files(".nc"))
+    values = parser.add_argument(
+        "values", metavar="NAME=VALUE", nargs="*", help="of a scene: where its motion begins, as for vibrojax simulate"
+    )
+    with_completer(values, complete_values)
     parser.add_argument("-o", dest="out", metavar="PAGE.html", help="where to write (OUT.html beside OUT.nc)")
     over = parser.add_argument(
         "--over", metavar="BORDERS.nc", help="lay over the map what vibrojax borders has found in the same plane"
     )
     with_completer(over, files(".nc"))
+    parser.add_argument(
+        "--live",
+        action="store_true",
+        help="open the page from a server on this machine alone, with sliders for every parameter; Ctrl-C ends it",
+    )
+    parser.add_argument("--no-browser", action="store_true", help="with --live: print the address, and open no browser")
 
 
 def run(options: Options) -> None:
@@ -30,10 +53,18 @@ def run(options: Options) -> None:
     from vibrojax.store.dataset import open_dataset
 
     path = Path(options.file)
-    out = output(options.out, (".html",)) if options.out else path.with_suffix(".html")
+    _check_together(options)
+    if not options.live:
+        out = output(options.out, (".html",)) if options.out else path.with_suffix(".html")
+    if options.live and not path.suffix:
+        _serve(options, _motion(options), None)
+        return
     with timed("read"):
         dataset = open_dataset(path)
         over = open_dataset(Path(options.over)) if options.over else None
+    if options.live:
+        _serve(options, dataset, over)
+        return
     from vibrojax.explorer import write_page
 
     with dataset, timed("compute and write"):
@@ -43,3 +74,59 @@ def run(options: Options) -> None:
             raise InputError(f"{path}: {error}") from None
     if not options.quiet:
         print(f"{out}: {out.stat().st_size / 1e6:.1f} MB")
+
+
+def _check_together(options: Options) -> None:
+    """Whether the options go together."""
+    if options.live and options.out:
+        raise InputError("explore: -o: --live writes no page; leave one of them out")
+    if options.no_browser and not options.live:
+        raise InputError("explore: --no-browser: there is no browser to open without --live")
+    scene = options.live and not Path(options.file).suffix
+    if options.values and not scene:
+        raise InputError(f"explore: {shown(options.values[0])}: values are for a scene, with --live; leave them out")
+    if scene and options.over:
+        raise InputError("explore: --over: a motion has no map to lay borders over; leave it out")
+
+
+def _motion(options: Options) -> "xarray.Dataset":
+    """The motion of a scene that the page opens with."""
+    from vibrojax.cli.simulate import read_values
+    from vibrojax.errors import Place
+    from vibrojax.simulation import simulate
+
+    settings, parameters = read_values(Place("explore"), options.values)
+    arguments: dict[str, Any] = settings | parameters
+    return simulate(options.file, **arguments, progress=not options.quiet)
+
+
+def _serve(options: Options, dataset: "xarray.Dataset", over: "xarray.Dataset | None") -> None:
+    """Serve the live page until the process is interrupted."""
+    from vibrojax.explorer.live import serve
+    from vibrojax.leaving import on_leaving
+
+    with dataset:
+        try:
+            live = serve(dataset, over, progress=not options.quiet)
+        except InputError as error:
+            raise InputError(f"{options.file}: {error}") from None
+    with live, on_leaving(lambda: live.close(1.0)):
+        options.how_to_resume = f"the page is closed; to open it again: {shlex.join(['vibrojax', *_words(options)])}"
+        print(live.url, flush=True)
+        if not options.quiet:
+            print("Ctrl-C ends it", file=sys.stderr, flush=True)
+        if not options.no_browser and _has_display():
+            webbrowser.open(live.url)
+        live.wait()
+
+
+def _words(options: Options) -> list[str]:
+    over = ["--over", str(options.over)] if options.over else []
+    return ["explore", str(options.file), *options.values, *over, "--live"]
+
+
+def _has_display() -> bool:
+    """Whether a browser would open a window: without one, some open in the terminal."""
+    if sys.platform in ("darwin", "win32"):
+        return True
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

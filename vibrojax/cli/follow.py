@@ -37,6 +37,7 @@ def arguments(parser: ArgumentParser) -> None:
         "values",
         metavar="NAME=VALUE",
         nargs="*",
+        default=[],  # else argparse calls them required before Python 3.13
         help=f"{_SYNTAX}: the parameter, where the family begins, and its bounds; start (a name, or [x1,x1',x2,x2']), "
         "settle and observe (s, for which the motion at VALUE settles and is then watched: 40, 8) and cycles (the most "
         "returns of doubled branches: 8); "

@@ -36,6 +36,7 @@ def arguments(parser: ArgumentParser) -> None:
         "values",
         metavar="NAME=VALUE",
         nargs="*",
+        default=[],  # else argparse calls them required before Python 3.13
         help="a parameter; friction; start (a name, or [x1,x1',x2,x2']); duration, sampling, error, method, solver, "
         "step, smoothing",
     )

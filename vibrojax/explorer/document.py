@@ -9,18 +9,20 @@ import xarray as xr
 from matplotlib import colormaps
 from matplotlib.colors import LogNorm, to_hex
 
-from vibrojax.errors import InputError
+from vibrojax.errors import InputError, Place
 from vibrojax.explorer.packed import packed
 from vibrojax.input.definition import Sweep
+from vibrojax.input.point import read_point
 from vibrojax.plot._attractors import BEYOND
 from vibrojax.plot._attractors import COLOURS as ATTRACTOR_COLOURS
 from vibrojax.plot._axes import certified_text, is_geometric, point_text, pretty_unit, scale, symbol
 from vibrojax.plot._borders import LINES, axes_of, beyond, check_borders
 from vibrojax.plot._colours import REGIME_COLOURS, Value, flag_names, value_of
-from vibrojax.plot._contents import POINT, START, axes_of_map, has_regimes, long_axes
+from vibrojax.plot._contents import FORM, POINT, START, axes_of_map, has_regimes, long_axes
 from vibrojax.plot._maps import REGION
 from vibrojax.plot._starts import described, on_axes
 from vibrojax.plot.style import OTHER_COLOURS
+from vibrojax.scenes import Scene
 
 Document = dict[str, Any]
 
@@ -35,7 +37,7 @@ _FIRST = ("lane_attractor", "regime", "rate_of_penetration", "share", "impact_ve
 
 def with_lanes(ds: xr.Dataset, sweep: Sweep | None) -> xr.Dataset:
     """`ds` with the number of each lane, where it is a sweep's."""
-    if sweep is None or not set(sweep.dims) <= set(ds.dims):
+    if sweep is None or any(ds.sizes.get(name) != size for name, size in zip(sweep.dims, sweep.shape, strict=True)):
         return ds
     return ds.assign({LANE: (sweep.dims, sweep.over_dims(np.arange(sweep.lanes)).astype(np.int32))})
 
@@ -62,7 +64,8 @@ def grid_document(ds: xr.Dataset, sweep: Sweep | None = None) -> Document:
         "lanes": packed(ds[LANE].values) | {"axes": lanes} if LANE in ds else None,
         "fixed": {str(n): _plain(d.values.item()) for n, d in ds.coords.items() if d.ndim == 0},
         "region": {name: list(ends) for name, ends in REGION.items()},
-        "run": run_document(ds, sweep),
+        # A fit is over an axis that is gone: no cell of it is a point.
+        "run": None if FORM in ds.dims else run_document(ds, sweep),
         "curves": None,
         "view": _view(ds),
         "cells": None,
@@ -105,11 +108,21 @@ def run_document(ds: xr.Dataset, sweep: Sweep | None = None) -> Document:
         "own_scene": own,
     }
     if "start" in ds.attrs:
-        given["start"] = str(ds.attrs["start"])
-    if sweep is not None:
-        given["names"] = list(sweep.system.parameters())
-        given["states"] = list(sweep.system.start_states)
+        given["start"] = str(ds.attrs["start"]).strip('"')
+    system = sweep.system if sweep is not None else _system(ds)
+    if system is not None:
+        given["names"] = list(system.parameters())
+        given["states"] = list(system.start_states)
     return given
+
+
+def _system(ds: xr.Dataset) -> Scene[Any] | None:
+    """The scene that a dataset names, None where it names none of those there are."""
+    options = {name: ds.attrs[name] for name in ("friction", "pulse_shape") if name in ds.attrs}
+    try:
+        return read_point(Place("explore"), str(ds.attrs.get("scene", "")), options).system
+    except InputError:
+        return None
 
 
 def sweep_text(ds: xr.Dataset) -> dict[str, Any]:
@@ -211,6 +224,7 @@ def _shown(ds: xr.Dataset) -> list[str]:
     if "share" in first and START in ds.dims:  # of starts that are no plane, shares say more than where each ends
         first.remove("share")
         first.insert(0, "share")
+    first = [name for name in names if name.startswith("push_")] + first
     return first + [name for name in names if name not in first]
 
 

@@ -24,6 +24,9 @@ SIZE = 256
 MODULES = ("decode.js", "plots.js", "grid.js", "map.js", "cell.js", "mount.js")
 """The modules behind `mount`, each after those that it imports from."""
 
+LIVE = ("sliders.js", "computing.js", "live.js")
+"""Those of a page that has motions computed."""
+
 _IMPORT = re.compile(r"^import [^;]*;\n", re.MULTILINE)
 _EXPORT = re.compile(r"^export (?=async |class |const |function |let )", re.MULTILINE)
 
@@ -85,29 +88,33 @@ def blocks_of(cells: Iterable[Cell]) -> list[str]:
 
 
 def page_text(document: Document, blocks: Sequence[str] = ()) -> str:
-    """The page as HTML."""
+    """The page as HTML; one whose document has `live`, what may be asked for, asks its server for motions."""
+    live = "live" in document
     parts = {
         "TITLE": html.escape(str(document["title"] or document["scene"] or "vibrojax")),
         "SOURCE": html.escape(str(document["source"] or "vibrojax")),
-        "STYLE": style_text(),
+        "STYLE": style_text(live),
         "DATA": in_script(json.dumps(document, separators=(",", ":"), allow_nan=False, ensure_ascii=False)),
         "CELLS": "\n".join(blocks),
-        "SCRIPT": module_text("page.js"),
+        "SCRIPT": module_text(*LIVE, "begin.js", "served.js") if live else module_text("begin.js", "page.js"),
     }
     return re.sub("@([A-Z]+)@", lambda found: parts[found[1]], _file("page.html"))
 
 
-def style_text() -> str:
-    """The style sheet, all of whose rules are below the class `vibrojax` or of names that begin with `vx-`."""
-    return _file("page.css")
+def style_text(live: bool = False) -> str:
+    """The style sheet, all of whose rules are below the class `vibrojax` or of names that begin with `vx-`.
+
+    `live`: with what a page has that computes.
+    """
+    return _file("page.css") + (_file("live.css") if live else "")
 
 
-def module_text(entry: str = "", exported: bool = False) -> str:
-    """The page's modules as one: those behind `mount`, and then the module `entry`.
+def module_text(*more: str, exported: bool = False) -> str:
+    """The page's modules as one: those behind `mount`, and then `more`.
 
     `exported`: whether `mount`, `decodeCells` and `embeddedSource` are exported, as a widget or a server's page asks.
     """
-    parts = [_EXPORT.sub("", _IMPORT.sub("", _file(name))) for name in (*MODULES, *((entry,) if entry else ()))]
+    parts = [_EXPORT.sub("", _IMPORT.sub("", _file(name))) for name in (*MODULES, *more)]
     ending = "\nexport { mount, decodeCells, embeddedSource };\n" if exported else ""
     return "\n".join(parts) + ending
 

@@ -1,16 +1,23 @@
 """Checks of single values: numbers, counts, choices."""
 
+import re
 from collections.abc import Collection, Mapping
 from numbers import Integral, Real
 
 from vibrojax.errors import Place, shown, suggestion
 from vibrojax.physics.parameters import Parameter
 
+_WITH_COMMA = re.compile(r"([+-]?\d+),(\d+)")
+_WITH_UNIT = re.compile(r"([+-]?[\d.]+(?:[eE][+-]?\d+)?)\s*[^\d\s.,].*")
 
-def number(place: Place, value: object) -> float:
-    """`value` as a float; raises where it is no number (true and "0.4" are none). It may be NaN or infinite."""
+
+def number(place: Place, value: object, unit: str = "") -> float:
+    """`value` as a float; raises where it is no number (true and "0.4" are none). It may be NaN or infinite.
+
+    `unit`: its own, to be named where one was written beside the number.
+    """
     if isinstance(value, str):
-        raise place.error(f"{shown(value)} is text; write a number, without quotes")
+        raise place.error(f"{shown(value)} is text; {_right(value.strip(), unit)}")
     if isinstance(value, bool) or not isinstance(value, Real):
         raise place.error(f"{shown(value)} is not a number; write one, like 0.4 or 50e6")
     try:
@@ -19,9 +26,18 @@ def number(place: Place, value: object) -> float:
         raise place.error(f"{shown(value)} is too large; a finite number is needed") from None
 
 
+def _right(text: str, unit: str) -> str:
+    """What to write in place of a `text` that is no number."""
+    if comma := _WITH_COMMA.fullmatch(text):
+        return f"write {comma[1]}.{comma[2]}, with a point"
+    if _WITH_UNIT.fullmatch(text):
+        return f"write the number alone, in {unit if unit not in ('', '1') else 'SI units'}"
+    return "write a number, without quotes"
+
+
 def quantity(place: Place, value: object, parameter: Parameter) -> float:
     """`value` as a float that `parameter` may have."""
-    checked = number(place, value)
+    checked = number(place, value, parameter.unit)
     problem = parameter.problem(checked)
     if problem is not None:
         raise place.error(problem)

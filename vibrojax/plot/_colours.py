@@ -11,7 +11,7 @@ from jaxtyping import Float
 from matplotlib import colormaps
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.axis import Axis
+from matplotlib.axis import Axis, XAxis
 from matplotlib.colors import BoundaryNorm, Colormap, ListedColormap, LogNorm, Normalize
 from matplotlib.patches import Patch
 from matplotlib.ticker import NullLocator
@@ -230,7 +230,7 @@ def _flags_value(data: xr.DataArray) -> Value:
 def name_flags(axis: Axis, value: Value) -> None:
     """Write along an axis what the flags mean, where `value` has flags; many side by side on two lines, if they can."""
     if value.names:
-        side_by_side = axis.axis_name == "x" and len(value.names) > _BESIDE
+        side_by_side = isinstance(axis, XAxis) and len(value.names) > _BESIDE
         names = [name.replace("-", "-\n", 1) if side_by_side else name for name in value.names.values()]
         axis.set_ticks(list(value.names), names)
         axis.set_minor_locator(NullLocator())

@@ -14,21 +14,19 @@ from jaxtyping import Float
 from vibrojax.arrays import Array
 from vibrojax.devices import precision
 from vibrojax.engine.compiler import lane_function
-from vibrojax.engine.parallel import in_parallel
-from vibrojax.engine.validity import unresolved
 from vibrojax.errors import Place
-from vibrojax.input.point import Point, read_point
+from vibrojax.input.point import read_point
 from vibrojax.input.values import quantity
-from vibrojax.measure import Records
 from vibrojax.physics.parameters import positive
 from vibrojax.progress import Progress
-from vibrojax.scenes import HasContact, HasFriction, HasRock, Scene
+from vibrojax.scenes import HasContact, HasRock, Scene
 from vibrojax.scenes.declared import Values
-from vibrojax.simulation._measured import compile_measures, found_in, measured, recorder_of, window
-from vibrojax.simulation._record import check_size, record, sample
+from vibrojax.simulation._measured import window
+from vibrojax.simulation._record import check_size, sample
+from vibrojax.simulation._recorded import constants_at, recorded
 from vibrojax.simulation._trajectory import Motion, events, forces, states_shown, trajectory_dataset
 from vibrojax.stepping import STEPPERS, Accuracy, Smoothed, Stepper, Wanted, stepper_named
-from vibrojax.timings import LOG, timed
+from vibrojax.timings import LOG
 
 if TYPE_CHECKING:
     from diffrax import AbstractSolver
@@ -103,29 +101,20 @@ def simulate(
         raise place.at("method").error('"diffrax" knows no rock that yields; choose from located, smoothed')
     shown = Progress(duration, "s simulated", progress and sys.stderr.isatty(), pace=False)
     with precision("float64"):
-        constants = _constants(place, point, stepper)
+        constants = constants_at(place, point, stepper)
         times = _times(place, system, constants, duration, sampling)
-        state = system.start(constants, point.start, (1,))
         accuracy = (stepper or Smoothed()).accuracy(Wanted(error, step, smoothing), system)
         most_steps = check_size(place, system, constants, duration, accuracy, stepper, len(times))
         happened = taken = step_of = None
         found: dict[str, Any] = {}
-        begin, observe = window(duration)
         if stepper is None:
             from vibrojax.stepping.adaptive import solver_named  # diffrax takes a second to import
 
             kind = solver_named(solver or "Tsit5")
+            state = system.start(constants, point.start, (1,))
             motion, steps = _adaptive(system, constants, state, times, accuracy, kind, 1e-3 * error)
         else:
-            recorder = recorder_of(system)
-            _compile(system, recorder, stepper, constants, state, accuracy, progress)
-            with timed("step"):
-                end, pause = jnp.asarray(duration), jnp.asarray(begin)
-                taken = record(system, stepper, constants, state, accuracy, end, shown.reach, most_steps, pause)
-            if recorder is not None:
-                with timed("measure"):
-                    features = measured(system, recorder, constants, state, taken, begin, observe)
-                found = found_in(system, point.parameters, features, accuracy.tolerance)
+            taken, found = recorded(point, stepper, constants, accuracy, duration, shown.reach, most_steps, progress)
             states, modes, step_of = sample(taken, times)
             motion, steps = Motion(times, states, modes), len(taken.dt)
             happened = events(system, constants, taken)
@@ -139,59 +128,8 @@ def simulate(
     dataset = trajectory_dataset(point, system, motion, along_time, happened, solver_text)
     if not found:
         return dataset
+    begin, observe = window(duration)
     return dataset.assign(found).assign_attrs(run=json.dumps({"settle": begin, "observe": observe}))
-
-
-_compiled: set[tuple[Scene[Any], Stepper]] = set()
-"""What this process has compiled."""
-
-
-def _compile(
-    scene: Scene[Any],
-    recorder: Records | None,
-    stepper: Stepper,
-    constants: Any,
-    state: Values,
-    accuracy: Accuracy,
-    progress: bool,
-) -> None:
-    """Compile the programs that step a motion and measure it, side by side, where that has not been done."""
-    if (scene, stepper) in _compiled:
-        return
-    Progress(1, "motion", progress).say(f"compiling the scene {scene.name}, if it is not in the cache")
-    at_once = jnp.asarray(0.0)
-
-    def step() -> None:
-        with precision("float64"):
-            record(scene, stepper, constants, state, accuracy, at_once)
-
-    def measure() -> None:
-        if recorder is not None:
-            compile_measures(scene, recorder, stepper, constants, state)
-
-    with timed("compile"):
-        for _ in in_parallel(lambda _, program: program(), [step, measure], [0, 1]):
-            pass
-    _compiled.add((scene, stepper))
-
-
-def _constants(place: Place, point: Point, stepper: Stepper | None) -> Any:
-    """The scene's constants at the point, each of shape (1,); raises where it cannot be run."""
-    scene = point.system
-    p = {name: np.full(1, value) for name, value in point.parameters.items()}
-    refusal = scene.refused(p)
-    if refusal is not None and bool(refusal[1][0]):
-        raise place.error(f"the point cannot be run: {refusal[0].replace('-', ' ')}")
-    exact = stepper is not None and stepper.rests
-    if exact and isinstance(scene, HasFriction) and bool(unresolved(scene, point.parameters, "float64")):
-        advice = "give a smaller k0, c0, c2 or gamma, or a greater beta"
-        raise place.error(f"the point cannot be run: too stiff, so that nothing moves in a step; {advice}")
-    return _compiled_constants(scene, p)
-
-
-@lane_function(static=1)
-def _compiled_constants(scene: Scene[Any], p: dict[str, Array]) -> Any:
-    return scene.constants(p)
 
 
 @lane_function(static=1)

@@ -85,6 +85,8 @@ def open_dataset(path: str | os.PathLike[str]) -> xr.Dataset:
         raise InputError(f"{path}: is a folder; give a .nc file")
     if not path.is_file() and path.suffix != ZARR:
         raise InputError(f"{path}: is no file with an end; give a .nc file")
+    if path.suffix == ".toml":
+        raise InputError(f"{path}: is no dataset; give the .nc file that vibrojax sweep {path} writes")
     if path.suffix == ZARR:
         check_zarr(path)
     patience = _PATIENCE + path.stat().st_size / _SLOWEST

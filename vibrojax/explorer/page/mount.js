@@ -83,7 +83,8 @@ class Page {
     this.legend = el("div", { class: "vx-legend" });
     this.live = el("p", { class: "vx-live", id: `${id}-live`, "aria-live": "polite" });
     this.slices = el("div", { class: "vx-slices" });
-    this.side = el("section", { class: "vx-side", "aria-label": "The chosen cell" });
+    this.side = el("div", { class: "vx-side" });
+    this.computing = this.source.attach?.(this) ?? null;
     this.table = el("section", { class: "vx-table", "aria-label": "Numbers of the chosen cell" });
     this.view = new MapView(this.map, this.over, this.grid);
     this.theme = el("button", { type: "button", class: "vx-theme", onclick: () => this.switchScheme() });
@@ -94,7 +95,8 @@ class Page {
       el("div", { class: "vx-main" },
         el("section", { class: "vx-left", "aria-label": "Map" }, this.controls,
           el("div", { class: "vx-map" }, this.map, this.over, this.tip), this.legend, this.live, this.slices),
-        this.side, this.table),
+        el("section", { class: "vx-side", "aria-label": "The chosen cell" }, ...(this.computing ? [this.computing.element] : []), this.side),
+        this.table),
       el("footer", { class: "vx-foot" }, el("p", { text: `${data.scene}${data.source ? `, ${data.source}` : ""}. ` },),
         el("p", { text: "Click a cell, or give the map the focus and use the arrow keys (with Shift ten cells, Home and End the first and last). What is chosen stands in the address: a link restores it." })));
     this.listen();
@@ -313,15 +315,26 @@ class Page {
   async pick(cell) {
     const before = this.cell, anew = !this.current || this.facets().some((axis) => before[axis] !== cell[axis]);
     this.cell = { ...cell };
+    // What is said of attractors is said of that which the lane ends in, unless they run along the map.
+    const own = this.grid.value("lane_attractor", this.cell);
+    if (own >= 0 && "attractor" in this.cell && ![this.shown.x, this.shown.y].includes("attractor")) this.cell.attractor = own;
+    this.point = null;
     const number = ++this.asked, lane = this.grid.lane(this.cell);
     for (const facet of this.facets()) { const one = this.controls.querySelector(`[data-control="at-${facet}"]`); if (one) one.value = `${this.cell[facet]}`; }
     this.draw(anew);
     this.tell();
     this.say();
     this.onPick?.({ cell: this.cell, lane, values: this.coordinates() });
+    this.computing?.stand(this.coordinates());
     let motion = null;
-    try { motion = this.source.cell && lane >= 0 ? await this.source.cell(lane) : null; } catch (error) { motion = { kind: "none", note: String(error.message ?? error) }; }
+    try { motion = this.source.cell && lane >= 0 ? await this.source.cell(lane) : await this.computing?.here() ?? null; } catch (error) { motion = { kind: "none", note: String(error.message ?? error) }; }
     if (number === this.asked) this.showMotion(motion);
+  }
+
+  /** Show what was computed at a point beside the chosen cell: {title, parameters (not the defaults), start}. */
+  showPoint(point, motion) {
+    this.point = point;
+    this.showMotion(motion);
   }
 
   /** The chosen cell's coordinates by name. */
@@ -342,9 +355,10 @@ class Page {
 
   showMotion(motion) {
     const { grid } = this, panels = [], draws = [];
-    const regime = grid.variables.get("regime"), value = regime && grid.value("regime", this.cell);
-    const badge = regime && value !== undefined ? [el("span", { class: "vx-badge" }, el("span", { class: "vx-swatch", style: `background:${grid.colour(regime, value)}` }), grid.valueText(regime, value))] : [];
-    const head = el("div", { class: "vx-cellhead" }, el("h2", { text: grid.cellText(this.cell) || "The motion" }), ...badge,
+    const regime = grid.variables.get("regime"), value = this.point ? motion?.numbers?.regime : regime && grid.value("regime", this.cell);
+    const ofLane = this.point ? Boolean(regime) : regime?.axes.every((axis) => !this.data.lanes || this.data.lanes.axes.includes(axis) || (axis === "attractor" && ![this.shown.x, this.shown.y].includes(axis)));
+    const badge = ofLane && value !== undefined ? [el("span", { class: "vx-badge" }, el("span", { class: "vx-swatch", style: `background:${grid.colour(regime, value)}` }), grid.valueText(regime, value))] : [];
+    const head = el("div", { class: "vx-cellhead" }, el("h2", { text: this.point?.title || grid.cellText(this.cell) || "The motion" }), ...badge,
       motion ? el("p", { class: "vx-motion", text: described(motion) + (motion.kind !== "none" && motion.note && motion.returns ? ` (${motion.note})` : "") }) : el("p", { class: "vx-motion", text: this.data.without ?? "no motion is kept of this dataset" }));
     const panel = (title, draw, about, extra = "", ...more) => {
       const canvas = el("canvas", { role: "img", "aria-label": `${title}: ${about}` });
@@ -389,7 +403,7 @@ class Page {
   numbers(motion) {
     const { grid } = this, rows = [];
     for (const variable of grid.variables.values()) {
-      const value = motion?.numbers && variable.name in motion.numbers ? motion.numbers[variable.name] ?? NaN : grid.value(variable.name, this.cell);
+      const value = motion?.numbers && variable.name in motion.numbers ? motion.numbers[variable.name] ?? NaN : this.point ? undefined : grid.value(variable.name, this.cell);
       if (value === undefined) continue;
       rows.push(el("tr", {}, el("th", { scope: "row", text: variable.long_name }), el("td", { "data-name": variable.name, "data-value": value, text: grid.valueText(variable, value, 5) })));
     }
@@ -404,8 +418,13 @@ class Page {
     for (const [name, value] of Object.entries(own)) if ((run.names ?? []).includes(name) || name === "rock") given[name] = value;
     if ("rpm" in own) { given.rpm = own.rpm; if ("bit_radius" in own) given.bit_radius = own.bit_radius; }
     let start = own.start ?? run.start ?? null;
+    if (this.point) {
+      for (const name of Object.keys(given)) if ((run.names ?? []).includes(name) || ["rock", "rpm", "bit_radius"].includes(name)) delete given[name];
+      Object.assign(given, this.point.parameters);
+      start = this.point.start;
+    }
     const vector = states.map((name) => own[`start_${name}`]);
-    if (states.length && vector.every((x) => typeof x === "number")) start = `[${vector.join(", ")}]`;
+    if (!this.point && states.length && vector.every((x) => typeof x === "number")) start = `[${vector.join(", ")}]`;
     const text = (value) => (typeof value === "number" ? String(Number(value.toPrecision(10))) : value);
     const shell = (word) => (/^[\w=.,:+-]+$/.test(word) ? word : `'${word.replaceAll("'", "'\\''")}'`);
     const words = Object.entries(given).map(([name, value]) => `${name}=${text(value)}`);

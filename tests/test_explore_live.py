@@ -1,0 +1,369 @@
+"""The server of the live page: whom it refuses, in which order it answers, and that it leaves nothing behind."""
+
+import http.client
+import json
+import socket
+import threading
+import time
+from contextlib import contextmanager
+
+import pytest
+
+from vibrojax.errors import InputError
+from vibrojax.explorer import _loopback as server
+from vibrojax.explorer._turns import Busy, Closed, Superseded, Turns
+from vibrojax.explorer.live import Live, content_policy
+
+HTML = "<!doctype html><title>page</title><script type=module>export const a = 1;</script>"
+
+
+class Slow:
+    """Answers with what was asked, after a while, if nobody asks for something newer."""
+
+    def __init__(self, seconds=0.0):
+        self.seconds, self.answered, self.left, self.warmed = seconds, [], 0, threading.Event()
+
+    def warm(self):
+        self.warmed.set()
+
+    def answer(self, asked, check):
+        if asked.get("parameters") == "wrong":
+            raise InputError("explore: beta: is -1; it must be above 0\nsecond line")
+        if asked.get("parameters") == "broken":
+            raise ZeroDivisionError("secret of the inside")
+        end = time.monotonic() + self.seconds
+        while time.monotonic() < end:
+            time.sleep(0.001)
+            try:
+                check()
+            except Superseded:
+                self.left += 1
+                raise
+        self.answered.append(asked["parameters"])
+        return json.dumps(asked["parameters"]).encode()
+
+
+@contextmanager
+def served(answers):
+    """A server, and afterwards: no thread and no port is left of it."""
+    before = set(threading.enumerate())
+    live = Live(HTML, answers)
+    try:
+        assert answers.warmed.wait(5)
+        yield live
+    finally:
+        live.close()
+    assert not [one for one in threading.enumerate() if one not in before]
+    with pytest.raises(OSError):
+        socket.create_connection(("127.0.0.1", live.port), 1).close()
+
+
+@pytest.fixture(scope="module")
+def live():
+    with served(Slow()) as live:
+        yield live
+
+
+NUMBERS = iter(range(1, 10**6))
+
+
+def asked(**changes):
+    return json.dumps({"client": "a", "number": next(NUMBERS), "parameters": {"beta": 0.4}, **changes})
+
+
+def request(live, method="POST", path="motion", body=None, token=None, **headers):
+    """Status, headers and body of an answer."""
+    connection = http.client.HTTPConnection("127.0.0.1", live.port, timeout=10)
+    named = {"Content-Type": "application/json"} | {name.replace("_", "-"): text for name, text in headers.items()}
+    try:
+        where = f"/{live.token if token is None else token}/{path}"
+        connection.request(method, where, body, {name: text for name, text in named.items() if text is not None})
+        answer = connection.getresponse()
+        return answer.status, answer.headers, answer.read()
+    finally:
+        connection.close()
+
+
+def refusal(live, *args, **kwargs):
+    """Status and line of a refusal; every answer has the headers that keep a browser from harm, and shows no inside."""
+    status, headers, body = request(live, *args, **kwargs)
+    assert headers["X-Content-Type-Options"] == "nosniff" and headers["Referrer-Policy"] == "no-referrer"
+    assert headers["Cache-Control"] == "no-store" and "default-src 'none'" in headers["Content-Security-Policy"]
+    assert "Access-Control-Allow-Origin" not in headers and "Python" not in headers["Server"]
+    assert b"Traceback" not in body
+    line = json.loads(body)["error"] if body else ""
+    assert "\n" not in line
+    return status, line
+
+
+def raw(live, content, end=False):
+    """All that comes back for some bytes."""
+    with socket.create_connection(("127.0.0.1", live.port), 10) as one:
+        one.sendall(content)
+        if end:
+            one.shutdown(socket.SHUT_WR)
+        found = b""
+        while part := one.recv(65536):
+            found += part
+        return found
+
+
+def test_the_page_and_a_motion_are_answered(live):
+    status, headers, body = request(live, "GET", "")
+    assert status == 200 and body.decode() == HTML and headers["Content-Type"] == "text/html; charset=utf-8"
+    assert live.url == f"http://127.0.0.1:{live.port}/{live.token}/" and len(live.token) >= 43
+    status, headers, body = request(live, body=asked())
+    assert (status, json.loads(body)) == (200, {"beta": 0.4})
+    assert headers["Connection"] == "close"
+    status, headers, body = request(live, "HEAD", "")
+    assert (status, body, int(headers["Content-Length"])) == (200, b"", len(HTML))
+
+
+def test_the_address_is_the_loopback_alone(live):
+    assert live._server.server_address[0] == "127.0.0.1"
+
+
+def test_the_page_may_run_its_own_scripts_alone():
+    assert "script-src 'sha256-" in content_policy(HTML) and "unsafe-inline'" not in content_policy(HTML).split(";")[1]
+    assert "script-src 'none'" in content_policy("<p>")
+
+
+@pytest.mark.parametrize(
+    "host", ["evil.example", "evil.example:{port}", "127.0.0.1", "127.0.0.1:1", "", "[::1]:{port}"]
+)
+def test_other_hosts_are_refused(live, host):
+    """A name that was made to lead to the loopback (DNS rebinding) is another host."""
+    for method, path in (("GET", ""), ("POST", "motion")):
+        assert refusal(live, method, path, asked(), Host=host.format(port=live.port))[0] == 403
+
+
+def test_its_own_names_are_hosts(live):
+    for name in ("127.0.0.1", "localhost", "LOCALHOST"):
+        own = f"{name}:{live.port}"
+        assert request(live, body=asked(), Host=own, Origin=f"http://{own.lower()}")[0] == 200
+
+
+def test_no_host_and_two_hosts_are_refused(live):
+    assert raw(live, f"GET /{live.token}/ HTTP/1.1\r\n\r\n".encode()).startswith(b"HTTP/1.1 403")
+    two = f"GET /{live.token}/ HTTP/1.1\r\nHost: 127.0.0.1:{live.port}\r\nHost: evil\r\n\r\n"
+    assert raw(live, two.encode()).startswith(b"HTTP/1.1 403")
+
+
+@pytest.mark.parametrize(
+    "origin", ["http://evil.example", "null", "https://127.0.0.1:{port}", "http://127.0.0.1:1", ""]
+)
+def test_other_origins_are_refused(live, origin):
+    assert refusal(live, body=asked(), Origin=origin.format(port=live.port))[0] == 403
+    assert refusal(live, "OPTIONS", body=None, Origin=origin.format(port=live.port))[0] in (403, 405)
+    assert refusal(live, body=asked(), Sec_Fetch_Site="cross-site")[0] == 403
+
+
+@pytest.mark.parametrize("token", ["", "motion", "x" * 43, "é", "../" * 9, "%00"])
+def test_without_the_token_nothing_is_said(live, token):
+    from urllib.parse import quote
+
+    for method, path in (("GET", ""), ("POST", "motion"), ("GET", "nowhere")):
+        status, line = refusal(live, method, path, asked(), token=quote(token))
+        assert status == 403 and live.token not in line
+    assert refusal(live, body=asked(), token=live.token[:-1])[0] == 403
+    assert refusal(live, body=asked(), token=live.token + "x")[0] == 403
+
+
+def test_unknown_paths_and_wrong_methods(live):
+    for path in ("nowhere", "motion/", "../../etc/passwd", "motion?x=1", "?x=1"):
+        assert refusal(live, "GET", path)[0] == refusal(live, "POST", path, asked())[0] == 404
+    for method in ("PUT", "DELETE", "PATCH", "TRACE", "OPTIONS", "FOO"):
+        status, headers, _ = request(live, method, "motion")
+        assert status == 405 and headers["Allow"] == "GET, HEAD, POST"
+    assert refusal(live, "GET", "motion")[0] == refusal(live, "POST", "", asked())[0] == 405
+
+
+def test_oversized_requests_are_refused(live):
+    assert refusal(live, body=asked(start="x" * 20_000))[0] == 413
+    assert refusal(live, body="x" * 3_000_000)[0] == 413
+    own = f"Host: 127.0.0.1:{live.port}\r\nContent-Type: application/json\r\n"
+    huge = f"POST /{live.token}/motion HTTP/1.1\r\n{own}Content-Length: 999999999999999999\r\n\r\n"
+    assert raw(live, huge.encode(), end=True).startswith(b"HTTP/1.1 413")
+    assert raw(live, b"GET /" + b"x" * 70_000 + b" HTTP/1.1\r\n\r\n").startswith(b"HTTP/1.1 414")
+    many = "".join(f"X-{k}: y\r\n" for k in range(200))
+    assert raw(live, f"GET / HTTP/1.1\r\n{many}\r\n".encode()).startswith(b"HTTP/1.1 431")
+
+
+@pytest.mark.parametrize(
+    "body",
+    ["", "{", "[]", "3", "null", '{"client": 3}', '{"client": "", "number": 1}', '{"client": "a", "number": true}',
+     '{"client": "a", "number": -1}', '{"client": "a", "number": 1e9}', '{"client": "a"}', "\xff", "[" * 9000],
+)  # fmt: skip
+def test_malformed_requests_are_refused(live, body):
+    status, line = refusal(live, body=body.encode("latin-1"))
+    assert status == 400 and line
+
+
+def test_malformed_headers_are_refused(live):
+    own = f"Host: 127.0.0.1:{live.port}\r\nContent-Type: application/json\r\n"
+    begin = f"POST /{live.token}/motion HTTP/1.1\r\n{own}"
+    assert refusal(live, body=asked(), Content_Type="text/plain")[0] == 415  # what forms of other pages may send
+    assert raw(live, begin.encode() + b"\r\n").startswith(b"HTTP/1.1 411")
+    chunked = f"{begin}Transfer-Encoding: chunked\r\n\r\n2\r\n{{}}\r\n0\r\n\r\n"
+    assert raw(live, chunked.encode(), end=True).startswith(b"HTTP/1.1 411")
+    for length in ("-1", "+1", "1_0", "x", ""):
+        assert raw(live, f"{begin}Content-Length: {length}\r\n\r\n".encode()).startswith(b"HTTP/1.1 400")
+    assert raw(live, f"{begin}Content-Length: 1\r\nContent-Length: 2\r\n\r\n".encode()).startswith(b"HTTP/1.1 400")
+    assert raw(live, f"{begin}Content-Length: 9\r\n\r\n{{}}".encode(), end=True).startswith(b"HTTP/1.1 400")
+    for content in (
+        b"\x16\x03\x01\x02\x00\x01\r\n\r\n",
+        b"GET\r\n\r\n",
+        b"GET / HTTP/9.9\r\n\r\n",
+        b"GET / HTTP/x\r\n\r\n",
+    ):
+        assert b"200 OK" not in raw(live, content, end=True)
+
+
+def test_who_keeps_silent_is_let_go(live, monkeypatch):
+    monkeypatch.setattr(server._Handler, "timeout", 0.1)
+    own = f"Host: 127.0.0.1:{live.port}\r\nContent-Type: application/json\r\nContent-Length: 9\r\n"
+    assert raw(live, f"POST /{live.token}/motion HTTP/1.1\r\n{own}\r\n{{".encode()).startswith(b"HTTP/1.1 408")
+    assert raw(live, b"GET / HT") == b""
+
+
+def test_who_comes_byte_by_byte_is_let_go(live, monkeypatch):
+    monkeypatch.setattr(server, "PATIENCE", 0.3)
+    with socket.create_connection(("127.0.0.1", live.port), 10) as one, pytest.raises(OSError):
+        for _ in range(200):
+            one.sendall(b"x")
+            time.sleep(0.02)
+
+
+def test_wrong_values_are_said_in_one_line_and_faults_are_not_shown(live):
+    line = "explore: beta: is -1; it must be above 0 second line"
+    assert refusal(live, body=asked(parameters="wrong")) == (400, line)
+    status, line = refusal(live, body=asked(parameters="broken"))
+    assert status == 500 and "secret" not in line and "ZeroDivision" not in line
+    assert request(live, body=asked())[0] == 200
+
+
+def test_too_many_connections_are_sent_away(live, monkeypatch):
+    monkeypatch.setattr(server, "CONNECTIONS", 3)
+    idle = [socket.create_connection(("127.0.0.1", live.port), 10) for _ in range(3)]
+    try:
+        time.sleep(0.2)
+        assert raw(live, b"").startswith(b"HTTP/1.1 503")
+    finally:
+        for one in idle:
+            one.close()
+    end = time.monotonic() + 5
+    while live._server._open and time.monotonic() < end:
+        time.sleep(0.01)
+    assert request(live, body=asked())[0] == 200
+
+
+def test_a_thousand_quick_clicks_are_answered_or_refused_in_order():
+    """Six at a time, as browsers do: who was overtaken is told so, the last is answered, nothing is out of order."""
+    answers = Slow(0.01)
+    with served(answers) as live:
+        next_number, lock, found = iter(range(1000)), threading.Lock(), {}
+
+        def click():
+            while True:
+                with lock:
+                    number = next(next_number, None)
+                if number is None:
+                    return
+                body = asked(number=number, parameters=number)
+                found[number] = request(live, body=body)[0]
+
+        clickers = [threading.Thread(target=click) for _ in range(6)]
+        for one in clickers:
+            one.start()
+        for one in clickers:
+            one.join()
+        assert len(found) == 1000 and set(found.values()) == {200, 409}
+        assert found[999] == 200
+        assert answers.answered == sorted(answers.answered)
+        assert set(answers.answered) >= {number for number, status in found.items() if status == 200}
+        assert answers.left > 0 and len(live.turns._newest) <= 2 and not live.turns._waiting
+    assert request_fails(live)
+
+
+def request_fails(live):
+    try:
+        request(live, body=asked())
+    except OSError:
+        return True
+    return False
+
+
+def test_clients_wait_for_one_another_and_too_many_are_sent_away():
+    answers = Slow(0.3)
+    with served(answers) as live:
+        found = []
+
+        def ask(client):
+            found.append(request(live, body=asked(client=client, number=1, parameters=client)))
+
+        threads = [threading.Thread(target=ask, args=(str(k),)) for k in range(12)]
+        for one in threads:
+            one.start()
+            time.sleep(0.01)
+        for one in threads:
+            one.join()
+    statuses = [status for status, *_ in found]
+    assert statuses.count(503) == 3 and statuses.count(200) == 9  # one at work, eight that wait
+    assert {headers["Retry-After"] for status, headers, _ in found if status == 503} == {"1"}
+    assert answers.answered == [str(k) for k in range(9)]
+
+
+def test_closing_lets_everybody_go():
+    """Also while a motion is being computed, one waits, and a connection says nothing."""
+    answers = Slow(30.0)
+    found = []
+    with served(answers) as live:
+        idle = socket.create_connection(("127.0.0.1", live.port), 10)
+        ask = [threading.Thread(target=lambda k=k: found.append(attempt(live, str(k)))) for k in range(2)]
+        for one in ask:
+            one.start()
+        time.sleep(0.2)
+        began = time.monotonic()
+        live.close()
+        assert time.monotonic() - began < 5
+        for one in ask:
+            one.join()
+        idle.close()
+    assert len(found) == 2 and set(found) <= {503, "broken"}
+
+
+def attempt(live, client):
+    try:
+        return request(live, body=asked(client=client))[0]
+    except (OSError, http.client.HTTPException):
+        return "broken"
+
+
+def test_turns_keep_their_order():
+    turns, done = Turns(waiting=1), []
+    begun, go = threading.Event(), threading.Event()
+
+    def long(check):
+        begun.set()
+        go.wait(5)
+        done.append("long")
+
+    threads = [threading.Thread(target=lambda: turns.ask("a", 5, long))]
+    threads[0].start()
+    assert begun.wait(5)
+    with pytest.raises(Superseded):
+        turns.ask("a", 5, long)
+    threads.append(threading.Thread(target=lambda: turns.ask("b", 1, lambda check: done.append("b"))))
+    threads[1].start()
+    while not turns._waiting:
+        time.sleep(0.001)
+    with pytest.raises(Busy):
+        turns.ask("c", 1, long)
+    go.set()
+    for one in threads:
+        one.join()
+    assert turns.ask("c", 1, lambda check: "c") == "c"  # the same number again: it was sent away, not answered
+    assert done == ["long", "b"]
+    turns.close()
+    with pytest.raises(Closed):
+        turns.ask("a", 9, long)

@@ -1,0 +1,190 @@
+"""What a click is answered with is what `simulate` finds, and costs no more than it says."""
+
+import json
+import time
+
+import numpy as np
+import pytest
+
+import vibrojax as vj
+from vibrojax.errors import InputError
+from vibrojax.explorer import _motions, cells
+from vibrojax.explorer._motions import Motions, motions_around, motions_of
+from vibrojax.explorer.cells import decode
+from vibrojax.kernels import made
+
+SWEEP = {
+    "scene": "vibro-impact",
+    "starts": ["drive", [0.0, 0.0, 0.01, 0.0]],
+    "parameters": {"v": 1.2},
+    "grid": {"beta": [0.3, 0.4], "gamma": [0.65, 0.75, 0.8]},
+    "run": {"settle": 8.0, "observe": 6.0},
+}
+
+
+@pytest.fixture(scope="module")
+def dataset():
+    return vj.run_sweep(SWEEP, progress=False)
+
+
+@pytest.fixture(scope="module")
+def motions():
+    return motions_of(vj.read_sweep(SWEEP))
+
+
+def never(*_):
+    """Nobody asks for anything newer."""
+
+
+def one(block):
+    [cell] = decode(block)
+    return cell
+
+
+@pytest.mark.parametrize("start", [None, "stuck", [0.0, 0.5, 0.01, -1.0]])
+def test_a_motion_has_the_numbers_of_simulate(motions, start):
+    changed = {"beta": 0.37, "delta": 0.002}
+    cell = one(motions.answer({"parameters": changed, "start": start}, never))
+    given = {"v": 1.2, "gamma": 0.65} | changed
+    motion = vj.simulate("vibro-impact", **given, start=start or "drive", duration=14.0, progress=False)
+    assert {"regime", "period", "impact_velocity", "stick_fraction"} <= set(cell.numbers)
+    for name, value in cell.numbers.items():
+        np.testing.assert_equal(np.nan if value is None else value, motion[name].item(), err_msg=name)
+    assert set(cell.numbers) == {name for name, data in motion.data_vars.items() if data.ndim == 0}
+
+
+def test_what_is_shown_lies_on_the_motion(motions):
+    """The repeat, read at its times from the trajectory of `simulate`, to a level of the cell's columns."""
+    cell = one(motions.answer({"parameters": {"beta": 0.4, "gamma": 0.75, "v": 1.5}}, never))
+    motion = vj.simulate("vibro-impact", duration=14.0, sampling=1e-4, progress=False)
+    sections = motion["event_time"].values[motion["event_kind"].values == 5]
+    assert cell.kind == "orbit" and cell.duration == pytest.approx(sections[-1] - sections[-1 - cell.returns], rel=1e-6)
+    for name in ("x1", "v1", "x2", "v2"):
+        at = sections[-1 - cell.returns] + cell.time
+        there = np.interp(at, motion["time"], motion[name])
+        rate = np.abs(np.gradient(motion[name], motion["time"])).max()
+        # A state is as exact as its levels, at a time that is as exact as its own.
+        within = 0.6 * np.ptp(there) / cells.LEVELS + 0.6 * rate * cell.duration / cells._TIMES
+        np.testing.assert_allclose(cell.states[name], there, atol=within)
+
+
+def test_lanes_are_the_sweeps(dataset, motions):
+    """By number: at the lane's parameters, from its start, named or a vector."""
+    for number in range(12):
+        cell = one(motions.answer({"lane": number}, never))
+        at = dataset.stack(lane=("beta", "gamma", "start")).isel(lane=number)
+        assert cell.lane == number and cell.numbers is None
+        if int(at["cycles"]) > 0:
+            repeat = int(at["cycles"]) * float(at["period"])
+            assert cell.kind == "orbit" and cell.duration == pytest.approx(repeat, rel=5e-3)
+
+
+@pytest.mark.parametrize("scene", ["rotary", "penetration", "drilling", "coupled-drilling"])
+def test_every_scene_answers(scene):
+    motions = Motions(scene, {}, None, 2.0 if scene == "penetration" else 12.0)
+    cell = one(motions.answer({"parameters": {}}, never))
+    assert cell.kind != "none" and len(cell.time) > 50 and cell.numbers
+    offered = motions.offered()
+    assert {one["name"] for one in offered["parameters"]} == set(motions.point.parameters) == set(offered["values"])
+    for slider in offered["parameters"]:
+        assert slider["low"] <= offered["values"][slider["name"]] <= slider["high"]
+        assert motions.names.parameters[slider["name"]].problem(slider["low"]) is None
+    assert json.loads(json.dumps(offered, allow_nan=False)) == offered
+
+
+@pytest.mark.parametrize(
+    ("asked", "line"),
+    [
+        ({"parameters": None}, "explore: parameters: "),
+        ({"parameters": [1]}, "explore: parameters: "),
+        ({"parameters": {"beta": -1}}, "explore: beta: is -1; it must be above 0"),
+        ({"parameters": {"beta": "x"}}, "explore: beta: "),
+        ({"parameters": {"beta": float("nan")}}, "explore: beta: "),
+        ({"parameters": {"beta": float("inf")}}, "explore: beta: "),
+        ({"parameters": {"beta": True}}, "explore: beta: "),
+        ({"parameters": {"bta": 0.4}}, 'did you mean "beta"?'),
+        ({"parameters": {"friction": "coulomb"}}, "explore: "),
+        ({"parameters": {}, "start": "nowhere"}, "explore: start: "),
+        ({"parameters": {}, "start": [1, 2]}, "explore: start: "),
+        ({"parameters": {}, "start": {"x": 1}}, "explore: start: "),
+        ({"parameters": {}, "duration": 1e9}, "explore: duration: there is no such thing to ask for"),
+        ({"lane": 12}, "explore: lane: 12 is no lane; there are 12, from 0"),
+        ({"lane": -1}, "explore: lane: "),
+        ({"lane": True}, "explore: lane: "),
+        ({"lane": None}, "explore: lane: "),
+    ],
+)
+def test_wrong_questions_are_refused_in_one_line(motions, asked, line):
+    with pytest.raises(InputError) as refused:
+        motions.answer(asked, never)
+    assert line in str(refused.value) and "\n" not in str(refused.value)
+
+
+def test_a_motion_of_too_many_steps_is_given_up(motions, monkeypatch):
+    monkeypatch.setattr(_motions, "MOST_STEPS", 512)
+    with pytest.raises(InputError, match=r"explore: over 512 steps led to .* s of 14 s; give a softer contact"):
+        motions.answer({"parameters": {"k0": 300e6}}, never)
+
+
+def test_pulses_repeat():
+    """The bit under equal pulses is after each where it was after the one before, but deeper."""
+    cell = one(Motions("penetration", {"frequency": 25.0}, None, 2.0).answer({}, never))
+    assert (cell.kind, cell.returns, cell.duration) == ("orbit", 1, pytest.approx(0.04, rel=1e-6))
+    swept = Motions("penetration", {"pulse_shape": "sweep", "bias": 60e3}, None, 2.0)
+    assert one(swept.answer({}, never)).kind == "motion"
+
+
+def test_unusual_values_are_noted(motions):
+    cell = one(motions.answer({"parameters": {"delta": 1.0}}, never))
+    assert "far outside what the source and rigs have" in cell.note
+
+
+def test_what_is_not_awaited_any_more_ends(motions):
+    calls = []
+
+    def check(*_):
+        calls.append(1)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        motions.answer({"parameters": {"k0": 300e6}}, check)
+    assert len(calls) == 2
+
+
+def test_values_compile_nothing():
+    """A first motion compiles; parameters and starts are values. Fast enough for a slider: under 0.3 s of one core."""
+    motions = Motions("vibro-impact", {})
+    assert motions.duration == 48.0
+    motions.warm()
+    before, random = len(made.kernels), np.random.default_rng(0)
+    taken = []
+    for start in ("drive", "stuck", [0.0, 0.1, 0.02, 0.0]):
+        for _ in range(3):
+            beta, delta, k0 = random.uniform(0.3, 0.5), random.uniform(-0.01, 0.01), random.uniform(10e6, 100e6)
+            began = time.thread_time()
+            motions.answer({"parameters": {"beta": beta, "delta": delta, "k0": k0}, "start": start}, never)
+            taken.append(time.thread_time() - began)
+    assert len(made.kernels) == before
+    assert np.median(taken) < 0.3
+
+
+def test_around_other_datasets():
+    """A trajectory's own point is where its page's sliders stand."""
+    motion = vj.simulate("rotary", v=0.7, friction="coulomb", mu=0.3, duration=1.0, start="stuck", progress=False)
+    motions = motions_around(motion)
+    assert motions.point.parameters["v"] == 0.7 and motions.point.parameters["mu"] == 0.3
+    assert motions.point.options["friction"] == "coulomb" and motions.point.start == "stuck"
+    with pytest.raises(InputError, match="explore: "):
+        motions_around(motion.assign_attrs(scene="nothing"))
+    with pytest.raises(InputError, match="explore: "):
+        motions_around(motion.assign_attrs(run="{"))
+
+
+def test_sliders_reach_all_values_of_the_sweep():
+    axes = {"delta": {"start": -0.2, "stop": 0.1, "num": 3}, "gamma": [0.01, 0.7]}
+    motions = motions_of(vj.read_sweep({"scene": "vibro-impact", "grid": axes}))
+    sliders = {one["name"]: one for one in motions.offered()["parameters"]}
+    assert sliders["delta"]["low"] == -0.2 and sliders["delta"]["high"] == 0.1 and not sliders["delta"]["log"]
+    assert sliders["gamma"]["low"] == 0.01 and sliders["gamma"]["log"]
+    assert sliders["delta"]["units"] == "mm" and sliders["delta"]["factor"] == 1e3

@@ -1,0 +1,236 @@
+"""`vibrojax explore OUT.nc --live`: what it prints, how it ends, and the page in a browser."""
+
+import re
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+import vibrojax as vj
+from vibrojax.cli import main
+from vibrojax.explorer.live import serve
+
+ROOT = Path(__file__).parents[1]
+CHROMIUM = shutil.which("chromium")
+QUIETLY = [
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--no-first-run",
+]
+SWEEP = {
+    "scene": "vibro-impact",
+    "grid": {"beta": [0.3, 0.35, 0.4], "gamma": [0.65, 0.7, 0.75, 0.8]},
+    "run": {"settle": 6.0, "observe": 4.0},
+}
+
+
+@pytest.fixture(scope="module")
+def dataset():
+    return vj.run_sweep(SWEEP, progress=False)
+
+
+@pytest.fixture(scope="module")
+def file(dataset, tmp_path_factory):
+    path = tmp_path_factory.mktemp("explore") / "small.nc"
+    vj.write_dataset(dataset, path)
+    return path
+
+
+@contextmanager
+def command(*words):
+    """The command, running; what it has said is in its pipes."""
+    call = [sys.executable, "-m", "vibrojax", *map(str, words)]
+    running = subprocess.Popen(call, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT)
+    try:
+        yield running
+    finally:
+        if running.poll() is None:
+            running.kill()
+        running.communicate()
+
+
+@pytest.mark.parametrize(
+    ("sent", "status", "said"), [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "term")]
+)
+def test_the_command_serves_until_it_is_interrupted(file, sent, status, said):
+    with command("explore", file, "--live", "--no-browser") as running:
+        url = running.stdout.readline().strip()
+        port = int(re.fullmatch(r"http://127\.0\.0\.1:(\d+)/[\w-]{43,}/", url)[1])
+        assert "<title>" in urllib.request.urlopen(url, timeout=10).read().decode()
+        began = time.monotonic()
+        running.send_signal(sent)
+        out, err = running.communicate(timeout=20)
+        assert time.monotonic() - began < 10
+    assert running.returncode == status and out == ""
+    last = err.splitlines()[-1]
+    assert last.startswith(f"vibrojax: {said}") and last.endswith(f"explore {file} --live") and "Traceback" not in err
+    with pytest.raises(OSError):
+        socket.create_connection(("127.0.0.1", port), 1).close()
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["--live", "-o", "page.html"], "-o: --live writes no page"),
+        (["beta=0.4", "--live"], '"beta=0.4": values are for a scene, with --live; leave them out'),
+        (["--no-browser"], "--no-browser: there is no browser to open without --live"),
+    ],
+)
+def test_options_that_do_not_go_together(file, capsys, words, line):
+    assert main(["explore", str(file), *words]) == 2
+    said = capsys.readouterr().err
+    assert line in said and said.count("\n") == 1
+
+
+def test_a_browser_is_opened_where_there_is_a_display(file, monkeypatch, capsys):
+    """And not without one: some browsers would open in the terminal."""
+    opened = []
+    monkeypatch.setattr("webbrowser.open", opened.append)
+    monkeypatch.setattr("vibrojax.explorer.live.Live.wait", lambda self: None)
+    monkeypatch.setattr(sys, "platform", "linux")
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    monkeypatch.delenv("DISPLAY", raising=False)
+    assert main(["explore", str(file), "--live"]) == 0 and opened == []
+    monkeypatch.setenv("DISPLAY", ":0")
+    assert main(["explore", str(file), "--live", "--no-browser"]) == 0 and opened == []
+    capsys.readouterr()
+    assert main(["explore", str(file), "--live"]) == 0
+    assert opened == [capsys.readouterr().out.strip()]
+
+
+def test_a_scene_without_a_dataset(monkeypatch, capsys):
+    """Its sliders stand where NAME=VALUE say."""
+    served = []
+    monkeypatch.setattr("vibrojax.explorer.live.Live.wait", lambda self: served.append(self))
+    assert main(["explore", "rotary", "v=0.7", "start=stuck", "duration=2", "--live", "--no-browser", "--quiet"]) == 0
+    [live] = served
+    assert live.answers.point.parameters["v"] == 0.7 and live.answers.point.start == "stuck"
+    assert main(["explore", "rotary", "v=-1", "--live"]) == 2
+    assert "v: is -1" in capsys.readouterr().err
+    assert main(["explore", "rotry", "--live"]) == 2
+    assert 'did you mean "rotary"?' in capsys.readouterr().err
+
+
+@contextmanager
+def browser_page(live, width=1280, height=900):
+    """The page in Chromium; no error in its console, and no request to anywhere else."""
+    playwright = pytest.importorskip("playwright.sync_api")
+    if CHROMIUM is None:
+        pytest.skip("no Chromium here")
+    wrong, asked = [], []
+    with playwright.sync_playwright() as tools:
+        browser = tools.chromium.launch(executable_path=CHROMIUM, args=QUIETLY)
+        page = browser.new_page(viewport={"width": width, "height": height})
+        page.set_default_timeout(20_000)
+        page.on("console", lambda line: wrong.append(line.text) if line.type in ("error", "warning") else None)
+        page.on("pageerror", lambda error: wrong.append(str(error)))
+        page.on("request", lambda one: asked.append(one.url))
+        page.goto(live.url)
+        page.wait_for_selector("[data-ready]")
+        yield page
+        browser.close()
+    # What it refuses for its values, a browser tells its console whatever the page does with the answer.
+    assert not [line for line in wrong if "400 (Bad Request)" not in line]
+    assert all(url.startswith((live.url, "data:")) for url in asked)
+
+
+PICTURE = "() => document.querySelector('.vx-panel canvas').toDataURL()"
+
+
+def numbers(page):
+    cells = page.locator(".vx-numbers td").evaluate_all("all => all.map(one => [one.dataset.name, one.dataset.value])")
+    return {name: float(value) for name, value in cells if value not in ("", "NaN")}
+
+
+def test_dragging_a_slider_changes_the_motion(dataset):
+    """The phase plane is another, the numbers are those of `simulate`, and so is the command line to copy."""
+    with serve(dataset) as live, browser_page(live) as page:
+        before = page.evaluate(PICTURE)
+        slider = page.locator("input[data-parameter=delta]")
+        box = slider.bounding_box()
+        page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+        page.mouse.down()
+        for share in (0.55, 0.6, 0.65, 0.7):
+            page.mouse.move(box["x"] + share * box["width"], box["y"] + box["height"] / 2)
+        page.mouse.up()
+        page.locator(".vx-said", has_text="simulated in").wait_for()
+        page.locator("h2", has_text="With Δ = ").wait_for()
+        assert page.evaluate(PICTURE) != before
+        value = 1e-3 * float(page.locator("input[name=delta]").input_value())
+        assert 0.005 < value < 0.012
+        code = page.locator(".vx-call code").all_text_contents()
+        assert "vibrojax simulate vibro-impact" in code[0] and f"delta={value:g}" in code[0]
+        [motion] = [eval(code[1].replace("vj.simulate(", "vj.simulate(progress=False, scene="), {"vj": vj})]
+        shown = numbers(page)
+        for name in ("regime", "period", "stick_fraction", "bit_amplitude"):
+            assert shown[name] == pytest.approx(motion[name].item(), rel=1e-6), name
+        page.locator("button", has_text="back to the cell").click()
+        page.locator("h2", has_text="β = 0.35").wait_for()
+        assert page.locator("input[name=delta]").input_value() == "-5"
+
+
+def test_numbers_starts_and_wrong_values(dataset):
+    with serve(dataset) as live, browser_page(live, 390, 844) as page:
+        assert page.evaluate("() => document.documentElement.scrollWidth") <= 390
+        page.locator("input[name=beta]").fill("-1")
+        page.locator(".vx-wrong", has_text="beta: is -1; it must be above 0").wait_for()
+        page.locator("input[name=beta]").fill("0.44")
+        page.locator("h2", has_text="With β = 0.44").wait_for()
+        page.locator(".vx-sliders select").select_option("a state")
+        page.locator("h2", has_text="start [0, 0, 0, 0]").wait_for()
+        assert "start=[0,0,0,0]" in page.locator(".vx-call code").first.text_content()
+        page.locator(".vx-over").press("ArrowRight")
+        page.locator("h2", has_text="β = 0.4").wait_for()
+        page.locator(".vx-panel canvas").first.wait_for()
+
+
+def test_a_stopped_server_is_said():
+    """In a line beside the sliders, and the page goes on showing what it has."""
+    motion = vj.simulate("rotary", duration=2.0, progress=False)
+    with serve(motion) as live:
+        wrong = pytest.importorskip("playwright.sync_api")
+        if CHROMIUM is None:
+            pytest.skip("no Chromium here")
+        with wrong.sync_playwright() as tools:
+            browser = tools.chromium.launch(executable_path=CHROMIUM, args=QUIETLY)
+            page = browser.new_page()
+            page.goto(live.url)
+            page.wait_for_selector("[data-ready]")
+            live.close()
+            page.locator("input[data-parameter=v]").press("ArrowLeft")
+            page.locator(".vx-wrong", has_text="the server does not answer; it may have been stopped").wait_for()
+            browser.close()
+
+
+def test_quick_questions_are_asked_one_at_a_time():
+    """Of many at once the page asks the first and the last; those between are refused without being sent."""
+    node = shutil.which("node")
+    if node is None:
+        pytest.skip("no node here")
+    script = """
+      import { newest, Overtaken } from "./live.js";
+      const sent = [];
+      const asked = newest(async (question, number) => {
+        sent.push([question, number]);
+        await new Promise((done) => setTimeout(done, 30));
+        return question;
+      });
+      const numbers = Array.from({ length: 1000 }, (_, k) => k), all = await Promise.allSettled(numbers.map(asked));
+      const answered = numbers.filter((k) => all[k].status === "fulfilled");
+      const refused = all.filter((one) => one.status === "rejected");
+      if (!refused.every((one) => one.reason instanceof Overtaken)) throw new Error("refused otherwise");
+      console.log(JSON.stringify([sent, answered]));
+    """
+    call = [node, "--input-type=module", "-e", script]
+    done = subprocess.run(call, capture_output=True, text=True, cwd=ROOT / "vibrojax" / "explorer" / "page", timeout=60)
+    assert done.stdout.strip() == "[[[0,1],[999,2]],[0,999]]", done.stderr

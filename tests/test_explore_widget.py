@@ -1,0 +1,224 @@
+"""The page as a widget: what is picked is Python's, what Python picks is shown, and the kernel computes motions."""
+
+import builtins
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+import vibrojax as vj
+from vibrojax.errors import InputError
+from vibrojax.explorer.cells import decode
+
+anywidget = pytest.importorskip("anywidget")
+
+CHROMIUM = shutil.which("chromium")
+QUIETLY = ["--no-sandbox", "--disable-gpu", "--disable-background-networking", "--disable-component-update"]
+SWEEP = {
+    "scene": "vibro-impact",
+    "grid": {"beta": [0.3, 0.35, 0.4], "gamma": [0.65, 0.7, 0.75, 0.8]},
+    "run": {"settle": 6.0, "observe": 4.0},
+}
+
+
+@pytest.fixture(scope="module")
+def dataset():
+    return vj.run_sweep(SWEEP, progress=False)
+
+
+@pytest.fixture
+def widget(dataset):
+    return vj.explore(dataset)
+
+
+@pytest.fixture
+def sent(widget, monkeypatch):
+    """What the widget sends to the page."""
+    messages = []
+    monkeypatch.setattr(type(widget), "send", lambda self, content, buffers=None: messages.append((content, buffers)))
+    return messages
+
+
+def test_a_picked_cell_is_pythons(widget, dataset):
+    seen = []
+    widget.observe(lambda change: seen.append(change["new"]), "point")
+    widget.set_state({"cell": {"beta": 2, "gamma": 1, "start": 1}})  # as the page says it
+    assert widget.point == {"beta": 0.4, "gamma": 0.7, "start": "stuck"} and seen == [widget.point]
+    assert widget.cell == {"beta": 2, "gamma": 1, "start": 1}
+    assert widget.lane.identical(dataset.isel(beta=2, gamma=1, start=1))
+
+
+def test_python_picks_the_nearest_cell(widget):
+    seen = []
+    widget.observe(lambda change: seen.append(change["new"]), "cell")
+    widget.point = {"beta": 0.31, "gamma": 0.79, "start": "stuck"}
+    assert widget.cell == {"beta": 0, "gamma": 3, "start": 1} and seen == [widget.cell]
+    assert widget.point == {"beta": 0.3, "gamma": 0.8, "start": "stuck"}
+    widget.point = {"gamma": np.float64(0.0)}  # what is not named stays
+    assert widget.cell == {"beta": 0, "gamma": 0, "start": 1}
+    widget.cell = {"beta": 99}
+    assert widget.point == {"beta": 0.4, "gamma": 0.65, "start": "stuck"}
+
+
+@pytest.mark.parametrize(
+    ("point", "line"),
+    [
+        ({"bta": 0.3}, 'explore: point.bta: the map has no such axis; did you mean "beta"?'),
+        ({"start": "nowhere"}, 'explore: point.start: "nowhere" is none of its values; choose from drive, stuck'),
+        ({"beta": "x"}, 'explore: point.beta: "x" is no number; give one, in SI units'),
+        ({"beta": float("nan")}, "explore: point.beta: nan is no number; give one, in SI units"),
+    ],
+)
+def test_wrong_points_are_refused(widget, point, line):
+    before = widget.point
+    with pytest.raises(InputError) as refused:
+        widget.point = point
+    assert str(refused.value) == line
+    assert widget.point == before
+    with pytest.raises(InputError, match="a cell has an index for each of beta, gamma, start"):
+        widget.cell = {"nowhere": 1}
+
+
+def test_the_kernel_computes_what_the_page_asks_for(widget, sent, dataset):
+    widget._handle_custom_msg({"id": "a", "parameters": {"beta": 0.37}, "start": "stuck"}, [])
+    motion = vj.simulate("vibro-impact", beta=0.37, gamma=0.65, start="stuck", duration=10.0, progress=False)
+    [(content, [block])] = sent
+    [cell] = decode(block)
+    assert content == {"id": "a"} and cell.numbers["period"] == motion["period"].item()
+    assert widget.simulated == {"parameters": {"beta": 0.37}, "start": "stuck"}
+    widget._handle_custom_msg({"id": "b", "lane": 3}, [])
+    [cell] = decode(sent[1][1][0])
+    assert cell.lane == 3 and widget.simulated == {}
+
+
+def test_what_cannot_be_computed_is_said(widget, sent, monkeypatch):
+    widget._handle_custom_msg({"id": "a", "parameters": {"beta": -1}}, [])
+    assert sent[0] == ({"id": "a", "error": "explore: beta: is -1; it must be above 0"}, None)
+    monkeypatch.setattr(widget.motions, "answer", lambda *_: 1 / 0)
+    widget._handle_custom_msg({"id": "b", "lane": 0}, [])
+    assert sent[1][0] == {"id": "b", "error": "this could not be computed"}
+    for nonsense in ({}, {"parameters": {}}, "x", None, 3):
+        widget._handle_custom_msg(nonsense, [])
+    assert len(sent) == 2
+
+
+def test_without_a_kernel_it_holds_the_motions(dataset):
+    held = vj.explore(dataset, live=False)
+    assert held.offered is None and held.document["cells"] == {"size": 256, "blocks": 1} and len(held.blocks) == 1
+
+
+def test_a_part_of_a_sweep(dataset):
+    """Its cells have no numbers of lanes any more, and are computed by their coordinates."""
+    part = dataset.isel(beta=[0, 2], start=0)
+    widget = vj.explore(part)
+    assert widget.blocks == [] and widget.document["lanes"] is None and widget.offered["lanes"] == 24
+    widget.point = {"beta": 0.4}
+    assert widget.lane.identical(part.isel(beta=1, gamma=widget.cell["gamma"]))
+
+
+def test_a_trajectory_and_a_plane_of_starts():
+    motion = vj.simulate("rotary", duration=2.0, v=0.7, progress=False)
+    widget = vj.explore(motion)
+    assert widget.offered["values"]["v"] == 0.7 and len(widget.blocks) == 1
+    x2 = {"start": -0.02, "stop": 0.02, "num": 3}
+    starts = {"plane": {"x2": x2, "v2": {"start": -1.0, "stop": 1.0, "num": 2}}}
+    run = {"settle": 1.0, "observe": 1.0}
+    plane = vj.run_sweep({"scene": "vibro-impact", "starts": starts, "run": run}, progress=False)
+    widget = vj.explore(plane)
+    widget.point = {"start_x2": 0.019, "start_v2": -0.6}
+    assert widget.point == {"start_x2": 0.02, "start_v2": -1.0} and widget.lane["regime"].ndim == 0
+
+
+def test_a_dataset_of_an_unknown_scene(dataset):
+    """It is shown, and nothing is simulated."""
+    foreign = dataset.drop_attrs().assign_attrs(scene="mine")
+    assert vj.explore(foreign).offered is None
+    with pytest.raises(InputError, match="explore: "):
+        vj.explore(foreign, live=True)
+
+
+def test_without_anywidget_it_says_what_to_install(dataset, monkeypatch):
+    really = builtins.__import__
+
+    def without(name, *rest):
+        if name.partition(".")[0] == "anywidget":
+            raise ModuleNotFoundError("No module named 'anywidget'", name="anywidget")
+        return really(name, *rest)
+
+    monkeypatch.delitem(__import__("sys").modules, "vibrojax.explorer._anywidget", raising=False)
+    monkeypatch.setattr(builtins, "__import__", without)
+    with pytest.raises(InputError) as refused:
+        vj.explore(dataset)
+    assert str(refused.value) == 'explore: anywidget is not installed; pip install "vibrojax[widget]"'
+
+
+HOST = """
+<!doctype html><div id="here"></div><script type="module">
+const text = await getModule(), blob = new Blob([text], { type: "text/javascript" });
+const module = await import(URL.createObjectURL(blob));
+const state = JSON.parse(await getState()), heard = new Map();
+window.tell = (name, ...rest) => (heard.get(name) ?? []).forEach((one) => one(...rest));
+window.answer = (content, base64) => {
+  const bytes = base64 ? [new DataView(Uint8Array.from(atob(base64), (one) => one.charCodeAt(0)).buffer)] : [];
+  tell("msg:custom", content, bytes);
+};
+window.model = {
+  get: (name) => state[name],
+  set: (name, value) => { state[name] = value; },
+  save_changes: () => saved(JSON.stringify(state.cell)),
+  on: (name, one) => heard.set(name, [...(heard.get(name) ?? []), one]),
+  off: (name, one) => heard.set(name, (heard.get(name) ?? []).filter((other) => other !== one)),
+  send: (content) => asked(JSON.stringify(content)),
+};
+window.cleanup = await module.default.render({ model, el: document.getElementById("here") });
+</script>
+"""
+
+
+def test_the_module_in_a_browser(widget, sent):
+    """A model that stands for the notebook's: a click is the model's cell, a cell from Python is shown, sliders ask."""
+    import base64
+
+    playwright = pytest.importorskip("playwright.sync_api")
+    if CHROMIUM is None:
+        pytest.skip("no Chromium here")
+    wrong, requests = [], []
+    with playwright.sync_playwright() as tools:
+        browser = tools.chromium.launch(executable_path=CHROMIUM, args=QUIETLY)
+        page = browser.new_page(viewport={"width": 1000, "height": 900})
+        page.set_default_timeout(20_000)
+        page.on("console", lambda line: wrong.append(line.text) if line.type in ("error", "warning") else None)
+        page.on("pageerror", lambda error: wrong.append(str(error)))
+        page.on("request", lambda one: requests.append(one.url))
+
+        def asked(text):
+            widget._handle_custom_msg(json.loads(text), [])
+            content, buffers = sent.pop()
+            page.evaluate(
+                "([content, block]) => setTimeout(() => answer(content, block))",
+                [content, base64.b64encode(buffers[0]).decode() if buffers else None],
+            )
+
+        page.expose_function("getModule", lambda: widget._esm)
+        page.expose_function("getState", lambda: json.dumps(widget.get_state(), default=str))
+        page.expose_function("saved", lambda cell: widget.set_state({"cell": json.loads(cell)}))
+        page.expose_function("asked", asked)
+        widget.point = {"beta": 0.3, "gamma": 0.8, "start": "stuck"}
+        page.set_content(HOST)
+        page.locator("h2", has_text="β = 0.3, γ = 0.8, start stuck").wait_for()
+        page.locator(".vx-panel canvas").first.wait_for()
+        page.locator(".vx-over").press("ArrowLeft")
+        page.locator("h2", has_text="γ = 0.75").wait_for()
+        assert widget.point == {"beta": 0.3, "gamma": 0.75, "start": "stuck"}
+        widget.point = {"beta": 0.4, "gamma": 0.65, "start": "drive"}
+        page.evaluate("(cell) => { model.set('cell', cell); tell('change:cell'); }", widget.cell)
+        page.locator("h2", has_text="β = 0.4, γ = 0.65").wait_for()
+        page.locator("input[name=v]").fill("1.1")
+        page.locator("h2", has_text="With v = 1.1").wait_for()
+        assert widget.simulated["parameters"]["v"] == 1.1 and widget.simulated["parameters"]["beta"] == 0.4
+        page.evaluate("() => cleanup()")
+        assert page.locator(".vx-map").count() == 0
+        browser.close()
+    assert not wrong
+    assert all(url.startswith(("blob:", "about:", "data:")) for url in requests)

@@ -1,0 +1,55 @@
+// What a page does that can compute: sliders beside the chosen cell, and the motion at what they say.
+import { numberText } from "./plots.js";
+import { Sliders } from "./sliders.js";
+
+export class Computing {
+  /** `page`: whose chosen cell it is; `offered`, `motion`: of the source. */
+  constructor(page, offered, motion) {
+    Object.assign(this, { page, offered, motion, at: { ...offered.values }, from: offered.start });
+    this.sliders = new Sliders(offered, (parameters, start) => this.compute(parameters, start));
+    this.sliders.back.addEventListener("click", () => page.pick(page.cell));
+    this.element = this.sliders.element;
+  }
+
+  /** Stand at the point of a cell, of which the coordinates are given by name. */
+  stand(own) {
+    const { offered } = this, values = { ...offered.values, ...offered.rocks?.[own.rock] };
+    for (const name of Object.keys(offered.values)) if (typeof own[name] === "number") values[name] = own[name];
+    if ("v" in values && typeof own.rpm === "number") values.v = ((2 * Math.PI) / 60) * own.rpm * (own.bit_radius ?? offered.bit_radius);
+    const vector = offered.states.map((name) => own[`start_${name}`]);
+    const start = vector.length && vector.every((x) => typeof x === "number") ? vector : own.start ?? offered.start;
+    Object.assign(this, { at: values, from: start });
+    this.sliders.set(values, start);
+    this.sliders.say("");
+  }
+
+  /** The motion at the cell's point; its numbers are the dataset's. */
+  async here() { return { ...(await this.motion(this.at, this.from)), numbers: undefined }; }
+
+  async compute(parameters, start) {
+    const { page } = this, number = ++page.asked, began = performance.now();
+    try {
+      const motion = await this.motion(parameters, start);
+      if (number !== page.asked) return;
+      page.showPoint({ title: this.title(parameters, start), parameters: this.given(parameters), start: this.written(start) }, motion);
+      this.sliders.say(`simulated in ${Math.round(performance.now() - began)} ms`);
+    } catch (error) {
+      if (number === page.asked) this.sliders.say(error.message, true);
+    }
+  }
+
+  /** In words what differs from the chosen cell. */
+  title(parameters, start) {
+    const changed = this.offered.parameters.filter(({ name }) => parameters[name] !== this.at[name]);
+    const texts = changed.map(({ name, symbol, factor, units }) => `${symbol} = ${numberText(parameters[name] * factor, 4)} ${units}`.trim());
+    if (JSON.stringify(start) !== JSON.stringify(this.from)) texts.push(`start ${Array.isArray(start) ? this.written(start) : start}`);
+    return texts.length ? `With ${texts.join(", ")}` : "";
+  }
+
+  given(parameters) {
+    const changed = this.offered.parameters.filter(({ name, default: usual }) => parameters[name] !== usual);
+    return Object.fromEntries(changed.map(({ name }) => [name, parameters[name]]));
+  }
+
+  written(start) { return Array.isArray(start) ? `[${start.join(", ")}]` : start; }
+}

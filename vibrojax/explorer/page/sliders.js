@@ -1,0 +1,112 @@
+// Sliders and numbers for what a source that computes may be asked for: every parameter of the scene, and the start.
+import { numberText } from "./plots.js";
+
+const STEPS = 1000;
+const VECTOR = "a state";
+
+const make = (tag, attributes = {}, ...children) => {
+  const one = Object.assign(document.createElement(tag), attributes);
+  one.append(...children);
+  return one;
+};
+
+/** Where a value stands between the ends of a slider, from 0 to STEPS, and back. */
+const placed = ({ low, high, log }, value) => {
+  const share = log ? Math.log(Math.max(value, low) / low) / Math.log(high / low) : (value - low) / (high - low);
+  return Math.round(STEPS * Math.min(1, Math.max(0, share)));
+};
+const valueAt = ({ low, high, log }, place) => {
+  const share = place / STEPS, value = log ? low * (high / low) ** share : low + (high - low) * share;
+  return Number(value.toPrecision(4));
+};
+
+let forms = 0;
+
+/** A form of them; `onChange(parameters, start)`, in SI, hears of each change. */
+export class Sliders {
+  constructor(offered, onChange) {
+    Object.assign(this, { offered, onChange, id: `vx-s${++forms}`, values: { ...offered.values }, start: offered.start });
+    this.rows = new Map(offered.parameters.map((one) => [one.name, this.row(one)]));
+    this.said = make("span", { className: "vx-said" });
+    this.said.setAttribute("role", "status");
+    this.back = make("button", { type: "button", className: "vx-copy", textContent: "back to the cell" });
+    const rows = [...this.rows.values()].map(({ element }) => element);
+    this.element = make("details", { className: "vx-sliders", open: true },
+      make("summary", { textContent: `Simulate, for ${offered.duration} s` }),
+      make("div", { className: "vx-asked" }, ...this.startControls(), this.back, this.said), make("div", { className: "vx-rows" }, ...rows));
+    this.set(offered.values, offered.start);
+  }
+
+  row(one) {
+    const range = make("input", { type: "range", min: 0, max: STEPS, step: 1, id: `${this.id}-${one.name}` });
+    const number = make("input", { type: "number", step: "any", name: one.name });
+    const unit = one.units ? ` [${one.units}]` : "";
+    const label = make("label", { htmlFor: range.id, title: one.label },
+      make("span", { textContent: `${one.symbol} ` }, make("small", { textContent: one.label.replace(/ \(.*/, "") })),
+      make("small", { textContent: one.units }));
+    range.setAttribute("data-parameter", one.name);
+    number.setAttribute("aria-label", `${one.label}${unit}`);
+    range.addEventListener("input", () => this.change(one, valueAt(one, Number(range.value)), range));
+    number.addEventListener("input", () => {
+      const value = Number(number.value);
+      if (number.value.trim() !== "" && Number.isFinite(value)) this.change(one, Number((value / one.factor).toPrecision(12)), number);
+    });
+    return { element: make("div", { className: "vx-row" }, label, range, number), range, number, one };
+  }
+
+  startControls() {
+    const { starts, states } = this.offered;
+    if (!starts.length && !states.length) return [];
+    const options = [...starts, ...(states.length ? [VECTOR] : [])];
+    this.which = make("select", { id: `${this.id}-start` }, ...options.map((text) => make("option", { value: text, textContent: text })));
+    this.vector = states.map((name) => {
+      const one = make("input", { type: "number", step: "any", value: "0" });
+      one.setAttribute("aria-label", `${name} at the start [${name.startsWith("v") ? "m/s" : "m"}]`);
+      one.addEventListener("input", () => this.started());
+      return one;
+    });
+    this.which.addEventListener("change", () => this.started());
+    this.states = make("span", { className: "vx-vector" }, ...states.flatMap((name, k) => [make("small", { textContent: ` ${name} ` }), this.vector[k]]));
+    return [make("span", {}, make("label", { htmlFor: this.which.id, textContent: "start " }), this.which), this.states];
+  }
+
+  started() {
+    const states = this.vector.map((one) => (one.value.trim() === "" ? NaN : Number(one.value)));
+    this.states.hidden = this.which.value !== VECTOR;
+    this.start = this.which.value === VECTOR ? states : this.which.value;
+    if (this.which.value !== VECTOR || states.every(Number.isFinite)) this.onChange({ ...this.values }, this.start);
+  }
+
+  change(one, value, by) {
+    this.values[one.name] = value;
+    this.write(one.name, by);
+    this.onChange({ ...this.values }, this.start);
+  }
+
+  /** Show a parameter's value, but in the input that it is being written in. */
+  write(name, by = null) {
+    const { range, number, one } = this.rows.get(name), value = this.values[name];
+    if (by !== range) range.value = placed(one, value);
+    if (by !== number) number.value = String(Number((value * one.factor).toPrecision(6)));
+    range.setAttribute("aria-valuetext", `${numberText(value * one.factor, 4)} ${one.units}`.trim());
+  }
+
+  /** Stand at a point, in SI; what is not given stays where it is. Nobody hears of it. */
+  set(values, start = undefined) {
+    for (const name of this.rows.keys()) {
+      if (typeof values[name] === "number") this.values[name] = values[name];
+      this.write(name);
+    }
+    if (start === undefined || start === null || !this.which) return;
+    this.start = start;
+    this.which.value = typeof start === "string" ? start : VECTOR;
+    this.states.hidden = typeof start === "string";
+    if (typeof start !== "string") start.forEach((x, k) => { this.vector[k].value = String(Number(x.toPrecision(10))); });
+  }
+
+  /** A line below the heading: that something is wrong, or how long the motion took. */
+  say(text, wrong = false) {
+    this.said.textContent = text;
+    this.said.classList.toggle("vx-wrong", wrong);
+  }
+}
