@@ -113,6 +113,17 @@ def test_a_doubled_branch_leaves_as_the_root_of_the_distance(family):
     np.testing.assert_allclose(double.period.values[0], single.period.values[begin], rtol=1e-9)
 
 
+def test_a_branch_that_doubles_at_both_ends_is_listed_once():
+    here = {"start": "stuck", "beta": 0.268, "v": 0.82, "delta": 0.005}
+    family = followed(along="gamma", at=0.72, span=(0.32, 0.73), cycles=2, **here)
+    doublings = specials(family, "period-doubling")
+    assert len(doublings) == 2 and set(family.branch.values.tolist()) == {0, 1}
+    [end] = specials(family, "end", branch=1)
+    begin = branch_of(family, 1).gamma.values[0]
+    [elsewhere] = doublings[np.abs(doublings - begin) > 1e-9]
+    assert abs(end - elsewhere) < 5e-3
+
+
 def test_multipliers_at_a_fold_go_as_the_root_of_the_distance():
     family = followed(along="v", at=2.6, span=(2.6, 3.0), beta=0.3, gamma=0.8, start="drive", cycles=1)
     [fold] = specials(family, "fold")

@@ -69,8 +69,10 @@ def follow(
     `multiplier_abs`, `multiplier_arg` [rad] along `multiplier`, `period` [s] (per return), `cycles`, `impacts` (per
     repeat), `grazing_margin`, the state at the section (`orbit_x1` and so on), and what a sweep measures of the scene,
     over the repeat. Along `special`: `special_kind` (fold, period-doubling, torus, grazing, stick, section, end),
-    `special_value` of the parameter, `special_branch`, and `special_note`. Multipliers at a special point are those on
-    the side from which it was reached; beside a grazing impact they hold over a very small distance.
+    `special_value` of the parameter, `special_branch`, and `special_note`. *Grazing* is where an impact begins or
+    vanishes, or another event that is no stick: then the note names what it is of, as where rock begins to yield.
+    Multipliers at a special point are those on the side from which it was reached; beside a grazing impact they hold
+    over a very small distance. A doubled branch that joins another orbit at its end too is listed once.
 
     **Raises:** `InputError` where a name or value is not right, or the motion does not settle on a periodic orbit.
 

@@ -157,18 +157,22 @@ class _Walker:
         now = self._problem.at(self._family[lanes], self._iterate[lanes])
         residual = now.residual
         row, value = self._rows(lanes)
-        done = residual <= CONVERGED
-        done &= np.abs(np.einsum("ij,ij->i", row, now.u) - value) <= CONVERGED
+        short = np.einsum("ij,ij->i", row, now.u) - value
+        done = (residual <= CONVERGED) & (np.abs(short) <= CONVERGED)
+        on = ~done & (self._iterations[lanes] < MOST_ITERATIONS) & (residual < self._before[lanes])
+        change = np.zeros_like(now.u)
+        some = np.flatnonzero(done | on)
+        change[some] = solved(now.matrix[some], row[some], -np.column_stack([now.off[some], short[some]]))
         accepted = np.zeros(len(lanes), bool)
         some = np.flatnonzero(done)
         if len(some):
-            accepted[some] = self._accept(lanes[some], now.of(some))
-        short = np.einsum("ij,ij->i", row, now.u) - value
-        on = ~done & (self._iterations[lanes] < MOST_ITERATIONS) & (residual < self._before[lanes])
+            # The map need not be asked again; but guesses must not go on from what was left over by those before.
+            better = now.of(some)
+            better.u[:, :-1] += np.nan_to_num(change[some, :-1])
+            accepted[some] = self._accept(lanes[some], better)
         some = np.flatnonzero(on)
         if len(some):
-            change = solved(now.matrix[some], row[some], -np.column_stack([now.off[some], short[some]]))
-            iterate = now.u[some] + change
+            iterate = now.u[some] + change[some]
             # Further from the guess than the step is long it is another branch, if any.
             limit = np.maximum(0.5 * self._step[lanes[some]], 1e-6)
             sound = np.abs(iterate - self._guess[lanes[some]]).max(axis=1) <= limit
