@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 import xarray as xr
 from known_scenes import BeltOscillator
+from matplotlib.collections import QuadMesh
 
 import vibrojax as vj
 from vibrojax.cli import main
 from vibrojax.cli.attractors import attractor_lines
-from vibrojax.coexistence.alike import joined_within, told_apart
+from vibrojax.coexistence.alike import Motions, doubtful, joined_within, told_apart
 from vibrojax.coexistence.neighbours import Link
 from vibrojax.coexistence.numbers import numbered
 from vibrojax.engine.chunks import Chunks
@@ -127,6 +128,20 @@ def test_shares_of_an_oscillator_on_a_belt():
     assert (np.abs(sliding.share - np.array(list(speeds.values()))) < 2 * sliding.share_stderr).all()
 
 
+def test_what_the_scenes_own_starts_lead_to(sweep, found):
+    """As in a sweep from these starts; they are no part of the shares."""
+    own = vj.run_sweep(SWEEP | {"starts": ["drive", "stuck"]}, progress=False)
+    assert found.named_start.values.tolist() == ["drive", "stuck"]
+    np.testing.assert_array_equal(found.named_regime, own.regime)
+    for gamma in GAMMA[2:]:
+        here = present(found, beta=0.4, gamma=gamma)
+        strong = (own.impact_velocity.sel(beta=0.4, gamma=gamma) > 1.0).values
+        led = found.named_attractor.sel(beta=0.4, gamma=gamma).values
+        assert led.tolist() == here.attractor.values[np.where(strong, 0, 1)].tolist()
+    listed = vj.attractors(own, progress=False)
+    assert "named_attractor" not in listed
+
+
 def test_a_lane_without_a_stable_orbit_is_unassigned(sweep, found):
     lanes = {"beta": 1, "gamma": 3, "start": np.flatnonzero(sweep.regime.sel(REGIMES_AT) == SINGLE_IMPACT)[:3]}
     changed = sweep.copy(deep=True)
@@ -164,7 +179,23 @@ def groups(dataset, starts=None):
 
 def test_irregular_lanes_by_their_statistics():
     """Within a quarter of the next: a chain of lanes is one motion, one without impacts is another."""
-    assert groups(irregular(impact_velocity=[1.0, 1.4, 1.2, 2.0, np.nan, 2.2])) == [0, 0, 0, 1, 2, 1]
+    assert groups(irregular(impact_velocity=[1.0, 1.4, 1.2, 2.0, np.nan, 2.2, 2.1])) == [0, 0, 0, 1, 2, 1, 1]
+
+
+def test_few_irregular_lanes_near_many_cannot_be_told():
+    """They may be the tail of the others' scatter; far from all others they are another motion."""
+    assert groups(irregular(impact_velocity=[1.0, 1.1, 1.2, 2.0, 5.0])) == [0, 0, 0, -1, 1]
+
+
+def test_an_irregular_motion_that_is_nowhere_of_several_lanes_is_doubtful():
+    """Beside another of more lanes; alone at its point, or of several lanes at a neighbour, it is told."""
+    motions = Motions(np.array([0, 0, 0, 1, 2, 3, 3, 3, 4]))
+    for cell, regime in ((0, IRREGULAR), (0, IRREGULAR), (1, IRREGULAR), (2, IRREGULAR), (2, SINGLE_IMPACT)):
+        motions.add(np.array([], int), cell, regime)
+    assert doubtful(motions, np.array([0, 1, 2, 3, 4])).tolist() == [False, True, False, False, False]
+    assert doubtful(motions, np.array([0, 3, 2, 3, 4])).tolist() == [False] * 5
+    motions.leave_out(np.array([False, True, False, False, False]))
+    assert motions.of_lane.tolist() == [0, 0, 0, -1, 1, 2, 2, 2, 3] and motions.cell == [0, 1, 2, 2]
 
 
 def test_lanes_of_different_points_are_different_motions():
@@ -221,6 +252,38 @@ def test_the_picture_shows_shares(found):
     drawn = [line.get_ydata() for line in panel.lines]
     share = found.share.sel(beta=0.4, attractor=number).values
     assert any(np.array_equal(y, np.where(share > 0, 100 * share, np.nan), equal_nan=True) for y in drawn)
+
+
+def test_the_share_map(found):
+    """The strong single impact alone counts; beside it what the scene's own starts lead to."""
+    grid = {"beta": np.linspace(0.2, 0.5, 6), "gamma": np.linspace(0.6, 0.9, 7)}
+    shape, rng = (6, 7), np.random.default_rng(0)
+    share = rng.dirichlet(np.ones(3), shape)
+    velocity = np.broadcast_to([2.0, 1.0, 3.0], share.shape)  # the drive moves at 1.5 m/s
+    held = {
+        "share": share,
+        "share_stderr": np.zeros(share.shape),
+        "impact_velocity": velocity,
+        "regime": np.broadcast_to(np.array([SINGLE_IMPACT, SINGLE_IMPACT, IRREGULAR], np.int8), share.shape),
+    }
+    dims = ("beta", "gamma", "attractor")
+    ds = xr.Dataset({name: (dims, x) for name, x in held.items()}, grid | {"attractor": range(3)})
+    ds["regime"].attrs = found.regime.attrs
+    ds["unassigned"] = (dims[:2], np.zeros(shape, int))
+    ds["lane_attractor"] = ((*dims[:2], "start"), np.zeros((*shape, 4), int))
+    ds["named_regime"] = ((*dims[:2], "named_start"), rng.integers(2, 7, (*shape, 2)).astype(np.int8))
+    ds = ds.assign_coords(named_start=["drive", "stuck"])
+    ds.attrs["parameters"] = json.dumps({"v": 1.5})
+    figure = vj.picture(ds)
+    maps = [axes for axes in figure.axes if any(isinstance(one, QuadMesh) for one in axes.collections)][:3]
+    drawn = [axes.collections[0].get_array().reshape(shape) for axes in maps]
+    np.testing.assert_allclose(drawn[0], 100 * share[..., 0])
+    for k, name in enumerate(("drive", "stuck")):
+        np.testing.assert_array_equal(drawn[1 + k], ds.named_regime.isel(named_start=k))
+        assert maps[1 + k].get_title() == f"from {name}"
+    alone = vj.picture(ds.drop_dims("named_start"))
+    maps = [axes for axes in alone.axes if axes.get_xlabel().startswith("gamma") and axes.collections]
+    np.testing.assert_array_equal(maps[1].collections[0].get_array().reshape(shape), (share > 0).sum(axis=-1))
 
 
 FEW = """

@@ -37,6 +37,27 @@ def test_shares_of_steady_sliding():
     assert np.abs(apart).max() < 2 and abs(apart.mean()) < 1
 
 
+def test_shares_over_the_belts_speed():
+    """Those that pybasin's tests list, 2,000 starts each; by bSTAB's successor, whose switch is tanh(200 u)."""
+    of_2000 = {1.1: 0.0, 1.175: 0.018, 1.25: 0.080, 1.325: 0.1535, 1.4: 0.226, 1.475: 0.298, 1.55: 0.382, 1.625: 0.45}
+    of_2000 |= {1.7: 0.5085, 1.775: 0.568, 1.85: 1.0}
+    ours, share = sliding(list(of_2000)), np.array(list(of_2000.values()))
+    error = np.sqrt(share * (1 - share) / 2000 + ours * (1 - ours) / STARTS["count"])
+    assert (np.abs(ours - share) <= 2 * error).all()
+
+
+def test_a_smoothed_switch_moves_no_start_into_another_basin():
+    """The border between the basins is an unstable cycle that only slides, at some 0.6 from the belt's speed: there
+    tanh(u/width) is 1. So the shift that bSTAB's slope of 200 makes is none, and that of a slope of 25 too."""
+    few = {"scene": BeltOscillator(), "starts": STARTS | {"count": 256}, "grid": {"v": [1.55]}}
+    exact, smooth = (
+        vj.run_sweep(few | {"run": {"settle": 100.0, "observe": 30.0} | how}, progress=False).bit_amplitude < 0.2
+        for how in ({}, {"method": "smoothed", "smoothing": 0.04})
+    )
+    np.testing.assert_array_equal(exact, smooth)
+    assert 0.2 < exact.mean() < 0.5
+
+
 def test_where_nothing_slides_and_where_everything_does():
     few = STARTS | {"count": 256}
     slow, fast = sliding([1.0, 1.9], few)

@@ -9,6 +9,7 @@ from vibrojax.errors import InputError
 from vibrojax.input.read import read_sweep
 from vibrojax.label import IRREGULAR, SINGLE_IMPACT
 from vibrojax.plot._hysteresis import jumps
+from vibrojax.plot._over import special_points
 from vibrojax.store.dataset import open_dataset
 from vibrojax.sweep import run_to_file
 from vibrojax.workers.work import Work
@@ -108,6 +109,36 @@ def test_the_picture_marks_where_a_way_leaves_the_other(carried):
     titles = [axes.get_title(loc="left") for axes in figure.axes]
     marked = [axes for axes in figure.axes if any(line.get_linestyle() == "--" for line in axes.lines)]
     assert any("0.4" in title for title in titles) and marked
+
+
+def test_both_ways_jump_where_the_families_say():
+    """Over the gap at beta 0.4, gamma 0.6 the strong single impact and the weak one take turns: the strong one ends
+    where it meets an unstable orbit in a corner, the weak one where the bit no longer falls behind the drive."""
+    point, gap = {"beta": 0.4, "gamma": 0.6}, {"start": -0.006, "stop": 0.008, "num": 29}
+    run = {"carry": "delta", "keep_returns": 4}
+    tables = {"scene": "vibro-impact", "starts": ["drive"], "parameters": point, "grid": {"delta": gap}, "run": run}
+    loop = vj.run_sweep(tables, progress=False)
+    ends = [(at, "drive", (-0.004, 0.004)) for at in (-0.003, 0.003)]
+    strong, weak = (
+        vj.follow("vibro-impact", along="delta", at=at, span=span, start=start, progress=False, **point)
+        for at, start, span in ends
+    )
+    step = float(loop.delta[1] - loop.delta[0])
+    ways = jumps(loop.rename(direction="start"), "delta")
+    between = [(loop.delta.values[place] + loop.delta.values[place + 1]) / 2 for place in ways]
+    for family, (found,), kind in ((strong, between[0], "stick"), (weak, between[1], "section")):
+        special = [value for one, value in special_points(family) if one == kind]
+        assert min(abs(found - value) for value in special) < step
+    # The corner is one: beyond it there is no orbit of the family, and from it on it is unstable.
+    corner = float(strong.delta.max())
+    unstable = strong.delta.values[strong.stable.values == 0]
+    assert between[0][0] == pytest.approx(corner, abs=step) and unstable.max() == pytest.approx(corner, abs=1e-6)
+    # Up it is held until it jumps, down the other one.
+    velocity = loop.impact_velocity.sel(delta=0.0, method="nearest")
+    assert velocity.sel(direction="up") > 2.5 and velocity.sel(direction="down") < 1.0
+    figure = vj.picture(loop, over=[strong, weak])
+    note = " ".join(figure._supxlabel.get_text().split())
+    assert "up between 2 and 2.5 mm (stick at 2.2763)" in note and "(section at −2.68" in note
 
 
 @pytest.mark.parametrize(

@@ -94,11 +94,12 @@ def test_two_trajectories_part_as_the_tangent_grows():
     )
     assert state.shape[1] >= 50
     values, state, scale = {name: x[:50] for name, x in values.items()}, state[:, :50], scale[:, :50]
-    gone = grow(sweep.system, values, state, unit(state), scale, 256)
+    fine = STEPS._replace(tolerance=1e-9)  # below the distance that the two are drawn together to
+    gone = grow(sweep.system, values, state, unit(state), scale, 256, steps=fine)
     one, other, apart = state, state + 1e-7 * scale * unit(scale), 1e-7
     growth, seconds = [], []
     both = {name: np.concatenate([x, x]) for name, x in values.items()}
-    returns = Segments(sweep.system, steps=STEPS)
+    returns = Segments(sweep.system, steps=fine)
     for _ in range(256):
         there = returns(both, np.concatenate([one, other], axis=1))
         one, other = np.split(np.asarray(there.state), 2, axis=1)

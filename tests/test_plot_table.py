@@ -36,12 +36,14 @@ ATTRACTORS = xr.Dataset(
         "lane_attractor": (("gamma", "start"), [[0]]),
     }
 )
+OVER_TWO = ATTRACTORS.isel(gamma=[0] * 6).expand_dims(beta=6).assign_coords(gamma=range(6), beta=range(6))
 EXPECTED = {
     "response": lambda: bit_on_rock(**SINE),
     "pulses": bit_on_rock,
     "trajectory": drills.KINDS["trajectory"],
     "families": families.one_family,
     "border_curves": lambda: BORDERS,
+    "share_map": lambda: OVER_TWO,
     "attractor_shares": lambda: ATTRACTORS,
     "hysteresis": families.carried,
     "work_precision": lambda: STUDY,

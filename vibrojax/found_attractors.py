@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Mapping
+from dataclasses import replace
 from datetime import UTC, datetime
 from itertools import pairwise
 from os import PathLike
@@ -11,18 +12,33 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
 
-from vibrojax.coexistence.alike import EXPONENT_WITHIN, IRREGULAR_WITHIN, SAME, Motions, told_apart
-from vibrojax.coexistence.neighbours import ASIDE, IRREGULAR_FACTOR, links
+from vibrojax.coexistence.alike import (
+    EXPONENT_WITHIN,
+    FEWEST,
+    IRREGULAR_FACTOR,
+    IRREGULAR_WITHIN,
+    SAME,
+    Motions,
+    doubtful,
+    told_apart,
+)
+from vibrojax.coexistence.neighbours import ASIDE, links
 from vibrojax.coexistence.numbers import numbered
 from vibrojax.engine.labelled import of_orbits
 from vibrojax.errors import InputError
 from vibrojax.found_orbits import orbits as with_orbits
 from vibrojax.found_orbits import sweep_with_orbits
 from vibrojax.input.definition import Sweep
+from vibrojax.input.names import DEFAULT_STARTS
+from vibrojax.input.starts import list_of
 from vibrojax.physics.parameters import differing
 from vibrojax.store.derived import OF_ATTRACTORS
 from vibrojax.store.provenance import provenance
 from vibrojax.store.variables import VARIABLES, Variable
+from vibrojax.sweep import run_sweep
+
+NAMED = "named_start"
+"""Dimension of the scene's own starts, beside a sample or a plane of them."""
 
 MEASURED = ("period", "impacts", "impact_velocity")
 """What is said of attractors besides their regime and cycles: the median of their lanes."""
@@ -30,10 +46,11 @@ MEASURED = ("period", "impacts", "impact_velocity")
 METHOD = (
     "lanes of a point are one motion if their orbits are within same_within over the scales of labels; irregular ones "
     "if chains of lanes join them, each within irregular_within of the next in period, impact velocity and amplitudes, "
-    "or, where exponents are known, within exponent_within standard errors. Motions of neighbouring points are one "
-    "attractor if the orbit of one, followed as a stable one and never farther than aside over the scales from where "
-    "it is expected, leads to that of the other; irregular ones if they are nearest, and within irregular_factor. "
-    "Numbers from 0 by falling share over the grid"
+    "or, where exponents are known, within exponent_within standard errors; one that nowhere has fewest lanes is not "
+    "told beside another of more, nor, without exponents, one of fewer within irregular_factor of it. Motions of "
+    "neighbouring points are one attractor if the orbit of one, followed as a stable one and never farther than aside "
+    "over the scales from where it is expected, leads to that of the other; irregular ones if they are nearest, and "
+    "within irregular_factor. Numbers from 0 by falling share over the grid"
 )
 
 
@@ -58,9 +75,11 @@ def attractors(
 
     **Returns:** a dataset. Over the grid and `attractor`: `share` and its binomial `share_stderr`, which is an upper
     bound for Sobol starts; `regime`, that of most of its lanes, `period`, `cycles`, `impacts` and `impact_velocity`,
-    where the share is not 0, and of orbits the state at the section (`orbit_x1` and so on), at one of their returns.
+    where a lane ends in it, and of orbits the state at the section (`orbit_x1` and so on), at one of their returns.
     Over the grid `unassigned`: starts of which none could be told, because they failed, were undecided, had not
     settled, or their orbit was not found. Over the sweep's dimensions `lane_attractor`: -1 there.
+    Where the starts are a sample or a plane, the scene's own, `drive` and `stuck`, are run beside them and are no part
+    of the shares: over the grid and `named_start`, `named_attractor` and `named_regime`, where each of these leads.
 
     **Raises:** `InputError` where it is no sweep over a grid, or of starts, of a scene that returns to a section.
 
@@ -74,21 +93,61 @@ def attractors(
     [[0.7, 3.0]]
     """
     sweep = sweep_of(source)
-    return attractors_of(sweep, with_orbits(source if isinstance(source, xr.Dataset) else sweep, progress))
+    return attractors_of(sweep, with_orbits(source if isinstance(source, xr.Dataset) else sweep, progress), progress)
 
 
-def attractors_of(sweep: Sweep, dataset: xr.Dataset) -> xr.Dataset:
+def attractors_of(sweep: Sweep, dataset: xr.Dataset, progress: bool = True) -> xr.Dataset:
     """The attractors of a sweep, from its dataset with orbits; see `attractors`."""
     dataset = dataset.transpose(*sweep.dims, ...)
     shape, starts = sweep.shape[:-1], sweep.shape[-1]
-    values, _ = sweep.lane_values(0, sweep.lanes)
+    named = _from_named(sweep, progress)
+    lanes = dataset if named is None else _beside(dataset, named)
     scene = sweep.system.driving_part()
-    lanes = {name: values[name] for name in scene.parameters()}
-    motions = told_apart(scene, dataset, lanes, starts)
-    points = {name: x[::starts] for name, x in lanes.items()}
-    count = np.bincount(motions.of_lane[motions.of_lane >= 0], minlength=len(motions.cell))
+    values, _ = sweep.lane_values(0, sweep.lanes)
+    points = {name: values[name][::starts] for name in scene.parameters()}
+    each = lanes.sizes["start"]
+    motions = told_apart(scene, lanes, {name: np.repeat(x, each) for name, x in points.items()}, each)
+    drawn = np.arange(each) < starts  # what the scene's own starts lead to is no part of the shares
+    count = np.bincount(
+        motions.of_lane[(motions.of_lane >= 0) & np.tile(drawn, len(motions.of_lane) // each)],
+        minlength=len(motions.cell),
+    )
     number = numbered(motions.cell, count.tolist(), links(scene, points, shape, motions), _order(sweep, motions, count))
-    return _described(sweep, dataset, motions, number)
+    out = doubtful(motions, number)
+    motions.leave_out(out)
+    number = np.unique(number[~out], return_inverse=True)[1]
+    of_lane = np.where(motions.of_lane >= 0, np.append(number, -1)[motions.of_lane], -1).reshape(*shape, each)
+    measured = {name: (VARIABLES[name], x) for name, x in _measured(lanes, motions, number).items()}
+    measured |= _at_section(sweep, motions, number, *measured["regime"][1].shape)
+    found = _described(sweep, dataset, measured, of_lane[..., :starts])
+    return found if named is None else found.assign(_of_named(sweep, named, of_lane[..., starts:]))
+
+
+def _from_named(sweep: Sweep, progress: bool) -> xr.Dataset | None:
+    """The lanes from the scene's own starts, where the sweep's are drawn from a box or a plane; None else."""
+    names = [name for name in DEFAULT_STARTS if name in sweep.system.starts]
+    if sweep.starts is None or sweep.starts.listed or not names:
+        return None
+    own = replace(sweep, starts=list_of(names, sweep.starts.states), run=replace(sweep.run, orbits=True))
+    return run_sweep(own, progress=progress).transpose(*sweep.dims, ...)
+
+
+def _beside(dataset: xr.Dataset, named: xr.Dataset) -> xr.Dataset:
+    """Both datasets' lanes, along `start`."""
+    names = [name for name in dataset.data_vars if name in named]
+    both = [one[names].reset_coords(drop=True).drop_vars("start", errors="ignore") for one in (dataset, named)]
+    return xr.concat(both, "start", data_vars="minimal")
+
+
+def _of_named(sweep: Sweep, named: xr.Dataset, number: Int[np.ndarray, "*shape"]) -> dict[str, Any]:
+    """What the scene's own starts lead to, over the grid."""
+    dims = (*sweep.dims[:-1], NAMED)
+    about = {"units": "1", "long_name": "start of the scene, by name"}
+    return {
+        NAMED: (NAMED, named["start"].values, about),
+        "named_attractor": (dims, number.astype(np.int32), OF_ATTRACTORS["named_attractor"].attributes()),
+        "named_regime": (dims, named["regime"].values, OF_ATTRACTORS["named_regime"].attributes()),
+    }
 
 
 def sweep_of(source: xr.Dataset | str | PathLike[str] | Mapping[str, object] | Sweep) -> Sweep:
@@ -117,19 +176,23 @@ def _order(sweep: Sweep, motions: Motions, count: Int[np.ndarray, " motions"]) -
     ]
 
 
-def _described(sweep: Sweep, dataset: xr.Dataset, motions: Motions, number: Int[np.ndarray, " motions"]) -> xr.Dataset:
+def _described(
+    sweep: Sweep,
+    dataset: xr.Dataset,
+    measured: Mapping[str, tuple[Variable, Float[np.ndarray, "points many"]]],
+    of_lane: Int[np.ndarray, "*lanes"],
+) -> xr.Dataset:
     """The dataset of attractors."""
     shape, starts = sweep.shape[:-1], sweep.shape[-1]
-    points, many = int(np.prod(shape, dtype=int)), int(number.max(initial=-1)) + 1
-    of_lane = np.where(motions.of_lane >= 0, np.append(number, -1)[motions.of_lane], -1)
+    points, many = measured["regime"][1].shape
+    of_lane = of_lane.ravel()
     told = np.flatnonzero(of_lane >= 0)
     share = np.zeros((points, many))
     np.add.at(share, (told // starts, of_lane[told]), 1 / starts)
     found = {
         "share": (OF_ATTRACTORS["share"], share),
         "share_stderr": (OF_ATTRACTORS["share_stderr"], np.sqrt(share * (1 - share).clip(0) / starts)),
-        **{name: (VARIABLES[name], x) for name, x in _measured(dataset, motions, number, points, many).items()},
-        **_at_section(sweep, motions, number, points, many),
+        **measured,
     }
     dims = (*sweep.dims[:-1], "attractor")
     variables: dict[str, Any] = {
@@ -152,6 +215,7 @@ def _described(sweep: Sweep, dataset: xr.Dataset, motions: Motions, number: Int[
         "irregular_within": IRREGULAR_WITHIN,
         "exponent_within": EXPONENT_WITHIN,
         "irregular_factor": IRREGULAR_FACTOR,
+        "fewest": FEWEST,
         "aside": ASIDE,
     }
     attributes = {
@@ -171,9 +235,10 @@ def _described(sweep: Sweep, dataset: xr.Dataset, motions: Motions, number: Int[
 
 
 def _measured(
-    dataset: xr.Dataset, motions: Motions, number: Int[np.ndarray, " motions"], points: int, many: int
+    dataset: xr.Dataset, motions: Motions, number: Int[np.ndarray, " motions"]
 ) -> dict[str, Float[np.ndarray, "points many"]]:
     """Regime, cycles and the medians of what is measured, of each attractor at each point; 0 or NaN where it is not."""
+    points, many = dataset["regime"].size // dataset.sizes["start"], int(number.max(initial=-1)) + 1
     names = [name for name in MEASURED if name in dataset]
     found = {
         name: np.full((points, many), 0.0 if name in ("regime", "cycles") else np.nan)

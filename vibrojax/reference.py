@@ -98,8 +98,8 @@ def list_variables(scene: str | Scene[Any]) -> pd.DataFrame:
 
     **Example:**
 
-    >>> vj.list_variables("drilling").loc["rate_of_penetration"].to_dict()
-    {'units': 'm s-1', 'meaning': 'rate of penetration'}
+    >>> vj.list_variables("drilling").loc["relief", ["units", "meaning"]].tolist()
+    ['1', 'mean force over threshold, P/D']
     """
     system = read_names(Place("scenes"), scene).system
     measured = set(_features(system))

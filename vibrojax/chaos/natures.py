@@ -1,11 +1,13 @@
 """The natures of a sweep's lanes: periodic, quasi-periodic, chaotic, or not settled, by their greatest exponent."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from vibrojax.chaos.growth import STEPS, Growth, grow
+from vibrojax.chaos.amid import stable_amid
+from vibrojax.chaos.growth import STEPS, Growth, go_on, grow
 from vibrojax.chaos.zero_one import zero_one
 from vibrojax.engine.batch import Features, Index
 from vibrojax.engine.labelled import regimes
@@ -16,8 +18,13 @@ from vibrojax.periodic import Orbits
 from vibrojax.periodic.of_lanes import last_returns, reason
 from vibrojax.store.variables import NATURES
 
-FEWEST, MOST = 2048, 4096
-"""Returns that a lane goes on for: doubled where its nature is not clear. Chaos may be a transient of some hundred."""
+BEFORE, EACH = 14336, 2048
+"""Returns that a lane goes on for before its exponent is taken, and after how many of them it is looked at whether it
+has come to repeat. Chaos may be a transient, of any length: over the default map 4 to 6 of 100 lanes end to be chaotic
+between 2,048 returns and twice as many, 5 between these and twice as many again, 4 up to 16,384."""
+
+FEWEST, MOST = 2048, 8192
+"""Returns that its exponent is taken over: doubled where its nature is not clear."""
 
 TOGETHER = 512
 """Lanes that go on together: their returns are kept meanwhile."""
@@ -26,13 +33,19 @@ LATE = 0.75
 """Part of them, the last, that the exponent is of; the tangent turns into its direction before, and transients end."""
 
 BLOCKS = 16
-"""Blocks of returns, whose means scatter as the standard error says."""
+"""Blocks of returns, whose exponents scatter as the standard error says."""
 
 CLEAR, ENOUGH = 6.0, 3.0
 """Standard errors from zero at which an exponent's sign is clear before the last return, and then."""
 
 RESOLVED = 0.002
 """Standard error per return below which an exponent that does not differ from zero is taken for zero."""
+
+NEXT_TO_NONE = 5e-4
+"""Exponent per return that is taken for zero however sure it is."""
+
+SECOND_OPINION = 0.9
+"""K of the 0-1 test from which a lane is chaotic whose exponent decides nothing."""
 
 LONGEST_REPEAT = 64
 """Returns of the longest repeat that is looked for."""
@@ -48,6 +61,7 @@ TESTED = 1024
 
 PerLane = Float[np.ndarray, " lanes"]
 PerReturn = Float[np.ndarray, "returns lanes"]
+States = Float[np.ndarray, "states lanes"]
 
 
 def nature(name: str) -> int:
@@ -75,8 +89,10 @@ class Natures:
             "stick": "loses one direction, whose exponent is minus infinity; the greatest of the others stays finite",
             "of_lanes_that_repeat": "ln of the orbit's greatest |multiplier| over the time of its repeat",
             "tolerance": STEPS.tolerance,
+            "returns_before": BEFORE,
             "returns": [FEWEST, MOST],
             "blocks": BLOCKS,
+            "transient": "chaotic motion amid which a stable orbit of the return map was found counts as not-settled",
         }
 
     def __call__(self, first: int, end: int, features: Features) -> Features:
@@ -118,6 +134,8 @@ class Natures:
         state, scale = begin[:, 0].T, _complete(scales, begin[:, 0]).T
         usable = np.isfinite(state).all(axis=0) & (np.isfinite(scale) & (scale > 0)).all(axis=0)
         lanes, state, scale = lanes[usable], state[:, usable], scale[:, usable]
+        given = {name: x[lanes] for name, x in parameters.items()}
+        state = self._later(given, state, scale)
         tangent = np.full(state.shape, len(state) ** -0.5)
         gone: Growth | None = None
         more = FEWEST
@@ -129,13 +147,31 @@ class Natures:
             exponent, error = exponents(gone.rate, gone.time)
             repeat, exponent, error = _of_repeats(gone, scale, exponent, error)
             clear, flags = judged(gone, repeat, exponent, error, last=more >= MOST)
+            tested = _tested(gone.states[-TESTED:][..., clear])
+            known = flags[clear]
+            flags[clear] = np.where((known == nature("unknown")) & (tested > SECOND_OPINION), nature("chaotic"), known)
+            chaos = np.flatnonzero(clear & (flags == nature("chaotic")))
+            of_chaos = {name: x[chaos] for name, x in given.items()}
+            amid = stable_amid(self._scene, of_chaos, gone.states[..., chaos], scale[:, chaos])
+            flags[chaos[amid]] = nature("not-settled")
             found["lyapunov"][lanes], found["lyapunov_stderr"][lanes] = exponent, error
-            found["nature"][lanes] = flags
-            found["zero_one"][lanes[clear]] = _tested(gone.states[-TESTED:][..., clear])
+            found["nature"][lanes], found["zero_one"][lanes[clear]] = flags, tested
             keep = ~clear
             lanes, state, scale = lanes[keep], gone.states[-1][:, keep], scale[:, keep]
             gone = Growth(*(x[..., keep] for x in gone))
             tangent = gone.tangent
+
+    def _later(self, parameters: Mapping[str, PerLane], state: States, scale: States) -> States:
+        """Where lanes are `BEFORE` returns later, or where they have come to repeat."""
+        state, active = state.copy(), np.arange(state.shape[1])
+        for _ in range(BEFORE // EACH):
+            if not len(active):
+                break
+            given = {name: x[active] for name, x in parameters.items()}
+            states = go_on(self._scene, given, state[:, active], scale[:, active], EACH, kept=4 * LONGEST_REPEAT)
+            state[:, active] = states[-1]
+            active = active[(_repeat(states, scale[:, active]) == 0) & np.isfinite(states[-1]).all(axis=0)]
+        return state
 
 
 def exponents(rate: PerReturn, time: PerReturn) -> tuple[PerLane, PerLane]:
@@ -143,17 +179,22 @@ def exponents(rate: PerReturn, time: PerReturn) -> tuple[PerLane, PerLane]:
 
     The mean is weighted by a bump that is flat at both ends, with which that of a regular motion converges faster than
     any power of its length (Das, Saiki, Sander and Yorke, Nonlinearity 30 (2017) 4111); that of a chaotic one is as
-    good as any. The error is by blocks: of a ratio, so by what is left over in each.
+    good as any. The error is by blocks, each weighted in the same way: what a tangent gains at the end of a block by
+    where it happens to stand, and loses in the next, would else count as scatter.
     """
     late = int(LATE * len(rate)) // BLOCKS * BLOCKS
-    share = (np.arange(late) + 0.5) / late
-    weight = np.exp(-1 / (share * (1 - share)))
     growth, seconds = rate[-late:], time[-late:]
-    whole = weight @ seconds
-    exponent = weight @ growth / whole
-    left = (growth - exponent * seconds).reshape(BLOCKS, -1, rate.shape[1]).sum(axis=1)
-    each = weight.reshape(BLOCKS, -1).mean(axis=1)
-    return exponent, np.std(left, axis=0, ddof=1) * np.sqrt(each @ each) / whole
+    weight = _bump(late)
+    exponent = weight @ growth / (weight @ seconds)
+    each = _bump(late // BLOCKS)
+    blocks = [np.einsum("r,brl->bl", each, x.reshape(BLOCKS, -1, x.shape[1])) for x in (growth, seconds)]
+    return exponent, np.std(blocks[0] / blocks[1], axis=0, ddof=1) / BLOCKS**0.5
+
+
+def _bump(count: int) -> Float[np.ndarray, " count"]:
+    """Weights that are flat at both ends, with all derivatives."""
+    share = (np.arange(count) + 0.5) / count
+    return np.exp(-1 / (share * (1 - share)))
 
 
 def judged(
@@ -161,8 +202,8 @@ def judged(
 ) -> tuple[Bool[np.ndarray, " lanes"], Int[np.ndarray, " lanes"]]:
     """Of which lanes it is clear what they are, all if these returns are the `last`; and their natures."""
     away = ~np.isfinite(gone.states[-1]).all(axis=0)
-    enough = (ENOUGH if last else CLEAR) * error
     per_return = gone.time[-BLOCKS:].mean(axis=0)
+    enough = np.maximum((ENOUGH if last else CLEAR) * error, NEXT_TO_NONE / per_return)
     spread = np.ptp(gone.states[-LONGEST_REPEAT:], axis=0), np.ptp(gone.states[-4 * LONGEST_REPEAT :], axis=0)
     # What spirals towards an orbit repeats after its turn, but for less and less.
     spirals = np.any(spread[0] < STEADY * spread[1], axis=0)
@@ -177,25 +218,33 @@ def judged(
     return np.any(conditions, axis=0) | last, np.select(conditions, list(map(nature, names)), nature("unknown"))
 
 
+def _repeat(states: Float[np.ndarray, "returns states lanes"], scale: States) -> Int[np.ndarray, " lanes"]:
+    """Returns, the fewest, after which lanes have come to repeat; 0: none."""
+    repeat = np.zeros(states.shape[2], int)
+    for length in range(LONGEST_REPEAT, 0, -1):
+        late = states[-3 * length - 1 :]
+        repeat[np.all(np.abs(late[length:] - late[:-length]) < REPEATS_WITHIN * scale, axis=(0, 1))] = length
+    return repeat
+
+
 def _of_repeats(
-    gone: Growth, scale: Float[np.ndarray, "states lanes"], exponent: PerLane, error: PerLane
+    gone: Growth, scale: States, exponent: PerLane, error: PerLane
 ) -> tuple[Int[np.ndarray, " lanes"], PerLane, PerLane]:
     """Returns after which lanes have come to repeat, 0: none; their exponents and errors, over what repeats alone."""
-    repeat = np.zeros(len(exponent), int)
-    for length in range(LONGEST_REPEAT, 0, -1):
-        late = gone.states[-3 * length - 1 :]
-        some = np.flatnonzero(np.all(np.abs(late[length:] - late[:-length]) < REPEATS_WITHIN * scale, axis=(0, 1)))
-        for lane in some:
-            states = gone.states[:, :, lane]
-            apart = np.all(np.abs(states[length:] - states[:-length]) < REPEATS_WITHIN * scale[:, lane], axis=1)
-            within = int(np.cumprod(apart[::-1]).sum()) + length
-            blocks = min(BLOCKS, within // length)
-            whole = within // (length * blocks) * length * blocks
-            growth, seconds = (x[-whole:, lane].reshape(blocks, -1).sum(axis=1) for x in (gone.rate, gone.time))
-            # A motion that only lingers by one that repeats still goes away from it.
-            if growth.sum() < 0:
-                repeat[lane], exponent[lane] = length, float(growth.sum()) / float(seconds.sum())
-                error[lane] = float(np.std(growth / seconds, ddof=1)) / blocks**0.5
+    repeat = _repeat(gone.states, scale)
+    for lane in np.flatnonzero(repeat):
+        length, states = int(repeat[lane]), gone.states[:, :, lane]
+        apart = np.all(np.abs(states[length:] - states[:-length]) < REPEATS_WITHIN * scale[:, lane], axis=1)
+        within = int(np.cumprod(apart[::-1]).sum()) + length
+        blocks = min(BLOCKS, within // length)
+        whole = within // (length * blocks) * length * blocks
+        growth, seconds = (x[-whole:, lane].reshape(blocks, -1).sum(axis=1) for x in (gone.rate, gone.time))
+        # A motion that only lingers by one that repeats still goes away from it.
+        if growth.sum() < 0:
+            exponent[lane] = float(growth.sum()) / float(seconds.sum())
+            error[lane] = float(np.std(growth / seconds, ddof=1)) / blocks**0.5
+        else:
+            repeat[lane] = 0
     return repeat, exponent, error
 
 

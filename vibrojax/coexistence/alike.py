@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from vibrojax.families.begin import known_orbits
 from vibrojax.label import EQUILIBRIUM, FAILED, IRREGULAR, UNDECIDED
@@ -19,6 +19,13 @@ SAME = 1e-4
 IRREGULAR_WITHIN = 0.25
 """Part by which statistics of irregular lanes of one motion differ at most from lane to lane: so they scatter over the
 some forty returns of a usual observation."""
+
+IRREGULAR_FACTOR = 2.0
+"""Factor within which the statistics of two irregular motions are near each other: of neighbouring points, so that they
+may be one attractor; of a point, so that one of few lanes may be the tail of the other's scatter."""
+
+FEWEST = 3
+"""Lanes from which an irregular motion is told beside another one of its point."""
 
 EXPONENT_WITHIN = 4.0
 """The same of their exponents, where they are known, over the standard error; at least `LEAST_ERROR`."""
@@ -53,6 +60,14 @@ class Motions:
     scales: list[np.ndarray | None] = field(default_factory=list)
     statistics: list[np.ndarray | None] = field(default_factory=list)
     most_steps: float = 0.0
+
+    def leave_out(self, which: Bool[np.ndarray, " motions"]) -> None:
+        """Take motions away; their lanes are in none that could be told."""
+        kept = np.flatnonzero(~which)
+        place = np.append(np.where(which, -1, np.cumsum(~which) - 1), -1)
+        self.of_lane = place[self.of_lane]
+        for name in ("cell", "cycles", "regime", "states", "scales", "statistics"):
+            setattr(self, name, [getattr(self, name)[one] for one in kept.tolist()])
 
     def add(
         self,
@@ -114,7 +129,8 @@ def _by_statistics(dataset: xr.Dataset, regime: np.ndarray, starts: int, motions
     """Enter the irregular motions: what chains of lanes join, each near the next, is one.
 
     Lanes are compared by their exponents where those are known, being of thousands of returns, else by statistics of
-    what was observed; quasi-periodic ones, whose exponent is 0, by statistics in any case.
+    what was observed; quasi-periodic ones, whose exponent is 0, by statistics in any case. By statistics alone, few
+    lanes beside many that are near them could be another motion, or the tail of the same: they are left out.
     """
     irregular = regime == IRREGULAR
     values = np.log1p(IRREGULAR_WITHIN) ** -1 * _statistics(dataset)
@@ -129,10 +145,25 @@ def _by_statistics(dataset: xr.Dataset, regime: np.ndarray, starts: int, motions
         values = np.column_stack([values, _APART * nature.astype(float)])
     for some in _by_cell(np.flatnonzero(irregular), starts):
         group = joined_within(values[some])
-        for number in range(int(group.max()) + 1):
-            mine = some[group == number]
-            middle = np.median(_statistics(dataset, mine), axis=0)
-            motions.add(mine, int(some[0]) // starts, IRREGULAR, statistics=middle)
+        each = [some[group == number] for number in range(int(group.max()) + 1)]
+        middles = [np.median(_statistics(dataset, mine), axis=0) for mine in each]
+        many = [middle for mine, middle in zip(each, middles, strict=True) if len(mine) >= FEWEST]
+        for mine, middle in zip(each, middles, strict=True):
+            tail = any(np.abs(middle - other).max() <= np.log(IRREGULAR_FACTOR) for other in many)
+            if len(mine) >= FEWEST or not tail or "nature" in dataset:
+                motions.add(mine, int(some[0]) // starts, IRREGULAR, statistics=middle)
+
+
+def doubtful(motions: Motions, number: Int[np.ndarray, " motions"]) -> Bool[np.ndarray, " motions"]:
+    """Which irregular motions cannot be told: another one of their point has more lanes, and nowhere over the grid does
+    their attractor, by `number`, have `FEWEST`: they may be what is left of transients, or tails of the other."""
+    lanes = np.bincount(motions.of_lane[motions.of_lane >= 0], minlength=len(number))
+    irregular = np.array(motions.regime, int) == IRREGULAR
+    most = np.zeros(int(number.max(initial=-1)) + 1, int)
+    np.maximum.at(most, number, lanes)
+    at_point = np.zeros(max(motions.cell, default=-1) + 1, int)
+    np.maximum.at(at_point, np.array(motions.cell, int)[irregular], lanes[irregular])
+    return irregular & (most[number] < FEWEST) & (lanes < at_point[np.array(motions.cell, int)])
 
 
 def _statistics(dataset: xr.Dataset, lanes: Index | slice = slice(None)) -> Float[np.ndarray, "_ statistics"]:

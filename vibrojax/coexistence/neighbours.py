@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from vibrojax.coexistence.alike import SAME, Motions
+from vibrojax.coexistence.alike import IRREGULAR_FACTOR, SAME, Motions
 from vibrojax.label import EQUILIBRIUM
 from vibrojax.periodic.newton import ACCEPTED, orbits
 from vibrojax.periodic.return_map import Mapped
@@ -18,9 +18,6 @@ FIRST, LEAST = 1 / 4, 1 / 256
 
 ASIDE = 0.05
 """Distance over the scales from where an orbit is expected, beyond which it is taken for another one."""
-
-IRREGULAR_FACTOR = 2.0
-"""Factor within which statistics of neighbouring irregular motions must be; of several the nearest is taken."""
 
 PerPoint = Float[np.ndarray, " points"]
 States = Float[np.ndarray, "edges cycles states"]

@@ -48,7 +48,7 @@ def explore(
     >>> widget.point = {"beta": 0.31, "start": "stuck"}  # the nearest cell; what is not named stays
     picked {'beta': 0.3, 'start': 'stuck'}
     >>> f"{float(widget.lane.impact_velocity):.2f} m/s"
-    '1.76 m/s'
+    '1.70 m/s'
     """
     try:
         from vibrojax.explorer._anywidget import Explorer

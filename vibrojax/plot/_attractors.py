@@ -12,13 +12,13 @@ from matplotlib.ticker import MaxNLocator
 from vibrojax.errors import InputError
 from vibrojax.plot._axes import edges, label, point_text, scale, shape_axis, share_text, values_along, with_unit
 from vibrojax.plot._colours import regime_names
-from vibrojax.plot._contents import HIDDEN, REGIME, START, is_attractors, swept
+from vibrojax.plot._contents import ATTRACTOR, HIDDEN, REGIME, START, is_attractors, swept
 from vibrojax.plot._margins import legend_at_right, write_margins
 from vibrojax.plot._sheet import columns, facets
 from vibrojax.plot._starts import PREFIX, on_axes
 from vibrojax.plot.style import UNDEFINED, new_figure, styled
 
-ATTRACTOR, LANES = "attractor", "lane_attractor"
+LANES = "lane_attractor"
 COLOURS = ("#0072B2", "#E69F00", "#6A1B5D", "#009E73", "#D55E00", "#56B4E9", "#222222", "#B5468B")
 """Of the attractors from 0; those beyond share the last place in the legend."""
 
@@ -43,7 +43,7 @@ def attractor_shares(ds: xr.Dataset) -> Figure:
         raise InputError("no attractors to draw: the dataset holds no lane_attractor, as vj.attractors gives it")
     single = [name for name in ds["share"].dims if name != ATTRACTOR and ds.sizes[name] == 1]
     ds = ds.isel(dict.fromkeys(single, 0))
-    along = [name for name in swept(ds) if name != ATTRACTOR]
+    along = swept(ds)
     marked = ""
     if along:
         figure = _over_axis(ds, max(along, key=lambda name: ds.sizes[name]))

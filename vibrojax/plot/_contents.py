@@ -13,6 +13,7 @@ from vibrojax.families.stretches import is_families
 TIME, SETTING = "time", "setting"  # the dimension of a run, and of a study of speed against error
 START, POINT, RETURN, FORM = "start", "point", "return_index", "form"
 MULTIPLIER = "multiplier"
+ATTRACTOR, NAMED = "attractor", "named_start"  # of attractors; and the scene's own starts beside others
 DIRECTION = "direction"  # of lanes that are carried along an axis
 _GROUP = "group"  # the dimension of groups of rows of a table
 HIDDEN = "hidden_motion"
@@ -21,7 +22,7 @@ RETURNS, ERROR = "return_impact_velocity", "error_worst"
 BESIDE_REGIMES = (RATE, "impact_velocity", "period", "bit_amplitude")  # the first two of these that a dataset has
 
 MOST_LINES = 8  # in one panel, and in the legend
-_NOT_SWEPT = {START, POINT, RETURN, FORM, MULTIPLIER}
+_NOT_SWEPT = {START, POINT, RETURN, FORM, MULTIPLIER, ATTRACTOR, NAMED}
 _EACH_LANE = (REGIME, RATE, COEFFICIENT, "status")  # what every lane has one of: of a drill, rock, a fit, any sweep
 _MANY = 9  # values of an axis from which lines, one for each, are too many
 ENOUGH = 6  # values from which an axis is one to draw along, rather than a choice between a few
@@ -32,7 +33,8 @@ class Contents:
     """The facts about a dataset that decide which picture fits it.
 
     - `variables`, `dimensions`: their names.
-    - `axes`: the axes to draw along; `long`: those of so many values that a map shows more of them than lines.
+    - `axes`: the axes to draw along; `long`: those of so many values that a map shows more of them than lines; `wide`:
+      whether two of them are more than a choice between a few.
     - `varied`: the parameters that vary along a list of points, each with its number of values.
     - `beside`: the quantities worth a panel beside the regimes.
     - `many_starts`: whether every point runs from more starts than have a panel each.
@@ -45,6 +47,7 @@ class Contents:
     dimensions: frozenset[str]
     axes: tuple[str, ...]
     long: tuple[str, ...]
+    wide: bool
     varied: Mapping[str, int]
     beside: tuple[str, ...]
     points: bool
@@ -125,6 +128,7 @@ def contents(ds: xr.Dataset) -> Contents:
         dimensions=frozenset(str(name) for name in ds.dims),
         axes=axes_to_draw(ds),
         long=long_axes(ds),
+        wide=sum(ds.sizes[name] >= ENOUGH for name in swept(ds)) > 1,
         varied=varied(ds),
         beside=tuple(name for name in BESIDE_REGIMES if name in ds and np.isfinite(ds[name].values).any())[:2],
         points=POINT in lane_dims(ds),

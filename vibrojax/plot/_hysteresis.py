@@ -12,10 +12,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from vibrojax.label import COMPARED, FAILED, SAME_WITHIN, UNDECIDED
-from vibrojax.plot._axes import scale, values_along, with_unit
+from vibrojax.plot._axes import number, pretty_unit, scale, values_along, with_unit
 from vibrojax.plot._colours import Value, values_beside
 from vibrojax.plot._contents import DIRECTION, REGIME, RETURN, RETURNS, START, regimes_in
-from vibrojax.plot._over import OF_RETURNS, check_over, draw_over, over_handles, over_text, several
+from vibrojax.plot._over import OF_RETURNS, check_over, draw_over, over_handles, over_text, several, special_points
 from vibrojax.plot._strips import Stack, dot_size, draw_stacks, draw_values, of_start, start_names
 from vibrojax.plot.style import INK, Mark, start_colour, styled
 
@@ -31,7 +31,8 @@ def hysteresis(ds: xr.Dataset, over: xr.Dataset | Sequence[xr.Dataset] | None = 
     kept, else impact velocity and period; with the jumps of both ways, above the regimes of each.
 
     A jump is where the two ways begin to differ, or cease to. `over`: families of orbits along the axis, as `vj.follow`
-    gives them, drawn over the lanes.
+    gives them, drawn over the lanes; the note says which of their special points, but for the ends, is nearest to each
+    jump.
     """
     along = json.loads(str(ds.attrs["run"]))["carry"]
     ds = regimes_in(ds.rename({DIRECTION: START}))
@@ -42,7 +43,7 @@ def hysteresis(ds: xr.Dataset, over: xr.Dataset | Sequence[xr.Dataset] | None = 
     draw = partial(_draw, values=values, x=along, every=every)
     height = 3.4 if len(values) < 2 else 1.9
     handles = [*_handles(ds), *over_handles(every)]
-    about = ". ".join(text for text in (_ABOUT, over_text(ds, every, OF_RETURNS)) if text)
+    about = ". ".join(text for text in (_ABOUT, over_text(ds, every, OF_RETURNS), jumps_text(ds, along, every)) if text)
     return draw_stacks(ds, along, max(len(values), 1), lambda count: height, draw, handles, about)
 
 
@@ -64,6 +65,25 @@ def jumps(ds: xr.Dataset, along: str) -> tuple[Places, Places]:
     changes = np.stack([_changes(way, regime)[ends] for way, regime in zip(ways, regimes, strict=True)])
     which = changes.argmax(axis=0)
     return ends[which == 0], ends[which == 1]
+
+
+def jumps_text(ds: xr.Dataset, along: str, every: Sequence[xr.Dataset]) -> str:
+    """Between which values each way jumps, and the special point of the families that is nearest, in words; nothing
+    where more than that axis varies."""
+    if not every or set(ds[REGIME].dims) != {along, START}:
+        return ""
+    special = [point for over in every for point in special_points(over)]
+    values, (factor, unit) = np.asarray(ds[along].values), scale(ds[along])
+    texts = []
+    for name, where in zip(start_names(ds), jumps(ds, along), strict=True):
+        for place in where.tolist():
+            low, high = values[place], values[place + 1]
+            text = f"{name} between {number(factor * low)} and {number(factor * high)} {pretty_unit(unit)}".rstrip()
+            if special:
+                kind, at = min(special, key=lambda point: abs(point[1] - (low + high) / 2))
+                text += f" ({kind} at {number(factor * at)})"
+            texts.append(text)
+    return f"Jumps, and the nearest special point: {'; '.join(texts)}" if texts else ""
 
 
 def _another(one: xr.Dataset, other: xr.Dataset) -> Bool[np.ndarray, " values"]:

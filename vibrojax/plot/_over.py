@@ -8,7 +8,7 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 
 from vibrojax.errors import InputError
-from vibrojax.families.stretches import FAMILY, along_name, branches, is_families, numbers_of
+from vibrojax.families.stretches import FAMILY, along_name, branches, is_families, kind_names, numbers_of
 from vibrojax.plot._axes import edges, number, values_along
 from vibrojax.plot._branches import MARKS, Curve, draw_families, ranges_text, special_handles, stability_handles
 from vibrojax.plot._contents import is_numeric, parameters_of
@@ -81,6 +81,12 @@ def over_handles(every: Sequence[xr.Dataset]) -> list[Artist]:
         marks |= {str(one.get_label()): one for one in special_handles(over, count=False)}
     order = [*MARKS, *marks]
     return [*lines.values(), *(marks[kind] for kind in sorted(marks, key=order.index))]
+
+
+def special_points(over: xr.Dataset) -> list[tuple[str, float]]:
+    """The kind and the value of the parameter of each special point of families but their ends."""
+    points = zip(kind_names(over), over["special_value"].values.tolist(), strict=True)
+    return [(kind, value) for kind, value in points if kind != "end"]
 
 
 def over_text(ds: xr.Dataset, every: Sequence[xr.Dataset], name: str) -> str:

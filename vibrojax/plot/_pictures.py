@@ -28,6 +28,7 @@ from vibrojax.plot._rate_law import law_lines, law_map
 from vibrojax.plot._rates import rates
 from vibrojax.plot._scatter import rate_scatter, regime_bars, regime_scatter
 from vibrojax.plot._selection import Value, select
+from vibrojax.plot._share_map import share_map
 from vibrojax.plot._strips import regime_lines
 from vibrojax.plot._thinned import thinned, thinned_text
 from vibrojax.plot._time_history import trajectory
@@ -56,6 +57,7 @@ PICTURES = (
     Picture("motion",        lambda held: held.run,                                      trajectory),
     Picture("families",      lambda held: held.families,                                 families),
     Picture("borders",       lambda held: held.borders,                                  border_curves),
+    Picture("attractors",    lambda held: held.attractors and held.wide,                 share_map),
     Picture("attractors",    lambda held: held.attractors,                               attractor_shares),
     Picture("pushes",        lambda held: held.pushes,                                   smallest_pushes),
     Picture("accuracy",      lambda held: held.study,                                    work_precision),

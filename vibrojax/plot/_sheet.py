@@ -139,6 +139,7 @@ class Sheet:
         for bar, value in zip(self.bars, self.values, strict=True):
             if value is None:
                 self._draw_legend(bar, handles)
+                handles = ()  # of several such places the first
                 continue
             drawn = self.figure.colorbar(
                 ScalarMappable(value.norm, value.colour_map),

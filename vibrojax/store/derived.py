@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from vibrojax.label import REGIMES
 from vibrojax.store.variables import Variable
 
 SPECIAL_KINDS = ("fold", "period-doubling", "torus", "grazing", "stick", "section", "end")
@@ -32,4 +33,8 @@ OF_ATTRACTORS: dict[str, Variable] = {
     "share_stderr": Variable("1", "standard error of share, binomial"),
     "unassigned": Variable("1", "starts of which no attractor could be told", np.int32),
     "lane_attractor": Variable("1", "number of the attractor that the lane ends in; -1: none could be told", np.int32),
+    "named_attractor": Variable(
+        "1", "number of the attractor that the start of this name leads to; -1: none", np.int32
+    ),
+    "named_regime": Variable("1", "regime that the start of this name leads to", np.int8, REGIMES),
 }
