@@ -12,7 +12,8 @@ import pytest
 
 import vibrojax as vj
 from vibrojax.cli import main
-from vibrojax.cli._complete import files, scenes, sweeps, values
+from vibrojax.cli._complete import files, scenes, sweeps, values_with
+from vibrojax.cli.simulate import SETTINGS
 from vibrojax.words import WORDS
 
 ROOT = Path(__file__).parents[1]
@@ -164,6 +165,7 @@ def test_what_may_stand_there_is_told(here):
     assert scenes("vi") == ["vibro-impact"] and sweeps("regime") == ["regime-map"] and sweeps("m") == ["map.toml"]
     assert files(".nc")("map.") == ["map.nc"] and files(".nc")(f"{here}/map.") == [f"{here}/map.nc"]
     assert files(".nc")("/no/such/folder/") == []
+    values = values_with(SETTINGS)
     assert values("b", parsed) == ["bit_radius="]  # beta is there already
     assert values("start=", parsed) == ["start=drive", "start=stuck", "start=touching"]
     assert values("friction=cou", parsed) == ["friction=coulomb"]

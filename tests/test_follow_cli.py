@@ -10,8 +10,9 @@ from exact.measures import sections
 
 import vibrojax as vj
 from vibrojax.cli import main
-from vibrojax.cli._complete import follow_values
+from vibrojax.cli._complete import values_with
 from vibrojax.cli._family_lines import family_lines
+from vibrojax.cli.follow import SETTINGS
 from vibrojax.store.dataset import open_dataset
 
 ASKED = ("along=gamma", "at=0.45", "from=0.36", "to=0.5", "beta=0.4", "settle=30", "cycles=2")
@@ -230,6 +231,7 @@ def test_rocks_are_families_too():
 
 def test_what_may_stand_there_is_told():
     parsed = Namespace(scene="vibro-impact", values=["along=gamma"])
+    follow_values = values_with(SETTINGS, lambda names: {"along": tuple(names.parameters)})
     assert follow_values("a", parsed) == ["at="] and follow_values("f", parsed) == ["friction=", "from="]
     assert follow_values("along=b", parsed) == ["along=beta"]
 

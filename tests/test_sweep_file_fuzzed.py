@@ -10,7 +10,8 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from vibrojax.cli.simulate import read_values
+from vibrojax.cli._named_values import named_values
+from vibrojax.cli.simulate import SETTINGS
 from vibrojax.engine.resources import check_size
 from vibrojax.errors import InputError, Place
 from vibrojax.input.point import read_point
@@ -142,7 +143,7 @@ def test_points(file, header, rows, comma, newline, encoding):
 @example("rotary", [("beta", "=", "9" * 5000)])
 def test_names_and_values(scene, words):
     try:
-        settings, parameters = read_values(Place("simulate"), ["".join(word) for word in words])
+        settings, parameters = named_values(Place("simulate"), ["".join(word) for word in words], SETTINGS, lists=False)
         read_point(Place("simulate"), scene, parameters, settings.pop("start", None))
     except InputError as error:
         assert "\n" not in str(error)

@@ -14,6 +14,9 @@ if TYPE_CHECKING:
 Completer = Callable[..., Iterable[str]]
 """Gives the words that may begin with `prefix`, by what was parsed before it."""
 
+Besides = Callable[["Names"], dict[str, tuple[str, ...]]]
+"""Which names may stand behind those of a command's settings that have a few."""
+
 
 def with_completer(action: Action, completer: Completer) -> None:
     """Let `completer` say what may stand for an argument."""
@@ -61,35 +64,17 @@ def files(*endings: str) -> Callable[..., list[str]]:
     return completer
 
 
-def values(prefix: str, parsed_args: Namespace, **_: object) -> list[str]:
-    """NAME= of the scene's parameters and the settings of `simulate`, and behind it the names that may stand there."""
-    from vibrojax.cli.simulate import SETTINGS
-    from vibrojax.stepping import STEPPERS
+def values_with(settings: tuple[str, ...], besides: Besides = lambda names: {}) -> Completer:
+    """A completer for NAME= of the scene's parameters and of a command's `settings`, and behind it the names that may
+    stand there; `besides`: those of settings."""
 
-    return _values(prefix, parsed_args, SETTINGS, lambda names: {"method": tuple(STEPPERS)})
+    def completer(prefix: str, parsed_args: Namespace, **_: object) -> list[str]:
+        return _values(prefix, parsed_args, settings, besides)
 
-
-def follow_values(prefix: str, parsed_args: Namespace, **_: object) -> list[str]:
-    """The same with the settings of `follow`."""
-    from vibrojax.cli.follow import SETTINGS
-
-    return _values(prefix, parsed_args, SETTINGS, lambda names: {"along": tuple(names.parameters)})
+    return completer
 
 
-def push_values(prefix: str, parsed_args: Namespace, **_: object) -> list[str]:
-    """The same with the settings of `push`."""
-    from vibrojax.cli.push import SETTINGS
-
-    return _values(prefix, parsed_args, SETTINGS, lambda names: {})
-
-
-def _values(
-    prefix: str,
-    parsed_args: Namespace,
-    settings: tuple[str, ...],
-    besides: "Callable[[Names], dict[str, tuple[str, ...]]]",
-) -> list[str]:
-    """NAME= of a scene's parameters and of `settings`, and behind it names; `besides`: those of settings."""
+def _values(prefix: str, parsed_args: Namespace, settings: tuple[str, ...], besides: Besides) -> list[str]:
     from vibrojax.errors import InputError, Place
     from vibrojax.input.names import CHOICES, read_names
     from vibrojax.physics.rock import ROCKS

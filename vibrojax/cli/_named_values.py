@@ -7,9 +7,12 @@ from vibrojax.errors import Place, shown
 
 
 def named_values(
-    place: Place, words: list[str], settings: Collection[str]
+    place: Place, words: list[str], settings: Collection[str], lists: bool
 ) -> tuple[dict[str, object], dict[str, object]]:
-    """The values of `settings`, and those of parameters, by name; raises `InputError` where a word is none."""
+    """The values of `settings`, and those of parameters, by name; raises `InputError` where a word is none.
+
+    `lists`: whether a parameter may have several values.
+    """
     chosen: dict[str, object] = {}
     parameters: dict[str, object] = {}
     for word in words:
@@ -17,10 +20,10 @@ def named_values(
         if not equals or not name:
             raise place.error(f"{shown(word)} is no NAME=VALUE; write one, like beta=0.4")
         if name in chosen or name in parameters:
-            several = "" if name in settings else f", or a list like {name}=0.3,0.4"
+            several = f", or a list like {name}=0.3,0.4" if lists and name not in settings else ""
             raise place.at(name).error(f"{shown(text)} is a second value; give one{several}")
         home = chosen if name in settings else parameters
-        home[name] = _value(place.at(name), text, listed=name not in settings)
+        home[name] = _value(place.at(name), text, listed=lists and name not in settings)
     return chosen, parameters
 
 
@@ -30,7 +33,8 @@ def _value(place: Place, text: str, listed: bool) -> object:
         try:
             return list(json.loads(text))
         except (ValueError, RecursionError):
-            raise place.error(f"{shown(text)} is no list; write one like [0.3,0.4]") from None
+            right = "list; write one like [0.3,0.4]" if listed else "vector; write one like [0,0,0.01,0]"
+            raise place.error(f"{shown(text)} is no {right}") from None
     if listed and "," in text:
         return [_single(part.strip()) for part in text.split(",")]
     return _single(text)

@@ -12,9 +12,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from vibrojax.cli._command import Options
-from vibrojax.cli._complete import files, with_completer
-from vibrojax.cli._complete import values as complete_values
+from vibrojax.cli._complete import files, values_with, with_completer
+from vibrojax.cli._named_values import named_values
 from vibrojax.cli._output import output
+from vibrojax.cli.simulate import SETTINGS, of_settings
 from vibrojax.errors import InputError, shown
 from vibrojax.timings import timed
 
@@ -34,7 +35,7 @@ def arguments(parser: ArgumentParser) -> None:
     values = parser.add_argument(
         "values", metavar="NAME=VALUE", nargs="*", help="of a scene: where its motion begins, as for vibrojax simulate"
     )
-    with_completer(values, complete_values)
+    with_completer(values, values_with(SETTINGS, of_settings))
     parser.add_argument("-o", dest="out", metavar="PAGE.html", help="where to write (OUT.html beside OUT.nc)")
     over = parser.add_argument(
         "--over", metavar="BORDERS.nc", help="lay over the map what vibrojax borders has found in the same plane"
@@ -91,11 +92,10 @@ def _check_together(options: Options) -> None:
 
 def _motion(options: Options) -> "xarray.Dataset":
     """The motion of a scene that the page opens with."""
-    from vibrojax.cli.simulate import read_values
     from vibrojax.errors import Place
     from vibrojax.simulation import simulate
 
-    settings, parameters = read_values(Place("explore"), options.values)
+    settings, parameters = named_values(Place("explore"), options.values, SETTINGS, lists=False)
     arguments: dict[str, Any] = settings | parameters
     return simulate(options.file, **arguments, progress=not options.quiet)
 

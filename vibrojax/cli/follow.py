@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vibrojax.cli._command import Options
-from vibrojax.cli._complete import follow_values, scenes, with_completer
+from vibrojax.cli._complete import scenes, values_with, with_completer
 from vibrojax.cli._family_lines import family_facts, family_lines
 from vibrojax.cli._json import HELP, from_json, print_json
 from vibrojax.cli._named_values import named_values, whole
@@ -44,7 +44,7 @@ def arguments(parser: ArgumentParser) -> None:
         "parameters, and friction. A list, beta=0.3,0.4,0.5, is as many families, followed together; of several lists "
         "the first values are of one family, the second ones of the next",
     )
-    with_completer(values, follow_values)
+    with_completer(values, values_with(SETTINGS, lambda names: {"along": tuple(names.parameters)}))
     parser.add_argument("-o", dest="out", metavar="OUT.nc", help="where to write (SCENE-NAME.nc in this folder)")
     parser.add_argument("--fresh", action="store_true", help="replace OUT, whatever it holds")
     parser.add_argument("--json", action="store_true", help=HELP)
@@ -95,7 +95,7 @@ def _facts(dataset: "xarray.Dataset", out: Path, picture: Path | None) -> dict[s
 def _read(words: list[str]) -> tuple[dict[str, object], dict[str, object]]:
     """Settings and parameters from words NAME=VALUE."""
     place = Place("follow")
-    settings, parameters = named_values(place, words, SETTINGS)
+    settings, parameters = named_values(place, words, SETTINGS, lists=True)
     missing = [name for name in NEEDED if name not in settings]
     if missing:
         raise place.error(f"{' and '.join(missing)} missing; write vibrojax follow SCENE {_SYNTAX}")

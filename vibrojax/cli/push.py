@@ -4,7 +4,7 @@ from argparse import ArgumentParser
 from typing import TYPE_CHECKING
 
 from vibrojax.cli._command import Options
-from vibrojax.cli._complete import push_values, scenes, with_completer
+from vibrojax.cli._complete import scenes, values_with, with_completer
 from vibrojax.cli._json import flags
 from vibrojax.cli._named_values import named_values, whole
 from vibrojax.cli._output import result_at, result_written
@@ -32,14 +32,14 @@ def arguments(parser: ArgumentParser) -> None:
         "push, m or m/s; by default the whole swing), scan (pushes of each scan in a direction: 256), precision "
         "(0.001), settle and observe (s, for which motions settle and are then watched: 40, 8)",
     )
-    with_completer(values, push_values)
+    with_completer(values, values_with(SETTINGS))
     parser.add_argument("-o", dest="out", metavar="OUT.nc", help="where to write (SCENE-push.nc in this folder)")
     parser.add_argument("--fresh", action="store_true", help="replace OUT, whatever it holds")
 
 
 def run(options: Options) -> None:
     """Run the command."""
-    settings, parameters = named_values(Place("push"), options.values, SETTINGS)
+    settings, parameters = named_values(Place("push"), options.values, SETTINGS, lists=True)
     from vibrojax.coexistence.push_asked import PRECISION, SCAN, read_pushed
 
     most = {name.removeprefix(_MOST): x for name, x in settings.items() if name.startswith(_MOST)}

@@ -1,29 +1,36 @@
 """Simulate one point: its trajectory as a dataset, and a picture beside it."""
 
-import json
 import warnings
 from argparse import ArgumentParser
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from vibrojax.cli._command import Options
-from vibrojax.cli._complete import scenes, with_completer
-from vibrojax.cli._complete import values as complete_values
+from vibrojax.cli._complete import scenes, values_with, with_completer
 from vibrojax.cli._facts import found
 from vibrojax.cli._found import found_lines
 from vibrojax.cli._json import HELP, from_json, print_json
+from vibrojax.cli._named_values import named_values
 from vibrojax.cli._output import result_at, result_written
 from vibrojax.errors import Place, shown
 
 if TYPE_CHECKING:
     import xarray
 
+    from vibrojax.input.names import Names
     from vibrojax.input.point import Point
 
 # Settings of the run, which are no parameters of a scene.
 _TEXTS = ("method", "solver")
 _NUMBERS = ("duration", "error", "sampling", "step", "smoothing")
 SETTINGS = ("start", *_TEXTS, *_NUMBERS)
+
+
+def of_settings(_: "Names") -> dict[str, tuple[str, ...]]:
+    """The names that may stand behind those of settings."""
+    from vibrojax.stepping import STEPPERS
+
+    return {"method": tuple(STEPPERS)}
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -40,7 +47,7 @@ def arguments(parser: ArgumentParser) -> None:
         help="a parameter; friction; start (a name, or [x1,x1',x2,x2']); duration, sampling, error, method, solver, "
         "step, smoothing",
     )
-    with_completer(values, complete_values)
+    with_completer(values, values_with(SETTINGS, of_settings))
     parser.add_argument("-o", dest="out", metavar="OUT.nc", help="where to write (SCENE.nc in this folder)")
     parser.add_argument("--fresh", action="store_true", help="replace OUT, whatever it holds")
     parser.add_argument("--json", action="store_true", help=HELP)
@@ -49,7 +56,7 @@ def arguments(parser: ArgumentParser) -> None:
 def run(options: Options) -> None:
     """Run the command."""
     place = Place("simulate")
-    settings, parameters = read_values(place, options.values)
+    settings, parameters = named_values(place, options.values, SETTINGS, lists=False)
     from vibrojax.input.plausible import UnusualValue
     from vibrojax.input.point import read_point
 
@@ -86,34 +93,6 @@ def _facts(dataset: "xarray.Dataset", point: "Point", out: Path, picture: Path |
         "dataset": str(out),
         "picture": None if picture is None else str(picture),
     }
-
-
-def read_values(place: Place, words: list[str]) -> tuple[dict[str, object], dict[str, object]]:
-    """Settings and parameters from words NAME=VALUE; numbers are numbers, all else is text or a vector."""
-    settings: dict[str, object] = {}
-    parameters: dict[str, object] = {}
-    for word in words:
-        name, equals, text = word.partition("=")
-        name = name.strip()
-        if not equals or not name:
-            raise place.error(f"{shown(word)} is no NAME=VALUE; write one, like beta=0.4")
-        if name in settings or name in parameters:
-            raise place.at(name).error(f"{shown(text)} is a second value; give one")
-        home = settings if name in SETTINGS else parameters
-        home[name] = _value(place.at(name), text.strip())
-    return settings, parameters
-
-
-def _value(place: Place, text: str) -> object:
-    if text.startswith("["):
-        try:
-            return json.loads(text)
-        except (ValueError, RecursionError):
-            raise place.error(f"{shown(text)} is no vector; write one like [0,0,0.01,0]") from None
-    try:
-        return float(text)
-    except ValueError:
-        return text
 
 
 def _checked(place: Place, settings: dict[str, object]) -> dict[str, object]:
