@@ -8,8 +8,8 @@ import pytest
 
 import vibrojax as vj
 from vibrojax.errors import InputError
-from vibrojax.explorer import _motions, cells
-from vibrojax.explorer._motions import Motions, motions_around, motions_of
+from vibrojax.explorer import at_point, cells
+from vibrojax.explorer.at_point import Motions, motions_around, motions_of
 from vibrojax.explorer.cells import decode
 from vibrojax.kernels import made
 
@@ -121,7 +121,7 @@ def test_wrong_questions_are_refused_in_one_line(motions, asked, line):
 
 
 def test_a_motion_of_too_many_steps_is_given_up(motions, monkeypatch):
-    monkeypatch.setattr(_motions, "MOST_STEPS", 512)
+    monkeypatch.setattr(at_point, "MOST_STEPS", 512)
     with pytest.raises(InputError, match=r"explore: over 512 steps led to .* s of 14 s; give a softer contact"):
         motions.answer({"parameters": {"k0": 300e6}}, never)
 

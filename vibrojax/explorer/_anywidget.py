@@ -9,7 +9,7 @@ import traitlets
 import xarray as xr
 
 from vibrojax.errors import InputError, Place, shown, suggestion
-from vibrojax.explorer._motions import Motions, motions_around, motions_of
+from vibrojax.explorer.at_point import Motions, motions_around, motions_of
 from vibrojax.explorer.of_dataset import _sweep, cells_of, document_of, explored
 from vibrojax.explorer.write import LIVE, SIZE, blocks_of, module_text, style_text
 from vibrojax.input.definition import Sweep

@@ -12,8 +12,9 @@ from vibrojax.errors import Place
 from vibrojax.explorer.cells import Cell
 from vibrojax.explorer.document import Document, about, coordinate_document, maps_of, reduced, run_document
 from vibrojax.explorer.document import variable_document as described
-from vibrojax.explorer.motions import LANES, Begin, recorded
 from vibrojax.explorer.packed import packed
+from vibrojax.explorer.recorded import LANES, recorded
+from vibrojax.explorer.sampled import Begin
 from vibrojax.families.stretches import FAMILY, along_name, kind_names, numbers_of, places, runs, stability
 from vibrojax.input.point import Point, read_point
 from vibrojax.periodic.measured import DRIVEN_RETURNS

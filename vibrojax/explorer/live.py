@@ -25,8 +25,8 @@ from typing import Any, Protocol, runtime_checkable
 import xarray as xr
 
 from vibrojax.explorer._loopback import HOST, Served, Server
-from vibrojax.explorer._motions import motions_around, motions_of
 from vibrojax.explorer._turns import Check, Turns
+from vibrojax.explorer.at_point import motions_around, motions_of
 from vibrojax.explorer.of_dataset import _sweep, cells_of, document_of, explored
 from vibrojax.explorer.write import SIZE, blocks_of, page_text
 from vibrojax.timings import LOG
@@ -34,7 +34,7 @@ from vibrojax.timings import LOG
 
 @runtime_checkable
 class Answers(Protocol):
-    """What computes: see [vibrojax.explorer._motions.Motions][]."""
+    """What computes: see [vibrojax.explorer.at_point.Motions][]."""
 
     def answer(self, asked: dict[str, Any], check: Check) -> bytes:
         """The block for a request; raises `InputError`, or what `check()` raises."""

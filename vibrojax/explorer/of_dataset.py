@@ -8,7 +8,7 @@ from vibrojax.errors import InputError, shown
 from vibrojax.explorer.cells import Cell
 from vibrojax.explorer.document import Document, curves_document, grid_document
 from vibrojax.explorer.families import family_cells, family_document
-from vibrojax.explorer.motions import motions
+from vibrojax.explorer.of_lanes import motions
 from vibrojax.explorer.single import motion_document
 from vibrojax.explorer.trajectory import cell_of
 from vibrojax.families.stretches import is_families

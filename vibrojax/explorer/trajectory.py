@@ -8,7 +8,7 @@ import xarray as xr
 from jaxtyping import Float
 
 from vibrojax.explorer.cells import EVENTS, STUCK, TOUCHING, Cell, Column
-from vibrojax.explorer.motions import EVEN, MOST_EVEN, PASSED, SHOWN, STILL, evenly_passed
+from vibrojax.explorer.sampled import EVEN, MOST_EVEN, PASSED, SHOWN, STILL, URGENCE, evenly_passed
 
 RETURN_STATES = ("x1", "x2", "v2", "x3", "v3")
 """States whose values at returns are shown, where there are such."""
@@ -114,7 +114,7 @@ def _flags(motion: xr.Dataset, at: np.ndarray, happened: dict[str, np.ndarray], 
         begun = np.searchsorted(happened["impact"], at + within)
         ended = np.searchsorted(happened["release"], at + within)
         flags |= np.where(begun > ended, TOUCHING, 0).astype(np.uint8)
-    for name in ("section", "release", "slip", "stick", "impact"):
+    for name in URGENCE:
         place = np.searchsorted(at, happened[name] - within)
         inside = (place < len(at)) & (happened[name] >= at[0] - within)
         place = place[inside]

@@ -12,9 +12,8 @@ import xarray as xr
 from vibrojax.devices import precision
 from vibrojax.errors import InputError, Place, shown
 from vibrojax.explorer.cells import Cell, encode
-from vibrojax.explorer.motions import PASSED, SHOWN, STILL, Begin
-from vibrojax.explorer.motions import _cell as cell_of
-from vibrojax.explorer.motions import _events as events_of
+from vibrojax.explorer.recorded import events_of
+from vibrojax.explorer.sampled import PASSED, SHOWN, STILL, Begin, cell_of_steps
 from vibrojax.input.definition import Sweep, rock_values
 from vibrojax.input.names import Names, read_names
 from vibrojax.input.plausible import UnusualValue
@@ -232,7 +231,7 @@ def _cell(scene: Scene[Any], constants: Any, done: Recorded, duration: float, no
         cycles = _repeats(last["after"][..., 0], events["section"][:, 0], scene)
     begin = _begin(ends, cycles, duration)
     alone = {name: x[..., 0] for name, x in last.items()}
-    cell = cell_of(scene, alone, {name: mask[:, 0] for name, mask in events.items()}, begin)
+    cell = cell_of_steps(scene, alone, {name: mask[:, 0] for name, mask in events.items()}, begin)
     numbers = {name: _plain(value) for name, (_, value, _) in done.found.items()}
     return replace(cell, note="; ".join(text for text in (cell.note, note) if text), numbers=numbers)
 
