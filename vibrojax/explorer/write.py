@@ -21,7 +21,10 @@ from vibrojax.store.atomic import atomic_write
 SIZE = 256
 """Cells of a block, which the page reads as a whole when one of them is chosen."""
 
-MODULES = ("decode.js", "plots.js", "grid.js", "map.js", "cell.js", "mount.js")
+MODULES = (
+    *("dom.js", "decode.js", "plots.js", "grid.js", "map.js", "cell.js", "calls.js", "fragment.js"),
+    *("layout.js", "pointing.js", "controls.js", "legend.js", "slices.js", "chosen.js", "mount.js"),
+)
 """The modules behind `mount`, each after those that it imports from."""
 
 LIVE = ("sliders.js", "computing.js", "live.js")

@@ -1,0 +1,14 @@
+// Elements of the page.
+
+/** An element with attributes (`text`: its text, `on...`: a listener; none where false or null) and children. */
+export const el = (tag, attributes = {}, ...children) => {
+  const one = document.createElement(tag);
+  for (const [name, value] of Object.entries(attributes)) {
+    if (name === "text") one.textContent = value;
+    else if (name.startsWith("on")) one.addEventListener(name.slice(2), value);
+    else if (value === true) one.setAttribute(name, "");
+    else if (value !== false && value !== null && value !== undefined) one.setAttribute(name, value);
+  }
+  one.append(...children);
+  return one;
+};

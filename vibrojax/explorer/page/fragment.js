@@ -1,0 +1,40 @@
+// What is chosen, as it stands in the fragment of an address, to and fro.
+
+const byValue = (axis) => axis.numeric && !axis.columns.length;
+
+function nearest(values, wanted) {
+  let best = 0;
+  values.forEach((one, k) => { if (Math.abs(one - wanted) < Math.abs(values[best] - wanted)) best = k; });
+  return best;
+}
+
+/** The fragment, without its #, of {shown, cell, scheme} of a page; a scheme only where one was chosen. */
+export function fragmentOf(data, { shown, cell, scheme }) {
+  const parts = [["variable", shown.variable]];
+  if (shown.x) parts.push(["x", shown.x], ["y", shown.y ?? ""]);
+  for (const axis of data.axes) {
+    const k = cell[axis.name];
+    if (axis.values.length > 1) parts.push([`at.${axis.name}`, byValue(axis) ? Number(axis.values[k].toPrecision(8)) : k]);
+  }
+  if (!shown.region) parts.push(["region", "off"]);
+  if (data.curves) parts.push(["borders", shown.borders]);
+  if (scheme) parts.push(["scheme", scheme]);
+  return parts.map(([name, value]) => `${name}=${encodeURIComponent(value)}`).join("&");
+}
+
+/** What a fragment says: {variable, x, y, cell, region, borders, scheme}, null or left out what it does not say. */
+export function readFragment(data, text) {
+  const given = new URLSearchParams(text.replace(/^#/, "")), cell = {};
+  for (const axis of data.axes) {
+    const said = given.get(`at.${axis.name}`), value = Number(said);
+    if (said === null || said === "" || !Number.isFinite(value)) continue;
+    cell[axis.name] = byValue(axis) ? nearest(axis.values, value) : Math.max(0, Math.min(axis.values.length - 1, Math.round(value)));
+  }
+  const oneOf = (name, known) => (known.includes(given.get(name)) ? given.get(name) : null);
+  return {
+    variable: given.get("variable"), x: given.get("x"), y: given.get("y"), cell,
+    region: given.get("region") !== "off",
+    borders: oneOf("borders", ["own", "any", "off"]),
+    scheme: oneOf("scheme", ["dark", "light"]),
+  };
+}

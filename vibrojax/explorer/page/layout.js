@@ -1,0 +1,38 @@
+// The layout of the page.
+import { el } from "./dom.js";
+import { MapView } from "./map.js";
+
+const HELP = "Click a cell, or give the map the focus and use the arrow keys (with Shift ten cells, Home and End the first and last). " +
+  "What is chosen stands in the address: a link restores it.";
+
+/** Lay a page out in its element; the parts that are drawn into are attributes of the page. */
+export function layOut(page) {
+  const { data, id } = page;
+  page.map = el("canvas", { class: "vx-base", "aria-hidden": "true" });
+  page.over = el("canvas", {
+    class: "vx-over", tabindex: "0", role: "application", "aria-roledescription": "map",
+    "aria-label": "Map of the lanes; arrow keys choose a cell", "aria-describedby": `${id}-live`,
+  });
+  page.tip = el("div", { class: "vx-tip", hidden: true });
+  page.controls = el("div", { class: "vx-controls" });
+  page.legend = el("div", { class: "vx-legend" });
+  page.live = el("p", { class: "vx-live", id: `${id}-live`, "aria-live": "polite" });
+  page.slices = el("div", { class: "vx-slices" });
+  page.side = el("div", { class: "vx-side" });
+  page.computing = page.source.attach?.(page) ?? null;
+  page.table = el("section", { class: "vx-table", "aria-label": "Numbers of the chosen cell" });
+  page.view = new MapView(page.map, page.over, page.grid);
+  page.theme = el("button", { type: "button", class: "vx-theme", onclick: () => page.switchScheme() });
+  const computing = page.computing ? [page.computing.element] : [];
+  const notes = data.notes.length ? [el("p", { class: "vx-notes", text: data.notes.join(". ") })] : [];
+  page.element.classList.add("vibrojax");
+  page.element.replaceChildren(
+    el("header", { class: "vx-head" }, el("div", {}, el("h1", { text: data.title || data.scene }), ...notes), page.theme),
+    el("div", { class: "vx-main" },
+      el("section", { class: "vx-left", "aria-label": "Map" }, page.controls,
+        el("div", { class: "vx-map" }, page.map, page.over, page.tip), page.legend, page.live, page.slices),
+      el("section", { class: "vx-side", "aria-label": "The chosen cell" }, ...computing, page.side),
+      page.table),
+    el("footer", { class: "vx-foot" }, el("p", { text: `${data.scene}${data.source ? `, ${data.source}` : ""}. ` }),
+      el("p", { text: HELP })));
+}

@@ -1,0 +1,41 @@
+// Pointer and keys over the map: which cell is meant, what is said of it, and that it is picked.
+import { el } from "./dom.js";
+
+/** Where keys lead, in cells. */
+const WAYS = {
+  ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1],
+  Home: [-1e9, 0], End: [1e9, 0], PageUp: [0, 1e9], PageDown: [0, -1e9],
+};
+
+/** Say in a tip what stands at a cell, at a place of the map; null: the tip goes. */
+function hover(page, cell, place) {
+  page.view.drawOver(cell);
+  page.tip.hidden = !cell;
+  if (!cell) return;
+  const value = page.grid.valueText(page.variable, page.grid.value(page.variable.name, cell));
+  page.tip.replaceChildren(el("b", { text: value }), el("span", { text: page.grid.cellText(cell) }));
+  const box = page.over.getBoundingClientRect(), wide = page.tip.offsetWidth;
+  page.tip.style.left = `${Math.max(0, Math.min(place[0] + 14, box.width - wide - 4))}px`;
+  page.tip.style.top = `${place[1] > box.height / 2 ? place[1] - page.tip.offsetHeight - 12 : place[1] + 16}px`;
+}
+
+/** Hear the pointer and the keys over the map of a page. */
+export function listen(page) {
+  const place = (event) => {
+    const box = page.over.getBoundingClientRect();
+    return [event.clientX - box.left, event.clientY - box.top];
+  };
+  page.over.addEventListener("pointermove", (event) => hover(page, page.view.at(...place(event)), place(event)));
+  page.over.addEventListener("pointerleave", () => hover(page, null));
+  page.over.addEventListener("click", (event) => {
+    const cell = page.view.at(...place(event));
+    if (cell) page.pick(cell);
+  });
+  page.over.addEventListener("keydown", (event) => {
+    const way = WAYS[event.key];
+    if (!way || event.ctrlKey || event.metaKey || event.altKey) return;
+    event.preventDefault();
+    const by = event.shiftKey ? 10 : 1;
+    page.pick(page.view.moved(way[0] * by, way[1] * by));
+  });
+}

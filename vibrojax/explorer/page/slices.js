@@ -1,0 +1,62 @@
+// Below the map: the variable along both directions through the chosen cell; of a trajectory its whole course.
+import { drawCourse } from "./cell.js";
+import { el } from "./dom.js";
+import { framed, inkOf, limitsOf, line, mark } from "./plots.js";
+
+/** Draw the slices of a page's map into its element. */
+export function drawSlices(page) {
+  const x = page.direction(page.shown.x), y = page.direction(page.shown.y), { slices } = page;
+  const wanted = y && x.column === x.axis ? [x, y] : [];
+  if (slices.childElementCount !== wanted.length)
+    slices.replaceChildren(...wanted.map((_, k) => el("figure", {}, el("figcaption"),
+      el("canvas", { class: "vx-slice", role: "img", "data-slice": k }))));
+  wanted.forEach((direction, k) => drawSlice(page, slices.children[k], direction, wanted[1 - k]));
+}
+
+function drawSlice(page, figure, direction, other) {
+  const { variable, grid } = page, { column } = direction, canvas = figure.querySelector("canvas"), ink = inkOf(canvas);
+  const at = grid.coordinateText(other.column, page.cell[other.axis.name]);
+  figure.querySelector("figcaption").textContent = `${variable.name.replaceAll("_", " ")} at ${at}`;
+  canvas.setAttribute("aria-label", `${variable.label} along ${column.label} at ${at}`);
+  const xs = column.numeric ? column.values.map((v) => v * column.factor) : column.values.map((_, i) => i);
+  const cells = xs.map((_, i) => ({ ...page.cell, [direction.axis.name]: i })), values = cells.map((cell) => grid.value(variable.name, cell));
+  const known = variable.flags ? [...new Set(values)].sort((a, b) => a - b) : [];
+  const ys = variable.flags ? values.map((v) => known.indexOf(v)) : values.map((v) => v * variable.factor);
+  const up = variable.flags
+    ? { limits: [-0.6, known.length - 0.4], label: "", ticks: known.map((flag, i) => [i, variable.flags[flag] ?? `${flag}`]) }
+    : { limits: limitsOf([ys]), label: variable.units };
+  const named = column.numeric ? undefined : column.values.map((text, i) => [i, text]);
+  const right = { limits: limitsOf([xs], 0.02), label: column.symbol, log: column.log, ticks: named };
+  const frame = framed(canvas, ink, right, up, (c, sx, sy, box) => {
+    if (!variable.flags) line(c, xs, ys, sx, sy, ink.faint, 1.2);
+    xs.forEach((value, i) => {
+      if (Number.isFinite(ys[i])) mark(c, "circle", sx(value), sy(ys[i]), 2.6, grid.colour(variable, values[i], ink.undefined), ink.faint);
+    });
+    const here = sx(xs[page.cell[direction.axis.name]]);
+    c.strokeStyle = ink.ink;
+    c.setLineDash([3, 3]);
+    c.beginPath();
+    c.moveTo(here, box.top);
+    c.lineTo(here, box.bottom);
+    c.stroke();
+    c.setLineDash([]);
+  });
+  canvas.onclick = (event) => {
+    if (!frame) return;
+    const px = event.clientX - canvas.getBoundingClientRect().left;
+    let best = 0;
+    xs.forEach((value, i) => { if (Math.abs(frame.x(value) - px) < Math.abs(frame.x(xs[best]) - px)) best = i; });
+    page.pick(cells[best]);
+  };
+}
+
+/** Draw a trajectory from its beginning, a plot for each unit, into a page's element. */
+export function drawWhole(page) {
+  const { columns } = page.data.history, { slices } = page, units = [...new Set(columns.map((one) => one.units))];
+  const of = (unit) => columns.filter((one) => one.units === unit);
+  if (!slices.childElementCount)
+    slices.replaceChildren(...units.map((unit) => el("figure", { class: "vx-whole" },
+      el("figcaption", { text: of(unit).map((one) => one.long_name).join(", ") }),
+      el("canvas", { role: "img", "aria-label": "The whole course over time" }))));
+  units.forEach((unit, k) => drawCourse(slices.children[k].querySelector("canvas"), page.history, of(unit), k === units.length - 1));
+}
