@@ -8,6 +8,9 @@ from typing import Any
 
 import pytest
 
+PATIENCE = 60_000
+"""Milliseconds that a page is waited for: machines may be slow, or have other work."""
+
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 ARGUMENTS = [
     "--no-sandbox",
@@ -37,3 +40,23 @@ def chromium() -> Iterator[Any]:
             pytest.skip(f"{what} ({str(error).splitlines()[0][:100]})")
         yield browser
         browser.close()
+
+
+def new_page(browser: Any, **options: Any) -> tuple[Any, list[tuple[str, str]], list[str]]:
+    """(A page in a context of its own with these options, what its console says: (type, text), what it requests).
+
+    An error that nothing in the page catches is of the type "error".
+    """
+    page = browser.new_context(**options).new_page()
+    page.set_default_timeout(PATIENCE)
+    heard: list[tuple[str, str]] = []
+    asked: list[str] = []
+    page.on("console", lambda message: heard.append((message.type, message.text)))
+    page.on("pageerror", lambda error: heard.append(("error", str(error))))
+    page.on("request", lambda request: asked.append(request.url))
+    return page, heard, asked
+
+
+def wrong(heard: list[tuple[str, str]]) -> list[str]:
+    """The errors and warnings of what a console said."""
+    return [text for kind, text in heard if kind in ("error", "warning")]

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
-from browser import chromium
+from browser import chromium, new_page
 
 import vibrojax as vj
 from vibrojax.explorer import decode, document_of, page_text, write_page
@@ -56,13 +56,8 @@ class Opened:
     """A page that is open: `heard` has what its console said, `asked` what it requested."""
 
     def __init__(self, browser: Any, path: Path, fragment: str = "", width: int = 1280, scheme: str = "light") -> None:
-        self.context = browser.new_context(viewport={"width": width, "height": 900}, color_scheme=scheme)
-        self.page = self.context.new_page()
-        self.heard: list[str] = []
-        self.asked: list[str] = []
-        self.page.on("console", lambda message: self.heard.append(message.text))
-        self.page.on("pageerror", lambda error: self.heard.append(str(error)))
-        self.page.on("request", lambda request: self.asked.append(request.url))
+        viewport = {"width": width, "height": 900}
+        self.page, self.heard, self.asked = new_page(browser, viewport=viewport, color_scheme=scheme)
         self.page.goto(path.as_uri() + fragment)
         self.page.wait_for_selector("[data-ready]")
 
@@ -70,7 +65,7 @@ class Opened:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.context.close()
+        self.page.context.close()
 
     def evaluate(self, script: str, *given: object) -> Any:
         return self.page.evaluate(script, *given)

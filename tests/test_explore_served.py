@@ -9,34 +9,20 @@ import sys
 import time
 import urllib.request
 from contextlib import contextmanager
-from pathlib import Path
 
 import pytest
+from browser import chromium, new_page, wrong
+from commands import ROOT, start
+from small_map import small_map
 
 import vibrojax as vj
 from vibrojax.cli import main
 from vibrojax.explorer.live import serve
 
-ROOT = Path(__file__).parents[1]
-CHROMIUM = shutil.which("chromium")
-QUIETLY = [
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-    "--no-first-run",
-]
-SWEEP = {
-    "scene": "vibro-impact",
-    "grid": {"beta": [0.3, 0.35, 0.4], "gamma": [0.65, 0.7, 0.75, 0.8]},
-    "run": {"settle": 6.0, "observe": 4.0},
-}
-
 
 @pytest.fixture(scope="module")
 def dataset():
-    return vj.run_sweep(SWEEP, progress=False)
+    return small_map()
 
 
 @pytest.fixture(scope="module")
@@ -49,8 +35,7 @@ def file(dataset, tmp_path_factory):
 @contextmanager
 def command(*words):
     """The command, running; what it has said is in its pipes."""
-    call = [sys.executable, "-m", "vibrojax", *map(str, words)]
-    running = subprocess.Popen(call, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT)
+    running = start(*words)
     try:
         yield running
     finally:
@@ -124,23 +109,13 @@ def test_a_scene_without_a_dataset(monkeypatch, capsys):
 @contextmanager
 def browser_page(live, width=1280, height=900):
     """The page in Chromium; no error in its console, and no request to anywhere else."""
-    playwright = pytest.importorskip("playwright.sync_api")
-    if CHROMIUM is None:
-        pytest.skip("no Chromium here")
-    wrong, asked = [], []
-    with playwright.sync_playwright() as tools:
-        browser = tools.chromium.launch(executable_path=CHROMIUM, args=QUIETLY)
-        page = browser.new_page(viewport={"width": width, "height": height})
-        page.set_default_timeout(20_000)
-        page.on("console", lambda line: wrong.append(line.text) if line.type in ("error", "warning") else None)
-        page.on("pageerror", lambda error: wrong.append(str(error)))
-        page.on("request", lambda one: asked.append(one.url))
+    with chromium() as browser:
+        page, heard, asked = new_page(browser, viewport={"width": width, "height": height})
         page.goto(live.url)
         page.wait_for_selector("[data-ready]")
         yield page
-        browser.close()
     # What it refuses for its values, a browser tells its console whatever the page does with the answer.
-    assert not [line for line in wrong if "400 (Bad Request)" not in line]
+    assert not [line for line in wrong(heard) if "400 (Bad Request)" not in line]
     assert all(url.startswith((live.url, "data:")) for url in asked)
 
 
@@ -197,19 +172,13 @@ def test_numbers_starts_and_wrong_values(dataset):
 def test_a_stopped_server_is_said():
     """In a line beside the sliders, and the page goes on showing what it has."""
     motion = vj.simulate("rotary", duration=2.0, progress=False)
-    with serve(motion) as live:
-        wrong = pytest.importorskip("playwright.sync_api")
-        if CHROMIUM is None:
-            pytest.skip("no Chromium here")
-        with wrong.sync_playwright() as tools:
-            browser = tools.chromium.launch(executable_path=CHROMIUM, args=QUIETLY)
-            page = browser.new_page()
-            page.goto(live.url)
-            page.wait_for_selector("[data-ready]")
-            live.close()
-            page.locator("input[data-parameter=v]").press("ArrowLeft")
-            page.locator(".vx-wrong", has_text="the server does not answer; it may have been stopped").wait_for()
-            browser.close()
+    with serve(motion) as live, chromium() as browser:
+        page, _, _ = new_page(browser)
+        page.goto(live.url)
+        page.wait_for_selector("[data-ready]")
+        live.close()
+        page.locator("input[data-parameter=v]").press("ArrowLeft")
+        page.locator(".vx-wrong", has_text="the server does not answer; it may have been stopped").wait_for()
 
 
 def test_quick_questions_are_asked_one_at_a_time():

@@ -2,10 +2,11 @@
 
 import builtins
 import json
-import shutil
 
 import numpy as np
 import pytest
+from browser import chromium, new_page, wrong
+from small_map import small_map
 
 import vibrojax as vj
 from vibrojax.errors import InputError
@@ -13,18 +14,10 @@ from vibrojax.explorer.cells import decode
 
 anywidget = pytest.importorskip("anywidget")
 
-CHROMIUM = shutil.which("chromium")
-QUIETLY = ["--no-sandbox", "--disable-gpu", "--disable-background-networking", "--disable-component-update"]
-SWEEP = {
-    "scene": "vibro-impact",
-    "grid": {"beta": [0.3, 0.35, 0.4], "gamma": [0.65, 0.7, 0.75, 0.8]},
-    "run": {"settle": 6.0, "observe": 4.0},
-}
-
 
 @pytest.fixture(scope="module")
 def dataset():
-    return vj.run_sweep(SWEEP, progress=False)
+    return small_map()
 
 
 @pytest.fixture
@@ -180,17 +173,8 @@ def test_the_module_in_a_browser(widget, sent):
     """A model that stands for the notebook's: a click is the model's cell, a cell from Python is shown, sliders ask."""
     import base64
 
-    playwright = pytest.importorskip("playwright.sync_api")
-    if CHROMIUM is None:
-        pytest.skip("no Chromium here")
-    wrong, requests = [], []
-    with playwright.sync_playwright() as tools:
-        browser = tools.chromium.launch(executable_path=CHROMIUM, args=QUIETLY)
-        page = browser.new_page(viewport={"width": 1000, "height": 900})
-        page.set_default_timeout(20_000)
-        page.on("console", lambda line: wrong.append(line.text) if line.type in ("error", "warning") else None)
-        page.on("pageerror", lambda error: wrong.append(str(error)))
-        page.on("request", lambda one: requests.append(one.url))
+    with chromium() as browser:
+        page, heard, requests = new_page(browser, viewport={"width": 1000, "height": 900})
 
         def asked(text):
             widget._handle_custom_msg(json.loads(text), [])
@@ -219,6 +203,5 @@ def test_the_module_in_a_browser(widget, sent):
         assert widget.simulated["parameters"]["v"] == 1.1 and widget.simulated["parameters"]["beta"] == 0.4
         page.evaluate("() => cleanup()")
         assert page.locator(".vx-map").count() == 0
-        browser.close()
-    assert not wrong
+    assert not wrong(heard)
     assert all(url.startswith(("blob:", "about:", "data:")) for url in requests)

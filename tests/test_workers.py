@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import ROOT, TEXT, start
 
 import vibrojax as vj
 from vibrojax.errors import InputError
@@ -20,17 +21,6 @@ from vibrojax.sweep import run_share, run_to_file
 from vibrojax.workers.executor import compute_chunk
 from vibrojax.workers.work import Work
 
-ROOT = Path(__file__).parents[1]
-TEXT = """
-scene = "vibro-impact"
-[grid]
-beta = [0.3, 0.4, 0.5]
-gamma = [0.6, 0.7, 0.75, 0.8]
-[run]
-settle = 3.0
-observe = 2.0
-chunk = 5
-"""
 SPAWN = multiprocessing.get_context("spawn")
 
 
@@ -61,12 +51,6 @@ def assert_same(found, expected):
     assert json.loads(found.attrs["solver"])["steps"] == json.loads(expected.attrs["solver"])["steps"]
 
 
-def command(*words, **more) -> subprocess.Popen:
-    environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    return subprocess.Popen([sys.executable, "-m", "vibrojax", *map(str, words)], env=environment, **pipes, **more)
-
-
 def test_spawned_pool_in_memory(file, expected):
     with ProcessPoolExecutor(2, mp_context=SPAWN) as executor:
         assert_same(vj.run_sweep(file, progress=False, executor=executor), expected)
@@ -83,7 +67,7 @@ def test_four_workers_into_a_file(file, expected, capfd):
 
 def test_three_shares_at_once(file, expected):
     out = file.with_name("out.nc")
-    shares = [command("sweep", file, "-o", out, "--only", f"{part}/3", "--quiet") for part in (1, 2, 3)]
+    shares = [start("sweep", file, "-o", out, "--only", f"{part}/3", "--quiet") for part in (1, 2, 3)]
     for share in shares:
         assert (share.wait(), share.communicate()) == (0, ("", ""))
     assert_same(vj.open_dataset(out), expected)
@@ -132,11 +116,11 @@ if __name__ == "__main__":
 def test_mpi(file, expected):
     """Where mpi4py is installed, and an MPI with it, such as `pip install mpi4py mpich` has."""
     pytest.importorskip("mpi4py")
-    start = shutil.which("mpiexec", path=f"{Path(sys.executable).parent}:{os.environ['PATH']}")
-    if start is None:
+    mpiexec = shutil.which("mpiexec", path=f"{Path(sys.executable).parent}:{os.environ['PATH']}")
+    if mpiexec is None:
         pytest.skip("there is no mpiexec")
     (file.parent / "by_mpi.py").write_text(BY_MPI)
-    command = [start, "-n", "3", sys.executable, "-m", "mpi4py.futures", "by_mpi.py", file.name, "out.nc"]
+    command = [mpiexec, "-n", "3", sys.executable, "-m", "mpi4py.futures", "by_mpi.py", file.name, "out.nc"]
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     done = subprocess.run(command, cwd=file.parent, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

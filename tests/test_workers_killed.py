@@ -7,19 +7,18 @@ import contextlib
 import os
 import signal
 import subprocess
-import sys
 import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 import xarray as xr
+from commands import start
 
 import vibrojax as vj
 from vibrojax.input.read import read_sweep
 from vibrojax.sweep import run_to_file
 
-ROOT = Path(__file__).parents[1]
 TEXT = """
 scene = "vibro-impact"
 [grid]
@@ -31,13 +30,6 @@ settle = 500.0
 observe = 2.0
 end_early = false
 chunk = 2
-"""
-# Whoever runs the tests may be deaf to interrupts (a job in the background); the command is not to be. (Not by
-# `preexec_fn`: the fork that it takes makes jax warn wherever a test before has used it.)
-HEARS = """
-import os, signal, sys
-signal.signal(signal.SIGINT, signal.SIG_DFL)
-os.execv(sys.executable, [sys.executable, "-m", "vibrojax", *sys.argv[1:]])
 """
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks for processes where Linux has them")
@@ -55,13 +47,11 @@ def command():
     """Starts the command with some words; what still runs when the test ends is killed."""
     started = []
 
-    def start(*words) -> subprocess.Popen:
-        environment = os.environ | {"PYTHONPATH": str(ROOT)}
-        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-        started.append(subprocess.Popen([sys.executable, "-c", HEARS, *map(str, words)], env=environment, **pipes))
+    def begin(*words: object) -> "subprocess.Popen[str]":
+        started.append(start(*words))
         return started[-1]
 
-    yield start
+    yield begin
     for one in started:
         one.kill()
         one.communicate()

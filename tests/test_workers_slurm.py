@@ -2,35 +2,19 @@
 
 import os
 import signal
-import subprocess
-import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import TEXT, start
 
 import vibrojax as vj
 
 fake_slurm = pytest.importorskip("fake_slurm")
 pytest.importorskip("submitit")
 
-ROOT = Path(__file__).parents[1]
-TEXT = """
-scene = "vibro-impact"
-[grid]
-beta = [0.3, 0.4, 0.5]
-gamma = [0.6, 0.7, 0.75, 0.8]
-[run]
-settle = 3.0
-observe = 2.0
-chunk = 5
-"""
-HEARS = """
-import os, signal, sys
-signal.signal(signal.SIGINT, signal.SIG_DFL)
-os.execv(sys.executable, [sys.executable, "-m", "vibrojax", *sys.argv[1:]])
-"""
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for processes where Linux has them")
 
@@ -40,13 +24,8 @@ def slurm(tmp_path):
     """A folder with a sweep, and what starts the command where SLURM is."""
     fake_slurm.install(tmp_path / "bin")
     (tmp_path / "map.toml").write_text(TEXT)
-    path = {"PYTHONPATH": str(ROOT), "PATH": f"{tmp_path / 'bin'}:{os.environ['PATH']}"}
-
-    def start(*words: str) -> subprocess.Popen:
-        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-        return subprocess.Popen([sys.executable, "-c", HEARS, *words], cwd=tmp_path, env=os.environ | path, **pipes)
-
-    return start
+    path = {"PATH": f"{tmp_path / 'bin'}:{os.environ['PATH']}"}
+    return partial(start, environment=path, cwd=tmp_path)
 
 
 def test_jobs_of_an_array_compute_it(slurm, tmp_path):
