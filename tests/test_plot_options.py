@@ -35,7 +35,7 @@ def test_a_variable_over_two_axes_is_a_map_of_it_alone():
     assert not meshes(figure) and len(meshes(figure, "viridis")) == 4
     at = ds["stick_fraction"].sel(delta=-0.005, start="stuck").transpose("beta", "gamma")
     assert np.array_equal(meshes(figure, "viridis")[1].get_array(), at)
-    assert {"stick fraction", "mass ratio m2/m1, β"} <= axis_labels(figure)
+    assert {"share of stick", "mass ratio m2/m1, β"} <= axis_labels(figure)
 
 
 def test_several_variables_stand_beside_each_other_in_the_order_given():
@@ -130,7 +130,7 @@ def test_any_variables_of_any_sweep_fit_on_a_page(kind, count):
     figure = picture(ds, variable=["stick_fraction", "regime", "impact_velocity", "period"][:count])
     figure.draw_without_rendering()
     assert figure.get_figwidth() <= PAGE[0] and figure.get_figheight() <= PAGE[1]
-    assert "stick fraction" in " ".join(axis_labels(figure)).replace("\n", " ")
+    assert "share of stick" in " ".join(axis_labels(figure)).replace("\n", " ")
 
 
 # Where.

@@ -37,6 +37,7 @@ ATTRACTORS = xr.Dataset(
     }
 )
 OVER_TWO = ATTRACTORS.isel(gamma=[0] * 6).expand_dims(beta=6).assign_coords(gamma=range(6), beta=range(6))
+PUSHES = xr.Dataset({"push_x1": ("sign", [1e-3, -1e-3])}, {"sign": ["up", "down"]})
 EXPECTED = {
     "response": lambda: bit_on_rock(**SINE),
     "pulses": bit_on_rock,
@@ -45,6 +46,7 @@ EXPECTED = {
     "border_curves": lambda: BORDERS,
     "share_map": lambda: OVER_TWO,
     "attractor_shares": lambda: ATTRACTORS,
+    "smallest_pushes": lambda: PUSHES,
     "hysteresis": families.carried,
     "work_precision": lambda: STUDY,
     "bifurcation": drills.KINDS["bifurcation"],

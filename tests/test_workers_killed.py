@@ -142,7 +142,8 @@ def test_one_who_has_the_folder_for_himself_is_left_alone(file, command):
     wait_for(lambda: list(out.with_name("out.nc.chunks").glob("chunk-*.claim")))
     for words in (("--only", "1/2"), ()):
         other = command("sweep", file, "-o", out, *words)
-        assert other.wait() == 2 and "another process is at work there" in other.stderr.read()
+        _, said = other.communicate()
+        assert other.returncode == 2 and "another process is at work there" in said, said
     told = command("info", out.with_name("out.nc.chunks"))
     assert told.wait() == 0
     assert f", process {workers_of(began.pid)[0]}, since 20" in told.stdout.read()

@@ -35,7 +35,7 @@ TOO_LONG = r"simulate: duration: \S+ s need some \S+ steps.*; there is room for 
     ],
 )
 def test_refused_before_any_work(scene, asked, told, monkeypatch):
-    monkeypatch.setattr(_record, "_batch", None)
+    monkeypatch.setattr(_record, "record_batch", None)
     with pytest.raises(InputError) as refusal:
         vj.simulate(scene, **asked, progress=False)
     assert re.match(told, str(refusal.value)), refusal.value

@@ -21,6 +21,9 @@ from vibrojax.families.vanishing import entered, foretold
 CONVERGED = 1e-10
 """Residual of the equations at which a point counts as found; Newton's next step would be that squared."""
 
+CLEAR = 1e-6
+"""Steps that are so long that no order of points depends on what is left over of the equations."""
+
 MOST_ITERATIONS = 6
 
 SHORTEST, LONGEST = 1e-9, 0.2
@@ -167,8 +170,9 @@ class _Walker:
         some = np.flatnonzero(done)
         if len(some):
             # The map need not be asked again; but guesses must not go on from what was left over by those before.
-            better = now.of(some)
-            better.u[:, :-1] += np.nan_to_num(change[some, :-1])
+            # (They stay where points lie as near to each other as that: their margins are of where they are.)
+            better, clear = now.of(some), self._step[lanes[some]] > CLEAR
+            better.u[clear, :-1] += np.nan_to_num(change[some, :-1])[clear]
             accepted[some] = self._accept(lanes[some], better)
         some = np.flatnonzero(on)
         if len(some):
