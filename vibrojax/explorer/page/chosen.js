@@ -80,7 +80,8 @@ function keys(motion) {
     ...events.map(([, [text, style]]) => el("li", {}, el("span", { class: `vx-mark ${style}` }), text)));
 }
 
-function numbers(page, motion) {
+/** The numbers of the chosen cell, or of a motion at a point beside it. */
+export function numbersOf(page, motion) {
   const { grid } = page, rows = [];
   for (const variable of grid.variables.values()) {
     const { name } = variable, ofMotion = motion?.numbers && name in motion.numbers;
@@ -129,6 +130,6 @@ export function fillChosen(page, motion) {
   const moves = motion && motion.kind !== "none", panels = moves ? panelsOf(page, motion) : [];
   page.side.replaceChildren(head(page, motion), ...(moves ? [keys(motion)] : []),
     el("div", { class: "vx-panels" }, ...panels.map((one) => one.figure)), commands(page));
-  page.table.replaceChildren(numbers(page, motion));
+  page.table.replaceChildren(numbersOf(page, motion));
   return () => panels.forEach((one) => one.draw());
 }

@@ -1,6 +1,6 @@
 // The page: what is chosen, shown and drawn in it, and who hears of it. `mount` is the door of page, server and widget.
 import { callsOf } from "./calls.js";
-import { fillChosen } from "./chosen.js";
+import { fillChosen, numbersOf } from "./chosen.js";
 import { controlsOf } from "./controls.js";
 import { unpack } from "./decode.js";
 import { fragmentOf, readFragment } from "./fragment.js";
@@ -200,7 +200,8 @@ class Page {
     this.element.dataset.ready = String(this.asked);
   }
 
-  /** The command line and the Python call of what is shown. */
+  // The numbers of what is shown, and its command line and Python call.
+  numbers(motion) { return numbersOf(this, motion); }
   calls() { return callsOf(this.data, this.coordinates(), this.point); }
 
   // The fragment, and the scheme.
