@@ -23,18 +23,10 @@ from pathlib import Path
 
 import numpy as np
 import xarray as xr
+from kills import SWEEP as BY_FIVES
 
 ROOT = Path(__file__).parents[2]
-SWEEP = """
-scene = "penetration"
-[grid]
-frequency = { start = 10, stop = 40, num = 20 }
-force = { start = 100e3, stop = 300e3, num = 15 }
-[run]
-settle = 0.4
-observe = 0.4
-chunk = 10
-"""
+SWEEP = BY_FIVES.replace("chunk = 5", "chunk = 10")
 OUT = "out.nc"
 
 _SCRIPT = """

@@ -4,11 +4,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from vibrojax.errors import Place, shown, suggestion
 from vibrojax.input.definition import Sweep
-from vibrojax.input.point import read_point
+from vibrojax.input.point import read_point, several_and_single
 from vibrojax.input.read import read_sweep
 from vibrojax.input.values import quantity
 from vibrojax.physics.parameters import positive
@@ -48,8 +46,7 @@ def read_pushed(
 ) -> PushAsked:
     """What is asked for, checked; raises `InputError`, one line, at the first thing that is wrong."""
     place = Place("smallest_push")
-    columns = {name: list(x) for name, x in parameters.items() if _is_column(x)}
-    fixed = {name: x for name, x in parameters.items() if name not in columns}
+    columns, fixed = several_and_single(parameters)
     for name, column in columns.items():
         if not column:
             raise place.at(name).error("is empty; give a value")
@@ -81,7 +78,3 @@ def read_pushed(
     start_item = point.start if isinstance(point.start, str) else list(point.start)
     asked = {"starts": [start_item]} | ({"points": columns} if columns else {})
     return PushAsked(read_sweep(tables | asked), tables, columns, bounds, scan, within)
-
-
-def _is_column(x: object) -> bool:
-    return isinstance(x, (list, tuple)) or (isinstance(x, np.ndarray) and x.ndim > 0)

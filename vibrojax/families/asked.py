@@ -3,7 +3,7 @@
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeGuard
+from typing import Any
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from vibrojax.errors import Place, shown, suggestion
 from vibrojax.input.definition import Sweep
 from vibrojax.input.names import CHOICES, Names, read_names, take_options
 from vibrojax.input.plausible import UnusualValue, warn_if_far
-from vibrojax.input.point import read_point
+from vibrojax.input.point import read_point, several_and_single
 from vibrojax.input.read import read_sweep
 from vibrojax.input.values import quantity
 from vibrojax.measure.ledger import MOST_CYCLES
@@ -59,8 +59,7 @@ def read_asked(
     **Raises:** `InputError`, one line, at the first thing that is wrong.
     """
     place = Place("follow")
-    several: dict[str, list[Any]] = {name: list(x) for name, x in parameters.items() if _is_column(x)}
-    fixed = {name: x for name, x in parameters.items() if name not in several}
+    several, fixed = several_and_single(parameters)
     names = read_names(place.at("scene"), scene, take_options(dict(fixed)), place)
     if not isinstance(along, str) or along not in names.parameters:
         raise place.at("along").error(f"{shown(along)} is no parameter of the scene; {_which(along, names)}")
@@ -94,10 +93,6 @@ def read_asked(
     if point.start is not None:
         tables["starts"] = [point.start if isinstance(point.start, str) else list(point.start)]
     return Asked(read_sweep(tables), along, low, high, cycles)
-
-
-def _is_column(x: object) -> TypeGuard[Sequence[Any]]:
-    return isinstance(x, (list, tuple)) or (isinstance(x, np.ndarray) and x.ndim > 0)
 
 
 def _which(along: object, names: Names) -> str:

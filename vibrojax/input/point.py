@@ -4,6 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from vibrojax.errors import Place
 from vibrojax.input.definition import with_drive_speed
 from vibrojax.input.names import read_names, take_options
@@ -58,3 +60,13 @@ def read_point(place: Place, scene: object, parameters: Mapping[str, object], st
         if name in given:
             warn_if_far(place.at(name), names.writable[name], value)
     return Point(names.scene, dict(names.options), start, defaults | with_drive_speed(fixed), names.system)
+
+
+def several_and_single(parameters: Mapping[str, object]) -> tuple[dict[str, list[Any]], dict[str, object]]:
+    """Parameters that were given several values, as lists; and the others."""
+    several = {
+        name: list(x)
+        for name, x in parameters.items()
+        if isinstance(x, (list, tuple)) or (isinstance(x, np.ndarray) and x.ndim > 0)
+    }
+    return several, {name: x for name, x in parameters.items() if name not in several}
