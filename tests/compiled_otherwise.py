@@ -4,13 +4,14 @@
 
 With jax before 0.11.2 "XLA, no options" takes minutes to compile. What differs by more than roundings (which grow,
 along 1.2 s of an impacting motion, by some powers of ten) is a fault of a compiler, or of ours; kernels of another
-width, or through other passes, give the same bits. Friction laws are all in one sweep (see
-test_sweep_against_simulate.py); pulses have both shapes.
+width, or through other passes, give the same bits, but those without fused multiply-add do not. Friction laws are all
+in one sweep (see test_sweep_against_simulate.py); pulses have both shapes.
 """
 
 from argparse import ArgumentParser
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from typing import Any
 from unittest.mock import patch
 
@@ -24,6 +25,7 @@ from test_sweep_against_simulate import DRILLS, LANES, all_laws, columns, swept 
 from vibrojax.engine import arithmetic, by_llvm, by_xla, compiler  # noqa: E402
 from vibrojax.errors import InputError  # noqa: E402
 from vibrojax.kernels import Untranslatable, elementwise, kernels, native  # noqa: E402
+from vibrojax.kernels.rules import NUMBERS, Rule  # noqa: E402
 from vibrojax.physics.friction import FRICTION_LAWS  # noqa: E402
 
 WIDTH, PASSES = "xla_cpu_prefer_vector_width", "xla_disable_hlo_passes"
@@ -43,17 +45,21 @@ def by_xla_with(options: dict[str, Any], block: int = by_xla.BLOCK) -> list[Any]
     ]
 
 
+WITHOUT_FUSED = native.processor()._replace(features=native.processor().features.replace("+fma", "-fma"))
+
 CHOICES: dict[str, list[Any]] = {
     "vectors of 128 bits": [
         patch.object(by_llvm, "REGISTERS", {}),
-        patch("vibrojax.kernels.kernel.vector_bytes", lambda: 16),
+        patch.object(native, "vector_bytes", lambda: 16),
     ],
+    "vectors of 512 bits": [patch.object(native, "vector_bytes", lambda: 64)],
+    "no fused multiply-add": [patch.object(native, "processor", lambda: WITHOUT_FUSED)],
     "four registers": [patch.object(by_llvm, "REGISTERS", dict.fromkeys(by_llvm.REGISTERS, 4))],
     "more passes": [patch.object(native, "PASSES", MORE_PASSES)],
     "sums rounded apart": [
         patch.dict(
             elementwise.RULES,
-            {name: elementwise.partial(elementwise._arithmetic, f"f{name}", name) for name in ("add", "sub", "mul")},
+            {name: Rule(partial(elementwise._arithmetic, f"f{name}", name), NUMBERS) for name in ("add", "sub", "mul")},
         )
     ],
     "XLA": by_xla_with(OF_XLA),

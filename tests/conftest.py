@@ -35,6 +35,7 @@ CHECKED = [
     "vibrojax.amounts",
     "vibrojax.arrays",
     "vibrojax.cli",
+    "vibrojax.content_policy",
     "vibrojax.devices",
     "vibrojax.engine",
     "vibrojax.errors",
@@ -65,6 +66,7 @@ CHECKED = [
     "vibrojax.simulation._trajectory",
     "vibrojax.stepping",
     "vibrojax.store",
+    "vibrojax.texts",
     "vibrojax.threads",
     "vibrojax.timings",
     "vibrojax.workers",
@@ -86,3 +88,12 @@ def few_mappings():
     maps = Path("/proc/self/maps")
     if maps.exists() and len(maps.read_bytes().splitlines()) > 30_000:
         jax.clear_caches()
+
+
+@pytest.fixture(params=[16, 32, 64])
+def width(request, monkeypatch):
+    """Bytes of a vector, forced: SSE2 or NEON, AVX2, AVX-512. LLVM splits those that the processor does not have."""
+    from vibrojax.kernels import native
+
+    monkeypatch.setattr(native, "vector_bytes", lambda: request.param)
+    return request.param

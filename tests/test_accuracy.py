@@ -53,9 +53,9 @@ def test_two_ways_to_smooth_leave_the_same_error(study):
 def test_failures_are_kept(study):
     failed = of(study, "penetration", "diffrax Tsit5", "width")
     assert failed.sizes["setting"] == 1 and STATUSES[int(failed["status"][0])] == "unsupported"
-    assert "rock" in str(failed["reason"].values[0])
+    assert "rock" in str(failed["remark"].values[0])
     assert np.isnan(failed["error_worst"]).all() and not failed["on_front"].any()
-    assert str(failed["reason"].values[0]) in table(study)
+    assert str(failed["remark"].values[0]) in table(study)
 
 
 def test_times_are_told(study):

@@ -258,7 +258,7 @@ def labelled() -> xr.Dataset:
         },
         coords={"beta": ("beta", [0.1, 0.2, 0.4], {"units": "1"}), "start": ["drive", "stuck"]},
         attrs={"scene": "rotary", "title": "t", "sweep": "[run]\nerror = 1e-3\n", "lanes": 6, "wall_time_s": 2.0}
-        | {"run": '{"settle": 40.0, "observe": 8.0}', "friction": "coulomb"}
+        | {"run": '{"settle": 40.0, "observe": 8.0, "error": 1e-3}', "friction": "coulomb"}
         | {"parameters": '{"m1": 250.0, "k1": 3e5, "v": 1.5}'}
         | {"differing": '[{"name": "k1", "symbol": "k", "units": "N m-1", "value": 3e5, "default": 156250.0}]'},
     )

@@ -20,12 +20,21 @@ def by_xla_with(options):
     return by_xla._evaluated_by(tuple(options.items()))
 
 
+LANES = (4, 8, 16, 17, 32, 64, 100, 256, 1024, 4096)
+
+
 @pytest.mark.parametrize("dtype", ["float64", "float32"])
-@pytest.mark.parametrize("lanes", [4, 8, 16, 17, 32, 64, 100, 256, 1024, 4096])
-@pytest.mark.parametrize("evaluate", [by_llvm._evaluated, by_xla_with(compiler_options("cpu"))], ids=["llvm", "xla"])
-def test_functions_against_numpy(evaluate, lanes, dtype):
+@pytest.mark.parametrize("lanes", LANES)
+def test_functions_against_numpy(width, lanes, dtype):
+    """Kernels: to four roundings."""
+    assert wrong_functions(by_llvm._evaluated, np.dtype(dtype), lanes) == []
+
+
+@pytest.mark.parametrize("dtype", ["float64", "float32"])
+@pytest.mark.parametrize("lanes", LANES)
+def test_functions_by_xla_against_numpy(lanes, dtype):
     """To four roundings, under the very options that sweeps are compiled with."""
-    assert wrong_functions(evaluate, np.dtype(dtype), lanes) == []
+    assert wrong_functions(by_xla_with(compiler_options("cpu")), np.dtype(dtype), lanes) == []
 
 
 def test_wide_vectors_only_where_they_were_checked(monkeypatch):
@@ -46,6 +55,10 @@ def test_the_fault_of_wide_vectors_is_found(dtype):
     assert wrong_functions(by_xla_with(wide), np.dtype(dtype), 64) == ["arctan"] * is_wrong
 
 
+FAULTY_FROM = 4
+"""Lanes of the shortest block there is, of two vectors of 16 bytes."""
+
+
 @pytest.fixture
 def shuffled(monkeypatch):
     """An arctan that returns the values of lanes in other places, as jaxlib 0.10.2 does with AVX-512."""
@@ -54,7 +67,7 @@ def shuffled(monkeypatch):
 
     def wrong(function, *x):
         found = right(function, *x)
-        return found | {"arctan": np.roll(found["arctan"], 1)} if len(x[0]) >= 16 else found
+        return found | {"arctan": np.roll(found["arctan"], 1)} if len(x[0]) >= FAULTY_FROM else found
 
     assert "arctan" in functions
     monkeypatch.setattr(by_llvm, "_evaluated", wrong)
@@ -65,15 +78,15 @@ def shuffled(monkeypatch):
 
 def test_a_wrong_function_is_named(shuffled):
     """Where it is wrong only."""
-    assert wrong_functions(by_llvm._evaluated, np.dtype("float64"), 8) == []
+    assert wrong_functions(by_llvm._evaluated, np.dtype("float64"), FAULTY_FROM - 1) == []
     assert wrong_functions(by_llvm._evaluated, np.dtype("float64"), 64) == ["arctan"]
     said = r"llvmlite 0\.1 computes arctan wrongly on this machine, 64 values of float64 at a time: .* of llvmlite"
     with pytest.raises(InputError, match=said):
         check(by_llvm._evaluated, "llvmlite 0.1", np.dtype("float64"), 64)
 
 
-def test_a_sweep_is_refused_with_one_line(shuffled, tmp_path, capsys):
-    """Before anything is computed."""
+def test_a_sweep_is_refused_with_one_line(width, shuffled, tmp_path, capsys):
+    """Nothing is computed before the check, whatever the width of vectors."""
     before = set(threading.enumerate())
     (tmp_path / "sweep.toml").write_text(TOML)
     assert main(["sweep", str(tmp_path / "sweep.toml"), "-o", str(tmp_path / "out.nc"), "--quiet"]) == 2

@@ -12,7 +12,7 @@ import pytest
 from vibrojax.errors import InputError
 from vibrojax.explorer import _loopback as server
 from vibrojax.explorer._turns import Busy, Closed, Superseded, Turns
-from vibrojax.explorer.live import Live, content_policy
+from vibrojax.explorer.live import Live
 
 HTML = "<!doctype html><title>page</title><script type=module>export const a = 1;</script>"
 
@@ -123,9 +123,8 @@ def test_the_address_is_the_loopback_alone(live):
     assert live._server.server_address[0] == "127.0.0.1"
 
 
-def test_the_page_may_run_its_own_scripts_alone():
-    assert "script-src 'sha256-" in content_policy(HTML) and "unsafe-inline'" not in content_policy(HTML).split(";")[1]
-    assert "script-src 'none'" in content_policy("<p>")
+def test_no_other_page_may_frame_the_page(live):
+    assert "frame-ancestors 'none'" in request(live, "GET", "")[1]["Content-Security-Policy"]
 
 
 @pytest.mark.parametrize(
@@ -226,12 +225,45 @@ def test_who_keeps_silent_is_let_go(live, monkeypatch):
     assert raw(live, b"GET / HT") == b""
 
 
-def test_who_comes_byte_by_byte_is_let_go(live, monkeypatch):
-    monkeypatch.setattr(server, "PATIENCE", 0.3)
+@pytest.mark.parametrize(
+    ("limit", "begin"),
+    [("HEADER_SECONDS", "GET /"), ("PATIENCE", "POST /{token}/motion HTTP/1.1\r\n{own}Content-Length: 9999\r\n\r\n")],
+)
+def test_who_comes_byte_by_byte_is_let_go(live, monkeypatch, limit, begin):
+    """Before the token is shown after one time, after it after another."""
+    monkeypatch.setattr(server, limit, 0.3)
+    own = f"Host: 127.0.0.1:{live.port}\r\nContent-Type: application/json\r\n"
     with socket.create_connection(("127.0.0.1", live.port), 10) as one, pytest.raises(OSError):
+        one.sendall(begin.format(token=live.token, own=own).encode())
         for _ in range(200):
             one.sendall(b"x")
             time.sleep(0.02)
+
+
+def test_the_page_is_answered_beside_many_slow_connections(live):
+    """Connections without a token, each of which sends a byte now and then, keep nobody out."""
+    slow, end = [], threading.Event()
+
+    def trickle():
+        while not end.wait(0.1):
+            for one in list(slow):
+                try:
+                    one.send(b"x")
+                except OSError:  # hung up on
+                    slow.remove(one)
+
+    trickling = threading.Thread(target=trickle)
+    trickling.start()
+    try:
+        for _ in range(60):
+            slow.append(socket.create_connection(("127.0.0.1", live.port), 10))
+        assert request(live, "GET", "")[0] == 200  # within the 10 s of the request's timeout
+        assert request(live, body=asked())[0] == 200
+    finally:
+        end.set()
+        trickling.join()
+        for one in slow:
+            one.close()
 
 
 def test_wrong_values_are_said_in_one_line_and_faults_are_not_shown(live):
@@ -242,19 +274,33 @@ def test_wrong_values_are_said_in_one_line_and_faults_are_not_shown(live):
     assert request(live, body=asked())[0] == 200
 
 
-def test_too_many_connections_are_sent_away(live, monkeypatch):
+def test_too_many_connections_with_the_token_are_sent_away(live, monkeypatch):
+    """Those without one make room, the oldest first."""
     monkeypatch.setattr(server, "CONNECTIONS", 3)
+    open_ = live._server._open
+    wait_until(lambda: not open_)
     idle = [socket.create_connection(("127.0.0.1", live.port), 10) for _ in range(3)]
     try:
-        time.sleep(0.2)
+        wait_until(lambda: len(open_) == 3)
+        own = f"Host: 127.0.0.1:{live.port}\r\nContent-Type: application/json\r\nContent-Length: 9\r\n"
+        for number in range(3):
+            idle.append(socket.create_connection(("127.0.0.1", live.port), 10))
+            assert idle[number].recv(1) == b""  # the oldest was hung up on
+            idle[-1].sendall(f"POST /{live.token}/motion HTTP/1.1\r\n{own}\r\n".encode())
+        wait_until(lambda: sum(one.admitted for one in open_.values()) == 3)
         assert raw(live, b"").startswith(b"HTTP/1.1 503")
     finally:
         for one in idle:
             one.close()
-    end = time.monotonic() + 5
-    while live._server._open and time.monotonic() < end:
-        time.sleep(0.01)
+    wait_until(lambda: not open_)
     assert request(live, body=asked())[0] == 200
+
+
+def wait_until(condition):
+    end = time.monotonic() + 10
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.01)
 
 
 def test_a_thousand_quick_clicks_are_answered_or_refused_in_order():

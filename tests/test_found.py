@@ -35,7 +35,7 @@ def test_a_motion_is_measured_and_labelled_as_the_lane_of_a_sweep(scene):
     start = {} if scene == "penetration" else {"start": "stuck"}
     motion = vj.simulate(scene, duration=duration, progress=False, **parameters, **start)
     lane = swept(scene, parameters, json.loads(motion.attrs["run"]), end_early=False)
-    besides = {"check_regime", "error_estimate", "status", "reason"}
+    besides = {"check_regime", "error_estimate", "sensitive", "status", "reason"}
     assert set(lane.data_vars) - besides == {name for name in motion.data_vars if motion[name].ndim == 0}
     for name in set(lane.data_vars) - besides:
         assert motion[name].attrs["units"] == lane[name].attrs["units"]

@@ -57,7 +57,7 @@ def test_the_map_marks_it(swept):
     figure = regime_map(swept)
     panels = [axes for axes in figure.axes if axes.get_title().startswith("start:")]
     for axes, start in zip(panels, STARTS, strict=True):
-        (marks,) = (one for one in axes.collections if type(one).__name__ == "PathCollection")
+        marks = next(one for one in axes.collections if type(one).__name__ == "PathCollection")
         beta, gamma = np.nonzero(swept.hidden_motion.sel(start=start).values)
         expected = sorted(zip(swept.gamma.values[gamma], swept.beta.values[beta], strict=True))
         assert sorted(map(tuple, marks.get_offsets().tolist())) == expected

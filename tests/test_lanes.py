@@ -11,7 +11,7 @@ import vibrojax as vj
 from vibrojax import devices
 from vibrojax.engine.chunks import Chunks
 from vibrojax.input.read import read_sweep
-from vibrojax.kernels import kernels
+from vibrojax.kernels import kernels, native
 
 CASES = json.loads((Path(__file__).parent / "data" / "vibro_impact_cases.json").read_text())
 PERIODIC = [case for case in CASES if case["expected"].get("cycles", 0) > 0]
@@ -51,6 +51,17 @@ def test_place(tiled):
     for name, values in tiled.items():
         copies = values.reshape(COPIES, len(PERIODIC))
         np.testing.assert_array_equal(copies, np.broadcast_to(copies[0], copies.shape), err_msg=name)
+
+
+def test_width_of_vectors(monkeypatch):
+    """Groups of 2, 4 or 8 lanes, and twice as many while they settle, give the same bits."""
+    found = []
+    for width in (16, 32, 64):
+        monkeypatch.setattr(native, "vector_bytes", lambda width=width: width)
+        grid = {"beta": [0.3, 0.4, 0.5], "gamma": [0.6, 0.7, 0.8]}
+        found.append(features(vj.run_sweep({"scene": "rotary", "grid": grid, "run": SHORT}, progress=False)))
+    assert_identical(found[0], found[1])
+    assert_identical(found[0], found[2])
 
 
 def test_order(tiled):

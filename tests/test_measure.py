@@ -1,5 +1,6 @@
 """What is accumulated in the loop, against the same worked out by numpy from finely sampled trajectories."""
 
+import exact
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -167,6 +168,14 @@ def test_phase_lag_of_unequal_returns(observe):
     wave = np.exp(-2j * np.pi * 20 * (t - ends[0]) / (ends[1] - ends[0]))
     first, second = (np.mean((np.interp(t, motion.time, x) * wave)[1:]) for x in (motion.x1, motion.x2))
     close(lane.phase_lag, np.angle(first / second), 0, 1e-3)
+
+
+def test_impact_phase_of_unequal_returns():
+    """Each impact counts by its own return, whose duration differs from the mean."""
+    lane = phase_lag(UNEQUAL, error=ERROR)
+    assert lane.cycles == 2
+    exact_lane = exact.measure(exact.run("vibro-impact", **UNEQUAL, start="drive", settle=40.0, observe=8.0))
+    close(lane.impact_phase, exact_lane["impact_phase"], 1e-6)
 
 
 def test_phase_lag_observed_from_the_start():

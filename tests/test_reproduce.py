@@ -9,6 +9,7 @@ import xarray as xr
 from wrong_signs import WRONG
 
 from vibrojax.cli import main
+from vibrojax.content_policy import content_policy
 from vibrojax.reproduce import GROUPS, VERDICTS, Entry, run_reproduction
 from vibrojax.reproduce.answers import Answers
 from vibrojax.reproduce.entry import judged
@@ -196,6 +197,8 @@ def test_page(quick, folder):
     assert not page.open
     assert "script" not in page.tags and "link" not in page.tags
     assert "url(" not in text and "@import" not in text
+    [style] = re.findall(r"<style>(.*?)</style>", text, flags=re.DOTALL)
+    assert f'content="{content_policy([], [style])}"' in text and " style=" not in text
     for reference in page.references:
         assert reference.startswith("data:image/png;base64,") or reference[0] == "#"
         assert reference[0] != "#" or reference[1:] in page.anchors

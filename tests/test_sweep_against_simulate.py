@@ -3,6 +3,8 @@
 What a compiler does to many lanes at once it does not do to one, and the certificate's two runs are compiled alike.
 """
 
+import json
+
 import numpy as np
 import pytest
 
@@ -58,7 +60,9 @@ def swept(scene: str, points: dict, run: dict, **parameters):
     run = {"settle": SETTLE, "observe": OBSERVE, "error": ERROR} | run
     points = {name: column.tolist() for name, column in points.items()}
     sweep = {"scene": scene, "points": points, "parameters": parameters, "run": run}
-    return vj.run_sweep(sweep, progress=False)
+    dataset = vj.run_sweep(sweep, progress=False)
+    assert json.loads(dataset.attrs["solver"])["compiler"] == "llvm"  # kernels translate every scene, law and pulse
+    return dataset
 
 
 @pytest.fixture(scope="module", params=DRILLS)

@@ -55,3 +55,13 @@ def test_an_interrupt_cancels_the_jobs(slurm, tmp_path):
     while any(fake_slurm.runs(job) for job in jobs):
         assert time.monotonic() < end
         time.sleep(0.05)
+
+
+def test_a_folder_of_jobs_that_others_write_to_is_refused(slurm, tmp_path):
+    """Jobs unpickle what lies there: somebody else's file would run."""
+    (tmp_path / "out.nc.jobs").mkdir()
+    (tmp_path / "out.nc.jobs").chmod(0o777)
+    began = slurm("sweep", "map.toml", "-o", "out.nc", "--workers", "slurm:2", "--quiet")
+    said = began.communicate()[1]
+    assert began.returncode == 2 and "others can write to it, and could run code in the jobs; remove it" in said, said
+    assert said.count("\n") == 1 and not list(tmp_path.glob("bin/jobs/*"))

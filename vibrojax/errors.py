@@ -5,6 +5,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from difflib import SequenceMatcher
 
+from vibrojax.texts import escape_json
+
 _LONGEST_VALUE = 60
 _ALIKE = 0.5
 
@@ -46,7 +48,7 @@ def shown(value: object) -> str:
     if isinstance(value, bool):
         text = str(value).lower()
     elif isinstance(value, str):
-        text = json.dumps(value, ensure_ascii=False)
+        text = json.dumps(value[: 4 * _LONGEST_VALUE], ensure_ascii=False)
     elif isinstance(value, dict):
         text = "a table"
     elif isinstance(value, (list, tuple)):
@@ -55,7 +57,8 @@ def shown(value: object) -> str:
         text = f"a whole number of {value.bit_length() * 30103 // 100000 + 1} digits or so"
     else:
         text = str(value)
-    return text if len(text) <= _LONGEST_VALUE else text[: _LONGEST_VALUE - 3] + "..."
+    text = text if len(text) <= _LONGEST_VALUE else text[: _LONGEST_VALUE - 3] + "..."
+    return escape_json(text)
 
 
 def nearest(word: str, words: Iterable[str]) -> str | None:

@@ -13,6 +13,7 @@ import xarray as xr
 from jaxtyping import Float, Int
 
 from vibrojax.coexistence.alike import (
+    ERRORS,
     EXPONENT_WITHIN,
     FEWEST,
     IRREGULAR_FACTOR,
@@ -20,7 +21,15 @@ from vibrojax.coexistence.alike import (
     SAME,
     Motions,
     doubtful,
+    irregular_groups,
     told_apart,
+)
+from vibrojax.coexistence.long_run import (
+    FEWEST_WINDOWS,
+    LEAST_PRECISION,
+    MOST_WINDOWS,
+    WINDOWS_AT_A_SPLIT,
+    with_long_statistics,
 )
 from vibrojax.coexistence.neighbours import ASIDE, links
 from vibrojax.coexistence.numbers import numbered
@@ -31,6 +40,7 @@ from vibrojax.found_orbits import sweep_with_orbits
 from vibrojax.input.definition import Sweep
 from vibrojax.input.names import DEFAULT_STARTS
 from vibrojax.input.starts import list_of
+from vibrojax.label import IRREGULAR
 from vibrojax.physics.parameters import differing
 from vibrojax.store.derived import OF_ATTRACTORS
 from vibrojax.store.provenance import provenance
@@ -45,12 +55,15 @@ MEASURED = ("period", "impacts", "impact_velocity")
 
 METHOD = (
     "lanes of a point are one motion if their orbits are within same_within over the scales of labels; irregular ones "
-    "if chains of lanes join them, each within irregular_within of the next in period, impact velocity and amplitudes, "
-    "or, where exponents are known, within exponent_within standard errors; one that nowhere has fewest lanes is not "
-    "told beside another of more, nor, without exponents, one of fewer within irregular_factor of it. Motions of "
-    "neighbouring points are one attractor if the orbit of one, followed as a stable one and never farther than aside "
-    "over the scales from where it is expected, leads to that of the other; irregular ones if they are nearest, and "
-    "within irregular_factor. Numbers from 0 by falling share over the grid"
+    "if chains of lanes join them, each within irregular_within and standard_errors of the next in period, "
+    "impact velocity and amplitudes, or, where exponents are known, within exponent_within standard errors. Irregular "
+    "lanes are observed for more windows of the sweep's observe, from the first to the second of the numbers in "
+    "windows, until the relative standard errors of these statistics are below least_precision; lanes that come to an "
+    "orbit or do not converge are unassigned, and lanes that differ are observed for windows_at_a_split at least. A "
+    "motion that nowhere has fewest lanes is not told beside another of more, nor, without exponents, one of fewer "
+    "within irregular_factor of it. Motions of neighbouring points are one attractor if the orbit of one, followed as "
+    "a stable one and never farther than aside over the scales from where it is expected, leads to that of the other; "
+    "irregular ones if they are nearest, and within irregular_factor. Numbers from 0 by falling share over the grid"
 )
 
 
@@ -61,11 +74,13 @@ def attractors(
 
         att = vj.attractors(ds)
 
-    Lanes of a point end in one motion where their orbits are the same; irregular ones, where their statistics are (see
-    the attribute `attractors`). A motion is the same attractor as one of the next point of the grid where its orbit,
-    followed there, becomes that of the other: through grazes and changes of label, and through a period doubling, whose
-    orbit keeps the number of the one that it doubled from. An irregular motion has a number of its own. Numbers do not
-    depend on the order of an axis; 0 is the attractor with the greatest share over the grid.
+    Lanes of a point end in one motion where their orbits are the same; irregular ones, where their statistics are.
+    These are observed for longer than by the sweep, 8 to 128 times as long, until the statistics have converged to the
+    resolution that separates motions (see the attribute `attractors`). A motion is the same attractor as one of the
+    next point of the grid where its orbit, followed there, becomes that of the other: through grazes and changes of
+    label, and through a period doubling, whose orbit keeps the number of the one that it doubled from. An irregular
+    motion has a number of its own. Numbers do not depend on the order of an axis; 0 is the attractor with the greatest
+    share over the grid.
 
     **Arguments:**
 
@@ -76,8 +91,9 @@ def attractors(
     **Returns:** a dataset. Over the grid and `attractor`: `share` and its binomial `share_stderr`, which is an upper
     bound for Sobol starts; `regime`, that of most of its lanes, `period`, `cycles`, `impacts` and `impact_velocity`,
     where a lane ends in it, and of orbits the state at the section (`orbit_x1` and so on), at one of their returns.
+    Period and impact velocity of irregular attractors are those of the longer observation.
     Over the grid `unassigned`: starts of which none could be told, because they failed, were undecided, had not
-    settled, or their orbit was not found. Over the sweep's dimensions `lane_attractor`: -1 there.
+    settled, did not converge, or their orbit was not found. Over the sweep's dimensions `lane_attractor`: -1 there.
     Where the starts are a sample or a plane, the scene's own, `drive` and `stuck`, are run beside them and are no part
     of the shares: over the grid and `named_start`, `named_attractor` and `named_regime`, where each of these leads.
 
@@ -100,8 +116,9 @@ def attractors_of(sweep: Sweep, dataset: xr.Dataset, progress: bool = True) -> x
     """The attractors of a sweep, from its dataset with orbits; see `attractors`."""
     dataset = dataset.transpose(*sweep.dims, ...)
     shape, starts = sweep.shape[:-1], sweep.shape[-1]
-    named = _from_named(sweep, progress)
-    lanes = dataset if named is None else _beside(dataset, named)
+    runs = [(sweep, dataset), *_from_named(sweep, progress)]
+    lanes = _observed_longer(runs, progress)
+    named = runs[1][1] if len(runs) > 1 else None
     scene = sweep.system.driving_part()
     values, _ = sweep.lane_values(0, sweep.lanes)
     points = {name: values[name][::starts] for name in scene.parameters()}
@@ -123,20 +140,40 @@ def attractors_of(sweep: Sweep, dataset: xr.Dataset, progress: bool = True) -> x
     return found if named is None else found.assign(_of_named(sweep, named, of_lane[..., starts:]))
 
 
-def _from_named(sweep: Sweep, progress: bool) -> xr.Dataset | None:
-    """The lanes from the scene's own starts, where the sweep's are drawn from a box or a plane; None else."""
+def _from_named(sweep: Sweep, progress: bool) -> list[tuple[Sweep, xr.Dataset]]:
+    """Return the sweep from the scene's own starts and its lanes, if `sweep` draws its starts from a box or a plane."""
     names = [name for name in DEFAULT_STARTS if name in sweep.system.starts]
     if sweep.starts is None or sweep.starts.listed or not names:
-        return None
+        return []
     own = replace(sweep, starts=list_of(names, sweep.starts.states), run=replace(sweep.run, orbits=True))
-    return run_sweep(own, progress=progress).transpose(*sweep.dims, ...)
+    return [(own, run_sweep(own, progress=progress).transpose(*sweep.dims, ...))]
 
 
-def _beside(dataset: xr.Dataset, named: xr.Dataset) -> xr.Dataset:
-    """Both datasets' lanes, along `start`."""
-    names = [name for name in dataset.data_vars if name in named]
-    both = [one[names].reset_coords(drop=True).drop_vars("start", errors="ignore") for one in (dataset, named)]
-    return xr.concat(both, "start", data_vars="minimal")
+def _observed_longer(runs: list[tuple[Sweep, xr.Dataset]], progress: bool) -> xr.Dataset:
+    """Return the lanes of all runs along `start`, irregular ones with statistics over a longer observation.
+
+    Where the irregular lanes of a point differ, they are observed for longer still.
+    """
+    shape = runs[0][0].shape[:-1]
+    which = np.ones(shape, bool)
+    datasets = [dataset for _, dataset in runs]
+    for fewest in (FEWEST_WINDOWS, WINDOWS_AT_A_SPLIT):
+        for k, (sweep, dataset) in enumerate(runs):
+            irregular = (dataset["regime"].values == IRREGULAR) & which[..., None]
+            lanes = np.flatnonzero(irregular)
+            datasets[k] = with_long_statistics(sweep, datasets[k], lanes, fewest, progress)
+        joined = _beside(datasets)
+        starts = joined.sizes["start"]
+        split = [int(groups[0][0]) // starts for groups in irregular_groups(joined, starts) if len(groups) > 1]
+        which = np.isin(np.arange(which.size), split).reshape(shape)
+    return joined
+
+
+def _beside(datasets: list[xr.Dataset]) -> xr.Dataset:
+    """Return the lanes of all datasets along `start`."""
+    names = [name for name in datasets[0].data_vars if all(name in dataset for dataset in datasets)]
+    alike = [one[names].reset_coords(drop=True).drop_vars("start", errors="ignore") for one in datasets]
+    return xr.concat(alike, "start", data_vars="minimal")
 
 
 def _of_named(sweep: Sweep, named: xr.Dataset, number: Int[np.ndarray, "*shape"]) -> dict[str, Any]:
@@ -213,6 +250,10 @@ def _described(
         "method": METHOD,
         "same_within": SAME,
         "irregular_within": IRREGULAR_WITHIN,
+        "standard_errors": ERRORS,
+        "windows": [FEWEST_WINDOWS, MOST_WINDOWS],
+        "windows_at_a_split": WINDOWS_AT_A_SPLIT,
+        "least_precision": LEAST_PRECISION,
         "exponent_within": EXPONENT_WITHIN,
         "irregular_factor": IRREGULAR_FACTOR,
         "fewest": FEWEST,

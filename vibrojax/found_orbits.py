@@ -12,9 +12,16 @@ from vibrojax.errors import InputError
 from vibrojax.input.definition import Sweep
 from vibrojax.input.points import VECTOR
 from vibrojax.input.read import read_sweep
+from vibrojax.store.attributes import table_of, title_of
 from vibrojax.store.finished import IDENTITY, identity_text
 from vibrojax.store.manifest import changes
 from vibrojax.sweep import run_sweep
+
+LONGEST_RERUN = 10_000.0
+"""Seconds of each lane of a sweep that a dataset names, above which it is not run."""
+
+MOST_RERUN_SECONDS = 1e8
+"""Simulated seconds of all its lanes together, if the dataset does not itself hold a value for each."""
 
 _OF_WHAT_WAS_FOUND = ("attractors", "borders")
 """What a dataset's identity says beside the sweep's, where it is of what was found in it."""
@@ -43,7 +50,9 @@ def orbits(
       derivative over the whole repeat; and `stable`: 1, 0, or -1 where there are none.
     - `orbit_reason`: *found*, or why there is none: the lane is *not-repeating* or was *refused*; Newton's method is
       *not-converged*; the orbit is *near-grazing*, so that multipliers would mean nothing; or it is *another-orbit*
-      than the lane's own: too far from it, with other impacts, or not borne out by a simulation.
+      than the lane's own: too far from it, with other impacts, unstable, or not borne out by a simulation. The
+      `error_estimate` of a lane near an unstable orbit is infinite. An unstable orbit counts as *found* only where the
+      lane has stayed on it although one rounding would have driven it away (as an exact symmetry makes it).
     - `orbit_residual`: the greatest return - state, over the scales of labels; `grazing_margin`: how far the order of
       events is from changing (the attribute `orbits` says how).
     - `orbit_cycles`: returns after which the orbit repeats; fewer than the lane's `cycles` where a lane is still on its
@@ -89,7 +98,7 @@ def sweep_of_dataset(dataset: xr.Dataset, orbits: bool = True) -> Sweep:
     """
     try:
         tables = tomllib.loads(str(dataset.attrs["sweep"]))
-    except (KeyError, ValueError):
+    except (KeyError, ValueError, RecursionError):
         raise InputError(
             "orbits: not the dataset of a sweep (it has no attribute sweep); give one, or a sweep"
         ) from None
@@ -99,13 +108,27 @@ def sweep_of_dataset(dataset: xr.Dataset, orbits: bool = True) -> Sweep:
         tables["points"] = {n: x for n, x in columns.items() if n != "point" and not (vectors and n == "start")}
     sweep = read_sweep(tables, ["run.orbits=true"] if orbits else ())
     identity = sweep.identity()
-    before = json.loads(str(dataset.attrs.get(IDENTITY, "{}")))
-    before = {name: value for name, value in before.items() if name not in _OF_WHAT_WAS_FOUND}
+    before = {name: x for name, x in table_of(dataset, IDENTITY).items() if name not in _OF_WHAT_WAS_FOUND}
     wanted = {**before, "run.orbits": True} if orbits else before
     differing = changes(wanted, json.loads(identity_text(identity)))
     if before and differing:
         raise InputError(
             f"orbits: the sweep that the dataset names is another one now: {differing}; give the sweep itself"
         )
-    title = str(dataset.attrs.get("title", ""))
-    return replace(sweep, title=sweep.title or title)
+    _check_cost(dataset, sweep)
+    return replace(sweep, title=sweep.title or title_of(dataset))
+
+
+def has_lanes_of(dataset: xr.Dataset, sweep: Sweep) -> bool:
+    """Return whether a dataset has a value for each lane of a sweep."""
+    return all(dataset.sizes.get(name) == size for name, size in zip(sweep.dims, sweep.shape, strict=True))
+
+
+def _check_cost(dataset: xr.Dataset, sweep: Sweep) -> None:
+    """Raise `InputError` if a dataset, which may come from anywhere, names a sweep that hardly ends."""
+    seconds, lanes = sweep.run.settle + sweep.run.observe, 1 if has_lanes_of(dataset, sweep) else sweep.lanes
+    if seconds > LONGEST_RERUN or lanes * seconds > MOST_RERUN_SECONDS:
+        raise InputError(
+            f"orbits: the sweep that the dataset names has {sweep.lanes} lanes of {seconds:g} s, more than is run for "
+            "a dataset; give the sweep itself"
+        )

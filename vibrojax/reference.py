@@ -44,6 +44,9 @@ _OF_ORBITS = {
 }
 """Variables that there are with `orbits = true`."""
 
+_LABELLED = {"regime", "check_regime", "drift_estimate", "sensitive", "hidden_motion"}
+"""Variables of sweeps where lanes return to a section."""
+
 _NEARBY = {"nearby_cycles", "nearby_impacts", "nearby_distance"}
 """Those that there are then where lanes return to a section."""
 
@@ -103,7 +106,7 @@ def list_variables(scene: str | Scene[Any]) -> pd.DataFrame:
     """
     system = read_names(Place("scenes"), scene).system
     measured = set(_features(system))
-    labelled = {"regime", "check_regime", "drift_estimate", "hidden_motion"} if system.section is not None else set()
+    labelled = _LABELLED if system.section is not None else set()
     known = VARIABLES | measured_besides(system) | of_orbits(system)
     found = {*_OF_ORBITS, *of_orbits(system)} if of_orbits(system) else set()
     found |= _NEARBY if system.section is not None else set()

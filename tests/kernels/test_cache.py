@@ -82,7 +82,7 @@ def test_a_folder_that_cannot_be_used(compilations, monkeypatch, tmp_path):
 def test_what_is_old_is_dropped(compilations, monkeypatch):
     use()
     [old] = files()
-    left_behind = old.with_name(".half")
+    left_behind = old.with_name(f"{cache.TEMPORARY}half")
     left_behind.write_bytes(b"half")
     for file in (old, left_behind):
         os.utime(file, (time.time() - 100 * 86400,) * 2)

@@ -15,6 +15,8 @@ WHICH = RANDOM.integers(-2, 9, 21)
 FLAGS = X > 0
 DTYPES = ["float64", "float32"]
 
+pytestmark = pytest.mark.usefixtures("width")
+
 
 def of_lanes(function, *arguments, **options):
     return Kernel(function, *arguments, **options)(*arguments)

@@ -38,3 +38,14 @@ def test_references_are_whole_addresses(monkeypatch):
     np.testing.assert_allclose(Kernel(function, x)(x), np.asarray(function(x)), rtol=1e-14)
     [code] = codes
     assert references(code) and set(references(code)) == {WHOLE_ADDRESS}
+
+
+def test_no_lanes():
+    """A kernel that is given no lanes writes nothing: it once wrote a group of them behind its empty results."""
+    x = np.linspace(0.1, 2.0, 9)
+    kernel = Kernel(lambda x: x + 1.0, x)
+    assert kernel(np.empty(0)).shape == (0,)
+    given, result, workspace = np.ones(64), np.zeros(64), np.zeros(4096, np.uint8)
+    pointers = np.array([given.ctypes.data, result.ctypes.data], np.uintp)
+    kernel._native.function(pointers.ctypes.data, -(-workspace.ctypes.data // 1024) * 1024, 0)
+    assert not result.any()

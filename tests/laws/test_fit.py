@@ -341,6 +341,28 @@ def test_what_cannot_be_told_is_nan_with_a_reason(rate, relief, found):
             assert np.isnan(numbers).all() and fit.degrees_of_freedom.values[index] == 0
 
 
+@pytest.mark.parametrize("spread", [0.0, 1e-15, 1e-12])
+def test_constant_rates_have_no_r_squared(spread, noise):
+    """R² compares with the variance of the rates, which is rounding or nothing here; the coefficients stay."""
+    constant = fitted(1e-3 * (1 + spread * noise.standard_normal(RELIEF.size)))
+    assert np.isnan(constant.r_squared).all()
+    assert [REASONS[i] for i in constant.r_squared_reason.values] == ["constant-rates"] * 5
+    assert np.isfinite(constant.C).all() and np.isfinite(constant.aic).all()
+    assert not any("nan" in line for line in verdict(constant))
+    varying = fitted(1e-3 * (1 + 1e-6 * noise.standard_normal(RELIEF.size)))
+    assert np.isfinite(varying.r_squared).all() and (varying.r_squared_reason == 0).all()
+    assert [REASONS[i] for i in fitted(np.zeros(20)).r_squared_reason.values] == ["all-censored"] * 5
+
+
+@pytest.mark.parametrize("unit", [1e-300, 1e-160, 1e300])
+def test_standard_errors_scale_with_the_rates(unit, noise):
+    """Squares of such rates underflow or overflow."""
+    rate = TRUTH["onset"](RELIEF) + 1e-5 * noise.standard_normal(RELIEF.size)
+    usual, extreme = fitted(rate), fitted(rate * unit)
+    np.testing.assert_allclose(extreme.C_stderr / unit, usual.C_stderr, rtol=1e-6)
+    np.testing.assert_allclose(extreme.C / unit, usual.C, rtol=1e-6)
+
+
 def test_an_onset_whose_interval_has_no_ends_is_not_told(noise):
     """A rate that does not change beyond its noise: C about zero with its error, and no relief at which it begins."""
     fit = fitted(1e-3 * (1 + 0.02 * noise.standard_normal((100, 20))), np.linspace(0.4, 1.2, 20), "onset")
@@ -470,6 +492,12 @@ def test_coefficients_that_no_lane_tells_from_others_are_named():
     fit = fit_joint(xr.Dataset({"relief": relief, "rate_of_penetration": rate}, {"force": ("point", force)}))
     assert REASONS[fit.reason.item()] in ("confounded", "not-converged") and np.isnan(fit.C.item())
     assert "eta0_exponent force" in fit.attrs["not_identified"]
+
+
+def test_a_joint_law_of_constant_rates_has_no_r_squared():
+    data = joint_data()
+    fit = fit_joint(xr.Dataset({"relief": data.relief, "rate_of_penetration": data.rate_of_penetration * 0 + 1e-3}))
+    assert np.isnan(fit.r_squared) and REASONS[fit.r_squared_reason.item()] != "identified"
 
 
 def test_a_joint_law_that_cannot_be_told_says_so():

@@ -131,7 +131,7 @@ def _outcomes(measured: Sequence[Measured]) -> Variables:
             [one.repeating for one in measured], "lanes that also repeat as it does, to 1e-3", dtype=np.int32
         ),
         "status": xr.Variable(SETTING, statuses, status.attributes()),
-        "reason": _variable([one.reason for one in measured], "why lanes failed"),
+        "remark": _variable([one.reason for one in measured], "why lanes failed"),
     }
 
 
@@ -209,7 +209,7 @@ def _row(one: xr.Dataset, shown: list[str]) -> list[str]:
         *(_error(float(one[name])) for name in ("error_worst", "error_median")),
         *(_error(float(one[f"{name}_error_worst"])) for name in shown),
         f"{compiling:.1f}" if np.isfinite(compiling) else "–",
-        str(one["reason"].item()),
+        str(one["remark"].item()),
     ]
 
 

@@ -61,7 +61,7 @@ class _Way(NamedTuple):
     rows: Array
 
 
-@lane_function(static=3)
+@lane_function(static=3, derives=True)
 def _pushed(
     scene: Scene[Any],
     stepper: Stepper,

@@ -7,6 +7,7 @@ import logging
 import os
 import signal
 import sys
+import traceback
 import warnings
 from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Callable, Iterator, Sequence
@@ -35,11 +36,19 @@ from vibrojax.errors import InputError
 from vibrojax.leaving import leave
 from vibrojax.progress import end_lines
 from vibrojax.store.provenance import package_version
+from vibrojax.texts import printable
 from vibrojax.threads import asked_to_end, in_own_thread
 from vibrojax.timings import LOG, timed
 from vibrojax.words import glossary
 
 DONE, FAILED, BAD_INPUT, INTERRUPTED, PIPE_CLOSED, TERMINATED = 0, 1, 2, 130, 141, 143
+
+_DATASETS = (".nc", ".zarr")
+_MISFITS = (ArithmeticError, AssertionError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
+"""What is raised where parts of a dataset do not fit together in a way that is not checked."""
+
+_LONGEST_LINE = 4000
+"""Characters of a line on stderr, which may hold what a file says."""
 
 _COMMANDS: dict[str, Command] = {
     "sweep": sweep,
@@ -112,7 +121,7 @@ def main(argv: Sequence[str] | None = None, do: Callable[[Callable[[], None]], o
         else:
             command = _COMMANDS[options.command]
             with _verbosely(options):
-                do(lambda: command.run(options))
+                do(lambda: _run(command.run, options))
         sys.stdout.flush()
         return DONE
     except SystemExit as leaving:  # --help
@@ -130,6 +139,21 @@ def main(argv: Sequence[str] | None = None, do: Callable[[Callable[[], None]], o
         return _say(_failed(f"{error.filename or options.command}: {error.strerror or error}", options), FAILED)
     except MemoryError:
         return _say(_failed(f"{options.command}: not enough memory", options), FAILED)
+
+
+def _run(run: Callable[[Options], None], options: Options) -> None:
+    """Run a command; report a dataset, which may come from anywhere, as bad input if its content makes no sense."""
+    try:
+        run(options)
+    except InputError:
+        raise
+    except _MISFITS as error:
+        file = str(getattr(options, "file", ""))
+        if not file.endswith(_DATASETS):
+            raise
+        LOG.info("%s", "".join(traceback.format_exception(error)))
+        about = f"{type(error).__name__}: {printable(error, 200)}"
+        raise InputError(f"{file}: its content does not fit together ({about}); --verbose says where") from error
 
 
 def _parser() -> ArgumentParser:
@@ -201,12 +225,12 @@ def _warn(
     line: str | None = None,
 ) -> None:
     """Show a warning as all that the command says: on one line of stderr."""
-    print("vibrojax: warning:", " ".join(str(message).split()), file=sys.stderr)
+    print("vibrojax: warning:", printable(message, _LONGEST_LINE), file=sys.stderr)
 
 
 def _say(line: str, status: int) -> int:
     """Say on stderr, on one line, why the command ended with `status`."""
     end_lines()
     sys.stdout.flush()
-    print("vibrojax:", " ".join(line.split()), file=sys.stderr)
+    print("vibrojax:", printable(line, _LONGEST_LINE), file=sys.stderr)
     return status

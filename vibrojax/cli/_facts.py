@@ -3,13 +3,17 @@
 from typing import TYPE_CHECKING, Any
 
 from vibrojax.cli._family_lines import family_facts
-from vibrojax.cli._json import flags, from_json, numbers
+from vibrojax.cli._json import flags, numbers
+from vibrojax.texts import printable
 
 if TYPE_CHECKING:
     import xarray
 
+_LONGEST_ABOUT = 300
+"""Characters of a variable's unit or meaning that are shown."""
+
 _TEXTS = ("title", "scene", "friction", "pulse_shape", "source", "jax", "along")
-_VALUES = ("parameters", "differing", "run", "solver", "columns", "certified")
+_VALUES = ("parameters", "differing", "run", "solver", "columns", "certified", "lanes", "wall_time_s")
 
 
 def facts(dataset: "xarray.Dataset", file: str) -> dict[str, Any]:
@@ -21,18 +25,16 @@ def facts(dataset: "xarray.Dataset", file: str) -> dict[str, Any]:
     lanes by nature; `families`: what `follow --json` prints of them; `attractors`: their mean `shares` over the grid by
     number, and the lanes `unassigned`; `failures`: lanes by reason; `accuracy`; `found`: of one motion; `wall_time_s`.
     """
-    attributes = dataset.attrs
-    texts = {name: str(attributes[name]) if name in attributes else None for name in _TEXTS}
+    from vibrojax.store.attributes import attribute_of, history_of, text_of
+
+    texts = {name: text_of(dataset, name) if name in dataset.attrs else None for name in _TEXTS}
     no_lanes = bool({"time", "attractor"} & set(dataset.dims))  # one motion, or attractors
-    lanes = int(attributes["lanes"]) if "lanes" in attributes else None
-    seconds = float(attributes["wall_time_s"]) if "wall_time_s" in attributes else None
     return {
         "file": file,
         **texts,
-        "history": str(attributes.get("history", "")).split("\n"),
+        "history": history_of(dataset),
         "dimensions": {str(name): _dimension(dataset, name) for name in dataset.sizes},
-        **{name: from_json(attributes, name) for name in _VALUES},
-        "lanes": lanes,
+        **{name: attribute_of(dataset, name) for name in _VALUES},
         "regimes": {} if no_lanes else _counted(dataset, "regime"),
         "orbits": {} if no_lanes else _orbits(dataset),
         "natures": {} if no_lanes else _counted(dataset, "nature"),
@@ -42,7 +44,6 @@ def facts(dataset: "xarray.Dataset", file: str) -> dict[str, Any]:
         "accuracy": _accuracy(dataset),
         "found": found(dataset) if "time" in dataset.dims else {},
         "variables": {str(name): _about(variable) for name, variable in dataset.data_vars.items()},
-        "wall_time_s": seconds,
     }
 
 
@@ -52,11 +53,12 @@ def found(dataset: "xarray.Dataset") -> dict[str, Any]:
 
 
 def _about(variable: "xarray.DataArray") -> dict[str, Any]:
-    return {
-        "dims": list(variable.dims),
-        "units": variable.attrs.get("units"),
-        "long_name": variable.attrs.get("long_name"),
-    }
+    return {"dims": list(variable.dims), "units": _short(variable, "units"), "long_name": _short(variable, "long_name")}
+
+
+def _short(variable: "xarray.DataArray", name: str) -> str | None:
+    """Return a text attribute of a variable, shortened; None if it is not there."""
+    return printable(variable.attrs[name], _LONGEST_ABOUT) if name in variable.attrs else None
 
 
 def _dimension(dataset: "xarray.Dataset", name: Any) -> dict[str, Any]:
@@ -66,7 +68,9 @@ def _dimension(dataset: "xarray.Dataset", name: Any) -> dict[str, Any]:
         return {"size": size}
     values = dataset[name].values
     ends = {"first": values[0], "last": values[-1]}
-    return {"size": size, "units": dataset[name].attrs.get("units"), **ends}
+    if values.dtype.kind not in "fiu":
+        ends = {end: printable(value, _LONGEST_ABOUT) for end, value in ends.items()}
+    return {"size": size, "units": _short(dataset[name], "units"), **ends}
 
 
 def _counted(dataset: "xarray.Dataset", name: str) -> dict[str, int]:
@@ -101,11 +105,13 @@ def _accuracy(dataset: "xarray.Dataset") -> dict[str, Any] | None:
     """Median and largest error estimate; how many lanes have one, and how many are within the accepted error."""
     import numpy as np
 
+    from vibrojax.store.attributes import run_of
+
     if "error_estimate" not in dataset:
         return None
     errors = dataset["error_estimate"].values
     errors = errors[~np.isnan(errors)]
-    accepted = (from_json(dataset.attrs, "run") or {}).get("error")
+    accepted = run_of(dataset).get("error")
     return {
         "accepted": accepted,
         "estimated": int(errors.size),

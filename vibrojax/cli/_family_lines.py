@@ -3,6 +3,8 @@
 from collections import Counter
 from typing import TYPE_CHECKING, Any
 
+from vibrojax.texts import printable
+
 if TYPE_CHECKING:
     import xarray
 
@@ -59,7 +61,7 @@ def family_facts(dataset: "xarray.Dataset") -> dict[str, Any]:
             "value": dataset["special_value"].values[k],
             "family": family[k],
             "branch": dataset["special_branch"].values[k],
-            "note": str(dataset["special_note"].values[k]),
+            "note": printable(dataset["special_note"].values[k], 300),
         }
         for k, name in enumerate(names)
     ]

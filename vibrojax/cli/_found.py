@@ -1,6 +1,5 @@
 """What was found along one motion, in words."""
 
-import json
 import math
 from typing import TYPE_CHECKING
 
@@ -16,7 +15,9 @@ _MARGIN = 1.15
 
 def found_lines(dataset: "xarray.Dataset") -> list[str]:
     """Regime, period, blows and rate of penetration of a trajectory; no lines where nothing was measured along it."""
-    if "run" not in dataset.attrs or "time" not in dataset.dims:
+    from vibrojax.store.attributes import run_of
+
+    if not {"settle", "observe"} <= set(run_of(dataset)) or "time" not in dataset.dims:
         return []
     numbers = {str(name): float(one) for name, one in dataset.data_vars.items() if one.ndim == 0}
     lines = _motion(dataset, numbers) if "regime" in numbers else []
@@ -62,14 +63,17 @@ def _motion(dataset: "xarray.Dataset", found: dict[str, float]) -> list[str]:
 def _enough(dataset: "xarray.Dataset", period: float) -> float:
     """A duration [s] of which enough returns are observed."""
     from vibrojax.label import FEWEST_RETURNS
+    from vibrojax.store.attributes import run_of
 
-    run, last = json.loads(dataset.attrs["run"]), float(dataset["time"][-1])
+    run, last = run_of(dataset), float(dataset["time"][-1])
     return _MARGIN * (FEWEST_RETURNS + 1) * period / run["observe"] * last
 
 
 def _penetration(dataset: "xarray.Dataset", found: dict[str, float]) -> list[str]:
     rate, relief, slip = (found.get(name, math.nan) for name in ("rate_of_penetration", "relief", "slip_per_impact"))
-    threshold = float(json.loads(dataset.attrs["parameters"])["threshold"])
+    from vibrojax.store.attributes import parameters_of
+
+    threshold = parameters_of(dataset)["threshold"]
     each = "pulse" if "regime" not in found else "blow"
     force = f"mean force {found['mean_force'] / 1e3:.4g} kN over the {threshold / 1e3:.4g} kN at which the rock yields"
     lines = [f"relief P/D {relief:.4g}: {force}"] if math.isfinite(relief) else []
@@ -83,7 +87,9 @@ def _penetration(dataset: "xarray.Dataset", found: dict[str, float]) -> list[str
 
 def _observed(dataset: "xarray.Dataset", found: dict[str, float]) -> str:
     """What all this was measured over, and whether the motion had settled by then."""
-    run = json.loads(dataset.attrs["run"])
+    from vibrojax.store.attributes import run_of
+
+    run = run_of(dataset)
     text = f"measured from {run['settle']:.4g} s to the end at {run['settle'] + run['observe']:.4g} s"
     if "returns" in found:
         text += f": {found['returns']:.0f} {SECTION}"

@@ -2,18 +2,26 @@
 
 import json
 import math
-from collections.abc import Hashable, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
+
+from vibrojax.texts import escape_json, printable
 
 if TYPE_CHECKING:
     import xarray
+
+_LONGEST_TEXT = 300
+"""Characters of a value that is a text."""
+
+_LONGEST_MEANING = 60
+"""Characters of a flag's meaning that are shown."""
 
 HELP = "print one JSON object on stdout, and nothing else there; what is no number is null"
 
 
 def print_json(facts: Mapping[str, object]) -> None:
     """Print `facts` as one JSON object: numbers as numbers, and null where one is not finite."""
-    print(json.dumps(_plain(facts), ensure_ascii=False, allow_nan=False, indent=2))
+    print(escape_json(json.dumps(_plain(facts), ensure_ascii=False, allow_nan=False, indent=2)))
 
 
 def numbers(dataset: "xarray.Dataset", names: list[str]) -> dict[str, Any]:
@@ -24,7 +32,10 @@ def numbers(dataset: "xarray.Dataset", names: list[str]) -> dict[str, Any]:
 def flag_or_number(value: "xarray.DataArray") -> Any:
     """A single value; of flags, what it means."""
     meanings = flags(value)
-    return meanings[int(value)] if meanings else value.item()
+    if meanings:
+        return meanings[int(value)]
+    item = value.item()
+    return printable(item, _LONGEST_TEXT) if isinstance(item, str) else item
 
 
 def flags(variable: "xarray.DataArray") -> dict[int, str]:
@@ -32,15 +43,8 @@ def flags(variable: "xarray.DataArray") -> dict[int, str]:
     import numpy as np
 
     values = np.atleast_1d(variable.attrs.get("flag_values", [])).tolist()
-    return dict(zip(values, str(variable.attrs.get("flag_meanings", "")).split(), strict=False))
-
-
-def from_json(attributes: Mapping[Hashable, Any], name: str) -> Any:
-    """An attribute that holds JSON; None where it is not there, or holds none."""
-    try:
-        return json.loads(attributes[name])
-    except (ValueError, KeyError, TypeError):
-        return None
+    meanings = str(variable.attrs.get("flag_meanings", "")).split()
+    return {value: printable(meaning, _LONGEST_MEANING) for value, meaning in zip(values, meanings, strict=False)}
 
 
 def _plain(value: Any) -> Any:

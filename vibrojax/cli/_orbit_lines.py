@@ -1,6 +1,5 @@
 """What became of the periodic orbits of a sweep's lanes, in words."""
 
-import json
 from typing import TYPE_CHECKING
 
 from vibrojax.cli._json import flags
@@ -28,11 +27,10 @@ def orbit_lines(dataset: "xarray.Dataset") -> list[str]:
 
 def _limit(dataset: "xarray.Dataset") -> list[str]:
     """The margin below which there are no multipliers."""
-    try:
-        limit = json.loads(dataset.attrs["orbits"])["grazing_limit"]
-    except (ValueError, KeyError, TypeError):
-        return []
-    return [f"multipliers are given from a grazing_margin of {limit:g} on"]
+    from vibrojax.store.attributes import table_of
+
+    limit = table_of(dataset, "orbits").get("grazing_limit")
+    return [] if limit is None else [f"multipliers are given from a grazing_margin of {limit:g} on"]
 
 
 def _nearby(dataset: "xarray.Dataset") -> list[str]:

@@ -4,11 +4,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from vibrojax.amounts import size_text, time_text
+from vibrojax.texts import printable
 
 if TYPE_CHECKING:
     from vibrojax.store.standing import Standing
 
 _SHOWN = 8
+_LONGEST_LINE = 1000
+"""Characters of a line that are shown: the folder may come from anywhere, like a dataset."""
 
 
 def folder_of(path: Path) -> Path | None:
@@ -36,7 +39,9 @@ def standing_lines(found: "Standing") -> list[str]:
         ("failed", _first([f"chunk {one.chunk}: {one.why} ({one.by})" for one in found.failures])),
     ]
     return [
-        f"{'' if at else name:<10}{text}".rstrip() for name, texts in lines for at, text in enumerate(texts or ["none"])
+        f"{'' if at else name:<10}{printable(text, _LONGEST_LINE)}".rstrip()
+        for name, texts in lines
+        for at, text in enumerate(texts or ["none"])
     ]
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from vibrojax.cli._command import Options
 from vibrojax.cli._complete import files, with_completer
-from vibrojax.cli._json import HELP, from_json, numbers, print_json
+from vibrojax.cli._json import HELP, numbers, print_json
 from vibrojax.cli._output import dataset_written, draw, output, picture_beside
 from vibrojax.errors import InputError
 from vibrojax.timings import timed
@@ -70,7 +70,7 @@ def run(options: Options) -> None:
     if options.json:
         print_json(_facts(fit, options.file, out, picture if drawn else None))
         return
-    taken = columns_lines(fit.attrs.get("columns", ""))
+    taken = columns_lines(fit)
     before = [*taken, ""] if taken and not options.quiet else []
     after = [] if options.quiet else [f"{out}{drawn}"]
     print("\n".join([*before, *tables(fit), "", *_legend(fit), "", *verdict(fit), *after]))
@@ -91,6 +91,7 @@ def _facts(fit: "xarray.Dataset", file: str, out: Path, picture: Path | None) ->
     import numpy as np
 
     from vibrojax.laws import table, verdict
+    from vibrojax.store.attributes import table_of
 
     names, _ = table(fit, "aic")
     dims = [dim for dim in fit["aic"].dims if dim != "form"]
@@ -105,7 +106,7 @@ def _facts(fit: "xarray.Dataset", file: str, out: Path, picture: Path | None) ->
     return {
         "file": file,
         "along": fit.attrs["along"],
-        "columns": from_json(fit.attrs, "columns"),
+        "columns": table_of(fit, "columns") or None,
         "groups": groups,
         "verdict": verdict(fit),
         "dataset": str(out),
@@ -118,7 +119,7 @@ def tables(fit: "xarray.Dataset") -> list[str]:
     from vibrojax.laws import table
 
     names = ("C", "C_stderr", "eta0", "eta0_stderr", "exponent", "exponent_stderr", "r_squared", "aic", "used")
-    values = {name: table(fit, name)[1] for name in (*names, "left_out", "reason")}
+    values = {name: table(fit, name)[1] for name in (*names, "left_out", "reason", "r_squared_reason")}
     groups = table(fit, "aic")[0]
     meanings = str(fit["reason"].attrs["flag_meanings"]).split()
     lines: list[str] = []
@@ -129,18 +130,20 @@ def tables(fit: "xarray.Dataset") -> list[str]:
         lines.append(f"  {'form':<9}{'C [m/s]':<24}{'eta0':<22}{'exponent':<20}{'R2':>8}{'AIC':>10}")
         for index, form in enumerate(fit["form"].values):
             at = {name: column[index] for name, column in row.items()}
-            lines.append(f"  {form:<9}{_row(at, meanings[int(at['reason'])])}".rstrip())
+            notes = [meanings[int(at[name])] for name in ("reason", "r_squared_reason")]
+            lines.append(f"  {form:<9}{_row(at, notes)}".rstrip())
     return lines + ([f"and {len(groups) - _GROUPS_SHOWN} groups more"] if len(groups) > _GROUPS_SHOWN else [])
 
 
-def _row(at: Mapping[str, float], reason: str) -> str:
-    """A form's coefficients with standard errors, or why there are none."""
+def _row(at: Mapping[str, float], reasons: list[str]) -> str:
+    """Return a form's coefficients with standard errors and the reasons for what is missing."""
     if not math.isfinite(at["C"]):
-        return reason
+        return reasons[0]
     cells = [_with_error(at["C"], at["C_stderr"]), _with_error(at["eta0"], at["eta0_stderr"])]
     cells.append(_with_error(at["exponent"], at["exponent_stderr"]))
     text = f"{cells[0]:<24}{cells[1]:<22}{cells[2]:<20}{at['r_squared']:>8.4f}{at['aic']:>10.2f}"
-    return text if reason == "identified" else f"{text}  {reason}"
+    notes = ", ".join(reason for reason in reasons if reason != "identified")
+    return f"{text}  {notes}" if notes else text
 
 
 def _with_error(value: float, error: float) -> str:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from vibrojax.cli._command import Options
 from vibrojax.cli._complete import scenes, values_with, with_completer
 from vibrojax.cli._family_lines import family_facts, family_lines
-from vibrojax.cli._json import HELP, from_json, print_json
+from vibrojax.cli._json import HELP, print_json
 from vibrojax.cli._named_values import named_values, whole
 from vibrojax.cli._output import result_at, result_written
 from vibrojax.errors import Place
@@ -81,11 +81,13 @@ def run(options: Options) -> None:
 
 def _facts(dataset: "xarray.Dataset", out: Path, picture: Path | None) -> dict[str, object]:
     """What `--json` prints."""
+    from vibrojax.store.attributes import attribute_of
+
     attributes = dataset.attrs
     return {
         "scene": attributes["scene"],
         "start": attributes.get("start"),
-        "parameters": from_json(attributes, "parameters"),
+        "parameters": attribute_of(dataset, "parameters"),
         **family_facts(dataset),
         "dataset": str(out),
         "picture": None if picture is None else str(picture),

@@ -1,11 +1,9 @@
 """Tell what a dataset holds: scene, grid, regimes, failures, accuracy, provenance; or how far a sweep is."""
 
-import json
-import tomllib
 from argparse import ArgumentParser
 from collections.abc import Hashable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from vibrojax.cli._command import Options
 from vibrojax.cli._complete import files, with_completer
@@ -17,15 +15,19 @@ from vibrojax.cli._orbit_lines import orbit_lines
 from vibrojax.cli._standing import folder_of, standing_facts, standing_lines
 from vibrojax.cli.attractors import attractor_lines
 from vibrojax.cli.borders import border_lines
+from vibrojax.texts import printable
 from vibrojax.timings import timed
 from vibrojax.words import WORDS
 
 if TYPE_CHECKING:
+    import numpy as np
     import xarray
 
 _FAILURES_SHOWN = 3
+_LONGEST_LINE = 2000
+"""Characters of a line that are shown."""
 _ACCEPTED = 1e-4
-"""Accepted relative error where the sweep's text does not say: the sweep file's default."""
+"""Accepted relative error if the dataset does not say: the sweep file's default."""
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -62,16 +64,17 @@ def run(options: Options) -> None:
 def describe(dataset: "xarray.Dataset") -> list[str]:
     """The lines that tell what `dataset` holds; what it lacks is left out."""
     from vibrojax.laws._columns import columns_lines
+    from vibrojax.store.attributes import attribute_of, history_of, text_of, title_of
 
-    attributes = dataset.attrs
-    lines = [(name, [str(attributes[name])]) for name in ("title", "scene") if attributes.get(name)]
+    lines = [("title", [title_of(dataset)]), ("scene", [text_of(dataset, "scene")])]
+    lines = [(name, texts) for name, texts in lines if any(texts)]
     lines.append(("grid", _grid(dataset)))
-    if "lanes" in attributes:
-        lines.append(("lanes", [f"{attributes['lanes']} (a lane: {WORDS['lane']})"]))
-    lines.append(("friction", [str(attributes[name]) for name in ("friction",) if name in attributes]))
-    lines.append(("fixed", _fixed(attributes)))
-    lines.append(("run", _times(attributes.get("run", ""))))
-    lines.append(("columns", columns_lines(attributes["columns"]) if "columns" in attributes else []))
+    if "lanes" in dataset.attrs:
+        lines.append(("lanes", [f"{attribute_of(dataset, 'lanes')} (a lane: {WORDS['lane']})"]))
+    lines.append(("friction", [text_of(dataset, "friction")] if "friction" in dataset.attrs else []))
+    lines.append(("fixed", _fixed(dataset)))
+    lines.append(("run", _times(dataset)))
+    lines.append(("columns", columns_lines(dataset)))
     lines += [
         ("found", found_lines(dataset)),
         ("regimes", _regimes(dataset) + _hidden(dataset)),
@@ -84,27 +87,35 @@ def describe(dataset: "xarray.Dataset") -> list[str]:
         ("accuracy", _accuracy(dataset) + _flips(dataset)),
     ]
     lines.append(("variables", [", ".join(str(name) for name in dataset.data_vars)]))
-    provenance = [name for name in ("solver", "source", "jax", "history") if name in attributes]
-    lines += [(name, str(attributes[name]).split("\n")) for name in provenance]
-    if "wall_time_s" in attributes:
-        lines.append(("wall time", [f"{float(attributes['wall_time_s']):.3g} s"]))
-    shown = (f"{'' if index else name:<10}{text}" for name, texts in lines for index, text in enumerate(texts))
+    provenance = [name for name in ("solver", "source", "jax") if name in dataset.attrs]
+    lines += [(name, [str(dataset.attrs[name])]) for name in provenance]
+    lines.append(("history", history_of(dataset) if "history" in dataset.attrs else []))
+    if "wall_time_s" in dataset.attrs:
+        lines.append(("wall time", [f"{attribute_of(dataset, 'wall_time_s'):.3g} s"]))
+    shown = (f"{'' if index else name:<10}{_line(text)}" for name, texts in lines for index, text in enumerate(texts))
     return [line.rstrip() for line in shown]
 
 
-def _fixed(attributes: dict[str, Any]) -> list[str]:
-    """The fixed parameters: those that are not the defaults one by one, then the others."""
-    try:
-        values, listed = json.loads(attributes["parameters"]), json.loads(attributes.get("differing", "[]"))
-        changed = {
-            one["name"]: f"{_with_unit(one['value'], one['units'])} (default {one['default']:g})" for one in listed
-        }
-        others = [f"{name} = {value:g}" for name, value in values.items() if name not in changed]
-    except (ValueError, KeyError, TypeError):
+def _line(text: str) -> str:
+    """Return a line as it is shown: its columns as they are, but nothing that steers a terminal."""
+    words = text.lstrip(" ")
+    return text[: len(text) - len(words)] + printable(words, _LONGEST_LINE, keep_spaces=True)
+
+
+def _fixed(dataset: "xarray.Dataset") -> list[str]:
+    """Return the fixed parameters: those that are not the defaults one by one, then the others."""
+    from vibrojax.store.attributes import differing_of, parameters_of
+
+    changed = {
+        one["name"]: f"{_with_unit(one['value'], one['units'])} (default {one['default']:g})"
+        for one in differing_of(dataset)
+    }
+    others = [f"{name} = {value:g}" for name, value in parameters_of(dataset).items() if name not in changed]
+    if "parameters" not in dataset.attrs:
         return []
     lines = [f"{name} = {text}" for name, text in changed.items()]
     if others:
-        lines.append(("by default: " if "differing" in attributes else "") + ", ".join(others))
+        lines.append(("by default: " if "differing" in dataset.attrs else "") + ", ".join(others))
     return lines
 
 
@@ -112,13 +123,13 @@ def _with_unit(value: float, unit: str) -> str:
     return f"{value:g}" if unit == "1" else f"{value:g} {unit}"
 
 
-def _times(text: str) -> list[str]:
-    """How long lanes settled and were observed, on which their labels depend."""
-    try:
-        run = json.loads(text)
-        return [f"settled for {run['settle']:g} s, observed for {run['observe']:g} s"]
-    except (ValueError, KeyError, TypeError):
-        return []
+def _times(dataset: "xarray.Dataset") -> list[str]:
+    """Return how long lanes settled and were observed, on which their labels depend."""
+    from vibrojax.store.attributes import run_of
+
+    run = run_of(dataset)
+    known = {"settle", "observe"} <= set(run)
+    return [f"settled for {run['settle']:g} s, observed for {run['observe']:g} s"] if known else []
 
 
 def _grid(dataset: "xarray.Dataset") -> list[str]:
@@ -212,19 +223,33 @@ def _accuracy(dataset: "xarray.Dataset") -> list[str]:
     """Median and largest error estimate, and the share of lanes that keep what the caller accepts."""
     import numpy as np
 
+    from vibrojax.store.attributes import run_of
+
     if "error_estimate" not in dataset:
         return []
     errors = dataset["error_estimate"].values
     errors = errors[~np.isnan(errors)]  # infinite where the two resolutions disagree
     if not errors.size:
         return ["no periodic lanes, so no error estimates"]
-    accepted = _accepted(dataset.attrs.get("sweep", ""))
-    share = 100 * float((errors <= accepted).mean())
+    accepted = run_of(dataset).get("error", _ACCEPTED)
+    within = dataset["error_estimate"].values <= accepted
+    sensitive = _sensitive(dataset)
+    share = 100 * float((within & ~sensitive).sum()) / errors.size
     return [
         f"error_estimate median {np.median(errors):.2g}, largest {errors.max():.2g}",
         f"{share:.4g} % of {errors.size} periodic lanes within the accepted {accepted:g}",
         *_still_settling(dataset, accepted),
+        f"{sensitive.sum()} lanes are sensitive: rounding decides which attractor they reach",
     ]
+
+
+def _sensitive(dataset: "xarray.Dataset") -> "np.ndarray":
+    """Return the lanes of which rounding decides the attractor, along the dimensions of `error_estimate`."""
+    import numpy as np
+
+    if "sensitive" not in dataset:
+        return np.zeros(dataset["error_estimate"].shape, bool)
+    return dataset["sensitive"].transpose(*dataset["error_estimate"].dims).values == 1
 
 
 def _still_settling(dataset: "xarray.Dataset", accepted: float) -> list[str]:
@@ -243,11 +268,3 @@ def _flips(dataset: "xarray.Dataset") -> list[str]:
         return []
     flips = int((dataset["regime"].values != dataset["check_regime"].values).sum())
     return [f"{flips} of {dataset['regime'].size} regimes are others at the check run's coarser resolution"]
-
-
-def _accepted(text: str) -> float:
-    """The error that the sweep's text accepts."""
-    try:
-        return float(tomllib.loads(text)["run"]["error"])
-    except (ValueError, KeyError, TypeError):
-        return _ACCEPTED

@@ -9,7 +9,7 @@ from vibrojax.cli._command import Options
 from vibrojax.cli._complete import scenes, values_with, with_completer
 from vibrojax.cli._facts import found
 from vibrojax.cli._found import found_lines
-from vibrojax.cli._json import HELP, from_json, print_json
+from vibrojax.cli._json import HELP, print_json
 from vibrojax.cli._named_values import named_values
 from vibrojax.cli._output import result_at, result_written
 from vibrojax.errors import Place, shown
@@ -81,15 +81,17 @@ def run(options: Options) -> None:
 
 def _facts(dataset: "xarray.Dataset", point: "Point", out: Path, picture: Path | None) -> dict[str, object]:
     """What `--json` prints; `found` has the names of a sweep's variables, `run` says over which time they hold."""
+    from vibrojax.store.attributes import attribute_of
+
     return {
         "scene": point.scene,
         **point.options,
         "start": point.start,
         "parameters": point.parameters,
         "duration": float(dataset["time"][-1]),
-        "run": from_json(dataset.attrs, "run"),
+        "run": attribute_of(dataset, "run"),
         "found": found(dataset),
-        "solver": from_json(dataset.attrs, "solver"),
+        "solver": attribute_of(dataset, "solver"),
         "dataset": str(out),
         "picture": None if picture is None else str(picture),
     }

@@ -17,8 +17,10 @@ SAME = 1e-4
 """Distance over the scales within which two orbits of a point are the same; they are found to 1e-10."""
 
 IRREGULAR_WITHIN = 0.25
-"""Part by which statistics of irregular lanes of one motion differ at most from lane to lane: so they scatter over the
-some forty returns of a usual observation."""
+"""Resolution of irregular motions: two that differ by no more than this part in every statistic are one."""
+
+ERRORS = 4.5
+"""Standard errors, of the difference of two lanes, by which the resolution widens: 99.7 % with 7 degrees of freedom."""
 
 IRREGULAR_FACTOR = 2.0
 """Factor within which the statistics of two irregular motions are near each other: of neighbouring points, so that they
@@ -37,6 +39,12 @@ STATISTICS = ("period", "impact_velocity", "bit_amplitude", "striker_amplitude")
 """What irregular lanes are compared by, where there is any."""
 
 _APART = 1e3  # farther than any two values
+
+
+def stderr_name(statistic: str) -> str:
+    """Return the name of the relative standard error of a statistic."""
+    return f"{statistic}_stderr"
+
 
 Index = Int[np.ndarray, " _"]
 
@@ -99,7 +107,7 @@ def told_apart(scene: Scene[Any], dataset: xr.Dataset, parameters: Mapping[str, 
     _by_orbit(scene, dataset, parameters, starts, motions)
     for some in _by_cell(np.flatnonzero(regime == EQUILIBRIUM), starts):
         motions.add(some, int(some[0]) // starts, EQUILIBRIUM)
-    _by_statistics(dataset, regime, starts, motions)
+    _by_statistics(dataset, starts, motions)
     return motions
 
 
@@ -125,33 +133,46 @@ def _by_orbit(
         left = left[motions.of_lane[left] < 0]
 
 
-def _by_statistics(dataset: xr.Dataset, regime: np.ndarray, starts: int, motions: Motions) -> None:
-    """Enter the irregular motions: what chains of lanes join, each near the next, is one.
+def _by_statistics(dataset: xr.Dataset, starts: int, motions: Motions) -> None:
+    """Enter the irregular motions.
 
-    Lanes are compared by their exponents where those are known, being of thousands of returns, else by statistics of
-    what was observed; quasi-periodic ones, whose exponent is 0, by statistics in any case. By statistics alone, few
-    lanes beside many that are near them could be another motion, or the tail of the same: they are left out.
+    By statistics alone, few lanes beside many that are near them may be another motion or a part of the same, so they
+    are left out.
     """
-    irregular = regime == IRREGULAR
-    values = np.log1p(IRREGULAR_WITHIN) ** -1 * _statistics(dataset)
+    for groups in irregular_groups(dataset, starts):
+        middles = [np.median(_statistics(dataset, lanes), axis=0) for lanes in groups]
+        many = [middle for lanes, middle in zip(groups, middles, strict=True) if len(lanes) >= FEWEST]
+        for lanes, middle in zip(groups, middles, strict=True):
+            tail = any(np.abs(middle - other).max() <= np.log(IRREGULAR_FACTOR) for other in many)
+            if len(lanes) >= FEWEST or not tail or "nature" in dataset:
+                motions.add(lanes, int(lanes[0]) // starts, IRREGULAR, statistics=middle)
+
+
+def irregular_groups(dataset: xr.Dataset, starts: int) -> list[list[Index]]:
+    """Return the irregular lanes of each point in groups of one motion each, joined by chains of near lanes.
+
+    Exponents are compared where they are known, because they are over thousands of returns. Otherwise statistics are,
+    as for quasi-periodic lanes, whose exponent is 0. Lanes whose statistics have not converged are in no group.
+    """
+    irregular = dataset["regime"].values.ravel() == IRREGULAR
+    if "converged" in dataset:
+        irregular &= dataset["converged"].values.ravel()
+    values, margins = _scaled_statistics(dataset)
     if "nature" in dataset:
         nature, exponent, error = (dataset[name].values.ravel() for name in ("nature", "lyapunov", "lyapunov_stderr"))
         irregular &= nature != NATURES.index("not-settled")
         known = irregular & np.isin(nature, [NATURES.index("chaotic"), NATURES.index("periodic")])
-        for some in _by_cell(np.flatnonzero(known), starts):
-            typical = max(float(np.median(error[some])), LEAST_ERROR)
-            values[some] = 0.0
-            values[some, 0] = exponent[some] / (EXPONENT_WITHIN * typical)
+        for lanes in _by_cell(np.flatnonzero(known), starts):
+            typical = max(float(np.median(error[lanes])), LEAST_ERROR)
+            values[lanes] = margins[lanes] = 0.0
+            values[lanes, 0] = exponent[lanes] / (EXPONENT_WITHIN * typical)
         values = np.column_stack([values, _APART * nature.astype(float)])
-    for some in _by_cell(np.flatnonzero(irregular), starts):
-        group = joined_within(values[some])
-        each = [some[group == number] for number in range(int(group.max()) + 1)]
-        middles = [np.median(_statistics(dataset, mine), axis=0) for mine in each]
-        many = [middle for mine, middle in zip(each, middles, strict=True) if len(mine) >= FEWEST]
-        for mine, middle in zip(each, middles, strict=True):
-            tail = any(np.abs(middle - other).max() <= np.log(IRREGULAR_FACTOR) for other in many)
-            if len(mine) >= FEWEST or not tail or "nature" in dataset:
-                motions.add(mine, int(some[0]) // starts, IRREGULAR, statistics=middle)
+        margins = np.column_stack([margins, np.zeros(len(margins))])
+    found = []
+    for lanes in _by_cell(np.flatnonzero(irregular), starts):
+        group = joined_within(values[lanes], margins[lanes])
+        found.append([lanes[group == number] for number in range(int(group.max()) + 1)])
+    return found
 
 
 def doubtful(motions: Motions, number: Int[np.ndarray, " motions"]) -> Bool[np.ndarray, " motions"]:
@@ -173,15 +194,37 @@ def _statistics(dataset: xr.Dataset, lanes: Index | slice = slice(None)) -> Floa
         return np.where(values > 0, np.log(values), -_APART)
 
 
-def joined_within(x: Float[np.ndarray, "lanes values"]) -> Index:
-    """Groups of lanes, by number, that chains of steps no longer than about 1 in any value join."""
+def _scaled_statistics(
+    dataset: xr.Dataset,
+) -> tuple[Float[np.ndarray, "_ statistics"], Float[np.ndarray, "_ statistics"]]:
+    """Return the logarithms of the lanes' statistics and `ERRORS` standard errors of them, over the resolution."""
+    values = _statistics(dataset)
+    names = [stderr_name(name) for name in STATISTICS if name in dataset]
+    errors = [dataset[name].values.ravel() if name in dataset else np.zeros(len(values)) for name in names]
+    resolution = np.log1p(IRREGULAR_WITHIN)
+    return values / resolution, ERRORS * np.stack(errors, axis=1) / resolution
+
+
+def joined_within(
+    x: Float[np.ndarray, "lanes values"], margins: Float[np.ndarray, "lanes values"] | None = None
+) -> Index:
+    """Return the group of each lane. Chains of steps join a group, each no longer than about 1 in any value.
+
+    `margins`: by how much the step to or from a lane may be longer; those of two lanes add as the root of squares.
+    """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
 
     # To a quarter of a step, so that pairs of thousands of lanes stay few.
-    cells, index = np.unique(np.round(4 * x), axis=0, return_inverse=True)
-    pairs = cKDTree(cells).query_pairs(4.0, p=np.inf, output_type="ndarray")
+    wider = np.zeros_like(x) if margins is None else np.ceil(4 * margins)
+    cells, index = np.unique(np.hstack([np.round(4 * x), wider]), axis=0, return_inverse=True)
+    cells, wider = np.hsplit(cells, 2)
+    reach = 4.0 + 2**0.5 * wider.max(initial=0.0)
+    pairs = cKDTree(cells).query_pairs(reach, p=np.inf, output_type="ndarray")
+    one, other = pairs.T
+    near = np.abs(cells[one] - cells[other]) <= 4.0 + np.hypot(wider[one], wider[other])
+    pairs = pairs[near.all(axis=1)]
     links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(cells), len(cells)))
     return np.asarray(connected_components(links, directed=False)[1])[index.ravel()]
 

@@ -114,15 +114,15 @@ class Engine:
         run = self.sweep.run
         if run.carry is not None:
             given = given._replace(carried=tuple(none for _ in self.sweep.system.states))
-        return self._begun(Batch(accuracy, given, none + run.settle, none + run.observe, None, steps))
+        return self.begun(Batch(accuracy, given, none + run.settle, none + run.observe, None, steps))
 
     def carried(self, batch: Batch, state: Values) -> Batch:
         """The batch's lanes at t = 0 in `state`, all states, (lanes,) each; of a sweep that carries lanes."""
         start = np.full_like(batch.given.start, CARRIED)
-        return self._begun(replace(batch, given=batch.given._replace(start=start, carried=state)))
+        return self.begun(replace(batch, given=batch.given._replace(start=start, carried=state)))
 
-    def _begun(self, batch: Batch) -> Batch:
-        """The lanes at t = 0, as they are given."""
+    def begun(self, batch: Batch) -> Batch:
+        """Return the lanes at t = 0, in the states that they are given."""
 
         def program(some: Batch) -> Any:
             return self.programs.start(some.given)
@@ -136,8 +136,9 @@ class Engine:
         `states` (8, states, lanes) and `times` (8, lanes) [s]: of the last returns, see
         [vibrojax.measure.section.on_orbit][] (under pulses none is asked for); `period` (lanes,) [s]: between returns.
         """
-        with precision(self.sweep.run.precision), jax.default_device(self.workers[0]):
-            lane, carry = self.programs.on_orbit(batch.given, state, states, times, period)
+        lane, carry = self._by_programs(
+            self.workers[0], lambda: self.programs.on_orbit(batch.given, state, states, times, period)
+        )
         return replace(batch, underway=Underway(lane, carry, np.zeros(len(batch.begin), np.int32)))
 
     def settle(self, batches: list[Batch], until: float = np.inf, report: Report = unreported) -> list[Batch]:
@@ -182,12 +183,14 @@ class Engine:
         for worker in dict.fromkeys(self.workers):
             alone = copy(self)
             alone.sweep, alone.workers = at_once, [worker]
-            still = [alone.start(0, 1, accuracy)]
+            # A whole block: on the first lanes it is decided whether kernels can be trusted.
+            still = [alone.start(0, min(self.programs.block, self.sweep.lanes), accuracy)]
             first: list[Callable[[], object]] = [alone._check_arithmetic, partial(alone.settle, still)]
             if self.accelerated:  # where two that want a program both compile it
                 first.append(partial(alone.observe, still))
             for _ in in_parallel(_call, first, range(len(first))):
                 pass
+            self.programs = alone.programs
             if not self.accelerated:
                 threading.Thread(target=alone.observe, args=(still,), daemon=True).start()
 
@@ -207,12 +210,7 @@ class Engine:
 
         def work(worker: jax.Device, item: tuple[int, Index]) -> Any:
             at, lanes = item
-            with precision(self.sweep.run.precision), jax.default_device(worker):
-                try:
-                    return program(batches[at].of(lanes))
-                except Untranslatable:
-                    self.programs = ByXla(self.programs.kind, worker.platform)
-                    return program(batches[at].of(lanes))
+            return self._by_programs(worker, lambda: program(batches[at].of(lanes)))
 
         results: list[Any] = [None] * len(batches)
         for index, part in in_parallel(work, items, self.workers):
@@ -224,6 +222,16 @@ class Engine:
                 whole[..., lanes] = mine
             report(len(lanes))
         return results
+
+    def _by_programs(self, worker: jax.Device, call: Callable[[], Any]) -> Any:
+        """Return what `call` gives on a worker's device; where no kernel can be used, XLA's programs take over."""
+        with precision(self.sweep.run.precision), jax.default_device(worker):
+            try:
+                return call()
+            except Untranslatable:
+                self.programs = ByXla(self.programs.kind, worker.platform)
+                self.programs.check_arithmetic(self._dtype)
+                return call()
 
     def _dealt(self, recent: Int[np.ndarray, " lanes"]) -> list[Index]:
         """The lanes in blocks, dealt into hands of a few blocks.

@@ -8,7 +8,8 @@ import numpy as np
 
 from vibrojax.engine.arithmetic import check
 from vibrojax.engine.programs import Kind, Programs, settle_lanes
-from vibrojax.kernels import Kernel, run, vector_bytes
+from vibrojax.engine.trust import run
+from vibrojax.kernels import Kernel, native
 
 REGISTERS = {settle_lanes: 2}
 """Registers for each value of a group of lanes, where not one: of two the processor works on one while the other's
@@ -25,7 +26,7 @@ class ByLlvm(Programs):
 
     def __init__(self, kind: Kind, dtype: np.dtype) -> None:
         super().__init__(kind)
-        self.block = max(REGISTERS.values()) * vector_bytes() // dtype.itemsize
+        self.block = max(REGISTERS.values()) * native.vector_bytes() // dtype.itemsize
 
     def check_arithmetic(self, dtype: np.dtype) -> None:
         check(_evaluated, f"llvmlite {llvmlite.__version__}", dtype, self.block)

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from vibrojax.devices import workers
 from vibrojax.engine.batch import Batch, Engine, Features, Report, unreported
 from vibrojax.engine.drift import drift
+from vibrojax.engine.sensitive import sensitive
 from vibrojax.engine.underway import OBSERVING, SETTLED, Ended, Ends, Part, Underway, looks
 from vibrojax.input.definition import Sweep
 from vibrojax.label import LABELLED_BY
@@ -84,7 +85,10 @@ class Chunks:
         runs = (observed[: len(parts)], observed[len(parts) :])
         features = [self._certified(*map(joined, runs))] if parts else []
         order = np.argsort(np.concatenate([part.lanes for part in parts] + [one.lanes for one in ended]))
-        return {name: x[order] for name, x in joined(features + [one.features for one in ended]).items()}
+        whole = {name: x[order] for name, x in joined(features + [one.features for one in ended]).items()}
+        if "cycles" in whole:
+            whole["sensitive"] = sensitive(self.engine, batch, whole)
+        return whole
 
     def finished(self, index: int, features: Features) -> Features:
         """The features of a chunk's lanes that are stored, with what follows from them."""

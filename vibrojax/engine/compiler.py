@@ -8,7 +8,8 @@ from typing import Any, ParamSpec, TypeVar
 import jax
 from jaxlib import version as jaxlib
 
-from vibrojax.kernels import Untranslatable, run
+from vibrojax.engine.trust import run
+from vibrojax.kernels import Untranslatable
 
 WIDE_VECTORS_CHECKED = ("0.10.0", "0.12.0.1")
 """Versions of jaxlib whose functions are right with the widest registers (AVX-512). In 0.10.2, 0.11.0 and 0.11.2 arctan
@@ -49,10 +50,11 @@ def jitted(static: tuple[str, ...] = ()) -> Callable[[Callable[P, R]], Callable[
     return decorate
 
 
-def lane_function(static: int) -> Callable[[Callable[..., R]], Callable[..., R]]:
-    """A decorator: a function of lanes, compiled; the first so many of its arguments are static.
+def lane_function(static: int, derives: bool = False) -> Callable[[Callable[..., R]], Callable[..., R]]:
+    """Return a decorator that compiles a function of lanes, whose first `static` arguments are static.
 
-    What it is given and gives are arrays whose last axis is the lanes', or without axes, in any pytrees.
+    Other arguments and results are pytrees of arrays whose last axis is the lanes', or without axes. `derives`: the
+    function takes derivatives of a scene's equations.
     """
 
     def decorate(function: Callable[..., R]) -> Callable[..., R]:
@@ -62,7 +64,7 @@ def lane_function(static: int) -> Callable[[Callable[..., R]], Callable[..., R]]
         @wraps(function)
         def call(*args: Any) -> R:
             try:
-                return run(function, args[:static], *args[static:])
+                return run(function, args[:static], *args[static:], derives=derives)
             except Untranslatable:
                 return by_xla(*args)
 

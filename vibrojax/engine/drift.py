@@ -119,6 +119,9 @@ def _drift(returns: Returns, features: Features, lanes: Index, repeat: int, nois
         (np.abs(limit[-1] - mean) + np.abs(limit[-1] - limit[0])) / np.abs(mean)
         for limit, (_, mean) in zip(limits, measured, strict=True)
     ]
+    for state in np.moveaxis(returns.states, -1, 0):
+        changes = [_still_to_come(state, repeat, fit) for fit in fits]
+        distances.append(np.abs(changes[-1]) + np.abs(changes[-1] - changes[0]))
     found = reduce(np.fmax, distances)
     resolved = np.max(np.abs(differences[:, 0]), axis=-1) > noise.resolved
     third = max(differences.shape[1] // 3, 1)

@@ -168,11 +168,15 @@ def _settings(sweep: Sweep) -> dict:
 
 
 def certified(sweep: Sweep, variables: Mapping[str, np.ndarray]) -> dict[str, int]:
-    """How many of some lanes have an error estimate, of how many it is within what is accepted, how many still are
-    farther than that from where they settle, and how many labels flip."""
+    """Count the lanes that have an error estimate, those within the accepted error, those that still settle, those
+    that are sensitive, and those whose check run has another label. Sensitive lanes are not counted as within."""
     done = variables["reason"] == 0
     estimate = variables["error_estimate"][done]
-    found = {"estimated": int(np.sum(~np.isnan(estimate))), "within": int(np.sum(estimate <= sweep.run.error))}
+    within = estimate <= sweep.run.error
+    found = {"estimated": int(np.sum(~np.isnan(estimate))), "within": int(np.sum(within))}
+    if "sensitive" in variables:
+        sensitive = variables["sensitive"][done] == 1
+        found |= {"within": int(np.sum(within & ~sensitive)), "sensitive": int(np.sum(sensitive))}
     if "drift_estimate" in variables:
         found["still_settling"] = int(np.sum(variables["drift_estimate"][done] > sweep.run.error))
     if "regime" in variables:

@@ -89,7 +89,7 @@ class Programs(ABC):
 def start_lanes(kind: Kind, given: Given) -> tuple[Lane, Any]:
     """(lane, what its recorder carries) at t = 0."""
     constants = kind.scene.constants(given.parameters)
-    return start_block(kind.scene, kind.recorder, constants, _state(kind, constants, given))
+    return start_block(kind.scene, kind.recorder, constants, state_of(kind, constants, given))
 
 
 def lanes_on_orbit(
@@ -97,30 +97,30 @@ def lanes_on_orbit(
 ) -> tuple[Lane, Any]:
     """(lane, what its recorder carries) at t = 0, from all states at the section of a periodic orbit; see
     [vibrojax.measure.section.on_orbit][] for the last returns, which under pulses are not asked for."""
-    lane = lane_at(kind.scene, _constants(kind, given), state)
+    lane = lane_at(kind.scene, constants_of(kind, given), state)
     begun = kind.recorder.settling(kind.scene, lane)
     return lane, on_orbit(begun, states, times, period) if isinstance(kind.recorder, Recorder) else begun
 
 
 def settle_lanes(kind: Kind, given: Given, begun: Underway, until: Lanes, effort: Effort) -> Underway:
     """The lanes at the times `until` [s]; see `settle_block`."""
-    return settle_block(kind.scene, kind.stepper, kind.recorder, _constants(kind, given), begun, until, effort)
+    return settle_block(kind.scene, kind.stepper, kind.recorder, constants_of(kind, given), begun, until, effort)
 
 
 def observe_lanes(kind: Kind, given: Given, begun: Underway, begin: Lanes, duration: Lanes, effort: Effort) -> Features:
     """Features by name, (lanes,), or (returns, lanes) for the last returns; see `observe_block`."""
-    constants = _constants(kind, given)
+    constants = constants_of(kind, given)
     lane, features = observe_block(kind.scene, kind.stepper, kind.recorder, constants, begun, begin, duration, effort)
     return features | ({END: jnp.stack(lane.state)} if kind.tells_end else {})
 
 
-def _constants(kind: Kind, given: Given) -> Any:
+def constants_of(kind: Kind, given: Given) -> Any:
     """The scene's constants, for a motion from the lane's start."""
     constants = kind.scene.constants(given.parameters)
-    return kind.scene.scaled(constants, _state(kind, constants, given))
+    return kind.scene.scaled(constants, state_of(kind, constants, given))
 
 
-def _state(kind: Kind, constants: Any, given: Given) -> Values:
+def state_of(kind: Kind, constants: Any, given: Given) -> Values:
     """The state at t = 0 of each lane, from the start that it takes; the scene's own where it has no starts."""
     start = given.start
     starts = (*kind.starts, *((given.states,) if given.states else ())) or (None,)

@@ -15,6 +15,21 @@ Settled = Bool[np.ndarray, " lanes"]
 PerLane = Float[np.ndarray, " lanes"]
 
 
+def repeats_lately(returns: Settling, now: float) -> Settled:
+    """Return which lanes repeat within the tolerance of labels, by their last eight returns before `now` [s].
+
+    Repeats of up to half of these returns are seen.
+    """
+    states, times, passed = returns.seen.states, returns.seen.times, returns.passed
+    repeating = np.zeros(times.shape[-1], bool)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        scale = np.stack(scales(passed.amplitudes, passed.since))
+        for repeat in range(1, len(times) // 2 + 1):
+            changes = np.abs(states[:-repeat, : len(scale)] - states[repeat:, : len(scale)]) / scale
+            repeating |= np.max(changes, axis=(0, 1)) < REPEATS_WITHIN
+        return repeating & (now - times[0] < 1.5 * np.max(times[:-1] - times[1:], axis=0))
+
+
 def settled(returns: Settling, now: float, end: float, observe: float, close: float) -> tuple[Settled, PerLane]:
     """Which lanes may be observed at once, and for how long.
 

@@ -148,7 +148,7 @@ def _blocks(lanes: int) -> Iterator[np.ndarray]:
         yield np.minimum(np.arange(first, first + BLOCK), lanes - 1)
 
 
-@lane_function(static=2)
+@lane_function(static=2, derives=True)
 def _differentiated(
     scene: Scene[Any], start: Start | None, values: Features, along: Features, times: Times
 ) -> tuple[dict[str, Array], dict[str, Array]]:

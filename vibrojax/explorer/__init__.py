@@ -30,8 +30,9 @@ text, style and page: `module_text(exported=True)`, `style_text()`, `page_text(d
      "lanes": a packed array with its "axes": the number of the lane of each cell | null,
      "fixed": {coordinates without an axis},
      "region": {axis: [low, high]}: the source's, SI,
-     "run": {"parameters": {name: value}, "options", "start", "duration", "names": the scene's parameters,
-             "states": of a start, "own_scene"}: what the command line of a cell is made of | null,
+     "run": what the command line of a cell is made of, see `run.py`: {"own_scene": true}, or {"own_scene": false,
+            "scene", "parameters": {name: value}, "options", "start": word, vector or null, "duration", and what may be
+            written: "names" of parameters, "starts", "states" of a vector, "rocks"} | null,
      "curves": {"colours": {kind: colour}, "list": [{"kind", "at": {axis: value}, "points": {axis: values}}]} | null,
      "family": {"runs", "special", ...} only of families,
      "cells": {"size", "blocks"} of those that a page holds | null,

@@ -14,6 +14,7 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any, NamedTuple
@@ -30,23 +31,26 @@ MOST_BYTES = 16_384
 CONNECTIONS = 32
 """That are open at once; a browser opens six."""
 
+HEADER_SECONDS = 3.0
+"""Seconds in which a connection must show the token: the whole header, which a browser sends at once."""
+
 SILENCE, PATIENCE = 5.0, 30.0
-"""Seconds that a request may keep silent, and may take to come and be answered all together."""
+"""Seconds that a request with the token may keep silent, and may take to come and be answered all together."""
 
 RETRY = 1
 """Seconds after which who was sent away may come again."""
 
 BLOCK = "application/octet-stream"
+HTML = "text/html; charset=utf-8"
 
 
 class Served(NamedTuple):
-    """What is served: the page, what its browser may do with it, the token, and who answers.
+    """What is served: the page, the token, and who answers.
 
     `ask(client, number, asked)` gives a block; it raises `InputError`, `Superseded`, `Busy` or `Closed`.
     """
 
     html: bytes
-    policy: str
     token: str
     ask: Callable[[str, int, dict[str, Any]], bytes]
 
@@ -59,8 +63,24 @@ class Refused(Exception):
         self.status = status
 
 
+@dataclass
+class _Connection:
+    """An open connection: since when, and whether its header has shown the token."""
+
+    since: float
+    admitted: bool = False
+
+    def is_late(self, now: float) -> bool:
+        """Return whether it has taken longer than it may."""
+        return now - self.since > (PATIENCE if self.admitted else HEADER_SECONDS)
+
+
 class Server(ThreadingHTTPServer):
-    """Each connection in a thread; not too many, and none for too long."""
+    """Each connection in a thread; not too many, and none for too long.
+
+    A connection that has not shown the token has little time, and makes room when there are too many: the oldest goes.
+    So whoever has no token cannot keep out the page, however many connections they open and however slowly they send.
+    """
 
     daemon_threads = False  # so that closing waits for them
     allow_reuse_address = False
@@ -68,17 +88,23 @@ class Server(ThreadingHTTPServer):
 
     def __init__(self, served: Served) -> None:
         self.served = served
-        self._open: dict[socket.socket, float] = {}
+        self._open: dict[socket.socket, _Connection] = {}  # the oldest first
         self._lock = threading.Lock()
         super().__init__((HOST, 0), _Handler)
         self.names = {f"{host}:{self.server_address[1]}" for host in (HOST, "localhost")}
 
     def verify_request(self, request: Any, client_address: Any) -> bool:
-        """Whether there is room for a connection; who finds none is told."""
+        """Make room for a connection; return whether there is any, and answer 503 if there is none."""
         with self._lock:
+            evicted = []
+            if len(self._open) >= CONNECTIONS:
+                evicted = [socket for socket, connection in self._open.items() if not connection.admitted][:1]
+            for oldest in evicted:
+                del self._open[oldest]
             room = len(self._open) < CONNECTIONS
             if room:
-                self._open[request] = time.monotonic()
+                self._open[request] = _Connection(time.monotonic())
+        self._hang_up(evicted)
         if not room:
             request.settimeout(SILENCE / 100)
             with suppress(OSError):
@@ -88,6 +114,12 @@ class Server(ThreadingHTTPServer):
                 )
         return room
 
+    def admit(self, request: socket.socket) -> None:
+        """Give a connection that has shown the token its time."""
+        with self._lock:
+            if request in self._open:
+                self._open[request].admitted = True
+
     def shutdown_request(self, request: Any) -> None:
         """A connection is over."""
         with self._lock:
@@ -95,9 +127,10 @@ class Server(ThreadingHTTPServer):
         super().shutdown_request(request)
 
     def service_actions(self) -> None:
-        """Now and then: let go of who takes too long."""
+        """Hang up on connections that are late; called ten times a second."""
+        now = time.monotonic()
         with self._lock:
-            late = [one for one, since in self._open.items() if time.monotonic() - since > PATIENCE]
+            late = [socket for socket, connection in self._open.items() if connection.is_late(now)]
         self._hang_up(late)
 
     def server_close(self) -> None:
@@ -128,7 +161,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         """The page, or why not."""
-        self._answered(lambda: ("text/html; charset=utf-8", self._page()))
+        self._answered(lambda: (HTML, self._page()))
 
     do_HEAD = do_GET
 
@@ -187,6 +220,7 @@ class _Handler(BaseHTTPRequestHandler):
         given, _, self.rest = self.path.removeprefix("/").partition("/")
         if not hmac.compare_digest(given.encode(), self.server.served.token.encode()):
             raise Refused(HTTPStatus.FORBIDDEN, "no token, or a wrong one: open the address that was printed")
+        self.server.admit(self.connection)
 
     def _page(self) -> bytes:
         if self.rest == "motion":
@@ -240,7 +274,9 @@ class _Handler(BaseHTTPRequestHandler):
         self.send_response(status)
         self.send_header("Content-Type", kind)
         self.send_header("Content-Length", str(len(body)))
-        self.send_header("Content-Security-Policy", self.server.served.policy)
+        # The page says itself what its browser may do; no other answer may do anything.
+        allowed = "base-uri 'none'; form-action 'none'" if kind == HTML else "default-src 'none'"
+        self.send_header("Content-Security-Policy", f"{allowed}; frame-ancestors 'none'")
         self.send_header("X-Content-Type-Options", "nosniff")
         self.send_header("Referrer-Policy", "no-referrer")
         self.send_header("Cross-Origin-Resource-Policy", "same-origin")

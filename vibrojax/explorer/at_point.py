@@ -1,6 +1,5 @@
 """What a click is answered with: the motion at a point, simulated and measured as `vj.simulate` does it, as a cell."""
 
-import json
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -13,6 +12,7 @@ from vibrojax.devices import precision
 from vibrojax.errors import InputError, Place, shown
 from vibrojax.explorer.cells import Cell, encode
 from vibrojax.explorer.recorded import events_of
+from vibrojax.explorer.run import options_of, start_of, window_of
 from vibrojax.explorer.sampled import PASSED, SHOWN, STILL, Begin, cell_of_steps
 from vibrojax.input.definition import Sweep, rock_values
 from vibrojax.input.names import Names, read_names
@@ -27,6 +27,7 @@ from vibrojax.simulation._measured import window
 from vibrojax.simulation._record import BATCH, check_size
 from vibrojax.simulation._recorded import Recorded, constants_at, recorded
 from vibrojax.stepping import Located, Wanted
+from vibrojax.store.attributes import differing_of, text_of
 
 PLACE = Place("explore")
 
@@ -69,7 +70,7 @@ class Motions:
     ) -> None:
         self.point: Point = read_point(PLACE, scene, given, start)
         self.names: Names = read_names(PLACE.at("scene"), self.point.system)
-        self.duration = min(duration, LONGEST)
+        self.duration, self.whole = min(duration, LONGEST), duration
         self.axes, self.sweep = dict(axes or {}), sweep
         self._stepper = Located()
 
@@ -157,6 +158,7 @@ class Motions:
             "states": list(self.names.system.start_states),
             "start": list(self.point.start) if isinstance(self.point.start, tuple) else self.point.start,
             "duration": self.duration,
+            "whole": self.whole,
             "observed": window(self.duration)[1],
             "lanes": self.sweep.lanes if self.sweep is not None else 0,
             "rocks": {name: rock_values(name) for name in ROCKS} if self.names.has_rock else {},
@@ -201,18 +203,10 @@ def motions_of(sweep: Sweep) -> Motions:
 
 def motions_around(ds: xr.Dataset) -> Motions:
     """The motions around what a dataset holds, by its attributes; raises `InputError` where they name no scene."""
-    names = [name for name in ("friction", "pulse_shape") if name in ds.attrs]
-    try:
-        given = {one["name"]: one["value"] for one in json.loads(str(ds.attrs.get("differing", "[]")))}
-        run = json.loads(str(ds.attrs.get("run", "{}")))
-        start = str(ds.attrs["start"]) if "start" in ds.attrs else None
-        vector = json.loads(start) if start and start.startswith("[") else start
-        duration = float(run.get("settle", 40.0)) + float(run.get("observe", 8.0))
-    except (ValueError, TypeError, KeyError, AttributeError):
-        raise InputError("explore: the dataset's attributes do not say what to simulate") from None
+    given: dict[str, object] = {one["name"]: one["value"] for one in differing_of(ds)}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UnusualValue)
-        return Motions(str(ds.attrs.get("scene", "")), given | {n: ds.attrs[n] for n in names}, vector, duration)
+        return Motions(text_of(ds, "scene"), given | options_of(ds), start_of(ds), sum(window_of(ds)))
 
 
 def _cell(scene: Scene[Any], constants: Any, done: Recorded, duration: float, note: str) -> Cell:

@@ -1,7 +1,5 @@
 """What a page knows of a dataset over axes: a sweep, orbits, attractors, a fit; `vibrojax.explorer` has the form."""
 
-import json
-import tomllib
 from typing import Any
 
 import numpy as np
@@ -9,10 +7,10 @@ import xarray as xr
 from matplotlib import colormaps
 from matplotlib.colors import LogNorm, to_hex
 
-from vibrojax.errors import InputError, Place
+from vibrojax.errors import InputError, shown
 from vibrojax.explorer.packed import packed
+from vibrojax.explorer.run import LONGEST_COMMAND, run_document, window_of
 from vibrojax.input.definition import Sweep
-from vibrojax.input.point import read_point
 from vibrojax.plot._attractors import BEYOND
 from vibrojax.plot._attractors import COLOURS as ATTRACTOR_COLOURS
 from vibrojax.plot._axes import certified_text, is_geometric, point_text, pretty_unit, scale, symbol
@@ -22,7 +20,8 @@ from vibrojax.plot._contents import FORM, POINT, START, axes_of_map, has_regimes
 from vibrojax.plot._maps import REGION
 from vibrojax.plot._starts import described, on_axes
 from vibrojax.plot.style import OTHER_COLOURS
-from vibrojax.scenes import Scene
+from vibrojax.store.attributes import LONGEST_TEXT, text_of, title_of
+from vibrojax.texts import printable
 
 Document = dict[str, Any]
 
@@ -31,6 +30,14 @@ LANE = "lane_number"
 
 _LEFT_OUT = ("return_", "check_")
 """How variables begin that are of single returns, or of the check run."""
+
+LONGEST_UNIT = 40
+"""Characters of a unit or a symbol that are shown."""
+
+_RESERVED = {"__defineGetter__", "__defineSetter__", "__lookupGetter__", "__lookupSetter__", "__proto__"}
+_RESERVED |= {"constructor", "hasOwnProperty", "isPrototypeOf", "propertyIsEnumerable", "toLocaleString", "toString"}
+_RESERVED |= {"valueOf"}
+"""Names that every object of JavaScript has."""
 
 _FIRST = ("lane_attractor", "regime", "rate_of_penetration", "share", "impact_velocity", "period", "bit_amplitude")
 
@@ -84,53 +91,28 @@ def _view(ds: xr.Dataset) -> list[str]:
 
 
 def about(ds: xr.Dataset) -> Document:
-    """Title, scene and what there is to say of all of it."""
+    """Return title, scene, source and notes: what holds for all cells."""
+    notes = [point_text(ds), certified_text(ds)]
+    if sum(window_of(ds)) > LONGEST_COMMAND:
+        notes.append(f"Each lane ran for {sum(window_of(ds)):g} s; the commands simulate {LONGEST_COMMAND:g} s")
     return {
-        "title": str(ds.attrs.get("title", "")),
-        "scene": str(ds.attrs.get("scene", "")),
-        "source": str(ds.attrs.get("source", "")),
-        "notes": [text for text in (point_text(ds), certified_text(ds)) if text],
+        "title": title_of(ds),
+        "scene": text_of(ds, "scene"),
+        "source": text_of(ds, "source"),
+        "notes": [text(note, LONGEST_TEXT) for note in notes if note],
     }
 
 
-def run_document(ds: xr.Dataset, sweep: Sweep | None = None) -> Document:
-    """How a point is simulated: parameters that differ from their defaults, options, and for how long."""
-    known = json.loads(str(ds.attrs.get("run", "{}")))
-    length = known.get("settle", 40.0) + known.get("observe", 8.0)
-    differing = {one["name"]: one["value"] for one in json.loads(str(ds.attrs.get("differing", "[]")))}
-    options = {name: str(ds.attrs[name]) for name in ("friction", "pulse_shape") if name in ds.attrs}
-    options = {name: text for name, text in options.items() if text not in ("stribeck", "rectangular")}
-    own = sweep is not None and type(sweep.system).__module__.split(".")[0] != "vibrojax"
-    given: Document = {
-        "parameters": differing,
-        "options": options,
-        "duration": float(f"{length:.6g}"),
-        "own_scene": own,
-    }
-    if "start" in ds.attrs:
-        given["start"] = str(ds.attrs["start"]).strip('"')
-    system = sweep.system if sweep is not None else _system(ds)
-    if system is not None:
-        given["names"] = list(system.parameters())
-        given["states"] = list(system.start_states)
-    return given
+def text(words: object, longest: int = 200) -> str:
+    """Return a text of a dataset as the page shows it: on one line, shortened, without the escapes of pictures."""
+    return printable(str(words).replace(r"\$", "$"), longest)
 
 
-def _system(ds: xr.Dataset) -> Scene[Any] | None:
-    """The scene that a dataset names, None where it names none of those there are."""
-    options = {name: ds.attrs[name] for name in ("friction", "pulse_shape") if name in ds.attrs}
-    try:
-        return read_point(Place("explore"), str(ds.attrs.get("scene", "")), options).system
-    except InputError:
-        return None
-
-
-def sweep_text(ds: xr.Dataset) -> dict[str, Any]:
-    """The sweep's tables, empty where there are none."""
-    try:
-        return tomllib.loads(str(ds.attrs.get("sweep", "")))
-    except ValueError:
-        return {}
+def check_names(ds: xr.Dataset) -> None:
+    """Raise `InputError` if a name means something else in JavaScript, where names are keys of objects."""
+    for name in (*ds.sizes, *ds.variables):
+        if name in _RESERVED:
+            raise InputError(f"explore: {shown(str(name))} cannot be the name of a variable in a page; rename it")
 
 
 def axis_document(ds: xr.Dataset, name: str) -> Document:
@@ -152,13 +134,13 @@ def coordinate_document(data: xr.DataArray) -> Document:
     values = np.asarray(data.values, float) if numeric else data.values
     return {
         "name": str(data.name),
-        "label": str(data.attrs.get("long_name", "")) or str(data.name).replace("_", " "),
-        "symbol": symbol(data),
-        "units": pretty_unit(unit),
+        "label": text(data.attrs.get("long_name", "")) or str(data.name).replace("_", " "),
+        "symbol": text(symbol(data), LONGEST_UNIT),
+        "units": text(pretty_unit(unit), LONGEST_UNIT),
         "factor": factor,
         "numeric": numeric,
         "log": bool(numeric and is_geometric(values)),
-        "values": [_plain(x) for x in values.tolist()] if numeric else [str(x) for x in values.tolist()],
+        "values": [_plain(x) for x in values.tolist()] if numeric else [text(x) for x in values.tolist()],
     }
 
 
@@ -174,9 +156,9 @@ def variable_document(data: xr.DataArray) -> Document:
         colours = {flag: own.get(int(flag), OTHER_COLOURS[int(flag) % len(OTHER_COLOURS)]) for flag in flags}
     return {
         "name": str(data.name),
-        "label": value.label if flags is None else str(data.name).replace("_", " "),
-        "long_name": str(data.attrs.get("long_name", "")) or str(data.name),
-        "units": pretty_unit(scale(data)[1]) if flags is None else "",
+        "label": _label(value.label) if flags is None else str(data.name).replace("_", " "),
+        "long_name": text(data.attrs.get("long_name", "")) or str(data.name),
+        "units": text(pretty_unit(scale(data)[1]), LONGEST_UNIT) if flags is None else "",
         "factor": value.factor,
         "axes": [str(name) for name in data.dims],
         "flags": flags,
@@ -190,6 +172,10 @@ def variable_document(data: xr.DataArray) -> Document:
         "whole": data.dtype.kind in "iu" and flags is None,
         "data": packed(np.asarray(data.values)),
     }
+
+
+def _label(lines: str) -> str:
+    return "\n".join(text(line) for line in lines.split("\n")[:3])
 
 
 def _attractors(data: xr.DataArray) -> tuple[dict[str, str], dict[str, str]]:

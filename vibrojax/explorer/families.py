@@ -1,6 +1,5 @@
 """What a page holds of families of orbits: their points as cells, their branches as lines, their special points."""
 
-import json
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
@@ -10,15 +9,17 @@ import xarray as xr
 
 from vibrojax.errors import Place
 from vibrojax.explorer.cells import Cell
-from vibrojax.explorer.document import Document, about, coordinate_document, maps_of, reduced, run_document
+from vibrojax.explorer.document import Document, about, coordinate_document, maps_of, reduced, text
 from vibrojax.explorer.document import variable_document as described
 from vibrojax.explorer.packed import packed
 from vibrojax.explorer.recorded import LANES, recorded
+from vibrojax.explorer.run import options_of, run_document
 from vibrojax.explorer.sampled import Begin
 from vibrojax.families.stretches import FAMILY, along_name, kind_names, numbers_of, places, runs, stability
 from vibrojax.input.point import Point, read_point
 from vibrojax.periodic.measured import DRIVEN_RETURNS
 from vibrojax.plot._branches import MARKS, curves_of
+from vibrojax.store.attributes import parameters_of, text_of
 from vibrojax.store.variables import orbit_name
 
 _SHAPES = {"s": "square", "o": "circle", "*": "diamond", "v": "triangle", "|": "bar", "D": "diamond", "x": "cross"}
@@ -46,9 +47,9 @@ def family_document(ds: xr.Dataset) -> Document:
     names = [name for name in _FIRST if name in names] + [name for name in names if name not in _FIRST]
     variables = [described(reduced(ds[name])) for name in names]
     axis = coordinate_document(xr.DataArray(np.arange(count), dims="point", name="point"))
-    run = run_document(ds) | {"names": list(point.system.parameters()), "duration": _DURATION}
-    run["states"] = list(point.system.start_states) if scene is point.system else []
-    run.pop("start", None)
+    run = run_document(ds) | {"start": None, "duration": _DURATION}
+    if scene is not point.system:
+        run["states"] = []
     return {
         "format": 1,
         "kind": "family",
@@ -78,7 +79,7 @@ def _branches(ds: xr.Dataset) -> Document:
             found.append({"colour": curve.colour, "stable": stable, "points": branch.points[first : last + 1].tolist()})
         for which, place in zip(branch.special.tolist(), places(ds, branch).tolist(), strict=True):
             shape = _SHAPES[str(MARKS[kinds[which]]["marker"])]
-            special.append({"kind": kinds[which], "point": place, "shape": shape, "note": str(notes[which])})
+            special.append({"kind": kinds[which], "point": place, "shape": shape, "note": text(notes[which])})
     return {"runs": found, "special": special, "kinds": {name: mark["color"] for name, mark in MARKS.items()}}
 
 
@@ -110,6 +111,5 @@ def family_cells(ds: xr.Dataset) -> Iterator[Cell]:
 
 def _point(ds: xr.Dataset) -> Point:
     """What is the same for all points."""
-    options: dict[str, Any] = {name: ds.attrs[name] for name in ("friction", "pulse_shape") if name in ds.attrs}
-    parameters = json.loads(str(ds.attrs["parameters"]))
-    return read_point(Place("explore"), str(ds.attrs["scene"]), parameters | options)
+    given: dict[str, Any] = {**parameters_of(ds), **options_of(ds)}
+    return read_point(Place("explore"), text_of(ds, "scene"), given)

@@ -14,11 +14,8 @@ Of a client (a page that is open), a greater number makes smaller ones obsolete.
 Who may ask, [vibrojax.explorer._loopback][] decides.
 """
 
-import base64
-import re
 import secrets
 import threading
-from hashlib import sha256
 from types import TracebackType
 from typing import Any, Protocol, runtime_checkable
 
@@ -52,7 +49,7 @@ class Live:
     def __init__(self, html: str, answers: Answers) -> None:
         self.answers = answers
         self.token = secrets.token_urlsafe(32)
-        self._server = Server(Served(html.encode(), content_policy(html), self.token, self._ask))
+        self._server = Server(Served(html.encode(), self.token, self._ask))
         self.turns = Turns()
         self.port = int(self._server.server_address[1])
         self.url = f"http://{HOST}:{self.port}/{self.token}/"
@@ -111,14 +108,3 @@ def serve(ds: xr.Dataset, over: xr.Dataset | None = None, progress: bool = False
     if blocks:
         document["cells"] = {"size": SIZE, "blocks": len(blocks)}
     return Live(page_text(document | {"live": motions.offered()}, blocks), motions)
-
-
-def content_policy(html: str) -> str:
-    """What the page may do: run the scripts that stand in it, and ask this server; load nothing else."""
-    scripts = re.findall(r"<script(?: type=\"?module\"?)?>(.*?)</script>", html, flags=re.DOTALL)
-    hashes = (base64.b64encode(sha256(script.encode()).digest()).decode() for script in scripts)
-    allowed = " ".join(f"'sha256-{one}'" for one in dict.fromkeys(hashes)) or "'none'"
-    return (
-        f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; img-src data: blob:; "
-        "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
-    )

@@ -6,19 +6,24 @@ import xarray as xr
 
 from vibrojax.errors import InputError, shown
 from vibrojax.explorer.cells import Cell
-from vibrojax.explorer.document import Document, curves_document, grid_document
+from vibrojax.explorer.document import Document, check_names, curves_document, grid_document
 from vibrojax.explorer.families import family_cells, family_document
 from vibrojax.explorer.of_lanes import motions
 from vibrojax.explorer.single import motion_document
 from vibrojax.explorer.trajectory import cell_of
 from vibrojax.families.stretches import is_families
-from vibrojax.found_orbits import sweep_of_dataset
+from vibrojax.found_orbits import has_lanes_of, sweep_of_dataset
 from vibrojax.input.definition import Sweep
 from vibrojax.plot._contents import contents, is_borders
+from vibrojax.store.dataset import check_dataset
 from vibrojax.sweep import run_sweep
 
 MOST_MOTIONS = 40_000
 """Lanes above which a page holds no motions: it would be larger than a browser likes."""
+
+
+MOST_MOTION_SECONDS = 4e7
+"""Simulated seconds of all lanes together above which a page holds no motions: about an hour."""
 
 
 def explored(
@@ -28,7 +33,11 @@ def explored(
     if not isinstance(ds, xr.Dataset):
         raise InputError(f"{shown(ds)} is no dataset; open it first: vj.open_dataset(PATH)")
     if over is None and is_borders(ds):
-        return run_sweep(sweep_of_dataset(ds, orbits=False), progress=progress), ds
+        check_dataset(ds)
+        sweep = sweep_of_dataset(ds, orbits=False)
+        if why := _too_much(sweep):
+            raise InputError(f"explore: the sweep of the borders is not run again: {why}")
+        return run_sweep(sweep, progress=progress), ds
     return ds, over
 
 
@@ -39,6 +48,8 @@ def document_of(ds: xr.Dataset, over: xr.Dataset | None = None, own: Sweep | Non
 
     **Raises:** `InputError` where there is nothing to show, or `over` does not belong there.
     """
+    check_dataset(ds)
+    check_names(ds)
     held = contents(ds)
     if held.study:
         raise InputError("explore: holds speed against error, over no axes; vibrojax plot draws it")
@@ -54,9 +65,7 @@ def document_of(ds: xr.Dataset, over: xr.Dataset | None = None, own: Sweep | Non
         if not is_borders(over):
             raise InputError("over: holds no borders, as vibrojax borders gives them")
         document["curves"] = curves_document(ds, over)
-    if sweep is not None and sweep.lanes > MOST_MOTIONS:
-        why = f"no motions are kept of over {MOST_MOTIONS} lanes"
-    return document | {"without": why}
+    return document | {"without": _why_not(ds, sweep) if sweep is not None else why}
 
 
 def cells_of(ds: xr.Dataset, progress: bool = True, own: Sweep | None = None) -> Iterator[Cell]:
@@ -70,8 +79,25 @@ def cells_of(ds: xr.Dataset, progress: bool = True, own: Sweep | None = None) ->
         yield cell_of(ds, 0)
     else:
         sweep, _ = _sweep(ds, own)
-        if sweep is not None and sweep.lanes <= MOST_MOTIONS:
+        if sweep is not None and not _why_not(ds, sweep):
             yield from motions(sweep, progress)
+
+
+def _why_not(ds: xr.Dataset, sweep: Sweep) -> str:
+    """Return why the motions of all lanes are not computed for a page; nothing if they are."""
+    if not has_lanes_of(ds, sweep):
+        return "the dataset holds other lanes than the sweep that it names, so that it has no motions"
+    return _too_much(sweep)
+
+
+def _too_much(sweep: Sweep) -> str:
+    """Return why a sweep is not run again for a page; nothing if it is."""
+    if sweep.lanes > MOST_MOTIONS:
+        return f"no motions are kept of over {MOST_MOTIONS} lanes"
+    seconds = sweep.lanes * (sweep.run.settle + sweep.run.observe)
+    if seconds > MOST_MOTION_SECONDS:
+        return f"its motions would take {seconds:.3g} simulated seconds, over {MOST_MOTION_SECONDS:.3g}"
+    return ""
 
 
 def _sweep(ds: xr.Dataset, own: Sweep | None) -> tuple[Sweep | None, str]:
@@ -86,6 +112,7 @@ def _sweep(ds: xr.Dataset, own: Sweep | None) -> tuple[Sweep | None, str]:
     if "sweep" not in ds.attrs:
         return None, "the dataset is of no sweep, so that it has no motions"
     try:
-        return sweep_of_dataset(ds, orbits=False), ""
+        sweep = sweep_of_dataset(ds, orbits=False)
     except InputError as error:
         return None, f"its motions cannot be computed: {str(error).removeprefix('orbits: ')}"
+    return sweep, ""

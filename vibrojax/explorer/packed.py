@@ -34,7 +34,9 @@ def _fits(values: np.ndarray) -> bool:
 
 def _rounded(values: np.ndarray) -> np.ndarray:
     """The values as 32-bit floats with short mantissas, which deflate better."""
-    bits = np.ascontiguousarray(values, np.float32).view(np.uint32)
+    with np.errstate(over="ignore"):  # what is too large is infinite
+        bits = np.ascontiguousarray(values, np.float32).view(np.uint32)
     dropped = 23 - DIGITS
     rounded = ((bits + np.uint32(1 << (dropped - 1))) >> np.uint32(dropped) << np.uint32(dropped)).view(np.float32)
-    return np.where(np.isfinite(values), rounded, values).astype(np.float32)
+    with np.errstate(over="ignore"):
+        return np.where(np.isfinite(values), rounded, values).astype(np.float32)

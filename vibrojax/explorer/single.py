@@ -1,12 +1,13 @@
 """What a page holds of one trajectory: its whole course, thinned, and its last repeat as a cell."""
 
-import json
-
 import numpy as np
 import xarray as xr
 
-from vibrojax.explorer.document import Document, about, run_document, variable_document
+from vibrojax.errors import InputError
+from vibrojax.explorer.document import Document, about, text, variable_document
 from vibrojax.explorer.packed import packed
+from vibrojax.explorer.run import run_document, shown_duration
+from vibrojax.store.attributes import run_of
 
 _BINS = 1200
 """Stretches of time of each of which the least and the greatest value are shown."""
@@ -15,7 +16,9 @@ _BINS = 1200
 def motion_document(ds: xr.Dataset) -> Document:
     """The document of a trajectory, as `simulate` gives it."""
     names = [str(name) for name, data in ds.data_vars.items() if data.ndim == 0 and data.dtype.kind in "fiu"]
-    run = run_document(ds) | {"duration": float(f"{float(ds['time'][-1]):.6g}"), "names": [], "states": []}
+    if not ds.sizes["time"]:
+        raise InputError("explore: the motion has no samples")
+    run = run_document(ds) | {"duration": shown_duration(float(ds["time"][-1]))}
     return {
         "format": 1,
         "kind": "motion",
@@ -45,12 +48,11 @@ def _history(ds: xr.Dataset) -> Document:
         rows = np.stack([_ends(data.values[part]) for part in bins]).ravel()
         about_it = {
             "name": str(name),
-            "units": str(data.attrs.get("units", "")),
-            "long_name": str(data.attrs["long_name"]),
+            "units": text(data.attrs.get("units", "")),
+            "long_name": text(data.attrs.get("long_name", "")) or str(name),
         }
         found.append(about_it | {"data": packed(rows)})
-    window = json.loads(str(ds.attrs.get("run", "null")))
-    return {"time": packed(at), "columns": found, "observed_from": window["settle"] if window else None}
+    return {"time": packed(at), "columns": found, "observed_from": run_of(ds).get("settle")}
 
 
 def _ends(values: np.ndarray) -> tuple[float, float]:

@@ -1,6 +1,5 @@
 """A cell from a trajectory, as `simulate` gives it: its last repeat, or its last returns."""
 
-import json
 from typing import Any
 
 import numpy as np
@@ -9,6 +8,8 @@ from jaxtyping import Float
 
 from vibrojax.explorer.cells import EVENTS, STUCK, TOUCHING, Cell, Column
 from vibrojax.explorer.sampled import EVEN, MOST_EVEN, PASSED, SHOWN, STILL, URGENCE, evenly_passed
+from vibrojax.store.attributes import parameters_of
+from vibrojax.texts import printable
 
 RETURN_STATES = ("x1", "x2", "v2", "x3", "v3")
 """States whose values at returns are shown, where there are such."""
@@ -47,7 +48,7 @@ def cell_of(motion: xr.Dataset, lane: int = -1) -> Cell:
     at = np.unique(np.concatenate([passed, marked]))
     at = at[np.concatenate([[True], np.diff(at) > 1e-6 * (end - begin)])]
     columns = tuple(
-        Column(name, str(motion[name].attrs.get("units", "")), str(motion[name].attrs.get("long_name", "")))
+        Column(name, *(printable(motion[name].attrs.get(key, ""), 200) for key in ("units", "long_name")))
         for name in names
     )
     states = {one.name: np.interp(at, time, motion[one.name].values) for one in columns}
@@ -79,9 +80,10 @@ def _events(motion: xr.Dataset) -> dict[str, Float[np.ndarray, " events"]]:
 
 def _pulses(motion: xr.Dataset, end: float) -> Float[np.ndarray, " pulses"]:
     """When pulses begin; none of a swept sine."""
-    parameters = json.loads(str(motion.attrs.get("parameters", "{}")))
-    frequency = float(parameters.get("frequency", 0.0))
-    return np.arange(int(end * frequency + 1e-9) + 1) / frequency if frequency > 0 else np.zeros(0)
+    frequency = parameters_of(motion).get("frequency", 0.0)
+    if not 0 < end * frequency < motion.sizes["time"]:  # more pulses than samples show nothing
+        return np.zeros(0)
+    return np.arange(int(end * frequency + 1e-9) + 1) / frequency
 
 
 def _pulses_in_repeat(motion: xr.Dataset, pulses: np.ndarray) -> int:

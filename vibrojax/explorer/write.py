@@ -10,6 +10,7 @@ from pathlib import Path
 
 import xarray as xr
 
+from vibrojax.content_policy import content_policy
 from vibrojax.explorer.cells import Cell, encode
 from vibrojax.explorer.document import Document
 from vibrojax.explorer.of_dataset import cells_of, document_of, explored
@@ -91,15 +92,22 @@ def blocks_of(cells: Iterable[Cell]) -> list[str]:
 
 
 def page_text(document: Document, blocks: Sequence[str] = ()) -> str:
-    """The page as HTML; one whose document has `live`, what may be asked for, asks its server for motions."""
+    """Return the page as HTML; one whose document has `live`, what may be asked for, asks its server for motions.
+
+    Its content security policy lets the browser run and apply what stands in the page, and load nothing.
+    """
     live = "live" in document
+    modules = (*LIVE, "begin.js", "served.js") if live else ("begin.js", "page.js")
+    script = f'\n(() => {{\n"use strict";\n{module_text(*modules)}\n}})();\n'
+    style = f"\nbody {{ margin: 0; }}\n{style_text(live)}\n"
     parts = {
+        "POLICY": content_policy([script], [style], asks=live),
         "TITLE": html.escape(str(document["title"] or document["scene"] or "vibrojax")),
         "SOURCE": html.escape(str(document["source"] or "vibrojax")),
-        "STYLE": style_text(live),
-        "DATA": in_script(json.dumps(document, separators=(",", ":"), allow_nan=False, ensure_ascii=False)),
+        "STYLE": style,
+        "DATA": in_script(json.dumps(document, separators=(",", ":"), allow_nan=False)),
         "CELLS": "\n".join(blocks),
-        "SCRIPT": module_text(*LIVE, "begin.js", "served.js") if live else module_text("begin.js", "page.js"),
+        "SCRIPT": script,
     }
     return re.sub("@([A-Z]+)@", lambda found: parts[found[1]], _file("page.html"))
 

@@ -7,6 +7,9 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Int
 
+from vibrojax.errors import InputError, shown
+from vibrojax.store.derived import SPECIAL_KINDS
+
 STABLE, UNSTABLE, UNKNOWN = 1, 0, -1
 
 KIND, FAMILY = "special_kind", "family"
@@ -46,7 +49,9 @@ def along_name(ds: xr.Dataset) -> str:
 
 def kind_names(ds: xr.Dataset) -> list[str]:
     """The kind of each special point."""
-    meanings = str(ds[KIND].attrs["flag_meanings"]).split()
+    meanings = str(ds[KIND].attrs.get("flag_meanings", "")).split()
+    if not set(meanings) <= set(SPECIAL_KINDS):
+        raise InputError(f"variable {KIND}: {shown(meanings)} are no kinds of special points")
     return [meanings[flag] for flag in ds[KIND].values.astype(int).tolist()]
 
 

@@ -1,5 +1,6 @@
 """The primitives of jax that move entries and leave them as they are: they are done while the kernel is written."""
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -20,7 +21,21 @@ def _broadcast(equation: Any, values: Sequence[Value]) -> list[Value]:
 
 
 def _reshaped(equation: Any, values: Sequence[Value]) -> list[Value]:
-    return [values[0].reshape(without_lanes(equation.outvars[0].aval.shape))]
+    before, after = equation.invars[0].aval.shape, equation.outvars[0].aval.shape
+    if _entries_before_lanes(before) != _entries_before_lanes(after):
+        raise Untranslatable("a shape that mixes lanes")
+    return [values[0].reshape(without_lanes(after))]
+
+
+def _entries_before_lanes(shape: tuple[int, ...]) -> int | None:
+    """Return how many entries the axes before that of the lanes have; None if there are no lanes."""
+    return math.prod(shape[: shape.index(LANES)]) if LANES in shape else None
+
+
+def _refuse_lanes(equation: Any, axis: int, what: str) -> None:
+    """Raise `Untranslatable` if an argument has its lanes along an axis."""
+    if any(var.aval.shape[axis] == LANES for var in equation.invars):
+        raise Untranslatable(what)
 
 
 def _slice(equation: Any, values: Sequence[Value]) -> list[Value]:
@@ -38,8 +53,7 @@ def _slice(equation: Any, values: Sequence[Value]) -> list[Value]:
 
 def _concatenated(equation: Any, values: Sequence[Value]) -> list[Value]:
     axis = equation.params["dimension"]
-    if equation.outvars[0].aval.shape[axis] != sum(value.shape[axis] for value in values):
-        raise Untranslatable("lanes beside lanes")
+    _refuse_lanes(equation, axis, "lanes beside lanes")
     return [np.concatenate(values, axis=axis)]
 
 
@@ -49,12 +63,14 @@ def _stacked(equation: Any, values: Sequence[Value]) -> list[Value]:
 
 def _unstacked(equation: Any, values: Sequence[Value]) -> list[Value]:
     axis = equation.params["axis"]
+    _refuse_lanes(equation, axis, "each lane by itself")
     return [np.take(values[0], [index], axis).squeeze(axis) for index in range(values[0].shape[axis])]
 
 
 def _split(equation: Any, values: Sequence[Value]) -> list[Value]:
-    ends = np.cumsum(equation.params["sizes"])[:-1]
-    return list(np.split(values[0], ends, axis=equation.params["axis"]))
+    ends, axis = np.cumsum(equation.params["sizes"])[:-1], equation.params["axis"]
+    _refuse_lanes(equation, axis, "some of the lanes")
+    return list(np.split(values[0], ends, axis=axis))
 
 
 def _transposed(equation: Any, values: Sequence[Value]) -> list[Value]:
@@ -74,7 +90,7 @@ def _counted(equation: Any, values: Sequence[Value]) -> list[Value]:
         raise Untranslatable("the numbers of lanes")
     along = [1] * len(shape)
     along[axis] = shape[axis]
-    numbers = np.arange(shape[axis], dtype=dtype).reshape(along)
+    numbers = np.arange(shape[axis]).astype(dtype).reshape(along)
     return [literals(np.broadcast_to(numbers, without_lanes(shape)))]
 
 
@@ -86,7 +102,6 @@ RULES: dict[str, Arranged] = {
     "broadcast_in_dim": _broadcast,
     "reshape": _reshaped,
     "squeeze": _reshaped,
-    "expand_dims": _reshaped,
     "slice": _slice,
     "concatenate": _concatenated,
     "stack": _stacked,

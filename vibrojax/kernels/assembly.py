@@ -14,6 +14,7 @@ class Assembly:
     """Instructions for a group of `width` lanes, written one by one. A vector has one element for each lane.
 
     - `lines`, and before them `places`: the instructions; `declared`: functions from outside; `workspace`: bytes of it.
+    - `positive`: registers with floats that have no sign (or are NaN).
     - `arrays`: which of the kernel's arrays a variable is; `filled`: those that are written within a loop.
     """
 
@@ -25,6 +26,7 @@ class Assembly:
         self.workspace = 0
         self.arrays: dict[object, int] = {}
         self.filled: set[int] = set()
+        self.positive: set[str] = set()
         self._names = 0
         self._read: dict[str, Operand] = {}
 
@@ -53,7 +55,12 @@ class Assembly:
         self._read = {}
 
     def repeated(self, turns: int, turn: Callable[[str], None]) -> None:
-        """What `turn` writes, so many times; it is given the register that counts them from 0."""
+        """Write a loop of `turns` turns. `turn` writes the body, and is given the register that counts from 0.
+
+        The number of turns is known here, so that a loop without turns is left out and others test after their body.
+        """
+        if turns < 1:
+            return
         body, done = self.fresh("body"), self.fresh("done")
         count = self.slot(np.dtype(np.int64), False, in_registers=True).pointer
         self.do(f"store i64 0, ptr {count}, align 8")

@@ -1,6 +1,6 @@
 """Loops, branches, and functions within functions."""
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from vibrojax.kernels.arrays import array_slots, elsewhere
 from vibrojax.kernels.assembly import IN_REGISTERS, Assembly
-from vibrojax.kernels.operands import Entry, Slot, Untranslatable, Value, dtype_of, varies, without_lanes
+from vibrojax.kernels.operands import LANES, Entry, Slot, Untranslatable, Value, dtype_of, varies, without_lanes
 
 Write = Callable[[Any, Sequence[Value], Collection[int]], list[Value]]
 """Writes a closed jaxpr for its arguments; of those whose identities are given it may overwrite the memory."""
@@ -73,9 +73,13 @@ def _longer(outside: Sequence[Any], inside: Sequence[Any]) -> list[Any]:
 
 
 def _scan(asm: Assembly, write: Write, equation: Any, values: Sequence[Value], owned: Collection[int]) -> list[Value]:
-    """A loop of a known number of turns (`fori_loop`). It may go along arguments of the kernel, and what each turn
-    gives may be a result."""
-    inner = equation.params["jaxpr"].jaxpr
+    """Write a loop of a known number of turns (`fori_loop`).
+
+    It may go along arguments of the kernel, from either end, and the outputs of its turns may be results.
+    """
+    inner, length = equation.params["jaxpr"].jaxpr, equation.params["length"]
+    if length == LANES:
+        raise Untranslatable("a loop along the lanes")
     along, kept = scanned(equation), _longer(equation.outvars, inner.outvars)
     if any(var not in asm.arrays for var in (*along, *kept)):
         raise Untranslatable("a scan along what is no argument, or whose turns are kept and are no result")
@@ -89,6 +93,7 @@ def _scan(asm: Assembly, write: Write, equation: Any, values: Sequence[Value], o
         return array_slots(asm, asm.arrays[var], one.aval, after=(number, size))
 
     def turn(number: str) -> None:
+        number = _row_of_turn(asm, number, equation.params)
         read = [
             np.vectorize(partial(asm.load, alignment=1), otypes=[object])(rows(number, var, one))
             for var, one in zip(along, inner.invars[constant + carries :], strict=True)
@@ -100,9 +105,14 @@ def _scan(asm: Assembly, write: Write, equation: Any, values: Sequence[Value], o
                 asm.store(entry, slot, alignment=1)
         _put(asm, carried, found[:carries])
 
-    asm.repeated(equation.params["length"], turn)
+    asm.repeated(length, turn)
     asm.filled |= {asm.arrays[var] for var in kept}
     return [*carried, *(elsewhere(var.aval) for var in kept)]
+
+
+def _row_of_turn(asm: Assembly, turn: str, params: Mapping[str, Any]) -> str:
+    """Return the register with the number of the row that a turn of a scan reads and writes."""
+    return asm.let(f"sub i64 {params['length'] - 1}, {turn}") if params["reverse"] else turn
 
 
 def _branch(asm: Assembly, write: Write, equation: Any, values: Sequence[Value], owned: Collection[int]) -> list[Value]:
@@ -129,13 +139,12 @@ def _branch(asm: Assembly, write: Write, equation: Any, values: Sequence[Value],
 
 def _called(asm: Assembly, write: Write, equation: Any, values: Sequence[Value], owned: Collection[int]) -> list[Value]:
     params = equation.params
-    inner = params.get("jaxpr") or params.get("call_jaxpr") or params["fun_jaxpr"]
-    return write(inner, values, owned)
+    return write(params.get("jaxpr") or params["call_jaxpr"], values, owned)
 
 
 RULES: dict[str, Controlled] = {
     "while": _while,
     "scan": _scan,
     "cond": _branch,
-    **dict.fromkeys(("jit", "pjit", "closed_call", "custom_jvp_call", "custom_vjp_call"), _called),
+    **dict.fromkeys(("jit", "custom_jvp_call", "custom_vjp_call"), _called),
 }

@@ -1,4 +1,4 @@
-"""The primitives of jax that work on each entry by itself: each a rule that writes the instructions."""
+"""The primitives of jax that work on each entry by itself: each has a rule that writes its instructions."""
 
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -6,66 +6,33 @@ from typing import Any
 
 import numpy as np
 
+from vibrojax.kernels import conversions
 from vibrojax.kernels.assembly import Assembly
-from vibrojax.kernels.operands import BOOL, Entry, Operand, Untranslatable, element, literal
-
-Rule = Callable[["Applied"], str]
-
-
-class Applied:
-    """A primitive applied to one entry of each of its arguments: what a rule goes by.
-
-    - `x`: texts of the arguments, all of them vectors where one is (`varying`).
-    - `dtype`: type of the last argument; `gives`: of the result.
-    """
-
-    def __init__(self, asm: Assembly, params: Mapping[str, Any], entries: list[Entry], gives: np.dtype) -> None:
-        operands = [asm.register(entry) for entry in entries]
-        self.asm, self.params, self.gives, self.operands = asm, params, gives, operands
-        self.varying = any(operand.varying for operand in operands)
-        self.x = [asm.text(operand, self.varying) for operand in operands]
-        self.dtype = operands[-1].dtype
-
-    @property
-    def type(self) -> str:
-        return self.asm.type(self.dtype, self.varying)
-
-    @property
-    def is_float(self) -> bool:
-        return self.dtype.kind == "f"
-
-    def constant(self, number: Any) -> str:
-        """A number of the arguments' type."""
-        return self.asm.text(literal(number, self.dtype), self.varying)
-
-    def compared(self, how: str, one: str, two: str) -> str:
-        """A truth value by LLVM's comparison `how` of two numbers of the arguments' type."""
-        return self.asm.let(f"{'fcmp' if self.is_float else 'icmp'} {how} {self.type} {one}, {two}")
-
-    def chosen(self, flag: str, one: str, other: str) -> str:
-        """`one` where the flag is set, else `other`."""
-        return self.asm.let(
-            f"select {self.asm.type(BOOL, self.varying)} {flag}, {self.type} {one}, {self.type} {other}"
-        )
+from vibrojax.kernels.operands import BOOL, Entry, Operand, Untranslatable, element
+from vibrojax.kernels.rules import ANY, FLOATS, INTEGERS, NUMBERS, Applied, Rule
 
 
 def applied(asm: Assembly, name: str, params: Mapping[str, Any], entries: list[Entry], gives: np.dtype) -> Operand:
-    """What a primitive gives of one entry of each of its arguments; raises `Untranslatable` for one without a rule."""
-    if name == "clamp":
-        low, x, high = entries
-        return applied(asm, "min", {}, [applied(asm, "max", {}, [x, low], gives), high], gives)
-    if name == "select_n":
-        return _selected(asm, entries)
-    at = Applied(asm, params, entries, gives)
-    if name not in RULES:
-        raise Untranslatable(f"{name} of {at.dtype}")
-    return Operand(RULES[name](at), np.dtype(gives), at.varying)
+    """Write a primitive of one entry of each of its arguments; raise `Untranslatable` for types without a rule."""
+    if name in COMPOSED:
+        return COMPOSED[name](asm, entries)
+    rule, op = RULES[name], Applied(asm, params, entries, gives)
+    if op.dtype.kind not in rule.kinds or (len({operand.dtype for operand in op.operands}) > 1 and name != "pow"):
+        raise Untranslatable(f"{name} of {' and '.join(str(operand.dtype) for operand in op.operands)}")
+    return Operand(rule.write(op), np.dtype(gives), op.varying)
+
+
+def _clamped(asm: Assembly, entries: list[Entry]) -> Operand:
+    low, x, high = entries
+    dtype = asm.register(x).dtype
+    raised = applied(asm, "max", {}, [x, low], dtype)
+    return applied(asm, "min", {}, [raised, high], dtype)
 
 
 def _selected(asm: Assembly, entries: list[Entry]) -> Operand:
     which, *cases = (asm.register(entry) for entry in entries)
-    if which.dtype != BOOL:
-        raise Untranslatable("a choice between more than two")
+    if which.dtype != BOOL or len(cases) != 2:
+        raise Untranslatable("a choice that is not between two by a boolean")
     no, yes = cases
     varying = any(operand.varying for operand in (which, no, yes))
     kind = asm.type(yes.dtype, varying)
@@ -74,180 +41,196 @@ def _selected(asm: Assembly, entries: list[Entry]) -> Operand:
     return Operand(chosen, yes.dtype, varying)
 
 
-def _arithmetic(of_floats: str | None, of_integers: str | None, at: Applied) -> str:
-    instruction = of_floats if at.is_float else of_integers
-    if instruction is None:
-        raise Untranslatable(f"arithmetic of {at.dtype}")
-    return at.asm.let(f"{instruction} {at.type} {at.x[0]}, {at.x[1]}")
+def _arithmetic(of_floats: str, of_integers: str, op: Applied) -> str:
+    instruction = of_floats if op.is_float else of_integers
+    return op.asm.let(f"{instruction} {op.type} {op.x[0]}, {op.x[1]}")
 
 
-def _divided(remainder: bool, at: Applied) -> str:
-    """Of integers with what jax has for a divisor of 0 (-1; the dividend), where the processor would stop."""
-    x, by = at.x
-    if at.is_float:
-        return at.asm.let(f"{'frem' if remainder else 'fdiv'} {at.type} {x}, {by}")
-    zero, minus = (at.compared("eq", by, at.constant(n)) for n in (0, -1))
-    safe = at.chosen(zero, at.constant(1), at.chosen(minus, at.constant(1), by))
-    found = at.asm.let(f"{'srem' if remainder else 'sdiv'} {at.type} {x}, {safe}")
-    negative = at.constant(0) if remainder else at.asm.let(f"sub {at.type} {at.constant(0)}, {x}")
-    return at.chosen(zero, x if remainder else at.constant(-1), at.chosen(minus, negative, found))
+def _tangents_added(op: Applied) -> str:
+    """Write a sum; the tangents of integers, booleans here, are all false."""
+    return _arithmetic("fadd contract", "or" if op.dtype == BOOL else "add", op)
 
 
-def _comparison(of_floats: str, of_integers: str, at: Applied) -> str:
-    return at.compared(of_floats if at.is_float else of_integers, *at.x)
+def _divided(remainder: bool, op: Applied) -> str:
+    """Write a quotient or remainder; of integers divided by 0, as XLA has it: -1 (all bits) or the dividend."""
+    whole, by = op.x
+    name = "rem" if remainder else "div"
+    if op.is_float:
+        return op.asm.let(f"f{name} {op.type} {whole}, {by}")
+    zero, safe = op.compared("eq", by, op.constant(0)), by
+    if op.order == "s":
+        # The processor stops where the least number is divided by -1.
+        minus = op.compared("eq", by, op.constant(-1))
+        safe = op.chosen(minus, op.constant(1), by)
+    safe = op.chosen(zero, op.constant(1), safe)
+    result = op.asm.let(f"{op.order}{name} {op.type} {whole}, {safe}")
+    if op.order == "s":
+        negative = op.constant(0) if remainder else op.asm.let(f"sub {op.type} {op.constant(0)}, {whole}")
+        result = op.chosen(minus, negative, result)
+    return op.chosen(zero, whole if remainder else op.constant(-1), result)
 
 
-def _extreme(of_floats: str, of_integers: str, at: Applied) -> str:
-    """The greater or the smaller; of floats NaN where either is."""
-    if at.dtype == BOOL:
-        return at.asm.let(f"{'or' if of_integers == 'smax' else 'and'} {at.type} {at.x[0]}, {at.x[1]}")
-    if not at.is_float:
-        return at.asm.intrinsic(of_integers, at.x, at.dtype, at.varying)
-    one, two = at.x
-    # Where either is NaN the comparison fails and gives the second; the first's own is put back.
-    found = at.chosen(at.compared(of_floats, one, two), one, two)
-    return at.chosen(at.compared("uno", one, one), one, found)
+def _shifted(instruction: str, op: Applied) -> str:
+    """Write a shift. By the width or more, or by a negative number, it leaves 0, or the sign, as XLA has it."""
+    bits, by = 8 * op.dtype.itemsize, op.operands[1].number
+    shifted = op.asm.let(f"{instruction} {op.type} {op.x[0]}, {op.x[1]}")
+    if by is not None and 0 <= by < bits:
+        return shifted
+    beyond = op.constant(0)
+    if instruction == "ashr":
+        beyond = op.asm.let(f"ashr {op.type} {op.x[0]}, {op.constant(bits - 1)}")
+    return op.chosen(op.compared("ult", op.x[1], op.constant(bits)), shifted, beyond)
 
 
-def _intrinsic(name: str, at: Applied) -> str:
-    return at.asm.intrinsic(name, at.x, at.dtype, at.varying)
+def _comparison(of_floats: str, of_integers: str, op: Applied) -> str:
+    how = of_integers if of_integers in ("eq", "ne") else op.order + of_integers
+    return op.compared(of_floats if op.is_float else how, *op.x)
 
 
-def _from_the_library(name: str, at: Applied) -> str:
-    """By the C library's function, lane by lane."""
-    kind = element(at.dtype)
-    function = name + ("f" if at.dtype.itemsize == 4 else "")
-    if not at.varying:
-        return at.asm.call(function, at.x, kind)
-    found = "poison"
-    for lane in range(at.asm.width):
-        taken = [at.asm.let(f"extractelement {at.type} {x}, i64 {lane}") for x in at.x]
-        found = at.asm.let(f"insertelement {at.type} {found}, {kind} {at.asm.call(function, taken, kind)}, i64 {lane}")
-    return found
+def _extreme(name: str, op: Applied) -> str:
+    """Write the maximum or minimum. Of floats it is NaN where either is, and +0 counts as greater than -0."""
+    if op.dtype == BOOL:
+        return op.asm.let(f"{'or' if name == 'max' else 'and'} {op.type} {op.x[0]}, {op.x[1]}")
+    if not op.is_float:
+        return op.intrinsic(op.order + name)
+    first, second = op.x
+    positive = [operand.text in op.asm.positive or _is_positive(operand.number) for operand in op.operands]
+    wins_ties = [_wins_ties(name, *known) for known in zip(op.operands, positive, strict=True)]
+    if not any(wins_ties) and not all(positive):
+        return op.intrinsic(f"{name}imum")
+    if not wins_ties[1]:
+        first, second = second, first
+    # A comparison with NaN, or of equals, gives the second; a NaN of the first is put back.
+    chosen = op.chosen(op.compared("ogt" if name == "max" else "olt", first, second), first, second)
+    result = op.chosen(op.compared("uno", first, first), first, chosen)
+    if all(positive) or (name == "max" and any(positive)):
+        op.asm.positive.add(result)
+    return result
 
 
-def _negative(at: Applied) -> str:
-    if at.is_float:
-        return at.asm.let(f"fneg {at.type} {at.x[0]}")
-    return at.asm.let(f"sub {at.type} {at.constant(0)}, {at.x[0]}")
+def _is_positive(number: float | None) -> bool:
+    return number is not None and not np.isnan(number) and not np.signbit(number)
 
 
-def _absolute(at: Applied) -> str:
-    if at.is_float:
-        return _intrinsic("fabs", at)
-    return at.chosen(at.compared("slt", at.x[0], at.constant(0)), _negative(at), at.x[0])
+def _wins_ties(name: str, operand: Operand, positive: bool) -> bool:
+    """Return whether an operand is the extreme of two equal numbers: if its zero, or no zero, is the right one."""
+    if operand.number is None or operand.number == 0:
+        return positive if name == "max" else operand.number is not None and not positive
+    return True
 
 
-def _not(at: Applied) -> str:
-    every = at.constant(True if at.dtype == BOOL else -1)
-    return at.asm.let(f"xor {at.type} {at.x[0]}, {every}")
+def _from_the_library(name: str, op: Applied) -> str:
+    """Write calls of the C library's function, lane by lane."""
+    kind = element(op.dtype)
+    function = name + ("f" if op.dtype.itemsize == 4 else "")
+    if not op.varying:
+        return op.asm.call(function, op.x, kind)
+    result = "poison"
+    for lane in range(op.asm.width):
+        taken = [op.asm.let(f"extractelement {op.type} {argument}, i64 {lane}") for argument in op.x]
+        called = op.asm.call(function, taken, kind)
+        result = op.asm.let(f"insertelement {op.type} {result}, {kind} {called}, i64 {lane}")
+    return result
 
 
-def _sign(at: Applied) -> str:
-    """1, -1, or the number itself where it is 0 or NaN."""
-    x, zero = at.x[0], at.constant(0)
-    below, above = ("olt", "ogt") if at.is_float else ("slt", "sgt")
-    found = at.chosen(at.compared(below, x, zero), at.constant(-1), x)
-    return at.chosen(at.compared(above, x, zero), at.constant(1), found)
+def _power(op: Applied) -> str:
+    """Write a power of floats; an exponent that is an integer becomes a float first, as in jax."""
+    base, exponent = op.operands
+    if exponent.dtype != base.dtype:
+        exponent = applied(op.asm, "convert_element_type", {}, [exponent], base.dtype)
+    texts = [op.asm.text(operand, op.varying) for operand in (base, exponent)]
+    return op.asm.intrinsic("pow", texts, op.dtype, op.varying)
 
 
-def _is_finite(at: Applied) -> str:
-    return at.compared("olt", _intrinsic("fabs", at), at.constant(np.inf))
+def _negative(op: Applied) -> str:
+    if op.is_float:
+        return op.asm.let(f"fneg {op.type} {op.x[0]}")
+    return op.asm.let(f"sub {op.type} {op.constant(0)}, {op.x[0]}")
 
 
-def _integer_power(at: Applied) -> str:
-    def product(exponent: int) -> str:
-        if exponent == 1:
-            return at.x[0]
-        half = product(exponent // 2)
-        even = at.asm.let(f"fmul {at.type} {half}, {half}")
-        return at.asm.let(f"fmul {at.type} {even}, {at.x[0]}") if exponent % 2 else even
-
-    exponent = at.params["y"]
-    if not at.is_float:
-        raise Untranslatable("a power of integers")
-    if exponent == 0:
-        return at.constant(1)
-    found = product(abs(exponent))
-    return found if exponent > 0 else at.asm.let(f"fdiv {at.type} {at.constant(1)}, {found}")
+def _absolute(op: Applied) -> str:
+    if op.is_float:
+        result = op.intrinsic("fabs")
+        op.asm.positive.add(result)
+        return result
+    return op.chosen(op.compared("slt", op.x[0], op.constant(0)), _negative(op), op.x[0])
 
 
-def _rounded(at: Applied) -> str:
-    return _intrinsic("roundeven" if int(at.params["rounding_method"]) == 1 else "round", at)
+def _not(op: Applied) -> str:
+    every = op.constant(True if op.dtype == BOOL else -1)
+    return op.asm.let(f"xor {op.type} {op.x[0]}, {every}")
 
 
-def _same_bits(at: Applied) -> str:
-    if at.gives.itemsize != at.dtype.itemsize:
-        raise Untranslatable("bits of another width")
-    return at.asm.let(f"bitcast {at.type} {at.x[0]} to {at.asm.type(at.gives, at.varying)}")
+def _sign(op: Applied) -> str:
+    """Write the sign: 1, -1, or the number itself where it is 0 or NaN."""
+    number, zero = op.x[0], op.constant(0)
+    below, above = ("olt", "ogt") if op.is_float else (f"{op.order}lt", f"{op.order}gt")
+    result = op.chosen(op.compared(below, number, zero), op.constant(-1), number)
+    return op.chosen(op.compared(above, number, zero), op.constant(1), result)
 
 
-def _converted(at: Applied) -> str:
-    x, gives = at.x[0], at.gives
-    to = at.asm.type(gives, at.varying)
-    if gives == at.dtype:
-        return x
-    if gives == BOOL:
-        return at.compared("une" if at.is_float else "ne", x, at.constant(0))
-    wider = gives.itemsize > at.dtype.itemsize
-    if at.dtype == BOOL or at.dtype.kind == "u":
-        how = "uitofp" if gives.kind == "f" else "zext" if wider or at.dtype == BOOL else "trunc"
-    elif at.is_float and gives.kind == "f":
-        how = "fpext" if wider else "fptrunc"
-    elif at.is_float:
-        # Of a number that is too large LLVM has no value at all; frozen, it is some value.
-        return at.asm.let(f"freeze {to} {at.asm.let(f'fptosi {at.type} {x} to {to}')}")
-    else:
-        how = "sitofp" if gives.kind == "f" else "sext" if wider else "trunc"
-    if gives.itemsize == at.dtype.itemsize and gives.kind != "f" and not at.is_float and at.dtype != BOOL:
-        return x
-    return at.asm.let(f"{how} {at.type} {x} to {to}")
+def _is_finite(op: Applied) -> str:
+    return op.compared("olt", op.intrinsic("fabs"), op.constant(np.inf))
 
 
-def _itself(at: Applied) -> str:
-    return at.x[0]
+def _square(op: Applied) -> str:
+    return _arithmetic("fmul", "mul", Applied(op.asm, {}, [op.operands[0]] * 2, op.gives))
 
+
+def _integer_power(op: Applied) -> str:
+    """Write a power by squaring, in jax's order, so that it is rounded alike."""
+    exponent, multiply = op.params["y"], "fmul" if op.is_float else "mul"
+    if exponent < 0 and not op.is_float:
+        raise Untranslatable("a negative power of integers")
+    power, result, left = op.x[0], None, abs(exponent)
+    while left:
+        if left % 2:
+            result = power if result is None else op.asm.let(f"{multiply} {op.type} {result}, {power}")
+        left //= 2
+        if left:
+            power = op.asm.let(f"{multiply} {op.type} {power}, {power}")
+    if result is None:
+        return op.constant(1)
+    return result if exponent > 0 else op.asm.let(f"fdiv {op.type} {op.constant(1)}, {result}")
+
+
+def _rounded(op: Applied) -> str:
+    return op.intrinsic("roundeven" if int(op.params["rounding_method"]) == 1 else "round")
+
+
+COMPOSED: dict[str, Callable[[Assembly, list[Entry]], Operand]] = {"clamp": _clamped, "select_n": _selected}
+"""Primitives made of others, or of arguments of several types."""
+
+INTRINSICS = ("sqrt", "floor", "ceil", "exp", "exp2", "log", "sin", "cos")
+CIRCULAR = ("tan", "tanh", "sinh", "cosh", "asin", "acos", "atan", "asinh", "acosh", "atanh", "atan2")
+LIBRARY = (*CIRCULAR, "expm1", "log1p", "cbrt", "erf", "erfc")
 
 # A product that is added may be rounded once with the sum (`contract`): no more is left to the compiler.
 RULES: dict[str, Rule] = {
-    "add": partial(_arithmetic, "fadd contract", "add"),
-    "add_any": partial(_arithmetic, "fadd contract", "add"),
-    "sub": partial(_arithmetic, "fsub contract", "sub"),
-    "mul": partial(_arithmetic, "fmul contract", "mul"),
-    "div": partial(_divided, False),
-    "rem": partial(_divided, True),
-    "and": partial(_arithmetic, None, "and"),
-    "or": partial(_arithmetic, None, "or"),
-    "xor": partial(_arithmetic, None, "xor"),
-    "shift_left": partial(_arithmetic, None, "shl"),
-    "shift_right_logical": partial(_arithmetic, None, "lshr"),
-    "shift_right_arithmetic": partial(_arithmetic, None, "ashr"),
-    "lt": partial(_comparison, "olt", "slt"),
-    "gt": partial(_comparison, "ogt", "sgt"),
-    "le": partial(_comparison, "ole", "sle"),
-    "ge": partial(_comparison, "oge", "sge"),
-    "eq": partial(_comparison, "oeq", "eq"),
-    "ne": partial(_comparison, "une", "ne"),
-    "max": partial(_extreme, "ogt", "smax"),
-    "min": partial(_extreme, "olt", "smin"),
-    "neg": _negative,
-    "abs": _absolute,
-    "not": _not,
-    "sign": _sign,
-    "is_finite": _is_finite,
-    "integer_pow": _integer_power,
-    "square": lambda at: at.asm.let(f"fmul {at.type} {at.x[0]}, {at.x[0]}"),
-    "round": _rounded,
-    "bitcast_convert_type": _same_bits,
-    "convert_element_type": _converted,
-    "stop_gradient": _itself,
-    "copy": _itself,
-    "copy_p": _itself,
-    "pow": partial(_intrinsic, "pow"),
-    **{name: partial(_intrinsic, name) for name in ("sqrt", "floor", "ceil", "exp", "exp2", "log", "sin", "cos")},
-    **{
-        name: partial(_from_the_library, name)
-        for name in ("tan", "tanh", "sinh", "cosh", "asin", "acos", "atan", "asinh", "acosh", "atanh", "atan2")
-        + ("expm1", "log1p", "cbrt", "erf", "erfc")
-    },
+    "add": Rule(partial(_arithmetic, "fadd contract", "add"), NUMBERS),
+    "add_any": Rule(_tangents_added, ANY),
+    "sub": Rule(partial(_arithmetic, "fsub contract", "sub"), NUMBERS),
+    "mul": Rule(partial(_arithmetic, "fmul contract", "mul"), NUMBERS),
+    "div": Rule(partial(_divided, False), NUMBERS),
+    "rem": Rule(partial(_divided, True), NUMBERS),
+    **{name: Rule(partial(_arithmetic, "", name), INTEGERS + "b") for name in ("and", "or", "xor")},
+    "shift_left": Rule(partial(_shifted, "shl"), INTEGERS),
+    "shift_right_logical": Rule(partial(_shifted, "lshr"), INTEGERS),
+    "shift_right_arithmetic": Rule(partial(_shifted, "ashr"), INTEGERS),
+    **{name: Rule(partial(_comparison, f"o{name}", name), ANY) for name in ("lt", "gt", "le", "ge", "eq")},
+    "ne": Rule(partial(_comparison, "une", "ne"), ANY),
+    **{name: Rule(partial(_extreme, name), ANY) for name in ("max", "min")},
+    "neg": Rule(_negative, NUMBERS),
+    "abs": Rule(_absolute, "fi"),
+    "not": Rule(_not, INTEGERS + "b"),
+    "sign": Rule(_sign, NUMBERS),
+    "is_finite": Rule(_is_finite, FLOATS),
+    "integer_pow": Rule(_integer_power, NUMBERS),
+    "square": Rule(_square, NUMBERS),
+    "round": Rule(_rounded, FLOATS),
+    "pow": Rule(_power, FLOATS),
+    **conversions.RULES,
+    **{name: Rule(lambda op: op.x[0], ANY) for name in ("stop_gradient", "copy")},
+    **{name: Rule(lambda op, name=name: op.intrinsic(name), FLOATS) for name in INTRINSICS},  # type: ignore[misc]
+    **{name: Rule(partial(_from_the_library, name), FLOATS) for name in LIBRARY},
 }

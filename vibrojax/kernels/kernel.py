@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from vibrojax.kernels.native import native, vector_bytes
-from vibrojax.kernels.operands import LANES, dtype_of, varies
+from vibrojax.kernels import native
+from vibrojax.kernels.operands import LANES, Untranslatable, dtype_of, varies
 from vibrojax.kernels.translation import kernel_text
 
 _number = count()
@@ -33,15 +33,22 @@ class Kernel:
     """
 
     def __init__(self, function: Callable[..., Any], *examples: Any, registers: int = 1) -> None:
-        traced = jax.jit(function).trace(*jax.tree.map(_with_lanes, examples))
+        traced = trace(function, *examples)
         inner = traced.jaxpr.jaxpr
         self._given = [(dtype_of(var.aval), varies(var.aval)) for var in inner.invars]
         self._found = [(dtype_of(var.aval), var.aval.shape, varies(var.aval)) for var in inner.outvars]
+        if not any(varying for _, varying in self._given):
+            raise Untranslatable("no argument has lanes")
         self._tree = jax.tree.structure(traced.out_info)
         widest = max((dtype.itemsize for dtype, _ in self._given if dtype.kind == "f"), default=8)
-        self.width = registers * vector_bytes() // widest
+        self.width = registers * native.vector_bytes() // widest
         text, self._workspace, self._alignment = kernel_text(traced.jaxpr, self.width)
-        self._native = native(text, f"kernel {next(_number)}")
+        self._native = native.native(text, f"kernel {next(_number)}")
+
+    @property
+    def key(self) -> str:
+        """Digest of the kernel's text, the processor and the version of llvmlite."""
+        return self._native.key
 
     def __call__(self, *arguments: Any) -> Any:
         """The function's results, as numpy arrays. Other threads run meanwhile."""
@@ -65,6 +72,11 @@ class Kernel:
         if varying and x.shape[-1] != padded:
             x = np.concatenate([x, np.repeat(x[..., -1:], padded - x.shape[-1], axis=-1)], axis=-1)
         return np.ascontiguousarray(x)
+
+
+def trace(function: Callable[..., Any], *examples: Any) -> Any:
+    """Trace a function of lanes by jax, with `LANES` lanes; a second trace of the same function costs nothing."""
+    return jax.jit(function).trace(*jax.tree.map(_with_lanes, examples))
 
 
 def _with_lanes(x: Any) -> jax.ShapeDtypeStruct:

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from vibrojax.kernels import native
 from vibrojax.kernels.kernel import Kernel
 
 
@@ -25,21 +26,26 @@ _lock = threading.Lock()
 
 
 def run(function: Callable[..., Any], static: tuple[Hashable, ...], *arguments: Any, registers: int = 1) -> Any:
-    """`function(*static, *arguments)` by the kernel for such arguments, which is made where there is none yet.
+    """Return `function(*static, *arguments)` by the kernel for such arguments; see `made`."""
+    return made(function, static, *arguments, registers=registers)(*arguments)
+
+
+def made(function: Callable[..., Any], static: tuple[Hashable, ...], *arguments: Any, registers: int = 1) -> Kernel:
+    """Return the kernel of `function(*static, *arguments)` for such arguments, which is made if there is none yet.
 
     **Arguments:** `registers`: see `Kernel`.
 
-    **Raises:** `Untranslatable`, where the function does what no kernel can do.
+    **Raises:** `Untranslatable` if the function does what no kernel can do.
     """
     leaves, tree = jax.tree.flatten(arguments)
-    types = (jnp.result_type(float), tree, *map(_type, leaves))
+    types = (jnp.result_type(float), native.vector_bytes(), tree, *map(_type, leaves))
     key = _Key(function, static, types)
     with _lock:
         making = _making.setdefault(key, threading.Lock())
     with making:
         if key not in kernels:
             kernels[key] = Kernel(lambda *given: function(*static, *given), *arguments, registers=registers)
-    return kernels[key](*arguments)
+    return kernels[key]
 
 
 def _type(x: Any) -> Hashable:

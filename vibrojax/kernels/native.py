@@ -10,6 +10,7 @@ import llvmlite
 import llvmlite.binding as llvm
 
 from vibrojax.kernels import cache as store
+from vibrojax.kernels.operands import Untranslatable
 
 Function = Callable[[int, int, int], None]
 """`lanes(arrays, workspace, count)`; it lets other threads run."""
@@ -34,10 +35,11 @@ class Processor(NamedTuple):
 
 
 class Native(NamedTuple):
-    """A function, and what keeps its code in memory."""
+    """A function, what keeps its code in memory, and the `key` of its code in the cache."""
 
     function: Function
     library: object
+    key: str
 
 
 @cache
@@ -51,7 +53,7 @@ def processor() -> Processor:
 
 @cache
 def vector_bytes() -> int:
-    """Width of the widest registers."""
+    """Return the width of the widest registers. Tests force others: kernels of every width are right."""
     features = processor().features.split(",")
     return 64 if "+avx512f" in features else 32 if "+avx2" in features else 16
 
@@ -64,7 +66,7 @@ def native(text: str, name: str) -> Native:
     if code is None:
         code = _compiled(text)
         store.write(key, code)
-    return _loaded(code, name)
+    return _loaded(code, name, key)
 
 
 def _machine() -> llvm.TargetMachine:
@@ -73,8 +75,11 @@ def _machine() -> llvm.TargetMachine:
 
 
 def _compiled(text: str) -> bytes:
-    """The object code of a kernel."""
-    module, machine = llvm.parse_assembly(text), _machine()
+    """Return the object code of a kernel; raise `Untranslatable` if LLVM refuses its text."""
+    try:
+        module, machine = llvm.parse_assembly(text), _machine()
+    except RuntimeError as error:
+        raise Untranslatable(f"a text that LLVM refuses: {str(error).strip()}") from error
     passes = llvm.create_new_module_pass_manager()
     for name in PASSES:
         getattr(passes, f"add_{name}_pass")()
@@ -82,12 +87,12 @@ def _compiled(text: str) -> bytes:
     return bytes(machine.emit_object(module))
 
 
-def _loaded(code: bytes, name: str) -> Native:
+def _loaded(code: bytes, name: str, key: str) -> Native:
     jit = _jit()
     builder = llvm.JITLibraryBuilder().add_object_img(code).export_symbol("lanes").add_current_process()
     library = builder.link(jit, name)
     kind = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int64)
-    return Native(kind(library["lanes"]), library)
+    return Native(kind(library["lanes"]), library, key)
 
 
 @cache

@@ -4,7 +4,6 @@ import struct
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 BOOL = np.dtype(bool)
@@ -22,6 +21,7 @@ TYPES = {
     "int8": "i8",
     "uint64": "i64",
     "uint32": "i32",
+    "uint16": "i16",
     "uint8": "i8",
     "bool": "i1",
 }
@@ -42,6 +42,15 @@ class Operand(NamedTuple):
     @property
     def is_literal(self) -> bool:
         return not self.text.startswith("%")
+
+    @property
+    def number(self) -> float | int | None:
+        """The number of a literal; None for a register."""
+        if not self.is_literal:
+            return None
+        if self.dtype.kind == "f":
+            return float(struct.unpack("<d", struct.pack("<Q", int(self.text, 16)))[0])
+        return self.text == "true" if self.dtype == BOOL else int(self.text)
 
 
 class Slot(NamedTuple):
@@ -69,8 +78,9 @@ def element(dtype: np.dtype) -> str:
 
 
 def literal(x: Any, dtype: np.dtype) -> Operand:
-    """A number that is known when the kernel is written."""
+    """Return a number that is known when the kernel is written; raise `Untranslatable` for an unknown type."""
     dtype = np.dtype(dtype)
+    element(dtype)
     if dtype.kind == "f":
         # The bits, as LLVM wants floats of either width: as those of a double.
         text = f"0x{struct.unpack('<Q', struct.pack('<d', float(dtype.type(x))))[0]:016X}"
@@ -105,5 +115,10 @@ def varies(aval: Any) -> bool:
 
 
 def dtype_of(aval: Any) -> np.dtype:
-    """numpy's type of an array's numbers; tangents of whole numbers, which say nothing, are truth values here."""
-    return BOOL if aval.dtype == jax.dtypes.float0 else np.dtype(jnp.dtype(aval.dtype))
+    """Return numpy's type of an array's numbers. Tangents of integers (float0) are booleans here.
+
+    **Raises:** `Untranslatable` for types that numpy does not have, such as keys of random numbers.
+    """
+    if not isinstance(aval.dtype, np.dtype):
+        raise Untranslatable(f"numbers of type {aval.dtype}")
+    return BOOL if aval.dtype == jax.dtypes.float0 else aval.dtype

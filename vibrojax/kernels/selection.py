@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
+from jax.lax import GatherScatterMode
 
 from vibrojax.kernels.assembly import Assembly
 from vibrojax.kernels.elementwise import applied
@@ -18,6 +19,7 @@ from vibrojax.kernels.operands import (
     dtype_of,
     literal,
     literals,
+    varies,
     without_lanes,
 )
 
@@ -48,6 +50,8 @@ def _reduction(name: str) -> Selected:
                 x = across.squeeze(axis)
                 continue
             rows = np.moveaxis(x, axis, 0)
+            if not len(rows):
+                raise Untranslatable(f"reduce_{name} of no rows")
             x = rows[:1].squeeze(0)
             for row in range(1, len(rows)):
                 x = each(asm, name, {}, [x, rows[row : row + 1].squeeze(0)], dtype_of(aval))
@@ -67,13 +71,15 @@ def _across(asm: Assembly, name: str, entry: Entry) -> Operand:
     return Operand(asm.call(function, [x.text], "i1", takes=asm.type(BOOL, True)), BOOL, False)
 
 
-def _row_numbers(asm: Assembly, equation: Any, wanted: Value, rows: int) -> Value:
-    """The numbers of rows that are asked for; where jax holds those beyond the ends to them, so is it done here."""
-    if "CLIP" not in str(equation.params["mode"]):
+def _row_numbers(asm: Assembly, wanted: Value, rows: int, clipped: bool) -> Value:
+    """Return row numbers as int64; where they are `clipped`, those beyond the ends become the first and the last."""
+    if wanted.size and wanted.flat[0].dtype == np.uint64:
+        raise Untranslatable("row numbers of type uint64")
+    wanted = each(asm, "convert_element_type", {}, [wanted], INT64)
+    if not clipped:
         return wanted
-    dtype = wanted.flat[0].dtype
-    ends = [literals(np.asarray(row, dtype)) for row in (0, rows - 1)]
-    return each(asm, "clamp", {}, [ends[0], wanted, ends[1]], dtype)
+    ends = [literals(np.asarray(row, INT64)) for row in (0, rows - 1)]
+    return each(asm, "clamp", {}, [ends[0], wanted, ends[1]], INT64)
 
 
 def _in_memory(asm: Assembly, rows: Value) -> Value:
@@ -97,28 +103,23 @@ def _stride(rows: Value) -> int | None:
 
 
 class _Rows:
-    """The row that each lane asks for, of slots in the workspace: where it lies, and whether there is such a row."""
+    """The rows that lanes ask for by their `number` (int64), of slots in the workspace.
 
-    def __init__(self, asm: Assembly, wanted: Entry, rows: Value) -> None:
+    `there` tells which lanes ask for a row that exists.
+    """
+
+    def __init__(self, asm: Assembly, number: Entry, rows: Value) -> None:
         stride, lanes = _stride(rows), range(asm.width)
         assert stride is not None
         self.asm = asm
-        number = applied(asm, "convert_element_type", {}, [wanted], INT64)
-        self.there = applied(
-            asm,
-            "and",
-            {},
-            [
-                applied(asm, "ge", {}, [number, literal(0, INT64)], BOOL),
-                applied(asm, "lt", {}, [number, literal(len(rows), INT64)], BOOL),
-            ],
-            BOOL,
-        )
+        above = applied(asm, "ge", {}, [number, literal(0, INT64)], BOOL)
+        below = applied(asm, "lt", {}, [number, literal(len(rows), INT64)], BOOL)
+        self.there = applied(asm, "and", {}, [above, below], BOOL)
         self._moved = applied(asm, "mul", {}, [number, literal(stride, INT64)], INT64)
         self._lanes = f"<{', '.join(f'i64 {lane}' for lane in lanes)}>"
 
     def places(self, first: Slot) -> str:
-        """Pointers to the lanes' own numbers, where row 0 lies in `first`."""
+        """Write the pointers to the lanes' own numbers, where row 0 lies in `first`."""
         asm, many = self.asm, f"<{self.asm.width} x ptr>"
         kind = asm.type_in_memory(first.dtype, False)
         start = f"getelementptr i8, ptr {first.pointer}, <{asm.width} x i64> {asm.vector(self._moved)}"
@@ -126,50 +127,73 @@ class _Rows:
 
 
 def _gathered(asm: Assembly, equation: Any, values: Sequence[Value]) -> list[Value]:
-    """Of each lane the row with the number that it asks for (`take_along_axis`); NaN, or 0, where there is none."""
+    """Write for each lane the row that it asks for by number (`take_along_axis`).
+
+    For a row that does not exist it is the fill value, or the nearest row, according to the mode.
+    """
     rows, wanted = values
-    numbers = equation.params["dimension_numbers"]
+    numbers, mode = equation.params["dimension_numbers"], equation.params["mode"]
     [axis] = numbers.collapsed_slice_dims if len(numbers.collapsed_slice_dims) == 1 else [None]
     batched = getattr(numbers, "operand_batching_dims", ())
     if axis is None or numbers.start_index_map != (axis,) or numbers.offset_dims or len(batched) != rows.ndim - 1:
         raise Untranslatable("a gather that takes no rows along one axis")
+    if equation.invars[0].aval.shape[axis] == LANES:
+        raise Untranslatable("lanes by their number")
     rows = np.moveaxis(rows, axis, 0)
-    if rows.size != len(rows) or rows.flat[0].dtype == BOOL:
-        raise Untranslatable("a gather of rows beside lanes, or of truth values")
+    if rows.size != len(rows) or not len(rows) or rows.flat[0].dtype == BOOL:
+        raise Untranslatable("a gather of no rows, of rows beside lanes, or of booleans")
     rows = _in_memory(asm, rows.reshape(-1))
-    wanted = _row_numbers(asm, equation, wanted, len(rows))
-    first = rows[0]
-    none = literal(np.nan if first.dtype.kind == "f" else 0, first.dtype)
+    first, varying = rows[0], varies(equation.outvars[0].aval)
+    none = fill_value(first.dtype, equation.params["fill_value"])
+    wanted = _row_numbers(asm, wanted, len(rows), clipped=mode != GatherScatterMode.FILL_OR_DROP)
     kind, flags = asm.type(first.dtype, True), asm.type(BOOL, True)
     function = f"llvm.masked.gather.v{asm.width}{asm.suffix(first.dtype)}.v{asm.width}p0"
     asm.declared.add(f"declare {kind} @{function}(<{asm.width} x ptr>, i32, {flags}, {kind})")
-    found = np.empty(wanted.shape[:-1], object)
-    for index in np.ndindex(found.shape):
+    taken = np.empty(wanted.shape[:-1], object)
+    for index in np.ndindex(taken.shape):
         row = _Rows(asm, wanted[(*index, 0)], rows)
         given = f"<{asm.width} x ptr> {row.places(first)}, i32 {first.dtype.itemsize}, {flags} {asm.vector(row.there)}"
-        found[index] = Operand(
-            asm.let(f"call {kind} @{function}({given}, {kind} {asm.vector(none)})"), first.dtype, True
-        )
-    return [found]
+        x = asm.let(f"call {kind} @{function}({given}, {kind} {asm.vector(none)})")
+        if not varying:
+            x = asm.let(f"extractelement {kind} {x}, i64 0")
+        taken[index] = Operand(x, first.dtype, varying)
+    return [taken]
+
+
+def fill_value(dtype: np.dtype, given: Any) -> Operand:
+    """Return the number for rows that do not exist: the given one, or NaN, the least or the greatest integer."""
+    if given is None:
+        return literal(np.nan if dtype.kind == "f" else _limit(dtype), dtype)
+    if not np.array_equal(np.asarray(given).astype(dtype), given, equal_nan=dtype.kind == "f"):
+        raise Untranslatable(f"rows of type {dtype} filled with {given}")
+    return literal(given, dtype)
+
+
+def _limit(dtype: np.dtype) -> int:
+    return int(np.iinfo(dtype).min if dtype.kind == "i" else np.iinfo(dtype).max)
 
 
 def scattered(asm: Assembly, equation: Any, values: Sequence[Value], in_place: bool) -> list[Value]:
-    """Of each lane the row with the number that it gives is replaced, if there is one.
+    """Write for each lane a new row in place of the one with its number; leave the rows if that does not exist.
 
-    `in_place`: nothing else wants the rows as they were.
+    `in_place`: nothing else reads the rows as they were.
     """
     rows, wanted, new = values
-    numbers = equation.params["dimension_numbers"]
+    numbers, mode = equation.params["dimension_numbers"], equation.params["mode"]
     axes = numbers.scatter_dims_to_operand_dims
     if len(axes) != 1 or tuple(numbers.inserted_window_dims) != tuple(axes) or wanted.size != 1:
         raise Untranslatable("a scatter that replaces no row")
-    [axis] = axes
+    [axis], shape = axes, equation.invars[0].aval.shape
+    if LANES not in shape or shape[axis] == LANES:
+        raise Untranslatable("a scatter into what lanes share")
+    if varies(equation.invars[1].aval) and shape.index(LANES) not in numbers.operand_batching_dims:
+        raise Untranslatable("a scatter into rows of other lanes")
     by_row = np.moveaxis(rows, axis, 0)
-    if by_row.flat[0].dtype == BOOL:
-        raise Untranslatable("a scatter of truth values")
-    if not in_place or _stride(by_row) is None:
+    if not by_row.size or new.size != by_row[0].size or by_row.flat[0].dtype == BOOL:
+        raise Untranslatable("a scatter of no rows, of parts of rows, or of booleans")
+    if not in_place or _stride(by_row) is None or not _are_distinct(by_row):
         by_row = _in_memory(asm, _in_registers(asm, by_row))
-    wanted = _row_numbers(asm, equation, wanted, len(by_row))
+    wanted = _row_numbers(asm, wanted, len(by_row), clipped=mode == GatherScatterMode.CLIP)
     row, new = _Rows(asm, wanted.reshape(-1)[0], by_row), new.reshape(by_row.shape[1:])
     dtype = by_row.flat[0].dtype
     kind, flags = asm.type(dtype, True), asm.type(BOOL, True)
@@ -181,6 +205,11 @@ def scattered(asm: Assembly, equation: Any, values: Sequence[Value], in_place: b
         asm.do(f"call void @{function}({given}, {flags} {asm.vector(row.there)})")
     asm.forget()
     return [np.moveaxis(by_row, 0, axis)]
+
+
+def _are_distinct(slots: Value) -> bool:
+    """Return whether no two entries share their memory, as those of a broadcast array do."""
+    return len({slot.pointer for slot in slots.ravel().tolist()}) == slots.size
 
 
 def _in_registers(asm: Assembly, entries: Value) -> Value:
@@ -201,7 +230,8 @@ def _sorted(asm: Assembly, equation: Any, values: Sequence[Value]) -> list[Value
     if keys != 1 or columns[0].size != count or equation.invars[0].aval.shape[axis] == LANES:
         raise Untranslatable("a sort by several keys, or beside lanes")
     dtypes = [dtype_of(var.aval) for var in equation.invars]
-    slots = [[asm.slot(dtype, True, in_registers=False) for _ in range(count)] for dtype in dtypes]
+    varying = varies(equation.invars[0].aval)
+    slots = [[asm.slot(dtype, varying, in_registers=False) for _ in range(count)] for dtype in dtypes]
     for places, column in zip(slots, columns, strict=True):
         for slot, entry in zip(places, column.reshape(-1), strict=True):
             asm.store(entry, slot)
@@ -236,6 +266,8 @@ def _sorted(asm: Assembly, equation: Any, values: Sequence[Value]) -> list[Value
 def _dynamic_slice(asm: Assembly, equation: Any, values: Sequence[Value]) -> list[Value]:
     """Rows from a number on that is known while the kernel is written."""
     x, *starts = values
+    if (LANES in equation.invars[0].aval.shape) != (LANES in equation.params["slice_sizes"]):
+        raise Untranslatable("some of the lanes")
     shape, sizes = without_lanes(equation.invars[0].aval.shape), without_lanes(equation.params["slice_sizes"])
     parts = []
     for length, size, start in zip(shape, sizes, starts, strict=True):

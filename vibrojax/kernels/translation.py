@@ -1,16 +1,16 @@
 """From a traced function to the text of a kernel."""
 
 from collections.abc import Collection, Sequence
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import jax
 import numpy as np
 
-from vibrojax.kernels import arrangement, control, selection
+from vibrojax.kernels import arrangement, control, elementwise, parameters, selection
 from vibrojax.kernels.arrays import array_entries, array_slots, elsewhere
 from vibrojax.kernels.assembly import Assembly
-from vibrojax.kernels.operands import Value, dtype_of, literals
+from vibrojax.kernels.operands import Untranslatable, Value, dtype_of, literals, varies, without_lanes
 
 TEMPLATE = """{declarations}
 
@@ -20,7 +20,8 @@ define internal void @group(ptr noalias %arrays, ptr noalias %workspace, i64 %co
 }}
 
 define void @lanes(ptr noalias %arrays, ptr noalias %workspace, i64 %count) #0 {{
-  br label %next
+  %any = icmp sgt i64 %count, 0
+  br i1 %any, label %next, label %done
 next:
   %lane = phi i64 [ 0, %0 ], [ %after, %next ]
   call void @group(ptr %arrays, ptr %workspace, i64 %count, i64 %lane)
@@ -112,8 +113,28 @@ def is_literal(var: Any) -> bool:
     return hasattr(var, "val")
 
 
+@cache
+def primitives() -> set[str]:
+    """Return the names of all primitives that the translation accepts."""
+    return {*arrangement.RULES, *selection.RULES, "scatter", *control.RULES, *elementwise.RULES, *elementwise.COMPOSED}
+
+
 def _applied(asm: Assembly, equation: Any, values: list[Value], owned: Collection[int]) -> list[Value]:
     name = equation.primitive.name
+    if name not in primitives():
+        raise Untranslatable(f"the primitive {name}")
+    parameters.check(name, equation.params)
+    results = _results(asm, name, equation, values, owned)
+    for var, value in zip(equation.outvars, results, strict=True):
+        aval = var.aval
+        if value.shape != without_lanes(aval.shape) or (
+            not varies(aval) and any(x.varying for x in value.ravel().tolist())
+        ):
+            raise Untranslatable(f"{name} that mixes lanes")
+    return results
+
+
+def _results(asm: Assembly, name: str, equation: Any, values: list[Value], owned: Collection[int]) -> list[Value]:
     if name in arrangement.RULES:
         return arrangement.RULES[name](equation, values)
     if name in selection.RULES:

@@ -4,16 +4,19 @@ rate_of_penetration="ROP (m/h)"    the column ROP (m/h), ROP [m/h] or ROP_m/h; o
 threshold="150 kN"                 no column: one value for all rows
 """
 
-import json
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+
+import xarray as xr
 
 from vibrojax.errors import InputError, Place, nearest, shown
 from vibrojax.physics.parameters import BIT_AND_STRIKER, CONTACT, ROTATION, Parameter, not_negative, table
 from vibrojax.physics.pulses import PULSES
 from vibrojax.physics.rock import ROCK
 from vibrojax.physics.units import UNITS, factor, is_unit
+from vibrojax.store.attributes import table_of
+from vibrojax.texts import shell_assignment
 
 RATE, RELIEF, FORCE, THRESHOLD = "rate_of_penetration", "relief", "mean_force", "threshold"
 
@@ -56,16 +59,16 @@ class Column:
         return {"column": self.header, "unit": self.unit, "assumed": self.assumed}
 
 
-def columns_lines(columns: str) -> list[str]:
-    """In words, what was taken for what; `columns`: the attribute of that name."""
-    return [_in_words(name, about) for name, about in json.loads(columns or "{}").items()]
+def columns_lines(data: xr.Dataset) -> list[str]:
+    """Return in words which column was taken for what, by the attribute `columns`; no lines without it."""
+    return [_in_words(name, about) for name, about in table_of(data, "columns").items()]
 
 
 def _in_words(name: str, about: Mapping[str, object]) -> str:
     named = about.get("unit", about.get("given_in"))
     unit = f"taken as {named}, since it names no unit" if about["assumed"] else f"in {named}"
     if "value" in about:
-        si = next(iter(UNITS[KNOWN[name].unit]))
+        si = next(iter(UNITS[KNOWN[name].unit])) if name in KNOWN else ""
         return f"{name}: {about['value']:g} {si} for all rows" + (f", {unit}" if about["assumed"] else "")
     return f"{name}: column {shown(about['column'])}, {unit}"
 
@@ -205,7 +208,7 @@ def _meant(name: str, header: list[str], chosen: Mapping[str, Column]) -> str:
     if like is None:
         return f"the file has {', '.join(column or 'a column without a name' for column in header)}"
     unit = "" if split_unit(like)[1] or name == RELIEF else f" ({next(iter(UNITS[KNOWN[name].unit]))})"
-    return f"if {shown(like)} is it, rename it, or say so: --columns {name}={shown(like + unit)}"
+    return f"if {shown(like)} is it, rename it, or say so: --columns {shell_assignment(name, like + unit)}"
 
 
 def _free(header: list[str], chosen: Mapping[str, Column]) -> list[str]:

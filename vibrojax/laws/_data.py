@@ -17,6 +17,8 @@ from vibrojax.input.plausible import warn_if_far
 from vibrojax.input.source import read_text
 from vibrojax.laws._columns import FORCE, KNOWN, RATE, RELIEF, THRESHOLD, Column, choose, needed, split_unit
 from vibrojax.physics.units import is_unit, likely_units
+from vibrojax.store.attributes import parameters_of
+from vibrojax.texts import shell_assignment
 
 if TYPE_CHECKING:
     Data = xr.Dataset | str | PathLike[str]
@@ -84,7 +86,7 @@ def parameter(place: Place, data: xr.Dataset, name: str) -> xr.DataArray:
     if name in data.coords:
         values = data[name]
     else:
-        fixed = json.loads(data.attrs.get("parameters", "{}"))
+        fixed = parameters_of(data)
         if name not in fixed:
             raise place.at(name).error("is neither a coordinate of the data nor fixed in them; give it as a coordinate")
         values = xr.DataArray(fixed[name])
@@ -176,7 +178,7 @@ def _warn_of_unit(place: Place, name: str, column: Column, values: Float[np.ndar
     units = likely_units(median / column.factor, parameter.unit, parameter.usual or (0.0, 0.0))[:3]
     unit = units[0] if units else "UNIT"
     right = f"{column.header} {unit}" if column.index is None else f"{split_unit(column.header)[0]} ({unit})"
-    say = f"--columns {name}={shown(right)}"
+    say = f"--columns {shell_assignment(name, right)}"
     likely = f"it is likely in {' or '.join(units)}; say which, like {say}" if units else f"say its unit by {say}"
     warn_if_far(place.at(f"{column.header}, the median of its column"), parameter, median, likely)
 

@@ -12,6 +12,7 @@ from vibrojax.laws._data import Data, open_data, parameter
 from vibrojax.laws._results import provenance, reason, with_attributes
 from vibrojax.laws._uncertainty import IDENTIFIED, TOO_FEW_LANES
 from vibrojax.physics.modes import empirical_frequency, natural_frequencies
+from vibrojax.store.attributes import title_of
 from vibrojax.store.variables import Variable
 
 SHARE = 0.25
@@ -95,7 +96,7 @@ def refit_frequency(data: Data, within: float = 0.01) -> xr.Dataset:
     variables = with_attributes(_VARIABLES, values, dict.fromkeys(_OF_MAP, lanes.period.dims))
     variables["holds"].attrs |= {"flag_values": np.array([-1, 0, 1], np.int8), "flag_meanings": "not-counted no yes"}
     result = xr.Dataset(variables, lanes.period.coords)
-    title = f"eq. 5.17 refitted: {data.attrs.get('title') or place.file}"
+    title = f"eq. 5.17 refitted: {title_of(data, place.file)}"
     more: dict[str, str | float] = {"within": float(within), "region": _region(result, used)}
     return result.assign_attrs(provenance(place, data, "refit of eq. 5.17", title, more))
 

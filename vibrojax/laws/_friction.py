@@ -1,6 +1,5 @@
 """Friction from a measured velocity: mu and v_cr of eq. 5.9, by gradients through the smoothed motion."""
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -28,6 +27,7 @@ from vibrojax.laws._uncertainty import (
 )
 from vibrojax.scenes.rotary import Rotary
 from vibrojax.stepping.smoothed import smoothed_trajectory
+from vibrojax.store.attributes import parameters_of, title_of
 from vibrojax.store.variables import Variable
 
 WINDOW = 0.5
@@ -212,7 +212,7 @@ def _window(place: Place, data: xr.Dataset, window: tuple[float, float] | None) 
 def _parameters(place: Place, data: xr.Dataset, given: Mapping[str, float]) -> dict[str, float]:
     """The rotary scene's parameters; where the search begins is never taken from the data."""
     table = _SCENE.parameters()
-    fixed = json.loads(data.attrs.get("parameters", "{}"))
+    fixed = parameters_of(data)
     p = {name: one.default for name, one in table.items()}
     p |= {name: value for name, value in fixed.items() if name in table and name not in _SOUGHT}
     for name, value in given.items():
@@ -274,7 +274,7 @@ def _result(
         "time": ("time", history.time, {"units": "s", "long_name": "time"}),
         "quantity": ("quantity", list(_SCENE.state_names), {"units": "1", "long_name": "state"}),
     }
-    title = f"friction, eq. 5.9, fitted: {data.attrs.get('title') or place.file}"
+    title = f"friction, eq. 5.9, fitted: {title_of(data, place.file)}"
     return xr.Dataset(variables, coordinates, provenance(place, data, "fit of the friction", title, {}))
 
 

@@ -11,6 +11,7 @@ from vibrojax.laws._data import Columns, Data, open_rates
 from vibrojax.laws._groups import check_axis, usable_lanes
 from vibrojax.laws._joint_calibration import calibrate
 from vibrojax.laws._results import law_title, provenance, reason, with_attributes
+from vibrojax.laws._uncertainty import r_squared_reason
 from vibrojax.store.variables import Variable
 
 OVER = ("force", "k3", "zeta", "threshold")
@@ -32,6 +33,7 @@ _VARIABLES = {
     "used": Variable("1", "lanes that the fit used, those at zero rate among them", np.int32),
     "left_out": Variable("1", "lanes left out: failed, irregular, or without usable values", np.int32),
     "reason": reason("why a coefficient is not a number"),
+    "r_squared_reason": reason("why r_squared is not a number"),
     "exponent_reason": reason("why the parameter's exponents are not numbers"),
 }
 
@@ -86,7 +88,8 @@ def fit_joint(
         required = names != OVER
         parameters[:, index] = _parameter(place.at(f"over.{name}"), lanes, name, along, valid, required)
     law = calibrate(relief[valid], rate[valid], parameters[valid], shared=onset == "shared")
-    values = {**vars(law), "used": valid.sum(), "left_out": (~valid).sum()}
+    why = r_squared_reason(np.asarray(law.r_squared), np.asarray(law.reason))
+    values = {**vars(law), "used": valid.sum(), "left_out": (~valid).sum(), "r_squared_reason": why}
     dims = {name: ("parameter",) for name in _VARIABLES if np.ndim(values[name])}
     coordinate = ("parameter", np.array(names, dtype=str), {"units": "1", "long_name": "parameter"})
     more = {"formula": "C ln(eta/eta0), C and eta0 power laws of the parameters", "onset": onset}

@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Int, Shaped
 from vibrojax.errors import Place
 from vibrojax.laws._forms import LOGARITHMIC
 from vibrojax.laws._uncertainty import REASONS
+from vibrojax.store.attributes import title_of
 from vibrojax.store.provenance import source
 from vibrojax.store.variables import Variable
 
@@ -36,7 +37,7 @@ def with_attributes(
 
 def law_title(place: Place, data: xr.Dataset) -> str:
     """The title of a fit of the rate-of-penetration law."""
-    return f"rate-of-penetration law: {data.attrs.get('title') or place.file}"
+    return f"rate-of-penetration law: {title_of(data, place.file)}"
 
 
 def provenance(
@@ -121,6 +122,9 @@ def _not_judged(fit: xr.Dataset, judged: Bool[np.ndarray, " groups"]) -> list[st
 
 
 def _range(values: Float[np.ndarray, " groups"]) -> str:
+    values = values[np.isfinite(values)]
+    if not len(values):
+        return "is not defined, since no rate varies"
     low, middle, high = np.min(values), np.median(values), np.max(values)
     return f"{low:.4g}" if len(values) == 1 else f"{low:.4g} to {high:.4g} (median {middle:.4g})"
 

@@ -44,6 +44,7 @@ from vibrojax.laws._uncertainty import (
     TOO_FEW_LANES,
     covariance,
     goodness,
+    r_squared_reason,
 )
 from vibrojax.store.variables import Variable
 from vibrojax.timings import LOG
@@ -70,6 +71,7 @@ _VARIABLES = {
     "used": Variable("1", "lanes that the fit used, those at zero rate among them", np.int32),
     "left_out": Variable("1", "lanes left out: failed, irregular, or without usable values", np.int32),
     "reason": reason("why a coefficient is not a number"),
+    "r_squared_reason": reason("why r_squared is not a number"),
 }
 
 
@@ -118,8 +120,9 @@ def fit_rop(
 
     **Returns:** a dataset over the groups and `form`: C [m/s], eta0 [1] and exponent [1], each with its standard error;
     r_squared, aic, degrees_of_freedom, used, left_out, and `reason`; NaN where a form has no such coefficient or the
-    lanes do not identify it. Beside them the data, over the groups and `lane`: data_relief [1],
-    data_rate_of_penetration [m/s], and `data_use` (fitted, censored, left-out).
+    lanes do not identify it. r_squared is NaN where the rates do not vary, and `r_squared_reason` says so. Beside
+    them the data, over the groups and `lane`: data_relief [1], data_rate_of_penetration [m/s], and `data_use` (fitted,
+    censored, left-out).
 
     **Raises:** `InputError`.
 
@@ -139,11 +142,15 @@ def fit_rop(
     start = time.monotonic()
     fit = _fit_groups(groups, robust)
     if progress:
-        for line in columns_lines(data.attrs.get("columns", "")):
+        for line in columns_lines(data):
             print(line, file=sys.stderr)
         number, size, seconds = groups.count.size, groups.count.max(), time.monotonic() - start
         print(f"{number} groups of {size} lanes along {groups.along} fitted in {seconds:.1f} s", file=sys.stderr)
-    values = {**fit._asdict(), "left_out": groups.count[:, None] - fit.used}
+    values = {
+        **fit._asdict(),
+        "left_out": groups.count[:, None] - fit.used,
+        "r_squared_reason": r_squared_reason(np.asarray(fit.r_squared), np.asarray(fit.reason)),
+    }
     shape = (*groups.sizes.values(), len(FORMS))
     variables = with_attributes(
         _VARIABLES,
@@ -289,8 +296,9 @@ def _coefficients(
     """C [m/s], eta0 and exponent, and their standard errors by the delta method; NaN where the form has none."""
 
     def coefficients(theta: Theta) -> Coefficients:
-        return form.coefficients(theta, frame) * jnp.array([unit, 1.0, 1.0])
+        return form.coefficients(theta, frame)
 
     values, slopes = coefficients(theta), jax.jacfwd(coefficients)(theta)
     errors = jnp.sqrt(jnp.einsum("ci,ij,cj->c", slopes, square, slopes))
-    return values, jnp.where(jnp.isnan(values), jnp.nan, errors)
+    units = jnp.array([unit, 1.0, 1.0])  # last, because the squares of extreme rates underflow or overflow
+    return values * units, jnp.where(jnp.isnan(values), jnp.nan, errors * units)

@@ -1,19 +1,31 @@
-"""How well a fit is known: why a coefficient is not a number, standard errors, R² and AIC."""
+"""Standard errors, R² and AIC of a fit, and the reasons for which they are not numbers."""
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from vibrojax.arrays import Array
 from vibrojax.laws._least_squares import LaneFlags, LaneValues, Number
 
-REASONS = ("identified", "too-few-lanes", "no-spread", "all-censored", "not-converged", "no-slope", "confounded")
-"""Why a coefficient is NaN; `confounded` is of the joint law and of friction."""
+REASONS = (
+    "identified",
+    "too-few-lanes",
+    "no-spread",
+    "all-censored",
+    "not-converged",
+    "no-slope",
+    "confounded",
+    "constant-rates",
+)
+"""Reasons for a NaN. Only the joint law and friction use `confounded`; only R² uses `constant-rates`."""
 
-IDENTIFIED, TOO_FEW_LANES, NO_SPREAD, ALL_CENSORED, NOT_CONVERGED, NO_SLOPE, CONFOUNDED = range(len(REASONS))
+IDENTIFIED, TOO_FEW_LANES, NO_SPREAD, ALL_CENSORED, NOT_CONVERGED, NO_SLOPE, CONFOUNDED, CONSTANT_RATES = range(
+    len(REASONS)
+)
 
 LEAST_SPREAD = 1e-9
-"""Of ln(eta), or of a parameter's logarithm: below it all values are equal."""
+"""Standard deviation of ln(eta), of a parameter's logarithm, or of the rates over the greatest. Values that vary less
+count as equal."""
 
 LEAST_SINGULAR = 1e-7
 """Of a Jacobian with columns of length one: below it coefficients are confounded."""
@@ -71,17 +83,26 @@ def covariance(
 def goodness(
     residual: LaneValues, rate: LaneValues, unit: Number | float, valid: LaneFlags, size: int
 ) -> tuple[Number, Number]:
-    """R² and AIC = n ln(RSS/n) + 2 size over all valid lanes.
+    """Return R² and AIC = n ln(RSS/n) + 2 size over all valid lanes.
 
-    **Arguments:** `residual` and `rate`: in units of `unit` [m/s], zero where not valid.
+    R² is NaN if the rates do not vary. An RSS/n below one rounding of the greatest rate counts as that, so that the AIC
+    of exact data is finite.
+
+    **Arguments:** `residual` and `rate`: in units of `unit` [m/s], the greatest rate; zero where not valid.
     """
     n = jnp.sum(valid)
     squares = jnp.sum(residual**2)
     about_mean = jnp.sum(jnp.where(valid, (rate - jnp.sum(rate) / n) ** 2, 0.0))
-    # Exact data leave rounding alone; its logarithm must not become infinite.
     mean_square = jnp.maximum(squares / n, jnp.finfo(rate.dtype).eps ** 2)
-    r_squared = jnp.where(about_mean > 0, 1 - squares / about_mean, jnp.nan)
+    varies = about_mean > n * LEAST_SPREAD**2
+    r_squared = jnp.where(varies, 1 - squares / jnp.where(varies, about_mean, 1.0), jnp.nan)
     return r_squared, n * (jnp.log(mean_square) + 2 * jnp.log(unit)) + 2 * size
+
+
+def r_squared_reason(r_squared: Float[np.ndarray, "*fits"], reason: Int[np.ndarray, "*fits"]) -> np.ndarray:
+    """Return why R² is NaN, as indices into `REASONS`; `reason` says the same of the coefficients."""
+    fitted = np.isin(reason, (IDENTIFIED, NO_SLOPE))
+    return np.where(np.isfinite(r_squared), IDENTIFIED, np.where(fitted, CONSTANT_RATES, reason))
 
 
 def at_minimum(

@@ -57,13 +57,14 @@ K = TypeVar("K", bound=Scene[Any])
 
 
 class Gauge(ABC, Generic[K]):
-    """One group of quantities, accumulated while stepping; nothing is stored per step.
+    """A group of quantities, accumulated while stepping; nothing is stored per step.
 
-    A gauge provides `increments` (what to sum over whole returns), `begin`, `step` and `section` (what else it carries:
-    a pytree of arrays whose last axis is lanes, of its own kind) and `read`; everything else just works. All are pure
-    functions. Its objects are static arguments of programs, so it is a frozen dataclass; a scene names it, or holds it,
-    in `measures`. `needs` are the capabilities that the scene must have; `variables` holds unit and long name of those
-    of its features that go to the dataset and are not in [vibrojax.store.variables][].
+    A gauge must provide `read`. `increments` returns what a step adds to the sums over whole returns; `close` replaces
+    the sums of a return at its end. `begin`, `step` and `section` update the gauge's carry: a pytree of arrays whose
+    last axis is lanes. All methods are pure functions. A gauge is a frozen dataclass, because it is a static argument
+    of programs. A scene lists gauges, or their names, in `measures`. `needs` lists the capabilities that the scene must
+    have. `variables` gives the units and long names of those features that go to the dataset and are not in
+    [vibrojax.store.variables][].
 
     **Example:**
 
@@ -86,6 +87,10 @@ class Gauge(ABC, Generic[K]):
 
     def increments(self, scene: K, c: Any, moment: Moment) -> Sums:
         """What a step adds to the ledger's sums, by the names in `summed`; `c`: the scene's constants."""
+        return {}
+
+    def close(self, sums: Sums, interval: Lanes) -> Sums:
+        """Return replacements for the `sums` of a return that ends, by name; `interval` [s] is its duration."""
         return {}
 
     def begin(self, scene: K, c: Any, lane: Lane) -> Any:

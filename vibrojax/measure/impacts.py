@@ -43,6 +43,10 @@ class Impacts(Gauge[HasContact[Any]]):
             "force": step.h * integral(_force(scene, c, step), step.tau),
         }
 
+    def close(self, sums: Sums, interval: Lanes) -> Sums:
+        """Return the lags as shares of the return in which their impacts fall."""
+        return {"lag": sums["lag"] / interval}
+
     def begin(self, scene: HasContact[Any], c: Any, lane: Lane) -> Extremes:
         like = jnp.zeros_like(lane.state[0])
         none = (jnp.full_like(like, jnp.inf), jnp.full_like(like, -jnp.inf))
@@ -74,14 +78,13 @@ class Impacts(Gauge[HasContact[Any]]):
         sums, count = whole.sums, whole.sums["impacts"]
         per_return = count / whole.returns
         slowest, fastest = carry.whole
-        period = whole.time / whole.returns
         sliding = {"bit_velocity_at_impact": sums["bit_velocity"] / count} if isinstance(scene, HasFriction) else {}
         return sliding | {
             "impacts": jnp.where(whole.cycles > 0, jnp.round(per_return * whole.cycles), per_return),
             "impact_velocity": sums["velocity"] / count,
             "impact_velocity_min": jnp.where(count > 0, slowest, jnp.nan),
             "impact_velocity_max": jnp.where(count > 0, fastest, jnp.nan),
-            "impact_phase": 2 * jnp.pi * sums["lag"] / count / period,
+            "impact_phase": 2 * jnp.pi * sums["lag"] / count,
             "impact_energy": scene.striker_mass(c) / 2 * sums["velocity_squared"] / count,
             "peak_impact_force": carry.peak,
             "mean_impact_force": sums["force"] / whole.time,

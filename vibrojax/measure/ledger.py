@@ -1,6 +1,6 @@
 """Sums over whole returns to the section, and over whole repeats of lanes that repeat."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 import jax
@@ -47,16 +47,23 @@ def add(ledger: Ledger, increments: Sums) -> Ledger:
     return ledger._replace(sums=sums, lost=lost)
 
 
-def section(ledger: Ledger, here: Flags, number: Lanes) -> tuple[Ledger, Sums]:
-    """The ledger after a return, and what was summed since the return before.
+def section(
+    ledger: Ledger, here: Flags, number: Lanes, close: Callable[[Sums], Sums] | None = None
+) -> tuple[Ledger, Sums]:
+    """Return the ledger after a return, and the sums since the return before.
 
-    Sums start at the first return (`number` 0). The last `MOST_CYCLES` returns keep theirs, newest first, because how
-    many returns make a repeat is known only at the end.
+    Sums start at the first return (`number` 0). The last `MOST_CYCLES` returns keep theirs, newest first, because the
+    end of the observation decides how many returns make a repeat. `close` maps the sums of the return that ends to
+    those that replace them.
     """
     first = here & (number == 0)
     sums, lost = (_without(ledger.sums, first), _without(ledger.lost, first))
+    before: Sums = dict(zip(sums, ledger.rows[0], strict=True))
+    since = keep({name: total - before[name] for name, total in sums.items()})
+    closed = close(since) if close is not None else {}
+    sums |= {name: jnp.where(here, before[name] + x, sums[name]) for name, x in closed.items()}
+    lost |= _without({name: lost[name] for name in closed if name in lost}, here)
     now = keep(jnp.stack(list(sums.values())))
-    since: Sums = dict(zip(sums, now - ledger.rows[0], strict=True))
     shifted = jnp.concatenate([now[None], ledger.rows[:-1]])
     return Ledger(sums, lost, jnp.where(here[None, None], shifted, ledger.rows)), since
 

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 
 from vibrojax.arrays import Flags, Lanes
 from vibrojax.measure import ledger, repeats, section
-from vibrojax.measure.gauge import Gauge, Moment, Return, Whole
+from vibrojax.measure.gauge import Gauge, Moment, Return, Sums, Whole
 from vibrojax.measure.ledger import Ledger
 from vibrojax.measure.repeats import Returns
 from vibrojax.measure.section import Settling
@@ -113,8 +113,16 @@ class Recorder(Records):
     def take_returns(self, scene: Scene[Any], c: Any, carry: Observed, lane: Lane, share: Lanes) -> Observed:
         returns = carry.returns
         here, number = returns.waiting, returns.number
-        totals, sums = ledger.section(carry.ledger, here, number)
-        at = Return(here, number, returns.seen.since, section.amplitudes(returns), share, lane, sums)
+        interval = returns.seen.since
+
+        def close(sums: Sums) -> Sums:
+            replaced: Sums = {}
+            for gauge in self.gauges:
+                replaced |= gauge.close(sums, interval)
+            return replaced
+
+        totals, sums = ledger.section(carry.ledger, here, number, close)
+        at = Return(here, number, interval, section.amplitudes(returns), share, lane, sums)
         own = zip(self.gauges, carry.gauges, strict=True)
         gauges = tuple(gauge.section(scene, c, mine, at) for gauge, mine in own)
         return Observed(section.take_in(self.section, scene, returns, lane), totals, gauges)

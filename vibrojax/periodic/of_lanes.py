@@ -7,22 +7,28 @@ from jaxtyping import Bool, Float, Int
 
 from vibrojax.engine.batch import Features, Index
 from vibrojax.input.definition import Sweep
-from vibrojax.measure.kept_returns import state_name
+from vibrojax.measure.kept_returns import TIME, state_name
 from vibrojax.measure.ledger import MOST_CYCLES
-from vibrojax.measure.repeats import scales
+from vibrojax.measure.repeats import REPEATS_WITHIN, scales
 from vibrojax.periodic.margin import GRAZING, HOW
 from vibrojax.periodic.measured import Begun, Measuring, begun, joined
 from vibrojax.periodic.newton import ACCEPTED, States, orbits, repeats_after
 from vibrojax.periodic.segments import STEPS, Segments
 from vibrojax.periodic.under_pulses import repeats
+from vibrojax.scenes import Scene
 from vibrojax.store.variables import ORBIT_REASONS, orbit_name
 
 NEAR, FAR = 1e-2, 0.5
 """Least and greatest distance, over the scales, within which an orbit may be a lane's own."""
 
-DRIFTS = 100.0
-"""The same between them, in estimates of how far the lane's period still is from where it settles: a small part of how
-far its state is."""
+DRIFTS = 10.0
+"""The same between them, in drift estimates: these are good to a factor of a few for lanes far from their orbits."""
+
+MULTIPLIER_ERROR = 1e-7
+"""Greatest error of a multiplier: an orbit with a modulus above 1 by less may be neutral or stable."""
+
+STILL = 64 * 1e4
+"""Roundings by which the returns of a lane that stays on an unstable orbit differ at most from repeat to repeat."""
 
 OF_THE_LANE = frozenset(
     {"finite", "finished", "steps", "returns", "trend", "cycles", "impacts", "settling_time", "pulses", "yields"}
@@ -73,7 +79,9 @@ class Orbits:
             **{orbit_name(name): np.full(lanes, np.nan) for name in self._scene.return_states},
             "orbit_cycles": np.zeros(lanes),
             "orbit_reason": np.full(lanes, reason("not-repeating")),
+            "error_estimate": features["error_estimate"].copy(),
         }
+        found |= {name: features[name].copy() for name in ("drift_estimate",) if name in features}
         parameters, _ = self._sweep.lane_values(first, end)
         parameters = {name: parameters[name] for name in self._scene.parameters()}
         parts: list[Begun] = []
@@ -119,7 +127,28 @@ class Orbits:
         found["multiplier_abs"][lanes[right]] = np.abs(values)
         found["multiplier_arg"][lanes[right]] = np.abs(np.angle(values))
         found["stable"][lanes[right]] = np.abs(values[:, 0]) < 1
+        growth = np.log(np.abs(values[:, 0]))
+        leaves = growth > MULTIPLIER_ERROR
+        some = right[leaves]
+        leaves[leaves] = ~_stays(self._scene, lanes[some], orbit.scales[some], repeat, growth[leaves], features)
+        self._leave(lanes[right[leaves]], found)
+        right = right[~leaves]
         return begun(lanes[right], orbit.states[right], orbit.times[right], orbit.steps[right])
+
+    def _leave(self, lanes: Index, found: Features) -> None:
+        """Enter in `found` that `lanes` are near an unstable orbit: where they settle is not known."""
+        self._lose(lanes, found)
+        for name in ("error_estimate", "drift_estimate"):
+            if name in found:
+                found[name][lanes] = np.inf
+
+    def _lose(self, lanes: Index, found: Features) -> None:
+        """Enter in `found` that the orbit is not that of the `lanes`."""
+        found["orbit_reason"][lanes] = reason("another-orbit")
+        found["stable"][lanes], found["orbit_cycles"][lanes] = -1, 0
+        states = map(orbit_name, self._scene.return_states)
+        for name in ("multiplier_abs", "multiplier_arg", "grazing_margin", *states):
+            found[name][lanes] = np.nan
 
     def _measured(self, first: int, end: int, orbit: Begun, own: Features, found: Features) -> Features:
         """The features of the chunk, of lanes with an orbit measured over it; one that it does not bear out is lost."""
@@ -131,12 +160,8 @@ class Orbits:
         again, whole = {name: x[of_lane] for name, x in again.items()}, whole[of_lane]
         if "impacts" in own:
             whole &= np.abs(again["impacts"] * orbit.cycles - own["impacts"][orbit.lanes]) < 0.5
-        lost, kept = orbit.lanes[~whole], orbit.lanes[whole]
-        found["orbit_reason"][lost] = reason("another-orbit")
-        found["stable"][lost], found["orbit_cycles"][lost] = -1, 0
-        states = map(orbit_name, self._scene.return_states)
-        for name in ("multiplier_abs", "multiplier_arg", "grazing_margin", *states):
-            found[name][lost] = np.nan
+        kept = orbit.lanes[whole]
+        self._lose(orbit.lanes[~whole], found)
         if "period" in again:
             again["period"] = orbit.length / orbit.cycles
         lane = OF_THE_LANE | {state_name(name) for name in self._scene.return_states}
@@ -144,6 +169,26 @@ class Orbits:
         for name, x in measured.items():
             x[kept] = again[name][whole]
         return measured
+
+
+def _stays(
+    scene: Scene[Any], lanes: Index, scale: np.ndarray, repeat: int, growth: PerLane, features: Features
+) -> WhichLanes:
+    """Return which lanes have been shown to stay on an unstable orbit, as an exact symmetry makes them.
+
+    Their last returns repeat to rounding, although a single rounding would have become a visible difference since they
+    settled. `scale` (lanes, states) is that of the return map's states, and `growth` the logarithm of the orbit's
+    greatest multiplier over the `repeat`.
+    """
+    if "settling_time" not in features:
+        return np.zeros(len(lanes), bool)
+    times = features[TIME][lanes].astype(float)
+    returns, _ = last_returns(scene, lanes, times.shape[1], features)
+    moved = np.nan_to_num(np.abs(returns[:, repeat:] - returns[:, :-repeat]) / scale[:, None])
+    rounding = float(np.finfo(features["period"].dtype).eps)
+    still = np.max(moved, axis=(1, 2), initial=0.0) <= STILL * rounding
+    repeats = (times[:, -1] - features["settling_time"][lanes]) / (repeat * features["period"][lanes])
+    return still & (growth * repeats > np.log(REPEATS_WITHIN / rounding))
 
 
 def _distinct(columns: list[np.ndarray]) -> tuple[Int[np.ndarray, " distinct"], Index]:

@@ -61,7 +61,7 @@ class _Way(NamedTuple):
     seen: Seen
 
 
-@lane_function(static=3)
+@lane_function(static=3, derives=True)
 def mapped(
     scene: Scene[Any],
     stepper: Stepper,

@@ -12,7 +12,9 @@ from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from vibrojax.plot._contents import differing_from_defaults, parameters_of
+from vibrojax.plot._contents import differing_from_defaults
+from vibrojax.plot._drawable import plain
+from vibrojax.store.attributes import counts_of, parameters_of, text_of
 
 _HERTZ = {"s-1": "Hz", "s-2": "Hz/s"}  # the only such units here are of frequencies
 _LINE = 32  # letters of a label that fit along a panel
@@ -91,7 +93,7 @@ def label(data: xr.DataArray, letters: int = _LINE) -> str:
     """
     words = re.sub(r"\s*\([^)]*\)", "", str(data.attrs.get("long_name", ""))).strip()
     symbol = str(data.attrs.get("symbol", "")).strip()
-    text = ", ".join(part for part in (words, symbol) if part) or str(data.name).replace("_", " ")
+    text = ", ".join(part for part in (words, symbol) if part) or plain(str(data.name).replace("_", " "))
     return fill(with_unit(text, scale(data)[1]).replace(" [", "\u00a0["), min(letters, _LINE)).replace("\u00a0", " ")
 
 
@@ -102,7 +104,7 @@ def with_unit(text: str, unit: str) -> str:
 
 def symbol(data: xr.DataArray) -> str:
     """The short name of `data`: its symbol, or its name."""
-    return str(data.attrs.get("symbol", "")).strip() or str(data.name)
+    return str(data.attrs.get("symbol", "")).strip() or plain(str(data.name))
 
 
 def number(value: float) -> str:
@@ -114,7 +116,7 @@ def number(value: float) -> str:
 def value_text(data: xr.DataArray, value: float | str | np.number | np.str_) -> str:
     """`value` of the coordinate `data` as in `Δ = −5 mm`; `start: drive` where values are names."""
     if not np.issubdtype(np.asarray(value).dtype, np.number):
-        return f"{data.name}: {short(str(value))}"
+        return f"{plain(str(data.name))}: {short(str(value))}"
     factor, unit = scale(data)
     return f"{symbol(data)} = {number(float(value) * factor)} {pretty_unit(unit)}".rstrip()
 
@@ -130,7 +132,7 @@ def short(name: str) -> str:
     try:
         values = json.loads(name)
         return f"[{', '.join(number(float(f'{value:.3g}')) for value in values)}]"
-    except (ValueError, TypeError):
+    except (ValueError, TypeError, RecursionError):
         return name
 
 
@@ -158,20 +160,21 @@ def point_text(ds: xr.Dataset) -> str:
     others = (data for data in differing_from_defaults(ds) if data.name not in _NAMED and data.name not in known)
     parts += [value_text(data, data.values.item()) for data in others]
     if ds.attrs.get("friction", USUAL_FRICTION) != USUAL_FRICTION:
-        parts.append(f"friction: {ds.attrs['friction']}")
+        parts.append(f"friction: {text_of(ds, 'friction')}")
     if "start" in ds.attrs and "start" not in ds.coords:
-        parts.append(f"start: {short(str(ds.attrs['start']))}")
+        parts.append(f"start: {short(text_of(ds, 'start'))}")
     return ", ".join(parts)
 
 
 def certified_text(ds: xr.Dataset) -> str:
     """How many of the lanes that repeat are known to the accepted error, and how many are still settling."""
-    counted = json.loads(str(ds.attrs.get("certified", "{}")))
-    if not counted.get("estimated") or "still_settling" not in counted:
+    counted = counts_of(ds)
+    if not counted.get("estimated") or not {"within", "still_settling", "error"} <= set(counted):
         return ""
-    within, estimated, still = (counted[name] for name in ("within", "estimated", "still_settling"))
+    within, estimated, still = (round(counted[name]) for name in ("within", "estimated", "still_settling"))
     text = f"{within} of {estimated} lanes that repeat are known to {counted['error']:g}"
-    return f"{text}, {still} are still settling" if still else text
+    text += f", {still} are still settling" if still else ""
+    return text + (f", {counted['sensitive']} are sensitive to rounding" if counted.get("sensitive") else "")
 
 
 def values_along(data: xr.DataArray) -> Float[np.ndarray, " values"]:

@@ -13,13 +13,15 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis, XAxis
 from matplotlib.colors import BoundaryNorm, Colormap, ListedColormap, LogNorm, Normalize
+from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import NullLocator
 
 from vibrojax.label import REGIMES
 from vibrojax.plot._axes import scale, share_text, with_unit
 from vibrojax.plot._contents import RATE, REGIME, RELIEF, contents
-from vibrojax.plot.style import COLOURS, NOTHING, OTHER_COLOURS, UNDEFINED
+from vibrojax.plot.style import COLOURS, INK, NOTHING, OTHER_COLOURS, UNDEFINED
+from vibrojax.texts import printable
 
 # One colour for each regime, for ever, so that pictures of different runs can be read side by side. Any two differ by
 # 28 or more in CIELAB, also with any one kind of cone missing. The one to find, 3, is the brightest.
@@ -134,7 +136,8 @@ def regime_names(data: xr.DataArray) -> dict[int, str]:
 def flag_names(data: xr.DataArray) -> dict[int, str]:
     """What the flags of `data` mean, by its attributes."""
     values = np.atleast_1d(data.attrs.get("flag_values", [])).astype(int).tolist()
-    return dict(zip(values, str(data.attrs.get("flag_meanings", "")).split(), strict=False))
+    meanings = [printable(meaning, 60) for meaning in str(data.attrs.get("flag_meanings", "")).split()]
+    return dict(zip(values, meanings, strict=False))
 
 
 def regime_counts(data: Iterable[xr.DataArray]) -> dict[int, int]:
@@ -150,6 +153,12 @@ def regime_handles(data: Sequence[xr.DataArray]) -> list[Artist]:
     lanes = sum(part.size for part in data)
     shares = {flag: share_text(n / lanes) for flag, n in regime_counts(data).items()}
     return [_patch(REGIME_COLOURS[flag], f"{names[flag]}  {share}") for flag, share in shares.items()]
+
+
+def sensitive_handle() -> Artist:
+    """Return the legend's entry for lanes of which rounding decides the attractor."""
+    label = "rounding decides\nthe attractor"
+    return Line2D([], [], label=label, marker="x", markersize=4.0, markeredgewidth=0.8, linestyle="none", color=INK)
 
 
 def _patch(colour: str, name: str) -> Patch:
@@ -214,7 +223,8 @@ def value_of(data: xr.DataArray) -> Value:
 
 def _flags_value(data: xr.DataArray) -> Value:
     """Flags in colours: of stability and of regimes their own, of others in order."""
-    meanings, there = flag_names(data), np.unique(data.values).astype(int).tolist()
+    meanings = flag_names(data)
+    there = np.unique(data.values[~np.isnan(data.values)]).astype(int).tolist() or [0]
     own = (
         REGIME_COLOURS if "single-impact" in meanings.values() else _STABILITY_COLOURS if data.name == "stable" else {}
     )

@@ -1,6 +1,5 @@
 """What a dataset holds, by its dimensions, variables and attributes: the facts that decide which picture fits it."""
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -9,6 +8,9 @@ import xarray as xr
 
 from vibrojax.errors import InputError, suggestion
 from vibrojax.families.stretches import is_families
+from vibrojax.plot._drawable import plain
+from vibrojax.store.attributes import differing_of, parameters_of
+from vibrojax.texts import printable
 
 TIME, SETTING = "time", "setting"  # the dimension of a run, and of a study of speed against error
 START, POINT, RETURN, FORM = "start", "point", "return_index", "form"
@@ -16,7 +18,7 @@ MULTIPLIER = "multiplier"
 ATTRACTOR, NAMED = "attractor", "named_start"  # of attractors; and the scene's own starts beside others
 DIRECTION = "direction"  # of lanes that are carried along an axis
 _GROUP = "group"  # the dimension of groups of rows of a table
-HIDDEN = "hidden_motion"
+HIDDEN, SENSITIVE = "hidden_motion", "sensitive"
 REGIME, RATE, RELIEF, COEFFICIENT = "regime", "rate_of_penetration", "relief", "C"
 RETURNS, ERROR = "return_impact_velocity", "error_worst"
 BESIDE_REGIMES = (RATE, "impact_velocity", "period", "bit_amplitude")  # the first two of these that a dataset has
@@ -257,27 +259,16 @@ def named_groups(fit: xr.Dataset) -> xr.Dataset:
     return fit.swap_dims({_GROUP: columns[0]}) if len(columns) == 1 and _GROUP not in fit.coords else fit
 
 
-def parameters_of(ds: xr.Dataset) -> dict[str, float]:
-    """The numbers in the attribute `parameters`, a mapping or its JSON text."""
-    given = ds.attrs.get("parameters", {})
-    if isinstance(given, str):
-        try:
-            given = json.loads(given)
-        except ValueError:
-            given = {}
-    pairs = given.items() if isinstance(given, dict) else ()
-    return {str(name): float(value) for name, value in pairs if isinstance(value, (int, float))}
-
-
 def differing_from_defaults(ds: xr.Dataset) -> tuple[xr.DataArray, ...]:
-    """The fixed parameters whose values are not the defaults, as the attribute `differing` lists them."""
-    try:
-        listed = json.loads(str(ds.attrs.get("differing", "[]")))
-        values = {one["name"]: float(one["value"]) for one in listed}
-        about = {one["name"]: {"units": one["units"], "symbol": one["symbol"]} for one in listed}
-        return tuple(xr.DataArray(value, name=name, attrs=about[name]) for name, value in values.items())
-    except (ValueError, KeyError, TypeError):
-        return ()
+    """Return the fixed parameters whose values are not the defaults."""
+    return tuple(
+        xr.DataArray(
+            parameter["value"],
+            name=parameter["name"],
+            attrs={name: plain(printable(parameter[name], 40)) for name in ("units", "symbol")},
+        )
+        for parameter in differing_of(ds)
+    )
 
 
 def is_numeric(data: xr.DataArray) -> bool:

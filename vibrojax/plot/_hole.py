@@ -12,11 +12,12 @@ from matplotlib.gridspec import GridSpec
 
 from vibrojax.errors import InputError
 from vibrojax.plot._axes import number, point_text
-from vibrojax.plot._contents import contents, parameters_of
+from vibrojax.plot._contents import contents
 from vibrojax.plot._envelope import band_text, draw_over_time
 from vibrojax.plot._margins import write_margins
 from vibrojax.plot._motion import Hole, Samples, read_hole
 from vibrojax.plot.style import BIT, DASHED, FAINT, INK, ROCK, Mark, new_figure, styled
+from vibrojax.store.attributes import parameters_of
 
 _UNITS = (("mm", 1e3, 2e-4), ("µm", 1e6, 0.0))  # from which swing [m]
 _ENLARGED = 2  # blows

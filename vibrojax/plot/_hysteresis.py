@@ -1,6 +1,5 @@
 """Lanes carried up and down along an axis: both ways in one picture, and where they jump."""
 
-import json
 from collections.abc import Sequence
 from functools import partial
 
@@ -11,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from vibrojax.errors import InputError, shown
 from vibrojax.label import COMPARED, FAILED, SAME_WITHIN, UNDECIDED
 from vibrojax.plot._axes import number, pretty_unit, scale, values_along, with_unit
 from vibrojax.plot._colours import Value, values_beside
@@ -18,6 +18,7 @@ from vibrojax.plot._contents import DIRECTION, REGIME, RETURN, RETURNS, START, r
 from vibrojax.plot._over import OF_RETURNS, check_over, draw_over, over_handles, over_text, several, special_points
 from vibrojax.plot._strips import Stack, dot_size, draw_stacks, draw_values, of_start, start_names
 from vibrojax.plot.style import INK, Mark, start_colour, styled
+from vibrojax.store.attributes import run_of
 
 Places = Int[np.ndarray, " _"]
 
@@ -34,7 +35,9 @@ def hysteresis(ds: xr.Dataset, over: xr.Dataset | Sequence[xr.Dataset] | None = 
     gives them, drawn over the lanes; the note says which of their special points, but for the ends, is nearest to each
     jump.
     """
-    along = json.loads(str(ds.attrs["run"]))["carry"]
+    along = str(run_of(ds).get("carry"))
+    if along not in ds.dims:
+        raise InputError(f"attribute run: carry: {shown(along)} is no axis of the carried lanes")
     ds = regimes_in(ds.rename({DIRECTION: START}))
     values = () if RETURNS in ds else values_beside(ds)
     every = several(over)

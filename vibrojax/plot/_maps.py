@@ -24,11 +24,22 @@ from vibrojax.plot._colours import (
     Value,
     coloured,
     regime_handles,
+    sensitive_handle,
     value_handles,
     values_beside,
     values_of_rock,
 )
-from vibrojax.plot._contents import HIDDEN, REGIME, RELIEF, axes_of_map, has_regimes, long_axes, rates_in, regimes_in
+from vibrojax.plot._contents import (
+    HIDDEN,
+    REGIME,
+    RELIEF,
+    SENSITIVE,
+    axes_of_map,
+    has_regimes,
+    long_axes,
+    rates_in,
+    regimes_in,
+)
 from vibrojax.plot._margins import write_margins
 from vibrojax.plot._sheet import MOST, Panel, facets, sheet
 from vibrojax.plot.style import INK, NOTHING, styled
@@ -43,7 +54,11 @@ _LETTERS = 17  # of a label, for an inch of its axis
 _NONE = ListedColormap([NOTHING], name="nothing")
 _SYMBOLS = {"mean_force": "P", "relief": "P/D"}
 
-_HIDDEN_MARK: dict[str, Any] = {"s": 6.0, "marker": "o", "color": INK, "edgecolors": "white", "linewidths": 0.4}
+_MARKS: dict[str, dict[str, Any]] = {
+    HIDDEN: {"s": 6.0, "marker": "o", "color": INK, "edgecolors": "white", "linewidths": 0.4},
+    SENSITIVE: {"s": 9.0, "marker": "x", "color": INK, "linewidths": 0.6},
+}
+"""The marks of cells, by the variable that is 1 there."""
 
 # Chapter 5 of the source: stable single impact, "best".
 REGION = {"beta": (0.25, 0.60), "gamma": (0.60, 0.80)}
@@ -73,11 +88,12 @@ def map_of(
     ds = ds.sortby([x, y])
     panels = facets(ds, (x, y), MOST if len(values) < _SEVERAL else MOST // 2)
     drawn = sheet(panels, values)
-    marks = False
+    marked: set[str] = set()
     kinds: list[str] = []
     for panel in drawn:
         draw_cells(panel, x, y)
-        marks |= panel.value is None and _mark_hidden(panel, x, y)
+        if panel.value is None:
+            marked |= {name for name in _MARKS if _mark_cells(panel, x, y, name)}
         if over is not None and panel.value is None:
             kinds += draw_over_panel(panel.axes, over, panel.facet, x, y)
         outline_region(panel.axes, x, y)
@@ -86,7 +102,8 @@ def map_of(
     handles += value_handles(panels.data, [value for value in values if value is not None])
     drawn.finish(
         handles
-        + ([_hidden_handle()] if marks else [])
+        + ([_hidden_handle()] if HIDDEN in marked else [])
+        + ([sensitive_handle()] if SENSITIVE in marked else [])
         + _border_handle(drawn.panels)
         + border_handles(kinds)
         + region_handle(drawn.panels[0].axes)
@@ -183,14 +200,14 @@ def _outline_single(axes: Axes, single: Bool[np.ndarray, "rows columns"], corner
             axes.add_collection(LineCollection([*upright, *flat], colors=colour, linewidths=width), autolim=False)
 
 
-def _mark_hidden(panel: Panel, x: str, y: str) -> bool:
-    """Mark the cells where another start ends in another motion under the same label; whether there are any."""
-    if HIDDEN not in panel.facet:
+def _mark_cells(panel: Panel, x: str, y: str, name: str) -> bool:
+    """Mark the cells where the variable `name` is 1, and return whether there are any."""
+    if name not in panel.facet:
         return False
-    at = np.argwhere(panel.facet[HIDDEN].transpose(y, x).values == 1)
-    across, up = (values_along(panel.facet[name]) for name in (x, y))
-    panel.axes.scatter(across[at[:, 1]], up[at[:, 0]], **_HIDDEN_MARK)
-    return len(at) > 0
+    cells = np.argwhere(panel.facet[name].transpose(y, x).values == 1)
+    across, up = (values_along(panel.facet[axis]) for axis in (x, y))
+    panel.axes.scatter(across[cells[:, 1]], up[cells[:, 0]], **_MARKS[name])
+    return len(cells) > 0
 
 
 def _hidden_handle() -> Artist:

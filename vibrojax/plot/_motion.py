@@ -8,7 +8,8 @@ import xarray as xr
 from jaxtyping import Bool, Float
 
 from vibrojax.errors import InputError
-from vibrojax.plot._contents import TIME, contents, parameters_of
+from vibrojax.plot._contents import TIME, contents
+from vibrojax.store.attributes import parameters_of
 
 _FEWEST = 16  # samples
 _LONGEST = 0.1  # [s] of what is shown of an impact

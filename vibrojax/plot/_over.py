@@ -11,8 +11,9 @@ from vibrojax.errors import InputError
 from vibrojax.families.stretches import FAMILY, along_name, branches, is_families, kind_names, numbers_of
 from vibrojax.plot._axes import edges, number, values_along
 from vibrojax.plot._branches import MARKS, Curve, draw_families, ranges_text, special_handles, stability_handles
-from vibrojax.plot._contents import is_numeric, parameters_of
+from vibrojax.plot._contents import is_numeric
 from vibrojax.plot.style import INK
+from vibrojax.store.attributes import parameters_of
 
 OF_RETURNS = "impact_velocity"
 """The variable of a family that the returns of a sweep are those of."""

@@ -9,11 +9,12 @@ from matplotlib.figure import Figure
 from vibrojax.label import REGIMES
 from vibrojax.plot._axes import point_text
 from vibrojax.plot._colours import Value, regime_handles, share_value, value_of
-from vibrojax.plot._contents import NAMED, REGIME, START, axes_of_map, parameters_of, without_single
+from vibrojax.plot._contents import NAMED, REGIME, START, axes_of_map, without_single
 from vibrojax.plot._maps import draw_cells, outline_region, region_handle, write_labels
 from vibrojax.plot._margins import write_margins
 from vibrojax.plot._sheet import MOST, Panel, facets, sheet
 from vibrojax.plot.style import styled
+from vibrojax.store.attributes import parameters_of
 
 _SINGLE = REGIMES.index("single-impact")
 _STRONG, _COUNT = "strong_share", "attractors"

@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 import xarray as xr
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -24,13 +24,14 @@ from vibrojax.plot._colours import (
     by_share,
     flags,
     regime_handles,
+    sensitive_handle,
     shape_flags,
     values_beside,
 )
-from vibrojax.plot._contents import REGIME, START, axes_to_draw, lane_dims, many_starts, regimes_in
+from vibrojax.plot._contents import REGIME, SENSITIVE, START, axes_to_draw, lane_dims, many_starts, regimes_in
 from vibrojax.plot._margins import PAGE, legend_at_right, write_margins
 from vibrojax.plot._sheet import MOST, Facets, columns, facets
-from vibrojax.plot.style import Mark, new_figure, start_colour, styled
+from vibrojax.plot.style import INK, Mark, new_figure, start_colour, styled
 
 _WIDE = 3  # stacks side by side, at most
 _BETWEEN = 0.6  # inches for the titles and labels of a stack
@@ -88,7 +89,9 @@ def draw_stacks(
     for stack in drawn:
         draw(stack)
         _draw_strip(stack, x)
-    legend_at_right(figure, handles, regime_handles([facet[REGIME] for facet in panels.data]))
+    regimes = regime_handles([facet[REGIME] for facet in panels.data])
+    marks = [sensitive_handle()] if any(_sensitive(facet, x).any() for facet in panels.data) else []
+    legend_at_right(figure, handles, regimes + marks)
     notes = point_text(ds), certified_text(ds), panels.note, shares_text(ds) if many_starts(ds) else "", about
     write_margins(figure, str(ds.attrs.get("title", "")), *notes)
     return figure
@@ -196,8 +199,18 @@ def _draw_strip(stack: Stack, x: str) -> None:
         strip.tick_params(axis="y", length=0)
         for between in ends[1:-1]:
             strip.axhline(between, color="white", linewidth=1.2)
+        row, column = np.nonzero(_sensitive(stack.facet, x))
+        strip.scatter(along[column], row, s=9.0, marker="x", color=INK, linewidths=0.6)
     shape_axis(strip, "x", along)
     strip.set_xlabel(label(stack.facet[x]))
+
+
+def _sensitive(facet: xr.Dataset, x: str) -> Bool[np.ndarray, "starts values"]:
+    """Return the lanes of a row for each start of which rounding decides the attractor; none where rows are shares."""
+    if SENSITIVE not in facet or many_starts(facet):
+        return np.zeros((1, facet.sizes[x]), bool)
+    rows = facet[SENSITIVE]
+    return (rows if START in rows.dims else rows.expand_dims(START)).transpose(START, x).values == 1
 
 
 def _start_handles(ds: xr.Dataset) -> list[Artist]:

@@ -1,6 +1,5 @@
 """Speed against error: every setting of every method, a panel for each scene, and the front that none is beyond."""
 
-import json
 from dataclasses import dataclass
 from textwrap import fill
 
@@ -17,6 +16,8 @@ from matplotlib.typing import MarkerType
 
 from vibrojax.plot._contents import SETTING
 from vibrojax.plot.style import FAINT, INK, Mark, new_figure, styled
+from vibrojax.store.attributes import table_of, title_of
+from vibrojax.texts import printable
 
 _FRONT = "#F2C94C"
 _FLOOR = "#E8E8E8"
@@ -74,7 +75,7 @@ def work_precision(ds: xr.Dataset) -> Figure:
         axes.axis("off")
     _label(panels, ds, wide, len(scenes))
     _legend(panels[len(scenes)], ds)
-    figure.suptitle(f"{ds.attrs.get('title', 'Speed against error')} · {_computer(ds)}", fontsize=10)
+    figure.suptitle(f"{title_of(ds, 'Speed against error')} · {_computer(ds)}", fontsize=10)
     return figure
 
 
@@ -177,8 +178,7 @@ def _legend(axes: Axes, ds: xr.Dataset) -> None:
 
 
 def _computer(ds: xr.Dataset) -> str:
-    try:
-        about = json.loads(ds.attrs["machine"])
-        return fill(f"{about['processor']}, {about['cores']} cores, jax {about['jax']}", 90)
-    except (KeyError, ValueError):
+    about = table_of(ds, "machine")
+    if not {"processor", "cores", "jax"} <= set(about):
         return "machine unknown"
+    return fill(printable(f"{about['processor']}, {about['cores']} cores, jax {about['jax']}", 180), 90)

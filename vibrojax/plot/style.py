@@ -1,17 +1,21 @@
 """How every picture looks: colours, sizes, and a figure that leaves pyplot and its settings alone."""
 
-from collections.abc import Callable
-from contextlib import AbstractContextManager
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import wraps
 from io import BytesIO
-from typing import ParamSpec, TypedDict
+from typing import Any, ParamSpec, TypedDict
 
+import xarray as xr
 from matplotlib import style
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.gridspec import GridSpec, SubplotSpec
 from matplotlib.typing import ColorType, LineStyleType, MarkerType
+
+from vibrojax.plot._drawable import drawable
 
 INK = "#222222"
 FAINT = "#9A9A9A"
@@ -93,24 +97,37 @@ class OwnFigure(Figure):
         return content.getvalue()
 
 
-def settings() -> AbstractContextManager[None]:
-    """A context in which matplotlib has the settings of all pictures, whatever the user's are."""
-    return style.context(["default", _SETTINGS])
+@contextmanager
+def settings() -> Iterator[None]:
+    """Give matplotlib the settings of all pictures, whatever the user's are."""
+    with style.context(["default", _SETTINGS]), warnings.catch_warnings():
+        # A letter that the font lacks is drawn as a box, which says it.
+        warnings.filterwarnings("ignore", "Glyph .* missing from", UserWarning)
+        yield
 
 
 def styled(draw: Callable[Arguments, Figure]) -> Callable[Arguments, Figure]:
-    """`draw` run under the settings of all pictures."""
+    """Return `draw` with the settings of all pictures, on datasets whose texts can be drawn."""
 
     @wraps(draw)
     def drawn(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Figure:
         with settings():
-            figure = draw(*args, **kwargs)
+            figure = draw(*map(_drawable, args), **{name: _drawable(one) for name, one in kwargs.items()})
         # Ticks are made as late as at drawing, when the user's settings hold again.
         for axes in figure.axes:
             axes.tick_params(labelsize=_TICK_SIZE)
         return figure
 
     return drawn
+
+
+def _drawable(argument: Any) -> Any:
+    """Return an argument of a drawing function with datasets whose texts can be drawn."""
+    if isinstance(argument, xr.Dataset):
+        return drawable(argument)
+    if isinstance(argument, (list, tuple)) and any(isinstance(one, xr.Dataset) for one in argument):
+        return [_drawable(one) for one in argument]
+    return argument
 
 
 def new_figure(width: float, height: float) -> OwnFigure:

@@ -11,6 +11,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 from matplotlib.figure import Figure
 
+from vibrojax.content_policy import content_policy
 from vibrojax.errors import InputError
 from vibrojax.reproduce.findings import FINDINGS, READINGS, Finding
 from vibrojax.reproduce.reproduction import Reproduction, Result
@@ -83,9 +84,11 @@ def page(reproduction: Reproduction) -> str:
     )
     environment.filters |= {"code": _code, "picture": _picture}
     results = reproduction.results
+    style = "\n" + files("vibrojax.reproduce").joinpath("page.css").read_text(encoding="utf-8")
     differing = sorted((one for one in results if one.here.verdict == DIFFERS), key=_weight)
     return environment.get_template("page.html.jinja").render(
-        style=Markup(files("vibrojax.reproduce").joinpath("page.css").read_text(encoding="utf-8")),
+        policy=Markup(content_policy([], [style])),
+        style=Markup(style),
         reproduction=reproduction,
         verdicts=tuple(reversed(VERDICTS)),
         classes=CLASSES,

@@ -2,6 +2,7 @@
 
 import errno
 import os
+import shlex
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -10,8 +11,10 @@ import xarray as xr
 
 from vibrojax.errors import InputError
 from vibrojax.store.atomic import ZARR, atomic_write
+from vibrojax.store.attributes import check_attributes
 from vibrojax.store.faults import warn_of_faults
 from vibrojax.store.packing import LEVEL
+from vibrojax.store.structure import check_structure
 from vibrojax.store.variables import VARIABLES
 from vibrojax.threads import in_own_thread
 
@@ -20,6 +23,9 @@ MARK = "vibrojax"
 
 LAZY_FROM = 256e6
 """Bytes of a dataset from which on it is not read at once."""
+
+MOST_PACKED = 2000
+"""How many times its size a file can hold: zlib packs to a thousandth at best, and dimensions may be claimed."""
 
 COMPRESSED = 4096
 """Variables of more values than this are compressed."""
@@ -64,12 +70,13 @@ def open_dataset(path: str | os.PathLike[str]) -> xr.Dataset:
 
     **Arguments:**
 
-    - `path`: the netCDF file, or the Zarr store.
+    - `path`: the netCDF file, or the Zarr store. It may come from anywhere: attributes, names, coordinates and flags
+      are checked.
 
     **Returns:** the dataset: read into memory whole, or, where it would take over a quarter of a gigabyte, with
     variables that are read when they are used: by dask, in parts, where it is installed.
 
-    **Raises:** `InputError` where it is not there, no netCDF, cut short, or not written by this package.
+    **Raises:** `InputError` where it is not there, no netCDF, cut short, not written by this package, or malformed.
 
     **Example:**
 
@@ -86,20 +93,33 @@ def open_dataset(path: str | os.PathLike[str]) -> xr.Dataset:
     if not path.is_file() and path.suffix != ZARR:
         raise InputError(f"{path}: is no file with an end; give a .nc file")
     if path.suffix == ".toml":
-        raise InputError(f"{path}: is no dataset; give the .nc file that vibrojax sweep {path} writes")
+        command = shlex.join(["vibrojax", "sweep", str(path)])
+        raise InputError(f"{path}: is no dataset; give the .nc file that {command} writes")
     if path.suffix == ZARR:
         check_zarr(path)
     patience = _PATIENCE + path.stat().st_size / _SLOWEST
     try:
         dataset = in_own_thread(lambda: _opened(path), patience)
+    except InputError:
+        raise
     except TimeoutError:  # HDF5 goes round and round in some files that have lost a block
         raise InputError(f"{path}: cannot be read as netCDF (its structure is damaged)") from None
     except Exception as error:  # whatever the library says of a file that is cut short, flipped or no netCDF at all
         raise InputError(f"{path}: cannot be read as netCDF ({_first_line(error)})") from None
     if not str(dataset.attrs.get("source", "")).startswith(MARK):
         raise InputError(f"{path}: was not written by {MARK} (its attribute source does not say so)")
+    try:
+        check_dataset(dataset)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
     warn_of_faults(dataset, str(path))
     return dataset
+
+
+def check_dataset(dataset: xr.Dataset) -> None:
+    """Raise `InputError` if a dataset is malformed: an attribute, a name, a coordinate or a flag."""
+    check_attributes(dataset)
+    check_structure(dataset)
 
 
 def _opened(path: Path) -> xr.Dataset:
@@ -113,6 +133,10 @@ def _opened(path: Path) -> xr.Dataset:
     if dataset.nbytes <= LAZY_FROM:
         with dataset:
             return dataset.load()
+    if path.is_file() and dataset.nbytes > MOST_PACKED * path.stat().st_size:
+        raise InputError(
+            f"{path}: claims {dataset.nbytes / 1e9:.3g} GB, which its {path.stat().st_size} bytes cannot hold"
+        )
     return dataset.chunk({}) if find_spec("dask") is not None else dataset
 
 

@@ -1,7 +1,9 @@
 """Workers as jobs of SLURM, through submitit: an array of jobs that share the chunks of a sweep in its folder."""
 
+import os
 import pickle
 import shutil
+import stat
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -78,11 +80,13 @@ def by_slurm(
 
     **Returns:** the indices of chunks that raised with a job.
 
-    **Raises:** `WorkersDied` where the jobs end and chunks are not there.
+    **Raises:** `WorkersDied` where the jobs end and chunks are not there; `InputError` if others can write to the jobs'
+    folder.
     """
     import submitit
 
     logs = shards.folder.with_suffix(".jobs").absolute()
+    _make_private(logs)
     executor = submitit.AutoExecutor(folder=logs, cluster=cluster)
     executor.update_parameters(name="vibrojax", timeout_min=LIMIT_MINUTES, cpus_per_task=1)
     job = Job(pickled(sweep), str(shards.folder.absolute()), shards.manifest, order)
@@ -112,6 +116,14 @@ def by_slurm(
     _cancel(jobs)
     shutil.rmtree(logs, ignore_errors=True)
     return sorted(failed)
+
+
+def _make_private(folder: Path) -> None:
+    """Make a folder to which this user alone writes: jobs, and this process, unpickle the files in it."""
+    folder.mkdir(mode=0o700, exist_ok=True)
+    about = folder.lstat()
+    if about.st_uid != os.geteuid() or about.st_mode & (stat.S_IWGRP | stat.S_IWOTH) or not stat.S_ISDIR(about.st_mode):
+        raise InputError(f"{folder}: others can write to it, and could run code in the jobs; remove it")
 
 
 def _cancel(jobs: Sequence[Any]) -> None:

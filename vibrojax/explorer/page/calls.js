@@ -1,41 +1,64 @@
-// The command line and the Python call that simulate a cell.
+// The command line and the Python call that simulate a cell. They are made to be copied and run, and the data of a page
+// may come from anywhere: what is written here is a name of the scene, a finite number or a known word.
+// vibrojax/explorer/run.py gives no others; they are checked here again.
 
-const number = (value) => (typeof value === "number" ? String(Number(value.toPrecision(10))) : value);
-const literal = (value) => (typeof value === "number" ? number(value) : value.startsWith("[") ? value : JSON.stringify(value));
-const shell = (word) => (/^[\w=.,:+-]+$/.test(word) ? word : `'${word.replaceAll("'", "'\\''")}'`);
+const NAME = /^[A-Za-z_][A-Za-z0-9_]*$/, WORD = /^[A-Za-z][A-Za-z0-9_-]*$/, NUMBERS = /^\[[-+0-9.eE, ]*\]$/;
+
+const isNumber = (value) => typeof value === "number" && Number.isFinite(value);
+const number = (value) => String(Number(value.toPrecision(10)));
+const written = (value) => (isNumber(value) ? number(value) : value);
+const literal = (value) => (isNumber(value) ? number(value) : value.startsWith("[") ? value : `"${value}"`);
+const shell = (word) => (/^[A-Za-z0-9_=.,:+-]+$/.test(word) ? word : `'${word.replaceAll("'", "'\\''")}'`);
+
+/** Whether a parameter and its value may be written. */
+function allowed(run, name, value) {
+  if (name === "rock") return run.rocks.includes(value) && WORD.test(value);
+  const ofScene = run.names.includes(name) || (["rpm", "bit_radius"].includes(name) && run.names.includes("v"));
+  return NAME.test(name) && ofScene && isNumber(value);
+}
+
+/** A start as it may be written: a word of the scene, or numbers for its states; null for any other. */
+function startText(run, start) {
+  if (typeof start === "string" && run.starts.includes(start) && WORD.test(start)) return start;
+  let vector = start;
+  if (typeof start === "string") vector = NUMBERS.test(start) ? start.slice(1, -1).split(",").map(Number) : null;
+  if (!Array.isArray(vector) || vector.length !== run.states.length || !vector.every(isNumber)) return null;
+  return vector.length ? `[${vector.join(", ")}]` : null;
+}
 
 /** Parameters that are not the defaults, and the start, null for the scene's own. */
 function givenOf(run, own, point) {
-  const given = { ...run.parameters }, ofScene = (name) => (run.names ?? []).includes(name);
-  for (const [name, value] of Object.entries(own)) if (ofScene(name) || name === "rock") given[name] = value;
-  if ("rpm" in own) {
-    given.rpm = own.rpm;
-    if ("bit_radius" in own) given.bit_radius = own.bit_radius;
+  const given = new Map(Object.entries(run.parameters)), ofScene = (name) => run.names.includes(name);
+  for (const [name, value] of Object.entries(own)) if (ofScene(name) || name === "rock") given.set(name, value);
+  if (Object.hasOwn(own, "rpm")) {
+    given.set("rpm", own.rpm);
+    if (Object.hasOwn(own, "bit_radius")) given.set("bit_radius", own.bit_radius);
   }
   if (point) {
-    for (const name of Object.keys(given)) if (ofScene(name) || ["rock", "rpm", "bit_radius"].includes(name)) delete given[name];
-    return { given: Object.assign(given, point.parameters), start: point.start };
+    for (const name of [...given.keys()]) if (ofScene(name) || ["rock", "rpm", "bit_radius"].includes(name)) given.delete(name);
+    for (const [name, value] of Object.entries(point.parameters)) given.set(name, value);
+    return { given, start: point.start };
   }
-  const states = run.states ?? [], vector = states.map((name) => own[`start_${name}`]);
-  const isVector = states.length && vector.every((x) => typeof x === "number");
-  return { given, start: isVector ? `[${vector.join(", ")}]` : own.start ?? run.start ?? null };
+  const vector = run.states.map((name) => own[`start_${name}`]);
+  return { given, start: vector.length && vector.every(isNumber) ? vector : own.start ?? run.start };
 }
 
 /**
- * {command, python} of a cell. run, scene: of the document. own: the cell's coordinates by name.
- * point: {parameters, start} of a motion beside the cell, if one is shown.
+ * {command, python} of a cell, null where no name stands for its scene. run: of the document. own: the cell's
+ * coordinates by name. point: {parameters, start} of a motion beside the cell, if one is shown.
  */
-export function callsOf({ run, scene }, own, point) {
-  const { given, start } = givenOf(run, own, point), options = Object.entries(run.options), hasStart = typeof start === "string";
-  const words = [
-    ...Object.entries(given).map(([name, value]) => `${name}=${number(value)}`),
-    ...options.map(([name, value]) => `${name}=${value}`),
-    ...(hasStart ? [`start=${start.replaceAll(" ", "")}`] : []),
-    `duration=${run.duration}`,
+export function callsOf({ run }, own, point) {
+  if (!run || run.own_scene || !WORD.test(run.scene) || !isNumber(run.duration)) return null;
+  const { given, start } = givenOf(run, own, point), chosen = startText(run, start);
+  const args = [
+    ...[...given].filter(([name, value]) => allowed(run, name, value)),
+    ...Object.entries(run.options).filter(([name, value]) => NAME.test(name) && WORD.test(value)),
+    ...(chosen === null ? [] : [["start", chosen]]),
+    ["duration", run.duration],
   ];
-  const args = [...Object.entries(given), ...options, ...(hasStart ? [["start", start]] : []), ["duration", run.duration]];
+  const words = args.map(([name, value]) => shell(`${name}=${String(written(value)).replaceAll(" ", "")}`));
   return {
-    command: ["vibrojax", "simulate", scene, ...words].map(shell).join(" "),
-    python: `vj.simulate(${JSON.stringify(scene)}, ${args.map(([name, value]) => `${name}=${literal(value)}`).join(", ")})`,
+    command: ["vibrojax", "simulate", run.scene, ...words].join(" "),
+    python: `vj.simulate("${run.scene}", ${args.map(([name, value]) => `${name}=${literal(value)}`).join(", ")})`,
   };
 }

@@ -111,12 +111,12 @@ async function copy(text, beside, button) {
 }
 
 function commands(page) {
-  const { run } = page.data;
-  if (!run || run.own_scene) {
-    const text = run ? "The scene is one of your own: pass its object to vj.simulate." : "";
+  const calls = page.calls();
+  if (!calls) {
+    const text = page.data.run ? "No name stands for this scene: pass its object to vj.simulate." : "";
     return el("p", { class: "vx-motion", text });
   }
-  const { command, python } = page.calls();
+  const { command, python } = calls;
   const one = (label, text) => {
     const button = el("button", { type: "button", class: "vx-copy", text: "copy", "aria-label": `Copy the ${label}`,
       onclick: () => copy(text, page.side, button) });

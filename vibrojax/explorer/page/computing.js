@@ -31,7 +31,7 @@ export class Computing {
     try {
       const motion = await this.motion(parameters, start);
       if (number !== page.asked) return;
-      page.showPoint({ title: this.title(parameters, start), parameters: this.given(parameters), start: this.written(start) }, motion);
+      page.showPoint({ title: this.title(parameters, start), parameters: this.given(parameters), start }, motion);
       this.sliders.say(`simulated in ${Math.round(performance.now() - began)} ms`);
     } catch (error) {
       if (number === page.asked) this.sliders.say(error.message, true);

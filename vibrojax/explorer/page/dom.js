@@ -5,6 +5,7 @@ export const el = (tag, attributes = {}, ...children) => {
   const one = document.createElement(tag);
   for (const [name, value] of Object.entries(attributes)) {
     if (name === "text") one.textContent = value;
+    else if (name === "style") one.style.cssText = value;  // as an attribute, the page's policy would refuse it
     else if (name.startsWith("on")) one.addEventListener(name.slice(2), value);
     else if (value === true) one.setAttribute(name, "");
     else if (value !== false && value !== null && value !== undefined) one.setAttribute(name, value);

@@ -32,7 +32,7 @@ export class Sliders {
     this.back = make("button", { type: "button", className: "vx-copy", textContent: "back to the cell" });
     const rows = [...this.rows.values()].map(({ element }) => element);
     this.element = make("details", { className: "vx-sliders", open: true },
-      make("summary", { textContent: `Simulate, for ${offered.duration} s` }),
+      make("summary", { textContent: `Simulate, for ${offered.duration} s${offered.whole > offered.duration ? ` of ${numberText(offered.whole)} s` : ""}` }),
       make("div", { className: "vx-asked" }, ...this.startControls(), this.back, this.said), make("div", { className: "vx-rows" }, ...rows));
     this.set(offered.values, offered.start);
   }

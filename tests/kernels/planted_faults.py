@@ -1,0 +1,77 @@
+"""Faults that kernels once had, to plant again: the property test must find each of them."""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pytest
+
+from vibrojax.kernels import assembly, control, conversions, elementwise, selection
+from vibrojax.kernels.operands import literal
+from vibrojax.kernels.rules import FLOATS, INTEGERS, NUMBERS, Applied, Rule
+
+
+def _loop_without_turns(patch: pytest.MonkeyPatch) -> None:
+    right = assembly.Assembly.repeated
+    patch.setattr(assembly.Assembly, "repeated", lambda asm, turns, turn: right(asm, max(turns, 1), turn))
+
+
+def _booleans_compared(patch: pytest.MonkeyPatch) -> None:
+    patch.setattr(Applied, "order", property(lambda op: "s" if op.dtype.kind in "ib" else "u"))
+
+
+def _unsigned_compared(patch: pytest.MonkeyPatch) -> None:
+    patch.setattr(Applied, "order", property(lambda op: "s" if op.dtype.kind in "iu" else "u"))
+
+
+def _scan_from_the_end(patch: pytest.MonkeyPatch) -> None:
+    patch.setattr(control, "_row_of_turn", lambda asm, turn, params: turn)
+
+
+def _fill_value(patch: pytest.MonkeyPatch) -> None:
+    patch.setattr(selection, "fill_value", lambda dtype, given: literal(np.nan if dtype.kind == "f" else 0, dtype))
+
+
+def _wide_shift(patch: pytest.MonkeyPatch) -> None:
+    """As processors shift single numbers: by the lowest bits of the distance. LLVM leaves the result undefined."""
+
+    def shifted(instruction: str, op: Applied) -> str:
+        lowest = op.asm.let(f"and {op.type} {op.x[1]}, {op.constant(8 * op.dtype.itemsize - 1)}")
+        return op.asm.let(f"{instruction} {op.type} {op.x[0]}, {lowest}")
+
+    for name, instruction in (("left", "shl"), ("right_logical", "lshr"), ("right_arithmetic", "ashr")):
+        patch.setitem(elementwise.RULES, f"shift_{name}", Rule(partial(shifted, instruction), INTEGERS))
+
+
+def _float_to_integer(patch: pytest.MonkeyPatch) -> None:
+    def frozen(op: Applied) -> str:
+        to = op.asm.type(op.gives, op.varying)
+        return op.asm.let(f"freeze {to} {op.asm.let(f'fptosi {op.type} {op.x[0]} to {to}')}")
+
+    patch.setattr(conversions, "saturated", frozen)
+
+
+def _power_by_an_integer(patch: pytest.MonkeyPatch) -> None:
+    patch.setitem(elementwise.RULES, "pow", Rule(lambda op: op.intrinsic("pow"), FLOATS))
+
+
+def _square_of_integers(patch: pytest.MonkeyPatch) -> None:
+    patch.setitem(
+        elementwise.RULES,
+        "square",
+        Rule(lambda op: op.asm.let(f"fmul {op.type} {op.x[0]}, {op.x[0]}"), NUMBERS),
+    )
+
+
+FAULTS: dict[str, Callable[[pytest.MonkeyPatch], Any]] = {
+    "a loop without turns": _loop_without_turns,
+    "booleans compared as signed": _booleans_compared,
+    "unsigned integers compared as signed": _unsigned_compared,
+    "a scan from the end runs forward": _scan_from_the_end,
+    "rows that do not exist": _fill_value,
+    "a shift by the width or more": _wide_shift,
+    "a float beyond the integers": _float_to_integer,
+    "an integer as an exponent": _power_by_an_integer,
+    "a square of integers": _square_of_integers,
+}

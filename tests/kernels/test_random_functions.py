@@ -1,0 +1,109 @@
+"""Random functions over all accepted primitives give the same by a kernel and by XLA.
+
+`VIBROJAX_FUNCTIONS` sets their number, `VIBROJAX_FUNCTIONS_SEED` which ones are drawn.
+"""
+
+import os
+from typing import Any
+from unittest.mock import patch
+
+import jax
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, Phase, given, seed, settings
+from planted_faults import FAULTS
+from processor_modes import as_xla
+from random_functions import Function, functions
+from scopes import ROUNDED, Value
+from writers import WRITERS
+
+from vibrojax.kernels import Kernel, Untranslatable, native
+from vibrojax.kernels.translation import primitives
+
+COUNT = int(os.environ.get("VIBROJAX_FUNCTIONS", 1000))
+SEED = int(os.environ.get("VIBROJAX_FUNCTIONS_SEED", 0))
+
+QUICK: dict[str, Any] = {
+    "xla_backend_optimization_level": 0,
+    "xla_llvm_disable_expensive_passes": True,
+    # Rearranges sums and products, which rounds them otherwise.
+    "xla_disable_hlo_passes": "algsimp",
+}
+"""XLA's options: compile fast, and write what the function says."""
+
+if jax.__version_info__ < (0, 11):
+    QUICK["xla_cpu_use_fusion_emitters"] = False  # later versions have no choice
+
+ROUNDINGS = 512
+"""Roundings that functions of two libraries may differ by. XLA's exp2 is up to 321 off at ends of its range, atanh and
+log1p up to 115; those of kernels are within four of numpy's (test_compiler.py, test_kernel.py)."""
+
+
+def disagreement(function: Function) -> str | None:
+    """Return which result of a function is not the same by a kernel and by XLA; None if all are."""
+    arguments = function.arguments()
+    # One group holds all lanes, so that loops of a group are loops of all lanes.
+    with patch.object(native, "vector_bytes", lambda: function.width):
+        kernel = Kernel(function, *arguments)
+    with as_xla():
+        results = kernel(*arguments)
+    expected = jax.jit(function, compiler_options=QUICK)(*arguments)
+    for value, result, correct in zip(function.results, results, map(np.asarray, expected), strict=True):
+        if result.dtype != correct.dtype or result.shape != correct.shape or not _agree(value, result, correct):
+            return f"{value.name} is {result}, by XLA {correct}"
+    return None
+
+
+def _agree(value: Value, result: Any, correct: Any) -> bool:
+    if value.kind != "f":
+        return np.array_equal(result, correct)
+    limits = np.finfo(value.dtype)
+    result, correct = (np.where(np.abs(x) < limits.tiny, np.copysign(0, x), x) for x in (result, correct))
+    if value.accuracy < ROUNDED:
+        same_sign = (np.signbit(result) == np.signbit(correct)) | np.isnan(correct)
+        return np.array_equal(result, correct, equal_nan=True) and bool(np.all(same_sign))
+    return np.allclose(result, correct, rtol=ROUNDINGS * limits.eps, atol=2 * limits.tiny, equal_nan=True)
+
+
+def first_disagreement(count: int, number: int, drawn: Any = None, shrink: bool = False) -> str | None:
+    """Return the first of so many random functions that does not agree, and in what; None if all do."""
+
+    @seed(number)
+    @settings(
+        max_examples=count,
+        deadline=None,
+        database=None,
+        phases=[Phase.generate] + [Phase.shrink] * shrink,
+        suppress_health_check=list(HealthCheck),
+        report_multiple_bugs=False,
+    )
+    @given(functions() if drawn is None else drawn)
+    def search(function: Function) -> None:
+        try:
+            said = disagreement(function)
+        except Untranslatable as error:
+            said = f"refused: {error}"
+        assert said is None, f"{said}\n{function!r}"
+
+    try:
+        search()
+    except AssertionError as error:
+        return str(error)
+    return None
+
+
+def test_every_primitive_has_a_writer():
+    assert set(WRITERS) == primitives()
+
+
+def test_random_functions():
+    assert first_disagreement(COUNT, SEED, shrink=True) is None
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_planted_fault_is_found(fault, monkeypatch):
+    """Among as many functions as the test above draws; most faults are found among the first hundred."""
+    FAULTS[fault](monkeypatch)
+    # A loop along an argument would write beyond the end of its results.
+    drawn = functions(along=fault != "a loop without turns")
+    assert first_disagreement(1000, SEED, drawn) is not None

@@ -1,0 +1,244 @@
+"""A page of a dataset from others, in a browser: it runs only its own script, and the calls to copy are harmless."""
+
+import ast
+import json
+import shlex
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any
+
+import pytest
+import xarray as xr
+from browser import chromium, new_page, wrong
+from hostile import CODE, HUGE, MARKUP, STEERING, attribute, each_variable
+from small_map import small_map
+
+import vibrojax as vj
+from vibrojax.content_policy import content_policy
+from vibrojax.explorer import document_of, page_text
+from vibrojax.explorer.run import run_document
+from vibrojax.scenes.vibro_impact import VibroImpact
+
+NAMES = (
+    "__proto__",
+    "constructor",
+    "toString",
+    "v\nx",
+    "v x",
+    "v=1",
+    CODE,
+    "vе",
+    "v\u202e",
+    "v;x",
+    "$(x)",
+    "'",
+    '"',
+    "`",
+)
+WORDS = (
+    "$(touch hacked)",
+    "`touch hacked`",
+    "'; touch hacked; '",
+    '"), __import__("os"), ("',
+    "stuck\nx",
+    "ѕtuck",
+    MARKUP,
+)
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with chromium() as one:
+        yield one
+
+
+def opened(browser: Any, text: str, folder: Path, fragment: str = "", width: int = 1280) -> tuple[Any, Any, Any]:
+    """(The page of this text in the browser, what its console says, what it requests)."""
+    path = folder / "page.html"
+    path.write_text(text, encoding="utf-8")
+    page, heard, asked = new_page(browser, viewport={"width": width, "height": 900})
+    page.goto(path.as_uri() + fragment)
+    page.wait_for_selector("[data-ready]")
+    return page, heard, asked
+
+
+def check_calls(calls: dict[str, str]) -> dict[str, object]:
+    """Check that a Python call is plain and a command line is made of words; return the call's arguments."""
+    tree = ast.parse(calls["python"], mode="eval").body
+    assert isinstance(tree, ast.Call) and ast.unparse(tree.func) == "vj.simulate"
+    assert [type(one) for one in tree.args] == [ast.Constant]
+    given = {str(one.arg): ast.literal_eval(one.value) for one in tree.keywords}
+    assert None not in [one.arg for one in tree.keywords]  # no **
+    known = {*VibroImpact().parameters(), "start", "duration", "friction"}
+    assert set(given) <= known, given
+    words = shlex.split(calls["command"])
+    assert words[:3] == ["vibrojax", "simulate", "vibro-impact"]
+    assert [word.partition("=")[0] for word in words[3:]] == list(given)
+    assert not set(calls["command"].replace("'", "")) & set('$`;&|<>\\\n"(){}*?!#~')
+    return given
+
+
+def hostile_runs() -> list[dict[str, Any]]:
+    """What a page would hold as its `run` if nothing in Python checked it."""
+    plain = run_document(small_map())
+    runs = [plain | {"parameters": {name: 1.0}} for name in NAMES]
+    runs += [plain | {"parameters": {"v": word}} for word in WORDS]
+    runs += [plain | {"parameters": {"v": None}}, plain | {"parameters": {"v": {"toString": 1}}}]
+    runs += [plain | {"start": word} for word in WORDS] + [plain | {"start": [0, word, 0, 0]} for word in WORDS]
+    runs += [plain | {"options": {"friction": word}} for word in WORDS] + [plain | {"options": {CODE: "coulomb"}}]
+    runs += [plain | {"names": [*plain["names"], CODE], "parameters": {CODE: 1.0}}]
+    runs += [plain | {"starts": [word, "stuck"], "start": word} for word in WORDS]
+    return runs
+
+
+def test_calls_of_hostile_documents_are_plain(browser: Any, tmp_path: Path) -> None:
+    """What is checked in Python is checked in the page again."""
+    document = document_of(small_map())
+    page, heard, _ = opened(browser, page_text(document), tmp_path)
+    call = """([runs, own]) => runs.map((run) => {
+        Object.assign(vibrojax.data, { run });
+        vibrojax.coordinates = () => own;
+        return vibrojax.calls();
+    })"""
+    runs = hostile_runs()
+    own: dict[str, object] = {"beta": 0.4, "gamma": 0.7, "start": "stuck"}
+    for calls in page.evaluate(call, [runs, own]):
+        given = check_calls(calls)
+        assert given["beta"] == 0.4 and given["start"] == "stuck"
+    for word in (*WORDS, *NAMES):
+        [calls] = page.evaluate(call, [[run_document(small_map())], own | {"start": word, "rock": word, word: 1.0}])
+        assert "start" not in check_calls(calls)
+    scenes = [run_document(small_map()) | {"scene": word} for word in WORDS]
+    assert page.evaluate(call, [scenes, own]) == [None] * len(scenes)
+    assert not heard
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_run_holds_names_of_the_scene_alone(name: str) -> None:
+    about = [{"name": name, "symbol": "", "units": "1", "value": 1.0, "default": 0.0}]
+    ds = small_map().assign_attrs(differing=json.dumps(about))
+    try:
+        parameters = run_document(ds)["parameters"]
+    except vj.InputError as error:
+        assert "attribute differing[0]: name" in str(error)
+    else:
+        assert parameters == {}
+
+
+@pytest.mark.parametrize("word", WORDS)
+def test_a_run_holds_words_of_the_scene_alone(word: str) -> None:
+    assert run_document(small_map().assign_attrs(start=word))["start"] is None
+    assert run_document(small_map().assign_attrs(friction=word)) == {"own_scene": True}
+    assert run_document(small_map().assign_attrs(scene=word)) == {"own_scene": True}
+    vector = run_document(small_map().assign_attrs(start="[0.0, -1.5, 0.0, 0.0]"))["start"]
+    assert vector == (0.0, -1.5, 0.0, 0.0)
+
+
+def test_a_run_of_30_years_is_shortened_and_the_page_says_so() -> None:
+    ds = small_map().assign_attrs(run='{"settle": 1e9, "observe": 8.0}')
+    document = document_of(ds)
+    assert document["run"]["duration"] == 10_000.0
+    assert "Each lane ran for 1e+09 s; the commands simulate 10000 s" in document["notes"]
+
+
+def hostile_map() -> xr.Dataset:
+    """A map whose texts are markup; those of starts too."""
+    ds = each_variable(long_name=MARKUP, units=MARKUP, symbol=MARKUP)(small_map())
+    ds = attribute("title", f"{MARKUP} {STEERING} {HUGE}")(ds)
+    ds = ds.assign_coords(start=[f"$(x){MARKUP}", f'"), x, ("{MARKUP}'])
+    ds["regime"].attrs["flag_meanings"] = " ".join(
+        f"<img/src=x/onerror=window.hacked={k}>" for k in range(len(ds["regime"].attrs["flag_values"]))
+    )
+    return ds
+
+
+@pytest.mark.parametrize("width", [1280, 390])
+def test_a_hostile_dataset_runs_nothing(browser: Any, tmp_path: Path, width: int) -> None:
+    text = page_text(document_of(hostile_map()))
+    assert len(text) < 500_000
+    page, heard, asked = opened(browser, text, tmp_path, width=width)
+    for variable in ("regime", "period", "stick_fraction"):
+        page.get_by_label("Variable").select_option(variable)
+        page.locator(".vx-over").press("ArrowRight")
+    assert page.evaluate("[window.hacked, document.images.length, document.scripts.length]") == [None, 0, 3]
+    assert page.evaluate("document.scrollingElement.scrollWidth") <= width
+    assert len(page.locator("h1").inner_text()) <= 200
+    given = check_calls(page.evaluate("vibrojax.calls()"))
+    assert "start" not in given and {"beta", "gamma"} <= set(given)
+    assert len(asked) == 1 and not heard
+
+
+def test_the_policy_of_the_page_holds(browser: Any, tmp_path: Path) -> None:
+    """Whatever would get into the page could neither run, nor load, nor send anything."""
+    page, heard, _ = opened(browser, page_text(document_of(small_map())), tmp_path)
+    policy = page.locator("meta[http-equiv]").get_attribute("content")
+    assert "unsafe" not in policy and "default-src 'none'" in policy and "connect-src 'none'" in policy
+    assert not heard
+    with counting() as (address, hits):
+        page.evaluate(ATTEMPTS, address)
+    assert page.evaluate("window.hacked") is None
+    assert hits == []
+    assert len([text for text in wrong(heard) if "Content Security Policy" in text or "violates" in text]) >= 6
+
+
+ATTEMPTS = """async (address) => {
+    const add = (tag, given) => document.body.append(Object.assign(document.createElement(tag), given));
+    add("script", { textContent: "window.hacked = 1" });
+    add("script", { src: `${address}/x.js` });
+    add("img", { src: `${address}/x.png` });
+    add("iframe", { src: `${address}/` });
+    add("style", { textContent: `body { background: url(${address}/x) }` });
+    add("base", { href: `${address}/` });
+    document.body.insertAdjacentHTML("beforeend", "<p onclick='window.hacked = 2' id='p'>x</p>");
+    document.getElementById("p").click();
+    await fetch(`${address}/x`).catch(() => 0);
+    navigator.sendBeacon(`${address}/x`, "x");
+}"""
+"""What code would try that got into the page, by which way ever."""
+
+
+@contextmanager
+def counting() -> Iterator[tuple[str, list[str]]]:
+    """(The address of a server on this machine, the paths that it was asked for)."""
+    hits: list[str] = []
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            hits.append(self.path)
+            self.send_response(204)
+            self.end_headers()
+
+        do_POST = do_GET
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        yield f"http://127.0.0.1:{server.server_address[1]}", hits
+        server.shutdown()
+        thread.join()
+
+
+def test_copying_works_under_the_policy(browser: Any, tmp_path: Path) -> None:
+    page, heard, _ = opened(browser, page_text(document_of(small_map())), tmp_path)
+    page.context.grant_permissions(["clipboard-read", "clipboard-write"])
+    page.get_by_label("Copy the Python call").click()
+    page.get_by_text("copied").wait_for()
+    assert page.evaluate("navigator.clipboard.readText()") == page.evaluate("vibrojax.calls().python")
+    swatch = page.locator(".vx-legend .vx-swatch").first
+    assert swatch.evaluate("one => getComputedStyle(one).backgroundColor") != "rgba(0, 0, 0, 0)"
+    assert not heard
+
+
+def test_a_page_of_a_scene_without_a_name_has_no_commands(browser: Any, tmp_path: Path) -> None:
+    page, _, _ = opened(browser, page_text(document_of(small_map().assign_attrs(scene="mine", sweep=""))), tmp_path)
+    assert page.evaluate("vibrojax.calls()") is None
+    assert page.get_by_text("No name stands for this scene").count() == 1
+
+
+def test_the_policy_allows_what_is_in_the_page_alone() -> None:
+    policy = content_policy(["a()"], [])
+    assert "script-src 'sha256-" in policy and "style-src 'none'" in policy and "connect-src 'none'" in policy
+    assert "connect-src 'self'" in content_policy([], [], asks=True) and "unsafe" not in policy

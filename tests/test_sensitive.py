@@ -1,0 +1,96 @@
+"""Lanes of which rounding decides where they settle."""
+
+import json
+
+import numpy as np
+import pytest
+
+import vibrojax as vj
+from vibrojax.engine import sensitive as module
+from vibrojax.label import IRREGULAR, MULTI_IMPACT
+
+POINT = {
+    "friction": "popp-exponential",
+    "gamma": 1.4555274526774873,
+    "v": 2.2800989226179684,
+    "delta": -0.01871209768678116,
+    "c2": 62.5,
+}
+"""A machine with two attractors, on either of which a chaotic transient of some 25 s ends."""
+
+
+def settled(settle: float, **point):
+    sweep = {"scene": "vibro-impact", "starts": ["touching"], "unusual": True, "grid": {"beta": [0.6232515398628401]}}
+    return vj.run_sweep(sweep | {"parameters": POINT | point, "run": {"settle": settle}}, progress=False)
+
+
+@pytest.mark.parametrize("settle", [39.0, 40.0, 45.0, 80.0])
+def test_a_chaotic_transient_before_either_of_two_attractors(settle):
+    lane = settled(settle)
+    assert lane.regime.item() in (MULTI_IMPACT, IRREGULAR)
+    assert lane.sensitive.item() == 1
+    assert json.loads(lane.attrs["certified"])["within"] == 0
+    if lane.regime.item() == MULTI_IMPACT:
+        assert lane.error_estimate.item() < 1e-7
+
+
+def test_the_settling_time_alone_decides_the_attractor():
+    """The case is worth a flag: between these two settling times the label changes."""
+    assert len({settled(settle).regime.item() for settle in (39.0, 40.0, 41.0, 45.0, 50.0, 60.0, 80.0, 100.0)}) == 2
+
+
+def test_slow_transients_that_are_not_chaotic():
+    """The lanes repeat after 40 returns and more, all the same way."""
+    sweep = {
+        "scene": "vibro-impact",
+        "starts": ["drive", "stuck"],
+        "parameters": {"delta": -0.005},
+        "grid": {"beta": [0.8, 0.9, 1.0], "gamma": [0.5, 0.6]},
+    }
+    lanes = vj.run_sweep(sweep, progress=False)
+    assert (lanes.settling_time > module.GROWTH_RETURNS * lanes.period).sum() >= 3
+    assert (lanes.cycles > 0).all()
+    assert (lanes.sensitive == 0).all()
+    assert lanes.sensitive.dtype == np.int8
+
+
+def test_lanes_that_change_with_the_settling_time_are_flagged():
+    """Over the plane of the default map, most certified lanes that end on another attractor after another settling time
+    are sensitive. Of the others at most 1 % change."""
+    grid = {"beta": np.linspace(0.1, 1.2, 24).tolist(), "gamma": np.linspace(0.3, 1.2, 24).tolist()}
+    sweep = {"scene": "vibro-impact", "parameters": {"delta": -0.005}, "grid": grid}
+    runs = [vj.run_sweep(sweep | {"run": {"settle": settle}}, progress=False) for settle in (40.0, 41.3, 43.7, 47.0)]
+    first, *others = runs
+    certified = first.error_estimate.values <= 1e-4
+    change = np.any([_differ(first, other) for other in others], axis=0) & certified
+    flagged = first.sensitive.values == 1
+    print(f"{certified.sum()} certified, {flagged.sum()} sensitive, {change.sum()} change")
+    assert change.sum() >= 4
+    assert (change & flagged).sum() >= 0.75 * change.sum()
+    assert (change & ~flagged).sum() <= 0.01 * (certified & ~flagged).sum()
+    assert (flagged & certified).sum() <= 0.2 * certified.sum()
+
+
+def _differ(lanes, others):
+    """Return which lanes are on another attractor, of which at least one repeats."""
+    counts = (lanes.cycles != others.cycles) | (lanes.impacts.round() != others.impacts.round())
+    repeat = (lanes.cycles > 0) | (others.cycles > 0)
+    return (repeat & counts).values
+
+
+def test_short_transients_need_no_second_run(monkeypatch):
+    """Nothing is stepped again where no transient is long enough."""
+
+    def changed(*_):
+        raise AssertionError("a second run")
+
+    monkeypatch.setattr(module, "_changed", changed)
+    sweep = {"scene": "vibro-impact", "starts": ["stuck"], "grid": {"gamma": [0.62, 0.66, 0.7]}}
+    lanes = vj.run_sweep(sweep, progress=False)
+    assert (lanes.settling_time < module.GROWTH_RETURNS * lanes.period).all()
+    assert (lanes.sensitive == 0).all()
+
+
+def test_constants():
+    assert module.GROWTH_RETURNS == 40 and module.CHANGE == 1e-9
+    assert module.SECOND_RUNS == 8 and module.LANE_SECONDS == 25e3
