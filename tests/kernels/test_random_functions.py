@@ -58,9 +58,11 @@ def _agree(value: Value, result: Any, correct: Any) -> bool:
     if value.kind != "f":
         return np.array_equal(result, correct)
     limits = np.finfo(value.dtype)
-    result, correct = (np.where(np.abs(x) < limits.tiny, np.copysign(0, x), x) for x in (result, correct))
+    # Subnormal numbers count as 0, of either sign: which of two numbers is kept or made 0 differs.
+    subnormal = [(x != 0) & (np.abs(x) < limits.tiny) for x in (result, correct)]
+    same_sign = (np.signbit(result) == np.signbit(correct)) | np.isnan(correct) | subnormal[0] | subnormal[1]
+    result, correct = (np.where(small, 0, x) for small, x in zip(subnormal, (result, correct), strict=True))
     if value.accuracy < ROUNDED:
-        same_sign = (np.signbit(result) == np.signbit(correct)) | np.isnan(correct)
         return np.array_equal(result, correct, equal_nan=True) and bool(np.all(same_sign))
     return np.allclose(result, correct, rtol=ROUNDINGS * limits.eps, atol=2 * limits.tiny, equal_nan=True)
 

@@ -17,6 +17,11 @@ def write(scope: Scope) -> None:
     WRITERS[scope.pick(name for name in WRITERS if name not in left_out)](scope)
 
 
+def _comparable(name: str, value: Value) -> str:
+    """Return the source of a value with 0 for subnormal floats: XLA counts them as 0, and may select either of two."""
+    return f"normal({name})" if value.kind == "f" else name
+
+
 def _exact(call: str, kinds: str, arity: int, gives: str | None = None, accuracy: int = EXACT) -> Writer:
     """Return the writer of a function of exact values of one type."""
 
@@ -26,6 +31,8 @@ def _exact(call: str, kinds: str, arity: int, gives: str | None = None, accuracy
         if call in ("div", "rem"):
             # Compilers know a number divided by itself, even 0.
             names[1] = f"lax.optimization_barrier({names[1]})"
+        elif call in ("max", "min"):
+            names = [_comparable(name, first) for name in names]
         is_product = accuracy == PRODUCT and first.kind == "f"
         if not (is_product and scope.depth):
             source = f"lax.{call}({', '.join(names)})"
@@ -106,7 +113,8 @@ def _clamp(scope: Scope) -> None:
     x = scope.any("fiu", apart=True)  # XLA has none of booleans
     ends = scope.pick([x, replace(x, rows=(), lanes=False)])
     low, high = (scope.same(x, apart=True, rows=ends.rows, lanes=ends.lanes) for _ in range(2))
-    scope.let(f"lax.clamp({low.name}, {x.name}, {high.name})", x)
+    low, among, high = (_comparable(value.name, x) for value in (low, x, high))
+    scope.let(f"lax.clamp({low}, {among}, {high})", x)
 
 
 def _select(scope: Scope) -> None:
@@ -126,8 +134,9 @@ def _reduction(call: str, kinds: str) -> Writer:
 
     def write(scope: Scope) -> None:
         x = scope.any(kinds, apart=True, least=1)
-        whole = x.kind == "f" and call in ("reduce_sum", "reduce_prod")
-        scope.let(f"lax.{call}({f'whole({x.name})' if whole else x.name}, (0,))", x, rows=())
+        adds = call in ("reduce_sum", "reduce_prod")
+        source = f"whole({x.name})" if adds and x.kind == "f" else _comparable(x.name, x)
+        scope.let(f"lax.{call}({source}, (0,))", x, rows=())
 
     return write
 
@@ -176,7 +185,8 @@ def _scatter(scope: Scope) -> None:
 def _sort(scope: Scope) -> None:
     key = scope.any(apart=True, least=1)
     other = scope.same(key, apart=True, dtype=scope.dtype(ANY))
-    scope.unpack(f"lax.sort(({key.name}, {other.name}), dimension=0, num_keys=1)", [key, other])
+    keys = _comparable(key.name, key)
+    scope.unpack(f"lax.sort(({keys}, {other.name}), dimension=0, num_keys=1)", [key, other])
 
 
 def _dynamic_slice(scope: Scope) -> None:
