@@ -22,11 +22,12 @@ jax.config.update("jax_enable_x64", True)
 
 from test_sweep_against_simulate import DRILLS, LANES, all_laws, columns, swept  # noqa: E402
 
-from vibrojax.engine import arithmetic, by_llvm, by_xla, compiler  # noqa: E402
+from vibrojax.compile import arithmetic  # noqa: E402
+from vibrojax.compile.kernels import Untranslatable, elementwise, kernels, native  # noqa: E402
+from vibrojax.compile.kernels.rules import NUMBERS, Rule  # noqa: E402
 from vibrojax.errors import InputError  # noqa: E402
-from vibrojax.kernels import Untranslatable, elementwise, kernels, native  # noqa: E402
-from vibrojax.kernels.rules import NUMBERS, Rule  # noqa: E402
-from vibrojax.physics.friction import FRICTION_LAWS  # noqa: E402
+from vibrojax.models.physics.friction import FRICTION_LAWS  # noqa: E402
+from vibrojax.sweep.engine import by_llvm, by_xla, compiler  # noqa: E402
 
 WIDTH, PASSES = "xla_cpu_prefer_vector_width", "xla_disable_hlo_passes"
 OF_XLA = compiler.compiler_options("cpu")

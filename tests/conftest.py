@@ -15,7 +15,7 @@ os.environ |= FOR_CACHES
 atexit.register(lambda: [shutil.rmtree(folder, ignore_errors=True) for folder in FOR_CACHES.values()])
 
 if tuple(int(part) for part in version("jax").split(".")[:3]) < (0, 11, 2):
-    # As `vibrojax.engine.compiler` does for the package's own programs: those that tests compile for themselves
+    # As `vibrojax.sweep.engine.compiler` does for the package's own programs: those that tests compile for themselves
     # take a quarter of the time without it.
     os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --xla_disable_hlo_passes=cse_barrier_expander"
 
@@ -28,48 +28,34 @@ jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
 # Annotations, shapes of arrays among them, are checked in the tests; users pay nothing for them. What users call
-# themselves (input.read and source, simulation._simulate) is not: it says what is wrong with an argument in its own
+# themselves (sweep.input.read and source, sweep.simulation.run) is not: it says what is wrong with an argument in its own
 # words. Nor are kernels, which call their functions a hundred thousand times to be written: two minutes of checking.
 CHECKED = [
-    "vibrojax.accuracy",
-    "vibrojax.amounts",
-    "vibrojax.arrays",
+    "vibrojax.analyses",
     "vibrojax.cli",
-    "vibrojax.content_policy",
-    "vibrojax.devices",
-    "vibrojax.engine",
+    "vibrojax.compile.devices",
     "vibrojax.errors",
     "vibrojax.explorer",
-    "vibrojax.chaos",
-    "vibrojax.coexistence",
-    "vibrojax.families",
-    "vibrojax.input.axes",
-    "vibrojax.input.definition",
-    "vibrojax.input.names",
-    "vibrojax.input.offered",
-    "vibrojax.input.plain",
-    "vibrojax.input.point",
-    "vibrojax.input.points",
-    "vibrojax.input.run_settings",
-    "vibrojax.input.values",
-    "vibrojax.label",
-    "vibrojax.laws",
-    "vibrojax.measure",
+    "vibrojax.io",
+    "vibrojax.measures",
+    "vibrojax.models",
     "vibrojax.periodic",
-    "vibrojax.physics",
     "vibrojax.plot",
     "vibrojax.progress",
-    "vibrojax.regions",
     "vibrojax.reproduce",
-    "vibrojax.scenes",
-    "vibrojax.simulation._record",
-    "vibrojax.simulation._trajectory",
     "vibrojax.stepping",
-    "vibrojax.store",
-    "vibrojax.texts",
-    "vibrojax.threads",
-    "vibrojax.timings",
-    "vibrojax.workers",
+    "vibrojax.sweep.engine",
+    "vibrojax.sweep.input.axes",
+    "vibrojax.sweep.input.definition",
+    "vibrojax.sweep.input.names",
+    "vibrojax.sweep.input.offered",
+    "vibrojax.sweep.input.plain",
+    "vibrojax.sweep.input.point",
+    "vibrojax.sweep.input.points",
+    "vibrojax.sweep.input.run_settings",
+    "vibrojax.sweep.input.values",
+    "vibrojax.sweep.simulation.dense_output",
+    "vibrojax.sweep.simulation.trajectory",
 ]
 install_import_hook(CHECKED, "beartype.beartype")
 
@@ -93,7 +79,7 @@ def few_mappings():
 @pytest.fixture(params=[16, 32, 64])
 def width(request, monkeypatch):
     """Bytes of a vector, forced: SSE2 or NEON, AVX2, AVX-512. LLVM splits those that the processor does not have."""
-    from vibrojax.kernels import native
+    from vibrojax.compile.kernels import native
 
     monkeypatch.setattr(native, "vector_bytes", lambda: request.param)
     return request.param

@@ -14,9 +14,9 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-from vibrojax.engine import batch
+from vibrojax.models.scenes import drill, stick_slip
 from vibrojax.reproduce import GROUPS, run_reproduction
-from vibrojax.scenes import drill, stick_slip
+from vibrojax.sweep.engine import batch
 
 _right = drill.accelerations
 

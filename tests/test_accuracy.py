@@ -5,17 +5,17 @@ import json
 import numpy as np
 import pytest
 
-from vibrojax.accuracy import pareto, run_accuracy, table
-from vibrojax.accuracy._cases import SCENES, lanes_of, settings_of
-from vibrojax.accuracy._measured import STATUSES, errors_of, measure, statuses_of, usable
-from vibrojax.accuracy._programs import Program
-from vibrojax.accuracy._report import dataset_of
-from vibrojax.accuracy._sampled import _cycles, _peak, _share
+from vibrojax.analyses.accuracy import pareto, run_accuracy, table
+from vibrojax.analyses.accuracy.cases import SCENES, lanes_of, settings_of
+from vibrojax.analyses.accuracy.programs import Program
+from vibrojax.analyses.accuracy.report import dataset_of
+from vibrojax.analyses.accuracy.sampled import _cycles, _peak, _share
+from vibrojax.analyses.accuracy.timing import STATUSES, errors_of, measure, statuses_of, usable
+from vibrojax.analyses.pictures import work_precision
 from vibrojax.cli import main
 from vibrojax.errors import InputError
-from vibrojax.input.read import read_sweep
-from vibrojax.plot import work_precision
-from vibrojax.store.dataset import open_dataset, write_dataset
+from vibrojax.io.dataset import open_dataset, write_dataset
+from vibrojax.sweep.input.read import read_sweep
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +76,7 @@ def test_the_front_is_told_by_scene(study):
 
 
 def test_the_files_are_written(study, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("vibrojax.accuracy.run_accuracy", lambda quick, progress: study)
+    monkeypatch.setattr("vibrojax.analyses.accuracy.run_accuracy", lambda quick, progress: study)
     out = tmp_path / "new" / "folder"
     assert main(["accuracy", "--quick", "-o", str(out)]) == 0
     assert {path.name for path in out.iterdir()} == {"accuracy.nc", "accuracy.md", "accuracy.png"}
@@ -102,7 +102,7 @@ def test_interrupted(tmp_path, monkeypatch, capsys):
     def interrupted(**_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("vibrojax.accuracy.run_accuracy", interrupted)
+    monkeypatch.setattr("vibrojax.analyses.accuracy.run_accuracy", interrupted)
     assert main(["accuracy", "-o", str(tmp_path)]) == 130
     line = f"vibrojax: interrupted; nothing is kept; to start again: vibrojax accuracy -o {tmp_path}\n"
     assert capsys.readouterr().err == line

@@ -9,15 +9,15 @@ from known_scenes import BeltOscillator
 from matplotlib.collections import QuadMesh
 
 import vibrojax as vj
+from vibrojax.analyses.attractors.grouping import Motions, doubtful, joined_within, told_apart
+from vibrojax.analyses.attractors.neighbours import Link
+from vibrojax.analyses.attractors.numbers import numbered
 from vibrojax.cli import main
 from vibrojax.cli.attractors import attractor_lines
-from vibrojax.coexistence.alike import Motions, doubtful, joined_within, told_apart
-from vibrojax.coexistence.neighbours import Link
-from vibrojax.coexistence.numbers import numbered
-from vibrojax.engine.chunks import Chunks
 from vibrojax.errors import InputError
-from vibrojax.label import EQUILIBRIUM, FAILED, IRREGULAR, SINGLE_IMPACT, SUBHARMONIC
-from vibrojax.store.variables import NATURES
+from vibrojax.io.variables import NATURES
+from vibrojax.measures.labels import EQUILIBRIUM, FAILED, IRREGULAR, SINGLE_IMPACT, SUBHARMONIC
+from vibrojax.sweep.engine.chunks import Chunks
 
 BOX = {"x1": [-0.02, 0.02], "v1": [-2.0, 1.0], "x2": [-0.05, 0.05], "v2": [-3.0, 3.0]}
 GAMMA = [0.35, 0.3625, 0.7375, 0.75, 0.7625]
@@ -318,7 +318,7 @@ def test_what_was_computed_outlives_an_interrupt(by, tmp_path, capsys, monkeypat
 
     monkeypatch.setattr(Chunks, "compute", counted)
     if by == "links":
-        monkeypatch.setattr("vibrojax.found_attractors.attractors_of", interrupted)
+        monkeypatch.setattr("vibrojax.analyses.attractors.run.attractors_of", interrupted)
     assert main(["attractors", "few.toml", "-o", "out.nc", "--quiet"]) == 130
     assert "finished chunks are kept; to go on: vibrojax attractors few.toml -o out.nc" in capsys.readouterr().err
     kept = len(list((tmp_path / "out.nc.chunks").glob("*.shard")))

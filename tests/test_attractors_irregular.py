@@ -6,9 +6,9 @@ import xarray as xr
 from test_attractors import BOX, groups, irregular
 
 import vibrojax as vj
-from vibrojax.coexistence import long_run
-from vibrojax.coexistence.alike import ERRORS, IRREGULAR_WITHIN, STATISTICS, joined_within, stderr_name
-from vibrojax.coexistence.long_run import (
+from vibrojax.analyses.attractors import long_run
+from vibrojax.analyses.attractors.grouping import ERRORS, IRREGULAR_WITHIN, STATISTICS, joined_within, stderr_name
+from vibrojax.analyses.attractors.long_run import (
     BATCHES,
     FEWEST_WINDOWS,
     LEAST_PRECISION,
@@ -17,8 +17,8 @@ from vibrojax.coexistence.long_run import (
     statistics,
     with_long_statistics,
 )
-from vibrojax.found_orbits import sweep_of_dataset
-from vibrojax.label import IRREGULAR, SINGLE_IMPACT
+from vibrojax.analyses.orbits.rerun import sweep_of_dataset
+from vibrojax.measures.labels import IRREGULAR, SINGLE_IMPACT
 
 SCENE = {"scene": "vibro-impact", "parameters": {"delta": 0.005, "v": 1.5}}
 

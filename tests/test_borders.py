@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
+from vibrojax.analyses.borders.curves import Vertex, around_region
+from vibrojax.analyses.borders.run import BORDER_KINDS
 from vibrojax.cli import main
 from vibrojax.errors import InputError
-from vibrojax.found_borders import BORDER_KINDS
-from vibrojax.label import SINGLE_IMPACT
-from vibrojax.regions.curves import Vertex, around_region
+from vibrojax.measures.labels import SINGLE_IMPACT
 
 SWEEP = {
     "scene": "vibro-impact",

@@ -5,14 +5,14 @@ import pytest
 import xarray as xr
 
 import vibrojax as vj
+from vibrojax.analyses.sweep.hysteresis import jumps
+from vibrojax.analyses.sweep.run import run_to_file
+from vibrojax.analyses.sweep.workers.work import Work
 from vibrojax.errors import InputError
-from vibrojax.input.read import read_sweep
-from vibrojax.label import IRREGULAR, SINGLE_IMPACT
-from vibrojax.plot._hysteresis import jumps
-from vibrojax.plot._over import special_points
-from vibrojax.store.dataset import open_dataset
-from vibrojax.sweep import run_to_file
-from vibrojax.workers.work import Work
+from vibrojax.io.dataset import open_dataset
+from vibrojax.measures.labels import IRREGULAR, SINGLE_IMPACT
+from vibrojax.plot.overlays import special_points
+from vibrojax.sweep.input.read import read_sweep
 
 BETAS, GAMMAS = [0.3, 0.4], [0.59, 0.61, 0.63, 0.7, 0.75]
 MAP = {

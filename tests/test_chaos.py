@@ -7,15 +7,15 @@ import pytest
 from known_scenes import ImpactOscillator, Lorenz
 
 import vibrojax as vj
-from vibrojax.chaos.growth import STEPS, grow
-from vibrojax.chaos.natures import exponents
-from vibrojax.chaos.zero_one import zero_one
-from vibrojax.engine.chunks import Chunks
+from vibrojax.analyses.chaos.growth import STEPS, grow
+from vibrojax.analyses.chaos.natures import exponents
+from vibrojax.analyses.chaos.zero_one import zero_one
 from vibrojax.errors import InputError
-from vibrojax.label import IRREGULAR
+from vibrojax.io.variables import NATURES
+from vibrojax.measures.labels import IRREGULAR
 from vibrojax.periodic.of_lanes import last_returns
 from vibrojax.periodic.segments import Segments
-from vibrojax.store.variables import NATURES
+from vibrojax.sweep.engine.chunks import Chunks
 
 GAP = {"scene": "vibro-impact", "starts": ["stuck"], "parameters": {"delta": 0.005}}
 # An irregular, a quasi-periodic and two periodic lanes; see test_natures.

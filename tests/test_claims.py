@@ -13,14 +13,14 @@ import pytest
 
 import vibrojax as vj
 from vibrojax import cli
-from vibrojax.engine.chunks import CHUNK
-from vibrojax.input.source import bundled_names
-from vibrojax.plot._thinned import MOST_LANES
+from vibrojax.io.claims import BEAT, STALE
+from vibrojax.io.dataset import LAZY_FROM
+from vibrojax.models.scenes import SCENES
+from vibrojax.plot.thinned import MOST_LANES
 from vibrojax.reproduce import GROUPS
-from vibrojax.scenes import SCENES
 from vibrojax.stepping import Located
-from vibrojax.store.claims import BEAT, STALE
-from vibrojax.store.dataset import LAZY_FROM
+from vibrojax.sweep.engine.chunks import CHUNK
+from vibrojax.sweep.input.source import bundled_names
 
 ROOT = Path(__file__).parents[1]
 

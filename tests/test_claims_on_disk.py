@@ -10,14 +10,14 @@ from threading import Barrier, Thread
 
 import pytest
 
-from vibrojax.store import claims as module
-from vibrojax.store.claims import STALE, Claims, this_process
+from vibrojax.io import claims as module
+from vibrojax.io.claims import STALE, Claims, this_process
 
 ROOT = Path(__file__).parents[1]
 HOLDS = """
 import sys, time
 from pathlib import Path
-from vibrojax.store.claims import Claims
+from vibrojax.io.claims import Claims
 print(Claims(Path(sys.argv[1])).take("chunk"), flush=True)
 time.sleep(60)
 """

@@ -11,10 +11,10 @@ import jax
 import pytest
 
 import vibrojax as vj
+from vibrojax.analyses.glossary import WORDS
 from vibrojax.cli import main
 from vibrojax.cli._complete import files, scenes, sweeps, values_with
 from vibrojax.cli.simulate import SETTINGS
-from vibrojax.words import WORDS
 
 ROOT = Path(__file__).parents[1]
 SWEEP = """scene = "penetration"

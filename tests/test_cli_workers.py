@@ -7,11 +7,11 @@ from types import SimpleNamespace
 
 import pytest
 
+from vibrojax.analyses.sweep.run import run_share
+from vibrojax.analyses.sweep.workers.order import by_cost
 from vibrojax.cli import main
-from vibrojax.engine.chunks import Chunks
-from vibrojax.input.read import read_sweep
-from vibrojax.sweep import run_share
-from vibrojax.workers.order import by_cost
+from vibrojax.sweep.engine.chunks import Chunks
+from vibrojax.sweep.input.read import read_sweep
 
 TEXT = """
 scene = "rotary"
@@ -113,8 +113,8 @@ def test_shares_of_another_sweep_are_refused(capsys):
 
 
 def test_a_chunk_that_fails_is_known(capsys, monkeypatch, folder):
-    from vibrojax.engine.chunks import Chunks
-    from vibrojax.input.read import read_sweep
+    from vibrojax.sweep.engine.chunks import Chunks
+    from vibrojax.sweep.input.read import read_sweep
 
     def compute(self, index, *told):
         raise MemoryError("too much")
@@ -148,7 +148,7 @@ MANY = TEXT.replace("chunk = 4", "").replace(
 def test_a_hundred_million_lanes_are_a_matter_of_disk_alone(free, enough, capsys, folder, monkeypatch):
     """Nothing grows with them but what lies on the disk: not what a plan takes, nor the memory that it says."""
     (folder / "map.toml").write_text(MANY)
-    monkeypatch.setattr("vibrojax.engine.resources.shutil.disk_usage", lambda _: SimpleNamespace(free=free))
+    monkeypatch.setattr("vibrojax.sweep.engine.resources.shutil.disk_usage", lambda _: SimpleNamespace(free=free))
     tracemalloc.start()
     status = main(["sweep", "map.toml", "--dry-run"])
     _, most = tracemalloc.get_traced_memory()

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from vibrojax.cli import main
-from vibrojax.engine import arithmetic, by_llvm, by_xla, compiler
-from vibrojax.engine.arithmetic import check, wrong_functions
-from vibrojax.engine.compiler import compiler_options
+from vibrojax.compile import arithmetic
+from vibrojax.compile.arithmetic import check, wrong_functions
 from vibrojax.errors import InputError
+from vibrojax.sweep.engine import by_llvm, by_xla, compiler
+from vibrojax.sweep.engine.compiler import compiler_options
 
 TOML = 'scene = "rotary"\n[grid]\nbeta = [0.4]\n[run]\nsettle = 1.0\nobserve = 1.0\n'
 

@@ -16,9 +16,9 @@ import xarray as xr
 
 import vibrojax as vj
 from vibrojax.cli import main
-from vibrojax.store.faults import KnownFault
-from vibrojax.store.variables import VARIABLES
-from vibrojax.threads import in_own_thread
+from vibrojax.io.faults import KnownFault
+from vibrojax.io.threads import in_own_thread
+from vibrojax.io.variables import VARIABLES
 
 KEPT = sorted((Path(__file__).parent / "data" / "versions").glob("*/*.nc"))
 RATES = next(path for path in KEPT if path.name == "rates.nc")
@@ -138,7 +138,7 @@ def test_a_dataset_without_what_a_command_needs(tmp_path, capsys):
 
 def test_what_a_killed_writer_left_is_cleared(tmp_path):
     """Of a process that is gone; what one that still runs is writing stays."""
-    from vibrojax.store.dataset import write_dataset
+    from vibrojax.io.dataset import write_dataset
 
     gone = subprocess.Popen(["true"])
     gone.wait()

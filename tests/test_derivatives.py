@@ -13,9 +13,9 @@ import pytest
 
 import vibrojax as vj
 from vibrojax.errors import InputError
-from vibrojax.measure import recorder_for
-from vibrojax.measure.run import Effort, run_block
-from vibrojax.scenes import SCENES
+from vibrojax.measures import recorder_for
+from vibrojax.measures.run import Effort, run_block
+from vibrojax.models.scenes import SCENES
 from vibrojax.stepping import Accuracy, Located
 
 EXACT = Effort(Accuracy(tolerance=1e-12, stride=1.0, step=1e9), 1e6)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from vibrojax.engine import drift as drift_of
-from vibrojax.scenes import SCENES
+from vibrojax.models.scenes import SCENES
+from vibrojax.sweep.engine import drift as drift_of
 
 
 def drift(features, precision, tolerance):

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
-from vibrojax.input.read import read_sweep
 from vibrojax.periodic import early, ends
 from vibrojax.periodic.approach import Approach, _extrapolated, comes_closer
 from vibrojax.periodic.newton import Found
+from vibrojax.sweep.input.read import read_sweep
 
 LANES = 384
 WIDE = {"beta": (0.1, 1.2), "gamma": (0.3, 1.2), "v": (0.3, 3.0), "delta": (-0.006, 0.012)}

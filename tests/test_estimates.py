@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from vibrojax.engine import costs
-from vibrojax.engine.chunks import Chunks
-from vibrojax.engine.costs import by_the_clock, lane_steps, processor_time
-from vibrojax.input.read import read_sweep
-from vibrojax.input.source import bundled_names
-from vibrojax.sweep import estimate
-from vibrojax.workers.work import Work
+from vibrojax.analyses.sweep.run import estimate
+from vibrojax.analyses.sweep.workers.work import Work
+from vibrojax.sweep.engine import costs
+from vibrojax.sweep.engine.chunks import Chunks
+from vibrojax.sweep.engine.costs import by_the_clock, lane_steps, processor_time
+from vibrojax.sweep.input.read import read_sweep
+from vibrojax.sweep.input.source import bundled_names
 
 MAP = {"scene": "vibro-impact", "grid": {"beta": {"start": 0.2, "stop": 0.6, "num": 512}}, "starts": ["stuck"]}
 

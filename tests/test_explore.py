@@ -18,7 +18,7 @@ from vibrojax.explorer import Cell, cell_of, cells_of, decode, document_of, enco
 from vibrojax.explorer.cells import EVENTS, LEVELS, STUCK, Column
 from vibrojax.explorer.packed import DIGITS, packed
 from vibrojax.explorer.write import blocks_of
-from vibrojax.input.read import read_sweep
+from vibrojax.sweep.input.read import read_sweep
 
 COLUMNS = (Column("x1", "m", "position"), Column("v1", "m s-1", "velocity"))
 PLANE = {
@@ -186,7 +186,7 @@ def test_numbers_of_a_document_are_those_of_the_dataset(plane: xr.Dataset) -> No
 def test_colours_are_those_of_the_picture(plane: xr.Dataset) -> None:
     from matplotlib.colors import to_hex
 
-    from vibrojax.plot._colours import REGIME_COLOURS, value_of
+    from vibrojax.plot.colours import REGIME_COLOURS, value_of
 
     variables = {one["name"]: one for one in document_of(plane)["variables"]}
     assert variables["regime"]["colours"]["3"] == REGIME_COLOURS[3]

@@ -17,10 +17,10 @@ from hostile import CODE, HUGE, MARKUP, STEERING, attribute, each_variable
 from small_map import small_map
 
 import vibrojax as vj
-from vibrojax.content_policy import content_policy
 from vibrojax.explorer import document_of, page_text
 from vibrojax.explorer.run import run_document
-from vibrojax.scenes.vibro_impact import VibroImpact
+from vibrojax.io.content_policy import content_policy
+from vibrojax.models.scenes.vibro_impact import VibroImpact
 
 NAMES = (
     "__proto__",

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
+from vibrojax.compile.kernels import kernels
 from vibrojax.errors import InputError
 from vibrojax.explorer import at_point, cells
 from vibrojax.explorer.at_point import Motions, motions_around, motions_of
 from vibrojax.explorer.cells import decode
-from vibrojax.kernels import kernels
 
 SWEEP = {
     "scene": "vibro-impact",

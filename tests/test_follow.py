@@ -10,8 +10,8 @@ from exact.measures import sections
 from scipy.linalg import expm
 
 import vibrojax as vj
+from vibrojax.analyses.continuation.indicators import KINDS
 from vibrojax.errors import InputError
-from vibrojax.families.indicators import KINDS
 
 ENDS = json.loads((Path(__file__).parent / "data" / "orbit_cases.json").read_text())["ends_of_families"]
 STATES = ("orbit_x1", "orbit_x2", "orbit_v2")

@@ -13,7 +13,7 @@ from vibrojax.cli import main
 from vibrojax.cli._complete import values_with
 from vibrojax.cli._family_lines import family_lines
 from vibrojax.cli.follow import SETTINGS
-from vibrojax.store.dataset import open_dataset
+from vibrojax.io.dataset import open_dataset
 
 ASKED = ("along=gamma", "at=0.45", "from=0.36", "to=0.5", "beta=0.4", "settle=30", "cycles=2")
 DOUBLING = 0.392500037

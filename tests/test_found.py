@@ -7,8 +7,8 @@ import pytest
 
 import vibrojax as vj
 from vibrojax.cli._found import found_lines
-from vibrojax.simulation import _recorded
-from vibrojax.simulation._measured import window
+from vibrojax.sweep.simulation import recording as _recorded
+from vibrojax.sweep.simulation.features import window
 
 STRONG = {"threshold": 30e3, "delta": 0.002}
 POINTS = {

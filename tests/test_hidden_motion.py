@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
+from vibrojax.analyses.pictures import regime_map
 from vibrojax.cli.info import describe
-from vibrojax.label import SINGLE_IMPACT, hides_another
-from vibrojax.plot import regime_map
+from vibrojax.measures.labels import SINGLE_IMPACT, hides_another
 
 STARTS = ["drive", "stuck", "touching"]
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from vibrojax.engine.chunks import Chunks
-from vibrojax.input.read import read_sweep
 from vibrojax.periodic.early import EarlyEnds
 from vibrojax.stepping import Accuracy
+from vibrojax.sweep.engine.chunks import Chunks
+from vibrojax.sweep.input.read import read_sweep
 
 LANES = 512
 SETTLED = 400.0  # s

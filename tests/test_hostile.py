@@ -10,10 +10,9 @@ from hostile import HUGE, REFUSED, SHOWN, STEERING, longer_sweep
 
 import vibrojax as vj
 from vibrojax.cli import main
-from vibrojax.errors import InputError
+from vibrojax.errors import InputError, escape_json, printable, shell_assignment
 from vibrojax.explorer.document import check_names
 from vibrojax.explorer.live import Live
-from vibrojax.texts import escape_json, printable, shell_assignment
 
 SWEEP = {
     "scene": "vibro-impact",

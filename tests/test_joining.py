@@ -13,13 +13,13 @@ import xarray as xr
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vibrojax import joining
-from vibrojax.input.read import read_sweep
-from vibrojax.store import dataset as on_disk
-from vibrojax.store.dataset import open_dataset
-from vibrojax.store.packing import Sizes
-from vibrojax.store.regions import Regions
-from vibrojax.sweep import run_sweep, run_to_file
+from vibrojax.analyses.sweep import joining
+from vibrojax.analyses.sweep.run import run_sweep, run_to_file
+from vibrojax.io import dataset as on_disk
+from vibrojax.io.dataset import open_dataset
+from vibrojax.io.packing import Sizes
+from vibrojax.io.regions import Regions
+from vibrojax.sweep.input.read import read_sweep
 
 SWEEP = {
     "scene": "vibro-impact",
@@ -51,7 +51,7 @@ def test_regions_do_not_show(region, keep, tmp_path, monkeypatch):
     expected = run_sweep(sweep, progress=False)
     assert expected.hidden_motion.values.any()
     monkeypatch.setattr(joining, "REGION", region)
-    monkeypatch.setattr("vibrojax.store.targets.COMPRESSED", 4)
+    monkeypatch.setattr("vibrojax.io.targets.COMPRESSED", 4)
     for found in (run_sweep(sweep, progress=False), run_to_file(sweep, tmp_path / "out.nc", progress=False)):
         xr.testing.assert_identical(found.drop_attrs(), expected.drop_attrs())
         assert found.attrs["certified"] == expected.attrs["certified"]
@@ -68,8 +68,8 @@ def test_large_datasets_pack_what_that_makes_half_as_large(tmp_path, monkeypatch
     many = {"starts": {"sample": "sobol", "count": 64, "box": {"x2": [-0.05, 0.05]}}}
     sweep = read_sweep(SWEEP | many | {"run": {"settle": 3.0, "observe": 2.0, "chunk": 100}})
     expected = run_sweep(sweep, progress=False)
-    monkeypatch.setattr("vibrojax.store.targets.COMPRESSED", 4)
-    monkeypatch.setattr("vibrojax.store.packing.UP_TO", 0.0)
+    monkeypatch.setattr("vibrojax.io.targets.COMPRESSED", 4)
+    monkeypatch.setattr("vibrojax.io.packing.UP_TO", 0.0)
     monkeypatch.setattr(joining, "UP_TO", 0.0)
     found = run_to_file(sweep, tmp_path / "out.nc", progress=False)
     xr.testing.assert_identical(found.drop_attrs(), expected.drop_attrs())
@@ -105,7 +105,7 @@ def test_lanes_that_are_carried_come_to_their_places(tmp_path, monkeypatch):
     expected = run_sweep(sweep, progress=False)
     assert expected.period.dims == ("beta", "gamma", "direction")
     monkeypatch.setattr(joining, "REGION", 3)
-    monkeypatch.setattr("vibrojax.store.targets.COMPRESSED", 4)
+    monkeypatch.setattr("vibrojax.io.targets.COMPRESSED", 4)
     found = run_to_file(sweep, tmp_path / "out.nc", progress=False, processes=2)
     xr.testing.assert_identical(found.drop_attrs(), expected.drop_attrs())
 
@@ -136,10 +136,10 @@ JOINED = """
 import resource, sys
 from pathlib import Path
 import numpy as np
-from vibrojax.input.read import read_sweep
-from vibrojax.joining import join
-from vibrojax.store.targets import file_target
-from vibrojax.workers.work import Work
+from vibrojax.sweep.input.read import read_sweep
+from vibrojax.analyses.sweep.joining import join
+from vibrojax.io.targets import file_target
+from vibrojax.analyses.sweep.workers.work import Work
 sweep = read_sweep({"scene": "rotary", "starts": ["stuck"], "run": {"settle": 0.1, "observe": 0.1},
                     "grid": {"v": {"start": 0.5, "stop": 2.0, "num": int(sys.argv[2])}, "k1": {"start": 1e5, "stop": 2e5, "num": 1000}}})
 work = Work(sweep)

@@ -1,9 +1,9 @@
-"""Each rule of `vibrojax.label`, on features made by hand, in its order: flags 7, 1, 0, 2 to 5, 6."""
+"""Each rule of `vibrojax.measures.labels`, on features made by hand, in its order: flags 7, 1, 0, 2 to 5, 6."""
 
 import numpy as np
 import pytest
 
-from vibrojax.label import REGIMES, label
+from vibrojax.measures.labels import REGIMES, label
 
 MU, M1, G, K1 = 0.4, 250.0, 9.81, 156250.0
 SWING = 1e-3 * MU * M1 * G / K1  # m, below which it is at rest

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
-from vibrojax import devices
-from vibrojax.engine.chunks import Chunks
-from vibrojax.input.read import read_sweep
-from vibrojax.kernels import kernels, native
+from vibrojax.compile import devices
+from vibrojax.compile.kernels import kernels, native
+from vibrojax.sweep.engine.chunks import Chunks
+from vibrojax.sweep.input.read import read_sweep
 
 CASES = json.loads((Path(__file__).parent / "data" / "vibro_impact_cases.json").read_text())
 PERIODIC = [case for case in CASES if case["expected"].get("cycles", 0) > 0]

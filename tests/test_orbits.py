@@ -12,11 +12,11 @@ from random_orbits import in_upper_half
 import vibrojax as vj
 from vibrojax.cli import main
 from vibrojax.cli._orbit_lines import orbit_lines
-from vibrojax.engine.chunks import Chunks
 from vibrojax.errors import InputError
-from vibrojax.input.read import read_sweep
+from vibrojax.io.dataset import open_dataset
 from vibrojax.periodic import Orbits
-from vibrojax.store.dataset import open_dataset
+from vibrojax.sweep.engine.chunks import Chunks
+from vibrojax.sweep.input.read import read_sweep
 
 CASES = json.loads((Path(__file__).parent / "data" / "orbit_cases.json").read_text())["orbits"]
 ORBITS = {"orbits": True}

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
-from vibrojax.measure import Gauge
-from vibrojax.physics.friction import FRICTION_LAWS, FrictionLaw
-from vibrojax.scenes.vibro_impact import VibroImpact
+from vibrojax.measures import Gauge
+from vibrojax.models.physics.friction import FRICTION_LAWS, FrictionLaw
+from vibrojax.models.scenes.vibro_impact import VibroImpact
 from vibrojax.stepping import Located
 
 RUN = {"settle": 6.0, "observe": 6.0}
@@ -151,7 +151,7 @@ def test_what_an_installed_package_offers(tmp_path):
     code = """
         import warnings
         import vibrojax as vj
-        from vibrojax.measure import recorder_for
+        from vibrojax.measures import recorder_for
         with warnings.catch_warnings(record=True) as left_out:
             warnings.simplefilter("always")
             grid = {"gamma": [0.7]}

@@ -8,7 +8,7 @@ import pytest
 from jax import lax
 
 import vibrojax as vj
-from vibrojax.scenes.vibro_impact import VibroImpact
+from vibrojax.models.scenes.vibro_impact import VibroImpact
 
 NO_OPS = {
     "an empty loop": lambda x: lax.fori_loop(0, 0, lambda turn, total: total + 1e-3, 0.0 * x),

@@ -9,10 +9,10 @@ import pytest
 import vibrojax as vj
 from vibrojax.cli import main
 from vibrojax.errors import Place
-from vibrojax.input.point import read_point
-from vibrojax.input.source import bundled_names
-from vibrojax.physics.friction import FRICTION_LAWS
-from vibrojax.scenes import SCENES
+from vibrojax.models.physics.friction import FRICTION_LAWS
+from vibrojax.models.scenes import SCENES
+from vibrojax.sweep.input.point import read_point
+from vibrojax.sweep.input.source import bundled_names
 
 SWEEPS = Path(__file__).parents[1] / "sweeps"
 

@@ -14,8 +14,8 @@ from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from read_off import axis_labels, legend, meshes, note, outlines, panel, texts, titles
 
+from vibrojax.analyses.pictures import REGIME_COLOURS, bifurcation, picture, regime_map, save_picture, trajectory
 from vibrojax.errors import InputError
-from vibrojax.plot import REGIME_COLOURS, bifurcation, picture, regime_map, save_picture, trajectory
 
 MEANINGS = "undecided equilibrium impact-free single-impact multi-impact subharmonic irregular failed"
 COORDINATES = {
@@ -420,7 +420,7 @@ def test_the_user_settings_neither_matter_nor_change(kind):
 
 
 def test_pyplot_stays_out_of_it():
-    code = "import sys, vibrojax.plot; sys.exit('matplotlib.pyplot' in sys.modules)"
+    code = "import sys, vibrojax.analyses.pictures; sys.exit('matplotlib.pyplot' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 

@@ -10,10 +10,10 @@ from matplotlib.colors import to_hex
 from read_off import axis_labels, legend, meshes, note, panel, texts, titles
 from test_plot import lanes, returns, square
 
+from vibrojax.analyses.pictures import bifurcation, picture
 from vibrojax.errors import InputError
-from vibrojax.families.stretches import branches, places, stability, stable_intervals
-from vibrojax.plot import bifurcation, picture
-from vibrojax.plot._branches import smooth
+from vibrojax.io.branches import branches, places, stability, stable_intervals
+from vibrojax.plot.branches import smooth
 
 KINDS = "fold period-doubling torus grazing stick section end"
 FOLD, DOUBLING, TORUS, GRAZING, STICK, SECTION, END = range(7)

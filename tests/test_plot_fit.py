@@ -9,9 +9,9 @@ from read_off import axis_labels, legend, note, titles
 from test_plot_rock import FORMS, law
 
 import vibrojax as vj
-from vibrojax.plot import picture
-from vibrojax.plot._colours import FORM_COLOURS
-from vibrojax.plot._fit_curves import FORMULAS
+from vibrojax.analyses.pictures import picture
+from vibrojax.analyses.rop_law.fit_curves import FORMULAS
+from vibrojax.plot.colours import FORM_COLOURS
 
 SIZES = {"literal": 1, "percent": 1, "onset": 2, "line": 2, "power": 2}
 

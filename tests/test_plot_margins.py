@@ -6,8 +6,8 @@ import xarray as xr
 from read_off import panel, texts
 from test_plot import lanes, returns, run, square
 
-from vibrojax.plot import picture, pulses, trajectory
-from vibrojax.plot._envelope import is_band
+from vibrojax.analyses.pictures import picture, pulses, trajectory
+from vibrojax.plot.envelope import is_band
 
 
 def drawn(axes, label):

@@ -13,11 +13,11 @@ from test_plot_rock import law, rock
 from test_plot_starts import LONG, basin, line, plane, sample
 
 import vibrojax as vj
+from vibrojax.analyses.pictures import REGIME_COLOURS, picture
 from vibrojax.cli import main
 from vibrojax.errors import InputError
-from vibrojax.plot import REGIME_COLOURS, picture
-from vibrojax.plot._margins import PAGE
-from vibrojax.plot._selection import select
+from vibrojax.plot.margins import PAGE
+from vibrojax.plot.selection import select
 
 
 def with_shares(ds):
@@ -224,7 +224,7 @@ def written(tmp_path):
 
 def test_the_command_takes_the_same(written, monkeypatch):
     asked = {}
-    monkeypatch.setattr("vibrojax.plot.save_picture", lambda ds, path, *how: asked.update(path=path, how=how))
+    monkeypatch.setattr("vibrojax.analyses.pictures.save_picture", lambda ds, path, *how: asked.update(path=path, how=how))
     argv = ["plot", str(written), "--variable", "stick_fraction", "regime", "--variable", "period"]
     assert main([*argv, "--where", "delta=0.005", "start=stuck", "--colours", "magma"]) == 0
     assert asked["path"] == written.with_suffix(".png")

@@ -11,8 +11,8 @@ from matplotlib.colors import LogNorm, to_hex
 from read_off import axis_labels, legend, meshes, note, panel, texts, titles
 
 import vibrojax as vj
+from vibrojax.analyses.pictures import fitted_law, picture, pulses, rate_map, rates, response
 from vibrojax.errors import InputError
-from vibrojax.plot import fitted_law, picture, pulses, rate_map, rates, response
 
 AXES = {
     "k3": ("stiffness of the rock", "k₃", "N m-1"),

@@ -11,8 +11,8 @@ from read_off import axis_labels, legend, meshes, note, titles
 from test_plot import COORDINATES, flagged, returns
 
 import vibrojax as vj
-from vibrojax.plot import picture, regime_map
-from vibrojax.plot._margins import PAGE
+from vibrojax.analyses.pictures import picture, regime_map
+from vibrojax.plot.margins import PAGE
 
 UNITS = {"x1": "m", "v1": "m s-1", "x2": "m", "v2": "m s-1"}
 

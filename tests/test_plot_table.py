@@ -10,8 +10,8 @@ import test_plot_rock as rocks
 import test_plot_starts as starts
 import xarray as xr
 
-from vibrojax.plot._contents import contents
-from vibrojax.plot._pictures import PICTURES
+from vibrojax.analyses.pictures import PICTURES
+from vibrojax.plot.contents import contents
 
 
 def first(ds):

@@ -3,9 +3,9 @@
 import pytest
 
 import vibrojax as vj
+from vibrojax.analyses.catalogue import scene_text
 from vibrojax.cli import main
-from vibrojax.input.run_settings import RunSettings
-from vibrojax.reference import scene_text
+from vibrojax.sweep.input.run_settings import RunSettings
 
 
 @pytest.mark.parametrize("scene", ["rotary", "vibro-impact", "penetration", "drilling", "coupled-drilling"])

@@ -9,14 +9,14 @@ import xarray as xr
 from wrong_signs import WRONG
 
 from vibrojax.cli import main
-from vibrojax.content_policy import content_policy
+from vibrojax.io.content_policy import content_policy
+from vibrojax.models.scenes import SCENES
 from vibrojax.reproduce import GROUPS, VERDICTS, Entry, run_reproduction
 from vibrojax.reproduce.answers import Answers
 from vibrojax.reproduce.entry import judged
 from vibrojax.reproduce.findings import FINDINGS, READINGS
 from vibrojax.reproduce.needs import Unanswered
 from vibrojax.reproduce.verdicts import AGREES, DIFFERS, IN_TREND, number, printed, trend, within_range
-from vibrojax.scenes import SCENES
 
 ENTRIES = {entry.id: entry for group in GROUPS for entry in group.entries}
 
@@ -228,7 +228,7 @@ def test_a_wrong_sign_is_seen(quick, monkeypatch, term):
 
     Lanes that go wrong so much never end; few steps are enough to see it.
     """
-    monkeypatch.setattr("vibrojax.engine.batch.MOST_STEPS", 2e4)
+    monkeypatch.setattr("vibrojax.sweep.engine.batch.MOST_STEPS", 2e4)
     monkeypatch.setitem(SCENES, "vibro-impact", WRONG[term])
     groups = [group for group in GROUPS if group.name in ("frequency-ratio", "mass-ratio")]
     wrong = run_reproduction(groups, quick=True, progress=False)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from vibrojax.engine.chunks import Chunks
-from vibrojax.input.read import read_sweep
-from vibrojax.sweep import run_to_file
+from vibrojax.analyses.sweep.run import run_to_file
+from vibrojax.sweep.engine.chunks import Chunks
+from vibrojax.sweep.input.read import read_sweep
 
 SWEEP = {
     "scene": "vibro-impact",

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
-from vibrojax.engine import sensitive as module
-from vibrojax.label import IRREGULAR, MULTI_IMPACT
+from vibrojax.measures.labels import IRREGULAR, MULTI_IMPACT
+from vibrojax.sweep.engine import sensitive as module
 
 POINT = {
     "friction": "popp-exponential",

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from vibrojax.errors import InputError
-from vibrojax.store.lock import Lock
-from vibrojax.store.shards import DamagedShard, Shards
+from vibrojax.io.lock import Lock
+from vibrojax.io.shards import DamagedShard, Shards
 
 MANIFEST = {"scene": "rotary", "chunk": 4, "grid.beta": [0.1, 0.2], "version": "1"}
 
@@ -129,7 +129,7 @@ def test_a_write_that_fails_leaves_nothing_that_counts(shards, monkeypatch):
 
 def test_two_processes_do_not_share_a_folder(shards):
     with again(shards):
-        code = "import sys; from pathlib import Path; from vibrojax.store.shards import Shards; "
+        code = "import sys; from pathlib import Path; from vibrojax.io.shards import Shards; "
         code += "Shards(Path(sys.argv[1]), {}).open(resume=False)"
         other = subprocess.run([sys.executable, "-c", code, str(shards.folder)], capture_output=True, text=True)
         assert other.returncode == 1 and "another process is at work there" in other.stderr
@@ -139,7 +139,7 @@ def test_two_processes_do_not_share_a_folder(shards):
 
 def test_a_killed_process_keeps_nobody_out(shards):
     """The lock is the system's, which lets go of it with the process; the file that it leaves behind binds nobody."""
-    code = "import sys, time; from pathlib import Path; from vibrojax.store.shards import Shards; "
+    code = "import sys, time; from pathlib import Path; from vibrojax.io.shards import Shards; "
     code += (
         "taken = Shards(Path(sys.argv[1]), {}); taken.open(resume=False); print('taken', flush=True); time.sleep(60)"
     )

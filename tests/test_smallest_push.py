@@ -7,7 +7,7 @@ import vibrojax as vj
 from vibrojax.cli import main
 from vibrojax.cli.push import push_lines
 from vibrojax.errors import InputError
-from vibrojax.label import IRREGULAR, SINGLE_IMPACT, SUBHARMONIC
+from vibrojax.measures.labels import IRREGULAR, SINGLE_IMPACT, SUBHARMONIC
 
 AT = {"beta": 0.4, "delta": 0.005}
 STATES = ("x1", "v1", "x2", "v2")

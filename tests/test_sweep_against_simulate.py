@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
-from vibrojax.physics.friction import FRICTION_LAWS, FrictionLaw
-from vibrojax.physics.parameters import Parameter
+from vibrojax.models.physics.friction import FRICTION_LAWS, FrictionLaw
+from vibrojax.models.physics.parameters import Parameter
 
 LANES = 96
 COMPARED = (0, 1, 31, 63, 64, 95)

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from vibrojax.errors import Place
-from vibrojax.input import source
-from vibrojax.input.plain import render
-from vibrojax.input.point import read_point
-from vibrojax.input.read import read_sweep
-from vibrojax.input.run_settings import RunSettings
+from vibrojax.sweep.input import source
+from vibrojax.sweep.input.plain import render
+from vibrojax.sweep.input.point import read_point
+from vibrojax.sweep.input.read import read_sweep
+from vibrojax.sweep.input.run_settings import RunSettings
 
 FULL = """
 scene = "vibro-impact"

@@ -10,13 +10,13 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
+from vibrojax.analyses.sweep.run import estimate
 from vibrojax.cli._named_values import named_values
 from vibrojax.cli.simulate import SETTINGS
-from vibrojax.engine.resources import check_size
 from vibrojax.errors import InputError, Place
-from vibrojax.input.point import read_point
-from vibrojax.input.read import read_sweep
-from vibrojax.sweep import estimate
+from vibrojax.sweep.engine.resources import check_size
+from vibrojax.sweep.input.point import read_point
+from vibrojax.sweep.input.read import read_sweep
 
 SWEEPS = [path.read_text(encoding="utf-8") for path in sorted((Path(__file__).parents[1] / "sweeps").glob("*.toml"))]
 fuzzed = settings(

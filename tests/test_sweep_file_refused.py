@@ -3,9 +3,9 @@
 import pytest
 
 from vibrojax.errors import InputError, Place
-from vibrojax.input import source
-from vibrojax.input.point import read_point
-from vibrojax.input.read import read_sweep
+from vibrojax.sweep.input import source
+from vibrojax.sweep.input.point import read_point
+from vibrojax.sweep.input.read import read_sweep
 
 GRID = {"beta": [0.4]}
 

@@ -14,18 +14,18 @@ from own_scenes import Shaken, Switched
 
 import vibrojax as vj
 from vibrojax import cli
-from vibrojax.devices import workers
-from vibrojax.engine import agreement, by_xla, trust
-from vibrojax.engine.agreement import Comparison
-from vibrojax.engine.batch import Batch, Engine
-from vibrojax.engine.compiler import lane_function
-from vibrojax.engine.programs import Kind
-from vibrojax.engine.trust import KernelRefused, is_foreign
-from vibrojax.kernels import Untranslatable, elementwise, kernels
-from vibrojax.measure import recorder_for
-from vibrojax.physics.friction import FRICTION_LAWS, FrictionLaw
-from vibrojax.scenes.penetration import PULSE_SHAPES
-from vibrojax.scenes.vibro_impact import VibroImpact
+from vibrojax.compile.devices import workers
+from vibrojax.compile.kernels import Untranslatable, elementwise, kernels
+from vibrojax.measures import recorder_for
+from vibrojax.models.physics.friction import FRICTION_LAWS, FrictionLaw
+from vibrojax.models.scenes.penetration import PULSE_SHAPES
+from vibrojax.models.scenes.vibro_impact import VibroImpact
+from vibrojax.sweep.engine import agreement, by_xla, trust
+from vibrojax.sweep.engine.agreement import Comparison
+from vibrojax.sweep.engine.batch import Batch, Engine
+from vibrojax.sweep.engine.compiler import lane_function
+from vibrojax.sweep.engine.programs import Kind
+from vibrojax.sweep.engine.trust import KernelRefused, is_foreign
 
 RUN = {"settle": 6.0, "observe": 6.0}
 POINT = {"beta": 0.4, "gamma": 0.7, "delta": 0.005}

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
-from vibrojax.physics.parameters import positive, table
-from vibrojax.store.variables import ORBIT_REASONS
+from vibrojax.io.variables import ORBIT_REASONS
+from vibrojax.models.physics.parameters import positive, table
 
 DOUBLED = {"gamma": 1.032361, "v": 1.124847, "c2": 62.5, "delta": 0.001271, "k0": 6815244.917454, "c0": 0.0}
 

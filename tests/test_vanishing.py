@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vibrojax.families.vanishing import entered, foretold
+from vibrojax.analyses.continuation.vanishing import entered, foretold
 
 ZERO = 0.3
 

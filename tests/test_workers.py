@@ -15,11 +15,11 @@ import pytest
 from commands import ROOT, TEXT, start
 
 import vibrojax as vj
+from vibrojax.analyses.sweep.run import run_share, run_to_file
+from vibrojax.analyses.sweep.workers.executor import compute_chunk
+from vibrojax.analyses.sweep.workers.work import Work
 from vibrojax.errors import InputError
-from vibrojax.input.read import read_sweep
-from vibrojax.sweep import run_share, run_to_file
-from vibrojax.workers.executor import compute_chunk
-from vibrojax.workers.work import Work
+from vibrojax.sweep.input.read import read_sweep
 
 SPAWN = multiprocessing.get_context("spawn")
 
@@ -262,8 +262,8 @@ def test_physics_that_cannot_be_sent(tmp_path):
 
 def test_a_share_of_the_cores_each(file):
     """Of two workers on this machine each has half of its cores; the environment has the last word."""
-    from vibrojax.devices import threads, usable_cores, with_threads
-    from vibrojax.workers.executor import _threads_each
+    from vibrojax.analyses.sweep.workers.executor import _threads_each
+    from vibrojax.compile.devices import threads, usable_cores, with_threads
 
     with ThreadPoolExecutor(2) as two:
         assert _threads_each(two) == max(1, usable_cores() // 2)
@@ -274,8 +274,8 @@ def test_a_share_of_the_cores_each(file):
 
 
 def test_a_worker_compiles_once(file, monkeypatch):
-    from vibrojax.engine.batch import Engine
-    from vibrojax.workers.executor import pickled
+    from vibrojax.analyses.sweep.workers.executor import pickled
+    from vibrojax.sweep.engine.batch import Engine
 
     compiled = []
     compile_ = Engine.compile

@@ -16,8 +16,8 @@ import xarray as xr
 from commands import start
 
 import vibrojax as vj
-from vibrojax.input.read import read_sweep
-from vibrojax.sweep import run_to_file
+from vibrojax.analyses.sweep.run import run_to_file
+from vibrojax.sweep.input.read import read_sweep
 
 TEXT = """
 scene = "vibro-impact"

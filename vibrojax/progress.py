@@ -15,9 +15,11 @@
 Works that can stop in the middle of a bar are put in a `with progress:`, which ends its line.
 """
 
+import logging
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from shutil import get_terminal_size
 from threading import RLock
 from typing import TYPE_CHECKING, ClassVar
@@ -196,3 +198,14 @@ def _bar(total: Amount, line: str) -> "tqdm.tqdm":
 def _number(amount: Amount) -> str:
     """A count as it is, any other amount to a tenth."""
     return str(amount) if isinstance(amount, int) else f"{amount:.1f}".removesuffix(".0")
+
+
+LOG = logging.getLogger("vibrojax")
+
+
+@contextmanager
+def timed(what: str) -> Iterator[None]:
+    """Tell how many seconds `what` took, once it is done."""
+    began = time.monotonic()
+    yield
+    LOG.info("%s: %.2f s", what, time.monotonic() - began)

@@ -5,7 +5,7 @@ import re
 from sphinx.application import Sphinx
 
 REFERENCE = re.compile(r"\[([\w.]+)\]\[\]")
-"""`[vibrojax.scenes][]`: a name of the package."""
+"""`[vibrojax.models.scenes][]`: a name of the package."""
 
 LITERAL = re.compile(r"(`[^`]*`)")
 

@@ -10,13 +10,13 @@ from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
 import vibrojax as vj
-from vibrojax.families.indicators import KINDS
-from vibrojax.input.read import read_sweep
-from vibrojax.input.source import bundled_names
-from vibrojax.physics.rock import ROCKS
-from vibrojax.scenes import HasFriction
-from vibrojax.store.variables import NATURES, VARIABLES
-from vibrojax.words import WORDS
+from vibrojax.analyses.continuation.indicators import KINDS
+from vibrojax.analyses.glossary import WORDS
+from vibrojax.io.variables import NATURES, VARIABLES
+from vibrojax.models.physics.rock import ROCKS
+from vibrojax.models.scenes import HasFriction
+from vibrojax.sweep.input.read import read_sweep
+from vibrojax.sweep.input.source import bundled_names
 
 
 def setup(app: Sphinx) -> dict[str, bool]:

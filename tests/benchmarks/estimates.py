@@ -2,10 +2,9 @@
 
     python tests/benchmarks/estimates.py [NAME ...]
 
-A printout, not a test: a table with the ratios, and the numbers of the table in `vibrojax/engine/costs.py` as they are
-on this machine and with this jax. Each sweep runs in a process of its own, with nothing compiled before. It takes five
-minutes; other work on the machine disturbs little, since only the process's own time
-counts.
+A printout, not a test: a table with the ratios, and the numbers of the table in `vibrojax/sweep/engine/costs.py` as
+they are on this machine and with this jax. Each sweep runs in a process of its own, with nothing compiled before. It
+takes five minutes; other work on the machine disturbs little, since only the process's own time counts.
 """
 
 import json
@@ -19,10 +18,10 @@ from pathlib import Path
 import jax
 
 from vibrojax.cli import main
-from vibrojax.engine.chunks import Chunks
-from vibrojax.engine.costs import COSTS, YARDSTICK, processor_time, slowness
-from vibrojax.input.read import read_sweep
-from vibrojax.input.source import bundled_names
+from vibrojax.sweep.engine.chunks import Chunks
+from vibrojax.sweep.engine.costs import COSTS, YARDSTICK, processor_time, slowness
+from vibrojax.sweep.input.read import read_sweep
+from vibrojax.sweep.input.source import bundled_names
 
 WITHIN = 1.5
 """Factor within which the estimates are meant to be."""

@@ -10,10 +10,10 @@ import time
 import numpy as np
 
 import vibrojax as vj
-from vibrojax.families.asked import read_asked
-from vibrojax.families.problem import Problem
-from vibrojax.families.trace import Tracer
-from vibrojax.followed import problem_of
+from vibrojax.analyses.continuation.problem import Problem
+from vibrojax.analyses.continuation.run import problem_of
+from vibrojax.analyses.continuation.spec import read_asked
+from vibrojax.analyses.continuation.trace import Tracer
 
 SPAN = (0.3, 1.6)
 

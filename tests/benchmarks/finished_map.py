@@ -15,8 +15,8 @@ import time
 from pathlib import Path
 
 import vibrojax as vj
-from vibrojax.accuracy._report import machine
-from vibrojax.input.read import read_sweep
+from vibrojax.analyses.accuracy.report import machine
+from vibrojax.sweep.input.read import read_sweep
 
 COMMAND = (sys.executable, "-m", "vibrojax")
 BOX = {

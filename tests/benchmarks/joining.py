@@ -14,11 +14,11 @@ import tempfile
 import time
 from pathlib import Path
 
-from vibrojax.input.read import read_sweep
-from vibrojax.joining import join
-from vibrojax.store.shards import Shards
-from vibrojax.store.targets import file_target
-from vibrojax.workers.work import Work
+from vibrojax.analyses.sweep.joining import join
+from vibrojax.analyses.sweep.workers.work import Work
+from vibrojax.io.shards import Shards
+from vibrojax.io.targets import file_target
+from vibrojax.sweep.input.read import read_sweep
 
 COMPUTED = 16
 """Chunks that are really computed."""

@@ -13,9 +13,9 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from vibrojax.devices import usable_cores
-from vibrojax.engine.chunks import Chunks
-from vibrojax.input.read import read_sweep
+from vibrojax.compile.devices import usable_cores
+from vibrojax.sweep.engine.chunks import Chunks
+from vibrojax.sweep.input.read import read_sweep
 
 REPEATS = 3
 SETTLE, OBSERVE = 12.0, 8.0  # s

@@ -20,9 +20,9 @@ import tempfile
 import time
 from pathlib import Path
 
-from vibrojax.devices import usable_cores
-from vibrojax.input.read import read_sweep
-from vibrojax.sweep import estimate
+from vibrojax.analyses.sweep.run import estimate
+from vibrojax.compile.devices import usable_cores
+from vibrojax.sweep.input.read import read_sweep
 
 MAP = """
 scene = "vibro-impact"

@@ -33,8 +33,8 @@ _SCRIPT = """
 import sys, functools, multiprocessing
 from pathlib import Path
 if __name__ == "__main__":
-    import vibrojax.sweep as sweeping
-    from vibrojax.input.read import read_sweep
+    import vibrojax.analyses.sweep.run as sweeping
+    from vibrojax.sweep.input.read import read_sweep
     sweep, out = read_sweep(sys.argv[1]), Path(sys.argv[2])
 """
 _POOL = """

@@ -13,8 +13,8 @@ import pytest
 from cases import DRILL, USUAL, bound_of, columns, lanes, reference, verdict
 
 import vibrojax as vj
-from vibrojax.engine.chunks import Chunks
-from vibrojax.engine.validity import too_slow, too_stiff
+from vibrojax.sweep.engine.chunks import Chunks
+from vibrojax.sweep.engine.validity import too_slow, too_stiff
 
 SWEEPS = Path(__file__).parents[2] / "sweeps"
 OBSERVE = 0.5

@@ -17,8 +17,8 @@ import pytest
 import xarray as xr
 from kills import cached
 
-from vibrojax.store.dataset import open_dataset, write_dataset
-from vibrojax.store.shards import Shards
+from vibrojax.io.dataset import open_dataset, write_dataset
+from vibrojax.io.shards import Shards
 
 ROOT = Path(__file__).parents[2]
 CHUNKS = 12

@@ -12,7 +12,7 @@ from cases import DRILL, ROCK, USUAL, lanes
 from flat import Flat
 
 import vibrojax as vj
-from vibrojax.scenes.vibro_impact import VibroImpact
+from vibrojax.models.scenes.vibro_impact import VibroImpact
 from vibrojax.stepping import Accuracy, Goal, Located, keep, lane_at
 
 SCENE = VibroImpact()

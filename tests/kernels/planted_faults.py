@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vibrojax.kernels import assembly, control, conversions, elementwise, selection
-from vibrojax.kernels.operands import literal
-from vibrojax.kernels.rules import FLOATS, INTEGERS, NUMBERS, Applied, Rule
+from vibrojax.compile.kernels import assembly, control, conversions, elementwise, selection
+from vibrojax.compile.kernels.operands import literal
+from vibrojax.compile.kernels.rules import FLOATS, INTEGERS, NUMBERS, Applied, Rule
 
 
 def _loop_without_turns(patch: pytest.MonkeyPatch) -> None:

@@ -6,7 +6,7 @@ import time
 import numpy as np
 import pytest
 
-from vibrojax.kernels import Kernel, cache, native
+from vibrojax.compile.kernels import Kernel, cache, native
 
 X = np.linspace(0.0, 1.0, 5)
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from vibrojax import cli
-from vibrojax.kernels import Kernel, cache, native
+from vibrojax.compile.kernels import Kernel, cache, native
 
 X = np.linspace(0.0, 1.0, 5)
 STRANGER = 12345
@@ -229,7 +229,7 @@ def test_a_refused_cache_is_named_once(compilations, tmp_path, capsys):
 
     def stderr(*options):
         cache._refused.clear()
-        from vibrojax.kernels import kernels
+        from vibrojax.compile.kernels import kernels
 
         kernels.clear()
         assert cli.main(["sweep", str(sweep), "-o", str(tmp_path / "out.nc"), "--fresh", *options]) == 0

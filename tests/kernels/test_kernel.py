@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from jax import lax
 
-from vibrojax.kernels import Kernel, Untranslatable
+from vibrojax.compile.kernels import Kernel, Untranslatable
 
 RANDOM = np.random.default_rng(20)
 X, Y = RANDOM.normal(size=(2, 21))

@@ -8,8 +8,8 @@ from jax import lax
 from random_functions import put, with_jvp, with_vjp
 from test_kernel import ROWS, WHICH, X, Y, assert_as_jax, of_lanes
 
-from vibrojax.kernels import Kernel, Untranslatable, parameters
-from vibrojax.kernels.translation import primitives
+from vibrojax.compile.kernels import Kernel, Untranslatable, parameters
+from vibrojax.compile.kernels.translation import primitives
 
 pytestmark = pytest.mark.usefixtures("width")
 

@@ -17,8 +17,8 @@ from random_functions import Function, functions
 from scopes import ROUNDED, Value
 from writers import WRITERS
 
-from vibrojax.kernels import Kernel, Untranslatable, native
-from vibrojax.kernels.translation import primitives
+from vibrojax.compile.kernels import Kernel, Untranslatable, native
+from vibrojax.compile.kernels.translation import primitives
 
 COUNT = int(os.environ.get("VIBROJAX_FUNCTIONS", 1000))
 SEED = int(os.environ.get("VIBROJAX_FUNCTIONS_SEED", 0))

@@ -7,11 +7,11 @@ import pytest
 import xarray as xr
 
 import vibrojax as vj
+from vibrojax.analyses.rop_law import fit_joint, fit_rop
+from vibrojax.analyses.rop_law.columns import read_columns, split_unit
 from vibrojax.cli import main
 from vibrojax.errors import InputError
-from vibrojax.laws import fit_joint, fit_rop
-from vibrojax.laws._columns import read_columns, split_unit
-from vibrojax.physics.units import factor
+from vibrojax.models.physics.units import factor
 
 C, ETA0, D = 1.2e-3, 0.08, 150e3
 FORCE = np.linspace(20e3, 60e3, 9)

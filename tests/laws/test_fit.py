@@ -7,8 +7,8 @@ import pytest
 import xarray as xr
 from scipy import optimize, stats
 
-from vibrojax.laws import FORMS, REASONS, fit_joint, fit_rop, verdict
-from vibrojax.laws._least_squares import linear, nonlinear, residuals
+from vibrojax.analyses.rop_law import FORMS, REASONS, fit_joint, fit_rop, verdict
+from vibrojax.analyses.rop_law.least_squares import linear, nonlinear, residuals
 
 C, ETA0, EXPONENT = 1.3e-3, 0.21, 1.4
 RELIEF = np.linspace(0.25, 1.5, 20)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
+from vibrojax.analyses.rop_law import REASONS, fit_friction
+from vibrojax.analyses.rop_law.friction import _velocity
 from vibrojax.errors import InputError
-from vibrojax.laws import REASONS, fit_friction
-from vibrojax.laws._friction import _velocity
-from vibrojax.scenes.rotary import Rotary
+from vibrojax.models.scenes.rotary import Rotary
 
 TRUTH = {"mu": 0.35, "v_cr": 2.5}
 INTERVAL = 4e-3

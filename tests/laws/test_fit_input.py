@@ -8,11 +8,11 @@ import pytest
 import xarray as xr
 
 import vibrojax as vj
+from vibrojax.analyses.rop_law import REASONS, fit_joint, fit_rop
 from vibrojax.cli import main
 from vibrojax.cli.fit import tables
 from vibrojax.errors import InputError
-from vibrojax.laws import REASONS, fit_joint, fit_rop
-from vibrojax.store.dataset import open_dataset, write_dataset
+from vibrojax.io.dataset import open_dataset, write_dataset
 
 C, ETA0 = 1.3e-3, 0.21
 RELIEF = np.linspace(0.25, 1.5, 8)

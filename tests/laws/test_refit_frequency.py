@@ -5,10 +5,10 @@ import pytest
 import xarray as xr
 
 import vibrojax as vj
+from vibrojax.analyses.rop_law import REASONS, refit_frequency
 from vibrojax.errors import InputError
-from vibrojax.label import IMPACT_FREE, IRREGULAR
-from vibrojax.laws import REASONS, refit_frequency
-from vibrojax.physics.modes import empirical_frequency, natural_frequencies
+from vibrojax.measures.labels import IMPACT_FREE, IRREGULAR
+from vibrojax.models.physics.modes import empirical_frequency, natural_frequencies
 
 BETA, GAMMA = np.linspace(0.1, 1.0, 10), np.linspace(0.3, 1.1, 9)
 FIXED = '{"m1": 250.0, "k1": 156250.0}'

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
-from vibrojax.laws import verdict
+from vibrojax.analyses.rop_law import verdict
 
 SWEEP = {
     "scene": "penetration",

@@ -8,11 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-import vibrojax.physics.friction as friction
-from vibrojax.physics.elementary import exp
-from vibrojax.physics.friction import FRICTION_LAWS, FrictionLaw
-from vibrojax.physics.parameters import not_negative, positive, table
-from vibrojax.scenes.rotary import Rotary
+import vibrojax.models.physics.friction as friction
+from vibrojax.models.physics.elementary import exp
+from vibrojax.models.physics.friction import FRICTION_LAWS, FrictionLaw
+from vibrojax.models.physics.parameters import not_negative, positive, table
+from vibrojax.models.scenes.rotary import Rotary
 
 SPEEDS = np.array([1e-6, 1e-3, 0.02, 0.3, 1.5, 3.0, 4.2])
 
@@ -98,7 +98,7 @@ def test_registry_holds_the_six_laws_of_the_source():
 
 def test_registry_is_what_the_folder_holds():
     files = {found.name for found in pkgutil.iter_modules(friction.__path__) if not found.name.startswith("_")}
-    laws = [importlib.import_module(f"vibrojax.physics.friction.{name}").LAW for name in files]
+    laws = [importlib.import_module(f"vibrojax.models.physics.friction.{name}").LAW for name in files]
     assert sorted(law.name for law in laws) == sorted(FRICTION_LAWS)
 
 

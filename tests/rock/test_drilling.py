@@ -6,7 +6,7 @@ import pytest
 from rock_motion import ELASTIC, YIELDING, Motion
 
 import vibrojax as vj
-from vibrojax.scenes.drilling import CoupledDrilling, Drilling
+from vibrojax.models.scenes.drilling import CoupledDrilling, Drilling
 
 SWEEP = {
     "grid": {"gamma": [0.6, 0.7, 0.8], "beta": [0.25, 0.4], "v": [1.0, 2.0]},

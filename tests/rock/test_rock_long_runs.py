@@ -7,8 +7,8 @@ import pytest
 from rock_motion import FINE, constants
 
 import vibrojax as vj
-from vibrojax.devices import precision
-from vibrojax.scenes.penetration import Penetration
+from vibrojax.compile.devices import precision
+from vibrojax.models.scenes.penetration import Penetration
 from vibrojax.stepping import Accuracy, Goal, Located, lane_at
 
 SCENE, STEPPER = Penetration(), Located()

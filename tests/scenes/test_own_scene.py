@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from vibrojax.errors import InputError
-from vibrojax.measure import Gauge, recorder_for
-from vibrojax.measure.run import Effort, run_block
-from vibrojax.physics.friction import FRICTION_LAWS, FrictionLaw
-from vibrojax.physics.parameters import BIT_AND_STRIKER, CONTACT, positive, table
-from vibrojax.scenes import Guard, HasContact, HasFriction, Marker, Mode, Scene, Section, State, Swing, one_sided
-from vibrojax.scenes import stick_slip as slips
-from vibrojax.scenes.capabilities import Bit
-from vibrojax.scenes.vibro_impact import VibroImpact
+from vibrojax.measures import Gauge, recorder_for
+from vibrojax.measures.run import Effort, run_block
+from vibrojax.models.physics.friction import FRICTION_LAWS, FrictionLaw
+from vibrojax.models.physics.parameters import BIT_AND_STRIKER, CONTACT, positive, table
+from vibrojax.models.scenes import Guard, HasContact, HasFriction, Marker, Mode, Scene, Section, State, Swing, one_sided
+from vibrojax.models.scenes import stick_slip as slips
+from vibrojax.models.scenes.capabilities import Bit
+from vibrojax.models.scenes.vibro_impact import VibroImpact
 from vibrojax.stepping import Located, Smoothed, Wanted
 
 STRING = table(

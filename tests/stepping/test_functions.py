@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from vibrojax.physics import elementary
+from vibrojax.models.physics import elementary
 from vibrojax.stepping.series import expand, known
 
 ORDER = 5

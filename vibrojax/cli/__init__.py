@@ -14,6 +14,8 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import NoReturn, TextIO
 
+from vibrojax.analyses.glossary import glossary
+from vibrojax.analyses.sweep.workers.shutdown import leave
 from vibrojax.cli import (
     accuracy,
     attractors,
@@ -32,14 +34,10 @@ from vibrojax.cli import (
 )
 from vibrojax.cli._command import Command, Options
 from vibrojax.cli._complete import complete
-from vibrojax.errors import InputError
-from vibrojax.leaving import leave
-from vibrojax.progress import end_lines
-from vibrojax.store.provenance import package_version
-from vibrojax.texts import printable
-from vibrojax.threads import asked_to_end, in_own_thread
-from vibrojax.timings import LOG, timed
-from vibrojax.words import glossary
+from vibrojax.errors import InputError, printable
+from vibrojax.io.provenance import package_version
+from vibrojax.io.threads import asked_to_end, in_own_thread
+from vibrojax.progress import LOG, end_lines, timed
 
 DONE, FAILED, BAD_INPUT, INTERRUPTED, PIPE_CLOSED, TERMINATED = 0, 1, 2, 130, 141, 143
 

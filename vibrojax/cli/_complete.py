@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from vibrojax.input.names import Names
+    from vibrojax.sweep.input.names import Names
 
 Completer = Callable[..., Iterable[str]]
 """Gives the words that may begin with `prefix`, by what was parsed before it."""
@@ -36,14 +36,14 @@ def complete(parser: ArgumentParser) -> None:
 
 def scenes(prefix: str, **_: object) -> list[str]:
     """The names of the scenes."""
-    from vibrojax.scenes import SCENES
+    from vibrojax.models.scenes import SCENES
 
     return [name for name in SCENES if name.startswith(prefix)]
 
 
 def sweeps(prefix: str, **_: object) -> list[str]:
     """The bundled sweeps, and sweep files."""
-    from vibrojax.input.source import bundled_names
+    from vibrojax.sweep.input.source import bundled_names
 
     return [name for name in bundled_names() if name.startswith(prefix)] + files(".toml")(prefix)
 
@@ -76,8 +76,8 @@ def values_with(settings: tuple[str, ...], besides: Besides = lambda names: {}) 
 
 def _values(prefix: str, parsed_args: Namespace, settings: tuple[str, ...], besides: Besides) -> list[str]:
     from vibrojax.errors import InputError, Place
-    from vibrojax.input.names import CHOICES, read_names
-    from vibrojax.physics.rock import ROCKS
+    from vibrojax.models.physics.rock import ROCKS
+    from vibrojax.sweep.input.names import CHOICES, read_names
 
     given = [str(word).partition("=") for word in getattr(parsed_args, "values", None) or ()]
     chosen = {name: value for name, _, value in given if name in CHOICES}

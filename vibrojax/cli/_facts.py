@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 from vibrojax.cli._family_lines import family_facts
 from vibrojax.cli._json import flags, numbers
-from vibrojax.texts import printable
+from vibrojax.errors import printable
 
 if TYPE_CHECKING:
     import xarray
@@ -25,7 +25,7 @@ def facts(dataset: "xarray.Dataset", file: str) -> dict[str, Any]:
     lanes by nature; `families`: what `follow --json` prints of them; `attractors`: their mean `shares` over the grid by
     number, and the lanes `unassigned`; `failures`: lanes by reason; `accuracy`; `found`: of one motion; `wall_time_s`.
     """
-    from vibrojax.store.attributes import attribute_of, history_of, text_of
+    from vibrojax.io.attributes import attribute_of, history_of, text_of
 
     texts = {name: text_of(dataset, name) if name in dataset.attrs else None for name in _TEXTS}
     no_lanes = bool({"time", "attractor"} & set(dataset.dims))  # one motion, or attractors
@@ -105,7 +105,7 @@ def _accuracy(dataset: "xarray.Dataset") -> dict[str, Any] | None:
     """Median and largest error estimate; how many lanes have one, and how many are within the accepted error."""
     import numpy as np
 
-    from vibrojax.store.attributes import run_of
+    from vibrojax.io.attributes import run_of
 
     if "error_estimate" not in dataset:
         return None

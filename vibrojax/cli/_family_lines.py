@@ -3,12 +3,12 @@
 from collections import Counter
 from typing import TYPE_CHECKING, Any
 
-from vibrojax.texts import printable
+from vibrojax.errors import printable
 
 if TYPE_CHECKING:
     import xarray
 
-    from vibrojax.families.stretches import Interval
+    from vibrojax.io.branches import Interval
 
 _VALUES_SHOWN, _FAMILIES_SHOWN = 4, 12
 
@@ -16,7 +16,7 @@ _VALUES_SHOWN, _FAMILIES_SHOWN = 4, 12
 def family_lines(dataset: "xarray.Dataset") -> list[str]:
     """How many points and branches there are, the special points by kind, and where the first branch of each family is
     stable; no lines for what holds no families."""
-    from vibrojax.families.stretches import along_name, branches, is_families, kind_names, stable_intervals
+    from vibrojax.io.branches import along_name, branches, is_families, kind_names, stable_intervals
 
     if not is_families(dataset):
         return []
@@ -50,7 +50,7 @@ def family_facts(dataset: "xarray.Dataset") -> dict[str, Any]:
     """The same with stable keys: `along`, `span`, `families`, `branches`, `points`, `kinds` (their numbers), `special`
     (each: `kind`, `value`, `family`, `branch`, `note`) and `stable` (each: `family`, `branch`, `from`, `to` and what is
     at these ends); empty for what holds no families."""
-    from vibrojax.families.stretches import along_name, branches, is_families, kind_names, numbers_of, stable_intervals
+    from vibrojax.io.branches import along_name, branches, is_families, kind_names, numbers_of, stable_intervals
 
     if not is_families(dataset):
         return {}
@@ -105,7 +105,7 @@ def _where(values: list[str], along: str, families: int) -> str:
 
 
 def _stable(dataset: "xarray.Dataset", branch: Any, along: str) -> str:
-    from vibrojax.families.stretches import stable_intervals
+    from vibrojax.io.branches import stable_intervals
 
     stretches = stable_intervals(dataset, branch)
     if not stretches:

@@ -15,7 +15,7 @@ _MARGIN = 1.15
 
 def found_lines(dataset: "xarray.Dataset") -> list[str]:
     """Regime, period, blows and rate of penetration of a trajectory; no lines where nothing was measured along it."""
-    from vibrojax.store.attributes import run_of
+    from vibrojax.io.attributes import run_of
 
     if not {"settle", "observe"} <= set(run_of(dataset)) or "time" not in dataset.dims:
         return []
@@ -32,7 +32,7 @@ def regime_of(dataset: "xarray.Dataset") -> str:
 
 
 def _motion(dataset: "xarray.Dataset", found: dict[str, float]) -> list[str]:
-    from vibrojax.label import FEWEST_RETURNS
+    from vibrojax.measures.labels import FEWEST_RETURNS
 
     regime, returns, period = regime_of(dataset), int(found["returns"]), found.get("period", math.nan)
     if regime == "equilibrium":
@@ -62,8 +62,8 @@ def _motion(dataset: "xarray.Dataset", found: dict[str, float]) -> list[str]:
 
 def _enough(dataset: "xarray.Dataset", period: float) -> float:
     """A duration [s] of which enough returns are observed."""
-    from vibrojax.label import FEWEST_RETURNS
-    from vibrojax.store.attributes import run_of
+    from vibrojax.io.attributes import run_of
+    from vibrojax.measures.labels import FEWEST_RETURNS
 
     run, last = run_of(dataset), float(dataset["time"][-1])
     return _MARGIN * (FEWEST_RETURNS + 1) * period / run["observe"] * last
@@ -71,7 +71,7 @@ def _enough(dataset: "xarray.Dataset", period: float) -> float:
 
 def _penetration(dataset: "xarray.Dataset", found: dict[str, float]) -> list[str]:
     rate, relief, slip = (found.get(name, math.nan) for name in ("rate_of_penetration", "relief", "slip_per_impact"))
-    from vibrojax.store.attributes import parameters_of
+    from vibrojax.io.attributes import parameters_of
 
     threshold = parameters_of(dataset)["threshold"]
     each = "pulse" if "regime" not in found else "blow"
@@ -87,7 +87,7 @@ def _penetration(dataset: "xarray.Dataset", found: dict[str, float]) -> list[str
 
 def _observed(dataset: "xarray.Dataset", found: dict[str, float]) -> str:
     """What all this was measured over, and whether the motion had settled by then."""
-    from vibrojax.store.attributes import run_of
+    from vibrojax.io.attributes import run_of
 
     run = run_of(dataset)
     text = f"measured from {run['settle']:.4g} s to the end at {run['settle'] + run['observe']:.4g} s"

@@ -5,7 +5,7 @@ import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from vibrojax.texts import escape_json, printable
+from vibrojax.errors import escape_json, printable
 
 if TYPE_CHECKING:
     import xarray

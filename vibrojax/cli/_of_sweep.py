@@ -14,7 +14,7 @@ from vibrojax.cli._output import Result, result_at
 if TYPE_CHECKING:
     import xarray
 
-    from vibrojax.input.definition import Sweep
+    from vibrojax.sweep.input.definition import Sweep
 
 
 def add_arguments(parser: ArgumentParser, sweep: str, result: str) -> None:
@@ -32,8 +32,8 @@ def add_arguments(parser: ArgumentParser, sweep: str, result: str) -> None:
 
 def read_source(given: str) -> "xarray.Dataset | Sweep":
     """The dataset, or the sweep with orbits, that FILE names; raises `InputError` where it is neither."""
-    from vibrojax.found_orbits import sweep_with_orbits
-    from vibrojax.store.dataset import open_dataset
+    from vibrojax.analyses.orbits.rerun import sweep_with_orbits
+    from vibrojax.io.dataset import open_dataset
 
     return open_dataset(Path(given)) if given.endswith(".nc") else sweep_with_orbits(given)
 
@@ -46,7 +46,7 @@ def lanes_of(
     beside `out` until the command of this `name` has written it, so that an interrupt costs none of them."""
     import xarray
 
-    from vibrojax.sweep import lanes_beside
+    from vibrojax.analyses.sweep.run import lanes_beside
 
     if isinstance(source, xarray.Dataset) and "orbit_reason" in source:
         yield source

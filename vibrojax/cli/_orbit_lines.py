@@ -27,7 +27,7 @@ def orbit_lines(dataset: "xarray.Dataset") -> list[str]:
 
 def _limit(dataset: "xarray.Dataset") -> list[str]:
     """The margin below which there are no multipliers."""
-    from vibrojax.store.attributes import table_of
+    from vibrojax.io.attributes import table_of
 
     limit = table_of(dataset, "orbits").get("grazing_limit")
     return [] if limit is None else [f"multipliers are given from a grazing_margin of {limit:g} on"]

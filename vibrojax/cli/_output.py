@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from vibrojax.cli._command import Options
 from vibrojax.errors import InputError, shown
-from vibrojax.timings import timed
+from vibrojax.progress import timed
 
 if TYPE_CHECKING:
     import xarray
@@ -49,7 +49,7 @@ def picture_beside(path: Path) -> Path:
 
 
 class Result(NamedTuple):
-    """Where a result goes, and its `picture`; and what it depends on, see [vibrojax.store.finished][]."""
+    """Where a result goes, and its `picture`; and what it depends on, see [vibrojax.io.finished][]."""
 
     out: Path
     picture: Path
@@ -59,7 +59,7 @@ class Result(NamedTuple):
 def result_at(options: Options, default: str, identity: Mapping[str, object]) -> Result:
     """Where a result goes, by `default` to a file of that name; raises `InputError` where it cannot, or something else
     is there."""
-    from vibrojax.store.finished import check_replaceable
+    from vibrojax.io.finished import check_replaceable
 
     out = output(options.out or default)
     picture = picture_beside(out)
@@ -70,8 +70,8 @@ def result_at(options: Options, default: str, identity: Mapping[str, object]) ->
 
 def result_written(options: Options, dataset: "xarray.Dataset", result: Result) -> str:
     """Write a result, and draw it; what to say of its picture."""
-    from vibrojax.store.dataset import write_dataset
-    from vibrojax.store.finished import IDENTITY, identity_text
+    from vibrojax.io.dataset import write_dataset
+    from vibrojax.io.finished import IDENTITY, identity_text
 
     with timed("write"):
         write_dataset(dataset.assign_attrs({IDENTITY: identity_text(result.identity)}), result.out)
@@ -89,7 +89,7 @@ def draw(dataset: "xarray.Dataset", picture: Path) -> str:
 
     **Returns:** what to say of it behind the dataset's name; nothing where there is none, for which stderr has why.
     """
-    from vibrojax.plot import save_picture
+    from vibrojax.analyses.pictures import save_picture
 
     try:
         with timed("draw"):

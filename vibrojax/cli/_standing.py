@@ -3,11 +3,11 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from vibrojax.amounts import size_text, time_text
-from vibrojax.texts import printable
+from vibrojax.errors import printable
+from vibrojax.io.formatting import size_text, time_text
 
 if TYPE_CHECKING:
-    from vibrojax.store.standing import Standing
+    from vibrojax.io.standing import Standing
 
 _SHOWN = 8
 _LONGEST_LINE = 1000
@@ -16,7 +16,7 @@ _LONGEST_LINE = 1000
 
 def folder_of(path: Path) -> Path | None:
     """The folder of chunks that `path` is, or that lies beside it where it is not there; None where there is none."""
-    from vibrojax.store.standing import CHUNKS
+    from vibrojax.io.standing import CHUNKS
 
     if path.name.endswith(CHUNKS) and path.is_dir():
         return path

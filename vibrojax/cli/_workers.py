@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from vibrojax.errors import InputError, shown
 
 if TYPE_CHECKING:
-    from vibrojax.workers.executor import Executor
+    from vibrojax.analyses.sweep.workers.executor import Executor
 
 DASK, SLURM = "dask://", "slurm"
 

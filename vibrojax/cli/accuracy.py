@@ -25,9 +25,9 @@ def run(options: Options) -> None:
     dataset_path, table_path, picture_path = _files(Path(options.out))
     command = shlex.join(["vibrojax", "accuracy", "-o", options.out, *["--quick"] * options.quick])
     options.how_to_resume = f"nothing is kept; to start again: {command}"
-    from vibrojax.accuracy import run_accuracy, table
-    from vibrojax.plot import save_picture
-    from vibrojax.store.dataset import write_dataset
+    from vibrojax.analyses.accuracy import run_accuracy, table
+    from vibrojax.analyses.pictures import save_picture
+    from vibrojax.io.dataset import write_dataset
 
     dataset = run_accuracy(quick=options.quick, progress=not options.quiet)
     write_dataset(dataset, dataset_path)

@@ -22,7 +22,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(options: Options) -> None:
     """Run the command."""
-    from vibrojax.found_attractors import attractors_of, sweep_of
+    from vibrojax.analyses.attractors.run import attractors_of, sweep_of
 
     source = read_source(str(options.file))
     sweep = sweep_of(source)

@@ -25,8 +25,8 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(options: Options) -> None:
     """Run the command."""
-    from vibrojax.found_borders import borders_of, checked
-    from vibrojax.found_orbits import sweep_with_orbits
+    from vibrojax.analyses.borders.run import borders_of, checked
+    from vibrojax.analyses.orbits.rerun import sweep_with_orbits
 
     axes = _axes(options.axes)
     source = read_source(str(options.file))

@@ -17,7 +17,7 @@ from vibrojax.cli._named_values import named_values
 from vibrojax.cli._output import output
 from vibrojax.cli.simulate import SETTINGS, of_settings
 from vibrojax.errors import InputError, shown
-from vibrojax.timings import timed
+from vibrojax.progress import timed
 
 if TYPE_CHECKING:
     import xarray
@@ -51,7 +51,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(options: Options) -> None:
     """Run the command."""
-    from vibrojax.store.dataset import open_dataset
+    from vibrojax.io.dataset import open_dataset
 
     path = Path(options.file)
     _check_together(options)
@@ -93,7 +93,7 @@ def _check_together(options: Options) -> None:
 def _motion(options: Options) -> "xarray.Dataset":
     """The motion of a scene that the page opens with."""
     from vibrojax.errors import Place
-    from vibrojax.simulation import simulate
+    from vibrojax.sweep.simulation import simulate
 
     settings, parameters = named_values(Place("explore"), options.values, SETTINGS, lists=False)
     arguments: dict[str, Any] = settings | parameters
@@ -102,8 +102,8 @@ def _motion(options: Options) -> "xarray.Dataset":
 
 def _serve(options: Options, dataset: "xarray.Dataset", over: "xarray.Dataset | None") -> None:
     """Serve the live page until the process is interrupted."""
+    from vibrojax.analyses.sweep.workers.shutdown import on_leaving
     from vibrojax.explorer.live import serve
-    from vibrojax.leaving import on_leaving
 
     with dataset:
         try:

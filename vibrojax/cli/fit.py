@@ -10,13 +10,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from vibrojax.analyses.glossary import WORDS
 from vibrojax.cli._command import Options
 from vibrojax.cli._complete import files, with_completer
 from vibrojax.cli._json import HELP, numbers, print_json
 from vibrojax.cli._output import dataset_written, draw, output, picture_beside
 from vibrojax.errors import InputError
-from vibrojax.timings import timed
-from vibrojax.words import WORDS
+from vibrojax.progress import timed
 
 if TYPE_CHECKING:
     import xarray
@@ -57,9 +57,9 @@ def run(options: Options) -> None:
         raise InputError("fit: the following arguments are required: FILE; see vibrojax fit --help")
     out = output(options.out or f"{Path(options.file).stem}-fit.nc")
     picture = picture_beside(out)
-    from vibrojax.laws import fit_rop, verdict
-    from vibrojax.laws._columns import columns_lines, read_columns
-    from vibrojax.store.dataset import write_dataset
+    from vibrojax.analyses.rop_law import fit_rop, verdict
+    from vibrojax.analyses.rop_law.columns import columns_lines, read_columns
+    from vibrojax.io.dataset import write_dataset
 
     with timed("read and fit"):
         fit = fit_rop(options.file, options.along, options.by or (), progress=False, columns=read_columns(words))
@@ -90,8 +90,8 @@ def _facts(fit: "xarray.Dataset", file: str, out: Path, picture: Path | None) ->
     """What `--json` prints: of each group its coordinates, and of each form its coefficients and why one is null."""
     import numpy as np
 
-    from vibrojax.laws import table, verdict
-    from vibrojax.store.attributes import table_of
+    from vibrojax.analyses.rop_law import table, verdict
+    from vibrojax.io.attributes import table_of
 
     names, _ = table(fit, "aic")
     dims = [dim for dim in fit["aic"].dims if dim != "form"]
@@ -116,7 +116,7 @@ def _facts(fit: "xarray.Dataset", file: str, out: Path, picture: Path | None) ->
 
 def tables(fit: "xarray.Dataset") -> list[str]:
     """A table of the forms for each of the first groups of lanes, and how many there are more."""
-    from vibrojax.laws import table
+    from vibrojax.analyses.rop_law import table
 
     names = ("C", "C_stderr", "eta0", "eta0_stderr", "exponent", "exponent_stderr", "r_squared", "aic", "used")
     values = {name: table(fit, name)[1] for name in (*names, "left_out", "reason", "r_squared_reason")}

@@ -4,6 +4,7 @@ from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from vibrojax.analyses.glossary import FAMILY_WORDS, glossary
 from vibrojax.cli._command import Options
 from vibrojax.cli._complete import scenes, values_with, with_completer
 from vibrojax.cli._family_lines import family_facts, family_lines
@@ -11,7 +12,6 @@ from vibrojax.cli._json import HELP, print_json
 from vibrojax.cli._named_values import named_values, whole
 from vibrojax.cli._output import result_at, result_written
 from vibrojax.errors import Place
-from vibrojax.words import FAMILY_WORDS, glossary
 
 if TYPE_CHECKING:
     import xarray
@@ -53,8 +53,8 @@ def arguments(parser: ArgumentParser) -> None:
 def run(options: Options) -> None:
     """Run the command."""
     settings, parameters = _read(options.values)
-    from vibrojax.families.asked import OBSERVE, SETTLE, read_asked
-    from vibrojax.measure.ledger import MOST_CYCLES
+    from vibrojax.analyses.continuation.spec import OBSERVE, SETTLE, read_asked
+    from vibrojax.measures.ledger import MOST_CYCLES
 
     asked = read_asked(
         options.scene,
@@ -69,7 +69,7 @@ def run(options: Options) -> None:
     )
     result = result_at(options, f"{asked.sweep.scene}-{asked.along}.nc", asked.identity())
 
-    from vibrojax.followed import follow_asked
+    from vibrojax.analyses.continuation.run import follow_asked
 
     dataset = follow_asked(asked, progress=not options.quiet)
     drawn = result_written(options, dataset, result)
@@ -81,7 +81,7 @@ def run(options: Options) -> None:
 
 def _facts(dataset: "xarray.Dataset", out: Path, picture: Path | None) -> dict[str, object]:
     """What `--json` prints."""
-    from vibrojax.store.attributes import attribute_of
+    from vibrojax.io.attributes import attribute_of
 
     attributes = dataset.attrs
     return {

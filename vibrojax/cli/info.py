@@ -5,6 +5,7 @@ from collections.abc import Hashable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from vibrojax.analyses.glossary import WORDS
 from vibrojax.cli._command import Options
 from vibrojax.cli._complete import files, with_completer
 from vibrojax.cli._facts import facts
@@ -15,9 +16,8 @@ from vibrojax.cli._orbit_lines import orbit_lines
 from vibrojax.cli._standing import folder_of, standing_facts, standing_lines
 from vibrojax.cli.attractors import attractor_lines
 from vibrojax.cli.borders import border_lines
-from vibrojax.texts import printable
-from vibrojax.timings import timed
-from vibrojax.words import WORDS
+from vibrojax.errors import printable
+from vibrojax.progress import timed
 
 if TYPE_CHECKING:
     import numpy as np
@@ -41,11 +41,11 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(options: Options) -> None:
     """Run the command."""
-    from vibrojax.store.dataset import open_dataset
+    from vibrojax.io.dataset import open_dataset
 
     folder = folder_of(Path(options.file))
     if folder is not None:
-        from vibrojax.store.standing import standing
+        from vibrojax.io.standing import standing
 
         found = standing(folder)
         if options.json:
@@ -63,8 +63,8 @@ def run(options: Options) -> None:
 
 def describe(dataset: "xarray.Dataset") -> list[str]:
     """The lines that tell what `dataset` holds; what it lacks is left out."""
-    from vibrojax.laws._columns import columns_lines
-    from vibrojax.store.attributes import attribute_of, history_of, text_of, title_of
+    from vibrojax.analyses.rop_law.columns import columns_lines
+    from vibrojax.io.attributes import attribute_of, history_of, text_of, title_of
 
     lines = [("title", [title_of(dataset)]), ("scene", [text_of(dataset, "scene")])]
     lines = [(name, texts) for name, texts in lines if any(texts)]
@@ -104,7 +104,7 @@ def _line(text: str) -> str:
 
 def _fixed(dataset: "xarray.Dataset") -> list[str]:
     """Return the fixed parameters: those that are not the defaults one by one, then the others."""
-    from vibrojax.store.attributes import differing_of, parameters_of
+    from vibrojax.io.attributes import differing_of, parameters_of
 
     changed = {
         one["name"]: f"{_with_unit(one['value'], one['units'])} (default {one['default']:g})"
@@ -125,7 +125,7 @@ def _with_unit(value: float, unit: str) -> str:
 
 def _times(dataset: "xarray.Dataset") -> list[str]:
     """Return how long lanes settled and were observed, on which their labels depend."""
-    from vibrojax.store.attributes import run_of
+    from vibrojax.io.attributes import run_of
 
     run = run_of(dataset)
     known = {"settle", "observe"} <= set(run)
@@ -223,7 +223,7 @@ def _accuracy(dataset: "xarray.Dataset") -> list[str]:
     """Median and largest error estimate, and the share of lanes that keep what the caller accepts."""
     import numpy as np
 
-    from vibrojax.store.attributes import run_of
+    from vibrojax.io.attributes import run_of
 
     if "error_estimate" not in dataset:
         return []

@@ -25,9 +25,9 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(options: Options) -> None:
     """Run the command."""
-    from vibrojax.found_orbits import sweep_with_orbits
-    from vibrojax.store.dataset import open_dataset
-    from vibrojax.sweep import run_to_file
+    from vibrojax.analyses.orbits.rerun import sweep_with_orbits
+    from vibrojax.analyses.sweep.run import run_to_file
+    from vibrojax.io.dataset import open_dataset
 
     given = str(options.file)
     of_dataset = given.endswith(".nc")

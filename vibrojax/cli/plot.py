@@ -8,7 +8,7 @@ from vibrojax.cli._command import Options
 from vibrojax.cli._complete import files, with_completer
 from vibrojax.cli._output import PICTURES, output, picture_beside
 from vibrojax.errors import InputError, shown
-from vibrojax.timings import timed
+from vibrojax.progress import timed
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -43,7 +43,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(options: Options) -> None:
     """Run the command."""
-    from vibrojax.store.dataset import open_dataset
+    from vibrojax.io.dataset import open_dataset
 
     path, where = Path(options.file), _values(options.where or ())
     with timed("read"):
@@ -51,7 +51,7 @@ def run(options: Options) -> None:
         over = [open_dataset(Path(name)) for name in options.over or ()] or None
     with dataset:
         picture = output(options.out, PICTURES) if options.out else picture_beside(path)
-        from vibrojax.plot import save_picture
+        from vibrojax.analyses.pictures import save_picture
 
         with timed("draw"):
             part = save_picture(dataset, picture, options.variable, where, options.colours, over)

@@ -40,7 +40,7 @@ def arguments(parser: ArgumentParser) -> None:
 def run(options: Options) -> None:
     """Run the command."""
     settings, parameters = named_values(Place("push"), options.values, SETTINGS, lists=True)
-    from vibrojax.coexistence.push_asked import PRECISION, SCAN, read_pushed
+    from vibrojax.analyses.push.spec import PRECISION, SCAN, read_pushed
 
     most = {name.removeprefix(_MOST): x for name, x in settings.items() if name.startswith(_MOST)}
     asked = read_pushed(
@@ -55,7 +55,7 @@ def run(options: Options) -> None:
     )
     result = result_at(options, f"{asked.sweep.scene}-push.nc", asked.identity())
 
-    from vibrojax.pushed import push_asked
+    from vibrojax.analyses.push.run import push_asked
 
     dataset = push_asked(asked, progress=not options.quiet)
     drawn = result_written(options, dataset, result)

@@ -14,7 +14,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(options: Options) -> None:
     """Run the command."""
-    from vibrojax.reference import list_scenes, scene_text
+    from vibrojax.analyses.catalogue import list_scenes, scene_text
 
     if options.scene is not None:
         print(scene_text(options.scene))

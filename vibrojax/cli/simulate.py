@@ -17,8 +17,8 @@ from vibrojax.errors import Place, shown
 if TYPE_CHECKING:
     import xarray
 
-    from vibrojax.input.names import Names
-    from vibrojax.input.point import Point
+    from vibrojax.sweep.input.names import Names
+    from vibrojax.sweep.input.point import Point
 
 # Settings of the run, which are no parameters of a scene.
 _TEXTS = ("method", "solver")
@@ -57,8 +57,8 @@ def run(options: Options) -> None:
     """Run the command."""
     place = Place("simulate")
     settings, parameters = named_values(place, options.values, SETTINGS, lists=False)
-    from vibrojax.input.plausible import UnusualValue
-    from vibrojax.input.point import read_point
+    from vibrojax.sweep.input.plausible import UnusualValue
+    from vibrojax.sweep.input.point import read_point
 
     point = read_point(place, options.scene, parameters, settings.pop("start", None))
     # Names and values are checked, each against what it is; that it fits the function's argument no type can say.
@@ -67,7 +67,7 @@ def run(options: Options) -> None:
         arguments["start"] = point.start
     result = result_at(options, f"{point.scene}.nc", {"scene": point.scene, **arguments})
 
-    from vibrojax.simulation import simulate
+    from vibrojax.sweep.simulation import simulate
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UnusualValue)  # said above
@@ -81,7 +81,7 @@ def run(options: Options) -> None:
 
 def _facts(dataset: "xarray.Dataset", point: "Point", out: Path, picture: Path | None) -> dict[str, object]:
     """What `--json` prints; `found` has the names of a sweep's variables, `run` says over which time they hold."""
-    from vibrojax.store.attributes import attribute_of
+    from vibrojax.io.attributes import attribute_of
 
     return {
         "scene": point.scene,
@@ -99,8 +99,8 @@ def _facts(dataset: "xarray.Dataset", point: "Point", out: Path, picture: Path |
 
 def _checked(place: Place, settings: dict[str, object]) -> dict[str, object]:
     """The settings but for start; which methods and solvers there are, the simulation knows."""
-    from vibrojax.input.values import quantity
-    from vibrojax.physics.parameters import positive
+    from vibrojax.models.physics.parameters import positive
+    from vibrojax.sweep.input.values import quantity
 
     checked = dict(settings)
     for name, value in settings.items():

@@ -7,19 +7,19 @@ from contextlib import nullcontext
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from vibrojax.amounts import size_text, time_text
 from vibrojax.cli._command import Options
 from vibrojax.cli._complete import sweeps, with_completer
 from vibrojax.cli._output import ZARR, dataset_written, draw, output, picture_beside
 from vibrojax.cli._workers import dask_executor, read_share, read_workers
 from vibrojax.errors import InputError
+from vibrojax.io.formatting import size_text, time_text
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from vibrojax.engine.resources import Cost
-    from vibrojax.input.definition import Sweep
-    from vibrojax.workers.measured import Measured
+    from vibrojax.analyses.sweep.workers.measured import Measured
+    from vibrojax.sweep.engine.resources import Cost
+    from vibrojax.sweep.input.definition import Sweep
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -57,9 +57,9 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(options: Options) -> None:
     """Run the command."""
-    from vibrojax.engine.resources import check_size
-    from vibrojax.input.read import read_sweep
-    from vibrojax.sweep import estimate, run_to_file
+    from vibrojax.analyses.sweep.run import estimate, run_to_file
+    from vibrojax.sweep.engine.resources import check_size
+    from vibrojax.sweep.input.read import read_sweep
 
     workers, share = read_workers(options.workers), read_share(options.only)
     if share and options.fresh:
@@ -67,13 +67,13 @@ def run(options: Options) -> None:
     if options.measure and not options.dry_run:
         raise InputError("--measure: has no use without --dry-run")
     if workers.jobs is not None:
-        from vibrojax.workers.slurm import check_slurm
+        from vibrojax.analyses.sweep.workers.slurm import check_slurm
 
         check_slurm(f"--workers {options.workers}")
     sweep = read_sweep(options.sweep, options.changes)
     out = output(options.out or f"{sweep.name}.nc", (".nc", ZARR))
     if out.suffix == ZARR:
-        from vibrojax.store.dataset import check_zarr
+        from vibrojax.io.dataset import check_zarr
 
         check_zarr(out)
     picture = picture_beside(out)
@@ -87,11 +87,11 @@ def run(options: Options) -> None:
     command = shlex.join(["vibrojax", "sweep", options.sweep, *changes, "-o", str(out), *by])
     options.how_to_resume = f"finished chunks are kept; to go on: {command}"
     # What draws is imported while the lanes step, which leave Python to itself.
-    threading.Thread(target=import_module, args=("vibrojax.plot",), daemon=True).start()
+    threading.Thread(target=import_module, args=("vibrojax.analyses.pictures",), daemon=True).start()
     progress = not options.quiet
     if share:
-        from vibrojax.store.dataset import open_dataset
-        from vibrojax.sweep import run_share
+        from vibrojax.analyses.sweep.run import run_share
+        from vibrojax.io.dataset import open_dataset
 
         if run_share(sweep, out, share, progress) is None:
             if progress:
@@ -114,14 +114,14 @@ def _measured(options: Options, sweep: "Sweep") -> "Measured | None":
     """What some of the sweep's lanes take, if that is asked for."""
     if not options.measure:
         return None
-    from vibrojax.workers.measured import measured
+    from vibrojax.analyses.sweep.workers.measured import measured
 
     return measured(sweep)
 
 
 def _unfinished(out: "Path") -> str:
     """What is left to do for the sweep of several processes that becomes `out`."""
-    from vibrojax.store.standing import CHUNKS, standing
+    from vibrojax.io.standing import CHUNKS, standing
 
     try:
         found = standing(out.with_name(out.name + CHUNKS))

@@ -12,10 +12,10 @@ from vibrojax.errors import InputError, Place, shown, suggestion
 from vibrojax.explorer.at_point import Motions, motions_around, motions_of
 from vibrojax.explorer.of_dataset import _sweep, cells_of, document_of, explored
 from vibrojax.explorer.write import LIVE, SIZE, blocks_of, module_text, style_text
-from vibrojax.input.definition import Sweep
-from vibrojax.plot._contents import START
-from vibrojax.plot._starts import on_axes
-from vibrojax.timings import LOG
+from vibrojax.plot.contents import START
+from vibrojax.plot.starts import on_axes
+from vibrojax.progress import LOG
+from vibrojax.sweep.input.definition import Sweep
 
 PLACE = Place("explore", "point")
 

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 
 from vibrojax.errors import InputError
 from vibrojax.explorer._turns import Busy, Closed, Superseded
-from vibrojax.timings import LOG
+from vibrojax.progress import LOG
 
 HOST = "127.0.0.1"
 

@@ -8,26 +8,26 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from vibrojax.devices import precision
+from vibrojax.compile.devices import precision
 from vibrojax.errors import InputError, Place, shown
 from vibrojax.explorer.cells import Cell, encode
 from vibrojax.explorer.recorded import events_of
 from vibrojax.explorer.run import options_of, start_of, window_of
 from vibrojax.explorer.sampled import PASSED, SHOWN, STILL, Begin, cell_of_steps
-from vibrojax.input.definition import Sweep, rock_values
-from vibrojax.input.names import Names, read_names
-from vibrojax.input.plausible import UnusualValue
-from vibrojax.input.point import Point, read_point
-from vibrojax.input.starts import Start
-from vibrojax.physics.parameters import ROTATION, Parameter
-from vibrojax.physics.rock import ROCKS
-from vibrojax.plot._axes import pretty_unit, scale
-from vibrojax.scenes import Scene
-from vibrojax.simulation._measured import window
-from vibrojax.simulation._record import BATCH, check_size
-from vibrojax.simulation._recorded import Recorded, constants_at, recorded
+from vibrojax.io.attributes import differing_of, text_of
+from vibrojax.models.physics.parameters import ROTATION, Parameter
+from vibrojax.models.physics.rock import ROCKS
+from vibrojax.models.scenes import Scene
+from vibrojax.plot.axes import pretty_unit, scale
 from vibrojax.stepping import Located, Wanted
-from vibrojax.store.attributes import differing_of, text_of
+from vibrojax.sweep.input.definition import Sweep, rock_values
+from vibrojax.sweep.input.names import Names, read_names
+from vibrojax.sweep.input.plausible import UnusualValue
+from vibrojax.sweep.input.point import Point, read_point
+from vibrojax.sweep.input.starts import Start
+from vibrojax.sweep.simulation.dense_output import BATCH, check_size
+from vibrojax.sweep.simulation.features import window
+from vibrojax.sweep.simulation.recording import Recorded, constants_at, recorded
 
 PLACE = Place("explore")
 

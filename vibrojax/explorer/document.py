@@ -7,21 +7,20 @@ import xarray as xr
 from matplotlib import colormaps
 from matplotlib.colors import LogNorm, to_hex
 
-from vibrojax.errors import InputError, shown
+from vibrojax.analyses.attractors.shares import BEYOND
+from vibrojax.analyses.attractors.shares import COLOURS as ATTRACTOR_COLOURS
+from vibrojax.analyses.sweep.maps import REGION
+from vibrojax.errors import InputError, printable, shown
 from vibrojax.explorer.packed import packed
 from vibrojax.explorer.run import LONGEST_COMMAND, run_document, window_of
-from vibrojax.input.definition import Sweep
-from vibrojax.plot._attractors import BEYOND
-from vibrojax.plot._attractors import COLOURS as ATTRACTOR_COLOURS
-from vibrojax.plot._axes import certified_text, is_geometric, point_text, pretty_unit, scale, symbol
-from vibrojax.plot._borders import LINES, axes_of, beyond, check_borders
-from vibrojax.plot._colours import REGIME_COLOURS, Value, flag_names, value_of
-from vibrojax.plot._contents import FORM, POINT, START, axes_of_map, has_regimes, long_axes
-from vibrojax.plot._maps import REGION
-from vibrojax.plot._starts import described, on_axes
+from vibrojax.io.attributes import LONGEST_TEXT, text_of, title_of
+from vibrojax.plot.axes import certified_text, is_geometric, point_text, pretty_unit, scale, symbol
+from vibrojax.plot.borders import LINES, axes_of, beyond, check_borders
+from vibrojax.plot.colours import REGIME_COLOURS, Value, flag_names, value_of
+from vibrojax.plot.contents import FORM, POINT, START, axes_of_map, has_regimes, long_axes
+from vibrojax.plot.starts import described, on_axes
 from vibrojax.plot.style import OTHER_COLOURS
-from vibrojax.store.attributes import LONGEST_TEXT, text_of, title_of
-from vibrojax.texts import printable
+from vibrojax.sweep.input.definition import Sweep
 
 Document = dict[str, Any]
 

@@ -15,12 +15,12 @@ from vibrojax.explorer.packed import packed
 from vibrojax.explorer.recorded import LANES, recorded
 from vibrojax.explorer.run import options_of, run_document
 from vibrojax.explorer.sampled import Begin
-from vibrojax.families.stretches import FAMILY, along_name, kind_names, numbers_of, places, runs, stability
-from vibrojax.input.point import Point, read_point
+from vibrojax.io.attributes import parameters_of, text_of
+from vibrojax.io.branches import FAMILY, along_name, kind_names, numbers_of, places, runs, stability
+from vibrojax.io.variables import orbit_name
 from vibrojax.periodic.measured import DRIVEN_RETURNS
-from vibrojax.plot._branches import MARKS, curves_of
-from vibrojax.store.attributes import parameters_of, text_of
-from vibrojax.store.variables import orbit_name
+from vibrojax.plot.branches import MARKS, curves_of
+from vibrojax.sweep.input.point import Point, read_point
 
 _SHAPES = {"s": "square", "o": "circle", "*": "diamond", "v": "triangle", "|": "bar", "D": "diamond", "x": "cross"}
 _FIRST = ("impact_velocity", "bit_amplitude", "multiplier_abs", "stable", "period")

@@ -26,7 +26,7 @@ from vibrojax.explorer._turns import Check, Turns
 from vibrojax.explorer.at_point import motions_around, motions_of
 from vibrojax.explorer.of_dataset import _sweep, cells_of, document_of, explored
 from vibrojax.explorer.write import SIZE, blocks_of, page_text
-from vibrojax.timings import LOG
+from vibrojax.progress import LOG
 
 
 @runtime_checkable

@@ -4,6 +4,8 @@ from collections.abc import Iterator
 
 import xarray as xr
 
+from vibrojax.analyses.orbits.rerun import has_lanes_of, sweep_of_dataset
+from vibrojax.analyses.sweep.run import run_sweep
 from vibrojax.errors import InputError, shown
 from vibrojax.explorer.cells import Cell
 from vibrojax.explorer.document import Document, check_names, curves_document, grid_document
@@ -11,12 +13,10 @@ from vibrojax.explorer.families import family_cells, family_document
 from vibrojax.explorer.of_lanes import motions
 from vibrojax.explorer.single import motion_document
 from vibrojax.explorer.trajectory import cell_of
-from vibrojax.families.stretches import is_families
-from vibrojax.found_orbits import has_lanes_of, sweep_of_dataset
-from vibrojax.input.definition import Sweep
-from vibrojax.plot._contents import contents, is_borders
-from vibrojax.store.dataset import check_dataset
-from vibrojax.sweep import run_sweep
+from vibrojax.io.branches import is_families
+from vibrojax.io.dataset import check_dataset
+from vibrojax.plot.contents import contents, is_borders
+from vibrojax.sweep.input.definition import Sweep
 
 MOST_MOTIONS = 40_000
 """Lanes above which a page holds no motions: it would be larger than a browser likes."""

@@ -10,19 +10,19 @@ from dataclasses import replace
 
 import numpy as np
 
-from vibrojax.engine.batch import Features
-from vibrojax.engine.carried import Carried
-from vibrojax.engine.chunks import Chunks
+from vibrojax.analyses.sweep.workers.work import quiet
 from vibrojax.explorer.cells import Cell
 from vibrojax.explorer.recorded import LANES, recorded
 from vibrojax.explorer.sampled import PASSED, SHOWN, STILL, Begin
-from vibrojax.input.definition import Sweep
-from vibrojax.measure.kept_returns import state_name
+from vibrojax.io.variables import orbit_name
+from vibrojax.measures.kept_returns import state_name
 from vibrojax.periodic import Orbits, early_ends
 from vibrojax.periodic.measured import DRIVEN_RETURNS
 from vibrojax.progress import Progress
-from vibrojax.store.variables import orbit_name
-from vibrojax.workers.work import quiet
+from vibrojax.sweep.engine.batch import Features
+from vibrojax.sweep.engine.carried import Carried
+from vibrojax.sweep.engine.chunks import Chunks
+from vibrojax.sweep.input.definition import Sweep
 
 
 def motions(sweep: Sweep, progress: bool = True) -> Iterator[Cell]:

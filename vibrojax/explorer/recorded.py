@@ -5,15 +5,15 @@ from typing import Any
 
 import numpy as np
 
-from vibrojax.devices import precision
-from vibrojax.engine.compiler import lane_function
+from vibrojax.compile.devices import precision
 from vibrojax.explorer.cells import Cell
 from vibrojax.explorer.sampled import Begin, Steps, cell_of_steps
-from vibrojax.scenes import HasContact, HasFriction, Scene
-from vibrojax.scenes.declared import Values
-from vibrojax.simulation._record import Record, record_batch
-from vibrojax.simulation._trajectory import impact_begins, lowest_velocity
+from vibrojax.models.scenes import HasContact, HasFriction, Scene
+from vibrojax.models.scenes.declared import Values
 from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Lane, Located, lane_at
+from vibrojax.sweep.engine.compiler import lane_function
+from vibrojax.sweep.simulation.dense_output import Record, record_batch
+from vibrojax.sweep.simulation.trajectory import impact_begins, lowest_velocity
 
 LANES = 128
 """Lanes that are recorded at once: their steps take some 20 MB."""

@@ -10,10 +10,10 @@ from typing import Any
 import xarray as xr
 
 from vibrojax.errors import InputError, Place
-from vibrojax.input.definition import Sweep
-from vibrojax.input.names import CHOICES, Names, read_names
-from vibrojax.physics.rock import ROCKS
-from vibrojax.store.attributes import differing_of, run_of, text_of
+from vibrojax.io.attributes import differing_of, run_of, text_of
+from vibrojax.models.physics.rock import ROCKS
+from vibrojax.sweep.input.definition import Sweep
+from vibrojax.sweep.input.names import CHOICES, Names, read_names
 
 LONGEST_COMMAND = 10_000.0
 """Seconds that a command simulates at most, whatever the dataset says: a longer one hardly ends."""

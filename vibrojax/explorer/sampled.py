@@ -6,9 +6,9 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from vibrojax.explorer.cells import EVENTS, STUCK, TOUCHING, Cell, Column
-from vibrojax.scenes import HasContact, HasFriction, Scene
-from vibrojax.simulation._record import Record, sample
-from vibrojax.simulation._trajectory import Motion, states_shown
+from vibrojax.models.scenes import HasContact, HasFriction, Scene
+from vibrojax.sweep.simulation.dense_output import Record, sample
+from vibrojax.sweep.simulation.trajectory import Motion, states_shown
 
 SHOWN = 5
 """Returns that are shown of a lane that does not repeat."""

@@ -7,7 +7,7 @@ from vibrojax.errors import InputError
 from vibrojax.explorer.document import Document, about, text, variable_document
 from vibrojax.explorer.packed import packed
 from vibrojax.explorer.run import run_document, shown_duration
-from vibrojax.store.attributes import run_of
+from vibrojax.io.attributes import run_of
 
 _BINS = 1200
 """Stretches of time of each of which the least and the greatest value are shown."""

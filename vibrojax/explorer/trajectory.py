@@ -6,10 +6,10 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
+from vibrojax.errors import printable
 from vibrojax.explorer.cells import EVENTS, STUCK, TOUCHING, Cell, Column
 from vibrojax.explorer.sampled import EVEN, MOST_EVEN, PASSED, SHOWN, STILL, URGENCE, evenly_passed
-from vibrojax.store.attributes import parameters_of
-from vibrojax.texts import printable
+from vibrojax.io.attributes import parameters_of
 
 RETURN_STATES = ("x1", "x2", "v2", "x3", "v3")
 """States whose values at returns are shown, where there are such."""

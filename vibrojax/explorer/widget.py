@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 import xarray as xr
 
 from vibrojax.errors import InputError
-from vibrojax.input.definition import Sweep
-from vibrojax.input.read import read_sweep
+from vibrojax.sweep.input.definition import Sweep
+from vibrojax.sweep.input.read import read_sweep
 
 if TYPE_CHECKING:
     from vibrojax.explorer._anywidget import Explorer

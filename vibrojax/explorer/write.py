@@ -10,14 +10,14 @@ from pathlib import Path
 
 import xarray as xr
 
-from vibrojax.content_policy import content_policy
 from vibrojax.explorer.cells import Cell, encode
 from vibrojax.explorer.document import Document
 from vibrojax.explorer.of_dataset import cells_of, document_of, explored
 from vibrojax.explorer.packed import deflated
-from vibrojax.input.definition import Sweep
-from vibrojax.input.read import read_sweep
-from vibrojax.store.atomic import atomic_write
+from vibrojax.io.atomic import atomic_write
+from vibrojax.io.content_policy import content_policy
+from vibrojax.sweep.input.definition import Sweep
+from vibrojax.sweep.input.read import read_sweep
 
 SIZE = 256
 """Cells of a block, which the page reads as a whole when one of them is chosen."""

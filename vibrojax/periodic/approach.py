@@ -5,9 +5,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from vibrojax.label import FEWEST_RETURNS
-from vibrojax.measure.repeats import SETTLED_WITHIN, scales
-from vibrojax.measure.section import Settling
+from vibrojax.measures.labels import FEWEST_RETURNS
+from vibrojax.measures.repeats import SETTLED_WITHIN, scales
+from vibrojax.measures.section import Settling
 from vibrojax.periodic.newton import Found, States
 
 NEAR = SETTLED_WITHIN / 2
@@ -65,7 +65,7 @@ def approaching(
 
     **Arguments:**
 
-    - `returns`: what has been seen of them, see [vibrojax.measure.section][]: arrays whose last axis is lanes.
+    - `returns`: what has been seen of them, see [vibrojax.measures.section][]: arrays whose last axis is lanes.
     - `now` [s]: the time, of each lane.
     - `observe` [s]: the time that a lane is observed for, in which labels ask for so many returns.
     - `tolerance`: of the steps, relative.

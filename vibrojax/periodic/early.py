@@ -11,15 +11,15 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool
 
-from vibrojax.engine.batch import Batch, Features, Index, PerLane
-from vibrojax.engine.chunks import certified
-from vibrojax.engine.underway import Ended
-from vibrojax.input.definition import Sweep
 from vibrojax.periodic.approach import SPLIT, Approach, approach, approaching, comes_closer
 from vibrojax.periodic.measured import Measuring, begun
 from vibrojax.periodic.newton import Found, orbits, repeats_after
 from vibrojax.periodic.segments import STEPS, Segments
 from vibrojax.stepping import Located
+from vibrojax.sweep.engine.batch import Batch, Features, Index, PerLane
+from vibrojax.sweep.engine.chunks import certified
+from vibrojax.sweep.engine.underway import Ended
+from vibrojax.sweep.input.definition import Sweep
 
 REPEATS = (1, 2, 3)
 """Returns of a repeat up to which the last eight show it several times over."""

@@ -1,10 +1,10 @@
 """What ends the lanes of a sweep early on orbits, where that is worth its while."""
 
-from vibrojax.engine.underway import Ends
-from vibrojax.input.definition import Sweep
 from vibrojax.periodic.early import EarlyEnds
 from vibrojax.periodic.shared import SharedEnds
 from vibrojax.stepping import Located
+from vibrojax.sweep.engine.underway import Ends
+from vibrojax.sweep.input.definition import Sweep
 
 WORTH = 5e6
 """Simulated seconds of all lanes below which to compile the return map takes longer than it spares. To compile it, and

@@ -14,9 +14,9 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from vibrojax.arrays import Array, Flags, Lanes
-from vibrojax.scenes.declared import Section
-from vibrojax.scenes.scene import ROUNDINGS, Scene
+from vibrojax.models.arrays import Array, Flags, Lanes
+from vibrojax.models.scenes.declared import Section
+from vibrojax.models.scenes.scene import ROUNDINGS, Scene
 from vibrojax.stepping import Lane, Step
 from vibrojax.stepping.polynomial import Coefficients, slope, value
 from vibrojax.stepping.series import known

@@ -7,13 +7,13 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from vibrojax.devices import workers
-from vibrojax.engine.batch import Batch, Engine, Features, Index
-from vibrojax.engine.programs import Given
-from vibrojax.input.definition import Sweep
-from vibrojax.measure import recorder_for
-from vibrojax.measure.ledger import MOST_CYCLES
+from vibrojax.compile.devices import workers
+from vibrojax.measures import recorder_for
+from vibrojax.measures.ledger import MOST_CYCLES
 from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Located
+from vibrojax.sweep.engine.batch import Batch, Engine, Features, Index
+from vibrojax.sweep.engine.programs import Given
+from vibrojax.sweep.input.definition import Sweep
 
 STEPS = Accuracy(tolerance=1e-10, stride=LOCATED_STRIDE, step=np.inf)
 """Of the steps in which an orbit is measured."""

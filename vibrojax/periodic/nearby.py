@@ -8,16 +8,16 @@ stable, if all of the last returns are near it, and if a simulation that is begu
 import numpy as np
 from jaxtyping import Bool, Float
 
-from vibrojax.engine.batch import Features, Index
-from vibrojax.input.definition import Sweep
-from vibrojax.label import FEWEST_RETURNS
-from vibrojax.measure import RETURNS_FOR_DRIFT
-from vibrojax.measure.ledger import MOST_CYCLES
+from vibrojax.measures import RETURNS_FOR_DRIFT
+from vibrojax.measures.labels import FEWEST_RETURNS
+from vibrojax.measures.ledger import MOST_CYCLES
 from vibrojax.periodic.margin import GRAZING
 from vibrojax.periodic.measured import Measuring, begun
 from vibrojax.periodic.newton import ACCEPTED, Found, orbits, repeats_after
 from vibrojax.periodic.of_lanes import last_returns
 from vibrojax.periodic.segments import STEPS, Segments
+from vibrojax.sweep.engine.batch import Features, Index
+from vibrojax.sweep.input.definition import Sweep
 
 REACH = 0.5
 """Distance, over half the swings, within which all last returns are of a nearby orbit. Of 197 lanes (beta 0.1 to 1.2,

@@ -5,18 +5,18 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from vibrojax.engine.batch import Features, Index
-from vibrojax.input.definition import Sweep
-from vibrojax.measure.kept_returns import TIME, state_name
-from vibrojax.measure.ledger import MOST_CYCLES
-from vibrojax.measure.repeats import REPEATS_WITHIN, scales
+from vibrojax.io.variables import ORBIT_REASONS, orbit_name
+from vibrojax.measures.kept_returns import TIME, state_name
+from vibrojax.measures.ledger import MOST_CYCLES
+from vibrojax.measures.repeats import REPEATS_WITHIN, scales
+from vibrojax.models.scenes import Scene
 from vibrojax.periodic.margin import GRAZING, HOW
 from vibrojax.periodic.measured import Begun, Measuring, begun, joined
 from vibrojax.periodic.newton import ACCEPTED, States, orbits, repeats_after
 from vibrojax.periodic.segments import STEPS, Segments
 from vibrojax.periodic.under_pulses import repeats
-from vibrojax.scenes import Scene
-from vibrojax.store.variables import ORBIT_REASONS, orbit_name
+from vibrojax.sweep.engine.batch import Features, Index
+from vibrojax.sweep.input.definition import Sweep
 
 NEAR, FAR = 1e-2, 0.5
 """Least and greatest distance, over the scales, within which an orbit may be a lane's own."""

@@ -12,13 +12,13 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from vibrojax.arrays import Array, Flags, Lanes, Real
-from vibrojax.engine.compiler import lane_function
-from vibrojax.measure.section import lowest, rising
+from vibrojax.measures.section import lowest, rising
+from vibrojax.models.arrays import Array, Flags, Lanes, Real
+from vibrojax.models.scenes import Driven, HasContact, Scene
+from vibrojax.models.scenes.declared import Section, Values
 from vibrojax.periodic.margin import Margin
-from vibrojax.scenes import Driven, HasContact, Scene
-from vibrojax.scenes.declared import Section, Values
 from vibrojax.stepping import Accuracy, Goal, Lane, Step, Stepper, lane_at
+from vibrojax.sweep.engine.compiler import lane_function
 
 MOST_STEPS = 4000
 """Of one return; one of the usual drill takes some fifty."""

@@ -7,12 +7,12 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from vibrojax.devices import precision, workers
-from vibrojax.engine.parallel import in_parallel
+from vibrojax.compile.devices import precision, workers
+from vibrojax.models.scenes import Scene
 from vibrojax.periodic.newton import ReturnMap
 from vibrojax.periodic.return_map import MOST_STEPS, Mapped, mapped
-from vibrojax.scenes import Scene
 from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Located
+from vibrojax.sweep.engine.parallel import in_parallel
 
 SEGMENTS = 512
 """Returns per call of the map, at most."""

@@ -9,11 +9,11 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Bool, Int
 
-from vibrojax.engine.batch import Batch, Features
-from vibrojax.engine.underway import Ended
 from vibrojax.periodic.approach import NEAR, Approach, distance
 from vibrojax.periodic.early import EarlyEnds, OnOrbits
 from vibrojax.periodic.newton import Found
+from vibrojax.sweep.engine.batch import Batch, Features
+from vibrojax.sweep.engine.underway import Ended
 
 Index = Int[np.ndarray, " _"]
 

@@ -5,13 +5,13 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Float
 
-from vibrojax.engine.batch import Features, Index
-from vibrojax.measure.kept_returns import state_name
-from vibrojax.measure.ledger import MOST_CYCLES
-from vibrojax.measure.repeats import REPEATS_WITHIN
+from vibrojax.measures.kept_returns import state_name
+from vibrojax.measures.ledger import MOST_CYCLES
+from vibrojax.measures.repeats import REPEATS_WITHIN
+from vibrojax.models.scenes.scene import Scene
 from vibrojax.periodic.newton import LEAST_SWING
 from vibrojax.periodic.return_map import Mapped
-from vibrojax.scenes.scene import Scene
+from vibrojax.sweep.engine.batch import Features, Index
 
 Return = Callable[[Index, Float[np.ndarray, "states segments"]], Mapped]
 

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.gridspec import GridSpec, SubplotSpec
 from matplotlib.typing import ColorType, LineStyleType, MarkerType
 
-from vibrojax.plot._drawable import drawable
+from vibrojax.plot.drawable import drawable
 
 INK = "#222222"
 FAINT = "#9A9A9A"

@@ -7,9 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
+from vibrojax.analyses.sweep.run import run_sweep
 from vibrojax.errors import InputError, Place
-from vibrojax.input.plausible import UnusualValue
-from vibrojax.input.point import read_point
 from vibrojax.reproduce.needs import (
     Answer,
     Features,
@@ -23,8 +22,9 @@ from vibrojax.reproduce.needs import (
     starts_of,
 )
 from vibrojax.reproduce.struck_mass import blows
-from vibrojax.simulation import simulate
-from vibrojax.sweep import run_sweep
+from vibrojax.sweep.input.plausible import UnusualValue
+from vibrojax.sweep.input.point import read_point
+from vibrojax.sweep.simulation import simulate
 
 PROBES = 8
 """Lanes of each scene that are tried before all."""

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from vibrojax.physics.contact import contact_time
+from vibrojax.models.physics.contact import contact_time
 from vibrojax.reproduce.needs import ALL_STARTS, Lane, Map, Shared, grid, lane, motion
 
 FREQUENCIES = (10.0, 20.0, 30.0, 40.0)

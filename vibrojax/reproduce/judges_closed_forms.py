@@ -6,9 +6,9 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from vibrojax.physics.contact import contact_time, restitution
-from vibrojax.physics.friction import FRICTION_LAWS
-from vibrojax.physics.modes import empirical_frequency, natural_frequencies, striker
+from vibrojax.models.physics.contact import contact_time, restitution
+from vibrojax.models.physics.friction import FRICTION_LAWS
+from vibrojax.models.physics.modes import empirical_frequency, natural_frequencies, striker
 from vibrojax.reproduce import datasets_chapter5 as data
 from vibrojax.reproduce import motions
 from vibrojax.reproduce.struck_mass import Blows

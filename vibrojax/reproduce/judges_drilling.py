@@ -7,8 +7,8 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from vibrojax.laws import fit_rop
-from vibrojax.physics.modes import empirical_frequency
+from vibrojax.analyses.rop_law import fit_rop
+from vibrojax.models.physics.modes import empirical_frequency
 from vibrojax.reproduce import datasets_chapter6 as data
 from vibrojax.reproduce import motions
 from vibrojax.reproduce.judges_penetration import rates

@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from vibrojax.physics.rock import ROCKS
+from vibrojax.models.physics.rock import ROCKS
 from vibrojax.reproduce import datasets_chapter6 as data
 from vibrojax.reproduce import motions
 from vibrojax.reproduce.needs import Features

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import xarray as xr
 
-from vibrojax.physics.modes import natural_frequencies
+from vibrojax.models.physics.modes import natural_frequencies
 from vibrojax.reproduce import datasets_chapter5 as data
 from vibrojax.reproduce import motions
 from vibrojax.reproduce.needs import Features

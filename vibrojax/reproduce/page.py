@@ -11,13 +11,13 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 from matplotlib.figure import Figure
 
-from vibrojax.content_policy import content_policy
 from vibrojax.errors import InputError
+from vibrojax.io.content_policy import content_policy
+from vibrojax.io.dataset import write_dataset
+from vibrojax.io.provenance import source
 from vibrojax.reproduce.findings import FINDINGS, READINGS, Finding
 from vibrojax.reproduce.reproduction import Reproduction, Result
 from vibrojax.reproduce.verdicts import DIFFERS, NOT_COMPARED, VERDICTS
-from vibrojax.store.dataset import write_dataset
-from vibrojax.store.provenance import source
 
 COLUMNS = ("id", "what", "source", "here", "verdict", "reading")
 CLASSES = dict(zip(VERDICTS, ("differs", "uncompared", "trend", "agrees"), strict=True))

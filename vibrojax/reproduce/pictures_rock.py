@@ -5,7 +5,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d import Axes3D
 
-from vibrojax.laws import fit_rop
+from vibrojax.analyses.rop_law import fit_rop
 from vibrojax.reproduce import datasets_chapter6 as data
 from vibrojax.reproduce import motions
 from vibrojax.reproduce.entry import Picture

@@ -6,10 +6,10 @@ from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from vibrojax.label import REGIMES
-from vibrojax.physics.contact import restitution
-from vibrojax.physics.friction import FRICTION_LAWS
-from vibrojax.plot import REGIME_COLOURS
+from vibrojax.analyses.pictures import REGIME_COLOURS
+from vibrojax.measures.labels import REGIMES
+from vibrojax.models.physics.contact import restitution
+from vibrojax.models.physics.friction import FRICTION_LAWS
 from vibrojax.reproduce import datasets_chapter5 as data
 from vibrojax.reproduce import motions
 from vibrojax.reproduce.entry import Picture

@@ -16,12 +16,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from vibrojax.physics.elementary import sin
-from vibrojax.physics.parameters import Parameter, not_negative, positive, table
-from vibrojax.scenes import Guard, Marker, Mode, Scene, State
-from vibrojax.scenes.declared import Start, Values
-from vibrojax.simulation import record
+from vibrojax.models.physics.elementary import sin
+from vibrojax.models.physics.parameters import Parameter, not_negative, positive, table
+from vibrojax.models.scenes import Guard, Marker, Mode, Scene, State
+from vibrojax.models.scenes.declared import Start, Values
 from vibrojax.stepping import Accuracy, Located
+from vibrojax.sweep.simulation import record
 
 PARAMETERS = table(
     not_negative("natural", 10.0, "rad s-1", "natural frequency", "w_n"),

@@ -1,6 +1,6 @@
 """Ways to step many lanes at once, behind one interface, [vibrojax.stepping.stepper.Stepper][]."""
 
-from vibrojax.arrays import keep as keep
+from vibrojax.models.arrays import keep as keep
 from vibrojax.stepping import functions as functions
 from vibrojax.stepping.lane import Clock as Clock
 from vibrojax.stepping.lane import Lane as Lane

@@ -5,10 +5,10 @@ from typing import Any
 import diffrax
 import jax.numpy as jnp
 
-from vibrojax.arrays import Array
 from vibrojax.errors import InputError
-from vibrojax.scenes.declared import Values
-from vibrojax.scenes.scene import Scene
+from vibrojax.models.arrays import Array
+from vibrojax.models.scenes.declared import Values
+from vibrojax.models.scenes.scene import Scene
 
 MOST_STEPS = 10_000_000
 

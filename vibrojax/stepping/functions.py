@@ -4,8 +4,8 @@ from collections.abc import Callable
 
 import jax.numpy as jnp
 
-from vibrojax.arrays import Value
-from vibrojax.physics import elementary
+from vibrojax.models.arrays import Value
+from vibrojax.models.physics import elementary
 from vibrojax.stepping.series import (
     Coefficients,
     Number,

@@ -6,8 +6,8 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from vibrojax.arrays import Array, Flags, Lanes
-from vibrojax.scenes.scene import Scene
+from vibrojax.models.arrays import Array, Flags, Lanes
+from vibrojax.models.scenes.scene import Scene
 
 
 class Clock(NamedTuple):

@@ -14,8 +14,8 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from vibrojax.arrays import Array, Lanes, Real, keep
-from vibrojax.scenes.scene import Scene
+from vibrojax.models.arrays import Array, Lanes, Real, keep
+from vibrojax.models.scenes.scene import Scene
 from vibrojax.stepping.event import Event, Trial, locate
 from vibrojax.stepping.lane import Lane, Step
 from vibrojax.stepping.polynomial import rough_root

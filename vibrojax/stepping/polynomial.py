@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jax import custom_jvp, lax
 
-from vibrojax.arrays import Array, Real, keep
+from vibrojax.models.arrays import Array, Real, keep
 
 Coefficients = Sequence[Array]
 """Of a polynomial in tau, from that of tau^0 on; each (lanes,)."""

@@ -2,8 +2,8 @@
 
 A series' coefficients are worked out one order at a time, so that a state's next coefficient may depend on all lower
 ones: this is how an ordinary differential equation is expanded (Jorba and Zou, Experimental Mathematics 14 (2005);
-Biscani and Izzo, heyoka, MNRAS 504 (2021)). Physics written with +, -, *, / and [vibrojax.physics.elementary][] runs on
-it unchanged.
+Biscani and Izzo, heyoka, MNRAS 504 (2021)). Physics written with +, -, *, / and [vibrojax.models.physics.elementary][]
+runs on it unchanged.
 
 Most of physics is linear. A series is therefore its value where the step starts, and beyond that a linear combination
 of sequences: the states', and one for each product, quotient or function. What equations add and scale becomes the
@@ -16,7 +16,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from vibrojax.arrays import Array, Lanes, Real, Value, keep
+from vibrojax.models.arrays import Array, Lanes, Real, Value, keep
 
 Number = Any
 """A coefficient: an array (lanes,) or a float, of which 0.0 is what the structure makes vanish."""

@@ -11,9 +11,9 @@ from typing import Any
 import jax.numpy as jnp
 from jax import lax
 
-from vibrojax.arrays import Array, Real
-from vibrojax.scenes.declared import Values
-from vibrojax.scenes.scene import Scene
+from vibrojax.models.arrays import Array, Real
+from vibrojax.models.scenes.declared import Values
+from vibrojax.models.scenes.scene import Scene
 from vibrojax.stepping.event import Event, Trial, locate
 from vibrojax.stepping.lane import Lane, Step
 from vibrojax.stepping.series import known

@@ -11,10 +11,10 @@ import numpy as np
 
 from peers._machine import C0, C2, K0, K1, M1, MU, STICK_LIMIT, V_CR, striker
 from peers._peer import CORES, Peer, Points, Ran
-from vibrojax.accuracy._sampled import features_of
-from vibrojax.devices import precision
-from vibrojax.engine.parallel import in_parallel
-from vibrojax.input.read import read_sweep
+from vibrojax.analyses.accuracy.sampled import features_of
+from vibrojax.compile.devices import precision
+from vibrojax.sweep.engine.parallel import in_parallel
+from vibrojax.sweep.input.read import read_sweep
 
 SAMPLING = 2e-4  # s: of a second run, untimed, whose samples the features are read off
 MOST_STEPS = 2_000_000

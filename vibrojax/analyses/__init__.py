@@ -1,0 +1,1 @@
+"""Analyses of scenes and datasets: one folder for each."""

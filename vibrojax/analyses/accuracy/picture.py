@@ -1,0 +1,184 @@
+"""Speed against error: every setting of every method, a panel for each scene, and the front that none is beyond."""
+
+from dataclasses import dataclass
+from textwrap import fill
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Bool, Float, Shaped
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter
+from matplotlib.typing import MarkerType
+
+from vibrojax.errors import printable
+from vibrojax.io.attributes import table_of, title_of
+from vibrojax.plot.contents import SETTING
+from vibrojax.plot.style import FAINT, INK, Mark, new_figure, styled
+
+_FRONT = "#F2C94C"
+_FLOOR = "#E8E8E8"
+_WIDE = 3  # panels side by side
+_MICRO = 1e6
+_SINGLE_PRECISION = (0.0, (3.0, 1.5))  # dashes
+
+PerSetting = Float[np.ndarray, " settings"]
+
+
+@dataclass(frozen=True)
+class _Look:
+    """How a method is drawn: by `marker` and `colour`, called `name`."""
+
+    name: str
+    marker: MarkerType
+    colour: str
+
+
+# By method and what is varied of it; readable apart in greyscale by their markers.
+_LOOKS = {
+    ("located", "tolerance"): _Look("located, over tolerance", "o", "#004488"),
+    ("located", "stride"): _Look("located, over fixed stride", "D", "#3F8FA3"),
+    ("smoothed", "width"): _Look("smoothed, over width", "s", "#D1570A"),
+    ("smoothed", "step"): _Look("smoothed, over step", "p", "#9C6B1E"),
+    ("smoothed", "stride"): _Look("Runge–Kutta, over stride", "h", "#D9A441"),
+    ("diffrax Tsit5", "width"): _Look("diffrax Tsit5, adaptive", "^", "#7A5195"),
+    ("diffrax Dopri8", "width"): _Look("diffrax Dopri8, adaptive", "v", "#C2185B"),
+    ("diffrax Kvaerno5", "width"): _Look("diffrax Kvaerno5, adaptive", "<", "#4D4D4D"),
+    ("diffrax Tsit5, fixed steps", "width"): _Look("diffrax Tsit5, fixed steps", ">", "#2E8B57"),
+}
+
+
+@styled
+def work_precision(ds: xr.Dataset) -> Figure:
+    """Worst error over time per lane-second, both logarithmic: a panel for each scene, a mark for each setting.
+
+    A whisker goes down from each mark to the median lane's error. The Pareto front is drawn behind; what is below
+    the grey edge is finer than the reference. Hollow marks are float32; crosses had lanes that failed.
+
+    **Arguments:**
+
+    - `ds`: what [vibrojax.analyses.accuracy.run_accuracy][] gives.
+
+    **Returns:** a figure that pyplot knows nothing of.
+    """
+    scenes = list(dict.fromkeys(ds["scene"].values.tolist()))
+    wide = min(_WIDE, len(scenes) + 1)
+    deep = -(-(len(scenes) + 1) // wide)
+    figure = new_figure(3.1 * wide, 3.0 * deep + 0.35)
+    panels = figure.subplots(deep, wide, squeeze=False, sharex=True, sharey=True).ravel()
+    for axes, scene in zip(panels, scenes, strict=False):
+        _panel(axes, ds.isel({SETTING: ds["scene"].values == scene}), scene)
+    for axes in panels[len(scenes) :]:
+        axes.axis("off")
+    _label(panels, ds, wide, len(scenes))
+    _legend(panels[len(scenes)], ds)
+    figure.suptitle(f"{title_of(ds, 'Speed against error')} · {_computer(ds)}", fontsize=10)
+    return figure
+
+
+def _panel(axes: Axes, ds: xr.Dataset, scene: str) -> None:
+    axes.set_title(scene, loc="left", fontweight="bold")
+    axes.set_title(f"{int(ds['lanes'].values[0])} periodic lanes", loc="right", fontsize=8, color=FAINT)
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.grid(which="major")
+    time, worst = _MICRO * ds["time_per_lane_second"].values, ds["error_worst"].values
+    _draw_front(axes, time, worst, ds["on_front"].values == 1)
+    axes.axhspan(1e-30, max(float(ds["reference_spread"].values[0]), 1e-16), color=_FLOOR, linewidth=0, zorder=0)
+    keys = list(zip(*(ds[name].values.tolist() for name in ("method", "varied", "precision")), strict=True))
+    for key in dict.fromkeys(keys):
+        here = ds.isel({SETTING: [index for index, other in enumerate(keys) if other == key]})
+        _draw_series(axes, here.sortby("value"), _look(*key[:2]), key[2] == "float32")
+    absent = [str(name).split()[0] for name in ds["method"].values[~np.isfinite(time)]]
+    if absent:
+        text = f"{', '.join(dict.fromkeys(absent))}: cannot run this scene"
+        axes.text(0.97, 0.97, text, transform=axes.transAxes, ha="right", va="top", fontsize=7.5, color="#666666")
+
+
+def _look(method: str, varied: str) -> _Look:
+    return _LOOKS.get((method, varied), _Look(f"{method}, over {varied}", "h", INK))
+
+
+def _draw_front(axes: Axes, time: PerSetting, worst: PerSetting, front: Bool[np.ndarray, " settings"]) -> None:
+    """The front as steps: everything to the right of and above a setting on it is beaten."""
+    order = np.argsort(time[front])
+    time, worst = time[front][order], worst[front][order]
+    if time.size:
+        x, y = np.concatenate([time[:1], time, [1e9]]), np.concatenate([[1e9], worst, worst[-1:]])
+        axes.step(x, y, where="post", solid_joinstyle="round", zorder=1, **_BAND)
+
+
+_BAND = Mark(color=_FRONT, linewidth=4.5, alpha=0.65)
+
+
+def _draw_series(axes: Axes, ds: xr.Dataset, look: _Look, single: bool) -> None:
+    time, worst = _MICRO * ds["time_per_lane_second"].values, ds["error_worst"].values
+    median, good = ds["error_median"].values, ds["status"].values == 0
+    line = _SINGLE_PRECISION if single else "-"
+    axes.plot(time, worst, color=look.colour, linewidth=0.9, linestyle=line, zorder=2)
+    axes.vlines(time, median, worst, color=look.colour, linewidth=0.6, alpha=0.55, zorder=2)
+    fastest, slowest = (_MICRO * ds[f"time_per_lane_second_{end}"].values for end in ("min", "max"))
+    axes.hlines(worst, fastest, slowest, color=look.colour, linewidth=1.6, alpha=0.45, zorder=2)
+    fill_colour = "white" if single else look.colour
+    marks = Mark(linestyle="none", markeredgecolor=look.colour, markeredgewidth=0.9, zorder=3)
+    axes.plot(time[good], worst[good], marker=look.marker, markersize=4.4, markerfacecolor=fill_colour, **marks)
+    axes.plot(time[~good], worst[~good], marker="x", markersize=5.0, **marks)
+
+
+def _label(panels: Shaped[np.ndarray, " panels"], ds: xr.Dataset, wide: int, count: int) -> None:
+    axes = panels[0]
+    shown = np.isfinite(ds["error_worst"].values)
+    axes.set_xlim(*_limits(_MICRO * ds["time_per_lane_second"].values[shown], 1.6))
+    axes.set_ylim(*_limits(ds["error_worst"].values[shown], 5.0))
+    low, high = axes.get_ylim()
+    decades = range(int(np.ceil(np.log10(low))), int(np.floor(np.log10(high))) + 1)
+    axes.yaxis.set_major_locator(FixedLocator([10.0**power for power in decades if power % 2 == 0]))
+    axes.yaxis.set_minor_locator(FixedLocator([10.0**power for power in decades]))
+    fastest, slowest = axes.get_xlim()
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if slowest < 150 * fastest else (1.0,), numticks=12))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_minor_formatter(NullFormatter())
+    for index, panel in enumerate(panels[:count]):
+        if index % wide == 0:
+            panel.set_ylabel("worst lane's relative error")
+        if index + wide >= count:
+            panel.set_xlabel("time per simulated lane-second [µs]")
+            panel.tick_params(labelbottom=True)
+
+
+def _limits(values: Float[np.ndarray, " values"], margin: float) -> tuple[float, float]:
+    known = values[values > 0]
+    return (known.min() / margin, known.max() * margin) if known.size else (0.1, 10.0)
+
+
+def _legend(axes: Axes, ds: xr.Dataset) -> None:
+    """Methods, and below them what marks and lines mean."""
+    keys = dict.fromkeys(zip(ds["method"].values.tolist(), ds["varied"].values.tolist(), strict=True))
+    looks = dict.fromkeys(_look(*key) for key in sorted(keys, key=lambda key: [*_LOOKS, key].index(key)))
+    handles: list[Artist] = [
+        Line2D([], [], color=look.colour, marker=look.marker, markersize=4.4, linewidth=0.9, label=look.name)
+        for look in looks
+    ]
+    if "float32" in ds["precision"].values:
+        hollow = Mark(color=INK, marker="o", markersize=4.4, linewidth=0.9, markerfacecolor="white")
+        handles.append(Line2D([], [], label="float32", **hollow | Mark(linestyle=_SINGLE_PRECISION)))
+    if ((ds["status"].values != 0) & np.isfinite(ds["error_worst"].values)).any():
+        handles.append(Line2D([], [], color=INK, marker="x", linestyle="none", label="some lanes failed"))
+    handles.append(
+        Line2D([], [], color=INK, marker="|", markersize=9, linestyle="none", label="down to the median lane")
+    )
+    handles.append(Line2D([], [], color=INK, linewidth=1.6, alpha=0.45, label="range of the repeats"))
+    handles.append(Line2D([], [], label="Pareto front", **_BAND))
+    handles.append(Patch(color=_FLOOR, label="below what the reference can tell"))
+    axes.legend(handles=handles, loc="upper left", bbox_to_anchor=(-0.08, 1.04), fontsize=8, handlelength=2.2)
+
+
+def _computer(ds: xr.Dataset) -> str:
+    about = table_of(ds, "machine")
+    if not {"processor", "cores", "jax"} <= set(about):
+        return "machine unknown"
+    return fill(printable(f"{about['processor']}, {about['cores']} cores, jax {about['jax']}", 180), 90)

@@ -1,0 +1,134 @@
+"""What families are asked for: the motions that they begin with, and the parameter that they are followed along."""
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from vibrojax.errors import Place, shown, suggestion
+from vibrojax.measures.ledger import MOST_CYCLES
+from vibrojax.models.physics.parameters import not_negative, positive
+from vibrojax.models.scenes import Scene
+from vibrojax.sweep.input.definition import Sweep
+from vibrojax.sweep.input.names import CHOICES, Names, read_names, take_options
+from vibrojax.sweep.input.plausible import UnusualValue, warn_if_far
+from vibrojax.sweep.input.point import read_point, several_and_single
+from vibrojax.sweep.input.read import read_sweep
+from vibrojax.sweep.input.values import quantity
+
+SETTLE = not_negative("settle", 40.0, "s", "time for which motions settle", "settle")
+OBSERVE = positive("observe", 8.0, "s", "time for which they are then observed", "observe")
+
+
+@dataclass(frozen=True, eq=False)
+class Asked:
+    """Families of one scene.
+
+    - `sweep`: one point for each family, where it begins.
+    - `along`: the parameter that they are followed along, from `low` to `high`.
+    - `cycles`: the most returns of doubled branches.
+    """
+
+    sweep: Sweep
+    along: str
+    low: float
+    high: float
+    cycles: int
+
+    def identity(self) -> dict[str, object]:
+        """What the result depends on, as flat JSON values."""
+        bounds = {"along": self.along, "from": self.low, "to": self.high, "cycles": self.cycles}
+        return self.sweep.identity() | bounds
+
+
+def read_asked(
+    scene: str | Scene[Any],
+    along: object,
+    at: object,
+    span: object,
+    start: object,
+    settle: object,
+    observe: object,
+    cycles: object,
+    parameters: Mapping[str, object],
+) -> Asked:
+    """Check what was asked of `follow`, whose arguments these are.
+
+    **Raises:** `InputError`, one line, at the first thing that is wrong.
+    """
+    place = Place("follow")
+    several, fixed = several_and_single(parameters)
+    names = read_names(place.at("scene"), scene, take_options(dict(fixed)), place)
+    if not isinstance(along, str) or along not in names.parameters:
+        raise place.at("along").error(f"{shown(along)} is no parameter of the scene; {_which(along, names)}")
+    if along in parameters:
+        raise place.at(along).error(
+            f"is what the family is followed along; say where it begins by at={shown(fixed.get(along, 'VALUE'))}"
+        )
+    if isinstance(cycles, bool) or not isinstance(cycles, int) or not 1 <= cycles <= MOST_CYCLES:
+        raise place.at("cycles").error(f"{shown(cycles)} is not a whole number from 1 to {MOST_CYCLES}")
+    low, high = _bounds(place, names, along, span)
+    begin = names.quantity(place.at("at"), along, at)
+    if not low <= begin <= high:
+        raise place.at("at").error(f"{begin:g} is not between from = {low:g} and to = {high:g}")
+    times = {"settle": (settle, SETTLE), "observe": (observe, OBSERVE)}
+    run = {name: quantity(place.at(name), value, about) for name, (value, about) in times.items()}
+    count = _check_columns(place, names, several)
+    first = {name: column[0] for name, column in several.items()}
+    with warnings.catch_warnings():  # of single values; below of all
+        warnings.simplefilter("ignore", UnusualValue)
+        point = read_point(place, scene, {**fixed, **first, along: begin}, start)
+    for name, value in {**fixed, **several, along: begin}.items():
+        if name in names.writable:
+            warn_if_far(place.at("at" if name == along else name), names.writable[name], value)
+    tables: dict[str, Any] = {
+        "scene": scene,
+        "points": {along: [begin] * count} | several,
+        "parameters": fixed,
+        "run": {"orbits": True, **run},
+        "unusual": True,
+    }
+    if point.start is not None:
+        tables["starts"] = [point.start if isinstance(point.start, str) else list(point.start)]
+    return Asked(read_sweep(tables), along, low, high, cycles)
+
+
+def _which(along: object, names: Names) -> str:
+    """What may be followed along in place of `along`."""
+    if along in names.writable:  # rpm or bit_radius
+        return "v follows from rpm and bit_radius: give v, and follow along v"
+    return suggestion(str(along), names.parameters)
+
+
+def _bounds(place: Place, names: Names, along: str, span: object) -> tuple[float, float]:
+    """The bounds of the parameter, the lower first."""
+    if not isinstance(span, Sequence | np.ndarray) or isinstance(span, str) or len(span) != 2:
+        raise place.at("span").error(f"{shown(span)} is no pair of numbers; give the bounds of {along}")
+    low, high = sorted(
+        names.quantity(place.at(name), along, end) for name, end in zip(("from", "to"), span, strict=True)
+    )
+    if not low < high:
+        raise place.at("to").error(f"{high:g} is the same as from; give the two bounds of {along}")
+    return low, high
+
+
+def _check_columns(place: Place, names: Names, several: Mapping[str, list[Any]]) -> int:
+    """How many families there are, after a look at the values that differ between them."""
+    sizes = {name: len(column) for name, column in several.items()}
+    for name, column in several.items():
+        if name in CHOICES:
+            raise place.at(name).error(f"{shown(column)} is a list; it is chosen once for all families")
+        if not column:
+            raise place.at(name).error("is empty; give a value")
+        for index, value in enumerate(column):
+            at = place.at(name).item(index)
+            if name == "rock" and names.has_rock:
+                names.rock(at, value)
+            else:
+                names.quantity(at, name, value)
+    if len(set(sizes.values())) > 1:
+        lengths = ", ".join(f"{name} {size}" for name, size in sizes.items())
+        raise place.error(f"lists of different lengths ({lengths}); give one family's values at the same place of each")
+    return next(iter(sizes.values()), 1)

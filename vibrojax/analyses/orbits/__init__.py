@@ -1,0 +1,1 @@
+"""Periodic orbits of the lanes of a sweep, with their multipliers."""

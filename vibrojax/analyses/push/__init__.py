@@ -1,0 +1,1 @@
+"""The smallest push in each state that makes a machine leave its attractor."""

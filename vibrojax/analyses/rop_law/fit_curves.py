@@ -1,0 +1,111 @@
+"""The data of a fit with the fitted curves: a panel for each group, a colour for each form of the law."""
+
+from collections.abc import Callable
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Float
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.gridspec import SubplotSpec
+from matplotlib.lines import Line2D
+
+from vibrojax.plot.axes import scale, with_unit
+from vibrojax.plot.colours import form_colour
+from vibrojax.plot.contents import FORM
+from vibrojax.plot.sheet import Facets, facets
+from vibrojax.plot.style import FAINT, INK, Mark
+
+_MOST_GROUPS, _MOST_BESIDE = 6, 3
+_HIGH = 2.4  # inches of a row of panels
+_MANY = 60  # lanes of a group, from which marks are small
+_FINE = 200  # points of a curve
+# The last is often on the one before, whose colour shows between its dashes.
+_LINE, _LINES = Mark(linewidth=1.4), {"power": Mark(linewidth=1.4, linestyle=(0.0, (2.5, 2.0)))}
+_RELIEF, _RATE, _USE = "data_relief", "data_rate_of_penetration", "data_use"
+
+Values = Float[np.ndarray, "*values"]
+
+# The forms of vibrojax/analyses/rop_law/forms.py, by their coefficients: C, eta0 and exponent.
+FORMULAS: dict[str, Callable[[Values, float, float, float], Values]] = {
+    "literal": lambda eta, C, eta0, exponent: C * np.log(eta),
+    "percent": lambda eta, C, eta0, exponent: C * np.log(100.0 * eta),
+    "onset": lambda eta, C, eta0, exponent: C * np.log(eta / eta0),
+    "line": lambda eta, C, eta0, exponent: C * (eta - eta0),
+    "power": lambda eta, C, eta0, exponent: C * eta**exponent,
+}
+
+_USES = {
+    "fitted": ("data", Mark(marker="o", color=INK, markeredgewidth=0.0)),
+    "censored": (
+        "no penetration (censored)",
+        Mark(marker="o", color=INK, markerfacecolor="white", markeredgewidth=0.9),
+    ),
+    "left-out": ("left out of the fit", Mark(marker="x", color=FAINT, markeredgewidth=1.2)),
+}
+
+
+def groups_to_show(fit: xr.Dataset) -> Facets | None:
+    """A facet for each group, of some where there are many; None for a fit that does not carry its data."""
+    return facets(fit, (), _MOST_GROUPS) if {_RELIEF, _RATE, _USE} <= set(fit.data_vars) else None
+
+
+def height_of(groups: Facets | None) -> float:
+    """How much room the panels take [inch]."""
+    return 0.0 if groups is None else _HIGH * -(-len(groups) // _MOST_BESIDE)
+
+
+def draw_fits(figure: Figure, place: SubplotSpec, groups: Facets) -> None:
+    """Draw the data of each of `groups`, and the curve of each form, into `place`."""
+    wide = min(len(groups), _MOST_BESIDE)
+    grid = place.subgridspec(-(-len(groups) // wide), wide)
+    for at, (title, group) in enumerate(zip(groups.titles, groups.data, strict=True)):
+        axes = figure.add_subplot(grid[divmod(at, wide)])
+        factor, unit = scale(group[_RATE])
+        _draw_group(axes, group, factor)
+        axes.set_title(title, loc="left")
+        axes.set_xlabel("relief P/D" if at + wide >= len(groups) else "")
+        axes.set_ylabel(with_unit("rate of penetration", unit) if at % wide == 0 else "")
+
+
+def data_handles(groups: Facets | None) -> list[Artist]:
+    """The legend's entries for the kinds of lanes that are shown."""
+    shown = {use for group in (groups.data if groups else ()) for use in _uses(group)}
+    look = Mark(linestyle="none", markersize=4.5)
+    return [Line2D([], [], label=text, **look | mark) for use, (text, mark) in _USES.items() if use in shown]
+
+
+def data_text(groups: Facets | None, fit: xr.Dataset) -> str:
+    """Of how many groups the data are shown, in words, where not of all."""
+    count = fit["C"].size // fit.sizes[FORM]
+    return f"Data and curves of {len(groups)} of {count} groups" if groups and len(groups) < count else ""
+
+
+def _draw_group(axes: Axes, group: xr.Dataset, factor: float) -> None:
+    relief, rate = group[_RELIEF].values, factor * group[_RATE].values
+    seen = np.isfinite(relief) & np.isfinite(rate) & (relief > 0)
+    axes.grid(True)
+    if not seen.any():
+        return
+    eta = np.linspace(relief[seen].min(), relief[seen].max(), _FINE)
+    for name in (str(name) for name in group[FORM].values):
+        one = group.sel({FORM: name})
+        coefficients = [float(one[x]) if x in one else np.nan for x in ("C", "eta0", "exponent")]
+        if name in FORMULAS and np.isfinite(coefficients[0]):
+            curve = factor * FORMULAS[name](eta, *coefficients)
+            axes.plot(eta, curve, color=form_colour(name), label=name, **_LINES.get(name, _LINE))
+    size = 4.2 if seen.sum() < _MANY else 2.2
+    for use, at in _uses(group).items():
+        look = Mark(linestyle="none", markersize=size, zorder=3) | _USES[use][1]
+        axes.plot(relief[at], rate[at], label=f"_{use}", **look)
+    top = float(np.max(rate[seen])) or 1.0
+    axes.set_ylim(-0.06 * top, 1.1 * top)  # of a form that goes astray only what is beside the data
+
+
+def _uses(group: xr.Dataset) -> dict[str, np.ndarray]:
+    """Which lanes that can be drawn were put to which use."""
+    meanings = str(group[_USE].attrs["flag_meanings"]).split()
+    known = np.isfinite(group[_RELIEF].values) & np.isfinite(group[_RATE].values)
+    found = {name: known & (group[_USE].values == meanings.index(name)) for name in _USES}
+    return {name: at for name, at in found.items() if at.any()}

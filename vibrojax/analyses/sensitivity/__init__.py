@@ -1,0 +1,1 @@
+"""Derivatives of the features of a lane with respect to its parameters."""

@@ -1,0 +1,1 @@
+"""Sweeps over parameter spaces: run, resume, join and draw."""

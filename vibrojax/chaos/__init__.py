@@ -1,3 +1,0 @@
-"""What irregular motion is: the greatest Lyapunov exponent through all events, and what nature follows from it."""
-
-from vibrojax.chaos.natures import Natures as Natures

@@ -1,0 +1,1 @@
+"""From functions of lanes to machine code."""

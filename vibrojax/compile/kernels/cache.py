@@ -1,0 +1,227 @@
+"""Compiled kernels and verdicts on them, kept in the user's cache folder between runs.
+
+A kept kernel is machine code that this process runs, so who can write it can do all that the user can. Two safeguards:
+
+- Only the user can have written a file that is loaded. The file and the folder `kernels` belong to the user, and
+  neither group nor others can write to them; an access control list with more rights shows in the group's bits. Both
+  are checked on open descriptors, and the file is opened relative to that of the folder without following a symbolic
+  link. Hence the folders above do not matter: who can rename `kernels` cannot make a folder that belongs to the user.
+  This holds in `/tmp`, where the sticky bit is set. A folder above that all others can write to without the sticky bit
+  is refused nevertheless, because it is a mistake.
+- A digest of key and content finds damage and mix-ups: half a file, a flipped bit, a file under the key of another.
+  It proves nothing against an attacker, who can compute it too.
+
+A file or folder that is refused costs the time to compile again, and is named once in the log (`--verbose`). Without
+POSIX owners (Windows) the digest alone is checked: a user's own cache folder is private there.
+"""
+
+import os
+import re
+import secrets
+import stat
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from hashlib import sha256
+from pathlib import Path
+from typing import NamedTuple
+
+from platformdirs import user_cache_path
+
+from vibrojax.progress import LOG
+
+VARIABLE = "VIBROJAX_CACHE"
+"""Environment variable: another folder, or "off"."""
+
+OFF = ("off", "0", "no", "none")
+
+KEPT_BYTES, KEPT_DAYS = 100e6, 90
+"""Files that were not used for `KEPT_DAYS` are dropped, and the oldest ones beyond `KEPT_BYTES` in total."""
+
+MAGIC = b"vibrojax kernel 1\n"
+"""Begins every file of the cache."""
+
+HEADER = len(MAGIC) + sha256().digest_size
+
+KEY, TEMPORARY = re.compile(r"[0-9a-f]{64}"), ".vibrojax-"
+"""Names of the cache's own files: the SHA-256 of what made them, and a prefix while they are written."""
+
+HALF_WRITTEN_SECONDS = 3600
+"""Age from which a temporary file is taken for the remains of a killed process."""
+
+OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
+
+HAS_OWNERS = hasattr(os, "geteuid")
+
+_refused: set[Path] = set()
+"""Folders of which a refusal has been logged."""
+
+
+class Refused(Exception):
+    """A folder or file that somebody else may have written."""
+
+
+class Folder(NamedTuple):
+    """A folder of the cache, and its open descriptor (None without POSIX owners)."""
+
+    path: Path
+    descriptor: int | None
+
+    def name(self, file: str) -> str | Path:
+        """Return what to call a file of the folder together with `dir_fd=descriptor`."""
+        return file if self.descriptor is not None else self.path / file
+
+
+def folder() -> Path | None:
+    """Return the folder in which kernels are kept; None if they are not."""
+    chosen = os.environ.get(VARIABLE, "")
+    if chosen.lower() in OFF:
+        return None
+    return (Path(chosen).expanduser() if chosen else user_cache_path("vibrojax", appauthor=False)) / "kernels"
+
+
+def read(key: str) -> bytes | None:
+    """Return the content that was kept under a key, or None."""
+    path = folder()
+    if path is None:
+        return None
+    try:
+        with _entered(path) as where:
+            content = _content(where, key)
+            with suppress(OSError):
+                os.utime(where.name(key), dir_fd=where.descriptor)  # the oldest files are dropped first
+            return content
+    except Refused as refusal:
+        _log_once(path, refusal)
+    except OSError:
+        pass
+    return None
+
+
+def write(key: str, content: bytes) -> None:
+    """Keep content under a key, whole or not at all; drop old files."""
+    path = folder()
+    if path is None:
+        return
+    try:
+        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        path.mkdir(mode=0o700, exist_ok=True)
+        with _entered(path) as where:
+            _put(where, key, MAGIC + _digest(key, content) + content)
+            _drop_old(where)
+    except Refused as refusal:
+        _log_once(path, refusal)
+    except OSError:
+        pass
+
+
+@contextmanager
+def _entered(path: Path) -> Iterator[Folder]:
+    """Open a folder of the cache.
+
+    **Raises:** `Refused` if others can write to it, `OSError` if it cannot be opened.
+    """
+    if not HAS_OWNERS:
+        yield Folder(path, None)
+        return
+    above = os.stat(path.parent)
+    if above.st_mode & stat.S_IWOTH and not above.st_mode & stat.S_ISVTX:
+        raise Refused(f"{path.parent}: others can write to it")
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
+    except FileNotFoundError:
+        raise
+    except OSError as error:  # no folder, a link to one, or one of another user that cannot be read
+        raise Refused(f"{path}: {error.strerror}") from None
+    try:
+        _check_owner(descriptor, path)
+        yield Folder(path, descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _content(where: Folder, key: str) -> bytes:
+    """Return the content of a file.
+
+    **Raises:** `Refused` if others can have written it, or if it is not what was kept under this key.
+    """
+    flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_NONBLOCK", 0)
+    try:
+        descriptor = os.open(where.name(key), flags | getattr(os, "O_BINARY", 0), dir_fd=where.descriptor)
+    except FileNotFoundError:
+        raise
+    except OSError as error:  # a symbolic link, or a file that only another user can read
+        raise Refused(f"{where.path / key}: {error.strerror}") from None
+    with os.fdopen(descriptor, "rb") as file:
+        if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+            raise Refused(f"{where.path / key}: is not a regular file")
+        if HAS_OWNERS:
+            _check_owner(descriptor, where.path / key)
+        whole = file.read()
+    header, content = whole[:HEADER], whole[HEADER:]
+    if header != MAGIC + _digest(key, content):
+        raise Refused(f"{where.path / key}: is damaged, or does not belong under this name")
+    return content
+
+
+def _put(where: Folder, key: str, whole: bytes) -> None:
+    """Write a file of the cache, which only the user can read, under another name until it is complete."""
+    temporary = where.name(f"{TEMPORARY}{secrets.token_hex(8)}")
+    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
+    handle = os.open(temporary, flags, 0o600, dir_fd=where.descriptor)
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(whole)
+        os.replace(temporary, where.name(key), src_dir_fd=where.descriptor, dst_dir_fd=where.descriptor)
+    except BaseException:
+        os.unlink(temporary, dir_fd=where.descriptor)
+        raise
+
+
+def _check_owner(descriptor: int, path: Path) -> None:
+    """Raise `Refused` unless what is open belongs to this user and nobody else can write to it."""
+    about = os.fstat(descriptor)
+    if about.st_uid != os.geteuid():
+        raise Refused(f"{path}: belongs to another user")
+    if about.st_mode & OTHERS_WRITE:
+        raise Refused(f"{path}: others can write to it")
+
+
+def _digest(key: str, content: bytes) -> bytes:
+    return sha256(key.encode() + b"\n" + content).digest()
+
+
+def _log_once(path: Path, refusal: Refused) -> None:
+    """Log the first refusal of a folder or of a file in it."""
+    if path not in _refused:
+        _refused.add(path)
+        LOG.info("cache refused: %s; kernels are compiled again", refusal)
+
+
+def _drop_old(where: Folder) -> None:
+    """Delete kernels that were not used for long, the oldest ones beyond the limit, and half-written files.
+
+    Everything else in the folder stays: other names, folders, links, and files without the header of the cache.
+    """
+    with os.scandir(where.path if where.descriptor is None else where.descriptor) as entries:
+        regular = [(entry.name, entry.stat(follow_symlinks=False)) for entry in entries]
+    regular = [(name, about) for name, about in regular if stat.S_ISREG(about.st_mode)]
+    total, now = 0, time.time()
+    for name, about in sorted(regular, key=lambda each: -each[1].st_mtime):
+        age = now - about.st_mtime
+        if KEY.fullmatch(name):
+            total += about.st_size
+            drop = (age > 86400 * KEPT_DAYS or total > KEPT_BYTES) and _is_own(where, name)
+        else:
+            drop = name.startswith(TEMPORARY) and age > HALF_WRITTEN_SECONDS
+        if drop:
+            with suppress(OSError):
+                os.unlink(where.name(name), dir_fd=where.descriptor)
+
+
+def _is_own(where: Folder, name: str) -> bool:
+    """Return whether a file begins as those of the cache do."""
+    flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
+    with suppress(OSError), os.fdopen(os.open(where.name(name), flags, dir_fd=where.descriptor), "rb") as file:
+        return file.read(len(MAGIC)) == MAGIC
+    return False

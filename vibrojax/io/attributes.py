@@ -1,0 +1,216 @@
+"""The attributes of a dataset, checked: a file may come from anywhere, and hold anything under their names.
+
+`open_dataset` checks all of them. Code that needs one reads it here, so that a dataset that was opened otherwise is
+checked too. Every function raises `InputError` with one line that names the attribute.
+"""
+
+import json
+from collections.abc import Callable, Mapping
+from typing import Any, TypedDict
+
+import numpy as np
+import xarray as xr
+
+from vibrojax.errors import Place, printable, shown
+
+LONGEST_TITLE = 200
+"""Characters of a title that are shown: two lines of a picture."""
+
+LONGEST_TEXT = 1000
+"""Characters of any other text that are shown."""
+
+MOST_LINES = 100
+"""Lines of a history that are shown."""
+
+LARGEST = 1e300
+"""Numbers of at least this size count as infinite: doubles, but sums and squares of them are not."""
+
+LONGEST_NAME = 100
+"""Characters of the name of a parameter."""
+
+
+class Differing(TypedDict):
+    """A parameter whose value is not its default."""
+
+    name: str
+    symbol: str
+    units: str
+    value: float
+    default: float
+
+
+def check_attributes(ds: xr.Dataset) -> None:
+    """Raise `InputError` if an attribute does not hold what its name promises."""
+    for name in _READERS:
+        _read(ds, name, None)
+
+
+def title_of(ds: xr.Dataset, otherwise: str = "") -> str:
+    """Return the title on one line, shortened; `otherwise` if there is none."""
+    return printable(_read(ds, "title", "") or otherwise, LONGEST_TITLE)
+
+
+def text_of(ds: xr.Dataset, name: str, otherwise: str = "") -> str:
+    """Return a text attribute on one line, shortened; `otherwise` if there is none."""
+    return printable(_read(ds, name, otherwise), LONGEST_TEXT)
+
+
+def run_of(ds: xr.Dataset) -> dict[str, Any]:
+    """Return how lanes were run; `settle` and `observe` [s] are numbers if they are there."""
+    run: dict[str, Any] = _read(ds, "run", {})
+    return run
+
+
+def parameters_of(ds: xr.Dataset) -> dict[str, float]:
+    """Return the fixed parameters (SI) by name."""
+    return {name: float(value) for name, value in _read(ds, "parameters", {}).items()}
+
+
+def differing_of(ds: xr.Dataset) -> list[Differing]:
+    """Return the fixed parameters whose values are not the defaults."""
+    differing: list[Differing] = _read(ds, "differing", [])
+    return differing
+
+
+def counts_of(ds: xr.Dataset) -> dict[str, float | int]:
+    """Return how many lanes are certified, and to which error."""
+    counts: dict[str, float | int] = _read(ds, "certified", {})
+    return counts
+
+
+def history_of(ds: xr.Dataset) -> list[str]:
+    """Return the newest lines of the history, each shortened."""
+    return [printable(line, LONGEST_TEXT) for line in str(_read(ds, "history", "")).split("\n")[:MOST_LINES]]
+
+
+def attribute_of(ds: xr.Dataset, name: str) -> Any:
+    """Return what an attribute holds, checked; None if it is not there."""
+    return _read(ds, name, None)
+
+
+def table_of(ds: xr.Dataset, name: str) -> dict[str, Any]:
+    """Return an attribute that holds a JSON object, empty if it is not there."""
+    table: dict[str, Any] = _read(ds, name, {})
+    return table
+
+
+def _read(ds: xr.Dataset, name: str, otherwise: Any) -> Any:
+    if name not in ds.attrs:
+        return otherwise
+    return _READERS[name](Place(f"attribute {name}"), ds.attrs[name])
+
+
+def _text(place: Place, value: object) -> str:
+    if not isinstance(value, str):
+        raise place.error(f"{shown(value)} is not a text")
+    return value
+
+
+def _json(place: Place, value: object) -> Any:
+    if isinstance(value, (dict, list)):  # Zarr keeps them as they are
+        return value
+    try:
+        return json.loads(_text(place, value))
+    except (ValueError, RecursionError):
+        raise place.error(f"{shown(value)} is not JSON") from None
+
+
+def _table(place: Place, value: object) -> dict[str, Any]:
+    table = _json(place, value)
+    if not isinstance(table, dict):
+        raise place.error(f"{shown(table)} is not a JSON object")
+    return table
+
+
+def _number(place: Place, value: object) -> float | int:
+    number = value.item() if isinstance(value, np.number) else value
+    if not isinstance(number, (int, float)) or isinstance(number, bool) or not abs(number) < LARGEST:
+        raise place.error(f"{shown(value)} is not a finite number")
+    return number
+
+
+def _run(place: Place, value: object) -> dict[str, Any]:
+    run = _table(place, value)
+    for name in ("settle", "observe", "error"):
+        if name in run:
+            run[name] = float(_number(place.at(name), run[name]))
+            if run[name] < 0:
+                raise place.at(name).error(f"is {run[name]:g}; it must not be below 0")
+    if not isinstance(run.get("carry", ""), (str, type(None))):
+        raise place.at("carry").error(f"{shown(run['carry'])} is not the name of an axis")
+    return run
+
+
+def _numbers(place: Place, value: object) -> dict[str, float | int]:
+    return {_name(place, name): _number(place.at(shown(name)), one) for name, one in _table(place, value).items()}
+
+
+def _name(place: Place, value: object) -> str:
+    if not isinstance(value, str) or not value.isidentifier() or len(value) > LONGEST_NAME:
+        raise place.error(f"{shown(value)} is not the name of a parameter")
+    return value
+
+
+def _differing(place: Place, value: object) -> list[Differing]:
+    listed = _json(place, value)
+    if not isinstance(listed, list):
+        raise place.error(f"{shown(listed)} is not a JSON list")
+    return [_one_differing(Place(f"{place.file}[{index}]"), one) for index, one in enumerate(listed)]
+
+
+def _one_differing(place: Place, value: object) -> Differing:
+    if not isinstance(value, dict):
+        raise place.error(f"{shown(value)} is not a JSON object")
+    return {
+        "name": _name(place.at("name"), value.get("name")),
+        "symbol": _text(place.at("symbol"), value.get("symbol", "")),
+        "units": _text(place.at("units"), value.get("units", "")),
+        "value": float(_number(place.at("value"), value.get("value"))),
+        "default": float(_number(place.at("default"), value.get("default"))),
+    }
+
+
+def _columns(place: Place, value: object) -> dict[str, Any]:
+    columns = _table(place, value)
+    for name, about in columns.items():
+        here = place.at(shown(name))
+        if not isinstance(about, dict) or not isinstance(about.get("assumed"), bool):
+            raise here.error(f"{shown(about)} does not say what was taken, in which unit")
+        for key in ("unit", "given_in", "column"):
+            _text(here.at(key), about.get(key, ""))
+        if "value" in about:
+            _number(here.at("value"), about["value"])
+    return columns
+
+
+def _orbits(place: Place, value: object) -> dict[str, Any]:
+    orbits = _table(place, value)
+    if "grazing_limit" in orbits:
+        orbits["grazing_limit"] = float(_number(place.at("grazing_limit"), orbits["grazing_limit"]))
+    return orbits
+
+
+def _sequence(kind: type, what: str) -> Callable[[Place, object], list[Any]]:
+    def read(place: Place, value: object) -> list[Any]:
+        items = np.asarray(value).ravel().tolist() if not isinstance(value, Mapping) else []
+        if len(items) != 2 or not all(isinstance(one, kind) for one in items):
+            raise place.error(f"{shown(value)} is not a pair of {what}")
+        return items
+
+    return read
+
+
+_READERS: dict[str, Callable[[Place, object], Any]] = {
+    **dict.fromkeys(("title", "scene", "friction", "pulse_shape", "start", "source", "jax", "history"), _text),
+    **dict.fromkeys(("sweep", "along", "formulas", "reference", "settings"), _text),
+    **dict.fromkeys(("solver", "identity", "machine", "attractors"), _table),
+    **dict.fromkeys(("lanes", "wall_time_s"), _number),
+    "run": _run,
+    "parameters": _numbers,
+    "differing": _differing,
+    "certified": _numbers,
+    "columns": _columns,
+    "orbits": _orbits,
+    "span": _sequence(float, "numbers"),
+    "axes": _sequence(str, "names"),
+}

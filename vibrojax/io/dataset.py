@@ -1,0 +1,163 @@
+"""Datasets on disk: written whole or not at all, and recognised when they are opened."""
+
+import errno
+import os
+import shlex
+from importlib.util import find_spec
+from pathlib import Path
+
+import netCDF4
+import xarray as xr
+
+from vibrojax.errors import InputError
+from vibrojax.io.atomic import ZARR, atomic_write
+from vibrojax.io.attributes import check_attributes
+from vibrojax.io.faults import warn_of_faults
+from vibrojax.io.packing import LEVEL
+from vibrojax.io.structure import check_structure
+from vibrojax.io.threads import in_own_thread
+from vibrojax.io.variables import VARIABLES
+
+MARK = "vibrojax"
+"""How the attribute `source` of every dataset of this package begins."""
+
+LAZY_FROM = 256e6
+"""Bytes of a dataset from which on it is not read at once."""
+
+MOST_PACKED = 2000
+"""How many times its size a file can hold: zlib packs to a thousandth at best, and dimensions may be claimed."""
+
+COMPRESSED = 4096
+"""Variables of more values than this are compressed."""
+_PROBE = 1 << 20
+"""Bytes of one write that tries out whether the disk is full."""
+_PATIENCE, _SLOWEST = 20.0, 2e6
+"""A file that takes longer than so many seconds, and one more for each so many bytes, is not read."""
+
+
+def write_dataset(dataset: xr.Dataset, path: str | os.PathLike[str]) -> None:
+    """Write a netCDF-4 file that appears whole or not at all: under a temporary name, synced, then renamed.
+
+    **Arguments:**
+
+    - `dataset`: what to write.
+    - `path`: the file to be; one that is there is replaced.
+
+    **Raises:** `OSError` where the disk is full or the folder cannot be written.
+
+    **Example:**
+
+    >>> speeds = {"scene": "rotary", "grid": {"v": [1.0, 1.5]}}
+    >>> vj.write_dataset(vj.run_sweep(speeds, progress=False), "speeds.nc")
+    >>> vj.open_dataset("speeds.nc").attrs["Conventions"]
+    'CF-1.11'
+    """
+    path = Path(path)
+    # Flags stay integers only without a fill value, and floats keep NaN as it is.
+    encoding: dict[object, dict[str, object]] = {name: {"_FillValue": None} for name in dataset.variables}
+    for name, variable in dataset.data_vars.items():
+        if variable.size > COMPRESSED and variable.dtype.kind in "fi":
+            encoding[name] |= {"zlib": True, "complevel": LEVEL, "shuffle": True}
+    with atomic_write(path) as part:
+        try:
+            dataset.to_netcdf(part, engine="netcdf4", format="NETCDF4", encoding=encoding)
+        except (RuntimeError, OSError) as error:
+            raise write_failed(part, path, dataset.nbytes, error) from None
+
+
+def open_dataset(path: str | os.PathLike[str]) -> xr.Dataset:
+    """Open a dataset that this package wrote.
+
+    **Arguments:**
+
+    - `path`: the netCDF file, or the Zarr store. It may come from anywhere: attributes, names, coordinates and flags
+      are checked.
+
+    **Returns:** the dataset: read into memory whole, or, where it would take over a quarter of a gigabyte, with
+    variables that are read when they are used: by dask, in parts, where it is installed.
+
+    **Raises:** `InputError` where it is not there, no netCDF, cut short, not written by this package, or malformed.
+
+    **Example:**
+
+    >>> motion = vj.simulate("rotary", duration=2.0, progress=False)
+    >>> vj.write_dataset(motion, "motion.nc")
+    >>> vj.open_dataset("motion.nc").equals(motion)
+    True
+    """
+    path = Path(path)
+    if not path.exists():
+        raise InputError(f"{path}: there is no such file")
+    if path.is_dir() and path.suffix != ZARR:
+        raise InputError(f"{path}: is a folder; give a .nc file")
+    if not path.is_file() and path.suffix != ZARR:
+        raise InputError(f"{path}: is no file with an end; give a .nc file")
+    if path.suffix == ".toml":
+        command = shlex.join(["vibrojax", "sweep", str(path)])
+        raise InputError(f"{path}: is no dataset; give the .nc file that {command} writes")
+    if path.suffix == ZARR:
+        check_zarr(path)
+    patience = _PATIENCE + path.stat().st_size / _SLOWEST
+    try:
+        dataset = in_own_thread(lambda: _opened(path), patience)
+    except InputError:
+        raise
+    except TimeoutError:  # HDF5 goes round and round in some files that have lost a block
+        raise InputError(f"{path}: cannot be read as netCDF (its structure is damaged)") from None
+    except Exception as error:  # whatever the library says of a file that is cut short, flipped or no netCDF at all
+        raise InputError(f"{path}: cannot be read as netCDF ({_first_line(error)})") from None
+    if not str(dataset.attrs.get("source", "")).startswith(MARK):
+        raise InputError(f"{path}: was not written by {MARK} (its attribute source does not say so)")
+    try:
+        check_dataset(dataset)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    warn_of_faults(dataset, str(path))
+    return dataset
+
+
+def check_dataset(dataset: xr.Dataset) -> None:
+    """Raise `InputError` if a dataset is malformed: an attribute, a name, a coordinate or a flag."""
+    check_attributes(dataset)
+    check_structure(dataset)
+
+
+def _opened(path: Path) -> xr.Dataset:
+    """The dataset, in memory where it is small."""
+    kind = {"engine": "zarr", "consolidated": True} if path.suffix == ZARR else {"engine": "netcdf4"}
+    netCDF4.set_chunk_cache(1 << 20)  # of each variable: else 64 MB of every one that is read are kept
+    dataset = xr.open_dataset(path, cache=False, **kind)
+    if path.suffix == ZARR:  # which has no order of its own
+        known = [name for name in VARIABLES if name in dataset]
+        dataset = dataset[[*known, *(name for name in dataset.data_vars if name not in VARIABLES)]]
+    if dataset.nbytes <= LAZY_FROM:
+        with dataset:
+            return dataset.load()
+    if path.is_file() and dataset.nbytes > MOST_PACKED * path.stat().st_size:
+        raise InputError(
+            f"{path}: claims {dataset.nbytes / 1e9:.3g} GB, which its {path.stat().st_size} bytes cannot hold"
+        )
+    return dataset.chunk({}) if find_spec("dask") is not None else dataset
+
+
+def check_zarr(path: Path) -> None:
+    """Raise `InputError`, in one line, where a Zarr store cannot be written or read: zarr is an extra."""
+    if find_spec("zarr") is None:
+        raise InputError(f'{path}: zarr is not installed; pip install "vibrojax[zarr]", or give a .nc file')
+
+
+def write_failed(part: Path, path: Path, size: int, error: Exception) -> OSError:
+    """Why the disk did not take a dataset of `size` bytes: the library says no more than "HDF error"."""
+    try:
+        with open(part, "ab", buffering=0) as file:
+            for _ in range(2 + 2 * size // _PROBE):  # a write in part is no error, the next one is
+                file.write(bytes(_PROBE))
+            os.fsync(file.fileno())
+    except OSError as reason:
+        return OSError(reason.errno, reason.strerror, str(path))
+    return OSError(errno.EIO, f"cannot be written ({_first_line(error)})", str(path))
+
+
+def _first_line(error: Exception) -> str:
+    lines = str(error).splitlines()
+    return lines[0] if lines else type(error).__name__

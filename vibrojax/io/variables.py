@@ -1,0 +1,117 @@
+"""The variables of a sweep's dataset: name, unit, meaning, and how each is stored."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vibrojax.measures.labels import REGIMES
+
+
+@dataclass(frozen=True)
+class Variable:
+    """How a variable is stored: `units` and `long_name`, its dtype, and the meaning of its flags, 0, 1, ... or from
+    `first_flag` on; `along`: the dimension that it has beside those of the sweep."""
+
+    units: str
+    long_name: str
+    dtype: type[np.generic] = np.float64
+    flags: tuple[str, ...] = ()
+    first_flag: int = 0
+    along: str = ""
+
+    def attributes(self) -> dict[str, str | np.ndarray]:
+        """Its CF attributes, by name."""
+        attributes: dict[str, str | np.ndarray] = {"units": self.units, "long_name": self.long_name}
+        if self.flags:
+            attributes["flag_values"] = self.first_flag + np.arange(len(self.flags), dtype=np.int8)
+            # CF 1.11, section 3.5: of other signs only - _ . + @ may stand in a flag's meaning.
+            attributes["flag_meanings"] = " ".join(flag.replace("/", "-over-") for flag in self.flags)
+        return attributes
+
+
+STATUSES = ("done", "failed", "refused")
+"""Meaning of each flag of `status`."""
+
+REASONS = ("none", "not-finite", "out-of-steps", "pulse-width-not-below-1/frequency", "too-stiff", "too-slow")
+"""Meaning of each flag of `reason`."""
+
+ORBIT_REASONS = ("found", "not-repeating", "not-converged", "near-grazing", "another-orbit", "refused")
+"""Meaning of each flag of `orbit_reason`."""
+
+STABILITIES = ("not-known", "unstable", "stable")
+"""Meaning of the flags -1, 0 and 1 of `stable`."""
+
+
+NATURES = ("unknown", "periodic", "quasi-periodic", "chaotic", "not-settled")
+"""Meaning of each flag of `nature`."""
+
+
+def orbit_name(state: str) -> str:
+    """What a state at the section of an orbit is called."""
+    return f"orbit_{state}"
+
+
+VARIABLES: dict[str, Variable] = {
+    "regime": Variable("1", "regime of the striker's motion", np.int8, REGIMES),
+    "check_regime": Variable("1", "regime found by the coarser run that errors are estimated with", np.int8, REGIMES),
+    "hidden_motion": Variable(
+        "1",
+        "whether another start of the point ends in another motion under the same label",
+        np.int8,
+        ("none", "another"),
+    ),
+    "period": Variable("s", "period"),
+    "cycles": Variable("1", "returns after which the motion repeats (0: it does not)", np.int8),
+    "returns": Variable("1", "returns to the section that were observed", np.int32),
+    "impacts": Variable("1", "impacts in those cycles together (cycles 0: per return)"),
+    "impact_velocity": Variable("m s-1", "impact velocity"),
+    "impact_velocity_min": Variable("m s-1", "least impact velocity"),
+    "impact_velocity_max": Variable("m s-1", "greatest impact velocity"),
+    "bit_velocity_at_impact": Variable("m s-1", "sliding velocity of the bit at impact"),
+    "impact_phase": Variable("rad", "phase of impacts within the return in which they fall"),
+    "impact_energy": Variable("J", "impact energy"),
+    "peak_impact_force": Variable("N", "greatest contact force"),
+    "mean_impact_force": Variable("N", "mean contact force"),
+    "stick_fraction": Variable("1", "share of time in which the bit sticks to the rock"),
+    "reverse_fraction": Variable("1", "share of time in which the bit slides backwards"),
+    "bit_amplitude": Variable("m", "half the swing of the bit"),
+    "striker_amplitude": Variable("m", "half the swing of the striker"),
+    "striker_turns": Variable("1", "turns of the striker from forward to backward per return"),
+    "phase_lag": Variable("rad", "lag of the striker's fundamental behind the bit's"),
+    "settling_time": Variable("s", "time of the last return that differs from its repeat by over 1 %"),
+    "drive_power": Variable("W", "mean power of the drive"),
+    "error_estimate": Variable("1", "estimated relative error of the settled period and impact velocity, the larger"),
+    "drift_estimate": Variable("1", "relative distance of period, impact velocity and swings from where they settle"),
+    "sensitive": Variable("1", "1 if rounding decides which attractor the lane reaches, else 0", np.int8),
+    "status": Variable("1", "whether the lane was computed", np.int8, STATUSES),
+    "reason": Variable("1", "why a lane failed or was refused", np.int8, REASONS),
+    "rate_of_penetration": Variable("m s-1", "rate of penetration"),
+    "mean_force": Variable("N", "mean force on the bit, P"),
+    "relief": Variable("1", "mean force over threshold, P/D"),
+    "slip_per_impact": Variable("m", "growth of the hole per impact (per pulse under a given force)"),
+    "deepest_gap": Variable("m", "deepest gap between bit and rock (negative: how far the bit jumps off)"),
+    "multiplier_abs": Variable("1", "modulus of the orbit's multipliers, falling", along="multiplier"),
+    "multiplier_arg": Variable("rad", "argument of the orbit's multipliers, 0 to pi", along="multiplier"),
+    "stable": Variable("1", "whether all multipliers are inside the unit circle", np.int8, STABILITIES, -1),
+    "orbit_residual": Variable("1", "greatest return - state of the orbit, over the scales of labels"),
+    "grazing_margin": Variable("1", "how far the order of events along the orbit is from changing"),
+    "orbit_cycles": Variable(
+        "1", "returns after which the orbit itself repeats (a lane may still be on its way)", np.int8
+    ),
+    "orbit_reason": Variable("1", "what became of the search for the orbit", np.int8, ORBIT_REASONS),
+    "nearby_cycles": Variable(
+        "1", "returns of a stable orbit near a lane that has not settled (0: none was found)", np.int8
+    ),
+    "nearby_impacts": Variable("1", "impacts in the repeat of that orbit"),
+    "nearby_distance": Variable("1", "greatest distance of the last returns from that orbit, over half the swings"),
+    "lyapunov": Variable("1/s", "greatest Lyapunov exponent of the flow but the trivial zero"),
+    "lyapunov_stderr": Variable("1/s", "standard error of lyapunov, by blocks of returns (0: by multipliers)"),
+    "zero_one": Variable("1", "0-1 test on the returns of lanes that do not repeat: near 1 if chaotic, 0 if regular"),
+    "nature": Variable("1", "nature of the motion, by its greatest exponent", np.int8, NATURES),
+    "return_time": Variable("s", "time of the return", along="return_index"),
+    "return_x1": Variable("m", "position of the bit at the return", along="return_index"),
+    "return_x2": Variable("m", "position of the striker at the return", along="return_index"),
+    "return_v2": Variable("m s-1", "velocity of the striker at the return", along="return_index"),
+    "return_impacts": Variable("1", "impacts since the return before", along="return_index"),
+    "return_impact_velocity": Variable("m s-1", "impact velocity at the return", along="return_index"),
+}

@@ -1,0 +1,1 @@
+"""Physics and scenes: the equations of the machines."""

@@ -1,0 +1,62 @@
+"""One-sided visco-elastic contact of striker and bit (eq. 5.18) and its closed forms (eqs. 5.6 to 5.8).
+
+**Example:**
+
+>>> import jax
+>>> round(float(vj.contact.restitution(0.3)), 3)
+0.451
+>>> round(float(jax.grad(vj.contact.restitution)(0.0)), 4)  # - pi: R = 1 - pi xi to first order
+-3.1416
+"""
+
+from typing import Any
+
+import jax.numpy as jnp
+
+from vibrojax.models.arrays import Real, Value
+
+
+def raw_force(compression: Value, rate: Value, k0: Value, c0: Value) -> Any:
+    """k0 d + c0 d' [N] of eq. 5.18, before its one-sidedness; `compression` d [m], `rate` d' [m/s]; arrays or series.
+
+    In a mode the contact either holds, and this is its force, or does not: see [vibrojax.models.scenes][].
+    """
+    return k0 * compression + c0 * rate
+
+
+def force(compression: Real, rate: Real, k0: Real, c0: Real) -> Any:
+    """Contact force J [N] of eq. 5.18: k0 d + c0 d' while d >= 0 and that is positive, else 0; arrays only."""
+    return jnp.where(compression >= 0, jnp.maximum(raw_force(compression, rate, k0, c0), 0), 0)
+
+
+def damping_ratio(mass: Real, k0: Real, c0: Real) -> Any:
+    """xi = c0/(2 m W), W = sqrt(k0/m), of a mass [kg] on the contact; unit 1 (1 is critical)."""
+    return c0 / (2 * jnp.sqrt(k0 * mass))
+
+
+def restitution(xi: Real) -> Any:
+    """Speed after over speed before a blow on a Kelvin-Voigt stop that releases at zero force; unit 1.
+
+    Eq. 5.8 with the root read as sqrt(1 - xi²), as the blow's own motion has it: R = exp(-2 xi acos(xi)/sqrt(1 - xi²)),
+    and with acosh beyond critical damping. At xi = 1 both tend to exp(-2), and the two branches meet smoothly.
+
+    **Arguments:** `xi` >= 0, any shape.
+    """
+    return jnp.exp(-2 * xi * _acos_over_root(xi))
+
+
+def contact_time(mass: Real, k0: Real, c0: Real) -> Any:
+    """Duration T [s] of a blow of a mass [kg] on the contact, w_d T = 2 acos(xi) (eq. 5.7); any shape."""
+    xi = damping_ratio(mass, k0, c0)
+    return 2 * _acos_over_root(xi) / jnp.sqrt(k0 / mass)
+
+
+def _acos_over_root(xi: Real) -> Any:
+    """acos(xi)/sqrt(1 - xi²), continued beyond xi = 1 as acosh(xi)/sqrt(xi² - 1), without 0/0 at 1 in its gradient."""
+    near = jnp.abs(xi - 1) < 1e-3
+    under = jnp.where((xi < 1) & ~near, xi, 0.5)
+    over = jnp.where((xi > 1) & ~near, xi, 2.0)
+    e = xi - 1
+    series = 1 - e / 3 + 2 * e**2 / 15 - 2 * e**3 / 35  # of both branches about xi = 1; the next term is 8 e^4/315
+    exact = jnp.where(xi < 1, jnp.arccos(under) / jnp.sqrt(1 - under**2), jnp.arccosh(over) / jnp.sqrt(over**2 - 1))
+    return jnp.where(near, series, exact)

@@ -1,0 +1,26 @@
+"""The given force on the bit: pulses, or a swept sine; what is known of them in closed form."""
+
+from collections.abc import Mapping
+from math import pi
+from typing import Any
+
+from vibrojax.models.physics.parameters import Parameter, not_negative, positive, table
+
+PULSES = table(
+    not_negative("force", 200e3, "N", "greatest force of a pulse", "A", (50e3, 500e3)),
+    positive("frequency", 20.0, "s-1", "pulses per second", "f", (10.0, 40.0)),
+    positive("pulse_width", 4e-3, "s", "duration of a pulse", "w", (1e-3, 10e-3)),
+)
+
+SWEEP = table(
+    not_negative("force", 200e3, "N", "amplitude of the swept sine", "A", (50e3, 500e3)),
+    not_negative("sweep_start", 0.0, "s-1", "frequency of the swept sine at t = 0", "f₀", (0.0, 100.0)),
+    Parameter("sweep_rate", 10.0, "s-2", "rate of the swept sine's frequency", "r"),
+    Parameter("bias", 0.0, "N", "constant part of the force", "B", usual=(20e3, 100e3)),
+)
+
+
+def mean_force(p: Mapping[str, Any], shape: str) -> Any:
+    """P [N] of pulses over whole periods: A w f, and 2/pi of that for a half-sine."""
+    mean = p["force"] * p["pulse_width"] * p["frequency"]
+    return mean * (2 / pi) if shape == "half-sine" else mean

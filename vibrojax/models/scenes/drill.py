@@ -1,0 +1,259 @@
+"""The drill: bit and striker on their springs, sliding with dry friction, and what every scene with it shares.
+
+m1 x1'' = -k1 x1 - k2 (x1 - x2) - F(u, J),   m2 x2'' = -c2 x2' - k2 (x2 - x1) - J,   u = x1' + v
+"""
+
+from abc import abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple, Protocol, TypeVar, runtime_checkable
+
+import jax.numpy as jnp
+
+from vibrojax.models.arrays import Array
+from vibrojax.models.physics.friction import FRICTION_LAWS, FrictionLaw
+from vibrojax.models.physics.modes import striker
+from vibrojax.models.scenes import stick_slip
+from vibrojax.models.scenes.capabilities import Bit, HasFriction
+from vibrojax.models.scenes.declared import Guard, Marker, Mode, Section, Start, State, Swing, Values
+from vibrojax.models.scenes.scene import ARMED_BELOW
+from vibrojax.models.scenes.stick_slip import SlipConstants, slip_constants
+
+STARTING_SHARE = 0.05
+"""Part of the fastest speed that the energy of a start allows, which counts as typical of the motion."""
+
+
+class DrillConstants(NamedTuple):
+    """The constants of the two masses, each (lanes,).
+
+    - `m1`, `m2` [kg], `k1`, `k2` [N/m], `c2` [N s/m]; `inverse_m1`, `inverse_m2` [1/kg].
+    - `period`: seconds that turn a speed of the bit into a length, sqrt(m1/k1).
+    - `slip`: those of friction.
+    """
+
+    m1: Any
+    m2: Any
+    k1: Any
+    k2: Any
+    c2: Any
+    inverse_m1: Any
+    inverse_m2: Any
+    period: Any
+    slip: SlipConstants
+
+
+def drill_constants(p: Mapping[str, Any], law: FrictionLaw) -> DrillConstants:
+    """What the two masses need, from [vibrojax.models.physics.parameters.BIT_AND_STRIKER][] and the law's among `p`."""
+    m2, k2 = striker(p)
+    return DrillConstants(
+        m1=p["m1"],
+        m2=m2,
+        k1=p["k1"],
+        k2=k2,
+        c2=p["c2"],
+        inverse_m1=1 / p["m1"],
+        inverse_m2=1 / m2,
+        period=jnp.sqrt(p["m1"] / p["k1"]),
+        slip=slip_constants(p, law),
+    )
+
+
+def pull(c: DrillConstants, x1: Any, x2: Any) -> Any:
+    """Spring force on the bit [N], -k1 x1 - k2 (x1 - x2)."""
+    return c.k2 * (x2 - x1) - c.k1 * x1
+
+
+def accelerations(
+    law: FrictionLaw, c: DrillConstants, slip: Any, state: Values, pull: Any, impact: Any
+) -> tuple[Any, Any]:
+    """x1'' and x2'' [m/s²]: of the bit that slides under the `pull` of its springs [N], and of the striker.
+
+    `impact` is J [N], or None where there is no contact.
+    """
+    x1, v1, x2, v2 = state
+    force = stick_slip.friction(law, c.slip, slip, v1 + c.slip.v, impact)
+    bit = (pull - force) * c.inverse_m1
+    on_striker = c.k2 * (x1 - x2) - c.c2 * v2
+    if impact is not None:
+        on_striker = on_striker - impact
+    return bit, on_striker * c.inverse_m2
+
+
+def length_noise(c: DrillConstants) -> Any:
+    """Distance [m] that counts as zero: a few roundings of a typical one."""
+    return stick_slip.speed_noise(c.slip) * c.period
+
+
+def two_masses_start(c: DrillConstants, name: Start, shape: tuple[int, ...]) -> Values:
+    """State at t = 0 of the starts `drive` and `stuck` (R5), or that of a vector of four numbers."""
+    if name is None or isinstance(name, str):
+        zero = jnp.zeros(shape, c.slip.v.dtype)
+        return (zero, -c.slip.v + zero if name == "stuck" else zero, zero, zero)
+    return tuple(jnp.full(shape, value, c.slip.v.dtype) for value in name)
+
+
+@runtime_checkable
+class WithDrill(Protocol):
+    """The constants of a scene with the drill."""
+
+    @property
+    def drill(self) -> DrillConstants:
+        """Those of the two masses."""
+        ...
+
+
+D = TypeVar("D", bound=WithDrill)
+
+
+def _overtaken(c: WithDrill) -> Any:
+    return -ARMED_BELOW * c.drill.slip.v
+
+
+@dataclass(frozen=True)
+class Drill(HasFriction[D]):
+    """Bit and striker with friction; what acts between them and below them is for the scene to say.
+
+    States x1, x1', x2, x2' come first, and `slip` is the first mode. A return is where the bit overtakes the drive.
+    """
+
+    friction: FrictionLaw = FRICTION_LAWS["stribeck"]
+
+    states: ClassVar[tuple[State, ...]] = (
+        State("x1", "m", "position of the bit relative to the drive"),
+        State("v1", "m s-1", "velocity of the bit relative to the drive", is_velocity=True),
+        State("x2", "m", "position of the striker relative to the drive"),
+        State("v2", "m s-1", "velocity of the striker relative to the drive", is_velocity=True),
+    )
+    modes: ClassVar[tuple[Mode, ...]] = (Mode("slip", "sgn u, 0 where the bit sticks", 1.0),)
+    markers = (Marker("bit_turn", "v1"), Marker("striker_turn", "v2"))
+    section = Section((Swing("x1", "v1", "bit_amplitude"), Swing("x2", "v2", "striker_amplitude")), _overtaken)
+    starts: ClassVar[tuple[str, ...]] = ("drive", "stuck")
+    start_states: ClassVar[tuple[str, ...]] = ("x1", "v1", "x2", "v2")
+
+    # What acts between the masses, and below them.
+
+    @abstractmethod
+    def impact(self, c: D, mode: Values, state: Values) -> Any:
+        """J [N], or None where there is no contact; arrays and series. The slip mode is not asked for."""
+
+    @abstractmethod
+    def impact_noise(self, c: D, mode: Values) -> Any:
+        """Impact force [N] that counts as none."""
+
+    @abstractmethod
+    def stored(self, c: D, state: Values) -> Any:
+        """Energy [J] of a start beyond that of the two masses and their springs."""
+
+    @abstractmethod
+    def other_modes_at(self, c: D, state: Values) -> Values:
+        """The modes beyond `slip`, at a state."""
+
+    @abstractmethod
+    def other_rates(self, c: D, mode: Values, state: Values, impact: Any) -> Values:
+        """Time derivatives of the states beyond those of the two masses."""
+
+    @abstractmethod
+    def other_guards(self) -> tuple[Guard, ...]:
+        """The guards beyond that of friction."""
+
+    @abstractmethod
+    def other_reset(self, c: D, mode: Values, state: Values, hits: Mapping[str, Any]) -> tuple[Values, Values]:
+        """Mode and state after these guards."""
+
+    # The rest follows.
+
+    def scaled(self, c: D, state: Values) -> D:
+        """The constants, with a typical speed that takes the start's energy in.
+
+        Where next to nothing drives the drill or holds it, only what it starts with says how fast it moves. The share
+        is small, so that a transient does not decide how exact all that follows is.
+        """
+        x1, v1, x2, v2 = state[:4]
+        drill = c.drill
+        springs = drill.k1 * x1 * x1 + drill.k2 * (x1 - x2) ** 2
+        energy = (springs + drill.m1 * v1 * v1 + drill.m2 * v2 * v2) / 2 + self.stored(c, state)
+        fastest = jnp.sqrt(2 * energy * jnp.maximum(drill.inverse_m1, drill.inverse_m2))
+        speed = jnp.maximum(drill.slip.speed_scale, STARTING_SHARE * fastest)
+        return _with_drill(c, drill._replace(slip=drill.slip._replace(speed_scale=speed)))
+
+    def mode_at(self, c: D, state: Values) -> Values:
+        others = self.other_modes_at(c, state)
+        impact, noise = self.impact(c, (None, *others), state), self._stick_noise(c, (None, *others))
+        u, pulls = state[1] + c.drill.slip.v, (self.pull(c, state), self.pull_rate(c, state))
+        return (stick_slip.slip_at(c.drill.slip, u, *pulls, impact, noise), *others)
+
+    def field(self, c: D, mode: Values, state: Values) -> Values:
+        slip, impact = mode[0], self.impact(c, mode, state)
+        bit, striker = self._accelerations(c, slip, state, impact)
+        return (state[1], (slip * slip) * bit, state[3], striker, *self.other_rates(c, mode, state, impact))
+
+    def smoothed_field(self, c: D, mode: Values, state: Values, width: Any) -> Values:
+        impact = self.impact(c, mode, state)
+        slip = stick_slip.smoothed_slip(state[1] + c.drill.slip.v, width)
+        bit, striker = self._accelerations(c, slip, state, impact)
+        return (state[1], bit, state[3], striker, *self.other_rates(c, mode, state, impact))
+
+    def smoothed_mode(self, c: D, mode: Values, state: Values, width: Any) -> Values:
+        return (stick_slip.smoothed_mode(state[1] + c.drill.slip.v, width), *mode[1:])
+
+    def guards(self) -> tuple[Guard, ...]:
+        return (
+            Guard("friction", self._slips, self._slip_noise, self._slip_slope, is_switch=True),
+            *self.other_guards(),
+        )
+
+    def reset(self, c: D, mode: Values, state: Values, hits: Mapping[str, Any]) -> tuple[Values, Values]:
+        mode, state = self.other_reset(c, mode, state, hits)
+        impact, noise = self.impact(c, mode, state), self._stick_noise(c, mode)
+        state = (state[0], jnp.where(hits["friction"], -c.drill.slip.v, state[1]), *state[2:])
+        pulls = self.pull(c, state), self.pull_rate(c, state)
+        after = stick_slip.slip_after(c.drill.slip, mode[0], *pulls, impact, noise)
+        return (jnp.where(hits["friction"], after, mode[0]), *mode[1:]), state
+
+    def _slips(self, c: D, mode: Values, state: Values) -> Any:
+        u = state[1] + c.drill.slip.v
+        return stick_slip.guard(c.drill.slip, mode[0], u, self.pull(c, state), self.impact(c, mode, state))
+
+    def _slip_noise(self, c: D, mode: Values) -> Any:
+        return stick_slip.resolution(c.drill.slip, mode[0], self._stick_noise(c, mode))
+
+    def _slip_slope(self, c: D, mode: Values, h: Any) -> Any:
+        return stick_slip.slope_resolution(c.drill.slip, mode[0], self._stick_noise(c, mode), h)
+
+    def _stick_noise(self, c: D, mode: Values) -> Any:
+        return stick_slip.stick_noise(c.drill.slip, self.impact_noise(c, mode))
+
+    def _accelerations(self, c: D, slip: Any, state: Values, impact: Any) -> tuple[Any, Any]:
+        return accelerations(self.friction, c.drill, slip, state[:4], self.pull(c, state), impact)
+
+    def bit(self, c: D) -> Bit:
+        return Bit(c.drill.m1, c.drill.slip.weight, c.drill.slip.v)
+
+    def pull(self, c: D, state: Values) -> Any:
+        return pull(c.drill, state[0], state[2])
+
+    def pull_rate(self, c: D, state: Values) -> Any:
+        """Rate of change of the pull on the bit [N/s]: into which way it starts where the pull itself is zero."""
+        return pull(c.drill, state[1], state[3])
+
+    def flight_rate(self, c: D) -> Any:
+        drill = c.drill
+        springs = (drill.k1 + drill.k2) * drill.inverse_m1 + drill.k2 * drill.inverse_m2
+        return jnp.sqrt(springs) + drill.c2 * drill.inverse_m2
+
+    def spring_rate(self, c: D) -> Any:
+        return jnp.sqrt(c.drill.k1 / c.drill.m1)
+
+    def typical_speed(self, c: D) -> Any:
+        return c.drill.slip.v + c.drill.slip.stick_limit / c.drill.slip.impedance
+
+    def speed_scale(self, c: D) -> Any:
+        return c.drill.slip.speed_scale
+
+    def validity(self, c: D, mode: Values, polynomials: tuple[list[Array], ...]) -> Any:
+        return stick_slip.validity(self.friction, c.drill.slip, mode[0], polynomials[1])
+
+
+def _with_drill(c: Any, drill: DrillConstants) -> Any:
+    """The constants, a NamedTuple, with other ones of the drill."""
+    return c._replace(drill=drill)

@@ -1,0 +1,147 @@
+"""The penetration scene: the bit on the rock under a given force, rectangular or half-sine pulses or a swept sine."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import pi
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+
+from vibrojax.models.physics.elementary import sin
+from vibrojax.models.physics.parameters import BIT_AND_STRIKER, Parameter
+from vibrojax.models.physics.pulses import PULSES, SWEEP
+from vibrojax.models.physics.rock import ROCK
+from vibrojax.models.scenes import bit_on_rock
+from vibrojax.models.scenes.bit_on_rock import OnRock, RockConstants, rock_constants
+from vibrojax.models.scenes.capabilities import Driven
+from vibrojax.models.scenes.declared import Guard, Marker, Mode, Start, State, Values
+from vibrojax.models.scenes.scene import ROUNDINGS
+
+PULSE_SHAPES = ("rectangular", "half-sine", "sweep")
+
+
+class PenetrationConstants(NamedTuple):
+    """The constants of the scene: those of the bit on the rock, and of the force; what it does not have is 0.
+
+    - `force` [N]; of pulses their `frequency` [1/s] and `pulse_width` [s]; of a swept sine its `sweep_start` [1/s],
+      `sweep_rate` [1/s²] and `bias` [N].
+    - `period`: time between pulses [s], infinite where there are none; `speed` [m/s]: what the force alone gives.
+    """
+
+    rock: RockConstants
+    force: Any
+    period: Any
+    speed: Any
+    frequency: Any = 0.0
+    pulse_width: Any = 0.0
+    sweep_start: Any = 0.0
+    sweep_rate: Any = 0.0
+    bias: Any = 0.0
+
+
+@dataclass(frozen=True)
+class Penetration(OnRock[PenetrationConstants], Driven[PenetrationConstants]):
+    """The bit on the rock under given pulses, rectangular or half-sine, or under a swept sine; no drill.
+
+    m1 x3'' + c3 x3' = -N + I(t), N = clip(k3 (x3 - x4), 0, D) (eqs. 6.1 to 6.3).
+    States: compression x3 - x4, x3', the growth of x4 since the last pulse began, and the time since then (for a swept
+    sine: since t = 0). What has been drilled before is thus no part of the state, and cannot blur it.
+    """
+
+    pulse_shape: str = "rectangular"
+
+    name = "penetration"
+    states = (*bit_on_rock.STATES, State("since", "s", "time since the last pulse began", shown=False))
+    modes = (bit_on_rock.MODE, Mode("pushing", "1 during a pulse", 0.0))
+    markers = (Marker("bit_turn", "v3"),)
+    pulse_states = ("compression", "v3")
+    autonomous = False
+
+    @property
+    def has_pulses(self) -> bool:
+        return self.pulse_shape != "sweep"
+
+    def parameters(self) -> Mapping[str, Parameter]:
+        mass = {"m1": BIT_AND_STRIKER["m1"]}
+        return mass | ROCK | (PULSES if self.has_pulses else SWEEP)
+
+    def constants(self, p: Mapping[str, Any]) -> PenetrationConstants:
+        # There is no gravity in this scene; a usual weight only decides what counts as roundings.
+        rock = rock_constants(p, BIT_AND_STRIKER["g"].default)
+        bias = 0.0 if self.has_pulses else jnp.abs(p["bias"])
+        given = {name: p[name] for name in (PULSES if self.has_pulses else SWEEP)}
+        return PenetrationConstants(
+            rock=rock,
+            period=1 / p["frequency"] if self.has_pulses else jnp.full_like(p["m1"], jnp.inf),
+            speed=(jnp.abs(p["force"]) + bias) * rock.mobility,
+            **given,
+        )
+
+    def refused(self, p: Mapping[str, Any]) -> tuple[str, Any] | None:
+        if self.has_pulses:
+            return "pulse-width-not-below-1/frequency", p["pulse_width"] * p["frequency"] >= 1
+        return None
+
+    def speed_scale(self, c: PenetrationConstants) -> Any:
+        return c.speed
+
+    def start(self, c: PenetrationConstants, name: Start, shape: tuple[int, ...]) -> Values:
+        zero = jnp.zeros(shape, c.rock.m1.dtype)
+        return (zero, zero, zero, zero)
+
+    def mode_at(self, c: PenetrationConstants, state: Values) -> Values:
+        return (bit_on_rock.rock_at(c.rock, state[0], state[1]), jnp.ones_like(state[0]))
+
+    def applied_force(self, c: PenetrationConstants, mode: Values, state: Values) -> Any:
+        since = state[3]
+        if self.pulse_shape == "rectangular":
+            return mode[1] * c.force + 0.0 * since
+        if self.pulse_shape == "half-sine":
+            return (mode[1] * c.force) * sin(since * (pi / c.pulse_width))
+        return c.force * sin((since * c.sweep_rate * 0.5 + c.sweep_start) * since * (2 * pi)) + c.bias
+
+    def field(self, c: PenetrationConstants, mode: Values, state: Values) -> Values:
+        rates = self.rock_rates(c, mode, state, self.applied_force(c, mode, state))
+        return (*rates, 0.0 * state[3] + 1.0)
+
+    def guards(self) -> tuple[Guard, ...]:
+        return (*self.rock_guards(), Guard("pulse", self._time_left, self._time_noise))
+
+    def _time_left(self, c: PenetrationConstants, mode: Values, state: Values) -> Any:
+        """Time left to the end of the pulse, or to the next."""
+        pushing, since = mode[1], state[3]
+        if not self.has_pulses:
+            return 0.0 * since + 1.0
+        return (pushing * c.pulse_width + (1.0 - pushing) * c.period) - since
+
+    def _time_noise(self, c: PenetrationConstants, mode: Values) -> Any:
+        longest = jnp.where(jnp.isfinite(c.period), c.period, 1.0)
+        return ROUNDINGS * jnp.finfo(c.rock.m1.dtype).eps * longest
+
+    def reset(
+        self, c: PenetrationConstants, mode: Values, state: Values, hits: Mapping[str, Any]
+    ) -> tuple[Values, Values]:
+        rock, compression, v3 = self.reset_rock(c, mode, state, hits)
+        begins = self.pulse_begins(c, mode, hits)
+        pushing = jnp.where(hits["pulse"], 1.0 - mode[1], mode[1])
+        growth = jnp.where(begins, 0.0, state[2])
+        # It is there, whatever it was before it yielded: so a return map forgets that.
+        compression = jnp.where(begins & (rock == 1), c.rock.yield_compression, compression)
+        if self.has_pulses:
+            rock, compression, v3 = bit_on_rock.at_rest(c.rock, rock, compression, v3, pushing != 0)
+        since = jnp.where(begins, 0.0, jnp.where(hits["pulse"], c.pulse_width, state[3]))
+        return (rock, pushing), (compression, v3, growth, since)
+
+    def pulse_begins(self, c: PenetrationConstants, mode: Values, hits: Mapping[str, Any]) -> Any:
+        return hits["pulse"] & (mode[1] == 0)
+
+    def rate(self, c: PenetrationConstants, mode: Values) -> Any:
+        rates = bit_on_rock.rock_rate(c.rock, mode[0], True)
+        if self.has_pulses:
+            rates = jnp.where(mode[0] == bit_on_rock.REST, c.frequency, rates)
+        if self.pulse_shape == "half-sine":
+            rates = jnp.maximum(rates, pi / c.pulse_width)
+        return rates
+
+
+SCENES = (Penetration,)

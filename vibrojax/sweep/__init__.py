@@ -1,0 +1,1 @@
+"""Sweeps: from a sweep file to the features of its lanes, and single trajectories."""

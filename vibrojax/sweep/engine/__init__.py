@@ -1,0 +1,1 @@
+"""Batches of lanes, stepped in chunks through compiled programs."""

@@ -1,0 +1,1 @@
+"""Sweep files and points, read and checked."""

@@ -1,0 +1,5 @@
+"""One point of a scene in time: its trajectory as a dataset."""
+
+from vibrojax.sweep.simulation.dense_output import Record as Record
+from vibrojax.sweep.simulation.dense_output import record as record
+from vibrojax.sweep.simulation.run import simulate as simulate

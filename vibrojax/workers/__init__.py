@@ -1,5 +1,0 @@
-"""Who computes the chunks of a sweep: this process, any executor, or processes that share a folder.
-
-A chunk's bits are the same whoever computes it; what is finished lies in shards ([vibrojax.store.shards][]), and
-nothing else is believed.
-"""
