@@ -28,8 +28,8 @@ jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
 # Annotations, shapes of arrays among them, are checked in the tests; users pay nothing for them. What users call
-# themselves (sweep.input.read and source, sweep.simulation.run) is not: it says what is wrong with an argument in its own
-# words. Nor are kernels, which call their functions a hundred thousand times to be written: two minutes of checking.
+# themselves (sweep.input.read and source, sweep.simulation.run) is not: its errors name the argument that is wrong.
+# Nor are kernels, which call their functions a hundred thousand times to be written: two minutes of checking.
 CHECKED = [
     "vibrojax.analyses",
     "vibrojax.cli",

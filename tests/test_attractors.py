@@ -9,11 +9,11 @@ from known_scenes import BeltOscillator
 from matplotlib.collections import QuadMesh
 
 import vibrojax as vj
+from vibrojax.analyses.attractors.analysis import Attractors
 from vibrojax.analyses.attractors.grouping import Motions, doubtful, joined_within, told_apart
 from vibrojax.analyses.attractors.neighbours import Link
 from vibrojax.analyses.attractors.numbers import numbered
 from vibrojax.cli import main
-from vibrojax.cli.attractors import attractor_lines
 from vibrojax.errors import InputError
 from vibrojax.io.variables import NATURES
 from vibrojax.measures.labels import EQUILIBRIUM, FAILED, IRREGULAR, SINGLE_IMPACT, SUBHARMONIC
@@ -158,7 +158,7 @@ def test_where_nothing_is_decided_all_is_unassigned(tmp_path):
     found = vj.attractors(short | {"starts": ["drive", "stuck"]}, progress=False)
     assert found.sizes["attractor"] == 0 and found.unassigned.values.tolist() == [2, 2]
     vj.save_picture(found, tmp_path / "none.png")
-    assert "4 of 4 lanes unassigned (100.0 %)" in attractor_lines(found)
+    assert "4 of 4 lanes unassigned (100.0 %)" in Attractors().summary(found)[0].lines
 
 
 def irregular(**lanes):

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from vibrojax.analyses.summary import summarise, summary_lines
 from vibrojax.cli import main
-from vibrojax.cli.info import describe
 from vibrojax.errors import InputError
 from vibrojax.io.formatting import size_text, time_text
 
@@ -265,7 +265,7 @@ def labelled() -> xr.Dataset:
 
 
 def test_info_tells_what_is_there():
-    text = "\n".join(describe(labelled()))
+    text = "\n".join(summary_lines(summarise(labelled())))
     for line in (
         "scene     rotary",
         "grid      beta: 0.1 to 0.4 (3)\n          start: drive, stuck (2)",
@@ -286,7 +286,7 @@ def test_info_tells_of_what_is_not_sure():
     dataset = labelled()
     dataset["error_estimate"][2, 0] = np.inf
     dataset["check_regime"] = dataset["regime"].copy(data=np.array([[2, 2], [3, 2], [2, 3]], np.int8))
-    text = "\n".join(describe(dataset))
+    text = "\n".join(summary_lines(summarise(dataset)))
     assert "largest inf" in text and "66.67 % of 3 periodic lanes within the accepted 0.001" in text
     assert "1 of 6 regimes are others at the check run's coarser resolution" in text
 
@@ -295,8 +295,8 @@ def test_info_tells_of_what_is_not_sure():
 def test_info_does_without(dropped):
     dataset = labelled().drop_vars(dropped)
     dataset.attrs = {}
-    assert describe(dataset)
-    assert describe(xr.Dataset({"x1": ("time", [0.0, 1.0])}, coords={"time": [0.0, 1.0]}))
+    assert summary_lines(summarise(dataset))
+    assert summary_lines(summarise(xr.Dataset({"x1": ("time", [0.0, 1.0])}, coords={"time": [0.0, 1.0]})))
 
 
 def test_sizes_and_times_are_for_people():

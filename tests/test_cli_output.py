@@ -13,7 +13,7 @@ import pytest
 import vibrojax as vj
 from vibrojax.analyses.glossary import WORDS
 from vibrojax.cli import main
-from vibrojax.cli._complete import files, scenes, sweeps, values_with
+from vibrojax.cli.completion import files, scenes, sweeps, values_with
 from vibrojax.cli.simulate import SETTINGS
 
 ROOT = Path(__file__).parents[1]

@@ -9,9 +9,9 @@ from exact import run
 from exact.measures import sections
 
 import vibrojax as vj
+from vibrojax.analyses.continuation.analysis import family_lines
 from vibrojax.cli import main
-from vibrojax.cli._complete import values_with
-from vibrojax.cli._family_lines import family_lines
+from vibrojax.cli.completion import values_with
 from vibrojax.cli.follow import SETTINGS
 from vibrojax.io.dataset import open_dataset
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
-from vibrojax.cli._found import found_lines
+from vibrojax.analyses.trajectory.analysis import feature_lines
 from vibrojax.sweep.simulation import recording as _recorded
 from vibrojax.sweep.simulation.features import window
 
@@ -53,7 +53,7 @@ def test_what_is_observed_by_default_is_what_sweeps_observe():
 
 def test_a_motion_too_short_to_judge_says_so_and_how_long_would_do():
     motion = vj.simulate("vibro-impact", duration=1.0, progress=False)
-    line = found_lines(motion)[0]
+    line = feature_lines(motion)[0]
     assert line.startswith("undecided: 2 returns to the section are too few to judge by, 9 are needed; give duration=")
     enough = float(line.rpartition("=")[2])
     longer = vj.simulate("vibro-impact", duration=enough, progress=False)
@@ -65,28 +65,30 @@ def test_words_name_regime_period_velocity_and_energy():
     period, velocity, energy = (float(motion[name]) for name in ("period", "impact_velocity", "impact_energy"))
     assert energy == pytest.approx(0.4 * 250 / 2 * velocity**2, rel=1e-6)
     text = f"single-impact: one blow in each period of {period:.5g} s, at {velocity:.4g} m/s and {energy:.4g} J"
-    assert found_lines(motion)[0] == text
+    assert feature_lines(motion)[0] == text
 
 
 def test_rock_has_its_rate_relief_and_slip():
     motion = vj.simulate("penetration", duration=1.0, force=300e3, progress=False)
     rate, slip = float(motion["rate_of_penetration"]), float(motion["slip_per_impact"])
     assert slip == pytest.approx(rate / 20, rel=1e-9)  # 20 pulses a second
-    lines = found_lines(motion)
+    lines = feature_lines(motion)
     assert (
         lines[0]
         == f"rate of penetration {rate:.4g} m/s ({3600 * rate:.4g} m/h), {1e3 * slip:.4g} mm for each pulse (slip)"
     )
     # 300 kN for 4 ms, 20 times a second
     assert lines[1] == "relief P/D 0.16: mean force 24 kN over the 150 kN at which the rock yields"
-    assert found_lines(vj.simulate("penetration", duration=1.0, force=10e3, progress=False))[0].startswith("no penetr")
-    short = found_lines(vj.simulate("penetration", duration=0.02, progress=False))[0]
+    assert feature_lines(vj.simulate("penetration", duration=1.0, force=10e3, progress=False))[0].startswith(
+        "no penetr"
+    )
+    short = feature_lines(vj.simulate("penetration", duration=0.02, progress=False))[0]
     assert short == "no whole pulse was observed, so there is no rate of penetration; give a longer duration"
 
 
 def test_a_solver_of_diffrax_gives_the_motion_alone():
     motion = vj.simulate("rotary", duration=0.2, solver="Tsit5", error=1e-2, progress=False)
-    assert "regime" not in motion and found_lines(motion) == []
+    assert "regime" not in motion and feature_lines(motion) == []
 
 
 def test_it_is_said_that_programs_compile_once(capsys, monkeypatch):

@@ -5,7 +5,7 @@ import pytest
 
 import vibrojax as vj
 from vibrojax.analyses.pictures import regime_map
-from vibrojax.cli.info import describe
+from vibrojax.analyses.summary import summarise, summary_lines
 from vibrojax.measures.labels import SINGLE_IMPACT, hides_another
 
 STARTS = ["drive", "stuck", "touching"]
@@ -49,8 +49,10 @@ def test_three_starts_one_label(swept):
     np.testing.assert_allclose(point.impact_velocity, [0.67, 3.03, 0.67], atol=0.01)
     assert (point.hidden_motion == 1).all()
     points = int(swept.hidden_motion.any("start").sum())
-    assert describe(swept.isel(start=0))
-    assert f"at {points} points starts end in different motions under one label" in "\n".join(describe(swept))
+    assert summary_lines(summarise(swept.isel(start=0)))
+    assert f"at {points} points starts end in different motions under one label" in "\n".join(
+        summary_lines(summarise(swept))
+    )
 
 
 def test_the_map_marks_it(swept):

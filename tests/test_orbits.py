@@ -10,8 +10,8 @@ from exact import orbits as exact
 from random_orbits import in_upper_half
 
 import vibrojax as vj
+from vibrojax.analyses.sweep.summary import orbit_lines
 from vibrojax.cli import main
-from vibrojax.cli._orbit_lines import orbit_lines
 from vibrojax.errors import InputError
 from vibrojax.io.dataset import open_dataset
 from vibrojax.periodic import Orbits

@@ -224,7 +224,9 @@ def written(tmp_path):
 
 def test_the_command_takes_the_same(written, monkeypatch):
     asked = {}
-    monkeypatch.setattr("vibrojax.analyses.pictures.save_picture", lambda ds, path, *how: asked.update(path=path, how=how))
+    monkeypatch.setattr(
+        "vibrojax.analyses.pictures.save_picture", lambda ds, path, *how: asked.update(path=path, how=how)
+    )
     argv = ["plot", str(written), "--variable", "stick_fraction", "regime", "--variable", "period"]
     assert main([*argv, "--where", "delta=0.005", "start=stuck", "--colours", "magma"]) == 0
     assert asked["path"] == written.with_suffix(".png")

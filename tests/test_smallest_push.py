@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
+from vibrojax.analyses.push.analysis import push_lines
 from vibrojax.cli import main
-from vibrojax.cli.push import push_lines
 from vibrojax.errors import InputError
 from vibrojax.measures.labels import IRREGULAR, SINGLE_IMPACT, SUBHARMONIC
 

@@ -11,8 +11,8 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from vibrojax.analyses.sweep.run import estimate
-from vibrojax.cli._named_values import named_values
 from vibrojax.cli.simulate import SETTINGS
+from vibrojax.cli.values import named_values
 from vibrojax.errors import InputError, Place
 from vibrojax.sweep.engine.resources import check_size
 from vibrojax.sweep.input.point import read_point

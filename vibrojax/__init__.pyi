@@ -1,6 +1,7 @@
 """The public names, as editors and type checkers read them; `__init__.py` imports each when it is first used."""
 
 from vibrojax.analyses.accuracy import run_accuracy as run_accuracy
+from vibrojax.analyses.analysis import Analysis as Analysis
 from vibrojax.analyses.attractors.run import attractors as attractors
 from vibrojax.analyses.borders.run import borders as borders
 from vibrojax.analyses.catalogue import list_parameters as list_parameters
@@ -8,10 +9,12 @@ from vibrojax.analyses.catalogue import list_scenes as list_scenes
 from vibrojax.analyses.catalogue import list_settings as list_settings
 from vibrojax.analyses.catalogue import list_variables as list_variables
 from vibrojax.analyses.continuation.run import follow as follow
+from vibrojax.analyses.orbits.analysis import SweepAnalysis as SweepAnalysis
 from vibrojax.analyses.orbits.rerun import orbits as orbits
 from vibrojax.analyses.pictures import picture as picture
 from vibrojax.analyses.pictures import save_picture as save_picture
 from vibrojax.analyses.push.run import smallest_push as smallest_push
+from vibrojax.analyses.registry import analyse as analyse
 from vibrojax.analyses.rop_law import fit_friction as fit_friction
 from vibrojax.analyses.rop_law import fit_joint as fit_joint
 from vibrojax.analyses.rop_law import fit_rop as fit_rop

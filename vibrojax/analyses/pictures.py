@@ -1,31 +1,20 @@
-"""Which picture fits a dataset: one table, and the functions that look it up.
+"""Pictures of datasets: the one that fits, or any variable, as a figure or a file."""
 
-A new picture is a function in a file of its own and a row in the table; a fact that tells its datasets from others is
-a property of [vibrojax.plot.contents.Contents][].
-"""
-
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import xarray as xr
 from matplotlib import colormaps
 from matplotlib.figure import Figure
 
 from vibrojax.analyses.accuracy.picture import work_precision as work_precision
-from vibrojax.analyses.attractors.share_map import share_map
-from vibrojax.analyses.attractors.shares import attractor_shares
-from vibrojax.analyses.borders.picture import border_curves
-from vibrojax.analyses.continuation.picture import families
-from vibrojax.analyses.push.picture import smallest_pushes
-from vibrojax.analyses.rop_law.picture import law_lines, law_map
+from vibrojax.analyses.registry import analysis_of
+from vibrojax.analyses.rop_law.analysis import Fits
+from vibrojax.analyses.sweep.analysis import Sweeps
 from vibrojax.analyses.sweep.basins import many_starts, share_grid
 from vibrojax.analyses.sweep.bifurcation import bifurcation as bifurcation
-from vibrojax.analyses.sweep.hysteresis import hysteresis
 from vibrojax.analyses.sweep.maps import rate_grid, regime_grid
 from vibrojax.analyses.sweep.rates import rates as rates
-from vibrojax.analyses.sweep.scatter import rate_scatter, regime_bars, regime_scatter
-from vibrojax.analyses.sweep.strips import regime_lines
 from vibrojax.analyses.trajectory.hole import pulses as pulses
 from vibrojax.analyses.trajectory.hole import response as response
 from vibrojax.analyses.trajectory.time_history import trajectory as trajectory
@@ -33,49 +22,14 @@ from vibrojax.analyses.variables_picture import variables
 from vibrojax.errors import InputError, nearest, shown
 from vibrojax.io.atomic import atomic_write
 from vibrojax.plot.colours import REGIME_COLOURS as REGIME_COLOURS
-from vibrojax.plot.contents import Contents, contents, law_in, rates_in, regimes_in
-from vibrojax.plot.overlays import several
+from vibrojax.plot.contents import contents, law_in, rates_in, regimes_in
+from vibrojax.plot.overlays import refuse_overlays, several
 from vibrojax.plot.selection import Value, select
 from vibrojax.plot.style import COLOURS, settings
 from vibrojax.plot.thinned import thinned, thinned_text
 
 # Without the date, so that the same dataset gives the same file.
 _METADATA: dict[str, dict[str, None]] = {".png": {}, ".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
-
-
-class Picture(NamedTuple):
-    """A row of the table: the datasets that `fits` accepts are drawn by `draw`."""
-
-    shows: str
-    fits: Callable[[Contents], bool]
-    draw: Callable[[xr.Dataset], Figure]
-
-
-# The first row that fits is taken.
-PICTURES = (
-    #       what it shows    what the dataset holds                                      what draws it
-    Picture("motion",        lambda held: held.bit_on_rock and held.swept_sine,          response),
-    Picture("motion",        lambda held: held.bit_on_rock,                              pulses),
-    Picture("motion",        lambda held: held.run,                                      trajectory),
-    Picture("families",      lambda held: held.families,                                 families),
-    Picture("borders",       lambda held: held.borders,                                  border_curves),
-    Picture("attractors",    lambda held: held.attractors and held.wide,                 share_map),
-    Picture("attractors",    lambda held: held.attractors,                               attractor_shares),
-    Picture("pushes",        lambda held: held.pushes,                                   smallest_pushes),
-    Picture("accuracy",      lambda held: held.study,                                    work_precision),
-    Picture("returns",       lambda held: held.carried,                                  hysteresis),
-    Picture("returns",       lambda held: held.returns,                                  bifurcation),
-    Picture("law",           lambda held: held.law and len(held.long) > 1,               law_map),
-    Picture("law",           lambda held: held.law,                                      law_lines),
-    Picture("starts",        lambda held: held.regimes and held.many_starts,             many_starts),
-    Picture("rates",         lambda held: held.rates and not held.worth_a_map,           rates),
-    Picture("regimes",       lambda held: held.regimes and held.points_over_two,         regime_scatter),
-    Picture("regimes",       lambda held: held.regimes and len(held.axes) > 1,           regime_grid),
-    Picture("regimes",       lambda held: held.regimes and held.quantities_over_one,     regime_lines),
-    Picture("regimes",       lambda held: held.regimes,                                  regime_bars),
-    Picture("map of rates",  lambda held: held.rates and held.points,                    rate_scatter),
-    Picture("map of rates",  lambda held: held.rates,                                    rate_grid),
-)  # fmt: skip
 
 
 def picture(
@@ -119,52 +73,18 @@ def picture(
         like = nearest(str(colours), colormaps)
         right = f"did you mean {shown(like)}?" if like else "choose one of matplotlib's, like viridis or magma"
         raise InputError(f"colours: {shown(colours)} is no colour map; {right}")
+    layers = several(over)
     token = COLOURS.set(colours)
     try:
         ds = select(ds, where) if where else ds
-        if over is not None:
-            return _laid_over(ds, over, variable)
-        ds = thinned(ds)
-        if variable is not None:
-            return variables(ds, (variable,) if isinstance(variable, str) else variable)
-        return _fitting_picture(ds)
+        ds = ds if layers else thinned(ds)
+        if variable is None:
+            return analysis_of(ds).picture(ds, layers)
+        if layers:
+            refuse_overlays(layers, "over no other variable")
+        return variables(ds, (variable,) if isinstance(variable, str) else variable)
     finally:
         COLOURS.reset(token)
-
-
-def _laid_over(ds: xr.Dataset, over: xr.Dataset | Sequence[xr.Dataset], variable: object) -> Figure:
-    """Borders over a map of regimes, or families over returns."""
-    held, every = contents(ds), several(over)
-    if any(isinstance(one, xr.Dataset) and contents(one).borders for one in every):
-        if len(every) > 1:
-            raise InputError("over: borders are laid over a map one dataset at a time; give one")
-        if variable is not None or not held.regimes or held.points or len(held.axes) < 2:
-            raise InputError(
-                "over: borders are laid over the map of regimes of a sweep over a grid of two parameters, "
-                + ("and over no other variable" if variable is not None else "and the dataset holds none")
-            )
-        return regime_grid(ds, over=every[0])
-    if variable is not None or not (held.returns or held.carried):
-        raise InputError(
-            "over: families are laid over the returns of a sweep with keep_returns above 0, or over carried lanes, "
-            + ("and over no other variable" if variable is not None else "and the dataset holds none")
-        )
-    if held.carried:
-        return hysteresis(ds, every)
-    return bifurcation(ds, every)
-
-
-def _fitting_picture(ds: xr.Dataset) -> Figure:
-    """The first picture of the table that fits `ds`."""
-    held = contents(ds)
-    for row in PICTURES:
-        if row.fits(held):
-            return row.draw(ds)
-    names = ", ".join(str(name) for name in ds.data_vars) or "no variable"
-    raise InputError(
-        f"nothing to draw: a picture needs regime, rate_of_penetration, C along form, or a motion along time; "
-        f"the dataset holds {names}"
-    )
 
 
 def regime_map(ds: xr.Dataset, x: str | None = None, y: str | None = None) -> Figure:
@@ -189,7 +109,7 @@ def regime_map(ds: xr.Dataset, x: str | None = None, y: str | None = None) -> Fi
     if held.many_starts:
         return many_starts(ds) if x is None and y is None else share_grid(ds, x, y)
     if held.points or (x is None and y is None):
-        return _fitting(held, "regimes")(ds)
+        return Sweeps.drawn_as(ds, "regimes")
     return regime_grid(ds, x, y)
 
 
@@ -210,8 +130,7 @@ def rate_map(ds: xr.Dataset, x: str | None = None, y: str | None = None) -> Figu
     **Raises:** `InputError` where there are no rates, there are no two axes, or `x` or `y` is no axis of the sweep.
     """
     ds = thinned(ds)
-    held = contents(rates_in(ds))
-    return _fitting(held, "map of rates")(ds) if held.points else rate_grid(ds, x, y)
+    return Sweeps.drawn_as(ds, "rate map") if contents(rates_in(ds)).points else rate_grid(ds, x, y)
 
 
 def fitted_law(fit: xr.Dataset) -> Figure:
@@ -229,7 +148,8 @@ def fitted_law(fit: xr.Dataset) -> Figure:
 
     **Raises:** `InputError` where there is no C along `form`.
     """
-    return _fitting(contents(law_in(fit)), "law")(fit)
+    law_in(fit)
+    return Fits().picture(fit)
 
 
 def save_picture(
@@ -269,8 +189,3 @@ def save_picture(
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror}); give another file") from None
     return thinned_text(select(ds, where) if where else ds)
-
-
-def _fitting(held: Contents, shows: str) -> Callable[[xr.Dataset], Figure]:
-    """What draws the first picture that `shows` this and fits what is `held`."""
-    return next(row.draw for row in PICTURES if row.shows == shows and row.fits(held))

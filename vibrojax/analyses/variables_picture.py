@@ -12,7 +12,7 @@ from vibrojax.analyses.sweep.maps import map_of
 from vibrojax.analyses.sweep.scatter import scattered
 from vibrojax.analyses.sweep.strips import regime_lines
 from vibrojax.errors import InputError, shown, suggestion
-from vibrojax.io.branches import is_families
+from vibrojax.io.kinds import kind_of
 from vibrojax.plot.axes import label, point_text, steady
 from vibrojax.plot.colours import Value, shape_flags, value_of
 from vibrojax.plot.contents import (
@@ -58,7 +58,7 @@ def variables(ds: xr.Dataset, names: Sequence[str]) -> Figure:
     _check(ds, names)
     if TIME in ds.dims:
         return _histories(ds, names)
-    if is_families(ds):
+    if kind_of(ds) == "family":
         return families(ds, names)
     ds = without_single(_largest(named_groups(ds), names))
     held, about = contents(ds), ""
@@ -84,7 +84,7 @@ def _check(ds: xr.Dataset, names: Sequence[str]) -> None:
     """Raise `InputError` unless all `names` can be drawn."""
     if not isinstance(names, Sequence):
         raise InputError(f"variable: {shown(names)} is no name of a variable; give one, or a list")
-    run, orbits = TIME in ds.dims, is_families(ds)
+    run, orbits = TIME in ds.dims, kind_of(ds) == "family"
     lanes = {TIME} if run else {POINT} if orbits else set(lane_dims(ds))
     found = {str(name): data for name, data in ds.data_vars.items() if data.dtype.kind in ("f" if orbits else "fiub")}
     drawable = [name for name, data in found.items() if lanes == {*data.dims} - {FORM, MULTIPLIER}]

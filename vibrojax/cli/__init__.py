@@ -10,16 +10,15 @@ import sys
 import traceback
 import warnings
 from argparse import ArgumentParser, RawDescriptionHelpFormatter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
+from importlib.metadata import entry_points
 from typing import NoReturn, TextIO
 
 from vibrojax.analyses.glossary import glossary
 from vibrojax.analyses.sweep.workers.shutdown import leave
 from vibrojax.cli import (
     accuracy,
-    attractors,
-    borders,
     explore,
     fit,
     follow,
@@ -32,8 +31,9 @@ from vibrojax.cli import (
     simulate,
     sweep,
 )
-from vibrojax.cli._command import Command, Options
-from vibrojax.cli._complete import complete
+from vibrojax.cli.analysis import AnalysisCommand
+from vibrojax.cli.completion import complete
+from vibrojax.cli.output import Command, Options
 from vibrojax.errors import InputError, printable
 from vibrojax.io.provenance import package_version
 from vibrojax.io.threads import asked_to_end, in_own_thread
@@ -53,8 +53,12 @@ _COMMANDS: dict[str, Command] = {
     "simulate": simulate,
     "orbits": orbits,
     "follow": follow,
-    "borders": borders,
-    "attractors": attractors,
+    "borders": AnalysisCommand(
+        "borders", "Draw the borders of the stable single impact in a sweep's plane: curves named by what happens there"
+    ),
+    "attractors": AnalysisCommand(
+        "attractors", "Find the attractors that a sweep's starts lead to, and the share of starts of each"
+    ),
     "push": push,
     "plot": plot,
     "explore": explore,
@@ -109,15 +113,16 @@ def main(argv: Sequence[str] | None = None, do: Callable[[Callable[[], None]], o
     """
     options = Options()
     try:
-        parser = _parser()
+        words = sys.argv[1:] if argv is None else argv
+        parser = _parser([*words, *os.environ.get("COMP_LINE", "").split()])
         complete(parser)
-        parser.parse_args(argv, options)
+        parser.parse_args(words, options)
         if options.version:
             print(f"vibrojax {package_version()}")
         elif options.command is None:
-            raise InputError(f"no command; choose from {', '.join(_COMMANDS)}, or see vibrojax --help")
+            raise InputError(f"no command; choose from {', '.join(_commands())}, or see vibrojax --help")
         else:
-            command = _COMMANDS[options.command]
+            command = _commands()[options.command]
             with _verbosely(options):
                 do(lambda: _run(command.run, options))
         sys.stdout.flush()
@@ -154,28 +159,37 @@ def _run(run: Callable[[Options], None], options: Options) -> None:
         raise InputError(f"{file}: its content does not fit together ({about}); --verbose says where") from error
 
 
-def _parser() -> ArgumentParser:
-    description = "Simulate a self-exciting percussive-rotary drill: maps over parameters, single points, pictures."
-    words = f"words that stand in what is printed:\n{glossary()}"
+def _commands() -> dict[str, Command]:
+    """Return the package's commands, and those of analyses that installed packages offer."""
+    others = {
+        entry.name: AnalysisCommand(entry.name, f"analysis of the package {entry.dist.name if entry.dist else '?'}")
+        for entry in entry_points(group="vibrojax.analyses")
+        if entry.name not in _COMMANDS
+    }
+    return _COMMANDS | others
+
+
+def _parser(words: Collection[str]) -> ArgumentParser:
+    """Return the parser for a command line of these words; only a command among them gets its arguments."""
     parser = _Parser(
         prog="vibrojax",
-        description=description,
-        epilog=words,
+        description="Simulate a self-exciting percussive-rotary drill: maps over parameters, single points, pictures.",
+        epilog=f"words used in the output:\n{glossary()}",
         allow_abbrev=False,
         formatter_class=RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="store_true", help="print the version")
-    commands = parser.add_subparsers(dest="command", metavar="COMMAND")
-    for name, command in _COMMANDS.items():
+    subparsers = parser.add_subparsers(dest="command", metavar="COMMAND")
+    for name, command in _commands().items():
         summary = str(command.__doc__).splitlines()[0].rstrip(".")
-        own = commands.add_parser(name, help=summary, description=summary, allow_abbrev=False)
-        command.arguments(own)
-        loudness = own.add_mutually_exclusive_group()
+        subparser = subparsers.add_parser(name, help=summary, description=summary, allow_abbrev=False)
+        if name not in words:
+            continue
+        command.arguments(subparser)
+        loudness = subparser.add_mutually_exclusive_group()
+        loudness.add_argument("--quiet", action="store_true", help="print only errors, warnings and results")
         loudness.add_argument(
-            "--quiet", action="store_true", help="print only errors, warnings and the result that was asked for"
-        )
-        loudness.add_argument(
-            "--verbose", action="store_true", help="say on stderr what was chosen, and how long each part took"
+            "--verbose", action="store_true", help="report choices and the time of each part on stderr"
         )
     return parser
 

@@ -1,17 +1,12 @@
 """Measure speed against error on this machine: a dataset, a table and a picture.
 
-Nothing is kept of an interrupted run: times of two runs do not go into one table.
+An interrupted run keeps nothing: times of two runs do not go into one table.
 """
 
 import shlex
 from argparse import ArgumentParser
-from pathlib import Path
 
-from vibrojax.cli._command import Options
-from vibrojax.cli._output import PICTURES, dataset_written, output
-from vibrojax.errors import InputError, shown
-
-_NAMES = ("accuracy.nc", "accuracy.md", "accuracy.png")
+from vibrojax.cli.output import Options, dataset_written, output_folder
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -22,7 +17,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(options: Options) -> None:
     """Run the command."""
-    dataset_path, table_path, picture_path = _files(Path(options.out))
+    dataset_path, table_path, picture_path = output_folder(options.out, ("accuracy.nc", "accuracy.md", "accuracy.png"))
     command = shlex.join(["vibrojax", "accuracy", "-o", options.out, *["--quick"] * options.quick])
     options.how_to_resume = f"nothing is kept; to start again: {command}"
     from vibrojax.analyses.accuracy import run_accuracy, table
@@ -36,15 +31,3 @@ def run(options: Options) -> None:
     save_picture(dataset, picture_path)
     if not options.quiet:
         print(f"{table_path}: {dataset.sizes['setting']} settings; dataset {dataset_path}, picture {picture_path}")
-
-
-def _files(folder: Path) -> list[Path]:
-    """The files to write, in a folder that is made if it is not there.
-
-    **Raises:** `InputError` where one of them cannot be written.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"-o: {shown(str(folder))} cannot be made a folder ({error.strerror})") from None
-    return [output(folder / name, (".nc", ".md", *PICTURES)) for name in _NAMES]

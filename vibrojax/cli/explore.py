@@ -11,11 +11,10 @@ from argparse import ArgumentParser
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from vibrojax.cli._command import Options
-from vibrojax.cli._complete import files, values_with, with_completer
-from vibrojax.cli._named_values import named_values
-from vibrojax.cli._output import output
+from vibrojax.cli.completion import files, values_with, with_completer
+from vibrojax.cli.output import Options, output
 from vibrojax.cli.simulate import SETTINGS, of_settings
+from vibrojax.cli.values import named_values
 from vibrojax.errors import InputError, shown
 from vibrojax.progress import timed
 

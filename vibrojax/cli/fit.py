@@ -11,10 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vibrojax.analyses.glossary import WORDS
-from vibrojax.cli._command import Options
-from vibrojax.cli._complete import files, with_completer
-from vibrojax.cli._json import HELP, numbers, print_json
-from vibrojax.cli._output import dataset_written, draw, output, picture_beside
+from vibrojax.cli.completion import files, with_completer
+from vibrojax.cli.output import JSON_HELP, Options, dataset_written, draw, output, picture_beside, print_json
 from vibrojax.errors import InputError
 from vibrojax.progress import timed
 
@@ -44,7 +42,7 @@ def arguments(parser: ArgumentParser) -> None:
         'rate_of_penetration="ROP (m/h)" mean_force="WOB (kN)", or one value for all rows, like threshold="150 kN"',
     )
     parser.add_argument("--by", metavar="COLUMN", action="append", help="of a CSV: fit the rows of each of its values")
-    parser.add_argument("--json", action="store_true", help=HELP)
+    parser.add_argument("--json", action="store_true", help=JSON_HELP)
     parser.add_argument("-o", dest="out", metavar="FIT.nc", help="where to write (FILE-fit.nc in this folder)")
 
 
@@ -91,6 +89,7 @@ def _facts(fit: "xarray.Dataset", file: str, out: Path, picture: Path | None) ->
     import numpy as np
 
     from vibrojax.analyses.rop_law import table, verdict
+    from vibrojax.analyses.trajectory.analysis import features
     from vibrojax.io.attributes import table_of
 
     names, _ = table(fit, "aic")
@@ -99,9 +98,10 @@ def _facts(fit: "xarray.Dataset", file: str, out: Path, picture: Path | None) ->
     of_forms = [str(name) for name, one in fit.data_vars.items() if set(one.dims) == {*dims, "form"}]
     groups = []
     for name, index in zip(names, where, strict=True):
-        one = fit.isel(dict(zip(dims, index, strict=True)))
-        coordinates = {str(c): one[c].item() for c in one.coords if one[c].ndim == 0}
-        forms = {str(form): numbers(one.sel(form=form), of_forms) for form in fit["form"].values}
+        fit_of_group = fit.isel(dict(zip(dims, index, strict=True)))
+        scalars = {str(name): data for name, data in fit_of_group.coords.items() if data.ndim == 0}
+        coordinates = {name: data.item() for name, data in scalars.items()}
+        forms = {str(form): features(fit_of_group.sel(form=form)[of_forms]) for form in fit["form"].values}
         groups.append({"name": name, "coordinates": coordinates, "forms": forms})
     return {
         "file": file,

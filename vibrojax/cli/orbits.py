@@ -4,10 +4,8 @@ import shlex
 from argparse import ArgumentParser
 from pathlib import Path
 
-from vibrojax.cli._command import Options
-from vibrojax.cli._complete import files, with_completer
-from vibrojax.cli._orbit_lines import orbit_lines
-from vibrojax.cli._output import dataset_written, draw, output, picture_beside
+from vibrojax.cli.completion import files, with_completer
+from vibrojax.cli.output import Options, add_output, dataset_written, draw, output, picture_beside
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -19,23 +17,22 @@ def arguments(parser: ArgumentParser) -> None:
         "sweep is then run again",
     )
     with_completer(file, files(".toml", ".nc"))
-    parser.add_argument("-o", dest="out", metavar="OUT.nc", help="where to write (NAME-orbits.nc in this folder)")
-    parser.add_argument("--fresh", action="store_true", help="start over, and replace OUT whatever it holds")
+    add_output(parser, "NAME-orbits.nc")
 
 
 def run(options: Options) -> None:
     """Run the command."""
     from vibrojax.analyses.orbits.rerun import sweep_with_orbits
     from vibrojax.analyses.sweep.run import run_to_file
+    from vibrojax.analyses.sweep.summary import orbit_lines
     from vibrojax.io.dataset import open_dataset
 
-    given = str(options.file)
-    of_dataset = given.endswith(".nc")
-    sweep = sweep_with_orbits(open_dataset(Path(given)) if of_dataset else given)
-    name = Path(given).stem if of_dataset else sweep.name
-    out = output(options.out or f"{name}-orbits.nc")
+    file = str(options.file)
+    is_dataset = file.endswith(".nc")
+    sweep = sweep_with_orbits(open_dataset(Path(file)) if is_dataset else file)
+    out = output(options.out or f"{Path(file).stem if is_dataset else sweep.name}-orbits.nc")
     picture = picture_beside(out)
-    command = shlex.join(["vibrojax", "orbits", given, "-o", str(out)])
+    command = shlex.join(["vibrojax", "orbits", file, "-o", str(out)])
     options.how_to_resume = f"finished chunks are kept; to go on: {command}"
     dataset = run_to_file(sweep, out, resume=not options.fresh, progress=not options.quiet)
     dataset_written(options, out)

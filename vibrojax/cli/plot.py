@@ -4,9 +4,8 @@ from argparse import ArgumentParser
 from collections.abc import Sequence
 from pathlib import Path
 
-from vibrojax.cli._command import Options
-from vibrojax.cli._complete import files, with_completer
-from vibrojax.cli._output import PICTURES, output, picture_beside
+from vibrojax.cli.completion import files, with_completer
+from vibrojax.cli.output import PICTURES, Options, output, picture_beside
 from vibrojax.errors import InputError, shown
 from vibrojax.progress import timed
 

@@ -1,20 +1,14 @@
 """Find the smallest push in each state after which a machine no longer returns to its working cycle."""
 
 from argparse import ArgumentParser
-from typing import TYPE_CHECKING
 
-from vibrojax.cli._command import Options
-from vibrojax.cli._complete import scenes, values_with, with_completer
-from vibrojax.cli._json import flags
-from vibrojax.cli._named_values import named_values, whole
-from vibrojax.cli._output import result_at, result_written
+from vibrojax.cli.completion import scenes, values_with, with_completer
+from vibrojax.cli.output import Options, add_output, result_at, write_result
+from vibrojax.cli.values import named_values, whole
 from vibrojax.errors import Place
 
-if TYPE_CHECKING:
-    import xarray
-
 SETTINGS = ("start", "scan", "precision", "settle", "observe", "most_x1", "most_v1", "most_x2", "most_v2")
-"""Arguments of `smallest_push` that are no parameters of a scene."""
+"""Arguments of `smallest_push` that are not parameters of a scene."""
 
 _MOST = "most_"
 
@@ -33,8 +27,7 @@ def arguments(parser: ArgumentParser) -> None:
         "(0.001), settle and observe (s, for which motions settle and are then watched: 40, 8)",
     )
     with_completer(values, values_with(SETTINGS))
-    parser.add_argument("-o", dest="out", metavar="OUT.nc", help="where to write (SCENE-push.nc in this folder)")
-    parser.add_argument("--fresh", action="store_true", help="replace OUT, whatever it holds")
+    add_output(parser, "SCENE-push.nc")
 
 
 def run(options: Options) -> None:
@@ -43,7 +36,7 @@ def run(options: Options) -> None:
     from vibrojax.analyses.push.spec import PRECISION, SCAN, read_pushed
 
     most = {name.removeprefix(_MOST): x for name, x in settings.items() if name.startswith(_MOST)}
-    asked = read_pushed(
+    request = read_pushed(
         options.scene,
         start=settings.get("start"),
         most=most or None,
@@ -53,38 +46,11 @@ def run(options: Options) -> None:
         observe=settings.get("observe", 8.0),
         parameters=parameters,
     )
-    result = result_at(options, f"{asked.sweep.scene}-push.nc", asked.identity())
-
+    result = result_at(options, f"{request.sweep.scene}-push.nc", request.identity())
+    from vibrojax.analyses.push.analysis import push_lines
     from vibrojax.analyses.push.run import push_asked
 
-    dataset = push_asked(asked, progress=not options.quiet)
-    drawn = result_written(options, dataset, result)
+    dataset = push_asked(request, progress=not options.quiet)
+    drawn = write_result(options, dataset, result)
     if not options.quiet:
         print("\n".join([*push_lines(dataset), f"{result.out}{drawn}"]))
-
-
-def push_lines(dataset: "xarray.Dataset") -> list[str]:
-    """A line for each state and side, of each machine."""
-    if "sign" not in dataset.dims:
-        return []
-    machines = dataset if "point" in dataset.dims else dataset.expand_dims("point")
-    meanings = flags(dataset["regime"])
-    lines = []
-    for number in range(machines.sizes["point"]):
-        one = machines.isel(point=number)
-        names = [name for name, x in machines.coords.items() if x.dims == ("point",) and name != "point"]
-        at = ", ".join(f"{name} = {one[name].item():g}" for name in names if one[name].dtype.kind == "f")
-        lines += [f"{at}:"] if at else []
-        if not float(one["bound_x1"]) > 0:
-            lines.append(f"no stable cycle ({meanings[int(one['regime'])]})")
-            continue
-        lines.append(f"working cycle: {meanings[int(one['regime'])]}, {float(one['period']):.5g} s")
-        for name in (str(name).removeprefix("push_") for name in one.data_vars if str(name).startswith("push_")):
-            push, unit = one[f"push_{name}"], one[f"push_{name}"].attrs["units"].replace(" s-1", "/s")
-            for k, sign in enumerate("-+"):
-                size, bracket = float(push[k]), float(one[f"bracket_{name}"][k])
-                text = f"none up to {float(one[f'bound_{name}']):.4g} {unit} leaves it"
-                if size == size:
-                    text = f"{size:.4g} {unit} (within {bracket:.1g}): {meanings[int(one[f'regime_{name}'][k])]}"
-                lines.append(f"  {name} {sign}  {text}")
-    return lines

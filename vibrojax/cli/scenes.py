@@ -2,8 +2,8 @@
 
 from argparse import ArgumentParser
 
-from vibrojax.cli._command import Options
-from vibrojax.cli._complete import scenes, with_completer
+from vibrojax.cli.completion import scenes, with_completer
+from vibrojax.cli.output import Options
 
 
 def arguments(parser: ArgumentParser) -> None:

@@ -2,32 +2,23 @@
 
 import warnings
 from argparse import ArgumentParser
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from vibrojax.cli._command import Options
-from vibrojax.cli._complete import scenes, values_with, with_completer
-from vibrojax.cli._facts import found
-from vibrojax.cli._found import found_lines
-from vibrojax.cli._json import HELP, print_json
-from vibrojax.cli._named_values import named_values
-from vibrojax.cli._output import result_at, result_written
+from vibrojax.cli.completion import scenes, values_with, with_completer
+from vibrojax.cli.output import JSON_HELP, Options, add_output, file_facts, print_json, result_at, write_result
+from vibrojax.cli.values import named_values
 from vibrojax.errors import Place, shown
 
 if TYPE_CHECKING:
-    import xarray
-
     from vibrojax.sweep.input.names import Names
-    from vibrojax.sweep.input.point import Point
 
-# Settings of the run, which are no parameters of a scene.
-_TEXTS = ("method", "solver")
 _NUMBERS = ("duration", "error", "sampling", "step", "smoothing")
-SETTINGS = ("start", *_TEXTS, *_NUMBERS)
+SETTINGS = ("start", "method", "solver", *_NUMBERS)
+"""Arguments of `simulate` that are not parameters of a scene."""
 
 
 def of_settings(_: "Names") -> dict[str, tuple[str, ...]]:
-    """The names that may stand behind those of settings."""
+    """Return the names that settings may have as values."""
     from vibrojax.stepping import STEPPERS
 
     return {"method": tuple(STEPPERS)}
@@ -48,9 +39,8 @@ def arguments(parser: ArgumentParser) -> None:
         "step, smoothing",
     )
     with_completer(values, values_with(SETTINGS, of_settings))
-    parser.add_argument("-o", dest="out", metavar="OUT.nc", help="where to write (SCENE.nc in this folder)")
-    parser.add_argument("--fresh", action="store_true", help="replace OUT, whatever it holds")
-    parser.add_argument("--json", action="store_true", help=HELP)
+    add_output(parser, "SCENE.nc")
+    parser.add_argument("--json", action="store_true", help=JSON_HELP)
 
 
 def run(options: Options) -> None:
@@ -61,44 +51,36 @@ def run(options: Options) -> None:
     from vibrojax.sweep.input.point import read_point
 
     point = read_point(place, options.scene, parameters, settings.pop("start", None))
-    # Names and values are checked, each against what it is; that it fits the function's argument no type can say.
+    # Each value is checked against its own rules; that it fits the function's argument, no type can say.
     arguments: dict[str, Any] = _checked(place, settings) | point.options | point.parameters
     if point.start is not None:
         arguments["start"] = point.start
     result = result_at(options, f"{point.scene}.nc", {"scene": point.scene, **arguments})
 
+    from vibrojax.analyses.trajectory.analysis import feature_lines, features
+    from vibrojax.io.attributes import attribute_of
     from vibrojax.sweep.simulation import simulate
 
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UnusualValue)  # said above
+        warnings.simplefilter("ignore", UnusualValue)  # warned above
         dataset = simulate(point.scene, **arguments, progress=not options.quiet)
-    drawn = result_written(options, dataset, result)
+    drawn = write_result(options, dataset, result)
     if options.json:
-        print_json(_facts(dataset, point, result.out, result.picture if drawn else None))
+        facts: dict[str, object] = {
+            "scene": point.scene,
+            **point.options,
+            "start": point.start,
+            "parameters": point.parameters,
+        }
+        facts |= {"duration": float(dataset["time"][-1]), "run": attribute_of(dataset, "run")}
+        facts |= {"found": features(dataset), "solver": attribute_of(dataset, "solver")}
+        print_json(facts | file_facts(result, drawn))
     elif not options.quiet:
-        print("\n".join([*found_lines(dataset), f"{result.out}{drawn}"]))
-
-
-def _facts(dataset: "xarray.Dataset", point: "Point", out: Path, picture: Path | None) -> dict[str, object]:
-    """What `--json` prints; `found` has the names of a sweep's variables, `run` says over which time they hold."""
-    from vibrojax.io.attributes import attribute_of
-
-    return {
-        "scene": point.scene,
-        **point.options,
-        "start": point.start,
-        "parameters": point.parameters,
-        "duration": float(dataset["time"][-1]),
-        "run": attribute_of(dataset, "run"),
-        "found": found(dataset),
-        "solver": attribute_of(dataset, "solver"),
-        "dataset": str(out),
-        "picture": None if picture is None else str(picture),
-    }
+        print("\n".join([*feature_lines(dataset), f"{result.out}{drawn}"]))
 
 
 def _checked(place: Place, settings: dict[str, object]) -> dict[str, object]:
-    """The settings but for start; which methods and solvers there are, the simulation knows."""
+    """Return the settings without start, checked; `simulate` itself checks the names of methods and solvers."""
     from vibrojax.models.physics.parameters import positive
     from vibrojax.sweep.input.values import quantity
 

@@ -7,10 +7,9 @@ from contextlib import nullcontext
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from vibrojax.cli._command import Options
-from vibrojax.cli._complete import sweeps, with_completer
-from vibrojax.cli._output import ZARR, dataset_written, draw, output, picture_beside
-from vibrojax.cli._workers import dask_executor, read_share, read_workers
+from vibrojax.cli.completion import sweeps, with_completer
+from vibrojax.cli.output import ZARR, Options, dataset_written, draw, output, picture_beside
+from vibrojax.cli.workers import dask_executor, read_share, read_workers
 from vibrojax.errors import InputError
 from vibrojax.io.formatting import size_text, time_text
 

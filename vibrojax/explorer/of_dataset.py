@@ -13,9 +13,8 @@ from vibrojax.explorer.families import family_cells, family_document
 from vibrojax.explorer.of_lanes import motions
 from vibrojax.explorer.single import motion_document
 from vibrojax.explorer.trajectory import cell_of
-from vibrojax.io.branches import is_families
 from vibrojax.io.dataset import check_dataset
-from vibrojax.plot.contents import contents, is_borders
+from vibrojax.io.kinds import kind_of
 from vibrojax.sweep.input.definition import Sweep
 
 MOST_MOTIONS = 40_000
@@ -32,7 +31,7 @@ def explored(
     """The dataset that is shown, and what lies over it: of borders the sweep that they are of, which is run again."""
     if not isinstance(ds, xr.Dataset):
         raise InputError(f"{shown(ds)} is no dataset; open it first: vj.open_dataset(PATH)")
-    if over is None and is_borders(ds):
+    if over is None and kind_of(ds) == "borders":
         check_dataset(ds)
         sweep = sweep_of_dataset(ds, orbits=False)
         if why := _too_much(sweep):
@@ -50,19 +49,19 @@ def document_of(ds: xr.Dataset, over: xr.Dataset | None = None, own: Sweep | Non
     """
     check_dataset(ds)
     check_names(ds)
-    held = contents(ds)
-    if held.study:
+    kind = kind_of(ds)
+    if kind == "accuracy":
         raise InputError("explore: holds speed against error, over no axes; vibrojax plot draws it")
-    if held.families or held.run:
+    if kind in ("family", "trajectory"):
         if over is not None:
             raise InputError("over: borders are laid over the map of a sweep, and the dataset is of no sweep")
-        return family_document(ds) if held.families else motion_document(ds)
+        return family_document(ds) if kind == "family" else motion_document(ds)
     sweep, why = _sweep(ds, own)
     document = grid_document(ds, sweep)
     if not document:
         raise InputError("explore: holds nothing over axes that a page could show")
     if over is not None:
-        if not is_borders(over):
+        if kind_of(over) != "borders":
             raise InputError("over: holds no borders, as vibrojax borders gives them")
         document["curves"] = curves_document(ds, over)
     return document | {"without": _why_not(ds, sweep) if sweep is not None else why}
@@ -73,9 +72,9 @@ def cells_of(ds: xr.Dataset, progress: bool = True, own: Sweep | None = None) ->
 
     `own`: the sweep that it is of, where no file names what is in that.
     """
-    if is_families(ds):
+    if kind_of(ds) == "family":
         yield from family_cells(ds)
-    elif contents(ds).run:
+    elif kind_of(ds) == "trajectory":
         yield cell_of(ds, 0)
     else:
         sweep, _ = _sweep(ds, own)

@@ -37,11 +37,6 @@ class Interval(NamedTuple):
     high_kind: str
 
 
-def is_families(ds: xr.Dataset) -> bool:
-    """Whether the dataset is one of families."""
-    return KIND in ds and "branch" in ds and str(ds.attrs.get("along", "")) in ds
-
-
 def along_name(ds: xr.Dataset) -> str:
     """The parameter that the families were followed along."""
     return str(ds.attrs["along"])

@@ -13,6 +13,7 @@ from vibrojax.errors import InputError
 from vibrojax.io.atomic import ZARR, atomic_write
 from vibrojax.io.attributes import check_attributes
 from vibrojax.io.faults import warn_of_faults
+from vibrojax.io.kinds import KIND, check_kind, kind_of
 from vibrojax.io.packing import LEVEL
 from vibrojax.io.structure import check_structure
 from vibrojax.io.threads import in_own_thread
@@ -112,6 +113,7 @@ def open_dataset(path: str | os.PathLike[str]) -> xr.Dataset:
         check_dataset(dataset)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
+    dataset.attrs.setdefault(KIND, kind_of(dataset))  # datasets of earlier versions have none
     warn_of_faults(dataset, str(path))
     return dataset
 
@@ -119,6 +121,7 @@ def open_dataset(path: str | os.PathLike[str]) -> xr.Dataset:
 def check_dataset(dataset: xr.Dataset) -> None:
     """Raise `InputError` if a dataset is malformed: an attribute, a name, a coordinate or a flag."""
     check_attributes(dataset)
+    check_kind(dataset)
     check_structure(dataset)
 
 

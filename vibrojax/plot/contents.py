@@ -8,7 +8,6 @@ import xarray as xr
 
 from vibrojax.errors import InputError, printable, suggestion
 from vibrojax.io.attributes import differing_of, parameters_of
-from vibrojax.io.branches import is_families
 from vibrojax.plot.drawable import plain
 
 TIME, SETTING = "time", "setting"  # the dimension of a run, and of a study of speed against error
@@ -40,8 +39,6 @@ class Contents:
     - `beside`: the quantities worth a panel beside the regimes.
     - `many_starts`: whether every point runs from more starts than have a panel each.
     - `swept_sine`: whether the force of a run is a sine of a frequency that changes.
-    - `families`: whether these are families of orbits along a parameter; `borders`: curves around the single impact;
-      `attractors`: shares of starts of attractors; `pushes`: smallest pushes out of working cycles.
     """
 
     variables: frozenset[str]
@@ -54,10 +51,6 @@ class Contents:
     points: bool
     many_starts: bool
     swept_sine: bool
-    families: bool
-    borders: bool
-    attractors: bool
-    pushes: bool
 
     @property
     def run(self) -> bool:
@@ -73,11 +66,6 @@ class Contents:
     def hole(self) -> bool:
         """A run with the bit's depth and the hole's."""
         return self.run and {"x3", "x4"} <= self.variables
-
-    @property
-    def study(self) -> bool:
-        """Speed against error, for settings of methods."""
-        return SETTING in self.dimensions and ERROR in self.variables
 
     @property
     def regimes(self) -> bool:
@@ -135,26 +123,7 @@ def contents(ds: xr.Dataset) -> Contents:
         points=POINT in lane_dims(ds),
         many_starts=many_starts(ds),
         swept_sine=ds.attrs.get("pulse_shape") == "sweep" and parameters_of(ds).get("sweep_rate", 0.0) != 0.0,
-        families=is_families(ds),
-        borders=is_borders(ds),
-        attractors=is_attractors(ds),
-        pushes=is_pushes(ds),
     )
-
-
-def is_borders(ds: xr.Dataset) -> bool:
-    """Whether `ds` holds borders of the single impact."""
-    return {"curve", "kind", "region_area"} <= set(ds.variables) and "axes" in ds.attrs
-
-
-def is_attractors(ds: xr.Dataset) -> bool:
-    """Whether `ds` holds attractors with their shares of starts."""
-    return {"share", "share_stderr", "lane_attractor"} <= set(ds.variables)
-
-
-def is_pushes(ds: xr.Dataset) -> bool:
-    """Whether `ds` holds smallest pushes out of working cycles."""
-    return "sign" in ds.dims and any(str(name).startswith("push_") for name in ds.data_vars)
 
 
 def has_regimes(ds: xr.Dataset) -> bool:

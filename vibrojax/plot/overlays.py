@@ -1,6 +1,7 @@
 """Families of orbits laid over what a sweep found along the same parameter."""
 
 from collections.abc import Sequence
+from typing import NoReturn
 
 import numpy as np
 import xarray as xr
@@ -9,7 +10,8 @@ from matplotlib.axes import Axes
 
 from vibrojax.errors import InputError
 from vibrojax.io.attributes import parameters_of
-from vibrojax.io.branches import FAMILY, along_name, branches, is_families, kind_names, numbers_of
+from vibrojax.io.branches import FAMILY, along_name, branches, kind_names, numbers_of
+from vibrojax.io.kinds import kind_of
 from vibrojax.plot.axes import edges, number, values_along
 from vibrojax.plot.branches import MARKS, Curve, draw_families, ranges_text, special_handles, stability_handles
 from vibrojax.plot.contents import is_numeric
@@ -28,9 +30,18 @@ def several(over: xr.Dataset | Sequence[xr.Dataset] | None) -> tuple[xr.Dataset,
     return (over,) if isinstance(over, xr.Dataset) else tuple(over)
 
 
+def refuse_overlays(layers: Sequence[xr.Dataset], reason: str) -> NoReturn:
+    """Raise `InputError`: it names what the layers may be laid over, and the reason why not here."""
+    if any(isinstance(layer, xr.Dataset) and kind_of(layer) == "borders" for layer in layers):
+        below = "borders are laid over the map of regimes of a sweep over a grid of two parameters"
+    else:
+        below = "families are laid over the returns of a sweep with keep_returns above 0, or over carried lanes"
+    raise InputError(f"over: {below}, and {reason}")
+
+
 def check_over(ds: xr.Dataset, over: xr.Dataset, x: str) -> None:
     """Raise `InputError` unless `over` has families along the axis `x` of the machine of `ds`."""
-    if not isinstance(over, xr.Dataset) or not is_families(over):
+    if not isinstance(over, xr.Dataset) or kind_of(over) != "family":
         raise InputError("over: no families of orbits; give what vj.follow or vibrojax follow has made")
     if along_name(over) != x:
         raise InputError(f"over: the families are along {along_name(over)}, and the returns over {x}; follow along {x}")

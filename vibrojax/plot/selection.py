@@ -7,7 +7,8 @@ import xarray as xr
 from jaxtyping import Float
 
 from vibrojax.errors import InputError, shown, suggestion
-from vibrojax.io.branches import FAMILY, is_families, numbers_of
+from vibrojax.io.branches import FAMILY, numbers_of
+from vibrojax.io.kinds import kind_of
 from vibrojax.plot.axes import short
 from vibrojax.plot.contents import FORM, is_numeric, lane_dims, named_groups
 
@@ -27,7 +28,7 @@ def select(ds: xr.Dataset, where: Mapping[str, Value]) -> xr.Dataset:
     """
     if not isinstance(where, Mapping):
         raise InputError(f'where: {shown(where)} does not say which axis; give {{"delta": 0.005}}')
-    if is_families(ds):
+    if kind_of(ds) == "family":
         return _of_families(ds, where)
     ds = named_groups(ds)
     for name, value in where.items():

@@ -10,9 +10,10 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from vibrojax.errors import InputError
+from vibrojax.io.kinds import kind_of
 from vibrojax.plot.axes import edges, label, point_text, scale, shape_axis, share_text, values_along, with_unit
 from vibrojax.plot.colours import regime_names
-from vibrojax.plot.contents import ATTRACTOR, HIDDEN, REGIME, START, is_attractors, swept
+from vibrojax.plot.contents import ATTRACTOR, HIDDEN, REGIME, START, swept
 from vibrojax.plot.margins import legend_at_right, write_margins
 from vibrojax.plot.sheet import columns, facets
 from vibrojax.plot.starts import PREFIX, on_axes
@@ -39,7 +40,7 @@ def attractor_shares(ds: xr.Dataset) -> Figure:
 
     **Raises:** `InputError` where there are no attractors.
     """
-    if not is_attractors(ds):
+    if kind_of(ds) != "attractors":
         raise InputError("no attractors to draw: the dataset holds no lane_attractor, as vj.attractors gives it")
     single = [name for name in ds["share"].dims if name != ATTRACTOR and ds.sizes[name] == 1]
     ds = ds.isel(dict.fromkeys(single, 0))

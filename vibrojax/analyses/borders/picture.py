@@ -5,9 +5,9 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from vibrojax.errors import InputError
+from vibrojax.io.kinds import kind_of
 from vibrojax.plot.axes import label, point_text, share_text, value_text
 from vibrojax.plot.borders import ANY, axes_of, beyond, border_handles, draw_borders
-from vibrojax.plot.contents import is_borders
 from vibrojax.plot.margins import legend_at_right, write_margins
 from vibrojax.plot.style import new_figure, styled
 
@@ -25,7 +25,7 @@ def border_curves(ds: xr.Dataset) -> Figure:
 
     **Raises:** `InputError` where there are no borders.
     """
-    if not is_borders(ds):
+    if kind_of(ds) != "borders":
         raise InputError("no borders to draw: the dataset holds no curves, as vj.borders gives them")
     x, y = axes_of(ds)
     regions = ds.sizes["region"]

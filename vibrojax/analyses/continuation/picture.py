@@ -14,7 +14,8 @@ from matplotlib.patches import Circle
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from vibrojax.errors import InputError
-from vibrojax.io.branches import FAMILY, along_name, is_families
+from vibrojax.io.branches import FAMILY, along_name
+from vibrojax.io.kinds import kind_of
 from vibrojax.plot.axes import label, point_text, scale, values_along, with_unit
 from vibrojax.plot.branches import (
     LARGEST,
@@ -56,7 +57,7 @@ def families(ds: xr.Dataset, names: Sequence[str] = ()) -> Figure:
 
     **Raises:** `InputError` where there are no families, or no such variable.
     """
-    if not is_families(ds):
+    if kind_of(ds) != "family":
         raise InputError("no families to draw: the dataset holds no branch and special_kind, as vj.follow gives them")
     names = (*(names or _usual(ds)), LARGEST)
     curves, many = curves_of(ds), FAMILY in ds.dims

@@ -9,9 +9,10 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from vibrojax.errors import InputError
+from vibrojax.io.kinds import kind_of
 from vibrojax.plot.axes import label, point_text, scale, with_unit
 from vibrojax.plot.colours import REGIME_COLOURS, regime_names
-from vibrojax.plot.contents import POINT, is_pushes, varied
+from vibrojax.plot.contents import POINT, varied
 from vibrojax.plot.margins import legend_at_right, write_margins
 from vibrojax.plot.starts import SYMBOLS
 from vibrojax.plot.style import new_figure, styled
@@ -30,7 +31,7 @@ def smallest_pushes(ds: xr.Dataset) -> Figure:
 
     **Raises:** `InputError` where there are no pushes.
     """
-    if not is_pushes(ds):
+    if kind_of(ds) != "push":
         raise InputError("no pushes to draw: the dataset holds no push along sign, as vj.smallest_push gives it")
     if POINT in ds.dims and ds.sizes[POINT] == 1:
         ds = ds.isel({POINT: 0})

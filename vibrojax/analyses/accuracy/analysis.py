@@ -1,0 +1,11 @@
+"""The analysis `accuracy`: the picture of a study of speed against error."""
+
+from vibrojax.analyses.accuracy.picture import work_precision
+from vibrojax.analyses.analysis import Analysis, PictureRule
+
+
+class Accuracy(Analysis):
+    """Measure speed against error on this machine: a dataset, a table and a picture."""
+
+    kind = "accuracy"
+    pictures = (PictureRule("accuracy", lambda held: True, work_precision),)

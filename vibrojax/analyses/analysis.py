@@ -1,0 +1,112 @@
+"""The interface of an analysis: how it runs, and how its datasets are drawn, summarised and explored."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+
+import xarray as xr
+
+from vibrojax.errors import InputError
+from vibrojax.io.kinds import dataset_attributes
+from vibrojax.io.variables import Variable
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from vibrojax.plot.contents import Contents
+
+Source = Any
+"""What an analysis starts from: a dataset, or a sweep as `run_sweep` takes it (path, bundled name, dict, `Sweep`)."""
+
+
+class SummaryPart(NamedTuple):
+    """One part of a summary: `lines` of text under `name`, and the same `facts` by their keys in JSON."""
+
+    name: str
+    lines: Sequence[str]
+    facts: Mapping[str, object] = {}
+
+
+class PictureRule(NamedTuple):
+    """The picture of datasets with certain contents: `draw` is used where `fits` holds; `shows` names the subject."""
+
+    shows: str
+    fits: Callable[["Contents"], bool]
+    draw: Callable[..., "Figure"]
+
+
+class Analysis:
+    """One analysis: its settings are the attributes of the object, its result is a dataset.
+
+    A subclass gives `kind`, `run` and usually `picture` and `summary`; the first line of its docstring is shown by
+    `vibrojax --help`. As a frozen dataclass its fields are options of the command: `along: str = "v"` is `--along`, and
+    `field(metadata={"help": ...})` describes it. Pass an object to [vibrojax.analyses.registry.analyse][], or register
+    the class under the entry point `vibrojax.analyses`; then `vibrojax KIND FILE`, `plot`, `info`, `explore` and
+    `list_variables` know it.
+    """
+
+    kind: ClassVar[str] = ""
+    """The attribute `kind` of its datasets, and the name of its command."""
+
+    variables: ClassVar[Mapping[str, Variable]] = {}
+    """Its variables besides those of sweeps: units, meaning, type and flags of each by name."""
+
+    pictures: ClassVar[Sequence[PictureRule]] = ()
+    """Pictures of its datasets; the first rule that fits is used."""
+
+    def run(self, source: Source, progress: bool = True) -> xr.Dataset:
+        """Return the dataset of the analysis of `source`.
+
+        **Raises:** `InputError` where `source` cannot be analysed.
+        """
+        raise NotImplementedError(f"{type(self).__name__}.run")
+
+    def picture(self, ds: xr.Dataset, over: Sequence[xr.Dataset] = ()) -> "Figure":
+        """Return the picture of a dataset of this kind, with the datasets `over` laid over it.
+
+        **Raises:** `InputError` where it holds nothing to draw, or nothing can be laid over it.
+        """
+        from vibrojax.plot.contents import contents
+        from vibrojax.plot.overlays import refuse_overlays
+
+        if over:
+            refuse_overlays(over, "the dataset holds none")
+        held = contents(ds)
+        rule = next((rule for rule in self.pictures if rule.fits(held)), None)
+        if rule is None:
+            names = ", ".join(str(name) for name in ds.data_vars) or "no variable"
+            raise InputError(
+                "nothing to draw: a picture needs regime, rate_of_penetration, C along form, or a motion along time; "
+                f"the dataset holds {names}"
+            )
+        return rule.draw(ds)
+
+    def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
+        """Return the parts of a dataset's summary that are special to this kind; `info` prints them."""
+        return []
+
+    def dataset(self, variables: Mapping[Any, Any], coords: Mapping[Any, Any], **attributes: object) -> xr.Dataset:
+        """Return a dataset of this kind with title, provenance and history; variables get units and meanings.
+
+        **Arguments:** `variables`: by name, (dimensions, values), or with attributes where `variables` of the class
+        does not describe them; `coords`: likewise; `attributes`: further ones, `title` among them.
+        """
+        title = str(attributes.pop("title", self.kind))
+        described = {name: _described(self.variables, name, given) for name, given in variables.items()}
+        axes = {name: _described(self.variables, name, given) for name, given in coords.items()}
+        return xr.Dataset(described, axes, dataset_attributes(self.kind, title, self.kind, **attributes))
+
+
+def _described(variables: Mapping[str, Variable], name: object, given: Any) -> Any:
+    known = variables.get(str(name))
+    if known is None or not isinstance(given, tuple) or len(given) != 2:
+        return given
+    return (*given, known.attributes())
+
+
+def check_analysis(analysis: Analysis) -> None:
+    """Raise `InputError` if an object is not an analysis with a usable kind."""
+    if not isinstance(analysis, Analysis):
+        raise InputError(f"analyse: {analysis!r} is not an Analysis; give an object of a subclass of vj.Analysis")
+    kind = analysis.kind
+    if not kind.isprintable() or not kind.replace("-", "").isalnum() or kind != kind.lower():
+        raise InputError(f"analyse: kind {kind!r} of {type(analysis).__name__} is not a name of small letters and -")

@@ -1,0 +1,61 @@
+"""The analysis `attractors`: coexisting attractors of a sweep, and the share of initial conditions of each."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+
+from vibrojax.analyses.analysis import PictureRule, Source, SummaryPart
+from vibrojax.analyses.attractors.run import attractors_of, sweep_of
+from vibrojax.analyses.attractors.share_map import share_map
+from vibrojax.analyses.attractors.shares import attractor_shares
+from vibrojax.analyses.orbits.analysis import SweepAnalysis
+from vibrojax.io.derived import OF_ATTRACTORS
+from vibrojax.io.flags import flags
+from vibrojax.sweep.input.definition import Sweep
+
+_SHOWN = 12
+"""Attractors that are listed one by one."""
+
+
+@dataclass(frozen=True)
+class Attractors(SweepAnalysis):
+    """Find the attractors that a sweep's starts lead to, and the share of starts of each."""
+
+    kind = "attractors"
+    variables = OF_ATTRACTORS
+    pictures = (
+        PictureRule("attractors", lambda held: held.wide, share_map),
+        PictureRule("attractors", lambda held: True, attractor_shares),
+    )
+
+    def sweep(self, source: Source) -> Sweep:
+        """Return the sweep, checked; raise `InputError` where it has no attractors to find."""
+        return sweep_of(source)
+
+    def of_lanes(self, sweep: Sweep, lanes: xr.Dataset, progress: bool = True) -> xr.Dataset:
+        """Return the attractors of a sweep with orbits."""
+        return attractors_of(sweep, lanes, progress)
+
+    def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
+        """Return how many attractors coexist at how many points, and share, points and regimes of each."""
+        grid = [name for name in ds["share"].dims if name != "attractor"]
+        unassigned, lanes = int(ds["unassigned"].sum()), ds["lane_attractor"].size
+        share = ds["share"].values.reshape(ds["unassigned"].size, ds.sizes["attractor"])
+        numbers, counts = np.unique((share > 0).sum(axis=1), return_counts=True)
+        points = ", ".join(f"{number} at {count}" for number, count in zip(numbers, counts, strict=True))
+        lines = [
+            f"at a point: {points} (attractors at points)",
+            f"{unassigned} of {lanes} lanes unassigned ({100 * unassigned / max(lanes, 1):.1f} %)",
+        ]
+        regime, meanings = ds["regime"].values.reshape(share.shape), flags(ds["regime"])
+        for number in range(min(share.shape[1], _SHOWN)):
+            mask = share[:, number] > 0
+            kinds, sizes = np.unique(regime[mask, number], return_counts=True)
+            names = ", ".join(meanings[int(kinds[k])] for k in np.argsort(-sizes, kind="stable"))
+            percent = 100 * share[:, number].mean()
+            lines.append(f"{number:>4}{percent:>7.1f} % of starts{int(mask.sum()):>7} points  {names}")
+        if share.shape[1] > _SHOWN:
+            lines.append(f"and {share.shape[1] - _SHOWN} more of smaller shares")
+        facts = {"shares": ds["share"].mean(grid).values, "unassigned": unassigned}
+        return [SummaryPart("shares", lines, {"attractors": facts})]

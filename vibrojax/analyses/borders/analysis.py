@@ -1,0 +1,72 @@
+"""The analysis `borders`: curves around the stable single impact in a plane of two parameters."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import xarray as xr
+
+from vibrojax.analyses.analysis import PictureRule, Source, SummaryPart
+from vibrojax.analyses.borders.picture import border_curves
+from vibrojax.analyses.borders.run import borders_of, checked
+from vibrojax.analyses.orbits.analysis import SweepAnalysis
+from vibrojax.analyses.orbits.rerun import sweep_with_orbits
+from vibrojax.io.derived import OF_BORDERS
+from vibrojax.io.flags import flags
+from vibrojax.sweep.input.definition import Sweep
+
+
+@dataclass(frozen=True)
+class Borders(SweepAnalysis):
+    """Draw the borders of the stable single impact in a sweep's plane: curves named by what happens there."""
+
+    axes: tuple[str, str] | None = field(
+        default=None,
+        metadata={
+            "metavar": "X,Y",
+            "help": "the two axes of the plane (gamma and beta, else the two with most values)",
+        },
+    )
+
+    kind = "borders"
+    variables = OF_BORDERS
+    pictures = (PictureRule("borders", lambda held: True, border_curves),)
+
+    def sweep(self, source: Source) -> Sweep:
+        """Return the sweep, checked; raise `InputError` where it has no plane."""
+        sweep = sweep_with_orbits(source)
+        checked(sweep, self.axes)
+        return sweep
+
+    def identity(self, sweep: Sweep) -> dict[str, object]:
+        """Return the axes of the plane."""
+        return {self.kind: list(checked(sweep, self.axes))}
+
+    def of_lanes(self, sweep: Sweep, lanes: xr.Dataset, progress: bool = True) -> xr.Dataset:
+        """Return the borders in a sweep with orbits."""
+        return borders_of(sweep, lanes, checked(sweep, self.axes))
+
+    def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
+        """Return for each plane and start the share with a stable single impact, and the kinds of its borders."""
+        fixed = [str(name) for name in ds.coords if ds[name].dims == ("region",) and name != "region_start"]
+        meanings = flags(ds["kind"])
+        lines, facts = [], []
+        for k in range(ds.sizes["region"]):
+            values = {name.removeprefix("region_"): float(ds[name][k]) for name in fixed}
+            start = str(ds["region_start"].values[k]) if "region_start" in ds.coords else ""
+            mask = np.ones(ds.sizes["curve"], bool)
+            for name, value in values.items():
+                mask &= ds[name].values == value
+            if start:
+                mask &= ds["start"].values.astype(str) == start
+            sizes: dict[str, int] = {}
+            for curve in np.flatnonzero(mask):
+                kind = meanings[int(ds["kind"][curve])]
+                sizes[kind] = sizes.get(kind, 0) + int((ds["curve"].values == curve).sum())
+            sizes = dict(sorted(sizes.items(), key=lambda item: -item[1]))
+            area = float(ds["region_area"][k])
+            plane = [f"{name} = {value:g}" for name, value in values.items()]
+            plane.append("any start" if start in ("", "any") else f"start {start}")
+            ends = ", ".join(f"{kind} ({size})" for kind, size in sizes.items()) or "nothing"
+            lines.append(f"{', '.join(plane)}: {100 * area:.1f} % of the plane; ends by {ends}")
+            facts.append({**values, "start": start or "any", "area": area, "vertices": sizes})
+        return [SummaryPart("borders", lines, {"borders": facts})]

@@ -1,0 +1,21 @@
+"""The analysis `fit`: pictures and summary of fitted laws."""
+
+import xarray as xr
+
+from vibrojax.analyses.analysis import Analysis, PictureRule, SummaryPart
+from vibrojax.analyses.rop_law.columns import columns_lines
+from vibrojax.analyses.rop_law.picture import law_lines, law_map
+
+
+class Fits(Analysis):
+    """Fit the rate-of-penetration law to a sweep's dataset or to rig data."""
+
+    kind = "fit"
+    pictures = (
+        PictureRule("law", lambda held: held.law and len(held.long) > 1, law_map),
+        PictureRule("law", lambda held: held.law, law_lines),
+    )
+
+    def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
+        """Return which column of a CSV was used for which quantity."""
+        return [SummaryPart("columns", columns_lines(ds))]

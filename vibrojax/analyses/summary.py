@@ -1,0 +1,136 @@
+"""The summary of a dataset, as lines of text and as facts for JSON."""
+
+from typing import Any
+
+import xarray as xr
+
+from vibrojax.analyses.analysis import SummaryPart
+from vibrojax.analyses.glossary import WORDS
+from vibrojax.analyses.registry import analysis_of
+from vibrojax.analyses.sweep.summary import lane_parts
+from vibrojax.errors import printable
+from vibrojax.io.attributes import (
+    attribute_of,
+    differing_of,
+    history_of,
+    parameters_of,
+    run_of,
+    text_of,
+    title_of,
+)
+from vibrojax.io.kinds import kind_of
+
+LONGEST_LINE = 2000
+"""Characters of a line that are shown."""
+
+LONGEST_FACT = 300
+"""Characters of a unit, a meaning or a name in JSON."""
+
+_TEXTS = ("title", "scene", "friction", "pulse_shape", "source", "jax", "along")
+_VALUES = ("parameters", "differing", "run", "solver", "columns", "certified", "lanes", "wall_time_s")
+_EMPTY = ("regimes", "orbits", "natures", "families", "attractors", "failures", "found")
+"""Keys of JSON that every dataset has, if only with an empty object."""
+
+
+def summarise(ds: xr.Dataset) -> list[SummaryPart]:
+    """Return the summary of a dataset; parts that it lacks have no lines."""
+    by_name = {part.name: part for part in lane_parts(ds)}
+    known = "differing" in ds.attrs or "parameters" in ds.attrs
+    run = run_of(ds)
+    times = {"settle", "observe"} <= set(run)
+    return [
+        SummaryPart("title", [title_of(ds)] if title_of(ds) else []),
+        SummaryPart("scene", [text_of(ds, "scene")] if text_of(ds, "scene") else []),
+        SummaryPart("grid", [_dimension_line(ds, str(name)) for name in ds.sizes]),
+        SummaryPart("lanes", [f"{attribute_of(ds, 'lanes')} (a lane: {WORDS['lane']})"] if "lanes" in ds.attrs else []),
+        SummaryPart("friction", [text_of(ds, "friction")] if "friction" in ds.attrs else []),
+        SummaryPart("fixed", _fixed_lines(ds) if known else []),
+        SummaryPart("run", [f"settled for {run['settle']:g} s, observed for {run['observe']:g} s"] if times else []),
+        *(by_name[name] for name in ("regimes", "orbits", "natures")),
+        *analysis_of(ds).summary(ds),
+        *(by_name[name] for name in ("failures", "accuracy")),
+        SummaryPart("variables", [", ".join(str(name) for name in ds.data_vars)]),
+        *(SummaryPart(name, [str(ds.attrs[name])]) for name in ("solver", "source", "jax") if name in ds.attrs),
+        SummaryPart("history", history_of(ds) if "history" in ds.attrs else []),
+        SummaryPart("wall time", [f"{attribute_of(ds, 'wall_time_s'):.3g} s"] if "wall_time_s" in ds.attrs else []),
+    ]
+
+
+def summary_lines(parts: list[SummaryPart]) -> list[str]:
+    """Return a summary as text: the name of each part beside its first line."""
+    rows = ((part.name if index == 0 else "", line) for part in parts for index, line in enumerate(part.lines))
+    return [f"{name:<10}{_printable_line(line)}".rstrip() for name, line in rows]
+
+
+def summary_facts(ds: xr.Dataset, file: str) -> dict[str, Any]:
+    """Return a summary with stable keys; what a dataset of its kind lacks is null, or empty.
+
+    `file`, `kind`, `title`, `scene`, `friction`, `pulse_shape`, `source`, `jax`, `along`, `history` (lines, the newest
+    first); `dimensions` and `variables` by name; `parameters`, `differing`, `run`, `solver`, `columns`, `certified` as
+    the attributes have them; `lanes`; `regimes`: lanes by regime; `orbits`: lanes by `reason` and by `stable`;
+    `natures`: lanes by nature; `families`: as `follow --json` prints them; `attractors`: their mean `shares` over the
+    grid by number, and the lanes `unassigned`; `failures`: lanes by reason; `accuracy`; `found`: the features of one
+    trajectory; `wall_time_s`; and what an analysis adds.
+    """
+    facts: dict[str, Any] = {
+        "file": file,
+        "kind": kind_of(ds) or None,
+        **{name: text_of(ds, name) if name in ds.attrs else None for name in _TEXTS},
+        "history": history_of(ds),
+        "dimensions": {str(name): _dimension_facts(ds, str(name)) for name in ds.sizes},
+        **{name: attribute_of(ds, name) for name in _VALUES},
+        **{name: {} for name in _EMPTY},
+    }
+    for part in summarise(ds):
+        facts |= part.facts
+    return facts | {"variables": {str(name): _variable_facts(data) for name, data in ds.data_vars.items()}}
+
+
+def _printable_line(text: str) -> str:
+    """Return a line with its leading columns, but without anything that steers a terminal."""
+    words = text.lstrip(" ")
+    return text[: len(text) - len(words)] + printable(words, LONGEST_LINE, keep_spaces=True)
+
+
+def _fixed_lines(ds: xr.Dataset) -> list[str]:
+    """Return the fixed parameters: those that differ from their defaults one by one, then the others."""
+    changed = {}
+    for row in differing_of(ds):
+        unit = "" if row["units"] == "1" else f" {row['units']}"
+        changed[row["name"]] = f"{row['name']} = {row['value']:g}{unit} (default {row['default']:g})"
+    if "parameters" not in ds.attrs:
+        return []
+    others = [f"{name} = {value:g}" for name, value in parameters_of(ds).items() if name not in changed]
+    default = "by default: " if "differing" in ds.attrs else ""
+    return [*changed.values(), *([default + ", ".join(others)] if others else [])]
+
+
+def _dimension_line(ds: xr.Dataset, name: str) -> str:
+    size = ds.sizes[name]
+    if name not in ds.coords or not size:
+        return f"{name}: {size}"
+    values = ds[name].values
+    if values.dtype.kind not in "fiu":
+        return f"{name}: {', '.join(map(str, values[:8]))}{', ...' if size > 8 else ''} ({size})"
+    unit = ds[name].attrs.get("units", "1")
+    return f"{name}: {values[0]:g} to {values[-1]:g}{'' if unit == '1' else f' {unit}'} ({size})"
+
+
+def _dimension_facts(ds: xr.Dataset, name: str) -> dict[str, Any]:
+    """Return the size of a dimension, and the unit and both ends of its coordinate."""
+    size = ds.sizes[name]
+    if name not in ds.coords or not size:
+        return {"size": size}
+    values = ds[name].values
+    ends = {"first": values[0], "last": values[-1]}
+    if values.dtype.kind not in "fiu":
+        ends = {end: printable(value, LONGEST_FACT) for end, value in ends.items()}
+    return {"size": size, "units": _attribute(ds[name], "units"), **ends}
+
+
+def _variable_facts(data: xr.DataArray) -> dict[str, Any]:
+    return {"dims": list(data.dims), "units": _attribute(data, "units"), "long_name": _attribute(data, "long_name")}
+
+
+def _attribute(data: xr.DataArray, name: str) -> str | None:
+    return printable(data.attrs[name], LONGEST_FACT) if name in data.attrs else None

@@ -1,0 +1,160 @@
+"""Summary of the lanes of a sweep: regimes, orbits, natures, failures and accuracy."""
+
+from collections.abc import Hashable
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from vibrojax.analyses.analysis import SummaryPart
+from vibrojax.io.attributes import run_of, table_of
+from vibrojax.io.flags import flag_counts, flags
+
+_FAILURES_SHOWN = 3
+
+DEFAULT_ACCEPTED_ERROR = 1e-4
+"""Accepted relative error if the dataset does not say: the default of sweep files."""
+
+
+def has_lanes(ds: xr.Dataset) -> bool:
+    """Return whether the regimes of a dataset are those of lanes, rather than of one trajectory or of attractors."""
+    return "regime" in ds and not {"time", "attractor"} & set(ds.dims)
+
+
+def lane_parts(ds: xr.Dataset) -> list[SummaryPart]:
+    """Return the parts of the summary that any dataset with lanes may have; each is empty where it has nothing."""
+    no_lanes = bool({"time", "attractor"} & set(ds.dims))
+    regimes = {} if no_lanes else flag_counts(ds, "regime")
+    orbits = {"reason": flag_counts(ds, "orbit_reason"), "stable": flag_counts(ds, "stable")}
+    reasons = flag_counts(ds, "reason") if "status" in ds else {}  # the reasons of a fit are not failures
+    return [
+        SummaryPart("regimes", [*_shares(ds, regimes), *_hidden_motions(ds)], {"regimes": regimes}),
+        SummaryPart("orbits", orbit_lines(ds), {"orbits": orbits if "orbit_reason" in ds and not no_lanes else {}}),
+        SummaryPart("natures", _nature_lines(ds), {"natures": {} if no_lanes else flag_counts(ds, "nature")}),
+        SummaryPart(
+            "failures", _failure_lines(ds), {"failures": {name: n for name, n in reasons.items() if name != "none"}}
+        ),
+        _accuracy(ds),
+    ]
+
+
+def _shares(ds: xr.Dataset, counts: dict[str, int]) -> list[str]:
+    total = max(ds["regime"].size, 1) if "regime" in ds else 1
+    return [f"{meaning:<14}{count:>9}{100 * count / total:>7.1f} %" for meaning, count in counts.items()]
+
+
+def _hidden_motions(ds: xr.Dataset) -> list[str]:
+    if "hidden_motion" not in ds or "start" not in ds["hidden_motion"].dims:
+        return []
+    points = int(ds["hidden_motion"].any("start").sum())
+    return [f"at {points} points starts end in different motions under one label"] if points else []
+
+
+def orbit_lines(ds: xr.Dataset) -> list[str]:
+    """Return how many orbits were found and are stable, and why the others were not; no lines without orbits."""
+    if "orbit_reason" not in ds:
+        return []
+    reason, stable = ds["orbit_reason"].values, ds["stable"].values
+    counts = {meaning: int((reason == flag).sum()) for flag, meaning in flags(ds["orbit_reason"]).items()}
+    repeating = sum(count for meaning, count in counts.items() if meaning not in ("not-repeating", "refused"))
+    stabilities = f"{(stable == 1).sum()} stable, {(stable == 0).sum()} unstable"
+    lines = [f"{counts['found']} found of {repeating} lanes that repeat: {stabilities}"]
+    lines += [f"{count} {meaning}" for meaning, count in counts.items() if count and meaning != "found"]
+    cycles, own = ds["orbit_cycles"], ds.get("cycles")
+    sooner = int(((cycles > 0) & (cycles < own)).sum()) if own is not None else 0
+    if sooner:
+        lines.append(f"{sooner} lanes are on their way to an orbit that repeats sooner than they do")
+    limit = table_of(ds, "orbits").get("grazing_limit")
+    if limit is not None:
+        lines.append(f"multipliers are given from a grazing_margin of {limit:g} on")
+    if "nearby_cycles" in ds and "regime" in ds:
+        unsettled = [flag for flag, name in flags(ds["regime"]).items() if name in ("irregular", "undecided")]
+        open_lanes = ds["regime"].isin(unsettled).values
+        near = int((open_lanes & (ds["nearby_cycles"].values > 0)).sum())
+        lines.append(
+            f"of {open_lanes.sum()} lanes labelled irregular or undecided, {near} have a stable orbit nearby that they "
+            "have not reached (nearby_cycles); a longer settle leads most of those there"
+        )
+    return lines
+
+
+def _nature_lines(ds: xr.Dataset) -> list[str]:
+    if "nature" not in ds or "regime" not in ds:
+        return []
+    labels = [flag for flag, name in flags(ds["regime"]).items() if name == "irregular"]
+    irregular = ds["regime"].isin(labels).values
+    masks = ((name, ds["nature"].values == flag) for flag, name in flags(ds["nature"]).items())
+    return [
+        f"{name:<14}{int(mask.sum()):>9}{int((mask & irregular).sum()):>9} of them irregular"
+        for name, mask in masks
+        if mask.any()
+    ]
+
+
+def _failure_lines(ds: xr.Dataset) -> list[str]:
+    """Return how many lanes failed, and for each reason how many and the first few."""
+    if has_lanes(ds):
+        mask = ds["regime"].isin([value for value, meaning in flags(ds["regime"]).items() if meaning == "failed"])
+    elif "status" in ds:
+        mask = ds["status"] != 0
+    else:
+        return []
+    lines = [str(int(mask.sum()))]
+    has_reasons = "reason" in ds and ds["reason"].dims == mask.dims
+    reasons = ds["reason"].values if has_reasons else np.zeros(mask.shape, int)
+    meanings = flags(ds["reason"]) if has_reasons else {}
+    for reason in np.unique(reasons[mask.values]).tolist():
+        indices = np.argwhere(mask.values & (reasons == reason))
+        lines += [f"{len(indices)} {meanings[reason]}"] if reason in meanings else []
+        lines += [_failure(ds, mask.dims, index) for index in indices[:_FAILURES_SHOWN].tolist()]
+    return lines
+
+
+def _failure(ds: xr.Dataset, dims: tuple[Hashable, ...], index: list[int]) -> str:
+    lane = ds.isel(dict(zip(dims, index, strict=True)))
+    values = ((name, lane[name].item()) for name in lane.coords if lane[name].ndim == 0)
+    texts = [f"{name}={value:.10g}" if isinstance(value, float) else f"{name}={value}" for name, value in values]
+    reason = flags(lane["reason"]).get(lane["reason"].item()) if "reason" in lane else None
+    return "at " + " ".join(texts) + (f": {reason}" if reason else "")
+
+
+def _accuracy(ds: xr.Dataset) -> SummaryPart:
+    """Return the median and largest error estimate, and how many lanes are within the accepted error."""
+    facts: dict[str, Any] | None = None
+    lines: list[str] = []
+    if "error_estimate" in ds:
+        estimates = ds["error_estimate"].values
+        errors = estimates[~np.isnan(estimates)]  # infinite where the two resolutions disagree
+        accepted = run_of(ds).get("error")
+        facts = {
+            "accepted": accepted,
+            "estimated": int(errors.size),
+            "within": None if accepted is None else int((errors <= accepted).sum()),
+            "median": float(np.median(errors)) if errors.size else None,
+            "largest": float(errors.max()) if errors.size else None,
+        }
+        if errors.size:
+            lines = _accuracy_lines(ds, errors, DEFAULT_ACCEPTED_ERROR if accepted is None else accepted)
+        else:
+            lines = ["no periodic lanes, so no error estimates"]
+    if "regime" in ds and "check_regime" in ds:
+        flips = int((ds["regime"].values != ds["check_regime"].values).sum())
+        lines.append(f"{flips} of {ds['regime'].size} regimes differ at the coarser resolution of the check run")
+    return SummaryPart("accuracy", lines, {"accuracy": facts})
+
+
+def _accuracy_lines(ds: xr.Dataset, errors: np.ndarray, accepted: float) -> list[str]:
+    sensitive = np.zeros(ds["error_estimate"].shape, bool)
+    if "sensitive" in ds:
+        sensitive = ds["sensitive"].transpose(*ds["error_estimate"].dims).values == 1
+    within = int(((ds["error_estimate"].values <= accepted) & ~sensitive).sum())
+    lines = [
+        f"error_estimate median {np.median(errors):.2g}, largest {errors.max():.2g}",
+        f"{100 * within / errors.size:.4g} % of {errors.size} periodic lanes within the accepted {accepted:g}",
+    ]
+    if "cycles" in ds and "drift_estimate" not in ds:
+        lines.append("the distance of lanes from where they settle is not included: made before version 0.1.1")
+    elif "cycles" in ds:
+        still = int((ds["drift_estimate"] > accepted).sum())
+        lines.append(f"{still} of them are farther than that from where they settle; a longer settle brings them there")
+    return [*lines, f"{sensitive.sum()} lanes are sensitive: rounding decides which attractor they reach"]

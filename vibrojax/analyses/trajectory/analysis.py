@@ -1,0 +1,109 @@
+"""The analysis `trajectory`: pictures and summary of one motion over time."""
+
+import math
+
+import xarray as xr
+
+from vibrojax.analyses.analysis import Analysis, PictureRule, SummaryPart
+from vibrojax.analyses.trajectory.hole import pulses, response
+from vibrojax.analyses.trajectory.time_history import trajectory
+from vibrojax.io.attributes import parameters_of, run_of
+from vibrojax.io.flags import flags
+from vibrojax.measures.labels import FEWEST_RETURNS
+
+SECTION = "returns to the section (the bit overtakes the drive)"
+
+REPORTED_DRIFT = 1e-3
+"""Relative distance from the settled motion above which the summary mentions it: half a digit of what it prints."""
+
+DURATION_MARGIN = 1.15
+"""Factor of an advised duration over one that just suffices."""
+
+
+class Trajectories(Analysis):
+    """Simulate one point: its trajectory as a dataset, and a picture beside it."""
+
+    kind = "trajectory"
+    pictures = (
+        PictureRule("motion", lambda held: held.bit_on_rock and held.swept_sine, response),
+        PictureRule("motion", lambda held: held.bit_on_rock, pulses),
+        PictureRule("motion", lambda held: held.run, trajectory),
+    )
+
+    def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
+        """Return regime, period, blows and rate of penetration."""
+        return [SummaryPart("found", feature_lines(ds), {"found": features(ds)})]
+
+
+def features(ds: xr.Dataset) -> dict[str, object]:
+    """Return the single values of a trajectory by name, flags by their meanings."""
+    single = {str(name): data for name, data in ds.data_vars.items() if data.ndim == 0}
+    return {name: flags(data)[int(data)] if flags(data) else data.item() for name, data in single.items()}
+
+
+def feature_lines(ds: xr.Dataset) -> list[str]:
+    """Return regime, period, blows and rate of penetration in words; no lines where nothing was measured."""
+    run = run_of(ds)
+    if not {"settle", "observe"} <= set(run) or "time" not in ds.dims:
+        return []
+    values = {str(name): float(data) for name, data in ds.data_vars.items() if data.ndim == 0}
+    lines = [_regime_line(ds, values)] if "regime" in values else []
+    if "rate_of_penetration" in values:
+        lines += _penetration_lines(ds, values)
+    if not lines:
+        return []
+    last = f"measured from {run['settle']:.4g} s to the end at {run['settle'] + run['observe']:.4g} s"
+    if "returns" in values:
+        last += f": {values['returns']:.0f} {SECTION}"
+    drift = values.get("drift_estimate", math.nan)
+    if drift > REPORTED_DRIFT:
+        far = f"by some {100 * drift:.2g} %" if math.isfinite(drift) else "and its returns do not tell how far"
+        last += f"; still on its way to where it settles, {far}: a longer duration brings it there"
+    return [*lines, last]
+
+
+def _regime_line(ds: xr.Dataset, values: dict[str, float]) -> str:
+    regime = flags(ds["regime"])[int(ds["regime"])]
+    returns, period = int(values["returns"]), values.get("period", math.nan)
+    if regime == "equilibrium":
+        return "equilibrium: the bit stands still"
+    if regime == "undecided" and returns < FEWEST_RETURNS:
+        advice = "give a longer duration"
+        if returns > 1:
+            observed, last = run_of(ds)["observe"], float(ds["time"][-1])
+            advice = f"give duration={DURATION_MARGIN * (FEWEST_RETURNS + 1) * period / observed * last:.2g}"
+        count = (
+            f"{returns} returns to the section are" if returns > 1 else ("one return is", "no return is")[not returns]
+        )
+        return f"undecided: {count} too few to judge by, {FEWEST_RETURNS} are needed; {advice}"
+    if regime == "undecided":
+        return "undecided: the bit's swing steadily grows or decays; a longer duration shows what it ends in"
+    if regime == "failed":
+        return "failed: the motion does not stay finite"
+    cycles = int(values["cycles"])
+    if "impacts" not in values:
+        repeats = {0: "does not repeat", 1: "repeats"}.get(cycles, f"repeats after {cycles} returns")
+        return f"{regime}: {repeats}, with {period:.5g} s from return to return"
+    blows = values["impacts"]
+    strength = f", at {values['impact_velocity']:.4g} m/s and {values['impact_energy']:.4g} J" if blows else ""
+    mean = ", on average" if blows > 1 or not cycles else ""
+    if not cycles:
+        often = f"a blow every {period / blows:.4g} s" if blows else "no blow"
+        return f"{regime}: it does not repeat; {often}{mean + strength if blows else ''}"
+    each = f"each period of {period:.5g} s" if cycles == 1 else f"each repeat, of {cycles} periods of {period:.5g} s"
+    count = {0: "no blow", 1: "one blow"}.get(int(blows), f"{blows:.0f} blows")
+    return f"{regime}: {count} in {each}{mean if blows else ''}{strength}"
+
+
+def _penetration_lines(ds: xr.Dataset, values: dict[str, float]) -> list[str]:
+    rate, relief, slip = (values.get(name, math.nan) for name in ("rate_of_penetration", "relief", "slip_per_impact"))
+    threshold = parameters_of(ds)["threshold"]
+    event = "pulse" if "regime" not in values else "blow"
+    force = f"mean force {values['mean_force'] / 1e3:.4g} kN over the {threshold / 1e3:.4g} kN at which the rock yields"
+    lines = [f"relief P/D {relief:.4g}: {force}"] if math.isfinite(relief) else []
+    if not math.isfinite(rate):
+        return [f"no whole {event} was observed, so there is no rate of penetration; give a longer duration", *lines]
+    if rate == 0:
+        return ["no penetration: the rock does not yield", *lines]
+    growth = f", {1e3 * slip:.4g} mm for each {event} (slip)" if math.isfinite(slip) else ""
+    return [f"rate of penetration {rate:.4g} m/s ({3600 * rate:.4g} m/h){growth}", *lines]

@@ -1,0 +1,172 @@
+"""Options and output of commands: files checked before any work, datasets written and drawn, JSON."""
+
+import json
+import math
+import os
+import shlex
+import sys
+import tempfile
+from argparse import ArgumentParser, Namespace
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+
+from vibrojax.errors import InputError, escape_json, shown
+from vibrojax.progress import timed
+
+if TYPE_CHECKING:
+    import xarray
+
+PICTURES = (".png", ".pdf", ".svg")
+ZARR = ".zarr"
+JSON_HELP = "print one JSON object on stdout, and nothing else there; a number that is not finite is null"
+
+
+class Options(Namespace):
+    """The arguments of a command by name, and the advice printed after an interrupt."""
+
+    command: str | None = None
+    version: bool = False
+    quiet: bool = False
+    verbose: bool = False
+    how_to_resume: str = ""
+    """Advice after an interrupt; a command changes it as it proceeds."""
+
+
+class Command(Protocol):
+    """A module of this folder; the first line of its docstring is its line in `--help`."""
+
+    __doc__: str | None
+
+    def arguments(self, parser: ArgumentParser) -> None:
+        """Add the command's arguments to `parser`."""
+
+    def run(self, options: Options) -> None:
+        """Run the command.
+
+        **Raises:** `InputError` for bad input, `OSError` where the disk does not take the result.
+        """
+
+
+class Result(NamedTuple):
+    """The files of a result, `out` and `picture`, and what it depends on (see [vibrojax.io.finished][])."""
+
+    out: Path
+    picture: Path
+    identity: Mapping[str, object]
+
+
+def output(path: str | Path, endings: Sequence[str] = (".nc",)) -> Path:
+    """Return `path` as a file that can be written.
+
+    **Raises:** `InputError` where it cannot be written, or does not end in one of `endings`.
+    """
+    path = Path(path)
+    place = f"-o: {shown(str(path))}"
+    if path.suffix not in endings:
+        raise InputError(f"{place} does not end in {' or '.join(endings)}; give the name of such a file")
+    if path.is_dir() and path.suffix != ZARR:
+        raise InputError(f"{place} is a folder; give the name of a file")
+    folder = path.parent
+    if not folder.is_dir():
+        problem = "is not a folder" if folder.exists() else "does not exist"
+        raise InputError(f"{place}: {shown(str(folder))} {problem}; give a file in a folder that exists")
+    if path.exists() and not os.access(path, os.W_OK):
+        raise InputError(f"{place} is write-protected; give another file")
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            return path
+    except OSError as error:
+        raise InputError(f"{place}: folder {shown(str(folder))} cannot be written ({error.strerror})") from None
+
+
+def output_folder(folder: str, names: Sequence[str]) -> list[Path]:
+    """Return the files `names` in a folder, which is made if it does not exist.
+
+    **Raises:** `InputError` where one of them cannot be written.
+    """
+    try:
+        Path(folder).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"-o: {shown(folder)} cannot be made a folder ({error.strerror})") from None
+    return [output(Path(folder) / name, (Path(name).suffix,)) for name in names]
+
+
+def picture_beside(path: Path) -> Path:
+    """Return the picture beside the dataset at `path`, checked as `output` does."""
+    return output(path.with_suffix(".png"), PICTURES)
+
+
+def add_output(parser: ArgumentParser, default: str) -> None:
+    """Add `-o` and `--fresh` to a parser; `default` is the name of the file in this folder."""
+    parser.add_argument("-o", dest="out", metavar="OUT.nc", help=f"where to write ({default} in this folder)")
+    parser.add_argument("--fresh", action="store_true", help="replace OUT, whatever it holds")
+
+
+def result_at(options: Options, default: str, identity: Mapping[str, object]) -> Result:
+    """Return where a result goes, by `default` to a file of that name.
+
+    **Raises:** `InputError` where it cannot be written, or another result is there.
+    """
+    from vibrojax.io.finished import check_replaceable
+
+    out = output(options.out or default)
+    picture = picture_beside(out)
+    if not options.fresh:
+        check_replaceable(out, identity)
+    return Result(out, picture, identity)
+
+
+def write_result(options: Options, dataset: "xarray.Dataset", result: Result) -> str:
+    """Write a result and draw it; return the end of a line that names its picture."""
+    from vibrojax.io.dataset import write_dataset
+    from vibrojax.io.finished import IDENTITY, identity_text
+
+    with timed("write"):
+        write_dataset(dataset.assign_attrs({IDENTITY: identity_text(result.identity)}), result.out)
+    dataset_written(options, result.out)
+    return draw(dataset, result.picture)
+
+
+def dataset_written(options: Options, out: Path) -> None:
+    """Change the advice after an interrupt: from now on only the picture of the dataset `out` is missing."""
+    options.how_to_resume = f"{out} is complete; for its picture: {shlex.join(['vibrojax', 'plot', str(out)])}"
+
+
+def draw(dataset: "xarray.Dataset", picture: Path) -> str:
+    """Draw the picture that fits a dataset.
+
+    **Returns:** the end of a line that names it; an empty text where nothing can be drawn, for a reason on stderr.
+    """
+    from vibrojax.analyses.pictures import save_picture
+
+    try:
+        with timed("draw"):
+            part = save_picture(dataset, picture)
+    except InputError as error:  # the dataset, which is the result, is written
+        print(f"no picture: {error}", file=sys.stderr)
+        return ""
+    return f"; picture {picture}" + (f" ({part})" if part else "")
+
+
+def print_json(facts: Mapping[str, object]) -> None:
+    """Print `facts` as one JSON object; a number that is not finite is null."""
+    print(escape_json(json.dumps(_plain(facts), ensure_ascii=False, allow_nan=False, indent=2)))
+
+
+def file_facts(result: Result, drawn: str) -> dict[str, object]:
+    """Return the files of a result as facts for JSON; `drawn`: what `write_result` returned."""
+    return {"dataset": str(result.out), "picture": str(result.picture) if drawn else None}
+
+
+def _plain(value: Any) -> Any:
+    """Return `value` in types that JSON has."""
+    if isinstance(value, Mapping):
+        return {str(name): _plain(item) for name, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if hasattr(value, "tolist"):  # NumPy and xarray
+        return _plain(value.tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value if value is None or isinstance(value, (bool, int, str)) else str(value)

@@ -1,0 +1,67 @@
+"""Kinds of datasets: the attribute `kind`, the structure it promises, and the attributes that every dataset has."""
+
+from collections.abc import Callable
+from datetime import UTC, datetime
+
+import xarray as xr
+
+from vibrojax.errors import InputError, printable, shown
+from vibrojax.io.provenance import provenance
+
+KIND = "kind"
+"""The attribute that says which analysis made a dataset."""
+
+LONGEST_KIND = 60
+"""Characters of a kind: it is the name of a command too."""
+
+STRUCTURES: dict[str, Callable[[xr.Dataset], bool]] = {
+    "trajectory": lambda ds: "time" in ds.dims,
+    "family": lambda ds: {"special_kind", "branch", str(ds.attrs.get("along", ""))} <= set(ds.variables),
+    "borders": lambda ds: {"curve", "kind", "region_area"} <= set(ds.variables) and "axes" in ds.attrs,
+    "attractors": lambda ds: {"share", "share_stderr", "lane_attractor"} <= set(ds.variables),
+    "push": lambda ds: "sign" in ds.dims and any(str(name).startswith("push_") for name in ds.data_vars),
+    "accuracy": lambda ds: "setting" in ds.dims and "error_worst" in ds,
+}
+"""The structure that pictures and summaries of a kind rely on."""
+
+_RECOGNISED = STRUCTURES | {
+    "fit": lambda ds: ("C" in ds and "form" in ds["C"].dims) or "columns" in ds.attrs,
+    "derivatives": lambda ds: {"variable", "parameter"} <= set(ds.dims),
+    "sweep": lambda ds: not {"regime", "status", "rate_of_penetration"}.isdisjoint(ds.variables),
+}
+"""The structure by which the kind of a dataset without the attribute is recognised, in this order."""
+
+
+def kind_of(ds: xr.Dataset) -> str:
+    """Return the kind of a dataset: its attribute, else the first kind whose structure it has, else an empty text.
+
+    A dataset that has lost the variables of its kind, say by a selection of variables, counts by its structure.
+    """
+    kind = str(ds.attrs.get(KIND, ""))
+    if kind and STRUCTURES.get(kind, lambda _: True)(ds):
+        return kind
+    return next((name for name, has_structure in _RECOGNISED.items() if has_structure(ds)), "")
+
+
+def check_kind(ds: xr.Dataset) -> None:
+    """Raise `InputError` if the attribute `kind` is not a short text, or the structure of the kind is missing."""
+    kind = ds.attrs.get(KIND, "")
+    if not isinstance(kind, str) or printable(kind, LONGEST_KIND) != kind:
+        raise InputError(f"attribute {KIND}: {shown(kind)} is not the name of a kind of dataset")
+    if not STRUCTURES.get(kind, lambda _: True)(ds):
+        raise InputError(f'attribute {KIND}: is "{kind}", but the variables and dimensions of that kind are missing')
+
+
+def dataset_attributes(kind: str, title: str, command: str, **further: object) -> dict[str, object]:
+    """Return the attributes of a new dataset: kind, title, provenance, history, `further` ones and the conventions.
+
+    `command` is the entry of the history; its time is now, in UTC.
+    """
+    return {
+        "title": title,
+        KIND: kind,
+        **provenance(),
+        "history": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} {command}",
+        **further,
+        "Conventions": "CF-1.11",
+    }
