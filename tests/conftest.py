@@ -27,11 +27,17 @@ jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
-# Annotations, shapes of arrays among them, are checked in the tests; users pay nothing for them. What users call
-# themselves (sweep.input.read and source, sweep.simulation.run) is not: its errors name the argument that is wrong.
+# Annotations, shapes of arrays among them, are checked in the tests; users pay nothing for them. Functions that users
+# call with anything (modules `run`, sweep.input.read and source) are not: their errors name the argument that is wrong.
 # Nor are kernels, which call their functions a hundred thousand times to be written: two minutes of checking.
+UNCHECKED = ("run.py", "rerun.py", "joining.py", "catalogue.py", "glossary.py", "registry.py")
+ANALYSES = Path(__file__).parents[1] / "vibrojax" / "analyses"
 CHECKED = [
-    "vibrojax.analyses",
+    *(
+        ".".join(file.relative_to(ANALYSES.parents[1]).with_suffix("").parts)
+        for file in sorted(ANALYSES.rglob("[a-z]*.py"))
+        if file.name not in UNCHECKED
+    ),
     "vibrojax.cli",
     "vibrojax.compile.devices",
     "vibrojax.errors",

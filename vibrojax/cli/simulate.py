@@ -71,9 +71,11 @@ def run(options: Options) -> None:
             **point.options,
             "start": point.start,
             "parameters": point.parameters,
+            "duration": float(dataset["time"][-1]),
+            "run": attribute_of(dataset, "run"),
+            "found": features(dataset),
+            "solver": attribute_of(dataset, "solver"),
         }
-        facts |= {"duration": float(dataset["time"][-1]), "run": attribute_of(dataset, "run")}
-        facts |= {"found": features(dataset), "solver": attribute_of(dataset, "solver")}
         print_json(facts | file_facts(result, drawn))
     elif not options.quiet:
         print("\n".join([*feature_lines(dataset), f"{result.out}{drawn}"]))
