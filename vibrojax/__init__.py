@@ -31,6 +31,8 @@ _HOMES = {
     "write_dataset": "vibrojax.io.dataset",
     "analyse": "vibrojax.analyses.registry",
     "Analysis": "vibrojax.analyses.analysis",
+    "SummaryPart": "vibrojax.analyses.analysis",
+    "PictureRule": "vibrojax.analyses.analysis",
     "SweepAnalysis": "vibrojax.analyses.orbits.analysis",
     "picture": "vibrojax.analyses.pictures",
     "save_picture": "vibrojax.analyses.pictures",

@@ -2,6 +2,8 @@
 
 from vibrojax.analyses.accuracy import run_accuracy as run_accuracy
 from vibrojax.analyses.analysis import Analysis as Analysis
+from vibrojax.analyses.analysis import PictureRule as PictureRule
+from vibrojax.analyses.analysis import SummaryPart as SummaryPart
 from vibrojax.analyses.attractors.run import attractors as attractors
 from vibrojax.analyses.borders.run import borders as borders
 from vibrojax.analyses.catalogue import list_parameters as list_parameters

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 import xarray as xr
 
 from vibrojax.errors import InputError
-from vibrojax.io.kinds import dataset_attributes
+from vibrojax.io.kinds import dataset_attributes, kind_of
 from vibrojax.io.variables import Variable
 
 if TYPE_CHECKING:
@@ -72,6 +72,10 @@ class Analysis:
             refuse_overlays(over, "the dataset holds none")
         held = contents(ds)
         rule = next((rule for rule in self.pictures if rule.fits(held)), None)
+        if rule is None and not self.pictures:
+            raise InputError(
+                f'nothing to draw: no analysis of kind "{kind_of(ds)}" is known here; install the package that made it'
+            )
         if rule is None:
             names = ", ".join(str(name) for name in ds.data_vars) or "no variable"
             raise InputError(
@@ -103,7 +107,7 @@ def _described(variables: Mapping[str, Variable], name: object, given: Any) -> A
     return (*given, known.attributes())
 
 
-def check_analysis(analysis: Analysis) -> None:
+def check_analysis(analysis: object) -> None:
     """Raise `InputError` if an object is not an analysis with a usable kind."""
     if not isinstance(analysis, Analysis):
         raise InputError(f"analyse: {analysis!r} is not an Analysis; give an object of a subclass of vj.Analysis")

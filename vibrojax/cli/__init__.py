@@ -187,9 +187,9 @@ def _parser(words: Collection[str]) -> ArgumentParser:
             continue
         command.arguments(subparser)
         loudness = subparser.add_mutually_exclusive_group()
-        loudness.add_argument("--quiet", action="store_true", help="print only errors, warnings and results")
+        loudness.add_argument("--quiet", action="store_true", help="print only errors, warnings and the result")
         loudness.add_argument(
-            "--verbose", action="store_true", help="report choices and the time of each part on stderr"
+            "--verbose", action="store_true", help="say on stderr what was chosen, and how long each part took"
         )
     return parser
 

@@ -9,7 +9,7 @@ import tempfile
 from argparse import ArgumentParser, Namespace
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
 
 from vibrojax.errors import InputError, escape_json, shown
 from vibrojax.progress import timed
@@ -33,6 +33,7 @@ class Options(Namespace):
     """Advice after an interrupt; a command changes it as it proceeds."""
 
 
+@runtime_checkable
 class Command(Protocol):
     """A module of this folder; the first line of its docstring is its line in `--help`."""
 
