@@ -288,7 +288,7 @@ def test_info_tells_of_what_is_not_sure():
     dataset["check_regime"] = dataset["regime"].copy(data=np.array([[2, 2], [3, 2], [2, 3]], np.int8))
     text = "\n".join(summary_lines(summarise(dataset)))
     assert "largest inf" in text and "66.67 % of 3 periodic lanes within the accepted 0.001" in text
-    assert "1 of 6 regimes are others at the check run's coarser resolution" in text
+    assert "1 of 6 regimes differ at the check run's coarser resolution" in text
 
 
 @pytest.mark.parametrize("dropped", ["regime", "reason", "error_estimate", "beta"])

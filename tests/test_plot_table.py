@@ -1,4 +1,4 @@
-"""The table of pictures: which row is the first that fits, without drawing."""
+"""The pictures of analyses: which rule is the first that fits, without drawing."""
 
 import json
 
@@ -10,12 +10,13 @@ import test_plot_rock as rocks
 import test_plot_starts as starts
 import xarray as xr
 
-from vibrojax.analyses.pictures import PICTURES
+from vibrojax.analyses.registry import analysis_named, analysis_of
+from vibrojax.io.kinds import STRUCTURES
 from vibrojax.plot.contents import contents
 
 
 def first(ds):
-    return next((row.draw.__name__ for row in PICTURES if row.fits(contents(ds))), None)
+    return next((rule.draw.__name__ for rule in analysis_of(ds).pictures if rule.fits(contents(ds))), None)
 
 
 def bit_on_rock(**about):
@@ -63,12 +64,13 @@ EXPECTED = {
 }
 
 
-def test_every_row_has_its_dataset():
-    assert {row.draw.__name__ for row in PICTURES} == set(EXPECTED)
+def test_every_rule_has_its_dataset():
+    analyses = [analysis_named(kind) for kind in ("sweep", "fit", *STRUCTURES)]
+    assert {rule.draw.__name__ for analysis in analyses for rule in analysis.pictures} == set(EXPECTED)
 
 
 @pytest.mark.parametrize("name", EXPECTED)
-def test_the_first_row_that_fits(name):
+def test_the_first_rule_that_fits(name):
     assert first(EXPECTED[name]()) == name
 
 

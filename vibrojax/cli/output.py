@@ -131,7 +131,7 @@ def write_result(options: Options, dataset: "xarray.Dataset", result: Result) ->
 
 def dataset_written(options: Options, out: Path) -> None:
     """Change the advice after an interrupt: from now on only the picture of the dataset `out` is missing."""
-    options.how_to_resume = f"{out} is complete; for its picture: {shlex.join(['vibrojax', 'plot', str(out)])}"
+    options.how_to_resume = f"{out} is whole; for its picture: {shlex.join(['vibrojax', 'plot', str(out)])}"
 
 
 def draw(dataset: "xarray.Dataset", picture: Path) -> str:

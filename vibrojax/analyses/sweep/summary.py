@@ -139,7 +139,7 @@ def _accuracy(ds: xr.Dataset) -> SummaryPart:
             lines = ["no periodic lanes, so no error estimates"]
     if "regime" in ds and "check_regime" in ds:
         flips = int((ds["regime"].values != ds["check_regime"].values).sum())
-        lines.append(f"{flips} of {ds['regime'].size} regimes differ at the coarser resolution of the check run")
+        lines.append(f"{flips} of {ds['regime'].size} regimes differ at the check run's coarser resolution")
     return SummaryPart("accuracy", lines, {"accuracy": facts})
 
 
