@@ -1,9 +1,5 @@
-"""Units that lengths, speeds, forces and rates are given in, by their factors to SI; and which a number is likely in.
+"""Units of rig data and units that are mistaken for SI, with their factors to SI; names are as people write them."""
 
-A small table: what stands in rig data, and what is mistaken for SI. Names are as people write them.
-"""
-
-from collections.abc import Iterable
 from math import pi
 
 _FOOT, _INCH, _POUND, _POUND_FORCE, _TONNE_FORCE = 0.3048, 0.0254, 0.45359237, 4.4482216152605, 9806.65
@@ -41,38 +37,28 @@ UNITS: dict[str, dict[str, float]] = {
     "s-2": {"1/s2": 1.0},
     "min-1": {"1/min": 1.0, "1/s": _MINUTE, "rad/s": 30 / pi},
 }
-"""By SI unit (as datasets write it) the units of its kind, each by the factor that turns it into SI."""
+"""Units of each kind with their factors to SI, by the SI unit as datasets write it."""
 
-_ALIASES = {
-    "m/hr": "m/h",
-    "m/hour": "m/h",
-    "ft/hr": "ft/h",
-    "ft/hour": "ft/h",
-    "fph": "ft/h",
-    "lbs": "lbf",
-    "klb": "klbf",
-    "klbs": "klbf",
-    "kip": "klbf",
-    "kips": "klbf",
-    "tf": "t",
-    "ton": "t",
-    "tonne": "t",
-    "tonnes": "t",
-    "tons": "t",
-    "hz": "1/s",
-    "rpm": "1/min",
-    "bpm": "1/min",
-    "percent": "%",
-    "-": "1",
-    "µm": "um",
-    "m/s²": "m/s2",
+_SPELLINGS = {
+    "m/h": "m/hr m/hour",
+    "ft/h": "ft/hr ft/hour fph",
+    "lbf": "lbs",
+    "klbf": "klb klbs kip kips",
+    "t": "tf ton tonne tonnes tons",
+    "1/s": "hz",
+    "1/min": "rpm bpm",
+    "%": "percent",
+    "1": "-",
+    "um": "µm",
+    "m/s2": "m/s²",
 }
+_ALIASES = {alias: unit for unit, aliases in _SPELLINGS.items() for alias in aliases.split()}
 
 
 def factor(unit: str, si: str) -> float | None:
-    """What turns a number in `unit`, as people write it, into one in the SI unit `si`; None where it is no such unit.
+    """Return the factor from `unit`, as people write it, to the SI unit `si`; None if it is not a unit of that kind.
 
-    Capitals count only where they tell units apart: mN is no MN.
+    Capitals count only to distinguish units: mN is not MN.
     """
     known = UNITS[si]
     unit = unit.strip()
@@ -88,17 +74,18 @@ def factor(unit: str, si: str) -> float | None:
 
 
 def is_unit(text: str) -> bool:
-    """Whether `text` is a unit of any kind."""
+    """Return True if `text` is a unit of any kind."""
     return any(factor(text, si) is not None for si in UNITS)
 
 
 def likely_units(value: float, si: str, usual: tuple[float, float]) -> list[str]:
-    """The units in which a number would be a `usual` one (SI), the more common first; none of an unknown kind."""
+    """Return the units that make `value` a `usual` one (SI), common units first; none if `si` is unknown.
+
+    Of several names for one factor only the first counts.
+    """
     low, high = usual
-    others = ((name, scale) for name, scale in UNITS.get(si, {}).items() if scale != 1.0)
-    return _first_of_each((name, scale) for name, scale in others if low <= value * scale <= high)
-
-
-def _first_of_each(units: Iterable[tuple[str, float]]) -> list[str]:
-    """The names of units, of those with one factor the first."""
-    return list({scale: name for name, scale in reversed(list(units))}.values())[::-1]
+    names: dict[float, str] = {}
+    for name, scale in UNITS.get(si, {}).items():
+        if scale != 1.0 and low <= value * scale <= high:
+            names.setdefault(scale, name)
+    return list(names.values())
