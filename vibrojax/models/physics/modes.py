@@ -16,15 +16,16 @@ from jaxtyping import Float
 
 from vibrojax.models.arrays import Value
 
-Values = Mapping[str, Any]
+Numbers = Mapping[str, Any]
+"""Parameters by name: numbers or arrays of lanes."""
 
 
-def striker(p: Values) -> tuple[Any, Any]:
+def striker(p: Numbers) -> tuple[Any, Any]:
     """Return the striker's mass m2 = beta m1 [kg] and spring k2 = m2 (gamma w1)² [N/m], w1² = k1/m1."""
     return p["beta"] * p["m1"], p["beta"] * p["k1"] * p["gamma"] ** 2
 
 
-def natural_frequencies(p: Values) -> Float[jax.Array, "*lanes 2"]:
+def natural_frequencies(p: Numbers) -> Float[jax.Array, "*lanes 2"]:
     """Return the two undamped natural frequencies [rad/s], lower first, along a last axis of length 2 (eq. 5.16).
 
     They are the roots of w⁴ - w² (w1² + w2² (1 + beta)) + w1² w2² = 0 for `m1 [x1'' = -k1 x1 - k2 (x1 - x2)]` and
@@ -39,13 +40,13 @@ def natural_frequencies(p: Values) -> Float[jax.Array, "*lanes 2"]:
     return jnp.sqrt(jnp.stack([product / upper, upper], axis=-1))
 
 
-def empirical_frequency(p: Values, share: Value = 0.25) -> Any:
+def empirical_frequency(p: Numbers, share: Value = 0.25) -> Any:
     """Return the frequency [rad/s] of eq. 5.17, w² = (k1 + k2)/m1 + share k2/m2; the source has `share` = 1/4."""
     m2, k2 = striker(p)
     return jnp.sqrt((p["k1"] + k2) / p["m1"] + share * k2 / m2)
 
 
-def linearised(p: Values, friction_slope: Value) -> Float[jax.Array, "4 4"]:
+def linearised(p: Numbers, friction_slope: Value) -> Float[jax.Array, "4 4"]:
     """Return the matrix of the motion about steady sliding, state (x1, x1', x2, x2'), for scalars `p` (eq. 5.15).
 
     **Arguments:** `friction_slope` [N s/m], dF/du at the drive speed; negative if friction feeds the vibration.

@@ -2,36 +2,29 @@
 
 from math import pi
 
-_FOOT, _INCH, _POUND, _POUND_FORCE, _TONNE_FORCE = 0.3048, 0.0254, 0.45359237, 4.4482216152605, 9806.65
+_FOOT, _INCH, _LBF, _TF = 0.3048, 0.0254, 4.4482216152605, 9806.65
 _MINUTE, _HOUR = 60.0, 3600.0
+_PER_MINUTE = {"mm": 1e-3, "m": 1.0, "cm": 1e-2, "ft": _FOOT, "in": _INCH}
 
 UNITS: dict[str, dict[str, float]] = {
     "1": {"1": 1.0, "%": 0.01},
     "m": {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "um": 1e-6, "in": _INCH, "ft": _FOOT},
-    "m s-1": {
-        "m/s": 1.0,
-        "m/h": 1 / _HOUR,
-        "ft/h": _FOOT / _HOUR,
-        "mm/s": 1e-3,
-        "mm/min": 1e-3 / _MINUTE,
-        "m/min": 1 / _MINUTE,
-        "cm/min": 1e-2 / _MINUTE,
-        "ft/min": _FOOT / _MINUTE,
-        "in/min": _INCH / _MINUTE,
-    },
+    "m s-1": {"m/s": 1.0, "m/h": 1 / _HOUR, "ft/h": _FOOT / _HOUR, "mm/s": 1e-3}
+    | {f"{unit}/min": scale / _MINUTE for unit, scale in _PER_MINUTE.items()},
     "m s-2": {"m/s2": 1.0, "cm/s2": 1e-2},
+    # t and _TF: the tonne-force.
     "N": {
         "N": 1.0,
         "kN": 1e3,
         "MN": 1e6,
-        "lbf": _POUND_FORCE,
-        "klbf": 1e3 * _POUND_FORCE,
-        "t": _TONNE_FORCE,  # tonne-force
-        "kgf": _TONNE_FORCE / 1e3,
+        "lbf": _LBF,
+        "klbf": 1e3 * _LBF,
+        "t": _TF,
+        "kgf": _TF / 1e3,
     },
     "N m-1": {"N/m": 1.0, "N/mm": 1e3, "kN/m": 1e3, "kN/mm": 1e6, "MN/m": 1e6},
     "N s m-1": {"N s/m": 1.0, "kN s/m": 1e3},
-    "kg": {"kg": 1.0, "t": 1e3, "lb": _POUND},
+    "kg": {"kg": 1.0, "t": 1e3, "lb": 0.45359237},
     "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": _MINUTE},
     "s-1": {"1/s": 1.0, "1/min": 1 / _MINUTE},
     "s-2": {"1/s2": 1.0},

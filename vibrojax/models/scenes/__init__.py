@@ -4,17 +4,12 @@ from importlib import import_module
 from pkgutil import iter_modules
 from typing import Any
 
-from vibrojax.models.scenes.capabilities import Driven as Driven
-from vibrojax.models.scenes.capabilities import HasContact as HasContact
-from vibrojax.models.scenes.capabilities import HasFriction as HasFriction
-from vibrojax.models.scenes.capabilities import HasRock as HasRock
-from vibrojax.models.scenes.declared import Guard as Guard
-from vibrojax.models.scenes.declared import Marker as Marker
-from vibrojax.models.scenes.declared import Mode as Mode
-from vibrojax.models.scenes.declared import Section as Section
-from vibrojax.models.scenes.declared import State as State
-from vibrojax.models.scenes.declared import Swing as Swing
-from vibrojax.models.scenes.scene import Scene as Scene
+from vibrojax.models.scenes.capabilities import Driven, HasContact, HasFriction, HasRock
+from vibrojax.models.scenes.declared import Guard, Marker, Mode, Section, State, Swing
+from vibrojax.models.scenes.scene import Scene
+
+__all__ = ["SCENES", "Driven", "Guard", "HasContact", "HasFriction", "HasRock", "Marker", "Mode", "Scene", "Section"]
+__all__ += ["State", "Swing", "scene_named"]
 
 _files = (import_module(f"{__name__}.{file.name}") for file in iter_modules(__path__))
 _kinds = (kind for file in _files for kind in getattr(file, "SCENES", ()))

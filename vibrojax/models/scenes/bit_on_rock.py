@@ -1,8 +1,8 @@
 """The bit on the rock as a hybrid system, by the compression e = x3 - x4 (eqs. 6.1 to 6.3).
 
-Modes of the rock: 0 elastic (0 < k3 e < D), 1 yielding (N = D, x4 grows with x3), -1 off the rock (N = 0), and 2 at
-rest, unloaded (e = x3' = 0 within roundings), which needs no steps. The motion of e and x3' does not depend on the
-depth of the hole.
+The rock's modes are 0 elastic (0 < k3 e < D), 1 yielding (N = D, x4 grows with x3) and -1 off the rock (N = 0). In
+mode 2 the bit is at rest, unloaded (e = x3' = 0 within roundings), and needs no steps. The motion of e and x3' does not
+depend on the depth of the hole.
 """
 
 from collections.abc import Mapping
@@ -46,13 +46,21 @@ class RockConstants(NamedTuple):
 def rock_constants(p: Mapping[str, Any], g: Any) -> RockConstants:
     """Return the constants for `m1`, `k3`, `threshold` and `zeta` in `p`, and gravity `g` [m/s²]."""
     m1, k3, threshold = p["m1"], p["k3"], p["threshold"]
-    damping, yields_at = rocks.damping(m1, k3, p["zeta"]), rocks.yield_compression(k3, threshold)
-    return RockConstants(m1, 1 / m1, k3, threshold, damping, yields_at, 1 / jnp.sqrt(k3 * m1), g)
+    return RockConstants(
+        m1=m1,
+        inverse_m1=1 / m1,
+        k3=k3,
+        threshold=threshold,
+        c3=rocks.damping(m1, k3, p["zeta"]),
+        yield_compression=rocks.yield_compression(k3, threshold),
+        mobility=1 / jnp.sqrt(k3 * m1),
+        g=g,
+    )
 
 
 @runtime_checkable
 class WithRock(Protocol):
-    """Constants of a scene, among them those of the bit on the rock."""
+    """Constants of a scene that include the rock's."""
 
     @property
     def rock(self) -> RockConstants: ...
@@ -136,9 +144,9 @@ def at_rest(c: RockConstants, rock: Any, compression: Any, v3: Any, loaded: Any)
 def rock_rate(c: RockConstants, rock: Any, only_prescribed: Any) -> Any:
     """Return the fastest rate of change of the bit on the rock [1/s].
 
-    If `only_prescribed` forces act on an overdamped bit, it relaxes and touches no guard twice in a step. Steps may
-    then be as long as the series' tolerance allows, while they still damp the faster of the two exponentials (order
-    10: 5 over its rate; half of the rate at a stride of 2 is 4).
+    If `only_prescribed` forces act on an overdamped bit, it relaxes and touches no guard twice in a step. The series'
+    tolerance then limits the steps, as long as they damp the faster of the two exponentials. That limit is 5 over its
+    rate at order 10; half of the rate at a stride of 2 gives 4.
     """
     own, half = jnp.sqrt(c.k3 * c.inverse_m1), 0.5 * c.c3 * c.inverse_m1
     relaxes = half > own

@@ -104,8 +104,8 @@ class HasContact(Scene[C]):
 class HasRock(Scene[C]):
     """A bit that is driven into the rock.
 
-    The states `compression` = x3 - x4, `v3` = x3', `growth` of x4 since its last reset to zero, and the mode `rock`
-    (0 elastic, 1 yielding, -1 off the rock, 2 at rest) are those of [vibrojax.models.scenes.bit_on_rock][].
+    Its states are `compression` = x3 - x4, `v3` = x3' and the `growth` of x4 since its last reset to zero. Its mode
+    `rock` is 0 elastic, 1 yielding, -1 off the rock or 2 at rest; see [vibrojax.models.scenes.bit_on_rock][].
 
     **Example:**
 

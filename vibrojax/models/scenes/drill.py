@@ -23,7 +23,7 @@ STARTING_SHARE = 0.05
 
 
 class DrillConstants(NamedTuple):
-    """The constants of the two masses, each (lanes,).
+    """Constants of the two masses, each (lanes,).
 
     - `m1`, `m2` [kg], `k1`, `k2` [N/m], `c2` [N s/m]; `inverse_m1`, `inverse_m2` [1/kg].
     - `period`: time [s] that converts a speed of the bit to a length, sqrt(m1/k1).
@@ -44,8 +44,17 @@ class DrillConstants(NamedTuple):
 def drill_constants(p: Mapping[str, Any], law: FrictionLaw) -> DrillConstants:
     """Return the constants for [vibrojax.models.physics.parameters.BIT_AND_STRIKER][] and the law's parameters."""
     m2, k2 = striker(p)
-    period, slip = jnp.sqrt(p["m1"] / p["k1"]), slip_constants(p, law)
-    return DrillConstants(p["m1"], m2, p["k1"], k2, p["c2"], 1 / p["m1"], 1 / m2, period, slip)
+    return DrillConstants(
+        m1=p["m1"],
+        m2=m2,
+        k1=p["k1"],
+        k2=k2,
+        c2=p["c2"],
+        inverse_m1=1 / p["m1"],
+        inverse_m2=1 / m2,
+        period=jnp.sqrt(p["m1"] / p["k1"]),
+        slip=slip_constants(p, law),
+    )
 
 
 def accelerations(
@@ -71,7 +80,7 @@ def length_noise(c: DrillConstants) -> Any:
 
 @runtime_checkable
 class WithDrill(Protocol):
-    """Constants of a scene, among them those of the two masses."""
+    """Constants of a scene that include the drill's."""
 
     @property
     def drill(self) -> DrillConstants: ...
@@ -123,7 +132,7 @@ class Drill(HasFriction[D]):
         return ()
 
     def other_rates(self, c: D, mode: Values, state: Values, impact: Any) -> Values:
-        """Return the time derivatives of the states after those of the two masses."""
+        """Return the time derivatives of the states after x2'."""
         return ()
 
     def other_guards(self) -> tuple[Guard, ...]:

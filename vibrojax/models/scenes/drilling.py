@@ -18,7 +18,7 @@ from vibrojax.models.scenes.vibro_impact import Struck, VibroImpact
 
 
 class DrillingConstants(NamedTuple):
-    """The constants of the scene: those of the two masses, of the contact, and of the bit on the rock."""
+    """Constants of the two masses, of the contact, and of the bit on the rock."""
 
     drill: DrillConstants
     contact: ContactConstants

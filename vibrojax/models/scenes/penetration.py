@@ -21,7 +21,7 @@ PULSE_SHAPES = ("rectangular", "half-sine", "sweep")
 
 
 class PenetrationConstants(NamedTuple):
-    """The constants of the scene: those of the bit on the rock, and of the force; constants of other forces are 0.
+    """Constants of the bit on the rock and of the force; constants of other forces are 0.
 
     - `force` [N]; of pulses their `frequency` [1/s] and `pulse_width` [s]; of a swept sine its `sweep_start` [1/s],
       `sweep_rate` [1/s²] and `bias` [N].

@@ -10,7 +10,7 @@ from vibrojax.models.scenes.drill import Drill, DrillConstants, drill_constants
 
 
 class RotaryConstants(NamedTuple):
-    """The constants of the scene: those of the two masses."""
+    """Constants of the two masses."""
 
     drill: DrillConstants
 

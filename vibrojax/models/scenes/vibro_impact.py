@@ -18,7 +18,7 @@ from vibrojax.models.scenes.one_sided import ContactConstants, contact_constants
 
 @runtime_checkable
 class WithContact(WithDrill, Protocol):
-    """Constants of a scene, among them those of the two masses and of the contact."""
+    """Constants of a scene that include the drill's and the contact's."""
 
     @property
     def contact(self) -> ContactConstants: ...
@@ -101,7 +101,7 @@ class Struck(Drill[S], HasContact[S]):
 
 
 class VibroImpactConstants(NamedTuple):
-    """The constants of the scene: those of the two masses, and of the contact between them."""
+    """Constants of the two masses and of the contact between them."""
 
     drill: DrillConstants
     contact: ContactConstants
