@@ -1,5 +1,6 @@
 """Growth of the hole, force and relief: by the blows of a drill, over its returns, or by a force, over its pulses."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -134,7 +135,7 @@ def _growth(scene: Scene[Any], step: Step) -> Lanes:
     return value(growth, step.tau) - growth[0]
 
 
-def _rates(scene: HasRock[Any], c: Any, sums: Sums, time: Lanes, blows: Lanes, gap: Lanes) -> Features:
+def _rates(scene: HasRock[Any], c: Any, sums: Mapping[str, Lanes], time: Lanes, blows: Lanes, gap: Lanes) -> Features:
     """Return the features of the hole for sums over `time` [s] with a number of `blows`."""
     mean_force = sums["force"] / time
     return {

@@ -98,8 +98,8 @@ def pass_by(section: Section, scene: Scene[Any], c: Any, carry: Settling, lane: 
     armed = keep(seen.armed | (lowest(velocity, step.tau) < level))
     returns = keep(turns & (velocity[0] < 0) & armed)
     since = seen.since + step.dt
-    left = step.dt - tau * step.h
-    new = (there, lane.clock.high - left, since - left, _halves(ranges))
+    remaining = step.dt - tau * step.h
+    new = (there, lane.clock.high - remaining, since - remaining, _halves(ranges))
     last = jax.tree.map(lambda now, before: jnp.where(returns, now, before), new, tuple(passed[1:]))
     starts = [there[section.compared.index(swing.position)] for swing in section.swings]
     restarted = [
@@ -107,7 +107,7 @@ def pass_by(section: Section, scene: Scene[Any], c: Any, carry: Settling, lane: 
     ]
     known = seen._replace(
         armed=jnp.where(returns, after < 0, armed),
-        since=jnp.where(returns, left, since),
+        since=jnp.where(returns, remaining, since),
         ranges=tuple(restarted),
     )
     return Settling(known, Passed(passed.waiting | returns, *last))

@@ -108,7 +108,7 @@ def rough_root(x: Array, n: int) -> jax.Array:
     x = lax.stop_gradient(x)
     bits = jnp.finfo(x.dtype)
     integer = jnp.dtype(f"int{bits.bits}")
-    one = jnp.asarray(1 - bits.minexp, integer) << bits.nmant
+    bits_of_one = jnp.asarray(1 - bits.minexp, integer) << bits.nmant
     # Floats divide faster: the division of integers is not vectorised.
-    logarithm = (lax.bitcast_convert_type(x, integer) - one).astype(x.dtype) * (1 / n)
-    return lax.bitcast_convert_type(logarithm.astype(integer) + one, x.dtype)
+    logarithm = (lax.bitcast_convert_type(x, integer) - bits_of_one).astype(x.dtype) * (1 / n)
+    return lax.bitcast_convert_type(logarithm.astype(integer) + bits_of_one, x.dtype)

@@ -52,7 +52,7 @@ def total(terms: Iterable[Number]) -> Number:
 
 
 class Sequence:
-    """Terms c_1, c_2, ..., each computed by `term(k)` at its first use, or appended."""
+    """Coefficients c_1, c_2, ..., each computed by `term(k)` at its first use, or appended."""
 
     def __init__(self, term: Callable[[int], Number] | None = None, known: Iterable[Number] = ()):
         self._term = term
@@ -186,17 +186,17 @@ def terms_of(a: Series) -> Terms:
 
 def _product(a: Series, b: Series) -> Series:
     """Return the series of c_k = sum_j a_j b_{k-j}; a square needs half of the products, twice."""
-    left, right = terms_of(a), terms_of(b)
+    first, second = terms_of(a), terms_of(b)
 
     def square_terms(k: int) -> Iterator[Number]:
         for j in range((k + 1) // 2):
-            yield times(times(2.0, left[j]), left[k - j])
+            yield times(times(2.0, first[j]), first[k - j])
         if k % 2 == 0:
-            yield times(left[k // 2], left[k // 2])
+            yield times(first[k // 2], first[k // 2])
 
     if a is b:
         return by_rule(times(a.value, a.value), lambda k, _: total(square_terms(k)))
-    return by_rule(times(a.value, b.value), lambda k, _: total(times(left[j], right[k - j]) for j in range(k + 1)))
+    return by_rule(times(a.value, b.value), lambda k, _: total(times(first[j], second[k - j]) for j in range(k + 1)))
 
 
 def _quotient(a: Series, b: Series) -> Series:

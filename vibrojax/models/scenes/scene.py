@@ -155,6 +155,11 @@ class Scene(ABC, Generic[C]):
         return tuple(state.name for state in self.states)
 
     @property
+    def mode_names(self) -> tuple[str, ...]:
+        """Names of the discrete states."""
+        return tuple(mode.name for mode in self.modes)
+
+    @property
     def guard_names(self) -> tuple[str, ...]:
         """Names of the guards."""
         return tuple(guard.name for guard in self.guards())
@@ -192,7 +197,7 @@ class Scene(ABC, Generic[C]):
 
     def mode_place(self, name: str) -> int:
         """Return the place of a discrete state, by its name."""
-        return [mode.name for mode in self.modes].index(name)
+        return self.mode_names.index(name)
 
     def marker_of(self, velocity: str) -> str:
         """Return the name of the marker at the zeros of a velocity."""
