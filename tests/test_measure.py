@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
-from vibrojax.measures.swings import _trend
+from vibrojax.measures.motion import _trend
 
 SETTLE, OBSERVE, SAMPLING = 10.0, 4.0, 4e-5
 ERROR = 1e-5  # so small that periods of sweep and simulation agree to 1e-9

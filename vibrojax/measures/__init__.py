@@ -1,27 +1,23 @@
-"""Measuring in the loop: features of a lane are accumulated while it steps, over whole returns to the section."""
+"""Measures: features of a lane, accumulated while it steps, over whole returns to the section."""
 
 from typing import Any
 
 from vibrojax.errors import InputError, shown
-from vibrojax.measures import section as section
-from vibrojax.measures.gauge import Gauge as Gauge
-from vibrojax.measures.gauge import Moment as Moment
-from vibrojax.measures.gauge import Return as Return
-from vibrojax.measures.gauge import Whole as Whole
+from vibrojax.measures.gauge import Gauge, Moment, Return, Whole
 from vibrojax.measures.harmonics import Harmonics
-from vibrojax.measures.hole import Hole
 from vibrojax.measures.impacts import Impacts
 from vibrojax.measures.kept_returns import KeptReturns
 from vibrojax.measures.ledger import MOST_CYCLES
-from vibrojax.measures.recorder import Recorder as Recorder
-from vibrojax.measures.recorder import Records as Records
-from vibrojax.measures.shares import Shares
-from vibrojax.measures.swings import Swings
-from vibrojax.measures.whole_pulses import PulseRecorder as PulseRecorder
+from vibrojax.measures.motion import Shares, Swings
+from vibrojax.measures.penetration import Hole, PulseRecorder
+from vibrojax.measures.recorder import Recorder, Records
 from vibrojax.models.scenes import Driven, HasContact, Scene
 
+__all__ = ["GAUGES", "RETURNS_FOR_DRIFT", "Gauge", "Moment", "PulseRecorder", "Recorder", "Records", "Return", "Whole"]
+__all__ += ["gauge_named", "recorder_for"]
+
 RETURNS_FOR_DRIFT = 3 * MOST_CYCLES + 1
-"""The fewest that show a repeat of any length three times over."""
+"""Least number of returns that show a repeat of any length three times."""
 
 GAUGES: dict[str, Gauge[Any]] = {
     "swings": Swings(),
@@ -33,17 +29,17 @@ GAUGES: dict[str, Gauge[Any]] = {
 
 
 def gauge_named(gauge: str | Gauge[Any]) -> Gauge[Any]:
-    """The gauge of that name, or a gauge itself; raises `KeyError` where there is none of the name."""
+    """Return the gauge of that name, or the gauge itself; raises `KeyError` if the name is unknown."""
     return gauge if isinstance(gauge, Gauge) else GAUGES[gauge]
 
 
 def recorder_for(scene: Scene[Any], keep_returns: int = 0) -> Records:
-    """The recorder of what the scene names in `measures`.
+    """Return the recorder of the gauges that the scene lists in `measures`.
 
-    The swings and, where there is a contact, the impacts are always measured: repeats and labels go by them. It keeps
-    the last returns one by one: `keep_returns` of them, or as many as it takes to tell where a lane is going.
+    Swings, and impacts if there is a contact, are always measured: repeats and labels follow from them. The recorder
+    keeps the last `keep_returns` returns individually, or as many as the drift of a lane needs.
 
-    Raises `InputError` where a gauge needs what the scene does not have, or nothing can be measured of it.
+    Raises `InputError` if a gauge is unknown or needs a capability that the scene lacks, or if nothing can be measured.
     """
     if scene.section is None:
         if isinstance(scene, Driven):
@@ -52,13 +48,13 @@ def recorder_for(scene: Scene[Any], keep_returns: int = 0) -> Records:
     unknown = [gauge for gauge in scene.measures if not isinstance(gauge, Gauge) and gauge not in GAUGES]
     if unknown:
         raise InputError(f"scene: {scene.name} measures {shown(unknown[0])}; choose from {', '.join(GAUGES)}")
-    gauges = [gauge_named(gauge) for gauge in scene.measures]
+    named = [gauge_named(gauge) for gauge in scene.measures]
     always = (Swings(), Impacts()) if isinstance(scene, HasContact) else (Swings(),)
-    gauges = [*(one for one in always if not any(isinstance(gauge, type(one)) for gauge in gauges)), *gauges]
+    missing = [gauge for gauge in always if not any(isinstance(other, type(gauge)) for other in named)]
+    gauges = (*missing, *named)
     for gauge in gauges:
         for need in gauge.needs:
             if not isinstance(scene, need):
-                raise InputError(
-                    f"scene: {scene.name} is no {need.__name__}; {type(gauge).__name__} measures only those"
-                )
+                lacks = f"{scene.name} is no {need.__name__}; {type(gauge).__name__} measures only those"
+                raise InputError(f"scene: {lacks}")
     return Recorder(scene.section, (*gauges, KeptReturns(max(keep_returns, RETURNS_FOR_DRIFT))))

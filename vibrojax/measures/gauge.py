@@ -1,4 +1,4 @@
-"""What measuring in the loop is made of."""
+"""The interface of gauges, which accumulate quantities in the time loop."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
@@ -9,14 +9,15 @@ from vibrojax.models.scenes.scene import Scene
 from vibrojax.stepping import Lane, Step
 
 Sums = dict[str, Lanes]
-"""What is summed over steps, by name."""
+"""Sums over steps, by name."""
 
 
 class Moment(NamedTuple):
-    """A step just taken: the lane after it, the step, and what is known of the cycle that it lies in.
+    """A step just taken, with the lane after it and its place in the cycle.
 
-    `since` [s] is the time since the last return when it ends; `frequency` [rad/s] that of the returns (0 before there
-    are two) and `phase` [rad] what has passed of it, when the step ends, since the observation's first return.
+    - `since` [s]: time from the last return to the end of the step.
+    - `frequency` [rad/s]: of the returns, 0 before there are two.
+    - `phase` [rad]: phase of that frequency at the end of the step, from the observation's first return.
     """
 
     lane: Lane
@@ -27,11 +28,12 @@ class Moment(NamedTuple):
 
 
 class Return(NamedTuple):
-    """Lanes that stand at the section (`here`), and what gauges share of it; every leaf has shape (lanes,).
+    """A return of the lanes in the mask `here`; every leaf has shape (lanes,).
 
-    `number` counts returns in the observation, from 0 at the first; `interval` [s] is the time since the one before and
-    `amplitudes` [m] half the swings in it, in the order of the section's; `share` is the part of the observation that
-    is over; `sums` holds what the ledger summed since the return before.
+    - `number`: of returns in the observation, from 0 at the first.
+    - `interval` [s]: time since the return before; `amplitudes` [m]: half the section's swings in it.
+    - `share`: part of the observation that is over.
+    - `sums`: the ledger's sums since the return before.
     """
 
     here: Flags
@@ -53,22 +55,23 @@ class Whole(NamedTuple):
 
 
 K = TypeVar("K", bound=Scene[Any])
-"""The kind of scene that a gauge measures."""
+"""The type of scene that a gauge measures."""
 
 
 class Gauge(ABC, Generic[K]):
     """A group of quantities, accumulated while stepping; nothing is stored per step.
 
-    A gauge must provide `read`. `increments` returns what a step adds to the sums over whole returns; `close` replaces
-    the sums of a return at its end. `begin`, `step` and `section` update the gauge's carry: a pytree of arrays whose
-    last axis is lanes. All methods are pure functions. A gauge is a frozen dataclass, because it is a static argument
-    of programs. A scene lists gauges, or their names, in `measures`. `needs` lists the capabilities that the scene must
-    have. `variables` gives the units and long names of those features that go to the dataset and are not in
-    [vibrojax.io.variables][].
+    A gauge must define `read`. `increments` returns the increments of the sums over whole returns; `close` replaces the
+    sums of a return at its end. `begin`, `step` and `section` update the gauge's carry: a pytree of arrays whose last
+    axis is lanes. All methods are pure functions. A gauge is a frozen dataclass, because it is a static argument of
+    programs. A scene lists gauges, or their names, in `measures`.
+
+    - `summed`: names of the sums; `needs`: the capabilities that the scene must have.
+    - `variables`: units and long names of the dataset's variables that are not in [vibrojax.io.variables][].
 
     **Example:**
 
-    >>> class Returns(vj.Gauge):  # how many whole returns were observed; `step` and `section` would take in more
+    >>> class Returns(vj.Gauge):  # the number of whole returns; `step` and `section` would record more
     ...     variables = {"returns": ("1", "whole returns in the observation")}
     ...
     ...     def read(self, scene, c, carry, whole):
@@ -86,7 +89,7 @@ class Gauge(ABC, Generic[K]):
     needs: ClassVar[tuple[type[Scene[Any]], ...]] = ()
 
     def increments(self, scene: K, c: Any, moment: Moment) -> Sums:
-        """What a step adds to the ledger's sums, by the names in `summed`; `c`: the scene's constants."""
+        """Return a step's increments of the sums in `summed`, by name; `c`: the scene's constants."""
         return {}
 
     def close(self, sums: Sums, interval: Lanes) -> Sums:
@@ -94,17 +97,17 @@ class Gauge(ABC, Generic[K]):
         return {}
 
     def begin(self, scene: K, c: Any, lane: Lane) -> Any:
-        """What it carries at the start of the observation."""
+        """Return the carry at the start of the observation."""
         return ()
 
     def step(self, scene: K, c: Any, carry: Any, moment: Moment) -> Any:
-        """Take in a step; where its `dt` is 0 and nothing is hit, nothing changes."""
+        """Return the carry after a step; a step with `dt` 0 that hits nothing must not change it."""
         return carry
 
     def section(self, scene: K, c: Any, carry: Any, at: Return) -> Any:
-        """Take in a return to the section, where `at.here`."""
+        """Return the carry after a return to the section, for the lanes in `at.here`."""
         return carry
 
     @abstractmethod
     def read(self, scene: K, c: Any, carry: Any, whole: Whole) -> dict[str, Lanes]:
-        """The features, by name, each (lanes,)."""
+        """Return the features, by name, each (lanes,)."""

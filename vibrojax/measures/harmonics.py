@@ -1,4 +1,4 @@
-"""How far the striker's fundamental lags the bit's."""
+"""Gauge of the phase lag of the striker's fundamental behind the bit's."""
 
 from dataclasses import dataclass
 from math import factorial, pi
@@ -12,18 +12,17 @@ from vibrojax.models.arrays import Lanes, keep
 from vibrojax.models.scenes.scene import Scene
 from vibrojax.stepping.polynomial import value
 
-_NODE = 0.15**0.5
-"""Of the outer points, from the middle of the step, as a fraction of it."""
+GAUSS_NODE = 0.15**0.5
+"""Distance of the outer points of Gauss's rule from the middle of the step, as a fraction of it."""
 
 
 @dataclass(frozen=True)
 class Harmonics(Gauge[Scene[Any]]):
-    """phase_lag [rad] of the section's second position (x2) behind its first (x1) at the frequency of the returns, in
-    (-pi, pi].
+    """phase_lag [rad] in (-pi, pi], of the section's second position (x2) behind its first (x1).
 
-    Fourier integrals of x less its mean, by Gauss's rule of three points on the steps' polynomials. Steps before the
-    frequency is known are left out. Where returns alternate, this is the harmonic of the repeat that their mean period
-    belongs to.
+    The frequency is that of the returns. The Fourier integrals of x less its mean use Gauss's rule of three points on
+    the steps' polynomials, without the steps before the frequency is known. If returns alternate, the harmonic of the
+    repeat is that of the returns' mean period.
     """
 
     summed = ("known", "cos0", "sin0", "mean1", "cos1", "sin1", "mean2", "cos2", "sin2")
@@ -33,7 +32,7 @@ class Harmonics(Gauge[Scene[Any]]):
         dt = jnp.where(moment.frequency > 0, step.dt, 0)
         turned = moment.frequency * step.dt
         cos, sin = keep(cos_sin(moment.phase - turned / 2))
-        cos_off, sin_off = keep(cos_sin(turned * _NODE))
+        cos_off, sin_off = keep(cos_sin(turned * GAUSS_NODE))
         outer, inner = dt * (5 / 18), dt * (4 / 9)
         waves = keep(
             [
@@ -47,7 +46,7 @@ class Harmonics(Gauge[Scene[Any]]):
         assert scene.section is not None
         for name, swing in zip(("1", "2"), scene.section.swings, strict=False):
             x = step.polynomials[scene.place(swing.position)]
-            values = keep([value(x, step.tau * (0.5 + node)) for node in (-_NODE, 0.0, _NODE)])
+            values = keep([value(x, step.tau * (0.5 + node)) for node in (-GAUSS_NODE, 0.0, GAUSS_NODE)])
             for kind, weight in zip(("mean", "cos", "sin"), zip(*waves, strict=True), strict=True):
                 sums[kind + name] = sum(k * y for k, y in zip(weight, values, strict=True))
         return sums
@@ -59,7 +58,7 @@ class Harmonics(Gauge[Scene[Any]]):
             return sums[kind + name] - sums["mean" + name] / sums["known"] * sums[kind + "0"]
 
         cos1, sin1, cos2, sin2 = (integral(kind, name) for name in "12" for kind in ("cos", "sin"))
-        # arg(X2* X1) of X = cos - i sin: how far the striker is behind.
+        # arg(X2* X1) of X = cos - i sin: the striker's lag.
         across = sin2 * cos1 - cos2 * sin1
         along = cos2 * cos1 + sin2 * sin1
         lag = jnp.arctan2(across, along)
@@ -68,16 +67,16 @@ class Harmonics(Gauge[Scene[Any]]):
 
 _COS = [(-1.0) ** k / factorial(2 * k) for k in range(9)]
 _SIN = [(-1.0) ** k / factorial(2 * k + 1) for k in range(9)]
-# pi/2 in two parts, of which the first has few enough digits to be multiplied by any number of quarters met here.
+# pi/2 in two parts; the first has so few digits that its product with any number of quarters here is exact.
 _QUARTER = 1.5707963109016418
 _REST = 1.5893254773528196e-08
 
 
 def cos_sin(angle: Lanes) -> tuple[jax.Array, jax.Array]:
-    """(cos, sin) of `angle` [rad], any shape, to a few roundings of the angle.
+    """Return (cos, sin) of `angle` [rad], any shape, to a few roundings of the angle.
 
-    A library's are called lane by lane on a CPU; these are Taylor polynomials within an eighth of a turn, turned by
-    whole quarters.
+    On a CPU, library functions are called lane by lane. These are Taylor polynomials within an eighth of a turn,
+    rotated by whole quarters.
     """
     quarters = jnp.round(angle * (2 / pi))
     rest = (angle - quarters * _QUARTER) - quarters * _REST
@@ -85,5 +84,5 @@ def cos_sin(angle: Lanes) -> tuple[jax.Array, jax.Array]:
     cos, sin = value(_COS, square), rest * value(_SIN, square)
     odd = quarters - 2 * jnp.floor(quarters / 2) > 0.5
     cos, sin = jnp.where(odd, sin, cos), jnp.where(odd, cos, sin)
-    which = quarters - 4 * jnp.floor(quarters / 4)
-    return jnp.where((which > 0.5) & (which < 2.5), -cos, cos), jnp.where(which > 1.5, -sin, sin)
+    quarter = quarters - 4 * jnp.floor(quarters / 4)
+    return jnp.where((quarter > 0.5) & (quarter < 2.5), -cos, cos), jnp.where(quarter > 1.5, -sin, sin)

@@ -1,4 +1,4 @@
-"""Impacts of the striker on the bit, and the force between them."""
+"""Gauge of the striker's impacts on the bit, and of the force between them."""
 
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -6,45 +6,51 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 
 from vibrojax.measures.gauge import Gauge, Moment, Return, Sums, Whole
-from vibrojax.models.arrays import Lanes, keep
+from vibrojax.models.arrays import Flags, Lanes, keep
 from vibrojax.models.scenes.capabilities import HasContact, HasFriction
 from vibrojax.stepping import Lane, Step
 from vibrojax.stepping.polynomial import highest, integral
 from vibrojax.stepping.series import known
 
+Pair = tuple[Lanes, Lanes]
+"""The slowest and the fastest impact velocity [m/s]."""
+
 
 class Extremes(NamedTuple):
-    """Impact velocities [m/s], the slowest and the fastest `since` the last return and in `whole` returns, each a pair;
-    and the greatest force [N]."""
+    """Impact velocities `since` the last return and in `whole` returns, and the greatest force [N]."""
 
-    since: tuple[Lanes, Lanes]
-    whole: tuple[Lanes, Lanes]
+    since: Pair
+    whole: Pair
     peak: Lanes
 
 
 @dataclass(frozen=True)
 class Impacts(Gauge[HasContact[Any]]):
-    """impacts, impact_velocity(_min, _max), impact_phase, impact_energy, impact forces; and of a bit that slides
-    bit_velocity_at_impact."""
+    """impacts, impact_velocity(_min, _max), impact_phase, impact_energy, impact forces.
+
+    For a bit that slides also bit_velocity_at_impact.
+    """
 
     summed = ("impacts", "velocity", "velocity_squared", "bit_velocity", "lag", "force")
     needs = (HasContact,)
 
     def increments(self, scene: HasContact[Any], c: Any, moment: Moment) -> Sums:
         step = moment.step
-        begins = keep(scene.impact_begins(c, step.mode, step.after, step.hits))
-        velocity = scene.impact_rate(c, step.mode, step.after)
+        begins, velocity = _begins(scene, c, step)
+        sliding = jnp.zeros_like(step.after[0])
+        if isinstance(scene, HasFriction):  # u = x1' + v [m/s]
+            sliding = step.after[scene.place(scene.bit_velocity)] + scene.bit(c).drive_speed
         return {
             "impacts": begins.astype(step.dt.dtype),
             "velocity": jnp.where(begins, velocity, 0),
             "velocity_squared": jnp.where(begins, velocity * velocity, 0),
-            "bit_velocity": jnp.where(begins, _sliding_velocity(scene, c, step.after), 0),
+            "bit_velocity": jnp.where(begins, sliding, 0),
             "lag": jnp.where(begins, moment.since, 0),
             "force": step.h * integral(_force(scene, c, step), step.tau),
         }
 
     def close(self, sums: Sums, interval: Lanes) -> Sums:
-        """Return the lags as shares of the return in which their impacts fall."""
+        """Return the lags as fractions of the return in which their impacts fall."""
         return {"lag": sums["lag"] / interval}
 
     def begin(self, scene: HasContact[Any], c: Any, lane: Lane) -> Extremes:
@@ -54,23 +60,13 @@ class Impacts(Gauge[HasContact[Any]]):
 
     def step(self, scene: HasContact[Any], c: Any, carry: Extremes, moment: Moment) -> Extremes:
         step = moment.step
-        begins = keep(scene.impact_begins(c, step.mode, step.after, step.hits))
-        velocity = scene.impact_rate(c, step.mode, step.after)
-        slowest, fastest = carry.since
-        since = (
-            jnp.where(begins, jnp.minimum(slowest, velocity), slowest),
-            jnp.where(begins, jnp.maximum(fastest, velocity), fastest),
-        )
-        peak = jnp.maximum(carry.peak, highest(_force(scene, c, step), step.tau))
-        return Extremes(since, carry.whole, peak)
+        begins, velocity = _begins(scene, c, step)
+        since = _updated(carry.since, begins, velocity, velocity)
+        return Extremes(since, carry.whole, jnp.maximum(carry.peak, highest(_force(scene, c, step), step.tau)))
 
     def section(self, scene: HasContact[Any], c: Any, carry: Extremes, at: Return) -> Extremes:
         slowest, fastest = carry.since
-        counts = at.here & (at.number > 0)
-        whole = (
-            jnp.where(counts, jnp.minimum(carry.whole[0], slowest), carry.whole[0]),
-            jnp.where(counts, jnp.maximum(carry.whole[1], fastest), carry.whole[1]),
-        )
+        whole = _updated(carry.whole, at.here & (at.number > 0), slowest, fastest)
         since = (jnp.where(at.here, jnp.inf, slowest), jnp.where(at.here, -jnp.inf, fastest))
         return Extremes(since, whole, carry.peak)
 
@@ -91,14 +87,18 @@ class Impacts(Gauge[HasContact[Any]]):
         }
 
 
-def _sliding_velocity(scene: HasContact[Any], c: Any, state: tuple[Lanes, ...]) -> Lanes:
-    """u = x1' + v [m/s]; 0 where nothing slides."""
-    if not isinstance(scene, HasFriction):
-        return jnp.zeros_like(state[0])
-    return state[scene.place(scene.bit_velocity)] + scene.bit(c).drive_speed
+def _begins(scene: HasContact[Any], c: Any, step: Step) -> tuple[Flags, Lanes]:
+    """Return a mask of the impacts that begin at the end of the step, and their velocity [m/s]."""
+    begins = keep(scene.impact_begins(c, step.mode, step.after, step.hits))
+    return begins, scene.impact_rate(c, step.mode, step.after)
+
+
+def _updated(extremes: Pair, where: Flags, slowest: Lanes, fastest: Lanes) -> Pair:
+    low, high = extremes
+    return jnp.where(where, jnp.minimum(low, slowest), low), jnp.where(where, jnp.maximum(high, fastest), high)
 
 
 def _force(scene: HasContact[Any], c: Any, step: Step) -> list[Lanes]:
-    """Coefficients in tau of the contact force J [N] over the step."""
-    force = scene.contact_force(c, step.mode, tuple(known(one) for one in step.polynomials))
+    """Return the coefficients in tau of the contact force J [N] over the step."""
+    force = scene.contact_force(c, step.mode, tuple(known(polynomial) for polynomial in step.polynomials))
     return keep([force[k] for k in range(len(step.polynomials[0]))])

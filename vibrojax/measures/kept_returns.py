@@ -1,4 +1,4 @@
-"""The last returns to the section, kept one by one: for bifurcation diagrams, and to tell where a lane is going."""
+"""Gauge of the last returns to the section, kept individually: for bifurcation diagrams and for the drift of a lane."""
 
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -17,15 +17,18 @@ IMPACTS = ("return_impacts", "return_impact_velocity")
 
 
 class Ring(NamedTuple):
-    """The last returns: an array (keep, features, lanes) in whose rows they stand in turn."""
+    """The last returns: an array (keep, features, lanes) whose rows are overwritten in turn."""
 
     rows: Array
 
 
 @dataclass(frozen=True)
 class KeptReturns(Gauge[Scene[Any]]):
-    """The last `keep` returns of the observation: time, time since the one before, the return map's states, and the
-    impacts since the one before with their mean velocity."""
+    """The last `keep` returns of the observation, with time, interval, states and impacts.
+
+    The interval is the time since the return before. The states are the return map's. Impacts since the return before
+    have their mean velocity.
+    """
 
     keep: int
 
@@ -34,7 +37,8 @@ class KeptReturns(Gauge[Scene[Any]]):
         return Ring(jnp.full(shape, jnp.nan, lane.state[0].dtype))
 
     def section(self, scene: Scene[Any], c: Any, carry: Ring, at: Return) -> Ring:
-        new = [at.lane.clock.high, at.interval, *(at.lane.state[place] for place in _states(scene).values())]
+        states = [at.lane.state[scene.place(name)] for name in scene.return_states]
+        new = [at.lane.clock.high, at.interval, *states]
         if isinstance(scene, HasContact):
             whole = at.number > 0
             new.append(jnp.where(whole, at.sums["impacts"], jnp.nan))
@@ -44,23 +48,18 @@ class KeptReturns(Gauge[Scene[Any]]):
         return Ring(put(jnp.asarray(carry.rows), row, jnp.stack(new)))
 
     def read(self, scene: Scene[Any], c: Any, carry: Ring, whole: Whole) -> dict[str, Array]:
-        # Oldest first: where the ring is full, it starts at the row after the newest.
+        # Oldest first: a full ring starts at the row after the newest.
         time = carry.rows[:, 0]
         order = jnp.argsort(jnp.where(jnp.isnan(time), -jnp.inf, time), axis=0)
-        return {
-            name: jnp.take_along_axis(carry.rows[:, index], order, axis=0) for index, name in enumerate(_names(scene))
-        }
+        columns = enumerate(_names(scene))
+        return {name: jnp.take_along_axis(carry.rows[:, index], order, axis=0) for index, name in columns}
 
 
 def state_name(name: str) -> str:
-    """What a state at the returns is called among the features."""
+    """Return the feature's name of a state at the returns."""
     return f"return_{name}"
 
 
-def _states(scene: Scene[Any]) -> dict[str, int]:
-    """Places of the return map's states, by the features' names."""
-    return {state_name(name): scene.place(name) for name in scene.return_states}
-
-
 def _names(scene: Scene[Any]) -> tuple[str, ...]:
-    return (TIME, INTERVAL, *_states(scene), *(IMPACTS if isinstance(scene, HasContact) else ()))
+    impacts = IMPACTS if isinstance(scene, HasContact) else ()
+    return (TIME, INTERVAL, *(state_name(name) for name in scene.return_states), *impacts)

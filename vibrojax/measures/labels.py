@@ -1,4 +1,4 @@
-"""From features to regimes: one flag per lane, by rules of which the first that holds decides."""
+"""Classification of lanes into regimes by their features: the first rule that holds decides."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -21,22 +21,22 @@ REGIMES = (
 """Meaning of each flag, by its number."""
 
 LABELLED_BY = ("finite", "finished", "bit_amplitude", "returns", "trend", "cycles", "impacts")
-"""The features that decide a label."""
+"""Features that decide a label."""
 
 EQUILIBRIUM_SWING = 1e-3
-"""A bit whose half swing is below this part of mu(0+) m1 g/k1, its static deflection, is at rest [1]."""
+"""Half swing of a bit at rest, as a part of its static deflection mu(0+) m1 g/k1 [1]."""
 
 LEAST_FRICTION = 0.01
-"""mu(0+) that the equilibrium's swing is measured by at least, for drills without friction [1]."""
+"""Least mu(0+) in that deflection, for drills without friction [1]."""
 
 SAME_WITHIN = 0.01
-"""Two motions whose period, impact velocity and amplitudes differ by no more than this part are one [1]."""
+"""Greatest relative difference of period, impact velocity and amplitudes of one and the same motion [1]."""
 
 COMPARED = ("period", "impact_velocity", "bit_amplitude", "striker_amplitude")
-"""The features by which motions under one label are compared, where there are any."""
+"""Features by which motions under one label are compared, if they have them."""
 
 FEWEST_RETURNS = 9
-"""Fewest returns to the section that show a repeat."""
+"""Least number of returns to the section that show a repeat."""
 
 PerStart = Float[np.ndarray, "points starts"]
 
@@ -48,18 +48,20 @@ def label(
     g: Float[np.ndarray, "..."],
     k1: Float[np.ndarray, "..."],
 ) -> Int8[np.ndarray, "..."]:
-    """The regime of each lane. The first of these rules that holds decides; where none does, it is irregular:
+    """Return the regime of each lane.
+
+    The first of these rules that holds decides; a lane under none of them is irregular:
 
     1. failed: not finite, or not stepped to its end;
-    2. equilibrium: the bit's half swing is next to none;
+    2. equilibrium: the bit's half swing is zero within `EQUILIBRIUM_SWING`;
     3. undecided: too few returns, or swings that steadily grow or decay;
     4. impact-free, single-impact, multi-impact: it repeats after one return, with none, one or more impacts;
     5. subharmonic: it repeats after several returns.
 
     **Arguments:**
 
-    - `features`: from [vibrojax.measures][], those of `LABELLED_BY`; arrays of one shape. `impacts` may be absent (no
-      contact), and `bit_amplitude` (no bit, and no equilibrium).
+    - `features`: the features in `LABELLED_BY`; arrays of one shape. Without a contact `impacts` may be absent, and
+      without a bit `bit_amplitude`; there is then no equilibrium.
     - `rest_coefficient`: mu(0+) [1]; `m1` [kg], `g` [m/s²], `k1` [N/m]: arrays that broadcast to that shape.
 
     **Returns:** flags, see `REGIMES`.
@@ -83,14 +85,11 @@ def label(
 def hides_another(
     features: Mapping[str, Shaped[np.ndarray, " lanes"]], regime: Int8[np.ndarray, " lanes"], starts: int
 ) -> Int8[np.ndarray, " lanes"]:
-    """Lanes of whose point another start ends in another motion under the same label: 1, else 0.
+    """Return 1 for each lane if another start at its point ends in another motion under the same label, else 0.
 
-    Lanes that repeat are compared, beyond what their `error_estimate` leaves open.
+    Only lanes that repeat are compared, and differences within their `error_estimate` do not count.
 
-    **Arguments:**
-
-    - `features`: by name; the lanes of a point, `starts` of them, stand one after the other.
-    - `regime`: the labels.
+    **Arguments:** `features` by name, with the `starts` lanes of a point in a row; `regime`: the labels.
     """
     label, repeats = regime.reshape(-1, starts), features["cycles"].reshape(-1, starts) > 0
     error = np.asarray(features["error_estimate"], float).reshape(-1, starts)
@@ -103,28 +102,27 @@ def hides_another(
 
 
 def _away(x: PerStart, error: PerStart, among: Bool[np.ndarray, "points starts"]) -> Bool[np.ndarray, "points starts"]:
-    """Lanes `among` those of a point another of which differs in `x` by more than the two errors leave open.
+    """Return a mask of the lanes `among` a point's lanes of which another differs in `x` by more than both errors.
 
-    The lanes of the point's least and greatest value show nearly all of them. Of the others only those are compared
-    with all lanes for which the farthest is far enough, were its error nothing: the time goes with the lanes.
+    A comparison with the lanes of the point's least and greatest value decides nearly all. Of the others, only lanes
+    that are far enough from these, if their errors were zero, are compared with all: the time is linear in the lanes.
     """
     least, greatest = (np.where(among, x, end) for end in (np.inf, -np.inf))
-    found = np.zeros(x.shape, bool)
-    for farthest in (least.argmin(axis=1), greatest.argmax(axis=1)):
-        one = farthest[:, None]
-        there = np.take_along_axis(among, one, 1)
-        found |= among & there & _differ(x, error, np.take_along_axis(x, one, 1), np.take_along_axis(error, one, 1))
+    differing = np.zeros(x.shape, bool)
+    for farthest in (least.argmin(axis=1, keepdims=True), greatest.argmax(axis=1, keepdims=True)):
+        valid, value, its_error = (np.take_along_axis(of, farthest, 1) for of in (among, x, error))
+        differing |= among & valid & _differ(x, error, value, its_error)
     with np.errstate(invalid="ignore"):  # points without such lanes
         reach = np.maximum(x - least.min(axis=1)[:, None], greatest.max(axis=1)[:, None] - x)
-        open_ = among & ~found & (reach > (SAME_WITHIN + error) * np.abs(x))
-    for point, start in zip(*np.nonzero(open_), strict=True):
+        undecided = among & ~differing & (reach > (SAME_WITHIN + error) * np.abs(x))
+    for point, start in zip(*np.nonzero(undecided), strict=True):
         with_all = _differ(x[point, start], error[point, start], x[point], error[point])
-        found[point, start] = np.any(with_all & among[point])
-    return found
+        differing[point, start] = np.any(with_all & among[point])
+    return differing
 
 
 def _differ(x: Any, error: Any, other: Any, other_error: Any) -> Any:
-    """Whether two values differ by more than the part of the greater that errors leave open."""
+    """Return a mask of the values that differ by more than the tolerance and the errors, relative to the greater."""
     within = SAME_WITHIN + error + other_error
     with np.errstate(invalid="ignore"):  # motions without impact
         return np.abs(x - other) > within * np.maximum(np.abs(x), np.abs(other))

@@ -10,13 +10,13 @@ from vibrojax.measures.gauge import Sums
 from vibrojax.models.arrays import Array, Flags, Lanes, keep
 
 MOST_CYCLES = 8
-"""Repeats are looked for up to this many returns."""
+"""Greatest number of returns of a repeat."""
 
 
 class Ledger(NamedTuple):
-    """What has been summed.
+    """The sums of an observation.
 
-    - `sums`: by name, since the first return; `lost`: what rounding lost of them, in float32 only.
+    - `sums`: by name, since the first return; `lost`: their rounding errors, in float32 only.
     - `rows`: all sums at the last `MOST_CYCLES` returns, newest first, (8, names, lanes).
     """
 
@@ -26,7 +26,7 @@ class Ledger(NamedTuple):
 
 
 def begin(names: Iterable[str], like: Lanes) -> Ledger:
-    """An empty ledger of the sums called `names`, lanes shaped as `like`."""
+    """Return an empty ledger of the sums `names`, with lanes shaped like `like`."""
     names = list(names)
     sums: Sums = {name: jnp.zeros_like(like) for name in names}
     lost: Sums = {name: jnp.zeros_like(like) for name in names if like.dtype == jnp.float32}
@@ -34,13 +34,13 @@ def begin(names: Iterable[str], like: Lanes) -> Ledger:
 
 
 def add(ledger: Ledger, increments: Sums) -> Ledger:
-    """The ledger with a step's increments added.
+    """Return the ledger with a step's increments added.
 
-    In float32 what rounding lost of them is kept for the next (Kahan 1965); float64 has digits enough for 1e8 steps.
+    In float32 their rounding errors are added at the next step (Kahan 1965); float64 has digits enough for 1e8 steps.
     """
     if not ledger.lost:
         return ledger._replace(sums={name: total + increments[name] for name, total in ledger.sums.items()})
-    # Barriers: worked out again in another fusion, a sum may be rounded otherwise, and what it lost would be wrong.
+    # Barriers: recomputed in another fusion, a sum may round differently from the one whose error is kept.
     more = keep({name: increments[name] + lost for name, lost in ledger.lost.items()})
     sums = keep({name: total + more[name] for name, total in ledger.sums.items()})
     lost = {name: more[name] - (sums[name] - total) for name, total in ledger.sums.items()}
@@ -54,7 +54,7 @@ def section(
 
     Sums start at the first return (`number` 0). The last `MOST_CYCLES` returns keep theirs, newest first, because the
     end of the observation decides how many returns make a repeat. `close` maps the sums of the return that ends to
-    those that replace them.
+    their replacements.
     """
     first = here & (number == 0)
     sums, lost = (_without(ledger.sums, first), _without(ledger.lost, first))
@@ -69,12 +69,12 @@ def section(
 
 
 def _without(sums: Sums, here: Flags) -> Sums:
-    """The sums, zero where `here`."""
+    """Return the sums, zero where `here`."""
     return {name: jnp.where(here, 0, total) for name, total in sums.items()}
 
 
 def whole(ledger: Ledger, returns: Lanes, cycles: Lanes) -> tuple[Sums, jax.Array]:
-    """Sums over the most returns that make whole repeats of `cycles` (0: all returns), and their number."""
+    """Return the sums over the most returns that make whole repeats of `cycles` (0: all), and their number."""
     intervals = jnp.maximum(returns - 1, 0)
     rest = jnp.where(cycles > 0, intervals % jnp.maximum(cycles, 1), 0)
     picked = ledger.rows[0]

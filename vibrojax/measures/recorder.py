@@ -1,4 +1,4 @@
-"""Runs the gauges of a scene alongside its steps, and reads the features at the end."""
+"""Recorders: they run a scene's gauges alongside its steps and return the features at the end."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
@@ -17,56 +17,55 @@ from vibrojax.models.scenes.scene import Scene
 from vibrojax.stepping import Lane, Step
 
 Features = dict[str, Any]
-"""By name: arrays (lanes,), or (rows, lanes) for returns that are kept."""
+"""Features by name: arrays (lanes,), or (rows, lanes) for returns that are kept."""
 
 
 class Records(ABC):
-    """What records the motion of lanes: while they settle, as little as must be known then; then what is observed.
+    """A recorder of lanes: of a few quantities while they settle (by default none), then of the observed features.
 
-    What is carried is a pytree of arrays whose last axis is lanes, of the recorder's own kind. Its objects are static
-    arguments of programs, so it is a frozen dataclass.
+    Its carry is a pytree of arrays whose last axis is lanes. Its objects are static arguments of programs, so it is a
+    frozen dataclass.
     """
 
-    @abstractmethod
     def settling(self, scene: Scene[Any], lane: Lane) -> Any:
-        """What is carried at t = 0."""
+        """Return the carry at t = 0."""
+        return ()
 
-    @abstractmethod
     def settle(self, scene: Scene[Any], c: Any, carry: Any, lane: Lane, step: Step) -> Any:
-        """Take in a step before the observation."""
+        """Update the carry with a step before the observation."""
+        return carry
 
-    @abstractmethod
     def settle_returns(self, carry: Any) -> Any:
-        """Take in the returns that have been passed, every few steps."""
+        """Update the carry, every few steps, with the returns passed while settling."""
+        return carry
 
-    @abstractmethod
     def settled(self, begun: Any, observed: Any) -> Any:
-        """What is carried before an observation, where all the way to it was `observed` too: as it was `begun`, with
-        what has been seen of returns meanwhile."""
+        """Return the carry before an observation that follows another: `begun` with the returns seen in `observed`."""
+        return begun
 
     @abstractmethod
     def begin(self, scene: Scene[Any], c: Any, lane: Lane, settled: Any) -> Any:
-        """What is carried at the start of the observation; `settled` is what was carried before."""
+        """Return the carry at the start of the observation, from that while settling."""
 
     @abstractmethod
     def step(self, scene: Scene[Any], c: Any, carry: Any, lane: Lane, step: Step) -> Any:
-        """Take in a step of the observation."""
+        """Update the carry with a step of the observation."""
 
     @abstractmethod
     def waiting(self, carry: Any) -> Flags:
-        """Lanes that wait for their return to be taken in."""
+        """Return a mask of the lanes whose return must be recorded before they continue."""
 
     @abstractmethod
     def take_returns(self, scene: Scene[Any], c: Any, carry: Any, lane: Lane, share: Lanes) -> Any:
-        """Take in the returns of the lanes that wait; `share` of the observation is over."""
+        """Update the carry with the returns of the waiting lanes; `share` of the observation is over."""
 
     @abstractmethod
     def read(self, scene: Scene[Any], c: Any, carry: Any) -> Features:
-        """The features of every lane, by name."""
+        """Return the features of every lane, by name."""
 
 
 class Observed(NamedTuple):
-    """What is carried under observation: the returns, the sums over them, and what each gauge carries."""
+    """The recorder's carry under observation: the returns, the sums over them, and each gauge's carry."""
 
     returns: Returns
     ledger: Ledger
@@ -112,8 +111,7 @@ class Recorder(Records):
 
     def take_returns(self, scene: Scene[Any], c: Any, carry: Observed, lane: Lane, share: Lanes) -> Observed:
         returns = carry.returns
-        here, number = returns.waiting, returns.number
-        interval = returns.seen.since
+        here, number, interval = returns.waiting, returns.number, returns.seen.since
 
         def close(sums: Sums) -> Sums:
             replaced: Sums = {}
@@ -128,25 +126,22 @@ class Recorder(Records):
         return Observed(section.take_in(self.section, scene, returns, lane), totals, gauges)
 
     def read(self, scene: Scene[Any], c: Any, carry: Observed) -> Features:
-        """Those of the gauges, and returns, cycles, period, settling_time."""
+        """Return the gauges' features, and returns, cycles, period, settling_time."""
+
+        def features(whole: Whole) -> Features:
+            gauges = zip(self.gauges, carry.gauges, strict=True)
+            return {name: x for gauge, own in gauges for name, x in gauge.read(scene, c, own, whole).items()}
+
         returns = carry.returns
         everything, intervals = ledger.whole(carry.ledger, returns.number, jnp.zeros_like(returns.number))
-        unknown = Whole(intervals, everything["time"], everything, jnp.zeros_like(intervals))
-        first = self._features(scene, c, carry, unknown)
+        first = features(Whole(intervals, everything["time"], everything, jnp.zeros_like(intervals)))
         period = everything["time"] / intervals
         amplitudes = tuple(first[swing.amplitude] for swing in self.section.swings)
         cycles = repeats.cycles(returns, amplitudes, period)
         sums, whole_returns = ledger.whole(carry.ledger, returns.number, cycles)
-        features = self._features(scene, c, carry, Whole(whole_returns, sums["time"], sums, cycles))
-        return features | {
+        return features(Whole(whole_returns, sums["time"], sums, cycles)) | {
             "returns": returns.number,
             "cycles": cycles,
             "period": sums["time"] / whole_returns,
             "settling_time": repeats.settling_time(returns, cycles),
         }
-
-    def _features(self, scene: Scene[Any], c: Any, carry: Observed, whole: Whole) -> Features:
-        features: Features = {}
-        for gauge, own in zip(self.gauges, carry.gauges, strict=True):
-            features |= gauge.read(scene, c, own, whole)
-        return features

@@ -1,4 +1,4 @@
-"""What is kept of returns to the section, and what repeats among them: after how many, and since when."""
+"""Repeats among the returns to the section: after how many returns a motion repeats, and since when."""
 
 from typing import NamedTuple
 
@@ -9,20 +9,23 @@ from vibrojax.measures.ledger import MOST_CYCLES
 from vibrojax.models.arrays import Array, Flags, Lanes, keep
 
 REPEATS_WITHIN = 1e-3
+"""Greatest difference between returns that repeat, relative to their scales."""
+
 SETTLED_WITHIN = 0.01
+"""The same while lanes settle, for the settling time."""
 
 Range = tuple[Lanes, Lanes]
 """The least and the greatest value."""
 
 
 class Seen(NamedTuple):
-    """What has been seen of returns, the newest first where there are several.
+    """The last returns, the newest first.
 
-    - `armed`: whether the next zero counts; `since` [s]: the time since the last return.
+    - `armed`: mask of the lanes whose next zero counts; `since` [s]: the time since the last return.
     - `ranges`: of each swing's position since then.
-    - `states` (8, states, lanes) and `times` (8, lanes) [s] of the last returns, NaN where there was none: first the
-      states that are compared, then what else the return map has.
-    - `settled` (8, lanes) [s]: for each length of a repeat the time of the last return that differs from its repeat.
+    - `states` (8, states, lanes) and `times` (8, lanes) [s] of the last returns, NaN without one. The states that are
+      compared come first, then the return map's other states.
+    - `settled` (8, lanes) [s]: for each length of a repeat, the time of the last return that differs from its repeat.
     - `frequency` [rad/s]: of the returns; 0 before there are two.
     """
 
@@ -36,10 +39,10 @@ class Seen(NamedTuple):
 
 
 class Returns(NamedTuple):
-    """What is carried under observation: returns are counted, and landed on.
+    """The carry under observation, in which returns are counted and landed on.
 
-    - `waiting`: lanes that stand at the section; `number`: of returns so far.
-    - `phase` [rad]: what has passed of the returns' frequency since the first.
+    - `waiting`: mask of the lanes at the section; `number`: of returns so far.
+    - `phase` [rad]: of the returns' frequency, since the first return.
     - `worst` (8, states, lanes): the greatest differences between returns, for each length of a repeat.
     """
 
@@ -51,22 +54,22 @@ class Returns(NamedTuple):
 
 
 def scales(amplitudes: tuple[Lanes, ...], period: Lanes) -> list[Lanes]:
-    """What the compared states are measured against: half the swings, and of velocities those by 2 pi over `period`."""
+    """Return the scales of the compared states: half the swings, and for velocities those times 2 pi/`period`."""
     first, *others = amplitudes
-    return [first, *(one for half in others for one in (half, half * 2 * jnp.pi / period))]
+    return [first, *(scale for half in others for scale in (half, half * 2 * jnp.pi / period))]
 
 
 def returned(
     seen: Seen, here: Flags, state: Array, time: Lanes, since: Lanes, amplitudes: tuple[Lanes, ...]
 ) -> tuple[Seen, Array]:
-    """The returns that are kept after one in `state` at `time`, where `here`; and how it differs from those before.
+    """Return the last returns after one more in `state` at `time`, where `here`, and its differences from those before.
 
     `amplitudes` are half the swings in the time `since` the return before.
     """
     scale = keep(jnp.stack(scales(amplitudes, since)))
     compared = len(scale)
     differs = keep(jnp.abs(state[None, :compared] - seen.states[:, :compared]))
-    # A return that has not been yet is NaN, which compares false.
+    # A missing return is NaN, which compares false.
     unsettled = here[None] & jnp.any(differs > SETTLED_WITHIN * scale[None], axis=1)
     repeats = jnp.all(differs <= SETTLED_WITHIN * scale[None], axis=1)
     times = keep(jnp.concatenate([time[None], seen.times[:-1]]))
@@ -82,8 +85,10 @@ def returned(
 
 
 def _rate(times: Array, repeats: Array, now: Lanes) -> Lanes:
-    """Returns per second, over the fewest returns after which the state repeats, else over all that are kept; 0 before
-    there are two."""
+    """Return the returns per second, 0 before there are two.
+
+    They are counted over the shortest repeat, else over all kept returns.
+    """
     rate = jnp.zeros_like(now)
     for p in range(1, MOST_CYCLES + 1):
         rate = jnp.where(jnp.isfinite(times[p - 1]), p / (now - times[p - 1]), rate)
@@ -93,9 +98,9 @@ def _rate(times: Array, repeats: Array, now: Lanes) -> Lanes:
 
 
 def cycles(carry: Returns, amplitudes: tuple[Lanes, ...], period: Lanes) -> jax.Array:
-    """Returns after which the motion repeats, 1 to 8; 0 where it does not, or where there are fewer than 3 p + 1.
+    """Return the number of returns p after which the motion repeats, 1 to 8; 0 if none fits or under 3 p + 1 returns.
 
-    `amplitudes` and `period` are those of the whole observation.
+    `amplitudes` and `period` describe the whole observation.
     """
     scale = jnp.stack(scales(amplitudes, period))
     repeating = jnp.zeros_like(carry.number)
@@ -106,7 +111,7 @@ def cycles(carry: Returns, amplitudes: tuple[Lanes, ...], period: Lanes) -> jax.
 
 
 def settling_time(carry: Returns, cycles: Lanes) -> jax.Array:
-    """Time [s] of the last return that differs from that `cycles` returns later by over 0.01; NaN where cycles is 0."""
+    """Return the time [s] of the last return that differs by over 0.01 from that `cycles` later; NaN if that is 0."""
     time = jnp.full_like(cycles, jnp.nan)
     for p in range(1, MOST_CYCLES + 1):
         time = jnp.where(cycles == p, carry.seen.settled[p - 1], time)

@@ -1,4 +1,4 @@
-"""The programs of one block of lanes: settle, as often as is asked, then observe and read."""
+"""The programs of one block of lanes: settle, any number of times, then observe and read."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -13,21 +13,21 @@ from vibrojax.models.scenes.scene import Scene
 from vibrojax.stepping import Accuracy, Goal, Lane, Step, Stepper, lane_at
 
 STEPS_PER_TURN = 4
-"""Steps between two looks at the section: a lane that reaches it waits there, on average half of them."""
+"""Steps between two checks of the section; a lane that reaches it waits there, on average half of them."""
 
 STEPS_PER_PASS = 3
-"""The same while it settles, where a lane goes on past the section: fewer than a period has at the longest strides."""
+"""The same while settling, where a lane passes the section: fewer than a period has at the longest strides."""
 
 
 class Effort(NamedTuple):
-    """What the steps follow from, and after how many of them a lane is given up."""
+    """The settings of the steps, and the number of steps after which a lane is abandoned."""
 
     accuracy: Accuracy
     most_steps: Any
 
 
 class Underway(NamedTuple):
-    """Lanes between two programs: the lane, what its recorder carries, and the steps taken since t = 0."""
+    """Lanes between two programs: the lane, its recorder's carry, and the steps taken since t = 0."""
 
     lane: Lane
     carry: Any
@@ -35,9 +35,10 @@ class Underway(NamedTuple):
 
 
 class Phase(NamedTuple):
-    """What is done with the steps of one part of the way; `marked`: whether they end on markers.
+    """The use of the steps in one part of the run.
 
-    - `step`: takes in each; `turn`: what was met, every few (`steps`); `moves`: lanes that do not wait for that.
+    - `step` updates the recorder's carry with each step; `turn` does so with returns, every few `steps`.
+    - `moves`: mask of the lanes that do not wait for that; `marked`: True if steps end on markers.
     """
 
     step: Callable[[Any, Lane, Step], Any]
@@ -48,7 +49,7 @@ class Phase(NamedTuple):
 
 
 def start_block(scene: Scene[Any], recorder: Records, c: Any, state: Values) -> tuple[Lane, Any]:
-    """(lane, what its recorder carries) at t = 0, from `state`, each (lanes,); `c`: the scene's constants."""
+    """Return the lane at t = 0 and its recorder's carry, for a `state` (lanes,) and the scene's constants `c`."""
     lane = lane_at(scene, scene.scaled(c, state), state)
     return lane, recorder.settling(scene, lane)
 
@@ -56,16 +57,16 @@ def start_block(scene: Scene[Any], recorder: Records, c: Any, state: Values) -> 
 def settle_block(
     scene: Scene[Any], stepper: Stepper, recorder: Records, c: Any, begun: Underway, until: Lanes, effort: Effort
 ) -> Underway:
-    """The lanes at the times `until` [s], each (lanes,); `c`: the scene's constants, scaled for the lane's start."""
+    """Return the lanes at the times `until` [s] (lanes,); `c`: the scene's constants, scaled for the lane's start."""
 
-    def take_in(carry: Any, lane: Lane, step: Step) -> Any:
-        return recorder.settle(scene, c, carry, lane, step)
-
-    def turn(carry: Any, lane: Lane) -> Any:
-        return recorder.settle_returns(carry)
-
-    phase = Phase(take_in, turn, lambda carry: True, STEPS_PER_PASS, marked=False)
-    return _through(scene, stepper, c, begun, until, effort, phase)
+    phase = Phase(
+        step=lambda carry, lane, step: recorder.settle(scene, c, carry, lane, step),
+        turn=lambda carry, lane: recorder.settle_returns(carry),
+        moves=lambda carry: True,
+        steps=STEPS_PER_PASS,
+        marked=False,
+    )
+    return _run(scene, stepper, c, begun, until, effort, phase)
 
 
 def observe_block(
@@ -78,23 +79,21 @@ def observe_block(
     duration: Lanes,
     effort: Effort,
 ) -> tuple[Lane, Features]:
-    """Lanes that have settled at the end of their observation, and their features, by name.
+    """Return settled lanes at the end of their observation, and their features, by name.
 
-    **Arguments:** as of `settle_block`; `begin`, `duration` [s]: when each lane's observation begins, how long it is.
+    **Arguments:** as for `settle_block`; `begin`, `duration` [s]: start and length of each lane's observation.
     """
-
-    def take_in(carry: Any, lane: Lane, step: Step) -> Any:
-        return recorder.step(scene, c, carry, lane, step)
-
-    def turn(carry: Any, lane: Lane) -> Any:
-        share = 1 - lane.clock.until(end) / duration
-        return recorder.take_returns(scene, c, carry, lane, share)
-
     end = begin + duration
     settled = begun.lane.clock.until(begin) <= 0
     begun = begun._replace(carry=recorder.begin(scene, c, begun.lane, begun.carry))
-    phase = Phase(take_in, turn, lambda carry: ~recorder.waiting(carry), STEPS_PER_TURN, marked=True)
-    lane, carry, steps = _through(scene, stepper, c, begun, end, effort, phase)
+    phase = Phase(
+        step=lambda carry, lane, step: recorder.step(scene, c, carry, lane, step),
+        turn=lambda carry, lane: recorder.take_returns(scene, c, carry, lane, 1 - lane.clock.until(end) / duration),
+        moves=lambda carry: ~recorder.waiting(carry),
+        steps=STEPS_PER_TURN,
+        marked=True,
+    )
+    lane, carry, steps = _run(scene, stepper, c, begun, end, effort, phase)
     finite = jnp.all(jnp.stack([jnp.isfinite(y) for y in lane.state]), axis=0)
     return lane, recorder.read(scene, c, carry) | {
         "steps": steps,
@@ -113,10 +112,7 @@ def run_block(
     settle: Real,
     observe: Real,
 ) -> Features:
-    """Features of a block of lanes from their start to their end, by name; see the programs above.
-
-    `settle`, `observe` [s]: how long they settle, and are observed then.
-    """
+    """Return the features of a block of lanes, by name, after `settle` [s] and `observe` [s]."""
     lane, carry = start_block(scene, recorder, c, state)
     c = scene.scaled(c, state)
     none = jnp.zeros_like(state[0])
@@ -125,25 +121,25 @@ def run_block(
     return observe_block(scene, stepper, recorder, c, begun, begin, duration, effort)[1]
 
 
-def _through(
+def _run(
     scene: Scene[Any], stepper: Stepper, c: Any, begun: Underway, end: Lanes, effort: Effort, phase: Phase
 ) -> Underway:
     """Step every lane to its `end`."""
 
     def active(lane: Lane) -> Flags:
-        return lane.clock.until(end) > 0  # a NaN is not
+        return lane.clock.until(end) > 0  # false for NaN
 
-    def one(_: Any, now: Underway) -> Underway:
+    def advance(_: Any, now: Underway) -> Underway:
         lane, carry, steps = now
         moving = active(lane) & phase.moves(carry) & (steps < effort.most_steps)
         lane, step = stepper.step(scene, c, lane, effort.accuracy, Goal(end, moving), phase.marked)
         return Underway(lane, phase.step(carry, lane, step), jnp.where(moving, steps + 1, steps))
 
     def turn(now: Underway) -> Underway:
-        lane, carry, steps = jax.lax.fori_loop(0, phase.steps, one, now)
+        lane, carry, steps = jax.lax.fori_loop(0, phase.steps, advance, now)
         return Underway(lane, phase.turn(carry, lane), steps)
 
-    def goes_on(now: Underway) -> Array:
+    def continues(now: Underway) -> Array:
         return jnp.any(active(now.lane) & (now.steps < effort.most_steps))
 
-    return jax.lax.while_loop(goes_on, turn, begun)
+    return jax.lax.while_loop(continues, turn, begun)

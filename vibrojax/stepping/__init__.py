@@ -1,22 +1,18 @@
-"""Ways to step many lanes at once, behind one interface, [vibrojax.stepping.stepper.Stepper][]."""
+"""Steppers, which step many lanes at once, behind the interface [vibrojax.stepping.stepper.Stepper][]."""
 
-from vibrojax.models.arrays import keep as keep
-from vibrojax.stepping import functions as functions
-from vibrojax.stepping.lane import Clock as Clock
-from vibrojax.stepping.lane import Lane as Lane
-from vibrojax.stepping.lane import Step as Step
-from vibrojax.stepping.lane import lane_at as lane_at
-from vibrojax.stepping.located import LOCATED_STRIDE as LOCATED_STRIDE
-from vibrojax.stepping.located import Located as Located
-from vibrojax.stepping.smoothed import Smoothed as Smoothed
-from vibrojax.stepping.stepper import Accuracy as Accuracy
-from vibrojax.stepping.stepper import Goal as Goal
-from vibrojax.stepping.stepper import Stepper as Stepper
-from vibrojax.stepping.stepper import Wanted as Wanted
+from vibrojax.models.arrays import keep
+from vibrojax.stepping import functions  # registers the series with the elementary functions
+from vibrojax.stepping.lane import Clock, Lane, Step, lane_at
+from vibrojax.stepping.located import LOCATED_STRIDE, Located
+from vibrojax.stepping.smoothed import Smoothed
+from vibrojax.stepping.stepper import Accuracy, Goal, Stepper, Wanted
+
+__all__ = ["LOCATED_STRIDE", "STEPPERS", "Accuracy", "Clock", "Goal", "Lane", "Located", "Smoothed", "Step", "Stepper"]
+__all__ += ["Wanted", "functions", "keep", "lane_at", "stepper_named"]
 
 STEPPERS: dict[str, Stepper] = {stepper.name: stepper for stepper in (Located(), Smoothed())}
 
 
 def stepper_named(stepper: str | Stepper) -> Stepper:
-    """The stepper of that name, or a stepper itself; raises `KeyError` where there is none of the name."""
+    """Return the stepper of that name, or the stepper itself; raises `KeyError` if the name is unknown."""
     return stepper if isinstance(stepper, Stepper) else STEPPERS[stepper]

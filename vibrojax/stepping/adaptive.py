@@ -11,10 +11,11 @@ from vibrojax.models.scenes.declared import Values
 from vibrojax.models.scenes.scene import Scene
 
 MOST_STEPS = 10_000_000
+"""Limit on the steps of one trajectory, so that a solver that stalls ends."""
 
 
 def solver_named(solver: object) -> diffrax.AbstractSolver:
-    """A diffrax solver, or the one of that name, such as "Tsit5"; raises `InputError` where there is none."""
+    """Return a diffrax solver, or the one of that name, such as "Tsit5"; raises `InputError` for an unknown name."""
     if isinstance(solver, diffrax.AbstractSolver):
         return solver
     kind = getattr(diffrax, str(solver), None)
@@ -36,7 +37,7 @@ def adaptive_trajectory(
     tolerance: Any,
     step: Any = None,
 ) -> tuple[Values, Any]:
-    """States at `times` by a diffrax solver: with adaptive steps, or with fixed ones where it has no error estimate.
+    """Return the states at `times` by a diffrax solver, with fixed steps if it has no error estimate.
 
     **Arguments:**
 
@@ -46,10 +47,8 @@ def adaptive_trajectory(
 
     **Returns:** tuple of arrays (samples,), and the number of steps taken.
     """
-
-    adapts = isinstance(solver, diffrax.AbstractAdaptiveSolver)
     saved = diffrax.SaveAt(ts=jnp.asarray(times))
-    tolerance = tolerance if adapts else None
+    tolerance = tolerance if isinstance(solver, diffrax.AbstractAdaptiveSolver) else None
     solution = smoothed_solution(scene, constants, state, times[-1], width, solver, tolerance, step, saved, MOST_STEPS)
     if solution.result != diffrax.RESULTS.successful:
         advice = "give a shorter duration, a wider smoothing, or another solver"
@@ -70,12 +69,12 @@ def smoothed_solution(
     saved: diffrax.SaveAt,
     most_steps: int,
 ) -> diffrax.Solution:
-    """What diffrax makes of a smoothed motion from t = 0 to `end` [s]; goes under `jit` and `vmap`.
+    """Return diffrax's solution of a smoothed motion from t = 0 to `end` [s]; works under `jit` and `vmap`.
 
     **Arguments:**
 
-    - `tolerance`: of adaptive steps, as above; None for fixed ones of `step` [s].
-    - `saved`: what is kept of it, a `diffrax.SaveAt`; `most_steps`: after which it is given up (static).
+    - `tolerance`: of adaptive steps, as above; None for fixed steps of `step` [s].
+    - `saved`: the times and states to keep; `most_steps`: limit on the steps (static).
     """
 
     def rates(t: Any, y: Values, args: Any) -> Values:

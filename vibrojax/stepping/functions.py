@@ -1,4 +1,4 @@
-"""Taylor series of the elementary functions: each by the recurrence that its differential equation gives."""
+"""Taylor series of the elementary functions, by the recurrences of their differential equations."""
 
 from collections.abc import Callable
 
@@ -7,15 +7,15 @@ import jax.numpy as jnp
 from vibrojax.models.arrays import Value
 from vibrojax.models.physics import elementary
 from vibrojax.stepping.series import (
-    Coefficients,
     Number,
     Sequence,
     Series,
+    Terms,
     by_rule,
-    coefficients_of,
     combined,
     constant,
     kept,
+    terms_of,
     times,
     total,
 )
@@ -23,10 +23,10 @@ from vibrojax.stepping.series import (
 
 @elementary.exp.register
 def _exp(a: Series) -> Series:
-    """e = exp(a) from e' = a' e, so k e_k = sum_j j a_j e_{k-j}."""
-    inside = coefficients_of(a)
+    """Return e = exp(a) from e' = a' e, so k e_k = sum_j j a_j e_{k-j}."""
+    inside = terms_of(a)
 
-    def term(k: int, e: Coefficients) -> Number:
+    def term(k: int, e: Terms) -> Number:
         return total(times(times(j / k, inside[j]), e[k - j]) for j in range(1, k + 1))
 
     return by_rule(jnp.exp(a.value), term)
@@ -34,10 +34,10 @@ def _exp(a: Series) -> Series:
 
 @elementary.log.register
 def _log(a: Series) -> Series:
-    """y = log(a) from a y' = a'."""
-    inside = coefficients_of(a)
+    """Return y = log(a) from a y' = a'."""
+    inside = terms_of(a)
 
-    def term(k: int, y: Coefficients) -> Number:
+    def term(k: int, y: Terms) -> Number:
         return (a[k] - total(times(times(j / k, y[j]), inside[k - j]) for j in range(1, k))) / inside[0]
 
     return by_rule(jnp.log(a.value), term)
@@ -45,9 +45,9 @@ def _log(a: Series) -> Series:
 
 @elementary.sqrt.register
 def _sqrt(a: Series) -> Series:
-    """y = sqrt(a) from y² = a."""
+    """Return y = sqrt(a) from y² = a."""
 
-    def term(k: int, y: Coefficients) -> Number:
+    def term(k: int, y: Terms) -> Number:
         return (a[k] - total(times(y[j], y[k - j]) for j in range(1, k))) / (2 * y[0])
 
     return by_rule(jnp.sqrt(a.value), term)
@@ -55,12 +55,12 @@ def _sqrt(a: Series) -> Series:
 
 @elementary.power.register
 def _power(a: Series, exponent: Value) -> Series:
-    """y = a^s from a y' = s a' y, so k a_0 y_k = sum_j (s j - (k - j)) a_j y_{k-j}."""
-    inside = coefficients_of(a)
+    """Return y = a^s from a y' = s a' y, so k a_0 y_k = sum_j (s j - (k - j)) a_j y_{k-j}."""
+    inside = terms_of(a)
 
-    def term(k: int, y: Coefficients) -> Number:
-        share = (times(exponent * (j / k) - (k - j) / k, inside[j]) for j in range(1, k + 1))
-        return total(times(one, y[k - j]) for j, one in enumerate(share, start=1)) / inside[0]
+    def term(k: int, y: Terms) -> Number:
+        factors = (times(exponent * (j / k) - (k - j) / k, inside[j]) for j in range(1, k + 1))
+        return total(times(factor, y[k - j]) for j, factor in enumerate(factors, start=1)) / inside[0]
 
     return by_rule(a.value**exponent, term)
 
@@ -76,25 +76,25 @@ def _cos(a: Series) -> Series:
 
 
 def _sine_and_cosine(a: Series) -> tuple[Series, Series]:
-    """s = sin(a) with c = cos(a), from s' = a' c and c' = -a' s."""
-    inside = coefficients_of(a)
-    s, c = (Coefficients(kept(of(a.value))) for of in (jnp.sin, jnp.cos))
+    """Return s = sin(a) and c = cos(a), from s' = a' c and c' = -a' s."""
+    inside = terms_of(a)
+    s, c = (Terms(kept(of(a.value))) for of in (jnp.sin, jnp.cos))
     s.rest, c.rest = _integral(inside, c, 1.0), _integral(inside, s, -1.0)
     return Series(s.value, {s.rest: 1.0}), Series(c.value, {c.rest: 1.0})
 
 
 @elementary.tanh.register
 def _tanh(a: Series) -> Series:
-    """y = tanh(a) with w = 1 - y², from y' = a' w."""
+    """Return y = tanh(a) from y' = a' w, w = 1 - y²."""
     value = kept(jnp.tanh(a.value))
-    y, w = Coefficients(value), Coefficients(kept(1.0 - value * value))
+    y, w = Terms(value), Terms(kept(1.0 - value * value))
     w.rest = Sequence(lambda k: times(-1.0, total(times(y[j], y[k - j]) for j in range(k + 1))))
-    y.rest = _integral(coefficients_of(a), w, 1.0)
+    y.rest = _integral(terms_of(a), w, 1.0)
     return Series(y.value, {y.rest: 1.0})
 
 
-def _integral(inside: Coefficients, other: Coefficients, sign: float) -> Sequence:
-    """The coefficients from c_1 on of y with y' = sign a' other."""
+def _integral(inside: Terms, other: Terms, sign: float) -> Sequence:
+    """Return the coefficients from c_1 on of y with y' = sign a' other."""
 
     def term(k: int) -> Number:
         return total(times(times(sign * j / k, inside[j]), other[k - j]) for j in range(1, k + 1))
@@ -104,10 +104,10 @@ def _integral(inside: Coefficients, other: Coefficients, sign: float) -> Sequenc
 
 @elementary.arctan.register
 def _arctan(a: Series) -> Series:
-    """y = arctan(a) from y' (1 + a²) = a'."""
-    below = coefficients_of(a * a + 1.0)
+    """Return y = arctan(a) from y' (1 + a²) = a'."""
+    below = terms_of(a * a + 1.0)
 
-    def term(k: int, y: Coefficients) -> Number:
+    def term(k: int, y: Terms) -> Number:
         return (a[k] - total(times(times(j / k, y[j]), below[k - j]) for j in range(1, k))) / below[0]
 
     return by_rule(jnp.arctan(a.value), term)
@@ -115,7 +115,7 @@ def _arctan(a: Series) -> Series:
 
 @elementary.maximum.register
 def _maximum(a: Series, b: Series | Value) -> Series:
-    """The series of whichever of the two is greater where the step starts."""
+    """Return the series of the greater of the two at the start of the step."""
     other = b if isinstance(b, Series) else constant(b)
     first = a.value >= other.value
     choose: Callable[[Number, Number], Number] = lambda f, g: jnp.where(first, f, g)  # noqa: E731
@@ -124,5 +124,5 @@ def _maximum(a: Series, b: Series | Value) -> Series:
 
 @elementary.absolute.register
 def _absolute(a: Series) -> Series:
-    """The series with the sign that makes it positive where the step starts."""
+    """Return the series with the sign that makes it positive at the start of the step."""
     return a * jnp.where(a.value < 0, -1.0, 1.0)

@@ -1,4 +1,4 @@
-"""A lane at one instant, and the step that leads to the next."""
+"""A lane at one instant, and the step to the next."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -17,19 +17,19 @@ class Clock(NamedTuple):
     low: Lanes
 
     def advanced(self, dt: Lanes) -> "Clock":
-        """This clock `dt` later (Knuth's two-sum)."""
+        """Return this clock `dt` later (Knuth's two-sum)."""
         small = dt + self.low
         high = self.high + small
         part = high - self.high
         return Clock(high, (self.high - (high - part)) + (small - part))
 
     def until(self, end: Array | float) -> Array:
-        """Time left to `end`."""
+        """Return the time left to `end`."""
         return (end - self.high) - self.low
 
 
 class Lane(NamedTuple):
-    """One lane at one instant: clock, continuous state, discrete mode, and the cap on its next trial step [s].
+    """A lane at one instant: clock, continuous state, discrete mode, and the limit on its next trial step [s].
 
     Every leaf has shape (lanes,).
     """
@@ -41,11 +41,11 @@ class Lane(NamedTuple):
 
 
 class Step(NamedTuple):
-    """A step taken (or, where `dt` is 0, not): what measures need to know of it.
+    """A step as measures see it; `dt` is 0 if it was not taken.
 
-    `polynomials[i][k]` is the coefficient of tau^k of state i, tau = time/h from 0 to `tau`; `before` and `mode` hold
-    where it starts, `after` the state in which the next begins; `hits` says by name which guard or marker it ended on,
-    and `falling` for each marker whether it came down through zero.
+    - `before`, `mode`: state and mode at its start; `after`: the state in which the next step begins.
+    - `polynomials`: `polynomials[i][k]` is the coefficient of tau^k of state i, tau = time/h from 0 to `tau`.
+    - `hits`: by name, a mask of the guard or marker that it ended on; `falling`: of downward zeros, for each marker.
     """
 
     before: tuple[Array, ...]
@@ -60,6 +60,6 @@ class Step(NamedTuple):
 
 
 def lane_at(scene: Scene[Any], constants: Any, state: tuple[Array, ...]) -> Lane:
-    """The lane that starts at t = 0 from `state`, a tuple of (lanes,)."""
+    """Return the lane that starts at t = 0 from `state`, a tuple of (lanes,)."""
     zero: jax.Array = jnp.zeros_like(state[0])
     return Lane(Clock(zero, zero), state, scene.mode_at(constants, state), jnp.full_like(zero, jnp.inf))

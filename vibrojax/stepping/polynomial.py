@@ -1,4 +1,4 @@
-"""Polynomials in the time of one step: values, slopes, integrals and the one root that ends the step."""
+"""Polynomials in the time of one step: values, slopes, integrals, maxima and the root that ends the step."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -10,13 +10,14 @@ from jax import custom_jvp, lax
 from vibrojax.models.arrays import Array, Real, keep
 
 Coefficients = Sequence[Array]
-"""Of a polynomial in tau, from that of tau^0 on; each (lanes,)."""
+"""Coefficients of a polynomial in tau, from tau^0 on; each (lanes,)."""
 
 ROOT_ITERATIONS = 5
+"""Newton iterations for the root that ends a step; its first guess is that of a parabola."""
 
 
 def value(coefficients: Sequence[Any], tau: Real) -> Any:
-    """sum_k c_k tau^k by Horner's rule; coefficients and tau of one shape."""
+    """Return sum_k c_k tau^k by Horner's rule; coefficients and tau have one shape."""
     total = coefficients[-1]
     for c in reversed(coefficients[:-1]):
         total = total * tau + c
@@ -24,19 +25,19 @@ def value(coefficients: Sequence[Any], tau: Real) -> Any:
 
 
 def slope(coefficients: Coefficients, tau: Real) -> Any:
-    """Derivative of the polynomial with respect to tau."""
+    """Return the derivative of the polynomial with respect to tau."""
     return value([k * c for k, c in enumerate(coefficients)][1:], tau)
 
 
 def integral(coefficients: Coefficients, tau: Real) -> Any:
-    """Integral of the polynomial from 0 to tau."""
+    """Return the integral of the polynomial from 0 to tau."""
     return tau * value([c / (k + 1) for k, c in enumerate(coefficients)], tau)
 
 
 def highest(coefficients: Coefficients, tau: Array) -> jax.Array:
-    """Greatest value from 0 to tau: at an end, or where the slope falls through zero between them.
+    """Return the greatest value from 0 to tau: at an end, or where the slope falls through zero between them.
 
-    By two Newton iterations from where a straight slope would vanish: of a wave of 2 rad to 1e-10 of its height.
+    Two Newton iterations start at the zero of a linear slope: of a wave of 2 rad they find 1e-10 of its height.
     """
     rate = [k * c for k, c in enumerate(coefficients)][1:]
     start, end = rate[0], value(rate, tau)
@@ -49,9 +50,9 @@ def highest(coefficients: Coefficients, tau: Array) -> jax.Array:
 
 
 def first_guess(start: Array, rate: Array, end: Array) -> jax.Array:
-    """Fraction r in (0, 1] at which the parabola start + rate r + c r², equal to `end` at 1, reaches zero.
+    """Return the fraction r in (0, 1] at which the parabola start + rate r + c r², equal to `end` at 1, is zero.
 
-    For start >= 0 > end there is just one such root beyond a start on the surface; both forms are free of cancellation.
+    For start >= 0 > end there is one such root apart from a start on the guard; both forms avoid cancellation.
     """
     c = end - start - rate
     root = jnp.sqrt(jnp.maximum(rate * rate - 4 * c * start, 0))
@@ -63,15 +64,15 @@ def first_guess(start: Array, rate: Array, end: Array) -> jax.Array:
 
 @custom_jvp
 def root(coefficients: Coefficients, zeros: Array, guess: Array, end: Array) -> jax.Array:
-    """Root in (0, end) of a polynomial that leads from positive values to a negative one at `end`.
+    """Return the root in (0, end) of a polynomial that falls from positive values to a negative one at `end`.
 
-    Newton's iteration kept inside a shrinking bracket, on the polynomial divided by tau^zeros, so that a start on the
-    surface itself (zeros = 1), or tangent to it (zeros = 2), is not found again.
+    Newton's iteration stays inside a shrinking bracket. It acts on the polynomial divided by tau^zeros, so that it does
+    not return to a start on the guard (zeros = 1) or tangent to it (zeros = 2).
 
     **Arguments:** `coefficients` list of (lanes,); `zeros`, `guess`, `end` (lanes,).
 
-    **Returns:** tau (lanes,). Its derivative is that of the root itself, d tau = -sum_k dc_k tau^k / G'(tau), not of
-    the iteration: so an event's time moves with the parameters as it should.
+    **Returns:** tau (lanes,). Its derivative is that of the root, d tau = -sum_k dc_k tau^k / G'(tau), not of the
+    iteration, so that event times have the correct derivatives by parameters.
     """
 
     def refine(_: Any, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
@@ -81,7 +82,7 @@ def root(coefficients: Coefficients, zeros: Array, guess: Array, end: Array) -> 
         low, high = jnp.where(inside, tau, low), jnp.where(inside, high, tau)
         newton = tau - y / (slope(coefficients, tau) - zeros * y / tau)
         middle = (low + high) / 2
-        # Once converged it is an end of the bracket, and stays. A NaN (0/0) fails both, so the bisection takes over.
+        # A converged root is an end of the bracket and stays. A NaN (0/0) fails both tests: the bisection takes over.
         tau = jnp.where((newton >= low) & (newton <= high), newton, middle)
         return tau, low, high
 
@@ -99,15 +100,15 @@ def _root_jvp(primals: tuple, tangents: tuple) -> tuple[jax.Array, jax.Array]:
 
 
 def rough_root(x: Array, n: int) -> jax.Array:
-    """x^(1/n) for x > 0, between it and 1.07 times it; of 0 some tiny number, of infinity and of NaN one above 1.
+    """Return x^(1/n) for x > 0 to within a factor 1 to 1.07; a tiny number for 0, one above 1 for infinity and NaN.
 
-    For step lengths, at a twentieth of the price of a power: a float's bits, read as an integer, are its logarithm,
-    straight between powers of two.
+    It serves step lengths, at a twentieth of a power's cost: a float's bits, read as an integer, are its logarithm,
+    linear between powers of two.
     """
     x = lax.stop_gradient(x)
     bits = jnp.finfo(x.dtype)
     integer = jnp.dtype(f"int{bits.bits}")
-    one = jnp.asarray(1 - bits.minexp, integer) << bits.nmant
-    # Divided as a float: integers are divided one by one.
-    logarithm = (lax.bitcast_convert_type(x, integer) - one).astype(x.dtype) * (1 / n)
-    return lax.bitcast_convert_type(logarithm.astype(integer) + one, x.dtype)
+    bits_of_one = jnp.asarray(1 - bits.minexp, integer) << bits.nmant
+    # Floats divide faster: the division of integers is not vectorised.
+    logarithm = (lax.bitcast_convert_type(x, integer) - bits_of_one).astype(x.dtype) * (1 / n)
+    return lax.bitcast_convert_type(logarithm.astype(integer) + bits_of_one, x.dtype)

@@ -1,13 +1,12 @@
 """Truncated Taylor series in the time of one step: the arithmetic of the located stepper.
 
-A series' coefficients are worked out one order at a time, so that a state's next coefficient may depend on all lower
-ones: this is how an ordinary differential equation is expanded (Jorba and Zou, Experimental Mathematics 14 (2005);
-Biscani and Izzo, heyoka, MNRAS 504 (2021)). Physics written with +, -, *, / and [vibrojax.models.physics.elementary][]
-runs on it unchanged.
+Coefficients are computed one order at a time, so that a state's next coefficient may depend on all lower ones. This
+expands an ordinary differential equation (Jorba and Zou, Experimental Mathematics 14 (2005); Biscani and Izzo, heyoka,
+MNRAS 504 (2021)). Physics written with +, -, *, / and [vibrojax.models.physics.elementary][] accepts series unchanged.
 
-Most of physics is linear. A series is therefore its value where the step starts, and beyond that a linear combination
-of sequences: the states', and one for each product, quotient or function. What equations add and scale becomes the
-combination's factors, which are worked out once per step, not at every order.
+Most physics is linear. A series is therefore its value at the start of the step, and beyond that a linear combination
+of sequences: one per state, and one per product, quotient or function. Sums and scalings in equations only change the
+combination's factors, which are computed once per step and not at every order.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -19,41 +18,41 @@ import jax.numpy as jnp
 from vibrojax.models.arrays import Array, Lanes, Real, Value, keep
 
 Number = Any
-"""A coefficient: an array (lanes,) or a float, of which 0.0 is what the structure makes vanish."""
+"""A coefficient: an array (lanes,) or a float; the float 0.0 vanishes by the structure of the equations."""
 
 
 def is_zero(x: Number) -> bool:
-    """Whether a coefficient vanishes by the structure of the equations."""
+    """Return True if a coefficient vanishes by the structure of the equations."""
     return isinstance(x, float) and x == 0.0
 
 
 def kept(c: Number) -> Number:
-    """A coefficient that is worked out once."""
+    """Return a coefficient that is computed only once."""
     return c if isinstance(c, float) else keep(c)
 
 
 def plus(a: Number, b: Number) -> Number:
-    """a + b, without what vanishes."""
+    """Return a + b, without terms that vanish."""
     if is_zero(a):
         return b
     return a if is_zero(b) else a + b
 
 
 def times(a: Number, b: Number) -> Number:
-    """a b, without what vanishes."""
+    """Return a b, 0.0 if a factor vanishes."""
     return 0.0 if is_zero(a) or is_zero(b) else a * b
 
 
 def total(terms: Iterable[Number]) -> Number:
-    """The sum of coefficients, without what vanishes."""
-    found: Number = 0.0
+    """Return the sum of coefficients, without terms that vanish."""
+    result: Number = 0.0
     for term in terms:
-        found = plus(found, term)
-    return found
+        result = plus(result, term)
+    return result
 
 
 class Sequence:
-    """Coefficients c_1, c_2, ..., each found by `term(k)` when it is first asked for, or appended."""
+    """Coefficients c_1, c_2, ..., each computed by `term(k)` at its first use, or appended."""
 
     def __init__(self, term: Callable[[int], Number] | None = None, known: Iterable[Number] = ()):
         self._term = term
@@ -61,7 +60,7 @@ class Sequence:
 
     def __getitem__(self, order: int) -> Number:
         while len(self._known) < order:
-            assert self._term is not None, "a coefficient that is neither known nor follows from a rule"
+            assert self._term is not None, "the coefficient is neither known nor given by a rule"
             self.append(self._term(len(self._known) + 1))
         return self._known[order - 1]
 
@@ -71,12 +70,12 @@ class Sequence:
 
 
 class Series:
-    """A series sum_k c_k tau^k: `value` = c_0, and c_k of the sum of factor times sequence, `parts`.
+    """A series sum_k c_k tau^k: `value` = c_0, and `parts`, the factors of the sequences whose combination is c_k.
 
-    Values and factors are arrays of one shape (lanes) or floats; the float 0.0 is what the structure makes vanish.
+    Values and factors are arrays of one shape (lanes) or floats; the float 0.0 vanishes by structure.
     """
 
-    __array_priority__ = 1000  # so that array * series comes here
+    __array_priority__ = 1000  # so that array * series calls __rmul__ of the series
     __array_ufunc__ = None
 
     def __init__(self, value: Number, parts: dict[Sequence, Number]):
@@ -93,16 +92,20 @@ class Series:
         return total(times(f, s[order]) for f, s in zip(self._factors, self.parts, strict=True))
 
     def array(self, order: int, like: Lanes) -> jax.Array:
-        """The coefficient of tau^order as an array shaped like `like`, where the structure makes it a number too."""
+        """Return the coefficient of tau^order as an array shaped like `like`, even if it is a float by structure."""
         c = self[order]
         return jnp.full_like(like, c) if isinstance(c, float) else c
 
+    def arrays(self, order: int, like: Lanes) -> list[Array]:
+        """Return the coefficients up to tau^order as arrays shaped like `like`."""
+        return [self.array(k, like) for k in range(order + 1)]
+
     def sequence(self) -> Sequence:
-        """c_1, c_2, ... as one sequence, for what is not linear."""
+        """Return c_1, c_2, ... as one sequence, for nonlinear functions."""
         if self._sequence is None:
-            [*alone] = self.parts.items()
-            own = len(alone) == 1 and isinstance(alone[0][1], float) and alone[0][1] == 1.0
-            self._sequence = alone[0][0] if own else Sequence(lambda k: self[k])
+            [*parts] = self.parts.items()
+            single = len(parts) == 1 and isinstance(parts[0][1], float) and parts[0][1] == 1.0
+            self._sequence = parts[0][0] if single else Sequence(lambda k: self[k])
         return self._sequence
 
     def __add__(self, other: "Series | Value") -> "Series":
@@ -140,31 +143,23 @@ class Series:
 
 
 def constant(value: Number) -> Series:
-    """A value that does not change within the step."""
+    """Return the series of a value that is constant within the step."""
     return Series(value, {})
 
 
 def known(coefficients: list[Any]) -> Series:
-    """A series whose coefficients are given, from c_0 on."""
+    """Return the series with the given coefficients, from c_0 on."""
     return Series(coefficients[0], {Sequence(known=coefficients[1:]): 1.0})
 
 
 def combined(value: Number, a: Series, b: Series, factor: Callable[[Number, Number], Number]) -> Series:
-    """The series whose factors are `factor(a's, b's)`, 0.0 where one has no such part."""
+    """Return the series whose factors are `factor(a's, b's)`, with 0.0 for a missing part."""
     sequences = dict.fromkeys((*a.parts, *b.parts))
     return Series(value, {s: factor(a.parts.get(s, 0.0), b.parts.get(s, 0.0)) for s in sequences})
 
 
-def by_rule(value: Number, term: Callable[[int, "Coefficients"], Number]) -> Series:
-    """A series by its value and a rule for c_k, which is given the coefficients from c_0 on that are known."""
-    value = kept(value)
-    coefficients = Coefficients(value)
-    rest = coefficients.rest = Sequence(lambda k: term(k, coefficients))
-    return Series(value, {rest: 1.0})
-
-
-class Coefficients:
-    """Coefficients of a series from c_0 on."""
+class Terms:
+    """The coefficients of a series from c_0 on."""
 
     def __init__(self, value: Number, rest: Sequence | None = None):
         self.value, self.rest = value, rest
@@ -176,31 +171,39 @@ class Coefficients:
         return self.rest[order]
 
 
-def coefficients_of(a: Series) -> Coefficients:
-    """The coefficients of a series from c_0 on."""
-    return Coefficients(a.value, a.sequence())
+def by_rule(value: Number, term: Callable[[int, Terms], Number]) -> Series:
+    """Return the series of a value and a rule for c_k, called with the lower coefficients."""
+    value = kept(value)
+    terms = Terms(value)
+    rest = terms.rest = Sequence(lambda k: term(k, terms))
+    return Series(value, {rest: 1.0})
+
+
+def terms_of(a: Series) -> Terms:
+    """Return the coefficients of a series from c_0 on."""
+    return Terms(a.value, a.sequence())
 
 
 def _product(a: Series, b: Series) -> Series:
-    """c_k = sum_j a_j b_{k-j}; of a square half of them, twice."""
-    one, two = coefficients_of(a), coefficients_of(b)
+    """Return the series of c_k = sum_j a_j b_{k-j}; a square needs half of the products, twice."""
+    first, second = terms_of(a), terms_of(b)
+
+    def square_terms(k: int) -> Iterator[Number]:
+        for j in range((k + 1) // 2):
+            yield times(times(2.0, first[j]), first[k - j])
+        if k % 2 == 0:
+            yield times(first[k // 2], first[k // 2])
+
     if a is b:
-        return by_rule(times(a.value, a.value), lambda k, _: total(_square_terms(one, k)))
-    return by_rule(times(a.value, b.value), lambda k, _: total(times(one[j], two[k - j]) for j in range(k + 1)))
-
-
-def _square_terms(a: Coefficients, k: int) -> Iterator[Number]:
-    for j in range((k + 1) // 2):
-        yield times(times(2.0, a[j]), a[k - j])
-    if k % 2 == 0:
-        yield times(a[k // 2], a[k // 2])
+        return by_rule(times(a.value, a.value), lambda k, _: total(square_terms(k)))
+    return by_rule(times(a.value, b.value), lambda k, _: total(times(first[j], second[k - j]) for j in range(k + 1)))
 
 
 def _quotient(a: Series, b: Series) -> Series:
-    """q = a/b from a_k = sum_j q_j b_{k-j}."""
-    below = coefficients_of(b)
+    """Return q = a/b from a_k = sum_j q_j b_{k-j}."""
+    below = terms_of(b)
 
-    def term(k: int, q: Coefficients) -> Number:
+    def term(k: int, q: Terms) -> Number:
         return (a[k] - total(times(q[j], below[k - j]) for j in range(k))) / b.value
 
     return by_rule(a.value / b.value, term)
@@ -209,13 +212,12 @@ def _quotient(a: Series, b: Series) -> Series:
 def expand(
     field: Callable[[tuple[Series, ...]], tuple[Any, ...]], state: tuple[Array, ...], h: Real, order: int
 ) -> tuple[Series, ...]:
-    """Taylor coefficients of the solution of y' = field(y) from `state`, in tau = time/h, up to tau^order.
+    """Return the Taylor series of the solution of y' = field(y) from `state`, in tau = time/h, up to tau^order.
 
     **Arguments:**
 
     - `field`: takes and returns a tuple of series, one per state; an entry may be a state's own series (x' = v).
-    - `state`: tuple of arrays (lanes).
-    - `h`: array (lanes) [s].
+    - `state`: tuple of arrays (lanes); `h`: array (lanes) [s].
 
     **Returns:** one series per state, known up to `order`.
     """
@@ -223,7 +225,7 @@ def expand(
     series = tuple(Series(value, {own: 1.0}) for value, own in zip(state, sequences, strict=True))
     changes = [rate * h for rate in field(series)]
     for k in range(order):
-        found = [times(1 / (k + 1), change[k]) for change in changes]
-        for own, c in zip(sequences, found, strict=True):
+        coefficients = [times(1 / (k + 1), change[k]) for change in changes]
+        for own, c in zip(sequences, coefficients, strict=True):
             own.append(c)
     return series

@@ -1,7 +1,7 @@
-"""The smoothed stepper: classical Runge-Kutta steps of one length, friction's switch spread over a stated width.
+"""The smoothed stepper: classical Runge-Kutta steps of one length, with friction's switch spread over a width.
 
-The friction switch sgn u becomes u/sqrt(u² + width²); nothing sticks, a bit at rest creeps. The contact is sharp: steps
-land on its beginning and end, as on the section, found on the cubic Hermite interpolant of the step.
+The friction switch sgn u becomes u/sqrt(u² + width²): nothing sticks, a bit at rest creeps. The contact stays sharp.
+Steps end on its beginning and end, and on the section, located on the cubic Hermite interpolant of the step.
 """
 
 from collections.abc import Callable
@@ -20,11 +20,11 @@ from vibrojax.stepping.series import known
 from vibrojax.stepping.stepper import Accuracy, Goal, Stepper, Wanted, taken, trial_length
 
 STICK_WIDTHS = 3.0
-"""Sliding speeds below this many widths are counted as stick: friction has 95 % of its sharp value there."""
+"""Sliding speed, in widths, below which the bit counts as sticking: friction has 95 % of its sharp value there."""
 
 
 def runge_kutta(rates: Callable[[Values], Values], state: Values, h: Real) -> tuple[Values, Values]:
-    """State a time `h` [s] later by the classical fourth-order Runge-Kutta method, and the rates where it starts."""
+    """Return the state after `h` [s] by the classical fourth-order Runge-Kutta method, and the rates at its start."""
 
     def moved(k: Values, share: float) -> Values:
         return tuple(y + share * h * dy for y, dy in zip(state, k, strict=True))
@@ -37,17 +37,15 @@ def runge_kutta(rates: Callable[[Values], Values], state: Values, h: Real) -> tu
     return moved(mean, 1.0), k1
 
 
-def hermite(start: Array, end: Array, rate: Array, end_rate: Array) -> list[Array]:
-    """Coefficients in tau of the cubic through two values with two rates per step."""
+def _hermite(start: Array, end: Array, rate: Array, end_rate: Array) -> list[Array]:
+    """Return the coefficients in tau of the cubic with two values and two rates per step at its ends."""
     change = end - start
     return [start, rate, 3 * change - 2 * rate - end_rate, rate + end_rate - 2 * change]
 
 
 @dataclass(frozen=True)
 class Smoothed(Stepper):
-    """The smoothed stepper.
-
-    It takes `smoothing` [m/s], the longest `step` [s], and `stride`, since a stiff contact asks for shorter steps.
+    """The smoothed stepper; it uses `smoothing` [m/s], the longest `step` [s], and `stride` for a stiff contact.
 
     **Example:**
 
@@ -60,7 +58,7 @@ class Smoothed(Stepper):
     name = "smoothed"
     order = 4
     coarser_by = 2.0
-    # Order 3/4 in the width leaves 1.5 of the difference; large enough for 95 % of periodic lanes to be within.
+    # Order 3/4 in the width leaves 1.5 of the difference; with 3.5 the estimate holds for 95 % of periodic lanes.
     error_share = 3.5
     smooths = True
 
@@ -69,13 +67,13 @@ class Smoothed(Stepper):
         return 3
 
     def accuracy(self, wanted: Wanted, scene: Scene[Any]) -> Accuracy:
-        # Over the reference cases the error of the width is at most its power 3/4, in m/s; that of a step of 0.3 s per
-        # m/s of it is far below.
+        # In the reference cases the error of the width is at most its power 3/4, in m/s; that of a step of 0.3 s per
+        # m/s of width is far below.
         width = wanted.smoothing if wanted.smoothing is not None else max(wanted.error ** (4 / 3), 1e-6)
         return Accuracy(0.0, 0.3, wanted.step if wanted.step is not None else 0.3 * width, width)
 
     def coarser(self, accuracy: Accuracy) -> Accuracy:
-        step, width = (self.coarser_by * one for one in (accuracy.step, accuracy.smoothing))
+        step, width = self.coarser_by * accuracy.step, self.coarser_by * accuracy.smoothing
         return accuracy._replace(step=step, smoothing=width)
 
     def step(
@@ -84,7 +82,7 @@ class Smoothed(Stepper):
         width = accuracy.smoothing
         mode = scene.smoothed_mode(constants, lane.mode, lane.state, STICK_WIDTHS * width)
         lane = lane._replace(mode=mode)
-        # A stiff contact asks for shorter steps than the user's.
+        # A stiff contact needs shorter steps than the user's.
         h = trial_length(lane, accuracy.stride / scene.rate(constants, mode), accuracy.step, goal)
 
         def rates_at(state: Values) -> Values:
@@ -92,19 +90,18 @@ class Smoothed(Stepper):
 
         after, rates = runge_kutta(rates_at, lane.state, h)
         ends = zip(lane.state, after, rates, rates_at(after), strict=True)
-        polynomials = tuple(hermite(y, z, h * dy, h * dz) for y, z, dy, dz in ends)
+        polynomials = tuple(_hermite(y, z, h * dy, h * dz) for y, z, dy, dz in ends)
         event = Event(scene, constants, mode, marked, smooths=True)
-        series = event.functions(tuple(known(one) for one in polynomials))
-        functions = [[f.array(k, h) for k in range(4)] for f in series]
-        trial = Trial(polynomials, functions, h, jnp.ones_like(h), goal.moving)
+        series = event.functions(tuple(known(polynomial) for polynomial in polynomials))
+        trial = Trial(polynomials, [f.arrays(self.degree, h) for f in series], h, jnp.ones_like(h), goal.moving)
         return taken(event, lane, trial, h, locate(event, trial))
 
 
 def smoothed_trajectory(scene: Scene[Any], constants: Any, state: Values, h: Real, steps: int, width: Real) -> Values:
-    """States of a smoothed motion at h, 2 h, ..., in plain fixed steps: differentiable in all its arguments.
+    """Return the states of a smoothed motion at h, 2 h, ..., by fixed steps: differentiable in all its arguments.
 
-    The contact acts where the striker is beyond the gap at each stage, and is not landed on, so that the steps stay
-    where they are; an impact costs some of the order (and the derivative of its time: see the tests).
+    The contact acts at each stage at which the striker is beyond the gap. Steps do not end on it, so that they keep
+    their length: an impact lowers the order, and the derivative of its time is lost (see the tests).
 
     **Arguments:**
 
@@ -117,9 +114,9 @@ def smoothed_trajectory(scene: Scene[Any], constants: Any, state: Values, h: Rea
     def rates(y: Values) -> Values:
         return scene.smoothed_field(constants, scene.mode_at(constants, y), y, width)
 
-    def one(y: Values, _: None) -> tuple[Values, Values]:
+    def advance(y: Values, _: None) -> tuple[Values, Values]:
         after = runge_kutta(rates, y, h)[0]
         return after, after
 
-    trajectory: Values = lax.scan(one, state, length=steps)[1]
+    trajectory: Values = lax.scan(advance, state, length=steps)[1]
     return trajectory

@@ -1,4 +1,4 @@
-"""What a stepper is: how it steps, what its steps follow from, and how its error follows from a coarser run."""
+"""The interface of steppers: how they step, from what their steps follow, and how a coarser run shows their error."""
 
 from abc import ABC, abstractmethod
 from typing import Any, ClassVar, NamedTuple
@@ -14,9 +14,9 @@ from vibrojax.stepping.lane import Lane, Step
 
 
 class Accuracy(NamedTuple):
-    """What the steps follow from; numbers, or arrays in a program: changing them compiles nothing.
+    """Settings that determine the steps, as numbers or arrays: a change of them compiles nothing.
 
-    - `tolerance`: relative size of the last terms of a step's series that shortens it (located).
+    - `tolerance`: relative size of the last terms of a step's series above which it is shortened (located).
     - `stride`: the longest step in units of 1/rate of the mode; `step`: the longest step [s].
     - `smoothing`: width of the friction switch [m/s] (smoothed).
     """
@@ -27,15 +27,15 @@ class Accuracy(NamedTuple):
     smoothing: Any = 0.0
 
     def described(self) -> dict[str, float]:
-        """What a dataset says of it, as JSON values: what is finite and not zero."""
+        """Return the finite settings above zero as JSON values for a dataset."""
         return {name: value for name, value in self._asdict().items() if 0 < value < float("inf")}
 
 
 class Wanted(NamedTuple):
-    """What the user asks for.
+    """The user's requirements.
 
     - `error`: the accepted relative error.
-    - `step` [s], `smoothing` [m/s]: chosen by the user; None: they follow from the error.
+    - `step` [s], `smoothing` [m/s]: the user's choice; None: they follow from the error.
     - `precision`: "float64" or "float32".
     """
 
@@ -46,25 +46,25 @@ class Wanted(NamedTuple):
 
 
 class Goal(NamedTuple):
-    """Where lanes go: to the time `end` [s], those that are `moving`; the others stand still."""
+    """The time `end` [s] to which the lanes in the mask `moving` step; the others stand still."""
 
     end: Real
     moving: Flags
 
 
 class Stepper(ABC):
-    """A way to step many lanes at once.
+    """A method of stepping many lanes at once.
 
-    A new one provides the abstract members below, and says what follows; everything else just works. Its objects are
-    static arguments of programs, so it is a frozen dataclass that holds no arrays.
+    A new stepper defines the abstract members and the attributes below. Its objects are static arguments of programs,
+    so it is a frozen dataclass that holds no arrays.
 
-    - `name`: what sweep files call it.
+    - `name`: its name in sweep files.
     - `order`: of its error in the step; `degree`: of its steps' polynomials.
-    - `coarser_by`: the check run's tolerance or width is this many times coarser.
-    - `error_share`: part of the two runs' difference that the finer one's error is taken for.
-    - `smooths`: whether it spreads the friction switch over a width, so that nothing sticks.
-    - `rests`: whether what moves by no more than roundings is at rest for it, so that lanes that are too stiff or too
-      slow for their precision must be refused.
+    - `coarser_by`: factor by which the check run's tolerance or width is coarser.
+    - `error_share`: part of the difference of the two runs that is taken as the finer run's error.
+    - `smooths`: True if it spreads the friction switch over a width, so that nothing sticks.
+    - `rests`: True if it treats motion within roundings as rest. Lanes that are too stiff or too slow for their
+      precision are then refused.
 
     **Example:**
 
@@ -72,8 +72,8 @@ class Stepper(ABC):
     ...     name = "short"
     ...
     ...     def accuracy(self, wanted, scene):
-    ...         asked = super().accuracy(wanted, scene)
-    ...         return asked._replace(stride=asked.stride / 2)
+    ...         usual = super().accuracy(wanted, scene)
+    ...         return usual._replace(stride=usual.stride / 2)
     >>> isinstance(Short(), vj.Stepper)
     True
     >>> motion = vj.simulate("vibro-impact", method=Short(), start="stuck", duration=4.0, progress=False)
@@ -95,39 +95,30 @@ class Stepper(ABC):
     def step(
         self, scene: Scene[Any], constants: Any, lane: Lane, accuracy: Accuracy, goal: Goal, marked: bool = True
     ) -> tuple[Lane, Step]:
-        """One step of every lane: the lane after it, and the step; `marked`: whether it also ends on markers."""
+        """Return every lane after one step, and the step; it also ends on markers if `marked`."""
 
     @abstractmethod
     def accuracy(self, wanted: Wanted, scene: Scene[Any]) -> Accuracy:
-        """Steps that keep the accepted error in `scene`, unless the user chose them."""
+        """Return the settings that keep the accepted error in `scene`, unless the user chose them."""
 
     @abstractmethod
     def coarser(self, accuracy: Accuracy) -> Accuracy:
-        """The accuracy of the check run, with which the error is estimated."""
+        """Return the settings of the check run, which estimates the error."""
 
 
 def trial_length(lane: Lane, nominal: Array, longest: Real, goal: Goal) -> jax.Array:
-    """Length [s] of the next trial step: the mode's own, what a rejected trial left, or what is left of the run."""
+    """Return the next trial step's length [s], limited by the mode, by a rejected trial and by the end of the run."""
     h = jnp.minimum(jnp.minimum(nominal, longest), jnp.minimum(lane.trial, lane.clock.until(goal.end)))
-    # Where a step ends says nothing of the motion, so no derivative goes through it.
+    # The motion does not depend on where a step ends, so no derivative goes through its length.
     return lax.stop_gradient(jnp.where(goal.moving, h, 0.0))
 
 
 def taken(event: Event, lane: Lane, trial: Trial, h: Lanes, landing: Landing) -> tuple[Lane, Step]:
-    """The lane after its trial step, which takes `h` [s] to tau = 1, has ended in `landing`; and the step."""
+    """Return the lane after its trial step of `h` [s] per unit of tau, which ended in `landing`, and the step."""
     scene, accepted = event.scene, landing.accepted
     dt = jnp.where(accepted, landing.tau * h, 0.0)
     reached = tuple(jnp.where(accepted, new, old) for new, old in zip(landing.state, lane.state, strict=True))
     mode, state = keep(scene.after_event(event.constants, lane.mode, reached, landing.hits))
-    step = Step(
-        before=lane.state,
-        mode=lane.mode,
-        polynomials=trial.polynomials,
-        h=h,
-        tau=jnp.where(accepted, landing.tau, 0.0),
-        dt=dt,
-        after=state,
-        hits=landing.hits,
-        falling=landing.falling,
-    )
+    tau = jnp.where(accepted, landing.tau, 0.0)
+    step = Step(lane.state, lane.mode, trial.polynomials, h, tau, dt, state, landing.hits, landing.falling)
     return Lane(lane.clock.advanced(dt), state, mode, jnp.where(accepted, jnp.inf, landing.tau * h)), step

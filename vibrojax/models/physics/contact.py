@@ -17,28 +17,29 @@ from vibrojax.models.arrays import Real, Value
 
 
 def raw_force(compression: Value, rate: Value, k0: Value, c0: Value) -> Any:
-    """k0 d + c0 d' [N] of eq. 5.18, before its one-sidedness; `compression` d [m], `rate` d' [m/s]; arrays or series.
+    """Return k0 d + c0 d' [N] of eq. 5.18 for `compression` d [m] and `rate` d' [m/s]; arrays or series.
 
-    In a mode the contact either holds, and this is its force, or does not: see [vibrojax.models.scenes][].
+    This is the force in the mode in which striker and bit touch; see [vibrojax.models.scenes][].
     """
     return k0 * compression + c0 * rate
 
 
 def force(compression: Real, rate: Real, k0: Real, c0: Real) -> Any:
-    """Contact force J [N] of eq. 5.18: k0 d + c0 d' while d >= 0 and that is positive, else 0; arrays only."""
+    """Return the contact force J [N] of eq. 5.18: k0 d + c0 d' if d >= 0 and that is positive, else 0; arrays only."""
     return jnp.where(compression >= 0, jnp.maximum(raw_force(compression, rate, k0, c0), 0), 0)
 
 
 def damping_ratio(mass: Real, k0: Real, c0: Real) -> Any:
-    """xi = c0/(2 m W), W = sqrt(k0/m), of a mass [kg] on the contact; unit 1 (1 is critical)."""
+    """Return xi = c0/(2 m W), W = sqrt(k0/m), of a mass [kg] on the contact; unit 1 (1 is critical)."""
     return c0 / (2 * jnp.sqrt(k0 * mass))
 
 
 def restitution(xi: Real) -> Any:
-    """Speed after over speed before a blow on a Kelvin-Voigt stop that releases at zero force; unit 1.
+    """Return the ratio of the speeds after and before a blow on a Kelvin-Voigt stop that releases at zero force.
 
-    Eq. 5.8 with the root read as sqrt(1 - xi²), as the blow's own motion has it: R = exp(-2 xi acos(xi)/sqrt(1 - xi²)),
-    and with acosh beyond critical damping. At xi = 1 both tend to exp(-2), and the two branches meet smoothly.
+    Eq. 5.8 with the root read as sqrt(1 - xi²), as the motion during the blow requires:
+    R = exp(-2 xi acos(xi)/sqrt(1 - xi²)), with acosh beyond critical damping. At xi = 1 both branches tend to exp(-2)
+    and meet smoothly.
 
     **Arguments:** `xi` >= 0, any shape.
     """
@@ -46,13 +47,16 @@ def restitution(xi: Real) -> Any:
 
 
 def contact_time(mass: Real, k0: Real, c0: Real) -> Any:
-    """Duration T [s] of a blow of a mass [kg] on the contact, w_d T = 2 acos(xi) (eq. 5.7); any shape."""
+    """Return the duration T [s] of a blow of a mass [kg] on the contact, w_d T = 2 acos(xi) (eq. 5.7); any shape."""
     xi = damping_ratio(mass, k0, c0)
     return 2 * _acos_over_root(xi) / jnp.sqrt(k0 / mass)
 
 
 def _acos_over_root(xi: Real) -> Any:
-    """acos(xi)/sqrt(1 - xi²), continued beyond xi = 1 as acosh(xi)/sqrt(xi² - 1), without 0/0 at 1 in its gradient."""
+    """Return acos(xi)/sqrt(1 - xi²), continued beyond xi = 1 as acosh(xi)/sqrt(xi² - 1).
+
+    A series about xi = 1 avoids 0/0 there, in the value and in its gradient.
+    """
     near = jnp.abs(xi - 1) < 1e-3
     under = jnp.where((xi < 1) & ~near, xi, 0.5)
     over = jnp.where((xi > 1) & ~near, xi, 2.0)

@@ -1,11 +1,11 @@
-"""Elementary functions that physics is written in.
+"""Elementary functions for the equations of physics.
 
-Each accepts an array or a Python number, and any other number type that registers itself (the stepper's truncated
-Taylor series do), so that an equation is written once and every stepper can use it.
+Each accepts an array or a Python number, and any other registered number type (the stepper registers its truncated
+Taylor series). An equation is thus written once, for every stepper.
 
 **Example:**
 
->>> def falling(speed, p):  # serves numbers, arrays of lanes, and the Taylor series of a step
+>>> def falling(speed, p):  # accepts numbers, arrays of lanes, and the Taylor series of a step
 ...     return 0.13 + 0.27 * vj.elementary.exp(-speed / p["v_s"])
 >>> round(float(falling(0.0, {"v_s": 1.8})), 2)
 0.4
@@ -19,59 +19,59 @@ import jax.numpy as jnp
 
 @singledispatch
 def exp(x: Any) -> Any:
-    """Exponential."""
+    """Return the exponential of x."""
     return jnp.exp(x)
 
 
 @singledispatch
 def log(x: Any) -> Any:
-    """Natural logarithm, x > 0."""
+    """Return the natural logarithm of x > 0."""
     return jnp.log(x)
 
 
 @singledispatch
 def sqrt(x: Any) -> Any:
-    """Square root, x > 0."""
+    """Return the square root of x > 0."""
     return jnp.sqrt(x)
 
 
 @singledispatch
 def power(x: Any, exponent: Any) -> Any:
-    """x to the `exponent`, x > 0; the exponent is a number or an array of lanes, and does not change with time."""
+    """Return x > 0 to the power `exponent`, a number or an array of lanes that does not change with time."""
     return x**exponent
 
 
 @singledispatch
 def sin(x: Any) -> Any:
-    """Sine."""
+    """Return the sine of x."""
     return jnp.sin(x)
 
 
 @singledispatch
 def cos(x: Any) -> Any:
-    """Cosine."""
+    """Return the cosine of x."""
     return jnp.cos(x)
 
 
 @singledispatch
 def tanh(x: Any) -> Any:
-    """Hyperbolic tangent."""
+    """Return the hyperbolic tangent of x."""
     return jnp.tanh(x)
 
 
 @singledispatch
 def arctan(x: Any) -> Any:
-    """Inverse tangent."""
+    """Return the inverse tangent of x."""
     return jnp.arctan(x)
 
 
 @singledispatch
 def maximum(x: Any, y: Any) -> Any:
-    """The greater of two values; a series, which comes first, follows whichever is greater where it starts."""
+    """Return the greater of two values; a series, given first, follows the one that is greater at its start."""
     return jnp.maximum(x, y)
 
 
 @singledispatch
 def absolute(x: Any) -> Any:
-    """Absolute value; a series keeps the sign that it has where it starts."""
+    """Return the absolute value of x; a series keeps the sign that it has at its start."""
     return jnp.abs(x)

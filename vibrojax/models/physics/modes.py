@@ -16,18 +16,19 @@ from jaxtyping import Float
 
 from vibrojax.models.arrays import Value
 
-Values = Mapping[str, Any]
+Numbers = Mapping[str, Any]
+"""Parameters by name: numbers or arrays of lanes."""
 
 
-def striker(p: Values) -> tuple[Any, Any]:
-    """Striker's mass m2 = beta m1 [kg] and spring k2 = m2 (gamma w1)² [N/m], w1² = k1/m1."""
+def striker(p: Numbers) -> tuple[Any, Any]:
+    """Return the striker's mass m2 = beta m1 [kg] and spring k2 = m2 (gamma w1)² [N/m], w1² = k1/m1."""
     return p["beta"] * p["m1"], p["beta"] * p["k1"] * p["gamma"] ** 2
 
 
-def natural_frequencies(p: Values) -> Float[jax.Array, "*lanes 2"]:
-    """The two undamped natural frequencies [rad/s], lower first, stacked along a last axis of 2 (eq. 5.16).
+def natural_frequencies(p: Numbers) -> Float[jax.Array, "*lanes 2"]:
+    """Return the two undamped natural frequencies [rad/s], lower first, along a last axis of length 2 (eq. 5.16).
 
-    Roots of w⁴ - w² (w1² + w2² (1 + beta)) + w1² w2² = 0 for `m1 [x1'' = -k1 x1 - k2 (x1 - x2)]` and
+    They are the roots of w⁴ - w² (w1² + w2² (1 + beta)) + w1² w2² = 0 for `m1 [x1'' = -k1 x1 - k2 (x1 - x2)]` and
     `m2 [x2'' = -k2 (x2 - x1)]`.
     """
     w1_squared = p["k1"] / p["m1"]
@@ -35,22 +36,22 @@ def natural_frequencies(p: Values) -> Float[jax.Array, "*lanes 2"]:
     total = w1_squared + w2_squared * (1 + p["beta"])
     product = w1_squared * w2_squared
     upper = (total + jnp.sqrt(total**2 - 4 * product)) / 2
-    # product/upper rather than (total - root)/2, which cancels where the modes lie far apart.
+    # product/upper instead of (total - root)/2, which cancels if the modes lie far apart.
     return jnp.sqrt(jnp.stack([product / upper, upper], axis=-1))
 
 
-def empirical_frequency(p: Values, share: Value = 0.25) -> Any:
-    """Frequency [rad/s] of eq. 5.17, w² = (k1 + k2)/m1 + share k2/m2 with the source's `share` of 1/4."""
+def empirical_frequency(p: Numbers, share: Value = 0.25) -> Any:
+    """Return the frequency [rad/s] of eq. 5.17, w² = (k1 + k2)/m1 + share k2/m2; the source has `share` = 1/4."""
     m2, k2 = striker(p)
     return jnp.sqrt((p["k1"] + k2) / p["m1"] + share * k2 / m2)
 
 
-def linearised(p: Values, friction_slope: Value) -> Float[jax.Array, "4 4"]:
-    """Matrix of the motion about steady sliding, state (x1, x1', x2, x2'), for scalar parameters (eq. 5.15).
+def linearised(p: Numbers, friction_slope: Value) -> Float[jax.Array, "4 4"]:
+    """Return the matrix of the motion about steady sliding, state (x1, x1', x2, x2'), for scalars `p` (eq. 5.15).
 
-    **Arguments:** `friction_slope` [N s/m], dF/du at the drive speed; negative where friction feeds the vibration.
+    **Arguments:** `friction_slope` [N s/m], dF/du at the drive speed; negative if friction feeds the vibration.
 
-    **Returns:** an array (4, 4); its eigenvalues are the modes' decay [1/s] and frequency [rad/s].
+    **Returns:** an array (4, 4); its eigenvalues give the modes' decay [1/s] and frequency [rad/s].
     """
     m1, k1, c2 = p["m1"], p["k1"], p["c2"]
     m2, k2 = striker(p)

@@ -1,4 +1,4 @@
-"""The table of parameters: symbol, default, unit, meaning and admissible range (SI units).
+"""Physical parameters: symbol, default, unit, meaning and admissible range (SI units).
 
 **Example:**
 
@@ -11,18 +11,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from math import isfinite
 
-FAR = 20.0
-"""How many times beyond the usual values a number is far from them. The units that are mistaken for one another differ
-by more (rpm for m/s, per cent, per minute; mostly a thousand); studies that go beyond what rigs have go less far."""
+FAR_FACTOR = 20.0
+"""Ratio to the usual values beyond which a value is far from them. Mistaken units (rpm for m/s, per cent, per minute)
+differ by more, mostly by a thousand; studies beyond what rigs have go less far."""
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """One physical parameter as users write it in a sweep file or a call.
+    """A physical parameter as users write it in a sweep file or a call.
 
-    `default` is in `unit`; `lowest` is the smallest admissible value, excluded where `open_below` is set; `below` is a
-    value that it must stay under. `usual` are the least and the greatest value that the source or rigs have; None where
-    nothing is known of that.
+    `default` is in `unit`. `lowest` is the smallest admissible value, excluded if `open_below` is set; a value must
+    stay under `below`. `usual` holds the least and the greatest value in the source or on rigs; None if unknown.
     """
 
     name: str
@@ -36,14 +35,14 @@ class Parameter:
     usual: tuple[float, float] | None = None
 
     def is_far(self, value: float) -> bool:
-        """Whether `value` is so far from the usual ones, by size, that it may be in another unit; zero never is."""
+        """Return True if the size of `value` suggests another unit; zero is never far."""
         if self.usual is None or not isfinite(value) or value == 0:
             return False
         low, high = self.usual
-        return not (low / FAR if low > 0 else 0.0) <= abs(value) <= FAR * max(abs(low), abs(high))
+        return not (low / FAR_FACTOR if low > 0 else 0.0) <= abs(value) <= FAR_FACTOR * max(abs(low), abs(high))
 
     def problem(self, value: float) -> str | None:
-        """What is wrong with `value`, and what would be right; None where nothing is."""
+        """Return why `value` is not admissible and what would be; None if it is."""
         if not isfinite(value):
             return f"is {value}; a finite number is needed"
         unit = "" if self.unit == "1" else f" {self.unit}"
@@ -57,31 +56,31 @@ class Parameter:
 def positive(
     name: str, default: float, unit: str, long_name: str, symbol: str, usual: tuple[float, float] | None = None
 ) -> Parameter:
-    """A parameter that must be above zero."""
+    """Return a parameter that must be above zero."""
     return Parameter(name, default, unit, long_name, symbol, lowest=0.0, open_below=True, usual=usual)
 
 
 def not_negative(
     name: str, default: float, unit: str, long_name: str, symbol: str, usual: tuple[float, float] | None = None
 ) -> Parameter:
-    """A parameter that may be zero but not less."""
+    """Return a parameter that may be zero but not less."""
     return Parameter(name, default, unit, long_name, symbol, lowest=0.0, usual=usual)
 
 
 def table(*parameters: Parameter) -> dict[str, Parameter]:
-    """Parameters by name."""
+    """Return parameters by name."""
     return {parameter.name: parameter for parameter in parameters}
 
 
 def differing(parameters: Mapping[str, Parameter], values: Mapping[str, float]) -> list[dict[str, str | float]]:
-    """Those of `values` by name that are not their parameters' defaults, each with what it takes to write it.
+    """Return a record of each of the `values` that is not its parameter's default; other names are ignored.
 
-    The keys are `name`, `symbol`, `units`, `value` and `default`; values of no parameter here are left out.
+    The keys of a record are `name`, `symbol`, `units`, `value` and `default`.
     """
-    changed = (parameters[name] for name in parameters if name in values and values[name] != parameters[name].default)
     return [
-        {"name": one.name, "symbol": one.symbol, "units": one.unit, "value": values[one.name], "default": one.default}
-        for one in changed
+        {"name": name, "symbol": p.symbol, "units": p.unit, "value": values[name], "default": p.default}
+        for name, p in parameters.items()
+        if name in values and values[name] != p.default
     ]
 
 
@@ -101,7 +100,7 @@ CONTACT = table(
     Parameter("delta", -0.005, "m", "gap between striker and bit (negative: preload)", "Δ", usual=(-0.02, 0.02)),
 )
 
-# May stand for `v` together: v = 2 pi rpm/60 bit_radius.
+# Together they may replace `v`: v = 2 pi rpm/60 bit_radius.
 ROTATION = table(
     not_negative("rpm", 120.0, "min-1", "rotation speed of the drive", "n", (10.0, 300.0)),
     positive("bit_radius", 0.12, "m", "radius at which the bit slides", "r", (0.02, 0.5)),

@@ -1,4 +1,4 @@
-"""The given force on the bit: pulses, or a swept sine; what is known of them in closed form."""
+"""Parameters of the prescribed force on the bit, pulses or a swept sine, and the pulses' mean in closed form."""
 
 from collections.abc import Mapping
 from math import pi
@@ -21,6 +21,6 @@ SWEEP = table(
 
 
 def mean_force(p: Mapping[str, Any], shape: str) -> Any:
-    """P [N] of pulses over whole periods: A w f, and 2/pi of that for a half-sine."""
+    """Return the mean P [N] of pulses over whole periods: A w f, and 2/pi of that for a half-sine."""
     mean = p["force"] * p["pulse_width"] * p["frequency"]
     return mean * (2 / pi) if shape == "half-sine" else mean

@@ -1,4 +1,4 @@
-"""The rock under the bit: visco-elasto-plastic, with a ratchet for the hole (eqs. 6.1 to 6.3), and the rocks tested."""
+"""The rock under the bit: visco-elasto-plastic, with a ratchet for the hole (eqs. 6.1 to 6.3); rocks of Table 4.5."""
 
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -34,26 +34,26 @@ ROCKS = {
 
 
 def damping(m1: Value, k3: Value, zeta: Value) -> Any:
-    """c3 = 2 zeta sqrt(m1 k3) [N s/m] of eq. 6.1; m1 [kg], k3 [N/m], zeta [1], any shapes that broadcast."""
+    """Return c3 = 2 zeta sqrt(m1 k3) [N s/m] of eq. 6.1; m1 [kg], k3 [N/m], zeta [1], any shapes that broadcast."""
     return 2 * zeta * jnp.sqrt(m1 * k3)
 
 
 class Part(NamedTuple):
-    """The part of eq. 6.2 that holds: 1 where the rock is `elastic`, or `yielding`, else 0; both 0 off the rock."""
+    """The branch of eq. 6.2 that holds: 1 if `elastic`, or if `yielding`, else 0; both are 0 off the rock."""
 
     elastic: Value
     yielding: Value
 
 
 def part(rock: Value) -> Part:
-    """The part that holds in the mode `rock`: 0 elastic, 1 yielding, any other: none."""
+    """Return the branch that holds in the mode `rock`: 0 elastic, 1 yielding, any other: neither."""
     return Part(jnp.where(rock == 0, 1.0, 0.0), jnp.where(rock == 1, 1.0, 0.0))
 
 
 def resistance(compression: Any, k3: Value, threshold: Value, holds: Part | None = None) -> Any:
-    """N = clip(k3 (x3 - x4), 0, D) [N] of eq. 6.2; `compression` x3 - x4 [m].
+    """Return N = clip(k3 (x3 - x4), 0, D) [N] of eq. 6.2; `compression` x3 - x4 [m].
 
-    A part that is known to be what `holds` is taken, whatever the compression; then it also accepts Taylor series.
+    With `holds`, that branch is used whatever the compression; Taylor series are then accepted too.
     """
     if holds is None:
         elastic = (compression > 0) & (k3 * compression < threshold)
@@ -62,10 +62,10 @@ def resistance(compression: Any, k3: Value, threshold: Value, holds: Part | None
 
 
 def yield_compression(k3: Value, threshold: Value) -> Any:
-    """Compression x3 - x4 [m] at which the rock yields, D/k3."""
+    """Return the compression x3 - x4 [m] at which the rock yields, D/k3."""
     return threshold / k3
 
 
 def ratchet(x3: Real, x4: Real, k3: Real, threshold: Real) -> Any:
-    """x4 [m] after the bit was at `x3`: the running maximum of x3 - D/k3, never less than it was (eq. 6.3)."""
+    """Return x4 [m] after the bit was at `x3`: the running maximum of x3 - D/k3 (eq. 6.3)."""
     return jnp.maximum(x4, x3 - yield_compression(k3, threshold))

@@ -1,22 +1,21 @@
-"""What a scene declares: its states and modes, guards and markers, and the section where returns are counted."""
+"""Declarations of a scene: states and modes, markers and guards, and the section at which returns are counted."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 Values = tuple[Any, ...]
-"""One value for each state, or for each discrete state: arrays of one shape (lanes), or Taylor series."""
+"""One value per state, or per discrete state: arrays of one shape (lanes), or Taylor series."""
 
 Start = str | tuple[Any, ...] | None
-"""A start: one of the scene's names, a vector of the states it gives (numbers, or arrays of lanes), or None for a scene
-with only one."""
+"""A start: a name, a vector of `start_states` (numbers, or arrays of lanes), or None for a scene with only one."""
 
 
 class State(NamedTuple):
-    """A continuous state: its name, unit and meaning, whether it is a velocity, and whether trajectories show it.
+    """A continuous state: name, unit and meaning; `is_velocity`; and `shown`, False to leave it out of trajectories.
 
-    Errors are weighed on the velocities, against [vibrojax.models.scenes.scene.Scene.speed_scale][]: units in which
-    velocities are alike in size serve best.
+    A step's error is measured on the velocities, relative to [vibrojax.models.scenes.scene.Scene.speed_scale][]. Choose
+    units in which the velocities have similar magnitudes.
 
     **Example:**
 
@@ -34,7 +33,7 @@ class State(NamedTuple):
 
 
 class Mode(NamedTuple):
-    """A discrete state: its name, what its values mean, and the value in which steps are longest.
+    """A discrete state: its name, the meaning of its values, and the value in which steps are longest.
 
     **Example:**
 
@@ -48,10 +47,10 @@ class Mode(NamedTuple):
 
 
 class Marker(NamedTuple):
-    """Zeros of the state `velocity`, either way: steps end on them, and there it is exactly zero.
+    """Zeros of the state `velocity` in either direction: steps end on them, and the state is exactly zero there.
 
-    It may be any state that is alike in size to velocities, such as the phase of what forces a motion; no guard may
-    have the same zeros.
+    The state may be any with a magnitude like that of velocities, such as the phase of a forcing. No guard may have
+    the same zeros.
 
     **Example:**
 
@@ -65,20 +64,20 @@ class Marker(NamedTuple):
 
 @dataclass(frozen=True)
 class Guard:
-    """What ends a mode.
+    """A condition that ends a mode.
 
-    - `name`: of the guard, by which `hits` tells that it was reached.
-    - `function`: `function(constants, mode, state)`, positive while the mode lasts and zero where it ends; it takes
+    - `name`: the guard's key in `hits`.
+    - `function`: `function(constants, mode, state)`, positive while the mode lasts and zero at its end; it accepts
       arrays and Taylor series.
-    - `resolution`: `resolution(constants, mode)`, values of it that count as zero: a few roundings of a typical one.
+    - `resolution`: `resolution(constants, mode)`, values that count as zero: a few roundings of a typical value.
     - `slope_resolution`: `slope_resolution(constants, mode, h)`, first-order changes over a step `h` [s] that count as
-      zero where it starts on the guard; None: 16 times the resolution.
-    - `is_switch`: whether a smoothed motion spreads it out, and so never reaches it.
+      zero if the step starts on the guard; None: 16 times the resolution.
+    - `is_switch`: True if a smoothed motion spreads the switch over a width and so never reaches the guard.
 
     **Example:**
 
     >>> wall = vj.Guard("wall", lambda c, mode, y: 1.0 - y[0], resolution=lambda c, mode: 1e-14)
-    >>> wall.function(None, (), (0.25, 0.0))  # so far from x = 1
+    >>> wall.function(None, (), (0.25, 0.0))  # distance to x = 1
     0.75
     >>> [guard.name for guard in vj.SCENES["vibro-impact"]().guards()]
     ['friction', 'contact']
@@ -92,10 +91,10 @@ class Guard:
 
 
 class Swing(NamedTuple):
-    """A state `position`, its rate of change, the state `velocity`, and the `amplitude`: what half its swing is called.
+    """A state `position`, its rate of change, the state `velocity`, and `amplitude`, the variable for half its swing.
 
-    The turns are landed on where the velocity is a marker's. The first swing of a section `at` another state may do
-    without a velocity, None: no state is its rate.
+    Steps end on the turns if a marker has this velocity. The first swing of a section `at` another state may have the
+    velocity None: no state is its rate of change.
 
     **Example:**
 
@@ -110,14 +109,15 @@ class Swing(NamedTuple):
 
 @dataclass(frozen=True)
 class Section:
-    """Where returns are counted: the velocity of the first swing passes zero, rising, or falling; or the state `at`.
+    """The Poincaré section at which returns are counted: zeros of the first swing's velocity, or of the state `at`.
 
-    That state is a marker's. It must have passed the level `rearm(constants)` the other way since the last return, so
-    that a velocity that trembles about zero counts once. Repeats are looked for in the positions of all swings and the
-    velocities of all but the first, scaled by half the swings and by those times 2 pi over the time between returns.
+    The state needs a marker and passes zero upwards if `rising`, else downwards. Since the last return it must have
+    passed the level `rearm(constants)` in the other direction, so that a velocity that trembles about zero counts once.
+    Repeats are searched in the positions of all swings and in the velocities of all but the first. Positions are scaled
+    by half the swings, velocities by those times 2 pi over the time between returns.
 
-    A motion under a force that repeats is the motion of an autonomous scene with one more state, the force's phase,
-    which a guard sets back by a whole turn, away from zero: `at` that phase the section is stroboscopic.
+    A periodically forced motion is autonomous with one more state, the forcing's phase. A guard sets that phase back by
+    a whole turn, away from zero. A section `at` the phase is stroboscopic.
 
     **Example:**
 
@@ -133,14 +133,14 @@ class Section:
 
     @property
     def velocity(self) -> str:
-        """The state whose zero the section is."""
+        """The state whose zero defines the section."""
         state = self.at or self.swings[0].velocity
-        assert state is not None, "a section without `at` is where the velocity of its first swing passes zero"
+        assert state is not None, "a section without `at` needs a first swing with a velocity"
         return state
 
     @property
     def compared(self) -> tuple[str, ...]:
-        """Names of the states in which repeats are looked for."""
+        """Names of the states in which repeats are searched."""
         first, *others = self.swings
         pairs = (name for other in others for name in (other.position, other.velocity))
         return (first.position, *(name for name in pairs if name is not None))

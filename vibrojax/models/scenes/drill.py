@@ -1,9 +1,8 @@
-"""The drill: bit and striker on their springs, sliding with dry friction, and what every scene with it shares.
+"""The drill: bit and striker on their springs with dry friction, the base of every scene that slides.
 
 m1 x1'' = -k1 x1 - k2 (x1 - x2) - F(u, J),   m2 x2'' = -c2 x2' - k2 (x2 - x1) - J,   u = x1' + v
 """
 
-from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple, Protocol, TypeVar, runtime_checkable
@@ -20,15 +19,15 @@ from vibrojax.models.scenes.scene import ARMED_BELOW
 from vibrojax.models.scenes.stick_slip import SlipConstants, slip_constants
 
 STARTING_SHARE = 0.05
-"""Part of the fastest speed that the energy of a start allows, which counts as typical of the motion."""
+"""Part of the fastest speed that the start's energy allows which counts as typical of the motion."""
 
 
 class DrillConstants(NamedTuple):
-    """The constants of the two masses, each (lanes,).
+    """Constants of the two masses, each (lanes,).
 
     - `m1`, `m2` [kg], `k1`, `k2` [N/m], `c2` [N s/m]; `inverse_m1`, `inverse_m2` [1/kg].
-    - `period`: seconds that turn a speed of the bit into a length, sqrt(m1/k1).
-    - `slip`: those of friction.
+    - `period`: time [s] that converts a speed of the bit to a length, sqrt(m1/k1).
+    - `slip`: the constants of friction.
     """
 
     m1: Any
@@ -43,7 +42,7 @@ class DrillConstants(NamedTuple):
 
 
 def drill_constants(p: Mapping[str, Any], law: FrictionLaw) -> DrillConstants:
-    """What the two masses need, from [vibrojax.models.physics.parameters.BIT_AND_STRIKER][] and the law's among `p`."""
+    """Return the constants for [vibrojax.models.physics.parameters.BIT_AND_STRIKER][] and the law's parameters."""
     m2, k2 = striker(p)
     return DrillConstants(
         m1=p["m1"],
@@ -58,17 +57,12 @@ def drill_constants(p: Mapping[str, Any], law: FrictionLaw) -> DrillConstants:
     )
 
 
-def pull(c: DrillConstants, x1: Any, x2: Any) -> Any:
-    """Spring force on the bit [N], -k1 x1 - k2 (x1 - x2)."""
-    return c.k2 * (x2 - x1) - c.k1 * x1
-
-
 def accelerations(
     law: FrictionLaw, c: DrillConstants, slip: Any, state: Values, pull: Any, impact: Any
 ) -> tuple[Any, Any]:
-    """x1'' and x2'' [m/s²]: of the bit that slides under the `pull` of its springs [N], and of the striker.
+    """Return x1'' and x2'' [m/s²] of the bit, sliding under the `pull` of its springs [N], and of the striker.
 
-    `impact` is J [N], or None where there is no contact.
+    `impact` is J [N], or None without a contact.
     """
     x1, v1, x2, v2 = state
     force = stick_slip.friction(law, c.slip, slip, v1 + c.slip.v, impact)
@@ -80,26 +74,16 @@ def accelerations(
 
 
 def length_noise(c: DrillConstants) -> Any:
-    """Distance [m] that counts as zero: a few roundings of a typical one."""
+    """Return the distance [m] that counts as zero: a few roundings of a typical one."""
     return stick_slip.speed_noise(c.slip) * c.period
-
-
-def two_masses_start(c: DrillConstants, name: Start, shape: tuple[int, ...]) -> Values:
-    """State at t = 0 of the starts `drive` and `stuck` (R5), or that of a vector of four numbers."""
-    if name is None or isinstance(name, str):
-        zero = jnp.zeros(shape, c.slip.v.dtype)
-        return (zero, -c.slip.v + zero if name == "stuck" else zero, zero, zero)
-    return tuple(jnp.full(shape, value, c.slip.v.dtype) for value in name)
 
 
 @runtime_checkable
 class WithDrill(Protocol):
-    """The constants of a scene with the drill."""
+    """Constants of a scene that include the drill's."""
 
     @property
-    def drill(self) -> DrillConstants:
-        """Those of the two masses."""
-        ...
+    def drill(self) -> DrillConstants: ...
 
 
 D = TypeVar("D", bound=WithDrill)
@@ -111,9 +95,10 @@ def _overtaken(c: WithDrill) -> Any:
 
 @dataclass(frozen=True)
 class Drill(HasFriction[D]):
-    """Bit and striker with friction; what acts between them and below them is for the scene to say.
+    """Bit and striker with friction; a scene adds what acts between them and below them.
 
-    States x1, x1', x2, x2' come first, and `slip` is the first mode. A return is where the bit overtakes the drive.
+    The states begin with x1, x1', x2, x2' and the modes with `slip`. At a return the bit overtakes the drive. The
+    methods from `impact` to `other_reset` describe the additions; by default there are none.
     """
 
     friction: FrictionLaw = FRICTION_LAWS["stribeck"]
@@ -130,43 +115,49 @@ class Drill(HasFriction[D]):
     starts: ClassVar[tuple[str, ...]] = ("drive", "stuck")
     start_states: ClassVar[tuple[str, ...]] = ("x1", "v1", "x2", "v2")
 
-    # What acts between the masses, and below them.
-
-    @abstractmethod
     def impact(self, c: D, mode: Values, state: Values) -> Any:
-        """J [N], or None where there is no contact; arrays and series. The slip mode is not asked for."""
+        """Return J [N] for arrays and series, or None without a contact; it does not use the slip mode."""
+        return None
 
-    @abstractmethod
     def impact_noise(self, c: D, mode: Values) -> Any:
-        """Impact force [N] that counts as none."""
+        """Return the impact force [N] that counts as none."""
+        return 0.0
 
-    @abstractmethod
     def stored(self, c: D, state: Values) -> Any:
-        """Energy [J] of a start beyond that of the two masses and their springs."""
+        """Return the energy [J] of a start beyond that of the two masses and their springs."""
+        return 0.0
 
-    @abstractmethod
     def other_modes_at(self, c: D, state: Values) -> Values:
-        """The modes beyond `slip`, at a state."""
+        """Return the modes after `slip` at a state."""
+        return ()
 
-    @abstractmethod
     def other_rates(self, c: D, mode: Values, state: Values, impact: Any) -> Values:
-        """Time derivatives of the states beyond those of the two masses."""
+        """Return the time derivatives of the states after x2'."""
+        return ()
 
-    @abstractmethod
     def other_guards(self) -> tuple[Guard, ...]:
-        """The guards beyond that of friction."""
+        """Return the guards after that of friction."""
+        return ()
 
-    @abstractmethod
     def other_reset(self, c: D, mode: Values, state: Values, hits: Mapping[str, Any]) -> tuple[Values, Values]:
-        """Mode and state after these guards."""
+        """Return mode and state after these guards."""
+        return mode, state
 
-    # The rest follows.
+    def start(self, c: D, name: Start, shape: tuple[int, ...]) -> Values:
+        """Return the state of the starts `drive` and `stuck` (R5), or of a vector of four numbers; others are zero."""
+        v = c.drill.slip.v
+        zero = jnp.zeros(shape, v.dtype)
+        if name is None or isinstance(name, str):
+            masses: Values = (zero, -v + zero if name == "stuck" else zero, zero, zero)
+        else:
+            masses = tuple(jnp.full(shape, value, v.dtype) for value in name)
+        return (*masses, *(zero for _ in self.states[4:]))
 
     def scaled(self, c: D, state: Values) -> D:
-        """The constants, with a typical speed that takes the start's energy in.
+        """Return the constants with a typical speed that allows for the start's energy.
 
-        Where next to nothing drives the drill or holds it, only what it starts with says how fast it moves. The share
-        is small, so that a transient does not decide how exact all that follows is.
+        If almost nothing drives the drill or holds it, only its start tells how fast it moves. The share is small, so
+        that a transient does not set the accuracy of all that follows.
         """
         x1, v1, x2, v2 = state[:4]
         drill = c.drill
@@ -174,7 +165,8 @@ class Drill(HasFriction[D]):
         energy = (springs + drill.m1 * v1 * v1 + drill.m2 * v2 * v2) / 2 + self.stored(c, state)
         fastest = jnp.sqrt(2 * energy * jnp.maximum(drill.inverse_m1, drill.inverse_m2))
         speed = jnp.maximum(drill.slip.speed_scale, STARTING_SHARE * fastest)
-        return _with_drill(c, drill._replace(slip=drill.slip._replace(speed_scale=speed)))
+        constants: Any = c
+        return constants._replace(drill=drill._replace(slip=drill.slip._replace(speed_scale=speed)))
 
     def mode_at(self, c: D, state: Values) -> Values:
         others = self.other_modes_at(c, state)
@@ -183,24 +175,33 @@ class Drill(HasFriction[D]):
         return (stick_slip.slip_at(c.drill.slip, u, *pulls, impact, noise), *others)
 
     def field(self, c: D, mode: Values, state: Values) -> Values:
-        slip, impact = mode[0], self.impact(c, mode, state)
-        bit, striker = self._accelerations(c, slip, state, impact)
-        return (state[1], (slip * slip) * bit, state[3], striker, *self.other_rates(c, mode, state, impact))
+        slip = mode[0]
+        v1, bit, *others = self._sliding_rates(c, mode, state, slip)
+        return (v1, (slip * slip) * bit, *others)
 
     def smoothed_field(self, c: D, mode: Values, state: Values, width: Any) -> Values:
+        return self._sliding_rates(c, mode, state, stick_slip.smoothed_slip(state[1] + c.drill.slip.v, width))
+
+    def _sliding_rates(self, c: D, mode: Values, state: Values, slip: Any) -> Values:
         impact = self.impact(c, mode, state)
-        slip = stick_slip.smoothed_slip(state[1] + c.drill.slip.v, width)
-        bit, striker = self._accelerations(c, slip, state, impact)
+        bit, striker = accelerations(self.friction, c.drill, slip, state[:4], self.pull(c, state), impact)
         return (state[1], bit, state[3], striker, *self.other_rates(c, mode, state, impact))
 
     def smoothed_mode(self, c: D, mode: Values, state: Values, width: Any) -> Values:
         return (stick_slip.smoothed_mode(state[1] + c.drill.slip.v, width), *mode[1:])
 
     def guards(self) -> tuple[Guard, ...]:
-        return (
-            Guard("friction", self._slips, self._slip_noise, self._slip_slope, is_switch=True),
-            *self.other_guards(),
-        )
+        def slips(c: D, mode: Values, state: Values) -> Any:
+            u = state[1] + c.drill.slip.v
+            return stick_slip.guard(c.drill.slip, mode[0], u, self.pull(c, state), self.impact(c, mode, state))
+
+        def resolution(c: D, mode: Values) -> Any:
+            return stick_slip.resolution(c.drill.slip, mode[0], self._stick_noise(c, mode))
+
+        def slope_resolution(c: D, mode: Values, h: Any) -> Any:
+            return stick_slip.slope_resolution(c.drill.slip, mode[0], self._stick_noise(c, mode), h)
+
+        return (Guard("friction", slips, resolution, slope_resolution, is_switch=True), *self.other_guards())
 
     def reset(self, c: D, mode: Values, state: Values, hits: Mapping[str, Any]) -> tuple[Values, Values]:
         mode, state = self.other_reset(c, mode, state, hits)
@@ -210,31 +211,19 @@ class Drill(HasFriction[D]):
         after = stick_slip.slip_after(c.drill.slip, mode[0], *pulls, impact, noise)
         return (jnp.where(hits["friction"], after, mode[0]), *mode[1:]), state
 
-    def _slips(self, c: D, mode: Values, state: Values) -> Any:
-        u = state[1] + c.drill.slip.v
-        return stick_slip.guard(c.drill.slip, mode[0], u, self.pull(c, state), self.impact(c, mode, state))
-
-    def _slip_noise(self, c: D, mode: Values) -> Any:
-        return stick_slip.resolution(c.drill.slip, mode[0], self._stick_noise(c, mode))
-
-    def _slip_slope(self, c: D, mode: Values, h: Any) -> Any:
-        return stick_slip.slope_resolution(c.drill.slip, mode[0], self._stick_noise(c, mode), h)
-
     def _stick_noise(self, c: D, mode: Values) -> Any:
         return stick_slip.stick_noise(c.drill.slip, self.impact_noise(c, mode))
-
-    def _accelerations(self, c: D, slip: Any, state: Values, impact: Any) -> tuple[Any, Any]:
-        return accelerations(self.friction, c.drill, slip, state[:4], self.pull(c, state), impact)
 
     def bit(self, c: D) -> Bit:
         return Bit(c.drill.m1, c.drill.slip.weight, c.drill.slip.v)
 
     def pull(self, c: D, state: Values) -> Any:
-        return pull(c.drill, state[0], state[2])
+        """Return the spring force on the bit [N], -k1 x1 - k2 (x1 - x2)."""
+        return _pull(c.drill, state[0], state[2])
 
     def pull_rate(self, c: D, state: Values) -> Any:
-        """Rate of change of the pull on the bit [N/s]: into which way it starts where the pull itself is zero."""
-        return pull(c.drill, state[1], state[3])
+        """Return the rate of change of the pull [N/s]: the direction in which the bit starts if the pull is zero."""
+        return _pull(c.drill, state[1], state[3])
 
     def flight_rate(self, c: D) -> Any:
         drill = c.drill
@@ -254,6 +243,5 @@ class Drill(HasFriction[D]):
         return stick_slip.validity(self.friction, c.drill.slip, mode[0], polynomials[1])
 
 
-def _with_drill(c: Any, drill: DrillConstants) -> Any:
-    """The constants, a NamedTuple, with other ones of the drill."""
-    return c._replace(drill=drill)
+def _pull(c: DrillConstants, x1: Any, x2: Any) -> Any:
+    return c.k2 * (x2 - x1) - c.k1 * x1

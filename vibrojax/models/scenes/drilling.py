@@ -1,4 +1,4 @@
-"""The drilling scenes: the striker drives the bit into the rock, one way as in the source, or with feedback."""
+"""The drilling scenes: the striker drives the bit into the rock, one-way as in the source, or with feedback."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -14,12 +14,11 @@ from vibrojax.models.scenes.declared import Guard, Values
 from vibrojax.models.scenes.drill import Drill, DrillConstants, drill_constants, length_noise
 from vibrojax.models.scenes.one_sided import ContactConstants, contact_constants
 from vibrojax.models.scenes.scene import Scene
-from vibrojax.models.scenes.struck import Struck
-from vibrojax.models.scenes.vibro_impact import VibroImpact
+from vibrojax.models.scenes.vibro_impact import Struck, VibroImpact
 
 
 class DrillingConstants(NamedTuple):
-    """The constants of the scene: those of the two masses, of the contact, and of the bit on the rock."""
+    """Constants of the two masses, of the contact, and of the bit on the rock."""
 
     drill: DrillConstants
     contact: ContactConstants
@@ -27,25 +26,26 @@ class DrillingConstants(NamedTuple):
 
 
 def _sandstone() -> dict[str, Parameter]:
-    """The rock's parameters with this scene's defaults: most blows of this drill never break granite."""
+    """Return the rock's parameters with this scene's defaults: most blows of this drill never break granite."""
     defaults = {"k3": ROCKS["sandstone"].k3, "threshold": ROCKS["sandstone"].threshold, "zeta": 1.5}
     return {name: replace(parameter, default=defaults[name]) for name, parameter in ROCK.items()}
 
 
 @dataclass(frozen=True)
 class Drilling(Struck[DrillingConstants], OnRock[DrillingConstants]):
-    """The vibro-impact drill whose blows drive the bit into the rock, one way, as in the source.
+    """The vibro-impact drill whose blows drive the bit into the rock, one-way, as in the source.
 
     The bit's normal motion m1 x3'' + c3 x3' = -N + J (eqs. 5.18, 6.1 to 6.3).
     States: x1, x1', x2, x2', the rock's compression x3 - x4, x3', and the growth of x4 since the last impact began.
-    What has been drilled before is thus no part of the state, and cannot blur it. The rock does not act back: the
-    contact is that of the vibro-impact scene.
+    The depth drilled before is not part of the state, so its rounding cannot blur the motion. The rock does not act on
+    the drill: the contact is that of the vibro-impact scene.
     """
 
     name = "drilling"
     states = (*Drill.states, *bit_on_rock.STATES)
     modes = (*Struck.modes, bit_on_rock.MODE)
     measures = ("swings", "shares", "impacts", "harmonics", "drilling")
+    choices = Struck.choices | OnRock.choices
     drifting: ClassVar[tuple[str, ...]] = ("growth",)
 
     def driving_part(self) -> Scene[Any]:
@@ -93,9 +93,9 @@ class Drilling(Struck[DrillingConstants], OnRock[DrillingConstants]):
 
 @dataclass(frozen=True)
 class CoupledDrilling(Drilling):
-    """As drilling, with the bit's normal motion fed back into the contact (the source's recommendation 1).
+    """The drilling scene with the bit's normal motion fed back into the contact (the source's recommendation 1).
 
-    The contact's compression is x2 - delta - (x3 - x4): the drive is fed down with the hole, so the gap does not open.
+    The contact's compression is x2 - delta - (x3 - x4): the drive follows the hole, so the gap does not open.
     """
 
     name = "coupled-drilling"

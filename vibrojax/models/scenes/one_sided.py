@@ -1,6 +1,6 @@
 """The one-sided contact as a hybrid system, by the compression and its rate (eq. 5.18).
 
-Apart (0) until the compression is positive and the force too; touching (1) until the force is zero.
+The mode is 0 (apart) until compression and force are positive, then 1 (touching) until the force is zero.
 """
 
 from collections.abc import Mapping
@@ -23,45 +23,45 @@ class ContactConstants(NamedTuple):
 
 
 def contact_constants(p: Mapping[str, Any]) -> ContactConstants:
-    """What the contact needs, from `k0`, `c0` and `delta` among `p`."""
+    """Return the constants of the contact for `k0`, `c0` and `delta` in `p`."""
     return ContactConstants(p["k0"], p["c0"], p["delta"], p["c0"] / p["k0"])
 
 
 def force(c: ContactConstants, touching: Any, compression: Any, rate: Any) -> Any:
-    """J [N] in the mode; arrays and series."""
+    """Return J [N] in the mode; arrays and series."""
     return touching * raw_force(compression, rate, c.k0, c.c0)
 
 
 def guard(c: ContactConstants, touching: Any, compression: Any, rate: Any) -> Any:
-    """The force in metres while they touch; apart, the distance to the state in which they do."""
+    """Return the force as a length while touching; apart, the distance to the state in which they touch."""
     length = compression + c.relaxation * rate
-    # Apart until both hold, so that a striker let go above delta (c0 > 0) is not caught again.
+    # Apart until both are positive, so that a striker released above delta (c0 > 0) is not caught again.
     return touching * length + (1.0 - touching) * maximum(-compression, -length)
 
 
 def touching_at(c: ContactConstants, compression: Any, rate: Any, pushed: Any) -> Any:
-    """The mode at a state; `pushed` [N] is the force that closes a contact at rest on its edge."""
+    """Return the mode at a state; `pushed` [N] is the force that closes a contact at rest on its edge."""
     closes = (rate > 0) | ((rate == 0) & (pushed > 0))
     inside = (compression > 0) & (raw_force(compression, rate, c.k0, c.c0) > 0)
     return jnp.where(inside | ((compression == 0) & closes), 1.0, 0.0)
 
 
 def energy(c: ContactConstants, compression: Any) -> Any:
-    """Energy [J] of the contact's spring, touching or about to be."""
+    """Return the energy [J] of the contact's spring, touching or about to touch."""
     inside = jnp.maximum(compression, 0)
     return c.k0 * inside * inside / 2
 
 
 def begins(c: ContactConstants, touching: Any, compression: Any, rate: Any, hit: Any, noise: Any) -> Any:
-    """Where a contact begins from outside, which is an impact; a compression of `noise` [m] counts as none.
+    """Return a mask of the contacts that begin from outside, the impacts; `noise` [m] counts as no compression.
 
-    Let go while still compressed (c0 > 0), it may be caught again there: no new impact.
+    A contact released while still compressed (c0 > 0) may close again there: that is not a new impact.
     """
     return hit & (touching == 0) & (c.relaxation * rate >= 0) & (compression <= noise)
 
 
 def reset(c: ContactConstants, touching: Any, compression: Any, rate: Any, hit: Any, noise: Any) -> tuple[Any, Any]:
-    """The mode, and the compression put on the guard, after it is reached where `hit`."""
+    """Return the mode after the guard is reached (`hit`), and the compression set to its value on the guard."""
     from_outside = begins(c, touching, compression, rate, hit, noise)
     compression = jnp.where(hit & (touching != 0), -c.relaxation * rate, compression)
     compression = jnp.where(from_outside, 0.0, compression)
@@ -69,16 +69,16 @@ def reset(c: ContactConstants, touching: Any, compression: Any, rate: Any, hit: 
 
 
 def stiff_rate(c: ContactConstants, inverse_mass: Any, flight: Any) -> Any:
-    """The fastest rate of change in contact [1/s], from that in flight."""
+    """Return the fastest rate of change in contact [1/s], from the rate in flight."""
     return jnp.sqrt(c.k0 * inverse_mass + flight * flight) + c.c0 * inverse_mass
 
 
 def own_rate(c: ContactConstants, mass: Any) -> Any:
-    """What spring and damper alone make of a `mass` [kg], [1/s]."""
+    """Return the rate [1/s] of a `mass` [kg] on the contact's spring and damper alone."""
     return jnp.sqrt(c.k0 / mass) + c.c0 / mass
 
 
 def force_resolution(c: ContactConstants, mass: Any, speed: Any) -> Any:
-    """Force [N] that is a few roundings of the position of a `mass` that meets the contact at `speed` [m/s]."""
+    """Return the force [N] of a few roundings of the position of a `mass` that meets the contact at `speed` [m/s]."""
     reach = jnp.abs(c.delta) + jnp.sqrt(mass / c.k0) * speed
     return ROUNDINGS * jnp.finfo(c.k0.dtype).eps * c.k0 * reach

@@ -1,4 +1,4 @@
-"""The penetration scene: the bit on the rock under a given force, rectangular or half-sine pulses or a swept sine."""
+"""The penetration scene: the bit on the rock under a prescribed force, pulses or a swept sine."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -21,11 +21,11 @@ PULSE_SHAPES = ("rectangular", "half-sine", "sweep")
 
 
 class PenetrationConstants(NamedTuple):
-    """The constants of the scene: those of the bit on the rock, and of the force; what it does not have is 0.
+    """Constants of the bit on the rock and of the force; constants of other forces are 0.
 
     - `force` [N]; of pulses their `frequency` [1/s] and `pulse_width` [s]; of a swept sine its `sweep_start` [1/s],
       `sweep_rate` [1/s²] and `bias` [N].
-    - `period`: time between pulses [s], infinite where there are none; `speed` [m/s]: what the force alone gives.
+    - `period`: time between pulses [s], infinite without pulses; `speed` [m/s]: of the bit by the force alone.
     """
 
     rock: RockConstants
@@ -41,11 +41,11 @@ class PenetrationConstants(NamedTuple):
 
 @dataclass(frozen=True)
 class Penetration(OnRock[PenetrationConstants], Driven[PenetrationConstants]):
-    """The bit on the rock under given pulses, rectangular or half-sine, or under a swept sine; no drill.
+    """The bit on the rock under pulses, rectangular or half-sine, or under a swept sine; no drill.
 
     m1 x3'' + c3 x3' = -N + I(t), N = clip(k3 (x3 - x4), 0, D) (eqs. 6.1 to 6.3).
     States: compression x3 - x4, x3', the growth of x4 since the last pulse began, and the time since then (for a swept
-    sine: since t = 0). What has been drilled before is thus no part of the state, and cannot blur it.
+    sine: since t = 0). The depth drilled before is not part of the state, so its rounding cannot blur the motion.
     """
 
     pulse_shape: str = "rectangular"
@@ -55,6 +55,7 @@ class Penetration(OnRock[PenetrationConstants], Driven[PenetrationConstants]):
     modes = (bit_on_rock.MODE, Mode("pushing", "1 during a pulse", 0.0))
     markers = (Marker("bit_turn", "v3"),)
     pulse_states = ("compression", "v3")
+    choices = OnRock.choices | {"pulse_shape": {shape: shape for shape in PULSE_SHAPES}}
     autonomous = False
 
     @property
@@ -66,15 +67,15 @@ class Penetration(OnRock[PenetrationConstants], Driven[PenetrationConstants]):
         return mass | ROCK | (PULSES if self.has_pulses else SWEEP)
 
     def constants(self, p: Mapping[str, Any]) -> PenetrationConstants:
-        # There is no gravity in this scene; a usual weight only decides what counts as roundings.
+        # This scene has no gravity; a usual weight only sets the scale of roundings.
         rock = rock_constants(p, BIT_AND_STRIKER["g"].default)
         bias = 0.0 if self.has_pulses else jnp.abs(p["bias"])
-        given = {name: p[name] for name in (PULSES if self.has_pulses else SWEEP)}
+        own = {name: p[name] for name in (PULSES if self.has_pulses else SWEEP)}
         return PenetrationConstants(
             rock=rock,
             period=1 / p["frequency"] if self.has_pulses else jnp.full_like(p["m1"], jnp.inf),
             speed=(jnp.abs(p["force"]) + bias) * rock.mobility,
-            **given,
+            **own,
         )
 
     def refused(self, p: Mapping[str, Any]) -> tuple[str, Any] | None:
@@ -105,18 +106,17 @@ class Penetration(OnRock[PenetrationConstants], Driven[PenetrationConstants]):
         return (*rates, 0.0 * state[3] + 1.0)
 
     def guards(self) -> tuple[Guard, ...]:
-        return (*self.rock_guards(), Guard("pulse", self._time_left, self._time_noise))
+        def time_left(c: PenetrationConstants, mode: Values, state: Values) -> Any:
+            pushing, since = mode[1], state[3]
+            if not self.has_pulses:
+                return 0.0 * since + 1.0
+            return (pushing * c.pulse_width + (1.0 - pushing) * c.period) - since
 
-    def _time_left(self, c: PenetrationConstants, mode: Values, state: Values) -> Any:
-        """Time left to the end of the pulse, or to the next."""
-        pushing, since = mode[1], state[3]
-        if not self.has_pulses:
-            return 0.0 * since + 1.0
-        return (pushing * c.pulse_width + (1.0 - pushing) * c.period) - since
+        def time_noise(c: PenetrationConstants, mode: Values) -> Any:
+            longest = jnp.where(jnp.isfinite(c.period), c.period, 1.0)
+            return ROUNDINGS * jnp.finfo(c.rock.m1.dtype).eps * longest
 
-    def _time_noise(self, c: PenetrationConstants, mode: Values) -> Any:
-        longest = jnp.where(jnp.isfinite(c.period), c.period, 1.0)
-        return ROUNDINGS * jnp.finfo(c.rock.m1.dtype).eps * longest
+        return (*self.rock_guards(), Guard("pulse", time_left, time_noise))
 
     def reset(
         self, c: PenetrationConstants, mode: Values, state: Values, hits: Mapping[str, Any]
@@ -125,7 +125,7 @@ class Penetration(OnRock[PenetrationConstants], Driven[PenetrationConstants]):
         begins = self.pulse_begins(c, mode, hits)
         pushing = jnp.where(hits["pulse"], 1.0 - mode[1], mode[1])
         growth = jnp.where(begins, 0.0, state[2])
-        # It is there, whatever it was before it yielded: so a return map forgets that.
+        # The compression while yielding does not depend on its history, so that the return map forgets it.
         compression = jnp.where(begins & (rock == 1), c.rock.yield_compression, compression)
         if self.has_pulses:
             rock, compression, v3 = bit_on_rock.at_rest(c.rock, rock, compression, v3, pushing != 0)

@@ -5,12 +5,12 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from vibrojax.models.physics.parameters import BIT_AND_STRIKER, Parameter
-from vibrojax.models.scenes.declared import Guard, Start, Values
-from vibrojax.models.scenes.drill import Drill, DrillConstants, drill_constants, two_masses_start
+from vibrojax.models.scenes.declared import Values
+from vibrojax.models.scenes.drill import Drill, DrillConstants, drill_constants
 
 
 class RotaryConstants(NamedTuple):
-    """The constants of the scene: those of the two masses."""
+    """Constants of the two masses."""
 
     drill: DrillConstants
 
@@ -31,34 +31,8 @@ class Rotary(Drill[RotaryConstants]):
     def constants(self, p: Mapping[str, Any]) -> RotaryConstants:
         return RotaryConstants(drill_constants(p, self.friction))
 
-    def start(self, c: RotaryConstants, name: Start, shape: tuple[int, ...]) -> Values:
-        return two_masses_start(c.drill, name, shape)
-
     def rate(self, c: RotaryConstants, mode: Values) -> Any:
         return self.flight_rate(c)
-
-    def impact(self, c: RotaryConstants, mode: Values, state: Values) -> None:
-        return None
-
-    def impact_noise(self, c: RotaryConstants, mode: Values) -> float:
-        return 0.0
-
-    def stored(self, c: RotaryConstants, state: Values) -> float:
-        return 0.0
-
-    def other_modes_at(self, c: RotaryConstants, state: Values) -> Values:
-        return ()
-
-    def other_rates(self, c: RotaryConstants, mode: Values, state: Values, impact: Any) -> Values:
-        return ()
-
-    def other_guards(self) -> tuple[Guard, ...]:
-        return ()
-
-    def other_reset(
-        self, c: RotaryConstants, mode: Values, state: Values, hits: Mapping[str, Any]
-    ) -> tuple[Values, Values]:
-        return mode, state
 
 
 SCENES = (Rotary,)

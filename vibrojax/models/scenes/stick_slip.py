@@ -1,6 +1,6 @@
 """Dry friction of a bit on the rock as a hybrid system, by its sliding speed u and the pull of its springs (eq. 5.11).
 
-The mode is sgn u while the bit slides, and 0 while it sticks: until the pull is greater than the stick limit.
+The mode is sgn u while the bit slides. It is 0 in stick, until the pull exceeds the stick limit.
 """
 
 from collections.abc import Mapping
@@ -17,8 +17,8 @@ from vibrojax.models.scenes.scene import ROUNDINGS, SLOPE_ROUNDINGS
 class SlipConstants(NamedTuple):
     """The constants of friction, each (lanes,).
 
-    - `v`: drive speed [m/s]; `weight` of the bit [N]; `inverse_mass` of it [1/kg].
-    - `stick_limit` [N]: of the pull without impact; `stick_gain` [1]: what the impact force adds to it.
+    - `v`: drive speed [m/s]; `weight` of the bit [N]; `inverse_mass` of the bit [1/kg].
+    - `stick_limit` [N]: limit of the pull without impact; `stick_gain` [1]: its increase per impact force.
     - `impedance` [N s/m]: of the bit on its spring; `speed_scale` [m/s]: a typical speed.
     - `law`: the friction law's own parameters, by name.
     """
@@ -34,25 +34,25 @@ class SlipConstants(NamedTuple):
 
 
 def slip_constants(p: Mapping[str, Any], law: FrictionLaw) -> SlipConstants:
-    """What friction needs, from `m1`, `k1`, `g`, `v` and the law's parameters among `p`."""
+    """Return the constants of friction for `m1`, `k1`, `g`, `v` and the law's parameters in `p`."""
     own = {name: p[name] for name in law.parameters}
     weight = p["m1"] * p["g"]
-    stick_limit, impedance = law.on_weight(0.0, own) * weight, jnp.sqrt(p["k1"] * p["m1"])
+    limit, impedance = law.on_weight(0.0, own) * weight, jnp.sqrt(p["k1"] * p["m1"])
     return SlipConstants(
         v=p["v"],
         weight=weight,
         inverse_mass=1 / p["m1"],
-        stick_limit=stick_limit,
+        stick_limit=limit,
         stick_gain=law.on_impact(0.0, own) + 0 * weight,
         impedance=impedance,
-        # The drive's, and what friction's fall gives to the bit on its spring.
-        speed_scale=p["v"] + (stick_limit + 1e-6 * weight) / impedance,
+        # The drive's speed, and the speed that the fall of friction gives to the bit on its spring.
+        speed_scale=p["v"] + (limit + 1e-6 * weight) / impedance,
         law=own,
     )
 
 
 def friction(law: FrictionLaw, c: SlipConstants, slip: Any, u: Any, impact: Any) -> Any:
-    """Friction force F [N] on the bit that slides at `u` [m/s] under the impact force `impact` [N] or None.
+    """Return the friction force F [N] on a bit sliding at `u` [m/s] under the impact force `impact` [N] or None.
 
     Eqs. 5.9 and 5.12, with friction under impact against the sliding (R2); arrays and series.
     """
@@ -64,89 +64,94 @@ def friction(law: FrictionLaw, c: SlipConstants, slip: Any, u: Any, impact: Any)
 
 
 def stick_limit(c: SlipConstants, impact: Any) -> Any:
-    """Greatest pull [N] that leaves the bit at rest on the rock, f_st + mu J (eq. 5.11, R1, R2)."""
+    """Return the greatest pull [N] under which the bit sticks, f_st + mu J (eq. 5.11, R1, R2)."""
     return c.stick_limit if impact is None else c.stick_limit + c.stick_gain * impact
 
 
 def guard(c: SlipConstants, slip: Any, u: Any, pull: Any, impact: Any) -> Any:
-    """Positive while the bit goes on sliding one way, or sticking [m/s].
+    """Return a value [m/s] that is positive while the bit keeps sliding one way, or sticking.
 
-    |u|, or the force that the pull is short of the stick limit, over sqrt(k1 m1).
+    It is |u|, or in stick the margin of the pull below the stick limit, over sqrt(k1 m1).
     """
-    left = stick_limit(c, impact) - absolute(pull)
-    return slip * u + ((1.0 - slip * slip) / c.impedance) * left
+    margin = stick_limit(c, impact) - absolute(pull)
+    return slip * u + ((1.0 - slip * slip) / c.impedance) * margin
 
 
 def speed_noise(c: SlipConstants) -> Any:
-    """Speed [m/s] that counts as zero: a few roundings of a typical one."""
+    """Return the speed [m/s] that counts as zero: a few roundings of a typical one."""
     return ROUNDINGS * jnp.finfo(c.v.dtype).eps * c.speed_scale
 
 
 def stick_noise(c: SlipConstants, impact_noise: Any = 0.0) -> Any:
-    """Pull [N] beyond the stick limit that counts as none; `impact_noise` is that of the impact force [N]."""
+    """Return the excess of the pull [N] over the stick limit that counts as none.
+
+    `impact_noise` is the impact force [N] that counts as none.
+    """
     return c.impedance * speed_noise(c) + c.stick_gain * impact_noise
 
 
 def resolution(c: SlipConstants, slip: Any, noise: Any) -> Any:
-    """Values of the guard that count as zero; `noise` is [vibrojax.models.scenes.stick_slip.stick_noise][]."""
+    """Return the guard's values that count as zero; `noise` is [vibrojax.models.scenes.stick_slip.stick_noise][]."""
     return jnp.where(slip == 0, noise / c.impedance, speed_noise(c))
 
 
 def slope_resolution(c: SlipConstants, slip: Any, noise: Any, h: Any) -> Any:
-    """Its change over a step `h` that counts as zero: of a slip, what no more than `noise` beyond the limit drives.
+    """Return the guard's change over a step `h` that counts as zero.
 
-    That sticks and slips agree on what is zero keeps a bit that is on the limit from going to and fro between them.
+    For a slip it is the change that an excess pull of `noise` causes. Stick and slip must agree on zero: otherwise a
+    bit on the limit would alternate between them.
     """
     return jnp.where(slip == 0, SLOPE_ROUNDINGS * noise / c.impedance, noise * h * c.inverse_mass)
 
 
 def slip_at_rest(c: SlipConstants, pull: Any, pull_rate: Any, impact: Any, noise: Any) -> Any:
-    """Where u = 0: 0 if the bit sticks, else the sign of the pull, into which it starts to slide.
+    """Return the mode at u = 0: 0 if the bit sticks, else the sign of the pull, into which it starts to slide.
 
-    A pull beyond the stick limit by less than `noise` sticks: if it grows the bit lets go at once, and if it falls the
-    slip would have ended as it began.
+    A pull that exceeds the stick limit by less than `noise` sticks. If it grows, the bit slips at once; if it falls,
+    the slip would have ended as it began.
     """
     limit = stick_limit(c, impact)
-    # Where nothing holds the bit it never sticks, not even as the pull passes through zero.
+    # Without a stick limit the bit never sticks, not even as the pull passes through zero.
     sticks = (jnp.abs(pull) <= limit + noise) & (limit > 0)
-    return jnp.where(sticks, 0.0, _starts_towards(pull, pull_rate))
+    return jnp.where(sticks, 0.0, _starting_direction(pull, pull_rate))
 
 
 def slip_at(c: SlipConstants, u: Any, pull: Any, pull_rate: Any, impact: Any, noise: Any) -> Any:
-    """sgn u, or where u = 0 the way in which the bit starts, or 0 if it sticks."""
+    """Return sgn u; at u = 0 the direction in which the bit starts, or 0 if it sticks."""
     return jnp.where(u == 0, slip_at_rest(c, pull, pull_rate, impact, noise), jnp.sign(u))
 
 
 def slip_after(c: SlipConstants, slip: Any, pull: Any, pull_rate: Any, impact: Any, noise: Any) -> Any:
-    """The mode after the guard is reached, where u = 0."""
-    starts = _starts_towards(pull, pull_rate)
+    """Return the mode after the guard is reached, at u = 0."""
+    starts = _starting_direction(pull, pull_rate)
     return jnp.where(slip == 0, starts, slip_at_rest(c, pull, pull_rate, impact, noise))
 
 
-def _starts_towards(pull: Any, pull_rate: Any) -> Any:
-    """Sign of the pull on a bit at rest on the rock, or of its rate where it is zero."""
+def _starting_direction(pull: Any, pull_rate: Any) -> Any:
+    """Return the sign of the pull on a bit at rest on the rock, or of its rate if the pull is zero."""
     return jnp.sign(jnp.where(pull == 0, pull_rate, pull))
 
 
 def validity(law: FrictionLaw, c: SlipConstants, slip: Any, v1: list[Array]) -> Any:
-    """Part of a step in which a slip's speed changes by no more than half of itself and of what friction is flat below.
+    """Return the part of a step over which a law that is flat near zero follows its series; None for other laws.
 
-    `v1` holds the coefficients of x1' in tau. None for a law that is nowhere flat: its series tell what follows.
+    Within it the sliding speed changes by at most half of itself plus the law's `flat_below`. `v1` holds the
+    coefficients of x1' in tau.
     """
     if law.flat_below is None:
         return None
     change = (jnp.abs(v1[0] + c.v) + law.flat_below(c.law)) / 2
-    terms = [jnp.abs(one) for one in v1[1:]]
+    terms = [jnp.abs(coefficient) for coefficient in v1[1:]]
     share = change / len(terms)
     reach = jnp.min(jnp.stack([(share / term) ** (1 / k) for k, term in enumerate(terms, start=1)]), axis=0)
     return jnp.where(slip == 0, 1.0, reach)
 
 
 def smoothed_slip(u: Any, width: Any) -> Any:
-    """sgn u spread over `width` [m/s], u/sqrt(u² + width²): it never sticks."""
+    """Return sgn u spread over `width` [m/s], u/sqrt(u² + width²): it never sticks."""
     return u / jnp.sqrt(u * u + width * width)
 
 
 def smoothed_mode(u: Any, width: Any) -> Any:
-    """The slip mode to measure by where friction is smoothed: sgn u, or 0 below `width` [m/s]."""
+    """Return the slip mode by which smoothed friction is measured: sgn u, or 0 below `width` [m/s]."""
     return jnp.where(jnp.abs(u) <= width, 0.0, jnp.sign(u))

@@ -1,9 +1,9 @@
-"""Dry-friction laws, one file each; a file in this folder that binds `LAW` is found by itself.
+"""Dry-friction laws, one file each; every file in this folder that binds `LAW` is registered.
 
 **Example:**
 
 >>> law = vj.friction.law_named("stribeck")
->>> defaults = {name: one.default for name, one in law.parameters.items()}
+>>> defaults = {name: parameter.default for name, parameter in law.parameters.items()}
 >>> round(float(law.on_weight(0.0, defaults)), 3), law.reference
 (0.4, 'eq. 5.9')
 """
@@ -14,12 +14,11 @@ from pkgutil import iter_modules
 from vibrojax.models.physics.friction._law import FrictionLaw as FrictionLaw
 from vibrojax.models.physics.friction._law import Numbers as Numbers
 
-_laws = (
-    import_module(f"{__name__}.{found.name}") for found in iter_modules(__path__) if not found.name.startswith("_")
-)
+_files = (file.name for file in iter_modules(__path__) if not file.name.startswith("_"))
+_laws = (import_module(f"{__name__}.{file}").LAW for file in _files)
 
-FRICTION_LAWS: dict[str, FrictionLaw] = {module.LAW.name: module.LAW for module in _laws}
-"""The friction laws of the package by the names that sweep files call them.
+FRICTION_LAWS: dict[str, FrictionLaw] = {law.name: law for law in _laws}
+"""The friction laws of the package, by their names in sweep files.
 
 **Example:**
 
@@ -31,5 +30,5 @@ FRICTION_LAWS: dict[str, FrictionLaw] = {module.LAW.name: module.LAW for module 
 
 
 def law_named(law: str | FrictionLaw) -> FrictionLaw:
-    """The law of that name, or a law itself; raises `KeyError` where there is none of the name."""
+    """Return the law of that name, or the law itself; raises `KeyError` if the name is unknown."""
     return law if isinstance(law, FrictionLaw) else FRICTION_LAWS[law]

@@ -1,4 +1,4 @@
-"""Eq. 2.13: friction that does not depend on speed."""
+"""Friction that does not depend on speed (eq. 2.13)."""
 
 from typing import Any
 
@@ -8,7 +8,7 @@ from vibrojax.models.physics.parameters import not_negative, table
 
 
 def mu(speed: Value, p: Numbers) -> Any:
-    """Constant mu, eq. 2.13; `speed` = |u| [m/s], any shape; unit 1."""
+    """Return the constant mu; unit 1."""
     return p["mu"]
 
 

@@ -1,4 +1,4 @@
-"""Eq. 2.16: friction that falls hyperbolically with speed."""
+"""Friction that falls hyperbolically with speed (eq. 2.16)."""
 
 from typing import Any
 
@@ -8,7 +8,7 @@ from vibrojax.models.physics.parameters import not_negative, table
 
 
 def mu(speed: Value, p: Numbers) -> Any:
-    """mu0/(1 + delta_f |u|), eq. 2.16; `speed` = |u| [m/s], any shape; unit 1."""
+    """Return mu0/(1 + delta_f |u|); `speed` = |u| [m/s], any shape; unit 1."""
     return p["mu0"] / (1.0 + p["delta_f"] * speed)
 
 

@@ -1,4 +1,4 @@
-"""Eq. 2.14, Popp's exponential law (its second exponent and units corrected)."""
+"""Popp's exponential law (eq. 2.14, with its second exponent and its units corrected)."""
 
 from typing import Any
 
@@ -9,12 +9,12 @@ from vibrojax.models.physics.parameters import Parameter, table
 
 
 def _flat_below(p: Numbers) -> Any:
-    """exp(c1/|u|) and all its derivatives vanish as |u| -> 0; below this speed it is under 1e-17."""
+    """Return the speed at which exp(c1/|u|), which vanishes with all derivatives as |u| -> 0, is under 1e-17."""
     return p["popp_c1"] * (-1 / 40)
 
 
 def mu(speed: Value, p: Numbers) -> Any:
-    """0.165 (1 + exp(c1/|u|)) (1 + exp(c2 |u|)), eq. 2.14; `speed` = |u| [m/s], any shape; unit 1."""
+    """Return 0.165 (1 + exp(c1/|u|)) (1 + exp(c2 |u|)); `speed` = |u| [m/s], any shape; unit 1."""
     slow = maximum(speed, _flat_below(p))
     return 0.165 * (1.0 + exp(p["popp_c1"] / slow)) * (1.0 + exp(p["popp_c2"] * speed))
 

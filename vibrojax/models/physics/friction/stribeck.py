@@ -1,4 +1,4 @@
-"""Eq. 5.9: friction that falls with speed up to v_cr and rises beyond it; constant mu under impact (R2)."""
+"""Friction that falls with speed up to v_cr and rises beyond it (eq. 5.9); constant mu under impact (R2)."""
 
 from typing import Any
 
@@ -8,13 +8,13 @@ from vibrojax.models.physics.parameters import not_negative, positive, table
 
 
 def mu(speed: Value, p: Numbers) -> Any:
-    """mu (1 - |u|/v_cr + |u|³/(3 v_cr³)), eq. 5.9; `speed` = |u| [m/s], any shape; unit 1."""
+    """Return mu (1 - |u|/v_cr + |u|³/(3 v_cr³)); `speed` = |u| [m/s], any shape; unit 1."""
     ratio = speed * (1 / p["v_cr"])
     return p["mu"] * (1.0 - ratio + ratio * ratio * ratio * (1 / 3))
 
 
 def mu_impact(speed: Value, p: Numbers) -> Any:
-    """The constant mu of eq. 5.12 under the impact force; unit 1."""
+    """Return the constant mu of eq. 5.12 under the impact force; unit 1."""
     return p["mu"]
 
 

@@ -1,0 +1,129 @@
+"""Gauges of the motion: amplitudes and their trend, shares of time in stick and in reverse, power of the drive."""
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from vibrojax.measures.gauge import Gauge, Moment, Return, Sums, Whole
+from vibrojax.models.arrays import Array, Lanes
+from vibrojax.models.scenes.capabilities import HasFriction
+from vibrojax.models.scenes.declared import Section
+from vibrojax.models.scenes.scene import Scene
+from vibrojax.stepping import Lane, Step
+from vibrojax.stepping.polynomial import integral
+from vibrojax.stepping.series import known
+
+EIGHTHS = 8
+"""Number of equal parts of the observation over which a trend must hold."""
+
+TREND_CHANGE = 0.01
+"""Relative change of the amplitude over the observation above which it is a trend."""
+
+
+class Swung(NamedTuple):
+    """Least and greatest position of each swing, and the first swing's greatest amplitude in each eighth (8, lanes)."""
+
+    ranges: tuple[tuple[Lanes, Lanes], ...]
+    greatest: Array
+
+
+@dataclass(frozen=True)
+class Swings(Gauge[Scene[Any]]):
+    """The section's amplitudes [m]; trend: 1 if the first amplitude grows steadily, -1 if it decays, else 0."""
+
+    def begin(self, scene: Scene[Any], c: Any, lane: Lane) -> Swung:
+        places = positions(scene, section_of(scene), lane)
+        none = jnp.full((EIGHTHS, *places[0].shape), jnp.nan, places[0].dtype)
+        return Swung(tuple((x, x) for x in places), none)
+
+    def step(self, scene: Scene[Any], c: Any, carry: Swung, moment: Moment) -> Swung:
+        places = positions(scene, section_of(scene), moment.lane)
+        return carry._replace(ranges=tuple(widened(swung, x) for swung, x in zip(carry.ranges, places, strict=True)))
+
+    def section(self, scene: Scene[Any], c: Any, carry: Swung, at: Return) -> Swung:
+        eighth = jnp.clip(jnp.floor(at.share * EIGHTHS), 0, EIGHTHS - 1)
+        index = jnp.arange(EIGHTHS, dtype=eighth.dtype).reshape(-1, *[1] * at.here.ndim)
+        mine = at.here[None] & (at.number[None] > 0) & (eighth[None] == index)
+        greatest = jnp.where(mine, jnp.fmax(carry.greatest, at.amplitudes[0][None]), carry.greatest)
+        return carry._replace(greatest=greatest)
+
+    def read(self, scene: Scene[Any], c: Any, carry: Swung, whole: Whole) -> dict[str, Lanes]:
+        swings = zip(section_of(scene).swings, carry.ranges, strict=True)
+        amplitudes = {swing.amplitude: (highest - lowest) / 2 for swing, (lowest, highest) in swings}
+        return amplitudes | {"trend": _trend(carry.greatest)}
+
+
+def section_of(scene: Scene[Any]) -> Section:
+    """Return the section of a scene that has one, as all scenes with gauges do."""
+    assert scene.section is not None
+    return scene.section
+
+
+def positions(scene: Scene[Any], section: Section, lane: Lane) -> list[Lanes]:
+    """Return the positions of the section's swings."""
+    return [lane.state[scene.place(swing.position)] for swing in section.swings]
+
+
+def widened(extremes: tuple[Lanes, Lanes], x: Lanes) -> tuple[jax.Array, jax.Array]:
+    """Return the least and greatest value, updated with `x`."""
+    lowest, highest = extremes
+    return jnp.minimum(lowest, x), jnp.maximum(highest, x)
+
+
+def _trend(greatest: Array) -> jax.Array:
+    """Return 1 if the eighths rise strictly, -1 if they fall strictly, by over 1 % from first to last; else 0."""
+    change = jnp.diff(greatest, axis=0)  # NaN, and so no trend, if an eighth has no return
+    first, last = greatest[0], greatest[-1]
+    grows = jnp.all(change > 0, axis=0) & (last > (1 + TREND_CHANGE) * first)
+    decays = jnp.all(change < 0, axis=0) & (last < (1 - TREND_CHANGE) * first)
+    return jnp.where(grows, 1.0, jnp.where(decays, -1.0, 0.0))
+
+
+@dataclass(frozen=True)
+class Shares(Gauge[HasFriction[Any]]):
+    """stick_fraction, reverse_fraction [1], drive_power [W]: mean F v, and striker_turns [1] if there is a striker.
+
+    The striker is the section's second swing.
+    """
+
+    summed = ("stick", "reverse", "turns", "friction")
+    needs = (HasFriction,)
+
+    def increments(self, scene: HasFriction[Any], c: Any, moment: Moment) -> Sums:
+        step = moment.step
+        slip = step.mode[scene.mode_place("slip")]
+        turns: Lanes = jnp.zeros_like(step.dt)
+        if (striker := _striker(scene)) is not None:
+            turn = scene.marker_of(striker)
+            turns = (step.hits[turn] & step.falling[turn]).astype(step.dt.dtype)
+        return {
+            "stick": jnp.where(slip == 0, step.dt, 0),
+            "reverse": jnp.where(slip < 0, step.dt, 0),
+            "turns": turns,
+            "friction": _friction_impulse(scene, c, step),
+        }
+
+    def read(self, scene: HasFriction[Any], c: Any, carry: Any, whole: Whole) -> dict[str, Lanes]:
+        turns = {"striker_turns": whole.sums["turns"] / whole.returns} if _striker(scene) is not None else {}
+        return {
+            "stick_fraction": whole.sums["stick"] / whole.time,
+            "reverse_fraction": whole.sums["reverse"] / whole.time,
+            "drive_power": whole.sums["friction"] / whole.time * scene.bit(c).drive_speed,
+            **turns,
+        }
+
+
+def _striker(scene: HasFriction[Any]) -> str | None:
+    """Return the velocity of the section's second swing, if there is one."""
+    swings = section_of(scene).swings
+    return swings[1].velocity if len(swings) > 1 else None
+
+
+def _friction_impulse(scene: HasFriction[Any], c: Any, step: Step) -> Lanes:
+    """Return the integral of F over the step [N s], in sliding and in stick: the spring's impulse less the bit's."""
+    pull = scene.pull(c, tuple(known(polynomial) for polynomial in step.polynomials))
+    spring = step.h * integral([pull[k] for k in range(len(step.polynomials[0]))], step.tau)
+    velocity = scene.place(scene.bit_velocity)
+    return spring - scene.bit(c).mass * (step.after[velocity] - step.before[velocity])
