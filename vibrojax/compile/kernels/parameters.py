@@ -13,77 +13,63 @@ from vibrojax.compile.kernels.elementwise import INTRINSICS, LIBRARY, ROUNDING
 from vibrojax.compile.kernels.operands import Untranslatable
 from vibrojax.compile.kernels.selection import REDUCTIONS
 
-NEEDED: dict[str, tuple[str, ...]] = {
-    "bitcast_convert_type": ("new_dtype",),
-    "broadcast_in_dim": ("shape", "broadcast_dimensions"),
-    "concatenate": ("dimension",),
-    "cond": ("branches",),
-    "convert_element_type": ("new_dtype",),
-    "custom_jvp_call": ("call_jaxpr",),
-    "custom_vjp_call": ("call_jaxpr",),
-    "dynamic_slice": ("slice_sizes",),
-    "gather": ("dimension_numbers", "mode", "fill_value"),
-    "integer_pow": ("y",),
-    "iota": ("dtype", "shape", "dimension"),
-    "jit": ("jaxpr",),
-    **dict.fromkeys(REDUCTIONS, ("axes",)),
-    "reshape": ("new_sizes", "dimensions"),
-    "rev": ("dimensions",),
-    "round": ("rounding_method",),
-    "scan": ("jaxpr", "length", "reverse"),
-    "scatter": ("dimension_numbers", "mode", "update_jaxpr", "update_consts"),
-    "slice": ("start_indices", "limit_indices", "strides"),
-    "sort": ("dimension", "num_keys"),
-    "split": ("sizes", "axis"),
-    "squeeze": ("dimensions",),
-    "stack": ("axis",),
-    "transpose": ("permutation",),
-    "unstack": ("axis",),
-    "while": ("cond_nconsts", "cond_jaxpr", "body_nconsts", "body_jaxpr"),
-}
-"""Parameters that a rule reads. They must be present."""
+JIT_OPTIONS = (
+    "ctx_mesh donated_invars inline keep_unused name in_layouts in_shardings out_layouts out_shardings "
+    "compiler_options_kvs"
+)
 
-LAYOUTS = ("in_layouts", "in_shardings", "out_layouts", "out_shardings")
-
-IRRELEVANT: dict[str, tuple[str, ...]] = {
-    **dict.fromkeys((*INTRINSICS, *LIBRARY), ("accuracy",)),
-    **dict.fromkeys(REDUCTIONS, ("out_sharding",)),
-    "broadcast_in_dim": ("sharding",),
-    "convert_element_type": ("sharding", "weak_type"),
-    "custom_jvp_call": ("jvp_jaxpr_fun", "num_consts", "symbolic_zeros"),
-    "custom_vjp_call": ("bwd", "fwd_jaxpr_thunk", "num_consts", "out_trees", "symbolic_zeros"),
-    "gather": ("indices_are_sorted", "slice_sizes", "unique_indices"),
-    "iota": ("sharding",),
-    "jit": ("ctx_mesh", "donated_invars", "inline", "keep_unused", "name", *LAYOUTS, "compiler_options_kvs"),
-    "mul": ("out_dtype",),
-    "reshape": ("sharding",),
-    "scan": ("_split_transpose", "ft_in", "ft_out", "linear", "num_carry", "num_consts", "unroll"),
-    "scatter": ("indices_are_sorted", "unique_indices"),
-    "sort": ("is_stable",),
+PARAMETERS: dict[str, tuple[str, str]] = {
+    **dict.fromkeys((*INTRINSICS, *LIBRARY), ("", "accuracy")),
+    **dict.fromkeys(REDUCTIONS, ("axes", "out_sharding")),
+    "bitcast_convert_type": ("new_dtype", ""),
+    "broadcast_in_dim": ("shape broadcast_dimensions", "sharding"),
+    "concatenate": ("dimension", ""),
+    "cond": ("branches", ""),
+    "convert_element_type": ("new_dtype", "sharding weak_type"),
+    "custom_jvp_call": ("call_jaxpr", "jvp_jaxpr_fun num_consts symbolic_zeros"),
+    "custom_vjp_call": ("call_jaxpr", "bwd fwd_jaxpr_thunk num_consts out_trees symbolic_zeros"),
+    "dynamic_slice": ("slice_sizes", ""),
+    "gather": ("dimension_numbers mode fill_value", "indices_are_sorted slice_sizes unique_indices"),
+    "integer_pow": ("y", ""),
+    "iota": ("dtype shape dimension", "sharding"),
+    "jit": ("jaxpr", JIT_OPTIONS),
+    "mul": ("", "out_dtype"),
+    "reshape": ("new_sizes dimensions", "sharding"),
+    "rev": ("dimensions", ""),
+    "round": ("rounding_method", ""),
+    "scan": ("jaxpr length reverse", "_split_transpose ft_in ft_out linear num_carry num_consts unroll"),
+    "scatter": ("dimension_numbers mode update_jaxpr update_consts", "indices_are_sorted unique_indices"),
+    "slice": ("start_indices limit_indices strides", ""),
+    "sort": ("dimension num_keys", "is_stable"),
+    "split": ("sizes axis", ""),
+    "squeeze": ("dimensions", ""),
+    "stack": ("axis", ""),
+    "transpose": ("permutation", ""),
+    "unstack": ("axis", ""),
+    "while": ("cond_nconsts cond_jaxpr body_nconsts body_jaxpr", ""),
 }
-"""Parameters that change nothing in a kernel, as long as their value is accepted. They may be absent."""
+"""Parameters of each primitive: those that its rule reads, which must be present, and those that change nothing in a
+kernel as long as their value is accepted, which may be absent."""
 
 NONE = ("accuracy", "out_dtype", "out_sharding", "sharding", "update_jaxpr", "reshape.dimensions")
-EMPTY = ("compiler_options_kvs", "update_consts")
 MODES = (GatherScatterMode.CLIP, GatherScatterMode.FILL_OR_DROP, GatherScatterMode.PROMISE_IN_BOUNDS)
 
 ACCEPTED: dict[str, Callable[[Any], bool]] = {
     **dict.fromkeys(NONE, lambda value: value is None),
-    **dict.fromkeys(EMPTY, lambda value: len(value) == 0),
+    **dict.fromkeys(("compiler_options_kvs", "update_consts"), lambda value: len(value) == 0),
     "mode": lambda mode: mode in MODES,
     "reverse": lambda reverse: isinstance(reverse, bool),
     "rounding_method": lambda method: method in ROUNDING,
     "y": lambda exponent: isinstance(exponent, int),
 }
-"""Tests of values, by parameter or `primitive.parameter`; of all other parameters, any value is accepted."""
+"""Tests of values, by parameter or `primitive.parameter`. Of all other parameters, any value is accepted."""
 
 
 def check(primitive: str, params: Mapping[str, Any]) -> None:
     """Raise `Untranslatable` for an unknown or missing parameter, or for a value that is not accepted."""
-    needed = NEEDED.get(primitive, ())
-    known = {*needed, *IRRELEVANT.get(primitive, ())}
+    needed, irrelevant = (names.split() for names in PARAMETERS.get(primitive, ("", "")))
     for name, value in params.items():
-        if name not in known:
+        if name not in needed and name not in irrelevant:
             raise Untranslatable(f"{primitive} with the unknown parameter {name}")
         accepts = ACCEPTED.get(f"{primitive}.{name}") or ACCEPTED.get(name)
         if accepts is not None and not accepts(value):

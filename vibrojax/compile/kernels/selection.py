@@ -187,7 +187,8 @@ def scatter(asm: Assembly, equation: Any, values: Sequence[Value], in_place: boo
     by_row = np.moveaxis(rows, axis, 0)
     if not by_row.size or new.size != by_row[0].size or by_row.flat[0].dtype == BOOL:
         raise Untranslatable("a scatter of no rows, of parts of rows, or of booleans")
-    shared = len({entry.pointer for entry in by_row.flat if isinstance(entry, Slot)}) < by_row.size  # if broadcast
+    slots = [entry for entry in by_row.ravel().tolist() if isinstance(entry, Slot)]
+    shared = len({slot.pointer for slot in slots}) < by_row.size  # entries of a broadcast array share their memory
     if not in_place or _stride(by_row) is None or shared:
         old = by_row
         by_row = _in_memory(asm, build(old.shape, lambda index: asm.register(old.item(index))))

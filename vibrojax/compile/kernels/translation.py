@@ -93,7 +93,7 @@ def _uses(jaxpr: Any) -> Counter[Any]:
     """Return how often each variable is read, except by loops and functions that do not use it inside."""
     uses: Counter[Any] = Counter(var for var in jaxpr.outvars if not _is_literal(var))
     for equation in jaxpr.eqns:
-        inner = getattr(equation.params.get("jaxpr"), "jaxpr", None)
+        inner: Any = getattr(equation.params.get("jaxpr"), "jaxpr", None)
         used_inside = None if inner is None else _uses(inner)
         for place, var in enumerate(equation.invars):
             if not _is_literal(var) and (used_inside is None or inner.invars[place] in used_inside):
