@@ -22,15 +22,15 @@ jax.config.update("jax_enable_x64", True)
 
 from test_sweep_against_simulate import DRILLS, LANES, all_laws, columns, swept  # noqa: E402
 
-from vibrojax.compile import arithmetic  # noqa: E402
-from vibrojax.compile.kernels import Untranslatable, elementwise, kernels, native  # noqa: E402
+from vibrojax.compile import Untranslatable, arithmetic, xla  # noqa: E402
+from vibrojax.compile.kernels import elementwise, kernels, native  # noqa: E402
 from vibrojax.compile.kernels.rules import NUMBERS, Rule  # noqa: E402
 from vibrojax.errors import InputError  # noqa: E402
 from vibrojax.models.physics.friction import FRICTION_LAWS  # noqa: E402
-from vibrojax.sweep.engine import by_llvm, by_xla, compiler  # noqa: E402
+from vibrojax.sweep.engine import compiler  # noqa: E402
 
 WIDTH, PASSES = "xla_cpu_prefer_vector_width", "xla_disable_hlo_passes"
-OF_XLA = compiler.compiler_options("cpu")
+OF_XLA = xla.compiler_options("cpu")
 MORE_PASSES = ("sroa", "instruction_combine", "new_gvn", "aggressive_instcombine", "simplify_cfg", "aggressive_dce")
 
 
@@ -38,11 +38,12 @@ def no_kernel(*given: Any, **options: Any) -> Any:
     raise Untranslatable("on purpose")
 
 
-def by_xla_with(options: dict[str, Any], block: int = by_xla.BLOCK) -> list[Any]:
+def by_xla_with(options: dict[str, Any], block: int = compiler.XLA_BLOCK) -> list[Any]:
     return [
-        patch.object(by_llvm, "run", no_kernel),
-        patch.object(by_xla, "compiler_options", lambda platform: options),
-        patch.object(by_xla, "BLOCK", block),
+        patch.object(compiler, "run_kernel", no_kernel),
+        patch.object(xla, "compiler_options", lambda platform: options),
+        patch.object(compiler, "compiler_options", lambda platform: options),
+        patch.object(compiler, "XLA_BLOCK", block),
     ]
 
 
@@ -50,12 +51,12 @@ WITHOUT_FUSED = native.processor()._replace(features=native.processor().features
 
 CHOICES: dict[str, list[Any]] = {
     "vectors of 128 bits": [
-        patch.object(by_llvm, "REGISTERS", {}),
+        patch.object(compiler, "KERNEL_REGISTERS", {}),
         patch.object(native, "vector_bytes", lambda: 16),
     ],
     "vectors of 512 bits": [patch.object(native, "vector_bytes", lambda: 64)],
     "no fused multiply-add": [patch.object(native, "processor", lambda: WITHOUT_FUSED)],
-    "four registers": [patch.object(by_llvm, "REGISTERS", dict.fromkeys(by_llvm.REGISTERS, 4))],
+    "four registers": [patch.object(compiler, "KERNEL_REGISTERS", dict.fromkeys(compiler.KERNEL_REGISTERS, 4))],
     "more passes": [patch.object(native, "PASSES", MORE_PASSES)],
     "sums rounded apart": [
         patch.dict(
@@ -74,7 +75,7 @@ CHOICES: dict[str, list[Any]] = {
 @contextmanager
 def compiled_with(changes: list[Any]) -> Iterator[None]:
     """Sweeps compiled anew, with these changes."""
-    caches = (by_xla._compiled, by_xla._evaluated_by, arithmetic.check)
+    caches = (xla.evaluation, arithmetic.check)
     for change in changes:
         change.start()
     try:

@@ -15,7 +15,7 @@ os.environ |= FOR_CACHES
 atexit.register(lambda: [shutil.rmtree(folder, ignore_errors=True) for folder in FOR_CACHES.values()])
 
 if tuple(int(part) for part in version("jax").split(".")[:3]) < (0, 11, 2):
-    # As `vibrojax.sweep.engine.compiler` does for the package's own programs: those that tests compile for themselves
+    # As `vibrojax.compile.xla` does for the package's own programs: those that tests compile for themselves
     # take a quarter of the time without it.
     os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --xla_disable_hlo_passes=cse_barrier_expander"
 
@@ -39,7 +39,11 @@ CHECKED = [
         if file.name not in UNCHECKED
     ),
     "vibrojax.cli",
+    "vibrojax.compile.agreement",
     "vibrojax.compile.devices",
+    "vibrojax.compile.lanes",
+    "vibrojax.compile.trust",
+    "vibrojax.compile.xla",
     "vibrojax.errors",
     "vibrojax.explorer",
     "vibrojax.io",

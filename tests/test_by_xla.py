@@ -7,7 +7,7 @@ import pytest
 
 import vibrojax as vj
 from vibrojax.compile.kernels import Untranslatable
-from vibrojax.sweep.engine import by_llvm
+from vibrojax.sweep.engine import compiler
 
 RUN = {"settle": 12.0, "observe": 6.0, "error": 1e-4}
 SWEEPS = {
@@ -23,7 +23,7 @@ def no_kernels(monkeypatch):
     def run(*given, **options):
         raise Untranslatable("anything")
 
-    monkeypatch.setattr(by_llvm, "run", run)
+    monkeypatch.setattr(compiler, "run_kernel", run)
 
 
 @pytest.mark.parametrize("scene", SWEEPS)

@@ -8,17 +8,22 @@ import numpy as np
 import pytest
 
 from vibrojax.cli import main
-from vibrojax.compile import arithmetic
-from vibrojax.compile.arithmetic import check, wrong_functions
+from vibrojax.compile import arithmetic, xla
+from vibrojax.compile.arithmetic import check
+from vibrojax.compile.xla import compiler_options
 from vibrojax.errors import InputError
-from vibrojax.sweep.engine import by_llvm, by_xla, compiler
-from vibrojax.sweep.engine.compiler import compiler_options
+from vibrojax.sweep.engine import compiler
+from vibrojax.sweep.engine.compiler import EQUATION_FUNCTIONS
 
 TOML = 'scene = "rotary"\n[grid]\nbeta = [0.4]\n[run]\nsettle = 1.0\nobserve = 1.0\n'
 
 
+def wrong_functions(evaluate, dtype, lanes):
+    return arithmetic.wrong_functions(evaluate, EQUATION_FUNCTIONS, dtype, lanes)
+
+
 def by_xla_with(options):
-    return by_xla._evaluated_by(tuple(options.items()))
+    return xla.evaluation(tuple(options.items()))
 
 
 LANES = (4, 8, 16, 17, 32, 64, 100, 256, 1024, 4096)
@@ -28,7 +33,7 @@ LANES = (4, 8, 16, 17, 32, 64, 100, 256, 1024, 4096)
 @pytest.mark.parametrize("lanes", LANES)
 def test_functions_against_numpy(width, lanes, dtype):
     """Kernels: to four roundings."""
-    assert wrong_functions(by_llvm._evaluated, np.dtype(dtype), lanes) == []
+    assert wrong_functions(compiler._evaluate_by_kernel, np.dtype(dtype), lanes) == []
 
 
 @pytest.mark.parametrize("dtype", ["float64", "float32"])
@@ -40,9 +45,9 @@ def test_functions_by_xla_against_numpy(lanes, dtype):
 
 def test_wide_vectors_only_where_they_were_checked(monkeypatch):
     for version in ("0.10.2", "0.11.0", "0.11.2", "0.13.0"):
-        monkeypatch.setattr(compiler.jaxlib, "__version__", version)
+        monkeypatch.setattr(xla.jaxlib, "__version__", version)
         assert "xla_cpu_prefer_vector_width" not in compiler_options("cpu")
-    monkeypatch.setattr(compiler.jaxlib, "__version__", "0.12.0.1")
+    monkeypatch.setattr(xla.jaxlib, "__version__", "0.12.0.1")
     assert compiler_options("cpu")["xla_cpu_prefer_vector_width"] == 512
     assert compiler_options("gpu").keys() <= {"xla_disable_hlo_passes"}
 
@@ -63,15 +68,14 @@ FAULTY_FROM = 4
 @pytest.fixture
 def shuffled(monkeypatch):
     """An arctan that returns the values of lanes in other places, as jaxlib 0.10.2 does with AVX-512."""
-    functions = dict(arithmetic._functions())
-    right = by_llvm._evaluated
+    right = compiler._evaluate_by_kernel
 
     def wrong(function, *x):
         found = right(function, *x)
         return found | {"arctan": np.roll(found["arctan"], 1)} if len(x[0]) >= FAULTY_FROM else found
 
-    assert "arctan" in functions
-    monkeypatch.setattr(by_llvm, "_evaluated", wrong)
+    assert "arctan" in [function.__name__ for function in EQUATION_FUNCTIONS]
+    monkeypatch.setattr(compiler, "_evaluate_by_kernel", wrong)
     check.cache_clear()
     yield
     check.cache_clear()
@@ -79,11 +83,11 @@ def shuffled(monkeypatch):
 
 def test_a_wrong_function_is_named(shuffled):
     """Where it is wrong only."""
-    assert wrong_functions(by_llvm._evaluated, np.dtype("float64"), FAULTY_FROM - 1) == []
-    assert wrong_functions(by_llvm._evaluated, np.dtype("float64"), 64) == ["arctan"]
+    assert wrong_functions(compiler._evaluate_by_kernel, np.dtype("float64"), FAULTY_FROM - 1) == []
+    assert wrong_functions(compiler._evaluate_by_kernel, np.dtype("float64"), 64) == ["arctan"]
     said = r"llvmlite 0\.1 computes arctan wrongly on this machine, 64 values of float64 at a time: .* of llvmlite"
     with pytest.raises(InputError, match=said):
-        check(by_llvm._evaluated, "llvmlite 0.1", np.dtype("float64"), 64)
+        check(compiler._evaluate_by_kernel, EQUATION_FUNCTIONS, "llvmlite 0.1", np.dtype("float64"), 64)
 
 
 def test_a_sweep_is_refused_with_one_line(width, shuffled, tmp_path, capsys):

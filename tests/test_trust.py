@@ -14,22 +14,24 @@ from own_scenes import Shaken, Switched
 
 import vibrojax as vj
 from vibrojax import cli
+from vibrojax.compile import KernelRefused, Untranslatable, agreement, trust, xla
 from vibrojax.compile.devices import workers
-from vibrojax.compile.kernels import Untranslatable, elementwise, kernels
+from vibrojax.compile.kernels import elementwise, kernels
+from vibrojax.compile.trust import is_foreign
 from vibrojax.measures import recorder_for
 from vibrojax.models.physics.friction import FRICTION_LAWS, FrictionLaw
 from vibrojax.models.scenes.penetration import PULSE_SHAPES
 from vibrojax.models.scenes.vibro_impact import VibroImpact
-from vibrojax.sweep.engine import agreement, by_xla, trust
-from vibrojax.sweep.engine.agreement import Comparison
+from vibrojax.sweep.engine.agreement import Comparison, lanes_of, scene_subject
 from vibrojax.sweep.engine.batch import Batch, Engine
 from vibrojax.sweep.engine.compiler import lane_function
 from vibrojax.sweep.engine.programs import Kind
-from vibrojax.sweep.engine.trust import KernelRefused, is_foreign
 
 RUN = {"settle": 6.0, "observe": 6.0}
 POINT = {"beta": 0.4, "gamma": 0.7, "delta": 0.005}
 STRIBECK = FRICTION_LAWS["stribeck"]
+
+run_kernel = partial(trust.run_kernel, policy=scene_subject)
 
 
 @pytest.fixture
@@ -45,7 +47,7 @@ def fresh(monkeypatch, tmp_path):
 
 def forget():
     """Forget what a process knows."""
-    for known in (trust._verdicts, trust._refused, trust._checked, kernels):
+    for known in (trust._verdicts, trust._refused, trust._trusted, kernels):
         known.clear()
     trust.newer_than_tested.cache_clear()
 
@@ -138,7 +140,7 @@ FAULTY = {
 
 def compared(scene, derives=False):
     kind = Kind(scene, vj.Located(), recorder_for(scene), scene.starts)
-    return Comparison(kind, trust._given(kind, ()), derives).difference()
+    return Comparison(kind, lanes_of(kind, ()), derives).difference()
 
 
 @pytest.fixture
@@ -147,10 +149,7 @@ def quick_xla(monkeypatch):
     options: dict[str, int | str] = {"xla_backend_optimization_level": 0}
     if jax.__version_info__ < (0, 11, 2):
         options["xla_disable_hlo_passes"] = "cse_barrier_expander,fusion"
-    monkeypatch.setattr(by_xla, "compiler_options", lambda platform: options)
-    by_xla._compiled.cache_clear()
-    yield
-    by_xla._compiled.cache_clear()
+    monkeypatch.setattr(xla, "compiler_options", lambda platform: options)
 
 
 def test_a_sweep(fault, quick_xla, right):
@@ -213,13 +212,13 @@ def test_all_programs_of_a_refused_scene(fault):
 
     scene, x = ROTARY(friction=WRONG), np.arange(3.0)
     with pytest.warns(KernelRefused) as told, pytest.raises(Untranslatable, match="differ by"):
-        trust.run(twice, (scene,), x)
+        run_kernel(twice, (scene,), x)
     assert len(refused(told)) == 1
     with warnings.catch_warnings(), pytest.raises(Untranslatable):
         warnings.simplefilter("error")
-        trust.run(twice, (scene, vj.Located()), x, derives=True)
+        run_kernel(twice, (scene, vj.Located()), x, derives=True)
     np.testing.assert_array_equal(lane_function(static=1)(twice)(scene, x), 2 * x)
-    np.testing.assert_array_equal(trust.run(twice, (VibroImpact(),), x), 2 * x)
+    np.testing.assert_array_equal(run_kernel(twice, (VibroImpact(),), x), 2 * x)
 
 
 def test_a_scene_that_no_kernel_can_run_is_compared_once(fresh, monkeypatch):
@@ -228,7 +227,7 @@ def test_a_scene_that_no_kernel_can_run_is_compared_once(fresh, monkeypatch):
     monkeypatch.setattr(Comparison, "__init__", lambda self, *given: tried.append(given) or no_kernel())
     for _ in range(2):
         with pytest.raises(Untranslatable, match="no rule"):
-            trust.run(lambda scene, x: 2 * x, (ROTARY(friction=WRONG),), np.arange(3.0))
+            run_kernel(lambda scene, x: 2 * x, (ROTARY(friction=WRONG),), np.arange(3.0))
     assert len(tried) == 1
 
 
@@ -310,7 +309,7 @@ def test_a_newer_version(fresh, comparisons, monkeypatch):
     """The package's own scenes are compared too, once."""
     small_sweep()
     assert not comparisons
-    monkeypatch.setitem(trust.TESTED, "jax", ("0.0.1",))
+    monkeypatch.setitem(trust.TESTED_VERSIONS, "jax", ("0.0.1",))
     for _ in range(2):
         forget()
         assert compiler(small_sweep()) == "llvm" and len(comparisons) == 1
@@ -319,15 +318,17 @@ def test_a_newer_version(fresh, comparisons, monkeypatch):
 @pytest.mark.parametrize("package", ["jax", "llvmlite"])
 def test_which_versions_are_newer(package, fresh, monkeypatch):
     assert not trust.newer_than_tested()
-    monkeypatch.setitem(trust.TESTED, package, ("0.0.1", "0.0.2"))
+    monkeypatch.setitem(trust.TESTED_VERSIONS, package, ("0.0.1", "0.0.2"))
     trust.newer_than_tested.cache_clear()
     assert trust.newer_than_tested()
 
 
 def test_tolerances_and_versions():
-    assert agreement.TOLERANCE == {"float64": 1e-10, "float32": 1e-4}
-    assert trust.TESTED == {"jax": ("0.10.2", "0.12.0.1"), "llvmlite": ("0.50.0",)}
-    assert trust._numbers("0.12.0.1") > trust._numbers("0.12.0") > trust._numbers("0.10.2+local")
+    assert agreement.AGREEMENT_TOLERANCE == {"float64": 1e-10, "float32": 1e-4}
+    assert trust.TESTED_VERSIONS == {"jax": ("0.10.2", "0.12.0.1"), "llvmlite": ("0.50.0",)}
+    assert (
+        trust._version_numbers("0.12.0.1") > trust._version_numbers("0.12.0") > trust._version_numbers("0.10.2+local")
+    )
 
 
 @pytest.mark.parametrize(

@@ -7,22 +7,22 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vibrojax.compile.kernels import assembly, control, conversions, elementwise, selection
+from vibrojax.compile.kernels import assembly, control, elementwise, selection
 from vibrojax.compile.kernels.operands import literal
-from vibrojax.compile.kernels.rules import FLOATS, INTEGERS, NUMBERS, Applied, Rule
+from vibrojax.compile.kernels.rules import FLOATS, INTEGERS, NUMBERS, Application, Rule
 
 
 def _loop_without_turns(patch: pytest.MonkeyPatch) -> None:
-    right = assembly.Assembly.repeated
-    patch.setattr(assembly.Assembly, "repeated", lambda asm, turns, turn: right(asm, max(turns, 1), turn))
+    right = assembly.Assembly.repeat
+    patch.setattr(assembly.Assembly, "repeat", lambda asm, turns, turn: right(asm, max(turns, 1), turn))
 
 
 def _booleans_compared(patch: pytest.MonkeyPatch) -> None:
-    patch.setattr(Applied, "order", property(lambda op: "s" if op.dtype.kind in "ib" else "u"))
+    patch.setattr(Application, "order", property(lambda op: "s" if op.dtype.kind in "ib" else "u"))
 
 
 def _unsigned_compared(patch: pytest.MonkeyPatch) -> None:
-    patch.setattr(Applied, "order", property(lambda op: "s" if op.dtype.kind in "iu" else "u"))
+    patch.setattr(Application, "order", property(lambda op: "s" if op.dtype.kind in "iu" else "u"))
 
 
 def _scan_from_the_end(patch: pytest.MonkeyPatch) -> None:
@@ -30,13 +30,13 @@ def _scan_from_the_end(patch: pytest.MonkeyPatch) -> None:
 
 
 def _fill_value(patch: pytest.MonkeyPatch) -> None:
-    patch.setattr(selection, "fill_value", lambda dtype, given: literal(np.nan if dtype.kind == "f" else 0, dtype))
+    patch.setattr(selection, "fill_value", lambda dtype, value: literal(np.nan if dtype.kind == "f" else 0, dtype))
 
 
 def _wide_shift(patch: pytest.MonkeyPatch) -> None:
     """As processors shift single numbers: by the lowest bits of the distance. LLVM leaves the result undefined."""
 
-    def shifted(instruction: str, op: Applied) -> str:
+    def shifted(instruction: str, op: Application) -> str:
         lowest = op.asm.let(f"and {op.type} {op.x[1]}, {op.constant(8 * op.dtype.itemsize - 1)}")
         return op.asm.let(f"{instruction} {op.type} {op.x[0]}, {lowest}")
 
@@ -45,11 +45,11 @@ def _wide_shift(patch: pytest.MonkeyPatch) -> None:
 
 
 def _float_to_integer(patch: pytest.MonkeyPatch) -> None:
-    def frozen(op: Applied) -> str:
+    def frozen(op: Application) -> str:
         to = op.asm.type(op.gives, op.varying)
         return op.asm.let(f"freeze {to} {op.asm.let(f'fptosi {op.type} {op.x[0]} to {to}')}")
 
-    patch.setattr(conversions, "saturated", frozen)
+    patch.setattr(elementwise, "_saturate", frozen)
 
 
 def _power_by_an_integer(patch: pytest.MonkeyPatch) -> None:

@@ -14,10 +14,10 @@ X = np.linspace(0.0, 1.0, 5)
 @pytest.fixture
 def compilations(monkeypatch, tmp_path):
     """A cache of its own, and a list that grows with every compilation."""
-    monkeypatch.setenv(cache.VARIABLE, str(tmp_path / "cache"))
+    monkeypatch.setenv(cache.CACHE_VARIABLE, str(tmp_path / "cache"))
     made = []
-    compiled = native._compiled
-    monkeypatch.setattr(native, "_compiled", lambda text: made.append(text) or compiled(text))
+    compiled = native._object_code
+    monkeypatch.setattr(native, "_object_code", lambda text: made.append(text) or compiled(text))
     return made
 
 
@@ -57,14 +57,14 @@ def test_another_processor_shares_nothing(compilations, monkeypatch):
     asked = []
     monkeypatch.setattr(native, "processor", lambda: other)
     monkeypatch.setattr(cache, "read", lambda name: asked.append(name) or key(name))
-    monkeypatch.setattr(native, "_compiled", lambda text: (_ for _ in ()).throw(RuntimeError("compiled again")))
+    monkeypatch.setattr(native, "_object_code", lambda text: (_ for _ in ()).throw(RuntimeError("compiled again")))
     with pytest.raises(RuntimeError, match="compiled again"):
         use()
     assert asked[0] not in [file.name for file in files()]
 
 
 def test_switched_off(compilations, monkeypatch):
-    monkeypatch.setenv(cache.VARIABLE, "off")
+    monkeypatch.setenv(cache.CACHE_VARIABLE, "off")
     use()
     use()
     assert cache.folder() is None and len(compilations) == 2
@@ -73,7 +73,7 @@ def test_switched_off(compilations, monkeypatch):
 def test_a_folder_that_cannot_be_used(compilations, monkeypatch, tmp_path):
     """Here a file stands where the folder should be."""
     (tmp_path / "file").write_text("")
-    monkeypatch.setenv(cache.VARIABLE, str(tmp_path / "file"))
+    monkeypatch.setenv(cache.CACHE_VARIABLE, str(tmp_path / "file"))
     use()
     use()
     assert len(compilations) == 2

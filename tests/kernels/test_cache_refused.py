@@ -19,11 +19,11 @@ STRANGER = 12345
 @pytest.fixture
 def compilations(monkeypatch, tmp_path):
     """Give a private cache, and return a list that grows with every compilation."""
-    monkeypatch.setenv(cache.VARIABLE, str(tmp_path / "cache"))
+    monkeypatch.setenv(cache.CACHE_VARIABLE, str(tmp_path / "cache"))
     monkeypatch.setattr(cache, "_refused", set())
     texts = []
-    compiled = native._compiled
-    monkeypatch.setattr(native, "_compiled", lambda text: texts.append(text) or compiled(text))
+    compiled = native._object_code
+    monkeypatch.setattr(native, "_object_code", lambda text: texts.append(text) or compiled(text))
     return texts
 
 

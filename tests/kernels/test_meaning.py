@@ -196,4 +196,4 @@ def test_unknown_parameters():
         parameters.check("sort", {"dimension": 0, "is_stable": True})
     with pytest.raises(Untranslatable, match="gather with mode = ONE_HOT"):
         parameters.check("gather", {"dimension_numbers": None, "mode": "ONE_HOT", "fill_value": None})
-    assert {*parameters.NEEDED, *parameters.IRRELEVANT} <= primitives()
+    assert set(parameters.PARAMETERS) <= primitives()

@@ -27,8 +27,8 @@ def references(code: bytes) -> list[int]:
 def test_references_are_whole_addresses(monkeypatch):
     """Shorter ones ended the process in one of some dozens of kernels, where its parts came to lie too far apart."""
     codes = []
-    compiled = native._compiled
-    monkeypatch.setattr(native, "_compiled", lambda text: codes.append(compiled(text)) or codes[-1])
+    compiled = native._object_code
+    monkeypatch.setattr(native, "_object_code", lambda text: codes.append(compiled(text)) or codes[-1])
     monkeypatch.setenv("VIBROJAX_CACHE", "off")
     x = np.linspace(0.1, 2.0, 9)
 

@@ -1,71 +1,66 @@
-"""Whether the functions that equations are written in can be trusted on this machine, compiled as lanes are."""
+"""Check of elementary functions on this machine, as compiled for lanes, against numpy.
 
-from collections.abc import Callable, Iterator
+jaxlib 0.10.2 with the widest registers (AVX-512) returned values of arctan in the wrong lanes. Nothing is computed with
+a compiler that fails this check.
+"""
+
+from collections.abc import Callable
 from functools import cache
 from inspect import signature
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from vibrojax.errors import InputError
-from vibrojax.models.physics import elementary
 
-ROUNDINGS = 4
-"""Roundings of the value, or of 1 where it is smaller, that a function may be off."""
+ELEMENTARY_ROUNDINGS = 4
+"""Accepted error, in roundings of the value, or of 1 if it is smaller. numpy's own functions are off by up to one."""
 
 Evaluate = Callable[..., Any]
-"""`evaluate(function, *arrays)`: what a function of lanes gives, compiled as lanes are."""
+"""`evaluate(function, *arrays)` returns the results of a function of lanes, compiled as lanes are."""
+
+Functions = tuple[Callable[..., Any], ...]
+"""Elementary functions; each is compared with numpy's function of the same name."""
 
 
 @cache
-def check(evaluate: Evaluate, compiler: str, dtype: np.dtype, lanes: int) -> None:
-    """Compare every function that equations are written in with numpy, `lanes` values at a time; once.
+def check(evaluate: Evaluate, functions: Functions, compiler: str, dtype: np.dtype, lanes: int) -> None:
+    """Compare functions with numpy, `lanes` values at a time, once per process.
 
-    **Raises:** `InputError` where one is wrong; it names the `compiler` and its version.
+    **Raises:** `InputError` if one is wrong; it names the `compiler` (package and version).
     """
-    wrong = wrong_functions(evaluate, dtype, lanes)
+    wrong = wrong_functions(evaluate, functions, dtype, lanes)
     if wrong:
-        package = compiler.split()[0]
         raise InputError(
             f"{compiler} computes {' and '.join(wrong)} wrongly on this machine, {lanes} values of {dtype} at a time: "
-            f"nothing was computed; install another version of {package}"
+            f"nothing was computed; install another version of {compiler.split()[0]}"
         )
 
 
-def wrong_functions(evaluate: Evaluate, dtype: np.dtype, lanes: int) -> list[str]:
-    """The names of the functions that are off by more than a few roundings.
+def wrong_functions(evaluate: Evaluate, functions: Functions, dtype: np.dtype, lanes: int) -> list[str]:
+    """Return the names of functions that are off by more than `ELEMENTARY_ROUNDINGS`.
 
-    Each is evaluated at `lanes` numbers of both signs over 15 octaves; where numpy has no finite value, it has none.
+    Each is evaluated at `lanes` numbers of both signs over 15 octaves, and compared wherever numpy's value is finite.
     """
     x = np.geomspace(2.0**-10, 2.0**5, lanes).astype(dtype)
     x[: lanes // 2] *= -1
-    given = (x, np.abs(x[::-1]))
-    functions = dict(_functions())
+    arguments = (x, np.abs(x[::-1]))
+    counts = {function.__name__: len(signature(function).parameters) for function in functions}
 
-    def all_of_them(*given: Float[jax.Array, " lanes"]) -> dict[str, jax.Array]:
-        return {name: function(*given[:arguments]) for name, (function, arguments) in functions.items()}
+    def evaluate_all(*arrays: Float[jax.Array, " lanes"]) -> dict[str, jax.Array]:
+        return {function.__name__: function(*arrays[: counts[function.__name__]]) for function in functions}
 
-    # NaN is what some functions have of a negative number: no debugger is to stop there.
-    with jax.debug_nans(False):
-        found = evaluate(all_of_them, *given)
-    return [name for name, (_, count) in functions.items() if _is_wrong(found[name], name, given[:count])]
-
-
-def _functions() -> Iterator[tuple[str, tuple[Callable, int]]]:
-    """Name, function and number of arguments of all that `elementary` offers, and of what is measured with besides."""
-    for name, function in vars(elementary).items():
-        if hasattr(function, "registry"):  # takes arrays, and the number types that register with it
-            yield name, (function, len(signature(function).parameters))
-    yield "arctan2", (jnp.arctan2, 2)
+    with jax.debug_nans(False):  # functions that are undefined for negative numbers return NaN there
+        values = evaluate(evaluate_all, *arguments)
+    return [name for name, count in counts.items() if _is_wrong(values[name], name, arguments[:count])]
 
 
-def _is_wrong(values: Any, name: str, given: tuple[np.ndarray, ...]) -> bool:
+def _is_wrong(values: Any, name: str, arguments: tuple[np.ndarray, ...]) -> bool:
     with np.errstate(all="ignore"):
-        exact = getattr(np, name)(*(x.astype(np.float64) for x in given))
+        exact = getattr(np, name)(*(x.astype(np.float64) for x in arguments))
     known = np.isfinite(exact)
-    off = np.abs(np.asarray(values, np.float64) - exact)[known]
-    within = off <= ROUNDINGS * np.finfo(given[0].dtype).eps * np.maximum(1, np.abs(exact[known]))
-    return not bool(np.all(within))
+    error = np.abs(np.asarray(values, np.float64) - exact)[known]
+    accepted = ELEMENTARY_ROUNDINGS * np.finfo(arguments[0].dtype).eps * np.maximum(1, np.abs(exact[known]))
+    return not bool(np.all(error <= accepted))

@@ -1,4 +1,4 @@
-"""What lanes run on: the devices of this computer, and in which precision."""
+"""Devices of this computer, threads per process, and precision."""
 
 import os
 from collections.abc import Iterator
@@ -7,17 +7,17 @@ from contextvars import ContextVar
 
 import jax
 
-THREADS = ("VIBROJAX_THREADS", "SLURM_CPUS_PER_TASK")
-"""Of the environment: threads that compute lanes, where not one for each core; the first that is a number counts."""
+THREAD_VARIABLES = ("VIBROJAX_THREADS", "SLURM_CPUS_PER_TASK")
+"""Environment variables with the number of threads; the first that holds a positive number counts."""
 
 _THREADS: ContextVar[int | None] = ContextVar("threads", default=None)
 
 
 def workers() -> list[jax.Device]:
-    """The device that each of the threads that compute lanes uses.
+    """Return the device of each thread that computes lanes.
 
-    A jitted loop keeps one CPU core busy, so there are as many threads as cores; all share the first CPU device and so
-    one compiled program. Of accelerators, each has a thread.
+    A compiled loop keeps one CPU core busy, so there are as many threads as cores. All of them share the first CPU
+    device and thus one compiled program. Each accelerator has one thread.
     """
     devices = jax.local_devices()
     return devices[:1] * threads() if devices[0].platform == "cpu" else devices
@@ -25,7 +25,7 @@ def workers() -> list[jax.Device]:
 
 @contextmanager
 def with_threads(count: int | None) -> Iterator[None]:
-    """In this context so many threads compute lanes, where one process is one of several; None: as without."""
+    """Set the number of threads that compute lanes, for one of several processes; None leaves the default."""
     before = _THREADS.set(count)
     try:
         yield
@@ -34,16 +34,16 @@ def with_threads(count: int | None) -> Iterator[None]:
 
 
 def threads() -> int:
-    """How many threads compute lanes: as many as are asked for, else as there are cores."""
-    asked = [os.environ.get(name, "") for name in THREADS]
-    return _THREADS.get() or next((int(one) for one in asked if one.isdecimal() and int(one)), usable_cores())
+    """Return the number of threads that compute lanes: that of the context or environment, else of the cores."""
+    values = [os.environ.get(name, "") for name in THREAD_VARIABLES]
+    return _THREADS.get() or next((int(value) for value in values if value.isdecimal() and int(value)), usable_cores())
 
 
 def usable_cores() -> int:
-    """Number of cores this process may use."""
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def precision(name: str) -> AbstractContextManager[object]:
-    """A context in which this thread's JAX computes in "float64" or "float32", whatever it does outside."""
+    """Return a context in which this thread's jax computes in "float64" or "float32", regardless of its settings."""
     return jax.enable_x64(name == "float64")

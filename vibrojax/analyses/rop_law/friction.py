@@ -21,6 +21,7 @@ from vibrojax.analyses.rop_law.uncertainty import (
     at_minimum,
     normal_inverse,
 )
+from vibrojax.compile import jitted
 from vibrojax.compile.devices import precision
 from vibrojax.errors import Place, shown, suggestion
 from vibrojax.io.attributes import parameters_of, title_of
@@ -28,7 +29,6 @@ from vibrojax.io.variables import Variable
 from vibrojax.models.arrays import Array
 from vibrojax.models.scenes.rotary import Rotary
 from vibrojax.stepping.smoothed import smoothed_trajectory
-from vibrojax.sweep.engine.compiler import jitted
 
 WINDOW = 0.5
 """Length [s] of the window that is fitted by default: some two returns of the default drill."""

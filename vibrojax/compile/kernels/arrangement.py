@@ -1,4 +1,4 @@
-"""The primitives of jax that move entries and leave them as they are: they are done while the kernel is written."""
+"""Rules for primitives that move entries without changing them. They write no instructions."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -8,8 +8,8 @@ import numpy as np
 
 from vibrojax.compile.kernels.operands import LANES, Untranslatable, Value, literals, without_lanes
 
-Arranged = Callable[[Any, Sequence[Value]], list[Value]]
-"""A rule: from an equation of a jaxpr and its arguments to its results."""
+ArrangementRule = Callable[[Any, Sequence[Value]], list[Value]]
+"""A rule that takes an equation of a jaxpr and its arguments, and returns its results."""
 
 
 def _broadcast(equation: Any, values: Sequence[Value]) -> list[Value]:
@@ -20,7 +20,7 @@ def _broadcast(equation: Any, values: Sequence[Value]) -> list[Value]:
     return [np.broadcast_to(values[0].reshape(spread), shape)]
 
 
-def _reshaped(equation: Any, values: Sequence[Value]) -> list[Value]:
+def _reshape(equation: Any, values: Sequence[Value]) -> list[Value]:
     before, after = equation.invars[0].aval.shape, equation.outvars[0].aval.shape
     if _entries_before_lanes(before) != _entries_before_lanes(after):
         raise Untranslatable("a shape that mixes lanes")
@@ -28,63 +28,31 @@ def _reshaped(equation: Any, values: Sequence[Value]) -> list[Value]:
 
 
 def _entries_before_lanes(shape: tuple[int, ...]) -> int | None:
-    """Return how many entries the axes before that of the lanes have; None if there are no lanes."""
+    """Return the number of entries along the axes before that of the lanes; None if there are no lanes."""
     return math.prod(shape[: shape.index(LANES)]) if LANES in shape else None
-
-
-def _refuse_lanes(equation: Any, axis: int, what: str) -> None:
-    """Raise `Untranslatable` if an argument has its lanes along an axis."""
-    if any(var.aval.shape[axis] == LANES for var in equation.invars):
-        raise Untranslatable(what)
 
 
 def _slice(equation: Any, values: Sequence[Value]) -> list[Value]:
     params, shape = equation.params, equation.invars[0].aval.shape
-    strides = params["strides"] or [1] * len(shape)
+    ranges = zip(params["start_indices"], params["limit_indices"], params["strides"] or [1] * len(shape), strict=True)
     parts = []
-    for length, start, end, stride in zip(
-        shape, params["start_indices"], params["limit_indices"], strides, strict=True
-    ):
+    for length, (start, end, stride) in zip(shape, ranges, strict=True):
         if length == LANES and (start, end, stride) != (0, LANES, 1):
             raise Untranslatable("some of the lanes")
         parts.append(slice(start, end, stride) if length != LANES else slice(None))
     return [values[0][tuple(parts)]]
 
 
-def _concatenated(equation: Any, values: Sequence[Value]) -> list[Value]:
-    axis = equation.params["dimension"]
-    _refuse_lanes(equation, axis, "lanes beside lanes")
-    return [np.concatenate(values, axis=axis)]
+def _split(equation: Any, values: Sequence[Value]) -> list[Value]:
+    return list(np.split(values[0], np.cumsum(equation.params["sizes"])[:-1], equation.params["axis"]))
 
 
-def _stacked(equation: Any, values: Sequence[Value]) -> list[Value]:
-    return [np.stack(values, axis=equation.params["axis"])]
-
-
-def _unstacked(equation: Any, values: Sequence[Value]) -> list[Value]:
+def _unstack(equation: Any, values: Sequence[Value]) -> list[Value]:
     axis = equation.params["axis"]
-    _refuse_lanes(equation, axis, "each lane by itself")
     return [np.take(values[0], [index], axis).squeeze(axis) for index in range(values[0].shape[axis])]
 
 
-def _split(equation: Any, values: Sequence[Value]) -> list[Value]:
-    ends, axis = np.cumsum(equation.params["sizes"])[:-1], equation.params["axis"]
-    _refuse_lanes(equation, axis, "some of the lanes")
-    return list(np.split(values[0], ends, axis=axis))
-
-
-def _transposed(equation: Any, values: Sequence[Value]) -> list[Value]:
-    return [values[0].transpose(equation.params["permutation"])]
-
-
-def _reversed(equation: Any, values: Sequence[Value]) -> list[Value]:
-    axes = equation.params["dimensions"]
-    if any(equation.invars[0].aval.shape[axis] == LANES for axis in axes):
-        raise Untranslatable("lanes in reverse")
-    return [np.flip(values[0], axes)]
-
-
-def _counted(equation: Any, values: Sequence[Value]) -> list[Value]:
+def _count(equation: Any, values: Sequence[Value]) -> list[Value]:
     shape, axis, dtype = (equation.params[name] for name in ("shape", "dimension", "dtype"))
     if shape[axis] == LANES:
         raise Untranslatable("the numbers of lanes")
@@ -94,21 +62,29 @@ def _counted(equation: Any, values: Sequence[Value]) -> list[Value]:
     return [literals(np.broadcast_to(numbers, without_lanes(shape)))]
 
 
-def _as_they_are(equation: Any, values: Sequence[Value]) -> list[Value]:
-    return list(values)
+def arrange(equation: Any, values: Sequence[Value]) -> list[Value]:
+    """Return the results of an equation; raise `Untranslatable` if it moves lanes."""
+    name, params = equation.primitive.name, equation.params
+    axes = np.atleast_1d(params[MOVED_AXES[name]]) if name in MOVED_AXES else ()
+    if any(var.aval.shape[axis] == LANES for var in equation.invars for axis in axes):
+        raise Untranslatable(f"{name} along the lanes")
+    return RULES[name](equation, values)
 
 
-RULES: dict[str, Arranged] = {
+MOVED_AXES = {"concatenate": "dimension", "unstack": "axis", "split": "axis", "rev": "dimensions"}
+"""Parameters that hold axes along which entries move."""
+
+RULES: dict[str, ArrangementRule] = {
     "broadcast_in_dim": _broadcast,
-    "reshape": _reshaped,
-    "squeeze": _reshaped,
+    "reshape": _reshape,
+    "squeeze": _reshape,
     "slice": _slice,
-    "concatenate": _concatenated,
-    "stack": _stacked,
-    "unstack": _unstacked,
+    "concatenate": lambda equation, values: [np.concatenate(values, equation.params["dimension"])],
+    "stack": lambda equation, values: [np.stack(values, equation.params["axis"])],
+    "unstack": _unstack,
     "split": _split,
-    "transpose": _transposed,
-    "rev": _reversed,
-    "iota": _counted,
-    "optimization_barrier": _as_they_are,
+    "transpose": lambda equation, values: [values[0].transpose(equation.params["permutation"])],
+    "rev": lambda equation, values: [np.flip(values[0], equation.params["dimensions"])],
+    "iota": _count,
+    "optimization_barrier": lambda equation, values: list(values),
 }

@@ -1,21 +1,33 @@
-"""The text of one function in LLVM's language: instructions one after the other, and the memory that they use."""
+"""Text of one LLVM function: its instructions, the memory that they use, and the arrays that it reads and fills."""
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
-from vibrojax.compile.kernels.operands import BOOL, Entry, Operand, Slot, Untranslatable, element
-
-IN_REGISTERS = 24
-"""Values that a loop may carry in registers; those of larger loops stay in memory, where each is read as it is used."""
+from vibrojax.compile.kernels.operands import (
+    BOOL,
+    LANES,
+    Entry,
+    Operand,
+    Slot,
+    Untranslatable,
+    Value,
+    build,
+    dtype_of,
+    element,
+    varies,
+    without_lanes,
+)
 
 
 class Assembly:
-    """Instructions for a group of `width` lanes, written one by one. A vector has one element for each lane.
+    """Instructions for a group of `width` lanes, appended one by one. A vector has one element per lane.
 
-    - `lines`, and before them `places`: the instructions; `declared`: functions from outside; `workspace`: bytes of it.
-    - `positive`: registers with floats that have no sign (or are NaN).
-    - `arrays`: which of the kernel's arrays a variable is; `filled`: those that are written within a loop.
+    - `lines`: the instructions; `places`: those before them, which reserve memory.
+    - `declared`: external functions; `workspace`: its size [bytes].
+    - `positive`: registers with floats that have no sign bit (or are NaN).
+    - `arrays`: number of the kernel's array by variable; `filled`: numbers of arrays that a loop writes.
     """
 
     def __init__(self, width: int) -> None:
@@ -31,33 +43,33 @@ class Assembly:
         self._read: dict[str, Operand] = {}
 
     def fresh(self, prefix: str) -> str:
-        """A name that nothing else has, without its sign."""
+        """Return an unused name, without its sign."""
         self._names += 1
         return f"{prefix}{self._names}"
 
     def do(self, instruction: str) -> None:
-        """An instruction that gives nothing."""
+        """Append an instruction without a result."""
         self.lines.append(f"  {instruction}")
 
     def let(self, instruction: str) -> str:
-        """The register that holds what an instruction gives."""
+        """Append an instruction and return the register of its result."""
         name = f"%{self.fresh('v')}"
         self.lines.append(f"  {name} = {instruction}")
         return name
 
     def label(self, name: str) -> None:
-        """Where a jump leads."""
+        """Append the target of a jump."""
         self.lines.append(f"{name}:")
         self.forget()
 
     def forget(self) -> None:
-        """What was read from memory is read again: it may have changed since."""
+        """Read values from memory again when they are used next: they may have changed."""
         self._read = {}
 
-    def repeated(self, turns: int, turn: Callable[[str], None]) -> None:
-        """Write a loop of `turns` turns. `turn` writes the body, and is given the register that counts from 0.
+    def repeat(self, turns: int, turn: Callable[[str], None]) -> None:
+        """Append a loop, whose body `turn` writes; its argument is the register that counts the turns from 0.
 
-        The number of turns is known here, so that a loop without turns is left out and others test after their body.
+        The number of turns is known, so that a loop without turns is left out and all others test after their body.
         """
         if turns < 1:
             return
@@ -68,21 +80,21 @@ class Assembly:
         self.label(body)
         number = self.let(f"load i64, ptr {count}, align 8")
         turn(number)
-        made = self.let(f"add i64 {number}, 1")
-        self.do(f"store i64 {made}, ptr {count}, align 8")
-        self.do(f"br i1 {self.let(f'icmp slt i64 {made}, {turns}')}, label %{body}, label %{done}")
+        next_number = self.let(f"add i64 {number}, 1")
+        self.do(f"store i64 {next_number}, ptr {count}, align 8")
+        self.do(f"br i1 {self.let(f'icmp slt i64 {next_number}, {turns}')}, label %{body}, label %{done}")
         self.label(done)
 
     def type(self, dtype: np.dtype, varying: bool) -> str:
-        """The type of a register."""
+        """Return the type of a register."""
         return f"<{self.width} x {element(dtype)}>" if varying else element(dtype)
 
     def type_in_memory(self, dtype: np.dtype, varying: bool) -> str:
-        """The type of a place in memory: that of the register, but that truth values are bytes."""
+        """Return the type of a value in memory: that of its register, except that booleans are bytes."""
         return self.type(np.dtype(np.int8) if dtype == BOOL else dtype, varying)
 
     def register(self, entry: Entry) -> Operand:
-        """An entry, read from memory if that is where it is."""
+        """Return an entry as a register or literal, read from memory if necessary."""
         if isinstance(entry, Operand):
             return entry
         if not entry.pointer:
@@ -92,7 +104,7 @@ class Assembly:
         return self._read[entry.pointer]
 
     def vector(self, entry: Entry) -> str:
-        """The text of an entry as a vector, whether it varies or not."""
+        """Return the text of an entry as a vector, whether it varies or not."""
         x = self.register(entry)
         if x.varying:
             return x.text
@@ -103,31 +115,31 @@ class Assembly:
         return self.let(f"shufflevector {whole} {first}, {whole} poison, <{self.width} x i32> zeroinitializer")
 
     def text(self, entry: Entry, varying: bool) -> str:
-        """The text of an entry, as a vector where `varying`."""
+        """Return the text of an entry, as a vector if `varying`."""
         return self.vector(entry) if varying else self.register(entry).text
 
     def load(self, slot: Slot, alignment: int) -> Operand:
-        """What is in memory now."""
-        held = self.type_in_memory(slot.dtype, slot.varying)
-        x = self.let(f"load {held}, ptr {slot.pointer}, align {alignment}")
+        """Return the present value of a slot."""
+        kind = self.type_in_memory(slot.dtype, slot.varying)
+        x = self.let(f"load {kind}, ptr {slot.pointer}, align {alignment}")
         if slot.dtype == BOOL:
-            x = self.let(f"trunc {held} {x} to {self.type(BOOL, slot.varying)}")
+            x = self.let(f"trunc {kind} {x} to {self.type(BOOL, slot.varying)}")
         return Operand(x, slot.dtype, slot.varying)
 
     def store(self, entry: Entry, slot: Slot, alignment: int | None = None) -> None:
         """Write an entry to memory."""
         x = self.text(entry, slot.varying)
-        held = self.type_in_memory(slot.dtype, slot.varying)
+        kind = self.type_in_memory(slot.dtype, slot.varying)
         if slot.dtype == BOOL:
-            x = self.let(f"zext {self.type(BOOL, slot.varying)} {x} to {held}")
-        self.do(f"store {held} {x}, ptr {slot.pointer}, align {alignment or self._alignment(slot.varying)}")
+            x = self.let(f"zext {self.type(BOOL, slot.varying)} {x} to {kind}")
+        self.do(f"store {kind} {x}, ptr {slot.pointer}, align {alignment or self._alignment(slot.varying)}")
 
     def slot(self, dtype: np.dtype, varying: bool, in_registers: bool) -> Slot:
-        """A new place for a value: one that the compiler may turn into a register, or one in the workspace."""
+        """Return a new slot, which LLVM may turn into a register if `in_registers`; else it is in the workspace."""
         name = f"%{self.fresh('p')}"
         if in_registers:
-            held = self.type_in_memory(dtype, varying)
-            self.places.append(f"  {name} = alloca {held}, align {self._alignment(varying)}")
+            kind = self.type_in_memory(dtype, varying)
+            self.places.append(f"  {name} = alloca {kind}, align {self._alignment(varying)}")
             return Slot(name, dtype, varying)
         offset = self.workspace
         self.places.append(f"  {name} = getelementptr i8, ptr %workspace, i64 {offset}")
@@ -135,24 +147,61 @@ class Assembly:
         return Slot(name, dtype, varying, offset)
 
     def call(self, function: str, arguments: Sequence[str], gives: str, takes: str | None = None) -> str:
-        """The register that holds what a function outside gives of arguments of one type."""
+        """Call an external function whose arguments all have the type `takes`, that of the result by default."""
         takes = takes or gives
         self.declared.add(f"declare {gives} @{function}({', '.join([takes] * len(arguments))})")
         return self.let(f"call {gives} @{function}({', '.join(f'{takes} {x}' for x in arguments)})")
 
     def intrinsic(self, name: str, arguments: Sequence[str], dtype: np.dtype, varying: bool) -> str:
-        """The register that holds what one of LLVM's own functions gives of arguments of the type of its result."""
+        """Call one of LLVM's intrinsic functions, whose arguments have the type of its result."""
         lanes = f"v{self.width}" if varying else ""
         return self.call(f"llvm.{name}.{lanes}{self.suffix(dtype)}", arguments, self.type(dtype, varying))
 
     def suffix(self, dtype: np.dtype) -> str:
-        """How names of LLVM's own functions tell of a type of numbers."""
+        """Return the part of an intrinsic function's name that names a type of numbers."""
         return ("f" if dtype.kind == "f" else "i") + str(1 if dtype == BOOL else 8 * dtype.itemsize)
 
     @property
     def alignment(self) -> int:
-        """Of vectors in memory, and so of the workspace [bytes]."""
+        """Alignment of vectors in memory, and of the workspace [bytes]."""
         return 8 * self.width
 
     def _alignment(self, varying: bool) -> int:
         return self.alignment if varying else 8
+
+
+def array_slots(asm: Assembly, place: int, aval: Any, block: tuple[str, int] = ("0", 0)) -> Value:
+    """Return the slots of an array for this group of lanes, whose axis is the last.
+
+    **Arguments:**
+
+    - `place`: number of the array among all arguments and results.
+    - `block`: (index, rows): the slots are those of block `index` in an array of blocks with this number of rows.
+    """
+    varying, dtype = varies(aval), dtype_of(aval)
+    if varying and aval.shape[-1] != LANES:
+        raise Untranslatable("lanes along another axis than the last")
+    shape = without_lanes(aval.shape)
+    array = asm.let(f"load ptr, ptr {asm.let(f'getelementptr ptr, ptr %arrays, i64 {place}')}")
+    first = asm.let(f"mul i64 {block[0]}, {block[1]}")
+
+    def slot(index: tuple[int, ...]) -> Slot:
+        row = int(np.ravel_multi_index(index, shape)) if index else 0
+        number = asm.let(f"add i64 {first}, {row}")
+        if varying:
+            number = asm.let(f"add i64 %lane, {asm.let(f'mul i64 %count, {number}')}")
+        pointer = asm.let(f"getelementptr {asm.type_in_memory(dtype, False)}, ptr {array}, i64 {number}")
+        return Slot(pointer, dtype, varying)
+
+    return build(shape, slot)
+
+
+def array_entries(asm: Assembly, place: int, aval: Any) -> Value:
+    """Return an argument of the kernel in registers, read at once because its rows lie far apart."""
+    slots = array_slots(asm, place, aval)
+    return build(slots.shape, lambda index: asm.load(slots.item(index), alignment=1))
+
+
+def placeholder(aval: Any) -> Value:
+    """Return entries without memory, for an array that a loop reads or fills row by row and nothing else may read."""
+    return build(without_lanes(aval.shape), lambda _: Slot("", dtype_of(aval), varies(aval)))

@@ -1,15 +1,16 @@
 """Compiled kernels and verdicts on them, kept in the user's cache folder between runs.
 
-A kept kernel is machine code that this process runs, so who can write it can do all that the user can. Two safeguards:
+A kept kernel is machine code that this process runs, so that whoever can write it can do all that the user can. There
+are two safeguards:
 
 - Only the user can have written a file that is loaded. The file and the folder `kernels` belong to the user, and
   neither group nor others can write to them; an access control list with more rights shows in the group's bits. Both
-  are checked on open descriptors, and the file is opened relative to that of the folder without following a symbolic
-  link. Hence the folders above do not matter: who can rename `kernels` cannot make a folder that belongs to the user.
-  This holds in `/tmp`, where the sticky bit is set. A folder above that all others can write to without the sticky bit
-  is refused nevertheless, because it is a mistake.
-- A digest of key and content finds damage and mix-ups: half a file, a flipped bit, a file under the key of another.
-  It proves nothing against an attacker, who can compute it too.
+  are checked on open descriptors. The file is opened relative to its folder's descriptor, without following a symbolic
+  link. Hence the folders above do not matter: renaming `kernels` does not make another folder belong to the user. This
+  holds in `/tmp`, where the sticky bit is set. A folder above that all others can write to without the sticky bit is
+  refused nevertheless, because it is a mistake.
+- A digest of key and content detects damage and mix-ups: half a file, a flipped bit, a file under another's key. It
+  proves nothing against an attacker, who can compute it too.
 
 A file or folder that is refused costs the time to compile again, and is named once in the log (`--verbose`). Without
 POSIX owners (Windows) the digest alone is checked: a user's own cache folder is private there.
@@ -30,35 +31,33 @@ from platformdirs import user_cache_path
 
 from vibrojax.progress import LOG
 
-VARIABLE = "VIBROJAX_CACHE"
-"""Environment variable: another folder, or "off"."""
+CACHE_VARIABLE = "VIBROJAX_CACHE"
+"""Environment variable that holds another folder, or one of `CACHE_OFF`."""
 
-OFF = ("off", "0", "no", "none")
+CACHE_OFF = ("off", "0", "no", "none")
 
 KEPT_BYTES, KEPT_DAYS = 100e6, 90
-"""Files that were not used for `KEPT_DAYS` are dropped, and the oldest ones beyond `KEPT_BYTES` in total."""
+"""Limits of the cache: the kernels of a study fit, and those of a version that is no longer used vanish in a season."""
 
 MAGIC = b"vibrojax kernel 1\n"
-"""Begins every file of the cache."""
+"""First bytes of every file of the cache."""
 
 HEADER = len(MAGIC) + sha256().digest_size
 
 KEY, TEMPORARY = re.compile(r"[0-9a-f]{64}"), ".vibrojax-"
-"""Names of the cache's own files: the SHA-256 of what made them, and a prefix while they are written."""
+"""Names of the cache's own files: a SHA-256 digest, and the prefix of files that are being written."""
 
 HALF_WRITTEN_SECONDS = 3600
-"""Age from which a temporary file is taken for the remains of a killed process."""
-
-OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
+"""Age from which a temporary file counts as the remains of a killed process."""
 
 HAS_OWNERS = hasattr(os, "geteuid")
 
 _refused: set[Path] = set()
-"""Folders of which a refusal has been logged."""
+"""Folders whose refusal has been logged."""
 
 
 class Refused(Exception):
-    """A folder or file that somebody else may have written."""
+    """Refusal of a folder or file that is damaged, or that somebody else may have written."""
 
 
 class Folder(NamedTuple):
@@ -68,26 +67,26 @@ class Folder(NamedTuple):
     descriptor: int | None
 
     def name(self, file: str) -> str | Path:
-        """Return what to call a file of the folder together with `dir_fd=descriptor`."""
+        """Return the path of a file for calls with `dir_fd=descriptor`."""
         return file if self.descriptor is not None else self.path / file
 
 
 def folder() -> Path | None:
-    """Return the folder in which kernels are kept; None if they are not."""
-    chosen = os.environ.get(VARIABLE, "")
-    if chosen.lower() in OFF:
+    """Return the folder of kept kernels; None if the cache is off."""
+    chosen = os.environ.get(CACHE_VARIABLE, "")
+    if chosen.lower() in CACHE_OFF:
         return None
     return (Path(chosen).expanduser() if chosen else user_cache_path("vibrojax", appauthor=False)) / "kernels"
 
 
 def read(key: str) -> bytes | None:
-    """Return the content that was kept under a key, or None."""
+    """Return the content under a key, or None."""
     path = folder()
     if path is None:
         return None
     try:
-        with _entered(path) as where:
-            content = _content(where, key)
+        with _open_folder(path) as where:
+            content = _read_file(where, key)
             with suppress(OSError):
                 os.utime(where.name(key), dir_fd=where.descriptor)  # the oldest files are dropped first
             return content
@@ -99,16 +98,16 @@ def read(key: str) -> bytes | None:
 
 
 def write(key: str, content: bytes) -> None:
-    """Keep content under a key, whole or not at all; drop old files."""
+    """Keep content under a key, completely or not at all; delete old files."""
     path = folder()
     if path is None:
         return
     try:
         path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         path.mkdir(mode=0o700, exist_ok=True)
-        with _entered(path) as where:
-            _put(where, key, MAGIC + _digest(key, content) + content)
-            _drop_old(where)
+        with _open_folder(path) as where:
+            _write_file(where, key, MAGIC + _digest(key, content) + content)
+            _delete_old(where)
     except Refused as refusal:
         _log_once(path, refusal)
     except OSError:
@@ -116,7 +115,7 @@ def write(key: str, content: bytes) -> None:
 
 
 @contextmanager
-def _entered(path: Path) -> Iterator[Folder]:
+def _open_folder(path: Path) -> Iterator[Folder]:
     """Open a folder of the cache.
 
     **Raises:** `Refused` if others can write to it, `OSError` if it cannot be opened.
@@ -140,10 +139,10 @@ def _entered(path: Path) -> Iterator[Folder]:
         os.close(descriptor)
 
 
-def _content(where: Folder, key: str) -> bytes:
+def _read_file(where: Folder, key: str) -> bytes:
     """Return the content of a file.
 
-    **Raises:** `Refused` if others can have written it, or if it is not what was kept under this key.
+    **Raises:** `Refused` if others may have written it, or if it was not kept under this key.
     """
     flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_NONBLOCK", 0)
     try:
@@ -164,8 +163,8 @@ def _content(where: Folder, key: str) -> bytes:
     return content
 
 
-def _put(where: Folder, key: str, whole: bytes) -> None:
-    """Write a file of the cache, which only the user can read, under another name until it is complete."""
+def _write_file(where: Folder, key: str, whole: bytes) -> None:
+    """Write a file that only the user can read, under a temporary name until it is complete."""
     temporary = where.name(f"{TEMPORARY}{secrets.token_hex(8)}")
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
     handle = os.open(temporary, flags, 0o600, dir_fd=where.descriptor)
@@ -179,11 +178,11 @@ def _put(where: Folder, key: str, whole: bytes) -> None:
 
 
 def _check_owner(descriptor: int, path: Path) -> None:
-    """Raise `Refused` unless what is open belongs to this user and nobody else can write to it."""
-    about = os.fstat(descriptor)
-    if about.st_uid != os.geteuid():
+    """Raise `Refused` unless an open file or folder belongs to this user and nobody else can write to it."""
+    status = os.fstat(descriptor)
+    if status.st_uid != os.geteuid():
         raise Refused(f"{path}: belongs to another user")
-    if about.st_mode & OTHERS_WRITE:
+    if status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
         raise Refused(f"{path}: others can write to it")
 
 
@@ -198,19 +197,20 @@ def _log_once(path: Path, refusal: Refused) -> None:
         LOG.info("cache refused: %s; kernels are compiled again", refusal)
 
 
-def _drop_old(where: Folder) -> None:
-    """Delete kernels that were not used for long, the oldest ones beyond the limit, and half-written files.
+def _delete_old(where: Folder) -> None:
+    """Delete kernels unused for `KEPT_DAYS`, the least recently used beyond `KEPT_BYTES`, and half-written files.
 
     Everything else in the folder stays: other names, folders, links, and files without the header of the cache.
     """
     with os.scandir(where.path if where.descriptor is None else where.descriptor) as entries:
-        regular = [(entry.name, entry.stat(follow_symlinks=False)) for entry in entries]
-    regular = [(name, about) for name, about in regular if stat.S_ISREG(about.st_mode)]
+        files = [(entry.name, entry.stat(follow_symlinks=False)) for entry in entries]
     total, now = 0, time.time()
-    for name, about in sorted(regular, key=lambda each: -each[1].st_mtime):
-        age = now - about.st_mtime
+    for name, status in sorted(files, key=lambda file: -file[1].st_mtime):
+        age = now - status.st_mtime
+        if not stat.S_ISREG(status.st_mode):
+            continue
         if KEY.fullmatch(name):
-            total += about.st_size
+            total += status.st_size
             drop = (age > 86400 * KEPT_DAYS or total > KEPT_BYTES) and _is_own(where, name)
         else:
             drop = name.startswith(TEMPORARY) and age > HALF_WRITTEN_SECONDS
@@ -220,7 +220,7 @@ def _drop_old(where: Folder) -> None:
 
 
 def _is_own(where: Folder, name: str) -> bool:
-    """Return whether a file begins as those of the cache do."""
+    """Return whether a file begins with the bytes of the cache's own files."""
     flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
     with suppress(OSError), os.fdopen(os.open(where.name(name), flags, dir_fd=where.descriptor), "rb") as file:
         return file.read(len(MAGIC)) == MAGIC

@@ -1,35 +1,34 @@
-"""The primitives of jax that work on each entry by itself: each has a rule that writes its instructions."""
+"""Rules for primitives that act on each entry by itself: arithmetic, comparisons, functions, conversions."""
 
 from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
 import numpy as np
+from jax.lax import RoundingMethod
 
-from vibrojax.compile.kernels import conversions
 from vibrojax.compile.kernels.assembly import Assembly
 from vibrojax.compile.kernels.operands import BOOL, Entry, Operand, Untranslatable, element
-from vibrojax.compile.kernels.rules import ANY, FLOATS, INTEGERS, NUMBERS, Applied, Rule
+from vibrojax.compile.kernels.rules import ANY, FLOATS, INTEGERS, NUMBERS, Application, Rule
 
 
-def applied(asm: Assembly, name: str, params: Mapping[str, Any], entries: list[Entry], gives: np.dtype) -> Operand:
-    """Write a primitive of one entry of each of its arguments; raise `Untranslatable` for types without a rule."""
+def apply(asm: Assembly, name: str, params: Mapping[str, Any], entries: list[Entry], gives: np.dtype) -> Operand:
+    """Write a primitive of one entry of each argument; raise `Untranslatable` for types without a rule."""
     if name in COMPOSED:
         return COMPOSED[name](asm, entries)
-    rule, op = RULES[name], Applied(asm, params, entries, gives)
+    rule, op = RULES[name], Application(asm, params, entries, gives)
     if op.dtype.kind not in rule.kinds or (len({operand.dtype for operand in op.operands}) > 1 and name != "pow"):
         raise Untranslatable(f"{name} of {' and '.join(str(operand.dtype) for operand in op.operands)}")
     return Operand(rule.write(op), np.dtype(gives), op.varying)
 
 
-def _clamped(asm: Assembly, entries: list[Entry]) -> Operand:
+def _clamp(asm: Assembly, entries: list[Entry]) -> Operand:
     low, x, high = entries
     dtype = asm.register(x).dtype
-    raised = applied(asm, "max", {}, [x, low], dtype)
-    return applied(asm, "min", {}, [raised, high], dtype)
+    return apply(asm, "min", {}, [apply(asm, "max", {}, [x, low], dtype), high], dtype)
 
 
-def _selected(asm: Assembly, entries: list[Entry]) -> Operand:
+def _select(asm: Assembly, entries: list[Entry]) -> Operand:
     which, *cases = (asm.register(entry) for entry in entries)
     if which.dtype != BOOL or len(cases) != 2:
         raise Untranslatable("a choice that is not between two by a boolean")
@@ -41,37 +40,32 @@ def _selected(asm: Assembly, entries: list[Entry]) -> Operand:
     return Operand(chosen, yes.dtype, varying)
 
 
-def _arithmetic(of_floats: str, of_integers: str, op: Applied) -> str:
+def _arithmetic(of_floats: str, of_integers: str, op: Application) -> str:
     instruction = of_floats if op.is_float else of_integers
     return op.asm.let(f"{instruction} {op.type} {op.x[0]}, {op.x[1]}")
 
 
-def _tangents_added(op: Applied) -> str:
-    """Write a sum; the tangents of integers, booleans here, are all false."""
-    return _arithmetic("fadd contract", "or" if op.dtype == BOOL else "add", op)
-
-
-def _divided(remainder: bool, op: Applied) -> str:
-    """Write a quotient or remainder; of integers divided by 0, as XLA has it: -1 (all bits) or the dividend."""
-    whole, by = op.x
+def _divide(remainder: bool, op: Application) -> str:
+    """Write a quotient or remainder. For integers divided by 0 these are, as in XLA, -1 (all bits) and the dividend."""
+    dividend, divisor = op.x
     name = "rem" if remainder else "div"
     if op.is_float:
-        return op.asm.let(f"f{name} {op.type} {whole}, {by}")
-    zero, safe = op.compared("eq", by, op.constant(0)), by
+        return op.asm.let(f"f{name} {op.type} {dividend}, {divisor}")
+    zero, safe = op.compare("eq", divisor, op.constant(0)), divisor
     if op.order == "s":
-        # The processor stops where the least number is divided by -1.
-        minus = op.compared("eq", by, op.constant(-1))
-        safe = op.chosen(minus, op.constant(1), by)
-    safe = op.chosen(zero, op.constant(1), safe)
-    result = op.asm.let(f"{op.order}{name} {op.type} {whole}, {safe}")
+        # The least number divided by -1 raises a signal.
+        minus = op.compare("eq", divisor, op.constant(-1))
+        safe = op.select(minus, op.constant(1), divisor)
+    safe = op.select(zero, op.constant(1), safe)
+    result = op.asm.let(f"{op.order}{name} {op.type} {dividend}, {safe}")
     if op.order == "s":
-        negative = op.constant(0) if remainder else op.asm.let(f"sub {op.type} {op.constant(0)}, {whole}")
-        result = op.chosen(minus, negative, result)
-    return op.chosen(zero, whole if remainder else op.constant(-1), result)
+        negative = op.constant(0) if remainder else op.asm.let(f"sub {op.type} {op.constant(0)}, {dividend}")
+        result = op.select(minus, negative, result)
+    return op.select(zero, dividend if remainder else op.constant(-1), result)
 
 
-def _shifted(instruction: str, op: Applied) -> str:
-    """Write a shift. By the width or more, or by a negative number, it leaves 0, or the sign, as XLA has it."""
+def _shift(instruction: str, op: Application) -> str:
+    """Write a shift. By the width or more, or by a negative number, it leaves 0 or the sign, as in XLA."""
     bits, by = 8 * op.dtype.itemsize, op.operands[1].number
     shifted = op.asm.let(f"{instruction} {op.type} {op.x[0]}, {op.x[1]}")
     if by is not None and 0 <= by < bits:
@@ -79,16 +73,16 @@ def _shifted(instruction: str, op: Applied) -> str:
     beyond = op.constant(0)
     if instruction == "ashr":
         beyond = op.asm.let(f"ashr {op.type} {op.x[0]}, {op.constant(bits - 1)}")
-    return op.chosen(op.compared("ult", op.x[1], op.constant(bits)), shifted, beyond)
+    return op.select(op.compare("ult", op.x[1], op.constant(bits)), shifted, beyond)
 
 
-def _comparison(of_floats: str, of_integers: str, op: Applied) -> str:
+def _compare(of_floats: str, of_integers: str, op: Application) -> str:
     how = of_integers if of_integers in ("eq", "ne") else op.order + of_integers
-    return op.compared(of_floats if op.is_float else how, *op.x)
+    return op.compare(of_floats if op.is_float else how, *op.x)
 
 
-def _extreme(name: str, op: Applied) -> str:
-    """Write the maximum or minimum. Of floats it is NaN where either is, and +0 counts as greater than -0."""
+def _extremum(name: str, op: Application) -> str:
+    """Write the maximum or minimum. Of floats it is NaN if either is, and +0 counts as greater than -0."""
     if op.dtype == BOOL:
         return op.asm.let(f"{'or' if name == 'max' else 'and'} {op.type} {op.x[0]}, {op.x[1]}")
     if not op.is_float:
@@ -101,8 +95,8 @@ def _extreme(name: str, op: Applied) -> str:
     if not wins_ties[1]:
         first, second = second, first
     # A comparison with NaN, or of equals, gives the second; a NaN of the first is put back.
-    chosen = op.chosen(op.compared("ogt" if name == "max" else "olt", first, second), first, second)
-    result = op.chosen(op.compared("uno", first, first), first, chosen)
+    extremum = op.select(op.compare("ogt" if name == "max" else "olt", first, second), first, second)
+    result = op.select(op.compare("uno", first, first), first, extremum)
     if all(positive) or (name == "max" and any(positive)):
         op.asm.positive.add(result)
     return result
@@ -113,13 +107,13 @@ def _is_positive(number: float | None) -> bool:
 
 
 def _wins_ties(name: str, operand: Operand, positive: bool) -> bool:
-    """Return whether an operand is the extreme of two equal numbers: if its zero, or no zero, is the right one."""
+    """Return whether an operand is the extremum of two equal numbers: its zero is the right one, or it has none."""
     if operand.number is None or operand.number == 0:
         return positive if name == "max" else operand.number is not None and not positive
     return True
 
 
-def _from_the_library(name: str, op: Applied) -> str:
+def _library_function(name: str, op: Application) -> str:
     """Write calls of the C library's function, lane by lane."""
     kind = element(op.dtype)
     function = name + ("f" if op.dtype.itemsize == 4 else "")
@@ -127,110 +121,138 @@ def _from_the_library(name: str, op: Applied) -> str:
         return op.asm.call(function, op.x, kind)
     result = "poison"
     for lane in range(op.asm.width):
-        taken = [op.asm.let(f"extractelement {op.type} {argument}, i64 {lane}") for argument in op.x]
-        called = op.asm.call(function, taken, kind)
-        result = op.asm.let(f"insertelement {op.type} {result}, {kind} {called}, i64 {lane}")
+        arguments = [op.asm.let(f"extractelement {op.type} {argument}, i64 {lane}") for argument in op.x]
+        value = op.asm.call(function, arguments, kind)
+        result = op.asm.let(f"insertelement {op.type} {result}, {kind} {value}, i64 {lane}")
     return result
 
 
-def _power(op: Applied) -> str:
+def _power(op: Application) -> str:
     """Write a power of floats; an exponent that is an integer becomes a float first, as in jax."""
     base, exponent = op.operands
     if exponent.dtype != base.dtype:
-        exponent = applied(op.asm, "convert_element_type", {}, [exponent], base.dtype)
+        exponent = apply(op.asm, "convert_element_type", {}, [exponent], base.dtype)
     texts = [op.asm.text(operand, op.varying) for operand in (base, exponent)]
     return op.asm.intrinsic("pow", texts, op.dtype, op.varying)
 
 
-def _negative(op: Applied) -> str:
+def _negate(op: Application) -> str:
     if op.is_float:
         return op.asm.let(f"fneg {op.type} {op.x[0]}")
     return op.asm.let(f"sub {op.type} {op.constant(0)}, {op.x[0]}")
 
 
-def _absolute(op: Applied) -> str:
+def _absolute(op: Application) -> str:
     if op.is_float:
         result = op.intrinsic("fabs")
         op.asm.positive.add(result)
         return result
-    return op.chosen(op.compared("slt", op.x[0], op.constant(0)), _negative(op), op.x[0])
+    return op.select(op.compare("slt", op.x[0], op.constant(0)), _negate(op), op.x[0])
 
 
-def _not(op: Applied) -> str:
-    every = op.constant(True if op.dtype == BOOL else -1)
-    return op.asm.let(f"xor {op.type} {op.x[0]}, {every}")
-
-
-def _sign(op: Applied) -> str:
-    """Write the sign: 1, -1, or the number itself where it is 0 or NaN."""
+def _sign(op: Application) -> str:
+    """Write the sign: 1, -1, or the number itself if it is 0 or NaN."""
     number, zero = op.x[0], op.constant(0)
     below, above = ("olt", "ogt") if op.is_float else (f"{op.order}lt", f"{op.order}gt")
-    result = op.chosen(op.compared(below, number, zero), op.constant(-1), number)
-    return op.chosen(op.compared(above, number, zero), op.constant(1), result)
+    result = op.select(op.compare(below, number, zero), op.constant(-1), number)
+    return op.select(op.compare(above, number, zero), op.constant(1), result)
 
 
-def _is_finite(op: Applied) -> str:
-    return op.compared("olt", op.intrinsic("fabs"), op.constant(np.inf))
-
-
-def _square(op: Applied) -> str:
-    return _arithmetic("fmul", "mul", Applied(op.asm, {}, [op.operands[0]] * 2, op.gives))
-
-
-def _integer_power(op: Applied) -> str:
-    """Write a power by squaring, in jax's order, so that it is rounded alike."""
+def _integer_power(op: Application) -> str:
+    """Write a power by squaring, in jax's order so that its roundings are jax's."""
     exponent, multiply = op.params["y"], "fmul" if op.is_float else "mul"
     if exponent < 0 and not op.is_float:
         raise Untranslatable("a negative power of integers")
-    power, result, left = op.x[0], None, abs(exponent)
-    while left:
-        if left % 2:
+    power, result, remaining = op.x[0], None, abs(exponent)
+    while remaining:
+        if remaining % 2:
             result = power if result is None else op.asm.let(f"{multiply} {op.type} {result}, {power}")
-        left //= 2
-        if left:
+        remaining //= 2
+        if remaining:
             power = op.asm.let(f"{multiply} {op.type} {power}, {power}")
     if result is None:
         return op.constant(1)
     return result if exponent > 0 else op.asm.let(f"fdiv {op.type} {op.constant(1)}, {result}")
 
 
-def _rounded(op: Applied) -> str:
-    return op.intrinsic("roundeven" if int(op.params["rounding_method"]) == 1 else "round")
+def _reinterpret(op: Application) -> str:
+    """Write the same bits as another type."""
+    if op.gives == op.dtype:
+        return op.x[0]
+    if op.gives.itemsize != op.dtype.itemsize or op.gives == BOOL:
+        raise Untranslatable(f"the bits of {op.dtype} as {op.gives}")
+    return op.asm.let(f"bitcast {op.type} {op.x[0]} to {op.asm.type(op.gives, op.varying)}")
 
 
-COMPOSED: dict[str, Callable[[Assembly, list[Entry]], Operand]] = {"clamp": _clamped, "select_n": _selected}
+def _convert(op: Application) -> str:
+    if op.gives == op.dtype:
+        return op.x[0]
+    if op.gives == BOOL:
+        return op.compare("une" if op.is_float else "ne", op.x[0], op.constant(0))
+    if op.is_float and op.gives.kind != "f":
+        return _saturate(op)
+    wider = op.gives.itemsize > op.dtype.itemsize
+    if op.is_float:
+        how = "fpext" if wider else "fptrunc"
+    elif op.gives.kind == "f":
+        how = "sitofp" if op.order == "s" else "uitofp"
+    elif wider or op.dtype == BOOL:
+        how = "sext" if op.order == "s" else "zext"
+    elif op.gives.itemsize < op.dtype.itemsize:
+        how = "trunc"
+    else:
+        return op.x[0]
+    return op.asm.let(f"{how} {op.type} {op.x[0]} to {op.asm.type(op.gives, op.varying)}")
+
+
+def _saturate(op: Application) -> str:
+    """Write the conversion of a float to the nearest integer of a type, and of NaN to 0."""
+    asm, lanes = op.asm, f"v{op.asm.width}" if op.varying else ""
+    name = f"llvm.fpto{'s' if op.gives.kind == 'i' else 'u'}i.sat"
+    name += f".{lanes}{asm.suffix(op.gives)}.{lanes}{asm.suffix(op.dtype)}"
+    return asm.call(name, op.x, asm.type(op.gives, op.varying), takes=op.type)
+
+
+COMPOSED: dict[str, Callable[[Assembly, list[Entry]], Operand]] = {"clamp": _clamp, "select_n": _select}
 """Primitives made of others, or of arguments of several types."""
 
+ROUNDING = {RoundingMethod.AWAY_FROM_ZERO: "round", RoundingMethod.TO_NEAREST_EVEN: "roundeven"}
 INTRINSICS = ("sqrt", "floor", "ceil", "exp", "exp2", "log", "sin", "cos")
 CIRCULAR = ("tan", "tanh", "sinh", "cosh", "asin", "acos", "atan", "asinh", "acosh", "atanh", "atan2")
 LIBRARY = (*CIRCULAR, "expm1", "log1p", "cbrt", "erf", "erfc")
 
-# A product that is added may be rounded once with the sum (`contract`): no more is left to the compiler.
+# `contract` lets LLVM round a product and its sum once, together. No other freedom is left to it.
 RULES: dict[str, Rule] = {
     "add": Rule(partial(_arithmetic, "fadd contract", "add"), NUMBERS),
-    "add_any": Rule(_tangents_added, ANY),
+    # Tangents of integers are booleans here, all of them false.
+    "add_any": Rule(lambda op: _arithmetic("fadd contract", "or" if op.dtype == BOOL else "add", op), ANY),
     "sub": Rule(partial(_arithmetic, "fsub contract", "sub"), NUMBERS),
     "mul": Rule(partial(_arithmetic, "fmul contract", "mul"), NUMBERS),
-    "div": Rule(partial(_divided, False), NUMBERS),
-    "rem": Rule(partial(_divided, True), NUMBERS),
+    "div": Rule(partial(_divide, False), NUMBERS),
+    "rem": Rule(partial(_divide, True), NUMBERS),
     **{name: Rule(partial(_arithmetic, "", name), INTEGERS + "b") for name in ("and", "or", "xor")},
-    "shift_left": Rule(partial(_shifted, "shl"), INTEGERS),
-    "shift_right_logical": Rule(partial(_shifted, "lshr"), INTEGERS),
-    "shift_right_arithmetic": Rule(partial(_shifted, "ashr"), INTEGERS),
-    **{name: Rule(partial(_comparison, f"o{name}", name), ANY) for name in ("lt", "gt", "le", "ge", "eq")},
-    "ne": Rule(partial(_comparison, "une", "ne"), ANY),
-    **{name: Rule(partial(_extreme, name), ANY) for name in ("max", "min")},
-    "neg": Rule(_negative, NUMBERS),
+    "shift_left": Rule(partial(_shift, "shl"), INTEGERS),
+    "shift_right_logical": Rule(partial(_shift, "lshr"), INTEGERS),
+    "shift_right_arithmetic": Rule(partial(_shift, "ashr"), INTEGERS),
+    **{name: Rule(partial(_compare, f"o{name}", name), ANY) for name in ("lt", "gt", "le", "ge", "eq")},
+    "ne": Rule(partial(_compare, "une", "ne"), ANY),
+    **{name: Rule(partial(_extremum, name), ANY) for name in ("max", "min")},
+    "neg": Rule(_negate, NUMBERS),
     "abs": Rule(_absolute, "fi"),
-    "not": Rule(_not, INTEGERS + "b"),
+    "not": Rule(
+        lambda op: op.asm.let(f"xor {op.type} {op.x[0]}, {op.constant(op.dtype == BOOL or -1)}"), INTEGERS + "b"
+    ),
     "sign": Rule(_sign, NUMBERS),
-    "is_finite": Rule(_is_finite, FLOATS),
+    "is_finite": Rule(lambda op: op.compare("olt", op.intrinsic("fabs"), op.constant(np.inf)), FLOATS),
     "integer_pow": Rule(_integer_power, NUMBERS),
-    "square": Rule(_square, NUMBERS),
-    "round": Rule(_rounded, FLOATS),
+    "square": Rule(
+        lambda op: _arithmetic("fmul", "mul", Application(op.asm, {}, [op.operands[0]] * 2, op.gives)), NUMBERS
+    ),
+    "round": Rule(lambda op: op.intrinsic(ROUNDING[op.params["rounding_method"]]), FLOATS),
     "pow": Rule(_power, FLOATS),
-    **conversions.RULES,
+    "bitcast_convert_type": Rule(_reinterpret, ANY),
+    "convert_element_type": Rule(_convert, ANY),
     **{name: Rule(lambda op: op.x[0], ANY) for name in ("stop_gradient", "copy")},
     **{name: Rule(lambda op, name=name: op.intrinsic(name), FLOATS) for name in INTRINSICS},  # type: ignore[misc]
-    **{name: Rule(partial(_from_the_library, name), FLOATS) for name in LIBRARY},
+    **{name: Rule(partial(_library_function, name), FLOATS) for name in LIBRARY},
 }

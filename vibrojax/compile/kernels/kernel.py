@@ -1,8 +1,9 @@
-"""A function of lanes as one function of the machine: traced once by jax, translated, and compiled by LLVM."""
+"""Kernels: functions of lanes, traced once by jax, translated, and compiled by LLVM once per process."""
 
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Hashable
 from itertools import count
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -16,34 +17,34 @@ _number = count()
 
 
 class Kernel:
-    """A jax function of arrays whose last axis is the lanes', as one function of the machine.
+    """A jax function of arrays whose last axis is the lanes', compiled as one native function.
 
-    Lanes go through in groups of `width`: as many as fill `registers` of the processor's registers. Only loops and
-    branches, which a group takes together, know of other lanes: where a turn of a loop leaves a lane that is done as it
-    is, each lane's result depends on that lane alone, to the last bit.
+    Lanes go through in groups of `width`: as many as fill `registers` registers of the processor. The lanes of a group
+    share only loops and branches. If a turn of a loop leaves finished lanes unchanged, each lane's result depends on
+    that lane alone, to the last bit.
 
     **Arguments:**
 
     - `function`: takes and returns any pytrees. It is traced in the precision that is set.
-    - `examples`: its arguments, or their like (`jax.ShapeDtypeStruct`): arrays without axes are one for all lanes, of
-      others the last axis is the lanes', of any length.
-    - `registers`: how many each value of a group fills.
+    - `examples`: its arguments, or `jax.ShapeDtypeStruct` like them. Arrays without axes are the same for all lanes;
+      the last axis of others is the lanes', of any length.
+    - `registers`: registers per value of a group.
 
-    **Raises:** `Untranslatable`, where the function does what no kernel can do.
+    **Raises:** `Untranslatable` if the function has a construct that no kernel can express.
     """
 
     def __init__(self, function: Callable[..., Any], *examples: Any, registers: int = 1) -> None:
         traced = trace(function, *examples)
         inner = traced.jaxpr.jaxpr
-        self._given = [(dtype_of(var.aval), varies(var.aval)) for var in inner.invars]
-        self._found = [(dtype_of(var.aval), var.aval.shape, varies(var.aval)) for var in inner.outvars]
-        if not any(varying for _, varying in self._given):
+        self._arguments = [(dtype_of(var.aval), varies(var.aval)) for var in inner.invars]
+        self._results = [(dtype_of(var.aval), var.aval.shape, varies(var.aval)) for var in inner.outvars]
+        if not any(varying for _, varying in self._arguments):
             raise Untranslatable("no argument has lanes")
         self._tree = jax.tree.structure(traced.out_info)
-        widest = max((dtype.itemsize for dtype, _ in self._given if dtype.kind == "f"), default=8)
+        widest = max((dtype.itemsize for dtype, _ in self._arguments if dtype.kind == "f"), default=8)
         self.width = registers * native.vector_bytes() // widest
         text, self._workspace, self._alignment = kernel_text(traced.jaxpr, self.width)
-        self._native = native.native(text, f"kernel {next(_number)}")
+        self._native = native.compile_text(text, f"kernel {next(_number)}")
 
     @property
     def key(self) -> str:
@@ -51,34 +52,63 @@ class Kernel:
         return self._native.key
 
     def __call__(self, *arguments: Any) -> Any:
-        """The function's results, as numpy arrays. Other threads run meanwhile."""
+        """Return the function's results as numpy arrays. Other threads may run meanwhile."""
         leaves = jax.tree.leaves(arguments)
-        lanes = next(np.shape(x)[-1] for x, (_, varying) in zip(leaves, self._given, strict=True) if varying)
+        lanes = next(np.shape(x)[-1] for x, (_, varying) in zip(leaves, self._arguments, strict=True) if varying)
         padded = -(-lanes // self.width) * self.width
-        given = [
-            self._prepared(x, dtype, varying, padded) for x, (dtype, varying) in zip(leaves, self._given, strict=True)
-        ]
-        found = [np.empty((*shape[:-1], padded) if varying else shape, dtype) for dtype, shape, varying in self._found]
+        pairs = zip(leaves, self._arguments, strict=True)
+        arrays = [_padded(np.asarray(x, dtype), padded if varying else None) for x, (dtype, varying) in pairs]
+        shapes = [(*shape[:-1], padded) if varying else shape for _, shape, varying in self._results]
+        results = [np.empty(shape, dtype) for shape, (dtype, *_) in zip(shapes, self._results, strict=True)]
         workspace = np.empty(self._workspace + self._alignment, np.uint8)
-        pointers = np.array([x.ctypes.data for x in (*given, *found)], np.uintp)
+        pointers = np.array([x.ctypes.data for x in (*arrays, *results)], np.uintp)
         aligned = -(-workspace.ctypes.data // self._alignment) * self._alignment
         self._native.function(pointers.ctypes.data, aligned, padded)
-        cut = [x[..., :lanes] if varying else x for x, (*_, varying) in zip(found, self._found, strict=True)]
+        cut = [x[..., :lanes] if varying else x for x, (*_, varying) in zip(results, self._results, strict=True)]
         return jax.tree.unflatten(self._tree, cut)
 
-    def _prepared(self, x: Any, dtype: np.dtype, varying: bool, padded: int) -> np.ndarray:
-        """An argument as the kernel reads it; where the last group is not full its last lane is there again."""
-        x = np.asarray(x, dtype)
-        if varying and x.shape[-1] != padded:
-            x = np.concatenate([x, np.repeat(x[..., -1:], padded - x.shape[-1], axis=-1)], axis=-1)
-        return np.ascontiguousarray(x)
+
+def _padded(x: np.ndarray, lanes: int | None) -> np.ndarray:
+    """Return a contiguous array with `lanes` lanes, the last one repeated; None leaves an array without lanes."""
+    if lanes is not None and x.shape[-1] != lanes:
+        x = np.concatenate([x, np.repeat(x[..., -1:], lanes - x.shape[-1], axis=-1)], axis=-1)
+    return np.ascontiguousarray(x)
 
 
 def trace(function: Callable[..., Any], *examples: Any) -> Any:
     """Trace a function of lanes by jax, with `LANES` lanes; a second trace of the same function costs nothing."""
-    return jax.jit(function).trace(*jax.tree.map(_with_lanes, examples))
+
+    def with_lanes(x: Any) -> jax.ShapeDtypeStruct:
+        shape = np.shape(x) if not hasattr(x, "shape") else x.shape
+        return jax.ShapeDtypeStruct((*shape[:-1], LANES) if shape else (), jnp.result_type(x))
+
+    return jax.jit(function).trace(*jax.tree.map(with_lanes, examples))
 
 
-def _with_lanes(x: Any) -> jax.ShapeDtypeStruct:
-    shape = np.shape(x) if not hasattr(x, "shape") else x.shape
-    return jax.ShapeDtypeStruct((*shape[:-1], LANES) if shape else (), jnp.result_type(x))
+class _KernelKey(NamedTuple):
+    function: Callable[..., Any]
+    static: tuple[Hashable, ...]
+    types: tuple[Hashable, ...]
+
+
+kernels: dict[_KernelKey, Kernel] = {}
+"""All kernels of this process."""
+
+_locks: dict[_KernelKey, threading.Lock] = {}
+_lock = threading.Lock()
+
+
+def kernel_for(
+    function: Callable[..., Any], static: tuple[Hashable, ...], *examples: Any, registers: int = 1
+) -> Kernel:
+    """Return the kernel of `function(*static, *arguments)`, made on first use; see `Kernel`."""
+    leaves, tree = jax.tree.flatten(examples)
+    dtypes = (x.dtype if hasattr(x, "dtype") else np.result_type(x) for x in leaves)
+    types = ((dtype, np.shape(x)[:-1], np.ndim(x)) for dtype, x in zip(dtypes, leaves, strict=True))
+    key = _KernelKey(function, static, (jnp.result_type(float), native.vector_bytes(), tree, *types))
+    with _lock:
+        lock = _locks.setdefault(key, threading.Lock())
+    with lock:
+        if key not in kernels:
+            kernels[key] = Kernel(lambda *dynamic: function(*static, *dynamic), *examples, registers=registers)
+    return kernels[key]

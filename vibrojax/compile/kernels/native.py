@@ -1,4 +1,4 @@
-"""From the text of a kernel to a function of the machine, by LLVM (llvmlite)."""
+"""Compilation of a kernel's text to a native function, by LLVM (llvmlite)."""
 
 import ctypes
 from collections.abc import Callable
@@ -16,18 +16,17 @@ Function = Callable[[int, int, int], None]
 """`lanes(arrays, workspace, count)`; it lets other threads run."""
 
 PASSES = ("sroa", "aggressive_dce")
-"""What LLVM is to do before it chooses instructions. All the rest was tried: it takes ten times as long, and a step as
-long as before, because jax's equations are plain arithmetic already."""
-
+"""LLVM's passes before it selects instructions. With all others, compilation takes ten times as long and a step takes
+as long as before, because jax's equations are plain arithmetic already."""
 
 REFERENCES = {"codemodel": "large", "reloc": "static"}
-"""How code refers to its constants and to functions outside: by whole addresses. The parts of an object file are put
+"""Code refers to its constants and to external functions by whole addresses. The parts of an object file are put
 wherever there is room, which may be farther apart than shorter references reach (LLVM then ends the process). It costs
 nothing that could be measured."""
 
 
 class Processor(NamedTuple):
-    """What code is made for."""
+    """The processor that code is compiled for."""
 
     triple: str
     name: str
@@ -35,7 +34,7 @@ class Processor(NamedTuple):
 
 
 class Native(NamedTuple):
-    """A function, what keeps its code in memory, and the `key` of its code in the cache."""
+    """A function, the object that keeps its code in memory, and the `key` of its code in the cache."""
 
     function: Function
     library: object
@@ -44,7 +43,7 @@ class Native(NamedTuple):
 
 @cache
 def processor() -> Processor:
-    """This computer's."""
+    """Return the processor of this computer."""
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     features = llvm.get_host_cpu_features().flatten()
@@ -58,15 +57,18 @@ def vector_bytes() -> int:
     return 64 if "+avx512f" in features else 32 if "+avx2" in features else 16
 
 
-def native(text: str, name: str) -> Native:
-    """The machine's function for the text of a kernel, from the cache if it was made before; `name` has no other."""
-    made_of = (llvmlite.__version__, *processor(), *PASSES, *REFERENCES.values(), text)
-    key = sha256("\n".join(made_of).encode()).hexdigest()
+def compile_text(text: str, name: str) -> Native:
+    """Return the native function for a kernel's text, from the cache if possible; `name` is unique in the process."""
+    parts = (llvmlite.__version__, *processor(), *PASSES, *REFERENCES.values(), text)
+    key = sha256("\n".join(parts).encode()).hexdigest()
     code = store.read(key)
     if code is None:
-        code = _compiled(text)
+        code = _object_code(text)
         store.write(key, code)
-    return _loaded(code, name, key)
+    builder = llvm.JITLibraryBuilder().add_object_img(code).export_symbol("lanes").add_current_process()
+    library = builder.link(_jit(), name)
+    kind = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int64)
+    return Native(kind(library["lanes"]), library, key)
 
 
 def _machine() -> llvm.TargetMachine:
@@ -74,7 +76,7 @@ def _machine() -> llvm.TargetMachine:
     return target.create_target_machine(cpu=processor().name, features=processor().features, opt=2, **REFERENCES)
 
 
-def _compiled(text: str) -> bytes:
+def _object_code(text: str) -> bytes:
     """Return the object code of a kernel; raise `Untranslatable` if LLVM refuses its text."""
     try:
         module, machine = llvm.parse_assembly(text), _machine()
@@ -85,14 +87,6 @@ def _compiled(text: str) -> bytes:
         getattr(passes, f"add_{name}_pass")()
     passes.run(module, llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=2)))
     return bytes(machine.emit_object(module))
-
-
-def _loaded(code: bytes, name: str, key: str) -> Native:
-    jit = _jit()
-    builder = llvm.JITLibraryBuilder().add_object_img(code).export_symbol("lanes").add_current_process()
-    library = builder.link(jit, name)
-    kind = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int64)
-    return Native(kind(library["lanes"]), library, key)
 
 
 @cache

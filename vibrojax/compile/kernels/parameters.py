@@ -1,4 +1,4 @@
-"""Parameters of jax's primitives that the translation knows, with the values it accepts.
+"""Parameters of jax's primitives that the translation knows, and the values that it accepts.
 
 A later jax may add a parameter, or a value of one, that changes a meaning. Both raise `Untranslatable`, so that XLA
 runs the lanes.
@@ -7,97 +7,72 @@ runs the lanes.
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from jax.lax import GatherScatterMode, RoundingMethod
+from jax.lax import GatherScatterMode
 
+from vibrojax.compile.kernels.elementwise import INTRINSICS, LIBRARY, ROUNDING
 from vibrojax.compile.kernels.operands import Untranslatable
+from vibrojax.compile.kernels.selection import REDUCTIONS
 
-Accepts = Callable[[Any], bool]
-Table = dict[str, dict[str, Accepts]]
+JIT_OPTIONS = (
+    "ctx_mesh donated_invars inline keep_unused name in_layouts in_shardings out_layouts out_shardings "
+    "compiler_options_kvs"
+)
 
+PARAMETERS: dict[str, tuple[str, str]] = {
+    **dict.fromkeys((*INTRINSICS, *LIBRARY), ("", "accuracy")),
+    **dict.fromkeys(REDUCTIONS, ("axes", "out_sharding")),
+    "bitcast_convert_type": ("new_dtype", ""),
+    "broadcast_in_dim": ("shape broadcast_dimensions", "sharding"),
+    "concatenate": ("dimension", ""),
+    "cond": ("branches", ""),
+    "convert_element_type": ("new_dtype", "sharding weak_type"),
+    "custom_jvp_call": ("call_jaxpr", "jvp_jaxpr_fun num_consts symbolic_zeros"),
+    "custom_vjp_call": ("call_jaxpr", "bwd fwd_jaxpr_thunk num_consts out_trees symbolic_zeros"),
+    "dynamic_slice": ("slice_sizes", ""),
+    "gather": ("dimension_numbers mode fill_value", "indices_are_sorted slice_sizes unique_indices"),
+    "integer_pow": ("y", ""),
+    "iota": ("dtype shape dimension", "sharding"),
+    "jit": ("jaxpr", JIT_OPTIONS),
+    "mul": ("", "out_dtype"),
+    "reshape": ("new_sizes dimensions", "sharding"),
+    "rev": ("dimensions", ""),
+    "round": ("rounding_method", ""),
+    "scan": ("jaxpr length reverse", "_split_transpose ft_in ft_out linear num_carry num_consts unroll"),
+    "scatter": ("dimension_numbers mode update_jaxpr update_consts", "indices_are_sorted unique_indices"),
+    "slice": ("start_indices limit_indices strides", ""),
+    "sort": ("dimension num_keys", "is_stable"),
+    "split": ("sizes axis", ""),
+    "squeeze": ("dimensions", ""),
+    "stack": ("axis", ""),
+    "transpose": ("permutation", ""),
+    "unstack": ("axis", ""),
+    "while": ("cond_nconsts cond_jaxpr body_nconsts body_jaxpr", ""),
+}
+"""Parameters of each primitive: those that its rule reads, which must be present, and those that change nothing in a
+kernel as long as their value is accepted, which may be absent."""
 
-def _any(value: Any) -> bool:
-    return True
-
-
-def _none(value: Any) -> bool:
-    return value is None
-
-
-def _empty(value: Any) -> bool:
-    return len(value) == 0
-
-
+NONE = ("accuracy", "out_dtype", "out_sharding", "sharding", "update_jaxpr", "reshape.dimensions")
 MODES = (GatherScatterMode.CLIP, GatherScatterMode.FILL_OR_DROP, GatherScatterMode.PROMISE_IN_BOUNDS)
-TRANSCENDENTAL = ("cbrt", "cos", "erf", "erfc", "exp", "exp2", "expm1", "log", "log1p", "sin", "sqrt", "tan", "tanh")
-INVERSE = ("acos", "acosh", "asin", "asinh", "atan", "atan2", "atanh", "cosh", "sinh")
-REDUCTIONS = ("reduce_and", "reduce_max", "reduce_min", "reduce_or", "reduce_prod", "reduce_sum")
 
-NEEDED: Table = {
-    "bitcast_convert_type": {"new_dtype": _any},
-    "broadcast_in_dim": {"shape": _any, "broadcast_dimensions": _any},
-    "concatenate": {"dimension": _any},
-    "cond": {"branches": _any},
-    "convert_element_type": {"new_dtype": _any},
-    "custom_jvp_call": {"call_jaxpr": _any},
-    "custom_vjp_call": {"call_jaxpr": _any},
-    "dynamic_slice": {"slice_sizes": _any},
-    "gather": {"dimension_numbers": _any, "mode": lambda mode: mode in MODES, "fill_value": _any},
-    "integer_pow": {"y": lambda y: isinstance(y, int)},
-    "iota": {"dtype": _any, "shape": _any, "dimension": _any},
-    "jit": {"jaxpr": _any},
-    **{name: {"axes": _any} for name in REDUCTIONS},
-    "reshape": {"new_sizes": _any, "dimensions": _none},
-    "rev": {"dimensions": _any},
-    "round": {"rounding_method": lambda how: how in (RoundingMethod.AWAY_FROM_ZERO, RoundingMethod.TO_NEAREST_EVEN)},
-    "scan": {"jaxpr": _any, "length": _any, "reverse": lambda reverse: isinstance(reverse, bool)},
-    "scatter": {
-        "dimension_numbers": _any,
-        "mode": lambda mode: mode in MODES,
-        "update_jaxpr": _none,
-        "update_consts": _empty,
-    },
-    "slice": {"start_indices": _any, "limit_indices": _any, "strides": _any},
-    "sort": {"dimension": _any, "num_keys": _any},
-    "split": {"sizes": _any, "axis": _any},
-    "squeeze": {"dimensions": _any},
-    "stack": {"axis": _any},
-    "transpose": {"permutation": _any},
-    "unstack": {"axis": _any},
-    "while": {"cond_nconsts": _any, "cond_jaxpr": _any, "body_nconsts": _any, "body_jaxpr": _any},
+ACCEPTED: dict[str, Callable[[Any], bool]] = {
+    **dict.fromkeys(NONE, lambda value: value is None),
+    **dict.fromkeys(("compiler_options_kvs", "update_consts"), lambda value: len(value) == 0),
+    "mode": lambda mode: mode in MODES,
+    "reverse": lambda reverse: isinstance(reverse, bool),
+    "rounding_method": lambda method: method in ROUNDING,
+    "y": lambda exponent: isinstance(exponent, int),
 }
-"""Parameters that a rule reads: without one of them the rule does not know what to do."""
-
-IRRELEVANT: Table = {
-    **{name: {"accuracy": _none} for name in (*TRANSCENDENTAL, *INVERSE)},
-    **{name: {"out_sharding": _none} for name in REDUCTIONS},
-    "broadcast_in_dim": {"sharding": _none},
-    "convert_element_type": {"sharding": _none, "weak_type": _any},
-    "custom_jvp_call": dict.fromkeys(("jvp_jaxpr_fun", "num_consts", "symbolic_zeros"), _any),
-    "custom_vjp_call": dict.fromkeys(("bwd", "fwd_jaxpr_thunk", "num_consts", "out_trees", "symbolic_zeros"), _any),
-    "gather": dict.fromkeys(("indices_are_sorted", "slice_sizes", "unique_indices"), _any),
-    "iota": {"sharding": _none},
-    "jit": {
-        **dict.fromkeys(("ctx_mesh", "donated_invars", "inline", "keep_unused", "name"), _any),
-        **dict.fromkeys(("in_layouts", "in_shardings", "out_layouts", "out_shardings"), _any),
-        "compiler_options_kvs": _empty,
-    },
-    "mul": {"out_dtype": _none},
-    "reshape": {"sharding": _none},
-    "scan": dict.fromkeys(("_split_transpose", "ft_in", "ft_out", "linear", "num_carry", "num_consts", "unroll"), _any),
-    "scatter": dict.fromkeys(("indices_are_sorted", "unique_indices"), _any),
-    "sort": {"is_stable": _any},
-}
-"""Parameters that change nothing in a kernel, as long as they have an accepted value. They may be absent."""
+"""Tests of values, by parameter or `primitive.parameter`. Of all other parameters, any value is accepted."""
 
 
 def check(primitive: str, params: Mapping[str, Any]) -> None:
-    """Raise `Untranslatable` for a parameter that the translation does not know, and for a value it does not accept."""
-    needed = NEEDED.get(primitive, {})
-    known = IRRELEVANT.get(primitive, {}) | needed
+    """Raise `Untranslatable` for an unknown or missing parameter, or for a value that is not accepted."""
+    needed, irrelevant = (names.split() for names in PARAMETERS.get(primitive, ("", "")))
     for name, value in params.items():
-        if name not in known:
+        if name not in needed and name not in irrelevant:
             raise Untranslatable(f"{primitive} with the unknown parameter {name}")
-        if not known[name](value):
+        accepts = ACCEPTED.get(f"{primitive}.{name}") or ACCEPTED.get(name)
+        if accepts is not None and not accepts(value):
             raise Untranslatable(f"{primitive} with {name} = {value}")
     for name in needed:
         if name not in params:

@@ -1,4 +1,4 @@
-"""The operands that an elementwise rule works on, and the instructions that many rules share."""
+"""Operands of an elementwise rule, and the instructions that many rules share."""
 
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
@@ -12,7 +12,7 @@ FLOATS, INTEGERS, NUMBERS, ANY = "f", "iu", "fiu", "fiub"
 """Kinds of operands, by numpy's letters: floats, signed and unsigned integers, booleans."""
 
 
-class Applied:
+class Application:
     """A primitive applied to one entry of each of its arguments.
 
     - `x`: texts of the arguments, all of them vectors if one is (`varying`).
@@ -43,21 +43,21 @@ class Applied:
         """Return a number of the arguments' type."""
         return self.asm.text(literal(number, self.dtype), self.varying)
 
-    def compared(self, how: str, first: str, second: str) -> str:
+    def compare(self, how: str, first: str, second: str) -> str:
         """Write LLVM's comparison `how` of two numbers of the arguments' type."""
         return self.asm.let(f"{'fcmp' if self.is_float else 'icmp'} {how} {self.type} {first}, {second}")
 
-    def chosen(self, flag: str, yes: str, no: str) -> str:
-        """Write a choice: `yes` where the flag is set, else `no`."""
+    def select(self, flag: str, yes: str, no: str) -> str:
+        """Write a choice: `yes` if the flag is set, else `no`."""
         return self.asm.let(f"select {self.asm.type(BOOL, self.varying)} {flag}, {self.type} {yes}, {self.type} {no}")
 
     def intrinsic(self, name: str) -> str:
-        """Write a call of one of LLVM's own functions."""
+        """Write a call of one of LLVM's intrinsic functions."""
         return self.asm.intrinsic(name, self.x, self.dtype, self.varying)
 
 
 class Rule(NamedTuple):
     """Writes the instructions of a primitive, and returns the register of the result; `kinds` are the operands'."""
 
-    write: Callable[[Applied], str]
+    write: Callable[[Application], str]
     kinds: str

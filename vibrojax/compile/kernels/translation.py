@@ -1,5 +1,6 @@
-"""From a traced function to the text of a kernel."""
+"""Translation of a traced function to the text of a kernel."""
 
+from collections import Counter
 from collections.abc import Collection, Sequence
 from functools import cache, partial
 from typing import Any
@@ -8,8 +9,7 @@ import jax
 import numpy as np
 
 from vibrojax.compile.kernels import arrangement, control, elementwise, parameters, selection
-from vibrojax.compile.kernels.arrays import array_entries, array_slots, elsewhere
-from vibrojax.compile.kernels.assembly import Assembly
+from vibrojax.compile.kernels.assembly import Assembly, array_entries, array_slots, placeholder
 from vibrojax.compile.kernels.operands import Untranslatable, Value, dtype_of, literals, varies, without_lanes
 
 TEMPLATE = """{declarations}
@@ -34,26 +34,27 @@ done:
 
 attributes #0 = {{ nounwind "prefer-vector-width"="512" "min-legal-vector-width"="512" }}
 """
-"""`lanes(arrays, workspace, count)`: the function for `count` lanes, a whole number of groups. `arrays` points to the
-pointers of arguments and results, whose last axis is the lanes'."""
+"""`lanes(arrays, workspace, count)` runs `count` lanes, a whole number of groups. `arrays` points to the pointers of
+arguments and results, whose last axis is the lanes'."""
 
 
 def kernel_text(jaxpr: Any, width: int) -> tuple[str, int, int]:
-    """(the text of a closed jaxpr as a kernel for groups of `width` lanes, the bytes of workspace that it wants, and
-    the alignment [bytes] of that).
+    """Translate a closed jaxpr to a kernel for groups of `width` lanes.
 
-    **Raises:** `Untranslatable` where the function does what no kernel can do.
+    **Returns:** the kernel's text, the size of its workspace, and the alignment of that [bytes].
+
+    **Raises:** `Untranslatable` if the function has a construct that no kernel can express.
     """
     asm = Assembly(width)
     inner = jaxpr.jaxpr
     along = {var for equation in inner.eqns for var in control.scanned(equation)}
-    given = [
-        elsewhere(var.aval) if var in along else array_entries(asm, place, var.aval)
+    arguments = [
+        placeholder(var.aval) if var in along else array_entries(asm, place, var.aval)
         for place, var in enumerate(inner.invars)
     ]
-    asm.arrays = {var: place for place, var in enumerate((*inner.invars, *inner.outvars)) if not is_literal(var)}
-    found = _written(asm, jaxpr, given)
-    for place, (var, value) in enumerate(zip(inner.outvars, found, strict=True), start=len(given)):
+    asm.arrays = {var: place for place, var in enumerate((*inner.invars, *inner.outvars)) if not _is_literal(var)}
+    results = _write(asm, jaxpr, arguments)
+    for place, (var, value) in enumerate(zip(inner.outvars, results, strict=True), start=len(arguments)):
         if place in asm.filled:
             continue
         for entry, slot in zip(value.ravel().tolist(), array_slots(asm, place, var.aval).ravel().tolist(), strict=True):
@@ -63,10 +64,10 @@ def kernel_text(jaxpr: Any, width: int) -> tuple[str, int, int]:
     return text, asm.workspace, asm.alignment
 
 
-def _written(asm: Assembly, closed: Any, values: Sequence[Value], owned: Collection[int] = ()) -> list[Value]:
-    """The results of a closed jaxpr, its instructions written.
+def _write(asm: Assembly, closed: Any, values: Sequence[Value], owned: Collection[int] = ()) -> list[Value]:
+    """Write the instructions of a closed jaxpr and return its results.
 
-    `owned`: identities of those of the values that nothing else wants, so that they may be overwritten.
+    `owned`: identities of arguments that nothing else reads, so that they may be overwritten.
     """
     jaxpr = closed.jaxpr
     known = dict(zip(jaxpr.constvars, map(literals, closed.consts), strict=True))
@@ -75,41 +76,39 @@ def _written(asm: Assembly, closed: Any, values: Sequence[Value], owned: Collect
     uses = _uses(jaxpr) if owned else {}
 
     def value(var: Any) -> Value:
-        return known[var] if not is_literal(var) else literals(number(var))
+        return known[var] if not _is_literal(var) else literals(_number(var))
 
     for equation in jaxpr.eqns:
-        given = [value(var) for var in equation.invars]
-        last = {id(x) for x, var in zip(given, equation.invars, strict=True) if id(x) in owned and uses.get(var) == 1}
-        found = _applied(asm, equation, given, last)
+        arguments = [value(var) for var in equation.invars]
+        pairs = zip(arguments, equation.invars, strict=True)
+        last = {id(x) for x, var in pairs if id(x) in owned and not _is_literal(var) and uses.get(var) == 1}
+        results = _apply(asm, equation, arguments, last)
         if last and equation.primitive.name in arrangement.RULES:
-            owned |= {id(x) for x in found}
-        known |= dict(zip(equation.outvars, found, strict=True))
+            owned |= {id(x) for x in results}
+        known |= dict(zip(equation.outvars, results, strict=True))
     return [value(var) for var in jaxpr.outvars]
 
 
-def _uses(jaxpr: Any) -> dict[Any, int]:
-    """How often each variable is wanted; not where it only goes to a loop or function without use for it."""
-    uses: dict[Any, int] = {}
-    for var in jaxpr.outvars:
-        if not is_literal(var):
-            uses[var] = uses.get(var, 0) + 1
+def _uses(jaxpr: Any) -> Counter[Any]:
+    """Return how often each variable is read, except by loops and functions that do not use it inside."""
+    uses: Counter[Any] = Counter(var for var in jaxpr.outvars if not _is_literal(var))
     for equation in jaxpr.eqns:
-        inner = getattr(equation.params.get("jaxpr"), "jaxpr", None)
-        wanted = None if inner is None else _uses(inner)
+        inner: Any = getattr(equation.params.get("jaxpr"), "jaxpr", None)
+        used_inside = None if inner is None else _uses(inner)
         for place, var in enumerate(equation.invars):
-            if not is_literal(var) and (inner is None or wanted is None or inner.invars[place] in wanted):
-                uses[var] = uses.get(var, 0) + 1
+            if not _is_literal(var) and (used_inside is None or inner.invars[place] in used_inside):
+                uses[var] += 1
     return uses
 
 
-def number(var: Any) -> np.ndarray:
-    """The value of an argument that is a number; of a Python number the trace knows the type."""
-    found = np.asarray(var.val)
-    return found if found.dtype == jax.dtypes.float0 else found.astype(dtype_of(var.aval))
+def _number(var: Any) -> np.ndarray:
+    """Return the value of a literal argument. A Python number has the type that the trace gives it."""
+    value = np.asarray(var.val)
+    return value if value.dtype == jax.dtypes.float0 else value.astype(dtype_of(var.aval))
 
 
-def is_literal(var: Any) -> bool:
-    """Whether an argument of an equation is a number and no variable."""
+def _is_literal(var: Any) -> bool:
+    """Return whether an argument of an equation is a number instead of a variable."""
     return hasattr(var, "val")
 
 
@@ -119,28 +118,25 @@ def primitives() -> set[str]:
     return {*arrangement.RULES, *selection.RULES, "scatter", *control.RULES, *elementwise.RULES, *elementwise.COMPOSED}
 
 
-def _applied(asm: Assembly, equation: Any, values: list[Value], owned: Collection[int]) -> list[Value]:
+def _apply(asm: Assembly, equation: Any, values: list[Value], owned: Collection[int]) -> list[Value]:
+    """Write an equation and return its results."""
     name = equation.primitive.name
     if name not in primitives():
         raise Untranslatable(f"the primitive {name}")
     parameters.check(name, equation.params)
-    results = _results(asm, name, equation, values, owned)
+    if name in arrangement.RULES:
+        results = arrangement.arrange(equation, values)
+    elif name in selection.RULES:
+        results = selection.RULES[name](asm, equation, values)
+    elif name == "scatter":
+        results = selection.scatter(asm, equation, values, in_place=id(values[0]) in owned)
+    elif name in control.RULES:
+        results = control.RULES[name](asm, partial(_write, asm), equation, values, owned)
+    else:
+        gives = dtype_of(equation.outvars[0].aval)
+        results = [selection.apply_to_arrays(asm, name, equation.params, values, gives)]
     for var, value in zip(equation.outvars, results, strict=True):
-        aval = var.aval
-        if value.shape != without_lanes(aval.shape) or (
-            not varies(aval) and any(x.varying for x in value.ravel().tolist())
-        ):
+        mixed = not varies(var.aval) and any(x.varying for x in value.ravel().tolist())
+        if value.shape != without_lanes(var.aval.shape) or mixed:
             raise Untranslatable(f"{name} that mixes lanes")
     return results
-
-
-def _results(asm: Assembly, name: str, equation: Any, values: list[Value], owned: Collection[int]) -> list[Value]:
-    if name in arrangement.RULES:
-        return arrangement.RULES[name](equation, values)
-    if name in selection.RULES:
-        return selection.RULES[name](asm, equation, values)
-    if name == "scatter":
-        return selection.scattered(asm, equation, values, in_place=id(values[0]) in owned)
-    if name in control.RULES:
-        return control.RULES[name](asm, partial(_written, asm), equation, values, owned)
-    return [selection.each(asm, name, equation.params, values, dtype_of(equation.outvars[0].aval))]

@@ -11,17 +11,16 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int
 
+from vibrojax.compile import Untranslatable
 from vibrojax.compile.devices import precision
-from vibrojax.compile.kernels import Untranslatable
 from vibrojax.measures.recorder import Records
 from vibrojax.measures.run import Effort, Underway
 from vibrojax.models.arrays import Array
 from vibrojax.models.scenes.declared import Values
 from vibrojax.stepping import Accuracy, Stepper
-from vibrojax.sweep.engine.by_llvm import ByLlvm
-from vibrojax.sweep.engine.by_xla import ByXla
+from vibrojax.sweep.engine.compiler import ByLlvm, ByXla, Programs
 from vibrojax.sweep.engine.parallel import in_parallel
-from vibrojax.sweep.engine.programs import CARRIED, Given, Kind, Programs
+from vibrojax.sweep.engine.programs import CARRIED, Given, Kind
 from vibrojax.sweep.input.definition import Sweep
 
 MOST_STEPS, MOST_PER_SECOND = 1e6, 1e3

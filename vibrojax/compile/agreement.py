@@ -1,0 +1,108 @@
+"""Agreement of a kernel with XLA.
+
+XLA computes the same function instruction by instruction and for all lanes at once, which takes a second where a
+compiled loop takes ten.
+
+Roundings differ between the two, and a value near a switch or a cancellation amplifies them. So the kernel also runs on
+arguments that are off by a few roundings. A difference counts if it is large against the changes that these cause.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from vibrojax.compile.kernels import LANES, Kernel, trace
+
+AGREEMENT_TOLERANCE = {"float64": 1e-10, "float32": 1e-4}
+"""Accepted relative difference, against the largest value in all compared lanes."""
+
+PERTURBATION_ROUNDINGS = 16
+"""Roundings by which arguments of perturbed copies are off."""
+
+PERTURBED_COPIES = 16
+"""Perturbed copies of the arguments. At a tie, which rounding decides, one of 16 almost surely falls otherwise."""
+
+AMPLIFICATION_LIMIT = 100.0
+"""Largest accepted ratio of a difference to the change under perturbation."""
+
+USUAL_QUANTILE = 0.9
+"""Share of the lanes whose change under perturbation counts as usual: a single lane may not change by chance."""
+
+
+class Difference(NamedTuple):
+    """A difference between kernel and XLA: its quantity, and its size relative to the largest value of that."""
+
+    quantity: str
+    relative: float
+
+
+def take_lanes(arguments: Any, lanes: np.ndarray) -> Any:
+    """Return lanes by index; arrays without axes stay."""
+    return jax.tree.map(lambda x: np.take(x, lanes, axis=-1) if np.ndim(x) else x, arguments)
+
+
+def first_difference(function: Callable[..., Any], kernel: Kernel, *arguments: Any) -> Difference | None:
+    """Return the first result in which `kernel`, made from `function`, differs from XLA; None if they agree."""
+    lanes = max(np.shape(x)[-1] for x in jax.tree.leaves(arguments) if np.ndim(x))
+    arguments = take_lanes(arguments, np.resize(np.arange(lanes), LANES))  # as many as a trace has
+    by_kernel = jax.tree_util.tree_flatten_with_path(kernel(*arguments))[0]
+    random = np.random.default_rng(0)
+    changes = [np.zeros(value.shape) for _, value in by_kernel]
+    for _ in range(PERTURBED_COPIES):
+        copy = jax.tree.leaves(kernel(*jax.tree.map(lambda x: _perturb(x, random), arguments)))
+        distances = (_distance(value, other) for (_, value), other in zip(by_kernel, copy, strict=True))
+        changes = [np.asarray(np.maximum(*pair)) for pair in zip(changes, distances, strict=True)]
+    for (path, value), other, change in zip(by_kernel, _evaluate(function, arguments), changes, strict=True):
+        relative = _relative_difference(value, other, change)
+        if relative > 0:
+            return Difference(jax.tree_util.keystr(path).strip("."), relative)
+    return None
+
+
+def _evaluate(function: Callable[..., Any], arguments: tuple[Any, ...]) -> list[np.ndarray]:
+    """Evaluate a function of `LANES` lanes by XLA, one instruction after the other."""
+    traced = trace(function, *arguments).jaxpr
+    variables = traced.jaxpr.invars
+    leaves = [jnp.asarray(x, var.aval.dtype) for x, var in zip(jax.tree.leaves(arguments), variables, strict=True)]
+    with jax.debug_nans(False):  # features without a return are NaN
+        return [np.asarray(x) for x in jax.core.eval_jaxpr(traced.jaxpr, traced.consts, *leaves)]
+
+
+def _perturb(x: Any, random: np.random.Generator) -> Any:
+    """Return numbers that are off by a few roundings. Whole numbers are modes and counts, and stay."""
+    x = np.asarray(x)
+    if x.dtype.kind != "f" or not x.ndim:
+        return x
+    with np.errstate(invalid="ignore"):
+        off = x * (1 + PERTURBATION_ROUNDINGS * np.finfo(x.dtype).eps * random.uniform(-1, 1, x.shape))
+        return np.where(np.isfinite(x) & (x != np.round(x)), off, x).astype(x.dtype)
+
+
+def _relative_difference(value: np.ndarray, other: np.ndarray, change: np.ndarray) -> float:
+    """Return the largest difference that counts, relative to the largest value in its row; 0 if none counts.
+
+    **Arguments:** `value` of the kernel, `other` of XLA, and the `change` of the kernel's value under perturbation.
+    """
+    distance = _distance(value, other)
+    if value.dtype.kind != "f":
+        return float(np.max(np.where(change > 0, 0, distance), initial=0))
+    limits, sizes = np.finfo(value.dtype), np.where(np.isfinite(value), np.abs(value), 0)
+    least, axis = limits.tiny / limits.eps, -1 if value.ndim else None
+    scale = np.max(sizes, axis=axis, keepdims=True, initial=least)
+    usual = np.quantile(change, USUAL_QUANTILE, axis=axis, keepdims=True, method="higher")
+    by_change = AMPLIFICATION_LIMIT * np.maximum(change, usual)
+    accepted = np.maximum(AGREEMENT_TOLERANCE[value.dtype.name] * scale, by_change)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return float(np.max(np.where(distance > accepted, distance / scale, 0), initial=0))
+
+
+def _distance(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return |x - y|: 0 if equal or both NaN, infinite if only one is finite; for other types 0 if equal, else 1."""
+    if x.dtype.kind != "f":
+        return (x != y).astype(float)
+    with np.errstate(invalid="ignore", over="ignore"):
+        same = (x == y) | (np.isnan(x) & np.isnan(y))
+        return np.where(same, 0, np.where(np.isfinite(x) & np.isfinite(y), np.abs(x - y), np.inf))
