@@ -181,7 +181,7 @@ def test_bad_input_found_late_is_one_line(calls, capsys, monkeypatch):
         (["simulate", "rotary", "k1=156kN/m"], 'k1: "156kN/m" is text; write the number alone, in N m-1'),
         (["simulate", "rotary", "duration=20 s"], '"20 s" is text; write the number alone, in s'),
         (["simulate"], "simulate: the following arguments are required: SCENE; see vibrojax simulate --help"),
-        (["simulate", "rotary", "start=touching"], 'simulate: start: "touching" is no start of scene "rotary"'),
+        (["simulate", "rotary", "start=touching"], 'simulate: start: "touching" is not a start of scene "rotary"'),
         (["simulate", "rotary", "start=[0,0"], 'simulate: start: "[0,0" is no vector'),
         (["simulate", "rotary", "start=[0,0]"], "simulate: start: [0, 0] has 2 numbers; four are needed"),
         (["simulate", "rotary", "duration=0"], "simulate: duration: is 0; it must be above 0 s"),

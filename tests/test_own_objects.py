@@ -167,5 +167,5 @@ def test_what_an_installed_package_offers(tmp_path):
         'mine: vibrojax.friction_laws: b: the name "coulomb" is taken; it is left out',
         "mine: vibrojax.friction_laws: c: mine:none cannot be imported (module 'mine' has no attribute 'none'); "
         "it is left out",
-        "mine: vibrojax.scenes: b: mine:law is no subclass of Scene; it is left out",
+        "mine: vibrojax.scenes: b: mine:law is not a subclass of Scene; it is left out",
     ], done.stderr
