@@ -183,7 +183,7 @@ def test_bad_input_found_late_is_one_line(calls, capsys, monkeypatch):
         (["simulate"], "simulate: the following arguments are required: SCENE; see vibrojax simulate --help"),
         (["simulate", "rotary", "start=touching"], 'simulate: start: "touching" is not a start of scene "rotary"'),
         (["simulate", "rotary", "start=[0,0"], 'simulate: start: "[0,0" is no vector'),
-        (["simulate", "rotary", "start=[0,0]"], "simulate: start: [0, 0] has 2 numbers; four are needed"),
+        (["simulate", "rotary", "start=[0,0]"], "simulate: start: [0, 0] has 2 numbers; 4 are needed"),
         (["simulate", "rotary", "duration=0"], "simulate: duration: is 0; it must be above 0 s"),
         (["simulate", "rotary", "solver=3"], "simulate: solver: 3.0 is not a name"),
         (["simulate", "rotary", "-o", "a.png"], '-o: "a.png" does not end in .nc'),

@@ -130,7 +130,7 @@ def test_wrong_points_are_refused(tmp_path, text, line):
         ({"starts": []}, "sweep: starts: [] is not a list of starts"),
         ({"starts": ["drive", "drive"]}, 'sweep: starts[1]: "drive" is there already'),
         ({"starts": ["dirve"]}, 'sweep: starts[0]: "dirve" is unknown; did you mean "drive"?'),
-        ({"starts": [[0, 0, 0]]}, "sweep: starts[0]: [0, 0, 0] has 3 numbers; four are needed"),
+        ({"starts": [[0, 0, 0]]}, "sweep: starts[0]: [0, 0, 0] has 3 numbers; 4 are needed"),
         ({"starts": [[0, 0, 0, float("nan")]]}, "sweep: starts[0][3]: is nan"),
         ({"run": {"setle": 3}}, 'sweep: run.setle: unknown key; did you mean "settle"?'),
         ({"run": {"settle": -1}}, "sweep: run.settle: is -1; it must be at least 0 s"),

@@ -79,7 +79,7 @@ class Batch:
 def steps_at_most(seconds: float, accuracy: Accuracy, fixed: float = LANE_MAX_STEPS) -> float:
     """Return the steps after which a lane that lasts `seconds` is given up.
 
-    They are a `fixed` number, those per second, and twice those of the longest step.
+    They are a `fixed` number, a number per second, and twice the number of longest steps.
     """
     return fixed + seconds * (LANE_MAX_RATE + 2 / accuracy.step)
 
@@ -180,7 +180,8 @@ class Engine:
             alone.sweep, alone.workers = instant, [worker]
             # A whole block: the first lanes decide if kernels can be trusted.
             still = [alone.start(0, min(self.programs.block, self.sweep.lanes), accuracy)]
-            tasks: list[Callable[[], object]] = [alone._check_arithmetic, partial(alone.settle, still)]
+            check = partial(alone._call, worker, lambda engine=alone: engine.programs.check_arithmetic(self._dtype))
+            tasks: list[Callable[[], object]] = [check, partial(alone.settle, still)]
             if self.accelerated:  # two threads that need a program would both compile it
                 tasks.append(partial(alone.observe, still))
             for _ in in_parallel(lambda _, task: task(), tasks, range(len(tasks))):
@@ -188,10 +189,6 @@ class Engine:
             self.programs = alone.programs
             if not self.accelerated:
                 threading.Thread(target=alone.observe, args=(still,), daemon=True).start()
-
-    def _check_arithmetic(self) -> None:
-        with precision(self.sweep.run.precision), jax.default_device(self.workers[0]):
-            self.programs.check_arithmetic(self._dtype)
 
     def _effort(self, accuracy: Accuracy) -> Effort:
         run = self.sweep.run

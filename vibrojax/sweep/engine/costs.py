@@ -25,7 +25,7 @@ from vibrojax.sweep.input.definition import Sweep
 class LaneCosts(NamedTuple):
     """Costs of a lane by what its scene models.
 
-    - `event_rate`: steps in a simulated second [1/s] that end at events, in addition to those of the flight.
+    - `event_rate`: steps that end at events in a simulated second [1/s], in addition to the flight's.
     - `chunk_bytes`, `file_bytes`: in a finished chunk, and in the dataset before it is packed.
     """
 
@@ -69,7 +69,7 @@ STEPPED_MAX_LANES = 2**40
 """More lanes than anybody steps: such a sweep is refused, and its stiffness is not sampled."""
 
 SAMPLES, SAMPLE = 8, 256
-"""Places of a sweep, and lanes at each, whose stiffness is looked at; of a smaller sweep, all lanes are."""
+"""Places of a sweep, and lanes at each, whose steps are estimated; in a smaller sweep, all lanes are."""
 
 LanesFloat = Float[np.ndarray, " lanes"]
 LaneNumbers = Int[np.ndarray, " lanes"]

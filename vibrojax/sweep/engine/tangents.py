@@ -221,8 +221,8 @@ def judged(
 def _remaining(x: Float[np.ndarray, "points variables parameters times"], scale: PerDerivative) -> PerDerivative:
     """Return the distance of the values at the settling times of `RUN_SHARES` from their limit, over `scale`.
 
-    It is the sum of a geometric series of the differences over a third of the way, and no less than the last of these:
-    at the first time the motion may still have been on another orbit.
+    It is the sum of a geometric series of the differences over a third of the way. It is no less than the last of
+    these: at the first time the motion may still have been on another orbit.
     """
     before = np.abs(x[..., 1] - x[..., 0])
     recent = np.max(np.abs(x[..., 1:-1] - x[..., -1:]), axis=-1)  # of several: one may be small by chance

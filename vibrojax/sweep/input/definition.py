@@ -17,7 +17,7 @@ DIRECTIONS = ("up", "down")
 """Directions in which lanes are carried along an axis."""
 
 _MAX_LISTED = 8
-"""Longest column that stands in the identity itself; a longer one stands there by its checksum."""
+"""Longest column whose values the identity lists; of a longer one it has the checksum."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,7 +19,7 @@ from vibrojax.models.scenes import SCENES, Scene, scene_named
 from vibrojax.models.scenes.penetration import PULSE_SHAPES
 from vibrojax.sweep.input.offered import enter_offered
 from vibrojax.sweep.input.run_settings import RunSettings
-from vibrojax.sweep.input.values import choice, quantity
+from vibrojax.sweep.input.values import STATE, choice, quantity
 
 DEFAULT_STARTS = ("drive", "stuck")
 
@@ -49,7 +49,6 @@ _LACKING = {"friction": "does not slide"}
 """What a scene without an option is like."""
 
 _TOP_KEYS = ("scene", "title", "starts", "unusual", "points")
-_COUNT_WORDS = ("none", "one", "two", "three", "four", "five", "six", "seven", "eight")
 
 
 def rock_values(name: str | np.ndarray) -> dict[str, Any]:
@@ -167,10 +166,9 @@ class Names:
             return self.named_start(place, value)
         states = self.system.start_states
         if len(value) != len(states):
-            needed = _COUNT_WORDS[len(states)] if len(states) < len(_COUNT_WORDS) else len(states)
-            raise place.error(f"{shown(value)} has {len(value)} numbers; {needed} are needed: [{', '.join(states)}]")
-        state = Parameter("start", 0.0, "1", "start", "s")
-        return tuple(quantity(place.item(index), item, state) for index, item in enumerate(value))
+            needed = f"{len(states)} are needed: [{', '.join(states)}]"
+            raise place.error(f"{shown(value)} has {len(value)} numbers; {needed}")
+        return tuple(quantity(place.item(index), item, STATE) for index, item in enumerate(value))
 
     def named_start(self, place: Place, value: object) -> str:
         """Return a start that has a name."""

@@ -17,7 +17,7 @@ _PACKAGE = str(Path(__file__).parents[2])
 
 
 class UnusualValue(UserWarning):
-    """A value so far from those of the source and of rigs that it may be in another unit than it is read in.
+    """A value so far from the usual ones, of the source and of rigs, that it is probably in another unit.
 
     **Example:**
 

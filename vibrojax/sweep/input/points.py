@@ -12,10 +12,9 @@ from typing import Any
 import numpy as np
 
 from vibrojax.errors import Place, shown
-from vibrojax.models.physics.parameters import Parameter
 from vibrojax.sweep.input.names import PRESETS, Names
 from vibrojax.sweep.input.source import read_text
-from vibrojax.sweep.input.values import as_table, quantity
+from vibrojax.sweep.input.values import STATE, as_table, quantity
 
 VECTOR = "start_"
 """Prefix of the columns that together give each point its start: `start_x1`, `start_v1`, ..."""
@@ -96,7 +95,7 @@ def _from_csv(path: Path, names: Names) -> Points:
 
 
 def _header(place: Place, line: int, header: list[str], names: Names) -> list[str]:
-    """Return the checked names of the columns, which stand in the file's `line`."""
+    """Return the checked names of the columns, from the header in the file's `line`."""
     place, columns = place.at(f"line {line}"), [cell.strip() for cell in header]
 
     def column_place(name: str) -> Place:
@@ -123,7 +122,7 @@ def _is_number(cell: str) -> bool:
 
 
 def _check_columns(place_of: Callable[[str], Place], columns: Sequence[str], names: Names) -> None:
-    """Raise at an unknown column, or if the columns of a start's states are incomplete or stand beside its name."""
+    """Raise at an unknown column, or if a start's states are incomplete or given together with its name."""
     states = tuple(f"{VECTOR}{state}" for state in names.system.start_states)
     vector = ", ".join(states)
     for name in columns:
@@ -148,8 +147,7 @@ def _points(cells: Mapping[str, Sequence[Any]], place_of: CellPlace, names: Name
     columns, vectors, starts = {}, {}, None
     for name, column in cells.items():
         if name.removeprefix(VECTOR) in names.system.start_states and name.startswith(VECTOR):
-            state = Parameter(name, 0.0, "1", "state at t = 0", name)
-            vectors[name] = np.array([quantity(place_of(name, i), value, state) for i, value in enumerate(column)])
+            vectors[name] = np.array([quantity(place_of(name, i), value, STATE) for i, value in enumerate(column)])
         elif name not in _TEXT_COLUMNS:
             columns[name] = _numbers(column, name, place_of, names)
     if "rock" in cells:

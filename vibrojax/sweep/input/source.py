@@ -29,6 +29,7 @@ BUNDLED_FOLDERS = tuple(folder / "sweeps" for folder in (_PACKAGE, *_CHECKOUT))
 
 _TABLES = ("parameters", "grid", "run")
 _TOP_KEYS = ("scene", "title", "starts", "unusual")
+_OBJECTS = (Scene, FrictionLaw, Stepper)
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 
 
@@ -49,14 +50,8 @@ def read_source(source: str | PathLike[str] | Mapping[str, object]) -> Source:
     In a dict, a scene, a friction law or a stepper may be an object instead of a name.
     """
     if isinstance(source, Mapping):
-        objects, named = _without_objects(source)
-        tables = plain_table(Place("sweep"), named)
-        text = render(tables)
-        for (table, key), value in objects.items():
-            home = tables[table] if table else tables
-            if isinstance(home, dict):
-                home[key] = value
-        return Source("sweep", "sweep", Path(), text, tables)
+        tables = plain_table(Place("sweep"), source)
+        return Source("sweep", "sweep", Path(), render(tables), tables)
     if not isinstance(source, (str, PathLike)):
         raise InputError(f"sweep: {shown(source)} is not a sweep; give a path, a bundled name or a dict")
     is_name = isinstance(source, str) and Path(source).name == source and not source.endswith(".toml")
@@ -94,14 +89,14 @@ def with_changes(source: Source, words: Iterable[str]) -> Source:
         except (ValueError, RecursionError):
             value = text
         _set(place.at(name), tables, name, value)
-    return replace(source, tables=tables, text=render(_without_objects(tables)[1]))
+    return replace(source, tables=tables, text=render(tables))
 
 
 def _set(place: Place, tables: dict[str, object], name: str, value: object) -> None:
     """Set one value in the tables."""
     table, dot, key = name.partition(".")
     if dot and table not in _TABLES:
-        raise place.error(f"there is no table {shown(table)}; {suggestion(table, _TABLES)}")
+        raise place.error(f"unknown table {shown(table)}; {suggestion(table, _TABLES)}")
     if not dot:
         key, varies = name, isinstance(value, (list, dict))
         is_setting = name in RunSettings.__dataclass_fields__
@@ -115,23 +110,6 @@ def _set(place: Place, tables: dict[str, object], name: str, value: object) -> N
     if not isinstance(home, dict):
         raise place.error(f"[{table}] is not a table in the sweep; nothing can be set in it")
     home[key] = value
-
-
-def _without_objects(source: Mapping[str, object]) -> tuple[dict[tuple[str, str], object], dict[str, object]]:
-    """Return the objects that replace names, by table and key, and the tables with their names instead."""
-    objects: dict[tuple[str, str], object] = {}
-    named = dict(source)
-    scene = named.get("scene")
-    if isinstance(scene, Scene):
-        objects["", "scene"] = scene
-        named["scene"] = scene.name
-    for table, key in (("parameters", "friction"), ("run", "method")):
-        home = named.get(table)
-        value = home.get(key) if isinstance(home, Mapping) else None
-        if isinstance(home, Mapping) and isinstance(value, FrictionLaw | Stepper):
-            objects[table, key] = value
-            named[table] = {**home, key: value.name}
-    return objects, named
 
 
 def read_text(path: Path) -> str:
@@ -169,7 +147,10 @@ def plain_table(place: Place, value: Mapping[str, object]) -> dict[str, object]:
 
 
 def plain(place: Place, value: object) -> object:
-    """Return `value` as TOML types, with arrays and numbers of NumPy or JAX, tuples and paths converted."""
+    """Return `value` as TOML types, with arrays and numbers of NumPy or JAX, tuples and paths converted.
+
+    Objects that may stand in place of their names stay themselves.
+    """
     if isinstance(value, Mapping):
         return plain_table(place, value)
     if isinstance(value, jax.core.Tracer):
@@ -185,16 +166,15 @@ def plain(place: Place, value: object) -> object:
         return [plain(place.item(index), item) for index, item in enumerate(value)]
     if isinstance(value, PurePath):
         return str(value)
-    if isinstance(value, (bool, float, str)):
-        return value
-    if isinstance(value, int):
+    if isinstance(value, int) and not isinstance(value, bool):
         number(place, value)  # Python does not write thousands of digits
+    if isinstance(value, (bool, int, float, str, *_OBJECTS)):
         return value
     raise place.error(f"{shown(value)} cannot stand in a sweep; write a number, text, a list or a table")
 
 
 def render(table: Mapping[str, object]) -> str:
-    """Return a table of plain values as TOML: values first, then a section for each table in it."""
+    """Return a table of plain values as TOML: values first, then a section for each table in it; objects by name."""
     values = [_line(key, value) for key, value in table.items() if not isinstance(value, dict)]
     sections = [
         "\n".join([f"[{_key(key)}]", *(_line(name, item) for name, item in value.items())])
@@ -221,4 +201,4 @@ def _literal(value: object) -> str:
         return "[" + ", ".join(map(_literal, value)) + "]"
     if isinstance(value, dict):
         return "{ " + ", ".join(_line(key, item) for key, item in value.items()) + " }" if value else "{}"
-    return repr(value)
+    return json.dumps(value.name) if isinstance(value, _OBJECTS) else repr(value)

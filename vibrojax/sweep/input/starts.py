@@ -8,10 +8,10 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from vibrojax.errors import Place, shown
-from vibrojax.models.physics.parameters import Parameter
 from vibrojax.sweep.input.names import DEFAULT_STARTS, Names
 from vibrojax.sweep.input.values import (
     AXIS_MAX_VALUES,
+    STATE,
     as_table,
     check_distinct,
     choice,
@@ -26,7 +26,6 @@ PLANE = "{ plane = { x2 = { start = -0.05, stop = 0.05, num = 50 }, v2 = [-1.0, 
 """Examples of many starts, for messages and the catalogue."""
 
 _SAMPLE_KEYS = ("sample", "count", "seed", "box", "at")
-_STATE = Parameter("state", 0.0, "1", "state at t = 0", "y")
 
 Start = str | tuple[float, ...]
 """A start as an item of a list: a name or a vector."""
@@ -112,7 +111,7 @@ def _read_many(place: Place, table: dict[str, object], names: Names) -> Starts:
     for name in shared:
         if name in columns:
             raise place.at("at").at(name).error("varies already; leave it out")
-    fixed = {name: quantity(place.at("at").at(name), x, _STATE) for name, x in shared.items()}
+    fixed = {name: quantity(place.at("at").at(name), x, STATE) for name, x in shared.items()}
     rows = len(next(iter(columns.values())))
     vectors = np.stack([columns.get(name, np.full(rows, fixed.get(name, 0.0))) for name in states], axis=1)
     return Starts((), states, np.zeros(rows, int), vectors, listed=False)
@@ -144,7 +143,7 @@ def _read_side(place: Place, value: object) -> tuple[float, float]:
     """Return the two ends of a side of the box."""
     if not isinstance(value, (list, tuple)) or len(value) != 2:
         raise place.error(f"{shown(value)} is not a side of a box; write its two ends, like [-0.05, 0.05]")
-    low, high = (quantity(place.item(index), end, _STATE) for index, end in enumerate(value))
+    low, high = (quantity(place.item(index), end, STATE) for index, end in enumerate(value))
     if not low < high:
         raise place.error(f"from {low:g} to {high:g} is not a side of a box; the first end must be below the second")
     return low, high
@@ -155,7 +154,7 @@ def _read_plane(place: Place, value: object, states: tuple[str, ...]) -> dict[st
     axes = _states_of(place, value, states)
     if not axes:
         raise place.error(f"empty; write one like {PLANE}")
-    values = [read_axis(place.at(name), axis, _STATE) for name, axis in axes.items()]
+    values = [read_axis(place.at(name), axis, STATE) for name, axis in axes.items()]
     if prod(map(len, values)) > AXIS_MAX_VALUES:
         raise place.error(f"{prod(map(len, values))} starts are too many; {AXIS_MAX_VALUES} at most")
     return {name: grid.ravel() for name, grid in zip(axes, np.meshgrid(*values, indexing="ij"), strict=True)}

@@ -12,6 +12,9 @@ from vibrojax.models.physics.parameters import Parameter
 AXIS_MAX_VALUES = 10**7
 """Longest axis, 80 MB: a longer one is a slip, and would fill the memory before the number of lanes is checked."""
 
+STATE = Parameter("state", 0.0, "1", "state at t = 0", "y")
+"""A number of an initial state: any finite one."""
+
 _DECIMAL_COMMA = re.compile(r"([+-]?\d+),(\d+)")
 _WITH_UNIT = re.compile(r"([+-]?[\d.]+(?:[eE][+-]?\d+)?)\s*[^\d\s.,].*")
 _RANGE_KEYS = ("start", "stop", "num", "spacing")

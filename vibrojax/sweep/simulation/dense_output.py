@@ -19,7 +19,7 @@ from vibrojax.sweep.engine.compiler import lane_function
 from vibrojax.sweep.engine.resources import memory
 
 BATCH = 512
-"""Steps per call of the compiled program: so many that the call itself costs little."""
+"""Steps per call of the compiled program: enough for the call itself to cost little."""
 
 RECORD_MAX_STEPS = 20_000 * BATCH
 """Ten million steps are some gigabytes; a longer motion is a slip."""
@@ -169,17 +169,20 @@ def check_size(
     if stepper is None:
         from vibrojax.stepping.adaptive import MOST_STEPS as most
 
-        # A diffrax solver chooses its own steps, but it must follow the main spring.
-        spring = isinstance(scene, HasFriction)
         step_bytes, requested = 0.0, 0.0
     else:
         numbers = 3 + len(scene.states) * (stepper.degree + 2) + len(scene.modes)
         step_bytes = 8.0 * numbers + len(scene.guard_names) + 2 * len(scene.markers)
-        most, spring, requested = RECORD_MAX_STEPS, False, 1 / accuracy.step
+        most, requested = RECORD_MAX_STEPS, 1 / accuracy.step
     available = memory() if step_bytes else None
     if available is not None:
         most = max(min(most, int((available - 2 * samples * step_bytes) / (_COPIES * step_bytes))), 0)
-    natural = _calmest_rate(scene, constants, spring) / accuracy.stride
+    # A diffrax solver chooses its own steps, but it must follow the main spring.
+    if stepper is None and isinstance(scene, HasFriction):
+        natural = float(scene.spring_rate(constants)[0]) / accuracy.stride
+    else:
+        calmest = tuple(np.full(1, mode.calmest) for mode in scene.modes)
+        natural = float(_rate(scene, constants, calmest)[0]) / accuracy.stride
     steps = duration * max(natural, requested)
     if steps <= most:
         return most
@@ -187,13 +190,6 @@ def check_size(
     allowed = f"{most:.3g} steps" + (f" and {size_text(available)} of memory" if available else "")
     advice = "give a shorter duration" + (", a longer step or a greater error" if requested > natural else "")
     raise place.at("duration").error(f"{duration:g} s need about {needs}; there is room for {allowed}: {advice}")
-
-
-def _calmest_rate(scene: Scene[Any], constants: Any, spring: bool) -> float:
-    """Return the least rate [1/s] at which the motion changes: that of the main `spring`, or of the calmest mode."""
-    if spring and isinstance(scene, HasFriction):
-        return float(scene.spring_rate(constants)[0])
-    return float(_rate(scene, constants, tuple(np.full(1, mode.calmest) for mode in scene.modes))[0])
 
 
 @lane_function(static=1)
