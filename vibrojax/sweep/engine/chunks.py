@@ -16,7 +16,7 @@ from vibrojax.stepping import Accuracy
 from vibrojax.sweep.engine.batch import Batch, Engine, Features, Report, unreported
 from vibrojax.sweep.engine.drift import drift
 from vibrojax.sweep.engine.sensitive import sensitive
-from vibrojax.sweep.engine.underway import OBSERVING, SETTLED, Ended, Ends, Part, Underway, looks
+from vibrojax.sweep.engine.underway import OBSERVING, SETTLED, Ended, Ends, ReadyLanes, looks, run_together
 from vibrojax.sweep.input.definition import Sweep
 
 CHUNK = 2048
@@ -40,7 +40,7 @@ class Chunks:
     """
 
     def __init__(self, sweep: Sweep, beyond: Beyond | None = None, ends: Ends | None = None) -> None:
-        self.sweep, self._beyond, self.ends_on_orbits = sweep, beyond, ends is not None
+        self.sweep, self._beyond, self._ends, self.ends_on_orbits = sweep, beyond, ends, ends is not None
         self.stepper = sweep.run.stepper
         self.accuracy = sweep.run.accuracy(sweep.system)
         recorder = recorder_for(sweep.system, sweep.run.keep_returns)
@@ -48,8 +48,6 @@ class Chunks:
         self.size = sweep.run.chunk or max(CHUNK, self.engine.programs.block)
         self.count = -(-sweep.lanes // self.size)
         self._compiled = False
-        tolerance = self.accuracy.tolerance or SETTLED * sweep.run.error
-        self._underway = Underway(sweep.run, self.stepper.coarser(self.accuracy), tolerance, self.ends_early, ends)
 
     def lanes(self, index: int) -> tuple[int, int]:
         """Return the first lane of a chunk, and the one after its last."""
@@ -74,8 +72,14 @@ class Chunks:
 
     def measured(self, batch: Batch, portions: Portions) -> Features:
         """Return the features, with error estimates, of lanes that stand at t = 0."""
-        items = list(self._underway(self.engine, batch, lambda seconds: _portion(portions, self._share(seconds))))
-        parts = [item for item in items if isinstance(item, Part)]
+        run, coarse = self.sweep.run, self.stepper.coarser(self.accuracy)
+        tolerance = self.accuracy.tolerance or SETTLED * run.error
+
+        def report(seconds: float) -> Report:
+            return _portion(portions, self._share(seconds))
+
+        items = list(run_together(self.engine, batch, coarse, tolerance, self.ends_early, self._ends, report))
+        parts = [item for item in items if isinstance(item, ReadyLanes)]
         ended = [item for item in items if isinstance(item, Ended)]
         observed = self._observed([part.fine for part in parts] + [part.check for part in parts], portions)
         features = [item.features for item in ended]

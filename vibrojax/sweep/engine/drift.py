@@ -39,7 +39,7 @@ States = Float[np.ndarray, "lanes _ states"]
 Features = dict[str, np.ndarray]
 
 
-class Returns(NamedTuple):
+class LastReturns(NamedTuple):
     """Consecutive returns of lanes with the same repeat, the newest first.
 
     - `states`: at the section, over their scales.
@@ -85,7 +85,7 @@ def drift(features: Features, section: Section, precision: str, tolerance: float
     return distance
 
 
-def _last_returns(features: Features, section: Section, count: int) -> Returns:
+def _last_returns(features: Features, section: Section, count: int) -> LastReturns:
     def newest_first(name: str) -> Series:
         return features[name][:, ::-1][:, :count].astype(float)
 
@@ -97,10 +97,10 @@ def _last_returns(features: Features, section: Section, count: int) -> Returns:
         impacts = newest_first("return_impacts")
         velocity = np.where(impacts > 0, impacts * newest_first("return_impact_velocity"), 0.0)
         measured.append((velocity, impacts, features["impact_velocity"]))
-    return Returns(states / scale[:, None], measured)
+    return LastReturns(states / scale[:, None], measured)
 
 
-def _drift(returns: Returns, repeat: int, noise: float, resolved: float) -> PerLane:
+def _drift(returns: LastReturns, repeat: int, noise: float, resolved: float) -> PerLane:
     """Return the distance of lanes with the same `repeat`; `noise`: of a return by rounding, relative; `resolved`: the
     least difference that determines multipliers."""
     differences = _differences(returns.states, repeat)

@@ -1,4 +1,4 @@
-"""Lanes in the first half of their work; those found to have settled leave early."""
+"""The first half of the lanes' work, common to both accuracies; lanes that have settled leave early."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -98,8 +98,8 @@ def settled(
     return done, duration
 
 
-class Part(NamedTuple):
-    """Lanes of a chunk, by index, at the end of the run that serves both accuracies, and the batches of either run."""
+class ReadyLanes(NamedTuple):
+    """Lanes of a chunk, by index, at the end of their common run, with the batch of either accuracy."""
 
     lanes: Index
     fine: Batch
@@ -160,58 +160,53 @@ def looks(run: RunSettings, on_orbits: bool = False) -> list[list[float]]:
     return [[share * half for share in shares] for shares in rounds] if half > 0 else []
 
 
-class Underway:
-    """The common run of the lanes of a sweep, from t = 0 until both accuracies need runs of their own.
+def run_together(
+    engine: Engine,
+    start: Batch,
+    coarse: Accuracy,
+    tolerance: float,
+    early: bool,
+    search: Ends | None,
+    report: Callable[[float], Report],
+) -> Iterator[ReadyLanes | Ended]:
+    """Step lanes from t = 0 until both accuracies need runs of their own; yield first those that leave early.
 
-    - `coarse`: the accuracy of the check run; `tolerance`: the relative distance from its limit at which a lane has
-      settled.
-    - `early`: True if lanes end early; `ends`: the search for lanes that need no more steps. Lanes stop as often if
-      they do not end early, so that lanes that never settle have the same values.
+    Lanes stop as often if they do not end early, so that lanes that never settle have the same values.
+
+    **Arguments:**
+
+    - `coarse`: the accuracy of the check run; `tolerance`: see `settled`.
+    - `early`: True if lanes end early; `search`: for lanes that need no more steps.
+    - `report(seconds)`: reports lanes that have settled for that time.
     """
-
-    def __init__(self, run: RunSettings, coarse: Accuracy, tolerance: float, early: bool, ends: Ends | None) -> None:
-        self._run, self._coarse, self._tolerance, self._early = run, coarse, tolerance, early
-        self._ends, self._on_orbits = ends if early else None, ends is not None
-
-    def __call__(self, engine: Engine, start: Batch, report: Callable[[float], Report]) -> Iterator[Part | Ended]:
-        """Yield the lanes at the end of the common run; those that leave early come first.
-
-        `report(seconds)` reports lanes that have settled for that time.
-        """
-        active, before = ActiveLanes(np.arange(len(start.begin)), start), 0.0
-        ends = self._ends.of_chunk() if self._ends is not None else None
-        for times in looks(self._run, self._on_orbits):
-            near: list[ActiveLanes] = []
-            for now in times:
-                if len(active.lanes):
-                    active = active._replace(batch=engine.settle([active.batch], now, report(now - before))[0])
-                before = now
-                if ends is not None:
-                    candidates, active = active.split(ends.near(active.batch))
-                    near.append(candidates)
-            if self._early:
-                part, active = self._settled(active, now)
-                if part is not None:
-                    yield part
+    run = engine.sweep.run
+    ends = search.of_chunk() if early and search is not None else None
+    active, before = ActiveLanes(np.arange(len(start.begin)), start), 0.0
+    for times in looks(run, search is not None):
+        near: list[ActiveLanes] = []
+        for now in times:
+            if len(active.lanes):
+                active = active._replace(batch=engine.settle([active.batch], now, report(now - before))[0])
+            before = now
             if ends is not None:
-                candidates = near[0].joined(near[1:])
-                remaining = np.ones(len(candidates.lanes), bool)
-                for ended in ends(candidates.batch):
-                    remaining[ended.lanes] = False
-                    yield ended._replace(lanes=candidates.lanes[ended.lanes])
-                active = active.joined([candidates.split(remaining)[0]])
-            if not len(active.lanes):
-                return
-        yield Part(active.lanes, active.batch, replace(active.batch, accuracy=self._coarse))
-
-    def _settled(self, active: ActiveLanes, now: float) -> tuple[Part | None, ActiveLanes]:
-        """Return the lanes that have settled at `now` [s], to be observed at once, if any, and the others."""
-        underway, run = active.batch.underway, self._run
-        assert underway is not None
-        done, duration = settled(underway.carry, now, run.settle + run.observe, run.observe, self._tolerance)
-        if not done.any():
-            return None, active
-        leaving, active = active.split(done)
-        fine = leaving.batch.observed(now, duration[done])
-        check = replace(fine, accuracy=self._coarse).observed((1 + CHECK_SETTLES) * now, duration[done])
-        return Part(leaving.lanes, fine, check), active
+                candidates, active = active.split(ends.near(active.batch))
+                near.append(candidates)
+        if early:
+            assert active.batch.underway is not None
+            returns = active.batch.underway.carry
+            done, duration = settled(returns, now, run.settle + run.observe, run.observe, tolerance)
+            if done.any():
+                leaving, active = active.split(done)
+                fine = leaving.batch.observed(now, duration[done])
+                check = replace(fine, accuracy=coarse).observed((1 + CHECK_SETTLES) * now, duration[done])
+                yield ReadyLanes(leaving.lanes, fine, check)
+        if ends is not None:
+            candidates = near[0].joined(near[1:])
+            remaining = np.ones(len(candidates.lanes), bool)
+            for ended in ends(candidates.batch):
+                remaining[ended.lanes] = False
+                yield ended._replace(lanes=candidates.lanes[ended.lanes])
+            active = active.joined([candidates.split(remaining)[0]])
+        if not len(active.lanes):
+            return
+    yield ReadyLanes(active.lanes, active.batch, replace(active.batch, accuracy=coarse))
