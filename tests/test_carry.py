@@ -10,7 +10,7 @@ from vibrojax.analyses.sweep.run import run_to_file
 from vibrojax.analyses.sweep.workers.work import Work
 from vibrojax.errors import InputError
 from vibrojax.io.dataset import open_dataset
-from vibrojax.measures.labels import IRREGULAR, SINGLE_IMPACT
+from vibrojax.measures.labels import FAILED, IRREGULAR, SINGLE_IMPACT
 from vibrojax.plot.overlays import special_points
 from vibrojax.sweep.input.read import read_sweep
 
@@ -92,7 +92,7 @@ def test_a_lane_that_fails_does_not_end_the_way():
     stiff = {"scene": "vibro-impact", "starts": ["stuck"], "grid": {"k0": [5e7, 1e300]}, "run": sweep()["run"]}
     found = vj.run_sweep(stiff | {"run": stiff["run"] | {"carry": "k0"}, "unusual": True}, progress=False)
     alone = vj.run_sweep(stiff | {"grid": {"k0": [5e7]}, "run": {"settle": 10.0, "observe": 4.0}}, progress=False)
-    assert (found.regime.sel(k0=1e300) == vj.label.FAILED).all()
+    assert (found.regime.sel(k0=1e300) == FAILED).all()
     np.testing.assert_array_equal(found.period.sel(k0=5e7), [alone.period.item()] * 2)
 
 

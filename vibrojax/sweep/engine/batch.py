@@ -180,8 +180,8 @@ class Engine:
             alone.sweep, alone.workers = instant, [worker]
             # A whole block: the first lanes decide if kernels can be trusted.
             still = [alone.start(0, min(self.programs.block, self.sweep.lanes), accuracy)]
-            check = partial(alone._call, worker, lambda engine=alone: engine.programs.check_arithmetic(self._dtype))
-            tasks: list[Callable[[], object]] = [check, partial(alone.settle, still)]
+            check = partial(alone.programs.check_arithmetic, self._dtype)
+            tasks: list[Callable[[], object]] = [partial(alone._call, worker, check), partial(alone.settle, still)]
             if self.accelerated:  # two threads that need a program would both compile it
                 tasks.append(partial(alone.observe, still))
             for _ in in_parallel(lambda _, task: task(), tasks, range(len(tasks))):

@@ -85,7 +85,7 @@ class Chunks:
         features = [item.features for item in ended]
         if parts:
             features.insert(0, self._certified(joined(observed[: len(parts)]), joined(observed[len(parts) :])))
-        order = np.argsort(np.concatenate([item.lanes for item in (*parts, *ended)]))
+        order = np.argsort(np.concatenate([part.lanes for part in parts] + [item.lanes for item in ended]))
         whole = {name: x[order] for name, x in joined(features).items()}
         if "cycles" in whole:
             whole["sensitive"] = sensitive(self.engine, batch, whole)

@@ -37,6 +37,7 @@ PerLane = Float[np.ndarray, " lanes"]
 Series = Float[np.ndarray, "lanes _"]
 States = Float[np.ndarray, "lanes _ states"]
 Features = dict[str, np.ndarray]
+SumsAndMean = tuple[Series, Series | None, PerLane]
 
 
 class LastReturns(NamedTuple):
@@ -48,7 +49,7 @@ class LastReturns(NamedTuple):
     """
 
     states: States
-    measured: list[tuple[Series, Series | None, PerLane]]
+    measured: list[SumsAndMean]
 
 
 class Recurrence(NamedTuple):
@@ -92,7 +93,7 @@ def _last_returns(features: Features, section: Section, count: int) -> LastRetur
     swings = tuple(features[swing.amplitude] for swing in section.swings)
     scale = np.stack([np.asarray(x, float) for x in scales(swings, features["period"])], axis=-1)
     states = np.stack([newest_first(state_name(name)) for name in section.compared], axis=-1)
-    measured = [(newest_first(INTERVAL), None, features["period"])]
+    measured: list[SumsAndMean] = [(newest_first(INTERVAL), None, features["period"])]
     if "return_impacts" in features:
         impacts = newest_first("return_impacts")
         velocity = np.where(impacts > 0, impacts * newest_first("return_impact_velocity"), 0.0)
@@ -101,8 +102,10 @@ def _last_returns(features: Features, section: Section, count: int) -> LastRetur
 
 
 def _drift(returns: LastReturns, repeat: int, noise: float, resolved: float) -> PerLane:
-    """Return the distance of lanes with the same `repeat`; `noise`: of a return by rounding, relative; `resolved`: the
-    least difference that determines multipliers."""
+    """Return the distance of lanes with the same `repeat`.
+
+    `noise`: relative rounding of a return; `resolved`: the least difference that determines multipliers.
+    """
     differences = _differences(returns.states, repeat)
     fits = _fits(differences, repeat, noise)
     if not fits:

@@ -130,8 +130,10 @@ def _friction_at_rest(scene: HasFriction[Any], values: dict[str, Array]) -> Arra
 
 
 def certified(sweep: Sweep, variables: Mapping[str, np.ndarray]) -> dict[str, int]:
-    """Return numbers of lanes: with an error estimate, within the accepted error, still settling, sensitive, and those
-    whose check run has a different label. Sensitive lanes do not count as within."""
+    """Count the lanes with an error estimate, within the accepted error, still settling, sensitive, or relabelled.
+
+    A relabelled lane has a different label in its check run. Sensitive lanes do not count as within.
+    """
     done = variables["reason"] == 0
     estimate = variables["error_estimate"][done]
     within = estimate <= sweep.run.error

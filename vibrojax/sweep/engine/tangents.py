@@ -192,10 +192,10 @@ def judged(
         off_slope = ~(np.abs(central - derivative) <= error * scale)
     finished = (features["finite"] > 0) & (features["finished"] > 0)
     counted = [name for name in (EVENTS, "cycles", "impacts", "yields", "pulses") if name in features]
-    same = finished.all(axis=-1)
+    same: np.ndarray = np.all(finished, axis=-1)
     for name in counted:
         counts = features[name][..., HERE:]
-        same &= (counts == counts[..., :1]).all(axis=-1)
+        same &= np.all(counts == counts[..., :1], axis=-1)
     if EVENTS in features:
         same &= features[EVENTS][..., HERE] % 1 == 0
     repeats = features["cycles"][..., HERE] > 0 if "cycles" in features else np.ones(value.shape, bool)

@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float
 from vibrojax.measures.labels import FEWEST_RETURNS
 from vibrojax.measures.repeats import REPEATS_WITHIN, scales
 from vibrojax.measures.section import Settling
+from vibrojax.models.arrays import Array
 from vibrojax.stepping import Accuracy
 from vibrojax.sweep.engine.batch import Batch, Engine, Features, Index, Report
 from vibrojax.sweep.input.run_settings import RunSettings
@@ -53,7 +54,7 @@ def repeats_lately(returns: Settling, now: float) -> LanesBool:
         return repeating & _returned_lately(times, now)
 
 
-def _returned_lately(times: np.ndarray, now: float) -> np.ndarray:
+def _returned_lately(times: Array, now: float) -> Array:
     return now - times[0] < 1.5 * np.max(times[:-1] - times[1:], axis=0)
 
 

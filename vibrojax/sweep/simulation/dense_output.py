@@ -160,8 +160,9 @@ def check_size(
     stepper: Stepper | None,
     samples: int,
 ) -> int:
-    """Return the greatest number of steps that fit in memory; raise `InputError` if the motion takes more even
-    without events.
+    """Return the greatest number of steps that fit in memory.
+
+    Raises `InputError` if the motion takes more, even without events.
 
     **Arguments:** `constants`: the scene's, each of shape (1,); `stepper`: None for a diffrax solver, whose steps are
     not kept; `samples`: their number.

@@ -185,5 +185,5 @@ def _adaptive(
         scene, scalars, start, jnp.asarray(times), width, kind, tolerance, accuracy.step
     )
     modes = scene.smoothed_mode(scalars, scene.mode_at(scalars, states), states, 3 * width)
-    states, modes = (np.stack([np.asarray(x) for x in columns]) for columns in (states, modes))
-    return Motion(times, states, modes), int(steps), type(kind).__name__
+    columns = (np.stack([np.asarray(x) for x in values]) for values in (states, modes))
+    return Motion(times, *columns), int(steps), type(kind).__name__
