@@ -52,7 +52,7 @@ def main(sign: str, path: str) -> None:
     rows = [line.split("|") for line in Path(path).read_text().splitlines()[2:]]
     before = {cells[1].strip(): cells[5].strip() for cells in rows}
     drill.accelerations = SIGNS[sign]
-    batch.MOST_STEPS, batch.MOST_PER_SECOND = 1e4, 300.0
+    batch.LANE_MAX_STEPS, batch.LANE_MAX_RATE = 1e4, 300.0
     groups = [replace(group, pictures=()) for group in GROUPS if group.name not in WITHOUT_DRILL]
     results = run_reproduction(groups).results
     turned = [one.entry.id for one in results if one.here.verdict == "differs" != before.get(one.entry.id)]

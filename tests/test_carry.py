@@ -144,9 +144,9 @@ def test_both_ways_jump_where_the_families_say():
 @pytest.mark.parametrize(
     ("run", "tables", "line"),
     [
-        ({"carry": "gama"}, {}, 'run.carry: "gama" is no axis of [grid]; did you mean "gamma"?'),
+        ({"carry": "gama"}, {}, 'run.carry: "gama" is not an axis of [grid]; did you mean "gamma"?'),
         ({"carry": True}, {}, 'run.carry: true is not a name; write that of an axis of [grid], like "gamma"'),
-        ({"carry": "gamma"}, {"starts": ["drive", "stuck"]}, "run.carry: 2 starts; the first lane of each way has one"),
+        ({"carry": "gamma"}, {"starts": ["drive", "stuck"]}, "run.carry: 2 starts; the first lane in each direction"),
         ({"carry": "gamma"}, {"grid": {"gamma": [0.7, 0.6]}}, "run.carry: the values of gamma do not rise"),
         ({"carry": "beta"}, {"grid": {"beta": [0.4]}}, "run.carry: the values of beta do not rise"),
     ],

@@ -43,8 +43,8 @@ def test_the_text_is_that_of_what_is_run():
 @pytest.mark.parametrize(
     ("word", "line"),
     [
-        ("k1", '--set: "k1" is no NAME=VALUE; write one, like k1=312500 or run.settle=200'),
-        ("ran.settle=3", '--set: ran.settle: there is no table "ran"; did you mean "run"?'),
+        ("k1", '--set: "k1" is not NAME=VALUE; write one, like k1=312500 or run.settle=200'),
+        ("ran.settle=3", '--set: ran.settle: unknown table "ran"; did you mean "run"?'),
         ("kk1=3", 'scene "vibro-impact" has no such parameter; did you mean "k1"?'),
         ("settle=long", 'run.settle: "long" is text'),
     ],

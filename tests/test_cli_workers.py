@@ -160,7 +160,7 @@ def test_a_hundred_million_lanes_are_a_matter_of_disk_alone(free, enough, capsys
     assert float(lines["memory"].removesuffix(" MB")) < 1500
     if not enough:
         assert (
-            "grid: 100000000 lanes need some" in captured.err
+            "grid: 100000000 lanes need about" in captured.err
             and "; there is 10 GB of disk: give shorter axes" in captured.err
         )
         assert main(["sweep", "map.toml"]) == 2 and not (folder / "map.nc.chunks").exists()

@@ -8,7 +8,7 @@ import pytest
 import vibrojax as vj
 from vibrojax.measures.repeats import Seen
 from vibrojax.measures.section import Passed, Settling
-from vibrojax.sweep.engine.settled import settled
+from vibrojax.sweep.engine.underway import settled
 
 LANES, ERROR = 128, 1e-4
 OF_BLOWS = ("impact_velocity", "impact_velocity_min", "bit_velocity_at_impact", "impact_energy", "mean_impact_force")

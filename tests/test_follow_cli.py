@@ -179,7 +179,7 @@ WRONG = [
     ("vibro-impact", {"cycles": "9"}, "cycles: 9 is not a whole number from 1 to 8"),
     ("vibro-impact", {"cycles": "1.5"}, "cycles: 1.5 is not a whole number from 1 to 8"),
     ("vibro-impact", {"start": "nowhere"}, 'start: "nowhere" is unknown; choose from drive, stuck, touching'),
-    ("vibro-impact", {"start": "[0,0,1]"}, "four are needed"),
+    ("vibro-impact", {"start": "[0,0,1]"}, "4 are needed"),
     ("vibro-impact", {"beta": "0.3,x"}, 'beta[1]: "x" is text'),
     ("vibro-impact", {"beta": "[0.3"}, 'beta: "[0.3" is no list'),
     ("vibro-impact", {"beta": "0.3,0.4", "v": "1,1.1,1.2"}, "lists of different lengths (beta 2, v 3)"),

@@ -103,7 +103,7 @@ class Deflected(VibroImpact):
 
 
 def test_a_start_vector_has_the_states_that_the_scene_says():
-    with pytest.raises(vj.InputError, match=r"has 4 numbers; three are needed: \[x1, v1, x5\]"):
+    with pytest.raises(vj.InputError, match=r"has 4 numbers; 3 are needed: \[x1, v1, x5\]"):
         vj.read_sweep({"scene": Deflected(), "starts": [[0, 0, 0, 0]], "grid": {"gamma": [0.7]}})
     assert vj.read_sweep({"scene": Deflected(), "starts": [[0, 1, 2]], "grid": {"gamma": [0.7]}}).starts[0] == (0, 1, 2)
 
@@ -167,5 +167,5 @@ def test_what_an_installed_package_offers(tmp_path):
         'mine: vibrojax.friction_laws: b: the name "coulomb" is taken; it is left out',
         "mine: vibrojax.friction_laws: c: mine:none cannot be imported (module 'mine' has no attribute 'none'); "
         "it is left out",
-        "mine: vibrojax.scenes: b: mine:law is no subclass of Scene; it is left out",
+        "mine: vibrojax.scenes: b: mine:law is not a subclass of Scene; it is left out",
     ], done.stderr

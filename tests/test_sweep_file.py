@@ -8,10 +8,10 @@ import pytest
 
 from vibrojax.errors import Place
 from vibrojax.sweep.input import source
-from vibrojax.sweep.input.plain import render
 from vibrojax.sweep.input.point import read_point
 from vibrojax.sweep.input.read import read_sweep
 from vibrojax.sweep.input.run_settings import RunSettings
+from vibrojax.sweep.input.source import render
 
 FULL = """
 scene = "vibro-impact"

@@ -69,14 +69,14 @@ def test_wrong_points_are_refused(tmp_path, text, line):
             'sweep: parameters.bata: scene "vibro-impact" has no such parameter; did you mean "beta"?',
         ),
         ({"parameters": {"c1": 75}}, 'did you mean "c2"?'),
-        ({"parameters": {"m2": 100}}, "sweep: parameters.m2: is no parameter: m2 = beta m1; give beta"),
-        ({"parameters": {"k2": 1e4}}, "sweep: parameters.k2: is no parameter: k2 = beta gamma^2 k1; give gamma"),
+        ({"parameters": {"m2": 100}}, "sweep: parameters.m2: is not a parameter: m2 = beta m1; give beta"),
+        ({"parameters": {"k2": 1e4}}, "sweep: parameters.k2: is not a parameter: k2 = beta gamma^2 k1; give gamma"),
         ({"parameters": {"m1": "250"}}, 'sweep: parameters.m1: "250" is text; write a number, without quotes'),
         ({"parameters": {"m1": True}}, "sweep: parameters.m1: true is not a number"),
         ({"parameters": {"m1": [1, 2]}}, "sweep: parameters.m1: [1, 2] is not a number; what varies belongs in [grid]"),
         ({"parameters": {"m1": 10**5000}}, "sweep: parameters.m1: a whole number of 5001 digits or so is too large"),
         ({"parameters": {"m1": 0}}, "sweep: parameters.m1: is 0; it must be above 0 kg"),
-        ({"parameters": {"settle": 3}}, "sweep: parameters.settle: is no parameter; it belongs in [run]"),
+        ({"parameters": {"settle": 3}}, "sweep: parameters.settle: is not a parameter; it belongs in [run]"),
         (
             {"parameters": {"friction": "stribek"}},
             'parameters.friction: "stribek" is unknown; did you mean "stribeck"?',
@@ -93,7 +93,7 @@ def test_wrong_points_are_refused(tmp_path, text, line):
             "sweep: grid.friction: is chosen once for all lanes, in [parameters]",
         ),
         ({"grid": {"beta": []}}, "sweep: grid.beta: [] has no values"),
-        ({"grid": {"beta": 0.4}}, "sweep: grid.beta: 0.4 is no axis"),
+        ({"grid": {"beta": 0.4}}, "sweep: grid.beta: 0.4 is not an axis"),
         ({"grid": {"beta": [0.4, float("nan")]}}, "sweep: grid.beta[1]: is nan; a finite number is needed"),
         ({"grid": {"delta": [float("inf")]}}, "sweep: grid.delta[0]: is inf; a finite number is needed"),
         ({"grid": {"beta": [0.4, -0.1]}}, "sweep: grid.beta[1]: is -0.1; it must be above 0"),
@@ -126,11 +126,11 @@ def test_wrong_points_are_refused(tmp_path, text, line):
             {"grid": {name: {"start": 1, "stop": 2, "num": 10**7} for name in ("beta", "gamma", "v")}},
             "lanes are too many",
         ),
-        ({"starts": "drive"}, 'sweep: starts: "drive" is no list of starts'),
-        ({"starts": []}, "sweep: starts: [] is no list of starts"),
+        ({"starts": "drive"}, 'sweep: starts: "drive" is not a list of starts'),
+        ({"starts": []}, "sweep: starts: [] is not a list of starts"),
         ({"starts": ["drive", "drive"]}, 'sweep: starts[1]: "drive" is there already'),
         ({"starts": ["dirve"]}, 'sweep: starts[0]: "dirve" is unknown; did you mean "drive"?'),
-        ({"starts": [[0, 0, 0]]}, "sweep: starts[0]: [0, 0, 0] has 3 numbers; four are needed"),
+        ({"starts": [[0, 0, 0]]}, "sweep: starts[0]: [0, 0, 0] has 3 numbers; 4 are needed"),
         ({"starts": [[0, 0, 0, float("nan")]]}, "sweep: starts[0][3]: is nan"),
         ({"run": {"setle": 3}}, 'sweep: run.setle: unknown key; did you mean "settle"?'),
         ({"run": {"settle": -1}}, "sweep: run.settle: is -1; it must be at least 0 s"),
@@ -166,7 +166,7 @@ def test_rotary_has_no_contact(name):
 
 def test_rotary_has_no_start_in_touch():
     line = problem({"scene": "rotary", "grid": GRID, "starts": ["touching"]})
-    assert line == 'sweep: starts[0]: "touching" is no start of scene "rotary"; choose from drive, stuck'
+    assert line == 'sweep: starts[0]: "touching" is not a start of scene "rotary"; choose from drive, stuck'
 
 
 # files
@@ -193,7 +193,7 @@ def test_files_that_are_not_there_are_refused(tmp_path):
     )
     assert "is a folder; give the path of a file" in problem(tmp_path)
     assert "cannot be read" in problem("a\0.toml")
-    assert problem(3) == "sweep: 3 is no sweep; give a path, a bundled name or a dict"
+    assert problem(3) == "sweep: 3 is not a sweep; give a path, a bundled name or a dict"
 
 
 def test_a_bundled_name_that_is_not_there_is_refused(tmp_path, monkeypatch):
@@ -205,7 +205,7 @@ def test_a_bundled_name_that_is_not_there_is_refused(tmp_path, monkeypatch):
 def test_a_wrong_point_is_refused_like_a_file():
     for scene, given, start, line in (
         ("rotary", {"delta": 1.0}, None, 'simulate: delta: scene "rotary" has no delta'),
-        ("rotary", {}, "touching", 'simulate: start: "touching" is no start'),
+        ("rotary", {}, "touching", 'simulate: start: "touching" is not a start'),
         ("rotary", {"beta": -1.0}, None, "simulate: beta: is -1; it must be above 0"),
         ("rotery", {}, None, 'simulate: scene: "rotery" is unknown; did you mean "rotary"?'),
     ):

@@ -2,7 +2,7 @@
 
     python tests/benchmarks/estimates.py [NAME ...]
 
-A printout, not a test: a table with the ratios, and the numbers of the table in `vibrojax/sweep/engine/costs.py` as
+A printout, not a test: a table with the ratios, and the constants of `vibrojax/sweep/engine/costs.py` as
 they are on this machine and with this jax. Each sweep runs in a process of its own, with nothing compiled before. It
 takes five minutes; other work on the machine disturbs little, since only the process's own time counts.
 """
@@ -19,11 +19,11 @@ import jax
 
 from vibrojax.cli import main
 from vibrojax.sweep.engine.chunks import Chunks
-from vibrojax.sweep.engine.costs import COSTS, YARDSTICK, processor_time, slowness
+from vibrojax.sweep.engine.costs import STEP_SECONDS, YARDSTICK, processor_time, slowness
 from vibrojax.sweep.input.read import read_sweep
 from vibrojax.sweep.input.source import bundled_names
 
-WITHIN = 1.5
+WITHIN = 2.0
 """Factor within which the estimates are meant to be."""
 
 
@@ -89,16 +89,12 @@ def table(names: list[str]) -> None:
 
 
 def fitted(rows: list[dict]) -> None:
-    """Print the table of costs that would have been right: for steps, in the sum over a scene's sweeps."""
+    """Print the constants that would have been right: means over the scenes' sweeps."""
     slower = sum(row["slowness"] for row in rows) / len(rows)
+    start, compiling = (sum(row["took"][i] / row["slowness"] for row in rows) / len(rows) for i in (0, 1))
+    step = STEP_SECONDS * sum(row["took"][2] for row in rows) / sum(row["said"][2] for row in rows)
     print(f"\nyardstick {YARDSTICK * slower * 1e3:.2f} ms; on the machine of reference, by this:")
-    print(f"start {sum(row['took'][0] / row['slowness'] for row in rows) / len(rows):.1f}")
-    for scene, now in COSTS.items():
-        mine = [row for row in rows if row["scene"] == scene]
-        if mine:
-            compiling = sum(row["took"][1] / row["slowness"] for row in mine) / len(mine)
-            step = now.step * sum(row["took"][2] for row in mine) / sum(row["said"][2] for row in mine)
-            print(f'"{scene}": Costs({compiling:.1f}, {step * 1e9:.0f}e-9, {now.rate:g}),')
+    print(f"start {start:.1f} s, compile {compiling:.1f} s, step {step * 1e9:.0f} ns")
 
 
 if __name__ == "__main__":

@@ -314,7 +314,7 @@ def test_a_disk_that_is_too_small_is_seen_before(tmp_path):
     status, said = run(tmp_path, "sweep", "map.toml")
     assert status == 2
     line = one_line(said)
-    assert "map.toml: grid: 2000000000000 lanes need some " in line and " TB of disk, " in line and " days of" in line
+    assert "map.toml: grid: 2000000000000 lanes need about " in line and " TB of disk, " in line and " days of" in line
     assert [path.name for path in tmp_path.iterdir()] == ["map.toml"]
 
 

@@ -9,7 +9,7 @@ from vibrojax.cli import main
 from vibrojax.errors import InputError
 from vibrojax.sweep.simulation import dense_output as _record
 
-TOO_LONG = r"simulate: duration: \S+ s need some \S+ steps.*; there is room for \S+ steps.*: give a shorter duration"
+TOO_LONG = r"simulate: duration: \S+ s need about \S+ steps.*; there is room for \S+ steps.*: give a shorter duration"
 
 
 @pytest.mark.parametrize(
@@ -51,7 +51,7 @@ def test_the_command_says_it_in_one_line(capsys, tmp_path, monkeypatch):
 def test_memory_counts(monkeypatch):
     """Beforehand, and on the way: the bound is that of a motion without events, which are not known before."""
     monkeypatch.setattr(_record, "memory", lambda: 2e6)
-    told = r"duration: 10000 s need some 1.8e\+05 steps and 2\d\d MB of memory; .* and 2 MB of memory"
+    told = r"duration: 10000 s need about 1.8e\+05 steps and 2\d\d MB of memory; .* and 2 MB of memory"
     with pytest.raises(InputError, match=told):
         vj.simulate("rotary", duration=1e4, sampling=100.0, progress=False)
     told = r"duration: \d{4} steps, all there is room for, led to \S+ s of 80 s; give a shorter duration"

@@ -1,4 +1,4 @@
-"""Lanes in chunks of one size through the compiled programs; memory is bounded by the chunk."""
+"""Chunks of lanes of one size, through the compiled programs; memory is bounded by the chunk."""
 
 from collections.abc import Callable
 from functools import reduce
@@ -16,34 +16,31 @@ from vibrojax.stepping import Accuracy
 from vibrojax.sweep.engine.batch import Batch, Engine, Features, Report, unreported
 from vibrojax.sweep.engine.drift import drift
 from vibrojax.sweep.engine.sensitive import sensitive
-from vibrojax.sweep.engine.underway import OBSERVING, SETTLED, Ended, Ends, Part, Underway, looks
+from vibrojax.sweep.engine.underway import OBSERVING, SETTLED, Ended, Ends, ReadyLanes, looks, run_together
 from vibrojax.sweep.input.definition import Sweep
 
 CHUNK = 2048
-"""Lanes per chunk where the user does not say."""
+"""Lanes per chunk by default."""
 
-LEAST = 0.03
-"""Part of the tolerance that the error is taken for at least: where most steps end at events, those of the check run
-are all but the same."""
+ERROR_FLOOR = 0.03
+"""Least error estimate, as part of the tolerance: if most steps end at events, the check run takes almost the same."""
 
 DRIFT_MARGIN = 1.25
-"""The drift is that of a linear return map; a tenth off, one in ten."""
-
+"""Factor on the drift, which is that of a linear return map: one in ten is 10 % off."""
 
 Beyond = Callable[[int, int, Features], Features]
-"""`beyond(first, end, features)`: more features of the lanes from `first` to before `end`, or other ones."""
+"""`beyond(first, end, features)`: added or replaced features of the lanes from `first` to before `end`."""
 
 
 class Chunks:
-    """The chunks of a sweep, ready to be computed one by one, by all workers.
+    """The chunks of a sweep, computed one by one, by all workers.
 
-    `beyond`: what else is to be found of lanes that have been observed; `ends`: finds those that need no more steps.
-
-    `ends_on_orbits`: whether any are looked for.
+    `beyond`: adds features to observed lanes; `ends`: the search for lanes that need no more steps.
+    `ends_on_orbits`: True if there is such a search.
     """
 
     def __init__(self, sweep: Sweep, beyond: Beyond | None = None, ends: Ends | None = None) -> None:
-        self.sweep, self._beyond, self.ends_on_orbits = sweep, beyond, ends is not None
+        self.sweep, self._beyond, self._ends, self.ends_on_orbits = sweep, beyond, ends, ends is not None
         self.stepper = sweep.run.stepper
         self.accuracy = sweep.run.accuracy(sweep.system)
         recorder = recorder_for(sweep.system, sweep.run.keep_returns)
@@ -51,22 +48,20 @@ class Chunks:
         self.size = sweep.run.chunk or max(CHUNK, self.engine.programs.block)
         self.count = -(-sweep.lanes // self.size)
         self._compiled = False
-        close = self.accuracy.tolerance or SETTLED * sweep.run.error
-        self._underway = Underway(sweep.run, self.stepper.coarser(self.accuracy), close, self.ends_early, ends)
 
     def lanes(self, index: int) -> tuple[int, int]:
-        """First lane of a chunk, and the one after its last."""
+        """Return the first lane of a chunk, and the one after its last."""
         return index * self.size, min((index + 1) * self.size, self.sweep.lanes)
 
     def width(self, index: int) -> int:
-        """Number of lanes of a chunk."""
+        """Return the number of lanes of a chunk."""
         first, end = self.lanes(index)
         return end - first
 
     def compute(self, index: int, report: Report = unreported) -> Features:
-        """Features of a chunk's lanes, by name: (lanes,), or (lanes, returns) for returns that are stored.
+        """Return the features of a chunk's lanes by name: (lanes,), or (lanes, returns) for stored returns.
 
-        `report` is called with the number of lanes that are done as work goes on.
+        `report` is called with the number of finished lanes as work goes on.
         """
         first, end = self.lanes(index)
         portions = Portions(end - first, report)
@@ -76,27 +71,39 @@ class Chunks:
         return self.finished(index, features)
 
     def measured(self, batch: Batch, portions: Portions) -> Features:
-        """The features of lanes that stand at t = 0, with their error estimates."""
-        found = list(self._underway(self.engine, batch, lambda seconds: _portion(portions, self._share(seconds))))
-        parts = [part for part in found if isinstance(part, Part)]
-        ended = [part for part in found if isinstance(part, Ended)]
+        """Return the features, with error estimates, of lanes that stand at t = 0."""
+        run, coarse = self.sweep.run, self.stepper.coarser(self.accuracy)
+        tolerance = self.accuracy.tolerance or SETTLED * run.error
+
+        def report(seconds: float) -> Report:
+            return _portion(portions, self._share(seconds))
+
+        items = list(run_together(self.engine, batch, coarse, tolerance, self.ends_early, self._ends, report))
+        parts = [item for item in items if isinstance(item, ReadyLanes)]
+        ended = [item for item in items if isinstance(item, Ended)]
         observed = self._observed([part.fine for part in parts] + [part.check for part in parts], portions)
-        runs = (observed[: len(parts)], observed[len(parts) :])
-        features = [self._certified(*map(joined, runs))] if parts else []
-        order = np.argsort(np.concatenate([part.lanes for part in parts] + [one.lanes for one in ended]))
-        whole = {name: x[order] for name, x in joined(features + [one.features for one in ended]).items()}
+        features = [item.features for item in ended]
+        if parts:
+            features.insert(0, self._certified(joined(observed[: len(parts)]), joined(observed[len(parts) :])))
+        order = np.argsort(np.concatenate([part.lanes for part in parts] + [item.lanes for item in ended]))
+        whole = {name: x[order] for name, x in joined(features).items()}
         if "cycles" in whole:
             whole["sensitive"] = sensitive(self.engine, batch, whole)
         return whole
 
     def finished(self, index: int, features: Features) -> Features:
-        """The features of a chunk's lanes that are stored, with what follows from them."""
+        """Return the stored features of a chunk's lanes, without returns that are not kept, and those of `beyond`."""
         first, end = self.lanes(index)
-        return self._stored(features) | (self._beyond(first, end, features) if self._beyond is not None else {})
+        kept = self.sweep.run.keep_returns
+        stored = {name: x[:, x.shape[1] - kept :] if x.ndim == 2 else x for name, x in features.items()}
+        stored = {name: x for name, x in stored.items() if x.size and name != INTERVAL}
+        return stored | (self._beyond(first, end, features) if self._beyond is not None else {})
 
     def at(self, accuracy: Accuracy, index: int = 0) -> Features:
-        """Features of a chunk's lanes at an `accuracy` of the caller's, by name (lanes,), all stepped to their end,
-        without the check run."""
+        """Return the features (lanes,) of a chunk's lanes at another `accuracy`.
+
+        All lanes are stepped to their end, without the check run.
+        """
         batches = [self.engine.start(*self.lanes(index), accuracy)]
         for now in chain(*looks(self.sweep.run)):
             batches = self.engine.settle(batches, now)
@@ -111,7 +118,7 @@ class Chunks:
 
     @property
     def ends_early(self) -> bool:
-        """Whether lanes are looked at for having settled: not where pulses drive, or the last returns are stored.
+        """True if lanes are checked for having settled: not under pulses, nor if the last returns are stored.
 
         Nor on an accelerator, where a step of a few lanes costs as much as one of many.
         """
@@ -119,69 +126,57 @@ class Chunks:
         return run.end_early and not run.keep_returns and scene.autonomous and not self.engine.accelerated
 
     def _share(self, settling: float, observing: float = 0.0) -> float:
-        """Part of a lane's work, the check run's included, that such times [s] of it take."""
+        """Return the part of a lane's work, the check run's included, of these times [s]."""
         run = self.sweep.run
         return (settling + OBSERVING * observing) / (1.5 * (run.settle + OBSERVING * run.observe))
 
     def _observed(self, batches: list[Batch], portions: Portions) -> list[Features]:
-        """The features of lanes that are underway."""
-        run, seen = self.sweep.run, looks(self.sweep.run)
-        settling = self._share(run.settle - (seen[-1][-1] if seen else 0.0))
+        """Return the features of lanes that are underway."""
+        run, rounds = self.sweep.run, looks(self.sweep.run)
+        settling = self._share(run.settle - (rounds[-1][-1] if rounds else 0.0))
         batches = self.engine.settle(batches, report=_portion(portions, settling))
         return self.engine.observe(batches, _portion(portions, self._share(0.0, run.observe)))
 
     def _certified(self, fine: Features, check: Features) -> Features:
-        """The features of lanes that have been observed, with their error estimates, and what labels the check run."""
+        """Return the features of observed lanes, with drift and error estimates."""
         run, section, tolerance = self.sweep.run, self.sweep.system.section, self.accuracy.tolerance
         if section is not None:
             fine = fine | {"drift_estimate": drift(fine, section, run.precision, tolerance)}
-        least = 4 * float(np.finfo(run.precision).eps) + LEAST * tolerance
+        least = 4 * float(np.finfo(run.precision).eps) + ERROR_FLOOR * tolerance
         return certified(fine, check, self.stepper.error_share, least)
-
-    def _stored(self, features: Features) -> Features:
-        """The features without the returns that are not to be stored."""
-        kept = self.sweep.run.keep_returns
-        stored = {name: x[:, x.shape[1] - kept :] if x.ndim == 2 else x for name, x in features.items()}
-        return {name: x for name, x in stored.items() if x.size and name != INTERVAL}
 
 
 def certified(fine: Features, check: Features, share: float, least: float) -> Features:
-    """The features of lanes with their `error_estimate`, and with what labels the check run."""
+    """Return the features of lanes with their `error_estimate`, and the features that label the check run."""
     labelling = {f"check_{name}": check[name] for name in LABELLED_BY if name in check}
     return fine | labelling | {"error_estimate": error_estimate(fine, check, share, least)}
 
 
 def error_estimate(fine: Features, coarse: Features, share: float, least: float) -> Float[np.ndarray, " lanes"]:
-    """Estimated relative error of period and impact velocity, the larger; NaN where a lane does not repeat.
+    """Return the estimated relative error of period and impact velocity, the larger; NaN if a lane does not repeat.
 
-    It is that of the values which the lane settles on: a `share` of the difference between the two runs, `least`, for
-    where that is small by chance, and how far the lane still is on its way, its `drift_estimate`. A lane whose repeat
-    differs between the runs, or whose drift has no bound, has none: infinite.
+    It concerns the values on which the lane settles: a `share` of the difference between the two runs, `least` in case
+    that is small by chance, and the remaining distance, `drift_estimate`. It is infinite for a lane whose repeat
+    differs between the runs, or whose drift has no bound.
     """
-    if "cycles" not in fine:  # penetration
-        return share * _relative(fine["rate_of_penetration"], coarse["rate_of_penetration"]) + least
-    names = [name for name in ("period", "impact_velocity") if name in fine]
     with np.errstate(invalid="ignore", divide="ignore"):
+        if "cycles" not in fine:  # penetration
+            rate, check = fine["rate_of_penetration"], coarse["rate_of_penetration"]
+            return share * np.where(rate == check, 0.0, np.abs(check / rate - 1)) + least
+        names = [name for name in ("period", "impact_velocity") if name in fine]
         differences = [np.abs(coarse[name] / fine[name] - 1) for name in names]
         error = share * reduce(np.fmax, differences) + least + DRIFT_MARGIN * fine["drift_estimate"]
-    periodic = fine["cycles"] > 0
     agree = coarse["cycles"] == fine["cycles"]
     if "impacts" in fine:
         agree &= coarse["impacts"] == fine["impacts"]
-    return np.where(periodic, np.where(agree, error, np.inf), np.nan)
+    return np.where(fine["cycles"] > 0, np.where(agree, error, np.inf), np.nan)
 
 
 def joined(parts: list[Features]) -> Features:
-    """The features of all lanes of the parts."""
+    """Return the features of the lanes of all parts."""
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
-def _relative(fine: Float[np.ndarray, " lanes"], coarse: Float[np.ndarray, " lanes"]) -> Float[np.ndarray, " lanes"]:
-    """Relative difference, 0 where both are zero and infinite where only one is."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(fine == coarse, 0.0, np.abs(coarse / fine - 1))
-
-
 def _portion(portions: Portions, each: float) -> Report:
-    """Adds `each` part of the work of every lane that is reported."""
+    """Return a report that adds `each` part of a lane's work for every lane."""
     return lambda lanes: portions.add(lanes * each)

@@ -1,65 +1,59 @@
-"""How far a lane that repeats still is from where it settles, estimated from its last returns to the section.
+"""Distance of a lane that repeats from its limit, estimated from its last returns to the section.
 
-Near an orbit the distance of one return from it is a linear map of that of the return before, so the differences
-between returns d_k obey a linear recurrence d_k = sum_j c_j d_{k-jp}, p being the returns of a repeat: of order 1 for
-one multiplier, 2 for a pair, 3 for all that a section state of three has. Its coefficients follow from the differences
-by least squares, and with them the sum of all differences still to come, of the states as of whatever is a function of
-them (reduced rank extrapolation: Sidi, *Vector Extrapolation Methods*, 2017, chapter 2).
+Near an orbit, a return's distance from it is a linear map of that of the return before. If the motion repeats after p
+returns, the differences d_k between returns obey a linear recurrence d_k = sum_j c_j d_{k-jp}. Its order is 1 for one
+multiplier, 2 for a pair, 3 for all that a section state of three has. Its coefficients follow from the differences by
+least squares. They give the sum of all future differences, of the states and of any function of them (reduced rank
+extrapolation: Sidi, *Vector Extrapolation Methods*, 2017, chapter 2).
 """
 
 from functools import reduce
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from vibrojax.measures.kept_returns import INTERVAL, TIME, state_name
 from vibrojax.measures.repeats import scales
 from vibrojax.models.scenes import Section
 
-HIGHEST_ORDER = 3
-MOST_EQUATIONS = 12
-"""The last so many differences: before, a lane may have been too far away for a linear map."""
+RECURRENCE_MAX_ORDER = 3
+"""A section state of three has three multipliers."""
 
-RESOLVED = 1e4
-"""Differences this many roundings long, and ten times the steps' tolerance, say something of multipliers."""
+RECURRENCE_MAX_EQUATIONS = 12
+"""Only the newest differences: before, a lane may have been too far away for a linear map."""
+
+DRIFT_RESOLVED = 1e4
+"""Differences this many roundings long, and ten times the steps' tolerance, determine multipliers."""
 
 FITS, FITS_CLOSELY = 0.3, 0.02
-"""Relative residual up to which differences obey a recurrence at all; and so that no other explains them."""
+"""Relative residuals below which differences obey a recurrence at all, and below which no other recurrence explains
+them."""
 
 GROWS, DECAYS = 1.0005, 0.999
-"""Greatest multiplier of a lane that leaves, and of one that comes closer."""
+"""Greatest multipliers above which a lane leaves, and below which it approaches."""
 
 PerLane = Float[np.ndarray, " lanes"]
-Index = Int[np.ndarray, " lanes"]
 Series = Float[np.ndarray, "lanes _"]
 States = Float[np.ndarray, "lanes _ states"]
 Features = dict[str, np.ndarray]
+SumsAndMean = tuple[Series, Series | None, PerLane]
 
 
-class Returns(NamedTuple):
-    """Consecutive returns of lanes that repeat after the same number of them, the newest first.
+class LastReturns(NamedTuple):
+    """Consecutive returns of lanes with the same repeat, the newest first.
 
     - `states`: at the section, over their scales.
-    - `interval` [s], `impacts`, `velocity` [m/s]: time, impacts and the sum of their velocities since the return
-      before; the last two None in a scene without impacts.
+    - `measured`: for period, and impact velocity if there are impacts: the sum since the return before (of time [s], of
+      velocities [m/s]), the number of terms (None: one per return), and the lane's mean.
     """
 
     states: States
-    interval: Series
-    impacts: Series | None
-    velocity: Series | None
-
-
-class Noise(NamedTuple):
-    """Relative sizes: of what `rounding` does to a return, and from which on a difference is `resolved`."""
-
-    rounding: float
-    resolved: float
+    measured: list[SumsAndMean]
 
 
 class Recurrence(NamedTuple):
-    """d_k = sum_j c_j d_{k-jp}, and how well it holds: `residual` relative, `radius` its greatest multiplier."""
+    """d_k = sum_j c_j d_{k-jp}, its relative `residual`, and `radius`, its greatest multiplier."""
 
     coefficients: Float[np.ndarray, "lanes order"]
     residual: PerLane
@@ -67,87 +61,85 @@ class Recurrence(NamedTuple):
 
 
 def drift(features: Features, section: Section, precision: str, tolerance: float) -> PerLane:
-    """Relative distance of period and impact velocity from where they settle, the larger; NaN where a lane does not
-    repeat. Infinite where its returns leave, come closer to a shorter repeat than theirs, or do not tell.
+    """Return the relative distance of period and impact velocity from their limits, the larger.
+
+    It is NaN for a lane that does not repeat, and infinite if the returns move away, approach a shorter repeat than
+    theirs, or determine neither.
 
     **Arguments:**
 
     - `features`: of [vibrojax.measures][], among them the last returns: arrays (lanes,) and (lanes, returns), the
       newest last.
     - `section`: of the scene, whose states at the returns are compared.
-    - `precision`: "float64" or "float32", in which they were measured; `tolerance`: of the steps, relative.
+    - `precision`: "float64" or "float32", that of the features; `tolerance`: of the steps, relative.
     """
     cycles = np.nan_to_num(features["cycles"]).astype(int)
     count = np.sum(np.isfinite(features[TIME]), axis=1)
-    found = np.full(cycles.shape, np.nan)
-    rounding = 64 * float(np.finfo(precision).eps)
-    noise = Noise(rounding, max(RESOLVED * rounding, 10 * tolerance))
+    distance = np.full(cycles.shape, np.nan)
+    noise = 64 * float(np.finfo(precision).eps)
+    resolved = max(DRIFT_RESOLVED * noise, 10 * tolerance)
     for repeat, returns in sorted({(int(p), int(n)) for p, n in zip(cycles, count, strict=True) if p > 0}):
         lanes = np.flatnonzero((cycles == repeat) & (count == returns))
         with np.errstate(all="ignore"):
-            found[lanes] = _drift(_last_returns(features, section, lanes, returns), features, lanes, repeat, noise)
-    return found
+            last = _last_returns({name: x[lanes] for name, x in features.items()}, section, returns)
+            distance[lanes] = _drift(last, repeat, noise, resolved)
+    return distance
 
 
-def _last_returns(features: Features, section: Section, lanes: Index, count: int) -> Returns:
-    """The last `count` returns of some lanes."""
-
+def _last_returns(features: Features, section: Section, count: int) -> LastReturns:
     def newest_first(name: str) -> Series:
-        return features[name][lanes][:, ::-1][:, :count].astype(float)
+        return features[name][:, ::-1][:, :count].astype(float)
 
-    swings = tuple(features[swing.amplitude][lanes] for swing in section.swings)
-    scale = np.stack([np.asarray(x, float) for x in scales(swings, features["period"][lanes])], axis=-1)
+    swings = tuple(features[swing.amplitude] for swing in section.swings)
+    scale = np.stack([np.asarray(x, float) for x in scales(swings, features["period"])], axis=-1)
     states = np.stack([newest_first(state_name(name)) for name in section.compared], axis=-1)
-    impacts = velocity = None
+    measured: list[SumsAndMean] = [(newest_first(INTERVAL), None, features["period"])]
     if "return_impacts" in features:
         impacts = newest_first("return_impacts")
         velocity = np.where(impacts > 0, impacts * newest_first("return_impact_velocity"), 0.0)
-    return Returns(states / scale[:, None], newest_first(INTERVAL), impacts, velocity)
+        measured.append((velocity, impacts, features["impact_velocity"]))
+    return LastReturns(states / scale[:, None], measured)
 
 
-def _drift(returns: Returns, features: Features, lanes: Index, repeat: int, noise: Noise) -> PerLane:
+def _drift(returns: LastReturns, repeat: int, noise: float, resolved: float) -> PerLane:
+    """Return the distance of lanes with the same `repeat`.
+
+    `noise`: relative rounding of a return; `resolved`: the least difference that determines multipliers.
+    """
     differences = _differences(returns.states, repeat)
     fits = _fits(differences, repeat, noise)
     if not fits:
-        return np.full(len(lanes), np.inf)
-    measured = [(_means(returns.interval, None, repeat), features["period"][lanes])]
-    if returns.velocity is not None:
-        measured.append((_means(returns.velocity, returns.impacts, repeat), features["impact_velocity"][lanes]))
-    # Where two orders differ neither is the truth: the distance between them is added.
-    limits = [[values[:, 0] + _still_to_come(values, repeat, fit) for fit in fits] for values, _ in measured]
-    distances = [
-        (np.abs(limit[-1] - mean) + np.abs(limit[-1] - limit[0])) / np.abs(mean)
-        for limit, (_, mean) in zip(limits, measured, strict=True)
-    ]
+        return np.full(len(differences), np.inf)
+    # If two orders differ, neither is right: the distance between them is added.
+    distances = []
+    for total, count, mean in returns.measured:
+        values = _means(total, count, repeat)
+        limits = [values[:, 0] + _future_sum(values, repeat, fit) for fit in fits]
+        distances.append((np.abs(limits[-1] - mean) + np.abs(limits[-1] - limits[0])) / np.abs(mean))
     for state in np.moveaxis(returns.states, -1, 0):
-        changes = [_still_to_come(state, repeat, fit) for fit in fits]
+        changes = [_future_sum(state, repeat, fit) for fit in fits]
         distances.append(np.abs(changes[-1]) + np.abs(changes[-1] - changes[0]))
-    found = reduce(np.fmax, distances)
-    resolved = np.max(np.abs(differences[:, 0]), axis=-1) > noise.resolved
     third = max(differences.shape[1] // 3, 1)
-    lately, before = np.abs(differences[:, :third]), np.abs(differences[:, third : 2 * third])
-    grown = np.max(lately, axis=(1, 2)) > np.max(before, axis=(1, 2))
-    leaves = grown & np.all(np.stack([fit.radius > GROWS for fit in fits]), axis=0)
-    unknown = resolved & (leaves | (fits[-1].residual > FITS))
-    return np.where(unknown | _shorter_repeat(returns.states, repeat, noise), np.inf, found)
-
-
-def _shorter_repeat(states: States, repeat: int, noise: Noise) -> Bool[np.ndarray, " lanes"]:
-    """Where the returns come closer to an orbit that repeats after fewer of them, which divide `repeat`: a slow spiral
-    is back after a turn."""
-    found = np.zeros(len(states), bool)
+    recent, before = np.abs(differences[:, :third]), np.abs(differences[:, third : 2 * third])
+    grown = np.max(recent, axis=(1, 2)) > np.max(before, axis=(1, 2))
+    leaves = grown & np.all([fit.radius > GROWS for fit in fits], axis=0)
+    unknown = _is_resolved(differences, resolved) & (leaves | (fits[-1].residual > FITS))
+    # A slow spiral towards an orbit with a shorter repeat is back after a turn.
     for shorter in (p for p in range(1, repeat) if repeat % p == 0):
-        differences = _differences(states, shorter)
-        resolved = np.max(np.abs(differences[:, 0]), axis=-1) > noise.resolved
+        differences = _differences(returns.states, shorter)
         fit = _fits(differences, shorter, noise)[-1]
-        found |= resolved & (fit.residual < FITS_CLOSELY) & (fit.radius < DECAYS)
-    return found
+        unknown |= _is_resolved(differences, resolved) & (fit.residual < FITS_CLOSELY) & (fit.radius < DECAYS)
+    return np.where(unknown, np.inf, reduce(np.fmax, distances))
 
 
-def _fits(differences: States, lag: int, noise: Noise) -> list[Recurrence]:
-    """The recurrences of the highest order that there are differences for, and of the one below."""
-    order = min(HIGHEST_ORDER, (differences.shape[1] - 1) // lag)
-    return [_recurrence(differences, lag, one, noise) for one in range(max(order - 1, 1), order + 1)]
+def _is_resolved(differences: States, resolved: float) -> Bool[np.ndarray, " lanes"]:
+    return np.max(np.abs(differences[:, 0]), axis=-1) > resolved
+
+
+def _fits(differences: States, lag: int, noise: float) -> list[Recurrence]:
+    """Return the recurrences of the highest order that has enough differences, and of the one below."""
+    highest = min(RECURRENCE_MAX_ORDER, (differences.shape[1] - 1) // lag)
+    return [_recurrence(differences, lag, order, noise) for order in range(max(highest - 1, 1), highest + 1)]
 
 
 def _differences(values: States, lag: int) -> States:
@@ -155,7 +147,7 @@ def _differences(values: States, lag: int) -> States:
 
 
 def _means(total: Series, count: Series | None, repeat: int) -> Series:
-    """Means over every `repeat` returns that follow each other: per return, or per `count`."""
+    """Return means over every `repeat` consecutive returns: per return, or per `count`."""
     windows = total.shape[1] - repeat
     over = np.sum([total[:, k : k + windows] for k in range(repeat)], axis=0)
     if count is None:
@@ -163,16 +155,16 @@ def _means(total: Series, count: Series | None, repeat: int) -> Series:
     return over / np.sum([count[:, k : k + windows] for k in range(repeat)], axis=0)
 
 
-def _recurrence(differences: States, lag: int, order: int, noise: Noise) -> Recurrence:
-    """The recurrence of an `order` that the differences obey, by least squares; each equation counts the same."""
+def _recurrence(differences: States, lag: int, order: int, noise: float) -> Recurrence:
+    """Fit the recurrence of an `order` to the differences by least squares, with equal weights of the equations."""
     lanes, number, _ = differences.shape
-    equations = min(number - order * lag, MOST_EQUATIONS)
+    equations = min(number - order * lag, RECURRENCE_MAX_EQUATIONS)
     before = np.stack([differences[:, lag * j : lag * j + equations] for j in range(1, order + 1)], axis=-1)
-    weight = 1 / np.sqrt(np.sum(before**2, axis=(2, 3)) + noise.rounding**2)
+    weight = 1 / np.sqrt(np.sum(before**2, axis=(2, 3)) + noise**2)
     now = (differences[:, :equations] * weight[:, :, None]).reshape(lanes, -1)
     before = (before * weight[:, :, None, None]).reshape(lanes, -1, order)
-    # What rounding may have put into the coefficients' columns: without it, noise would be fitted by large ones.
-    blurred = 1e-12 + noise.rounding**2 * np.sum(weight**2, axis=1)
+    # The possible share of rounding in the columns: without it, large coefficients would fit noise.
+    blurred = 1e-12 + noise**2 * np.sum(weight**2, axis=1)
     gram = np.einsum("lij,lik->ljk", before, before) + blurred[:, None, None] * np.eye(order)
     coefficients = np.linalg.solve(gram, np.einsum("lij,li->lj", before, now)[..., None])[..., 0]
     off = np.einsum("lij,lj->li", before, coefficients) - now
@@ -183,8 +175,8 @@ def _recurrence(differences: States, lag: int, order: int, noise: Noise) -> Recu
     return Recurrence(coefficients, residual, np.max(np.abs(np.linalg.eigvals(companion)), axis=1))
 
 
-def _still_to_come(values: Series, lag: int, fit: Recurrence) -> PerLane:
-    """The sum of all differences of `values` after the newest: sum_j c_j (d_0 + ... + d_{j-1})/(1 - sum_j c_j)."""
+def _future_sum(values: Series, lag: int, fit: Recurrence) -> PerLane:
+    """Return the sum of all future differences of `values`: sum_j c_j (d_0 + ... + d_{j-1})/(1 - sum_j c_j)."""
     order = fit.coefficients.shape[1]
     passed = np.cumsum([values[:, lag * j] - values[:, lag * (j + 1)] for j in range(order)], axis=0)
     return np.sum(fit.coefficients * passed.T, axis=1) / (1 - np.sum(fit.coefficients, axis=1))

@@ -1,4 +1,4 @@
-"""Work done by several threads at once, whose caller an interrupt still reaches."""
+"""Work shared by several threads, whose caller an interrupt still reaches."""
 
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -13,12 +13,12 @@ Result = TypeVar("Result")
 def in_parallel(
     work: Callable[[Worker, Item], Result], items: Sequence[Item], workers: Sequence[Worker]
 ) -> Iterator[tuple[int, Result]]:
-    """`work(worker, item)` for every item, by one thread for each worker; each takes the next item when it is free.
+    """Call `work(worker, item)` for every item, in one thread per worker; each takes the next item when it is free.
 
-    **Returns:** an iterator over (index of the item, what its work returned), in the order in which they are done.
+    **Returns:** an iterator over (index of the item, result), in the order of completion.
 
-    **Raises:** what a work raised. Then, and where the iterator is closed early (an interrupt), threads stop after the
-    item they are at, and nothing waits for them.
+    **Raises:** the exception of a work. Then, and if the iterator is closed early (an interrupt), threads stop after
+    their current item, and nothing waits for them.
     """
     done: SimpleQueue[tuple[int, Result] | BaseException] = SimpleQueue()
     waiting = iter(range(len(items)))

@@ -1,37 +1,106 @@
-"""Lanes on the way to half of their work; those found meanwhile to be where they will be leave it."""
+"""The first half of the lanes' work, common to both accuracies; lanes that have settled leave early."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 
+from vibrojax.measures.labels import FEWEST_RETURNS
+from vibrojax.measures.repeats import REPEATS_WITHIN, scales
+from vibrojax.measures.section import Settling
+from vibrojax.models.arrays import Array
 from vibrojax.stepping import Accuracy
 from vibrojax.sweep.engine.batch import Batch, Engine, Features, Index, Report
-from vibrojax.sweep.engine.settled import settled
 from vibrojax.sweep.input.run_settings import RunSettings
 
 OBSERVING = 2.0
-"""Work of a second under observation, that of a second before being 1."""
+"""Work of a second under observation, relative to that of a second before."""
 
-LOOKS = ((0.25,), (0.5,), (1.0,))
-"""Parts of the way at which lanes are looked at, and the others sorted by their pace."""
+CHECKPOINTS = ((0.25,), (0.5,), (1.0,))
+"""Shares of the first half at which lanes are checked for having settled, and the others sorted by their pace."""
 
-LOOKS_NEAR = ((0.16, 0.21, 0.28), (0.38, 0.5), (0.7, 1.0))
-"""The same where lanes end on orbits: in rounds, at the end of which those are looked at closely that seemed to be
-worth it, because a few cost as much as many."""
+CHECKPOINTS_ON_ORBITS = ((0.16, 0.21, 0.28), (0.38, 0.5), (0.7, 1.0))
+"""The same if lanes end on orbits, in rounds. At the end of a round, all lanes near an orbit are examined together,
+because a few cost as much as many."""
 
 SETTLED = 0.01
-"""Part of the accepted error that a lane observed early may still be away from where it settles, where steps have no
-tolerance; else it may be as much as that."""
+"""Part of the accepted error that a lane observed early may still be away from its limit, if steps have no tolerance;
+else the tolerance counts."""
 
-CHECKED = 0.5
-"""The check run of a lane that has settled settles anew for this part of the time that it took."""
+CHECK_SETTLES = 0.5
+"""Additional settling of the check run of a settled lane, as part of the time that the lane took."""
+
+LONGEST_EARLY_REPEAT = 3
+"""Longest repeat, in returns, that the last eight returns show several times."""
+
+LanesBool = Bool[np.ndarray, " lanes"]
+LanesFloat = Float[np.ndarray, " lanes"]
 
 
-class Part(NamedTuple):
-    """Some lanes of a chunk as far as one run serves both: which, by index, and the batches of either run."""
+def repeats_lately(returns: Settling, now: float) -> LanesBool:
+    """Return the lanes that repeat within the tolerance of labels, by their last eight returns before `now` [s].
+
+    Repeats of up to half of these returns are seen.
+    """
+    states, times, passed = returns.seen.states, returns.seen.times, returns.passed
+    repeating = np.zeros(times.shape[-1], bool)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        scale = np.stack(scales(passed.amplitudes, passed.since))
+        for repeat in range(1, len(times) // 2 + 1):
+            changes = np.abs(states[:-repeat, : len(scale)] - states[repeat:, : len(scale)]) / scale
+            repeating |= np.max(changes, axis=(0, 1)) < REPEATS_WITHIN
+        return repeating & _returned_lately(times, now)
+
+
+def _returned_lately(times: Array, now: float) -> Array:
+    return now - times[0] < 1.5 * np.max(times[:-1] - times[1:], axis=0)
+
+
+def settled(
+    returns: Settling, now: float, end: float, observe: float, tolerance: float
+) -> tuple[LanesBool, LanesFloat]:
+    """Return the lanes that may be observed at once, and for how long.
+
+    All future differences between their repeats add up to less than `tolerance`. The differences are taken as a
+    geometric series; if that falls slowly, only those until the lane's `end` count.
+
+    **Arguments:**
+
+    - `returns`: the last returns, see [vibrojax.measures.section][]: arrays whose last axis is lanes.
+    - `now`, `end`, `observe` [s]: the time, that at which the lane would be done, and the length of its observation.
+    - `tolerance`: the relative distance from its limit at which a lane has settled.
+
+    **Returns:** a mask, and the time [s] in which a lane makes the returns that labels need; each (lanes,).
+    """
+    states, times, passed = returns.seen.states, returns.seen.times, returns.passed
+    lanes = times.shape[-1]
+    done, duration = np.zeros(lanes, bool), np.zeros(lanes)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        scale = np.stack(scales(passed.amplitudes, passed.since))
+        states = states[:, : len(scale)]
+        lately = _returned_lately(times, now)
+        for repeat in range(1, LONGEST_EARLY_REPEAT + 1):
+            seconds = times[:-repeat] - times[repeat:]
+            moved = np.max(np.abs(states[:-repeat] - states[repeat:]) / scale, axis=1)
+            change = np.maximum(moved[:-1], np.abs(seconds[:-1] - seconds[1:]) / seconds[0])
+            # The maximum of half of them: a single one may be small by chance, if the distance turns in its plane.
+            half = len(change) // 2
+            newer, older = change[:half].max(axis=0), change[-half:].max(axis=0)
+            ratio = (newer / older) ** (repeat / (len(change) - half))
+            repeats_left = (end - now) / seconds[0]
+            remaining = newer * np.where(ratio < 1, np.minimum(ratio / (1 - ratio), repeats_left), repeats_left)
+            needed = (max(FEWEST_RETURNS, 3 * repeat + 1) + 1.5) * seconds[0] / repeat
+            new = ~done & (newer < REPEATS_WITHIN) & lately & (needed <= observe) & (remaining <= tolerance)
+            duration = np.where(new, needed, duration)
+            # A repeat of one return is also one of two: the shortest counts.
+            done |= new
+    return done, duration
+
+
+class ReadyLanes(NamedTuple):
+    """Lanes of a chunk, by index, at the end of their common run, with the batch of either accuracy."""
 
     lanes: Index
     fine: Batch
@@ -39,7 +108,7 @@ class Part(NamedTuple):
 
 
 class Ended(NamedTuple):
-    """Some lanes that need no more steps: which, by index, and their features, certified."""
+    """Lanes of a chunk, by index, that need no more steps, and their certified features."""
 
     lanes: Index
     features: Features
@@ -47,106 +116,98 @@ class Ended(NamedTuple):
 
 @runtime_checkable
 class Ends(Protocol):
-    """Finds lanes that need no more steps, each at whatever time it has come to."""
+    """Search for lanes that need no more steps, each at its own time."""
 
     def of_chunk(self) -> "Ends":
-        """The same for the lanes of one chunk, whatever may become known of them."""
+        """Return the search for the lanes of one chunk, independent of other chunks."""
         ...
 
     def near(self, batch: Batch) -> Bool[np.ndarray, " lanes"]:
-        """Which lanes are worth a closer look; this costs next to nothing."""
+        """Return the lanes worth a closer look; this costs almost nothing."""
         ...
 
     def __call__(self, batch: Batch) -> list[Ended]:
-        """Those lanes of a batch that need no more steps, by their index in it."""
+        """Return the lanes of a batch that need no more steps, by their index in it."""
         ...
 
 
-class Going(NamedTuple):
-    """Lanes underway: which, by index, and their batch."""
+class ActiveLanes(NamedTuple):
+    """Lanes underway, by index, and their batch."""
 
     lanes: Index
     batch: Batch
 
-    def split(self, some: Bool[np.ndarray, " lanes"]) -> "tuple[Going, Going]":
-        """Some of the lanes, and the others."""
-        if not some.any():
-            return Going(self.lanes[some], self.batch.of(np.flatnonzero(some))), self
-        first, second = (Going(self.lanes[one], self.batch.of(np.flatnonzero(one))) for one in (some, ~some))
-        return first, second
+    def split(self, mask: LanesBool) -> "tuple[ActiveLanes, ActiveLanes]":
+        """Return the lanes of the mask, and the others."""
+        inside, outside = (ActiveLanes(self.lanes[x], self.batch.of(np.flatnonzero(x))) for x in (mask, ~mask))
+        return inside, outside
 
-    def and_also(self, others: "list[Going]") -> "Going":
-        """These lanes and the others."""
-        others = [one for one in others if len(one.lanes)]
+    def joined(self, others: "list[ActiveLanes]") -> "ActiveLanes":
+        """Return these lanes and the others."""
+        others = [other for other in others if len(other.lanes)]
         if not others:
             return self
-        lanes = np.concatenate([self.lanes, *(one.lanes for one in others)])
-        return Going(lanes, self.batch.joined([one.batch for one in others]))
-
-    def at(self, engine: Engine, now: float, report: Report) -> "Going":
-        """The lanes at the time `now` [s]."""
-        return Going(self.lanes, engine.settle([self.batch], now, report)[0]) if len(self.lanes) else self
+        lanes = np.concatenate([self.lanes, *(other.lanes for other in others)])
+        return ActiveLanes(lanes, self.batch.joined([other.batch for other in others]))
 
 
-def looks(run: RunSettings, near: bool = False) -> list[list[float]]:
-    """Times [s] at which lanes are looked at, in rounds, also for being `near` an orbit; the last is half-way, or when
-    they are observed.
+def looks(run: RunSettings, on_orbits: bool = False) -> list[list[float]]:
+    """Return the times [s] at which lanes are checked, in rounds, also for ends on orbits.
 
-    Half-way half of the work is left.
+    The last is that after which half of the work is left, or the begin of the observation.
     """
     half = min(run.settle, (run.settle + OBSERVING * run.observe) / 2)
-    return [[share * half for share in shares] for shares in (LOOKS_NEAR if near else LOOKS)] if half > 0 else []
+    rounds = CHECKPOINTS_ON_ORBITS if on_orbits else CHECKPOINTS
+    return [[share * half for share in shares] for shares in rounds] if half > 0 else []
 
 
-class Underway:
-    """How the lanes of a sweep go on their way.
+def run_together(
+    engine: Engine,
+    start: Batch,
+    coarse: Accuracy,
+    tolerance: float,
+    early: bool,
+    search: Ends | None,
+    report: Callable[[float], Report],
+) -> Iterator[ReadyLanes | Ended]:
+    """Step lanes from t = 0 until both accuracies need runs of their own; yield first those that leave early.
 
-    - `coarse`: the accuracy of the check run; `close`: the relative distance from where a lane settles at which it has.
-    - `early`: whether lanes end early; `ends`: finds those that are where they will be. Lanes are looked at as often
-      where they do not, so that the way of those that never settle is the same.
+    Lanes stop as often if they do not end early, so that lanes that never settle have the same values.
+
+    **Arguments:**
+
+    - `coarse`: the accuracy of the check run; `tolerance`: see `settled`.
+    - `early`: True if lanes end early; `search`: for lanes that need no more steps.
+    - `report(seconds)`: reports lanes that have settled for that time.
     """
-
-    def __init__(self, run: RunSettings, coarse: Accuracy, close: float, early: bool, ends: Ends | None) -> None:
-        self._run, self._coarse, self._close, self._early = run, coarse, close, early
-        self._ends, self._near = ends if early else None, ends is not None
-
-    def __call__(self, engine: Engine, start: Batch, report: Callable[[float], Report]) -> Iterator[Part | Ended]:
-        """The lanes as far as one run serves both; those that leave the way come first.
-
-        `report(seconds)` reports lanes that have been settled for so long.
-        """
-        going, before = Going(np.arange(len(start.begin)), start), 0.0
-        ends = self._ends.of_chunk() if self._ends is not None else None
-        for times in looks(self._run, self._near):
-            near = []
-            for now in times:
-                going = going.at(engine, now, report(now - before))
-                before = now
-                if ends is not None:
-                    some, going = going.split(ends.near(going.batch))
-                    near.append(some)
-            if self._early:
-                settled, going = self._settled(going, now)
-                yield from settled
+    run = engine.sweep.run
+    ends = search.of_chunk() if early and search is not None else None
+    active, before = ActiveLanes(np.arange(len(start.begin)), start), 0.0
+    for times in looks(run, search is not None):
+        near: list[ActiveLanes] = []
+        for now in times:
+            if len(active.lanes):
+                active = active._replace(batch=engine.settle([active.batch], now, report(now - before))[0])
+            before = now
             if ends is not None:
-                looked = near[0].and_also(near[1:])
-                still = np.ones(len(looked.lanes), bool)
-                for ended in ends(looked.batch):
-                    still[ended.lanes] = False
-                    yield ended._replace(lanes=looked.lanes[ended.lanes])
-                going = going.and_also([looked.split(still)[0]])
-            if not len(going.lanes):
-                return
-        yield Part(going.lanes, going.batch, replace(going.batch, accuracy=self._coarse))
-
-    def _settled(self, going: Going, now: float) -> tuple[list[Part], Going]:
-        """Those of the lanes that have settled at `now` [s], to be observed at once, and the others."""
-        underway, run = going.batch.underway, self._run
-        assert underway is not None
-        done, duration = settled(underway.carry, now, run.settle + run.observe, run.observe, self._close)
-        if not done.any():
-            return [], going
-        some, going = going.split(done)
-        fine = some.batch.observed(now, duration[done])
-        check = replace(fine, accuracy=self._coarse).observed((1 + CHECKED) * now, duration[done])
-        return [Part(some.lanes, fine, check)], going
+                candidates, active = active.split(ends.near(active.batch))
+                near.append(candidates)
+        if early:
+            assert active.batch.underway is not None
+            returns = active.batch.underway.carry
+            done, duration = settled(returns, now, run.settle + run.observe, run.observe, tolerance)
+            if done.any():
+                leaving, active = active.split(done)
+                fine = leaving.batch.observed(now, duration[done])
+                check = replace(fine, accuracy=coarse).observed((1 + CHECK_SETTLES) * now, duration[done])
+                yield ReadyLanes(leaving.lanes, fine, check)
+        if ends is not None:
+            candidates = near[0].joined(near[1:])
+            remaining = np.ones(len(candidates.lanes), bool)
+            for ended in ends(candidates.batch):
+                remaining[ended.lanes] = False
+                yield ended._replace(lanes=candidates.lanes[ended.lanes])
+            active = active.joined([candidates.split(remaining)[0]])
+        if not len(active.lanes):
+            return
+    yield ReadyLanes(active.lanes, active.batch, replace(active.batch, accuracy=coarse))

@@ -1,4 +1,4 @@
-"""Lanes that are stiffer or slower than steps or numbers reach: refused, instead of a regime that means nothing."""
+"""Lanes too stiff or too slow for the steps or the precision: they are refused, since a regime would mean nothing."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -13,45 +13,62 @@ from vibrojax.sweep.engine.compiler import lane_function
 from vibrojax.sweep.input.definition import Sweep
 
 TOO_STIFF, TOO_SLOW = "too-stiff", "too-slow"
-MOST_STEPS = 1e7
-"""Of the mode's own time scale, that a run may have: several times those after which a lane is given up."""
 
-Lanes = Float[np.ndarray, "*lanes"]
-Refused = Bool[np.ndarray, "*lanes"]
-Numbers = Mapping[str, Any]
+FLIGHT_MAX_STEPS = 1e7
+"""Steps of the flight's own time scale in a run: several times those after which a lane is given up."""
+
+_ROUNDINGS = 512
+"""Relative changes below this many roundings are lost."""
+
+LanesFloat = Float[np.ndarray, "*lanes"]
+LanesBool = Bool[np.ndarray, "*lanes"]
+Parameters = Mapping[str, Any]
 
 
-def too_stiff(sweep: Sweep, p: Numbers) -> Refused:
-    """Which lanes of parameters `p`, each (lanes,), are faster than can be resolved; booleans (lanes,).
+def too_stiff(sweep: Sweep, p: Parameters) -> LanesBool:
+    """Return the lanes of parameters `p`, each (lanes,), that are `unresolved` or whose flight takes too many steps."""
+    scene = sweep.system
+    if not isinstance(scene, HasFriction) or not sweep.run.stepper.rests:
+        return np.zeros(_shape(p), bool)
+    rates = _rates(scene, p)
+    with np.errstate(all="ignore"):
+        steps = rates.flight * (sweep.run.settle + sweep.run.observe)
+        known = np.isfinite(rates.flight + rates.contact)
+    return known & (unresolved(scene, p, sweep.run.precision) | ~(steps < FLIGHT_MAX_STEPS))
 
-    Those of [vibrojax.sweep.engine.validity.unresolved][], and those whose steps of the flight do not come to an end.
+
+def too_slow(sweep: Sweep, p: Parameters) -> LanesBool:
+    """Return the lanes of parameters `p`, each (lanes,), that creep so slowly that they count as being at rest.
+
+    The rest threshold is some roundings of a typical speed, which friction on the main spring gives too.
     """
     scene = sweep.system
     if not isinstance(scene, HasFriction) or not sweep.run.stepper.rests:
-        return np.zeros(np.broadcast_shapes(*(np.shape(x) for x in p.values())), bool)
-    flight, contact, *_ = _paces(scene, p)
+        return np.zeros(_shape(p), bool)
     with np.errstate(all="ignore"):
-        steps = flight * (sweep.run.settle + sweep.run.observe)
-        known = np.isfinite(flight + contact)
-    return known & (unresolved(scene, p, sweep.run.precision) | ~(steps < MOST_STEPS))
+        return (p["v"] > 0) & (p["v"] < _ROUNDINGS * np.finfo(sweep.run.precision).eps * _rates(scene, p).speed)
 
 
-def unresolved(scene: HasFriction[Any], p: Numbers, numbers: str) -> Refused:
-    """Where 1/rate, the time that a step takes, is so short that what the bit on its main spring does meanwhile
-    vanishes in the roundings of the `numbers`, "float64" or "float32": nothing would move; booleans (lanes,)."""
-    paces = _paces(scene, p)
+def unresolved(scene: HasFriction[Any], p: Parameters, numbers: str) -> LanesBool:
+    """Return the lanes in which a step, of the time 1/rate, changes nothing in `numbers` ("float64" or "float32").
+
+    The bit's motion on its main spring during a step vanishes in the rounding.
+    """
+    rates = _rates(scene, p)
     with np.errstate(all="ignore"):
-        return np.asarray(~(512 * np.finfo(numbers).eps * (paces.flight + paces.contact) < paces.spring))
+        return np.asarray(~(_ROUNDINGS * np.finfo(numbers).eps * (rates.flight + rates.contact) < rates.spring))
 
 
-def flight_rates(scene: HasFriction[Any], p: Numbers) -> Lanes:
-    """A bound on the fastest rate [1/s] of lanes of parameters `p` in flight, from which their steps follow."""
-    return _paces(scene, p).flight
+def flight_rates(scene: HasFriction[Any], p: Parameters) -> LanesFloat:
+    """Return a bound on the fastest rate [1/s] in flight, which sets the steps, of lanes of parameters `p`."""
+    return _rates(scene, p).flight
 
 
-class _Paces(NamedTuple):
-    """Bounds on the fastest rates [1/s], by springs and damper in flight and what the contact adds to it; the rate of
-    the bit on its main spring; and a typical speed [m/s]."""
+class _Rates(NamedTuple):
+    """Bounds on the fastest rates [1/s]: in flight, the contact's addition, and the bit's on its main spring.
+
+    `speed` is a typical speed [m/s].
+    """
 
     flight: Any
     contact: Any
@@ -59,29 +76,20 @@ class _Paces(NamedTuple):
     speed: Any
 
 
-def _paces(scene: HasFriction[Any], p: Numbers) -> _Paces:
+def _shape(p: Parameters) -> tuple[int, ...]:
+    return np.broadcast_shapes(*(np.shape(x) for x in p.values()))
+
+
+def _rates(scene: HasFriction[Any], p: Parameters) -> _Rates:
     with precision("float64"):
         lanes = np.broadcast_arrays(*(np.atleast_1d(np.asarray(x, np.float64)) for x in p.values()))
-        found = _compiled_paces(scene, dict(zip(p, lanes, strict=True)))
-        shape = np.broadcast_shapes(*(np.shape(x) for x in p.values()))
-        return _Paces(*(np.asarray(x).reshape(shape) for x in found))
+        rates = _compiled_rates(scene, dict(zip(p, lanes, strict=True)))
+        return _Rates(*(np.asarray(x).reshape(_shape(p)) for x in rates))
 
 
 @lane_function(static=1)
-def _compiled_paces(scene: HasFriction[Any], p: Numbers) -> _Paces:
+def _compiled_rates(scene: HasFriction[Any], p: Parameters) -> _Rates:
     c = scene.constants(p)
     flight = scene.flight_rate(c)
     contact = scene.contact_rate(c) if isinstance(scene, HasContact) else jnp.zeros_like(flight)
-    return _Paces(*jnp.broadcast_arrays(flight, contact, scene.spring_rate(c), scene.typical_speed(c)))
-
-
-def too_slow(sweep: Sweep, p: Numbers) -> Refused:
-    """Which lanes of parameters `p`, each (lanes,), creep so slowly that they pass for being at rest; booleans.
-
-    What counts as at rest are a few roundings of a typical speed, which friction on the main spring gives too.
-    """
-    scene = sweep.system
-    if not isinstance(scene, HasFriction) or not sweep.run.stepper.rests:
-        return np.zeros(np.broadcast_shapes(*(np.shape(x) for x in p.values())), bool)
-    with np.errstate(all="ignore"):
-        return (p["v"] > 0) & (p["v"] < 512 * np.finfo(sweep.run.precision).eps * _paces(scene, p).speed)
+    return _Rates(*jnp.broadcast_arrays(flight, contact, scene.spring_rate(c), scene.typical_speed(c)))

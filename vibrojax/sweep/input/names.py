@@ -1,10 +1,17 @@
-"""The names that a scene, with its friction law, understands."""
+"""The names that a scene understands: its parameters, options and starts.
+
+All that this folder knows of particular scenes stands at the top of this file: options, presets, the rotation that
+stands for a drive speed, and names that users take for parameters.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
+from math import pi
 from typing import Any
 
-from vibrojax.errors import InputError, Place, shown, suggestion
+import numpy as np
+
+from vibrojax.errors import Place, shown, suggestion
 from vibrojax.models.physics.friction import FRICTION_LAWS, FrictionLaw
 from vibrojax.models.physics.parameters import ROTATION, Parameter
 from vibrojax.models.physics.rock import ROCKS
@@ -12,13 +19,23 @@ from vibrojax.models.scenes import SCENES, Scene, scene_named
 from vibrojax.models.scenes.penetration import PULSE_SHAPES
 from vibrojax.sweep.input.offered import enter_offered
 from vibrojax.sweep.input.run_settings import RunSettings
-from vibrojax.sweep.input.values import choice, quantity
+from vibrojax.sweep.input.values import STATE, choice, quantity
 
 DEFAULT_STARTS = ("drive", "stuck")
-_TOP = ("scene", "title", "starts", "unusual", "points")
 
+CHOICES: dict[str, Mapping[str, object]] = {
+    "friction": FRICTION_LAWS,
+    "pulse_shape": {shape: shape for shape in PULSE_SHAPES},
+}
+"""Options, chosen by name once for a whole sweep, and their values."""
 
-# What follows from parameters, which decide it.
+PRESETS: dict[str, dict[str, dict[str, float]]] = {
+    "rock": {name: {"threshold": rock.threshold, "k3": rock.k3} for name, rock in ROCKS.items()}
+}
+"""Names that stand for the values of several parameters; unlike an option, a preset may vary over a sweep."""
+
+PRESET_MEANINGS = {"rock": "rock of Table 4.5"}
+
 _DERIVED = {
     "m2": ("beta", "m2 = beta m1; give beta"),
     "k2": ("gamma", "k2 = beta gamma^2 k1; give gamma"),
@@ -26,34 +43,63 @@ _DERIVED = {
     "w2": ("gamma", "w2 = gamma w1; give gamma"),
     "D": ("threshold", "the rock's D is called threshold; give that"),
 }
+"""Quantities that follow from a parameter: that parameter, and advice."""
 
-# What is chosen by name for a whole sweep, and what there is to choose from.
-CHOICES: dict[str, Mapping[str, object]] = {
-    "friction": FRICTION_LAWS,
-    "pulse_shape": {shape: shape for shape in PULSE_SHAPES},
-}
+_LACKING = {"friction": "does not slide"}
+"""What a scene without an option is like."""
 
-
-def _options(system: Scene[Any]) -> dict[str, object]:
-    """What is chosen in a scene once for all lanes, as it is: its friction law, its shape of pulses."""
-    if not is_dataclass(system):
-        return {}
-    return {field.name: getattr(system, field.name) for field in fields(system) if field.name in CHOICES}
+_TOP_KEYS = ("scene", "title", "starts", "unusual", "points")
 
 
-def _chosen(place: Place, option: str, value: object) -> object:
-    """An option: an object such as a friction law of the user's own, or one of the package by its name."""
-    if option == "friction" and isinstance(value, FrictionLaw):
-        return value
-    return CHOICES[option][choice(place, value, tuple(CHOICES[option]))]
+def rock_values(name: str | np.ndarray) -> dict[str, Any]:
+    """Return threshold [N] and k3 [N/m] of a rock of Table 4.5, or of an array of their names."""
+    rocks = PRESETS["rock"]
+    if isinstance(name, str):
+        return dict(rocks[name])
+    return {key: np.array([rocks[rock][key] for rock in name]) for key in ("threshold", "k3")}
+
+
+def with_substitutes(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return `values` with the parameters that presets and a rotation stand for, in place of these.
+
+    A rotation stands for v = 2 pi rpm/60 bit_radius [m/s].
+    """
+    values = dict(values)
+    if "rock" in values:
+        values |= rock_values(values.pop("rock"))
+    if "rpm" in values and "bit_radius" in values:
+        values["v"] = 2 * pi / 60 * values.pop("rpm") * values.pop("bit_radius")
+    return values
+
+
+def substituted(names: set[str]) -> set[str]:
+    """Return the parameters that have no value of their own beside values of `names`."""
+    return ({"threshold", "k3"} if "rock" in names else set()) | ({"v"} if "rpm" in names else set())
+
+
+def check_substitutes(places: Mapping[str, Place]) -> None:
+    """Raise if a parameter is given twice, or one of rpm and bit_radius is missing; `places`: names and their places.
+
+    A rock stands for threshold and k3, rpm with bit_radius for v.
+    """
+    for name in ("threshold", "k3"):
+        if "rock" in places and name in places:
+            raise places["rock"].error(f"{name} is given as well; give the rock, or threshold and k3")
+    rotation = [name for name in ("rpm", "bit_radius") if name in places]
+    if rotation and "v" in places:
+        raise places[rotation[0]].error("v is given as well; give v, or rpm with bit_radius")
+    if len(rotation) == 1:
+        missing = "bit_radius [m]" if rotation == ["rpm"] else "rpm [1/min]"
+        raise places[rotation[0]].error(f"{missing} is missing; only both together give v: add it, or give v")
 
 
 @dataclass(frozen=True)
 class Names:
-    """What may be written for one scene: its parameters (by name), starts, rpm with bit_radius for v, and rocks.
+    """The names that may be written for one scene.
 
-    `options` are the names of what is chosen once for all lanes, of the friction law or the shape of pulses; `system`
-    is the scene itself.
+    - `scene`: its name; `system`: the scene itself.
+    - `options`: the names of its friction law or pulse shape.
+    - `parameters`, by name; `starts`: names.
     """
 
     scene: str
@@ -69,114 +115,102 @@ class Names:
 
     @property
     def has_starts(self) -> bool:
-        """Whether it may start from more than one state."""
+        """True if the scene may start from more than one state."""
         return bool(self.starts or self.system.start_states)
 
     @property
     def has_rock(self) -> bool:
-        """Whether `rock` may stand for `threshold` and `k3`."""
+        """True if `rock` may stand for `threshold` and `k3`."""
         return {"threshold", "k3"} <= set(self.parameters)
 
     def rock(self, place: Place, value: object) -> str:
-        """`value` as the name of a rock of Table 4.5."""
-        return choice(place, value, tuple(ROCKS))
+        """Return `value` as the name of a rock of Table 4.5."""
+        return choice(place, value, tuple(PRESETS["rock"]))
 
     @property
     def writable(self) -> dict[str, Parameter]:
-        """Everything that may be written as a number."""
+        """All names that take a number."""
         return dict(self.parameters) | (ROTATION if "v" in self.parameters else {})
 
     def parameter(self, place: Place, name: str) -> Parameter:
-        """The parameter called `name`; raises where the scene has none; `place` is where the name stands."""
-        found = self.writable.get(name)
-        if found is None:
-            raise self._unknown(place, name)
-        return found
+        """Return the parameter called `name`, which stands at `place`; raise if the scene has none."""
+        if name not in self.writable:
+            raise place.error(self._problem(name))
+        return self.writable[name]
 
     def quantity(self, place: Place, name: str, value: object) -> float:
-        """`value` as a number that the parameter called `name` may have."""
+        """Return `value` as a number that the parameter called `name` may have."""
         return quantity(place, value, self.parameter(place, name))
 
-    def _unknown(self, place: Place, name: str) -> InputError:
-        has = ", ".join(self.writable)
-        if name in CHOICES and name not in self.options:
-            return place.error(f"scene {shown(self.scene)} has no {name}; it has {has}")
+    def _problem(self, name: str) -> str:
+        """Return why `name` is not a parameter, and what would be right."""
+        has = f"scene {shown(self.scene)} has no {name}; it has {', '.join(self.writable)}"
         if name in CHOICES:
-            names = ", ".join(CHOICES[name])
-            return place.error(f"is chosen once for all lanes, in [parameters]; choose from {names}")
-        laws = [law for law in FRICTION_LAWS.values() if name in law.parameters] if self.friction else []
-        if laws:
-            owners = " or ".join(shown(law.name) for law in laws)
-            return place.error(f"friction {shown(self.friction)} has no {name}; it belongs to friction = {owners}")
-        shapes = [shape for shape in PULSE_SHAPES if name in _shaped(self.scene, shape)] if self._has_pulses else []
-        if shapes:
-            owners = " or ".join(shown(shape) for shape in shapes)
-            mine = shown(self.options["pulse_shape"])
-            return place.error(f"pulse_shape {mine} has no {name}; it belongs to pulse_shape = {owners}")
+            once = f"is chosen once for all lanes, in [parameters]; choose from {', '.join(CHOICES[name])}"
+            return once if name in self.options else has
+        for option, chosen in self.options.items():
+            if owners := [other for other in CHOICES[option] if name in _parameters_with(self.scene, option, other)]:
+                others = " or ".join(map(shown, owners))
+                return f"{option} {shown(chosen)} has no {name}; it belongs to {option} = {others}"
         if any(name in kind().parameters() for kind in SCENES.values()):
-            return place.error(f"scene {shown(self.scene)} has no {name}; it has {has}")
+            return has
         if name in _DERIVED and _DERIVED[name][0] in self.writable:
-            return place.error(f"is no parameter: {_DERIVED[name][1]}")
-        if name in _TOP or name in RunSettings.__dataclass_fields__:
-            home = "at the top of the file" if name in _TOP else "in [run]"
-            return place.error(f"is no parameter; it belongs {home}")
-        return place.error(f"scene {shown(self.scene)} has no such parameter; {suggestion(name, self.writable)}")
-
-    @property
-    def _has_pulses(self) -> bool:
-        return "pulse_shape" in self.options
+            return f"is not a parameter: {_DERIVED[name][1]}"
+        if name in _TOP_KEYS or name in RunSettings.__dataclass_fields__:
+            return f"is not a parameter; it belongs {'at the top of the file' if name in _TOP_KEYS else 'in [run]'}"
+        return f"scene {shown(self.scene)} has no such parameter; {suggestion(name, self.writable)}"
 
     def start(self, place: Place, value: object) -> str | tuple[float, ...]:
-        """A start: one of the scene's names, or a vector of the states it gives, [x1, x1', x2, x2'] in m and m/s."""
-        if isinstance(value, (list, tuple)):
-            wanted = self.system.start_states
-            if len(value) != len(wanted):
-                needed = f"{_in_words(len(wanted))} are needed: [{', '.join(wanted)}]"
-                raise place.error(f"{shown(value)} has {len(value)} numbers; {needed}")
-            free = Parameter("start", 0.0, "1", "start", "s")
-            return tuple(quantity(place.item(index), item, free) for index, item in enumerate(value))
-        return self.named_start(place, value)
+        """Return a start: one of the scene's names, or a vector of states like [x1, x1', x2, x2'] [m, m/s]."""
+        if not isinstance(value, (list, tuple)):
+            return self.named_start(place, value)
+        states = self.system.start_states
+        if len(value) != len(states):
+            needed = f"{len(states)} are needed: [{', '.join(states)}]"
+            raise place.error(f"{shown(value)} has {len(value)} numbers; {needed}")
+        return tuple(quantity(place.item(index), item, STATE) for index, item in enumerate(value))
 
     def named_start(self, place: Place, value: object) -> str:
-        """A start that has a name."""
-        elsewhere = isinstance(value, str) and any(value in getattr(kind, "starts", ()) for kind in SCENES.values())
-        if elsewhere and value not in self.starts:
+        """Return a start that has a name."""
+        if isinstance(value, str) and value in self.starts:
+            return value
+        if isinstance(value, str) and any(value in getattr(kind, "starts", ()) for kind in SCENES.values()):
             allowed = ", ".join(self.starts)
-            raise place.error(f"{shown(value)} is no start of scene {shown(self.scene)}; choose from {allowed}")
+            raise place.error(f"{shown(value)} is not a start of scene {shown(self.scene)}; choose from {allowed}")
         return choice(place, value, self.starts)
 
 
-def _in_words(count: int) -> str:
-    """A small number as a word."""
-    words = ("none", "one", "two", "three", "four", "five", "six", "seven", "eight")
-    return words[count] if count < len(words) else str(count)
+def _parameters_with(scene: str, option: str, value: str) -> Mapping[str, Parameter]:
+    """Return the parameters that belong to one value of an option."""
+    if option == "friction":
+        return FRICTION_LAWS[value].parameters
+    return scene_named(scene, **{option: value}).parameters()
 
 
-def _shaped(scene: str, shape: str) -> Mapping[str, Parameter]:
-    return scene_named(scene, pulse_shape=shape).parameters()
-
-
-def take_options(given: dict[str, object]) -> dict[str, object]:
-    """Take out of `given` what is chosen by name."""
-    return {name: given.pop(name) for name in CHOICES if name in given}
+def take_options(table: dict[str, object]) -> dict[str, object]:
+    """Take the options out of `table`."""
+    return {name: table.pop(name) for name in CHOICES if name in table}
 
 
 def read_names(
-    place: Place, scene: object, chosen: Mapping[str, object] | None = None, at: Place | None = None
+    place: Place, scene: object, chosen: Mapping[str, object] | None = None, options_place: Place | None = None
 ) -> Names:
-    """The names for the scene and options that the user wrote; raises where there is no such scene or option.
+    """Return the names of a scene with the options `chosen`; raise if there is no such scene or option.
 
-    `place` is where the scene stands, `at` where the options `chosen` do.
+    `place` and `options_place` are where the scene and the options are written. A scene, a friction law or a pulse
+    shape may be an object instead of a name.
     """
     enter_offered()
     system = scene if isinstance(scene, Scene) else scene_named(choice(place, scene, tuple(SCENES)))
-    options = _options(system)
+    own = {field.name for field in fields(system)} if is_dataclass(system) else set()
+    options: dict[str, Any] = {name: getattr(system, name) for name in CHOICES if name in own}
     for option, value in (chosen or {}).items():
-        here = (at or place).at(option)
+        here = (options_place or place).at(option)
         if option not in options:
-            lacks = "does not slide" if option == "friction" else f"has no {option}"
+            lacks = _LACKING.get(option, f"has no {option}")
             raise here.error(f"scene {shown(system.name)} {lacks}; leave it out")
-        options[option] = _chosen(here, option, value)
+        is_law = option == "friction" and isinstance(value, FrictionLaw)
+        options[option] = value if is_law else CHOICES[option][choice(here, value, tuple(CHOICES[option]))]
     if chosen:
         system = replace(system, **options)  # type: ignore[type-var] # it has options, so it is a dataclass
     names = {option: str(getattr(value, "name", value)) for option, value in options.items()}

@@ -1,4 +1,4 @@
-"""Values that are likely in another unit than the SI unit they are taken in: a warning of one line, never a refusal."""
+"""Warnings of one line about values that are probably in another unit than the SI unit they are read in."""
 
 import sys
 import warnings
@@ -10,75 +10,66 @@ from vibrojax.errors import Place
 from vibrojax.models.physics.parameters import Parameter
 from vibrojax.models.physics.units import UNITS, likely_units
 
-_SMALLEST = 100.0
-"""Of what may be zero: the greatest usual value over the least that a unit is told by."""
+_USUAL_SPAN = 100.0
+"""Greatest usual value over the least one, for a parameter that may be zero: units are guessed within that span."""
+
 _PACKAGE = str(Path(__file__).parents[2])
 
 
 class UnusualValue(UserWarning):
-    """A value is so far from what the source and rigs have that it may be in another unit than it is read in.
+    """A value so far from the usual ones, of the source and of rigs, that it is probably in another unit.
 
     **Example:**
 
     >>> import warnings
-    >>> with warnings.catch_warnings(record=True) as told:
+    >>> with warnings.catch_warnings(record=True) as caught:
     ...     warnings.simplefilter("always", vj.UnusualValue)  # "error" would end here, "ignore" say nothing
     ...     sweep = vj.read_sweep({"scene": "vibro-impact", "grid": {"delta": [5.0]}})
-    >>> str(told[0].message).partition(";")[0]
+    >>> str(caught[0].message).partition(";")[0]
     'sweep: grid.delta: 5 m is far outside what the source and rigs have (-0.02 to 0.02 m)'
     """
 
 
 def warn_if_far(place: Place, parameter: Parameter, values: object, likely: str = "", meant: str = "") -> None:
-    """Warn, on one line, where one of `values` is far from the usual ones.
+    """Warn, on one line, if any of `values` is far from the usual ones.
 
-    **Arguments:** `place`: where they stand; `parameter`: what they are of; `values`: a number or many, of any shape;
-    `likely`: which unit they are likely in, and what to do, where other words than the usual ones are needed; `meant`:
-    what to do where they are meant so.
+    **Arguments:** `place`: where they are written; `parameter`: theirs; `values`: a number or an array; `likely`: other
+    words than the usual ones on the likely unit; `meant`: what to do if they are meant so.
     """
     if parameter.usual is None:
         return
-    many = np.atleast_1d(np.asarray(values, float)).ravel()
-    far = [value for value in np.unique(many).tolist() if parameter.is_far(value)]
+    numbers = np.atleast_1d(np.asarray(values, float)).ravel()
+    far = [value for value in np.unique(numbers).tolist() if parameter.is_far(value)]
     if not far:
         return
-    worst = max(far, key=lambda value: _farness(abs(value), parameter.usual or (0.0, 1.0)))
-    subject = f"{_with_unit(worst, parameter)} is"
-    if many.size > 1:
-        subject = f"{np.isin(many, far).sum()} of {many.size} values, such as {_with_unit(worst, parameter)}, are"
     low, high = parameter.usual
+    least, greatest = low if low > 0 else 0.0, max(abs(low), abs(high))
+    worst = max(far, key=lambda value: max(abs(value) / greatest, least / abs(value)))
+    subject = f"{_with_unit(worst, parameter)} is"
+    if numbers.size > 1:
+        subject = f"{np.isin(numbers, far).sum()} of {numbers.size} values, such as {_with_unit(worst, parameter)}, are"
     usual = f"{low:g} to {_with_unit(high, parameter)}" if low != high else _with_unit(high, parameter)
-    line = (
-        f"{subject} far outside what the source and rigs have ({usual}); {likely or _likely(worst, parameter)}{meant}"
-    )
+    advice = likely or _likely(worst, parameter, (least or high / _USUAL_SPAN, high))
+    line = f"{subject} far outside what the source and rigs have ({usual}); {advice}{meant}"
     warnings.warn(str(place.error(line)), UnusualValue, stacklevel=_level_of_caller())
 
 
-def _likely(value: float, parameter: Parameter) -> str:
-    """In which unit it would be a usual one."""
-    low, high = parameter.usual or (0.0, 0.0)
-    units = likely_units(abs(value), parameter.unit, (low if low > 0 else high / _SMALLEST, high))[:3]
-    besides = ["of a rotation give rpm and bit_radius"] if parameter.name == "v" else []
-    if not units:
-        return ", or ".join(besides) or "check its unit"
-    converted = (_with_unit(value * UNITS[parameter.unit][unit], parameter) for unit in units)
-    right = [f"if in {unit}, write {one}" for unit, one in zip(units, converted, strict=True)]
-    return "; ".join([*right, *besides])
-
-
-def _farness(size: float, usual: tuple[float, float]) -> float:
-    low, high = usual
-    return max(size / max(abs(low), abs(high)), low / size if low > 0 else 0.0)
+def _likely(value: float, parameter: Parameter, usual: tuple[float, float]) -> str:
+    """Return what to write if the value is in one of the units in which it would be a usual one."""
+    units = likely_units(abs(value), parameter.unit, usual)[:3]
+    advice = [f"if in {unit}, write {_with_unit(value * UNITS[parameter.unit][unit], parameter)}" for unit in units]
+    if parameter.name == "v":
+        advice.append("of a rotation give rpm and bit_radius")
+    return "; ".join(advice) or "check its unit"
 
 
 def _with_unit(value: float, parameter: Parameter) -> str:
-    names = UNITS.get(parameter.unit)
-    unit = next(iter(names)) if names else parameter.unit
+    unit = next(iter(UNITS.get(parameter.unit) or (parameter.unit,)))
     return f"{value:.6g}" if unit == "1" else f"{value:.6g} {unit}"
 
 
 def _level_of_caller() -> int:
-    """The `stacklevel` of a warning by which it points to whom this package was called by."""
+    """Return the `stacklevel` with which a warning points to the caller of this package."""
     level, frame = 1, sys._getframe(1)
     while frame.f_back is not None and frame.f_code.co_filename.startswith(_PACKAGE):
         level, frame = level + 1, frame.f_back

@@ -6,19 +6,18 @@ from typing import Any
 
 import numpy as np
 
-from vibrojax.errors import Place
+from vibrojax.errors import Place, shown
 from vibrojax.models.scenes import Scene
-from vibrojax.sweep.input.definition import with_drive_speed
-from vibrojax.sweep.input.names import read_names, take_options
-from vibrojax.sweep.input.plain import plain, plain_table
+from vibrojax.sweep.input.names import check_substitutes, read_names, take_options, with_substitutes
 from vibrojax.sweep.input.plausible import warn_if_far
-from vibrojax.sweep.input.read import check_drive_speed, check_rock, read_parameters
+from vibrojax.sweep.input.read import read_parameters
+from vibrojax.sweep.input.source import plain, plain_table
 from vibrojax.sweep.input.starts import Start
 
 
 @dataclass(frozen=True)
 class Point:
-    """A scene at one point: its name, the names of what is chosen in it, all parameters (SI), the start; and itself."""
+    """A scene at one point: its name, the names of its options, the start, all parameters (SI), the scene itself."""
 
     scene: str
     options: dict[str, str]
@@ -28,7 +27,7 @@ class Point:
 
 
 def read_point(place: Place, scene: object, parameters: Mapping[str, object], start: object = None) -> Point:
-    """Check one point.
+    """Check one point, and complete it with defaults.
 
     **Arguments:**
 
@@ -38,32 +37,29 @@ def read_point(place: Place, scene: object, parameters: Mapping[str, object], st
       for `v`, and `rock` for `threshold` and `k3`.
     - `start`: a name or a vector [x1, x1', x2, x2'] [m, m/s]; None: the scene's first.
 
-    **Returns:** the `Point`, complete with defaults.
-
     **Raises:** `InputError`.
     """
-    written = dict(parameters)
-    options = take_options(written)
-    given = plain_table(place, written)
+    table = dict(parameters)
+    options = take_options(table)
+    table = plain_table(place, table)
     names = read_names(place.at("scene"), scene, options, place)
-    check_rock({name: place.at(name) for name in given})
-    fixed = read_parameters(place, given, names)
-    check_drive_speed({name: place.at(name) for name in fixed})
-    defaults = {name: parameter.default for name, parameter in names.parameters.items()}
+    fixed = read_parameters(place, table, names)
     if start is None:
         start = names.starts[0] if names.starts else None
     elif not names.has_starts:
-        raise place.at("start").error(f'scene "{names.scene}" has no starts; leave it out')
+        raise place.at("start").error(f"scene {shown(names.scene)} has no starts; leave it out")
     else:
         start = names.start(place.at("start"), plain(place.at("start"), start))
+    check_substitutes({name: place.at(name) for name in table})
     for name, value in fixed.items():
-        if name in given:
+        if name in table:
             warn_if_far(place.at(name), names.writable[name], value)
-    return Point(names.scene, dict(names.options), start, defaults | with_drive_speed(fixed), names.system)
+    defaults = {name: parameter.default for name, parameter in names.parameters.items()}
+    return Point(names.scene, dict(names.options), start, defaults | with_substitutes(fixed), names.system)
 
 
 def several_and_single(parameters: Mapping[str, object]) -> tuple[dict[str, list[Any]], dict[str, object]]:
-    """Parameters that were given several values, as lists; and the others."""
+    """Split parameters into those with several values, as lists, and the others."""
     several = {
         name: list(x)
         for name, x in parameters.items()

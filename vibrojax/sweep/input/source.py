@@ -1,26 +1,41 @@
-"""Where a sweep comes from: a path, a bundled name, or a dict."""
+"""Sources of a sweep: a file, a bundled name or a dict, with single values set by `--set NAME=VALUE`.
 
+The tables of a dict are written as TOML here. A general writer (tomli-w) puts tables behind values, and so changes the
+order of a grid's axes.
+"""
+
+import json
+import re
 import tomllib
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 from os import PathLike
-from pathlib import Path
+from pathlib import Path, PurePath
+
+import jax
+import numpy as np
 
 from vibrojax.errors import InputError, Place, nearest, shown, suggestion
 from vibrojax.models.physics.friction import FrictionLaw
 from vibrojax.models.scenes import Scene
 from vibrojax.stepping import Stepper
-from vibrojax.sweep.input.plain import plain_table, render
+from vibrojax.sweep.input.run_settings import RunSettings
+from vibrojax.sweep.input.values import number
 
 _PACKAGE = Path(__file__).parents[2]
-# A wheel carries the sweeps inside the package; in a checkout they lie at the top.
+# A wheel carries the sweeps inside the package; in a checkout they are at the top.
 _CHECKOUT = (_PACKAGE.parent,) if (_PACKAGE.parent / "pyproject.toml").exists() else ()
 BUNDLED_FOLDERS = tuple(folder / "sweeps" for folder in (_PACKAGE, *_CHECKOUT))
+
+_TABLES = ("parameters", "grid", "run")
+_TOP_KEYS = ("scene", "title", "starts", "unusual")
+_OBJECTS = (Scene, FrictionLaw, Stepper)
+_BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 
 
 @dataclass(frozen=True)
 class Source:
-    """A sweep before it is checked: its `name`, the `file` to name in messages, where its files lie, and its tables."""
+    """An unchecked sweep: its `name`, its `file` in messages, the `folder` of its files, its TOML and its tables."""
 
     name: str
     file: str
@@ -30,54 +45,84 @@ class Source:
 
 
 def read_source(source: str | PathLike[str] | Mapping[str, object]) -> Source:
-    """The sweep's tables from a path to a TOML file, a bundled name, or a dict of the same shape.
+    """Read a sweep's tables from a TOML file, by a path or a bundled name, or from a dict of the same shape.
 
-    In a dict a scene, a friction law or a stepper may stand itself where its name stands in a file.
+    In a dict, a scene, a friction law or a stepper may be an object instead of a name.
     """
     if isinstance(source, Mapping):
-        objects, named = without_objects(source)
-        tables = plain_table(Place("sweep"), named)
-        text = render(tables)
-        for (table, key), value in objects.items():
-            home = tables[table] if table else tables
-            if isinstance(home, dict):
-                home[key] = value
-        return Source("sweep", "sweep", Path(), text, tables)
+        tables = plain_table(Place("sweep"), source)
+        return Source("sweep", "sweep", Path(), render(tables), tables)
     if not isinstance(source, (str, PathLike)):
-        raise InputError(f"sweep: {shown(source)} is no sweep; give a path, a bundled name or a dict")
-    found = _bundled(source) if isinstance(source, str) else None
-    path = found or Path(source)
-    if not found and isinstance(source, str) and _is_name(source) and not path.exists():
-        raise InputError(f"{source}: no such bundled sweep or file; {suggestion(source, bundled_names())}")
+        raise InputError(f"sweep: {shown(source)} is not a sweep; give a path, a bundled name or a dict")
+    is_name = isinstance(source, str) and Path(source).name == source and not source.endswith(".toml")
+    bundled = {path.stem.replace("_", "-"): path for path in reversed(_bundled())} if is_name else {}
+    path = bundled.get(str(source).replace("_", "-"), Path(source))
+    if is_name and path == Path(source) and not path.exists():
+        raise InputError(f"{source}: no such bundled sweep or file; {suggestion(str(source), bundled_names())}")
     text = read_text(path)
-    return Source(str(source) if found else path.stem, str(path), path.parent, text, _parse(path, text))
+    try:
+        tables = tomllib.loads(text)
+    except ValueError as error:  # also numbers of thousands of digits, which raise no TOMLDecodeError
+        raise Place(str(path)).error(f"not TOML: {error}") from None
+    except RecursionError:
+        raise InputError(f"{path}: not TOML: tables or lists nested too deep") from None
+    return Source(path.stem if path == Path(source) else str(source), str(path), path.parent, text, tables)
 
 
-def without_objects(source: Mapping[str, object]) -> tuple[dict[tuple[str, str], object], dict[str, object]]:
-    """The objects that stand in place of names, by table and key, and the tables with their names instead."""
-    objects: dict[tuple[str, str], object] = {}
-    named = dict(source)
-    scene = named.get("scene")
-    if isinstance(scene, Scene):
-        objects["", "scene"] = scene
-        named["scene"] = scene.name
-    for table, key in (("parameters", "friction"), ("run", "method")):
-        home = named.get(table)
-        value = home.get(key) if isinstance(home, Mapping) else None
-        if isinstance(home, Mapping) and isinstance(value, FrictionLaw | Stepper):
-            objects[table, key] = value
-            named[table] = {**home, key: value.name}
-    return objects, named
+def with_changes(source: Source, words: Iterable[str]) -> Source:
+    """Return the sweep with values set by `words` NAME=VALUE.
+
+    NAME is a key of [run], `scene`, `title`, `starts` or `unusual`, or a parameter. A number or a name fixes a
+    parameter, a list or a range makes it an axis, in whichever table it was before. The table may be written out, as in
+    `run.settle`, `parameters.k1` and `grid.beta`.
+
+    **Raises:** `InputError` if a word is not NAME=VALUE.
+    """
+    tables = {key: dict(value) if isinstance(value, dict) else value for key, value in source.tables.items()}
+    place = Place("--set")
+    for word in words:
+        name, equals, text = (part.strip() for part in word.partition("="))
+        if not equals or not name:
+            raise place.error(f"{shown(word)} is not NAME=VALUE; write one, like k1=312500 or run.settle=200")
+        try:
+            value = tomllib.loads(f"value = {text}")["value"]
+        except (ValueError, RecursionError):
+            value = text
+        _set(place.at(name), tables, name, value)
+    return replace(source, tables=tables, text=render(tables))
+
+
+def _set(place: Place, tables: dict[str, object], name: str, value: object) -> None:
+    """Set one value in the tables."""
+    table, dot, key = name.partition(".")
+    if dot and table not in _TABLES:
+        raise place.error(f"unknown table {shown(table)}; {suggestion(table, _TABLES)}")
+    if not dot:
+        key, varies = name, isinstance(value, (list, dict))
+        is_setting = name in RunSettings.__dataclass_fields__
+        table = "" if name in _TOP_KEYS else "run" if is_setting else "grid" if varies else "parameters"
+    if table in ("parameters", "grid"):
+        for other in ("parameters", "grid"):
+            former = tables.get(other)
+            if isinstance(former, dict):
+                former.pop(key, None)
+    home = tables.setdefault(table, {}) if table else tables
+    if not isinstance(home, dict):
+        raise place.error(f"[{table}] is not a table in the sweep; nothing can be set in it")
+    home[key] = value
 
 
 def read_text(path: Path) -> str:
-    """The text of a file that a user named, without its byte order mark."""
+    """Return the text of a file that a user named, without its byte order mark."""
     try:
         return path.read_bytes().decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: not UTF-8 text (byte {error.start}); save it as UTF-8") from None
     except FileNotFoundError:
-        raise InputError(f"{path}: no such file; give the path of one that is there{_hint(path)}") from None
+        similar = [other.name for other in path.parent.glob(f"*{path.suffix}")] if path.parent.is_dir() else []
+        best = nearest(path.name, similar)
+        hint = f" (did you mean {shown(best)}?)" if best else ""
+        raise InputError(f"{path}: no such file; give the path of one that is there{hint}") from None
     except IsADirectoryError:
         raise InputError(f"{path}: is a folder; give the path of a file") from None
     except (OSError, ValueError) as error:  # ValueError: a NUL in the name
@@ -85,36 +130,75 @@ def read_text(path: Path) -> str:
 
 
 def bundled_names() -> list[str]:
-    """The names of the sweeps that come with the package."""
-    return sorted({_spelled(path.stem) for folder in BUNDLED_FOLDERS for path in folder.glob("*.toml")})
+    """Return the names of the sweeps that come with the package; hyphens and underscores are equal in them."""
+    return sorted({path.stem.replace("_", "-") for path in _bundled()})
 
 
-def _bundled(name: str) -> Path | None:
-    """The bundled file called `name`, hyphens and underscores alike; None where there is none."""
-    if not _is_name(name):
-        return None
-    paths = (path for folder in BUNDLED_FOLDERS for path in sorted(folder.glob("*.toml")))
-    return next((path for path in paths if _spelled(path.stem) == _spelled(name)), None)
+def _bundled() -> list[Path]:
+    return [path for folder in BUNDLED_FOLDERS for path in sorted(folder.glob("*.toml"))]
 
 
-def _spelled(name: str) -> str:
-    return name.replace("_", "-")
+def plain_table(place: Place, value: Mapping[str, object]) -> dict[str, object]:
+    """Return a table as [vibrojax.sweep.input.source.plain][] values."""
+    for key in value:
+        if not isinstance(key, str):
+            raise place.error(f"{shown(key)} is not a name; keys are text")
+    return {key: plain(place.at(key), item) for key, item in value.items()}
 
 
-def _is_name(source: str) -> bool:
-    return Path(source).name == source and not source.endswith(".toml")
+def plain(place: Place, value: object) -> object:
+    """Return `value` as TOML types, with arrays and numbers of NumPy or JAX, tuples and paths converted.
+
+    Objects that may stand in place of their names stay themselves.
+    """
+    if isinstance(value, Mapping):
+        return plain_table(place, value)
+    if isinstance(value, jax.core.Tracer):
+        raise place.error(
+            "is traced by jax (grad, jit or vmap), which does not go through here: give a number; derivatives come "
+            "from vj.derivatives, in forward mode, since jax.grad does not pass through the loops of a motion"
+        )
+    if isinstance(value, (np.ndarray, np.generic, jax.Array)):
+        return plain(place, value.tolist())
+    if isinstance(value, (list, tuple, range)):
+        if all(type(item) is float for item in value):
+            return list(value)  # columns of points are long
+        return [plain(place.item(index), item) for index, item in enumerate(value)]
+    if isinstance(value, PurePath):
+        return str(value)
+    if isinstance(value, int) and not isinstance(value, bool):
+        number(place, value)  # Python does not write thousands of digits
+    if isinstance(value, (bool, int, float, str, *_OBJECTS)):
+        return value
+    raise place.error(f"{shown(value)} cannot stand in a sweep; write a number, text, a list or a table")
 
 
-def _hint(path: Path) -> str:
-    similar = [other.name for other in path.parent.glob(f"*{path.suffix}")] if path.parent.is_dir() else []
-    found = nearest(path.name, similar)
-    return f" (did you mean {shown(found)}?)" if found else ""
+def render(table: Mapping[str, object]) -> str:
+    """Return a table of plain values as TOML: values first, then a section for each table in it; objects by name."""
+    values = [_line(key, value) for key, value in table.items() if not isinstance(value, dict)]
+    sections = [
+        "\n".join([f"[{_key(key)}]", *(_line(name, item) for name, item in value.items())])
+        for key, value in table.items()
+        if isinstance(value, dict)
+    ]
+    return "\n\n".join(part for part in ("\n".join(values), *sections) if part) + "\n"
 
 
-def _parse(path: Path, text: str) -> dict[str, object]:
-    try:
-        return tomllib.loads(text)
-    except ValueError as error:  # also numbers of thousands of digits, which are no TOMLDecodeError
-        raise Place(str(path)).error(f"not TOML: {error}") from None
-    except RecursionError:
-        raise InputError(f"{path}: not TOML: tables or lists nested too deep") from None
+def _line(key: str, value: object) -> str:
+    return f"{_key(key)} = {_literal(value)}"
+
+
+def _key(key: str) -> str:
+    return key if _BARE_KEY.fullmatch(key) else _literal(key)
+
+
+def _literal(value: object) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, list):
+        return "[" + ", ".join(map(_literal, value)) + "]"
+    if isinstance(value, dict):
+        return "{ " + ", ".join(_line(key, item) for key, item in value.items()) + " }" if value else "{}"
+    return json.dumps(value.name) if isinstance(value, _OBJECTS) else repr(value)

@@ -1,23 +1,43 @@
-"""Checks of single values: numbers, counts, choices."""
+"""Checks of single values, tables and axes of a sweep file."""
 
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Hashable, Mapping, Sequence
 from numbers import Integral, Real
+
+import numpy as np
 
 from vibrojax.errors import Place, shown, suggestion
 from vibrojax.models.physics.parameters import Parameter
 
-_WITH_COMMA = re.compile(r"([+-]?\d+),(\d+)")
+AXIS_MAX_VALUES = 10**7
+"""Longest axis, 80 MB: a longer one is a slip, and would fill the memory before the number of lanes is checked."""
+
+STATE = Parameter("state", 0.0, "1", "state at t = 0", "y")
+"""A number of an initial state: any finite one."""
+
+_DECIMAL_COMMA = re.compile(r"([+-]?\d+),(\d+)")
 _WITH_UNIT = re.compile(r"([+-]?[\d.]+(?:[eE][+-]?\d+)?)\s*[^\d\s.,].*")
+_RANGE_KEYS = ("start", "stop", "num", "spacing")
+_RANGE_ADVICE = {
+    "step": "give num, how many values there are from start to stop, both included",
+    "scale": 'did you mean "spacing"?',
+    "log": 'write spacing = "log"',
+}
+_AXIS_EXAMPLE = "write a list like [0.3, 0.4], or { start = 0.3, stop = 0.6, num = 7 }"
 
 
 def number(place: Place, value: object, unit: str = "") -> float:
-    """`value` as a float; raises where it is no number (true and "0.4" are none). It may be NaN or infinite.
+    """Return `value` as a float, which may be NaN or infinite; raise if it is not a number (as true and "0.4").
 
-    `unit`: its own, to be named where one was written beside the number.
+    `unit` is the parameter's own, named in the message if a unit was written with the number.
     """
     if isinstance(value, str):
-        raise place.error(f"{shown(value)} is text; {_right(value.strip(), unit)}")
+        text, advice = value.strip(), "write a number, without quotes"
+        if comma := _DECIMAL_COMMA.fullmatch(text):
+            advice = f"write {comma[1]}.{comma[2]}, with a point"
+        elif _WITH_UNIT.fullmatch(text):
+            advice = f"write the number alone, in {unit if unit not in ('', '1') else 'SI units'}"
+        raise place.error(f"{shown(value)} is text; {advice}")
     if isinstance(value, bool) or not isinstance(value, Real):
         raise place.error(f"{shown(value)} is not a number; write one, like 0.4 or 50e6")
     try:
@@ -26,17 +46,8 @@ def number(place: Place, value: object, unit: str = "") -> float:
         raise place.error(f"{shown(value)} is too large; a finite number is needed") from None
 
 
-def _right(text: str, unit: str) -> str:
-    """What to write in place of a `text` that is no number."""
-    if comma := _WITH_COMMA.fullmatch(text):
-        return f"write {comma[1]}.{comma[2]}, with a point"
-    if _WITH_UNIT.fullmatch(text):
-        return f"write the number alone, in {unit if unit not in ('', '1') else 'SI units'}"
-    return "write a number, without quotes"
-
-
 def quantity(place: Place, value: object, parameter: Parameter) -> float:
-    """`value` as a float that `parameter` may have."""
+    """Return `value` as a float that is admissible for `parameter`."""
     checked = number(place, value, parameter.unit)
     problem = parameter.problem(checked)
     if problem is not None:
@@ -45,16 +56,23 @@ def quantity(place: Place, value: object, parameter: Parameter) -> float:
 
 
 def count(place: Place, value: object, least: int, most: int | None = None) -> int:
-    """`value` as a whole number from `least` to `most`."""
+    """Return `value` as a whole number from `least` to `most`."""
     whole = int(value) if isinstance(value, Integral) and not isinstance(value, bool) else None
     if whole is None or whole < least or (most is not None and whole > most):
-        wanted = f"of {least} or more" if most is None else f"from {least} to {most}"
-        raise place.error(f"{shown(value)} does not fit; a whole number {wanted} is needed")
+        interval = f"of {least} or more" if most is None else f"from {least} to {most}"
+        raise place.error(f"{shown(value)} does not fit; a whole number {interval} is needed")
     return whole
 
 
+def flag(place: Place, value: object) -> bool:
+    """Return `value` as a boolean."""
+    if not isinstance(value, bool):
+        raise place.error(f"{shown(value)} is neither true nor false; write one of them")
+    return value
+
+
 def choice(place: Place, value: object, choices: Collection[str]) -> str:
-    """`value` as one of `choices`."""
+    """Return `value` as one of `choices`."""
     if not isinstance(value, str):
         raise place.error(f"{shown(value)} is not a name; choose from {', '.join(choices)}")
     if value not in choices:
@@ -63,7 +81,7 @@ def choice(place: Place, value: object, choices: Collection[str]) -> str:
 
 
 def as_table(place: Place, value: object) -> dict[str, object]:
-    """`value` as a table."""
+    """Return `value` as a table."""
     if not isinstance(value, dict):
         raise place.error(f"{shown(value)} is not a table; write [{place.key}] with a line for each key")
     return value
@@ -72,8 +90,51 @@ def as_table(place: Place, value: object) -> dict[str, object]:
 def known_keys(
     place: Place, table: dict[str, object], keys: Collection[str], advice: Mapping[str, str] | None = None
 ) -> None:
-    """Raise at the first key of `table` that is none of `keys`, with the `advice` for that key if there is any."""
+    """Raise at the first key of `table` that is not in `keys`, with the `advice` for that key if there is any."""
     for key in table:
         if key not in keys:
-            right = (advice or {}).get(str(key)) or suggestion(str(key), keys)
-            raise place.at(str(key)).error(f"unknown key; {right}")
+            raise place.at(str(key)).error(f"unknown key; {(advice or {}).get(str(key)) or suggestion(str(key), keys)}")
+
+
+def check_distinct(place: Place, items: Sequence[Hashable], noun: str) -> None:
+    """Raise at the first item of a list that occurs a second time; `noun` is what the message calls an item."""
+    first: dict[Hashable, int] = {}
+    for index, item in enumerate(items):
+        if first.setdefault(item, index) != index:
+            raise place.item(index).error(f"{shown(item)} is there already, at [{first[item]}]; give each {noun} once")
+
+
+def read_axis(place: Place, value: object, parameter: Parameter) -> np.ndarray:
+    """Return an axis of the grid, a list or a range, as float64 of shape (values,) in the file's order."""
+    if isinstance(value, dict):
+        return _read_range(place, value, parameter)
+    if not isinstance(value, list):
+        raise place.error(f"{shown(value)} is not an axis; {_AXIS_EXAMPLE}, or move it to [parameters]")
+    if not value:
+        raise place.error(f"[] has no values; {_AXIS_EXAMPLE}")
+    axis = [quantity(place.item(index), item, parameter) for index, item in enumerate(value)]
+    check_distinct(place, axis, "value")
+    return np.array(axis)
+
+
+def _read_range(place: Place, table: dict[str, object], parameter: Parameter) -> np.ndarray:
+    """Return evenly spaced values from start to stop, both included."""
+    known_keys(place, table, _RANGE_KEYS, _RANGE_ADVICE)
+    for key in _RANGE_KEYS[:3]:
+        if key not in table:
+            raise place.error(f"{key} is missing; {_AXIS_EXAMPLE}")
+    start, stop = (quantity(place.at(key), table[key], parameter) for key in ("start", "stop"))
+    num = count(place.at("num"), table["num"], 1, AXIS_MAX_VALUES)
+    spacing = choice(place.at("spacing"), table.get("spacing", "linear"), ("linear", "log"))
+    if spacing == "log":
+        for key, end in (("start", start), ("stop", stop)):
+            if end <= 0:
+                raise place.at(key).error(f'is {end:g}; spacing "log" needs ends above 0')
+    if (num == 1) != (start == stop):
+        advice = "both ends are included: 2 or more" if num == 1 else "the ends are equal: 1, or other ends"
+        raise place.at("num").error(f"{num} does not fit from {start:g} to {stop:g}; {advice}")
+    axis = np.geomspace(start, stop, num) if spacing == "log" else np.linspace(start, stop, num)
+    # Neighbours closer than the rounding would be the same coordinate.
+    if np.unique(axis).size != num:
+        raise place.at("num").error(f"{num} values from {start!r} to {stop!r} are not all different; fewer would be")
+    return axis

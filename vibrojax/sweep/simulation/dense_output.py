@@ -1,7 +1,4 @@
-"""One lane, step by step: every step's polynomial is kept, so that the motion can be read at any time.
-
-Whether there is room for that is asked before any work.
-"""
+"""One lane, step by step: the polynomial of every step is kept, so that the motion can be evaluated at any time."""
 
 from collections.abc import Callable
 from math import ceil
@@ -22,18 +19,22 @@ from vibrojax.sweep.engine.compiler import lane_function
 from vibrojax.sweep.engine.resources import memory
 
 BATCH = 512
-MOST_STEPS = 20_000 * BATCH
+"""Steps per call of the compiled program: enough for the call itself to cost little."""
 
-COPIES = 3
-"""Of every step's polynomials that are held at once: in batches, put together, and those that are read."""
+RECORD_MAX_STEPS = 20_000 * BATCH
+"""Ten million steps are some gigabytes; a longer motion is a slip."""
+
+_COPIES = 3
+"""Copies of the polynomials in memory at once: in batches, concatenated, and as evaluated."""
 
 
 class Record(NamedTuple):
     """The steps of one lane, along the first axis.
 
-    `start`, `h`, `dt` [s]; `polynomials` in (t - start)/h; `mode` where a step starts, `after` the state in which the
-    next one does; `hits`: the guards and markers, in the scene's order, that a step ended on; `falling`: whether a
-    marker came down through zero.
+    - `start`, `h`, `dt` [s]; `polynomials` in (t - start)/h.
+    - `mode` at the start of a step; `after`: the state in which the next one starts.
+    - `hits`: the guards and markers, in the scene's order, that a step ended on.
+    - `falling`: markers that fell through zero.
     """
 
     start: Float[Array, " steps"]
@@ -53,14 +54,13 @@ def record(
     state: Values,
     accuracy: Accuracy,
     duration: Array,
-    tell: Callable[[float], None] | None = None,
-    most_steps: int = MOST_STEPS,
+    report: Callable[[float], None] | None = None,
+    most_steps: int = RECORD_MAX_STEPS,
     pause: Array | None = None,
 ) -> Record:
-    """Step one lane, of shape (1,), from t = 0 to `duration` [s]; `tell(t)` hears how far it is.
+    """Step one lane, of shape (1,), from t = 0 to `duration` [s]; call `report(t)` after each batch of steps.
 
-    A step ends at the time `pause` [s], if there is one. Raises `InputError` where all this takes over `most_steps`,
-    ten million unless there is no room for so many.
+    A step ends at the time `pause` [s], if there is one. Raises `InputError` if this takes over `most_steps`.
     """
     constants, lane = begun(scene, constants, state)
     parts = []
@@ -68,15 +68,13 @@ def record(
     for _ in range(ceil(most_steps / BATCH)):
         lane, part = record_batch(scene, stepper, BATCH, constants, lane, accuracy, goal)
         parts.append(jax.tree.map(lambda x: np.asarray(x)[..., 0], part))
-        if tell:
-            tell(float(lane.clock.high[0]))
+        if report:
+            report(float(lane.clock.high[0]))
         if not float(lane.clock.until(goal)[0]) > 0:
             goal = duration
         if not float(lane.clock.until(duration)[0]) > 0:
             whole = Record(**{name: np.concatenate([part[name] for part in parts]) for name in Record._fields})
-            taken = whole.dt > 0
-            taken |= whole.hits.any(axis=1)
-            return Record(*(x[taken] for x in whole))
+            return Record(*(x[(whole.dt > 0) | whole.hits.any(axis=1)] for x in whole))
     reached = float(lane.clock.high[0])
     raise InputError(
         f"simulate: duration: {most_steps} steps, all there is room for, led to {reached:.3g} s of "
@@ -86,7 +84,7 @@ def record(
 
 @lane_function(static=1)
 def begun(scene: Scene[Any], constants: Any, state: Values) -> tuple[Any, Lane]:
-    """(the constants scaled for a motion from `state`, the lane that starts there)."""
+    """Return the constants scaled for a motion from `state`, and the lane that starts there."""
     constants = scene.scaled(constants, state)
     return constants, lane_at(scene, constants, state)
 
@@ -95,10 +93,15 @@ def begun(scene: Scene[Any], constants: Any, state: Values) -> tuple[Any, Lane]:
 def record_batch(
     scene: Scene[Any], stepper: Stepper, count: int, constants: Any, lane: Lane, accuracy: Accuracy, duration: Array
 ) -> tuple[Lane, Any]:
-    """(lanes after so many steps, or less where they come to the time `duration` [s]; the columns of their record, each
-    (steps, ..., lanes))."""
+    """Return lanes after `count` steps, fewer if they reach the time `duration` [s], and their record by name.
 
-    def one(lane: Lane, _: None) -> tuple[Lane, Any]:
+    Its columns have shape (steps, ..., lanes).
+    """
+
+    def flags(names: tuple[str, ...], flags_of: Any, like: Array) -> Array:
+        return jnp.stack([flags_of[name] for name in names]) if names else jnp.zeros((0, *like.shape), bool)
+
+    def advance(lane: Lane, _: None) -> tuple[Lane, Any]:
         moving = lane.clock.until(duration) > 0
         new, step = stepper.step(scene, constants, lane, accuracy, Goal(duration, moving))
         columns = {
@@ -108,43 +111,40 @@ def record_batch(
             "polynomials": jnp.stack([jnp.stack(series) for series in step.polynomials]),
             "mode": jnp.stack(step.mode),
             "after": jnp.stack(step.after),
-            "hits": _flags(scene.event_names, step.hits, moving),
-            "falling": _flags(scene.marker_names, step.falling, moving),
+            "hits": flags(scene.event_names, step.hits, moving),
+            "falling": flags(scene.marker_names, step.falling, moving),
         }
         return new, columns
 
-    steps: tuple[Lane, Any] = jax.lax.scan(one, lane, length=count)
+    steps: tuple[Lane, Any] = jax.lax.scan(advance, lane, length=count)
     return steps
-
-
-def _flags(names: tuple[str, ...], flags: Any, like: Array) -> Bool[Array, "names lanes"]:
-    return jnp.stack([flags[name] for name in names]) if names else jnp.zeros((0, *like.shape), bool)
 
 
 def sample(
     record: Record, times: Float[np.ndarray, " samples"]
 ) -> tuple[Float[Array, "states samples"], Float[Array, "modes samples"], Int[Array, " samples"]]:
-    """States and modes at `times` [s], read off the steps' polynomials; and which of the moving steps each is of."""
+    """Return states and modes at `times` [s], and the moving step that each sample is in."""
     moving = record.dt > 0
     start, h = record.start[moving], record.h[moving]
     step = np.clip(np.searchsorted(start, times, side="right") - 1, 0, len(start) - 1)
     tau = np.minimum(times - start[step], record.dt[moving][step]) / h[step]
-    states = _value(record.polynomials[moving][step], tau)
+    states = _evaluate(record.polynomials[moving][step], tau)
     return states.T, record.mode[moving][step].T, step
 
 
 def accumulated(record: Record, state: int) -> Float[np.ndarray, " moving"]:
-    """What to add in each moving step to a state that is set back to zero now and then, so that it is not."""
+    """Return the offset in each moving step that makes a state continuous which is reset to zero now and then."""
     moving = record.dt > 0
     polynomials = record.polynomials[moving][:, state : state + 1]
     start = polynomials[:, 0, 0]
-    growth = _value(polynomials, record.dt[moving] / record.h[moving])[:, 0] - start
+    growth = _evaluate(polynomials, record.dt[moving] / record.h[moving])[:, 0] - start
     return np.concatenate([[0.0], np.cumsum(growth)[:-1]]) - start
 
 
-def _value(
+def _evaluate(
     coefficients: Float[Array, "steps states orders"], tau: Float[Array, " steps"]
 ) -> Float[Array, "steps states"]:
+    """Return the values of polynomials by Horner's scheme."""
     values = coefficients[:, :, -1]
     for order in range(coefficients.shape[2] - 2, -1, -1):
         values = values * tau[:, None] + coefficients[:, :, order]
@@ -160,47 +160,39 @@ def check_size(
     stepper: Stepper | None,
     samples: int,
 ) -> int:
-    """The most steps that there is room for; raises `InputError` where the motion takes more even without events.
+    """Return the greatest number of steps that fit in memory.
 
-    **Arguments:** `constants`: the scene's, each of shape (1,); `stepper`: None for a solver of diffrax, whose steps
-    are not kept; `samples`: how many are asked for.
+    Raises `InputError` if the motion takes more, even without events.
+
+    **Arguments:** `constants`: the scene's, each of shape (1,); `stepper`: None for a diffrax solver, whose steps are
+    not kept; `samples`: their number.
     """
-    most, each = _room(scene, stepper, samples)
-    natural = _calmest_rate(scene, constants, stepper) / accuracy.stride
-    # How a solver of diffrax steps is its own affair, but it must follow the main spring.
-    given = 0.0 if stepper is None else 1 / accuracy.step
-    steps = duration * max(natural, given)
+    if stepper is None:
+        from vibrojax.stepping.adaptive import MOST_STEPS as most
+
+        step_bytes, requested = 0.0, 0.0
+    else:
+        numbers = 3 + len(scene.states) * (stepper.degree + 2) + len(scene.modes)
+        step_bytes = 8.0 * numbers + len(scene.guard_names) + 2 * len(scene.markers)
+        most, requested = RECORD_MAX_STEPS, 1 / accuracy.step
+    available = memory() if step_bytes else None
+    if available is not None:
+        most = max(min(most, int((available - 2 * samples * step_bytes) / (_COPIES * step_bytes))), 0)
+    # A diffrax solver chooses its own steps, but it must follow the main spring.
+    if stepper is None and isinstance(scene, HasFriction):
+        natural = float(scene.spring_rate(constants)[0]) / accuracy.stride
+    else:
+        calmest = tuple(np.full(1, mode.calmest) for mode in scene.modes)
+        natural = float(_rate(scene, constants, calmest)[0]) / accuracy.stride
+    steps = duration * max(natural, requested)
     if steps <= most:
         return most
-    needs = f"{steps:.3g} steps" + (f" and {size_text(COPIES * steps * each)} of memory" if each else "")
-    there = memory() if each else None
-    allowed = f"{most:.3g} steps" + (f" and {size_text(there)} of memory" if there else "")
-    advice = "give a shorter duration" + (", a longer step or a greater error" if given > natural else "")
-    raise place.at("duration").error(f"{duration:g} s need some {needs}; there is room for {allowed}: {advice}")
-
-
-def _calmest_rate(scene: Scene[Any], constants: Any, stepper: Stepper | None) -> float:
-    """How fast the motion changes at least [1/s]."""
-    if stepper is None and isinstance(scene, HasFriction):
-        return float(scene.spring_rate(constants)[0])
-    return float(_rate(scene, constants, tuple(np.full(1, mode.calmest) for mode in scene.modes))[0])
+    needs = f"{steps:.3g} steps" + (f" and {size_text(_COPIES * steps * step_bytes)} of memory" if step_bytes else "")
+    allowed = f"{most:.3g} steps" + (f" and {size_text(available)} of memory" if available else "")
+    advice = "give a shorter duration" + (", a longer step or a greater error" if requested > natural else "")
+    raise place.at("duration").error(f"{duration:g} s need about {needs}; there is room for {allowed}: {advice}")
 
 
 @lane_function(static=1)
 def _rate(scene: Scene[Any], constants: Any, mode: Values) -> Array:
     return scene.rate(constants, mode)
-
-
-def _room(scene: Scene[Any], stepper: Stepper | None, samples: int) -> tuple[int, float]:
-    """How many steps there is room for, and the bytes that each takes."""
-    if stepper is None:
-        from vibrojax.stepping.adaptive import MOST_STEPS as MOST_ADAPTIVE
-
-        return MOST_ADAPTIVE, 0.0
-    numbers = 3 + len(scene.states) * (stepper.degree + 2) + len(scene.modes)
-    flags = len(scene.guard_names) + 2 * len(scene.markers)
-    each = 8.0 * numbers + flags
-    there = memory()
-    if there is None:
-        return MOST_STEPS, each
-    return max(min(MOST_STEPS, int((there - 2 * samples * each) / (COPIES * each))), 0), each

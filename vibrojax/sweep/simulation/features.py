@@ -1,10 +1,9 @@
-"""What was found along a recorded motion: its features and label, by what measures and labels the lanes of a sweep.
+"""Features and labels of a recorded motion, by the code that measures and labels the lanes of a sweep.
 
-The recorded steps go through the scene's recorder once more, one by one, as they would go through it in a sweep whose
-`settle` and `observe` are those of `window`.
+The recorded steps pass through the scene's recorder again, one by one, as in a sweep whose `settle` and `observe` are
+those of `window`.
 """
 
-from collections.abc import Iterator
 from typing import Any
 
 import jax
@@ -13,7 +12,7 @@ import numpy as np
 
 from vibrojax.compile.devices import precision
 from vibrojax.errors import InputError
-from vibrojax.io.variables import VARIABLES, Variable
+from vibrojax.io.variables import VARIABLES
 from vibrojax.measures import recorder_for
 from vibrojax.measures.recorder import Features, Records
 from vibrojax.models.arrays import Array
@@ -25,18 +24,18 @@ from vibrojax.sweep.engine.drift import drift
 from vibrojax.sweep.engine.labelled import measured_besides, regimes
 from vibrojax.sweep.simulation.dense_output import BATCH, Record, begun
 
-OBSERVED, LONGEST_HALF = 1 / 6, 8.0
-"""The part of a motion that is observed, that of a sweep's defaults; of a short one half, up to so many seconds."""
+OBSERVED_SHARE, OBSERVED_MAX_HALF = 1 / 6, 8.0
+"""Share of a motion that is observed, that of a sweep's defaults; of a short motion one half, up to 8 s."""
 
 
 def window(duration: float) -> tuple[float, float]:
-    """When the observation of a motion of that `duration` begins, and how long it is [s]."""
-    observe = max(OBSERVED * duration, min(LONGEST_HALF, duration / 2))
+    """Return when the observation of a motion of that `duration` begins, and how long it is [s]."""
+    observe = max(OBSERVED_SHARE * duration, min(OBSERVED_MAX_HALF, duration / 2))
     return duration - observe, observe
 
 
 def recorder_of(scene: Scene[Any]) -> Records | None:
-    """What measures a scene; None where it declares nothing to measure over, or what it is not (a sweep says why)."""
+    """Return the recorder of a scene; None if a sweep would refuse the scene's declarations, and say why."""
     try:
         return recorder_for(scene)
     except InputError:
@@ -44,97 +43,92 @@ def recorder_of(scene: Scene[Any]) -> Records | None:
 
 
 def measured(
-    scene: Scene[Any], recorder: Records, constants: Any, state: Values, taken: Record, begin: float, observe: float
+    scene: Scene[Any], recorder: Records, constants: Any, state: Values, steps: Record, begin: float, observe: float
 ) -> dict[str, np.ndarray]:
-    """The features of one recorded lane by name, each (1,), or (1, returns) for the last returns.
+    """Return the features of one recorded lane by name, each (1,), or (1, returns) for the last returns.
 
-    **Arguments:** `constants`: the scene's; `state` at t = 0, each (1,); `taken`: its steps, one of which ends at the
-    time `begin` [s], from which on it is observed for `observe` [s].
+    **Arguments:** `constants`: the scene's; `state` at t = 0, each (1,); `steps`: of the motion, one of which ends at
+    the time `begin` [s], from which it is observed for `observe` [s].
     """
     constants, lane = begun(scene, constants, state)
-    middle = int(np.searchsorted(taken.start + taken.dt / 2, begin))
-    before, after = (Record(*(x[part] for x in taken)) for part in (slice(middle), slice(middle, None)))
+    middle = int(np.searchsorted(steps.start + steps.dt / 2, begin))
+    before, after = (Record(*(x[part] for x in steps)) for part in (slice(middle), slice(middle, None)))
     settled = recorder.settling(scene, lane)
     if middle:
-        # Recorded steps end on the section already, as those of a sweep do only under observation.
-        observed = _begin(scene, recorder, constants, lane, settled)
-        for part in _batches(before):
-            observed = _observe(scene, recorder, constants, observed, part, 0.0, begin)
-        settled = recorder.settled(settled, observed)
-        lane = _as_step(scene, Record(*(x[middle - 1][..., None] for x in taken)))[1]
+        # Recorded steps end on the section already, which a sweep's steps do only under observation.
+        carry = _begin(scene, recorder, constants, lane, settled)
+        carry = _observe_all(scene, recorder, constants, carry, before, 0.0, begin)
+        settled = recorder.settled(settled, carry)
+        lane = _as_step(scene, Record(*(x[middle - 1][..., None] for x in steps)))[1]
         lane = lane._replace(mode=tuple(mode[None] for mode in after.mode[0]))
-    observed = _begin(scene, recorder, constants, lane, settled)
-    for part in _batches(after):
-        observed = _observe(scene, recorder, constants, observed, part, begin, observe)
-    features = _read(scene, recorder, constants, observed)
+    carry = _begin(scene, recorder, constants, lane, settled)
+    carry = _observe_all(scene, recorder, constants, carry, after, begin, observe)
+    features = _read(scene, recorder, constants, carry)
     return {name: np.moveaxis(np.asarray(x), -1, 0) for name, x in features.items()}
 
 
 def compile_measures(scene: Scene[Any], recorder: Records, stepper: Stepper, constants: Any, state: Values) -> None:
-    """Compile what `measured` runs, so that it is there when the motion is; nothing is measured."""
-    events, markers = len(scene.event_names), len(scene.marker_names)
-    none, flags = np.zeros(1), np.zeros((1, events), bool)
-    states, modes = len(scene.states), len(scene.modes)
-    polynomials, after = np.zeros((1, states, stepper.degree + 1)), np.zeros((1, states))
-    still = Record(none, none, none, polynomials, np.zeros((1, modes)), after, flags, np.zeros((1, markers), bool))
-    still = Record(*(np.concatenate([x, x]) for x in still))
+    """Compile the programs of `measured` by two steps of a lane at rest."""
+    states, none = len(scene.states), np.zeros(2)
+    still = Record(
+        start=np.array([0.0, 1.0]),
+        h=none,
+        dt=none,
+        polynomials=np.zeros((2, states, stepper.degree + 1)),
+        mode=np.zeros((2, len(scene.modes))),
+        after=np.zeros((2, states)),
+        hits=np.zeros((2, len(scene.event_names)), bool),
+        falling=np.zeros((2, len(scene.marker_names)), bool),
+    )
     with precision("float64"):
-        measured(scene, recorder, constants, state, still._replace(start=np.array([0.0, 1.0])), 0.5, 1.0)
+        measured(scene, recorder, constants, state, still, 0.5, 1.0)
 
 
-def found_in(
+def labelled_features(
     scene: Scene[Any], parameters: dict[str, float], features: dict[str, np.ndarray], tolerance: float
 ) -> dict[str, tuple[tuple[()], np.ndarray, dict[str, Any]]]:
-    """The variables of a motion's dataset that say what was found: numbers, named as in a sweep's.
+    """Return the features as variables of a motion's dataset: numbers, named as in a sweep.
 
     **Arguments:** `parameters`: the point, complete; `features`: from `measured`; `tolerance`: of the steps.
     """
-    found = dict(features)
-    if scene.section is not None and "cycles" in found:
-        values = {name: np.array([value]) for name, value in parameters.items()}
+    features = dict(features)
+    if scene.section is not None and "cycles" in features:
         swing = scene.section.swings[0].amplitude
-        if {swing, "trend"} <= set(found):
-            sound = {"finite": np.isfinite(found[swing]), "finished": np.array([True])}
-            found["regime"] = regimes(scene, values, found | sound)
-        found["drift_estimate"] = drift(found, scene.section, "float64", tolerance)
-    known: dict[str, Variable] = VARIABLES | measured_besides(scene)
-    return {
-        name: ((), _as(known[name], found[name]), known[name].attributes())
-        for name in known
-        if name in found and found[name].ndim == 1
-    }
+        if {swing, "trend"} <= set(features):
+            values = {name: np.array([value]) for name, value in parameters.items()}
+            sound = {"finite": np.isfinite(features[swing]), "finished": np.array([True])}
+            features["regime"] = regimes(scene, values, features | sound)
+        features["drift_estimate"] = drift(features, scene.section, "float64", tolerance)
+    numbers = {}
+    for name, variable in (VARIABLES | measured_besides(scene)).items():
+        if name in features and features[name].ndim == 1:
+            value = features[name][0]
+            value = np.nan_to_num(value) if np.issubdtype(variable.dtype, np.integer) else value
+            numbers[name] = ((), np.asarray(value, variable.dtype), variable.attributes())
+    return numbers
 
 
-def _as(variable: Variable, values: np.ndarray) -> np.ndarray:
-    """One lane's value, of the variable's dtype."""
-    whole = np.issubdtype(variable.dtype, np.integer)
-    return np.asarray(np.nan_to_num(values[0]) if whole else values[0], variable.dtype)
-
-
-def _batches(steps: Record) -> Iterator[Record]:
-    """The steps in batches of one size, an axis of lanes added; in the last the lane stands still where it ended."""
+def _observe_all(
+    scene: Scene[Any], recorder: Records, c: Any, carry: Any, steps: Record, begin: float, observe: float
+) -> Any:
+    """Pass steps through the recorder in batches of one size; the last is filled with steps of a lane at rest."""
     for first in range(0, len(steps.dt), BATCH):
         batch = Record(*(x[first : first + BATCH] for x in steps))
-        missing = BATCH - len(batch.dt)
-        if missing:
-            batch = _stretched(batch, missing)
-        yield Record(*(x[..., None] for x in batch))
-
-
-def _stretched(steps: Record, more: int) -> Record:
-    """The steps, and `more` in which the lane stands still where they end."""
-    last = Record(*(x[-1] for x in steps))
-    polynomials = np.zeros_like(last.polynomials)
-    polynomials[:, 0] = last.after
-    still = last._replace(
-        start=last.start + last.dt,
-        dt=np.zeros_like(last.dt),
-        polynomials=polynomials,
-        hits=np.zeros_like(last.hits),
-        falling=np.zeros_like(last.falling),
-    )
-    both = zip(steps, still, strict=True)
-    return Record(*(np.concatenate([x, np.broadcast_to(y, (more, *np.shape(y)))]) for x, y in both))
+        if missing := BATCH - len(batch.dt):
+            last = Record(*(x[-1] for x in batch))
+            polynomials = np.zeros_like(last.polynomials)
+            polynomials[:, 0] = last.after
+            still = last._replace(
+                start=last.start + last.dt,
+                dt=np.zeros_like(last.dt),
+                polynomials=polynomials,
+                hits=np.zeros_like(last.hits),
+                falling=np.zeros_like(last.falling),
+            )
+            rest = (np.broadcast_to(x, (missing, *np.shape(x))) for x in still)
+            batch = Record(*(np.concatenate(pair) for pair in zip(batch, rest, strict=True)))
+        carry = _observe(scene, recorder, c, carry, Record(*(x[..., None] for x in batch)), begin, observe)
+    return carry
 
 
 @lane_function(static=2)
@@ -146,13 +140,13 @@ def _begin(scene: Scene[Any], recorder: Records, c: Any, lane: Lane, settled: An
 def _observe(
     scene: Scene[Any], recorder: Records, c: Any, carry: Any, steps: Record, begin: float, observe: float
 ) -> Any:
-    def one(carry: Any, recorded: Record) -> tuple[Any, None]:
+    def observe_step(carry: Any, recorded: Record) -> tuple[Any, None]:
         step, lane = _as_step(scene, recorded)
         carry = recorder.step(scene, c, carry, lane, step)
         share = (lane.clock.high - begin) / observe
         return recorder.take_returns(scene, c, carry, lane, share), None
 
-    return jax.lax.scan(one, carry, steps)[0]
+    return jax.lax.scan(observe_step, carry, steps)[0]
 
 
 @lane_function(static=2)
@@ -161,13 +155,13 @@ def _read(scene: Scene[Any], recorder: Records, c: Any, carry: Any) -> Features:
 
 
 def _as_step(scene: Scene[Any], recorded: Record) -> tuple[Step, Lane]:
-    """A recorded step, its last axis that of lanes, and the lane after it, in the mode in which the step began."""
+    """Return a recorded step, whose last axis is lanes, and the lane after it, in the mode in which the step began."""
 
-    def each(x: Array) -> tuple[Array, ...]:
+    def split(x: Array) -> tuple[Array, ...]:
         return tuple(x[i] for i in range(len(x)))
 
-    polynomials = tuple(list(each(coefficients)) for coefficients in each(recorded.polynomials))
-    mode, after = each(recorded.mode), each(recorded.after)
+    polynomials = tuple(list(split(coefficients)) for coefficients in split(recorded.polynomials))
+    mode, after = split(recorded.mode), split(recorded.after)
     h, dt = recorded.h, recorded.dt
     step = Step(
         before=tuple(series[0] for series in polynomials),
@@ -177,8 +171,8 @@ def _as_step(scene: Scene[Any], recorded: Record) -> tuple[Step, Lane]:
         tau=jnp.where(dt > 0, dt / jnp.where(h > 0, h, 1), 0),
         dt=dt,
         after=after,
-        hits=dict(zip(scene.event_names, each(recorded.hits), strict=True)),
-        falling=dict(zip(scene.marker_names, each(recorded.falling), strict=True)),
+        hits=dict(zip(scene.event_names, split(recorded.hits), strict=True)),
+        falling=dict(zip(scene.marker_names, split(recorded.falling), strict=True)),
     )
     end = recorded.start + recorded.dt
     return step, Lane(Clock(end, jnp.zeros_like(end)), after, mode, jnp.full_like(end, jnp.inf))

@@ -1,4 +1,4 @@
-"""From the samples of one lane to the labelled trajectory: states, forces, and what happened when."""
+"""The dataset of a trajectory: states and forces at the samples of one lane, and its events."""
 
 import json
 from collections.abc import Mapping
@@ -22,18 +22,7 @@ from vibrojax.sweep.input.point import Point
 from vibrojax.sweep.simulation.dense_output import Record, accumulated
 
 KINDS = ("none", "stick", "slip", "impact", "release", "section")
-"""Meaning of the flags of `event_kind`."""
-
-Samples = Float[Array, " samples"]
-
-
-class Variable(NamedTuple):
-    """Values along time [unit], and what they are."""
-
-    values: Any
-    unit: str
-    long_name: str
-
+"""Meanings of the flags of `event_kind`."""
 
 FORCES = {
     "friction_force": "friction force of the rock on the bit, against its sliding",
@@ -42,6 +31,16 @@ FORCES = {
     "rock_force": "resistance of the rock under the bit",
 }
 """Forces [N] at the samples, by the names of their variables."""
+
+Samples = Float[Array, " samples"]
+
+
+class AlongTime(NamedTuple):
+    """Values along time, with their unit and meaning."""
+
+    values: Any
+    unit: str
+    long_name: str
 
 
 class Motion(NamedTuple):
@@ -53,14 +52,14 @@ class Motion(NamedTuple):
 
 
 class Events(NamedTuple):
-    """Times [s] and kinds, indices into `KINDS`, of what happened, in order."""
+    """Times [s] and kinds, indices into `KINDS`, of events in their order."""
 
     times: Float[np.ndarray, " events"]
     kinds: Int[np.ndarray, " events"]
 
 
 def events(scene: Scene[Any], c: Any, record: Record) -> Events:
-    """What happened in the `record` of one lane; `c`: the scene's constants."""
+    """Return the events in the `record` of one lane; `c`: the scene's constants."""
     masks: dict[str, Bool[Array, " steps"]] = {}
     hits = dict(zip(scene.event_names, record.hits.T, strict=True))
     if isinstance(scene, HasFriction):
@@ -70,7 +69,7 @@ def events(scene: Scene[Any], c: Any, record: Record) -> Events:
         masks["slip"] = hits["friction"] & (after != 0)
     if isinstance(scene, HasContact):
         modes, states = tuple(record.mode.T), tuple(record.after.T)
-        masks["impact"] = np.asarray(impact_begins(scene, one_for_all(c), modes, states, hits))
+        masks["impact"] = np.asarray(impact_begins(scene, _scalars(c), modes, states, hits))
         masks["release"] = hits["contact"] & (record.mode[:, scene.mode_place("touching")] != 0)
     if scene.section is not None:
         masks["section"] = _returns(scene, c, record)
@@ -84,18 +83,17 @@ def events(scene: Scene[Any], c: Any, record: Record) -> Events:
 
 
 def _returns(scene: Scene[Any], c: Any, record: Record) -> Bool[np.ndarray, " steps"]:
-    """Steps that end on the section, having been beyond the re-arming level since the last one."""
+    """Return the steps that end on the section, after the velocity was beyond the re-arming level once more."""
     section = scene.section
     assert section is not None
     sign, marker = 1.0 if section.rising else -1.0, scene.marker_of(section.velocity)
     falling = record.falling[:, scene.marker_names.index(marker)]
     returns = record.hits[:, scene.event_names.index(marker)] & (~falling if section.rising else falling)
     armed, passed = False, np.zeros(len(returns), bool)
-    # A step taken for a mere switch has no length, and nothing falls in it.
+    # A step that only switches the mode has no length, and its velocity does not fall.
     tau = np.where(record.dt > 0, record.dt / np.where(record.h > 0, record.h, 1), 0)
-    velocity = [sign * one for one in record.polynomials[:, scene.place(section.velocity)].T]
-    level = sign * float(np.ravel(section.rearm(c))[0])
-    low = np.asarray(lowest_velocity(velocity, tau)) < level
+    velocity = [sign * coefficient for coefficient in record.polynomials[:, scene.place(section.velocity)].T]
+    low = np.asarray(lowest_velocity(velocity, tau)) < sign * float(np.ravel(section.rearm(c))[0])
     for index in np.flatnonzero(returns | low):
         armed = armed or bool(low[index])
         passed[index] = returns[index] and armed
@@ -103,53 +101,55 @@ def _returns(scene: Scene[Any], c: Any, record: Record) -> Bool[np.ndarray, " st
     return passed
 
 
-def forces(scene: Scene[Any], c: Any, motion: Motion, width: float | None) -> dict[str, Variable]:
-    """Forces [N] at the samples, by name; friction is what the springs do not give to the bit (Newton).
+def forces(scene: Scene[Any], c: Any, motion: Motion, width: float | None) -> dict[str, AlongTime]:
+    """Return the forces [N] at the samples by name; friction is the pull of the springs less the inertia of the bit.
 
-    `width` [m/s] is that of a smoothed motion, None of a sharp one.
+    `width` [m/s] is that of a smoothed motion, None for a sharp one.
     """
-    found = _forces(scene, width is None, one_for_all(c), tuple(motion.modes), tuple(motion.states), width or 0.0)
-    return {name: Variable(np.asarray(force) + 0.0, "N", FORCES[name]) for name, force in found.items()}  # no -0.0
+    values = _forces(scene, width is None, _scalars(c), tuple(motion.modes), tuple(motion.states), width or 0.0)
+    return {name: AlongTime(np.asarray(force) + 0.0, "N", FORCES[name]) for name, force in values.items()}  # no -0.0
 
 
 @lane_function(static=2)
 def _forces(scene: Scene[Any], is_sharp: bool, c: Any, modes: Values, states: Values, width: Any) -> dict[str, Array]:
-    found: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     if isinstance(scene, HasFriction):
         rates = scene.field(c, modes, states) if is_sharp else scene.smoothed_field(c, modes, states, width)
-        found["friction_force"] = scene.pull(c, states) - scene.bit(c).mass * rates[scene.place(scene.bit_velocity)]
+        values["friction_force"] = scene.pull(c, states) - scene.bit(c).mass * rates[scene.place(scene.bit_velocity)]
     if isinstance(scene, HasContact):
-        found["impact_force"] = scene.contact_force(c, modes, states)
+        values["impact_force"] = scene.contact_force(c, modes, states)
     if isinstance(scene, Driven):
-        found["applied_force"] = scene.applied_force(c, modes, states)
+        values["applied_force"] = scene.applied_force(c, modes, states)
     if isinstance(scene, HasRock):
-        found["rock_force"] = scene.rock_force(c, modes, states)
-    return {name: force + jnp.zeros_like(states[0]) for name, force in found.items()}
+        values["rock_force"] = scene.rock_force(c, modes, states)
+    return {name: force + jnp.zeros_like(states[0]) for name, force in values.items()}
 
 
 @lane_function(static=1)
 def impact_begins(scene: HasContact, c: Any, modes: Values, states: Values, hits: dict[str, Array]) -> Array:
-    """Whether steps that end in `states` on what they hit end on the beginning of an impact."""
+    """Return the steps, by the states in which they end and their hits, that end on the beginning of an impact."""
     return scene.impact_begins(c, modes, states, hits)
 
 
 @lane_function(static=0)
 def lowest_velocity(velocity: list[Array], tau: Array) -> Array:
-    """The least value of steps' polynomials from 0 to `tau`."""
+    """Return the least values of steps' polynomials from 0 to `tau`."""
     return lowest(velocity, tau)
 
 
-def one_for_all(c: Any) -> Any:
-    """The constants of one lane, of shape (1,) or none, for all samples."""
+def _scalars(c: Any) -> Any:
+    """Return the constants of one lane without axes, so that they serve all samples."""
     return jax.tree.map(lambda x: np.asarray(x).reshape(()), c)
 
 
 def states_shown(
     scene: Scene[Any], motion: Motion, record: Record | None, step_of: Int[Array, " samples"] | None
-) -> dict[str, Variable]:
-    """The states at the samples, by name; where there is rock, x3 and x4 for compression and growth: those of all blows
-    together, by the `record` and the step of it that each sample is of."""
-    shown: dict[str, Variable] = {}
+) -> dict[str, AlongTime]:
+    """Return the states at the samples, with rock also x3 and x4 in place of compression and growth.
+
+    x3 and x4 add up over all blows, by the `record` and the step of it that each sample is in.
+    """
+    variables: dict[str, AlongTime] = {}
     x3 = x4 = None
     if isinstance(scene, HasRock) and record is not None and step_of is not None:
         growth = scene.place("growth")
@@ -157,40 +157,36 @@ def states_shown(
         x3 = x4 + motion.states[scene.place("compression")]
     for state, values in zip(scene.states, motion.states, strict=True):
         if state.shown:
-            shown[state.name] = Variable(values, state.unit, state.long_name)
+            variables[state.name] = AlongTime(values, state.unit, state.long_name)
         elif state.name == "compression" and x3 is not None:
-            shown["x3"] = Variable(x3, "m", "normal position of the bit")
+            variables["x3"] = AlongTime(x3, "m", "normal position of the bit")
         elif state.name == "growth" and x4 is not None:
-            shown["x4"] = Variable(x4, "m", "depth of the hole")
-    return shown
+            variables["x4"] = AlongTime(x4, "m", "depth of the hole")
+    return variables
 
 
 def trajectory_dataset(
     point: Point,
     scene: Scene[Any],
     motion: Motion,
-    along_time: Mapping[str, Variable],
-    happened: Events | None,
+    along_time: Mapping[str, AlongTime],
+    event_list: Events | None,
     solver: Mapping[str, object],
 ) -> xr.Dataset:
-    """The dataset of a trajectory: variables along time, and what `happened` along events."""
+    """Return the dataset of a trajectory: variables along time, and events along theirs."""
     variables: dict[str, tuple[str, Any, dict[str, Any]]] = {
-        name: ("time", one.values, {"units": one.unit, "long_name": one.long_name}) for name, one in along_time.items()
+        name: ("time", x.values, {"units": x.unit, "long_name": x.long_name}) for name, x in along_time.items()
     }
     if isinstance(scene, HasFriction):
+        flags = {"flag_values": np.array([0, 1], np.int8), "flag_meanings": "slides sticks"}
         stuck = (motion.modes[scene.mode_place("slip")] == 0).astype(np.int8)
-        about = {"units": "1", "long_name": "whether the bit sticks to the rock"}
-        variables["stuck"] = (
-            "time",
-            stuck,
-            about | {"flag_values": np.array([0, 1], np.int8), "flag_meanings": "slides sticks"},
-        )
-    if happened is not None:
+        variables["stuck"] = ("time", stuck, {"units": "1", "long_name": "whether the bit sticks to the rock", **flags})
+    if event_list is not None:
         flags = {"flag_values": np.arange(len(KINDS), dtype=np.int8), "flag_meanings": " ".join(KINDS)}
-        about = {"units": "s", "long_name": "time of the event"}
-        variables["event_time"] = ("event", happened.times, about)
-        variables["event_kind"] = ("event", happened.kinds, {"units": "1", "long_name": "what happened", **flags})
-    start = {} if point.start is None else {"start": _written(point.start)}
+        variables["event_time"] = ("event", event_list.times, {"units": "s", "long_name": "time of the event"})
+        variables["event_kind"] = ("event", event_list.kinds, {"units": "1", "long_name": "what happened", **flags})
+    start = point.start
+    written = {} if start is None else {"start": start if isinstance(start, str) else json.dumps(list(start))}
     attributes = {
         "title": f"{point.scene}: trajectory",
         "scene": point.scene,
@@ -199,13 +195,9 @@ def trajectory_dataset(
         "parameters": json.dumps(point.parameters),
         "differing": json.dumps(differing(point.system.parameters(), point.parameters)),
         **point.options,
-        **start,
+        **written,
         "solver": json.dumps(solver),
         "Conventions": "CF-1.11",
     }
     times = {"time": ("time", motion.times, {"units": "s", "long_name": "time"})}
     return xr.Dataset(variables, times, attributes)
-
-
-def _written(start: str | tuple[float, ...]) -> str:
-    return start if isinstance(start, str) else json.dumps(list(start))
