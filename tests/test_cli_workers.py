@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from vibrojax.analyses.sweep.run import run_share
-from vibrojax.analyses.sweep.workers.order import by_cost
+from vibrojax.analyses.sweep.workers.work import by_cost
 from vibrojax.cli import main
 from vibrojax.sweep.engine.chunks import Chunks
 from vibrojax.sweep.input.read import read_sweep

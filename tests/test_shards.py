@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from vibrojax.errors import InputError
-from vibrojax.io.lock import Lock
+from vibrojax.io.claims import Lock
 from vibrojax.io.shards import DamagedShard, Shards
 
 MANIFEST = {"scene": "rotary", "chunk": 4, "grid.beta": [0.1, 0.2], "version": "1"}
