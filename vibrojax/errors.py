@@ -75,9 +75,9 @@ def nearest(word: str, words: Iterable[str]) -> str | None:
     """Return the most similar one of `words`, None if none is similar."""
 
     def similarity(candidate: str) -> float:
-        word_, candidate = (text.lower().replace("_", "-") for text in (word, candidate))
+        first, second = (text.lower().replace("_", "-") for text in (word, candidate))
         # c1 is as far from c2 as from k1; the first letter decides.
-        return SequenceMatcher(None, word_, candidate).ratio() + 0.1 * (word_[:1] == candidate[:1])
+        return SequenceMatcher(None, first, second).ratio() + 0.1 * (first[:1] == second[:1])
 
     best = max(words, key=similarity, default=None)
     return best if best is not None and similarity(best) >= _SIMILARITY else None

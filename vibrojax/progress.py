@@ -1,18 +1,9 @@
 """Progress of long work on stderr: a bar on a terminal, plain lines elsewhere.
 
-    progress = Progress(sweep.lanes, "lanes", shown=True)
-    progress.resume(512)                      # done by an earlier run: reported, and left out of the pace
-    progress.add(64)                          # 576/1000 lanes, 2100 lanes/s, 0.2 s left
-
-    progress = Progress(20.0, "s simulated", pace=False)
-    progress.reach(3.5)                       # 3.5/20 s simulated, 12 s left
-
-    progress = Progress(len(settings), "settings", pace=False)
-    progress.add(1, "rotary: error 1e-06")    # 3/14 settings, 8 s left: rotary: error 1e-06
-
-    progress.say("rotary: 40 points")         # a separate line, with the seconds since the start
-
-Work that may stop in the middle of a bar belongs in `with progress:`, which ends the bar's line.
+with Progress(sweep.lanes, "lanes") as progress:  # ends the line of the bar if the work stops early
+    progress.resume(512)                          # done by an earlier run: reported, and left out of the pace
+    progress.add(64)                              # 576/1000 lanes, 2100 lanes/s, 0.2 s left
+    progress.say("rotary: 40 points")             # a separate line, with the seconds since the start
 """
 
 import logging

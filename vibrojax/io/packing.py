@@ -42,7 +42,7 @@ class Sizes:
         return self._plain.total() / max(self.lanes, 1)
 
     def plain(self, lanes: int) -> frozenset[str]:
-        """Return the names of the variables that stay uncompressed in a dataset of so many lanes."""
+        """Return the names of the variables that stay uncompressed in a dataset of `lanes` lanes."""
         if self.lane_bytes * lanes <= UP_TO:
             return frozenset()
         return frozenset(name for name, size in self._plain.items() if self._packed[name] > HALF * size)

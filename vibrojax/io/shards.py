@@ -35,7 +35,9 @@ _HEADER_SIZE = 1 << 16
 _DAMAGES_SHOWN = 3
 _DIGEST_SIZE = hashlib.sha256().digest_size
 
-_SHARD = re.compile(r"chunk-(\d{8,})\.shard")
+SHARD = re.compile(r"chunk-(\d{8,})\.shard")
+"""Name of the file of a finished chunk, with its index."""
+
 _LEFTOVER = re.compile(
     r"(manifest\.json|clock|chunk-\d{8,}\.shard)(\.\d+)*\.tmp|(chunk-\d{8,}\.failed|[\w-]+\.claim)((\.\d+)*\.tmp)?"
 )
@@ -73,13 +75,8 @@ class Shards:
     ) -> None:
         self.folder, self._about, self._shared = folder, dict(about), shared
         self.claims = Claims(folder)
-        self._manifest = Manifest(manifest)
+        self.manifest = Manifest(manifest)
         self._lock: Lock | None = None
-
-    @property
-    def manifest(self) -> dict[str, object]:
-        """Everything that the results depend on."""
-        return self._manifest.values
 
     def open(self, resume: bool) -> None:
         """Prepare the folder for this process alone.
@@ -138,10 +135,9 @@ class Shards:
     def there(self) -> set[int]:
         """Return the indices of the existing chunks, without checking that they are whole."""
         try:
-            indices = {shard_index(name) for name in os.listdir(self.folder)}
+            return {int(match[1]) for match in map(SHARD.fullmatch, os.listdir(self.folder)) if match}
         except FileNotFoundError:  # the sweep is finished, and the folder removed
             return set()
-        return {index for index in indices if index is not None}
 
     def discard(self, index: int) -> None:
         """Remove a chunk, if it exists."""
@@ -190,12 +186,13 @@ class Shards:
             file = io.BytesIO(content)
             version = npy.read_magic(file)
             shape, _, dtype = npy.read_array_header_1_0(file, max_header_size=_HEADER_SIZE)
-            if version != (1, 0) or shape or dtype.hasobject or file.tell() + dtype.itemsize != len(content):
-                raise ValueError("not one structured value of this size")
+            whole = version == (1, 0) and shape == () and file.tell() + dtype.itemsize == len(content)
+            if not whole or dtype.names is None or dtype.hasobject:
+                raise ValueError("not a structured value of the size of the file")
             record = np.frombuffer(content, dtype, offset=file.tell()).reshape(())
-            return {name: record[name] for name in dtype.names or ()}
-        except ValueError as error:
-            raise DamagedShard(f"{self._path(index)}: cannot be read ({error})") from None
+            return {name: record[name] for name in dtype.names}
+        except Exception as error:  # numpy raises many kinds on a malformed header
+            raise DamagedShard(f"{self._path(index)}: cannot be read ({type(error).__name__})") from None
 
     def remove(self) -> None:
         """Remove the chunks and, unless it holds other files, the folder; release it."""
@@ -231,7 +228,7 @@ class Shards:
         return self.folder / f"{_chunk_name(index)}.failed"
 
     def _checksum(self, index: int, content: bytes | memoryview) -> bytes:
-        digest = hashlib.sha256(f"{self._manifest.digest} {index}\n".encode())
+        digest = hashlib.sha256(f"{self.manifest.digest} {index}\n".encode())
         digest.update(content)
         return digest.digest()
 
@@ -262,7 +259,7 @@ class Shards:
     def _clear(self, shards: bool) -> None:
         """Remove leftovers of killed processes, and with `shards` the finished chunks; foreign files stay."""
         for path in self.folder.iterdir():
-            if _LEFTOVER.fullmatch(path.name) or (shards and _SHARD.fullmatch(path.name)):
+            if _LEFTOVER.fullmatch(path.name) or (shards and SHARD.fullmatch(path.name)):
                 path.unlink(missing_ok=True)
 
     def _check_claims(self, prefix: str = "") -> None:
@@ -280,22 +277,16 @@ class Shards:
             raise InputError(line) from None
 
     def _write_manifest(self) -> None:
-        self._put(self.folder / MANIFEST, self._manifest.content(self._about))
+        self._put(self.folder / MANIFEST, self.manifest.content(self._about))
 
     def _check_manifest(self) -> None:
         """Raise `InputError` if the chunks belong to another sweep; without a whole manifest each checksum decides."""
-        differences = self._manifest.changes_since(self.folder / MANIFEST)
+        differences = self.manifest.changes_since(self.folder / MANIFEST)
         if differences and self.there():
             raise InputError(
                 f"{self.folder}: holds chunks of another sweep: {differences}; "
                 "--fresh starts over, or give another output"
             )
-
-
-def shard_index(name: str) -> int | None:
-    """Return the index of the chunk that a file of this name holds, None if it holds none."""
-    match = _SHARD.fullmatch(name)
-    return int(match[1]) if match else None
 
 
 def report_damage(damage: DamagedShard | str) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 from vibrojax.errors import InputError
 from vibrojax.io.claims import Claims, Held, is_locked
 from vibrojax.io.manifest import MANIFEST
-from vibrojax.io.shards import LOCK, shard_index
+from vibrojax.io.shards import LOCK, SHARD
 
 CHUNKS = ".chunks"
 """Suffix of the folder beside an output."""
@@ -33,9 +33,8 @@ class Failure:
 class Standing:
     """The state of a folder of chunks.
 
-    - `title`; `lanes`, `chunks`: of the whole sweep; `size`: lanes of a chunk.
-    - `finished`: indices of the existing chunks; `nbytes`: their size; `per_second`: their pace, None if unknown.
-    - `held`: the claims; `whole_held`: whether a process has locked the folder; `failures`.
+    `title`, `lanes` and `chunks` are those of the whole sweep; `size` counts the lanes of a chunk. `finished` lists the
+    existing chunks, `nbytes` is their size, `per_second` their pace. `whole_held`: whether a process has locked it.
     """
 
     folder: Path
@@ -61,16 +60,15 @@ def standing(folder: Path) -> Standing:
     """Read the state of a folder of chunks; raise `InputError` if it is something else."""
     try:
         about = json.loads((folder / MANIFEST).read_bytes())["about"]
-        title, lanes, chunks, size = str(about["title"]), int(about["lanes"]), int(about["chunks"]), int(about["size"])
+        title, (lanes, chunks, size) = str(about["title"]), (int(about[key]) for key in ("lanes", "chunks", "size"))
     except _MALFORMED:
         raise InputError(
             f"{folder}: is no folder of a sweep's chunks (it has no whole {MANIFEST}); give OUT.nc or OUT.nc{CHUNKS}"
         ) from None
     finished, times, nbytes, failures = [], [], 0, []
     for entry in os.scandir(folder):
-        index = shard_index(entry.name)
-        if index is not None:
-            finished.append(index)
+        if match := SHARD.fullmatch(entry.name):
+            finished.append(int(match[1]))
             times.append(entry.stat().st_mtime)
             nbytes += entry.stat().st_size
         elif entry.name.endswith(".failed"):

@@ -56,8 +56,7 @@ def run_sweep(
     - `progress`: whether to report progress on stderr.
     - `executor`: what computes the chunks: any `concurrent.futures.Executor` whose processes are spawned, such as
       `ProcessPoolExecutor(4, mp_context=multiprocessing.get_context("spawn"))`, `dask.distributed`'s
-      `client.get_executor()`, loky's or MPI's; or submitit's. None: this process, on all its cores. The result is
-      the same bit for bit.
+      `client.get_executor()`, loky's, MPI's, or submitit's. None: this process, on all its cores. The bits are equal.
 
     **Returns:** the dataset, over the grid's dimensions and `start`.
 

@@ -14,7 +14,7 @@ from vibrojax.sweep.engine.labelled import labelled
 from vibrojax.sweep.input.definition import Sweep
 
 MEASURED_CHUNKS, MEASURING_SECONDS = 8, 20.0
-"""Number of chunks, from all over the sweep, that are computed; fewer if they take longer than so many seconds."""
+"""Number of chunks, evenly spaced, that are computed, and the time [s] after which no further one begins."""
 
 
 class Measured(NamedTuple):

@@ -27,7 +27,7 @@ class WorkersDied(OSError):
 
 @dataclass(frozen=True)
 class Job:
-    """The work of one process among several, which can be pickled: chunks of `order` until none is left.
+    """The work of one process among several, which can be pickled: chunks of `order` until none remains.
 
     `task` is the pickled sweep; `folder` and `manifest` are those of its shards; `threads` as in `Work`.
     """
@@ -66,13 +66,13 @@ def compute_shared(
 
     With `patient`, wait for the claimed ones, too: the chunk of a process that dies is taken over.
     """
-    left = list(order)
+    remaining = list(order)
     while True:
         existing = shards.there()
-        left = [index for index in left if index not in existing]
-        index = next((index for index in left if shards.claim(index)), None)
+        remaining = [index for index in remaining if index not in existing]
+        index = next((index for index in remaining if shards.claim(index)), None)
         if index is None:
-            if not left or not patient:
+            if not remaining or not patient:
                 return
             time.sleep(RELEASE_POLL_SECONDS)
             continue
@@ -83,7 +83,7 @@ def compute_shared(
             raise
         except Exception as error:
             shards.record_failure(index, f"{type(error).__name__}: {error}")
-            left.remove(index)
+            remaining.remove(index)
             failed(index, error)
         else:
             finished(index, float(features[SECONDS]))

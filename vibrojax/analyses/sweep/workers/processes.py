@@ -53,19 +53,19 @@ def by_processes(sweep: Sweep, shards: Shards, order: Sequence[int], count: int,
         try:
             for _ in range(min(count, len(order))):
                 workers.start()
-            left = set(order)
+            missing = set(order)
             # The workers' own end is not awaited: an interpreter takes its time.
-            while workers.running and left:
+            while workers.running and missing:
                 for process, kind, content, seconds in workers.receive():
                     if kind == "finished":
                         deaths = 0
-                        left.discard(content)
+                        missing.discard(content)
                         busy[process] += seconds
                         last[process] = time.monotonic()
                         finished(content, seconds)
                     elif kind == "failed":
                         failed.add(content)
-                        left.discard(content)
+                        missing.discard(content)
                     elif kind == "input":
                         raise InputError(content)
                     else:
@@ -90,7 +90,9 @@ class _Workers:
     def __init__(self, sweep: Sweep, shards: Shards, order: Sequence[int], count: int) -> None:
         self.running: list[tuple[SpawnProcess, Connection]] = []
         self._claims, self._threads = shards.claims, max(1, usable_cores() // count)
-        self._job = pickle.dumps(Job(pickled(sweep), str(shards.folder), shards.manifest, list(order), self._threads))
+        self._job = pickle.dumps(
+            Job(pickled(sweep), str(shards.folder), shards.manifest.values, list(order), self._threads)
+        )
         self._starting, self._ended = threading.Lock(), False
 
     def start(self) -> None:
@@ -154,7 +156,7 @@ def _without_interrupts() -> Iterator[None]:
 
 @contextmanager
 def _limited_threads(threads: int) -> Iterator[None]:
-    """Start processes whose linear algebra libraries, too, use only so many threads."""
+    """Start processes whose linear algebra libraries, too, are limited to `threads`."""
     unset = [name for name in _THREAD_VARIABLES if name not in os.environ]
     os.environ |= dict.fromkeys(unset, str(threads))
     try:

@@ -68,7 +68,7 @@ def by_slurm(
     _make_private(logs)
     executor = submitit.AutoExecutor(folder=logs, cluster=cluster)
     executor.update_parameters(name="vibrojax", timeout_min=LIMIT_MINUTES, cpus_per_task=1)
-    task = SlurmJob(pickled(sweep), str(shards.folder.absolute()), shards.manifest, list(order))
+    task = SlurmJob(pickled(sweep), str(shards.folder.absolute()), shards.manifest.values, list(order))
     with executor.batch():
         jobs = [executor.submit(task) for _ in range(min(count, len(order)))]
 
@@ -77,24 +77,24 @@ def by_slurm(
             if not job.done():
                 job.cancel(check=False)
 
-    left, ended = set(order), False
+    unfinished, ended = set(order), False
     with on_leaving(cancel):
         try:
-            while left and not ended:
+            while unfinished and not ended:
                 ended = all(job.done() for job in jobs)  # before the look at the chunks, which is then the last one
-                new = left & shards.there()
+                new = unfinished & shards.there()
                 for index in sorted(new):
                     finished(index, 0.0)
-                left -= new
-                if left and not ended:
+                unfinished -= new
+                if unfinished and not ended:
                     time.sleep(CHUNK_POLL_SECONDS)
         except BaseException:
             cancel()
             raise
-    failed = {index for index in left if shards.has_failed(index)}
-    if left - failed:
+    failed = {index for index in unfinished if shards.has_failed(index)}
+    if unfinished - failed:
         raise WorkersDied(
-            f"the jobs ended, and {len(left)} of {len(order)} chunks are not there; what they said: {logs}"
+            f"the jobs ended, and {len(unfinished)} of {len(order)} chunks are not there; what they said: {logs}"
         )
     cancel()
     shutil.rmtree(logs, ignore_errors=True)
