@@ -20,9 +20,6 @@ from vibrojax.io.packing import LEVEL
 Box = tuple[slice, ...]
 """Slices over a sweep's dimensions."""
 
-Columns = Mapping[str, tuple[tuple[str, ...], np.ndarray, Mapping[str, Any]]]
-"""Coordinates by name: dimensions, values, attributes."""
-
 
 @dataclass(frozen=True)
 class Region:
@@ -64,52 +61,21 @@ class Regions:
             first = end
 
 
-@dataclass(frozen=True)
-class Stored:
-    """A stored variable: its dimensions, dtype, attributes and chunk sizes."""
-
-    dims: tuple[str, ...]
-    dtype: np.dtype
-    attributes: Mapping[str, Any]
-    chunk: tuple[int, ...]
-
-
-@dataclass(frozen=True)
-class Frame:
-    """A dataset without values: the sizes of its dimensions, its coordinates, and its variables by name."""
-
-    sizes: Mapping[str, int]
-    coordinates: Columns
-    variables: Mapping[str, Stored]
-
-    def shape(self, name: str) -> tuple[int, ...]:
-        return tuple(self.sizes[dimension] for dimension in self.variables[name].dims)
-
-    def size(self, name: str) -> int:
-        """Return the number of values of a variable; it may exceed 64 bits."""
-        return prod(self.shape(name))
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes of all values."""
-        return sum(self.size(name) * stored.dtype.itemsize for name, stored in self.variables.items())
-
-    def attributes(self, name: str) -> dict[str, Any]:
-        """Return the attributes of a variable, with `coordinates`: those along its dimensions that are not axes."""
-        dims = set(self.variables[name].dims)
-        columns = self.coordinates.items()
-        beside = sorted(column for column, (along, *_) in columns if column not in self.sizes and set(along) <= dims)
-        return dict(self.variables[name].attributes) | ({"coordinates": " ".join(beside)} if beside else {})
-
-
 class Target(ABC):
     """A dataset that is being written; `packs`: whether it compresses variables."""
 
     packs = False
 
     @abstractmethod
-    def begin(self, frame: Frame, plain: frozenset[str]) -> None:
-        """Announce the dataset, with the names of the variables that are not compressed."""
+    def begin(self, template: xr.Dataset, chunk: tuple[int, ...], plain: frozenset[str]) -> None:
+        """Announce the dataset.
+
+        **Arguments:**
+
+        - `template`: the dataset with placeholders as values of its data variables.
+        - `chunk`: the sizes of a region, along the first dimensions of every variable.
+        - `plain`: the names of the variables that are not compressed.
+        """
 
     @abstractmethod
     def put(self, name: str, box: Box, values: np.ndarray) -> None:
@@ -125,17 +91,17 @@ class InMemory(Target):
 
     dataset: xr.Dataset
 
-    def begin(self, frame: Frame, plain: frozenset[str]) -> None:
-        self._frame = frame
-        self._arrays = {name: np.empty(frame.shape(name), stored.dtype) for name, stored in frame.variables.items()}
+    def begin(self, template: xr.Dataset, chunk: tuple[int, ...], plain: frozenset[str]) -> None:
+        self.dataset = template
+        self._arrays = {str(name): np.empty(data.shape, data.dtype) for name, data in template.data_vars.items()}
 
     def put(self, name: str, box: Box, values: np.ndarray) -> None:
         self._arrays[name][box] = values
 
     def finish(self, attributes: Mapping[str, Any]) -> None:
-        stored = self._frame.variables
-        variables = {name: (stored[name].dims, x, dict(stored[name].attributes)) for name, x in self._arrays.items()}
-        self.dataset = xr.Dataset(variables, dict(self._frame.coordinates), dict(attributes))
+        variables = {name: self.dataset[name].variable for name in self._arrays}
+        columns = {name: (variables[name].dims, x, variables[name].attrs) for name, x in self._arrays.items()}
+        self.dataset = self.dataset.assign(columns).assign_attrs(attributes)
 
 
 class _Netcdf(Target):
@@ -146,22 +112,22 @@ class _Netcdf(Target):
         self._file.set_auto_maskandscale(False)
         self.nbytes = 0
 
-    def begin(self, frame: Frame, plain: frozenset[str]) -> None:
-        self.nbytes = frame.nbytes
-        for dimension, size in frame.sizes.items():
+    def begin(self, template: xr.Dataset, chunk: tuple[int, ...], plain: frozenset[str]) -> None:
+        self.nbytes = template.nbytes
+        for dimension, size in template.sizes.items():
             self._file.createDimension(dimension, size)
-        for name, stored in frame.variables.items():
-            large = frame.size(name) > COMPRESSED
-            layout: dict[str, Any] = {"chunksizes": stored.chunk} if large else {"contiguous": True}
+        for name, data in template.data_vars.items():
+            large = data.size > COMPRESSED
+            layout: dict[str, Any] = {"chunksizes": _chunks(data, chunk)} if large else {"contiguous": True}
             if large and name not in plain:
                 layout |= {"zlib": True, "complevel": LEVEL, "shuffle": True}
-            variable = self._create(name, stored.dtype, stored.dims, frame.attributes(name), layout)
+            variable = self._create(name, data.dtype, data.dims, _attributes(template, data), layout)
             if large:  # chunks are written whole: a cache would only take memory (0 means 64 MB)
                 variable.set_var_chunk_cache(size=1, nelems=1, preemption=1.0)
-        for name, (dims, values, attributes) in frame.coordinates.items():
-            text = values.dtype.kind in "UO"
-            variable = self._create(name, str if text else values.dtype, dims, attributes, {})
-            variable[:] = values.astype(object) if text else values
+        for name, data in template.coords.items():
+            text = data.dtype.kind in "UO"
+            variable = self._create(name, str if text else data.dtype, data.dims, data.attrs, {})
+            variable[:] = data.values.astype(object) if text else data.values
 
     def put(self, name: str, box: Box, values: np.ndarray) -> None:
         self._file.variables[name][box] = values
@@ -169,7 +135,9 @@ class _Netcdf(Target):
     def finish(self, attributes: Mapping[str, Any]) -> None:
         self._file.setncatts(dict(attributes))
 
-    def _create(self, name: str, dtype: Any, dims: tuple[str, ...], attributes: Mapping[str, Any], layout: Any) -> Any:
+    def _create(
+        self, name: Any, dtype: Any, dims: Any, attributes: Mapping[Any, Any], layout: Mapping[str, Any]
+    ) -> Any:
         # Flags stay integers only without a fill value, and floats keep NaN as it is.
         variable = self._file.createVariable(name, dtype, dims, fill_value=None if dtype is str else False, **layout)
         variable.set_auto_maskandscale(False)
@@ -181,16 +149,16 @@ class _Zarr(Target):
     def __init__(self, path: Path) -> None:
         self._path = path
 
-    def begin(self, frame: Frame, plain: frozenset[str]) -> None:
+    def begin(self, template: xr.Dataset, chunk: tuple[int, ...], plain: frozenset[str]) -> None:
         import zarr
 
-        xr.Dataset(coords=dict(frame.coordinates)).to_zarr(self._path, mode="w", zarr_format=2, consolidated=False)
+        template.drop_vars(list(template.data_vars)).to_zarr(self._path, mode="w", zarr_format=2, consolidated=False)
         self._group: Any = zarr.open_group(self._path, mode="r+", zarr_format=2)
-        for name, stored in frame.variables.items():
-            attributes = frame.attributes(name) | {"_ARRAY_DIMENSIONS": list(stored.dims)}  # xarray's convention
-            plain_attributes = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in attributes.items()}
-            layout: dict[str, Any] = {"chunks": stored.chunk, "fill_value": None, "attributes": plain_attributes}
-            self._group.create_array(name, shape=frame.shape(name), dtype=stored.dtype, **layout)
+        for name, data in template.data_vars.items():
+            attributes = _attributes(template, data) | {"_ARRAY_DIMENSIONS": list(data.dims)}  # xarray's convention
+            attributes = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in attributes.items()}
+            layout: dict[str, Any] = {"chunks": _chunks(data, chunk), "fill_value": None, "attributes": attributes}
+            self._group.create_array(name, shape=data.shape, dtype=data.dtype, **layout)
 
     def put(self, name: str, box: Box, values: np.ndarray) -> None:
         self._group[name][box] = values
@@ -221,3 +189,15 @@ def file_target(path: Path) -> Iterator[Target]:
                     size = target.nbytes
         except (RuntimeError, OSError) as error:
             raise write_failed(part, path, size, error) from None
+
+
+def _chunks(data: xr.DataArray, chunk: tuple[int, ...]) -> tuple[int, ...]:
+    """Return the chunk sizes of a variable: a region, and all of the other dimensions."""
+    return (*chunk, *data.shape[len(chunk) :])
+
+
+def _attributes(template: xr.Dataset, data: xr.DataArray) -> dict[Any, Any]:
+    """Return the attributes of a variable, with `coordinates`: those along its dimensions that are not axes."""
+    columns = template.coords.items()
+    beside = sorted(str(name) for name, x in columns if name not in template.sizes and set(x.dims) <= set(data.dims))
+    return dict(data.attrs) | ({"coordinates": " ".join(beside)} if beside else {})

@@ -8,14 +8,15 @@ import json
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import xarray as xr
 
 from vibrojax.analyses.chaos import Natures
 from vibrojax.analyses.sweep.workers.work import SECONDS, quiet
 from vibrojax.io.packing import UP_TO, Sizes
-from vibrojax.io.targets import Frame, Region, Regions, Stored, Target
+from vibrojax.io.targets import Region, Regions, Target
 from vibrojax.periodic import Nearby, Orbits
 from vibrojax.progress import LOG
 from vibrojax.sweep.engine.batch import Features
@@ -52,9 +53,11 @@ def join(sweep: Sweep, chunks: Chunks, read: Read, target: Target, wall_time: Wa
         for part in _parts(sweep, lanes):
             counts.update(certified(sweep, part.variables) | {"steps": part.steps})
             if not begun:
-                frame = _frame(sweep, part.variables)
-                large = target.packs and frame.nbytes > UP_TO
-                target.begin(frame, _sizes(sweep, chunks, read).plain(sweep.lanes) if large else frozenset())
+                template = _template(sweep, part.variables)
+                large = target.packs and template.nbytes > UP_TO
+                plain = _sizes(sweep, chunks, read).plain(sweep.lanes) if large else frozenset[str]()
+                region = dict(zip(sweep.counted, _regions(sweep).chunk, strict=True))
+                target.begin(template, tuple(region[name] for name in sweep.dims), plain)
                 begun = True
             _write(sweep, target, part)
     device, cores = chunks.engine.workers[0], len(chunks.engine.workers)
@@ -155,19 +158,17 @@ def _regions(sweep: Sweep) -> Regions:
     return Regions(tuple(sizes[name] for name in sweep.counted), int(min(REGION, max(1, REGION_BYTES // lane_bytes))))
 
 
-def _frame(sweep: Sweep, variables: Mapping[str, np.ndarray]) -> Frame:
-    """Return the dataset's structure, from the variables of some of its lanes."""
-    chunk_sizes = dict(zip(sweep.counted, _regions(sweep).chunk, strict=True))
-    chunk = tuple(chunk_sizes[name] for name in sweep.dims)
-    stored: dict[str, Stored] = {}
+def _template(sweep: Sweep, variables: Mapping[str, np.ndarray]) -> xr.Dataset:
+    """Return the dataset with placeholders that take no memory, from the variables of some of its lanes."""
+    columns: dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, Any]]] = {}
     rows: dict[str, int] = {}
     known = variables_of(sweep)
     for name, x in variables.items():
         along = (known[name].along,) if x.ndim == 2 else ()
         rows |= dict(zip(along, x.shape[1:], strict=True))
-        stored[name] = Stored((*sweep.dims, *along), x.dtype, known[name].attributes(), (*chunk, *x.shape[1:]))
-    sizes = dict(zip(sweep.dims, sweep.shape, strict=True)) | rows
-    return Frame(sizes, coordinates(sweep, rows), stored)
+        placeholder = np.broadcast_to(np.zeros((), x.dtype), (*sweep.shape, *x.shape[1:]))
+        columns[name] = ((*sweep.dims, *along), placeholder, known[name].attributes())
+    return xr.Dataset(columns, dict(coordinates(sweep, rows)))
 
 
 def _sizes(sweep: Sweep, chunks: Chunks, read: Read) -> Sizes:
