@@ -93,10 +93,10 @@ def open_dataset(path: str | os.PathLike[str]) -> xr.Dataset:
     if path.is_dir() and path.suffix != ZARR:
         raise InputError(f"{path}: is a folder; give a .nc file")
     if not path.is_file() and path.suffix != ZARR:
-        raise InputError(f"{path}: is no file with an end; give a .nc file")
+        raise InputError(f"{path}: is not a regular file; give a .nc file")
     if path.suffix == ".toml":
         command = shlex.join(["vibrojax", "sweep", str(path)])
-        raise InputError(f"{path}: is no dataset; give the .nc file that {command} writes")
+        raise InputError(f"{path}: is not a dataset; give the .nc file that {command} writes")
     if path.suffix == ZARR:
         check_zarr(path)
     patience = _PATIENCE + path.stat().st_size / _SLOWEST

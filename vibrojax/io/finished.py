@@ -42,7 +42,7 @@ def check_replaceable(out: Path, identity: Mapping[str, object]) -> None:
         stored = None
     advice = "--fresh replaces it, or give another output with -o"
     if not isinstance(stored, dict):
-        raise InputError(f"{out}: is there already, and does not say that it holds this result; {advice}")
+        raise InputError(f"{out}: exists already, and does not say that it holds this result; {advice}")
     differences = changes(stored, json.loads(identity_text(identity)))
     if differences:
         raise InputError(f"{out}: holds another result: {differences}; {advice}")

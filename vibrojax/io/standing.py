@@ -33,7 +33,7 @@ class Failure:
 class Standing:
     """The state of a folder of chunks.
 
-    `title`, `lanes` and `chunks` are those of the whole sweep; `size` counts the lanes of a chunk. `finished` lists the
+    `title`, `lanes` and `chunks` describe the whole sweep; `size` counts the lanes of a chunk. `finished` lists the
     existing chunks, `nbytes` is their size, `per_second` their pace. `whole_held`: whether a process has locked it.
     """
 
@@ -63,7 +63,7 @@ def standing(folder: Path) -> Standing:
         title, (lanes, chunks, size) = str(about["title"]), (int(about[key]) for key in ("lanes", "chunks", "size"))
     except _MALFORMED:
         raise InputError(
-            f"{folder}: is no folder of a sweep's chunks (it has no whole {MANIFEST}); give OUT.nc or OUT.nc{CHUNKS}"
+            f"{folder}: is not a folder of a sweep's chunks (it has no whole {MANIFEST}); give OUT.nc or OUT.nc{CHUNKS}"
         ) from None
     finished, times, nbytes, failures = [], [], 0, []
     for entry in os.scandir(folder):

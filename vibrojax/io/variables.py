@@ -13,7 +13,7 @@ class Variable:
 
     - `units`, `long_name`, `dtype`.
     - `flags`: the meanings of its values 0, 1, ..., or of those from `first_flag` on.
-    - `along`: its dimension in addition to those of the sweep.
+    - `along`: its dimension beyond the sweep's dimensions.
     """
 
     units: str

@@ -73,7 +73,7 @@ def by_processes(sweep: Sweep, shards: Shards, order: Sequence[int], count: int,
                         if deaths > DEATHS + count:
                             raise WorkersDied(
                                 f"workers die before they finish a chunk (the last one with status {content}: "
-                                "is there not enough memory for so many?)"
+                                "is there too little memory for this number?)"
                             )
                         workers.start()
         finally:
