@@ -126,8 +126,8 @@ class Shards:
                 whole.add(index)
             except DamagedShard as damage:
                 damages.append(damage)
-        for damage in damages[:_DAMAGES_SHOWN]:
-            report_damage(damage)
+        for shown_damage in damages[:_DAMAGES_SHOWN]:
+            report_damage(shown_damage)
         if len(damages) > _DAMAGES_SHOWN:
             report_damage(f"{self.folder}: {len(damages) - _DAMAGES_SHOWN} more chunks are damaged")
         return whole

@@ -158,7 +158,7 @@ class _Zarr(Target):
             attributes = _attributes(template, data) | {"_ARRAY_DIMENSIONS": list(data.dims)}  # xarray's convention
             attributes = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in attributes.items()}
             layout: dict[str, Any] = {"chunks": _chunks(data, chunk), "fill_value": None, "attributes": attributes}
-            self._group.create_array(name, shape=data.shape, dtype=data.dtype, **layout)
+            self._group.create_array(str(name), shape=data.shape, dtype=data.dtype, **layout)
 
     def put(self, name: str, box: Box, values: np.ndarray) -> None:
         self._group[name][box] = values
