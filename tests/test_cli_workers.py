@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from vibrojax.analyses.sweep.run import run_share
-from vibrojax.analyses.sweep.workers.order import by_cost
+from vibrojax.analyses.sweep.workers.work import by_cost
 from vibrojax.cli import main
 from vibrojax.sweep.engine.chunks import Chunks
 from vibrojax.sweep.input.read import read_sweep
@@ -128,7 +128,7 @@ def test_a_chunk_that_fails_is_known(capsys, monkeypatch, folder):
 
 def test_a_folder_that_is_none(capsys, folder):
     (folder / "other.nc.chunks").mkdir()
-    assert "other.nc.chunks: is no folder of a sweep's chunks" in refused(capsys, "info", "other.nc.chunks")
+    assert "other.nc.chunks: is not a folder of a sweep's chunks" in refused(capsys, "info", "other.nc.chunks")
     assert "none.nc: there is no such file" in refused(capsys, "info", "none.nc")
 
 

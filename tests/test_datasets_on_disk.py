@@ -106,7 +106,7 @@ def test_files_of_others_are_refused(tmp_path, capsys):
             assert f"{path}: {problem}" in refused(capsys, command, path), command
     for command in ("info", "plot"):
         assert ".: is a folder" in refused(capsys, command, ".")
-        assert f"is no dataset; give the .nc file that vibrojax sweep {sweep} writes" in refused(capsys, command, sweep)
+        assert f"is not a dataset; give the .nc file that vibrojax sweep {sweep} writes" in refused(capsys, command, sweep)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.001, 0.1, 0.5, 0.9, 0.999])
@@ -122,7 +122,7 @@ def test_a_file_without_an_end_is_not_waited_for(tmp_path, capsys):
     """A pipe into which nobody writes; and files in which HDF5 goes round for ever, for which a thread waits."""
     os.mkfifo(tmp_path / "pipe.nc")
     for command in ("info", "plot", "fit"):
-        assert "pipe.nc: is no file with an end" in refused(capsys, command, tmp_path / "pipe.nc")
+        assert "pipe.nc: is not a regular file" in refused(capsys, command, tmp_path / "pipe.nc")
     with pytest.raises(TimeoutError):
         in_own_thread(lambda: time.sleep(3), seconds=0.1)
 

@@ -55,6 +55,6 @@ def test_what_is_none_of_ours_stays(folder, content):
     else:
         path.write_bytes(content)
     identity = read_sweep({"scene": "rotary", "grid": {"gamma": [0.7]}}).identity()
-    with pytest.raises(vj.InputError, match=r"is there already, and does not say that it holds this result; --fresh"):
+    with pytest.raises(vj.InputError, match=r"exists already, and does not say that it holds this result; --fresh"):
         check_replaceable(path, identity)
     check_replaceable(folder / "other.nc", identity)

@@ -18,7 +18,7 @@ from vibrojax.analyses.sweep.run import run_sweep, run_to_file
 from vibrojax.io import dataset as on_disk
 from vibrojax.io.dataset import open_dataset
 from vibrojax.io.packing import Sizes
-from vibrojax.io.regions import Regions
+from vibrojax.io.targets import Regions
 from vibrojax.sweep.input.read import read_sweep
 
 SWEEP = {

@@ -1,6 +1,7 @@
 """Chunks beside the output: they outlive a crash, and a damaged or foreign one is never taken for a whole one."""
 
 import errno
+import io
 import os
 import subprocess
 import sys
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 
 from vibrojax.errors import InputError
-from vibrojax.io.lock import Lock
+from vibrojax.io.claims import Lock
 from vibrojax.io.shards import DamagedShard, Shards
 
 MANIFEST = {"scene": "rotary", "chunk": 4, "grid.beta": [0.1, 0.2], "version": "1"}
@@ -80,6 +81,38 @@ def test_a_shard_in_anothers_place_is_found_out(shards):
     os.replace(shard(shards, 2), shard(shards, 1))
     with again(shards) as opened:
         assert opened.finished() == {0}
+
+
+def npy(x, **options) -> bytes:
+    buffer = io.BytesIO()
+    np.save(buffer, x, **options)
+    return buffer.getvalue()
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b"no npy",
+        npy(np.array(1.0)),
+        npy(np.array([(1.0,)], [("x", "f8")])),
+        npy(np.array((1.0,), [("x", "f8")]))[:-1],
+        npy(np.array((1.0,), [("x", "f8")])) + b"0",
+        npy(np.array((1.0,), [("x", "f8")])).replace(b"<f8", b"|O8"),
+        npy(np.array({"a": 1}), allow_pickle=True),
+        npy(np.array((1.0,), [("x", "f8")]))
+        .replace(b"'<f8')", b"'<f8', (99999999,))")
+        .replace(b" " * 13 + b"\n", b"\n"),
+        npy(np.zeros(4)).replace(b"{'descr'", b"(" * 8),
+    ],
+)
+def test_content_that_is_not_a_chunk_is_refused_though_its_checksum_is_right(shards, content):
+    """A folder may come from anywhere: no pickle is loaded, and no array is larger than its file."""
+    with again(shards) as opened:
+        opened._put(shard(opened, 1), opened._checksum(1, content), content)
+        assert opened.finished() == {0, 1, 2}
+        with pytest.raises(DamagedShard, match=r"chunk-00000001.*cannot be read"):
+            opened.read(1)
 
 
 def test_a_changed_manifest_is_refused(shards):

@@ -1,4 +1,4 @@
-"""Errors of one line for bad input, and text from files and users made safe to print, embed and paste."""
+"""One-line errors for bad input; text from files and users made safe to print, embed and paste."""
 
 import json
 import re
@@ -9,11 +9,20 @@ from dataclasses import dataclass
 from difflib import SequenceMatcher
 
 _LONGEST_VALUE = 60
-_ALIKE = 0.5
+"""Characters of a value that an error quotes."""
+
+_SIMILARITY = 0.5
+"""Least similarity of a suggestion to the word that it replaces; `difflib` calls 0.6 a close match."""
+
+_HIDDEN = ("Cc", "Cf", "Cs", "Zl", "Zp")
+"""Unicode categories of characters that control a terminal or the direction of text, and of lone surrogates."""
+
+_REPLACEMENT = "\ufffd"
+_PLAIN_VALUE = re.compile(r"[A-Za-z0-9 _().,/%+:-]*")
 
 
 class InputError(ValueError):
-    """Bad input from a user; its text is one line, shown without a traceback.
+    """Invalid input from a user; the command prints its single line without a traceback.
 
     **Example:**
 
@@ -25,27 +34,27 @@ class InputError(ValueError):
 
 @dataclass(frozen=True)
 class Place:
-    """Where in the input something stands: `file` as the user knows it, and the dotted `key` in it."""
+    """A location in the input: `file` as the user knows it, and the dotted `key` in it."""
 
     file: str
     key: str = ""
 
     def at(self, key: str) -> "Place":
-        """The place `key` below this one."""
+        """Return the place of `key` in the table at this place."""
         return Place(self.file, f"{self.key}.{key}" if self.key else key)
 
     def item(self, index: int) -> "Place":
-        """The place of a list's item."""
+        """Return the place of an item of the list at this place."""
         return Place(self.file, f"{self.key}[{index}]")
 
     def error(self, problem: str) -> InputError:
-        """An error `FILE: KEY: problem`, on one line whatever the parts contain."""
+        """Return the error `FILE: KEY: problem`, on one line for any content of the parts."""
         parts = (part for part in (self.file, self.key, problem) if part)
         return InputError(" ".join(": ".join(parts).split()))
 
 
 def shown(value: object) -> str:
-    """`value` as it stands in a sweep file, shortened to fit on a line."""
+    """Return `value` as a sweep file writes it, shortened to fit on a line."""
     if isinstance(value, bool):
         text = str(value).lower()
     elif isinstance(value, str):
@@ -63,19 +72,19 @@ def shown(value: object) -> str:
 
 
 def nearest(word: str, words: Iterable[str]) -> str | None:
-    """The one of `words` most like `word`, None where none is alike."""
+    """Return the most similar one of `words`, None if none is similar."""
 
-    def likeness(candidate: str) -> float:
-        wanted, offered = word.lower().replace("_", "-"), candidate.lower().replace("_", "-")
+    def similarity(candidate: str) -> float:
+        first, second = (text.lower().replace("_", "-") for text in (word, candidate))
         # c1 is as far from c2 as from k1; the first letter decides.
-        return SequenceMatcher(None, wanted, offered).ratio() + 0.1 * (wanted[:1] == offered[:1])
+        return SequenceMatcher(None, first, second).ratio() + 0.1 * (first[:1] == second[:1])
 
-    best = max(words, key=likeness, default=None)
-    return best if best is not None and likeness(best) >= _ALIKE else None
+    best = max(words, key=similarity, default=None)
+    return best if best is not None and similarity(best) >= _SIMILARITY else None
 
 
 def suggestion(word: str, words: Iterable[str]) -> str:
-    """`did you mean "beta"?`, or all there is to choose from."""
+    """Return `did you mean "beta"?`, or the list of all choices if none is similar."""
     words = tuple(words)
     best = nearest(word, words)
     if best is not None:
@@ -83,33 +92,26 @@ def suggestion(word: str, words: Iterable[str]) -> str:
     return f"choose from {', '.join(words)}" if words else "nothing is allowed here"
 
 
-_HIDDEN = ("Cc", "Cf", "Cs", "Zl", "Zp")
-"""Unicode categories of characters that steer a terminal or the direction of text, and of lone surrogates."""
-
-_REPLACEMENT = "\ufffd"
-_PLAIN_VALUE = re.compile(r"[A-Za-z0-9 _().,/%+:-]*")
-
-
 def printable(text: object, longest: int | None = None, keep_spaces: bool = False) -> str:
     """Return a text on one line without control and direction characters, shortened to `longest` characters.
 
     Runs of spaces become one, unless `keep_spaces`.
     """
-    words = str(text)
+    line = str(text)
     if longest is not None:
-        words = words[: 4 * longest]  # a text of megabytes is cut before it is looked at
-    words = "".join(_REPLACEMENT if _is_hidden(one) and not one.isspace() else one for one in words)
-    words = re.sub(r"\s", " ", words) if keep_spaces else " ".join(words.split())
-    return words if longest is None or len(words) <= longest else f"{words[: longest - 1].rstrip()}…"
+        line = line[: 4 * longest]  # a text of megabytes is cut before it is searched
+    line = "".join(_REPLACEMENT if _is_hidden(char) and not char.isspace() else char for char in line)
+    line = re.sub(r"\s", " ", line) if keep_spaces else " ".join(line.split())
+    return line if longest is None or len(line) <= longest else f"{line[: longest - 1].rstrip()}…"
 
 
 def escape_json(text: str) -> str:
-    """Return JSON with control and direction characters as escapes, so that it says the same and steers no terminal."""
-    return "".join(json.dumps(one)[1:-1] if one != "\n" and _is_hidden(one) else one for one in text)
+    """Return JSON with control and direction characters as escapes: the same content, safe on a terminal."""
+    return "".join(json.dumps(char)[1:-1] if char != "\n" and _is_hidden(char) else char for char in text)
 
 
 def shell_assignment(name: str, value: str) -> str:
-    """Return `name=value` as one word of a shell, whatever the value holds."""
+    """Return `name=value` as one word of a shell, for any value."""
     return f'{name}="{value}"' if _PLAIN_VALUE.fullmatch(value) else shlex.quote(f"{name}={value}")
 
 

@@ -1,18 +1,9 @@
-"""How far some work is, on stderr: a bar on a terminal, plain lines elsewhere.
+"""Progress of long work on stderr: a bar on a terminal, plain lines elsewhere.
 
-    progress = Progress(sweep.lanes, "lanes", shown=True)
-    progress.resume(512)                      # done by an earlier run: said, and left out of the pace
-    progress.add(64)                          # 576/1000 lanes, 2100 lanes/s, 0.2 s left
-
-    progress = Progress(20.0, "s simulated", pace=False)
-    progress.reach(3.5)                       # 3.5/20 s simulated, 12 s left
-
-    progress = Progress(len(settings), "settings", pace=False)
-    progress.add(1, "rotary: error 1e-06")    # 3/14 settings, 8 s left: rotary: error 1e-06
-
-    progress.say("rotary: 40 points")         # a line of its own, with the seconds since the start
-
-Works that can stop in the middle of a bar are put in a `with progress:`, which ends its line.
+with Progress(sweep.lanes, "lanes") as progress:  # ends the line of the bar if the work stops early
+    progress.resume(512)                          # done by an earlier run: reported, and left out of the pace
+    progress.add(64)                              # 576/1000 lanes, 2100 lanes/s, 0.2 s left
+    progress.say("rotary: 40 points")             # a separate line, with the seconds since the start
 """
 
 import logging
@@ -27,27 +18,26 @@ from typing import TYPE_CHECKING, ClassVar
 if TYPE_CHECKING:
     import tqdm
 
+LOG = logging.getLogger("vibrojax")
+
 Amount = int | float
-"""Things that are counted, or a measure such as a time."""
+"""A count, or a measure such as a time."""
 
 QUIET_SECONDS = 10.0
-"""Seconds between two plain lines at least, so that logs stay short."""
-
-_BAR = "[{bar:30}] {desc}"
-_SIGNS = ".#"
+"""Least time [s] between two plain lines, so that logs stay short."""
 
 
 class Progress:
-    """Shows how much of a work is done, at what pace, and how long the rest will take.
+    """The progress of one work: the amount done, the pace, and the remaining time.
 
-    On a terminal it is a bar that is drawn over; elsewhere a plain line now and then, one for each outcome that is
-    given, and one at the end. The pace is counted from the first amount that is done: before it programs are compiled,
-    which says nothing about the rest.
+    On a terminal it is a bar that is redrawn. Elsewhere it is a plain line now and then, one for each outcome, and one
+    at the end. The pace counts from the first finished amount: the time before, in which programs are compiled, says
+    nothing about the rest.
 
     **Arguments:**
 
     - `total`: the whole amount.
-    - `unit`: what is counted, as it reads behind a number: "lanes", "settings", "s simulated".
+    - `unit`: text after a number: "lanes", "settings", "s simulated".
     - `shown`: whether to show anything at all.
     - `pace`: whether to show the amount per second.
     """
@@ -55,12 +45,9 @@ class Progress:
     _on_terminal: ClassVar["set[Progress]"] = set()
 
     def __init__(self, total: Amount, unit: str, shown: bool = True, *, pace: bool = True) -> None:
-        self._total = total
-        self._unit = unit
-        self._shown = shown
-        self._pace = pace
+        self._total, self._unit, self._shown, self._pace = total, unit, shown, pace
         self._stream = sys.stderr
-        self._start = self._said = time.monotonic()
+        self._start = self._last_line = time.monotonic()
         self._done: Amount = 0
         self._resumed: Amount = 0
         self._first: tuple[float, Amount] | None = None
@@ -68,29 +55,29 @@ class Progress:
         self._lock = RLock()  # amounts may come from several threads
 
     def resume(self, done: Amount) -> None:
-        """The amount that an earlier run has done: said where there is any, and no part of the pace."""
+        """Report the amount that an earlier run has done; it does not count towards the pace."""
         with self._lock:
             self._done = self._resumed = done
             if done:
                 self._print(f"{_number(done)} of {_number(self._total)} {self._unit} are there from an earlier run")
 
     def add(self, amount: Amount = 1, outcome: str = "") -> None:
-        """An amount that has just been done, and in words what came of it, if that is worth a line."""
+        """Report an amount that is newly done, with a text on its outcome if that deserves a line."""
         with self._lock:
             self._reach(self._done + amount, outcome)
 
     def reach(self, done: Amount) -> None:
-        """The amount that is done by now, all together."""
+        """Report the total amount that is done."""
         with self._lock:
             self._reach(done, "")
 
     def say(self, text: str) -> None:
-        """A line of its own, after the seconds since the start: what is being done now."""
+        """Print a separate line, after the seconds since the start."""
         with self._lock:
             self._print(f"{time.monotonic() - self._start:5.0f} s  {text}")
 
     def close(self) -> None:
-        """End the line of the bar, if one is drawn; nothing else changes."""
+        """End the line of the bar, if there is one."""
         with self._lock:
             if self._bar is not None:
                 self._bar.close()
@@ -109,21 +96,19 @@ class Progress:
             return
         now = time.monotonic()
         self._first = self._first or (now, self._done)
-        whole = self._done >= self._total
+        complete = self._done >= self._total
         line = self._line(now) + (f": {outcome}" if outcome else "")
-        if self._stream.isatty():
-            self._draw(line, whole)
-        elif whole or outcome or now - self._said >= QUIET_SECONDS:
-            self._said = now
-            print(line, file=self._stream, flush=True)
-
-    def _draw(self, line: str, whole: bool) -> None:
+        if not self._stream.isatty():
+            if complete or outcome or now - self._last_line >= QUIET_SECONDS:
+                self._last_line = now
+                print(line, file=self._stream, flush=True)
+            return
         if self._bar is None:
             self._bar = _bar(self._total, line)
             self._on_terminal.add(self)
         self._bar.n = self._done
-        self._bar.set_description_str(line, refresh=whole)
-        if whole:
+        self._bar.set_description_str(line, refresh=complete)
+        if complete:
             self.close()
         else:
             self._bar.update(0)
@@ -137,28 +122,27 @@ class Progress:
             self._bar.write(line, file=self._stream)
 
     def _line(self, now: float) -> str:
-        """How much is done, at what pace, and how long the rest or, at the end, all of it took."""
-        done = f"{_number(self._done)}/{_number(self._total)} {self._unit}"
+        """Return the amount done, the pace, and the remaining time, or at the end the elapsed time."""
+        line = f"{_number(self._done)}/{_number(self._total)} {self._unit}"
         if self._done >= self._total:
-            seconds = now - self._start
-            return f"{done}{self._rate((self._done - self._resumed) / max(seconds, 1e-9))}, {seconds:.1f} s"
-        then, before = self._first or (now, self._done)
-        if self._done <= before or now <= then:
-            return done
-        rate = (self._done - before) / (now - then)
-        return f"{done}{self._rate(rate)}, {(self._total - self._done) / rate:.0f} s left"
-
-    def _rate(self, rate: float) -> str:
-        return f", {rate:.0f} {self._unit}/s" if self._pace else ""
+            elapsed = now - self._start
+            rate, rest = (self._done - self._resumed) / max(elapsed, 1e-9), f"{elapsed:.1f} s"
+        else:
+            then, before = self._first or (now, self._done)
+            if self._done <= before or now <= then:
+                return line
+            rate = (self._done - before) / (now - then)
+            rest = f"{(self._total - self._done) / rate:.0f} s left"
+        return f"{line}, {rate:.0f} {self._unit}/s, {rest}" if self._pace else f"{line}, {rest}"
 
 
 class Portions:
-    """Turns work that goes on in many things at once into whole things: as many as the work would finish together.
+    """Converts work on many things at once into whole things: as many as the same work would finish one by one.
 
     **Arguments:**
 
-    - `count`: how many things there are.
-    - `report`: called with how many more of them count as done; the last one only when all is finished.
+    - `count`: number of things.
+    - `report`: receives the number of things that are newly done; the last one only after `finish`.
     """
 
     def __init__(self, count: int, report: Callable[[int], None]) -> None:
@@ -166,12 +150,12 @@ class Portions:
         self._work, self._reported = 0.0, 0
 
     def add(self, work: Amount) -> None:
-        """Work that has been done, where 1 is all that one thing takes."""
+        """Add work, where 1 is the whole work on one thing."""
         self._work += work
         self._reach(min(int(self._work), self._count - 1))
 
     def finish(self) -> None:
-        """All things are done."""
+        """Report all things as done."""
         self._reach(self._count)
 
     def _reach(self, done: int) -> None:
@@ -181,31 +165,29 @@ class Portions:
 
 
 def end_lines() -> None:
-    """End the lines of all bars that are being drawn, so that what is printed next begins a line."""
+    """End the lines of all bars, so that the next output begins a line."""
     for progress in list(Progress._on_terminal):
         progress.close()
 
 
-def _bar(total: Amount, line: str) -> "tqdm.tqdm":
-    """A bar with a text that its owner changes as it goes."""
-    from tqdm import tqdm  # slow to import, and of no use but on a terminal
+@contextmanager
+def timed(name: str) -> Iterator[None]:
+    """Log the duration of the block when it ends."""
+    began = time.monotonic()
+    yield
+    LOG.info("%s: %.2f s", name, time.monotonic() - began)
 
-    # Some terminals say that they have no columns and no lines, and tqdm would draw nothing on them.
+
+def _bar(total: Amount, line: str) -> "tqdm.tqdm":
+    """Return a bar whose text its owner sets."""
+    from tqdm import tqdm  # slow to import, and needed only on a terminal
+
+    # Some terminals report no columns and no lines, and tqdm would draw nothing on them.
     columns, lines = get_terminal_size()
-    return tqdm(desc=line, total=total, file=sys.stderr, bar_format=_BAR, ascii=_SIGNS, ncols=columns - 1, nrows=lines)
+    layout = {"bar_format": "[{bar:30}] {desc}", "ascii": ".#", "ncols": columns - 1, "nrows": lines}
+    return tqdm(desc=line, total=total, file=sys.stderr, **layout)
 
 
 def _number(amount: Amount) -> str:
-    """A count as it is, any other amount to a tenth."""
+    """Return a count as it is, and any other amount to a tenth."""
     return str(amount) if isinstance(amount, int) else f"{amount:.1f}".removesuffix(".0")
-
-
-LOG = logging.getLogger("vibrojax")
-
-
-@contextmanager
-def timed(what: str) -> Iterator[None]:
-    """Tell how many seconds `what` took, once it is done."""
-    began = time.monotonic()
-    yield
-    LOG.info("%s: %.2f s", what, time.monotonic() - began)

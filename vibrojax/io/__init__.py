@@ -1,4 +1,4 @@
-"""What is on disk: datasets, the finished chunks of a sweep, and who may write them.
+"""Datasets on disk, the finished chunks of a sweep, and the claims of the processes that write them.
 
-Nothing is imported here, so that the version, which needs none of it, is there at once.
+This file imports nothing, so that the version of the package is available at once.
 """

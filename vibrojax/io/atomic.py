@@ -2,50 +2,76 @@
 
 import os
 import re
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from vibrojax.io.claims import GONE, process_start
+
 ZARR = ".zarr"
-"""How the name of a dataset ends that is no file but a folder: a Zarr store."""
+"""Suffix of a dataset that is a folder, a Zarr store."""
 
 
 @contextmanager
 def atomic_write(path: Path, ending: str = "tmp") -> Iterator[Path]:
-    """The temporary name under which to write what becomes `path` when the block ends.
+    """Yield the temporary name of a file that becomes `path` when the block ends.
 
-    Nothing is left of a block that fails; what a process that was killed has left of `path` is removed.
+    Nothing remains of a block that fails. Temporary files of `path` from killed processes are removed.
 
     **Arguments:**
 
-    - `path`: the file to be.
-    - `ending`: how the temporary name ends, for libraries that go by it.
+    - `path`: the final name.
+    - `ending`: suffix of the temporary name, for libraries that derive the format from it.
 
-    **Raises:** `OSError` where the disk or the folder does not take it.
+    **Raises:** `OSError` if the disk is full or the folder cannot be written.
     """
     temporary = re.compile(re.escape(f".{path.name}.") + r"(\d+)" + re.escape(f".{ending}"))
     for other in path.parent.iterdir():
         match = temporary.fullmatch(other.name)
-        if match and not _runs(int(match[1])):
+        if match and process_start(int(match[1])) == GONE:
             other.unlink(missing_ok=True)
     part = path.with_name(f".{path.name}.{os.getpid()}.{ending}")
     try:
         yield part
-        sync(part)
-        os.replace(part, path)
-        sync_folder(path.parent)
+        commit(part, path)
     finally:
         part.unlink(missing_ok=True)
 
 
-def sync(path: Path) -> None:
-    """Have the file's content on the disk."""
+@contextmanager
+def atomic_folder(path: Path) -> Iterator[Path]:
+    """Yield the temporary folder that becomes `path` when the block ends; nothing remains of a block that fails."""
+    part, before = (path.with_name(f".{path.name}.{kind}") for kind in ("tmp", "before"))
+    for leftover in (part, before):  # by a process that was killed
+        shutil.rmtree(leftover, ignore_errors=True)
+    try:
+        yield part
+        for file in part.rglob("*"):
+            if file.is_file():
+                _sync(file)
+        if path.exists():  # a folder does not replace another one
+            path.rename(before)
+        part.rename(path)
+        _sync_folder(path.parent)
+    finally:
+        for leftover in (part, before):
+            shutil.rmtree(leftover, ignore_errors=True)
+
+
+def commit(part: Path, path: Path) -> None:
+    """Rename the finished file `part` to `path`, with content and name on the disk when this returns."""
+    _sync(part)
+    os.replace(part, path)
+    _sync_folder(path.parent)
+
+
+def _sync(path: Path) -> None:
     with open(path, "rb") as file:
         os.fsync(file.fileno())
 
 
-def sync_folder(folder: Path) -> None:
-    """Have the names in a folder on the disk."""
+def _sync_folder(folder: Path) -> None:
     if os.name != "posix":  # elsewhere a folder cannot be opened
         return
     file = os.open(folder, os.O_RDONLY)
@@ -53,16 +79,3 @@ def sync_folder(folder: Path) -> None:
         os.fsync(file)
     finally:
         os.close(file)
-
-
-def _runs(process: int) -> bool:
-    """Whether the process of this number is running."""
-    if os.name != "posix":  # elsewhere to ask is to end it
-        return True
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except OSError:  # another user's
-        return True
-    return True

@@ -1,7 +1,7 @@
-"""The attributes of a dataset, checked: a file may come from anywhere, and hold anything under their names.
+"""Checked access to the attributes of a dataset: a file from elsewhere may hold anything under their names.
 
-`open_dataset` checks all of them. Code that needs one reads it here, so that a dataset that was opened otherwise is
-checked too. Every function raises `InputError` with one line that names the attribute.
+`open_dataset` checks all of them. Code that needs an attribute reads it here, so that datasets that were opened in
+another way are checked, too. Every function raises `InputError` with one line that names the attribute.
 """
 
 import json
@@ -14,7 +14,7 @@ import xarray as xr
 from vibrojax.errors import Place, printable, shown
 
 LONGEST_TITLE = 200
-"""Characters of a title that are shown: two lines of a picture."""
+"""Characters of a title that are shown: they fill two lines of a picture."""
 
 LONGEST_TEXT = 1000
 """Characters of any other text that are shown."""
@@ -23,14 +23,14 @@ MOST_LINES = 100
 """Lines of a history that are shown."""
 
 LARGEST = 1e300
-"""Numbers of at least this size count as infinite: doubles, but sums and squares of them are not."""
+"""Numbers of at least this size count as infinite: they are doubles, but their sums and squares may overflow."""
 
 LONGEST_NAME = 100
-"""Characters of the name of a parameter."""
+"""Longest name of a parameter [characters]."""
 
 
 class Differing(TypedDict):
-    """A parameter whose value is not its default."""
+    """A parameter with a value other than its default."""
 
     name: str
     symbol: str
@@ -40,7 +40,7 @@ class Differing(TypedDict):
 
 
 def check_attributes(ds: xr.Dataset) -> None:
-    """Raise `InputError` if an attribute does not hold what its name promises."""
+    """Raise `InputError` if the content of a known attribute is malformed."""
     for name in _READERS:
         _read(ds, name, None)
 
@@ -56,7 +56,7 @@ def text_of(ds: xr.Dataset, name: str, otherwise: str = "") -> str:
 
 
 def run_of(ds: xr.Dataset) -> dict[str, Any]:
-    """Return how lanes were run; `settle` and `observe` [s] are numbers if they are there."""
+    """Return the settings of the run; `settle`, `observe` [s] and `error`, if present, are numbers."""
     run: dict[str, Any] = _read(ds, "run", {})
     return run
 
@@ -73,7 +73,7 @@ def differing_of(ds: xr.Dataset) -> list[Differing]:
 
 
 def counts_of(ds: xr.Dataset) -> dict[str, float | int]:
-    """Return how many lanes are certified, and to which error."""
+    """Return the number of lanes whose error is certified, and the accepted error."""
     counts: dict[str, float | int] = _read(ds, "certified", {})
     return counts
 
@@ -84,12 +84,12 @@ def history_of(ds: xr.Dataset) -> list[str]:
 
 
 def attribute_of(ds: xr.Dataset, name: str) -> Any:
-    """Return what an attribute holds, checked; None if it is not there."""
+    """Return the checked value of an attribute, None if it is missing."""
     return _read(ds, name, None)
 
 
 def table_of(ds: xr.Dataset, name: str) -> dict[str, Any]:
-    """Return an attribute that holds a JSON object, empty if it is not there."""
+    """Return an attribute that holds a JSON object, empty if it is missing."""
     table: dict[str, Any] = _read(ds, name, {})
     return table
 
@@ -107,7 +107,7 @@ def _text(place: Place, value: object) -> str:
 
 
 def _json(place: Place, value: object) -> Any:
-    if isinstance(value, (dict, list)):  # Zarr keeps them as they are
+    if isinstance(value, (dict, list)):  # Zarr stores them without encoding
         return value
     try:
         return json.loads(_text(place, value))
@@ -142,7 +142,7 @@ def _run(place: Place, value: object) -> dict[str, Any]:
 
 
 def _numbers(place: Place, value: object) -> dict[str, float | int]:
-    return {_name(place, name): _number(place.at(shown(name)), one) for name, one in _table(place, value).items()}
+    return {_name(place, name): _number(place.at(shown(name)), item) for name, item in _table(place, value).items()}
 
 
 def _name(place: Place, value: object) -> str:
@@ -155,10 +155,10 @@ def _differing(place: Place, value: object) -> list[Differing]:
     listed = _json(place, value)
     if not isinstance(listed, list):
         raise place.error(f"{shown(listed)} is not a JSON list")
-    return [_one_differing(Place(f"{place.file}[{index}]"), one) for index, one in enumerate(listed)]
+    return [_differing_parameter(Place(f"{place.file}[{index}]"), item) for index, item in enumerate(listed)]
 
 
-def _one_differing(place: Place, value: object) -> Differing:
+def _differing_parameter(place: Place, value: object) -> Differing:
     if not isinstance(value, dict):
         raise place.error(f"{shown(value)} is not a JSON object")
     return {
@@ -193,7 +193,7 @@ def _orbits(place: Place, value: object) -> dict[str, Any]:
 def _sequence(kind: type, what: str) -> Callable[[Place, object], list[Any]]:
     def read(place: Place, value: object) -> list[Any]:
         items = np.asarray(value).ravel().tolist() if not isinstance(value, Mapping) else []
-        if len(items) != 2 or not all(isinstance(one, kind) for one in items):
+        if len(items) != 2 or not all(isinstance(item, kind) for item in items):
             raise place.error(f"{shown(value)} is not a pair of {what}")
         return items
 

@@ -1,8 +1,8 @@
-"""Claims: which process is at which part of a work that several share in a folder, on one machine or many.
+"""Claims and the lock of a shared folder: which process works on which part, on one machine or on many.
 
-A claim is a file that only one process can make. It says who made it, and its owner touches it now and then. It is
-stale, and another takes it over, where its owner is known to have ended (on this machine), or has long not touched it
-(on another, whose processes cannot be seen).
+A claim is a file that only one process can create. It names its owner, who touches it regularly. Another process takes
+over a stale claim: its owner is known to have ended (on this machine), or has not touched it for long (elsewhere,
+where processes cannot be seen).
 """
 
 import json
@@ -15,19 +15,31 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
+from filelock import FileLock, Timeout
+
+from vibrojax.errors import InputError
+
 BEAT = 15.0
 """Seconds between two touches of a claim by its owner."""
 
 STALE = 150.0
-"""Seconds after which a claim that nobody touches is stale: file systems of clusters may show a touch a minute late."""
+"""Age [s] at which an untouched claim is stale: file systems of clusters may show a touch a minute late."""
 
-_ENDING = ".claim"
+GONE = "gone"
+"""Start time of a process that has ended, see `process_start`."""
+
+_LOCK_PATIENCE = 0.2
+"""Seconds in which a process that is just ending may release the lock and remove its file."""
+
+_SUFFIX = ".claim"
 
 
 @dataclass(frozen=True)
 class Owner:
-    """A process: the machine's name, its number there, and which of all that had this number (`start`, "" unknown);
-    `place`: where numbers of processes are the same, so that a container is not taken for its host."""
+    """A process: name of the machine, process number, and start time, which distinguishes reused numbers.
+
+    `place` identifies the boot and the container in which the number is valid.
+    """
 
     host: str
     process: int
@@ -36,17 +48,16 @@ class Owner:
 
     @property
     def text(self) -> str:
-        """It in words."""
         return f"{self.host}, process {self.process}"
 
     def has_ended(self) -> bool:
-        """Whether the process is known to have ended."""
-        return self.place == _place() and _start_of(self.process) != self.start
+        """Return whether the process is known to have ended."""
+        return self.place == _place() and process_start(self.process) not in ("", self.start)
 
 
 @dataclass(frozen=True)
 class Held:
-    """A claim as it is found: on what, by whom, since when (ISO 8601), and whether it is stale."""
+    """An existing claim: its name, its owner, the time of its creation (ISO 8601), and whether it is stale."""
 
     name: str
     owner: Owner
@@ -55,73 +66,68 @@ class Held:
 
 
 class Claims:
-    """The claims in a folder; those of this process are touched until they are let go."""
+    """The claims in a folder; those of this process are touched until they are released."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self._mine: set[Path] = set()
         self._lock = threading.Lock()
-        self._over = threading.Event()
+        self._closed = threading.Event()
 
     def take(self, name: str) -> bool:
-        """Claim `name`; False where another process holds it, or the folder is gone."""
+        """Claim `name`; return False if another process holds it, or the folder no longer exists."""
         path = self._path(name)
-        found = self._read(path)
-        if found is not None and not (self._is_stale(path, found) and self._set_aside(path, found)):
+        content = _read(path)
+        if content is not None and not (self._is_stale(path, content) and self._set_aside(path, content)):
             return False
-        content = json.dumps(vars(this_process()) | {"since": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}"})
-        whole = path.with_name(f"{path.name}.{os.getpid()}.{threading.get_ident()}.tmp")
+        text = json.dumps(vars(this_process()) | {"since": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}"})
+        part = self._temporary(path.name)
         try:
-            # Linked, not opened: so it is never seen half-written, and on network file systems too only one succeeds.
-            whole.write_text(content)
+            # A link to a whole file: a claim is never seen half-written, and on network file systems, too, only one
+            # process succeeds.
+            part.write_text(text)
             try:
-                os.link(whole, path)
+                os.link(part, path)
             except PermissionError:  # a file system without links
                 with open(path, "x") as file:
-                    file.write(content)
-        except (FileExistsError, FileNotFoundError):  # or all is done, and the folder removed
+                    file.write(text)
+        except (FileExistsError, FileNotFoundError):  # the latter if the sweep is finished and the folder removed
             return False
         finally:
             with suppress(OSError):
-                whole.unlink(missing_ok=True)
+                part.unlink(missing_ok=True)
         with self._lock:
-            if not self._mine and not self._over.is_set():
+            if not self._mine and not self._closed.is_set():
                 threading.Thread(target=self._beat, daemon=True).start()
             self._mine.add(path)
         return True
 
     def release(self, name: str) -> None:
-        """Let go of what this process holds."""
+        """Release a claim of this process."""
         path = self._path(name)
         with self._lock:
             self._mine.discard(path)
         path.unlink(missing_ok=True)
 
     def release_of(self, process: int) -> None:
-        """Let go of what a process of this machine held that has ended."""
+        """Release the claims of a process of this machine that has ended."""
         for path, content in self._all():
-            owner = _owner(content)
+            owner, _ = _parse(content)
             if owner is not None and owner.process == process and owner.has_ended():
                 path.unlink(missing_ok=True)
 
     def held(self) -> list[Held]:
-        """All claims there are, by name."""
-        found = []
+        """Return all existing claims, sorted by name."""
+        held = []
         for path, content in self._all():
-            owner = _owner(content) or Owner("unknown", 0, "", "")
-            since = str(_json(content).get("since", ""))
-            found.append(Held(path.name.removesuffix(_ENDING), owner, since, self._is_stale(path, content)))
-        return found
-
-    def clear_stale(self) -> None:
-        """Remove the claims that are stale."""
-        for path, content in self._all():
-            if self._is_stale(path, content):
-                self._set_aside(path, content)
+            owner, since = _parse(content)
+            stale = self._is_stale(path, content)
+            held.append(Held(path.name.removesuffix(_SUFFIX), owner or Owner("unknown", 0, "", ""), since, stale))
+        return held
 
     def close(self) -> None:
-        """Let go of all that this process holds."""
-        self._over.set()
+        """Release all claims of this process."""
+        self._closed.set()
         with self._lock:
             mine, self._mine = self._mine, set()
         for path in mine:
@@ -129,41 +135,33 @@ class Claims:
                 path.unlink(missing_ok=True)
 
     def _path(self, name: str) -> Path:
-        return self.folder / f"{name}{_ENDING}"
+        return self.folder / f"{name}{_SUFFIX}"
+
+    def _temporary(self, name: str) -> Path:
+        return self.folder / f"{name}.{os.getpid()}.{threading.get_ident()}.tmp"
 
     def _all(self) -> Iterator[tuple[Path, bytes]]:
-        for path in sorted(self.folder.glob(f"*{_ENDING}")):
-            content = self._read(path)
+        for path in sorted(self.folder.glob(f"*{_SUFFIX}")):
+            content = _read(path)
             if content is not None:
                 yield path, content
 
-    def _read(self, path: Path) -> bytes | None:
-        try:
-            return path.read_bytes()
-        except OSError:
-            return None
-
     def _is_stale(self, path: Path, content: bytes) -> bool:
-        owner = _owner(content)
+        owner, _ = _parse(content)
         if owner is not None and owner.place == _place() and os.name == "posix":
             return owner.has_ended()
-        try:
-            return self._now() - path.stat().st_mtime > STALE
+        probe = self._temporary("clock")
+        try:  # the clock of the file system decides, which may differ from this machine's
+            probe.touch()
+            return probe.stat().st_mtime - path.stat().st_mtime > STALE
         except OSError:
             return False
-
-    def _now(self) -> float:
-        """The time by the clock of the file system, which may not be this machine's."""
-        probe = self.folder / f"clock.{os.getpid()}.{threading.get_ident()}.tmp"
-        try:
-            probe.touch()
-            return probe.stat().st_mtime
         finally:
             probe.unlink(missing_ok=True)
 
     def _set_aside(self, path: Path, content: bytes) -> bool:
-        """Remove a claim that was found stale, unless it is another one meanwhile; whether it was removed."""
-        aside = path.with_name(f"{path.name}.{os.getpid()}.{threading.get_ident()}.tmp")
+        """Remove a stale claim unless it has been replaced meanwhile; return whether it was removed."""
+        aside = self._temporary(path.name)
         try:
             os.rename(path, aside)
         except OSError:  # another process was quicker
@@ -178,7 +176,7 @@ class Claims:
             aside.unlink(missing_ok=True)
 
     def _beat(self) -> None:
-        while not self._over.wait(BEAT):
+        while not self._closed.wait(BEAT):
             with self._lock:
                 mine = list(self._mine)
             for path in mine:
@@ -186,55 +184,90 @@ class Claims:
                     os.utime(path)
 
 
-def this_process() -> Owner:
-    """Who this is."""
-    return Owner(socket.gethostname(), os.getpid(), _start_of(os.getpid()), _place())
+class Lock:
+    """An exclusive lock on the file at `path`, held until it is released; acquiring waits up to `patience` seconds.
+
+    It is the system's lock on the open file. The system releases it when the process ends, even if it is killed, so
+    that the remaining file blocks nobody. On a file system without locks there is no protection.
+
+    **Raises:** `InputError` if another process holds the lock, or the file cannot be written.
+    """
+
+    def __init__(self, path: Path, patience: float = _LOCK_PATIENCE) -> None:
+        self.path = path
+        # Any thread may release it: a sweep runs in a thread of its own.
+        self._lock = FileLock(path, timeout=patience, thread_local=False)
+        try:
+            self._lock.acquire()  # creates the folder again if another process has just finished and removed it
+        except Timeout:
+            line = f"{path.parent}: another process is at work there; wait for it, or give another output"
+            raise InputError(line) from None
+        except OSError as error:
+            if error.filename is not None:  # the file could not even be opened
+                raise InputError(f"{path}: cannot be written ({error.strerror}); give another output") from None
+
+    def release(self, remove: bool = False) -> None:
+        """Release the lock; with `remove`, delete its file first, while no other process can hold it."""
+        if remove:
+            with suppress(PermissionError):  # Windows keeps an open file, and removes it on release
+                self.path.unlink(missing_ok=True)
+        self._lock.release()
 
 
-def _owner(content: bytes) -> Owner | None:
-    found = _json(content)
+def is_locked(path: Path) -> bool:
+    """Return whether a process holds the lock at `path`, without changing anything."""
+    if not path.exists():
+        return False
     try:
-        return Owner(str(found["host"]), int(str(found["process"])), str(found["start"]), str(found["place"]))
-    except (KeyError, ValueError):
+        with FileLock(path, timeout=0, thread_local=False):
+            return False
+    except (Timeout, OSError):
+        return True
+
+
+def this_process() -> Owner:
+    """Return this process as an owner of claims."""
+    return Owner(socket.gethostname(), os.getpid(), process_start(os.getpid()), _place())
+
+
+def process_start(process: int) -> str:
+    """Return the start time of a process of this machine; "gone" if it has ended, "" if the system does not say."""
+    try:
+        fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+        return GONE if fields[0] in "ZX" else fields[19]
+    except OSError:  # no such process, another user's, or a system without /proc
+        pass
+    if os.name == "posix":  # elsewhere this call ends the process
+        try:
+            os.kill(process, 0)
+        except (ProcessLookupError, OverflowError):
+            return GONE
+        except OSError:  # another user's
+            pass
+    return ""
+
+
+def _read(path: Path) -> bytes | None:
+    try:
+        return path.read_bytes()
+    except OSError:
         return None
 
 
-def _json(content: bytes) -> dict[str, object]:
+def _parse(content: bytes) -> tuple[Owner | None, str]:
+    """Return the owner of a claim, None if the content is malformed, and the time of its creation."""
     try:
-        found = json.loads(content)
-    except ValueError:
-        return {}
-    return found if isinstance(found, dict) else {}
+        values = json.loads(content)
+        owner = Owner(str(values["host"]), int(str(values["process"])), str(values["start"]), str(values["place"]))
+        return owner, str(values.get("since", ""))
+    except (ValueError, KeyError, TypeError, RecursionError):
+        return None, ""
 
 
 def _place() -> str:
-    """Where process numbers mean the same: the boot of a machine, and the container in it."""
+    """Return an identifier of the boot of this machine, and of the container that this process runs in."""
     try:
         boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
         return f"{boot} {os.readlink('/proc/self/ns/pid')}"
     except OSError:
         return socket.gethostname()
-
-
-def _start_of(process: int) -> str:
-    """When a process of this machine began, so that another one of its number is told from it; "gone" where there is
-    none; "" where the system does not say when."""
-    try:
-        stat = Path(f"/proc/{process}/stat").read_text()
-    except FileNotFoundError:
-        if Path("/proc/self/stat").exists():
-            return "gone"
-    except OSError:
-        return "gone"
-    else:
-        state, *_, start = stat.rpartition(")")[2].split()[:20]
-        return "gone" if state in "ZX" else start
-    if os.name != "posix":  # to ask is to end it
-        return ""
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return "gone"
-    except OSError:  # another user's
-        return ""
-    return ""

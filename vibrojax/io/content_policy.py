@@ -1,4 +1,4 @@
-"""The content security policy of a page: what its browser may run, apply, load and ask."""
+"""The content security policy of a page: the scripts, styles and connections that its browser allows."""
 
 import base64
 from collections.abc import Sequence
@@ -6,16 +6,16 @@ from hashlib import sha256
 
 
 def content_policy(scripts: Sequence[str], styles: Sequence[str], asks: bool = False) -> str:
-    """Return the policy of a page that holds these scripts and style sheets, and nothing besides.
+    """Return the policy of a page that holds these scripts and style sheets, and nothing else.
 
     **Arguments:** `scripts`, `styles`: the text between the tags of each element; `asks`: whether the page may send
-    requests to the server that it came from.
+    requests to its own server.
     """
     rules = {
         "default-src": "'none'",
         "script-src": _hashes(scripts),
         "style-src": _hashes(styles),
-        "img-src": "data:",  # an empty icon, so that the browser asks for none; pictures within the page
+        "img-src": "data:",  # an empty icon, so that the browser requests none; pictures within the page
         "connect-src": "'self'" if asks else "'none'",
         "base-uri": "'none'",
         "form-action": "'none'",

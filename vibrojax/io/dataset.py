@@ -1,4 +1,4 @@
-"""Datasets on disk: written whole or not at all, and recognised when they are opened."""
+"""Datasets on disk: written whole or not at all, and checked when they are opened."""
 
 import errno
 import os
@@ -20,31 +20,33 @@ from vibrojax.io.threads import in_own_thread
 from vibrojax.io.variables import VARIABLES
 
 MARK = "vibrojax"
-"""How the attribute `source` of every dataset of this package begins."""
+"""Beginning of the attribute `source` of every dataset of this package."""
 
 LAZY_FROM = 256e6
-"""Bytes of a dataset from which on it is not read at once."""
+"""Size of a dataset [bytes] above which it is read lazily."""
 
 MOST_PACKED = 2000
-"""How many times its size a file can hold: zlib packs to a thousandth at best, and dimensions may be claimed."""
+"""Largest accepted ratio of a dataset's size to its file's: zlib reaches a thousand; a hostile file may claim any."""
 
 COMPRESSED = 4096
-"""Variables of more values than this are compressed."""
+"""Number of values above which a variable is compressed."""
+
 _PROBE = 1 << 20
-"""Bytes of one write that tries out whether the disk is full."""
+"""Bytes of one write that tests whether the disk is full."""
+
 _PATIENCE, _SLOWEST = 20.0, 2e6
-"""A file that takes longer than so many seconds, and one more for each so many bytes, is not read."""
+"""Time limit of reading a file: these seconds, and its size over this rate [bytes/s]."""
 
 
 def write_dataset(dataset: xr.Dataset, path: str | os.PathLike[str]) -> None:
-    """Write a netCDF-4 file that appears whole or not at all: under a temporary name, synced, then renamed.
+    """Write a netCDF-4 file, which appears whole or not at all: it is written under a temporary name, then renamed.
 
     **Arguments:**
 
-    - `dataset`: what to write.
-    - `path`: the file to be; one that is there is replaced.
+    - `dataset`: the dataset.
+    - `path`: the file; an existing one is replaced.
 
-    **Raises:** `OSError` where the disk is full or the folder cannot be written.
+    **Raises:** `OSError` if the disk is full or the folder cannot be written.
 
     **Example:**
 
@@ -67,17 +69,17 @@ def write_dataset(dataset: xr.Dataset, path: str | os.PathLike[str]) -> None:
 
 
 def open_dataset(path: str | os.PathLike[str]) -> xr.Dataset:
-    """Open a dataset that this package wrote.
+    """Open and check a dataset that this package wrote.
 
     **Arguments:**
 
-    - `path`: the netCDF file, or the Zarr store. It may come from anywhere: attributes, names, coordinates and flags
-      are checked.
+    - `path`: the netCDF file or Zarr store. It may come from anywhere: attributes, names, coordinates and flags are
+      checked.
 
-    **Returns:** the dataset: read into memory whole, or, where it would take over a quarter of a gigabyte, with
-    variables that are read when they are used: by dask, in parts, where it is installed.
+    **Returns:** the dataset, in memory. Variables of a dataset above a quarter of a gigabyte are read when they are
+    used, and in parts by dask if that is installed.
 
-    **Raises:** `InputError` where it is not there, no netCDF, cut short, not written by this package, or malformed.
+    **Raises:** `InputError` if the file is missing, not netCDF, cut short, not written by this package, or malformed.
 
     **Example:**
 
@@ -92,10 +94,10 @@ def open_dataset(path: str | os.PathLike[str]) -> xr.Dataset:
     if path.is_dir() and path.suffix != ZARR:
         raise InputError(f"{path}: is a folder; give a .nc file")
     if not path.is_file() and path.suffix != ZARR:
-        raise InputError(f"{path}: is no file with an end; give a .nc file")
+        raise InputError(f"{path}: is not a regular file; give a .nc file")
     if path.suffix == ".toml":
         command = shlex.join(["vibrojax", "sweep", str(path)])
-        raise InputError(f"{path}: is no dataset; give the .nc file that {command} writes")
+        raise InputError(f"{path}: is not a dataset; give the .nc file that {command} writes")
     if path.suffix == ZARR:
         check_zarr(path)
     patience = _PATIENCE + path.stat().st_size / _SLOWEST
@@ -103,9 +105,9 @@ def open_dataset(path: str | os.PathLike[str]) -> xr.Dataset:
         dataset = in_own_thread(lambda: _opened(path), patience)
     except InputError:
         raise
-    except TimeoutError:  # HDF5 goes round and round in some files that have lost a block
+    except TimeoutError:  # HDF5 never ends on some files that have lost a block
         raise InputError(f"{path}: cannot be read as netCDF (its structure is damaged)") from None
-    except Exception as error:  # whatever the library says of a file that is cut short, flipped or no netCDF at all
+    except Exception as error:  # the library raises many kinds on a damaged or foreign file
         raise InputError(f"{path}: cannot be read as netCDF ({_first_line(error)})") from None
     if not str(dataset.attrs.get("source", "")).startswith(MARK):
         raise InputError(f"{path}: was not written by {MARK} (its attribute source does not say so)")
@@ -119,18 +121,18 @@ def open_dataset(path: str | os.PathLike[str]) -> xr.Dataset:
 
 
 def check_dataset(dataset: xr.Dataset) -> None:
-    """Raise `InputError` if a dataset is malformed: an attribute, a name, a coordinate or a flag."""
+    """Raise `InputError` if an attribute, a name, a coordinate or a flag of a dataset is malformed."""
     check_attributes(dataset)
     check_kind(dataset)
     check_structure(dataset)
 
 
 def _opened(path: Path) -> xr.Dataset:
-    """The dataset, in memory where it is small."""
+    """Return the dataset, in memory if it is small."""
     kind = {"engine": "zarr", "consolidated": True} if path.suffix == ZARR else {"engine": "netcdf4"}
-    netCDF4.set_chunk_cache(1 << 20)  # of each variable: else 64 MB of every one that is read are kept
+    netCDF4.set_chunk_cache(1 << 20)  # per variable: otherwise 64 MB of each variable stay in memory
     dataset = xr.open_dataset(path, cache=False, **kind)
-    if path.suffix == ZARR:  # which has no order of its own
+    if path.suffix == ZARR:  # a store has no order of variables
         known = [name for name in VARIABLES if name in dataset]
         dataset = dataset[[*known, *(name for name in dataset.data_vars if name not in VARIABLES)]]
     if dataset.nbytes <= LAZY_FROM:
@@ -144,16 +146,16 @@ def _opened(path: Path) -> xr.Dataset:
 
 
 def check_zarr(path: Path) -> None:
-    """Raise `InputError`, in one line, where a Zarr store cannot be written or read: zarr is an extra."""
+    """Raise `InputError`, in one line, if zarr, an optional dependency, is not installed."""
     if find_spec("zarr") is None:
         raise InputError(f'{path}: zarr is not installed; pip install "vibrojax[zarr]", or give a .nc file')
 
 
 def write_failed(part: Path, path: Path, size: int, error: Exception) -> OSError:
-    """Why the disk did not take a dataset of `size` bytes: the library says no more than "HDF error"."""
+    """Return why a dataset of `size` bytes could not be written: the library says only "HDF error"."""
     try:
         with open(part, "ab", buffering=0) as file:
-            for _ in range(2 + 2 * size // _PROBE):  # a write in part is no error, the next one is
+            for _ in range(2 + 2 * size // _PROBE):  # a partial write raises nothing, the next one does
                 file.write(bytes(_PROBE))
             os.fsync(file.fileno())
     except OSError as reason:

@@ -1,4 +1,4 @@
-"""The variables of datasets that are made of a sweep's orbits: families, borders and attractors."""
+"""The variables of datasets that derive from a sweep's orbits: families, borders and attractors."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ SPECIAL_KINDS = ("fold", "period-doubling", "torus", "grazing", "stick", "sectio
 """Flags of `special_kind`."""
 
 BORDER_KINDS = (*SPECIAL_KINDS, "basin", "not-settled")
-"""Flags of `kind`: those of special points, and where a start no longer leads to an orbit that goes on."""
+"""Flags of `kind`: those of special points, and limits beyond which a start no longer leads to an existing orbit."""
 
 OF_FAMILIES: dict[str, Variable] = {
     "branch": Variable("1", "branch of the family, 0 the one that it begins with", np.int32),
@@ -20,7 +20,7 @@ OF_FAMILIES: dict[str, Variable] = {
     "point_family": Variable("1", "number of the family", np.int32),
     "special_family": Variable("1", "number of the family", np.int32),
 }
-"""Beside those of orbits and what is measured; the last two where there are several families."""
+"""Variables in addition to those of orbits and measures; the last two exist only if there are several families."""
 
 OF_BORDERS: dict[str, Variable] = {
     "curve": Variable("1", "number of the curve", np.int32),

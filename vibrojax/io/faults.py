@@ -1,4 +1,4 @@
-"""Datasets of earlier versions whose numbers are known to be wrong: a warning when they are opened."""
+"""Known faults in datasets of earlier versions: a warning when such a dataset is opened."""
 
 import warnings
 
@@ -6,11 +6,11 @@ import xarray as xr
 
 
 class KnownFault(UserWarning):
-    """A dataset may hold wrong numbers, by a fault of the version that made it."""
+    """A dataset may hold wrong numbers, because of a fault of the version that wrote it."""
 
 
 def warn_of_faults(dataset: xr.Dataset, file: str) -> None:
-    """Warn, on one line, of what is known to be wrong in datasets of the version that made this one."""
+    """Warn, on one line, of the known faults of the version that wrote this dataset."""
     swept = dataset.attrs.get("source") == "vibrojax 0.1.0" and "lanes" in dataset.attrs
     if swept and dataset.attrs.get("friction") == "popp-arctan":
         warnings.warn(

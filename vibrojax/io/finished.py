@@ -1,4 +1,4 @@
-"""Finished results on disk: one of something else is not replaced without being asked."""
+"""Protection of finished results: a result of something else is replaced only if the user asks for it."""
 
 import json
 from collections.abc import Mapping
@@ -12,42 +12,37 @@ from vibrojax.io.manifest import changes
 from vibrojax.io.threads import in_own_thread
 
 IDENTITY = "identity"
-"""The attribute that says what a result depends on, as JSON: equal where the same would be computed."""
+"""The attribute with everything that a result depends on, as JSON: equal if a run would compute the same."""
 
-_PATIENCE = 20.0
+_ATTRIBUTES_PATIENCE = 20.0
 """Seconds that reading the attributes of a damaged file may take."""
 
 
 def identity_text(identity: Mapping[str, object]) -> str:
-    """What the attribute holds."""
+    """Return an identity as the attribute stores it."""
     return json.dumps(identity, sort_keys=True)
 
 
 def check_replaceable(out: Path, identity: Mapping[str, object]) -> None:
-    """Raise `InputError`, in one line, where `out` is there and holds anything but a result of this `identity`."""
+    """Raise `InputError`, in one line, if `out` exists and holds anything but a result of this `identity`."""
     if not out.exists():
         return
-    advice = "--fresh replaces it, or give another output with -o"
-    found = _identity_of(out)
-    if found is None:
-        raise InputError(f"{out}: is there already, and does not say that it holds this result; {advice}")
-    ours = json.loads(identity_text(identity))
-    differing = changes(found, ours)
-    if differing:
-        raise InputError(f"{out}: holds another result: {differing}; {advice}")
-
-
-def _identity_of(path: Path) -> dict[str, object] | None:
-    """The identity that a dataset carries; None where it has none, or cannot be read."""
 
     def read() -> object:
-        if path.suffix == ZARR:
-            return json.loads(json.loads((path / ".zattrs").read_text())[IDENTITY])
-        with netCDF4.Dataset(path) as dataset:
+        if out.suffix == ZARR:
+            import zarr
+
+            return json.loads(str(zarr.open_group(out, mode="r").attrs[IDENTITY]))
+        with netCDF4.Dataset(out) as dataset:
             return json.loads(dataset.getncattr(IDENTITY))
 
     try:
-        found = in_own_thread(read, _PATIENCE) if path.is_file() or path.suffix == ZARR else None
-    except Exception:  # whatever the library says of a file that is damaged, or none of ours
-        return None
-    return found if isinstance(found, dict) else None
+        stored = in_own_thread(read, _ATTRIBUTES_PATIENCE) if out.is_file() or out.suffix == ZARR else None
+    except Exception:  # the libraries raise many kinds on a damaged or foreign file
+        stored = None
+    advice = "--fresh replaces it, or give another output with -o"
+    if not isinstance(stored, dict):
+        raise InputError(f"{out}: exists already, and does not say that it holds this result; {advice}")
+    differences = changes(stored, json.loads(identity_text(identity)))
+    if differences:
+        raise InputError(f"{out}: holds another result: {differences}; {advice}")

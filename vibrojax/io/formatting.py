@@ -1,8 +1,8 @@
-"""Sizes and times in words, as people read them."""
+"""Sizes and times as readable text."""
 
 
 def size_text(size: int | float) -> str:
-    """A size in bytes, as people read it."""
+    """Return a size in bytes as text, such as `1.5 GB`."""
     for unit in ("B", "kB", "MB", "GB"):
         if size < 999.5:
             return f"{size:.3g} {unit}"
@@ -11,14 +11,13 @@ def size_text(size: int | float) -> str:
 
 
 def time_text(seconds: int | float) -> str:
-    """A time in seconds, as people read it."""
+    """Return a time as text, such as `2.5 h`."""
     for unit, length in (("days", 86400), ("h", 3600), ("min", 60)):
         if seconds >= 2 * length:
             return _text(seconds / length, unit, 1e6)
     return f"{seconds:.3g} s"
 
 
-def _text(amount: int | float, unit: str, most: float) -> str:
-    if amount < 1000:
-        return f"{amount:.3g} {unit}"
-    return f"{amount:,.0f} {unit}" if amount < most else f"{amount:.3g} {unit}"
+def _text(amount: int | float, unit: str, largest_plain: float) -> str:
+    plain = 1000 <= amount < largest_plain
+    return f"{amount:,.0f} {unit}" if plain else f"{amount:.3g} {unit}"

@@ -1,33 +1,47 @@
-"""Finished chunks of a sweep as files beside its output, so that nothing computed is lost."""
+"""Finished chunks of a sweep as files beside its output, so that no computed chunk is lost."""
 
 import hashlib
 import io
 import json
 import os
+import re
 import sys
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 from jaxtyping import Shaped
+from numpy.lib import format as npy
 
 from vibrojax.errors import InputError
-from vibrojax.io import npz
-from vibrojax.io.atomic import sync_folder
-from vibrojax.io.claims import Claims, this_process
-from vibrojax.io.folder import LOCK, chunk_name, failure_name, is_to_go, shard_index, shard_name
-from vibrojax.io.lock import Lock
+from vibrojax.io.atomic import commit
+from vibrojax.io.claims import Claims, Lock, this_process
 from vibrojax.io.manifest import MANIFEST, Manifest
 
-_WHOLE = "all"
-"""What one claims who has all chunks for himself."""
-_PATIENCE = 30.0
-"""Seconds that one of many processes which begin together waits for the others to have looked at the manifest."""
+LOCK = "lock"
+"""Name of the lock file in a folder of chunks."""
+
+_ALL = "all"
+"""Name of the claim on all chunks."""
+
+_SHARE_PATIENCE = 30.0
+"""Seconds that one of many processes which start together waits for the others to check the manifest."""
+
+_HEADER_SIZE = 1 << 16
+"""Largest npy header [bytes] that is parsed: version 1.0 has no longer ones."""
+
 _DAMAGES_SHOWN = 3
 _DIGEST_SIZE = hashlib.sha256().digest_size
+
+SHARD = re.compile(r"chunk-(\d{8,})\.shard")
+"""Name of the file of a finished chunk, with its index."""
+
+_LEFTOVER = re.compile(
+    r"(manifest\.json|clock|chunk-\d{8,}\.shard)(\.\d+)*\.tmp|(chunk-\d{8,}\.failed|[\w-]+\.claim)((\.\d+)*\.tmp)?"
+)
+"""Files that a new start removes: unfinished files, failures and claims of a killed process. Other files stay."""
 
 Arrays = Mapping[str, Shaped[np.ndarray, "..."]]
 """The arrays of a chunk by name: features (lanes,) or (lanes, rows)."""
@@ -40,37 +54,37 @@ class DamagedShard(Exception):
 class Shards:
     """The finished chunks of one sweep, as immutable files in one folder.
 
-    Each file is the SHA-256 of (manifest, index, content) and then the content, an npz. A file of another manifest, of
-    another index, cut short or with a flipped bit is therefore recognised, and counts as missing.
+    Each file is the SHA-256 of (manifest, index, content), followed by the content: an npy file with one structured
+    value, a field per array. A file of another manifest or index, a cut file or a flipped bit is therefore recognised,
+    and counts as missing.
 
     **Arguments:**
 
     - `folder`: the folder `OUT.nc.chunks`.
-    - `manifest`: all that the results depend on, as JSON values.
-    - `about`: what else there is to tell of the sweep, as JSON values.
+    - `manifest`: everything that the results depend on, as JSON values.
+    - `about`: further facts about the sweep, as JSON values.
+    - `shared`: whether this process writes into a folder that another process has opened.
     """
 
     def __init__(
-        self, folder: Path, manifest: Mapping[str, object], about: Mapping[str, object] = MappingProxyType({})
+        self,
+        folder: Path,
+        manifest: Mapping[str, object],
+        about: Mapping[str, object] = MappingProxyType({}),
+        shared: bool = False,
     ) -> None:
-        self.folder, self._about = folder, dict(about)
+        self.folder, self._about, self._shared = folder, dict(about), shared
         self.claims = Claims(folder)
-        self._manifest = Manifest(manifest)
+        self.manifest = Manifest(manifest)
         self._lock: Lock | None = None
-        self._shared = False
-
-    @property
-    def manifest(self) -> dict[str, object]:
-        """All that the results depend on."""
-        return self._manifest.values
 
     def open(self, resume: bool) -> None:
-        """Take the folder for this process and make it ready.
+        """Prepare the folder for this process alone.
 
-        With `resume` what is there stays, unless its manifest differs; otherwise it is removed.
+        With `resume` finished chunks stay, unless their manifest differs; otherwise they are removed.
 
-        **Raises:** `InputError` where another process is at work there, the folder cannot be written, or, with
-        `resume`, its manifest differs.
+        **Raises:** `InputError` if another process is at work there, the folder cannot be written, or, with `resume`,
+        the manifest differs.
         """
         self._make_folder()
         self._lock = Lock(self.folder / LOCK)
@@ -78,23 +92,22 @@ class Shards:
             self._check_claims()
             if resume:
                 self._check_manifest()
-            else:
-                self._clear(shards=True)
-            self._clear(shards=False)
+            self._clear(shards=not resume)
             self._write_manifest()
-            self.claims.take(_WHOLE)
+            self.claims.take(_ALL)
         except BaseException:
             self.close()
             raise
 
     def share(self) -> None:
-        """Make the folder ready for several processes, each of which takes a chunk by its claim; what is there stays.
+        """Prepare the folder for several processes, each of which claims chunks; finished chunks stay.
 
-        **Raises:** `InputError` where a process has it for itself, it cannot be written, or its manifest differs.
+        **Raises:** `InputError` if a process has claimed all chunks, the folder cannot be written, or its manifest
+        differs.
         """
         self._make_folder()
-        self._check_claims(_WHOLE)
-        lock = Lock(self.folder / LOCK, _PATIENCE)
+        self._check_claims(_ALL)
+        lock = Lock(self.folder / LOCK, _SHARE_PATIENCE)
         try:
             self._check_manifest()
             if not (self.folder / MANIFEST).exists():
@@ -103,15 +116,11 @@ class Shards:
             lock.release()
         self._shared = True
 
-    def join(self) -> None:
-        """Work in the folder of another process that has it for itself, and has asked for that."""
-        self._shared = True
-
     def finished(self) -> set[int]:
-        """The indices of the chunks that are there and whole; says which are damaged, on stderr."""
+        """Return the indices of the whole chunks; report damaged ones on stderr."""
         whole: set[int] = set()
         damages: list[DamagedShard] = []
-        for index in sorted(self._indices()):
+        for index in sorted(self.there()):
             try:
                 self._content(index)
                 whole.add(index)
@@ -124,79 +133,83 @@ class Shards:
         return whole
 
     def there(self) -> set[int]:
-        """The indices of the chunks that are there; whether they are whole is not looked at."""
-        return set(self._indices())
-
-    def has(self, index: int) -> bool:
-        """Whether a chunk is there; not whether it is whole."""
-        return self._path(index).exists()
-
-    def size(self, index: int) -> int:
-        """Bytes of a chunk that is there."""
-        return self._path(index).stat().st_size
+        """Return the indices of the existing chunks, without checking that they are whole."""
+        try:
+            return {int(match[1]) for match in map(SHARD.fullmatch, os.listdir(self.folder)) if match}
+        except FileNotFoundError:  # the sweep is finished, and the folder removed
+            return set()
 
     def discard(self, index: int) -> None:
-        """Remove a chunk that is not whole, if it is there."""
+        """Remove a chunk, if it exists."""
         self._path(index).unlink(missing_ok=True)
 
     def claim(self, index: int) -> bool:
-        """Take a chunk for this process; False where another has it, or it is there."""
-        name = chunk_name(index)
-        if not self.claims.take(name):
+        """Claim a chunk for this process; return False if another process holds it, or it exists."""
+        if not self.claims.take(_chunk_name(index)):
             return False
-        if self.has(index):  # finished between the look and the claim
-            self.claims.release(name)
+        if self._path(index).exists():  # finished between the look and the claim
+            self.release(index)
             return False
         return True
 
-    def let_go(self, index: int) -> None:
-        """Let go of a chunk that this process took."""
-        self.claims.release(chunk_name(index))
+    def release(self, index: int) -> None:
+        """Release the claim on a chunk."""
+        self.claims.release(_chunk_name(index))
 
-    def failed(self, index: int, why: str) -> None:
-        """Have it known that a chunk could not be computed."""
-        content = json.dumps({"chunk": index, "by": this_process().text, "why": why})
-        self._put(self.folder / failure_name(index), content.encode())
+    def record_failure(self, index: int, reason: str) -> None:
+        """Record that a chunk could not be computed."""
+        failure = {"chunk": index, "by": this_process().text, "why": reason}
+        self._put(self._failure_path(index), json.dumps(failure).encode())
 
     def has_failed(self, index: int) -> bool:
-        """Whether a chunk is known to have failed."""
-        return (self.folder / failure_name(index)).exists()
+        """Return whether a failure of a chunk is recorded."""
+        return self._failure_path(index).exists()
 
     def write(self, index: int, arrays: Arrays) -> None:
-        """Store a chunk's arrays; when this returns they are on the disk, whole."""
+        """Store the arrays of a chunk; when this returns they are whole on the disk."""
+        record = np.zeros((), np.dtype([(name, x.dtype, x.shape) for name, x in arrays.items()], align=True))
+        for name, x in arrays.items():
+            record[name] = x
         buffer = io.BytesIO()
-        named: dict[str, Any] = dict(arrays)  # of numpy's own keywords, which older ones lack, none is among the names
-        np.savez(buffer, **named)
-        content = buffer.getbuffer()
-        with content:
+        npy.write_array(buffer, record, version=(1, 0), allow_pickle=False)
+        with buffer.getbuffer() as content:
             self._put(self._path(index), self._checksum(index, content), content)
-        (self.folder / failure_name(index)).unlink(missing_ok=True)
+        self._failure_path(index).unlink(missing_ok=True)
 
     def read(self, index: int) -> dict[str, np.ndarray]:
-        """A chunk's arrays by name, as they were written; not to be written to.
+        """Return the arrays of a chunk by name, read-only.
 
-        **Raises:** `DamagedShard` where they are not there or not whole.
+        **Raises:** `DamagedShard` if they are missing or not whole.
         """
-        return npz.arrays(self._content(index))
+        content = self._content(index)
+        try:
+            file = io.BytesIO(content)
+            version = npy.read_magic(file)
+            shape, _, dtype = npy.read_array_header_1_0(file, max_header_size=_HEADER_SIZE)
+            whole = version == (1, 0) and shape == () and file.tell() + dtype.itemsize == len(content)
+            if not whole or dtype.names is None or dtype.hasobject:
+                raise ValueError("not a structured value of the size of the file")
+            record = np.frombuffer(content, dtype, offset=file.tell()).reshape(())
+            return {name: record[name] for name in dtype.names}
+        except Exception as error:  # numpy raises many kinds on a malformed header
+            raise DamagedShard(f"{self._path(index)}: cannot be read ({type(error).__name__})") from None
 
     def remove(self) -> None:
-        """Remove the chunks and, where nothing else lies in it, the folder; lets go of it."""
+        """Remove the chunks and, unless it holds other files, the folder; release it."""
         self._clear(shards=True)
         self.claims.close()
         (self.folder / MANIFEST).unlink(missing_ok=True)
         if self._lock is None:
-            with suppress(InputError):  # another one has just come to look
+            with suppress(InputError):  # another process has just begun to look
                 self._lock = Lock(self.folder / LOCK)
         if self._lock is not None:
             self._lock.release(remove=True)
             self._lock = None
-        try:
+        with suppress(OSError):  # other files stay
             self.folder.rmdir()
-        except OSError:  # other files lie there: they stay
-            return
 
     def close(self) -> None:
-        """Let another process have the folder; what is in it stays."""
+        """Release the folder; its content stays."""
         self.claims.close()
         if self._lock is not None:
             self._lock.release()
@@ -209,22 +222,18 @@ class Shards:
         self.close()
 
     def _path(self, index: int) -> Path:
-        return self.folder / shard_name(index)
+        return self.folder / f"{_chunk_name(index)}.shard"
 
-    def _indices(self) -> list[int]:
-        try:
-            found = [shard_index(name) for name in os.listdir(self.folder)]
-        except FileNotFoundError:  # all is done, and the folder removed
-            return []
-        return [index for index in found if index is not None]
+    def _failure_path(self, index: int) -> Path:
+        return self.folder / f"{_chunk_name(index)}.failed"
 
     def _checksum(self, index: int, content: bytes | memoryview) -> bytes:
-        digest = hashlib.sha256(f"{self._manifest.digest} {index}\n".encode())
+        digest = hashlib.sha256(f"{self.manifest.digest} {index}\n".encode())
         digest.update(content)
         return digest.digest()
 
     def _content(self, index: int) -> memoryview:
-        """A shard's npz, its checksum verified."""
+        """Return the content of a shard after verifying its checksum."""
         path = self._path(index)
         try:
             data = memoryview(path.read_bytes())
@@ -235,32 +244,28 @@ class Shards:
         return data[_DIGEST_SIZE:]
 
     def _put(self, path: Path, *parts: bytes | memoryview) -> None:
-        """Write a file so that it is either whole or not there, whenever the power goes."""
+        """Write a file that is whole or absent, even after a power failure."""
         if not self._shared:
-            self.folder.mkdir(exist_ok=True)  # somebody may have removed it meanwhile
+            self.folder.mkdir(exist_ok=True)  # a user may have removed it meanwhile
         temporary = path.with_name(f"{path.name}.{os.getpid()}.tmp")
         try:
             with open(temporary, "wb") as file:
-                for part in parts:
-                    file.write(part)
-                file.flush()
-                os.fsync(file.fileno())
-            os.replace(temporary, path)
-        except OSError as error:  # a write does not say of which file
+                file.writelines(parts)
+            commit(temporary, path)
+        except OSError as error:  # an error of a write does not name the file
             temporary.unlink(missing_ok=True)
             raise OSError(error.errno, error.strerror, str(path)) from None
-        sync_folder(self.folder)
 
     def _clear(self, shards: bool) -> None:
-        """Remove the shards, or the unfinished files of a process that was killed; nothing that is not ours."""
+        """Remove leftovers of killed processes, and with `shards` the finished chunks; foreign files stay."""
         for path in self.folder.iterdir():
-            if is_to_go(path.name, shards):
+            if _LEFTOVER.fullmatch(path.name) or (shards and SHARD.fullmatch(path.name)):
                 path.unlink(missing_ok=True)
 
-    def _check_claims(self, name: str = "") -> None:
-        """Raise where another process has what is called `name`, or anything."""
+    def _check_claims(self, prefix: str = "") -> None:
+        """Raise `InputError` if another process holds a claim whose name begins with `prefix`."""
         for held in self.claims.held():
-            if not held.stale and held.name.startswith(name):
+            if not held.stale and held.name.startswith(prefix):
                 line = f"{self.folder}: another process is at work there ({held.owner.text}, at {held.name})"
                 raise InputError(f"{line}; wait for it, or give another output")
 
@@ -272,19 +277,22 @@ class Shards:
             raise InputError(line) from None
 
     def _write_manifest(self) -> None:
-        self._put(self.folder / MANIFEST, self._manifest.content(self._about))
+        self._put(self.folder / MANIFEST, self.manifest.content(self._about))
 
     def _check_manifest(self) -> None:
-        """Raise where the chunks in the folder are of something else; where its manifest is not whole each of them
-        tells for itself."""
-        differing = self._manifest.changes_since(self.folder / MANIFEST)
-        if differing and self._indices():
+        """Raise `InputError` if the chunks belong to another sweep; without a whole manifest each checksum decides."""
+        differences = self.manifest.changes_since(self.folder / MANIFEST)
+        if differences and self.there():
             raise InputError(
-                f"{self.folder}: holds chunks of another sweep: {differing}; "
+                f"{self.folder}: holds chunks of another sweep: {differences}; "
                 "--fresh starts over, or give another output"
             )
 
 
 def report_damage(damage: DamagedShard | str) -> None:
-    """Say on stderr what is damaged, and that it is computed again."""
+    """Warn on stderr of a damaged chunk, which is computed again."""
     print(f"vibrojax: warning: {damage}; computed again", file=sys.stderr)
+
+
+def _chunk_name(index: int) -> str:
+    return f"chunk-{index:08d}"

@@ -1,27 +1,28 @@
-"""How far a sweep is, who holds what, and what failed: told from the folder of its chunks alone."""
+"""Progress of a sweep, its workers and its failures, read from the folder of its chunks alone."""
 
 import json
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from vibrojax.errors import InputError
-from vibrojax.io.claims import Claims, Held
-from vibrojax.io.folder import LOCK, shard_index
-from vibrojax.io.lock import is_held
+from vibrojax.io.claims import Claims, Held, is_locked
 from vibrojax.io.manifest import MANIFEST
+from vibrojax.io.shards import LOCK, SHARD
 
 CHUNKS = ".chunks"
-"""How the name of the folder beside an output ends."""
+"""Suffix of the folder beside an output."""
 
-_SHORTEST = 10.0
-"""Seconds over which chunks must have come for a pace to be told."""
+_PACE_SECONDS = 10.0
+"""Shortest time between the first and the last chunk from which a pace is computed."""
+
+_MALFORMED = (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError)
+"""Errors of reading a JSON file that may come from anywhere."""
 
 
 @dataclass(frozen=True)
 class Failure:
-    """A chunk that could not be computed: by whom, and why."""
+    """A chunk that could not be computed, the process that tried, and the reason."""
 
     chunk: int
     by: str
@@ -30,11 +31,10 @@ class Failure:
 
 @dataclass(frozen=True)
 class Standing:
-    """What a folder of chunks tells.
+    """The state of a folder of chunks.
 
-    - `title`; `lanes`, `chunks`: of the whole sweep; `size`: lanes of a chunk.
-    - `finished`: the numbers of chunks that are there; `nbytes`: what they take; `per_second`: chunks that come.
-    - `held`: the claims; `whole_held`: whether a process has the folder for itself; `failures`.
+    `title`, `lanes` and `chunks` describe the whole sweep; `size` counts the lanes of a chunk. `finished` lists the
+    existing chunks, `nbytes` is their size, `per_second` their pace. `whole_held`: whether a process has locked it.
     """
 
     folder: Path
@@ -51,30 +51,32 @@ class Standing:
 
     @property
     def finished_lanes(self) -> int:
-        """Lanes of the chunks that are there."""
+        """Lanes of the existing chunks."""
         last = self.chunks - 1 in self.finished
         return len(self.finished) * self.size - last * (self.chunks * self.size - self.lanes)
 
 
 def standing(folder: Path) -> Standing:
-    """What the folder beside an output tells; raises `InputError` where it is none."""
+    """Read the state of a folder of chunks; raise `InputError` if it is something else."""
     try:
         about = json.loads((folder / MANIFEST).read_bytes())["about"]
-        title, lanes, chunks, size = str(about["title"]), int(about["lanes"]), int(about["chunks"]), int(about["size"])
-    except (OSError, ValueError, KeyError, TypeError):
+        title, (lanes, chunks, size) = str(about["title"]), (int(about[key]) for key in ("lanes", "chunks", "size"))
+    except _MALFORMED:
         raise InputError(
-            f"{folder}: is no folder of a sweep's chunks (it has no whole {MANIFEST}); give OUT.nc or OUT.nc{CHUNKS}"
+            f"{folder}: is not a folder of a sweep's chunks (it has no whole {MANIFEST}); give OUT.nc or OUT.nc{CHUNKS}"
         ) from None
     finished, times, nbytes, failures = [], [], 0, []
     for entry in os.scandir(folder):
-        index = shard_index(entry.name)
-        if index is not None:
-            about_it = entry.stat()
-            finished.append(index)
-            times.append(about_it.st_mtime)
-            nbytes += about_it.st_size
+        if match := SHARD.fullmatch(entry.name):
+            finished.append(int(match[1]))
+            times.append(entry.stat().st_mtime)
+            nbytes += entry.stat().st_size
         elif entry.name.endswith(".failed"):
-            failures += _failure(Path(entry.path))
+            try:
+                values = json.loads(Path(entry.path).read_bytes())
+                failures.append(Failure(int(values["chunk"]), str(values["by"]), str(values["why"])))
+            except _MALFORMED:
+                continue
     passed = max(times) - min(times) if times else 0.0
     return Standing(
         folder=folder,
@@ -84,16 +86,8 @@ def standing(folder: Path) -> Standing:
         size=size,
         finished=tuple(sorted(finished)),
         nbytes=nbytes,
-        per_second=(len(times) - 1) / passed if passed > _SHORTEST else None,
+        per_second=(len(times) - 1) / passed if passed > _PACE_SECONDS else None,
         held=Claims(folder).held(),
-        whole_held=is_held(folder / LOCK),
-        failures=sorted(failures, key=lambda one: one.chunk),
+        whole_held=is_locked(folder / LOCK),
+        failures=sorted(failures, key=lambda failure: failure.chunk),
     )
-
-
-def _failure(path: Path) -> list[Failure]:
-    try:
-        found: dict[str, Any] = json.loads(path.read_bytes())
-        return [Failure(int(found["chunk"]), str(found["by"]), str(found["why"]))]
-    except (OSError, ValueError, KeyError, TypeError):
-        return []

@@ -1,4 +1,4 @@
-"""The structure of a dataset, checked: names, coordinates, flags, and dimensions that belong together."""
+"""Checks of the structure of a dataset: names, coordinates, flags, and dimensions that belong together."""
 
 import numpy as np
 import xarray as xr
@@ -8,13 +8,13 @@ from vibrojax.io.derived import OF_ATTRACTORS, OF_BORDERS, OF_FAMILIES
 from vibrojax.io.variables import VARIABLES
 
 LONGEST_NAME = 200
-"""Characters of the name of a variable: those of a CSV's columns are names too."""
+"""Longest name of a variable [characters]: columns of a CSV are names, too."""
 
 MOST_CHECKED = 10**7
-"""Values of a variable up to which each is checked: a larger one is not read before it is used."""
+"""Largest number of values of a variable that are checked: a larger variable is read only when it is used."""
 
 LARGEST_COORDINATE = 1e100
-"""Greater coordinates leave no room for their squares and differences."""
+"""Bound on coordinates: squares and differences of larger ones may overflow."""
 
 _DERIVED = OF_FAMILIES | OF_BORDERS | OF_ATTRACTORS
 _KNOWN = VARIABLES | _DERIVED
@@ -28,11 +28,11 @@ _DIMENSIONS: dict[str, dict[str, tuple[str, ...]]] = {
     "region_area": {"curve": ("vertex",), "kind": ("curve",), "region_area": ("region",)},
     "event_time": {"event_time": ("event",), "event_kind": ("event",)},
 }
-"""The dimensions of the variables that go together with one: of families, of borders, of a motion's events."""
+"""Dimensions of the variables of families, of borders and of a motion's events, bythe variable that implies them."""
 
 
 def check_structure(ds: xr.Dataset) -> None:
-    """Raise `InputError`, with one line that names the variable, if parts of a dataset do not fit together."""
+    """Raise `InputError`, with one line that names the variable, if the structure of a dataset is inconsistent."""
     for name in (*ds.sizes, *ds.variables):
         text = str(name)
         if printable(text) != text or not 0 < len(text) <= LONGEST_NAME:
@@ -49,11 +49,11 @@ def check_structure(ds: xr.Dataset) -> None:
 
 
 def _check_dimensions(ds: xr.Dataset, of: str, dimensions: dict[str, tuple[str, ...]]) -> None:
-    for name, wanted in dimensions.items():
+    for name, expected in dimensions.items():
         if name not in ds:
             raise InputError(f"variable {name}: is missing; it goes with {of}")
-        if ds[name].dims != wanted:
-            raise InputError(f"variable {name}: its dimensions are {shown(list(ds[name].dims))}, not {shown(wanted)}")
+        if ds[name].dims != expected:
+            raise InputError(f"variable {name}: its dimensions are {shown(list(ds[name].dims))}, not {shown(expected)}")
 
 
 def _check_axis(place: Place, data: xr.DataArray) -> None:
@@ -91,7 +91,7 @@ def _check_variable(place: Place, name: str, data: xr.Variable) -> None:
 
 
 def _check_lanes(ds: xr.Dataset) -> None:
-    """Raise `InputError` if variables that hold a value per lane have dimensions that do not go together."""
+    """Raise `InputError` if the dimensions of the variables that hold a value per lane are inconsistent."""
     dims = {name: set(ds[name].dims) - {known.along} for name, known in VARIABLES.items() if name in ds}
     widest = max(dims, key=lambda name: len(dims[name]), default=None)
     for name, own in dims.items():

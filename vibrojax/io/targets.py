@@ -1,231 +1,203 @@
-"""Where a dataset is written region by region: netCDF, Zarr, or memory; its size may be beyond what memory holds."""
+"""Destinations that a dataset is written to region by region: netCDF, Zarr, or memory. It may exceed the memory."""
 
-import shutil
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
-from collections.abc import Set as AbstractSet
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from itertools import product
+from math import prod
 from pathlib import Path
 from typing import Any
 
+import netCDF4
 import numpy as np
 import xarray as xr
 
-from vibrojax.io.atomic import ZARR, atomic_write, sync, sync_folder
+from vibrojax.io.atomic import ZARR, atomic_folder, atomic_write
 from vibrojax.io.dataset import COMPRESSED, check_zarr, write_failed
 from vibrojax.io.packing import LEVEL
-from vibrojax.io.regions import Box
 
-Columns = Mapping[str, tuple[tuple[str, ...], np.ndarray, Mapping[str, Any]]]
-"""Coordinates by name: dimensions, values, attributes."""
-
-
-@dataclass(frozen=True)
-class Stored:
-    """A variable as it is stored: its dimensions, dtype, attributes, the sizes of its chunks, and whether these are
-    packed."""
-
-    dims: tuple[str, ...]
-    dtype: np.dtype
-    attributes: Mapping[str, Any]
-    chunk: tuple[int, ...]
-    packed: bool = True
+Box = tuple[slice, ...]
+"""Slices over a sweep's dimensions."""
 
 
 @dataclass(frozen=True)
-class Frame:
-    """All of a dataset but its values: the sizes of its dimensions, coordinates, and variables by name."""
+class Region:
+    """The lanes from `first` to before `end`, in row-major order, which fill the slices `box`."""
 
-    sizes: Mapping[str, int]
-    coordinates: Columns
-    variables: Mapping[str, Stored]
-
-    def shape(self, name: str) -> tuple[int, ...]:
-        """The shape of a variable."""
-        return tuple(self.sizes[dimension] for dimension in self.variables[name].dims)
-
-    def size(self, name: str) -> int:
-        """How many values a variable has."""
-        return int(np.prod(self.shape(name), dtype=object))
+    first: int
+    end: int
+    box: Box
 
     @property
-    def nbytes(self) -> int:
-        """Bytes of all values."""
-        return sum(self.size(name) * one.dtype.itemsize for name, one in self.variables.items())
+    def shape(self) -> tuple[int, ...]:
+        return tuple(part.stop - part.start for part in self.box)
 
-    def without_packing(self, names: AbstractSet[str]) -> "Frame":
-        """The same, of whose variables those of these names are not packed."""
-        variables = {name: replace(one, packed=name not in names) for name, one in self.variables.items()}
-        return replace(self, variables=variables)
 
-    def beside(self, name: str) -> list[str]:
-        """The coordinates of a variable that are none of its dimensions."""
-        dims = set(self.variables[name].dims)
-        return sorted(
-            one for one, (along, _, _) in self.coordinates.items() if one not in self.sizes and set(along) <= dims
-        )
+class Regions:
+    """The regions of arrays of a `shape`, in row-major order, none of more than `most` values.
+
+    A region spans a part of one dimension, all later dimensions, and one index of each earlier dimension. It is
+    therefore both a box and a run of consecutive lanes, and it is one whole chunk of every stored array. `chunk` holds
+    the sizes of all regions but the last ones along a dimension.
+    """
+
+    def __init__(self, shape: tuple[int, ...], most: int) -> None:
+        self.shape = shape
+        sizes, room = [], max(1, most)
+        for size in reversed(shape):
+            sizes.append(max(1, min(size, room)))
+            # Dimensions before a divided one contribute a single index.
+            room = room // size if size <= room else 1
+        self.chunk = tuple(reversed(sizes))
+
+    def __iter__(self) -> Iterator[Region]:
+        first = 0
+        for corner in product(*(range(0, size, step) for size, step in zip(self.shape, self.chunk, strict=True))):
+            bounds = zip(corner, self.shape, self.chunk, strict=True)
+            box = tuple(slice(start, min(start + step, size)) for start, size, step in bounds)
+            end = first + prod(part.stop - part.start for part in box)
+            yield Region(first, end, box)
+            first = end
 
 
 class Target(ABC):
-    """A dataset that is being written; `packs`: whether it heeds which variables are packed."""
+    """A dataset that is being written; `packs`: whether it compresses variables."""
 
     packs = False
 
     @abstractmethod
-    def begin(self, frame: Frame) -> None:
-        """What is going to be written."""
+    def begin(self, template: xr.Dataset, chunk: tuple[int, ...], plain: frozenset[str]) -> None:
+        """Announce the dataset.
+
+        **Arguments:**
+
+        - `template`: the dataset with placeholders as values of its data variables.
+        - `chunk`: the sizes of a region, along the first dimensions of every variable.
+        - `plain`: the names of the variables that are not compressed.
+        """
 
     @abstractmethod
     def put(self, name: str, box: Box, values: np.ndarray) -> None:
-        """Values of a variable, in a box over its first dimensions and all of the others."""
+        """Write values of a variable, in a box over its first dimensions and all of its others."""
 
     @abstractmethod
     def finish(self, attributes: Mapping[str, Any]) -> None:
-        """All values are there; the attributes of the dataset."""
+        """Complete the dataset with its attributes, after all values."""
 
 
 class InMemory(Target):
-    """A dataset in memory: `dataset`, when it is finished."""
+    """A dataset in memory: `dataset`, once it is finished."""
 
     dataset: xr.Dataset
 
-    def begin(self, frame: Frame) -> None:
-        self._frame = frame
-        self._arrays = {name: np.empty(frame.shape(name), one.dtype) for name, one in frame.variables.items()}
+    def begin(self, template: xr.Dataset, chunk: tuple[int, ...], plain: frozenset[str]) -> None:
+        self.dataset = template
+        self._arrays = {str(name): np.empty(data.shape, data.dtype) for name, data in template.data_vars.items()}
 
     def put(self, name: str, box: Box, values: np.ndarray) -> None:
         self._arrays[name][box] = values
 
     def finish(self, attributes: Mapping[str, Any]) -> None:
-        variables = {
-            name: (one.dims, self._arrays[name], dict(one.attributes)) for name, one in self._frame.variables.items()
-        }
-        self.dataset = xr.Dataset(variables, dict(self._frame.coordinates), dict(attributes))
+        variables = {name: self.dataset[name].variable for name in self._arrays}
+        columns = {name: (variables[name].dims, x, variables[name].attrs) for name, x in self._arrays.items()}
+        self.dataset = self.dataset.assign(columns).assign_attrs(attributes)
 
 
 class _Netcdf(Target):
     packs = True
 
-    def __init__(self, path: Path) -> None:
-        import netCDF4
-
-        self._file = netCDF4.Dataset(path, "w", format="NETCDF4")
+    def __init__(self, file: Any) -> None:
+        self._file = file
         self._file.set_auto_maskandscale(False)
-        self._variables: dict[str, Any] = {}
         self.nbytes = 0
 
-    def begin(self, frame: Frame) -> None:
-        self.nbytes = frame.nbytes
-        for dimension, size in frame.sizes.items():
+    def begin(self, template: xr.Dataset, chunk: tuple[int, ...], plain: frozenset[str]) -> None:
+        self.nbytes = template.nbytes
+        for dimension, size in template.sizes.items():
             self._file.createDimension(dimension, size)
-        for name, one in frame.variables.items():
-            large = frame.size(name) > COMPRESSED
-            how: dict[str, Any] = {"chunksizes": one.chunk} if large else {"contiguous": True}
-            if large and one.packed:
-                how |= {"zlib": True, "complevel": LEVEL, "shuffle": True}
-            variable = self._create(name, one.dtype, one.dims, how)
-            if large:  # chunks are written whole: to keep them would only take memory (0 means 64 MB)
+        for name, data in template.data_vars.items():
+            large = data.size > COMPRESSED
+            layout: dict[str, Any] = {"chunksizes": _chunks(data, chunk)} if large else {"contiguous": True}
+            if large and name not in plain:
+                layout |= {"zlib": True, "complevel": LEVEL, "shuffle": True}
+            variable = self._create(name, data.dtype, data.dims, _attributes(template, data), layout)
+            if large:  # chunks are written whole: a cache would only take memory (0 means 64 MB)
                 variable.set_var_chunk_cache(size=1, nelems=1, preemption=1.0)
-            beside = frame.beside(name)
-            variable.setncatts(dict(one.attributes) | ({"coordinates": " ".join(beside)} if beside else {}))
-            self._variables[name] = variable
-        for name, (dims, values, about) in frame.coordinates.items():
-            text = values.dtype.kind in "UO"
-            variable = self._create(name, str if text else values.dtype, dims, {})
-            variable.setncatts(dict(about))
-            variable[:] = values.astype(object) if text else values
+        for name, data in template.coords.items():
+            text = data.dtype.kind in "UO"
+            variable = self._create(name, str if text else data.dtype, data.dims, data.attrs, {})
+            variable[:] = data.values.astype(object) if text else data.values
 
     def put(self, name: str, box: Box, values: np.ndarray) -> None:
-        self._variables[name][box] = values
+        self._file.variables[name][box] = values
 
     def finish(self, attributes: Mapping[str, Any]) -> None:
         self._file.setncatts(dict(attributes))
 
-    def close(self) -> None:
-        """Have all of it in the file."""
-        self._file.close()
-
-    def _create(self, name: str, dtype: Any, dims: tuple[str, ...], how: Mapping[str, Any]) -> Any:
+    def _create(
+        self, name: Any, dtype: Any, dims: Any, attributes: Mapping[Any, Any], layout: Mapping[str, Any]
+    ) -> Any:
         # Flags stay integers only without a fill value, and floats keep NaN as it is.
-        variable = self._file.createVariable(name, dtype, dims, fill_value=None if dtype is str else False, **how)
+        variable = self._file.createVariable(name, dtype, dims, fill_value=None if dtype is str else False, **layout)
         variable.set_auto_maskandscale(False)
+        variable.setncatts(dict(attributes))
         return variable
 
 
 class _Zarr(Target):
     def __init__(self, path: Path) -> None:
+        self._path = path
+
+    def begin(self, template: xr.Dataset, chunk: tuple[int, ...], plain: frozenset[str]) -> None:
         import zarr
 
-        self._path = path
-        self._group: Any = zarr.open_group(path, mode="w", zarr_format=2)
-
-    def begin(self, frame: Frame) -> None:
-        xr.Dataset(coords=dict(frame.coordinates)).to_zarr(self._path, mode="w", zarr_format=2, consolidated=False)
-        for name, one in frame.variables.items():
-            array = self._group.create_array(
-                name, shape=frame.shape(name), dtype=one.dtype, chunks=one.chunk, fill_value=None
-            )
-            beside = frame.beside(name)
-            attributes = {key: _plain(value) for key, value in one.attributes.items()}
-            more = {"coordinates": " ".join(beside)} if beside else {}
-            array.attrs.update(attributes | more | {"_ARRAY_DIMENSIONS": list(one.dims)})
+        template.drop_vars(list(template.data_vars)).to_zarr(self._path, mode="w", zarr_format=2, consolidated=False)
+        self._group: Any = zarr.open_group(self._path, mode="r+", zarr_format=2)
+        for name, data in template.data_vars.items():
+            attributes = _attributes(template, data) | {"_ARRAY_DIMENSIONS": list(data.dims)}  # xarray's convention
+            attributes = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in attributes.items()}
+            layout: dict[str, Any] = {"chunks": _chunks(data, chunk), "fill_value": None, "attributes": attributes}
+            self._group.create_array(str(name), shape=data.shape, dtype=data.dtype, **layout)
 
     def put(self, name: str, box: Box, values: np.ndarray) -> None:
         self._group[name][box] = values
 
     def finish(self, attributes: Mapping[str, Any]) -> None:
-        import zarr
-
-        self._group.attrs.clear()
-        self._group.attrs.update({key: _plain(value) for key, value in attributes.items()})
-        zarr.consolidate_metadata(self._path, zarr_format=2)
+        xr.Dataset(attrs=dict(attributes)).to_zarr(self._path, mode="a", zarr_format=2, consolidated=True)
 
 
 @contextmanager
 def file_target(path: Path) -> Iterator[Target]:
-    """What becomes the dataset at `path` when the block ends, whole or not at all: netCDF, or Zarr by its name.
+    """Yield what becomes the dataset at `path` when the block ends, whole or not at all: netCDF, or Zarr by its name.
 
-    **Raises:** `OSError` where the disk is full or the folder cannot be written; `InputError` where Zarr is not there.
+    **Raises:** `OSError` if the disk is full or the folder cannot be written; `InputError` if zarr is not installed.
     """
     if path.suffix == ZARR:
         check_zarr(path)
-        with _atomic_folder(path) as part:
+        with atomic_folder(path) as part:
             yield _Zarr(part)
         return
     with atomic_write(path) as part:
         size = 0
         try:
-            target = _Netcdf(part)
-            try:
-                yield target
-            finally:
-                size = target.nbytes
-                target.close()
+            with netCDF4.Dataset(part, "w", format="NETCDF4") as file:
+                target = _Netcdf(file)
+                try:
+                    yield target
+                finally:
+                    size = target.nbytes
         except (RuntimeError, OSError) as error:
             raise write_failed(part, path, size, error) from None
 
 
-@contextmanager
-def _atomic_folder(path: Path) -> Iterator[Path]:
-    """The temporary folder that becomes `path` when the block ends; nothing is left of a block that fails."""
-    part, before = (path.with_name(f".{path.name}.{kind}") for kind in ("tmp", "before"))
-    for left in (part, before):  # by a process that was killed
-        shutil.rmtree(left, ignore_errors=True)
-    try:
-        yield part
-        for file in part.rglob("*"):
-            if file.is_file():
-                sync(file)
-        if path.exists():  # folders do not replace each other
-            path.rename(before)
-        part.rename(path)
-        sync_folder(path.parent)
-    finally:
-        for left in (part, before):
-            shutil.rmtree(left, ignore_errors=True)
+def _chunks(data: xr.DataArray, chunk: tuple[int, ...]) -> tuple[int, ...]:
+    """Return the chunk sizes of a variable: a region, and all of the other dimensions."""
+    return (*chunk, *data.shape[len(chunk) :])
 
 
-def _plain(value: Any) -> Any:
-    """An attribute as JSON has it."""
-    return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+def _attributes(template: xr.Dataset, data: xr.DataArray) -> dict[Any, Any]:
+    """Return the attributes of a variable, with `coordinates`: those along its dimensions that are not axes."""
+    columns = template.coords.items()
+    beside = sorted(str(name) for name, x in columns if name not in template.sizes and set(x.dims) <= set(data.dims))
+    return dict(data.attrs) | ({"coordinates": " ".join(beside)} if beside else {})

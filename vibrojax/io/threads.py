@@ -1,4 +1,4 @@
-"""Work in a thread of its own, which nothing in it can keep the caller from leaving."""
+"""Work in a separate thread, so that the caller can always be interrupted."""
 
 import threading
 import time
@@ -8,27 +8,28 @@ from typing import TypeVar
 Result = TypeVar("Result")
 
 asked_to_end: list[BaseException] = []
-"""What signals have asked for, as their handlers enter it: jax drops what is raised while it collects garbage."""
+"""Exceptions that signals request; their handlers append them here, as jax drops exceptions raised while it collects
+garbage."""
 
-_PATIENCE = 0.2
-"""Seconds after which an interrupt is answered at the latest."""
+_POLL_SECONDS = 0.2
+"""Longest delay [s] before an interrupt is answered."""
 
 
 def in_own_thread(work: Callable[[], Result], seconds: float | None = None) -> Result:
-    """Do `work` in a thread while this one only waits.
+    """Run `work` in a thread while this one only waits.
 
-    An interrupt reaches Python's main thread between two of its own instructions. One that compiles lanes or reads a
-    file is for seconds at none of them, and jax drops an interrupt that comes while it collects garbage.
+    Python answers an interrupt between two instructions of its main thread. Compiling lanes or reading a file takes
+    seconds without such a moment, and jax drops an interrupt during garbage collection.
 
     **Arguments:**
 
-    - `work`: what to do.
-    - `seconds`: how long to wait [s]; None: to the end.
+    - `work`: the function to call.
+    - `seconds`: longest time to wait [s]; None: no limit.
 
-    **Returns:** what `work` returned.
+    **Returns:** the result of `work`.
 
-    **Raises:** what `work` raised; `TimeoutError` where it has taken more than `seconds`. Then, and after an interrupt,
-    the thread is left to itself.
+    **Raises:** the exceptions of `work`; `TimeoutError` after `seconds`. In that case, and after an interrupt, the
+    thread is abandoned.
     """
     results: list[Result] = []
     errors: list[BaseException] = []
@@ -42,11 +43,11 @@ def in_own_thread(work: Callable[[], Result], seconds: float | None = None) -> R
     thread = threading.Thread(target=run, name="work", daemon=True)
     thread.start()
     end = None if seconds is None else time.monotonic() + seconds
-    # Again and again: a signal that another thread has received does not end a wait.
+    # Poll: a signal that another thread receives does not end a wait.
     while thread.is_alive() and (end is None or time.monotonic() < end):
         if asked_to_end:
             raise asked_to_end[0]
-        thread.join(_PATIENCE if end is None else min(_PATIENCE, max(0.0, end - time.monotonic())))
+        thread.join(_POLL_SECONDS if end is None else min(_POLL_SECONDS, max(0.0, end - time.monotonic())))
     if errors:
         raise errors[0]
     if not results:

@@ -1,4 +1,4 @@
-"""The variables of a sweep's dataset: name, unit, meaning, and how each is stored."""
+"""The variables of a sweep's dataset: name, unit, meaning, and storage."""
 
 from dataclasses import dataclass
 
@@ -9,8 +9,12 @@ from vibrojax.measures.labels import REGIMES
 
 @dataclass(frozen=True)
 class Variable:
-    """How a variable is stored: `units` and `long_name`, its dtype, and the meaning of its flags, 0, 1, ... or from
-    `first_flag` on; `along`: the dimension that it has beside those of the sweep."""
+    """The storage of a variable.
+
+    - `units`, `long_name`, `dtype`.
+    - `flags`: the meanings of its values 0, 1, ..., or of those from `first_flag` on.
+    - `along`: its dimension beyond the sweep's dimensions.
+    """
 
     units: str
     long_name: str
@@ -20,11 +24,11 @@ class Variable:
     along: str = ""
 
     def attributes(self) -> dict[str, str | np.ndarray]:
-        """Its CF attributes, by name."""
+        """Return its CF attributes by name."""
         attributes: dict[str, str | np.ndarray] = {"units": self.units, "long_name": self.long_name}
         if self.flags:
             attributes["flag_values"] = self.first_flag + np.arange(len(self.flags), dtype=np.int8)
-            # CF 1.11, section 3.5: of other signs only - _ . + @ may stand in a flag's meaning.
+            # CF 1.11, section 3.5: apart from letters and digits, a flag's meaning may contain only - _ . + @.
             attributes["flag_meanings"] = " ".join(flag.replace("/", "-over-") for flag in self.flags)
         return attributes
 
@@ -41,13 +45,12 @@ ORBIT_REASONS = ("found", "not-repeating", "not-converged", "near-grazing", "ano
 STABILITIES = ("not-known", "unstable", "stable")
 """Meaning of the flags -1, 0 and 1 of `stable`."""
 
-
 NATURES = ("unknown", "periodic", "quasi-periodic", "chaotic", "not-settled")
 """Meaning of each flag of `nature`."""
 
 
 def orbit_name(state: str) -> str:
-    """What a state at the section of an orbit is called."""
+    """Return the name of the variable with a state of the orbit at the section."""
     return f"orbit_{state}"
 
 

@@ -1,22 +1,22 @@
-"""From finished chunks to a dataset: region by region, so that memory is bounded by a region whatever the lanes.
+"""The dataset of a sweep from its finished chunks, region by region, so that one region bounds the memory.
 
-Regions go through three hands at once, each a thread: chunks are read and checked, lanes labelled, values written. A
-large dataset is written about as fast as the disk takes it, which packing is not, see [vibrojax.io.packing][].
+Three threads work on successive regions: one reads and checks chunks, one labels lanes, one writes values. A large
+dataset is written about as fast as the disk takes it; compression is slower, see [vibrojax.io.packing][].
 """
 
 import json
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import xarray as xr
 
 from vibrojax.analyses.chaos import Natures
 from vibrojax.analyses.sweep.workers.work import SECONDS, quiet
 from vibrojax.io.packing import UP_TO, Sizes
-from vibrojax.io.regions import Region, Regions
-from vibrojax.io.targets import Frame, Stored, Target
+from vibrojax.io.targets import Region, Regions, Target
 from vibrojax.periodic import Nearby, Orbits
 from vibrojax.progress import LOG
 from vibrojax.sweep.engine.batch import Features
@@ -25,68 +25,70 @@ from vibrojax.sweep.engine.labelled import attributes, certified, coordinates, l
 from vibrojax.sweep.input.definition import Sweep
 
 REGION, REGION_BYTES = 1 << 16, 32e6
-"""Lanes that are labelled and written together at most, and about how many bytes of features they have."""
+"""Largest number of lanes that are labelled and written together, and about the largest size of their features."""
 
-AHEAD = 2
+REGIONS_AHEAD = 2
 """Regions that are read or labelled before they are written."""
 
-SAMPLES = 4
-"""Chunks from all over a large dataset that are looked at to tell what packing leaves of it."""
+PACKING_SAMPLES = 4
+"""Chunks of a large dataset, evenly spaced, from which the effect of compression is estimated."""
 
 Read = Callable[[int], Features]
-"""A finished chunk's features, by its index; asked for once each, in order, and before that for a few of a large sweep
+"""Returns a finished chunk's features. Every index is read once, in order; before that, a few chunks of a large sweep
 that goes to a file."""
 
 WallTime = Callable[[float], float]
-"""The seconds that a sweep took, from those that its chunks took together."""
+"""Returns the duration [s] of a sweep, given the sum of its chunks' times."""
 
 
 def join(sweep: Sweep, chunks: Chunks, read: Read, target: Target, wall_time: WallTime) -> None:
-    """Label the lanes of all chunks and write them to `target`, which is then finished.
+    """Label the lanes of all chunks, write them to `target`, and finish it.
 
-    Whole points are labelled together, since `hidden_motion` compares their starts.
+    All starts of a point are labelled together, since `hidden_motion` compares them.
     """
     lanes = _Lanes(chunks, read)
-    counted: Counter[str] = Counter()
+    counts: Counter[str] = Counter()
     begun = False
     with quiet():
-        for part in _labelled(sweep, lanes):
-            counted.update(certified(sweep, part.variables) | {"steps": part.steps})
+        for part in _parts(sweep, lanes):
+            counts.update(certified(sweep, part.variables) | {"steps": part.steps})
             if not begun:
-                frame = _frame(sweep, part.variables)
-                if target.packs and frame.nbytes > UP_TO:
-                    frame = frame.without_packing(_looked_at(sweep, chunks, read).plain(sweep.lanes))
-                target.begin(frame)
+                template = _template(sweep, part.variables)
+                large = target.packs and template.nbytes > UP_TO
+                plain = _sizes(sweep, chunks, read).plain(sweep.lanes) if large else frozenset[str]()
+                region = dict(zip(sweep.counted, _regions(sweep).chunk, strict=True))
+                target.begin(template, tuple(region[name] for name in sweep.dims), plain)
                 begun = True
             _write(sweep, target, part)
+    device, cores = chunks.engine.workers[0], len(chunks.engine.workers)
     solver = {
         "method": chunks.stepper.name,
         "order": chunks.stepper.order,
         "precision": sweep.run.precision,
         "compiler": chunks.engine.programs.compiler,
-        "devices": _devices_text(chunks),
-        "steps": counted.pop("steps"),
+        "devices": f"{cores} cpu cores" if device.platform == "cpu" else f"{cores} {device.device_kind}",
+        "steps": counts.pop("steps"),
         **chunks.accuracy.described(),
     }
     LOG.info("chosen: %s, %d chunks of %d lanes", json.dumps(solver), chunks.count, chunks.size)
-    found = attributes(sweep, solver, counted, wall_time(lanes.seconds))
+    values = attributes(sweep, solver, counts, wall_time(lanes.seconds))
     if sweep.run.orbits:
-        found["orbits"] = json.dumps(Orbits(sweep).described | Nearby(sweep).described)
+        values["orbits"] = json.dumps(Orbits(sweep).described | Nearby(sweep).described)
     if sweep.run.lyapunov:
-        found["lyapunov"] = json.dumps(Natures(sweep).described)
-    target.finish(found)
+        values["lyapunov"] = json.dumps(Natures(sweep).described)
+    target.finish(values)
 
 
 class _Part(NamedTuple):
-    """Regions that are written together: the variables of their lanes, and the steps that these took."""
+    """Regions that are written together, the variables of their lanes, and the number of steps of these lanes."""
 
     regions: list[Region]
     variables: dict[str, np.ndarray]
     steps: int
 
 
-def _labelled(sweep: Sweep, lanes: "_Lanes") -> Iterator[_Part]:
-    """The parts of the dataset, in order; while one is written the next is labelled, and the one after read."""
+def _parts(sweep: Sweep, lanes: "_Lanes") -> Iterator[_Part]:
+    """Yield the parts of the dataset in order; while one is written the next is labelled, and the one after read."""
 
     def label(regions: list[Region], reading: Future[Features]) -> _Part:
         features = reading.result()
@@ -99,27 +101,27 @@ def _labelled(sweep: Sweep, lanes: "_Lanes") -> Iterator[_Part]:
             for regions in _groups(sweep):
                 reading = reader.submit(lanes.take, regions[0].first, regions[-1].end)
                 ahead.append(labeller.submit(label, regions, reading))
-                if len(ahead) > AHEAD:
+                if len(ahead) > REGIONS_AHEAD:
                     yield ahead.popleft().result()
             while ahead:
                 yield ahead.popleft().result()
         finally:
-            for one in ahead:
-                one.cancel()
+            for future in ahead:
+                future.cancel()
 
 
 def _write(sweep: Sweep, target: Target, part: _Part) -> None:
-    """Lanes are counted over the dimensions in another order than that of the dataset where they are carried."""
+    # With `carry`, lanes are numbered along the dimensions in another order than that of the dataset.
     first, order = part.regions[0].first, [sweep.counted.index(name) for name in sweep.dims]
     for region in part.regions:
-        box = tuple(region.box[at] for at in order)
+        box = tuple(region.box[axis] for axis in order)
         for name, x in part.variables.items():
             values = x[region.first - first : region.end - first].reshape(*region.shape, *x.shape[1:])
             target.put(name, box, values.transpose(*order, *range(len(order), values.ndim)))
 
 
 class _Lanes:
-    """The lanes of all chunks one after the other; a chunk at a time is held."""
+    """The lanes of all chunks, in order, with one chunk in memory at a time."""
 
     def __init__(self, chunks: Chunks, read: Read) -> None:
         self._chunks, self._read = chunks, read
@@ -128,23 +130,19 @@ class _Lanes:
         self.seconds = 0.0
 
     def take(self, first: int, end: int) -> Features:
-        """Features of the lanes from `first` to before `end`, which come after those that were taken before."""
+        """Return the features of the lanes from `first` to before `end`, which follow those of earlier calls."""
         parts = []
         for index in range(first // self._chunks.size, (end - 1) // self._chunks.size + 1):
+            if index != self._index:
+                self._index, self._features = index, self._read(index)
+                self.seconds += float(self._features.pop(SECONDS))
             begin, _ = self._chunks.lanes(index)
-            features = self._chunk(index)
-            parts.append({name: x[max(first - begin, 0) : end - begin] for name, x in features.items()})
-        return parts[0] if len(parts) == 1 else {n: np.concatenate([one[n] for one in parts]) for n in parts[0]}
-
-    def _chunk(self, index: int) -> Features:
-        if index != self._index:
-            self._index, self._features = index, self._read(index)
-            self.seconds += float(self._features.pop(SECONDS))
-        return self._features
+            parts.append({name: x[max(first - begin, 0) : end - begin] for name, x in self._features.items()})
+        return parts[0] if len(parts) == 1 else {n: np.concatenate([part[n] for part in parts]) for n in parts[0]}
 
 
 def _groups(sweep: Sweep) -> Iterator[list[Region]]:
-    """Regions, so many together that they hold whole points."""
+    """Yield groups of regions that hold all starts of their points."""
     starts = sweep.shape[-1] if sweep.crosses_starts else 1
     group: list[Region] = []
     for region in _regions(sweep):
@@ -155,36 +153,28 @@ def _groups(sweep: Sweep) -> Iterator[list[Region]]:
 
 
 def _regions(sweep: Sweep) -> Regions:
-    per_lane = 8 * (len(variables_of(sweep)) + 6 * sweep.run.keep_returns)
+    lane_bytes = 8 * (len(variables_of(sweep)) + 6 * sweep.run.keep_returns)
     sizes = dict(zip(sweep.dims, sweep.shape, strict=True))
-    counted = tuple(sizes[name] for name in sweep.counted)
-    return Regions(counted, int(min(REGION, max(1, REGION_BYTES // per_lane))))
+    return Regions(tuple(sizes[name] for name in sweep.counted), int(min(REGION, max(1, REGION_BYTES // lane_bytes))))
 
 
-def _frame(sweep: Sweep, variables: Mapping[str, np.ndarray]) -> Frame:
-    """What the dataset is going to hold, from the variables of some of its lanes."""
-    sizes = dict(zip(sweep.counted, _regions(sweep).chunk, strict=True))
-    chunk, stored = tuple(sizes[name] for name in sweep.dims), {}
+def _template(sweep: Sweep, variables: Mapping[str, np.ndarray]) -> xr.Dataset:
+    """Return the dataset with placeholders that take no memory, from the variables of some of its lanes."""
+    columns: dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, Any]]] = {}
     rows: dict[str, int] = {}
     known = variables_of(sweep)
     for name, x in variables.items():
         along = (known[name].along,) if x.ndim == 2 else ()
         rows |= dict(zip(along, x.shape[1:], strict=True))
-        stored[name] = Stored((*sweep.dims, *along), x.dtype, known[name].attributes(), (*chunk, *x.shape[1:]))
-    sizes = dict(zip(sweep.dims, sweep.shape, strict=True)) | rows
-    return Frame(sizes, coordinates(sweep, rows), stored)
+        placeholder = np.broadcast_to(np.zeros((), x.dtype), (*sweep.shape, *x.shape[1:]))
+        columns[name] = ((*sweep.dims, *along), placeholder, known[name].attributes())
+    return xr.Dataset(columns, dict(coordinates(sweep, rows)))
 
 
-def _looked_at(sweep: Sweep, chunks: Chunks, read: Read) -> Sizes:
-    """What lanes from all over the sweep take."""
+def _sizes(sweep: Sweep, chunks: Chunks, read: Read) -> Sizes:
+    """Return the sizes of the variables of some chunks from all over the sweep."""
     sizes = Sizes()
-    for index in dict.fromkeys(np.linspace(0, chunks.count - 1, SAMPLES).astype(int).tolist()):
-        some = {name: x for name, x in read(index).items() if name != SECONDS}
-        sizes.add(labelled(sweep, *chunks.lanes(index), some, whole=False))
+    for index in dict.fromkeys(np.linspace(0, chunks.count - 1, PACKING_SAMPLES).astype(int).tolist()):
+        features = {name: x for name, x in read(index).items() if name != SECONDS}
+        sizes.add(labelled(sweep, *chunks.lanes(index), features, whole=False))
     return sizes
-
-
-def _devices_text(chunks: Chunks) -> str:
-    """What lanes run on, in words."""
-    device, count = chunks.engine.workers[0], len(chunks.engine.workers)
-    return f"{count} cpu cores" if device.platform == "cpu" else f"{count} {device.device_kind}"

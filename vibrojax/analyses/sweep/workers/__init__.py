@@ -1,5 +1,5 @@
-"""Who computes the chunks of a sweep: this process, any executor, or processes that share a folder.
+"""Workers that compute the chunks of a sweep: this process, any executor, or processes that share a folder.
 
-A chunk's bits are the same whoever computes it; what is finished lies in shards ([vibrojax.io.shards][]), and
-nothing else is believed.
+The bits of a chunk do not depend on who computes it. Finished chunks are files ([vibrojax.io.shards][]), which alone
+decide what is finished.
 """

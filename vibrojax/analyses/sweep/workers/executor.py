@@ -1,4 +1,4 @@
-"""Chunks by an executor: any `concurrent.futures.Executor`, or what has `submit` like one."""
+"""Chunks computed by an executor: any `concurrent.futures.Executor`, or an object with the same `submit`."""
 
 import pickle
 import sys
@@ -10,7 +10,7 @@ from functools import lru_cache
 from threading import Lock
 from typing import Any, Protocol, runtime_checkable
 
-from vibrojax.analyses.sweep.workers.work import Work
+from vibrojax.analyses.sweep.workers.work import SECONDS, Work
 from vibrojax.compile.devices import usable_cores
 from vibrojax.errors import InputError, Place
 from vibrojax.progress import LOG
@@ -18,28 +18,30 @@ from vibrojax.sweep.engine.batch import Features
 from vibrojax.sweep.input.definition import Sweep
 
 AHEAD = 256
-"""Chunks that are handed over before any of them is done, to an executor that does not say how many workers it has."""
+"""Chunks that an executor with an unknown number of workers holds at once."""
 
 QUEUED = 2
-"""Chunks that are handed over for each worker of one that does: none waits for its next one."""
+"""Chunks that an executor holds for each of its known workers: none waits for its next chunk."""
 
-POLLED = 0.2
-"""Seconds between two looks at what is underway, of executors whose futures are not those of Python."""
+FUTURE_POLL_SECONDS = 0.2
+"""Seconds between two looks at futures that are not those of Python."""
 
 Store = Callable[[int, Features], None]
-"""Takes a chunk's index and its features when they are there."""
+"""Receives a chunk's index and its features."""
+
+_WORK_LOCK = Lock()
 
 
 @runtime_checkable
 class Executor(Protocol):
-    """What computes chunks: Python's, dask's, loky's, MPI's; submitit's has the same `submit`."""
+    """An object that computes chunks: an executor of Python, dask, loky or MPI; submitit's has the same `submit`."""
 
     def submit(self, fn: Callable[..., Any], /, *args: Any) -> Any:
-        """Have `fn(*args)` computed; a future, which has `done()`, `result()` and `cancel()`."""
+        """Schedule `fn(*args)`; return a future with `done()`, `result()` and `cancel()`."""
 
 
 def check_executor(executor: object) -> None:
-    """Raise `InputError` where it cannot compute chunks."""
+    """Raise `InputError` if the object cannot compute chunks."""
     if not callable(getattr(executor, "submit", None)):
         raise InputError(
             f"executor: {type(executor).__name__} has no submit; give a concurrent.futures.Executor, "
@@ -54,19 +56,25 @@ def check_executor(executor: object) -> None:
 
 
 def by_executor(sweep: Sweep, executor: Executor, order: Sequence[int], store: Store) -> None:
-    """Have the chunks of a sweep computed, in this order, and `store` each when it is done, in this thread.
+    """Have the chunks of a sweep computed in this order, and `store` each one, in this thread, as soon as it is done.
 
-    A chunk whose worker raises, and all that are left where the executor breaks down (a process of Python's own pool
-    died, or the scheduler is gone), are computed here. What a chunk is computed from is handed over with it.
+    This process computes a chunk whose worker raises. If the executor breaks down (a process of Python's own pool
+    died, or the scheduler is gone), this process computes all remaining chunks. Tasks carry everything they need.
 
-    **Raises:** what a chunk raises here as well; `InputError` where the sweep cannot be sent to other processes.
+    **Raises:** the error of a chunk that fails here, too; `InputError` if the sweep cannot be pickled.
     """
     task, threads = pickled(sweep), _threads_each(executor)
-    ahead = _workers_of(executor) * QUEUED or AHEAD
-    waiting = deque(order)
-    left: list[int] = []
+    ahead = _worker_count(executor) * QUEUED or AHEAD
+    waiting, local = deque(order), list[int]()
     running: dict[Any, int] = {}
     began, busy = time.monotonic(), 0.0
+
+    def stop(problem: str, error: BaseException) -> None:
+        if waiting or not local:
+            _warn(f"{problem} ({_first_line(error)}); the rest is computed here")
+        local.extend(waiting)
+        waiting.clear()
+
     try:
         while waiting or running:
             while waiting and len(running) < ahead:
@@ -74,10 +82,8 @@ def by_executor(sweep: Sweep, executor: Executor, order: Sequence[int], store: S
                     running[executor.submit(compute_chunk, task, waiting[0], threads)] = waiting[0]
                 except InputError:
                     raise
-                except Exception as error:  # it takes no more
-                    _warn(f"the executor takes no more chunks ({_told(error)}); the rest is computed here")
-                    left += waiting
-                    waiting.clear()
+                except Exception as error:
+                    stop("the executor takes no more chunks", error)
                     break
                 waiting.popleft()
             for future in _done(list(running)):
@@ -87,77 +93,72 @@ def by_executor(sweep: Sweep, executor: Executor, order: Sequence[int], store: S
                 except InputError:
                     raise
                 except (BrokenExecutor, CancelledError) as error:
-                    if not left:
-                        _warn(f"the executor broke down ({_told(error)}); the rest is computed here")
-                    left += [index, *waiting]
-                    waiting.clear()
+                    stop("the executor broke down", error)
+                    local.append(index)
                 except Exception as error:
-                    _warn(f"chunk {index} failed with a worker ({_told(error)}); computed here")
-                    left.append(index)
+                    _warn(f"chunk {index} failed with a worker ({_first_line(error)}); computed here")
+                    local.append(index)
                 else:
-                    busy += float(features["seconds"])
+                    busy += float(features[SECONDS])
                     store(index, features)
     finally:
         for future in running:
             future.cancel()
     LOG.info("workers: %.1f s busy in %.1f s", busy, time.monotonic() - began)
-    if left:
+    if local:
         work = Work(sweep)
-        for index in left:
+        for index in local:
             store(index, work.compute(index))
 
 
 def compute_chunk(task: bytes, index: int, threads: int | None) -> Features:
-    """A chunk's features, computed in a worker; `task`: the pickled sweep."""
-    with _MAKING:
-        work = _work(task, threads)
+    """Compute a chunk's features in a worker; `task`: the pickled sweep."""
+    with _WORK_LOCK:
+        work = _compiled(task, threads)
     return work.compute(index)
 
 
-_MAKING = Lock()
-
-
 @lru_cache(maxsize=2)
-def _work(task: bytes, threads: int | None) -> Work:
-    """What a worker computes the chunks of a sweep with: compiled once."""
+def _compiled(task: bytes, threads: int | None) -> Work:
+    """Return the work of a sweep, compiled once per worker."""
     work = Work(pickle.loads(task), threads)
     work.chunks.compile()
     return work
 
 
 def pickled(sweep: Sweep) -> bytes:
-    """The sweep, to be sent to other processes; raises `InputError` where it cannot be."""
+    """Pickle the sweep for other processes; raise `InputError` if that is impossible."""
     try:
         return pickle.dumps(sweep)
-    except Exception as error:  # whatever the parts of somebody's own scene say
+    except Exception as error:  # parts of a user's scene may raise anything
         raise Place(sweep.file).error(
-            f"cannot be sent to other processes ({_told(error)}); "
+            f"cannot be sent to other processes ({_first_line(error)}); "
             "let functions of your own scene or law be defined in a module of their own, not be lambdas"
         ) from None
 
 
 def _done(futures: list[Any]) -> list[Any]:
-    """Those that are done, at least one of them."""
+    """Wait for at least one of the futures, and return those that are done."""
     if all(isinstance(future, Future) for future in futures):
         return list(wait(futures, return_when=FIRST_COMPLETED).done)
     while not (done := [future for future in futures if future.done()]):
-        time.sleep(POLLED)
+        time.sleep(FUTURE_POLL_SECONDS)
     return done
 
 
-def _workers_of(executor: object) -> int:
-    """How many workers an executor has; 0 where it does not say."""
-    known = getattr(executor, "_max_workers", None)
-    return known if isinstance(known, int) and known > 0 else 0
+def _worker_count(executor: object) -> int:
+    """Return the number of workers, 0 if the executor does not tell."""
+    count = getattr(executor, "_max_workers", None)
+    return count if isinstance(count, int) and count > 0 else 0
 
 
 def _threads_each(executor: object) -> int:
-    """Threads by which a worker computes: its share of the cores, where the workers are all on this machine."""
-    beside = _workers_of(executor)
-    return max(1, usable_cores() // beside) if beside else 1
+    """Return the threads of a worker: its share of the cores if all workers are on this machine."""
+    count = _worker_count(executor)
+    return max(1, usable_cores() // count) if count else 1
 
 
-def _told(error: BaseException) -> str:
+def _first_line(error: BaseException) -> str:
     first = (str(error).splitlines() or [""])[0]
     return f"{type(error).__name__}: {first}" if first else type(error).__name__
 

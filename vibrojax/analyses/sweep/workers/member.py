@@ -1,25 +1,55 @@
-"""One of several processes that share the chunks of a sweep in a folder, each taking the next that nobody has."""
+"""One of several processes that share the chunks of a sweep in a folder: it takes unclaimed chunks one by one."""
 
+import pickle
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 
 from vibrojax.analyses.sweep.workers.work import SECONDS, Work
 from vibrojax.errors import InputError
 from vibrojax.io.shards import Shards
 from vibrojax.sweep.engine.batch import Report, unreported
 
-POLLED = 0.3
-"""Seconds between two looks for chunks that others let go of."""
+RELEASE_POLL_SECONDS = 0.3
+"""Seconds between two looks for chunks that other processes released."""
 
 Finished = Callable[[int, float], None]
-"""Is called with the index of a chunk that this process has finished, and the seconds that it took."""
+"""Receives the index of a chunk that a worker has finished, and the time [s] that it took."""
 
 Failed = Callable[[int, Exception], None]
-"""Is called with the index of a chunk that could not be computed, and why."""
+"""Receives the index of a chunk that could not be computed, and the error."""
 
 
-def unfinished_alone(index: int, error: Exception) -> None:
-    """What is raised in a process that nobody has started is raised there."""
+class WorkersDied(OSError):
+    """Workers ended before they finished their chunks."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """The work of one process among several, which can be pickled: chunks of `order` until none remains.
+
+    `task` is the pickled sweep; `folder` and `manifest` are those of its shards; `threads` as in `Work`.
+    """
+
+    task: bytes
+    folder: str
+    manifest: dict[str, object]
+    order: list[int]
+    threads: int | None = None
+
+    def run(self, finished: Finished, failed: Failed) -> None:
+        """Compute chunks, also those of processes that die meanwhile."""
+        shards = Shards(Path(self.folder), self.manifest, shared=True)
+        try:
+            work = Work(pickle.loads(self.task), self.threads)
+            compute_shared(shards, work, self.order, finished, failed, patient=True)
+        finally:
+            shards.claims.close()
+
+
+def raise_failure(index: int, error: Exception) -> None:
+    """Raise the error of a chunk: a process that the user has started ends with it."""
     raise error
 
 
@@ -28,38 +58,34 @@ def compute_shared(
     work: Work,
     order: Sequence[int],
     finished: Finished = lambda index, seconds: None,
-    failed: Failed = unfinished_alone,
+    failed: Failed = raise_failure,
     report: Report = unreported,
     patient: bool = False,
-) -> list[int]:
-    """Compute chunks of `order` that are not there and that no other process has, until there are none.
+) -> None:
+    """Compute the chunks of `order` that do not exist and that no other process has claimed.
 
-    **Arguments:**
-
-    - `patient`: wait for those that others have: where one of them dies, its chunk is taken over.
-
-    **Returns:** the indices of those that others still have.
+    With `patient`, wait for the claimed ones, too: the chunk of a process that dies is taken over.
     """
-    left = list(order)
+    remaining = list(order)
     while True:
-        there = shards.there()
-        left = [index for index in left if index not in there]
-        mine = next((index for index in left if shards.claim(index)), None)
-        if mine is None:
-            if not left or not patient:
-                return left
-            time.sleep(POLLED)
+        existing = shards.there()
+        remaining = [index for index in remaining if index not in existing]
+        index = next((index for index in remaining if shards.claim(index)), None)
+        if index is None:
+            if not remaining or not patient:
+                return
+            time.sleep(RELEASE_POLL_SECONDS)
             continue
         try:
-            features = work.compute(mine, report)
-            shards.write(mine, features)
+            features = work.compute(index, report)
+            shards.write(index, features)
         except InputError:
             raise
         except Exception as error:
-            shards.failed(mine, f"{type(error).__name__}: {error}")
-            left.remove(mine)
-            failed(mine, error)
+            shards.record_failure(index, f"{type(error).__name__}: {error}")
+            remaining.remove(index)
+            failed(index, error)
         else:
-            finished(mine, float(features[SECONDS]))
+            finished(index, float(features[SECONDS]))
         finally:
-            shards.let_go(mine)
+            shards.release(index)

@@ -1,23 +1,23 @@
-"""What is still to be done when an interrupt ends the command, which waits for none of its threads."""
+"""Clean-up when an interrupt ends the command, which waits for none of its threads."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 
-_LEFT: list[Callable[[], object]] = []
+_ACTIONS: list[Callable[[], object]] = []
 
 
 @contextmanager
-def on_leaving(do: Callable[[], object]) -> Iterator[None]:
-    """Have `do` called where the process leaves while this context lasts."""
-    _LEFT.append(do)
+def on_leaving(action: Callable[[], object]) -> Iterator[None]:
+    """Have `action` called if the process is interrupted within this context."""
+    _ACTIONS.append(action)
     try:
         yield
     finally:
-        _LEFT.remove(do)
+        _ACTIONS.remove(action)
 
 
 def leave() -> None:
-    """Do what is left to do; what fails in it is not waited for."""
-    for do in list(_LEFT):
+    """Call the registered actions, and ignore their errors."""
+    for action in list(_ACTIONS):
         with suppress(Exception):
-            do()
+            action()

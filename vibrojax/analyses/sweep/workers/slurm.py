@@ -1,63 +1,42 @@
 """Workers as jobs of SLURM, through submitit: an array of jobs that share the chunks of a sweep in its folder."""
 
 import os
-import pickle
 import shutil
 import stat
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from vibrojax.analyses.sweep.workers.executor import pickled
-from vibrojax.analyses.sweep.workers.member import Finished, compute_shared
-from vibrojax.analyses.sweep.workers.processes import WorkersDied
+from vibrojax.analyses.sweep.workers.member import Finished, Job, WorkersDied
 from vibrojax.analyses.sweep.workers.shutdown import on_leaving
-from vibrojax.analyses.sweep.workers.work import Work
 from vibrojax.errors import InputError
 from vibrojax.io.shards import Shards
 from vibrojax.sweep.input.definition import Sweep
 
 LIMIT_MINUTES = 24 * 60
-"""Time limit of a job where SBATCH_TIMELIMIT does not say: sites have limits of their own."""
+"""Time limit of a job if SBATCH_TIMELIMIT is not set: sites have limits of their own."""
 
-POLLED = 2.0
-"""Seconds between two looks at what is there."""
+CHUNK_POLL_SECONDS = 2.0
+"""Seconds between two looks for finished chunks."""
 
 
-class Job:
-    """What a job does: chunks that nobody has, until there are none. SLURM may stop it and start it again."""
+class SlurmJob(Job):
+    """A job that SLURM may stop and start again."""
 
-    def __init__(self, task: bytes, folder: str, manifest: Mapping[str, object], order: Sequence[int]) -> None:
-        self.task, self.folder, self.manifest, self.order = task, folder, dict(manifest), list(order)
-
-    def __call__(self) -> int:
-        shards = Shards(Path(self.folder), self.manifest)
-        shards.join()
-        done: list[int] = []
-        try:
-            work = Work(pickle.loads(self.task))
-            compute_shared(
-                shards,
-                work,
-                self.order,
-                finished=lambda index, _: done.append(index),
-                failed=lambda index, _: None,  # it is written down; the process that began the jobs computes it
-                patient=True,
-            )
-        finally:
-            shards.claims.close()
-        return len(done)
+    def __call__(self) -> None:
+        # A failure is recorded in the folder; the process that submitted the jobs computes the chunk.
+        self.run(finished=lambda index, seconds: None, failed=lambda index, error: None)
 
     def checkpoint(self) -> object:
-        """What submitit starts again where SLURM has stopped the job."""
+        """Return what submitit submits again after SLURM has stopped the job."""
         from submitit.helpers import DelayedSubmission
 
         return DelayedSubmission(self)
 
 
 def check_slurm(name: str) -> None:
-    """Raise `InputError`, in one line, where no job can be handed to SLURM; `name`: what asked for it."""
+    """Raise `InputError`, in one line, if no job can be submitted; `name`: the option that requests it."""
     try:
         import submitit  # noqa: F401
     except ImportError:
@@ -75,12 +54,12 @@ def by_slurm(
 ) -> list[int]:
     """Have the chunks of `order` computed by `count` jobs, which write them into the folder that all machines see.
 
-    What SLURM is to be told beyond that (partition, account, memory, time) it takes from the environment, SBATCH_*.
-    When this process is interrupted the jobs are cancelled; where it is killed they go on.
+    Further options of SLURM (partition, account, memory, time) come from the environment, SBATCH_*. An interrupt of
+    this process cancels the jobs; if it is killed they continue.
 
-    **Returns:** the indices of chunks that raised with a job.
+    **Returns:** the indices of the chunks that raised in a job.
 
-    **Raises:** `WorkersDied` where the jobs end and chunks are not there; `InputError` if others can write to the jobs'
+    **Raises:** `WorkersDied` if the jobs end before all chunks exist; `InputError` if others can write to the jobs'
     folder.
     """
     import submitit
@@ -89,44 +68,43 @@ def by_slurm(
     _make_private(logs)
     executor = submitit.AutoExecutor(folder=logs, cluster=cluster)
     executor.update_parameters(name="vibrojax", timeout_min=LIMIT_MINUTES, cpus_per_task=1)
-    job = Job(pickled(sweep), str(shards.folder.absolute()), shards.manifest, order)
+    task = SlurmJob(pickled(sweep), str(shards.folder.absolute()), shards.manifest.values, list(order))
     with executor.batch():
-        jobs = [executor.submit(job) for _ in range(min(count, len(order)))]
-    left = set(order)
-    with on_leaving(lambda: _cancel(jobs)):
+        jobs = [executor.submit(task) for _ in range(min(count, len(order)))]
+
+    def cancel() -> None:
+        for job in jobs:
+            if not job.done():
+                job.cancel(check=False)
+
+    unfinished, ended = set(order), False
+    with on_leaving(cancel):
         try:
-            over = False
-            while left:
-                came = left & shards.there()
-                for index in sorted(came):
+            while unfinished and not ended:
+                ended = all(job.done() for job in jobs)  # before the look at the chunks, which is then the last one
+                new = unfinished & shards.there()
+                for index in sorted(new):
                     finished(index, 0.0)
-                left -= came
-                if over or not left:
-                    break
-                over = all(one.done() for one in jobs)  # and look once more
-                time.sleep(0.0 if over else POLLED)
+                unfinished -= new
+                if unfinished and not ended:
+                    time.sleep(CHUNK_POLL_SECONDS)
         except BaseException:
-            _cancel(jobs)
+            cancel()
             raise
-    failed = {one for one in left if shards.has_failed(one)}
-    if left - failed:
+    failed = {index for index in unfinished if shards.has_failed(index)}
+    if unfinished - failed:
         raise WorkersDied(
-            f"the jobs ended, and {len(left)} of {len(order)} chunks are not there; what they said: {logs}"
+            f"the jobs ended, and {len(unfinished)} of {len(order)} chunks are not there; what they said: {logs}"
         )
-    _cancel(jobs)
+    cancel()
     shutil.rmtree(logs, ignore_errors=True)
     return sorted(failed)
 
 
 def _make_private(folder: Path) -> None:
-    """Make a folder to which this user alone writes: jobs, and this process, unpickle the files in it."""
+    """Create a folder that only this user can write to: jobs, and this process, unpickle its files."""
     folder.mkdir(mode=0o700, exist_ok=True)
-    about = folder.lstat()
-    if about.st_uid != os.geteuid() or about.st_mode & (stat.S_IWGRP | stat.S_IWOTH) or not stat.S_ISDIR(about.st_mode):
+    status = folder.lstat()
+    shared = status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+    if status.st_uid != os.geteuid() or shared or not stat.S_ISDIR(status.st_mode):
         raise InputError(f"{folder}: others can write to it, and could run code in the jobs; remove it")
-
-
-def _cancel(jobs: Sequence[Any]) -> None:
-    for one in jobs:
-        if not one.done():
-            one.cancel(check=False)

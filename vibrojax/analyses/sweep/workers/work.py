@@ -1,8 +1,8 @@
-"""The chunks of a sweep, each computed once it is asked for, with the time that it took."""
+"""The chunks of a sweep: computing one, with the time that it took, and the order in which to compute many."""
 
 import time
 import warnings
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 
 import numpy as np
@@ -13,53 +13,70 @@ from vibrojax.periodic import Nearby, Orbits, early_ends
 from vibrojax.sweep.engine.batch import Features, Report, unreported
 from vibrojax.sweep.engine.carried import Carried
 from vibrojax.sweep.engine.chunks import Beyond, Chunks
+from vibrojax.sweep.engine.costs import lane_steps
 from vibrojax.sweep.input.definition import Sweep
 
 SECONDS = "seconds"
-"""The feature of a chunk, (), that says how long it took."""
+"""The feature of a chunk, (), with the time [s] that it took."""
+
+COST_SAMPLES = 3
+"""Lanes of a chunk, evenly spaced, from which its steps are estimated."""
+
+COST_CHUNKS = 8192
+"""Chunks whose steps are estimated together: memory does not grow with the sweep."""
 
 
 class Work:
-    """The chunks of a sweep; orbits are found in them where it asks for any.
+    """The chunks of a sweep, with periodic orbits and Lyapunov exponents where the sweep requests them.
 
-    `threads`: by how many threads each is computed; None: as many as there are cores.
+    `threads`: number of threads that compute a chunk; None: one per core.
     """
 
     def __init__(self, sweep: Sweep, threads: int | None = None) -> None:
         with with_threads(threads):
-            self.chunks = _chunks(sweep)
+            if sweep.run.carry is None:
+                self.chunks = Chunks(sweep, _beyond(sweep), early_ends(sweep))
+            else:
+                self.chunks = Carried(sweep, _beyond(sweep))
 
     def compute(self, index: int, report: Report = unreported) -> Features:
-        """A chunk's features, see [vibrojax.sweep.engine.chunks.Chunks.compute][], and the `seconds` that they took."""
+        """Return a chunk's features, see [vibrojax.sweep.engine.chunks.Chunks.compute][], and its `seconds`."""
         began = time.monotonic()
         with quiet():
             features = self.chunks.compute(index, report)
         return features | {SECONDS: np.array(time.monotonic() - began)}
 
 
-def _chunks(sweep: Sweep) -> Chunks:
-    if sweep.run.carry is None:
-        return Chunks(sweep, _beyond(sweep), early_ends(sweep))
-    return Carried(sweep, _beyond(sweep))
-
-
-def _beyond(sweep: Sweep) -> Beyond | None:
-    """What is to be found of lanes that have been observed."""
-    parts: list[Beyond] = [Orbits(sweep), Nearby(sweep)] if sweep.run.orbits else []
-    parts += [Natures(sweep)] if sweep.run.lyapunov else []
-
-    def found(first: int, end: int, features: Features) -> Features:
-        more: Features = {}
-        for part in parts:
-            more |= part(first, end, features | more)
-        return more
-
-    return found if parts else None
+def by_cost(chunks: Chunks, indices: Collection[int]) -> list[int]:
+    """Sort the `indices` of chunks by falling number of steps, so that no worker begins a long chunk at the end."""
+    numbers = np.array(sorted(indices), int)
+    if len(numbers) <= 2:
+        return numbers.tolist()
+    costs = []
+    for part in np.split(numbers, range(COST_CHUNKS, len(numbers), COST_CHUNKS)):
+        firsts, ends = part * chunks.size, np.minimum((part + 1) * chunks.size, chunks.sweep.lanes)
+        lanes = np.linspace(firsts, ends - 1, COST_SAMPLES).astype(int)
+        costs.append(lane_steps(chunks, lanes.ravel()).reshape(lanes.shape).mean(axis=0) * (ends - firsts))
+    return numbers[np.argsort(-np.concatenate(costs), kind="stable")].tolist()
 
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Lanes that blow up are flagged: numpy's warnings beside, from any thread, would be a storm."""
+    """Suppress numpy's warnings, in all threads: lanes that diverge are flagged instead."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
         yield
+
+
+def _beyond(sweep: Sweep) -> Beyond | None:
+    """Return the analyses of observed lanes that the sweep requests, as one."""
+    parts: list[Beyond] = [Orbits(sweep), Nearby(sweep)] if sweep.run.orbits else []
+    parts += [Natures(sweep)] if sweep.run.lyapunov else []
+
+    def analyse(first: int, end: int, features: Features) -> Features:
+        results: Features = {}
+        for part in parts:
+            results |= part(first, end, features | results)
+        return results
+
+    return analyse if parts else None
