@@ -1,8 +1,8 @@
 """Early end of lanes that will be on a stable orbit when they are observed.
 
-A lane whose last returns converge to a stable periodic orbit, at the rate of the orbit's multipliers, is within the
-linear reach of that orbit: the derivative of the return map gives the rest of its transient. If that ends before the
-observation begins, the lane would be observed on the orbit. The orbit is then measured instead.
+A lane is within the linear reach of a stable periodic orbit if its last returns converge to it at the rate of the
+multipliers. The derivative of the return map then gives the rest of its transient. If that ends before the observation
+begins, the lane would be observed on the orbit, and the orbit is measured instead.
 """
 
 from typing import NamedTuple
@@ -122,7 +122,7 @@ class EarlyEnds:
         return will_reach(near, orbit, repeats, self._accuracy.tolerance, self._run.error)
 
     def ended(self, lanes: Index, features: Features, batch: Batch) -> Ended:
-        """Return the `lanes` of the `batch` with the features of their orbits and those of the lanes themselves."""
+        """Return the `lanes` of the `batch` with their orbits' features and their own."""
         assert batch.underway is not None
         settled, precision = np.asarray(batch.underway.carry.seen.settled), np.dtype(self._run.precision)
         repeat = features["cycles"].astype(int) - 1

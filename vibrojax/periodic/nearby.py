@@ -6,7 +6,7 @@ counts if it is stable, if all last returns are near it, and if a simulation con
 """
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from vibrojax.measures import RETURNS_FOR_DRIFT
 from vibrojax.measures.labels import FEWEST_RETURNS
@@ -60,7 +60,7 @@ class Nearby:
     def __call__(self, first: int, end: int, features: Features) -> Features:
         """Return `nearby_cycles`, `nearby_impacts` and `nearby_distance` of the lanes from `first` to before `end`.
 
-        `features` are those of the lanes, with their last returns (lanes, returns); they are not changed. For scenes
+        `features`: of these lanes, with their last returns (lanes, returns); not changed. For scenes
         driven by pulses nothing is returned, because no criterion shows that such a lane has not settled.
         """
         section = self._scene.section
@@ -75,7 +75,11 @@ class Nearby:
             compared = returns[..., : len(section.compared)] / scale[:, None, : len(section.compared)]
             for repeat in range(1, MOST_CYCLES + 1):
                 back = np.max(np.abs(compared[:, :-repeat] - compared[:, repeat:]), axis=2)
-                subset = np.flatnonzero(_comes_back(back, repeat) & (result["nearby_cycles"][lanes] == 0))
+                enough = np.isfinite(back).sum(axis=1) >= max(FEWEST_RETURNS - 1, 2 * repeat)
+                half = back.shape[1] // 2
+                closer = np.nanmax(back[:, half:], axis=1) < np.nanmax(back[:, :half], axis=1)
+                comes_back = enough & closer & (np.nanmax(back, axis=1) < RETURN_DISTANCE)
+                subset = np.flatnonzero(comes_back & (result["nearby_cycles"][lanes] == 0))
                 if not len(subset):
                     continue
                 closest = np.nanargmin(back[subset], axis=1)
@@ -104,14 +108,6 @@ class Nearby:
         if "impacts" in measures:
             whole &= np.abs(measures["impacts"] * cycles - orbit.impacts[sure]) < 0.5
         return sure[whole]
-
-
-def _comes_back(back: Float[np.ndarray, "lanes pairs"], repeat: int) -> Bool[np.ndarray, " lanes"]:
-    """Return which lanes come back, ever closer, after `repeat` returns; `back` holds the distances."""
-    enough = np.isfinite(back).sum(axis=1) >= max(FEWEST_RETURNS - 1, 2 * repeat)
-    half = back.shape[1] // 2
-    closer = np.nanmax(back[:, half:], axis=1) < np.nanmax(back[:, :half], axis=1)
-    return enough & closer & (np.nanmax(back, axis=1) < RETURN_DISTANCE)
 
 
 def _distance(returns: Float[np.ndarray, "lanes returns states"], orbit: PeriodicOrbits) -> PerLane:

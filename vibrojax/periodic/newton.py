@@ -10,8 +10,9 @@ gives the step. A map with large multipliers is thus never followed for longer t
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 from jaxtyping import Complex, Float, Int
 
@@ -65,24 +66,6 @@ class PeriodicOrbits(NamedTuple):
         return PeriodicOrbits(*(x[lanes] for x in self))
 
 
-class Images(NamedTuple):
-    """The map at the states of lanes, see [vibrojax.periodic.return_map.Seen][]; all (lanes, cycles, ...)."""
-
-    there: States
-    times: Float[np.ndarray, "lanes cycles"]
-    jacobian: Float[np.ndarray, "lanes cycles states states"]
-    returned: np.ndarray
-    impacts: np.ndarray
-    steps: np.ndarray
-    mode_changes: np.ndarray
-    margin: np.ndarray
-    least: np.ndarray
-    greatest: np.ndarray
-
-    def of(self, lanes: np.ndarray) -> "Images":
-        return Images(*(x[lanes] for x in self))
-
-
 def orbits(
     begin: States,
     scales: Float[np.ndarray, "lanes states"],
@@ -95,7 +78,7 @@ def orbits(
 
     **Arguments:**
 
-    - `scales`: of the states; NaN is replaced by half the swing of the state during the first iteration.
+    - `scales`: of the states; NaN is replaced by half the swing in the first iteration, or by 1 if that is zero.
     - `reach` (lanes,): distance over the scales beyond which a lane is no longer iterated.
     - `go`: the return map; `enough`: residual at which a lane is done; `most`: iterations, at most.
 
@@ -103,19 +86,21 @@ def orbits(
     """
     lanes = len(begin)
 
-    def evaluate(states: States, lanes: Index) -> Images:
+    def evaluate(states: States, lanes: Index) -> Any:
         count, cycles, rows = states.shape
         return images_by_lane(go(np.repeat(lanes, cycles), states.reshape(-1, rows).T), count, cycles)
 
     best = evaluate(begin, np.arange(lanes))
-    scales = np.where(np.isnan(scales), _swings(best), scales)
+    greatest, least = best.seen.greatest.max(axis=1), best.seen.least.min(axis=1)
+    swing = np.maximum((greatest - least) / 2, MIN_RELATIVE_SWING * np.maximum(greatest, -least))
+    scales = np.where(np.isnan(scales), np.where(swing > 0, swing, 1.0), scales)
     states, residual = begin.copy(), _residual(begin, best, scales)
     iterate, now = begin, best
     outside = np.zeros(lanes, bool)
     active = np.arange(lanes)
     for _ in range(most):
         on = (residual[active] > enough) & np.isfinite(residual[active])
-        active, iterate, now = active[on], iterate[on], now.of(on)
+        active, iterate, now = active[on], iterate[on], _take(now, on)
         if not len(active):
             break
         iterate = iterate + _newton_step(iterate, now, scales[active])
@@ -132,22 +117,22 @@ def orbits(
         better = reached < before
         kept = active[better]
         states[kept], residual[kept] = iterate[better], reached[better]
-        for whole, part in zip(best, now, strict=True):
+        for whole, part in zip(jax.tree.leaves(best), jax.tree.leaves(now), strict=True):
             whole[kept] = part[better]
         # A lane whose residual hardly falls is at its rounding errors, or has no orbit here.
         on = np.isfinite(reached) & ((reached < before / 2) | (reached > ACCEPTED))
-        active, iterate, now = active[on], iterate[on], now.of(on)
+        active, iterate, now = active[on], iterate[on], _take(now, on)
     return PeriodicOrbits(
         states=states,
         scales=scales,
-        times=best.times,
+        times=best.time,
         residual=residual,
         product=chain(best.jacobian),
         step=_newton_step(states, best, scales),
         moved=np.where(outside, np.inf, _distance(states, begin, scales)),
-        impacts=best.impacts.sum(axis=1),
-        margin=best.margin.min(axis=1),
-        steps=best.steps.sum(axis=1),
+        impacts=best.seen.impacts.sum(axis=1),
+        margin=best.seen.margin.min(axis=1),
+        steps=best.seen.steps.sum(axis=1),
     )
 
 
@@ -172,10 +157,13 @@ def multipliers(product: Float[np.ndarray, "lanes states states"]) -> Complex[np
     return np.take_along_axis(values, np.argsort(-np.abs(values), axis=1, kind="stable"), axis=1)
 
 
-def images_by_lane(mapped: Mapped, lanes: int, cycles: int) -> Images:
-    """Arrange the images of `lanes` with `cycles` states each by lane and state."""
-    values = (mapped.state, mapped.time, mapped.jacobian, *mapped.seen)
-    return Images(*(np.moveaxis(np.array(x), -1, 0).reshape(lanes, cycles, *np.shape(x)[:-1]) for x in values))
+def images_by_lane(mapped: Mapped, lanes: int, cycles: int) -> Any:
+    """Return `mapped` with arrays (lanes, cycles, ...) in place of (..., segments), copied."""
+    return jax.tree.map(lambda x: np.moveaxis(np.array(x), -1, 0).reshape(lanes, cycles, *np.shape(x)[:-1]), mapped)
+
+
+def _take(images: Any, lanes: np.ndarray) -> Any:
+    return jax.tree.map(lambda x: x[lanes], images)
 
 
 def shooting_matrix(
@@ -198,16 +186,9 @@ def chain(jacobian: Float[np.ndarray, "lanes cycles states states"]) -> Float[np
     return product
 
 
-def _swings(images: Images) -> Float[np.ndarray, "lanes states"]:
-    """Return half the swings over the repeat, bounded below by a part of the magnitude; 1 for states that are zero."""
-    most, least = images.greatest.max(axis=1), images.least.min(axis=1)
-    half = np.maximum((most - least) / 2, MIN_RELATIVE_SWING * np.maximum(most, -least))
-    return np.where(half > 0, half, 1.0)
-
-
-def _residual(states: States, images: Images, scales: np.ndarray) -> PerLane:
-    off = np.abs(images.there - np.roll(states, -1, axis=1)) / scales[:, None]
-    residual = np.where(images.returned.all(axis=1), off.max(axis=(1, 2)), np.inf)
+def _residual(states: States, images: Any, scales: np.ndarray) -> PerLane:
+    off = np.abs(images.state - np.roll(states, -1, axis=1)) / scales[:, None]
+    residual = np.where(images.seen.returned.all(axis=1), off.max(axis=(1, 2)), np.inf)
     return np.where(np.isnan(residual), np.inf, residual)
 
 
@@ -215,11 +196,11 @@ def _distance(states: States, begin: States, scales: np.ndarray) -> PerLane:
     return np.max(np.abs(states - begin) / scales[:, None], axis=(1, 2))
 
 
-def _newton_step(states: States, images: Images, scales: np.ndarray) -> States:
+def _newton_step(states: States, images: Any, scales: np.ndarray) -> States:
     """Return Newton's steps, solved in scaled unknowns; NaN where the matrix is singular."""
     lanes, cycles, rows = states.shape
     jacobian = images.jacobian * scales[:, None, None, :] / scales[:, None, :, None]
-    off = (np.roll(states, -1, axis=1) - images.there) / scales[:, None]
+    off = (np.roll(states, -1, axis=1) - images.state) / scales[:, None]
     matrix = shooting_matrix(jacobian)
     right = off.reshape(lanes, cycles * rows, 1)
     sound = np.isfinite(matrix).all(axis=(1, 2)) & np.isfinite(right).all(axis=(1, 2))

@@ -72,7 +72,7 @@ class Orbits:
     def __call__(self, first: int, end: int, features: Features) -> Features:
         """Return the variables of orbits for the lanes from `first` to before `end`, and the features over the orbits.
 
-        `features` are those of the lanes, with their last returns (lanes, returns); they are not changed.
+        `features`: of these lanes, with their last returns (lanes, returns); not changed.
         """
         lanes, rows = end - first, len(self._scene.return_states)
         result: Features = {

@@ -100,7 +100,7 @@ def mapped(
 
 
 def at_section(scene: Scene[Any], state: Array) -> Values:
-    """Return all states of the scene at the section, each (lanes,), from those of the return map (states, lanes)."""
+    """Return all states of the scene at the section, each (lanes,), from the map's states (states, lanes)."""
     rows = dict(zip(scene.return_states, state, strict=True))
     zero = jnp.zeros_like(state[0])
     return tuple(rows.get(name, zero) for name in scene.state_names)

@@ -46,7 +46,14 @@ def around_region(
     area = 0.0
     for i in range(len(x) - 1):
         for j in range(len(y) - 1):
-            for polygon, (first, second) in _polygons(_ring(inside, x, y, vertices, i, j)):
+            corners = ((i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1))
+            sides = ((0, i, j), (1, i + 1, j), (0, i, j + 1), (1, i, j))
+            ring: _Ring = []
+            for corner, side in zip(corners, sides, strict=True):
+                ring.append((bool(inside[corner]), (float(x[corner[0]]), float(y[corner[1]])), None))
+                if side in vertices:
+                    ring.append((True, (vertices[side].x, vertices[side].y), side))
+            for polygon, (first, second) in _polygons(ring):
                 px, py = np.array(polygon).T
                 area += float(abs(np.dot(px, np.roll(py, -1)) - np.dot(py, np.roll(px, -1))) / 2)
                 if first is not None and second is not None:
@@ -55,24 +62,6 @@ def around_region(
     whole = (x[-1] - x[0]) * (y[-1] - y[0])
     borders = [piece for chain in _chains(links) for piece in _pieces([vertices[crossing] for crossing in chain])]
     return borders, area / whole if whole else 0.0
-
-
-def _ring(
-    inside: Bool[np.ndarray, "xs ys"],
-    x: np.ndarray,
-    y: np.ndarray,
-    vertices: dict[Crossing, Vertex],
-    i: int,
-    j: int,
-) -> _Ring:
-    corners = [(i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1)]
-    sides: list[Crossing] = [(0, i, j), (1, i + 1, j), (0, i, j + 1), (1, i, j)]
-    ring: _Ring = []
-    for corner, crossing in zip(corners, sides, strict=True):
-        ring.append((bool(inside[corner]), (float(x[corner[0]]), float(y[corner[1]])), None))
-        if crossing in vertices:
-            ring.append((True, (vertices[crossing].x, vertices[crossing].y), crossing))
-    return ring
 
 
 def _polygons(ring: _Ring) -> list[tuple[list[tuple[float, float]], tuple[Crossing | None, Crossing | None]]]:

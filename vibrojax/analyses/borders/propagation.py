@@ -86,37 +86,35 @@ class Loss(NamedTuple):
     value: float
 
 
-@dataclass
-class OrbitGraph:
-    """Stable single impacts, by number, and their connections.
+@dataclass(eq=False)
+class GridOrbit:
+    """A stable single impact at a point of the grid: its state at the section and the state's scales.
 
-    - `cells`, `states`, `scales`: point of the grid, state at the section, and its scales.
-    - `at`: numbers of the orbits at each point.
-    - `leads`: for each step the number of the orbit at the neighbour, or the `Loss` on the way.
+    `leads`: for each step the orbit at the neighbour, or the `Loss` on the way.
     """
 
-    cells: list[Cell] = field(default_factory=list)
-    states: list[np.ndarray] = field(default_factory=list)
-    scales: list[np.ndarray] = field(default_factory=list)
-    at: dict[Cell, list[int]] = field(default_factory=dict)
-    leads: list[dict[Step, int | Loss]] = field(default_factory=list)
+    cell: Cell
+    state: np.ndarray
+    scale: np.ndarray
+    leads: "dict[Step, GridOrbit | Loss]" = field(default_factory=dict)
 
-    def known(self, cell: Cell, state: np.ndarray) -> int | None:
-        """Return the number of an orbit at a point; None if it is new."""
-        for number in self.at.get(cell, ()):
-            if np.abs((self.states[number] - state) / self.scales[number]).max() < SAME_ORBIT:
-                return number
-        return None
 
-    def add(self, cell: Cell, state: np.ndarray, scale: np.ndarray) -> int:
-        """Add an orbit and return its number."""
-        number = len(self.cells)
-        self.cells.append(cell)
-        self.states.append(state)
-        self.scales.append(scale)
-        self.leads.append({})
-        self.at.setdefault(cell, []).append(number)
-        return number
+OrbitsByCell = dict[Cell, list[GridOrbit]]
+
+
+def find_orbit(orbits: OrbitsByCell, cell: Cell, state: np.ndarray) -> GridOrbit | None:
+    """Return the known orbit with the given state at a point; None if it is new."""
+    for orbit in orbits.get(cell, ()):
+        if np.abs((orbit.state - state) / orbit.scale).max() < SAME_ORBIT:
+            return orbit
+    return None
+
+
+def add_orbit(orbits: OrbitsByCell, cell: Cell, state: np.ndarray, scale: np.ndarray) -> GridOrbit:
+    """Add an orbit and return it."""
+    orbit = GridOrbit(cell, state, scale)
+    orbits.setdefault(cell, []).append(orbit)
+    return orbit
 
 
 class _Arrivals(NamedTuple):
@@ -128,56 +126,55 @@ class _Arrivals(NamedTuple):
     value: PerLane
 
 
-def propagate(scene: Scene[Any], planes: Planes, graph: OrbitGraph, most_steps: float) -> None:
+def propagate(scene: Scene[Any], planes: Planes, orbits: OrbitsByCell, most_steps: float) -> None:
     """Continue all orbits to all neighbours, and the orbits found there in turn, until none is new."""
-    front = list(range(len(graph.cells)))
+    front = [orbit for of_cell in orbits.values() for orbit in of_cell]
     while front:
-        new: list[int] = []
+        new: list[GridOrbit] = []
         for axis in (0, 1):
             edges = [
-                (number, step, end)
-                for number in front
+                (orbit, step, end)
+                for orbit in front
                 for step in STEPS
-                if step[0] == axis and step not in graph.leads[number]
-                if (end := planes.neighbour(graph.cells[number], step)) is not None
+                if step[0] == axis and step not in orbit.leads
+                if (end := planes.neighbour(orbit.cell, step)) is not None
             ]
             if edges:
-                new += _propagate_along(scene, planes, graph, edges, axis, most_steps)
+                new += _propagate_along(scene, planes, orbits, edges, axis, most_steps)
         front = new
 
 
 def _propagate_along(
     scene: Scene[Any],
     planes: Planes,
-    graph: OrbitGraph,
-    edges: list[tuple[int, Step, Cell]],
+    orbits: OrbitsByCell,
+    edges: list[tuple[GridOrbit, Step, Cell]],
     axis: int,
     most_steps: float,
-) -> list[int]:
-    """Continue orbits along edges (number, step, end) of one axis; enter the results, and return the new orbits."""
-    cells = np.array([graph.cells[number] for number, _, _ in edges])
+) -> list[GridOrbit]:
+    """Continue orbits along edges (orbit, step, end) of one axis; enter the results, and return the new orbits."""
+    cells = np.array([orbit.cell for orbit, _, _ in edges])
     parameters = {name: x[tuple(cells.T)] for name, x in planes.parameters.items()}
     begin = planes.values[axis][cells[:, 1 + axis]]
-    end = planes.values[axis][np.array([end[1 + axis] for _, _, end in edges])]
-    states = np.array([graph.states[number] for number, _, _ in edges])
-    scales = np.array([graph.scales[number] for number, _, _ in edges])
+    end = planes.values[axis][np.array([cell[1 + axis] for _, _, cell in edges])]
+    scales = np.array([orbit.scale for orbit, _, _ in edges])
     first, last = np.minimum(begin, end), np.maximum(begin, end)
     unit = (last - first) / EDGE_LENGTH
     problem = Problem(scene, planes.names[axis], parameters, scales, unit, first, last, most_steps)
-    results = _continue_edges(problem, states, begin, end)
+    results = _continue_edges(problem, np.array([orbit.state for orbit, _, _ in edges]), begin, end)
     new = []
-    for k, (number, step, cell) in enumerate(edges):
+    for k, (orbit, step, cell) in enumerate(edges):
         if not results.arrived[k]:
-            graph.leads[number][step] = Loss(int(results.kind[k]), float(results.value[k]))
+            orbit.leads[step] = Loss(int(results.kind[k]), float(results.value[k]))
             continue
-        other = graph.known(cell, results.states[k])
+        other = find_orbit(orbits, cell, results.states[k])
         if other is None:
-            if len(graph.at.get(cell, ())) >= MAX_ORBITS_PER_POINT:
+            if len(orbits.get(cell, ())) >= MAX_ORBITS_PER_POINT:
                 continue
-            other = graph.add(cell, results.states[k], graph.scales[number])
+            other = add_orbit(orbits, cell, results.states[k], orbit.scale)
             new.append(other)
-        graph.leads[number][step] = other
-        graph.leads[other].setdefault((step[0], -step[1]), number)
+        orbit.leads[step] = other
+        other.leads.setdefault((step[0], -step[1]), orbit)
     return new
 
 
@@ -226,14 +223,12 @@ def _locate_losses(problem: Problem, lanes: Index, points: BranchPoints, lost: I
     place = place[points.lane[place] == points.lane[place + 1]]
     if not len(place):
         return
-    lane, evaluation, tangent, _ = points
-    ends = evaluation.of(place), tangent[place], evaluation.of(place + 1), tangent[place + 1]
-    family = lanes[lane[place]]
+    family = lanes[points.lane[place]]
 
     def test(_: Index, now: Evaluation, __: Unknowns) -> PerLane:
         return np.where(is_stable_single_impact(now), 1.0, -1.0)
 
-    shrunk, _ = shrink_brackets(problem, Brackets(family, place, *ends), test, np.ones(len(place), bool))
+    shrunk, _ = shrink_brackets(problem, points.brackets(family, place), test, np.ones(len(place), bool))
     results.kind[family] = _kinds_of_loss(problem, shrunk)
     results.value[family] = problem.value(family, shrunk.near.u)
 
@@ -268,7 +263,7 @@ def _pass_corners(
     before = concatenate([last_before(points.evaluation.of(lane)) for lane in slices])
     family = lanes[stalled]
     corner = turn_corner(problem, family, last, tangent, before)
-    on = corner.found & is_stable_single_impact(corner.evaluation)
+    on = corner.turned & is_stable_single_impact(corner.evaluation)
     off = np.flatnonzero(~on)
     if len(off):
         brackets = Brackets(family, bounds[stalled], before, tangent, corner.evaluation, tangent).of(off)

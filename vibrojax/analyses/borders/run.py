@@ -11,7 +11,16 @@ import numpy as np
 import xarray as xr
 
 from vibrojax.analyses.borders.curves import Border, Vertex, around_region
-from vibrojax.analyses.borders.propagation import Cell, Loss, OrbitGraph, Planes, propagate
+from vibrojax.analyses.borders.propagation import (
+    Cell,
+    GridOrbit,
+    Loss,
+    OrbitsByCell,
+    Planes,
+    add_orbit,
+    find_orbit,
+    propagate,
+)
 from vibrojax.analyses.orbits.rerun import orbits as with_orbits
 from vibrojax.analyses.orbits.rerun import sweep_with_orbits
 from vibrojax.errors import InputError, shown
@@ -120,15 +129,15 @@ class _Regions:
         self._regime = dataset["regime"].values.reshape(shape)
         self._single = self._regime == SINGLE_IMPACT
         settled = self._single & (dataset["stable"].values.reshape(shape) == 1)
-        self._own = np.full(shape, -1)
-        self._orbits = OrbitGraph()
+        self._own: dict[tuple[int, int, int, int], GridOrbit] = {}
+        self._orbits: OrbitsByCell = {}
         for lane, states, scale in zip(known.lanes.tolist(), known.states, known.scales, strict=True):
             plane, i, j, start = (int(k) for k in np.unravel_index(lane, shape))
             if not settled[plane, i, j, start] or len(states) != 1:
                 continue
             cell, state = (plane, i, j), states[0]
-            number = self._orbits.known(cell, state)
-            self._own[plane, i, j, start] = self._orbits.add(cell, state, scale) if number is None else number
+            orbit = find_orbit(self._orbits, cell, state) or add_orbit(self._orbits, cell, state, scale)
+            self._own[plane, i, j, start] = orbit
         propagate(scene, self._planes, self._orbits, known.most_steps)
 
     def dataset(self) -> xr.Dataset:
@@ -137,7 +146,7 @@ class _Regions:
         areas: list[tuple[float, int, str]] = []
         x, y = self._planes.values
         reached = np.zeros(self._planes.shape, bool)
-        for plane, i, j in self._orbits.at:
+        for plane, i, j in self._orbits:
             reached[plane, i, j] = True
         for plane in range(self._planes.shape[0]):
             for number, start in enumerate([*self._starts, ANY]):
@@ -154,8 +163,10 @@ class _Regions:
         axis = 0 if inside[0] != outside[0] else 1
         step = (axis, outside[axis] - inside[axis])
         begin, end = self._planes.value(cell, axis), self._planes.value((plane, *outside), axis)
-        numbers = self._orbits.at.get(cell, []) if start is None else [int(self._own[(*cell, start)])]
-        leads = [self._orbits.leads[number].get(step) for number in numbers if number >= 0]
+        orbits = self._orbits.get(cell, [])
+        if start is not None:
+            orbits = [self._own[(*cell, start)]] if (*cell, start) in self._own else []
+        leads = [orbit.leads.get(step) for orbit in orbits]
         losses = [lead for lead in leads if isinstance(lead, Loss)]
         value = (begin + end) / 2
         if losses and len(losses) == len(leads):

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Int
 
-from vibrojax.analyses.continuation.brackets import predict_zero, push_history
+from vibrojax.analyses.continuation.brackets import Brackets, predict_zero, push_history
 from vibrojax.analyses.continuation.indicators import spectral_radius
 from vibrojax.analyses.continuation.problem import (
     Evaluation,
@@ -84,6 +84,11 @@ class BranchPoints(NamedTuple):
     tangent: Unknowns
     status: Int[np.ndarray, " lanes"]
 
+    def brackets(self, family: Index, place: Index) -> Brackets:
+        """Return the parts of branches from the points `place` to the following ones."""
+        ends = ((self.evaluation.of(k), self.tangent[k]) for k in (place, place + 1))
+        return Brackets(family, place, *next(ends), *next(ends))
+
 
 Stop = Callable[[Index, Evaluation], Flags]
 """`stop(lanes, evaluation)`: lanes that end at an accepted point."""
@@ -96,11 +101,15 @@ def continue_branches(
 
     **Arguments:** `longest`: step length, over the scales; `stop`: see `Stop`.
     """
-    lanes = _ActiveBranches(problem, initial, longest, stop)
+    branches = _ActiveBranches(problem, initial, longest, stop)
     with np.errstate(all="ignore"):
-        while len(lanes.active):
-            lanes.iterate()
-    return lanes.points()
+        while len(branches.active):
+            branches.iterate()
+    lanes, evaluations, tangents = zip(*branches.accepted, strict=True)
+    lane = np.concatenate(lanes)
+    order = np.argsort(lane, kind="stable")
+    evaluation = concatenate(evaluations).of(order)
+    return BranchPoints(lane[order], evaluation, np.concatenate(tangents)[order], branches.status)
 
 
 class _ActiveBranches:
@@ -113,7 +122,7 @@ class _ActiveBranches:
         self._last = problem.at(initial.family, initial.u)
         self._tangent = initial.tangent.copy()
         self._step = np.minimum(initial.step, longest)
-        self._status = np.full(lanes, RUNNING)
+        self.status = np.full(lanes, RUNNING)
         self._count = np.ones(lanes, int)
         self._length = np.zeros(lanes)
         self._home, self._home_tangent = initial.home, initial.home_tangent
@@ -126,7 +135,7 @@ class _ActiveBranches:
         self._arclengths, self._margins = np.full((2, lanes, 3), np.nan)
         self._arclengths[:, 0], self._margins[:, 0] = 0.0, self._last.margin
         self._prior_u, self._prior_tangent = np.full((2, *initial.u.shape), np.nan)
-        self._accepted = [(np.arange(lanes), self._last.of(np.arange(lanes)), initial.tangent.copy())]
+        self.accepted = [(np.arange(lanes), self._last.of(np.arange(lanes)), initial.tangent.copy())]
         self.active = np.arange(lanes)
         with np.errstate(all="ignore"):
             self._predict(self.active)
@@ -190,7 +199,7 @@ class _ActiveBranches:
         self._before[lanes[on]] = residual[on]
         self._iterations[lanes[on]] += 1
         self._shorten(lanes[~on & ~accepted])
-        self.active = self.active[self._status[self.active] == RUNNING]
+        self.active = self.active[self.status[self.active] == RUNNING]
 
     def _shorten(self, lanes: Index) -> None:
         """Repeat the step with a shorter length."""
@@ -199,7 +208,7 @@ class _ActiveBranches:
         self._shortened[lanes] = True
         to_corner = self._step_to_corner(lanes, taken)
         self._step[lanes] = np.where(np.isnan(to_corner), taken / 3, np.minimum(to_corner, 0.7 * taken))
-        self._status[lanes[taken / 3 < SHORTEST]] = STALLED
+        self.status[lanes[taken / 3 < SHORTEST]] = STALLED
         self._predict(lanes)
 
     def _step_to_corner(self, lanes: Index, within: PerLane) -> PerLane:
@@ -233,10 +242,17 @@ class _ActiveBranches:
         sound &= ~(beyond & np.isnan(self._bound[lanes]))
         kept = lanes[sound]
         now, tangent, taken, turn = now.of(sound), tangent[sound], taken[sound], turn[sound]
-        self._accepted.append((kept, now, tangent))
+        self.accepted.append((kept, now, tangent))
         self._count[kept] += 1
         self._length[kept] += taken
-        self._remember(kept, now, changed[sound])
+        # Where the events have changed, the history of the margin and the last point are of no use.
+        changed = changed[sound]
+        self._prior_u[kept] = np.where(changed[:, None], np.nan, self._last.u[kept])
+        self._prior_tangent[kept] = self._tangent[kept]
+        for history, new in ((self._arclengths, self._length[kept]), (self._margins, now.margin)):
+            history[kept[changed]] = np.nan
+            push_history(history, kept, new)
+        self._shortened[kept[changed]] = self._blocked[kept[changed]] = False
         self._last.put(kept, now)
         self._tangent[kept] = tangent
         growth = np.clip(TURN / np.maximum(turn, 1e-12), 0.5, np.where(taken < CORNER, CORNER_GROWTH, STEP_GROWTH))
@@ -251,31 +267,14 @@ class _ActiveBranches:
         self._predict(kept)
         return sound
 
-    def _remember(self, lanes: Index, now: Evaluation, changed: Flags) -> None:
-        """Record accepted points; clear the history of lanes whose events have changed."""
-        self._prior_u[lanes] = np.where(changed[:, None], np.nan, self._last.u[lanes])
-        self._prior_tangent[lanes] = self._tangent[lanes]
-        for history, new in ((self._arclengths, self._length[lanes]), (self._margins, now.margin)):
-            history[lanes[changed]] = np.nan
-            push_history(history, lanes, new)
-        self._shortened[lanes[changed]] = self._blocked[lanes[changed]] = False
-
     def _end(self, lanes: Index, now: Evaluation, tangent: Unknowns) -> None:
         """Set the status of lanes that end at their newest point."""
         closed = np.linalg.norm(now.u - self._home[lanes], axis=1) < self._longest
         closed &= np.einsum("ij,ij->i", tangent, self._home_tangent[lanes]) > 0.9
         closed &= self._length[lanes] > 5 * self._longest
-        self._status[lanes[closed]] = CLOSED
-        self._status[lanes[self._count[lanes] >= BRANCH_MAX_POINTS]] = TOO_LONG
-        self._status[lanes[spectral_radius(now.product) > MAX_MULTIPLIER]] = UNSTABLE
+        self.status[lanes[closed]] = CLOSED
+        self.status[lanes[self._count[lanes] >= BRANCH_MAX_POINTS]] = TOO_LONG
+        self.status[lanes[spectral_radius(now.product) > MAX_MULTIPLIER]] = UNSTABLE
         if self._stop is not None:
-            self._status[lanes[self._stop(lanes, now)]] = STOPPED
-        self._status[lanes[~np.isnan(self._bound[lanes])]] = ENDED
-
-    def points(self) -> BranchPoints:
-        """Return all accepted points, sorted by lane."""
-        lanes, evaluations, tangents = zip(*self._accepted, strict=True)
-        lane = np.concatenate(lanes)
-        order = np.argsort(lane, kind="stable")
-        evaluation = concatenate(evaluations).of(order)
-        return BranchPoints(lane[order], evaluation, np.concatenate(tangents)[order], self._status)
+            self.status[lanes[self._stop(lanes, now)]] = STOPPED
+        self.status[lanes[~np.isnan(self._bound[lanes])]] = ENDED

@@ -34,7 +34,7 @@ OUTSIDE = 1e-2
 """Distance of a predicted zero outside its bracket, up to which it counts, relative to the bracket's length."""
 
 RETRIES = np.array([0.5, 0.1, 0.9, 0.01, 0.99])
-"""Positions in the bracket tried after so many failures: near corners some planes contain no orbit."""
+"""Positions in the bracket, tried one after the other: near corners some planes contain no orbit."""
 
 TWO_POINT_UNCERTAINTY = 0.1
 """Uncertainty of a zero predicted from two points only, relative to its distance."""
@@ -178,8 +178,15 @@ class _Shrinking:
         on_near_side = converged & (np.sign(f) == self._sign[lanes])
         for side, mine in ((0, on_near_side), (1, converged & ~on_near_side)):
             self._move_end(side, lanes[mine], place[mine], now.of(mine), tangent[mine], f[mine])
-        self._fail(lanes[~converged], place[~converged])
         self._failures[lanes[converged]] = 0
+        # Without an orbit: a one-sided bracket shrinks from the side without orbits; others try another place.
+        failed, place = lanes[~converged], place[~converged]
+        fewer, known = self._fewer[failed], self._one_sided[failed]
+        ahead, behind = known & (fewer > 0), known & (fewer < 0)
+        self._high[failed[ahead]] = place[ahead]
+        self._low[failed[behind]] = place[behind]
+        self._one_sided[failed] |= fewer != 0
+        self._failures[failed] = np.where(self._one_sided[failed], 0, self._failures[failed] + 1)
         self.active = lanes[self._failures[lanes] < len(RETRIES)]
 
     def _move_end(
@@ -195,15 +202,6 @@ class _Shrinking:
             self.brackets.far_tangent[lanes] = tangent
         self._record(side, lanes, place, f)
         self._record(2, lanes, place, f)
-
-    def _fail(self, lanes: Index, place: PerLane) -> None:
-        """Shrink one-sided brackets from the side without orbits; count the failures of the others."""
-        fewer, known = self._fewer[lanes], self._one_sided[lanes]
-        ahead, behind = known & (fewer > 0), known & (fewer < 0)
-        self._high[lanes[ahead]] = place[ahead]
-        self._low[lanes[behind]] = place[behind]
-        self._one_sided[lanes] |= fewer != 0
-        self._failures[lanes] = np.where(self._one_sided[lanes], 0, self._failures[lanes] + 1)
 
     def _record(self, side: int, lanes: Index, place: PerLane, value: PerLane) -> None:
         push_history(self._places[side], lanes, place)

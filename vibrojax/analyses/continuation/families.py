@@ -162,7 +162,7 @@ class FamilyContinuation:
                 points=None,
                 marks=[],
             )
-            if corner.found[k]:
+            if corner.turned[k]:
                 _add_end_marks(segment, kinds, orbit, "")
                 onward.u, onward.tangent = corner.evaluation.u[k], corner.tangent[k]
                 onward.departure = segment.departure

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from vibrojax.analyses.continuation.problem import Evaluation, Flags, PerLane, Unknowns
 from vibrojax.io.derived import SPECIAL_KINDS
@@ -22,17 +22,7 @@ def spectral_radius(product: Float[np.ndarray, "lanes states states"]) -> PerLan
     return np.abs(multipliers(product)[:, 0])
 
 
-def _fold(evaluation: Evaluation, tangent: Unknowns) -> PerLane:
-    """Return the tangent's component along the parameter."""
-    return tangent[:, -1]
-
-
-def _period_doubling(evaluation: Evaluation, tangent: Unknowns) -> PerLane:
-    """Return det(M + 1) of the repeat's derivative M."""
-    return np.linalg.det(evaluation.product + np.eye(evaluation.product.shape[1]))
-
-
-def _torus(evaluation: Evaluation, tangent: Unknowns) -> PerLane:
+def _torus(evaluation: Evaluation, _: Unknowns) -> PerLane:
     """Return the product of mu_i mu_j - 1 over pairs (Kuznetsov, *Elements of Applied Bifurcation Theory*, 10.2)."""
     values = multipliers(evaluation.product)
     first, second = np.triu_indices(values.shape[1], 1)
@@ -40,19 +30,18 @@ def _torus(evaluation: Evaluation, tangent: Unknowns) -> PerLane:
 
 
 TEST_FUNCTIONS: dict[str, Callable[[Evaluation, Unknowns], PerLane]] = {
-    "fold": _fold,
-    "period-doubling": _period_doubling,
+    "fold": lambda _, tangent: tangent[:, -1],
+    "period-doubling": lambda now, _: np.linalg.det(now.product + np.eye(now.product.shape[1])),
     "torus": _torus,
 }
-"""By kind, as functions of the evaluated equations and the tangent, (lanes,)."""
+"""By kind: the tangent's component along the parameter, det(M + 1) of the repeat's derivative M, and `_torus`."""
 
 
-def is_critical(kind: str, product: Float[np.ndarray, "lanes states states"]) -> Flags:
-    """Return which lanes have a multiplier near the critical value of `kind`."""
+def is_critical(kind: Int[np.ndarray, " lanes"], product: Float[np.ndarray, "lanes states states"]) -> Flags:
+    """Return which lanes have a multiplier near the critical value of their `kind` (a flag)."""
     values = multipliers(product)
-    if kind == "fold":
-        return np.abs(values - 1).min(axis=1) < CRITICAL_DISTANCE
-    if kind == "period-doubling":
-        return np.abs(values + 1).min(axis=1) < CRITICAL_DISTANCE
+    fold, doubling = (np.abs(values - critical).min(axis=1) < CRITICAL_DISTANCE for critical in (1, -1))
     on_circle = np.abs(np.abs(values) - 1) < CRITICAL_DISTANCE
-    return ((np.abs(values.imag) > CRITICAL_DISTANCE) & on_circle).any(axis=1)
+    torus = ((np.abs(values.imag) > CRITICAL_DISTANCE) & on_circle).any(axis=1)
+    names = ("fold", "period-doubling", "torus")
+    return np.select([kind == KINDS.index(name) for name in names], [fold, doubling, torus], False)

@@ -6,10 +6,10 @@ from itertools import groupby
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
 
 from vibrojax.analyses.continuation.branch_segments import Segment
 from vibrojax.analyses.continuation.problem import Evaluation, Problem
+from vibrojax.io.variables import orbit_name
 from vibrojax.periodic.measured import Measuring, begun, joined
 from vibrojax.periodic.newton import multipliers
 from vibrojax.sweep.input.definition import Sweep
@@ -24,6 +24,9 @@ ORBIT_FEATURES = frozenset({"period", "cycles", "impacts", "returns", "settling_
 """Features that follow from the orbit itself, or that are meaningless for it."""
 
 
+Table = dict[str, np.ndarray]
+
+
 class FamilyPoint(NamedTuple):
     """One orbit of a family, with the kind and the note of a special point."""
 
@@ -32,21 +35,6 @@ class FamilyPoint(NamedTuple):
     orbit: Evaluation
     kind: str = ""
     note: str = ""
-
-
-class Columns(NamedTuple):
-    """Values of points, each (points,), of the multipliers and the first `states` (points, states)."""
-
-    family: Int[np.ndarray, " points"]
-    branch: Int[np.ndarray, " points"]
-    value: Float[np.ndarray, " points"]
-    cycles: Int[np.ndarray, " points"]
-    period: Float[np.ndarray, " points"]
-    impacts: Float[np.ndarray, " points"]
-    margin: Float[np.ndarray, " points"]
-    multiplier_abs: Float[np.ndarray, "points states"]
-    multiplier_arg: Float[np.ndarray, "points states"]
-    states: Float[np.ndarray, "points states"]
 
 
 def in_order(segments: Iterable[Segment]) -> tuple[list[FamilyPoint], list[FamilyPoint]]:
@@ -93,45 +81,46 @@ def _distance(first: Evaluation, second: Evaluation) -> float:
     return float(np.abs(first.u - second.u).max())
 
 
-def columns(problem: Problem, points: list[FamilyPoint]) -> Columns:
-    """Return the values of points."""
+def columns(problem: Problem, points: list[FamilyPoint]) -> Table:
+    """Return the values of points by the names of their variables, each (points,) or (points, states)."""
     rows = problem.rows
     values = multipliers(np.array([point.orbit.product[0] for point in points]).reshape(-1, rows, rows))
     family = np.array([point.family for point in points], int)
     cycles = np.array([point.orbit.times.shape[1] for point in points], int)
-    states = [point.orbit.u[0, :rows] * problem.scales[point.family] for point in points]
-    return Columns(
-        family=family,
-        branch=np.array([point.branch for point in points], int),
-        value=np.array([point.orbit.u[0, -1] for point in points], float) * problem.unit[family],
-        cycles=cycles,
-        period=np.array([point.orbit.times.sum() for point in points], float) / np.maximum(cycles, 1),
-        impacts=np.array([point.orbit.impacts[0] for point in points], float),
-        margin=np.array([point.orbit.margin[0] for point in points], float),
-        multiplier_abs=np.abs(values),
-        multiplier_arg=np.abs(np.angle(values)),
-        states=np.array(states).reshape(len(points), rows),
-    )
+    states = np.array([point.orbit.u[0, :rows] for point in points]).reshape(-1, rows) * problem.scales[family]
+    return {
+        "family": family,
+        problem.along: np.array([point.orbit.u[0, -1] for point in points], float) * problem.unit[family],
+        "branch": np.array([point.branch for point in points], int),
+        "stable": np.where(np.isfinite(values).all(axis=1), np.abs(values[:, 0]) < 1, -1),
+        "period": np.array([point.orbit.times.sum() for point in points], float) / np.maximum(cycles, 1),
+        "cycles": cycles,
+        "impacts": np.array([point.orbit.impacts[0] for point in points], float),
+        "grazing_margin": np.array([point.orbit.margin[0] for point in points], float),
+        **dict(zip(map(orbit_name, problem.scene.return_states), states.T, strict=True)),
+        "multiplier_abs": np.abs(values),
+        "multiplier_arg": np.abs(np.angle(values)),
+    }
 
 
-def measured(sweep: Sweep, problem: Problem, points: list[FamilyPoint], table: Columns) -> dict[str, np.ndarray]:
+def measured(sweep: Sweep, problem: Problem, points: list[FamilyPoint], table: Table) -> Table:
     """Return features of the points by name, each (points,); NaN where the measurement failed.
 
     **Arguments:** `sweep`: one point for each family, with all parameters but that of the continuation.
     """
-    fixed = {name: x[table.family] for name, x in (sweep.points or {}).items()}
+    fixed = {name: x[table["family"]] for name, x in (sweep.points or {}).items()}
     run = replace(sweep.run, orbits=False, keep_returns=0)
-    lanes = replace(sweep, points=fixed | {problem.along: table.value}, run=run)
+    lanes = replace(sweep, points=fixed | {problem.along: table[problem.along]}, run=run)
     parts = []
-    for cycles in sorted(set(table.cycles.tolist())):
-        subset = np.flatnonzero(table.cycles == cycles)
+    for cycles in sorted(set(table["cycles"].tolist())):
+        subset = np.flatnonzero(table["cycles"] == cycles)
         u = np.concatenate([points[k].orbit.u for k in subset])
         times = np.concatenate([points[k].orbit.times for k in subset])
         steps = np.full(len(subset), STEPS_PER_RETURN * cycles)
-        parts.append(begun(subset, problem.states(table.family[subset], u), times, steps))
+        parts.append(begun(subset, problem.states(table["family"][subset], u), times, steps))
     orbits = joined(parts)
     features, whole = Measuring(lanes)(0, lanes.lanes, orbits)
-    measures = {}
+    measures: Table = {}
     for name, x in features.items():
         if x.ndim == 1 and x.dtype.kind == "f" and name not in ORBIT_FEATURES:
             measures[name] = np.full(len(points), np.nan)

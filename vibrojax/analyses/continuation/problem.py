@@ -130,7 +130,7 @@ class Problem:
         parameters = {name: x[each] for name, x in self.parameters.items()}
         parameters[self.along] = np.repeat(self.value(family, u), cycles)
         images = images_by_lane(self._map(parameters, states.reshape(-1, rows).T), lanes, cycles)
-        off = (images.there - np.roll(states, -1, axis=1)) / scale[:, None]
+        off = (images.state - np.roll(states, -1, axis=1)) / scale[:, None]
         jacobian = images.jacobian / scale[:, None, :, None]
         jacobian[..., :rows] *= scale[:, None, None, :]
         jacobian[..., rows:] *= self.unit[family][:, None, None, None]
@@ -139,11 +139,11 @@ class Problem:
             u=u.copy(),
             off=off.reshape(lanes, -1),
             matrix=np.concatenate([shooting_matrix(jacobian[..., :rows]), by_parameter], axis=2),
-            times=np.where(images.returned, images.times, np.inf),
+            times=np.where(images.seen.returned, images.time, np.inf),
             product=chain(jacobian[..., :rows]),
-            impacts=images.impacts.sum(axis=1),
-            mode_changes=images.mode_changes.sum(axis=1),
-            margin=images.margin.min(axis=1),
+            impacts=images.seen.impacts.sum(axis=1),
+            mode_changes=images.seen.mode_changes.sum(axis=1),
+            margin=images.seen.margin.min(axis=1),
         )
 
 

@@ -11,14 +11,14 @@ import xarray as xr
 from vibrojax.analyses.continuation.arclength import CONVERGED
 from vibrojax.analyses.continuation.families import FamilyContinuation
 from vibrojax.analyses.continuation.indicators import KINDS
-from vibrojax.analyses.continuation.points import Columns, FamilyPoint, columns, in_order, measured
+from vibrojax.analyses.continuation.points import FamilyPoint, columns, in_order, measured
 from vibrojax.analyses.continuation.problem import STEPS, Problem
 from vibrojax.analyses.continuation.spec import FamilySpec, read_asked
 from vibrojax.analyses.sweep.run import run_sweep
 from vibrojax.errors import Place
 from vibrojax.io.derived import OF_FAMILIES
 from vibrojax.io.provenance import provenance
-from vibrojax.io.variables import ORBIT_REASONS, REASONS, VARIABLES, orbit_name
+from vibrojax.io.variables import ORBIT_REASONS, REASONS, VARIABLES
 from vibrojax.measures.labels import REGIMES
 from vibrojax.measures.ledger import MOST_CYCLES
 from vibrojax.models.physics.parameters import ROTATION, Parameter, differing
@@ -64,9 +64,9 @@ def follow(
     - `progress`: true to report progress on stderr.
 
     **Returns:** a dataset. Along `point`: `branch` (0 is the first), the parameter, `stable`, `multiplier_abs` and
-    `multiplier_arg` [rad] along `multiplier`, `period` [s] (per return), `cycles`, `impacts` (per repeat),
-    `grazing_margin`, the state at the section (`orbit_x1` and so on), and the scene's measures over the repeat. Along
-    `special`: `special_kind` (fold, period-doubling, torus, grazing, stick, section, end), `special_value` of the
+    `multiplier_arg` [rad] along `multiplier`, `period` [s] (per return), `cycles`, `impacts` (per repeat) and
+    `grazing_margin`. The state at the section (`orbit_x1` and so on) and the scene's measures over the repeat follow.
+    Along `special`: `special_kind` (fold, period-doubling, torus, grazing, stick, section, end), `special_value` of the
     parameter, `special_branch`, and `special_note`. At a *grazing* point an impact begins or vanishes, or another event
     that is not a stick; then the note names its mode, for example where rock begins to yield. Multipliers at a special
     point are those on the side from which it was reached; beside a grazing impact they hold over a very small distance.
@@ -87,22 +87,22 @@ def follow(
     return follow_asked(read_asked(scene, along, at, span, start, settle, observe, cycles, parameters), progress)
 
 
-def follow_asked(asked: FamilySpec, progress: bool = True) -> xr.Dataset:
+def follow_asked(spec: FamilySpec, progress: bool = True) -> xr.Dataset:
     """Return the families as `follow` does; raise `InputError` without an initial orbit."""
-    dataset = run_sweep(asked.sweep, progress=progress)
-    problem, families, first = problem_of(asked, dataset)
-    points, special = in_order(FamilyContinuation(problem, cycles=asked.cycles)(families, first))
-    return _dataset(asked.sweep, problem, points, special)
+    dataset = run_sweep(spec.sweep, progress=progress)
+    problem, families, first = problem_of(spec, dataset)
+    points, special = in_order(FamilyContinuation(problem, cycles=spec.cycles)(families, first))
+    return _dataset(spec.sweep, problem, points, special)
 
 
-def problem_of(asked: FamilySpec, dataset: xr.Dataset) -> tuple[Problem, np.ndarray, list[np.ndarray]]:
+def problem_of(spec: FamilySpec, dataset: xr.Dataset) -> tuple[Problem, np.ndarray, list[np.ndarray]]:
     """Return the equations, the families with an initial orbit, and the unknowns of these orbits.
 
     **Arguments:** `dataset`: of the specified sweep.
 
     **Raises:** `InputError` if no family has an initial orbit.
     """
-    sweep, along = asked.sweep, asked.along
+    sweep, along = spec.sweep, spec.along
     dataset = dataset.isel(start=0) if "start" in dataset.dims else dataset
     system = sweep.system.driving_part()
     values, _ = sweep.lane_values(0, sweep.lanes)
@@ -114,7 +114,7 @@ def problem_of(asked: FamilySpec, dataset: xr.Dataset) -> tuple[Problem, np.ndar
         raise Place("follow").at("at").error(_no_orbit(lane, f"{along} = {float(lane[along]):g}"))
     scale = np.ones((sweep.lanes, len(system.return_states)))
     scale[families] = known.scales
-    bounds = ((asked.high - asked.low) / UNITS_PER_SPAN, asked.low, asked.high)
+    bounds = ((spec.high - spec.low) / UNITS_PER_SPAN, spec.low, spec.high)
     unit, first, last = (np.full(sweep.lanes, x) for x in bounds)
     problem = Problem(system, along, parameters, scale, unit, first, last, known.most_steps)
     unknowns = [
@@ -140,54 +140,40 @@ def _no_orbit(lane: xr.Dataset, where: str) -> str:
 def _dataset(sweep: Sweep, problem: Problem, points: list[FamilyPoint], special: list[FamilyPoint]) -> xr.Dataset:
     """Return the dataset of families."""
     table, at_special = columns(problem, points), columns(problem, special)
-    parameter, system = sweep.system.parameters()[problem.along], problem.scene
+    along, system = problem.along, problem.scene
     schema = VARIABLES | OF_FAMILIES | measured_besides(sweep.system) | of_orbits(sweep.system)
-    stable = np.where(np.isfinite(table.multiplier_abs).all(axis=1), table.multiplier_abs[:, 0] < 1, -1)
-    values = {
-        "branch": table.branch,
-        "stable": stable,
-        "period": table.period,
-        "cycles": table.cycles,
-        "impacts": table.impacts,
-        "grazing_margin": table.margin,
-        **dict(zip(map(orbit_name, system.return_states), table.states.T, strict=True)),
-        **{name: x for name, x in measured(sweep, problem, points, table).items() if name in schema},
-        "multiplier_abs": table.multiplier_abs,
-        "multiplier_arg": table.multiplier_arg,
-        "special_kind": np.array([KINDS.index(point.kind) for point in special]),
-        "special_value": at_special.value,
-        "special_branch": at_special.branch,
-        "special_note": np.array([point.note for point in special], str),
-    }
+    measures = {name: x for name, x in measured(sweep, problem, points, table).items() if name in schema}
+    multipliers = {name: table.pop(name) for name in ("multiplier_abs", "multiplier_arg")}
+    family, value = table.pop("family"), table.pop(along)
+    values = table | measures | multipliers
     if not isinstance(system, HasContact):
         del values["impacts"]
-    described = _described(parameter)
-    variables: dict[str, Any] = {problem.along: ("point", table.value, described)}
+    described = _described(sweep.system.parameters()[along])
+    special_value = described | {"long_name": f"{described['long_name']} at the special point"}
+    kinds = np.array([KINDS.index(point.kind) for point in special], np.int8)
+    branch = at_special["branch"].astype(np.int32)
+    notes = np.array([point.note for point in special], str)
+    variables: dict[str, Any] = {along: ("point", value, described)}
     for name, x in values.items():
-        dims = "special" if name.startswith("special_") else ("point", "multiplier")[: x.ndim]
+        dims = ("point", "multiplier")[: x.ndim]
         variables[name] = (dims, np.asarray(x, schema[name].dtype), schema[name].attributes())
-    special_value = described | {"long_name": f"{parameter.long_name} at the special point"}
-    variables["special_value"] = ("special", at_special.value, special_value)
-    variables["special_note"] = ("special", values["special_note"], {"long_name": schema["special_note"].long_name})
-    family_variables, coordinates = _family_index(sweep, problem.along, table, at_special)
-    return xr.Dataset(variables | family_variables, coordinates, _attributes(sweep, problem))
-
-
-def _family_index(sweep: Sweep, along: str, table: Columns, special: Columns) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the variables and the coordinates that tell several families apart; empty for a single one."""
-    differing_values = {name: x for name, x in (sweep.points or {}).items() if name != along}
-    if not differing_values:
-        return {}, {}
-    attributes = OF_FAMILIES["point_family"].attributes()
-    parameters = dict(sweep.system.parameters()) | ROTATION
-    coordinates: dict[str, Any] = {"family": ("family", np.arange(sweep.lanes), attributes)}
-    for name, x in differing_values.items():
-        described = {"long_name": "rock"} if name == "rock" else _described(parameters[name])
-        coordinates[name] = ("family", x, described)
-    return {
-        "point_family": ("point", table.family.astype(np.int32), attributes),
-        "special_family": ("special", special.family.astype(np.int32), attributes),
-    }, coordinates
+    variables |= {
+        "special_kind": ("special", kinds, schema["special_kind"].attributes()),
+        "special_value": ("special", at_special[along], special_value),
+        "special_branch": ("special", branch, schema["special_branch"].attributes()),
+        "special_note": ("special", notes, {"long_name": schema["special_note"].long_name}),
+    }
+    several = {name: x for name, x in (sweep.points or {}).items() if name != along}
+    coordinates: dict[str, Any] = {}
+    if several:
+        of_family = schema["point_family"].attributes()
+        variables["point_family"] = ("point", family.astype(np.int32), of_family)
+        variables["special_family"] = ("special", at_special["family"].astype(np.int32), of_family)
+        coordinates["family"] = ("family", np.arange(sweep.lanes), of_family)
+        parameters = dict(sweep.system.parameters()) | ROTATION
+        for name, x in several.items():
+            coordinates[name] = ("family", x, {"long_name": "rock"} if name == "rock" else _described(parameters[name]))
+    return xr.Dataset(variables, coordinates, _attributes(sweep, problem))
 
 
 def _attributes(sweep: Sweep, problem: Problem) -> dict[str, Any]:

@@ -68,7 +68,7 @@ def read_asked(
         raise place.at("along").error(f"{shown(along)} is not a parameter of the scene; {instead}")
     if along in parameters:
         hint = f"say where it begins by at={shown(fixed.get(along, 'VALUE'))}"
-        raise place.at(along).error(f"is what the family is followed along; {hint}")
+        raise place.at(along).error(f"is the parameter of the continuation; {hint}")
     if isinstance(cycles, bool) or not isinstance(cycles, int) or not 1 <= cycles <= MOST_CYCLES:
         raise place.at("cycles").error(f"{shown(cycles)} is not a whole number from 1 to {MOST_CYCLES}")
     low, high = _bounds(place, names, along, span)

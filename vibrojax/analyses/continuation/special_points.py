@@ -45,11 +45,9 @@ def locate_special_points(problem: Problem, family: Index, points: BranchPoints)
     Multipliers jump where events begin or vanish. Those points are located first, and the others between them.
     """
     located: list[tuple[Kinds, Brackets]] = []
-    lane, evaluation, tangent, _ = points
-    place = np.flatnonzero(lane[1:] == lane[:-1])
-    ends = evaluation.of(place), tangent[place], evaluation.of(place + 1), tangent[place + 1]
+    place = np.flatnonzero(points.lane[1:] == points.lane[:-1])
     with np.errstate(all="ignore"):
-        kind, brackets = _detect(Brackets(family[lane[place]], place, *ends))
+        kind, brackets = _detect(points.brackets(family[points.lane[place]], place))
         for _ in range(MAX_EVENT_CHANGES + 1):
             if not len(kind):
                 break
@@ -57,7 +55,7 @@ def locate_special_points(problem: Problem, family: Index, points: BranchPoints)
             events = kind == EVENTS
             for side in (shrunk, shrunk.reversed()):
                 smooth = np.flatnonzero(success & ~events)
-                smooth = smooth[_are_critical(kind[smooth], side.near.product[smooth])]
+                smooth = smooth[is_critical(kind[smooth], side.near.product[smooth])]
                 located.append((kind[smooth], side.of(smooth)))
                 success[smooth] = False
             change, whole = shrunk.of(success & events), brackets.of(success & events)
@@ -133,13 +131,3 @@ def _shrink(problem: Problem, kind: Kinds, brackets: Brackets) -> tuple[Brackets
         return values
 
     return shrink_brackets(problem, brackets, test, kind == EVENTS)
-
-
-def _are_critical(kind: Kinds, product: np.ndarray) -> Flags:
-    """Return which located points have a multiplier that is critical for their kind."""
-    critical = np.zeros(len(kind), bool)
-    for name in TEST_FUNCTIONS:
-        mine = kind == KINDS.index(name)
-        if mine.any():
-            critical[mine] = is_critical(name, product[mine])
-    return critical

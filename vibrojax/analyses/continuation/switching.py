@@ -37,9 +37,9 @@ SAME_PERIOD = 1e-4
 
 
 class CornerExit(NamedTuple):
-    """Continuations beyond corners: which lanes have one (`found`), and a point there with its tangent."""
+    """Continuations beyond corners: which lanes have one (`turned`), and a point there with its tangent."""
 
-    found: Flags
+    turned: Flags
     evaluation: Evaluation
     tangent: Unknowns
 
@@ -58,13 +58,14 @@ def turn_corner(problem: Problem, family: Index, last: Evaluation, tangent: Unkn
             if not len(subset):
                 break
             other.put(subset, problem.at(family[subset], last.u[subset] + distance * tangent[subset]))
-        found, best, tangents = np.zeros(len(lanes), bool), other.of(lanes), tangent.copy()
-        direction = _null_vectors(other.matrix)
+        turned, best, tangents = np.zeros(len(lanes), bool), other.of(lanes), tangent.copy()
+        sound = np.isfinite(other.matrix).all(axis=(1, 2))
+        direction = np.linalg.svd(np.where(sound[:, None, None], other.matrix, 0.0))[2][:, -1]  # null vectors
         # A jump in the time of a repeat means other returns, not a corner.
         same = np.abs(other.period - last.period) < SAME_TIME * last.period
         for distance in DEPARTURE_DISTANCES:
             for sign in (1.0, -1.0):
-                subset = np.flatnonzero(~found & same & np.isfinite(direction).all(axis=1))
+                subset = np.flatnonzero(~turned & same & sound)
                 if not len(subset):
                     break
                 t = sign * direction[subset]
@@ -74,17 +75,10 @@ def turn_corner(problem: Problem, family: Index, last: Evaluation, tangent: Unkn
                 right &= (now.signature != before.signature[subset]).any(axis=1)
                 right &= np.abs(now.u - guess).max(axis=1) < 0.5 * distance
                 kept = subset[right]
-                found[kept] = True
+                turned[kept] = True
                 best.put(kept, now.of(right))
                 tangents[kept] = unit_tangent(now.matrix[right], t[right])
-    return CornerExit(found, best, tangents)
-
-
-def _null_vectors(matrix: np.ndarray) -> Unknowns:
-    sound = np.isfinite(matrix).all(axis=(1, 2))
-    vectors = np.linalg.svd(np.where(sound[:, None, None], matrix, 0.0))[2][:, -1]
-    vectors[~sound] = np.nan
-    return vectors
+    return CornerExit(turned, best, tangents)
 
 
 def reindex_returns(
