@@ -6,7 +6,7 @@ counts if it is stable, if all last returns are near it, and if a simulation con
 """
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from vibrojax.measures import RETURNS_FOR_DRIFT
 from vibrojax.measures.labels import FEWEST_RETURNS
@@ -94,7 +94,9 @@ class Nearby:
                 result["nearby_distance"][lanes[subset[kept]]] = distance[kept]
         return result
 
-    def _confirmed(self, first: int, end: int, lanes: Index, orbit: PeriodicOrbits, distance: PerLane) -> Index:
+    def _confirmed(
+        self, first: int, end: int, lanes: Index, orbit: PeriodicOrbits, distance: PerLane
+    ) -> Int[np.ndarray, " kept"]:
         """Return the orbits, by index, that are stable, near, and confirmed by a simulation."""
         cycles = orbit.states.shape[1]
         right = (orbit.residual <= ACCEPTED) & (orbit.margin >= GRAZING) & (distance < REACH)

@@ -53,6 +53,7 @@ Step = tuple[int, int]
 STEPS: tuple[Step, ...] = ((0, 1), (0, -1), (1, 1), (1, -1))
 
 States = Float[np.ndarray, "edges states"]
+Lost = Int[np.ndarray, " lost"]
 
 
 class Planes(NamedTuple):
@@ -216,7 +217,7 @@ def is_stable_single_impact(evaluation: Evaluation) -> Flags:
     return stable & (evaluation.impacts == 1)
 
 
-def _locate_losses(problem: Problem, lanes: Index, points: BranchPoints, lost: Index, results: _Arrivals) -> None:
+def _locate_losses(problem: Problem, lanes: Index, points: BranchPoints, lost: Lost, results: _Arrivals) -> None:
     """Enter the points at which orbits cease to be stable single impacts, just before the points `lost`."""
     place = lost - 1
     place = place[place >= 0]

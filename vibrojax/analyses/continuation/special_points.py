@@ -27,7 +27,7 @@ MAX_EVENT_CHANGES = 8
 EVENTS = -1
 """Provisional kind of a bracket with different events at its ends; the located point determines the kind."""
 
-Kinds = Int[np.ndarray, " points"]
+Kinds = Int[np.ndarray, " _"]
 
 
 class SpecialPoints(NamedTuple):
