@@ -15,16 +15,7 @@ from vibrojax.analyses.continuation.arclength import ENDED, STALLED, BranchPoint
 from vibrojax.analyses.continuation.brackets import Brackets, shrink_brackets
 from vibrojax.analyses.continuation.families import STEP_AFTER_CORNER, last_before
 from vibrojax.analyses.continuation.indicators import KINDS, spectral_radius
-from vibrojax.analyses.continuation.problem import (
-    Evaluation,
-    Flags,
-    Index,
-    PerLane,
-    Problem,
-    Unknowns,
-    concatenate,
-    unit_tangent,
-)
+from vibrojax.analyses.continuation.problem import Evaluation, Flags, Index, PerLane, Problem, Unknowns, unit_tangent
 from vibrojax.analyses.continuation.special_points import classify_event_changes
 from vibrojax.analyses.continuation.switching import turn_corner
 from vibrojax.models.scenes import Scene
@@ -188,7 +179,7 @@ def _continue_edges(problem: Problem, states: States, begin: PerLane, end: PerLa
     kind = np.full(len(lanes), KINDS.index("end"))
     results = _Arrivals(np.zeros(len(lanes), bool), states.copy(), kind, begin.copy())
     with np.errstate(all="ignore"):
-        tangent = unit_tangent(problem.at(lanes, u).matrix, towards)
+        tangent = unit_tangent(problem.evaluate(lanes, u).matrix, towards)
         step = np.full(len(lanes), EDGE_MAX_STEP)
         for _ in range(MAX_CORNERS_PER_EDGE + 1):
             none = np.full_like(u, np.nan)
@@ -261,7 +252,7 @@ def _pass_corners(
     newest = bounds[stalled + 1] - 1
     last, tangent = points.evaluation.of(newest), points.tangent[newest]
     slices = (slice(bounds[k], bounds[k + 1]) for k in stalled)
-    before = concatenate([last_before(points.evaluation.of(lane)) for lane in slices])
+    before = Evaluation.join([last_before(points.evaluation.of(lane)) for lane in slices])
     family = lanes[stalled]
     corner = turn_corner(problem, family, last, tangent, before)
     on = corner.turned & is_stable_single_impact(corner.evaluation)

@@ -17,19 +17,16 @@ from jaxtyping import Int
 from vibrojax.analyses.continuation.brackets import Brackets, predict_zero, push_history
 from vibrojax.analyses.continuation.indicators import spectral_radius
 from vibrojax.analyses.continuation.problem import (
+    CONVERGED,
     Evaluation,
     Flags,
     Index,
     PerLane,
     Problem,
     Unknowns,
-    concatenate,
     solve_bordered,
     unit_tangent,
 )
-
-CONVERGED = 1e-10
-"""Residual of an accepted point; the next Newton step would leave its square."""
 
 POLISHED_STEP = 1e-6
 """Step above which points take one more Newton step. Along shorter ones it could change the order of the points."""
@@ -108,7 +105,7 @@ def continue_branches(
     lanes, evaluations, tangents = zip(*branches.accepted, strict=True)
     lane = np.concatenate(lanes)
     order = np.argsort(lane, kind="stable")
-    evaluation = concatenate(evaluations).of(order)
+    evaluation = Evaluation.join(evaluations).of(order)
     return BranchPoints(lane[order], evaluation, np.concatenate(tangents)[order], branches.status)
 
 
@@ -119,7 +116,7 @@ class _ActiveBranches:
         lanes = len(initial.family)
         self._problem, self._longest, self._stop = problem, longest, stop
         self._family = initial.family
-        self._last = problem.at(initial.family, initial.u)
+        self._last = problem.evaluate(initial.family, initial.u)
         self._tangent = initial.tangent.copy()
         self._step = np.minimum(initial.step, longest)
         self.status = np.full(lanes, RUNNING)
@@ -167,7 +164,7 @@ class _ActiveBranches:
     def iterate(self) -> None:
         """Take one corrector iteration of every active lane."""
         lanes = self.active
-        now = self._problem.at(self._family[lanes], self._iterate[lanes])
+        now = self._problem.evaluate(self._family[lanes], self._iterate[lanes])
         residual = now.residual
         # The next point lies on the plane row u = level: across the tangent, or at the parameter's bound.
         row = np.zeros_like(self._tangent[lanes])

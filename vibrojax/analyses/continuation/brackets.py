@@ -6,16 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from vibrojax.analyses.continuation.problem import (
-    Evaluation,
-    Flags,
-    Index,
-    PerLane,
-    Problem,
-    Unknowns,
-    correct,
-    unit_tangent,
-)
+from vibrojax.analyses.continuation.problem import Evaluation, Flags, Index, PerLane, Problem, Unknowns, unit_tangent
 
 LOCATED_WITHIN = 1e-10
 """Distance over the scales between the ends of a bracket at which its zero is located."""
@@ -171,7 +162,7 @@ class _Shrinking:
         retry = RETRIES[np.minimum(self._failures[lanes], len(RETRIES) - 1)]
         place = np.where((self._failures[lanes] > 0) & ~self._one_sided[lanes], low + retry * (high - low), place)
         guess, row = self._guess(lanes, place), self._row[lanes]
-        now, converged = correct(self._problem, self.brackets.family[lanes], guess, row, self._base[lanes] + place)
+        now, converged = self._problem.correct(self.brackets.family[lanes], guess, row, self._base[lanes] + place)
         tangent = unit_tangent(now.matrix, row)
         f = self._test(lanes, now, tangent)
         self._exact[lanes[converged & (f == 0)]] = True

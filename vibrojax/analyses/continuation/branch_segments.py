@@ -6,14 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vibrojax.analyses.continuation.arclength import (
-    CLOSED,
-    MAX_MULTIPLIER,
-    STALLED,
-    STOPPED,
-    TOO_LONG,
-    UNSTABLE,
-)
+from vibrojax.analyses.continuation.arclength import CLOSED, MAX_MULTIPLIER, STALLED, STOPPED, TOO_LONG, UNSTABLE
 from vibrojax.analyses.continuation.problem import Evaluation
 
 REJOIN_DISTANCE = 1e-3

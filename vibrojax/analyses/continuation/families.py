@@ -17,12 +17,8 @@ from vibrojax.analyses.continuation.arclength import (
 from vibrojax.analyses.continuation.brackets import Brackets
 from vibrojax.analyses.continuation.branch_segments import ENDINGS, REJOIN_DISTANCE, Mark, Segment, drop_duplicates
 from vibrojax.analyses.continuation.indicators import KINDS
-from vibrojax.analyses.continuation.problem import Evaluation, Flags, Index, Problem, concatenate, unit_tangent
-from vibrojax.analyses.continuation.special_points import (
-    SpecialPoints,
-    classify_event_changes,
-    locate_special_points,
-)
+from vibrojax.analyses.continuation.problem import Evaluation, Flags, Index, Problem, unit_tangent
+from vibrojax.analyses.continuation.special_points import SpecialPoints, classify_event_changes, locate_special_points
 from vibrojax.analyses.continuation.switching import branch_distance, doubled_branch, reindex_returns, turn_corner
 from vibrojax.measures.ledger import MOST_CYCLES
 
@@ -56,7 +52,7 @@ class FamilyContinuation:
         for number, orbit in zip(family.tolist(), u, strict=True):
             up = np.zeros_like(orbit[None])
             up[:, -1] = 1.0
-            tangent = unit_tangent(self._problem.at(np.array([number]), orbit[None]).matrix, up)[0]
+            tangent = unit_tangent(self._problem.evaluate(np.array([number]), orbit[None]).matrix, up)[0]
             for sign in (1, -1):
                 home = (orbit, sign * tangent)
                 pending.append(Segment(number, 0, sign, orbit, sign * tangent, FIRST_STEP, home=home))
@@ -141,8 +137,8 @@ class FamilyContinuation:
     def _pass_stalls(self, segments: list[Segment], tangent: np.ndarray) -> list[Segment]:
         """Return the segments that follow corners and touches of the section; mark these points, or the ends."""
         family = np.array([segment.family for segment in segments])
-        end = concatenate([segment.orbits.of([-1]) for segment in segments])
-        before = concatenate([last_before(segment.orbits) for segment in segments])
+        end = Evaluation.join([segment.orbits.of([-1]) for segment in segments])
+        before = Evaluation.join([last_before(segment.orbits) for segment in segments])
         corner = turn_corner(self._problem, family, end, tangent, before)
         place = np.array([len(segment.orbits.u) - 1 for segment in segments])
         passed = Brackets(family, place, before, tangent, corner.evaluation, tangent)

@@ -21,6 +21,9 @@ from vibrojax.stepping import LOCATED_STRIDE, Accuracy
 STEPS = Accuracy(tolerance=1e-12, stride=LOCATED_STRIDE, step=np.inf)
 """Accuracy of the return map: special points follow from multipliers, to 1e-8."""
 
+CONVERGED = 1e-10
+"""Residual of an accepted point; the next Newton step would leave its square."""
+
 CORRECTOR_MAX_ITERATIONS = 8
 
 Index = Int[np.ndarray, " lanes"]
@@ -57,6 +60,11 @@ class Evaluation(NamedTuple):
         for mine, new in zip(self, other, strict=True):
             mine[lanes] = new
 
+    @staticmethod
+    def join(parts: "Sequence[Evaluation]") -> "Evaluation":
+        """Concatenate the lanes of parts with the same number of unknowns."""
+        return Evaluation(*(np.concatenate(fields) for fields in zip(*parts, strict=True)))
+
     @property
     def residual(self) -> PerLane:
         """Greatest absolute residual; infinite where the section is not reached."""
@@ -73,11 +81,6 @@ class Evaluation(NamedTuple):
     def period(self) -> PerLane:
         """Time of the whole repeat [s]."""
         return self.times.sum(axis=1)
-
-
-def concatenate(parts: Sequence[Evaluation]) -> Evaluation:
-    """Concatenate the lanes of parts with the same number of unknowns."""
-    return Evaluation(*(np.concatenate(fields) for fields in zip(*parts, strict=True)))
 
 
 @dataclass(frozen=True)
@@ -121,7 +124,7 @@ class Problem:
         """Return the parameter's value."""
         return u[:, -1] * self.unit[family]
 
-    def at(self, family: Index, u: Unknowns) -> Evaluation:
+    def evaluate(self, family: Index, u: Unknowns) -> Evaluation:
         """Evaluate the equations at unknowns of lanes, each of the family with the given index."""
         lanes, rows = len(u), self.rows
         states, scale = self.states(family, u), self.scales[family]
@@ -146,6 +149,31 @@ class Problem:
             margin=images.seen.margin.min(axis=1),
         )
 
+    def correct(self, family: Index, guess: Unknowns, row: Unknowns, value: PerLane) -> tuple[Evaluation, Flags]:
+        """Return the orbits near `guess` with row u = `value`, by Newton's method, and which of them have converged."""
+        best = self.evaluate(family, guess)
+        converged = np.zeros(len(guess), bool)
+        active = np.arange(len(guess))
+        before = np.full(len(guess), np.inf)
+        for _ in range(CORRECTOR_MAX_ITERATIONS):
+            now = best.of(active)
+            short = np.einsum("ij,ij->i", row[active], now.u) - value[active]
+            residual = np.maximum(now.residual, np.abs(short))
+            done = residual <= CONVERGED
+            converged[active[done]] = True
+            on = ~done & (residual < np.maximum(before[active], 1e-3)) & np.isfinite(residual)
+            before[active] = residual
+            active, now, short = active[on], now.of(on), short[on]
+            if not len(active):
+                break
+            step = solve_bordered(now.matrix, row[active], -np.column_stack([now.off, short]))
+            sound = np.isfinite(step).all(axis=1)
+            active = active[sound]
+            if not len(active):
+                break
+            best.put(active, self.evaluate(family[active], now.u[sound] + step[sound]))
+        return best, converged
+
 
 def solve_bordered(matrix: Float[np.ndarray, "lanes equations unknowns"], row: Unknowns, right: Unknowns) -> Unknowns:
     """Solve for x: matrix x and row x are the first and the last entries of `right`; NaN where that is singular."""
@@ -164,31 +192,3 @@ def unit_tangent(matrix: Float[np.ndarray, "lanes equations unknowns"], along: U
     right[:, -1] = 1.0
     tangent = solve_bordered(matrix, along, right)
     return tangent / np.linalg.norm(tangent, axis=1, keepdims=True)
-
-
-def correct(
-    problem: Problem, family: Index, guess: Unknowns, row: Unknowns, value: PerLane, within: float = 1e-10
-) -> tuple[Evaluation, Flags]:
-    """Return the orbits near `guess` with row u = `value`, by Newton's method, and which of them have converged."""
-    best = problem.at(family, guess)
-    converged = np.zeros(len(guess), bool)
-    active = np.arange(len(guess))
-    before = np.full(len(guess), np.inf)
-    for _ in range(CORRECTOR_MAX_ITERATIONS):
-        now = best.of(active)
-        short = np.einsum("ij,ij->i", row[active], now.u) - value[active]
-        residual = np.maximum(now.residual, np.abs(short))
-        done = residual <= within
-        converged[active[done]] = True
-        on = ~done & (residual < np.maximum(before[active], 1e-3)) & np.isfinite(residual)
-        before[active] = residual
-        active, now, short = active[on], now.of(on), short[on]
-        if not len(active):
-            break
-        step = solve_bordered(now.matrix, row[active], -np.column_stack([now.off, short]))
-        sound = np.isfinite(step).all(axis=1)
-        active = active[sound]
-        if not len(active):
-            break
-        best.put(active, problem.at(family[active], now.u[sound] + step[sound]))
-    return best, converged

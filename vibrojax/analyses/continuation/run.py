@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from vibrojax.analyses.continuation.arclength import CONVERGED
 from vibrojax.analyses.continuation.families import FamilyContinuation
 from vibrojax.analyses.continuation.indicators import KINDS
 from vibrojax.analyses.continuation.points import FamilyPoint, columns, in_order, measured
-from vibrojax.analyses.continuation.problem import STEPS, Problem
+from vibrojax.analyses.continuation.problem import CONVERGED, STEPS, Problem
 from vibrojax.analyses.continuation.spec import FamilySpec, read_asked
 from vibrojax.analyses.sweep.run import run_sweep
 from vibrojax.errors import Place

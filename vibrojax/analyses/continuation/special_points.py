@@ -9,15 +9,7 @@ from jaxtyping import Int
 from vibrojax.analyses.continuation.arclength import BranchPoints
 from vibrojax.analyses.continuation.brackets import Brackets, shrink_brackets
 from vibrojax.analyses.continuation.indicators import KINDS, TEST_FUNCTIONS, is_critical
-from vibrojax.analyses.continuation.problem import (
-    Evaluation,
-    Flags,
-    Index,
-    PerLane,
-    Problem,
-    Unknowns,
-    concatenate,
-)
+from vibrojax.analyses.continuation.problem import Evaluation, Flags, Index, PerLane, Problem, Unknowns
 from vibrojax.analyses.continuation.switching import SAME_TIME
 from vibrojax.models.scenes import HasFriction
 
@@ -107,7 +99,7 @@ def _detect_smooth(brackets: Brackets) -> tuple[Kinds, Brackets]:
 def _join(parts: Sequence[tuple[Kinds, Brackets]]) -> tuple[Kinds, Brackets]:
     kinds, brackets = zip(*parts, strict=True)
     fields: list[Any] = [
-        concatenate(field) if isinstance(field[0], Evaluation) else np.concatenate(field)
+        Evaluation.join(field) if isinstance(field[0], Evaluation) else np.concatenate(field)
         for field in zip(*brackets, strict=True)
     ]
     return np.concatenate(kinds), Brackets(*fields)

@@ -8,16 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vibrojax.analyses.continuation.problem import (
-    Evaluation,
-    Flags,
-    Index,
-    PerLane,
-    Problem,
-    Unknowns,
-    correct,
-    unit_tangent,
-)
+from vibrojax.analyses.continuation.problem import Evaluation, Flags, Index, PerLane, Problem, Unknowns, unit_tangent
 from vibrojax.measures.ledger import MOST_CYCLES
 
 PROBE_DISTANCES = (1e-9, 1e-8, 1e-7, 1e-6, 1e-5)
@@ -57,7 +48,7 @@ def turn_corner(problem: Problem, family: Index, last: Evaluation, tangent: Unkn
             subset = np.flatnonzero((other.signature == before.signature).all(axis=1) | ~np.isfinite(other.residual))
             if not len(subset):
                 break
-            other.put(subset, problem.at(family[subset], last.u[subset] + distance * tangent[subset]))
+            other.put(subset, problem.evaluate(family[subset], last.u[subset] + distance * tangent[subset]))
         turned, best, tangents = np.zeros(len(lanes), bool), other.of(lanes), tangent.copy()
         sound = np.isfinite(other.matrix).all(axis=(1, 2))
         direction = np.linalg.svd(np.where(sound[:, None, None], other.matrix, 0.0))[2][:, -1]  # null vectors
@@ -70,7 +61,7 @@ def turn_corner(problem: Problem, family: Index, last: Evaluation, tangent: Unkn
                     break
                 t = sign * direction[subset]
                 guess = last.u[subset] + distance * t
-                now, right = correct(problem, family[subset], guess, t, np.einsum("ij,ij->i", t, guess))
+                now, right = problem.correct(family[subset], guess, t, np.einsum("ij,ij->i", t, guess))
                 right &= (now.signature == other.signature[subset]).all(axis=1)
                 right &= (now.signature != before.signature[subset]).any(axis=1)
                 right &= np.abs(now.u - guess).max(axis=1) < 0.5 * distance
@@ -96,7 +87,7 @@ def reindex_returns(
         for begin in problem.states(lane, u)[0]:
             states, total = [begin], 0.0
             for _ in range(min(cycles + 3, 2 * MOST_CYCLES)):
-                now = problem.at(lane, problem.unknowns(lane, states[-1][None, None], value))
+                now = problem.evaluate(lane, problem.unknowns(lane, states[-1][None, None], value))
                 total += float(now.times[0, 0])
                 if not np.isfinite(total) or total > (1 - SAME_PERIOD) * period:
                     break
@@ -106,7 +97,7 @@ def reindex_returns(
             guess = problem.unknowns(lane, np.stack(states)[None], value)
             row = np.zeros_like(guess)
             row[:, -1] = 1.0
-            now, converged = correct(problem, lane, guess, row, guess[:, -1])
+            now, converged = problem.correct(lane, guess, row, guess[:, -1])
             if converged[0] and np.abs(now.u - guess).max() < 100 * distance + 1e-3:
                 return now, unit_tangent(now.matrix, row * np.sign(tangent[:, -1:]))
     return None
