@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
-from vibrojax.periodic import early, ends
-from vibrojax.periodic.approach import Approach, _extrapolated, comes_closer
-from vibrojax.periodic.newton import Found
+from vibrojax.periodic import early
+from vibrojax.periodic import early_stopping as ends
+from vibrojax.periodic.approach import Approach, extrapolate, will_reach
+from vibrojax.periodic.newton import PeriodicOrbits
 from vibrojax.sweep.input.read import read_sweep
 
 LANES = 384
@@ -18,7 +19,7 @@ the label of the full run, 5,829 of which end on orbits; in float32 of 6,758 lan
 @pytest.fixture(autouse=True)
 def however_few(monkeypatch):
     """Also where to compile the return map takes longer than it spares."""
-    monkeypatch.setattr(ends, "WORTH", 0.0)
+    monkeypatch.setattr(ends, "EARLY_END_MIN_SECONDS", 0.0)
 
 
 def sweep(scene="vibro-impact", lanes=LANES, **run):
@@ -78,7 +79,7 @@ def test_the_same_bits_by_any_chunks():
 
 def test_not_where_it_is_not_worth_its_while(monkeypatch):
     monkeypatch.undo()
-    assert ends.WORTH == 5e6
+    assert ends.EARLY_END_MIN_SECONDS == 5e6
     few, many = read_sweep(sweep(lanes=8)), sweep(lanes=8, settle=1e6)
     assert ends.early_ends(few) is None
     assert ends.early_ends(read_sweep(many)) is not None
@@ -98,7 +99,7 @@ def lane(multipliers, away, repeats=100, bend=0.0, error=1e-4):
         returns.append(derivative @ returns[-1] + bend * returns[-1] ** 2)
     near = Approach(np.arange(1), np.ones((1, 3)), np.stack(returns[::-1])[..., None], np.zeros((1, 1, 3)))
     one = np.ones(1)
-    orbit = Found(
+    orbit = PeriodicOrbits(
         scales=np.ones((1, 3)),
         states=np.zeros((1, 1, 3)),
         times=np.ones((1, 1)),
@@ -110,7 +111,7 @@ def lane(multipliers, away, repeats=100, bend=0.0, error=1e-4):
         margin=one,
         steps=one,
     )
-    return comes_closer(near, orbit, np.array([float(repeats)]), 1e-7, error)[0]
+    return will_reach(near, orbit, np.array([float(repeats)]), 1e-7, error)[0]
 
 
 @pytest.mark.parametrize(
@@ -138,7 +139,7 @@ def test_extrapolation_of_a_linear_map():
     series = [state]
     for _ in range(7):
         series.append(fixed + derivative @ (series[-1] - fixed))
-    found = _extrapolated(np.stack(series[::-1])[..., None], np.ones((3, 1)), 1e-12)[:, 0]
+    found = extrapolate(np.stack(series[::-1])[..., None], np.ones((3, 1)), 1e-12)[:, 0]
     np.testing.assert_allclose(found, fixed, atol=1e-9)
 
 

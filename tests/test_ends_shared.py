@@ -5,8 +5,9 @@ import pytest
 
 import vibrojax as vj
 from vibrojax.analyses.sweep.workers.work import Work
-from vibrojax.periodic import early, ends
-from vibrojax.periodic.shared import Known, _rank
+from vibrojax.periodic import early
+from vibrojax.periodic import early_stopping as ends
+from vibrojax.periodic.early_stopping import OrbitPool, _rank_in_point
 from vibrojax.sweep.input.read import read_sweep
 
 BOX = {"x1": [-0.05, 0.05], "v1": [-2.0, 2.0], "x2": [-0.05, 0.05], "v2": [-3.0, 3.0]}
@@ -57,7 +58,7 @@ def test_labels_and_values_of_the_full_run(alone):
 
 
 def test_also_without_orbits_and_in_single_precision(alone, monkeypatch):
-    monkeypatch.setattr(ends, "SHARED_WORTH", 0.0)
+    monkeypatch.setattr(ends, "SHARING_MIN_SECONDS", 0.0)
     for precision in ("float64", "float32"):
         alone[1].clear()
         both = (vj.run_sweep(sweep(48, precision=precision, end_early=one), progress=False) for one in (True, False))
@@ -112,18 +113,18 @@ def test_where_it_is_worth_its_while():
     def kind(count, **run):
         return type(ends.early_ends(read_sweep(sweep(count, **run)))).__name__
 
-    assert ends.SHARED == 16 and ends.SHARED_WORTH == 1.5e6
-    assert kind(ends.SHARED, orbits=True) == "SharedEnds" and kind(ends.SHARED) == "NoneType"
-    assert kind(ends.SHARED - 1, orbits=True) == "NoneType"
+    assert ends.SHARING_MIN_STARTS == 16 and ends.SHARING_MIN_SECONDS == 1.5e6
+    assert kind(ends.SHARING_MIN_STARTS, orbits=True) == "SharedEnds" and kind(ends.SHARING_MIN_STARTS) == "NoneType"
+    assert kind(ends.SHARING_MIN_STARTS - 1, orbits=True) == "NoneType"
     assert kind(4096, settle=100.0) == "SharedEnds"
     assert kind(4096, settle=100.0, method="smoothed") == "NoneType"
 
 
 def test_candidates_are_of_the_own_point():
-    known = Known()
+    known = OrbitPool()
     known._points = np.array([4, 1, 4, 2])
     points = np.array([1, 4, 7, 2])
     assert [one.tolist() for one in known.candidates(points, 0)] == [[1, 0, -1, 3], [-1, 2, -1, -1]]
     assert [one.tolist() for one in known.candidates(points, 2)] == [[-1, 2, -1, 3]]
     assert list(known.candidates(points, 4)) == []
-    assert _rank(np.array([3, 1, 3, 3, 1])).tolist() == [0, 0, 1, 2, 1]
+    assert _rank_in_point(np.array([3, 1, 3, 3, 1])).tolist() == [0, 0, 1, 2, 1]

@@ -10,10 +10,10 @@ import time
 import numpy as np
 
 import vibrojax as vj
+from vibrojax.analyses.continuation.families import FamilyContinuation
 from vibrojax.analyses.continuation.problem import Problem
 from vibrojax.analyses.continuation.run import problem_of
 from vibrojax.analyses.continuation.spec import read_asked
-from vibrojax.analyses.continuation.trace import Tracer
 
 SPAN = (0.3, 1.6)
 
@@ -26,19 +26,19 @@ def problem(count: int) -> tuple[Problem, np.ndarray, list[np.ndarray]]:
 
 
 def main() -> None:
-    print("families  returns  branches  legs  points  special  seconds  processor  branches/s  points/s")
+    print("families  returns  branches  segments  points  special  seconds  processor  branches/s  points/s")
     for count in (10, 100, 400):
         equations, families, begin = problem(count)
-        Tracer(equations, cycles=2)(families[:2], begin[:2])
+        FamilyContinuation(equations, cycles=2)(families[:2], begin[:2])
         for cycles in (1, 2):
             wall, cpu = time.perf_counter(), time.process_time()
-            legs = Tracer(equations, cycles=cycles)(families, begin)
+            segments = FamilyContinuation(equations, cycles=cycles)(families, begin)
             wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
-            branches = len({(leg.family, leg.branch) for leg in legs})
-            points = sum(len(leg.at.u) for leg in legs if leg.at is not None)
-            special = sum(len(leg.marks) for leg in legs)
+            branches = len({(segment.family, segment.branch) for segment in segments})
+            points = sum(len(segment.points.u) for segment in segments if segment.points is not None)
+            special = sum(len(segment.marks) for segment in segments)
             print(
-                f"{len(families):8d} {cycles:8d} {branches:9d} {len(legs):5d} {points:7d} {special:8d} {wall:8.2f} "
+                f"{len(families):8d} {cycles:8d} {branches:9d} {len(segments):9d} {points:7d} {special:8d} {wall:8.2f} "
                 f"{cpu:10.2f} {branches / wall:11.1f} {points / wall:9.0f}"
             )
     sweep = vj.run_sweep(vj.read_sweep("regime-map", ["run.orbits=true"]), progress=False)

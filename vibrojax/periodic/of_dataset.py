@@ -1,4 +1,4 @@
-"""The orbits of a dataset's lanes, as families and borders begin with them."""
+"""Orbits read from a dataset, as initial solutions for families, borders and other analyses."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -12,15 +12,16 @@ from vibrojax.measures.repeats import scales
 from vibrojax.models.scenes import Scene
 from vibrojax.periodic.segments import Segments
 
-STRAYING = 8
-"""Steps, over the most that a return of these orbits takes, after which an orbit is taken not to return."""
-
-FOUND = ORBIT_REASONS.index("found")
+STEPS_FACTOR = 8
+"""Step limit of a return, relative to the largest number that these orbits take."""
 
 
 class KnownOrbits(NamedTuple):
-    """Orbits of some lanes: `lanes`, by index; the states at all returns of each, (cycles, states); the `scales`
-    (orbits, states); and the steps after which neighbours of theirs are taken not to return."""
+    """Orbits of the given `lanes`.
+
+    `states` (cycles, states) are those at all returns of each orbit, `scales` (orbits, states) belong to them.
+    A neighbouring motion that takes more than `most_steps` steps counts as not returning.
+    """
 
     lanes: Int[np.ndarray, " orbits"]
     states: list[Float[np.ndarray, "cycles states"]]
@@ -34,31 +35,31 @@ def known_orbits(
     parameters: Mapping[str, np.ndarray],
     lanes: Int[np.ndarray, " orbits"] | None = None,
 ) -> KnownOrbits:
-    """The orbits that were found of a dataset's lanes, or of some `lanes`, by index.
+    """Return the orbits of a dataset's lanes: of the given `lanes`, or of all with a found orbit.
 
-    **Arguments:** `scene`: what the return map is of; `parameters`: of all lanes by name, in the dataset's order.
+    **Arguments:** `scene`: of the return map; `parameters`: of all lanes by name, in the dataset's order.
     """
 
     def column(name: str) -> np.ndarray:
         return dataset[name].values.ravel()
 
     if lanes is None:
-        lanes = np.flatnonzero(column("orbit_reason") == FOUND)
+        lanes = np.flatnonzero(column("orbit_reason") == ORBIT_REASONS.index("found"))
     cycles = column("orbit_cycles")[lanes].astype(int)
-    here = np.stack([column(orbit_name(name))[lanes] for name in scene.return_states])
+    begin = np.stack([column(orbit_name(name))[lanes] for name in scene.return_states])
     if not len(lanes):
-        return KnownOrbits(lanes, [], here.T, 0.0)
-    go, given = Segments(scene), {name: x[lanes] for name, x in parameters.items()}
-    found, seen = [here], []
+        return KnownOrbits(lanes, [], begin.T, 0.0)
+    go, values = Segments(scene), {name: x[lanes] for name, x in parameters.items()}
+    returns, seen = [begin], []
     for _ in range(int(cycles.max())):
-        mapped = go(given, found[-1])
+        mapped = go(values, returns[-1])
         seen.append(mapped.seen)
-        found.append(np.asarray(mapped.state))
-    swings = (np.max([one.greatest for one in seen], axis=0) - np.min([one.least for one in seen], axis=0)) / 2
+        returns.append(np.asarray(mapped.state))
+    swings = (np.max([s.greatest for s in seen], axis=0) - np.min([s.least for s in seen], axis=0)) / 2
     size = np.where(swings > 0, swings, 1.0).T
     if scene.section is not None:
         amplitudes = tuple(column(swing.amplitude)[lanes] for swing in scene.section.swings)
-        for k, one in enumerate(scales(amplitudes, column("period")[lanes])):
-            size[:, k] = one
-    states = [np.stack([one[:, k] for one in found[: cycles[k]]]) for k in range(len(lanes))]
-    return KnownOrbits(lanes, states, size, STRAYING * max(float(one.steps.max()) for one in seen))
+        for k, scale in enumerate(scales(amplitudes, column("period")[lanes])):
+            size[:, k] = scale
+    states = [np.stack([state[:, k] for state in returns[: cycles[k]]]) for k in range(len(lanes))]
+    return KnownOrbits(lanes, states, size, STEPS_FACTOR * max(float(s.steps.max()) for s in seen))

@@ -1,10 +1,10 @@
-"""The return map: from one return to the section to the next, with its derivative, through all events on the way.
+"""The return map and its derivative: from one return to the section to the next, through all events between.
 
-Of a scene that is driven by pulses it is from the beginning of one to that of the next: stroboscopic.
+For a scene driven by pulses the map is stroboscopic: from the beginning of one pulse to that of the next.
 
-Steps are located, so the map is that of the exact motion but for their tolerance. A derivative in forward mode goes
-with the time of every event (the root's implicit derivative), so that what events do to a neighbour, the saltation, is
-in it (Leine and Nijmeijer, *Dynamics and Bifurcations of Non-Smooth Mechanical Systems*, 2004, chapter 7).
+Events are located, so the map is that of the exact motion within the step tolerance. Forward-mode derivatives include
+the implicit derivative of each event time, hence the saltation matrices of all events (Leine and Nijmeijer, *Dynamics
+and Bifurcations of Non-Smooth Mechanical Systems*, 2004, chapter 7).
 """
 
 from typing import Any, NamedTuple
@@ -21,30 +21,32 @@ from vibrojax.stepping import Accuracy, Goal, Lane, Step, Stepper, lane_at
 from vibrojax.sweep.engine.compiler import lane_function
 
 MOST_STEPS = 4000
-"""Of one return; one of the usual drill takes some fifty."""
+"""Steps of one return; the usual drill takes about fifty."""
 
 
 class Seen(NamedTuple):
-    """What is seen on the way, each (lanes,) but the ranges.
+    """Events and ranges of a motion between two returns; each (lanes,) unless stated otherwise.
 
-    - `returned`: whether the section was reached; `impacts` on the way; `steps` taken.
-    - `entered` (modes, 3, lanes): how often each mode changed to -1, to 0 and to 1.
-    - `margin`: how far the order of events is from changing, see [vibrojax.periodic.margin][].
-    - `least`, `greatest` (states, lanes): of the return map's states.
+    - `returned`: true if the section was reached; `impacts`: their number; `steps` taken.
+    - `mode_changes` (modes, 3, lanes): number of changes of each mode to -1, to 0 and to 1.
+    - `margin`: grazing margin, see [vibrojax.periodic.margin][].
+    - `least`, `greatest` (states, lanes): range of the return map's states.
     """
 
     returned: Flags
     impacts: Lanes
     steps: Lanes
-    entered: Array
+    mode_changes: Array
     margin: Lanes
     least: Array
     greatest: Array
 
 
 class Mapped(NamedTuple):
-    """Where lanes return: `state` (states, lanes), after the `time` [s]; its derivative `jacobian` (states, states and
-    parameters, lanes), by the state returned to and then by that begun with, or the parameter; and what was seen."""
+    """Images under the return map: `state` (states, lanes) after the `time` [s], and the motion between (`seen`).
+
+    `jacobian` (states, states and parameters, lanes): derivatives of the image by the initial state and parameters.
+    """
 
     state: Array
     time: Lanes
@@ -52,8 +54,8 @@ class Mapped(NamedTuple):
     seen: Seen
 
 
-class _Way(NamedTuple):
-    """Lanes on their way to the next return."""
+class _Flight(NamedTuple):
+    """Lanes between two returns."""
 
     lane: Lane
     time: Lanes
@@ -71,31 +73,34 @@ def mapped(
     accuracy: Accuracy,
     most_steps: Real,
 ) -> Mapped:
-    """The next return of lanes that stand at the section, and its derivative.
+    """Return the images of states at the section under the return map, and its derivative.
 
-    **Arguments:** `along`: names of the parameters that it is taken by too; `p`: parameters by name (lanes,); `state`
-    (states, lanes): of `scene.return_states`; `most_steps`: after which a lane is taken not to return.
+    **Arguments:**
+
+    - `along`: names of the parameters to differentiate by; `p`: all parameters by name, each (lanes,).
+    - `state` (states, lanes): values of `scene.return_states`.
+    - `most_steps`: a lane that takes more steps counts as not returning.
     """
     rows = state.shape[0]
 
-    def go(given: Array) -> tuple[tuple[Array, Lanes], Seen]:
-        varied = dict(zip(along, given[rows:], strict=True))
+    def image(unknowns: Array) -> tuple[tuple[Array, Lanes], Seen]:
+        varied = dict(zip(along, unknowns[rows:], strict=True))
         begin = jax.lax.stop_gradient(at_section(scene, state))
         c = scene.scaled(scene.constants(p | varied), begin)
-        return one_return(scene, stepper, c, given[:rows], accuracy, most_steps)
+        return one_return(scene, stepper, c, unknowns[:rows], accuracy, most_steps)
 
-    def push(tangent: Array) -> Any:
-        (there, time), (moved, _), seen = jax.jvp(go, (given,), (tangent,), has_aux=True)
+    def derivative(tangent: Array) -> Any:
+        (there, time), (moved, _), seen = jax.jvp(image, (unknowns,), (tangent,), has_aux=True)
         return there, time, moved, seen
 
-    given = jnp.stack([*state, *(p[name] for name in along)])
-    ways = jnp.broadcast_to(jnp.eye(len(given), dtype=state.dtype)[:, :, None], (len(given), *given.shape))
-    there, time, moved, seen = jax.vmap(push, out_axes=(None, None, 1, None))(ways)
+    unknowns = jnp.stack([*state, *(p[name] for name in along)])
+    basis = jnp.broadcast_to(jnp.eye(len(unknowns), dtype=state.dtype)[:, :, None], (len(unknowns), *unknowns.shape))
+    there, time, moved, seen = jax.vmap(derivative, out_axes=(None, None, 1, None))(basis)
     return Mapped(there, time, moved, seen)
 
 
 def at_section(scene: Scene[Any], state: Array) -> Values:
-    """All states of the scene at the section, each (lanes,), from those of the return map (states, lanes)."""
+    """Return all states of the scene at the section, each (lanes,), from the map's states (states, lanes)."""
     rows = dict(zip(scene.return_states, state, strict=True))
     zero = jnp.zeros_like(state[0])
     return tuple(rows.get(name, zero) for name in scene.state_names)
@@ -104,7 +109,7 @@ def at_section(scene: Scene[Any], state: Array) -> Values:
 def one_return(
     scene: Scene[Any], stepper: Stepper, c: Any, state: Array, accuracy: Accuracy, most_steps: Real = MOST_STEPS
 ) -> tuple[tuple[Array, Lanes], Seen]:
-    """((state at the next return, time [s] to it), what was seen on the way); pure, so that derivatives go through.
+    """Return ((image under the return map, time [s] to it), events between); pure, hence differentiable.
 
     **Arguments:** `c`: the scene's constants, scaled for the motion; `state` (states, lanes).
     """
@@ -113,42 +118,40 @@ def one_return(
     lane = lane_at(scene, c, at_section(scene, state))
     zero = jnp.zeros_like(state[0])
     none = jnp.zeros_like(zero, bool)
-    own = jax.lax.stop_gradient(_own(scene, lane))
-    entered = jnp.zeros((max(len(scene.modes), 1), 3, *zero.shape), zero.dtype)
-    begun = _Way(lane, zero, none, Seen(none, zero, zero, entered, jnp.full_like(zero, jnp.inf), own, own))
+    own = jax.lax.stop_gradient(_map_state(scene, lane))
+    changes = jnp.zeros((max(len(scene.modes), 1), 3, *zero.shape), zero.dtype)
+    begin = _Flight(lane, zero, none, Seen(none, zero, zero, changes, jnp.full_like(zero, jnp.inf), own, own))
 
-    def one(way: _Way) -> _Way:
-        moving = _active(way, most_steps)
-        lane, step = stepper.step(scene, c, way.lane, accuracy, Goal(jnp.inf, moving), marked=True)
-        armed, returns = passed(scene, section, c, way.armed, step)
-        seen = way.seen
-        own = jax.lax.stop_gradient(_own(scene, lane))
+    def is_moving(flight: _Flight) -> Flags:
+        return ~flight.seen.returned & (flight.seen.steps < most_steps) & jnp.isfinite(flight.lane.state[0])
+
+    def advance(flight: _Flight) -> _Flight:
+        moving = is_moving(flight)
+        lane, step = stepper.step(scene, c, flight.lane, accuracy, Goal(jnp.inf, moving), marked=True)
+        armed, returns = passed(scene, section, c, flight.armed, step)
+        seen = flight.seen
+        own = jax.lax.stop_gradient(_map_state(scene, lane))
         seen = Seen(
             returned=seen.returned | (returns & moving),
             impacts=seen.impacts + _impacts(scene, c, step),
             steps=seen.steps + moving.astype(seen.steps.dtype),
-            entered=seen.entered + _entered(step.mode, lane.mode),
-            margin=jnp.where(moving, margin.after(seen.margin, way.armed, lane, step), seen.margin),
+            mode_changes=seen.mode_changes + _mode_changes(step.mode, lane.mode),
+            margin=jnp.where(moving, margin.after(seen.margin, flight.armed, lane, step), seen.margin),
             least=jnp.minimum(seen.least, own),
             greatest=jnp.maximum(seen.greatest, own),
         )
-        return _Way(lane, way.time + step.dt, jnp.where(moving, armed, way.armed), seen)
+        return _Flight(lane, flight.time + step.dt, jnp.where(moving, armed, flight.armed), seen)
 
-    way = jax.lax.while_loop(lambda way: jnp.any(_active(way, most_steps)), one, begun)
-    return (_own(scene, way.lane), way.time), way.seen
-
-
-def _active(way: _Way, most_steps: Real) -> Flags:
-    return ~way.seen.returned & (way.seen.steps < most_steps) & jnp.isfinite(way.lane.state[0])
+    flight = jax.lax.while_loop(lambda flight: jnp.any(is_moving(flight)), advance, begin)
+    return (_map_state(scene, flight.lane), flight.time), flight.seen
 
 
-def _own(scene: Scene[Any], lane: Lane) -> Array:
-    """The return map's states of a lane, (states, lanes)."""
+def _map_state(scene: Scene[Any], lane: Lane) -> Array:
     return jnp.stack([lane.state[scene.place(name)] for name in scene.return_states])
 
 
-def _entered(before: tuple[Array, ...], after: tuple[Array, ...]) -> Array:
-    """Which modes have changed, to -1, to 0 or to 1, (modes, 3, lanes)."""
+def _mode_changes(before: tuple[Array, ...], after: tuple[Array, ...]) -> Array:
+    """Return indicators of the changes of each mode to -1, to 0 and to 1, (modes, 3, lanes)."""
     if not before:
         return jnp.zeros((1, 3, 1))
     rows = [[(old != new) & (new == value) for value in (-1, 0, 1)] for old, new in zip(before, after, strict=True)]
@@ -156,7 +159,7 @@ def _entered(before: tuple[Array, ...], after: tuple[Array, ...]) -> Array:
 
 
 def passed(scene: Scene[Any], section: Section | None, c: Any, armed: Flags, step: Step) -> tuple[Flags, Flags]:
-    """(whether the next zero counts, whether the step ends on the section), as where lanes are observed."""
+    """Return (lanes whose next zero is a return, lanes whose step ends on the section), as the observation counts."""
     if section is None:
         assert isinstance(scene, Driven)
         return armed, scene.pulse_begins(c, step.mode, step.hits)
@@ -168,7 +171,7 @@ def passed(scene: Scene[Any], section: Section | None, c: Any, armed: Flags, ste
 
 
 def _impacts(scene: Scene[Any], c: Any, step: Step) -> Lanes:
-    """1 where an impact begins at the end of the step."""
+    """Return 1 for lanes in which an impact begins at the end of the step, else 0."""
     if not isinstance(scene, HasContact):
         return jnp.zeros_like(step.dt)
     return scene.impact_begins(c, step.mode, step.after, step.hits).astype(step.dt.dtype)

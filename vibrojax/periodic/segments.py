@@ -1,4 +1,4 @@
-"""The return map of many segments at once, by all workers."""
+"""The return map of many segments at once, distributed over all workers."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -14,21 +14,20 @@ from vibrojax.periodic.return_map import MOST_STEPS, Mapped, mapped
 from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Located
 from vibrojax.sweep.engine.parallel import in_parallel
 
-SEGMENTS = 512
-"""Returns per call of the map, at most."""
+MAX_SEGMENTS_PER_CALL = 512
+"""Segments per call of the map, at most."""
 
-FEWEST = 64
-"""Returns per call below which another thread is not worth its while."""
+MIN_SEGMENTS_PER_THREAD = 64
+"""Returns below which another thread costs more than it saves."""
 
 STEPS = Accuracy(tolerance=1e-11, stride=LOCATED_STRIDE, step=np.inf)
-"""Of the return map. Over the default map multipliers are within 1.2e-8 of those at 1e-14, periods within 3e-13 s."""
+"""Accuracy of the steps. Over the default map multipliers are within 1.2e-8 of those at 1e-14, periods 3e-13 s."""
 
 
 class Segments:
     """The return map of a scene and its derivative, in float64.
 
-    **Arguments:** `along`: the parameters that it is taken by too; `most`: steps after which a lane is taken not to
-    return.
+    **Arguments:** `along`: parameters to differentiate by too; `most`: a lane that takes more steps does not return.
     """
 
     def __init__(
@@ -40,21 +39,22 @@ class Segments:
         self._workers = workers()
 
     def of(self, parameters: Mapping[str, Float[np.ndarray, " lanes"]]) -> ReturnMap:
-        """The return map of segments, each of one of the lanes that have such `parameters`."""
+        """Return the map `(lanes, states) -> Mapped` for lanes with the given parameters."""
         return lambda lanes, states: self({name: x[lanes] for name, x in parameters.items()}, states)
 
     def __call__(
         self, parameters: Mapping[str, Float[np.ndarray, " segments"]], states: Float[np.ndarray, "states segments"]
     ) -> Mapped:
-        """The next return of segments; arrays whose last axis is theirs."""
+        """Return the next return of each segment; the last axis of all arrays is that of the segments."""
         number = states.shape[1]
-        calls = max(-(-number // SEGMENTS), min(len(self._workers), number // FEWEST), 1)
+        by_threads = min(len(self._workers), number // MIN_SEGMENTS_PER_THREAD)
+        calls = max(-(-number // MAX_SEGMENTS_PER_CALL), by_threads, 1)
         items = np.array_split(np.arange(number), calls)
 
-        def work(_: jax.Device, some: np.ndarray) -> Mapped:
+        def work(_: jax.Device, part: np.ndarray) -> Mapped:
             with precision("float64"):
-                p = {name: x[some] for name, x in parameters.items()}
-                return mapped(self._scene, Located(), self._along, p, states[:, some], self._steps, self._most)
+                p = {name: x[part] for name, x in parameters.items()}
+                return mapped(self._scene, Located(), self._along, p, states[:, part], self._steps, self._most)
 
         if len(items) == 1:
             return work(self._workers[0], items[0])

@@ -1,4 +1,4 @@
-"""Curves around a region of a plane's points, from the places where it ends between neighbours (marching squares)."""
+"""Curves around a region of grid points, by marching squares with located vertices."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 
 
 class Vertex(NamedTuple):
-    """Where a region ends on an edge: `x`, `y`, and the `kind` of border."""
+    """End of a region on an edge: `x`, `y`, and the `kind` of border."""
 
     x: float
     y: float
@@ -16,10 +16,13 @@ class Vertex(NamedTuple):
 
 
 Crossing = tuple[int, int, int]
-"""An edge between two neighbours: the axis that it is along, and the lower of the points."""
+"""An edge crossed by a border: its axis, and the lower of its two points."""
 
 Ends = Callable[[tuple[int, int], tuple[int, int]], Vertex]
-"""`ends(inside, outside)`: where the region ends between two neighbouring points."""
+"""`ends(inside, outside)`: end of the region between two neighbouring points."""
+
+_Ring = list[tuple[bool, tuple[float, float], Crossing | None]]
+"""Corners and crossings around a square: (is in the region, position, crossing or None)."""
 
 
 class Border(NamedTuple):
@@ -32,84 +35,70 @@ class Border(NamedTuple):
 def around_region(
     inside: Bool[np.ndarray, "xs ys"], x: np.ndarray, y: np.ndarray, ends: Ends
 ) -> tuple[list[Border], float]:
-    """The borders of a region, and its share of the plane between the outermost points."""
+    """Return the borders of a region, and its share of the rectangle between the outermost points."""
     vertices: dict[Crossing, Vertex] = {}
     for axis in (0, 1):
-        one, other = (inside[:-1], inside[1:]) if axis == 0 else (inside[:, :-1], inside[:, 1:])
-        for i, j in np.argwhere(one != other).tolist():
+        lower, upper = (inside[:-1], inside[1:]) if axis == 0 else (inside[:, :-1], inside[:, 1:])
+        for i, j in np.argwhere(lower != upper).tolist():
             here, there = (i, j), (i + 1, j) if axis == 0 else (i, j + 1)
             vertices[axis, i, j] = ends(here, there) if inside[here] else ends(there, here)
     links: dict[Crossing, list[Crossing]] = {crossing: [] for crossing in vertices}
     area = 0.0
     for i in range(len(x) - 1):
         for j in range(len(y) - 1):
-            for polygon, pairs in _squares(inside, x, y, vertices, i, j):
-                area += _area(polygon)
-                for one_end, other_end in pairs:
-                    links[one_end].append(other_end)
-                    links[other_end].append(one_end)
+            corners = ((i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1))
+            sides = ((0, i, j), (1, i + 1, j), (0, i, j + 1), (1, i, j))
+            ring: _Ring = []
+            for corner, side in zip(corners, sides, strict=True):
+                ring.append((bool(inside[corner]), (float(x[corner[0]]), float(y[corner[1]])), None))
+                if side in vertices:
+                    ring.append((True, (vertices[side].x, vertices[side].y), side))
+            for polygon, (first, second) in _polygons(ring):
+                px, py = np.array(polygon).T
+                area += float(abs(np.dot(px, np.roll(py, -1)) - np.dot(py, np.roll(px, -1))) / 2)
+                if first is not None and second is not None:
+                    links[first].append(second)
+                    links[second].append(first)
     whole = (x[-1] - x[0]) * (y[-1] - y[0])
-    borders = [piece for chain in _chains(links) for piece in _pieces([vertices[one] for one in chain])]
+    borders = [piece for chain in _chains(links) for piece in _pieces([vertices[crossing] for crossing in chain])]
     return borders, area / whole if whole else 0.0
 
 
-def _squares(
-    inside: Bool[np.ndarray, "xs ys"],
-    x: np.ndarray,
-    y: np.ndarray,
-    vertices: dict[Crossing, Vertex],
-    i: int,
-    j: int,
-) -> list[tuple[list[tuple[float, float]], list[tuple[Crossing, Crossing]]]]:
-    """The parts of a square that are inside, as polygons, and which crossings each joins."""
-    corners = [(i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1)]
-    sides: list[Crossing] = [(0, i, j), (1, i + 1, j), (0, i, j + 1), (1, i, j)]
-    ring: list[tuple[bool, tuple[float, float], Crossing | None]] = []
-    for corner, crossing in zip(corners, sides, strict=True):
-        ring.append((bool(inside[corner]), (float(x[corner[0]]), float(y[corner[1]])), None))
-        if crossing in vertices:
-            ring.append((True, (vertices[crossing].x, vertices[crossing].y), crossing))
-    crossings = [side for _, _, side in ring if side is not None]
-    if not crossings:
-        return [([point for within, point, _ in ring if within], [])] if ring[0][0] else []
-    # Each run of corners inside, from the crossing before it to the one behind it; two at a saddle are kept apart.
-    first = next(k for k, (within, _, side) in enumerate(ring) if side is not None and _is_in(ring, k + 1))
-    ring = ring[first:] + ring[:first]
-    found = []
+def _polygons(ring: _Ring) -> list[tuple[list[tuple[float, float]], tuple[Crossing | None, Crossing | None]]]:
+    """Return the parts of a square in the region, with the two crossings that each joins; None without crossings.
+
+    Each part is a run of corners between two crossings, so that the two parts at a saddle stay separate.
+    """
+    if all(crossing is None for _, _, crossing in ring):
+        return [([point for _, point, _ in ring], (None, None))] if ring[0][0] else []
+    following = [*ring[1:], ring[0]]
+    enters = (now[2] is not None and after[0] and after[2] is None for now, after in zip(ring, following, strict=True))
+    first = list(enters).index(True)
+    polygons: list[tuple[list[tuple[float, float]], tuple[Crossing | None, Crossing | None]]] = []
     polygon: list[tuple[float, float]] = []
-    begun: list[Crossing] = []
-    for within, point, side in ring:
-        if side is not None:
-            polygon.append(point)
-            begun.append(side)
-            if len(begun) == 2:
-                found.append((polygon, [(begun[0], begun[1])]))
-                polygon, begun = [], []
-        elif within and begun:
-            polygon.append(point)
-    return found
-
-
-def _is_in(ring: list[tuple[bool, tuple[float, float], Crossing | None]], k: int) -> bool:
-    within, _, side = ring[k % len(ring)]
-    return within and side is None
-
-
-def _area(polygon: list[tuple[float, float]]) -> float:
-    x, y = np.array(polygon).T
-    return float(abs(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1))) / 2)
+    begin: Crossing | None = None
+    for within, point, crossing in ring[first:] + ring[:first]:
+        if crossing is None:
+            if within and begin is not None:
+                polygon.append(point)
+        elif begin is None:
+            polygon, begin = [point], crossing
+        else:
+            polygons.append(([*polygon, point], (begin, crossing)))
+            begin = None
+    return polygons
 
 
 def _chains(links: dict[Crossing, list[Crossing]]) -> list[list[Crossing]]:
-    """The crossings in the order in which they are joined; of closed chains the first is there again at the end."""
-    left = {crossing: list(others) for crossing, others in links.items()}
+    """Return the crossings in the order in which they are joined; closed chains repeat the first one at the end."""
+    remaining = {crossing: list(others) for crossing, others in links.items()}
     chains = []
-    for begin in sorted(left, key=lambda crossing: (len(left[crossing]), crossing)):
-        while left[begin]:
+    for begin in sorted(remaining, key=lambda crossing: (len(remaining[crossing]), crossing)):
+        while remaining[begin]:
             chain = [begin]
-            while left[chain[-1]]:
-                following = left[chain[-1]].pop()
-                left[following].remove(chain[-1])
+            while remaining[chain[-1]]:
+                following = remaining[chain[-1]].pop()
+                remaining[following].remove(chain[-1])
                 chain.append(following)
             chains.append(chain)
         if not links[begin]:
@@ -118,15 +107,15 @@ def _chains(links: dict[Crossing, list[Crossing]]) -> list[list[Crossing]]:
 
 
 def _pieces(chain: list[Vertex]) -> list[Border]:
-    """A chain cut where its kind changes, half-way between the two vertices."""
+    """Cut a chain where its kind changes, half-way between the two vertices."""
     pieces: list[Border] = []
     points: list[tuple[float, float]] = []
     for here, following in zip(chain, [*chain[1:], None], strict=True):
         points.append((here.x, here.y))
-        if following is None or following.kind != here.kind:
-            if following is not None:
-                middle = ((here.x + following.x) / 2, (here.y + following.y) / 2)
-                points.append(middle)
+        if following is None:
             pieces.append(Border(here.kind, np.array(points)))
-            points = [middle] if following is not None else []
+        elif following.kind != here.kind:
+            middle = ((here.x + following.x) / 2, (here.y + following.y) / 2)
+            pieces.append(Border(here.kind, np.array([*points, middle])))
+            points = [middle]
     return pieces

@@ -1,17 +1,26 @@
-"""The borders of the stable single impact in a plane of two parameters: `borders`."""
+"""Borders of the stable single impact in a plane of two parameters: `borders`."""
 
 import json
 from collections.abc import Mapping
 from datetime import UTC, datetime
+from functools import partial
 from os import PathLike
 from typing import Any
 
 import numpy as np
 import xarray as xr
-from jaxtyping import Bool
 
 from vibrojax.analyses.borders.curves import Border, Vertex, around_region
-from vibrojax.analyses.borders.spread import Cell, Loss, Orbits, Planes, spread
+from vibrojax.analyses.borders.propagation import (
+    Cell,
+    GridOrbit,
+    Loss,
+    OrbitsByCell,
+    Planes,
+    add_orbit,
+    find_orbit,
+    propagate,
+)
 from vibrojax.analyses.orbits.rerun import orbits as with_orbits
 from vibrojax.analyses.orbits.rerun import sweep_with_orbits
 from vibrojax.errors import InputError, shown
@@ -24,9 +33,9 @@ from vibrojax.periodic.of_dataset import known_orbits
 from vibrojax.sweep.input.definition import Sweep
 
 ANY = "any"
-"""Instead of a start: the region of orbits, however they are reached."""
+"""Name, in place of a start, of the region of all orbits, however they are reached."""
 
-USUAL_AXES = ("gamma", "beta")
+DEFAULT_AXES = ("gamma", "beta")
 
 
 def borders(
@@ -34,27 +43,27 @@ def borders(
     axes: tuple[str, str] | None = None,
     progress: bool = True,
 ) -> xr.Dataset:
-    """The borders of the stable single impact in a sweep's plane, as curves named by what happens there.
+    """Compute the borders of the stable single impact in a sweep's plane, as curves with the kind of each border.
 
         cur = vj.borders(ds)
 
-    The single impacts on which the sweep's lanes settle are followed along the lines of the grid, from point to point,
-    as far as they are stable single impacts; where one ceases to be that, a vertex is located. The vertices are joined
-    to curves around the region to which each start leads, and around that of all orbits however they are reached.
+    The single impacts on which the sweep's lanes settle are continued along the lines of the grid, from point to point,
+    while they are stable single impacts. A vertex is located where one ceases to be that. The vertices are joined to
+    curves around the region that each start leads to, and around that of all orbits, however they are reached.
 
     **Arguments:**
 
-    - `source`: the dataset of a sweep with a grid, or a sweep as `run_sweep` takes it. One without orbits is run again.
+    - `source`: the dataset of a sweep with a grid, or a sweep as in `run_sweep`. A sweep without orbits is run again.
     - `axes`: the two axes of the plane; by default gamma and beta, else the two with most values.
-    - `progress`: whether to say on stderr how far it is.
+    - `progress`: true to report progress on stderr.
 
-    **Returns:** a dataset. Along `vertex`: the two parameters, and `curve`, the number of the curve that it belongs to;
-    in order along the curve. Along `curve`: `kind` (fold, period-doubling, torus, grazing, stick, section, end; basin:
-    the orbit goes on, but this start no longer leads to it; not-settled: nor had the motion settled there), and as
-    coordinates `start` ("any": of all orbits) and the values of the axes beyond the two. Along `region`: `region_area`,
-    the share of the plane with a stable single impact, with the coordinates `region_start` and so on.
+    **Returns:** a dataset. Along `vertex`, in order along each curve: the two parameters, and `curve`, the number of
+    its curve. Along `curve`: `kind`, and as coordinates `start` ("any": of all orbits) and the values of the other
+    axes. The kinds are fold, period-doubling, torus, grazing, stick, section, end, basin (the orbit continues, but this
+    start no longer leads to it) and not-settled (as basin, but the motion had not settled). Along `region`:
+    `region_area`, the share of the plane with a stable single impact, with the coordinates `region_start` and so on.
 
-    **Raises:** `InputError` where it is no sweep over a grid of two parameters, or the scene has no impacts.
+    **Raises:** `InputError` if the source is not a sweep over a grid of two parameters, or if the scene has no impacts.
 
     **Example:**
 
@@ -63,7 +72,7 @@ def borders(
     >>> cur = vj.borders(plane, progress=False)
     >>> cur.region_start.values.tolist()
     ['stuck', 'any']
-    >>> bool(cur.region_area[0] < cur.region_area[1])  # where this start leads to one is less than where there is one
+    >>> bool(cur.region_area[0] < cur.region_area[1])  # not every orbit is reached from this start
     True
     """
     sweep = sweep_with_orbits(source)
@@ -73,12 +82,12 @@ def borders(
 
 
 def borders_of(sweep: Sweep, dataset: xr.Dataset, names: tuple[str, str]) -> xr.Dataset:
-    """The borders in the plane of two axes of a sweep, from its dataset with orbits; see `borders`."""
+    """Return the borders in the plane of two axes of a sweep, from its dataset with orbits; see `borders`."""
     return _Regions(sweep, dataset, names).dataset()
 
 
 def checked(sweep: Sweep, axes: tuple[str, str] | None) -> tuple[str, str]:
-    """The axes of the plane; raises `InputError` where the sweep has no such plane, or no impacts."""
+    """Return the axes of the plane; raise `InputError` if the sweep has no such plane, or no impacts."""
     if not isinstance(sweep.system, HasContact):
         raise InputError(f'borders: scene "{sweep.scene}" has no impacts; give a sweep of one with a striker')
     if sweep.run.carry is not None:
@@ -87,141 +96,128 @@ def checked(sweep: Sweep, axes: tuple[str, str] | None) -> tuple[str, str]:
     if len(long) < 2:
         raise InputError("borders: the sweep has no two axes of two values or more; give one with a [grid] of two")
     if axes is None:
-        if all(name in long for name in USUAL_AXES):
-            return USUAL_AXES
+        if all(name in long for name in DEFAULT_AXES):
+            return DEFAULT_AXES
         first, second = sorted(long, key=lambda name: -long[name])[:2]
         return first, second
     if len(axes) != 2 or axes[0] == axes[1] or any(name not in long for name in axes):
-        raise InputError(f"borders: axes {shown(axes)} are no two axes of the sweep; choose from {', '.join(long)}")
+        raise InputError(f"borders: axes {shown(axes)} are not two axes of the sweep; choose from {', '.join(long)}")
     return axes[0], axes[1]
 
 
 class _Regions:
-    """The regions of the single impact in all planes of a sweep, and their borders."""
+    """Regions of the single impact in all planes of a sweep, and their borders."""
 
     def __init__(self, sweep: Sweep, dataset: xr.Dataset, names: tuple[str, str]) -> None:
         self._sweep, self._names = sweep, names
         self._others = [name for name in sweep.axes if name not in names]
         order = [*self._others, *names, *(["start"] if sweep.crosses_starts else [])]
         dataset = dataset.transpose(*order, ...)
-        self._starts = [str(one) for one in dataset["start"].values] if sweep.crosses_starts else [""]
+        self._starts = [str(start) for start in dataset["start"].values] if sweep.crosses_starts else [""]
         self._sizes = tuple(dataset.sizes[name] for name in self._others)
         planes = int(np.prod(self._sizes))
         shape = (planes, dataset.sizes[names[0]], dataset.sizes[names[1]], len(self._starts))
-        values, _ = sweep.lane_values(0, sweep.lanes)
-        laid_out = {
-            name: xr.DataArray(x.reshape(sweep.shape), dims=sweep.dims).transpose(*order).values.reshape(shape)
-            for name, x in values.items()
-        }
-        self._regime = dataset["regime"].values.reshape(shape)
         scene = sweep.system.driving_part()
-        lanes = {name: laid_out[name].astype(float).ravel() for name in scene.parameters()}
+        values, _ = sweep.lane_values(0, sweep.lanes)
+        lanes = {}
+        for name in scene.parameters():
+            grid = xr.DataArray(values[name].reshape(sweep.shape), dims=sweep.dims).transpose(*order)
+            lanes[name] = grid.values.astype(float).ravel()
         known = known_orbits(scene, dataset, lanes)
         points = {name: x.reshape(shape)[..., 0] for name, x in lanes.items()}
         self._planes = Planes(names, (sweep.axes[names[0]], sweep.axes[names[1]]), points)
-        self._own = np.full(shape, -1)
-        self._orbits = Orbits()
-        single = self._regime == SINGLE_IMPACT
-        stable = dataset["stable"].values.reshape(shape) == 1
-        for k, lane in enumerate(known.lanes.tolist()):
-            plane, i, j, start = (int(one) for one in np.unravel_index(lane, shape))
-            if not (single[plane, i, j, start] and stable[plane, i, j, start] and len(known.states[k]) == 1):
+        self._regime = dataset["regime"].values.reshape(shape)
+        self._single = self._regime == SINGLE_IMPACT
+        settled = self._single & (dataset["stable"].values.reshape(shape) == 1)
+        self._own: dict[tuple[int, int, int, int], GridOrbit] = {}
+        self._orbits: OrbitsByCell = {}
+        for lane, states, scale in zip(known.lanes.tolist(), known.states, known.scales, strict=True):
+            plane, i, j, start = (int(k) for k in np.unravel_index(lane, shape))
+            if not settled[plane, i, j, start] or len(states) != 1:
                 continue
-            cell, state = (plane, i, j), known.states[k][0]
-            number = self._orbits.known(cell, state)
-            self._own[plane, i, j, start] = self._orbits.add(cell, state, known.scales[k]) if number is None else number
-        spread(scene, self._planes, self._orbits, known.most_steps)
-        self._single = single
+            cell, state = (plane, i, j), states[0]
+            orbit = find_orbit(self._orbits, cell, state) or add_orbit(self._orbits, cell, state, scale)
+            self._own[plane, i, j, start] = orbit
+        propagate(scene, self._planes, self._orbits, known.most_steps)
 
     def dataset(self) -> xr.Dataset:
-        """The curves and areas of all regions."""
-        found: list[tuple[Border, int, str]] = []
-        areas: list[tuple[int, str, float]] = []
+        """Return the curves and areas of all regions."""
+        curves: list[tuple[Border, int, str]] = []
+        areas: list[tuple[float, int, str]] = []
         x, y = self._planes.values
+        reached = np.zeros(self._planes.shape, bool)
+        for plane, i, j in self._orbits:
+            reached[plane, i, j] = True
         for plane in range(self._planes.shape[0]):
             for number, start in enumerate([*self._starts, ANY]):
-                inside = self._reached(plane) if start == ANY else self._inside(plane, number)
-                pieces, area = around_region(inside, x, y, self._ends(plane, None if start == ANY else number))
-                found += [(piece, plane, start) for piece in pieces]
-                areas.append((plane, start, area))
-        return self._described(found, areas)
+                inside = reached[plane] if start == ANY else self._single[plane, :, :, number]
+                ends = partial(self._vertex, plane, None if start == ANY else number)
+                pieces, area = around_region(inside, x, y, ends)
+                curves += [(piece, plane, start) for piece in pieces]
+                areas.append((area, plane, start))
+        return self._described(curves, areas)
 
-    def _inside(self, plane: int, start: int) -> Bool[np.ndarray, "xs ys"]:
-        """Where a start leads to a single impact."""
-        return self._single[plane, :, :, start]
+    def _vertex(self, plane: int, start: int | None, inside: tuple[int, int], outside: tuple[int, int]) -> Vertex:
+        """Return the end of the region of a start, or of all orbits, between two neighbouring points."""
+        cell: Cell = (plane, *inside)
+        axis = 0 if inside[0] != outside[0] else 1
+        step = (axis, outside[axis] - inside[axis])
+        begin, end = self._planes.value(cell, axis), self._planes.value((plane, *outside), axis)
+        orbits = self._orbits.get(cell, [])
+        if start is not None:
+            orbits = [self._own[(*cell, start)]] if (*cell, start) in self._own else []
+        leads = [orbit.leads.get(step) for orbit in orbits]
+        losses = [lead for lead in leads if isinstance(lead, Loss)]
+        value = (begin + end) / 2
+        if losses and len(losses) == len(leads):
+            furthest = max(losses, key=lambda loss: abs(loss.value - begin))
+            value, kind = furthest.value, BORDER_KINDS[furthest.kind]
+        elif not leads:
+            kind = "end"
+        else:
+            settled = start is None or self._regime[(plane, *outside, start)] != UNDECIDED
+            kind = "basin" if settled else "not-settled"
+        place = [self._planes.value(cell, 0), self._planes.value(cell, 1)]
+        place[axis] = value
+        return Vertex(place[0], place[1], kind)
 
-    def _reached(self, plane: int) -> Bool[np.ndarray, "xs ys"]:
-        """Where there is a stable single impact."""
-        inside = np.zeros(self._planes.shape[1:], bool)
-        for which, i, j in self._orbits.at:
-            inside[i, j] |= which == plane
-        return inside
+    def _described(self, curves: list[tuple[Border, int, str]], areas: list[tuple[float, int, str]]) -> xr.Dataset:
+        """Return the dataset of curves and areas, each with its plane and start."""
+        sweep, parameters = self._sweep, self._sweep.system.parameters()
 
-    def _ends(self, plane: int, start: int | None) -> Any:
-        """Where the region of a start, or of all orbits, ends between two points."""
+        def described(name: str) -> dict[str, str]:
+            parameter = parameters[name]
+            return {"units": parameter.unit, "long_name": parameter.long_name, "symbol": parameter.symbol}
 
-        def ends(here: tuple[int, int], there: tuple[int, int]) -> Vertex:
-            cell: Cell = (plane, *here)
-            axis = 0 if here[0] != there[0] else 1
-            step = (axis, there[axis] - here[axis])
-            numbers = self._orbits.at.get(cell, []) if start is None else [int(self._own[(*cell, start)])]
-            losses = [self._orbits.leads[n].get(step) for n in numbers if n >= 0]
-            where = [loss for loss in losses if isinstance(loss, Loss)]
-            if len(where) == len(losses) and where:
-                begin = self._planes.value(cell, axis)
-                furthest = max(where, key=lambda loss: abs(loss.value - begin))
-                return self._vertex(cell, axis, furthest.value, BORDER_KINDS[furthest.kind])
-            middle = (self._planes.value(cell, axis) + self._planes.value((plane, *there), axis)) / 2
-            if not losses:
-                return self._vertex(cell, axis, middle, "end")
-            settled = start is None or self._regime[(plane, *there, start)] != UNDECIDED
-            return self._vertex(cell, axis, middle, "basin" if settled else "not-settled")
-
-        return ends
-
-    def _vertex(self, cell: Cell, axis: int, value: float, kind: str) -> Vertex:
-        at = [self._planes.value(cell, 0), self._planes.value(cell, 1)]
-        at[axis] = value
-        return Vertex(at[0], at[1], kind)
-
-    def _described(self, found: list[tuple[Border, int, str]], areas: list[tuple[int, str, float]]) -> xr.Dataset:
-        parameters = self._sweep.system.parameters()
-
-        def about(name: str, long_name: str = "") -> dict[str, str]:
-            one = parameters[name]
-            return {"units": one.unit, "long_name": long_name or one.long_name, "symbol": one.symbol}
-
-        vertices = np.concatenate([piece.points for piece, _, _ in found]) if found else np.zeros((0, 2))
-        number = np.repeat(np.arange(len(found)), [len(piece.points) for piece, _, _ in found])
-        kinds = np.array([BORDER_KINDS.index(piece.kind) for piece, _, _ in found], np.int8)
+        vertices = np.concatenate([piece.points for piece, _, _ in curves]) if curves else np.zeros((0, 2))
+        number = np.repeat(np.arange(len(curves)), [len(piece.points) for piece, _, _ in curves])
+        kinds = np.array([BORDER_KINDS.index(piece.kind) for piece, _, _ in curves], np.int8)
         variables: dict[str, Any] = {
             "curve": ("vertex", number.astype(np.int32), OF_BORDERS["curve"].attributes()),
             "kind": ("curve", kinds, OF_BORDERS["kind"].attributes()),
-            "region_area": ("region", np.array([area for *_, area in areas]), OF_BORDERS["region_area"].attributes()),
+            "region_area": ("region", np.array([area for area, _, _ in areas]), OF_BORDERS["region_area"].attributes()),
         }
         for k, name in enumerate(self._names):
-            variables[name] = ("vertex", vertices[:, k], about(name))
+            variables[name] = ("vertex", vertices[:, k], described(name))
         coordinates: dict[str, Any] = {}
-        for dimension, prefix, planes, starts in (
-            ("curve", "", [plane for _, plane, _ in found], [start for *_, start in found]),
-            ("region", "region_", [plane for plane, *_ in areas], [start for _, start, _ in areas]),
-        ):
-            of = {"units": "1", "long_name": "start of the motions whose region it is; any: of all orbits"}
-            if self._sweep.crosses_starts:
-                coordinates[f"{prefix}start"] = (dimension, np.array(starts, str), of)
-            at = np.unravel_index(np.array(planes, int), self._sizes) if self._sizes else ()
-            for name, places in zip(self._others, at, strict=True):
-                coordinates[f"{prefix}{name}"] = (dimension, self._sweep.axes[name][places], about(name))
+        start_attributes = {"units": "1", "long_name": "start of the motions whose region it is; any: of all orbits"}
+        for dimension, prefix, rows in (("curve", "", curves), ("region", "region_", areas)):
+            planes, starts = [plane for _, plane, _ in rows], [start for _, _, start in rows]
+            if sweep.crosses_starts:
+                coordinates[f"{prefix}start"] = (dimension, np.array(starts, str), start_attributes)
+            indices = np.unravel_index(np.array(planes, int), self._sizes) if self._sizes else ()
+            for name, index in zip(self._others, indices, strict=True):
+                coordinates[f"{prefix}{name}"] = (dimension, sweep.axes[name][index], described(name))
         attributes = {
-            "title": f"Borders of the stable single impact: {self._sweep.title or self._sweep.name}",
-            "scene": self._sweep.scene,
+            "title": f"Borders of the stable single impact: {sweep.title or sweep.name}",
+            "scene": sweep.scene,
             **provenance(),
             "history": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} borders",
-            "sweep": self._sweep.text,
-            **self._sweep.options,
+            "sweep": sweep.text,
+            **sweep.options,
             "axes": list(self._names),
-            "parameters": json.dumps(self._sweep.parameters),
-            "differing": json.dumps(differing(self._sweep.system.parameters(), self._sweep.parameters)),
+            "parameters": json.dumps(sweep.parameters),
+            "differing": json.dumps(differing(parameters, sweep.parameters)),
             "Conventions": "CF-1.11",
         }
         return xr.Dataset(variables, coordinates, attributes)

@@ -1,1 +1,1 @@
-"""Families of periodic orbits over a parameter, stable and unstable, and their special points."""
+"""Continuation of families of periodic orbits over a parameter, and their special points."""

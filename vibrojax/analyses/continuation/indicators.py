@@ -1,67 +1,47 @@
-"""What passes zero along a family where its stability changes: at folds, period doublings and tori."""
+"""Test functions of families: they pass zero at folds, period doublings and tori."""
 
 from collections.abc import Callable
 
 import numpy as np
-from jaxtyping import Complex, Float
+from jaxtyping import Float, Int
 
-from vibrojax.analyses.continuation.problem import At, Flags, PerLane, Unknowns
+from vibrojax.analyses.continuation.problem import Evaluation, Flags, PerLane, Unknowns
 from vibrojax.io.derived import SPECIAL_KINDS
+from vibrojax.periodic.newton import multipliers
 
 KINDS = SPECIAL_KINDS
 """Kinds of special points, in the order of their flags."""
 
-CLOSE = 1e-3
-"""Distance from where it belongs within which the multiplier of a located point must be. Where events begin or vanish
-multipliers may jump over it, which is a point of another kind."""
-
-Multipliers = Complex[np.ndarray, "lanes states"]
-
-
-def multipliers(product: Float[np.ndarray, "lanes states states"]) -> Multipliers:
-    """The eigenvalues, by falling modulus."""
-    sound = np.isfinite(product).all(axis=(1, 2))
-    values = np.linalg.eigvals(np.where(sound[:, None, None], product, 0.0)).astype(complex)
-    values[~sound] = np.nan
-    return np.take_along_axis(values, np.argsort(-np.abs(values), axis=1, kind="stable"), axis=1)
+CRITICAL_DISTANCE = 1e-3
+"""Largest distance of a located point's multiplier from its critical value. Where events begin or vanish, multipliers
+may jump over that value; such a point is of another kind."""
 
 
 def spectral_radius(product: Float[np.ndarray, "lanes states states"]) -> PerLane:
-    """The greatest modulus of a multiplier."""
+    """Return the greatest modulus of a multiplier."""
     return np.abs(multipliers(product)[:, 0])
 
 
-def _fold(at: At, tangent: Unknowns) -> PerLane:
-    """The tangent's part along the parameter."""
-    return tangent[:, -1]
-
-
-def _doubling(at: At, tangent: Unknowns) -> PerLane:
-    """det(M + 1)."""
-    return np.linalg.det(at.product + np.eye(at.product.shape[1]))
-
-
-def _torus(at: At, tangent: Unknowns) -> PerLane:
-    """The product of mu_i mu_j - 1 over all pairs (Kuznetsov, *Elements of Applied Bifurcation Theory*, 10.2)."""
-    values = multipliers(at.product)
+def _torus(evaluation: Evaluation, _: Unknowns) -> PerLane:
+    """Return the product of mu_i mu_j - 1 over pairs (Kuznetsov, *Elements of Applied Bifurcation Theory*, 10.2)."""
+    values = multipliers(evaluation.product)
     first, second = np.triu_indices(values.shape[1], 1)
     return np.prod(values[:, first] * values[:, second] - 1, axis=1).real
 
 
-INDICATORS: dict[str, Callable[[At, Unknowns], PerLane]] = {
-    "fold": _fold,
-    "period-doubling": _doubling,
+TEST_FUNCTIONS: dict[str, Callable[[Evaluation, Unknowns], PerLane]] = {
+    "fold": lambda _, tangent: tangent[:, -1],
+    "period-doubling": lambda now, _: np.linalg.det(now.product + np.eye(now.product.shape[1])),
     "torus": _torus,
 }
-"""By kind: what vanishes there; (lanes,) of the equations at a point and the tangent."""
+"""By kind: the tangent's component along the parameter, det(M + 1) of the repeat's derivative M, and `_torus`."""
 
 
-def holds(kind: str, product: Float[np.ndarray, "lanes states states"]) -> Flags:
-    """Whether there is a multiplier where those of a located point of that kind have one (lanes,)."""
+def is_critical(kind: Int[np.ndarray, " lanes"], product: Float[np.ndarray, "lanes states states"]) -> Flags:
+    """Return which lanes have a multiplier near the critical value of their `kind` (a flag)."""
     values = multipliers(product)
-    if kind == "fold":
-        return np.abs(values - 1).min(axis=1) < CLOSE
-    if kind == "period-doubling":
-        return np.abs(values + 1).min(axis=1) < CLOSE
-    pair = (np.abs(values.imag) > CLOSE) & (np.abs(np.abs(values) - 1) < CLOSE)
-    return pair.any(axis=1)
+    fold, doubling = (np.abs(values - critical).min(axis=1) < CRITICAL_DISTANCE for critical in (1, -1))
+    on_circle = np.abs(np.abs(values) - 1) < CRITICAL_DISTANCE
+    torus = ((np.abs(values.imag) > CRITICAL_DISTANCE) & on_circle).any(axis=1)
+    names = ("fold", "period-doubling", "torus")
+    return np.select([kind == KINDS.index(name) for name in names], [fold, doubling, torus], False)

@@ -1,117 +1,128 @@
-"""The points of families in order, and their special points, from the legs that were followed."""
+"""Table of the points of families: their order along branches, values, and measured features."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 from itertools import groupby
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
 
-from vibrojax.analyses.continuation.indicators import KINDS, multipliers
-from vibrojax.analyses.continuation.legs import Leg
-from vibrojax.analyses.continuation.problem import At, Problem
+from vibrojax.analyses.continuation.branch_segments import Segment
+from vibrojax.analyses.continuation.problem import Evaluation, Problem
+from vibrojax.io.variables import orbit_name
+from vibrojax.periodic.measured import Measuring, begun, joined
+from vibrojax.periodic.newton import multipliers
+from vibrojax.sweep.input.definition import Sweep
 
-SPACING = 0.02
+POINT_SPACING = 0.02
 """Distance over the scales within which points that are not special are left out."""
 
+STEPS_PER_RETURN = 60.0
+"""Rough number of steps of a return; lanes with similar numbers are stepped together."""
 
-class Point(NamedTuple):
-    """One orbit of a family: `at` has it, of one lane."""
+ORBIT_FEATURES = frozenset({"period", "cycles", "impacts", "returns", "settling_time", "trend", "steps"})
+"""Features that follow from the orbit itself, or that are meaningless for it."""
+
+
+Table = dict[str, np.ndarray]
+
+
+class FamilyPoint(NamedTuple):
+    """One orbit of a family, with the kind and the note of a special point."""
 
     family: int
     branch: int
-    at: At
+    orbit: Evaluation
+    kind: str = ""
+    note: str = ""
 
 
-class SpecialPoint(NamedTuple):
-    """A special point: its `kind` as a flag, the orbit there, and what there is to say."""
-
-    kind: int
-    point: Point
-    note: str
-
-
-class Columns(NamedTuple):
-    """What points are, each (points,), of the multipliers (points, states)."""
-
-    family: Int[np.ndarray, " points"]
-    branch: Int[np.ndarray, " points"]
-    value: Float[np.ndarray, " points"]
-    cycles: Int[np.ndarray, " points"]
-    period: Float[np.ndarray, " points"]
-    impacts: Float[np.ndarray, " points"]
-    margin: Float[np.ndarray, " points"]
-    multiplier_abs: Float[np.ndarray, "points states"]
-    multiplier_arg: Float[np.ndarray, "points states"]
-
-
-def in_order(legs: Iterable[Leg]) -> tuple[list[Point], list[SpecialPoint]]:
-    """The points of all branches, each from one end to the other, and the special points in the same order."""
-    points: list[Point] = []
-    special: list[SpecialPoint] = []
-    ordered = sorted(legs, key=lambda leg: (leg.family, leg.branch, leg.way * (leg.number + 1)))
-    for (family, branch), some in groupby(ordered, key=lambda leg: (leg.family, leg.branch)):
-        for leg in some:
-            along, marks = _with_marks(leg)
-            # Against the way it was followed; where two legs meet at the branch's beginning it is there once.
-            along = along[::-1] if leg.way < 0 else along
+def in_order(segments: Iterable[Segment]) -> tuple[list[FamilyPoint], list[FamilyPoint]]:
+    """Return the points of all branches, each from one end to the other, and the special points in the same order."""
+    points: list[FamilyPoint] = []
+    special: list[FamilyPoint] = []
+    ordered = sorted(segments, key=lambda s: (s.family, s.branch, s.direction * (s.number + 1)))
+    for (family, branch), of_branch in groupby(ordered, key=lambda s: (s.family, s.branch)):
+        for segment in of_branch:
+            along, marks = _thin_out(segment)
+            if segment.direction < 0:
+                along, marks = along[::-1], marks[::-1]
+            # The two segments that meet at the first point of the branch both contain it.
             same = points and (points[-1].family, points[-1].branch) == (family, branch)
-            if same and along and _distance(points[-1].at, along[0]) < 1e-12:
+            if same and along and _distance(points[-1].orbit, along[0]) < 1e-12:
                 along = along[1:]
-            points += [Point(family, branch, at) for at in along]
-            special += marks[::-1] if leg.way < 0 else marks
+            points += [FamilyPoint(family, branch, orbit) for orbit in along]
+            special += marks
     return points, special
 
 
-def _with_marks(leg: Leg) -> tuple[list[At], list[SpecialPoint]]:
-    """The orbits of a leg, its special ones among them, and those alone."""
-    assert leg.at is not None
-    found: list[At] = []
-    marks: list[SpecialPoint] = []
-    waiting = list(leg.marks)
-    last = len(leg.at.u) - 1
+def _thin_out(segment: Segment) -> tuple[list[Evaluation], list[FamilyPoint]]:
+    """Return the orbits of a segment at the spacing of points, with the special ones among them, and the latter."""
+    orbits: list[Evaluation] = []
+    marks: list[FamilyPoint] = []
+    pending = list(segment.marks)
+    last = len(segment.orbits.u) - 1
     for k in range(last + 1):
-        at = leg.at.of([k])
-        if k in (0, last) or not found or _distance(found[-1], at) >= SPACING:
-            found.append(at)
-        while waiting and waiting[0].place <= k:
-            mark = waiting.pop(0)
-            marks.append(SpecialPoint(KINDS.index(mark.kind), Point(leg.family, leg.branch, mark.at), mark.note))
-            if _distance(found[-1], mark.at) > 0:
-                found.append(mark.at)
-    return found, marks
+        orbit = segment.orbits.of([k])
+        if k in (0, last) or not orbits or _distance(orbits[-1], orbit) >= POINT_SPACING:
+            orbits.append(orbit)
+        while pending and pending[0].place <= k:
+            mark = pending.pop(0)
+            marks.append(FamilyPoint(segment.family, segment.branch, mark.orbit, mark.kind, mark.note))
+            if _distance(orbits[-1], mark.orbit) > 0:
+                orbits.append(mark.orbit)
+    return orbits, marks
 
 
-def _distance(one: At, other: At) -> float:
-    """Over the scales; infinite between orbits of other numbers of returns."""
-    if one.u.shape != other.u.shape:
+def _distance(first: Evaluation, second: Evaluation) -> float:
+    """Return the distance over the scales; infinite between orbits with different numbers of returns."""
+    if first.u.shape != second.u.shape:
         return np.inf
-    return float(np.abs(one.u - other.u).max())
+    return float(np.abs(first.u - second.u).max())
 
 
-def columns(problem: Problem, points: list[Point]) -> Columns:
-    """What the points are."""
+def columns(problem: Problem, points: list[FamilyPoint]) -> Table:
+    """Return the values of points by the names of their variables, each (points,) or (points, states)."""
     rows = problem.rows
-    values = multipliers(
-        np.concatenate([point.at.product for point in points]) if points else np.zeros((0, rows, rows))
-    )
+    values = multipliers(np.array([point.orbit.product[0] for point in points]).reshape(-1, rows, rows))
     family = np.array([point.family for point in points], int)
-    cycles = np.array([point.at.times.shape[1] for point in points], int)
-    last = np.array([point.at.u[0, -1] for point in points], float)
-    return Columns(
-        family=family,
-        branch=np.array([point.branch for point in points], int),
-        value=last * problem.unit[family],
-        cycles=cycles,
-        period=np.array([point.at.times.sum() for point in points], float) / np.maximum(cycles, 1),
-        impacts=np.array([point.at.impacts[0] for point in points], float),
-        margin=np.array([point.at.margin[0] for point in points], float),
-        multiplier_abs=np.abs(values),
-        multiplier_arg=np.abs(np.angle(values)),
-    )
+    cycles = np.array([point.orbit.times.shape[1] for point in points], int)
+    states = np.array([point.orbit.u[0, :rows] for point in points]).reshape(-1, rows) * problem.scales[family]
+    return {
+        "family": family,
+        problem.along: np.array([point.orbit.u[0, -1] for point in points], float) * problem.unit[family],
+        "branch": np.array([point.branch for point in points], int),
+        "stable": np.where(np.isfinite(values).all(axis=1), np.abs(values[:, 0]) < 1, -1),
+        "period": np.array([point.orbit.times.sum() for point in points], float) / np.maximum(cycles, 1),
+        "cycles": cycles,
+        "impacts": np.array([point.orbit.impacts[0] for point in points], float),
+        "grazing_margin": np.array([point.orbit.margin[0] for point in points], float),
+        **dict(zip(map(orbit_name, problem.scene.return_states), states.T, strict=True)),
+        "multiplier_abs": np.abs(values),
+        "multiplier_arg": np.abs(np.angle(values)),
+    }
 
 
-def states(problem: Problem, points: list[Point]) -> Float[np.ndarray, "points states"]:
-    """The first state at the section of each."""
-    first = [point.at.u[0, : problem.rows] * problem.scales[point.family] for point in points]
-    return np.array(first).reshape(len(points), problem.rows)
+def measured(sweep: Sweep, problem: Problem, points: list[FamilyPoint], table: Table) -> Table:
+    """Return features of the points by name, each (points,); NaN where the measurement failed.
+
+    **Arguments:** `sweep`: one point for each family, with all parameters but that of the continuation.
+    """
+    fixed = {name: x[table["family"]] for name, x in (sweep.points or {}).items()}
+    run = replace(sweep.run, orbits=False, keep_returns=0)
+    lanes = replace(sweep, points=fixed | {problem.along: table[problem.along]}, run=run)
+    parts = []
+    for cycles in sorted(set(table["cycles"].tolist())):
+        subset = np.flatnonzero(table["cycles"] == cycles)
+        u = np.concatenate([points[k].orbit.u for k in subset])
+        times = np.concatenate([points[k].orbit.times for k in subset])
+        steps = np.full(len(subset), STEPS_PER_RETURN * cycles)
+        parts.append(begun(subset, problem.states(table["family"][subset], u), times, steps))
+    orbits = joined(parts)
+    features, whole = Measuring(lanes)(0, lanes.lanes, orbits)
+    measures: Table = {}
+    for name, x in features.items():
+        if x.ndim == 1 and x.dtype.kind == "f" and name not in ORBIT_FEATURES:
+            measures[name] = np.full(len(points), np.nan)
+            measures[name][orbits.lanes] = np.where(whole, x, np.nan)
+    return measures

@@ -1,24 +1,23 @@
-"""Families of periodic orbits over one parameter: `follow`."""
+"""Continuation of families of periodic orbits over one parameter: `follow`."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from vibrojax.analyses.continuation.measures import measured
-from vibrojax.analyses.continuation.points import Point, SpecialPoint, columns, in_order, states
-from vibrojax.analyses.continuation.problem import STEPS, Problem
-from vibrojax.analyses.continuation.spec import Asked, read_asked
-from vibrojax.analyses.continuation.trace import Tracer
-from vibrojax.analyses.continuation.walk import CONVERGED
+from vibrojax.analyses.continuation.families import FamilyContinuation
+from vibrojax.analyses.continuation.indicators import KINDS
+from vibrojax.analyses.continuation.points import FamilyPoint, columns, in_order, measured
+from vibrojax.analyses.continuation.problem import CONVERGED, STEPS, Problem
+from vibrojax.analyses.continuation.spec import FamilySpec, read_asked
 from vibrojax.analyses.sweep.run import run_sweep
 from vibrojax.errors import Place
 from vibrojax.io.derived import OF_FAMILIES
 from vibrojax.io.provenance import provenance
-from vibrojax.io.variables import ORBIT_REASONS, REASONS, VARIABLES, orbit_name
+from vibrojax.io.variables import ORBIT_REASONS, REASONS, VARIABLES
 from vibrojax.measures.labels import REGIMES
 from vibrojax.measures.ledger import MOST_CYCLES
 from vibrojax.models.physics.parameters import ROTATION, Parameter, differing
@@ -27,10 +26,9 @@ from vibrojax.periodic.margin import HOW
 from vibrojax.periodic.of_dataset import known_orbits
 from vibrojax.sweep.engine.labelled import measured_besides, of_orbits
 from vibrojax.sweep.input.definition import Sweep
-from vibrojax.sweep.input.starts import Start
 
-UNITS = 8
-"""Of the parameter, between its bounds: what a step over the scales is along it."""
+UNITS_PER_SPAN = 8
+"""Units of the scaled parameter between its bounds; they relate steps along it to steps of the states."""
 
 
 def follow(
@@ -46,35 +44,34 @@ def follow(
     progress: bool = True,
     **parameters: Any,
 ) -> xr.Dataset:
-    """The family of periodic orbits over one parameter, stable and unstable, with its special points.
+    """Continue the family of periodic orbits over one parameter, stable and unstable, and locate its special points.
 
         fam = vj.follow("vibro-impact", along="gamma", at=0.75, span=(0.3, 1.6), start="stuck", beta=0.4)
 
-    The family begins with the orbit on which the motion at `along` = `at` settles, and is followed both ways by
-    pseudo-arclength continuation, through folds, around the corners that it has where an impact or a stick begins or
-    vanishes, and onto the branches of twice the period at period doublings. Where the order of events changes it does
-    so by itself.
+    The family begins with the orbit on which the motion at `along` = `at` settles. Pseudo-arclength continuation
+    follows it in both directions: through folds, around the corners where an impact or a stick begins or vanishes, and
+    onto the branches of twice the period at period doublings. Changes in the order of events are handled automatically.
 
     **Arguments:**
 
-    - `scene`: a name or a scene; `parameters`: any of its (SI), as `simulate` takes them. One or several may be
-      sequences of one length: then as many families are followed, all at once, numbered along `family`.
-    - `along`: the name of the parameter; `at`: its value where the family begins; `span`: its bounds, `at` between.
-    - `start`: of the motion that settles, by default the scene's first; `settle` [s]: for how long it does, and
-      `observe` [s]: how long it is then watched, nine returns at least.
-    - `cycles`: the most returns of doubled branches that are followed, 1 to 8; 1 for no such branch.
-    - `progress`: whether to say on stderr how far it is.
+    - `scene`: a name or a scene; `parameters`: any of its parameters (SI), as in `simulate`. One or several may be
+      sequences of the same length; then one family per element is continued, along the dimension `family`.
+    - `along`: name of the parameter; `at`: its value at the first orbit; `span`: its bounds, with `at` between them.
+    - `start`: initial condition of the motion that settles, by default the scene's first; `settle` [s]: its duration;
+      `observe` [s]: duration of the observation, at least nine returns.
+    - `cycles`: largest number of returns of doubled branches, 1 to 8; 1 for no doubled branches.
+    - `progress`: true to report progress on stderr.
 
-    **Returns:** a dataset. Along `point`: `branch` (0 is the one begun with), the parameter, `stable`,
-    `multiplier_abs`, `multiplier_arg` [rad] along `multiplier`, `period` [s] (per return), `cycles`, `impacts` (per
-    repeat), `grazing_margin`, the state at the section (`orbit_x1` and so on), and what a sweep measures of the scene,
-    over the repeat. Along `special`: `special_kind` (fold, period-doubling, torus, grazing, stick, section, end),
-    `special_value` of the parameter, `special_branch`, and `special_note`. *Grazing* is where an impact begins or
-    vanishes, or another event that is no stick: then the note names what it is of, as where rock begins to yield.
-    Multipliers at a special point are those on the side from which it was reached; beside a grazing impact they hold
-    over a very small distance. A doubled branch that joins another orbit at its end too is listed once.
+    **Returns:** a dataset. Along `point`: `branch` (0 is the first), the parameter, `stable`, `multiplier_abs` and
+    `multiplier_arg` [rad] along `multiplier`, `period` [s] (per return), `cycles`, `impacts` (per repeat) and
+    `grazing_margin`. The state at the section (`orbit_x1` and so on) and the scene's measures over the repeat follow.
+    Along `special`: `special_kind` (fold, period-doubling, torus, grazing, stick, section, end), `special_value` of the
+    parameter, `special_branch`, and `special_note`. At a *grazing* point an impact begins or vanishes, or another event
+    that is not a stick; then the note names its mode, for example where rock begins to yield. Multipliers at a special
+    point are those on the side from which it was reached; beside a grazing impact they hold over a very small distance.
+    A doubled branch that joins another orbit at its end too is listed once.
 
-    **Raises:** `InputError` where a name or value is not right, or the motion does not settle on a periodic orbit.
+    **Raises:** `InputError` for invalid names or values, or if the motion does not settle on a periodic orbit.
 
     **Example:**
 
@@ -89,25 +86,22 @@ def follow(
     return follow_asked(read_asked(scene, along, at, span, start, settle, observe, cycles, parameters), progress)
 
 
-def follow_asked(asked: Asked, progress: bool = True) -> xr.Dataset:
-    """The families, as `follow` gives them; raises `InputError` where there is no orbit to begin with."""
-    sweep, along = asked.sweep, asked.along
-    dataset = run_sweep(sweep, progress=progress)
-    problem, families, first = problem_of(asked, dataset)
-    legs = Tracer(problem, cycles=asked.cycles)(families, first)
-    points, special = in_order(legs)
-    found = measured(sweep, problem, points, columns(problem, points))
-    return _dataset(sweep, problem, points, special, found, along)
+def follow_asked(spec: FamilySpec, progress: bool = True) -> xr.Dataset:
+    """Return the families as `follow` does; raise `InputError` without an initial orbit."""
+    dataset = run_sweep(spec.sweep, progress=progress)
+    problem, families, first = problem_of(spec, dataset)
+    points, special = in_order(FamilyContinuation(problem, cycles=spec.cycles)(families, first))
+    return _dataset(spec.sweep, problem, points, special)
 
 
-def problem_of(asked: Asked, dataset: xr.Dataset) -> tuple[Problem, np.ndarray, list[np.ndarray]]:
-    """The equations of the families; which of them have an orbit to begin with, and the unknowns there.
+def problem_of(spec: FamilySpec, dataset: xr.Dataset) -> tuple[Problem, np.ndarray, list[np.ndarray]]:
+    """Return the equations, the families with an initial orbit, and the unknowns of these orbits.
 
-    **Arguments:** `dataset`: of the sweep that is asked for.
+    **Arguments:** `dataset`: of the specified sweep.
 
-    **Raises:** `InputError` where none has.
+    **Raises:** `InputError` if no family has an initial orbit.
     """
-    sweep, along = asked.sweep, asked.along
+    sweep, along = spec.sweep, spec.along
     dataset = dataset.isel(start=0) if "start" in dataset.dims else dataset
     system = sweep.system.driving_part()
     values, _ = sweep.lane_values(0, sweep.lanes)
@@ -116,116 +110,94 @@ def problem_of(asked: Asked, dataset: xr.Dataset) -> tuple[Problem, np.ndarray, 
     families = known.lanes
     if not len(families):
         lane = dataset.isel(point=0)
-        raise Place("follow").at("at").error(_what_instead(lane, f"{along} = {float(lane[along]):g}"))
+        raise Place("follow").at("at").error(_no_orbit(lane, f"{along} = {float(lane[along]):g}"))
     scale = np.ones((sweep.lanes, len(system.return_states)))
     scale[families] = known.scales
-    unit, first, last = (np.full(sweep.lanes, x) for x in ((asked.high - asked.low) / UNITS, asked.low, asked.high))
+    bounds = ((spec.high - spec.low) / UNITS_PER_SPAN, spec.low, spec.high)
+    unit, first, last = (np.full(sweep.lanes, x) for x in bounds)
     problem = Problem(system, along, parameters, scale, unit, first, last, known.most_steps)
-    at = parameters[along]
-    begin = [
-        problem.unknowns(np.array([one]), x[None], at[[one]])[0]
-        for one, x in zip(families.tolist(), known.states, strict=True)
+    unknowns = [
+        problem.unknowns(families[[k]], states[None], parameters[along][families[[k]]])[0]
+        for k, states in enumerate(known.states)
     ]
-    return problem, families, begin
+    return problem, families, unknowns
 
 
-def _what_instead(lane: xr.Dataset, at: str) -> str:
-    """Why there is no orbit to begin with."""
+def _no_orbit(lane: xr.Dataset, where: str) -> str:
+    """Return the reason why there is no initial orbit, and a remedy."""
     reason = ORBIT_REASONS[int(lane["orbit_reason"])]
-    settled = json.loads(str(lane.attrs["run"]))["settle"]
     if reason == "not-repeating":
-        regime = REGIMES[int(lane["regime"])]
-        return f"the motion at {at} does not repeat ({regime} after {settled:g} s); begin where it does"
+        regime, settle = REGIMES[int(lane["regime"])], json.loads(str(lane.attrs["run"]))["settle"]
+        return f"the motion at {where} does not repeat ({regime} after {settle:g} s); begin where it does"
     if reason == "refused":
-        return f"the motion at {at} cannot be run ({REASONS[int(lane['reason'])].replace('-', ' ')}); begin elsewhere"
-    return f"the motion at {at} repeats, but its orbit is not known ({reason.replace('-', ' ')}); begin elsewhere"
+        words = REASONS[int(lane["reason"])].replace("-", " ")
+        return f"the motion at {where} cannot be run ({words}); begin elsewhere"
+    words = reason.replace("-", " ")
+    return f"the motion at {where} repeats, but its orbit is not known ({words}); begin elsewhere"
 
 
-def _dataset(
-    sweep: Sweep,
-    problem: Problem,
-    points: list[Point],
-    special: list[SpecialPoint],
-    measures: Mapping[str, np.ndarray],
-    along: str,
-) -> xr.Dataset:
-    """The dataset of families."""
-    found, at_special = columns(problem, points), columns(problem, [one.point for one in special])
-    system, known = problem.scene, sweep.system.parameters()[along]
-    about = _described(known)
-    table = VARIABLES | OF_FAMILIES | measured_besides(sweep.system) | of_orbits(sweep.system)
-    stable = np.where(np.isfinite(found.multiplier_abs).all(axis=1), found.multiplier_abs[:, 0] < 1, -1)
-    section_states = zip(map(orbit_name, system.return_states), states(problem, points).T, strict=True)
-    values = {
-        "branch": found.branch,
-        "stable": stable,
-        "period": found.period,
-        "cycles": found.cycles,
-        "impacts": found.impacts,
-        "grazing_margin": found.margin,
-        **dict(section_states),
-        **{name: x for name, x in measures.items() if name in table},
-    }
+def _dataset(sweep: Sweep, problem: Problem, points: list[FamilyPoint], special: list[FamilyPoint]) -> xr.Dataset:
+    """Return the dataset of families."""
+    table, at_special = columns(problem, points), columns(problem, special)
+    along, system = problem.along, problem.scene
+    schema = VARIABLES | OF_FAMILIES | measured_besides(sweep.system) | of_orbits(sweep.system)
+    measures = {name: x for name, x in measured(sweep, problem, points, table).items() if name in schema}
+    multipliers = {name: table.pop(name) for name in ("multiplier_abs", "multiplier_arg")}
+    family, value = table.pop("family"), table.pop(along)
+    values = table | measures | multipliers
     if not isinstance(system, HasContact):
         del values["impacts"]
-    variables: dict[str, Any] = {along: ("point", found.value, about)}
+    described = _described(sweep.system.parameters()[along])
+    special_value = described | {"long_name": f"{described['long_name']} at the special point"}
+    kinds = np.array([KINDS.index(point.kind) for point in special], np.int8)
+    branch = at_special["branch"].astype(np.int32)
+    notes = np.array([point.note for point in special], str)
+    variables: dict[str, Any] = {along: ("point", value, described)}
     for name, x in values.items():
-        one = table[name]
-        variables[name] = ("point", np.asarray(x, one.dtype), one.attributes())
-    for name in ("multiplier_abs", "multiplier_arg"):
-        variables[name] = (("point", "multiplier"), getattr(found, name), table[name].attributes())
-    kinds = np.array([one.kind for one in special], np.int8)
+        dims = ("point", "multiplier")[: x.ndim]
+        variables[name] = (dims, np.asarray(x, schema[name].dtype), schema[name].attributes())
     variables |= {
-        "special_kind": ("special", kinds, table["special_kind"].attributes()),
-        "special_value": (
-            "special",
-            at_special.value,
-            about | {"long_name": f"{known.long_name} at the special point"},
-        ),
-        "special_branch": ("special", at_special.branch.astype(np.int32), table["special_branch"].attributes()),
-        "special_note": (
-            "special",
-            np.array([one.note for one in special], str),
-            {"long_name": table["special_note"].long_name},
-        ),
+        "special_kind": ("special", kinds, schema["special_kind"].attributes()),
+        "special_value": ("special", at_special[along], special_value),
+        "special_branch": ("special", branch, schema["special_branch"].attributes()),
+        "special_note": ("special", notes, {"long_name": schema["special_note"].long_name}),
     }
     several = {name: x for name, x in (sweep.points or {}).items() if name != along}
     coordinates: dict[str, Any] = {}
     if several:
-        of_family = table["point_family"].attributes()
-        variables["point_family"] = ("point", found.family.astype(np.int32), of_family)
-        variables["special_family"] = ("special", at_special.family.astype(np.int32), of_family)
+        of_family = schema["point_family"].attributes()
+        variables["point_family"] = ("point", family.astype(np.int32), of_family)
+        variables["special_family"] = ("special", at_special["family"].astype(np.int32), of_family)
         coordinates["family"] = ("family", np.arange(sweep.lanes), of_family)
         parameters = dict(sweep.system.parameters()) | ROTATION
         for name, x in several.items():
-            coordinates[name] = ("family", x, _described(parameters[name]) if name != "rock" else {"long_name": "rock"})
-    attributes = {
-        "title": f"Families of periodic orbits of {sweep.scene} over {along}",
+            coordinates[name] = ("family", x, {"long_name": "rock"} if name == "rock" else _described(parameters[name]))
+    return xr.Dataset(variables, coordinates, _attributes(sweep, problem))
+
+
+def _attributes(sweep: Sweep, problem: Problem) -> dict[str, Any]:
+    start = None if sweep.starts is None else sweep.starts[0]
+    orbits = {
+        "states": list(problem.scene.return_states),
+        "tolerance": STEPS.tolerance,
+        "accepted_residual": CONVERGED,
+        "grazing_margin": HOW,
+    }
+    return {
+        "title": f"Families of periodic orbits of {sweep.scene} over {problem.along}",
         "scene": sweep.scene,
         **provenance(),
         "history": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} follow",
         **sweep.options,
-        **({} if sweep.starts is None else {"start": _start_text(sweep.starts[0])}),
-        "along": along,
+        **({} if start is None else {"start": start if isinstance(start, str) else json.dumps(start)}),
+        "along": problem.along,
         "span": [float(problem.first[0]), float(problem.last[0])],
-        "parameters": json.dumps({name: x for name, x in sweep.parameters.items() if name != along}),
+        "parameters": json.dumps({name: x for name, x in sweep.parameters.items() if name != problem.along}),
         "differing": json.dumps(differing(sweep.system.parameters(), sweep.parameters)),
-        "orbits": json.dumps(
-            {
-                "states": list(system.return_states),
-                "tolerance": STEPS.tolerance,
-                "accepted_residual": CONVERGED,
-                "grazing_margin": HOW,
-            }
-        ),
+        "orbits": json.dumps(orbits),
         "Conventions": "CF-1.11",
     }
-    return xr.Dataset(variables, coordinates, attributes)
 
 
 def _described(parameter: Parameter) -> dict[str, str]:
     return {"units": parameter.unit, "long_name": parameter.long_name, "symbol": parameter.symbol}
-
-
-def _start_text(start: Start) -> str:
-    return start if isinstance(start, str) else json.dumps(start)

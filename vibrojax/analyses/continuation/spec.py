@@ -1,4 +1,4 @@
-"""What families are asked for: the motions that they begin with, and the parameter that they are followed along."""
+"""Specification of families: initial points, and the parameter of the continuation."""
 
 import warnings
 from collections.abc import Mapping, Sequence
@@ -23,12 +23,12 @@ OBSERVE = positive("observe", 8.0, "s", "time for which they are then observed",
 
 
 @dataclass(frozen=True, eq=False)
-class Asked:
+class FamilySpec:
     """Families of one scene.
 
-    - `sweep`: one point for each family, where it begins.
-    - `along`: the parameter that they are followed along, from `low` to `high`.
-    - `cycles`: the most returns of doubled branches.
+    - `sweep`: one initial point for each family.
+    - `along`: parameter of the continuation, from `low` to `high`.
+    - `cycles`: largest number of returns of doubled branches.
     """
 
     sweep: Sweep
@@ -38,7 +38,7 @@ class Asked:
     cycles: int
 
     def identity(self) -> dict[str, object]:
-        """What the result depends on, as flat JSON values."""
+        """Return all that the result depends on, as flat JSON values."""
         bounds = {"along": self.along, "from": self.low, "to": self.high, "cycles": self.cycles}
         return self.sweep.identity() | bounds
 
@@ -53,20 +53,22 @@ def read_asked(
     observe: object,
     cycles: object,
     parameters: Mapping[str, object],
-) -> Asked:
-    """Check what was asked of `follow`, whose arguments these are.
+) -> FamilySpec:
+    """Check the arguments of `follow`.
 
-    **Raises:** `InputError`, one line, at the first thing that is wrong.
+    **Raises:** `InputError`, one line, at the first argument that is wrong.
     """
     place = Place("follow")
     several, fixed = several_and_single(parameters)
     names = read_names(place.at("scene"), scene, take_options(dict(fixed)), place)
     if not isinstance(along, str) or along not in names.parameters:
-        raise place.at("along").error(f"{shown(along)} is no parameter of the scene; {_which(along, names)}")
+        instead = suggestion(str(along), names.parameters)
+        if along in names.writable:  # rpm or bit_radius
+            instead = "v follows from rpm and bit_radius: give v, and follow along v"
+        raise place.at("along").error(f"{shown(along)} is not a parameter of the scene; {instead}")
     if along in parameters:
-        raise place.at(along).error(
-            f"is what the family is followed along; say where it begins by at={shown(fixed.get(along, 'VALUE'))}"
-        )
+        hint = f"say where it begins by at={shown(fixed.get(along, 'VALUE'))}"
+        raise place.at(along).error(f"is the parameter of the continuation; {hint}")
     if isinstance(cycles, bool) or not isinstance(cycles, int) or not 1 <= cycles <= MOST_CYCLES:
         raise place.at("cycles").error(f"{shown(cycles)} is not a whole number from 1 to {MOST_CYCLES}")
     low, high = _bounds(place, names, along, span)
@@ -74,10 +76,10 @@ def read_asked(
     if not low <= begin <= high:
         raise place.at("at").error(f"{begin:g} is not between from = {low:g} and to = {high:g}")
     times = {"settle": (settle, SETTLE), "observe": (observe, OBSERVE)}
-    run = {name: quantity(place.at(name), value, about) for name, (value, about) in times.items()}
-    count = _check_columns(place, names, several)
+    run = {name: quantity(place.at(name), value, parameter) for name, (value, parameter) in times.items()}
+    families = _count_families(place, names, several)
     first = {name: column[0] for name, column in several.items()}
-    with warnings.catch_warnings():  # of single values; below of all
+    with warnings.catch_warnings():  # all values are checked below
         warnings.simplefilter("ignore", UnusualValue)
         point = read_point(place, scene, {**fixed, **first, along: begin}, start)
     for name, value in {**fixed, **several, along: begin}.items():
@@ -85,49 +87,41 @@ def read_asked(
             warn_if_far(place.at("at" if name == along else name), names.writable[name], value)
     tables: dict[str, Any] = {
         "scene": scene,
-        "points": {along: [begin] * count} | several,
+        "points": {along: [begin] * families} | several,
         "parameters": fixed,
         "run": {"orbits": True, **run},
         "unusual": True,
     }
     if point.start is not None:
         tables["starts"] = [point.start if isinstance(point.start, str) else list(point.start)]
-    return Asked(read_sweep(tables), along, low, high, cycles)
-
-
-def _which(along: object, names: Names) -> str:
-    """What may be followed along in place of `along`."""
-    if along in names.writable:  # rpm or bit_radius
-        return "v follows from rpm and bit_radius: give v, and follow along v"
-    return suggestion(str(along), names.parameters)
+    return FamilySpec(read_sweep(tables), along, low, high, cycles)
 
 
 def _bounds(place: Place, names: Names, along: str, span: object) -> tuple[float, float]:
-    """The bounds of the parameter, the lower first."""
+    """Return the bounds of the parameter, the lower first."""
     if not isinstance(span, Sequence | np.ndarray) or isinstance(span, str) or len(span) != 2:
-        raise place.at("span").error(f"{shown(span)} is no pair of numbers; give the bounds of {along}")
-    low, high = sorted(
-        names.quantity(place.at(name), along, end) for name, end in zip(("from", "to"), span, strict=True)
-    )
+        raise place.at("span").error(f"{shown(span)} is not a pair of numbers; give the bounds of {along}")
+    ends = zip(("from", "to"), span, strict=True)
+    low, high = sorted(names.quantity(place.at(name), along, end) for name, end in ends)
     if not low < high:
         raise place.at("to").error(f"{high:g} is the same as from; give the two bounds of {along}")
     return low, high
 
 
-def _check_columns(place: Place, names: Names, several: Mapping[str, list[Any]]) -> int:
-    """How many families there are, after a look at the values that differ between them."""
-    sizes = {name: len(column) for name, column in several.items()}
+def _count_families(place: Place, names: Names, several: Mapping[str, list[Any]]) -> int:
+    """Return the number of families, after a check of the values that differ between them."""
     for name, column in several.items():
         if name in CHOICES:
             raise place.at(name).error(f"{shown(column)} is a list; it is chosen once for all families")
         if not column:
             raise place.at(name).error("is empty; give a value")
         for index, value in enumerate(column):
-            at = place.at(name).item(index)
+            item = place.at(name).item(index)
             if name == "rock" and names.has_rock:
-                names.rock(at, value)
+                names.rock(item, value)
             else:
-                names.quantity(at, name, value)
+                names.quantity(item, name, value)
+    sizes = {name: len(column) for name, column in several.items()}
     if len(set(sizes.values())) > 1:
         lengths = ", ".join(f"{name} {size}" for name, size in sizes.items())
         raise place.error(f"lists of different lengths ({lengths}); give one family's values at the same place of each")

@@ -1,0 +1,277 @@
+"""Pseudo-arclength continuation of many branches at once (Keller; Doedel, *Lecture Notes on Numerical Analysis of
+Nonlinear Equations*, 2007).
+
+From a point with tangent t the next point lies on the plane t u = t g. Newton's method corrects the predictor g, which
+extrapolates the last two points and their tangents by a cubic. The step length of each lane follows from the angle
+between its tangents and from the number of corrector iterations. Where steps fail because the order of events changes
+ahead, the zero of the grazing margin is predicted, so that steps end just before it or just behind. One batch evaluates
+the current iterate of every active lane, so that no lane waits for another.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Int
+
+from vibrojax.analyses.continuation.brackets import Brackets, predict_zero, push_history
+from vibrojax.analyses.continuation.indicators import spectral_radius
+from vibrojax.analyses.continuation.problem import (
+    CONVERGED,
+    Evaluation,
+    Flags,
+    Index,
+    PerLane,
+    Problem,
+    Unknowns,
+    solve_bordered,
+    unit_tangent,
+)
+
+POLISHED_STEP = 1e-6
+"""Step above which points take one more Newton step. Along shorter ones it could change the order of the points."""
+
+WALK_MAX_ITERATIONS = 6
+"""Corrector iterations before the step is shortened."""
+
+SHORTEST, LONGEST = 1e-9, 0.2
+"""Bounds of the step length, over the scales."""
+
+TURN, SHARP_TURN = 0.2, 0.5
+"""Angles [rad] between successive tangents: the intended one, and the largest one that is accepted."""
+
+CORNER, CROSSING = 2e-2, 1e-4
+"""Steps up to which sharper turns are accepted where events begin or vanish, because branches have corners there."""
+
+CORNER_TURN, CROSSING_TURN = 1.0, 1.4
+"""Largest angles [rad] accepted along such steps. Sharper corners: [vibrojax.analyses.continuation.switching][]."""
+
+CORNER_GROWTH, STEP_GROWTH = 5.0, 2.0
+"""Largest growth of the step length: of steps up to `CORNER`, and of others."""
+
+RUNNING, ENDED, STALLED, STOPPED, CLOSED, TOO_LONG, UNSTABLE = range(7)
+"""States of a lane: running; at a bound of the parameter; no further point found; stopped by the caller; back at the
+branch's first point; too many points; a multiplier beyond `MAX_MULTIPLIER`."""
+
+BRANCH_MAX_POINTS = 2000
+
+MAX_MULTIPLIER = 1e3
+"""Greatest multiplier that is followed: beyond it special points lie closer together than can be resolved."""
+
+
+class InitialPoints(NamedTuple):
+    """First points of lanes with the same number of returns: family, solution, tangent and step length.
+
+    `home`, `home_tangent`: the point at which a closed branch ends; NaN where the branch cannot close.
+    """
+
+    family: Index
+    u: Unknowns
+    tangent: Unknowns
+    step: PerLane
+    home: Unknowns
+    home_tangent: Unknowns
+
+
+class BranchPoints(NamedTuple):
+    """Points of lanes, sorted by lane and in order along it, and the final `status` (lanes,) of each lane."""
+
+    lane: Int[np.ndarray, " points"]
+    evaluation: Evaluation
+    tangent: Unknowns
+    status: Int[np.ndarray, " lanes"]
+
+    def brackets(self, family: Index, place: Index) -> Brackets:
+        """Return the parts of branches from the points `place` to the following ones."""
+        ends = ((self.evaluation.of(k), self.tangent[k]) for k in (place, place + 1))
+        return Brackets(family, place, *next(ends), *next(ends))
+
+
+Stop = Callable[[Index, Evaluation], Flags]
+"""`stop(lanes, evaluation)`: lanes that end at an accepted point."""
+
+
+def continue_branches(
+    problem: Problem, initial: InitialPoints, longest: float = LONGEST, stop: Stop | None = None
+) -> BranchPoints:
+    """Continue branches until the parameter leaves its bounds or no further point is found.
+
+    **Arguments:** `longest`: step length, over the scales; `stop`: see `Stop`.
+    """
+    branches = _ActiveBranches(problem, initial, longest, stop)
+    with np.errstate(all="ignore"):
+        while len(branches.active):
+            branches.iterate()
+    lanes, evaluations, tangents = zip(*branches.accepted, strict=True)
+    lane = np.concatenate(lanes)
+    order = np.argsort(lane, kind="stable")
+    evaluation = Evaluation.join(evaluations).of(order)
+    return BranchPoints(lane[order], evaluation, np.concatenate(tangents)[order], branches.status)
+
+
+class _ActiveBranches:
+    """Branches being continued: the last point of each, and the corrector's iterate towards the next."""
+
+    def __init__(self, problem: Problem, initial: InitialPoints, longest: float, stop: Stop | None) -> None:
+        lanes = len(initial.family)
+        self._problem, self._longest, self._stop = problem, longest, stop
+        self._family = initial.family
+        self._last = problem.evaluate(initial.family, initial.u)
+        self._tangent = initial.tangent.copy()
+        self._step = np.minimum(initial.step, longest)
+        self.status = np.full(lanes, RUNNING)
+        self._count = np.ones(lanes, int)
+        self._length = np.zeros(lanes)
+        self._home, self._home_tangent = initial.home, initial.home_tangent
+        self._iterate, self._predictor = initial.u.copy(), initial.u.copy()
+        self._bound, self._level = np.full(lanes, np.nan), np.zeros(lanes)
+        self._iterations = np.zeros(lanes, int)
+        self._before = np.full(lanes, np.inf)
+        self._shortened, self._blocked = np.zeros((2, lanes), bool)
+        # Histories since the events last changed, the newest first: arclength and margin.
+        self._arclengths, self._margins = np.full((2, lanes, 3), np.nan)
+        self._arclengths[:, 0], self._margins[:, 0] = 0.0, self._last.margin
+        self._prior_u, self._prior_tangent = np.full((2, *initial.u.shape), np.nan)
+        self.accepted = [(np.arange(lanes), self._last.of(np.arange(lanes)), initial.tangent.copy())]
+        self.active = np.arange(lanes)
+        with np.errstate(all="ignore"):
+            self._predict(self.active)
+
+    def _predict(self, lanes: Index) -> None:
+        """Set the predictors, on the plane ahead or on the parameter's bound if that is nearer."""
+        problem, family = self._problem, self._family[lanes]
+        u, t, h = self._last.u[lanes], self._tangent[lanes], self._step[lanes]
+        ahead = np.where(t[:, -1] > 0, problem.last[family], problem.first[family]) / problem.unit[family]
+        room = (ahead - u[:, -1]) / t[:, -1]
+        short = (t[:, -1] != 0) & (room < 1.0001 * h)
+        self._bound[lanes] = np.where(short, ahead, np.nan)
+        predictor = self._extrapolate(lanes, np.where(short, np.maximum(room, 0), h))
+        predictor[short, -1] = ahead[short]
+        self._predictor[lanes] = self._iterate[lanes] = predictor
+        self._level[lanes] = np.where(short, ahead, np.einsum("ij,ij->i", t, predictor))
+        self._iterations[lanes] = 0
+        self._before[lanes] = np.inf
+
+    def _extrapolate(self, lanes: Index, h: PerLane) -> Unknowns:
+        """Extrapolate by a cubic, or along the tangent if the previous step was much shorter."""
+        u, t, before = self._last.u[lanes], self._tangent[lanes], self._prior_u[lanes]
+        d, h = np.linalg.norm(u - before, axis=1)[:, None], h[:, None]
+        apart, turn = (before - u + d * t) / d**2, (self._prior_tangent[lanes] - t) / d
+        bend = (3 * apart + turn) * h**2 + (turn + 2 * apart) / d * h**3
+        sound = (h <= 1.1 * STEP_GROWTH * d) & (np.linalg.norm(bend, axis=1, keepdims=True) < 0.3 * h)
+        return u + h * t + np.where(sound, bend, 0)
+
+    def iterate(self) -> None:
+        """Take one corrector iteration of every active lane."""
+        lanes = self.active
+        now = self._problem.evaluate(self._family[lanes], self._iterate[lanes])
+        residual = now.residual
+        # The next point lies on the plane row u = level: across the tangent, or at the parameter's bound.
+        row = np.zeros_like(self._tangent[lanes])
+        row[:, -1] = 1.0
+        row = np.where(~np.isnan(self._bound[lanes])[:, None], row, self._tangent[lanes])
+        short = np.einsum("ij,ij->i", row, now.u) - self._level[lanes]
+        done = (residual <= CONVERGED) & (np.abs(short) <= CONVERGED)
+        on = ~done & (self._iterations[lanes] < WALK_MAX_ITERATIONS) & (residual < self._before[lanes])
+        change = np.zeros_like(now.u)
+        subset = np.flatnonzero(done | on)
+        right = -np.column_stack([now.off[subset], short[subset]])
+        change[subset] = solve_bordered(now.matrix[subset], row[subset], right)
+        accepted = np.zeros(len(lanes), bool)
+        subset = np.flatnonzero(done)
+        if len(subset):
+            # A last Newton step keeps predictors free of residuals, without another evaluation. After very short steps
+            # it is left out, because the margin belongs to the evaluated point.
+            better, polished = now.of(subset), self._step[lanes[subset]] > POLISHED_STEP
+            better.u[polished, :-1] += np.nan_to_num(change[subset, :-1])[polished]
+            accepted[subset] = self._accept(lanes[subset], better)
+        subset = np.flatnonzero(on)
+        if len(subset):
+            iterate = now.u[subset] + change[subset]
+            # An iterate far from the predictor belongs to another branch, if to any.
+            limit = np.maximum(0.5 * self._step[lanes[subset]], 1e-6)
+            sound = np.abs(iterate - self._predictor[lanes[subset]]).max(axis=1) <= limit
+            on[subset[~sound]] = False
+            self._iterate[lanes[subset]] = iterate
+        self._before[lanes[on]] = residual[on]
+        self._iterations[lanes[on]] += 1
+        self._shorten(lanes[~on & ~accepted])
+        self.active = self.active[self.status[self.active] == RUNNING]
+
+    def _shorten(self, lanes: Index) -> None:
+        """Repeat the step with a shorter length."""
+        taken = np.linalg.norm(self._predictor[lanes] - self._last.u[lanes], axis=1)
+        self._blocked[lanes] |= taken <= CROSSING
+        self._shortened[lanes] = True
+        to_corner = self._step_to_corner(lanes, taken)
+        self._step[lanes] = np.where(np.isnan(to_corner), taken / 3, np.minimum(to_corner, 0.7 * taken))
+        self.status[lanes[taken / 3 < SHORTEST]] = STALLED
+        self._predict(lanes)
+
+    def _step_to_corner(self, lanes: Index, within: PerLane) -> PerLane:
+        """Return steps to the predicted zero of the margin, if that is `within` a distance ahead; else NaN.
+
+        The step ends behind the zero if this is known precisely and steps across have not failed, else before it.
+        """
+        zero, uncertainty = predict_zero(self._arclengths[lanes], self._margins[lanes])
+        ahead = zero - self._arclengths[lanes, 0]
+        sound = (ahead > 0) & (ahead < within) & (uncertainty < ahead / 4)
+        over = ~self._blocked[lanes] & (uncertainty < CROSSING / 8)
+        cautious = ahead - np.maximum(2 * uncertainty, SHORTEST / 2)
+        before = np.where(over, np.maximum(ahead - CROSSING / 4, ahead / 2), cautious)
+        step = np.where(over & (ahead < CROSSING / 2), ahead + CROSSING / 4, before)
+        return np.where(sound, np.maximum(step, 1.01 * SHORTEST), np.nan)
+
+    def _accept(self, lanes: Index, now: Evaluation) -> Flags:
+        """Accept converged points that continue the same branch, and choose the next steps; return which."""
+        problem, family = self._problem, self._family[lanes]
+        last = self._last.of(lanes)
+        tangent = unit_tangent(now.matrix, self._tangent[lanes])
+        cosine = np.einsum("ij,ij->i", tangent, self._tangent[lanes])
+        turn = np.arccos(np.clip(cosine, -1, 1))
+        taken = np.linalg.norm(now.u - last.u, axis=1)
+        changed = (now.signature != last.signature).any(axis=1)
+        corner = (taken <= CORNER) & (turn <= CORNER_TURN) | (taken <= CROSSING) & (turn <= CROSSING_TURN)
+        sound = np.isfinite(tangent).all(axis=1)
+        sound &= (turn <= SHARP_TURN) | (taken < 10 * SHORTEST) | changed & corner
+        value = problem.value(family, now.u)
+        beyond = (value > problem.last[family]) | (value < problem.first[family])
+        sound &= ~(beyond & np.isnan(self._bound[lanes]))
+        kept = lanes[sound]
+        now, tangent, taken, turn = now.of(sound), tangent[sound], taken[sound], turn[sound]
+        self.accepted.append((kept, now, tangent))
+        self._count[kept] += 1
+        self._length[kept] += taken
+        # Where the events have changed, the history of the margin and the last point are of no use.
+        changed = changed[sound]
+        self._prior_u[kept] = np.where(changed[:, None], np.nan, self._last.u[kept])
+        self._prior_tangent[kept] = self._tangent[kept]
+        for history, new in ((self._arclengths, self._length[kept]), (self._margins, now.margin)):
+            history[kept[changed]] = np.nan
+            push_history(history, kept, new)
+        self._shortened[kept[changed]] = self._blocked[kept[changed]] = False
+        self._last.put(kept, now)
+        self._tangent[kept] = tangent
+        growth = np.clip(TURN / np.maximum(turn, 1e-12), 0.5, np.where(taken < CORNER, CORNER_GROWTH, STEP_GROWTH))
+        growth = np.where(self._iterations[kept] >= 4, np.minimum(growth, 0.7), growth)
+        # The obstacle that shortened this step lies within twice its length.
+        growth = np.where(self._shortened[kept], np.minimum(growth, 1.0), growth)
+        step = np.minimum(np.maximum(taken * growth, 10 * SHORTEST), self._longest)
+        to_corner = np.where(self._shortened[kept], self._step_to_corner(kept, 3 * step), np.nan)
+        self._step[kept] = np.where(np.isnan(to_corner), step, to_corner)
+        self._shortened[kept] = ~np.isnan(to_corner)
+        self._end(kept, now, tangent)
+        self._predict(kept)
+        return sound
+
+    def _end(self, lanes: Index, now: Evaluation, tangent: Unknowns) -> None:
+        """Set the status of lanes that end at their newest point."""
+        closed = np.linalg.norm(now.u - self._home[lanes], axis=1) < self._longest
+        closed &= np.einsum("ij,ij->i", tangent, self._home_tangent[lanes]) > 0.9
+        closed &= self._length[lanes] > 5 * self._longest
+        self.status[lanes[closed]] = CLOSED
+        self.status[lanes[self._count[lanes] >= BRANCH_MAX_POINTS]] = TOO_LONG
+        self.status[lanes[spectral_radius(now.product) > MAX_MULTIPLIER]] = UNSTABLE
+        if self._stop is not None:
+            self.status[lanes[self._stop(lanes, now)]] = STOPPED
+        self.status[lanes[~np.isnan(self._bound[lanes])]] = ENDED
