@@ -8,7 +8,7 @@ from functools import reduce
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
-from vibrojax.analyses.accuracy.cases import NO_ROCK, SOLVERS, Setting
+from vibrojax.analyses.accuracy.cases import Setting
 from vibrojax.analyses.accuracy.programs import Outcome, Program
 
 LONG_REPEATS = 0.6  # s in total, from which on two repeats suffice
@@ -55,11 +55,6 @@ class Measured:
     agreeing: int = 0
     repeating: int = 0
     errors: dict[str, Float[np.ndarray, " agreeing"]] = field(default_factory=dict)
-
-
-def is_supported(setting: Setting) -> bool:
-    """Return whether the method can integrate the scene's equations."""
-    return setting.method not in SOLVERS or setting.scene in NO_ROCK
 
 
 def measure(

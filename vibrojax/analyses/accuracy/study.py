@@ -14,10 +14,12 @@ from jaxtyping import Bool
 from numpy.typing import ArrayLike
 
 from vibrojax.analyses.accuracy.cases import (
+    NO_ROCK,
     REFERENCE,
     SCENES,
     SECOND_REFERENCE,
     SETTINGS_TEXT,
+    SOLVERS,
     lanes_of,
     settings_of,
 )
@@ -27,7 +29,6 @@ from vibrojax.analyses.accuracy.measurement import (
     STATUSES,
     Measured,
     errors_of,
-    is_supported,
     measure,
     usable,
 )
@@ -92,7 +93,7 @@ def _measure_scene(scene: str, quick: bool, bar: Progress) -> tuple[list[Measure
     trusted = usable(reference, second)
     results = []
     for setting in settings_of(scene, quick):
-        if is_supported(setting):
+        if setting.method not in SOLVERS or scene in NO_ROCK:
             program, compile_time = programs.of(setting.method, setting.precision, setting.accuracy)
             repeats = QUICK_REPEATS if quick else REPEATS
             result = measure(setting, program, compile_time, reference, trusted, repeats)

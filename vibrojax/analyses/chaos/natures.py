@@ -14,12 +14,15 @@ from vibrojax.analyses.chaos.series import (
     find_repeats,
     zero_one,
 )
-from vibrojax.analyses.chaos.tangents import TANGENT_ACCURACY, Growth, go_on, grow
-from vibrojax.analyses.chaos.transients import has_stable_orbit
+from vibrojax.analyses.chaos.tangents import TANGENT_ACCURACY, Growth, PerState, grow
 from vibrojax.io.variables import NATURES
 from vibrojax.measures.labels import IRREGULAR, UNDECIDED
+from vibrojax.models.scenes import Scene
 from vibrojax.periodic import Orbits
+from vibrojax.periodic.nearby import MOST_STEPS, REACH
+from vibrojax.periodic.newton import ACCEPTED, orbits, repeats_after
 from vibrojax.periodic.of_lanes import last_returns, reason
+from vibrojax.periodic.segments import STEPS, Segments
 from vibrojax.sweep.engine.batch import Features, Index
 from vibrojax.sweep.engine.labelled import regimes
 from vibrojax.sweep.input.definition import Sweep
@@ -56,7 +59,14 @@ STEADY_SPREAD = 0.99
 TESTED_RETURNS = 1024
 """Returns, the last, that the 0-1 test uses."""
 
-States = Float[np.ndarray, "states lanes"]
+EMBEDDED_MAX_RETURNS = 4
+"""Returns of the longest stable orbit within chaos that is searched for: over the default map hardly any is longer."""
+
+EMBEDDED_TRIALS = 8
+"""Newton starts per length of such an orbit: the closest return of each equal part of the time."""
+
+EMBEDDED_WITHIN = 0.5
+"""Distance over the scales up to which a return is worth a Newton start."""
 
 
 def nature(name: str) -> int:
@@ -87,7 +97,7 @@ class Natures:
             "returns_before": RETURNS_BEFORE,
             "returns": [EXPONENT_MIN_RETURNS, EXPONENT_MAX_RETURNS],
             "blocks": EXPONENT_BLOCKS,
-            "transient": "chaotic motion amid which a stable orbit of the return map was found counts as not-settled",
+            "transient": "chaotic motion in which a stable orbit of the return map was found counts as not-settled",
         }
 
     def __call__(self, first: int, end: int, features: Features) -> Features:
@@ -97,15 +107,15 @@ class Natures:
         """
         parameters, _ = self._sweep.lane_values(first, end)
         regime = regimes(self._sweep.system, parameters, features)
-        orbits = features if self._orbits is None else self._orbits(first, end, features)
+        found = features if self._orbits is None else self._orbits(first, end, features)
         result: Features = {name: np.full(end - first, np.nan) for name in ("lyapunov", "lyapunov_stderr", "zero_one")}
         result["nature"] = np.full(end - first, nature("unknown"))
         with np.errstate(all="ignore"):
-            period, why = orbits.get("period", features["period"]), orbits["orbit_reason"]
+            period, why = found.get("period", features["period"]), found["orbit_reason"]
             known = why == reason("found")
-            exponent = np.log(orbits["multiplier_abs"][:, 0]) / (period * features["cycles"])
+            exponent = np.log(found["multiplier_abs"][:, 0]) / (period * features["cycles"])
             result["lyapunov"][known], result["lyapunov_stderr"][known] = exponent[known], 0.0
-            stable = known & (orbits["stable"] == 1)
+            stable = known & (found["stable"] == 1)
             result["nature"][stable | (why == reason("near-grazing"))] = nature("periodic")
             result["nature"][known & ~stable] = nature("not-settled")
             without_orbit = np.isin(why, [reason("not-converged"), reason("another-orbit")])
@@ -146,7 +156,7 @@ class Natures:
             flags[clear] = np.where((known == nature("unknown")) & (k > CHAOTIC_K), nature("chaotic"), known)
             chaos = np.flatnonzero(clear & (flags == nature("chaotic")))
             of_chaos = {name: x[chaos] for name, x in values.items()}
-            transient = has_stable_orbit(self._scene, of_chaos, growth.states[..., chaos], scale[:, chaos])
+            transient = has_embedded_orbit(self._scene, of_chaos, growth.states[..., chaos], scale[:, chaos])
             flags[chaos[transient]] = nature("not-settled")
             result["lyapunov"][lanes], result["lyapunov_stderr"][lanes] = exponent, error
             result["nature"][lanes], result["zero_one"][lanes[clear]] = flags, k
@@ -154,7 +164,7 @@ class Natures:
             growth = Growth(*(x[..., ~clear] for x in growth))
             tangent = growth.tangent
 
-    def _settle(self, parameters: Mapping[str, PerLane], state: States, scale: States) -> States:
+    def _settle(self, parameters: Mapping[str, PerLane], state: PerState, scale: PerState) -> PerState:
         """Return the states of lanes `RETURNS_BEFORE` returns later, or when they have come to repeat."""
         state, active = state.copy(), np.arange(state.shape[1])
         for _ in range(RETURNS_BEFORE // RETURNS_PER_CHECK):
@@ -162,7 +172,8 @@ class Natures:
                 break
             values = {name: x[active] for name, x in parameters.items()}
             now, size = state[:, active], scale[:, active]
-            states = go_on(self._scene, values, now, size, RETURNS_PER_CHECK, kept=4 * LONGEST_REPEAT)
+            kept = 4 * LONGEST_REPEAT
+            states = grow(self._scene, values, now, size, size, RETURNS_PER_CHECK, kept=kept, grows=False).states
             state[:, active] = states[-1]
             active = active[(find_repeats(states, size) == 0) & np.isfinite(states[-1]).all(axis=0)]
         return state
@@ -187,3 +198,39 @@ def classify_growth(
     ]
     conditions, names = zip(*rules, strict=True)
     return np.any(conditions, axis=0) | last, np.select(conditions, list(map(nature, names)), nature("unknown"))
+
+
+def has_embedded_orbit(
+    scene: Scene,
+    parameters: Mapping[str, Float[np.ndarray, " lanes"]],
+    states: Float[np.ndarray, "returns states lanes"],
+    scale: PerState,
+) -> Bool[np.ndarray, " lanes"]:
+    """Return for which lanes a stable orbit was found within their chaotic motion, which then is a transient.
+
+    A chaotic motion returns close to earlier states, and so to the periodic orbits embedded in it. Newton's method
+    begins at its closest returns (Lathrop and Kostelich, Physical Review A 40 (1989) 4028).
+
+    **Arguments:** `states` at the returns, and the `scale` of each.
+    """
+    segments = Segments(scene, steps=STEPS._replace(tolerance=1e-9), most=MOST_STEPS)
+    stable = np.zeros(states.shape[2], bool)
+    for repeat in range(1, EMBEDDED_MAX_RETURNS + 1):
+        remaining = np.flatnonzero(~stable)
+        own = states[..., remaining]
+        distance = np.max(np.abs(own[repeat:] - own[:-repeat]) / scale[:, remaining], axis=1)
+        part = len(distance) // EMBEDDED_TRIALS
+        parts = distance[: part * EMBEDDED_TRIALS].reshape(EMBEDDED_TRIALS, part, len(remaining))
+        trial, column = np.nonzero(parts.min(axis=1) < EMBEDDED_WITHIN)
+        lanes = remaining[column]
+        if not len(lanes):
+            continue
+        first = parts.argmin(axis=1)[trial, column] + part * trial
+        begin = np.stack([own[first + k, :, column] for k in range(repeat)], axis=1)
+        values = {name: x[lanes] for name, x in parameters.items()}
+        with np.errstate(all="ignore"):
+            orbit = orbits(begin, scale.T[lanes], np.full(len(lanes), REACH), segments.of(values), ACCEPTED)
+            accepted = (orbit.residual <= ACCEPTED) & (repeats_after(orbit) == repeat)
+            accepted[accepted] = np.abs(np.linalg.eigvals(orbit.product[accepted])).max(axis=1) < 1
+        stable[lanes[accepted]] = True
+    return stable

@@ -142,41 +142,17 @@ def grow(
     scale: PerState,
     returns: int,
     steps: Accuracy = TANGENT_ACCURACY,
+    kept: int | None = None,
+    grows: bool = True,
 ) -> Growth:
-    """Return lanes and their tangents over `returns` returns, a multiple of `RETURNS_PER_CALL`.
+    """Step lanes and their tangents through `returns` returns, on all workers.
 
-    **Arguments:** `state`, `tangent`: at the section, the tangent of norm 1 over the `scale` of each state.
+    **Arguments:**
+
+    - `state`, `tangent`: at the section, the tangent of norm 1 over the `scale` of each state.
+    - `returns`, `kept`: number of returns, and of the last ones to keep; both multiples of `RETURNS_PER_CALL`.
+    - `grows`: if False, tangents and rates have no meaning; it takes two thirds of the time.
     """
-    return _on_workers(scene, parameters, state, tangent, scale, returns, returns, steps, True)
-
-
-def go_on(
-    scene: Scene[Any],
-    parameters: Mapping[str, Float[np.ndarray, " lanes"]],
-    state: PerState,
-    scale: PerState,
-    returns: int,
-    kept: int,
-) -> Float[np.ndarray, "kept states lanes"]:
-    """Return the last `kept` of the next `returns` states, both multiples of `RETURNS_PER_CALL`.
-
-    It takes two thirds of the time of `grow`, because no tangents are carried.
-    """
-    return _on_workers(scene, parameters, state, scale, scale, returns, kept, TANGENT_ACCURACY, False).states
-
-
-def _on_workers(
-    scene: Scene[Any],
-    parameters: Mapping[str, Float[np.ndarray, " lanes"]],
-    state: PerState,
-    tangent: PerState,
-    scale: PerState,
-    returns: int,
-    kept: int,
-    steps: Accuracy,
-    grows: bool,
-) -> Growth:
-    """Step lanes through their returns on all workers; return the last `kept` of them."""
     count = state.shape[1]
     shares = np.array_split(np.arange(count), max(-(-count // TANGENT_LANES_PER_CALL), min(len(workers()), count)))
 
@@ -184,7 +160,7 @@ def _on_workers(
         p = {name: x[lanes] for name, x in parameters.items()}
         x, dx, size = state[:, lanes], tangent[:, lanes], scale[:, lanes]
         accuracy = Accuracy(*map(np.float64, steps))
-        last: deque[np.ndarray] = deque(maxlen=kept // RETURNS_PER_CALL)
+        last: deque[np.ndarray] = deque(maxlen=(kept or returns) // RETURNS_PER_CALL)
         with precision("float64"):
             for _ in range(returns // RETURNS_PER_CALL):
                 rows, dx = map(np.asarray, _returns(scene, Located(), grows, p, x, dx, size, accuracy))

@@ -107,8 +107,8 @@ def sweep_of_dataset(dataset: xr.Dataset, orbits: bool = True) -> Sweep:
     before = dict(table_of(dataset, IDENTITY))
     for name in ("attractors", "borders"):  # not of the sweep, but of what was derived from it
         before.pop(name, None)
-    wanted = {**before, "run.orbits": True} if orbits else before
-    differing = changes(wanted, json.loads(identity_text(sweep.identity())))
+    expected = {**before, "run.orbits": True} if orbits else before
+    differing = changes(expected, json.loads(identity_text(sweep.identity())))
     if before and differing:
         raise InputError(
             f"orbits: the sweep that the dataset names is another one now: {differing}; give the sweep itself"

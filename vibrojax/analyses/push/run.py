@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any, NamedTuple
 
@@ -149,26 +150,23 @@ def _bounds(asked: PushAsked, cycle: xr.Dataset) -> Float[np.ndarray, "points st
     return np.stack([bounds[name] for name in asked.sweep.system.start_states], axis=1)
 
 
+@dataclass(frozen=True, eq=False)
 class _Search:
     """A search for the smallest pushes out of stable cycles.
 
     - `points`: indices of the points with a stable cycle; `begin` (points, states): its state at the section.
-    - `orbits`: the cycles.
+    - `orbits`: the cycles; `progress`: whether to report progress on stderr.
     """
 
-    def __init__(
-        self,
-        asked: PushAsked,
-        points: Int[np.ndarray, " points"],
-        begin: Float[np.ndarray, "points states"],
-        orbits: KnownOrbits,
-        progress: bool,
-    ) -> None:
-        self._asked, self._points, self._begin, self._orbits, self._progress = asked, points, begin, orbits, progress
+    asked: PushAsked
+    points: Int[np.ndarray, " points"]
+    begin: Float[np.ndarray, "points states"]
+    orbits: KnownOrbits
+    progress: bool
 
     def run(self, bound: PerDirection) -> Brackets:
         """Return the brackets of the smallest leaving pushes, each up to its `bound`."""
-        scan = np.arange(1, self._asked.scan + 1) / self._asked.scan
+        scan = np.arange(1, self.asked.scan + 1) / self.asked.scan
         brackets = Brackets(np.zeros_like(bound), np.full_like(bound, np.nan), np.zeros(bound.shape, int))
         top, mask = bound, np.ones(bound.shape, bool)
         for _ in range(MAX_SCANS):
@@ -180,7 +178,7 @@ class _Search:
         share = np.arange(1, BRACKET_PIECES) / BRACKET_PIECES
         for _ in range(BRACKET_ROUNDS):
             low, high, _ = brackets
-            mask = high - low > self._asked.precision * high  # False for NaN
+            mask = high - low > self.asked.precision * high  # False for NaN
             if not mask.any():
                 break
             brackets = self._narrow(brackets, low[..., None] + (high - low)[..., None] * share, mask)
@@ -192,9 +190,9 @@ class _Search:
         """Return the brackets after more pushes in the directions of the mask."""
         low, high, regime = (x.copy() for x in brackets)
         tried = pushes[mask]
-        returned, left, ends = self._classify(np.argwhere(mask), tried)
-        first = np.argmax(left, axis=1)[:, None]
-        leaves = left.any(axis=1)
+        returned, leaving, ends = self._classify(np.argwhere(mask), tried)
+        first = np.argmax(leaving, axis=1)[:, None]
+        leaves = leaving.any(axis=1)
         high[mask] = np.where(leaves, np.take_along_axis(tried, first, axis=1)[:, 0], high[mask])
         regime[mask] = np.where(leaves, np.take_along_axis(ends, first, axis=1)[:, 0], regime[mask])
         top = np.where(np.isnan(high), np.inf, high)[mask]
@@ -211,11 +209,11 @@ class _Search:
         """
         count = pushes.shape[1]
         point, direction = np.repeat(directions, count, axis=0).T
-        begin = self._begin[point]
+        begin = self.begin[point]
         begin[np.arange(len(point)), direction // len(SIGNS)] += np.array(SIGNS)[direction % 2] * pushes.ravel()
         outcomes = self._simulate(point, begin, 1.0)
-        _, left, regime = outcomes
-        unclear = np.flatnonzero(left & (regime == IRREGULAR))
+        _, leaving, regime = outcomes
+        unclear = np.flatnonzero(leaving & (regime == IRREGULAR))
         if len(unclear):
             later = self._simulate(point[unclear], begin[unclear], PATIENCE)
             for whole, part in zip(outcomes, later, strict=True):
@@ -227,16 +225,16 @@ class _Search:
 
         **Returns:** per motion, whether it returns to its cycle, whether it leaves, and its regime.
         """
-        sweep, tables = self._asked.sweep, self._asked.tables
-        columns = {name: np.array(x)[self._points[point]].tolist() for name, x in self._asked.columns.items()}
+        sweep, tables = self.asked.sweep, self.asked.tables
+        columns = {name: np.array(x)[self.points[point]].tolist() for name, x in self.asked.columns.items()}
         columns |= {f"{VECTOR}{name}": x.tolist() for name, x in zip(sweep.system.start_states, begin.T, strict=True)}
         run = tables["run"] | {"settle": factor * tables["run"]["settle"]}
-        dataset = run_sweep(read_sweep(tables | {"points": columns, "run": run}), progress=self._progress)
+        dataset = run_sweep(read_sweep(tables | {"points": columns, "run": run}), progress=self.progress)
         names = map(orbit_name, sweep.system.driving_part().return_states)
         orbits = np.stack([dataset[name].values for name in names], axis=1)
         regime = dataset["regime"].values.astype(int)
         returned = np.zeros(len(point), bool)
-        for number, (states, scales) in enumerate(zip(self._orbits.states, self._orbits.scales, strict=True)):
+        for number, (states, scales) in enumerate(zip(self.orbits.states, self.orbits.scales, strict=True)):
             lanes = np.flatnonzero((point == number) & (dataset["orbit_cycles"].values == len(states)))
             distance = np.abs(orbits[lanes, None] - states[None]) / scales
             returned[lanes] = distance.max(axis=2).min(axis=1) < SAME_ORBIT_WITHIN

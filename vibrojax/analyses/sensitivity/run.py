@@ -158,8 +158,8 @@ def _read_points(
     return points, columns
 
 
-def _read_names(place: Place, wanted: str | Sequence[str], known: Sequence[str]) -> list[str]:
-    names = [wanted] if isinstance(wanted, str) else list(wanted)
+def _read_names(place: Place, value: str | Sequence[str], known: Sequence[str]) -> list[str]:
+    names = [value] if isinstance(value, str) else list(value)
     if not names:
         raise place.error(f"is empty; choose from {', '.join(known)}")
     for name in names:
