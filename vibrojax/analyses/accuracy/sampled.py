@@ -169,6 +169,6 @@ def _share(mask: Bool[np.ndarray, " samples"], interval: float, begin: float, en
 def _peak(force: Float[np.ndarray, " samples"]) -> float:
     """Return the maximum of samples, by the parabola through the largest and its neighbours."""
     top = int(np.argmax(force[1:-1])) + 1
-    left, most, right = force[top - 1 : top + 2]
-    bend = left - 2 * most + right
-    return float(most if bend >= 0 else most - (right - left) ** 2 / (8 * bend))
+    before, most, after = force[top - 1 : top + 2]
+    bend = before - 2 * most + after
+    return float(most if bend >= 0 else most - (after - before) ** 2 / (8 * bend))

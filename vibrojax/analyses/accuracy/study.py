@@ -158,12 +158,13 @@ def dataset_of(results: Sequence[Measured], spreads: Mapping[str, float], wall_t
         "remark": along([result.reason for result in results], "why lanes failed"),
         "reference_spread": along([spreads[setting.scene] for setting in settings], spread),
     }
-    seconds, errors = variables["time_per_lane_second"].values, variables["error_worst"].values
-    errors = np.where(statuses == 0, errors, np.nan)  # the front is of settings whose lanes all agree
+    seconds = variables["time_per_lane_second"].values
+    # The front is of settings whose lanes all agree with the reference.
+    worst = np.where(statuses == 0, variables["error_worst"].values, np.nan)
     front = np.zeros(len(results), np.int8)
     for scene in spreads:
         here = coordinates["scene"].values == scene
-        front[here] = pareto(seconds[here], errors[here])
+        front[here] = pareto(seconds[here], worst[here])
     about = Variable("1", "no setting of the scene is faster and as exact", np.int8, ("no", "yes"))
     variables["on_front"] = xr.Variable(SETTING, front, about.attributes())
     attributes = {

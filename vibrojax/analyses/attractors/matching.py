@@ -98,8 +98,8 @@ def _link_orbits(
     here, there = np.array([motion.cell for motion in begin]), np.array([cell for _, cell in edges])
     states = np.stack([np.asarray(motion.states) for motion in begin])
     scales = np.stack([np.asarray(motion.scales) for motion in begin])
-    values = ({name: x[cells] for name, x in parameters.items()} for cells in (here, there))
-    arrived, final = _continue_orbits(scene, *values, states, scales, motions.max_steps)
+    first, last = ({name: x[cells] for name, x in parameters.items()} for cells in (here, there))
+    arrived, final = _continue_orbits(scene, first, last, states, scales, motions.max_steps)
     for k in np.flatnonzero(arrived).tolist():
         for other in in_cell[int(there[k])]:
             motion = motions.motions[other]

@@ -91,9 +91,9 @@ def attractors(
     **Returns:** a dataset.
 
     - Over the grid and `attractor`: `share` (basin stability) and its binomial `share_stderr`, an upper bound for Sobol
-      starts; `regime`, that of most of its lanes; `period`, `cycles`, `impacts` and `impact_velocity`, medians over its
-      lanes; and of an orbit one of its states at the section (`orbit_x1` and so on). Period and impact velocity of
-      irregular attractors are those of the longer observation.
+      starts. `regime` is that of most of its lanes; `period`, `cycles`, `impacts` and `impact_velocity` are medians
+      over its lanes, in the longer observation if it is irregular. `orbit_x1` and so on are a state of its orbit at the
+      section.
     - Over the grid, `unassigned`: number of starts without an attractor. Their lanes failed, were undecided, had not
       settled, did not converge, or their orbit was not found.
     - Over the sweep's dimensions, `lane_attractor`: number of the lane's attractor, -1 if unassigned.
@@ -241,9 +241,11 @@ def _dataset(
     np.add.at(share, (assigned // starts, of_lane.ravel()[assigned]), 1 / starts)
     columns = {"share": share, "share_stderr": np.sqrt(share * (1 - share).clip(0) / starts), **columns}
     about = VARIABLES | of_orbits(sweep.system) | OF_ATTRACTORS
-    dims = (*sweep.dims[:-1], "attractor")
-    data = {name: (dims, x.reshape(*shape, -1)) for name, x in columns.items()}
-    data |= {"unassigned": (dims[:-1], (of_lane < 0).sum(axis=-1)), "lane_attractor": (sweep.dims, of_lane)}
+    grid = sweep.dims[:-1]
+    data: dict[str, tuple[tuple[str, ...], np.ndarray]] = {
+        name: ((*grid, "attractor"), x.reshape(*shape, -1)) for name, x in columns.items()
+    }
+    data |= {"unassigned": (grid, (of_lane < 0).sum(axis=-1)), "lane_attractor": (sweep.dims, of_lane)}
     variables: dict[str, Any] = {
         name: (along, x.astype(about[name].dtype), about[name].attributes()) for name, (along, x) in data.items()
     }

@@ -29,8 +29,8 @@ from vibrojax.sweep.input.definition import Sweep
 
 RETURNS_BEFORE, RETURNS_PER_CHECK = 14336, 2048
 """Returns before an exponent is taken, and after how many of them a lane is checked for a repeat. Chaos may be a
-transient of any length: over the default map, chaos ends in 4 to 6 of 100 lanes between 2,048 and 4,096 returns, in 5
-between 4,096 and 8,192, and in 4 between 8,192 and 16,384."""
+transient of any length. Over the default map it ends in 4 to 6 of 100 lanes between 2,048 and 4,096 returns. It ends in
+5 between 4,096 and 8,192, and in 4 between 8,192 and 16,384."""
 
 EXPONENT_MIN_RETURNS, EXPONENT_MAX_RETURNS = 2048, 8192
 """Returns that an exponent is taken over; the number doubles as long as the nature is unclear."""
@@ -107,15 +107,15 @@ class Natures:
         """
         parameters, _ = self._sweep.lane_values(first, end)
         regime = regimes(self._sweep.system, parameters, features)
-        found = features if self._orbits is None else self._orbits(first, end, features)
+        orbit = features if self._orbits is None else self._orbits(first, end, features)
         result: Features = {name: np.full(end - first, np.nan) for name in ("lyapunov", "lyapunov_stderr", "zero_one")}
         result["nature"] = np.full(end - first, nature("unknown"))
         with np.errstate(all="ignore"):
-            period, why = found.get("period", features["period"]), found["orbit_reason"]
+            period, why = orbit.get("period", features["period"]), orbit["orbit_reason"]
             known = why == reason("found")
-            exponent = np.log(found["multiplier_abs"][:, 0]) / (period * features["cycles"])
+            exponent = np.log(orbit["multiplier_abs"][:, 0]) / (period * features["cycles"])
             result["lyapunov"][known], result["lyapunov_stderr"][known] = exponent[known], 0.0
-            stable = known & (found["stable"] == 1)
+            stable = known & (orbit["stable"] == 1)
             result["nature"][stable | (why == reason("near-grazing"))] = nature("periodic")
             result["nature"][known & ~stable] = nature("not-settled")
             without_orbit = np.isin(why, [reason("not-converged"), reason("another-orbit")])
@@ -143,8 +143,8 @@ class Natures:
             values = {name: x[lanes] for name, x in parameters.items()}
             new = grow(self._scene, values, state, tangent, scale, returns)
             if growth is not None:
-                series = (np.concatenate(pair) for pair in zip(growth[:3], new[:3], strict=True))
-                new = Growth(*series, new.tangent)
+                rate, time, states = (np.concatenate(pair) for pair in zip(growth[:3], new[:3], strict=True))
+                new = Growth(rate, time, states, new.tangent)
             growth, returns = new, len(new.rate)
             exponent, error = exponents(growth.rate, growth.time)
             repeat = exponents_of_repeats(*growth[:3], scale, exponent, error)

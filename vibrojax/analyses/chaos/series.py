@@ -82,9 +82,9 @@ def exponents_of_repeats(
 def zero_one(series: Float[np.ndarray, "samples lanes"]) -> PerLane:
     """Return K of the 0-1 test for chaos: near 1 for chaotic series, near 0 for regular ones.
 
-    The series drives a translation in the plane, which spreads like a random walk if the series is chaotic and stays
-    bounded if it is regular (Gottwald and Melbourne, SIAM Journal on Applied Dynamical Systems 8 (2009) 129). This is
-    the correlation method with the modified mean square displacement (section 3). The frequencies are fixed draws from
+    The series drives a translation in the plane. It spreads like a random walk if the series is chaotic, and stays
+    bounded if it is regular. This is the correlation method with the modified mean square displacement (Gottwald and
+    Melbourne, SIAM Journal on Applied Dynamical Systems 8 (2009) 129, section 3). The frequencies are fixed draws from
     (pi/5, 4 pi/5), which excludes resonances with 0 and pi.
 
     **Returns:** the median over the frequencies; NaN for a series that is constant or not finite.

@@ -49,9 +49,9 @@ def orbits(
 
     - `multiplier_abs` [1], `multiplier_arg` [rad] along `multiplier`, by falling modulus: eigenvalues of the map's
       derivative over the whole repeat; and `stable`: 1, 0, or -1 without multipliers.
-    - `orbit_reason`: *found*, or why there is no orbit. The lane is *not-repeating* or was *refused*; Newton's method
-      is *not-converged*; the orbit is *near-grazing*, where multipliers have no meaning; or it is *another-orbit*: too
-      far from the lane, with other impacts, unstable, or not confirmed by a simulation. The `error_estimate` of a lane
+    - `orbit_reason`: *found*, or why there is no orbit. The lane is *not-repeating* or was *refused*, or Newton's
+      method is *not-converged*. Near a graze (*near-grazing*) multipliers have no meaning. *another-orbit* is too far
+      from the lane, has other impacts, is unstable, or is not confirmed by a simulation. The `error_estimate` of a lane
       near an unstable orbit is infinite. An unstable orbit is *found* only if the lane stays on it although one
       rounding would drive it away, as an exact symmetry makes it.
     - `orbit_residual`: the largest difference of return and state, over the scales of labels; `grazing_margin`: the

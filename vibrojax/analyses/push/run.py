@@ -92,9 +92,9 @@ def smallest_push(
 
     **Returns:** a dataset.
 
-    - Along `sign` (-1, 1) for each state (here v2): `push_v2`, the smallest leaving push that was found, NaN if none up
-      to `bound_v2` leaves; `bracket_v2`, its distance from the next smaller push that is known to return; `regime_v2`,
-      in which the motion ends.
+    - Along `sign` (-1, 1) for each state (here v2): `push_v2` is the smallest leaving push that was found, NaN if none
+      up to `bound_v2` leaves. `bracket_v2` is its distance from the next smaller push that is known to return, and
+      `regime_v2` the regime in which the motion ends.
     - `regime`, `period` and the state at the section (`orbit_x1` and so on) of the working cycle.
 
     **Raises:** `InputError` for a wrong name or value, and if there is no stable cycle to push.
@@ -109,9 +109,9 @@ def smallest_push(
     return push_asked(read_pushed(scene, start, most, scan, precision, settle, observe, parameters), progress)
 
 
-def push_asked(asked: PushAsked, progress: bool = True) -> xr.Dataset:
+def push_asked(spec: PushAsked, progress: bool = True) -> xr.Dataset:
     """Return the smallest pushes as `smallest_push` does; raise `InputError` if there is no stable cycle to push."""
-    sweep = asked.sweep
+    sweep = spec.sweep
     cycle = run_sweep(sweep, progress=progress)
     cycle = cycle.isel(start=0, drop=True) if "start" in cycle.dims else cycle
     cycle = cycle if "point" in cycle.dims else cycle.expand_dims("point")
@@ -121,10 +121,10 @@ def push_asked(asked: PushAsked, progress: bool = True) -> xr.Dataset:
     scene, values = sweep.system.driving_part(), sweep.lane_values(0, sweep.lanes)[0]
     section = {name: cycle[orbit_name(name)].values[stable] for name in scene.return_states}
     begin = np.stack([section.get(name, np.zeros(len(stable))) for name in sweep.system.start_states], axis=1)
-    bound = _bounds(asked, cycle.isel(point=stable))
+    bound = _bounds(spec, cycle.isel(point=stable))
     orbits = known_orbits(scene, cycle, {name: values[name] for name in scene.parameters()}, stable)
-    brackets = _Search(asked, stable, begin, orbits, progress).run(np.repeat(bound, len(SIGNS), axis=1))
-    return _dataset(asked, cycle, stable, bound, brackets)
+    brackets = _Search(spec, stable, begin, orbits, progress).run(np.repeat(bound, len(SIGNS), axis=1))
+    return _dataset(spec, cycle, stable, bound, brackets)
 
 
 def _why_no_cycle(lane: xr.Dataset) -> str:
@@ -137,17 +137,17 @@ def _why_no_cycle(lane: xr.Dataset) -> str:
     return f"the motion {why} ({regime} after {settled:g} s): no cycle to push; give another start or point"
 
 
-def _bounds(asked: PushAsked, cycle: xr.Dataset) -> Float[np.ndarray, "points states"]:
+def _bounds(spec: PushAsked, cycle: xr.Dataset) -> Float[np.ndarray, "points states"]:
     """Return the greatest push in each state."""
-    section = asked.sweep.system.driving_part().section
+    section = spec.sweep.system.driving_part().section
     assert section is not None
     bounds: dict[str, np.ndarray] = {}
     for swing in section.swings:
         bounds[swing.position] = 2 * cycle[swing.amplitude].values
         if swing.velocity is not None:
             bounds[swing.velocity] = bounds[swing.position] * 2 * np.pi / cycle["period"].values
-    bounds |= {name: np.full(cycle.sizes["point"], x) for name, x in asked.most.items()}
-    return np.stack([bounds[name] for name in asked.sweep.system.start_states], axis=1)
+    bounds |= {name: np.full(cycle.sizes["point"], x) for name, x in spec.most.items()}
+    return np.stack([bounds[name] for name in spec.sweep.system.start_states], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,7 +158,7 @@ class _Search:
     - `orbits`: the cycles; `progress`: whether to report progress on stderr.
     """
 
-    asked: PushAsked
+    spec: PushAsked
     points: Int[np.ndarray, " points"]
     begin: Float[np.ndarray, "points states"]
     orbits: KnownOrbits
@@ -166,7 +166,7 @@ class _Search:
 
     def run(self, bound: PerDirection) -> Brackets:
         """Return the brackets of the smallest leaving pushes, each up to its `bound`."""
-        scan = np.arange(1, self.asked.scan + 1) / self.asked.scan
+        scan = np.arange(1, self.spec.scan + 1) / self.spec.scan
         brackets = Brackets(np.zeros_like(bound), np.full_like(bound, np.nan), np.zeros(bound.shape, int))
         top, mask = bound, np.ones(bound.shape, bool)
         for _ in range(MAX_SCANS):
@@ -178,7 +178,7 @@ class _Search:
         share = np.arange(1, BRACKET_PIECES) / BRACKET_PIECES
         for _ in range(BRACKET_ROUNDS):
             low, high, _ = brackets
-            mask = high - low > self.asked.precision * high  # False for NaN
+            mask = high - low > self.spec.precision * high  # False for NaN
             if not mask.any():
                 break
             brackets = self._narrow(brackets, low[..., None] + (high - low)[..., None] * share, mask)
@@ -225,8 +225,8 @@ class _Search:
 
         **Returns:** per motion, whether it returns to its cycle, whether it leaves, and its regime.
         """
-        sweep, tables = self.asked.sweep, self.asked.tables
-        columns = {name: np.array(x)[self.points[point]].tolist() for name, x in self.asked.columns.items()}
+        sweep, tables = self.spec.sweep, self.spec.tables
+        columns = {name: np.array(x)[self.points[point]].tolist() for name, x in self.spec.columns.items()}
         columns |= {f"{VECTOR}{name}": x.tolist() for name, x in zip(sweep.system.start_states, begin.T, strict=True)}
         run = tables["run"] | {"settle": factor * tables["run"]["settle"]}
         dataset = run_sweep(read_sweep(tables | {"points": columns, "run": run}), progress=self.progress)
@@ -245,14 +245,14 @@ class _Search:
 
 
 def _dataset(
-    asked: PushAsked,
+    spec: PushAsked,
     cycle: xr.Dataset,
     stable: Int[np.ndarray, " stable"],
     bound: Float[np.ndarray, "stable states"],
     brackets: Brackets,
 ) -> xr.Dataset:
     """Return the dataset of pushes; points without a stable cycle are undefined."""
-    sweep, points = asked.sweep, cycle.sizes["point"]
+    sweep, points = spec.sweep, cycle.sizes["point"]
     variables: dict[str, Any] = {}
 
     def add(name: str, x: np.ndarray, long_name: str, about: Mapping[str, Any], fill: float = np.nan) -> None:
@@ -269,12 +269,12 @@ def _dataset(
         add(f"bracket_{name}", high - low, f"distance to the next smaller {push}, that returns", units)
         add(f"bound_{name}", bound[:, k], f"greatest {push}, that was tried", units)
         ends = f"regime in which the motion ends after the smallest {push}"
-        add(f"regime_{name}", regime.astype(flags.dtype), ends, flags.attributes(), 0)
+        add(f"regime_{name}", regime.astype(flags.dtype), ends, flags.attributes(), 0.0)
     own = ["regime", "period", *map(orbit_name, sweep.system.driving_part().return_states)]
     variables |= {name: ("point", cycle[name].values, cycle[name].attrs) for name in own}
     coordinates = {name: x for name, x in cycle.coords.items() if x.dims == ("point",)}
     sign = ("sign", list(SIGNS), {"units": "1", "long_name": "side of the push: -1 less, 1 more"})
-    settings = {"method": METHOD, "scan": asked.scan, "precision": asked.precision, "patience": PATIENCE}
+    settings = {"method": METHOD, "scan": spec.scan, "precision": spec.precision, "patience": PATIENCE}
     attributes = {
         "title": f"Smallest pushes out of the working cycle: {sweep.scene}",
         "scene": sweep.scene,
@@ -289,4 +289,4 @@ def _dataset(
         "Conventions": "CF-1.11",
     }
     dataset = xr.Dataset(variables, {**coordinates, "sign": sign}, attributes)
-    return dataset if asked.columns else dataset.isel(point=0, drop=True)
+    return dataset if spec.columns else dataset.isel(point=0, drop=True)

@@ -82,10 +82,10 @@ def derivatives(
 
     - `measured`, and the parameters' `value`, in the units of the coordinates `unit` and `parameter_unit`.
     - `derivative`, in the unit of the coordinate `derivative_unit`; `elasticity`: relative change per relative change.
-    - `valid` (0 or 1) and the `reason` if it is 0: the point cannot be run (refused, failed); the motion does not
-      repeat; the value does not exist or is zero; one part in ten thousand away, the number of events differs or the
-      motion repeats otherwise (a graze, a border of the regime); derivative or value are farther than `error` from
-      their settled values (`drift`); or the derivative is not the slope between the points to either side
+    - `valid` (0 or 1) and the `reason` if it is 0. The point cannot be run (refused, failed), the motion does not
+      repeat, or the value does not exist or is zero. One part in ten thousand away, the number of events differs or the
+      motion repeats otherwise (a graze, a border of the regime). Derivative or value are farther than `error` from
+      their settled values (`drift`). The derivative is not the slope between the points to either side
       (`central_difference`).
 
     A derivative that is not valid is returned all the same. An elasticity below 1e-3 counts as insensitive: errors are
