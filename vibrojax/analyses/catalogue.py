@@ -56,9 +56,9 @@ def list_scenes() -> pd.DataFrame:
 def list_parameters(scene: str | Scene[Any]) -> pd.DataFrame:
     """Return the parameters of a scene by name, including their alternatives and those of every friction law.
 
-    The columns are `symbol`, `default`, `units`, `range` (admissible values), `usual`, `meaning` and `where`. `usual` is
-    the range of the source and of rigs; a value far from it raises a warning. `where` is the friction law or shape of
-    pulses that has the parameter, empty if the scene always has it.
+    The columns are `symbol`, `default`, `units`, `range` (admissible values), `usual`, `meaning` and `where`. `usual`
+    is the range of the source and of rigs; a value far from it raises a warning. `where` is the friction law or shape
+    of pulses that has the parameter, empty if the scene always has it.
 
     **Raises:** `InputError` if there is no such scene.
 
