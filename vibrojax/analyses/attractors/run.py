@@ -236,7 +236,8 @@ def _dataset(
 ) -> xr.Dataset:
     """Return the dataset of attractors."""
     shape, starts = sweep.shape[:-1], sweep.shape[-1]
-    share = np.zeros(columns["regime"].shape)
+    points, count = columns["regime"].shape
+    share = np.zeros((points, count))
     assigned = np.flatnonzero(of_lane >= 0)
     np.add.at(share, (assigned // starts, of_lane.ravel()[assigned]), 1 / starts)
     columns = {"share": share, "share_stderr": np.sqrt(share * (1 - share).clip(0) / starts), **columns}
@@ -246,10 +247,10 @@ def _dataset(
         name: ((*grid, "attractor"), x.reshape(*shape, -1)) for name, x in columns.items()
     }
     data |= {"unassigned": (grid, (of_lane < 0).sum(axis=-1)), "lane_attractor": (sweep.dims, of_lane)}
-    variables: dict[str, Any] = {
-        name: (along, x.astype(about[name].dtype), about[name].attributes()) for name, (along, x) in data.items()
-    }
-    numbers = ("attractor", np.arange(share.shape[1]), {"units": "1", "long_name": "number of the attractor"})
+    variables: dict[str, Any] = {}
+    for name, (dims, x) in data.items():
+        variables[name] = dims, x.astype(about[name].dtype), about[name].attributes()
+    numbers = ("attractor", np.arange(count), {"units": "1", "long_name": "number of the attractor"})
     coordinates = {name: x for name, x in dataset.coords.items() if set(x.dims) <= set(sweep.dims)}
     settings = {
         "method": METHOD,
