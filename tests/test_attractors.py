@@ -195,7 +195,7 @@ def test_an_irregular_motion_that_is_nowhere_of_several_lanes_is_doubtful():
     assert is_ambiguous(motions, np.array([0, 3, 2, 3, 4])).tolist() == [False] * 5
     motions.remove(np.array([False, True, False, False, False]))
     assert motions.of_lane.tolist() == [0, 0, 0, -1, 1, 2, 2, 2, 3]
-    assert [motion.cell for motion in motions.motions] == [0, 1, 2, 2]
+    assert [motion.cell for motion in motions.items] == [0, 1, 2, 2]
 
 
 def test_lanes_of_different_points_are_different_motions():

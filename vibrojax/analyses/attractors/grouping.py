@@ -74,24 +74,24 @@ class Motion:
 class Motions:
     """The motions of all points.
 
-    - `of_lane` (lanes,): index of the motion in which each lane ends; -1 if unassigned.
+    - `of_lane` (lanes,): index into `items` of the motion in which each lane ends; -1 if unassigned.
     - `max_steps`: steps after which a neighbour of any of the orbits counts as not returning.
     """
 
     of_lane: Index
-    motions: list[Motion] = field(default_factory=list)
+    items: list[Motion] = field(default_factory=list)
     max_steps: float = 0.0
 
     def add(self, lanes: Index, motion: Motion) -> None:
         """Append a motion, and assign to it the lanes that end in it."""
-        self.of_lane[lanes] = len(self.motions)
-        self.motions.append(motion)
+        self.of_lane[lanes] = len(self.items)
+        self.items.append(motion)
 
     def remove(self, mask: Bool[np.ndarray, " motions"]) -> None:
         """Remove motions; their lanes become unassigned."""
         new_index = np.append(np.where(mask, -1, np.cumsum(~mask) - 1), -1)
         self.of_lane = new_index[self.of_lane]
-        self.motions = [motion for motion, removed in zip(self.motions, mask, strict=True) if not removed]
+        self.items = [motion for motion, removed in zip(self.items, mask, strict=True) if not removed]
 
 
 def classify_motions(
@@ -188,8 +188,8 @@ def is_ambiguous(motions: Motions, number: Int[np.ndarray, " motions"]) -> Bool[
     **Arguments:** `number`: of the attractor of each motion.
     """
     lanes = np.bincount(motions.of_lane[motions.of_lane >= 0], minlength=len(number))
-    irregular = np.array([motion.regime for motion in motions.motions], int) == IRREGULAR
-    cell = np.array([motion.cell for motion in motions.motions], int)
+    irregular = np.array([motion.regime for motion in motions.items], int) == IRREGULAR
+    cell = np.array([motion.cell for motion in motions.items], int)
     most_of_attractor = np.zeros(int(number.max(initial=-1)) + 1, int)
     np.maximum.at(most_of_attractor, number, lanes)
     most_of_cell = np.zeros(cell.max(initial=-1) + 1, int)

@@ -44,19 +44,19 @@ def find_links(
     **Arguments:** `parameters`: of the points by name, in row-major order over the grid's `shape`.
     """
     in_cell: dict[int, list[int]] = {}
-    for index, motion in enumerate(motions.motions):
+    for index, motion in enumerate(motions.items):
         in_cell.setdefault(motion.cell, []).append(index)
     distances: dict[tuple[int, int], float] = {}
     edges: dict[int, list[tuple[int, int]]] = {}  # by cycles: an orbit, and the cell to which it is continued
     for here, there in _neighbours(shape):
         for index in in_cell.get(here, ()):
-            motion, others = motions.motions[index], in_cell.get(there, ())
+            motion, others = motions.items[index], in_cell.get(there, ())
             if motion.cycles:
-                if any(motions.motions[other].cycles for other in others):
+                if any(motions.items[other].cycles for other in others):
                     edges.setdefault(motion.cycles, []).append((index, there))
                 continue
             for other in others:
-                distance = _distance(motion, motions.motions[other])
+                distance = _distance(motion, motions.items[other])
                 if distance is not None:
                     distances[min(index, other), max(index, other)] = distance
     for same_cycles in edges.values():
@@ -94,7 +94,7 @@ def _link_orbits(
     distances: dict[tuple[int, int], float],
 ) -> None:
     """Continue orbits, each to a neighbouring cell, and enter the distances to the orbits that they become."""
-    begin = [motions.motions[index] for index, _ in edges]
+    begin = [motions.items[index] for index, _ in edges]
     here, there = np.array([motion.cell for motion in begin]), np.array([cell for _, cell in edges])
     states = np.stack([np.asarray(motion.states) for motion in begin])
     scales = np.stack([np.asarray(motion.scales) for motion in begin])
@@ -102,7 +102,7 @@ def _link_orbits(
     arrived, final = _continue_orbits(scene, first, last, states, scales, motions.max_steps)
     for k in np.flatnonzero(arrived).tolist():
         for other in in_cell[int(there[k])]:
-            motion = motions.motions[other]
+            motion = motions.items[other]
             if motion.states is None or motion.scales is None:
                 continue
             if (np.abs(final[k, 0] - motion.states) / motion.scales).max(axis=1).min() < SAME_ORBIT_WITHIN:

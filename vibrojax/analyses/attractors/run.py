@@ -145,9 +145,9 @@ def attractors_of(sweep: Sweep, dataset: xr.Dataset, progress: bool = True) -> x
     per_point = lanes.sizes["start"]
     motions = classify_motions(scene, lanes, {name: np.repeat(x, per_point) for name, x in points.items()}, per_point)
     of_start = motions.of_lane.reshape(-1, per_point)[:, :starts]  # without the scene's own starts
-    count = np.bincount(of_start[of_start >= 0], minlength=len(motions.motions))
+    count = np.bincount(of_start[of_start >= 0], minlength=len(motions.items))
     links = find_links(scene, points, shape, motions)
-    cells = [motion.cell for motion in motions.motions]
+    cells = [motion.cell for motion in motions.items]
     number = number_attractors(cells, count.tolist(), links, _sort_keys(sweep, cells, count))
     ambiguous = is_ambiguous(motions, number)
     motions.remove(ambiguous)
@@ -212,7 +212,7 @@ def _columns(
     cycles = dataset["cycles"].values.ravel()
     order = np.argsort(motions.of_lane, kind="stable")
     ends = np.searchsorted(motions.of_lane[order], np.arange(len(number) + 1)).tolist()
-    for motion, k, (first, end) in zip(motions.motions, number.tolist(), pairwise(ends), strict=True):
+    for motion, k, (first, end) in zip(motions.items, number.tolist(), pairwise(ends), strict=True):
         lanes, cell = order[first:end], (motion.cell, k)
         columns["regime"][cell], columns["cycles"][cell] = motion.regime, motion.cycles
         for name, column in measured.items():
