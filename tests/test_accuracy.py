@@ -7,10 +7,10 @@ import pytest
 
 from vibrojax.analyses.accuracy import pareto, run_accuracy, table
 from vibrojax.analyses.accuracy.cases import SCENES, lanes_of, settings_of
+from vibrojax.analyses.accuracy.measurement import STATUSES, errors_of, measure, statuses_of, usable
 from vibrojax.analyses.accuracy.programs import Program
-from vibrojax.analyses.accuracy.report import dataset_of
 from vibrojax.analyses.accuracy.sampled import _cycles, _peak, _share
-from vibrojax.analyses.accuracy.timing import STATUSES, errors_of, measure, statuses_of, usable
+from vibrojax.analyses.accuracy.study import dataset_of
 from vibrojax.analyses.pictures import work_precision
 from vibrojax.cli import main
 from vibrojax.errors import InputError

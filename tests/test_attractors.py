@@ -10,9 +10,8 @@ from matplotlib.collections import QuadMesh
 
 import vibrojax as vj
 from vibrojax.analyses.attractors.analysis import Attractors
-from vibrojax.analyses.attractors.grouping import Motions, doubtful, joined_within, told_apart
-from vibrojax.analyses.attractors.neighbours import Link
-from vibrojax.analyses.attractors.numbers import numbered
+from vibrojax.analyses.attractors.grouping import Motion, Motions, classify_motions, is_ambiguous, join_chains
+from vibrojax.analyses.attractors.matching import Link, number_attractors
 from vibrojax.cli import main
 from vibrojax.errors import InputError
 from vibrojax.io.variables import NATURES
@@ -172,7 +171,7 @@ def irregular(**lanes):
 
 def groups(dataset, starts=None):
     """The motion of each lane, numbered in the order of the lanes."""
-    of_lane = told_apart(SCENE, dataset, {}, starts or dataset.sizes["start"]).of_lane.tolist()
+    of_lane = classify_motions(SCENE, dataset, {}, starts or dataset.sizes["start"]).of_lane.tolist()
     order = [number for number in dict.fromkeys(of_lane) if number >= 0]
     return [order.index(number) if number >= 0 else number for number in of_lane]
 
@@ -191,11 +190,12 @@ def test_an_irregular_motion_that_is_nowhere_of_several_lanes_is_doubtful():
     """Beside another of more lanes; alone at its point, or of several lanes at a neighbour, it is told."""
     motions = Motions(np.array([0, 0, 0, 1, 2, 3, 3, 3, 4]))
     for cell, regime in ((0, IRREGULAR), (0, IRREGULAR), (1, IRREGULAR), (2, IRREGULAR), (2, SINGLE_IMPACT)):
-        motions.add(np.array([], int), cell, regime)
-    assert doubtful(motions, np.array([0, 1, 2, 3, 4])).tolist() == [False, True, False, False, False]
-    assert doubtful(motions, np.array([0, 3, 2, 3, 4])).tolist() == [False] * 5
-    motions.leave_out(np.array([False, True, False, False, False]))
-    assert motions.of_lane.tolist() == [0, 0, 0, -1, 1, 2, 2, 2, 3] and motions.cell == [0, 1, 2, 2]
+        motions.add(np.array([], int), Motion(cell, regime))
+    assert is_ambiguous(motions, np.array([0, 1, 2, 3, 4])).tolist() == [False, True, False, False, False]
+    assert is_ambiguous(motions, np.array([0, 3, 2, 3, 4])).tolist() == [False] * 5
+    motions.remove(np.array([False, True, False, False, False]))
+    assert motions.of_lane.tolist() == [0, 0, 0, -1, 1, 2, 2, 2, 3]
+    assert [motion.cell for motion in motions.items] == [0, 1, 2, 2]
 
 
 def test_lanes_of_different_points_are_different_motions():
@@ -218,7 +218,7 @@ def test_equilibria_of_a_point_are_one():
 
 def test_chains():
     x = np.array([[0.0, 0.0], [0.9, 0.5], [1.8, 0.0], [0.0, 2.5], [5.0, 0.0]])
-    assert joined_within(x).tolist() == [0, 0, 0, 1, 2]
+    assert join_chains(x).tolist() == [0, 0, 0, 1, 2]
 
 
 def test_no_number_twice_at_a_point():
@@ -228,7 +228,7 @@ def test_no_number_twice_at_a_point():
     order = [(float(cell), float(k)) for k, cell in enumerate(cells)]
     expected = [0, 1, 0, 0]
     for some in ([0, 1, 2], [2, 1, 0], [1, 2, 0]):
-        assert numbered(cells, lanes, [links[k] for k in some], order).tolist() == expected
+        assert number_attractors(cells, lanes, [links[k] for k in some], order).tolist() == expected
 
 
 @pytest.mark.parametrize(

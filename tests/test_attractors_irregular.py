@@ -7,11 +7,17 @@ from test_attractors import BOX, groups, irregular
 
 import vibrojax as vj
 from vibrojax.analyses.attractors import long_run
-from vibrojax.analyses.attractors.grouping import ERRORS, IRREGULAR_WITHIN, STATISTICS, joined_within, stderr_name
+from vibrojax.analyses.attractors.grouping import (
+    IRREGULAR_WITHIN,
+    RESOLUTION_STDERRS,
+    STATISTICS,
+    join_chains,
+    stderr_name,
+)
 from vibrojax.analyses.attractors.long_run import (
     BATCHES,
+    CONVERGED_STDERR,
     FEWEST_WINDOWS,
-    LEAST_PRECISION,
     MOST_WINDOWS,
     on_orbits,
     statistics,
@@ -74,7 +80,7 @@ def test_the_first_window_is_the_observation_of_the_sweep(bursting, monkeypatch)
 
 def test_lanes_that_do_not_converge_are_unassigned(bursting, monkeypatch):
     monkeypatch.setattr(long_run, "MOST_WINDOWS", long_run.FEWEST_WINDOWS)
-    monkeypatch.setattr(long_run, "LEAST_PRECISION", 1e-6)
+    monkeypatch.setattr(long_run, "CONVERGED_STDERR", 1e-6)
     found = vj.attractors(bursting, progress=False)
     assert np.flatnonzero(found.lane_attractor.values.ravel() == -1).tolist() == [26, 28]
     assert found.unassigned.sum() == 2 and irregular_shares(found) == []
@@ -104,7 +110,7 @@ def test_a_motion_that_drifts_or_switches_rarely_does_not_converge():
     drifting, switching = 1 + time / 128, np.where(time < 64, 1.0, 2.0)
     found = statistics(windows_of(np.hstack([drifting, switching, np.ones_like(time)])))
     assert found.converged.tolist() == [False, False, True]
-    assert (found.errors[0, :2] > LEAST_PRECISION).all()
+    assert (found.errors[0, :2] > CONVERGED_STDERR).all()
 
 
 def test_a_lane_that_comes_to_an_orbit_had_not_settled():
@@ -121,15 +127,15 @@ def test_errors_widen_the_resolution():
     step = np.log1p(IRREGULAR_WITHIN)
     velocity = [1.0, np.exp(1.6 * step)]
     assert groups(irregular(impact_velocity=velocity)) == [0, 1]
-    error = {stderr_name("impact_velocity"): [0.7 * step / ERRORS] * 2}
+    error = {stderr_name("impact_velocity"): [0.7 * step / RESOLUTION_STDERRS] * 2}
     assert groups(irregular(impact_velocity=velocity, **error)) == [0, 0]
     assert groups(irregular(impact_velocity=[1.0, np.exp(2.5 * step)], **error)) == [0, 1]
 
 
 def test_margins_hold_for_pairs():
     x = np.array([[0.0], [1.5], [4.0], [6.5]])
-    assert joined_within(x).tolist() == [0, 1, 2, 3]
-    assert joined_within(x, np.array([[0.5], [0.5], [0.0], [3.0]])).tolist() == [0, 0, 1, 1]
+    assert join_chains(x).tolist() == [0, 1, 2, 3]
+    assert join_chains(x, np.array([[0.5], [0.5], [0.0], [3.0]])).tolist() == [0, 0, 1, 1]
 
 
 def test_unconverged_lanes_are_in_no_motion():

@@ -7,9 +7,8 @@ import pytest
 from known_scenes import ImpactOscillator, Lorenz
 
 import vibrojax as vj
-from vibrojax.analyses.chaos.growth import STEPS, grow
-from vibrojax.analyses.chaos.natures import exponents
-from vibrojax.analyses.chaos.zero_one import zero_one
+from vibrojax.analyses.chaos.series import exponents, zero_one
+from vibrojax.analyses.chaos.tangents import TANGENT_ACCURACY, grow
 from vibrojax.errors import InputError
 from vibrojax.io.variables import NATURES
 from vibrojax.measures.labels import IRREGULAR
@@ -94,7 +93,7 @@ def test_two_trajectories_part_as_the_tangent_grows():
     )
     assert state.shape[1] >= 50
     values, state, scale = {name: x[:50] for name, x in values.items()}, state[:, :50], scale[:, :50]
-    fine = STEPS._replace(tolerance=1e-9)  # below the distance that the two are drawn together to
+    fine = TANGENT_ACCURACY._replace(tolerance=1e-9)  # below the distance that the two are drawn together to
     gone = grow(sweep.system, values, state, unit(state), scale, 256, steps=fine)
     one, other, apart = state, state + 1e-7 * scale * unit(scale), 1e-7
     growth, seconds = [], []

@@ -60,7 +60,7 @@ def what_is_irregular() -> None:
     counts = np.bincount(one.nature.values[irregular], minlength=len(NATURES))
     parts = ", ".join(f"{name} {count / counts.sum():.1%}" for name, count in zip(NATURES, counts, strict=True))
     print(f"of {counts.sum()} irregular lanes: {parts}")
-    for name in ("BEFORE", "EACH", "FEWEST", "MOST"):
+    for name in ("RETURNS_BEFORE", "RETURNS_PER_CHECK", "EXPONENT_MIN_RETURNS", "EXPONENT_MAX_RETURNS"):
         setattr(natures, name, 4 * getattr(natures, name))
     every = {name: one[name].values[::2].tolist() for name in ("beta", "gamma")} | {"delta": GRID["delta"]}
     longer = vj.run_sweep(MAP | {"grid": every, "run": run})

@@ -15,7 +15,7 @@ import time
 from pathlib import Path
 
 import vibrojax as vj
-from vibrojax.analyses.accuracy.report import machine
+from vibrojax.analyses.accuracy.study import machine
 from vibrojax.sweep.input.read import read_sweep
 
 COMMAND = (sys.executable, "-m", "vibrojax")

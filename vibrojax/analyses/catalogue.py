@@ -1,6 +1,6 @@
-"""What scenes are made of, as tables: parameters, starts, friction laws, variables and settings.
+"""Tables of what scenes consist of: parameters, starts, friction laws, variables and settings.
 
-Everything is read from what the code itself goes by, so that it cannot say anything else.
+All tables are read from the definitions that the simulation itself uses.
 """
 
 from dataclasses import fields, is_dataclass
@@ -30,29 +30,15 @@ from vibrojax.sweep.input.points import VECTOR
 from vibrojax.sweep.input.run_settings import MEANINGS, RunSettings
 from vibrojax.sweep.input.starts import PLANE, SAMPLE
 
-COLUMNS = ["symbol", "default", "units", "range", "usual", "meaning", "where"]
-
-
-_OF_ORBITS = {
-    "multiplier_abs",
-    "multiplier_arg",
-    "stable",
-    "orbit_residual",
-    "grazing_margin",
-    "orbit_cycles",
-    "orbit_reason",
-}
-"""Variables that there are with `orbits = true`."""
-
-_LABELLED = {"regime", "check_regime", "drift_estimate", "sensitive", "hidden_motion"}
-"""Variables of sweeps where lanes return to a section."""
-
-_NEARBY = {"nearby_cycles", "nearby_impacts", "nearby_distance"}
-"""Those that there are then where lanes return to a section."""
+_OF_ALL = {"status", "reason", "error_estimate"}
+_WITH_SECTION = {"regime", "check_regime", "drift_estimate", "sensitive", "hidden_motion"}
+_WITH_ORBITS = {"multiplier_abs", "multiplier_arg", "stable", "orbit_residual", "grazing_margin", "orbit_cycles"}
+_WITH_ORBITS |= {"orbit_reason"}
+_WITH_ORBITS_AND_SECTION = {"nearby_cycles", "nearby_impacts", "nearby_distance"}
 
 
 def list_scenes() -> pd.DataFrame:
-    """The scenes by name: what each is, its states and its starts.
+    """Return the scenes by name: what each is, its states and its starts.
 
     **Example:**
 
@@ -68,13 +54,13 @@ def list_scenes() -> pd.DataFrame:
 
 
 def list_parameters(scene: str | Scene[Any]) -> pd.DataFrame:
-    """The parameters of a scene by name, with those that stand for others, and those of every friction law.
+    """Return the parameters of a scene by name, including their alternatives and those of every friction law.
 
-    The columns are `symbol`, `default`, `units`, `range` (what is admissible), `usual` (what the source and rigs have;
-    a value far from that is warned of), `meaning` and `where`: with which friction law or shape of pulses it goes;
-    empty where it is there always.
+    The columns are `symbol`, `default`, `units`, `range` (admissible values), `usual`, `meaning` and `where`. `usual`
+    is the range of the source and of rigs; a value far from it raises a warning. `where` is the friction law or shape
+    of pulses that has the parameter, empty if the scene always has it.
 
-    **Raises:** `InputError` where there is no such scene.
+    **Raises:** `InputError` if there is no such scene.
 
     **Example:**
 
@@ -82,22 +68,36 @@ def list_parameters(scene: str | Scene[Any]) -> pd.DataFrame:
     ['β', 'above 0', '0.1 to 1.5', 'mass ratio m2/m1']
     """
     names = read_names(Place("scenes"), scene)
-    choices = _of_choices(names)
+    choices = _parameters_of_choices(names)
     shared = set(names.parameters).difference(*choices.values())
-    rows = [(_row(names.parameters[name]) | {"name": name, "where": ""}) for name in names.parameters if name in shared]
+    groups = [("", [parameter for name, parameter in names.parameters.items() if name in shared])]
     for choice, parameters in choices.items():
-        new = [parameter for name, parameter in parameters.items() if name not in shared]
-        rows += [_row(parameter) | {"name": parameter.name, "where": choice} for parameter in new]
+        groups.append((choice, [parameter for name, parameter in parameters.items() if name not in shared]))
     if "v" in names.parameters:
-        rows += [_row(one) | {"name": one.name, "where": "both in place of v"} for one in ROTATION.values()]
-    return pd.DataFrame(rows).set_index("name")[COLUMNS]
+        groups.append(("both in place of v", list(ROTATION.values())))
+    rows = [
+        {
+            "name": parameter.name,
+            "symbol": parameter.symbol,
+            "default": parameter.default,
+            "units": parameter.unit,
+            "range": _range(parameter),
+            "usual": "" if parameter.usual is None else " to ".join(f"{end:g}" for end in parameter.usual),
+            "meaning": parameter.long_name,
+            "where": where,
+        }
+        for where, parameters in groups
+        for parameter in parameters
+    ]
+    return pd.DataFrame(rows).set_index("name")
 
 
 def list_variables(scene: str | Scene[Any]) -> pd.DataFrame:
-    """The variables of the datasets that there are of a scene, by name: `units` and `meaning`; and `where`: empty for
-    those of sweeps, with orbits; else with which command there are more.
+    """Return the variables of a scene's datasets by name: `units`, `meaning`, and `where`.
 
-    **Raises:** `InputError` where there is no such scene.
+    `where` is the command that adds the variable; empty for those of sweeps, with orbits.
+
+    **Raises:** `InputError` if there is no such scene.
 
     **Example:**
 
@@ -105,26 +105,27 @@ def list_variables(scene: str | Scene[Any]) -> pd.DataFrame:
     ['1', 'mean force over threshold, P/D']
     """
     system = read_names(Place("scenes"), scene).system
-    measured = set(_features(system))
-    labelled = _LABELLED if system.section is not None else set()
-    known = VARIABLES | measured_besides(system) | of_orbits(system)
-    found = {*_OF_ORBITS, *of_orbits(system)} if of_orbits(system) else set()
-    found |= _NEARBY if system.section is not None else set()
-    there = measured | labelled | found | {"status", "reason", "error_estimate"}
-    tables = {"": {name: one for name, one in known.items() if name in there}}
-    tables["follow"] = OF_FAMILIES if of_orbits(system) else {}
-    tables["borders"] = OF_BORDERS if isinstance(system, HasContact) and system.section is not None else {}
-    tables["attractors"] = OF_ATTRACTORS if system.section is not None else {}
+    has_section, orbit_states = system.section is not None, of_orbits(system)
+    held = _OF_ALL | set(_measured(system))
+    held |= {*_WITH_ORBITS, *orbit_states} if orbit_states else set()
+    held |= _WITH_SECTION | _WITH_ORBITS_AND_SECTION if has_section else set()
+    known = VARIABLES | measured_besides(system) | orbit_states
+    tables = {
+        "": {name: about for name, about in known.items() if name in held},
+        "follow": OF_FAMILIES if orbit_states else {},
+        "borders": OF_BORDERS if isinstance(system, HasContact) and has_section else {},
+        "attractors": OF_ATTRACTORS if has_section else {},
+    }
     rows = {
-        name: {"units": one.units, "meaning": one.long_name, "where": where}
+        name: {"units": about.units, "meaning": about.long_name, "where": where}
         for where, table in tables.items()
-        for name, one in table.items()
+        for name, about in table.items()
     }
     return pd.DataFrame.from_dict(rows, orient="index").rename_axis("variable")
 
 
 def list_settings() -> pd.DataFrame:
-    """The settings of a sweep, the table [run], with their defaults.
+    """Return the settings of a sweep, the table [run], with their defaults.
 
     **Example:**
 
@@ -136,18 +137,17 @@ def list_settings() -> pd.DataFrame:
 
 
 def scene_text(scene: str) -> str:
-    """All that there is to know of a scene to write a sweep file, as text."""
+    """Return all that a sweep file of a scene may contain, as text."""
     names = read_names(Place("scenes"), scene)
     system = names.system
-    parts = [f"{system.name}: {_summary(type(system))}"]
     starts = f"starts: {', '.join(system.starts)}"
     if system.start_states:
         states = ", ".join(f"{VECTOR}{state}" for state in system.start_states)
         starts += f", or a vector [{', '.join(system.start_states)}]; in a list of points: columns {states}"
         starts += f"; many: {SAMPLE}, or {PLANE}"
-    parts.append(starts if names.has_starts else "starts: always the same")
+    parts = [f"{system.name}: {_summary(type(system))}", starts if names.has_starts else "starts: always the same"]
     if names.has_rock:
-        rocks = (f"{name} ({one.threshold / 1e3:g} kN, {one.k3 / 1e6:g} MN/m)" for name, one in ROCKS.items())
+        rocks = (f"{name} ({rock.threshold / 1e3:g} kN, {rock.k3 / 1e6:g} MN/m)" for name, rock in ROCKS.items())
         parts.append(f"rock, in place of threshold and k3: {', '.join(rocks)}")
     for title, table in (
         ("parameters: symbol, default, unit, admissible, usual on rigs, meaning", list_parameters(scene)),
@@ -155,47 +155,28 @@ def scene_text(scene: str) -> str:
         ("settings, in [run]", list_settings()),
     ):
         parts.append(f"{title}\n{_aligned(table)}")
-    parts.append("words\n" + glossary(*_words(system)))
+    words = ["lane", *(["section", "return", "regime", "orbit", "multiplier"] if system.section is not None else [])]
+    words += ["relief P/D"] if isinstance(system, HasRock) else []
+    parts.append("words\n" + glossary(*words, "reading R1, R2, ..."))
     return "\n\n".join(parts)
 
 
-def _words(scene: Scene[Any]) -> list[str]:
-    """The words that a scene's tables use."""
-    returns = ["section", "return", "regime", "orbit", "multiplier"] if scene.section is not None else []
-    relief = ["relief P/D"] if isinstance(scene, HasRock) else []
-    return ["lane", *returns, *relief, "reading R1, R2, ..."]
-
-
 def _aligned(table: pd.DataFrame) -> str:
-    """`table` as text, its columns aligned to the left, two blanks deep."""
-    rows = zip(table.index, table.to_numpy(), strict=True)
-    cells = [[str(name), *(_cell(value) for value in row)] for name, row in rows]
-    widths = [max(len(row[column]) for row in cells) for column in range(len(cells[0]))]
+    """Return a table as text, its columns aligned to the left, indented by two blanks."""
+
+    def text(value: object) -> str:
+        if value is None or isinstance(value, bool):
+            return "" if value is None else str(value).lower()
+        return f"{value:g}" if isinstance(value, float) else str(value)
+
+    cells = [[str(name), *map(text, row)] for name, row in zip(table.index, table.to_numpy(), strict=True)]
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
     lines = ("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in cells)
     return "\n".join(f"  {line}".rstrip() for line in lines)
 
 
-def _cell(value: object) -> str:
-    if value is None:
-        return ""
-    if isinstance(value, bool):
-        return str(value).lower()
-    return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def _row(parameter: Parameter) -> dict[str, Any]:
-    return {
-        "symbol": parameter.symbol,
-        "default": parameter.default,
-        "units": parameter.unit,
-        "range": _range(parameter),
-        "usual": "" if parameter.usual is None else " to ".join(f"{end:g}" for end in parameter.usual),
-        "meaning": parameter.long_name,
-    }
-
-
 def _range(parameter: Parameter) -> str:
-    """The admissible values, in words."""
+    """Return the admissible values in words."""
     parts = []
     if parameter.lowest is not None:
         parts.append(f"{'above' if parameter.open_below else 'at least'} {parameter.lowest:g}")
@@ -204,29 +185,28 @@ def _range(parameter: Parameter) -> str:
     return ", ".join(parts) or "any"
 
 
-def _of_choices(names: Names) -> dict[str, dict[str, Parameter]]:
-    """The parameters that only some friction laws, or shapes of pulses, have, by what is chosen."""
+def _parameters_of_choices(names: Names) -> dict[str, dict[str, Parameter]]:
+    """Return the parameters that only some friction laws, or shapes of pulses, have, by law or shape."""
     if isinstance(names.system, HasFriction):
-        first = names.friction
-        laws = sorted(FRICTION_LAWS.values(), key=lambda law: law.name != first)
+        laws = sorted(FRICTION_LAWS.values(), key=lambda law: law.name != names.friction)
         return {f'friction = "{law.name}" ({law.reference})': dict(law.parameters) for law in laws}
     if "pulse_shape" not in names.options:
         return {}
-    options = ({"pulse_shape": shape} for shape in PULSE_SHAPES)
-    of_shapes = (read_names(Place("scenes"), names.system, chosen).parameters for chosen in options)
-    shapes = dict(zip(PULSE_SHAPES, map(dict, of_shapes), strict=True))
-    everywhere = set.intersection(*(set(parameters) for parameters in shapes.values()))
+    shapes = {
+        shape: read_names(Place("scenes"), names.system, {"pulse_shape": shape}).parameters for shape in PULSE_SHAPES
+    }
+    common = set.intersection(*map(set, shapes.values()))
     return {
-        f'pulse_shape = "{shape}"': {name: one for name, one in parameters.items() if name not in everywhere}
-        for shape, parameters in shapes.items()
+        f'pulse_shape = "{shape}"': {name: parameter for name, parameter in table.items() if name not in common}
+        for shape, table in shapes.items()
     }
 
 
-def _features(scene: Scene[Any]) -> list[str]:
-    """The names of what is measured of a scene; nothing is computed for it."""
+def _measured(scene: Scene[Any]) -> list[str]:
+    """Return the names of the variables that are measured of a scene, without computing them."""
 
     def run() -> Any:
-        values = {name: jnp.full(1, one.default) for name, one in scene.parameters().items()}
+        values = {name: jnp.full(1, parameter.default) for name, parameter in scene.parameters().items()}
         constants = scene.constants(values)
         state = scene.start(constants, scene.starts[0] if scene.starts else None, (1,))
         stepper = stepper_named("located")
@@ -238,5 +218,5 @@ def _features(scene: Scene[Any]) -> list[str]:
 
 
 def _summary(kind: type) -> str:
-    """The first line of a class's docstring."""
+    """Return the first line of a class's docstring."""
     return str(kind.__doc__ or kind.__name__).strip().splitlines()[0] if is_dataclass(kind) else kind.__name__

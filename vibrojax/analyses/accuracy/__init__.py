@@ -1,5 +1,5 @@
-"""Speed against error: what every method costs for the error that it leaves, measured on this computer."""
+"""Speed against error: the cost of every method for the error that it leaves, measured on this computer."""
 
-from vibrojax.analyses.accuracy.report import pareto as pareto
 from vibrojax.analyses.accuracy.report import table as table
+from vibrojax.analyses.accuracy.study import pareto as pareto
 from vibrojax.analyses.accuracy.study import run_accuracy as run_accuracy

@@ -1,4 +1,4 @@
-"""What is compiled once and run at many settings: the lanes of a scene with one method in one precision."""
+"""Programs of the accuracy study: the lanes of a scene with one method and precision, compiled for all settings."""
 
 import time
 from abc import ABC, abstractmethod
@@ -23,31 +23,32 @@ from vibrojax.sweep.engine.chunks import Chunks
 from vibrojax.sweep.engine.parallel import in_parallel
 from vibrojax.sweep.input.read import read_sweep
 
-MOST_STEPS = 1e5
-"""Steps after which a lane is given up, beyond those that its longest step asks for: far fewer than in a sweep, because
-a setting that is too coarse for a scene should not keep the others waiting."""
+STUDY_MAX_STEPS = 1e5
+"""Steps, beyond those of the longest allowed step, after which a lane is given up. They are far fewer than in a sweep:
+a setting that is too coarse for a scene should not delay the others."""
 
-MOST_STEPS_DIFFRAX = 300_000
+DIFFRAX_MAX_STEPS = 300_000
+"""Steps after which diffrax gives a lane up."""
 
-BLOCK = 64
+STUDY_LANES_PER_CORE = 64
 """Lanes per core: as many as step together in a sweep."""
 
 SAMPLING = 2e-4  # s
 
 Features = dict[str, Shaped[np.ndarray, " lanes"]]
-"""Features of lanes by name, `finite`, `finished` and `steps` among them."""
+"""Features of lanes by name, among them `finite`, `finished` and `steps`."""
 
-Ran = dict[str, Shaped[np.ndarray, " copies"]]
-"""What a run gives of all lanes and their copies, by name: `finished` and `steps` at least."""
+Outcome = dict[str, Shaped[np.ndarray, " copies"]]
+"""Result of a run for all copies of the lanes, by name; at least `finished` and `steps`."""
 
 
 class Program(ABC):
-    """The lanes of a scene and how to run them all, copied until every core has a block of them."""
+    """A method for the lanes of a scene, copied until every core has a block of them."""
 
     def __init__(self, lanes: StudyLanes) -> None:
         self.lanes = lanes
         self.workers = workers()
-        self.copies = max(BLOCK // lanes.count, 1) * len(self.workers)
+        self.copies = max(STUDY_LANES_PER_CORE // lanes.count, 1) * len(self.workers)
 
     @property
     def lane_seconds(self) -> float:
@@ -56,50 +57,50 @@ class Program(ABC):
 
     @abstractmethod
     def compile(self, accuracy: Accuracy) -> None:
-        """Compile it; nothing is run."""
+        """Compile without running."""
 
     @abstractmethod
-    def run(self, accuracy: Accuracy) -> Ran:
-        """Run all lanes and their copies: what is timed."""
+    def run(self, accuracy: Accuracy) -> Outcome:
+        """Run all copies of the lanes: the part that is timed."""
 
     @abstractmethod
-    def features(self, accuracy: Accuracy, ran: Ran) -> Features:
-        """The features of each lane, of what `run` gave."""
+    def features(self, accuracy: Accuracy, ran: Outcome) -> Features:
+        """Return the features of each lane, from the result of `run`."""
 
 
-class Own(Program):
+class SweepProgram(Program):
     """The located or the smoothed stepper, as in a sweep but without the check run."""
 
     def __init__(self, lanes: StudyLanes, method: str, precision: str) -> None:
         super().__init__(lanes)
         self._chunks = Chunks(read_sweep(lanes.sweep(method, precision, self.copies)))
-        self._chunks.engine.most_steps = MOST_STEPS
+        self._chunks.engine.most_steps = STUDY_MAX_STEPS
 
     def compile(self, accuracy: Accuracy) -> None:
-        """Compile it; nothing is run."""
+        """Compile without running."""
         self._chunks.compile()
 
-    def run(self, accuracy: Accuracy) -> Ran:
-        """All features of all lanes and their copies."""
+    def run(self, accuracy: Accuracy) -> Outcome:
+        """Return all features of all copies of the lanes."""
         return self._chunks.at(accuracy)
 
-    def features(self, accuracy: Accuracy, ran: Ran) -> Features:
-        """Those of the lanes without their copies."""
+    def features(self, accuracy: Accuracy, ran: Outcome) -> Features:
+        """Return the features of the first copy of the lanes."""
         return {name: x[: self.lanes.count] for name, x in ran.items()}
 
 
-class _Solved(NamedTuple):
-    """States at the samples or at the end; steps taken, and whether the end was reached."""
+class _Solution(NamedTuple):
+    """States at the samples or at the end; number of steps, and whether the end was reached."""
 
     states: Float[np.ndarray, "states lanes *samples"]
     steps: Shaped[np.ndarray, " lanes"]
     finished: Bool[np.ndarray, " lanes"]
 
 
-class Diffrax(Program):
+class DiffraxProgram(Program):
     """A diffrax solver on the smoothed equations, vmapped over a block of lanes on each core.
 
-    What is timed saves nothing but the end; features are read off samples of a second run.
+    The timed run saves only the final states; features follow from samples of a second run.
     """
 
     def __init__(self, lanes: StudyLanes, method: str, precision: str) -> None:
@@ -109,58 +110,42 @@ class Diffrax(Program):
         self._sweep = read_sweep(lanes.sweep("smoothed", precision, self.copies // len(self.workers)))
 
     def compile(self, accuracy: Accuracy) -> None:
-        """Compile it; nothing is run."""
+        """Compile without running for any time."""
         self._solve(self.workers[0], accuracy, end=0.0)
 
-    def run(self, accuracy: Accuracy) -> Ran:
-        """`steps` and `finished` of all lanes and their copies."""
+    def run(self, accuracy: Accuracy) -> Outcome:
+        """Return `steps` and `finished` of all copies of the lanes."""
         end = self.lanes.settle + self.lanes.observe
-        blocks: list[_Solved] = [
-            solved
-            for _, solved in in_parallel(
-                lambda worker, _: self._solve(worker, accuracy, end), self.workers, self.workers
-            )
-        ]
-        return {
-            "steps": np.concatenate([solved.steps for solved in blocks]),
-            "finished": np.concatenate([solved.finished for solved in blocks]),
-        }
+        parallel = in_parallel(lambda worker, _: self._solve(worker, accuracy, end), self.workers, self.workers)
+        blocks: list[_Solution] = [solution for _, solution in parallel]
+        return {name: np.concatenate([getattr(block, name) for block in blocks]) for name in ("steps", "finished")}
 
-    def features(self, accuracy: Accuracy, ran: Ran) -> Features:
-        """Those that samples of the observation give."""
+    def features(self, accuracy: Accuracy, ran: Outcome) -> Features:
+        """Return the features from samples of the observation."""
         count = round(self.lanes.observe / SAMPLING) + 1
         times = self.lanes.settle + np.arange(count) * SAMPLING
-        solved = self._solve(self.workers[0], accuracy, float(times[-1]), times)
+        solution = self._solve(self.workers[0], accuracy, float(times[-1]), times)
         with in_precision(self._precision):
             p, _ = self._inputs(self.lanes.count)
-            features = features_of(self._sweep.system, p, SAMPLING, solved.states, accuracy.smoothing)
-        finite = np.isfinite(solved.states).all(axis=(0, 2))
-        finished = solved.finished & ran["finished"][: len(solved.finished)]
-        return features | {"steps": solved.steps, "finite": finite | ~finished, "finished": finished}
+            features = features_of(self._sweep.system, p, SAMPLING, solution.states, accuracy.smoothing)
+        finite = np.isfinite(solution.states).all(axis=(0, 2))
+        finished = solution.finished & ran["finished"][: len(solution.finished)]
+        return features | {"steps": solution.steps, "finite": finite | ~finished, "finished": finished}
 
     def _solve(
-        self,
-        worker: jax.Device,
-        accuracy: Accuracy,
-        end: float,
-        times: Float[np.ndarray, " samples"] | None = None,
-    ) -> _Solved:
-        """The motion at `times` [s] or at the `end` [s]."""
+        self, worker: jax.Device, accuracy: Accuracy, end: float, times: Float[np.ndarray, " samples"] | None = None
+    ) -> _Solution:
+        """Return the motion at `times` [s], or at the `end` [s]."""
         with in_precision(self._precision), jax.default_device(worker):
             p, state = self._inputs(self._sweep.lanes if times is None else self.lanes.count)
-            settings = _Steps(
-                jnp.asarray(accuracy.smoothing, self._precision),
-                jnp.asarray(TOLERANCE_PER_WIDTH * accuracy.smoothing, self._precision) if self._adapts else None,
-                jnp.asarray(accuracy.step, self._precision),
-            )
-            span = jnp.asarray(end, self._precision)
-            samples = None if times is None else jnp.asarray(times, self._precision)
-            solved = _solved(self._sweep.system, self._solver, p, state, span, settings, samples)
-            states, steps, finished = jax.tree.map(np.asarray, solved)
-            return _Solved(np.stack(states), steps, finished)
+            tolerance = TOLERANCE_PER_WIDTH * accuracy.smoothing if self._adapts else None
+            numbers = end, accuracy.smoothing, tolerance, accuracy.step, times
+            arrays = [None if x is None else jnp.asarray(x, self._precision) for x in numbers]
+            states, steps, finished = _integrate(self._sweep.system, self._solver, p, state, *arrays)
+            return _Solution(np.stack([np.asarray(x) for x in states]), np.asarray(steps), np.asarray(finished))
 
     def _inputs(self, count: int) -> tuple[Constants, tuple[Float[Array, " lanes"], ...]]:
-        """Constants and states at t = 0 of the first `count` lanes."""
+        """Return constants and states at t = 0 of the first `count` lanes."""
         values, start = self._sweep.lane_values(0, count)
         scene = self._sweep.system
         p = scene.constants({name: jnp.asarray(x, self._precision) for name, x in values.items()})
@@ -168,48 +153,45 @@ class Diffrax(Program):
         return p, tuple(jnp.stack(column)[start, np.arange(count)] for column in zip(*each, strict=True))
 
 
-class _Steps(NamedTuple):
-    """Width of the friction switch [m/s], tolerance (relative, and absolute in SI), and length [s] of fixed steps."""
-
-    width: Float[Array, ""]
-    tolerance: Float[Array, ""] | None
-    step: Float[Array, ""]
-
-
 @partial(jax.jit, static_argnames=("scene", "solver"))
-def _solved(
+def _integrate(
     scene: Scene,
     solver: str,
     p: Constants,
     state: tuple[Float[Array, " lanes"], ...],
     end: Float[Array, ""],
-    steps: _Steps,
+    width: Float[Array, ""],
+    tolerance: Float[Array, ""] | None,
+    step: Float[Array, ""],
     times: Float[jax.Array, " samples"] | None,
 ) -> PyTree[Array]:
-    """States, number of steps, and whether the end was reached."""
+    """Return states, number of steps, and whether the end was reached.
+
+    **Arguments:** `width` [m/s] of the friction switch; `tolerance`, relative, and absolute in SI, of adaptive steps;
+    `step` [s] of fixed steps.
+    """
     saved = diffrax.SaveAt(t1=True) if times is None else diffrax.SaveAt(ts=times)
 
-    def one(p: Constants, state: tuple[Array, ...]) -> PyTree[Array]:
-        kind = solver_named(solver)
+    def solve_lane(p: Constants, state: tuple[Array, ...]) -> PyTree[Array]:
         solution = smoothed_solution(
-            scene, p, state, end, steps.width, kind, steps.tolerance, steps.step, saved, MOST_STEPS_DIFFRAX
+            scene, p, state, end, width, solver_named(solver), tolerance, step, saved, DIFFRAX_MAX_STEPS
         )
         return solution.ys, solution.stats["num_steps"], solution.result == diffrax.RESULTS.successful
 
-    return jax.vmap(one)(p, state)
+    return jax.vmap(solve_lane)(p, state)
 
 
 class Programs:
-    """The programs of one scene's lanes, each compiled once, and how long [s] that took."""
+    """The programs of a scene's lanes, each compiled once, and their compile times [s]."""
 
     def __init__(self, lanes: StudyLanes) -> None:
         self._lanes = lanes
         self._compiled: dict[tuple[str, str], tuple[Program, float]] = {}
 
     def of(self, method: str, precision: str, accuracy: Accuracy) -> tuple[Program, float]:
-        """The program of a method in a precision, and its compile time; `accuracy` only fills in its numbers."""
+        """Return the program of a method and precision, and its compile time; any `accuracy` serves to compile."""
         if (method, precision) not in self._compiled:
-            program = (Diffrax if method in SOLVERS else Own)(self._lanes, method, precision)
+            program = (DiffraxProgram if method in SOLVERS else SweepProgram)(self._lanes, method, precision)
             began = time.perf_counter()
             program.compile(accuracy)
             self._compiled[method, precision] = program, time.perf_counter() - began

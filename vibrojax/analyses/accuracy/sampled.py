@@ -1,7 +1,7 @@
 """Features of a smoothed motion from its samples, for solvers that measure nothing while they step.
 
-Events are located between samples by a step from the sample before, in the mode that holds there, to where the section
-or the contact is reached: their times are exact to the order of that step, whatever the sampling.
+Events are located between samples, by one step from the sample before, in the mode that holds there. Their times are
+exact to the order of that step, whatever the sampling.
 """
 
 from dataclasses import dataclass
@@ -20,17 +20,13 @@ from vibrojax.models.scenes import HasContact, HasFriction, Scene
 from vibrojax.models.scenes.scene import ARMED_BELOW
 from vibrojax.stepping.smoothed import STICK_WIDTHS, runge_kutta
 
-_NEWTON = 5
-_EVENTS = 128  # located together, whatever their number, so that one compiled program does
+EVENT_NEWTON_ITERATIONS = 5
+EVENTS_PER_CALL = 128  # fixed, so that one compiled program serves any number of events
 
 Constants = Any
 """A scene's constants, each (lanes,)."""
 
-Values = tuple[Array, ...]
-"""States or modes of a scene."""
-
-
-Samples = Float[np.ndarray, " samples"]
+Events = Int[np.ndarray, " events"]
 
 
 @dataclass(frozen=True)
@@ -51,64 +47,56 @@ def features_of(
     states: Float[np.ndarray, "states lanes samples"],
     width: float,
 ) -> dict[str, Shaped[np.ndarray, " lanes"]]:
-    """period, cycles, stick_fraction, and with a contact impacts, impact_velocity, peak_impact_force.
+    """Return period, cycles, stick_fraction; with a contact also impacts, impact_velocity and peak_impact_force.
 
-    **Arguments:**
-
-    - `p`: the scene's constants (lanes,); `sampling` [s]: interval of the samples; `width` [m/s]: of the switch.
+    **Arguments:** `p`: the scene's constants (lanes,); `sampling` [s]: interval of the samples; `width` [m/s]: of the
+    switch.
     """
     assert isinstance(scene, HasFriction)
-    lanes = [
-        _lane_features(
-            _Motion(scene, jax.tree.map(lambda x, k=lane: x[k], p), sampling, states[:, lane].astype(float), width)
-        )
-        for lane in range(states.shape[1])
-    ]
-    return {name: np.array([one[name] for one in lanes]) for name in lanes[0]}
+    lanes = []
+    for lane in range(states.shape[1]):
+        constants = jax.tree.map(lambda x, k=lane: x[k], p)
+        lanes.append(_lane_features(_Motion(scene, constants, sampling, states[:, lane].astype(float), width)))
+    return {name: np.array([features[name] for features in lanes]) for name in lanes[0]}
 
 
 def _lane_features(motion: _Motion) -> dict[str, float | int]:
-    scene, states = motion.scene, motion.states
-    contact = isinstance(scene, HasContact)
-    nothing: dict[str, float | int] = {"period": np.nan, "cycles": 0, "stick_fraction": np.nan}
-    if contact:
-        nothing |= {"impacts": 0, "impact_velocity": np.nan, "peak_impact_force": np.nan}
+    scene, states, p = motion.scene, motion.states, motion.p
+    undefined: dict[str, float | int] = {"period": np.nan, "cycles": 0, "stick_fraction": np.nan}
+    if isinstance(scene, HasContact):
+        undefined |= {"impacts": 0, "impact_velocity": np.nan, "peak_impact_force": np.nan}
     if not np.isfinite(states).all():
-        return nothing
-    v = float(scene.bit(motion.p).drive_speed)
-    times, at = _located(motion, _armed(states[1], -ARMED_BELOW * v), 1, 0.0)
+        return undefined
+    v = float(scene.bit(p).drive_speed)
+    times, section = _locate(motion, _returns(states[1], -ARMED_BELOW * v), 1, 0.0)
     if len(times) < 3:
-        return nothing
+        return undefined
     bit, striker = np.ptp(states[0]) / 2, np.ptp(states[2]) / 2
     scale = np.array([bit, striker, striker * 2 * np.pi / np.diff(times).mean()])
-    cycles = _cycles(at[[0, 2, 3]] / scale[:, None])
+    cycles = _cycles(section[[0, 2, 3]] / scale[:, None])
     returns = len(times) - 1
     returns -= returns % cycles if cycles else 0
     begin, end = float(times[0]), float(times[returns])
     stuck = np.abs(states[1] + v) <= STICK_WIDTHS * motion.width
-    features: dict[str, float | int] = {
-        "period": (end - begin) / returns,
-        "cycles": cycles,
-        "stick_fraction": _share(stuck, motion.interval, begin, end),
-    }
+    stick_fraction = _share(stuck, motion.interval, begin, end)
+    features = {"period": (end - begin) / returns, "cycles": cycles, "stick_fraction": stick_fraction}
     if not isinstance(scene, HasContact):
         return features
-    number, velocity = _impacts(motion, begin, end)
-    impacts = round(number / returns * cycles) if cycles else number / returns
-    peak = _peak(_force(scene, motion.p, states))
-    return features | {"impacts": impacts, "impact_velocity": velocity, "peak_impact_force": peak}
-
-
-def _impacts(motion: _Motion, begin: float, end: float) -> tuple[int, float]:
-    """Number of impacts from `begin` to before `end` [s], and their mean velocity [m/s]."""
-    x2, delta = motion.states[2], float(motion.p.contact.delta)
-    times, at = _located(motion, np.flatnonzero((x2[:-1] < delta) & (x2[1:] >= delta)), 2, delta)
+    x2, delta = states[2], float(p.contact.delta)
+    times, contact = _locate(motion, np.flatnonzero((x2[:-1] < delta) & (x2[1:] >= delta)), 2, delta)
     inside = (times >= begin) & (times < end)
-    return int(inside.sum()), float(at[3][inside].mean()) if inside.any() else np.nan
+    number = int(inside.sum())
+    samples = tuple(jnp.asarray(x, scene.speed_scale(p).dtype) for x in states)
+    force = np.asarray(scene.contact_force(p, scene.mode_at(p, samples), samples), float)
+    return features | {
+        "impacts": round(number / returns * cycles) if cycles else number / returns,
+        "impact_velocity": float(contact[3][inside].mean()) if number else np.nan,
+        "peak_impact_force": _peak(force),
+    }
 
 
-def _armed(v1: Float[np.ndarray, " samples"], below: float) -> Int[np.ndarray, " events"]:
-    """Samples before v1 rises through zero, having been slower than `below` since the return before."""
+def _returns(v1: Float[np.ndarray, " samples"], below: float) -> Events:
+    """Return the samples before v1 rises through zero, having been below `below` since the last return."""
     returns, since = [], 0
     for index in np.flatnonzero((v1[:-1] <= 0) & (v1[1:] > 0)).tolist():
         if v1[since : index + 1].min() < below:
@@ -117,21 +105,21 @@ def _armed(v1: Float[np.ndarray, " samples"], below: float) -> Int[np.ndarray, "
     return np.array(returns, int)
 
 
-def _located(
-    motion: _Motion, before: Int[np.ndarray, " events"], which: int, level: float
+def _locate(
+    motion: _Motion, before: Events, which: int, level: float
 ) -> tuple[Float[np.ndarray, " events"], Float[np.ndarray, "states events"]]:
-    """When [s] after each of the samples `before` one state (`which`) reaches `level`, and the states there."""
-    starts = motion.states[:, before]
+    """Return the times [s] at which a state reaches `level` after the samples `before`, and the states there."""
+    begin = motion.states[:, before]
     if not before.size:
-        return np.zeros(0), starts
+        return np.zeros(0), begin
     parts = []
-    for first in range(0, before.size, _EVENTS):
-        some = starts[:, first : first + _EVENTS]
-        filled = tuple(np.pad(some, ((0, 0), (0, _EVENTS - some.shape[1])), mode="edge"))
-        late, reached = _step_to(motion.scene, which, motion.p, filled, motion.interval, motion.width, level)
-        parts.append(np.stack([late, *reached])[:, : some.shape[1]])
-    whole = np.concatenate(parts, axis=1).astype(float)
-    return before * motion.interval + whole[0], whole[1:]
+    for first in range(0, before.size, EVENTS_PER_CALL):
+        part = begin[:, first : first + EVENTS_PER_CALL]
+        padded = tuple(np.pad(part, ((0, 0), (0, EVENTS_PER_CALL - part.shape[1])), mode="edge"))
+        elapsed, states = _step_to(motion.scene, which, motion.p, padded, motion.interval, motion.width, level)
+        parts.append(np.stack([elapsed, *states])[:, : part.shape[1]])
+    events = np.concatenate(parts, axis=1).astype(float)
+    return before * motion.interval + events[0], events[1:]
 
 
 @partial(jax.jit, static_argnames=("scene", "which"))
@@ -144,24 +132,24 @@ def _step_to(
     width: Float[Array, ""],
     level: Float[Array, ""],
 ) -> tuple[Float[Array, " events"], tuple[Float[Array, " events"], ...]]:
-    """How long [s] after `state` one state reaches `level`, by Newton's method on the step; and the state there."""
+    """Return the time [s] from `state` until one state reaches `level`, by Newton's method; and the states there."""
     dtype = scene.speed_scale(p).dtype
     state = tuple(jnp.asarray(y, dtype) for y in state)
     interval, width, level = (jnp.asarray(x, dtype) for x in (interval, width, level))
     mode = scene.mode_at(p, state)
 
-    def rates(y: Values) -> Values:
+    def rates(y: tuple[Array, ...]) -> tuple[Array, ...]:
         return scene.smoothed_field(p, mode, y, width)
 
-    late, reached = jnp.zeros_like(state[0]), state
-    for _ in range(_NEWTON):
-        late = jnp.clip(late - (reached[which] - level) / rates(reached)[which], 0, interval)
-        reached, _ = runge_kutta(rates, state, late)
-    return late, reached
+    elapsed, reached = jnp.zeros_like(state[0]), state
+    for _ in range(EVENT_NEWTON_ITERATIONS):
+        elapsed = jnp.clip(elapsed - (reached[which] - level) / rates(reached)[which], 0, interval)
+        reached, _ = runge_kutta(rates, state, elapsed)
+    return elapsed, reached
 
 
 def _cycles(section: Float[np.ndarray, "3 returns"]) -> int:
-    """The least number of returns after which the scaled states at the section repeat; 0: they do not."""
+    """Return the least number of returns after which scaled states at the section repeat; 0 if they do not."""
     for repeat in range(1, MOST_CYCLES + 1):
         if section.shape[1] < 3 * repeat + 1:
             return 0
@@ -170,23 +158,17 @@ def _cycles(section: Float[np.ndarray, "3 returns"]) -> int:
     return 0
 
 
-def _share(holds: Bool[np.ndarray, " samples"], interval: float, begin: float, end: float) -> float:
-    """Share of the time from `begin` to `end` [s] in which it `holds`, by the trapezoidal rule."""
-    weight = holds.astype(float)
+def _share(mask: Bool[np.ndarray, " samples"], interval: float, begin: float, end: float) -> float:
+    """Return the share of the time from `begin` to `end` [s] in which the mask holds, by the trapezoidal rule."""
+    weight = mask.astype(float)
     total = np.concatenate([[0.0], np.cumsum((weight[1:] + weight[:-1]) / 2)]) * interval
     ends = np.interp([begin, end], np.arange(len(weight)) * interval, total)
     return float((ends[1] - ends[0]) / (end - begin))
 
 
-def _force(scene: HasContact[Any], p: Constants, states: Float[np.ndarray, "states samples"]) -> Samples:
-    """Contact force [N] at the samples."""
-    y = tuple(jnp.asarray(x, scene.speed_scale(p).dtype) for x in states)
-    return np.asarray(scene.contact_force(p, scene.mode_at(p, y), y), float)
-
-
-def _peak(force: Samples) -> float:
-    """Greatest of the samples, by the parabola through it and its neighbours."""
+def _peak(force: Float[np.ndarray, " samples"]) -> float:
+    """Return the maximum of samples, by the parabola through the largest and its neighbours."""
     top = int(np.argmax(force[1:-1])) + 1
-    left, most, right = force[top - 1 : top + 2]
-    bend = left - 2 * most + right
-    return float(most if bend >= 0 else most - (right - left) ** 2 / (8 * bend))
+    before, most, after = force[top - 1 : top + 2]
+    bend = before - 2 * most + after
+    return float(most if bend >= 0 else most - (after - before) ** 2 / (8 * bend))

@@ -1,1 +1,1 @@
-"""Attractors that coexist: motions of a point told apart, and known again at the next point of a grid."""
+"""Attractors that coexist: motions of a point, matched to those of neighbouring points, and their basins."""

@@ -1,4 +1,4 @@
-"""Lanes of a point that end in the same motion: by their orbit, or by statistics where they do not repeat."""
+"""Lanes of a point grouped by the motion that they end in: by orbit, or by statistics if they do not repeat."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -13,32 +13,35 @@ from vibrojax.measures.labels import EQUILIBRIUM, FAILED, IRREGULAR, UNDECIDED
 from vibrojax.models.scenes import Scene
 from vibrojax.periodic.of_dataset import known_orbits
 
-SAME = 1e-4
-"""Distance over the scales within which two orbits of a point are the same; they are found to 1e-10."""
+SAME_ORBIT_WITHIN = 1e-4
+"""Distance over the scales within which two orbits of a point are the same; Newton's method finds them to 1e-10."""
 
 IRREGULAR_WITHIN = 0.25
-"""Resolution of irregular motions: two that differ by no more than this part in every statistic are one."""
+"""Resolution of irregular motions: relative difference in any statistic up to which two of them are the same."""
 
-ERRORS = 4.5
-"""Standard errors, of the difference of two lanes, by which the resolution widens: 99.7 % with 7 degrees of freedom."""
+RESOLUTION_STDERRS = 4.5
+"""Standard errors of the difference of two lanes that widen the resolution: 99.7 % with 7 degrees of freedom."""
 
-IRREGULAR_FACTOR = 2.0
-"""Factor within which the statistics of two irregular motions are near each other: of neighbouring points, so that they
-may be one attractor; of a point, so that one of few lanes may be the tail of the other's scatter."""
+SIMILAR_FACTOR = 2.0
+"""Factor within which statistics of two irregular motions are similar. Similar motions of neighbouring points may be
+one attractor; at one point, a motion of few lanes may be the tail of a similar one's scatter."""
 
-FEWEST = 3
-"""Lanes from which an irregular motion is told beside another one of its point."""
+IRREGULAR_MIN_LANES = 3
+"""Lanes that an irregular motion needs to count beside another one at its point."""
 
-EXPONENT_WITHIN = 4.0
-"""The same of their exponents, where they are known, over the standard error; at least `LEAST_ERROR`."""
+EXPONENT_STDERRS = 4.0
+"""Resolution of Lyapunov exponents, in standard errors."""
 
-LEAST_ERROR = 1e-3
-"""Standard error [1/s] that an exponent has at least: of lanes that come to a long repeat it is next to none."""
+EXPONENT_MIN_STDERR = 1e-3
+"""Least standard error [1/s] of an exponent: that of lanes on a long repeat is nearly zero."""
 
 STATISTICS = ("period", "impact_velocity", "bit_amplitude", "striker_amplitude")
-"""What irregular lanes are compared by, where there is any."""
+"""Statistics by which irregular lanes are compared, as far as the scene has them."""
 
-_APART = 1e3  # farther than any two values
+_FAR_APART = 1e3  # exceeds the difference of any two logarithms
+
+Index = Int[np.ndarray, " _"]
+PerStatistic = Float[np.ndarray, "_ statistics"]
 
 
 def stderr_name(statistic: str) -> str:
@@ -46,191 +49,185 @@ def stderr_name(statistic: str) -> str:
     return f"{statistic}_stderr"
 
 
-Index = Int[np.ndarray, " _"]
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """A motion in which lanes of one point end.
+
+    - `cell`: index of the point; `regime`: of most of its lanes.
+    - `states` (cycles, states) at the section and `scales` (states,): of an orbit; else None.
+    - `statistics`: natural logarithms, of an irregular motion; else None.
+    """
+
+    cell: int
+    regime: int
+    states: np.ndarray | None = None
+    scales: np.ndarray | None = None
+    statistics: np.ndarray | None = None
+
+    @property
+    def cycles(self) -> int:
+        """Returns after which the orbit repeats; 0 for other motions."""
+        return 0 if self.states is None else len(self.states)
 
 
 @dataclass
 class Motions:
-    """The motions of all points, and which of them each lane ends in.
+    """The motions of all points.
 
-    - `of_lane` (lanes,): by number; -1 where it could not be told.
-    - `cell`: the point of each motion; `regime`: of most of its lanes; `cycles`: of an orbit, 0 of others.
-    - `states` (cycles, states) at the section and `scales` (states,) of orbits; `statistics` of irregular motions, as
-      logarithms; None for others.
-    - `most_steps`: after which a return of a neighbour of the orbits is taken not to come.
+    - `of_lane` (lanes,): index into `items` of the motion in which each lane ends; -1 if unassigned.
+    - `max_steps`: steps after which a neighbour of any of the orbits counts as not returning.
     """
 
     of_lane: Index
-    cell: list[int] = field(default_factory=list)
-    cycles: list[int] = field(default_factory=list)
-    regime: list[int] = field(default_factory=list)
-    states: list[np.ndarray | None] = field(default_factory=list)
-    scales: list[np.ndarray | None] = field(default_factory=list)
-    statistics: list[np.ndarray | None] = field(default_factory=list)
-    most_steps: float = 0.0
+    items: list[Motion] = field(default_factory=list)
+    max_steps: float = 0.0
 
-    def leave_out(self, which: Bool[np.ndarray, " motions"]) -> None:
-        """Take motions away; their lanes are in none that could be told."""
-        kept = np.flatnonzero(~which)
-        place = np.append(np.where(which, -1, np.cumsum(~which) - 1), -1)
-        self.of_lane = place[self.of_lane]
-        for name in ("cell", "cycles", "regime", "states", "scales", "statistics"):
-            setattr(self, name, [getattr(self, name)[one] for one in kept.tolist()])
+    def add(self, lanes: Index, motion: Motion) -> None:
+        """Append a motion, and assign to it the lanes that end in it."""
+        self.of_lane[lanes] = len(self.items)
+        self.items.append(motion)
 
-    def add(
-        self,
-        lanes: Index,
-        cell: int,
-        regime: int,
-        states: np.ndarray | None = None,
-        scales: np.ndarray | None = None,
-        statistics: np.ndarray | None = None,
-    ) -> None:
-        """Enter a motion of a point and the lanes that end in it."""
-        self.of_lane[lanes] = len(self.cell)
-        self.cell.append(cell)
-        self.cycles.append(0 if states is None else len(states))
-        self.regime.append(regime)
-        self.states.append(states)
-        self.scales.append(scales)
-        self.statistics.append(statistics)
+    def remove(self, mask: Bool[np.ndarray, " motions"]) -> None:
+        """Remove motions; their lanes become unassigned."""
+        new_index = np.append(np.where(mask, -1, np.cumsum(~mask) - 1), -1)
+        self.of_lane = new_index[self.of_lane]
+        self.items = [motion for motion, removed in zip(self.items, mask, strict=True) if not removed]
 
 
-def told_apart(scene: Scene[Any], dataset: xr.Dataset, parameters: Mapping[str, np.ndarray], starts: int) -> Motions:
-    """The motions that lanes end in, point by point.
+def classify_motions(
+    scene: Scene[Any], dataset: xr.Dataset, parameters: Mapping[str, np.ndarray], starts: int
+) -> Motions:
+    """Return the motions in which lanes end, point by point.
 
-    **Arguments:** `scene`: what the return map is of; `dataset`: with orbits, the start its last dimension;
-    `parameters` of the lanes by name; `starts`: lanes of a point, which stand one after the other.
+    **Arguments:**
+
+    - `scene`: the scene of the return map; `dataset`: with orbits, its last dimension the start.
+    - `parameters`: of the lanes by name; `starts`: number of lanes per point, which are adjacent.
     """
-    regime = dataset["regime"].values.ravel()
-    motions = Motions(np.full(regime.size, -1))
-    _by_orbit(scene, dataset, parameters, starts, motions)
-    for some in _by_cell(np.flatnonzero(regime == EQUILIBRIUM), starts):
-        motions.add(some, int(some[0]) // starts, EQUILIBRIUM)
-    _by_statistics(dataset, starts, motions)
+    motions = Motions(np.full(dataset["regime"].size, -1))
+    _add_orbits(scene, dataset, parameters, starts, motions)
+    for lanes in _split_by_cell(np.flatnonzero(dataset["regime"].values.ravel() == EQUILIBRIUM), starts):
+        motions.add(lanes, Motion(int(lanes[0]) // starts, EQUILIBRIUM))
+    _add_irregular(dataset, starts, motions)
     return motions
 
 
-def _by_orbit(
+def _add_orbits(
     scene: Scene[Any], dataset: xr.Dataset, parameters: Mapping[str, np.ndarray], starts: int, motions: Motions
 ) -> None:
-    """Enter the orbits: of each point the first lane's, then that of the first lane that is on none of them yet."""
+    """Add the orbit of each point's first lane, then that of its first lane on none of them, and so on."""
     states = np.stack([dataset[orbit_name(name)].values.ravel() for name in scene.return_states], axis=1)
     cycles, regime = dataset["orbit_cycles"].values.ravel(), dataset["regime"].values.ravel()
-    # An orbit beside a graze has no multipliers, and is one all the same; on an unstable one no lane stays.
-    there = np.isfinite(states).all(axis=1) & (cycles > 0) & (dataset["stable"].values.ravel() != 0)
-    left = np.flatnonzero(there & ~np.isin(regime, (EQUILIBRIUM, FAILED, UNDECIDED)))
-    while len(left):
-        cells = _by_cell(left, starts)
-        known = known_orbits(scene, dataset, parameters, np.array([some[0] for some in cells]))
-        motions.most_steps = max(motions.most_steps, known.most_steps)
-        for some, orbit, scale in zip(cells, known.states, known.scales, strict=True):
-            apart = np.abs(states[some, None] - orbit[None]) / scale
-            mine = (apart.max(axis=2).min(axis=1) < SAME) & (cycles[some] == len(orbit))
-            mine[0] = True  # itself, whatever its scales
-            label = int(np.argmax(np.bincount(regime[some[mine]])))
-            motions.add(some[mine], int(some[0]) // starts, label, orbit, scale)
-        left = left[motions.of_lane[left] < 0]
+    # An orbit next to a graze counts although it has no multipliers; on an unstable orbit no lane stays.
+    has_orbit = np.isfinite(states).all(axis=1) & (cycles > 0) & (dataset["stable"].values.ravel() != 0)
+    remaining = np.flatnonzero(has_orbit & ~np.isin(regime, (EQUILIBRIUM, FAILED, UNDECIDED)))
+    while len(remaining):
+        cells = _split_by_cell(remaining, starts)
+        known = known_orbits(scene, dataset, parameters, np.array([lanes[0] for lanes in cells]))
+        motions.max_steps = max(motions.max_steps, known.most_steps)
+        for lanes, orbit, scale in zip(cells, known.states, known.scales, strict=True):
+            distance = np.abs(states[lanes, None] - orbit[None]) / scale
+            same = (distance.max(axis=2).min(axis=1) < SAME_ORBIT_WITHIN) & (cycles[lanes] == len(orbit))
+            same[0] = True  # the lane itself, whatever its scales
+            label = int(np.argmax(np.bincount(regime[lanes[same]])))
+            motions.add(lanes[same], Motion(int(lanes[0]) // starts, label, orbit, scale))
+        remaining = remaining[motions.of_lane[remaining] < 0]
 
 
-def _by_statistics(dataset: xr.Dataset, starts: int, motions: Motions) -> None:
-    """Enter the irregular motions.
+def _add_irregular(dataset: xr.Dataset, starts: int, motions: Motions) -> None:
+    """Add the irregular motions.
 
-    By statistics alone, few lanes beside many that are near them may be another motion or a part of the same, so they
-    are left out.
+    Without exponents, few lanes similar to many others may be another motion or part of theirs: they stay unassigned.
     """
+    values = _log_statistics(dataset)
     for groups in irregular_groups(dataset, starts):
-        middles = [np.median(_statistics(dataset, lanes), axis=0) for lanes in groups]
-        many = [middle for lanes, middle in zip(groups, middles, strict=True) if len(lanes) >= FEWEST]
-        for lanes, middle in zip(groups, middles, strict=True):
-            tail = any(np.abs(middle - other).max() <= np.log(IRREGULAR_FACTOR) for other in many)
-            if len(lanes) >= FEWEST or not tail or "nature" in dataset:
-                motions.add(lanes, int(lanes[0]) // starts, IRREGULAR, statistics=middle)
+        centres = [np.median(values[lanes], axis=0) for lanes in groups]
+        large = [centre for lanes, centre in zip(groups, centres, strict=True) if len(lanes) >= IRREGULAR_MIN_LANES]
+        for lanes, centre in zip(groups, centres, strict=True):
+            tail = any(np.abs(centre - other).max() <= np.log(SIMILAR_FACTOR) for other in large)
+            if len(lanes) >= IRREGULAR_MIN_LANES or not tail or "nature" in dataset:
+                motions.add(lanes, Motion(int(lanes[0]) // starts, IRREGULAR, statistics=centre))
 
 
 def irregular_groups(dataset: xr.Dataset, starts: int) -> list[list[Index]]:
-    """Return the irregular lanes of each point in groups of one motion each, joined by chains of near lanes.
+    """Return the irregular lanes of each point in groups of one motion each, joined by chains of similar lanes.
 
-    Exponents are compared where they are known, because they are over thousands of returns. Otherwise statistics are,
-    as for quasi-periodic lanes, whose exponent is 0. Lanes whose statistics have not converged are in no group.
+    Known exponents are compared rather than statistics, because they cover thousands of returns. Quasi-periodic lanes
+    have exponent 0, so their statistics are compared. Lanes whose statistics have not converged are in no group.
     """
     irregular = dataset["regime"].values.ravel() == IRREGULAR
     if "converged" in dataset:
         irregular &= dataset["converged"].values.ravel()
-    values, margins = _scaled_statistics(dataset)
+    resolution = np.log1p(IRREGULAR_WITHIN)
+    values = _log_statistics(dataset)
+    names = [stderr_name(name) for name in STATISTICS if name in dataset]
+    errors = [dataset[name].values.ravel() if name in dataset else np.zeros(len(values)) for name in names]
+    values, margins = values / resolution, RESOLUTION_STDERRS * np.stack(errors, axis=1) / resolution
     if "nature" in dataset:
         nature, exponent, error = (dataset[name].values.ravel() for name in ("nature", "lyapunov", "lyapunov_stderr"))
         irregular &= nature != NATURES.index("not-settled")
         known = irregular & np.isin(nature, [NATURES.index("chaotic"), NATURES.index("periodic")])
-        for lanes in _by_cell(np.flatnonzero(known), starts):
-            typical = max(float(np.median(error[lanes])), LEAST_ERROR)
+        for lanes in _split_by_cell(np.flatnonzero(known), starts):
+            typical = max(float(np.median(error[lanes])), EXPONENT_MIN_STDERR)
             values[lanes] = margins[lanes] = 0.0
-            values[lanes, 0] = exponent[lanes] / (EXPONENT_WITHIN * typical)
-        values = np.column_stack([values, _APART * nature.astype(float)])
+            values[lanes, 0] = exponent[lanes] / (EXPONENT_STDERRS * typical)
+        values = np.column_stack([values, _FAR_APART * nature.astype(float)])
         margins = np.column_stack([margins, np.zeros(len(margins))])
-    found = []
-    for lanes in _by_cell(np.flatnonzero(irregular), starts):
-        group = joined_within(values[lanes], margins[lanes])
-        found.append([lanes[group == number] for number in range(int(group.max()) + 1)])
-    return found
+    cells = []
+    for lanes in _split_by_cell(np.flatnonzero(irregular), starts):
+        group = join_chains(values[lanes], margins[lanes])
+        cells.append([lanes[group == number] for number in range(int(group.max()) + 1)])
+    return cells
 
 
-def doubtful(motions: Motions, number: Int[np.ndarray, " motions"]) -> Bool[np.ndarray, " motions"]:
-    """Which irregular motions cannot be told: another one of their point has more lanes, and nowhere over the grid does
-    their attractor, by `number`, have `FEWEST`: they may be what is left of transients, or tails of the other."""
+def is_ambiguous(motions: Motions, number: Int[np.ndarray, " motions"]) -> Bool[np.ndarray, " motions"]:
+    """Return which irregular motions may be remnants of transients, or tails of another motion at their point.
+
+    Their point has an irregular motion of more lanes, and their attractor has nowhere `IRREGULAR_MIN_LANES` lanes.
+
+    **Arguments:** `number`: of the attractor of each motion.
+    """
     lanes = np.bincount(motions.of_lane[motions.of_lane >= 0], minlength=len(number))
-    irregular = np.array(motions.regime, int) == IRREGULAR
-    most = np.zeros(int(number.max(initial=-1)) + 1, int)
-    np.maximum.at(most, number, lanes)
-    at_point = np.zeros(max(motions.cell, default=-1) + 1, int)
-    np.maximum.at(at_point, np.array(motions.cell, int)[irregular], lanes[irregular])
-    return irregular & (most[number] < FEWEST) & (lanes < at_point[np.array(motions.cell, int)])
+    irregular = np.array([motion.regime for motion in motions.items], int) == IRREGULAR
+    cell = np.array([motion.cell for motion in motions.items], int)
+    most_of_attractor = np.zeros(int(number.max(initial=-1)) + 1, int)
+    np.maximum.at(most_of_attractor, number, lanes)
+    most_of_cell = np.zeros(cell.max(initial=-1) + 1, int)
+    np.maximum.at(most_of_cell, cell[irregular], lanes[irregular])
+    return irregular & (most_of_attractor[number] < IRREGULAR_MIN_LANES) & (lanes < most_of_cell[cell])
 
 
-def _statistics(dataset: xr.Dataset, lanes: Index | slice = slice(None)) -> Float[np.ndarray, "_ statistics"]:
-    """The logarithms of what irregular lanes are compared by; of motions without it, far from all that have it."""
-    values = np.stack([dataset[name].values.ravel()[lanes] for name in STATISTICS if name in dataset], axis=1)
+def _log_statistics(dataset: xr.Dataset) -> PerStatistic:
+    """Return the logarithms of the lanes' statistics; an undefined one is far from all defined ones."""
+    values = np.stack([dataset[name].values.ravel() for name in STATISTICS if name in dataset], axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.where(values > 0, np.log(values), -_APART)
+        return np.where(values > 0, np.log(values), -_FAR_APART)
 
 
-def _scaled_statistics(
-    dataset: xr.Dataset,
-) -> tuple[Float[np.ndarray, "_ statistics"], Float[np.ndarray, "_ statistics"]]:
-    """Return the logarithms of the lanes' statistics and `ERRORS` standard errors of them, over the resolution."""
-    values = _statistics(dataset)
-    names = [stderr_name(name) for name in STATISTICS if name in dataset]
-    errors = [dataset[name].values.ravel() if name in dataset else np.zeros(len(values)) for name in names]
-    resolution = np.log1p(IRREGULAR_WITHIN)
-    return values / resolution, ERRORS * np.stack(errors, axis=1) / resolution
-
-
-def joined_within(
+def join_chains(
     x: Float[np.ndarray, "lanes values"], margins: Float[np.ndarray, "lanes values"] | None = None
 ) -> Index:
-    """Return the group of each lane. Chains of steps join a group, each no longer than about 1 in any value.
+    """Return the group of each lane; a group is a chain of steps, none longer than about 1 in any value.
 
-    `margins`: by how much the step to or from a lane may be longer; those of two lanes add as the root of squares.
+    **Arguments:** `margins`: extra length allowed for a step to or from a lane; two lanes' margins add in quadrature.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
 
-    # To a quarter of a step, so that pairs of thousands of lanes stay few.
+    # Rounding to a quarter of a step keeps the pairs of thousands of lanes few.
     wider = np.zeros_like(x) if margins is None else np.ceil(4 * margins)
     cells, index = np.unique(np.hstack([np.round(4 * x), wider]), axis=0, return_inverse=True)
     cells, wider = np.hsplit(cells, 2)
     reach = 4.0 + 2**0.5 * wider.max(initial=0.0)
     pairs = cKDTree(cells).query_pairs(reach, p=np.inf, output_type="ndarray")
-    one, other = pairs.T
-    near = np.abs(cells[one] - cells[other]) <= 4.0 + np.hypot(wider[one], wider[other])
+    first, second = pairs.T
+    near = np.abs(cells[first] - cells[second]) <= 4.0 + np.hypot(wider[first], wider[second])
     pairs = pairs[near.all(axis=1)]
     links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(cells), len(cells)))
     return np.asarray(connected_components(links, directed=False)[1])[index.ravel()]
 
 
-def _by_cell(lanes: Index, starts: int) -> list[Index]:
-    """The lanes of each point, in order."""
-    if not len(lanes):
-        return []
-    return np.split(lanes, np.flatnonzero(np.diff(lanes // starts)) + 1)
+def _split_by_cell(lanes: Index, starts: int) -> list[Index]:
+    """Return the lanes of each point, in order."""
+    return np.split(lanes, np.flatnonzero(np.diff(lanes // starts)) + 1) if len(lanes) else []

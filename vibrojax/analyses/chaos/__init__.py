@@ -1,3 +1,3 @@
-"""What irregular motion is: the greatest Lyapunov exponent through all events, and what nature follows from it."""
+"""Largest Lyapunov exponents through all events, and the natures of lanes that follow from them."""
 
 from vibrojax.analyses.chaos.natures import Natures as Natures

@@ -1,79 +1,84 @@
-"""The natures of a sweep's lanes: periodic, quasi-periodic, chaotic, or not settled, by their greatest exponent."""
+"""Natures of a sweep's lanes by their largest exponent: periodic, quasi-periodic, chaotic, or not settled."""
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from vibrojax.analyses.chaos.growth import STEPS, Growth, go_on, grow
-from vibrojax.analyses.chaos.windows import stable_amid
-from vibrojax.analyses.chaos.zero_one import zero_one
+from vibrojax.analyses.chaos.series import (
+    EXPONENT_BLOCKS,
+    LONGEST_REPEAT,
+    PerLane,
+    exponents,
+    exponents_of_repeats,
+    find_repeats,
+    zero_one,
+)
+from vibrojax.analyses.chaos.tangents import TANGENT_ACCURACY, Growth, PerState, grow
 from vibrojax.io.variables import NATURES
 from vibrojax.measures.labels import IRREGULAR, UNDECIDED
-from vibrojax.measures.repeats import REPEATS_WITHIN
+from vibrojax.models.scenes import Scene
 from vibrojax.periodic import Orbits
+from vibrojax.periodic.nearby import MOST_STEPS, REACH
+from vibrojax.periodic.newton import ACCEPTED, orbits, repeats_after
 from vibrojax.periodic.of_lanes import last_returns, reason
+from vibrojax.periodic.segments import STEPS, Segments
 from vibrojax.sweep.engine.batch import Features, Index
 from vibrojax.sweep.engine.labelled import regimes
 from vibrojax.sweep.input.definition import Sweep
 
-BEFORE, EACH = 14336, 2048
-"""Returns that a lane goes on for before its exponent is taken, and after how many of them it is looked at whether it
-has come to repeat. Chaos may be a transient, of any length: over the default map 4 to 6 of 100 lanes end to be chaotic
-between 2,048 returns and twice as many, 5 between these and twice as many again, 4 up to 16,384."""
+RETURNS_BEFORE, RETURNS_PER_CHECK = 14336, 2048
+"""Returns before an exponent is taken, and after how many of them a lane is checked for a repeat. Chaos may be a
+transient of any length. Over the default map it ends in 4 to 6 of 100 lanes between 2,048 and 4,096 returns. It ends in
+5 between 4,096 and 8,192, and in 4 between 8,192 and 16,384."""
 
-FEWEST, MOST = 2048, 8192
-"""Returns that its exponent is taken over: doubled where its nature is not clear."""
+EXPONENT_MIN_RETURNS, EXPONENT_MAX_RETURNS = 2048, 8192
+"""Returns that an exponent is taken over; the number doubles as long as the nature is unclear."""
 
-TOGETHER = 512
-"""Lanes that go on together: their returns are kept meanwhile."""
+UNSETTLED_LANES_TOGETHER = 512
+"""Lanes that are continued together; it bounds the memory of their returns."""
 
-LATE = 0.75
-"""Part of them, the last, that the exponent is of; the tangent turns into its direction before, and transients end."""
+CLEAR_STDERRS, FINAL_STDERRS = 6.0, 3.0
+"""Standard errors from zero at which an exponent's sign is clear: before the last return, and after it."""
 
-BLOCKS = 16
-"""Blocks of returns, whose exponents scatter as the standard error says."""
+ZERO_STDERR = 0.002
+"""Standard error per return below which an exponent that does not differ from zero counts as zero."""
 
-CLEAR, ENOUGH = 6.0, 3.0
-"""Standard errors from zero at which an exponent's sign is clear before the last return, and then."""
+ZERO_EXPONENT = 5e-4
+"""Exponent per return that counts as zero, however small its standard error."""
 
-RESOLVED = 0.002
-"""Standard error per return below which an exponent that does not differ from zero is taken for zero."""
-
-NEXT_TO_NONE = 5e-4
-"""Exponent per return that is taken for zero however sure it is."""
-
-SECOND_OPINION = 0.9
-"""K of the 0-1 test from which a lane is chaotic whose exponent decides nothing."""
-
-LONGEST_REPEAT = 64
-"""Returns of the longest repeat that is looked for."""
+CHAOTIC_K = 0.9
+"""K of the 0-1 test above which a lane is chaotic if its exponent decides nothing."""
 
 LABELLED_REPEAT = 8
-"""Those of the longest that labels know; a lane that comes to one of these later had not settled."""
+"""Longest repeat that labels recognise; a lane that comes to one of these later had not settled."""
 
-STEADY = 0.99
-"""Part of their spread that the states of a long repeat keep over a few of them."""
+STEADY_SPREAD = 0.99
+"""Share of their spread that the states of a long repeat keep over a few repeats."""
 
-TESTED = 1024
-"""Returns, the last, that the 0-1 test takes."""
+TESTED_RETURNS = 1024
+"""Returns, the last, that the 0-1 test uses."""
 
-PerLane = Float[np.ndarray, " lanes"]
-PerReturn = Float[np.ndarray, "returns lanes"]
-States = Float[np.ndarray, "states lanes"]
+EMBEDDED_MAX_RETURNS = 4
+"""Returns of the longest stable orbit within chaos that is searched for: over the default map hardly any is longer."""
+
+EMBEDDED_TRIALS = 8
+"""Newton starts per length of such an orbit: the closest return of each equal part of the time."""
+
+EMBEDDED_WITHIN = 0.5
+"""Distance over the scales up to which a return is worth a Newton start."""
 
 
 def nature(name: str) -> int:
-    """The flag of `nature` that means `name`."""
+    """Return the flag of `nature` that means `name`."""
     return NATURES.index(name)
 
 
 class Natures:
-    """Finds the greatest exponents of lanes, and their natures, chunk by chunk.
+    """Largest exponents of a sweep's lanes, and their natures, chunk by chunk.
 
-    A lane that repeats has that of its orbit, ln|greatest multiplier| over the repeat's time. Others go on along the
-    return map with a tangent, see [vibrojax.analyses.chaos.growth][].
+    A lane that repeats has the exponent of its orbit: the logarithm of its largest |multiplier| over the time of its
+    repeat. Other lanes are continued along the return map with a tangent, see [vibrojax.analyses.chaos.tangents][].
     """
 
     def __init__(self, sweep: Sweep) -> None:
@@ -83,182 +88,149 @@ class Natures:
 
     @property
     def described(self) -> dict[str, object]:
-        """What the attribute `lyapunov` of a dataset says: which exponent it is, and how it was found."""
+        """Value of a dataset's attribute `lyapunov`: which exponent it holds, and how it was computed."""
         return {
-            "exponent": "greatest of the flow but the trivial zero: of the return map, per second; natural logarithm",
-            "stick": "loses one direction, whose exponent is minus infinity; the greatest of the others stays finite",
-            "of_lanes_that_repeat": "ln of the orbit's greatest |multiplier| over the time of its repeat",
-            "tolerance": STEPS.tolerance,
-            "returns_before": BEFORE,
-            "returns": [FEWEST, MOST],
-            "blocks": BLOCKS,
-            "transient": "chaotic motion amid which a stable orbit of the return map was found counts as not-settled",
+            "exponent": "largest of the flow except the trivial zero: of the return map, per second; natural logarithm",
+            "stick": "loses one direction, whose exponent is minus infinity; the largest of the others stays finite",
+            "of_lanes_that_repeat": "ln of the orbit's largest |multiplier| over the time of its repeat",
+            "tolerance": TANGENT_ACCURACY.tolerance,
+            "returns_before": RETURNS_BEFORE,
+            "returns": [EXPONENT_MIN_RETURNS, EXPONENT_MAX_RETURNS],
+            "blocks": EXPONENT_BLOCKS,
+            "transient": "chaotic motion in which a stable orbit of the return map was found counts as not-settled",
         }
 
     def __call__(self, first: int, end: int, features: Features) -> Features:
-        """`lyapunov`, `lyapunov_stderr`, `zero_one` and `nature` of the lanes from `first` to before `end`.
+        """Return `lyapunov`, `lyapunov_stderr`, `zero_one` and `nature` of the lanes from `first` to before `end`.
 
-        `features` are those of the lanes, by name, among them their last returns, and their orbits if the sweep is to
-        have them; not changed.
+        **Arguments:** `features`: of the lanes by name, with their last returns, and with orbits if the sweep has them.
         """
-        lanes = end - first
         parameters, _ = self._sweep.lane_values(first, end)
         regime = regimes(self._sweep.system, parameters, features)
-        orbits = features if self._orbits is None else self._orbits(first, end, features)
-        found: Features = {name: np.full(lanes, np.nan) for name in ("lyapunov", "lyapunov_stderr", "zero_one")}
-        found["nature"] = np.full(lanes, nature("unknown"))
+        orbit = features if self._orbits is None else self._orbits(first, end, features)
+        result: Features = {name: np.full(end - first, np.nan) for name in ("lyapunov", "lyapunov_stderr", "zero_one")}
+        result["nature"] = np.full(end - first, nature("unknown"))
         with np.errstate(all="ignore"):
-            self._of_orbits(orbits, features, found)
-            astray = np.isin(orbits["orbit_reason"], [reason("not-converged"), reason("another-orbit")])
-            still = astray | np.isin(regime, (IRREGULAR, UNDECIDED))
-            still &= features["finite"] & features["finished"] & (features["returns"] > 0)
-            given = {name: parameters[name] for name in self._scene.parameters()}
-            for some in np.array_split(np.flatnonzero(still), -(-int(still.sum()) // TOGETHER) or 1):
-                self._of_others(some, given, features, found)
-        return found
+            period, why = orbit.get("period", features["period"]), orbit["orbit_reason"]
+            known = why == reason("found")
+            exponent = np.log(orbit["multiplier_abs"][:, 0]) / (period * features["cycles"])
+            result["lyapunov"][known], result["lyapunov_stderr"][known] = exponent[known], 0.0
+            stable = known & (orbit["stable"] == 1)
+            result["nature"][stable | (why == reason("near-grazing"))] = nature("periodic")
+            result["nature"][known & ~stable] = nature("not-settled")
+            without_orbit = np.isin(why, [reason("not-converged"), reason("another-orbit")])
+            unsettled = without_orbit | np.isin(regime, (IRREGULAR, UNDECIDED))
+            unsettled &= features["finite"] & features["finished"] & (features["returns"] > 0)
+            own = {name: parameters[name] for name in self._scene.parameters()}
+            batches = -(-int(unsettled.sum()) // UNSETTLED_LANES_TOGETHER) or 1
+            for lanes in np.array_split(np.flatnonzero(unsettled), batches):
+                self._continue(lanes, own, features, result)
+        return result
 
-    def _of_orbits(self, orbits: Features, features: Features, found: Features) -> None:
-        """Enter those of lanes whose orbit was found."""
-        period = orbits.get("period", features["period"])
-        known = orbits["orbit_reason"] == reason("found")
-        exponent = np.log(orbits["multiplier_abs"][:, 0]) / (period * features["cycles"])
-        found["lyapunov"][known] = exponent[known]
-        found["lyapunov_stderr"][known] = 0.0
-        stable = known & (orbits["stable"] == 1)
-        found["nature"][stable | (orbits["orbit_reason"] == reason("near-grazing"))] = nature("periodic")
-        found["nature"][known & ~stable] = nature("not-settled")
-
-    def _of_others(self, lanes: Index, parameters: dict[str, np.ndarray], features: Features, found: Features) -> None:
-        """Enter those of lanes that do not repeat: they go on until it is clear what they are."""
+    def _continue(self, lanes: Index, parameters: dict[str, np.ndarray], features: Features, result: Features) -> None:
+        """Continue lanes that do not repeat until their natures are clear, and enter their exponents and natures."""
         begin, scales = last_returns(self._scene, lanes, 1, features)
-        state, scale = begin[:, 0].T, _complete(scales, begin[:, 0]).T
+        # States that labels do not compare have no scale; their size serves instead.
+        size = np.maximum(np.abs(begin[:, 0]), np.finfo(float).tiny)
+        state, scale = begin[:, 0].T, np.where(np.isfinite(scales), scales, size).T
         usable = np.isfinite(state).all(axis=0) & (np.isfinite(scale) & (scale > 0)).all(axis=0)
         lanes, state, scale = lanes[usable], state[:, usable], scale[:, usable]
-        given = {name: x[lanes] for name, x in parameters.items()}
-        state = self._later(given, state, scale)
+        state = self._settle({name: x[lanes] for name, x in parameters.items()}, state, scale)
         tangent = np.full(state.shape, len(state) ** -0.5)
-        gone: Growth | None = None
-        more = FEWEST
+        growth: Growth | None = None
+        returns = EXPONENT_MIN_RETURNS
         while len(lanes):
-            given = {name: x[lanes] for name, x in parameters.items()}
-            new = grow(self._scene, given, state, tangent, scale, more)
-            gone = new if gone is None else _joined(gone, new)
-            more = len(gone.rate)
-            exponent, error = exponents(gone.rate, gone.time)
-            repeat, exponent, error = _of_repeats(gone, scale, exponent, error)
-            clear, flags = judged(gone, repeat, exponent, error, last=more >= MOST)
-            tested = _tested(gone.states[-TESTED:][..., clear])
+            values = {name: x[lanes] for name, x in parameters.items()}
+            new = grow(self._scene, values, state, tangent, scale, returns)
+            if growth is not None:
+                rate, time, states = (np.concatenate(pair) for pair in zip(growth[:3], new[:3], strict=True))
+                new = Growth(rate, time, states, new.tangent)
+            growth, returns = new, len(new.rate)
+            exponent, error = exponents(growth.rate, growth.time)
+            repeat = exponents_of_repeats(*growth[:3], scale, exponent, error)
+            clear, flags = classify_growth(growth, repeat, exponent, error, last=returns >= EXPONENT_MAX_RETURNS)
+            # Chaos shows in some states later than in others, so the largest K counts.
+            tested = growth.states[-TESTED_RETURNS:][..., clear]
+            k = np.max([zero_one(tested[:, index]) for index in range(len(state))], axis=0)
             known = flags[clear]
-            flags[clear] = np.where((known == nature("unknown")) & (tested > SECOND_OPINION), nature("chaotic"), known)
+            flags[clear] = np.where((known == nature("unknown")) & (k > CHAOTIC_K), nature("chaotic"), known)
             chaos = np.flatnonzero(clear & (flags == nature("chaotic")))
-            of_chaos = {name: x[chaos] for name, x in given.items()}
-            amid = stable_amid(self._scene, of_chaos, gone.states[..., chaos], scale[:, chaos])
-            flags[chaos[amid]] = nature("not-settled")
-            found["lyapunov"][lanes], found["lyapunov_stderr"][lanes] = exponent, error
-            found["nature"][lanes], found["zero_one"][lanes[clear]] = flags, tested
-            keep = ~clear
-            lanes, state, scale = lanes[keep], gone.states[-1][:, keep], scale[:, keep]
-            gone = Growth(*(x[..., keep] for x in gone))
-            tangent = gone.tangent
+            of_chaos = {name: x[chaos] for name, x in values.items()}
+            transient = has_embedded_orbit(self._scene, of_chaos, growth.states[..., chaos], scale[:, chaos])
+            flags[chaos[transient]] = nature("not-settled")
+            result["lyapunov"][lanes], result["lyapunov_stderr"][lanes] = exponent, error
+            result["nature"][lanes], result["zero_one"][lanes[clear]] = flags, k
+            lanes, state, scale = lanes[~clear], growth.states[-1][:, ~clear], scale[:, ~clear]
+            growth = Growth(*(x[..., ~clear] for x in growth))
+            tangent = growth.tangent
 
-    def _later(self, parameters: Mapping[str, PerLane], state: States, scale: States) -> States:
-        """Where lanes are `BEFORE` returns later, or where they have come to repeat."""
+    def _settle(self, parameters: Mapping[str, PerLane], state: PerState, scale: PerState) -> PerState:
+        """Return the states of lanes `RETURNS_BEFORE` returns later, or when they have come to repeat."""
         state, active = state.copy(), np.arange(state.shape[1])
-        for _ in range(BEFORE // EACH):
+        for _ in range(RETURNS_BEFORE // RETURNS_PER_CHECK):
             if not len(active):
                 break
-            given = {name: x[active] for name, x in parameters.items()}
-            states = go_on(self._scene, given, state[:, active], scale[:, active], EACH, kept=4 * LONGEST_REPEAT)
+            values = {name: x[active] for name, x in parameters.items()}
+            now, size = state[:, active], scale[:, active]
+            kept = 4 * LONGEST_REPEAT
+            states = grow(self._scene, values, now, size, size, RETURNS_PER_CHECK, kept=kept, grows=False).states
             state[:, active] = states[-1]
-            active = active[(_repeat(states, scale[:, active]) == 0) & np.isfinite(states[-1]).all(axis=0)]
+            active = active[(find_repeats(states, size) == 0) & np.isfinite(states[-1]).all(axis=0)]
         return state
 
 
-def exponents(rate: PerReturn, time: PerReturn) -> tuple[PerLane, PerLane]:
-    """Growth per second of each lane over the later returns, and its standard error.
-
-    The mean is weighted by a bump that is flat at both ends, with which that of a regular motion converges faster than
-    any power of its length (Das, Saiki, Sander and Yorke, Nonlinearity 30 (2017) 4111); that of a chaotic one is as
-    good as any. The error is by blocks, each weighted in the same way: what a tangent gains at the end of a block by
-    where it happens to stand, and loses in the next, would else count as scatter.
-    """
-    late = int(LATE * len(rate)) // BLOCKS * BLOCKS
-    growth, seconds = rate[-late:], time[-late:]
-    weight = _bump(late)
-    exponent = weight @ growth / (weight @ seconds)
-    each = _bump(late // BLOCKS)
-    blocks = [np.einsum("r,brl->bl", each, x.reshape(BLOCKS, -1, x.shape[1])) for x in (growth, seconds)]
-    return exponent, np.std(blocks[0] / blocks[1], axis=0, ddof=1) / BLOCKS**0.5
-
-
-def _bump(count: int) -> Float[np.ndarray, " count"]:
-    """Weights that are flat at both ends, with all derivatives."""
-    share = (np.arange(count) + 0.5) / count
-    return np.exp(-1 / (share * (1 - share)))
-
-
-def judged(
-    gone: Growth, repeat: Int[np.ndarray, " lanes"], exponent: PerLane, error: PerLane, last: bool
+def classify_growth(
+    growth: Growth, repeat: Int[np.ndarray, " lanes"], exponent: PerLane, error: PerLane, last: bool
 ) -> tuple[Bool[np.ndarray, " lanes"], Int[np.ndarray, " lanes"]]:
-    """Of which lanes it is clear what they are, all if these returns are the `last`; and their natures."""
-    away = ~np.isfinite(gone.states[-1]).all(axis=0)
-    per_return = gone.time[-BLOCKS:].mean(axis=0)
-    enough = np.maximum((ENOUGH if last else CLEAR) * error, NEXT_TO_NONE / per_return)
-    spread = np.ptp(gone.states[-LONGEST_REPEAT:], axis=0), np.ptp(gone.states[-4 * LONGEST_REPEAT :], axis=0)
-    # What spirals towards an orbit repeats after its turn, but for less and less.
-    spirals = np.any(spread[0] < STEADY * spread[1], axis=0)
+    """Return which lanes' natures are clear, all of them if these returns are the `last`; and the natures."""
+    lost = ~np.isfinite(growth.states[-1]).all(axis=0)
+    per_return = growth.time[-EXPONENT_BLOCKS:].mean(axis=0)
+    threshold = np.maximum((FINAL_STDERRS if last else CLEAR_STDERRS) * error, ZERO_EXPONENT / per_return)
+    spread, longer = (np.ptp(growth.states[-count * LONGEST_REPEAT :], axis=0) for count in (1, 4))
+    # A motion that spirals towards an orbit repeats after its turn, but over ever smaller distances.
+    spirals = np.any(spread < STEADY_SPREAD * longer, axis=0)
     rules = [
-        (away | ((repeat > 0) & ((repeat <= LABELLED_REPEAT) | spirals)), "not-settled"),
+        (lost | ((repeat > 0) & ((repeat <= LABELLED_REPEAT) | spirals)), "not-settled"),
         (repeat > LABELLED_REPEAT, "periodic"),
-        (exponent > enough, "chaotic"),
-        (exponent < -enough, "not-settled"),
-        (last & (error * per_return < RESOLVED), "quasi-periodic"),
+        (exponent > threshold, "chaotic"),
+        (exponent < -threshold, "not-settled"),
+        (last & (error * per_return < ZERO_STDERR), "quasi-periodic"),
     ]
     conditions, names = zip(*rules, strict=True)
     return np.any(conditions, axis=0) | last, np.select(conditions, list(map(nature, names)), nature("unknown"))
 
 
-def _repeat(states: Float[np.ndarray, "returns states lanes"], scale: States) -> Int[np.ndarray, " lanes"]:
-    """Returns, the fewest, after which lanes have come to repeat; 0: none."""
-    repeat = np.zeros(states.shape[2], int)
-    for length in range(LONGEST_REPEAT, 0, -1):
-        late = states[-3 * length - 1 :]
-        repeat[np.all(np.abs(late[length:] - late[:-length]) < REPEATS_WITHIN * scale, axis=(0, 1))] = length
-    return repeat
+def has_embedded_orbit(
+    scene: Scene,
+    parameters: Mapping[str, Float[np.ndarray, " lanes"]],
+    states: Float[np.ndarray, "returns states lanes"],
+    scale: PerState,
+) -> Bool[np.ndarray, " lanes"]:
+    """Return for which lanes a stable orbit was found within their chaotic motion, which then is a transient.
 
+    A chaotic motion returns close to earlier states, and so to the periodic orbits embedded in it. Newton's method
+    begins at its closest returns (Lathrop and Kostelich, Physical Review A 40 (1989) 4028).
 
-def _of_repeats(
-    gone: Growth, scale: States, exponent: PerLane, error: PerLane
-) -> tuple[Int[np.ndarray, " lanes"], PerLane, PerLane]:
-    """Returns after which lanes have come to repeat, 0: none; their exponents and errors, over what repeats alone."""
-    repeat = _repeat(gone.states, scale)
-    for lane in np.flatnonzero(repeat):
-        length, states = int(repeat[lane]), gone.states[:, :, lane]
-        apart = np.all(np.abs(states[length:] - states[:-length]) < REPEATS_WITHIN * scale[:, lane], axis=1)
-        within = int(np.cumprod(apart[::-1]).sum()) + length
-        blocks = min(BLOCKS, within // length)
-        whole = within // (length * blocks) * length * blocks
-        growth, seconds = (x[-whole:, lane].reshape(blocks, -1).sum(axis=1) for x in (gone.rate, gone.time))
-        # A motion that only lingers by one that repeats still goes away from it.
-        if growth.sum() < 0:
-            exponent[lane] = float(growth.sum()) / float(seconds.sum())
-            error[lane] = float(np.std(growth / seconds, ddof=1)) / blocks**0.5
-        else:
-            repeat[lane] = 0
-    return repeat, exponent, error
-
-
-def _tested(states: Float[np.ndarray, "returns states lanes"]) -> PerLane:
-    """The 0-1 test by the state that says most: chaos shows in some later than in others."""
-    return np.max([zero_one(states[:, index]) for index in range(states.shape[1])], axis=0)
-
-
-def _complete(scales: Float[np.ndarray, "lanes states"], states: Float[np.ndarray, "lanes states"]) -> Any:
-    """Scales of all states: of those that labels do not compare, their size."""
-    return np.where(np.isfinite(scales), scales, np.maximum(np.abs(states), np.finfo(float).tiny))
-
-
-def _joined(before: Growth, after: Growth) -> Growth:
-    """One after the other."""
-    rate, time, states = (np.concatenate(pair) for pair in zip(before[:3], after[:3], strict=True))
-    return Growth(rate, time, states, after.tangent)
+    **Arguments:** `states` at the returns, and the `scale` of each.
+    """
+    segments = Segments(scene, steps=STEPS._replace(tolerance=1e-9), most=MOST_STEPS)
+    stable = np.zeros(states.shape[2], bool)
+    for repeat in range(1, EMBEDDED_MAX_RETURNS + 1):
+        remaining = np.flatnonzero(~stable)
+        own = states[..., remaining]
+        distance = np.max(np.abs(own[repeat:] - own[:-repeat]) / scale[:, remaining], axis=1)
+        part = len(distance) // EMBEDDED_TRIALS
+        parts = distance[: part * EMBEDDED_TRIALS].reshape(EMBEDDED_TRIALS, part, len(remaining))
+        trial, column = np.nonzero(parts.min(axis=1) < EMBEDDED_WITHIN)
+        lanes = remaining[column]
+        if not len(lanes):
+            continue
+        first = parts.argmin(axis=1)[trial, column] + part * trial
+        begin = np.stack([own[first + k, :, column] for k in range(repeat)], axis=1)
+        values = {name: x[lanes] for name, x in parameters.items()}
+        with np.errstate(all="ignore"):
+            orbit = orbits(begin, scale.T[lanes], np.full(len(lanes), REACH), segments.of(values), ACCEPTED)
+            accepted = (orbit.residual <= ACCEPTED) & (repeats_after(orbit) == repeat)
+            accepted[accepted] = np.abs(np.linalg.eigvals(orbit.product[accepted])).max(axis=1) < 1
+        stable[lanes[accepted]] = True
+    return stable

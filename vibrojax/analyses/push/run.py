@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any, NamedTuple
 
@@ -9,7 +10,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
 
-from vibrojax.analyses.attractors.grouping import SAME
+from vibrojax.analyses.attractors.grouping import SAME_ORBIT_WITHIN
 from vibrojax.analyses.push.spec import PRECISION, SCAN, PushAsked, read_pushed
 from vibrojax.analyses.sweep.run import run_sweep
 from vibrojax.errors import Place
@@ -22,36 +23,37 @@ from vibrojax.periodic.of_dataset import KnownOrbits, known_orbits
 from vibrojax.sweep.input.points import VECTOR
 from vibrojax.sweep.input.read import read_sweep
 
-SCANS = 5
-"""Scans at most, each below the smallest push that the one before found."""
+MAX_SCANS = 5
+"""Scans at most; each covers the range below the smallest push that the one before found."""
 
-PIECES, ROUNDS = 32, 4
-"""In so many pieces a bracket is cut at once, so many times at most."""
+BRACKET_PIECES, BRACKET_ROUNDS = 32, 4
+"""Pieces into which a bracket is cut at once, and how many times at most."""
 
 PATIENCE = 6.0
-"""A motion that is irregular goes on for so many times as long: it may be on its way back."""
+"""Factor by which irregular motions are run longer: they may be on their way back."""
 
 SIGNS = (-1, 1)
 
 METHOD = (
     "pushes at the section of the working cycle, scan of them in each direction evenly up to the bound, then as many "
-    "below the smallest that leaves, until nothing smaller is found; between that and the greatest below it that is "
-    "returned from, the same until that bracket is narrow. What is irregular then goes on for patience times as long. "
-    "Basins have holes: what is narrower than the steps of the scans is missed"
+    "below the smallest that leaves, until nothing smaller is found; between that and the greatest returning push "
+    "below it, the same until the bracket is narrow. Motions that are then irregular are run patience times as long. "
+    "Basins have holes: a hole narrower than the steps of the scans is missed"
 )
 
-Pushes = Float[np.ndarray, "points directions pushes"]
 PerDirection = Float[np.ndarray, "points directions"]
-Regimes = Int[np.ndarray, "points directions"]
 
 
 class Brackets(NamedTuple):
-    """Of each direction the greatest push that is known to return below the smallest that leaves; that, NaN where none
-    was found; and the regime that it ends in, 0 there."""
+    """Smallest leaving push of each direction.
+
+    - `low`: the greatest push below it that is known to return.
+    - `high`: the push, NaN if none was found; `regime`: in which the motion ends then, 0 if none was found.
+    """
 
     low: PerDirection
     high: PerDirection
-    regime: Regimes
+    regime: Int[np.ndarray, "points directions"]
 
 
 def smallest_push(
@@ -66,35 +68,36 @@ def smallest_push(
     progress: bool = True,
     **parameters: Any,
 ) -> xr.Dataset:
-    """The smallest push in each state after which a machine no longer returns to its working cycle.
+    """Find the smallest push in each state after which a machine no longer returns to its working cycle.
 
         push = vj.smallest_push("vibro-impact", beta=0.4, gamma=0.75, delta=0.005, start="stuck")
         push.push_v2.sel(sign=1)  # m/s that are added to the striker's velocity
 
-    The working cycle is the orbit that the motion settles on. Where it passes the section (the bit overtakes the drive)
-    one state is changed at once, to either side, and the motion goes on for `settle` and `observe`, six times as long
-    where it is irregular. A scan up to the bound is followed by scans below the smallest push that leaves, until they
-    find no smaller one, and that is refined. Basins have holes, and one that is narrower than the steps of these scans
-    is missed: what is given is a push that leaves, the smallest that was found.
+    The working cycle is the orbit on which the motion settles. At its section (the bit overtakes the drive) one state
+    is changed at once, to either side. The motion then runs for `settle` and `observe`, six times as long if it is
+    irregular. A scan up to the bound is followed by scans below the smallest leaving push until they find no smaller
+    one; then its bracket is narrowed. Basins have holes, and one narrower than the steps of these scans is missed: the
+    result is a push that leaves, the smallest that was found.
 
     **Arguments:**
 
-    - `scene`: a name or a scene with a drill; `parameters`: any of its (SI), as `simulate` takes them. One or several
-      may be sequences of one length: as many working cycles, all pushed at once, numbered along `point`.
-    - `start`: of the motion whose cycle is pushed, by default the scene's first.
+    - `scene`: a name, or a scene with a drill; `parameters`: any of its (SI), as `simulate` takes them. Sequences of
+      one length are as many working cycles, all pushed at once, numbered along `point`.
+    - `start`: of the motion that settles on the cycle, by default the scene's first.
     - `most`: the greatest push in a state, by its name (x1, x2 [m], v1, v2 [m/s]); by default its whole swing over the
-      cycle, or of a velocity that over the period times 2 pi.
-    - `scan`: pushes of each scan in a direction; `precision`: the width of the bracket in the end, over the
-      push.
-    - `settle`, `observe` [s]: for which motions settle and are watched then.
-    - `progress`: whether to say on stderr how far it is.
+      cycle, or for a velocity that swing times 2 pi over the period.
+    - `scan`: pushes of each scan in a direction; `precision`: relative width of the final bracket.
+    - `settle`, `observe` [s]: how long motions settle and are then observed.
+    - `progress`: whether to report progress on stderr.
 
-    **Returns:** a dataset. Along `sign` (-1, 1) for each state (here v2): `push_v2`, the smallest push found after
-    which the motion ends elsewhere, NaN where there is none up to `bound_v2`; `bracket_v2`: by how much greater it is
-    than the next smaller push that is known to return; `regime_v2`: where it ends. Of the working cycle `regime`,
-    `period` and the state at the section (`orbit_x1` and so on).
+    **Returns:** a dataset.
 
-    **Raises:** `InputError` where a name or value is not right, or there is no stable cycle to be pushed out of.
+    - Along `sign` (-1, 1) for each state (here v2): `push_v2` is the smallest leaving push that was found, NaN if none
+      up to `bound_v2` leaves. `bracket_v2` is its distance from the next smaller push that is known to return, and
+      `regime_v2` the regime in which the motion ends.
+    - `regime`, `period` and the state at the section (`orbit_x1` and so on) of the working cycle.
+
+    **Raises:** `InputError` for a wrong name or value, and if there is no stable cycle to push.
 
     **Example:**
 
@@ -106,27 +109,26 @@ def smallest_push(
     return push_asked(read_pushed(scene, start, most, scan, precision, settle, observe, parameters), progress)
 
 
-def push_asked(asked: PushAsked, progress: bool = True) -> xr.Dataset:
-    """The smallest pushes, as `smallest_push` gives them; raises `InputError` where no cycle is there to be pushed."""
-    sweep = asked.sweep
+def push_asked(spec: PushAsked, progress: bool = True) -> xr.Dataset:
+    """Return the smallest pushes as `smallest_push` does; raise `InputError` if there is no stable cycle to push."""
+    sweep = spec.sweep
     cycle = run_sweep(sweep, progress=progress)
     cycle = cycle.isel(start=0, drop=True) if "start" in cycle.dims else cycle
     cycle = cycle if "point" in cycle.dims else cycle.expand_dims("point")
     stable = np.flatnonzero(cycle["stable"].values == 1)
     if not len(stable):
-        raise Place("smallest_push").error(_what_instead(cycle.isel(point=0)))
-    states = sweep.system.start_states
-    section = {name: cycle[orbit_name(name)].values[stable] for name in sweep.system.driving_part().return_states}
-    at = np.stack([section.get(name, np.zeros(len(stable))) for name in states], axis=1)
-    bound = _bounds(asked, cycle.isel(point=stable))
+        raise Place("smallest_push").error(_why_no_cycle(cycle.isel(point=0)))
     scene, values = sweep.system.driving_part(), sweep.lane_values(0, sweep.lanes)[0]
-    cycles = known_orbits(scene, cycle, {name: values[name] for name in scene.parameters()}, stable)
-    found = _Pushed(asked, stable, at, cycles, progress).smallest(np.repeat(bound, len(SIGNS), axis=1))
-    return _described(asked, cycle, stable, bound, found)
+    section = {name: cycle[orbit_name(name)].values[stable] for name in scene.return_states}
+    begin = np.stack([section.get(name, np.zeros(len(stable))) for name in sweep.system.start_states], axis=1)
+    bound = _bounds(spec, cycle.isel(point=stable))
+    orbits = known_orbits(scene, cycle, {name: values[name] for name in scene.parameters()}, stable)
+    brackets = _Search(spec, stable, begin, orbits, progress).run(np.repeat(bound, len(SIGNS), axis=1))
+    return _dataset(spec, cycle, stable, bound, brackets)
 
 
-def _what_instead(lane: xr.Dataset) -> str:
-    """Why there is no cycle to push."""
+def _why_no_cycle(lane: xr.Dataset) -> str:
+    """Return why a lane has no stable cycle to push, as a message."""
     reason = ORBIT_REASONS[int(lane["orbit_reason"])]
     if reason == "refused":
         return f"the motion cannot be run ({REASONS[int(lane['reason'])].replace('-', ' ')}); push it elsewhere"
@@ -135,146 +137,144 @@ def _what_instead(lane: xr.Dataset) -> str:
     return f"the motion {why} ({regime} after {settled:g} s): no cycle to push; give another start or point"
 
 
-def _bounds(asked: PushAsked, cycle: xr.Dataset) -> Float[np.ndarray, "points states"]:
-    """The greatest push in each state."""
-    section = asked.sweep.system.driving_part().section
+def _bounds(spec: PushAsked, cycle: xr.Dataset) -> Float[np.ndarray, "points states"]:
+    """Return the greatest push in each state."""
+    section = spec.sweep.system.driving_part().section
     assert section is not None
-    own: dict[str, np.ndarray] = {}
+    bounds: dict[str, np.ndarray] = {}
     for swing in section.swings:
-        whole = 2 * cycle[swing.amplitude].values
-        own[swing.position] = whole
+        bounds[swing.position] = 2 * cycle[swing.amplitude].values
         if swing.velocity is not None:
-            own[swing.velocity] = whole * 2 * np.pi / cycle["period"].values
-    columns = [
-        np.full(cycle.sizes["point"], asked.most[name]) if name in asked.most else own[name]
-        for name in asked.sweep.system.start_states
-    ]
-    return np.stack(columns, axis=1)
+            bounds[swing.velocity] = bounds[swing.position] * 2 * np.pi / cycle["period"].values
+    bounds |= {name: np.full(cycle.sizes["point"], x) for name, x in spec.most.items()}
+    return np.stack([bounds[name] for name in spec.sweep.system.start_states], axis=1)
 
 
-class _Pushed:
-    """Runs motions that begin on cycles, pushed.
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """A search for the smallest pushes out of stable cycles.
 
-    `points`: those that have a cycle, by index; `at` (points, states): where each passes the section; `cycles`: they.
+    - `points`: indices of the points with a stable cycle; `begin` (points, states): its state at the section.
+    - `orbits`: the cycles; `progress`: whether to report progress on stderr.
     """
 
-    def __init__(
-        self,
-        asked: PushAsked,
-        points: Int[np.ndarray, " points"],
-        at: Float[np.ndarray, "points states"],
-        cycles: KnownOrbits,
-        shown: bool,
-    ) -> None:
-        self._asked, self._points, self._at, self._cycles, self._shown = asked, points, at, cycles, shown
+    spec: PushAsked
+    points: Int[np.ndarray, " points"]
+    begin: Float[np.ndarray, "points states"]
+    orbits: KnownOrbits
+    progress: bool
 
-    def smallest(self, bound: PerDirection) -> Brackets:
-        """The smallest pushes that leave, each up to its `bound`."""
-        scan = np.arange(1, self._asked.scan + 1) / self._asked.scan
-        found = Brackets(np.zeros_like(bound), np.full_like(bound, np.nan), np.zeros(bound.shape, int))
-        top, wanted = bound, np.ones(bound.shape, bool)
-        for _ in range(SCANS):
-            before = found.high
-            found = self._narrowed(found, top[..., None] * scan, wanted)
-            top, wanted = found.high, found.high < np.where(np.isnan(before), np.inf, before)
-            if not wanted.any():
+    def run(self, bound: PerDirection) -> Brackets:
+        """Return the brackets of the smallest leaving pushes, each up to its `bound`."""
+        scan = np.arange(1, self.spec.scan + 1) / self.spec.scan
+        brackets = Brackets(np.zeros_like(bound), np.full_like(bound, np.nan), np.zeros(bound.shape, int))
+        top, mask = bound, np.ones(bound.shape, bool)
+        for _ in range(MAX_SCANS):
+            before = brackets.high
+            brackets = self._narrow(brackets, top[..., None] * scan, mask)
+            top, mask = brackets.high, brackets.high < np.where(np.isnan(before), np.inf, before)
+            if not mask.any():
                 break
-        share = np.arange(1, PIECES) / PIECES
-        for _ in range(ROUNDS):
-            wide = found.high - found.low > self._asked.precision * found.high  # NaN is not
-            if not wide.any():
+        share = np.arange(1, BRACKET_PIECES) / BRACKET_PIECES
+        for _ in range(BRACKET_ROUNDS):
+            low, high, _ = brackets
+            mask = high - low > self.spec.precision * high  # False for NaN
+            if not mask.any():
                 break
-            found = self._narrowed(found, found.low[..., None] + (found.high - found.low)[..., None] * share, wide)
-        return found
+            brackets = self._narrow(brackets, low[..., None] + (high - low)[..., None] * share, mask)
+        return brackets
 
-    def _narrowed(self, found: Brackets, pushes: Pushes, wanted: np.ndarray) -> Brackets:
-        """The brackets after more pushes in the directions that are `wanted`: up to the smallest push that leaves, from
-        the greatest below it that is returned from."""
-        low, high, regime = (x.copy() for x in found)
-        tried = pushes[wanted]
-        back, left, ends = self._told(np.argwhere(wanted), tried)
-        first = np.argmax(left, axis=1)[:, None]
-        some = left.any(axis=1)
-        high[wanted] = np.where(some, np.take_along_axis(tried, first, axis=1)[:, 0], high[wanted])
-        regime[wanted] = np.where(some, np.take_along_axis(ends, first, axis=1)[:, 0], regime[wanted])
-        top = np.where(np.isnan(high), np.inf, high)[wanted]
-        below = np.max(np.where(back & (tried < top[:, None]), tried, 0.0), axis=1)
-        low[wanted] = np.maximum(np.where(low[wanted] < top, low[wanted], 0.0), below)
+    def _narrow(
+        self, brackets: Brackets, pushes: Float[np.ndarray, "points directions pushes"], mask: np.ndarray
+    ) -> Brackets:
+        """Return the brackets after more pushes in the directions of the mask."""
+        low, high, regime = (x.copy() for x in brackets)
+        tried = pushes[mask]
+        returned, leaving, ends = self._classify(np.argwhere(mask), tried)
+        first = np.argmax(leaving, axis=1)[:, None]
+        leaves = leaving.any(axis=1)
+        high[mask] = np.where(leaves, np.take_along_axis(tried, first, axis=1)[:, 0], high[mask])
+        regime[mask] = np.where(leaves, np.take_along_axis(ends, first, axis=1)[:, 0], regime[mask])
+        top = np.where(np.isnan(high), np.inf, high)[mask]
+        below = np.max(np.where(returned & (tried < top[:, None]), tried, 0.0), axis=1)
+        low[mask] = np.maximum(np.where(low[mask] < top, low[mask], 0.0), below)
         return Brackets(low, high, regime)
 
-    def _told(self, directions: np.ndarray, pushes: Float[np.ndarray, "some pushes"]) -> tuple[np.ndarray, ...]:
-        """Which pushes the cycle is returned to after, which are left by, and the regimes; as `pushes`.
+    def _classify(
+        self, directions: Int[np.ndarray, "_ 2"], pushes: Float[np.ndarray, "_ pushes"]
+    ) -> tuple[np.ndarray, ...]:
+        """Return which pushes return, which leave, and the final regimes, in the shape of `pushes`.
 
-        `directions` (some, 2): the point of each, and the number of the direction.
+        **Arguments:** `directions`: index of the point, and number of the direction, of each row of pushes.
         """
-        many = pushes.shape[1]
-        point, state = np.repeat(directions[:, 0], many), np.repeat(directions[:, 1] // len(SIGNS), many)
-        begin = self._at[point]
-        begin[np.arange(len(point)), state] += np.repeat(np.array(SIGNS)[directions[:, 1] % 2], many) * pushes.ravel()
-        back, left, regime = self._ended(point, begin, 1.0)
-        again = np.flatnonzero(left & (regime == IRREGULAR))
-        if len(again):
-            later = self._ended(point[again], begin[again], PATIENCE)
-            for whole, part in zip((back, left, regime), later, strict=True):
-                whole[again] = part
-        return tuple(x.reshape(pushes.shape) for x in (back, left, regime))
+        count = pushes.shape[1]
+        point, direction = np.repeat(directions, count, axis=0).T
+        begin = self.begin[point]
+        begin[np.arange(len(point)), direction // len(SIGNS)] += np.array(SIGNS)[direction % 2] * pushes.ravel()
+        outcomes = self._simulate(point, begin, 1.0)
+        _, leaving, regime = outcomes
+        unclear = np.flatnonzero(leaving & (regime == IRREGULAR))
+        if len(unclear):
+            later = self._simulate(point[unclear], begin[unclear], PATIENCE)
+            for whole, part in zip(outcomes, later, strict=True):
+                whole[unclear] = part
+        return tuple(x.reshape(pushes.shape) for x in outcomes)
 
-    def _ended(self, point: np.ndarray, begin: np.ndarray, times: float) -> tuple[np.ndarray, ...]:
-        """Of motions of points that `begin` somewhere, each (lanes,), after so many `times` as long."""
-        sweep, tables = self._asked.sweep, self._asked.tables
-        columns = {name: np.array(x)[self._points[point]].tolist() for name, x in self._asked.columns.items()}
+    def _simulate(self, point: np.ndarray, begin: np.ndarray, factor: float) -> tuple[np.ndarray, ...]:
+        """Run motions of points from given states, with settling times `factor` as long.
+
+        **Returns:** per motion, whether it returns to its cycle, whether it leaves, and its regime.
+        """
+        sweep, tables = self.spec.sweep, self.spec.tables
+        columns = {name: np.array(x)[self.points[point]].tolist() for name, x in self.spec.columns.items()}
         columns |= {f"{VECTOR}{name}": x.tolist() for name, x in zip(sweep.system.start_states, begin.T, strict=True)}
-        run = tables["run"] | {"settle": times * tables["run"]["settle"]}
-        dataset = run_sweep(read_sweep(tables | {"points": columns, "run": run}), progress=self._shown)
+        run = tables["run"] | {"settle": factor * tables["run"]["settle"]}
+        dataset = run_sweep(read_sweep(tables | {"points": columns, "run": run}), progress=self.progress)
         names = map(orbit_name, sweep.system.driving_part().return_states)
-        orbits, regime = (
-            np.stack([dataset[name].values for name in names], axis=1),
-            dataset["regime"].values.astype(int),
-        )
-        back = np.zeros(len(point), bool)
-        for number, (states, scales) in enumerate(zip(self._cycles.states, self._cycles.scales, strict=True)):
-            some = np.flatnonzero((point == number) & (dataset["orbit_cycles"].values == len(states)))
-            apart = np.abs(orbits[some, None] - states[None]) / scales
-            back[some] = apart.max(axis=2).min(axis=1) < SAME
+        orbits = np.stack([dataset[name].values for name in names], axis=1)
+        regime = dataset["regime"].values.astype(int)
+        returned = np.zeros(len(point), bool)
+        for number, (states, scales) in enumerate(zip(self.orbits.states, self.orbits.scales, strict=True)):
+            lanes = np.flatnonzero((point == number) & (dataset["orbit_cycles"].values == len(states)))
+            distance = np.abs(orbits[lanes, None] - states[None]) / scales
+            returned[lanes] = distance.max(axis=2).min(axis=1) < SAME_ORBIT_WITHIN
         on_another = np.isfinite(orbits).all(axis=1) & (dataset["stable"].values != 0) & (regime != UNDECIDED)
-        # What only seems irregular, on its long way to an orbit nearby, is not told yet.
+        # An irregular motion near an orbit may still be on its way to it: neither returned nor left.
         irregular = (regime == IRREGULAR) & (dataset["nearby_cycles"].values == 0)
-        return back, ~back & (on_another | irregular | (regime == EQUILIBRIUM)), regime
+        return returned, ~returned & (on_another | irregular | (regime == EQUILIBRIUM)), regime
 
 
-def _described(
-    asked: PushAsked,
+def _dataset(
+    spec: PushAsked,
     cycle: xr.Dataset,
     stable: Int[np.ndarray, " stable"],
     bound: Float[np.ndarray, "stable states"],
-    found: Brackets,
+    brackets: Brackets,
 ) -> xr.Dataset:
-    """The dataset of pushes."""
-    sweep, points = asked.sweep, cycle.sizes["point"]
+    """Return the dataset of pushes; points without a stable cycle are undefined."""
+    sweep, points = spec.sweep, cycle.sizes["point"]
     variables: dict[str, Any] = {}
 
-    def entered(name: str, x: np.ndarray, about: Mapping[str, Any], none: float = np.nan) -> None:
-        whole = np.full((points, *x.shape[1:]), none, x.dtype)
+    def add(name: str, x: np.ndarray, long_name: str, about: Mapping[str, Any], fill: float = np.nan) -> None:
+        whole = np.full((points, *x.shape[1:]), fill, x.dtype)
         whole[stable] = x
-        variables[name] = (("point", "sign")[: x.ndim], whole, about)
+        variables[name] = (("point", "sign")[: x.ndim], whole, {**about, "long_name": long_name})
 
+    flags = VARIABLES["regime"]
     for k, name in enumerate(sweep.system.start_states):
-        state, both = sweep.system.states[sweep.system.place(name)], slice(2 * k, 2 * k + 2)
-        of, units = f"push in the {state.long_name}, at the section", {"units": state.unit}
-        entered(
-            f"push_{name}", found.high[:, both], units | {"long_name": f"smallest {of}, that leaves the working cycle"}
-        )
-        width = found.high[:, both] - found.low[:, both]
-        entered(
-            f"bracket_{name}", width, units | {"long_name": f"down to the next smaller {of}, that is returned from"}
-        )
-        entered(f"bound_{name}", bound[:, k], units | {"long_name": f"greatest {of}, that was tried"})
-        flags = VARIABLES["regime"].attributes() | {"long_name": f"where the motion ends after the smallest {of}"}
-        entered(f"regime_{name}", found.regime[:, both].astype(VARIABLES["regime"].dtype), flags, 0)
+        state = sweep.system.states[sweep.system.place(name)]
+        low, high, regime = (x[:, 2 * k : 2 * k + 2] for x in brackets)
+        push, units = f"push in the {state.long_name}, at the section", {"units": state.unit}
+        add(f"push_{name}", high, f"smallest {push}, that leaves the working cycle", units)
+        add(f"bracket_{name}", high - low, f"distance to the next smaller {push}, that returns", units)
+        add(f"bound_{name}", bound[:, k], f"greatest {push}, that was tried", units)
+        ends = f"regime in which the motion ends after the smallest {push}"
+        add(f"regime_{name}", regime.astype(flags.dtype), ends, flags.attributes(), 0.0)
     own = ["regime", "period", *map(orbit_name, sweep.system.driving_part().return_states)]
     variables |= {name: ("point", cycle[name].values, cycle[name].attrs) for name in own}
-    about = {"units": "1", "long_name": "side to which is pushed: -1 less, 1 more"}
-    kept = {name: x for name, x in cycle.coords.items() if x.dims == ("point",)}
+    coordinates = {name: x for name, x in cycle.coords.items() if x.dims == ("point",)}
+    sign = ("sign", list(SIGNS), {"units": "1", "long_name": "side of the push: -1 less, 1 more"})
+    settings = {"method": METHOD, "scan": spec.scan, "precision": spec.precision, "patience": PATIENCE}
     attributes = {
         "title": f"Smallest pushes out of the working cycle: {sweep.scene}",
         "scene": sweep.scene,
@@ -285,10 +285,8 @@ def _described(
         "run": cycle.attrs["run"],
         "parameters": json.dumps(sweep.parameters),
         "differing": json.dumps(differing(sweep.system.parameters(), sweep.parameters)),
-        "pushes": json.dumps(
-            {"method": METHOD, "scan": asked.scan, "precision": asked.precision, "patience": PATIENCE}
-        ),
+        "pushes": json.dumps(settings),
         "Conventions": "CF-1.11",
     }
-    dataset = xr.Dataset(variables, {**kept, "sign": ("sign", list(SIGNS), about)}, attributes)
-    return dataset if asked.columns else dataset.isel(point=0, drop=True)
+    dataset = xr.Dataset(variables, {**coordinates, "sign": sign}, attributes)
+    return dataset if spec.columns else dataset.isel(point=0, drop=True)

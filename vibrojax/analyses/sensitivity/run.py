@@ -1,20 +1,20 @@
-"""Derivatives of what is measured with respect to the parameters, through the located motion, in forward mode."""
+"""Derivatives of measured variables with respect to parameters, through the located motion, in forward mode."""
 
 import json
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
-from typing import Any, TypeGuard
+from typing import Any
 
 import jax
 import numpy as np
 import xarray as xr
-from jaxtyping import Float
+from jaxtyping import Bool
 
 from vibrojax.errors import Place, shown, suggestion
 from vibrojax.io.provenance import provenance
 from vibrojax.io.variables import VARIABLES, Variable
 from vibrojax.measures import gauge_named
-from vibrojax.models.physics.parameters import Parameter, positive
+from vibrojax.models.physics.parameters import positive
 from vibrojax.models.scenes import HasFriction, Scene
 from vibrojax.sweep.engine.tangents import NEARBY, REASONS, Times, judged, measured_of, run_and_derive
 from vibrojax.sweep.engine.validity import unresolved
@@ -22,21 +22,24 @@ from vibrojax.sweep.input.point import Point, read_point
 from vibrojax.sweep.input.values import quantity
 
 COUNTED = {"impacts", "striker_turns", "settling_time", "error_estimate", "drift_estimate"}
-"""Numbers that do not vary smoothly."""
+"""Variables that do not vary smoothly."""
 
+_POINTWISE = ("point", "variable", "parameter")
 _TABLE = {
-    "measured": Variable("1", "the variable that is differentiated, in its own unit"),
-    "value": Variable("1", "value of the parameter, in its own unit"),
-    "derivative": Variable("1", "derivative of the variable, in its unit per the parameter's"),
-    "elasticity": Variable("1", "relative change of the variable per relative change of the parameter"),
-    "drift": Variable("1", "how far the derivative, or the variable, still is from where it settles, relative"),
-    "central_difference": Variable("1", "the slope between the parameter moved by one part in ten thousand either way"),
-    "valid": Variable("1", "whether the derivative holds", np.int8, ("not-valid", "valid")),
-    "reason": Variable("1", "why the derivative does not hold", np.int8, REASONS),
+    "measured": (("point", "variable"), Variable("", "the variable that is differentiated, in its own unit")),
+    "value": (("point", "parameter"), Variable("", "value of the parameter, in its own unit")),
+    "derivative": (_POINTWISE, Variable("", "derivative of the variable, in its unit per the parameter's")),
+    "elasticity": (_POINTWISE, Variable("1", "relative change of the variable per relative change of the parameter")),
+    "drift": (_POINTWISE, Variable("1", "relative distance of derivative or variable from its settled value")),
+    "central_difference": (
+        _POINTWISE,
+        Variable("", "slope between the points with the parameter moved by one part in ten thousand either way"),
+    ),
+    "valid": (_POINTWISE, Variable("1", "whether the derivative holds", np.int8, ("not-valid", "valid"))),
+    "reason": (_POINTWISE, Variable("1", "why the derivative does not hold", np.int8, REASONS)),
 }
-
-_IN_THEIR_OWN = {"measured", "value", "derivative", "central_difference"}
-"""Variables whose units differ along a dimension; coordinates say them."""
+"""Dimensions and meaning of the variables. One without a unit has units that differ along a dimension; coordinates
+state them."""
 
 
 def derivatives(
@@ -51,47 +54,44 @@ def derivatives(
     progress: bool = True,
     **parameters: Any,
 ) -> xr.Dataset:
-    """Derivatives of period, impact velocity, rate of penetration or any other measure with respect to parameters.
+    """Differentiate period, impact velocity, rate of penetration or any other measure with respect to parameters.
 
         vj.derivatives("vibro-impact", of=["period", "impact_velocity"], by=["beta", "gamma"], beta=0.4, start="stuck")
 
-    They go through the events: where a switch is located, its time moves with the parameters (the root's implicit
-    derivative), so they are those of the exact motion, to 1e-6 and better. They hold while the order of events stays as
-    it is.
+    Derivatives include the events: the time of a located switch moves with the parameters (implicit derivative of its
+    root). So they are those of the exact motion, to 1e-6 and better, as long as the order of events does not change.
 
-    What is differentiated is the value measured after `settle`, as a sweep would give it. A derivative settles
-    together with the motion, but later: where the distance from the orbit after k returns falls as m^k, m being the
-    orbit's greatest multiplier, that of the derivative falls as k m^k. `drift` says how far either still is
-    from what it is on the orbit.
+    The differentiated value is the one measured after `settle`, as a sweep would measure it. A derivative settles with
+    the motion, but later: if the distance from the orbit after k returns falls as m^k, m being the orbit's largest
+    multiplier, that of the derivative falls as k m^k. `drift` is the distance of either from its value on the orbit.
 
-    They are made in forward mode (`jax.jvp`). Reverse mode (`jax.grad`) does not pass through the loops of a motion,
-    which take as many steps as it needs; it, and every other transformation of jax, is refused over this function. Go
-    on with the numbers that it returns: for a handful of parameters they are the whole gradient. The pure function
-    beneath, for a `jax.jvp` or `jax.jacfwd` of your own, is [vibrojax.measures.run.run_block][].
+    Derivatives are computed in forward mode (`jax.jvp`). Reverse mode (`jax.grad`) does not pass through the loops of a
+    motion, whose number of steps varies; it, and every other transformation of jax, is refused over this function.
+    Continue with the numbers that it returns: for a handful of parameters they are the whole gradient. The pure
+    function below it, for a `jax.jvp` or `jax.jacfwd` of your own, is [vibrojax.measures.run.run_block][].
 
     **Arguments:**
 
-    - `scene`, `start`, `parameters` (SI): as of `simulate`. Of numbers in lists of one length, each place is a point.
+    - `scene`, `start`, `parameters` (SI): as `simulate` takes them. Lists of one length give several points.
     - `of`: variables of the scene's datasets that are not counts; `by`: its parameters.
-    - `settle`, `observe` [s]: as in a sweep; by default 40 and 8, and 1 and 1 where pulses drive.
-    - `error`: the relative error that is accepted of a derivative.
-    - `progress`: whether to say on stderr how far it is.
+    - `settle`, `observe` [s]: as in a sweep; by default 40 and 8, or 1 and 1 for a scene driven by pulses.
+    - `error`: accepted relative error of a derivative.
+    - `progress`: whether to report progress on stderr.
 
-    **Returns:** a dataset over `variable` and `parameter` (and `point`, where there are lists):
+    **Returns:** a dataset over `variable` and `parameter` (and `point`, if there are lists):
 
-    - `measured`, and the parameters' `value`; the coordinates `unit` and `parameter_unit` say in what.
-    - `derivative`, in the unit that the coordinate `derivative_unit` says; `elasticity`: the relative change per
-      relative change.
-    - `valid` (0 or 1) and the `reason` where it is not: the point cannot be run (refused, failed); the motion does not
-      repeat; there is no such value, or it is zero; a part in ten thousand away the events come in other numbers or
-      the motion repeats otherwise (a graze, a border of the regime); the derivative, or the value, is farther than
-      `error` from where it settles (`drift`); or it is not the slope between the points to either side
+    - `measured`, and the parameters' `value`, in the units of the coordinates `unit` and `parameter_unit`.
+    - `derivative`, in the unit of the coordinate `derivative_unit`; `elasticity`: relative change per relative change.
+    - `valid` (0 or 1) and the `reason` if it is 0. The point cannot be run (refused, failed), the motion does not
+      repeat, or the value does not exist or is zero. One part in ten thousand away, the number of events differs or the
+      motion repeats otherwise (a graze, a border of the regime). Derivative or value are farther than `error` from
+      their settled values (`drift`). The derivative is not the slope between the points to either side
       (`central_difference`).
 
-    Where it is not valid the numbers are there all the same. An elasticity below 1e-3 counts as insensitive: errors are
-    then in proportion to that.
+    A derivative that is not valid is returned all the same. An elasticity below 1e-3 counts as insensitive: errors are
+    then relative to that.
 
-    **Raises:** `InputError` where a name or value is not right.
+    **Raises:** `InputError` for a wrong name or value.
 
     **Example:**
 
@@ -103,57 +103,63 @@ def derivatives(
     True
     """
     place = Place("derivatives")
-    points, columns = _points(place, scene, parameters, start)
+    points, columns = _read_points(place, scene, parameters, start)
     system = points[0].system
+
+    def setting(name: str, value: object, default: float, unit: str = "s") -> float:
+        return default if value is None else quantity(place.at(name), value, positive(name, default, unit, name, name))
+
     driven = system.section is None
     times = Times(
-        _setting(place, "settle", settle, 1.0 if driven else 40.0),
-        _setting(place, "observe", observe, 1.0 if driven else 8.0),
+        setting("settle", settle, 1.0 if driven else 40.0), setting("observe", observe, 1.0 if driven else 8.0)
     )
-    accepted = _setting(place, "error", error, 1e-3, "1")
-    known = _smooth(system)
-    variables = _names(place.at("of"), of, known)
-    wrt = _names(place.at("by"), by, tuple(points[0].parameters))
+    accepted = setting("error", error, 1e-3, "1")
+    known = VARIABLES | {
+        name: Variable(*about) for gauge in system.measures for name, about in gauge_named(gauge).variables.items()
+    }
+    measured = measured_of(system)
+    smooth = [
+        name
+        for name, about in known.items()
+        if about.dtype == np.float64 and name in measured and name not in COUNTED and not name.startswith("return_")
+    ]
+    variables = _read_names(place.at("of"), of, smooth)
+    wrt = _read_names(place.at("by"), by, list(points[0].parameters))
     value = np.array([[point.parameters[name] for name in wrt] for point in points])
-    move = NEARBY * np.where(value != 0, np.abs(value), _scales(system, wrt))
-    found, tangents = run_and_derive(points, wrt, move, times, progress)
-    arrays = judged(found, tangents, variables, value, move, accepted) | {"value": value}
-    arrays["reason"] = np.where(_refused(points)[:, None, None], REASONS.index("refused"), arrays["reason"])
+    # A parameter that is zero is moved relative to its default, or to 1 if that is zero too.
+    scales = np.array([abs(system.parameters()[name].default) or 1.0 for name in wrt])
+    move = NEARBY * np.where(value != 0, np.abs(value), scales)
+    features, tangents = run_and_derive(points, wrt, move, times, progress)
+    arrays = judged(features, tangents, variables, value, move, accepted) | {"value": value}
+    arrays["reason"] = np.where(_is_refused(points)[:, None, None], REASONS.index("refused"), arrays["reason"])
     arrays["valid"] = arrays["reason"] == 0
-    return _dataset(points, columns, variables, wrt, arrays, times)
+    return _dataset(points, columns, [known[name].units for name in variables], variables, wrt, arrays, times)
 
 
-def _points(
+def _read_points(
     place: Place, scene: str | Scene[Any], parameters: Mapping[str, object], start: object
 ) -> tuple[list[Point], dict[str, list[object]]]:
-    """The points, and what was given in lists."""
-    columns = {name: list(x) for name, x in parameters.items() if _is_list(x)}
-    lengths = {name: len(column) for name, column in columns.items()}
-    for name, length in lengths.items():
-        first = next(iter(lengths))
-        if length == 0 or length != lengths[first]:
-            other = f"{first} has {lengths[first]}" if name != first else "at least one is needed"
-            raise place.at(name).error(f"has {length} values; {other}")
-    count = next(iter(lengths.values()), 1)
+    """Return the checked points, and the parameters that are lists."""
+    columns: dict[str, list[object]] = {
+        name: list(x)
+        for name, x in parameters.items()
+        if isinstance(x, (list, tuple)) or (isinstance(x, (np.ndarray, jax.Array)) and x.ndim > 0)
+    }
+    first = next(iter(columns), "")
+    count = len(columns[first]) if columns else 1
+    for name, column in columns.items():
+        if len(column) != count or not column:
+            why = f"{first} has {count}" if name != first else "at least one is needed"
+            raise place.at(name).error(f"has {len(column)} values; {why}")
     rows = ({name: column[index] for name, column in columns.items()} for index in range(count))
     points = [read_point(place, scene, dict(parameters) | row, start) for row in rows]
-    for point in points:
-        if point.system != points[0].system:
-            raise place.error("friction law and shape of pulses are the same for all points; call it once for each")
+    if any(point.system != points[0].system for point in points):
+        raise place.error("friction law and shape of pulses are the same for all points; call it once for each")
     return points, columns
 
 
-def _is_list(value: object) -> TypeGuard[Sequence[object]]:
-    return isinstance(value, (list, tuple)) or (isinstance(value, (np.ndarray, jax.Array)) and value.ndim > 0)
-
-
-def _setting(place: Place, name: str, value: object, default: float, unit: str = "s") -> float:
-    kind = positive(name, default, unit, name, name)
-    return default if value is None else quantity(place.at(name), value, kind)
-
-
-def _names(place: Place, wanted: str | Sequence[str], known: Sequence[str]) -> tuple[str, ...]:
-    names = (wanted,) if isinstance(wanted, str) else tuple(wanted)
+def _read_names(place: Place, value: str | Sequence[str], known: Sequence[str]) -> list[str]:
+    names = [value] if isinstance(value, str) else list(value)
     if not names:
         raise place.error(f"is empty; choose from {', '.join(known)}")
     for name in names:
@@ -162,78 +168,54 @@ def _names(place: Place, wanted: str | Sequence[str], known: Sequence[str]) -> t
     return names
 
 
-def _scales(scene: Scene[Any], names: Sequence[str]) -> Float[np.ndarray, " parameters"]:
-    """What a parameter that is zero is moved against: its default, or 1 where that is zero too."""
-    table = scene.parameters()
-    return np.array([abs(table[name].default) or 1.0 for name in names])
-
-
-def _variables(scene: Scene[Any]) -> dict[str, Variable]:
-    """All variables that there are, those of the scene's own gauges among them, by name."""
-    own = (gauge_named(gauge) for gauge in scene.measures)
-    return VARIABLES | {name: Variable(*about) for gauge in own for name, about in gauge.variables.items()}
-
-
-def _smooth(scene: Scene[Any]) -> tuple[str, ...]:
-    """Names of what is measured of the scene and varies smoothly."""
-    found = measured_of(scene)
-    smooth = (name for name, x in _variables(scene).items() if x.dtype == np.float64 and name not in COUNTED)
-    return tuple(name for name in smooth if name in found and not name.startswith("return_"))
-
-
-def _refused(points: Sequence[Point]) -> np.ndarray:
-    """Which points cannot be run, as in a sweep (points,)."""
+def _is_refused(points: Sequence[Point]) -> Bool[np.ndarray, " points"]:
+    """Return which points cannot be run, as in a sweep."""
     scene = points[0].system
     p = {name: np.array([point.parameters[name] for point in points]) for name in points[0].parameters}
-    refused = np.zeros(len(points), bool)
     unfit = scene.refused(p)
-    if unfit is not None:
-        refused |= np.asarray(unfit[1])
+    refused = np.zeros(len(points), bool) if unfit is None else np.zeros(len(points), bool) | np.asarray(unfit[1])
     return refused | unresolved(scene, p, "float64") if isinstance(scene, HasFriction) else refused
 
 
 def _dataset(
     points: Sequence[Point],
     columns: Mapping[str, list[object]],
+    units: Sequence[str],
     variables: Sequence[str],
     wrt: Sequence[str],
     arrays: Mapping[str, Any],
     times: Times,
 ) -> xr.Dataset:
-    scene = points[0].system
-    units = [_variables(scene)[name].units for name in variables]
-    table: Mapping[str, Parameter] = scene.parameters()
+    table, first = points[0].system.parameters(), points[0]
     per = [table[name].unit for name in wrt]
-    dims = {"measured": ("point", "variable"), "value": ("point", "parameter")}
     data = {
         name: (
-            dims.get(name, ("point", "variable", "parameter")),
+            dims,
             np.asarray(arrays[name], about.dtype),
-            {key: text for key, text in about.attributes().items() if key != "units" or name not in _IN_THEIR_OWN},
+            {key: text for key, text in about.attributes().items() if key != "units" or about.units},
         )
-        for name, about in _TABLE.items()
+        for name, (dims, about) in _TABLE.items()
     }
     quotients = [[f"{unit} ({other})-1" if other != "1" else unit for other in per] for unit in units]
     coordinates = {
-        "variable": ("variable", list(variables), {"long_name": "what is differentiated"}),
-        "parameter": ("parameter", list(wrt), {"long_name": "with respect to what"}),
-        "unit": ("variable", units, {"long_name": "unit of the variable"}),
+        "variable": ("variable", list(variables), {"long_name": "differentiated variable"}),
+        "parameter": ("parameter", list(wrt), {"long_name": "parameter of the derivative"}),
+        "unit": ("variable", list(units), {"long_name": "unit of the variable"}),
         "parameter_unit": ("parameter", per, {"long_name": "unit of the parameter"}),
         "derivative_unit": (("variable", "parameter"), quotients, {"long_name": "unit of the derivative"}),
     }
     for name, column in columns.items():
-        known = table.get(name)
-        described = {"units": known.unit, "long_name": known.long_name} if known else {}
-        coordinates[name] = ("point", column, described)
-    varied = {name for name in points[0].parameters if len({point.parameters[name] for point in points}) > 1}
+        about = {"units": table[name].unit, "long_name": table[name].long_name} if name in table else {}
+        coordinates[name] = ("point", column, about)
+    fixed = {name: x for name, x in first.parameters.items() if all(p.parameters[name] == x for p in points)}
     attributes = {
-        "title": f"Derivatives of {', '.join(variables)} in {points[0].scene}",
-        "scene": points[0].scene,
+        "title": f"Derivatives of {', '.join(variables)} in {first.scene}",
+        "scene": first.scene,
         **provenance(),
         "history": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} derivatives",
-        **points[0].options,
-        **({} if points[0].start is None else {"start": json.dumps(points[0].start)}),
-        "parameters": json.dumps({name: x for name, x in points[0].parameters.items() if name not in varied}),
+        **first.options,
+        **({} if first.start is None else {"start": json.dumps(first.start)}),
+        "parameters": json.dumps(fixed),
         "settle": times.settle,
         "observe": times.observe,
         "Conventions": "CF-1.11",

@@ -1,0 +1,181 @@
+"""Motions of neighbouring points matched to attractors: links between points, then numbers by union-find."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from vibrojax.analyses.attractors.grouping import SAME_ORBIT_WITHIN, SIMILAR_FACTOR, Motion, Motions
+from vibrojax.measures.labels import EQUILIBRIUM
+from vibrojax.models.scenes import Scene
+from vibrojax.periodic.newton import ACCEPTED, orbits
+from vibrojax.periodic.segments import Segments
+
+MATCHING_FIRST_STEP, MATCHING_MIN_STEP = 1 / 4, 1 / 256
+"""First and least step from a point to its neighbour, over their distance; an orbit that needs less is lost."""
+
+PREDICTION_WITHIN = 0.05
+"""Distance over the scales from its prediction beyond which an orbit counts as another one."""
+
+States = Float[np.ndarray, "edges cycles states"]
+
+
+class Link(NamedTuple):
+    """Two motions of one attractor, by index, the lower first; and their distance."""
+
+    first: int
+    second: int
+    distance: float
+
+
+def find_links(
+    scene: Scene[Any],
+    parameters: Mapping[str, Float[np.ndarray, " points"]],
+    shape: tuple[int, ...],
+    motions: Motions,
+) -> list[Link]:
+    """Return the links between motions of neighbouring points of a grid; they do not depend on its orientation.
+
+    A stable orbit is continued by Newton's method to the neighbour's parameters and linked to the motion there that it
+    becomes, if any. An orbit continued backwards through its period doubling becomes the orbit that doubled. All
+    equilibria are linked, and irregular motions of similar statistics.
+
+    **Arguments:** `parameters`: of the points by name, in row-major order over the grid's `shape`.
+    """
+    in_cell: dict[int, list[int]] = {}
+    for index, motion in enumerate(motions.items):
+        in_cell.setdefault(motion.cell, []).append(index)
+    distances: dict[tuple[int, int], float] = {}
+    edges: dict[int, list[tuple[int, int]]] = {}  # by cycles: an orbit, and the cell to which it is continued
+    for here, there in _neighbours(shape):
+        for index in in_cell.get(here, ()):
+            motion, others = motions.items[index], in_cell.get(there, ())
+            if motion.cycles:
+                if any(motions.items[other].cycles for other in others):
+                    edges.setdefault(motion.cycles, []).append((index, there))
+                continue
+            for other in others:
+                distance = _distance(motion, motions.items[other])
+                if distance is not None:
+                    distances[min(index, other), max(index, other)] = distance
+    for same_cycles in edges.values():
+        _link_orbits(scene, parameters, same_cycles, in_cell, motions, distances)
+    return [Link(*pair, distance) for pair, distance in distances.items()]
+
+
+def _neighbours(shape: tuple[int, ...]) -> list[tuple[int, int]]:
+    """Return all pairs of neighbouring points along an axis, in both directions."""
+    cells = np.arange(int(np.prod(shape, dtype=int))).reshape(shape)
+    pairs: list[tuple[int, int]] = []
+    for axis in range(len(shape)):
+        along = np.moveaxis(cells, axis, 0)
+        ends = along[:-1].ravel().tolist(), along[1:].ravel().tolist()
+        pairs += [*zip(*ends, strict=True), *zip(*ends[::-1], strict=True)]
+    return pairs
+
+
+def _distance(motion: Motion, other: Motion) -> float | None:
+    """Return the distance of two motions without an orbit; None if they are not linked."""
+    if motion.regime == EQUILIBRIUM and other.regime == EQUILIBRIUM:
+        return 0.0
+    if motion.statistics is None or other.statistics is None:
+        return None
+    distance = float(np.abs(motion.statistics - other.statistics).max())
+    return distance if distance <= np.log(SIMILAR_FACTOR) else None
+
+
+def _link_orbits(
+    scene: Scene[Any],
+    parameters: Mapping[str, Float[np.ndarray, " points"]],
+    edges: list[tuple[int, int]],
+    in_cell: Mapping[int, list[int]],
+    motions: Motions,
+    distances: dict[tuple[int, int], float],
+) -> None:
+    """Continue orbits, each to a neighbouring cell, and enter the distances to the orbits that they become."""
+    begin = [motions.items[index] for index, _ in edges]
+    here, there = np.array([motion.cell for motion in begin]), np.array([cell for _, cell in edges])
+    states = np.stack([np.asarray(motion.states) for motion in begin])
+    scales = np.stack([np.asarray(motion.scales) for motion in begin])
+    first, last = ({name: x[cells] for name, x in parameters.items()} for cells in (here, there))
+    arrived, final = _continue_orbits(scene, first, last, states, scales, motions.max_steps)
+    for k in np.flatnonzero(arrived).tolist():
+        for other in in_cell[int(there[k])]:
+            motion = motions.items[other]
+            if motion.states is None or motion.scales is None:
+                continue
+            if (np.abs(final[k, 0] - motion.states) / motion.scales).max(axis=1).min() < SAME_ORBIT_WITHIN:
+                # Distance of the two orbits: between the nearest of their states.
+                apart = np.abs(states[k][:, None] - motion.states[None]) / ((scales[k] + motion.scales) / 2)
+                pair = min(edges[k][0], other), max(edges[k][0], other)
+                distances[pair] = float(apart.max(axis=2).min())
+
+
+def _continue_orbits(
+    scene: Scene[Any],
+    begin: Mapping[str, Float[np.ndarray, " edges"]],
+    end: Mapping[str, Float[np.ndarray, " edges"]],
+    states: States,
+    scales: Float[np.ndarray, "edges states"],
+    max_steps: float,
+) -> tuple[Bool[np.ndarray, " edges"], States]:
+    """Continue orbits from parameters to parameters; return which arrive as stable ones, and their final states."""
+    return_map = Segments(scene, most=max_steps)
+    states, slope = states.copy(), np.zeros_like(states)
+    done, step = np.zeros(len(states)), np.full(len(states), MATCHING_FIRST_STEP)
+    active = np.arange(len(states))
+    while len(active):
+        advance = np.minimum(step[active], 1 - done[active])
+        share = done[active] + advance
+        values = {name: (1 - share) * begin[name][active] + share * end[name][active] for name in begin}
+        predicted = states[active] + slope[active] * advance[:, None, None]
+        with np.errstate(all="ignore"):
+            orbit = orbits(predicted, scales[active], np.full(len(active), PREDICTION_WITHIN), return_map.of(values))
+            good = (orbit.residual <= ACCEPTED) & (orbit.moved <= PREDICTION_WITHIN)
+        good[good] = np.abs(np.linalg.eigvals(orbit.product[good])).max(axis=1) < 1
+        accepted, rejected = active[good], active[~good]
+        slope[accepted] = (orbit.states[good] - states[accepted]) / advance[good, None, None]
+        states[accepted], done[accepted] = orbit.states[good], share[good]
+        step[accepted], step[rejected] = 2 * advance[good], advance[~good] / 2
+        active = active[(done[active] < 1) & (step[active] >= MATCHING_MIN_STEP)]
+    return done >= 1, states
+
+
+def number_attractors(
+    cells: Sequence[int], lanes: Sequence[int], links: Sequence[Link], order: Sequence[tuple[float, ...]]
+) -> Int[np.ndarray, " motions"]:
+    """Return the number of each motion's attractor, counted from 0 by falling number of lanes.
+
+    Linked motions have the same number, no two motions of one point do. Links are taken from the nearest to the
+    farthest and dropped if they would give two motions of one point the same number: around a cusp two attractors are
+    linked through others. So numbers do not depend on the orientation of the axes.
+
+    **Arguments:** `cells` and `lanes`: the point of each motion and its number of lanes; `order`: sort key of each
+    motion; the least key of an attractor breaks ties between attractors of equally many lanes.
+    """
+    parent = list(range(len(cells)))
+    points = [{cell} for cell in cells]
+
+    def root(motion: int) -> int:
+        while parent[motion] != motion:
+            parent[motion] = parent[parent[motion]]
+            motion = parent[motion]
+        return motion
+
+    for link in sorted(links, key=lambda link: (link.distance, sorted((order[link.first], order[link.second])))):
+        first, second = root(link.first), root(link.second)
+        if first != second and points[first].isdisjoint(points[second]):
+            if len(points[first]) < len(points[second]):
+                first, second = second, first
+            parent[second] = first
+            points[first] |= points[second]
+    roots = [root(motion) for motion in range(len(cells))]
+    total: dict[int, int] = {}
+    least: dict[int, tuple[float, ...]] = {}
+    for attractor, count, key in zip(roots, lanes, order, strict=True):
+        total[attractor] = total.get(attractor, 0) + count
+        least[attractor] = min(least.get(attractor, key), key)
+    ranked = sorted(least, key=lambda attractor: (-total[attractor], least[attractor]))
+    number = {attractor: place for place, attractor in enumerate(ranked)}
+    return np.array([number[attractor] for attractor in roots], int)

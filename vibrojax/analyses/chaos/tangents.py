@@ -1,0 +1,173 @@
+"""Growth of tangent vectors along the return map, through all events.
+
+The section removes the direction of the flow, whose exponent is zero. The tangent includes the time of every event, so
+its growth contains the saltation (Mueller, Chaos, Solitons and Fractals 5 (1995) 1671). Sticking of the bit loses one
+direction; the tangent keeps the others.
+"""
+
+from collections import deque
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from vibrojax.compile.devices import precision, workers
+from vibrojax.models.arrays import Array, Flags, Lanes
+from vibrojax.models.scenes import Scene
+from vibrojax.models.scenes.declared import Values
+from vibrojax.periodic.return_map import MOST_STEPS, at_section, passed
+from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Goal, Lane, Located, Step, Stepper, lane_at
+from vibrojax.sweep.engine.compiler import lane_function
+from vibrojax.sweep.engine.parallel import in_parallel
+
+TANGENT_ACCURACY = Accuracy(tolerance=1e-7, stride=LOCATED_STRIDE, step=np.inf)
+"""Accuracy of the return map. Another tolerance changes a chaotic trajectory, but not its statistics."""
+
+TANGENT_LANES_PER_CALL = 256
+"""Lanes that one worker takes through all returns."""
+
+RETURNS_PER_CALL = 128
+"""Returns per compiled call: lanes wait for each other only at its end."""
+
+PerState = Float[np.ndarray, "states lanes"]
+
+
+class Growth(NamedTuple):
+    """Lanes over many returns.
+
+    - `rate` (returns, lanes): logarithm of the tangent's growth from return to return; `time` [s] of each.
+    - `states` (returns, states, lanes): states at the returns; NaN from the first missing return.
+    - `tangent` (states, lanes): after the last return, of norm 1 over the scales.
+    """
+
+    rate: Float[np.ndarray, "returns lanes"]
+    time: Float[np.ndarray, "returns lanes"]
+    states: Float[np.ndarray, "returns states lanes"]
+    tangent: PerState
+
+
+class _Carry(NamedTuple):
+    """Loop state: `since` [s] and `steps` count from the last return; `rows` hold all returns."""
+
+    lane: Lane
+    tangent: Values
+    armed: Flags
+    since: Lanes
+    steps: Lanes
+    number: Lanes
+    rows: Array
+
+
+@lane_function(static=3, derives=True)
+def _returns(
+    scene: Scene[Any],
+    stepper: Stepper,
+    grows: bool,
+    p: dict[str, Lanes],
+    state: Array,
+    tangent: Array,
+    scale: Array,
+    accuracy: Accuracy,
+) -> tuple[Array, Array]:
+    """Step lanes at the section through their next `RETURNS_PER_CALL` returns.
+
+    **Arguments:**
+
+    - `grows`: if False, the tangent is left unchanged.
+    - `p`: parameters by name (lanes,); `state`, `tangent`, `scale` (states, lanes): of `scene.return_states`, the
+      tangent over the scale.
+
+    **Returns:** rows of logarithmic growth, time [s] and states (returns, 2 + states, lanes), NaN from a missing
+    return on; and the final tangent (states, lanes).
+    """
+    section = scene.section
+    assert section is not None
+    begin = at_section(scene, state)
+    c = scene.scaled(scene.constants(p), begin)
+    zero = jnp.zeros_like(state[0])
+    rows = jnp.full((RETURNS_PER_CALL, 2 + len(state), *zero.shape), jnp.nan, zero.dtype)
+    unarmed = jnp.zeros_like(zero, bool)
+    carry = _Carry(lane_at(scene, c, begin), at_section(scene, tangent * scale), unarmed, zero, zero, zero, rows)
+
+    def return_states(state: Values) -> Array:
+        return jnp.stack([state[scene.place(name)] for name in scene.return_states])
+
+    def active(carry: _Carry) -> Flags:
+        return (carry.number < RETURNS_PER_CALL) & (carry.steps < MOST_STEPS) & jnp.isfinite(carry.lane.state[0])
+
+    def advance(carry: _Carry) -> _Carry:
+        moving = active(carry)
+
+        def step_from(state: Values) -> tuple[Values, tuple[Lane, Step]]:
+            lane = carry.lane._replace(state=state)
+            after, step = stepper.step(scene, c, lane, accuracy, Goal(jnp.inf, moving), marked=True)
+            return after.state, (after, step)
+
+        if grows:
+            _, moved, (lane, step) = jax.jvp(step_from, (carry.lane.state,), (carry.tangent,), has_aux=True)
+        else:
+            moved, (_, (lane, step)) = carry.tangent, step_from(carry.lane.state)
+        armed, returns = passed(scene, section, c, carry.armed, step)
+        here = returns & moving
+        scaled = return_states(moved) / scale
+        norm = jnp.sqrt(jnp.sum(scaled * scaled, axis=0))
+        # Sticking of all that moves may lose the whole tangent; then any direction serves to start again.
+        unit = at_section(scene, jnp.where(norm[None] > 0, scaled / norm[None], len(state) ** -0.5) * scale)
+        since = carry.since + step.dt
+        row = jnp.stack([jnp.log(norm), since, *return_states(lane.state)])
+        place = jnp.where(here, carry.number, RETURNS_PER_CALL).astype(jnp.int32)
+        put = jax.vmap(lambda rows, place, row: rows.at[place].set(row, mode="drop"), in_axes=-1, out_axes=-1)
+        return _Carry(
+            lane,
+            tuple(jnp.where(here, new, old) for new, old in zip(unit, moved, strict=True)),
+            jnp.where(moving, armed & ~here, carry.armed),
+            jnp.where(here, 0.0, since),
+            jnp.where(here, 0.0, carry.steps + moving.astype(zero.dtype)),
+            carry.number + here.astype(zero.dtype),
+            put(carry.rows, place, row),
+        )
+
+    carry = jax.lax.while_loop(lambda carry: jnp.any(active(carry)), advance, carry)
+    return carry.rows, return_states(carry.tangent) / scale
+
+
+def grow(
+    scene: Scene[Any],
+    parameters: Mapping[str, Float[np.ndarray, " lanes"]],
+    state: PerState,
+    tangent: PerState,
+    scale: PerState,
+    returns: int,
+    steps: Accuracy = TANGENT_ACCURACY,
+    kept: int | None = None,
+    grows: bool = True,
+) -> Growth:
+    """Step lanes and their tangents through `returns` returns, on all workers.
+
+    **Arguments:**
+
+    - `state`, `tangent`: at the section, the tangent of norm 1 over the `scale` of each state.
+    - `returns`, `kept`: number of returns, and of the last ones to keep; both multiples of `RETURNS_PER_CALL`.
+    - `grows`: if False, tangents and rates have no meaning; it takes two thirds of the time.
+    """
+    count = state.shape[1]
+    shares = np.array_split(np.arange(count), max(-(-count // TANGENT_LANES_PER_CALL), min(len(workers()), count)))
+
+    def work(_: jax.Device, lanes: np.ndarray) -> Growth:
+        p = {name: x[lanes] for name, x in parameters.items()}
+        x, dx, size = state[:, lanes], tangent[:, lanes], scale[:, lanes]
+        accuracy = Accuracy(*map(np.float64, steps))
+        last: deque[np.ndarray] = deque(maxlen=(kept or returns) // RETURNS_PER_CALL)
+        with precision("float64"):
+            for _ in range(returns // RETURNS_PER_CALL):
+                rows, dx = map(np.asarray, _returns(scene, Located(), grows, p, x, dx, size, accuracy))
+                x = rows[-1, 2:]
+                last.append(rows)
+        rows = np.concatenate(last)
+        return Growth(rows[:, 0], rows[:, 1], rows[:, 2:], dx)
+
+    parts: dict[int, Growth] = dict(in_parallel(work, shares, workers()))
+    return Growth(*(np.concatenate(part, axis=-1) for part in zip(*(parts[k] for k in sorted(parts)), strict=True)))
