@@ -76,25 +76,37 @@ def test_parameters_are_converted_too_and_stay_coordinates(tmp_path):
         (
             "ROP (m/h),WOB (kN)",
             {"rate_of_penetration": "ROP (kN)"},
-            '"kN" is no unit of rate_of_penetration; choose fr',
+            '"kN" is not a unit of rate_of_penetration; choose fr',
         ),
         ("ROP (m/h),WOB (kN)", {"rate_of_penetration": "ROP (m/s)"}, '"ROP (m/h)" is in m/h by its name, not in m/s'),
-        ("ROP,WOB", {"rate_of_penetration": "ROP (mph)"}, '"mph" is no unit of rate_of_penetration'),
-        ("ROP,WOB", {"mean_force": "WOB (mN)"}, '"mN" is no unit of mean_force'),
+        (
+            "ROP,WOB",
+            {"rate_of_penetration": "ROP (mph)"},
+            '"mph" is not a unit of rate_of_penetration; did you mean "m/h"?',
+        ),
+        ("ROP,WOB", {"mean_force": "WOB (mN)"}, '"mN" is not a unit of mean_force'),
         ("ROP,WOB", {"rate_of_penetration": "RPO (m/h)"}, 'the file has no column "RPO (m/h)"; did you mean "ROP"?'),
         ("ROP,ROP", {"rate_of_penetration": "ROP (m/h)"}, '"ROP (m/h)" may be "ROP", "ROP"; give each column a name'),
         ("ROP (m/h),ROP (ft/h)", {"rate_of_penetration": "ROP"}, '"ROP" may be "ROP (m/h)", "ROP (ft/h)"'),
-        ("ROP,WOB", {"rop": "ROP (m/h)"}, "columns: rop: is nothing that data have; choose from rate_of_penetration, "),
+        (
+            "ROP,WOB",
+            {"rop": "ROP (m/h)"},
+            "columns: rop: is not a quantity of rig data; choose from rate_of_penetration, ",
+        ),
         ("ROP,WOB", {"relief": "ROP", "mean_force": "ROP"}, 'column "ROP" is relief already; give another'),
         ("ROP,WOB", {"threshold": "-150 kN"}, "columns: threshold: is -150000; it must be at least 0 N"),
-        ("ROP,WOB", {"threshold": "150 m/h"}, '"m/h" is no unit of threshold'),
-        ("ROP,WOB", {"relief": 3}, "columns: relief: 3 is no column; write one with its unit"),
+        ("ROP,WOB", {"threshold": "150 m/h"}, '"m/h" is not a unit of threshold'),
+        ("ROP,WOB", {"relief": 3}, "columns: relief: 3 is not a column; write one with its unit"),
         ("ROP,rate_of_penetration", {"rate_of_penetration": "ROP"}, 'the file has a column "rate_of_penetration" too'),
-        ("ROP (m/h),WOB_kN", {}, 'missing; if "ROP (m/h)" is it, rename it, or say so: --columns rate_of_penetration='),
+        (
+            "ROP (m/h),WOB_kN",
+            {},
+            'missing; if "ROP (m/h)" is it, rename it, or name it: --columns rate_of_penetration=',
+        ),
         (
             "ROP (m/h),WOB_kN",
             {"rate_of_penetration": "ROP"},
-            'relief is missing, or mean_force and threshold; if "WOB_kN" is it, rename it, or say so: --columns m',
+            'relief is missing, or mean_force and threshold; if "WOB_kN" is it, rename it, or name it: --columns m',
         ),
         (
             "ROP (m/h),WOB_kN",
@@ -128,7 +140,7 @@ def test_what_is_no_table_of_columns_is_refused(tmp_path):
         assert line in str(caught.value)
     with pytest.raises(InputError, match="fit_rop: has its names and units already"):
         fit_rop(xr.Dataset(), columns=said)
-    with pytest.raises(InputError, match="names no columns; give a dict"):
+    with pytest.raises(InputError, match="does not name columns; give a dict"):
         fit_rop(path, columns="ROP")
 
 
@@ -136,7 +148,7 @@ def test_words_of_the_command_are_refused_in_one_line(capsys):
     for argv, line in (
         (
             ["rig.csv", "--columns", "ROP"],
-            '--columns: "ROP" is no NAME=COLUMN; write one, like rate_of_penetration="ROP',
+            '--columns: "ROP" is not NAME=COLUMN; write, for example, rate_of_penetration="ROP',
         ),
         (["rig.csv", "--columns", "a=b", "a=c"], '--columns: a: "c" is a second column; give one'),
     ):

@@ -57,12 +57,11 @@ def warn_if_far(place: Place, parameter: Parameter, values: object, likely: str 
 def _likely(value: float, parameter: Parameter) -> str:
     """In which unit it would be a usual one."""
     low, high = parameter.usual or (0.0, 0.0)
-    units = likely_units(abs(value), parameter.unit, (low if low > 0 else high / _SMALLEST, high))[:3]
+    units = likely_units(abs(value), parameter.unit, (low if low > 0 else high / _SMALLEST, high))
     besides = ["of a rotation give rpm and bit_radius"] if parameter.name == "v" else []
     if not units:
         return ", or ".join(besides) or "check its unit"
-    converted = (_with_unit(value * UNITS[parameter.unit][unit], parameter) for unit in units)
-    right = [f"if in {unit}, write {one}" for unit, one in zip(units, converted, strict=True)]
+    right = [f"if in {unit}, write {_with_unit(value * scale, parameter)}" for unit, scale in units.items()]
     return "; ".join([*right, *besides])
 
 
@@ -72,8 +71,7 @@ def _farness(size: float, usual: tuple[float, float]) -> float:
 
 
 def _with_unit(value: float, parameter: Parameter) -> str:
-    names = UNITS.get(parameter.unit)
-    unit = next(iter(names)) if names else parameter.unit
+    unit = UNITS.get(parameter.unit, (parameter.unit,))[0]
     return f"{value:.6g}" if unit == "1" else f"{value:.6g} {unit}"
 
 
