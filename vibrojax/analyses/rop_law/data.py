@@ -48,15 +48,15 @@ def open_data(data: Data, fit: str, rates: bool = False, columns: Columns = None
     """
     if not isinstance(data, (xr.Dataset, str, PathLike)):
         raise InputError(f"{fit}: {shown(data)} is not data; give a dataset or a path")
-    path = None if isinstance(data, xr.Dataset) else Path(data)
-    place, ending = Place(str(path or fit)), path.suffix.lower() if path else ".nc"
-    if columns and ending == ".nc":
-        raise place.error("has its names and units already; columns are said of a CSV")
-    if path is None:
+    path = Path("dataset.nc") if isinstance(data, xr.Dataset) else Path(data)
+    place = Place(fit if isinstance(data, xr.Dataset) else str(path))
+    if columns and path.suffix.lower() == ".nc":
+        raise place.error("has its names and units already; `columns` is for a CSV")
+    if isinstance(data, xr.Dataset):
         dataset = data
-    elif rates and ending == ".csv":
+    elif rates and path.suffix.lower() == ".csv":
         dataset = read_rig(path, columns)
-    elif ending == ".nc":
+    elif path.suffix.lower() == ".nc":
         from vibrojax.io.dataset import open_dataset
 
         dataset = open_dataset(path)

@@ -247,7 +247,7 @@ class JointRates:
             groups = np.split(lanes[order], np.cumsum(np.bincount(group))[:-1])
         else:
             groups = [lanes]
-        lines = []
+        lines: list[tuple[float, ...]] = []
         for subset in [*groups, lanes]:
             if subset is lanes and lines:
                 break  # all lanes together serve only if no group has a rising line

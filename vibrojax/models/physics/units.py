@@ -2,7 +2,7 @@
 
 import re
 from functools import cache, partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     import pint
@@ -70,10 +70,14 @@ def _registry() -> "pint.UnitRegistry":
     powers = partial(re.compile(r"(?<=[A-Za-zµ])(?=-?\d)").sub, "**")
     registry: pint.UnitRegistry = pint.UnitRegistry(None, case_sensitive=False, preprocessors=[powers])
     registry.load_definitions([line.strip() for line in _DEFINITIONS.splitlines()])
-    weight = pint.Context("weight")
     gravity = registry.Quantity(_STANDARD_GRAVITY, "m/s**2")
-    weight.add_transformation("[mass]", "[force]", lambda _, mass: mass * gravity)
-    registry.add_context(weight)
+
+    def weight(ureg: Any, value: Any, **_: Any) -> Any:
+        return value * gravity
+
+    context = pint.Context("weight")
+    context.add_transformation("[mass]", "[force]", weight)
+    registry.add_context(context)
     return registry
 
 
