@@ -1,5 +1,7 @@
 """Rig data with names and units of their own: what is taken for what, in which unit, what is refused or warned of."""
 
+import subprocess
+import sys
 import warnings
 
 import numpy as np
@@ -11,7 +13,7 @@ from vibrojax.analyses.rop_law import fit_joint, fit_rop
 from vibrojax.analyses.rop_law.columns import read_columns, split_unit
 from vibrojax.cli import main
 from vibrojax.errors import InputError
-from vibrojax.models.physics.units import factor
+from vibrojax.models.physics.units import factor, is_unit
 
 C, ETA0, D = 1.2e-3, 0.08, 150e3
 FORCE = np.linspace(20e3, 60e3, 9)
@@ -177,8 +179,18 @@ def test_units_are_what_they_are():
     assert factor("klbf", "N") == pytest.approx(4448.2216)  # of 9.80665 m/s2 and 0.45359237 kg
     assert factor("t", "N") == pytest.approx(9806.65) and factor("t", "kg") == 1000.0
     assert factor("KN", "N") == 1e3 and factor("MN", "N") == 1e6 and factor("mN", "N") is None
+    assert factor("lb", "N") == pytest.approx(4.4482216) and factor("kN", "kg") is None  # a weight, but no mass
+    assert factor("rpm", "s-1") == factor("1/min", "s-1") and factor("rad/s", "min-1") == pytest.approx(30 / np.pi)
+    assert factor("µm", "m") == 1e-6 and factor("kN*s/m", "N s m-1") == 1e3 and factor("cm/s2", "m s-2") == 1e-2
+    assert not any(is_unit(text) for text in ("point", "bit", "3 m", "9**9**9**9", "m/", "", "mph"))
     assert split_unit("ROP (m/h)") == ("ROP", "m/h") and split_unit("WOB (mean) [kN]") == ("WOB (mean)", "kN")
     assert split_unit("rate_of_penetration") == ("rate_of_penetration", None) and split_unit("x_1") == ("x_1", None)
+
+
+def test_units_are_imported_only_to_parse_them():
+    code = "import sys, vibrojax as vj; vj.fit_rop; vj.read_sweep('regime-map'); print('pint' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stdout == "False\n", done.stderr
 
 
 # what was wrong before
