@@ -7,7 +7,6 @@ import sys
 from argparse import Namespace
 from pathlib import Path
 
-import jax
 import pytest
 
 import vibrojax as vj
@@ -25,13 +24,6 @@ frequency = { start = 10, stop = 40, num = 6 }
 settle = 0.2
 observe = 0.3
 """
-
-
-@pytest.fixture(autouse=True, scope="module")
-def promotion():
-    """Fits may promote, see tests/laws/conftest.py."""
-    with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
-        yield
 
 
 @pytest.fixture(scope="module")

@@ -106,7 +106,9 @@ def test_files_of_others_are_refused(tmp_path, capsys):
             assert f"{path}: {problem}" in refused(capsys, command, path), command
     for command in ("info", "plot"):
         assert ".: is a folder" in refused(capsys, command, ".")
-        assert f"is not a dataset; give the .nc file that vibrojax sweep {sweep} writes" in refused(capsys, command, sweep)
+        assert f"is not a dataset; give the .nc file that vibrojax sweep {sweep} writes" in refused(
+            capsys, command, sweep
+        )
 
 
 @pytest.mark.parametrize("share", [0.0, 0.001, 0.1, 0.5, 0.9, 0.999])

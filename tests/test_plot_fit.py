@@ -1,6 +1,5 @@
 """The picture of a fit shows its data: what is on it, by artists and labels rather than by pixels."""
 
-import jax
 import numpy as np
 import pytest
 import xarray as xr
@@ -14,12 +13,6 @@ from vibrojax.analyses.rop_law.fit_curves import FORMULAS
 from vibrojax.plot.colours import FORM_COLOURS
 
 SIZES = {"literal": 1, "percent": 1, "onset": 2, "line": 2, "power": 2}
-
-
-@pytest.fixture(autouse=True, scope="module")
-def promotion():
-    with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):  # as in tests/laws/conftest.py
-        yield
 
 
 def rig(path, columns=("rpm",), per_group=12, groups=3):

@@ -1,5 +1,7 @@
 """Rig data with names and units of their own: what is taken for what, in which unit, what is refused or warned of."""
 
+import subprocess
+import sys
 import warnings
 
 import numpy as np
@@ -11,7 +13,7 @@ from vibrojax.analyses.rop_law import fit_joint, fit_rop
 from vibrojax.analyses.rop_law.columns import read_columns, split_unit
 from vibrojax.cli import main
 from vibrojax.errors import InputError
-from vibrojax.models.physics.units import factor
+from vibrojax.models.physics.units import factor, is_unit
 
 C, ETA0, D = 1.2e-3, 0.08, 150e3
 FORCE = np.linspace(20e3, 60e3, 9)
@@ -76,25 +78,37 @@ def test_parameters_are_converted_too_and_stay_coordinates(tmp_path):
         (
             "ROP (m/h),WOB (kN)",
             {"rate_of_penetration": "ROP (kN)"},
-            '"kN" is no unit of rate_of_penetration; choose fr',
+            '"kN" is not a unit of rate_of_penetration; choose fr',
         ),
         ("ROP (m/h),WOB (kN)", {"rate_of_penetration": "ROP (m/s)"}, '"ROP (m/h)" is in m/h by its name, not in m/s'),
-        ("ROP,WOB", {"rate_of_penetration": "ROP (mph)"}, '"mph" is no unit of rate_of_penetration'),
-        ("ROP,WOB", {"mean_force": "WOB (mN)"}, '"mN" is no unit of mean_force'),
+        (
+            "ROP,WOB",
+            {"rate_of_penetration": "ROP (mph)"},
+            '"mph" is not a unit of rate_of_penetration; did you mean "m/h"?',
+        ),
+        ("ROP,WOB", {"mean_force": "WOB (mN)"}, '"mN" is not a unit of mean_force'),
         ("ROP,WOB", {"rate_of_penetration": "RPO (m/h)"}, 'the file has no column "RPO (m/h)"; did you mean "ROP"?'),
         ("ROP,ROP", {"rate_of_penetration": "ROP (m/h)"}, '"ROP (m/h)" may be "ROP", "ROP"; give each column a name'),
         ("ROP (m/h),ROP (ft/h)", {"rate_of_penetration": "ROP"}, '"ROP" may be "ROP (m/h)", "ROP (ft/h)"'),
-        ("ROP,WOB", {"rop": "ROP (m/h)"}, "columns: rop: is nothing that data have; choose from rate_of_penetration, "),
+        (
+            "ROP,WOB",
+            {"rop": "ROP (m/h)"},
+            "columns: rop: is not a quantity of rig data; choose from rate_of_penetration, ",
+        ),
         ("ROP,WOB", {"relief": "ROP", "mean_force": "ROP"}, 'column "ROP" is relief already; give another'),
         ("ROP,WOB", {"threshold": "-150 kN"}, "columns: threshold: is -150000; it must be at least 0 N"),
-        ("ROP,WOB", {"threshold": "150 m/h"}, '"m/h" is no unit of threshold'),
-        ("ROP,WOB", {"relief": 3}, "columns: relief: 3 is no column; write one with its unit"),
+        ("ROP,WOB", {"threshold": "150 m/h"}, '"m/h" is not a unit of threshold'),
+        ("ROP,WOB", {"relief": 3}, "columns: relief: 3 is not a column; write one with its unit"),
         ("ROP,rate_of_penetration", {"rate_of_penetration": "ROP"}, 'the file has a column "rate_of_penetration" too'),
-        ("ROP (m/h),WOB_kN", {}, 'missing; if "ROP (m/h)" is it, rename it, or say so: --columns rate_of_penetration='),
+        (
+            "ROP (m/h),WOB_kN",
+            {},
+            'missing; if "ROP (m/h)" is it, rename it, or name it: --columns rate_of_penetration=',
+        ),
         (
             "ROP (m/h),WOB_kN",
             {"rate_of_penetration": "ROP"},
-            'relief is missing, or mean_force and threshold; if "WOB_kN" is it, rename it, or say so: --columns m',
+            'relief is missing, or mean_force and threshold; if "WOB_kN" is it, rename it, or name it: --columns m',
         ),
         (
             "ROP (m/h),WOB_kN",
@@ -128,7 +142,7 @@ def test_what_is_no_table_of_columns_is_refused(tmp_path):
         assert line in str(caught.value)
     with pytest.raises(InputError, match="fit_rop: has its names and units already"):
         fit_rop(xr.Dataset(), columns=said)
-    with pytest.raises(InputError, match="names no columns; give a dict"):
+    with pytest.raises(InputError, match="does not name columns; give a dict"):
         fit_rop(path, columns="ROP")
 
 
@@ -136,7 +150,7 @@ def test_words_of_the_command_are_refused_in_one_line(capsys):
     for argv, line in (
         (
             ["rig.csv", "--columns", "ROP"],
-            '--columns: "ROP" is no NAME=COLUMN; write one, like rate_of_penetration="ROP',
+            '--columns: "ROP" is not NAME=COLUMN; write, for example, rate_of_penetration="ROP',
         ),
         (["rig.csv", "--columns", "a=b", "a=c"], '--columns: a: "c" is a second column; give one'),
     ):
@@ -165,8 +179,18 @@ def test_units_are_what_they_are():
     assert factor("klbf", "N") == pytest.approx(4448.2216)  # of 9.80665 m/s2 and 0.45359237 kg
     assert factor("t", "N") == pytest.approx(9806.65) and factor("t", "kg") == 1000.0
     assert factor("KN", "N") == 1e3 and factor("MN", "N") == 1e6 and factor("mN", "N") is None
+    assert factor("lb", "N") == pytest.approx(4.4482216) and factor("kN", "kg") is None  # a weight, but no mass
+    assert factor("rpm", "s-1") == factor("1/min", "s-1") and factor("rad/s", "min-1") == pytest.approx(30 / np.pi)
+    assert factor("µm", "m") == 1e-6 and factor("kN*s/m", "N s m-1") == 1e3 and factor("cm/s2", "m s-2") == 1e-2
+    assert not any(is_unit(text) for text in ("point", "bit", "3 m", "9**9**9**9", "m/", "", "mph"))
     assert split_unit("ROP (m/h)") == ("ROP", "m/h") and split_unit("WOB (mean) [kN]") == ("WOB (mean)", "kN")
     assert split_unit("rate_of_penetration") == ("rate_of_penetration", None) and split_unit("x_1") == ("x_1", None)
+
+
+def test_units_are_imported_only_to_parse_them():
+    code = "import sys, vibrojax as vj; vj.fit_rop; vj.read_sweep('regime-map'); print('pint' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stdout == "False\n", done.stderr
 
 
 # what was wrong before

@@ -131,7 +131,7 @@ def test_what_a_window_cannot_tell_is_nan_with_a_reason(history, noise):
         (lambda d: d, {"start": (0.0, 1.0)}, "start: [0.0, 1.0] is not x1, x1', x2, x2'"),
         (lambda d: d, {"mu": 0.0}, "mu: is 0; it must be above 0"),
         (lambda d: d, {"m1": -1.0}, "m1: is -1; it must be above 0 kg"),
-        (lambda d: d, {"m2": 100.0}, "m2: is no parameter of the rotary scene; did you mean"),
+        (lambda d: d, {"m2": 100.0}, "m2: is not a parameter of the rotary scene; did you mean"),
         (lambda d: d, {"smoothing": 0.0}, "smoothing: is 0.0; it must be above 0"),
         (lambda d: d, {"smoothing": 1e-6}, "shorten the window"),
     ],

@@ -8,9 +8,8 @@ import pytest
 import xarray as xr
 
 import vibrojax as vj
-from vibrojax.analyses.rop_law import REASONS, fit_joint, fit_rop
+from vibrojax.analyses.rop_law import REASONS, RateLawSummary, fit_joint, fit_rop
 from vibrojax.cli import main
-from vibrojax.cli.fit import tables
 from vibrojax.errors import InputError
 from vibrojax.io.dataset import open_dataset, write_dataset
 
@@ -104,12 +103,12 @@ def test_progress_is_one_line_on_stderr(capsys):
     ("data", "named", "line"),
     [
         (sweep().drop_vars("relief"), {}, "fit_rop: relief: missing; a sweep of a scene with rock has it, this holds"),
-        (sweep(), {"along": "frequncy"}, 'along: "frequncy" is no axis of the data; did you mean "frequency"?'),
+        (sweep(), {"along": "frequncy"}, 'along: "frequncy" is not an axis of the data; did you mean "frequency"?'),
         (sweep(), {"robust": "hubber"}, 'fit_rop: robust: "hubber" is unknown; did you mean "huber"?'),
         (sweep().isel(force=0, frequency=0), {}, "along: there is one lane only; a law needs an axis of several"),
         (sweep().isel(frequency=[]), {}, "fit_rop: frequency: has no values, so there are no lanes"),
         (sweep(relief=("force", ["a", "b"])), {}, "fit_rop: relief: does not hold numbers"),
-        (3, {}, "fit_rop: 3 is no data; give a dataset or a path"),
+        (3, {}, "fit_rop: 3 is not data; give a dataset or a path"),
         ("sweep.txt", {}, "sweep.txt: ends in neither .nc nor .csv"),
         ("no.nc", {}, "no.nc: there is no such file"),
         ("no.csv", {}, "no.csv: no such file"),
@@ -122,12 +121,16 @@ def test_wrong_data_are_refused(data, named, line):
 @pytest.mark.parametrize(
     ("data", "named", "line"),
     [
-        (sweep(), {"over": ("forc",)}, 'over.forc: no coordinate of the data beside along; did you mean "force"?'),
-        (sweep(), {"along": "force", "over": ("force",)}, "over.force: no coordinate of the data beside along"),
+        (
+            sweep(),
+            {"over": ("forc",)},
+            'over.forc: is not a coordinate of the data beside along; did you mean "force"?',
+        ),
+        (sweep(), {"along": "force", "over": ("force",)}, "over.force: is not a coordinate of the data beside along"),
         (sweep().assign_coords(force=[0.0, 1.0]), {}, "over.force: has values that are not above 0"),
         (sweep().assign_coords(force=["a", "b"]), {}, "over.force: does not hold numbers"),
         (sweep(), {"onset": "sharde"}, 'fit_joint: onset: "sharde" is unknown; did you mean "shared"?'),
-        (sweep(), {"along": "k0"}, 'fit_joint: along: "k0" is no axis of the data'),
+        (sweep(), {"along": "k0"}, 'fit_joint: along: "k0" is not an axis of the data'),
     ],
 )
 def test_wrong_joint_fits_are_refused(data, named, line):
@@ -195,10 +198,12 @@ def test_columns_tell_groups_apart(tmp_path):
         assert fit.C.sizes == {"group": 2} and list(fit.rock.values) == ["chalk", "granite"]
         assert list(fit.used.values) == [6, 8] and list(fit.left_out.values) == [0, 1]
         np.testing.assert_allclose(fit.C, [2 * C, C], rtol=1e-10)
-    assert "rock=chalk, force=200000" in "\n".join(tables(fit_rop(path, "frequency", progress=False)))
+    assert "rock=chalk, force=200000" in "\n".join(
+        RateLawSummary.of(fit_rop(path, "frequency", progress=False)).lines()
+    )
     assert fit_rop(path, progress=False).sel(form="onset").used.item() == 14
-    assert 'by: "rok" is no column of the data; did you mean "rock"?' in refused(path, by="rok")
-    assert 'by: "force" is no column of the data: the data are no table' in refused(sweep(), by="force")
+    assert 'by: "rok" is not a column of the data; did you mean "rock"?' in refused(path, by="rok")
+    assert 'by: "force" is not a column of the data: the data are not a table' in refused(sweep(), by="force")
 
 
 @pytest.mark.parametrize(
@@ -261,7 +266,7 @@ def test_the_command_takes_an_axis_and_an_output(tmp_path, capsys):
 
 def test_a_table_is_shown_for_the_first_groups_alone():
     data = xr.concat([sweep().isel(force=0, drop=True)] * 15, xr.Variable("group", np.arange(15)))
-    lines = tables(fit_rop(data, progress=False))
+    lines = RateLawSummary.of(fit_rop(data, progress=False)).lines()
     assert sum(line.startswith("group=") for line in lines) == 12 and lines[-1] == "and 3 groups more"
 
 
@@ -272,7 +277,7 @@ def test_a_table_is_shown_for_the_first_groups_alone():
         (["fit", "no.nc"], "no.nc: there is no such file"),
         (["fit", "rig.csv", "-o", "a.png"], '-o: "a.png" does not end in .nc'),
         (["fit", "rig.csv"], "rig.csv: line 1: column rate_of_penetration [m/s] is missing"),
-        (["fit", "map.nc", "--along", "k3"], 'map.nc: along: "k3" is no axis of the data; '),
+        (["fit", "map.nc", "--along", "k3"], 'map.nc: along: "k3" is not an axis of the data; '),
         (["fit", "other.nc"], "other.nc: rate_of_penetration: missing"),
     ],
 )

@@ -4,9 +4,7 @@ A CSV needs the columns relief (or mean_force and threshold) and rate_of_penetra
 tell groups of rows apart.
 """
 
-import math
 from argparse import ArgumentParser
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,8 +16,6 @@ from vibrojax.progress import timed
 
 if TYPE_CHECKING:
     import xarray
-
-_GROUPS_SHOWN = 12
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -55,7 +51,7 @@ def run(options: Options) -> None:
         raise InputError("fit: the following arguments are required: FILE; see vibrojax fit --help")
     out = output(options.out or f"{Path(options.file).stem}-fit.nc")
     picture = picture_beside(out)
-    from vibrojax.analyses.rop_law import fit_rop, verdict
+    from vibrojax.analyses.rop_law import RateLawSummary, fit_rop
     from vibrojax.analyses.rop_law.columns import columns_lines, read_columns
     from vibrojax.io.dataset import write_dataset
 
@@ -65,87 +61,22 @@ def run(options: Options) -> None:
         write_dataset(fit, out)
     dataset_written(options, out)
     drawn = draw(fit, picture)
+    summary = RateLawSummary.of(fit)
     if options.json:
-        print_json(_facts(fit, options.file, out, picture if drawn else None))
+        files = {"dataset": str(out), "picture": str(picture) if drawn else None}
+        print_json({"file": options.file, **summary.facts(), **files})
         return
     taken = columns_lines(fit)
     before = [*taken, ""] if taken and not options.quiet else []
     after = [] if options.quiet else [f"{out}{drawn}"]
-    print("\n".join([*before, *tables(fit), "", *_legend(fit), "", *verdict(fit), *after]))
+    print("\n".join([*before, *summary.lines(), "", *_legend(fit), "", *summary.verdict, *after]))
 
 
 def _legend(fit: "xarray.Dataset") -> list[str]:
-    """What stands in the table."""
+    """Return the meanings of the columns of the table."""
     lane = "a row of the CSV" if "columns" in fit.attrs else WORDS["lane"]
     return [
         f"forms of the rate of penetration: {fit.attrs['formulas']}",
         f"eta: the relief P/D, {WORDS['relief P/D']}; eta0: where it begins; a lane: {lane}",
         "AIC: by how much a form describes the data better (lower is better, by 2 or more clearly so)",
     ]
-
-
-def _facts(fit: "xarray.Dataset", file: str, out: Path, picture: Path | None) -> dict[str, object]:
-    """What `--json` prints: of each group its coordinates, and of each form its coefficients and why one is null."""
-    import numpy as np
-
-    from vibrojax.analyses.rop_law import table, verdict
-    from vibrojax.analyses.trajectory.analysis import features
-    from vibrojax.io.attributes import table_of
-
-    names, _ = table(fit, "aic")
-    dims = [dim for dim in fit["aic"].dims if dim != "form"]
-    where = list(np.ndindex(*(fit.sizes[dim] for dim in dims)))
-    of_forms = [str(name) for name, one in fit.data_vars.items() if set(one.dims) == {*dims, "form"}]
-    groups = []
-    for name, index in zip(names, where, strict=True):
-        fit_of_group = fit.isel(dict(zip(dims, index, strict=True)))
-        scalars = {str(name): data for name, data in fit_of_group.coords.items() if data.ndim == 0}
-        coordinates = {name: data.item() for name, data in scalars.items()}
-        forms = {str(form): features(fit_of_group.sel(form=form)[of_forms]) for form in fit["form"].values}
-        groups.append({"name": name, "coordinates": coordinates, "forms": forms})
-    return {
-        "file": file,
-        "along": fit.attrs["along"],
-        "columns": table_of(fit, "columns") or None,
-        "groups": groups,
-        "verdict": verdict(fit),
-        "dataset": str(out),
-        "picture": None if picture is None else str(picture),
-    }
-
-
-def tables(fit: "xarray.Dataset") -> list[str]:
-    """A table of the forms for each of the first groups of lanes, and how many there are more."""
-    from vibrojax.analyses.rop_law import table
-
-    names = ("C", "C_stderr", "eta0", "eta0_stderr", "exponent", "exponent_stderr", "r_squared", "aic", "used")
-    values = {name: table(fit, name)[1] for name in (*names, "left_out", "reason", "r_squared_reason")}
-    groups = table(fit, "aic")[0]
-    meanings = str(fit["reason"].attrs["flag_meanings"]).split()
-    lines: list[str] = []
-    for group, name_of_group in enumerate(groups[:_GROUPS_SHOWN]):
-        row = {name: column[group] for name, column in values.items()}
-        left_out = f", {row['left_out'][0]} left out" if row["left_out"][0] else ""
-        lines += [""] * bool(lines) + [f"{name_of_group}: {row['used'][0]} lanes along {fit.attrs['along']}{left_out}"]
-        lines.append(f"  {'form':<9}{'C [m/s]':<24}{'eta0':<22}{'exponent':<20}{'R2':>8}{'AIC':>10}")
-        for index, form in enumerate(fit["form"].values):
-            at = {name: column[index] for name, column in row.items()}
-            notes = [meanings[int(at[name])] for name in ("reason", "r_squared_reason")]
-            lines.append(f"  {form:<9}{_row(at, notes)}".rstrip())
-    return lines + ([f"and {len(groups) - _GROUPS_SHOWN} groups more"] if len(groups) > _GROUPS_SHOWN else [])
-
-
-def _row(at: Mapping[str, float], reasons: list[str]) -> str:
-    """Return a form's coefficients with standard errors and the reasons for what is missing."""
-    if not math.isfinite(at["C"]):
-        return reasons[0]
-    cells = [_with_error(at["C"], at["C_stderr"]), _with_error(at["eta0"], at["eta0_stderr"])]
-    cells.append(_with_error(at["exponent"], at["exponent_stderr"]))
-    text = f"{cells[0]:<24}{cells[1]:<22}{cells[2]:<20}{at['r_squared']:>8.4f}{at['aic']:>10.2f}"
-    notes = ", ".join(reason for reason in reasons if reason != "identified")
-    return f"{text}  {notes}" if notes else text
-
-
-def _with_error(value: float, error: float) -> str:
-    """A coefficient and its standard error; nothing where the form has none."""
-    return f"{value:.4g} ± {error:.2g}" if math.isfinite(value) else ""

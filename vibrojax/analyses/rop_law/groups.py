@@ -1,4 +1,4 @@
-"""Lanes with a relief and a rate, and the groups that a law is fitted to one by one."""
+"""Lanes with a relief and a rate of penetration, and the groups of lanes that a law is fitted to."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -8,20 +8,30 @@ import xarray as xr
 from jaxtyping import Bool, Float, Int
 
 from vibrojax.analyses.rop_law.columns import FORCE, RATE, RELIEF
+from vibrojax.analyses.rop_law.results import to_variables
 from vibrojax.errors import Place, shown, suggestion
+from vibrojax.io.variables import Variable
 from vibrojax.measures.labels import FAILED, IRREGULAR
 
-USUAL_AXES = ("frequency", "v", "point")
-"""What a law is fitted along where nothing else is asked, the first that is there."""
+DEFAULT_AXES = ("frequency", "v", "point")
+"""Axes to fit along if the user names none; the first that the data have is taken."""
+
+NO_LANE, FITTED, CENSORED, LEFT_OUT = range(4)
+"""Flags of `data_use`."""
+
+_DATA_SCHEMA = {
+    "data_relief": Variable("1", "relief of the lanes that were fitted"),
+    "data_rate_of_penetration": Variable("m s-1", "rate of penetration of the lanes that were fitted"),
+    "data_use": Variable("1", "what became of a lane", np.int8, ("no-lane", "fitted", "censored", "left-out")),
+}
 
 
 @dataclass(frozen=True)
 class Groups:
-    """Lanes in groups.
+    """Lanes in groups of `count` lanes; further lanes of a row are padding and not `valid`.
 
-    - `relief` [1], `rate` [m/s], `valid`: what follows the `count` lanes of a group is not valid and only fills up.
-    - `sizes`, `coordinates`: of the groups' dimensions.
-    - `along`: the axis that the lanes of a group lie on.
+    `relief` is dimensionless and `rate` in m/s. `sizes` and `coordinates` describe the groups' dimensions; `along` is
+    the axis on which the lanes of a group lie.
     """
 
     relief: Float[np.ndarray, "groups lanes"]
@@ -32,12 +42,24 @@ class Groups:
     coordinates: Mapping[str, xr.DataArray | xr.Variable]
     along: str
 
+    def data_variables(self) -> dict[str, xr.Variable]:
+        """Return the lanes as variables along the groups' dimensions and `lane`, with the use of each lane.
+
+        Lanes at zero rate are censored; lanes that failed, are irregular or have no usable values are left out.
+        """
+        lane = np.arange(self.rate.shape[1]) < self.count[:, None]
+        use = np.select([~lane, self.valid & (self.rate > 0), self.valid], [NO_LANE, FITTED, CENSORED], LEFT_OUT)
+        values = (np.where(lane, self.relief, np.nan), np.where(lane, self.rate, np.nan), use)
+        shape = (*self.sizes.values(), self.rate.shape[1])
+        shaped = {name: value.reshape(shape) for name, value in zip(_DATA_SCHEMA, values, strict=True)}
+        return to_variables(_DATA_SCHEMA, shaped, dict.fromkeys(_DATA_SCHEMA, (*self.sizes, "lane")))
+
 
 def usable_lanes(data: xr.Dataset) -> xr.Dataset:
-    """Relief, rate and `valid` on common dimensions, with the coordinates of the relief.
+    """Return `relief`, `rate` and `valid` on common dimensions, with the coordinates of the relief and the rate.
 
-    Not valid are lanes that failed or are irregular, or have no finite values, a relief that is not above zero, or a
-    negative rate: a hole does not grow shallower.
+    A lane is not valid if it failed or is irregular, or if its values are not finite, its relief is not above zero, or
+    its rate is negative (a hole does not grow shallower).
     """
     relief, rate = xr.broadcast(data[RELIEF], data[RATE])
     valid = (relief > 0) & (relief < np.inf) & (rate >= 0) & (rate < np.inf)
@@ -47,25 +69,24 @@ def usable_lanes(data: xr.Dataset) -> xr.Dataset:
         valid = valid & (data["status"] == 0)
     relief, rate, valid = xr.broadcast(relief, rate, valid)
     lanes = {"relief": relief.astype(np.float64), "rate": rate.astype(np.float64), "valid": valid}
-    # Broadcasting gives either the other's axes, but not what else is known along them.
+    # Broadcasting adds the other variable's axes, but not its further coordinates along them.
     return xr.Dataset({name: values.variable for name, values in lanes.items()}, {**rate.coords, **relief.coords})
 
 
 def check_axis(place: Place, lanes: xr.Dataset, along: str | None) -> str:
-    """The dimension to fit along; raises `InputError` where there is no such or none by itself."""
-    dims = lane_dims(place, lanes)
+    """Return the dimension to fit along; raise `InputError` if there is no such dimension, or no default."""
+    dims = _lane_dims(place, lanes)
     if along is None:
-        usual = [name for name in USUAL_AXES if name in dims] or (dims if len(dims) == 1 else [])
-        if not usual:
+        defaults = [name for name in DEFAULT_AXES if name in dims] or (dims if len(dims) == 1 else [])
+        if not defaults:
             raise place.at("along").error(f"missing; choose the axis to fit along from {', '.join(dims)}")
-        return usual[0]
+        return defaults[0]
     if along not in dims:
-        raise place.at("along").error(f"{shown(along)} is no axis of the data; {suggestion(str(along), dims)}")
+        raise place.at("along").error(f"{shown(along)} is not an axis of the data; {suggestion(str(along), dims)}")
     return along
 
 
-def lane_dims(place: Place, lanes: xr.Dataset) -> list[str]:
-    """The dimensions of the lanes; raises `InputError` where there are none, or no lanes."""
+def _lane_dims(place: Place, lanes: xr.Dataset) -> list[str]:
     dims = [str(dim) for dim in lanes["rate"].dims]
     if not dims:
         raise place.at("along").error("there is one lane only; a law needs an axis of several")
@@ -75,56 +96,50 @@ def lane_dims(place: Place, lanes: xr.Dataset) -> list[str]:
     return dims
 
 
-def grouped(place: Place, lanes: xr.Dataset, along: str | None, by: Sequence[str] = ()) -> Groups:
-    """The lanes (see `usable_lanes`) in groups, one for each point of the axes that are not `along`.
+def group_lanes(place: Place, lanes: xr.Dataset, along: str | None, by: Sequence[str] = ()) -> Groups:
+    """Return the lanes (see `usable_lanes`) in groups, one for each point of the axes other than `along`.
 
-    Rows of a table (one dimension) are grouped by their columns where `by` names some, or `along` is a column: then by
-    all others but the mean force.
+    Rows of a table (one dimension) are grouped by the columns `by`. If `along` is a column and `by` is empty, they are
+    grouped by all other columns but the mean force.
 
     **Raises:** `InputError`.
     """
-    columns = _columns(lanes)
+    dims = lanes["rate"].dims
+    columns = [name for name, values in lanes.coords.items() if len(dims) == 1 and values.dims == dims != (name,)]
     if by or along in columns:
-        return _grouped_rows(place, lanes, along, by, columns)
+        return _group_rows(place, lanes, along, by, [str(name) for name in columns])
     along = check_axis(place, lanes, along)
-    dims = [str(dim) for dim in lanes["rate"].dims if dim != along]
-    ordered = lanes.transpose(*dims, along)
-    sizes = {dim: lanes.sizes[dim] for dim in dims}
+    others = [str(dim) for dim in dims if dim != along]
+    ordered = lanes.transpose(*others, along)
+    sizes = {dim: lanes.sizes[dim] for dim in others}
     shape = (int(np.prod(list(sizes.values()))), lanes.sizes[along])
     relief, rate, valid = (ordered[name].values.reshape(shape) for name in ("relief", "rate", "valid"))
-    coordinates = {str(name): values for name, values in lanes.coords.items() if set(values.dims) <= set(dims)}
+    coordinates = {str(name): values for name, values in lanes.coords.items() if set(values.dims) <= set(others)}
     return Groups(relief, rate, valid, np.full(shape[0], shape[1]), sizes, coordinates, along)
 
 
-def _columns(lanes: xr.Dataset) -> list[str]:
-    """Names of the columns of a table, which has one dimension; none of data with more."""
-    dims = lanes["rate"].dims
-    return [str(name) for name, values in lanes.coords.items() if len(dims) == 1 and values.dims == dims != (name,)]
-
-
-def _grouped_rows(place: Place, lanes: xr.Dataset, along: str | None, by: Sequence[str], columns: list[str]) -> Groups:
-    """Groups of rows with the same values in the columns `by`."""
-    row = lane_dims(place, lanes)[0] if columns else None
+def _group_rows(place: Place, lanes: xr.Dataset, along: str | None, by: Sequence[str], columns: list[str]) -> Groups:
+    """Return groups of rows with equal values in the columns `by`."""
+    row = _lane_dims(place, lanes)[0] if columns else None
     for name in (*by, *([along] if along is not None and along != row else [])):
         if name not in columns:
-            fault = f"; {suggestion(str(name), columns)}" if columns else ": the data are no table of rows with columns"
-            raise place.at("by" if name in by else "along").error(f"{shown(name)} is no column of the data{fault}")
+            fault = f"; {suggestion(str(name), columns)}" if columns else ": the data are not a table with columns"
+            raise place.at("by" if name in by else "along").error(f"{shown(name)} is not a column of the data{fault}")
     keys = list(by) or [name for name in columns if name not in (along, FORCE)]
-    every = np.zeros(lanes["rate"].size, int)
     codes = [np.unique(lanes[name].values, return_inverse=True)[1].ravel() for name in keys]
-    _, first, group = np.unique(np.stack(codes or [every], axis=1), axis=0, return_index=True, return_inverse=True)
+    table = np.stack(codes or [np.zeros(lanes["rate"].size, int)], axis=1)
+    _, first, group = np.unique(table, axis=0, return_index=True, return_inverse=True)
     group = group.ravel()
     count = np.bincount(group)
-    longest = int(np.max(count))
     order = np.argsort(group, kind="stable")
-    place_in_group = np.arange(group.size) - np.repeat(np.cumsum(count) - count, count)
+    lane = np.arange(group.size) - np.repeat(np.cumsum(count) - count, count)
 
-    def filled(name: str) -> np.ndarray:
+    def padded(name: str) -> np.ndarray:
         values = lanes[name].values[order]
-        rows = np.zeros((count.size, longest), values.dtype)
-        rows[group[order], place_in_group] = values
+        rows = np.zeros((count.size, int(np.max(count))), values.dtype)
+        rows[group[order], lane] = values
         return rows
 
     coordinates = {name: xr.Variable("group", lanes[name].values[first], lanes[name].attrs) for name in keys}
-    relief, rate, valid = (filled(name) for name in ("relief", "rate", "valid"))
+    relief, rate, valid = (padded(name) for name in ("relief", "rate", "valid"))
     return Groups(relief, rate, valid, count, {"group": count.size}, coordinates, str(along or row))

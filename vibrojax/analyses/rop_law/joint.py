@@ -1,23 +1,40 @@
 """One law over all lanes: C and eta0 as power laws of the parameters, with shared coefficients."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
 from jaxtyping import Bool, Float
+from scipy.linalg import block_diag
 
-from vibrojax.analyses.rop_law.data import Columns, Data, open_rates
+from vibrojax.analyses.rop_law.data import Columns, Data, open_data
 from vibrojax.analyses.rop_law.groups import check_axis, usable_lanes
-from vibrojax.analyses.rop_law.joint_calibration import calibrate
-from vibrojax.analyses.rop_law.results import law_title, provenance, reason, with_attributes
-from vibrojax.analyses.rop_law.uncertainty import r_squared_reason
+from vibrojax.analyses.rop_law.least_squares import (
+    LARGEST_EXPONENT,
+    LEAST_SPREAD,
+    Jacobian,
+    Lanes,
+    Reason,
+    Square,
+    Theta,
+    confounded_coefficients,
+    covariance,
+    goodness,
+    minimise,
+    r_squared_reason,
+)
+from vibrojax.analyses.rop_law.results import GOODNESS_SCHEMA, attributes, law_title, reason_variable, to_variables
 from vibrojax.errors import Place, shown, suggestion
 from vibrojax.io.variables import Variable
 
-OVER = ("force", "k3", "zeta", "threshold")
+DEFAULT_PARAMETERS = ("force", "k3", "zeta", "threshold")
 ONSETS = ("power-law", "shared")
 
-_VARIABLES = {
+_OUTSIDE = 1e-6
+"""Share of a parameter outside the directions that the lanes span, from which on it is not identified: rounding."""
+
+_SCHEMA = {
     "C": Variable("m s-1", "coefficient of the rate-of-penetration law at the reference"),
     "C_stderr": Variable("m s-1", "standard error of C"),
     "C_exponent": Variable("1", "exponent of the parameter in C"),
@@ -27,43 +44,43 @@ _VARIABLES = {
     "eta0_exponent": Variable("1", "exponent of the parameter in eta0"),
     "eta0_exponent_stderr": Variable("1", "standard error of the parameter's exponent in eta0"),
     "reference": Variable("1", "value of the parameter at the reference, in its own unit"),
-    "r_squared": Variable("1", "share of the rate's variance that the law explains"),
-    "aic": Variable("1", "n ln(RSS/n) + 2k, RSS in m2 s-2"),
-    "degrees_of_freedom": Variable("1", "lanes with a residual less coefficients", np.int32),
-    "used": Variable("1", "lanes that the fit used, those at zero rate among them", np.int32),
-    "left_out": Variable("1", "lanes left out: failed, irregular, or without usable values", np.int32),
-    "reason": reason("why a coefficient is not a number"),
-    "r_squared_reason": reason("why r_squared is not a number"),
-    "exponent_reason": reason("why the parameter's exponents are not numbers"),
+    **GOODNESS_SCHEMA,
+    "exponent_reason": reason_variable("why the parameter's exponents are not numbers"),
 }
+
+Positions = Float[np.ndarray, "lanes directions"]
+"""Logarithms of the lanes' parameters over the reference, along the directions in which they vary."""
+Coefficients = Float[np.ndarray, " all"]
+"""Coefficients of the joint law: ln C and its exponents, ln eta0 and its exponents, 2 + 2 parameters."""
 
 
 def fit_joint(
     data: Data,
     along: str | None = None,
-    over: Sequence[str] = OVER,
+    over: Sequence[str] = DEFAULT_PARAMETERS,
     onset: str = "power-law",
     columns: Columns = None,
 ) -> xr.Dataset:
-    """One law for all groups at once, calibrated on all lanes:
+    """Fit one law to all groups at once, calibrated on all lanes:
 
         rate = C ln(eta/eta0),  C = C_ref prod (x_j/ref_j)^a_j,  eta0 = eta0_ref prod (x_j/ref_j)^b_j
 
-    Least squares of the rate by Levenberg–Marquardt, from power laws through the groups' own onset fits; lanes at zero
-    rate are censored, and lanes are left out, as in `fit_rop`.
+    The fit is least squares of the rate, from power laws through the groups' own onset fits; lanes at zero rate are
+    censored, and lanes are left out, as in `fit_rop`.
 
     **Arguments:**
 
     - `data`: as in `fit_rop`; the parameters x_j are coordinates of it (of a CSV: columns).
-    - `along`: the axis of a group, which is then no parameter of the law; by default none is excluded.
+    - `along`: the axis of a group, which is then not a parameter of the law; by default none is excluded.
     - `over`: the parameters x_j.
     - `onset`: "power-law", or "shared": one eta0 for all (b_j = 0).
-    - `columns`: of a CSV, which column is what, as in `fit_rop`.
+    - `columns`: of a CSV, the sources of the quantities, as in `fit_rop`.
 
     **Returns:** a dataset with C [m/s] and eta0 at the reference (the parameters' geometric means over the lanes that
     penetrate), and along `parameter` the exponents, each with standard error; r_squared, aic, used, left_out. NaN
-    with a `reason` where nothing is identified; a parameter that does not vary, or not by itself, has exponents of NaN
-    with an `exponent_reason`, and the others hold without it. The attribute `not_identified` names what is not.
+    with a `reason` if nothing is identified; a parameter that does not vary, or not by itself, has exponents of NaN
+    with an `exponent_reason`, and the others hold without it. The attribute `not_identified` lists the coefficients
+    that are not identified.
 
     **Raises:** `InputError`.
 
@@ -75,40 +92,76 @@ def fit_joint(
     >>> f"C = {1e3 * float(joint.C):.0f} mm/s, in proportion to force^{joint.C_exponent.item():.1f}"
     'C = 14 mm/s, in proportion to force^2.9'
     """
-    place, data = open_rates(data, "fit_joint", columns)
+    place, data = open_data(data, "fit_joint", rates=True, columns=columns)
     if onset not in ONSETS:
         raise place.at("onset").error(f"{shown(onset)} is unknown; {suggestion(str(onset), ONSETS)}")
     lanes = usable_lanes(data)
     if along is not None:
         check_axis(place, lanes, along)
     relief, rate, valid = (lanes[name].values.ravel() for name in ("relief", "rate", "valid"))
-    names = tuple(over)
-    parameters = np.zeros((rate.size, len(names)))
+    names, shared = tuple(over), onset == "shared"
+    number, required = len(names), names != DEFAULT_PARAMETERS
+    logs = np.zeros((rate.size, number))
     for index, name in enumerate(names):
-        required = names != OVER
-        parameters[:, index] = _parameter(place.at(f"over.{name}"), lanes, name, along, valid, required)
-    law = calibrate(relief[valid], rate[valid], parameters[valid], shared=onset == "shared")
-    why = r_squared_reason(np.asarray(law.r_squared), np.asarray(law.reason))
-    values = {**vars(law), "used": valid.sum(), "left_out": (~valid).sum(), "r_squared_reason": why}
-    dims = {name: ("parameter",) for name in _VARIABLES if np.ndim(values[name])}
+        logs[:, index] = _log_parameter(place.at(f"over.{name}"), lanes, name, along, valid, required)
+    relief, rate, logs = relief[valid], rate[valid], logs[valid]
+    seen = rate > 0
+    centre = logs[seen].mean(axis=0) if seen.any() else np.full(number, np.nan)
+    logs = np.nan_to_num(logs - centre)
+    # The law is calibrated along the directions in which the parameters vary. A parameter's exponent is identified if
+    # these directions span the parameter.
+    directions = np.zeros((0, number))
+    if logs[seen].size:
+        _, singular, directions = np.linalg.svd(logs[seen] - logs[seen].mean(axis=0), full_matrices=False)
+        directions = directions[singular > LEAST_SPREAD * np.sqrt(seen.sum())]
+    spanned = (directions**2).sum(axis=0) > 1 - _OUTSIDE
+    # From the free coefficients to all: ln C and its exponents, ln eta0 and its exponents (0 if the onset is shared).
+    half = np.zeros((1 + number, 1 + len(directions)))
+    half[0, 0], half[1:, 1:] = 1, directions.T
+    expansion = block_diag(half, half[:, :1] if shared else half)
+    fit, theta, errors, lost = _calibrate(relief, rate, logs @ directions.T, expansion, shared)
+    if fit["reason"] == Reason.IDENTIFIED:
+        lost = ~np.concatenate([[True], spanned, [True], spanned])
+        theta, errors = np.where(lost, np.nan, theta), np.where(lost, np.nan, errors)
+    varies = np.abs(logs).max(axis=0, initial=0.0) > LEAST_SPREAD
+    c, eta0 = rate.max(initial=0.0) * np.exp(theta[0]), np.exp(theta[1 + number])
+    values = {
+        **fit,
+        "C": c,
+        "C_stderr": c * errors[0],
+        "C_exponent": theta[1 : 1 + number],
+        "C_exponent_stderr": errors[1 : 1 + number],
+        "eta0": eta0,
+        "eta0_stderr": eta0 * errors[1 + number],
+        "eta0_exponent": theta[2 + number :],
+        "eta0_exponent_stderr": errors[2 + number :],
+        "reference": np.exp(centre),
+        "used": valid.sum(),
+        "left_out": (~valid).sum(),
+        "r_squared_reason": r_squared_reason(np.asarray(fit["r_squared"]), np.asarray(fit["reason"])),
+        "exponent_reason": np.where(spanned, fit["reason"], np.where(varies, Reason.CONFOUNDED, Reason.NO_SPREAD)),
+    }
+    dims = {name: ("parameter",) for name in _SCHEMA if np.ndim(values[name])}
+    labels = ["C", *(f"C_exponent {name}" for name in names), "eta0"]
+    labels += [f"eta0_exponent {name}" for name in names if not shared]
+    more = {
+        "formula": "C ln(eta/eta0), C and eta0 power laws of the parameters",
+        "onset": onset,
+        "not_identified": ", ".join(label for label, flag in zip(labels, lost, strict=not shared) if flag) or "none",
+    }
     coordinate = ("parameter", np.array(names, dtype=str), {"units": "1", "long_name": "parameter"})
-    more = {"formula": "C ln(eta/eta0), C and eta0 power laws of the parameters", "onset": onset}
-    more["not_identified"] = ", ".join(_not_identified(law.confounded, names, onset == "shared")) or "none"
-    return xr.Dataset(
-        with_attributes(_VARIABLES, values, dims),
-        {"parameter": coordinate},
-        provenance(place, data, "joint fit", law_title(place, data), more),
-    )
+    about = attributes(place, data, "joint fit", law_title(place, data), more)
+    return xr.Dataset(to_variables(_SCHEMA, values, dims), {"parameter": coordinate}, about)
 
 
-def _parameter(
+def _log_parameter(
     place: Place, lanes: xr.Dataset, name: str, along: str | None, valid: Bool[np.ndarray, " lanes"], required: bool
-) -> Float[np.ndarray, " lanes"]:
-    """A parameter's value for every lane; NaN where the data do not have it and it is not `required`."""
+) -> Lanes:
+    """Return a parameter's logarithm for every lane, NaN if the data do not have it and it is not `required`."""
     if name not in lanes.coords or name == along:
         if required:
             choice = [str(coordinate) for coordinate in lanes.coords if coordinate != along]
-            raise place.error(f"no coordinate of the data beside along; {suggestion(name, choice)}")
+            raise place.error(f"is not a coordinate of the data beside along; {suggestion(name, choice)}")
         return np.full(valid.size, np.nan)
     if lanes[name].dtype.kind not in "fiu":
         raise place.error("does not hold numbers; a power law needs them")
@@ -116,11 +169,96 @@ def _parameter(
     values = on_lanes.values.ravel().astype(np.float64)
     if not (np.isfinite(values[valid]) & (values[valid] > 0)).all():
         raise place.error("has values that are not above 0; a power law needs them above 0")
-    return values
+    return np.log(values, where=valid, out=np.full(valid.size, np.nan))
 
 
-def _not_identified(confounded: Bool[np.ndarray, " coefficients"], names: tuple[str, ...], shared: bool) -> list[str]:
-    """What the lanes do not identify, by name."""
-    onsets = [f"eta0_exponent {name}" for name in names]
-    every = ["C", *(f"C_exponent {name}" for name in names), "eta0", *onsets]
-    return [name for name, lost in zip(every, confounded, strict=True) if lost and not (shared and name in onsets)]
+def _calibrate(
+    relief: Lanes, rate: Lanes, positions: Positions, expansion: Float[np.ndarray, "all free"], shared: bool
+) -> tuple[dict[str, float | int], Coefficients, Coefficients, Bool[np.ndarray, " all"]]:
+    """Return the goodness with a `reason`, all coefficients, their errors, and which are not identified.
+
+    The rate is in units of the greatest. All coefficients are NaN if some are not identified.
+    """
+    log, seen = np.log(relief), rate > 0
+    size, free = expansion.shape
+    fit: dict[str, float | int] = {"degrees_of_freedom": 0, "r_squared": np.nan, "aic": np.nan}
+    nothing, every = np.full(size, np.nan), np.ones(size, bool)
+    if not seen.any():
+        return fit | {"reason": Reason.ALL_CENSORED if rate.size else Reason.TOO_FEW_LANES}, nothing, nothing, every
+    if seen.sum() <= free:
+        return fit | {"reason": Reason.TOO_FEW_LANES}, nothing, nothing, every
+    if not np.ptp(log[seen]) > LEAST_SPREAD:
+        return fit | {"reason": Reason.NO_SPREAD}, nothing, nothing, every
+    unit = float(rate.max())
+    minimum = minimise(JointRates(log, positions, shared), rate / unit, ~seen)
+    lanes = minimum.active
+    jacobian = minimum.jacobian[lanes]
+    if not np.isfinite(jacobian).all():
+        return fit | {"reason": Reason.NOT_CONVERGED}, nothing, nothing, every
+    confounded = confounded_coefficients(jacobian)
+    if confounded.any():
+        lost = (expansion[:, confounded] ** 2).sum(axis=1) > _OUTSIDE
+        return fit | {"reason": Reason.CONFOUNDED}, nothing, nothing, lost
+    if not minimum.converged:
+        return fit | {"reason": Reason.NOT_CONVERGED}, nothing, nothing, every
+    square = covariance(jacobian, minimum.residual[lanes])
+    fit["r_squared"], fit["aic"] = goodness(minimum.residual, rate / unit, unit, free)
+    fit |= {"degrees_of_freedom": int(lanes.sum()) - free, "reason": Reason.IDENTIFIED}
+    errors = np.sqrt(np.einsum("ci,ij,cj->c", expansion, square, expansion))
+    return fit, expansion @ minimum.theta, errors, ~every
+
+
+@dataclass(frozen=True)
+class JointRates:
+    """Rates of the joint law; theta is ln C and its exponents, then ln eta0 and its exponents (none if `shared`)."""
+
+    log: Lanes
+    positions: Positions
+    shared: bool
+
+    def _terms(self, theta: Theta) -> tuple[Lanes, Lanes, Jacobian, Jacobian]:
+        """Return C, ln(eta/eta0), and the columns that theta multiplies in ln C and in ln eta0."""
+        constant = np.ones((self.log.size, 1))
+        columns = np.hstack([constant, self.positions])
+        onset_columns = constant if self.shared else columns
+        c = np.exp(np.minimum(columns @ theta[: columns.shape[1]], LARGEST_EXPONENT))
+        return c, self.log - onset_columns @ theta[columns.shape[1] :], columns, onset_columns
+
+    def rates(self, theta: Theta) -> Lanes:
+        c, above, _, _ = self._terms(theta)
+        return c * above
+
+    def jacobian(self, theta: Theta) -> Jacobian:
+        c, above, columns, onset_columns = self._terms(theta)
+        return c[:, None] * np.hstack([above[:, None] * columns, -onset_columns])
+
+    def curvature(self, theta: Theta, weight: Lanes) -> Square:
+        c, above, columns, onset_columns = self._terms(theta)
+        mixed = -columns.T @ ((weight * c)[:, None] * onset_columns)
+        own = columns.T @ ((weight * c * above)[:, None] * columns)
+        return np.block([[own, mixed], [mixed.T, np.zeros((onset_columns.shape[1],) * 2)]])
+
+    def start(self, rate: Lanes, weight: Lanes) -> Theta:
+        """Return power laws through C and eta0 of straight lines in ln eta, one for each combination of parameters."""
+        log, positions, lanes = self.log, self.positions, np.flatnonzero(weight)
+        if positions.shape[1]:
+            group = np.unique(positions[lanes].round(9), axis=0, return_inverse=True)[1].ravel()
+            order = np.argsort(group, kind="stable")
+            groups = np.split(lanes[order], np.cumsum(np.bincount(group))[:-1])
+        else:
+            groups = [lanes]
+        lines: list[tuple[float, ...]] = []
+        for subset in [*groups, lanes]:
+            if subset is lanes and lines:
+                break  # all lanes together serve only if no group has a rising line
+            above, spread = log[subset] - log[subset].mean(), log[subset].std()
+            if spread > LEAST_SPREAD and (slope := np.mean(above * rate[subset]) / spread**2) > 0:
+                onset = log[subset].mean() - rate[subset].mean() / slope
+                lines.append((np.log(slope), onset, *positions[subset].mean(axis=0)))
+        if not lines:  # the rate falls with the relief: begin with a C of one, and an onset below all lanes
+            lines.append((0.0, log.min() - 1, *positions[lanes].mean(axis=0)))
+        table = np.array(lines)
+        design = np.column_stack([np.ones(len(table)), table[:, 2:]])
+        coefficient = np.linalg.lstsq(design, table[:, 0])[0]
+        onset = [np.median(table[:, 1])] if self.shared else np.linalg.lstsq(design, table[:, 1])[0]
+        return np.concatenate([coefficient, onset])

@@ -1,124 +1,201 @@
-"""What every fit says of itself: variables with units, where it comes from, and the verdict on the forms in words."""
+"""Datasets of fits: variables with units, provenance, the summary as text or JSON, and the verdict on the forms."""
 
+import math
 from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 
 import numpy as np
 import xarray as xr
-from jaxtyping import Bool, Float, Int, Shaped
+from jaxtyping import Float, Shaped
 
 from vibrojax.analyses.rop_law.forms import LOGARITHMIC
-from vibrojax.analyses.rop_law.uncertainty import REASONS
+from vibrojax.analyses.rop_law.least_squares import REASONS
 from vibrojax.errors import Place
-from vibrojax.io.attributes import title_of
+from vibrojax.io.attributes import table_of, title_of
 from vibrojax.io.provenance import source
 from vibrojax.io.variables import Variable
 
-CLEARLY = 2.0
-"""Difference of AIC from which a form is said to be beaten (Burnham and Anderson's rule of thumb)."""
+CLEAR_AIC_DIFFERENCE = 2.0
+"""Difference of AIC from which a form counts as beaten (Burnham and Anderson's rule of thumb)."""
 
-_GROUPS_SHOWN = 5
+_GROUPS_BEATEN_SHOWN = 5
+_GROUPS_TABULATED = 12
 
 
-def reason(long_name: str) -> Variable:
-    """The variable that says why others are not numbers, by flags that mean `REASONS`."""
+def reason_variable(long_name: str) -> Variable:
+    """Return the variable with the reason why others are NaN, as flags that mean `REASONS`."""
     return Variable("1", long_name, np.int8, REASONS)
 
 
-def with_attributes(
-    variables: Mapping[str, Variable], values: Mapping[str, object], dims: Mapping[str, Sequence[Hashable]]
+GOODNESS_SCHEMA = {
+    "r_squared": Variable("1", "share of the rate's variance that the law explains"),
+    "aic": Variable("1", "n ln(RSS/n) + 2k, RSS in m2 s-2"),
+    "degrees_of_freedom": Variable("1", "lanes with a residual less coefficients", np.int32),
+    "used": Variable("1", "lanes that the fit used, those at zero rate among them", np.int32),
+    "left_out": Variable("1", "lanes left out: failed, irregular, or without usable values", np.int32),
+    "reason": reason_variable("why a coefficient is not a number"),
+    "r_squared_reason": reason_variable("why r_squared is not a number"),
+}
+"""Variables that every fit of a rate-of-penetration law has."""
+
+
+def to_variables(
+    schema: Mapping[str, Variable], values: Mapping[str, object], dims: Mapping[str, Sequence[Hashable]]
 ) -> dict[str, xr.Variable]:
-    """The dataset's `variables`, with `values` of their dtype; those without `dims` are numbers."""
+    """Return the variables of `schema` with `values` of its dtypes; those without `dims` are scalars."""
     return {
         name: xr.Variable(dims.get(name, ()), np.asarray(values[name], variable.dtype), variable.attributes())
-        for name, variable in variables.items()
+        for name, variable in schema.items()
     }
 
 
 def law_title(place: Place, data: xr.Dataset) -> str:
-    """The title of a fit of the rate-of-penetration law."""
+    """Return the title of a fit of the rate-of-penetration law."""
     return f"rate-of-penetration law: {title_of(data, place.file)}"
 
 
-def provenance(
-    place: Place, data: xr.Dataset, what: str, title: str, more: Mapping[str, str | float]
+def attributes(
+    place: Place, data: xr.Dataset, step: str, title: str, more: Mapping[str, str | float]
 ) -> dict[str, str | float]:
-    """The attributes of a fit: where it comes from, and what of its data still holds."""
-    still_true = {name: data.attrs[name] for name in ("scene", "sweep", "parameters", "columns") if name in data.attrs}
-    now = f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} {what} {place.file}"
-    earlier = [str(data.attrs["history"])] if "history" in data.attrs else []
-    return {
-        "title": title,
-        "source": source(),
-        "history": "\n".join([now, *earlier]),
-        "Conventions": "CF-1.11",
-        **still_true,
-        **more,
-    }
+    """Return the attributes of a fit: its provenance, and the attributes of its data that still hold."""
+    kept = {name: data.attrs[name] for name in ("scene", "sweep", "parameters", "columns") if name in data.attrs}
+    history = [f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} {step} {place.file}"]
+    history += [str(data.attrs["history"])] if "history" in data.attrs else []
+    about = {"title": title, "source": source(), "history": "\n".join(history), "Conventions": "CF-1.11"}
+    return {**about, **kept, **more}
 
 
-def table(fit: xr.Dataset, name: str) -> tuple[list[str], Shaped[np.ndarray, "groups forms"]]:
-    """What the groups are called, and a variable's values.
+@dataclass(frozen=True)
+class GroupSummary:
+    """A group of lanes: its name, its coordinates, and by form the values of the fit, flags by their meanings."""
 
-    **Arguments:** `fit`: from `fit_rop`; `name`: of the variable.
-    """
+    name: str
+    coordinates: dict[str, object]
+    forms: dict[str, dict[str, float | int | str]]
+
+
+@dataclass(frozen=True)
+class RateLawSummary:
+    """A summary of a fitted rate-of-penetration law, for text and for JSON."""
+
+    along: str
+    columns: dict[str, object] | None
+    groups: list[GroupSummary]
+    verdict: list[str]
+
+    @classmethod
+    def of(cls, fit: xr.Dataset) -> "RateLawSummary":
+        """Return the summary of a fit by `fit_rop`."""
+        dims = [dim for dim in fit["aic"].dims if dim != "form"]
+        values = {str(name): table(fit, str(name)) for name, v in fit.items() if set(v.dims) == {*dims, "form"}}
+        for name in ("reason", "r_squared_reason"):
+            values[name] = np.array(str(fit[name].attrs["flag_meanings"]).split())[values[name]]
+        groups = []
+        for index, position in enumerate(np.ndindex(*(fit.sizes[dim] for dim in dims))):
+            lanes = fit.isel(dict(zip(dims, position, strict=True)))
+            coordinates = {str(name): lanes[name].item() for name in lanes.coords if lanes[name].ndim == 0}
+            forms = {
+                str(form): {name: rows[index, column].item() for name, rows in values.items()}
+                for column, form in enumerate(fit["form"].values)
+            }
+            groups.append(GroupSummary(_group_name(fit, dims, position), coordinates, forms))
+        return cls(str(fit.attrs["along"]), table_of(fit, "columns") or None, groups, verdict(fit))
+
+    def facts(self) -> dict[str, object]:
+        """Return the summary as JSON values."""
+        return asdict(self)
+
+    def lines(self) -> list[str]:
+        """Return a table of the forms for each of the first groups, and the number of further groups."""
+        lines: list[str] = []
+        for group in self.groups[:_GROUPS_TABULATED]:
+            first = next(iter(group.forms.values()))
+            left_out = f", {first['left_out']} left out" if first["left_out"] else ""
+            lines += [""] * bool(lines) + [f"{group.name}: {first['used']} lanes along {self.along}{left_out}"]
+            lines.append(f"  {'form':<9}{'C [m/s]':<24}{'eta0':<22}{'exponent':<20}{'R2':>8}{'AIC':>10}")
+            lines += [f"  {form:<9}{_table_row(values)}".rstrip() for form, values in group.forms.items()]
+        further = len(self.groups) - _GROUPS_TABULATED
+        return lines + ([f"and {further} groups more"] if further > 0 else [])
+
+
+def _table_row(values: Mapping[str, float | int | str]) -> str:
+    """Return the coefficients with standard errors, R², AIC, and the reasons for missing values."""
+    if not math.isfinite(float(values["C"])):
+        return str(values["reason"])
+    cells = [
+        f"{values[name]:.4g} ± {values[f'{name}_stderr']:.2g}" if math.isfinite(float(values[name])) else ""
+        for name in ("C", "eta0", "exponent")
+    ]
+    row = f"{cells[0]:<24}{cells[1]:<22}{cells[2]:<20}{values['r_squared']:>8.4f}{values['aic']:>10.2f}"
+    reasons = [str(values[name]) for name in ("reason", "r_squared_reason") if values[name] != "identified"]
+    return f"{row}  {', '.join(reasons)}" if reasons else row
+
+
+def table(fit: xr.Dataset, name: str) -> Shaped[np.ndarray, "groups forms"]:
+    """Return the values of a variable of a fit by `fit_rop`, a row for each group."""
     dims = [dim for dim in fit[name].dims if dim != "form"]
-    values = fit[name].transpose(*dims, "form").values.reshape(-1, fit.sizes["form"])
-    shape = [fit.sizes[dim] for dim in dims]
-    return [_group_name(fit, dims, index) for index in np.ndindex(*shape)], values
+    return np.asarray(fit[name].transpose(*dims, "form").values.reshape(-1, fit.sizes["form"]))
 
 
 def verdict(fit: xr.Dataset) -> list[str]:
-    """Lines that say which form describes the data, by AIC, and where the log law holds and where it does not.
+    """Return lines that tell which form describes the data, by AIC, and for which groups the log law holds.
 
-    A form holds in a group where its AIC is no more than `CLEARLY` above the lowest; the log law where one of its three
-    readings does.
+    A form holds in a group if its AIC is no more than `CLEAR_AIC_DIFFERENCE` above the lowest; the log law if one of
+    its three readings does.
 
     **Arguments:** `fit`: from `fit_rop`.
     """
     names = [str(name) for name in fit["form"].values]
-    groups, aic = table(fit, "aic")
-    judged = np.isfinite(aic).all(axis=1)
-    lines = _not_judged(fit, judged)
+    aic, r_squared = table(fit, "aic"), table(fit, "r_squared")
+    missing = ~np.isfinite(aic)
+    judged = ~missing.any(axis=1)
+    lines = []
+    if not judged.all():  # the first reason of each group
+        meanings = str(fit["reason"].attrs["flag_meanings"]).split()
+        reasons = table(fit, "reason")[~judged, np.argmax(missing[~judged], axis=1)]
+        counts = {meanings[flag]: int((reasons == flag).sum()) for flag in np.unique(reasons)}
+        listed = ", ".join(f"{meaning} {count}" for meaning, count in sorted(counts.items()))
+        lines.append(f"not every form can be told in {reasons.size} of {judged.size}: {listed}")
     if not judged.any():
         return [*lines, "no form can be told from the lanes that are there"]
-    r_squared = table(fit, "r_squared")[1]
-    finite = np.where(judged[:, None], aic, 0.0)
-    best = np.argmin(finite, axis=1)
-    behind = np.where(judged[:, None], aic - finite.min(axis=1, keepdims=True), np.inf)
-    rows = [(int((best[judged] == i).sum()), int((behind[:, i] <= CLEARLY).sum()), i) for i in range(len(names))]
+    above_best = aic[judged] - aic[judged].min(axis=1, keepdims=True)
+    best = np.argmin(above_best, axis=1)
     lines.append(f"along {fit.attrs['along']}, over {judged.sum()} of {judged.size}:")
-    for lowest, holds, i in sorted(rows, reverse=True):
-        share = _range(r_squared[judged, i])
-        lines.append(f"  {names[i]:<8} lowest AIC in {lowest}, within {CLEARLY:g} of it in {holds}; R2 {share}")
-    return lines + _log_law(fit, groups, behind, best, names)
+    holds = above_best <= CLEAR_AIC_DIFFERENCE
+    rows = [(int((best == form).sum()), int(holds[:, form].sum()), form) for form in range(len(names))]
+    for lowest, close, form in sorted(rows, reverse=True):
+        share = _range(r_squared[judged, form])
+        counts_of_form = f"lowest AIC in {lowest}, within {CLEAR_AIC_DIFFERENCE:g} of it in {close}"
+        lines.append(f"  {names[form]:<8} {counts_of_form}; R2 {share}")
+    log_law = above_best[:, [names.index(name) for name in LOGARITHMIC]].min(axis=1)
+    beaten = log_law > CLEAR_AIC_DIFFERENCE
+    region = _region(fit, np.flatnonzero(judged)[~beaten]) if beaten.any() else ""
+    lines.append(f"the log law holds in {(~beaten).sum()} of {judged.sum()}{region}")
+    if beaten.any():
+        lines.append(f"it is beaten in {beaten.sum()}, by an AIC of {_range(log_law[beaten])}:")
+        worst = np.argsort(-log_law, kind="stable")[: min(_GROUPS_BEATEN_SHOWN, beaten.sum())]
+        dims = [dim for dim in fit["aic"].dims if dim != "form"]
+        positions = list(np.ndindex(*(fit.sizes[dim] for dim in dims)))
+        for row in worst:
+            group = _group_name(fit, dims, positions[np.flatnonzero(judged)[row]])
+            lines.append(f"  {group}: {names[best[row]]} by {log_law[row]:.3g}")
+        lines += [f"  and {beaten.sum() - len(worst)} more"] if beaten.sum() > len(worst) else []
+    return lines
 
 
-def _group_name(fit: xr.Dataset, dims: Sequence[Hashable], index: tuple[int, ...]) -> str:
+def _group_name(fit: xr.Dataset, dims: Sequence[Hashable], position: tuple[int, ...]) -> str:
+    """Return the coordinates of a group, like "force=200000 N, rock=granite"."""
     parts = []
-    for dim, position in zip(dims, index, strict=True):
-        columns = [name for name in fit.coords if fit[name].dims == (dim,)]
-        if not columns:
-            parts.append(f"{dim}={position}")
-        parts += [f"{name}={_value(fit[name], position)}" for name in columns]
+    for dim, index in zip(dims, position, strict=True):
+        names = [name for name in fit.coords if fit[name].dims == (dim,)]
+        parts += [f"{name}={_value(fit[name], index)}" for name in names] or [f"{dim}={index}"]
     return ", ".join(parts) or "all lanes"
 
 
-def _value(coordinate: xr.DataArray, position: int) -> str:
-    value, unit = coordinate.values[position].item(), coordinate.attrs.get("units", "1")
+def _value(coordinate: xr.DataArray, index: int) -> str:
+    value, unit = coordinate.values[index].item(), coordinate.attrs.get("units", "1")
     return (f"{value:.6g}" if isinstance(value, float) else str(value)) + ("" if unit == "1" else f" {unit}")
-
-
-def _not_judged(fit: xr.Dataset, judged: Bool[np.ndarray, " groups"]) -> list[str]:
-    """Why groups have no AIC for some form: the first reason of each."""
-    if judged.all():
-        return []
-    reasons = table(fit, "reason")[1][~judged]
-    meanings = dict(enumerate(str(fit["reason"].attrs["flag_meanings"]).split()))
-    missing = ~np.isfinite(table(fit, "aic")[1][~judged])
-    first = [meanings[int(row[np.argmax(lacks)])] for row, lacks in zip(reasons, missing, strict=True)]
-    counted = ", ".join(f"{name} {first.count(name)}" for name in sorted(set(first)))
-    return [f"not every form can be told in {len(first)} of {judged.size}: {counted}"]
 
 
 def _range(values: Float[np.ndarray, " groups"]) -> str:
@@ -129,34 +206,13 @@ def _range(values: Float[np.ndarray, " groups"]) -> str:
     return f"{low:.4g}" if len(values) == 1 else f"{low:.4g} to {high:.4g} (median {middle:.4g})"
 
 
-def _log_law(
-    fit: xr.Dataset,
-    groups: list[str],
-    behind: Float[np.ndarray, "groups forms"],
-    best: Int[np.ndarray, " groups"],
-    names: list[str],
-) -> list[str]:
-    """Where the best of the three readings of the log law holds, and where it is beaten, by how much and by what."""
-    log = behind[:, [names.index(name) for name in LOGARITHMIC]].min(axis=1)
-    judged, holds = np.isfinite(log), log <= CLEARLY
-    beaten = judged & ~holds
-    lines = [f"the log law holds in {holds.sum()} of {judged.sum()}{_where(fit, holds) if beaten.any() else ''}"]
-    if not beaten.any():
-        return lines
-    lines.append(f"it is beaten in {beaten.sum()}, by an AIC of {_range(log[beaten])}:")
-    worst = np.argsort(-np.where(beaten, log, 0.0), kind="stable")[: min(_GROUPS_SHOWN, beaten.sum())]
-    lines += [f"  {groups[i]}: {names[best[i]]} by {log[i]:.3g}" for i in worst]
-    return lines + ([f"  and {beaten.sum() - len(worst)} more"] if beaten.sum() > len(worst) else [])
-
-
-def _where(fit: xr.Dataset, holds: Bool[np.ndarray, " groups"]) -> str:
-    """The box of the groups' axes in which `holds`."""
-    if not holds.any():
-        return ""
+def _region(fit: xr.Dataset, groups: Shaped[np.ndarray, " groups"]) -> str:
+    """Return the box of the groups' axes that holds `groups`, by their indices."""
     dims = [dim for dim in fit["aic"].dims if dim != "form"]
+    positions = np.unravel_index(groups, [fit.sizes[dim] for dim in dims]) if dims else ()
     ranges = []
-    for dim, positions in zip(dims, np.nonzero(holds.reshape([fit.sizes[dim] for dim in dims])), strict=True):
-        if dim in fit.coords:
-            low, high = (_value(fit[dim], int(position)) for position in (positions.min(), positions.max()))
+    for dim, indices in zip(dims, positions, strict=True):
+        if dim in fit.coords and len(indices):
+            low, high = (_value(fit[dim], int(index)) for index in (indices.min(), indices.max()))
             ranges.append(f"{dim} {low}" + (f" to {high}" if high != low else ""))
     return f", all of them within {', '.join(ranges)}" if ranges else ""

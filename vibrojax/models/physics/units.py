@@ -1,84 +1,113 @@
-"""Units of rig data and units that are mistaken for SI, with their factors to SI; names are as people write them."""
+"""Units of lengths, speeds, forces and rates: factors to SI by pint, and the likely unit of an unusual number."""
 
-from math import pi
+import re
+from functools import cache, partial
+from typing import TYPE_CHECKING, Any
 
-_FOOT, _INCH, _LBF, _TF = 0.3048, 0.0254, 4.4482216152605, 9806.65
-_MINUTE, _HOUR = 60.0, 3600.0
-_PER_MINUTE = {"mm": 1e-3, "m": 1.0, "cm": 1e-2, "ft": _FOOT, "in": _INCH}
+if TYPE_CHECKING:
+    import pint
 
-UNITS: dict[str, dict[str, float]] = {
-    "1": {"1": 1.0, "%": 0.01},
-    "m": {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "um": 1e-6, "in": _INCH, "ft": _FOOT},
-    "m s-1": {"m/s": 1.0, "m/h": 1 / _HOUR, "ft/h": _FOOT / _HOUR, "mm/s": 1e-3}
-    | {f"{unit}/min": scale / _MINUTE for unit, scale in _PER_MINUTE.items()},
-    "m s-2": {"m/s2": 1.0, "cm/s2": 1e-2},
-    # t and _TF: the tonne-force.
-    "N": {
-        "N": 1.0,
-        "kN": 1e3,
-        "MN": 1e6,
-        "lbf": _LBF,
-        "klbf": 1e3 * _LBF,
-        "t": _TF,
-        "kgf": _TF / 1e3,
-    },
-    "N m-1": {"N/m": 1.0, "N/mm": 1e3, "kN/m": 1e3, "kN/mm": 1e6, "MN/m": 1e6},
-    "N s m-1": {"N s/m": 1.0, "kN s/m": 1e3},
-    "kg": {"kg": 1.0, "t": 1e3, "lb": 0.45359237},
-    "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": _MINUTE},
-    "s-1": {"1/s": 1.0, "1/min": 1 / _MINUTE},
-    "s-2": {"1/s2": 1.0},
-    "min-1": {"1/min": 1.0, "1/s": _MINUTE, "rad/s": 30 / pi},
+UNITS: dict[str, tuple[str, ...]] = {
+    "1": ("1", "%"),
+    "m": ("m", "mm", "cm", "um", "in", "ft"),
+    "m s-1": ("m/s", "m/h", "ft/h", "mm/s", "mm/min", "m/min", "cm/min", "ft/min", "in/min"),
+    "m s-2": ("m/s2", "cm/s2"),
+    "N": ("N", "kN", "MN", "lbf", "klbf", "t", "kgf"),
+    "N m-1": ("N/m", "N/mm", "kN/m", "kN/mm", "MN/m"),
+    "N s m-1": ("N s/m", "kN s/m"),
+    "kg": ("kg", "t", "lb"),
+    "s": ("s", "ms", "us", "min"),
+    "s-1": ("1/s", "1/min"),
+    "s-2": ("1/s2",),
+    "min-1": ("1/min", "1/s", "rad/s"),
 }
-"""Units of each kind with their factors to SI, by the SI unit as datasets write it."""
+"""Common units of each kind by SI unit (as datasets write it), the SI unit as people write it first."""
 
-_SPELLINGS = {
-    "m/h": "m/hr m/hour",
-    "ft/h": "ft/hr ft/hour fph",
-    "lbf": "lbs",
-    "klbf": "klb klbs kip kips",
-    "t": "tf ton tonne tonnes tons",
-    "1/s": "hz",
-    "1/min": "rpm bpm",
-    "%": "percent",
-    "1": "-",
-    "um": "µm",
-    "m/s2": "m/s²",
-}
-_ALIASES = {alias: unit for unit, aliases in _SPELLINGS.items() for alias in aliases.split()}
+# A full turn is the dimensionless 1, so that frequencies and rotation speeds convert into each other. There are no
+# prefixes: mN (milli) and MN (mega) are easily confused. pint's own list of units is not used because names of columns
+# ("bit", "point") are among them.
+_DEFINITIONS = """
+    m = [length]
+    s = [time] = s = sec
+    kg = [mass]
+    [force] = [mass] * [length] / [time] ** 2
+    percent = 0.01
+    rad = 0.15915494309189535
+    mm = 1e-3 m
+    cm = 1e-2 m
+    um = 1e-6 m = um = µm
+    inch = 0.0254 m = in
+    foot = 0.3048 m = ft
+    ms = 1e-3 s
+    us = 1e-6 s = us = µs
+    min = 60 s
+    hour = 3600 s = h = hr
+    fph = foot / hour
+    tonne = 1e3 kg = t = ton = tons = tonnes = tf
+    pound = 0.45359237 kg = lb = lbs
+    N = kg * m / s ** 2
+    kN = 1e3 N
+    MN = 1e6 N
+    kgf = 9.80665 N
+    lbf = 4.4482216152605 N
+    klbf = 1e3 lbf = klbf = klb = klbs = kip = kips
+    hertz = 1 / s = Hz
+    rpm = 1 / min = rpm = bpm
+"""
+_STANDARD_GRAVITY = 9.80665  # m/s2, of tonnes and pounds that are given as forces
+
+# Anything else, such as a power of a power, never reaches pint's parser.
+_UNIT = re.compile(r"(?:1|%|[a-zµ]+(?:-?[1-4]|[²³])?)(?:[ */·](?:%|[a-zµ]+(?:-?[1-4]|[²³])?))*", re.IGNORECASE)
+_MILLINEWTON = re.compile(r"\bm[nN]\b")
 
 
+@cache
+def _registry() -> "pint.UnitRegistry":
+    """Return the registry of the units above; pint is imported here because few commands parse units."""
+    import pint
+
+    # "m s-1" is m*s**-1.
+    powers = partial(re.compile(r"(?<=[A-Za-zµ])(?=-?\d)").sub, "**")
+    registry: pint.UnitRegistry = pint.UnitRegistry(None, case_sensitive=False, preprocessors=[powers])
+    registry.load_definitions([line.strip() for line in _DEFINITIONS.splitlines()])
+    gravity = registry.Quantity(_STANDARD_GRAVITY, "m/s**2")
+
+    def weight(ureg: Any, value: Any, **_: Any) -> Any:
+        return value * gravity
+
+    context = pint.Context("weight")
+    context.add_transformation("[mass]", "[force]", weight)
+    registry.add_context(context)
+    return registry
+
+
+@cache
 def factor(unit: str, si: str) -> float | None:
-    """Return the factor from `unit`, as people write it, to the SI unit `si`; None if it is not a unit of that kind.
+    """Return the factor that turns a number in `unit` into one in the SI unit `si`, None if `unit` is of another kind.
 
-    Capitals count only to distinguish units: mN is not MN.
+    Case does not matter, except that mN is not MN. A mass given as a force is its weight.
     """
-    known = UNITS[si]
-    unit = unit.strip()
-    if unit == si:
-        return 1.0
-    if unit in known:
-        return known[unit]
-    plain = unit.casefold()
-    plain = _ALIASES.get(plain, plain)
-    if unit.startswith("m") and plain in ("mn", "mn/m"):
+    unit = "1" if unit.strip() == "-" else unit.strip().replace("·", "*").replace("\N{GREEK SMALL LETTER MU}", "µ")
+    if not _UNIT.fullmatch(unit) or _MILLINEWTON.search(unit):
         return None
-    return next((value for name, value in known.items() if name.casefold() == plain), None)
+    import pint
+
+    try:
+        return float(_registry().Quantity(1.0, unit).to(si, "weight").magnitude)
+    except pint.PintError:
+        return None
 
 
 def is_unit(text: str) -> bool:
-    """Return True if `text` is a unit of any kind."""
+    """Return whether `text` is a unit of any kind."""
     return any(factor(text, si) is not None for si in UNITS)
 
 
-def likely_units(value: float, si: str, usual: tuple[float, float]) -> list[str]:
-    """Return the units that make `value` a `usual` one (SI), common units first; none if `si` is unknown.
-
-    Of several names for one factor only the first counts.
-    """
-    low, high = usual
-    names: dict[float, str] = {}
-    for name, scale in UNITS.get(si, {}).items():
-        if scale != 1.0 and low <= value * scale <= high:
-            names.setdefault(scale, name)
-    return list(names.values())
+def likely_units(value: float, si: str, usual: tuple[float, float]) -> dict[str, float]:
+    """Return up to three units, with their factors, in which `value` would be a `usual` one (SI), common ones first."""
+    likely: dict[str, float] = {}
+    for name in UNITS.get(si, ()):
+        scale = factor(name, si)
+        if scale and scale != 1.0 and usual[0] <= value * scale <= usual[1] and scale not in likely.values():
+            likely[name] = scale
+    return dict(list(likely.items())[:3])

@@ -56,15 +56,15 @@ def warn_if_far(place: Place, parameter: Parameter, values: object, likely: str 
 
 def _likely(value: float, parameter: Parameter, usual: tuple[float, float]) -> str:
     """Return what to write if the value is in one of the units in which it would be a usual one."""
-    units = likely_units(abs(value), parameter.unit, usual)[:3]
-    advice = [f"if in {unit}, write {_with_unit(value * UNITS[parameter.unit][unit], parameter)}" for unit in units]
+    units = likely_units(abs(value), parameter.unit, usual)
+    advice = [f"if in {unit}, write {_with_unit(value * scale, parameter)}" for unit, scale in units.items()]
     if parameter.name == "v":
         advice.append("of a rotation give rpm and bit_radius")
     return "; ".join(advice) or "check its unit"
 
 
 def _with_unit(value: float, parameter: Parameter) -> str:
-    unit = next(iter(UNITS.get(parameter.unit) or (parameter.unit,)))
+    unit = UNITS.get(parameter.unit, (parameter.unit,))[0]
     return f"{value:.6g}" if unit == "1" else f"{value:.6g} {unit}"
 
 
