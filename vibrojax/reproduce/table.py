@@ -1,0 +1,220 @@
+"""The results of the source as data: entries of `results.csv`; groups, pictures, findings and readings of `source.toml`.
+
+In both files the cells `value`, `rule` and `draw` are expressions in the syntax of jinja2, in which
+
+- the names are those of `collect` in `answers.py`, `x` is the cell `value`, and functions are those of `rules.py`,
+  `maps.py`, `motions.py`, `closed_forms.py`, `pictures_motions.py` and `pictures_maps.py`;
+- `here` and `remark` are texts with such expressions in braces. Without `here` the text is that of the rule.
+"""
+
+import csv
+import tomllib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cache, partial
+from importlib.resources import files
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from jinja2 import Environment, StrictUndefined
+from jinja2.environment import TemplateExpression
+from matplotlib.figure import Figure
+
+from vibrojax.physics.contact import contact_time, restitution
+from vibrojax.physics.rock import ROCKS
+from vibrojax.plot.style import styled
+from vibrojax.reproduce import closed_forms, maps, motions, pictures_maps, pictures_motions, rules
+from vibrojax.reproduce.answers import Answer, Unanswered, collect
+from vibrojax.reproduce.needs import Labelled, Need, read_needs
+from vibrojax.reproduce.rules import DIFFERS, FIELD, Here, formatted
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One result of the source.
+
+    **Arguments:**
+
+    - `id`: like `table-5.3.1`, `fig-5.67b`, `eq-5.17`.
+    - `what`: its subject, with the parameters.
+    - `source`: the source's statement: a number, a range, a count or a trend.
+    - `needs`: the computations behind it (see [vibrojax.reproduce.needs][]).
+    - `judge`: takes the answers to `needs`, in their order, and returns `Here`.
+    - `tolerance`: what counts as agreement, and why.
+    - `readings`: names of the readings on which it rests, R1 and so on.
+    """
+
+    id: str
+    what: str
+    source: str
+    needs: tuple[Need, ...]
+    judge: Callable[..., Here]
+    tolerance: str
+    readings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture in the source's axes.
+
+    **Arguments:**
+
+    - `ids`: the source's figures that it stands for.
+    - `caption`: its content.
+    - `needs`: the computations behind it.
+    - `draw`: takes the answers to `needs`, in their order, and returns the figure.
+    """
+
+    ids: str
+    caption: str
+    needs: tuple[Need, ...]
+    draw: Callable[..., Figure]
+
+
+@dataclass(frozen=True)
+class Group:
+    """Entries and pictures under one title, with a short text before them."""
+
+    name: str
+    title: str
+    text: str
+    entries: tuple[Entry, ...]
+    pictures: tuple[Picture, ...] = ()
+
+    @property
+    def needs(self) -> list[Need]:
+        """All needs of its entries, then of its pictures."""
+        of_entries = [need for entry in self.entries for need in entry.needs]
+        return of_entries + [need for picture in self.pictures for need in picture.needs]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """The meaning of a difference for those who build or run such a drill, and the results that it explains."""
+
+    text: str
+    ids: tuple[str, ...]
+
+
+def judged(entry: Entry, answers: list[Answer]) -> Here:
+    """Return the judgement of an entry; a missing or unreadable answer is a difference."""
+    missing = [answer.reason for answer in answers if isinstance(answer, Unanswered)]
+    if missing:
+        return Here("nan", DIFFERS, f"could not be computed: {missing[0]}")
+    try:
+        return entry.judge(*answers)
+    except UNREADABLE as problem:
+        return Here("nan", DIFFERS, f"nothing to read in what was computed: {problem}")
+
+
+def drawn(picture: Picture, answers: list[Answer]) -> Figure | None:
+    """Return the figure, or None if the answers have nothing to draw."""
+    if any(isinstance(answer, Unanswered) for answer in answers):
+        return None
+    try:
+        return picture.draw(*answers)
+    except UNREADABLE:
+        return None
+
+
+UNREADABLE = (ValueError, IndexError, ZeroDivisionError)
+"""Errors from a motion without the event that is read off it: no return, no impact, only NaN."""
+
+
+def _public(module: ModuleType) -> dict[str, Any]:
+    """Return the names that a module defines without an underscore."""
+    return {name: value for name, value in vars(module).items() if not name.startswith("_")}
+
+
+_MODULES = (rules, maps, motions, closed_forms, pictures_motions, pictures_maps)
+_ENVIRONMENT = Environment(undefined=StrictUndefined)
+_ENVIRONMENT.globals |= {name: value for module in _MODULES for name, value in _public(module).items()}
+_ENVIRONMENT.globals |= {name: getattr(np, name) for name in ("abs", "array", "cos", "diff", "pi", "ptp", "sqrt")}
+_ENVIRONMENT.globals |= {"ROCKS": ROCKS, "contact_time": contact_time, "restitution": restitution}
+
+
+@cache
+def _compiled(expression: str) -> TemplateExpression:
+    return _ENVIRONMENT.compile_expression(expression, undefined_to_none=False)
+
+
+def evaluate(expression: str, names: Mapping[str, Any]) -> Any:
+    """Return the value of an expression.
+
+    **Raises:** `jinja2.UndefinedError` for an unknown name.
+    """
+    return _compiled(expression)(names)
+
+
+def fill(text: str, names: Mapping[str, Any]) -> str:
+    """Return a text with the expressions in braces replaced by their formatted values."""
+    return FIELD.sub(lambda field: formatted(evaluate(field[1], names), field[2] or ""), text)
+
+
+def _judge(row: Mapping[str, str], needs: tuple[Labelled, ...], *answers: Answer) -> Here:
+    """Judge a row of `results.csv` by the answers to its needs."""
+    names = collect(needs, list(answers))
+    if row["value"]:
+        names["x"] = evaluate(row["value"], names)
+    judgement: Here = evaluate(row["rule"], names)
+    text = fill(row["here"], names) or judgement.text
+    return Here(text, judgement.verdict, fill(row["remark"], names) or judgement.note)
+
+
+def _draw(expression: str, needs: tuple[Labelled, ...], *answers: Answer) -> Figure:
+    """Draw a picture from the answers to its needs."""
+    figure: Figure = styled(lambda: evaluate(expression, collect(needs, list(answers))))()
+    return figure
+
+
+def _read(name: str) -> str:
+    return files("vibrojax.reproduce").joinpath(name).read_text(encoding="utf-8")
+
+
+def _flowing(text: str) -> str:
+    """Return a text on one line."""
+    return " ".join(text.split())
+
+
+_SOURCE = tomllib.loads(_read("source.toml"))
+
+
+def _needs(text: str) -> tuple[Labelled, ...]:
+    return read_needs(text, _SOURCE["needs"], _SOURCE["maps"])
+
+
+def _entry(row: Mapping[str, str]) -> Entry:
+    labelled = _needs(row["needs"])
+    tolerance = _flowing(_SOURCE["tolerances"].get(row["tolerance"], row["tolerance"]))
+    needs = tuple(need for _, need in labelled)
+    judge = partial(_judge, row, labelled)
+    return Entry(row["id"], row["what"], row["source"], needs, judge, tolerance, tuple(row["readings"].split()))
+
+
+def _picture(row: Mapping[str, str]) -> Picture:
+    labelled = _needs(row["needs"])
+    needs = tuple(need for _, need in labelled)
+    return Picture(row["ids"], _flowing(row["caption"]), needs, partial(_draw, row["draw"], labelled))
+
+
+def _groups() -> tuple[Group, ...]:
+    rows = list(csv.DictReader(_read("results.csv").splitlines()))
+    return tuple(
+        Group(
+            group["name"],
+            group["title"],
+            _flowing(group["text"]),
+            tuple(_entry(row) for row in rows if row["group"] == group["name"]),
+            tuple(map(_picture, group.get("pictures", ()))),
+        )
+        for group in _SOURCE["groups"]
+    )
+
+
+GROUPS = _groups()
+"""The groups of results that belong together, in the order of the page."""
+FINDINGS = tuple(Finding(_flowing(row["text"]), tuple(row["ids"].split())) for row in _SOURCE["findings"])
+"""The most important first."""
+READINGS = {name: _flowing(text) for name, text in _SOURCE["readings"].items()}
+"""How the source was read where it is misprinted or silent, by name."""
