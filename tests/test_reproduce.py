@@ -11,11 +11,9 @@ from wrong_signs import WRONG
 from vibrojax.cli import main
 from vibrojax.content_policy import content_policy
 from vibrojax.reproduce import GROUPS, VERDICTS, Entry, run_reproduction
-from vibrojax.reproduce.answers import Answers
-from vibrojax.reproduce.entry import judged
-from vibrojax.reproduce.findings import FINDINGS, READINGS
-from vibrojax.reproduce.needs import Unanswered
-from vibrojax.reproduce.verdicts import AGREES, DIFFERS, IN_TREND, number, printed, trend, within_range
+from vibrojax.reproduce.answers import Answers, Unanswered
+from vibrojax.reproduce.rules import AGREES, DIFFERS, IN_TREND, number, printed, trend, within_range
+from vibrojax.reproduce.table import FINDINGS, READINGS, judged
 from vibrojax.scenes import SCENES
 
 ENTRIES = {entry.id: entry for group in GROUPS for entry in group.entries}
@@ -134,7 +132,7 @@ def test_verdict_where_nothing_can_be_read():
     assert judged(entry, [xr.Dataset()]).verdict == DIFFERS
     assert judged(entry, [Unanswered("too many steps")]).verdict == DIFFERS
     assert "too many steps" in judged(entry, [Unanswered("too many steps")]).note
-    assert trend("1", False).verdict == DIFFERS
+    assert trend(False).verdict == DIFFERS
 
 
 def test_quick_run_meets_what_was_seen(quick):

@@ -96,31 +96,23 @@ class Answers:
         points = list(dict.fromkeys(_numbers(lane) for lane in lanes))
         names = [value for _, value in kind.names]
         self._begin_part(f"{' '.join([kind.scene, *names])}: {len(points)} points, {kind.settle:g} s")
-        if kind.scene not in self._failing and _probes_fail(kind, points[:: max(1, len(points) // PROBED_LANES)]):
-            self._failing.add(kind.scene)
+        if kind.scene not in self._failing:
+            probes = points[:: max(1, len(points) // PROBED_LANES)]
+            probed = _run_points(kind._replace(settle=1.0, observe=1.0), probes)
+            self._failing |= {kind.scene} if (probed.status == 1).mean() > MAX_FAILED_SHARE else set()
         if refusal := self._refusal(kind.scene):
             self._answers |= dict.fromkeys(lanes, refusal)
             return
-        dataset = run_sweep(_sweep(kind, points), progress=False)
+        dataset = _run_points(kind, points)
         self._keep("-".join([kind.scene, *names, f"{kind.settle:g}s"]), dataset)
         for lane in lanes:
             row = dataset.isel(point=points.index(_numbers(lane)))
             self._answers[lane] = _features(lane, row.sel(start=lane.start) if starts_of(kind.scene) else row)
 
     def _run_map(self, need: Map) -> xr.Dataset:
+        self._begin_part(f"{need.name}: {np.prod([len(values) for _, values in need.axes])} points")
         axes = {name: list(values) for name, values in need.axes}
-        self._begin_part(f"{need.name}: {np.prod([len(values) for values in axes.values()])} points")
-        sweep: dict[str, Any] = {
-            "scene": need.scene,
-            "parameters": dict(need.parameters),
-            "grid": axes,
-            "title": need.name,
-            "unusual": True,
-        }
-        if need.starts:
-            sweep["starts"] = list(need.starts)
-        sweep["run"] = {"settle": need.settle, "observe": need.observe}
-        dataset = run_sweep(sweep, progress=False)
+        dataset = _run(need, need.name, dict(need.parameters), grid=axes)
         self._keep(need.name.replace(" ", "-"), dataset)
         return dataset
 
@@ -156,22 +148,19 @@ def collect(needs: tuple[Labelled, ...], answers: list[Answer]) -> dict[str, Any
         groups.setdefault(label or kind, []).append(answer)
     for name, group in groups.items():
         if isinstance(group[0], dict):
-            names[name] = group[0] if len(group) == 1 else _stacked(group)
+            common = [key for key in group[0] if all(key in lane for lane in group)]
+            arrays = {key: np.array([lane[key] for lane in group]) for key in common}
+            names[name] = group[0] if len(group) == 1 else arrays
             names |= names[name] if name == "lanes" else {}
         else:
             names[name], names[{"mass": "masses"}.get(name, f"{name}s")] = group[0], group
     return names
 
 
-def _stacked(lanes: list[Features]) -> Features:
-    """Return arrays of the features that all lanes have."""
-    return {name: np.array([lane[name] for lane in lanes]) for name in lanes[0] if all(name in lane for lane in lanes)}
-
-
 def _features(lane: Lane, row: xr.Dataset) -> Features:
     """Return the parameters and variables of a lane, with some variables in the source's units."""
-    features: Features = {name: variable.item() for name, variable in row.variables.items() if not variable.ndim}
-    features |= dict(lane.parameters)
+    scalars = {str(name): variable.values.item() for name, variable in row.variables.items() if not variable.ndim}
+    features: Features = scalars | dict(lane.parameters)
     if "regime" in features:
         features["regime"] = row["regime"].attrs["flag_meanings"].split()[features["regime"]]
         features["single"] = features["regime"] == "single-impact"
@@ -191,22 +180,18 @@ def _numbers(lane: Lane) -> _Point:
     return tuple((name, value) for name, value in lane.parameters if not isinstance(value, str))
 
 
-def _probes_fail(kind: _Kind, points: list[_Point]) -> bool:
-    """Return whether many of the lanes fail within two seconds."""
-    dataset = run_sweep(_sweep(kind._replace(settle=1.0, observe=1.0), points), progress=False)
-    return bool((dataset.status == 1).mean() > MAX_FAILED_SHARE)
-
-
-def _sweep(kind: _Kind, points: list[_Point]) -> dict[str, Any]:
-    """Return a sweep over points from all starts of the scene, so that one compiled program computes them all."""
+def _run_points(kind: _Kind, points: list[_Point]) -> xr.Dataset:
+    """Return the dataset of points, with the scene's defaults for what a point omits."""
     defaults = read_point(Place("reproduce"), kind.scene, dict(kind.names), None).parameters
     varied = dict.fromkeys(name for point in points for name, _ in point) or ("m1",)
-    sweep: dict[str, Any] = {
-        "scene": kind.scene,
-        "title": f"The source, reproduced: points of the scene {kind.scene}",
-        "unusual": True,  # the source itself goes to limits
-        "parameters": dict(kind.names),
-        "points": {name: [float(dict(point).get(name, defaults[name])) for point in points] for name in varied},
-        "run": {"settle": kind.settle, "observe": kind.observe},
-    }
-    return sweep | ({"starts": list(starts_of(kind.scene))} if starts_of(kind.scene) else {})
+    columns = {name: [float(dict(point).get(name, defaults[name])) for point in points] for name in varied}
+    return _run(kind, f"The source, reproduced: points of the scene {kind.scene}", dict(kind.names), points=columns)
+
+
+def _run(kind: _Kind | Map, title: str, parameters: dict[str, Any], **axes: dict[str, list[float]]) -> xr.Dataset:
+    """Return the dataset of a sweep from all starts of the scene, so that one compiled program computes them all."""
+    starts = {"starts": list(starts_of(kind.scene))} if starts_of(kind.scene) else {}
+    run = {"settle": kind.settle, "observe": kind.observe}
+    # The source itself goes to limits, and so some values are unusual.
+    sweep = {"scene": kind.scene, "title": title, "unusual": True, "parameters": parameters, **axes, "run": run}
+    return run_sweep(sweep | starts, progress=False)

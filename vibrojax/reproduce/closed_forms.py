@@ -23,7 +23,7 @@ SPEEDS = np.linspace(0.0, 5.0, 20001)
 LOSS_FACTORS = np.array([0.1, 0.3, 0.5, 0.7, 0.91])
 
 
-def modes(**parameters: Parameter) -> Float[np.ndarray, "2 *rows"]:
+def modes(**parameters: Parameter) -> Float[np.ndarray, "2 ..."]:
     """Return the natural frequencies [rad/s] of eq. 5.16, lower first, with m1 and k1 of Table 5.1 by default."""
     return np.moveaxis(np.asarray(natural_frequencies(TABLE_5_1 | parameters)), -1, 0)
 

@@ -18,23 +18,27 @@ AXIS_LABELS = {"x1": "x₁ [mm]", "x2": "x₂ [mm]", "v1": "x₁′ [m/s]", "v2"
 
 
 def single_panel(height: float) -> tuple[Figure, Axes]:
-    """Return a figure with one panel, with a grid."""
-    figure = new_figure(FIGURE_WIDTH, height)
-    axes = figure.subplots()
-    axes.grid(True)
+    """Return a figure with one panel."""
+    figure, (axes,) = in_row(1, height)
     return figure, axes
 
 
-def stacked(rows: int, height: float = 1.5, share: bool = True) -> tuple[Figure, Sequence[Axes]]:
+def stacked(rows: int, height: float = 1.5, share: bool = True, grid: bool = True) -> tuple[Figure, Sequence[Axes]]:
     """Return a figure of `rows` panels, over one abscissa or each over its own."""
     figure = new_figure(FIGURE_WIDTH, 0.7 + height * rows)
-    return figure, list(figure.subplots(rows, 1, sharex=share, squeeze=False)[:, 0])
+    figure.subplots(rows, 1, sharex=share)
+    for axes in figure.axes:
+        axes.grid(grid)
+    return figure, figure.axes
 
 
-def in_row(columns: int, height: float = 3.0, share: bool = False) -> tuple[Figure, Sequence[Axes]]:
+def in_row(columns: int, height: float = 3.0, share: bool = False, grid: bool = True) -> tuple[Figure, Sequence[Axes]]:
     """Return a figure of `columns` panels side by side."""
     figure = new_figure(FIGURE_WIDTH, height)
-    return figure, list(figure.subplots(1, columns, sharey=share, squeeze=False)[0])
+    figure.subplots(1, columns, sharey=share)
+    for axes in figure.axes:
+        axes.grid(grid)
+    return figure, figure.axes
 
 
 def window(motion: xr.Dataset, since: float | int, until: float | int = np.inf) -> Bool[np.ndarray, " samples"]:
@@ -50,22 +54,10 @@ def draw_portrait(axes: Axes, motion: xr.Dataset, body: str, since: float | int,
         x_mm, velocity = 1e3 * motion[f"x{body}"].values[part][::stride], motion[f"v{body}"].values[part][::stride]
         colour = BIT if body == "1" else STRIKER
         axes.plot(x_mm, velocity, color=colour, linewidth=linewidth, alpha=alpha, rasterized=True)
-    axes.grid(True)
-
-
-def draw_both_portraits(panels: Sequence[Axes], motion: xr.Dataset, since: float | int, stride: int = 4) -> None:
-    """Draw phase portraits of bit and striker in two panels."""
-    for axes, body, name in zip(panels, "12", ("bit x₁", "striker x₂"), strict=True):
-        draw_portrait(axes, motion, body, since, stride)
-        axes.set_xlabel(f"{name} [mm]")
 
 
 def over_time(
-    motions: Sequence[xr.Dataset],
-    names: Sequence[str],
-    until: float | int,
-    titles: Sequence[str] = (),
-    stride: int = 1,
+    motions: Sequence[xr.Dataset], names: Sequence[str], until: float | int, titles: Sequence[str] = (), stride: int = 1
 ) -> Figure:
     """Draw variables over time, a panel for each motion and each name."""
     rows = [(motion, name) for motion in motions for name in names]
@@ -76,16 +68,21 @@ def over_time(
         axes.plot(motion["time"].values[::stride], values, color=colour, linewidth=0.5, rasterized=True)
         axes.set_title(title, loc="left")
         axes.set_ylabel(AXIS_LABELS[name])
-        axes.grid(True)
     panels[-1].set_xlabel("time [s]")
     panels[-1].set_xlim(0, until)
     return figure
 
 
-def portraits(motion: xr.Dataset, since: float | int) -> Figure:
-    """Draw the phase portraits of bit and striker."""
-    figure, panels = in_row(2)
-    draw_both_portraits(panels, motion, since)
+def portraits(
+    motions: Sequence[xr.Dataset], since: Sequence[float | int], titles: Sequence[str] = (), height: float = 3.0
+) -> Figure:
+    """Draw phase portraits of bit and striker for each motion; with titles only from `since` [s] on."""
+    figure, panels = in_row(2 * len(motions), height)
+    for index, (motion, begin) in enumerate(zip(motions, since, strict=True)):
+        shown = motion.isel(time=window(motion, begin)) if titles else motion
+        for axes, body, name in zip(panels[2 * index :], "12", ("bit x₁", "striker x₂"), strict=False):
+            draw_portrait(axes, shown, body, begin, 2 if titles else 4)
+            axes.set(title=titles[index] if titles else "", xlabel=f"{name} [mm]")
     panels[0].set_ylabel("velocity [m/s]")
     return figure
 
@@ -101,8 +98,7 @@ def strikers(
     figure, panels = in_row(len(motions), 2.6, share=bool(limits))
     for axes, motion, title in zip(panels, motions, titles, strict=True):
         draw_portrait(axes, motion.isel(time=window(motion, since)), "2", since, stride)
-        axes.set_title(title)
-        axes.set_xlabel("x₂ [mm]")
+        axes.set(title=title, xlabel="x₂ [mm]")
         if limits:
             axes.set_xlim(*limits)
     panels[0].set_ylabel("x₂′ [m/s]")

@@ -1,6 +1,7 @@
-"""Quantities read off a motion: peaks of its spectrum, events, swings, lobes of a phase portrait, growth of the hole."""
+"""Quantities read off a motion: peaks of its spectrum, events, swings, lobes of a phase portrait, the hole."""
 
 from collections.abc import Callable, Sequence
+from itertools import groupby
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -9,6 +10,7 @@ from jaxtyping import Bool, Float
 
 Samples = Float[np.ndarray, " samples"]
 Times = Float[np.ndarray, " times"]
+Curve = tuple[Float[np.ndarray, " points"], Float[np.ndarray, " points"]]
 Band = Sequence[float | int]
 """The lowest and the highest frequency [Hz]."""
 Real = float | int
@@ -55,18 +57,11 @@ class TwoPeaks(NamedTuple):
     ratio: float
 
 
-class Spectrum(NamedTuple):
-    """Frequencies [Hz] and the power at each."""
-
-    frequencies: Float[np.ndarray, " frequencies"]
-    power: Float[np.ndarray, " frequencies"]
-
-
-def power_spectrum(motion: xr.Dataset, name: str, since: Real, until: Real = np.inf, padding: int = 16) -> Spectrum:
-    """Return the power spectrum of a variable between two times [s] (Hann window, zero-padded to `padding` times)."""
+def power_spectrum(motion: xr.Dataset, name: str, since: Real, until: Real = np.inf, padding: int = 16) -> Curve:
+    """Return frequencies [Hz] and power of a variable between two times [s] (Hann window, `padding` times as long)."""
     x = part(motion, name, since, until)
     power = np.abs(np.fft.rfft(np.hanning(len(x)) * (x - x.mean()), padding * len(x))) ** 2
-    return Spectrum(np.fft.rfftfreq(padding * len(x), float(motion["time"][1] - motion["time"][0])), power)
+    return np.fft.rfftfreq(padding * len(x), float(motion["time"][1] - motion["time"][0])), power
 
 
 def peak(motion: xr.Dataset, name: str, band: Band, since: Real, until: Real = np.inf) -> Peak:
@@ -90,48 +85,29 @@ def events(motion: xr.Dataset, kind: str, since: Real = 0.0) -> Times:
     return times[times >= since]
 
 
-def interpolate(motion: xr.Dataset, name: str, times: Times) -> Times:
-    """Return a variable at times [s] between samples."""
-    return np.interp(times, motion["time"].values, motion[name].values)
-
-
 def last_cycle(motion: xr.Dataset) -> tuple[float, float]:
     """Return the beginning and the end [s] of the last whole return to the section."""
     times = events(motion, "section")
     return float(times[-2]), float(times[-1])
 
 
-class Envelope(NamedTuple):
-    """Half the swing of a variable in successive windows, and the middles [s] of the windows."""
-
-    middles: Float[np.ndarray, " windows"]
-    swings: Float[np.ndarray, " windows"]
-
-
-def envelope(motion: xr.Dataset, name: str, window: Real) -> Envelope:
-    """Return half the swing in successive windows of `window` [s]."""
-    duration = float(motion["time"][-1])
-    edges = np.arange(0.0, duration - window / 2, window)
-    swings = np.array([amplitude(motion, name, edge, edge + window) for edge in edges])
-    return Envelope(edges + window / 2, swings)
+def envelope(motion: xr.Dataset, name: str, window: Real) -> Curve:
+    """Return the middles [s] of successive windows of `window` [s], and half the swing of a variable in each."""
+    edges = np.arange(0.0, float(motion["time"][-1]) - window / 2, window)
+    return edges + window / 2, np.array([amplitude(motion, name, edge, edge + window) for edge in edges])
 
 
-class Growth(NamedTuple):
-    """The steady velocity [m/s], the time [s] to 95 % of it, its later relative change, and whether it only rose."""
+def growth(motion: xr.Dataset) -> dict[str, Any]:
+    """Return the growth of the bit's swing from zero, in windows of half a second.
 
-    steady: float
-    time: float
-    change: float
-    rising: bool
-
-
-def growth(motion: xr.Dataset) -> Growth:
-    """Return how the swing of the bit's velocity grows from zero, in windows of half a second."""
-    swings = envelope(motion, "v1", 0.5).swings
+    It has the steady velocity [m/s], the time [s] to 95 % of it, its later relative change, and if it only rose before.
+    """
+    _, swings = envelope(motion, "v1", 0.5)
     steady = float(swings[-1])
     first = int(np.argmax(swings > 0.95 * steady))
     change = float(np.ptp(swings[first + 4 :]) / steady)
-    return Growth(steady, 0.5 * first + 0.25, change, bool(np.all(np.diff(swings[2:first]) > 0)))
+    rising = np.all(np.diff(swings[2:first]) > 0)
+    return {"steady": steady, "time": 0.5 * first + 0.25, "change": change, "rising": rising}
 
 
 def lobes(motion: xr.Dataset, slowest: float = MIN_LOBE_SPEED) -> int:
@@ -150,8 +126,8 @@ def lobes(motion: xr.Dataset, slowest: float = MIN_LOBE_SPEED) -> int:
 def acceleration_before_impacts(motion: xr.Dataset, since: Real) -> Times:
     """Return the bit's mean acceleration [m/s²] in the two milliseconds before each impact."""
     times = events(motion, "impact", since)
-    before, later = (interpolate(motion, "v1", times - early) for early in (2.1e-3, 1e-4))
-    return (later - before) / 2e-3
+    time, velocity = motion["time"].values, motion["v1"].values
+    return (np.interp(times - 1e-4, time, velocity) - np.interp(times - 2.1e-3, time, velocity)) / 2e-3
 
 
 def friction_slope(motion: xr.Dataset) -> float:
@@ -172,19 +148,15 @@ def rest_times(motion: xr.Dataset) -> tuple[float, float]:
     acceleration = np.abs(np.gradient(motion["v2"].values[inside], time[inside]))
     flight = motion["impact_force"].values[inside] == 0
     limits = 0.1 * acceleration[flight][5:-5].max(), 0.02 * acceleration.max()
-    short, long = (1e3 * (time[1] - time[0]) * _longest_run(flight & (acceleration < limit)) for limit in limits)
-    return float(short), float(long)
-
-
-def _longest_run(flags: Bool[np.ndarray, " samples"]) -> int:
-    """Return the number of samples in the longest run of true flags."""
-    ends = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]])))
-    return int(max((ends[1::2] - ends[::2]), default=0))
+    runs = [groupby(flight & (acceleration < limit)) for limit in limits]
+    short, long = (max((len(list(run)) for still, run in part if still), default=0) for part in runs)
+    return 1e3 * float(time[1] - time[0]) * short, 1e3 * float(time[1] - time[0]) * long
 
 
 def blow_restitution(motion: xr.Dataset) -> float:
     """Return the striker's velocity after its first blow over that before it."""
-    after, before = interpolate(motion, "v2", np.array([events(motion, kind)[0] for kind in ("release", "impact")]))
+    times = [events(motion, kind)[0] for kind in ("release", "impact")]
+    after, before = np.interp(times, motion["time"].values, motion["v2"].values)
     return float(-after / before)
 
 
@@ -193,7 +165,7 @@ def blow_duration(motion: xr.Dataset) -> float:
     return float(events(motion, "release")[0] - events(motion, "impact")[0])
 
 
-def _growth_share(motion: xr.Dataset, steps: Bool[np.ndarray, " steps"]) -> float:
+def growth_share(motion: xr.Dataset, steps: Bool[np.ndarray, " steps"]) -> float:
     """Return the share of the hole that grows in the given steps from sample to sample.
 
     **Raises:** `ValueError` if it does not grow at all.
@@ -204,18 +176,13 @@ def _growth_share(motion: xr.Dataset, steps: Bool[np.ndarray, " steps"]) -> floa
     return float(grown[steps].sum() / grown.sum())
 
 
-def growth_between_pulses(motion: xr.Dataset) -> float:
-    """Return the share of the hole that grows later than 4 ms after a pulse of 4 ms, at 40 Hz."""
-    return _growth_share(motion, np.mod(motion["time"].values[:-1], 1 / 40) > 8e-3)
-
-
 def growth_away_from_impacts(motion: xr.Dataset, contact: float) -> float:
     """Return the share of the hole that grows neither in a contact of `contact` [s] nor in the 5 ms after it."""
     time = motion["time"].values[:-1]
     near = np.zeros(len(time), bool)
     for begin in events(motion, "impact"):
         near |= (time >= begin - 1e-4) & (time <= begin + contact + 5e-3)
-    return _growth_share(motion, ~near)
+    return growth_share(motion, ~near)
 
 
 def swept_frequency(time: Any) -> Any:

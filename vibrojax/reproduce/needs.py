@@ -14,7 +14,7 @@ import itertools
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -62,7 +62,6 @@ class Map:
     scene: str
     parameters: Parameters
     axes: tuple[tuple[str, tuple[float, ...]], ...]
-    starts: tuple[str, ...]
     settle: float
     observe: float
 
@@ -77,13 +76,8 @@ class StruckMass:
 
 
 Need = Lane | Motion | Map | StruckMass
-
-
-class Labelled(NamedTuple):
-    """A need with the label of its answer; the empty label is the result's main subject."""
-
-    label: str
-    need: Need
+Labelled = tuple[str, Need]
+"""A need with the label of its answer; the empty label is the result's main subject."""
 
 
 def starts_of(scene: str) -> tuple[str, ...]:
@@ -103,7 +97,7 @@ def read_needs(text: str, abbreviations: Mapping[str, str], maps: Mapping[str, s
             needs = [need for _, need in read_needs(abbreviations[item], abbreviations, maps)]
         else:
             needs = _read_points(*_settings(item, abbreviations)) if item else []
-        labelled += [Labelled(label, need) for need in needs]
+        labelled += [(label, need) for need in needs]
     return tuple(labelled)
 
 
@@ -150,4 +144,4 @@ def _read_map(name: str, scene: str, settings: Mapping[str, str]) -> Map:
     axes = {axis: tuple(_values(text)) for axis, text in settings.items() if "," in text or ":" in text}
     parameters = {key: _values(text)[0] for key, text in settings.items() if key not in axes}
     observation = OBSERVATION.get(scene, USUAL_OBSERVATION)
-    return Map(name, scene, tuple(sorted(parameters.items())), tuple(axes.items()), starts_of(scene), *observation)
+    return Map(name, scene, tuple(sorted(parameters.items())), tuple(axes.items()), *observation)

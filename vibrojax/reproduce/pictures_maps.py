@@ -1,6 +1,6 @@
 """Pictures of lanes and maps in the source's axes, by the names that `source.toml` uses."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -25,8 +25,6 @@ SINGLE_IMPACT_COLOURS = {
     "and clean, strong": "#F0C808",
 }
 """Colours of single impacts by the starts that lead to them."""
-SOURCE_CONSTANTS = (0.046, 0.189)
-"""The source's range of C [m/s] in eq. 6.4."""
 
 
 def friction_laws() -> Figure:
@@ -76,7 +74,6 @@ def settling_times(speeds: Mapping[str, Any], ratios: Mapping[str, Any]) -> Figu
     for axes, (lanes, name, label) in zip(panels, columns, strict=True):
         axes.plot(lanes[name], lanes["settling_time"], "o-", color=BIT, markersize=4)
         axes.set_xlabel(label)
-        axes.grid(True)
         axes.set_ylim(bottom=0)
     panels[0].set_ylabel("settling time [s]")
     return figure
@@ -98,16 +95,14 @@ def over_stribeck_speed(lanes: Mapping[str, Any]) -> Figure:
                     face = colour if single else "white"
                     axes.plot(speed, value, marker, color=colour, markerfacecolor=face, markersize=5)
                 axes.plot([], [], marker + "-", color=colour, markersize=4, label=f"{1e3 * gap:+.0f} mm, {start}")
-        axes.set_xlabel("Stribeck speed v_cr [m/s]")
-        axes.set_ylabel(label)
-        axes.grid(True)
+        axes.set(xlabel="Stribeck speed v_cr [m/s]", ylabel=label)
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
     return figure
 
 
 def region_of_impacts(map: xr.Dataset) -> Figure:
     """Draw single impacts over mass and frequency ratio, for both gaps, with the source's region (section 5.7)."""
-    figure, panels = in_row(2, 3.4, share=True)
+    figure, panels = in_row(2, 3.4, share=True, grid=False)
     (beta, beta_end), (gamma, gamma_end) = REGION.values()
     for axes, delta in zip(panels, map.delta.values, strict=True):
         part = map.sel(delta=delta, v=1.5)
@@ -117,8 +112,7 @@ def region_of_impacts(map: xr.Dataset) -> Figure:
         axes.pcolormesh(part.beta, part.gamma, kind.transpose("gamma", "beta"), cmap=colours, vmin=-0.5, vmax=3.5)
         region = Rectangle((beta, gamma), beta_end - beta, gamma_end - gamma, fill=False, edgecolor=INK, linewidth=1.5)
         axes.add_patch(region)
-        axes.set_title(f"gap {1e3 * delta:+.0f} mm")
-        axes.set_xlabel("mass ratio β")
+        axes.set(title=f"gap {1e3 * delta:+.0f} mm", xlabel="mass ratio β")
     panels[0].set_ylabel("frequency ratio γ")
     _legend_below(figure, SINGLE_IMPACT_COLOURS, "single impact")
     return figure
@@ -136,34 +130,24 @@ def shares_over_gap(map: xr.Dataset) -> Figure:
         draw(single_impact(map).sel(start=start), "o-", colour, f"single, from {start}")
     draw(strong(map).sel(start="stuck"), "s--", INK, "clean, strong, from stuck")
     draw(coexisting(map), "^:", LINE_COLOURS[4], "a second, worse motion")
-    axes.set_xlabel("gap Δ [mm], negative: preload")
-    axes.set_ylabel("share of the region")
+    axes.set(xlabel="gap Δ [mm], negative: preload", ylabel="share of the region")
     axes.set_ylim(-0.03, 1.03)
     axes.set_xticks(np.round(gaps, 1))
     axes.legend(loc="center left")
     return figure
 
 
-def rates_over_stiffness(map: xr.Dataset) -> Figure:
-    """Draw the rate of penetration over the stiffness (Figs 6.19, 6.20)."""
-    parts = [(map.sel(frequency=frequency), f"{frequency:g} Hz") for frequency in map.frequency.values]
-    return _rates(((part.k3 / 1e6, part, label) for part, label in parts), "-", "stiffness k₃ [MN/m]")
+def rates(map: xr.Dataset, x: str, scale: float, label: str, lines: str, line: str, marker: str) -> Figure:
+    """Draw the rate of penetration over `x`, a line for each value of the axis `lines` (Figs 6.19, 6.20, 6.33, 6.34).
 
-
-def rates_over_relief(map: xr.Dataset) -> Figure:
-    """Draw the rate of penetration over P/D, varied by the speed (Figs 6.33, 6.34)."""
-    parts = [(map.sel(start="drive", k3=k3), f"k₃ = {k3 / 1e6:g} MN/m") for k3 in map.k3.values]
-    label = "relief P/D (D 50 kN), by v from 0.5 to 2.5 m/s"
-    return _rates(((part.relief, part, name) for part, name in parts), "o-", label)
-
-
-def _rates(lines: Iterable[tuple[xr.DataArray, xr.Dataset, str]], marker: str, label: str) -> Figure:
-    """Draw rates of penetration in one panel; `lines` are abscissas, datasets and labels."""
+    `x` is drawn in units of `scale`. `line` is the label of a line, a format of the value; k3 is in MN/m.
+    """
     figure, axes = single_panel(3.0)
-    for (x, part, name), colour in zip(lines, LINE_COLOURS, strict=False):
-        axes.plot(x, 1e3 * part.rate_of_penetration, marker, color=colour, markersize=4, label=name)
-    axes.set_xlabel(label)
-    axes.set_ylabel("rate of penetration [mm/s]")
+    for value, colour in zip(map[lines].values, LINE_COLOURS, strict=False):
+        part = map.sel({lines: value})
+        name = line.format(value / 1e6 if lines == "k3" else value)
+        axes.plot(part[x] / scale, 1e3 * part.rate_of_penetration, marker, color=colour, markersize=4, label=name)
+    axes.set(xlabel=label, ylabel="rate of penetration [mm/s]")
     axes.legend()
     return figure
 
@@ -177,9 +161,7 @@ def surfaces(map: xr.Dataset, name: str, label: str, azimuth: int) -> Figure:
         part = map if k3 is None else map.sel(k3=k3)
         force, frequency = np.meshgrid(part[name] / 1e3, part.frequency, indexing="ij")
         axes.plot_surface(force, frequency, 1e3 * part.rate_of_penetration.values, cmap="viridis")
-        axes.set_xlabel(label)
-        axes.set_ylabel("frequency [Hz]")
-        axes.set_zlabel("ROP [mm/s]")
+        axes.set(xlabel=label, ylabel="frequency [Hz]", zlabel="ROP [mm/s]")
         axes.view_init(25, azimuth)
         axes.set_title("" if k3 is None else f"k₃ = {k3 / 1e6:g} MN/m")
     return figure
@@ -199,9 +181,7 @@ def laws_beside_rates(map: xr.Dataset) -> Figure:
             axes.plot(relief, curve, color=colour, linestyle="--", linewidth=0.9)
             axes.plot(relief, 1e3 * float(law.C.sel(form="line")) * relief, color=colour, linewidth=0.9)
             axes.plot(lanes.relief, 1e3 * lanes.rate_of_penetration, "o", color=colour, label=f"{force / 1e3:g} kN")
-        axes.set_title(f"k₃ = {k3 / 1e6:g} MN/m")
-        axes.set_xlabel("relief P/D")
-        axes.grid(True)
+        axes.set(title=f"k₃ = {k3 / 1e6:g} MN/m", xlabel="relief P/D")
     panels[0].set_ylabel("rate of penetration [mm/s]")
     panels[0].plot([], [], color=INK, linewidth=0.9, label="line")
     panels[0].plot([], [], color=INK, linewidth=0.9, linestyle="--", label="logarithm")
@@ -212,14 +192,13 @@ def laws_beside_rates(map: xr.Dataset) -> Figure:
 def constants_over_force(map: xr.Dataset) -> Figure:
     """Draw C over force, stiffness and pulse width, with the source's range."""
     figure, axes = single_panel(2.8)
-    axes.axhspan(*SOURCE_CONSTANTS, color=FAINT, alpha=0.3, linewidth=0)
+    axes.axhspan(0.046, 0.189, color=FAINT, alpha=0.3, linewidth=0)
     for width, marker in zip(map.pulse_width.values, ("s--", "o-"), strict=True):
         fit = fit_law(map, "frequency", float(width))
         for k3, colour in zip(map.k3.values, LINE_COLOURS, strict=False):
             constants = LISTED_RATE * fit.C.sel(form="onset", k3=k3)
             label = f"{k3 / 1e6:g} MN/m, {1e3 * width:g} ms"
             axes.plot(map.force / 1e3, constants, marker, color=colour, markersize=4, label=label)
-    axes.set_xlabel("force [kN]")
-    axes.set_ylabel("C [m/s], listing's rate")
+    axes.set(xlabel="force [kN]", ylabel="C [m/s], listing's rate")
     axes.legend()
     return figure

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from vibrojax.devices import precision
 from vibrojax.progress import Progress
 from vibrojax.reproduce.answers import Answers
-from vibrojax.reproduce.needs import Lane, Need
+from vibrojax.reproduce.needs import Lane
 from vibrojax.reproduce.rules import VERDICTS, Here, Verdict
 from vibrojax.reproduce.table import GROUPS, Entry, Group, Picture, drawn, judged
 
@@ -92,13 +92,11 @@ def run_reproduction(groups: Iterable[Group] = GROUPS, quick: bool = False, prog
 
 def _quick_part(group: Group) -> Group:
     """Return a group with the entries and pictures that a quick run computes."""
-    entries = tuple(entry for entry in group.entries if all(map(_is_quick, entry.needs)))
-    pictures = tuple(picture for picture in group.pictures if all(map(_is_quick, picture.needs)))
+    entries, pictures = (tuple(filter(_is_quick, items)) for items in (group.entries, group.pictures))
     return replace(group, entries=entries, pictures=pictures)
 
 
-def _is_quick(need: Need) -> bool:
-    """Return whether a need is a lane of a quick scene, with the scene's own friction law."""
-    if not isinstance(need, Lane) or need.scene not in QUICK_SCENES:
-        return False
-    return not any(isinstance(value, str) for _, value in need.parameters)
+def _is_quick(item: Entry | Picture) -> bool:
+    """Return whether all needs are lanes of a quick scene, with the scene's own friction law."""
+    lanes = [need for need in item.needs if isinstance(need, Lane) and need.scene in QUICK_SCENES]
+    return len(lanes) == len(item.needs) and not any(isinstance(v, str) for lane in lanes for _, v in lane.parameters)

@@ -59,10 +59,7 @@ def number(
 ) -> Here:
     """Judge a number: it agrees if the two differ by at most `within`, relative to the source's.
 
-    **Arguments:**
-
-    - `trend`: whether the source's conclusion from the number holds in any case.
-    - `provided`: a further condition of agreement.
+    `trend`: whether the source's conclusion from the number holds in any case. `provided`: a condition of agreement.
     """
     off = float(value) / float(source) - 1
     return _beside(value, source, unit, verdict(abs(off) <= within and provided, trend).verdict)
@@ -103,13 +100,9 @@ def column(values: np.ndarray, source: Sequence[float]) -> Here:
     """Judge a column of Table 5.3: all rows but the misprinted tenth agree within a unit of the last digit (R7)."""
     off = np.abs(values - source) > 0.1
     text = f"{values.min():.2f} to {values.max():.2f} rad/s, {np.sum(~off)} of {len(source)} rows within 0.1"
-    rows = [f"row {row + 1} is {values[row]:.2f} here, {source[row]} there" for row in np.flatnonzero(off)]
-    return Here(text, AGREES if set(np.flatnonzero(off)) <= {9} else DIFFERS, "; ".join(rows))
-
-
-def worst(*results: Here) -> Here:
-    """Return the first of the worst results."""
-    return min(results, key=lambda result: VERDICTS.index(result.verdict))
+    rows = [row for row, is_off in enumerate(off) if is_off]
+    remark = "; ".join(f"row {row + 1} is {values[row]:.2f} here, {source[row]} there" for row in rows)
+    return Here(text, AGREES if set(rows) <= {9} else DIFFERS, remark)
 
 
 def shown(value: SupportsFloat) -> str:

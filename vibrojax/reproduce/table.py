@@ -1,10 +1,8 @@
-"""The results of the source as data: entries of `results.csv`; groups, pictures, findings and readings of `source.toml`.
+"""The results of the source as data: rows of `results.csv`; groups, pictures, findings and readings of `source.toml`.
 
-In both files the cells `value`, `rule` and `draw` are expressions in the syntax of jinja2, in which
-
-- the names are those of `collect` in `answers.py`, `x` is the cell `value`, and functions are those of `rules.py`,
-  `maps.py`, `motions.py`, `closed_forms.py`, `pictures_motions.py` and `pictures_maps.py`;
-- `here` and `remark` are texts with such expressions in braces. Without `here` the text is that of the rule.
+The cells `value`, `rule` and `draw` are expressions in the syntax of jinja2. Their names are those of `collect` in
+`answers.py`, `x` is the cell `value`, and functions are those of the modules in `_MODULES`. `here` and `remark` are
+texts with such expressions in braces. Without `here` the text is that of the rule.
 """
 
 import csv
@@ -13,18 +11,16 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache, partial
 from importlib.resources import files
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 from jinja2 import Environment, StrictUndefined
-from jinja2.environment import TemplateExpression
 from matplotlib.figure import Figure
 
 from vibrojax.physics.contact import contact_time, restitution
 from vibrojax.physics.rock import ROCKS
 from vibrojax.plot.style import styled
-from vibrojax.reproduce import closed_forms, maps, motions, pictures_maps, pictures_motions, rules
+from vibrojax.reproduce import closed_forms, figures, maps, motions, pictures_maps, pictures_motions, rules
 from vibrojax.reproduce.answers import Answer, Unanswered, collect
 from vibrojax.reproduce.needs import Labelled, Need, read_needs
 from vibrojax.reproduce.rules import DIFFERS, FIELD, Here, formatted
@@ -32,17 +28,10 @@ from vibrojax.reproduce.rules import DIFFERS, FIELD, Here, formatted
 
 @dataclass(frozen=True)
 class Entry:
-    """One result of the source.
+    """One result of the source: its id like `fig-5.67b`, its subject, and the source's statement about it.
 
-    **Arguments:**
-
-    - `id`: like `table-5.3.1`, `fig-5.67b`, `eq-5.17`.
-    - `what`: its subject, with the parameters.
-    - `source`: the source's statement: a number, a range, a count or a trend.
-    - `needs`: the computations behind it (see [vibrojax.reproduce.needs][]).
-    - `judge`: takes the answers to `needs`, in their order, and returns `Here`.
-    - `tolerance`: what counts as agreement, and why.
-    - `readings`: names of the readings on which it rests, R1 and so on.
+    `judge` takes the answers to `needs`, in their order. `tolerance` says what counts as agreement, and why; `readings`
+    are the readings on which the result rests, R1 and so on.
     """
 
     id: str
@@ -56,15 +45,7 @@ class Entry:
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture in the source's axes.
-
-    **Arguments:**
-
-    - `ids`: the source's figures that it stands for.
-    - `caption`: its content.
-    - `needs`: the computations behind it.
-    - `draw`: takes the answers to `needs`, in their order, and returns the figure.
-    """
+    """A picture in the source's axes; `ids` are the source's figures. `draw` takes the answers to `needs`, in order."""
 
     ids: str
     caption: str
@@ -122,50 +103,37 @@ UNREADABLE = (ValueError, IndexError, ZeroDivisionError)
 """Errors from a motion without the event that is read off it: no return, no impact, only NaN."""
 
 
-def _public(module: ModuleType) -> dict[str, Any]:
-    """Return the names that a module defines without an underscore."""
-    return {name: value for name, value in vars(module).items() if not name.startswith("_")}
-
-
-_MODULES = (rules, maps, motions, closed_forms, pictures_motions, pictures_maps)
+_MODULES = (rules, maps, motions, closed_forms, figures, pictures_motions, pictures_maps)
 _ENVIRONMENT = Environment(undefined=StrictUndefined)
-_ENVIRONMENT.globals |= {name: value for module in _MODULES for name, value in _public(module).items()}
+_ENVIRONMENT.globals |= {name: value for module in _MODULES for name, value in vars(module).items() if name[0] != "_"}
 _ENVIRONMENT.globals |= {name: getattr(np, name) for name in ("abs", "array", "cos", "diff", "pi", "ptp", "sqrt")}
 _ENVIRONMENT.globals |= {"ROCKS": ROCKS, "contact_time": contact_time, "restitution": restitution}
 
 
 @cache
-def _compiled(expression: str) -> TemplateExpression:
+def compiled(expression: str) -> Callable[[Mapping[str, Any]], Any]:
+    """Return an expression as a function of the names in it."""
     return _ENVIRONMENT.compile_expression(expression, undefined_to_none=False)
-
-
-def evaluate(expression: str, names: Mapping[str, Any]) -> Any:
-    """Return the value of an expression.
-
-    **Raises:** `jinja2.UndefinedError` for an unknown name.
-    """
-    return _compiled(expression)(names)
 
 
 def fill(text: str, names: Mapping[str, Any]) -> str:
     """Return a text with the expressions in braces replaced by their formatted values."""
-    return FIELD.sub(lambda field: formatted(evaluate(field[1], names), field[2] or ""), text)
+    return FIELD.sub(lambda field: formatted(compiled(field[1])(names), field[2] or ""), text)
 
 
 def _judge(row: Mapping[str, str], needs: tuple[Labelled, ...], *answers: Answer) -> Here:
     """Judge a row of `results.csv` by the answers to its needs."""
     names = collect(needs, list(answers))
     if row["value"]:
-        names["x"] = evaluate(row["value"], names)
-    judgement: Here = evaluate(row["rule"], names)
+        names["x"] = compiled(row["value"])(names)
+    judgement: Here = compiled(row["rule"])(names)
     text = fill(row["here"], names) or judgement.text
     return Here(text, judgement.verdict, fill(row["remark"], names) or judgement.note)
 
 
 def _draw(expression: str, needs: tuple[Labelled, ...], *answers: Answer) -> Figure:
     """Draw a picture from the answers to its needs."""
-    figure: Figure = styled(lambda: evaluate(expression, collect(needs, list(answers))))()
-    return figure
+    return styled(compiled(expression))(collect(needs, list(answers)))
 
 
 def _read(name: str) -> str:
@@ -178,41 +146,34 @@ def _flowing(text: str) -> str:
 
 
 _SOURCE = tomllib.loads(_read("source.toml"))
+_ROWS = list(csv.DictReader(_read("results.csv").splitlines()))
 
 
-def _needs(text: str) -> tuple[Labelled, ...]:
-    return read_needs(text, _SOURCE["needs"], _SOURCE["maps"])
+def _needs(text: str) -> tuple[tuple[Labelled, ...], tuple[Need, ...]]:
+    """Return the needs of a row with and without their labels."""
+    labelled = read_needs(text, _SOURCE["needs"], _SOURCE["maps"])
+    return labelled, tuple(need for _, need in labelled)
 
 
 def _entry(row: Mapping[str, str]) -> Entry:
-    labelled = _needs(row["needs"])
+    labelled, needs = _needs(row["needs"])
     tolerance = _flowing(_SOURCE["tolerances"].get(row["tolerance"], row["tolerance"]))
-    needs = tuple(need for _, need in labelled)
     judge = partial(_judge, row, labelled)
     return Entry(row["id"], row["what"], row["source"], needs, judge, tolerance, tuple(row["readings"].split()))
 
 
 def _picture(row: Mapping[str, str]) -> Picture:
-    labelled = _needs(row["needs"])
-    needs = tuple(need for _, need in labelled)
-    return Picture(row["ids"], _flowing(row["caption"]), needs, partial(_draw, row["draw"], labelled))
+    labelled, needs = _needs(row["needs"])
+    return Picture(row["ids"], _flowing(row["caption"]), needs, partial(_draw, _flowing(row["draw"]), labelled))
 
 
-def _groups() -> tuple[Group, ...]:
-    rows = list(csv.DictReader(_read("results.csv").splitlines()))
-    return tuple(
-        Group(
-            group["name"],
-            group["title"],
-            _flowing(group["text"]),
-            tuple(_entry(row) for row in rows if row["group"] == group["name"]),
-            tuple(map(_picture, group.get("pictures", ()))),
-        )
-        for group in _SOURCE["groups"]
-    )
+def _group(group: Mapping[str, Any]) -> Group:
+    entries = tuple(_entry(row) for row in _ROWS if row["group"] == group["name"])
+    pictures = tuple(map(_picture, group.get("pictures", ())))
+    return Group(group["name"], group["title"], _flowing(group["text"]), entries, pictures)
 
 
-GROUPS = _groups()
+GROUPS = tuple(map(_group, _SOURCE["groups"]))
 """The groups of results that belong together, in the order of the page."""
 FINDINGS = tuple(Finding(_flowing(row["text"]), tuple(row["ids"].split())) for row in _SOURCE["findings"])
 """The most important first."""
