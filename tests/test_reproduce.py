@@ -12,8 +12,9 @@ from vibrojax.cli import main
 from vibrojax.content_policy import content_policy
 from vibrojax.reproduce import GROUPS, VERDICTS, Entry, run_reproduction
 from vibrojax.reproduce.answers import Answers, Unanswered
-from vibrojax.reproduce.rules import AGREES, DIFFERS, IN_TREND, number, printed, trend, within_range
-from vibrojax.reproduce.table import FINDINGS, READINGS, judged
+from vibrojax.reproduce.needs import Lane, read_needs
+from vibrojax.reproduce.rules import AGREES, DIFFERS, FIELD, IN_TREND, number, printed, trend, within_range
+from vibrojax.reproduce.table import EXPRESSIONS, FINDINGS, READINGS, ROWS, compiled, judged
 from vibrojax.scenes import SCENES
 
 ENTRIES = {entry.id: entry for group in GROUPS for entry in group.entries}
@@ -88,6 +89,29 @@ def test_registry():
         assert entry.what and entry.source and entry.tolerance
         assert set(entry.readings) <= set(READINGS), entry.id
     assert {name for entry in ENTRIES.values() for name in entry.readings} == set(READINGS)
+
+
+def test_expressions_can_be_read():
+    """Braces are balanced, and a picture or rule calls only functions that exist."""
+    for row in ROWS:
+        texts = row["here"] + row["remark"]
+        assert "{" not in FIELD.sub("", texts) and "}" not in FIELD.sub("", texts), row["id"]
+        for expression in filter(None, [row["value"], row["rule"], *(field[1] for field in FIELD.finditer(texts))]):
+            assert compiled(expression)
+            called = set(re.findall(r"(?<![.\w])([a-z_]\w*)\(", expression))
+            assert called <= set(EXPRESSIONS.globals), (row["id"], expression)
+
+
+def test_needs():
+    """Lists, ranges, abbreviations, labels and maps."""
+    abbreviations, maps = {"slow": "v=0.5 c2=75", "both": "one; two", "one": "rotary", "two": "rotary v=1"}, {}
+    labelled = read_needs("rotary slow gamma=1:2:0.5; late: rotary slow v=2 settle=300", abbreviations, maps)
+    assert [label for label, _ in labelled] == ["", "", "", "late"]
+    assert [dict(need.parameters)["gamma"] for _, need in labelled[:3]] == [1.0, 1.5, 2.0]
+    assert labelled[3][1] == Lane("rotary", (("c2", 75.0), ("v", 2.0)), "drive", 300.0, 8.0)
+    assert [need.parameters for _, need in read_needs("both", abbreviations, maps)] == [(), (("v", 1.0),)]
+    [(_, found)] = read_needs("a map", {}, {"a map": "penetration zeta=1.1 k3=1e6,2e6 frequency=10:10:1"})
+    assert found.axes == (("k3", (1e6, 2e6)), ("frequency", (10.0,))) and found.parameters == (("zeta", 1.1),)
 
 
 def test_findings():

@@ -41,7 +41,7 @@ def second_spring(**parameters: float) -> float:
 def mode_discrepancy() -> float:
     """Return the relative difference of eq. 5.16 from the eigenvalue problem, for Table 5.1."""
     m1, k1 = TABLE_5_1.values()
-    m2, k2 = (float(value) for value in striker(TABLE_5_1 | {"beta": 0.4, "gamma": 0.75}))
+    m2, k2 = map(float, striker(TABLE_5_1 | {"beta": 0.4, "gamma": 0.75}))
     matrix = np.array([[(k1 + k2) / m1, -k2 / m1], [-k2 / m2, k2 / m2]])
     frequencies = np.sqrt(np.sort(np.linalg.eigvals(matrix).real))
     return float(np.abs(frequencies / modes(beta=0.4, gamma=0.75) - 1).max())

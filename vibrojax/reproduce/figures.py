@@ -25,17 +25,18 @@ def single_panel(height: float) -> tuple[Figure, Axes]:
 
 def stacked(rows: int, height: float = 1.5, share: bool = True, grid: bool = True) -> tuple[Figure, Sequence[Axes]]:
     """Return a figure of `rows` panels, over one abscissa or each over its own."""
-    figure = new_figure(FIGURE_WIDTH, 0.7 + height * rows)
-    figure.subplots(rows, 1, sharex=share)
-    for axes in figure.axes:
-        axes.grid(grid)
-    return figure, figure.axes
+    return _panels(0.7 + height * rows, (rows, 1), share, grid)
 
 
 def in_row(columns: int, height: float = 3.0, share: bool = False, grid: bool = True) -> tuple[Figure, Sequence[Axes]]:
     """Return a figure of `columns` panels side by side."""
+    return _panels(height, (1, columns), share, grid)
+
+
+def _panels(height: float, shape: tuple[int, int], share: bool, grid: bool) -> tuple[Figure, Sequence[Axes]]:
+    """Return a figure and its panels, which share the axis that they have in common."""
     figure = new_figure(FIGURE_WIDTH, height)
-    figure.subplots(1, columns, sharey=share)
+    figure.subplots(*shape, sharex=share and shape[1] == 1, sharey=share and shape[0] == 1)
     for axes in figure.axes:
         axes.grid(grid)
     return figure, figure.axes

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from vibrojax.laws import fit_rop
 from vibrojax.reproduce.rules import Here, verdict
@@ -36,11 +36,6 @@ def levels_off(values: Values) -> bool:
     """Return whether the second step is positive and below 0.3 of the first: 0.04 and 0.15 mm in Table 6.7."""
     first, second = np.diff(values)
     return bool(0 < second < 0.3 * first)
-
-
-def before_first_false(flags: Bool[np.ndarray, " values"]) -> Bool[np.ndarray, " values"]:
-    """Return flags that are true up to the first false one."""
-    return np.logical_and.accumulate(flags)
 
 
 def straightness(x: Values | xr.DataArray, y: Values | xr.DataArray) -> float:

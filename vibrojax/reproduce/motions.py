@@ -11,9 +11,9 @@ from jaxtyping import Bool, Float
 Samples = Float[np.ndarray, " samples"]
 Times = Float[np.ndarray, " times"]
 Curve = tuple[Float[np.ndarray, " points"], Float[np.ndarray, " points"]]
-Band = Sequence[float | int]
-"""The lowest and the highest frequency [Hz]."""
 Real = float | int
+Band = Sequence[Real]
+"""The lowest and the highest frequency [Hz]."""
 
 MIN_LOBE_SPEED = 0.4
 """Share of the greatest velocity below which the source does not count a lobe: it lies by the abscissa (R18)."""

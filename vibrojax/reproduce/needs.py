@@ -19,8 +19,7 @@ from typing import Any
 import numpy as np
 
 STARTS = {"rotary": ("drive", "stuck"), "penetration": ()}
-"""Starts from which every lane of a scene runs; all three in the other scenes."""
-ALL_STARTS = ("drive", "stuck", "touching")
+"""Starts from which every lane of a scene runs, for the scenes without contact of bit and striker."""
 OBSERVATION = {"penetration": (1.0, 1.0)}
 """Settling time and observation [s]. Pulses repeat soon."""
 USUAL_OBSERVATION = (40.0, 8.0)
@@ -82,7 +81,7 @@ Labelled = tuple[str, Need]
 
 def starts_of(scene: str) -> tuple[str, ...]:
     """Return the starts from which lanes of a scene run together, in one compiled program."""
-    return STARTS.get(scene, ALL_STARTS)
+    return STARTS.get(scene, ("drive", "stuck", "touching"))
 
 
 def read_needs(text: str, abbreviations: Mapping[str, str], maps: Mapping[str, str]) -> tuple[Labelled, ...]:
@@ -127,8 +126,8 @@ def _read_points(scene: str, settings: Mapping[str, str]) -> list[Need]:
         values = dict(zip(settings, combination, strict=True))
         start = values.pop("start", "drive")
         duration, sampling = values.pop("duration", None), values.pop("sampling", None)
-        settle, observe = OBSERVATION.get(scene, USUAL_OBSERVATION)
-        settle = values.pop("settle", settle)
+        usual_settle, observe = OBSERVATION.get(scene, USUAL_OBSERVATION)
+        settle = values.pop("settle", usual_settle)
         parameters = tuple(sorted(values.items()))
         if scene == "struck":
             needs.append(StruckMass(start, duration, parameters))
@@ -143,5 +142,5 @@ def _read_map(name: str, scene: str, settings: Mapping[str, str]) -> Map:
     """Return the map of an item: settings with several values, or with a range, are its axes."""
     axes = {axis: tuple(_values(text)) for axis, text in settings.items() if "," in text or ":" in text}
     parameters = {key: _values(text)[0] for key, text in settings.items() if key not in axes}
-    observation = OBSERVATION.get(scene, USUAL_OBSERVATION)
-    return Map(name, scene, tuple(sorted(parameters.items())), tuple(axes.items()), *observation)
+    settle, observe = OBSERVATION.get(scene, USUAL_OBSERVATION)
+    return Map(name, scene, tuple(sorted(parameters.items())), tuple(axes.items()), settle, observe)

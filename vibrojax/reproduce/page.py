@@ -60,29 +60,23 @@ def markdown_table(reproduction: Reproduction) -> str:
 def html_page(reproduction: Reproduction) -> str:
     """Return the page as HTML text with the pictures in it."""
     environment = Environment(
-        loader=PackageLoader("vibrojax.reproduce", ""),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
+        loader=PackageLoader("vibrojax.reproduce", ""), autoescape=True, undefined=StrictUndefined
     )
+    environment.trim_blocks = environment.lstrip_blocks = environment.keep_trailing_newline = True
     environment.filters |= {"code": _code, "picture": _picture}
     style = "\n" + files("vibrojax.reproduce").joinpath("page.css").read_text(encoding="utf-8")
     differing = {result.entry.id: result for result in reproduction.results if result.here.verdict == DIFFERS}
     explained = {name for finding in FINDINGS for name in finding.ids}
     rest = Finding("Not explained:", tuple(name for name in differing if name not in explained))
-    explanations = [
-        (finding.text, [name for name in finding.ids if name in differing]) for finding in (*FINDINGS, rest)
-    ]
+    ids = {finding.text: [name for name in finding.ids if name in differing] for finding in (*FINDINGS, rest)}
     return environment.get_template("page.html.jinja").render(
         policy=Markup(content_policy([], [style])),
         style=Markup(style),
         reproduction=reproduction,
         verdicts=tuple(reversed(VERDICTS)),
         classes=CLASSES,
-        explanations=[(text, names) for text, names in explanations if names],
-        differing=[differing[name] for _, names in explanations for name in names],
+        explanations=[(text, names) for text, names in ids.items() if names],
+        differing=[differing[name] for names in ids.values() for name in names],
         not_compared=[result for result in reproduction.results if result.here.verdict == NOT_COMPARED],
         cannot_be_compared=NOT_COMPARED,
         readings=READINGS,

@@ -28,7 +28,7 @@ class Result:
 
 
 class Reproduced(NamedTuple):
-    """A group with its results, and its pictures with their figures (None: nothing to draw)."""
+    """A group with its results and pictures; a figure is None if there is nothing to draw."""
 
     group: Group
     results: tuple[Result, ...]
@@ -92,8 +92,8 @@ def run_reproduction(groups: Iterable[Group] = GROUPS, quick: bool = False, prog
 
 def _quick_part(group: Group) -> Group:
     """Return a group with the entries and pictures that a quick run computes."""
-    entries, pictures = (tuple(filter(_is_quick, items)) for items in (group.entries, group.pictures))
-    return replace(group, entries=entries, pictures=pictures)
+    entries = tuple(entry for entry in group.entries if _is_quick(entry))
+    return replace(group, entries=entries, pictures=tuple(picture for picture in group.pictures if _is_quick(picture)))
 
 
 def _is_quick(item: Entry | Picture) -> bool:

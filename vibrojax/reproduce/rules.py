@@ -66,10 +66,9 @@ def number(
 
 
 def printed(value: SupportsFloat, source: str, unit: str, trend: object = False) -> Here:
-    """Judge a number that the source prints: agreement within its last digit, rounded or cut.
+    """Judge a number that the source prints: agreement from half a unit of its last digit below to a unit above.
 
-    The accepted range is from half a unit of that digit below to a whole unit above. The source cuts all moduli of
-    Table 4.5 and ten rows of eq. 5.16 in Table 5.3 (R30), but it may not always do so.
+    The source cuts all moduli of Table 4.5 and ten rows of eq. 5.16 in Table 5.3 (R30), but it may also round.
     """
     digit = 10.0 ** -len(source.partition(".")[2])
     off = (float(value) - float(source)) / digit

@@ -1,8 +1,8 @@
 """The results of the source as data: rows of `results.csv`; groups, pictures, findings and readings of `source.toml`.
 
-The cells `value`, `rule` and `draw` are expressions in the syntax of jinja2. Their names are those of `collect` in
-`answers.py`, `x` is the cell `value`, and functions are those of the modules in `_MODULES`. `here` and `remark` are
-texts with such expressions in braces. Without `here` the text is that of the rule.
+The cells `value`, `rule` and `draw` are expressions in the syntax of jinja2. They can use the names that `collect` in
+`answers.py` gives to answers, `x` for the cell `value`, and all names in `_MODULES`. `here` and `remark` are texts with
+such expressions in braces. An empty `here` stands for the text of the rule.
 """
 
 import csv
@@ -78,6 +78,10 @@ class Finding:
     ids: tuple[str, ...]
 
 
+UNREADABLE = (ValueError, IndexError, ZeroDivisionError)
+"""Errors from a motion without the event that is read off it: no return, no impact, only NaN."""
+
+
 def judged(entry: Entry, answers: list[Answer]) -> Here:
     """Return the judgement of an entry; a missing or unreadable answer is a difference."""
     missing = [answer.reason for answer in answers if isinstance(answer, Unanswered)]
@@ -99,21 +103,17 @@ def drawn(picture: Picture, answers: list[Answer]) -> Figure | None:
         return None
 
 
-UNREADABLE = (ValueError, IndexError, ZeroDivisionError)
-"""Errors from a motion without the event that is read off it: no return, no impact, only NaN."""
-
-
 _MODULES = (rules, maps, motions, closed_forms, figures, pictures_motions, pictures_maps)
-_ENVIRONMENT = Environment(undefined=StrictUndefined)
-_ENVIRONMENT.globals |= {name: value for module in _MODULES for name, value in vars(module).items() if name[0] != "_"}
-_ENVIRONMENT.globals |= {name: getattr(np, name) for name in ("abs", "array", "cos", "diff", "pi", "ptp", "sqrt")}
-_ENVIRONMENT.globals |= {"ROCKS": ROCKS, "contact_time": contact_time, "restitution": restitution}
+EXPRESSIONS = Environment(undefined=StrictUndefined)
+EXPRESSIONS.globals |= {name: value for module in _MODULES for name, value in vars(module).items() if name[0] != "_"}
+EXPRESSIONS.globals |= {name: getattr(np, name) for name in ("abs", "array", "cos", "diff", "pi", "ptp", "sqrt")}
+EXPRESSIONS.globals |= {"ROCKS": ROCKS, "contact_time": contact_time, "restitution": restitution}
 
 
 @cache
 def compiled(expression: str) -> Callable[[Mapping[str, Any]], Any]:
     """Return an expression as a function of the names in it."""
-    return _ENVIRONMENT.compile_expression(expression, undefined_to_none=False)
+    return EXPRESSIONS.compile_expression(expression, undefined_to_none=False)
 
 
 def fill(text: str, names: Mapping[str, Any]) -> str:
@@ -136,17 +136,14 @@ def _draw(expression: str, needs: tuple[Labelled, ...], *answers: Answer) -> Fig
     return styled(compiled(expression))(collect(needs, list(answers)))
 
 
-def _read(name: str) -> str:
-    return files("vibrojax.reproduce").joinpath(name).read_text(encoding="utf-8")
-
-
 def _flowing(text: str) -> str:
     """Return a text on one line."""
     return " ".join(text.split())
 
 
-_SOURCE = tomllib.loads(_read("source.toml"))
-_ROWS = list(csv.DictReader(_read("results.csv").splitlines()))
+_FOLDER = files("vibrojax.reproduce")
+_SOURCE = tomllib.loads((_FOLDER / "source.toml").read_text(encoding="utf-8"))
+ROWS = list(csv.DictReader((_FOLDER / "results.csv").read_text(encoding="utf-8").splitlines()))
 
 
 def _needs(text: str) -> tuple[tuple[Labelled, ...], tuple[Need, ...]]:
@@ -168,7 +165,7 @@ def _picture(row: Mapping[str, str]) -> Picture:
 
 
 def _group(group: Mapping[str, Any]) -> Group:
-    entries = tuple(_entry(row) for row in _ROWS if row["group"] == group["name"])
+    entries = tuple(_entry(row) for row in ROWS if row["group"] == group["name"])
     pictures = tuple(map(_picture, group.get("pictures", ())))
     return Group(group["name"], group["title"], _flowing(group["text"]), entries, pictures)
 
