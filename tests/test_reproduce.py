@@ -12,11 +12,10 @@ from vibrojax.cli import main
 from vibrojax.io.content_policy import content_policy
 from vibrojax.models.scenes import SCENES
 from vibrojax.reproduce import GROUPS, VERDICTS, Entry, run_reproduction
-from vibrojax.reproduce.answers import Answers
-from vibrojax.reproduce.entry import judged
-from vibrojax.reproduce.findings import FINDINGS, READINGS
-from vibrojax.reproduce.needs import Unanswered
-from vibrojax.reproduce.verdicts import AGREES, DIFFERS, IN_TREND, number, printed, trend, within_range
+from vibrojax.reproduce.answers import Answers, Unanswered
+from vibrojax.reproduce.needs import Lane, read_needs
+from vibrojax.reproduce.rules import AGREES, DIFFERS, FIELD, IN_TREND, number, printed, trend, within_range
+from vibrojax.reproduce.table import EXPRESSIONS, FINDINGS, READINGS, ROWS, compiled, judged
 
 ENTRIES = {entry.id: entry for group in GROUPS for entry in group.entries}
 
@@ -92,6 +91,29 @@ def test_registry():
     assert {name for entry in ENTRIES.values() for name in entry.readings} == set(READINGS)
 
 
+def test_expressions_can_be_read():
+    """Braces are balanced, and a picture or rule calls only functions that exist."""
+    for row in ROWS:
+        texts = row["here"] + row["remark"]
+        assert "{" not in FIELD.sub("", texts) and "}" not in FIELD.sub("", texts), row["id"]
+        for expression in filter(None, [row["value"], row["rule"], *(field[1] for field in FIELD.finditer(texts))]):
+            assert compiled(expression)
+            called = set(re.findall(r"(?<![.\w])([a-z_]\w*)\(", expression))
+            assert called <= set(EXPRESSIONS.globals), (row["id"], expression)
+
+
+def test_needs():
+    """Lists, ranges, abbreviations, labels and maps."""
+    abbreviations, maps = {"slow": "v=0.5 c2=75", "both": "one; two", "one": "rotary", "two": "rotary v=1"}, {}
+    labelled = read_needs("rotary slow gamma=1:2:0.5; late: rotary slow v=2 settle=300", abbreviations, maps)
+    assert [label for label, _ in labelled] == ["", "", "", "late"]
+    assert [dict(need.parameters)["gamma"] for _, need in labelled[:3]] == [1.0, 1.5, 2.0]
+    assert labelled[3][1] == Lane("rotary", (("c2", 75.0), ("v", 2.0)), "drive", 300.0, 8.0)
+    assert [need.parameters for _, need in read_needs("both", abbreviations, maps)] == [(), (("v", 1.0),)]
+    [(_, found)] = read_needs("a map", {}, {"a map": "penetration zeta=1.1 k3=1e6,2e6 frequency=10:10:1"})
+    assert found.axes == (("k3", (1e6, 2e6)), ("frequency", (10.0,))) and found.parameters == (("zeta", 1.1),)
+
+
 def test_findings():
     """Each result is explained once, and by its own name."""
     explained = [name for finding in FINDINGS for name in finding.ids]
@@ -134,7 +156,7 @@ def test_verdict_where_nothing_can_be_read():
     assert judged(entry, [xr.Dataset()]).verdict == DIFFERS
     assert judged(entry, [Unanswered("too many steps")]).verdict == DIFFERS
     assert "too many steps" in judged(entry, [Unanswered("too many steps")]).note
-    assert trend("1", False).verdict == DIFFERS
+    assert trend(False).verdict == DIFFERS
 
 
 def test_quick_run_meets_what_was_seen(quick):
@@ -228,7 +250,7 @@ def test_a_wrong_sign_is_seen(quick, monkeypatch, term):
 
     Lanes that go wrong so much never end; few steps are enough to see it.
     """
-    monkeypatch.setattr("vibrojax.sweep.engine.batch.LANE_MAX_STEPS", 2e4)
+    monkeypatch.setattr("vibrojax.sweep.engine.batch.MOST_STEPS", 2e4)
     monkeypatch.setitem(SCENES, "vibro-impact", WRONG[term])
     groups = [group for group in GROUPS if group.name in ("frequency-ratio", "mass-ratio")]
     wrong = run_reproduction(groups, quick=True, progress=False)

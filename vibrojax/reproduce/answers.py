@@ -1,7 +1,8 @@
-"""Computes what is asked for: lanes of one kind together in one sweep, motions one by one, maps as they are."""
+"""Compute needs: lanes of one kind together in one sweep, maps as they are, motions one at a time."""
 
 import warnings
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -9,32 +10,33 @@ import xarray as xr
 
 from vibrojax.analyses.sweep.run import run_sweep
 from vibrojax.errors import InputError, Place
-from vibrojax.reproduce.needs import (
-    Answer,
-    Features,
-    Lane,
-    Map,
-    Motion,
-    Need,
-    Parameters,
-    StruckMass,
-    Unanswered,
-    starts_of,
-)
-from vibrojax.reproduce.struck_mass import blows
+from vibrojax.reproduce.needs import Labelled, Lane, Map, Motion, Need, StruckMass, starts_of
+from vibrojax.reproduce.struck_mass import Blows, strike
 from vibrojax.sweep.input.plausible import UnusualValue
 from vibrojax.sweep.input.point import read_point
 from vibrojax.sweep.simulation import simulate
 
-PROBES = 8
-"""Lanes of each scene that are tried before all."""
-MOST_FAILED = 0.25
-"""Share of the probes that may fail. Where the equations are wrong lanes do not end but by running out of steps, each
-after minutes."""
+PROBED_LANES = 8
+"""Lanes of each scene that run for two seconds before all others."""
+MAX_FAILED_SHARE = 0.25
+"""Share of the probed lanes that may fail. With wrong equations every lane runs out of steps, after minutes each."""
+
+Features = dict[str, Any]
+"""Parameters and variables of a lane by name; of several lanes, arrays."""
+
+
+@dataclass(frozen=True)
+class Unanswered:
+    """The answer to a need that could not be computed, with the reason."""
+
+    reason: str
+
+
+Answer = Features | xr.Dataset | Blows | Unanswered
 
 
 class _Kind(NamedTuple):
-    """What lanes share that are computed in one sweep: `names` are the parameters that are chosen by name."""
+    """Settings shared by lanes that one sweep computes; `names` are the parameters given as texts."""
 
     scene: str
     names: tuple[tuple[str, str], ...]
@@ -43,86 +45,81 @@ class _Kind(NamedTuple):
 
 
 _Point = tuple[tuple[str, float], ...]
-"""The parameters of a lane that are numbers."""
+"""The numeric parameters of a lane."""
 
 
 class Answers:
-    """The answers to needs, and the datasets that they are read from, by name.
+    """The answers to needs, and by name the datasets from which they are read.
 
     A scene whose probes fail is not computed: its needs are `Unanswered`.
 
     **Arguments:**
 
     - `needs`: what to compute; repeated needs are computed once.
-    - `report`: is given a line before each sweep, map and motion: how many of them there are, and which comes now.
+    - `report`: receives a line before each sweep, map and motion, with its number and the total.
     """
 
     def __init__(self, needs: Iterable[Need], report: Callable[[str], None] = lambda line: None) -> None:
         self.datasets: dict[str, xr.Dataset] = {}
         self._answers: dict[Need, Answer] = {}
-        self._failing: dict[str, str] = {}
+        self._failing: set[str] = set()
         self._report = report
-        self._begun = 0
+        self._parts_begun = 0
         needs = list(dict.fromkeys(needs))
-        kinds = _by_kind(need for need in needs if isinstance(need, Lane))
-        self._parts = len(kinds) + sum(isinstance(need, Map | Motion) for need in needs)
+        kinds: dict[_Kind, list[Lane]] = {}
+        for lane in (need for need in needs if isinstance(need, Lane)):
+            names = tuple((name, value) for name, value in lane.parameters if isinstance(value, str))
+            kinds.setdefault(_Kind(lane.scene, names, lane.settle, lane.observe), []).append(lane)
+        maps = [need for need in needs if isinstance(need, Map)]
+        motions = [need for need in needs if isinstance(need, Motion)]
+        self._parts = len(kinds) + len(maps) + len(motions)
         for kind, lanes in kinds.items():
-            self._lanes(kind, lanes)
-        # Maps before motions: what takes longest comes first.
-        for map_ in (need for need in needs if isinstance(need, Map)):
-            self._answers[map_] = self._unless_failing(map_.scene) or self._map(map_)
-        for motion in (need for need in needs if isinstance(need, Motion)):
-            self._answers[motion] = self._unless_failing(motion.scene) or self._motion(motion)
+            self._run_lanes(kind, lanes)
+        for need in maps:  # before the motions, which take less time each
+            self._answers[need] = self._refusal(need.scene) or self._run_map(need)
+        for motion in motions:
+            self._answers[motion] = self._refusal(motion.scene) or self._simulate(motion)
         for mass in (need for need in needs if isinstance(need, StruckMass)):
-            self._answers[mass] = blows(mass.start, mass.duration, **dict(mass.parameters))
+            self._answers[mass] = strike(mass.start, mass.duration, dict(mass.parameters))
 
     def __getitem__(self, need: Need) -> Answer:
         return self._answers[need]
 
-    def _begin(self, text: str) -> None:
-        """Report the next part."""
-        self._begun += 1
-        self._report(f"{self._begun:3d}/{self._parts}  {text}")
+    def _begin_part(self, text: str) -> None:
+        self._parts_begun += 1
+        self._report(f"{self._parts_begun:3d}/{self._parts}  {text}")
 
-    def _unless_failing(self, scene: str) -> Unanswered | None:
-        return Unanswered(self._failing[scene]) if scene in self._failing else None
+    def _refusal(self, scene: str) -> Unanswered | None:
+        return Unanswered(f"points of the scene {scene} fail") if scene in self._failing else None
 
-    def _lanes(self, kind: _Kind, lanes: list[Lane]) -> None:
-        points = list(dict.fromkeys(_numbers(lane.parameters) for lane in lanes))
-        chosen = [value for _, value in kind.names]
-        self._begin(f"{' '.join([kind.scene, *chosen])}: {len(points)} points, {kind.settle:g} s")
-        if kind.scene not in self._failing and _fails(kind, points[:: max(1, len(points) // PROBES)]):
-            self._failing[kind.scene] = f"points of the scene {kind.scene} fail"
-        if kind.scene in self._failing:
-            self._answers |= dict.fromkeys(lanes, Unanswered(self._failing[kind.scene]))
+    def _run_lanes(self, kind: _Kind, lanes: list[Lane]) -> None:
+        points = list(dict.fromkeys(_numbers(lane) for lane in lanes))
+        names = [value for _, value in kind.names]
+        self._begin_part(f"{' '.join([kind.scene, *names])}: {len(points)} points, {kind.settle:g} s")
+        if kind.scene not in self._failing:
+            probes = points[:: max(1, len(points) // PROBED_LANES)]
+            probed = _run_points(kind._replace(settle=1.0, observe=1.0), probes)
+            self._failing |= {kind.scene} if (probed.status == 1).mean() > MAX_FAILED_SHARE else set()
+        if refusal := self._refusal(kind.scene):
+            self._answers |= dict.fromkeys(lanes, refusal)
             return
-        dataset = run_sweep(_sweep(kind, points), progress=False)
-        self._keep("-".join([kind.scene, *chosen, f"{kind.settle:g}s"]), dataset)
+        dataset = _run_points(kind, points)
+        self._keep("-".join([kind.scene, *names, f"{kind.settle:g}s"]), dataset)
         for lane in lanes:
-            row = dataset.isel(point=points.index(_numbers(lane.parameters)))
-            self._answers[lane] = Features(row.sel(start=lane.start) if starts_of(kind.scene) else row)
+            row = dataset.isel(point=points.index(_numbers(lane)))
+            self._answers[lane] = _features(lane, row.sel(start=lane.start) if starts_of(kind.scene) else row)
 
-    def _map(self, need: Map) -> xr.Dataset:
+    def _run_map(self, need: Map) -> xr.Dataset:
+        self._begin_part(f"{need.name}: {np.prod([len(values) for _, values in need.axes])} points")
         axes = {name: list(values) for name, values in need.axes}
-        self._begin(f"{need.name}: {np.prod([len(values) for values in axes.values()])} points")
-        sweep: dict[str, Any] = {
-            "scene": need.scene,
-            "parameters": dict(need.parameters),
-            "grid": axes,
-            "title": need.name,
-            "unusual": True,
-        }
-        if need.starts:
-            sweep["starts"] = list(need.starts)
-        sweep["run"] = {"settle": need.settle, "observe": need.observe}
-        dataset = run_sweep(sweep, progress=False)
+        dataset = _run(need, need.name, dict(need.parameters), grid=axes)
         self._keep(need.name.replace(" ", "-"), dataset)
         return dataset
 
-    def _motion(self, need: Motion) -> xr.Dataset | Unanswered:
-        self._begin(f"motion: {need.scene}, {need.duration:g} s")
+    def _simulate(self, need: Motion) -> xr.Dataset | Unanswered:
+        self._begin_part(f"motion: {need.scene}, {need.duration:g} s")
         settings: dict[str, Any] = {"duration": need.duration, "sampling": need.sampling, "progress": False}
-        if need.scene != "penetration":
+        if starts_of(need.scene):
             settings["start"] = need.start
         try:
             with warnings.catch_warnings():
@@ -132,50 +129,69 @@ class Answers:
             return Unanswered(str(problem))
 
     def _keep(self, name: str, dataset: xr.Dataset) -> None:
-        """Keep a dataset under a name that is free."""
+        """Keep a dataset under its name, numbered from the second one on."""
         count = sum(other.partition("--")[0] == name for other in self.datasets)
         self.datasets[f"{name}--{count + 1}" if count else name] = dataset
 
 
-def _by_kind(lanes: Iterable[Lane]) -> dict[_Kind, list[Lane]]:
-    kinds: dict[_Kind, list[Lane]] = {}
-    for lane in lanes:
-        kind = _Kind(lane.scene, _names(lane.parameters), lane.settle, lane.observe)
-        kinds.setdefault(kind, []).append(lane)
-    return kinds
+def collect(needs: tuple[Labelled, ...], answers: list[Answer]) -> dict[str, Any]:
+    """Return the answers to the needs of a result or picture, by the names that its expressions use.
+
+    Lanes under a label are one dictionary of features, with arrays if there are several. Those without a label are
+    `lanes`, and their features are names too. A motion without a label is `motion`, several are `motions`; `map`,
+    `maps`, `mass` and `masses` likewise.
+    """
+    names: dict[str, Any] = {}
+    groups: dict[str, list[Any]] = {}
+    for (label, need), answer in zip(needs, answers, strict=True):
+        kind = {Lane: "lanes", Motion: "motion", Map: "map", StruckMass: "mass"}[type(need)]
+        groups.setdefault(label or kind, []).append(answer)
+    for name, group in groups.items():
+        if isinstance(group[0], dict):
+            common = [key for key in group[0] if all(key in lane for lane in group)]
+            arrays = {key: np.array([lane[key] for lane in group]) for key in common}
+            names[name] = group[0] if len(group) == 1 else arrays
+            names |= names[name] if name == "lanes" else {}
+        else:
+            names[name], names[{"mass": "masses"}.get(name, f"{name}s")] = group[0], group
+    return names
 
 
-def _fails(kind: _Kind, points: list[_Point]) -> bool:
-    """Whether many of some lanes fail within two seconds."""
-    dataset = run_sweep(_sweep(kind._replace(settle=1.0, observe=1.0), points), progress=False)
-    return bool((dataset.status == 1).mean() > MOST_FAILED)
+def _features(lane: Lane, row: xr.Dataset) -> Features:
+    """Return the parameters and variables of a lane, with some variables in the source's units."""
+    scalars = {str(name): variable.values.item() for name, variable in row.variables.items() if not variable.ndim}
+    features: Features = scalars | dict(lane.parameters)
+    if "regime" in features:
+        features["regime"] = row["regime"].attrs["flag_meanings"].split()[features["regime"]]
+        features["single"] = features["regime"] == "single-impact"
+    if "period" in features:
+        features["hertz"], features["omega"] = 1 / features["period"], 2 * np.pi / features["period"]
+    if "impact_velocity" in features:  # the contact loses nothing
+        features["velocity_change"] = 2 * features["impact_velocity"]
+    if "peak_impact_force" in features:
+        features["impact_kN"] = features["peak_impact_force"] / 1e3
+    if "rate_of_penetration" in features:
+        features["rate"] = 1e3 * features["rate_of_penetration"]
+    return features
 
 
-def _sweep(kind: _Kind, points: list[_Point]) -> dict[str, Any]:
-    """A sweep over points from all starts of the scene, and so one compiled program whatever is asked."""
-    starts = {"starts": list(starts_of(kind.scene))} if starts_of(kind.scene) else {}
-    return {
-        "scene": kind.scene,
-        "title": f"The source, reproduced: points of the scene {kind.scene}",
-        "unusual": True,  # what the source itself asks of limits
-        "parameters": dict(kind.names),
-        "points": _columns(kind, points),
-        "run": {"settle": kind.settle, "observe": kind.observe},
-        **starts,
-    }
+def _numbers(lane: Lane) -> _Point:
+    """Return the numeric parameters of a lane."""
+    return tuple((name, value) for name, value in lane.parameters if not isinstance(value, str))
 
 
-def _names(parameters: Parameters) -> tuple[tuple[str, str], ...]:
-    """What is chosen by name, such as the friction law: one program each. A rock is an axis like any other."""
-    return tuple((name, value) for name, value in parameters if isinstance(value, str))
-
-
-def _numbers(parameters: Parameters) -> _Point:
-    return tuple((name, value) for name, value in parameters if not isinstance(value, str))
-
-
-def _columns(kind: _Kind, points: list[_Point]) -> dict[str, list[float]]:
-    """Columns of a sweep: what any point says, with the scene's defaults where one says nothing."""
+def _run_points(kind: _Kind, points: list[_Point]) -> xr.Dataset:
+    """Return the dataset of points, with the scene's defaults for what a point omits."""
     defaults = read_point(Place("reproduce"), kind.scene, dict(kind.names), None).parameters
-    said = dict.fromkeys(name for point in points for name, _ in point)
-    return {name: [float(dict(point).get(name, defaults[name])) for point in points] for name in said or ("m1",)}
+    varied = dict.fromkeys(name for point in points for name, _ in point) or ("m1",)
+    columns = {name: [float(dict(point).get(name, defaults[name])) for point in points] for name in varied}
+    return _run(kind, f"The source, reproduced: points of the scene {kind.scene}", dict(kind.names), points=columns)
+
+
+def _run(kind: _Kind | Map, title: str, parameters: dict[str, Any], **axes: dict[str, list[float]]) -> xr.Dataset:
+    """Return the dataset of a sweep from all starts of the scene, so that one compiled program computes them all."""
+    starts = {"starts": list(starts_of(kind.scene))} if starts_of(kind.scene) else {}
+    run = {"settle": kind.settle, "observe": kind.observe}
+    # The source itself goes to limits, and so some values are unusual.
+    sweep = {"scene": kind.scene, "title": title, "unusual": True, "parameters": parameters, **axes, "run": run}
+    return run_sweep(sweep | starts, progress=False)

@@ -1,6 +1,8 @@
-"""What is read off a motion: peaks of its spectrum, returns, swings, lobes of a phase portrait."""
+"""Quantities read off a motion: peaks of its spectrum, events, swings, lobes of a phase portrait, the hole."""
 
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from itertools import groupby
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -8,15 +10,36 @@ from jaxtyping import Bool, Float
 
 Samples = Float[np.ndarray, " samples"]
 Times = Float[np.ndarray, " times"]
+Curve = tuple[Float[np.ndarray, " points"], Float[np.ndarray, " points"]]
+Real = float | int
+Band = Sequence[Real]
+"""The lowest and the highest frequency [Hz]."""
 
-ABSCISSA = 0.4
-"""Lobes below this share of the greatest velocity are those by the abscissa, which the source does not count (R18)."""
+MIN_LOBE_SPEED = 0.4
+"""Share of the greatest velocity below which the source does not count a lobe: it lies by the abscissa (R18)."""
+DRIVE_SPEED = 1.5
+"""Usual driving velocity [m/s] of the source."""
 
 
-def part(motion: xr.Dataset, name: str, since: float, until: float = np.inf) -> Samples:
-    """A variable between two times [s]."""
+def each(function: Callable[..., Any], subjects: Sequence[Any], *arguments: Any) -> Float[np.ndarray, " subjects"]:
+    """Return a quantity of each of several motions, maps or masses."""
+    return np.array([float(function(subject, *arguments)) for subject in subjects])
+
+
+def part(motion: xr.Dataset, name: str, since: Real, until: Real = np.inf) -> Samples:
+    """Return a variable between two times [s]."""
     time = motion["time"].values
     return motion[name].values[(time >= since) & (time < until)]
+
+
+def amplitude(motion: xr.Dataset, name: str, since: Real, until: Real = np.inf) -> float:
+    """Return half the swing of a variable between two times [s]."""
+    return float(np.ptp(part(motion, name, since, until)) / 2)
+
+
+def last_value(motion: xr.Dataset, name: str) -> float:
+    """Return the last sample of a variable."""
+    return float(motion[name][-1])
 
 
 class Peak(NamedTuple):
@@ -26,70 +49,69 @@ class Peak(NamedTuple):
     power: float
 
 
-def peak(motion: xr.Dataset, name: str, lowest: float, highest: float, since: float, until: float = np.inf) -> Peak:
-    """The highest peak between two frequencies [Hz] (Hann window, padded 16 times)."""
-    frequencies, power = power_spectrum(motion, name, since, until, padding=16)
-    among = np.flatnonzero((frequencies > lowest) & (frequencies < highest))
-    best = among[np.argmax(power[among])]
-    return Peak(float(frequencies[best]), float(power[best]))
+class TwoPeaks(NamedTuple):
+    """The highest peaks in two bands, and the power of the lower one over that of the higher."""
+
+    low: Peak
+    high: Peak
+    ratio: float
 
 
-class Spectrum(NamedTuple):
-    """Frequencies [Hz] and the power at each."""
-
-    frequencies: Float[np.ndarray, " frequencies"]
-    power: Float[np.ndarray, " frequencies"]
-
-
-def power_spectrum(motion: xr.Dataset, name: str, since: float, until: float = np.inf, padding: int = 16) -> Spectrum:
-    """The power spectrum of a variable between two times [s] (Hann window, padded to `padding` times)."""
+def power_spectrum(motion: xr.Dataset, name: str, since: Real, until: Real = np.inf, padding: int = 16) -> Curve:
+    """Return frequencies [Hz] and power of a variable between two times [s] (Hann window, `padding` times as long)."""
     x = part(motion, name, since, until)
     power = np.abs(np.fft.rfft(np.hanning(len(x)) * (x - x.mean()), padding * len(x))) ** 2
-    return Spectrum(np.fft.rfftfreq(padding * len(x), float(motion["time"][1] - motion["time"][0])), power)
+    return np.fft.rfftfreq(padding * len(x), float(motion["time"][1] - motion["time"][0])), power
 
 
-def events(motion: xr.Dataset, kind: str, since: float = 0.0) -> Times:
-    """Times [s] at which events of a kind happened."""
+def peak(motion: xr.Dataset, name: str, band: Band, since: Real, until: Real = np.inf) -> Peak:
+    """Return the highest peak in a band."""
+    frequencies, power = power_spectrum(motion, name, since, until)
+    inside = np.flatnonzero((frequencies > band[0]) & (frequencies < band[1]))
+    highest = inside[np.argmax(power[inside])]
+    return Peak(float(frequencies[highest]), float(power[highest]))
+
+
+def two_peaks(motion: xr.Dataset, name: str, lower: Band, upper: Band, since: Real, until: Real = np.inf) -> TwoPeaks:
+    """Return the highest peak in each of two bands."""
+    low, high = (peak(motion, name, band, since, until) for band in (lower, upper))
+    return TwoPeaks(low, high, low.power / high.power)
+
+
+def events(motion: xr.Dataset, kind: str, since: Real = 0.0) -> Times:
+    """Return the times [s] of the events of a kind."""
     flag = motion["event_kind"].attrs["flag_meanings"].split().index(kind)
     times = motion["event_time"].values[motion["event_kind"].values == flag]
     return times[times >= since]
 
 
-def at(motion: xr.Dataset, name: str, times: Times) -> Times:
-    """A variable at some times [s], by interpolation."""
-    return np.interp(times, motion["time"].values, motion[name].values)
-
-
-def restitution(motion: xr.Dataset) -> float:
-    """The striker's velocity after its first blow over that before it."""
-    after, before = at(motion, "v2", np.array([events(motion, kind)[0] for kind in ("release", "impact")]))
-    return float(-after / before)
-
-
-def grown(motion: xr.Dataset, some: Bool[np.ndarray, " steps"]) -> float:
-    """The share of the hole that grows in `some` of the steps from sample to sample.
-
-    **Raises:** `ValueError` where it does not grow at all.
-    """
-    growth = np.diff(motion["x4"].values)
-    if not growth.any():
-        raise ValueError("the hole does not grow")
-    return float(growth[some].sum() / growth.sum())
-
-
-def amplitude(motion: xr.Dataset, name: str, since: float, until: float = np.inf) -> float:
-    """Half the swing."""
-    return float(np.ptp(part(motion, name, since, until)) / 2)
-
-
 def last_cycle(motion: xr.Dataset) -> tuple[float, float]:
-    """The last whole return to the section: when it begins and ends [s]."""
+    """Return the beginning and the end [s] of the last whole return to the section."""
     times = events(motion, "section")
     return float(times[-2]), float(times[-1])
 
 
-def lobes(motion: xr.Dataset, abscissa: float = ABSCISSA) -> int:
-    """Lobes of the striker's phase portrait in the last cycle: farthest from the centre, and not slow (R18).
+def envelope(motion: xr.Dataset, name: str, window: Real) -> Curve:
+    """Return the middles [s] of successive windows of `window` [s], and half the swing of a variable in each."""
+    edges = np.arange(0.0, float(motion["time"][-1]) - window / 2, window)
+    return edges + window / 2, np.array([amplitude(motion, name, edge, edge + window) for edge in edges])
+
+
+def growth(motion: xr.Dataset) -> dict[str, Any]:
+    """Return the growth of the bit's swing from zero, in windows of half a second.
+
+    It has the steady velocity [m/s], the time [s] to 95 % of it, its later relative change, and if it only rose before.
+    """
+    _, swings = envelope(motion, "v1", 0.5)
+    steady = float(swings[-1])
+    first = int(np.argmax(swings > 0.95 * steady))
+    change = float(np.ptp(swings[first + 4 :]) / steady)
+    rising = np.all(np.diff(swings[2:first]) > 0)
+    return {"steady": steady, "time": 0.5 * first + 0.25, "change": change, "rising": rising}
+
+
+def lobes(motion: xr.Dataset, slowest: float = MIN_LOBE_SPEED) -> int:
+    """Count the lobes of the striker's phase portrait in the last cycle: farthest from the centre, not slow (R18).
 
     Velocities are in units of position times the cycle's frequency.
     """
@@ -98,19 +120,82 @@ def lobes(motion: xr.Dataset, abscissa: float = ABSCISSA) -> int:
     centre = (position.max() + position.min()) / 2
     radius = np.hypot(position - centre, velocity * (end - begin) / (2 * np.pi))
     far = (radius > np.roll(radius, 1)) & (radius >= np.roll(radius, -1))
-    return int((far & (np.abs(velocity) > abscissa * np.abs(velocity).max())).sum())
+    return int((far & (np.abs(velocity) > slowest * np.abs(velocity).max())).sum())
 
 
-class Envelope(NamedTuple):
-    """Half the swing of a variable in successive windows, and the middles [s] of the windows."""
+def acceleration_before_impacts(motion: xr.Dataset, since: Real) -> Times:
+    """Return the bit's mean acceleration [m/s²] in the two milliseconds before each impact."""
+    times = events(motion, "impact", since)
+    time, velocity = motion["time"].values, motion["v1"].values
+    return (np.interp(times - 1e-4, time, velocity) - np.interp(times - 2.1e-3, time, velocity)) / 2e-3
 
-    middles: Float[np.ndarray, " windows"]
-    swings: Float[np.ndarray, " windows"]
+
+def friction_slope(motion: xr.Dataset) -> float:
+    """Return the rise of friction per newton of impact force while the bit slides forward."""
+    impact = motion["impact_force"].values
+    forward = (motion["v1"].values + DRIVE_SPEED > 0.05) & (impact > 1e3)
+    return float(np.polyfit(impact[forward], motion["friction_force"].values[forward], 1)[0])
 
 
-def envelope(motion: xr.Dataset, name: str, window: float) -> Envelope:
-    """Half the swing in successive windows of `window` [s]."""
-    duration = float(motion["time"][-1])
-    edges = np.arange(0.0, duration - window / 2, window)
-    swings = np.array([amplitude(motion, name, edge, edge + window) for edge in edges])
-    return Envelope(edges + window / 2, swings)
+def rest_times(motion: xr.Dataset) -> tuple[float, float]:
+    """Return the longest times [ms] for which the flying striker hardly accelerates in the last cycle.
+
+    The first limit is a tenth of the greatest acceleration in flight, the second 2 % of that in the blow.
+    """
+    begin, end = last_cycle(motion)
+    time = motion["time"].values
+    inside = (time >= begin) & (time <= end)
+    acceleration = np.abs(np.gradient(motion["v2"].values[inside], time[inside]))
+    flight = motion["impact_force"].values[inside] == 0
+    limits = 0.1 * acceleration[flight][5:-5].max(), 0.02 * acceleration.max()
+    runs = [groupby(flight & (acceleration < limit)) for limit in limits]
+    short, long = (max((len(list(run)) for still, run in part if still), default=0) for part in runs)
+    return 1e3 * float(time[1] - time[0]) * short, 1e3 * float(time[1] - time[0]) * long
+
+
+def blow_restitution(motion: xr.Dataset) -> float:
+    """Return the striker's velocity after its first blow over that before it."""
+    times = [events(motion, kind)[0] for kind in ("release", "impact")]
+    after, before = np.interp(times, motion["time"].values, motion["v2"].values)
+    return float(-after / before)
+
+
+def blow_duration(motion: xr.Dataset) -> float:
+    """Return the duration [s] of the first blow."""
+    return float(events(motion, "release")[0] - events(motion, "impact")[0])
+
+
+def growth_share(motion: xr.Dataset, steps: Bool[np.ndarray, " steps"]) -> float:
+    """Return the share of the hole that grows in the given steps from sample to sample.
+
+    **Raises:** `ValueError` if it does not grow at all.
+    """
+    grown = np.diff(motion["x4"].values)
+    if not grown.any():
+        raise ValueError("the hole does not grow")
+    return float(grown[steps].sum() / grown.sum())
+
+
+def growth_away_from_impacts(motion: xr.Dataset, contact: float) -> float:
+    """Return the share of the hole that grows neither in a contact of `contact` [s] nor in the 5 ms after it."""
+    time = motion["time"].values[:-1]
+    near = np.zeros(len(time), bool)
+    for begin in events(motion, "impact"):
+        near |= (time >= begin - 1e-4) & (time <= begin + contact + 5e-3)
+    return growth_share(motion, ~near)
+
+
+def swept_frequency(time: Any) -> Any:
+    """Return the frequency [Hz] of the swept sine: from 10 Hz on, 20 Hz faster every second (R22)."""
+    return 10 + 20 * time
+
+
+def fastest_frequency(motion: xr.Dataset) -> float:
+    """Return the frequency [Hz] of the sine at the bit's greatest velocity, in windows of a quarter second."""
+    middles, swings = envelope(motion, "v3", 0.25)
+    return float(swept_frequency(middles[np.argmax(swings)]))
+
+
+def last_slip_frequency(motion: xr.Dataset) -> float:
+    """Return the frequency [Hz] of the sine when the hole last grows."""
+    return float(swept_frequency(motion["time"].values[np.flatnonzero(np.diff(motion["x4"].values) > 0)[-1]]))

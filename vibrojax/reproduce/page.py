@@ -1,8 +1,7 @@
-"""Writes a reproduction: a page that loads nothing from outside, a table in Markdown, and the datasets."""
+"""Write a reproduction: a page that loads nothing from outside, a table in Markdown, and the datasets."""
 
 import base64
 import re
-from dataclasses import dataclass
 from importlib.resources import files
 from io import BytesIO
 from pathlib import Path
@@ -15,20 +14,19 @@ from vibrojax.errors import InputError
 from vibrojax.io.content_policy import content_policy
 from vibrojax.io.dataset import write_dataset
 from vibrojax.io.provenance import source
-from vibrojax.reproduce.findings import FINDINGS, READINGS, Finding
-from vibrojax.reproduce.reproduction import Reproduction, Result
-from vibrojax.reproduce.verdicts import DIFFERS, NOT_COMPARED, VERDICTS
+from vibrojax.reproduce.reproduction import Reproduction
+from vibrojax.reproduce.rules import DIFFERS, NOT_COMPARED, VERDICTS
+from vibrojax.reproduce.table import FINDINGS, READINGS, Finding
 
 COLUMNS = ("id", "what", "source", "here", "verdict", "reading")
 CLASSES = dict(zip(VERDICTS, ("differs", "uncompared", "trend", "agrees"), strict=True))
 """Classes of the page's style sheet."""
-_EXPLAINED = [name for finding in FINDINGS for name in finding.ids]
 
 
 def write_reproduction(reproduction: Reproduction, folder: str | Path) -> None:
     """Write `index.html`, `table.md` and the datasets into `folder`, which is made if it is not there.
 
-    **Raises:** `InputError` where the folder cannot be written.
+    **Raises:** `InputError` if the folder cannot be written.
 
     **Example:**
 
@@ -41,60 +39,45 @@ def write_reproduction(reproduction: Reproduction, folder: str | Path) -> None:
     folder = Path(folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / "table.md").write_text(table(reproduction), encoding="utf-8")
-        (folder / "index.html").write_text(page(reproduction), encoding="utf-8")
+        (folder / "table.md").write_text(markdown_table(reproduction), encoding="utf-8")
+        (folder / "index.html").write_text(html_page(reproduction), encoding="utf-8")
     except OSError as error:
         raise InputError(f"-o: {error.filename}: cannot be written ({error.strerror})") from None
     for name, dataset in reproduction.datasets.items():
         write_dataset(dataset, folder / f"{name}.nc")
 
 
-def table(reproduction: Reproduction) -> str:
-    """One line of Markdown per entry, in the order of the page."""
+def markdown_table(reproduction: Reproduction) -> str:
+    """Return one line of Markdown per entry, in the order of the page."""
     lines = [f"| {' | '.join(COLUMNS)} |", "|" + "---|" * len(COLUMNS)]
     for result in reproduction.results:
         entry, here = result.entry, result.here
         cells = (entry.id, entry.what, entry.source, here.text, here.verdict, ", ".join(entry.readings))
-        lines.append(f"| {' | '.join(_cell(text) for text in cells)} |")
+        lines.append(f"| {' | '.join(' '.join(cell.replace('|', '/').split()) for cell in cells)} |")
     return "\n".join([*lines, ""])
 
 
-def _cell(text: str) -> str:
-    """A cell may hold no bar and no line break."""
-    return " ".join(text.replace("|", "/").split())
-
-
-@dataclass(frozen=True)
-class _Explained:
-    """A finding, and those of its results that differ in this run."""
-
-    finding: Finding
-    differing: tuple[str, ...]
-
-
-def page(reproduction: Reproduction) -> str:
-    """The page as HTML text, pictures within it."""
+def html_page(reproduction: Reproduction) -> str:
+    """Return the page as HTML text with the pictures in it."""
     environment = Environment(
-        loader=PackageLoader("vibrojax.reproduce", ""),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
+        loader=PackageLoader("vibrojax.reproduce", ""), autoescape=True, undefined=StrictUndefined
     )
+    environment.trim_blocks = environment.lstrip_blocks = environment.keep_trailing_newline = True
     environment.filters |= {"code": _code, "picture": _picture}
-    results = reproduction.results
     style = "\n" + files("vibrojax.reproduce").joinpath("page.css").read_text(encoding="utf-8")
-    differing = sorted((one for one in results if one.here.verdict == DIFFERS), key=_weight)
+    differing = {result.entry.id: result for result in reproduction.results if result.here.verdict == DIFFERS}
+    explained = {name for finding in FINDINGS for name in finding.ids}
+    rest = Finding("Not explained:", tuple(name for name in differing if name not in explained))
+    ids = {finding.text: [name for name in finding.ids if name in differing] for finding in (*FINDINGS, rest)}
     return environment.get_template("page.html.jinja").render(
         policy=Markup(content_policy([], [style])),
         style=Markup(style),
         reproduction=reproduction,
         verdicts=tuple(reversed(VERDICTS)),
         classes=CLASSES,
-        explained=_explained([one.entry.id for one in differing]),
-        differing=differing,
-        not_compared=[one for one in results if one.here.verdict == NOT_COMPARED],
+        explanations=[(text, names) for text, names in ids.items() if names],
+        differing=[differing[name] for names in ids.values() for name in names],
+        not_compared=[result for result in reproduction.results if result.here.verdict == NOT_COMPARED],
         cannot_be_compared=NOT_COMPARED,
         readings=READINGS,
         version=source(),
@@ -102,27 +85,12 @@ def page(reproduction: Reproduction) -> str:
 
 
 def _code(text: str) -> Markup:
-    """Text with what stands in backquotes as code."""
+    """Return HTML text with the parts in backquotes as code."""
     return Markup(re.sub("`([^`]+)`", r"<code>\1</code>", str(escape(text))))
 
 
 def _picture(figure: Figure) -> str:
-    """The figure as a reference that holds it."""
+    """Return the figure as a data URL."""
     content = BytesIO()
     figure.savefig(content, format="png", dpi=120)
     return f"data:image/png;base64,{base64.b64encode(content.getvalue()).decode()}"
-
-
-def _weight(result: Result) -> int:
-    """Where a result stands among the findings, the weightiest first."""
-    name = result.entry.id
-    return _EXPLAINED.index(name) if name in _EXPLAINED else len(_EXPLAINED)
-
-
-def _explained(differing: list[str]) -> list[_Explained]:
-    """The findings with the results that differ; those of no finding come last."""
-    rest = Finding("Not explained:", tuple(name for name in differing if name not in _EXPLAINED))
-    explained = [
-        _Explained(finding, tuple(name for name in finding.ids if name in differing)) for finding in (*FINDINGS, rest)
-    ]
-    return [one for one in explained if one.differing]

@@ -1,4 +1,4 @@
-"""A run: every entry with its verdict, every picture, and the datasets that they come from."""
+"""A run: every entry with its verdict, every picture, and the datasets from which they come."""
 
 import time
 from collections.abc import Iterable
@@ -11,24 +11,24 @@ from matplotlib.figure import Figure
 from vibrojax.compile.devices import precision
 from vibrojax.progress import Progress
 from vibrojax.reproduce.answers import Answers
-from vibrojax.reproduce.entry import Entry, Group, Picture, drawn, judged
-from vibrojax.reproduce.groups import GROUPS
-from vibrojax.reproduce.needs import Answer, Lane, Need
-from vibrojax.reproduce.verdicts import VERDICTS, Here, Verdict
+from vibrojax.reproduce.needs import Lane
+from vibrojax.reproduce.rules import VERDICTS, Here, Verdict
+from vibrojax.reproduce.table import GROUPS, Entry, Group, Picture, drawn, judged
 
 QUICK_SCENES = ("rotary", "vibro-impact")
+"""Scenes of a quick run: each lane is one more in a program that is compiled for others too."""
 
 
 @dataclass(frozen=True)
 class Result:
-    """An entry and what is computed here beside it."""
+    """An entry and the judgement of its computed side."""
 
     entry: Entry
     here: Here
 
 
 class Reproduced(NamedTuple):
-    """A group with its results, and its pictures with their figures (None: nothing to draw in what was computed)."""
+    """A group with its results and pictures; a figure is None if there is nothing to draw."""
 
     group: Group
     results: tuple[Result, ...]
@@ -37,7 +37,7 @@ class Reproduced(NamedTuple):
 
 @dataclass(frozen=True)
 class Reproduction:
-    """Results and figures by group, the datasets by name, and the seconds that it all took."""
+    """Results and figures by group, the datasets by name, and the seconds that the run took."""
 
     groups: tuple[Reproduced, ...]
     datasets: dict[str, xr.Dataset] = field(repr=False)
@@ -51,17 +51,17 @@ class Reproduction:
 
     @property
     def score(self) -> dict[Verdict, int]:
-        """How many results have each verdict."""
-        return {verdict: sum(one.here.verdict == verdict for one in self.results) for verdict in VERDICTS}
+        """The number of results with each verdict."""
+        return {verdict: sum(result.here.verdict == verdict for result in self.results) for verdict in VERDICTS}
 
 
 def run_reproduction(groups: Iterable[Group] = GROUPS, quick: bool = False, progress: bool = True) -> Reproduction:
-    """Compute the entries of `groups` and put each beside what the source says.
+    """Compute the entries of `groups` and judge each beside the source's statement.
 
     **Arguments:**
 
-    - `quick`: only what closed forms and the points of two scenes answer: half a minute.
-    - `progress`: whether to say on stderr what is being computed, and how far it is.
+    - `quick`: only the results of closed forms and of points of two scenes, which take half a minute.
+    - `progress`: whether to report on stderr what is being computed, and how far the run is.
 
     **Returns:** a `Reproduction`; `write_reproduction` makes a page of it.
 
@@ -69,40 +69,34 @@ def run_reproduction(groups: Iterable[Group] = GROUPS, quick: bool = False, prog
 
     >>> from vibrojax.reproduce import GROUPS
     >>> classical = [group for group in GROUPS if group.name == "classical"]
-    >>> found = vj.run_reproduction(classical, progress=False)
-    >>> found.score["agrees"], len(found.results)
+    >>> reproduction = vj.run_reproduction(classical, progress=False)
+    >>> reproduction.score["agrees"], len(reproduction.results)
     (8, 8)
     """
     began = time.monotonic()
-    chosen = [_quick(group) for group in groups] if quick else list(groups)
-    needs = [need for group in chosen for need in group.needs]
+    groups = [_quick_part(group) for group in groups] if quick else list(groups)
+    needs = [need for group in groups for need in group.needs]
     report = Progress(len(needs), "answers", progress).say
     reproduced = []
     with precision("float64"):
         answers = Answers(needs, report)
-        for group in chosen:
+        for group in groups:
             if not group.entries and not group.pictures:
                 continue
             report(f"results and pictures: {group.name}")
-            results = tuple(Result(entry, judged(entry, _answers_to(entry, answers))) for entry in group.entries)
-            figures = tuple((picture, drawn(picture, _answers_to(picture, answers))) for picture in group.pictures)
-            reproduced.append(Reproduced(group, results, figures))
+            results = (Result(entry, judged(entry, [answers[need] for need in entry.needs])) for entry in group.entries)
+            figures = ((each, drawn(each, [answers[need] for need in each.needs])) for each in group.pictures)
+            reproduced.append(Reproduced(group, tuple(results), tuple(figures)))
     return Reproduction(tuple(reproduced), answers.datasets, time.monotonic() - began, quick)
 
 
-def _answers_to(one: Entry | Picture, answers: Answers) -> list[Answer]:
-    return [answers[need] for need in one.needs]
+def _quick_part(group: Group) -> Group:
+    """Return a group with the entries and pictures that a quick run computes."""
+    entries = tuple(entry for entry in group.entries if _is_quick(entry))
+    return replace(group, entries=entries, pictures=tuple(picture for picture in group.pictures if _is_quick(picture)))
 
 
-def _quick(group: Group) -> Group:
-    """The entries and pictures of a group that a quick run answers."""
-    entries = tuple(entry for entry in group.entries if all(map(_is_quick, entry.needs)))
-    pictures = tuple(picture for picture in group.pictures if all(map(_is_quick, picture.needs)))
-    return replace(group, entries=entries, pictures=pictures)
-
-
-def _is_quick(need: Need) -> bool:
-    """Whether a need is one more lane of a program that is compiled anyway."""
-    if not isinstance(need, Lane) or need.scene not in QUICK_SCENES:
-        return False
-    return not any(isinstance(value, str) for _, value in need.parameters)
+def _is_quick(item: Entry | Picture) -> bool:
+    """Return whether all needs are lanes of a quick scene, with the scene's own friction law."""
+    lanes = [need for need in item.needs if isinstance(need, Lane) and need.scene in QUICK_SCENES]
+    return len(lanes) == len(item.needs) and not any(isinstance(v, str) for lane in lanes for _, v in lane.parameters)

@@ -1,11 +1,11 @@
-"""A mass on a spring, thrown back by a stop: the classical examples of chapter 5's review as one scene.
+"""A mass on a spring that hits a stop: the classical examples of chapter 5's review as one scene.
 
-    x'' + w_n² x + 2 h x' = (F/m) sin(w t + theta) + g,   x <= gap;   at x = gap: x'(+) = −R x'(−)
+    x'' + w_n² x = (F/m) sin(w t) + g,   x <= gap;   at x = gap: x'(+) = −R x'(−)
 
-A mass that would chatter without end comes to rest at the stop, until the force pulls it off.
+A mass that would chatter without end comes to rest at the stop until the force pulls it off.
 
-With F = 0 and h = 0 it is the free vibro-impact oscillator (Fig. 5.7), with w_n = 0 the ball thrown by a force
-(eq. 5.3), with both Tsaplin's driven hammer (eqs. 5.1, 5.2).
+With F = 0 this is the free vibro-impact oscillator (Fig. 5.7), with w_n = 0 the ball thrown by a force (eq. 5.3),
+otherwise Tsaplin's driven hammer (eqs. 5.1, 5.2).
 """
 
 from collections.abc import Mapping
@@ -25,7 +25,6 @@ from vibrojax.sweep.simulation import record
 
 PARAMETERS = table(
     not_negative("natural", 10.0, "rad s-1", "natural frequency", "w_n"),
-    not_negative("damping", 0.0, "s-1", "h", "h"),
     not_negative("drive", 0.0, "m s-2", "amplitude of the force per mass", "F/m"),
     positive("frequency", 10.0, "rad s-1", "frequency of the force", "w"),
     not_negative("pull", 0.0, "m s-2", "constant force per mass", "g"),
@@ -33,16 +32,14 @@ PARAMETERS = table(
     not_negative("gap", 0.0, "m", "place of the stop", "gap"),
 )
 
-
-REST = 1e-6
-"""Share of a typical speed below which a mass that is pushed at the stop rests there."""
+MAX_REST_SPEED = 1e-6
+"""Share of a typical speed below which a mass that is pushed against the stop rests there."""
 
 
 class StruckConstants(NamedTuple):
-    """The parameters, and a typical speed [m/s]."""
+    """The parameters and a typical speed [m/s]."""
 
     natural: Any
-    damping: Any
     drive: Any
     frequency: Any
     pull: Any
@@ -52,8 +49,8 @@ class StruckConstants(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Struck(Scene[StruckConstants]):
-    """States: x, x' and the time t."""
+class StruckMassScene(Scene[StruckConstants]):
+    """Mass and stop, with the states x, x' and the time t."""
 
     name = "struck"
     states = (
@@ -82,10 +79,10 @@ class Struck(Scene[StruckConstants]):
     def field(self, c: StruckConstants, mode: Values, state: Values) -> Values:
         (resting,) = mode
         _, v, t = state
-        return (v, (1.0 - resting) * (self._push(c, state) - 2 * c.damping * v), 0.0 * t + 1.0)
+        return (v, (1.0 - resting) * self._push(c, state), 0.0 * t + 1.0)
 
     def _push(self, c: StruckConstants, state: Values) -> Any:
-        """Force per mass without the damping [m/s²]: an array or a Taylor series, as the state is."""
+        """Return the force per mass [m/s²], an array or a Taylor series like the state."""
         x, _, t = state
         return c.drive * sin(t * c.frequency) + c.pull - c.natural**2 * x
 
@@ -101,7 +98,7 @@ class Struck(Scene[StruckConstants]):
         (resting,) = mode
         x, v, t = state
         v = jnp.where(stop, -c.restitution * v, v)
-        slow = stop & (resting == 0) & (-v < REST * c.speed) & (self._push(c, state) > 0)
+        slow = stop & (resting == 0) & (-v < MAX_REST_SPEED * c.speed) & (self._push(c, state) > 0)
         v = jnp.where(slow, 0.0, v)
         return (jnp.where(stop, jnp.where(slow, 1.0, 0.0), resting),), (jnp.where(stop, c.gap, x), v, t)
 
@@ -109,34 +106,30 @@ class Struck(Scene[StruckConstants]):
         return 1e-12 * c.speed
 
     def rate(self, c: StruckConstants, mode: Values) -> Any:
-        return c.natural + c.frequency + c.damping
+        return c.natural + c.frequency
 
     def speed_scale(self, c: StruckConstants) -> Any:
         return c.speed
 
 
-Impacts = Float[np.ndarray, " impacts"]
-
-
 @dataclass(frozen=True)
 class Blows:
-    """Times [s] of the impacts, and the velocities [m/s] just before and after them; `path` is (times, positions)."""
+    """Times [s] of the impacts, and the velocities [m/s] just before them; `path` is (times, positions)."""
 
-    times: Impacts
-    before: Impacts
-    after: Impacts
+    times: Float[np.ndarray, " impacts"]
+    before: Float[np.ndarray, " impacts"]
     path: tuple[Float[np.ndarray, " steps"], Float[np.ndarray, " steps"]]
 
 
-def blows(start: tuple[float, float], duration: float, **parameters: float) -> Blows:
-    """The impacts of a struck mass from `start` = (x, x') over `duration` [s]."""
-    scene = Struck()
-    p = {name: jnp.full(1, float(parameters.get(name, one.default))) for name, one in PARAMETERS.items()}
+def strike(start: tuple[float, float], duration: float, parameters: Mapping[str, Any]) -> Blows:
+    """Return the impacts of a struck mass from `start` = (x, x') over `duration` [s]."""
+    scene = StruckMassScene()
+    p = {name: jnp.full(1, float(parameters.get(name, entry.default))) for name, entry in PARAMETERS.items()}
     c = scene.constants(p)
     accuracy = Accuracy(tolerance=1e-10, stride=1.0, step=np.inf)
     taken = record(scene, Located(), c, scene.start(c, (*start, 0.0), (1,)), accuracy, jnp.asarray(duration))
-    begin, dt, h, polynomials, after = map(np.asarray, (taken.start, taken.dt, taken.h, taken.polynomials, taken.after))
+    begin, dt, h, polynomials = map(np.asarray, (taken.start, taken.dt, taken.h, taken.polynomials))
     tau = (dt / h)[:, None] ** np.arange(polynomials.shape[2])
     ends = np.einsum("sok,sk->so", polynomials, tau)
     hit = np.asarray(taken.hits[:, 0] & (taken.mode[:, 0] == 0))
-    return Blows((begin + dt)[hit], ends[hit, 1], after[hit, 1], (begin, polynomials[:, 0, 0]))
+    return Blows((begin + dt)[hit], ends[hit, 1], (begin, polynomials[:, 0, 0]))

@@ -1,0 +1,197 @@
+"""Quantities read off several lanes or a map: trends, shares of the source's region, the law of the rate."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Float
+
+from vibrojax.analyses.rop_law import fit_rop
+from vibrojax.reproduce.rules import Here, verdict
+
+Values = Float[np.ndarray, " values"]
+
+SINGLE_IMPACT = 3
+"""The flag of the regime single-impact."""
+REGION = {"beta": (0.25, 0.6), "gamma": (0.6, 0.8)}
+"""The source's region of best performance."""
+HALF_STEP = 0.05 + 1e-6
+"""Half the source's step of 0.1, to which it knows the borders of its region."""
+LISTED_RATE = 2 * np.pi
+"""The listing's rate of penetration over the true one (R8)."""
+
+
+def rises(values: Values) -> bool:
+    """Return whether each value is above the one before."""
+    return bool(np.all(np.diff(values) > 0))
+
+
+def falls(values: Values) -> bool:
+    """Return whether each value is below the one before."""
+    return bool(np.all(np.diff(values) < 0))
+
+
+def levels_off(values: Values) -> bool:
+    """Return whether the second step is positive and below 0.3 of the first: 0.04 and 0.15 mm in Table 6.7."""
+    first, second = np.diff(values)
+    return bool(0 < second < 0.3 * first)
+
+
+def straightness(x: Values | xr.DataArray, y: Values | xr.DataArray) -> float:
+    """Return R² of a straight line."""
+    x, y = np.asarray(x), np.asarray(y)
+    return float(np.corrcoef(x, y)[0, 1] ** 2) if np.ptp(y) > 0 else 1.0
+
+
+def regime_change(map: xr.Dataset, other: xr.Dataset) -> float:
+    """Return the share of a map in which another one has a different regime."""
+    return float((map.regime != other.regime).mean())
+
+
+def single_impact_share(map: xr.Dataset) -> float:
+    """Return the share of a map with a single impact."""
+    return share(single_impact(map))
+
+
+# The source's region. Flags are arrays over the axes of a map, true for good lanes.
+
+
+def single_impact(map: xr.Dataset) -> xr.DataArray:
+    """Return flags of stable single impacts."""
+    return map.regime == SINGLE_IMPACT
+
+
+def clean(map: xr.Dataset) -> xr.DataArray:
+    """Return flags of single impacts with one swing of the striker a cycle."""
+    return single_impact(map) & (map.striker_turns < 1.05)
+
+
+def strong(map: xr.Dataset) -> xr.DataArray:
+    """Return flags of clean single impacts that are faster than the drive."""
+    return clean(map) & (map.impact_velocity > map.v)
+
+
+def coexisting(map: xr.Dataset) -> xr.DataArray:
+    """Return flags of points where one start leads to a single impact and another to something else or weaker."""
+    good = single_impact(map)
+    weakest, strongest = map.impact_velocity.fillna(0).min("start"), map.impact_velocity.where(good).max("start")
+    return good.any("start") & (~good.all("start") | (weakest < 0.9 * strongest))
+
+
+def usual_case(flags: xr.DataArray) -> xr.DataArray:
+    """Return the flags at the source's gap and speed, from its own start."""
+    return flags.sel(delta=-0.005, v=1.5, start="drive")
+
+
+def in_region(
+    flags: xr.DataArray, beta: Sequence[float] = REGION["beta"], gamma: Sequence[float] = REGION["gamma"]
+) -> xr.DataArray:
+    """Return the flags in a box of mass and frequency ratio, borders included."""
+    return flags.sel({name: slice(low - 1e-6, high + 1e-6) for name, (low, high) in (("beta", beta), ("gamma", gamma))})
+
+
+def share(flags: xr.DataArray) -> float:
+    """Return the share of true flags."""
+    return float(flags.mean())
+
+
+def shares(flags: xr.DataArray) -> Values:
+    """Return the share of true flags at each value of the first axis."""
+    return flags.mean(flags.dims[1:]).values
+
+
+def failing(flags: xr.DataArray) -> str:
+    """Return a remark on the false flags, if there are any."""
+    bad = int((~flags).sum())
+    return f"{bad} of {flags.size} points are not" if bad else ""
+
+
+def whole_region(flags: xr.DataArray) -> Here:
+    """Judge if all flags over beta and gamma are true; along a further axis, the worst case counts.
+
+    In trend if at least 0.8 are true, and the false ones lie within half a step of the border.
+    """
+    least = float(flags.mean(("beta", "gamma")).min())
+    core = flags.sel({name: slice(low + HALF_STEP, high - HALF_STEP) for name, (low, high) in REGION.items()})
+    return verdict(least == 1, least >= 0.8 and bool(core.all()))
+
+
+def share_outside(flags: xr.DataArray) -> float:
+    """Return the share of true flags farther than half a step from the region."""
+    beta, gamma = (
+        (flags[name] >= low - HALF_STEP) & (flags[name] <= high + HALF_STEP) for name, (low, high) in REGION.items()
+    )
+    return float(flags.where(~(beta & gamma)).mean())
+
+
+def extents(flags: xr.DataArray, ratios: Sequence[float]) -> str:
+    """Return the ranges of gamma with true flags at some mass ratios."""
+    parts = []
+    for beta in ratios:
+        gammas = flags.gamma.values[flags.sel(beta=beta, method="nearest").values]
+        parts.append(f"beta {beta}: {gammas.min():g} to {gammas.max():g}" if gammas.size else f"beta {beta}: none")
+    return "; ".join(parts)
+
+
+def by_gap(flags: xr.DataArray) -> str:
+    """Return the share of true flags at each gap, which is the first axis."""
+    pairs = zip(flags.delta.values, shares(flags), strict=True)
+    return ", ".join(f"{1e3 * gap:g} mm {portion:.2f}" for gap, portion in pairs)
+
+
+# The law of the rate of penetration (eq. 6.4).
+
+
+def slipping(map: xr.Dataset) -> xr.Dataset:
+    """Return rate and relief of the lanes that slip, along the dimension `lane`."""
+    rate = map.rate_of_penetration
+    return map[["rate_of_penetration", "relief"]].where(rate > 0).stack(lane=list(rate.dims)).dropna("lane")
+
+
+def fit_law(map: xr.Dataset, along: str, width: float = 0.004) -> xr.Dataset:
+    """Return the fits of eq. 6.4 to a map along one of its axes, for pulses of `width` [s]."""
+    if "pulse_width" in map.dims:
+        map = map.sel(pulse_width=width, drop=True)
+    return fit_rop(map, along=along, progress=False)
+
+
+def onset_constants(map: xr.Dataset, width: float = 0.004) -> xr.DataArray:
+    """Return C [m/s] in the listing's rate, by the reading with an onset, over k3 and force."""
+    return LISTED_RATE * fit_law(map, "frequency", width).C.sel(form="onset").transpose("k3", "force", ...)
+
+
+def by_damping(constants: xr.DataArray) -> str:
+    """Return the range of C at each damping."""
+    ranges = [(zeta, constants.sel(zeta=zeta)) for zeta in constants.zeta.values]
+    return "; ".join(f"zeta {zeta}: {float(C.min()):.3g} to {float(C.max()):.3g}" for zeta, C in ranges)
+
+
+def compare_forms(map: xr.Dataset, along: str) -> dict[str, Any]:
+    """Return the number of groups along an axis, of those that a logarithm fits better than a line, and R² of both.
+
+    A better fit has the smaller AIC over the same lanes.
+    """
+    fit = fit_law(map, along)
+    better = int((fit.aic.sel(form="onset") < fit.aic.sel(form="line")).sum())
+    logarithm, line = fit.r_squared.sel(form="onset"), fit.r_squared.sel(form="line")
+    return {"better": better, "groups": logarithm.size, "logarithm": logarithm, "line": line}
+
+
+def slipping_dampings(map: xr.Dataset) -> Values:
+    """Return the values of zeta at which the rock slips at all."""
+    rates = map.rate_of_penetration
+    return map.zeta.values[(rates.max([name for name in rates.dims if name != "zeta"]) > 0).values]
+
+
+def lightest_slipping(map: xr.Dataset) -> xr.Dataset:
+    """Return a map at the lowest zeta at which the rock slips (R24)."""
+    return map.sel(zeta=[slipping_dampings(map)[0]])
+
+
+def excess_over_law(map: xr.Dataset) -> float:
+    """Return the relative excess of the rate over the fitted logarithm at the highest P/D."""
+    fit = fit_law(map, "frequency").sel(form="onset")
+    constant, onset = float(fit.C.squeeze()), float(fit.eta0.squeeze())
+    highest = map.squeeze("zeta").isel(frequency=-1)
+    return float(highest.rate_of_penetration) / (constant * np.log(float(highest.relief) / onset)) - 1

@@ -1,0 +1,204 @@
+"""Pictures of lanes and maps in the source's axes, by the names that `source.toml` uses."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from matplotlib.colors import ListedColormap
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch, Rectangle
+
+from vibrojax.measures.labels import REGIMES
+from vibrojax.models.physics.friction import FRICTION_LAWS
+from vibrojax.plot.colours import REGIME_COLOURS
+from vibrojax.plot.style import BIT, FAINT, INK, START_COLOURS, new_figure
+from vibrojax.reproduce.closed_forms import friction
+from vibrojax.reproduce.figures import FIGURE_WIDTH, LINE_COLOURS, in_row, single_panel
+from vibrojax.reproduce.maps import LISTED_RATE, REGION, coexisting, fit_law, single_impact, strong
+
+LAWS = ("coulomb", "popp-exponential", "popp-arctan", "hyperbolic", "hyperbolic-quadratic", "stribeck")
+SINGLE_IMPACT_COLOURS = {
+    "none": "#E6E6E6",
+    "from some starts": "#9DB7D5",
+    "from every start": "#3E74AB",
+    "and clean, strong": "#F0C808",
+}
+"""Colours of single impacts by the starts that lead to them."""
+
+
+def friction_laws() -> Figure:
+    """Draw mu of each law over the sliding speed (Figs 3.8 to 3.13, 5.12)."""
+    figure = new_figure(FIGURE_WIDTH, 3.6)
+    speeds = np.linspace(0, 5, 1001)
+    for axes, law in zip(figure.subplots(2, 3, sharex=True, sharey=True).ravel(), LAWS, strict=True):
+        mu = friction(law, speeds)
+        axes.plot(np.concatenate([-speeds[::-1], speeds]), np.concatenate([-mu[::-1], mu]), linewidth=1.2)
+        axes.axhline(0, color=FAINT, linewidth=0.5)
+        axes.set_title(f"{law} ({FRICTION_LAWS[law].reference})", fontsize=8)
+        axes.set_ylim(-0.75, 0.75)
+        axes.grid(True)
+    figure.supxlabel("sliding speed u [m/s]", fontsize=9)
+    figure.supylabel("friction coefficient μ sgn u", fontsize=9)
+    return figure
+
+
+def regimes_under_laws(maps: Sequence[xr.Dataset]) -> Figure:
+    """Draw the regimes over beta and gamma under each law."""
+    figure = new_figure(FIGURE_WIDTH, 4.2)
+    colours = ListedColormap([REGIME_COLOURS[flag] for flag in range(len(REGIMES))])
+    panels = figure.subplots(2, 3, sharex=True, sharey=True)
+    for axes, map, law in zip(panels.ravel(), maps, LAWS, strict=True):
+        regime = map.regime.sel(start="drive").transpose("gamma", "beta")
+        axes.pcolormesh(map.beta, map.gamma, regime, cmap=colours, vmin=-0.5, vmax=len(REGIMES) - 0.5)
+        axes.set_title(law)
+    for axes in panels[-1]:  # a label of the whole figure would lie under the legend
+        axes.set_xlabel("mass ratio β")
+    for axes in panels[:, 0]:
+        axes.set_ylabel("frequency ratio γ")
+    flags = sorted({int(flag) for map in maps for flag in np.unique(map.regime)})
+    _legend_below(figure, {REGIMES[flag]: REGIME_COLOURS[flag] for flag in flags})
+    return figure
+
+
+def _legend_below(figure: Figure, colours: Mapping[str, str], title: str | None = None) -> None:
+    """Draw a legend of filled patches below the panels."""
+    handles = [Patch(facecolor=colour, edgecolor=FAINT, label=name) for name, colour in colours.items()]
+    figure.legend(handles=handles, loc="outside lower center", ncols=4, title=title)
+
+
+def settling_times(speeds: Mapping[str, Any], ratios: Mapping[str, Any]) -> Figure:
+    """Draw the settling time over the drive speed and over gamma (Figs 5.22, 5.38)."""
+    figure, panels = in_row(2, 2.8)
+    columns = ((speeds, "v", "driving velocity v [m/s]"), (ratios, "gamma", "frequency ratio γ (β = 0.3)"))
+    for axes, (lanes, name, label) in zip(panels, columns, strict=True):
+        axes.plot(lanes[name], lanes["settling_time"], "o-", color=BIT, markersize=4)
+        axes.set_xlabel(label)
+        axes.set_ylim(bottom=0)
+    panels[0].set_ylabel("settling time [s]")
+    return figure
+
+
+def over_stribeck_speed(lanes: Mapping[str, Any]) -> Figure:
+    """Draw frequency and change of velocity over v_cr, for both gaps and three starts (Figs 5.53, 5.54)."""
+    figure, panels = in_row(2, 3.2)
+    quantities = (("omega", 27.45, "frequency [rad/s]"), ("velocity_change", 4.0, "change of velocity [m/s]"))
+    for axes, (name, source, label) in zip(panels, quantities, strict=True):
+        axes.axhline(source, color=FAINT, linewidth=1.0, linestyle=(0, (4, 3)))
+        for gap, marker in ((-0.005, "o"), (0.005, "^")):
+            for start in ("drive", "stuck", "touching"):
+                lines = (lanes["delta"] == gap) & (lanes["start"] == start)
+                colour = START_COLOURS[start]
+                speeds, values = lanes["v_cr"][lines], lanes[name][lines]
+                axes.plot(speeds, values, color=colour, linewidth=0.6)
+                for speed, value, single in zip(speeds, values, lanes["single"][lines], strict=True):
+                    face = colour if single else "white"
+                    axes.plot(speed, value, marker, color=colour, markerfacecolor=face, markersize=5)
+                axes.plot([], [], marker + "-", color=colour, markersize=4, label=f"{1e3 * gap:+.0f} mm, {start}")
+        axes.set(xlabel="Stribeck speed v_cr [m/s]", ylabel=label)
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    return figure
+
+
+def region_of_impacts(map: xr.Dataset) -> Figure:
+    """Draw single impacts over mass and frequency ratio, for both gaps, with the source's region (section 5.7)."""
+    figure, panels = in_row(2, 3.4, share=True, grid=False)
+    (beta, beta_end), (gamma, gamma_end) = REGION.values()
+    for axes, delta in zip(panels, map.delta.values, strict=True):
+        part = map.sel(delta=delta, v=1.5)
+        good, best = single_impact(part), strong(part)
+        kind = good.any("start").astype(int) + good.all("start").astype(int) + best.all("start").astype(int)
+        colours = ListedColormap(list(SINGLE_IMPACT_COLOURS.values()))
+        axes.pcolormesh(part.beta, part.gamma, kind.transpose("gamma", "beta"), cmap=colours, vmin=-0.5, vmax=3.5)
+        region = Rectangle((beta, gamma), beta_end - beta, gamma_end - gamma, fill=False, edgecolor=INK, linewidth=1.5)
+        axes.add_patch(region)
+        axes.set(title=f"gap {1e3 * delta:+.0f} mm", xlabel="mass ratio β")
+    panels[0].set_ylabel("frequency ratio γ")
+    _legend_below(figure, SINGLE_IMPACT_COLOURS, "single impact")
+    return figure
+
+
+def shares_over_gap(map: xr.Dataset) -> Figure:
+    """Draw shares of the region over the gap, all speeds together (section 5.7)."""
+    figure, axes = single_panel(3.0)
+    gaps = 1e3 * map.delta.values
+
+    def draw(flags: xr.DataArray, line: str, colour: str, label: str) -> None:
+        axes.plot(gaps, flags.mean(("v", "beta", "gamma")), line, color=colour, markersize=4, label=label)
+
+    for start, colour in zip(map.start.values, LINE_COLOURS, strict=False):
+        draw(single_impact(map).sel(start=start), "o-", colour, f"single, from {start}")
+    draw(strong(map).sel(start="stuck"), "s--", INK, "clean, strong, from stuck")
+    draw(coexisting(map), "^:", LINE_COLOURS[4], "a second, worse motion")
+    axes.set(xlabel="gap Δ [mm], negative: preload", ylabel="share of the region")
+    axes.set_ylim(-0.03, 1.03)
+    axes.set_xticks(np.round(gaps, 1))
+    axes.legend(loc="center left")
+    return figure
+
+
+def rates(map: xr.Dataset, x: str, scale: float, label: str, lines: str, line: str, marker: str) -> Figure:
+    """Draw the rate of penetration over `x`, a line for each value of the axis `lines` (Figs 6.19, 6.20, 6.33, 6.34).
+
+    `x` is drawn in units of `scale`. `line` is the label of a line, a format of the value; k3 is in MN/m.
+    """
+    figure, axes = single_panel(3.0)
+    for value, colour in zip(map[lines].values, LINE_COLOURS, strict=False):
+        part = map.sel({lines: value})
+        name = line.format(value / 1e6 if lines == "k3" else value)
+        axes.plot(part[x] / scale, 1e3 * part.rate_of_penetration, marker, color=colour, markersize=4, label=name)
+    axes.set(xlabel=label, ylabel="rate of penetration [mm/s]")
+    axes.legend()
+    return figure
+
+
+def surfaces(map: xr.Dataset, name: str, label: str, azimuth: int) -> Figure:
+    """Draw the rate over a force, by its name, and the frequency; a panel for each k3 (Figs 6.23, 6.25, 6.26)."""
+    figure = new_figure(FIGURE_WIDTH, 3.4)
+    stiffnesses = map.k3.values if "k3" in map.dims else [None]
+    for column, k3 in enumerate(stiffnesses, start=1):
+        axes = figure.add_subplot(1, len(stiffnesses), column, projection="3d")
+        part = map if k3 is None else map.sel(k3=k3)
+        force, frequency = np.meshgrid(part[name] / 1e3, part.frequency, indexing="ij")
+        axes.plot_surface(force, frequency, 1e3 * part.rate_of_penetration.values, cmap="viridis")
+        axes.set(xlabel=label, ylabel="frequency [Hz]", zlabel="ROP [mm/s]")
+        axes.view_init(25, azimuth)
+        axes.set_title("" if k3 is None else f"k₃ = {k3 / 1e6:g} MN/m")
+    return figure
+
+
+def laws_beside_rates(map: xr.Dataset) -> Figure:
+    """Draw the rate over P/D with the logarithm and the line fitted to it (eq. 6.4)."""
+    figure, panels = in_row(2, 3.0)
+    fit = fit_law(map, "frequency")
+    map = map.sel(pulse_width=0.004)
+    for axes, k3 in zip(panels, map.k3.values, strict=True):
+        for force, colour in zip(map.force.values, LINE_COLOURS, strict=False):
+            lanes, law = map.sel(k3=k3, force=force), fit.sel(k3=k3, force=force)
+            relief = np.linspace(1e-3, 1.05 * float(lanes.relief.max()), 200)
+            logarithm = float(law.C.sel(form="onset")) * np.log(relief / float(law.eta0.sel(form="onset")))
+            curve = np.where(logarithm > 0, 1e3 * logarithm, np.nan)
+            axes.plot(relief, curve, color=colour, linestyle="--", linewidth=0.9)
+            axes.plot(relief, 1e3 * float(law.C.sel(form="line")) * relief, color=colour, linewidth=0.9)
+            axes.plot(lanes.relief, 1e3 * lanes.rate_of_penetration, "o", color=colour, label=f"{force / 1e3:g} kN")
+        axes.set(title=f"k₃ = {k3 / 1e6:g} MN/m", xlabel="relief P/D")
+    panels[0].set_ylabel("rate of penetration [mm/s]")
+    panels[0].plot([], [], color=INK, linewidth=0.9, label="line")
+    panels[0].plot([], [], color=INK, linewidth=0.9, linestyle="--", label="logarithm")
+    panels[0].legend()
+    return figure
+
+
+def constants_over_force(map: xr.Dataset) -> Figure:
+    """Draw C over force, stiffness and pulse width, with the source's range."""
+    figure, axes = single_panel(2.8)
+    axes.axhspan(0.046, 0.189, color=FAINT, alpha=0.3, linewidth=0)
+    for width, marker in zip(map.pulse_width.values, ("s--", "o-"), strict=True):
+        fit = fit_law(map, "frequency", float(width))
+        for k3, colour in zip(map.k3.values, LINE_COLOURS, strict=False):
+            constants = LISTED_RATE * fit.C.sel(form="onset", k3=k3)
+            label = f"{k3 / 1e6:g} MN/m, {1e3 * width:g} ms"
+            axes.plot(map.force / 1e3, constants, marker, color=colour, markersize=4, label=label)
+    axes.set(xlabel="force [kN]", ylabel="C [m/s], listing's rate")
+    axes.legend()
+    return figure

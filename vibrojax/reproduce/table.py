@@ -1,0 +1,178 @@
+"""The results of the source as data: rows of `results.csv`; groups, pictures, findings and readings of `source.toml`.
+
+The cells `value`, `rule` and `draw` are expressions in the syntax of jinja2. They can use the names that `collect` in
+`answers.py` gives to answers, `x` for the cell `value`, and all names in `_MODULES`. `here` and `remark` are texts with
+such expressions in braces. An empty `here` stands for the text of the rule.
+"""
+
+import csv
+import tomllib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cache, partial
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+from jinja2 import Environment, StrictUndefined
+from matplotlib.figure import Figure
+
+from vibrojax.models.physics.contact import contact_time, restitution
+from vibrojax.models.physics.rock import ROCKS
+from vibrojax.plot.style import styled
+from vibrojax.reproduce import closed_forms, figures, maps, motions, pictures_maps, pictures_motions, rules
+from vibrojax.reproduce.answers import Answer, Unanswered, collect
+from vibrojax.reproduce.needs import Labelled, Need, read_needs
+from vibrojax.reproduce.rules import DIFFERS, FIELD, Here, formatted
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One result of the source: its id like `fig-5.67b`, its subject, and the source's statement about it.
+
+    `judge` takes the answers to `needs`, in their order. `tolerance` says what counts as agreement, and why; `readings`
+    are the readings on which the result rests, R1 and so on.
+    """
+
+    id: str
+    what: str
+    source: str
+    needs: tuple[Need, ...]
+    judge: Callable[..., Here]
+    tolerance: str
+    readings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture in the source's axes; `ids` are the source's figures. `draw` takes the answers to `needs`, in order."""
+
+    ids: str
+    caption: str
+    needs: tuple[Need, ...]
+    draw: Callable[..., Figure]
+
+
+@dataclass(frozen=True)
+class Group:
+    """Entries and pictures under one title, with a short text before them."""
+
+    name: str
+    title: str
+    text: str
+    entries: tuple[Entry, ...]
+    pictures: tuple[Picture, ...] = ()
+
+    @property
+    def needs(self) -> list[Need]:
+        """All needs of its entries, then of its pictures."""
+        of_entries = [need for entry in self.entries for need in entry.needs]
+        return of_entries + [need for picture in self.pictures for need in picture.needs]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """The meaning of a difference for those who build or run such a drill, and the results that it explains."""
+
+    text: str
+    ids: tuple[str, ...]
+
+
+UNREADABLE = (ValueError, IndexError, ZeroDivisionError)
+"""Errors from a motion without the event that is read off it: no return, no impact, only NaN."""
+
+
+def judged(entry: Entry, answers: list[Answer]) -> Here:
+    """Return the judgement of an entry; a missing or unreadable answer is a difference."""
+    missing = [answer.reason for answer in answers if isinstance(answer, Unanswered)]
+    if missing:
+        return Here("nan", DIFFERS, f"could not be computed: {missing[0]}")
+    try:
+        return entry.judge(*answers)
+    except UNREADABLE as problem:
+        return Here("nan", DIFFERS, f"nothing to read in what was computed: {problem}")
+
+
+def drawn(picture: Picture, answers: list[Answer]) -> Figure | None:
+    """Return the figure, or None if the answers have nothing to draw."""
+    if any(isinstance(answer, Unanswered) for answer in answers):
+        return None
+    try:
+        return picture.draw(*answers)
+    except UNREADABLE:
+        return None
+
+
+_MODULES = (rules, maps, motions, closed_forms, figures, pictures_motions, pictures_maps)
+EXPRESSIONS = Environment(undefined=StrictUndefined)
+EXPRESSIONS.globals |= {name: value for module in _MODULES for name, value in vars(module).items() if name[0] != "_"}
+EXPRESSIONS.globals |= {name: getattr(np, name) for name in ("abs", "array", "cos", "diff", "pi", "ptp", "sqrt")}
+EXPRESSIONS.globals |= {"ROCKS": ROCKS, "contact_time": contact_time, "restitution": restitution}
+
+
+@cache
+def compiled(expression: str) -> Callable[[Mapping[str, Any]], Any]:
+    """Return an expression as a function of the names in it."""
+    return EXPRESSIONS.compile_expression(expression, undefined_to_none=False)
+
+
+def fill(text: str, names: Mapping[str, Any]) -> str:
+    """Return a text with the expressions in braces replaced by their formatted values."""
+    return FIELD.sub(lambda field: formatted(compiled(field[1])(names), field[2] or ""), text)
+
+
+def _judge(row: Mapping[str, str], needs: tuple[Labelled, ...], *answers: Answer) -> Here:
+    """Judge a row of `results.csv` by the answers to its needs."""
+    names = collect(needs, list(answers))
+    if row["value"]:
+        names["x"] = compiled(row["value"])(names)
+    judgement: Here = compiled(row["rule"])(names)
+    text = fill(row["here"], names) or judgement.text
+    return Here(text, judgement.verdict, fill(row["remark"], names) or judgement.note)
+
+
+def _draw(expression: str, needs: tuple[Labelled, ...], *answers: Answer) -> Figure:
+    """Draw a picture from the answers to its needs."""
+    return styled(compiled(expression))(collect(needs, list(answers)))
+
+
+def _flowing(text: str) -> str:
+    """Return a text on one line."""
+    return " ".join(text.split())
+
+
+_FOLDER = files("vibrojax.reproduce")
+_SOURCE = tomllib.loads((_FOLDER / "source.toml").read_text(encoding="utf-8"))
+ROWS = list(csv.DictReader((_FOLDER / "results.csv").read_text(encoding="utf-8").splitlines()))
+
+
+def _needs(text: str) -> tuple[tuple[Labelled, ...], tuple[Need, ...]]:
+    """Return the needs of a row with and without their labels."""
+    labelled = read_needs(text, _SOURCE["needs"], _SOURCE["maps"])
+    return labelled, tuple(need for _, need in labelled)
+
+
+def _entry(row: Mapping[str, str]) -> Entry:
+    labelled, needs = _needs(row["needs"])
+    tolerance = _flowing(_SOURCE["tolerances"].get(row["tolerance"], row["tolerance"]))
+    judge = partial(_judge, row, labelled)
+    return Entry(row["id"], row["what"], row["source"], needs, judge, tolerance, tuple(row["readings"].split()))
+
+
+def _picture(row: Mapping[str, str]) -> Picture:
+    labelled, needs = _needs(row["needs"])
+    return Picture(row["ids"], _flowing(row["caption"]), needs, partial(_draw, _flowing(row["draw"]), labelled))
+
+
+def _group(group: Mapping[str, Any]) -> Group:
+    entries = tuple(_entry(row) for row in ROWS if row["group"] == group["name"])
+    pictures = tuple(map(_picture, group.get("pictures", ())))
+    return Group(group["name"], group["title"], _flowing(group["text"]), entries, pictures)
+
+
+GROUPS = tuple(map(_group, _SOURCE["groups"]))
+"""The groups of results that belong together, in the order of the page."""
+FINDINGS = tuple(Finding(_flowing(row["text"]), tuple(row["ids"].split())) for row in _SOURCE["findings"])
+"""The most important first."""
+READINGS = {name: _flowing(text) for name, text in _SOURCE["readings"].items()}
+"""How the source was read where it is misprinted or silent, by name."""
