@@ -2,7 +2,7 @@
 
     python tests/benchmarks/estimates.py [NAME ...]
 
-A printout, not a test: a table with the ratios, and the constants of `vibrojax/analyses/sweep/run/engine/costs.py` as
+A printout, not a test: a table with the ratios, and the constants of `vibrojax/sweep/engine/costs.py` as
 they are on this machine and with this jax. Each sweep runs in a process of its own, with nothing compiled before. It
 takes five minutes; other work on the machine disturbs little, since only the process's own time counts.
 """

@@ -8,7 +8,7 @@ A censored lane was observed at zero rate. It has a residual only if the model p
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -61,6 +61,7 @@ _LEAST_SINGULAR_VALUE = 1e-7  # of a Jacobian with columns of length one, below 
 _LEAST_FREE_SHARE = 1e-6  # of 1 - h, below which a lane is met exactly whatever its noise
 
 
+@runtime_checkable
 class RateModel(Protocol):
     """A model of the rates of a group of lanes, as a function of its coefficients theta."""
 
