@@ -94,6 +94,7 @@ def test_registry():
 def test_expressions_can_be_read():
     """Braces are balanced, and a picture or rule calls only functions that exist."""
     for row in ROWS:
+        assert None not in row and None not in row.values(), row["id"]  # a comma without quotes
         texts = row["here"] + row["remark"]
         assert "{" not in FIELD.sub("", texts) and "}" not in FIELD.sub("", texts), row["id"]
         for expression in filter(None, [row["value"], row["rule"], *(field[1] for field in FIELD.finditer(texts))]):

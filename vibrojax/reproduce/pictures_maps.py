@@ -9,9 +9,9 @@ from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
 
+from vibrojax.analyses.pictures import REGIME_COLOURS
 from vibrojax.measures.labels import REGIMES
 from vibrojax.models.physics.friction import FRICTION_LAWS
-from vibrojax.plot.colours import REGIME_COLOURS
 from vibrojax.plot.style import BIT, FAINT, INK, START_COLOURS, new_figure
 from vibrojax.reproduce.closed_forms import friction
 from vibrojax.reproduce.figures import FIGURE_WIDTH, LINE_COLOURS, in_row, single_panel

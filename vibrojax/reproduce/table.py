@@ -90,7 +90,7 @@ def judged(entry: Entry, answers: list[Answer]) -> Here:
     try:
         return entry.judge(*answers)
     except UNREADABLE as problem:
-        return Here("nan", DIFFERS, f"nothing to read in what was computed: {problem}")
+        return Here("nan", DIFFERS, f"the computation has nothing to read: {problem}")
 
 
 def drawn(picture: Picture, answers: list[Answer]) -> Figure | None:
