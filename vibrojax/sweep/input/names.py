@@ -202,7 +202,7 @@ def read_names(
     """
     enter_offered()
     system = scene if isinstance(scene, Scene) else scene_named(choice(place, scene, tuple(SCENES)))
-    own = {field.name for field in fields(system)} if is_dataclass(system) else set()
+    own: set[str] = {field.name for field in fields(system)} if is_dataclass(system) else set()
     options: dict[str, Any] = {name: getattr(system, name) for name in CHOICES if name in own}
     for option, value in (chosen or {}).items():
         here = (options_place or place).at(option)
