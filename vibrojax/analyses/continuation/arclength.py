@@ -1,8 +1,8 @@
 """Pseudo-arclength continuation of many branches at once.
 
 From a point with tangent t the next point lies on the plane t u = t g (Keller; Doedel, *Lecture Notes on Numerical
-Analysis of Nonlinear Equations*, 2007). Newton's method corrects the predictor g, which extrapolates the last two points
-and their tangents by a cubic. The step length of each lane follows from the angle between its tangents and from the
+Analysis of Nonlinear Equations*, 2007). Newton's method corrects the predictor g, a cubic extrapolation of the last two
+points and their tangents. The step length of each lane follows from the angle between its tangents and from the
 number of corrector iterations. Where steps fail because the order of events changes ahead, the zero of the grazing
 margin is predicted, so that steps end just before it or just behind. One batch evaluates the current iterate of every
 active lane, so that no lane waits for another.

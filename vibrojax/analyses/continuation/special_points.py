@@ -108,8 +108,8 @@ def _join(parts: Sequence[tuple[Kinds, BranchBrackets]]) -> tuple[Kinds, BranchB
 def _shrink(problem: Problem, kind: Kinds, brackets: BranchBrackets) -> tuple[BranchBrackets, Flags]:
     """Shrink brackets to the zeros of the test functions of their kinds.
 
-    For `EVENT_CHANGE` the test function is the margin, which vanishes from one side at least. Its sign is negative where
-    the events differ from those at the near end.
+    For `EVENT_CHANGE` the test function is the margin, which vanishes from one side at least. Its sign is negative
+    where the events differ from those at the near end.
     """
     counts = brackets.near.signature
 
