@@ -20,7 +20,7 @@ from vibrojax.sweep.engine.chunks import certified
 from vibrojax.sweep.engine.underway import Ended
 from vibrojax.sweep.input.definition import Sweep
 
-REPEATS = (1, 2, 3)
+EARLY_REPEATS = (1, 2, 3)
 """Numbers of returns of a repeat that the last eight returns show several times."""
 
 NEWTON_REACH = 2e-2
@@ -73,7 +73,7 @@ class EarlyEnds:
 
     def near(self, batch: Batch) -> Bool[np.ndarray, " lanes"]:
         """Return which lanes may be within the reach of an orbit."""
-        return np.any([self._approaches(batch, repeat) for repeat in REPEATS], axis=0)
+        return np.any([self._approaches(batch, repeat) for repeat in EARLY_REPEATS], axis=0)
 
     def __call__(self, batch: Batch) -> list[Ended]:
         """Return the lanes of the `batch` that need no more steps, by index, trying the shortest repeats first."""
@@ -81,7 +81,7 @@ class EarlyEnds:
         free = np.ones(len(batch.begin), bool)
         ended = []
         with np.errstate(all="ignore"):
-            for repeat in REPEATS:
+            for repeat in EARLY_REPEATS:
                 lanes = np.flatnonzero(free & self._approaches(batch, repeat))
                 if len(lanes):
                     near = read_approach(batch.underway.carry, lanes, repeat, self._accuracy.tolerance)

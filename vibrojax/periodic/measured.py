@@ -15,7 +15,7 @@ from vibrojax.sweep.engine.batch import Batch, Engine, Features, Index
 from vibrojax.sweep.engine.programs import Given
 from vibrojax.sweep.input.definition import Sweep
 
-STEPS = Accuracy(tolerance=1e-10, stride=LOCATED_STRIDE, step=np.inf)
+ORBIT_ACCURACY = Accuracy(tolerance=1e-10, stride=LOCATED_STRIDE, step=np.inf)
 """Accuracy of the steps over an orbit."""
 
 DRIVEN_RETURNS = 4
@@ -78,7 +78,9 @@ class Measuring:
         """Measure lanes of the chunk from `first` to before `end`, see `of`."""
         return self.of(self._engine.given(first, end), begun)
 
-    def of(self, given: Given, begun: Begun, steps: Accuracy = STEPS) -> tuple[Features, Bool[np.ndarray, " lanes"]]:
+    def of(
+        self, given: Given, begun: Begun, steps: Accuracy = ORBIT_ACCURACY
+    ) -> tuple[Features, Bool[np.ndarray, " lanes"]]:
         """Return the features over one repeat, and which lanes had the expected number of returns.
 
         **Arguments:** `given`: parameters and starts of the chunk; `begun`: initial conditions of some of its lanes.

@@ -18,7 +18,7 @@ from jaxtyping import Complex, Float, Int
 
 from vibrojax.periodic.return_map import Mapped
 
-CONVERGED = 1e-12
+NEWTON_RESIDUAL = 1e-12
 """Residual at which rounding errors dominate."""
 
 ACCEPTED = 1e-10
@@ -71,7 +71,7 @@ def orbits(
     scales: Float[np.ndarray, "lanes states"],
     reach: np.ndarray,
     go: ReturnMap,
-    enough: float = CONVERGED,
+    enough: float = NEWTON_RESIDUAL,
     most: int = NEWTON_MAX_ITERATIONS,
 ) -> PeriodicOrbits:
     """Return the orbits near the initial guesses `begin`, with as many returns as these have.

@@ -24,7 +24,7 @@ MOST_STEPS = 4000
 """Steps of one return; the usual drill takes about fifty."""
 
 
-class Seen(NamedTuple):
+class ReturnEvents(NamedTuple):
     """Events and ranges of a motion between two returns; each (lanes,) unless stated otherwise.
 
     - `returned`: true if the section was reached; `impacts`: their number; `steps` taken.
@@ -51,7 +51,7 @@ class Mapped(NamedTuple):
     state: Array
     time: Lanes
     jacobian: Array
-    seen: Seen
+    seen: ReturnEvents
 
 
 class _Flight(NamedTuple):
@@ -60,7 +60,7 @@ class _Flight(NamedTuple):
     lane: Lane
     time: Lanes
     armed: Flags
-    seen: Seen
+    seen: ReturnEvents
 
 
 @lane_function(static=3, derives=True)
@@ -83,7 +83,7 @@ def mapped(
     """
     rows = state.shape[0]
 
-    def image(unknowns: Array) -> tuple[tuple[Array, Lanes], Seen]:
+    def image(unknowns: Array) -> tuple[tuple[Array, Lanes], ReturnEvents]:
         varied = dict(zip(along, unknowns[rows:], strict=True))
         begin = jax.lax.stop_gradient(at_section(scene, state))
         c = scene.scaled(scene.constants(p | varied), begin)
@@ -108,7 +108,7 @@ def at_section(scene: Scene[Any], state: Array) -> Values:
 
 def one_return(
     scene: Scene[Any], stepper: Stepper, c: Any, state: Array, accuracy: Accuracy, most_steps: Real = MOST_STEPS
-) -> tuple[tuple[Array, Lanes], Seen]:
+) -> tuple[tuple[Array, Lanes], ReturnEvents]:
     """Return ((image under the return map, time [s] to it), events between); pure, hence differentiable.
 
     **Arguments:** `c`: the scene's constants, scaled for the motion; `state` (states, lanes).
@@ -120,7 +120,7 @@ def one_return(
     none = jnp.zeros_like(zero, bool)
     own = jax.lax.stop_gradient(_map_state(scene, lane))
     changes = jnp.zeros((max(len(scene.modes), 1), 3, *zero.shape), zero.dtype)
-    begin = _Flight(lane, zero, none, Seen(none, zero, zero, changes, jnp.full_like(zero, jnp.inf), own, own))
+    begin = _Flight(lane, zero, none, ReturnEvents(none, zero, zero, changes, jnp.full_like(zero, jnp.inf), own, own))
 
     def is_moving(flight: _Flight) -> Flags:
         return ~flight.seen.returned & (flight.seen.steps < most_steps) & jnp.isfinite(flight.lane.state[0])
@@ -131,7 +131,7 @@ def one_return(
         armed, returns = passed(scene, section, c, flight.armed, step)
         seen = flight.seen
         own = jax.lax.stop_gradient(_map_state(scene, lane))
-        seen = Seen(
+        seen = ReturnEvents(
             returned=seen.returned | (returns & moving),
             impacts=seen.impacts + _impacts(scene, c, step),
             steps=seen.steps + moving.astype(seen.steps.dtype),

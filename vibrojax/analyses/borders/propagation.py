@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from vibrojax.analyses.continuation.arclength import ENDED, STALLED, BranchPoints, InitialPoints, continue_branches
-from vibrojax.analyses.continuation.brackets import Brackets, shrink_brackets
+from vibrojax.analyses.continuation.brackets import BranchBrackets, shrink_brackets
 from vibrojax.analyses.continuation.families import STEP_AFTER_CORNER, last_before
 from vibrojax.analyses.continuation.indicators import KINDS, spectral_radius
 from vibrojax.analyses.continuation.problem import Evaluation, Flags, Index, PerLane, Problem, Unknowns, unit_tangent
@@ -41,7 +41,7 @@ Cell = tuple[int, int, int]
 Step = tuple[int, int]
 """A step to a neighbour: axis of the plane, and direction."""
 
-STEPS: tuple[Step, ...] = ((0, 1), (0, -1), (1, 1), (1, -1))
+GRID_STEPS: tuple[Step, ...] = ((0, 1), (0, -1), (1, 1), (1, -1))
 
 States = Float[np.ndarray, "edges states"]
 Lost = Int[np.ndarray, " lost"]
@@ -71,7 +71,7 @@ class Planes(NamedTuple):
         return float(self.values[axis][cell[1 + axis]])
 
 
-class Loss(NamedTuple):
+class OrbitLoss(NamedTuple):
     """End of a stable single impact on an edge: `kind` as a flag, `value` along the edge's axis."""
 
     kind: int
@@ -82,13 +82,13 @@ class Loss(NamedTuple):
 class GridOrbit:
     """A stable single impact at a point of the grid: its state at the section and the state's scales.
 
-    `leads`: for each step the orbit at the neighbour, or the `Loss` on the way.
+    `leads`: for each step the orbit at the neighbour, or the `OrbitLoss` on the way.
     """
 
     cell: Cell
     state: np.ndarray
     scale: np.ndarray
-    leads: "dict[Step, GridOrbit | Loss]" = field(default_factory=dict)
+    leads: "dict[Step, GridOrbit | OrbitLoss]" = field(default_factory=dict)
 
 
 OrbitsByCell = dict[Cell, list[GridOrbit]]
@@ -127,7 +127,7 @@ def propagate(scene: Scene[Any], planes: Planes, orbits: OrbitsByCell, most_step
             edges = [
                 (orbit, step, end)
                 for orbit in front
-                for step in STEPS
+                for step in GRID_STEPS
                 if step[0] == axis and step not in orbit.leads
                 if (end := planes.neighbour(orbit.cell, step)) is not None
             ]
@@ -157,7 +157,7 @@ def _propagate_along(
     new = []
     for k, (orbit, step, cell) in enumerate(edges):
         if not results.arrived[k]:
-            orbit.leads[step] = Loss(int(results.kind[k]), float(results.value[k]))
+            orbit.leads[step] = OrbitLoss(int(results.kind[k]), float(results.value[k]))
             continue
         other = find_orbit(orbits, cell, results.states[k])
         if other is None:
@@ -225,7 +225,7 @@ def _locate_losses(problem: Problem, lanes: Index, points: BranchPoints, lost: L
     results.value[family] = problem.value(family, shrunk.near.u)
 
 
-def _kinds_of_loss(problem: Problem, brackets: Brackets) -> Int[np.ndarray, " brackets"]:
+def _kinds_of_loss(problem: Problem, brackets: BranchBrackets) -> Int[np.ndarray, " brackets"]:
     """Return the kinds of the points between the ends of brackets: by their events, else by the nearest multiplier."""
     values = multipliers(brackets.near.product)
     real = np.abs(values.imag) < 1e-6
@@ -258,7 +258,7 @@ def _pass_corners(
     on = corner.turned & is_stable_single_impact(corner.evaluation)
     off = np.flatnonzero(~on)
     if len(off):
-        brackets = Brackets(family, bounds[stalled], before, tangent, corner.evaluation, tangent).of(off)
+        brackets = BranchBrackets(family, bounds[stalled], before, tangent, corner.evaluation, tangent).of(off)
         same = (brackets.near.signature == brackets.far.signature).all(axis=1)
         results.kind[family[off]] = np.where(same, KINDS.index("end"), _kinds_of_loss(problem, brackets))
         results.value[family[off]] = problem.value(family, last.u)[off]

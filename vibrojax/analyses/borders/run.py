@@ -14,7 +14,7 @@ from vibrojax.analyses.borders.curves import Border, Vertex, around_region
 from vibrojax.analyses.borders.propagation import (
     Cell,
     GridOrbit,
-    Loss,
+    OrbitLoss,
     OrbitsByCell,
     Planes,
     add_orbit,
@@ -32,7 +32,7 @@ from vibrojax.models.scenes import HasContact
 from vibrojax.periodic.of_dataset import known_orbits
 from vibrojax.sweep.input.definition import Sweep
 
-ANY = "any"
+ANY_START = "any"
 """Name, in place of a start, of the region of all orbits, however they are reached."""
 
 DEFAULT_AXES = ("gamma", "beta")
@@ -149,9 +149,9 @@ class _Regions:
         for plane, i, j in self._orbits:
             reached[plane, i, j] = True
         for plane in range(self._planes.shape[0]):
-            for number, start in enumerate([*self._starts, ANY]):
-                inside = reached[plane] if start == ANY else self._single[plane, :, :, number]
-                ends = partial(self._vertex, plane, None if start == ANY else number)
+            for number, start in enumerate([*self._starts, ANY_START]):
+                inside = reached[plane] if start == ANY_START else self._single[plane, :, :, number]
+                ends = partial(self._vertex, plane, None if start == ANY_START else number)
                 pieces, area = around_region(inside, x, y, ends)
                 curves += [(piece, plane, start) for piece in pieces]
                 areas.append((area, plane, start))
@@ -167,7 +167,7 @@ class _Regions:
         if start is not None:
             orbits = [self._own[(*cell, start)]] if (*cell, start) in self._own else []
         leads = [orbit.leads.get(step) for orbit in orbits]
-        losses = [lead for lead in leads if isinstance(lead, Loss)]
+        losses = [lead for lead in leads if isinstance(lead, OrbitLoss)]
         value = (begin + end) / 2
         if losses and len(losses) == len(leads):
             furthest = max(losses, key=lambda loss: abs(loss.value - begin))

@@ -1,11 +1,11 @@
-"""Pseudo-arclength continuation of many branches at once (Keller; Doedel, *Lecture Notes on Numerical Analysis of
-Nonlinear Equations*, 2007).
+"""Pseudo-arclength continuation of many branches at once.
 
-From a point with tangent t the next point lies on the plane t u = t g. Newton's method corrects the predictor g, which
-extrapolates the last two points and their tangents by a cubic. The step length of each lane follows from the angle
-between its tangents and from the number of corrector iterations. Where steps fail because the order of events changes
-ahead, the zero of the grazing margin is predicted, so that steps end just before it or just behind. One batch evaluates
-the current iterate of every active lane, so that no lane waits for another.
+From a point with tangent t the next point lies on the plane t u = t g (Keller; Doedel, *Lecture Notes on Numerical
+Analysis of Nonlinear Equations*, 2007). Newton's method corrects the predictor g, a cubic extrapolation of the last two
+points and their tangents. The step length of each lane follows from the angle between its tangents and from the
+number of corrector iterations. Where steps fail because the order of events changes ahead, the zero of the grazing
+margin is predicted, so that steps end just before it or just behind. One batch evaluates the current iterate of every
+active lane, so that no lane waits for another.
 """
 
 from collections.abc import Callable
@@ -14,10 +14,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Int
 
-from vibrojax.analyses.continuation.brackets import Brackets, predict_zero, push_history
+from vibrojax.analyses.continuation.brackets import BranchBrackets, predict_zero, push_history
 from vibrojax.analyses.continuation.indicators import spectral_radius
 from vibrojax.analyses.continuation.problem import (
-    CONVERGED,
+    CORRECTOR_RESIDUAL,
     Evaluation,
     Flags,
     Index,
@@ -34,7 +34,7 @@ POLISHED_STEP = 1e-6
 WALK_MAX_ITERATIONS = 6
 """Corrector iterations before the step is shortened."""
 
-SHORTEST, LONGEST = 1e-9, 0.2
+SHORTEST_STEP, LONGEST_STEP = 1e-9, 0.2
 """Bounds of the step length, over the scales."""
 
 TURN, SHARP_TURN = 0.2, 0.5
@@ -49,7 +49,7 @@ CORNER_TURN, CROSSING_TURN = 1.0, 1.4
 CORNER_GROWTH, STEP_GROWTH = 5.0, 2.0
 """Largest growth of the step length: of steps up to `CORNER`, and of others."""
 
-RUNNING, ENDED, STALLED, STOPPED, CLOSED, TOO_LONG, UNSTABLE = range(7)
+RUNNING, ENDED, STALLED, STOPPED, CLOSED, TOO_LONG, TOO_UNSTABLE = range(7)
 """States of a lane: running; at a bound of the parameter; no further point found; stopped by the caller; back at the
 branch's first point; too many points; a multiplier beyond `MAX_MULTIPLIER`."""
 
@@ -81,10 +81,10 @@ class BranchPoints(NamedTuple):
     tangent: Unknowns
     status: Int[np.ndarray, " lanes"]
 
-    def brackets(self, family: Index, place: Index) -> Brackets:
+    def brackets(self, family: Index, place: Index) -> BranchBrackets:
         """Return the parts of branches from the points `place` to the following ones."""
         ends = ((self.evaluation.of(k), self.tangent[k]) for k in (place, place + 1))
-        return Brackets(family, place, *next(ends), *next(ends))
+        return BranchBrackets(family, place, *next(ends), *next(ends))
 
 
 Stop = Callable[[Index, Evaluation], Flags]
@@ -92,7 +92,7 @@ Stop = Callable[[Index, Evaluation], Flags]
 
 
 def continue_branches(
-    problem: Problem, initial: InitialPoints, longest: float = LONGEST, stop: Stop | None = None
+    problem: Problem, initial: InitialPoints, longest: float = LONGEST_STEP, stop: Stop | None = None
 ) -> BranchPoints:
     """Continue branches until the parameter leaves its bounds or no further point is found.
 
@@ -171,7 +171,7 @@ class _ActiveBranches:
         row[:, -1] = 1.0
         row = np.where(~np.isnan(self._bound[lanes])[:, None], row, self._tangent[lanes])
         short = np.einsum("ij,ij->i", row, now.u) - self._level[lanes]
-        done = (residual <= CONVERGED) & (np.abs(short) <= CONVERGED)
+        done = (residual <= CORRECTOR_RESIDUAL) & (np.abs(short) <= CORRECTOR_RESIDUAL)
         on = ~done & (self._iterations[lanes] < WALK_MAX_ITERATIONS) & (residual < self._before[lanes])
         change = np.zeros_like(now.u)
         subset = np.flatnonzero(done | on)
@@ -205,7 +205,7 @@ class _ActiveBranches:
         self._shortened[lanes] = True
         to_corner = self._step_to_corner(lanes, taken)
         self._step[lanes] = np.where(np.isnan(to_corner), taken / 3, np.minimum(to_corner, 0.7 * taken))
-        self.status[lanes[taken / 3 < SHORTEST]] = STALLED
+        self.status[lanes[taken / 3 < SHORTEST_STEP]] = STALLED
         self._predict(lanes)
 
     def _step_to_corner(self, lanes: Index, within: PerLane) -> PerLane:
@@ -217,10 +217,10 @@ class _ActiveBranches:
         ahead = zero - self._arclengths[lanes, 0]
         sound = (ahead > 0) & (ahead < within) & (uncertainty < ahead / 4)
         over = ~self._blocked[lanes] & (uncertainty < CROSSING / 8)
-        cautious = ahead - np.maximum(2 * uncertainty, SHORTEST / 2)
+        cautious = ahead - np.maximum(2 * uncertainty, SHORTEST_STEP / 2)
         before = np.where(over, np.maximum(ahead - CROSSING / 4, ahead / 2), cautious)
         step = np.where(over & (ahead < CROSSING / 2), ahead + CROSSING / 4, before)
-        return np.where(sound, np.maximum(step, 1.01 * SHORTEST), np.nan)
+        return np.where(sound, np.maximum(step, 1.01 * SHORTEST_STEP), np.nan)
 
     def _accept(self, lanes: Index, now: Evaluation) -> Flags:
         """Accept converged points that continue the same branch, and choose the next steps; return which."""
@@ -233,7 +233,7 @@ class _ActiveBranches:
         changed = (now.signature != last.signature).any(axis=1)
         corner = (taken <= CORNER) & (turn <= CORNER_TURN) | (taken <= CROSSING) & (turn <= CROSSING_TURN)
         sound = np.isfinite(tangent).all(axis=1)
-        sound &= (turn <= SHARP_TURN) | (taken < 10 * SHORTEST) | changed & corner
+        sound &= (turn <= SHARP_TURN) | (taken < 10 * SHORTEST_STEP) | changed & corner
         value = problem.value(family, now.u)
         beyond = (value > problem.last[family]) | (value < problem.first[family])
         sound &= ~(beyond & np.isnan(self._bound[lanes]))
@@ -256,7 +256,7 @@ class _ActiveBranches:
         growth = np.where(self._iterations[kept] >= 4, np.minimum(growth, 0.7), growth)
         # The obstacle that shortened this step lies within twice its length.
         growth = np.where(self._shortened[kept], np.minimum(growth, 1.0), growth)
-        step = np.minimum(np.maximum(taken * growth, 10 * SHORTEST), self._longest)
+        step = np.minimum(np.maximum(taken * growth, 10 * SHORTEST_STEP), self._longest)
         to_corner = np.where(self._shortened[kept], self._step_to_corner(kept, 3 * step), np.nan)
         self._step[kept] = np.where(np.isnan(to_corner), step, to_corner)
         self._shortened[kept] = ~np.isnan(to_corner)
@@ -271,7 +271,7 @@ class _ActiveBranches:
         closed &= self._length[lanes] > 5 * self._longest
         self.status[lanes[closed]] = CLOSED
         self.status[lanes[self._count[lanes] >= BRANCH_MAX_POINTS]] = TOO_LONG
-        self.status[lanes[spectral_radius(now.product) > MAX_MULTIPLIER]] = UNSTABLE
+        self.status[lanes[spectral_radius(now.product) > MAX_MULTIPLIER]] = TOO_UNSTABLE
         if self._stop is not None:
             self.status[lanes[self._stop(lanes, now)]] = STOPPED
         self.status[lanes[~np.isnan(self._bound[lanes])]] = ENDED

@@ -1,4 +1,4 @@
-"""Brackets of test functions' zeros along branches, and their shrinking to the zeros."""
+"""BranchBrackets of test functions' zeros along branches, and their shrinking to the zeros."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -69,7 +69,7 @@ def push_history(history: np.ndarray, lanes: Int[np.ndarray, " some"], value: Fl
     history[lanes, 0] = value
 
 
-class Brackets(NamedTuple):
+class BranchBrackets(NamedTuple):
     """Parts of branches between two evaluated points, `near` and `far`, with the tangents there.
 
     `family`: of each bracket; `place`: index of the branch point at or before `near`.
@@ -82,21 +82,23 @@ class Brackets(NamedTuple):
     far: Evaluation
     far_tangent: Unknowns
 
-    def of(self, subset: Flags | Index) -> "Brackets":
+    def of(self, subset: Flags | Index) -> "BranchBrackets":
         """Return the given brackets, by index or mask."""
         fields: list[Any] = [x.of(subset) if isinstance(x, Evaluation) else x[subset] for x in self]
-        return Brackets(*fields)
+        return BranchBrackets(*fields)
 
-    def reversed(self) -> "Brackets":
+    def reversed(self) -> "BranchBrackets":
         """Exchange the ends."""
-        return Brackets(self.family, self.place, self.far, self.far_tangent, self.near, self.near_tangent)
+        return BranchBrackets(self.family, self.place, self.far, self.far_tangent, self.near, self.near_tangent)
 
 
 TestFunction = Callable[[Index, Evaluation, Unknowns], PerLane]
 """`test(indices, evaluation, tangent)`: values for the brackets with these indices at points of them."""
 
 
-def shrink_brackets(problem: Problem, brackets: Brackets, test: TestFunction, events: Flags) -> tuple[Brackets, Flags]:
+def shrink_brackets(
+    problem: Problem, brackets: BranchBrackets, test: TestFunction, events: Flags
+) -> tuple[BranchBrackets, Flags]:
     """Shrink brackets to the zeros of a test function; also return which zeros were located.
 
     Orbits are computed beside the predicted zero, at a distance of its uncertainty, so that both ends move. Without a
@@ -113,12 +115,12 @@ def shrink_brackets(problem: Problem, brackets: Brackets, test: TestFunction, ev
 
 
 class _Shrinking:
-    """Brackets being shrunk: `low` to `high`, in lengths along the tangent at the first near end.
+    """BranchBrackets being shrunk: `low` to `high`, in lengths along the tangent at the first near end.
 
     `low_end` and `high_end` are the positions of the evaluated ends; one-sided brackets may be shorter.
     """
 
-    def __init__(self, problem: Problem, brackets: Brackets, test: TestFunction, events: Flags) -> None:
+    def __init__(self, problem: Problem, brackets: BranchBrackets, test: TestFunction, events: Flags) -> None:
         self._problem, self.brackets, self._test = problem, brackets, test
         lanes = np.arange(len(brackets.place))
         near, far = brackets.near, brackets.far

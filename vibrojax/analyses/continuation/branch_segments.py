@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vibrojax.analyses.continuation.arclength import CLOSED, MAX_MULTIPLIER, STALLED, STOPPED, TOO_LONG, UNSTABLE
+from vibrojax.analyses.continuation.arclength import CLOSED, MAX_MULTIPLIER, STALLED, STOPPED, TOO_LONG, TOO_UNSTABLE
 from vibrojax.analyses.continuation.problem import Evaluation
 
 REJOIN_DISTANCE = 1e-3
@@ -17,12 +17,12 @@ ENDINGS = {
     TOO_LONG: "more points than are followed",
     STALLED: "no orbit is found any further",
     STOPPED: "joins the branch that it left",
-    UNSTABLE: f"a multiplier over {MAX_MULTIPLIER:g} is not followed",
+    TOO_UNSTABLE: f"a multiplier over {MAX_MULTIPLIER:g} is not followed",
 }
 """Notes on the ends of branches."""
 
 
-class Mark(NamedTuple):
+class SegmentMark(NamedTuple):
     """A special point of a segment: kind, orbit, index of the point before it, and note."""
 
     kind: str
@@ -55,7 +55,7 @@ class Segment:
     parent: "Segment | None" = None
     reach: float = REJOIN_DISTANCE
     points: Evaluation | None = None
-    marks: list[Mark] = field(default_factory=list)
+    marks: list[SegmentMark] = field(default_factory=list)
 
     @property
     def orbits(self) -> Evaluation:
@@ -65,7 +65,7 @@ class Segment:
 
     def mark(self, kind: str, note: str) -> None:
         """Add a special point at the end."""
-        self.marks.append(Mark(kind, self.orbits.of([-1]), len(self.orbits.u) - 1, note))
+        self.marks.append(SegmentMark(kind, self.orbits.of([-1]), len(self.orbits.u) - 1, note))
 
 
 def drop_duplicates(segments: list[Segment], rows: int) -> list[Segment]:

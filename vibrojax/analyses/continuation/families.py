@@ -7,15 +7,21 @@ import numpy as np
 
 from vibrojax.analyses.continuation.arclength import (
     ENDED,
-    SHORTEST,
+    SHORTEST_STEP,
     STALLED,
     STOPPED,
     BranchPoints,
     InitialPoints,
     continue_branches,
 )
-from vibrojax.analyses.continuation.brackets import Brackets
-from vibrojax.analyses.continuation.branch_segments import ENDINGS, REJOIN_DISTANCE, Mark, Segment, drop_duplicates
+from vibrojax.analyses.continuation.brackets import BranchBrackets
+from vibrojax.analyses.continuation.branch_segments import (
+    ENDINGS,
+    REJOIN_DISTANCE,
+    Segment,
+    SegmentMark,
+    drop_duplicates,
+)
 from vibrojax.analyses.continuation.indicators import KINDS
 from vibrojax.analyses.continuation.problem import Evaluation, Flags, Index, Problem, unit_tangent
 from vibrojax.analyses.continuation.special_points import SpecialPoints, classify_event_changes, locate_special_points
@@ -34,7 +40,7 @@ MAX_BRANCHES = 32
 SAME_POINT = 1e-6
 """Distance over the scales within which special points of one kind are equal."""
 
-BEFORE_CORNER = 100 * SHORTEST
+BEFORE_CORNER = 100 * SHORTEST_STEP
 """Distance over the scales from a corner at which a point certainly has the events before it."""
 
 
@@ -112,12 +118,12 @@ class FamilyContinuation:
                 modes = zip(self._problem.scene.modes, changed, strict=True)
                 names = ", ".join(mode.name for mode, differs in modes if differs)
                 note = f"no impact: another order of events of {names}"
-            segment.marks.append(Mark(kind, orbit, int(brackets.place[k]) - first, note))
+            segment.marks.append(SegmentMark(kind, orbit, int(brackets.place[k]) - first, note))
         u = segment.orbits.u
         segment.marks.sort(key=lambda mark: (mark.place, np.abs(mark.orbit.u[0] - u[mark.place]).max()))
 
     def _end(self, segments: list[Segment], points: BranchPoints, bounds: np.ndarray) -> list[Segment]:
-        """Mark the ends of segments; return the segments that follow stalled ones."""
+        """SegmentMark the ends of segments; return the segments that follow stalled ones."""
         stalled: list[Segment] = []
         tangents: list[np.ndarray] = []
         for k, segment in enumerate(segments):
@@ -141,7 +147,7 @@ class FamilyContinuation:
         before = Evaluation.join([last_before(segment.orbits) for segment in segments])
         corner = turn_corner(self._problem, family, end, tangent, before)
         place = np.array([len(segment.orbits.u) - 1 for segment in segments])
-        passed = Brackets(family, place, before, tangent, corner.evaluation, tangent)
+        passed = BranchBrackets(family, place, before, tangent, corner.evaluation, tangent)
         following: list[Segment] = []
         for k, segment in enumerate(segments):
             lane, orbit = np.arange(len(segments)) == k, end.of([k])

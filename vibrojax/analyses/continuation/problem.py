@@ -18,10 +18,10 @@ from vibrojax.periodic.return_map import MOST_STEPS
 from vibrojax.periodic.segments import Segments
 from vibrojax.stepping import LOCATED_STRIDE, Accuracy
 
-STEPS = Accuracy(tolerance=1e-12, stride=LOCATED_STRIDE, step=np.inf)
+FAMILY_ACCURACY = Accuracy(tolerance=1e-12, stride=LOCATED_STRIDE, step=np.inf)
 """Accuracy of the return map: special points follow from multipliers, to 1e-8."""
 
-CONVERGED = 1e-10
+CORRECTOR_RESIDUAL = 1e-10
 """Residual of an accepted point; the next Newton step would leave its square."""
 
 CORRECTOR_MAX_ITERATIONS = 8
@@ -38,7 +38,7 @@ class Evaluation(NamedTuple):
     - `u`: unknowns; `off`: residuals of the equations; `matrix`: their derivatives by the unknowns.
     - `times` (lanes, p) [s]: from each state to the next; infinite where the section is not reached.
     - `product`: derivative of the map over the whole repeat, in scaled states; its eigenvalues are the multipliers.
-    - `impacts` (lanes,) and `mode_changes` (lanes, modes, 3) of the repeat, see [vibrojax.periodic.return_map.Seen][].
+    - `impacts` (lanes,), `mode_changes` (lanes, modes, 3): see [vibrojax.periodic.return_map.ReturnEvents][].
     - `margin` (lanes,): grazing margin.
     """
 
@@ -104,7 +104,7 @@ class Problem:
 
     @cached_property
     def _map(self) -> Segments:
-        return Segments(self.scene, (self.along,), STEPS, self.most_steps)
+        return Segments(self.scene, (self.along,), FAMILY_ACCURACY, self.most_steps)
 
     @property
     def rows(self) -> int:
@@ -159,7 +159,7 @@ class Problem:
             now = best.of(active)
             short = np.einsum("ij,ij->i", row[active], now.u) - value[active]
             residual = np.maximum(now.residual, np.abs(short))
-            done = residual <= CONVERGED
+            done = residual <= CORRECTOR_RESIDUAL
             converged[active[done]] = True
             on = ~done & (residual < np.maximum(before[active], 1e-3)) & np.isfinite(residual)
             before[active] = residual

@@ -11,7 +11,7 @@ import xarray as xr
 from vibrojax.analyses.continuation.families import FamilyContinuation
 from vibrojax.analyses.continuation.indicators import KINDS
 from vibrojax.analyses.continuation.points import FamilyPoint, columns, in_order, measured
-from vibrojax.analyses.continuation.problem import CONVERGED, STEPS, Problem
+from vibrojax.analyses.continuation.problem import CORRECTOR_RESIDUAL, FAMILY_ACCURACY, Problem
 from vibrojax.analyses.continuation.spec import FamilySpec, read_asked
 from vibrojax.analyses.sweep.run import run_sweep
 from vibrojax.errors import Place
@@ -179,8 +179,8 @@ def _attributes(sweep: Sweep, problem: Problem) -> dict[str, Any]:
     start = None if sweep.starts is None else sweep.starts[0]
     orbits = {
         "states": list(problem.scene.return_states),
-        "tolerance": STEPS.tolerance,
-        "accepted_residual": CONVERGED,
+        "tolerance": FAMILY_ACCURACY.tolerance,
+        "accepted_residual": CORRECTOR_RESIDUAL,
         "grazing_margin": HOW,
     }
     return {

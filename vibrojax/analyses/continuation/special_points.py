@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Int
 
 from vibrojax.analyses.continuation.arclength import BranchPoints
-from vibrojax.analyses.continuation.brackets import Brackets, shrink_brackets
+from vibrojax.analyses.continuation.brackets import BranchBrackets, shrink_brackets
 from vibrojax.analyses.continuation.indicators import KINDS, TEST_FUNCTIONS, is_critical
 from vibrojax.analyses.continuation.problem import Evaluation, Flags, Index, PerLane, Problem, Unknowns
 from vibrojax.analyses.continuation.switching import SAME_TIME
@@ -16,7 +16,7 @@ from vibrojax.models.scenes import HasFriction
 MAX_EVENT_CHANGES = 8
 """Changes of events located between two points of a branch."""
 
-EVENTS = -1
+EVENT_CHANGE = -1
 """Provisional kind of a bracket with different events at its ends; the located point determines the kind."""
 
 Kinds = Int[np.ndarray, " _"]
@@ -26,7 +26,7 @@ class SpecialPoints(NamedTuple):
     """Located points: `kind` as a flag; brackets of them, `near` at the point and `far` just behind it."""
 
     kind: Kinds
-    brackets: Brackets
+    brackets: BranchBrackets
 
 
 def locate_special_points(problem: Problem, family: Index, points: BranchPoints) -> SpecialPoints | None:
@@ -36,7 +36,7 @@ def locate_special_points(problem: Problem, family: Index, points: BranchPoints)
 
     Multipliers jump where events begin or vanish. Those points are located first, and the others between them.
     """
-    located: list[tuple[Kinds, Brackets]] = []
+    located: list[tuple[Kinds, BranchBrackets]] = []
     place = np.flatnonzero(points.lane[1:] == points.lane[:-1])
     with np.errstate(all="ignore"):
         kind, brackets = _detect(points.brackets(family[points.lane[place]], place))
@@ -44,7 +44,7 @@ def locate_special_points(problem: Problem, family: Index, points: BranchPoints)
             if not len(kind):
                 break
             shrunk, success = _shrink(problem, kind, brackets)
-            events = kind == EVENTS
+            events = kind == EVENT_CHANGE
             for side in (shrunk, shrunk.reversed()):
                 smooth = np.flatnonzero(success & ~events)
                 smooth = smooth[is_critical(kind[smooth], side.near.product[smooth])]
@@ -60,7 +60,7 @@ def locate_special_points(problem: Problem, family: Index, points: BranchPoints)
     return SpecialPoints(*_join(located)) if located else None
 
 
-def classify_event_changes(problem: Problem, brackets: Brackets) -> list[tuple[Kinds, Brackets]]:
+def classify_event_changes(problem: Problem, brackets: BranchBrackets) -> list[tuple[Kinds, BranchBrackets]]:
     """Classify points at which events begin or vanish: impacts, sticks and reversals, or touches of the section.
 
     A point at which impacts and sticks change is of both kinds. Where the time of the repeat jumps, other returns are
@@ -79,14 +79,14 @@ def classify_event_changes(problem: Problem, brackets: Brackets) -> list[tuple[K
     return [(np.full(mask.sum(), KINDS.index(kind)), brackets.of(mask)) for kind, mask in kinds if mask.any()]
 
 
-def _detect(brackets: Brackets) -> tuple[Kinds, Brackets]:
+def _detect(brackets: BranchBrackets) -> tuple[Kinds, BranchBrackets]:
     """Return the brackets with special points, and their kinds; a change of events hides points of other kinds."""
     changed = (brackets.near.signature != brackets.far.signature).any(axis=1)
-    events = np.full(changed.sum(), EVENTS), brackets.of(changed)
+    events = np.full(changed.sum(), EVENT_CHANGE), brackets.of(changed)
     return _join([events, _detect_smooth(brackets.of(~changed))])
 
 
-def _detect_smooth(brackets: Brackets) -> tuple[Kinds, Brackets]:
+def _detect_smooth(brackets: BranchBrackets) -> tuple[Kinds, BranchBrackets]:
     """Return the brackets with a sign change of a test function, and its kind."""
     parts = []
     for kind, test in TEST_FUNCTIONS.items():
@@ -96,20 +96,20 @@ def _detect_smooth(brackets: Brackets) -> tuple[Kinds, Brackets]:
     return _join(parts)
 
 
-def _join(parts: Sequence[tuple[Kinds, Brackets]]) -> tuple[Kinds, Brackets]:
+def _join(parts: Sequence[tuple[Kinds, BranchBrackets]]) -> tuple[Kinds, BranchBrackets]:
     kinds, brackets = zip(*parts, strict=True)
     fields: list[Any] = [
         Evaluation.join(field) if isinstance(field[0], Evaluation) else np.concatenate(field)
         for field in zip(*brackets, strict=True)
     ]
-    return np.concatenate(kinds), Brackets(*fields)
+    return np.concatenate(kinds), BranchBrackets(*fields)
 
 
-def _shrink(problem: Problem, kind: Kinds, brackets: Brackets) -> tuple[Brackets, Flags]:
+def _shrink(problem: Problem, kind: Kinds, brackets: BranchBrackets) -> tuple[BranchBrackets, Flags]:
     """Shrink brackets to the zeros of the test functions of their kinds.
 
-    For `EVENTS` the test function is the margin, which vanishes from one side at least, with a negative sign where the
-    events differ from those at the near end.
+    For `EVENT_CHANGE` the test function is the margin, which vanishes from one side at least. Its sign is negative
+    where the events differ from those at the near end.
     """
     counts = brackets.near.signature
 
@@ -122,4 +122,4 @@ def _shrink(problem: Problem, kind: Kinds, brackets: Brackets) -> tuple[Brackets
                 values[mine] = function(evaluation.of(mine), tangent[mine])
         return values
 
-    return shrink_brackets(problem, brackets, test, kind == EVENTS)
+    return shrink_brackets(problem, brackets, test, kind == EVENT_CHANGE)
