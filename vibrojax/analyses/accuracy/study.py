@@ -4,7 +4,6 @@ import json
 import platform
 import time
 from collections.abc import Callable, Mapping, Sequence
-from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
 
@@ -35,7 +34,7 @@ from vibrojax.analyses.accuracy.measurement import (
 from vibrojax.analyses.accuracy.programs import Programs
 from vibrojax.compile.devices import usable_cores, workers
 from vibrojax.errors import InputError, suggestion
-from vibrojax.io.provenance import source
+from vibrojax.io.kinds import dataset_attributes
 from vibrojax.io.variables import Variable
 from vibrojax.progress import Progress
 
@@ -168,14 +167,11 @@ def dataset_of(results: Sequence[Measured], spreads: Mapping[str, float], wall_t
     about = Variable("1", "no setting of the scene is faster and as exact", np.int8, ("no", "yes"))
     variables["on_front"] = xr.Variable(SETTING, front, about.attributes())
     attributes = {
-        "title": "Speed against error",
-        "source": source(),
-        "history": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} accuracy",
+        **dataset_attributes("accuracy", "Speed against error", "accuracy"),
         "reference": REFERENCE_TEXT,
         "settings": SETTINGS_TEXT,
         "machine": json.dumps(machine()),
         "wall_time_s": float(wall_time),
-        "Conventions": "CF-1.11",
     }
     return xr.Dataset(variables, coordinates, attributes)
 

@@ -3,7 +3,6 @@
 import json
 from collections.abc import Mapping
 from dataclasses import replace
-from datetime import UTC, datetime
 from itertools import pairwise
 from os import PathLike
 from typing import Any
@@ -37,7 +36,7 @@ from vibrojax.analyses.orbits.rerun import sweep_with_orbits
 from vibrojax.analyses.sweep.run import run_sweep
 from vibrojax.errors import InputError
 from vibrojax.io.derived import OF_ATTRACTORS
-from vibrojax.io.provenance import provenance
+from vibrojax.io.kinds import dataset_attributes
 from vibrojax.io.variables import VARIABLES
 from vibrojax.measures.labels import IRREGULAR
 from vibrojax.models.physics.parameters import differing
@@ -266,16 +265,12 @@ def _dataset(
         "aside": PREDICTION_WITHIN,
     }
     attributes = {
-        "title": f"Attractors: {sweep.title or sweep.name}",
-        "scene": sweep.scene,
-        **provenance(),
-        "history": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} attractors",
+        **dataset_attributes("attractors", f"Attractors: {sweep.title or sweep.name}", "attractors", scene=sweep.scene),
         "sweep": sweep.text,
         **sweep.options,
         "attractors": json.dumps(settings),
         "parameters": json.dumps(sweep.parameters),
         "differing": json.dumps(differing(sweep.system.parameters(), sweep.parameters)),
         "lanes": sweep.lanes,
-        "Conventions": "CF-1.11",
     }
     return xr.Dataset(variables, {**coordinates, "attractor": numbers}, attributes)

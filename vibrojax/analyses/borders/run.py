@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Mapping
-from datetime import UTC, datetime
 from functools import partial
 from os import PathLike
 from typing import Any
@@ -25,7 +24,7 @@ from vibrojax.analyses.orbits.rerun import orbits as with_orbits
 from vibrojax.analyses.orbits.rerun import sweep_with_orbits
 from vibrojax.errors import InputError, shown
 from vibrojax.io.derived import BORDER_KINDS, OF_BORDERS
-from vibrojax.io.provenance import provenance
+from vibrojax.io.kinds import dataset_attributes
 from vibrojax.measures.labels import SINGLE_IMPACT, UNDECIDED
 from vibrojax.models.physics.parameters import differing
 from vibrojax.models.scenes import HasContact
@@ -209,15 +208,16 @@ class _Regions:
             for name, index in zip(self._others, indices, strict=True):
                 coordinates[f"{prefix}{name}"] = (dimension, sweep.axes[name][index], described(name))
         attributes = {
-            "title": f"Borders of the stable single impact: {sweep.title or sweep.name}",
-            "scene": sweep.scene,
-            **provenance(),
-            "history": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} borders",
+            **dataset_attributes(
+                "borders",
+                f"Borders of the stable single impact: {sweep.title or sweep.name}",
+                "borders",
+                scene=sweep.scene,
+            ),
             "sweep": sweep.text,
             **sweep.options,
             "axes": list(self._names),
             "parameters": json.dumps(sweep.parameters),
             "differing": json.dumps(differing(parameters, sweep.parameters)),
-            "Conventions": "CF-1.11",
         }
         return xr.Dataset(variables, coordinates, attributes)

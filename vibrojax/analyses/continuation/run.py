@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Sequence
-from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,7 @@ from vibrojax.analyses.continuation.spec import FamilySpec, read_asked
 from vibrojax.analyses.sweep.run import run_sweep
 from vibrojax.errors import Place
 from vibrojax.io.derived import OF_FAMILIES
-from vibrojax.io.provenance import provenance
+from vibrojax.io.kinds import dataset_attributes
 from vibrojax.io.variables import ORBIT_REASONS, REASONS, VARIABLES
 from vibrojax.measures.labels import REGIMES
 from vibrojax.measures.ledger import MOST_CYCLES
@@ -184,10 +183,9 @@ def _attributes(sweep: Sweep, problem: Problem) -> dict[str, Any]:
         "grazing_margin": HOW,
     }
     return {
-        "title": f"Families of periodic orbits of {sweep.scene} over {problem.along}",
-        "scene": sweep.scene,
-        **provenance(),
-        "history": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} follow",
+        **dataset_attributes(
+            "family", f"Families of periodic orbits of {sweep.scene} over {problem.along}", "follow", scene=sweep.scene
+        ),
         **sweep.options,
         **({} if start is None else {"start": start if isinstance(start, str) else json.dumps(start)}),
         "along": problem.along,
@@ -195,7 +193,6 @@ def _attributes(sweep: Sweep, problem: Problem) -> dict[str, Any]:
         "parameters": json.dumps({name: x for name, x in sweep.parameters.items() if name != problem.along}),
         "differing": json.dumps(differing(sweep.system.parameters(), sweep.parameters)),
         "orbits": json.dumps(orbits),
-        "Conventions": "CF-1.11",
     }
 
 

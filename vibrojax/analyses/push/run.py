@@ -3,7 +3,6 @@
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,7 +13,7 @@ from vibrojax.analyses.attractors.grouping import SAME_ORBIT_WITHIN
 from vibrojax.analyses.push.spec import PRECISION, SCAN, PushAsked, read_pushed
 from vibrojax.analyses.sweep.run import run_sweep
 from vibrojax.errors import Place
-from vibrojax.io.provenance import provenance
+from vibrojax.io.kinds import dataset_attributes
 from vibrojax.io.variables import ORBIT_REASONS, REASONS, VARIABLES, orbit_name
 from vibrojax.measures.labels import EQUILIBRIUM, IRREGULAR, REGIMES, UNDECIDED
 from vibrojax.models.physics.parameters import differing
@@ -276,17 +275,15 @@ def _dataset(
     sign = ("sign", list(SIGNS), {"units": "1", "long_name": "side of the push: -1 less, 1 more"})
     settings = {"method": METHOD, "scan": spec.scan, "precision": spec.precision, "patience": PATIENCE}
     attributes = {
-        "title": f"Smallest pushes out of the working cycle: {sweep.scene}",
-        "scene": sweep.scene,
-        **provenance(),
-        "history": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} smallest_push",
+        **dataset_attributes(
+            "push", f"Smallest pushes out of the working cycle: {sweep.scene}", "smallest_push", scene=sweep.scene
+        ),
         **sweep.options,
         "start": json.dumps(sweep.starts[0]) if sweep.starts is not None else "",
         "run": cycle.attrs["run"],
         "parameters": json.dumps(sweep.parameters),
         "differing": json.dumps(differing(sweep.system.parameters(), sweep.parameters)),
         "pushes": json.dumps(settings),
-        "Conventions": "CF-1.11",
     }
     dataset = xr.Dataset(variables, {**coordinates, "sign": sign}, attributes)
     return dataset if spec.columns else dataset.isel(point=0, drop=True)

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from datetime import UTC, datetime
 
 import numpy as np
 import xarray as xr
@@ -13,7 +12,7 @@ from vibrojax.analyses.rop_law.forms import LOGARITHMIC
 from vibrojax.analyses.rop_law.least_squares import REASONS
 from vibrojax.errors import Place
 from vibrojax.io.attributes import table_of, title_of
-from vibrojax.io.provenance import source
+from vibrojax.io.kinds import dataset_attributes
 from vibrojax.io.variables import Variable
 
 CLEAR_AIC_DIFFERENCE = 2.0
@@ -57,13 +56,13 @@ def law_title(place: Place, data: xr.Dataset) -> str:
 
 def attributes(
     place: Place, data: xr.Dataset, step: str, title: str, more: Mapping[str, str | float]
-) -> dict[str, str | float]:
+) -> dict[str, object]:
     """Return the attributes of a fit: its provenance, and the attributes of its data that still hold."""
     kept = {name: data.attrs[name] for name in ("scene", "sweep", "parameters", "columns") if name in data.attrs}
-    history = [f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} {step} {place.file}"]
-    history += [str(data.attrs["history"])] if "history" in data.attrs else []
-    about = {"title": title, "source": source(), "history": "\n".join(history), "Conventions": "CF-1.11"}
-    return {**about, **kept, **more}
+    own = dataset_attributes("fit", title, f"{step} {place.file}")
+    if "history" in data.attrs:
+        own["history"] = f"{own['history']}\n{data.attrs['history']}"
+    return {**own, **kept, **more}
 
 
 @dataclass(frozen=True)

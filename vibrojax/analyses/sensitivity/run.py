@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Mapping, Sequence
-from datetime import UTC, datetime
 from typing import Any
 
 import jax
@@ -11,7 +10,7 @@ import xarray as xr
 from jaxtyping import Bool
 
 from vibrojax.errors import Place, shown, suggestion
-from vibrojax.io.provenance import provenance
+from vibrojax.io.kinds import dataset_attributes
 from vibrojax.io.variables import VARIABLES, Variable
 from vibrojax.measures import gauge_named
 from vibrojax.models.physics.parameters import positive
@@ -209,16 +208,14 @@ def _dataset(
         coordinates[name] = ("point", column, about)
     fixed = {name: x for name, x in first.parameters.items() if all(p.parameters[name] == x for p in points)}
     attributes = {
-        "title": f"Derivatives of {', '.join(variables)} in {first.scene}",
-        "scene": first.scene,
-        **provenance(),
-        "history": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} derivatives",
+        **dataset_attributes(
+            "derivatives", f"Derivatives of {', '.join(variables)} in {first.scene}", "derivatives", scene=first.scene
+        ),
         **first.options,
         **({} if first.start is None else {"start": json.dumps(first.start)}),
         "parameters": json.dumps(fixed),
         "settle": times.settle,
         "observe": times.observe,
-        "Conventions": "CF-1.11",
     }
     dataset = xr.Dataset(data, coordinates, attributes)
     return dataset if columns else dataset.squeeze("point")

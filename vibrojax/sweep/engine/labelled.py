@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Mapping
-from datetime import UTC, datetime
 from typing import Any
 
 import jax.numpy as jnp
@@ -11,7 +10,7 @@ from jaxtyping import Int8, Shaped
 
 from vibrojax.compile.devices import precision
 from vibrojax.io.finished import IDENTITY, identity_text
-from vibrojax.io.provenance import provenance
+from vibrojax.io.kinds import dataset_attributes
 from vibrojax.io.variables import ORBIT_REASONS, REASONS, STATUSES, VARIABLES, Variable, orbit_name
 from vibrojax.measures import gauge_named
 from vibrojax.measures.labels import LABELLED_BY, hides_another, label
@@ -155,10 +154,9 @@ def attributes(sweep: Sweep, solver: dict, certified: Mapping[str, int], wall_ti
     [vibrojax.sweep.engine.labelled.certified][], of all lanes; `wall_time` [s].
     """
     return {
-        "title": sweep.title or f"{sweep.scene}: {sweep.name}",
-        "scene": sweep.scene,
-        **provenance(),
-        "history": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} sweep {sweep.name}",
+        **dataset_attributes(
+            "sweep", sweep.title or f"{sweep.scene}: {sweep.name}", f"sweep {sweep.name}", scene=sweep.scene
+        ),
         "sweep": sweep.text,
         # With the defaults that the text omits, since labels depend on the times; without the chunk.
         "run": json.dumps({name: value for name, value in sweep.run.described().items() if value is not None}),
@@ -170,7 +168,6 @@ def attributes(sweep: Sweep, solver: dict, certified: Mapping[str, int], wall_ti
         "certified": json.dumps({"error": sweep.run.error, "lanes": sweep.lanes, **certified}),
         "wall_time_s": float(wall_time),
         "lanes": sweep.lanes,
-        "Conventions": "CF-1.11",
     }
 
 

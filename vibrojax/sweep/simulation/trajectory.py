@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Mapping
-from datetime import UTC, datetime
 from typing import Any, NamedTuple
 
 import jax
@@ -11,7 +10,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Bool, Float, Int
 
-from vibrojax.io.provenance import provenance
+from vibrojax.io.kinds import dataset_attributes
 from vibrojax.measures.section import lowest
 from vibrojax.models.arrays import Array
 from vibrojax.models.physics.parameters import differing
@@ -188,16 +187,12 @@ def trajectory_dataset(
     start = point.start
     written = {} if start is None else {"start": start if isinstance(start, str) else json.dumps(list(start))}
     attributes = {
-        "title": f"{point.scene}: trajectory",
-        "scene": point.scene,
-        **provenance(),
-        "history": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} simulate {point.scene}",
+        **dataset_attributes("trajectory", f"{point.scene}: trajectory", f"simulate {point.scene}", scene=point.scene),
         "parameters": json.dumps(point.parameters),
         "differing": json.dumps(differing(point.system.parameters(), point.parameters)),
         **point.options,
         **written,
         "solver": json.dumps(solver),
-        "Conventions": "CF-1.11",
     }
     times = {"time": ("time", motion.times, {"units": "s", "long_name": "time"})}
     return xr.Dataset(variables, times, attributes)
