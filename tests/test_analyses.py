@@ -59,6 +59,7 @@ def test_help_info_and_plot_know_it(campbell):
     assert "campbell" in command(campbell, "--help").stdout
     assert "highest frequency, Hz" in command(campbell, "campbell", "--help").stdout
     assert "spectrum  fundamental frequency from" in command(campbell, "info", "speeds-campbell.nc").stdout
+    assert "strongest frequency of the bit" in command(campbell, "scenes", "rotary").stdout
     facts = json.loads(command(campbell, "info", "speeds-campbell.nc", "--json").stdout)
     assert facts["kind"] == "campbell" and len(facts["fundamental"]) == 2
     drawn = command(campbell, "plot", "speeds-campbell.nc", "-o", "again.png")

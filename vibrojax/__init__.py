@@ -37,6 +37,7 @@ _HOMES = {
     "picture": "vibrojax.analyses.pictures",
     "save_picture": "vibrojax.analyses.pictures",
     "write_page": "vibrojax.explorer",
+    "Variable": "vibrojax.io.variables",
     "InputError": "vibrojax.errors",
     "UnusualValue": "vibrojax.sweep.input.plausible",
     "list_scenes": "vibrojax.analyses.catalogue",

@@ -28,6 +28,7 @@ from vibrojax.explorer import write_page as write_page
 from vibrojax.explorer.widget import explore as explore
 from vibrojax.io.dataset import open_dataset as open_dataset
 from vibrojax.io.dataset import write_dataset as write_dataset
+from vibrojax.io.variables import Variable as Variable
 from vibrojax.measures import Gauge as Gauge
 from vibrojax.models.physics import contact as contact
 from vibrojax.models.physics import elementary as elementary

@@ -11,6 +11,12 @@ import vibrojax as vj
 
 SAMPLES = 4096
 
+VARIABLES = {
+    "amplitude": vj.Variable("m", "amplitude of the bit"),
+    "mode": vj.Variable("Hz", "natural frequency without impact"),
+    "fundamental": vj.Variable("Hz", "strongest frequency of the bit"),
+}
+
 
 @dataclass(frozen=True)
 class Campbell(vj.Analysis):
@@ -20,6 +26,7 @@ class Campbell(vj.Analysis):
     orders: int = field(default=4, metadata={"help": "orders of the fundamental frequency to draw (4)"})
 
     kind = "campbell"
+    variables = VARIABLES
 
     def run(self, source: Any, progress: bool = True) -> xr.Dataset:
         sweep = vj.read_sweep(source)
@@ -31,9 +38,9 @@ class Campbell(vj.Analysis):
         about = sweep.system.parameters()[along]
         return self.dataset(
             {
-                "amplitude": ((along, "line"), amplitude, {"units": "m", "long_name": "amplitude of the bit"}),
-                "mode": ((along, "order"), modes, {"units": "Hz", "long_name": "natural frequency without impact"}),
-                "fundamental": (along, fundamental, {"units": "Hz", "long_name": "strongest frequency of the bit"}),
+                "amplitude": ((along, "line"), amplitude),
+                "mode": ((along, "order"), modes),
+                "fundamental": (along, fundamental),
             },
             {
                 along: (along, values, {"units": about.unit, "long_name": about.long_name}),

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import pandas as pd
 
 from vibrojax.analyses.glossary import glossary
+from vibrojax.analyses.registry import offered_variables
 from vibrojax.compile.devices import precision
 from vibrojax.errors import Place
 from vibrojax.io.derived import OF_ATTRACTORS, OF_BORDERS, OF_FAMILIES
@@ -115,6 +116,7 @@ def list_variables(scene: str | Scene[Any]) -> pd.DataFrame:
         "follow": OF_FAMILIES if orbit_states else {},
         "borders": OF_BORDERS if isinstance(system, HasContact) and has_section else {},
         "attractors": OF_ATTRACTORS if has_section else {},
+        **offered_variables(),
     }
     rows = {
         name: {"units": about.units, "meaning": about.long_name, "where": where}

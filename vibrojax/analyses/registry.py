@@ -1,5 +1,7 @@
 """All analyses by their kind: the package's own, those that installed packages offer, and those of this process."""
 
+from collections.abc import Mapping
+from contextlib import suppress
 from functools import cache
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
@@ -10,6 +12,7 @@ from vibrojax.analyses.analysis import Analysis, Source, check_analysis
 from vibrojax.errors import InputError, printable, shown
 from vibrojax.io.kinds import KIND, dataset_attributes, kind_of
 from vibrojax.io.structure import check_structure
+from vibrojax.io.variables import Variable
 
 GROUP = "vibrojax.analyses"
 """The entry point under which an installed package offers its analyses, `NAME = "module:Class"`."""
@@ -108,3 +111,12 @@ def load_analysis(entry: EntryPoint) -> type[Analysis]:
     if not (isinstance(offered, type) and issubclass(offered, Analysis) and offered.kind == entry.name):
         raise InputError(f"{place}: {shown(entry.value)} is not a subclass of Analysis with kind {shown(entry.name)}")
     return offered
+
+
+def offered_variables() -> dict[str, Mapping[str, Variable]]:
+    """Return the variables of each analysis that an installed package offers, except those that cannot be loaded."""
+    variables = {}
+    for kind, entry in offered_analyses().items():
+        with suppress(InputError):  # the command of that analysis says what is wrong
+            variables[kind] = load_analysis(entry).variables
+    return variables
