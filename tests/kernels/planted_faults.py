@@ -64,14 +64,17 @@ def _square_of_integers(patch: pytest.MonkeyPatch) -> None:
     )
 
 
-FAULTS: dict[str, Callable[[pytest.MonkeyPatch], Any]] = {
-    "a loop without turns": _loop_without_turns,
-    "booleans compared as signed": _booleans_compared,
-    "unsigned integers compared as signed": _unsigned_compared,
-    "a scan from the end runs forward": _scan_from_the_end,
-    "rows that do not exist": _fill_value,
-    "a shift by the width or more": _wide_shift,
-    "a float beyond the integers": _float_to_integer,
-    "an integer as an exponent": _power_by_an_integer,
-    "a square of integers": _square_of_integers,
+COMPARED = ("lt", "gt", "le", "ge", "max", "min", "sort")
+
+FAULTS: dict[str, tuple[Callable[[pytest.MonkeyPatch], Any], tuple[str, ...]]] = {
+    "a loop without turns": (_loop_without_turns, ("scan", "while")),
+    "booleans compared as signed": (_booleans_compared, COMPARED),
+    "unsigned integers compared as signed": (_unsigned_compared, COMPARED),
+    "a scan from the end runs forward": (_scan_from_the_end, ("scan",)),
+    "rows that do not exist": (_fill_value, ("gather",)),
+    "a shift by the width or more": (_wide_shift, ("shift_left", "shift_right_logical", "shift_right_arithmetic")),
+    "a float beyond the integers": (_float_to_integer, ("convert_element_type",)),
+    "an integer as an exponent": (_power_by_an_integer, ("pow",)),
+    "a square of integers": (_square_of_integers, ("square",)),
 }
+"""How each fault is planted, and the primitives that it is in."""

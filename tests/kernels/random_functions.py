@@ -11,6 +11,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+import writers
 from hypothesis import strategies as st
 from jax import lax  # sources call it
 from scopes import ANY, EXACT, ROWS, Scope, Value, edges, tuple_of
@@ -102,7 +103,7 @@ def functions(draw: Callable[[Any], Any], along: bool = True) -> Function:
         lanes = scope.often(4)
         given.append(Value(scope.fresh(), scope.dtype(ANY), scope.pick(ROWS) if lanes else (), lanes))
     scope.values += given
-    turns = [_along(scope)] if along and not scope.often(3) else []
+    turns = [_along(scope)] if along and ("scan" in writers.FAVOURED or not scope.often(3)) else []
     for _ in range(scope.pick([2, 3, 4, 6, 8])):
         write(scope)
     results = [value for value in scope.values if value not in given] + [kept for _, kept in turns]

@@ -11,10 +11,16 @@ from scopes import ANY, DTYPES, EXACT, PRODUCT, ROUNDED, Scope, Value
 Writer = Callable[[Scope], Any]
 
 
+FAVOURED: tuple[str, ...] = ()
+"""Primitives of which every other one is written, so that a planted fault in one of them is found sooner."""
+
+
 def write(scope: Scope) -> None:
     """Write one primitive, any of those that fit."""
     left_out = (INEXACT if scope.depth else set()) | (NESTED if scope.depth > 1 else set())
-    WRITERS[scope.pick(name for name in WRITERS if name not in left_out)](scope)
+    favoured = [name for name in FAVOURED if name not in left_out]
+    names = favoured if favoured and scope.often(2) else [name for name in WRITERS if name not in left_out]
+    WRITERS[scope.pick(names)](scope)
 
 
 def _comparable(name: str, value: Value) -> str:
