@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
+from cell_blocks import decode
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import vibrojax as vj
 from vibrojax.cli import main
-from vibrojax.explorer import Cell, cell_of, cells_of, decode, document_of, encode, module_text, page_text, write_page
+from vibrojax.explorer import Cell, cell_of, cells_of, document_of, encode, module_text, page_text, write_page
 from vibrojax.explorer.encoding import EVENTS, MANTISSA_BITS, STATE_LEVELS, STUCK, StateColumn, pack
 from vibrojax.explorer.write import blocks_of
 from vibrojax.sweep.input.read import read_sweep

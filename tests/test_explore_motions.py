@@ -5,13 +5,13 @@ import time
 
 import numpy as np
 import pytest
+from cell_blocks import decode
 
 import vibrojax as vj
 from vibrojax.compile.kernels import kernels
 from vibrojax.errors import InputError
 from vibrojax.explorer import encoding
 from vibrojax.explorer import motions as live_motions
-from vibrojax.explorer.encoding import decode
 from vibrojax.explorer.motions import LiveMotions, motions_around, motions_of
 
 SWEEP = {

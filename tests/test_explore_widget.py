@@ -6,11 +6,11 @@ import json
 import numpy as np
 import pytest
 from browser import chromium, new_page, wrong
+from cell_blocks import decode
 from small_map import small_map
 
 import vibrojax as vj
 from vibrojax.errors import InputError
-from vibrojax.explorer.encoding import decode
 
 anywidget = pytest.importorskip("anywidget")
 

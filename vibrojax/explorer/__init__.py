@@ -42,7 +42,6 @@ return its parts as text: `module_text(exported=True)`, `style_text()`, `page_te
 """
 
 from vibrojax.explorer.encoding import Cell as Cell
-from vibrojax.explorer.encoding import decode as decode
 from vibrojax.explorer.encoding import encode as encode
 from vibrojax.explorer.trajectory_view import cell_of as cell_of
 from vibrojax.explorer.views import cells_of as cells_of

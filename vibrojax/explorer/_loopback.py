@@ -39,6 +39,9 @@ SILENCE_MAX_SECONDS, REQUEST_MAX_SECONDS = 5.0, 30.0
 RETRY_SECONDS = 1
 """Seconds after which a refused client may try again."""
 
+METHODS = {"": ("GET", "HEAD"), "motion": ("POST",)}
+"""Allowed methods by the path below the token."""
+
 BLOCK_TYPE, HTML_TYPE = "application/octet-stream", "text/html; charset=utf-8"
 
 SECURITY_HEADERS = {
@@ -155,20 +158,6 @@ class _Handler(BaseHTTPRequestHandler):
     server_version, sys_version = "vibrojax", ""
     has_unread_body = False
 
-    def do_GET(self) -> None:
-        """Answer with the page, or a refusal."""
-        self._answer(HTML_TYPE, self._page)
-
-    do_HEAD = do_GET
-
-    def do_POST(self) -> None:
-        """Answer with a motion, or a refusal."""
-        self._answer(BLOCK_TYPE, self._motion)
-
-    def version_string(self) -> str:
-        """Return the server's name without versions."""
-        return self.server_version
-
     def finish(self) -> None:
         """End the connection after reading the rest of the request: closing earlier could lose the answer."""
         super().finish()
@@ -181,11 +170,16 @@ class _Handler(BaseHTTPRequestHandler):
             while time.monotonic() < end and self.connection.recv(65536):
                 pass
 
-    def _answer(self, content_type: str, body_of: Callable[[], bytes]) -> None:
+    def _answer(self) -> None:
+        """Answer with the page or a motion, or refuse the request."""
         self.has_unread_body = "Content-Length" in self.headers or "Transfer-Encoding" in self.headers
         try:
-            self._check_access()
-            body = body_of()
+            path = self._check_access()
+            if path not in METHODS:
+                raise RefusedRequest(HTTPStatus.NOT_FOUND, "there is nothing here")
+            if self.command not in METHODS[path]:
+                raise RefusedRequest(HTTPStatus.METHOD_NOT_ALLOWED, "GET is for the page, POST for motions")
+            body = self._motion() if path else self.server.html
         except RefusedRequest as refusal:
             self._send_line(refusal.status, str(refusal))
         except InputError as error:
@@ -199,34 +193,26 @@ class _Handler(BaseHTTPRequestHandler):
             reason = "this could not be computed; the server's log may give the reason"
             self._send_line(HTTPStatus.INTERNAL_SERVER_ERROR, reason)
         else:
-            self._send(HTTPStatus.OK, content_type, body)
+            self._send(HTTPStatus.OK, BLOCK_TYPE if path else HTML_TYPE, body)
 
-    def _check_access(self) -> None:
-        """Raise `RefusedRequest` unless host, origin and token are right; then admit the connection."""
+    do_GET = do_HEAD = do_POST = _answer
+
+    def _check_access(self) -> str:
+        """Admit the connection and return the path below the token, or raise `RefusedRequest`."""
         hosts, origins = self.headers.get_all("Host", []), self.headers.get_all("Origin", [])
         if len(hosts) != 1 or hosts[0].lower() not in self.server.names:
             raise RefusedRequest(HTTPStatus.FORBIDDEN, "another host than this server's")
         is_own = all(origin in {f"http://{name}" for name in self.server.names} for origin in origins)
         if not is_own or self.headers.get("Sec-Fetch-Site", "none") not in ("none", "same-origin"):
             raise RefusedRequest(HTTPStatus.FORBIDDEN, "another origin than this server's")
-        token, _, self.rest = self.path.removeprefix("/").partition("/")
+        token, _, path = self.path.removeprefix("/").partition("/")
         if not hmac.compare_digest(token.encode(), self.server.token.encode()):
             raise RefusedRequest(HTTPStatus.FORBIDDEN, "a missing or wrong token: open the address that was printed")
         self.server.admit(self.connection)
-
-    def _check_path(self, own: str, other: str, hint: str) -> None:
-        """Raise `RefusedRequest` unless the path is that of this method."""
-        if self.rest == other:
-            raise RefusedRequest(HTTPStatus.METHOD_NOT_ALLOWED, hint)
-        if self.rest != own:
-            raise RefusedRequest(HTTPStatus.NOT_FOUND, "there is nothing here")
-
-    def _page(self) -> bytes:
-        self._check_path("", "motion", "POST is for motions")
-        return self.server.html
+        return path
 
     def _motion(self) -> bytes:
-        self._check_path("motion", "", "GET is for the page")
+        """Return the motion that the body requests."""
         request = self._body()
         client, number = request.pop("client", None), request.pop("number", None)
         if not isinstance(client, str) or not 0 < len(client) <= 64:

@@ -61,17 +61,24 @@ def json_value(value: object) -> object:
     return value if isinstance(value, int) else str(value)
 
 
-def heading(ds: xr.Dataset) -> Document:
-    """Return title, scene, source and notes, which hold for all cells."""
+def document_with(ds: xr.Dataset, kind: str, variables: list[Document], **parts: object) -> Document:
+    """Return the document of a dataset with these variables; `parts` replace its empty parts, or add to them."""
     notes = [point_text(ds), certified_text(ds)]
     if run_seconds(ds) > COMMAND_MAX_SECONDS:
         notes.append(f"Each lane ran for {run_seconds(ds):g} s; the commands simulate {COMMAND_MAX_SECONDS:g} s")
-    return {
+    map_names = dict.fromkeys(variable["map"] for variable in variables if variable["map"])
+    empty = {"axes": [], "lanes": None, "fixed": {}, "region": None, "run": None, "curves": None, "cells": None}
+    document = {
+        "format": 1,
+        "kind": kind,
         "title": title_of(ds),
         "scene": text_of(ds, "scene"),
         "source": text_of(ds, "source"),
         "notes": [one_line(note, LONGEST_TEXT) for note in notes if note],
+        "variables": variables,
+        "maps": {name: [to_hex(colormaps[name](level)) for level in range(256)] for name in map_names},
     }
+    return document | empty | parts
 
 
 def axis_document(ds: xr.Dataset, name: str) -> Document:
@@ -142,12 +149,6 @@ def variable_document(data: xr.DataArray) -> Document:
 
 def _other_colour(flag: str) -> str:
     return OTHER_COLOURS[int(flag) % len(OTHER_COLOURS)]
-
-
-def colour_maps(variables: list[Document]) -> dict[str, list[str]]:
-    """Return the colour maps of variables, each as 256 colours."""
-    names = dict.fromkeys(variable["map"] for variable in variables if variable["map"])
-    return {name: [to_hex(colormaps[name](level)) for level in range(256)] for name in names}
 
 
 def run_document(ds: xr.Dataset, sweep: Sweep | None = None) -> Document:

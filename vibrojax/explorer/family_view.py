@@ -10,9 +10,8 @@ import xarray as xr
 from vibrojax.errors import Place
 from vibrojax.explorer.document import (
     Document,
-    colour_maps,
     coordinate_document,
-    heading,
+    document_with,
     one_line,
     options_of,
     run_document,
@@ -20,7 +19,7 @@ from vibrojax.explorer.document import (
 )
 from vibrojax.explorer.encoding import Cell, pack
 from vibrojax.explorer.map_view import REPEAT_MARGIN
-from vibrojax.explorer.recording import RECORDED_LANES, Excerpt, record_cells
+from vibrojax.explorer.recording import Excerpt, record_cells
 from vibrojax.io.attributes import parameters_of, text_of
 from vibrojax.io.branches import FAMILY, along_name, kind_names, numbers_of, places, runs, stability
 from vibrojax.io.variables import orbit_name
@@ -56,22 +55,16 @@ def family_document(ds: xr.Dataset) -> Document:
     run = run_document(ds) | {"start": None, "duration": ORBIT_COMMAND_SECONDS}
     if point.system.driving_part() is not point.system:
         run["states"] = []
-    return {
-        "format": 1,
-        "kind": "family",
-        **heading(ds),
-        "axes": [axis | {"columns": columns}],
-        "variables": variables,
-        "maps": colour_maps(variables),
-        "lanes": pack(np.arange(count, dtype=np.int32)) | {"axes": ["point"]},
-        "fixed": {},
-        "region": None,
-        "run": run,
-        "curves": None,
-        "family": _branches(ds),
-        "view": [f"point:{along}"],
-        "cells": None,
-    }
+    return document_with(
+        ds,
+        "family",
+        variables,
+        axes=[axis | {"columns": columns}],
+        lanes=pack(np.arange(count, dtype=np.int32)) | {"axes": ["point"]},
+        run=run,
+        family=_branches(ds),
+        view=[f"point:{along}"],
+    )
 
 
 def _branches(ds: xr.Dataset) -> Document:
@@ -106,12 +99,9 @@ def family_cells(ds: xr.Dataset) -> Iterator[Cell]:
     recorded = skipped + repeat + REPEAT_MARGIN * period
     excerpt = Excerpt(state, np.ones(count, bool), skipped, repeat, recorded, cycles)
     multipliers = np.stack([ds[f"multiplier_{name}"].values for name in ("abs", "arg")], axis=2)
-    for first in range(0, count, RECORDED_LANES):
-        subset = np.arange(first, min(first + RECORDED_LANES, count))
-        values = {name: x[subset] for name, x in parameters.items()}
-        for index, cell in zip(subset, record_cells(scene, values, excerpt.lanes(subset)), strict=True):
-            own = multipliers[index] if np.isfinite(multipliers[index]).all() else None
-            yield replace(cell, lane=int(index), multipliers=own)
+    for index, cell in enumerate(record_cells(scene, parameters, excerpt)):
+        own = multipliers[index] if np.isfinite(multipliers[index]).all() else None
+        yield replace(cell, lane=index, multipliers=own)
 
 
 def _family_values(ds: xr.Dataset) -> dict[str, np.ndarray]:

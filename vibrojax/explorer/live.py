@@ -21,8 +21,8 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable
 from concurrent.futures import Future
+from contextlib import AbstractContextManager
 from http import HTTPStatus
-from types import TracebackType
 from typing import Any, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import xarray as xr
@@ -166,7 +166,7 @@ class Answers(Protocol):
         """Compile the programs that answers need."""
 
 
-class Live:
+class Live(AbstractContextManager["Live"]):
     """A server of one page, in its own threads until it is closed; `url` is the address of the page.
 
     **Raises:** `OSError` if no port is free.
@@ -186,12 +186,7 @@ class Live:
         for thread in self._threads:
             thread.start()
 
-    def __enter__(self) -> "Live":
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def wait(self) -> None:

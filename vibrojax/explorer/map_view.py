@@ -18,21 +18,13 @@ from vibrojax.errors import InputError
 from vibrojax.explorer.document import (
     Document,
     axis_document,
-    colour_maps,
-    heading,
+    document_with,
     json_value,
     run_document,
     variable_document,
 )
 from vibrojax.explorer.encoding import Cell, pack
-from vibrojax.explorer.recording import (
-    RECORDED_LANES,
-    SECTION_RETURNS,
-    SHOWN_RETURNS,
-    SHOWN_SECONDS,
-    Excerpt,
-    record_cells,
-)
+from vibrojax.explorer.recording import SECTION_RETURNS, SHOWN_RETURNS, SHOWN_SECONDS, Excerpt, record_cells
 from vibrojax.io.variables import orbit_name
 from vibrojax.measures.kept_returns import state_name
 from vibrojax.periodic import Orbits, early_ends
@@ -75,22 +67,18 @@ def map_document(ds: xr.Dataset, sweep: Sweep | None = None) -> Document:
     lane_axes = [str(dim) for dim in ds[LANE].dims] if LANE in ds else []
     dims = dict.fromkeys(dim for variable in variables for dim in variable["axes"])
     axes = sorted(dims, key=lambda name: lane_axes.index(name) if name in lane_axes else len(lane_axes))
-    return {
-        "format": 1,
-        "kind": "grid",
-        **heading(ds),
-        "axes": [axis_document(ds, name) for name in axes],
-        "variables": variables,
-        "maps": colour_maps(variables),
-        "lanes": pack(ds[LANE].values) | {"axes": lane_axes} if LANE in ds else None,
-        "fixed": {str(name): json_value(data.values.item()) for name, data in ds.coords.items() if data.ndim == 0},
-        "region": {name: list(ends) for name, ends in REGION.items()},
+    return document_with(
+        ds,
+        "grid",
+        variables,
+        axes=[axis_document(ds, name) for name in axes],
+        lanes=pack(ds[LANE].values) | {"axes": lane_axes} if LANE in ds else None,
+        fixed={str(name): json_value(data.values.item()) for name, data in ds.coords.items() if data.ndim == 0},
+        region={name: list(ends) for name, ends in REGION.items()},
         # A fit has lost an axis of its sweep: none of its cells is a point.
-        "run": None if FORM in ds.dims else run_document(ds, sweep),
-        "curves": None,
-        "view": _first_axes(ds),
-        "cells": None,
-    }
+        run=None if FORM in ds.dims else run_document(ds, sweep),
+        view=_first_axes(ds),
+    )
 
 
 def _shown_variables(ds: xr.Dataset) -> list[str]:
@@ -173,15 +161,13 @@ def _chunk_cells(sweep: Sweep, chunks: Chunks, index: int, features: Features) -
     # A batch runs until its longest record ends: lanes with similar ratios of recorded to shown time share one.
     order = np.flatnonzero(usable)
     order = order[np.argsort(excerpt.recorded[order] / np.maximum(excerpt.shown[order], 1e-9), kind="stable")]
-    for begin in range(0, len(order), RECORDED_LANES):
-        subset = order[begin : begin + RECORDED_LANES]
-        values = {name: x[subset] for name, x in parameters.items()}
-        for lane, cell in zip(subset, record_cells(sweep.system, values, excerpt.lanes(subset)), strict=True):
-            multipliers = None
-            if "multiplier_abs" in features:
-                multipliers = np.stack([features[f"multiplier_{name}"][lane] for name in ("abs", "arg")], axis=1)
-                multipliers = multipliers if np.isfinite(multipliers).all() else None
-            cells[lane] = replace(cell, lane=first + int(lane), multipliers=multipliers)
+    parameters = {name: x[order] for name, x in parameters.items()}
+    for lane, cell in zip(order, record_cells(sweep.system, parameters, excerpt.lanes(order)), strict=True):
+        multipliers = None
+        if "multiplier_abs" in features:
+            multipliers = np.stack([features[f"multiplier_{name}"][lane] for name in ("abs", "arg")], axis=1)
+            multipliers = multipliers if np.isfinite(multipliers).all() else None
+        cells[lane] = replace(cell, lane=first + int(lane), multipliers=multipliers)
     return cells
 
 

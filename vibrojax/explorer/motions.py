@@ -112,7 +112,24 @@ class LiveMotions:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", UnusualValue)
             point = read_point(PLACE, self.point.system, self.point.parameters | dict(parameters), start)
-        motion, constants = self._record(point, check)
+        steps = 0
+
+        def count_steps(reached: float) -> None:
+            nonlocal steps
+            steps += BATCH
+            if check is not None:
+                check()
+            if steps > MOTION_MAX_STEPS:
+                raise PLACE.error(
+                    f"over {MOTION_MAX_STEPS} steps led to {reached:.3g} s of {self.duration:g} s; "
+                    "give a softer contact, or less damping"
+                )
+
+        with precision("float64"):
+            constants = constants_at(PLACE, point, self._stepper)
+            accuracy = self._stepper.accuracy(Wanted(ANSWER_ACCURACY, None, None), point.system)
+            check_size(PLACE, point.system, constants, self.duration, accuracy, self._stepper, 0)
+            motion = recorded(point, self._stepper, constants, accuracy, self.duration, count_steps)
         cell = _cell_of_record(point.system, constants, motion, self.duration)
         notes = [cell.note, *(str(w.message) for w in caught if issubclass(w.category, UnusualValue))]
         return replace(cell, note="; ".join(note for note in notes if note))
@@ -131,27 +148,6 @@ class LiveMotions:
         cell = self.cell({name: float(x[0]) for name, x in values.items()}, start, check)
         carried = "" if self.sweep.run.carry is None else "from the start, not carried on from the point before"
         return replace(cell, lane=number, numbers=None, note="; ".join(text for text in (cell.note, carried) if text))
-
-    def _record(self, point: Point, check: Callable[..., None] | None = None) -> tuple[Recorded, Any]:
-        """Return the motion of a point, and the scene's constants there."""
-        with precision("float64"):
-            constants = constants_at(PLACE, point, self._stepper)
-            accuracy = self._stepper.accuracy(Wanted(ANSWER_ACCURACY, None, None), point.system)
-            check_size(PLACE, point.system, constants, self.duration, accuracy, self._stepper, 0)
-            steps = 0
-
-            def count_steps(reached: float) -> None:
-                nonlocal steps
-                steps += BATCH
-                if check is not None:
-                    check()
-                if steps > MOTION_MAX_STEPS:
-                    raise PLACE.error(
-                        f"over {MOTION_MAX_STEPS} steps led to {reached:.3g} s of {self.duration:g} s; "
-                        "give a softer contact, or less damping"
-                    )
-
-            return recorded(point, self._stepper, constants, accuracy, self.duration, count_steps), constants
 
     def warm(self) -> None:
         """Compile the programs of all motions by simulating one."""

@@ -76,10 +76,16 @@ def _first_step(scene: Scene[Any], p: dict[str, Any], state: Values) -> tuple[An
 
 def record_cells(scene: Scene[Any], parameters: dict[str, np.ndarray], excerpt: Excerpt) -> Iterator[Cell]:
     """Simulate the excerpts of lanes, and yield their cells in order."""
+    for first in range(0, excerpt.state.shape[1], RECORDED_LANES):
+        subset = slice(first, first + RECORDED_LANES)
+        used = {name: parameters[name][subset] for name in scene.parameters()}
+        yield from _record_batch(scene, used, excerpt.lanes(subset))
+
+
+def _record_batch(scene: Scene[Any], parameters: dict[str, np.ndarray], excerpt: Excerpt) -> Iterator[Cell]:
     stepper = Located()
     with precision("float64"):
-        used = {name: parameters[name] for name in scene.parameters()}
-        constants, lane = _first_step(scene, used, tuple(excerpt.state))
+        constants, lane = _first_step(scene, parameters, tuple(excerpt.state))
         accuracy = Accuracy(*(np.float64(x) for x in RECORD_ACCURACY))
         parts = []
         for _ in range(RECORD_MAX_BATCHES):

@@ -7,7 +7,14 @@ import xarray as xr
 from jaxtyping import Float
 
 from vibrojax.errors import InputError, printable
-from vibrojax.explorer.document import Document, command_seconds, heading, one_line, run_document, variable_document
+from vibrojax.explorer.document import (
+    Document,
+    command_seconds,
+    document_with,
+    one_line,
+    run_document,
+    variable_document,
+)
 from vibrojax.explorer.encoding import EVENTS, STUCK, TOUCHING, Cell, StateColumn, pack
 from vibrojax.explorer.recording import (
     SECTION_RETURNS,
@@ -35,21 +42,14 @@ def motion_document(ds: xr.Dataset) -> Document:
     if not ds.sizes["time"]:
         raise InputError("explore: the motion has no samples")
     names = [str(name) for name, data in ds.data_vars.items() if data.ndim == 0 and data.dtype.kind in "fiu"]
-    return {
-        "format": 1,
-        "kind": "motion",
-        **heading(ds),
-        "axes": [],
-        "variables": [variable_document(ds[name]) | {"map": None} for name in names],
-        "maps": {},
-        "lanes": pack(np.zeros(1, np.int32)) | {"axes": []},
-        "fixed": {},
-        "region": None,
-        "run": run_document(ds) | {"duration": command_seconds(float(ds["time"][-1]))},
-        "curves": None,
-        "history": _history(ds),
-        "cells": None,
-    }
+    return document_with(
+        ds,
+        "motion",
+        [variable_document(ds[name]) | {"map": None} for name in names],
+        lanes=pack(np.zeros(1, np.int32)) | {"axes": []},
+        run=run_document(ds) | {"duration": command_seconds(float(ds["time"][-1]))},
+        history=_history(ds),
+    )
 
 
 def _history(ds: xr.Dataset) -> Document:
@@ -83,7 +83,8 @@ def cell_of(motion: xr.Dataset, lane: int = -1) -> Cell:
     **Returns:** a cell with `numbers`: the features of the motion, by the names of a sweep's variables.
     """
     time = motion["time"].values
-    events = _events(motion)
+    moments, kinds = (motion[n].values if n in motion else np.zeros(0) for n in ("event_time", "event_kind"))
+    events = {name: moments[kinds == flag] for flag, name in enumerate(EVENTS) if flag}
     returns, cycles = events["section"], int(motion["cycles"]) if "cycles" in motion else 0
     if not len(returns) and "applied_force" in motion:
         returns = _pulses(motion, float(time[-1]))
@@ -121,14 +122,6 @@ def cell_of(motion: xr.Dataset, lane: int = -1) -> Cell:
         section={name: np.interp(passed[-SECTION_RETURNS:], time, data[name].values) for name in section},
         numbers={name: x if isinstance(x, int) or np.isfinite(x) else None for name, x in numbers.items()},
     )
-
-
-def _events(motion: xr.Dataset) -> dict[str, Float[np.ndarray, " events"]]:
-    """Return the times [s] of events, by kind."""
-    if "event_time" not in motion:
-        return {name: np.zeros(0) for name in EVENTS[1:]}
-    moments, kinds = motion["event_time"].values, motion["event_kind"].values
-    return {name: moments[kinds == flag] for flag, name in enumerate(EVENTS) if flag}
 
 
 def _pulses(motion: xr.Dataset, end: float) -> Float[np.ndarray, " pulses"]:
