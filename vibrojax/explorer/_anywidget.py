@@ -9,9 +9,7 @@ import traitlets
 import xarray as xr
 
 from vibrojax.errors import InputError, Place, shown, suggestion
-from vibrojax.explorer.motions import LiveMotions, motions_for
-from vibrojax.explorer.views import cells_of, document_of, with_map
-from vibrojax.explorer.write import LIVE_MODULES, module_text, style_text, with_blocks
+from vibrojax.explorer.write import LIVE_MODULES, module_text, page_contents, style_text
 from vibrojax.plot.contents import START
 from vibrojax.plot.starts import on_axes
 from vibrojax.progress import LOG
@@ -35,19 +33,13 @@ class Explorer(anywidget.AnyWidget):
     simulated = traitlets.Dict()
 
     def __init__(
-        self, ds: xr.Dataset, over: xr.Dataset | None = None, own: Sweep | None = None, live: bool | None = None
+        self,
+        ds: xr.Dataset,
+        over: xr.Dataset | None,
+        sweep: Sweep | Mapping[str, object] | None,
+        live: bool | None,
     ) -> None:
-        ds, over = with_map(ds, over, progress=False)
-        document = document_of(ds, over, own)
-        self.motions: LiveMotions | None = None
-        if live is not False:
-            try:
-                self.motions = motions_for(ds, own)
-            except InputError:  # the dataset names no scene of the package
-                if live:
-                    raise
-        answers_lanes = self.motions is not None and self.motions.sweep is not None
-        document, blocks = with_blocks(document, () if answers_lanes else cells_of(ds, False, own))
+        ds, document, blocks, self.motions = page_contents(ds, over, sweep, live, progress=False)
         self.dataset = on_axes(ds) if START in ds.dims and START in ds.coords else ds
         self._axes = {str(axis["name"]): axis for axis in document["axes"]}
         offered = None if self.motions is None else self.motions.offered()

@@ -67,7 +67,15 @@ def document_with(ds: xr.Dataset, kind: str, variables: list[Document], **parts:
     if run_seconds(ds) > COMMAND_MAX_SECONDS:
         notes.append(f"Each lane ran for {run_seconds(ds):g} s; the commands simulate {COMMAND_MAX_SECONDS:g} s")
     map_names = dict.fromkeys(variable["map"] for variable in variables if variable["map"])
-    empty = {"axes": [], "lanes": None, "fixed": {}, "region": None, "run": None, "curves": None, "cells": None}
+    empty: Document = {
+        "axes": [],
+        "lanes": None,
+        "fixed": {},
+        "region": None,
+        "run": None,
+        "curves": None,
+        "cells": None,
+    }
     document = {
         "format": 1,
         "kind": kind,

@@ -8,12 +8,7 @@ The server answers two requests, below a path that begins with a token. Only the
                           [vibrojax.explorer.encoding][]
 
 A greater number makes the smaller numbers of the same client (an open page) obsolete. A refusal is {"error": line} with
-one of these statuses:
-
-- 400: wrong values, or a malformed request; 403: no token, or another host or origin
-- 404, 405, 408, 411, 413, 415, 431: as HTTP defines them
-- 409: superseded by a newer request of the client
-- 500: a fault of the server; 503, with Retry-After: too many requests
+a status: 409 for an obsolete request, 503 with Retry-After for too many requests, others as HTTP defines them.
 """
 
 import secrets
@@ -28,9 +23,7 @@ from typing import Any, NamedTuple, Protocol, TypeVar, runtime_checkable
 import xarray as xr
 
 from vibrojax.explorer._loopback import HOST, RefusedRequest, Server
-from vibrojax.explorer.motions import motions_for
-from vibrojax.explorer.views import cells_of, document_of, with_map
-from vibrojax.explorer.write import page_text, with_blocks
+from vibrojax.explorer.write import page_contents, page_text
 from vibrojax.progress import LOG
 
 Result = TypeVar("Result")
@@ -220,7 +213,6 @@ def serve(ds: xr.Dataset, over: xr.Dataset | None = None, progress: bool = False
 
     **Raises:** `InputError` if the dataset holds nothing to show or to simulate; `OSError` if no port is free.
     """
-    ds, over = with_map(ds, over, progress)
-    document, motions = document_of(ds, over), motions_for(ds)
-    document, blocks = with_blocks(document, cells_of(ds, progress) if motions.sweep is None else ())
+    _, document, blocks, motions = page_contents(ds, over, None, True, progress)
+    assert motions is not None
     return Live(page_text(document | {"live": motions.offered()}, blocks), motions)

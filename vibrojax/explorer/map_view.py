@@ -45,8 +45,10 @@ LANE = "lane_number"
 OMITTED_PREFIXES = ("return_", "check_")
 """Prefixes of variables that hold single returns, or results of the check run."""
 
-LEADING_VARIABLES = ("lane_attractor", "regime", "rate_of_penetration", "share")
-LEADING_VARIABLES += ("impact_velocity", "period", "bit_amplitude")
+LEADING_VARIABLES = (
+    *("lane_attractor", "regime", "rate_of_penetration"),
+    *("share", "impact_velocity", "period", "bit_amplitude"),
+)
 
 REPEAT_MARGIN = 1e-3
 """Periods recorded beyond a repeat, so that the return at its end is in the record."""

@@ -7,7 +7,6 @@ import xarray as xr
 
 from vibrojax.errors import InputError
 from vibrojax.sweep.input.definition import Sweep
-from vibrojax.sweep.input.read import read_sweep
 
 if TYPE_CHECKING:
     from vibrojax.explorer._anywidget import Explorer
@@ -56,5 +55,4 @@ def explore(
         if error.name not in ("anywidget", "ipywidgets", "traitlets"):
             raise
         raise InputError('explore: anywidget is not installed; pip install "vibrojax[widget]"') from None
-    own = read_sweep(sweep) if isinstance(sweep, Mapping) else sweep
-    return Explorer(ds, over, own, live)
+    return Explorer(ds, over, sweep, live)

@@ -10,8 +10,10 @@ from pathlib import Path
 
 import xarray as xr
 
+from vibrojax.errors import InputError
 from vibrojax.explorer.document import Document
 from vibrojax.explorer.encoding import Cell, deflate, encode
+from vibrojax.explorer.motions import LiveMotions, motions_for
 from vibrojax.explorer.views import cells_of, document_of, with_map
 from vibrojax.io.atomic import atomic_write
 from vibrojax.io.content_policy import content_policy
@@ -70,18 +72,37 @@ def write_page(
     '<!doctype html>'
     """
     path = Path(path)
-    own = read_sweep(sweep) if isinstance(sweep, Mapping) else sweep
-    ds, over = with_map(ds, over, progress)
-    document, blocks = with_blocks(document_of(ds, over, own), cells_of(ds, progress, own))
+    _, document, blocks, _ = page_contents(ds, over, sweep, False, progress)
     with atomic_write(path) as part:
         part.write_text(page_text(document, blocks), encoding="utf-8")
     return path
 
 
-def with_blocks(document: Document, cells: Iterable[Cell]) -> tuple[Document, list[str]]:
-    """Return the document of a page that holds cells, and the blocks of these cells."""
-    blocks = blocks_of(cells)
-    return (document | {"cells": {"size": BLOCK_CELLS, "blocks": len(blocks)}} if blocks else document), blocks
+def page_contents(
+    ds: xr.Dataset,
+    over: xr.Dataset | None,
+    sweep: Sweep | Mapping[str, object] | None,
+    live: bool | None,
+    progress: bool,
+) -> tuple[xr.Dataset, Document, list[str], LiveMotions | None]:
+    """Return the dataset of a page, its document, its blocks of cells, and its motions on demand.
+
+    `live`: whether motions are computed on demand; None means True if the dataset names a scene of the package.
+    """
+    own = read_sweep(sweep) if isinstance(sweep, Mapping) else sweep
+    ds, over = with_map(ds, over, progress)
+    document, motions = document_of(ds, over, own), None
+    if live is not False:
+        try:
+            motions = motions_for(ds, own)
+        except InputError:
+            if live:
+                raise
+    has_lanes = motions is not None and motions.sweep is not None
+    blocks = [] if has_lanes else blocks_of(cells_of(ds, progress, own))
+    if blocks:
+        document["cells"] = {"size": BLOCK_CELLS, "blocks": len(blocks)}
+    return ds, document, blocks, motions
 
 
 def blocks_of(cells: Iterable[Cell]) -> list[str]:
