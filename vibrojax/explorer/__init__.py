@@ -2,20 +2,10 @@
 
 (The public function is `vibrojax.explore`; a package of that name would hide it.)
 
-`mount(element, {data, source, state, onPick, onState})` of `page/mount.js` shows a dataset in an element of a page:
-
-- `data`: the *document* of a dataset as JSON, the result of `document_of` (below).
-- `source`: the source of motions, `{cell(lane), motion(parameters, start)}`. Both return promises of a cell, or of null
-  without one. `lane` is the number of a lane, or of a point of a family. A page has its own `embeddedSource`. A server
-  or a widget answers with `encode([cell])`, and the page reads `decodeCells(buffer)[0]`. `cells_of(ds)` yields the
-  cells of all lanes, and `cell_of(motion)` returns that of a trajectory, with its own `numbers`.
-- `state`: the fragment of an address, `variable=regime&x=gamma&y=beta&at.beta=0.4&...`; `onState(state)` is called
-  after each change.
-- `onPick({cell, lane, values})` is called with each selected cell: indices by axis, its lane, and its coordinates by
-  name.
-
-It returns `{pick(cell), show(changes), showMotion(cell), restore(state), state, calls(), destroy()}`. These functions
-return its parts as text: `module_text(exported=True)`, `style_text()`, `page_text(document)`.
+`mount(element, {data, source, state, onPick, onState})` of `page/mount.js` shows a dataset in an element of a page.
+`data` is its *document* (below), and `source` returns the cells of motions. A page has its own `embeddedSource`; a
+server or a widget sends `encode([cell])`. `state` is the fragment of an address,
+`variable=regime&x=gamma&y=beta&at.beta=0.4&...`.
 
 **The document:**
 

@@ -33,9 +33,6 @@ SYMBOL_MAX_CHARACTERS = 40
 COMMAND_MAX_SECONDS = 10_000.0
 """Seconds that a command simulates at most: a dataset may name a duration that takes years."""
 
-DEFAULT_OPTIONS = ("stribeck", "rectangular")
-"""Words of options that a command leaves out."""
-
 JAVASCRIPT_NAMES = {"__defineGetter__", "__defineSetter__", "__lookupGetter__", "__lookupSetter__", "__proto__"}
 JAVASCRIPT_NAMES |= {"constructor", "hasOwnProperty", "isPrototypeOf", "propertyIsEnumerable", "toLocaleString"}
 JAVASCRIPT_NAMES |= {"toString", "valueOf"}
@@ -180,7 +177,8 @@ def run_document(ds: xr.Dataset, sweep: Sweep | None = None) -> Document:
         "own_scene": False,
         "scene": names.scene,
         "parameters": {row["name"]: row["value"] for row in differing_of(ds) if row["name"] in names.parameters},
-        "options": {option: word for option, word in names.options.items() if word not in DEFAULT_OPTIONS},
+        # A command leaves out the defaults.
+        "options": {key: word for key, word in names.options.items() if word not in ("stribeck", "rectangular")},
         "start": start,
         "duration": command_seconds(run_seconds(ds)),
         "names": list(names.parameters),

@@ -32,27 +32,24 @@ MARK_SHAPES = {"s": "square", "o": "circle", "*": "diamond", "v": "triangle", "|
 
 LEADING_ORBIT_VARIABLES = ("impact_velocity", "bit_amplitude", "multiplier_abs", "stable", "period")
 
-ORBIT_COMMAND_SECONDS = 2.0
-"""Seconds that the command of a cell simulates: it starts on the orbit, so that nothing has to settle."""
-
 
 def family_document(ds: xr.Dataset) -> Document:
     """Return the document of families, as `follow` returns them."""
     along, point, count = along_name(ds), _base_point(ds), ds.sizes["point"]
     columns = [coordinate_document(ds[along])]
     for name, values in _family_values(ds).items():
-        column = xr.DataArray(values, dims="point", name=name, attrs=ds[name].attrs)
-        columns.append(coordinate_document(column))
+        columns.append(coordinate_document(xr.DataArray(values, dims="point", name=name, attrs=ds[name].attrs)))
     for name in point.system.start_states:
         values = ds[orbit_name(name)].values if orbit_name(name) in ds else np.zeros(count)
         column = xr.DataArray(values, dims="point", name=f"start_{name}")
         columns.append(coordinate_document(column) | {"silent": True})
     names = [str(name) for name, data in ds.data_vars.items() if "point" in data.dims and data.dtype.kind in "fiu"]
     names = [name for name in names if name not in (along, "point_family")]
-    leading = [name for name in LEADING_ORBIT_VARIABLES if name in names]
-    variables = [variable_document(ds[name]) for name in [*leading, *(name for name in names if name not in leading)]]
+    names = [name for name in LEADING_ORBIT_VARIABLES if name in names] + names
+    variables = [variable_document(ds[name]) for name in dict.fromkeys(names)]
     axis = coordinate_document(xr.DataArray(np.arange(count), dims="point", name="point"))
-    run = run_document(ds) | {"start": None, "duration": ORBIT_COMMAND_SECONDS}
+    # The command of a cell starts on its orbit: nothing has to settle.
+    run = run_document(ds) | {"start": None, "duration": 2.0}
     if point.system.driving_part() is not point.system:
         run["states"] = []
     return document_with(

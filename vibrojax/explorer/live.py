@@ -168,7 +168,11 @@ class Live(AbstractContextManager["Live"]):
     def __init__(self, html: str, answers: Answers) -> None:
         self.answers = answers
         self.token = secrets.token_urlsafe(32)
-        self._server = Server(html.encode(), self.token, self._answer)
+
+        def ask(client: str, number: int, request: dict[str, Any]) -> bytes:
+            return self.queue.ask(client, number, lambda check: answers.answer(request, check))
+
+        self._server = Server(html.encode(), self.token, ask)
         self.queue = RequestQueue()
         self.port = int(self._server.server_address[1])
         self.url = f"http://{HOST}:{self.port}/{self.token}/"
@@ -194,9 +198,6 @@ class Live(AbstractContextManager["Live"]):
         self._server.server_close()
         for thread in self._threads:
             thread.join(seconds)
-
-    def _answer(self, client: str, number: int, request: dict[str, Any]) -> bytes:
-        return self.queue.ask(client, number, lambda check: self.answers.answer(request, check))
 
     def _warm(self) -> None:
         """Compile everything before the first click; an error here occurs again when a client asks."""

@@ -42,9 +42,6 @@ from vibrojax.sweep.input.definition import Sweep
 LANE = "lane_number"
 """Name of the variable that holds the number of each cell's lane."""
 
-OMITTED_PREFIXES = ("return_", "check_")
-"""Prefixes of variables that hold single returns, or results of the check run."""
-
 LEADING_VARIABLES = (
     *("lane_attractor", "regime", "rate_of_penetration"),
     *("share", "impact_velocity", "period", "bit_amplitude"),
@@ -86,14 +83,14 @@ def map_document(ds: xr.Dataset, sweep: Sweep | None = None) -> Document:
 def _shown_variables(ds: xr.Dataset) -> list[str]:
     """Return the variables that a page shows, the most informative ones first."""
     names = [str(name) for name, data in ds.data_vars.items() if data.dtype.kind in "fiu" and data.ndim > 0]
-    names = [name for name in names if name != LANE and not name.startswith(OMITTED_PREFIXES)]
+    # Single returns, and results of the check run, have no place on a map.
+    names = [n for n in names if n != LANE and not n.startswith(("return_", "check_"))]
     names = [name for name in names if "return_index" not in ds[name].dims]
     leading = [name for name in LEADING_VARIABLES if name in names]
     if "share" in leading and START in ds.dims:  # starts that form no plane: shares say more than each start's end
         leading.remove("share")
         leading.insert(0, "share")
-    leading = [name for name in names if name.startswith("push_")] + leading
-    return leading + [name for name in names if name not in leading]
+    return list(dict.fromkeys([*(name for name in names if name.startswith("push_")), *leading, *names]))
 
 
 def _first_axes(ds: xr.Dataset) -> list[str]:

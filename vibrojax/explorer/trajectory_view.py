@@ -33,8 +33,8 @@ HISTORY_BINS = 1200
 SECTION_STATES = ("x1", "x2", "v2", "x3", "v3")
 """States whose values at returns are shown, as far as the scene has them."""
 
-REPEAT_MAX_PULSES, REPEAT_TOLERANCE, REPEAT_SAMPLES = 8, 1e-2, 64
-"""Pulses of the longest repeat, the distance from one repeat to the next over the swing, and times compared."""
+REPEAT_MAX_PULSES, REPEAT_TOLERANCE = 8, 1e-2
+"""Pulses of the longest repeat, and the largest distance from one repeat to the next over the swing."""
 
 
 def motion_document(ds: xr.Dataset) -> Document:
@@ -137,7 +137,7 @@ def _repeated_pulses(motion: xr.Dataset, pulses: np.ndarray) -> int:
     time = motion["time"].values
     states = [motion["v3"].values, motion["x3"].values - motion["x4"].values]
     for count in range(1, min(REPEAT_MAX_PULSES, len(pulses) - 1) + 1):
-        last = np.linspace(pulses[-1 - count], pulses[-1], REPEAT_SAMPLES)
+        last = np.linspace(pulses[-1 - count], pulses[-1], 64)
         before = last - (pulses[-1] - pulses[-1 - count])
         if before[0] < 0:
             return 0
