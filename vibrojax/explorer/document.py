@@ -123,7 +123,7 @@ def variable_document(data: xr.DataArray) -> Document:
     colours = None
     if data.name == "lane_attractor":
         numbers = [int(x) for x in np.unique(data.values)]
-        flags = {str(n): f"attractor {n}" if n >= 0 else "unclassified" for n in numbers}
+        flags = {str(n): f"attractor {n}" if n >= 0 else "unassigned" for n in numbers}
         palette = dict(enumerate(ATTRACTOR_COLOURS))
         colours = {str(n): palette.get(n, BEYOND) for n in numbers}
     elif flags is not None and "single-impact" in flags.values():
