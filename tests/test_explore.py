@@ -9,18 +9,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
+from cell_blocks import decode
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import vibrojax as vj
 from vibrojax.cli import main
-from vibrojax.explorer import Cell, cell_of, cells_of, decode, document_of, encode, module_text, page_text, write_page
-from vibrojax.explorer.cells import EVENTS, LEVELS, STUCK, Column
-from vibrojax.explorer.packed import DIGITS, packed
+from vibrojax.explorer import Cell, cell_of, cells_of, document_of, encode, module_text, page_text, write_page
+from vibrojax.explorer.encoding import EVENTS, MANTISSA_BITS, STATE_LEVELS, STUCK, StateColumn, pack
 from vibrojax.explorer.write import blocks_of
 from vibrojax.sweep.input.read import read_sweep
 
-COLUMNS = (Column("x1", "m", "position"), Column("v1", "m s-1", "velocity"))
+COLUMNS = (StateColumn("x1", "m", "position"), StateColumn("v1", "m s-1", "velocity"))
 PLANE = {
     "scene": "vibro-impact",
     "starts": ["drive", "stuck"],
@@ -67,7 +67,7 @@ def test_cells_come_back_from_their_bytes(seed: int, sizes: list[int]) -> None:
         np.testing.assert_array_equal(back.flags, one.flags)
         np.testing.assert_allclose(back.time, one.time, atol=0.51 / 16383)
         for name, values in one.states.items():
-            step = np.ptp(values) / LEVELS if values.size else 0.0
+            step = np.ptp(values) / STATE_LEVELS if values.size else 0.0
             np.testing.assert_allclose(back.states[name], values, atol=0.51 * step, rtol=1e-6)
         np.testing.assert_allclose(back.section["v1"], 7.5)
         if one.multipliers is not None and back.multipliers is not None:
@@ -82,12 +82,12 @@ def test_a_block_of_nothing_and_a_cell_without_a_motion() -> None:
 
 def test_arrays_keep_five_digits_and_what_is_no_number() -> None:
     values = np.array([[1.0, np.nan, -np.inf], [1.23456789e-8, 98765.4321, 0.0]])
-    back = unpacked(packed(values))
+    back = unpacked(pack(values))
     finite = np.isfinite(values)
-    np.testing.assert_allclose(back[finite], values[finite], rtol=2.0 ** -(DIGITS + 1))
+    np.testing.assert_allclose(back[finite], values[finite], rtol=2.0 ** -(MANTISSA_BITS + 1))
     np.testing.assert_array_equal(back[~finite], values[~finite].astype(np.float32))
     for whole in (np.array([-1, 0, 7], np.int8), np.array([0, 70_000, -5])):
-        np.testing.assert_array_equal(unpacked(packed(whole)), whole)
+        np.testing.assert_array_equal(unpacked(pack(whole)), whole)
 
 
 # Motions.

@@ -18,7 +18,7 @@ from small_map import small_map
 
 import vibrojax as vj
 from vibrojax.explorer import document_of, page_text
-from vibrojax.explorer.run import run_document
+from vibrojax.explorer.document import run_document
 from vibrojax.io.content_policy import content_policy
 from vibrojax.models.scenes.vibro_impact import VibroImpact
 

@@ -11,8 +11,7 @@ import pytest
 
 from vibrojax.errors import InputError
 from vibrojax.explorer import _loopback as server
-from vibrojax.explorer._turns import Busy, Closed, Superseded, Turns
-from vibrojax.explorer.live import Live
+from vibrojax.explorer.live import Busy, Closed, Live, RequestQueue, Superseded
 
 HTML = "<!doctype html><title>page</title><script type=module>export const a = 1;</script>"
 
@@ -227,7 +226,10 @@ def test_who_keeps_silent_is_let_go(live, monkeypatch):
 
 @pytest.mark.parametrize(
     ("limit", "begin"),
-    [("HEADER_SECONDS", "GET /"), ("PATIENCE", "POST /{token}/motion HTTP/1.1\r\n{own}Content-Length: 9999\r\n\r\n")],
+    [
+        ("HEADER_MAX_SECONDS", "GET /"),
+        ("REQUEST_MAX_SECONDS", "POST /{token}/motion HTTP/1.1\r\n{own}Content-Length: 9999\r\n\r\n"),
+    ],
 )
 def test_who_comes_byte_by_byte_is_let_go(live, monkeypatch, limit, begin):
     """Before the token is shown after one time, after it after another."""
@@ -276,7 +278,7 @@ def test_wrong_values_are_said_in_one_line_and_faults_are_not_shown(live):
 
 def test_too_many_connections_with_the_token_are_sent_away(live, monkeypatch):
     """Those without one make room, the oldest first."""
-    monkeypatch.setattr(server, "CONNECTIONS", 3)
+    monkeypatch.setattr(server, "MAX_CONNECTIONS", 3)
     open_ = live._server._open
     wait_until(lambda: not open_)
     idle = [socket.create_connection(("127.0.0.1", live.port), 10) for _ in range(3)]
@@ -327,7 +329,7 @@ def test_a_thousand_quick_clicks_are_answered_or_refused_in_order():
         assert found[999] == 200
         assert answers.answered == sorted(answers.answered)
         assert set(answers.answered) >= {number for number, status in found.items() if status == 200}
-        assert answers.left > 0 and len(live.turns._newest) <= 2 and not live.turns._waiting
+        assert answers.left > 0 and len(live.queue._newest) <= 2 and not live.queue._waiting
     assert request_fails(live)
 
 
@@ -386,7 +388,7 @@ def attempt(live, client):
 
 
 def test_turns_keep_their_order():
-    turns, done = Turns(waiting=1), []
+    queue, done = RequestQueue(waiting=1), []
     begun, go = threading.Event(), threading.Event()
 
     def long(check):
@@ -394,22 +396,22 @@ def test_turns_keep_their_order():
         go.wait(5)
         done.append("long")
 
-    threads = [threading.Thread(target=lambda: turns.ask("a", 5, long))]
+    threads = [threading.Thread(target=lambda: queue.ask("a", 5, long))]
     threads[0].start()
     assert begun.wait(5)
     with pytest.raises(Superseded):
-        turns.ask("a", 5, long)
-    threads.append(threading.Thread(target=lambda: turns.ask("b", 1, lambda check: done.append("b"))))
+        queue.ask("a", 5, long)
+    threads.append(threading.Thread(target=lambda: queue.ask("b", 1, lambda check: done.append("b"))))
     threads[1].start()
-    while not turns._waiting:
+    while not queue._waiting:
         time.sleep(0.001)
     with pytest.raises(Busy):
-        turns.ask("c", 1, long)
+        queue.ask("c", 1, long)
     go.set()
     for one in threads:
         one.join()
-    assert turns.ask("c", 1, lambda check: "c") == "c"  # the same number again: it was sent away, not answered
+    assert queue.ask("c", 1, lambda check: "c") == "c"  # the same number again: it was sent away, not answered
     assert done == ["long", "b"]
-    turns.close()
+    queue.close()
     with pytest.raises(Closed):
-        turns.ask("a", 9, long)
+        queue.ask("a", 9, long)

@@ -5,13 +5,14 @@ import time
 
 import numpy as np
 import pytest
+from cell_blocks import decode
 
 import vibrojax as vj
 from vibrojax.compile.kernels import kernels
 from vibrojax.errors import InputError
-from vibrojax.explorer import at_point, cells
-from vibrojax.explorer.at_point import Motions, motions_around, motions_of
-from vibrojax.explorer.cells import decode
+from vibrojax.explorer import encoding
+from vibrojax.explorer import motions as live_motions
+from vibrojax.explorer.motions import LiveMotions, motions_around, motions_of
 
 SWEEP = {
     "scene": "vibro-impact",
@@ -64,7 +65,7 @@ def test_what_is_shown_lies_on_the_motion(motions):
         there = np.interp(at, motion["time"], motion[name])
         rate = np.abs(np.gradient(motion[name], motion["time"])).max()
         # A state is as exact as its levels, at a time that is as exact as its own.
-        within = 0.6 * np.ptp(there) / cells.LEVELS + 0.6 * rate * cell.duration / cells._TIMES
+        within = 0.6 * np.ptp(there) / encoding.STATE_LEVELS + 0.6 * rate * cell.duration / encoding.TIME_LEVELS
         np.testing.assert_allclose(cell.states[name], there, atol=within)
 
 
@@ -81,7 +82,7 @@ def test_lanes_are_the_sweeps(dataset, motions):
 
 @pytest.mark.parametrize("scene", ["rotary", "penetration", "drilling", "coupled-drilling"])
 def test_every_scene_answers(scene):
-    motions = Motions(scene, {}, None, 2.0 if scene == "penetration" else 12.0)
+    motions = LiveMotions(scene, {}, None, 2.0 if scene == "penetration" else 12.0)
     cell = one(motions.answer({"parameters": {}}, never))
     assert cell.kind != "none" and len(cell.time) > 50 and cell.numbers
     offered = motions.offered()
@@ -108,7 +109,7 @@ def test_every_scene_answers(scene):
         ({"parameters": {}, "start": [1, 2]}, "explore: start: "),
         ({"parameters": {}, "start": {"x": 1}}, "explore: start: "),
         ({"parameters": {}, "duration": 1e9}, "explore: duration: there is no such thing to ask for"),
-        ({"lane": 12}, "explore: lane: 12 is no lane; there are 12, from 0"),
+        ({"lane": 12}, "explore: lane: 12 is not a lane; there are 12, from 0"),
         ({"lane": -1}, "explore: lane: "),
         ({"lane": True}, "explore: lane: "),
         ({"lane": None}, "explore: lane: "),
@@ -121,16 +122,16 @@ def test_wrong_questions_are_refused_in_one_line(motions, asked, line):
 
 
 def test_a_motion_of_too_many_steps_is_given_up(motions, monkeypatch):
-    monkeypatch.setattr(at_point, "MOST_STEPS", 512)
+    monkeypatch.setattr(live_motions, "MOTION_MAX_STEPS", 512)
     with pytest.raises(InputError, match=r"explore: over 512 steps led to .* s of 14 s; give a softer contact"):
         motions.answer({"parameters": {"k0": 300e6}}, never)
 
 
 def test_pulses_repeat():
     """The bit under equal pulses is after each where it was after the one before, but deeper."""
-    cell = one(Motions("penetration", {"frequency": 25.0}, None, 2.0).answer({}, never))
+    cell = one(LiveMotions("penetration", {"frequency": 25.0}, None, 2.0).answer({}, never))
     assert (cell.kind, cell.returns, cell.duration) == ("orbit", 1, pytest.approx(0.04, rel=1e-6))
-    swept = Motions("penetration", {"pulse_shape": "sweep", "bias": 60e3}, None, 2.0)
+    swept = LiveMotions("penetration", {"pulse_shape": "sweep", "bias": 60e3}, None, 2.0)
     assert one(swept.answer({}, never)).kind == "motion"
 
 
@@ -154,7 +155,7 @@ def test_what_is_not_awaited_any_more_ends(motions):
 
 def test_values_compile_nothing():
     """A first motion compiles; parameters and starts are values. Fast enough for a slider: under 0.3 s of one core."""
-    motions = Motions("vibro-impact", {})
+    motions = LiveMotions("vibro-impact", {})
     assert motions.duration == 48.0
     motions.warm()
     before, random = len(kernels), np.random.default_rng(0)

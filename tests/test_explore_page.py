@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 import xarray as xr
 from browser import chromium, new_page
+from cell_blocks import decode
 
 import vibrojax as vj
-from vibrojax.explorer import decode, document_of, page_text, write_page
+from vibrojax.explorer import document_of, page_text, write_page
 
 # Short lanes serve for what a page says; the motions of the others are those that lanes settle on.
 MANY = {

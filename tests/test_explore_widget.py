@@ -6,11 +6,11 @@ import json
 import numpy as np
 import pytest
 from browser import chromium, new_page, wrong
+from cell_blocks import decode
 from small_map import small_map
 
 import vibrojax as vj
 from vibrojax.errors import InputError
-from vibrojax.explorer.cells import decode
 
 anywidget = pytest.importorskip("anywidget")
 
@@ -58,9 +58,9 @@ def test_python_picks_the_nearest_cell(widget):
     ("point", "line"),
     [
         ({"bta": 0.3}, 'explore: point.bta: the map has no such axis; did you mean "beta"?'),
-        ({"start": "nowhere"}, 'explore: point.start: "nowhere" is none of its values; choose from drive, stuck'),
-        ({"beta": "x"}, 'explore: point.beta: "x" is no number; give one, in SI units'),
-        ({"beta": float("nan")}, "explore: point.beta: nan is no number; give one, in SI units"),
+        ({"start": "nowhere"}, 'explore: point.start: "nowhere" is not one of its values; choose from drive, stuck'),
+        ({"beta": "x"}, 'explore: point.beta: "x" is not a finite number; give one in SI units'),
+        ({"beta": float("nan")}, "explore: point.beta: nan is not a finite number; give one in SI units"),
     ],
 )
 def test_wrong_points_are_refused(widget, point, line):

@@ -53,6 +53,12 @@ class Analysis:
     pictures: ClassVar[Sequence[PictureRule]] = ()
     """Pictures of its datasets; the first rule that fits is used."""
 
+    view: ClassVar[str] = "map"
+    """View in the explorer: "map", "curves" (over the map of their sweep), "families", "motion" or "none"."""
+
+    no_view: ClassVar[str] = ""
+    """Reason why the explorer cannot show its datasets, if `view` is "none"."""
+
     def run(self, source: Source, progress: bool = True) -> xr.Dataset:
         """Return the dataset of the analysis of `source`.
 

@@ -1,4 +1,4 @@
-"""The widget of `vibrojax.explorer.widget`; apart, since it takes anywidget."""
+"""The class behind [vibrojax.explorer.widget.explore][], in its own module because it needs anywidget."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -9,9 +9,7 @@ import traitlets
 import xarray as xr
 
 from vibrojax.errors import InputError, Place, shown, suggestion
-from vibrojax.explorer.at_point import Motions, motions_around, motions_of
-from vibrojax.explorer.of_dataset import _sweep, cells_of, document_of, explored
-from vibrojax.explorer.write import LIVE, SIZE, blocks_of, module_text, style_text
+from vibrojax.explorer.write import LIVE_MODULES, module_text, page_contents, style_text
 from vibrojax.plot.contents import START
 from vibrojax.plot.starts import on_axes
 from vibrojax.progress import LOG
@@ -23,7 +21,7 @@ PLACE = Place("explore", "point")
 class Explorer(anywidget.AnyWidget):
     """A page in a notebook; see `vibrojax.explore`."""
 
-    _esm = module_text(*LIVE, "widget.js")
+    _esm = module_text(*LIVE_MODULES, "widget.js")
     _css = style_text(live=True)
 
     document = traitlets.Dict().tag(sync=True)
@@ -35,16 +33,13 @@ class Explorer(anywidget.AnyWidget):
     simulated = traitlets.Dict()
 
     def __init__(
-        self, ds: xr.Dataset, over: xr.Dataset | None = None, own: Sweep | None = None, live: bool | None = None
+        self,
+        ds: xr.Dataset,
+        over: xr.Dataset | None,
+        sweep: Sweep | Mapping[str, object] | None,
+        live: bool | None,
     ) -> None:
-        ds, over = explored(ds, over, progress=False)
-        document = document_of(ds, over, own)
-        self.motions = None if live is False else _motions(ds, own, live is True)
-        blocks: list[str] = []
-        if self.motions is None or self.motions.sweep is None:
-            blocks = blocks_of(cells_of(ds, False, own))
-        if blocks:
-            document["cells"] = {"size": SIZE, "blocks": len(blocks)}
+        ds, document, blocks, self.motions = page_contents(ds, over, sweep, live, progress=False)
         self.dataset = on_axes(ds) if START in ds.dims and START in ds.coords else ds
         self._axes = {str(axis["name"]): axis for axis in document["axes"]}
         offered = None if self.motions is None else self.motions.offered()
@@ -55,87 +50,73 @@ class Explorer(anywidget.AnyWidget):
 
     @property
     def lane(self) -> xr.Dataset:
-        """The dataset at the picked cell."""
+        """The dataset at the selected cell."""
         return self.dataset.isel({name: index for name, index in self.cell.items() if name in self.dataset.dims})
 
     @traitlets.validate("cell")
-    def _known_cell(self, proposal: Any) -> dict[str, int]:
-        """Indices of all axes, each within its axis."""
-        given = {**self.cell, **proposal["value"]}
-        if set(given) != set(self._axes):
+    def _checked_cell(self, proposal: Any) -> dict[str, int]:
+        """Return the indices along all axes, each within its axis."""
+        indices = {**self.cell, **proposal["value"]}
+        if set(indices) != set(self._axes):
             raise PLACE.error(f"a cell has an index for each of {', '.join(self._axes)}")
-        return {name: int(np.clip(given[name], 0, len(axis["values"]) - 1)) for name, axis in self._axes.items()}
+        return {name: int(np.clip(indices[name], 0, len(axis["values"]) - 1)) for name, axis in self._axes.items()}
 
     @traitlets.observe("cell")
-    def _picked(self, change: Any) -> None:
+    def _update_point(self, change: Any) -> None:
         self.point = self._point_of(change["new"])
 
     @traitlets.validate("point")
-    def _known_point(self, proposal: Any) -> dict[str, Any]:
-        return self._point_of(self._cell_at(proposal["value"]))
+    def _checked_point(self, proposal: Any) -> dict[str, Any]:
+        return self._point_of(self._nearest_cell(proposal["value"]))
 
     @traitlets.observe("point")
-    def _moved(self, change: Any) -> None:
-        self.cell = self._cell_at(change["new"])
+    def _update_cell(self, change: Any) -> None:
+        self.cell = self._nearest_cell(change["new"])
 
     def _point_of(self, cell: Mapping[str, int]) -> dict[str, Any]:
-        """The coordinates of a cell by name, in SI."""
-        found: dict[str, Any] = {}
-        for name, axis in self._axes.items():
-            columns = axis["columns"] or [axis]
-            found |= {column["name"]: column["values"][cell[name]] for column in columns}
-        return found
+        """Return the coordinates of a cell by name, in SI."""
+        columns = [(column, cell[name]) for name, axis in self._axes.items() for column in axis["columns"] or [axis]]
+        return {column["name"]: column["values"][index] for column, index in columns}
 
-    def _cell_at(self, point: Mapping[str, Any]) -> dict[str, int]:
-        """The cell nearest to a point; along axes of which nothing is said, the picked one."""
-        cell, left = dict(self.cell), dict(point)
+    def _nearest_cell(self, point: Mapping[str, Any]) -> dict[str, int]:
+        """Return the cell nearest to a point; along axes that the point does not name, the selected one."""
+        cell, remaining = dict(self.cell), dict(point)
         for name, axis in self._axes.items():
-            columns = {column["name"]: column for column in axis["columns"] or [axis]}
-            wanted = {column: left.pop(column) for column in columns if column in left}
-            if wanted:
-                away = sum(_distance(PLACE.at(one), columns[one]["values"], value) for one, value in wanted.items())
-                cell[name] = int(np.argmin(away))
-        if left:
-            there = self._point_of(self.cell)
-            raise PLACE.at(min(left)).error(f"the map has no such axis; {suggestion(min(left), there)}")
+            columns = {column["name"]: column["values"] for column in axis["columns"] or [axis]}
+            targets = {column: remaining.pop(column) for column in columns if column in remaining}
+            if targets:
+                distances = [_distance(PLACE.at(key), columns[key], value) for key, value in targets.items()]
+                cell[name] = int(np.argmin(sum(distances)))
+        if remaining:
+            unknown = min(remaining)
+            raise PLACE.at(unknown).error(f"the map has no such axis; {suggestion(unknown, self._point_of(self.cell))}")
         return cell
 
-    def _answer(self, _: object, asked: Any, buffers: object) -> None:
-        """A motion that the page has asked for, or why there is none."""
-        if self.motions is None or not isinstance(asked, dict) or "id" not in asked:
+    def _answer(self, _: object, message: Any, buffers: object) -> None:
+        """Send a motion that the page requests, or the reason why there is none."""
+        if self.motions is None or not isinstance(message, dict) or "id" not in message:
             return
-        question = {name: value for name, value in asked.items() if name != "id"}
+        request = {name: value for name, value in message.items() if name != "id"}
         try:
-            block = self.motions.answer(question, lambda *_: None)
+            block = self.motions.answer(request, lambda *_: None)
         except InputError as error:
-            self.send({"id": asked["id"], "error": str(error)})
-        except Exception as error:  # the page should say something, whatever it was
+            self.send({"id": message["id"], "error": str(error)})
+        except Exception as error:  # the page must show something for any error
             LOG.error("explore: %s: %s", type(error).__name__, error)
-            self.send({"id": asked["id"], "error": "this could not be computed"})
+            self.send({"id": message["id"], "error": "this could not be computed"})
         else:
-            self.simulated = {} if "lane" in question else question
-            self.send({"id": asked["id"]}, [block])
+            self.simulated = {} if "lane" in request else request
+            self.send({"id": message["id"]}, [block])
 
 
-def _distance(place: Place, values: list[Any], wanted: object) -> np.ndarray:
-    """How far each value is from the wanted one, over all of them; names are the same or not."""
+def _distance(place: Place, values: list[Any], target: object) -> np.ndarray:
+    """Return the squared distance of each value from the target, relative to their span; names are equal or not."""
     if isinstance(values[0], str):
-        if wanted not in values:
-            raise place.error(f"{shown(wanted)} is none of its values; {suggestion(str(wanted), values)}")
-        return np.array([float(value != wanted) for value in values])
-    if isinstance(wanted, bool) or not isinstance(wanted, (int, float, np.number)) or not np.isfinite(wanted):
-        raise place.error(f"{shown(wanted)} is no number; give one, in SI units")
+        if target not in values:
+            raise place.error(f"{shown(target)} is not one of its values; {suggestion(str(target), values)}")
+        return np.array([float(value != target) for value in values])
+    if isinstance(target, bool) or not isinstance(target, (int, float, np.number)) or not np.isfinite(target):
+        raise place.error(f"{shown(target)} is not a finite number; give one in SI units")
     numbers = np.array([np.nan if value is None else value for value in values], float)
     span = np.ptp(numbers[np.isfinite(numbers)]) or 1.0
-    return np.nan_to_num((numbers - float(wanted)) / span, nan=np.inf) ** 2
-
-
-def _motions(ds: xr.Dataset, own: Sweep | None, required: bool) -> Motions | None:
-    """What computes motions around a dataset, None where it names no scene of the package, unless they are required."""
-    try:
-        sweep, _ = _sweep(ds, own)
-        return motions_around(ds) if sweep is None else motions_of(sweep)
-    except InputError:
-        if required:
-            raise
-        return None
+    return np.nan_to_num((numbers - float(target)) / span, nan=np.inf) ** 2

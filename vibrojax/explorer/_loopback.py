@@ -1,8 +1,8 @@
-"""A server for one page on this machine alone: who may ask, and how much; [vibrojax.explorer.live][] answers.
+"""An HTTP server for one page on this machine: access control and limits; [vibrojax.explorer.live][] gives the answers.
 
-What could be done from other pages of the browser, it refuses: it listens on the loopback, its token is new each time
-and compared in constant time, the Host must be its own (or else a name that is made to lead here would do), and an
-Origin, if the browser says one, its own.
+The server protects itself from other pages in the same browser. It listens on the loopback only, and its token is new
+each time and compared in constant time. The Host must be its own, otherwise a foreign name could be made to lead here.
+An Origin, if the browser sends one, must be its own too.
 """
 
 import hmac
@@ -17,136 +17,135 @@ from contextlib import suppress
 from dataclasses import dataclass
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from typing import Any, NamedTuple
+from typing import Any
 
 from vibrojax.errors import InputError
-from vibrojax.explorer._turns import Busy, Closed, Superseded
 from vibrojax.progress import LOG
 
 HOST = "127.0.0.1"
 
-MOST_BYTES = 16_384
-"""Of a request's body."""
+BODY_MAX_BYTES = 16_384
+"""Bytes of a request's body: parameters and a start need a few hundred."""
 
-CONNECTIONS = 32
-"""That are open at once; a browser opens six."""
+MAX_CONNECTIONS = 32
+"""Connections open at once; a browser opens six."""
 
-HEADER_SECONDS = 3.0
-"""Seconds in which a connection must show the token: the whole header, which a browser sends at once."""
+HEADER_MAX_SECONDS = 3.0
+"""Seconds until a connection must have shown the token: a browser sends the whole header at once."""
 
-SILENCE, PATIENCE = 5.0, 30.0
-"""Seconds that a request with the token may keep silent, and may take to come and be answered all together."""
+SILENCE_MAX_SECONDS, REQUEST_MAX_SECONDS = 5.0, 30.0
+"""Seconds that a request with the token may stay silent, and may take altogether, with its answer."""
 
-RETRY = 1
-"""Seconds after which who was sent away may come again."""
+RETRY_SECONDS = 1
+"""Seconds after which a refused client may try again."""
 
-BLOCK = "application/octet-stream"
-HTML = "text/html; charset=utf-8"
+METHODS = {"": ("GET", "HEAD"), "motion": ("POST",)}
+"""Allowed methods by the path below the token."""
+
+BLOCK_TYPE, HTML_TYPE = "application/octet-stream", "text/html; charset=utf-8"
+
+SECURITY_HEADERS = {
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cache-Control": "no-store",
+    "Connection": "close",
+}
+
+Ask = Callable[[str, int, dict[str, Any]], bytes]
+"""`ask(client, number, request)` returns a block; it raises `InputError` or `RefusedRequest`."""
 
 
-class Served(NamedTuple):
-    """What is served: the page, the token, and who answers.
+class RefusedRequest(Exception):
+    """The answer to a refused request: a status, and the reason in one line."""
 
-    `ask(client, number, asked)` gives a block; it raises `InputError`, `Superseded`, `Busy` or `Closed`.
-    """
-
-    html: bytes
-    token: str
-    ask: Callable[[str, int, dict[str, Any]], bytes]
-
-
-class Refused(Exception):
-    """What a request is answered with instead: a status, and why, in one line."""
-
-    def __init__(self, status: HTTPStatus, why: str) -> None:
-        super().__init__(why)
+    def __init__(self, status: HTTPStatus, reason: str) -> None:
+        super().__init__(reason)
         self.status = status
 
 
 @dataclass
 class _Connection:
-    """An open connection: since when, and whether its header has shown the token."""
+    """An open connection: its start, and whether its header has shown the token."""
 
     since: float
     admitted: bool = False
 
-    def is_late(self, now: float) -> bool:
-        """Return whether it has taken longer than it may."""
-        return now - self.since > (PATIENCE if self.admitted else HEADER_SECONDS)
-
 
 class Server(ThreadingHTTPServer):
-    """Each connection in a thread; not too many, and none for too long.
+    """A server with one thread per connection, and limits on the number and duration of connections.
 
-    A connection that has not shown the token has little time, and makes room when there are too many: the oldest goes.
-    So whoever has no token cannot keep out the page, however many connections they open and however slowly they send.
+    A connection that has not shown the token has little time. When there are too many, the oldest of these is closed.
+    Without the token, nobody can therefore block the page, however many connections they open and however slowly they
+    send.
     """
 
     daemon_threads = False  # so that closing waits for them
     allow_reuse_address = False
     request_queue_size = 64
 
-    def __init__(self, served: Served) -> None:
-        self.served = served
+    def __init__(self, html: bytes, token: str, ask: Ask) -> None:
+        self.html, self.token, self.ask = html, token, ask
         self._open: dict[socket.socket, _Connection] = {}  # the oldest first
         self._lock = threading.Lock()
         super().__init__((HOST, 0), _Handler)
         self.names = {f"{host}:{self.server_address[1]}" for host in (HOST, "localhost")}
 
     def verify_request(self, request: Any, client_address: Any) -> bool:
-        """Make room for a connection; return whether there is any, and answer 503 if there is none."""
+        """Make room for a connection; return whether there is room, and answer 503 if there is none."""
         with self._lock:
             evicted = []
-            if len(self._open) >= CONNECTIONS:
-                evicted = [socket for socket, connection in self._open.items() if not connection.admitted][:1]
+            if len(self._open) >= MAX_CONNECTIONS:
+                evicted = [oldest for oldest, connection in self._open.items() if not connection.admitted][:1]
             for oldest in evicted:
                 del self._open[oldest]
-            room = len(self._open) < CONNECTIONS
-            if room:
+            has_room = len(self._open) < MAX_CONNECTIONS
+            if has_room:
                 self._open[request] = _Connection(time.monotonic())
         self._hang_up(evicted)
-        if not room:
-            request.settimeout(SILENCE / 100)
+        if not has_room:
+            request.settimeout(SILENCE_MAX_SECONDS / 100)
             with suppress(OSError):
                 request.sendall(
-                    f"HTTP/1.1 503 Service Unavailable\r\nRetry-After: {RETRY}\r\n"
+                    f"HTTP/1.1 503 Service Unavailable\r\nRetry-After: {RETRY_SECONDS}\r\n"
                     "Content-Length: 0\r\nConnection: close\r\n\r\n".encode()
                 )
-        return room
+        return has_room
 
     def admit(self, request: socket.socket) -> None:
-        """Give a connection that has shown the token its time."""
+        """Extend the time of a connection that has shown the token."""
         with self._lock:
             if request in self._open:
                 self._open[request].admitted = True
 
     def shutdown_request(self, request: Any) -> None:
-        """A connection is over."""
+        """Forget a connection that has ended."""
         with self._lock:
             self._open.pop(request, None)
         super().shutdown_request(request)
 
     def service_actions(self) -> None:
-        """Hang up on connections that are late; called ten times a second."""
-        now = time.monotonic()
+        """Close connections that take too long; called ten times per second."""
+        now, limits = time.monotonic(), (HEADER_MAX_SECONDS, REQUEST_MAX_SECONDS)
         with self._lock:
-            late = [socket for socket, connection in self._open.items() if connection.is_late(now)]
+            late = [request for request, c in self._open.items() if now - c.since > limits[c.admitted]]
         self._hang_up(late)
 
     def server_close(self) -> None:
         """Close the port and all connections, and wait for their threads."""
         with self._lock:
-            every = list(self._open)
-        self._hang_up(every)
+            connections = list(self._open)
+        self._hang_up(connections)
         super().server_close()
 
     def _hang_up(self, connections: list[socket.socket]) -> None:
-        for one in connections:
-            with suppress(OSError):  # it may have gone already
-                one.shutdown(socket.SHUT_RDWR)
+        for connection in connections:
+            with suppress(OSError):  # it may have ended already
+                connection.shutdown(socket.SHUT_RDWR)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """A connection that broke off is nobody's concern; no traceback."""
+        """Log a broken connection without a traceback."""
         LOG.info("a connection ended: %s", sys.exc_info()[1])
 
 
@@ -154,147 +153,121 @@ class _Handler(BaseHTTPRequestHandler):
     """One request; the connection ends with its answer."""
 
     server: Server
-    timeout = SILENCE
+    timeout = SILENCE_MAX_SECONDS
     protocol_version = "HTTP/1.1"
     server_version, sys_version = "vibrojax", ""
-    unread = False
-
-    def do_GET(self) -> None:
-        """The page, or why not."""
-        self._answered(lambda: (HTML, self._page()))
-
-    do_HEAD = do_GET
-
-    def do_POST(self) -> None:
-        """A motion, or why not."""
-        self._answered(lambda: (BLOCK, self._motion()))
-
-    def version_string(self) -> str:
-        """What answers say of the server."""
-        return self.server_version
+    has_unread_body = False
 
     def finish(self) -> None:
-        """The end of a connection: one that is closed on what has not been read may lose its answer on the way."""
+        """End the connection after reading the rest of the request: closing earlier could lose the answer."""
         super().finish()
-        if not self.unread:
+        if not self.has_unread_body:
             return
         with suppress(OSError):
             self.connection.shutdown(socket.SHUT_WR)
-            self.connection.settimeout(SILENCE / 10)
-            end = time.monotonic() + SILENCE
+            self.connection.settimeout(SILENCE_MAX_SECONDS / 10)
+            end = time.monotonic() + SILENCE_MAX_SECONDS
             while time.monotonic() < end and self.connection.recv(65536):
                 pass
 
-    def _answered(self, answer: Callable[[], tuple[str, bytes]]) -> None:
-        self.unread = "Content-Length" in self.headers or "Transfer-Encoding" in self.headers
+    def _answer(self) -> None:
+        """Answer with the page or a motion, or refuse the request."""
+        self.has_unread_body = "Content-Length" in self.headers or "Transfer-Encoding" in self.headers
         try:
-            self._admitted()
-            kind, body = answer()
-        except Refused as refused:
-            self._say(refused.status, str(refused))
+            path = self._check_access()
+            if path not in METHODS:
+                raise RefusedRequest(HTTPStatus.NOT_FOUND, "there is nothing here")
+            if self.command not in METHODS[path]:
+                raise RefusedRequest(HTTPStatus.METHOD_NOT_ALLOWED, "GET is for the page, POST for motions")
+            body = self._motion() if path else self.server.html
+        except RefusedRequest as refusal:
+            self._send_line(refusal.status, str(refusal))
         except InputError as error:
-            self._say(HTTPStatus.BAD_REQUEST, str(error))
-        except Superseded:
-            self._say(HTTPStatus.CONFLICT, "superseded: something newer was asked for")
-        except (Busy, Closed):
-            self._say(HTTPStatus.SERVICE_UNAVAILABLE, "too much is asked for at once; try again")
+            self._send_line(HTTPStatus.BAD_REQUEST, str(error))
         except TimeoutError:
-            self._say(HTTPStatus.REQUEST_TIMEOUT, "the request did not come to its end")
+            self._send_line(HTTPStatus.REQUEST_TIMEOUT, "the request did not come to its end")
         except ConnectionError:
             raise
         except Exception as error:
             LOG.error("explore: %s: %s", type(error).__name__, error)
-            self._say(HTTPStatus.INTERNAL_SERVER_ERROR, "this could not be computed; the server's log may say why")
+            reason = "this could not be computed; the server's log may give the reason"
+            self._send_line(HTTPStatus.INTERNAL_SERVER_ERROR, reason)
         else:
-            self._send(HTTPStatus.OK, kind, body)
+            self._send(HTTPStatus.OK, BLOCK_TYPE if path else HTML_TYPE, body)
 
-    def _admitted(self) -> None:
-        """Whether whoever asks may; raises `Refused`."""
+    do_GET = do_HEAD = do_POST = _answer
+
+    def _check_access(self) -> str:
+        """Admit the connection and return the path below the token, or raise `RefusedRequest`."""
         hosts, origins = self.headers.get_all("Host", []), self.headers.get_all("Origin", [])
         if len(hosts) != 1 or hosts[0].lower() not in self.server.names:
-            raise Refused(HTTPStatus.FORBIDDEN, "another host than this server's")
-        if any(one not in {f"http://{name}" for name in self.server.names} for one in origins):
-            raise Refused(HTTPStatus.FORBIDDEN, "another origin than this server's")
-        if self.headers.get("Sec-Fetch-Site", "none") not in ("none", "same-origin"):
-            raise Refused(HTTPStatus.FORBIDDEN, "another origin than this server's")
-        given, _, self.rest = self.path.removeprefix("/").partition("/")
-        if not hmac.compare_digest(given.encode(), self.server.served.token.encode()):
-            raise Refused(HTTPStatus.FORBIDDEN, "no token, or a wrong one: open the address that was printed")
+            raise RefusedRequest(HTTPStatus.FORBIDDEN, "another host than this server's")
+        is_own = all(origin in {f"http://{name}" for name in self.server.names} for origin in origins)
+        if not is_own or self.headers.get("Sec-Fetch-Site", "none") not in ("none", "same-origin"):
+            raise RefusedRequest(HTTPStatus.FORBIDDEN, "another origin than this server's")
+        token, _, path = self.path.removeprefix("/").partition("/")
+        if not hmac.compare_digest(token.encode(), self.server.token.encode()):
+            raise RefusedRequest(HTTPStatus.FORBIDDEN, "a missing or wrong token: open the address that was printed")
         self.server.admit(self.connection)
-
-    def _page(self) -> bytes:
-        if self.rest == "motion":
-            raise Refused(HTTPStatus.METHOD_NOT_ALLOWED, "POST is for motions")
-        if self.rest:
-            raise Refused(HTTPStatus.NOT_FOUND, "there is nothing here")
-        return self.server.served.html
+        return path
 
     def _motion(self) -> bytes:
-        if self.rest == "":
-            raise Refused(HTTPStatus.METHOD_NOT_ALLOWED, "GET is for the page")
-        if self.rest != "motion":
-            raise Refused(HTTPStatus.NOT_FOUND, "there is nothing here")
-        asked = self._asked()
-        client, number = asked.pop("client", None), asked.pop("number", None)
+        """Return the motion that the body requests."""
+        request = self._body()
+        client, number = request.pop("client", None), request.pop("number", None)
         if not isinstance(client, str) or not 0 < len(client) <= 64:
-            raise Refused(HTTPStatus.BAD_REQUEST, "client: 1 to 64 characters are needed")
+            raise RefusedRequest(HTTPStatus.BAD_REQUEST, "client: 1 to 64 characters are needed")
         if type(number) is not int or not 0 <= number < 2**53:
-            raise Refused(HTTPStatus.BAD_REQUEST, "number: a whole number from 0 is needed")
-        return self.server.served.ask(client, number, asked)
+            raise RefusedRequest(HTTPStatus.BAD_REQUEST, "number: a whole number from 0 is needed")
+        return self.server.ask(client, number, request)
 
-    def _asked(self) -> dict[str, Any]:
-        """The request's body."""
+    def _body(self) -> dict[str, Any]:
         if self.headers.get_content_type() != "application/json":
-            raise Refused(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "application/json is needed")
+            raise RefusedRequest(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "application/json is needed")
         lengths = self.headers.get_all("Content-Length", [])
         if not lengths or "Transfer-Encoding" in self.headers:
-            raise Refused(HTTPStatus.LENGTH_REQUIRED, "a Content-Length is needed")
+            raise RefusedRequest(HTTPStatus.LENGTH_REQUIRED, "a Content-Length is needed")
         if len(lengths) > 1 or not re.fullmatch(r"[0-9]{1,18}", lengths[0]):
-            raise Refused(HTTPStatus.BAD_REQUEST, "Content-Length: one whole number is needed")
+            raise RefusedRequest(HTTPStatus.BAD_REQUEST, "Content-Length: one whole number is needed")
         length = int(lengths[0])
-        if length > MOST_BYTES:
-            raise Refused(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"{MOST_BYTES} bytes at most")
-        body = self.rfile.read(length)
-        self.unread = False
-        if len(body) < length:
-            raise Refused(HTTPStatus.BAD_REQUEST, "the body is shorter than its Content-Length")
+        if length > BODY_MAX_BYTES:
+            raise RefusedRequest(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"{BODY_MAX_BYTES} bytes at most")
+        content = self.rfile.read(length)
+        self.has_unread_body = False
+        if len(content) < length:
+            raise RefusedRequest(HTTPStatus.BAD_REQUEST, "the body is shorter than its Content-Length")
         try:
-            asked = json.loads(body)
+            body = json.loads(content)
         except (ValueError, RecursionError):
-            raise Refused(HTTPStatus.BAD_REQUEST, "the body is no JSON") from None
-        if not isinstance(asked, dict):
-            raise Refused(HTTPStatus.BAD_REQUEST, "the body is no JSON object")
-        return asked
+            body = None
+        if not isinstance(body, dict):
+            raise RefusedRequest(HTTPStatus.BAD_REQUEST, "the body is not a JSON object")
+        return body
 
-    def _say(self, status: HTTPStatus, why: str) -> None:
-        self._send(status, "application/json", json.dumps({"error": " ".join(why.split())}).encode())
+    def _send_line(self, status: HTTPStatus, line: str) -> None:
+        self._send(status, "application/json", json.dumps({"error": " ".join(line.split())}).encode())
 
-    def _send(self, status: HTTPStatus, kind: str, body: bytes) -> None:
+    def _send(self, status: HTTPStatus, content_type: str, body: bytes) -> None:
         self.close_connection = True
-        self.send_response(status)
-        self.send_header("Content-Type", kind)
-        self.send_header("Content-Length", str(len(body)))
-        # The page says itself what its browser may do; no other answer may do anything.
-        allowed = "base-uri 'none'; form-action 'none'" if kind == HTML else "default-src 'none'"
-        self.send_header("Content-Security-Policy", f"{allowed}; frame-ancestors 'none'")
-        self.send_header("X-Content-Type-Options", "nosniff")
-        self.send_header("Referrer-Policy", "no-referrer")
-        self.send_header("Cross-Origin-Resource-Policy", "same-origin")
-        self.send_header("Cross-Origin-Opener-Policy", "same-origin")
-        self.send_header("Cache-Control", "no-store")
-        self.send_header("Connection", "close")
+        # The page states its own policy; no other answer may do anything.
+        policy = "base-uri 'none'; form-action 'none'" if content_type == HTML_TYPE else "default-src 'none'"
+        headers = {"Content-Type": content_type, "Content-Length": str(len(body))}
+        headers |= {"Content-Security-Policy": f"{policy}; frame-ancestors 'none'"} | SECURITY_HEADERS
         if status == HTTPStatus.METHOD_NOT_ALLOWED:
-            self.send_header("Allow", "GET, HEAD, POST")
+            headers["Allow"] = "GET, HEAD, POST"
         if status == HTTPStatus.SERVICE_UNAVAILABLE:
-            self.send_header("Retry-After", str(RETRY))
+            headers["Retry-After"] = str(RETRY_SECONDS)
+        self.send_response(status)
+        for name, value in headers.items():
+            self.send_header(name, value)
         self.end_headers()
         if self.command != "HEAD":
             self.wfile.write(body)
 
     def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
-        """What the standard library refuses: in one line too, and methods it does not know as wrong ones."""
+        """Send a refusal of the standard library in one line; an unknown method is a wrong one."""
         status = HTTPStatus.METHOD_NOT_ALLOWED if code == HTTPStatus.NOT_IMPLEMENTED else HTTPStatus(code)
-        self._say(status, status.phrase.lower())
+        self._send_line(status, status.phrase.lower())
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Nothing: paths hold the token."""
+        """Log nothing: paths hold the token."""

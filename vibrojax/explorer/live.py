@@ -1,56 +1,179 @@
-"""The page from a server on this machine, which computes what is clicked or dragged: `vibrojax explore OUT.nc --live`.
+"""The page from a server on this machine that computes motions on demand: `vibrojax explore OUT.nc --live`.
 
-It answers two things, under a path that begins with a token that only its address tells:
+The server answers two requests, below a path that begins with a token. Only the printed address contains the token.
 
     GET  /TOKEN/          the page
     POST /TOKEN/motion    JSON {"client": text, "number": whole} with {"parameters": {name: value}, "start": name or
-                          vector} or {"lane": whole}: that motion as a block of one cell (see
-                          [vibrojax.explorer.cells][])
+                          vector} or {"lane": whole}: the motion as a block of one cell, see
+                          [vibrojax.explorer.encoding][]
 
-Of a client (a page that is open), a greater number makes smaller ones obsolete. What is refused is said in one line,
-{"error": line}: 400 (wrong values or no such request), 403 (no token, another host or origin), 404, 405, 408, 409
-(superseded), 411, 413, 415, 431, 500, 503 with Retry-After.
-
-Who may ask, [vibrojax.explorer._loopback][] decides.
+A greater number makes the smaller numbers of the same client (an open page) obsolete. A refusal is {"error": line} with
+a status: 409 for an obsolete request, 503 with Retry-After for too many requests, others as HTTP defines them.
 """
 
 import secrets
 import threading
-from types import TracebackType
-from typing import Any, Protocol, runtime_checkable
+from collections import OrderedDict
+from collections.abc import Callable
+from concurrent.futures import Future
+from contextlib import AbstractContextManager
+from http import HTTPStatus
+from typing import Any, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import xarray as xr
 
-from vibrojax.explorer._loopback import HOST, Served, Server
-from vibrojax.explorer._turns import Check, Turns
-from vibrojax.explorer.at_point import motions_around, motions_of
-from vibrojax.explorer.of_dataset import _sweep, cells_of, document_of, explored
-from vibrojax.explorer.write import SIZE, blocks_of, page_text
+from vibrojax.explorer._loopback import HOST, RefusedRequest, Server
+from vibrojax.explorer.write import page_contents, page_text
 from vibrojax.progress import LOG
+
+Result = TypeVar("Result")
+
+Check = Callable[..., None]
+"""Called by work now and then, with any arguments; raises once nobody waits for the result any more."""
+
+MAX_WAITING_CLIENTS, MAX_KNOWN_CLIENTS = 8, 256
+"""Clients that may wait at once, and clients whose newest number is remembered: a page is one client."""
+
+
+class Superseded(RefusedRequest):
+    """The same client has sent a newer request."""
+
+    def __init__(self) -> None:
+        super().__init__(HTTPStatus.CONFLICT, "superseded by a newer request")
+
+
+class Busy(RefusedRequest):
+    """Too many clients wait."""
+
+    def __init__(self) -> None:
+        super().__init__(HTTPStatus.SERVICE_UNAVAILABLE, "too many requests at once; try again")
+
+
+class Closed(Busy):
+    """The queue is closed."""
+
+
+class _Request(NamedTuple):
+    """The work that a client asks for, and its future result; a refusal ends it before the work is done."""
+
+    client: str
+    work: Callable[[Check], Any]
+    future: Future[Any]
+
+    def check(self, *_: object) -> None:
+        """Raise the refusal, if there is one."""
+        if self.future.done():
+            self.future.result()
+
+    def refuse(self, error: RefusedRequest) -> None:
+        """End the request with an error, unless it has ended."""
+        if not self.future.done():
+            self.future.set_exception(error)
+
+
+class RequestQueue:
+    """One thread that works for many clients, in the order of their requests.
+
+    A newer number ends the client's earlier request. If that waits, the newer takes its place; if it is running, it
+    stops at its next `check`. A number that is not newer is refused. After `Busy`, the same number may come again.
+    """
+
+    def __init__(self, waiting: int = MAX_WAITING_CLIENTS) -> None:
+        self._max_waiting = waiting
+        self._waiting: OrderedDict[str, _Request] = OrderedDict()
+        self._newest: OrderedDict[str, int] = OrderedDict()
+        self._current: _Request | None = None
+        self._closed = False
+        self._changed = threading.Condition()  # its lock guards all of these, and all futures
+        self._thread = threading.Thread(target=self._run, name="requests", daemon=True)
+        self._thread.start()
+
+    def ask(self, client: str, number: int, work: Callable[[Check], Result]) -> Result:
+        """Run `work(check)` in the thread, and return its result.
+
+        **Arguments:** `client`: the name of the client; `number`: greater with each request of the client.
+
+        **Raises:** any error of `work`, `Superseded`, `Busy` or `Closed`.
+        """
+        request = _Request(client, work, Future())
+        with self._changed:
+            if self._closed:
+                raise Closed
+            if number <= self._newest.get(client, -1):
+                raise Superseded
+            if client not in self._waiting and len(self._waiting) >= self._max_waiting:
+                raise Busy
+            self._newest[client] = number
+            self._newest.move_to_end(client)
+            while len(self._newest) > MAX_KNOWN_CLIENTS:
+                self._newest.popitem(last=False)
+            for older in (self._current, self._waiting.get(client)):
+                if older is not None and older.client == client:
+                    older.refuse(Superseded())
+            self._waiting[client] = request  # in the place of the older one, if there is one
+            self._changed.notify()
+        result: Result = request.future.result()
+        return result
+
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                self._current = None
+                self._changed.wait_for(lambda: self._waiting or self._closed)
+                if self._closed:
+                    return
+                _, request = self._waiting.popitem(last=False)
+                self._current = request
+            result, error = None, None
+            try:
+                result = request.work(request.check)
+            except BaseException as raised:  # raised again in the thread that waits for the result
+                error = raised
+            with self._changed:
+                if request.future.done():
+                    continue
+                if error is not None:
+                    request.future.set_exception(error)
+                else:
+                    request.future.set_result(result)
+
+    def close(self, seconds: float = 10.0) -> None:
+        """Refuse all requests with `Closed`, and wait up to `seconds` for the thread to end."""
+        with self._changed:
+            self._closed = True
+            for request in [*self._waiting.values(), *([self._current] if self._current else [])]:
+                request.refuse(Closed())
+            self._waiting.clear()
+            self._changed.notify_all()
+        self._thread.join(seconds)
 
 
 @runtime_checkable
 class Answers(Protocol):
-    """What computes: see [vibrojax.explorer.at_point.Motions][]."""
+    """An object that computes motions, such as [vibrojax.explorer.motions.LiveMotions][]."""
 
-    def answer(self, asked: dict[str, Any], check: Check) -> bytes:
-        """The block for a request; raises `InputError`, or what `check()` raises."""
+    def answer(self, request: dict[str, Any], check: Check) -> bytes:
+        """Return the block for a request; raise `InputError`, or the error of `check()`."""
 
     def warm(self) -> None:
-        """Compile what answers need."""
+        """Compile the programs that answers need."""
 
 
-class Live:
-    """A server of one page, in threads of its own until it is closed; `url` is where the page is.
+class Live(AbstractContextManager["Live"]):
+    """A server of one page, in its own threads until it is closed; `url` is the address of the page.
 
-    **Raises:** `OSError` where this machine gives no port.
+    **Raises:** `OSError` if no port is free.
     """
 
     def __init__(self, html: str, answers: Answers) -> None:
         self.answers = answers
         self.token = secrets.token_urlsafe(32)
-        self._server = Server(Served(html.encode(), self.token, self._ask))
-        self.turns = Turns()
+
+        def ask(client: str, number: int, request: dict[str, Any]) -> bytes:
+            return self.queue.ask(client, number, lambda check: answers.answer(request, check))
+
+        self._server = Server(html.encode(), self.token, ask)
+        self.queue = RequestQueue()
         self.port = int(self._server.server_address[1])
         self.url = f"http://{HOST}:{self.port}/{self.token}/"
         self._threads = [
@@ -60,51 +183,37 @@ class Live:
         for thread in self._threads:
             thread.start()
 
-    def __enter__(self) -> "Live":
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def wait(self) -> None:
-        """Wait until it is closed, or this thread is interrupted."""
+        """Wait until the server is closed, or this thread is interrupted."""
         while self._threads[0].is_alive():
             self._threads[0].join(0.5)
 
     def close(self, seconds: float = 10.0) -> None:
-        """Close the port, and wait so long [s] for the threads to end."""
-        self.turns.close(seconds)
+        """Close the port, and wait up to `seconds` for each thread to end."""
+        self.queue.close(seconds)
         self._server.shutdown()
         self._server.server_close()
         for thread in self._threads:
             thread.join(seconds)
 
-    def _ask(self, client: str, number: int, asked: dict[str, Any]) -> bytes:
-        return self.turns.ask(client, number, lambda check: self.answers.answer(asked, check))
-
     def _warm(self) -> None:
-        """The first click should find all compiled; what fails then will fail again where it can be told."""
+        """Compile everything before the first click; an error here occurs again when a client asks."""
         try:
-            self.turns.ask("", 0, lambda check: self.answers.warm())
+            self.queue.ask("", 0, lambda check: self.answers.warm())
         except Exception as error:
             LOG.info("not warm: %s", error)
 
 
 def serve(ds: xr.Dataset, over: xr.Dataset | None = None, progress: bool = False) -> Live:
-    """The live page of a dataset, served until it is closed.
+    """Serve the live page of a dataset until it is closed.
 
-    **Arguments:** `ds`, `over`, `progress`: as `write_page` takes them.
+    **Arguments:** `ds`, `over`, `progress`: as for `write_page`.
 
-    **Raises:** `InputError` where there is nothing of the dataset to show or to simulate, `OSError` where this machine
-    gives no port.
+    **Raises:** `InputError` if the dataset holds nothing to show or to simulate; `OSError` if no port is free.
     """
-    ds, over = explored(ds, over, progress)
-    document = document_of(ds, over)
-    sweep, _ = _sweep(ds, None)
-    motions = motions_of(sweep) if sweep is not None else motions_around(ds)
-    blocks = [] if sweep is not None else blocks_of(cells_of(ds, progress))
-    if blocks:
-        document["cells"] = {"size": SIZE, "blocks": len(blocks)}
+    _, document, blocks, motions = page_contents(ds, over, None, True, progress)
+    assert motions is not None
     return Live(page_text(document | {"live": motions.offered()}, blocks), motions)

@@ -1,4 +1,4 @@
-"""A page written: one self-contained HTML file, with what the dataset lacks computed."""
+"""A page as one self-contained HTML file, put together from the modules in `page/`, a document and blocks of cells."""
 
 import html
 import json
@@ -10,26 +10,27 @@ from pathlib import Path
 
 import xarray as xr
 
-from vibrojax.explorer.cells import Cell, encode
+from vibrojax.errors import InputError
 from vibrojax.explorer.document import Document
-from vibrojax.explorer.of_dataset import cells_of, document_of, explored
-from vibrojax.explorer.packed import deflated
+from vibrojax.explorer.encoding import Cell, deflate, encode
+from vibrojax.explorer.motions import LiveMotions, motions_for
+from vibrojax.explorer.views import cells_of, document_of, with_map
 from vibrojax.io.atomic import atomic_write
 from vibrojax.io.content_policy import content_policy
 from vibrojax.sweep.input.definition import Sweep
 from vibrojax.sweep.input.read import read_sweep
 
-SIZE = 256
-"""Cells of a block, which the page reads as a whole when one of them is chosen."""
+BLOCK_CELLS = 256
+"""Cells per block; the page decodes a whole block when one of its cells is chosen."""
 
 MODULES = (
     *("dom.js", "decode.js", "plots.js", "grid.js", "map.js", "cell.js", "calls.js", "fragment.js"),
     *("layout.js", "pointing.js", "controls.js", "legend.js", "slices.js", "chosen.js", "mount.js"),
 )
-"""The modules behind `mount`, each after those that it imports from."""
+"""The modules behind `mount`, each after those that it imports."""
 
-LIVE = ("sliders.js", "computing.js", "live.js")
-"""Those of a page that has motions computed."""
+LIVE_MODULES = ("sliders.js", "computing.js", "live.js")
+"""Further modules of a page whose motions are computed on demand."""
 
 _IMPORT = re.compile(r"^import [^;]*;\n", re.MULTILINE)
 _EXPORT = re.compile(r"^export (?=async |class |const |function |let )", re.MULTILINE)
@@ -46,22 +47,22 @@ def write_page(
 
         vj.write_page(vj.run_sweep("regime-map"), "regime-map.html")
 
-    A click on the map, or arrow keys, choose a cell; its motion is shown in phase planes, over time, as a spectrum and
-    by its returns and multipliers, with its numbers and the command that simulates it. What is chosen stands in the
-    address, so that a link restores it.
+    Choose a cell by a click on the map or by arrow keys. The page shows its motion in phase planes, over time, as a
+    spectrum, and by its returns and multipliers, with its numbers and the command that simulates it. The address stores
+    the selection, so that a link restores it.
 
     **Arguments:**
 
     - `ds`: the dataset of a sweep, of its orbits or attractors, of families, borders, a trajectory, or a fit.
-    - `path`: the file to be; one that is there is replaced.
-    - `over`: borders, as `borders` gives them, to lay over a map of the same parameters.
-    - `sweep`: the sweep that the dataset is of, where it holds objects of yours (a scene, a law), which no file names.
-    - `progress`: whether to say on stderr how far it is. A sweep is run again for its motions, with its orbits.
+    - `path`: the file to write; an existing file is replaced.
+    - `over`: borders, as `borders` returns them, to lay over a map of the same parameters.
+    - `sweep`: the sweep of the dataset, if it holds your own objects (a scene, a law), which no file can name.
+    - `progress`: whether to report progress on stderr. A sweep is run again, with its orbits, for its motions.
 
     **Returns:** the path.
 
-    **Raises:** `InputError` where there is nothing of the dataset to show, or `over` or `sweep` does not belong there;
-    `OSError` where the file cannot be written.
+    **Raises:** `InputError` if the dataset holds nothing to show, or `over` or `sweep` does not belong to it; `OSError`
+    if the file cannot be written.
 
     **Example:**
 
@@ -71,68 +72,86 @@ def write_page(
     '<!doctype html>'
     """
     path = Path(path)
-    own = read_sweep(sweep) if isinstance(sweep, Mapping) else sweep
-    ds, over = explored(ds, over, progress)
-    document = document_of(ds, over, own)
-    blocks = blocks_of(cells_of(ds, progress, own))
-    if blocks:
-        document["cells"] = {"size": SIZE, "blocks": len(blocks)}
+    _, document, blocks, _ = page_contents(ds, over, sweep, False, progress)
     with atomic_write(path) as part:
         part.write_text(page_text(document, blocks), encoding="utf-8")
     return path
 
 
+def page_contents(
+    ds: xr.Dataset,
+    over: xr.Dataset | None,
+    sweep: Sweep | Mapping[str, object] | None,
+    live: bool | None,
+    progress: bool,
+) -> tuple[xr.Dataset, Document, list[str], LiveMotions | None]:
+    """Return the dataset of a page, its document, its blocks of cells, and its motions on demand.
+
+    `live`: whether motions are computed on demand; None means True if the dataset names a scene of the package.
+    """
+    own = read_sweep(sweep) if isinstance(sweep, Mapping) else sweep
+    ds, over = with_map(ds, over, progress)
+    document, motions = document_of(ds, over, own), None
+    if live is not False:
+        try:
+            motions = motions_for(ds, own)
+        except InputError:
+            if live:
+                raise
+    has_lanes = motions is not None and motions.sweep is not None
+    blocks = [] if has_lanes else blocks_of(cells_of(ds, progress, own))
+    if blocks:
+        document["cells"] = {"size": BLOCK_CELLS, "blocks": len(blocks)}
+    return ds, document, blocks, motions
+
+
 def blocks_of(cells: Iterable[Cell]) -> list[str]:
-    """Cells in blocks by their number, `SIZE` in each, deflated, in base64: the lines of a page."""
-    some: dict[int, list[Cell]] = {}
+    """Return cells in blocks of consecutive lanes, deflated and in base64: the lines of a page."""
+    by_block: dict[int, list[Cell]] = {}
     for cell in cells:
-        some.setdefault(cell.lane // SIZE, []).append(cell)
-    last = max(some, default=-1)
-    return [deflated(encode(some.get(index, []))) for index in range(last + 1)]
+        by_block.setdefault(cell.lane // BLOCK_CELLS, []).append(cell)
+    last = max(by_block, default=-1)
+    return [deflate(encode(by_block.get(index, []))) for index in range(last + 1)]
 
 
 def page_text(document: Document, blocks: Sequence[str] = ()) -> str:
-    """Return the page as HTML; one whose document has `live`, what may be asked for, asks its server for motions.
+    """Return the page as HTML; with the key `live` in its document, it asks its server for motions.
 
-    Its content security policy lets the browser run and apply what stands in the page, and load nothing.
+    The content security policy restricts the browser to the page's own script and style; nothing is loaded.
     """
-    live = "live" in document
-    modules = (*LIVE, "begin.js", "served.js") if live else ("begin.js", "page.js")
+    is_live = "live" in document
+    modules = (*LIVE_MODULES, "begin.js", "served.js") if is_live else ("begin.js", "page.js")
     script = f'\n(() => {{\n"use strict";\n{module_text(*modules)}\n}})();\n'
-    style = f"\nbody {{ margin: 0; }}\n{style_text(live)}\n"
+    style = f"\nbody {{ margin: 0; }}\n{style_text(is_live)}\n"
+    data = json.dumps(document, separators=(",", ":"), allow_nan=False)
     parts = {
-        "POLICY": content_policy([script], [style], asks=live),
+        "POLICY": content_policy([script], [style], asks=is_live),
         "TITLE": html.escape(str(document["title"] or document["scene"] or "vibrojax")),
         "SOURCE": html.escape(str(document["source"] or "vibrojax")),
         "STYLE": style,
-        "DATA": in_script(json.dumps(document, separators=(",", ":"), allow_nan=False)),
+        "DATA": data.replace("<", "\\u003c"),  # so that no text ends the script element
         "CELLS": "\n".join(blocks),
         "SCRIPT": script,
     }
-    return re.sub("@([A-Z]+)@", lambda found: parts[found[1]], _file("page.html"))
+    return re.sub("@([A-Z]+)@", lambda key: parts[key[1]], _file("page.html"))
 
 
 def style_text(live: bool = False) -> str:
-    """The style sheet, all of whose rules are below the class `vibrojax` or of names that begin with `vx-`.
+    """Return the style sheet; all its rules apply below the class `vibrojax` or to names that begin with `vx-`.
 
-    `live`: with what a page has that computes.
+    `live`: whether to include the rules of a page whose motions are computed on demand.
     """
     return _file("page.css") + (_file("live.css") if live else "")
 
 
 def module_text(*more: str, exported: bool = False) -> str:
-    """The page's modules as one: those behind `mount`, and then `more`.
+    """Return the modules behind `mount`, followed by `more`, as one module without imports.
 
-    `exported`: whether `mount`, `decodeCells` and `embeddedSource` are exported, as a widget or a server's page asks.
+    `exported`: whether to export `mount`, `decodeCells` and `embeddedSource`.
     """
     parts = [_EXPORT.sub("", _IMPORT.sub("", _file(name))) for name in (*MODULES, *more)]
     ending = "\nexport { mount, decodeCells, embeddedSource };\n" if exported else ""
     return "\n".join(parts) + ending
-
-
-def in_script(text: str) -> str:
-    """JSON as it may stand in a script element, which nothing in it ends."""
-    return text.replace("<", "\\u003c")
 
 
 def _file(name: str) -> str:

@@ -8,4 +8,6 @@ class Accuracy(Analysis):
     """Measure speed against error on this machine: a dataset, a table and a picture."""
 
     kind = "accuracy"
+    view = "none"
+    no_view = "holds speed against error, over no axes; vibrojax plot draws it"
     pictures = (PictureRule("accuracy", lambda held: True, work_precision),)

@@ -28,6 +28,7 @@ class Borders(SweepAnalysis):
     )
 
     kind = "borders"
+    view = "curves"
     variables = OF_BORDERS
     pictures = (PictureRule("borders", lambda held: True, border_curves),)
 

@@ -18,6 +18,7 @@ class Families(Analysis):
     """Follow the family of periodic orbits over one parameter, stable and unstable, with its special points."""
 
     kind = "family"
+    view = "families"
     pictures = (PictureRule("families", lambda held: True, families),)
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:

@@ -24,6 +24,7 @@ class Trajectories(Analysis):
     """Simulate one point: its trajectory as a dataset, and a picture beside it."""
 
     kind = "trajectory"
+    view = "motion"
     pictures = (
         PictureRule("motion", lambda held: held.bit_on_rock and held.swept_sine, response),
         PictureRule("motion", lambda held: held.bit_on_rock, pulses),

@@ -1,6 +1,6 @@
 // The command line and the Python call that simulate a cell. They are made to be copied and run, and the data of a page
 // may come from anywhere: what is written here is a name of the scene, a finite number or a known word.
-// vibrojax/explorer/run.py gives no others; they are checked here again.
+// vibrojax/explorer/document.py gives no others; they are checked here again.
 
 const NAME = /^[A-Za-z_][A-Za-z0-9_]*$/, WORD = /^[A-Za-z][A-Za-z0-9_-]*$/, NUMBERS = /^\[[-+0-9.eE, ]*\]$/;
 

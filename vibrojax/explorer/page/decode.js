@@ -1,4 +1,4 @@
-// Reads what vibrojax/explorer/packed.py and cells.py write. See there for the forms.
+// Reads what vibrojax/explorer/encoding.py writes. See there for the form.
 
 export const EVENTS = ["none", "stick", "slip", "impact", "release", "section"];
 export const STUCK = 8, TOUCHING = 16;

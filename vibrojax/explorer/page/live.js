@@ -1,5 +1,5 @@
 // Sources of motions that are computed when they are asked for: by a server (--live), or by a notebook's kernel.
-// Beside `cell(lane)` and `motion(parameters, start)`, promises of a cell (see cells.py), such a source has
+// Beside `cell(lane)` and `motion(parameters, start)`, promises of a cell (see encoding.py), such a source has
 // `attach(page)`, by which the page shows sliders.
 
 import { decodeCells } from "./decode.js";

@@ -1,0 +1,172 @@
+"""Motions and arrays as bytes: the format shared by page, server and widget.
+
+`encode(cells)` returns a block of bytes, which the page's `decodeCells(buffer)` reads. A page embeds its blocks
+deflated and in base64. A server answers with a block of one cell; a widget sends the same bytes over its channel.
+
+    block   = uint32 (little-endian): length of the header in bytes
+            | header: JSON in UTF-8
+            | payload: low bytes of all numbers, high bytes of all numbers, flags of all samples
+
+    header  = {"format": 1,
+               "columns": [{"name", "units", "long_name"}, ...],     the states along time, in this order
+               "section": ["x1", ...],                               the states at returns
+               "cells": [{"lane":         number of the lane, row by row over the axes; -1 if simulated live
+                          "kind":         "orbit" (one repeat), "motion" (several returns) or "none"
+                          "note":         a remark, or the reason why there is no motion
+                          "returns":      number of returns (pulses) in it
+                          "duration":     s
+                          "samples":      number of samples
+                          "scales":       [least, greatest] of each column
+                          "multipliers":  [[modulus, argument], ...] or null
+                          "passed":       number of returns in the section's columns
+                          "section_scales": [least, greatest] of each of them
+                          "numbers":      {variable: value}, only if simulated live}]}
+
+    numbers = for each cell its times, its columns and its section's columns, all as 16-bit integers. Times span 0 to
+              `TIME_LEVELS` over the duration. States span 0 to `STATE_LEVELS` between least and greatest. Times and
+              columns are stored as second differences (modulo 2^16), section columns without differences.
+    flags   = one byte per sample. Bits 0 to 2: the event, an index into `EVENTS`. Bit 3: the bit sticks. Bit 4: the
+              striker touches it.
+
+The cell of a periodic lane holds one repeat from section to section; its last sample coincides with its first.
+"""
+
+import base64
+import json
+import struct
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+EVENTS = ("none", "stick", "slip", "impact", "release", "section")
+"""Meanings of the event number in a flag; the same as in `event_kind` of a trajectory."""
+
+STUCK, TOUCHING = 8, 16
+"""Bits of a flag."""
+
+STATE_LEVELS = 2047
+"""Steps between the least and the greatest value of a column: finer than a screen can show."""
+
+TIME_LEVELS = 16383
+"""Steps of time over the duration of a cell."""
+
+MANTISSA_BITS = 16
+"""Bits of a float's mantissa that a page keeps: five decimal digits."""
+
+Samples = Float[np.ndarray, " samples"]
+
+
+@dataclass(frozen=True)
+class StateColumn:
+    """Name, unit and meaning of a state along time."""
+
+    name: str
+    units: str
+    long_name: str
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One motion as the page shows it; the module's docstring explains the fields.
+
+    `time` [s] (samples,) starts at 0; `states` by name (samples,); `flags` (samples,); `section` by name (returns,).
+    """
+
+    lane: int
+    kind: str
+    note: str = ""
+    returns: int = 0
+    duration: float = 0.0
+    columns: tuple[StateColumn, ...] = ()
+    time: Samples = field(default_factory=lambda: np.zeros(0))
+    states: Mapping[str, Samples] = field(default_factory=dict)
+    flags: UInt8[np.ndarray, " samples"] = field(default_factory=lambda: np.zeros(0, np.uint8))
+    multipliers: Float[np.ndarray, "multipliers 2"] | None = None
+    section: Mapping[str, Float[np.ndarray, " returns"]] = field(default_factory=dict)
+    numbers: Mapping[str, Any] | None = None
+
+
+def encode(cells: Sequence[Cell]) -> bytes:
+    """Return the cells of one scene as a block."""
+    columns = next((cell.columns for cell in cells if cell.columns), ())
+    section = next((tuple(cell.section) for cell in cells if cell.section), ())
+    headers, words = [], [np.zeros(0, np.uint16)]
+    for cell in cells:
+        empty = np.zeros(0)
+        times = np.round(cell.time / (cell.duration or 1.0) * TIME_LEVELS).astype(np.uint16)
+        states = [_quantised(cell.states.get(column.name, empty)) for column in columns]
+        returns = [_quantised(cell.section.get(name, empty)) for name in section]
+        words += [_differences(levels) for levels in (times, *(levels for levels, _ in states))]
+        words += [levels for levels, _ in returns]
+        multipliers = cell.multipliers
+        headers.append(
+            {
+                "lane": cell.lane,
+                "kind": cell.kind,
+                "note": cell.note,
+                "returns": cell.returns,
+                "duration": _rounded(cell.duration),
+                "samples": len(cell.time),
+                "scales": [scale for _, scale in states] if len(cell.time) else [],
+                "multipliers": None if multipliers is None else [[_rounded(x) for x in row] for row in multipliers],
+                "passed": len(next(iter(cell.section.values()), empty)),
+                "section_scales": [scale for _, scale in returns] if cell.section else [],
+            }
+            | ({} if cell.numbers is None else {"numbers": cell.numbers})
+        )
+    block_header = {"format": 1, "columns": [vars(c) for c in columns], "section": list(section), "cells": headers}
+    header = json.dumps(block_header, separators=(",", ":"), allow_nan=False).encode()
+    numbers = np.concatenate(words)
+    low, high = (numbers & 0xFF).astype(np.uint8).tobytes(), (numbers >> 8).astype(np.uint8).tobytes()
+    flags = b"".join(cell.flags.astype(np.uint8).tobytes() for cell in cells)
+    return struct.pack("<I", len(header)) + header + low + high + flags
+
+
+def pack(values: np.ndarray) -> dict[str, object]:
+    """Return an array as {"dtype": "f4", "i1" or "i4", "shape", "data"}, which the page's `unpack` reads.
+
+    The bytes of all values are stored plane by plane (all first bytes, all second ones, ...), little-endian. Floats are
+    rounded to a short mantissa, so that they deflate better.
+    """
+    if values.dtype.kind == "f":
+        dropped = 23 - MANTISSA_BITS
+        with np.errstate(over="ignore"):  # a value beyond the range of 32 bits becomes infinite
+            bits = np.ascontiguousarray(values, np.float32).view(np.uint32)
+            bits = (bits + np.uint32(1 << (dropped - 1))) >> np.uint32(dropped) << np.uint32(dropped)
+            array = np.where(np.isfinite(values), bits.view(np.float32), values).astype("<f4")
+    else:
+        is_small = values.size == 0 or (int(values.min()) >= -128 and int(values.max()) <= 127)
+        array = values.astype("<i1" if is_small else "<i4")
+    content = np.frombuffer(np.ascontiguousarray(array).tobytes(), np.uint8)
+    planes = content.reshape(-1, array.itemsize).T.tobytes()
+    return {"dtype": array.dtype.str[1:], "shape": list(values.shape), "data": deflate(planes)}
+
+
+def deflate(content: bytes) -> str:
+    """Return bytes deflated in the format of zlib, in base64."""
+    return base64.b64encode(zlib.compress(content, 9)).decode()
+
+
+def _quantised(values: np.ndarray) -> tuple[np.ndarray, list[float]]:
+    """Return values as levels, and the values that the lowest and the highest level stand for."""
+    if not values.size:
+        return np.zeros(0, np.uint16), [0.0, 0.0]
+    least, greatest = float(values.min()), float(values.max())
+    step = (greatest - least) / STATE_LEVELS
+    levels = np.round((values - least) / step) if step > 0 else np.zeros(values.shape)
+    return levels.astype(np.uint16), [_rounded(least), _rounded(greatest)]
+
+
+def _differences(levels: np.ndarray) -> np.ndarray:
+    """Return second differences modulo 2^16, of which two running sums restore the levels."""
+    zero = np.zeros(1, np.uint16)
+    return np.diff(np.diff(levels, prepend=zero), prepend=zero)
+
+
+def _rounded(value: float) -> float:
+    """Return a value to seven digits, for a header."""
+    return float(f"{value:.7g}")

@@ -1,0 +1,202 @@
+"""The view of a dataset over axes, such as a sweep, attractors or a fit: its document, and its lanes' cells.
+
+The dataset holds where each lane ended, not its motion. For the cells, the sweep is run again with its orbits, which
+gives the state in which each lane passes the section. From there its steps are recorded: one repeat of a periodic lane,
+some returns of any other.
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import xarray as xr
+
+from vibrojax.analyses.orbits.rerun import has_lanes_of
+from vibrojax.analyses.sweep.maps import REGION
+from vibrojax.analyses.sweep.workers.work import quiet
+from vibrojax.errors import InputError
+from vibrojax.explorer.document import (
+    Document,
+    axis_document,
+    document_with,
+    json_value,
+    run_document,
+    variable_document,
+)
+from vibrojax.explorer.encoding import Cell, pack
+from vibrojax.explorer.recording import SECTION_RETURNS, SHOWN_RETURNS, SHOWN_SECONDS, Excerpt, record_cells
+from vibrojax.io.variables import orbit_name
+from vibrojax.measures.kept_returns import state_name
+from vibrojax.periodic import Orbits, early_ends
+from vibrojax.periodic.measured import DRIVEN_RETURNS
+from vibrojax.plot.borders import LINES, axes_of, beyond, check_borders
+from vibrojax.plot.colours import flag_names
+from vibrojax.plot.contents import FORM, START, axes_of_map, has_regimes, long_axes
+from vibrojax.plot.starts import described, on_axes
+from vibrojax.progress import Progress
+from vibrojax.sweep.engine.batch import Features
+from vibrojax.sweep.engine.carried import Carried
+from vibrojax.sweep.engine.chunks import Chunks
+from vibrojax.sweep.input.definition import Sweep
+
+LANE = "lane_number"
+"""Name of the variable that holds the number of each cell's lane."""
+
+LEADING_VARIABLES = (
+    *("lane_attractor", "regime", "rate_of_penetration"),
+    *("share", "impact_velocity", "period", "bit_amplitude"),
+)
+
+REPEAT_MARGIN = 1e-3
+"""Periods recorded beyond a repeat, so that the return at its end is in the record."""
+
+
+def map_document(ds: xr.Dataset, sweep: Sweep | None = None) -> Document:
+    """Return the document of a dataset over axes, empty if it has no variable to show.
+
+    **Arguments:** `sweep`: the sweep of the dataset, if there is one.
+    """
+    if sweep is not None and has_lanes_of(ds, sweep):
+        ds = ds.assign({LANE: (sweep.dims, sweep.over_dims(np.arange(sweep.lanes)).astype(np.int32))})
+    if START in ds.dims and START in ds.coords:
+        ds = described(on_axes(ds))
+    variables = [variable_document(ds[name]) for name in _shown_variables(ds)]
+    if not variables:
+        return {}
+    lane_axes = [str(dim) for dim in ds[LANE].dims] if LANE in ds else []
+    dims = dict.fromkeys(dim for variable in variables for dim in variable["axes"])
+    axes = sorted(dims, key=lambda name: lane_axes.index(name) if name in lane_axes else len(lane_axes))
+    return document_with(
+        ds,
+        "grid",
+        variables,
+        axes=[axis_document(ds, name) for name in axes],
+        lanes=pack(ds[LANE].values) | {"axes": lane_axes} if LANE in ds else None,
+        fixed={str(name): json_value(data.values.item()) for name, data in ds.coords.items() if data.ndim == 0},
+        region={name: list(ends) for name, ends in REGION.items()},
+        # A fit has lost an axis of its sweep: none of its cells is a point.
+        run=None if FORM in ds.dims else run_document(ds, sweep),
+        view=_first_axes(ds),
+    )
+
+
+def _shown_variables(ds: xr.Dataset) -> list[str]:
+    """Return the variables that a page shows, the most informative ones first."""
+    names = [str(name) for name, data in ds.data_vars.items() if data.dtype.kind in "fiu" and data.ndim > 0]
+    # Single returns, and results of the check run, have no place on a map.
+    names = [n for n in names if n != LANE and not n.startswith(("return_", "check_"))]
+    names = [name for name in names if "return_index" not in ds[name].dims]
+    leading = [name for name in LEADING_VARIABLES if name in names]
+    if "share" in leading and START in ds.dims:  # starts that form no plane: shares say more than each start's end
+        leading.remove("share")
+        leading.insert(0, "share")
+    return list(dict.fromkeys([*(name for name in names if name.startswith("push_")), *leading, *names]))
+
+
+def _first_axes(ds: xr.Dataset) -> list[str]:
+    """Return the axes of the first map, the same as in the picture; none without a map over two axes."""
+    long = long_axes(ds)
+    if len(long) > 1 and not has_regimes(ds):
+        return list(long[:2])
+    try:
+        return list(axes_of_map(ds, None, None))
+    except InputError:
+        return [str(name) for name in ds.dims if str(name).startswith("start_")][:2]
+
+
+def curves_document(ds: xr.Dataset, over: xr.Dataset) -> Document:
+    """Return borders over the map of `ds`.
+
+    **Raises:** `InputError` if the borders do not belong there.
+    """
+    check_borders(ds, over, *axes_of(over))
+    kinds, curve_of = flag_names(over["kind"]), over["curve"].values
+    curves: list[Document] = []
+    for curve in range(over.sizes["curve"]):
+        plane: Document = {name: json_value(over[name].values[curve].item()) for name in beyond(over)}
+        if START in over.coords:
+            plane[START] = str(over[START].values[curve])
+        points = {n: [json_value(x) for x in over[n].values[curve_of == curve].tolist()] for n in axes_of(over)}
+        curves.append({"kind": kinds[int(over["kind"][curve])], "at": plane, "points": points})
+    return {"colours": {kind: str(line["color"]) for kind, line in LINES.items()}, "list": curves}
+
+
+def lane_cells(sweep: Sweep, progress: bool = True) -> Iterator[Cell]:
+    """Run a sweep again, in its own chunks, and yield the cells of its lanes in the order of `Sweep.counted`."""
+    names = sweep.system.driving_part().return_states
+    sweep = replace(sweep, run=replace(sweep.run, orbits=bool(names)))
+    orbits = Orbits(sweep) if names else None
+
+    def last_returns(first: int, end: int, features: Features) -> Features:
+        """Return the features of lanes with their orbits and the states at their last returns."""
+        whole = features | (orbits(first, end, features) if orbits is not None else {})
+        kept = {name: x for name, x in whole.items() if x.ndim == 1 or name in ("multiplier_abs", "multiplier_arg")}
+        returns = {name: features[state_name(name)] for name in names if state_name(name) in features}
+        # A scene under pulses keeps only the last return.
+        return kept | {f"last_{name}": x if x.ndim == 1 else x[:, -1] for name, x in returns.items()}
+
+    is_carried = sweep.run.carry is not None
+    chunks = Carried(sweep, last_returns) if is_carried else Chunks(sweep, last_returns, early_ends(sweep))
+    with Progress(sweep.lanes, "lanes", progress) as bar:
+        for index in range(chunks.count):
+            with quiet():
+                features = chunks.compute(index, bar.add)
+                yield from _chunk_cells(sweep, chunks, index, features)
+
+
+def _chunk_cells(sweep: Sweep, chunks: Chunks, index: int, features: Features) -> list[Cell]:
+    first, end = chunks.lanes(index)
+    parameters, _ = sweep.lane_values(first, end)
+    excerpt = _excerpts(sweep, chunks, index, features, parameters)
+    reasons = np.full(end - first, "its motion was not found", object)
+    reasons[~features["finished"]] = "failed: it took too many steps"
+    reasons[~features["finite"]] = "failed: it is not finite"
+    refusal = sweep.system.refused(parameters)
+    if refusal is not None:
+        reasons[np.broadcast_to(np.asarray(refusal[1]), reasons.shape)] = f"refused: {refusal[0].replace('-', ' ')}"
+    cells = [Cell(lane, "none", str(reason)) for lane, reason in enumerate(reasons, first)]
+    usable = np.isfinite(excerpt.state).all(axis=0) & np.isfinite(excerpt.recorded) & (excerpt.recorded > 0)
+    usable &= np.array([not cell.note.startswith(("refused", "failed")) for cell in cells])
+    # A batch runs until its longest record ends: lanes with similar ratios of recorded to shown time share one.
+    order = np.flatnonzero(usable)
+    order = order[np.argsort(excerpt.recorded[order] / np.maximum(excerpt.shown[order], 1e-9), kind="stable")]
+    parameters = {name: x[order] for name, x in parameters.items()}
+    for lane, cell in zip(order, record_cells(sweep.system, parameters, excerpt.lanes(order)), strict=True):
+        multipliers = None
+        if "multiplier_abs" in features:
+            multipliers = np.stack([features[f"multiplier_{name}"][lane] for name in ("abs", "arg")], axis=1)
+            multipliers = multipliers if np.isfinite(multipliers).all() else None
+        cells[lane] = replace(cell, lane=first + int(lane), multipliers=multipliers)
+    return cells
+
+
+def _excerpts(
+    sweep: Sweep, chunks: Chunks, index: int, features: Features, parameters: dict[str, np.ndarray]
+) -> Excerpt:
+    """Return the excerpts of a chunk's lanes, from their orbits, their last returns or their settled states."""
+    first, end = chunks.lanes(index)
+    scene, count = sweep.system, end - first
+    driving = scene.driving_part()
+    zero, nan = np.zeros(count), np.full(count, np.nan)
+    orbit_cycles = features.get("orbit_cycles", zero)
+    state = np.zeros((len(scene.states), count))
+    for name in driving.return_states:
+        last = features.get(f"last_{name}", nan)
+        state[scene.place(name)] = np.where(orbit_cycles > 0, features.get(orbit_name(name), last), last)
+    period = features["period"] if "period" in features else 1 / parameters.get("frequency", nan)
+    unknown = ~np.isfinite(state).all(axis=0) | ~(np.isfinite(period) & (period > 0)) | (not driving.return_states)
+    cycles = np.where(orbit_cycles > 0, orbit_cycles, features.get("cycles", zero))
+    returns = np.where(unknown, 0, np.where(cycles > 0, np.maximum(cycles, 1), SHOWN_RETURNS)).astype(int)
+    repeats = ~unknown & (cycles > 0)
+    skipped = np.where(unknown, 0.0, (DRIVEN_RETURNS if driving is not scene else 0) * period)
+    shown = np.where(unknown, SHOWN_SECONDS, returns * period)
+    beyond_return = np.where(repeats, shown + REPEAT_MARGIN * period, SECTION_RETURNS * period)
+    recorded = skipped + np.where(unknown, SHOWN_SECONDS, beyond_return)
+    if unknown.any() and not isinstance(chunks, Carried):
+        subset = np.flatnonzero(unknown)
+        [batch] = chunks.engine.settle([chunks.engine.start(first, end, chunks.accuracy).of(subset)])
+        assert batch.underway is not None
+        state[:, subset] = np.stack([np.asarray(x, float) for x in batch.underway.lane.state])
+    elif unknown.any():  # a lane's settled state follows from those before it, which are not kept
+        state[:, unknown] = np.nan
+    return Excerpt(state, repeats, skipped, shown, recorded, returns)

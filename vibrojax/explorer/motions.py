@@ -1,0 +1,278 @@
+"""Motions on demand: the answer to a click, simulated and measured in the same way as by `vj.simulate`, as a cell."""
+
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from vibrojax.compile.devices import precision
+from vibrojax.errors import InputError, Place, shown
+from vibrojax.explorer.document import options_of, run_seconds, start_of
+from vibrojax.explorer.encoding import Cell, encode
+from vibrojax.explorer.recording import (
+    SECTION_RETURNS,
+    SHOWN_RETURNS,
+    SHOWN_SECONDS,
+    Excerpt,
+    cell_of_steps,
+    step_events,
+)
+from vibrojax.explorer.views import sweep_of
+from vibrojax.io.attributes import differing_of, text_of
+from vibrojax.models.physics.parameters import ROTATION, Parameter
+from vibrojax.models.physics.rock import ROCKS
+from vibrojax.models.scenes import Scene
+from vibrojax.plot.axes import pretty_unit, scale
+from vibrojax.stepping import Located, Wanted
+from vibrojax.sweep.input.definition import Sweep, rock_values
+from vibrojax.sweep.input.names import Names, read_names
+from vibrojax.sweep.input.plausible import UnusualValue
+from vibrojax.sweep.input.point import Point, read_point
+from vibrojax.sweep.simulation.dense_output import BATCH, check_size
+from vibrojax.sweep.simulation.features import window
+from vibrojax.sweep.simulation.recording import Recorded, constants_at, recorded
+
+PLACE = Place("explore")
+
+ANSWER_ACCURACY = 1e-4
+"""Accepted error of a motion: a page shows no more digits."""
+
+MOTION_MAX_SECONDS = 60.0
+"""Seconds simulated at most, even if the sweep settles for longer: an answer should come at once."""
+
+MOTION_MAX_STEPS = 400_000
+"""Steps of one motion at most; more would take seconds and gigabytes. A typical motion has a few thousand."""
+
+PULSE_TOLERANCE, PULSE_MAX_CYCLES = 1e-3, 8
+"""Largest distance between repeated states, over half their swings, and pulses of the longest repeat."""
+
+LOG_SLIDER_RATIO = 30.0
+"""Ratio of the greatest to the least value from which a slider is logarithmic."""
+
+
+class LiveMotions:
+    """Motions of one scene, each described by the few values that differ from those of a point.
+
+    **Arguments:**
+
+    - `scene`: its name, or a scene.
+    - `values`: parameters (SI) and options such as `friction` that differ from the defaults.
+    - `start`: the start unless a request names another; None for the scene's first.
+    - `duration` [s]: the simulated time, whose last part is observed.
+    - `axes`: values by parameter that its slider must reach.
+    - `sweep`: the sweep whose lanes can be requested too.
+
+    **Raises:** `InputError`.
+    """
+
+    def __init__(
+        self,
+        scene: str | Scene[Any],
+        values: Mapping[str, object],
+        start: object = None,
+        duration: float = 48.0,
+        axes: Mapping[str, np.ndarray] | None = None,
+        sweep: Sweep | None = None,
+    ) -> None:
+        self.point: Point = read_point(PLACE, scene, values, start)
+        self.names: Names = read_names(PLACE.at("scene"), self.point.system)
+        self.duration, self.whole = min(duration, MOTION_MAX_SECONDS), duration
+        self.axes, self.sweep = dict(axes or {}), sweep
+        self._stepper = Located()
+
+    def answer(self, request: Mapping[str, Any], check: Callable[..., None]) -> bytes:
+        """Return the requested motion as a block of one cell.
+
+        **Arguments:**
+
+        - `request`: `lane`, the number of a lane; or `parameters`, numbers by name that replace the point's values, and
+          `start`, a name or a vector.
+        - `check`: is called often; an exception that it raises ends the motion.
+
+        **Raises:** `InputError` if the request is invalid, or the motion takes too long.
+        """
+        if set(request) == {"lane"}:
+            return encode([self.lane(request["lane"], check)])
+        unknown = set(request) - {"parameters", "start"}
+        if unknown:
+            raise PLACE.at(min(unknown)).error("there is no such thing to ask for; give lane, or parameters and start")
+        parameters = request.get("parameters", {})
+        if not isinstance(parameters, dict):
+            raise PLACE.at("parameters").error(f"{shown(parameters)} is not a table; give numbers by name")
+        return encode([self.cell(parameters, request.get("start"), check)])
+
+    def cell(
+        self, parameters: Mapping[str, object], start: object = None, check: Callable[..., None] | None = None
+    ) -> Cell:
+        """Return the motion at other `parameters` than the point's; the cell's note names unusual values."""
+        start = self.point.start if start is None else start
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always", UnusualValue)
+            point = read_point(PLACE, self.point.system, self.point.parameters | dict(parameters), start)
+        steps = 0
+
+        def count_steps(reached: float) -> None:
+            nonlocal steps
+            steps += BATCH
+            if check is not None:
+                check()
+            if steps > MOTION_MAX_STEPS:
+                raise PLACE.error(
+                    f"over {MOTION_MAX_STEPS} steps led to {reached:.3g} s of {self.duration:g} s; "
+                    "give a softer contact, or less damping"
+                )
+
+        with precision("float64"):
+            constants = constants_at(PLACE, point, self._stepper)
+            accuracy = self._stepper.accuracy(Wanted(ANSWER_ACCURACY, None, None), point.system)
+            check_size(PLACE, point.system, constants, self.duration, accuracy, self._stepper, 0)
+            motion = recorded(point, self._stepper, constants, accuracy, self.duration, count_steps)
+        cell = _cell_of_record(point.system, constants, motion, self.duration)
+        notes = [cell.note, *(str(w.message) for w in caught if issubclass(w.category, UnusualValue))]
+        return replace(cell, note="; ".join(note for note in notes if note))
+
+    def lane(self, number: object, check: Callable[..., None] | None = None) -> Cell:
+        """Return the motion of a lane of the sweep, simulated from its start; the dataset has its numbers."""
+        lanes = self.sweep.lanes if self.sweep is not None else 0
+        if type(number) is not int or not 0 <= number < lanes or self.sweep is None:
+            raise PLACE.at("lane").error(f"{shown(number)} is not a lane; there are {lanes}, from 0")
+        values, _ = self.sweep.lane_values(number, number + 1)
+        start: object = None
+        if self.names.has_starts:
+            indices, vectors = self.sweep.lane_starts(number, number + 1)
+            index, names = int(indices[0]), self.sweep.start_names
+            start = names[index] if index < len(names) else [float(x[0]) for x in vectors]
+        cell = self.cell({name: float(x[0]) for name, x in values.items()}, start, check)
+        carried = "" if self.sweep.run.carry is None else "from the start, not carried on from the point before"
+        return replace(cell, lane=number, numbers=None, note="; ".join(text for text in (cell.note, carried) if text))
+
+    def warm(self) -> None:
+        """Compile the programs of all motions by simulating one."""
+        self.cell({})
+
+    def offered(self) -> dict[str, Any]:
+        """Return the possible requests as JSON values.
+
+        `parameters` have their ranges, `values` and `start` describe the point, and `states` name the items of a start
+        vector. Numbers are in SI; `factor` leads to the unit that is shown.
+        """
+        return {
+            "scene": self.point.scene,
+            "parameters": [self._slider(parameter) for parameter in self.names.parameters.values()],
+            "values": self.point.parameters,
+            "starts": list(self.names.starts),
+            "states": list(self.names.system.start_states),
+            "start": list(self.point.start) if isinstance(self.point.start, tuple) else self.point.start,
+            "duration": self.duration,
+            "whole": self.whole,
+            "observed": window(self.duration)[1],
+            "lanes": self.sweep.lanes if self.sweep is not None else 0,
+            "rocks": {name: rock_values(name) for name in ROCKS} if self.names.has_rock else {},
+            "bit_radius": ROTATION["bit_radius"].default,
+        }
+
+    def _slider(self, parameter: Parameter) -> dict[str, Any]:
+        """Return the slider of a parameter, over its usual values and all values of the point and the axes.
+
+        Without usual values, the slider reaches three times the default.
+        """
+        value, default = self.point.parameters[parameter.name], parameter.default
+        size = 3 * max(abs(default), abs(value)) or 1.0
+        usual = parameter.usual or ((0.0, size) if default >= 0 else (-size, 0.0))
+        known = np.array([*usual, default, value, *self.axes.get(parameter.name, ())], float)
+        low, high = float(known.min()), float(known.max())
+        if parameter.open_below and parameter.lowest is not None and low <= parameter.lowest:
+            low = parameter.lowest + (high - parameter.lowest) / 1000
+        factor, unit = scale(xr.DataArray([low, high], attrs={"units": parameter.unit}))
+        return {
+            "name": parameter.name,
+            "label": parameter.long_name,
+            "symbol": parameter.symbol,
+            "units": pretty_unit(unit),
+            "factor": factor,
+            "low": low,
+            "high": high,
+            "log": low > 0 and high / low >= LOG_SLIDER_RATIO,
+            "default": default,
+        }
+
+
+def motions_for(ds: xr.Dataset, own: Sweep | None = None) -> LiveMotions:
+    """Return the motions of a dataset: of its sweep if it has one, else around its point."""
+    sweep, _ = sweep_of(ds, own)
+    return motions_around(ds) if sweep is None else motions_of(sweep)
+
+
+def motions_of(sweep: Sweep) -> LiveMotions:
+    """Return the motions around the lanes of a sweep."""
+    values = {name: float(x[0]) for name, x in sweep.lane_values(0, 1)[0].items()}
+    axes = {name: x for name, x in {**sweep.axes, **(sweep.points or {})}.items() if x.dtype.kind == "f"}
+    start = sweep.starts[0] if sweep.starts is not None and len(sweep.starts) else None
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UnusualValue)  # reported when the sweep was read
+        return LiveMotions(sweep.system, values, start, sweep.run.settle + sweep.run.observe, axes, sweep)
+
+
+def motions_around(ds: xr.Dataset) -> LiveMotions:
+    """Return the motions around the point that the attributes of a dataset describe.
+
+    **Raises:** `InputError` if they name no known scene.
+    """
+    values: dict[str, object] = {row["name"]: row["value"] for row in differing_of(ds)}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UnusualValue)
+        return LiveMotions(text_of(ds, "scene"), values | options_of(ds), start_of(ds), run_seconds(ds))
+
+
+def _cell_of_record(scene: Scene[Any], constants: Any, motion: Recorded, duration: float) -> Cell:
+    """Return the last repeat of a recorded motion, or some of its last returns, with its numbers."""
+    steps = motion.steps
+    if not np.isfinite(steps.after).all():
+        raise InputError("explore: the motion is not finite; give values nearer to the usual ones")
+    late = steps.start >= window(duration)[0]
+    last = {name: np.asarray(x)[late, ..., None] for name, x in steps._asdict().items()}
+    with precision("float64"):
+        events = step_events(scene, constants, last)
+    returns = (last["start"] + last["dt"])[events["section"]]
+    if "cycles" in motion.found:
+        cycles = int(motion.found["cycles"][1])
+    else:
+        cycles = _repeated_pulses(last["after"][..., 0], events["section"][:, 0], scene)
+    own_steps = {name: x[..., 0] for name, x in last.items()}
+    own_events = {name: mask[:, 0] for name, mask in events.items()}
+    cell = cell_of_steps(scene, own_steps, own_events, _excerpt(returns, cycles, duration))
+    numbers = {name: value.item() for name, (_, value, _) in motion.found.items()}
+    numbers = {name: x if isinstance(x, int) or np.isfinite(x) else None for name, x in numbers.items()}
+    return replace(cell, numbers=numbers)
+
+
+def _repeated_pulses(after: np.ndarray, pulses: np.ndarray, scene: Scene[Any]) -> int:
+    """Return the number of pulses after which the states repeat, 0 if they do not.
+
+    **Arguments:** `after` (steps, states): the states after each step; `pulses` (steps,): steps that end on a pulse.
+    """
+    columns = after[:, [scene.place(name) for name in scene.driving_part().return_states]]
+    passed, swing = columns[pulses], np.maximum(np.ptp(columns, axis=0), np.finfo(float).tiny) / 2
+    for cycles in range(1, PULSE_MAX_CYCLES + 1):
+        away = np.abs(passed[cycles:] - passed[:-cycles]) / swing
+        if len(passed) > 3 * cycles and (away < PULSE_TOLERANCE).all():
+            return cycles
+    return 0
+
+
+def _excerpt(returns: np.ndarray, cycles: int, duration: float) -> Excerpt:
+    """Return the last repeat of a motion with `returns` [s]; some of the last returns if nothing repeats."""
+    repeats = 0 < cycles < len(returns)
+    if repeats:
+        values = (returns[-1 - cycles], returns[-1] - returns[-1 - cycles], returns[-1], cycles)
+    elif len(returns) < 2:
+        shown = min(SHOWN_SECONDS, duration / 2)
+        values = (duration - shown, shown, duration, 0)
+    else:
+        first = max(len(returns) - 1 - SECTION_RETURNS, 0)
+        last = min(first + SHOWN_RETURNS, len(returns) - 1)
+        values = (returns[first], returns[last] - returns[first], duration, last - first)
+    return Excerpt(np.zeros(0), np.array(repeats), *(np.asarray(value) for value in values))

@@ -1,0 +1,162 @@
+"""The view of one trajectory: its whole course, thinned, and its last repeat or last returns as a cell."""
+
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Float
+
+from vibrojax.errors import InputError, printable
+from vibrojax.explorer.document import (
+    Document,
+    command_seconds,
+    document_with,
+    one_line,
+    run_document,
+    variable_document,
+)
+from vibrojax.explorer.encoding import EVENTS, STUCK, TOUCHING, Cell, StateColumn, pack
+from vibrojax.explorer.recording import (
+    SECTION_RETURNS,
+    SHOWN_RETURNS,
+    SHOWN_SECONDS,
+    TIME_TOLERANCE,
+    evenly_spaced,
+    mark_events,
+    merged_times,
+)
+from vibrojax.io.attributes import parameters_of, run_of
+
+HISTORY_BINS = 1200
+"""Intervals of time, each of which shows its least and greatest value: about one per pixel of a wide plot."""
+
+SECTION_STATES = ("x1", "x2", "v2", "x3", "v3")
+"""States whose values at returns are shown, as far as the scene has them."""
+
+REPEAT_MAX_PULSES, REPEAT_TOLERANCE = 8, 1e-2
+"""Pulses of the longest repeat, and the largest distance from one repeat to the next over the swing."""
+
+
+def motion_document(ds: xr.Dataset) -> Document:
+    """Return the document of a trajectory, as `simulate` returns it."""
+    if not ds.sizes["time"]:
+        raise InputError("explore: the motion has no samples")
+    names = [str(name) for name, data in ds.data_vars.items() if data.ndim == 0 and data.dtype.kind in "fiu"]
+    return document_with(
+        ds,
+        "motion",
+        [variable_document(ds[name]) | {"map": None} for name in names],
+        lanes=pack(np.zeros(1, np.int32)) | {"axes": []},
+        run=run_document(ds) | {"duration": command_seconds(float(ds["time"][-1]))},
+        history=_history(ds),
+    )
+
+
+def _history(ds: xr.Dataset) -> Document:
+    """Return all variables along time as the extremes of each bin, in the order in which they occur."""
+    time = ds["time"].values
+    bins = np.array_split(np.arange(len(time)), min(HISTORY_BINS, len(time)))
+    columns: list[Document] = []
+    for name, data in ds.data_vars.items():
+        if data.dims != ("time",) or data.dtype.kind != "f":
+            continue
+        values = data.values
+        extremes = [sorted((part[np.argmin(values[part])], part[np.argmax(values[part])])) for part in bins]
+        columns.append(
+            {
+                "name": str(name),
+                "units": one_line(data.attrs.get("units", "")),
+                "long_name": one_line(data.attrs.get("long_name", "")) or str(name),
+                "data": pack(values[np.ravel(extremes)].astype(float)),
+            }
+        )
+    ends = np.ravel([[time[part[0]], time[part[-1]]] for part in bins])
+    return {"time": pack(ends), "columns": columns, "observed_from": run_of(ds).get("settle")}
+
+
+def cell_of(motion: xr.Dataset, lane: int = -1) -> Cell:
+    """Return the cell of a trajectory.
+
+    **Arguments:** `motion`: the dataset of `simulate`. Without events, as from a solver of diffrax, the cell shows the
+    last seconds; `lane`: its number, -1 for a motion simulated live.
+
+    **Returns:** a cell with `numbers`: the features of the motion, by the names of a sweep's variables.
+    """
+    time = motion["time"].values
+    moments, kinds = (motion[n].values if n in motion else np.zeros(0) for n in ("event_time", "event_kind"))
+    events = {name: moments[kinds == flag] for flag, name in enumerate(EVENTS) if flag}
+    returns, cycles = events["section"], int(motion["cycles"]) if "cycles" in motion else 0
+    if not len(returns) and "applied_force" in motion:
+        returns = _pulses(motion, float(time[-1]))
+        cycles = _repeated_pulses(motion, returns)
+    kind = "orbit" if cycles and len(returns) > cycles else "motion"
+    shown = cycles if kind == "orbit" else min(SHOWN_RETURNS, max(len(returns) - 1, 0))
+    if shown:
+        begin, end = float(returns[-1 - shown]), float(returns[-1])
+    else:
+        begin, end = max(float(time[0]), float(time[-1]) - SHOWN_SECONDS), float(time[-1])
+    data = {
+        str(name): state
+        for name, state in motion.data_vars.items()
+        if state.dims == ("time",) and state.dtype.kind == "f" and not str(name).endswith("_force")
+    }
+    inside = np.concatenate([[begin], time[(time > begin) & (time < end)], [end]])
+    even = evenly_spaced(inside, np.stack([np.interp(inside, time, x.values) for x in data.values()]), shown)
+    events_inside = np.concatenate([x[(x > begin) & (x < end)] for x in events.values()])
+    tolerance = TIME_TOLERANCE * (end - begin)
+    times = merged_times(even, events_inside, tolerance)
+    units = {name: [printable(x.attrs.get(key, ""), 200) for key in ("units", "long_name")] for name, x in data.items()}
+    passed = returns[1:] if kind == "motion" else returns[len(returns) - cycles :]
+    section = [name for name in SECTION_STATES if name in data] if len(passed) else []
+    numbers = {str(name): x.values.item() for name, x in motion.data_vars.items() if x.ndim == 0}
+    return Cell(
+        lane=lane,
+        kind=kind,
+        note="" if shown else "it passes no section",
+        returns=shown,
+        duration=end - begin,
+        columns=tuple(StateColumn(name, *texts) for name, texts in units.items()),
+        time=times - begin,
+        states={name: np.interp(times, time, x.values) for name, x in data.items()},
+        flags=_flags(motion, times, events, tolerance),
+        section={name: np.interp(passed[-SECTION_RETURNS:], time, data[name].values) for name in section},
+        numbers={name: x if isinstance(x, int) or np.isfinite(x) else None for name, x in numbers.items()},
+    )
+
+
+def _pulses(motion: xr.Dataset, end: float) -> Float[np.ndarray, " pulses"]:
+    """Return the times [s] at which pulses begin; none for a swept sine."""
+    frequency = parameters_of(motion).get("frequency", 0.0)
+    if not 0 < end * frequency < motion.sizes["time"]:  # with fewer samples than pulses, nothing can be seen
+        return np.zeros(0)
+    return np.arange(int(end * frequency + 1e-9) + 1) / frequency
+
+
+def _repeated_pulses(motion: xr.Dataset, pulses: np.ndarray) -> int:
+    """Return the number of pulses after which the motion repeats, 0 if it does not."""
+    time = motion["time"].values
+    states = [motion["v3"].values, motion["x3"].values - motion["x4"].values]
+    for count in range(1, min(REPEAT_MAX_PULSES, len(pulses) - 1) + 1):
+        last = np.linspace(pulses[-1 - count], pulses[-1], 64)
+        before = last - (pulses[-1] - pulses[-1 - count])
+        if before[0] < 0:
+            return 0
+        away = (np.abs(np.interp(last, time, x) - np.interp(before, time, x)).max() / (np.ptp(x) or 1) for x in states)
+        if max(away) < REPEAT_TOLERANCE:
+            return count
+    return 0
+
+
+def _flags(motion: xr.Dataset, times: np.ndarray, events: dict[str, Any], tolerance: float) -> np.ndarray:
+    """Return the flags of samples: stuck, touching, and the event at each."""
+    flags = np.zeros(len(times), np.uint8)
+    if "stuck" in motion:
+        samples = np.searchsorted(motion["time"].values, times + tolerance, side="right") - 1
+        stuck = motion["stuck"].values[np.clip(samples, 0, motion.sizes["time"] - 1)]
+        flags |= np.where(stuck == 1, STUCK, 0).astype(np.uint8)
+    if len(events["impact"]) or len(events["release"]):
+        begun = np.searchsorted(events["impact"], times + tolerance)
+        ended = np.searchsorted(events["release"], times + tolerance)
+        flags |= np.where(begun > ended, TOUCHING, 0).astype(np.uint8)
+    mark_events(flags, times, events, tolerance)
+    return flags
