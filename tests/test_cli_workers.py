@@ -43,16 +43,16 @@ def refused(capsys, *argv) -> str:
 @pytest.mark.parametrize(
     "words, problem",
     [
-        (["--only", "4/3"], '--only: "4/3" is no I/N with I from 1 to N; write 2/3'),
-        (["--only", "0/3"], "is no I/N"),
-        (["--only", "1"], "is no I/N"),
-        (["--only", "a/b"], "is no I/N"),
+        (["--only", "4/3"], '--only: "4/3" is not I/N with I from 1 to N; write 2/3'),
+        (["--only", "0/3"], "is not I/N"),
+        (["--only", "1"], "is not I/N"),
+        (["--only", "a/b"], "is not I/N"),
         (["--only", "1/2", "--fresh"], "--fresh: has no use with --only"),
         (["--only", "1/2", "--workers", "2"], "not allowed with argument"),
-        (["--workers", "nonsense"], '--workers: "nonsense" is no number (1 to 1000), dask://HOST:PORT, slurm'),
-        (["--workers", "0"], "is no number (1 to 1000)"),
+        (["--workers", "nonsense"], '--workers: "nonsense" is not a number (1 to 1000), dask://HOST:PORT, slurm'),
+        (["--workers", "0"], "is not a number (1 to 1000)"),
         (["--workers", "-1"], "--workers"),
-        (["--workers", "dask://host"], "is no number (1 to 1000), dask://HOST:PORT"),
+        (["--workers", "dask://host"], "is not a number (1 to 1000), dask://HOST:PORT"),
         (["--workers", "slurm:0"], "slurm or slurm:JOBS"),
         (["--workers", "slurm"], "--workers slurm: there is no sbatch and no srun on this machine"),
         (["--measure"], "--measure: has no use without --dry-run"),
@@ -79,7 +79,7 @@ def test_extras_that_are_not_installed(words, module, extra, capsys, monkeypatch
 
 def test_a_scheduler_that_does_not_answer(capsys, monkeypatch):
     pytest.importorskip("distributed")
-    monkeypatch.setattr("vibrojax.cli.workers._PATIENCE", "0.3 s")
+    monkeypatch.setattr("vibrojax.cli.workers.SCHEDULER_TIMEOUT", "0.3 s")
     line = refused(capsys, "sweep", "map.toml", "--workers", "dask://127.0.0.1:1")
     assert "--workers dask://127.0.0.1:1: no scheduler of dask answers there" in line
 

@@ -181,7 +181,7 @@ WRONG = [
     ("vibro-impact", {"start": "nowhere"}, 'start: "nowhere" is unknown; choose from drive, stuck, touching'),
     ("vibro-impact", {"start": "[0,0,1]"}, "4 are needed"),
     ("vibro-impact", {"beta": "0.3,x"}, 'beta[1]: "x" is text'),
-    ("vibro-impact", {"beta": "[0.3"}, 'beta: "[0.3" is no list'),
+    ("vibro-impact", {"beta": "[0.3"}, 'beta: "[0.3" is not a list'),
     ("vibro-impact", {"beta": "0.3,0.4", "v": "1,1.1,1.2"}, "lists of different lengths (beta 2, v 3)"),
     ("vibro-impact", {"bta": "0.3"}, 'bta: scene "vibro-impact" has no such parameter; did you mean "beta"?'),
     ("vibro-impact", {"friction": "stribeck,coulomb"}, 'friction: ["stribeck", "coulomb"] is a list'),
@@ -198,7 +198,7 @@ def test_bad_input_is_one_line(here, capsys, scene, changes, said):
 
 
 def test_words_that_are_no_name_and_value(here, capsys):
-    assert '"gamma" is no NAME=VALUE' in refused(capsys, "follow", "vibro-impact", "gamma")
+    assert '"gamma" is not NAME=VALUE' in refused(capsys, "follow", "vibro-impact", "gamma")
     assert 'at: "2" is a second value; give one' in refused(capsys, "follow", "rotary", "at=1", "at=2")
     assert "does not end in .nc" in refused(capsys, "follow", "vibro-impact", *ASKED, "-o", "one.txt")
 

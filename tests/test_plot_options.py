@@ -236,7 +236,7 @@ def test_the_command_takes_the_same(written, monkeypatch):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--where", "delta"], '--where: "delta" is no AXIS=VALUE; write delta=0.005'),
+        (["--where", "delta"], '--where: "delta" is not AXIS=VALUE; write delta=0.005'),
         (["--where", "delta=1"], "no lane has delta = 1.0; there are -0.005, 0.005"),
         (["--variable", "stick"], 'did you mean "stick_fraction"?'),
         (["--colours", "rainbows"], "is no colour map"),

@@ -1,6 +1,8 @@
 """The site's pages, without building it: links of texts, the reference's names; and the checker of what is built."""
 
 import re
+from contextlib import suppress
+from importlib import import_module
 from pathlib import Path
 from urllib.parse import unquote
 
@@ -12,6 +14,7 @@ import vibrojax as vj
 ROOT = Path(__file__).parents[1]
 PAGES = sorted((ROOT / "notebooks").rglob("*.md"))
 TEXTS = ["README.md", "CHANGELOG.md", ".github/CONTRIBUTING.md", "tests/benchmarks/README.md", "tests/hard/README.md"]
+IMPORT = re.compile(r"from (vibrojax[\w.]*) import ([\w, ]+)")
 
 
 def places(text: str) -> set[str]:
@@ -45,6 +48,40 @@ def test_every_public_name_is_in_the_reference():
     text = "".join(path.read_text() for path in PAGES if path.parent.name == "api")
     told = {name.rpartition(".")[2] for name in re.findall(r"^\.\. auto\w+:: ([\w.]+)$", text, flags=re.MULTILINE)}
     assert sorted(set(vj.__all__) - told) == [], "write these onto a page of notebooks/api"
+
+
+def exists(name: str) -> bool:
+    """Return whether a dotted name is a module, or an attribute or field of one."""
+    head, *rest = name.split(".")
+    value = import_module(head)
+    for index, part in enumerate(rest, 2):
+        with suppress(ModuleNotFoundError):
+            import_module(".".join(name.split(".")[:index]))
+        if part in getattr(value, "__dataclass_fields__", {}):
+            return index == len(rest) + 1
+        if not hasattr(value, part):
+            return False
+        value = getattr(value, part)
+    return True
+
+
+def test_references_of_docstrings_lead_somewhere():
+    names = {
+        (path.name, name)
+        for path in (ROOT / "vibrojax").rglob("*.py")
+        for name in re.findall(r"\[(vibrojax[\w.]*)\]\[\]", path.read_text())
+    }
+    assert len(names) > 20
+    assert [(file, name) for file, name in sorted(names) if not exists(name)] == []
+
+
+def test_modules_that_pages_import_exist():
+    pages = [*PAGES, *(ROOT / "notebooks").rglob("*.ipynb"), *(ROOT / "notebooks").rglob("*.py"), ROOT / "README.md"]
+    lines = {(path.name, line) for path in pages for line in IMPORT.findall(path.read_text())}
+    assert len(lines) > 5
+    for file, (module, names) in sorted(lines):
+        for name in names.split(","):
+            assert exists(f"{module}.{name.split()[0]}"), (file, module, name)
 
 
 def test_every_page_is_in_a_table_of_contents():

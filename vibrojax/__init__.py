@@ -49,7 +49,7 @@ _HOMES = {
     "contact": "vibrojax.models.physics",
     "friction": "vibrojax.models.physics",
     "modes": "vibrojax.models.physics",
-    # What physics of one's own is written with.
+    # Tools to write your own physics
     "elementary": "vibrojax.models.physics",
     "parameters": "vibrojax.models.physics",
     "FrictionLaw": "vibrojax.models.physics.friction",

@@ -1,4 +1,4 @@
-"""What `--help` says of every command, as a page: `{command-help}`."""
+"""The output of `--help` of every command, as a page: the directive `{command-help}`."""
 
 import os
 import subprocess
@@ -12,7 +12,7 @@ from vibrojax.cli import _COMMANDS
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
-    """Make the directive known."""
+    """Register the directive."""
     app.add_directive("command-help", CommandHelp)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
 
@@ -25,13 +25,13 @@ class CommandHelp(SphinxDirective):
         sections = []
         for name in _COMMANDS:
             section = nodes.section("", nodes.title("", f"vibrojax {name}"), ids=[name])
-            section += nodes.literal_block("", said(name), language="none")
+            section += nodes.literal_block("", help_text(name), language="none")
             sections.append(section)
         return sections
 
 
-def said(name: str) -> str:
-    """What the command answers, in lines that a page has room for."""
+def help_text(name: str) -> str:
+    """Return the help of a command, in lines that fit on a page."""
     settings = os.environ | {"COLUMNS": "88", "NO_COLOR": "1"}
     command = [sys.executable, "-m", "vibrojax", name, "--help"]
     return subprocess.run(command, env=settings, check=True, capture_output=True, text=True).stdout.rstrip()

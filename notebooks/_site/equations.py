@@ -1,4 +1,4 @@
-"""Equations as MathML, which browsers draw by themselves and screen readers read: no script, no font, no request."""
+"""Equations as MathML, which browsers draw and screen readers read, without scripts, fonts or requests."""
 
 from docutils import nodes
 from docutils.utils.math import MathError, latex2mathml
@@ -8,19 +8,19 @@ from sphinx.writers.html5 import HTML5Translator
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
-    """Make it known; `html_math_renderer = "mathml"` chooses it."""
+    """Register the renderer, which `html_math_renderer = "mathml"` selects."""
     app.add_html_math_renderer("mathml", (inline, None), (block, None))
     return {"parallel_read_safe": True, "parallel_write_safe": True}
 
 
 def inline(self: HTML5Translator, node: nodes.math) -> None:
-    """An equation in a line of text."""
+    """Write an equation within a line of text."""
     self.body.append(converted(node, as_block=False))
     raise nodes.SkipNode
 
 
 def block(self: HTML5Translator, node: nodes.math_block) -> None:
-    """An equation on its own, with its number where it has one."""
+    """Write an equation on its own, with its number if it has one."""
     name = f' id="{node["ids"][0]}"' if node["ids"] else ""
     number = f'<span class="eqno">({node["number"]})</span>' if node.get("number") else ""
     self.body.append(f'<div class="math"{name}>{number}{converted(node, as_block=True)}</div>\n')
@@ -28,7 +28,7 @@ def block(self: HTML5Translator, node: nodes.math_block) -> None:
 
 
 def converted(node: nodes.Element, as_block: bool) -> str:
-    """The MathML of a node; a warning, which ends the build, where LaTeX of it is not known."""
+    """Return the MathML of a node; warn, which fails the build, if its LaTeX is not supported."""
     try:
         return latex2mathml.tex2mathml(node.astext(), as_block=as_block)
     except MathError as error:

@@ -1,4 +1,4 @@
-"""A short name for what the package's sources say, by which results of executed pages are kept."""
+"""A fingerprint of the package's sources, under which results of executed pages are cached."""
 
 import hashlib
 import os
@@ -9,9 +9,9 @@ PACKAGE, GALLERY = ROOT / "vibrojax", ROOT / "notebooks" / "gallery"
 
 
 def fingerprint() -> str:
-    """Differs where a file of the package, a script of the gallery, or the size at which notebooks are run does."""
-    found = hashlib.sha256(os.environ.get("VIBROJAX_NOTEBOOK_VALUES", "").encode())
+    """Return a digest of the package's files, the gallery's scripts, and the size at which notebooks run."""
+    digest = hashlib.sha256(os.environ.get("VIBROJAX_NOTEBOOK_VALUES", "").encode())
     for file in [*sorted(PACKAGE.rglob("*.py")), *sorted(GALLERY.glob("*.py"))]:
-        found.update(file.relative_to(ROOT).as_posix().encode())
-        found.update(file.read_bytes())
-    return found.hexdigest()[:12]
+        digest.update(file.relative_to(ROOT).as_posix().encode())
+        digest.update(file.read_bytes())
+    return digest.hexdigest()[:12]

@@ -1,6 +1,6 @@
-"""The page that `vibrojax reproduce` makes, beside the site's own; its table on one of them: `{reproduction-table}`.
+"""The page of `vibrojax reproduce` within the site, and its table: the directive `{reproduction-table}`.
 
-Both are left out where pages are not executed either (`-D nb_execution_mode=off`).
+A build that executes no pages (`-D nb_execution_mode=off`) omits both.
 """
 
 import subprocess
@@ -21,27 +21,27 @@ PLURAL = {"agrees": "agree", "agrees in trend": "agree in trend", "differs": "di
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
-    """Have it computed, copied and shown."""
+    """Register the computation and the directive."""
     app.connect("config-inited", compute)
     app.add_directive("reproduction-table", ReproductionTable)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
 
 
 def compute(app: Sphinx, config: Config) -> None:
-    """Compute it, unless that was done for the same package; and have it copied into the site."""
+    """Compute the page unless it is cached for the same package, and add it to the site."""
     if config.nb_execution_mode == "off":
         return
     if not (KEPT / PAGE).exists():
         logging.getLogger(__name__).info("vibrojax reproduce ...")
-        made = KEPT.with_suffix(".part")
-        command = [sys.executable, "-m", "vibrojax", "reproduce", "-o", str((made / PAGE).parent), "--quiet"]
+        part = KEPT.with_suffix(".part")
+        command = [sys.executable, "-m", "vibrojax", "reproduce", "-o", str((part / PAGE).parent), "--quiet"]
         subprocess.run(command, check=True)
-        made.replace(KEPT)
+        part.replace(KEPT)
     config.html_extra_path = [*config.html_extra_path, str(KEPT)]
 
 
 class ReproductionTable(SphinxDirective):
-    """How many results have each verdict, where the whole page is, and its table."""
+    """The number of results with each verdict, a link to the whole page, and its table."""
 
     def run(self) -> list[nodes.Node]:
         self.env.note_reread()
@@ -50,7 +50,9 @@ class ReproductionTable(SphinxDirective):
         lines = (KEPT / PAGE).with_name("table.md").read_text(encoding="utf-8").splitlines()
         header, _, *rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
         verdicts = [row[header.index("verdict")] for row in rows]
-        counts = ", ".join(f"{verdicts.count(one)} {PLURAL.get(one, one)}" for one in sorted({*verdicts}))
+        counts = ", ".join(
+            f"{verdicts.count(verdict)} {PLURAL.get(verdict, verdict)}" for verdict in sorted({*verdicts})
+        )
         whole = nodes.reference("", "The whole page", refuri=PAGE)
         score = nodes.paragraph("", f"Of {len(rows)} results: {counts}. ")
         score += [whole, nodes.Text(" has pictures, and says what is behind the differences.")]

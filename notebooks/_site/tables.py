@@ -1,4 +1,4 @@
-"""Tables of what the code itself goes by: a directive `{code-table} NAME` writes one of those below onto a page."""
+"""Tables that the code itself uses: the directive `{code-table} NAME` writes one of them onto a page."""
 
 import re
 from collections.abc import Callable, Iterable
@@ -20,31 +20,31 @@ from vibrojax.sweep.input.source import bundled_names
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
-    """Make the directive known."""
+    """Register the directive."""
     app.add_directive("code-table", CodeTable)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
 
 
 def of_all_scenes(listed: Callable[[str], pd.DataFrame]) -> pd.DataFrame:
-    """The tables of every scene as one, a row saying in which scenes, and with what, it is as it stands there."""
+    """Return the tables of all scenes as one; each row names the scenes, and the choices, that it applies to."""
     parts = [listed(name).reset_index().assign(scenes=name) for name in vj.SCENES]
     joined = pd.concat(parts)
-    told = [column for column in ("where", "scenes") if column in joined.columns]
-    own = [column for column in joined.columns if column not in told]
-    rows = joined.groupby(own, sort=False)[told].agg(lambda values: [*dict.fromkeys(values)]).reset_index()
-    rows["scenes"] = [in_short(names) for names in rows.scenes]
+    sources = [column for column in ("where", "scenes") if column in joined.columns]
+    own = [column for column in joined.columns if column not in sources]
+    rows = joined.groupby(own, sort=False)[sources].agg(lambda values: [*dict.fromkeys(values)]).reset_index()
+    rows["scenes"] = [shortened(names) for names in rows.scenes]
     if "where" in rows:
-        rows["where"] = [", ".join(CHOSEN.sub(r"\1", one) for one in places) for places in rows["where"]]
+        rows["where"] = [", ".join(CHOICE.sub(r"\1", place) for place in places) for places in rows["where"]]
         rows = rows.rename(columns={"where": "with"})
     return rows
 
 
-CHOSEN = re.compile(r'^\w+ = "([\w-]+)".*')
+CHOICE = re.compile(r'^\w+ = "([\w-]+)".*')
 """The name in `friction = "stribeck" (eq. 5.9)`."""
 
 
-def in_short(names: list[str]) -> str:
-    """Names of scenes, by what is missing where that is shorter."""
+def shortened(names: list[str]) -> str:
+    """Return names of scenes as text: those that are missing, if there are fewer of them."""
     missing = [name for name in vj.SCENES if name not in names]
     if not missing:
         return "all"
@@ -52,8 +52,8 @@ def in_short(names: list[str]) -> str:
 
 
 def flags() -> pd.DataFrame:
-    """Variables whose values are flags, with what each value means."""
-    kept = {name: (one.first_flag, one.flags) for name, one in VARIABLES.items() if one.flags}
+    """Return the variables whose values are flags, with the meaning of each value."""
+    kept = {name: (about.first_flag, about.flags) for name, about in VARIABLES.items() if about.flags}
     kept |= {"nature": (0, NATURES), "special_kind": (0, KINDS)}
     return pd.DataFrame(
         [
@@ -65,14 +65,14 @@ def flags() -> pd.DataFrame:
 
 
 def sweeps() -> pd.DataFrame:
-    """The bundled sweeps."""
-    found = {name: read_sweep(name) for name in bundled_names()}
-    rows = [(name, one.scene, ", ".join(one.axes) or "points", one.lanes) for name, one in found.items()]
+    """Return the bundled sweeps."""
+    bundled = {name: read_sweep(name) for name in bundled_names()}
+    rows = [(name, sweep.scene, ", ".join(sweep.axes) or "points", sweep.lanes) for name, sweep in bundled.items()]
     return pd.DataFrame(rows, columns=["name", "scene", "over", "lanes"])
 
 
 def laws() -> pd.DataFrame:
-    """Friction laws, with their own parameters and equation; what a scene has by default is said there."""
+    """Return the friction laws with their own parameters, their equation, and the default."""
     rows = [(name, ", ".join(law.parameters), law.reference) for name, law in vj.FRICTION_LAWS.items()]
     first = next(scene for scene in (kind() for kind in vj.SCENES.values()) if isinstance(scene, HasFriction))
     table = pd.DataFrame(rows, columns=["name", "its parameters", "equation of the source"])
@@ -87,14 +87,14 @@ TABLES: dict[str, Callable[[], pd.DataFrame]] = {
     "settings": lambda: vj.list_settings().reset_index(),
     "flags": flags,
     "laws": laws,
-    "rocks": lambda: pd.DataFrame([{"rock": name} | asdict(one) for name, one in ROCKS.items()]),
+    "rocks": lambda: pd.DataFrame([{"rock": name} | asdict(rock) for name, rock in ROCKS.items()]),
     "sweeps": sweeps,
     "words": lambda: pd.DataFrame(WORDS.items(), columns=["word", "meaning"]),
 }
 
 
 class CodeTable(SphinxDirective):
-    """`{code-table} NAME`: the table of that name; its first column is what one writes."""
+    """The table of that name; its first column is literal."""
 
     required_arguments = 1
 
@@ -105,7 +105,7 @@ class CodeTable(SphinxDirective):
 
 
 def as_table(header: Iterable[object], rows: Iterable[Iterable[object]], literal: bool = True) -> nodes.table:
-    """A table of plain cells, the first of each row as what one writes if that is `literal`."""
+    """Return a table of plain cells; if `literal`, the first cell of each row is code."""
     header = list(header)
     group = nodes.tgroup("", cols=len(header))
     group += [nodes.colspec("", colwidth=1) for _ in header]
@@ -121,4 +121,4 @@ def _text(value: object) -> str:
 def _row(texts: Iterable[str], literal: bool) -> nodes.row:
     first, *others = texts
     cells = [nodes.literal("", first) if literal else nodes.Text(first), *map(nodes.Text, others)]
-    return nodes.row("", *(nodes.entry("", nodes.paragraph("", "", one)) for one in cells))
+    return nodes.row("", *(nodes.entry("", nodes.paragraph("", "", cell)) for cell in cells))

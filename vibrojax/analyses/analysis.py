@@ -19,7 +19,14 @@ Source = Any
 
 
 class SummaryPart(NamedTuple):
-    """One part of a summary: `lines` of text under `name`, and the same `facts` by their keys in JSON."""
+    """One part of a summary: `lines` of text under `name`, and the same `facts` by their keys in JSON.
+
+    **Example:**
+
+    >>> part = vj.SummaryPart("spectrum", ["fundamental frequency 2.1 Hz"], {"fundamental": 2.1})
+    >>> part.name, part.facts["fundamental"]
+    ('spectrum', 2.1)
+    """
 
     name: str
     lines: Sequence[str]
@@ -27,7 +34,24 @@ class SummaryPart(NamedTuple):
 
 
 class PictureRule(NamedTuple):
-    """The picture of datasets with certain contents: `draw` is used where `fits` holds; `shows` names the subject."""
+    """The picture of datasets with certain contents.
+
+    - `shows`: the subject, in a few words.
+    - `fits`: whether the rule applies, from the facts about a dataset: the names of its `variables` and `dimensions`,
+      its `axes`, and others.
+    - `draw`: a function from the dataset to a matplotlib figure.
+
+    **Example:**
+
+    >>> from matplotlib.figure import Figure
+    >>> def draw(ds):
+    ...     figure = Figure()
+    ...     figure.subplots().plot(ds["v"], ds["period"])
+    ...     return figure
+    >>> rule = vj.PictureRule("period over v", lambda contents: "v" in contents.dimensions, draw)
+    >>> rule.shows
+    'period over v'
+    """
 
     shows: str
     fits: Callable[["Contents"], bool]
@@ -35,13 +59,28 @@ class PictureRule(NamedTuple):
 
 
 class Analysis:
-    """One analysis: its settings are the attributes of the object, its result is a dataset.
+    """An analysis: its settings are the attributes of the object, its result is a dataset.
 
-    A subclass gives `kind`, `run` and usually `picture` and `summary`; the first line of its docstring is shown by
-    `vibrojax --help`. As a frozen dataclass its fields are options of the command: `along: str = "v"` is `--along`, and
+    A subclass provides `kind` and `run`, and usually `variables`, `picture` or `pictures`, and `summary`. If it is a
+    dataclass, its fields become options of its command: `along: str = "v"` becomes `--along`, and
     `field(metadata={"help": ...})` describes it. Pass an object to [vibrojax.analyses.registry.analyse][], or register
-    the class under the entry point `vibrojax.analyses`; then `vibrojax KIND FILE`, `plot`, `info`, `explore` and
-    `list_variables` know it.
+    the class under the entry point `vibrojax.analyses`. Registered, it is the command `vibrojax KIND FILE`, and `plot`,
+    `info`, `explore` and `list_variables` support its datasets.
+
+    **Example:** the share of lanes in each regime
+
+    >>> class Shares(vj.Analysis):
+    ...     kind = "shares"
+    ...     variables = {"share": vj.Variable("1", "share of lanes")}
+    ...     def run(self, source, progress=True):
+    ...         regime = vj.run_sweep(source, progress=progress).regime
+    ...         flags = regime.attrs["flag_values"]
+    ...         share = [float((regime == flag).mean()) for flag in flags]
+    ...         return self.dataset({"share": ("flag", share)}, {"flag": flags}, title="Shares of regimes")
+    >>> sweep = {"scene": "vibro-impact", "starts": ["stuck"], "grid": {"gamma": [0.7, 0.75, 0.8]}}
+    >>> ds = vj.analyse(sweep, Shares(), progress=False)
+    >>> ds.share.attrs["long_name"], float(ds.share.sum())
+    ('share of lanes', 1.0)
     """
 
     kind: ClassVar[str] = ""

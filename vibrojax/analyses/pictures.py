@@ -166,7 +166,7 @@ def save_picture(
 
     - `ds`: what `simulate` or a sweep gives.
     - `path`: ends in .png, .pdf or .svg.
-    - `variable`, `where`, `colours`, `over`: what to draw of it, and how; see [vibrojax.plot.picture][].
+    - `variable`, `where`, `colours`, `over`: what to draw of it, and how; see [vibrojax.analyses.pictures.picture][].
 
     **Returns:** which of its values are drawn, in words; nothing where all are.
 

@@ -13,24 +13,11 @@ from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from importlib.metadata import entry_points
-from typing import NoReturn, TextIO
+from typing import NoReturn
 
 from vibrojax.analyses.glossary import glossary
 from vibrojax.analyses.sweep.workers.shutdown import leave
-from vibrojax.cli import (
-    accuracy,
-    explore,
-    fit,
-    follow,
-    info,
-    orbits,
-    plot,
-    push,
-    reproduce,
-    scenes,
-    simulate,
-    sweep,
-)
+from vibrojax.cli import accuracy, explore, fit, follow, info, orbits, plot, push, reproduce, scenes, simulate, sweep
 from vibrojax.cli.analysis import AnalysisCommand
 from vibrojax.cli.completion import complete
 from vibrojax.cli.output import Command, Options
@@ -42,23 +29,22 @@ from vibrojax.progress import LOG, end_lines, timed
 DONE, FAILED, BAD_INPUT, INTERRUPTED, PIPE_CLOSED, TERMINATED = 0, 1, 2, 130, 141, 143
 
 _DATASETS = (".nc", ".zarr")
-_MISFITS = (ArithmeticError, AssertionError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
-"""What is raised where parts of a dataset do not fit together in a way that is not checked."""
+_MALFORMED = (ArithmeticError, AssertionError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
+"""Errors that a dataset with inconsistent parts causes where nothing checks it."""
 
-_LONGEST_LINE = 4000
-"""Characters of a line on stderr, which may hold what a file says."""
+MAX_STDERR_LINE = 4000
+"""Characters of a line on stderr, which may quote a file."""
+
+_BORDERS = "Draw the borders of the stable single impact in a sweep's plane: curves named by what happens there"
+_ATTRACTORS = "Find the attractors that a sweep's starts lead to, and the share of starts of each"
 
 _COMMANDS: dict[str, Command] = {
     "sweep": sweep,
     "simulate": simulate,
     "orbits": orbits,
     "follow": follow,
-    "borders": AnalysisCommand(
-        "borders", "Draw the borders of the stable single impact in a sweep's plane: curves named by what happens there"
-    ),
-    "attractors": AnalysisCommand(
-        "attractors", "Find the attractors that a sweep's starts lead to, and the share of starts of each"
-    ),
+    "borders": AnalysisCommand("borders", _BORDERS),
+    "attractors": AnalysisCommand("attractors", _ATTRACTORS),
     "push": push,
     "plot": plot,
     "explore": explore,
@@ -71,11 +57,11 @@ _COMMANDS: dict[str, Command] = {
 
 
 class Terminated(KeyboardInterrupt):
-    """The process was asked to end (SIGTERM), by a shutdown or a batch system's limit; it ends as after Ctrl-C."""
+    """A request to end (SIGTERM) from a shutdown or a batch system; the process ends as after Ctrl-C."""
 
 
 class _Parser(ArgumentParser):
-    """Wrong arguments are bad input like any other: one line, status 2."""
+    """A parser that reports wrong arguments as bad input: one line, status 2."""
 
     def error(self, message: str) -> NoReturn:
         command = self.prog.partition(" ")[2]
@@ -83,17 +69,18 @@ class _Parser(ArgumentParser):
 
 
 def command() -> None:
-    """The process `vibrojax`: run it and leave."""
-    if signal.getsignal(signal.SIGTERM) == signal.SIG_DFL:  # who started it may have chosen that it be ignored
-        signal.signal(signal.SIGTERM, _terminate)
+    """Run the command as a process, and exit."""
+    # A parent process may have chosen to ignore a signal; leave that as it is.
+    if signal.getsignal(signal.SIGTERM) == signal.SIG_DFL:
+        signal.signal(signal.SIGTERM, lambda *_: _end(Terminated()))
     if signal.getsignal(signal.SIGINT) == signal.default_int_handler:
-        signal.signal(signal.SIGINT, _interrupt)
+        signal.signal(signal.SIGINT, lambda *_: _end(KeyboardInterrupt()))
     warnings.showwarning = _warn
     status = main(do=in_own_thread)
-    for sent in (signal.SIGINT, signal.SIGTERM):  # all is done: what Python still tidies up needs no interrupt
-        signal.signal(sent, signal.SIG_IGN)
+    for number in (signal.SIGINT, signal.SIGTERM):  # the work is done; Python's clean-up must not be interrupted
+        signal.signal(number, signal.SIG_IGN)
     if status in (INTERRUPTED, TERMINATED, BAD_INPUT):
-        # Threads may still be at their lanes, or at a file that has no end: nobody waits for them.
+        # Threads may still compute lanes, or read a file without end; do not wait for them.
         leave()
         sys.stderr.flush()
         os._exit(status)
@@ -105,11 +92,11 @@ def main(argv: Sequence[str] | None = None, do: Callable[[Callable[[], None]], o
 
     **Arguments:**
 
-    - `argv`: its arguments; None: the process's.
-    - `do`: does the work, in this thread or another.
+    - `argv`: its arguments; None: `sys.argv`.
+    - `do`: calls the work, in this thread or another.
 
-    **Returns:** the exit status: 0 done, 2 bad input, 130 interrupted, 143 terminated, 1 where the computer failed (a
-    full disk), 141 where the reader of the output went away.
+    **Returns:** the exit status: 0 done, 2 bad input, 130 interrupted, 143 terminated, 1 if the computer failed (a full
+    disk), 141 if the reader of the output closed it.
     """
     options = Options()
     try:
@@ -132,25 +119,26 @@ def main(argv: Sequence[str] | None = None, do: Callable[[Callable[[], None]], o
     except InputError as error:
         return _say(str(error), BAD_INPUT)
     except KeyboardInterrupt as end:
-        how, status = ("terminated", TERMINATED) if isinstance(end, Terminated) else ("interrupted", INTERRUPTED)
-        return _say(f"{how}; {options.how_to_resume or 'run the same command again'}", status)
+        event, status = ("terminated", TERMINATED) if isinstance(end, Terminated) else ("interrupted", INTERRUPTED)
+        return _say(f"{event}; {options.how_to_resume or 'run the same command again'}", status)
     except BrokenPipeError:
-        # What is left in the buffer would raise again while Python leaves.
+        # The rest of the buffer would raise again while Python exits.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return PIPE_CLOSED
-    except OSError as error:
-        return _say(_failed(f"{error.filename or options.command}: {error.strerror or error}", options), FAILED)
-    except MemoryError:
-        return _say(_failed(f"{options.command}: not enough memory", options), FAILED)
+    except (OSError, MemoryError) as error:
+        problem = f"{options.command}: not enough memory"
+        if isinstance(error, OSError):
+            problem = f"{error.filename or options.command}: {error.strerror or error}"
+        return _say("; ".join(filter(None, (problem, options.how_to_resume))), FAILED)
 
 
 def _run(run: Callable[[Options], None], options: Options) -> None:
-    """Run a command; report a dataset, which may come from anywhere, as bad input if its content makes no sense."""
+    """Run a command; report a dataset with inconsistent content as bad input, since it may come from anywhere."""
     try:
         run(options)
     except InputError:
         raise
-    except _MISFITS as error:
+    except _MALFORMED as error:
         file = str(getattr(options, "file", ""))
         if not file.endswith(_DATASETS):
             raise
@@ -160,17 +148,17 @@ def _run(run: Callable[[Options], None], options: Options) -> None:
 
 
 def _commands() -> dict[str, Command]:
-    """Return the package's commands, and those of analyses that installed packages offer."""
-    others = {
+    """Return the package's commands, and those of analyses that installed packages register."""
+    registered = {
         entry.name: AnalysisCommand(entry.name, f"analysis of the package {entry.dist.name if entry.dist else '?'}")
         for entry in entry_points(group="vibrojax.analyses")
         if entry.name not in _COMMANDS
     }
-    return _COMMANDS | others
+    return _COMMANDS | registered
 
 
 def _parser(words: Collection[str]) -> ArgumentParser:
-    """Return the parser for a command line of these words; only a command among them gets its arguments."""
+    """Return the parser of a command line; only commands among its `words` get their arguments."""
     parser = _Parser(
         prog="vibrojax",
         description="Simulate a self-exciting percussive-rotary drill: maps over parameters, single points, pictures.",
@@ -188,15 +176,14 @@ def _parser(words: Collection[str]) -> ArgumentParser:
         command.arguments(subparser)
         loudness = subparser.add_mutually_exclusive_group()
         loudness.add_argument("--quiet", action="store_true", help="print only errors, warnings and the result")
-        loudness.add_argument(
-            "--verbose", action="store_true", help="say on stderr what was chosen, and how long each part took"
-        )
+        about = "say on stderr what was chosen, and how long each part took"
+        loudness.add_argument("--verbose", action="store_true", help=about)
     return parser
 
 
 @contextmanager
 def _verbosely(options: Options) -> Iterator[None]:
-    """Show on stderr what the package logs, if that is asked for, and how long the command took."""
+    """With `--verbose`, show on stderr the log of the package, and the duration of the command."""
     if not options.verbose:
         yield
         return
@@ -213,36 +200,20 @@ def _verbosely(options: Options) -> Iterator[None]:
         LOG.setLevel(level)
 
 
-def _terminate(*_: object) -> None:
-    asked_to_end.append(Terminated())
-    raise asked_to_end[-1]
+def _end(request: BaseException) -> NoReturn:
+    """Raise a request to end, also in the thread that waits for the work."""
+    asked_to_end.append(request)
+    raise request
 
 
-def _interrupt(*_: object) -> None:
-    asked_to_end.append(KeyboardInterrupt())
-    raise asked_to_end[-1]
-
-
-def _failed(problem: str, options: Options) -> str:
-    """What went wrong on this computer, and how to go on where anything is kept."""
-    return f"{problem}; {options.how_to_resume}" if options.how_to_resume else problem
-
-
-def _warn(
-    message: Warning | str,
-    category: type[Warning],
-    filename: str,
-    lineno: int,
-    file: TextIO | None = None,
-    line: str | None = None,
-) -> None:
-    """Show a warning as all that the command says: on one line of stderr."""
-    print("vibrojax: warning:", printable(message, _LONGEST_LINE), file=sys.stderr)
+def _warn(message: Warning | str, *_: object, **__: object) -> None:
+    """Show a warning on one line of stderr, as the errors of the command."""
+    print("vibrojax: warning:", printable(message, MAX_STDERR_LINE), file=sys.stderr)
 
 
 def _say(line: str, status: int) -> int:
-    """Say on stderr, on one line, why the command ended with `status`."""
+    """Print on stderr, on one line, why the command ended with `status`; return it."""
     end_lines()
     sys.stdout.flush()
-    print("vibrojax:", printable(line, _LONGEST_LINE), file=sys.stderr)
+    print("vibrojax:", printable(line, MAX_STDERR_LINE), file=sys.stderr)
     return status

@@ -3,23 +3,19 @@
 An interrupted run keeps nothing: times of two runs do not go into one table.
 """
 
-import shlex
 from argparse import ArgumentParser
 
 from vibrojax.cli.output import Options, dataset_written, output_folder
 
 
 def arguments(parser: ArgumentParser) -> None:
-    """Add the command's arguments to `parser`."""
     parser.add_argument("-o", dest="out", metavar="DIR", default="accuracy", help="the folder to write to (accuracy)")
     parser.add_argument("--quick", action="store_true", help="few settings of two scenes, to see that it works")
 
 
 def run(options: Options) -> None:
-    """Run the command."""
     dataset_path, table_path, picture_path = output_folder(options.out, ("accuracy.nc", "accuracy.md", "accuracy.png"))
-    command = shlex.join(["vibrojax", "accuracy", "-o", options.out, *["--quick"] * options.quick])
-    options.how_to_resume = f"nothing is kept; to start again: {command}"
+    options.advise("nothing is kept; to start again", "accuracy", "-o", options.out, *["--quick"] * options.quick)
     from vibrojax.analyses.accuracy import run_accuracy, table
     from vibrojax.analyses.pictures import save_picture
     from vibrojax.io.dataset import write_dataset

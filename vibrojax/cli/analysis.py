@@ -1,23 +1,20 @@
 """The command of an analysis of a sweep: FILE, its settings as options, OUT, and a summary.
 
-The package's `attractors` and `borders` and the analyses that installed packages offer all run through here.
+The package's `attractors` and `borders` and the analyses of installed packages run through this module.
 """
 
 import dataclasses
-import shlex
 from argparse import ArgumentParser
 from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from vibrojax.cli.completion import files, with_completer
+from vibrojax.cli.completion import add_argument, files
 from vibrojax.cli.output import Options, add_output, result_at, write_result
 from vibrojax.errors import InputError, shown
 
 if TYPE_CHECKING:
     from vibrojax.analyses.analysis import Analysis
-
-_TYPES = {"int": int, "float": float}
 
 
 class AnalysisCommand:
@@ -37,22 +34,20 @@ class AnalysisCommand:
         return type(analysis)
 
     @property
-    def fields(self) -> "tuple[dataclasses.Field[Any], ...]":
-        """The settings of the analysis: the fields of its dataclass."""
-        return dataclasses.fields(self.analysis) if dataclasses.is_dataclass(self.analysis) else ()
+    def fields(self) -> "dict[str, dataclasses.Field[Any]]":
+        """The settings of the analysis, the fields of its dataclass, by their options."""
+        if not dataclasses.is_dataclass(self.analysis):
+            return {}
+        return {f"--{field.name.replace('_', '-')}": field for field in dataclasses.fields(self.analysis)}
 
     def arguments(self, parser: ArgumentParser) -> None:
-        """Add FILE, where to write, and an option for each field."""
-        file = parser.add_argument(
-            "file",
-            metavar="FILE",
-            help="a sweep: a bundled name, like regime-map, or the path of a TOML file; or the dataset of a sweep "
-            "(.nc), which is run again where it lacks what the analysis needs",
-        )
-        with_completer(file, files(".toml", ".nc"))
-        for field in self.fields:
+        """Add FILE, `-o`, `--fresh`, and an option for each field."""
+        about = "a sweep: a bundled name, like regime-map, or the path of a TOML file; or the dataset of a sweep "
+        about += "(.nc), which is run again where it lacks what the analysis needs"
+        add_argument(parser, "file", completer=files(".toml", ".nc"), metavar="FILE", help=about)
+        for option, field in self.fields.items():
             metavar = field.metadata.get("metavar", field.name.upper())
-            parser.add_argument(f"--{field.name.replace('_', '-')}", metavar=metavar, help=field.metadata.get("help"))
+            parser.add_argument(option, metavar=metavar, help=field.metadata.get("help"))
         add_output(parser, f"NAME-{self.kind}.nc")
 
     def run(self, options: Options) -> None:
@@ -61,54 +56,51 @@ class AnalysisCommand:
         from vibrojax.analyses.registry import analyse
         from vibrojax.io.dataset import open_dataset
 
-        given = {field.name: getattr(options, field.name) for field in self.fields}
-        settings = {f.name: _value(f, given[f.name]) for f in self.fields if given[f.name] is not None}
+        texts = {option: getattr(options, field.name) for option, field in self.fields.items()}
+        given = {option: field for option, field in self.fields.items() if texts[option] is not None}
+        settings = {field.name: _value(option, field, texts[option]) for option, field in given.items()}
         analysis = self.analysis(**settings)
-        words = [word for name, text in given.items() if text for word in (f"--{name.replace('_', '-')}", text)]
-        kind, file = analysis.kind, str(options.file)
-        source: Any = open_dataset(Path(file)) if file.endswith(".nc") else file
-        sweep, identity = None, {kind: True, "file": file, **{name: str(x) for name, x in settings.items()}}
+        kind, file, progress = analysis.kind, str(options.file), not options.quiet
+        is_dataset = file.endswith(".nc")
+        source: Any = open_dataset(Path(file)) if is_dataset else file
+        sweep, identity = None, {kind: True, "file": file, **{name: str(value) for name, value in settings.items()}}
         if isinstance(analysis, SweepAnalysis):
             sweep = analysis.sweep(source)
             identity = {**analysis.identity(sweep), **sweep.identity()}
-        name = Path(file).stem if sweep is None or file.endswith(".nc") else sweep.name
+        name = Path(file).stem if sweep is None or is_dataset else sweep.name
         result = result_at(options, f"{name}-{kind}.nc", identity)
-        again = shlex.join(["vibrojax", kind, file, "-o", str(result.out), *words])
-        options.how_to_resume = f"nothing was kept; to begin again: {again}"
-        keeping: Any = nullcontext()
+        words = [kind, file, "-o", str(result.out), *(word for item in texts.items() if item[1] for word in item)]
+        options.advise("nothing was kept; to begin again", *words)
         if isinstance(analysis, SweepAnalysis) and sweep is not None:
-            if file.endswith(".nc") and "orbit_reason" in source:
-                keeping = nullcontext(source)
-            else:
+            lanes_of: Any = nullcontext(source)
+            if not (is_dataset and "orbit_reason" in source):
                 from vibrojax.analyses.sweep.run import lanes_beside
 
-                # Finished chunks stay beside OUT until the result is written, so that an interrupt costs none of them.
-                options.how_to_resume = f"finished chunks are kept; to go on: {again}"
-                keeping = lanes_beside(sweep, result.out, resume=not options.fresh, progress=not options.quiet)
-        with keeping as lanes:
-            if isinstance(analysis, SweepAnalysis) and sweep is not None:
-                dataset = analysis.of_lanes(sweep, lanes, not options.quiet)
-            else:
-                dataset = analyse(source, analysis, progress=not options.quiet)
+                # Finished chunks stay beside OUT until the result is written; an interrupt costs none of them.
+                options.advise("finished chunks are kept; to go on", *words)
+                lanes_of = lanes_beside(sweep, result.out, resume=not options.fresh, progress=progress)
+            with lanes_of as lanes:
+                dataset = analysis.of_lanes(sweep, lanes, progress)
+                drawn = write_result(options, dataset, result)
+        else:
+            dataset = analyse(source, analysis, progress=progress)
             drawn = write_result(options, dataset, result)
-        if not options.quiet:
+        if progress:
             print(f"{result.out}{drawn}")
             for part in analysis.summary(dataset):
                 print("\n".join(part.lines))
 
 
-def _value(field: "dataclasses.Field[Any]", text: str) -> object:
+def _value(option: str, field: "dataclasses.Field[Any]", text: str) -> object:
     """Return the value of an option in the type of its field: a number, a text, or a tuple of them."""
     kind = str(getattr(field.type, "__name__", field.type))
-    place = f"--{field.name.replace('_', '-')}"
     if kind.startswith("tuple"):
         items = [item.strip() for item in text.split(",")]
         if not all(items) or (kind.count(",") == 1 and "..." not in kind and len(items) != 2):
             example = field.metadata.get("example", "A,B")
-            raise InputError(f"{place}: {shown(text)} is not a pair of names; write two, like {example}")
+            raise InputError(f"{option}: {shown(text)} is not a pair of names; write two, like {example}")
         return tuple(items)
-    convert = next((convert for name, convert in _TYPES.items() if kind.startswith(name)), str)
     try:
-        return convert(text)
+        return float(text) if kind.startswith("float") else int(text) if kind.startswith("int") else text
     except ValueError:
-        raise InputError(f"{place}: {shown(text)} is not a number") from None
+        raise InputError(f"{option}: {shown(text)} is not a number") from None

@@ -4,18 +4,17 @@ With --live nothing is written: a server on this machine gives the page, and com
 """
 
 import os
-import shlex
 import sys
 import webbrowser
 from argparse import ArgumentParser
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from vibrojax.cli.completion import files, values_with, with_completer
+from vibrojax.cli.completion import add_argument, files, values_with
 from vibrojax.cli.output import Options, output
-from vibrojax.cli.simulate import SETTINGS, of_settings
+from vibrojax.cli.simulate import SETTINGS, method_choices
 from vibrojax.cli.values import named_values
-from vibrojax.errors import InputError, shown
+from vibrojax.errors import InputError, Place, shown
 from vibrojax.progress import timed
 
 if TYPE_CHECKING:
@@ -23,40 +22,28 @@ if TYPE_CHECKING:
 
 
 def arguments(parser: ArgumentParser) -> None:
-    """Add the command's arguments to `parser`."""
-    file = parser.add_argument(
-        "file",
-        metavar="OUT.nc",
-        help="a dataset of vibrojax: of a sweep, its orbits, attractors or borders, families, one motion, or a fit; "
-        "with --live also a scene",
-    )
-    with_completer(file, files(".nc"))
-    values = parser.add_argument(
-        "values", metavar="NAME=VALUE", nargs="*", help="of a scene: where its motion begins, as for vibrojax simulate"
-    )
-    with_completer(values, values_with(SETTINGS, of_settings))
+    about = "a dataset of vibrojax: of a sweep, its orbits, attractors or borders, families, one motion, or a fit; "
+    about += "with --live also a scene"
+    add_argument(parser, "file", completer=files(".nc"), metavar="OUT.nc", help=about)
+    about = "of a scene: where its motion begins, as for vibrojax simulate"
+    completer = values_with(SETTINGS, method_choices)
+    add_argument(parser, "values", completer=completer, metavar="NAME=VALUE", nargs="*", help=about)
     parser.add_argument("-o", dest="out", metavar="PAGE.html", help="where to write (OUT.html beside OUT.nc)")
-    over = parser.add_argument(
-        "--over", metavar="BORDERS.nc", help="lay over the map what vibrojax borders has found in the same plane"
-    )
-    with_completer(over, files(".nc"))
-    parser.add_argument(
-        "--live",
-        action="store_true",
-        help="open the page from a server on this machine alone, with sliders for every parameter; Ctrl-C ends it",
-    )
+    about = "lay over the map what vibrojax borders has found in the same plane"
+    add_argument(parser, "--over", completer=files(".nc"), metavar="BORDERS.nc", help=about)
+    about = "open the page from a server on this machine alone, with sliders for every parameter; Ctrl-C ends it"
+    parser.add_argument("--live", action="store_true", help=about)
     parser.add_argument("--no-browser", action="store_true", help="with --live: print the address, and open no browser")
 
 
 def run(options: Options) -> None:
-    """Run the command."""
     from vibrojax.io.dataset import open_dataset
 
     path = Path(options.file)
-    _check_together(options)
+    _check_combination(options)
     if not options.live:
         out = output(options.out, (".html",)) if options.out else path.with_suffix(".html")
-    if options.live and not path.suffix:
+    elif not path.suffix:
         _serve(options, _motion(options), None)
         return
     with timed("read"):
@@ -76,8 +63,8 @@ def run(options: Options) -> None:
         print(f"{out}: {out.stat().st_size / 1e6:.1f} MB")
 
 
-def _check_together(options: Options) -> None:
-    """Whether the options go together."""
+def _check_combination(options: Options) -> None:
+    """Raise `InputError` if the options exclude each other."""
     if options.live and options.out:
         raise InputError("explore: -o: --live writes no page; leave one of them out")
     if options.no_browser and not options.live:
@@ -90,8 +77,7 @@ def _check_together(options: Options) -> None:
 
 
 def _motion(options: Options) -> "xarray.Dataset":
-    """The motion of a scene that the page opens with."""
-    from vibrojax.errors import Place
+    """Return the motion of a scene with which the page opens."""
     from vibrojax.sweep.simulation import simulate
 
     settings, parameters = named_values(Place("explore"), options.values, SETTINGS, lists=False)
@@ -110,22 +96,15 @@ def _serve(options: Options, dataset: "xarray.Dataset", over: "xarray.Dataset | 
         except InputError as error:
             raise InputError(f"{options.file}: {error}") from None
     with live, on_leaving(lambda: live.close(1.0)):
-        options.how_to_resume = f"the page is closed; to open it again: {shlex.join(['vibrojax', *_words(options)])}"
+        words = [str(options.file), *options.values, *(["--over", str(options.over)] if options.over else [])]
+        options.advise("the page is closed; to open it again", "explore", *words, "--live")
         print(live.url, flush=True)
         if not options.quiet:
             print("Ctrl-C ends it", file=sys.stderr, flush=True)
-        if not options.no_browser and _has_display():
+        # Without a display, some browsers open in the terminal.
+        has_display = (
+            sys.platform in ("darwin", "win32") or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+        )
+        if not options.no_browser and has_display:
             webbrowser.open(live.url)
         live.wait()
-
-
-def _words(options: Options) -> list[str]:
-    over = ["--over", str(options.over)] if options.over else []
-    return ["explore", str(options.file), *options.values, *over, "--live"]
-
-
-def _has_display() -> bool:
-    """Whether a browser would open a window: without one, some open in the terminal."""
-    if sys.platform in ("darwin", "win32"):
-        return True
-    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

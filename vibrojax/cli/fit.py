@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vibrojax.analyses.glossary import WORDS
-from vibrojax.cli.completion import files, with_completer
-from vibrojax.cli.output import JSON_HELP, Options, dataset_written, draw, output, picture_beside, print_json
+from vibrojax.cli.completion import add_argument, files
+from vibrojax.cli.output import Options, Result, add_json, draw, file_facts, output, picture_beside, print_json
 from vibrojax.errors import InputError
 from vibrojax.progress import timed
 
@@ -19,34 +19,24 @@ if TYPE_CHECKING:
 
 
 def arguments(parser: ArgumentParser) -> None:
-    """Add the command's arguments to `parser`."""
-    file = parser.add_argument(
-        "file",
-        metavar="FILE",
-        nargs="?",
-        help="a sweep's .nc, or a CSV with columns relief (P/D, mean force over the force at which the rock yields) "
-        "and rate_of_penetration, or others that --columns names",
-    )
-    with_completer(file, files(".nc", ".csv"))
+    about = "a sweep's .nc, or a CSV with columns relief (P/D, mean force over the force at which the rock yields) "
+    about += "and rate_of_penetration, or others that --columns names"
+    add_argument(parser, "file", completer=files(".nc", ".csv"), metavar="FILE", nargs="?", help=about)
     parser.add_argument("--along", metavar="AXIS", help="the axis to fit along (frequency, else v; of a CSV: its rows)")
-    parser.add_argument(
-        "--columns",
-        metavar="NAME=COLUMN",
-        nargs="+",
-        action="extend",
-        help="of a CSV: which column is what, in which unit, like "
-        'rate_of_penetration="ROP (m/h)" mean_force="WOB (kN)", or one value for all rows, like threshold="150 kN"',
+    about = (
+        "of a CSV: which column is what, in which unit, like "
+        'rate_of_penetration="ROP (m/h)" mean_force="WOB (kN)", or one value for all rows, like threshold="150 kN"'
     )
+    parser.add_argument("--columns", metavar="NAME=COLUMN", nargs="+", action="extend", help=about)
     parser.add_argument("--by", metavar="COLUMN", action="append", help="of a CSV: fit the rows of each of its values")
-    parser.add_argument("--json", action="store_true", help=JSON_HELP)
+    add_json(parser)
     parser.add_argument("-o", dest="out", metavar="FIT.nc", help="where to write (FILE-fit.nc in this folder)")
 
 
 def run(options: Options) -> None:
-    """Run the command."""
     words = list(options.columns or [])
     if options.file is None and words and "=" not in words[-1]:
-        options.file = words.pop()  # it may stand behind the columns too
+        options.file = words.pop()  # FILE may follow the columns
     if options.file is None:
         raise InputError("fit: the following arguments are required: FILE; see vibrojax fit --help")
     out = output(options.out or f"{Path(options.file).stem}-fit.nc")
@@ -59,15 +49,13 @@ def run(options: Options) -> None:
         fit = fit_rop(options.file, options.along, options.by or (), progress=False, columns=read_columns(words))
     with timed("write"):
         write_dataset(fit, out)
-    dataset_written(options, out)
-    drawn = draw(fit, picture)
+    drawn = draw(options, fit, out, picture)
     summary = RateLawSummary.of(fit)
     if options.json:
-        files = {"dataset": str(out), "picture": str(picture) if drawn else None}
-        print_json({"file": options.file, **summary.facts(), **files})
+        print_json({"file": options.file, **summary.facts(), **file_facts(Result(out, picture, {}), drawn)})
         return
-    taken = columns_lines(fit)
-    before = [*taken, ""] if taken and not options.quiet else []
+    columns = columns_lines(fit)
+    before = [*columns, ""] if columns and not options.quiet else []
     after = [] if options.quiet else [f"{out}{drawn}"]
     print("\n".join([*before, *summary.lines(), "", *_legend(fit), "", *summary.verdict, *after]))
 

@@ -3,48 +3,37 @@
 from argparse import ArgumentParser, RawDescriptionHelpFormatter
 
 from vibrojax.analyses.glossary import FAMILY_WORDS, glossary
-from vibrojax.cli.completion import scenes, values_with, with_completer
-from vibrojax.cli.output import JSON_HELP, Options, add_output, file_facts, print_json, result_at, write_result
-from vibrojax.cli.values import named_values, whole
+from vibrojax.cli.output import Options, add_json, add_output, file_facts, print_json, result_at, write_result
+from vibrojax.cli.values import add_values, named_values, whole
 from vibrojax.errors import Place
 
-NEEDED = {"along": "NAME", "at": "VALUE", "from": "A", "to": "B"}
-"""Settings without a default, each with its placeholder in the help."""
+REQUIRED = ("along", "at", "from", "to")
+"""Settings without a default."""
 
-SETTINGS = (*NEEDED, "start", "settle", "observe", "cycles")
+SETTINGS = (*REQUIRED, "start", "settle", "observe", "cycles")
 """Arguments of `follow` that are not parameters of a scene."""
 
 _SYNTAX = "along=NAME at=VALUE from=A to=B"
 
 
 def arguments(parser: ArgumentParser) -> None:
-    """Add the command's arguments to `parser`."""
     parser.formatter_class = RawDescriptionHelpFormatter
     parser.epilog = f"words used in the output:\n{glossary(*FAMILY_WORDS)}"
-    scene = parser.add_argument(
-        "scene", metavar="SCENE", help="rotary, vibro-impact, penetration, drilling or coupled-drilling"
-    )
-    with_completer(scene, scenes)
-    values = parser.add_argument(
-        "values",
-        metavar="NAME=VALUE",
-        nargs="*",
-        default=[],  # else argparse calls them required before Python 3.13
-        help=f"{_SYNTAX}: the parameter, where the family begins, and its bounds; start (a name, or [x1,x1',x2,x2']), "
+    about = (
+        f"{_SYNTAX}: the parameter, where the family begins, and its bounds; start (a name, or [x1,x1',x2,x2']), "
         "settle and observe (s, for which the motion at VALUE settles and is then watched: 40, 8) and cycles (the most "
         "returns of doubled branches: 8); parameters, and friction. A list, beta=0.3,0.4,0.5, is as many families, "
-        "followed together; of several lists the first values belong to one family, the second ones to the next",
+        "followed together; of several lists the first values belong to one family, the second ones to the next"
     )
-    with_completer(values, values_with(SETTINGS, lambda names: {"along": tuple(names.parameters)}))
+    add_values(parser, SETTINGS, about, lambda names: {"along": tuple(names.parameters)})
     add_output(parser, "SCENE-NAME.nc")
-    parser.add_argument("--json", action="store_true", help=JSON_HELP)
+    add_json(parser)
 
 
 def run(options: Options) -> None:
-    """Run the command."""
     place = Place("follow")
     settings, parameters = named_values(place, options.values, SETTINGS, lists=True)
-    missing = [name for name in NEEDED if name not in settings]
+    missing = [name for name in REQUIRED if name not in settings]
     if missing:
         raise place.error(f"{' and '.join(missing)} missing; write vibrojax follow SCENE {_SYNTAX}")
     from vibrojax.analyses.continuation.spec import OBSERVE, SETTLE, read_asked

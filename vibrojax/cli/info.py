@@ -4,8 +4,8 @@ from argparse import ArgumentParser
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from vibrojax.cli.completion import files, with_completer
-from vibrojax.cli.output import JSON_HELP, Options, print_json
+from vibrojax.cli.completion import add_argument, files
+from vibrojax.cli.output import Options, add_json, print_json
 from vibrojax.io.formatting import size_text, time_text
 from vibrojax.progress import timed
 
@@ -13,21 +13,17 @@ if TYPE_CHECKING:
     from vibrojax.analyses.analysis import SummaryPart
     from vibrojax.io.standing import Standing
 
-_SHOWN = 8
-"""Chunks, claims or failures that are listed."""
+_MAX_ITEMS = 8
+"""Claims or failures that are listed."""
 
 
 def arguments(parser: ArgumentParser) -> None:
-    """Add the command's arguments to `parser`."""
-    file = parser.add_argument(
-        "file", metavar="OUT.nc", help="a dataset written by vibrojax, or the folder of chunks of an unfinished one"
-    )
-    with_completer(file, files(".nc"))
-    parser.add_argument("--json", action="store_true", help=JSON_HELP)
+    about = "a dataset written by vibrojax, or the folder of chunks of an unfinished one"
+    add_argument(parser, "file", completer=files(".nc"), metavar="OUT.nc", help=about)
+    add_json(parser)
 
 
 def run(options: Options) -> None:
-    """Run the command."""
     from vibrojax.analyses.summary import summarise, summary_facts, summary_lines
     from vibrojax.io.dataset import open_dataset
 
@@ -47,42 +43,42 @@ def run(options: Options) -> None:
 
 
 def chunk_folder(path: Path) -> Path | None:
-    """Return the folder of chunks that `path` is, or that lies beside a missing `path`; None if there is none."""
+    """Return the folder of chunks at `path`, or beside a missing `path`; None if there is none."""
     from vibrojax.io.standing import CHUNKS
 
     if path.name.endswith(CHUNKS) and path.is_dir():
         return path
-    if not path.name:  # "." and "/" have none
+    if not path.name or path.exists():  # "." and "/" have no name
         return None
-    beside = path.with_name(path.name + CHUNKS)
-    return beside if beside.is_dir() and not path.exists() else None
+    folder = path.with_name(path.name + CHUNKS)
+    return folder if folder.is_dir() else None
 
 
 def standing_parts(state: "Standing") -> "list[SummaryPart]":
-    """Return the progress of an unfinished sweep in words."""
+    """Return the progress of an unfinished sweep as text."""
     from vibrojax.analyses.analysis import SummaryPart
 
-    share = 100 * len(state.finished) / max(state.chunks, 1)
+    finished = len(state.finished)
     pace = "not known yet"
     if state.per_second is not None:
-        left = (state.chunks - len(state.finished)) / state.per_second
+        seconds = (state.chunks - finished) / state.per_second
         pace = f"{state.per_second * state.size:.3g} lanes/s"
-        pace += f", {time_text(left)} left at that" if left else ""
-    held = [
+        pace += f", {time_text(seconds)} left at that" if seconds else ""
+    claims = [
         f"{claim.name}: {claim.owner.text}, since {claim.since}{' (has ended)' if claim.stale else ''}"
         for claim in state.held
     ]
     failures = [f"chunk {failure.chunk}: {failure.why} ({failure.by})" for failure in state.failures]
-    at_work = _first(held) or ["a process of this machine" if state.whole_held else "none"]
-    return [
-        SummaryPart("title", [state.title]),
-        SummaryPart("finished", [f"{len(state.finished)} of {state.chunks} chunks ({share:.3g} %)"]),
-        SummaryPart("lanes", [f"{state.finished_lanes} of {state.lanes}"]),
-        SummaryPart("disk", [size_text(state.nbytes)]),
-        SummaryPart("pace", [pace]),
-        SummaryPart("at work", at_work),
-        SummaryPart("failed", _first(failures) or ["none"]),
-    ]
+    lines = {
+        "title": [state.title],
+        "finished": [f"{finished} of {state.chunks} chunks ({100 * finished / max(state.chunks, 1):.3g} %)"],
+        "lanes": [f"{state.finished_lanes} of {state.lanes}"],
+        "disk": [size_text(state.nbytes)],
+        "pace": [pace],
+        "at work": _first(claims) or ["a process of this machine" if state.whole_held else "none"],
+        "failed": _first(failures) or ["none"],
+    }
+    return [SummaryPart(name, part) for name, part in lines.items()]
 
 
 def standing_facts(state: "Standing") -> dict[str, Any]:
@@ -101,5 +97,5 @@ def standing_facts(state: "Standing") -> dict[str, Any]:
 
 
 def _first(lines: list[str]) -> list[str]:
-    more = len(lines) - _SHOWN
-    return lines if more <= 0 else [*lines[:_SHOWN], f"and {more} more"]
+    more = len(lines) - _MAX_ITEMS
+    return lines if more <= 0 else [*lines[:_MAX_ITEMS], f"and {more} more"]

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
 PICTURES = (".png", ".pdf", ".svg")
 ZARR = ".zarr"
-JSON_HELP = "print one JSON object on stdout, and nothing else there; a number that is not finite is null"
 
 
 class Options(Namespace):
@@ -31,6 +30,10 @@ class Options(Namespace):
     verbose: bool = False
     how_to_resume: str = ""
     """Advice after an interrupt; a command changes it as it proceeds."""
+
+    def advise(self, state: str, *words: str) -> None:
+        """Set the advice: the `state` of the work, and the command `vibrojax WORDS` that continues it."""
+        self.how_to_resume = f"{state}: {shlex.join(['vibrojax', *words])}"
 
 
 @runtime_checkable
@@ -45,7 +48,7 @@ class Command(Protocol):
     def run(self, options: Options) -> None:
         """Run the command.
 
-        **Raises:** `InputError` for bad input, `OSError` where the disk does not take the result.
+        **Raises:** `InputError` for bad input, `OSError` if the disk does not take the result.
         """
 
 
@@ -60,7 +63,7 @@ class Result(NamedTuple):
 def output(path: str | Path, endings: Sequence[str] = (".nc",)) -> Path:
     """Return `path` as a file that can be written.
 
-    **Raises:** `InputError` where it cannot be written, or does not end in one of `endings`.
+    **Raises:** `InputError` if it cannot be written, or does not end in one of `endings`.
     """
     path = Path(path)
     place = f"-o: {shown(str(path))}"
@@ -84,7 +87,7 @@ def output(path: str | Path, endings: Sequence[str] = (".nc",)) -> Path:
 def output_folder(folder: str, names: Sequence[str]) -> list[Path]:
     """Return the files `names` in a folder, which is made if it does not exist.
 
-    **Raises:** `InputError` where one of them cannot be written.
+    **Raises:** `InputError` if one of them cannot be written.
     """
     try:
         Path(folder).mkdir(parents=True, exist_ok=True)
@@ -104,10 +107,16 @@ def add_output(parser: ArgumentParser, default: str) -> None:
     parser.add_argument("--fresh", action="store_true", help="replace OUT, whatever it holds")
 
 
-def result_at(options: Options, default: str, identity: Mapping[str, object]) -> Result:
-    """Return where a result goes, by `default` to a file of that name.
+def add_json(parser: ArgumentParser) -> None:
+    """Add `--json` to a parser."""
+    about = "print one JSON object on stdout, and nothing else there; a number that is not finite is null"
+    parser.add_argument("--json", action="store_true", help=about)
 
-    **Raises:** `InputError` where it cannot be written, or another result is there.
+
+def result_at(options: Options, default: str, identity: Mapping[str, object]) -> Result:
+    """Return the files of a result; `default` is its name without `-o`.
+
+    **Raises:** `InputError` if it cannot be written, or another result is there.
     """
     from vibrojax.io.finished import check_replaceable
 
@@ -125,22 +134,22 @@ def write_result(options: Options, dataset: "xarray.Dataset", result: Result) ->
 
     with timed("write"):
         write_dataset(dataset.assign_attrs({IDENTITY: identity_text(result.identity)}), result.out)
-    dataset_written(options, result.out)
-    return draw(dataset, result.picture)
+    return draw(options, dataset, result.out, result.picture)
 
 
 def dataset_written(options: Options, out: Path) -> None:
-    """Change the advice after an interrupt: from now on only the picture of the dataset `out` is missing."""
-    options.how_to_resume = f"{out} is whole; for its picture: {shlex.join(['vibrojax', 'plot', str(out)])}"
+    """Change the advice after an interrupt: only the picture of the dataset `out` is missing."""
+    options.advise(f"{out} is whole; for its picture", "plot", str(out))
 
 
-def draw(dataset: "xarray.Dataset", picture: Path) -> str:
-    """Draw the picture that fits a dataset.
+def draw(options: Options, dataset: "xarray.Dataset", out: Path, picture: Path) -> str:
+    """Draw the picture of a dataset that is written at `out`.
 
-    **Returns:** the end of a line that names it; an empty text where nothing can be drawn, for a reason on stderr.
+    **Returns:** the end of a line that names it; an empty text if nothing can be drawn, for a reason on stderr.
     """
     from vibrojax.analyses.pictures import save_picture
 
+    dataset_written(options, out)
     try:
         with timed("draw"):
             part = save_picture(dataset, picture)
@@ -156,7 +165,7 @@ def print_json(facts: Mapping[str, object]) -> None:
 
 
 def file_facts(result: Result, drawn: str) -> dict[str, object]:
-    """Return the files of a result as facts for JSON; `drawn`: what `write_result` returned."""
+    """Return the files of a result as facts for JSON; `drawn` is the return value of `write_result`."""
     return {"dataset": str(result.out), "picture": str(result.picture) if drawn else None}
 
 

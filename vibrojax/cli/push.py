@@ -2,9 +2,8 @@
 
 from argparse import ArgumentParser
 
-from vibrojax.cli.completion import scenes, values_with, with_completer
 from vibrojax.cli.output import Options, add_output, result_at, write_result
-from vibrojax.cli.values import named_values, whole
+from vibrojax.cli.values import add_values, named_values, whole
 from vibrojax.errors import Place
 
 SETTINGS = ("start", "scan", "precision", "settle", "observe", "most_x1", "most_v1", "most_x2", "most_v2")
@@ -14,32 +13,25 @@ _MOST = "most_"
 
 
 def arguments(parser: ArgumentParser) -> None:
-    """Add the command's arguments to `parser`."""
-    scene = parser.add_argument("scene", metavar="SCENE", help="rotary, vibro-impact or drilling")
-    with_completer(scene, scenes)
-    values = parser.add_argument(
-        "values",
-        metavar="NAME=VALUE",
-        nargs="*",
-        help="parameters, and friction; a list, beta=0.3,0.4,0.5, is as many machines, pushed together. start (a name, "
+    about = (
+        "parameters, and friction; a list, beta=0.3,0.4,0.5, is as many machines, pushed together. start (a name, "
         "or [x1,x1',x2,x2']: of the motion whose cycle is pushed), most_x1, most_v1, most_x2, most_v2 (the greatest "
         "push, m or m/s; by default the whole swing), scan (pushes of each scan in a direction: 256), precision "
-        "(0.001), settle and observe (s, for which motions settle and are then watched: 40, 8)",
+        "(0.001), settle and observe (s, for which motions settle and are then watched: 40, 8)"
     )
-    with_completer(values, values_with(SETTINGS))
+    add_values(parser, SETTINGS, about, scene="rotary, vibro-impact or drilling")
     add_output(parser, "SCENE-push.nc")
 
 
 def run(options: Options) -> None:
-    """Run the command."""
     settings, parameters = named_values(Place("push"), options.values, SETTINGS, lists=True)
     from vibrojax.analyses.push.spec import PRECISION, SCAN, read_pushed
 
-    most = {name.removeprefix(_MOST): x for name, x in settings.items() if name.startswith(_MOST)}
+    bounds = {name.removeprefix(_MOST): value for name, value in settings.items() if name.startswith(_MOST)}
     request = read_pushed(
         options.scene,
         start=settings.get("start"),
-        most=most or None,
+        most=bounds or None,
         scan=whole(settings.get("scan", SCAN)),
         precision=settings.get("precision", PRECISION),
         settle=settings.get("settle", 40.0),

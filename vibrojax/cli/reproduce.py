@@ -3,23 +3,19 @@
 An interrupted run keeps nothing.
 """
 
-import shlex
 from argparse import ArgumentParser
 
 from vibrojax.cli.output import Options, output_folder
 
 
 def arguments(parser: ArgumentParser) -> None:
-    """Add the command's arguments to `parser`."""
     parser.add_argument("-o", dest="out", metavar="DIR", default="reproduction", help="the folder (reproduction)")
     parser.add_argument("--quick", action="store_true", help="only what half a minute answers, to see that it works")
 
 
 def run(options: Options) -> None:
-    """Run the command."""
     page, table = output_folder(options.out, ("index.html", "table.md"))
-    command = shlex.join(["vibrojax", "reproduce", "-o", options.out, *["--quick"] * options.quick])
-    options.how_to_resume = f"nothing is kept; to start again: {command}"
+    options.advise("nothing is kept; to start again", "reproduce", "-o", options.out, *["--quick"] * options.quick)
     from vibrojax.reproduce import run_reproduction, write_reproduction
 
     reproduction = run_reproduction(quick=options.quick, progress=not options.quiet)

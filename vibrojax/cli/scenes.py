@@ -2,18 +2,15 @@
 
 from argparse import ArgumentParser
 
-from vibrojax.cli.completion import scenes, with_completer
+from vibrojax.cli.completion import add_argument, scenes
 from vibrojax.cli.output import Options
 
 
 def arguments(parser: ArgumentParser) -> None:
-    """Add the command's arguments to `parser`."""
-    scene = parser.add_argument("scene", metavar="SCENE", nargs="?", help="one of them, in full")
-    with_completer(scene, scenes)
+    add_argument(parser, "scene", completer=scenes, metavar="SCENE", nargs="?", help="one of them, in full")
 
 
 def run(options: Options) -> None:
-    """Run the command."""
     from vibrojax.analyses.catalogue import list_scenes, scene_text
 
     if options.scene is not None:

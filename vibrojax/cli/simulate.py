@@ -4,54 +4,42 @@ import warnings
 from argparse import ArgumentParser
 from typing import TYPE_CHECKING, Any
 
-from vibrojax.cli.completion import scenes, values_with, with_completer
-from vibrojax.cli.output import JSON_HELP, Options, add_output, file_facts, print_json, result_at, write_result
-from vibrojax.cli.values import named_values
+from vibrojax.cli.output import Options, add_json, add_output, file_facts, print_json, result_at, write_result
+from vibrojax.cli.values import add_values, named_values
 from vibrojax.errors import Place, shown
 
 if TYPE_CHECKING:
     from vibrojax.sweep.input.names import Names
 
-_NUMBERS = ("duration", "error", "sampling", "step", "smoothing")
-SETTINGS = ("start", "method", "solver", *_NUMBERS)
+_UNITS = {"duration": "s", "error": "1", "sampling": "s", "step": "s", "smoothing": "m s-1"}
+"""Settings that are positive numbers, with their units."""
+
+SETTINGS = ("start", "method", "solver", *_UNITS)
 """Arguments of `simulate` that are not parameters of a scene."""
 
 
-def of_settings(_: "Names") -> dict[str, tuple[str, ...]]:
-    """Return the names that settings may have as values."""
+def method_choices(_: "Names") -> dict[str, tuple[str, ...]]:
+    """Return the values of the settings that have a fixed set."""
     from vibrojax.stepping import STEPPERS
 
     return {"method": tuple(STEPPERS)}
 
 
 def arguments(parser: ArgumentParser) -> None:
-    """Add the command's arguments to `parser`."""
-    scene = parser.add_argument(
-        "scene", metavar="SCENE", help="rotary, vibro-impact, penetration, drilling or coupled-drilling"
-    )
-    with_completer(scene, scenes)
-    values = parser.add_argument(
-        "values",
-        metavar="NAME=VALUE",
-        nargs="*",
-        default=[],  # else argparse calls them required before Python 3.13
-        help="a parameter; friction; start (a name, or [x1,x1',x2,x2']); duration, sampling, error, method, solver, "
-        "step, smoothing",
-    )
-    with_completer(values, values_with(SETTINGS, of_settings))
+    about = "a parameter; friction; start (a name, or [x1,x1',x2,x2']); duration, sampling, error, method, solver, "
+    add_values(parser, SETTINGS, about + "step, smoothing", method_choices)
     add_output(parser, "SCENE.nc")
-    parser.add_argument("--json", action="store_true", help=JSON_HELP)
+    add_json(parser)
 
 
 def run(options: Options) -> None:
-    """Run the command."""
     place = Place("simulate")
     settings, parameters = named_values(place, options.values, SETTINGS, lists=False)
     from vibrojax.sweep.input.plausible import UnusualValue
     from vibrojax.sweep.input.point import read_point
 
     point = read_point(place, options.scene, parameters, settings.pop("start", None))
-    # Each value is checked against its own rules; that it fits the function's argument, no type can say.
+    # Each value is checked by its own rules; no type states that it fits the function's argument.
     arguments: dict[str, Any] = _checked(place, settings) | point.options | point.parameters
     if point.start is not None:
         arguments["start"] = point.start
@@ -62,7 +50,7 @@ def run(options: Options) -> None:
     from vibrojax.sweep.simulation import simulate
 
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UnusualValue)  # warned above
+        warnings.simplefilter("ignore", UnusualValue)  # `read_point` has warned
         dataset = simulate(point.scene, **arguments, progress=not options.quiet)
     drawn = write_result(options, dataset, result)
     if options.json:
@@ -82,15 +70,14 @@ def run(options: Options) -> None:
 
 
 def _checked(place: Place, settings: dict[str, object]) -> dict[str, object]:
-    """Return the settings without start, checked; `simulate` itself checks the names of methods and solvers."""
+    """Return the settings, checked; `simulate` itself checks the names of methods and solvers."""
     from vibrojax.models.physics.parameters import positive
     from vibrojax.sweep.input.values import quantity
 
     checked = dict(settings)
     for name, value in settings.items():
-        if name in _NUMBERS:
-            units = {"smoothing": "m s-1", "error": "1"}
-            checked[name] = quantity(place.at(name), value, positive(name, 1.0, units.get(name, "s"), name, name))
+        if name in _UNITS:
+            checked[name] = quantity(place.at(name), value, positive(name, 1.0, _UNITS[name], name, name))
         elif not isinstance(value, str) or not value:
             raise place.at(name).error(f"{shown(value)} is not a name; give one, like {name}=...")
     return checked

@@ -1,4 +1,4 @@
-"""By whom a sweep is computed: what `--workers` and `--only` say, and the door to each engine."""
+"""The options `--workers` and `--only`, and the connection to a dask scheduler."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,17 +11,18 @@ if TYPE_CHECKING:
 
 DASK, SLURM = "dask://", "slurm"
 
-_PATIENCE = "10 s"
-"""How long a scheduler is waited for that does not answer."""
+SCHEDULER_TIMEOUT = "10 s"
+"""Time to wait for a scheduler that does not answer."""
 
-_MOST = 1000
-_JOBS = 10
-"""Jobs of SLURM where it is not said how many."""
+MAX_WORKERS = 1000
+"""More processes or jobs are taken for a typing error."""
+
+DEFAULT_JOBS = 10
+"""Jobs of SLURM if the option gives no number."""
 
 
 class Workers(NamedTuple):
-    """Who computes: so many `processes` on this machine, the scheduler of dask at `dask`, or so many `jobs` of SLURM;
-    all None where this process does."""
+    """The workers of a sweep: local `processes`, a `dask` scheduler HOST:PORT, or SLURM `jobs`; else this process."""
 
     processes: int | None = None
     dask: str | None = None
@@ -29,41 +30,42 @@ class Workers(NamedTuple):
 
 
 def read_workers(text: str | None) -> Workers:
-    """What `--workers` says; raises `InputError`, in one line, where it says nothing."""
+    """Return the workers that `--workers` names; raise `InputError` if it is malformed."""
     if text is None:
         return Workers()
-    if text.isdecimal() and 1 <= int(text) <= _MOST:
+    if text.isdecimal() and 1 <= int(text) <= MAX_WORKERS:
         return Workers(processes=int(text))
     if text.startswith(DASK) and text.removeprefix(DASK).rpartition(":")[2].isdecimal():
         return Workers(dask=text.removeprefix(DASK))
     kind, colon, count = text.partition(":")
-    if kind == SLURM and (not colon or (count.isdecimal() and 1 <= int(count) <= _MOST)):
-        return Workers(jobs=int(count or _JOBS))
-    raise InputError(f"--workers: {shown(text)} is no number (1 to {_MOST}), dask://HOST:PORT, slurm or slurm:JOBS")
+    if kind == SLURM and (not colon or (count.isdecimal() and 1 <= int(count) <= MAX_WORKERS)):
+        return Workers(jobs=int(count or DEFAULT_JOBS))
+    choices = f"a number (1 to {MAX_WORKERS}), dask://HOST:PORT, slurm or slurm:JOBS"
+    raise InputError(f"--workers: {shown(text)} is not {choices}")
 
 
 def read_share(text: str | None) -> tuple[int, int] | None:
-    """What `--only` says: (I, N); raises `InputError`, in one line, where it says nothing."""
+    """Return (I, N) of `--only I/N`; raise `InputError` if it is malformed."""
     if text is None:
         return None
     part, slash, whole = text.partition("/")
     if slash and part.isdecimal() and whole.isdecimal() and 1 <= int(part) <= int(whole):
         return int(part), int(whole)
-    raise InputError(f"--only: {shown(text)} is no I/N with I from 1 to N; write 2/3 for the second of three shares")
+    raise InputError(f"--only: {shown(text)} is not I/N with I from 1 to N; write 2/3 for the second of three shares")
 
 
 @contextmanager
 def dask_executor(address: str) -> Iterator["Executor"]:
-    """The workers of the scheduler of dask at HOST:PORT; raises `InputError` where it, or dask, is not there."""
-    at = f"--workers {DASK}{address}"
+    """Yield the workers of the dask scheduler at HOST:PORT; raise `InputError` if dask or the scheduler is missing."""
+    place = f"--workers {DASK}{address}"
     try:
         from distributed import Client
     except ImportError:
-        raise InputError(f'{at}: dask is not installed; pip install "vibrojax[dask]"') from None
+        raise InputError(f'{place}: dask is not installed; pip install "vibrojax[dask]"') from None
     try:
-        client = Client(f"tcp://{address}", timeout=_PATIENCE, set_as_default=False)
+        client = Client(f"tcp://{address}", timeout=SCHEDULER_TIMEOUT, set_as_default=False)
     except (OSError, ValueError) as error:  # asyncio's TimeoutError is an OSError
-        first = (str(error).splitlines() or [type(error).__name__])[0]
-        raise InputError(f"{at}: no scheduler of dask answers there ({first}); start one: dask scheduler") from None
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise InputError(f"{place}: no scheduler of dask answers there ({reason}); start one: dask scheduler") from None
     with client:
         yield client.get_executor()

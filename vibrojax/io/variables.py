@@ -14,6 +14,11 @@ class Variable:
     - `units`, `long_name`, `dtype`.
     - `flags`: the meanings of its values 0, 1, ..., or of those from `first_flag` on.
     - `along`: its dimension beyond the sweep's dimensions.
+
+    **Example:**
+
+    >>> vj.Variable("Hz", "strongest frequency of the bit").attributes()
+    {'units': 'Hz', 'long_name': 'strongest frequency of the bit'}
     """
 
     units: str

@@ -58,7 +58,6 @@ def settle_block(
     scene: Scene[Any], stepper: Stepper, recorder: Records, c: Any, begun: Underway, until: Lanes, effort: Effort
 ) -> Underway:
     """Return the lanes at the times `until` [s] (lanes,); `c`: the scene's constants, scaled for the lane's start."""
-
     phase = Phase(
         step=lambda carry, lane, step: recorder.settle(scene, c, carry, lane, step),
         turn=lambda carry, lane: recorder.settle_returns(carry),

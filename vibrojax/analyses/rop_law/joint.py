@@ -61,7 +61,7 @@ def fit_joint(
     onset: str = "power-law",
     columns: Columns = None,
 ) -> xr.Dataset:
-    """Fit one law to all groups at once, calibrated on all lanes:
+    """Fit one law to all groups at once, calibrated on all lanes.
 
         rate = C ln(eta/eta0),  C = C_ref prod (x_j/ref_j)^a_j,  eta0 = eta0_ref prod (x_j/ref_j)^b_j
 

@@ -222,7 +222,7 @@ def minimise_loss(
 
 
 def covariance(jacobian: Jacobian, residual: Lanes) -> Square:
-    """Return the covariance of the coefficients, for noise that may differ from lane to lane:
+    """Return the covariance of the coefficients, for noise that may differ from lane to lane.
 
         (J^T J)^-1 J^T diag(r²/(1 - h)²) J (J^T J)^-1,  h the diagonal of J (J^T J)^-1 J^T
 

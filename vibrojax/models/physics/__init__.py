@@ -1,0 +1,1 @@
+"""Physics as plain JAX: friction laws, contact, rock, pulses, linear modes, parameters and units."""
