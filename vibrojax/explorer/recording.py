@@ -79,10 +79,10 @@ def record_cells(scene: Scene[Any], parameters: dict[str, np.ndarray], excerpt: 
     for first in range(0, excerpt.state.shape[1], RECORDED_LANES):
         subset = slice(first, first + RECORDED_LANES)
         used = {name: parameters[name][subset] for name in scene.parameters()}
-        yield from _record_batch(scene, used, excerpt.lanes(subset))
+        yield from _batch_cells(scene, used, excerpt.lanes(subset))
 
 
-def _record_batch(scene: Scene[Any], parameters: dict[str, np.ndarray], excerpt: Excerpt) -> Iterator[Cell]:
+def _batch_cells(scene: Scene[Any], parameters: dict[str, np.ndarray], excerpt: Excerpt) -> Iterator[Cell]:
     stepper = Located()
     with precision("float64"):
         constants, lane = _first_step(scene, parameters, tuple(excerpt.state))
