@@ -10,7 +10,7 @@ from matplotlib.collections import QuadMesh
 
 import vibrojax as vj
 from vibrojax.analyses.attractors.analysis import Attractors
-from vibrojax.analyses.attractors.grouping import Motion, Motions, classify_motions, is_ambiguous, join_chains
+from vibrojax.analyses.attractors.grouping import PointMotion, PointMotions, classify_motions, is_ambiguous, join_chains
 from vibrojax.analyses.attractors.matching import Link, number_attractors
 from vibrojax.cli import main
 from vibrojax.errors import InputError
@@ -188,9 +188,9 @@ def test_few_irregular_lanes_near_many_cannot_be_told():
 
 def test_an_irregular_motion_that_is_nowhere_of_several_lanes_is_doubtful():
     """Beside another of more lanes; alone at its point, or of several lanes at a neighbour, it is told."""
-    motions = Motions(np.array([0, 0, 0, 1, 2, 3, 3, 3, 4]))
+    motions = PointMotions(np.array([0, 0, 0, 1, 2, 3, 3, 3, 4]))
     for cell, regime in ((0, IRREGULAR), (0, IRREGULAR), (1, IRREGULAR), (2, IRREGULAR), (2, SINGLE_IMPACT)):
-        motions.add(np.array([], int), Motion(cell, regime))
+        motions.add(np.array([], int), PointMotion(cell, regime))
     assert is_ambiguous(motions, np.array([0, 1, 2, 3, 4])).tolist() == [False, True, False, False, False]
     assert is_ambiguous(motions, np.array([0, 3, 2, 3, 4])).tolist() == [False] * 5
     motions.remove(np.array([False, True, False, False, False]))

@@ -81,10 +81,10 @@ def test_not_where_it_is_not_worth_its_while(monkeypatch):
     monkeypatch.undo()
     assert ends.EARLY_END_MIN_SECONDS == 5e6
     few, many = read_sweep(sweep(lanes=8)), sweep(lanes=8, settle=1e6)
-    assert ends.early_ends(few) is None
-    assert ends.early_ends(read_sweep(many)) is not None
+    assert ends.early_stopping_of(few) is None
+    assert ends.early_stopping_of(read_sweep(many)) is not None
     pulses = {"scene": "penetration", "grid": {"frequency": [40.0, 50.0]}, "run": {"settle": 1e7}}
-    assert ends.early_ends(read_sweep(pulses)) is None
+    assert ends.early_stopping_of(read_sweep(pulses)) is None
 
 
 BASIS = np.array([[1.0, 0.2, -0.4], [0.3, 1.0, 0.5], [-0.2, 0.1, 1.0]])

@@ -111,7 +111,7 @@ def test_shares_stay_when_the_tolerance_is_halved():
 
 def test_where_it_is_worth_its_while():
     def kind(count, **run):
-        return type(ends.early_ends(read_sweep(sweep(count, **run)))).__name__
+        return type(ends.early_stopping_of(read_sweep(sweep(count, **run)))).__name__
 
     assert ends.SHARING_MIN_STARTS == 16 and ends.SHARING_MIN_SECONDS == 1.5e6
     assert kind(ends.SHARING_MIN_STARTS, orbits=True) == "SharedEnds" and kind(ends.SHARING_MIN_STARTS) == "NoneType"

@@ -17,7 +17,7 @@ from vibrojax.models.scenes import Guard, HasContact, HasFriction, Marker, Mode,
 from vibrojax.models.scenes import stick_slip as slips
 from vibrojax.models.scenes.capabilities import Bit
 from vibrojax.models.scenes.vibro_impact import VibroImpact
-from vibrojax.stepping import Located, Smoothed, Wanted
+from vibrojax.stepping import AccuracyRequest, Located, Smoothed
 
 STRING = table(
     positive("m0", 500.0, "kg", "mass of the string", "m₀"),
@@ -210,7 +210,7 @@ class Measured(WithString):
 def run(scene, stepper, error=1e-4, **values):
     defaults = {name: one.default for name, one in scene.parameters().items()}
     c = scene.constants({name: jnp.full(1, value) for name, value in (defaults | values).items()})
-    accuracy = stepper.accuracy(Wanted(error=error), scene)
+    accuracy = stepper.accuracy(AccuracyRequest(error=error), scene)
     state = scene.start(c, "stuck", (1,))
     return run_block(scene, stepper, recorder_for(scene), c, state, Effort(accuracy, 1e6), 20.0, 4.0)
 

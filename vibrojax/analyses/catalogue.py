@@ -23,7 +23,7 @@ from vibrojax.models.physics.parameters import ROTATION, Parameter
 from vibrojax.models.physics.rock import ROCKS
 from vibrojax.models.scenes import SCENES, HasContact, HasFriction, HasRock, Scene
 from vibrojax.models.scenes.penetration import PULSE_SHAPES
-from vibrojax.stepping import Wanted, stepper_named
+from vibrojax.stepping import AccuracyRequest, stepper_named
 from vibrojax.sweep.engine.labelled import measured_besides, of_orbits
 from vibrojax.sweep.input.names import Names, read_names
 from vibrojax.sweep.input.offered import enter_offered
@@ -212,7 +212,7 @@ def _measured(scene: Scene[Any]) -> list[str]:
         constants = scene.constants(values)
         state = scene.start(constants, scene.starts[0] if scene.starts else None, (1,))
         stepper = stepper_named("located")
-        effort = Effort(stepper.accuracy(Wanted(error=1e-4), scene), 1.0)
+        effort = Effort(stepper.accuracy(AccuracyRequest(error=1e-4), scene), 1.0)
         return run_block(scene, stepper, recorder_for(scene), constants, state, effort, 1.0, 1.0)
 
     with precision("float64"):

@@ -25,7 +25,7 @@ _HOMES = {
     "attractors": "attractors.analysis:Attractors",
     "push": "push.analysis:Pushes",
     "fit": "rop_law.analysis:Fits",
-    "accuracy": "accuracy.analysis:Accuracy",
+    "accuracy": "accuracy.analysis:AccuracyStudy",
     "derivatives": "sensitivity.analysis:Derivatives",
 }
 """Where each of the package's own analyses is defined; they are imported when they are needed."""

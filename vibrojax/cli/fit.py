@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from vibrojax.analyses.glossary import WORDS
 from vibrojax.cli.completion import add_argument, files
-from vibrojax.cli.output import Options, Result, add_json, draw, file_facts, output, picture_beside, print_json
+from vibrojax.cli.output import Options, ResultFiles, add_json, draw, file_facts, output, picture_beside, print_json
 from vibrojax.errors import InputError
 from vibrojax.progress import timed
 
@@ -52,7 +52,7 @@ def run(options: Options) -> None:
     drawn = draw(options, fit, out, picture)
     summary = RateLawSummary.of(fit)
     if options.json:
-        print_json({"file": options.file, **summary.facts(), **file_facts(Result(out, picture, {}), drawn)})
+        print_json({"file": options.file, **summary.facts(), **file_facts(ResultFiles(out, picture, {}), drawn)})
         return
     columns = columns_lines(fit)
     before = [*columns, ""] if columns and not options.quiet else []

@@ -52,7 +52,7 @@ class Command(Protocol):
         """
 
 
-class Result(NamedTuple):
+class ResultFiles(NamedTuple):
     """The files of a result, `out` and `picture`, and what it depends on (see [vibrojax.io.finished][])."""
 
     out: Path
@@ -113,7 +113,7 @@ def add_json(parser: ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help=about)
 
 
-def result_at(options: Options, default: str, identity: Mapping[str, object]) -> Result:
+def result_at(options: Options, default: str, identity: Mapping[str, object]) -> ResultFiles:
     """Return the files of a result; `default` is its name without `-o`.
 
     **Raises:** `InputError` if it cannot be written, or another result is there.
@@ -124,10 +124,10 @@ def result_at(options: Options, default: str, identity: Mapping[str, object]) ->
     picture = picture_beside(out)
     if not options.fresh:
         check_replaceable(out, identity)
-    return Result(out, picture, identity)
+    return ResultFiles(out, picture, identity)
 
 
-def write_result(options: Options, dataset: "xarray.Dataset", result: Result) -> str:
+def write_result(options: Options, dataset: "xarray.Dataset", result: ResultFiles) -> str:
     """Write a result and draw it; return the end of a line that names its picture."""
     from vibrojax.io.dataset import write_dataset
     from vibrojax.io.finished import IDENTITY, identity_text
@@ -164,7 +164,7 @@ def print_json(facts: Mapping[str, object]) -> None:
     print(escape_json(json.dumps(_plain(facts), ensure_ascii=False, allow_nan=False, indent=2)))
 
 
-def file_facts(result: Result, drawn: str) -> dict[str, object]:
+def file_facts(result: ResultFiles, drawn: str) -> dict[str, object]:
     """Return the files of a result as facts for JSON; `drawn` is the return value of `write_result`."""
     return {"dataset": str(result.out), "picture": str(result.picture) if drawn else None}
 

@@ -27,7 +27,7 @@ from vibrojax.explorer.encoding import Cell, pack
 from vibrojax.explorer.recording import SECTION_RETURNS, SHOWN_RETURNS, SHOWN_SECONDS, Excerpt, record_cells
 from vibrojax.io.variables import orbit_name
 from vibrojax.measures.kept_returns import state_name
-from vibrojax.periodic import Orbits, early_ends
+from vibrojax.periodic import Orbits, early_stopping_of
 from vibrojax.periodic.measured import DRIVEN_RETURNS
 from vibrojax.plot.borders import LINES, axes_of, beyond, check_borders
 from vibrojax.plot.colours import flag_names
@@ -136,7 +136,7 @@ def lane_cells(sweep: Sweep, progress: bool = True) -> Iterator[Cell]:
         return kept | {f"last_{name}": x if x.ndim == 1 else x[:, -1] for name, x in returns.items()}
 
     is_carried = sweep.run.carry is not None
-    chunks = Carried(sweep, last_returns) if is_carried else Chunks(sweep, last_returns, early_ends(sweep))
+    chunks = Carried(sweep, last_returns) if is_carried else Chunks(sweep, last_returns, early_stopping_of(sweep))
     with Progress(sweep.lanes, "lanes", progress) as bar:
         for index in range(chunks.count):
             with quiet():

@@ -26,7 +26,7 @@ from vibrojax.models.physics.parameters import ROTATION, Parameter
 from vibrojax.models.physics.rock import ROCKS
 from vibrojax.models.scenes import Scene
 from vibrojax.plot.axes import pretty_unit, scale
-from vibrojax.stepping import Located, Wanted
+from vibrojax.stepping import AccuracyRequest, Located
 from vibrojax.sweep.input.definition import Sweep, rock_values
 from vibrojax.sweep.input.names import Names, read_names
 from vibrojax.sweep.input.plausible import UnusualValue
@@ -127,7 +127,7 @@ class LiveMotions:
 
         with precision("float64"):
             constants = constants_at(PLACE, point, self._stepper)
-            accuracy = self._stepper.accuracy(Wanted(ANSWER_ACCURACY, None, None), point.system)
+            accuracy = self._stepper.accuracy(AccuracyRequest(ANSWER_ACCURACY, None, None), point.system)
             check_size(PLACE, point.system, constants, self.duration, accuracy, self._stepper, 0)
             motion = recorded(point, self._stepper, constants, accuracy, self.duration, count_steps)
         cell = _cell_of_record(point.system, constants, motion, self.duration)

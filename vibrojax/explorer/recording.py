@@ -14,7 +14,7 @@ from vibrojax.models.scenes.declared import Values
 from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Lane, Located, lane_at
 from vibrojax.sweep.engine.compiler import lane_function
 from vibrojax.sweep.simulation.dense_output import Record, record_batch, sample
-from vibrojax.sweep.simulation.trajectory import Motion, impact_begins, lowest_velocity, states_shown
+from vibrojax.sweep.simulation.trajectory import SampledMotion, impact_begins, lowest_velocity, states_shown
 
 RECORDED_LANES = 128
 """Lanes that are recorded at once: their steps take about 20 MB."""
@@ -169,7 +169,7 @@ def cell_of_steps(scene: Scene[Any], steps: Steps, events: dict[str, np.ndarray]
     events_inside = ends[steps["hits"].any(axis=1) & (ends > first) & (ends < first + duration)]
     times = merged_times(even, events_inside, tolerance)
     states, modes, step_of = sample(record, times)
-    shown = states_shown(scene, Motion(times, states, modes), record, step_of)
+    shown = states_shown(scene, SampledMotion(times, states, modes), record, step_of)
     flags = np.zeros(len(times), np.uint8)
     if isinstance(scene, HasFriction):
         flags |= np.where(modes[scene.mode_place("slip")] == 0, STUCK, 0).astype(np.uint8)

@@ -16,7 +16,7 @@ from vibrojax.periodic.early import EarlyEnds, OnOrbits
 from vibrojax.periodic.newton import PeriodicOrbits
 from vibrojax.stepping import Located
 from vibrojax.sweep.engine.batch import Batch, Features
-from vibrojax.sweep.engine.underway import Ended, Ends
+from vibrojax.sweep.engine.underway import EarlyStopping, Ended
 from vibrojax.sweep.input.definition import Sweep
 
 EARLY_END_MIN_SECONDS = 5e6
@@ -33,7 +33,7 @@ SHARING_MIN_SECONDS = 1.5e6
 Index = Int[np.ndarray, " _"]
 
 
-def early_ends(sweep: Sweep) -> Ends | None:
+def early_stopping_of(sweep: Sweep) -> EarlyStopping | None:
     """Return an object that finds lanes that need no more steps; None where that is impossible or does not pay."""
     run, scene = sweep.run, sweep.system.driving_part()
     if not isinstance(run.stepper, Located) or scene.section is None:

@@ -10,7 +10,7 @@ import xarray as xr
 
 from vibrojax.analyses.sweep.run import run_sweep
 from vibrojax.errors import InputError, Place
-from vibrojax.reproduce.needs import Labelled, Lane, Map, Motion, Need, StruckMass, starts_of
+from vibrojax.reproduce.needs import Labelled, LaneNeed, Map, MotionNeed, Need, StruckMass, starts_of
 from vibrojax.reproduce.struck_mass import Blows, strike
 from vibrojax.sweep.input.plausible import UnusualValue
 from vibrojax.sweep.input.point import read_point
@@ -48,7 +48,7 @@ _Point = tuple[tuple[str, float], ...]
 """The numeric parameters of a lane."""
 
 
-class Answers:
+class SourceAnswers:
     """The answers to needs, and by name the datasets from which they are read.
 
     A scene whose probes fail is not computed: its needs are `Unanswered`.
@@ -66,12 +66,12 @@ class Answers:
         self._report = report
         self._parts_begun = 0
         needs = list(dict.fromkeys(needs))
-        kinds: dict[_Kind, list[Lane]] = {}
-        for lane in (need for need in needs if isinstance(need, Lane)):
+        kinds: dict[_Kind, list[LaneNeed]] = {}
+        for lane in (need for need in needs if isinstance(need, LaneNeed)):
             names = tuple((name, value) for name, value in lane.parameters if isinstance(value, str))
             kinds.setdefault(_Kind(lane.scene, names, lane.settle, lane.observe), []).append(lane)
         maps = [need for need in needs if isinstance(need, Map)]
-        motions = [need for need in needs if isinstance(need, Motion)]
+        motions = [need for need in needs if isinstance(need, MotionNeed)]
         self._parts = len(kinds) + len(maps) + len(motions)
         for kind, lanes in kinds.items():
             self._run_lanes(kind, lanes)
@@ -92,7 +92,7 @@ class Answers:
     def _refusal(self, scene: str) -> Unanswered | None:
         return Unanswered(f"points of the scene {scene} fail") if scene in self._failing else None
 
-    def _run_lanes(self, kind: _Kind, lanes: list[Lane]) -> None:
+    def _run_lanes(self, kind: _Kind, lanes: list[LaneNeed]) -> None:
         points = list(dict.fromkeys(_numbers(lane) for lane in lanes))
         names = [value for _, value in kind.names]
         self._begin_part(f"{' '.join([kind.scene, *names])}: {len(points)} points, {kind.settle:g} s")
@@ -116,7 +116,7 @@ class Answers:
         self._keep(need.name.replace(" ", "-"), dataset)
         return dataset
 
-    def _simulate(self, need: Motion) -> xr.Dataset | Unanswered:
+    def _simulate(self, need: MotionNeed) -> xr.Dataset | Unanswered:
         self._begin_part(f"motion: {need.scene}, {need.duration:g} s")
         settings: dict[str, Any] = {"duration": need.duration, "sampling": need.sampling, "progress": False}
         if starts_of(need.scene):
@@ -144,7 +144,7 @@ def collect(needs: tuple[Labelled, ...], answers: list[Answer]) -> dict[str, Any
     names: dict[str, Any] = {}
     groups: dict[str, list[Any]] = {}
     for (label, need), answer in zip(needs, answers, strict=True):
-        kind = {Lane: "lanes", Motion: "motion", Map: "map", StruckMass: "mass"}[type(need)]
+        kind = {LaneNeed: "lanes", MotionNeed: "motion", Map: "map", StruckMass: "mass"}[type(need)]
         groups.setdefault(label or kind, []).append(answer)
     for name, group in groups.items():
         if isinstance(group[0], dict):
@@ -157,7 +157,7 @@ def collect(needs: tuple[Labelled, ...], answers: list[Answer]) -> dict[str, Any
     return names
 
 
-def _features(lane: Lane, row: xr.Dataset) -> Features:
+def _features(lane: LaneNeed, row: xr.Dataset) -> Features:
     """Return the parameters and variables of a lane, with some variables in the source's units."""
     scalars = {str(name): variable.values.item() for name, variable in row.variables.items() if not variable.ndim}
     features: Features = scalars | dict(lane.parameters)
@@ -175,7 +175,7 @@ def _features(lane: Lane, row: xr.Dataset) -> Features:
     return features
 
 
-def _numbers(lane: Lane) -> _Point:
+def _numbers(lane: LaneNeed) -> _Point:
     """Return the numeric parameters of a lane."""
     return tuple((name, value) for name, value in lane.parameters if not isinstance(value, str))
 

@@ -29,7 +29,7 @@ Parameters = tuple[tuple[str, float | str], ...]
 
 
 @dataclass(frozen=True)
-class Lane:
+class LaneNeed:
     """One point of a scene from one start. Its answer is a dictionary of features."""
 
     scene: str
@@ -40,7 +40,7 @@ class Lane:
 
 
 @dataclass(frozen=True)
-class Motion:
+class MotionNeed:
     """The motion of one point over `duration` [s], sampled every `sampling` [s] (None: the default of `simulate`).
 
     Its answer is the dataset of `simulate`.
@@ -74,7 +74,7 @@ class StruckMass:
     parameters: Parameters
 
 
-Need = Lane | Motion | Map | StruckMass
+Need = LaneNeed | MotionNeed | Map | StruckMass
 Labelled = tuple[str, Need]
 """A need with the label of its answer; the empty label is the result's main subject."""
 
@@ -132,9 +132,9 @@ def _read_points(scene: str, settings: Mapping[str, str]) -> list[Need]:
         if scene == "struck":
             needs.append(StruckMass(start, duration, parameters))
         elif duration is not None:
-            needs.append(Motion(scene, parameters, start, duration, sampling))
+            needs.append(MotionNeed(scene, parameters, start, duration, sampling))
         else:
-            needs.append(Lane(scene, parameters, start, settle, observe))
+            needs.append(LaneNeed(scene, parameters, start, settle, observe))
     return needs
 
 

@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 
 from vibrojax.compile.devices import precision
 from vibrojax.progress import Progress
-from vibrojax.reproduce.answers import Answers
-from vibrojax.reproduce.needs import Lane
+from vibrojax.reproduce.answers import SourceAnswers
+from vibrojax.reproduce.needs import LaneNeed
 from vibrojax.reproduce.rules import VERDICTS, Here, Verdict
 from vibrojax.reproduce.table import GROUPS, Entry, Group, Picture, drawn, judged
 
@@ -79,7 +79,7 @@ def run_reproduction(groups: Iterable[Group] = GROUPS, quick: bool = False, prog
     report = Progress(len(needs), "answers", progress).say
     reproduced = []
     with precision("float64"):
-        answers = Answers(needs, report)
+        answers = SourceAnswers(needs, report)
         for group in groups:
             if not group.entries and not group.pictures:
                 continue
@@ -98,5 +98,5 @@ def _quick_part(group: Group) -> Group:
 
 def _is_quick(item: Entry | Picture) -> bool:
     """Return whether all needs are lanes of a quick scene, with the scene's own friction law."""
-    lanes = [need for need in item.needs if isinstance(need, Lane) and need.scene in QUICK_SCENES]
+    lanes = [need for need in item.needs if isinstance(need, LaneNeed) and need.scene in QUICK_SCENES]
     return len(lanes) == len(item.needs) and not any(isinstance(v, str) for lane in lanes for _, v in lane.parameters)

@@ -5,10 +5,10 @@ from vibrojax.stepping import functions  # registers the series with the element
 from vibrojax.stepping.lane import Clock, Lane, Step, lane_at
 from vibrojax.stepping.located import LOCATED_STRIDE, Located
 from vibrojax.stepping.smoothed import Smoothed
-from vibrojax.stepping.stepper import Accuracy, Goal, Stepper, Wanted
+from vibrojax.stepping.stepper import Accuracy, AccuracyRequest, Goal, Stepper
 
 __all__ = ["LOCATED_STRIDE", "STEPPERS", "Accuracy", "Clock", "Goal", "Lane", "Located", "Smoothed", "Step", "Stepper"]
-__all__ += ["Wanted", "functions", "keep", "lane_at", "stepper_named"]
+__all__ += ["AccuracyRequest", "functions", "keep", "lane_at", "stepper_named"]
 
 STEPPERS: dict[str, Stepper] = {stepper.name: stepper for stepper in (Located(), Smoothed())}
 

@@ -19,7 +19,7 @@ from vibrojax.stepping.event import Event, Trial, locate
 from vibrojax.stepping.lane import Lane, Step
 from vibrojax.stepping.polynomial import rough_root
 from vibrojax.stepping.series import expand
-from vibrojax.stepping.stepper import Accuracy, Goal, Stepper, Wanted, taken, trial_length
+from vibrojax.stepping.stepper import Accuracy, AccuracyRequest, Goal, Stepper, taken, trial_length
 
 COARSEST_TOLERANCE = 1e-6
 """Greatest tolerance. Above it little is gained, because most steps end at events, and the difference from a coarser
@@ -59,7 +59,7 @@ class Located(Stepper):
     def degree(self) -> int:
         return self.order
 
-    def accuracy(self, wanted: Wanted, scene: Scene[Any]) -> Accuracy:
+    def accuracy(self, wanted: AccuracyRequest, scene: Scene[Any]) -> Accuracy:
         rounding = 1e-12 if wanted.precision == "float64" else 3e-6
         coarsest = COARSEST_TOLERANCE if scene.autonomous else COARSEST_DRIVEN_TOLERANCE
         # Errors of period and impact velocity are below the tolerance, but a hundred times it on hard lanes.

@@ -17,7 +17,7 @@ from vibrojax.models.scenes.scene import Scene
 from vibrojax.stepping.event import Event, Trial, locate
 from vibrojax.stepping.lane import Lane, Step
 from vibrojax.stepping.series import known
-from vibrojax.stepping.stepper import Accuracy, Goal, Stepper, Wanted, taken, trial_length
+from vibrojax.stepping.stepper import Accuracy, AccuracyRequest, Goal, Stepper, taken, trial_length
 
 STICK_WIDTHS = 3.0
 """Sliding speed, in widths, below which the bit counts as sticking: friction has 95 % of its sharp value there."""
@@ -66,7 +66,7 @@ class Smoothed(Stepper):
     def degree(self) -> int:
         return 3
 
-    def accuracy(self, wanted: Wanted, scene: Scene[Any]) -> Accuracy:
+    def accuracy(self, wanted: AccuracyRequest, scene: Scene[Any]) -> Accuracy:
         # In the reference cases the error of the width is at most its power 3/4, in m/s; that of a step of 0.3 s per
         # m/s of width is far below.
         width = wanted.smoothing if wanted.smoothing is not None else max(wanted.error ** (4 / 3), 1e-6)

@@ -31,7 +31,7 @@ class Accuracy(NamedTuple):
         return {name: value for name, value in self._asdict().items() if 0 < value < float("inf")}
 
 
-class Wanted(NamedTuple):
+class AccuracyRequest(NamedTuple):
     """The user's requirements.
 
     - `error`: the accepted relative error.
@@ -98,7 +98,7 @@ class Stepper(ABC):
         """Return every lane after one step, and the step; it also ends on markers if `marked`."""
 
     @abstractmethod
-    def accuracy(self, wanted: Wanted, scene: Scene[Any]) -> Accuracy:
+    def accuracy(self, wanted: AccuracyRequest, scene: Scene[Any]) -> Accuracy:
         """Return the settings that keep the accepted error in `scene`, unless the user chose them."""
 
     @abstractmethod

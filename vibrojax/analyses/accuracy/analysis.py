@@ -4,7 +4,7 @@ from vibrojax.analyses.accuracy.picture import work_precision
 from vibrojax.analyses.analysis import Analysis, PictureRule
 
 
-class Accuracy(Analysis):
+class AccuracyStudy(Analysis):
     """Measure speed against error on this machine: a dataset, a table and a picture."""
 
     kind = "accuracy"

@@ -36,7 +36,7 @@ LaneFeatures = Mapping[str, Shaped[np.ndarray, " lanes"]]
 
 
 @dataclass(frozen=True)
-class Measured:
+class Measurement:
     """Result of a setting.
 
     - `seconds`: of every repeat, per lane-second; `compile_time` [s] of its program; `steps` per lane-second.
@@ -64,7 +64,7 @@ def measure(
     reference: LaneFeatures,
     usable: Bool[np.ndarray, " lanes"],
     repeats: int,
-) -> Measured:
+) -> Measurement:
     """Run a setting up to `repeats` times, and compare its usable lanes with the reference.
 
     Two repeats suffice if they are long, one if lanes did not reach the end.
@@ -85,7 +85,7 @@ def measure(
     repeating = agrees & (features["cycles"] == expected["cycles"]) if "cycles" in expected else agrees
     counts = {name: int((status == STATUSES.index(name)).sum()) for name in _FAILURES}
     length = program.lanes.settle + program.lanes.observe
-    return Measured(
+    return Measurement(
         setting,
         status="done" if agrees.all() else STATUSES[status[~agrees].min()],
         reason="; ".join(f"{n} of {lanes} lanes {_FAILURES[name]}" for name, n in counts.items() if n),

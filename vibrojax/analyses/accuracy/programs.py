@@ -181,7 +181,7 @@ def _integrate(
     return jax.vmap(solve_lane)(p, state)
 
 
-class Programs:
+class StudyPrograms:
     """The programs of a scene's lanes, each compiled once, and their compile times [s]."""
 
     def __init__(self, lanes: StudyLanes) -> None:

@@ -26,12 +26,12 @@ from vibrojax.analyses.accuracy.measurement import (
     COMPARED,
     RELATIVE,
     STATUSES,
-    Measured,
+    Measurement,
     errors_of,
     measure,
     usable,
 )
-from vibrojax.analyses.accuracy.programs import Programs
+from vibrojax.analyses.accuracy.programs import StudyPrograms
 from vibrojax.compile.devices import usable_cores, workers
 from vibrojax.errors import InputError, suggestion
 from vibrojax.io.kinds import dataset_attributes
@@ -76,7 +76,7 @@ def run_accuracy(scenes: Sequence[str] | None = None, quick: bool = False, progr
             raise InputError(f'accuracy: "{scene}" is no scene; {suggestion(scene, SCENES)}')
     began = time.monotonic()
     bar = Progress(sum(len(settings_of(scene, quick)) for scene in scenes), "settings", progress, pace=False)
-    results: list[Measured] = []
+    results: list[Measurement] = []
     spreads = {}
     for scene in scenes:
         measured, spreads[scene] = _measure_scene(scene, quick, bar)
@@ -84,9 +84,9 @@ def run_accuracy(scenes: Sequence[str] | None = None, quick: bool = False, progr
     return dataset_of(results, spreads, time.monotonic() - began)
 
 
-def _measure_scene(scene: str, quick: bool, bar: Progress) -> tuple[list[Measured], float]:
+def _measure_scene(scene: str, quick: bool, bar: Progress) -> tuple[list[Measurement], float]:
     """Return the results of a scene's settings, and the worst difference of the two references."""
-    programs = Programs(lanes_of(scene, quick))
+    programs = StudyPrograms(lanes_of(scene, quick))
     program, _ = programs.of("located", "float64", REFERENCE)
     reference, second = (program.features(fine, program.run(fine)) for fine in (REFERENCE, SECOND_REFERENCE))
     trusted = usable(reference, second)
@@ -98,7 +98,7 @@ def _measure_scene(scene: str, quick: bool, bar: Progress) -> tuple[list[Measure
             result = measure(setting, program, compile_time, reference, trusted, repeats)
         else:
             reason = "plain integration knows no rock that yields: its ratchet needs events"
-            result = Measured(setting, "unsupported", reason, int(trusted.sum()))
+            result = Measurement(setting, "unsupported", reason, int(trusted.sum()))
         results.append(result)
         outcome = result.reason
         if result.agreeing:
@@ -108,7 +108,7 @@ def _measure_scene(scene: str, quick: bool, bar: Progress) -> tuple[list[Measure
     return results, float(errors_of(second, reference)["overall"][trusted].max())
 
 
-def dataset_of(results: Sequence[Measured], spreads: Mapping[str, float], wall_time: float) -> xr.Dataset:
+def dataset_of(results: Sequence[Measurement], spreads: Mapping[str, float], wall_time: float) -> xr.Dataset:
     """Return the dataset of the study.
 
     **Arguments:** `spreads`: the worst difference of the two references, by scene.

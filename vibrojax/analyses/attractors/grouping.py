@@ -50,7 +50,7 @@ def stderr_name(statistic: str) -> str:
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class PointMotion:
     """A motion in which lanes of one point end.
 
     - `cell`: index of the point; `regime`: of most of its lanes.
@@ -71,7 +71,7 @@ class Motion:
 
 
 @dataclass
-class Motions:
+class PointMotions:
     """The motions of all points.
 
     - `of_lane` (lanes,): index into `items` of the motion in which each lane ends; -1 if unassigned.
@@ -79,10 +79,10 @@ class Motions:
     """
 
     of_lane: Index
-    items: list[Motion] = field(default_factory=list)
+    items: list[PointMotion] = field(default_factory=list)
     max_steps: float = 0.0
 
-    def add(self, lanes: Index, motion: Motion) -> None:
+    def add(self, lanes: Index, motion: PointMotion) -> None:
         """Append a motion, and assign to it the lanes that end in it."""
         self.of_lane[lanes] = len(self.items)
         self.items.append(motion)
@@ -96,7 +96,7 @@ class Motions:
 
 def classify_motions(
     scene: Scene[Any], dataset: xr.Dataset, parameters: Mapping[str, np.ndarray], starts: int
-) -> Motions:
+) -> PointMotions:
     """Return the motions in which lanes end, point by point.
 
     **Arguments:**
@@ -104,16 +104,16 @@ def classify_motions(
     - `scene`: the scene of the return map; `dataset`: with orbits, its last dimension the start.
     - `parameters`: of the lanes by name; `starts`: number of lanes per point, which are adjacent.
     """
-    motions = Motions(np.full(dataset["regime"].size, -1))
+    motions = PointMotions(np.full(dataset["regime"].size, -1))
     _add_orbits(scene, dataset, parameters, starts, motions)
     for lanes in _split_by_cell(np.flatnonzero(dataset["regime"].values.ravel() == EQUILIBRIUM), starts):
-        motions.add(lanes, Motion(int(lanes[0]) // starts, EQUILIBRIUM))
+        motions.add(lanes, PointMotion(int(lanes[0]) // starts, EQUILIBRIUM))
     _add_irregular(dataset, starts, motions)
     return motions
 
 
 def _add_orbits(
-    scene: Scene[Any], dataset: xr.Dataset, parameters: Mapping[str, np.ndarray], starts: int, motions: Motions
+    scene: Scene[Any], dataset: xr.Dataset, parameters: Mapping[str, np.ndarray], starts: int, motions: PointMotions
 ) -> None:
     """Add the orbit of each point's first lane, then that of its first lane on none of them, and so on."""
     states = np.stack([dataset[orbit_name(name)].values.ravel() for name in scene.return_states], axis=1)
@@ -130,11 +130,11 @@ def _add_orbits(
             same = (distance.max(axis=2).min(axis=1) < SAME_ORBIT_WITHIN) & (cycles[lanes] == len(orbit))
             same[0] = True  # the lane itself, whatever its scales
             label = int(np.argmax(np.bincount(regime[lanes[same]])))
-            motions.add(lanes[same], Motion(int(lanes[0]) // starts, label, orbit, scale))
+            motions.add(lanes[same], PointMotion(int(lanes[0]) // starts, label, orbit, scale))
         remaining = remaining[motions.of_lane[remaining] < 0]
 
 
-def _add_irregular(dataset: xr.Dataset, starts: int, motions: Motions) -> None:
+def _add_irregular(dataset: xr.Dataset, starts: int, motions: PointMotions) -> None:
     """Add the irregular motions.
 
     Without exponents, few lanes similar to many others may be another motion or part of theirs: they stay unassigned.
@@ -146,7 +146,7 @@ def _add_irregular(dataset: xr.Dataset, starts: int, motions: Motions) -> None:
         for lanes, centre in zip(groups, centres, strict=True):
             tail = any(np.abs(centre - other).max() <= np.log(SIMILAR_FACTOR) for other in large)
             if len(lanes) >= IRREGULAR_MIN_LANES or not tail or "nature" in dataset:
-                motions.add(lanes, Motion(int(lanes[0]) // starts, IRREGULAR, statistics=centre))
+                motions.add(lanes, PointMotion(int(lanes[0]) // starts, IRREGULAR, statistics=centre))
 
 
 def irregular_groups(dataset: xr.Dataset, starts: int) -> list[list[Index]]:
@@ -180,7 +180,7 @@ def irregular_groups(dataset: xr.Dataset, starts: int) -> list[list[Index]]:
     return cells
 
 
-def is_ambiguous(motions: Motions, number: Int[np.ndarray, " motions"]) -> Bool[np.ndarray, " motions"]:
+def is_ambiguous(motions: PointMotions, number: Int[np.ndarray, " motions"]) -> Bool[np.ndarray, " motions"]:
     """Return which irregular motions may be remnants of transients, or tails of another motion at their point.
 
     Their point has an irregular motion of more lanes, and their attractor has nowhere `IRREGULAR_MIN_LANES` lanes.

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from vibrojax.analyses.attractors.grouping import SAME_ORBIT_WITHIN, SIMILAR_FACTOR, Motion, Motions
+from vibrojax.analyses.attractors.grouping import SAME_ORBIT_WITHIN, SIMILAR_FACTOR, PointMotion, PointMotions
 from vibrojax.measures.labels import EQUILIBRIUM
 from vibrojax.models.scenes import Scene
 from vibrojax.periodic.newton import ACCEPTED, orbits
@@ -33,7 +33,7 @@ def find_links(
     scene: Scene[Any],
     parameters: Mapping[str, Float[np.ndarray, " points"]],
     shape: tuple[int, ...],
-    motions: Motions,
+    motions: PointMotions,
 ) -> list[Link]:
     """Return the links between motions of neighbouring points of a grid; they do not depend on its orientation.
 
@@ -75,7 +75,7 @@ def _neighbours(shape: tuple[int, ...]) -> list[tuple[int, int]]:
     return pairs
 
 
-def _distance(motion: Motion, other: Motion) -> float | None:
+def _distance(motion: PointMotion, other: PointMotion) -> float | None:
     """Return the distance of two motions without an orbit; None if they are not linked."""
     if motion.regime == EQUILIBRIUM and other.regime == EQUILIBRIUM:
         return 0.0
@@ -90,7 +90,7 @@ def _link_orbits(
     parameters: Mapping[str, Float[np.ndarray, " points"]],
     edges: list[tuple[int, int]],
     in_cell: Mapping[int, list[int]],
-    motions: Motions,
+    motions: PointMotions,
     distances: dict[tuple[int, int], float],
 ) -> None:
     """Continue orbits, each to a neighbouring cell, and enter the distances to the orbits that they become."""

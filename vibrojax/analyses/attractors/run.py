@@ -18,7 +18,7 @@ from vibrojax.analyses.attractors.grouping import (
     RESOLUTION_STDERRS,
     SAME_ORBIT_WITHIN,
     SIMILAR_FACTOR,
-    Motions,
+    PointMotions,
     classify_motions,
     irregular_groups,
     is_ambiguous,
@@ -197,7 +197,7 @@ def _sort_keys(sweep: Sweep, cells: list[int], count: Int[np.ndarray, " motions"
 
 
 def _columns(
-    sweep: Sweep, dataset: xr.Dataset, motions: Motions, number: Int[np.ndarray, " motions"]
+    sweep: Sweep, dataset: xr.Dataset, motions: PointMotions, number: Int[np.ndarray, " motions"]
 ) -> dict[str, Float[np.ndarray, "points attractors"]]:
     """Return what is measured of each attractor at each point; 0 or NaN where it is absent.
 

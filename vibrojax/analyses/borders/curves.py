@@ -18,7 +18,7 @@ class Vertex(NamedTuple):
 Crossing = tuple[int, int, int]
 """An edge crossed by a border: its axis, and the lower of its two points."""
 
-Ends = Callable[[tuple[int, int], tuple[int, int]], Vertex]
+EndFinder = Callable[[tuple[int, int], tuple[int, int]], Vertex]
 """`ends(inside, outside)`: end of the region between two neighbouring points."""
 
 _Ring = list[tuple[bool, tuple[float, float], Crossing | None]]
@@ -33,7 +33,7 @@ class Border(NamedTuple):
 
 
 def around_region(
-    inside: Bool[np.ndarray, "xs ys"], x: np.ndarray, y: np.ndarray, ends: Ends
+    inside: Bool[np.ndarray, "xs ys"], x: np.ndarray, y: np.ndarray, ends: EndFinder
 ) -> tuple[list[Border], float]:
     """Return the borders of a region, and its share of the rectangle between the outermost points."""
     vertices: dict[Crossing, Vertex] = {}

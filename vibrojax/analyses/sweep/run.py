@@ -16,7 +16,7 @@ import xarray as xr
 
 from vibrojax.analyses.sweep.joining import REGION, Read, WallTime, join
 from vibrojax.analyses.sweep.workers.executor import Executor, Store, by_executor, check_executor
-from vibrojax.analyses.sweep.workers.measured import Measured
+from vibrojax.analyses.sweep.workers.measured import MeasuredCosts
 from vibrojax.analyses.sweep.workers.member import compute_shared
 from vibrojax.analyses.sweep.workers.processes import by_processes
 from vibrojax.analyses.sweep.workers.slurm import by_slurm
@@ -231,7 +231,7 @@ def _compute(
         by_executor(sweep, executor, by_cost(work.chunks, indices), store_and_report)
 
 
-def estimate(sweep: Sweep, to_file: bool = False, processes: int = 0, measured: Measured | None = None) -> Cost:
+def estimate(sweep: Sweep, to_file: bool = False, processes: int = 0, measured: MeasuredCosts | None = None) -> Cost:
     """Estimate the cost of a sweep before any work; the time is rough (see [vibrojax.sweep.engine.costs][]).
 
     **Arguments:**

@@ -56,7 +56,7 @@ _refused: set[Path] = set()
 """Folders whose refusal has been logged."""
 
 
-class Refused(Exception):
+class CacheRefused(Exception):
     """Refusal of a folder or file that is damaged, or that somebody else may have written."""
 
 
@@ -90,7 +90,7 @@ def read(key: str) -> bytes | None:
             with suppress(OSError):
                 os.utime(where.name(key), dir_fd=where.descriptor)  # the oldest files are dropped first
             return content
-    except Refused as refusal:
+    except CacheRefused as refusal:
         _log_once(path, refusal)
     except OSError:
         pass
@@ -108,7 +108,7 @@ def write(key: str, content: bytes) -> None:
         with _open_folder(path) as where:
             _write_file(where, key, MAGIC + _digest(key, content) + content)
             _delete_old(where)
-    except Refused as refusal:
+    except CacheRefused as refusal:
         _log_once(path, refusal)
     except OSError:
         pass
@@ -125,13 +125,13 @@ def _open_folder(path: Path) -> Iterator[Folder]:
         return
     above = os.stat(path.parent)
     if above.st_mode & stat.S_IWOTH and not above.st_mode & stat.S_ISVTX:
-        raise Refused(f"{path.parent}: others can write to it")
+        raise CacheRefused(f"{path.parent}: others can write to it")
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
     except FileNotFoundError:
         raise
     except OSError as error:  # no folder, a link to one, or one of another user that cannot be read
-        raise Refused(f"{path}: {error.strerror}") from None
+        raise CacheRefused(f"{path}: {error.strerror}") from None
     try:
         _check_owner(descriptor, path)
         yield Folder(path, descriptor)
@@ -150,16 +150,16 @@ def _read_file(where: Folder, key: str) -> bytes:
     except FileNotFoundError:
         raise
     except OSError as error:  # a symbolic link, or a file that only another user can read
-        raise Refused(f"{where.path / key}: {error.strerror}") from None
+        raise CacheRefused(f"{where.path / key}: {error.strerror}") from None
     with os.fdopen(descriptor, "rb") as file:
         if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-            raise Refused(f"{where.path / key}: is not a regular file")
+            raise CacheRefused(f"{where.path / key}: is not a regular file")
         if HAS_OWNERS:
             _check_owner(descriptor, where.path / key)
         whole = file.read()
     header, content = whole[:HEADER], whole[HEADER:]
     if header != MAGIC + _digest(key, content):
-        raise Refused(f"{where.path / key}: is damaged, or does not belong under this name")
+        raise CacheRefused(f"{where.path / key}: is damaged, or does not belong under this name")
     return content
 
 
@@ -181,16 +181,16 @@ def _check_owner(descriptor: int, path: Path) -> None:
     """Raise `Refused` unless an open file or folder belongs to this user and nobody else can write to it."""
     status = os.fstat(descriptor)
     if status.st_uid != os.geteuid():
-        raise Refused(f"{path}: belongs to another user")
+        raise CacheRefused(f"{path}: belongs to another user")
     if status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
-        raise Refused(f"{path}: others can write to it")
+        raise CacheRefused(f"{path}: others can write to it")
 
 
 def _digest(key: str, content: bytes) -> bytes:
     return sha256(key.encode() + b"\n" + content).digest()
 
 
-def _log_once(path: Path, refusal: Refused) -> None:
+def _log_once(path: Path, refusal: CacheRefused) -> None:
     """Log the first refusal of a folder or of a file in it."""
     if path not in _refused:
         _refused.add(path)

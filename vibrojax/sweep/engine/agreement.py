@@ -21,7 +21,7 @@ from vibrojax.compile.kernels import LANES, Kernel
 from vibrojax.errors import InputError
 from vibrojax.measures import recorder_for
 from vibrojax.models.scenes import Scene
-from vibrojax.stepping import Accuracy, Goal, Lane, Located, Stepper, Wanted, lane_at
+from vibrojax.stepping import Accuracy, AccuracyRequest, Goal, Lane, Located, Stepper, lane_at
 from vibrojax.sweep.engine.programs import Given, Kind, constants_of, state_of
 
 COMPARED_LANES = 8
@@ -106,7 +106,7 @@ class Comparison:
 
     def __init__(self, kind: Kind, given: Given, derives: bool) -> None:
         dtype = np.dtype(jnp.result_type(float))
-        accuracy = kind.stepper.accuracy(Wanted(precision=dtype.name), kind.scene)
+        accuracy = kind.stepper.accuracy(AccuracyRequest(precision=dtype.name), kind.scene)
         lanes = np.resize(np.arange(min(COMPARED_LANES, len(given.start))), COMPARED_LANES)
         self._given, self._accuracy = take_lanes(given, lanes), Accuracy(*(np.asarray(x, dtype) for x in accuracy))
         self._begin, self._step = partial(begin, kind), partial(step, kind, derives)

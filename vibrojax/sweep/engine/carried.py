@@ -7,7 +7,7 @@ import numpy as np
 
 from vibrojax.progress import Portions
 from vibrojax.sweep.engine.batch import Features, Report, unreported
-from vibrojax.sweep.engine.chunks import CHUNK, Beyond, Chunks, joined
+from vibrojax.sweep.engine.chunks import CHUNK, Chunks, PostProcessor, joined
 from vibrojax.sweep.engine.programs import END
 from vibrojax.sweep.input.definition import DIRECTIONS, Sweep
 
@@ -22,7 +22,7 @@ class Carried(Chunks):
     to the next.
     """
 
-    def __init__(self, sweep: Sweep, beyond: Beyond | None = None) -> None:
+    def __init__(self, sweep: Sweep, beyond: PostProcessor | None = None) -> None:
         super().__init__(sweep, beyond)
         assert sweep.run.carry is not None
         self._values = len(sweep.axes[sweep.run.carry])

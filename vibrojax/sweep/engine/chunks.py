@@ -16,7 +16,7 @@ from vibrojax.stepping import Accuracy
 from vibrojax.sweep.engine.batch import Batch, Engine, Features, Report, unreported
 from vibrojax.sweep.engine.drift import drift
 from vibrojax.sweep.engine.sensitive import sensitive
-from vibrojax.sweep.engine.underway import OBSERVING, SETTLED, Ended, Ends, ReadyLanes, looks, run_together
+from vibrojax.sweep.engine.underway import OBSERVING, SETTLED, EarlyStopping, Ended, ReadyLanes, looks, run_together
 from vibrojax.sweep.input.definition import Sweep
 
 CHUNK = 2048
@@ -28,7 +28,7 @@ ERROR_FLOOR = 0.03
 DRIFT_MARGIN = 1.25
 """Factor on the drift, which is that of a linear return map: one in ten is 10 % off."""
 
-Beyond = Callable[[int, int, Features], Features]
+PostProcessor = Callable[[int, int, Features], Features]
 """`beyond(first, end, features)`: added or replaced features of the lanes from `first` to before `end`."""
 
 
@@ -39,7 +39,7 @@ class Chunks:
     `ends_on_orbits`: True if there is such a search.
     """
 
-    def __init__(self, sweep: Sweep, beyond: Beyond | None = None, ends: Ends | None = None) -> None:
+    def __init__(self, sweep: Sweep, beyond: PostProcessor | None = None, ends: EarlyStopping | None = None) -> None:
         self.sweep, self._beyond, self._ends, self.ends_on_orbits = sweep, beyond, ends, ends is not None
         self.stepper = sweep.run.stepper
         self.accuracy = sweep.run.accuracy(sweep.system)

@@ -115,10 +115,10 @@ class Ended(NamedTuple):
 
 
 @runtime_checkable
-class Ends(Protocol):
+class EarlyStopping(Protocol):
     """Search for lanes that need no more steps, each at its own time."""
 
-    def of_chunk(self) -> "Ends":
+    def of_chunk(self) -> "EarlyStopping":
         """Return the search for the lanes of one chunk, independent of other chunks."""
         ...
 
@@ -167,7 +167,7 @@ def run_together(
     coarse: Accuracy,
     tolerance: float,
     early: bool,
-    search: Ends | None,
+    search: EarlyStopping | None,
     report: Callable[[float], Report],
 ) -> Iterator[ReadyLanes | Ended]:
     """Step lanes from t = 0 until both accuracies need runs of their own; yield first those that leave early.

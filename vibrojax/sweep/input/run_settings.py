@@ -6,7 +6,7 @@ from typing import Any
 from vibrojax.errors import Place, shown
 from vibrojax.models.physics.parameters import not_negative, positive, table
 from vibrojax.models.scenes import Scene
-from vibrojax.stepping import STEPPERS, Accuracy, Located, Stepper, Wanted, stepper_named
+from vibrojax.stepping import STEPPERS, Accuracy, AccuracyRequest, Located, Stepper, stepper_named
 from vibrojax.sweep.input.values import choice, count, flag, known_keys, quantity
 
 MEANINGS = {
@@ -62,7 +62,7 @@ class RunSettings:
 
     def accuracy(self, scene: Scene[Any]) -> Accuracy:
         """Return steps that keep the accepted error in `scene`, unless the user chose them."""
-        return self.stepper.accuracy(Wanted(self.error, self.step, self.smoothing, self.precision), scene)
+        return self.stepper.accuracy(AccuracyRequest(self.error, self.step, self.smoothing, self.precision), scene)
 
 
 _QUANTITIES = table(

@@ -18,14 +18,14 @@ from vibrojax.models.physics.parameters import positive
 from vibrojax.models.scenes import HasContact, HasRock, Scene
 from vibrojax.models.scenes.declared import Values
 from vibrojax.progress import LOG, Progress
-from vibrojax.stepping import STEPPERS, Accuracy, Smoothed, Stepper, Wanted, stepper_named
+from vibrojax.stepping import STEPPERS, Accuracy, AccuracyRequest, Smoothed, Stepper, stepper_named
 from vibrojax.sweep.engine.compiler import lane_function
 from vibrojax.sweep.input.point import read_point
 from vibrojax.sweep.input.values import quantity
 from vibrojax.sweep.simulation.dense_output import check_size, sample
 from vibrojax.sweep.simulation.features import window
 from vibrojax.sweep.simulation.recording import constants_at, recorded
-from vibrojax.sweep.simulation.trajectory import Motion, events, forces, states_shown, trajectory_dataset
+from vibrojax.sweep.simulation.trajectory import SampledMotion, events, forces, states_shown, trajectory_dataset
 
 if TYPE_CHECKING:
     from diffrax import AbstractSolver
@@ -108,7 +108,7 @@ def simulate(
     with precision("float64"):
         constants = constants_at(place, point, stepper)
         times = _times(place, system, constants, duration, sampling)
-        accuracy = (stepper or Smoothed()).accuracy(Wanted(error, step, smoothing), system)
+        accuracy = (stepper or Smoothed()).accuracy(AccuracyRequest(error, step, smoothing), system)
         most_steps = check_size(place, system, constants, duration, accuracy, stepper, len(times))
         event_list = record = step_of = None
         numbers: dict[str, Any] = {}
@@ -121,7 +121,7 @@ def simulate(
                 point, stepper, constants, accuracy, duration, progress_bar.reach, most_steps, progress
             )
             states, modes, step_of = sample(record, times)
-            motion, steps = Motion(times, states, modes), len(record.dt)
+            motion, steps = SampledMotion(times, states, modes), len(record.dt)
             event_list = events(system, constants, record)
         smooth = stepper is None or stepper.smooths
         along_time = states_shown(system, motion, record, step_of)
@@ -174,7 +174,7 @@ def _adaptive(
     accuracy: Accuracy,
     solver: "str | AbstractSolver",
     tolerance: float,
-) -> tuple[Motion, int, str]:
+) -> tuple[SampledMotion, int, str]:
     """Return the motion by a diffrax solver, the number of its steps, and the solver's name."""
     from vibrojax.stepping.adaptive import adaptive_trajectory, solver_named  # diffrax takes a second to import
 
@@ -186,4 +186,4 @@ def _adaptive(
     )
     modes = scene.smoothed_mode(scalars, scene.mode_at(scalars, states), states, 3 * width)
     columns = (np.stack([np.asarray(x) for x in values]) for values in (states, modes))
-    return Motion(times, *columns), int(steps), type(kind).__name__
+    return SampledMotion(times, *columns), int(steps), type(kind).__name__

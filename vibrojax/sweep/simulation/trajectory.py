@@ -42,7 +42,7 @@ class AlongTime(NamedTuple):
     long_name: str
 
 
-class Motion(NamedTuple):
+class SampledMotion(NamedTuple):
     """A sampled motion: `times` [s], and states and modes at them."""
 
     times: Float[np.ndarray, " samples"]
@@ -100,7 +100,7 @@ def _returns(scene: Scene[Any], c: Any, record: Record) -> Bool[np.ndarray, " st
     return passed
 
 
-def forces(scene: Scene[Any], c: Any, motion: Motion, width: float | None) -> dict[str, AlongTime]:
+def forces(scene: Scene[Any], c: Any, motion: SampledMotion, width: float | None) -> dict[str, AlongTime]:
     """Return the forces [N] at the samples by name; friction is the pull of the springs less the inertia of the bit.
 
     `width` [m/s] is that of a smoothed motion, None for a sharp one.
@@ -142,7 +142,7 @@ def _scalars(c: Any) -> Any:
 
 
 def states_shown(
-    scene: Scene[Any], motion: Motion, record: Record | None, step_of: Int[Array, " samples"] | None
+    scene: Scene[Any], motion: SampledMotion, record: Record | None, step_of: Int[Array, " samples"] | None
 ) -> dict[str, AlongTime]:
     """Return the states at the samples, with rock also x3 and x4 in place of compression and growth.
 
@@ -167,7 +167,7 @@ def states_shown(
 def trajectory_dataset(
     point: Point,
     scene: Scene[Any],
-    motion: Motion,
+    motion: SampledMotion,
     along_time: Mapping[str, AlongTime],
     event_list: Events | None,
     solver: Mapping[str, object],

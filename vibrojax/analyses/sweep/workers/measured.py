@@ -17,7 +17,7 @@ MEASURED_CHUNKS, MEASURING_SECONDS = 8, 20.0
 """Number of chunks, evenly spaced, that are computed, and the time [s] after which no further one begins."""
 
 
-class Measured(NamedTuple):
+class MeasuredCosts(NamedTuple):
     """Measured costs of a sweep.
 
     - `compile_s`: processor time [s] that does not depend on the number of lanes.
@@ -33,7 +33,7 @@ class Measured(NamedTuple):
     packed: float
 
 
-def measured(sweep: Sweep) -> Measured:
+def measured(sweep: Sweep) -> MeasuredCosts:
     """Compute, store and label some chunks of a sweep, one by one, and discard them."""
     work = Work(sweep)
     chunks = work.chunks
@@ -57,4 +57,4 @@ def measured(sweep: Sweep) -> Measured:
                 break
     lanes = sizes.lanes
     compiling = max(0.0, first - chunks.width(chunks.count - 1) * spent / lanes)
-    return Measured(compiling, spent / lanes, chunk_bytes / lanes, sizes.lane_bytes, sizes.left(sweep.lanes))
+    return MeasuredCosts(compiling, spent / lanes, chunk_bytes / lanes, sizes.lane_bytes, sizes.left(sweep.lanes))

@@ -9,10 +9,10 @@ import numpy as np
 
 from vibrojax.analyses.chaos import Natures
 from vibrojax.compile.devices import with_threads
-from vibrojax.periodic import Nearby, Orbits, early_ends
+from vibrojax.periodic import Nearby, Orbits, early_stopping_of
 from vibrojax.sweep.engine.batch import Features, Report, unreported
 from vibrojax.sweep.engine.carried import Carried
-from vibrojax.sweep.engine.chunks import Beyond, Chunks
+from vibrojax.sweep.engine.chunks import Chunks, PostProcessor
 from vibrojax.sweep.engine.costs import lane_steps
 from vibrojax.sweep.input.definition import Sweep
 
@@ -35,7 +35,7 @@ class Work:
     def __init__(self, sweep: Sweep, threads: int | None = None) -> None:
         with with_threads(threads):
             if sweep.run.carry is None:
-                self.chunks = Chunks(sweep, _beyond(sweep), early_ends(sweep))
+                self.chunks = Chunks(sweep, _beyond(sweep), early_stopping_of(sweep))
             else:
                 self.chunks = Carried(sweep, _beyond(sweep))
 
@@ -68,9 +68,9 @@ def quiet() -> Iterator[None]:
         yield
 
 
-def _beyond(sweep: Sweep) -> Beyond | None:
+def _beyond(sweep: Sweep) -> PostProcessor | None:
     """Return the analyses of observed lanes that the sweep requests, as one."""
-    parts: list[Beyond] = [Orbits(sweep), Nearby(sweep)] if sweep.run.orbits else []
+    parts: list[PostProcessor] = [Orbits(sweep), Nearby(sweep)] if sweep.run.orbits else []
     parts += [Natures(sweep)] if sweep.run.lyapunov else []
 
     def analyse(first: int, end: int, features: Features) -> Features:
