@@ -72,7 +72,8 @@ def variables(ds: xr.Dataset, names: Sequence[str]) -> Figure:
         note = medians_text(ds)
         ds = medians(ds, [name for name in names if name != REGIME])
     if held.points_over_two:
-        return draw_scatter(ds, *varied(ds), values, note)
+        x, y = varied(ds)
+        return draw_scatter(ds, x, y, values, note)
     if not held.points and (held.worth_a_map or (held.regimes and len(held.axes) > 1)):
         return draw_map(ds, *axes_of_map(ds, None, None), values, note)
     if not held.points and held.regimes and held.axes:

@@ -1,5 +1,7 @@
 """Lines over time; if the oscillations are too many to be distinguished, the band that they fill."""
 
+from typing import Any
+
 import numpy as np
 from jaxtyping import Float
 from matplotlib.artist import Artist
@@ -31,7 +33,11 @@ def draw_over_time(axes: Axes, time: Samples, values: Samples, color: str, linew
     column = np.minimum(np.floor((time - time[0]) / np.ptp(time) * count), count - 1)
     first = np.flatnonzero(np.diff(column, prepend=-1))
     least, greatest = (reduce.reduceat(values, first) for reduce in (np.minimum, np.maximum))
-    look = {"facecolor": to_rgba(color, _BAND_ALPHA), "edgecolor": to_rgba(color, 0.9), "linewidth": 0.6}
+    look: dict[str, Any] = {
+        "facecolor": to_rgba(color, _BAND_ALPHA),
+        "edgecolor": to_rgba(color, 0.9),
+        "linewidth": 0.6,
+    }
     ends = np.append(time[first], time[-1])  # to the end of the last column
     return axes.fill_between(
         ends, np.append(least, least[-1]), np.append(greatest, greatest[-1]), label=label, step="post", **look

@@ -4,6 +4,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 from textwrap import fill
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -130,7 +131,7 @@ class Sheet:
                 if self.upright:
                     bar.legend(handles=handles, borderaxespad=0.0, borderpad=0.0, loc="center left")
                 else:
-                    look = {"loc": "upper left", "ncols": 2, "columnspacing": 1.0}
+                    look: dict[str, Any] = {"loc": "upper left", "ncols": 2, "columnspacing": 1.0}
                     bar.legend(handles=handles, borderaxespad=0.0, borderpad=0.0, **look)
                 handles = ()  # the first of several such places has the legend
             else:
@@ -139,7 +140,7 @@ class Sheet:
             self.figure.legend(handles=handles, loc="outside right upper")
 
 
-def draw_bar(figure: Figure, value: Value, **place: object) -> None:
+def draw_bar(figure: Figure, value: Value, **place: Any) -> None:
     """Draw the colour bar of a value; `place` as `Figure.colorbar` takes it."""
     mappable = ScalarMappable(value.norm, value.colour_map)
     bar = figure.colorbar(mappable, extend=value.extend, label=value.label, **place)

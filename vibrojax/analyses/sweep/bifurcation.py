@@ -1,6 +1,7 @@
 """Bifurcation diagrams: the impact velocity at each stored return to the section, over the swept axis."""
 
 from functools import partial
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -86,7 +87,10 @@ def _draw_returns(stack: Stack, x: str, layers: tuple[xr.Dataset, ...]) -> None:
             for other, name in enumerate(names):
                 along, values = dots(select_start(facet, other)[RETURNS].transpose(x, RETURN))
                 known, own = np.isfinite(values), other == position
-                look = {"color": start_colour(name, other) if own else _OTHERS, "label": name if own else f"_{name}"}
+                look: dict[str, Any] = {
+                    "color": start_colour(name, other) if own else _OTHERS,
+                    "label": name if own else f"_{name}",
+                }
                 axes.scatter(along[known], values[known], s=size, linewidths=0, zorder=2 + own, rasterized=True, **look)
             if names[position]:
                 axes.set_title(", ".join(filter(None, (stack.title, f"start: {names[position]}"))), loc="left")

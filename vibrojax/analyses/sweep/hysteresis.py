@@ -1,6 +1,7 @@
 """Lanes carried up and down along an axis: both ways in one picture, with their jumps."""
 
 from functools import partial
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -131,7 +132,7 @@ def _draw(stack: Stack, values: tuple[Value, ...], x: str, layers: tuple[xr.Data
             returns = select_start(facet, position)[RETURNS].transpose(x, RETURN)
             size = dot_size(facet.sizes[x]) * (0.5 if position else 1.4)  # the way below shows around the one above
             places = np.repeat(along, returns.sizes[RETURN])
-            look = {"linewidths": 0, "color": start_colour(name, position), "rasterized": True}
+            look: dict[str, Any] = {"linewidths": 0, "color": start_colour(name, position), "rasterized": True}
             stack.curves[0].scatter(places, factor * returns.values.ravel(), s=size, **look)
         if stack.first:
             stack.curves[0].set_ylabel(with_unit("impact velocity at each return", unit))

@@ -1,7 +1,7 @@
 """Maps over two axes of a sweep: regimes with quantities beside them, and rates of penetration."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -161,7 +161,7 @@ def write_labels(panel: Panel, x: xr.DataArray, y: xr.DataArray) -> None:
         axes.set_title(panel.title)
     axes.tick_params(labelleft=panel.first, labelbottom=panel.bottom)
     if panel.first:
-        height = axes.get_position().height * axes.figure.get_figheight()
+        height = axes.bbox.height / axes.figure.dpi
         axes.set_ylabel(label(y, int(_LETTERS_PER_INCH * height)))
     if panel.bottom:
         axes.set_xlabel(label(x))
@@ -185,7 +185,7 @@ def _mark_cells(panel: Panel, x: str, y: str) -> dict[str, Artist]:
     text = "same label, other motion\nfrom another start"
     dot = Line2D([], [], label=text, marker="o", markersize=3.0, markeredgewidth=0.0, linestyle="none", color=INK)
     handles: dict[str, Artist] = {HIDDEN: dot, SENSITIVE: sensitive_handle()}
-    looks = {
+    looks: dict[str, dict[str, Any]] = {
         HIDDEN: {"s": 6.0, "marker": "o", "edgecolors": "white", "linewidths": 0.4},
         SENSITIVE: {"s": 9.0, "marker": "x", "linewidths": 0.6},
     }

@@ -1,5 +1,7 @@
 """Lists of points: scattered over the two parameters that vary, or counted by regime."""
 
+from typing import Any
+
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
@@ -103,7 +105,7 @@ def draw_points(axes: Axes, ds: xr.Dataset, value: Value | None, x: str, y: str)
     many = cells.size > _MANY_DOTS
     size, width = (20.0 * _MANY_DOTS / cells.size, 0.0) if many else (20.0, 0.3)
     for mask, colour in ((np.isnan(cells), UNDEFINED), (nothing, NOTHING), (known, cells[known])):
-        mapped = {"cmap": colours, "norm": norm} if mask is known else {}
+        mapped: dict[str, Any] = {"cmap": colours, "norm": norm} if mask is known else {}
         axes.scatter(across[mask], up[mask], s=size, c=colour, edgecolors="0.3", linewidths=width, **mapped)
 
 

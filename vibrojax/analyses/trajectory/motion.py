@@ -87,7 +87,11 @@ def read_motion(ds: xr.Dataset) -> Motion:
     parameters = parameters_of(ds)
     impact_force, stuck = _optional(ds, "impact_force"), _optional(ds, "stuck")
     return Motion(
-        *(_samples(ds, name) for name in (TIME, "x1", "v1", "x2", "v2")),
+        time=_samples(ds, TIME),
+        x1=_samples(ds, "x1"),
+        v1=_samples(ds, "v1"),
+        x2=_samples(ds, "x2"),
+        v2=_samples(ds, "v2"),
         friction_force=_optional(ds, "friction_force"),
         impact_force=impact_force,
         stuck=np.zeros(ds.sizes[TIME], bool) if stuck is None else stuck == 1,

@@ -1,5 +1,7 @@
 """A trajectory: time history, phase portraits of bit and striker, and amplitude spectrum."""
 
+from typing import Any
+
 import numpy as np
 import xarray as xr
 from matplotlib.artist import Artist
@@ -60,7 +62,7 @@ def trajectory(ds: xr.Dataset, last: float = 1.5) -> Figure:
     overview = float(np.ptp(motion.time)) > _OVERVIEW_FROM * last
     forces = motion.impact_force is not None or motion.friction_force is not None
     near = hole and last_impact(hole, motion.impacts[(motion.impacts >= start) & (motion.impacts < end)])
-    rows = {
+    rows: dict[str, tuple[list[Any], float]] = {
         "overview": (["overview"] * 3, 0.65 if overview else 0.0),
         "displacement": (["displacement"] * 3, 1.25),
         "velocity": (["velocity"] * 3, 1.25),
