@@ -193,7 +193,7 @@ WRONG = [
     ({"where": {"gamma": "much"}}, "no lane has gamma = much; there are 15 from 0.3 to 1.2"),
     ({"where": {"gamma": np.nan}}, "no lane has gamma = nan"),
     ({"where": {"start": "stopped"}}, "no lane has start = stopped; there are drive, stuck"),
-    ({"colours": "virdis"}, 'colours: "virdis" is no colour map; did you mean "viridis"?'),
+    ({"colours": "virdis"}, 'colours: "virdis" is not a colour map; did you mean "viridis"?'),
 ]
 
 
@@ -239,7 +239,7 @@ def test_the_command_takes_the_same(written, monkeypatch):
         (["--where", "delta"], '--where: "delta" is not AXIS=VALUE; write delta=0.005'),
         (["--where", "delta=1"], "no lane has delta = 1.0; there are -0.005, 0.005"),
         (["--variable", "stick"], 'did you mean "stick_fraction"?'),
-        (["--colours", "rainbows"], "is no colour map"),
+        (["--colours", "rainbows"], "is not a colour map"),
     ],
 )
 def test_the_command_refuses_in_one_line(written, capsys, words, said):

@@ -23,10 +23,9 @@ from vibrojax.errors import InputError, nearest, shown
 from vibrojax.io.atomic import atomic_write
 from vibrojax.plot.colours import REGIME_COLOURS as REGIME_COLOURS
 from vibrojax.plot.contents import contents, law_in, rates_in, regimes_in
-from vibrojax.plot.overlays import refuse_overlays, several
-from vibrojax.plot.selection import Value, select
+from vibrojax.plot.overlays import Overlays, as_layers, refuse_overlays
+from vibrojax.plot.selection import Value, select, thin_out, thinned_text
 from vibrojax.plot.style import COLOURS, settings
-from vibrojax.plot.thinned import thinned, thinned_text
 
 # Without the date, so that the same dataset gives the same file.
 _METADATA: dict[str, dict[str, None]] = {".png": {}, ".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
@@ -37,28 +36,26 @@ def picture(
     variable: str | Sequence[str] | None = None,
     where: Mapping[str, Value] | None = None,
     colours: str | None = None,
-    over: xr.Dataset | Sequence[xr.Dataset] | None = None,
+    over: Overlays = None,
 ) -> Figure:
-    """The fitting picture for what `ds` holds: a trajectory, returns, regimes, rates of penetration, a law, families of
-    orbits, borders, or shares of attractors.
+    """Draw the picture that fits a dataset: a motion, returns, regimes, rates, a law, families, borders or attractors.
 
     **Arguments:**
 
-    - `ds`: what `simulate`, a sweep, a fit, `follow` or the study of speed against error gives.
+    - `ds`: a dataset of `simulate`, a sweep, or an analysis.
     - `variable`: the name of a variable to draw instead, over all that varies; or several names, four at most, of a run
       eight.
     - `where`: values of axes or of coordinates along them, by name, in the dataset's units: only the lanes there are
-      drawn, `{"delta": 0.005, "start": "stuck"}`. Numbers need be right to four digits. Of more than 300,000 lanes
-      every second value of the longest axes is drawn, or every third, ...
+      drawn, `{"delta": 0.005, "start": "stuck"}`. Numbers need to be right to four digits. If there are more than
+      300,000 lanes, every second value of the longest axes is drawn, or every third, ...
     - `colours`: the name of the matplotlib colour map for quantities; regimes, forms and starts keep their colours.
-    - `over`: families of orbits, as `follow` gives them, in one dataset or several, to lay over the returns of a sweep
-      along the same parameter, or over lanes carried along it; or borders, as `borders` gives them, to lay over the map
-      of regimes.
+    - `over`: datasets to lay over the picture. Families of orbits, from `follow`, belong over the returns of a sweep
+      along the same parameter, or over lanes carried along it. Borders, from `borders`, belong over the map of regimes.
 
-    **Returns:** a figure that pyplot knows nothing of.
+    **Returns:** a figure that pyplot does not manage.
 
-    **Raises:** `InputError` where the dataset holds nothing to draw, or no such variable, axis, value or colour map; or
-    `over` does not belong there.
+    **Raises:** `InputError` if the dataset holds nothing to draw, there is no such variable, axis, value or colour map,
+    or `over` does not belong there.
 
     **Example:**
 
@@ -68,16 +65,16 @@ def picture(
     >>> figure.savefig("stick.png")
     """
     if not isinstance(ds, xr.Dataset):
-        raise InputError(f"{shown(ds)} is no dataset; open it first: vj.picture(vj.open_dataset(PATH))")
+        raise InputError(f"{shown(ds)} is not a dataset; open it first: vj.picture(vj.open_dataset(PATH))")
     if colours is not None and colours not in colormaps:
         like = nearest(str(colours), colormaps)
         right = f"did you mean {shown(like)}?" if like else "choose one of matplotlib's, like viridis or magma"
-        raise InputError(f"colours: {shown(colours)} is no colour map; {right}")
-    layers = several(over)
+        raise InputError(f"colours: {shown(colours)} is not a colour map; {right}")
+    layers = as_layers(over)
     token = COLOURS.set(colours)
     try:
         ds = select(ds, where) if where else ds
-        ds = ds if layers else thinned(ds)
+        ds = ds if layers else thin_out(ds)
         if variable is None:
             return analysis_of(ds).picture(ds, layers)
         if layers:
@@ -88,23 +85,23 @@ def picture(
 
 
 def regime_map(ds: xr.Dataset, x: str | None = None, y: str | None = None) -> Figure:
-    """The regimes of a sweep as a map, with impact velocity and period beside it.
+    """Draw the regimes of a sweep as a map, with impact velocity and period beside it.
 
-    Further axes, and the starts, become panels: twelve at most, and the figure says which. A sweep along one axis
-    becomes lines, a list of points a scatter (two parameters vary) or a count. More than eight starts are a map over
-    their states where nothing else varies over many values, else the share of them that ends in each regime.
+    Further axes, and the starts, become panels, twelve at most, and the figure lists them. A sweep along one axis
+    becomes lines; a list of points becomes dots over two parameters, or a count. More than eight starts become a map
+    over their states if few parameters vary, else the share of them that ends in each regime.
 
     **Arguments:**
 
-    - `ds`: a sweep's dataset, with `regime` and, where the scene has them, `impact_velocity` [m/s] and `period` [s].
-    - `x`, `y`: the axes to draw along; left out: gamma and beta, else the first two of six values or more, else the
+    - `ds`: a sweep's dataset with `regime`; `impact_velocity` [m/s] and `period` [s] are drawn if the scene has them.
+    - `x`, `y`: the axes to draw along; by default gamma and beta, else the first two of six values or more, else the
       first two.
 
-    **Returns:** a figure that pyplot knows nothing of.
+    **Returns:** a figure that pyplot does not manage.
 
-    **Raises:** `InputError` where there are no regimes, or `x` or `y` is no axis of the sweep.
+    **Raises:** `InputError` if there are no regimes, or `x` or `y` is not an axis.
     """
-    ds = thinned(ds)
+    ds = thin_out(ds)
     held = contents(regimes_in(ds))
     if held.many_starts:
         return many_starts(ds) if x is None and y is None else share_grid(ds, x, y)
@@ -114,39 +111,37 @@ def regime_map(ds: xr.Dataset, x: str | None = None, y: str | None = None) -> Fi
 
 
 def rate_map(ds: xr.Dataset, x: str | None = None, y: str | None = None) -> Figure:
-    """The rate of penetration as a map over two axes, with slip per blow, mean force and relief where there is room.
+    """Draw the rate of penetration over two axes; slip per blow, mean force and relief beside it if there is room.
 
-    Further axes become panels: nine at most, and the figure says which. What is the same all over is in the note. A
-    list of points is scattered over the two parameters that vary.
+    Further axes become panels, nine at most, and the figure lists them. Constant values are in the note. A list of
+    points is scattered over the two parameters that vary.
 
     **Arguments:**
 
-    - `ds`: a sweep's dataset with `rate_of_penetration` [m/s], and `slip_per_impact` [m], `mean_force` [N] and `relief`
-      [1] where there are any.
-    - `x`, `y`: the axes to draw along; left out: the frequency, then the longest.
+    - `ds`: a sweep's dataset with `rate_of_penetration` [m/s]; `slip_per_impact` [m], `mean_force` [N] and `relief` [1]
+      are drawn if it has them.
+    - `x`, `y`: the axes to draw along; by default the frequency, then the longest.
 
-    **Returns:** a figure that pyplot knows nothing of.
+    **Returns:** a figure that pyplot does not manage.
 
-    **Raises:** `InputError` where there are no rates, there are no two axes, or `x` or `y` is no axis of the sweep.
+    **Raises:** `InputError` if there are no rates, fewer than two axes, or `x` or `y` is not an axis.
     """
-    ds = thinned(ds)
+    ds = thin_out(ds)
     return Sweeps.drawn_as(ds, "rate map") if contents(rates_in(ds)).points else rate_grid(ds, x, y)
 
 
 def fitted_law(fit: xr.Dataset) -> Figure:
-    """C of ROP = C ln(eta) in its three readings, and the AIC of every form above that of the best of its group.
+    """Draw C of ROP = C ln(eta) in its three readings, and the AIC of every form above the best of its group.
 
-    Above them the data of each group with the curve of every form, six groups at most. C and AIC are drawn over
-    the longest axis of the groups; further ones become rows. Over two axes of nine values and more, maps of C and of
-    the best form. Without groups, over the forms.
+    Above them are the data of each group with the curve of every form, six groups at most. C and AIC are drawn over the
+    longest axis of the groups; further axes become rows. Over two axes of nine values and more, maps of C and of the
+    best form are drawn. Without groups, the axis is the forms.
 
-    **Arguments:**
+    **Arguments:** `fit`: a fit's dataset with `C`, `C_stderr` [m/s] and `aic` along the groups and `form`.
 
-    - `fit`: a fit's dataset: `C`, `C_stderr` [m/s] and `aic` along the groups and `form`.
+    **Returns:** a figure that pyplot does not manage.
 
-    **Returns:** a figure that pyplot knows nothing of.
-
-    **Raises:** `InputError` where there is no C along `form`.
+    **Raises:** `InputError` if there is no C along `form`.
     """
     law_in(fit)
     return Fits().picture(fit)
@@ -158,19 +153,18 @@ def save_picture(
     variable: str | Sequence[str] | None = None,
     where: Mapping[str, Value] | None = None,
     colours: str | None = None,
-    over: xr.Dataset | Sequence[xr.Dataset] | None = None,
+    over: Overlays = None,
 ) -> str:
-    """Draw the fitting picture for `ds` into the file `path`, which is there whole or not at all.
+    """Write the picture that fits a dataset to a file, which is complete or does not exist.
 
     **Arguments:**
 
-    - `ds`: what `simulate` or a sweep gives.
+    - `ds`: as for [vibrojax.analyses.pictures.picture][], like `variable`, `where`, `colours` and `over`.
     - `path`: ends in .png, .pdf or .svg.
-    - `variable`, `where`, `colours`, `over`: what to draw of it, and how; see [vibrojax.analyses.pictures.picture][].
 
-    **Returns:** which of its values are drawn, in words; nothing where all are.
+    **Returns:** the values that are drawn, in words; empty if all are.
 
-    **Raises:** `InputError` for another ending, a path that cannot be written, or what `picture` refuses.
+    **Raises:** `InputError` for another ending, a path that cannot be written, or for the reasons of `picture`.
 
     **Example:**
 

@@ -1,4 +1,4 @@
-"""What stands along an axis and in notes: words, numbers and units; where cells end, and logarithmic scales."""
+"""Labels, numbers and units on axes and in notes; edges of cells, and logarithmic scales."""
 
 import json
 import re
@@ -9,18 +9,18 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 from matplotlib.axes import Axes
-from matplotlib.axis import Axis
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from vibrojax.io.attributes import counts_of, parameters_of, text_of
-from vibrojax.plot.contents import differing_from_defaults
-from vibrojax.plot.drawable import plain
+from vibrojax.errors import printable
+from vibrojax.io.attributes import counts_of, differing_of, parameters_of, text_of
+from vibrojax.plot.style import plain
 
-_HERTZ = {"s-1": "Hz", "s-2": "Hz/s"}  # the only such units here are of frequencies
-_LINE = 32  # letters of a label that fit along a panel
-_ROUNDING = 1e-6  # relative
+_HERTZ = {"s-1": "Hz", "s-2": "Hz/s"}  # the only quantities with these units are frequencies
+_LABEL_LETTERS = 32  # letters that fit along a panel
+_ROUNDING = 1e-6  # relative range up to which values are one value
+_GEOMETRIC = 1e-3  # relative scatter up to which factors or steps are constant
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-# A prefix for a unit, where the greatest value is below (milli) or from (kilo, mega) the bound.
+# A prefix for a unit, if the greatest value is below (milli) or from (kilo, mega) the bound.
 _MILLI = {"m": ("mm", 1e3, 1.0), "s": ("ms", 1e3, 0.1), "m s-1": ("mm s-1", 1e3, 0.3)}
 _GREATER = {
     "N": (("MN", 1e-6, 1e6), ("kN", 1e-3, 1e3)),
@@ -29,7 +29,7 @@ _GREATER = {
     "W": (("kW", 1e-3, 1e4),),
 }
 
-# The parameters worth a word on a picture: symbol, factor and unit.
+# The parameters that every note gives: symbol, factor and unit.
 _NAMED = {
     "beta": ("β", 1.0, ""),
     "gamma": ("γ", 1.0, ""),
@@ -44,77 +44,71 @@ _NAMED = {
     "zeta": ("ζ", 1.0, ""),
 }
 
-
 USUAL_FRICTION = "stribeck"
-"""The law that goes without saying."""
+"""The friction law that notes do not mention."""
 
 
 def scale(data: xr.DataArray) -> tuple[float, str]:
-    """The factor and the unit in which the values of `data` read well: mm for small lengths, kN for large forces."""
+    """Return the factor and the unit in which the values read well: mm for small lengths, kN for large forces."""
     unit = str(data.attrs.get("units", "")).strip()
     values = np.abs(np.asarray(data.values, float))
     greatest = values[np.isfinite(values)].max(initial=0.0)
     if unit in _MILLI:
         name, factor, bound = _MILLI[unit]
         return (factor, name) if greatest < bound else (1.0, unit)
-    for name, factor, bound in _GREATER.get(unit, ()):
-        if greatest >= bound:
-            return factor, name
-    return 1.0, unit
+    return next(((factor, name) for name, factor, bound in _GREATER.get(unit, ()) if greatest >= bound), (1.0, unit))
 
 
 def pretty_unit(unit: str) -> str:
-    """`unit` as printed: `m s-1` is m/s, `N s m-1` is N s/m; nothing for a pure number."""
+    """Return a unit as printed: `m s-1` as m/s, `N s m-1` as N s/m, nothing for a pure number."""
     if unit in ("", "1"):
         return ""
     if unit in _HERTZ:
         return _HERTZ[unit]
-    over: list[str] = []
-    under: list[str] = []
+    above: list[str] = []
+    below: list[str] = []
     for part in unit.split():
         match = re.fullmatch(r"([^\W\d]+)(-?\d+)?", part)
         if match is None:
             return unit
-        name, power = match[1], int(match[2] or 1)
-        (over if power > 0 else under).append(name + _power(abs(power)))
-    if len(under) > 1:
+        power = int(match[2] or 1)
+        exponent = "" if abs(power) == 1 else str(abs(power)).translate(_SUPERSCRIPTS)
+        (above if power > 0 else below).append(match[1] + exponent)
+    if len(below) > 1:
         return unit.translate(_SUPERSCRIPTS)
-    return " ".join(over or ["1"]) + (f"/{under[0]}" if under else "")
+    return " ".join(above or ["1"]) + (f"/{below[0]}" if below else "")
 
 
-def _power(power: int) -> str:
-    return "" if power == 1 else str(power).translate(_SUPERSCRIPTS)
+def label(data: xr.DataArray, letters: int = _LABEL_LETTERS) -> str:
+    """Return the label of an axis: long name, symbol and unit, or the name if there are no attributes.
 
-
-def label(data: xr.DataArray, letters: int = _LINE) -> str:
-    """What stands along an axis: long name, symbol and unit of `data`, or its name where it has no attributes.
-
-    On lines of at most `letters`.
+    Lines have at most `letters` letters.
     """
     words = re.sub(r"\s*\([^)]*\)", "", str(data.attrs.get("long_name", ""))).strip()
-    symbol = str(data.attrs.get("symbol", "")).strip()
-    text = ", ".join(part for part in (words, symbol) if part) or plain(str(data.name).replace("_", " "))
-    return fill(with_unit(text, scale(data)[1]).replace(" [", "\u00a0["), min(letters, _LINE)).replace("\u00a0", " ")
+    parts = (words, str(data.attrs.get("symbol", "")).strip())
+    text = ", ".join(filter(None, parts)) or plain(str(data.name).replace("_", " "))
+    unbroken = with_unit(text, scale(data)[1]).replace(" [", "\u00a0[")
+    return fill(unbroken, min(letters, _LABEL_LETTERS)).replace("\u00a0", " ")
 
 
 def with_unit(text: str, unit: str) -> str:
-    """`text` and the unit in brackets; `text` alone for a pure number."""
+    """Return the text and the unit in brackets; the text alone for a pure number."""
     return f"{text} [{pretty_unit(unit)}]" if pretty_unit(unit) else text
 
 
 def symbol(data: xr.DataArray) -> str:
-    """The short name of `data`: its symbol, or its name."""
+    """Return the symbol, or the name."""
     return str(data.attrs.get("symbol", "")).strip() or plain(str(data.name))
 
 
 def number(value: float) -> str:
-    """`value` with at most five digits and a true minus."""
+    """Return the value with at most five digits and a true minus sign."""
     text = f"{float(value):.5g}"
     return ("0" if text == "-0" else text).replace("-", "−")
 
 
 def value_text(data: xr.DataArray, value: float | str | np.number | np.str_) -> str:
-    """`value` of the coordinate `data` as in `Δ = −5 mm`; `start: drive` where values are names."""
+    """Return a value of the coordinate `data`, as `Δ = −5 mm`; `start: drive` if values are names."""
     if not np.issubdtype(np.asarray(value).dtype, np.number):
         return f"{plain(str(data.name))}: {short(str(value))}"
     factor, unit = scale(data)
@@ -122,43 +116,44 @@ def value_text(data: xr.DataArray, value: float | str | np.number | np.str_) -> 
 
 
 def index_text(ds: xr.Dataset, dimension: str, index: int) -> str:
-    """The value at `index` of `dimension`; where it has none itself, those of all the coordinates along it."""
+    """Return the value of a dimension at an index; without one, those of all coordinates along the dimension."""
     along = [dimension] if dimension in ds.coords else [name for name in ds.coords if ds[name].dims == (dimension,)]
     return ", ".join(value_text(ds[name], ds[name].values[index]) for name in along) or f"{dimension} = {index}"
 
 
 def short(name: str) -> str:
-    """`name`, with no more digits than tell starts apart where it is a vector, "[0.0, 0.0, 0.0213, 1.0]"."""
+    """Return the name of a start; a vector, "[0.0, 0.0, 0.0213, 1.0]", with three digits for each state."""
     try:
-        values = json.loads(name)
-        return f"[{', '.join(number(float(f'{value:.3g}')) for value in values)}]"
+        return f"[{', '.join(number(float(f'{value:.3g}')) for value in json.loads(name))}]"
     except (ValueError, TypeError, RecursionError):
         return name
 
 
 def share_text(share: float) -> str:
-    """`share` in percent; what is there never reads as 0 %, what is not all never as 100 %."""
+    """Return a share in percent; a share above zero never reads 0 %, and one below all never 100 %."""
     percent = 100.0 * share
     if 0.0 < percent < 1.0:
         return "<1 %"
-    if 99.0 < percent < 100.0:
-        return ">99 %"
-    return f"{percent:.0f} %"
+    return ">99 %" if 99.0 < percent < 100.0 else f"{percent:.0f} %"
 
 
 def point_text(ds: xr.Dataset) -> str:
-    """What is the same all over `ds`: its scalar coordinates, and parameters and start in its attributes."""
+    """Return the values that all lanes share: scalar coordinates, and parameters and start from the attributes."""
     scalars = {str(name): data for name, data in ds.coords.items() if data.ndim == 0}
-    if "start" in scalars:  # which says its states
+    if "start" in scalars:  # its name gives the states
         scalars = {name: data for name, data in scalars.items() if not name.startswith("start_")}
     parts = [value_text(data, data.values.item()) for data in scalars.values()]
     known = {*ds.coords, *(("threshold", "k3") if "rock" in ds.coords else ())}
-    given = {name: value for name, value in parameters_of(ds).items() if name in _NAMED and name not in known}
-    for name, (symbol, factor, unit) in _NAMED.items():
-        if name in given:
-            parts.append(f"{symbol} = {number(factor * given[name])}{unit}")
-    others = (data for data in differing_from_defaults(ds) if data.name not in _NAMED and data.name not in known)
-    parts += [value_text(data, data.values.item()) for data in others]
+    parameters = parameters_of(ds)
+    for name, (sign, factor, unit) in _NAMED.items():
+        if name in parameters and name not in known:
+            parts.append(f"{sign} = {number(factor * parameters[name])}{unit}")
+    for parameter in differing_of(ds):
+        if parameter["name"] not in _NAMED and parameter["name"] not in known:
+            about = {name: plain(printable(parameter[name], 40)) for name in ("units", "symbol")}
+            parts.append(
+                value_text(xr.DataArray(parameter["value"], name=parameter["name"], attrs=about), parameter["value"])
+            )
     if ds.attrs.get("friction", USUAL_FRICTION) != USUAL_FRICTION:
         parts.append(f"friction: {text_of(ds, 'friction')}")
     if "start" in ds.attrs and "start" not in ds.coords:
@@ -167,7 +162,7 @@ def point_text(ds: xr.Dataset) -> str:
 
 
 def certified_text(ds: xr.Dataset) -> str:
-    """How many of the lanes that repeat are known to the accepted error, and how many are still settling."""
+    """Return how many of the repeating lanes are known to the accepted error, and how many are still settling."""
     counted = counts_of(ds)
     if not counted.get("estimated") or not {"within", "still_settling", "error"} <= set(counted):
         return ""
@@ -178,12 +173,12 @@ def certified_text(ds: xr.Dataset) -> str:
 
 
 def values_along(data: xr.DataArray) -> Float[np.ndarray, " values"]:
-    """The values of the axis `data` in the unit of its label."""
+    """Return the values of an axis in the unit of its label."""
     return np.asarray(data.values * scale(data)[0], float)
 
 
-def steady(axes: Axes) -> None:
-    """Give `axes` upright limits wide of what it shows where that is one value but for rounding."""
+def pad_constant(axes: Axes) -> None:
+    """Widen the upright limits of `axes` if all that it shows is one value within rounding."""
     low, high = (float(end) for end in axes.dataLim.intervaly)
     if 0.0 <= high - low <= _ROUNDING * max(abs(low), abs(high)):
         room = 0.1 * abs(high) or 1.0
@@ -191,15 +186,15 @@ def steady(axes: Axes) -> None:
 
 
 def is_geometric(values: Float[np.ndarray, " values"]) -> bool:
-    """Whether `values` grow by a constant factor (and not, within the same bound, by a constant step)."""
+    """Return whether the values grow by a constant factor, and not by a constant step."""
     if values.size < 3 or values[0] <= 0 or np.any(np.diff(values) <= 0):
         return False
     factors, steps = values[1:] / values[:-1], np.diff(values)
-    return bool(np.ptp(factors) <= 1e-3 * factors.mean() and np.ptp(steps) > 1e-3 * steps.mean())
+    return bool(np.ptp(factors) <= _GEOMETRIC * factors.mean() and np.ptp(steps) > _GEOMETRIC * steps.mean())
 
 
 def edges(values: Float[np.ndarray, " values"]) -> Float[np.ndarray, " values+1"]:
-    """The n + 1 ends of the cells around n > 1 increasing `values`: halfway, in the logarithm for geometric ones."""
+    """Return the n + 1 edges of cells around n > 1 increasing values: halfway, in the logarithm for geometric ones."""
     if is_geometric(values):
         return np.exp(edges(np.log(values)))
     half = np.diff(values) / 2
@@ -207,18 +202,13 @@ def edges(values: Float[np.ndarray, " values"]) -> Float[np.ndarray, " values+1"
 
 
 def shape_axis(axes: Axes, which: Literal["x", "y"], values: Float[np.ndarray, " values"]) -> None:
-    """Make the x or y axis of `axes` logarithmic for geometric `values`, with its ends at the ends of the cells."""
-    ends = edges(values)
-    limit, set_scale = (axes.set_xlim, axes.set_xscale) if which == "x" else (axes.set_ylim, axes.set_yscale)
+    """End the x or y axis at the outer edges of the cells around `values`, logarithmic for geometric values."""
+    ends = edges(values)[[0, -1]]
     if is_geometric(values):
-        set_scale("log")
-        _plain_log_ticks(axes.xaxis if which == "x" else axes.yaxis, ends)
-    limit(ends[0], ends[-1])
-
-
-def _plain_log_ticks(axis: Axis, ends: Float[np.ndarray, " ends"]) -> None:
-    """1, 2, 5 and so on as plain numbers, where the axis spans less than three decades."""
-    if ends[-1] / ends[0] < 1e3:
-        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axis.set_minor_formatter(NullFormatter())
+        axis = axes.xaxis if which == "x" else axes.yaxis
+        axes.set(**{f"{which}scale": "log"})
+        if ends[1] / ends[0] < 1e3:  # less than three decades: 1, 2, 5 and so on as plain numbers
+            axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis.set_minor_formatter(NullFormatter())
+    axes.set(**{f"{which}lim": tuple(ends)})

@@ -1,4 +1,4 @@
-"""Borders of the stable single impact drawn as curves, one line style for each kind."""
+"""Borders of the stable single impact as curves, with one line style for each kind."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -13,13 +13,13 @@ from matplotlib.patheffects import withStroke
 from vibrojax.errors import InputError
 from vibrojax.plot.axes import scale
 from vibrojax.plot.colours import flag_names
+from vibrojax.plot.contents import START
+from vibrojax.plot.overlays import SAME_DIGITS, check_machine
 from vibrojax.plot.style import DASHED, FAINT, INK
 
-START = "start"
 ANY = "any"
-_SAME = 1e-4  # relative: as many digits as a picture prints
 
-# Told apart in greyscale and by colour-blind eyes, with the colours that the same kinds have along families.
+# Distinct in greyscale and for colour-blind readers; kinds have the same colours along families.
 LINES: dict[str, dict[str, Any]] = {
     "fold": {"color": "#222222", "linestyle": "-"},
     "period-doubling": {"color": "#D55E00", "linestyle": "-"},
@@ -31,77 +31,58 @@ LINES: dict[str, dict[str, Any]] = {
     "basin": {"color": "#6E6E6E", "linestyle": DASHED},
     "not-settled": {"color": FAINT, "linestyle": (0.0, (1.2, 1.6))},
 }
+_OTHER_LINE = {"color": INK, "linestyle": "-"}
+
+OVER_TEXT = "Lines: where stable single impacts end, whichever start leads to them"
+"""The note on borders over a map."""
 
 
 def axes_of(ds: xr.Dataset) -> tuple[str, str]:
-    """The parameter that runs to the right, and the one that runs up."""
+    """Return the parameter that runs to the right, and the one that runs up."""
     first, second = (str(name) for name in np.atleast_1d(ds.attrs["axes"]))
     return first, second
 
 
 def beyond(ds: xr.Dataset) -> list[str]:
-    """The parameters that are the same all over a plane, but not in all planes."""
+    """Return the parameters that are constant in a plane, and differ between planes."""
     names = (str(name) for name, data in ds.coords.items() if data.dims == ("curve",))
     return [name for name in names if name not in (START, "curve")]
 
 
-def draw_borders(axes: Axes, ds: xr.Dataset, at: dict[str, float], start: str, x: str = "", y: str = "") -> list[str]:
-    """Draw the curves of the plane with the values `at`, and of a `start`; the kinds that were drawn."""
-    x, y = (x, y) if x else axes_of(ds)
-    of_start = np.ones(ds.sizes["curve"], bool)
-    if START in ds.coords:
-        of_start = ds[START].values == start
-    for name, value in at.items():
-        of_start &= np.isclose(ds[name].values, value, rtol=_SAME, atol=0.0)
-    names, number = flag_names(ds["kind"]), ds["curve"].values
-    factors = [scale(ds[name])[0] for name in (x, y)]
-    drawn = []
-    for curve in np.flatnonzero(of_start):
-        kind = names[int(ds["kind"][curve])]
-        mine = number == curve
-        line = _line(kind)
-        axes.plot(
-            ds[x].values[mine] * factors[0],
-            ds[y].values[mine] * factors[1],
-            linewidth=1.6,
-            path_effects=[withStroke(linewidth=2.8, foreground="white", alpha=0.85)],
-            **line,
-        )
-        drawn.append(kind)
-    return drawn
+def draw_borders(axes: Axes, ds: xr.Dataset, plane: dict[str, float], start: str, x: str, y: str) -> list[str]:
+    """Draw the curves of one plane, given by its values, and of one `start`; return the kinds drawn."""
+    mask = ds[START].values == start if START in ds.coords else np.ones(ds.sizes["curve"], bool)
+    for name, value in plane.items():
+        mask &= np.isclose(ds[name].values, value, rtol=SAME_DIGITS, atol=0.0)
+    names, factors = flag_names(ds["kind"]), [scale(ds[name])[0] for name in (x, y)]
+    stroke = [withStroke(linewidth=2.8, foreground="white", alpha=0.85)]
+    kinds = []
+    for curve in np.flatnonzero(mask):
+        kinds.append(names[int(ds["kind"][curve])])
+        vertices = ds["curve"].values == curve
+        path = (factor * ds[name].values[vertices] for name, factor in zip((x, y), factors, strict=True))
+        axes.plot(*path, linewidth=1.6, path_effects=stroke, **LINES.get(kinds[-1], _OTHER_LINE))
+    return kinds
 
 
 def border_handles(kinds: Iterable[str]) -> list[Artist]:
-    """The legend's entries for kinds of borders."""
-    found = set(kinds)
+    """Return the legend's entries for kinds of borders."""
+    occurring = set(kinds)
     return [
-        Line2D([], [], label=kind, linewidth=1.8, **_line(kind))
-        for kind in (*LINES, *sorted(found - set(LINES)))
-        if kind in found
+        Line2D([], [], label=kind, linewidth=1.8, **LINES.get(kind, _OTHER_LINE))
+        for kind in (*LINES, *sorted(occurring - set(LINES)))
+        if kind in occurring
     ]
 
 
-OVER_TEXT = "Lines: where stable single impacts end, whichever start leads to them"
-"""What the borders over a map are."""
-
-
 def check_borders(ds: xr.Dataset, over: xr.Dataset, x: str, y: str) -> None:
-    """Raise `InputError` unless `over` has borders over the axes of a map of `ds`."""
+    """Raise `InputError` unless `over` has borders over the axes of a map of `ds`, of the same machine."""
     if set(axes_of(over)) != {x, y}:
         raise InputError(f"over: the borders are over {' and '.join(axes_of(over))}, the map over {x} and {y}")
-    for name in ("scene", "friction"):
-        if ds.attrs.get(name) != over.attrs.get(name):
-            raise InputError(
-                f"over: the borders are of {name} {over.attrs.get(name)}, the map of {ds.attrs.get(name)}; "
-                f"find those of {ds.attrs.get(name)}"
-            )
+    check_machine(ds, over, "borders", "map", "find those of")
 
 
 def draw_over_panel(axes: Axes, over: xr.Dataset, facet: xr.Dataset, x: str, y: str) -> list[str]:
-    """Draw the borders of all orbits on a panel of a map, whose cells show those of its start; the kinds drawn."""
-    at = {name: float(facet[name]) for name in beyond(over) if name in facet.coords and facet[name].ndim == 0}
-    return draw_borders(axes, over, at, ANY, x, y)
-
-
-def _line(kind: str) -> dict[str, Any]:
-    return LINES.get(kind, {"color": INK, "linestyle": "-"})
+    """Draw the borders of all orbits over the panel of a map, whatever its start; return the kinds drawn."""
+    plane = {name: float(facet[name]) for name in beyond(over) if name in facet.coords and facet[name].ndim == 0}
+    return draw_borders(axes, over, plane, ANY, x, y)

@@ -1,4 +1,4 @@
-"""Colours of what is drawn: the regimes and the forms of the law one each, quantities by a scale that panels share."""
+"""Colours of regimes, of the forms of the law, and of quantities, whose scale all panels of a picture share."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -8,7 +8,6 @@ from typing import Literal, NamedTuple
 import numpy as np
 import xarray as xr
 from jaxtyping import Float
-from matplotlib import colormaps
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis, XAxis
@@ -17,14 +16,14 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import NullLocator
 
-from vibrojax.errors import printable
+from vibrojax.errors import InputError, printable
 from vibrojax.measures.labels import REGIMES
 from vibrojax.plot.axes import scale, share_text, with_unit
 from vibrojax.plot.contents import RATE, REGIME, RELIEF, contents
-from vibrojax.plot.style import COLOURS, INK, NOTHING, OTHER_COLOURS, UNDEFINED
+from vibrojax.plot.style import INK, NOTHING, UNDEFINED, colour_map, other_colour
 
-# One colour for each regime, for ever, so that pictures of different runs can be read side by side. Any two differ by
-# 28 or more in CIELAB, also with any one kind of cone missing. The one to find, 3, is the brightest.
+# One fixed colour for each regime, so that pictures of different runs can be compared. Any two differ by 28 or more in
+# CIELAB, also with any one kind of cone missing. The regime to look for, 3, is the brightest.
 REGIME_COLOURS = {
     0: "#DDD8C8",
     1: "#8C8C8C",
@@ -37,6 +36,7 @@ REGIME_COLOURS = {
 }
 REGIME_MAP = ListedColormap(list(REGIME_COLOURS.values()), name="regimes").with_extremes(bad=UNDEFINED)
 REGIME_NORM = BoundaryNorm(np.arange(-0.5, len(REGIME_COLOURS)), len(REGIME_COLOURS))
+SINGLE = REGIMES.index("single-impact")
 
 FORM_COLOURS = {"onset": "#004488", "literal": "#222222", "percent": "#DDAA33", "line": "#56B4E9", "power": "#BB5566"}
 _OTHER_FORM = "#8C8C8C"
@@ -65,11 +65,11 @@ _OF_DRILL = ("impact_velocity", "period", "bit_amplitude")
 _OF_ROCK = (RATE, "slip_per_impact", RELIEF, "mean_force")
 _NOTHING_AT_ZERO = {"rate_of_penetration", "slip_per_impact"}
 ROBUST = (2.0, 98.0)  # percentiles
-_OUTLYING = 2.0  # of the range between them, from which what lies beyond is left out of the colours
-_SPREAD = {"rate_of_penetration", "slip_per_impact", "C"}
-_MANY, _WIDE = 20.0, 15.0  # that share [percent] of rates, so much smaller than the greatest: logarithmic colours
-_BESIDE = 3  # flags whose names have room side by side
-_SAME = 1e-9  # relative, within which a value does not vary
+_OUTLIER_RANGE = 2.0  # distance from the robust limits, in units of their range, from which values are outliers
+_SPREAD = {"rate_of_penetration", "slip_per_impact", "C"}  # quantities that may extend over decades
+_LOG_SHARE, _LOG_RATIO = 20.0, 15.0  # logarithmic colours: that percentage of values is smaller by that factor
+_NAMES_ON_ONE_LINE = 3  # flags whose names fit side by side
+_CONSTANT = 1e-9  # relative range up to which values are one value
 
 Cells = Float[np.ndarray, "*shape"]
 
@@ -85,20 +85,24 @@ class Value:
     extend: Literal["neither", "min", "max", "both"]
     colour_map: Colormap
     names: Mapping[int, str] = field(default_factory=dict)
-    """What its values mean, where they are flags."""
+    """The meanings of its values, if they are flags."""
 
     @property
     def of_rate(self) -> bool:
-        """Whether zero means that there is no penetration."""
+        """True if zero means that there is no penetration."""
         return self.name in _NOTHING_AT_ZERO
 
     def of(self, ds: xr.Dataset) -> xr.DataArray:
-        """The values in `ds`, in the unit of the label."""
+        """Return the values in `ds`, in the unit of the label."""
         return ds[self.name] * self.factor
 
 
+Values = tuple[Value | None, ...]
+"""Quantities to draw, with None for the regimes."""
+
+
 class Coloured(NamedTuple):
-    """Cells, and what gives them their colours."""
+    """Cells with their colour map and norm."""
 
     cells: Cells
     colour_map: Colormap
@@ -106,105 +110,98 @@ class Coloured(NamedTuple):
 
 
 def coloured(ds: xr.Dataset, value: Value | None, *dims: str) -> Coloured:
-    """The regimes, or `value`, of the lanes in `ds` along `dims`."""
+    """Return the regimes (None), or `value`, of the lanes along `dims`."""
     if value is None:
-        return Coloured(flags(ds[REGIME].transpose(*dims)), REGIME_MAP, REGIME_NORM)
+        return Coloured(regime_cells(ds[REGIME].transpose(*dims)), REGIME_MAP, REGIME_NORM)
     return Coloured(value.of(ds).transpose(*dims).values, value.colour_map, value.norm)
 
 
 # Regimes.
 
 
-def flags(data: xr.DataArray) -> Cells:
-    """The flags in `data` as floats; NaN where there is none of the known ones."""
+def regime_cells(data: xr.DataArray) -> Cells:
+    """Return the flags of regimes as floats, NaN for lanes without one.
+
+    **Raises:** `InputError` if there is a flag that has no colour.
+    """
     values = np.asarray(data.values, float)
-    return np.where(np.isin(values, list(REGIME_COLOURS)), values, np.nan)
+    known = np.isin(values, list(REGIME_COLOURS))
+    unknown = values[~known & np.isfinite(values)]
+    if unknown.size:
+        flag = int(unknown.min())
+        name = flag_names(data).get(flag, "no meaning in flag_meanings")
+        choices = ", ".join(f"{key} {REGIMES[key]}" for key in REGIME_COLOURS)
+        raise InputError(f"{data.name}: flag {flag} ({name}) is not a regime with a colour; these are {choices}")
+    return np.where(known, values, np.nan)
 
 
-def by_share(rows: Float[np.ndarray, "starts values"]) -> Float[np.ndarray, "starts values"]:
-    """The regimes of each column one above the other, so that their heights are their shares: single impacts first."""
-    single = REGIMES.index("single-impact")
-    ordered = np.sort(np.where(rows == single, -1.0, rows), axis=0)
-    return np.where(ordered == -1.0, float(single), ordered)
+def stack_shares(rows: Float[np.ndarray, "starts values"]) -> Float[np.ndarray, "starts values"]:
+    """Return the regimes of each column sorted, single impacts first, so that their heights are their shares."""
+    ordered = np.sort(np.where(rows == SINGLE, -1.0, rows), axis=0)
+    return np.where(ordered == -1.0, float(SINGLE), ordered)
 
 
 def regime_names(data: xr.DataArray) -> dict[int, str]:
-    """The name of each regime, by the attributes `flag_values` and `flag_meanings` of `data` where they are there."""
+    """Return the names of regimes by flag, from the attributes `flag_values` and `flag_meanings` if they exist."""
     return dict(enumerate(REGIMES)) | flag_names(data)
 
 
 def flag_names(data: xr.DataArray) -> dict[int, str]:
-    """What the flags of `data` mean, by its attributes."""
+    """Return the meanings of flags, from the attributes `flag_values` and `flag_meanings`."""
     values = np.atleast_1d(data.attrs.get("flag_values", [])).astype(int).tolist()
     meanings = [printable(meaning, 60) for meaning in str(data.attrs.get("flag_meanings", "")).split()]
     return dict(zip(values, meanings, strict=False))
 
 
 def regime_counts(data: Iterable[xr.DataArray]) -> dict[int, int]:
-    """The flags that occur in `data`, in their order, and how many lanes have each."""
-    values = np.concatenate([flags(part).ravel() for part in data])
+    """Return the number of lanes of each regime that occurs, by flag."""
+    values = np.concatenate([regime_cells(part).ravel() for part in data])
     occurring, lanes = np.unique(values[np.isfinite(values)], return_counts=True)
     return dict(zip(occurring.astype(int).tolist(), lanes.tolist(), strict=True))
 
 
 def regime_handles(data: Sequence[xr.DataArray]) -> list[Artist]:
-    """A patch for each regime that occurs in `data`, named with its share of the lanes."""
+    """Return a patch for each regime that occurs, named with its share of the lanes."""
     names = regime_names(data[0])
     lanes = sum(part.size for part in data)
-    shares = {flag: share_text(n / lanes) for flag, n in regime_counts(data).items()}
-    return [_patch(REGIME_COLOURS[flag], f"{names[flag]}  {share}") for flag, share in shares.items()]
+    counts = regime_counts(data)
+    return [patch(REGIME_COLOURS[flag], f"{names[flag]}  {share_text(n / lanes)}") for flag, n in counts.items()]
 
 
 def sensitive_handle() -> Artist:
-    """Return the legend's entry for lanes of which rounding decides the attractor."""
-    label = "rounding decides\nthe attractor"
-    return Line2D([], [], label=label, marker="x", markersize=4.0, markeredgewidth=0.8, linestyle="none", color=INK)
+    """Return the legend's entry for lanes whose attractor is decided by rounding."""
+    text = "rounding decides\nthe attractor"
+    return Line2D([], [], label=text, marker="x", markersize=4.0, markeredgewidth=0.8, linestyle="none", color=INK)
 
 
-def _patch(colour: str, name: str) -> Patch:
+def patch(colour: str, name: str) -> Patch:
+    """Return the legend's entry for cells of one colour."""
     return Patch(facecolor=colour, edgecolor="0.35", linewidth=0.4, label=name)
 
 
-# Forms of the law.
+# Forms of the law, and quantities.
 
 
 def form_colour(name: str) -> str:
-    """The colour of the form `name`."""
+    """Return the colour of a form of the law."""
     return FORM_COLOURS.get(name, _OTHER_FORM)
 
 
-def form_colours(names: Sequence[str]) -> tuple[Colormap, BoundaryNorm]:
-    """The colours of the forms by their number."""
-    colours = [form_colour(name) for name in names]
-    norm = BoundaryNorm(np.arange(-0.5, len(colours)), len(colours))
-    return ListedColormap(colours, name="forms").with_extremes(bad=UNDEFINED), norm
-
-
-def form_handles(names: Sequence[str], data: Sequence[xr.DataArray]) -> list[Artist]:
-    """A patch for each form whose number occurs in `data`, named with its share."""
-    values = np.concatenate([part.values.ravel() for part in data])
-    shares = {name: float((values == at).mean()) for at, name in enumerate(names)}
-    return [_patch(form_colour(name), f"{name}  {share_text(s)}") for name, s in shares.items() if s > 0]
-
-
-# Quantities.
-
-
 def values_beside(ds: xr.Dataset) -> tuple[Value, ...]:
-    """The values worth a panel beside the regimes."""
+    """Return the values that get a panel beside the regimes."""
     return tuple(value_of(ds[name]) for name in contents(ds).beside)
 
 
 def values_of_rock(ds: xr.Dataset) -> tuple[Value, ...]:
-    """The values worth a map where there are no regimes: the rate of penetration, and what else varies."""
-    named = [name for name in _OF_ROCK if name in ds and (name == RATE or _varies(ds[name].values))]
-    if {RELIEF, "mean_force"} <= set(named) and not _varies((ds["mean_force"] / ds[RELIEF]).values):
-        named.remove(RELIEF)  # the same picture as that of the force
-    return tuple(value_of(ds[name]) for name in named)
+    """Return the values that get a map without regimes: the rate of penetration, and the quantities that vary."""
+    names = [name for name in _OF_ROCK if name in ds and (name == RATE or _varies(ds[name].values))]
+    if {RELIEF, "mean_force"} <= set(names) and not _varies((ds["mean_force"] / ds[RELIEF]).values):
+        names.remove(RELIEF)  # the same picture as that of the force
+    return tuple(value_of(ds[name]) for name in names)
 
 
 def value_of(data: xr.DataArray) -> Value:
-    """The quantity `data` in colours; of flags those that occur, one each."""
+    """Return a variable in colours; flags get one colour for each that occurs."""
     name = str(data.name)
     if "flag_meanings" in data.attrs and np.size(data.values):
         return _flags_value(data)
@@ -213,82 +210,73 @@ def value_of(data: xr.DataArray) -> Value:
     finite = finite[finite > 0] if name in _NOTHING_AT_ZERO else finite
     if not finite.size:  # nothing to show
         finite = np.array([0.0, 1.0])
-    low, high, norm = _norm(name, finite)
-    beyond = bool(finite.min() < low), bool(finite.max() > high)
+    norm = _norm(name, finite)
+    beyond = bool(finite.min() < (norm.vmin or 0.0)), bool(finite.max() > (norm.vmax or 0.0))
     extend: dict[tuple[bool, bool], Literal["neither", "min", "max", "both"]]
     extend = {(False, False): "neither", (True, False): "min", (False, True): "max", (True, True): "both"}
-    shown = colormaps[COLOURS.get() or colours].with_extremes(bad=UNDEFINED)
+    shown = colour_map(colours).with_extremes(bad=UNDEFINED)
     return Value(name, with_unit(text, unit), factor, norm, extend[beyond], shown)
 
 
 def _flags_value(data: xr.DataArray) -> Value:
-    """Flags in colours: of stability and of regimes their own, of others in order."""
-    meanings = flag_names(data)
-    there = np.unique(data.values[~np.isnan(data.values)]).astype(int).tolist() or [0]
-    own = (
-        REGIME_COLOURS if "single-impact" in meanings.values() else _STABILITY_COLOURS if data.name == "stable" else {}
-    )
-    colours = [own.get(flag, OTHER_COLOURS[at % len(OTHER_COLOURS)]) for at, flag in enumerate(there)]
-    between = [(one + other) / 2 for one, other in pairwise(there)]
-    norm = BoundaryNorm([there[0] - 0.5, *between, there[-1] + 0.5], len(there))
-    name = str(data.name)
-    names = {flag: meanings.get(flag, str(flag)) for flag in there}
+    """Return flags in colours: those of stability and of regimes, and others in order."""
+    meanings, name = flag_names(data), str(data.name)
+    occurring = np.unique(data.values[~np.isnan(data.values)]).astype(int).tolist() or [0]
+    own = REGIME_COLOURS if "single-impact" in meanings.values() else _STABILITY_COLOURS if name == "stable" else {}
+    colours = [own.get(flag, other_colour(position)) for position, flag in enumerate(occurring)]
+    between = [(low + high) / 2 for low, high in pairwise(occurring)]
+    norm = BoundaryNorm([occurring[0] - 0.5, *between, occurring[-1] + 0.5], len(occurring))
+    names = {flag: meanings.get(flag, str(flag)) for flag in occurring}
     shown = ListedColormap(colours, name=name).with_extremes(bad=UNDEFINED)
     return Value(name, _QUANTITIES.get(name, (name.replace("_", " "), ""))[0], 1.0, norm, "neither", shown, names)
 
 
 def name_flags(axis: Axis, value: Value) -> None:
-    """Write along an axis what the flags mean, where `value` has flags; many side by side on two lines, if they can."""
+    """Write the meanings of flags along an axis, if `value` has flags; many side by side on two lines, if possible."""
     if value.names:
-        side_by_side = isinstance(axis, XAxis) and len(value.names) > _BESIDE
-        names = [name.replace("-", "-\n", 1) if side_by_side else name for name in value.names.values()]
+        two_lines = isinstance(axis, XAxis) and len(value.names) > _NAMES_ON_ONE_LINE
+        names = [name.replace("-", "-\n", 1) if two_lines else name for name in value.names.values()]
         axis.set_ticks(list(value.names), names)
         axis.set_minor_locator(NullLocator())
 
 
 def shape_flags(axes: Axes, value: Value) -> None:
-    """Give the y axis of `axes` the names and the limits of flags, where `value` has flags."""
+    """Give the y axis the names and the limits of flags, if `value` has flags."""
     if value.names:
         name_flags(axes.yaxis, value)
         axes.set_ylim(min(value.names) - 0.5, max(value.names) + 0.5)
 
 
 def share_value(data: xr.DataArray, name: str) -> Value:
-    """The share [%] `data` of starts that end in the regime `name`, in colours from 0 to 100 %."""
-    colours = colormaps[COLOURS.get() or "viridis"]
-    return Value(str(data.name), f"{name} [% of starts]", 1.0, Normalize(0.0, 100.0), "neither", colours)
+    """Return the share [%] of starts that end in the regime `name`, in colours from 0 to 100 %."""
+    return Value(str(data.name), f"{name} [% of starts]", 1.0, Normalize(0.0, 100.0), "neither", colour_map())
 
 
-def value_handles(data: Sequence[xr.Dataset], values: Sequence[Value]) -> list[Artist]:
-    """The legend's entries for lanes without penetration and without a value, where there are any."""
-    nothing = any((part[value.name].values == 0).any() for part in data for value in values if value.of_rate)
-    missing = any(np.isnan(part[value.name].values).any() for part in data for value in values)
-    handles: list[Artist] = [_patch(NOTHING, "no penetration")] if nothing else []
-    return handles + ([_patch(UNDEFINED, "no value")] if missing else [])
+def cell_handles(data: Sequence[xr.Dataset], values: Values) -> list[Artist]:
+    """Return the legend's entries for regimes (None), and for lanes without penetration and without a value."""
+    handles = regime_handles([part[REGIME] for part in data]) if None in values else []
+    shown = [(part[value.name].values, value.of_rate) for part in data for value in values if value is not None]
+    if any((cells == 0).any() for cells, of_rate in shown if of_rate):
+        handles.append(patch(NOTHING, "no penetration"))
+    if any(np.isnan(cells).any() for cells, _ in shown):
+        handles.append(patch(UNDEFINED, "no value"))
+    return handles
 
 
 def _varies(values: Cells) -> bool:
     finite = values[np.isfinite(values)]
-    return bool(finite.size) and bool(np.ptp(finite) > _SAME * np.abs(finite).max())
+    return bool(finite.size) and bool(np.ptp(finite) > _CONSTANT * np.abs(finite).max())
 
 
-def _limits(name: str, finite: Cells) -> tuple[float, float]:
-    """The least and the greatest value, or the robust limits where that is an outlier, as in what the drill does."""
-    low, high = (float(limit) for limit in np.percentile(finite, ROBUST))
-    if name in _OF_DRILL:
-        return low, high
-    beyond = _OUTLYING * (high - low)
-    least, greatest = float(finite.min()), float(finite.max())
-    return (least if least >= low - beyond else low), (greatest if greatest <= high + beyond else high)
-
-
-def _norm(name: str, finite: Cells) -> tuple[float, float, Normalize]:
-    """The limits of the colours, from zero for a share; logarithmic for rates over decades."""
-    low, high = _limits(name, finite)
-    if name in _SPREAD and finite.min() > 0 and float(np.percentile(finite, _MANY)) < high / _WIDE:
-        low = float(np.percentile(finite, ROBUST[0]))
-        return low, high, LogNorm(low, high)
+def _norm(name: str, finite: Cells) -> Normalize:
+    """Return the limits of the colours: robust against outliers, from zero for a share, logarithmic over decades."""
+    low, high = robust = tuple(float(limit) for limit in np.percentile(finite, ROBUST))
+    if name not in _OF_DRILL:
+        beyond = _OUTLIER_RANGE * (high - low)
+        least, greatest = float(finite.min()), float(finite.max())
+        low, high = (least if least >= low - beyond else low), (greatest if greatest <= high + beyond else high)
+    if name in _SPREAD and finite.min() > 0 and float(np.percentile(finite, _LOG_SHARE)) < high / _LOG_RATIO:
+        return LogNorm(robust[0], high)
     if high - low <= 1e-6 * abs(high):  # one value everywhere: a bar with room on both sides
         low, high = low - 0.05 * abs(low) - 1e-12, high + 0.05 * abs(high) + 1e-12
-    low = 0.0 if name == "C_relative_error" else low
-    return low, high, Normalize(low, high)
+    return Normalize(0.0 if name == "C_relative_error" else low, high)

@@ -2,14 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import xarray as xr
 from jaxtyping import Float, Shaped
-from matplotlib import colormaps
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.gridspec import SubplotSpec
 from matplotlib.lines import Line2D
@@ -20,17 +19,25 @@ from vibrojax.plot.colours import form_colour
 from vibrojax.plot.contents import FORM, MOST_LINES, POINT, START, is_numeric, lane_dims, named_axes, swept, varied
 from vibrojax.plot.margins import LEGEND_WIDTH
 from vibrojax.plot.sheet import Facets
-from vibrojax.plot.style import BIT, COLOURS, OTHER_COLOURS, ROCK_COLOURS, Mark, divided, new_figure, start_colour
+from vibrojax.plot.style import (
+    BIT,
+    ROCK_COLOURS,
+    Mark,
+    divide_figure,
+    line_colours,
+    new_figure,
+    other_colour,
+    start_colour,
+)
 
 MOST_ROWS = 4
-_WIDTH = 3.3  # inches of a panel
-_FREQUENCY = "frequency"  # the axis to draw along where others are as long
-_VIRIDIS = (0.0, 0.87)  # its yellow end is lost on white
+_PANEL_WIDTH = 3.3  # inches
+_FREQUENCY = "frequency"  # the axis to draw along if others are as long
 
 
 @dataclass(frozen=True)
 class Across:
-    """The axis `name` that lines are drawn along, times `factor`; no name where nothing varies.
+    """The axis `name` that lines are drawn along, times `factor`; without a name if nothing varies.
 
     Names are drawn at 0, 1, ...
     """
@@ -42,7 +49,7 @@ class Across:
     is_number: bool
 
     def of(self, lanes: xr.Dataset) -> Float[np.ndarray, " lanes"]:
-        """Where `lanes` lie along the axis."""
+        """Return the places of lanes along the axis."""
         if not self.name:
             return np.zeros(1)
         values = np.atleast_1d(lanes[self.name].values)
@@ -51,7 +58,7 @@ class Across:
         return np.array([float(self.values.tolist().index(value)) for value in values.tolist()])
 
     def shape(self, axes: Axes) -> None:
-        """Give `axes` the scale and the ticks of this one."""
+        """Give `axes` the scale and the ticks of this axis."""
         if not self.name:
             axes.set_xticks([])
         elif not self.is_number:
@@ -60,10 +67,14 @@ class Across:
         elif is_geometric(self.values):
             shape_axis(axes, "x", self.values)
 
+    def style_of(self, ds: xr.Dataset) -> Literal["-", "none"]:
+        """Return the style of lines along the axis: names and points of a list are not joined."""
+        return "-" if self.is_number and POINT not in lane_dims(ds) else "none"
+
 
 @dataclass(frozen=True)
 class Line:
-    """One line: its lanes, along one dimension, the name of its value among those of its axis, and its colour."""
+    """One line: the text of its value on its axis, its colour, and its lanes along one dimension."""
 
     name: str
     colour: str
@@ -72,23 +83,31 @@ class Line:
 
 @dataclass(frozen=True)
 class Row:
-    """The axes of one facet, one for each quantity; `bottom` where labels of the axis across go."""
+    """The axes of one facet, one for each quantity; labels of the axis across go to the row at the `bottom`."""
 
     axes: tuple[Axes, ...]
     facet: xr.Dataset
     bottom: bool
 
+    def label(self, quantity: int, across: str, up: str) -> None:
+        """Label the axes of one quantity, above a grid."""
+        axes = self.axes[quantity]
+        axes.grid(True)
+        axes.tick_params(labelbottom=self.bottom)
+        axes.set_xlabel(across if self.bottom else "")
+        axes.set_ylabel(up)
 
-def across(ds: xr.Dataset) -> Across:
-    """The longest axis of numbers, `frequency` among equals; an axis of names where there is no other.
 
-    Raises `InputError` where there are several points and no parameter that tells them apart.
+def longest_axis(ds: xr.Dataset) -> Across:
+    """Return the longest axis of numbers, `frequency` among equals; without any, the longest axis of names.
+
+    **Raises:** `InputError` if there are several points and no parameter that distinguishes them.
     """
     numbers = varied(ds) if POINT in lane_dims(ds) else {name: ds.sizes[name] for name in swept(ds)}
     sizes = numbers or {name: ds.sizes[name] for name in named_axes(ds)}
-    if not sizes and ds.sizes.get(POINT, 1) > 1:
-        raise InputError(f"nothing to draw over: no parameter varies along the {ds.sizes[POINT]} points")
     if not sizes:
+        if ds.sizes.get(POINT, 1) > 1:
+            raise InputError(f"nothing to draw over: no parameter varies along the {ds.sizes[POINT]} points")
         return Across("", "", np.zeros(1), 1.0, False)
     name = max(sizes, key=lambda name: (sizes[name], name == _FREQUENCY))
     if not numbers:
@@ -98,7 +117,7 @@ def across(ds: xr.Dataset) -> Across:
 
 
 def axis_of_lines(ds: xr.Dataset, along: str) -> str:
-    """The axis whose values are lines of one colour each: the longest but `along`, last the start."""
+    """Return the axis whose values are lines of one colour each: the longest but `along`, the start last."""
     if POINT in lane_dims(ds):
         sizes = {name: count for name, count in varied(ds, names=True).items() if count <= MOST_LINES}
     else:
@@ -107,60 +126,53 @@ def axis_of_lines(ds: xr.Dataset, along: str) -> str:
     return max(rest, key=lambda name: (name != START, sizes[name], not is_numeric(ds[name])), default="")
 
 
-def lines(ds: xr.Dataset, by: str) -> list[Line]:
-    """The lines of a facet, one for each value of the axis `by`, in the order of numbers."""
+def split_lines(ds: xr.Dataset, by: str) -> list[Line]:
+    """Return the lines of a facet, one for each value of the axis `by`, numbers in their order."""
     if not by:
         return [Line("", BIT, ds)]
     values = list(dict.fromkeys(ds[by].values.tolist()))
     values = sorted(values) if is_numeric(ds[by]) else values
-    parts = [ds.isel({ds[by].dims[0]: np.flatnonzero(ds[by].values == value)}) for value in values]
-    parts = [lanes.isel({by: 0}) if by in lanes.dims else lanes for lanes in parts]
-    names = [value_text(ds[by], value).removeprefix("rock: ").removeprefix("form: ") for value in values]
-    return [Line(*one) for one in zip(names, _colours(ds[by], values), parts, strict=True)]
+    lines = []
+    for value, colour in zip(values, _colours(ds[by], values), strict=True):
+        lanes = ds.isel({ds[by].dims[0]: np.flatnonzero(ds[by].values == value)})
+        name = value_text(ds[by], value).removeprefix("rock: ").removeprefix("form: ")
+        lines.append(Line(name, colour, lanes.isel({by: 0}) if by in lanes.dims else lanes))
+    return lines
 
 
-def line_handles(drawn: Sequence[Line], mark: Mark) -> list[Artist]:
-    """The legend's entries; where there are too many lines, for some of them, from the first to the last."""
-    if len(drawn) == 1 and not drawn[0].name:
+def line_handles(lines: Sequence[Line], mark: Mark) -> list[Artist]:
+    """Return the legend's entries for lines; of too many lines, for some from the first to the last."""
+    if len(lines) == 1 and not lines[0].name:
         return []
-    shown = sorted({int(at) for at in np.linspace(0, len(drawn) - 1, MOST_LINES).round()}) if drawn else []
+    chosen = sorted({int(index) for index in np.linspace(0, len(lines) - 1, MOST_LINES).round()}) if lines else []
     marker = Mark(marker="o", markersize=4.0)
-    return [Line2D([], [], label=drawn[at].name, **marker | mark | Mark(color=drawn[at].colour)) for at in shown]
+    return [Line2D([], [], label=lines[i].name, **marker | mark | Mark(color=lines[i].colour)) for i in chosen]
 
 
-def rows(panels: Facets, quantities: int, above: float = 0.0) -> tuple[Figure, tuple[Row, ...], SubplotSpec | None]:
-    """An empty figure, with room for a legend at the right, and the axes of each facet of `panels`.
+def new_rows(panels: Facets, quantities: int, above: float = 0.0) -> tuple[Figure, tuple[Row, ...], SubplotSpec | None]:
+    """Return an empty figure with room for a legend at the right, the axes of each facet, and a place over them.
 
-    The panels of a quantity share their axes. Last, a place `above` them of so many inches, if any.
+    The panels of a quantity share their axes. The place is `above` inches high; None for zero inches.
     """
     count = len(panels)
-    figure = new_figure(_WIDTH * quantities + LEGEND_WIDTH, (2.9 if count == 1 else 2.3) * count + 0.8 + above)
-    over, place = divided(figure, above)
+    figure = new_figure(_PANEL_WIDTH * quantities + LEGEND_WIDTH, (2.9 if count == 1 else 2.3) * count + 0.8 + above)
+    over, place = divide_figure(figure, above)
     grid = place.subgridspec(count, quantities)
-    drawn: list[Row] = []
-    for at, (title, facet) in enumerate(zip(panels.titles, panels.data, strict=True)):
-        first = drawn[0].axes if drawn else (None,) * quantities
-        axes = [figure.add_subplot(grid[at, i], sharex=first[i], sharey=first[i]) for i in range(quantities)]
+    rows: list[Row] = []
+    for k, (title, facet) in enumerate(zip(panels.titles, panels.data, strict=True)):
+        first = rows[0].axes if rows else (None,) * quantities
+        axes = [figure.add_subplot(grid[k, i], sharex=first[i], sharey=first[i]) for i in range(quantities)]
         axes[0].set_title(title, loc="left")
-        drawn.append(Row(tuple(axes), facet, at == count - 1))
-    return figure, tuple(drawn), over
-
-
-def label_axes(row: Row, quantity: int, across: str, up: str) -> None:
-    """Label the axes of one quantity of `row` where labels go, above a grid."""
-    axes = row.axes[quantity]
-    axes.grid(True)
-    axes.tick_params(labelbottom=row.bottom)
-    axes.set_xlabel(across if row.bottom else "")
-    axes.set_ylabel(up)
+        rows.append(Row(tuple(axes), facet, k == count - 1))
+    return figure, tuple(rows), over
 
 
 def _colours(data: xr.DataArray, values: Sequence[float | str]) -> list[str]:
-    """In order for numbers; a rock's and a start's own for names."""
+    """Return colours in order for numbers, and for names their own: of a form, a start or a rock."""
     if is_numeric(data):
-        return [to_hex(colormaps[COLOURS.get() or "viridis"](share)) for share in np.linspace(*_VIRIDIS, len(values))]
+        return line_colours(len(values))
     if data.name == FORM:
         return [form_colour(str(value)) for value in values]
     if data.name == START:
-        return [start_colour(str(value), at) for at, value in enumerate(values)]
-    return [ROCK_COLOURS.get(str(value), OTHER_COLOURS[at % len(OTHER_COLOURS)]) for at, value in enumerate(values)]
+        return [start_colour(str(value), position) for position, value in enumerate(values)]
+    return [ROCK_COLOURS.get(str(value), other_colour(position)) for position, value in enumerate(values)]

@@ -1,4 +1,6 @@
-"""What is drawn over time: lines, or where there are more oscillations than can be told apart, the band they fill."""
+"""Lines over time; if the oscillations are too many to be distinguished, the band that they fill."""
+
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -7,60 +9,48 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_rgba
 
-from vibrojax.plot.style import FINEST
+from vibrojax.plot.style import SAVED_DPI
 
-_NARROWEST = 5.0  # pixels of a cycle, from which a line shows it
-_COLUMN = 8  # pixels over which a band takes its least and greatest value: a cycle and more
-_SHADE = 0.3
+_CYCLE_PIXELS = 5.0  # the width of a cycle from which a line shows it
+_COLUMN_PIXELS = 8  # a band takes its least and greatest value over them: more than a cycle
+_BAND_ALPHA = 0.3
 
 Samples = Float[np.ndarray, " samples"]
 
 
 def draw_over_time(axes: Axes, time: Samples, values: Samples, color: str, linewidth: float, label: str = "") -> Artist:
-    """Draw `values` over `time`: a line; a band from the least to the greatest where a line would cover the panel.
+    """Draw values over time as a line, or as the band from least to greatest if a line would cover the panel.
 
     **Returns:** the line or the band, under `label`.
     """
-    columns = _columns(axes)
-    if not _covers(values, columns):
+    pixels = max(int(axes.bbox.width / axes.figure.dpi * SAVED_DPI), 1)
+    height = float(np.ptp(values)) if values.size else 0.0
+    # The strokes of a line laid end to end, in cycles over the whole height: narrower than a line shows?
+    if not (height > 0 and float(np.abs(np.diff(values)).sum()) / (2.0 * height) > pixels / _CYCLE_PIXELS):
         (line,) = axes.plot(time, values, color=color, linewidth=linewidth, label=label)
         return line
-    first = np.flatnonzero(np.diff(_column_of(time, max(columns // _COLUMN, 1)), prepend=-1))
-    least, greatest = np.minimum.reduceat(values, first), np.maximum.reduceat(values, first)
-    ends, last = np.append(time[first], time[-1]), slice(-1, None)  # to the end of the last column
-    least, greatest = np.append(least, least[last]), np.append(greatest, greatest[last])
-    face, edge = to_rgba(color, _SHADE), to_rgba(color, 0.9)
+    count = max(pixels // _COLUMN_PIXELS, 1)
+    column = np.minimum(np.floor((time - time[0]) / np.ptp(time) * count), count - 1)
+    first = np.flatnonzero(np.diff(column, prepend=-1))
+    least, greatest = (reduce.reduceat(values, first) for reduce in (np.minimum, np.maximum))
+    look: dict[str, Any] = {
+        "facecolor": to_rgba(color, _BAND_ALPHA),
+        "edgecolor": to_rgba(color, 0.9),
+        "linewidth": 0.6,
+    }
+    ends = np.append(time[first], time[-1])  # to the end of the last column
     return axes.fill_between(
-        ends, least, greatest, facecolor=face, edgecolor=edge, linewidth=0.6, label=label, step="post"
+        ends, np.append(least, least[-1]), np.append(greatest, greatest[-1]), label=label, step="post", **look
     )
 
 
 def is_band(drawn: Artist) -> bool:
-    """Whether `drawn`, from [vibrojax.plot.envelope.draw_over_time][], is a band."""
+    """Return whether the artist from [vibrojax.plot.envelope.draw_over_time][] is a band."""
     return isinstance(drawn, PolyCollection)
 
 
 def band_text(*panels: Axes) -> str:
-    """What the bands on `panels` are, in words; nothing where there are none."""
+    """Return the note on bands, empty if no panel has any."""
     if not any(is_band(drawn) for axes in panels for drawn in axes.collections):
         return ""
     return "Bands: from the least to the greatest value, where the oscillations are too many to be told apart"
-
-
-def _columns(axes: Axes) -> int:
-    """How many pixels wide the panel is, about."""
-    return max(int(axes.bbox.width / axes.figure.dpi * FINEST), 1)
-
-
-def _covers(values: Samples, columns: int) -> bool:
-    """Whether the strokes of a line, laid end to end, are those of cycles over the whole height narrower than that."""
-    height = float(np.ptp(values)) if values.size else 0.0
-    if not height > 0:
-        return False
-    return float(np.abs(np.diff(values)).sum()) / (2.0 * height) > columns / _NARROWEST
-
-
-def _column_of(time: Samples, columns: int) -> Float[np.ndarray, " samples"]:
-    """The number of the column in which each sample lies."""
-    share = (time - time[0]) / np.ptp(time)
-    return np.minimum(np.floor(share * columns), columns - 1)

@@ -1,49 +1,54 @@
-"""What stands around the panels: title, notes and legend, on a page."""
+"""Title, notes and legend around the panels of a page."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
+import xarray as xr
 from matplotlib.artist import Artist
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
-from matplotlib.legend import Legend
 from matplotlib.lines import Line2D
 
+from vibrojax.plot.axes import point_text
 from vibrojax.plot.style import TITLE_SIZE
 
 PAGE = (16.0, 20.0)
 """The greatest width and height [inch] of a picture of a sweep, its margins included."""
 
 LEGEND_WIDTH = 1.9
-"""The width [inch] of a legend at the right, about."""
+"""The approximate width [inch] of a legend at the right."""
 
 _NOTE_SIZE = 8.0
-_MOST_LINES = {"title": 3, "note": 6}
-_LINE = 1.6  # of the letters' size, from one line to the next
+_TITLE_LINES, _NOTE_LINES = 3, 6  # at most
+_LINE_HEIGHT = 1.6  # from one line to the next, in units of the letters' size
 _BESIDE_LEGEND = 0.15  # inches left free
 
 
-def write_margins(figure: Figure, title: str, *notes: str) -> None:
-    """Write `title` above everything, but not over a legend at the right; `notes` below.
+def write_margins(figure: Figure, ds: xr.Dataset, *notes: str, point: str | None = None) -> None:
+    """Write the dataset's title above everything, but not over a legend at the right, and the notes below.
 
-    The figure grows by the lines after the first, of which there are a few at most.
+    The notes begin with the values that all lanes share, or with `point`. The figure grows by the lines after the
+    first of each text.
     """
-    width = figure.get_figwidth() * 0.98
+    title = str(ds.attrs.get("title") or ds.attrs.get("scene", ""))
+    note = ". ".join(filter(None, (point_text(ds) if point is None else point, *notes)))
+    width = 0.98 * figure.get_figwidth()
+    renderer = _canvas(figure).get_renderer()
+    legends = [legend.get_window_extent(renderer).width / figure.dpi + _BESIDE_LEGEND for legend in figure.legends]
     bold = FontProperties(size=TITLE_SIZE, weight="bold")
-    above = _wrapped(figure, title, bold, width - _legend_width(figure), _MOST_LINES["title"])
-    note = ". ".join(note for note in notes if note)
+    above = _wrap(figure, title, bold, width - max(legends, default=0.0), _TITLE_LINES)
     # Small letters are wider, by a hundredth, on the finer pixels of a saved picture.
-    below = _wrapped(figure, note, FontProperties(size=_NOTE_SIZE), 0.985 * width, _MOST_LINES["note"])
+    below = _wrap(figure, note, FontProperties(size=_NOTE_SIZE), 0.985 * width, _NOTE_LINES)
     if above:
         figure.suptitle("\n".join(above), x=0.01, ha="left", fontproperties=bold)
     if below:
         figure.supxlabel("\n".join(below), x=0.01, ha="left", fontsize=_NOTE_SIZE, color="0.3")
     more = TITLE_SIZE * max(len(above) - 1, 0) + _NOTE_SIZE * max(len(below) - 1, 0)
-    figure.set_figheight(figure.get_figheight() + _LINE * more / 72.0)
+    figure.set_figheight(figure.get_figheight() + _LINE_HEIGHT * more / 72.0)
 
 
 def legend_at_right(figure: Figure, *groups: Sequence[Artist]) -> None:
-    """One legend at the right of all axes, with `groups` set apart."""
+    """Draw one legend at the right of all axes, with a gap between `groups` of entries."""
     gap: Artist = Line2D([], [], linestyle="none", label=" ")
     handles: list[Artist] = []
     for group in groups:
@@ -52,19 +57,12 @@ def legend_at_right(figure: Figure, *groups: Sequence[Artist]) -> None:
         figure.legend(handles=handles, loc="outside right upper")
 
 
-def _legend_width(figure: Figure) -> float:
-    """The width [inch] of the figure's legend; nothing where there is none."""
-    legends: Iterable[Legend] = figure.legends
-    widths = [legend.get_window_extent(_canvas(figure).get_renderer()).width for legend in legends]
-    return max(widths) / figure.dpi + _BESIDE_LEGEND if widths else 0.0
-
-
-def _wrapped(figure: Figure, text: str, font: FontProperties, width: float, most: int) -> list[str]:
-    """`text` on at most `most` lines of `width` [inch]; what goes beyond is cut off, and an ellipsis says so."""
+def _wrap(figure: Figure, text: str, font: FontProperties, width: float, most: int) -> list[str]:
+    """Return the text on at most `most` lines of `width` [inch]; an ellipsis shows that the rest is cut off."""
     lines: list[str] = []
     for word in text.split():
         longer = f"{lines[-1]} {word}" if lines else word
-        if lines and _width(figure, longer, font) <= width:
+        if lines and _text_width(figure, longer, font) <= width:
             lines[-1] = longer
         else:
             lines.append(_cut(figure, word, font, width))
@@ -74,20 +72,19 @@ def _wrapped(figure: Figure, text: str, font: FontProperties, width: float, most
 
 
 def _cut(figure: Figure, text: str, font: FontProperties, width: float) -> str:
-    """`text`, or as much of it as `width` [inch] holds, with an ellipsis at its end."""
-    if _width(figure, text, font) <= width:
+    """Return the text, or as much of it as `width` [inch] holds with an ellipsis at its end."""
+    if _text_width(figure, text, font) <= width:
         return text
-    while text and _width(figure, f"{text}…", font) > width:
+    while text and _text_width(figure, f"{text}…", font) > width:
         text = text[:-1].rstrip(" …")
     return f"{text}…"
 
 
-def _width(figure: Figure, text: str, font: FontProperties) -> float:
-    """The width [inch] of `text` on one line."""
+def _text_width(figure: Figure, text: str, font: FontProperties) -> float:
+    """Return the width [inch] of a text on one line."""
     width, *_ = _canvas(figure).get_renderer().get_text_width_height_descent(text, font, False)
     return float(width) / figure.dpi
 
 
 def _canvas(figure: Figure) -> FigureCanvasAgg:
-    canvas = figure.canvas
-    return canvas if isinstance(canvas, FigureCanvasAgg) else FigureCanvasAgg(figure)
+    return figure.canvas if isinstance(figure.canvas, FigureCanvasAgg) else FigureCanvasAgg(figure)

@@ -1,4 +1,4 @@
-"""Families of orbits laid over what a sweep found along the same parameter."""
+"""Families of orbits laid over a sweep along the same parameter, and the checks of all overlays."""
 
 from collections.abc import Sequence
 from typing import NoReturn
@@ -13,115 +13,133 @@ from vibrojax.io.attributes import parameters_of
 from vibrojax.io.branches import FAMILY, along_name, branches, kind_names, numbers_of
 from vibrojax.io.kinds import kind_of
 from vibrojax.plot.axes import edges, number, values_along
-from vibrojax.plot.branches import MARKS, Curve, draw_families, ranges_text, special_handles, stability_handles
+from vibrojax.plot.branches import (
+    MARKS,
+    Curve,
+    distinguishing_coords,
+    draw_families,
+    ranges_text,
+    special_handles,
+    stability_handles,
+)
 from vibrojax.plot.contents import is_numeric
 from vibrojax.plot.style import INK
 
 OF_RETURNS = "impact_velocity"
-"""The variable of a family that the returns of a sweep are those of."""
+"""The variable of a family that belongs to the returns of a sweep."""
 
-_SAME = 1e-4  # relative: as many digits as a picture prints
+SAME_DIGITS = 1e-4
+"""Relative difference up to which two values are the same: as many digits as a picture prints."""
+
+Overlays = xr.Dataset | Sequence[xr.Dataset] | None
 
 
-def several(over: xr.Dataset | Sequence[xr.Dataset] | None) -> tuple[xr.Dataset, ...]:
-    """The datasets that were given to be laid over another: one, several or none."""
+def as_layers(over: Overlays) -> tuple[xr.Dataset, ...]:
+    """Return the datasets to lay over another: one, several or none."""
     if over is None:
         return ()
     return (over,) if isinstance(over, xr.Dataset) else tuple(over)
 
 
 def refuse_overlays(layers: Sequence[xr.Dataset], reason: str) -> NoReturn:
-    """Raise `InputError`: it names what the layers may be laid over, and the reason why not here."""
+    """Raise `InputError` with the pictures that the layers belong on, and the reason against this one."""
     if any(isinstance(layer, xr.Dataset) and kind_of(layer) == "borders" for layer in layers):
-        below = "borders are laid over the map of regimes of a sweep over a grid of two parameters"
+        places = "borders are laid over the map of regimes of a sweep over a grid of two parameters"
     else:
-        below = "families are laid over the returns of a sweep with keep_returns above 0, or over carried lanes"
-    raise InputError(f"over: {below}, and {reason}")
+        places = "families are laid over the returns of a sweep with keep_returns above 0, or over carried lanes"
+    raise InputError(f"over: {places}, and {reason}")
 
 
-def check_over(ds: xr.Dataset, over: xr.Dataset, x: str) -> None:
-    """Raise `InputError` unless `over` has families along the axis `x` of the machine of `ds`."""
-    if not isinstance(over, xr.Dataset) or kind_of(over) != "family":
-        raise InputError("over: no families of orbits; give what vj.follow or vibrojax follow has made")
-    if along_name(over) != x:
-        raise InputError(f"over: the families are along {along_name(over)}, and the returns over {x}; follow along {x}")
+def check_machine(ds: xr.Dataset, over: xr.Dataset, layer: str, below: str, advice: str) -> None:
+    """Raise `InputError` unless a `layer` has the scene and the friction law of the picture `below` it."""
     for name in ("scene", "friction"):
-        mine, theirs = ds.attrs.get(name), over.attrs.get(name)
-        if mine != theirs:
+        if ds.attrs.get(name) != over.attrs.get(name):
+            values = over.attrs.get(name), ds.attrs.get(name)
             raise InputError(
-                f"over: the families are of {name} {theirs}, the returns of {mine}; follow those of {mine}"
+                f"over: the {layer} are of {name} {values[0]}, the {below} of {values[1]}; {advice} {values[1]}"
             )
-    values = _values(ds)
-    for name, value in parameters_of(over).items():
-        if name != x and name in values and not _near(values[name], value).any():
-            raise InputError(
-                f"over: the families are of {name} = {number(value)}, the returns of "
-                f"{', '.join(map(number, values[name][:5]))}; follow those of the same value"
-            )
-    for name in _telling(over):
-        if name in values and not any(_near(values[name], value).any() for value in over[name].values):
-            raise InputError(f"over: none of the families has the {name} of the returns; follow those of that value")
 
 
-def draw_over(axes: Axes, over: xr.Dataset, facet: xr.Dataset, x: str, name: str, factor: float) -> None:
-    """Draw the variable `name` of the families in `over` that are of the parameters of `facet`, as far as its axis `x`
-    goes."""
-    if name not in over:
-        return
-    fits = np.ones(over.sizes.get(FAMILY, 1), bool)
-    values = _values(facet)
-    for one in _telling(over):
-        if one in values:
-            fits &= _near(over[one].values, float(values[one][0]))
-    for one, value in parameters_of(over).items():
-        if one != x and one in values and not _near(values[one], value).any():
-            return
-    there = over[FAMILY].values[fits] if FAMILY in over.dims else np.unique(numbers_of(over, "point"))
-    curves = [Curve(branch, INK) for branch in branches(over) if branch.family in there]
-    ends = edges(np.sort(values_along(facet[x])))
-    within = float(ends[0]), float(ends[-1])
-    draw_families(axes, over, curves, name, thin=True, factor=factor, within=within, over_dots=True)
+def check_families(ds: xr.Dataset, layers: Sequence[xr.Dataset], x: str) -> None:
+    """Raise `InputError` unless all `layers` have families along the axis `x` of the machine of `ds`."""
+    values = _parameter_values(ds)
+    for over in layers:
+        if not isinstance(over, xr.Dataset) or kind_of(over) != "family":
+            raise InputError("over: no families of orbits; give what vj.follow or vibrojax follow has made")
+        along = along_name(over)
+        if along != x:
+            raise InputError(f"over: the families are along {along}, and the returns over {x}; follow along {x}")
+        check_machine(ds, over, "families", "returns", "follow those of")
+        for name, value in parameters_of(over).items():
+            if name != x and name in values and not _is_near(values[name], value).any():
+                raise InputError(
+                    f"over: the families are of {name} = {number(value)}, the returns of "
+                    f"{', '.join(map(number, values[name][:5]))}; follow families of the same value"
+                )
+        for name in _numeric_coords(over):
+            if name in values and not any(_is_near(values[name], value).any() for value in over[name].values):
+                raise InputError(f"over: none of the families has the {name} of the returns; follow one of that value")
 
 
-def over_handles(every: Sequence[xr.Dataset]) -> list[Artist]:
-    """The legend's entries for families, each once."""
+def draw_over(axes: Axes, layers: Sequence[xr.Dataset], facet: xr.Dataset, x: str, name: str, factor: float) -> None:
+    """Draw a variable of the families with the parameters of `facet`, within the limits of its axis `x`."""
+    values = _parameter_values(facet)
+    for over in layers:
+        same = all(
+            _is_near(values[parameter], value).any()
+            for parameter, value in parameters_of(over).items()
+            if parameter != x and parameter in values
+        )
+        if name not in over or not same:
+            continue
+        fits = np.ones(over.sizes.get(FAMILY, 1), bool)
+        for coord in _numeric_coords(over):
+            if coord in values:
+                fits &= _is_near(over[coord].values, float(values[coord][0]))
+        numbers = over[FAMILY].values[fits] if FAMILY in over.dims else np.unique(numbers_of(over, "point"))
+        curves = [Curve(branch, INK) for branch in branches(over) if branch.family in numbers]
+        ends = edges(np.sort(values_along(facet[x])))
+        within = float(ends[0]), float(ends[-1])
+        draw_families(axes, over, curves, name, thin=True, factor=factor, within=within, over_dots=True)
+
+
+def over_handles(layers: Sequence[xr.Dataset]) -> list[Artist]:
+    """Return the legend's entries for families, each once."""
     lines: dict[str, Artist] = {}
     marks: dict[str, Artist] = {}
-    for over in every:
+    for over in layers:
         curves = [Curve(branch, INK) for branch in branches(over)]
-        lines |= {str(one.get_label()): one for one in stability_handles(over, curves, " orbit")}
-        marks |= {str(one.get_label()): one for one in special_handles(over, count=False)}
-    order = [*MARKS, *marks]
-    return [*lines.values(), *(marks[kind] for kind in sorted(marks, key=order.index))]
+        lines |= {str(handle.get_label()): handle for handle in stability_handles(over, curves, " orbit")}
+        marks |= {str(handle.get_label()): handle for handle in special_handles(over, count=False)}
+    return [*lines.values(), *(marks[kind] for kind in dict.fromkeys((*MARKS, *marks)) if kind in marks)]
 
 
 def special_points(over: xr.Dataset) -> list[tuple[str, float]]:
-    """The kind and the value of the parameter of each special point of families but their ends."""
+    """Return the kind and the parameter's value of each special point of families, without their ends."""
     points = zip(kind_names(over), over["special_value"].values.tolist(), strict=True)
     return [(kind, value) for kind, value in points if kind != "end"]
 
 
-def over_text(ds: xr.Dataset, every: Sequence[xr.Dataset], name: str) -> str:
-    """What the lines over the returns in `ds` are, in words."""
-    if not every:
+def over_text(ds: xr.Dataset, layers: Sequence[xr.Dataset]) -> str:
+    """Return the note on the lines over the returns in `ds`."""
+    if not layers:
         return ""
     several = "return_impacts" in ds and bool((ds["return_impacts"].values > 1).any())
     mean = "A dot is the mean of the blows since the return before" if several else ""
-    ranges = {ranges_text(over, (name,)) for over in every}
-    return ". ".join(text for text in ("Lines: orbits that were followed", *sorted(ranges), mean) if text)
+    ranges = {ranges_text(over, (OF_RETURNS,)) for over in layers}
+    return ". ".join(filter(None, ("Lines: orbits that were followed", *sorted(ranges), mean)))
 
 
-def _telling(over: xr.Dataset) -> list[str]:
-    """The numbers that tell several families apart."""
-    along = [str(name) for name, data in over.coords.items() if data.dims == (FAMILY,) and name != FAMILY]
-    return [name for name in along if is_numeric(over[name])]
+def _numeric_coords(over: xr.Dataset) -> list[str]:
+    """Return the numbers in which several families differ."""
+    return [name for name in distinguishing_coords(over) if is_numeric(over[name])]
 
 
-def _values(ds: xr.Dataset) -> dict[str, np.ndarray]:
-    """The values of all parameters of a sweep, fixed or not, by name."""
+def _parameter_values(ds: xr.Dataset) -> dict[str, np.ndarray]:
+    """Return the values of all parameters of a sweep, fixed or not, by name."""
     along = {str(name): np.atleast_1d(data.values) for name, data in ds.coords.items() if is_numeric(data)}
     return {name: np.array([value]) for name, value in parameters_of(ds).items()} | along
 
 
-def _near(values: np.ndarray, value: float) -> np.ndarray:
-    return np.abs(values - value) <= _SAME * np.abs(value)
+def _is_near(values: np.ndarray, value: float) -> np.ndarray:
+    return np.abs(values - value) <= SAME_DIGITS * np.abs(value)

@@ -1,10 +1,11 @@
-"""The lanes of a dataset that a user asked a picture of: those at given values of its axes."""
+"""The lanes that a picture shows: those at given values of axes, and of very large datasets every n-th."""
 
 from collections.abc import Mapping
+from math import prod
 
 import numpy as np
 import xarray as xr
-from jaxtyping import Float
+from jaxtyping import Int
 
 from vibrojax.errors import InputError, shown, suggestion
 from vibrojax.io.branches import FAMILY, numbers_of
@@ -14,88 +15,116 @@ from vibrojax.plot.contents import FORM, is_numeric, lane_dims, named_groups
 
 Value = float | int | str
 
+MOST_LANES = 300_000
+"""The greatest number of lanes in a picture: more take minutes and show nothing new."""
+
 _DIGITS = 1e-4  # relative: as many as a picture prints
-_LISTED, _NAMES = 12, 5
+_LISTED_VALUES, _LISTED_NAMES = 12, 5
 
 
 def select(ds: xr.Dataset, where: Mapping[str, Value]) -> xr.Dataset:
-    """The lanes of `ds` at the values `where` names them: of its axes, or of coordinates along these; of families those
-    at values of what tells them apart, or one `branch`.
+    """Return the lanes at given values of axes, or of coordinates along them.
 
-    **Arguments:** `where`: by name, a number in the unit of the dataset, right to four digits, or a name.
+    Families are selected by the coordinates in which they differ, or by `branch`.
 
-    **Raises:** `InputError` where there is no such axis, or no such value of it.
+    **Arguments:** `where`: by name, a number in the dataset's unit, right to four digits, or a name.
+
+    **Raises:** `InputError` if there is no such axis, or no such value of it.
     """
     if not isinstance(where, Mapping):
         raise InputError(f'where: {shown(where)} does not say which axis; give {{"delta": 0.005}}')
     if kind_of(ds) == "family":
-        return _of_families(ds, where)
+        return _select_families(ds, where)
     ds = named_groups(ds)
     for name, value in where.items():
         dims = (*lane_dims(ds), FORM)
-        choices = [str(one) for one, data in ds.coords.items() if len(data.dims) == 1 and data.dims[0] in dims]
+        choices = [str(key) for key, data in ds.coords.items() if len(data.dims) == 1 and data.dims[0] in dims]
         if name not in choices:
-            among = suggestion(str(name), choices) if choices else "there are none"
-            raise InputError(f"where: {shown(name)} is none of the dataset's axes; {among}")
-        at = _same(ds[name], value)
+            advice = suggestion(str(name), choices) if choices else "there are none"
+            raise InputError(f"where: {shown(name)} is none of the dataset's axes; {advice}")
+        indices = _find(ds[name], value)
         (dimension,) = ds[name].dims
-        ds = ds.isel({dimension: int(at[0]) if len(at) == 1 and dimension == name else at})
-    selected = ds.copy()
-    selected.attrs = {name: value for name, value in ds.attrs.items() if name != "certified"}  # counted over all lanes
-    return selected
-
-
-def _of_families(ds: xr.Dataset, where: Mapping[str, Value]) -> xr.Dataset:
-    """The points and special points of some families, or of one branch."""
-    for name, value in where.items():
-        choices = [*(str(one) for one, data in ds.coords.items() if data.dims == (FAMILY,)), "branch"]
-        if name not in choices:
-            raise InputError(f"where: {shown(name)} tells no families apart; {suggestion(str(name), choices)}")
-        if name == "branch":
-            there = ds["branch"].isel(point=_same(ds["branch"], value)).values
-            wanted = {"point": ds["branch"].values, "special": ds["special_branch"].values}
-        else:
-            at = _same(ds[name], value)
-            there = ds[FAMILY].values[at]
-            wanted = {which: numbers_of(ds, which) for which in ("point", "special")}
-            ds = ds.isel({FAMILY: int(at[0])}).drop_vars(FAMILY) if len(at) == 1 else ds.isel({FAMILY: at})
-        ds = ds.isel({which: np.flatnonzero(np.isin(numbers, there)) for which, numbers in wanted.items()})
+        ds = ds.isel({dimension: int(indices[0]) if len(indices) == 1 and dimension == name else indices})
+    ds = ds.copy()
+    ds.attrs.pop("certified", None)  # counted over all lanes
     return ds
 
 
-def _same(data: xr.DataArray, value: Value) -> np.ndarray:
-    """Where `data` has `value`."""
+def _select_families(ds: xr.Dataset, where: Mapping[str, Value]) -> xr.Dataset:
+    """Return the points and special points of some families, or of one branch."""
+    for name, value in where.items():
+        choices = [*(str(key) for key, data in ds.coords.items() if data.dims == (FAMILY,)), "branch"]
+        if name not in choices:
+            raise InputError(f"where: {shown(name)} tells no families apart; {suggestion(str(name), choices)}")
+        indices = _find(ds[name], value)
+        if name == "branch":
+            members = ds["branch"].values[indices]
+            numbers = {"point": ds["branch"].values, "special": ds["special_branch"].values}
+        else:
+            members = ds[FAMILY].values[indices]
+            numbers = {which: numbers_of(ds, which) for which in ("point", "special")}
+            single = len(indices) == 1
+            ds = ds.isel({FAMILY: int(indices[0])}).drop_vars(FAMILY) if single else ds.isel({FAMILY: indices})
+        ds = ds.isel({which: np.flatnonzero(np.isin(of, members)) for which, of in numbers.items()})
+    return ds
+
+
+def _find(data: xr.DataArray, value: Value) -> Int[np.ndarray, " indices"]:
+    """Return the indices of a value; raise `InputError` with the existing values if there are none."""
     values = data.values
     if is_numeric(data):
         try:
-            wanted = float(value)
+            number = float(value)
         except (TypeError, ValueError):
-            wanted = np.nan
-        known: Float[np.ndarray, " values"] = values[np.isfinite(values)]
-        nearest = float(known[np.argmin(np.abs(known - wanted))]) if known.size and np.isfinite(wanted) else np.nan
-        if abs(nearest - wanted) <= _DIGITS * abs(nearest) + np.finfo(float).tiny:
+            number = np.nan
+        finite = np.unique(values[np.isfinite(values)])
+        nearest = finite[np.argmin(np.abs(finite - number))] if finite.size and np.isfinite(number) else np.nan
+        if abs(nearest - number) <= _DIGITS * abs(nearest) + np.finfo(float).tiny:
             return np.flatnonzero(values == nearest)
+        texts = [f"{item:.6g}" for item in finite]
+        choices = f"there are {', '.join(texts)}"
+        if finite.size > _LISTED_VALUES:
+            choices = f"there are {finite.size} from {texts[0]} to {texts[-1]}"
+            if isinstance(value, (int, float)) and finite[0] < value < finite[-1]:
+                above = int(np.searchsorted(finite, value))
+                choices += f", beside it {texts[above - 1]} and {texts[above]}"
     else:
-        at = np.flatnonzero(
-            [value in (name, short(name)) or short(str(value)) == short(name) for name in map(str, values)]
-        )
-        if at.size:
-            return at
-    raise InputError(f"where: no lane has {data.name} = {value}; {_there(data, value)}")
+        names = [str(name) for name in values]
+        indices = np.flatnonzero([value in (name, short(name)) or short(str(value)) == short(name) for name in names])
+        if indices.size:
+            return indices
+        names = list(dict.fromkeys(names))
+        more = f" and {len(names) - _LISTED_NAMES} more" if len(names) > _LISTED_NAMES else ""
+        choices = f"there are {', '.join(map(short, names[:_LISTED_NAMES]))}{more}"
+    raise InputError(f"where: no lane has {data.name} = {value}; {choices}")
 
 
-def _there(data: xr.DataArray, value: Value) -> str:
-    """The values that there are, in words; of many the ends, and those beside `value`."""
-    values = list(dict.fromkeys(data.values.tolist()))
-    if not is_numeric(data):
-        names = ", ".join(short(str(one)) for one in values[:_NAMES])
-        return f"there are {names}" + (f" and {len(values) - _NAMES} more" if len(values) > _NAMES else "")
-    values = sorted(one for one in values if np.isfinite(one))
-    texts = [f"{one:.6g}" for one in values]
-    if len(values) <= _LISTED:
-        return f"there are {', '.join(texts)}"
-    about = f"there are {len(values)} from {texts[0]} to {texts[-1]}"
-    if not isinstance(value, (int, float)) or not values[0] < value < values[-1]:
-        return about
-    above = int(np.searchsorted(values, value))
-    return f"{about}, beside it {texts[above - 1]} and {texts[above]}"
+def thin_out(ds: xr.Dataset) -> xr.Dataset:
+    """Return every n-th value of the longest axes, in memory, if there are too many lanes; else the dataset."""
+    steps = _thinning_steps(ds)
+    if not steps:
+        return ds
+    part = ds.isel({name: slice(None, None, step) for name, step in steps.items()})
+    for variable in part.variables.values():  # one by one: each is read whole before it is thinned
+        variable.load()
+    return part
+
+
+def thinned_text(ds: xr.Dataset) -> str:
+    """Return which values of a dataset are drawn; empty if all are."""
+    ordinals = {2: "second", 3: "third"}
+    steps = _thinning_steps(ds)
+    parts = [f"every {ordinals.get(step, f'{step}th')} value of {name}" for name, step in steps.items()]
+    return f"drawn is {' and '.join(parts)}" if parts else ""
+
+
+def _thinning_steps(ds: xr.Dataset) -> dict[str, int]:
+    """Return n for the dimensions of which only every n-th value is drawn."""
+    sizes = {name: ds.sizes[name] for name in lane_dims(ds)}
+    steps = dict.fromkeys(sizes, 1)
+    remaining = dict(sizes)
+    while prod(remaining.values()) > MOST_LANES:
+        longest = max(sizes, key=remaining.__getitem__)
+        steps[longest] += 1
+        remaining[longest] = -(-sizes[longest] // steps[longest])
+    return {name: step for name, step in steps.items() if step > 1}

@@ -1,5 +1,6 @@
-"""How every picture looks: colours, sizes, and a figure that leaves pyplot and its settings alone."""
+"""The look of every picture: colours, sizes, drawable texts, and figures that leave pyplot and its settings alone."""
 
+import re
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -8,14 +9,17 @@ from functools import wraps
 from io import BytesIO
 from typing import Any, ParamSpec, TypedDict
 
+import numpy as np
 import xarray as xr
-from matplotlib import style
+from matplotlib import colormaps, style
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import Colormap, to_hex
 from matplotlib.figure import Figure
 from matplotlib.gridspec import GridSpec, SubplotSpec
 from matplotlib.typing import ColorType, LineStyleType, MarkerType
 
-from vibrojax.plot.drawable import drawable
+from vibrojax.errors import printable
+from vibrojax.io.attributes import title_of
 
 INK = "#222222"
 FAINT = "#9A9A9A"
@@ -27,15 +31,16 @@ STICK = "#111111"
 IMPACT = "#C2185B"
 ROCK = "#B08D57"
 
-# Readable apart in greyscale and by colour-blind eyes.
+# Distinct in greyscale and for colour-blind readers.
 START_COLOURS = {"drive": "#004488", "stuck": "#CC6677", "touching": "#2E8B57"}
 OTHER_COLOURS = ("#56B4E9", "#E69F00", "#9B30C9", "#222222", "#C6D937", "#7A1F1F", "#B5B5B5")
 ROCK_COLOURS = {"sandstone": "#D9A441", "limestone": "#3F8FA3", "granite": "#7A2E4D"}
 
 DASHED = (0.0, (4.0, 3.0))
+VIRIDIS_RANGE = (0.0, 0.87)
+"""The part of the colour map that lines use: its yellow end is lost on white."""
 
-FINEST = 160.0  # pixels an inch of a saved picture
-
+SAVED_DPI = 160.0
 TITLE_SIZE = 11.0
 _TICK_SIZE = 8.0
 _SETTINGS = {
@@ -59,7 +64,7 @@ _SETTINGS = {
     "grid.color": "#E2E2E2",
     "grid.linewidth": 0.5,
     "lines.solid_capstyle": "round",
-    "savefig.dpi": FINEST,
+    "savefig.dpi": SAVED_DPI,
     "figure.dpi": 110,
     "svg.fonttype": "none",
     "svg.hashsalt": "vibrojax",  # the same dataset gives the same file
@@ -67,13 +72,13 @@ _SETTINGS = {
 }
 
 COLOURS: ContextVar[str | None] = ContextVar("COLOURS", default=None)
-"""The colour map that a user asked for, of quantities; None: each its own."""
+"""The colour map of quantities that the user chose; None: each quantity has its own."""
 
 Arguments = ParamSpec("Arguments")
 
 
 class Mark(TypedDict, total=False):
-    """How a line and its marks look, in matplotlib's words."""
+    """Matplotlib's properties of a line and its markers."""
 
     color: ColorType
     linestyle: LineStyleType
@@ -88,7 +93,7 @@ class Mark(TypedDict, total=False):
 
 
 class OwnFigure(Figure):
-    """A figure that belongs to nobody's pyplot, and shows itself in a notebook all the same."""
+    """A figure that pyplot does not manage, and that a notebook shows all the same."""
 
     def _repr_png_(self) -> bytes:
         with settings():
@@ -101,52 +106,97 @@ class OwnFigure(Figure):
 def settings() -> Iterator[None]:
     """Give matplotlib the settings of all pictures, whatever the user's are."""
     with style.context(["default", _SETTINGS]), warnings.catch_warnings():
-        # A letter that the font lacks is drawn as a box, which says it.
+        # A letter that the font lacks is drawn as a box, which is message enough.
         warnings.filterwarnings("ignore", "Glyph .* missing from", UserWarning)
         yield
 
 
 def styled(draw: Callable[Arguments, Figure]) -> Callable[Arguments, Figure]:
-    """Return `draw` with the settings of all pictures, on datasets whose texts can be drawn."""
+    """Return `draw` under the settings of all pictures, with datasets whose texts can be drawn."""
 
     @wraps(draw)
-    def drawn(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Figure:
+    def draw_styled(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Figure:
         with settings():
-            figure = draw(*map(_drawable, args), **{name: _drawable(one) for name, one in kwargs.items()})
-        # Ticks are made as late as at drawing, when the user's settings hold again.
+            figure = draw(*map(_make_drawable, args), **{name: _make_drawable(arg) for name, arg in kwargs.items()})
+        # Ticks are created when the figure is rendered, under the user's settings.
         for axes in figure.axes:
             axes.tick_params(labelsize=_TICK_SIZE)
         return figure
 
-    return drawn
-
-
-def _drawable(argument: Any) -> Any:
-    """Return an argument of a drawing function with datasets whose texts can be drawn."""
-    if isinstance(argument, xr.Dataset):
-        return drawable(argument)
-    if isinstance(argument, (list, tuple)) and any(isinstance(one, xr.Dataset) for one in argument):
-        return [_drawable(one) for one in argument]
-    return argument
+    return draw_styled
 
 
 def new_figure(width: float, height: float) -> OwnFigure:
-    """An empty figure of `width` by `height` [inch] on the Agg canvas."""
+    """Return an empty figure of `width` by `height` [inch] on the Agg canvas."""
     figure = OwnFigure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
 
 
-def divided(figure: Figure, above: float) -> tuple[SubplotSpec | None, SubplotSpec]:
-    """`figure` as a place of `above` inches, none where that is zero, and the place below it."""
+def divide_figure(figure: Figure, above: float) -> tuple[SubplotSpec | None, SubplotSpec]:
+    """Return a place of `above` inches at the top of a figure (None for zero inches), and the place below it."""
     if not above > 0:
         return None, GridSpec(1, 1, figure)[0]
     places = GridSpec(2, 1, figure, height_ratios=[above, figure.get_figheight() - above])
     return places[0], places[1]
 
 
+def colour_map(default: str = "viridis") -> Colormap:
+    """Return the colour map that the user chose, else `default`."""
+    return colormaps[COLOURS.get() or default]
+
+
+def line_colours(count: int) -> list[str]:
+    """Return colours for `count` lines in the order of a number."""
+    return [to_hex(colour_map()(share)) for share in np.linspace(*VIRIDIS_RANGE, count)]
+
+
+def other_colour(position: int) -> str:
+    """Return a colour by position, for what has none of its own."""
+    return OTHER_COLOURS[position % len(OTHER_COLOURS)]
+
+
 def start_colour(name: str, position: int) -> str:
-    """The colour of the start `name`; starts without a fixed one take theirs by `position` among the starts."""
-    if not name:
-        return BIT
-    return START_COLOURS.get(name, OTHER_COLOURS[position % len(OTHER_COLOURS)])
+    """Return the colour of a start: its own, or one by its `position` among the starts."""
+    return START_COLOURS.get(name, other_colour(position)) if name else BIT
+
+
+# Texts: a dataset may come from anywhere.
+
+_DRAWN_ATTRIBUTES = ("scene", "friction", "start")
+_LONGEST_NAME = 100  # characters
+_LONGEST_ATTRIBUTE = {"long_name": 200, "units": 40, "symbol": 40}  # characters that are drawn
+
+
+def drawable(ds: xr.Dataset) -> xr.Dataset:
+    """Return the dataset with texts on one line, shortened, and without mathematical notation."""
+    ds = ds.copy(deep=False)
+    if "title" in ds.attrs:
+        ds.attrs["title"] = plain(title_of(ds))
+    for name in _DRAWN_ATTRIBUTES:
+        if name in ds.attrs:
+            ds.attrs[name] = plain(printable(ds.attrs[name], _LONGEST_NAME))
+    for variable, data in ds.variables.items():
+        for key, length in _LONGEST_ATTRIBUTE.items():
+            if key in data.attrs:
+                data.attrs[key] = plain(printable(data.attrs[key], length))
+        if data.dtype.kind in "UO" and data.size:
+            texts = {value: plain(printable(value, _LONGEST_NAME)) for value in set(data.values.ravel().tolist())}
+            if any(text != value for value, text in texts.items()):
+                values = np.vectorize(texts.__getitem__, otypes=[object])(data.values).astype(str)
+                ds = ds.assign({variable: (data.dims, values, data.attrs)})
+    return ds
+
+
+def plain(text: str) -> str:
+    """Return the text with its dollar signs escaped, between which matplotlib looks for formulas."""
+    return re.sub(r"(?<!\\)\$", r"\\$", text)
+
+
+def _make_drawable(argument: Any) -> Any:
+    """Return an argument of a drawing function, its datasets made drawable."""
+    if isinstance(argument, xr.Dataset):
+        return drawable(argument)
+    if isinstance(argument, (list, tuple)) and any(isinstance(item, xr.Dataset) for item in argument):
+        return [_make_drawable(item) for item in argument]
+    return argument

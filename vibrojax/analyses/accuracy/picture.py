@@ -1,11 +1,11 @@
-"""Speed against error: every setting of every method, a panel for each scene, and the front that none is beyond."""
+"""Speed against error: every setting of every method in a panel for each scene, and the Pareto front."""
 
-from dataclasses import dataclass
 from textwrap import fill
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
-from jaxtyping import Bool, Float, Shaped
+from jaxtyping import Bool, Float
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -21,23 +21,23 @@ from vibrojax.plot.style import FAINT, INK, Mark, new_figure, styled
 
 _FRONT = "#F2C94C"
 _FLOOR = "#E8E8E8"
-_WIDE = 3  # panels side by side
+_MOST_COLUMNS = 3
 _MICRO = 1e6
 _SINGLE_PRECISION = (0.0, (3.0, 1.5))  # dashes
+_BAND = Mark(color=_FRONT, linewidth=4.5, alpha=0.65)
 
 PerSetting = Float[np.ndarray, " settings"]
 
 
-@dataclass(frozen=True)
-class _Look:
-    """How a method is drawn: by `marker` and `colour`, called `name`."""
+class _Look(NamedTuple):
+    """The name of a method in the legend, its marker and its colour."""
 
     name: str
     marker: MarkerType
     colour: str
 
 
-# By method and what is varied of it; readable apart in greyscale by their markers.
+# By method and varied setting; the markers are distinct in greyscale.
 _LOOKS = {
     ("located", "tolerance"): _Look("located, over tolerance", "o", "#004488"),
     ("located", "stride"): _Look("located, over fixed stride", "D", "#3F8FA3"),
@@ -53,19 +53,17 @@ _LOOKS = {
 
 @styled
 def work_precision(ds: xr.Dataset) -> Figure:
-    """Worst error over time per lane-second, both logarithmic: a panel for each scene, a mark for each setting.
+    """Draw the worst error over the time per lane-second, both logarithmic, in a panel for each scene.
 
-    A whisker goes down from each mark to the median lane's error. The Pareto front is drawn behind; what is below
-    the grey edge is finer than the reference. Hollow marks are float32; crosses had lanes that failed.
+    A whisker goes down from the mark of each setting to the median lane's error. The Pareto front is drawn behind.
+    Errors below the grey edge are finer than the reference. Hollow marks are float32; crosses had lanes that failed.
 
-    **Arguments:**
+    **Arguments:** `ds`: a dataset of [vibrojax.analyses.accuracy.run_accuracy][].
 
-    - `ds`: what [vibrojax.analyses.accuracy.run_accuracy][] gives.
-
-    **Returns:** a figure that pyplot knows nothing of.
+    **Returns:** a figure that pyplot does not manage.
     """
     scenes = list(dict.fromkeys(ds["scene"].values.tolist()))
-    wide = min(_WIDE, len(scenes) + 1)
+    wide = min(_MOST_COLUMNS, len(scenes) + 1)
     deep = -(-(len(scenes) + 1) // wide)
     figure = new_figure(3.1 * wide, 3.0 * deep + 0.35)
     panels = figure.subplots(deep, wide, squeeze=False, sharex=True, sharey=True).ravel()
@@ -73,9 +71,21 @@ def work_precision(ds: xr.Dataset) -> Figure:
         _panel(axes, ds.isel({SETTING: ds["scene"].values == scene}), scene)
     for axes in panels[len(scenes) :]:
         axes.axis("off")
-    _label(panels, ds, wide, len(scenes))
-    _legend(panels[len(scenes)], ds)
-    figure.suptitle(f"{title_of(ds, 'Speed against error')} · {_computer(ds)}", fontsize=10)
+    _shape_axes(panels[0], ds)
+    for index, axes in enumerate(panels[: len(scenes)]):
+        if index % wide == 0:
+            axes.set_ylabel("worst lane's relative error")
+        if index + wide >= len(scenes):
+            axes.set_xlabel("time per simulated lane-second [µs]")
+            axes.tick_params(labelbottom=True)
+    panels[len(scenes)].legend(
+        handles=_handles(ds), loc="upper left", bbox_to_anchor=(-0.08, 1.04), fontsize=8, handlelength=2.2
+    )
+    machine, computer = table_of(ds, "machine"), "machine unknown"
+    if {"processor", "cores", "jax"} <= set(machine):
+        text = f"{machine['processor']}, {machine['cores']} cores, jax {machine['jax']}"
+        computer = fill(printable(text, 180), 90)
+    figure.suptitle(f"{title_of(ds, 'Speed against error')} · {computer}", fontsize=10)
     return figure
 
 
@@ -103,15 +113,12 @@ def _look(method: str, varied: str) -> _Look:
 
 
 def _draw_front(axes: Axes, time: PerSetting, worst: PerSetting, front: Bool[np.ndarray, " settings"]) -> None:
-    """The front as steps: everything to the right of and above a setting on it is beaten."""
+    """Draw the front as steps: every setting to the right of and above one on it is worse."""
     order = np.argsort(time[front])
     time, worst = time[front][order], worst[front][order]
     if time.size:
         x, y = np.concatenate([time[:1], time, [1e9]]), np.concatenate([[1e9], worst, worst[-1:]])
         axes.step(x, y, where="post", solid_joinstyle="round", zorder=1, **_BAND)
-
-
-_BAND = Mark(color=_FRONT, linewidth=4.5, alpha=0.65)
 
 
 def _draw_series(axes: Axes, ds: xr.Dataset, look: _Look, single: bool) -> None:
@@ -128,8 +135,8 @@ def _draw_series(axes: Axes, ds: xr.Dataset, look: _Look, single: bool) -> None:
     axes.plot(time[~good], worst[~good], marker="x", markersize=5.0, **marks)
 
 
-def _label(panels: Shaped[np.ndarray, " panels"], ds: xr.Dataset, wide: int, count: int) -> None:
-    axes = panels[0]
+def _shape_axes(axes: Axes, ds: xr.Dataset) -> None:
+    """Give the axes that all panels share their limits and ticks."""
     shown = np.isfinite(ds["error_worst"].values)
     axes.set_xlim(*_limits(_MICRO * ds["time_per_lane_second"].values[shown], 1.6))
     axes.set_ylim(*_limits(ds["error_worst"].values[shown], 5.0))
@@ -142,12 +149,6 @@ def _label(panels: Shaped[np.ndarray, " panels"], ds: xr.Dataset, wide: int, cou
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_minor_formatter(NullFormatter())
-    for index, panel in enumerate(panels[:count]):
-        if index % wide == 0:
-            panel.set_ylabel("worst lane's relative error")
-        if index + wide >= count:
-            panel.set_xlabel("time per simulated lane-second [µs]")
-            panel.tick_params(labelbottom=True)
 
 
 def _limits(values: Float[np.ndarray, " values"], margin: float) -> tuple[float, float]:
@@ -155,8 +156,8 @@ def _limits(values: Float[np.ndarray, " values"], margin: float) -> tuple[float,
     return (known.min() / margin, known.max() * margin) if known.size else (0.1, 10.0)
 
 
-def _legend(axes: Axes, ds: xr.Dataset) -> None:
-    """Methods, and below them what marks and lines mean."""
+def _handles(ds: xr.Dataset) -> list[Artist]:
+    """Return the legend's entries for methods, and below them for marks and lines."""
     keys = dict.fromkeys(zip(ds["method"].values.tolist(), ds["varied"].values.tolist(), strict=True))
     looks = dict.fromkeys(_look(*key) for key in sorted(keys, key=lambda key: [*_LOOKS, key].index(key)))
     handles: list[Artist] = [
@@ -168,17 +169,11 @@ def _legend(axes: Axes, ds: xr.Dataset) -> None:
         handles.append(Line2D([], [], label="float32", **hollow | Mark(linestyle=_SINGLE_PRECISION)))
     if ((ds["status"].values != 0) & np.isfinite(ds["error_worst"].values)).any():
         handles.append(Line2D([], [], color=INK, marker="x", linestyle="none", label="some lanes failed"))
-    handles.append(
-        Line2D([], [], color=INK, marker="|", markersize=9, linestyle="none", label="down to the median lane")
-    )
-    handles.append(Line2D([], [], color=INK, linewidth=1.6, alpha=0.45, label="range of the repeats"))
-    handles.append(Line2D([], [], label="Pareto front", **_BAND))
-    handles.append(Patch(color=_FLOOR, label="below what the reference can tell"))
-    axes.legend(handles=handles, loc="upper left", bbox_to_anchor=(-0.08, 1.04), fontsize=8, handlelength=2.2)
-
-
-def _computer(ds: xr.Dataset) -> str:
-    about = table_of(ds, "machine")
-    if not {"processor", "cores", "jax"} <= set(about):
-        return "machine unknown"
-    return fill(printable(f"{about['processor']}, {about['cores']} cores, jax {about['jax']}", 180), 90)
+    whisker = Mark(color=INK, marker="|", markersize=9, linestyle="none")
+    return [
+        *handles,
+        Line2D([], [], label="down to the median lane", **whisker),
+        Line2D([], [], color=INK, linewidth=1.6, alpha=0.45, label="range of the repeats"),
+        Line2D([], [], label="Pareto front", **_BAND),
+        Patch(color=_FLOOR, label="below what the reference can tell"),
+    ]

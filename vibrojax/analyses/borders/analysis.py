@@ -1,5 +1,6 @@
 """The analysis `borders`: curves around the stable single impact in a plane of two parameters."""
 
+from collections import Counter
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -59,11 +60,10 @@ class Borders(SweepAnalysis):
                 mask &= ds[name].values == value
             if start:
                 mask &= ds["start"].values.astype(str) == start
-            sizes: dict[str, int] = {}
+            counter: Counter[str] = Counter()
             for curve in np.flatnonzero(mask):
-                kind = meanings[int(ds["kind"][curve])]
-                sizes[kind] = sizes.get(kind, 0) + int((ds["curve"].values == curve).sum())
-            sizes = dict(sorted(sizes.items(), key=lambda item: -item[1]))
+                counter[meanings[int(ds["kind"][curve])]] += int((ds["curve"].values == curve).sum())
+            sizes = dict(counter.most_common())
             area = float(ds["region_area"][k])
             plane = [f"{name} = {value:g}" for name, value in values.items()]
             plane.append("any start" if start in ("", "any") else f"start {start}")

@@ -1,66 +1,57 @@
 """Picture of borders: the curves of each plane, a column for each initial condition."""
 
-import numpy as np
+from itertools import product
+
 import xarray as xr
 from matplotlib.figure import Figure
 
 from vibrojax.errors import InputError
 from vibrojax.io.kinds import kind_of
-from vibrojax.plot.axes import label, point_text, share_text, value_text
+from vibrojax.plot.axes import label, share_text, value_text
 from vibrojax.plot.borders import ANY, axes_of, beyond, border_handles, draw_borders
 from vibrojax.plot.margins import legend_at_right, write_margins
 from vibrojax.plot.style import new_figure, styled
 
 _PANEL = (3.3, 3.0)  # inches
-_MOST = (4, 4)  # planes and starts that are shown
+_MOST_SHOWN = 4  # planes, and starts
 
 
 @styled
 def border_curves(ds: xr.Dataset) -> Figure:
-    """The borders of the single impact over the plane's two parameters: a row for each plane, a column for each start.
+    """Draw the borders of the single impact over two parameters: a row for each plane, a column for each start.
 
-    **Arguments:** `ds`: what `borders` gives.
+    **Arguments:** `ds`: a dataset of `borders`.
 
-    **Returns:** a figure that pyplot knows nothing of.
+    **Returns:** a figure that pyplot does not manage.
 
-    **Raises:** `InputError` where there are no borders.
+    **Raises:** `InputError` if there are no borders.
     """
     if kind_of(ds) != "borders":
         raise InputError("no borders to draw: the dataset holds no curves, as vj.borders gives them")
     x, y = axes_of(ds)
-    regions = ds.sizes["region"]
     others = beyond(ds)
-    planes = list(dict.fromkeys(tuple(float(ds[f"region_{name}"][k]) for name in others) for k in range(regions)))
-    starts = list(dict.fromkeys(ds["region_start"].values.tolist())) if "region_start" in ds.coords else [ANY]
-    planes_shown, starts_shown = planes[: _MOST[0]], [*starts[:-1][: _MOST[1] - 1], starts[-1]]
+    planes = [tuple(float(ds[f"region_{name}"][k]) for name in others) for k in range(ds.sizes["region"])]
+    starts = ds["region_start"].values.tolist() if "region_start" in ds.coords else [ANY] * len(planes)
+    areas = dict(reversed(list(zip(zip(planes, starts, strict=True), ds["region_area"].values.tolist(), strict=True))))
+    rows, columns = list(dict.fromkeys(planes)), list(dict.fromkeys(starts))
+    shown_rows, shown_columns = rows[:_MOST_SHOWN], [*columns[:-1][: _MOST_SHOWN - 1], columns[-1]]
     width, height = _PANEL
-    figure = new_figure(width * len(starts_shown) + 1.6, height * len(planes_shown) + 0.6)
-    grid = figure.subplots(len(planes_shown), len(starts_shown), squeeze=False, sharex=True, sharey=True)
-    drawn: list[str] = []
-    for row, plane in zip(grid, planes_shown, strict=True):
-        for axes, start in zip(row, starts_shown, strict=True):
-            at = dict(zip(others, plane, strict=True))
-            drawn += draw_borders(axes, ds, at, start)
-            words = [value_text(ds[name], value) for name, value in at.items()]
-            words.append("any start" if start == ANY else f"start {start}")
-            area = _area(ds, at, start)
-            axes.set_title(f"{', '.join(words)}: {share_text(area)}")
-            axes.grid(True)
-        row[0].set_ylabel(label(ds[y]))
+    figure = new_figure(width * len(shown_columns) + 1.6, height * len(shown_rows) + 0.6)
+    grid = figure.subplots(len(shown_rows), len(shown_columns), squeeze=False, sharex=True, sharey=True)
+    kinds: list[str] = []
+    for axes, (plane, start) in zip(grid.flat, product(shown_rows, shown_columns), strict=True):
+        values = dict(zip(others, plane, strict=True))
+        kinds += draw_borders(axes, ds, values, start, x, y)
+        words = [value_text(ds[name], value) for name, value in values.items()]
+        words.append("any start" if start == ANY else f"start {start}")
+        axes.set_title(f"{', '.join(words)}: {share_text(areas[plane, start])}")
+        axes.grid(True)
+    for axes in grid[:, 0]:
+        axes.set_ylabel(label(ds[y]))
     for axes in grid[-1]:
         axes.set_xlabel(label(ds[x]))
-    legend_at_right(figure, border_handles(drawn))
-    left_out = f"{len(planes) - len(planes_shown)} planes and {len(starts) - len(starts_shown)} starts are not shown"
-    everything = len(planes) == len(planes_shown) and len(starts) == len(starts_shown)
+    legend_at_right(figure, border_handles(kinds))
+    hidden = len(rows) - len(shown_rows), len(columns) - len(shown_columns)
     about = "Percent: share of the plane with a stable single impact; any start: however its orbit is reached"
-    write_margins(figure, str(ds.attrs.get("title", "")), point_text(ds), about, "" if everything else left_out)
+    write_margins(figure, ds, about, "{} planes and {} starts are not shown".format(*hidden) if any(hidden) else "")
     return figure
-
-
-def _area(ds: xr.Dataset, at: dict[str, float], start: str) -> float:
-    here = np.ones(ds.sizes["region"], bool)
-    if "region_start" in ds.coords:
-        here = ds["region_start"].values == start
-    for name, value in at.items():
-        here &= ds[f"region_{name}"].values == value
-    return float(ds["region_area"].values[here][0])

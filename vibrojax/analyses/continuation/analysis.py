@@ -9,7 +9,7 @@ import xarray as xr
 from vibrojax.analyses.analysis import Analysis, PictureRule, SummaryPart
 from vibrojax.analyses.continuation.picture import families
 from vibrojax.errors import printable
-from vibrojax.io.branches import Branch, Interval, along_name, branches, kind_names, numbers_of, stable_intervals
+from vibrojax.io.branches import Branch, along_name, branches, kind_names, numbers_of, stable_intervals
 
 _VALUES_SHOWN, _FAMILIES_SHOWN = 4, 12
 
@@ -107,12 +107,12 @@ def _places(values: np.ndarray, along: str, families_count: int) -> str:
 
 
 def _intervals(ds: xr.Dataset, branch: Branch) -> str:
-    return "; ".join(_interval(interval) for interval in stable_intervals(ds, branch))
-
-
-def _interval(interval: Interval) -> str:
-    ends = ((interval.low, interval.low_kind), (interval.high, interval.high_kind))
-    return " to ".join(f"{value:.8g}{f' ({kind})' if kind else ''}" for value, kind in ends)
+    """Return the stable intervals of a branch, with the kinds of special points at their ends."""
+    texts = []
+    for interval in stable_intervals(ds, branch):
+        ends = ((interval.low, interval.low_kind), (interval.high, interval.high_kind))
+        texts.append(" to ".join(f"{value:.8g}{f' ({kind})' if kind else ''}" for value, kind in ends))
+    return "; ".join(texts)
 
 
 def _name(ds: xr.Dataset, family: int) -> str:

@@ -17,12 +17,12 @@ from vibrojax.plot.contents import FORM
 from vibrojax.plot.sheet import Facets, facets
 from vibrojax.plot.style import FAINT, INK, Mark
 
-_MOST_GROUPS, _MOST_BESIDE = 6, 3
-_HIGH = 2.4  # inches of a row of panels
-_MANY = 60  # lanes of a group, from which marks are small
-_FINE = 200  # points of a curve
-# The last is often on the one before, whose colour shows between its dashes.
-_LINE, _LINES = Mark(linewidth=1.4), {"power": Mark(linewidth=1.4, linestyle=(0.0, (2.5, 2.0)))}
+_MOST_GROUPS, _MOST_COLUMNS = 6, 3
+_ROW_HEIGHT = 2.4  # inches of a row of panels
+_MANY_LANES = 60  # lanes of a group from which marks are small
+_CURVE_POINTS = 200
+# The power law is often on the line, whose colour shows between its dashes.
+_DASHES = {"power": (0.0, (2.5, 2.0))}
 _RELIEF, _RATE, _USE = "data_relief", "data_rate_of_penetration", "data_use"
 
 Values = Float[np.ndarray, "*values"]
@@ -46,40 +46,43 @@ _USES = {
 }
 
 
-def groups_to_show(fit: xr.Dataset) -> Facets | None:
-    """A facet for each group, of some where there are many; None for a fit that does not carry its data."""
-    return facets(fit, (), _MOST_GROUPS) if {_RELIEF, _RATE, _USE} <= set(fit.data_vars) else None
+def groups_to_show(fit: xr.Dataset) -> Facets:
+    """Return a facet for each group, of some if there are many; none for a fit without its data."""
+    has_data = {_RELIEF, _RATE, _USE} <= set(fit.data_vars)
+    return facets(fit, (), _MOST_GROUPS) if has_data else Facets((), ())
 
 
-def height_of(groups: Facets | None) -> float:
-    """How much room the panels take [inch]."""
-    return 0.0 if groups is None else _HIGH * -(-len(groups) // _MOST_BESIDE)
+def height_of(groups: Facets) -> float:
+    """Return the height of the panels [inch]."""
+    return _ROW_HEIGHT * -(-len(groups) // _MOST_COLUMNS)
 
 
-def draw_fits(figure: Figure, place: SubplotSpec, groups: Facets) -> None:
+def draw_fits(figure: Figure, place: SubplotSpec | None, groups: Facets) -> None:
     """Draw the data of each of `groups`, and the curve of each form, into `place`."""
-    wide = min(len(groups), _MOST_BESIDE)
+    if place is None:
+        return
+    wide = min(len(groups), _MOST_COLUMNS)
     grid = place.subgridspec(-(-len(groups) // wide), wide)
-    for at, (title, group) in enumerate(zip(groups.titles, groups.data, strict=True)):
-        axes = figure.add_subplot(grid[divmod(at, wide)])
+    for k, (title, group) in enumerate(zip(groups.titles, groups.data, strict=True)):
+        axes = figure.add_subplot(grid[divmod(k, wide)])
         factor, unit = scale(group[_RATE])
         _draw_group(axes, group, factor)
         axes.set_title(title, loc="left")
-        axes.set_xlabel("relief P/D" if at + wide >= len(groups) else "")
-        axes.set_ylabel(with_unit("rate of penetration", unit) if at % wide == 0 else "")
+        axes.set_xlabel("relief P/D" if k + wide >= len(groups) else "")
+        axes.set_ylabel(with_unit("rate of penetration", unit) if k % wide == 0 else "")
 
 
-def data_handles(groups: Facets | None) -> list[Artist]:
-    """The legend's entries for the kinds of lanes that are shown."""
-    shown = {use for group in (groups.data if groups else ()) for use in _uses(group)}
+def data_handles(groups: Facets) -> list[Artist]:
+    """Return the legend's entries for the uses of lanes that are shown."""
+    shown = {use for group in groups.data for use in _masks(group)}
     look = Mark(linestyle="none", markersize=4.5)
     return [Line2D([], [], label=text, **look | mark) for use, (text, mark) in _USES.items() if use in shown]
 
 
-def data_text(groups: Facets | None, fit: xr.Dataset) -> str:
-    """Of how many groups the data are shown, in words, where not of all."""
+def data_text(groups: Facets, fit: xr.Dataset) -> str:
+    """Return the note on the groups that are left out."""
     count = fit["C"].size // fit.sizes[FORM]
-    return f"Data and curves of {len(groups)} of {count} groups" if groups and len(groups) < count else ""
+    return f"Data and curves of {len(groups)} of {count} groups" if 0 < len(groups) < count else ""
 
 
 def _draw_group(axes: Axes, group: xr.Dataset, factor: float) -> None:
@@ -88,24 +91,24 @@ def _draw_group(axes: Axes, group: xr.Dataset, factor: float) -> None:
     axes.grid(True)
     if not seen.any():
         return
-    eta = np.linspace(relief[seen].min(), relief[seen].max(), _FINE)
+    eta = np.linspace(relief[seen].min(), relief[seen].max(), _CURVE_POINTS)
     for name in (str(name) for name in group[FORM].values):
-        one = group.sel({FORM: name})
-        coefficients = [float(one[x]) if x in one else np.nan for x in ("C", "eta0", "exponent")]
+        form = group.sel({FORM: name})
+        coefficients = [float(form[x]) if x in form else np.nan for x in ("C", "eta0", "exponent")]
         if name in FORMULAS and np.isfinite(coefficients[0]):
-            curve = factor * FORMULAS[name](eta, *coefficients)
-            axes.plot(eta, curve, color=form_colour(name), label=name, **_LINES.get(name, _LINE))
-    size = 4.2 if seen.sum() < _MANY else 2.2
-    for use, at in _uses(group).items():
+            line = Mark(color=form_colour(name), linewidth=1.4, linestyle=_DASHES.get(name, "-"))
+            axes.plot(eta, factor * FORMULAS[name](eta, *coefficients), label=name, **line)
+    size = 4.2 if seen.sum() < _MANY_LANES else 2.2
+    for use, mask in _masks(group).items():
         look = Mark(linestyle="none", markersize=size, zorder=3) | _USES[use][1]
-        axes.plot(relief[at], rate[at], label=f"_{use}", **look)
+        axes.plot(relief[mask], rate[mask], label=f"_{use}", **look)
     top = float(np.max(rate[seen])) or 1.0
-    axes.set_ylim(-0.06 * top, 1.1 * top)  # of a form that goes astray only what is beside the data
+    axes.set_ylim(-0.06 * top, 1.1 * top)  # a form that goes astray is cut off
 
 
-def _uses(group: xr.Dataset) -> dict[str, np.ndarray]:
-    """Which lanes that can be drawn were put to which use."""
+def _masks(group: xr.Dataset) -> dict[str, np.ndarray]:
+    """Return the lanes of each use, without those that cannot be drawn."""
     meanings = str(group[_USE].attrs["flag_meanings"]).split()
     known = np.isfinite(group[_RELIEF].values) & np.isfinite(group[_RATE].values)
-    found = {name: known & (group[_USE].values == meanings.index(name)) for name in _USES}
-    return {name: at for name, at in found.items() if at.any()}
+    masks = {name: known & (group[_USE].values == meanings.index(name)) for name in _USES}
+    return {name: mask for name, mask in masks.items() if mask.any()}

@@ -1,4 +1,4 @@
-"""Maps over two axes of a sweep: of regimes with quantities beside them, and of rates of penetration."""
+"""Maps over two axes of a sweep: regimes with quantities beside them, and rates of penetration."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -16,16 +16,16 @@ from matplotlib.patches import Patch, Rectangle
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 
-from vibrojax.measures.labels import REGIMES
 from vibrojax.plot.axes import certified_text, edges, label, point_text, shape_axis, value_text, values_along
 from vibrojax.plot.borders import OVER_TEXT, border_handles, check_borders, draw_over_panel
 from vibrojax.plot.colours import (
+    SINGLE,
     Coloured,
     Value,
+    Values,
+    cell_handles,
     coloured,
-    regime_handles,
     sensitive_handle,
-    value_handles,
     values_beside,
     values_of_rock,
 )
@@ -41,24 +41,19 @@ from vibrojax.plot.contents import (
     regimes_in,
 )
 from vibrojax.plot.margins import write_margins
-from vibrojax.plot.sheet import MOST, Panel, facets, sheet
+from vibrojax.plot.sheet import MOST_PANELS, Panel, facets, sheet
 from vibrojax.plot.style import INK, NOTHING, styled
 
-SINGLE = REGIMES.index("single-impact")
-MOST_VALUES = {1: 4, 2: 3, 3: 3}  # on maps of rates, by the number of facets; of more facets only the rate
-_MOST_FACETS = 9  # of maps of rates
-_SEVERAL = 4  # values, from which there are fewer facets
-_LEVELS = 5  # of lines of equal relief, about
-_SAME = 1e-9  # relative, within which the relief does not vary
-_LETTERS = 17  # of a label, for an inch of its axis
-_NONE = ListedColormap([NOTHING], name="nothing")
-_SYMBOLS = {"mean_force": "P", "relief": "P/D"}
+MOST_VALUES = {1: 4, 2: 3, 3: 3}
+"""The greatest number of values on maps of rates, by the number of facets; more facets show the rate alone."""
 
-_MARKS: dict[str, dict[str, Any]] = {
-    HIDDEN: {"s": 6.0, "marker": "o", "color": INK, "edgecolors": "white", "linewidths": 0.4},
-    SENSITIVE: {"s": 9.0, "marker": "x", "color": INK, "linewidths": 0.6},
-}
-"""The marks of cells, by the variable that is 1 there."""
+_MOST_RATE_FACETS = 9
+_MANY_VALUES = 4  # values from which there are half as many facets
+_RELIEF_LEVELS = 5  # lines of equal relief, about
+_CONSTANT_RELIEF = 1e-9  # relative range up to which the relief is constant
+_LETTERS_PER_INCH = 17  # of a label along its axis
+_NO_PENETRATION = ListedColormap([NOTHING], name="nothing")
+_SYMBOLS = {"mean_force": "P", "relief": "P/D"}
 
 # Chapter 5 of the source: stable single impact, "best".
 REGION = {"beta": (0.25, 0.60), "gamma": (0.60, 0.80)}
@@ -67,72 +62,57 @@ _REGION_NAME = "source's best region"
 
 @styled
 def regime_grid(ds: xr.Dataset, x: str | None = None, y: str | None = None, over: xr.Dataset | None = None) -> Figure:
-    """The regimes over two axes, with the quantities worth a panel beside them; see `regime_map`. `over`: borders to
-    lay over the regimes."""
+    """Draw the regimes over two axes with the quantities beside them, under the borders `over`; see `regime_map`."""
     ds = regimes_in(ds)
-    return map_of(ds, (None, *values_beside(ds)), *axes_of_map(ds, x, y), over=over)
+    return draw_map(ds, *axes_of_map(ds, x, y), (None, *values_beside(ds)), over=over)
 
 
-def map_of(
-    ds: xr.Dataset,
-    values: tuple[Value | None, ...],
-    x: str,
-    y: str,
-    *about: str,
-    over: xr.Dataset | None = None,
-) -> Figure:
-    """The `values` in `ds`, None for the regimes, over its axes `x` and `y`, and what there is to say `about` it.
-    `over`: borders to lay over the regimes."""
+def draw_map(ds: xr.Dataset, x: str, y: str, values: Values, *notes: str, over: xr.Dataset | None = None) -> Figure:
+    """Draw `values` over the axes `x` and `y`, with `notes` and the borders `over` the regimes."""
     if over is not None:
         check_borders(ds, over, x, y)
     ds = ds.sortby([x, y])
-    panels = facets(ds, (x, y), MOST if len(values) < _SEVERAL else MOST // 2)
+    panels = facets(ds, (x, y), MOST_PANELS if len(values) < _MANY_VALUES else MOST_PANELS // 2)
     drawn = sheet(panels, values)
-    marked: set[str] = set()
+    handles = cell_handles(panels.data, values)
+    marks: dict[str, Artist] = {}
     kinds: list[str] = []
     for panel in drawn:
         draw_cells(panel, x, y)
         if panel.value is None:
-            marked |= {name for name in _MARKS if _mark_cells(panel, x, y, name)}
-        if over is not None and panel.value is None:
-            kinds += draw_over_panel(panel.axes, over, panel.facet, x, y)
+            marks |= _mark_cells(panel, x, y)
+            kinds += draw_over_panel(panel.axes, over, panel.facet, x, y) if over is not None else []
         outline_region(panel.axes, x, y)
         write_labels(panel, ds[x], ds[y])
-    handles = regime_handles([facet[REGIME] for facet in panels.data]) if None in values else []
-    handles += value_handles(panels.data, [value for value in values if value is not None])
-    drawn.finish(
-        handles
-        + ([_hidden_handle()] if HIDDEN in marked else [])
-        + ([sensitive_handle()] if SENSITIVE in marked else [])
-        + _border_handle(drawn.panels)
-        + border_handles(kinds)
-        + region_handle(drawn.panels[0].axes)
-    )
-    notes = point_text(ds), certified_text(ds), panels.note, *about, OVER_TEXT if kinds else ""
-    write_margins(drawn.figure, str(ds.attrs.get("title", "")), *notes)
+    handles += [marks[name] for name in (HIDDEN, SENSITIVE) if name in marks]
+    if any(isinstance(artist, LineCollection) for panel in drawn for artist in panel.axes.collections):
+        handles.append(Line2D([], [], color=INK, linewidth=1.0, label="border of single impact"))
+    drawn.finish([*handles, *border_handles(kinds), *region_handle(drawn.panels[0].axes)])
+    write_margins(drawn.figure, ds, certified_text(ds), panels.note, *notes, OVER_TEXT if kinds else "")
     return drawn.figure
 
 
 @styled
 def rate_grid(ds: xr.Dataset, x: str | None = None, y: str | None = None) -> Figure:
-    """The rate of penetration over two axes, with what else varies; see `rate_map`."""
+    """Draw the rate of penetration over two axes, with the quantities that vary; see `rate_map`."""
     ds = rates_in(ds)
     if x is None and y is None:
         x, y = (*long_axes(ds), None, None)[:2]
     x, y = axes_of_map(ds, x, y)
     ds = ds.sortby([x, y])
-    panels = facets(ds, (x, y), _MOST_FACETS)
+    panels = facets(ds, (x, y), _MOST_RATE_FACETS)
     values = values_of_rock(ds)
     shown = values[: MOST_VALUES.get(len(panels), 1)]
     drawn = sheet(panels, shown)
+    handles = cell_handles(panels.data, shown)
     lines = False
     for panel in drawn:
         draw_cells(panel, x, y)
         write_labels(panel, ds[x], ds[y])
         if panel.value is shown[0]:
             lines |= _draw_relief(panel, x, y)
-    drawn.finish(value_handles(panels.data, shown) + ([_relief_handle()] if lines else []))
-    write_margins(drawn.figure, str(ds.attrs.get("title", "")), _same_all_over(ds, values), panels.note)
+    drawn.finish(handles + [Line2D([], [], color=INK, linewidth=0.7, label="equal relief P/D")] * lines)
+    write_margins(drawn.figure, ds, panels.note, point=_constants_text(ds, values))
     return drawn.figure
 
 
@@ -140,141 +120,130 @@ def rate_grid(ds: xr.Dataset, x: str | None = None, y: str | None = None) -> Fig
 
 
 class Corners(NamedTuple):
-    """The ends of the cells of a map along its axes."""
+    """The edges of the cells of a map along its axes."""
 
     right: Float[np.ndarray, " columns+1"]
     top: Float[np.ndarray, " rows+1"]
 
 
 def draw_cells(panel: Panel, x: str, y: str) -> None:
-    """Draw the regimes or the value of `panel` over the axes `x` and `y`; where there is no penetration, nothing."""
-    axes, value = panel.axes, panel.value
-    shown = coloured(panel.facet, value, y, x)
-    corners = fill_cells(panel, x, y, shown)
+    """Draw the regimes or the value of `panel` over two axes; lanes without penetration in white."""
+    value = panel.value
+    cells = coloured(panel.facet, value, y, x)
+    corners = fill_cells(panel, x, y, cells)
     if value is None or not value.of_rate:
         return
-    nothing = shown.cells == 0
+    nothing = cells.cells == 0
     if nothing.any():
-        axes.pcolormesh(*corners, np.ma.masked_where(~nothing, nothing), cmap=_NONE, rasterized=True)
+        masked = np.ma.masked_where(~nothing, nothing)
+        panel.axes.pcolormesh(*corners, masked, cmap=_NO_PENETRATION, rasterized=True)
     if has_regimes(panel.facet):
-        _outline_single(axes, panel.facet[REGIME].transpose(y, x).values == SINGLE, corners)
+        _outline_single(panel.axes, panel.facet[REGIME].transpose(y, x).values == SINGLE, corners)
 
 
-def fill_cells(panel: Panel, x: str, y: str, shown: Coloured) -> Corners:
-    """Fill the cells (y, x) of `panel` with colours, and give their ends along the axes."""
+def fill_cells(panel: Panel, x: str, y: str, cells: Coloured) -> Corners:
+    """Fill the cells (y, x) of `panel` with colours, and return their edges along the axes."""
     across, up = (values_along(panel.facet[name]) for name in (x, y))
     corners = Corners(edges(across), edges(up))
-    cells = np.ma.masked_invalid(shown.cells)
-    panel.axes.pcolormesh(*corners, cells, cmap=shown.colour_map, norm=shown.norm, rasterized=True)
+    masked = np.ma.masked_invalid(cells.cells)
+    panel.axes.pcolormesh(*corners, masked, cmap=cells.colour_map, norm=cells.norm, rasterized=True)
     shape_axis(panel.axes, "x", across)
-    if panel.axes.get_xscale() == "linear":  # no "-2.5", whose neighbours in the next panel would touch
+    if panel.axes.get_xscale() == "linear":  # no "-2.5", which would touch its neighbours in the next panel
         panel.axes.xaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))
     shape_axis(panel.axes, "y", up)
     return corners
 
 
 def write_labels(panel: Panel, x: xr.DataArray, y: xr.DataArray) -> None:
-    """Write the title of `panel`, and the labels of its axes where labels go."""
+    """Write the title of `panel`, and the labels of its axes at the edges of the sheet."""
+    axes = panel.axes
     if panel.title:
-        panel.axes.set_title(panel.title)
-    panel.axes.tick_params(labelleft=panel.left, labelbottom=panel.bottom)
-    if panel.left:
-        height = panel.axes.get_position().height * panel.figure.get_figheight()
-        panel.axes.set_ylabel(label(y, int(_LETTERS * height)))
+        axes.set_title(panel.title)
+    axes.tick_params(labelleft=panel.first, labelbottom=panel.bottom)
+    if panel.first:
+        height = axes.bbox.height / axes.figure.dpi
+        axes.set_ylabel(label(y, int(_LETTERS_PER_INCH * height)))
     if panel.bottom:
-        panel.axes.set_xlabel(label(x))
-
-
-# The border of the single impact, and the source's region.
+        axes.set_xlabel(label(x))
 
 
 def _outline_single(axes: Axes, single: Bool[np.ndarray, "rows columns"], corners: Corners) -> None:
     """Draw the sides between cells of which one is a single impact and the other is not."""
     right, top = corners
-    i, j = np.nonzero(single[:, 1:] != single[:, :-1])
-    upright = [((right[b + 1], top[a]), (right[b + 1], top[a + 1])) for a, b in zip(i, j, strict=True)]
-    i, j = np.nonzero(single[1:] != single[:-1])
-    flat = [((right[b], top[a + 1]), (right[b + 1], top[a + 1])) for a, b in zip(i, j, strict=True)]
+    upright = [
+        ((right[j + 1], top[i]), (right[j + 1], top[i + 1])) for i, j in np.argwhere(single[:, 1:] != single[:, :-1])
+    ]
+    flat = [((right[j], top[i + 1]), (right[j + 1], top[i + 1])) for i, j in np.argwhere(single[1:] != single[:-1])]
     if upright or flat:
         for colour, width in (("white", 2.2), (INK, 1.0)):
             axes.add_collection(LineCollection([*upright, *flat], colors=colour, linewidths=width), autolim=False)
 
 
-def _mark_cells(panel: Panel, x: str, y: str, name: str) -> bool:
-    """Mark the cells where the variable `name` is 1, and return whether there are any."""
-    if name not in panel.facet:
-        return False
-    cells = np.argwhere(panel.facet[name].transpose(y, x).values == 1)
-    across, up = (values_along(panel.facet[axis]) for axis in (x, y))
-    panel.axes.scatter(across[cells[:, 1]], up[cells[:, 0]], **_MARKS[name])
-    return len(cells) > 0
+def _mark_cells(panel: Panel, x: str, y: str) -> dict[str, Artist]:
+    """Mark cells with a hidden motion or sensitive to rounding, and return the legend's entries by variable."""
+    # On two lines, else its panel gets wider than the others.
+    text = "same label, other motion\nfrom another start"
+    dot = Line2D([], [], label=text, marker="o", markersize=3.0, markeredgewidth=0.0, linestyle="none", color=INK)
+    handles: dict[str, Artist] = {HIDDEN: dot, SENSITIVE: sensitive_handle()}
+    looks: dict[str, dict[str, Any]] = {
+        HIDDEN: {"s": 6.0, "marker": "o", "edgecolors": "white", "linewidths": 0.4},
+        SENSITIVE: {"s": 9.0, "marker": "x", "linewidths": 0.6},
+    }
+    for name in [name for name in handles if name in panel.facet]:
+        rows, columns = np.nonzero(panel.facet[name].transpose(y, x).values == 1)
+        across, up = values_along(panel.facet[x])[columns], values_along(panel.facet[y])[rows]
+        panel.axes.scatter(across, up, color=INK, **looks[name])
+        if not rows.size:
+            del handles[name]
+    return {name: handle for name, handle in handles.items() if name in panel.facet}
 
 
-def _hidden_handle() -> Artist:
-    label = "same label, other motion\nfrom another start"  # on two lines, else its panel gets wider than the others
-    return Line2D([], [], label=label, marker="o", markersize=3.0, markeredgewidth=0.0, linestyle="none", color=INK)
-
-
-def _border_handle(panels: Sequence[Panel]) -> list[Artist]:
-    """The legend's entry for the border of the single impact, where one of `panels` shows it."""
-    shown = any(isinstance(one, LineCollection) for panel in panels for one in panel.axes.collections)
-    return [Line2D([], [], color=INK, linewidth=1.0, label="border of single impact")] if shown else []
+# The source's region, the relief, and constants.
 
 
 def outline_region(axes: Axes, x: str, y: str) -> None:
-    """Outline the region of the source's best single impacts where the axes are beta and gamma and show some of it."""
+    """Outline the source's region of best single impacts, if the axes are beta and gamma and show some of it."""
     if {x, y} != set(REGION):
         return
-    (left, right), (low, high) = REGION[x], REGION[y]
+    (west, east), (south, north) = REGION[x], REGION[y]
     (first, last), (bottom, top) = sorted(axes.get_xlim()), sorted(axes.get_ylim())
-    if left < last and right > first and low < top and high > bottom:
-        region = Rectangle((left, low), right - left, high - low, fill=False, edgecolor=INK, linewidth=1.3)
+    if west < last and east > first and south < top and north > bottom:
+        region = Rectangle((west, south), east - west, north - south, fill=False, edgecolor=INK, linewidth=1.3)
         region.set_path_effects([withStroke(linewidth=3.0, foreground="white")])
         region.set_label(_REGION_NAME)
         axes.add_patch(region)
 
 
 def region_handle(axes: Axes) -> list[Artist]:
-    """The legend's entry for the source's region, where `axes` shows it."""
+    """Return the legend's entry for the source's region, if `axes` shows it."""
     shown = any(isinstance(patch, Rectangle) and patch.get_label() == _REGION_NAME for patch in axes.patches)
     return [Patch(fill=False, edgecolor=INK, linewidth=1.3, label=_REGION_NAME)] if shown else []
 
 
-# The relief, and what is the same all over.
-
-
 def _draw_relief(panel: Panel, x: str, y: str) -> bool:
-    """Draw lines of equal P/D, with their values; whether there are any."""
+    """Draw lines of equal P/D with their values; return whether there are any."""
     if RELIEF not in panel.facet:
         return False
     relief = panel.facet[RELIEF].transpose(y, x).values
-    finite = relief[np.isfinite(relief)]
-    if finite.size < relief.size or not all((np.ptp(relief, axis=i) > _SAME * relief.max()).any() for i in (0, 1)):
-        return False  # over one of the axes nothing but straight lines
-    levels = MaxNLocator(_LEVELS).tick_values(finite.min(), finite.max())
-    levels = levels[(levels > finite.min()) & (levels < finite.max())]
+    constant = _CONSTANT_RELIEF * relief.max()
+    if not np.isfinite(relief).all() or not all((np.ptp(relief, axis=i) > constant).any() for i in (0, 1)):
+        return False  # over an axis that leaves the relief alone, lines would be straight
+    levels = MaxNLocator(_RELIEF_LEVELS).tick_values(relief.min(), relief.max())
+    levels = levels[(levels > relief.min()) & (levels < relief.max())]
     if not levels.size:
         return False
     along = values_along(panel.facet[x]), values_along(panel.facet[y])
-    drawn = panel.axes.contour(*along, relief, levels, colors=[INK], linewidths=0.7)
-    drawn.set_path_effects([withStroke(linewidth=2.0, foreground="white")])
-    for text in panel.axes.clabel(drawn, fmt=lambda level: f"{level:g}", fontsize=7.5, inline_spacing=3):
-        text.set_path_effects([withStroke(linewidth=2.0, foreground="white")])
+    lines = panel.axes.contour(*along, relief, levels, colors=[INK], linewidths=0.7)
+    texts = panel.axes.clabel(lines, fmt=lambda level: f"{level:g}", fontsize=7.5, inline_spacing=3)
+    for artist in (lines, *texts):
+        artist.set_path_effects([withStroke(linewidth=2.0, foreground="white")])
     return True
 
 
-def _relief_handle() -> Artist:
-    return Line2D([], [], color=INK, linewidth=0.7, label="equal relief P/D")
-
-
-def _same_all_over(ds: xr.Dataset, values: Sequence[Value]) -> str:
-    """What is the same all over `ds`, mean force and relief with it."""
+def _constants_text(ds: xr.Dataset, values: Sequence[Value]) -> str:
+    """Return the values that all lanes share, including mean force and relief."""
     drawn = {value.name for value in values}
     drawn |= {"relief"} if "mean_force" in drawn else set()
-    fixed = {text: ds[name] for name, text in _SYMBOLS.items() if name in ds and name not in drawn}
-    texts = [
-        value_text(data.assign_attrs(symbol=text), float(data.max()))
-        for text, data in fixed.items()
-        if data.notnull().any()
-    ]
-    return ", ".join(part for part in (point_text(ds), *texts) if part)
+    fixed = [ds[name].assign_attrs(symbol=text) for name, text in _SYMBOLS.items() if name in ds and name not in drawn]
+    texts = [value_text(data, float(data.max())) for data in fixed if data.notnull().any()]
+    return ", ".join(filter(None, (point_text(ds), *texts)))

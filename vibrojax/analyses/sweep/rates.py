@@ -1,8 +1,6 @@
 """Sweeps of scenes with rock, as lines: the rate of penetration over the swept axis and over the relief."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -12,20 +10,18 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from vibrojax.analyses.sweep.maps import SINGLE
-from vibrojax.plot.axes import point_text, scale, with_unit
-from vibrojax.plot.contents import POINT, RATE, REGIME, RELIEF, has_regimes, lane_dims, rates_in
+from vibrojax.plot.axes import scale, with_unit
+from vibrojax.plot.colours import SINGLE
+from vibrojax.plot.contents import POINT, RATE, REGIME, RELIEF, has_regimes, rates_in
 from vibrojax.plot.curves import (
     MOST_ROWS,
     Across,
     Line,
-    Row,
-    across,
     axis_of_lines,
-    label_axes,
     line_handles,
-    lines,
-    rows,
+    longest_axis,
+    new_rows,
+    split_lines,
 )
 from vibrojax.plot.margins import legend_at_right, write_margins
 from vibrojax.plot.sheet import facets
@@ -33,15 +29,14 @@ from vibrojax.plot.style import INK, Mark, styled
 
 SLIP, PEAK = "slip_per_impact", "peak_impact_force"
 _NAMES = {RATE: "rate of penetration", SLIP: "slip per blow", PEAK: "peak impact force"}
-_SEVERAL = 40  # lanes of a line, from which marks on them are small
-_SAME = 1e-6  # relative, within which a value does not vary
+_MANY_LANES = 40  # lanes of a line from which marks on them are small
+_CONSTANT = 1e-6  # relative range up to which values are one value
 
 Motion = Literal["single", "other", "none"]  # a single impact, another motion, a single impact without penetration
 
 
-@dataclass(frozen=True)
-class _Curve:
-    """What is drawn: `up` over `along`, the axis of lines or the relief."""
+class _Curve(NamedTuple):
+    """A variable drawn `up` over `along`, the axis of lines or the relief."""
 
     up: str
     along: str
@@ -51,47 +46,61 @@ class _Curve:
 
 @styled
 def rates(ds: xr.Dataset) -> Figure:
-    """The rate of penetration over the longest axis and over the relief P/D, and the slip or the force of a blow.
+    """Draw the rate of penetration over the longest axis and over the relief P/D, and the slip or the force of a blow.
 
-    The second longest axis has a colour for each value, further ones become rows: four at most, and the figure says
-    which. Lanes without penetration are hollow marks, other motions than a single impact are crosses. A list of points
+    The second longest axis has a colour for each value. Further axes become rows, four at most, and the figure lists
+    them. Lanes without penetration are hollow marks, other motions than a single impact are crosses. A list of points
     is drawn over the parameter of most values.
 
-    **Arguments:**
+    **Arguments:** `ds`: a sweep's dataset with `rate_of_penetration` [m/s]; `relief` [1], `slip_per_impact` [m],
+    `peak_impact_force` [N] and `regime` are drawn if it has them.
 
-    - `ds`: a sweep's dataset with `rate_of_penetration` [m/s], and `relief` [1], `slip_per_impact` [m],
-      `peak_impact_force` [N] and `regime` where there are any.
+    **Returns:** a figure that pyplot does not manage.
 
-    **Returns:** a figure that pyplot knows nothing of.
-
-    **Raises:** `InputError` where there are no rates.
+    **Raises:** `InputError` if there are no rates.
     """
     ds = rates_in(ds)
-    x = across(ds)
+    x = longest_axis(ds)
     by = axis_of_lines(ds, x.name)
     ds = ds.sortby(x.name) if x.is_number else ds
     panels = facets(ds, (POINT, x.name, by), MOST_ROWS)
-    curves = _curves(ds, x)
-    figure, drawn, _ = rows(panels, len(curves))
-    joined: Literal["-", "none"] = "-" if x.is_number and POINT not in lane_dims(ds) else "none"
-    for row in drawn:
-        for at, curve in enumerate(curves):
-            for line in lines(row.facet, by):
-                _draw(row.axes[at], line, curve, x, joined)
-            label_axes(row, at, x.label if curve.along == x.name else "relief P/D", curve.label)
-    _limit(drawn, curves, x)
-    legend_at_right(figure, line_handles(lines(ds, by), Mark(linestyle=joined)), _mark_handles(ds))
-    write_margins(figure, str(ds.attrs.get("title", "")), point_text(ds), panels.note, _without_rate(ds))
+    curves = _choose_curves(ds, x)
+    figure, rows, _ = new_rows(panels, len(curves))
+    style = x.style_of(ds)
+    for row in rows:
+        for i, curve in enumerate(curves):
+            for line in split_lines(row.facet, by):
+                _draw(row.axes[i], line, curve, x, style)
+            row.label(i, x.label if curve.along == x.name else "relief P/D", curve.label)
+    for i, curve in enumerate(curves):  # show zero: the question is whether lines go through it
+        axes = rows[0].axes[i]
+        greatest = max(row.axes[i].dataLim.y1 for row in rows)
+        top = 1.05 * greatest if 0 < greatest < np.inf else 1.0
+        axes.set_ylim(-0.03 * top, top)
+        if curve.along == RELIEF:
+            right = axes.get_xlim()[1]
+            axes.set_xlim(-0.03 * right, right)
+        else:
+            x.shape(axes)
+    legend_at_right(figure, line_handles(split_lines(ds, by), Mark(linestyle=style)), _mark_handles(ds))
+    count = int(np.isnan(ds[RATE].values).sum())
+    write_margins(figure, ds, panels.note, f"{count} of {ds[RATE].size} lanes without a rate" if count else "")
     return figure
 
 
-def _curves(ds: xr.Dataset, x: Across) -> list[_Curve]:
-    """The rate over the axis, and over the relief where that varies; of a blow its force, or its slip."""
-    pairs = [(RATE, x.name)]
-    if RELIEF in ds and _varies(ds[RELIEF], x):  # along a line: else a curve over it is none
-        pairs.append((RATE, RELIEF))
-    of_a_blow = [name for name in (PEAK, SLIP) if name in ds]
-    pairs += [(name, x.name) for name in sorted(of_a_blow, key=lambda name: not _varies(ds[name], x))[:1]]
+def _choose_curves(ds: xr.Dataset, x: Across) -> list[_Curve]:
+    """Return the rate over the axis, and over the relief if that varies, and the force of a blow, or its slip."""
+
+    def varies(name: str) -> bool:
+        """Return whether a variable varies along any of the lines."""
+        dimension = x.name if x.name in ds[name].dims else POINT
+        if dimension not in ds[name].dims:
+            return False
+        swing = ds[name].max(dimension) - ds[name].min(dimension)
+        return bool((swing > _CONSTANT * np.abs(ds[name]).max()).any())
+
+    pairs = [(RATE, x.name)] + [(RATE, RELIEF)] * (RELIEF in ds and varies(RELIEF))
+    pairs += [(name, x.name) for name in sorted((n for n in (PEAK, SLIP) if n in ds), key=lambda n: not varies(n))[:1]]
     scales = [scale(ds[up]) for up, _ in pairs]
     return [
         _Curve(*pair, factor, with_unit(_NAMES[pair[0]], unit))
@@ -99,32 +108,23 @@ def _curves(ds: xr.Dataset, x: Across) -> list[_Curve]:
     ]
 
 
-def _varies(data: xr.DataArray, x: Across) -> bool:
-    """Whether `data` varies along any of the lines."""
-    dimension = x.name if x.name in data.dims else POINT
-    if dimension not in data.dims:
-        return False
-    swing = data.max(dimension) - data.min(dimension)
-    return bool((swing > _SAME * np.abs(data).max()).any())
-
-
-def _draw(axes: Axes, line: Line, curve: _Curve, x: Across, joined: Literal["-", "none"]) -> None:
+def _draw(axes: Axes, line: Line, curve: _Curve, x: Across, style: Literal["-", "none"]) -> None:
+    """Draw one line with the marks of its motions; a jump to another motion is not part of the curve."""
     places = np.atleast_1d(line.lanes[RELIEF].values) if curve.along == RELIEF else x.of(line.lanes)
     values = curve.factor * np.atleast_1d(line.lanes[curve.up].values)
     motions = _motions(line.lanes)
-    # A jump to another motion is no part of the curve.
     jumps = 1 + np.flatnonzero(np.diff(motions["other"].astype(int)))
     path = (np.insert(np.asarray(along, float), jumps, np.nan) for along in (places, values))
-    axes.plot(*path, color=line.colour, linestyle=joined, linewidth=1.2, label=line.name or curve.up)
-    size = 3.8 if values.size < _SEVERAL else 2.0
-    for motion, there in motions.items():
-        if there.any():
+    axes.plot(*path, color=line.colour, linestyle=style, linewidth=1.2, label=line.name or curve.up)
+    size = 3.8 if values.size < _MANY_LANES else 2.0
+    for motion, mask in motions.items():
+        if mask.any():
             mark = _mark(motion, line.colour) | Mark(linestyle="none", markersize=size + (motion == "none"))
-            axes.plot(places[there], values[there], label=f"_{motion}", **mark)
+            axes.plot(places[mask], values[mask], label=f"_{motion}", **mark)
 
 
 def _motions(lanes: xr.Dataset) -> dict[Motion, Bool[np.ndarray, "*lanes"]]:
-    """Which lanes get which mark."""
+    """Return the lanes that get each mark."""
     nothing = np.atleast_1d(lanes[RATE].values) == 0
     single = np.atleast_1d(lanes[REGIME].values) == SINGLE if has_regimes(lanes) else np.ones(nothing.shape, bool)
     return {"single": single & ~nothing, "other": ~single, "none": single & nothing}
@@ -135,30 +135,10 @@ def _mark(motion: Motion, colour: str) -> Mark:
     return mark | Mark(markerfacecolor="white", zorder=4) if motion == "none" else mark
 
 
-def _limit(drawn: Sequence[Row], curves: Sequence[_Curve], x: Across) -> None:
-    """Show zero: the question is whether lines go through it."""
-    for at, curve in enumerate(curves):
-        axes = drawn[0].axes[at]
-        greatest = max(row.axes[at].dataLim.y1 for row in drawn)
-        top = 1.05 * greatest if 0 < greatest < np.inf else 1.0
-        axes.set_ylim(-0.03 * top, top)
-        if curve.along == RELIEF:
-            right = axes.get_xlim()[1]
-            axes.set_xlim(-0.03 * right, right)
-        else:
-            x.shape(axes)
-
-
 def _mark_handles(ds: xr.Dataset) -> list[Artist]:
-    """The legend's entries for the marks that need words."""
-    motions = _motions(ds)
+    """Return the legend's entries for the marks that need words."""
     texts: dict[Motion, str] = {"single": "single impact", "other": "other motion", "none": "no penetration"}
-    wanted = [motion for motion in texts if motions[motion].any() and (motion == "none" or has_regimes(ds))]
+    occurring = [motion for motion, mask in _motions(ds).items() if mask.any()]
+    shown = [motion for motion in occurring if motion == "none" or has_regimes(ds)]
     look = Mark(linestyle="none", markersize=4.5)
-    return [Line2D([], [], label=texts[motion], **look | _mark(motion, INK)) for motion in wanted]
-
-
-def _without_rate(ds: xr.Dataset) -> str:
-    """How many lanes have no rate."""
-    count = int(np.isnan(ds[RATE].values).sum())
-    return f"{count} of {ds[RATE].size} lanes without a rate" if count else ""
+    return [Line2D([], [], label=texts[motion], **look | _mark(motion, INK)) for motion in shown]
