@@ -57,10 +57,6 @@ def work_precision(ds: xr.Dataset) -> Figure:
 
     A whisker goes down from the mark of each setting to the median lane's error. The Pareto front is drawn behind.
     Errors below the grey edge are finer than the reference. Hollow marks are float32; crosses had lanes that failed.
-
-    **Arguments:** `ds`: a dataset of [vibrojax.analyses.accuracy.run_accuracy][].
-
-    **Returns:** a figure that pyplot does not manage.
     """
     scenes = list(dict.fromkeys(ds["scene"].values.tolist()))
     wide = min(_MOST_COLUMNS, len(scenes) + 1)

@@ -44,13 +44,7 @@ def trajectory(ds: xr.Dataset, last: float = 1.5) -> Figure:
     overview of the whole run. The transient is faint in the phase portraits of bit and striker. The amplitude spectrum
     is that of the run's second half. With rock, the bit in the hole is drawn over the same time and at the last impact.
 
-    **Arguments:**
-
-    - `ds`: a dataset of `simulate`: `x1`, `x2` [m] and `v1`, `v2` [m/s] along `time` [s]; `impact_force` and
-      `friction_force` [N], `stuck`, `event_time` and `event_kind`, `x3` and `x4` [m] are drawn if it has them.
-    - `last`: the length of the end to show [s].
-
-    **Returns:** a figure that pyplot does not manage.
+    **Arguments:** `last`: the length of the end to show [s].
 
     **Raises:** `InputError` if the dataset holds no trajectory, or `last` is not above 0.
     """
