@@ -124,7 +124,7 @@ def response(ds: xr.Dataset) -> Figure:
     """
     hole, parameters = read_hole(ds), parameters_of(ds)
     if not contents(ds).swept_sine:
-        raise InputError("no response to draw: the force is no swept sine (pulse_shape, sweep_rate)")
+        raise InputError("no response to draw: the force is not a swept sine (pulse_shape, sweep_rate)")
     start, rate = parameters.get("sweep_start", 0.0), parameters["sweep_rate"]
     phase = np.abs(start * hole.time + rate * hole.time**2 / 2)
     turn = np.concatenate([[0], 1 + np.flatnonzero(np.diff(np.floor(phase)) != 0)])
