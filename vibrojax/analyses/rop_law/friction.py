@@ -180,7 +180,12 @@ def _fit(
 
 @jitted(static=("substeps", "samples"))
 def _velocity_and_jacobian(
-    unknowns: Unknowns, fixed: Mapping[str, Array], interval: float, substeps: int, samples: int, width: float
+    unknowns: Unknowns,
+    fixed: Mapping[str, Array],
+    interval: float | Float[Array, ""],
+    substeps: int,
+    samples: int,
+    width: float | Float[Array, ""],
 ) -> tuple[Float[Array, " samples"], Float[Array, "samples unknowns"]]:
     """Return the velocity [m/s] and its Jacobian by the unknowns."""
 

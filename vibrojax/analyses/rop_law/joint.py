@@ -216,7 +216,9 @@ class JointRates:
     positions: Positions
     shared: bool
 
-    def _terms(self, theta: Theta) -> tuple[Lanes, Lanes, Jacobian, Jacobian]:
+    def _terms(
+        self, theta: Theta
+    ) -> tuple[Lanes, Lanes, Float[np.ndarray, "lanes in_c"], Float[np.ndarray, "lanes in_eta0"]]:
         """Return C, ln(eta/eta0), and the columns that theta multiplies in ln C and in ln eta0."""
         constant = np.ones((self.log.size, 1))
         columns = np.hstack([constant, self.positions])
