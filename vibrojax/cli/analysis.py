@@ -86,7 +86,8 @@ class AnalysisCommand:
             dataset = analyse(source, analysis, progress=progress)
             drawn = write_result(options, dataset, result)
         if progress:
-            print(f"{result.out}{drawn}")
+            count = f": {dataset.sizes[analysis.counted]} {analysis.counted}s" if analysis.counted else ""
+            print(f"{result.out}{count}{drawn}")
             for part in analysis.summary(dataset):
                 print("\n".join(part.lines))
 

@@ -115,7 +115,8 @@ def open_dataset(path: str | os.PathLike[str]) -> xr.Dataset:
         check_dataset(dataset)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
-    dataset.attrs.setdefault(KIND, kind_of(dataset))  # datasets of earlier versions have none
+    if kind := kind_of(dataset):  # datasets of earlier versions have no attribute
+        dataset.attrs.setdefault(KIND, kind)
     warn_of_faults(dataset, str(path))
     return dataset
 
