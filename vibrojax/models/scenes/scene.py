@@ -19,7 +19,7 @@ ROUNDINGS = 64
 """Multiple of a typical value's rounding error (machine epsilon) up to which a value counts as zero."""
 
 SLOPE_ROUNDINGS = 16
-"""Multiple of the value that counts as zero up to which a first-order change over a step counts as zero."""
+"""Ratio of two tolerances: of a first-order change over a step that counts as zero, and of a value that does."""
 
 ARMED_BELOW = 0.05
 """Fraction of the drive speed by which the bit must be slower than the drive before its next overtaking counts."""
@@ -142,11 +142,11 @@ class Scene(ABC, Generic[C]):
         return ROUNDINGS * jnp.finfo(scale.dtype).eps * scale
 
     def smoothed_field(self, c: C, mode: Values, state: Values, width: Any) -> Values:
-        """Return the time derivatives, with the switch of friction at zero sliding velocity spread over `width` [m/s]."""
+        """Return the time derivatives with the friction switch at zero sliding speed spread over `width` [m/s]."""
         return self.field(c, mode, state)
 
     def smoothed_mode(self, c: C, mode: Values, state: Values, width: Any) -> Values:
-        """Return the mode in which a smoothed motion is measured: it sticks while the sliding speed is below `width`."""
+        """Return the mode for the measures of a smoothed motion, which sticks at sliding speeds below `width` [m/s]."""
         return mode
 
     def driving_part(self) -> "Scene[Any]":
