@@ -127,8 +127,8 @@ def locate(event: Event, trial: Trial) -> Landing:
     dip = keep(reduce(jnp.minimum, dips))
     dipped = moving & ~early & (dip < 1)
     repeat = keep(early | missed | dipped)
-    # If the root is inexact, or on a branch that the motion left earlier, the step ends before the guard is reached. The
-    # next step then continues in the same mode.
+    # If the root is inexact, or on a branch that the motion left earlier, the step ends before the guard is reached.
+    # The next step then continues in the same mode.
     short = _any([here & ~at_start & (g > tiny.value) for g, here, tiny in zip(landed, mine, small, strict=True)])
     hit = keep(~repeat & ~short)
     return keep(
