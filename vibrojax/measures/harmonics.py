@@ -13,7 +13,7 @@ from vibrojax.models.scenes.scene import Scene
 from vibrojax.stepping.polynomial import value
 
 GAUSS_NODE = 0.15**0.5
-"""Distance of the outer nodes of three-point Gauss quadrature from the middle of the step, as a fraction of the step."""
+"""Distance of the outer nodes of three-point Gauss quadrature from the middle of a step, as a fraction of the step."""
 
 
 @dataclass(frozen=True)
