@@ -5,7 +5,7 @@ import pytest
 import xarray as xr
 
 import vibrojax as vj
-from vibrojax.analyses.sweep.hysteresis import jumps
+from vibrojax.analyses.sweep.returns import jumps
 from vibrojax.analyses.sweep.run import run_to_file
 from vibrojax.analyses.sweep.workers.work import Work
 from vibrojax.errors import InputError

@@ -140,6 +140,15 @@ def test_a_flag_has_its_colour_whatever_else_is_there(flag):
     assert to_hex(alone.to_rgba(alone.get_array())[0, 0]).upper() == REGIME_COLOURS[flag]
 
 
+def test_a_flag_without_a_colour_is_refused_by_name():
+    ds = lanes(square(4))
+    ds["regime"].values[1, 2] = 9
+    ds["regime"].attrs |= {"flag_values": np.arange(10, dtype=np.int8), "flag_meanings": f"{MEANINGS} hopping rattling"}
+    with pytest.raises(InputError, match=r"regime: flag 9 \(rattling\) is not a regime with a colour") as refused:
+        regime_map(ds)
+    assert "\n" not in str(refused.value)
+
+
 def test_the_colours_of_flags_are_apart_for_colour_blind_eyes():
     # Machado, Oliveira, Fernandes 2009 (doi 10.1109/TVCG.2009.113), severity 1: protan, deutan, tritan.
     without = [

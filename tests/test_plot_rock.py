@@ -385,7 +385,7 @@ def test_a_sine_of_one_frequency_is_drawn_over_time(sine):
     given = json.loads(sine.attrs["parameters"]) | {"sweep_rate": 0.0}
     still = sine.assign_attrs(parameters=json.dumps(given))
     assert "time [s]" in axis_labels(picture(still))
-    with pytest.raises(InputError, match="no swept sine"):
+    with pytest.raises(InputError, match="not a swept sine"):
         response(still)
 
 

@@ -12,9 +12,9 @@ from vibrojax.analyses.registry import analysis_of
 from vibrojax.analyses.rop_law.analysis import Fits
 from vibrojax.analyses.sweep.analysis import Sweeps
 from vibrojax.analyses.sweep.basins import many_starts, share_grid
-from vibrojax.analyses.sweep.bifurcation import bifurcation as bifurcation
 from vibrojax.analyses.sweep.maps import rate_grid, regime_grid
 from vibrojax.analyses.sweep.rates import rates as rates
+from vibrojax.analyses.sweep.returns import bifurcation as bifurcation
 from vibrojax.analyses.trajectory.hole import pulses as pulses
 from vibrojax.analyses.trajectory.hole import response as response
 from vibrojax.analyses.trajectory.time_history import trajectory as trajectory
@@ -91,13 +91,8 @@ def regime_map(ds: xr.Dataset, x: str | None = None, y: str | None = None) -> Fi
     becomes lines; a list of points becomes dots over two parameters, or a count. More than eight starts become a map
     over their states if few parameters vary, else the share of them that ends in each regime.
 
-    **Arguments:**
-
-    - `ds`: a sweep's dataset with `regime`; `impact_velocity` [m/s] and `period` [s] are drawn if the scene has them.
-    - `x`, `y`: the axes to draw along; by default gamma and beta, else the first two of six values or more, else the
-      first two.
-
-    **Returns:** a figure that pyplot does not manage.
+    **Arguments:** `x`, `y`: the axes to draw along; by default gamma and beta, else the first two of six values or
+    more, else the first two.
 
     **Raises:** `InputError` if there are no regimes, or `x` or `y` is not an axis.
     """
@@ -116,13 +111,7 @@ def rate_map(ds: xr.Dataset, x: str | None = None, y: str | None = None) -> Figu
     Further axes become panels, nine at most, and the figure lists them. Constant values are in the note. A list of
     points is scattered over the two parameters that vary.
 
-    **Arguments:**
-
-    - `ds`: a sweep's dataset with `rate_of_penetration` [m/s]; `slip_per_impact` [m], `mean_force` [N] and `relief` [1]
-      are drawn if it has them.
-    - `x`, `y`: the axes to draw along; by default the frequency, then the longest.
-
-    **Returns:** a figure that pyplot does not manage.
+    **Arguments:** `x`, `y`: the axes to draw along; by default the frequency, then the longest.
 
     **Raises:** `InputError` if there are no rates, fewer than two axes, or `x` or `y` is not an axis.
     """
@@ -136,10 +125,6 @@ def fitted_law(fit: xr.Dataset) -> Figure:
     Above them are the data of each group with the curve of every form, six groups at most. C and AIC are drawn over the
     longest axis of the groups; further axes become rows. Over two axes of nine values and more, maps of C and of the
     best form are drawn. Without groups, the axis is the forms.
-
-    **Arguments:** `fit`: a fit's dataset with `C`, `C_stderr` [m/s] and `aic` along the groups and `form`.
-
-    **Returns:** a figure that pyplot does not manage.
 
     **Raises:** `InputError` if there is no C along `form`.
     """

@@ -44,12 +44,7 @@ def variables(ds: xr.Dataset, names: Sequence[str]) -> Figure:
     Over two axes they are maps, over one axis curves, of a list of points over two parameters dots, of a run time
     histories, of families lines along them. Of multipliers the largest is drawn, of too many starts the median.
 
-    **Arguments:**
-
-    - `ds`: a dataset of a sweep, a fit, families or `simulate`.
-    - `names`: of variables along all the dimensions of its lanes, four at most; of a run, along time, eight at most.
-
-    **Returns:** a figure that pyplot does not manage.
+    **Arguments:** `names`: of variables along all dimensions of the lanes, four at most; of a run, along time, eight.
 
     **Raises:** `InputError` if there is no such variable, it lies along other dimensions, or there are too many.
     """

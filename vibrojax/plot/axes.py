@@ -44,8 +44,7 @@ _NAMED = {
     "zeta": ("ζ", 1.0, ""),
 }
 
-USUAL_FRICTION = "stribeck"
-"""The friction law that notes do not mention."""
+_USUAL_FRICTION = "stribeck"  # notes do not mention it
 
 
 def scale(data: xr.DataArray) -> tuple[float, str]:
@@ -154,7 +153,7 @@ def point_text(ds: xr.Dataset) -> str:
             parts.append(
                 value_text(xr.DataArray(parameter["value"], name=parameter["name"], attrs=about), parameter["value"])
             )
-    if ds.attrs.get("friction", USUAL_FRICTION) != USUAL_FRICTION:
+    if ds.attrs.get("friction", _USUAL_FRICTION) != _USUAL_FRICTION:
         parts.append(f"friction: {text_of(ds, 'friction')}")
     if "start" in ds.attrs and "start" not in ds.coords:
         parts.append(f"start: {short(text_of(ds, 'start'))}")

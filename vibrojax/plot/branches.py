@@ -59,16 +59,14 @@ class Curve(NamedTuple):
 def curves_of(ds: xr.Dataset) -> list[Curve]:
     """Return all branches in their colours: one for each family, or of one family for each number of returns."""
     colours = _family_colours(ds)
-    return [Curve(branch, colours[branch.family] if colours else _cycles_colour(ds, branch)) for branch in branches(ds)]
+    if colours:
+        return [Curve(branch, colours[branch.family]) for branch in branches(ds)]
+    cycles = ((branch, _cycles(ds, branch)) for branch in branches(ds))
+    return [Curve(branch, _COLOUR_OF_CYCLES.get(number, other_colour(number))) for branch, number in cycles]
 
 
 def _cycles(ds: xr.Dataset, branch: Branch) -> int:
     return int(ds["cycles"].values[branch.points[0]])
-
-
-def _cycles_colour(ds: xr.Dataset, branch: Branch) -> str:
-    cycles = _cycles(ds, branch)
-    return _COLOUR_OF_CYCLES.get(cycles, other_colour(cycles))
 
 
 def _family_colours(ds: xr.Dataset) -> dict[int, str]:

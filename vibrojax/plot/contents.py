@@ -17,7 +17,7 @@ DIRECTION = "direction"  # of lanes that are carried along an axis
 _GROUP = "group"  # the dimension of groups of rows of a table
 HIDDEN, SENSITIVE = "hidden_motion", "sensitive"
 REGIME, RATE, RELIEF, COEFFICIENT = "regime", "rate_of_penetration", "relief", "C"
-RETURNS, ERROR = "return_impact_velocity", "error_worst"
+RETURNS = "return_impact_velocity"
 BESIDE_REGIMES = (RATE, "impact_velocity", "period", "bit_amplitude")  # the first two of them that a dataset has
 
 MOST_LINES = 8  # in one panel, and in the legend

@@ -57,10 +57,6 @@ def work_precision(ds: xr.Dataset) -> Figure:
 
     A whisker goes down from the mark of each setting to the median lane's error. The Pareto front is drawn behind.
     Errors below the grey edge are finer than the reference. Hollow marks are float32; crosses had lanes that failed.
-
-    **Arguments:** `ds`: a dataset of [vibrojax.analyses.accuracy.run_accuracy][].
-
-    **Returns:** a figure that pyplot does not manage.
     """
     scenes = list(dict.fromkeys(ds["scene"].values.tolist()))
     wide = min(_MOST_COLUMNS, len(scenes) + 1)
@@ -137,9 +133,10 @@ def _draw_series(axes: Axes, ds: xr.Dataset, look: _Look, single: bool) -> None:
 
 def _shape_axes(axes: Axes, ds: xr.Dataset) -> None:
     """Give the axes that all panels share their limits and ticks."""
-    shown = np.isfinite(ds["error_worst"].values)
-    axes.set_xlim(*_limits(_MICRO * ds["time_per_lane_second"].values[shown], 1.6))
-    axes.set_ylim(*_limits(ds["error_worst"].values[shown], 5.0))
+    time, worst = _MICRO * ds["time_per_lane_second"].values, ds["error_worst"].values
+    for values, margin, set_limits in ((time, 1.6, axes.set_xlim), (worst, 5.0, axes.set_ylim)):
+        known = values[np.isfinite(worst) & (values > 0)]
+        set_limits(*((known.min() / margin, known.max() * margin) if known.size else (0.1, 10.0)))
     low, high = axes.get_ylim()
     decades = range(int(np.ceil(np.log10(low))), int(np.floor(np.log10(high))) + 1)
     axes.yaxis.set_major_locator(FixedLocator([10.0**power for power in decades if power % 2 == 0]))
@@ -149,11 +146,6 @@ def _shape_axes(axes: Axes, ds: xr.Dataset) -> None:
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_minor_formatter(NullFormatter())
-
-
-def _limits(values: Float[np.ndarray, " values"], margin: float) -> tuple[float, float]:
-    known = values[values > 0]
-    return (known.min() / margin, known.max() * margin) if known.size else (0.1, 10.0)
 
 
 def _handles(ds: xr.Dataset) -> list[Artist]:

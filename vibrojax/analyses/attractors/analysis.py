@@ -7,8 +7,7 @@ import xarray as xr
 
 from vibrojax.analyses.analysis import PictureRule, Source, SummaryPart
 from vibrojax.analyses.attractors.run import attractors_of, sweep_of
-from vibrojax.analyses.attractors.share_map import share_map
-from vibrojax.analyses.attractors.shares import attractor_shares
+from vibrojax.analyses.attractors.shares import attractor_shares, share_map
 from vibrojax.analyses.orbits.analysis import SweepAnalysis
 from vibrojax.io.derived import OF_ATTRACTORS
 from vibrojax.io.flags import flags

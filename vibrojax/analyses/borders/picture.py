@@ -5,8 +5,6 @@ from itertools import product
 import xarray as xr
 from matplotlib.figure import Figure
 
-from vibrojax.errors import InputError
-from vibrojax.io.kinds import kind_of
 from vibrojax.plot.axes import label, share_text, value_text
 from vibrojax.plot.borders import ANY, axes_of, beyond, border_handles, draw_borders
 from vibrojax.plot.margins import legend_at_right, write_margins
@@ -18,16 +16,7 @@ _MOST_SHOWN = 4  # planes, and starts
 
 @styled
 def border_curves(ds: xr.Dataset) -> Figure:
-    """Draw the borders of the single impact over two parameters: a row for each plane, a column for each start.
-
-    **Arguments:** `ds`: a dataset of `borders`.
-
-    **Returns:** a figure that pyplot does not manage.
-
-    **Raises:** `InputError` if there are no borders.
-    """
-    if kind_of(ds) != "borders":
-        raise InputError("no borders to draw: the dataset holds no curves, as vj.borders gives them")
+    """Draw the borders of the single impact over two parameters: a row for each plane, a column for each start."""
     x, y = axes_of(ds)
     others = beyond(ds)
     planes = [tuple(float(ds[f"region_{name}"][k]) for name in others) for k in range(ds.sizes["region"])]

@@ -12,9 +12,7 @@ from matplotlib.gridspec import GridSpec
 from matplotlib.patches import Circle
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from vibrojax.errors import InputError
 from vibrojax.io.branches import FAMILY, along_name
-from vibrojax.io.kinds import kind_of
 from vibrojax.plot.axes import label, scale, values_along, with_unit
 from vibrojax.plot.branches import (
     LARGEST,
@@ -46,18 +44,8 @@ def families(ds: xr.Dataset, names: Sequence[str] = ()) -> Figure:
     largest modulus of the multipliers. Beside them are the multipliers in the complex plane. The branches of one family
     are coloured by their number of returns, and the multipliers of its first branch by the parameter. Several families
     have a colour each.
-
-    **Arguments:**
-
-    - `ds`: a dataset of `follow`.
-    - `names`: variables along `point` to draw in place of the first two.
-
-    **Returns:** a figure that pyplot does not manage.
-
-    **Raises:** `InputError` if there are no families, or no such variable.
+    `names` are variables along `point` to draw in place of the first two.
     """
-    if kind_of(ds) != "family":
-        raise InputError("no families to draw: the dataset holds no branch and special_kind, as vj.follow gives them")
     if not names:
         known = [name for name in _QUANTITIES if name in ds and bool(np.isfinite(ds[name].values).any())]
         states = [str(name) for name in ds.data_vars if str(name).startswith("orbit_")]

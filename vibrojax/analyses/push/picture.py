@@ -7,8 +7,6 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from vibrojax.errors import InputError
-from vibrojax.io.kinds import kind_of
 from vibrojax.plot.axes import label, scale, values_along, with_unit
 from vibrojax.plot.colours import REGIME_COLOURS, regime_cells, regime_names
 from vibrojax.plot.contents import POINT, varied
@@ -23,16 +21,7 @@ _BOUND = Mark(color="0.5", linestyle="--", linewidth=0.9)
 
 @styled
 def smallest_pushes(ds: xr.Dataset) -> Figure:
-    """Draw the smallest push in each state, over the parameter of several machines; of one machine, to either side.
-
-    **Arguments:** `ds`: a dataset of `smallest_push`.
-
-    **Returns:** a figure that pyplot does not manage.
-
-    **Raises:** `InputError` if there are no pushes.
-    """
-    if kind_of(ds) != "push":
-        raise InputError("no pushes to draw: the dataset holds no push along sign, as vj.smallest_push gives it")
+    """Draw the smallest push in each state, over the parameter of several machines; of one machine, to either side."""
     if POINT in ds.dims and ds.sizes[POINT] == 1:
         ds = ds.isel({POINT: 0})
     states = [str(name).removeprefix(_PUSH) for name in ds.data_vars if str(name).startswith(_PUSH)]

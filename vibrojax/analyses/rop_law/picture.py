@@ -4,7 +4,6 @@ from collections.abc import Sequence
 
 import numpy as np
 import xarray as xr
-from jaxtyping import Float
 from matplotlib.artist import Artist
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
@@ -80,7 +79,7 @@ def _draw_coefficients(row: Row, x: Across, factor: float) -> None:
         values = np.atleast_1d(form["C"].values) * factor
         errors = np.atleast_1d(form["C_stderr"].values) * factor if "C_stderr" in form else np.zeros(values.shape)
         bars = np.where(np.isfinite(errors), errors, 0.0)
-        places = _places(x, form, k)
+        places = x.of(form) if x.name else np.array([float(k)])
         if x.name:
             places = places + _DODGE * (float(np.ptp(places)) if x.is_number else 4.0) * k
         axes.errorbar(places, values, bars, label=name, capsize=2.5, elinewidth=0.9, **_mark(name, x))
@@ -91,7 +90,7 @@ def _draw_excess(row: Row, x: Across) -> None:
     axes.axhspan(0.0, _EQUAL_AIC, color=FAINT, alpha=0.25, linewidth=0)
     for k, name in enumerate(_forms(row.facet)):
         values = np.atleast_1d(excess.sel({FORM: name}).values)
-        axes.plot(_places(x, row.facet, k), values, label=name, **_mark(name, x))
+        axes.plot(x.of(row.facet) if x.name else [float(k)], values, label=name, **_mark(name, x))
 
 
 def _scale_excess(rows: Sequence[Row]) -> None:
@@ -106,11 +105,6 @@ def _scale_excess(rows: Sequence[Row]) -> None:
     ticks = [tick for tick in _TICKS if tick <= 1.6 * greatest]
     axes.set_yticks(ticks, [str(tick) for tick in ticks])
     axes.set_yticks([], minor=True)
-
-
-def _places(x: Across, groups: xr.Dataset, form: int) -> Float[np.ndarray, " groups"]:
-    """Return the places of groups along the axis; the number of the form without an axis."""
-    return x.of(groups) if x.name else np.array([float(form)])
 
 
 def _lacking_text(fit: xr.Dataset) -> str:

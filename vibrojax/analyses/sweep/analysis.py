@@ -7,10 +7,9 @@ from matplotlib.figure import Figure
 
 from vibrojax.analyses.analysis import Analysis, PictureRule, Source
 from vibrojax.analyses.sweep.basins import many_starts
-from vibrojax.analyses.sweep.bifurcation import bifurcation
-from vibrojax.analyses.sweep.hysteresis import hysteresis
 from vibrojax.analyses.sweep.maps import rate_grid, regime_grid
 from vibrojax.analyses.sweep.rates import rates
+from vibrojax.analyses.sweep.returns import bifurcation, hysteresis
 from vibrojax.analyses.sweep.run import run_sweep
 from vibrojax.analyses.sweep.scatter import rate_scatter, regime_bars, regime_scatter
 from vibrojax.analyses.sweep.strips import regime_lines

@@ -51,13 +51,6 @@ def rates(ds: xr.Dataset) -> Figure:
     The second longest axis has a colour for each value. Further axes become rows, four at most, and the figure lists
     them. Lanes without penetration are hollow marks, other motions than a single impact are crosses. A list of points
     is drawn over the parameter of most values.
-
-    **Arguments:** `ds`: a sweep's dataset with `rate_of_penetration` [m/s]; `relief` [1], `slip_per_impact` [m],
-    `peak_impact_force` [N] and `regime` are drawn if it has them.
-
-    **Returns:** a figure that pyplot does not manage.
-
-    **Raises:** `InputError` if there are no rates.
     """
     ds = rates_in(ds)
     x = longest_axis(ds)

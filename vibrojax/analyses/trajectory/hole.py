@@ -60,13 +60,7 @@ def force_scale(forces: Sequence[Samples]) -> tuple[float, str]:
 def pulses(ds: xr.Dataset, last: float | None = None) -> Figure:
     """Draw bit and hole above the forces on the bit: the whole run, and beside it its end enlarged.
 
-    **Arguments:**
-
-    - `ds`: a dataset of `simulate` for the penetration scene: `x3`, `x4` [m] along `time` [s]; `applied_force` and
-      `rock_force` [N] are drawn if it has them.
-    - `last`: how much of the end to enlarge [s]; by default the last two blows.
-
-    **Returns:** a figure that pyplot does not manage.
+    **Arguments:** `last`: how much of the end to enlarge [s]; by default the last two blows.
 
     **Raises:** `InputError` if the dataset holds no such trajectory.
     """
@@ -126,16 +120,11 @@ def response(ds: xr.Dataset) -> Figure:
     There is a point for each whole cycle of the force. Frequencies at which the rock slips are shaded (Figs 6.4 to
     6.7).
 
-    **Arguments:** `ds`: a dataset of `simulate` for the penetration scene with `pulse_shape = "sweep"`: `x3`, `x4` [m],
-    `v3` [m/s] along `time` [s]; the sweep in the attribute `parameters`.
-
-    **Returns:** a figure that pyplot does not manage.
-
     **Raises:** `InputError` if the dataset holds no such trajectory, or too few cycles.
     """
     hole, parameters = read_hole(ds), parameters_of(ds)
     if not contents(ds).swept_sine:
-        raise InputError("no response to draw: the force is no swept sine (pulse_shape, sweep_rate)")
+        raise InputError("no response to draw: the force is not a swept sine (pulse_shape, sweep_rate)")
     start, rate = parameters.get("sweep_start", 0.0), parameters["sweep_rate"]
     phase = np.abs(start * hole.time + rate * hole.time**2 / 2)
     turn = np.concatenate([[0], 1 + np.flatnonzero(np.diff(np.floor(phase)) != 0)])

@@ -44,13 +44,7 @@ def trajectory(ds: xr.Dataset, last: float = 1.5) -> Figure:
     overview of the whole run. The transient is faint in the phase portraits of bit and striker. The amplitude spectrum
     is that of the run's second half. With rock, the bit in the hole is drawn over the same time and at the last impact.
 
-    **Arguments:**
-
-    - `ds`: a dataset of `simulate`: `x1`, `x2` [m] and `v1`, `v2` [m/s] along `time` [s]; `impact_force` and
-      `friction_force` [N], `stuck`, `event_time` and `event_kind`, `x3` and `x4` [m] are drawn if it has them.
-    - `last`: the length of the end to show [s].
-
-    **Returns:** a figure that pyplot does not manage.
+    **Arguments:** `last`: the length of the end to show [s].
 
     **Raises:** `InputError` if the dataset holds no trajectory, or `last` is not above 0.
     """
@@ -171,23 +165,22 @@ def _draw_forces(axes: Axes, motion: Motion, start: float) -> None:
 
 def _draw_bit(axes: Axes, motion: Motion, start: float) -> None:
     """Draw the bit's phase portrait: sliding speed against displacement, stick as a thick line."""
+    speed = "sliding speed u = x₁′ + v [m/s]" if motion.v is not None else "velocity x₁′ [m/s]"
+    axes.set(xlabel="x₁ [mm]", ylabel=speed)
+    axes.set_title("bit", color=BIT, fontweight="bold")
     _draw_portrait(axes, motion, motion.x1, motion.u, start, BIT)
     late = motion.since(start)
     stuck = np.where(motion.stuck, motion.u, np.nan)
     axes.plot(1e3 * motion.x1[late], stuck[late], color=STICK, linewidth=2.8, zorder=3)
-    axes.set_title("bit", color=BIT, fontweight="bold")
-    axes.set_xlabel("x₁ [mm]")
-    axes.set_ylabel("sliding speed u = x₁′ + v [m/s]" if motion.v is not None else "velocity x₁′ [m/s]")
 
 
 def _draw_striker(axes: Axes, motion: Motion, start: float) -> None:
     """Draw the striker's phase portrait: velocity against displacement, the contact at delta as a line."""
+    axes.set(xlabel="x₂ [mm]", ylabel="velocity x₂′ [m/s]")
+    axes.set_title("striker", color=STRIKER, fontweight="bold")
     if motion.delta is not None:
         axes.axvline(1e3 * motion.delta, color=FAINT, linewidth=0.8, linestyle=DASHED)
     _draw_portrait(axes, motion, motion.x2, motion.v2, start, STRIKER)
-    axes.set_title("striker", color=STRIKER, fontweight="bold")
-    axes.set_xlabel("x₂ [mm]")
-    axes.set_ylabel("velocity x₂′ [m/s]")
 
 
 def _draw_portrait(axes: Axes, motion: Motion, x: Samples, speed: Samples, start: float, colour: str) -> None:

@@ -1,4 +1,4 @@
-"""Lanes carried up and down along an axis: both ways in one picture, with their jumps."""
+"""Returns to the section over an axis: bifurcation diagrams, and lanes carried up and down with their jumps."""
 
 from functools import partial
 from typing import Any
@@ -10,13 +10,32 @@ from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from vibrojax.analyses.sweep.strips import Stack, dot_size, draw_stacks, draw_values, select_start, start_names
+from vibrojax.analyses.sweep.strips import (
+    Lanes,
+    Stack,
+    dot_size,
+    draw_stacks,
+    draw_values,
+    scatter_lanes,
+    select_start,
+    start_names,
+)
 from vibrojax.errors import InputError, shown
 from vibrojax.io.attributes import run_of
 from vibrojax.measures.labels import COMPARED, FAILED, SAME_WITHIN, UNDECIDED
 from vibrojax.plot.axes import number, pretty_unit, scale, values_along, with_unit
-from vibrojax.plot.colours import Value, values_beside
-from vibrojax.plot.contents import DIRECTION, REGIME, RETURN, RETURNS, START, regimes_in
+from vibrojax.plot.colours import Value, regime_cells, values_beside
+from vibrojax.plot.contents import (
+    DIRECTION,
+    REGIME,
+    RETURN,
+    RETURNS,
+    START,
+    many_starts,
+    regimes_in,
+    swept,
+    without_single,
+)
 from vibrojax.plot.overlays import (
     OF_RETURNS,
     Overlays,
@@ -31,8 +50,78 @@ from vibrojax.plot.style import INK, Mark, start_colour, styled
 
 Places = Int[np.ndarray, " _"]
 
+_RETURNS_LABEL = "impact velocity at each return"
 _MARKERS = {"up": ">", "down": "<"}
 _ABOUT = "Each lane starts from where its neighbour ended; where the two ways differ, two motions coexist"
+# Inches of a diagram: of one facet and of several, by the number of starts.
+_HEIGHTS = {1: (3.6, 2.6), 2: (2.4, 2.0), 3: (1.9, 1.6)}
+_LOWEST = (1.5, 1.3)
+_OTHERS = "#CFCFCF"
+
+
+@styled
+def bifurcation(ds: xr.Dataset, over: Overlays = None) -> Figure:
+    """Draw the impact velocity at each stored return over the swept axis, in one diagram for each start.
+
+    The returns of all other starts are grey: two motions coexist where the dots leave them. Many starts share one
+    diagram, in the colours of their regimes. Below are the regimes along the axis, a row for each start, or the shares
+    of many. The swept axis is the one of most values; further axes become panels.
+
+    **Arguments:** `over`: families of orbits along the swept axis, drawn over the returns with their parameters.
+
+    **Raises:** `InputError` if there are no returns, nothing is swept, or `over` does not belong there.
+    """
+    if RETURNS not in ds or REGIME not in ds:
+        raise InputError(f"no returns to draw: the dataset holds no {RETURNS}; run the sweep with keep_returns above 0")
+    ds = without_single(ds)
+    if not swept(ds):
+        raise InputError("no bifurcation diagram: none of the grid's axes has more than one value")
+    x = max(swept(ds), key=lambda name: ds.sizes[name])
+    diagrams = 1 if many_starts(ds) else len(start_names(ds))
+    layers = as_layers(over)
+    check_families(ds, layers, x)
+    grey = Line2D([], [], label="all other starts", linestyle="none", marker="o", markersize=4.0, color=_OTHERS)
+    handles: list[Artist] = [grey] * (diagrams > 1)
+    heights = _HEIGHTS.get(diagrams, _LOWEST)
+    draw = partial(_draw_returns, x=x, layers=layers)
+    return draw_stacks(ds, x, diagrams, heights, draw, handles + over_handles(layers), over_text(ds, layers))
+
+
+def _draw_returns(stack: Stack, x: str, layers: tuple[xr.Dataset, ...]) -> None:
+    """Draw the returns of each start over those of all others, and the families over them."""
+    facet, curves, names = stack.facet, stack.curves, start_names(stack.facet)
+    factor, unit = scale(facet[RETURNS])
+    size = dot_size(facet.sizes[x])
+
+    def dots(returns: xr.DataArray) -> tuple[Lanes, Lanes]:
+        along = np.repeat(values_along(facet[x]), returns.size // returns.sizes[x])
+        return along, factor * returns.values.ravel()
+
+    for position, axes in enumerate(curves):
+        if not axes.get_shared_y_axes().joined(axes, curves[0]):
+            axes.sharey(curves[0])
+        if many_starts(facet):
+            returns = facet[RETURNS].transpose(x, START, RETURN)
+            regimes = np.repeat(regime_cells(facet[REGIME].transpose(x, START)).ravel(), returns.sizes[RETURN])
+            scatter_lanes(axes, *dots(returns), regimes, size / 2)
+        else:
+            for other, name in enumerate(names):
+                along, values = dots(select_start(facet, other)[RETURNS].transpose(x, RETURN))
+                known, own = np.isfinite(values), other == position
+                look: dict[str, Any] = {
+                    "color": start_colour(name, other) if own else _OTHERS,
+                    "label": name if own else f"_{name}",
+                }
+                axes.scatter(along[known], values[known], s=size, linewidths=0, zorder=2 + own, rasterized=True, **look)
+            if names[position]:
+                axes.set_title(", ".join(filter(None, (stack.title, f"start: {names[position]}"))), loc="left")
+        draw_over(axes, layers, facet, x, OF_RETURNS, factor)
+    if stack.first:  # written once, as high as the diagrams together
+        middle = curves[len(curves) // 2]
+        middle.set_ylabel(with_unit(_RETURNS_LABEL, unit), y=0.5 if len(curves) % 2 else 1.1)
+
+
+# Lanes carried up and down.
 
 
 @styled
@@ -42,8 +131,8 @@ def hysteresis(ds: xr.Dataset, over: Overlays = None) -> Figure:
     The curves are the impact velocity at each return if these were kept, else impact velocity and period. A jump is a
     place where the two ways begin or cease to differ.
 
-    **Arguments:** `over`: families of orbits along the axis from `vj.follow`, drawn over the lanes. The note gives the
-    special point nearest to each jump, ends left aside.
+    **Arguments:** `over`: families of orbits along the axis, drawn over the lanes. The note gives the special point
+    nearest to each jump, ends left aside.
     """
     along = str(run_of(ds).get("carry"))
     if along not in ds.dims:
@@ -59,7 +148,7 @@ def hysteresis(ds: xr.Dataset, over: Overlays = None) -> Figure:
     handles.append(Line2D([], [], color=INK, linestyle="--", linewidth=1.0, label="jump of that way"))
     note = ". ".join(filter(None, (_ABOUT, over_text(ds, layers), jumps_text(ds, along, layers))))
     height = 3.4 if len(values) < 2 else 1.9
-    draw = partial(_draw, values=values, x=along, layers=layers)
+    draw = partial(_draw_ways, values=values, x=along, layers=layers)
     return draw_stacks(ds, along, max(len(values), 1), (height, height), draw, handles + over_handles(layers), note)
 
 
@@ -118,7 +207,7 @@ def _relative_difference(a: Float[np.ndarray, " lanes"], b: Float[np.ndarray, " 
     return np.abs(a - b) / np.where(greater > 0, greater, 1.0)
 
 
-def _draw(stack: Stack, values: tuple[Value, ...], x: str, layers: tuple[xr.Dataset, ...]) -> None:
+def _draw_ways(stack: Stack, values: tuple[Value, ...], x: str, layers: tuple[xr.Dataset, ...]) -> None:
     """Draw the values, or the returns of both ways over each other, with families and jumps."""
     facet, names = stack.facet, start_names(stack.facet)
     along = values_along(facet[x])
@@ -135,7 +224,7 @@ def _draw(stack: Stack, values: tuple[Value, ...], x: str, layers: tuple[xr.Data
             look: dict[str, Any] = {"linewidths": 0, "color": start_colour(name, position), "rasterized": True}
             stack.curves[0].scatter(places, factor * returns.values.ravel(), s=size, **look)
         if stack.first:
-            stack.curves[0].set_ylabel(with_unit("impact velocity at each return", unit))
+            stack.curves[0].set_ylabel(with_unit(_RETURNS_LABEL, unit))
     for axes, (variable, factor) in zip(stack.curves, factors.items(), strict=True):
         draw_over(axes, layers, facet, x, variable, factor)
     between = (along[1:] + along[:-1]) / 2
