@@ -122,7 +122,7 @@ def write(key: str, content: bytes) -> None:
 def _open_folder(path: Path) -> Iterator[Folder]:
     """Open a cache folder.
 
-    **Raises:** `CacheRefused` if others can write to the folder, `FileNotFoundError` if it does not exist.
+    **Raises:** `CacheRefused` if the folder cannot be trusted, `OSError` if the folder does not exist.
     """
     if not HAS_OWNERS:
         yield Folder(path, None)

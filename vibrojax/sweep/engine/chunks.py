@@ -95,7 +95,7 @@ class Chunks:
         return whole
 
     def finished(self, index: int, features: Features) -> Features:
-        """Return the features of a chunk's lanes to be stored, including those of `beyond`.
+        """Return the features of a chunk's lanes to be stored, including the features of `beyond`.
 
         Of the section crossings, only the requested number is stored.
         """

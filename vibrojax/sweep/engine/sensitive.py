@@ -63,7 +63,7 @@ def _changed(engine: Engine, start: Batch, changes: int) -> Batch:
 
 
 def _repeat(engine: Engine, batch: Batch, end: float) -> Bool[np.ndarray, " lanes"]:
-    """Step lanes from t = 0 and return a mask of those that are periodic at the time `end` [s]."""
+    """Step lanes from t = 0 and return a mask: True for lanes that are periodic at the time `end` [s]."""
     return repeats_lately(_returns(engine, batch, np.full_like(batch.begin, end)), end)
 
 

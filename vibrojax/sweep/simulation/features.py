@@ -1,4 +1,4 @@
-"""Features and label (regime) of a recorded motion, from the same code as those of a sweep's lanes.
+"""Features and label (regime) of a recorded motion, from the code that measures and labels a sweep's lanes.
 
 The scene's recorder processes the recorded steps one by one, as in a sweep whose `settle` and `observe` are the times
 of `window`.

@@ -70,7 +70,7 @@ def simulate(
     with rock the rate of penetration. The attribute `run` contains the settling and observation times. The observation
     takes a sixth of the duration, or half of a short duration. A diffrax solver gives neither events nor these scalars.
 
-    **Raises:** `InputError` if a name or value is wrong. Too many steps or samples are detected before the simulation.
+    **Raises:** `InputError` if a name or value is wrong, or, before the simulation, if steps or samples are too many.
 
     **Example:**
 
