@@ -1,28 +1,30 @@
-"""Compilation of functions of lanes: a function in, a callable out.
+"""Compilation of functions of lanes to native kernels.
 
-A lane is one independent point of a batch. [vibrojax.compile.lane_function][] takes a function whose arguments and
-results are pytrees of arrays with the lanes along the last axis. It returns a callable that runs as a native kernel on
+A lane is one independent trajectory of a batch. [vibrojax.compile.lane_function][] decorates a function whose arguments
+and results are pytrees of arrays with the lanes along the last axis. The decorated function runs as a native kernel on
 CPUs, or through XLA where no kernel can be made:
 
     @lane_function(static=1, registers=2, policy=policy)
     def settle(scene, state, until): ...
 
-[vibrojax.compile.run_kernel][] does the same without the way through XLA. This folder knows no scenes: a caller whose
-functions call foreign code passes a `policy`, which compares kernels of that code with XLA before the first one runs.
+[vibrojax.compile.run_kernel][] does the same without the fallback to XLA. This folder does not depend on scenes. A
+caller whose functions call foreign code (code from outside this package) passes a `policy`. The policy has kernels of
+foreign code compared with XLA before the first of them runs.
 
-- `kernels/`: translation of jax's trace to LLVM's language, compilation, and the cache on disk.
+- `kernels/`: translation of jax's trace to LLVM's intermediate representation (IR), compilation, and the disk cache.
 - `xla.py`: XLA's options, and functions that run block by block.
-- `agreement.py`, `trust.py`: comparison of a kernel with XLA, and the verdicts.
+- `agreement.py`, `trust.py`: comparison of a kernel with XLA, and the resulting verdicts.
 - `arithmetic.py`: check of elementary functions against numpy. `devices.py`: devices, threads, precision.
 
-**Reason for a second compiler.** On CPUs XLA recomputes shared values across fusions and starts each fusion by itself.
-A step of lanes is plain arithmetic with many shared values. As one loop over vectors of lanes, LLVM compiles it in
-about a second.
+**Reason for a second compiler.** On CPUs, XLA recomputes values that several fusions share, and launches each fusion
+separately. One time step of all lanes is plain arithmetic with many shared values. LLVM compiles such a step, written
+as one loop over vectors of lanes, in about a second.
 
 The table (`tests/benchmarks/compilers.py`, `lane_steps.py`) compares kernels with XLA alone. jax's persistent cache is
-on for both (`JAX_COMPILATION_CACHE_DIR`, minimum compile time 0). The map is the bundled `regime-map` with 8,280 lanes,
-from the start of the process to the finished dataset; *cold* is with empty caches, *warm* is a second process. The
-lane-step is one of that scene, with located events and an accepted error of 1e-4.
+on for both (`JAX_COMPILATION_CACHE_DIR`, minimum compile time 0). The rows *map* measure the bundled `regime-map` with
+8,280 lanes, from the launch of the process to the finished dataset. *Cold* means empty caches; *warm* means a second
+process. The rows *lane-step* measure one time step of one lane of the same scene, with located events and an error
+tolerance of 1e-4.
 
 | processor time | kernels | XLA | ratio |
 |---|---|---|---|
@@ -33,17 +35,18 @@ lane-step is one of that scene, with located events and an accepted error of 1e-
 | map, warm | 5.4 s | 8.3 s | 1.6 |
 | lane-step | 99 ns | 246 ns | 2.5 |
 
-These are medians of 3 processes (map) and of 9 runs (lane-step) on an x86-64 machine with AVX-512 and two cores, which
-other work shared. Hence the processor time of all threads; wall time was 1.0 to 1.15 times that while the machine was
-quieter. A repetition on Python 3.13 gave ratios of 2.7 and 1.5 for the map.
+These are medians of 3 processes (map) and of 9 runs (lane-step) on an x86-64 machine with AVX-512 and two cores. Other
+programs shared that machine, so the table lists the processor time of all threads. While the machine was less loaded,
+the wall time was 1.0 to 1.15 times the processor time. A repetition on Python 3.13 gave ratios of 2.7 and 1.5 for the
+map.
 
-So with the newest jax and a warm cache, kernels save a third of the time to the map. With Python 3.11, for which there
-is no later jax than 0.10.2, they save three quarters.
+With the newest jax and a warm cache, kernels thus save a third of the time that the map takes. With Python 3.11, which
+supports no jax later than 0.10.2, kernels save three quarters.
 
-The second reason is identical bits. Kernels gave the same bits with both versions of Python and jax, in sweeps of all
-five scenes in both precisions, and in simulations of three. XLA did not: it took 3,142,015 and 3,142,000 steps for
-2,048 lanes, kernels took 3,141,996 with both. A lane's bits do not depend either on the lanes beside it or on the width
-of the processor's vectors.
+The second reason is bitwise reproducibility. Kernels gave the same bits with both versions of Python and jax, in sweeps
+of all five scenes in both precisions, and in simulations of three scenes. XLA did not: for the same 2,048 lanes it took
+3,142,015 steps with one version and 3,142,000 with the other. Kernels took 3,141,996 steps with both. A lane's bits
+depend neither on the other lanes of the batch nor on the width of the processor's vectors.
 """
 
 from vibrojax.compile.kernels import Untranslatable

@@ -1,10 +1,11 @@
-"""Agreement of a kernel with XLA.
+"""Numerical agreement of a kernel with XLA.
 
-XLA computes the same function instruction by instruction and for all lanes at once, which takes a second where a
-compiled loop takes ten.
+XLA evaluates the same function one instruction at a time, for all lanes at once. This takes about a second; compiling
+the function as one XLA program would take about ten.
 
-Roundings differ between the two, and a value near a switch or a cancellation amplifies them. So the kernel also runs on
-arguments that are off by a few roundings. A difference counts if it is large against the changes that these cause.
+Rounding errors differ between kernel and XLA, and are amplified near a switch between modes or by cancellation. The
+kernel is therefore also run on arguments that are perturbed by a few units of rounding. A difference from XLA counts
+only if it is large compared with the changes that these perturbations cause.
 """
 
 from collections.abc import Callable
@@ -17,37 +18,38 @@ import numpy as np
 from vibrojax.compile.kernels import LANES, Kernel, trace
 
 AGREEMENT_TOLERANCE = {"float64": 1e-10, "float32": 1e-4}
-"""Accepted relative difference, against the largest value in all compared lanes."""
+"""Accepted difference, relative to the largest value in all compared lanes."""
 
 PERTURBATION_ROUNDINGS = 16
-"""Roundings by which arguments of perturbed copies are off."""
+"""Size of the perturbation of the arguments, in units of the relative rounding error (machine epsilon)."""
 
 PERTURBED_COPIES = 16
-"""Perturbed copies of the arguments. At a tie, which rounding decides, one of 16 almost surely falls otherwise."""
+"""Number of perturbed copies of the arguments. A comparison whose outcome is determined by rounding error almost surely
+has the other outcome in at least one of 16 copies."""
 
 AMPLIFICATION_LIMIT = 100.0
-"""Largest accepted ratio of a difference to the change under perturbation."""
+"""Largest accepted ratio of a difference to the change that the perturbation causes."""
 
 USUAL_QUANTILE = 0.9
-"""Share of the lanes whose change under perturbation counts as usual: a single lane may not change by chance."""
+"""Quantile over lanes that defines the typical change under perturbation. A single lane may by chance not change."""
 
 
 class Difference(NamedTuple):
-    """A difference between kernel and XLA: its quantity, and its size relative to the largest value of that."""
+    """A difference between kernel and XLA: name of the quantity, and difference relative to its largest value."""
 
     quantity: str
     relative: float
 
 
 def take_lanes(arguments: Any, lanes: np.ndarray) -> Any:
-    """Return lanes by index; arrays without axes stay."""
+    """Return the arguments at the lane indices `lanes`; scalars are returned unchanged."""
     return jax.tree.map(lambda x: np.take(x, lanes, axis=-1) if np.ndim(x) else x, arguments)
 
 
 def first_difference(function: Callable[..., Any], kernel: Kernel, *arguments: Any) -> Difference | None:
-    """Return the first result in which `kernel`, made from `function`, differs from XLA; None if they agree."""
+    """Return the first result in which `kernel`, compiled from `function`, differs from XLA, or None if they agree."""
     lanes = max(np.shape(x)[-1] for x in jax.tree.leaves(arguments) if np.ndim(x))
-    arguments = take_lanes(arguments, np.resize(np.arange(lanes), LANES))  # as many as a trace has
+    arguments = take_lanes(arguments, np.resize(np.arange(lanes), LANES))  # a trace has this many lanes
     by_kernel = jax.tree_util.tree_flatten_with_path(kernel(*arguments))[0]
     random = np.random.default_rng(0)
     changes = [np.zeros(value.shape) for _, value in by_kernel]
@@ -63,16 +65,16 @@ def first_difference(function: Callable[..., Any], kernel: Kernel, *arguments: A
 
 
 def _evaluate(function: Callable[..., Any], arguments: tuple[Any, ...]) -> list[np.ndarray]:
-    """Evaluate a function of `LANES` lanes by XLA, one instruction after the other."""
+    """Evaluate a function of `LANES` lanes with XLA, one instruction at a time."""
     traced = trace(function, *arguments).jaxpr
     variables = traced.jaxpr.invars
     leaves = [jnp.asarray(x, var.aval.dtype) for x, var in zip(jax.tree.leaves(arguments), variables, strict=True)]
-    with jax.debug_nans(False):  # features without a return are NaN
+    with jax.debug_nans(False):  # features of lanes without a section crossing are NaN
         return [np.asarray(x) for x in jax.core.eval_jaxpr(traced.jaxpr, traced.consts, *leaves)]
 
 
 def _perturb(x: Any, random: np.random.Generator) -> Any:
-    """Return numbers that are off by a few roundings. Whole numbers are modes and counts, and stay."""
+    """Return numbers perturbed by a few units of rounding. Integer values are modes and counts and stay unchanged."""
     x = np.asarray(x)
     if x.dtype.kind != "f" or not x.ndim:
         return x
@@ -82,9 +84,13 @@ def _perturb(x: Any, random: np.random.Generator) -> Any:
 
 
 def _relative_difference(value: np.ndarray, other: np.ndarray, change: np.ndarray) -> float:
-    """Return the largest difference that counts, relative to the largest value in its row; 0 if none counts.
+    """Return the largest difference above its limit, relative to the largest value in its row, or 0 if there is none.
 
-    **Arguments:** `value` of the kernel, `other` of XLA, and the `change` of the kernel's value under perturbation.
+    **Arguments:**
+
+    - `value`: result of the kernel.
+    - `other`: result of XLA.
+    - `change`: largest change of the kernel's result under perturbation of the arguments.
     """
     distance = _distance(value, other)
     if value.dtype.kind != "f":
@@ -100,7 +106,11 @@ def _relative_difference(value: np.ndarray, other: np.ndarray, change: np.ndarra
 
 
 def _distance(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Return |x - y|: 0 if equal or both NaN, infinite if only one is finite; for other types 0 if equal, else 1."""
+    """Return |x - y|.
+
+    For floats: 0 if equal or both NaN, infinity if they differ and either is not finite. For other types: 0 if equal,
+    else 1.
+    """
     if x.dtype.kind != "f":
         return (x != y).astype(float)
     with np.errstate(invalid="ignore", over="ignore"):

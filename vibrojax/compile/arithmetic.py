@@ -1,7 +1,7 @@
-"""Check of elementary functions on this machine, as compiled for lanes, against numpy.
+"""Check of compiled elementary functions against numpy on this machine.
 
-jaxlib 0.10.2 with the widest registers (AVX-512) returned values of arctan in the wrong lanes. Nothing is computed with
-a compiler that fails this check.
+With AVX-512 registers, jaxlib 0.10.2 returned values of arctan in the wrong lanes. A compiler that fails this check is
+not used.
 """
 
 from collections.abc import Callable
@@ -16,20 +16,20 @@ from jaxtyping import Float
 from vibrojax.errors import InputError
 
 ELEMENTARY_ROUNDINGS = 4
-"""Accepted error, in roundings of the value, or of 1 if it is smaller. numpy's own functions are off by up to one."""
+"""Error tolerance in units of machine epsilon times max(1, |value|). numpy's own functions err by up to one unit."""
 
 Evaluate = Callable[..., Any]
-"""`evaluate(function, *arrays)` returns the results of a function of lanes, compiled as lanes are."""
+"""`evaluate(function, *arrays)` compiles a function like any function of lanes and returns its results."""
 
 Functions = tuple[Callable[..., Any], ...]
-"""Elementary functions; each is compared with numpy's function of the same name."""
+"""Elementary functions. Each is compared with numpy's function of the same name."""
 
 
 @cache
 def check(evaluate: Evaluate, functions: Functions, compiler: str, dtype: np.dtype, lanes: int) -> None:
     """Compare functions with numpy, `lanes` values at a time, once per process.
 
-    **Raises:** `InputError` if one is wrong; it names the `compiler` (package and version).
+    **Raises:** `InputError` if a function is wrong. The message contains `compiler` (package and version).
     """
     wrong = wrong_functions(evaluate, functions, dtype, lanes)
     if wrong:
@@ -40,9 +40,10 @@ def check(evaluate: Evaluate, functions: Functions, compiler: str, dtype: np.dty
 
 
 def wrong_functions(evaluate: Evaluate, functions: Functions, dtype: np.dtype, lanes: int) -> list[str]:
-    """Return the names of functions that are off by more than `ELEMENTARY_ROUNDINGS`.
+    """Return the names of functions whose error exceeds `ELEMENTARY_ROUNDINGS`.
 
-    Each is evaluated at `lanes` numbers of both signs over 15 octaves, and compared wherever numpy's value is finite.
+    Each function is evaluated at `lanes` numbers of both signs, with magnitudes from 2^-10 to 2^5. Its results are
+    compared wherever numpy's value is finite.
     """
     x = np.geomspace(2.0**-10, 2.0**5, lanes).astype(dtype)
     x[: lanes // 2] *= -1

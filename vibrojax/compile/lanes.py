@@ -17,14 +17,16 @@ def lane_function(
 ) -> Callable[[Callable[..., R]], Callable[..., R]]:
     """Return a decorator that compiles a function of lanes, whose first `static` arguments are static and hashable.
 
-    The other arguments and the results are pytrees of arrays whose last axis is the lanes', or without axes. The
-    function is compiled for the types of its arguments on its first call with them.
+    The other arguments and the results are pytrees of scalars and of arrays whose last axis is the lane axis. The
+    function is compiled on its first call with each combination of argument types.
 
     **Arguments:**
 
-    - `derives`: the function takes derivatives.
-    - `registers`: registers of the processor per value of a group of lanes.
-    - `policy`: says which calls need a comparison with XLA first; by default, kernels are always trusted.
+    - `static`: number of static arguments.
+    - `derives`: whether the function computes derivatives.
+    - `registers`: number of vector registers that hold one value of a group of lanes.
+    - `policy`: callable that decides which calls require a comparison with XLA first. By default, all kernels are
+      trusted.
     """
 
     def decorate(function: Callable[..., R]) -> Callable[..., R]:

@@ -1,10 +1,12 @@
 """Trust in kernels: kernels of foreign code run only if they agree with XLA.
 
-Code from outside the package may use any function of jax, and a fault in its translation would give wrong numbers in
-silence. So before a kernel of such code runs, the caller's comparison of that code with XLA is made. If they differ,
-XLA runs everything of the same owner. The cache keeps the verdict under the text of the compared kernels and of each
-kernel that may run, so that an owner is compared once. The tests compare the package's own code with the versions in
-`TESTED_VERSIONS`; newer ones are compared here.
+Foreign code (code from outside the package) may use any function of jax. A fault in its translation would silently give
+wrong numbers. So before a kernel of foreign code runs, the caller's `KernelComparison` compares that code with XLA. If
+the results differ, XLA runs all code of the same owner, such as a scene. The disk cache stores the verdict under the
+hashes of the compared kernels and of each kernel that it allows, so that each owner is compared once.
+
+The tests compare the package's own code with XLA for the versions in `TESTED_VERSIONS`. With newer versions, the
+package's own code is compared at run time as well.
 """
 
 import threading
@@ -30,33 +32,35 @@ TESTED_VERSIONS = {"jax": ("0.10.2", "0.12.0.1"), "llvmlite": ("0.50.0",)}
 """Versions with which all tests have passed, oldest first."""
 
 AGREES = b"agrees"
+"""Verdict on kernels that agree with XLA."""
 
 OWN_PACKAGES = ("vibrojax", "builtins", "functools", "typing", "numpy", "jax", "jaxlib")
-"""Packages whose objects are not foreign, unless they contain foreign ones."""
+"""Packages whose objects are not foreign, unless they contain foreign objects."""
 
 
 class KernelRefused(UserWarning):
-    """A kernel and XLA differ, so that XLA runs all lanes of the same owner."""
+    """Warning that a kernel differs from XLA and that XLA therefore runs all lanes of the same owner."""
 
 
 class KernelComparison(Protocol):
-    """Kernels that are compared with XLA. Its construction raises `Untranslatable` if they cannot be made."""
+    """Comparison of kernels with XLA. Its constructor raises `Untranslatable` if the kernels cannot be made."""
 
     @property
     def key(self) -> str:
-        """Digest of the compared kernels."""
+        """Hash of the kernels that are compared with XLA."""
 
     def difference(self) -> Difference | None:
-        """Return the first difference, or None."""
+        """Return the first difference, or None if the kernels agree with XLA."""
 
 
 class Subject(NamedTuple):
-    """The code that a kernel comes from.
+    """The code from which a kernel is compiled.
 
-    - `owner`: a refusal holds for all kernels of the same owner; `label` names it in messages.
-    - `code`: the objects that the kernel calls, searched for foreign ones.
-    - `variant`: there is one comparison per owner, variant and precision.
-    - `compare`: makes the comparison.
+    - `owner`: object to which the code belongs. If one kernel is rejected, all kernels of its owner are.
+    - `label`: name of the owner in messages.
+    - `code`: objects that the kernel calls, to be searched for foreign code.
+    - `variant`: variant of the code. There is one comparison per owner, variant and precision.
+    - `compare`: function that makes the comparison.
     """
 
     owner: Hashable
@@ -68,16 +72,16 @@ class Subject(NamedTuple):
 
 Policy = Callable[[tuple[Hashable, ...], tuple[Any, ...], bool], Subject | None]
 """`policy(static, arguments, derives)` returns the subject of a call, or None if its kernel is always trusted.
-`derives` says that the function takes derivatives."""
+`derives` is True if the function computes derivatives."""
 
 _verdicts: dict[Hashable, bytes] = {}
-"""Verdicts of this process by owner, variant and precision: `AGREES`, or the line that describes the difference."""
+"""Verdicts of this process by owner, variant and precision: `AGREES`, or a message that describes the difference."""
 
 _refused: dict[Hashable, str] = {}
-"""Reason of refusal by owner."""
+"""Rejected owners, with the reason."""
 
 _trusted: set[str] = set()
-"""Keys of kernels that may run."""
+"""Keys of trusted kernels."""
 
 _locks: defaultdict[Hashable, threading.Lock] = defaultdict(threading.Lock)
 _lock = threading.Lock()
@@ -93,9 +97,13 @@ def run_kernel(
 ) -> Any:
     """Return `function(*static, *arguments)`, computed by a trusted kernel.
 
-    **Arguments:** `registers` as in `vibrojax.compile.kernels.Kernel`; `derives` and `policy` as in `Policy`.
+    **Arguments:**
 
-    **Raises:** `Untranslatable` if no kernel can be made, or if kernels of this owner differ from XLA.
+    - `static`, `arguments`: static and traced arguments of the function.
+    - `registers`: see `vibrojax.compile.kernels.Kernel`.
+    - `derives`, `policy`: see `Policy`.
+
+    **Raises:** `Untranslatable` if no kernel can be made, or if kernels of the same owner differ from XLA.
     """
     subject = policy(static, arguments, derives) if policy is not None else None
     if subject is None or not (is_foreign(subject.code) or newer_than_tested()):
@@ -116,7 +124,10 @@ def _raise_if_refused(subject: Subject) -> None:
 
 
 def _verify(key: str, subject: Subject) -> None:
-    """Trust the kernel with this key, or raise `Untranslatable`; warn at the first refusal of an owner."""
+    """Mark the kernel with this key as trusted, or raise `Untranslatable`.
+
+    The first time an owner is rejected, also warn.
+    """
     _raise_if_refused(subject)
     name = _verdict_name(key)
     if store.read(name) != AGREES:
@@ -124,7 +135,7 @@ def _verify(key: str, subject: Subject) -> None:
         if compared not in _verdicts:
             try:
                 _verdicts[compared] = _verdict(subject)
-            except Untranslatable as error:  # a part of the code that this kernel does not need
+            except Untranslatable as error:  # raised by code that the comparison needs and this kernel does not
                 _refused[subject.owner] = str(error)
                 raise
         verdict = _verdicts[compared]
@@ -137,7 +148,7 @@ def _verify(key: str, subject: Subject) -> None:
 
 
 def _verdict(subject: Subject) -> bytes:
-    """Return the verdict on a subject, from the cache if possible."""
+    """Return the verdict on a subject, from the disk cache if it is there."""
     comparison = subject.compare()
     name = _verdict_name(comparison.key)
     verdict = store.read(name)
@@ -154,7 +165,7 @@ def _verdict(subject: Subject) -> bytes:
 
 
 def _verdict_name(key: str) -> str:
-    """Return the key under which the cache keeps the verdict on kernels."""
+    """Return the cache key of the verdict on the kernels with this key."""
     return sha256("\n".join(("agreement 1", key, jax.__version__, jaxlib.__version__)).encode()).hexdigest()
 
 
@@ -175,7 +186,8 @@ def _version_numbers(version: str) -> tuple[int, ...]:
 def is_foreign(code: Hashable) -> bool:
     """Return whether an object is, or contains, code from outside the package.
 
-    A `vj.FrictionLaw` is an object of the package that holds functions of its user, so fields and closures count.
+    Fields and closures are searched as well: a `vj.FrictionLaw`, for example, belongs to the package but holds
+    functions that its user wrote.
     """
     seen: set[int] = set()
 
@@ -190,7 +202,7 @@ def is_foreign(code: Hashable) -> bool:
 
 
 def _contents(x: Any) -> Iterator[Any]:
-    """Yield the parts of an object that may be code: items, fields, and what a function encloses or wraps."""
+    """Yield the parts of an object that may be code: items, fields, closure variables, defaults, wrapped functions."""
     if isinstance(x, Mapping):
         yield from x.values()
     elif isinstance(x, list | tuple | set | frozenset):

@@ -1,4 +1,4 @@
-"""Functions of lanes compiled by XLA: for accelerators, and for what no kernel can express."""
+"""Functions of lanes compiled by XLA: for accelerators, and for functions that no kernel can express."""
 
 from collections.abc import Callable, Hashable
 from functools import cache, wraps
@@ -11,8 +11,8 @@ from jaxlib import version as jaxlib
 from jaxtyping import Int
 
 WIDE_VECTORS_CHECKED = ("0.10.0", "0.12.0.1")
-"""Versions of jaxlib whose functions are right with the widest registers (AVX-512). In 0.10.2, 0.11.0 and 0.11.2 arctan
-of more than 16 values returns them in the wrong places."""
+"""Versions of jaxlib whose functions are correct with AVX-512 registers. In 0.10.2, 0.11.0 and 0.11.2, arctan of more
+than 16 values returns its results in the wrong order."""
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -25,17 +25,17 @@ def compiler_options(platform: str) -> dict[str, int | str]:
     options: dict[str, int | str] = {}
     if platform == "cpu":
         if jaxlib.__version__ in WIDE_VECTORS_CHECKED:
-            # A block fills the widest registers; on processors with narrower ones this has no effect.
+            # Use the widest registers. On processors with narrower registers this option has no effect.
             options["xla_cpu_prefer_vector_width"] = 512
         if jax.__version_info__ < (0, 11, 2):
-            # This pass removes barriers before values are fused, which computes them again and again: eight times the
-            # arithmetic. Later versions do not have it.
+            # This pass removes barriers before fusion. The fusions then recompute shared values: eight times the
+            # arithmetic. Later versions of jax do not have this pass.
             options["xla_disable_hlo_passes"] = "cse_barrier_expander"
     return options
 
 
 def jitted(static: tuple[str, ...] = ()) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Return a decorator: `jax.jit` with the options of the platform in use; arguments named in `static` are static."""
+    """Return a decorator like `jax.jit`, with the options of the current platform and the static arguments `static`."""
 
     def decorate(function: Callable[P, R]) -> Callable[P, R]:
         @cache
@@ -53,20 +53,20 @@ def jitted(static: tuple[str, ...] = ()) -> Callable[[Callable[P, R]], Callable[
 
 @cache
 def evaluation(options: Options) -> Callable[..., Any]:
-    """Return `evaluate(function, *arrays)`, which compiles with these options."""
+    """Return `evaluate(function, *arrays)`, which compiles a function with these options and calls it."""
     return lambda function, *arrays: jax.jit(function, compiler_options=dict(options))(*arrays)
 
 
 def run_in_blocks(
     function: Callable[..., Any], static: tuple[Hashable, ...], block: int, blocks: int, *arguments: Any
 ) -> Any:
-    """Return `function(*static, *arguments)` for lanes in blocks of `block`, one after the other, as numpy arrays.
+    """Return `function(*static, *arguments)` as numpy arrays, computed for one block of `block` lanes after another.
 
-    Arguments and results are pytrees of arrays whose last axis is the lanes', or without axes. Each call has room for
-    `blocks` blocks, which must hold all lanes, so that any number of lanes runs through one compiled program.
+    Arguments and results are pytrees of scalars and of arrays whose last axis is the lane axis. The arrays are padded
+    to `blocks` blocks, which must hold all lanes. One compiled program thus runs any number of lanes.
     """
     lanes = max(np.shape(x)[-1] for x in jax.tree.leaves(arguments) if np.ndim(x))
-    repeated = np.resize(np.arange(lanes), block * blocks)  # lanes beyond the last fill up its block
+    repeated = np.resize(np.arange(lanes), block * blocks)  # padding repeats the lanes from the first on
     padded = jax.tree.map(lambda x: np.take(x, repeated, axis=-1) if np.ndim(x) else x, arguments)
     results = _run_blocks(function, static, block, np.int32(-(-lanes // block)), *padded)
     return jax.tree.map(lambda x: np.asarray(x)[..., :lanes], results)
@@ -76,7 +76,7 @@ def run_in_blocks(
 def _run_blocks(
     function: Callable[..., Any], static: tuple[Hashable, ...], block: int, count: Int[Any, ""], *arguments: Any
 ) -> Any:
-    """Return the results for the first `count` blocks, a traced number, and zeros for the others."""
+    """Return the results of the first `count` blocks, and zeros for the others. `count` is traced."""
 
     def cut(x: jax.Array) -> jax.Array:
         return jnp.moveaxis(x.reshape(*x.shape[:-1], -1, block), -2, 0) if x.ndim else x

@@ -1,4 +1,4 @@
-"""Rules for primitives that move entries without changing them. They write no instructions."""
+"""Translation rules for primitives that rearrange array entries. These rules emit no instructions."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -9,7 +9,7 @@ import numpy as np
 from vibrojax.compile.kernels.operands import LANES, Untranslatable, Value, literals, without_lanes
 
 ArrangementRule = Callable[[Any, Sequence[Value]], list[Value]]
-"""A rule that takes an equation of a jaxpr and its arguments, and returns its results."""
+"""A rule that takes an equation of a jaxpr and the equation's arguments, and returns the equation's results."""
 
 
 def _broadcast(equation: Any, values: Sequence[Value]) -> list[Value]:
@@ -28,7 +28,7 @@ def _reshape(equation: Any, values: Sequence[Value]) -> list[Value]:
 
 
 def _entries_before_lanes(shape: tuple[int, ...]) -> int | None:
-    """Return the number of entries along the axes before that of the lanes; None if there are no lanes."""
+    """Return the number of entries along the axes before the lane axis, or None if there is no lane axis."""
     return math.prod(shape[: shape.index(LANES)]) if LANES in shape else None
 
 
@@ -63,7 +63,7 @@ def _count(equation: Any, values: Sequence[Value]) -> list[Value]:
 
 
 def arrange(equation: Any, values: Sequence[Value]) -> list[Value]:
-    """Return the results of an equation; raise `Untranslatable` if it moves lanes."""
+    """Return the results of an equation, or raise `Untranslatable` if the equation moves lanes."""
     name, params = equation.primitive.name, equation.params
     axes = np.atleast_1d(params[MOVED_AXES[name]]) if name in MOVED_AXES else ()
     if any(var.aval.shape[axis] == LANES for var in equation.invars for axis in axes):
@@ -72,7 +72,7 @@ def arrange(equation: Any, values: Sequence[Value]) -> list[Value]:
 
 
 MOVED_AXES = {"concatenate": "dimension", "unstack": "axis", "split": "axis", "rev": "dimensions"}
-"""Parameters that hold axes along which entries move."""
+"""Parameter of each primitive that holds the axes along which entries move."""
 
 RULES: dict[str, ArrangementRule] = {
     "broadcast_in_dim": _broadcast,

@@ -1,4 +1,4 @@
-"""Text of one LLVM function: its instructions, the memory that they use, and the arrays that it reads and fills."""
+"""LLVM IR of one function: its instructions, the memory that they use, and the arrays that it reads and fills."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -24,10 +24,12 @@ from vibrojax.compile.kernels.operands import (
 class Assembly:
     """Instructions for a group of `width` lanes, appended one by one. A vector has one element per lane.
 
-    - `lines`: the instructions; `places`: those before them, which reserve memory.
-    - `declared`: external functions; `workspace`: its size [bytes].
-    - `positive`: registers with floats that have no sign bit (or are NaN).
-    - `arrays`: number of the kernel's array by variable; `filled`: numbers of arrays that a loop writes.
+    - `lines`: the instructions. `places`: instructions that reserve memory, emitted before `lines`.
+    - `declared`: declarations of external functions.
+    - `workspace`: size of the workspace so far [bytes]. The workspace is memory that the caller of the kernel provides.
+    - `positive`: registers with floats whose sign bit is not set, or that are NaN.
+    - `arrays`: position of each variable among the kernel's arrays (arguments, then results).
+    - `filled`: positions of the arrays that a loop writes row by row.
     """
 
     def __init__(self, width: int) -> None:
@@ -43,7 +45,7 @@ class Assembly:
         self._read: dict[str, Operand] = {}
 
     def fresh(self, prefix: str) -> str:
-        """Return an unused name, without its sign."""
+        """Return an unused name, without LLVM's prefix `%`."""
         self._names += 1
         return f"{prefix}{self._names}"
 
@@ -58,18 +60,20 @@ class Assembly:
         return name
 
     def label(self, name: str) -> None:
-        """Append the target of a jump."""
+        """Append a label, the target of a jump."""
         self.lines.append(f"{name}:")
         self.forget()
 
     def forget(self) -> None:
-        """Read values from memory again when they are used next: they may have changed."""
+        """Discard cached reads. Values in memory may have changed and are loaded again at their next use."""
         self._read = {}
 
     def repeat(self, turns: int, turn: Callable[[str], None]) -> None:
-        """Append a loop, whose body `turn` writes; its argument is the register that counts the turns from 0.
+        """Append a loop of `turns` iterations.
 
-        The number of turns is known, so that a loop without turns is left out and all others test after their body.
+        `turn(number)` emits the body. `number` is the register with the number of the iteration, counted from 0. The
+        number of iterations is known. A loop of no iterations is therefore omitted, and every other loop tests its end
+        after the body.
         """
         if turns < 1:
             return
@@ -86,15 +90,15 @@ class Assembly:
         self.label(done)
 
     def type(self, dtype: np.dtype, varying: bool) -> str:
-        """Return the type of a register."""
+        """Return the LLVM type of a register, a vector if `varying`."""
         return f"<{self.width} x {element(dtype)}>" if varying else element(dtype)
 
     def type_in_memory(self, dtype: np.dtype, varying: bool) -> str:
-        """Return the type of a value in memory: that of its register, except that booleans are bytes."""
+        """Return the LLVM type of a value in memory. It is the register's type, except that booleans are bytes."""
         return self.type(np.dtype(np.int8) if dtype == BOOL else dtype, varying)
 
     def register(self, entry: Entry) -> Operand:
-        """Return an entry as a register or literal, read from memory if necessary."""
+        """Return an entry as a register or literal, and load it from memory if necessary."""
         if isinstance(entry, Operand):
             return entry
         if not entry.pointer:
@@ -104,7 +108,7 @@ class Assembly:
         return self._read[entry.pointer]
 
     def vector(self, entry: Entry) -> str:
-        """Return the text of an entry as a vector, whether it varies or not."""
+        """Return the IR text of an entry as a vector, even if the entry is the same for all lanes."""
         x = self.register(entry)
         if x.varying:
             return x.text
@@ -115,11 +119,11 @@ class Assembly:
         return self.let(f"shufflevector {whole} {first}, {whole} poison, <{self.width} x i32> zeroinitializer")
 
     def text(self, entry: Entry, varying: bool) -> str:
-        """Return the text of an entry, as a vector if `varying`."""
+        """Return the IR text of an entry, as a vector if `varying`."""
         return self.vector(entry) if varying else self.register(entry).text
 
     def load(self, slot: Slot, alignment: int) -> Operand:
-        """Return the present value of a slot."""
+        """Emit a load of a slot and return the register of the value."""
         kind = self.type_in_memory(slot.dtype, slot.varying)
         x = self.let(f"load {kind}, ptr {slot.pointer}, align {alignment}")
         if slot.dtype == BOOL:
@@ -127,7 +131,7 @@ class Assembly:
         return Operand(x, slot.dtype, slot.varying)
 
     def store(self, entry: Entry, slot: Slot, alignment: int | None = None) -> None:
-        """Write an entry to memory."""
+        """Emit a store of an entry to a slot."""
         x = self.text(entry, slot.varying)
         kind = self.type_in_memory(slot.dtype, slot.varying)
         if slot.dtype == BOOL:
@@ -135,7 +139,7 @@ class Assembly:
         self.do(f"store {kind} {x}, ptr {slot.pointer}, align {alignment or self._alignment(slot.varying)}")
 
     def slot(self, dtype: np.dtype, varying: bool, in_registers: bool) -> Slot:
-        """Return a new slot, which LLVM may turn into a register if `in_registers`; else it is in the workspace."""
+        """Return a new slot. If `in_registers`, LLVM may turn it into a register; else it is in the workspace."""
         name = f"%{self.fresh('p')}"
         if in_registers:
             kind = self.type_in_memory(dtype, varying)
@@ -147,23 +151,26 @@ class Assembly:
         return Slot(name, dtype, varying, offset)
 
     def call(self, function: str, arguments: Sequence[str], gives: str, takes: str | None = None) -> str:
-        """Call an external function whose arguments all have the type `takes`, that of the result by default."""
+        """Emit a call of an external function with the result type `gives`.
+
+        All arguments have the type `takes`, by default the type of the result.
+        """
         takes = takes or gives
         self.declared.add(f"declare {gives} @{function}({', '.join([takes] * len(arguments))})")
         return self.let(f"call {gives} @{function}({', '.join(f'{takes} {x}' for x in arguments)})")
 
     def intrinsic(self, name: str, arguments: Sequence[str], dtype: np.dtype, varying: bool) -> str:
-        """Call one of LLVM's intrinsic functions, whose arguments have the type of its result."""
+        """Emit a call of an intrinsic function of LLVM whose arguments have the type of its result."""
         lanes = f"v{self.width}" if varying else ""
         return self.call(f"llvm.{name}.{lanes}{self.suffix(dtype)}", arguments, self.type(dtype, varying))
 
     def suffix(self, dtype: np.dtype) -> str:
-        """Return the part of an intrinsic function's name that names a type of numbers."""
+        """Return the suffix of an intrinsic function's name for a number type, such as `f64`."""
         return ("f" if dtype.kind == "f" else "i") + str(1 if dtype == BOOL else 8 * dtype.itemsize)
 
     @property
     def alignment(self) -> int:
-        """Alignment of vectors in memory, and of the workspace [bytes]."""
+        """Alignment of vectors in memory and of the workspace [bytes]."""
         return 8 * self.width
 
     def _alignment(self, varying: bool) -> int:
@@ -171,12 +178,14 @@ class Assembly:
 
 
 def array_slots(asm: Assembly, place: int, aval: Any, block: tuple[str, int] = ("0", 0)) -> Value:
-    """Return the slots of an array for this group of lanes, whose axis is the last.
+    """Return the slots of one of the kernel's arrays for this group of lanes. The lane axis must be the last axis.
 
     **Arguments:**
 
-    - `place`: number of the array among all arguments and results.
-    - `block`: (index, rows): the slots are those of block `index` in an array of blocks with this number of rows.
+    - `place`: position of the array among all arguments and results.
+    - `aval`: abstract value (shape and type) of the array, or of one block of it.
+    - `block`: (index, rows) if the array is a stack of blocks: the register with the index of the block, and the number
+      of rows per block.
     """
     varying, dtype = varies(aval), dtype_of(aval)
     if varying and aval.shape[-1] != LANES:
@@ -197,11 +206,11 @@ def array_slots(asm: Assembly, place: int, aval: Any, block: tuple[str, int] = (
 
 
 def array_entries(asm: Assembly, place: int, aval: Any) -> Value:
-    """Return an argument of the kernel in registers, read at once because its rows lie far apart."""
+    """Return an argument of the kernel in registers. It is loaded only once: its rows are far apart in memory."""
     slots = array_slots(asm, place, aval)
     return build(slots.shape, lambda index: asm.load(slots.item(index), alignment=1))
 
 
 def placeholder(aval: Any) -> Value:
-    """Return entries without memory, for an array that a loop reads or fills row by row and nothing else may read."""
+    """Return entries without memory, for an array that only a loop reads or fills, row by row."""
     return build(without_lanes(aval.shape), lambda _: Slot("", dtype_of(aval), varies(aval)))

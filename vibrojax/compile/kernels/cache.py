@@ -1,19 +1,20 @@
-"""Compiled kernels and verdicts on them, kept in the user's cache folder between runs.
+"""Disk cache of compiled kernels and of verdicts on them, in the user's cache folder.
 
-A kept kernel is machine code that this process runs, so that whoever can write it can do all that the user can. There
-are two safeguards:
+A cached kernel is machine code that this process runs. Whoever can write the file can thus run code with the rights of
+the user. There are two safeguards:
 
-- Only the user can have written a file that is loaded. The file and the folder `kernels` belong to the user, and
-  neither group nor others can write to them; an access control list with more rights shows in the group's bits. Both
-  are checked on open descriptors. The file is opened relative to its folder's descriptor, without following a symbolic
-  link. Hence the folders above do not matter: renaming `kernels` does not make another folder belong to the user. This
-  holds in `/tmp`, where the sticky bit is set. A folder above that all others can write to without the sticky bit is
-  refused nevertheless, because it is a mistake.
-- A digest of key and content detects damage and mix-ups: half a file, a flipped bit, a file under another's key. It
-  proves nothing against an attacker, who can compute it too.
+- Only files that nobody but the user can have written are loaded. The file and the folder `kernels` must belong to the
+  user, and neither group nor others may write to them. An access control list that grants more rights shows in the
+  group's permission bits. Owner and permissions are checked on open descriptors. The file is opened relative to the
+  folder's descriptor, without following symbolic links. The folders above `kernels` therefore do not matter: renaming
+  `kernels` does not make another folder belong to the user. This holds in `/tmp` as well, where the sticky bit is set.
+  A parent folder that everybody can write to and that lacks the sticky bit is rejected nevertheless, because such
+  permissions are a mistake.
+- A hash of key and content detects damage and mix-ups: an incomplete file, a flipped bit, a file under the wrong key.
+  The hash does not protect against an attacker, who can compute it too.
 
-A file or folder that is refused costs the time to compile again, and is named once in the log (`--verbose`). Without
-POSIX owners (Windows) the digest alone is checked: a user's own cache folder is private there.
+If a file or folder is rejected, its kernels are compiled again and its path is logged once (`--verbose`). Where files
+have no POSIX owners (Windows), only the hash is checked: a user's own cache folder is private there.
 """
 
 import os
@@ -32,47 +33,50 @@ from platformdirs import user_cache_path
 from vibrojax.progress import LOG
 
 CACHE_VARIABLE = "VIBROJAX_CACHE"
-"""Environment variable that holds another folder, or one of `CACHE_OFF`."""
+"""Environment variable for the path of another cache folder, or for one of `CACHE_OFF`."""
 
 CACHE_OFF = ("off", "0", "no", "none")
+"""Values of the environment variable that turn the cache off."""
 
 KEPT_BYTES, KEPT_DAYS = 100e6, 90
-"""Limits of the cache: the kernels of a study fit, and those of a version that is no longer used vanish in a season."""
+"""Limits of total size and unused age: the kernels of a study fit, and those of an abandoned version are deleted."""
 
 MAGIC = b"vibrojax kernel 1\n"
-"""First bytes of every file of the cache."""
+"""First bytes of every cache file."""
 
 HEADER = len(MAGIC) + sha256().digest_size
+"""Length of the header of a cache file [bytes]: magic bytes and hash."""
 
 KEY, TEMPORARY = re.compile(r"[0-9a-f]{64}"), ".vibrojax-"
-"""Names of the cache's own files: a SHA-256 digest, and the prefix of files that are being written."""
+"""Names of cache files: a SHA-256 hash, and the prefix of files that are being written."""
 
 HALF_WRITTEN_SECONDS = 3600
-"""Age from which a temporary file counts as the remains of a killed process."""
+"""Age [s] above which a temporary file is deleted as a leftover of a killed process."""
 
 HAS_OWNERS = hasattr(os, "geteuid")
+"""True if files have POSIX owners."""
 
 _refused: set[Path] = set()
-"""Folders whose refusal has been logged."""
+"""Folders whose rejection has been logged."""
 
 
 class CacheRefused(Exception):
-    """Refusal of a folder or file that is damaged, or that somebody else may have written."""
+    """A folder or file was rejected because it is damaged or because another user may have written it."""
 
 
 class Folder(NamedTuple):
-    """A folder of the cache, and its open descriptor (None without POSIX owners)."""
+    """A cache folder and its open descriptor (None if files have no POSIX owners)."""
 
     path: Path
     descriptor: int | None
 
     def name(self, file: str) -> str | Path:
-        """Return the path of a file for calls with `dir_fd=descriptor`."""
+        """Return a file's path for calls with `dir_fd=descriptor`."""
         return file if self.descriptor is not None else self.path / file
 
 
 def folder() -> Path | None:
-    """Return the folder of kept kernels; None if the cache is off."""
+    """Return the folder of cached kernels, or None if the cache is off."""
     chosen = os.environ.get(CACHE_VARIABLE, "")
     if chosen.lower() in CACHE_OFF:
         return None
@@ -80,7 +84,7 @@ def folder() -> Path | None:
 
 
 def read(key: str) -> bytes | None:
-    """Return the content under a key, or None."""
+    """Return the cached content of a key, or None if there is none that can be trusted."""
     path = folder()
     if path is None:
         return None
@@ -88,7 +92,7 @@ def read(key: str) -> bytes | None:
         with _open_folder(path) as where:
             content = _read_file(where, key)
             with suppress(OSError):
-                os.utime(where.name(key), dir_fd=where.descriptor)  # the oldest files are dropped first
+                os.utime(where.name(key), dir_fd=where.descriptor)  # the least recently used files are deleted first
             return content
     except CacheRefused as refusal:
         _log_once(path, refusal)
@@ -98,7 +102,7 @@ def read(key: str) -> bytes | None:
 
 
 def write(key: str, content: bytes) -> None:
-    """Keep content under a key, completely or not at all; delete old files."""
+    """Cache content under a key, completely or not at all, and delete old files."""
     path = folder()
     if path is None:
         return
@@ -116,9 +120,9 @@ def write(key: str, content: bytes) -> None:
 
 @contextmanager
 def _open_folder(path: Path) -> Iterator[Folder]:
-    """Open a folder of the cache.
+    """Open a cache folder.
 
-    **Raises:** `Refused` if others can write to it, `OSError` if it cannot be opened.
+    **Raises:** `CacheRefused` if the folder cannot be trusted, `OSError` if the folder does not exist.
     """
     if not HAS_OWNERS:
         yield Folder(path, None)
@@ -130,7 +134,7 @@ def _open_folder(path: Path) -> Iterator[Folder]:
         descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
     except FileNotFoundError:
         raise
-    except OSError as error:  # no folder, a link to one, or one of another user that cannot be read
+    except OSError as error:  # not a folder, a symbolic link, or an unreadable folder of another user
         raise CacheRefused(f"{path}: {error.strerror}") from None
     try:
         _check_owner(descriptor, path)
@@ -140,9 +144,9 @@ def _open_folder(path: Path) -> Iterator[Folder]:
 
 
 def _read_file(where: Folder, key: str) -> bytes:
-    """Return the content of a file.
+    """Return the content of the file for a key.
 
-    **Raises:** `Refused` if others may have written it, or if it was not kept under this key.
+    **Raises:** `CacheRefused` if others may have written the file, if it is damaged, or if it belongs to another key.
     """
     flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_NONBLOCK", 0)
     try:
@@ -164,7 +168,7 @@ def _read_file(where: Folder, key: str) -> bytes:
 
 
 def _write_file(where: Folder, key: str, whole: bytes) -> None:
-    """Write a file that only the user can read, under a temporary name until it is complete."""
+    """Write a file that only the user can read. It has a temporary name until it is complete."""
     temporary = where.name(f"{TEMPORARY}{secrets.token_hex(8)}")
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
     handle = os.open(temporary, flags, 0o600, dir_fd=where.descriptor)
@@ -178,7 +182,7 @@ def _write_file(where: Folder, key: str, whole: bytes) -> None:
 
 
 def _check_owner(descriptor: int, path: Path) -> None:
-    """Raise `Refused` unless an open file or folder belongs to this user and nobody else can write to it."""
+    """Raise `CacheRefused` unless an open file or folder belongs to this user and nobody else can write to it."""
     status = os.fstat(descriptor)
     if status.st_uid != os.geteuid():
         raise CacheRefused(f"{path}: belongs to another user")
@@ -191,16 +195,17 @@ def _digest(key: str, content: bytes) -> bytes:
 
 
 def _log_once(path: Path, refusal: CacheRefused) -> None:
-    """Log the first refusal of a folder or of a file in it."""
+    """Log the first rejection of a folder or of a file in the folder."""
     if path not in _refused:
         _refused.add(path)
         LOG.info("cache refused: %s; kernels are compiled again", refusal)
 
 
 def _delete_old(where: Folder) -> None:
-    """Delete kernels unused for `KEPT_DAYS`, the least recently used beyond `KEPT_BYTES`, and half-written files.
+    """Delete kernels that have not been used for `KEPT_DAYS`, and leftover temporary files.
 
-    Everything else in the folder stays: other names, folders, links, and files without the header of the cache.
+    If the total size exceeds `KEPT_BYTES`, the least recently used kernels are deleted as well. Everything else in the
+    folder stays: folders, links, files with other names, and files that do not begin with `MAGIC`.
     """
     with os.scandir(where.path if where.descriptor is None else where.descriptor) as entries:
         files = [(entry.name, entry.stat(follow_symlinks=False)) for entry in entries]
@@ -220,7 +225,7 @@ def _delete_old(where: Folder) -> None:
 
 
 def _is_own(where: Folder, name: str) -> bool:
-    """Return whether a file begins with the bytes of the cache's own files."""
+    """Return whether a file begins with `MAGIC`."""
     flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
     with suppress(OSError), os.fdopen(os.open(where.name(name), flags, dir_fd=where.descriptor), "rb") as file:
         return file.read(len(MAGIC)) == MAGIC

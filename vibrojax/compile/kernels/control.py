@@ -1,4 +1,4 @@
-"""Rules for loops, branches and calls of functions."""
+"""Translation rules for loops, branches and function calls."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
@@ -19,17 +19,19 @@ from vibrojax.compile.kernels.operands import (
 )
 
 LOOP_VALUES_IN_REGISTERS = 24
-"""Values that a loop may carry in registers. Those of larger loops stay in memory, where each is read as it is used."""
+"""Maximum number of values that a loop carries in registers. If a loop carries more, all its values stay in memory and
+are loaded at each use."""
 
 Write = Callable[[Any, Sequence[Value], Collection[int]], list[Value]]
-"""`write(jaxpr, arguments, owned)` writes a closed jaxpr; it may overwrite arguments whose identities are `owned`."""
+"""`write(jaxpr, arguments, owned)` emits the instructions of a closed jaxpr and returns its results. It may overwrite
+arguments whose `id` is in `owned`."""
 
 ControlRule = Callable[[Assembly, Write, Any, Sequence[Value], Collection[int]], list[Value]]
-"""A rule that writes an equation of a jaxpr, and by `Write` the equations within it."""
+"""A rule that emits an equation of a jaxpr and, using `Write`, the jaxprs that the equation contains."""
 
 
 def _reserve(asm: Assembly, variables: Sequence[Any]) -> list[Value]:
-    """Return slots for arrays that are carried from one turn of a loop to the next, or out of a branch."""
+    """Return slots for arrays that are carried from one iteration of a loop to the next, or out of a branch."""
     shapes = [without_lanes(var.aval.shape) for var in variables]
     few = sum(int(np.prod(shape)) for shape in shapes) <= LOOP_VALUES_IN_REGISTERS
     return [
@@ -39,7 +41,7 @@ def _reserve(asm: Assembly, variables: Sequence[Any]) -> list[Value]:
 
 
 def _put(asm: Assembly, places: Sequence[Value], values: Sequence[Value]) -> None:
-    """Write arrays to memory. All are read before any is written: one may lie where another is to be written."""
+    """Emit stores of arrays to slots. All arrays are loaded before the first store: their memory may overlap."""
     moves: list[tuple[Entry, Slot]] = []
     for slots, entries in zip(places, values, strict=True):
         for slot, entry in zip(slots.ravel().tolist(), entries.ravel().tolist(), strict=True):
@@ -70,21 +72,21 @@ def _while(asm: Assembly, write: Write, equation: Any, values: Sequence[Value], 
 
 
 def scanned(equation: Any) -> list[Any]:
-    """Return the variables that a scan reads row by row; none for other equations."""
+    """Return the variables that a scan reads row by row, or an empty list for other equations."""
     if equation.primitive.name != "scan":
         return []
     return _with_rows(equation.invars, equation.params["jaxpr"].jaxpr.invars)
 
 
 def _with_rows(outside: Sequence[Any], inside: Sequence[Any]) -> list[Any]:
-    """Return the variables outside of a loop that have one axis more than inside."""
+    """Return the outer variables of a loop that have one axis more than the matching inner variables."""
     return [var for var, row in zip(outside, inside, strict=True) if row.aval.ndim < var.aval.ndim]
 
 
 def _scan(asm: Assembly, write: Write, equation: Any, values: Sequence[Value], owned: Collection[int]) -> list[Value]:
-    """Write a loop of a known number of turns.
+    """Emit a scan, a loop of a known number of iterations.
 
-    It may read arguments of the kernel row by row, from either end, and fill results of the kernel row by row.
+    The scan may read arguments of the kernel and fill results of the kernel row by row, forwards or backwards.
     """
     inner, length = equation.params["jaxpr"].jaxpr, equation.params["length"]
     if length == LANES:
@@ -119,12 +121,12 @@ def _scan(asm: Assembly, write: Write, equation: Any, values: Sequence[Value], o
 
 
 def _row_of_turn(asm: Assembly, turn: str, params: Mapping[str, Any]) -> str:
-    """Return the register with the number of the row that a turn of a scan reads and writes."""
+    """Return the register with the number of the row that an iteration of a scan reads and writes."""
     return asm.let(f"sub i64 {params['length'] - 1}, {turn}") if params["reverse"] else turn
 
 
 def _branch(asm: Assembly, write: Write, equation: Any, values: Sequence[Value], owned: Collection[int]) -> list[Value]:
-    """Write a choice of one of two functions, the same for all lanes."""
+    """Emit a branch between two functions. The condition is shared by all lanes."""
     index, *arguments = values
     which = asm.register(index.item())
     branches = equation.params["branches"]

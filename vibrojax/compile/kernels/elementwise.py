@@ -1,4 +1,4 @@
-"""Rules for primitives that act on each entry by itself: arithmetic, comparisons, functions, conversions."""
+"""Translation rules for elementwise primitives: arithmetic, comparisons, functions, conversions."""
 
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -13,7 +13,7 @@ from vibrojax.compile.kernels.rules import ANY, FLOATS, INTEGERS, NUMBERS, Appli
 
 
 def apply(asm: Assembly, name: str, params: Mapping[str, Any], entries: list[Entry], gives: np.dtype) -> Operand:
-    """Write a primitive of one entry of each argument; raise `Untranslatable` for types without a rule."""
+    """Emit a primitive for one entry of each argument; raise `Untranslatable` for types without a rule."""
     if name in COMPOSED:
         return COMPOSED[name](asm, entries)
     rule, op = RULES[name], Application(asm, params, entries, gives)
@@ -46,14 +46,17 @@ def _arithmetic(of_floats: str, of_integers: str, op: Application) -> str:
 
 
 def _divide(remainder: bool, op: Application) -> str:
-    """Write a quotient or remainder. For integers divided by 0 these are, as in XLA, -1 (all bits) and the dividend."""
+    """Emit a quotient or remainder.
+
+    An integer division by 0 gives, as in XLA, the quotient -1 (all bits set) and the dividend as remainder.
+    """
     dividend, divisor = op.x
     name = "rem" if remainder else "div"
     if op.is_float:
         return op.asm.let(f"f{name} {op.type} {dividend}, {divisor}")
     zero, safe = op.compare("eq", divisor, op.constant(0)), divisor
     if op.order == "s":
-        # The least number divided by -1 raises a signal.
+        # The least signed integer divided by -1 overflows, which kills the process (SIGFPE).
         minus = op.compare("eq", divisor, op.constant(-1))
         safe = op.select(minus, op.constant(1), divisor)
     safe = op.select(zero, op.constant(1), safe)
@@ -65,7 +68,11 @@ def _divide(remainder: bool, op: Application) -> str:
 
 
 def _shift(instruction: str, op: Application) -> str:
-    """Write a shift. By the width or more, or by a negative number, it leaves 0 or the sign, as in XLA."""
+    """Emit a shift.
+
+    If the number of bits to shift is negative or not less than the width, the result is, as in XLA, 0 or, for an
+    arithmetic shift to the right, all sign bits.
+    """
     bits, by = 8 * op.dtype.itemsize, op.operands[1].number
     shifted = op.asm.let(f"{instruction} {op.type} {op.x[0]}, {op.x[1]}")
     if by is not None and 0 <= by < bits:
@@ -82,7 +89,7 @@ def _compare(of_floats: str, of_integers: str, op: Application) -> str:
 
 
 def _extremum(name: str, op: Application) -> str:
-    """Write the maximum or minimum. Of floats it is NaN if either is, and +0 counts as greater than -0."""
+    """Emit a maximum or minimum. For floats, it is NaN if either operand is, and +0 counts as greater than -0."""
     if op.dtype == BOOL:
         return op.asm.let(f"{'or' if name == 'max' else 'and'} {op.type} {op.x[0]}, {op.x[1]}")
     if not op.is_float:
@@ -94,7 +101,7 @@ def _extremum(name: str, op: Application) -> str:
         return op.intrinsic(f"{name}imum")
     if not wins_ties[1]:
         first, second = second, first
-    # A comparison with NaN, or of equals, gives the second; a NaN of the first is put back.
+    # For NaN or equal operands, the comparison selects the second. If the first is NaN, it is selected afterwards.
     extremum = op.select(op.compare("ogt" if name == "max" else "olt", first, second), first, second)
     result = op.select(op.compare("uno", first, first), first, extremum)
     if all(positive) or (name == "max" and any(positive)):
@@ -107,14 +114,17 @@ def _is_positive(number: float | None) -> bool:
 
 
 def _wins_ties(name: str, operand: Operand, positive: bool) -> bool:
-    """Return whether an operand is the extremum of two equal numbers: its zero is the right one, or it has none."""
+    """Return whether an operand may be taken as the extremum if both operands are equal.
+
+    True if the operand is the zero with the right sign, or is known not to be zero.
+    """
     if operand.number is None or operand.number == 0:
         return positive if name == "max" else operand.number is not None and not positive
     return True
 
 
 def _library_function(name: str, op: Application) -> str:
-    """Write calls of the C library's function, lane by lane."""
+    """Emit calls of a function of the C library, one for each lane."""
     kind = element(op.dtype)
     function = name + ("f" if op.dtype.itemsize == 4 else "")
     if not op.varying:
@@ -128,7 +138,7 @@ def _library_function(name: str, op: Application) -> str:
 
 
 def _power(op: Application) -> str:
-    """Write a power of floats; an exponent that is an integer becomes a float first, as in jax."""
+    """Emit a power of floats. An integer exponent is converted to a float first, as in jax."""
     base, exponent = op.operands
     if exponent.dtype != base.dtype:
         exponent = apply(op.asm, "convert_element_type", {}, [exponent], base.dtype)
@@ -151,7 +161,7 @@ def _absolute(op: Application) -> str:
 
 
 def _sign(op: Application) -> str:
-    """Write the sign: 1, -1, or the number itself if it is 0 or NaN."""
+    """Emit the sign of a number: 1, -1, or the number itself if it is 0 or NaN."""
     number, zero = op.x[0], op.constant(0)
     below, above = ("olt", "ogt") if op.is_float else (f"{op.order}lt", f"{op.order}gt")
     result = op.select(op.compare(below, number, zero), op.constant(-1), number)
@@ -159,7 +169,7 @@ def _sign(op: Application) -> str:
 
 
 def _integer_power(op: Application) -> str:
-    """Write a power by squaring, in jax's order so that its roundings are jax's."""
+    """Emit a power by repeated squaring, in the same order as jax so that rounding errors are the same."""
     exponent, multiply = op.params["y"], "fmul" if op.is_float else "mul"
     if exponent < 0 and not op.is_float:
         raise Untranslatable("a negative power of integers")
@@ -176,7 +186,7 @@ def _integer_power(op: Application) -> str:
 
 
 def _reinterpret(op: Application) -> str:
-    """Write the same bits as another type."""
+    """Emit a reinterpretation of the bits of a number as another type."""
     if op.gives == op.dtype:
         return op.x[0]
     if op.gives.itemsize != op.dtype.itemsize or op.gives == BOOL:
@@ -206,7 +216,7 @@ def _convert(op: Application) -> str:
 
 
 def _saturate(op: Application) -> str:
-    """Write the conversion of a float to the nearest integer of a type, and of NaN to 0."""
+    """Emit a conversion of a float to an integer type that clips to the range of the type. NaN becomes 0."""
     asm, lanes = op.asm, f"v{op.asm.width}" if op.varying else ""
     name = f"llvm.fpto{'s' if op.gives.kind == 'i' else 'u'}i.sat"
     name += f".{lanes}{asm.suffix(op.gives)}.{lanes}{asm.suffix(op.dtype)}"
@@ -214,17 +224,17 @@ def _saturate(op: Application) -> str:
 
 
 COMPOSED: dict[str, Callable[[Assembly, list[Entry]], Operand]] = {"clamp": _clamp, "select_n": _select}
-"""Primitives made of others, or of arguments of several types."""
+"""Rules of primitives that are composed of others or that take arguments of several types."""
 
 ROUNDING = {RoundingMethod.AWAY_FROM_ZERO: "round", RoundingMethod.TO_NEAREST_EVEN: "roundeven"}
 INTRINSICS = ("sqrt", "floor", "ceil", "exp", "exp2", "log", "sin", "cos")
 CIRCULAR = ("tan", "tanh", "sinh", "cosh", "asin", "acos", "atan", "asinh", "acosh", "atanh", "atan2")
 LIBRARY = (*CIRCULAR, "expm1", "log1p", "cbrt", "erf", "erfc")
 
-# `contract` lets LLVM round a product and its sum once, together. No other freedom is left to it.
+# `contract` lets LLVM fuse a product and a sum, which are then rounded once. It may not reorder operations.
 RULES: dict[str, Rule] = {
     "add": Rule(partial(_arithmetic, "fadd contract", "add"), NUMBERS),
-    # Tangents of integers are booleans here, all of them false.
+    # Tangents of integers are represented as booleans, all of which are false.
     "add_any": Rule(lambda op: _arithmetic("fadd contract", "or" if op.dtype == BOOL else "add", op), ANY),
     "sub": Rule(partial(_arithmetic, "fsub contract", "sub"), NUMBERS),
     "mul": Rule(partial(_arithmetic, "fmul contract", "mul"), NUMBERS),

@@ -1,4 +1,4 @@
-"""Kernels: functions of lanes, traced once by jax, translated, and compiled by LLVM once per process."""
+"""Kernels: functions of lanes that jax traces and LLVM compiles, each once per process."""
 
 import threading
 from collections.abc import Callable, Hashable
@@ -17,18 +17,18 @@ _number = count()
 
 
 class Kernel:
-    """A jax function of arrays whose last axis is the lanes', compiled as one native function.
+    """A jax function of arrays whose last axis is the lane axis, compiled as one native function.
 
-    Lanes go through in groups of `width`: as many as fill `registers` registers of the processor. The lanes of a group
-    share only loops and branches. If a turn of a loop leaves finished lanes unchanged, each lane's result depends on
-    that lane alone, to the last bit.
+    Lanes are processed in groups of `width`, the number that fills `registers` vector registers of the processor. The
+    lanes of a group share only loops and branches. If the iterations of a loop leave finished lanes unchanged, each
+    lane's result depends on that lane alone, to the last bit.
 
     **Arguments:**
 
-    - `function`: takes and returns any pytrees. It is traced in the precision that is set.
-    - `examples`: its arguments, or `jax.ShapeDtypeStruct` like them. Arrays without axes are the same for all lanes;
-      the last axis of others is the lanes', of any length.
-    - `registers`: registers per value of a group.
+    - `function`: function of pytrees that returns a pytree. It is traced in jax's current precision.
+    - `examples`: example arguments, or `jax.ShapeDtypeStruct` with their types. Scalars are the same for all lanes. The
+      last axis of arrays is the lane axis, which may have any length.
+    - `registers`: number of vector registers that hold one value of a group.
 
     **Raises:** `Untranslatable` if the function has a construct that no kernel can express.
     """
@@ -48,11 +48,11 @@ class Kernel:
 
     @property
     def key(self) -> str:
-        """Digest of the kernel's text, the processor and the version of llvmlite."""
+        """Hash of the kernel's IR text, the processor and the version of llvmlite."""
         return self._native.key
 
     def __call__(self, *arguments: Any) -> Any:
-        """Return the function's results as numpy arrays. Other threads may run meanwhile."""
+        """Return the function's results as numpy arrays. The interpreter lock is released during the computation."""
         leaves = jax.tree.leaves(arguments)
         lanes = next(np.shape(x)[-1] for x, (_, varying) in zip(leaves, self._arguments, strict=True) if varying)
         padded = -(-lanes // self.width) * self.width
@@ -69,14 +69,17 @@ class Kernel:
 
 
 def _padded(x: np.ndarray, lanes: int | None) -> np.ndarray:
-    """Return a contiguous array with `lanes` lanes, the last one repeated; None leaves an array without lanes."""
+    """Return a contiguous array, padded to `lanes` lanes with copies of the last lane.
+
+    If `lanes` is None, the array has no lane axis and is not padded.
+    """
     if lanes is not None and x.shape[-1] != lanes:
         x = np.concatenate([x, np.repeat(x[..., -1:], lanes - x.shape[-1], axis=-1)], axis=-1)
     return np.ascontiguousarray(x)
 
 
 def trace(function: Callable[..., Any], *examples: Any) -> Any:
-    """Trace a function of lanes by jax, with `LANES` lanes; a second trace of the same function costs nothing."""
+    """Trace a function of lanes with jax, for `LANES` lanes. jax caches the trace of a function."""
 
     def with_lanes(x: Any) -> jax.ShapeDtypeStruct:
         shape = np.shape(x) if not hasattr(x, "shape") else x.shape
@@ -101,7 +104,7 @@ _lock = threading.Lock()
 def kernel_for(
     function: Callable[..., Any], static: tuple[Hashable, ...], *examples: Any, registers: int = 1
 ) -> Kernel:
-    """Return the kernel of `function(*static, *arguments)`, made on first use; see `Kernel`."""
+    """Return the kernel of `function(*static, *arguments)`, which is compiled at the first call; see `Kernel`."""
     leaves, tree = jax.tree.flatten(examples)
     dtypes = (x.dtype if hasattr(x, "dtype") else np.result_type(x) for x in leaves)
     types = ((dtype, np.shape(x)[:-1], np.ndim(x)) for dtype, x in zip(dtypes, leaves, strict=True))

@@ -1,4 +1,4 @@
-"""Compilation of a kernel's text to a native function, by LLVM (llvmlite)."""
+"""Compilation of a kernel's LLVM IR to a native function with llvmlite."""
 
 import ctypes
 from collections.abc import Callable
@@ -13,20 +13,20 @@ from vibrojax.compile.kernels import cache as store
 from vibrojax.compile.kernels.operands import Untranslatable
 
 Function = Callable[[int, int, int], None]
-"""`lanes(arrays, workspace, count)`; it lets other threads run."""
+"""`lanes(arrays, workspace, count)`, which releases the interpreter lock."""
 
 PASSES = ("sroa", "aggressive_dce")
-"""LLVM's passes before it selects instructions. With all others, compilation takes ten times as long and a step takes
-as long as before, because jax's equations are plain arithmetic already."""
+"""LLVM's optimization passes before instruction selection. With all other passes as well, compilation takes ten times
+as long and a time step is no faster, because jax's equations are plain arithmetic already."""
 
 REFERENCES = {"codemodel": "large", "reloc": "static"}
-"""Code refers to its constants and to external functions by whole addresses. The parts of an object file are put
-wherever there is room, which may be farther apart than shorter references reach (LLVM then ends the process). It costs
-nothing that could be measured."""
+"""Code refers to its constants and to external functions by 64-bit addresses. The sections of an object file may be
+loaded farther apart than shorter references can reach, in which case LLVM aborts the process. The cost of full
+addresses is too small to measure."""
 
 
 class Processor(NamedTuple):
-    """The processor that code is compiled for."""
+    """The processor for which code is compiled."""
 
     triple: str
     name: str
@@ -34,7 +34,7 @@ class Processor(NamedTuple):
 
 
 class Native(NamedTuple):
-    """A function, the object that keeps its code in memory, and the `key` of its code in the cache."""
+    """A native function, the object that keeps its code in memory, and the code's `key` in the disk cache."""
 
     function: Function
     library: object
@@ -52,13 +52,19 @@ def processor() -> Processor:
 
 @cache
 def vector_bytes() -> int:
-    """Return the width of the widest registers. Tests force others: kernels of every width are right."""
+    """Return the width of the widest vector registers [bytes].
+
+    Tests replace this function, because kernels must be correct for every width.
+    """
     features = processor().features.split(",")
     return 64 if "+avx512f" in features else 32 if "+avx2" in features else 16
 
 
 def compile_text(text: str, name: str) -> Native:
-    """Return the native function for a kernel's text, from the cache if possible; `name` is unique in the process."""
+    """Return the native function of a kernel's IR text, from the disk cache if it is there.
+
+    `name` must be unique in the process.
+    """
     parts = (llvmlite.__version__, *processor(), *PASSES, *REFERENCES.values(), text)
     key = sha256("\n".join(parts).encode()).hexdigest()
     code = store.read(key)
@@ -77,7 +83,7 @@ def _machine() -> llvm.TargetMachine:
 
 
 def _object_code(text: str) -> bytes:
-    """Return the object code of a kernel; raise `Untranslatable` if LLVM refuses its text."""
+    """Return the object code of a kernel, or raise `Untranslatable` if LLVM rejects its IR text."""
     try:
         module, machine = llvm.parse_assembly(text), _machine()
     except RuntimeError as error:

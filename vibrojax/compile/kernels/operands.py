@@ -1,4 +1,4 @@
-"""Operands of instructions: registers, literals and places in memory. Arrays of them stand for jax's arrays."""
+"""Operands of instructions: registers, literals and slots in memory. A jax array becomes a numpy array of operands."""
 
 import struct
 from collections.abc import Callable
@@ -10,8 +10,8 @@ import numpy as np
 BOOL = np.dtype(bool)
 
 LANES = 1009
-"""Length of the axis of lanes while a function is traced: a prime, so that no other axis is taken for it.
-A kernel does not have this axis: each entry of an array stands for the lanes of a vector."""
+"""Length of the lane axis while a function is traced: a large prime, so that no other axis is mistaken for the lane
+axis. A kernel has no lane axis: each array entry represents one value in all lanes of a group."""
 
 LLVM_TYPES = {
     "float64": "double",
@@ -19,15 +19,15 @@ LLVM_TYPES = {
     **{f"{sign}int{bits}": f"i{bits}" for bits in (64, 32, 16, 8) for sign in ("", "u")},
     "bool": "i1",
 }
-"""LLVM's name of each type of numbers."""
+"""LLVM's name of each number type."""
 
 
 class Untranslatable(Exception):
-    """A construct that no kernel can express, named in the message."""
+    """No kernel can express a function. The message names the unsupported construct."""
 
 
 class Operand(NamedTuple):
-    """A register or a literal. It is a vector with one element per lane if `varying`, else the same for all lanes."""
+    """A register or a literal: a vector with one element per lane if `varying`, else one number for all lanes."""
 
     text: str
     dtype: np.dtype
@@ -39,7 +39,7 @@ class Operand(NamedTuple):
 
     @property
     def number(self) -> float | int | None:
-        """The number of a literal; None for a register."""
+        """Value of a literal, or None for a register."""
         if not self.is_literal:
             return None
         if self.dtype.kind == "f":
@@ -48,10 +48,10 @@ class Operand(NamedTuple):
 
 
 class Slot(NamedTuple):
-    """A value in memory, which is read where it is used.
+    """A value in memory, which is loaded where it is used.
 
-    - `pointer`: its register; empty for a placeholder, which cannot be read.
-    - `offset`: position in the workspace [bytes], None for other memory.
+    - `pointer`: register with its address; empty for a placeholder, which cannot be loaded.
+    - `offset`: position in the workspace [bytes]; None for other memory.
     """
 
     pointer: str
@@ -63,11 +63,11 @@ class Slot(NamedTuple):
 Entry = Operand | Slot
 
 Value = np.ndarray[Any, np.dtype[np.object_]]
-"""A jax array in a kernel: a numpy array of entries, whose axis of lanes has the length 1."""
+"""A jax array in a kernel: a numpy array of entries. Its lane axis has length 1."""
 
 
 def build(shape: tuple[int, ...], entry: Callable[[tuple[int, ...]], Entry]) -> Value:
-    """Return an array with `entry(index)` at each index, called in row-major order."""
+    """Return an array with `entry(index)` at each index. `entry` is called in row-major order."""
     array = np.empty(shape, object)
     for index in np.ndindex(array.shape):
         array[index] = entry(index)
@@ -75,7 +75,7 @@ def build(shape: tuple[int, ...], entry: Callable[[tuple[int, ...]], Entry]) -> 
 
 
 def element(dtype: np.dtype) -> str:
-    """Return LLVM's name of a type of numbers; raise `Untranslatable` if a kernel does not support it."""
+    """Return LLVM's name of a number type; raise `Untranslatable` if kernels do not support the type."""
     try:
         return LLVM_TYPES[np.dtype(dtype).name]
     except KeyError:
@@ -83,11 +83,11 @@ def element(dtype: np.dtype) -> str:
 
 
 def literal(x: Any, dtype: np.dtype) -> Operand:
-    """Return a number that is known when the kernel is written; raise `Untranslatable` for an unsupported type."""
+    """Return the literal of a compile-time constant; raise `Untranslatable` for an unsupported type."""
     dtype = np.dtype(dtype)
     element(dtype)
     if dtype.kind == "f":
-        # LLVM takes the bits of a double for floats of either width.
+        # LLVM writes float literals of either width as the bits of a double.
         text = f"0x{struct.unpack('<Q', struct.pack('<d', float(dtype.type(x))))[0]:016X}"
     else:
         text = str(bool(x)).lower() if dtype.kind == "b" else str(int(x))
@@ -95,7 +95,7 @@ def literal(x: Any, dtype: np.dtype) -> Operand:
 
 
 def literals(x: Any) -> Value:
-    """Return the entries of an array of known numbers, which are the same for all lanes."""
+    """Return the literals of an array of compile-time constants, which are the same for all lanes."""
     x = np.asarray(x)
     if x.dtype == jax.dtypes.float0:
         x = np.zeros(x.shape, bool)
@@ -105,21 +105,21 @@ def literals(x: Any) -> Value:
 
 
 def without_lanes(shape: tuple[int, ...]) -> tuple[int, ...]:
-    """Return the shape that an array has in a kernel."""
+    """Return the shape of an array in a kernel, in which the lane axis has length 1."""
     if shape.count(LANES) > 1:
         raise Untranslatable("an array with lanes along two axes")
     return tuple(1 if length == LANES else length for length in shape)
 
 
 def varies(aval: Any) -> bool:
-    """Return whether an array has an axis of lanes."""
+    """Return whether an array has a lane axis."""
     return LANES in aval.shape
 
 
 def dtype_of(aval: Any) -> np.dtype:
-    """Return numpy's type of an array's numbers. Tangents of integers (float0) are booleans in a kernel.
+    """Return an array's numpy dtype. Tangents of integers (float0) are booleans in a kernel.
 
-    **Raises:** `Untranslatable` for types that numpy does not have, such as keys of random numbers.
+    **Raises:** `Untranslatable` for types that numpy does not have, such as jax's random keys.
     """
     if not isinstance(aval.dtype, np.dtype):
         raise Untranslatable(f"numbers of type {aval.dtype}")

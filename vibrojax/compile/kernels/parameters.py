@@ -1,7 +1,7 @@
-"""Parameters of jax's primitives that the translation knows, and the values that it accepts.
+"""Parameters of jax's primitives that the translation supports, and their accepted values.
 
-A later jax may add a parameter, or a value of one, that changes a meaning. Both raise `Untranslatable`, so that XLA
-runs the lanes.
+A later version of jax may add a parameter, or a value of a parameter, that changes the meaning of a primitive. Unknown
+parameters and values raise `Untranslatable`, and XLA runs the lanes.
 """
 
 from collections.abc import Callable, Mapping
@@ -48,8 +48,8 @@ PARAMETERS: dict[str, tuple[str, str]] = {
     "unstack": ("axis", ""),
     "while": ("cond_nconsts cond_jaxpr body_nconsts body_jaxpr", ""),
 }
-"""Parameters of each primitive: those that its rule reads, which must be present, and those that change nothing in a
-kernel as long as their value is accepted, which may be absent."""
+"""Two groups of parameters of each primitive. The first group is read by the rule and must be present. The second group
+has no effect in a kernel, provided that the values are accepted, and may be absent."""
 
 NONE = ("accuracy", "out_dtype", "out_sharding", "sharding", "update_jaxpr", "reshape.dimensions")
 MODES = (GatherScatterMode.CLIP, GatherScatterMode.FILL_OR_DROP, GatherScatterMode.PROMISE_IN_BOUNDS)
@@ -62,11 +62,11 @@ ACCEPTED: dict[str, Callable[[Any], bool]] = {
     "rounding_method": lambda method: method in ROUNDING,
     "y": lambda exponent: isinstance(exponent, int),
 }
-"""Tests of values, by parameter or `primitive.parameter`. Of all other parameters, any value is accepted."""
+"""Predicates that accept a value, by `parameter` or `primitive.parameter`. Other parameters may have any value."""
 
 
 def check(primitive: str, params: Mapping[str, Any]) -> None:
-    """Raise `Untranslatable` for an unknown or missing parameter, or for a value that is not accepted."""
+    """Raise `Untranslatable` if a parameter is unknown or missing, or if its value is not accepted."""
     needed, irrelevant = (names.split() for names in PARAMETERS.get(primitive, ("", "")))
     for name, value in params.items():
         if name not in needed and name not in irrelevant:

@@ -1,4 +1,4 @@
-"""Operands of an elementwise rule, and the instructions that many rules share."""
+"""Elementwise translation rules: their operands, and the instructions that many of them share."""
 
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
@@ -9,14 +9,14 @@ from vibrojax.compile.kernels.assembly import Assembly
 from vibrojax.compile.kernels.operands import BOOL, Entry, literal
 
 FLOATS, INTEGERS, NUMBERS, ANY = "f", "iu", "fiu", "fiub"
-"""Kinds of operands, by numpy's letters: floats, signed and unsigned integers, booleans."""
+"""Kinds of operands, as numpy's kind codes: floats, signed and unsigned integers, booleans."""
 
 
 class Application:
     """A primitive applied to one entry of each of its arguments.
 
-    - `x`: texts of the arguments, all of them vectors if one is (`varying`).
-    - `dtype`: type of the first argument; `gives`: of the result.
+    - `x`: IR texts of the arguments. If one argument is a vector, `varying` is True and all are vectors.
+    - `dtype`: type of the first argument. `gives`: type of the result.
     """
 
     def __init__(self, asm: Assembly, params: Mapping[str, Any], entries: list[Entry], gives: np.dtype) -> None:
@@ -36,28 +36,32 @@ class Application:
 
     @property
     def order(self) -> str:
-        """The prefix of LLVM's instructions for integers: `s` for signed ones, `u` for unsigned ones and booleans."""
+        """Prefix of LLVM's integer instructions: `s` for signed integers, `u` for unsigned integers and booleans."""
         return "s" if self.dtype.kind == "i" else "u"
 
     def constant(self, number: Any) -> str:
-        """Return a number of the arguments' type."""
+        """Return the IR text of a constant that has the type of the arguments."""
         return self.asm.text(literal(number, self.dtype), self.varying)
 
     def compare(self, how: str, first: str, second: str) -> str:
-        """Write LLVM's comparison `how` of two numbers of the arguments' type."""
+        """Emit LLVM's comparison `how` of two numbers that have the type of the arguments."""
         return self.asm.let(f"{'fcmp' if self.is_float else 'icmp'} {how} {self.type} {first}, {second}")
 
     def select(self, flag: str, yes: str, no: str) -> str:
-        """Write a choice: `yes` if the flag is set, else `no`."""
+        """Emit a selection: `yes` if the flag is set, else `no`."""
         return self.asm.let(f"select {self.asm.type(BOOL, self.varying)} {flag}, {self.type} {yes}, {self.type} {no}")
 
     def intrinsic(self, name: str) -> str:
-        """Write a call of one of LLVM's intrinsic functions."""
+        """Emit a call of an intrinsic function of LLVM with the arguments."""
         return self.asm.intrinsic(name, self.x, self.dtype, self.varying)
 
 
 class Rule(NamedTuple):
-    """Writes the instructions of a primitive, and returns the register of the result; `kinds` are the operands'."""
+    """Translation rule of an elementwise primitive.
+
+    - `write`: emits the instructions of an application and returns the register of the result.
+    - `kinds`: supported kinds of operands.
+    """
 
     write: Callable[[Application], str]
     kinds: str

@@ -1,4 +1,4 @@
-"""Rules for primitives that combine entries of an array: reductions, rows by their number, sorting."""
+"""Translation rules for primitives that combine array entries: reductions, row selection, sorting."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -28,11 +28,11 @@ from vibrojax.compile.kernels.operands import (
 INT64 = np.dtype(np.int64)
 
 SelectionRule = Callable[[Assembly, Any, Sequence[Value]], list[Value]]
-"""A rule that writes an equation of a jaxpr for its arguments and returns its results."""
+"""A rule that emits an equation of a jaxpr for the equation's arguments and returns the equation's results."""
 
 
 def apply_to_arrays(asm: Assembly, name: str, params: Any, values: Sequence[Value], gives: np.dtype) -> Value:
-    """Write an elementwise primitive of arrays, which are broadcast."""
+    """Emit an elementwise primitive of arrays, which are broadcast against each other."""
     spread = np.broadcast_arrays(*values)
     return build(
         spread[0].shape, lambda index: apply(asm, name, params, [value.item(index) for value in spread], gives)
@@ -55,7 +55,7 @@ def _reduce(name: str, asm: Assembly, equation: Any, values: Sequence[Value]) ->
 
 
 def _reduce_lanes(asm: Assembly, name: str, entry: Entry) -> Operand:
-    """Write the reduction ("or" or "and") of the booleans of all lanes of a vector."""
+    """Emit a reduction ("or" or "and") of a boolean over all lanes of a group."""
     x = asm.register(entry)
     if name not in ("or", "and") or x.dtype != BOOL:
         raise Untranslatable(f"{name} over lanes")
@@ -66,7 +66,7 @@ def _reduce_lanes(asm: Assembly, name: str, entry: Entry) -> Operand:
 
 
 def _row_numbers(asm: Assembly, numbers: Value, rows: int, clipped: bool) -> Value:
-    """Return row numbers as int64; if `clipped`, numbers beyond the ends become the first and the last."""
+    """Return row numbers as int64; if `clipped`, they are clipped to the first and the last row."""
     if numbers.size and numbers.flat[0].dtype == np.uint64:
         raise Untranslatable("row numbers of type uint64")
     numbers = apply_to_arrays(asm, "convert_element_type", {}, [numbers], INT64)
@@ -77,7 +77,7 @@ def _row_numbers(asm: Assembly, numbers: Value, rows: int, clipped: bool) -> Val
 
 
 def _in_memory(asm: Assembly, rows: Value) -> Value:
-    """Return rows whose addresses follow from their numbers: the slots themselves, or copies in the workspace."""
+    """Return rows at equal distances in the workspace: the rows themselves if they are, otherwise copies."""
     if _stride(rows) is not None:
         return rows
 
@@ -90,7 +90,10 @@ def _in_memory(asm: Assembly, rows: Value) -> Value:
 
 
 def _stride(rows: Value) -> int | None:
-    """Return the bytes between rows (first axis) of slots in the workspace; None for other entries."""
+    """Return the distance of rows (first axis) in the workspace [bytes].
+
+    Return None if entries are not in the workspace or their distances are not all equal.
+    """
     if not all(isinstance(entry, Slot) and entry.varying and entry.offset is not None for entry in rows.flat):
         return None
     offsets = np.vectorize(lambda slot: slot.offset, otypes=[int])(rows)
@@ -99,9 +102,9 @@ def _stride(rows: Value) -> int | None:
 
 
 class _RowSelection:
-    """The row that each lane selects by its `number` (int64), of slots in the workspace.
+    """Selection of one row per lane by its `number` (int64). The rows are slots in the workspace.
 
-    `exists` is a vector of booleans: the row exists.
+    `exists` is a boolean vector: True in lanes whose row number is valid.
     """
 
     def __init__(self, asm: Assembly, number: Entry, rows: Value) -> None:
@@ -115,7 +118,7 @@ class _RowSelection:
         self._lanes = f"<{', '.join(f'i64 {lane}' for lane in range(asm.width))}>"
 
     def pointers(self, first: Slot) -> str:
-        """Write the pointers to the lanes' numbers, if row 0 lies in `first`."""
+        """Emit pointers to the selected value of each lane; `first` is the slot of row 0."""
         asm = self._asm
         kind = asm.type_in_memory(first.dtype, False)
         start = f"getelementptr i8, ptr {first.pointer}, <{asm.width} x i64> {asm.vector(self._bytes)}"
@@ -123,9 +126,9 @@ class _RowSelection:
 
 
 def _gather(asm: Assembly, equation: Any, values: Sequence[Value]) -> list[Value]:
-    """Write the row that each lane selects by number (`take_along_axis`).
+    """Emit the selection of one row per lane by its number (`take_along_axis`).
 
-    For a number without a row, the result is the fill value or the nearest row, according to the mode.
+    For a number without a row, the result is the fill value or the nearest row, depending on the gather mode.
     """
     rows, numbers = values
     dims, mode = equation.params["dimension_numbers"], equation.params["mode"]
@@ -159,7 +162,10 @@ def _gather(asm: Assembly, equation: Any, values: Sequence[Value]) -> list[Value
 
 
 def fill_value(dtype: np.dtype, value: Any) -> Operand:
-    """Return the number for rows that do not exist: `value`, or if it is None, NaN, the least or greatest integer."""
+    """Return the fill value for rows that do not exist.
+
+    If `value` is None, return NaN for floats, the least signed integer, or the greatest unsigned integer.
+    """
     if value is None:
         if dtype.kind == "f":
             return literal(np.nan, dtype)
@@ -170,9 +176,9 @@ def fill_value(dtype: np.dtype, value: Any) -> Operand:
 
 
 def scatter(asm: Assembly, equation: Any, values: Sequence[Value], in_place: bool) -> list[Value]:
-    """Write a new row in place of the row that each lane selects by number; leave all rows if there is none.
+    """Emit the replacement of one row per lane, selected by its number. If no row has this number, nothing is replaced.
 
-    `in_place`: no other equation reads the old rows.
+    `in_place`: True if no other equation reads the old rows, so that they may be overwritten.
     """
     rows, numbers, new = values
     dims, mode = equation.params["dimension_numbers"], equation.params["mode"]
@@ -207,9 +213,9 @@ def scatter(asm: Assembly, equation: Any, values: Sequence[Value], in_place: boo
 
 
 def _sort(asm: Assembly, equation: Any, values: Sequence[Value]) -> list[Value]:
-    """Write a stable sort of rows by the first array, NaN last (odd-even transposition).
+    """Emit a stable sort of the rows of arrays by the first array, with NaN last (odd-even transposition).
 
-    The rows lie in memory and one loop goes over them, so that the text stays short.
+    The rows are in memory and the passes form one loop, so that the IR text stays short.
     """
     axis, keys = equation.params["dimension"], equation.params["num_keys"]
     columns = [np.moveaxis(value, axis, 0) for value in values]
@@ -249,7 +255,7 @@ def _sort(asm: Assembly, equation: Any, values: Sequence[Value]) -> list[Value]:
 
 
 def _dynamic_slice(asm: Assembly, equation: Any, values: Sequence[Value]) -> list[Value]:
-    """Return consecutive rows, the first of which has a number that is known while the kernel is written."""
+    """Return consecutive rows. The number of the first row must be a compile-time constant."""
     x, *starts = values
     if (LANES in equation.invars[0].aval.shape) != (LANES in equation.params["slice_sizes"]):
         raise Untranslatable("some of the lanes")

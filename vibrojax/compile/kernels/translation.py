@@ -1,4 +1,4 @@
-"""Translation of a traced function to the text of a kernel."""
+"""Translation of a traced function to the LLVM IR of a kernel."""
 
 from collections import Counter
 from collections.abc import Collection, Sequence
@@ -34,14 +34,14 @@ done:
 
 attributes #0 = {{ nounwind "prefer-vector-width"="512" "min-legal-vector-width"="512" }}
 """
-"""`lanes(arrays, workspace, count)` runs `count` lanes, a whole number of groups. `arrays` points to the pointers of
-arguments and results, whose last axis is the lanes'."""
+"""IR text of a kernel. `lanes(arrays, workspace, count)` computes `count` lanes, a multiple of `width`. `arrays` is an
+array of pointers to the arguments and results, whose last axis is the lane axis."""
 
 
 def kernel_text(jaxpr: Any, width: int) -> tuple[str, int, int]:
     """Translate a closed jaxpr to a kernel for groups of `width` lanes.
 
-    **Returns:** the kernel's text, the size of its workspace, and the alignment of that [bytes].
+    **Returns:** the kernel's IR text, and the size and alignment of its workspace [bytes].
 
     **Raises:** `Untranslatable` if the function has a construct that no kernel can express.
     """
@@ -65,9 +65,9 @@ def kernel_text(jaxpr: Any, width: int) -> tuple[str, int, int]:
 
 
 def _write(asm: Assembly, closed: Any, values: Sequence[Value], owned: Collection[int] = ()) -> list[Value]:
-    """Write the instructions of a closed jaxpr and return its results.
+    """Emit the instructions of a closed jaxpr and return its results.
 
-    `owned`: identities of arguments that nothing else reads, so that they may be overwritten.
+    `owned`: `id` of each argument that nothing else reads, so that it may be overwritten.
     """
     jaxpr = closed.jaxpr
     known = dict(zip(jaxpr.constvars, map(literals, closed.consts), strict=True))
@@ -90,7 +90,10 @@ def _write(asm: Assembly, closed: Any, values: Sequence[Value], owned: Collectio
 
 
 def _uses(jaxpr: Any) -> Counter[Any]:
-    """Return how often each variable is read, except by loops and functions that do not use it inside."""
+    """Return how many equations read each variable.
+
+    A loop or function that takes a variable without using it does not count.
+    """
     uses: Counter[Any] = Counter(var for var in jaxpr.outvars if not _is_literal(var))
     for equation in jaxpr.eqns:
         inner: Any = getattr(equation.params.get("jaxpr"), "jaxpr", None)
@@ -102,24 +105,24 @@ def _uses(jaxpr: Any) -> Counter[Any]:
 
 
 def _number(var: Any) -> np.ndarray:
-    """Return the value of a literal argument. A Python number has the type that the trace gives it."""
+    """Return the value of a literal argument of an equation, with the type that it has in the trace."""
     value = np.asarray(var.val)
     return value if value.dtype == jax.dtypes.float0 else value.astype(dtype_of(var.aval))
 
 
 def _is_literal(var: Any) -> bool:
-    """Return whether an argument of an equation is a number instead of a variable."""
+    """Return whether an argument of an equation is a literal number, not a variable."""
     return hasattr(var, "val")
 
 
 @cache
 def primitives() -> set[str]:
-    """Return the names of all primitives that the translation accepts."""
+    """Return the names of all supported primitives."""
     return {*arrangement.RULES, *selection.RULES, "scatter", *control.RULES, *elementwise.RULES, *elementwise.COMPOSED}
 
 
 def _apply(asm: Assembly, equation: Any, values: list[Value], owned: Collection[int]) -> list[Value]:
-    """Write an equation and return its results."""
+    """Emit the instructions of an equation and return the equation's results."""
     name = equation.primitive.name
     if name not in primitives():
         raise Untranslatable(f"the primitive {name}")

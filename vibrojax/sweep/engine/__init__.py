@@ -1,1 +1,1 @@
-"""Batches of lanes, stepped in chunks through compiled programs."""
+"""Computation of a sweep: compiled programs that step lanes in batches and chunks."""

@@ -1,10 +1,14 @@
 """Comparison of kernels with XLA on the first steps of a scene.
 
-A kernel takes some lanes through their first steps. From the state before each of these steps, XLA computes the same
-step, so that no rounding accumulates. The comparison covers the constants, the guards, the jumps at all events, whether
-they occur or not, the state and mode after the step, and the values that recorders and gauges record and read.
-Functions of a scene that only tables and pictures of a trajectory call, such as the force of a pulse, take part as far
-as these use them.
+A kernel integrates some lanes over their first time steps. XLA computes each of these steps from the same state as the
+kernel, so that rounding errors do not accumulate. The comparison covers:
+
+- the constants, the guards, and the jumps at all events, whether the events occur or not
+- the state and the mode after the step
+- the values that recorders and gauges accumulate and the features that they return
+
+Functions of a scene that are called only for tables and plots of a trajectory, such as the force of a pulse, are
+compared only where these values depend on them.
 """
 
 from collections.abc import Hashable, Mapping
@@ -25,17 +29,17 @@ from vibrojax.stepping import Accuracy, AccuracyRequest, Goal, Lane, Located, St
 from vibrojax.sweep.engine.programs import Given, Kind, constants_of, state_of
 
 COMPARED_LANES = 8
-"""Lanes that are compared: with the steps below, as many as fill the axis of lanes of a trace."""
+"""Number of compared lanes. Compared lanes times compared steps fill the lane axis of a trace."""
 
 COMPARED_STEPS = LANES // COMPARED_LANES
-"""Compared steps of each lane: two to three periods of a drill."""
+"""Number of compared steps of each lane: two to three periods of the motion of a drill."""
 
 PARAMETER_SPREAD = 0.02
-"""Relative distance of a parameter between one default lane and the next, so that no two lanes are equal."""
+"""Relative increment of each parameter between neighbouring default lanes, so that no two lanes are equal."""
 
 
 class LaneProgress(NamedTuple):
-    """Lanes between two steps, and the values of their recorder while they settle and while they are observed."""
+    """Lanes between two steps, with the recorder's values: `settling` while they settle, `observed` while observed."""
 
     lane: Lane
     settling: Any
@@ -43,11 +47,14 @@ class LaneProgress(NamedTuple):
 
 
 class ComparedStep(NamedTuple):
-    """One step of lanes; causes come before effects, so that the first difference is the cause of others.
+    """Quantities of one step. Causes come before effects, so that the first difference causes the others.
 
-    - `constants` of the scene; values of its `guards`; `jumps`: mode and state after each event, if it occurred.
-    - `derivative` of the state after the step, along state and parameters before it.
-    - `way`: the lanes after the step; `features`: values that the recorder reads.
+    - `constants`: constants of the scene.
+    - `guards`: value of each guard function before the step.
+    - `jumps`: mode and state that each event would give, had it occurred before the step.
+    - `derivative`: directional derivative of the state after the step with respect to state and parameters before it.
+    - `way`: the lanes after the step.
+    - `features`: features that the recorder returns.
     """
 
     constants: Any
@@ -59,7 +66,7 @@ class ComparedStep(NamedTuple):
 
 
 def begin(kind: Kind, given: Given) -> LaneProgress:
-    """Return lanes at t = 0, without a recorder's values if the scene cannot be measured."""
+    """Return lanes at t = 0, without recorder values if the scene cannot be measured."""
     scene, recorder, c = kind.scene, kind.recorder, constants_of(kind, given)
     lane = lane_at(scene, c, state_of(kind, scene.constants(given.parameters), given))
     if recorder is None:
@@ -69,7 +76,7 @@ def begin(kind: Kind, given: Given) -> LaneProgress:
 
 
 def step(kind: Kind, derives: bool, given: Given, way: LaneProgress, accuracy: Accuracy) -> ComparedStep:
-    """Take one step of lanes; compute its derivative if `derives`."""
+    """Compute one step of lanes, and its derivative if `derives`."""
     scene, recorder, before = kind.scene, kind.recorder, way.lane
 
     def advance(state: tuple[Any, ...], parameters: Mapping[str, Any]) -> Any:
@@ -97,9 +104,12 @@ def step(kind: Kind, derives: bool, given: Given, way: LaneProgress, accuracy: A
 
 
 class Comparison:
-    """The first steps of a scene, by kernel and by XLA.
+    """Comparison of the first steps of a scene, computed by a kernel and by XLA.
 
-    **Arguments:** the first lanes of `given` are compared; `derives`: the derivative of each step is compared too.
+    **Arguments:**
+
+    - `given`: parameters and initial conditions of lanes, the first of which are compared.
+    - `derives`: whether the derivative of each step is compared too.
 
     **Raises:** `Untranslatable` if no kernel can be made.
     """
@@ -116,7 +126,7 @@ class Comparison:
 
     @property
     def key(self) -> str:
-        """Digest of the compared kernels."""
+        """Hash of the kernels that are compared with XLA."""
         return self._begin_kernel.key + self._step_kernel.key
 
     def difference(self) -> Difference | None:
@@ -131,7 +141,7 @@ class Comparison:
 
 
 def scene_subject(static: tuple[Hashable, ...], arguments: tuple[Any, ...], derives: bool) -> Subject | None:
-    """Return the scene of a call, as the subject of a comparison; None if no static argument is a scene or a kind."""
+    """Return the scene of a call as subject of a comparison, or None if no static argument is a scene or a `Kind`."""
     flat = [x for item in static for x in (item if isinstance(item, Kind) else (item,))]
     kind = next((item for item in static if isinstance(item, Kind)), None)
     scene = next((x for x in flat if isinstance(x, Scene)), None)
@@ -151,7 +161,7 @@ def scene_subject(static: tuple[Hashable, ...], arguments: tuple[Any, ...], deri
 
 @lru_cache
 def _recorder(scene: Scene[Any]) -> Any:
-    """Return the recorder of a scene; None if nothing can be measured of it."""
+    """Return the recorder of a scene, or None if the scene has no quantities to measure."""
     try:
         return recorder_for(scene)
     except InputError:
@@ -159,7 +169,11 @@ def _recorder(scene: Scene[Any]) -> Any:
 
 
 def lanes_of(kind: Kind, arguments: tuple[Any, ...]) -> Given:
-    """Return the lanes of a call: its own, or its parameters with the scene's starts, or lanes near the defaults."""
+    """Return lanes on which to compare a call.
+
+    These are the lanes among its arguments. If there are none, they have the parameters among the arguments, or else
+    values near the defaults, and the scene's initial conditions in turn.
+    """
     given = next((x for x in arguments if isinstance(x, Given)), None)
     if given is not None:
         return given

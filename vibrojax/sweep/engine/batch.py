@@ -1,4 +1,8 @@
-"""Batches of lanes: on the host between stretches, and in blocks through the compiled programs on all workers."""
+"""Batches of lanes, and the engine that runs compiled programs on them.
+
+Between calls of the programs, the lanes of a batch are NumPy arrays. For each call they are divided into blocks, which
+all workers compute in parallel.
+"""
 
 import threading
 from collections.abc import Callable, Sequence
@@ -24,13 +28,14 @@ from vibrojax.sweep.engine.programs import CARRIED, Given, Kind
 from vibrojax.sweep.input.definition import Sweep
 
 LANE_MAX_STEPS, LANE_MAX_RATE = 1e6, 1e3
-"""Steps after which a lane is given up: a fixed number, and those per second [1/s]. The usual map takes 60 a second."""
+"""Limit on the steps of a lane before it is abandoned: a fixed number, and a number per simulated second [1/s]. A
+typical map takes 60 steps per simulated second."""
 
 Report = Callable[[int], None]
-"""Callback that takes a number of lanes that have just been done."""
+"""Callback that takes the number of lanes that have just been finished."""
 
 Features = dict[str, np.ndarray]
-"""Measures of lanes by name: (lanes,), or (lanes, returns) for the last returns."""
+"""Features of lanes by name: (lanes,), or (lanes, returns) for the last section crossings."""
 
 Index = Int[np.ndarray, " some"]
 PerLane = Float[np.ndarray, " lanes"]
@@ -42,13 +47,13 @@ def unreported(lanes: int) -> None:
 
 @dataclass(frozen=True)
 class Batch:
-    """Lanes at one instant, stepped at one accuracy; NumPy arrays whose last axis is lanes.
+    """Lanes between two calls of compiled programs, as NumPy arrays whose last axis is the lane axis.
 
-    - `accuracy`: sets the steps.
-    - `given`: parameters and start of every lane.
-    - `begin`, `duration`: begin and length of each lane's observation [s].
-    - `underway`: the lanes, the state of their recorder, and the steps taken so far; None before t = 0.
-    - `recent`: steps in the last stretch.
+    - `accuracy`: accuracy of the time steps, the same for all lanes.
+    - `given`: parameters and initial condition of each lane.
+    - `begin`, `duration`: beginning and length of each lane's observation [s].
+    - `underway`: state of the lanes, values of their recorder, and number of steps so far; None before initialization.
+    - `recent`: number of steps in the last call of a program.
     """
 
     accuracy: Accuracy
@@ -63,11 +68,11 @@ class Batch:
         return Batch(self.accuracy, **jax.tree.map(lambda x: np.take(x, lanes, axis=-1), self._arrays()))
 
     def observed(self, begin: float, duration: PerLane) -> "Batch":
-        """Return the lanes with an observation from `begin` on, over the times `duration` [s]."""
+        """Return the lanes with observations that begin at `begin` [s] and last `duration` [s]."""
         return replace(self, begin=np.full_like(self.begin, begin), duration=duration.astype(self.duration.dtype))
 
     def joined(self, others: "list[Batch]") -> "Batch":
-        """Return these lanes and the others', all of which are underway, or none."""
+        """Return one batch of these lanes and the others. `underway` must be set in all batches or in none."""
         parts = [batch._arrays() for batch in (self, *others)]
         return Batch(self.accuracy, **jax.tree.map(lambda *x: np.concatenate(x, axis=-1), *parts))
 
@@ -76,15 +81,15 @@ class Batch:
 
 
 def steps_at_most(seconds: float, accuracy: Accuracy, fixed: float = LANE_MAX_STEPS) -> float:
-    """Return the steps after which a lane that lasts `seconds` is given up.
+    """Return the number of steps after which a lane with `seconds` of simulated time is abandoned.
 
-    They are a `fixed` number, a number per second, and twice the number of longest steps.
+    It is the sum of a `fixed` number, a number per simulated second, and twice the number of steps of maximum length.
     """
     return fixed + seconds * (LANE_MAX_RATE + 2 / accuracy.step)
 
 
 class Engine:
-    """The compiled programs of a sweep, run by all `workers`."""
+    """Compiled programs of a sweep, run by all `workers` (one device per thread)."""
 
     def __init__(self, sweep: Sweep, stepper: Stepper, recorder: Records, workers: Sequence[jax.Device]) -> None:
         self.sweep, self.workers = sweep, workers
@@ -95,17 +100,17 @@ class Engine:
         self.programs: Programs = ByXla(kind, workers[0].platform) if self.accelerated else ByLlvm(kind, self._dtype)
 
     def given(self, first: int, end: int) -> Given:
-        """Return parameters and starts of the lanes from `first` to before `end`."""
+        """Return parameters and initial conditions of the lanes from `first` (inclusive) to `end` (exclusive)."""
         values, _ = self.sweep.lane_values(first, end)
         start, states = self.sweep.lane_starts(first, end)
         parameters: dict[str, Array] = {name: x.astype(self._dtype) for name, x in values.items()}
         return Given(parameters, start.astype(np.int32), tuple(x.astype(self._dtype) for x in states))
 
     def start(self, first: int, end: int, accuracy: Accuracy) -> Batch:
-        """Return the lanes from `first` to before `end`, at t = 0."""
+        """Return the lanes from `first` (inclusive) to `end` (exclusive) at t = 0."""
         given = self.given(first, end)
         zeros = np.zeros(end - first, self._dtype)
-        # Counted in integers: float32 has no number after 2^24, where such a lane would stay for ever.
+        # Steps are counted in integers: in float32, a counter would stop at 2^24 and the lane would never finish.
         steps = np.zeros(end - first, np.int32)
         run = self.sweep.run
         if run.carry is not None:
@@ -113,7 +118,7 @@ class Engine:
         return self.begun(Batch(accuracy, given, zeros + run.settle, zeros + run.observe, None, steps))
 
     def carried(self, batch: Batch, state: Values) -> Batch:
-        """Return the lanes of a sweep that carries them at t = 0 in `state`, all states, (lanes,) each."""
+        """Return the lanes at t = 0 in the final states of other lanes. `state`: array (lanes,) of each state."""
         start = np.full_like(batch.given.start, CARRIED)
         return self.begun(replace(batch, given=batch.given._replace(start=start, carried=state)))
 
@@ -123,10 +128,14 @@ class Engine:
         return replace(batch, underway=Underway(lane, carry, np.zeros_like(batch.recent)))
 
     def on_orbit(self, batch: Batch, state: Values, states: Array, times: Array, period: PerLane) -> Batch:
-        """Return the lanes at t = 0 at the section of a periodic orbit, `state` being all states there, (lanes,) each.
+        """Return the lanes at t = 0 at the intersection of a periodic orbit with the section.
 
-        `states` (8, states, lanes) and `times` (8, lanes) [s] are the last returns, see
-        [vibrojax.measures.section.on_orbit][] (pulses need none); `period` (lanes,) [s] is the time between returns.
+        **Arguments:**
+
+        - `state`: array (lanes,) of each state at the section.
+        - `states`, `times`: states (8, states, lanes) and times (8, lanes) [s] of the last section crossings, see
+          [vibrojax.measures.section.on_orbit][]. Pulses do not need them.
+        - `period`: time (lanes,) between section crossings [s].
         """
         lane, carry = self._call(
             self.workers[0], lambda: self.programs.on_orbit(batch.given, state, states, times, period)
@@ -134,9 +143,9 @@ class Engine:
         return replace(batch, underway=Underway(lane, carry, np.zeros(len(batch.begin), np.int32)))
 
     def settle(self, batches: list[Batch], until: float = np.inf, report: Report = unreported) -> list[Batch]:
-        """Return the lanes at the time `until` [s], or at the begin of their observation if that is earlier.
+        """Return the lanes at the time `until` [s], or at the beginning of their observation if that is earlier.
 
-        `report` is called with the number of lanes that have just arrived, of every batch.
+        `report` is called with the number of lanes that have just reached this time, in any batch.
         """
 
         def program(block: Batch) -> Underway:
@@ -151,9 +160,9 @@ class Engine:
         return settled
 
     def observe(self, batches: list[Batch], report: Report = unreported) -> list[Features]:
-        """Return the features of the lanes of each batch.
+        """Observe the lanes of each batch and return their features.
 
-        `report` is called with the number of lanes that have just been finished, of every batch.
+        `report` is called with the number of lanes that have just been finished, in any batch.
         """
 
         def program(block: Batch) -> Any:
@@ -167,9 +176,10 @@ class Engine:
         ]
 
     def compile(self, accuracy: Accuracy) -> None:
-        """Compile the programs once, instead of in every thread; nothing is stepped.
+        """Compile the programs once, instead of in every thread, without stepping lanes.
 
-        The last program is compiled while the others run already; a thread that needs it waits for it.
+        On CPUs, the program of the observation is compiled in the background while the others already run. A thread
+        that needs this program waits for it.
 
         **Raises:** `InputError` if the compiled arithmetic is wrong on this machine.
         """
@@ -177,11 +187,11 @@ class Engine:
         for worker in dict.fromkeys(self.workers):
             alone = copy(self)
             alone.sweep, alone.workers = instant, [worker]
-            # A whole block: the first lanes decide if kernels can be trusted.
+            # A full block: the comparison that decides whether kernels are trusted uses these lanes.
             still = [alone.start(0, min(self.programs.block, self.sweep.lanes), accuracy)]
             check = partial(alone.programs.check_arithmetic, self._dtype)
             tasks: list[Callable[[], object]] = [partial(alone._call, worker, check), partial(alone.settle, still)]
-            if self.accelerated:  # two threads that need a program would both compile it
+            if self.accelerated:  # else two threads that need the program would both compile it
                 tasks.append(partial(alone.observe, still))
             for _ in in_parallel(lambda _, task: task(), tasks, range(len(tasks))):
                 pass
@@ -196,7 +206,7 @@ class Engine:
         return Effort(traced, np.int32(min(most, 2**31 - 1)))
 
     def _run(self, batches: list[Batch], program: Callable[[Batch], Any], report: Report = unreported) -> list[Any]:
-        """Return the result of `program` for the lanes of each batch, run a few blocks at a time."""
+        """Return the result of `program` for the lanes of each batch. Each call takes a few blocks of lanes."""
         items = [(number, lanes) for number, batch in enumerate(batches) for lanes in self._hands(batch.recent)]
 
         def work(worker: jax.Device, item: tuple[int, Index]) -> Any:
@@ -215,7 +225,7 @@ class Engine:
         return results
 
     def _call(self, worker: jax.Device, call: Callable[[], Any]) -> Any:
-        """Return the result of `call` on a worker's device; XLA takes over if no kernel can be used."""
+        """Return the result of `call` on a worker's device. If no kernel can be used, switch to XLA and call again."""
         with precision(self.sweep.run.precision), jax.default_device(worker):
             try:
                 return call()
@@ -225,14 +235,15 @@ class Engine:
                 return call()
 
     def _hands(self, recent: Int[np.ndarray, " lanes"]) -> list[Index]:
-        """Split the lanes into blocks, and deal these into hands of a few blocks, one for each call of a program.
+        """Split the lanes into blocks, and distribute the blocks over hands: the lanes of one program call.
 
-        Lanes of a block wait for the slowest, so a block holds lanes of similar pace, by their steps in the stretch
-        before. Every hand has slow and fast blocks, so that all hands take about as long.
+        The lanes of a block wait for the slowest of them. So a block holds lanes of similar pace, which is estimated
+        from their steps in the last call (`recent`). Every hand has slow and fast blocks, so that all hands take about
+        the same time.
         """
         by_pace = np.argsort(-recent, kind="stable")
         block = self.programs.block
         blocks = np.split(by_pace, range(block, len(by_pace), block))
         hands = max(-(-len(by_pace) // self.programs.hand), min(len(self.workers), len(blocks)))
-        # Only the last block may be short, and it is the last of its hand.
+        # Only the last block may be incomplete, and it is the last block of its hand.
         return [np.concatenate(blocks[hand::hands]) for hand in range(hands)]

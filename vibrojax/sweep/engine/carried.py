@@ -1,6 +1,6 @@
-"""Lanes carried along one axis, up and down, each from the end of the previous one.
+"""Continuation along one axis, up and down: each lane begins in the final state of the previous lane.
 
-The two directions part where the motion folds: there, two motions coexist, and each direction stays on its own.
+Where attractors coexist between two folds, the two directions differ: each stays on its own attractor (hysteresis).
 """
 
 import numpy as np
@@ -12,14 +12,14 @@ from vibrojax.sweep.engine.programs import END
 from vibrojax.sweep.input.definition import DIRECTIONS, Sweep
 
 CARRIED_MIN_ROWS = 64
-"""Rows along the axis per chunk: they run in parallel, and fewer would leave blocks of lanes empty."""
+"""Minimum number of rows per chunk. Rows run in parallel, and fewer would leave blocks of lanes partly empty."""
 
 
 class Carried(Chunks):
-    """The chunks of a sweep whose lanes are carried along an axis, each of whole rows.
+    """Chunks of a sweep with continuation along an axis. Each chunk consists of complete rows.
 
-    A row is all lanes of one direction at one place of the other axes. Rows run in parallel, from one value of the axis
-    to the next.
+    A row consists of all lanes along this axis, for one direction and one value of each other axis. All rows advance in
+    parallel from one value of the axis to the next.
     """
 
     def __init__(self, sweep: Sweep, beyond: PostProcessor | None = None) -> None:
@@ -43,7 +43,7 @@ class Carried(Chunks):
             portions = Portions(len(lanes), report)
             batch = whole.of(lanes)
             if ended is not None:
-                # A failed lane leaves no state to go on from: its row begins anew.
+                # A failed lane has no final state. The next lane of its row begins in its own initial state.
                 assert batch.underway is not None
                 usable = np.isfinite(ended).all(axis=1)
                 initial = zip(ended.T, batch.underway.lane.state, strict=True)

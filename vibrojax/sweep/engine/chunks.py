@@ -1,4 +1,4 @@
-"""Chunks of lanes of one size, through the compiled programs; memory is bounded by the chunk."""
+"""Chunks of equally many lanes, computed one after another. The chunk size bounds the memory."""
 
 from collections.abc import Callable
 from functools import reduce
@@ -20,23 +20,26 @@ from vibrojax.sweep.engine.underway import OBSERVING, SETTLED, EarlyStopping, En
 from vibrojax.sweep.input.definition import Sweep
 
 CHUNK = 2048
-"""Lanes per chunk by default."""
+"""Default number of lanes per chunk."""
 
 ERROR_FLOOR = 0.03
-"""Least error estimate, as part of the tolerance: if most steps end at events, the check run takes almost the same."""
+"""Smallest error estimate, as a fraction of the tolerance. If most steps end at events, the check run takes almost the
+same steps, and the difference between the runs underestimates the error."""
 
 DRIFT_MARGIN = 1.25
-"""Factor on the drift, which is that of a linear return map: one in ten is 10 % off."""
+"""Safety factor on the drift, which assumes a linear return map. One estimate in ten is off by 10 %."""
 
 PostProcessor = Callable[[int, int, Features], Features]
-"""`beyond(first, end, features)`: added or replaced features of the lanes from `first` to before `end`."""
+"""`beyond(first, end, features)` returns features to add or replace, for the lanes from `first` (inclusive) to `end`
+(exclusive)."""
 
 
 class Chunks:
-    """The chunks of a sweep, computed one by one, by all workers.
+    """Chunks of a sweep, each of which is computed by all workers.
 
-    `beyond`: adds features to observed lanes; `ends`: the search for lanes that need no more steps.
-    `ends_on_orbits`: True if there is such a search.
+    - `beyond`: function that adds features to observed lanes.
+    - `ends`: search for lanes on known orbits, which can stop early.
+    - `ends_on_orbits`: True if there is such a search.
     """
 
     def __init__(self, sweep: Sweep, beyond: PostProcessor | None = None, ends: EarlyStopping | None = None) -> None:
@@ -50,7 +53,7 @@ class Chunks:
         self._compiled = False
 
     def lanes(self, index: int) -> tuple[int, int]:
-        """Return the first lane of a chunk, and the one after its last."""
+        """Return the first lane (inclusive) and the end (exclusive) of a chunk."""
         return index * self.size, min((index + 1) * self.size, self.sweep.lanes)
 
     def width(self, index: int) -> int:
@@ -59,9 +62,9 @@ class Chunks:
         return end - first
 
     def compute(self, index: int, report: Report = unreported) -> Features:
-        """Return the features of a chunk's lanes by name: (lanes,), or (lanes, returns) for stored returns.
+        """Return the features of a chunk's lanes by name: (lanes,), or (lanes, returns) for stored section crossings.
 
-        `report` is called with the number of finished lanes as work goes on.
+        `report` is called during the computation with the number of lanes finished since its last call.
         """
         first, end = self.lanes(index)
         portions = Portions(end - first, report)
@@ -71,7 +74,7 @@ class Chunks:
         return self.finished(index, features)
 
     def measured(self, batch: Batch, portions: Portions) -> Features:
-        """Return the features, with error estimates, of lanes that stand at t = 0."""
+        """Step lanes from t = 0 and return their features with error estimates."""
         run, coarse = self.sweep.run, self.stepper.coarser(self.accuracy)
         tolerance = self.accuracy.tolerance or SETTLED * run.error
 
@@ -92,7 +95,10 @@ class Chunks:
         return whole
 
     def finished(self, index: int, features: Features) -> Features:
-        """Return the stored features of a chunk's lanes, without returns that are not kept, and those of `beyond`."""
+        """Return the features of a chunk's lanes to be stored, including the features of `beyond`.
+
+        Of the section crossings, only the requested number is stored.
+        """
         first, end = self.lanes(index)
         kept = self.sweep.run.keep_returns
         stored = {name: x[:, x.shape[1] - kept :] if x.ndim == 2 else x for name, x in features.items()}
@@ -102,7 +108,7 @@ class Chunks:
     def at(self, accuracy: Accuracy, index: int = 0) -> Features:
         """Return the features (lanes,) of a chunk's lanes at another `accuracy`.
 
-        All lanes are stepped to their end, without the check run.
+        There is no check run and no early stopping.
         """
         batches = [self.engine.start(*self.lanes(index), accuracy)]
         for now in chain(*looks(self.sweep.run)):
@@ -110,7 +116,7 @@ class Chunks:
         return self._observed(batches, Portions(self.width(index), unreported))[0]
 
     def compile(self) -> None:
-        """Compile the programs, once."""
+        """Compile the programs at the first call."""
         if not self._compiled:
             with timed("compile"):
                 self.engine.compile(self.accuracy)
@@ -118,20 +124,21 @@ class Chunks:
 
     @property
     def ends_early(self) -> bool:
-        """True if lanes are checked for having settled: not under pulses, nor if the last returns are stored.
+        """True if lanes stop early once they have settled.
 
-        Nor on an accelerator, where a step of a few lanes costs as much as one of many.
+        False under pulses, if the last section crossings are stored, and on an accelerator, where a step of a few lanes
+        costs as much as a step of many.
         """
         run, scene = self.sweep.run, self.sweep.system
         return run.end_early and not run.keep_returns and scene.autonomous and not self.engine.accelerated
 
     def _share(self, settling: float, observing: float = 0.0) -> float:
-        """Return the part of a lane's work, the check run's included, of these times [s]."""
+        """Return these settling and observation times [s] as a fraction of a lane's total work, check run included."""
         run = self.sweep.run
         return (settling + OBSERVING * observing) / (1.5 * (run.settle + OBSERVING * run.observe))
 
     def _observed(self, batches: list[Batch], portions: Portions) -> list[Features]:
-        """Return the features of lanes that are underway."""
+        """Settle the lanes to the beginning of their observation, observe them, and return their features."""
         run, rounds = self.sweep.run, looks(self.sweep.run)
         settling = self._share(run.settle - (rounds[-1][-1] if rounds else 0.0))
         batches = self.engine.settle(batches, report=_portion(portions, settling))
@@ -147,17 +154,25 @@ class Chunks:
 
 
 def certified(fine: Features, check: Features, share: float, least: float) -> Features:
-    """Return the features of lanes with their `error_estimate`, and the features that label the check run."""
+    """Return the features of lanes with `error_estimate` and the features that determine the check run's label.
+
+    `share`, `least`: see `error_estimate`.
+    """
     labelling = {f"check_{name}": check[name] for name in LABELLED_BY if name in check}
     return fine | labelling | {"error_estimate": error_estimate(fine, check, share, least)}
 
 
 def error_estimate(fine: Features, coarse: Features, share: float, least: float) -> Float[np.ndarray, " lanes"]:
-    """Return the estimated relative error of period and impact velocity, the larger; NaN if a lane does not repeat.
+    """Return the estimated relative error of period and impact velocity, whichever is larger.
 
-    It concerns the values on which the lane settles: a `share` of the difference between the two runs, `least` in case
-    that is small by chance, and the remaining distance, `drift_estimate`. It is infinite for a lane whose repeat
-    differs between the runs, or whose drift has no bound.
+    It is the error of the limits that the lane approaches, the sum of three parts:
+
+    - the fraction `share` of the difference between the two runs
+    - `least`, in case this difference is small by chance
+    - a multiple of the remaining distance from the limit, `drift_estimate`
+
+    It is NaN if a lane is not periodic. It is infinite if the number of section crossings or impacts per period differs
+    between the runs, or if the drift is unbounded.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         if "cycles" not in fine:  # penetration
@@ -173,10 +188,10 @@ def error_estimate(fine: Features, coarse: Features, share: float, least: float)
 
 
 def joined(parts: list[Features]) -> Features:
-    """Return the features of the lanes of all parts."""
+    """Return the concatenated features of all parts."""
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
 def _portion(portions: Portions, each: float) -> Report:
-    """Return a report that adds `each` part of a lane's work for every lane."""
+    """Return a callback that adds the fraction `each` of a lane's work for every reported lane."""
     return lambda lanes: portions.add(lanes * each)

@@ -1,4 +1,4 @@
-"""Compiled programs of lanes. Kernels of foreign scenes are compared with XLA on their first steps."""
+"""Compiled programs of lanes. Kernels of scenes from outside the package are first compared with XLA."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -26,41 +26,41 @@ from vibrojax.sweep.engine.programs import Given, Kind, lanes_on_orbit, observe_
 R = TypeVar("R")
 
 KERNEL_REGISTERS = {settle_lanes: 2}
-"""Registers per value of a group of lanes, 1 by default. With two, the processor works on one while sums of the other
-are under way. The observation has too many values for that."""
+"""Vector registers per value of a group of lanes, by default 1. With two, the processor starts an operation on one
+register while that on the other is still in progress. The observation has too many values for two."""
 
 KERNEL_LANES_PER_CALL = 512
-"""Lanes per call of a kernel: enough that the call itself costs little, few enough that all threads have work."""
+"""Lanes per call of a kernel: enough for a small overhead of the call, and few enough for all threads to have work."""
 
 XLA_BLOCK = 64
-"""Lanes that XLA steps together on a CPU core: a step's arrays stay in cache, and few lanes wait for others. Every
-block has this size, and one thread, so that no bit of a lane depends on what is computed beside it."""
+"""Lanes that XLA steps together on a CPU core. The arrays of a step fit into the cache, and few lanes wait for others.
+Every block has this size and runs in one thread, so that no bit of a lane depends on the other lanes."""
 
 XLA_BLOCKS_PER_CALL = 8
-"""Blocks per call of a program, one after the other: a call costs as much as some hundred steps of a block."""
+"""Blocks per call of a program, computed one after another. A call costs as much as some hundred steps of a block."""
 
 XLA_BLOCK_ON_ACCELERATOR = 16384
-"""Lanes that step together on an accelerator, where a step of few lanes costs as much as one of many."""
+"""Lanes that step together on an accelerator, where a step of few lanes costs as much as a step of many."""
 
 EQUATION_FUNCTIONS = (*(x for x in vars(elementary).values() if hasattr(x, "registry")), jnp.arctan2)
-"""Functions that equations and measures are written in: those that number types can register with, and arctan2."""
+"""Elementary functions that equations and measures use: the generic functions of `elementary`, and arctan2."""
 
 
 def lane_function(static: int, derives: bool = False) -> Callable[[Callable[..., R]], Callable[..., R]]:
     """Return a decorator that compiles a function of lanes; see [vibrojax.compile.lane_function][].
 
-    Kernels of a foreign scene run only if its first steps agree with XLA. `derives`: the function takes derivatives of
-    a scene's equations.
+    Kernels of a scene from outside the package run only if the first steps of this scene agree with XLA. `derives`:
+    whether the function computes derivatives of a scene's equations.
     """
     return compilation.lane_function(static, derives=derives, policy=scene_subject)
 
 
 class Programs(ABC):
-    """The compiled programs of one kind. They take and return arrays whose last axis is the lanes', of any length.
+    """Compiled programs of one `Kind`. They take and return arrays whose last axis is the lane axis, of any length.
 
-    - `block`: lanes that step together, so that each waits for the slowest.
-    - `hand`: lanes per call, enough that the call itself costs little.
-    - `compiler`: its name.
+    - `block`: number of lanes that step together, so that each waits for the slowest.
+    - `hand`: number of lanes per call, large enough for a small overhead of the call.
+    - `compiler`: name of the compiler.
     """
 
     block: int
@@ -88,15 +88,15 @@ class Programs(ABC):
 
     @abstractmethod
     def check_arithmetic(self, dtype: np.dtype) -> None:
-        """Compare `EQUATION_FUNCTIONS` with numpy, compiled as lanes are; raise `InputError` if one is wrong."""
+        """Compile `EQUATION_FUNCTIONS` like the programs; raise `InputError` if one of them differs from numpy."""
 
     @abstractmethod
     def _run(self, program: Callable[..., Any], *arguments: Any) -> Any:
-        """Return the results of a program of lanes, on the device and in the precision in use."""
+        """Run a program of lanes on the current device and in the current precision, and return its results."""
 
 
 class ByLlvm(Programs):
-    """Programs as kernels, for the CPU. They raise `Untranslatable` if no kernel can be made or trusted."""
+    """Programs compiled as kernels for the CPU. They raise `Untranslatable` if no kernel can be made or trusted."""
 
     compiler = "llvm"
     hand = KERNEL_LANES_PER_CALL

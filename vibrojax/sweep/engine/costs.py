@@ -1,8 +1,8 @@
-"""Rough processor time and bytes of a sweep, before any work: the time to compile its scene, and that of its steps.
+"""Rough estimate of the processor time and size of a sweep before it runs, without compiling or stepping.
 
-The estimate is within about a factor of two of what a sweep takes. `--dry-run --measure` computes some chunks
-instead. `python tests/benchmarks/estimates.py` compares the estimates of all bundled sweeps with their true times, and
-prints the constants of this file as measured.
+The estimate is within about a factor of two of the true cost. `--dry-run --measure` computes some chunks instead.
+`python tests/benchmarks/estimates.py` compares the estimates of all bundled sweeps with their true times, and prints
+measured values of the constants of this file.
 """
 
 import bz2
@@ -23,10 +23,10 @@ from vibrojax.sweep.input.definition import Sweep
 
 
 class LaneCosts(NamedTuple):
-    """Costs of a lane by what its scene models.
+    """Costs of a lane, which depend on the physics that its scene models.
 
-    - `event_rate`: steps that end at events in a simulated second [1/s], in addition to the flight's.
-    - `chunk_bytes`, `file_bytes`: in a finished chunk, and in the dataset before it is packed.
+    - `event_rate`: steps that end at events per simulated second [1/s], in addition to the steps of the flight.
+    - `chunk_bytes`, `file_bytes`: size of a lane in a finished chunk, and in the dataset before packing.
     """
 
     event_rate: float
@@ -38,45 +38,47 @@ FRICTION_COSTS = LaneCosts(12.0, 152, 98)
 CONTACT_COSTS = LaneCosts(45.0, 232, 170)
 ROCK_COSTS = LaneCosts(190.0, 272, 210)
 PULSE_COSTS = LaneCosts(1000.0, 88, 50)
-"""Means over the bundled sweeps. Blows on rock and pulses bring a cascade of events each."""
+"""Means over the bundled sweeps. Each impact on rock and each pulse causes a cascade of events."""
 
 STEP_SECONDS = 75e-9
-"""A step of one lane while it settles: 53 ns in rotary to 92 ns in coupled-drilling."""
+"""Time of one step of one lane while it settles [s]: between 53 ns in rotary and 92 ns in coupled-drilling."""
 
 COMPILE_SECONDS = 1.2
-"""Compilation of a scene's programs: 0.5 s in penetration to 1.9 s in coupled-drilling."""
+"""Time to compile a scene's programs [s]: between 0.5 s in penetration and 1.9 s in coupled-drilling."""
 
 START_SECONDS = 2.0
-"""Import, reading, writing and drawing."""
+"""Time for imports, reading, writing and plotting [s]."""
 
 LANE = 25e-6
-"""Seconds of a lane besides its steps: to start, measure, store, label and write it."""
+"""Time per lane in addition to its steps [s]: to initialize, measure, store, label and write it."""
 
 YARDSTICK = 1.92e-3
-"""Seconds of the yardstick on the machine where the constants were measured."""
+"""Time of the benchmark in `slowness` on the machine on which the constants were measured [s]."""
 
 CHECK_RUN, ENDING_EARLY, ENDING_ON_ORBITS, EXPONENTS = 1.5, 0.75, 0.6, 8.0
-"""Factors of a lane's steps. The check run takes every second step. Of lanes that may end early, a quarter of the work
-is saved, with ends on orbits two fifths. Exponents follow the irregular lanes, about a quarter of a map, for long."""
+"""Factors on the work of a lane's steps. The check run adds half as many steps. Early stopping saves a quarter of the
+work, and two fifths if lanes also stop on known orbits. Lyapunov exponents require long runs of the irregular lanes,
+which are about a quarter of a map."""
 
 ORBIT_BYTES, RETURN_BYTES = (136, 108), 48
-"""Bytes of a lane's orbit, in a chunk and in the dataset; and of each return that is kept, in either."""
+"""Size of a lane's orbit in a chunk and in the dataset, and size of each stored section crossing in both [bytes]."""
 
 PACKED, PACKED_LARGE = 0.6, 0.75
-"""Share of a dataset's bytes that packing leaves, and that of a dataset so large that only some of it is packed."""
+"""Ratio of packed to unpacked size of a dataset, and the same for a dataset so large that only a part is packed."""
 
 STEPPED_MAX_LANES = 2**40
-"""More lanes than anybody steps: such a sweep is refused, and its stiffness is not sampled."""
+"""Number of lanes above which a sweep is certainly rejected and its stiffness is therefore not sampled."""
 
 SAMPLES, SAMPLE = 8, 256
-"""Places of a sweep, and lanes at each, whose steps are estimated; in a smaller sweep, all lanes are."""
+"""Number of positions in a sweep, and number of lanes at each position, for which steps are estimated. In a smaller
+sweep, the steps of all lanes are."""
 
 LanesFloat = Float[np.ndarray, " lanes"]
 LaneNumbers = Int[np.ndarray, " lanes"]
 
 
 class Seconds(NamedTuple):
-    """Time to start, to compile, which does not depend on the number of lanes, and to step."""
+    """Times to launch, compile and step [s]. Only the time to step depends on the number of lanes."""
 
     start: float
     compile: float
@@ -84,7 +86,7 @@ class Seconds(NamedTuple):
 
 
 def processor_time(chunks: Chunks) -> Seconds:
-    """Return a rough estimate of a sweep's processor time in seconds; nothing is compiled or stepped for it."""
+    """Return a rough estimate of a sweep's processor time, without compiling or stepping."""
     run, speed = chunks.sweep.run, slowness()
     step = STEP_SECONDS * CHECK_RUN * (1 + (OBSERVING - 1) / (1 + run.settle / run.observe))
     ends_on_orbits = chunks.ends_early and chunks.ends_on_orbits
@@ -92,14 +94,14 @@ def processor_time(chunks: Chunks) -> Seconds:
         step *= ENDING_ON_ORBITS if ends_on_orbits else ENDING_EARLY
     if run.lyapunov:
         step *= EXPONENTS
-    # Orbits and exponents bring programs of their own, about as large as those that step.
+    # Orbits and exponents have programs of their own, about as large as those that step lanes.
     compiling = COMPILE_SECONDS * (1 + ends_on_orbits + run.orbits + run.lyapunov)
     stepping = step * _steps(chunks) + LANE * chunks.sweep.lanes
     return Seconds(speed * START_SECONDS, speed * compiling, speed * stepping)
 
 
 def lane_bytes(sweep: Sweep) -> tuple[int, int]:
-    """Return the bytes of a lane in a finished chunk, and in the dataset before it is compressed."""
+    """Return the size of a lane in a finished chunk, and in the dataset before packing [bytes]."""
     costs, run = _lane_costs(sweep), sweep.run
     in_chunk, in_file = ORBIT_BYTES if run.orbits else (0, 0)
     returns = RETURN_BYTES * run.keep_returns
@@ -107,17 +109,17 @@ def lane_bytes(sweep: Sweep) -> tuple[int, int]:
 
 
 def packed_share(sweep: Sweep) -> float:
-    """Return the share of the dataset's bytes that packing leaves."""
+    """Return the ratio of packed to unpacked size of the dataset."""
     return PACKED_LARGE if lane_bytes(sweep)[1] * sweep.lanes > UP_TO else PACKED
 
 
 def by_the_clock(processor: Seconds, cores: int) -> Seconds:
-    """Return the seconds by the clock on an idle machine with that many cores."""
+    """Return the wall time on an idle machine with `cores` cores."""
     return processor._replace(step=processor.step / cores)
 
 
 def lane_steps(chunks: Chunks, numbers: LaneNumbers) -> LanesFloat:
-    """Return a rough number of steps of lanes, by the numbers of the lanes (lanes,)."""
+    """Return the estimated number of steps of each lane in `numbers` (lanes,)."""
     sweep, run, accuracy = chunks.sweep, chunks.sweep.run, chunks.accuracy
     scene, seconds = sweep.system, run.settle + run.observe
     rates = np.full(len(numbers), 1 / accuracy.step)
@@ -137,7 +139,10 @@ def _lane_costs(sweep: Sweep) -> LaneCosts:
 
 
 def _steps(chunks: Chunks) -> float:
-    """Return the steps of all lanes, each counted as the slowest of its block, for which the others wait."""
+    """Return the estimated steps of all lanes.
+
+    Each lane counts as many steps as the slowest lane of its block, because the others wait for it.
+    """
     lanes, block = chunks.sweep.lanes, chunks.engine.programs.block
     if lanes > STEPPED_MAX_LANES:
         numbers = np.zeros(1, int)
@@ -146,17 +151,17 @@ def _steps(chunks: Chunks) -> float:
     else:
         firsts = np.linspace(0, lanes - SAMPLE, SAMPLES).astype(int)
         numbers = (firsts[:, None] + np.arange(SAMPLE)).ravel()
-    # Lanes of similar pace form a block: the first of each is its slowest.
+    # Blocks hold lanes of similar pace. After sorting, the first lane of each block is its slowest.
     slowest = np.sort(lane_steps(chunks, numbers))[::-1][::block]
     return float(np.mean(slowest)) * block * -(-lanes // block)
 
 
 @cache
 def slowness() -> float:
-    """Return the processor time of this machine over that of the machine of reference, by a yardstick of some 10 ms.
+    """Return the ratio of processor times of this machine and the reference machine, from a benchmark of some 10 ms.
 
-    Compression branches and looks up much, as compilers do. The shortest of six runs counts: other work on the machine
-    only makes runs longer.
+    The benchmark compresses data, which like compilation consists mostly of branches and table lookups. The shortest of
+    six runs is used, because other load on the machine can only make runs longer.
     """
     text = np.random.default_rng(0).integers(0, 40, 30_000, dtype=np.uint8).tobytes()
     seconds = []

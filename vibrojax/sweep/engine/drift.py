@@ -1,10 +1,11 @@
-"""Distance of a lane that repeats from its limit, estimated from its last returns to the section.
+"""Distance of a periodic lane from its limit, estimated from its last section crossings.
 
-Near an orbit, a return's distance from it is a linear map of that of the return before. If the motion repeats after p
-returns, the differences d_k between returns obey a linear recurrence d_k = sum_j c_j d_{k-jp}. Its order is 1 for one
-multiplier, 2 for a pair, 3 for all that a section state of three has. Its coefficients follow from the differences by
-least squares. They give the sum of all future differences, of the states and of any function of them (reduced rank
-extrapolation: Sidi, *Vector Extrapolation Methods*, 2017, chapter 2).
+Near a periodic orbit, the distance of a section crossing from the orbit is a linear map of that of the previous
+crossing. If the motion is periodic with p crossings per period, let d_k be the differences between crossings that are
+p apart. They obey a linear recurrence d_k = sum_j c_j d_{k-jp}. Its order is 1 for one dominant multiplier, 2 for a
+pair, and 3 for all three multipliers of a section with three states. The coefficients are fitted to the differences by
+least squares. They determine the sum of all future differences of the states and of any function of the states (reduced
+rank extrapolation: Sidi, *Vector Extrapolation Methods*, 2017, chapter 2).
 """
 
 from functools import reduce
@@ -18,20 +19,21 @@ from vibrojax.measures.repeats import scales
 from vibrojax.models.scenes import Section
 
 RECURRENCE_MAX_ORDER = 3
-"""A section state of three has three multipliers."""
+"""A section with three states has three multipliers."""
 
 RECURRENCE_MAX_EQUATIONS = 12
-"""Only the newest differences: before, a lane may have been too far away for a linear map."""
+"""Maximum number of differences in the fit, the newest. Earlier, the lane may be too far away for a linear map."""
 
 DRIFT_RESOLVED = 1e4
-"""Differences this many roundings long, and ten times the steps' tolerance, determine multipliers."""
+"""Differences determine multipliers if they exceed the rounding noise by this factor, and ten times the error tolerance
+of the steps."""
 
 FITS, FITS_CLOSELY = 0.3, 0.02
-"""Relative residuals below which differences obey a recurrence at all, and below which no other recurrence explains
-them."""
+"""Relative residuals of a fit: below the first, differences obey a recurrence at all. Below the second, the fit is so
+close that the recurrence is taken as the true one."""
 
 GROWS, DECAYS = 1.0005, 0.999
-"""Greatest multipliers above which a lane leaves, and below which it approaches."""
+"""Modulus of the dominant multiplier above which a lane moves away from an orbit, and below which it approaches."""
 
 PerLane = Float[np.ndarray, " lanes"]
 Series = Float[np.ndarray, "lanes _"]
@@ -41,11 +43,12 @@ SumsAndMean = tuple[Series, Series | None, PerLane]
 
 
 class LastReturns(NamedTuple):
-    """Consecutive returns of lanes with the same repeat, the newest first.
+    """Consecutive section crossings of lanes with the same number of crossings per period, the newest first.
 
-    - `states`: at the section, over their scales.
-    - `measured`: for period, and impact velocity if there are impacts: the sum since the return before (of time [s], of
-      velocities [m/s]), the number of terms (None: one per return), and the lane's mean.
+    - `states`: states at the section, divided by their scales.
+    - `measured`: sums of which period and, if there are impacts, impact velocity are means. Each entry holds three
+      items: the sum since the previous crossing (of time [s] or of velocities [m/s]), the number of its terms (None for
+      one term), and the lane's mean.
     """
 
     states: States
@@ -53,7 +56,11 @@ class LastReturns(NamedTuple):
 
 
 class Recurrence(NamedTuple):
-    """d_k = sum_j c_j d_{k-jp}, its relative `residual`, and `radius`, its greatest multiplier."""
+    """Recurrence d_k = sum_j c_j d_{k-jp} with its `coefficients` c_j.
+
+    - `residual`: relative residual of the fit.
+    - `radius`: largest modulus of its multipliers.
+    """
 
     coefficients: Float[np.ndarray, "lanes order"]
     residual: PerLane
@@ -61,17 +68,18 @@ class Recurrence(NamedTuple):
 
 
 def drift(features: Features, section: Section, precision: str, tolerance: float) -> PerLane:
-    """Return the relative distance of period and impact velocity from their limits, the larger.
+    """Return the relative distance of period and impact velocity from their limits, whichever is larger.
 
-    It is NaN for a lane that does not repeat, and infinite if the returns move away, approach a shorter repeat than
-    theirs, or determine neither.
+    It is NaN for a lane that is not periodic. It is infinite if the section crossings move away from the orbit,
+    approach an orbit with a shorter period, or determine neither.
 
     **Arguments:**
 
-    - `features`: of [vibrojax.measures][], among them the last returns: arrays (lanes,) and (lanes, returns), the
-      newest last.
-    - `section`: of the scene, whose states at the returns are compared.
-    - `precision`: "float64" or "float32", that of the features; `tolerance`: of the steps, relative.
+    - `features`: features of [vibrojax.measures][], arrays (lanes,), among them the last section crossings, arrays
+      (lanes, returns) with the newest last.
+    - `section`: section of the scene. Its states at the crossings are compared.
+    - `precision`: precision of the features, "float64" or "float32".
+    - `tolerance`: relative error tolerance of the steps.
     """
     cycles = np.nan_to_num(features["cycles"]).astype(int)
     count = np.sum(np.isfinite(features[TIME]), axis=1)
@@ -102,15 +110,15 @@ def _last_returns(features: Features, section: Section, count: int) -> LastRetur
 
 
 def _drift(returns: LastReturns, repeat: int, noise: float, resolved: float) -> PerLane:
-    """Return the distance of lanes with the same `repeat`.
+    """Return the distance of lanes with the same number `repeat` of section crossings per period.
 
-    `noise`: relative rounding of a return; `resolved`: the least difference that determines multipliers.
+    `noise`: relative rounding error of a crossing. `resolved`: smallest difference that determines multipliers.
     """
     differences = _differences(returns.states, repeat)
     fits = _fits(differences, repeat, noise)
     if not fits:
         return np.full(len(differences), np.inf)
-    # If two orders differ, neither is right: the distance between them is added.
+    # If the limits of two orders differ, neither is reliable: the distance between them is added.
     distances = []
     for total, count, mean in returns.measured:
         values = _means(total, count, repeat)
@@ -124,7 +132,7 @@ def _drift(returns: LastReturns, repeat: int, noise: float, resolved: float) -> 
     grown = np.max(recent, axis=(1, 2)) > np.max(before, axis=(1, 2))
     leaves = grown & np.all([fit.radius > GROWS for fit in fits], axis=0)
     unknown = _is_resolved(differences, resolved) & (leaves | (fits[-1].residual > FITS))
-    # A slow spiral towards an orbit with a shorter repeat is back after a turn.
+    # A slow spiral towards an orbit with a shorter period seems periodic after each revolution.
     for shorter in (p for p in range(1, repeat) if repeat % p == 0):
         differences = _differences(returns.states, shorter)
         fit = _fits(differences, shorter, noise)[-1]
@@ -137,7 +145,7 @@ def _is_resolved(differences: States, resolved: float) -> Bool[np.ndarray, " lan
 
 
 def _fits(differences: States, lag: int, noise: float) -> list[Recurrence]:
-    """Return the recurrences of the highest order that has enough differences, and of the one below."""
+    """Return two fitted recurrences: of the highest order that has enough differences, and of the order below."""
     highest = min(RECURRENCE_MAX_ORDER, (differences.shape[1] - 1) // lag)
     return [_recurrence(differences, lag, order, noise) for order in range(max(highest - 1, 1), highest + 1)]
 
@@ -147,7 +155,7 @@ def _differences(values: States, lag: int) -> States:
 
 
 def _means(total: Series, count: Series | None, repeat: int) -> Series:
-    """Return means over every `repeat` consecutive returns: per return, or per `count`."""
+    """Return moving means over `repeat` consecutive section crossings: per crossing, or per term by `count`."""
     windows = total.shape[1] - repeat
     over = np.sum([total[:, k : k + windows] for k in range(repeat)], axis=0)
     if count is None:
@@ -156,14 +164,14 @@ def _means(total: Series, count: Series | None, repeat: int) -> Series:
 
 
 def _recurrence(differences: States, lag: int, order: int, noise: float) -> Recurrence:
-    """Fit the recurrence of an `order` to the differences by least squares, with equal weights of the equations."""
+    """Fit a recurrence of this `order` to the differences by least squares with equally weighted equations."""
     lanes, number, _ = differences.shape
     equations = min(number - order * lag, RECURRENCE_MAX_EQUATIONS)
     before = np.stack([differences[:, lag * j : lag * j + equations] for j in range(1, order + 1)], axis=-1)
     weight = 1 / np.sqrt(np.sum(before**2, axis=(2, 3)) + noise**2)
     now = (differences[:, :equations] * weight[:, :, None]).reshape(lanes, -1)
     before = (before * weight[:, :, None, None]).reshape(lanes, -1, order)
-    # The possible share of rounding in the columns: without it, large coefficients would fit noise.
+    # Regularization by the rounding noise in the columns: without it, large coefficients would fit noise.
     blurred = 1e-12 + noise**2 * np.sum(weight**2, axis=1)
     gram = np.einsum("lij,lik->ljk", before, before) + blurred[:, None, None] * np.eye(order)
     coefficients = np.linalg.solve(gram, np.einsum("lij,li->lj", before, now)[..., None])[..., 0]

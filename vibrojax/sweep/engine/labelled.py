@@ -1,4 +1,4 @@
-"""Labelled variables, coordinates and attributes of a sweep's dataset, from the features of its lanes."""
+"""Variables with labels (regimes), coordinates and attributes of a sweep's dataset, from the features of its lanes."""
 
 import json
 from collections.abc import Mapping
@@ -27,17 +27,18 @@ _ROWS = {
     "return_index": "number of the return that is kept, the newest last",
     "multiplier": "number of the multiplier, by falling modulus",
 }
-"""Meanings of the dimensions beyond the sweep's."""
+"""Meanings of the dimensions that are added to the sweep's own."""
 
 
 def labelled(sweep: Sweep, first: int, end: int, features: dict, whole: bool = True) -> dict[str, np.ndarray]:
-    """Return the variables of the lanes from `first` to before `end`, as stored, in the order of the dataset.
+    """Return the stored variables of the lanes from `first` (inclusive) to `end` (exclusive), in dataset order.
 
     **Arguments:**
 
-    - `features`: by name, (lanes,), or (lanes, rows) for returns that are kept; the variables have the same shapes.
-    - `whole`: True if all starts of their points are among them. Otherwise `hidden_motion`, which compares starts, is
-      left out.
+    - `features`: features by name, (lanes,), or (lanes, rows) for stored section crossings. The variables have the same
+      shapes.
+    - `whole`: True if the lanes include all initial conditions of each point. Otherwise `hidden_motion`, which compares
+      initial conditions, is omitted.
     """
     features = _finished(sweep, first, end, features)
     if whole and sweep.crosses_starts and sweep.starts is not None and len(sweep.starts) > 1 and "regime" in features:
@@ -52,12 +53,12 @@ def labelled(sweep: Sweep, first: int, end: int, features: dict, whole: bool = T
 
 
 def variables_of(sweep: Sweep) -> dict[str, Variable]:
-    """Return all variables that the dataset of a sweep may have, by name, in their order."""
+    """Return all variables that the dataset of a sweep may have, by name and in dataset order."""
     return VARIABLES | measured_besides(sweep.system) | of_orbits(sweep.system)
 
 
 def measured_besides(scene: Scene[Any]) -> dict[str, Variable]:
-    """Return the variables that the scene's section and its own gauges declare."""
+    """Return the variables that the scene's section and the scene's own gauges declare."""
     if scene.section is None:
         return {}
     variables = {}
@@ -70,7 +71,7 @@ def measured_besides(scene: Scene[Any]) -> dict[str, Variable]:
 
 
 def of_orbits(scene: Scene[Any]) -> dict[str, Variable]:
-    """Return the variables of the states of orbits at the section."""
+    """Return the variables that hold the states of periodic orbits at the section."""
     return {
         orbit_name(state.name): Variable(state.unit, f"{state.long_name}, on the orbit at the section")
         for state in scene.states
@@ -79,7 +80,7 @@ def of_orbits(scene: Scene[Any]) -> dict[str, Variable]:
 
 
 def _finished(sweep: Sweep, first: int, end: int, features: dict) -> dict:
-    """Return the features with regime, status and reason; NaN, or 0 for counts, if a lane failed or was refused."""
+    """Return the features with regime, status and reason, and with NaN in lanes that failed or were rejected."""
     values = sweep.lane_values(first, end)[0]
     why, unfit = sweep.system.refused(values) or ("none", np.zeros(end - first, bool))
     stiff, slow = too_stiff(sweep, values), too_slow(sweep, values)
@@ -112,9 +113,14 @@ def _finished(sweep: Sweep, first: int, end: int, features: dict) -> dict:
 def regimes(
     scene: Scene[Any], values: Mapping[str, Shaped[np.ndarray, " lanes"]], features: Mapping[str, np.ndarray]
 ) -> Int8[np.ndarray, " lanes"]:
-    """Return the regime of lanes of a scene, from all of its parameters and the features that label, each (lanes,)."""
+    """Return the regime of each lane of a scene.
+
+    **Arguments:** `values`: all parameters of the scene by name. `features`: the features that determine the regime.
+    All are arrays (lanes,).
+    """
     lanes = len(features["cycles"])
-    rest, m1, g, k1 = np.zeros((4, lanes)) + [[0.0], [0.0], [0.0], [1.0]]  # without friction, never at equilibrium
+    # With these values, lanes without friction are never at equilibrium.
+    rest, m1, g, k1 = np.zeros((4, lanes)) + [[0.0], [0.0], [0.0], [1.0]]
     if isinstance(scene, HasFriction):
         with precision("float64"):
             rest = np.asarray(_friction_at_rest(scene, dict(values)))
@@ -124,14 +130,15 @@ def regimes(
 
 @lane_function(static=1)
 def _friction_at_rest(scene: HasFriction[Any], values: dict[str, Array]) -> Array:
-    """Return mu(0+) (lanes,)."""
+    """Return the friction coefficient at rest mu(0+), an array (lanes,)."""
     return scene.friction.on_weight(0.0, values) + jnp.zeros_like(values["m1"])
 
 
 def certified(sweep: Sweep, variables: Mapping[str, np.ndarray]) -> dict[str, int]:
-    """Count the lanes with an error estimate, within the accepted error, still settling, sensitive, or relabelled.
+    """Count the lanes by the outcome of their error control.
 
-    A relabelled lane has a different label in its check run. Sensitive lanes do not count as within.
+    The counts are: lanes with an error estimate, within the error tolerance, still settling, sensitive, and with a
+    different regime in their check run. Sensitive lanes do not count as within the tolerance.
     """
     done = variables["reason"] == 0
     estimate = variables["error_estimate"][done]
@@ -150,15 +157,18 @@ def certified(sweep: Sweep, variables: Mapping[str, np.ndarray]) -> dict[str, in
 def attributes(sweep: Sweep, solver: dict, certified: Mapping[str, int], wall_time: float) -> dict[str, Any]:
     """Return the attributes of the dataset.
 
-    **Arguments:** `solver`: the stepper and its settings, as JSON values; `certified`: from
-    [vibrojax.sweep.engine.labelled.certified][], of all lanes; `wall_time` [s].
+    **Arguments:**
+
+    - `solver`: the stepper and its settings, as JSON values.
+    - `certified`: sums over all lanes of the counts from [vibrojax.sweep.engine.labelled.certified][].
+    - `wall_time`: duration of the computation [s].
     """
     return {
         **dataset_attributes(
             "sweep", sweep.title or f"{sweep.scene}: {sweep.name}", f"sweep {sweep.name}", scene=sweep.scene
         ),
         "sweep": sweep.text,
-        # With the defaults that the text omits, since labels depend on the times; without the chunk.
+        # Includes defaults that the sweep file omits, because regimes depend on the times. Omits the chunk size.
         "run": json.dumps({name: value for name, value in sweep.run.described().items() if value is not None}),
         "parameters": json.dumps(sweep.parameters),
         IDENTITY: identity_text(sweep.identity()),
@@ -172,9 +182,9 @@ def attributes(sweep: Sweep, solver: dict, certified: Mapping[str, int], wall_ti
 
 
 def coordinates(sweep: Sweep, rows: Mapping[str, int]) -> dict:
-    """Return the coordinates of the dataset, each (dimensions, values, attributes).
+    """Return the coordinates of the dataset by name, each as (dimensions, values, attributes).
 
-    `rows`: the sizes of the dimensions beyond the sweep's, by name.
+    `rows`: sizes of the dimensions that are added to the sweep's own, by name.
     """
     coords: dict[str, tuple] = {
         name: ((name,), axis, _parameter_attributes(sweep, name)) for name, axis in sweep.axes.items()

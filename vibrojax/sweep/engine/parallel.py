@@ -1,4 +1,4 @@
-"""Work shared by several threads, whose caller an interrupt still reaches."""
+"""Distribution of work over several threads. The calling thread can still be interrupted."""
 
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -13,12 +13,12 @@ Result = TypeVar("Result")
 def in_parallel(
     work: Callable[[Worker, Item], Result], items: Sequence[Item], workers: Sequence[Worker]
 ) -> Iterator[tuple[int, Result]]:
-    """Call `work(worker, item)` for every item, in one thread per worker; each takes the next item when it is free.
+    """Call `work(worker, item)` for every item, in one thread per worker. A free thread takes the next item.
 
     **Returns:** an iterator over (index of the item, result), in the order of completion.
 
-    **Raises:** the exception of a work. Then, and if the iterator is closed early (an interrupt), threads stop after
-    their current item, and nothing waits for them.
+    **Raises:** the exception of a call of `work`. After an exception, and if the iterator is closed early (by an
+    interrupt), the threads stop after their current item. The caller does not wait for them.
     """
     done: SimpleQueue[tuple[int, Result] | BaseException] = SimpleQueue()
     waiting = iter(range(len(items)))

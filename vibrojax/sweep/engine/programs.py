@@ -1,4 +1,4 @@
-"""Programs of lanes: functions that start lanes, settle them up to a time, and observe them."""
+"""Programs of lanes: functions to be compiled that initialize lanes, settle them up to a time, and observe them."""
 
 from typing import Any, NamedTuple
 
@@ -14,9 +14,10 @@ from vibrojax.stepping import Lane, Stepper, lane_at
 
 
 class Kind(NamedTuple):
-    """The static arguments of programs: scene, stepper, recorder, and the names of the starts.
+    """The static arguments of programs.
 
-    `tells_end`: observed lanes return their final state.
+    - `starts`: names of the initial conditions.
+    - `tells_end`: True if the final states of observed lanes are returned as a feature.
     """
 
     scene: Scene[Any]
@@ -27,18 +28,19 @@ class Kind(NamedTuple):
 
 
 CARRIED = -1
-"""Number of the start of a lane that begins where another lane ended."""
+"""Value of `Given.start` for a lane that begins in the final state of another lane."""
 
 END = "end_state"
 """Name of the feature that holds a lane's final state: (states, lanes)."""
 
 
 class Given(NamedTuple):
-    """The parameters and the start of each lane, arrays (lanes,).
+    """Parameters and initial condition of each lane, arrays (lanes,).
 
-    - `parameters` by name; `start`: number of the named start.
-    - `states`: the state of a start without a name, which has the number after the last name.
-    - `carried`: all states of lanes that begin where others ended, whose `start` is `CARRIED`.
+    - `parameters`: parameters by name.
+    - `start`: index of the initial condition in the names, the number of names for `states`, or `CARRIED`.
+    - `states`: initial states of lanes without a named initial condition.
+    - `carried`: initial states of lanes that begin in the final state of another lane.
     """
 
     parameters: dict[str, Lanes]
@@ -48,7 +50,7 @@ class Given(NamedTuple):
 
 
 def start_lanes(kind: Kind, given: Given) -> tuple[Lane, Any]:
-    """Return (lane, values of its recorder) at t = 0."""
+    """Return the lanes and the values of their recorder at t = 0."""
     constants = kind.scene.constants(given.parameters)
     return start_block(kind.scene, kind.recorder, constants, state_of(kind, constants, given))
 
@@ -56,9 +58,10 @@ def start_lanes(kind: Kind, given: Given) -> tuple[Lane, Any]:
 def lanes_on_orbit(
     kind: Kind, given: Given, state: Values, states: Array, times: Array, period: Lanes
 ) -> tuple[Lane, Any]:
-    """Return (lane, values of its recorder) at t = 0, from all states at the section of a periodic orbit.
+    """Return the lanes and the values of their recorder at t = 0, on the section of a periodic orbit.
 
-    [vibrojax.measures.section.on_orbit][] explains the last returns, which a recorder of pulses does not need.
+    `state` holds all states at the section. [vibrojax.measures.section.on_orbit][] explains `states`, `times` and
+    `period`, which describe the last section crossings. A recorder of pulses does not use them.
     """
     lane = lane_at(kind.scene, constants_of(kind, given), state)
     carry = kind.recorder.settling(kind.scene, lane)
@@ -73,7 +76,7 @@ def settle_lanes(kind: Kind, given: Given, underway: Underway, until: Lanes, eff
 def observe_lanes(
     kind: Kind, given: Given, underway: Underway, begin: Lanes, duration: Lanes, effort: Effort
 ) -> Features:
-    """Return features by name, (lanes,), or (returns, lanes) for the last returns; see `observe_block`."""
+    """Return features by name, (lanes,), or (returns, lanes) for the last section crossings; see `observe_block`."""
     constants = constants_of(kind, given)
     lane, features = observe_block(
         kind.scene, kind.stepper, kind.recorder, constants, underway, begin, duration, effort
@@ -82,13 +85,13 @@ def observe_lanes(
 
 
 def constants_of(kind: Kind, given: Given) -> Any:
-    """Return the scene's constants, for a motion from each lane's start."""
+    """Return the scene's constants for a motion from each lane's initial state."""
     constants = kind.scene.constants(given.parameters)
     return kind.scene.scaled(constants, state_of(kind, constants, given))
 
 
 def state_of(kind: Kind, constants: Any, given: Given) -> Values:
-    """Return the state of each lane at t = 0; that of the scene itself if it has no starts."""
+    """Return the state of each lane at t = 0. A scene without named initial conditions has a default state."""
     start = given.start
     starts = (*kind.starts, *((given.states,) if given.states else ())) or (None,)
     state, *others = [kind.scene.start(constants, name, start.shape) for name in starts]

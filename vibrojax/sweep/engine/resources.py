@@ -1,4 +1,4 @@
-"""Memory, disk and time that a sweep needs, against what this machine has, before any work."""
+"""Comparison of the memory, disk and time that a sweep needs with what is available, before the sweep runs."""
 
 import os
 import shutil
@@ -10,16 +10,17 @@ from vibrojax.io.formatting import size_text, time_text
 from vibrojax.sweep.input.definition import Sweep
 
 SWEEP_MAX_SECONDS = 10 * 365.25 * 86400.0
-"""Ten years: nobody waits longer."""
+"""Longest accepted time of a sweep [s]: ten years."""
 
 
 class Cost(TypedDict):
-    """Estimated cost of a sweep: its lanes and chunks, bytes of memory and disk, seconds.
+    """Estimated cost of a sweep: numbers of lanes and chunks, bytes of memory and disk, seconds.
 
-    - `file_bytes`: the part of `disk_bytes` that stays.
-    - `time_s`: by the clock of an idle machine, the sum of `compile_s`, which does not depend on the number of lanes,
-      and `step_s`; `processor_s`: of all cores together.
-    - `hour_workers`: processes of one core each that finish within an hour; 0 if no number of them does.
+    - `file_bytes`: the part of `disk_bytes` that remains after the sweep.
+    - `time_s`: wall time on an idle machine, the sum of `compile_s` and `step_s`. `compile_s` does not depend on the
+      number of lanes.
+    - `processor_s`: processor time of all cores together.
+    - `hour_workers`: number of single-core processes that together finish within an hour, or 0 if no number does.
     """
 
     lanes: int
@@ -35,9 +36,9 @@ class Cost(TypedDict):
 
 
 def check_size(sweep: Sweep, cost: Cost, out: Path | None = None) -> None:
-    """Raise `InputError` if the sweep needs more memory, disk or time than there is.
+    """Raise `InputError` if the sweep needs more memory, disk or time than is available.
 
-    `cost` is the estimate; `out` the file to write, None if the result stays in memory.
+    `cost`: estimated cost. `out`: output file, or None if the result stays in memory.
     """
     limits = [
         (cost["memory_bytes"], memory(), size_text, "memory"),
@@ -60,14 +61,14 @@ def check_size(sweep: Sweep, cost: Cost, out: Path | None = None) -> None:
 
 
 def _free(out: Path) -> int:
-    """Return the free bytes on the disk of `out`, including those that its chunks have already taken."""
+    """Return the free space on the disk of `out`, including the space of chunks already stored for it [bytes]."""
     chunks = out.with_name(f"{out.name}.chunks")
     taken = sum(path.stat().st_size for path in chunks.iterdir()) if chunks.is_dir() else 0
     return shutil.disk_usage(out.parent).free + taken
 
 
 def memory() -> float | None:
-    """Return the memory [bytes] that this process may fill; None if the system does not tell."""
+    """Return the memory available to this process [bytes], or None if it is unknown."""
     try:
         total = float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
     except (AttributeError, ValueError, OSError):

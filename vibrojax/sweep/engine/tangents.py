@@ -1,4 +1,4 @@
-"""Features of lanes with their derivatives along the parameters, in forward mode, and the checks of these."""
+"""Forward-mode derivatives of features of lanes with respect to parameters, and checks of these derivatives."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -22,28 +22,30 @@ from vibrojax.sweep.input.point import Point
 from vibrojax.sweep.input.starts import Start
 
 NEARBY = 1e-4
-"""Relative change of a parameter, up and down, that shows if the derivative holds nearby."""
+"""Relative change of a parameter, up and down, for the finite difference that checks the derivative."""
 
 INSENSITIVE = 1e-3
-"""Elasticity below which the error of a derivative is taken relative to this elasticity instead."""
+"""Smallest elasticity to which the error of a derivative is relative."""
 
 SERIES_MARGIN = 2.0
-"""Factor on estimates of the remaining change: if the distance from the orbit oscillates, no series is geometric."""
+"""Safety factor on the estimated remaining change. The estimate assumes a geometric series, which does not hold if the
+distance from the orbit oscillates."""
 
 DERIVATIVES_EQUAL = 1e-7
-"""Relative differences between derivatives that count as none."""
+"""Relative difference up to which two derivatives count as equal."""
 
 TANGENT_BLOCK = 64
-"""Lanes that are stepped together; each other number of lanes would need a program of its own."""
+"""Number of lanes that are stepped together. It is fixed because each number would need a program of its own."""
 
 EVENTS = "events_per_repeat"
-"""Feature that counts how often each guard is reached in a repeat."""
+"""Feature that encodes how often each guard is reached in one period."""
 
 RUN_SHARES = (1 / 3, 2 / 3, 5 / 6, 1.0, 1.0, 1.0)
-"""Shares of the settling time after which the runs of a derivative are observed; the last two move the parameter."""
+"""Fractions of the settling time after which the runs of a derivative are observed. In the last two runs, the parameter
+is changed."""
 
 HERE, UP, DOWN = 3, 4, 5
-"""The run that gives the derivative, and those with the parameter moved up and down."""
+"""Indices of the run that gives the derivative, and of the runs with the parameter changed up and down."""
 
 REASONS = (
     "none",
@@ -55,7 +57,7 @@ REASONS = (
     "still-settling",
     "not-the-slope-nearby",
 )
-"""Meaning of each flag of `reason`, in the order in which the rules are tried."""
+"""Meaning of each value of `reason`, in the order in which the rules are applied."""
 
 Features = Mapping[str, Array]
 RunFeatures = dict[str, Float[np.ndarray, "points parameters runs"]]
@@ -63,7 +65,7 @@ PerDerivative = Float[np.ndarray, "points variables parameters"]
 
 
 class Times(NamedTuple):
-    """Settling and observation times of lanes [s]: numbers, or arrays (lanes,) in a program."""
+    """Settling and observation times of lanes [s]: scalars, or arrays (lanes,) in compiled programs."""
 
     settle: Any
     observe: Any
@@ -71,7 +73,10 @@ class Times(NamedTuple):
 
 @dataclass(frozen=True)
 class _EventCount(Gauge[Scene[Any]]):
-    """One number for the events of all guards in a repeat: it changes wherever the order of events does."""
+    """Gauge that encodes the numbers of events of all guards in one period as a single number.
+
+    The number changes if any of these numbers of events changes.
+    """
 
     summed = (EVENTS,)
 
@@ -91,16 +96,17 @@ def run_and_derive(
     times: Times,
     shown: bool,
 ) -> tuple[RunFeatures, RunFeatures]:
-    """Return the features of every run of every derivative, and their derivatives, by name.
+    """Return two tables by name: the features of every run of every derivative, and the derivatives of these features.
 
-    Each derivative has lanes of its own, with the tangent of one parameter, so that one compiled program serves all
-    parameters.
+    The derivative with respect to each parameter has its own lanes, so that one compiled program serves all parameters.
 
     **Arguments:**
 
-    - `points`: of one scene, with one start; `wrt`: the parameters' names.
-    - `move`: the change of each parameter, up and down.
-    - `shown`: True for progress on stderr.
+    - `points`: points of one scene with the same initial condition.
+    - `wrt`: names of the parameters with respect to which derivatives are computed.
+    - `move`: change of each parameter, which is applied up and down.
+    - `times`: settling and observation times.
+    - `shown`: whether to show progress on stderr.
     """
     shape = (len(points), len(wrt), len(RUN_SHARES))
     own = np.broadcast_to(np.eye(len(wrt))[None, :, :, None], (*shape[:2], len(wrt), len(RUN_SHARES)))
@@ -118,7 +124,7 @@ def run_and_derive(
     progress = Progress(len(points) * len(wrt), "derivatives", shown, pace=False)
     with precision("float64"), progress:
         for first in range(0, settle.size, TANGENT_BLOCK):
-            # The last block is filled up with the last lane.
+            # The last block is padded with copies of the last lane.
             lanes = np.minimum(np.arange(first, first + TANGENT_BLOCK), settle.size - 1)
             block, along = (
                 {name: jnp.asarray(x.ravel()[lanes]) for name, x in table.items()} for table in (values, directions)
@@ -135,7 +141,7 @@ def run_and_derive(
 
 
 def measured_of(scene: Scene[Any]) -> set[str]:
-    """Return the names of the scene's features, without computing any."""
+    """Return the names of the scene's features, without computing the features."""
     start = scene.starts[0] if scene.starts else None
     with precision("float64"):
         ones = jnp.ones(1)
@@ -147,12 +153,12 @@ def measured_of(scene: Scene[Any]) -> set[str]:
 def _differentiated(
     scene: Scene[Any], start: Start | None, values: Features, along: Features, times: Times
 ) -> tuple[dict[str, Array], dict[str, Array]]:
-    """Return features of lanes, and their derivatives along a direction in the parameters, each (lanes,)."""
+    """Return features of lanes, and their derivatives along the direction `along` in parameter space, each (lanes,)."""
     return jax.jvp(lambda p: _features(scene, start, p, times), (values,), (along,))
 
 
 def _features(scene: Scene[Any], start: Start | None, p: Features, times: Times) -> dict[str, Array]:
-    """Return the features of lanes, (lanes,), as floats."""
+    """Return the features of lanes as arrays (lanes,) of floats."""
     recorder = recorder_for(scene)
     if isinstance(recorder, Recorder):
         gauges = (gauge for gauge in recorder.gauges if not isinstance(gauge, KeptReturns))
@@ -172,13 +178,15 @@ def judged(
     move: Float[np.ndarray, "points parameters"],
     error: float,
 ) -> dict[str, Any]:
-    """Return the arrays of the dataset: the variables, their derivatives, and the reasons why these may not hold.
+    """Return the arrays of the dataset: the variables, their derivatives, and reasons why a derivative may be invalid.
 
     **Arguments:**
 
-    - `features`, `tangents`: from `run_and_derive`; `variables`: the features that are differentiated.
-    - `value`, `move`: of each parameter, and its change.
-    - `error`: accepted relative error of a derivative.
+    - `features`, `tangents`: results of `run_and_derive`.
+    - `variables`: names of the features to differentiate.
+    - `value`: value of each parameter.
+    - `move`: change of each parameter.
+    - `error`: relative error tolerance of a derivative.
     """
     y, slopes = (np.stack([table[name] for name in variables], axis=1) for table in (features, tangents))
     with np.errstate(all="ignore"):
@@ -219,15 +227,17 @@ def judged(
 
 
 def _remaining(x: Float[np.ndarray, "points variables parameters times"], scale: PerDerivative) -> PerDerivative:
-    """Return the distance of the values at the settling times of `RUN_SHARES` from their limit, over `scale`.
+    """Return the estimated distance of `x` from its limit, divided by `scale`.
 
-    It is the sum of a geometric series of the differences over a third of the way. It is no less than the last of
-    these: at the first time the motion may still have been on another orbit.
+    The last axis of `x` holds the values at the settling times of `RUN_SHARES`. The distance is the sum of a geometric
+    series of the differences over successive thirds of the settling time. It is not less than the last difference,
+    because at the first time the motion may still have been on another orbit.
     """
     before = np.abs(x[..., 1] - x[..., 0])
-    recent = np.max(np.abs(x[..., 1:-1] - x[..., -1:]), axis=-1)  # of several: one may be small by chance
+    # The maximum of several differences: a single one may be small by chance.
+    recent = np.max(np.abs(x[..., 1:-1] - x[..., -1:]), axis=-1)
     ratio = np.nan_to_num(recent / before, nan=0.0)
     more = np.where(ratio < 1, ratio / (1 - ratio), np.inf)
-    # Differences of a settled value are roundings, and their ratio means nothing.
+    # Differences of a settled value are rounding errors, and their ratio is meaningless.
     settled = recent <= DERIVATIVES_EQUAL * scale
     return np.where(settled, recent, SERIES_MARGIN * recent * np.maximum(more, 1.0)) / scale

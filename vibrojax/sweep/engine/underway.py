@@ -1,4 +1,4 @@
-"""The first half of the lanes' work, common to both accuracies; lanes that have settled leave early."""
+"""The first half of the lanes' work, which main run and check run share. Lanes that have settled stop early."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -16,33 +16,33 @@ from vibrojax.sweep.engine.batch import Batch, Engine, Features, Index, Report
 from vibrojax.sweep.input.run_settings import RunSettings
 
 OBSERVING = 2.0
-"""Work of a second under observation, relative to that of a second before."""
+"""Work per simulated second during the observation, relative to that before the observation."""
 
 CHECKPOINTS = ((0.25,), (0.5,), (1.0,))
-"""Shares of the first half at which lanes are checked for having settled, and the others sorted by their pace."""
+"""Fractions of the first half after which lanes are checked for having settled. The others are sorted by pace."""
 
 CHECKPOINTS_ON_ORBITS = ((0.16, 0.21, 0.28), (0.38, 0.5), (0.7, 1.0))
-"""The same if lanes end on orbits, in rounds. At the end of a round, all lanes near an orbit are examined together,
-because a few cost as much as many."""
+"""The same fractions if lanes stop on known orbits, grouped in rounds. After each round, all lanes near an orbit are
+examined together, because a few lanes cost as much as many."""
 
 SETTLED = 0.01
-"""Part of the accepted error that a lane observed early may still be away from its limit, if steps have no tolerance;
-else the tolerance counts."""
+"""Largest distance from its limit at which a lane is observed early, as a fraction of the accepted error. It applies
+only to steppers without an error tolerance. Otherwise this tolerance is the largest distance."""
 
 CHECK_SETTLES = 0.5
-"""Additional settling of the check run of a settled lane, as part of the time that the lane took."""
+"""Additional settling time of the check run of a settled lane, as a fraction of the lane's own settling time."""
 
 LONGEST_EARLY_REPEAT = 3
-"""Longest repeat, in returns, that the last eight returns show several times."""
+"""Longest period, in section crossings, of which the last eight crossings contain several."""
 
 LanesBool = Bool[np.ndarray, " lanes"]
 LanesFloat = Float[np.ndarray, " lanes"]
 
 
 def repeats_lately(returns: Settling, now: float) -> LanesBool:
-    """Return the lanes that repeat within the tolerance of labels, by their last eight returns before `now` [s].
+    """Return a mask of the lanes that are periodic within the tolerance of labels.
 
-    Repeats of up to half of these returns are seen.
+    The last eight section crossings before `now` [s] are compared. Periods of up to four crossings are detected.
     """
     states, times, passed = returns.seen.states, returns.seen.times, returns.passed
     repeating = np.zeros(times.shape[-1], bool)
@@ -61,18 +61,21 @@ def _returned_lately(times: Array, now: float) -> Array:
 def settled(
     returns: Settling, now: float, end: float, observe: float, tolerance: float
 ) -> tuple[LanesBool, LanesFloat]:
-    """Return the lanes that may be observed at once, and for how long.
+    """Return the lanes that have settled and may be observed at once, and how long to observe them.
 
-    All future differences between their repeats add up to less than `tolerance`. The differences are taken as a
-    geometric series; if that falls slowly, only those until the lane's `end` count.
+    In a settled lane, all future differences between successive periods add up to less than `tolerance`. The
+    differences are extrapolated as a geometric series. If the series decreases slowly, only its terms until the lane's
+    `end` count.
 
     **Arguments:**
 
-    - `returns`: the last returns, see [vibrojax.measures.section][]: arrays whose last axis is lanes.
-    - `now`, `end`, `observe` [s]: the time, that at which the lane would be done, and the length of its observation.
-    - `tolerance`: the relative distance from its limit at which a lane has settled.
+    - `returns`: last section crossings, see [vibrojax.measures.section][]: arrays whose last axis is the lane axis.
+    - `now`: current time [s].
+    - `end`: time at which the lane would finish without early stopping [s].
+    - `observe`: length of the observation without early stopping [s].
+    - `tolerance`: relative distance from the limit at which a lane has settled.
 
-    **Returns:** a mask, and the time [s] in which a lane makes the returns that labels need; each (lanes,).
+    **Returns:** a mask, and the time [s] in which a lane makes the section crossings that labels need; each (lanes,).
     """
     states, times, passed = returns.seen.states, returns.seen.times, returns.passed
     lanes = times.shape[-1]
@@ -85,7 +88,7 @@ def settled(
             seconds = times[:-repeat] - times[repeat:]
             moved = np.max(np.abs(states[:-repeat] - states[repeat:]) / scale, axis=1)
             change = np.maximum(moved[:-1], np.abs(seconds[:-1] - seconds[1:]) / seconds[0])
-            # The maximum of half of them: a single one may be small by chance, if the distance turns in its plane.
+            # The maximum of half of the changes: a single one may be small by chance if the distance vector rotates.
             half = len(change) // 2
             newer, older = change[:half].max(axis=0), change[-half:].max(axis=0)
             ratio = (newer / older) ** (repeat / (len(change) - half))
@@ -94,13 +97,13 @@ def settled(
             needed = (max(FEWEST_RETURNS, 3 * repeat + 1) + 1.5) * seconds[0] / repeat
             new = ~done & (newer < REPEATS_WITHIN) & lately & (needed <= observe) & (remaining <= tolerance)
             duration = np.where(new, needed, duration)
-            # A repeat of one return is also one of two: the shortest counts.
+            # A motion with a period of one crossing also has a period of two: the shortest applies.
             done |= new
     return done, duration
 
 
 class ReadyLanes(NamedTuple):
-    """Lanes of a chunk, by index, at the end of their common run, with the batch of either accuracy."""
+    """Lanes of a chunk at the end of the shared run: their indices, and a batch for each accuracy."""
 
     lanes: Index
     fine: Batch
@@ -108,7 +111,7 @@ class ReadyLanes(NamedTuple):
 
 
 class Ended(NamedTuple):
-    """Lanes of a chunk, by index, that need no more steps, and their certified features."""
+    """Lanes of a chunk that need no more steps: their indices, and their features with error estimates."""
 
     lanes: Index
     features: Features
@@ -116,34 +119,34 @@ class Ended(NamedTuple):
 
 @runtime_checkable
 class EarlyStopping(Protocol):
-    """Search for lanes that need no more steps, each at its own time."""
+    """Search for lanes that need no more steps. Each lane may stop at a different time."""
 
     def of_chunk(self) -> "EarlyStopping":
         """Return the search for the lanes of one chunk, independent of other chunks."""
         ...
 
     def near(self, batch: Batch) -> Bool[np.ndarray, " lanes"]:
-        """Return the lanes worth a closer look; this costs almost nothing."""
+        """Return a mask of the lanes that deserve a closer examination, from a test of negligible cost."""
         ...
 
     def __call__(self, batch: Batch) -> list[Ended]:
-        """Return the lanes of a batch that need no more steps, by their index in it."""
+        """Return the lanes of a batch that need no more steps, with their indices in the batch."""
         ...
 
 
 class ActiveLanes(NamedTuple):
-    """Lanes underway, by index, and their batch."""
+    """Lanes of a chunk that need more steps: their indices, and their batch."""
 
     lanes: Index
     batch: Batch
 
     def split(self, mask: LanesBool) -> "tuple[ActiveLanes, ActiveLanes]":
-        """Return the lanes of the mask, and the others."""
+        """Return the lanes in the mask, and the other lanes."""
         inside, outside = (ActiveLanes(self.lanes[x], self.batch.of(np.flatnonzero(x))) for x in (mask, ~mask))
         return inside, outside
 
     def joined(self, others: "list[ActiveLanes]") -> "ActiveLanes":
-        """Return these lanes and the others."""
+        """Return these lanes and `others`, combined."""
         others = [other for other in others if len(other.lanes)]
         if not others:
             return self
@@ -152,9 +155,10 @@ class ActiveLanes(NamedTuple):
 
 
 def looks(run: RunSettings, on_orbits: bool = False) -> list[list[float]]:
-    """Return the times [s] at which lanes are checked, in rounds, also for ends on orbits.
+    """Return the times [s] at which lanes are checked for early stopping, grouped in rounds.
 
-    The last is that after which half of the work is left, or the begin of the observation.
+    At the last time, half of the work remains or the observation begins. `on_orbits`: whether lanes also stop on known
+    orbits.
     """
     half = min(run.settle, (run.settle + OBSERVING * run.observe) / 2)
     rounds = CHECKPOINTS_ON_ORBITS if on_orbits else CHECKPOINTS
@@ -170,15 +174,18 @@ def run_together(
     search: EarlyStopping | None,
     report: Callable[[float], Report],
 ) -> Iterator[ReadyLanes | Ended]:
-    """Step lanes from t = 0 until both accuracies need runs of their own; yield first those that leave early.
+    """Step lanes from t = 0 until main run and check run separate. First yield the lanes that stop early.
 
-    Lanes stop as often if they do not end early, so that lanes that never settle have the same values.
+    The computation is interrupted at the same times even without early stopping. Lanes that never settle thus have the
+    same values with and without early stopping.
 
     **Arguments:**
 
-    - `coarse`: the accuracy of the check run; `tolerance`: see `settled`.
-    - `early`: True if lanes end early; `search`: for lanes that need no more steps.
-    - `report(seconds)`: reports lanes that have settled for that time.
+    - `coarse`: accuracy of the check run.
+    - `tolerance`: see `settled`.
+    - `early`: whether lanes stop early.
+    - `search`: search for lanes that need no more steps.
+    - `report(seconds)`: returns the callback for lanes that have been stepped for this time.
     """
     run = engine.sweep.run
     ends = search.of_chunk() if early and search is not None else None

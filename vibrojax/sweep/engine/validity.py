@@ -1,4 +1,4 @@
-"""Lanes too stiff or too slow for the steps or the precision: they are refused, since a regime would mean nothing."""
+"""Rejection of lanes that are too stiff or too slow for the steps or the precision to give a meaningful regime."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -15,10 +15,11 @@ from vibrojax.sweep.input.definition import Sweep
 TOO_STIFF, TOO_SLOW = "too-stiff", "too-slow"
 
 FLIGHT_MAX_STEPS = 1e7
-"""Steps of the flight's own time scale in a run: several times those after which a lane is given up."""
+"""Limit on the length of a run in units of the shortest time scale of the flight. It is several times the number of
+steps after which a lane is abandoned."""
 
 _ROUNDINGS = 512
-"""Relative changes below this many roundings are lost."""
+"""Smallest relative change that is resolved, in units of machine epsilon."""
 
 LanesFloat = Float[np.ndarray, "*lanes"]
 LanesBool = Bool[np.ndarray, "*lanes"]
@@ -26,7 +27,10 @@ Parameters = Mapping[str, Any]
 
 
 def too_stiff(sweep: Sweep, p: Parameters) -> LanesBool:
-    """Return the lanes of parameters `p`, each (lanes,), that are `unresolved` or whose flight takes too many steps."""
+    """Return a mask of the lanes that are `unresolved` or whose flight takes too many steps.
+
+    `p`: parameters by name, each (lanes,).
+    """
     scene = sweep.system
     if not isinstance(scene, HasFriction) or not sweep.run.stepper.rests:
         return np.zeros(_shape(p), bool)
@@ -38,9 +42,10 @@ def too_stiff(sweep: Sweep, p: Parameters) -> LanesBool:
 
 
 def too_slow(sweep: Sweep, p: Parameters) -> LanesBool:
-    """Return the lanes of parameters `p`, each (lanes,), that creep so slowly that they count as being at rest.
+    """Return a mask of the lanes whose drive is so slow that it cannot be distinguished from rest.
 
-    The rest threshold is some roundings of a typical speed, which friction on the main spring gives too.
+    The threshold is a multiple of the rounding error of a typical speed, to which friction and main spring contribute.
+    `p`: parameters by name, each (lanes,).
     """
     scene = sweep.system
     if not isinstance(scene, HasFriction) or not sweep.run.stepper.rests:
@@ -50,9 +55,9 @@ def too_slow(sweep: Sweep, p: Parameters) -> LanesBool:
 
 
 def unresolved(scene: HasFriction[Any], p: Parameters, numbers: str) -> LanesBool:
-    """Return the lanes in which a step, of the time 1/rate, changes nothing in `numbers` ("float64" or "float32").
+    """Return a mask of the lanes in which a step changes nothing in the precision `numbers` ("float64" or "float32").
 
-    The bit's motion on its main spring during a step vanishes in the rounding.
+    During a step of length 1/rate, the bit's motion on its main spring is less than the rounding error.
     """
     rates = _rates(scene, p)
     with np.errstate(all="ignore"):
@@ -60,14 +65,17 @@ def unresolved(scene: HasFriction[Any], p: Parameters, numbers: str) -> LanesBoo
 
 
 def flight_rates(scene: HasFriction[Any], p: Parameters) -> LanesFloat:
-    """Return a bound on the fastest rate [1/s] in flight, which sets the steps, of lanes of parameters `p`."""
+    """Return a bound on the fastest rate in flight [1/s], which determines the step size. `p`: parameters of lanes."""
     return _rates(scene, p).flight
 
 
 class _Rates(NamedTuple):
-    """Bounds on the fastest rates [1/s]: in flight, the contact's addition, and the bit's on its main spring.
+    """Bounds on the fastest rates [1/s], and a typical speed.
 
-    `speed` is a typical speed [m/s].
+    - `flight`: rate in flight.
+    - `contact`: additional rate in contact.
+    - `spring`: rate of the bit on its main spring.
+    - `speed`: typical speed [m/s].
     """
 
     flight: Any

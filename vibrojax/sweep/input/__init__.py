@@ -1,1 +1,1 @@
-"""Sweep files and points, read and checked."""
+"""Reading and validation of sweep files and points."""

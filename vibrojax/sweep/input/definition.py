@@ -1,4 +1,4 @@
-"""A checked sweep: fixed values, axes or points, and the values of any of its lanes."""
+"""A validated sweep: fixed values, axes or points, and the values of any of its lanes."""
 
 import hashlib
 from dataclasses import dataclass, field
@@ -14,28 +14,35 @@ from vibrojax.sweep.input.run_settings import RunSettings
 from vibrojax.sweep.input.starts import Starts
 
 DIRECTIONS = ("up", "down")
-"""Directions in which lanes are carried along an axis."""
+"""Directions of a continuation along an axis, in which each lane begins in the final state of the previous lane."""
 
 _MAX_LISTED = 8
-"""Longest column whose values the identity lists; of a longer one it has the checksum."""
+"""Maximum length of a column whose values are listed in the identity. Longer columns are represented by a checksum."""
 
 
 @dataclass(frozen=True, eq=False)
 class Sweep:
-    """The content of a sweep file, complete with defaults.
+    """The content of a sweep file, completed with defaults.
 
-    - `name`: the stem of its output; `text`: its TOML; `title`: free text; `file`: its name in messages.
-    - `scene`: its name; `options`: the names of its options, such as the friction law; `system`: the scene itself.
-    - `starts`: names, and vectors such as (x1, x1', x2, x2') [m, m/s]; None for a scene without starts.
-    - `parameters`: all fixed values by name, SI; `given`: those among them that the user wrote.
-    - `axes`: the grid, each axis of shape (values,), in the file's order; empty if only the start varies.
-    - `points`: columns of shape (points,) in place of a grid. With them, `point_starts` may name the start of each
-      point, or `point_vectors` give its states, by the names of their columns, each (points,), in the scene's order.
-      There are no other starts then.
-    - `run`: the settings of the run.
+    - `name`: stem of the output's file name.
+    - `text`: the sweep as TOML.
+    - `title`: free text.
+    - `file`: file name in messages.
+    - `scene`: name of the scene. `system`: the scene itself.
+    - `options`: names of the scene's options, such as the friction law.
+    - `starts`: initial conditions, as names or vectors such as (x1, x1', x2, x2') [m, m/s]; None for a scene without
+      selectable initial conditions.
+    - `parameters`: all fixed values by name, in SI units. `given`: those that the user specified.
+    - `axes`: axes of the grid, each (values,), in the order of the file; empty if only the initial condition varies.
+    - `points`: columns (points,) that replace a grid.
+    - `point_starts`: name of each point's initial condition, if specified with the points.
+    - `point_vectors`: initial states of the points, if specified with the points: columns (points,) by name, in the
+      scene's order.
+    - `run`: settings of the run.
 
-    Fixed `rpm` and `bit_radius` are in `parameters` as `v`. If one of the two varies, `v` is in neither `parameters`
-    nor `axes`, but in the values of the lanes.
+    With `point_starts` or `point_vectors`, there are no other initial conditions. Fixed `rpm` and `bit_radius` appear
+    in `parameters` as `v`. If one of the two varies, `v` is in neither `parameters` nor `axes`, but only in the values
+    of the lanes.
     """
 
     name: str
@@ -56,12 +63,12 @@ class Sweep:
 
     @property
     def friction(self) -> str | None:
-        """Name of the friction law; None for a scene that does not slide."""
+        """Name of the friction law, or None for a scene without friction."""
         return self.options.get("friction")
 
     @property
     def dims(self) -> tuple[str, ...]:
-        """Names of the dimensions: the axes or "point", if any, then "start" or "direction" if there is one."""
+        """Names of the dimensions: the axes or "point", followed by "start" or "direction" if lanes differ in these."""
         last = ("direction",) if self.run.carry is not None else ("start",) if self.crosses_starts else ()
         return (*self.axes, *(("point",) if self.points is not None else ()), *last)
 
@@ -72,40 +79,42 @@ class Sweep:
 
     @property
     def counted(self) -> tuple[str, ...]:
-        """The dimensions in the order in which lanes are counted: as in `dims`, but the carried one comes last."""
+        """Names of the dimensions in the order in which lanes are numbered: `dims`, but with a carried axis last."""
         return tuple(sorted(self.dims, key=lambda name: name == self.run.carry))
 
     @property
     def lanes(self) -> int:
-        """Number of lanes, as a Python integer, which does not overflow."""
+        """Number of lanes, a Python integer, so that it cannot overflow."""
         return prod(self.shape)
 
     @property
     def crosses_starts(self) -> bool:
-        """True if every point runs from each of the starts."""
+        """True if every point is run from each initial condition."""
         return self.starts is not None and self.point_starts is None and self.run.carry is None
 
     @property
     def start_names(self) -> tuple[str, ...]:
-        """The starts that have names."""
+        """Names of the named initial conditions."""
         return self.starts.names if self.starts is not None else ()
 
     def over_dims(self, lanes: np.ndarray) -> np.ndarray:
-        """Return an array over all lanes, (lanes, ...), over the dimensions, `(*shape, ...)`."""
+        """Reshape an array over all lanes (lanes, ...) to the dimensions of the sweep, `(*shape, ...)`."""
         grid = lanes.reshape(*self._sizes(self.counted), *lanes.shape[1:])
         order = [self.counted.index(name) for name in self.dims]
         return grid.transpose(*order, *range(len(order), grid.ndim))
 
     def lane_values(self, first: int, end: int) -> tuple[dict[str, np.ndarray], np.ndarray]:
-        """Return the scene's parameters, and the index into `starts`, of the lanes from `first` to before `end`.
+        """Return parameters and initial conditions of the lanes from `first` (inclusive) to `end` (exclusive).
 
-        Lanes are counted in row-major order over `counted`. The arrays have shape (end - first,): float64 by name, and
-        integer (zeros for a scene without starts). Memory grows with end - first only.
+        Lanes are numbered in row-major order over `counted`. Memory grows with end - first only.
+
+        **Returns:** the scene's parameters by name (float64), and the index into `starts` (zeros for a scene without
+        initial conditions), arrays (end - first,).
         """
         return self.values_of(np.arange(first, end))
 
     def values_of(self, numbers: np.ndarray) -> tuple[dict[str, np.ndarray], np.ndarray]:
-        """Return the same as `lane_values` for lanes of any numbers (lanes,)."""
+        """Return the values of `lane_values` for the lanes with these numbers (lanes,)."""
         places = np.unravel_index(numbers, self._sizes(self.counted))
         indices = dict(zip(self.counted, places, strict=True))
         varied = {name: axis[indices[name]] for name, axis in self.axes.items()}
@@ -118,23 +127,24 @@ class Sweep:
         return values, np.asarray(indices["start"] if self.crosses_starts else np.zeros(len(numbers), int))
 
     def lane_starts(self, first: int, end: int) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
-        """Return the starts of the lanes from `first` to before `end`: indices and states, each (end - first,).
+        """Return the initial conditions of the lanes from `first` (inclusive) to `end` (exclusive).
 
-        An index points into `start_names`; for a start without a name it is their number, and the states count. The
-        states are empty if all starts have names.
+        **Returns:** indices into `start_names`, and initial states, arrays (end - first,). For an initial condition
+        without a name, the index is the number of names and the states apply. The states are empty if all initial
+        conditions have names.
         """
         start = self.lane_values(first, end)[1]
         if self.point_vectors is not None:
             return start, tuple(column[first:end] for column in self.point_vectors.values())
         if self.starts is None or not self.starts.has_vectors:
             return start, ()
-        # The states of a named start are not used.
+        # The states of a named initial condition are not used.
         return self.starts.number[start], tuple(np.nan_to_num(self.starts.vectors[start]).T)
 
     def identity(self) -> dict[str, object]:
-        """Return all that the results depend on as flat JSON values, equal for two sweeps that compute the same lanes.
+        """Return everything that determines the results as flat JSON values, equal for sweeps with the same lanes.
 
-        Long columns stand in it by their checksum. The chunk, the title and the wording of the file are not in it.
+        Long columns are represented by their checksum. Chunk size, title and wording of the file are not included.
         """
         columns = {**(self.points or {}), **(self.point_vectors or {})}
         if self.point_starts is not None:
@@ -158,13 +168,13 @@ class Sweep:
         return tuple(sizes[name] for name in dims)
 
     def _start_of_point(self) -> np.ndarray:
-        """Return the index into `starts` of each point."""
+        """Return the index of each point's initial condition in `starts`."""
         index = {name: number for number, name in enumerate(self.start_names)}
         return np.array([index[name] for name in self.point_starts or ()], dtype=int)
 
 
 def _outline(column: np.ndarray) -> object:
-    """Return a column as JSON: its values if short, else its ends and checksum."""
+    """Return a column as a JSON value: its values if it is short, else a line with size, ends and checksum."""
     if column.size <= _MAX_LISTED:
         return column.tolist()
     if column.dtype.kind == "U":

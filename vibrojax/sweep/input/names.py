@@ -1,7 +1,7 @@
-"""The names that a scene understands: its parameters, options and starts.
+"""The names that may be specified for a scene: parameters, options and initial conditions.
 
-All that this folder knows of particular scenes stands at the top of this file: options, presets, the rotation that
-stands for a drive speed, and names that users take for parameters.
+All scene-specific knowledge of this folder is at the top of this file: options, presets, the rotation that defines a
+drive speed, and derived quantities that users may mistake for parameters.
 """
 
 from collections.abc import Mapping
@@ -27,12 +27,12 @@ CHOICES: dict[str, Mapping[str, object]] = {
     "friction": FRICTION_LAWS,
     "pulse_shape": {shape: shape for shape in PULSE_SHAPES},
 }
-"""Options, chosen by name once for a whole sweep, and their values."""
+"""Options, of which each has one value in a sweep, and their possible values by name."""
 
 PRESETS: dict[str, dict[str, dict[str, float]]] = {
     "rock": {name: {"threshold": rock.threshold, "k3": rock.k3} for name, rock in ROCKS.items()}
 }
-"""Names that stand for the values of several parameters; unlike an option, a preset may vary over a sweep."""
+"""Presets, names that each set several parameters. Unlike an option, a preset may vary within a sweep."""
 
 PRESET_MEANINGS = {"rock": "rock of Table 4.5"}
 
@@ -43,16 +43,16 @@ _DERIVED = {
     "w2": ("gamma", "w2 = gamma w1; give gamma"),
     "D": ("threshold", "the rock's D is called threshold; give that"),
 }
-"""Quantities that follow from a parameter: that parameter, and advice."""
+"""Quantities that are computed from a parameter: name of this parameter, and advice for a message."""
 
 _LACKING = {"friction": "does not slide"}
-"""What a scene without an option is like."""
+"""Wording for a scene without an option, used in messages."""
 
 _TOP_KEYS = ("scene", "title", "starts", "unusual", "points")
 
 
 def rock_values(name: str | np.ndarray) -> dict[str, Any]:
-    """Return threshold [N] and k3 [N/m] of a rock of Table 4.5, or of an array of their names."""
+    """Return threshold [N] and k3 [N/m] of a rock of Table 4.5 of the source, or of an array of rock names."""
     rocks = PRESETS["rock"]
     if isinstance(name, str):
         return dict(rocks[name])
@@ -60,9 +60,9 @@ def rock_values(name: str | np.ndarray) -> dict[str, Any]:
 
 
 def with_substitutes(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return `values` with the parameters that presets and a rotation stand for, in place of these.
+    """Return `values` with presets and rotation replaced by the parameters that they define.
 
-    A rotation stands for v = 2 pi rpm/60 bit_radius [m/s].
+    A rotation defines v = 2 pi rpm/60 bit_radius [m/s].
     """
     values = dict(values)
     if "rock" in values:
@@ -73,14 +73,15 @@ def with_substitutes(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def substituted(names: set[str]) -> set[str]:
-    """Return the parameters that have no value of their own beside values of `names`."""
+    """Return the parameters that are defined by a preset or a rotation in `names`."""
     return ({"threshold", "k3"} if "rock" in names else set()) | ({"v"} if "rpm" in names else set())
 
 
 def check_substitutes(places: Mapping[str, Place]) -> None:
-    """Raise if a parameter is given twice, or one of rpm and bit_radius is missing; `places`: names and their places.
+    """Raise if a parameter is specified twice, or if one of rpm and bit_radius is missing.
 
-    A rock stands for threshold and k3, rpm with bit_radius for v.
+    A rock defines threshold and k3; rpm and bit_radius together define v. `places`: place of each specified name in the
+    file.
     """
     for name in ("threshold", "k3"):
         if "rock" in places and name in places:
@@ -95,11 +96,12 @@ def check_substitutes(places: Mapping[str, Place]) -> None:
 
 @dataclass(frozen=True)
 class Names:
-    """The names that may be written for one scene.
+    """The names that may be specified for one scene.
 
-    - `scene`: its name; `system`: the scene itself.
-    - `options`: the names of its friction law or pulse shape.
-    - `parameters`, by name; `starts`: names.
+    - `scene`: name of the scene. `system`: the scene itself.
+    - `options`: name of the friction law or pulse shape, by option.
+    - `parameters`: parameters by name.
+    - `starts`: names of the initial conditions.
     """
 
     scene: str
@@ -110,40 +112,40 @@ class Names:
 
     @property
     def friction(self) -> str | None:
-        """Name of the friction law; None for a scene that does not slide."""
+        """Name of the friction law, or None for a scene without friction."""
         return self.options.get("friction")
 
     @property
     def has_starts(self) -> bool:
-        """True if the scene may start from more than one state."""
+        """True if the scene accepts a choice of initial conditions."""
         return bool(self.starts or self.system.start_states)
 
     @property
     def has_rock(self) -> bool:
-        """True if `rock` may stand for `threshold` and `k3`."""
+        """True if `rock` may be specified in place of `threshold` and `k3`."""
         return {"threshold", "k3"} <= set(self.parameters)
 
     def rock(self, place: Place, value: object) -> str:
-        """Return `value` as the name of a rock of Table 4.5."""
+        """Return `value` if it is the name of a rock of Table 4.5 of the source; raise otherwise."""
         return choice(place, value, tuple(PRESETS["rock"]))
 
     @property
     def writable(self) -> dict[str, Parameter]:
-        """All names that take a number."""
+        """All names to which a number can be assigned: parameters, rpm and bit_radius."""
         return dict(self.parameters) | (ROTATION if "v" in self.parameters else {})
 
     def parameter(self, place: Place, name: str) -> Parameter:
-        """Return the parameter called `name`, which stands at `place`; raise if the scene has none."""
+        """Return the parameter called `name`, or raise at `place` if the scene has no such parameter."""
         if name not in self.writable:
             raise place.error(self._problem(name))
         return self.writable[name]
 
     def quantity(self, place: Place, name: str, value: object) -> float:
-        """Return `value` as a number that the parameter called `name` may have."""
+        """Return `value` as a number; raise if the parameter called `name` does not admit this value."""
         return quantity(place, value, self.parameter(place, name))
 
     def _problem(self, name: str) -> str:
-        """Return why `name` is not a parameter, and what would be right."""
+        """Return a message that explains why `name` is not a parameter, with advice."""
         has = f"scene {shown(self.scene)} has no {name}; it has {', '.join(self.writable)}"
         if name in CHOICES:
             once = f"is chosen once for all lanes, in [parameters]; choose from {', '.join(CHOICES[name])}"
@@ -161,7 +163,7 @@ class Names:
         return f"scene {shown(self.scene)} has no such parameter; {suggestion(name, self.writable)}"
 
     def start(self, place: Place, value: object) -> str | tuple[float, ...]:
-        """Return a start: one of the scene's names, or a vector of states like [x1, x1', x2, x2'] [m, m/s]."""
+        """Return a validated initial condition: a name, or a vector of states such as [x1, x1', x2, x2'] [m, m/s]."""
         if not isinstance(value, (list, tuple)):
             return self.named_start(place, value)
         states = self.system.start_states
@@ -171,7 +173,7 @@ class Names:
         return tuple(quantity(place.item(index), item, STATE) for index, item in enumerate(value))
 
     def named_start(self, place: Place, value: object) -> str:
-        """Return a start that has a name."""
+        """Return the validated name of an initial condition."""
         if isinstance(value, str) and value in self.starts:
             return value
         if isinstance(value, str) and any(value in getattr(kind, "starts", ()) for kind in SCENES.values()):
@@ -181,24 +183,24 @@ class Names:
 
 
 def _parameters_with(scene: str, option: str, value: str) -> Mapping[str, Parameter]:
-    """Return the parameters that belong to one value of an option."""
+    """Return the parameters of a friction law, or of a scene with another option set to `value`."""
     if option == "friction":
         return FRICTION_LAWS[value].parameters
     return scene_named(scene, **{option: value}).parameters()
 
 
 def take_options(table: dict[str, object]) -> dict[str, object]:
-    """Take the options out of `table`."""
+    """Remove the options from `table` and return them."""
     return {name: table.pop(name) for name in CHOICES if name in table}
 
 
 def read_names(
     place: Place, scene: object, chosen: Mapping[str, object] | None = None, options_place: Place | None = None
 ) -> Names:
-    """Return the names of a scene with the options `chosen`; raise if there is no such scene or option.
+    """Return the names of a scene with the options `chosen`; raise if the scene or an option does not exist.
 
-    `place` and `options_place` are where the scene and the options are written. A scene, a friction law or a pulse
-    shape may be an object instead of a name.
+    `place` and `options_place` locate scene and options in error messages. A scene or a friction law may be an object
+    instead of a name.
     """
     enter_offered()
     system = scene if isinstance(scene, Scene) else scene_named(choice(place, scene, tuple(SCENES)))

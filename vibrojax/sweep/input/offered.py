@@ -1,4 +1,4 @@
-"""Objects that installed packages offer under entry points: friction laws, scenes, steppers and gauges."""
+"""Plug-ins that installed packages declare as entry points: friction laws, scenes, steppers and gauges."""
 
 import warnings
 from functools import cache
@@ -16,18 +16,19 @@ _GROUPS: dict[str, tuple[dict[str, Any], type]] = {
     "vibrojax.steppers": (STEPPERS, Stepper),
     "vibrojax.gauges": (GAUGES, Gauge),
 }
-"""Groups of entry points: the table that an object enters, and its kind; of scenes the class enters."""
+"""Groups of entry points. For each group: the registry of the objects, and their required type. Scenes are registered
+as classes, not as instances."""
 
 
 @cache
 def enter_offered() -> None:
-    """Enter the objects that installed packages offer into the tables of names, once.
+    """Register the plug-ins of installed packages by name, once per process.
 
-    A package declares, say, `[project.entry-points."vibrojax.friction_laws"]` with `mine = "its_module:LAW"`. The
-    names of a law, a scene and a stepper are the objects' own, that of a gauge is the entry's. An unusable object is
-    left out with a warning of one line, so that a broken package stops nothing else.
+    A package declares, for example, `[project.entry-points."vibrojax.friction_laws"]` with `mine = "its_module:LAW"`.
+    Friction laws, scenes and steppers are registered under their own name, gauges under the name of the entry point. An
+    unusable object is skipped with a one-line warning, so that a broken package does not affect anything else.
 
-    Called when names are read, not on import: the packages import this one.
+    This function is called when names are read, not on import, because the packages import this one.
     """
     for group, (table, kind) in _GROUPS.items():
         for entry in entry_points(group=group):
@@ -38,10 +39,10 @@ def enter_offered() -> None:
 
 
 def _enter(entry: EntryPoint, table: dict[str, Any], kind: type) -> str | None:
-    """Enter one object; return what is wrong with it, or None."""
+    """Register one object; return a description of its problem, or None if it has been registered."""
     try:
         offered = entry.load()
-    except Exception as error:  # whatever a package's own code raises
+    except Exception as error:  # the package's code may raise any exception
         return " ".join(f"{entry.value} cannot be imported ({error})".split())
     is_subclass = isinstance(offered, type) and issubclass(offered, Scene)
     fits = is_subclass if kind is Scene else isinstance(offered, kind)

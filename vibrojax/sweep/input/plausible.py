@@ -1,4 +1,4 @@
-"""Warnings of one line about values that are probably in another unit than the SI unit they are read in."""
+"""One-line warnings about values that are probably not in SI units."""
 
 import sys
 import warnings
@@ -11,13 +11,13 @@ from vibrojax.models.physics.parameters import Parameter
 from vibrojax.models.physics.units import UNITS, likely_units
 
 _USUAL_SPAN = 100.0
-"""Greatest usual value over the least one, for a parameter that may be zero: units are guessed within that span."""
+"""Assumed ratio of largest to smallest usual value of a parameter that may be zero, for guessing units."""
 
 _PACKAGE = str(Path(__file__).parents[2])
 
 
 class UnusualValue(UserWarning):
-    """A value so far from the usual ones, of the source and of rigs, that it is probably in another unit.
+    """A value so far outside the usual range (of the source and of rigs) that it is probably not in SI units.
 
     **Example:**
 
@@ -31,10 +31,15 @@ class UnusualValue(UserWarning):
 
 
 def warn_if_far(place: Place, parameter: Parameter, values: object, likely: str = "", meant: str = "") -> None:
-    """Warn, on one line, if any of `values` is far from the usual ones.
+    """Issue a one-line warning if any of `values` is far outside the parameter's usual range.
 
-    **Arguments:** `place`: where they are written; `parameter`: theirs; `values`: a number or an array; `likely`: other
-    words than the usual ones on the likely unit; `meant`: what to do if they are meant so.
+    **Arguments:**
+
+    - `place`: place of the values in the input.
+    - `parameter`: parameter to which the values belong.
+    - `values`: number or array.
+    - `likely`: replacement for the default advice about the likely unit.
+    - `meant`: advice in case the values are intended.
     """
     if parameter.usual is None:
         return
@@ -55,7 +60,7 @@ def warn_if_far(place: Place, parameter: Parameter, values: object, likely: str 
 
 
 def _likely(value: float, parameter: Parameter, usual: tuple[float, float]) -> str:
-    """Return what to write if the value is in one of the units in which it would be a usual one."""
+    """Return advice: the SI value for each other unit in which `value` would be within the usual range."""
     units = likely_units(abs(value), parameter.unit, usual)
     advice = [f"if in {unit}, write {_with_unit(value * scale, parameter)}" for unit, scale in units.items()]
     if parameter.name == "v":
@@ -69,7 +74,7 @@ def _with_unit(value: float, parameter: Parameter) -> str:
 
 
 def _level_of_caller() -> int:
-    """Return the `stacklevel` with which a warning points to the caller of this package."""
+    """Return the `stacklevel` with which a warning refers to the code that called this package."""
     level, frame = 1, sys._getframe(1)
     while frame.f_back is not None and frame.f_code.co_filename.startswith(_PACKAGE):
         level, frame = level + 1, frame.f_back

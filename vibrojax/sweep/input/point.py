@@ -1,4 +1,4 @@
-"""One point of a scene, checked as sweep files are."""
+"""One point of a scene, with the same validation as sweep files."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -17,7 +17,13 @@ from vibrojax.sweep.input.starts import Start
 
 @dataclass(frozen=True)
 class Point:
-    """A scene at one point: its name, the names of its options, the start, all parameters (SI), the scene itself."""
+    """One point of a scene.
+
+    - `scene`: name of the scene. `system`: the scene itself.
+    - `options`: names of the scene's options.
+    - `start`: initial condition.
+    - `parameters`: all parameters by name, in SI units.
+    """
 
     scene: str
     options: dict[str, str]
@@ -27,15 +33,15 @@ class Point:
 
 
 def read_point(place: Place, scene: object, parameters: Mapping[str, object], start: object = None) -> Point:
-    """Check one point, and complete it with defaults.
+    """Validate one point and complete it with defaults.
 
     **Arguments:**
 
-    - `place`: what messages name as the file.
-    - `scene`: the scene's name, or a scene.
-    - `parameters`: by name; `friction` is a law or its name, `pulse_shape` a shape; `rpm` with `bit_radius` may stand
-      for `v`, and `rock` for `threshold` and `k3`.
-    - `start`: a name or a vector [x1, x1', x2, x2'] [m, m/s]; None: the scene's first.
+    - `place`: place that error messages report as the file.
+    - `scene`: name of a scene, or a scene.
+    - `parameters`: parameters by name. `friction` is a law or the name of a law, `pulse_shape` the name of a shape.
+      `rpm` and `bit_radius` may replace `v`, and `rock` may replace `threshold` and `k3`.
+    - `start`: initial condition, a name or a vector [x1, x1', x2, x2'] [m, m/s]; None for the first of the scene.
 
     **Raises:** `InputError`.
     """
@@ -59,7 +65,7 @@ def read_point(place: Place, scene: object, parameters: Mapping[str, object], st
 
 
 def several_and_single(parameters: Mapping[str, object]) -> tuple[dict[str, list[Any]], dict[str, object]]:
-    """Split parameters into those with several values, as lists, and the others."""
+    """Split parameters into those with several values, returned as lists, and those with a single value."""
     several = {
         name: list(x)
         for name, x in parameters.items()

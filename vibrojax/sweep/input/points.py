@@ -1,4 +1,4 @@
-"""A list of points instead of a grid: a CSV file, or a table of columns."""
+"""A list of points in place of a grid, from a CSV file or a table of columns."""
 
 import csv
 import io
@@ -17,19 +17,21 @@ from vibrojax.sweep.input.source import read_text
 from vibrojax.sweep.input.values import STATE, as_table, quantity
 
 VECTOR = "start_"
-"""Prefix of the columns that together give each point its start: `start_x1`, `start_v1`, ..."""
+"""Prefix of the columns that together define the initial states of each point: `start_x1`, `start_v1`, ..."""
 
 _TEXT_COLUMNS = ("start", *PRESETS)
 
 CellPlace = Callable[[str, int], Place]
-"""The place of a cell, by its column and index."""
+"""Function that returns the place of a cell from its column and index."""
 
 
 @dataclass(frozen=True)
 class Points:
-    """Columns of parameters and rocks, each (points,), and the start of each point if the list gives it.
+    """A list of points, each column (points,).
 
-    `starts`: names; `vectors`: states, by the names of their columns.
+    - `columns`: parameters and rocks by name.
+    - `starts`: names of the initial conditions, if specified.
+    - `vectors`: initial states by column name, if specified.
     """
 
     columns: dict[str, np.ndarray]
@@ -38,7 +40,7 @@ class Points:
 
 
 def read_points(place: Place, value: object, folder: Path, names: Names) -> Points:
-    """Read the points of a sweep: a CSV file, by its path from `folder`, or a table of columns."""
+    """Read the points of a sweep from a CSV file, whose path is relative to `folder`, or from a table of columns."""
     if isinstance(value, str):
         return _from_csv(folder / value, names)
     columns = as_table(place, value)
@@ -58,11 +60,11 @@ def read_points(place: Place, value: object, folder: Path, names: Names) -> Poin
 
 
 def _from_csv(path: Path, names: Names) -> Points:
-    """Read points from a CSV file with a line of column names."""
+    """Read points from a CSV file whose first line contains the column names."""
     place = Place(str(path))
     reader = csv.reader(io.StringIO(read_text(path), newline=""), skipinitialspace=True, strict=True)
     rows = ((reader.line_num, row) for row in reader if any(map(str.strip, row)))
-    lines = array("q")  # of the file, one for each point
+    lines = array("q")  # line number of each point in the file
 
     def cell_place(name: str, index: int) -> Place:
         return place.at(f"line {lines[index]}, column {name}")
@@ -95,7 +97,7 @@ def _from_csv(path: Path, names: Names) -> Points:
 
 
 def _header(place: Place, line: int, header: list[str], names: Names) -> list[str]:
-    """Return the checked names of the columns, from the header in the file's `line`."""
+    """Return the validated column names from the header, which is line `line` of the file."""
     place, columns = place.at(f"line {line}"), [cell.strip() for cell in header]
 
     def column_place(name: str) -> Place:
@@ -122,7 +124,7 @@ def _is_number(cell: str) -> bool:
 
 
 def _check_columns(place_of: Callable[[str], Place], columns: Sequence[str], names: Names) -> None:
-    """Raise at an unknown column, or if a start's states are incomplete or given together with its name."""
+    """Raise if a column is unknown, or if initial states are incomplete or combined with a column of names."""
     states = tuple(f"{VECTOR}{state}" for state in names.system.start_states)
     vector = ", ".join(states)
     for name in columns:
@@ -143,7 +145,7 @@ def _check_columns(place_of: Callable[[str], Place], columns: Sequence[str], nam
 
 
 def _points(cells: Mapping[str, Sequence[Any]], place_of: CellPlace, names: Names) -> Points:
-    """Return the columns with each cell checked."""
+    """Return the points, with each cell validated."""
     columns, vectors, starts = {}, {}, None
     for name, column in cells.items():
         if name.removeprefix(VECTOR) in names.system.start_states and name.startswith(VECTOR):
@@ -158,11 +160,11 @@ def _points(cells: Mapping[str, Sequence[Any]], place_of: CellPlace, names: Name
 
 
 def _numbers(column: Sequence[Any], name: str, place_of: CellPlace, names: Names) -> np.ndarray:
-    """Return a column of numbers that the parameter called `name` may have, float64 (points,)."""
+    """Return the validated values of the parameter called `name`, float64 (points,)."""
     parameter = names.parameter(place_of(name, 0), name)
     if isinstance(column, array) or all(type(value) is float for value in column):
         values = np.array(column)
-        # Admissible values are an interval: if both ends are in it, a million cells need no check one by one.
+        # Admissible values form an interval. If minimum and maximum are in it, all cells are.
         if parameter.problem(values.min()) is None and parameter.problem(values.max()) is None:
             return values
     return np.array([names.quantity(place_of(name, index), name, value) for index, value in enumerate(column)])

@@ -1,4 +1,4 @@
-"""Reading and checking a sweep from a file, a bundled name or a dict."""
+"""Reading and validation of a sweep from a file, a bundled name or a dict."""
 
 from collections.abc import Iterable, Mapping
 from os import PathLike
@@ -28,18 +28,18 @@ from vibrojax.sweep.input.values import as_table, check_distinct, flag, read_axi
 _TOP_KEYS = ("scene", "title", "starts", "unusual", "parameters", "grid", "points", "run")
 
 SWEEP_MAX_LANES = 2**62
-"""Lanes are numbered by 64-bit integers."""
+"""Maximum number of lanes of a sweep, which are numbered by 64-bit integers."""
 
 
 def read_sweep(source: str | PathLike[str] | Mapping[str, object], changes: Iterable[str] = ()) -> Sweep:
-    """Read and check a sweep, and complete it with defaults.
+    """Read and validate a sweep, and complete it with defaults.
 
     **Arguments:**
 
-    - `source`: the path of a TOML file, a bundled name, or a dict of the same shape.
-    - `changes`: words NAME=VALUE that are set over it; see [vibrojax.sweep.input.source.with_changes][].
+    - `source`: path of a TOML file, name of a bundled sweep, or dict with the same structure as a file.
+    - `changes`: strings NAME=VALUE that override values; see [vibrojax.sweep.input.source.with_changes][].
 
-    **Raises:** `InputError`, one line, at the first thing that is wrong.
+    **Raises:** `InputError` with a one-line message about the first problem.
 
     **Example:**
 
@@ -104,7 +104,7 @@ def read_sweep(source: str | PathLike[str] | Mapping[str, object], changes: Iter
 
 
 def read_parameters(place: Place, table: dict[str, object], names: Names) -> dict[str, float]:
-    """Return the checked numbers of [parameters], which stands at `place`."""
+    """Return the validated numbers of the table [parameters], which is at `place`."""
     rock: dict[str, float] = {}
     if "rock" in table and names.has_rock:
         rock = rock_values(names.rock(place.at("rock"), table["rock"]))
@@ -117,7 +117,7 @@ def read_parameters(place: Place, table: dict[str, object], names: Names) -> dic
 
 
 def _check_top(place: Place, tables: dict[str, object]) -> None:
-    """Raise at a key that does not belong at the top, or if the scene is missing."""
+    """Raise if a key does not belong at the top level of the file, or if the scene is missing."""
     for key in tables:
         if key in _TOP_KEYS:
             continue
@@ -133,7 +133,7 @@ def _check_top(place: Place, tables: dict[str, object]) -> None:
 
 
 def _read_varied(place: Place, origin: Source, names: Names) -> tuple[dict[str, np.ndarray], Points | None]:
-    """Return the grid's axes or the points."""
+    """Return the axes of the grid, or the points. The other of the two is empty or None."""
     tables = origin.tables
     if "points" in tables and "grid" in tables:
         raise place.at("points").error(f"{shown(tables['points'])} beside [grid]; give one of them")
@@ -154,7 +154,7 @@ def _read_varied(place: Place, origin: Source, names: Names) -> tuple[dict[str, 
 
 
 def _read_rocks(place: Place, value: object, names: Names) -> np.ndarray:
-    """Return an axis of rocks."""
+    """Return an axis of rock names."""
     if not isinstance(value, list) or not value:
         raise place.error(f'{shown(value)} is not a list of rocks; write one like ["sandstone", "granite"]')
     rocks = [names.rock(place.item(index), item) for index, item in enumerate(value)]
@@ -163,7 +163,7 @@ def _read_rocks(place: Place, value: object, names: Names) -> np.ndarray:
 
 
 def _check_run(place: Place, sweep: Sweep) -> None:
-    """Raise if a setting has no use in the scene, or lanes cannot be carried along the axis that is named."""
+    """Raise if a setting does not apply to the scene, or if continuation along the axis `carry` is impossible."""
     if sweep.run.carry is not None:
         name, place_of_carry = sweep.run.carry, place.at("carry")
         if name not in sweep.axes:

@@ -1,4 +1,4 @@
-"""The settings of a run: the table [run]."""
+"""Settings of a run: the table [run] of a sweep file."""
 
 from dataclasses import dataclass, fields
 from typing import Any
@@ -29,7 +29,7 @@ MEANINGS = {
 
 @dataclass(frozen=True)
 class RunSettings:
-    """The table [run] of a sweep file; `MEANINGS` describes the keys."""
+    """The table [run] of a sweep file. `MEANINGS` describes the keys."""
 
     settle: float = 40.0
     observe: float = 8.0
@@ -47,13 +47,14 @@ class RunSettings:
 
     @property
     def stepper(self) -> Stepper:
-        """The stepper of that method."""
+        """The stepper that `method` selects."""
         return stepper_named(self.method)
 
     def described(self) -> dict[str, object]:
-        """Return the settings with defaults as JSON values, without the chunk, which changes no result.
+        """Return the settings, including defaults, as JSON values.
 
-        Keys that earlier versions lacked are left out at their defaults, so that their datasets keep their identity.
+        The chunk size is omitted because it does not change results. Keys that earlier versions did not have are
+        omitted if they have their default, so that datasets of these versions keep their identity.
         """
         later: dict[str, object] = {"orbits": False, "lyapunov": False, "carry": None}
         settings = {name: value for name, value in vars(self).items() if name != "chunk"}
@@ -61,7 +62,7 @@ class RunSettings:
         return settings | {"method": self.stepper.name}
 
     def accuracy(self, scene: Scene[Any]) -> Accuracy:
-        """Return steps that keep the accepted error in `scene`, unless the user chose them."""
+        """Return the accuracy of the steps in `scene`: as specified, or else derived from the accepted error."""
         return self.stepper.accuracy(AccuracyRequest(self.error, self.step, self.smoothing, self.precision), scene)
 
 
@@ -75,7 +76,7 @@ _QUANTITIES = table(
 
 
 def read_settings(place: Place, values: dict[str, object]) -> RunSettings:
-    """Return the table [run] that stands at `place`, checked and complete."""
+    """Return the validated table [run], which is at `place`, completed with defaults."""
     known_keys(place, values, [field.name for field in fields(RunSettings)])
     checked: dict[str, Any] = {name: _read_setting(place.at(name), name, value) for name, value in values.items()}
     settings = RunSettings(**checked)
@@ -91,7 +92,7 @@ def read_settings(place: Place, values: dict[str, object]) -> RunSettings:
 
 
 def _read_setting(place: Place, name: str, value: object) -> object:
-    """Return the checked value of a key of [run]."""
+    """Return the validated value of a key of [run]."""
     match name:
         case "keep_returns":
             return count(place, value, 0, most=2**31 - 1)

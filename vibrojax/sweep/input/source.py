@@ -1,7 +1,7 @@
-"""Sources of a sweep: a file, a bundled name or a dict, with single values set by `--set NAME=VALUE`.
+"""Sources of a sweep: a file, a bundled name or a dict. `--set NAME=VALUE` overrides single values.
 
-The tables of a dict are written as TOML here. A general writer (tomli-w) puts tables behind values, and so changes the
-order of a grid's axes.
+This module also converts a dict to TOML. A general TOML writer (tomli-w) puts tables after values, which would change
+the order of a grid's axes.
 """
 
 import json
@@ -23,7 +23,7 @@ from vibrojax.sweep.input.run_settings import RunSettings
 from vibrojax.sweep.input.values import number
 
 _PACKAGE = Path(__file__).parents[2]
-# A wheel carries the sweeps inside the package; in a checkout they are at the top.
+# A wheel contains the sweeps inside the package. In a checkout, they are in the root folder.
 _CHECKOUT = (_PACKAGE.parent,) if (_PACKAGE.parent / "pyproject.toml").exists() else ()
 BUNDLED_FOLDERS = tuple(folder / "sweeps" for folder in (_PACKAGE, *_CHECKOUT))
 
@@ -35,7 +35,13 @@ _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 
 @dataclass(frozen=True)
 class Source:
-    """An unchecked sweep: its `name`, its `file` in messages, the `folder` of its files, its TOML and its tables."""
+    """A sweep before validation.
+
+    - `name`: name of the sweep.
+    - `file`: file name in messages.
+    - `folder`: folder to which paths in the sweep are relative.
+    - `text`: the sweep as TOML. `tables`: the parsed TOML.
+    """
 
     name: str
     file: str
@@ -45,7 +51,7 @@ class Source:
 
 
 def read_source(source: str | PathLike[str] | Mapping[str, object]) -> Source:
-    """Read a sweep's tables from a TOML file, by a path or a bundled name, or from a dict of the same shape.
+    """Read a sweep from the path of a TOML file, the name of a bundled sweep, or a dict with the same structure.
 
     In a dict, a scene, a friction law or a stepper may be an object instead of a name.
     """
@@ -62,7 +68,7 @@ def read_source(source: str | PathLike[str] | Mapping[str, object]) -> Source:
     text = read_text(path)
     try:
         tables = tomllib.loads(text)
-    except ValueError as error:  # also numbers of thousands of digits, which raise no TOMLDecodeError
+    except ValueError as error:  # not TOMLDecodeError: numbers with thousands of digits raise a ValueError
         raise Place(str(path)).error(f"not TOML: {error}") from None
     except RecursionError:
         raise InputError(f"{path}: not TOML: tables or lists nested too deep") from None
@@ -70,13 +76,13 @@ def read_source(source: str | PathLike[str] | Mapping[str, object]) -> Source:
 
 
 def with_changes(source: Source, words: Iterable[str]) -> Source:
-    """Return the sweep with values set by `words` NAME=VALUE.
+    """Return the sweep with values replaced according to `words`, strings of the form NAME=VALUE.
 
     NAME is a key of [run], `scene`, `title`, `starts` or `unusual`, or a parameter. A number or a name fixes a
-    parameter, a list or a range makes it an axis, in whichever table it was before. The table may be written out, as in
-    `run.settle`, `parameters.k1` and `grid.beta`.
+    parameter, and a list or a range makes it an axis, no matter in which table it was before. NAME may include the
+    table, as in `run.settle`, `parameters.k1` and `grid.beta`.
 
-    **Raises:** `InputError` if a word is not NAME=VALUE.
+    **Raises:** `InputError` if a string does not have the form NAME=VALUE.
     """
     tables = {key: dict(value) if isinstance(value, dict) else value for key, value in source.tables.items()}
     place = Place("--set")
@@ -93,7 +99,7 @@ def with_changes(source: Source, words: Iterable[str]) -> Source:
 
 
 def _set(place: Place, tables: dict[str, object], name: str, value: object) -> None:
-    """Set one value in the tables."""
+    """Set one value in `tables`, which is modified in place."""
     table, dot, key = name.partition(".")
     if dot and table not in _TABLES:
         raise place.error(f"unknown table {shown(table)}; {suggestion(table, _TABLES)}")
@@ -113,7 +119,10 @@ def _set(place: Place, tables: dict[str, object], name: str, value: object) -> N
 
 
 def read_text(path: Path) -> str:
-    """Return the text of a file that a user named, without its byte order mark."""
+    """Return the text of a file that the user specified, without a byte order mark.
+
+    **Raises:** `InputError` if the file cannot be read.
+    """
     try:
         return path.read_bytes().decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -125,12 +134,12 @@ def read_text(path: Path) -> str:
         raise InputError(f"{path}: no such file; give the path of one that is there{hint}") from None
     except IsADirectoryError:
         raise InputError(f"{path}: is a folder; give the path of a file") from None
-    except (OSError, ValueError) as error:  # ValueError: a NUL in the name
+    except (OSError, ValueError) as error:  # ValueError: the path contains a null character
         raise InputError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from None
 
 
 def bundled_names() -> list[str]:
-    """Return the names of the sweeps that come with the package; hyphens and underscores are equal in them."""
+    """Return the names of the bundled sweeps. Hyphens and underscores are interchangeable in these names."""
     return sorted({path.stem.replace("_", "-") for path in _bundled()})
 
 
@@ -139,7 +148,7 @@ def _bundled() -> list[Path]:
 
 
 def plain_table(place: Place, value: Mapping[str, object]) -> dict[str, object]:
-    """Return a table as [vibrojax.sweep.input.source.plain][] values."""
+    """Return a table with its values converted by [vibrojax.sweep.input.source.plain][]."""
     for key in value:
         if not isinstance(key, str):
             raise place.error(f"{shown(key)} is not a name; keys are text")
@@ -147,9 +156,9 @@ def plain_table(place: Place, value: Mapping[str, object]) -> dict[str, object]:
 
 
 def plain(place: Place, value: object) -> object:
-    """Return `value` as TOML types, with arrays and numbers of NumPy or JAX, tuples and paths converted.
+    """Return `value` as TOML types. Arrays and numbers of NumPy or JAX, tuples and paths are converted.
 
-    Objects that may stand in place of their names stay themselves.
+    Scenes, friction laws and steppers are returned unchanged, because a sweep accepts them in place of their names.
     """
     if isinstance(value, Mapping):
         return plain_table(place, value)
@@ -162,19 +171,22 @@ def plain(place: Place, value: object) -> object:
         return plain(place, value.tolist())
     if isinstance(value, (list, tuple, range)):
         if all(type(item) is float for item in value):
-            return list(value)  # columns of points are long
+            return list(value)  # a fast path, because columns of points are long
         return [plain(place.item(index), item) for index, item in enumerate(value)]
     if isinstance(value, PurePath):
         return str(value)
     if isinstance(value, int) and not isinstance(value, bool):
-        number(place, value)  # Python does not write thousands of digits
+        number(place, value)  # rejects numbers with thousands of digits, which Python cannot format
     if isinstance(value, (bool, int, float, str, *_OBJECTS)):
         return value
     raise place.error(f"{shown(value)} cannot stand in a sweep; write a number, text, a list or a table")
 
 
 def render(table: Mapping[str, object]) -> str:
-    """Return a table of plain values as TOML: values first, then a section for each table in it; objects by name."""
+    """Return a table of plain values as TOML: first the values, then one section per nested table.
+
+    Scenes, friction laws and steppers are represented by their names.
+    """
     values = [_line(key, value) for key, value in table.items() if not isinstance(value, dict)]
     sections = [
         "\n".join([f"[{_key(key)}]", *(_line(name, item) for name, item in value.items())])

@@ -1,4 +1,4 @@
-"""The starts of a sweep: names and vectors in a list, a sample of a box, or a plane of states."""
+"""Initial conditions of a sweep: a list of names and vectors, a random sample of a box, or a plane of states."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -23,22 +23,23 @@ from vibrojax.sweep.input.values import (
 
 SAMPLE = '{ sample = "sobol", count = 256, seed = 0, box = { x1 = [-0.05, 0.05], v1 = [-2.0, 2.0] } }'
 PLANE = "{ plane = { x2 = { start = -0.05, stop = 0.05, num = 50 }, v2 = [-1.0, 1.0] } }"
-"""Examples of many starts, for messages and the catalogue."""
+"""Examples of a sample and a plane of initial conditions, for messages and the catalogue."""
 
 _SAMPLE_KEYS = ("sample", "count", "seed", "box", "at")
 
 Start = str | tuple[float, ...]
-"""A start as an item of a list: a name or a vector."""
+"""An initial condition: a name or a vector."""
 
 
 @dataclass(frozen=True, eq=False)
 class Starts:
-    """The starts of a sweep, in their order.
+    """The initial conditions of a sweep, in their order.
 
-    - `names`: the named starts, each once; `states`: the names of a vector's states.
-    - `number` (starts,): index into `names` of each start, their number for a vector.
-    - `vectors` (starts, states): initial states [m, m/s]; NaN for named starts.
-    - `listed`: True if the file lists them; starts of a sample or a plane are only numbered.
+    - `names`: names of the named initial conditions, without duplicates.
+    - `states`: names of the states in a vector.
+    - `number` (starts,): index of each initial condition in `names`; the number of names for a vector.
+    - `vectors` (starts, states): initial states [m, m/s]; NaN for named initial conditions.
+    - `listed`: True if the file lists the initial conditions. Those of a sample or a plane are only numbered.
     """
 
     names: tuple[str, ...]
@@ -51,7 +52,7 @@ class Starts:
         return len(self.number)
 
     def __getitem__(self, index: int) -> Start:
-        """Return the name or the vector of a start."""
+        """Return the name or the vector of an initial condition."""
         number = int(self.number[index])
         return self.names[number] if number < len(self.names) else tuple(self.vectors[index].tolist())
 
@@ -60,12 +61,12 @@ class Starts:
 
     @property
     def has_vectors(self) -> bool:
-        """True if there are starts without a name."""
+        """True if any initial condition is a vector."""
         return bool(np.any(self.number == len(self.names)))
 
 
 def list_of(starts: Sequence[Start], states: tuple[str, ...]) -> Starts:
-    """Return the starts of a list of names and vectors."""
+    """Return the initial conditions in a list of names and vectors. `states`: names of the states in a vector."""
     names = tuple(dict.fromkeys(start for start in starts if isinstance(start, str)))
     undefined = (np.nan,) * len(states)
     vectors = np.array([undefined if isinstance(start, str) else start for start in starts], float)
@@ -74,7 +75,10 @@ def list_of(starts: Sequence[Start], states: tuple[str, ...]) -> Starts:
 
 
 def read_starts(place: Place, value: object, names: Names) -> Starts | None:
-    """Return the starts that are written at `place`, or the default ones; None for a scene without starts."""
+    """Return the initial conditions specified at `place`, or the defaults if `value` is None.
+
+    Return None for a scene without selectable initial conditions.
+    """
     if not names.has_starts:
         if value is not None:
             raise place.error(f"scene {shown(names.scene)} has no starts; leave it out")
@@ -95,7 +99,7 @@ def read_starts(place: Place, value: object, names: Names) -> Starts | None:
 
 
 def _read_many(place: Place, table: dict[str, object], names: Names) -> Starts:
-    """Return the starts of a sample or a plane."""
+    """Return the initial conditions of a sample or a plane."""
     states = names.system.start_states
     if not states:
         raise place.error(f"scene {shown(names.scene)} accepts no initial states; give names")
@@ -118,7 +122,10 @@ def _read_many(place: Place, table: dict[str, object], names: Names) -> Starts:
 
 
 def _read_sample(place: Place, table: Mapping[str, object], states: tuple[str, ...]) -> dict[str, np.ndarray]:
-    """Return the sampled states by name, each (count,): a scrambled Sobol sequence (Owen 1998) or uniform points."""
+    """Return the sampled states by name, each (count,).
+
+    The samples are a scrambled Sobol sequence (Owen 1998), or independent and uniform in the box.
+    """
     kind = choice(place.at("sample"), table["sample"], ("sobol", "random"))
     for key in ("count", "box"):
         if key not in table:
@@ -131,7 +138,7 @@ def _read_sample(place: Place, table: Mapping[str, object], states: tuple[str, .
     low, high = np.array([_read_side(place.at("box").at(name), side) for name, side in box.items()]).T
     random = np.random.default_rng(seed)
     if kind == "sobol":
-        from scipy.stats import qmc  # slow to import, and needed only here
+        from scipy.stats import qmc  # imported here because the import is slow
 
         unit = np.asarray(qmc.Sobol(len(box), rng=random).random_base2((rows - 1).bit_length())[:rows])
     else:
@@ -140,7 +147,7 @@ def _read_sample(place: Place, table: Mapping[str, object], states: tuple[str, .
 
 
 def _read_side(place: Place, value: object) -> tuple[float, float]:
-    """Return the two ends of a side of the box."""
+    """Return the lower and upper bound of the box for one state."""
     if not isinstance(value, (list, tuple)) or len(value) != 2:
         raise place.error(f"{shown(value)} is not a side of a box; write its two ends, like [-0.05, 0.05]")
     low, high = (quantity(place.item(index), end, STATE) for index, end in enumerate(value))
@@ -150,7 +157,7 @@ def _read_side(place: Place, value: object) -> tuple[float, float]:
 
 
 def _read_plane(place: Place, value: object, states: tuple[str, ...]) -> dict[str, np.ndarray]:
-    """Return the states of a plane by name, each (starts,), row-major in the order named."""
+    """Return the states of a plane by name, each (starts,), in row-major order over the listed states."""
     axes = _states_of(place, value, states)
     if not axes:
         raise place.error(f"empty; write one like {PLANE}")
@@ -161,7 +168,7 @@ def _read_plane(place: Place, value: object, states: tuple[str, ...]) -> dict[st
 
 
 def _states_of(place: Place, value: object, states: tuple[str, ...]) -> dict[str, object]:
-    """Return a table whose keys are states of the scene."""
+    """Return `value` as a table; raise if a key is not a state of the scene."""
     table = as_table(place, value)
     known_keys(place, table, states)
     return table

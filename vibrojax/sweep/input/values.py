@@ -1,4 +1,4 @@
-"""Checks of single values, tables and axes of a sweep file."""
+"""Validation of values, tables and axes in a sweep file. All functions raise `InputError` for an invalid value."""
 
 import re
 from collections.abc import Collection, Hashable, Mapping, Sequence
@@ -10,10 +10,11 @@ from vibrojax.errors import Place, shown, suggestion
 from vibrojax.models.physics.parameters import Parameter
 
 AXIS_MAX_VALUES = 10**7
-"""Longest axis, 80 MB: a longer one is a slip, and would fill the memory before the number of lanes is checked."""
+"""Maximum number of values of an axis (80 MB). A longer axis is certainly a mistake, and would exhaust the memory
+before the number of lanes is checked."""
 
 STATE = Parameter("state", 0.0, "1", "state at t = 0", "y")
-"""A number of an initial state: any finite one."""
+"""Stand-in parameter for initial states, which admits any finite number."""
 
 _DECIMAL_COMMA = re.compile(r"([+-]?\d+),(\d+)")
 _WITH_UNIT = re.compile(r"([+-]?[\d.]+(?:[eE][+-]?\d+)?)\s*[^\d\s.,].*")
@@ -27,9 +28,9 @@ _AXIS_EXAMPLE = "write a list like [0.3, 0.4], or { start = 0.3, stop = 0.6, num
 
 
 def number(place: Place, value: object, unit: str = "") -> float:
-    """Return `value` as a float, which may be NaN or infinite; raise if it is not a number (as true and "0.4").
+    """Return `value` as a float, which may be NaN or infinite; raise if it is not a number, like true or "0.4".
 
-    `unit` is the parameter's own, named in the message if a unit was written with the number.
+    `unit`: the parameter's unit, for the message in case that `value` is a string with a number and a unit.
     """
     if isinstance(value, str):
         text, advice = value.strip(), "write a number, without quotes"
@@ -47,7 +48,7 @@ def number(place: Place, value: object, unit: str = "") -> float:
 
 
 def quantity(place: Place, value: object, parameter: Parameter) -> float:
-    """Return `value` as a float that is admissible for `parameter`."""
+    """Return `value` as a float; raise if it is not admissible for `parameter`."""
     checked = number(place, value, parameter.unit)
     problem = parameter.problem(checked)
     if problem is not None:
@@ -56,7 +57,7 @@ def quantity(place: Place, value: object, parameter: Parameter) -> float:
 
 
 def count(place: Place, value: object, least: int, most: int | None = None) -> int:
-    """Return `value` as a whole number from `least` to `most`."""
+    """Return `value` as an integer; raise if it is not between `least` and `most` (both inclusive)."""
     whole = int(value) if isinstance(value, Integral) and not isinstance(value, bool) else None
     if whole is None or whole < least or (most is not None and whole > most):
         interval = f"of {least} or more" if most is None else f"from {least} to {most}"
@@ -65,14 +66,14 @@ def count(place: Place, value: object, least: int, most: int | None = None) -> i
 
 
 def flag(place: Place, value: object) -> bool:
-    """Return `value` as a boolean."""
+    """Return `value`; raise if it is not a boolean."""
     if not isinstance(value, bool):
         raise place.error(f"{shown(value)} is neither true nor false; write one of them")
     return value
 
 
 def choice(place: Place, value: object, choices: Collection[str]) -> str:
-    """Return `value` as one of `choices`."""
+    """Return `value`; raise if it is not in `choices`."""
     if not isinstance(value, str):
         raise place.error(f"{shown(value)} is not a name; choose from {', '.join(choices)}")
     if value not in choices:
@@ -81,7 +82,7 @@ def choice(place: Place, value: object, choices: Collection[str]) -> str:
 
 
 def as_table(place: Place, value: object) -> dict[str, object]:
-    """Return `value` as a table."""
+    """Return `value`; raise if it is not a table."""
     if not isinstance(value, dict):
         raise place.error(f"{shown(value)} is not a table; write [{place.key}] with a line for each key")
     return value
@@ -90,14 +91,14 @@ def as_table(place: Place, value: object) -> dict[str, object]:
 def known_keys(
     place: Place, table: dict[str, object], keys: Collection[str], advice: Mapping[str, str] | None = None
 ) -> None:
-    """Raise at the first key of `table` that is not in `keys`, with the `advice` for that key if there is any."""
+    """Raise at the first key of `table` that is not in `keys`. `advice`: advice for the message, by unknown key."""
     for key in table:
         if key not in keys:
             raise place.at(str(key)).error(f"unknown key; {(advice or {}).get(str(key)) or suggestion(str(key), keys)}")
 
 
 def check_distinct(place: Place, items: Sequence[Hashable], noun: str) -> None:
-    """Raise at the first item of a list that occurs a second time; `noun` is what the message calls an item."""
+    """Raise at the first duplicate in a list. `noun`: word for an item in the message."""
     first: dict[Hashable, int] = {}
     for index, item in enumerate(items):
         if first.setdefault(item, index) != index:
@@ -105,7 +106,7 @@ def check_distinct(place: Place, items: Sequence[Hashable], noun: str) -> None:
 
 
 def read_axis(place: Place, value: object, parameter: Parameter) -> np.ndarray:
-    """Return an axis of the grid, a list or a range, as float64 of shape (values,) in the file's order."""
+    """Return an axis of the grid from a list or a range, float64 (values,), in the order of the file."""
     if isinstance(value, dict):
         return _read_range(place, value, parameter)
     if not isinstance(value, list):
@@ -118,7 +119,7 @@ def read_axis(place: Place, value: object, parameter: Parameter) -> np.ndarray:
 
 
 def _read_range(place: Place, table: dict[str, object], parameter: Parameter) -> np.ndarray:
-    """Return evenly spaced values from start to stop, both included."""
+    """Return evenly spaced values from start to stop (both inclusive), on a linear or logarithmic scale."""
     known_keys(place, table, _RANGE_KEYS, _RANGE_ADVICE)
     for key in _RANGE_KEYS[:3]:
         if key not in table:
@@ -134,7 +135,7 @@ def _read_range(place: Place, table: dict[str, object], parameter: Parameter) ->
         advice = "both ends are included: 2 or more" if num == 1 else "the ends are equal: 1, or other ends"
         raise place.at("num").error(f"{num} does not fit from {start:g} to {stop:g}; {advice}")
     axis = np.geomspace(start, stop, num) if spacing == "log" else np.linspace(start, stop, num)
-    # Neighbours closer than the rounding would be the same coordinate.
+    # Neighbours that differ by less than the rounding error would be equal coordinates.
     if np.unique(axis).size != num:
         raise place.at("num").error(f"{num} values from {start!r} to {stop!r} are not all different; fewer would be")
     return axis

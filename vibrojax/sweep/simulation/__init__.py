@@ -1,4 +1,4 @@
-"""One point of a scene in time: its trajectory as a dataset."""
+"""Simulation of one point of a scene: its trajectory as a dataset."""
 
 from vibrojax.sweep.simulation.dense_output import Record as Record
 from vibrojax.sweep.simulation.dense_output import record as record

@@ -1,4 +1,4 @@
-"""One lane, step by step: the polynomial of every step is kept, so that the motion can be evaluated at any time."""
+"""Dense output of one lane: the polynomial of every step is stored, so that the motion can be evaluated at any time."""
 
 from collections.abc import Callable
 from math import ceil
@@ -19,22 +19,25 @@ from vibrojax.sweep.engine.compiler import lane_function
 from vibrojax.sweep.engine.resources import memory
 
 BATCH = 512
-"""Steps per call of the compiled program: enough for the call itself to cost little."""
+"""Number of steps per call of the compiled program, large enough for a small overhead of the call."""
 
 RECORD_MAX_STEPS = 20_000 * BATCH
-"""Ten million steps are some gigabytes; a longer motion is a slip."""
+"""Maximum number of steps of a motion. Ten million steps take some gigabytes; a longer motion is probably a mistake."""
 
 _COPIES = 3
-"""Copies of the polynomials in memory at once: in batches, concatenated, and as evaluated."""
+"""Number of copies of the polynomials in memory at once: in batches, concatenated, and during evaluation."""
 
 
 class Record(NamedTuple):
-    """The steps of one lane, along the first axis.
+    """The steps of one lane, along the first axis of the arrays.
 
-    - `start`, `h`, `dt` [s]; `polynomials` in (t - start)/h.
-    - `mode` at the start of a step; `after`: the state in which the next one starts.
-    - `hits`: the guards and markers, in the scene's order, that a step ended on.
-    - `falling`: markers that fell through zero.
+    - `start`: time at the beginning of each step [s].
+    - `h`: length scale of the polynomials [s]. `dt`: length of the step [s], less than `h` if an event ends the step.
+    - `polynomials`: coefficients of the states in powers of (t - start)/h.
+    - `mode`: mode at the beginning of the step.
+    - `after`: state at the beginning of the next step.
+    - `hits`: True for the guards and markers, in the scene's order, whose zero ends the step.
+    - `falling`: True for markers that cross zero downwards.
     """
 
     start: Float[Array, " steps"]
@@ -58,9 +61,15 @@ def record(
     most_steps: int = RECORD_MAX_STEPS,
     pause: Array | None = None,
 ) -> Record:
-    """Step one lane, of shape (1,), from t = 0 to `duration` [s]; call `report(t)` after each batch of steps.
+    """Step one lane from t = 0 to `duration` [s] and return its steps.
 
-    A step ends at the time `pause` [s], if there is one. Raises `InputError` if this takes over `most_steps`.
+    **Arguments:**
+
+    - `constants`, `state`: constants of the scene and initial state, each (1,).
+    - `report(t)`: is called after each batch of steps.
+    - `pause`: time at which one step must end [s].
+
+    **Raises:** `InputError` if the motion takes more than `most_steps` steps.
     """
     constants, lane = begun(scene, constants, state)
     parts = []
@@ -84,7 +93,7 @@ def record(
 
 @lane_function(static=1)
 def begun(scene: Scene[Any], constants: Any, state: Values) -> tuple[Any, Lane]:
-    """Return the constants scaled for a motion from `state`, and the lane that starts there."""
+    """Return the constants, scaled for a motion from `state`, and the lane at t = 0 in this state."""
     constants = scene.scaled(constants, state)
     return constants, lane_at(scene, constants, state)
 
@@ -93,9 +102,11 @@ def begun(scene: Scene[Any], constants: Any, state: Values) -> tuple[Any, Lane]:
 def record_batch(
     scene: Scene[Any], stepper: Stepper, count: int, constants: Any, lane: Lane, accuracy: Accuracy, duration: Array
 ) -> tuple[Lane, Any]:
-    """Return lanes after `count` steps, fewer if they reach the time `duration` [s], and their record by name.
+    """Step lanes and record their steps.
 
-    Its columns have shape (steps, ..., lanes).
+    Lanes take `count` steps, or fewer if they reach the time `duration` [s].
+
+    **Returns:** the lanes after the steps, and the fields of `Record` by name, arrays (steps, ..., lanes).
     """
 
     def flags(names: tuple[str, ...], flags_of: Any, like: Array) -> Array:
@@ -123,7 +134,10 @@ def record_batch(
 def sample(
     record: Record, times: Float[np.ndarray, " samples"]
 ) -> tuple[Float[Array, "states samples"], Float[Array, "modes samples"], Int[Array, " samples"]]:
-    """Return states and modes at `times` [s], and the moving step that each sample is in."""
+    """Return states and modes at `times` [s], and the index of the step that contains each sample.
+
+    The index counts only steps of nonzero length.
+    """
     moving = record.dt > 0
     start, h = record.start[moving], record.h[moving]
     step = np.clip(np.searchsorted(start, times, side="right") - 1, 0, len(start) - 1)
@@ -133,7 +147,7 @@ def sample(
 
 
 def accumulated(record: Record, state: int) -> Float[np.ndarray, " moving"]:
-    """Return the offset in each moving step that makes a state continuous which is reset to zero now and then."""
+    """Return the offset in each step of nonzero length that makes a state continuous in spite of its resets to zero."""
     moving = record.dt > 0
     polynomials = record.polynomials[moving][:, state : state + 1]
     start = polynomials[:, 0, 0]
@@ -144,7 +158,7 @@ def accumulated(record: Record, state: int) -> Float[np.ndarray, " moving"]:
 def _evaluate(
     coefficients: Float[Array, "steps states orders"], tau: Float[Array, " steps"]
 ) -> Float[Array, "steps states"]:
-    """Return the values of polynomials by Horner's scheme."""
+    """Evaluate polynomials at `tau` by Horner's scheme."""
     values = coefficients[:, :, -1]
     for order in range(coefficients.shape[2] - 2, -1, -1):
         values = values * tau[:, None] + coefficients[:, :, order]
@@ -160,12 +174,15 @@ def check_size(
     stepper: Stepper | None,
     samples: int,
 ) -> int:
-    """Return the greatest number of steps that fit in memory.
+    """Return the maximum number of steps that fit in memory.
 
-    Raises `InputError` if the motion takes more, even without events.
+    **Arguments:**
 
-    **Arguments:** `constants`: the scene's, each of shape (1,); `stepper`: None for a diffrax solver, whose steps are
-    not kept; `samples`: their number.
+    - `constants`: constants of the scene, each (1,).
+    - `stepper`: the stepper, or None for a diffrax solver, whose steps are not stored.
+    - `samples`: number of samples.
+
+    **Raises:** `InputError` if the motion takes more steps, even without events.
     """
     if stepper is None:
         from vibrojax.stepping.adaptive import MOST_STEPS as most
@@ -178,7 +195,7 @@ def check_size(
     available = memory() if step_bytes else None
     if available is not None:
         most = max(min(most, int((available - 2 * samples * step_bytes) / (_COPIES * step_bytes))), 0)
-    # A diffrax solver chooses its own steps, but it must follow the main spring.
+    # A diffrax solver chooses its own steps, but these must resolve the oscillation on the main spring.
     if stepper is None and isinstance(scene, HasFriction):
         natural = float(scene.spring_rate(constants)[0]) / accuracy.stride
     else:

@@ -1,7 +1,7 @@
-"""Features and labels of a recorded motion, by the code that measures and labels the lanes of a sweep.
+"""Features and label (regime) of a recorded motion, from the code that measures and labels a sweep's lanes.
 
-The recorded steps pass through the scene's recorder again, one by one, as in a sweep whose `settle` and `observe` are
-those of `window`.
+The scene's recorder processes the recorded steps one by one, as in a sweep whose `settle` and `observe` are the times
+of `window`.
 """
 
 from typing import Any
@@ -25,17 +25,18 @@ from vibrojax.sweep.engine.labelled import measured_besides, regimes
 from vibrojax.sweep.simulation.dense_output import BATCH, Record, begun
 
 OBSERVED_SHARE, OBSERVED_MAX_HALF = 1 / 6, 8.0
-"""Share of a motion that is observed, that of a sweep's defaults; of a short motion one half, up to 8 s."""
+"""Observed part of a motion: a fraction of its duration, which is that of a sweep's defaults, and a minimum [s]. If the
+minimum exceeds one half of the motion, one half is observed."""
 
 
 def window(duration: float) -> tuple[float, float]:
-    """Return when the observation of a motion of that `duration` begins, and how long it is [s]."""
+    """Return the beginning and the length of the observation of a motion with this `duration` [s]."""
     observe = max(OBSERVED_SHARE * duration, min(OBSERVED_MAX_HALF, duration / 2))
     return duration - observe, observe
 
 
 def recorder_of(scene: Scene[Any]) -> Records | None:
-    """Return the recorder of a scene; None if a sweep would refuse the scene's declarations, and say why."""
+    """Return the recorder of a scene, or None if the scene's declarations are invalid, which a sweep would report."""
     try:
         return recorder_for(scene)
     except InputError:
@@ -45,17 +46,21 @@ def recorder_of(scene: Scene[Any]) -> Records | None:
 def measured(
     scene: Scene[Any], recorder: Records, constants: Any, state: Values, steps: Record, begin: float, observe: float
 ) -> dict[str, np.ndarray]:
-    """Return the features of one recorded lane by name, each (1,), or (1, returns) for the last returns.
+    """Return the features of one recorded lane by name, each (1,), or (1, returns) for the last section crossings.
 
-    **Arguments:** `constants`: the scene's; `state` at t = 0, each (1,); `steps`: of the motion, one of which ends at
-    the time `begin` [s], from which it is observed for `observe` [s].
+    **Arguments:**
+
+    - `constants`: constants of the scene, each (1,).
+    - `state`: state at t = 0, each (1,).
+    - `steps`: steps of the motion, one of which ends at the time `begin`.
+    - `begin`, `observe`: beginning and length of the observation [s].
     """
     constants, lane = begun(scene, constants, state)
     middle = int(np.searchsorted(steps.start + steps.dt / 2, begin))
     before, after = (Record(*(x[part] for x in steps)) for part in (slice(middle), slice(middle, None)))
     settled = recorder.settling(scene, lane)
     if middle:
-        # Recorded steps end on the section already, which a sweep's steps do only under observation.
+        # Recorded steps end on the section throughout. A sweep's steps do so only during the observation.
         carry = _begin(scene, recorder, constants, lane, settled)
         carry = _observe_all(scene, recorder, constants, carry, before, 0.0, begin)
         settled = recorder.settled(settled, carry)
@@ -68,7 +73,7 @@ def measured(
 
 
 def compile_measures(scene: Scene[Any], recorder: Records, stepper: Stepper, constants: Any, state: Values) -> None:
-    """Compile the programs of `measured` by two steps of a lane at rest."""
+    """Compile the programs of `measured` by calling it for two steps of a lane at rest."""
     states, none = len(scene.states), np.zeros(2)
     still = Record(
         start=np.array([0.0, 1.0]),
@@ -87,9 +92,13 @@ def compile_measures(scene: Scene[Any], recorder: Records, stepper: Stepper, con
 def labelled_features(
     scene: Scene[Any], parameters: dict[str, float], features: dict[str, np.ndarray], tolerance: float
 ) -> dict[str, tuple[tuple[()], np.ndarray, dict[str, Any]]]:
-    """Return the features as variables of a motion's dataset: numbers, named as in a sweep.
+    """Return the features as scalar variables of a motion's dataset, with the same names as in a sweep.
 
-    **Arguments:** `parameters`: the point, complete; `features`: from `measured`; `tolerance`: of the steps.
+    **Arguments:**
+
+    - `parameters`: all parameters of the point.
+    - `features`: features from `measured`.
+    - `tolerance`: error tolerance of the steps.
     """
     features = dict(features)
     if scene.section is not None and "cycles" in features:
@@ -111,7 +120,7 @@ def labelled_features(
 def _observe_all(
     scene: Scene[Any], recorder: Records, c: Any, carry: Any, steps: Record, begin: float, observe: float
 ) -> Any:
-    """Pass steps through the recorder in batches of one size; the last is filled with steps of a lane at rest."""
+    """Pass steps through the recorder in batches of equal size. Steps of a lane at rest fill the last batch."""
     for first in range(0, len(steps.dt), BATCH):
         batch = Record(*(x[first : first + BATCH] for x in steps))
         if missing := BATCH - len(batch.dt):
@@ -155,7 +164,10 @@ def _read(scene: Scene[Any], recorder: Records, c: Any, carry: Any) -> Features:
 
 
 def _as_step(scene: Scene[Any], recorded: Record) -> tuple[Step, Lane]:
-    """Return a recorded step, whose last axis is lanes, and the lane after it, in the mode in which the step began."""
+    """Return a recorded step, whose last axis is the lane axis, and the lane after this step.
+
+    The mode of the lane is that at the beginning of the step, because the record does not contain the new mode.
+    """
 
     def split(x: Array) -> tuple[Array, ...]:
         return tuple(x[i] for i in range(len(x)))

@@ -1,4 +1,4 @@
-"""The motion of one point, recorded step by step and measured, for `simulate` and for the explorer's answers."""
+"""The motion of one point, recorded step by step and measured, for `simulate` and for the explorer."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -20,11 +20,15 @@ from vibrojax.sweep.simulation.dense_output import RECORD_MAX_STEPS, Record, rec
 from vibrojax.sweep.simulation.features import compile_measures, labelled_features, measured, recorder_of, window
 
 _compiled: set[tuple[Scene[Any], Stepper]] = set()
-"""Scenes and steppers whose programs this process has compiled."""
+"""Pairs of scene and stepper whose programs have been compiled in this process."""
 
 
 class Recorded(NamedTuple):
-    """The steps of a motion, and its features as variables of its dataset, by name."""
+    """A recorded motion.
+
+    - `steps`: its steps.
+    - `found`: its features as variables of the dataset, by name.
+    """
 
     steps: Record
     found: dict[str, tuple[tuple[()], np.ndarray, dict[str, Any]]]
@@ -42,10 +46,13 @@ def recorded(
 ) -> Recorded:
     """Step a point from t = 0 to `duration` [s], and measure the last part of the motion (see `window`).
 
-    **Arguments:** `constants`: from `constants_at`; `report(t)` is called often, and ends the motion if it raises;
-    `progress`: True to announce the compilation on stderr.
+    **Arguments:**
 
-    **Raises:** `InputError` if this takes over `most_steps`.
+    - `constants`: constants from `constants_at`.
+    - `report(t)`: is called after each batch of steps. An exception from this function aborts the motion.
+    - `progress`: whether to announce the compilation on stderr.
+
+    **Raises:** `InputError` if the motion takes more than `most_steps` steps.
     """
     scene = point.system
     with precision("float64"):
@@ -78,7 +85,7 @@ def recorded(
 
 
 def constants_at(place: Place, point: Point, stepper: Stepper | None) -> Any:
-    """Return the scene's constants at the point, each of shape (1,); raise `InputError` if it cannot be run."""
+    """Return the scene's constants at the point, each (1,); raise `InputError` if the point cannot be run."""
     scene = point.system
     p = {name: np.full(1, value) for name, value in point.parameters.items()}
     refusal = scene.refused(p)

@@ -1,4 +1,4 @@
-"""Simulation of one point: its trajectory, and the features of its last part."""
+"""Simulation of one point: the trajectory, and the features of its last part."""
 
 import json
 import sys
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from diffrax import AbstractSolver
 
 TRAJECTORY_MAX_SAMPLES = 2_000_000
-"""Some 200 MB of states and forces, more than any picture shows."""
+"""Maximum number of samples: some 200 MB of states and forces, more than any plot can show."""
 
 
 def simulate(
@@ -52,23 +52,25 @@ def simulate(
 
     **Arguments:**
 
-    - `scene`: "rotary", "vibro-impact", "penetration", "drilling" or "coupled-drilling"; `parameters`: any of the
-      scene's (SI), `friction`, a law's name, `pulse_shape`, `rock`.
-    - `start`: "drive", "stuck", "touching", or a vector [x1, x1', x2, x2'] [m, m/s]; by default "drive".
-    - `duration` [s].
-    - `method`: "located" (default), "smoothed", or "diffrax". With "diffrax", `solver` is a diffrax solver or its name,
-      by default "Tsit5"; a `solver` implies the method.
-    - `error`: accepted relative error, which sets steps and tolerances. To choose them yourself, give `step` [s] (the
-      longest step, or that of the smoothed method) and `smoothing` [m/s] (width of the friction switch).
-    - `sampling` [s]: interval of the samples; by default a twentieth of the contact's duration, 1 ms without contact.
+    - `scene`: "rotary", "vibro-impact", "penetration", "drilling" or "coupled-drilling", or a scene object.
+    - `parameters`: parameters of the scene in SI units, `friction` (name of a friction law), `pulse_shape`, `rock`.
+    - `start`: initial condition, "drive" (default), "stuck", "touching", or a vector [x1, x1', x2, x2'] [m, m/s].
+    - `duration`: simulated time [s].
+    - `method`: "located" (default), "smoothed", or "diffrax".
+    - `solver`: for "diffrax", a diffrax solver or its name, by default "Tsit5". Specifying `solver` selects "diffrax".
+    - `error`: accepted relative error, from which step sizes and tolerances follow, unless the next two are specified.
+    - `step`: maximum step size, or the step size of the smoothed method [s].
+    - `smoothing`: width of the friction switch [m/s].
+    - `sampling`: interval of the samples [s]; by default a twentieth of the contact's duration, 1 ms without contact.
+    - `progress`: whether to show progress on stderr.
 
     **Returns:** a dataset along `time`: x1, v1, x2, v2, friction_force, impact_force [N], stuck; with rock also x3, x4,
-    v3, rock_force and applied_force [N]. Along `event` it has the times and kinds of events. Numbers describe the last
-    part of the motion, named and measured as in a sweep: the regime, the period and so on, with rock the rate of
-    penetration. The attribute `run` tells how long the motion settled and was observed: a sixth of the duration, half
-    of a short one. A diffrax solver gives neither events nor these numbers.
+    v3, rock_force and applied_force [N]. Along `event`, the dataset has the times and kinds of events. Scalar variables
+    describe the last part of the motion, with the same names and definitions as in a sweep: regime, period and so on,
+    with rock the rate of penetration. The attribute `run` contains the settling and observation times. The observation
+    takes a sixth of the duration, or half of a short duration. A diffrax solver gives neither events nor these scalars.
 
-    **Raises:** `InputError` if a name or value is wrong, or, before any work, if there are too many steps or samples.
+    **Raises:** `InputError` if a name or value is wrong, or, before the simulation, if steps or samples are too many.
 
     **Example:**
 
@@ -100,7 +102,7 @@ def simulate(
     step = None if step is None else setting("step", step, "s")
     smoothing = None if smoothing is None else setting("smoothing", smoothing, "m s-1")
     sampling = None if sampling is None else setting("sampling", sampling, "s")
-    if duration < np.finfo(float).tiny:  # the clock takes it for zero
+    if duration < np.finfo(float).tiny:  # the clock rounds it to zero
         raise place.at("duration").error(f"{duration:g} s is too short; give a longer one")
     if stepper is None and isinstance(system, HasRock):
         raise place.at("method").error('"diffrax" supports no rock that yields; choose from located, smoothed')
@@ -140,7 +142,7 @@ def simulate(
 def _times(
     place: Place, scene: Scene[Any], constants: Any, duration: float, sampling: float | None
 ) -> Float[np.ndarray, " samples"]:
-    """Return the times [s] of the samples, evenly from 0 to the end."""
+    """Return the times of the samples [s], evenly spaced from 0 to `duration`."""
     if sampling is None:
         sampling = float(np.ravel(_default_sampling(scene, constants))[0])
         sampling = min(max(sampling, duration / TRAJECTORY_MAX_SAMPLES), duration)
@@ -157,7 +159,7 @@ def _times(
 
 @lane_function(static=1)
 def _default_sampling(scene: Scene[Any], constants: Any) -> Array:
-    """Return the default interval of samples [s], which resolves contact and rock."""
+    """Return the default sampling interval [s], which resolves the oscillations of contact and rock."""
     shortest: Any = jnp.asarray(1e-3)
     if isinstance(scene, HasContact):
         shortest = jnp.minimum(shortest, scene.contact_time(constants) / 20)
@@ -175,7 +177,7 @@ def _adaptive(
     solver: "str | AbstractSolver",
     tolerance: float,
 ) -> tuple[SampledMotion, int, str]:
-    """Return the motion by a diffrax solver, the number of its steps, and the solver's name."""
+    """Integrate with a diffrax solver. Return the motion, the number of steps, and the solver's name."""
     from vibrojax.stepping.adaptive import adaptive_trajectory, solver_named  # diffrax takes a second to import
 
     kind = solver_named(solver)

@@ -1,4 +1,4 @@
-"""The dataset of a trajectory: states and forces at the samples of one lane, and its events."""
+"""The dataset of a trajectory: sampled states and forces of one lane, and its events."""
 
 import json
 from collections.abc import Mapping
@@ -21,7 +21,7 @@ from vibrojax.sweep.input.point import Point
 from vibrojax.sweep.simulation.dense_output import Record, accumulated
 
 KINDS = ("none", "stick", "slip", "impact", "release", "section")
-"""Meanings of the flags of `event_kind`."""
+"""Meanings of the CF flag values of `event_kind`."""
 
 FORCES = {
     "friction_force": "friction force of the rock on the bit, against its sliding",
@@ -29,13 +29,13 @@ FORCES = {
     "applied_force": "given force on the bit",
     "rock_force": "resistance of the rock under the bit",
 }
-"""Forces [N] at the samples, by the names of their variables."""
+"""Meanings of the sampled forces [N], by variable name."""
 
 Samples = Float[Array, " samples"]
 
 
 class AlongTime(NamedTuple):
-    """Values along time, with their unit and meaning."""
+    """A variable along `time`: values, unit and meaning."""
 
     values: Any
     unit: str
@@ -43,7 +43,7 @@ class AlongTime(NamedTuple):
 
 
 class SampledMotion(NamedTuple):
-    """A sampled motion: `times` [s], and states and modes at them."""
+    """A sampled motion: `times` [s], and the states and modes at these times."""
 
     times: Float[np.ndarray, " samples"]
     states: Float[Array, "states samples"]
@@ -51,14 +51,14 @@ class SampledMotion(NamedTuple):
 
 
 class Events(NamedTuple):
-    """Times [s] and kinds, indices into `KINDS`, of events in their order."""
+    """Events in the order of time: times [s], and kinds as indices into `KINDS`."""
 
     times: Float[np.ndarray, " events"]
     kinds: Int[np.ndarray, " events"]
 
 
 def events(scene: Scene[Any], c: Any, record: Record) -> Events:
-    """Return the events in the `record` of one lane; `c`: the scene's constants."""
+    """Return the events in the `record` of one lane. `c`: constants of the scene."""
     masks: dict[str, Bool[Array, " steps"]] = {}
     hits = dict(zip(scene.event_names, record.hits.T, strict=True))
     if isinstance(scene, HasFriction):
@@ -82,14 +82,17 @@ def events(scene: Scene[Any], c: Any, record: Record) -> Events:
 
 
 def _returns(scene: Scene[Any], c: Any, record: Record) -> Bool[np.ndarray, " steps"]:
-    """Return the steps that end on the section, after the velocity was beyond the re-arming level once more."""
+    """Return a mask of the steps that end in a section crossing.
+
+    A crossing counts only if the velocity has passed the re-arming level since the previous crossing.
+    """
     section = scene.section
     assert section is not None
     sign, marker = 1.0 if section.rising else -1.0, scene.marker_of(section.velocity)
     falling = record.falling[:, scene.marker_names.index(marker)]
     returns = record.hits[:, scene.event_names.index(marker)] & (~falling if section.rising else falling)
     armed, passed = False, np.zeros(len(returns), bool)
-    # A step that only switches the mode has no length, and its velocity does not fall.
+    # A step that only switches the mode has length zero, and its velocity does not change.
     tau = np.where(record.dt > 0, record.dt / np.where(record.h > 0, record.h, 1), 0)
     velocity = [sign * coefficient for coefficient in record.polynomials[:, scene.place(section.velocity)].T]
     low = np.asarray(lowest_velocity(velocity, tau)) < sign * float(np.ravel(section.rearm(c))[0])
@@ -101,9 +104,11 @@ def _returns(scene: Scene[Any], c: Any, record: Record) -> Bool[np.ndarray, " st
 
 
 def forces(scene: Scene[Any], c: Any, motion: SampledMotion, width: float | None) -> dict[str, AlongTime]:
-    """Return the forces [N] at the samples by name; friction is the pull of the springs less the inertia of the bit.
+    """Return the sampled forces [N] by name.
 
-    `width` [m/s] is that of a smoothed motion, None for a sharp one.
+    Friction is the force of the springs on the bit minus the bit's mass times acceleration.
+
+    `width`: width of the smoothed friction switch [m/s], or None for discontinuous friction.
     """
     values = _forces(scene, width is None, _scalars(c), tuple(motion.modes), tuple(motion.states), width or 0.0)
     return {name: AlongTime(np.asarray(force) + 0.0, "N", FORCES[name]) for name, force in values.items()}  # no -0.0
@@ -126,27 +131,31 @@ def _forces(scene: Scene[Any], is_sharp: bool, c: Any, modes: Values, states: Va
 
 @lane_function(static=1)
 def impact_begins(scene: HasContact, c: Any, modes: Values, states: Values, hits: dict[str, Array]) -> Array:
-    """Return the steps, by the states in which they end and their hits, that end on the beginning of an impact."""
+    """Return a mask of the steps that end at the beginning of an impact.
+
+    **Arguments:** `modes`: modes of the steps. `states`: states at their ends. `hits`: guards that end the steps.
+    """
     return scene.impact_begins(c, modes, states, hits)
 
 
 @lane_function(static=0)
 def lowest_velocity(velocity: list[Array], tau: Array) -> Array:
-    """Return the least values of steps' polynomials from 0 to `tau`."""
+    """Return the minimum of each step's polynomial between 0 and `tau`."""
     return lowest(velocity, tau)
 
 
 def _scalars(c: Any) -> Any:
-    """Return the constants of one lane without axes, so that they serve all samples."""
+    """Return the constants of one lane as scalars, which apply to all samples."""
     return jax.tree.map(lambda x: np.asarray(x).reshape(()), c)
 
 
 def states_shown(
     scene: Scene[Any], motion: SampledMotion, record: Record | None, step_of: Int[Array, " samples"] | None
 ) -> dict[str, AlongTime]:
-    """Return the states at the samples, with rock also x3 and x4 in place of compression and growth.
+    """Return the sampled states. With rock, x3 and x4 replace compression and growth.
 
-    x3 and x4 add up over all blows, by the `record` and the step of it that each sample is in.
+    x3 and x4 accumulate over all impacts. They are computed from `record` and from `step_of`, the index of the step
+    that contains each sample.
     """
     variables: dict[str, AlongTime] = {}
     x3 = x4 = None
@@ -172,7 +181,7 @@ def trajectory_dataset(
     event_list: Events | None,
     solver: Mapping[str, object],
 ) -> xr.Dataset:
-    """Return the dataset of a trajectory: variables along time, and events along theirs."""
+    """Return the dataset of a trajectory, with variables along `time` and along `event`."""
     variables: dict[str, tuple[str, Any, dict[str, Any]]] = {
         name: ("time", x.values, {"units": x.unit, "long_name": x.long_name}) for name, x in along_time.items()
     }
