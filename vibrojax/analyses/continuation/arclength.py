@@ -265,7 +265,7 @@ class _ActiveBranches:
         self._tangent[kept] = tangent
         growth = np.clip(TURN / np.maximum(turn, 1e-12), 0.5, np.where(taken < CORNER, CORNER_GROWTH, STEP_GROWTH))
         growth = np.where(self._iterations[kept] >= 4, np.minimum(growth, 0.7), growth)
-        # The obstacle because of which this step was shortened is within twice the step length.
+        # The change of events that made this step fail is within twice the step length.
         growth = np.where(self._shortened[kept], np.minimum(growth, 1.0), growth)
         step = np.minimum(np.maximum(taken * growth, 10 * SHORTEST_STEP), self._longest)
         to_corner = np.where(self._shortened[kept], self._step_to_corner(kept, 3 * step), np.nan)

@@ -148,7 +148,7 @@ class FamilyContinuation:
         return self._pass_stalls(stalled, np.array(tangents)) if stalled else []
 
     def _pass_stalls(self, segments: list[Segment], tangent: np.ndarray) -> list[Segment]:
-        """Return the segments beyond corners and points where the motion touches the section.
+        """Return the segments beyond corners and points where the motion is tangent to the section.
 
         These points are marked. Segments that cannot be continued get a mark at their end.
         """

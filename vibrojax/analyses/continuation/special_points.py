@@ -61,10 +61,10 @@ def locate_special_points(problem: Problem, family: Index, points: BranchPoints)
 
 
 def classify_event_changes(problem: Problem, brackets: BranchBrackets) -> list[tuple[Kinds, BranchBrackets]]:
-    """Classify points at which events begin or vanish: impacts, sticks and reversals, or touches of the section.
+    """Classify points at which events begin or vanish: impacts, sticks and reversals, or tangencies with the section.
 
     A point at which both impacts and sticks change has both kinds. If the duration of the period jumps, other section
-    crossings are counted; such a point has the kind of a touch only. All remaining changes count as grazing.
+    crossings are counted; such a point counts as a tangency only. All remaining changes count as grazing.
     """
     near, far = brackets.near, brackets.far
     section = ~(np.abs(far.period - near.period) < SAME_TIME * near.period)

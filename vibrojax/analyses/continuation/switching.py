@@ -1,8 +1,8 @@
 """Switching between parts of branches: around corners, to other numbers of section crossings, and to doubled branches.
 
 Where an event begins or vanishes, the return map has a kink. The branch has a corner there, which may be so sharp that
-the branch turns back. Where the motion touches the section, the branch continues with another number of section
-crossings per period.
+the branch turns back. Where the motion becomes tangent to the section, the branch continues with another number of
+section crossings per period.
 """
 
 from typing import NamedTuple
@@ -19,7 +19,7 @@ DEPARTURE_DISTANCES = (1e-6, 1e-5, 1e-4, 1e-3)
 """Scaled distances between a corner and the first point beyond it."""
 
 REINDEX_DISTANCES = (1e-7, 1e-6, 1e-5, 1e-4)
-"""Scaled distances behind a touch of the section at which section crossings are counted again."""
+"""Scaled distances behind a tangency with the section at which section crossings are counted again."""
 
 SAME_TIME = 1e-2
 """Largest relative difference of the period of the motion between neighbouring points with the same crossings."""
@@ -76,7 +76,7 @@ def turn_corner(problem: Problem, family: Index, last: Evaluation, tangent: Unkn
 def reindex_returns(
     problem: Problem, family: int, last: Evaluation, tangent: Unknowns
 ) -> tuple[Evaluation, Unknowns] | None:
-    """Describe the motion with another number of section crossings, just behind a touch of the section.
+    """Describe the motion with another number of section crossings, just behind a tangency with the section.
 
     Return the new point and its tangent, or None if there is no such description.
 
