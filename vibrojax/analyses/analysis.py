@@ -92,6 +92,9 @@ class Analysis:
     pictures: ClassVar[Sequence[PictureRule]] = ()
     """Pictures of its datasets; the first rule that fits is used."""
 
+    counted: ClassVar[str] = ""
+    """Dimension of its datasets whose size the command prints."""
+
     view: ClassVar[str] = "map"
     """View in the explorer: "map", "curves" (over the map of their sweep), "families", "motion" or "none"."""
 
