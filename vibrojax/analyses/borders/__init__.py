@@ -1,1 +1,1 @@
-"""Borders of the stable single impact in planes of two parameters, as curves with the kind of each border."""
+"""Borders of the region of stable single-impact orbits in planes of two parameters, as curves classified by kind."""

@@ -18,7 +18,7 @@ from vibrojax.sweep.input.definition import Sweep
 
 @dataclass(frozen=True)
 class Borders(SweepAnalysis):
-    """Draw the borders of the stable single impact in a sweep's plane: curves named by what happens there."""
+    """Compute the borders of the stable single impact in a sweep's plane, as curves with the kind of each border."""
 
     axes: tuple[str, str] | None = field(
         default=None,
@@ -35,21 +35,21 @@ class Borders(SweepAnalysis):
     pictures = (PictureRule("borders", lambda held: True, border_curves),)
 
     def sweep(self, source: Source) -> Sweep:
-        """Return the sweep, checked; raise `InputError` where it has no plane."""
+        """Return the checked sweep; raise `InputError` if it has no suitable plane."""
         sweep = sweep_with_orbits(source)
         checked(sweep, self.axes)
         return sweep
 
     def identity(self, sweep: Sweep) -> dict[str, object]:
-        """Return the axes of the plane."""
+        """Return the axes of the plane, on which the result depends."""
         return {self.kind: list(checked(sweep, self.axes))}
 
     def of_lanes(self, sweep: Sweep, lanes: xr.Dataset, progress: bool = True) -> xr.Dataset:
-        """Return the borders in a sweep with orbits."""
+        """Return the borders; `lanes`: dataset of the sweep with orbits."""
         return borders_of(sweep, lanes, checked(sweep, self.axes))
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
-        """Return for each plane and start the share with a stable single impact, and the kinds of its borders."""
+        """Return the area fraction and the kinds of the borders of each region (plane and initial condition)."""
         fixed = [str(name) for name in ds.coords if ds[name].dims == ("region",) and name != "region_start"]
         meanings = flags(ds["kind"])
         lines, facts = [], []

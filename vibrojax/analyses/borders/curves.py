@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 
 
 class Vertex(NamedTuple):
-    """End of a region on an edge: `x`, `y`, and the `kind` of border."""
+    """Point at which a border crosses a grid edge: coordinates `x` and `y`, and the `kind` of border."""
 
     x: float
     y: float
@@ -16,17 +16,17 @@ class Vertex(NamedTuple):
 
 
 Crossing = tuple[int, int, int]
-"""An edge crossed by a border: its axis, and the lower of its two points."""
+"""A grid edge that a border crosses: its axis, and the two indices of its lower end point."""
 
 EndFinder = Callable[[tuple[int, int], tuple[int, int]], Vertex]
-"""`ends(inside, outside)`: end of the region between two neighbouring points."""
+"""`ends(inside, outside)`: point of the border between two neighbouring grid points."""
 
 _Ring = list[tuple[bool, tuple[float, float], Crossing | None]]
-"""Corners and crossings around a square: (is in the region, position, crossing or None)."""
+"""Corners and crossings in order around a grid square: (is in the region, position, crossing or None)."""
 
 
 class Border(NamedTuple):
-    """A piece of a border of one kind: its vertices (vertices, 2), in order."""
+    """A piece of a border with a single kind: its vertices (vertices, 2), in order."""
 
     kind: str
     points: Float[np.ndarray, "vertices 2"]
@@ -35,7 +35,7 @@ class Border(NamedTuple):
 def around_region(
     inside: Bool[np.ndarray, "xs ys"], x: np.ndarray, y: np.ndarray, ends: EndFinder
 ) -> tuple[list[Border], float]:
-    """Return the borders of a region, and its share of the rectangle between the outermost points."""
+    """Return the borders of a region, and the region's fraction of the area of the grid."""
     vertices: dict[Crossing, Vertex] = {}
     for axis in (0, 1):
         lower, upper = (inside[:-1], inside[1:]) if axis == 0 else (inside[:, :-1], inside[:, 1:])
@@ -65,9 +65,10 @@ def around_region(
 
 
 def _polygons(ring: _Ring) -> list[tuple[list[tuple[float, float]], tuple[Crossing | None, Crossing | None]]]:
-    """Return the parts of a square in the region, with the two crossings that each joins; None without crossings.
+    """Return the parts of a grid square that are in the region, each with the two crossings that it joins.
 
-    Each part is a run of corners between two crossings, so that the two parts at a saddle stay separate.
+    The crossings are None for a square that is completely in the region. Each part is a sequence of corners between two
+    crossings, so that the two parts at a saddle remain separate.
     """
     if all(crossing is None for _, _, crossing in ring):
         return [([point for _, point, _ in ring], (None, None))] if ring[0][0] else []
@@ -90,7 +91,7 @@ def _polygons(ring: _Ring) -> list[tuple[list[tuple[float, float]], tuple[Crossi
 
 
 def _chains(links: dict[Crossing, list[Crossing]]) -> list[list[Crossing]]:
-    """Return the crossings in the order in which they are joined; closed chains repeat the first one at the end."""
+    """Return chains of joined crossings, in order; a closed chain repeats its first crossing at the end."""
     remaining = {crossing: list(others) for crossing, others in links.items()}
     chains = []
     for begin in sorted(remaining, key=lambda crossing: (len(remaining[crossing]), crossing)):
@@ -107,7 +108,7 @@ def _chains(links: dict[Crossing, list[Crossing]]) -> list[list[Crossing]]:
 
 
 def _pieces(chain: list[Vertex]) -> list[Border]:
-    """Cut a chain where its kind changes, half-way between the two vertices."""
+    """Divide a chain into pieces of one kind; cut half-way between vertices of different kinds."""
     pieces: list[Border] = []
     points: list[tuple[float, float]] = []
     for here, following in zip(chain, [*chain[1:], None], strict=True):

@@ -1,4 +1,4 @@
-"""Picture of borders: the curves of each plane, a column for each initial condition."""
+"""Picture of borders: a row of panels for each plane, a column for each initial condition."""
 
 from itertools import product
 
@@ -11,12 +11,15 @@ from vibrojax.plot.margins import legend_at_right, write_margins
 from vibrojax.plot.style import new_figure, styled
 
 _PANEL = (3.3, 3.0)  # inches
-_MOST_SHOWN = 4  # planes, and starts
+_MOST_SHOWN = 4  # largest numbers of rows and of columns
 
 
 @styled
 def border_curves(ds: xr.Dataset) -> Figure:
-    """Draw the borders of the single impact over two parameters: a row for each plane, a column for each start."""
+    """Draw the borders of stable single impacts over two parameters.
+
+    The figure has a row for each plane and a column for each initial condition.
+    """
     x, y = axes_of(ds)
     others = beyond(ds)
     planes = [tuple(float(ds[f"region_{name}"][k]) for name in others) for k in range(ds.sizes["region"])]

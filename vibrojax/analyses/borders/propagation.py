@@ -1,7 +1,8 @@
-"""Propagation of stable single impacts over a plane: from the orbits of lanes to every reachable point of the grid.
+"""Propagation of stable single impacts over a plane: from the orbits of lanes to all reachable points of the grid.
 
-Each orbit is continued along the edges to the four neighbouring points. Where it ceases to be a stable single impact on
-the way, the kind of that loss and the parameter's value are located.
+A single impact is a periodic orbit with one section crossing and one impact per period. Each orbit is continued along
+the grid's edges to the four neighbouring grid points. If it ceases to be a stable single impact on an edge, the kind of
+this loss and the parameter value are determined.
 """
 
 from collections.abc import Mapping
@@ -22,24 +23,24 @@ from vibrojax.models.scenes import Scene
 from vibrojax.periodic.newton import multipliers
 
 SAME_ORBIT = 1e-4
-"""Distance over the scales within which two orbits at one point are equal."""
+"""Scaled distance within which two orbits at one grid point count as equal."""
 
 MAX_ORBITS_PER_POINT = 6
-"""Stable single impacts at one point; a bound of the work."""
+"""Largest number of stable single impacts at one grid point, which limits the computing time."""
 
 EDGE_LENGTH = 1 / 3
 """Length of an edge, in units of the scaled parameter."""
 
 EDGE_MAX_STEP = 0.5
-"""Longest step, over the scales: one step covers most edges."""
+"""Largest scaled step length; one step covers most edges."""
 
 MAX_CORNERS_PER_EDGE = 4
 
 Cell = tuple[int, int, int]
-"""A point of the grid: number of its plane, and indices along the plane's two axes."""
+"""A grid point: number of its plane, and indices along the plane's two axes."""
 
 Step = tuple[int, int]
-"""A step to a neighbour: axis of the plane, and direction."""
+"""A step to a neighbouring grid point: axis of the plane (0 or 1), and direction (-1 or 1)."""
 
 GRID_STEPS: tuple[Step, ...] = ((0, 1), (0, -1), (1, 1), (1, -1))
 
@@ -48,7 +49,7 @@ Lost = Int[np.ndarray, " lost"]
 
 
 class Planes(NamedTuple):
-    """Planes of a sweep: names and values of their two axes, and all `parameters` by name (planes, xs, ys)."""
+    """Planes of a sweep: names and values of their two axes, and all `parameters` by name, each (planes, xs, ys)."""
 
     names: tuple[str, str]
     values: tuple[np.ndarray, np.ndarray]
@@ -56,23 +57,23 @@ class Planes(NamedTuple):
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        """Number of planes, and of points along the two axes."""
+        """Number of planes, and numbers of grid points along the two axes."""
         planes, xs, ys = next(iter(self.parameters.values())).shape
         return planes, xs, ys
 
     def neighbour(self, cell: Cell, step: Step) -> Cell | None:
-        """Return the next point along an axis; None outside the plane."""
+        """Return the neighbouring grid point in the direction of `step`, or None if it is outside the plane."""
         place = list(cell)
         place[1 + step[0]] += step[1]
         return (place[0], place[1], place[2]) if 0 <= place[1 + step[0]] < self.shape[1 + step[0]] else None
 
     def value(self, cell: Cell, axis: int) -> float:
-        """Return the coordinate of a point along an axis."""
+        """Return the coordinate of a grid point along an axis."""
         return float(self.values[axis][cell[1 + axis]])
 
 
 class OrbitLoss(NamedTuple):
-    """End of a stable single impact on an edge: `kind` as a flag, `value` along the edge's axis."""
+    """Loss of a stable single impact on an edge: `kind` as a flag, and parameter `value` along the edge's axis."""
 
     kind: int
     value: float
@@ -80,9 +81,9 @@ class OrbitLoss(NamedTuple):
 
 @dataclass(eq=False)
 class GridOrbit:
-    """A stable single impact at a point of the grid: its state at the section and the state's scales.
+    """A stable single impact at a grid point: its state at the section and the state's scales.
 
-    `leads`: for each step the orbit at the neighbour, or the `OrbitLoss` on the way.
+    `leads`: for each step, the orbit at the neighbouring grid point, or the `OrbitLoss` on the edge.
     """
 
     cell: Cell
@@ -95,7 +96,7 @@ OrbitsByCell = dict[Cell, list[GridOrbit]]
 
 
 def find_orbit(orbits: OrbitsByCell, cell: Cell, state: np.ndarray) -> GridOrbit | None:
-    """Return the known orbit with the given state at a point; None if it is new."""
+    """Return the known orbit with the given state at a grid point, or None if the orbit is new."""
     for orbit in orbits.get(cell, ()):
         if np.abs((orbit.state - state) / orbit.scale).max() < SAME_ORBIT:
             return orbit
@@ -103,14 +104,17 @@ def find_orbit(orbits: OrbitsByCell, cell: Cell, state: np.ndarray) -> GridOrbit
 
 
 def add_orbit(orbits: OrbitsByCell, cell: Cell, state: np.ndarray, scale: np.ndarray) -> GridOrbit:
-    """Add an orbit and return it."""
+    """Add an orbit at a grid point, and return it."""
     orbit = GridOrbit(cell, state, scale)
     orbits.setdefault(cell, []).append(orbit)
     return orbit
 
 
 class _Arrivals(NamedTuple):
-    """Results of edges: which orbits `arrived` as stable single impacts, with `states`; else `kind` and `value`."""
+    """Results of edges: mask `arrived` of orbits that are still stable single impacts at the end, with their `states`.
+
+    `kind` and `value` describe the losses of the other orbits.
+    """
 
     arrived: Bool[np.ndarray, " edges"]
     states: States
@@ -119,7 +123,7 @@ class _Arrivals(NamedTuple):
 
 
 def propagate(scene: Scene[Any], planes: Planes, orbits: OrbitsByCell, most_steps: float) -> None:
-    """Continue all orbits to all neighbours, and the orbits found there in turn, until none is new."""
+    """Continue all orbits to all neighbouring grid points, then the new orbits found there, until none is new."""
     front = [orbit for of_cell in orbits.values() for orbit in of_cell]
     while front:
         new: list[GridOrbit] = []
@@ -144,7 +148,7 @@ def _propagate_along(
     axis: int,
     most_steps: float,
 ) -> list[GridOrbit]:
-    """Continue orbits along edges (orbit, step, end) of one axis; enter the results, and return the new orbits."""
+    """Continue orbits along edges (orbit, step, end) of one axis; add the results to `orbits`; return new orbits."""
     cells = np.array([orbit.cell for orbit, _, _ in edges])
     parameters = {name: x[tuple(cells.T)] for name, x in planes.parameters.items()}
     begin = planes.values[axis][cells[:, 1 + axis]]
@@ -171,7 +175,7 @@ def _propagate_along(
 
 
 def _continue_edges(problem: Problem, states: States, begin: PerLane, end: PerLane) -> _Arrivals:
-    """Continue orbits from the parameter's values `begin` to `end`, around corners."""
+    """Continue orbits from the parameter values `begin` to `end`, also around corners."""
     lanes = np.arange(len(begin))
     u = problem.unknowns(lanes, states[:, None], begin)
     towards = np.zeros_like(u)
@@ -203,13 +207,13 @@ def _continue_edges(problem: Problem, states: States, begin: PerLane, end: PerLa
 
 
 def is_stable_single_impact(evaluation: Evaluation) -> Flags:
-    """Return which orbits are stable single impacts."""
+    """Return a mask of the orbits that are stable single impacts."""
     stable = np.isfinite(evaluation.residual) & (spectral_radius(evaluation.product) < 1)
     return stable & (evaluation.impacts == 1)
 
 
 def _locate_losses(problem: Problem, lanes: Index, points: BranchPoints, lost: Lost, results: _Arrivals) -> None:
-    """Enter the points at which orbits cease to be stable single impacts, just before the points `lost`."""
+    """Locate the losses of stable single impacts just before the points `lost`, and enter them in `results`."""
     place = lost - 1
     place = place[place >= 0]
     place = place[points.lane[place] == points.lane[place + 1]]
@@ -226,7 +230,10 @@ def _locate_losses(problem: Problem, lanes: Index, points: BranchPoints, lost: L
 
 
 def _kinds_of_loss(problem: Problem, brackets: BranchBrackets) -> Int[np.ndarray, " brackets"]:
-    """Return the kinds of the points between the ends of brackets: by their events, else by the nearest multiplier."""
+    """Return the kinds of the losses within brackets.
+
+    The kind follows from a change of events if there is one, else from the multiplier nearest to a critical value.
+    """
     values = multipliers(brackets.near.product)
     real = np.abs(values.imag) < 1e-6
     to_one = np.where(real, np.abs(values - 1), np.inf).min(axis=1)
@@ -248,7 +255,10 @@ def _pass_corners(
     stalled: Int[np.ndarray, " stalled"],
     results: _Arrivals,
 ) -> tuple[Int[np.ndarray, " on"], Float[np.ndarray, "on unknowns"], Float[np.ndarray, "on unknowns"]]:
-    """Return lanes, unknowns and tangents of stalled orbits that go on as stable single impacts; enter the others."""
+    """Return lanes, unknowns and tangents of stalled orbits that are stable single impacts beyond a corner.
+
+    The losses of the other stalled orbits are entered in `results`.
+    """
     newest = bounds[stalled + 1] - 1
     last, tangent = points.evaluation.of(newest), points.tangent[newest]
     slices = (slice(bounds[k], bounds[k + 1]) for k in stalled)

@@ -32,7 +32,7 @@ from vibrojax.periodic.of_dataset import known_orbits
 from vibrojax.sweep.input.definition import Sweep
 
 ANY_START = "any"
-"""Name, in place of a start, of the region of all orbits, however they are reached."""
+"""Name of the region of all orbits, whatever initial condition leads to them; used in place of an initial condition."""
 
 DEFAULT_AXES = ("gamma", "beta")
 
@@ -46,21 +46,27 @@ def borders(
 
         cur = vj.borders(ds)
 
-    The single impacts on which the sweep's lanes settle are continued along the lines of the grid, from point to point,
-    while they are stable single impacts. A vertex is located where one ceases to be that. The vertices are joined to
-    curves around the region that each start leads to, and around that of all orbits, however they are reached.
+    A single impact is a periodic orbit with one section crossing and one impact per period. The single impacts on which
+    the sweep's lanes settle are continued along the edges of the grid, as long as they are stable single impacts. Where
+    such an orbit is lost, a vertex is located. For each initial condition, curves through the vertices bound the region
+    in which this initial condition leads to a stable single impact. Further curves bound the region of all stable
+    single impacts, whatever initial condition leads to them.
 
     **Arguments:**
 
     - `source`: the dataset of a sweep with a grid, or a sweep as in `run_sweep`. A sweep without orbits is run again.
-    - `axes`: the two axes of the plane; by default gamma and beta, else the two with most values.
-    - `progress`: true to report progress on stderr.
+    - `axes`: the two axes of the plane; by default gamma and beta, else the two axes with the most values.
+    - `progress`: True to report progress on stderr.
 
-    **Returns:** a dataset. Along `vertex`, in order along each curve: the two parameters, and `curve`, the number of
-    its curve. Along `curve`: `kind`, and as coordinates `start` ("any": of all orbits) and the values of the other
-    axes. The kinds are fold, period-doubling, torus, grazing, stick, section, end, basin (the orbit continues, but this
-    start no longer leads to it) and not-settled (as basin, but the motion had not settled). Along `region`:
-    `region_area`, the share of the plane with a stable single impact, with the coordinates `region_start` and so on.
+    **Returns:** a dataset.
+
+    - Along `vertex`, ordered along each curve: the two parameters, and `curve`, the number of the vertex's curve.
+    - Along `curve`: `kind`, and the coordinates `start` (the initial condition, or "any" for all orbits) and the values
+      of the sweep's other axes. The kinds are fold, period-doubling, torus, grazing, stick, section, end, basin and
+      not-settled. At a *basin* border the orbit continues, but the initial condition no longer leads to it. A
+      *not-settled* border is like a *basin* border, but the motion beyond it had not settled.
+    - Along `region`: `region_area`, the fraction of the plane with a stable single impact, with the coordinates
+      `region_start` and so on.
 
     **Raises:** `InputError` if the source is not a sweep over a grid of two parameters, or if the scene has no impacts.
 
@@ -81,12 +87,15 @@ def borders(
 
 
 def borders_of(sweep: Sweep, dataset: xr.Dataset, names: tuple[str, str]) -> xr.Dataset:
-    """Return the borders in the plane of two axes of a sweep, from its dataset with orbits; see `borders`."""
+    """Return the borders in a sweep's plane with the axes `names`; `dataset`: the sweep's result with orbits.
+
+    See `borders`.
+    """
     return _Regions(sweep, dataset, names).dataset()
 
 
 def checked(sweep: Sweep, axes: tuple[str, str] | None) -> tuple[str, str]:
-    """Return the axes of the plane; raise `InputError` if the sweep has no such plane, or no impacts."""
+    """Return the axes of the plane; raise `InputError` if the sweep has no such plane or its scene no impacts."""
     if not isinstance(sweep.system, HasContact):
         raise InputError(f'borders: scene "{sweep.scene}" has no impacts; give a sweep of one with a striker')
     if sweep.run.carry is not None:
@@ -105,7 +114,7 @@ def checked(sweep: Sweep, axes: tuple[str, str] | None) -> tuple[str, str]:
 
 
 class _Regions:
-    """Regions of the single impact in all planes of a sweep, and their borders."""
+    """Regions of the stable single impact in all planes of a sweep, and their borders."""
 
     def __init__(self, sweep: Sweep, dataset: xr.Dataset, names: tuple[str, str]) -> None:
         self._sweep, self._names = sweep, names
@@ -157,7 +166,10 @@ class _Regions:
         return self._described(curves, areas)
 
     def _vertex(self, plane: int, start: int | None, inside: tuple[int, int], outside: tuple[int, int]) -> Vertex:
-        """Return the end of the region of a start, or of all orbits, between two neighbouring points."""
+        """Return the border of a region between two neighbouring grid points.
+
+        `start`: number of the initial condition whose region it is, or None for the region of all orbits.
+        """
         cell: Cell = (plane, *inside)
         axis = 0 if inside[0] != outside[0] else 1
         step = (axis, outside[axis] - inside[axis])
@@ -181,7 +193,7 @@ class _Regions:
         return Vertex(place[0], place[1], kind)
 
     def _described(self, curves: list[tuple[Border, int, str]], areas: list[tuple[float, int, str]]) -> xr.Dataset:
-        """Return the dataset of curves and areas, each with its plane and start."""
+        """Return the dataset of curves and areas, each given with its plane and initial condition."""
         sweep, parameters = self._sweep, self._sweep.system.parameters()
 
         def described(name: str) -> dict[str, str]:

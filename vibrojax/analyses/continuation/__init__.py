@@ -1,1 +1,1 @@
-"""Continuation of families of periodic orbits over a parameter, and their special points."""
+"""Continuation of families of periodic orbits along a parameter, and location of their special points."""

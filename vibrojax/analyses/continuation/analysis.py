@@ -1,4 +1,4 @@
-"""The analysis `family`: picture and summary of branches of periodic orbits over a parameter."""
+"""The analysis `family`: picture and summary of branches of periodic orbits along a parameter."""
 
 from collections import Counter
 from typing import Any
@@ -15,19 +15,23 @@ _VALUES_SHOWN, _FAMILIES_SHOWN = 4, 12
 
 
 class Families(Analysis):
-    """Follow the family of periodic orbits over one parameter, stable and unstable, with its special points."""
+    """Continue a family of stable and unstable periodic orbits along one parameter, with its special points."""
 
     kind = "family"
     view = "families"
     pictures = (PictureRule("families", lambda held: True, families),)
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
-        """Return points, branches, special points and stable intervals."""
+        """Return the numbers of points and branches, the special points, and the stable intervals."""
         return [SummaryPart("families", family_lines(ds), {"families": family_facts(ds)})]
 
 
 def family_lines(ds: xr.Dataset) -> list[str]:
-    """Return the numbers of points and branches, the special points by kind, and the stable intervals of branch 0."""
+    """Return the summary as lines of text.
+
+    The lines contain the numbers of points and branches, the special points by kind, and the stable intervals of
+    branch 0.
+    """
     along, every, kinds = along_name(ds), list(branches(ds)), kind_names(ds)
     values = ds["special_value"].values
     numbers = list(dict.fromkeys(branch.family for branch in every))
@@ -57,10 +61,12 @@ def family_lines(ds: xr.Dataset) -> list[str]:
 
 
 def family_facts(ds: xr.Dataset) -> dict[str, Any]:
-    """Return the summary with stable keys.
+    """Return the summary as a dictionary, whose keys are a stable interface.
 
-    `along`, `span`, `families`, `branches`, `points`, `kinds` (their numbers), `special` (each: `kind`, `value`,
-    `family`, `branch`, `note`) and `stable` (each: `family`, `branch`, `from`, `to` and the kinds at these ends).
+    - `along`, `span`: the parameter and its bounds; `families`, `branches`, `points`: numbers of these.
+    - `kinds`: number of special points of each kind; `special`: `kind`, `value`, `family`, `branch` and `note` of each.
+    - `stable`: `family`, `branch`, `from` and `to` of each stable interval. `from_kind` and `to_kind` are the kinds of
+      special points at its ends.
     """
     every, kinds, family = list(branches(ds)), kind_names(ds), numbers_of(ds, "special")
     return {
@@ -96,7 +102,7 @@ def family_facts(ds: xr.Dataset) -> dict[str, Any]:
 
 
 def _places(values: np.ndarray, along: str, families_count: int) -> str:
-    """Return where special points of one kind lie on the first branches."""
+    """Return a phrase with the parameter values of special points of one kind on the first branches."""
     texts = [f"{value:.8g}" for value in values]
     if not texts:
         return ""
@@ -107,7 +113,7 @@ def _places(values: np.ndarray, along: str, families_count: int) -> str:
 
 
 def _intervals(ds: xr.Dataset, branch: Branch) -> str:
-    """Return the stable intervals of a branch, with the kinds of special points at their ends."""
+    """Return a string of the stable intervals of a branch, with the kinds of special points at their ends."""
     texts = []
     for interval in stable_intervals(ds, branch):
         ends = ((interval.low, interval.low_kind), (interval.high, interval.high_kind))
@@ -116,7 +122,7 @@ def _intervals(ds: xr.Dataset, branch: Branch) -> str:
 
 
 def _name(ds: xr.Dataset, family: int) -> str:
-    """Return a family by the parameters in which families differ."""
+    """Return a label of a family: its values of the parameters in which families differ."""
     names = [str(name) for name, data in ds.coords.items() if data.dims == ("family",) and name != "family"]
     values = ((name, ds[name].sel(family=family).item()) for name in names)
     parts = [f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}" for name, value in values]
@@ -124,7 +130,7 @@ def _name(ds: xr.Dataset, family: int) -> str:
 
 
 def _missing(ds: xr.Dataset, families_begun: list[int]) -> list[str]:
-    """Return the families without an orbit to begin with."""
+    """Return a line that lists the families without an initial orbit, or no line if there are none."""
     if "family" not in ds.dims:
         return []
     missing = [_name(ds, family) for family in ds["family"].values.tolist() if family not in families_begun]

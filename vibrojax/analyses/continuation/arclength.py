@@ -1,11 +1,13 @@
 """Pseudo-arclength continuation of many branches at once.
 
-From a point with tangent t the next point lies on the plane t u = t g (Keller; Doedel, *Lecture Notes on Numerical
-Analysis of Nonlinear Equations*, 2007). Newton's method corrects the predictor g, a cubic extrapolation of the last two
-points and their tangents. The step length of each lane follows from the angle between its tangents and from the
-number of corrector iterations. Where steps fail because the order of events changes ahead, the zero of the grazing
-margin is predicted, so that steps end just before it or just behind. One batch evaluates the current iterate of every
-active lane, so that no lane waits for another.
+Each lane is one branch. From a point with tangent t, the next point is sought on the plane t u = t g (Keller; Doedel,
+*Lecture Notes on Numerical Analysis of Nonlinear Equations*, 2007). The predictor g is a cubic extrapolation of the
+last two points and their tangents, and Newton's method corrects it. The step length follows from the angle between
+successive tangents and from the number of corrector iterations.
+
+Steps may fail because the order of events changes ahead. The zero of the grazing margin is then predicted, so that
+steps end just before this zero or just behind it. The current iterates of all active lanes are evaluated in one batch,
+so that no lane waits for another.
 """
 
 from collections.abc import Callable
@@ -29,40 +31,43 @@ from vibrojax.analyses.continuation.problem import (
 )
 
 POLISHED_STEP = 1e-6
-"""Step above which points take one more Newton step. Along shorter ones it could change the order of the points."""
+"""Step length above which accepted points are improved by one more Newton step. After shorter steps, the Newton step
+could change the order of the points."""
 
 WALK_MAX_ITERATIONS = 6
-"""Corrector iterations before the step is shortened."""
+"""Largest number of corrector iterations; then the step is shortened."""
 
 SHORTEST_STEP, LONGEST_STEP = 1e-9, 0.2
-"""Bounds of the step length, over the scales."""
+"""Bounds of the scaled step length."""
 
 TURN, SHARP_TURN = 0.2, 0.5
-"""Angles [rad] between successive tangents: the intended one, and the largest one that is accepted."""
+"""Angles [rad] between successive tangents: the target angle, and the largest accepted angle."""
 
 CORNER, CROSSING = 2e-2, 1e-4
-"""Steps up to which sharper turns are accepted where events begin or vanish, because branches have corners there."""
+"""Step lengths up to which larger angles are accepted where events begin or vanish: branches have corners there."""
 
 CORNER_TURN, CROSSING_TURN = 1.0, 1.4
-"""Largest angles [rad] accepted along such steps. Sharper corners: [vibrojax.analyses.continuation.switching][]."""
+"""Largest angles [rad] accepted for steps up to `CORNER` and up to `CROSSING`. Sharper corners are handled in
+[vibrojax.analyses.continuation.switching][]."""
 
 CORNER_GROWTH, STEP_GROWTH = 5.0, 2.0
-"""Largest growth of the step length: of steps up to `CORNER`, and of others."""
+"""Largest growth factors of the step length: for steps up to `CORNER`, and for longer steps."""
 
 RUNNING, ENDED, STALLED, STOPPED, CLOSED, TOO_LONG, TOO_UNSTABLE = range(7)
-"""States of a lane: running; at a bound of the parameter; no further point found; stopped by the caller; back at the
+"""Status of a lane: running; at a bound of the parameter; no further point found; stopped by the caller; back at the
 branch's first point; too many points; a multiplier beyond `MAX_MULTIPLIER`."""
 
 BRANCH_MAX_POINTS = 2000
 
 MAX_MULTIPLIER = 1e3
-"""Greatest multiplier that is followed: beyond it special points lie closer together than can be resolved."""
+"""Multiplier modulus up to which branches are continued. Beyond it special points are too close together to be
+resolved."""
 
 
 class InitialPoints(NamedTuple):
-    """First points of lanes with the same number of returns: family, solution, tangent and step length.
+    """First points of lanes with the same number of section crossings: family, solution, tangent and step length.
 
-    `home`, `home_tangent`: the point at which a closed branch ends; NaN where the branch cannot close.
+    `home`, `home_tangent`: point and tangent at which a closed branch ends; NaN if the branch cannot close.
     """
 
     family: Index
@@ -74,7 +79,7 @@ class InitialPoints(NamedTuple):
 
 
 class BranchPoints(NamedTuple):
-    """Points of lanes, sorted by lane and in order along it, and the final `status` (lanes,) of each lane."""
+    """Points of all lanes, sorted by lane and along each branch, and the final `status` (lanes,) of each lane."""
 
     lane: Int[np.ndarray, " points"]
     evaluation: Evaluation
@@ -82,21 +87,21 @@ class BranchPoints(NamedTuple):
     status: Int[np.ndarray, " lanes"]
 
     def brackets(self, family: Index, place: Index) -> BranchBrackets:
-        """Return the parts of branches from the points `place` to the following ones."""
+        """Return the parts of branches between the points with indices `place` and the points that follow them."""
         ends = ((self.evaluation.of(k), self.tangent[k]) for k in (place, place + 1))
         return BranchBrackets(family, place, *next(ends), *next(ends))
 
 
 Stop = Callable[[Index, Evaluation], Flags]
-"""`stop(lanes, evaluation)`: lanes that end at an accepted point."""
+"""`stop(lanes, evaluation)`: mask of the lanes that end at their newly accepted point."""
 
 
 def continue_branches(
     problem: Problem, initial: InitialPoints, longest: float = LONGEST_STEP, stop: Stop | None = None
 ) -> BranchPoints:
-    """Continue branches until the parameter leaves its bounds or no further point is found.
+    """Continue branches until the parameter reaches a bound or another condition for their end holds.
 
-    **Arguments:** `longest`: step length, over the scales; `stop`: see `Stop`.
+    **Arguments:** `longest`: largest scaled step length; `stop`: additional condition, see `Stop`.
     """
     branches = _ActiveBranches(problem, initial, longest, stop)
     with np.errstate(all="ignore"):
@@ -110,7 +115,7 @@ def continue_branches(
 
 
 class _ActiveBranches:
-    """Branches being continued: the last point of each, and the corrector's iterate towards the next."""
+    """Branches during continuation: the last point of each, and the corrector's iterate for the next point."""
 
     def __init__(self, problem: Problem, initial: InitialPoints, longest: float, stop: Stop | None) -> None:
         lanes = len(initial.family)
@@ -128,7 +133,7 @@ class _ActiveBranches:
         self._iterations = np.zeros(lanes, int)
         self._before = np.full(lanes, np.inf)
         self._shortened, self._blocked = np.zeros((2, lanes), bool)
-        # Histories since the events last changed, the newest first: arclength and margin.
+        # Arclengths and margins at the points since the last change of events, newest first.
         self._arclengths, self._margins = np.full((2, lanes, 3), np.nan)
         self._arclengths[:, 0], self._margins[:, 0] = 0.0, self._last.margin
         self._prior_u, self._prior_tangent = np.full((2, *initial.u.shape), np.nan)
@@ -138,7 +143,7 @@ class _ActiveBranches:
             self._predict(self.active)
 
     def _predict(self, lanes: Index) -> None:
-        """Set the predictors, on the plane ahead or on the parameter's bound if that is nearer."""
+        """Compute the predictors, on the plane ahead or on the parameter's bound if the bound is nearer."""
         problem, family = self._problem, self._family[lanes]
         u, t, h = self._last.u[lanes], self._tangent[lanes], self._step[lanes]
         ahead = np.where(t[:, -1] > 0, problem.last[family], problem.first[family]) / problem.unit[family]
@@ -153,7 +158,10 @@ class _ActiveBranches:
         self._before[lanes] = np.inf
 
     def _extrapolate(self, lanes: Index, h: PerLane) -> Unknowns:
-        """Extrapolate by a cubic, or along the tangent if the previous step was much shorter."""
+        """Extrapolate by a cubic polynomial, or along the tangent if the cubic polynomial is unreliable.
+
+        It is unreliable if the previous step was much shorter, or if the polynomial deviates strongly from the tangent.
+        """
         u, t, before = self._last.u[lanes], self._tangent[lanes], self._prior_u[lanes]
         d, h = np.linalg.norm(u - before, axis=1)[:, None], h[:, None]
         apart, turn = (before - u + d * t) / d**2, (self._prior_tangent[lanes] - t) / d
@@ -162,11 +170,11 @@ class _ActiveBranches:
         return u + h * t + np.where(sound, bend, 0)
 
     def iterate(self) -> None:
-        """Take one corrector iteration of every active lane."""
+        """Perform one corrector iteration of every active lane."""
         lanes = self.active
         now = self._problem.evaluate(self._family[lanes], self._iterate[lanes])
         residual = now.residual
-        # The next point lies on the plane row u = level: across the tangent, or at the parameter's bound.
+        # The next point is on the plane row u = level, which is normal to the tangent or at the parameter's bound.
         row = np.zeros_like(self._tangent[lanes])
         row[:, -1] = 1.0
         row = np.where(~np.isnan(self._bound[lanes])[:, None], row, self._tangent[lanes])
@@ -180,15 +188,15 @@ class _ActiveBranches:
         accepted = np.zeros(len(lanes), bool)
         subset = np.flatnonzero(done)
         if len(subset):
-            # A last Newton step keeps predictors free of residuals, without another evaluation. After very short steps
-            # it is left out, because the margin belongs to the evaluated point.
+            # A last Newton step keeps predictors free of residuals, without another evaluation. It is omitted after
+            # very short steps, because the margin belongs to the evaluated point.
             better, polished = now.of(subset), self._step[lanes[subset]] > POLISHED_STEP
             better.u[polished, :-1] += np.nan_to_num(change[subset, :-1])[polished]
             accepted[subset] = self._accept(lanes[subset], better)
         subset = np.flatnonzero(on)
         if len(subset):
             iterate = now.u[subset] + change[subset]
-            # An iterate far from the predictor belongs to another branch, if to any.
+            # An iterate far from the predictor belongs to another branch or to none.
             limit = np.maximum(0.5 * self._step[lanes[subset]], 1e-6)
             sound = np.abs(iterate - self._predictor[lanes[subset]]).max(axis=1) <= limit
             on[subset[~sound]] = False
@@ -199,7 +207,7 @@ class _ActiveBranches:
         self.active = self.active[self.status[self.active] == RUNNING]
 
     def _shorten(self, lanes: Index) -> None:
-        """Repeat the step with a shorter length."""
+        """Retry the step with a shorter length; lanes below the shortest length have stalled."""
         taken = np.linalg.norm(self._predictor[lanes] - self._last.u[lanes], axis=1)
         self._blocked[lanes] |= taken <= CROSSING
         self._shortened[lanes] = True
@@ -209,9 +217,9 @@ class _ActiveBranches:
         self._predict(lanes)
 
     def _step_to_corner(self, lanes: Index, within: PerLane) -> PerLane:
-        """Return steps to the predicted zero of the margin, if that is `within` a distance ahead; else NaN.
+        """Return step lengths to the predicted zero of the margin; NaN without a zero within the distance `within`.
 
-        The step ends behind the zero if this is known precisely and steps across have not failed, else before it.
+        The step ends behind the zero if the zero is known precisely and no step across it has failed, else before it.
         """
         zero, uncertainty = predict_zero(self._arclengths[lanes], self._margins[lanes])
         ahead = zero - self._arclengths[lanes, 0]
@@ -223,7 +231,10 @@ class _ActiveBranches:
         return np.where(sound, np.maximum(step, 1.01 * SHORTEST_STEP), np.nan)
 
     def _accept(self, lanes: Index, now: Evaluation) -> Flags:
-        """Accept converged points that continue the same branch, and choose the next steps; return which."""
+        """Accept converged points that continue the same branch, and choose the next steps.
+
+        Return a mask of the accepted points.
+        """
         problem, family = self._problem, self._family[lanes]
         last = self._last.of(lanes)
         tangent = unit_tangent(now.matrix, self._tangent[lanes])
@@ -242,7 +253,7 @@ class _ActiveBranches:
         self.accepted.append((kept, now, tangent))
         self._count[kept] += 1
         self._length[kept] += taken
-        # Where the events have changed, the history of the margin and the last point are of no use.
+        # After a change of events, earlier margins and points cannot be used for extrapolation.
         changed = changed[sound]
         self._prior_u[kept] = np.where(changed[:, None], np.nan, self._last.u[kept])
         self._prior_tangent[kept] = self._tangent[kept]
@@ -254,7 +265,7 @@ class _ActiveBranches:
         self._tangent[kept] = tangent
         growth = np.clip(TURN / np.maximum(turn, 1e-12), 0.5, np.where(taken < CORNER, CORNER_GROWTH, STEP_GROWTH))
         growth = np.where(self._iterations[kept] >= 4, np.minimum(growth, 0.7), growth)
-        # The obstacle that shortened this step lies within twice its length.
+        # The change of events that made this step fail is within twice the step length.
         growth = np.where(self._shortened[kept], np.minimum(growth, 1.0), growth)
         step = np.minimum(np.maximum(taken * growth, 10 * SHORTEST_STEP), self._longest)
         to_corner = np.where(self._shortened[kept], self._step_to_corner(kept, 3 * step), np.nan)

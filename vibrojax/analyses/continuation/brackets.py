@@ -1,4 +1,4 @@
-"""BranchBrackets of test functions' zeros along branches, and their shrinking to the zeros."""
+"""Brackets of test functions' zeros along branches, and their shrinking to the zeros."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -9,26 +9,26 @@ from jaxtyping import Float, Int
 from vibrojax.analyses.continuation.problem import Evaluation, Flags, Index, PerLane, Problem, Unknowns, unit_tangent
 
 LOCATED_WITHIN = 1e-10
-"""Distance over the scales between the ends of a bracket at which its zero is located."""
+"""Scaled distance between the ends of a bracket at which its zero counts as located."""
 
 STEEP_WITHIN, STEEP_VALUE = 1e-13, 1e-5
-"""The same for a continuous value above `STEEP_VALUE` at that distance: near a graze multipliers change as the square
-root of the distance."""
+"""Smaller distance for continuous test functions that exceed `STEEP_VALUE` at `LOCATED_WITHIN`. Near grazing,
+multipliers vary as the square root of the distance."""
 
 ACCEPTED_WITHIN = 1e-6
-"""The same for brackets within which no closer orbits are found."""
+"""Largest accepted scaled distance if no closer orbits are found in the bracket."""
 
 SHRINK_MAX_STEPS, PREDICTED_STEPS = 60, 16
-"""Steps in all, and first steps that use predicted zeros; the others bisect."""
+"""Largest number of shrinking steps, and number of first steps that use predicted zeros; later steps bisect."""
 
 OUTSIDE = 1e-2
-"""Distance of a predicted zero outside its bracket, up to which it counts, relative to the bracket's length."""
+"""Largest distance of an accepted predicted zero outside its bracket, relative to the bracket's length."""
 
 RETRIES = np.array([0.5, 0.1, 0.9, 0.01, 0.99])
-"""Positions in the bracket, tried one after the other: near corners some planes contain no orbit."""
+"""Relative positions in the bracket that are tried one after another; near corners some planes contain no orbit."""
 
 TWO_POINT_UNCERTAINTY = 0.1
-"""Uncertainty of a zero predicted from two points only, relative to its distance."""
+"""Uncertainty of a zero predicted from only two points, relative to the distance of the zero."""
 
 History = Float[np.ndarray, "lanes 3"]
 
@@ -41,10 +41,10 @@ class ZeroPrediction(NamedTuple):
 
 
 def predict_zero(place: History, value: History) -> ZeroPrediction:
-    """Predict the zeros of quantities from their last three values, the newest first; missing ones are NaN.
+    """Predict the zeros of quantities from their last three values, newest first; missing values are NaN.
 
-    The quantity or its signed square is interpolated inversely, whichever is closer to a straight line: near a graze
-    some quantities vary as the square root of the distance.
+    Inverse interpolation is applied to the quantity or to its signed square, whichever is closer to a straight line.
+    Near grazing some quantities vary as the square root of the distance.
     """
     with np.errstate(all="ignore"):
         plain, bend = _interpolate(place, value)
@@ -54,7 +54,7 @@ def predict_zero(place: History, value: History) -> ZeroPrediction:
 
 
 def _interpolate(place: History, value: History) -> tuple[ZeroPrediction, Float[np.ndarray, " lanes"]]:
-    """Interpolate by Neville's scheme; also return the distance between the zeros of the two secants."""
+    """Return the zero by Neville's inverse interpolation, and the distance between the zeros of the two secants."""
     (s1, s2, s3), (y1, y2, y3) = place.T, value.T
     last, before = s1 - y1 * (s2 - s1) / (y2 - y1), s2 - y2 * (s3 - s2) / (y3 - y2)
     best = last + (last - before) * y1 / (y3 - y1)
@@ -64,15 +64,15 @@ def _interpolate(place: History, value: History) -> tuple[ZeroPrediction, Float[
 
 
 def push_history(history: np.ndarray, lanes: Int[np.ndarray, " some"], value: Float[np.ndarray, " some"]) -> None:
-    """Put the newest values of `lanes` in front of their history, in place."""
+    """Insert the newest values of `lanes` at the front of their history, in place."""
     history[lanes, 1:] = history[lanes, :-1]
     history[lanes, 0] = value
 
 
 class BranchBrackets(NamedTuple):
-    """Parts of branches between two evaluated points, `near` and `far`, with the tangents there.
+    """Parts of branches between two evaluated points, `near` and `far`, with the tangents at these points.
 
-    `family`: of each bracket; `place`: index of the branch point at or before `near`.
+    `family`: family index of each bracket; `place`: index of the branch point at or before `near`.
     """
 
     family: Index
@@ -83,28 +83,31 @@ class BranchBrackets(NamedTuple):
     far_tangent: Unknowns
 
     def of(self, subset: Flags | Index) -> "BranchBrackets":
-        """Return the given brackets, by index or mask."""
+        """Return a subset of the brackets, by index or mask."""
         fields: list[Any] = [x.of(subset) if isinstance(x, Evaluation) else x[subset] for x in self]
         return BranchBrackets(*fields)
 
     def reversed(self) -> "BranchBrackets":
-        """Exchange the ends."""
+        """Return the brackets with exchanged ends."""
         return BranchBrackets(self.family, self.place, self.far, self.far_tangent, self.near, self.near_tangent)
 
 
 TestFunction = Callable[[Index, Evaluation, Unknowns], PerLane]
-"""`test(indices, evaluation, tangent)`: values for the brackets with these indices at points of them."""
+"""`test(indices, evaluation, tangent)`: test values of the brackets with these indices, at one point of each."""
 
 
 def shrink_brackets(
     problem: Problem, brackets: BranchBrackets, test: TestFunction, events: Flags
 ) -> tuple[BranchBrackets, Flags]:
-    """Shrink brackets to the zeros of a test function; also return which zeros were located.
+    """Shrink brackets to the zeros of a test function; also return a mask of the located zeros.
 
-    Orbits are computed beside the predicted zero, at a distance of its uncertainty, so that both ends move. Without a
-    prediction the bracket is bisected. Where events begin or vanish the value may jump; then its sign separates the
-    sides, and each side predicts for itself. At such `events` orbits may exist on one side only, because the map has a
-    square-root singularity. Then the end with fewer events moves to the last orbit of its kind, and the other stays.
+    Orbits are computed next to the predicted zero, at a distance equal to its uncertainty, so that both ends move.
+    Without a prediction the bracket is bisected. Where events begin or vanish, the test function may jump. Its sign
+    then separates the two sides, and zeros are predicted from the points of one side only.
+
+    `events`: mask of brackets that are known to contain such a change. There orbits may exist on one side only, because
+    the map has a square-root singularity. Then the end with fewer events moves to the last orbit with these events, and
+    the other end does not move.
     """
     shrinking = _Shrinking(problem, brackets.of(np.arange(len(brackets.place))), test, events)
     for step in range(SHRINK_MAX_STEPS):
@@ -115,9 +118,10 @@ def shrink_brackets(
 
 
 class _Shrinking:
-    """BranchBrackets being shrunk: `low` to `high`, in lengths along the tangent at the first near end.
+    """Brackets during shrinking, from `low` to `high`: positions along the tangent at the initial near end.
 
-    `low_end` and `high_end` are the positions of the evaluated ends; one-sided brackets may be shorter.
+    `low_end` and `high_end` are the positions of the evaluated ends. A one-sided bracket may be shorter than their
+    distance.
     """
 
     def __init__(self, problem: Problem, brackets: BranchBrackets, test: TestFunction, events: Flags) -> None:
@@ -137,14 +141,14 @@ class _Shrinking:
         self._fewer = np.where(events, np.sign(more.sum(axis=1)), 0)
         self._failures = np.zeros(len(lanes), int)
         self._one_sided = np.zeros(len(lanes), bool)
-        # Histories of the value: on the near side, on the far side, and on both.
+        # Histories of the test value: on the near side, on the far side, and on both sides.
         self._places, self._values = np.full((2, 3, len(lanes), 3), np.nan)
         for side, place, f in ((0, self._low, f_low), (1, self._high, f_high), (2, self._high, f_high)):
             self._record(side, lanes, place, f)
         self._record(2, lanes, self._low, f_low)
 
     def length(self) -> PerLane:
-        """Return the distance between the ends, over the scales."""
+        """Return the scaled distance between the ends of each bracket."""
         between = np.abs(self.brackets.far.u - self.brackets.near.u).max(axis=1)
         return np.where(self._one_sided, self._high - self._low, between)
 
@@ -172,7 +176,7 @@ class _Shrinking:
         for side, mine in ((0, on_near_side), (1, converged & ~on_near_side)):
             self._move_end(side, lanes[mine], place[mine], now.of(mine), tangent[mine], f[mine])
         self._failures[lanes[converged]] = 0
-        # Without an orbit: a one-sided bracket shrinks from the side without orbits; others try another place.
+        # If no orbit was found, a one-sided bracket shrinks from the side without orbits. Others try another position.
         failed, place = lanes[~converged], place[~converged]
         fewer, known = self._fewer[failed], self._one_sided[failed]
         ahead, behind = known & (fewer > 0), known & (fewer < 0)
@@ -201,7 +205,7 @@ class _Shrinking:
         push_history(self._values[side], lanes, value)
 
     def _predict(self, lanes: Index) -> PerLane:
-        """Return the places of the next orbits."""
+        """Return the positions at which the next orbits are computed."""
         low, high, jumps = self._low[lanes], self._high[lanes], self._jumps[lanes]
         best, least = (low + high) / 2, np.full(len(lanes), np.inf)
         for side in range(3):
@@ -212,7 +216,7 @@ class _Shrinking:
                 sound = (jumps == (side < 2)) & (outside < OUTSIDE * (high - low)) & (uncertainty < least)
             zero = np.clip(zero, low, high)
             to_wide = np.where(zero - low > high - zero, -1.0, 1.0)
-            # An orbit on its own side improves the prediction, until that is as good as it gets.
+            # An orbit on the same side improves the prediction, until its uncertainty is as small as required.
             own = (-1.0, 1.0, to_wide)[side]
             way = np.where((uncertainty <= self._finest[lanes]) | (outside > 0), to_wide, own)
             place = zero + way * uncertainty
@@ -222,7 +226,10 @@ class _Shrinking:
         return best
 
     def _guess(self, lanes: Index, place: PerLane) -> Unknowns:
-        """Return guesses: by cubic interpolation between the ends, or beside a jump linearly from the nearer end."""
+        """Return initial guesses: cubic interpolation between the ends, or linear extrapolation where values jump.
+
+        The extrapolation starts from the nearer end, or from the end with fewer events if the bracket is one-sided.
+        """
         row, low, high = self._row[lanes], self._low_end[lanes], self._high_end[lanes]
         near, far = self.brackets.near.u[lanes], self.brackets.far.u[lanes]
         near_slope, far_slope = (

@@ -1,4 +1,4 @@
-"""Segments of branches, and the removal of branches that were continued twice."""
+"""Segments of branches, and removal of branches that were continued twice."""
 
 from dataclasses import dataclass, field
 from itertools import combinations
@@ -10,7 +10,7 @@ from vibrojax.analyses.continuation.arclength import CLOSED, MAX_MULTIPLIER, STA
 from vibrojax.analyses.continuation.problem import Evaluation
 
 REJOIN_DISTANCE = 1e-3
-"""Distance over the scales within which a stalled doubled branch rejoins the branch that it left."""
+"""Smallest value of `Segment.reach`: scaled distance within which a branch counts as joined to another branch."""
 
 ENDINGS = {
     CLOSED: "back where it began",
@@ -19,11 +19,11 @@ ENDINGS = {
     STOPPED: "joins the branch that it left",
     TOO_UNSTABLE: f"a multiplier over {MAX_MULTIPLIER:g} is not followed",
 }
-"""Notes on the ends of branches."""
+"""Notes on the ends of branches, by status."""
 
 
 class SegmentMark(NamedTuple):
-    """A special point of a segment: kind, orbit, index of the point before it, and note."""
+    """A special point of a segment: kind, orbit, index `place` of the segment's point before it, and note."""
 
     kind: str
     orbit: Evaluation
@@ -33,14 +33,16 @@ class SegmentMark(NamedTuple):
 
 @dataclass
 class Segment:
-    """A part of a branch without corners and with one number of returns.
+    """A part of a branch without corners and with a constant number of section crossings per period.
 
-    - `family`, `branch`: numbers; `direction`: 1 or -1, along or against the order in which the branch is listed;
-      `number`: of the segment in this direction.
-    - `u`, `tangent`, `step`: initial point; `departure`: tangent at the period doubling, of doubled branches only.
-    - `home`: first solution and tangent of the branch; `parent`: the segment that this one continues or left.
-    - `reach`: distance over the scales between its end and the branch that it rejoins.
-    - `points`, `marks`: results.
+    - `family`, `branch`: numbers of family and branch; `number`: number of the segment in its direction.
+    - `direction`: 1 or -1, along or against the order in which the branch is listed.
+    - `u`, `tangent`, `step`: initial unknowns, tangent and step length.
+    - `departure`: tangent at the period doubling, for doubled branches only.
+    - `home`: first unknowns and tangent of the branch.
+    - `parent`: the segment that this segment continues, or on which its doubled branch begins.
+    - `reach`: largest scaled distance between the segment's end and the branch that it joins.
+    - `points`, `marks`: results, that is the accepted points and the special points.
     """
 
     family: int
@@ -59,19 +61,20 @@ class Segment:
 
     @property
     def orbits(self) -> Evaluation:
-        """The points, once the segment has been continued."""
+        """Points of the segment, available after its continuation."""
         assert self.points is not None
         return self.points
 
     def mark(self, kind: str, note: str) -> None:
-        """Add a special point at the end."""
+        """Add a special point at the segment's end."""
         self.marks.append(SegmentMark(kind, self.orbits.of([-1]), len(self.orbits.u) - 1, note))
 
 
 def drop_duplicates(segments: list[Segment], rows: int) -> list[Segment]:
-    """Drop branches that were continued twice, and renumber the others.
+    """Remove branches that were continued twice, and renumber the others.
 
-    A closed branch was continued in both directions, and a branch that joins two period doublings from both of them.
+    A closed branch was continued in both directions. A branch that connects two period doublings was continued from
+    both of them.
     """
     closed = {s.family for s in segments if s.branch == 0 and any(m.note == ENDINGS[CLOSED] for m in s.marks)}
     again = _from_other_ends(segments, rows)
@@ -94,7 +97,7 @@ def drop_duplicates(segments: list[Segment], rows: int) -> list[Segment]:
 
 
 def _from_other_ends(segments: list[Segment], rows: int) -> set[tuple[int, int]]:
-    """Return the doubled branches, as (family, branch), that run along another one in the opposite direction."""
+    """Return the doubled branches, as (family, branch), that retrace another branch in the opposite direction."""
     begins = {(s.family, s.branch): s.u for s in segments if s.departure is not None and s.number == 0}
     ends = {
         (segment.family, segment.branch): (mark.orbit.u[0], segment.reach)
@@ -104,7 +107,7 @@ def _from_other_ends(segments: list[Segment], rows: int) -> set[tuple[int, int]]
     }
 
     def meet(first: tuple[int, int], second: tuple[int, int]) -> bool:
-        """Return true if `first` begins at the end of `second`, at any of its returns."""
+        """Return whether `first` begins at the end of `second`, up to a cyclic shift of the section crossings."""
         begin, (end, reach) = begins[first], ends[second]
         if len(begin) != len(end):
             return False

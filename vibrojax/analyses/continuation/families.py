@@ -1,4 +1,7 @@
-"""Continuation of whole families: every branch in both directions, through special points and onto doubled branches."""
+"""Continuation of complete families of periodic orbits.
+
+Every branch is continued in both directions, past its special points. Period-doubled branches are continued as well.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -29,30 +32,34 @@ from vibrojax.analyses.continuation.switching import branch_distance, doubled_br
 from vibrojax.measures.ledger import MOST_CYCLES
 
 FIRST_STEP, STEP_AFTER_CORNER = 0.02, 1e-3
-"""First step lengths over the scales: of a branch, and beyond a corner."""
+"""First scaled step lengths: of a branch, and beyond a corner."""
 
 MAX_SEGMENTS = 24
-"""Segments of a branch in one direction, that is corners and touches of the section."""
+"""Largest number of segments of a branch in one direction. Segments end at corners and where the motion touches the
+section."""
 
 MAX_BRANCHES = 32
-"""Branches of a family."""
+"""Largest number of branches of a family."""
 
 SAME_POINT = 1e-6
-"""Distance over the scales within which special points of one kind are equal."""
+"""Scaled distance within which special points of the same kind count as equal."""
 
 BEFORE_CORNER = 100 * SHORTEST_STEP
-"""Distance over the scales from a corner at which a point certainly has the events before it."""
+"""Scaled distance before a corner at which a point certainly has the events of the side before the corner."""
 
 
 class FamilyContinuation:
-    """Continues the families of one problem; `cycles`: largest number of returns of doubled branches."""
+    """Continuation of the families of one problem.
+
+    `cycles`: largest number of section crossings per period of doubled branches.
+    """
 
     def __init__(self, problem: Problem, cycles: int = MOST_CYCLES) -> None:
         self._problem, self._cycles = problem, cycles
         self._branches: dict[int, int] = {}
 
     def __call__(self, family: Index, u: Sequence[np.ndarray]) -> list[Segment]:
-        """Return all segments of the families that the orbits with the unknowns `u` belong to."""
+        """Return all segments of the families to which orbits belong; `u`: unknowns of one orbit per `family`."""
         self._branches = dict.fromkeys(family.tolist(), 1)
         pending: list[Segment] = []
         for number, orbit in zip(family.tolist(), u, strict=True):
@@ -73,7 +80,7 @@ class FamilyContinuation:
         return drop_duplicates(done, self._problem.rows)
 
     def _continue(self, segments: list[Segment]) -> list[Segment]:
-        """Continue segments with the same number of returns to their ends; return the segments that follow."""
+        """Continue segments with equal numbers of section crossings to their ends; return the segments that follow."""
         family = np.array([segment.family for segment in segments])
         size = len(segments[0].u)
         none = np.full(size, np.nan)
@@ -89,7 +96,7 @@ class FamilyContinuation:
         departure = np.array([none if segment.departure is None else segment.departure for segment in segments])
 
         def rejoins(lanes: Index, now: Evaluation) -> Flags:
-            if size % 2 == 0:  # an odd number of states is not a doubled orbit
+            if size % 2 == 0:  # doubled orbits have an even number of states and one parameter
                 return np.zeros(len(lanes), bool)
             with np.errstate(invalid="ignore"):
                 return branch_distance(now.u, departure[lanes]) <= 0
@@ -108,7 +115,7 @@ class FamilyContinuation:
         return self._end(segments, points, bounds) + self._doubled_branches(segments)
 
     def _add_marks(self, segment: Segment, special: SpecialPoints, first: int, last: int) -> None:
-        """Add the special points between the points `first` and `last` - 1."""
+        """Add the special points between the branch points `first` and `last` - 1 to the segment."""
         brackets = special.brackets
         for k in np.flatnonzero((brackets.place >= first) & (brackets.place < last - 1)):
             kind, orbit, note = KINDS[special.kind[k]], brackets.near.of([k]), ""
@@ -123,7 +130,7 @@ class FamilyContinuation:
         segment.marks.sort(key=lambda mark: (mark.place, np.abs(mark.orbit.u[0] - u[mark.place]).max()))
 
     def _end(self, segments: list[Segment], points: BranchPoints, bounds: np.ndarray) -> list[Segment]:
-        """SegmentMark the ends of segments; return the segments that follow stalled ones."""
+        """Mark the ends of segments; return the segments that follow stalled segments."""
         stalled: list[Segment] = []
         tangents: list[np.ndarray] = []
         for k, segment in enumerate(segments):
@@ -141,7 +148,10 @@ class FamilyContinuation:
         return self._pass_stalls(stalled, np.array(tangents)) if stalled else []
 
     def _pass_stalls(self, segments: list[Segment], tangent: np.ndarray) -> list[Segment]:
-        """Return the segments that follow corners and touches of the section; mark these points, or the ends."""
+        """Return the segments beyond corners and points where the motion is tangent to the section.
+
+        These points are marked. Segments that cannot be continued get a mark at their end.
+        """
         family = np.array([segment.family for segment in segments])
         end = Evaluation.join([segment.orbits.of([-1]) for segment in segments])
         before = Evaluation.join([last_before(segment.orbits) for segment in segments])
@@ -186,7 +196,7 @@ class FamilyContinuation:
         return following
 
     def _doubled_branches(self, segments: list[Segment]) -> list[Segment]:
-        """Return the first segments of the doubled branches that leave at period doublings."""
+        """Return the first segments of the doubled branches that begin at period doublings."""
         doubled = []
         for segment in segments:
             for mark in segment.marks:
@@ -203,18 +213,18 @@ class FamilyContinuation:
 
 
 def _is_at_departure(orbit: Evaluation, departure: np.ndarray | None) -> bool:
-    """Return true if a doubled branch is back at the branch that it left."""
+    """Return whether a doubled branch has come back to the branch on which it began."""
     return departure is not None and bool(abs(branch_distance(orbit.u, departure[None])[0]) < SAME_POINT)
 
 
 def last_before(orbits: Evaluation, distance: float = BEFORE_CORNER) -> Evaluation:
-    """Return the last orbit farther than `distance` from the end, or the first."""
+    """Return the last orbit farther than the scaled `distance` from the end, or the first orbit if there is none."""
     away = np.flatnonzero(np.abs(orbits.u - orbits.u[-1]).max(axis=1) > distance)
     return orbits.of([away[-1] if len(away) else 0])
 
 
 def _add_end_marks(segment: Segment, kinds: Sequence[str], end: Evaluation, note: str) -> None:
-    """Add special points at a segment's end; one that is already there takes the note."""
+    """Add special points at a segment's end; an existing special point of the same kind there gets the note instead."""
     for kind in kinds:
         near = [m for m in segment.marks if m.kind == kind and np.abs(m.orbit.u - end.u).max() < SAME_POINT]
         segment.marks = [m for m in segment.marks if not any(m is other for other in near[1:])]

@@ -1,4 +1,4 @@
-"""Families of periodic orbits over a parameter: solid if stable, with their special points and multipliers."""
+"""Picture of families of periodic orbits over a parameter, with their stability, special points and multipliers."""
 
 from collections.abc import Sequence
 
@@ -29,22 +29,23 @@ from vibrojax.plot.margins import write_margins
 from vibrojax.plot.starts import SYMBOLS
 from vibrojax.plot.style import INK, colour_map, new_figure, styled
 
-_MODULUS_RANGE = (1e-2, 1e2)  # greatest range of the largest modulus that is drawn
-_DENSE_TICKS_BELOW = 50.0  # ratio of the ends of the axis up to which 2 and 5 have ticks as well
-_HALF_PLANE = (1.2, 1.5)  # half the width of the plane of multipliers, at least and at most
-_QUANTITIES = ("impact_velocity", "slip_per_impact", "bit_amplitude", "period")  # the first of them is drawn
+_MODULUS_RANGE = (1e-2, 1e2)  # limits of the axis of the largest modulus
+_DENSE_TICKS_BELOW = 50.0  # ratio of the axis limits below which 2 and 5 also have ticks
+_HALF_PLANE = (1.2, 1.5)  # bounds of half the width of the multiplier plot
+_QUANTITIES = ("impact_velocity", "slip_per_impact", "bit_amplitude", "period")  # the first available one is drawn
 _PANEL_HEIGHT = 2.1  # inches
 
 
 @styled
 def families(ds: xr.Dataset, names: Sequence[str] = ()) -> Figure:
-    """Draw families over the parameter, solid if stable and dashed if not, with their special points.
+    """Draw families over the parameter with their special points; stable orbits are solid, unstable orbits dashed.
 
-    The panels are the impact velocity (without impacts the bit's amplitude), the bit's position at the section, and the
-    largest modulus of the multipliers. Beside them are the multipliers in the complex plane. The branches of one family
-    are coloured by their number of returns, and the multipliers of its first branch by the parameter. Several families
-    have a colour each.
-    `names` are variables along `point` to draw in place of the first two.
+    The panels show the impact velocity (without impacts, the bit's amplitude), the bit's position at the section, and
+    the largest modulus of the multipliers. Next to the panels, the multipliers are drawn in the complex plane. Branches
+    of a single family are coloured by their number of section crossings per period, and the multipliers of its first
+    branch by the parameter. If there are several families, each has its own colour.
+
+    `names`: variables with the dimension `point` that replace the variables of the first two panels.
     """
     if not names:
         known = [name for name in _QUANTITIES if name in ds and bool(np.isfinite(ds[name].values).any())]
@@ -84,7 +85,7 @@ def _label(ds: xr.Dataset, name: str) -> str:
 
 
 def _shape_moduli(axes: Axes) -> None:
-    """Make the axis of the largest modulus logarithmic, with the border of stability."""
+    """Use a logarithmic axis for the largest modulus, and draw the stability limit."""
     axes.axhline(1.0, color=INK, linewidth=0.8, zorder=1)
     low, high = (float(end) for end in axes.dataLim.intervaly)
     low, high = max(min(low, 0.5), _MODULUS_RANGE[0]) / 1.2, min(max(high, 1.5), _MODULUS_RANGE[1]) * 1.2
@@ -96,7 +97,7 @@ def _shape_moduli(axes: Axes) -> None:
 
 
 def _draw_plane(axes: Axes, bar: Axes, ds: xr.Dataset, curves: Sequence[Curve]) -> str:
-    """Draw the multipliers of the first branches in the complex plane; return the note on those outside of it."""
+    """Draw the multipliers of the first branches in the complex plane; return a note on those outside the axes."""
     parameter, many = ds[along_name(ds)], FAMILY in ds.dims
     along = values_along(parameter)
     axes.add_patch(Circle((0.0, 0.0), 1.0, fill=False, edgecolor=INK, linewidth=0.9))

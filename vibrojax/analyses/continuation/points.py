@@ -1,4 +1,4 @@
-"""Table of the points of families: their order along branches, values, and measured features."""
+"""Table of the points of families: order along branches, values, and measured features."""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -15,20 +15,20 @@ from vibrojax.periodic.newton import multipliers
 from vibrojax.sweep.input.definition import Sweep
 
 POINT_SPACING = 0.02
-"""Distance over the scales within which points that are not special are left out."""
+"""Scaled distance within which points that are not special are omitted."""
 
 STEPS_PER_RETURN = 60.0
-"""Rough number of steps of a return; lanes with similar numbers are stepped together."""
+"""Approximate number of steps between two section crossings; lanes with similar numbers of steps are batched."""
 
 ORBIT_FEATURES = frozenset({"period", "cycles", "impacts", "returns", "settling_time", "trend", "steps"})
-"""Features that follow from the orbit itself, or that are meaningless for it."""
+"""Features that follow from the orbit itself, or that have no meaning for an orbit."""
 
 
 Table = dict[str, np.ndarray]
 
 
 class FamilyPoint(NamedTuple):
-    """One orbit of a family, with the kind and the note of a special point."""
+    """One orbit of a family; `kind` and `note` are empty unless the orbit is a special point."""
 
     family: int
     branch: int
@@ -38,7 +38,10 @@ class FamilyPoint(NamedTuple):
 
 
 def in_order(segments: Iterable[Segment]) -> tuple[list[FamilyPoint], list[FamilyPoint]]:
-    """Return the points of all branches, each from one end to the other, and the special points in the same order."""
+    """Return the points of all branches, and the special points in the same order.
+
+    Each branch is ordered from one end to the other.
+    """
     points: list[FamilyPoint] = []
     special: list[FamilyPoint] = []
     ordered = sorted(segments, key=lambda s: (s.family, s.branch, s.direction * (s.number + 1)))
@@ -57,7 +60,10 @@ def in_order(segments: Iterable[Segment]) -> tuple[list[FamilyPoint], list[Famil
 
 
 def _thin_out(segment: Segment) -> tuple[list[Evaluation], list[FamilyPoint]]:
-    """Return the orbits of a segment at the spacing of points, with the special ones among them, and the latter."""
+    """Return the orbits of a segment at a distance of about `POINT_SPACING`, and the special points.
+
+    The orbits include those of the special points.
+    """
     orbits: list[Evaluation] = []
     marks: list[FamilyPoint] = []
     pending = list(segment.marks)
@@ -75,14 +81,14 @@ def _thin_out(segment: Segment) -> tuple[list[Evaluation], list[FamilyPoint]]:
 
 
 def _distance(first: Evaluation, second: Evaluation) -> float:
-    """Return the distance over the scales; infinite between orbits with different numbers of returns."""
+    """Return the scaled distance; infinite between orbits with different numbers of section crossings."""
     if first.u.shape != second.u.shape:
         return np.inf
     return float(np.abs(first.u - second.u).max())
 
 
 def columns(problem: Problem, points: list[FamilyPoint]) -> Table:
-    """Return the values of points by the names of their variables, each (points,) or (points, states)."""
+    """Return the values of points by variable name, each (points,) or (points, states)."""
     rows = problem.rows
     values = multipliers(np.array([point.orbit.product[0] for point in points]).reshape(-1, rows, rows))
     family = np.array([point.family for point in points], int)
@@ -104,9 +110,9 @@ def columns(problem: Problem, points: list[FamilyPoint]) -> Table:
 
 
 def measured(sweep: Sweep, problem: Problem, points: list[FamilyPoint], table: Table) -> Table:
-    """Return features of the points by name, each (points,); NaN where the measurement failed.
+    """Return the measured features of the points by name, each (points,); NaN where the measurement failed.
 
-    **Arguments:** `sweep`: one point for each family, with all parameters but that of the continuation.
+    **Arguments:** `sweep`: sweep with one point for each family, with all parameters except the continuation parameter.
     """
     fixed = {name: x[table["family"]] for name, x in (sweep.points or {}).items()}
     run = replace(sweep.run, orbits=False, keep_returns=0)

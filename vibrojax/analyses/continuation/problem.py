@@ -1,7 +1,8 @@
 """Equations of a family of periodic orbits: p scaled states at the section and one scaled parameter.
 
-The unknowns u of a lane are the states s_1 ... s_p over their scales, and the parameter over its unit. The return map
-takes each state to the next and the last to the first. That is one equation less than unknowns: solutions are curves.
+The unknowns u of a lane are the states s_1 ... s_p divided by their scales, and the parameter divided by its unit. The
+equations require that the return map takes each state to the next, and the last to the first. There is one equation
+fewer than unknowns, so solutions form curves.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,10 +20,10 @@ from vibrojax.periodic.segments import Segments
 from vibrojax.stepping import LOCATED_STRIDE, Accuracy
 
 FAMILY_ACCURACY = Accuracy(tolerance=1e-12, stride=LOCATED_STRIDE, step=np.inf)
-"""Accuracy of the return map: special points follow from multipliers, to 1e-8."""
+"""Accuracy of the return map, chosen so that multipliers, which determine special points, are accurate to 1e-8."""
 
 CORRECTOR_RESIDUAL = 1e-10
-"""Residual of an accepted point; the next Newton step would leave its square."""
+"""Largest residual of an accepted point; another Newton step would reduce the residual to about its square."""
 
 CORRECTOR_MAX_ITERATIONS = 8
 
@@ -33,11 +34,13 @@ Flags = Bool[np.ndarray, " lanes"]
 
 
 class Evaluation(NamedTuple):
-    """The equations evaluated at unknowns; the first axis of all arrays is that of the lanes.
+    """The equations evaluated at given unknowns; the first axis of all arrays is the lane.
 
-    - `u`: unknowns; `off`: residuals of the equations; `matrix`: their derivatives by the unknowns.
-    - `times` (lanes, p) [s]: from each state to the next; infinite where the section is not reached.
-    - `product`: derivative of the map over the whole repeat, in scaled states; its eigenvalues are the multipliers.
+    - `u`: unknowns; `off`: residuals of the equations.
+    - `matrix`: derivatives of the residuals with respect to the unknowns.
+    - `times` (lanes, p) [s]: time from each state to the next; infinite where the section is not reached.
+    - `product`: derivative of the map over one period of the motion, in scaled states; its eigenvalues are the
+      multipliers.
     - `impacts` (lanes,), `mode_changes` (lanes, modes, 3): see [vibrojax.periodic.return_map.ReturnEvents][].
     - `margin` (lanes,): grazing margin.
     """
@@ -52,17 +55,17 @@ class Evaluation(NamedTuple):
     margin: PerLane
 
     def of(self, lanes: Any) -> "Evaluation":
-        """Return the given lanes, by index or mask."""
+        """Return a subset of the lanes, by index or mask."""
         return Evaluation(*(x[lanes] for x in self))
 
     def put(self, lanes: Any, other: "Evaluation") -> None:
-        """Replace the given lanes by those of `other`."""
+        """Replace the given lanes by the lanes of `other`, in place."""
         for mine, new in zip(self, other, strict=True):
             mine[lanes] = new
 
     @staticmethod
     def join(parts: "Sequence[Evaluation]") -> "Evaluation":
-        """Concatenate the lanes of parts with the same number of unknowns."""
+        """Concatenate the lanes of evaluations with the same number of unknowns."""
         return Evaluation(*(np.concatenate(fields) for fields in zip(*parts, strict=True)))
 
     @property
@@ -73,24 +76,25 @@ class Evaluation(NamedTuple):
 
     @property
     def signature(self) -> Float[np.ndarray, "lanes counts"]:
-        """Numbers of events of each kind in the repeat."""
+        """Numbers of events of each kind in one period of the motion."""
         modes = self.mode_changes.shape[1]
         return np.column_stack([self.impacts, self.mode_changes.reshape(len(self.u), modes * 3)])
 
     @property
     def period(self) -> PerLane:
-        """Time of the whole repeat [s]."""
+        """Duration of one period of the motion, over all p section crossings [s]."""
         return self.times.sum(axis=1)
 
 
 @dataclass(frozen=True)
 class Problem:
-    """Families of one scene over one parameter.
+    """Families of one scene along one parameter.
 
-    - `along`: name of the parameter; `parameters`: of the scene by name, each (families,); that of `along` is unused.
-    - `scales` (families, states) of the states; `unit` (families,) of the parameter.
-    - `first`, `last` (families,): bounds of the parameter, `first` < `last`.
-    - `most_steps`: an orbit that takes more steps counts as not returning.
+    - `along`: name of the continuation parameter.
+    - `parameters`: the scene's parameters by name, each (families,); the values of `along` are unused.
+    - `scales` (families, states): scales of the states; `unit` (families,): unit of the continuation parameter.
+    - `first`, `last` (families,): bounds of the continuation parameter, `first` < `last`.
+    - `most_steps`: step limit between two section crossings, above which a motion counts as not returning.
     """
 
     scene: Scene[Any]
@@ -112,20 +116,20 @@ class Problem:
         return self.scales.shape[1]
 
     def unknowns(self, family: Index, states: Float[np.ndarray, "lanes cycles states"], value: PerLane) -> Unknowns:
-        """Return the unknowns of orbits from their states and the parameter's value."""
+        """Return the unknowns of orbits with the given states and parameter values."""
         scaled = states / self.scales[family][:, None]
         return np.column_stack([scaled.reshape(len(family), -1), value / self.unit[family]])
 
     def states(self, family: Index, u: Unknowns) -> Float[np.ndarray, "lanes cycles states"]:
-        """Return the states at the section."""
+        """Return the states at the section that belong to the unknowns `u`."""
         return u[:, :-1].reshape(len(u), -1, self.rows) * self.scales[family][:, None]
 
     def value(self, family: Index, u: Unknowns) -> PerLane:
-        """Return the parameter's value."""
+        """Return the value of the continuation parameter that belongs to the unknowns `u`."""
         return u[:, -1] * self.unit[family]
 
     def evaluate(self, family: Index, u: Unknowns) -> Evaluation:
-        """Evaluate the equations at unknowns of lanes, each of the family with the given index."""
+        """Evaluate the equations at the unknowns `u` of lanes; `family`: index of each lane's family."""
         lanes, rows = len(u), self.rows
         states, scale = self.states(family, u), self.scales[family]
         cycles = states.shape[1]
@@ -150,7 +154,10 @@ class Problem:
         )
 
     def correct(self, family: Index, guess: Unknowns, row: Unknowns, value: PerLane) -> tuple[Evaluation, Flags]:
-        """Return the orbits near `guess` with row u = `value`, by Newton's method, and which of them have converged."""
+        """Return the orbits near `guess` that satisfy row u = `value`, and a mask of the orbits that have converged.
+
+        The orbits are computed by Newton's method.
+        """
         best = self.evaluate(family, guess)
         converged = np.zeros(len(guess), bool)
         active = np.arange(len(guess))
@@ -176,18 +183,18 @@ class Problem:
 
 
 def solve_bordered(matrix: Float[np.ndarray, "lanes equations unknowns"], row: Unknowns, right: Unknowns) -> Unknowns:
-    """Solve for x: matrix x and row x are the first and the last entries of `right`; NaN where that is singular."""
+    """Solve matrix x = `right[:-1]`, row x = `right[-1]` for x in each lane; x is NaN if the system is singular."""
     square = np.concatenate([matrix, row[:, None]], axis=1)
     sound = np.isfinite(square).all(axis=(1, 2)) & np.isfinite(right).all(axis=1)
     square = np.where(sound[:, None, None], square, np.eye(square.shape[1]))
-    # NumPy raises on one singular matrix, and the other lanes would have no solution either.
+    # For a single singular matrix, NumPy would raise for the whole batch.
     sound &= np.linalg.slogdet(square)[0] != 0
     square = np.where(sound[:, None, None], square, np.eye(square.shape[1]))
     return np.where(sound[:, None], np.linalg.solve(square, right[..., None])[..., 0], np.nan)
 
 
 def unit_tangent(matrix: Float[np.ndarray, "lanes equations unknowns"], along: Unknowns) -> Unknowns:
-    """Return the unit tangent of the solution curve on the side of the direction `along`."""
+    """Return the unit tangent of the solution curve that forms an acute angle with the direction `along`."""
     right = np.zeros_like(along)
     right[:, -1] = 1.0
     tangent = solve_bordered(matrix, along, right)

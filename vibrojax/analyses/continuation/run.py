@@ -1,4 +1,4 @@
-"""Continuation of families of periodic orbits over one parameter: `follow`."""
+"""Continuation of families of periodic orbits along one parameter: `follow`."""
 
 import json
 from collections.abc import Sequence
@@ -27,7 +27,7 @@ from vibrojax.sweep.engine.labelled import measured_besides, of_orbits
 from vibrojax.sweep.input.definition import Sweep
 
 UNITS_PER_SPAN = 8
-"""Units of the scaled parameter between its bounds; they relate steps along it to steps of the states."""
+"""Number of units of the scaled parameter between its bounds, which weights parameter steps against state steps."""
 
 
 def follow(
@@ -43,32 +43,39 @@ def follow(
     progress: bool = True,
     **parameters: Any,
 ) -> xr.Dataset:
-    """Continue the family of periodic orbits over one parameter, stable and unstable, and locate its special points.
+    """Continue a family of stable and unstable periodic orbits along one parameter, and locate its special points.
 
         fam = vj.follow("vibro-impact", along="gamma", at=0.75, span=(0.3, 1.6), start="stuck", beta=0.4)
 
     The family begins with the orbit on which the motion at `along` = `at` settles. Pseudo-arclength continuation
-    follows it in both directions: through folds, around the corners where an impact or a stick begins or vanishes, and
-    onto the branches of twice the period at period doublings. Changes in the order of events are handled automatically.
+    follows the family in both directions. It passes folds, and corners where an impact or a stick phase begins or
+    vanishes. At period doublings it also follows the branches with twice the period. Changes in the order of events are
+    handled automatically.
 
     **Arguments:**
 
-    - `scene`: a name or a scene; `parameters`: any of its parameters (SI), as in `simulate`. One or several may be
-      sequences of the same length; then one family per element is continued, along the dimension `family`.
-    - `along`: name of the parameter; `at`: its value at the first orbit; `span`: its bounds, with `at` between them.
-    - `start`: initial condition of the motion that settles, by default the scene's first; `settle` [s]: its duration;
-      `observe` [s]: duration of the observation, at least nine returns.
-    - `cycles`: largest number of returns of doubled branches, 1 to 8; 1 for no doubled branches.
-    - `progress`: true to report progress on stderr.
+    - `scene`: name of a scene, or a scene; `parameters`: any of its parameters (SI), as in `simulate`. One or several
+      may be sequences of the same length; then one family per element is continued, along the dimension `family`.
+    - `along`: name of the continuation parameter; `at`: its value at the first orbit; `span`: its lower and upper
+      bound, which enclose `at`.
+    - `start`: initial condition of the motion that settles on the first orbit, by default the scene's first.
+    - `settle` [s]: settling time; `observe` [s]: duration of the observation, which must cover nine section crossings.
+    - `cycles`: largest number of section crossings per period of doubled branches, 1 to 8; 1 excludes such branches.
+    - `progress`: True to report progress on stderr.
 
-    **Returns:** a dataset. Along `point`: `branch` (0 is the first), the parameter, `stable`, `multiplier_abs` and
-    `multiplier_arg` [rad] along `multiplier`, `period` [s] (per return), `cycles`, `impacts` (per repeat) and
-    `grazing_margin`. The state at the section (`orbit_x1` and so on) and the scene's measures over the repeat follow.
-    Along `special`: `special_kind` (fold, period-doubling, torus, grazing, stick, section, end), `special_value` of the
-    parameter, `special_branch`, and `special_note`. At a *grazing* point an impact begins or vanishes, or another event
-    that is not a stick; then the note names its mode, for example where rock begins to yield. Multipliers at a special
-    point are those on the side from which it was reached; beside a grazing impact they hold over a very small distance.
-    A doubled branch that joins another orbit at its end too is listed once.
+    **Returns:** a dataset.
+
+    - Along `point`: the parameter, `branch` (0 is the first branch), `stable`, `multiplier_abs` and `multiplier_arg`
+      [rad] along `multiplier`, and `grazing_margin`. `cycles` is the number of section crossings per period of the
+      motion, `period` [s] the mean time between crossings, and `impacts` the number of impacts per period of the
+      motion. Further variables are the state at the section (`orbit_x1` and so on) and the scene's measures.
+    - Along `special`: `special_kind` (fold, period-doubling, torus, grazing, stick, section, end), `special_value` (the
+      parameter's value), `special_branch`, and `special_note`.
+
+    At a *grazing* point, an impact or another event that is not a stick begins or vanishes. For other events than
+    impacts, the note contains the name of the mode that changes, for example where rock begins to yield. Multipliers at
+    a special point are those on the side from which the point was reached; next to a grazing impact they are valid over
+    a very small distance only. A doubled branch that connects two period doublings is listed once.
 
     **Raises:** `InputError` for invalid names or values, or if the motion does not settle on a periodic orbit.
 
@@ -86,7 +93,7 @@ def follow(
 
 
 def follow_asked(spec: FamilySpec, progress: bool = True) -> xr.Dataset:
-    """Return the families as `follow` does; raise `InputError` without an initial orbit."""
+    """Return the families of a specification, as `follow` does; raise `InputError` if there is no initial orbit."""
     dataset = run_sweep(spec.sweep, progress=progress)
     problem, families, first = problem_of(spec, dataset)
     points, special = in_order(FamilyContinuation(problem, cycles=spec.cycles)(families, first))
@@ -94,9 +101,9 @@ def follow_asked(spec: FamilySpec, progress: bool = True) -> xr.Dataset:
 
 
 def problem_of(spec: FamilySpec, dataset: xr.Dataset) -> tuple[Problem, np.ndarray, list[np.ndarray]]:
-    """Return the equations, the families with an initial orbit, and the unknowns of these orbits.
+    """Return the equations, the indices of families with an initial orbit, and the unknowns of these orbits.
 
-    **Arguments:** `dataset`: of the specified sweep.
+    **Arguments:** `dataset`: result of the specified sweep.
 
     **Raises:** `InputError` if no family has an initial orbit.
     """
@@ -123,7 +130,7 @@ def problem_of(spec: FamilySpec, dataset: xr.Dataset) -> tuple[Problem, np.ndarr
 
 
 def _no_orbit(lane: xr.Dataset, where: str) -> str:
-    """Return the reason why there is no initial orbit, and a remedy."""
+    """Return a message with the reason why there is no initial orbit, and a remedy."""
     reason = ORBIT_REASONS[int(lane["orbit_reason"])]
     if reason == "not-repeating":
         regime, settle = REGIMES[int(lane["regime"])], json.loads(str(lane.attrs["run"]))["settle"]

@@ -1,4 +1,4 @@
-"""Specification of families: initial points, and the parameter of the continuation."""
+"""Specification of families: initial parameter points, and the continuation parameter."""
 
 import warnings
 from collections.abc import Mapping, Sequence
@@ -26,9 +26,9 @@ OBSERVE = positive("observe", 8.0, "s", "time for which they are then observed",
 class FamilySpec:
     """Families of one scene.
 
-    - `sweep`: one initial point for each family.
-    - `along`: parameter of the continuation, from `low` to `high`.
-    - `cycles`: largest number of returns of doubled branches.
+    - `sweep`: sweep with one initial parameter point for each family.
+    - `along`: name of the continuation parameter; `low`, `high`: its bounds.
+    - `cycles`: largest number of section crossings per period of doubled branches.
     """
 
     sweep: Sweep
@@ -38,7 +38,7 @@ class FamilySpec:
     cycles: int
 
     def identity(self) -> dict[str, object]:
-        """Return all that the result depends on, as flat JSON values."""
+        """Return all settings on which the result depends, as flat JSON values."""
         bounds = {"along": self.along, "from": self.low, "to": self.high, "cycles": self.cycles}
         return self.sweep.identity() | bounds
 
@@ -54,9 +54,9 @@ def read_asked(
     cycles: object,
     parameters: Mapping[str, object],
 ) -> FamilySpec:
-    """Check the arguments of `follow`.
+    """Check the arguments of `follow` and return the specification.
 
-    **Raises:** `InputError`, one line, at the first argument that is wrong.
+    **Raises:** `InputError` with a one-line message at the first invalid argument.
     """
     place = Place("follow")
     several, fixed = several_and_single(parameters)
@@ -98,7 +98,7 @@ def read_asked(
 
 
 def _bounds(place: Place, names: Names, along: str, span: object) -> tuple[float, float]:
-    """Return the bounds of the parameter, the lower first."""
+    """Return the lower and the upper bound of the parameter."""
     if not isinstance(span, Sequence | np.ndarray) or isinstance(span, str) or len(span) != 2:
         raise place.at("span").error(f"{shown(span)} is not a pair of numbers; give the bounds of {along}")
     ends = zip(("from", "to"), span, strict=True)
@@ -109,7 +109,7 @@ def _bounds(place: Place, names: Names, along: str, span: object) -> tuple[float
 
 
 def _count_families(place: Place, names: Names, several: Mapping[str, list[Any]]) -> int:
-    """Return the number of families, after a check of the values that differ between them."""
+    """Check the values that differ between families, and return the number of families."""
     for name, column in several.items():
         if name in CHOICES:
             raise place.at(name).error(f"{shown(column)} is a list; it is chosen once for all families")

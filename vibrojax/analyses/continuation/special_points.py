@@ -1,4 +1,4 @@
-"""Detection and location of special points between the points of branches."""
+"""Detection and location of special points between successive points of branches."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -14,27 +14,27 @@ from vibrojax.analyses.continuation.switching import SAME_TIME
 from vibrojax.models.scenes import HasFriction
 
 MAX_EVENT_CHANGES = 8
-"""Changes of events located between two points of a branch."""
+"""Largest number of event changes that are located between two points of a branch."""
 
 EVENT_CHANGE = -1
-"""Provisional kind of a bracket with different events at its ends; the located point determines the kind."""
+"""Provisional kind of a bracket with different events at its ends; the located point determines the final kind."""
 
 Kinds = Int[np.ndarray, " _"]
 
 
 class SpecialPoints(NamedTuple):
-    """Located points: `kind` as a flag; brackets of them, `near` at the point and `far` just behind it."""
+    """Located special points: `kind` as a flag, and brackets with `near` at the point and `far` just behind it."""
 
     kind: Kinds
     brackets: BranchBrackets
 
 
 def locate_special_points(problem: Problem, family: Index, points: BranchPoints) -> SpecialPoints | None:
-    """Locate all special points between the points of branches; None without any.
+    """Return all special points between the points of branches, or None if there are none.
 
-    **Arguments:** `family` (lanes,): of the lanes.
+    **Arguments:** `family` (lanes,): family index of each lane.
 
-    Multipliers jump where events begin or vanish. Those points are located first, and the others between them.
+    Multipliers jump where events begin or vanish. Such points are located first, then the special points between them.
     """
     located: list[tuple[Kinds, BranchBrackets]] = []
     place = np.flatnonzero(points.lane[1:] == points.lane[:-1])
@@ -61,10 +61,10 @@ def locate_special_points(problem: Problem, family: Index, points: BranchPoints)
 
 
 def classify_event_changes(problem: Problem, brackets: BranchBrackets) -> list[tuple[Kinds, BranchBrackets]]:
-    """Classify points at which events begin or vanish: impacts, sticks and reversals, or touches of the section.
+    """Classify points at which events begin or vanish: impacts, sticks and reversals, or tangencies with the section.
 
-    A point at which impacts and sticks change is of both kinds. Where the time of the repeat jumps, other returns are
-    counted, and changes of events follow from that. All other changes count as grazing.
+    A point at which both impacts and sticks change has both kinds. If the duration of the period jumps, other section
+    crossings are counted; such a point counts as a tangency only. All remaining changes count as grazing.
     """
     near, far = brackets.near, brackets.far
     section = ~(np.abs(far.period - near.period) < SAME_TIME * near.period)
@@ -80,14 +80,14 @@ def classify_event_changes(problem: Problem, brackets: BranchBrackets) -> list[t
 
 
 def _detect(brackets: BranchBrackets) -> tuple[Kinds, BranchBrackets]:
-    """Return the brackets with special points, and their kinds; a change of events hides points of other kinds."""
+    """Return the kinds and brackets of special points; a change of events hides points of other kinds."""
     changed = (brackets.near.signature != brackets.far.signature).any(axis=1)
     events = np.full(changed.sum(), EVENT_CHANGE), brackets.of(changed)
     return _join([events, _detect_smooth(brackets.of(~changed))])
 
 
 def _detect_smooth(brackets: BranchBrackets) -> tuple[Kinds, BranchBrackets]:
-    """Return the brackets with a sign change of a test function, and its kind."""
+    """Return the kinds and brackets for which a test function changes sign."""
     parts = []
     for kind, test in TEST_FUNCTIONS.items():
         near, far = test(brackets.near, brackets.near_tangent), test(brackets.far, brackets.far_tangent)
@@ -108,8 +108,8 @@ def _join(parts: Sequence[tuple[Kinds, BranchBrackets]]) -> tuple[Kinds, BranchB
 def _shrink(problem: Problem, kind: Kinds, brackets: BranchBrackets) -> tuple[BranchBrackets, Flags]:
     """Shrink brackets to the zeros of the test functions of their kinds.
 
-    For `EVENT_CHANGE` the test function is the margin, which vanishes from one side at least. Its sign is negative
-    where the events differ from those at the near end.
+    For `EVENT_CHANGE` the test function is the grazing margin, which tends to zero from at least one side. It gets a
+    negative sign where the events differ from those at the near end.
     """
     counts = brackets.near.signature
 

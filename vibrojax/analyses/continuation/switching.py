@@ -1,7 +1,8 @@
-"""Switching between parts of branches: around corners, to other numbers of returns, and to doubled branches.
+"""Switching between parts of branches: around corners, to other numbers of section crossings, and to doubled branches.
 
-Where an event begins or vanishes the return map has a kink. The branch has a corner there, which may be sharp enough to
-turn back. Where the motion touches the section, it continues with another number of returns.
+Where an event begins or vanishes, the return map has a kink. The branch has a corner there, which may be so sharp that
+the branch turns back. Where the motion becomes tangent to the section, the branch continues with another number of
+section crossings per period.
 """
 
 from typing import NamedTuple
@@ -12,23 +13,23 @@ from vibrojax.analyses.continuation.problem import Evaluation, Flags, Index, Per
 from vibrojax.measures.ledger import MOST_CYCLES
 
 PROBE_DISTANCES = (1e-9, 1e-8, 1e-7, 1e-6, 1e-5)
-"""Distances over the scales at which the other side of a corner is evaluated."""
+"""Scaled distances behind a corner at which the other side of the corner is evaluated."""
 
 DEPARTURE_DISTANCES = (1e-6, 1e-5, 1e-4, 1e-3)
-"""Distances over the scales of the first point beyond a corner."""
+"""Scaled distances between a corner and the first point beyond it."""
 
 REINDEX_DISTANCES = (1e-7, 1e-6, 1e-5, 1e-4)
-"""Distances over the scales behind a touch of the section at which returns are counted anew."""
+"""Scaled distances behind a tangency with the section at which section crossings are counted again."""
 
 SAME_TIME = 1e-2
-"""Largest relative difference in the time of a repeat between neighbouring points with the same returns."""
+"""Largest relative difference of the period of the motion between neighbouring points with the same crossings."""
 
 SAME_PERIOD = 1e-4
-"""Largest relative difference in the time of a repeat between descriptions of the same motion by other returns."""
+"""Largest relative difference of the period between two descriptions of one motion with different crossings."""
 
 
 class CornerExit(NamedTuple):
-    """Continuations beyond corners: which lanes have one (`turned`), and a point there with its tangent."""
+    """Continuations beyond corners: mask `turned` of lanes with a continuation, and a point on it with its tangent."""
 
     turned: Flags
     evaluation: Evaluation
@@ -38,8 +39,8 @@ class CornerExit(NamedTuple):
 def turn_corner(problem: Problem, family: Index, last: Evaluation, tangent: Unknowns, before: Evaluation) -> CornerExit:
     """Return points of the branches beyond corners.
 
-    **Arguments:** `last`: the last points, with their `tangent`; `before`: points slightly before, with the events of
-    the side from which the corner was reached.
+    **Arguments:** `last`: the last points, with their `tangent`; `before`: points slightly before the corners, with the
+    events of the side from which the corner was reached.
     """
     lanes = np.arange(len(family))
     with np.errstate(all="ignore"):
@@ -52,7 +53,7 @@ def turn_corner(problem: Problem, family: Index, last: Evaluation, tangent: Unkn
         turned, best, tangents = np.zeros(len(lanes), bool), other.of(lanes), tangent.copy()
         sound = np.isfinite(other.matrix).all(axis=(1, 2))
         direction = np.linalg.svd(np.where(sound[:, None, None], other.matrix, 0.0))[2][:, -1]  # null vectors
-        # A jump in the time of a repeat means other returns, not a corner.
+        # A jump of the period means that other section crossings are counted, not that there is a corner.
         same = np.abs(other.period - last.period) < SAME_TIME * last.period
         for distance in DEPARTURE_DISTANCES:
             for sign in (1.0, -1.0):
@@ -75,9 +76,11 @@ def turn_corner(problem: Problem, family: Index, last: Evaluation, tangent: Unkn
 def reindex_returns(
     problem: Problem, family: int, last: Evaluation, tangent: Unknowns
 ) -> tuple[Evaluation, Unknowns] | None:
-    """Return the same motion with another number of returns, just behind a touch of the section; None without one.
+    """Describe the motion with another number of section crossings, just behind a tangency with the section.
 
-    **Arguments:** of one lane: its last point and the tangent there.
+    Return the new point and its tangent, or None if there is no such description.
+
+    **Arguments:** `last`, `tangent`: last point of one lane, and the tangent at this point.
     """
     lane = np.array([family])
     period, cycles = float(last.times.sum()), last.times.shape[1]
@@ -106,7 +109,8 @@ def reindex_returns(
 def doubled_branch(problem: Problem, evaluation: Evaluation) -> tuple[Unknowns, Unknowns]:
     """Return the doubled unknowns at period doublings, and the tangents of the doubled branches.
 
-    The tangent is the eigenvector of the multiplier -1: after one repeat a neighbouring state is on the other side.
+    The tangent is the eigenvector of the multiplier -1: after one period of the original orbit, a neighbouring state is
+    on the opposite side of that orbit.
     """
     lanes, rows = len(evaluation.u), problem.rows
     cycles = evaluation.times.shape[1]
@@ -123,6 +127,6 @@ def doubled_branch(problem: Problem, evaluation: Evaluation) -> tuple[Unknowns, 
 
 
 def branch_distance(u: Unknowns, departure: Unknowns) -> PerLane:
-    """Return the signed distance of doubled branches from the original branch, along the direction of `departure`."""
+    """Return the signed distance of doubled branches from the original branch, along the direction `departure`."""
     half = (u.shape[1] - 1) // 2
     return np.einsum("ij,ij->i", u[:, :half] - u[:, half:-1], departure[:, :half])

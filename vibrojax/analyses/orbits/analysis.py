@@ -10,10 +10,11 @@ from vibrojax.sweep.input.definition import Sweep
 class SweepAnalysis(Analysis):
     """An analysis of the lanes of a sweep and their periodic orbits.
 
-    A subclass provides `kind` and `of_lanes`; `sweep` where it restricts which sweeps it takes; and `identity` where
-    the result depends on settings. As a command it keeps the finished chunks of the sweep until its result is written.
+    A subclass provides `kind` and `of_lanes`. It overrides `sweep` to restrict the accepted sweeps, and `identity` if
+    the result depends on settings. If the analysis is run as a command, the finished chunks of the sweep are kept until
+    the result is written.
 
-    **Example:** the share of lanes that end on a stable orbit
+    **Example:** the fraction of lanes that settle on a stable orbit
 
     >>> class StableShare(vj.SweepAnalysis):
     ...     kind = "stable-share"
@@ -30,14 +31,14 @@ class SweepAnalysis(Analysis):
         return sweep_with_orbits(source)
 
     def identity(self, sweep: Sweep) -> dict[str, object]:
-        """Return the settings that the result depends on besides the sweep, as flat JSON values."""
+        """Return the settings on which the result depends in addition to the sweep, as flat JSON values."""
         return {self.kind: True}
 
     def of_lanes(self, sweep: Sweep, lanes: xr.Dataset, progress: bool = True) -> xr.Dataset:
-        """Return the result, from the dataset of the sweep with orbits."""
+        """Return the result; `lanes`: dataset of the sweep with orbits."""
         raise NotImplementedError(f"{type(self).__name__}.of_lanes")
 
     def run(self, source: Source, progress: bool = True) -> xr.Dataset:
-        """Return the dataset of the analysis; a source without orbits is run (again) first."""
+        """Return the dataset of the analysis; unless `source` is a dataset with orbits, its sweep is run first."""
         sweep = self.sweep(source)
         return self.of_lanes(sweep, orbits(source if isinstance(source, xr.Dataset) else sweep, progress), progress)

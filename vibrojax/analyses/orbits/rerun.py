@@ -1,4 +1,4 @@
-"""The periodic orbits of a sweep's lanes: `orbits`, from a sweep or from the dataset of one."""
+"""The periodic orbits of a sweep's lanes: `orbits`, from a sweep or from the dataset of a sweep."""
 
 import json
 import tomllib
@@ -18,10 +18,11 @@ from vibrojax.sweep.input.points import VECTOR
 from vibrojax.sweep.input.read import read_sweep
 
 RERUN_MAX_SECONDS = 10_000.0
-"""Simulated seconds per lane above which the sweep of a dataset is not run again: a dataset may come from anywhere."""
+"""Simulated seconds per lane above which a dataset's sweep is not run again; a dataset may come from any source."""
 
 RERUN_MAX_TOTAL_SECONDS = 1e8
-"""Simulated seconds of all lanes above which it is not, unless the dataset itself holds a value for each lane."""
+"""Simulated seconds, summed over all lanes, above which a dataset's sweep is not run again. The limit does not apply if
+the dataset contains a value for each lane."""
 
 
 def orbits(
@@ -31,36 +32,39 @@ def orbits(
 
         orb = vj.orbits(ds)
 
-    An orbit is a fixed point of the return map, from one return to the section to the next, or of its `cycles`-th
-    iterate. Newton's method finds it from a lane's last returns. The map's derivative includes all events, so
-    multipliers are those of the exact motion. An orbit whose multipliers all have moduli below 1 is stable.
+    The return map takes the state at one section crossing to the state at the next. An orbit with `cycles` crossings
+    per period is a fixed point of the `cycles`-th iterate of this map. Newton's method computes the orbit from a lane's
+    last crossings. The map's derivative includes all events, so the multipliers are those of the exact motion. An orbit
+    is stable if all its multipliers have moduli below 1.
 
-    In penetration a return is the beginning of a pulse. A lane repeats if the map, iterated from its last pulse, comes
-    back after 1 to 8 pulses.
+    In the scene `penetration` the beginning of a pulse replaces the section crossing. A lane is periodic if the map,
+    iterated from its last pulse, comes back to the same state after 1 to 8 pulses.
 
     **Arguments:**
 
-    - `source`: the dataset of a sweep, or a sweep as `run_sweep` takes it. A dataset lacks the states with which
-      Newton's method begins, so its sweep is run again; a dataset with orbits is returned unchanged.
-    - `progress`: whether to report progress on stderr.
+    - `source`: the dataset of a sweep, or a sweep as in `run_sweep`. A dataset does not contain the initial states for
+      Newton's method, so its sweep is run again. A dataset with orbits is returned unchanged.
+    - `progress`: True to report progress on stderr.
 
-    **Returns:** the sweep's dataset, with these variables over its dimensions. For a lane with a found orbit, `period`
-    and the other measures are the orbit's.
+    **Returns:** the sweep's dataset, with these additional variables over its dimensions. For a lane with a found
+    orbit, `period` and the other measures are those of the orbit.
 
-    - `multiplier_abs` [1], `multiplier_arg` [rad] along `multiplier`, by falling modulus: eigenvalues of the map's
-      derivative over the whole repeat; and `stable`: 1, 0, or -1 without multipliers.
-    - `orbit_reason`: *found*, or why there is no orbit. The lane is *not-repeating* or was *refused*, or Newton's
-      method is *not-converged*. Near a graze (*near-grazing*) multipliers have no meaning. *another-orbit* is too far
-      from the lane, has other impacts, is unstable, or is not confirmed by a simulation. The `error_estimate` of a lane
-      near an unstable orbit is infinite. An unstable orbit is *found* only if the lane stays on it although one
-      rounding would drive it away, as an exact symmetry makes it.
-    - `orbit_residual`: the largest difference of return and state, over the scales of labels; `grazing_margin`: the
-      distance from a change in the order of events (defined in the attribute `orbits`).
-    - `orbit_cycles`: returns after which the orbit repeats. It is less than the lane's `cycles` if the lane is still
-      settling on a shorter repeat than it shows. Multipliers are those over `cycles` returns.
-    - `nearby_cycles`: returns of a stable orbit near an irregular or undecided lane, which it has not reached; 0 if
-      none was found; not in penetration. `nearby_impacts`: impacts in its repeat; `nearby_distance`: the largest
-      distance of the last returns from it, over half the swings.
+    - `multiplier_abs` [1], `multiplier_arg` [rad] along `multiplier`, in order of decreasing modulus: eigenvalues of
+      the map's derivative over `cycles` crossings. `stable`: 1 or 0, or -1 without multipliers.
+    - `orbit_reason`: *found*, or the reason why there is no orbit. *not-repeating*: the lane is not periodic.
+      *refused*: the lane cannot be run. *not-converged*: Newton's method has not converged. *near-grazing*: the orbit
+      is so close to grazing that multipliers have no meaning. *another-orbit*: the orbit is too far from the lane, has
+      another number of impacts, is unstable, or is not confirmed by a simulation.
+    - `error_estimate`: infinite for a lane near an unstable orbit. An unstable orbit is *found* only if the lane stays
+      on it although a single rounding error would drive it away, for example because of an exact symmetry.
+    - `orbit_residual`: the largest difference between an image under the map and the next state, in units of the
+      states' scales; `grazing_margin`: the distance from a change in the order of events, defined in the attribute
+      `orbits`.
+    - `orbit_cycles`: the minimal number of crossings per period. It is less than the lane's `cycles` if the lane is
+      still settling on an orbit with a shorter period.
+    - `nearby_cycles`: crossings per period of a stable orbit near an irregular or undecided lane, which the lane has
+      not reached; 0 if none was found; not computed in `penetration`. `nearby_impacts`: impacts per period of that
+      orbit; `nearby_distance`: the largest distance of the lane's last crossings from it, in units of half the swings.
 
     **Raises:** `InputError` if the source is not a sweep or the dataset of one, if the sweep cannot be run, or if the
     scene has neither a section nor pulses.
@@ -78,7 +82,7 @@ def orbits(
 
 
 def sweep_with_orbits(source: xr.Dataset | str | PathLike[str] | Mapping[str, object] | Sweep) -> Sweep:
-    """Return the sweep, or that of a dataset, with `orbits = true`; raise `InputError` if there is none."""
+    """Return the sweep of `source` with `orbits = true`; raise `InputError` if `source` has no sweep."""
     if isinstance(source, xr.Dataset):
         return sweep_of_dataset(source)
     if isinstance(source, Sweep):
@@ -87,11 +91,12 @@ def sweep_with_orbits(source: xr.Dataset | str | PathLike[str] | Mapping[str, ob
 
 
 def sweep_of_dataset(dataset: xr.Dataset, orbits: bool = True) -> Sweep:
-    """Return the sweep of a dataset, from its attribute, and from its coordinates if it is over points.
+    """Return the sweep of a dataset, from the attribute `sweep`, and from the coordinates if it is a list of points.
 
-    **Arguments:** `orbits`: whether to set `orbits = true`.
+    **Arguments:** `orbits`: True to set `orbits = true`.
 
-    **Raises:** `InputError` if there is no sweep, if its file has changed since, or if it costs too much to run again.
+    **Raises:** `InputError` if the dataset has no sweep, if the sweep that it names has changed since, or if the sweep
+    is too expensive to run again.
     """
     try:
         tables = tomllib.loads(str(dataset.attrs["sweep"]))
@@ -105,7 +110,7 @@ def sweep_of_dataset(dataset: xr.Dataset, orbits: bool = True) -> Sweep:
         tables["points"] = {n: x for n, x in columns.items() if n != "point" and not (vectors and n == "start")}
     sweep = read_sweep(tables, ["run.orbits=true"] if orbits else ())
     before = dict(table_of(dataset, IDENTITY))
-    for name in ("attractors", "borders"):  # not of the sweep, but of what was derived from it
+    for name in ("attractors", "borders"):  # these entries belong to derived results, not to the sweep
         before.pop(name, None)
     expected = {**before, "run.orbits": True} if orbits else before
     differing = changes(expected, json.loads(identity_text(sweep.identity())))

@@ -1,1 +1,1 @@
-"""The smallest push in each state that makes a machine leave its attractor."""
+"""The smallest push (sudden change) in each state variable after which a machine leaves its attractor."""

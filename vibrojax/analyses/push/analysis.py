@@ -1,4 +1,4 @@
-"""The analysis `push`: the smallest push in each state that makes a machine leave its cycle."""
+"""The analysis `push`: the smallest push in each state variable after which a machine leaves its working cycle."""
 
 import xarray as xr
 
@@ -8,18 +8,21 @@ from vibrojax.io.flags import flags
 
 
 class Pushes(Analysis):
-    """Find the smallest push in each state after which a machine no longer returns to its working cycle."""
+    """Find the smallest push in each state variable after which a machine no longer returns to its working cycle."""
 
     kind = "push"
     pictures = (PictureRule("pushes", lambda held: True, smallest_pushes),)
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
-        """Return a line for each state and side, of each machine."""
+        """Return a line for each machine, state variable and sign of the push."""
         return [SummaryPart("pushes", push_lines(ds))]
 
 
 def push_lines(ds: xr.Dataset) -> list[str]:
-    """Return for each machine its cycle, and for each state and side the smallest push and where it leads."""
+    """Return lines of text: the working cycle of each machine, then its smallest pushes.
+
+    The line of each state variable and sign contains the smallest push and the regime in which the motion then ends.
+    """
     machines = ds if "point" in ds.dims else ds.expand_dims("point")
     varied = [name for name, data in machines.coords.items() if data.dims == ("point",) and name != "point"]
     meanings = flags(ds["regime"])

@@ -1,4 +1,4 @@
-"""Smallest pushes out of the working cycle: a panel for each state, over machines or to either side."""
+"""Picture of the smallest pushes out of the working cycle: a panel for each state variable."""
 
 import numpy as np
 import xarray as xr
@@ -21,7 +21,11 @@ _BOUND = Mark(color="0.5", linestyle="--", linewidth=0.9)
 
 @styled
 def smallest_pushes(ds: xr.Dataset) -> Figure:
-    """Draw the smallest push in each state, over the parameter of several machines; of one machine, to either side."""
+    """Draw the smallest push in each state variable, with a panel for each variable.
+
+    Several machines are drawn as curves over their parameter, one curve for each sign of the push. One machine is drawn
+    as a bar for each sign.
+    """
     if POINT in ds.dims and ds.sizes[POINT] == 1:
         ds = ds.isel({POINT: 0})
     states = [str(name).removeprefix(_PUSH) for name in ds.data_vars if str(name).startswith(_PUSH)]

@@ -1,4 +1,4 @@
-"""The smallest push in each state after which a machine no longer returns to its working cycle: `smallest_push`."""
+"""Search for the smallest push in each state variable that makes a machine leave its working cycle: `smallest_push`."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -23,13 +23,13 @@ from vibrojax.sweep.input.points import VECTOR
 from vibrojax.sweep.input.read import read_sweep
 
 MAX_SCANS = 5
-"""Scans at most; each covers the range below the smallest push that the one before found."""
+"""Largest number of scans; each scan covers the range below the smallest push that the previous scan found."""
 
 BRACKET_PIECES, BRACKET_ROUNDS = 32, 4
-"""Pieces into which a bracket is cut at once, and how many times at most."""
+"""Number of pieces into which a bracket is divided in each round, and largest number of rounds."""
 
 PATIENCE = 6.0
-"""Factor by which irregular motions are run longer: they may be on their way back."""
+"""Factor by which the settling time of irregular motions is extended, because they may still return to the cycle."""
 
 SIGNS = (-1, 1)
 
@@ -44,10 +44,11 @@ PerDirection = Float[np.ndarray, "points directions"]
 
 
 class Brackets(NamedTuple):
-    """Smallest leaving push of each direction.
+    """Brackets of the smallest push in each direction after which the motion leaves the cycle.
 
-    - `low`: the greatest push below it that is known to return.
-    - `high`: the push, NaN if none was found; `regime`: in which the motion ends then, 0 if none was found.
+    - `low`: greatest push below `high` after which the motion is known to return to the cycle.
+    - `high`: smallest leaving push found, NaN if none was found.
+    - `regime`: regime in which the motion ends after the push `high`, 0 if none was found.
     """
 
     low: PerDirection
@@ -67,36 +68,39 @@ def smallest_push(
     progress: bool = True,
     **parameters: Any,
 ) -> xr.Dataset:
-    """Find the smallest push in each state after which a machine no longer returns to its working cycle.
+    """Find the smallest push in each state variable after which a machine no longer returns to its working cycle.
 
         push = vj.smallest_push("vibro-impact", beta=0.4, gamma=0.75, delta=0.005, start="stuck")
         push.push_v2.sel(sign=1)  # m/s that are added to the striker's velocity
 
-    The working cycle is the orbit on which the motion settles. At its section (the bit overtakes the drive) one state
-    is changed at once, to either side. The motion then runs for `settle` and `observe`, six times as long if it is
-    irregular. A scan up to the bound is followed by scans below the smallest leaving push until they find no smaller
-    one; then its bracket is narrowed. Basins have holes, and one narrower than the steps of these scans is missed: the
-    result is a push that leaves, the smallest that was found.
+    The working cycle is the periodic orbit on which the motion settles. A push is a sudden change of one state
+    variable, in either direction, when the cycle crosses its section (the bit overtakes the drive). The motion then
+    settles for the time `settle`, six times as long if it is irregular, and is observed for the time `observe`. A push
+    after which the motion does not return to the cycle is called leaving.
+
+    A first scan tries pushes up to a bound. Further scans below the smallest leaving push follow, until they find no
+    smaller one. The bracket of this push is then narrowed. Basins of attraction have holes, and a hole narrower than
+    the spacing of the scans is missed. The result is therefore the smallest leaving push that was found.
 
     **Arguments:**
 
-    - `scene`: a name, or a scene with a drill; `parameters`: any of its (SI), as `simulate` takes them. Sequences of
-      one length are as many working cycles, all pushed at once, numbered along `point`.
-    - `start`: of the motion that settles on the cycle, by default the scene's first.
-    - `most`: the greatest push in a state, by its name (x1, x2 [m], v1, v2 [m/s]); by default its whole swing over the
-      cycle, or for a velocity that swing times 2 pi over the period.
-    - `scan`: pushes of each scan in a direction; `precision`: relative width of the final bracket.
-    - `settle`, `observe` [s]: how long motions settle and are then observed.
-    - `progress`: whether to report progress on stderr.
+    - `scene`: name of a scene, or a scene, with a drill; `parameters`: any of its parameters (SI), as in `simulate`.
+      Sequences of equal length define several working cycles along the dimension `point`, pushed in one batch.
+    - `start`: initial condition of the motion that settles on the cycle, by default the scene's first.
+    - `most`: greatest push in each state variable, by name (x1, x2 [m], v1, v2 [m/s]). By default it is the full swing
+      of a position over the cycle, and for a velocity the swing of its position times 2 pi/period.
+    - `scan`: number of pushes per scan and direction; `precision`: relative width of the final bracket.
+    - `settle` [s]: settling time; `observe` [s]: duration of the observation.
+    - `progress`: True to report progress on stderr.
 
     **Returns:** a dataset.
 
-    - Along `sign` (-1, 1) for each state (here v2): `push_v2` is the smallest leaving push that was found, NaN if none
-      up to `bound_v2` leaves. `bracket_v2` is its distance from the next smaller push that is known to return, and
-      `regime_v2` the regime in which the motion ends.
+    - Along `sign` (-1, 1), for each state variable (here v2): `push_v2` is the smallest leaving push that was found,
+      NaN if no push up to `bound_v2` leaves. `bracket_v2` is its distance from the next smaller push after which the
+      motion is known to return to the cycle. `regime_v2` is the regime in which the motion ends after the push.
     - `regime`, `period` and the state at the section (`orbit_x1` and so on) of the working cycle.
 
-    **Raises:** `InputError` for a wrong name or value, and if there is no stable cycle to push.
+    **Raises:** `InputError` for an invalid name or value, or if there is no stable cycle.
 
     **Example:**
 
@@ -127,7 +131,7 @@ def push_asked(spec: PushAsked, progress: bool = True) -> xr.Dataset:
 
 
 def _why_no_cycle(lane: xr.Dataset) -> str:
-    """Return why a lane has no stable cycle to push, as a message."""
+    """Return a message with the reason why a lane has no stable cycle."""
     reason = ORBIT_REASONS[int(lane["orbit_reason"])]
     if reason == "refused":
         return f"the motion cannot be run ({REASONS[int(lane['reason'])].replace('-', ' ')}); push it elsewhere"
@@ -137,7 +141,7 @@ def _why_no_cycle(lane: xr.Dataset) -> str:
 
 
 def _bounds(spec: PushAsked, cycle: xr.Dataset) -> Float[np.ndarray, "points states"]:
-    """Return the greatest push in each state."""
+    """Return the greatest push to be tried in each state variable."""
     section = spec.sweep.system.driving_part().section
     assert section is not None
     bounds: dict[str, np.ndarray] = {}
@@ -151,10 +155,10 @@ def _bounds(spec: PushAsked, cycle: xr.Dataset) -> Float[np.ndarray, "points sta
 
 @dataclass(frozen=True, eq=False)
 class _Search:
-    """A search for the smallest pushes out of stable cycles.
+    """Search for the smallest leaving pushes of stable cycles. Directions are pairs of state variable and sign.
 
-    - `points`: indices of the points with a stable cycle; `begin` (points, states): its state at the section.
-    - `orbits`: the cycles; `progress`: whether to report progress on stderr.
+    - `points`: indices of the points with a stable cycle; `begin` (points, states): state of the cycle at the section.
+    - `orbits`: the cycles; `progress`: True to report progress on stderr.
     """
 
     spec: PushAsked
@@ -164,7 +168,7 @@ class _Search:
     progress: bool
 
     def run(self, bound: PerDirection) -> Brackets:
-        """Return the brackets of the smallest leaving pushes, each up to its `bound`."""
+        """Return the brackets of the smallest leaving pushes, each searched up to its `bound`."""
         scan = np.arange(1, self.spec.scan + 1) / self.spec.scan
         brackets = Brackets(np.zeros_like(bound), np.full_like(bound, np.nan), np.zeros(bound.shape, int))
         top, mask = bound, np.ones(bound.shape, bool)
@@ -186,7 +190,7 @@ class _Search:
     def _narrow(
         self, brackets: Brackets, pushes: Float[np.ndarray, "points directions pushes"], mask: np.ndarray
     ) -> Brackets:
-        """Return the brackets after more pushes in the directions of the mask."""
+        """Return the brackets, updated with the results of `pushes` in the directions selected by `mask`."""
         low, high, regime = (x.copy() for x in brackets)
         tried = pushes[mask]
         returned, leaving, ends = self._classify(np.argwhere(mask), tried)
@@ -202,9 +206,9 @@ class _Search:
     def _classify(
         self, directions: Int[np.ndarray, "_ 2"], pushes: Float[np.ndarray, "_ pushes"]
     ) -> tuple[np.ndarray, ...]:
-        """Return which pushes return, which leave, and the final regimes, in the shape of `pushes`.
+        """Return masks of pushes after which motions return and leave, and the final regimes, shaped like `pushes`.
 
-        **Arguments:** `directions`: index of the point, and number of the direction, of each row of pushes.
+        **Arguments:** `directions`: for each row of `pushes`, index of the point and number of the direction.
         """
         count = pushes.shape[1]
         point, direction = np.repeat(directions, count, axis=0).T
@@ -220,9 +224,11 @@ class _Search:
         return tuple(x.reshape(pushes.shape) for x in outcomes)
 
     def _simulate(self, point: np.ndarray, begin: np.ndarray, factor: float) -> tuple[np.ndarray, ...]:
-        """Run motions of points from given states, with settling times `factor` as long.
+        """Simulate motions from the states `begin`, with settling times multiplied by `factor`.
 
-        **Returns:** per motion, whether it returns to its cycle, whether it leaves, and its regime.
+        **Arguments:** `point`: index of each motion's point.
+
+        **Returns:** for each motion, whether it returns to its cycle, whether it leaves the cycle, and its regime.
         """
         sweep, tables = self.spec.sweep, self.spec.tables
         columns = {name: np.array(x)[self.points[point]].tolist() for name, x in self.spec.columns.items()}
@@ -238,7 +244,7 @@ class _Search:
             distance = np.abs(orbits[lanes, None] - states[None]) / scales
             returned[lanes] = distance.max(axis=2).min(axis=1) < SAME_ORBIT_WITHIN
         on_another = np.isfinite(orbits).all(axis=1) & (dataset["stable"].values != 0) & (regime != UNDECIDED)
-        # An irregular motion near an orbit may still be on its way to it: neither returned nor left.
+        # An irregular motion near an orbit may still converge to this orbit: it has neither returned nor left.
         irregular = (regime == IRREGULAR) & (dataset["nearby_cycles"].values == 0)
         return returned, ~returned & (on_another | irregular | (regime == EQUILIBRIUM)), regime
 
@@ -250,7 +256,7 @@ def _dataset(
     bound: Float[np.ndarray, "stable states"],
     brackets: Brackets,
 ) -> xr.Dataset:
-    """Return the dataset of pushes; points without a stable cycle are undefined."""
+    """Return the dataset of pushes; points without a stable cycle have NaN, and 0 as regime after the push."""
     sweep, points = spec.sweep, cycle.sizes["point"]
     variables: dict[str, Any] = {}
 

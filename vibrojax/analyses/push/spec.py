@@ -1,4 +1,4 @@
-"""Specification of a search for smallest pushes: the working cycles, the pushed states, and the resolution."""
+"""Specification of a search for smallest pushes: working cycles, largest pushes, and resolution."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,15 +13,16 @@ from vibrojax.sweep.input.read import read_sweep
 from vibrojax.sweep.input.values import quantity
 
 SCAN, PRECISION = 256, 1e-3
-"""Default number of pushes in a scan, and default relative width of the final bracket."""
+"""Default number of pushes per scan, and default relative width of the final bracket."""
 
 
 @dataclass(frozen=True, eq=False)
 class PushAsked:
     """A checked specification.
 
-    - `sweep`: one lane per working cycle; `tables`: its sweep file without points; `columns`: its points, by name.
-    - `most`, `scan`, `precision`: as `smallest_push` takes them.
+    - `sweep`: sweep with one lane per working cycle; `tables`: its sweep file as tables, without points.
+    - `columns`: parameter values of its points, by parameter name.
+    - `most`, `scan`, `precision`: as in `smallest_push`.
     """
 
     sweep: Sweep
@@ -32,7 +33,7 @@ class PushAsked:
     precision: float
 
     def identity(self) -> dict[str, object]:
-        """Return all that the result depends on, as flat JSON values."""
+        """Return all settings on which the result depends, as flat JSON values."""
         own = {"scan": self.scan, "precision": self.precision, **{f"most_{name}": x for name, x in self.most.items()}}
         return self.sweep.identity() | own
 
@@ -47,7 +48,7 @@ def read_pushed(
     observe: object,
     parameters: Mapping[str, Any],
 ) -> PushAsked:
-    """Return the checked specification; raise `InputError`, one line, at the first error."""
+    """Return the checked specification; raise `InputError` with a one-line message at the first error."""
     place = Place("smallest_push")
     columns, fixed = several_and_single(parameters)
     for name, column in columns.items():
