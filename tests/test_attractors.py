@@ -318,7 +318,7 @@ def test_what_was_computed_outlives_an_interrupt(by, tmp_path, capsys, monkeypat
 
     monkeypatch.setattr(Chunks, "compute", counted)
     if by == "links":
-        monkeypatch.setattr("vibrojax.analyses.attractors.run.attractors_of", interrupted)
+        monkeypatch.setattr("vibrojax.analyses.attractors.analysis.attractors_of", interrupted)
     assert main(["attractors", "few.toml", "-o", "out.nc", "--quiet"]) == 130
     assert "finished chunks are kept; to go on: vibrojax attractors few.toml -o out.nc" in capsys.readouterr().err
     kept = len(list((tmp_path / "out.nc.chunks").glob("*.shard")))

@@ -190,6 +190,6 @@ def test_the_command(sweep, borders, tmp_path, capsys, monkeypatch):
     told = capsys.readouterr().out
     assert "any start" in told and "% of the plane" in told
     assert main(["borders", "map.nc", "--axes", "gamma"]) == 2
-    assert "no pair" in capsys.readouterr().err
+    assert "not a pair" in capsys.readouterr().err
     assert main(["borders", "map.nc", "--axes", "gamma,delta"]) == 2
     assert "holds another result" in capsys.readouterr().err

@@ -251,7 +251,7 @@ def test_a_wrong_sign_is_seen(quick, monkeypatch, term):
 
     Lanes that go wrong so much never end; few steps are enough to see it.
     """
-    monkeypatch.setattr("vibrojax.sweep.engine.batch.MOST_STEPS", 2e4)
+    monkeypatch.setattr("vibrojax.sweep.engine.batch.LANE_MAX_STEPS", 2e4)
     monkeypatch.setitem(SCENES, "vibro-impact", WRONG[term])
     groups = [group for group in GROUPS if group.name in ("frequency-ratio", "mass-ratio")]
     wrong = run_reproduction(groups, quick=True, progress=False)

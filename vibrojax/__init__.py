@@ -1,10 +1,10 @@
-"""Self-exciting percussive-rotary drilling, over whole parameter spaces.
+"""Simulation of self-exciting percussive-rotary drilling over large parameter spaces.
 
     import vibrojax as vj
     ds = vj.run_sweep("regime-map")
 
-Names are imported when they are first used, so that importing the package costs nothing and sets nothing. Editors and
-type checkers read them in `__init__.pyi`.
+Public names are imported on first use, so that importing the package is fast and changes no global settings. Editors
+and type checkers read the names from `__init__.pyi`.
 """
 
 from importlib import import_module
@@ -49,7 +49,7 @@ _HOMES = {
     "contact": "vibrojax.models.physics",
     "friction": "vibrojax.models.physics",
     "modes": "vibrojax.models.physics",
-    # Tools to write your own physics
+    # Tools for user-defined physics
     "elementary": "vibrojax.models.physics",
     "parameters": "vibrojax.models.physics",
     "FrictionLaw": "vibrojax.models.physics.friction",

@@ -1,5 +1,5 @@
 # PYTHON_ARGCOMPLETE_OK
-"""`python -m vibrojax` is the command `vibrojax`."""
+"""Entry point of `python -m vibrojax`, which is equivalent to the command `vibrojax`."""
 
 from vibrojax.cli import command
 

@@ -1,9 +1,9 @@
-"""Progress of long work on stderr: a bar on a terminal, plain lines elsewhere.
+"""Progress reports of long computations on stderr: a progress bar on a terminal, plain lines elsewhere.
 
-with Progress(sweep.lanes, "lanes") as progress:  # ends the line of the bar if the work stops early
-    progress.resume(512)                          # done by an earlier run: reported, and left out of the pace
+with Progress(sweep.lanes, "lanes") as progress:  # closes the bar on exit, even if the work stops early
+    progress.resume(512)                          # done by an earlier run: reported, but not included in the rate
     progress.add(64)                              # 576/1000 lanes, 2100 lanes/s, 0.2 s left
-    progress.say("rotary: 40 points")             # a separate line, with the seconds since the start
+    progress.say("rotary: 40 points")             # a separate line, preceded by the elapsed seconds
 """
 
 import logging
@@ -21,25 +21,24 @@ if TYPE_CHECKING:
 LOG = logging.getLogger("vibrojax")
 
 Amount = int | float
-"""A count, or a measure such as a time."""
+"""An amount of work: a count, or a continuous quantity such as simulated time."""
 
 QUIET_SECONDS = 10.0
-"""Least time [s] between two plain lines, so that logs stay short."""
+"""Least time [s] between two plain lines, which keeps logs short."""
 
 
 class Progress:
-    """The progress of one work: the amount done, the pace, and the remaining time.
+    """The progress of one computation: the completed amount of work, the rate, and the remaining time.
 
-    On a terminal it is a bar that is redrawn. Elsewhere it is a plain line now and then, one for each outcome, and one
-    at the end. The pace counts from the first finished amount: the time before, in which programs are compiled, says
-    nothing about the rest.
+    On a terminal, a bar is redrawn. Elsewhere, a plain line is printed at most every `QUIET_SECONDS`, for each outcome,
+    and at the end. The rate is measured from the first completed amount on, because programs are compiled before.
 
     **Arguments:**
 
-    - `total`: the whole amount.
-    - `unit`: text after a number: "lanes", "settings", "s simulated".
-    - `shown`: whether to show anything at all.
-    - `pace`: whether to show the amount per second.
+    - `total`: total amount of work.
+    - `unit`: unit shown after a number: "lanes", "settings", "s simulated".
+    - `shown`: whether progress is shown at all.
+    - `pace`: whether the amount per second is shown.
     """
 
     _on_terminal: ClassVar["set[Progress]"] = set()
@@ -52,32 +51,32 @@ class Progress:
         self._resumed: Amount = 0
         self._first: tuple[float, Amount] | None = None
         self._bar: tqdm.tqdm | None = None
-        self._lock = RLock()  # amounts may come from several threads
+        self._lock = RLock()  # several threads may report amounts
 
     def resume(self, done: Amount) -> None:
-        """Report the amount that an earlier run has done; it does not count towards the pace."""
+        """Report the amount completed by an earlier run; this amount is not included in the rate."""
         with self._lock:
             self._done = self._resumed = done
             if done:
                 self._print(f"{_number(done)} of {_number(self._total)} {self._unit} are there from an earlier run")
 
     def add(self, amount: Amount = 1, outcome: str = "") -> None:
-        """Report an amount that is newly done, with a text on its outcome if that deserves a line."""
+        """Report a newly completed amount; a non-empty `outcome` is printed with it on a line."""
         with self._lock:
             self._reach(self._done + amount, outcome)
 
     def reach(self, done: Amount) -> None:
-        """Report the total amount that is done."""
+        """Report the total amount completed so far."""
         with self._lock:
             self._reach(done, "")
 
     def say(self, text: str) -> None:
-        """Print a separate line, after the seconds since the start."""
+        """Print `text` on a separate line, preceded by the elapsed seconds."""
         with self._lock:
             self._print(f"{time.monotonic() - self._start:5.0f} s  {text}")
 
     def close(self) -> None:
-        """End the line of the bar, if there is one."""
+        """Close the progress bar and end its line, if there is a bar."""
         with self._lock:
             if self._bar is not None:
                 self._bar.close()
@@ -122,7 +121,7 @@ class Progress:
             self._bar.write(line, file=self._stream)
 
     def _line(self, now: float) -> str:
-        """Return the amount done, the pace, and the remaining time, or at the end the elapsed time."""
+        """Return a line with the completed amount, the rate, and the remaining (at the end: elapsed) time."""
         line = f"{_number(self._done)}/{_number(self._total)} {self._unit}"
         if self._done >= self._total:
             elapsed = now - self._start
@@ -137,12 +136,14 @@ class Progress:
 
 
 class Portions:
-    """Converts work on many things at once into whole things: as many as the same work would finish one by one.
+    """Converts work on many items in parallel into a number of completed items.
+
+    The number is the number of items that the same work would complete one after the other.
 
     **Arguments:**
 
-    - `count`: number of things.
-    - `report`: receives the number of things that are newly done; the last one only after `finish`.
+    - `count`: total number of items.
+    - `report`: function called with the number of newly completed items. The last item is reported only by `finish`.
     """
 
     def __init__(self, count: int, report: Callable[[int], None]) -> None:
@@ -150,12 +151,12 @@ class Portions:
         self._work, self._reported = 0.0, 0
 
     def add(self, work: Amount) -> None:
-        """Add work, where 1 is the whole work on one thing."""
+        """Add an amount of work; 1 is the work on one item."""
         self._work += work
         self._reach(min(int(self._work), self._count - 1))
 
     def finish(self) -> None:
-        """Report all things as done."""
+        """Report all items as completed."""
         self._reach(self._count)
 
     def _reach(self, done: int) -> None:
@@ -165,29 +166,29 @@ class Portions:
 
 
 def end_lines() -> None:
-    """End the lines of all bars, so that the next output begins a line."""
+    """Close all progress bars and end their lines, so that the next output starts on a new line."""
     for progress in list(Progress._on_terminal):
         progress.close()
 
 
 @contextmanager
 def timed(name: str) -> Iterator[None]:
-    """Log the duration of the block when it ends."""
+    """Log the duration of the `with` block when it ends without an error."""
     began = time.monotonic()
     yield
     LOG.info("%s: %.2f s", name, time.monotonic() - began)
 
 
 def _bar(total: Amount, line: str) -> "tqdm.tqdm":
-    """Return a bar whose text its owner sets."""
+    """Return a progress bar whose text is set by the caller."""
     from tqdm import tqdm  # slow to import, and needed only on a terminal
 
-    # Some terminals report no columns and no lines, and tqdm would draw nothing on them.
+    # Some terminals report a size of zero columns and lines, on which tqdm would draw nothing.
     columns, lines = get_terminal_size()
     layout = {"bar_format": "[{bar:30}] {desc}", "ascii": ".#", "ncols": columns - 1, "nrows": lines}
     return tqdm(desc=line, total=total, file=sys.stderr, **layout)
 
 
 def _number(amount: Amount) -> str:
-    """Return a count as it is, and any other amount to a tenth."""
+    """Return an integer as a string, and any other amount rounded to one decimal."""
     return str(amount) if isinstance(amount, int) else f"{amount:.1f}".removesuffix(".0")

@@ -22,7 +22,7 @@ TOO_LONG = r"simulate: duration: \S+ s need about \S+ steps.*; there is room for
         ("rotary", {"duration": 1e12, "method": "diffrax"}, TOO_LONG),
         ("rotary", {"duration": 20.0, "step": 1e-12}, TOO_LONG + ", a longer step or a greater error"),
         ("rotary", {"duration": 20.0, "method": "smoothed"}, TOO_LONG + ", a longer step or a greater error"),
-        ("rotary", {"duration": 5e-324}, "simulate: duration: .* is no time; give a longer one"),
+        ("rotary", {"duration": 5e-324}, "simulate: duration: .* is too short; give a longer one"),
         (
             "rotary",
             {"duration": 20.0, "sampling": 1e-12},

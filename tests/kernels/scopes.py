@@ -38,9 +38,10 @@ def edges(dtype: str) -> list[Any]:
 def constants(dtype: str) -> list[Any]:
     """Return numbers for constants.
 
-    XLA computes with them in advance, so that none may lead to subnormal numbers, and takes x + 0 for x, even -0.
+    XLA computes with them in advance, so that none may lead to subnormal numbers, and takes x + 0 for x, even -0. For
+    sinh of a constant NaN it returns numbers of no meaning; arguments include NaN.
     """
-    return [1.0, 0.5, -2.5, 3.0, -np.inf, np.inf, np.nan] if dtype in DTYPES["f"] else edges(dtype)
+    return [1.0, 0.5, -2.5, 3.0, -np.inf, np.inf] if dtype in DTYPES["f"] else edges(dtype)
 
 
 @dataclass(frozen=True)

@@ -270,10 +270,10 @@ def test_active_sets_and_levenberg_marquardt_end_in_the_same_minimum(noise):
 
     def both(x, y, censored):
         columns = np.stack([np.ones_like(x), x], axis=1)
-        theta, done = minimise(LinearRates(columns), y, censored)
-        slope = 2 * columns.T @ (residuals(columns @ theta, y, censored))
+        minimum = minimise(LinearRates(columns), y, censored)
+        slope = 2 * columns.T @ residuals(columns @ minimum.theta, y, censored)
         other = optimize.least_squares(lambda theta: residuals(columns @ theta, y, censored), [0.1, 0.1], ftol=1e-14).x
-        return theta, done, slope, other
+        return minimum.theta, minimum.converged, slope, other
 
     theta, done, slope, other = map(np.array, zip(*map(both, x[good], y[good], censored[good]), strict=True))
     assert good.sum() > 250 and done.all()

@@ -92,6 +92,9 @@ class Analysis:
     pictures: ClassVar[Sequence[PictureRule]] = ()
     """Picture rules for the analysis's datasets; the first rule that fits is used."""
 
+    counted: ClassVar[str] = ""
+    """Dimension of its datasets whose size the command prints."""
+
     view: ClassVar[str] = "map"
     """View in the explorer: "map", "curves" (drawn over the map of a sweep), "families", "motion" or "none"."""
 

@@ -1,6 +1,6 @@
-"""The command `vibrojax`: parse, call, print.
+"""The command `vibrojax`: parses arguments, calls functions and prints results.
 
-Nothing heavy is imported until a command runs, so that `--help` answers at once.
+Nothing heavy is imported until a command runs, so that `--help` responds immediately.
 """
 
 import logging
@@ -30,10 +30,10 @@ DONE, FAILED, BAD_INPUT, INTERRUPTED, PIPE_CLOSED, TERMINATED = 0, 1, 2, 130, 14
 
 _DATASETS = (".nc", ".zarr")
 _MALFORMED = (ArithmeticError, AssertionError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
-"""Errors that a dataset with inconsistent parts causes where nothing checks it."""
+"""Exceptions that a dataset with inconsistent parts causes in code that does not check the dataset."""
 
 MAX_STDERR_LINE = 4000
-"""Characters of a line on stderr, which may quote a file."""
+"""Maximum length of a line on stderr [characters]: a line may quote a file."""
 
 _BORDERS = "Draw the borders of the stable single impact in a sweep's plane: curves named by what happens there"
 _ATTRACTORS = "Find the attractors that a sweep's starts lead to, and the share of starts of each"
@@ -57,11 +57,11 @@ _COMMANDS: dict[str, Command] = {
 
 
 class Terminated(KeyboardInterrupt):
-    """A request to end (SIGTERM) from a shutdown or a batch system; the process ends as after Ctrl-C."""
+    """A request to end (SIGTERM), from a shutdown or a batch system; the process then ends as after Ctrl-C."""
 
 
 class _Parser(ArgumentParser):
-    """A parser that reports wrong arguments as bad input: one line, status 2."""
+    """A parser that reports wrong arguments as bad input: one line on stderr, exit status 2."""
 
     def error(self, message: str) -> NoReturn:
         command = self.prog.partition(" ")[2]
@@ -69,8 +69,8 @@ class _Parser(ArgumentParser):
 
 
 def command() -> None:
-    """Run the command as a process, and exit."""
-    # A parent process may have chosen to ignore a signal; leave that as it is.
+    """Run the command of this process, and exit with its status."""
+    # The parent process may have set a signal to be ignored; keep that setting.
     if signal.getsignal(signal.SIGTERM) == signal.SIG_DFL:
         signal.signal(signal.SIGTERM, lambda *_: _end(Terminated()))
     if signal.getsignal(signal.SIGINT) == signal.default_int_handler:
@@ -80,7 +80,7 @@ def command() -> None:
     for number in (signal.SIGINT, signal.SIGTERM):  # the work is done; Python's clean-up must not be interrupted
         signal.signal(number, signal.SIG_IGN)
     if status in (INTERRUPTED, TERMINATED, BAD_INPUT):
-        # Threads may still compute lanes, or read a file without end; do not wait for them.
+        # Do not wait for threads that still compute lanes, or that never finish reading a file.
         leave()
         sys.stderr.flush()
         os._exit(status)
@@ -92,11 +92,11 @@ def main(argv: Sequence[str] | None = None, do: Callable[[Callable[[], None]], o
 
     **Arguments:**
 
-    - `argv`: its arguments; None: `sys.argv`.
-    - `do`: calls the work, in this thread or another.
+    - `argv`: the command-line arguments; None: `sys.argv`.
+    - `do`: function that calls the work, in this thread or another.
 
-    **Returns:** the exit status: 0 done, 2 bad input, 130 interrupted, 143 terminated, 1 if the computer failed (a full
-    disk), 141 if the reader of the output closed it.
+    **Returns:** the exit status: 0 done, 1 a failure of the computer (such as a full disk), 2 bad input, 130
+    interrupted, 141 the reader of the output closed it, 143 terminated.
     """
     options = Options()
     try:
@@ -122,7 +122,7 @@ def main(argv: Sequence[str] | None = None, do: Callable[[Callable[[], None]], o
         event, status = ("terminated", TERMINATED) if isinstance(end, Terminated) else ("interrupted", INTERRUPTED)
         return _say(f"{event}; {options.how_to_resume or 'run the same command again'}", status)
     except BrokenPipeError:
-        # The rest of the buffer would raise again while Python exits.
+        # Flushing the rest of the buffer would raise again while Python exits.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return PIPE_CLOSED
     except (OSError, MemoryError) as error:
@@ -133,7 +133,7 @@ def main(argv: Sequence[str] | None = None, do: Callable[[Callable[[], None]], o
 
 
 def _run(run: Callable[[Options], None], options: Options) -> None:
-    """Run a command; report a dataset with inconsistent content as bad input, since it may come from anywhere."""
+    """Run a command; report an inconsistent dataset as bad input, since a dataset may come from any source."""
     try:
         run(options)
     except InputError:
@@ -148,7 +148,7 @@ def _run(run: Callable[[Options], None], options: Options) -> None:
 
 
 def _commands() -> dict[str, Command]:
-    """Return the package's commands, and those of analyses that installed packages register."""
+    """Return the commands of this package, and those of analyses that installed packages register."""
     registered = {
         entry.name: AnalysisCommand(entry.name, f"analysis of the package {entry.dist.name if entry.dist else '?'}")
         for entry in entry_points(group="vibrojax.analyses")
@@ -158,7 +158,7 @@ def _commands() -> dict[str, Command]:
 
 
 def _parser(words: Collection[str]) -> ArgumentParser:
-    """Return the parser of a command line; only commands among its `words` get their arguments."""
+    """Return the command-line parser; only the commands that occur in `words` get their arguments."""
     parser = _Parser(
         prog="vibrojax",
         description="Simulate a self-exciting percussive-rotary drill: maps over parameters, single points, pictures.",
@@ -183,7 +183,7 @@ def _parser(words: Collection[str]) -> ArgumentParser:
 
 @contextmanager
 def _verbosely(options: Options) -> Iterator[None]:
-    """With `--verbose`, show on stderr the log of the package, and the duration of the command."""
+    """Show the package's log and the duration of the command on stderr, if `--verbose` is set."""
     if not options.verbose:
         yield
         return
@@ -201,18 +201,18 @@ def _verbosely(options: Options) -> Iterator[None]:
 
 
 def _end(request: BaseException) -> NoReturn:
-    """Raise a request to end, also in the thread that waits for the work."""
+    """Raise a request to end, both in this thread and in the thread that waits for the work."""
     asked_to_end.append(request)
     raise request
 
 
 def _warn(message: Warning | str, *_: object, **__: object) -> None:
-    """Show a warning on one line of stderr, as the errors of the command."""
+    """Show a warning on one line of stderr, formatted like the command's errors."""
     print("vibrojax: warning:", printable(message, MAX_STDERR_LINE), file=sys.stderr)
 
 
 def _say(line: str, status: int) -> int:
-    """Print on stderr, on one line, why the command ended with `status`; return it."""
+    """Print on stderr, on one line, why the command ended with `status`; return `status`."""
     end_lines()
     sys.stdout.flush()
     print("vibrojax:", printable(line, MAX_STDERR_LINE), file=sys.stderr)

@@ -1,6 +1,6 @@
-"""Measure speed against error on this machine: a dataset, a table and a picture.
+"""Measure speed against error on this machine: write a dataset, a table and a picture.
 
-An interrupted run keeps nothing: times of two runs do not go into one table.
+An interrupted run keeps nothing, since timings of different runs must not be mixed in one table.
 """
 
 from argparse import ArgumentParser

@@ -1,6 +1,6 @@
-"""The command of an analysis of a sweep: FILE, its settings as options, OUT, and a summary.
+"""The command of an analysis of a sweep: FILE, an option for each setting, OUT, and a printed summary.
 
-The package's `attractors` and `borders` and the analyses of installed packages run through this module.
+The package's analyses `attractors` and `borders`, and the analyses of installed packages, use this module.
 """
 
 import dataclasses
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class AnalysisCommand:
-    """The command of one kind of analysis, which is imported only when the command is used."""
+    """The command of one kind of analysis; the analysis is imported only when the command is used."""
 
     def __init__(self, kind: str, summary: str) -> None:
         self.kind = kind
@@ -30,18 +30,18 @@ class AnalysisCommand:
         from vibrojax.analyses.registry import analysis_named
 
         analysis = analysis_named(self.kind)
-        assert analysis is not None  # a command exists only for a kind that is known
+        assert analysis is not None  # commands exist only for known kinds
         return type(analysis)
 
     @property
     def fields(self) -> "dict[str, dataclasses.Field[Any]]":
-        """The settings of the analysis, the fields of its dataclass, by their options."""
+        """The settings of the analysis, which are the fields of its dataclass, keyed by command-line option."""
         if not dataclasses.is_dataclass(self.analysis):
             return {}
         return {f"--{field.name.replace('_', '-')}": field for field in dataclasses.fields(self.analysis)}
 
     def arguments(self, parser: ArgumentParser) -> None:
-        """Add FILE, `-o`, `--fresh`, and an option for each field."""
+        """Add FILE, `-o`, `--fresh`, and an option for each setting."""
         about = "a sweep: a bundled name, like regime-map, or the path of a TOML file; or the dataset of a sweep "
         about += "(.nc), which is run again where it lacks what the analysis needs"
         add_argument(parser, "file", completer=files(".toml", ".nc"), metavar="FILE", help=about)
@@ -76,7 +76,7 @@ class AnalysisCommand:
             if not (is_dataset and "orbit_reason" in source):
                 from vibrojax.analyses.sweep.run import lanes_beside
 
-                # Finished chunks stay beside OUT until the result is written; an interrupt costs none of them.
+                # Finished chunks are kept next to OUT until the result is written, so an interrupt loses none of them.
                 options.advise("finished chunks are kept; to go on", *words)
                 lanes_of = lanes_beside(sweep, result.out, resume=not options.fresh, progress=progress)
             with lanes_of as lanes:
@@ -86,13 +86,14 @@ class AnalysisCommand:
             dataset = analyse(source, analysis, progress=progress)
             drawn = write_result(options, dataset, result)
         if progress:
-            print(f"{result.out}{drawn}")
+            count = f": {dataset.sizes[analysis.counted]} {analysis.counted}s" if analysis.counted else ""
+            print(f"{result.out}{count}{drawn}")
             for part in analysis.summary(dataset):
                 print("\n".join(part.lines))
 
 
 def _value(option: str, field: "dataclasses.Field[Any]", text: str) -> object:
-    """Return the value of an option in the type of its field: a number, a text, or a tuple of them."""
+    """Return the value of an option in the type of its field: a number, a string, or a tuple of strings."""
     kind = str(getattr(field.type, "__name__", field.type))
     if kind.startswith("tuple"):
         items = [item.strip() for item in text.split(",")]

@@ -1,6 +1,6 @@
-"""Shell completion: scenes, sweeps, NAME= with its values, and files.
+"""Shell completion of scenes, sweeps, NAME= and its values, and files.
 
-It needs `pip install vibrojax[completion]`, and in the shell: eval "$(register-python-argcomplete vibrojax)".
+Completion needs `pip install vibrojax[completion]`, and in the shell: eval "$(register-python-argcomplete vibrojax)".
 """
 
 import os
@@ -12,44 +12,44 @@ if TYPE_CHECKING:
     from vibrojax.sweep.input.names import Names
 
 Completer = Callable[..., Iterable[str]]
-"""Returns the words that begin with `prefix`, given the arguments parsed before it."""
+"""Function that returns the words beginning with `prefix`, given the arguments parsed before."""
 
 SettingChoices = Callable[["Names"], dict[str, tuple[str, ...]]]
-"""Returns the values of those settings of a command that have a fixed set."""
+"""Function that returns the possible values of a command's settings, for the settings with a fixed set."""
 
 
 def add_argument(parser: ArgumentParser, *names: str, completer: Completer, **options: Any) -> None:
-    """Add an argument whose words `completer` completes."""
+    """Add an argument whose values `completer` completes."""
     parser.add_argument(*names, **options).completer = completer  # type: ignore[attr-defined] # argcomplete reads it
 
 
 def complete(parser: ArgumentParser) -> None:
-    """Answer a shell's request for completions and exit; do nothing if there is none."""
+    """Respond to a shell's request for completions and exit; do nothing if there is no request."""
     if "_ARGCOMPLETE" not in os.environ:
         return
     try:
         import argcomplete
-    except ImportError:  # an extra: without it nothing is completed
+    except ImportError:  # an optional dependency: without it, nothing is completed
         return
     argcomplete.autocomplete(parser, always_complete_options="long")
 
 
 def scenes(prefix: str, **_: object) -> list[str]:
-    """Return the names of scenes."""
+    """Return the names of scenes that begin with `prefix`."""
     from vibrojax.models.scenes import SCENES
 
     return [name for name in SCENES if name.startswith(prefix)]
 
 
 def sweeps(prefix: str, **_: object) -> list[str]:
-    """Return the bundled sweeps, and sweep files."""
+    """Return bundled sweeps, and sweep files, that begin with `prefix`."""
     from vibrojax.sweep.input.source import bundled_names
 
     return [name for name in bundled_names() if name.startswith(prefix)] + files(".toml")(prefix)
 
 
 def files(*endings: str) -> Callable[..., list[str]]:
-    """Return a completer for files with one of `endings`, and for folders."""
+    """Return a completer for folders, and for files with one of the suffixes `endings`."""
 
     def completer(prefix: str, **_: object) -> list[str]:
         folder, slash, start = prefix.rpartition("/")
@@ -65,9 +65,9 @@ def files(*endings: str) -> Callable[..., list[str]]:
 
 
 def values_with(settings: tuple[str, ...], choices_of: SettingChoices = lambda names: {}) -> Completer:
-    """Return a completer for NAME=VALUE: the scene's parameters and a command's `settings`, and their values.
+    """Return a completer for NAME=VALUE, where NAME is a parameter of the scene or one of a command's `settings`.
 
-    `choices_of` gives the values of settings that have a fixed set.
+    `choices_of` returns the values of settings that have a fixed set of values.
     """
 
     def completer(prefix: str, parsed_args: Namespace, **_: object) -> list[str]:

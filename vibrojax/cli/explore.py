@@ -1,6 +1,6 @@
-"""Write a page to click through, one HTML file: map, and of every cell its orbit, history, spectrum and numbers.
+"""Write an interactive HTML page: a map and, for every cell, its orbit, history, spectrum and numbers.
 
-With --live nothing is written: a server on this machine gives the page, and computes what is clicked or dragged.
+With --live, nothing is written: a server on this machine serves the page, and computes what the user clicks or drags.
 """
 
 import os
@@ -64,7 +64,7 @@ def run(options: Options) -> None:
 
 
 def _check_combination(options: Options) -> None:
-    """Raise `InputError` if the options exclude each other."""
+    """Raise `InputError` if options exclude each other."""
     if options.live and options.out:
         raise InputError("explore: -o: --live writes no page; leave one of them out")
     if options.no_browser and not options.live:
@@ -77,7 +77,7 @@ def _check_combination(options: Options) -> None:
 
 
 def _motion(options: Options) -> "xarray.Dataset":
-    """Return the motion of a scene with which the page opens."""
+    """Return the motion of a scene that the page shows first."""
     from vibrojax.sweep.simulation import simulate
 
     settings, parameters = named_values(Place("explore"), options.values, SETTINGS, lists=False)

@@ -1,7 +1,7 @@
 """Fit the rate-of-penetration law to a sweep's dataset or to rig data.
 
-A CSV needs the columns relief (or mean_force and threshold) and rate_of_penetration, in SI units; further columns may
-tell groups of rows apart.
+A CSV file needs the columns relief (or mean_force and threshold) and rate_of_penetration, in SI units; further columns
+may distinguish groups of rows.
 """
 
 from argparse import ArgumentParser
@@ -61,7 +61,7 @@ def run(options: Options) -> None:
 
 
 def _legend(fit: "xarray.Dataset") -> list[str]:
-    """Return the meanings of the columns of the table."""
+    """Return lines that explain the columns of the table."""
     lane = "a row of the CSV" if "columns" in fit.attrs else WORDS["lane"]
     return [
         f"forms of the rate of penetration: {fit.attrs['formulas']}",

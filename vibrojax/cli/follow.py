@@ -1,4 +1,4 @@
-"""Follow the family of periodic orbits over one parameter, stable and unstable, with its special points."""
+"""Follow a family of periodic orbits, stable and unstable, along one parameter, with its special points."""
 
 from argparse import ArgumentParser, RawDescriptionHelpFormatter
 
@@ -8,7 +8,7 @@ from vibrojax.cli.values import add_values, named_values, whole
 from vibrojax.errors import Place
 
 REQUIRED = ("along", "at", "from", "to")
-"""Settings without a default."""
+"""Settings without a default value."""
 
 SETTINGS = (*REQUIRED, "start", "settle", "observe", "cycles")
 """Arguments of `follow` that are not parameters of a scene."""

@@ -1,4 +1,4 @@
-"""Tell what a dataset holds: scene, grid, regimes, failures, accuracy, provenance; or how far a sweep is."""
+"""Show what a dataset holds: scene, grid, regimes, failures, accuracy, provenance; or the progress of a sweep."""
 
 from argparse import ArgumentParser
 from pathlib import Path
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from vibrojax.io.standing import Standing
 
 _MAX_ITEMS = 8
-"""Claims or failures that are listed."""
+"""Maximum number of claims or failures that are listed."""
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -43,7 +43,7 @@ def run(options: Options) -> None:
 
 
 def chunk_folder(path: Path) -> Path | None:
-    """Return the folder of chunks at `path`, or beside a missing `path`; None if there is none."""
+    """Return the folder of chunks at `path`, or next to a `path` that does not exist; None if there is none."""
     from vibrojax.io.standing import CHUNKS
 
     if path.name.endswith(CHUNKS) and path.is_dir():
@@ -55,7 +55,7 @@ def chunk_folder(path: Path) -> Path | None:
 
 
 def standing_parts(state: "Standing") -> "list[SummaryPart]":
-    """Return the progress of an unfinished sweep as text."""
+    """Return the progress of an unfinished sweep as parts of a summary."""
     from vibrojax.analyses.analysis import SummaryPart
 
     finished = len(state.finished)
@@ -82,7 +82,7 @@ def standing_parts(state: "Standing") -> "list[SummaryPart]":
 
 
 def standing_facts(state: "Standing") -> dict[str, Any]:
-    """Return the progress of an unfinished sweep with stable keys."""
+    """Return the progress of an unfinished sweep as JSON values with stable keys."""
     return {
         "folder": str(state.folder),
         "title": state.title,

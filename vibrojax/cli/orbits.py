@@ -1,4 +1,4 @@
-"""Find the periodic orbits of a sweep's lanes: multipliers and stability."""
+"""Find the periodic orbits of a sweep's lanes, with their multipliers and stability."""
 
 from argparse import ArgumentParser
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Options and output of commands: files checked before any work, datasets written and drawn, JSON."""
+"""Options and output of commands: checking files before any work, writing and drawing datasets, and JSON."""
 
 import json
 import math
@@ -29,7 +29,7 @@ class Options(Namespace):
     quiet: bool = False
     verbose: bool = False
     how_to_resume: str = ""
-    """Advice after an interrupt; a command changes it as it proceeds."""
+    """Advice printed after an interrupt; a command changes it as it proceeds."""
 
     def advise(self, state: str, *words: str) -> None:
         """Set the advice: the `state` of the work, and the command `vibrojax WORDS` that continues it."""
@@ -38,7 +38,7 @@ class Options(Namespace):
 
 @runtime_checkable
 class Command(Protocol):
-    """A module of this folder; the first line of its docstring is its line in `--help`."""
+    """The interface of a command's module; the first line of the module's docstring is its summary in `--help`."""
 
     __doc__: str | None
 
@@ -48,12 +48,12 @@ class Command(Protocol):
     def run(self, options: Options) -> None:
         """Run the command.
 
-        **Raises:** `InputError` for bad input, `OSError` if the disk does not take the result.
+        **Raises:** `InputError` for bad input, `OSError` if the result cannot be written to the disk.
         """
 
 
 class ResultFiles(NamedTuple):
-    """The files of a result, `out` and `picture`, and what it depends on (see [vibrojax.io.finished][])."""
+    """The files of a result, `out` and `picture`, and everything it depends on (see [vibrojax.io.finished][])."""
 
     out: Path
     picture: Path
@@ -61,9 +61,9 @@ class ResultFiles(NamedTuple):
 
 
 def output(path: str | Path, endings: Sequence[str] = (".nc",)) -> Path:
-    """Return `path` as a file that can be written.
+    """Return `path`, checked to be a writable file.
 
-    **Raises:** `InputError` if it cannot be written, or does not end in one of `endings`.
+    **Raises:** `InputError` if the file cannot be written, or its name does not end in one of `endings`.
     """
     path = Path(path)
     place = f"-o: {shown(str(path))}"
@@ -85,9 +85,9 @@ def output(path: str | Path, endings: Sequence[str] = (".nc",)) -> Path:
 
 
 def output_folder(folder: str, names: Sequence[str]) -> list[Path]:
-    """Return the files `names` in a folder, which is made if it does not exist.
+    """Return the paths of the files `names` in a folder, which is created if it does not exist.
 
-    **Raises:** `InputError` if one of them cannot be written.
+    **Raises:** `InputError` if one of the files cannot be written.
     """
     try:
         Path(folder).mkdir(parents=True, exist_ok=True)
@@ -97,12 +97,12 @@ def output_folder(folder: str, names: Sequence[str]) -> list[Path]:
 
 
 def picture_beside(path: Path) -> Path:
-    """Return the picture beside the dataset at `path`, checked as `output` does."""
+    """Return the path of the picture next to the dataset at `path`, checked as in `output`."""
     return output(path.with_suffix(".png"), PICTURES)
 
 
 def add_output(parser: ArgumentParser, default: str) -> None:
-    """Add `-o` and `--fresh` to a parser; `default` is the name of the file in this folder."""
+    """Add `-o` and `--fresh` to a parser; `default` is the default file name, in the current folder."""
     parser.add_argument("-o", dest="out", metavar="OUT.nc", help=f"where to write ({default} in this folder)")
     parser.add_argument("--fresh", action="store_true", help="replace OUT, whatever it holds")
 
@@ -114,9 +114,9 @@ def add_json(parser: ArgumentParser) -> None:
 
 
 def result_at(options: Options, default: str, identity: Mapping[str, object]) -> ResultFiles:
-    """Return the files of a result; `default` is its name without `-o`.
+    """Return the files of a result; `default` is its file name without `-o`.
 
-    **Raises:** `InputError` if it cannot be written, or another result is there.
+    **Raises:** `InputError` if they cannot be written, or `out` holds another result.
     """
     from vibrojax.io.finished import check_replaceable
 
@@ -128,7 +128,7 @@ def result_at(options: Options, default: str, identity: Mapping[str, object]) ->
 
 
 def write_result(options: Options, dataset: "xarray.Dataset", result: ResultFiles) -> str:
-    """Write a result and draw it; return the end of a line that names its picture."""
+    """Write a result and draw it; return the end of an output line, which names the picture."""
     from vibrojax.io.dataset import write_dataset
     from vibrojax.io.finished import IDENTITY, identity_text
 
@@ -138,14 +138,15 @@ def write_result(options: Options, dataset: "xarray.Dataset", result: ResultFile
 
 
 def dataset_written(options: Options, out: Path) -> None:
-    """Change the advice after an interrupt: only the picture of the dataset `out` is missing."""
+    """Change the advice after an interrupt: the dataset `out` is complete, and only its picture is missing."""
     options.advise(f"{out} is whole; for its picture", "plot", str(out))
 
 
 def draw(options: Options, dataset: "xarray.Dataset", out: Path, picture: Path) -> str:
-    """Draw the picture of a dataset that is written at `out`.
+    """Draw the picture of a dataset that has been written to `out`.
 
-    **Returns:** the end of a line that names it; an empty text if nothing can be drawn, for a reason on stderr.
+    **Returns:** the end of an output line, which names the picture. If nothing can be drawn, the string is empty, and
+    the reason is printed on stderr.
     """
     from vibrojax.analyses.pictures import save_picture
 
@@ -153,24 +154,24 @@ def draw(options: Options, dataset: "xarray.Dataset", out: Path, picture: Path) 
     try:
         with timed("draw"):
             part = save_picture(dataset, picture)
-    except InputError as error:  # the dataset, which is the result, is written
+    except InputError as error:  # the result, which is the dataset, has been written
         print(f"no picture: {error}", file=sys.stderr)
         return ""
     return f"; picture {picture}" + (f" ({part})" if part else "")
 
 
 def print_json(facts: Mapping[str, object]) -> None:
-    """Print `facts` as one JSON object; a number that is not finite is null."""
+    """Print `facts` as one JSON object; a number that is not finite becomes null."""
     print(escape_json(json.dumps(_plain(facts), ensure_ascii=False, allow_nan=False, indent=2)))
 
 
 def file_facts(result: ResultFiles, drawn: str) -> dict[str, object]:
-    """Return the files of a result as facts for JSON; `drawn` is the return value of `write_result`."""
+    """Return the files of a result as JSON values; `drawn` is the return value of `write_result`."""
     return {"dataset": str(result.out), "picture": str(result.picture) if drawn else None}
 
 
 def _plain(value: Any) -> Any:
-    """Return `value` in types that JSON has."""
+    """Return `value` converted to JSON types."""
     if isinstance(value, Mapping):
         return {str(name): _plain(item) for name, item in value.items()}
     if isinstance(value, (list, tuple)):

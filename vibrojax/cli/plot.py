@@ -1,4 +1,4 @@
-"""Draw the fitting picture for what a dataset holds, or variables of it, at values of its axes."""
+"""Draw the picture that suits what a dataset holds, or specified variables, at specified values of its axes."""
 
 from argparse import ArgumentParser
 from collections.abc import Sequence
@@ -42,7 +42,7 @@ def run(options: Options) -> None:
 
 
 def _axis_values(words: Sequence[str]) -> dict[str, float | str]:
-    """Return the values of words like delta=0.005 by name."""
+    """Return the values of words such as delta=0.005, keyed by name."""
     values: dict[str, float | str] = {}
     for word in words:
         name, equals, value = word.partition("=")

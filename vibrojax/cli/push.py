@@ -1,4 +1,4 @@
-"""Find the smallest push in each state after which a machine no longer returns to its working cycle."""
+"""Find the smallest push in each state variable after which a machine no longer returns to its working cycle."""
 
 from argparse import ArgumentParser
 

@@ -1,4 +1,4 @@
-"""Put every table and figure of the source that the model can answer beside its number: a page and a table.
+"""Compare each table and figure of the source that the model can reproduce with its result: a page and a table.
 
 An interrupted run keeps nothing.
 """

@@ -1,4 +1,4 @@
-"""List the scenes, or a scene's parameters, starts, friction laws, variables and settings."""
+"""List the scenes, or a scene's parameters, initial conditions, friction laws, variables and settings."""
 
 from argparse import ArgumentParser
 

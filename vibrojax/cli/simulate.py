@@ -1,4 +1,4 @@
-"""Simulate one point: its trajectory as a dataset, and a picture beside it."""
+"""Simulate one point: write its trajectory as a dataset, and a picture."""
 
 import warnings
 from argparse import ArgumentParser
@@ -39,7 +39,7 @@ def run(options: Options) -> None:
     from vibrojax.sweep.input.point import read_point
 
     point = read_point(place, options.scene, parameters, settings.pop("start", None))
-    # Each value is checked by its own rules; no type states that it fits the function's argument.
+    # Each value is checked at run time; its static type does not state that it fits the function's argument.
     arguments: dict[str, Any] = _checked(place, settings) | point.options | point.parameters
     if point.start is not None:
         arguments["start"] = point.start
@@ -50,7 +50,7 @@ def run(options: Options) -> None:
     from vibrojax.sweep.simulation import simulate
 
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UnusualValue)  # `read_point` has warned
+        warnings.simplefilter("ignore", UnusualValue)  # `read_point` has already warned
         dataset = simulate(point.scene, **arguments, progress=not options.quiet)
     drawn = write_result(options, dataset, result)
     if options.json:
@@ -70,7 +70,7 @@ def run(options: Options) -> None:
 
 
 def _checked(place: Place, settings: dict[str, object]) -> dict[str, object]:
-    """Return the settings, checked; `simulate` itself checks the names of methods and solvers."""
+    """Return the settings after checking them; `simulate` itself checks the names of methods and solvers."""
     from vibrojax.models.physics.parameters import positive
     from vibrojax.sweep.input.values import quantity
 

@@ -1,4 +1,4 @@
-"""Run a sweep file: a labelled dataset, and a picture beside it."""
+"""Run a sweep file: write a dataset with the regime of each lane, and a picture."""
 
 import threading
 from argparse import ArgumentParser
@@ -62,7 +62,7 @@ def run(options: Options) -> None:
     words = [word for change in options.changes for word in ("--set", change)]
     by = [word for name in ("workers", "only") if (value := getattr(options, name)) for word in (f"--{name}", value)]
     options.advise("finished chunks are kept; to go on", "sweep", options.sweep, *words, "-o", str(out), *by)
-    # Import the drawing modules while the lanes step, which release the interpreter lock.
+    # Import the drawing modules while the lanes are stepped: stepping releases the interpreter lock.
     threading.Thread(target=import_module, args=("vibrojax.analyses.pictures",), daemon=True).start()
     progress = not options.quiet
     if share:
@@ -86,19 +86,19 @@ def run(options: Options) -> None:
 
 
 def _remaining_work(out: Path) -> str:
-    """Return the state of a sweep whose chunks several processes compute into the dataset `out`."""
+    """Return the state of a sweep whose chunks several processes compute for the dataset `out`, as a string."""
     from vibrojax.io.standing import CHUNKS, standing
 
     try:
         state = standing(out.with_name(out.name + CHUNKS))
-    except InputError:  # finished and removed this moment
+    except InputError:  # the sweep has just been finished, and the folder removed
         return "the dataset is whole"
     missing = state.chunks - len(state.finished)
     return f"{missing} of {state.chunks} chunks are left to others" if missing else "another process writes the dataset"
 
 
 def _print_cost(sweep: "Sweep", out: Path, processes: int, measure: bool) -> None:
-    """Print the cost of a sweep; raise `InputError` if this machine has no room for it."""
+    """Print the estimated cost of a sweep; raise `InputError` if memory or disk of this machine are too small."""
     from vibrojax.analyses.sweep.run import estimate
     from vibrojax.sweep.engine.resources import check_size
 
@@ -120,5 +120,5 @@ def _print_cost(sweep: "Sweep", out: Path, processes: int, measure: bool) -> Non
 
 
 def _about(seconds: float) -> str:
-    """Return a time as text, with the two digits that an estimate has at best."""
+    """Return a time as a string with two digits: an estimate is not more accurate."""
     return time_text(float(f"{seconds:.2g}"))

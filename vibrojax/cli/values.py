@@ -1,4 +1,4 @@
-"""Arguments SCENE and NAME=VALUE of a command: its settings, and a scene's parameters, possibly with several values."""
+"""The arguments SCENE and NAME=VALUE: settings of a command and parameters of a scene, possibly with several values."""
 
 import json
 from argparse import ArgumentParser
@@ -17,7 +17,7 @@ def add_values(
     choices_of: SettingChoices = lambda names: {},
     scene: str = ALL_SCENES,
 ) -> None:
-    """Add SCENE, with the help `scene`, and NAME=VALUE, with the help `about`, to a parser."""
+    """Add SCENE, with the help string `scene`, and NAME=VALUE, with the help string `about`, to a parser."""
     add_argument(parser, "scene", completer=scenes, metavar="SCENE", help=scene)
     # Without a default, argparse before Python 3.13 requires the values.
     completer = values_with(settings, choices_of)
@@ -27,7 +27,7 @@ def add_values(
 def named_values(
     place: Place, words: list[str], settings: Collection[str], lists: bool
 ) -> tuple[dict[str, object], dict[str, object]]:
-    """Return the values of `settings` and those of parameters, each by name.
+    """Return the values of `settings` and the values of parameters, each keyed by name.
 
     **Arguments:** `lists`: whether a parameter may have several values.
 
@@ -48,7 +48,7 @@ def named_values(
 
 
 def _value(place: Place, text: str, listed: bool) -> object:
-    """Return a number, a name or a vector; if values may be `listed`, also the list 0.3,0.4 or [0.3,0.4]."""
+    """Return a number, a name or a vector; if `listed`, also a list written as 0.3,0.4 or [0.3,0.4]."""
     if text.startswith("["):
         try:
             return list(json.loads(text))
@@ -68,5 +68,5 @@ def _single(text: str) -> object:
 
 
 def whole(value: object) -> object:
-    """Return a whole number as int, any other value unchanged."""
+    """Return a float with an integer value as int, and any other value unchanged."""
     return int(value) if isinstance(value, float) and value.is_integer() else value

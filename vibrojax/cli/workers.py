@@ -12,17 +12,20 @@ if TYPE_CHECKING:
 DASK, SLURM = "dask://", "slurm"
 
 SCHEDULER_TIMEOUT = "10 s"
-"""Time to wait for a scheduler that does not answer."""
+"""Maximum time to wait for a response of the scheduler."""
 
 MAX_WORKERS = 1000
-"""More processes or jobs are taken for a typing error."""
+"""Maximum number of processes or jobs; a larger number is assumed to be a typing error."""
 
 DEFAULT_JOBS = 10
-"""Jobs of SLURM if the option gives no number."""
+"""Number of SLURM jobs if the option specifies none."""
 
 
 class Workers(NamedTuple):
-    """The workers of a sweep: local `processes`, a `dask` scheduler HOST:PORT, or SLURM `jobs`; else this process."""
+    """The workers of a sweep: local `processes`, a `dask` scheduler HOST:PORT, or SLURM `jobs`.
+
+    If all are None, this process computes the sweep.
+    """
 
     processes: int | None = None
     dask: str | None = None
@@ -30,7 +33,7 @@ class Workers(NamedTuple):
 
 
 def read_workers(text: str | None) -> Workers:
-    """Return the workers that `--workers` names; raise `InputError` if it is malformed."""
+    """Return the workers that `--workers` specifies; raise `InputError` if the option is malformed."""
     if text is None:
         return Workers()
     if text.isdecimal() and 1 <= int(text) <= MAX_WORKERS:
@@ -45,7 +48,7 @@ def read_workers(text: str | None) -> Workers:
 
 
 def read_share(text: str | None) -> tuple[int, int] | None:
-    """Return (I, N) of `--only I/N`; raise `InputError` if it is malformed."""
+    """Return (I, N) of `--only I/N`, or None without the option; raise `InputError` if it is malformed."""
     if text is None:
         return None
     part, slash, whole = text.partition("/")
@@ -56,7 +59,7 @@ def read_share(text: str | None) -> tuple[int, int] | None:
 
 @contextmanager
 def dask_executor(address: str) -> Iterator["Executor"]:
-    """Yield the workers of the dask scheduler at HOST:PORT; raise `InputError` if dask or the scheduler is missing."""
+    """Yield the executor of the dask scheduler at HOST:PORT; raise `InputError` if dask or the scheduler is missing."""
     place = f"--workers {DASK}{address}"
     try:
         from distributed import Client

@@ -1,4 +1,4 @@
-"""Datasets on disk, the finished chunks of a sweep, and the claims of the processes that write them.
+"""Storage: datasets on disk, finished chunks of a sweep, and claims of the processes that write chunks.
 
-This file imports nothing, so that the version of the package is available at once.
+This file imports nothing, so that reading the package version is fast.
 """

@@ -1,4 +1,7 @@
-"""Atomic writes: under a temporary name, synced, then renamed, so that a file appears whole or not at all."""
+"""Atomic writes: a file is written under a temporary name, synced, then renamed.
+
+It therefore appears complete or not at all.
+"""
 
 import os
 import re
@@ -10,21 +13,22 @@ from pathlib import Path
 from vibrojax.io.claims import GONE, process_start
 
 ZARR = ".zarr"
-"""Suffix of a dataset that is a folder, a Zarr store."""
+"""Suffix of a dataset stored as a folder (Zarr store)."""
 
 
 @contextmanager
 def atomic_write(path: Path, ending: str = "tmp") -> Iterator[Path]:
-    """Yield the temporary name of a file that becomes `path` when the block ends.
+    """Yield a temporary path, which is renamed to `path` when the `with` block ends.
 
-    Nothing remains of a block that fails. Temporary files of `path` from killed processes are removed.
+    If the block raises, the temporary file is deleted. Temporary files for `path` left by killed processes are also
+    removed.
 
     **Arguments:**
 
-    - `path`: the final name.
-    - `ending`: suffix of the temporary name, for libraries that derive the format from it.
+    - `path`: the final path.
+    - `ending`: suffix of the temporary name, for libraries that derive the file format from the suffix.
 
-    **Raises:** `OSError` if the disk is full or the folder cannot be written.
+    **Raises:** `OSError` if the disk is full or the folder is not writable.
     """
     temporary = re.compile(re.escape(f".{path.name}.") + r"(\d+)" + re.escape(f".{ending}"))
     for other in path.parent.iterdir():
@@ -41,16 +45,16 @@ def atomic_write(path: Path, ending: str = "tmp") -> Iterator[Path]:
 
 @contextmanager
 def atomic_folder(path: Path) -> Iterator[Path]:
-    """Yield the temporary folder that becomes `path` when the block ends; nothing remains of a block that fails."""
+    """Yield a temporary folder: renamed to `path` when the `with` block ends, or deleted if the block raises."""
     part, before = (path.with_name(f".{path.name}.{kind}") for kind in ("tmp", "before"))
-    for leftover in (part, before):  # by a process that was killed
+    for leftover in (part, before):  # left by a killed process
         shutil.rmtree(leftover, ignore_errors=True)
     try:
         yield part
         for file in part.rglob("*"):
             if file.is_file():
                 _sync(file)
-        if path.exists():  # a folder does not replace another one
+        if path.exists():  # renaming cannot replace an existing folder
             path.rename(before)
         part.rename(path)
         _sync_folder(path.parent)
@@ -60,7 +64,7 @@ def atomic_folder(path: Path) -> Iterator[Path]:
 
 
 def commit(part: Path, path: Path) -> None:
-    """Rename the finished file `part` to `path`, with content and name on the disk when this returns."""
+    """Rename the finished file `part` to `path`; on return, content and name are synced to disk."""
     _sync(part)
     os.replace(part, path)
     _sync_folder(path.parent)
@@ -72,7 +76,7 @@ def _sync(path: Path) -> None:
 
 
 def _sync_folder(folder: Path) -> None:
-    if os.name != "posix":  # elsewhere a folder cannot be opened
+    if os.name != "posix":  # other systems cannot open a folder
         return
     file = os.open(folder, os.O_RDONLY)
     try:

@@ -1,7 +1,8 @@
-"""Checked access to the attributes of a dataset: a file from elsewhere may hold anything under their names.
+"""Checked access to dataset attributes, since a file of unknown origin may hold arbitrary values.
 
-`open_dataset` checks all of them. Code that needs an attribute reads it here, so that datasets that were opened in
-another way are checked, too. Every function raises `InputError` with one line that names the attribute.
+`open_dataset` checks all known attributes. Code that needs an attribute reads it through this module, so that datasets
+opened in another way are checked, too. Every function raises `InputError` with a one-line message that names the
+attribute.
 """
 
 import json
@@ -14,23 +15,23 @@ import xarray as xr
 from vibrojax.errors import Place, printable, shown
 
 LONGEST_TITLE = 200
-"""Characters of a title that are shown: they fill two lines of a picture."""
+"""Maximum number of displayed characters of a title: they fill two lines of a picture."""
 
 LONGEST_TEXT = 1000
-"""Characters of any other text that are shown."""
+"""Maximum number of displayed characters of any other string."""
 
 MOST_LINES = 100
-"""Lines of a history that are shown."""
+"""Maximum number of displayed lines of a history."""
 
 LARGEST = 1e300
-"""Numbers of at least this size count as infinite: they are doubles, but their sums and squares may overflow."""
+"""Numbers of at least this absolute value are rejected as infinite: their sums and squares may overflow."""
 
 LONGEST_NAME = 100
-"""Longest name of a parameter [characters]."""
+"""Maximum length of a parameter name [characters]."""
 
 
 class Differing(TypedDict):
-    """A parameter with a value other than its default."""
+    """A parameter whose value differs from the default."""
 
     name: str
     symbol: str
@@ -40,56 +41,56 @@ class Differing(TypedDict):
 
 
 def check_attributes(ds: xr.Dataset) -> None:
-    """Raise `InputError` if the content of a known attribute is malformed."""
+    """Raise `InputError` if the value of a known attribute is malformed."""
     for name in _READERS:
         _read(ds, name, None)
 
 
 def title_of(ds: xr.Dataset, otherwise: str = "") -> str:
-    """Return the title on one line, shortened; `otherwise` if there is none."""
+    """Return the title shortened to one line, or `otherwise` if the dataset has no title."""
     return printable(_read(ds, "title", "") or otherwise, LONGEST_TITLE)
 
 
 def text_of(ds: xr.Dataset, name: str, otherwise: str = "") -> str:
-    """Return a text attribute on one line, shortened; `otherwise` if there is none."""
+    """Return a string attribute shortened to one line, or `otherwise` if the attribute is missing."""
     return printable(_read(ds, name, otherwise), LONGEST_TEXT)
 
 
 def run_of(ds: xr.Dataset) -> dict[str, Any]:
-    """Return the settings of the run; `settle`, `observe` [s] and `error`, if present, are numbers."""
+    """Return the run settings (empty if missing); `settle` [s], `observe` [s] and `error` are numbers where present."""
     run: dict[str, Any] = _read(ds, "run", {})
     return run
 
 
 def parameters_of(ds: xr.Dataset) -> dict[str, float]:
-    """Return the fixed parameters (SI) by name."""
+    """Return the fixed parameters in SI units, by name."""
     return {name: float(value) for name, value in _read(ds, "parameters", {}).items()}
 
 
 def differing_of(ds: xr.Dataset) -> list[Differing]:
-    """Return the fixed parameters whose values are not the defaults."""
+    """Return the fixed parameters whose values differ from the defaults."""
     differing: list[Differing] = _read(ds, "differing", [])
     return differing
 
 
 def counts_of(ds: xr.Dataset) -> dict[str, float | int]:
-    """Return the number of lanes whose error is certified, and the accepted error."""
+    """Return the lane counts of the attribute `certified`, such as `within` the error tolerance, and the tolerance."""
     counts: dict[str, float | int] = _read(ds, "certified", {})
     return counts
 
 
 def history_of(ds: xr.Dataset) -> list[str]:
-    """Return the newest lines of the history, each shortened."""
+    """Return the first `MOST_LINES` lines of the history, newest first, each shortened."""
     return [printable(line, LONGEST_TEXT) for line in str(_read(ds, "history", "")).split("\n")[:MOST_LINES]]
 
 
 def attribute_of(ds: xr.Dataset, name: str) -> Any:
-    """Return the checked value of an attribute, None if it is missing."""
+    """Return the checked value of an attribute, or None if the attribute is missing."""
     return _read(ds, name, None)
 
 
 def table_of(ds: xr.Dataset, name: str) -> dict[str, Any]:
-    """Return an attribute that holds a JSON object, empty if it is missing."""
+    """Return an attribute that holds a JSON object as a dict, empty if the attribute is missing."""
     table: dict[str, Any] = _read(ds, name, {})
     return table
 
@@ -107,7 +108,7 @@ def _text(place: Place, value: object) -> str:
 
 
 def _json(place: Place, value: object) -> Any:
-    if isinstance(value, (dict, list)):  # Zarr stores them without encoding
+    if isinstance(value, (dict, list)):  # Zarr stores JSON values without string encoding
         return value
     try:
         return json.loads(_text(place, value))

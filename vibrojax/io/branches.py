@@ -1,4 +1,4 @@
-"""Branches of a dataset of families: their points, stability, and special points."""
+"""Branches in a dataset of orbit families: the points, stability, and special points of each branch."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -15,11 +15,11 @@ STABLE, UNSTABLE, UNKNOWN = 1, 0, -1
 KIND, FAMILY = "special_kind", "family"
 
 _KIND_PRIORITY = ("fold", "period-doubling", "torus", "section", "grazing", "stick", "end")
-"""Kinds by how well they explain a change of stability, for points with several kinds."""
+"""Kinds of special points, ordered by how well they explain a change of stability, for points with several kinds."""
 
 
 class Branch(NamedTuple):
-    """Indices of the points of one branch, in order, and of its special points."""
+    """One branch of a family: indices of its points, in order along the branch, and of its special points."""
 
     family: int
     number: int
@@ -28,7 +28,10 @@ class Branch(NamedTuple):
 
 
 class Interval(NamedTuple):
-    """A stable interval of the parameter, with the kinds of the special points at its ends; "" without one."""
+    """A parameter interval in which a branch is stable.
+
+    `low_kind` and `high_kind` are the kinds of the special points at its ends, "" where there is no special point.
+    """
 
     low: float
     high: float
@@ -42,7 +45,7 @@ def along_name(ds: xr.Dataset) -> str:
 
 
 def kind_names(ds: xr.Dataset) -> list[str]:
-    """Return the kind of each special point."""
+    """Return the kind of each special point, as a string."""
     meanings = str(ds[KIND].attrs.get("flag_meanings", "")).split()
     if not set(meanings) <= set(SPECIAL_KINDS):
         raise InputError(f"variable {KIND}: {shown(meanings)} are not kinds of special points")
@@ -50,13 +53,13 @@ def kind_names(ds: xr.Dataset) -> list[str]:
 
 
 def numbers_of(ds: xr.Dataset, which: str) -> Int[np.ndarray, " which"]:
-    """Return the family of each point (`which` = "point") or special point ("special")."""
+    """Return the family number of each point (`which` = "point") or special point (`which` = "special")."""
     name = f"{which}_{FAMILY}"
     return ds[name].values.astype(int) if name in ds else np.zeros(ds.sizes[which], int)
 
 
 def branches(ds: xr.Dataset) -> Iterator[Branch]:
-    """Yield the branches of all families, in order."""
+    """Yield the branches of all families, in stored order."""
     of_points, of_special = numbers_of(ds, "point"), numbers_of(ds, "special")
     number, special = ds["branch"].values.astype(int), ds["special_branch"].values.astype(int)
     for family, branch in dict.fromkeys(zip(of_points.tolist(), number.tolist(), strict=True)):
@@ -65,9 +68,9 @@ def branches(ds: xr.Dataset) -> Iterator[Branch]:
 
 
 def places(ds: xr.Dataset, branch: Branch) -> Int[np.ndarray, " special"]:
-    """Return the index of the point at which each special point of a branch lies.
+    """Return, for each special point of a branch, the index of the same point among the points.
 
-    Special points are points of the branch. Several at the same value are assigned to different points if possible.
+    Several special points at the same parameter value are assigned to different points if possible.
     """
     values, special_values = ds[along_name(ds)].values[branch.points], ds["special_value"].values[branch.special]
     taken = np.zeros(len(values), int)
@@ -80,9 +83,9 @@ def places(ds: xr.Dataset, branch: Branch) -> Int[np.ndarray, " special"]:
 
 
 def stability(ds: xr.Dataset, branch: Branch) -> Int[np.ndarray, " segments"]:
-    """Return the stability between successive points of a branch: 1, 0, or -1 if unknown.
+    """Return the stability of each segment between successive points of a branch: 1, 0, or -1 if unknown.
 
-    Multipliers at a special point belong to one side of it, so the neighbouring point decides.
+    Multipliers at a special point hold on only one side of it. The stability of the neighbouring point is used instead.
     """
     stable, special = ds["stable"].values[branch.points].astype(int), np.isin(branch.points, places(ds, branch))
     here, following = stable[:-1], stable[1:]
@@ -92,7 +95,7 @@ def stability(ds: xr.Dataset, branch: Branch) -> Int[np.ndarray, " segments"]:
 
 
 def runs(segments: Int[np.ndarray, " segments"]) -> Iterator[tuple[int, int, int]]:
-    """Yield the first and the last point, and the stability, of each run of equal stability."""
+    """Yield each run of segments with equal stability, as (first point, last point, stability)."""
     ends = np.flatnonzero(np.diff(segments)) + 1
     for first, last in zip([0, *ends.tolist()], [*ends.tolist(), len(segments)], strict=True):
         if last > first:
@@ -100,13 +103,13 @@ def runs(segments: Int[np.ndarray, " segments"]) -> Iterator[tuple[int, int, int
 
 
 def stable_intervals(ds: xr.Dataset, branch: Branch) -> list[Interval]:
-    """Return the intervals of the parameter in which a branch is stable."""
+    """Return the parameter intervals in which a branch is stable."""
     values, names = ds[along_name(ds)].values[branch.points], kind_names(ds)
     kinds: dict[int, str] = {}
     for special, point in zip(branch.special.tolist(), places(ds, branch).tolist(), strict=True):
         kinds[point] = min(kinds.get(point, names[special]), names[special], key=_KIND_PRIORITY.index)
     if branch.number:
-        kinds.setdefault(int(branch.points[0]), "period-doubling")  # a doubled branch begins there
+        kinds.setdefault(int(branch.points[0]), "period-doubling")  # a period-doubled branch begins at this point
 
     def end(index: int) -> tuple[float, str]:
         return float(values[index]), kinds.get(int(branch.points[index]), "")

@@ -1,8 +1,9 @@
-"""Claims and the lock of a shared folder: which process works on which part, on one machine or on many.
+"""Claims and the lock of a shared folder, which record what part each process works on, on one machine or many.
 
-A claim is a file that only one process can create. It names its owner, who touches it regularly. Another process takes
-over a stale claim: its owner is known to have ended (on this machine), or has not touched it for long (elsewhere,
-where processes cannot be seen).
+A claim is a file that only one process can create. It names its owner, the process that created it. The owner updates
+the file's modification time regularly. Another process takes over a stale claim. On this machine, a claim is stale if
+its owner has ended. On other machines, whose processes are not visible, it is stale if its modification time is too
+old.
 """
 
 import json
@@ -20,25 +21,25 @@ from filelock import FileLock, Timeout
 from vibrojax.errors import InputError
 
 BEAT = 15.0
-"""Seconds between two touches of a claim by its owner."""
+"""Interval [s] at which an owner updates the modification times of its claims."""
 
 STALE = 150.0
-"""Age [s] at which an untouched claim is stale: file systems of clusters may show a touch a minute late."""
+"""Time [s] without an update after which a claim is stale: cluster file systems may show updates a minute late."""
 
 GONE = "gone"
-"""Start time of a process that has ended, see `process_start`."""
+"""Start time that `process_start` returns for a process that has ended."""
 
 _LOCK_PATIENCE = 0.2
-"""Seconds in which a process that is just ending may release the lock and remove its file."""
+"""Time [s] to wait for the lock, so that a process that is just ending can release it and remove its file."""
 
 _SUFFIX = ".claim"
 
 
 @dataclass(frozen=True)
 class Owner:
-    """A process: name of the machine, process number, and start time, which distinguishes reused numbers.
+    """A process: host name, process ID, and start time, which distinguishes reused process IDs.
 
-    `place` identifies the boot and the container in which the number is valid.
+    `place` identifies the boot and the container in which the process ID is valid.
     """
 
     host: str
@@ -57,7 +58,7 @@ class Owner:
 
 @dataclass(frozen=True)
 class Held:
-    """An existing claim: its name, its owner, the time of its creation (ISO 8601), and whether it is stale."""
+    """An existing claim: its name, its owner, its creation time (ISO 8601), and whether it is stale."""
 
     name: str
     owner: Owner
@@ -66,7 +67,7 @@ class Held:
 
 
 class Claims:
-    """The claims in a folder; those of this process are touched until they are released."""
+    """The claims in a folder; claims of this process are updated regularly until they are released."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -75,7 +76,7 @@ class Claims:
         self._closed = threading.Event()
 
     def take(self, name: str) -> bool:
-        """Claim `name`; return False if another process holds it, or the folder no longer exists."""
+        """Claim `name`; return False if another process holds the claim, or the folder no longer exists."""
         path = self._path(name)
         content = _read(path)
         if content is not None and not (self._is_stale(path, content) and self._set_aside(path, content)):
@@ -83,15 +84,15 @@ class Claims:
         text = json.dumps(vars(this_process()) | {"since": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}"})
         part = self._temporary(path.name)
         try:
-            # A link to a whole file: a claim is never seen half-written, and on network file systems, too, only one
-            # process succeeds.
+            # Hard-link a complete file: no process ever sees a half-written claim, and even on network file systems
+            # only one process succeeds.
             part.write_text(text)
             try:
                 os.link(part, path)
             except PermissionError:  # a file system without links
                 with open(path, "x") as file:
                     file.write(text)
-        except (FileExistsError, FileNotFoundError):  # the latter if the sweep is finished and the folder removed
+        except (FileExistsError, FileNotFoundError):  # not found: the sweep is finished and the folder removed
             return False
         finally:
             with suppress(OSError):
@@ -110,7 +111,7 @@ class Claims:
         path.unlink(missing_ok=True)
 
     def release_of(self, process: int) -> None:
-        """Release the claims of a process of this machine that has ended."""
+        """Release the claims of an ended process of this machine."""
         for path, content in self._all():
             owner, _ = _parse(content)
             if owner is not None and owner.process == process and owner.has_ended():
@@ -151,7 +152,7 @@ class Claims:
         if owner is not None and owner.place == _place() and os.name == "posix":
             return owner.has_ended()
         probe = self._temporary("clock")
-        try:  # the clock of the file system decides, which may differ from this machine's
+        try:  # use the clock of the file system, which may differ from this machine's
             probe.touch()
             return probe.stat().st_mtime - path.stat().st_mtime > STALE
         except OSError:
@@ -160,11 +161,11 @@ class Claims:
             probe.unlink(missing_ok=True)
 
     def _set_aside(self, path: Path, content: bytes) -> bool:
-        """Remove a stale claim unless it has been replaced meanwhile; return whether it was removed."""
+        """Remove a stale claim unless it has been replaced meanwhile; return whether the claim was removed."""
         aside = self._temporary(path.name)
         try:
             os.rename(path, aside)
-        except OSError:  # another process was quicker
+        except OSError:  # another process removed the claim first
             return False
         try:
             if aside.read_bytes() == content:
@@ -185,17 +186,17 @@ class Claims:
 
 
 class Lock:
-    """An exclusive lock on the file at `path`, held until it is released; acquiring waits up to `patience` seconds.
+    """An exclusive lock on the file at `path`, held until `release`; acquiring it waits up to `patience` seconds.
 
-    It is the system's lock on the open file. The system releases it when the process ends, even if it is killed, so
-    that the remaining file blocks nobody. On a file system without locks there is no protection.
+    The operating system locks the open file, and releases the lock when the process ends, even if it is killed. A file
+    that remains therefore blocks no other process. On a file system without locks there is no protection.
 
-    **Raises:** `InputError` if another process holds the lock, or the file cannot be written.
+    **Raises:** `InputError` if another process holds the lock, or the file is not writable.
     """
 
     def __init__(self, path: Path, patience: float = _LOCK_PATIENCE) -> None:
         self.path = path
-        # Any thread may release it: a sweep runs in a thread of its own.
+        # Any thread may release the lock: a sweep runs in a separate thread.
         self._lock = FileLock(path, timeout=patience, thread_local=False)
         try:
             self._lock.acquire()  # creates the folder again if another process has just finished and removed it
@@ -207,15 +208,15 @@ class Lock:
                 raise InputError(f"{path}: cannot be written ({error.strerror}); give another output") from None
 
     def release(self, remove: bool = False) -> None:
-        """Release the lock; with `remove`, delete its file first, while no other process can hold it."""
+        """Release the lock; with `remove`, first delete its file, while no other process can hold the lock."""
         if remove:
-            with suppress(PermissionError):  # Windows keeps an open file, and removes it on release
+            with suppress(PermissionError):  # Windows cannot delete an open file; releasing the lock removes it
                 self.path.unlink(missing_ok=True)
         self._lock.release()
 
 
 def is_locked(path: Path) -> bool:
-    """Return whether a process holds the lock at `path`, without changing anything."""
+    """Return whether any process holds the lock at `path`; the check has no side effects."""
     if not path.exists():
         return False
     try:
@@ -226,23 +227,23 @@ def is_locked(path: Path) -> bool:
 
 
 def this_process() -> Owner:
-    """Return this process as an owner of claims."""
+    """Return the `Owner` that describes this process."""
     return Owner(socket.gethostname(), os.getpid(), process_start(os.getpid()), _place())
 
 
 def process_start(process: int) -> str:
-    """Return the start time of a process of this machine; "gone" if it has ended, "" if the system does not say."""
+    """Return the start time of a process of this machine: "gone" if it has ended, "" if unknown."""
     try:
         fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
         return GONE if fields[0] in "ZX" else fields[19]
     except OSError:  # no such process, another user's, or a system without /proc
         pass
-    if os.name == "posix":  # elsewhere this call ends the process
+    if os.name == "posix":  # on other systems this call ends the process
         try:
             os.kill(process, 0)
         except (ProcessLookupError, OverflowError):
             return GONE
-        except OSError:  # another user's
+        except OSError:  # a process of another user
             pass
     return ""
 
@@ -255,7 +256,7 @@ def _read(path: Path) -> bytes | None:
 
 
 def _parse(content: bytes) -> tuple[Owner | None, str]:
-    """Return the owner of a claim, None if the content is malformed, and the time of its creation."""
+    """Return the owner of a claim, or None if the content is malformed, and the creation time of the claim."""
     try:
         values = json.loads(content)
         owner = Owner(str(values["host"]), int(str(values["process"])), str(values["start"]), str(values["place"]))
@@ -265,7 +266,7 @@ def _parse(content: bytes) -> tuple[Owner | None, str]:
 
 
 def _place() -> str:
-    """Return an identifier of the boot of this machine, and of the container that this process runs in."""
+    """Return an identifier of this machine's boot, and of the container in which this process runs."""
     try:
         boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
         return f"{boot} {os.readlink('/proc/self/ns/pid')}"

@@ -1,4 +1,4 @@
-"""The content security policy of a page: the scripts, styles and connections that its browser allows."""
+"""The content security policy of an HTML page: the scripts, styles and connections that the browser allows."""
 
 import base64
 from collections.abc import Sequence
@@ -6,16 +6,16 @@ from hashlib import sha256
 
 
 def content_policy(scripts: Sequence[str], styles: Sequence[str], asks: bool = False) -> str:
-    """Return the policy of a page that holds these scripts and style sheets, and nothing else.
+    """Return the policy of a page that may use only these scripts and style sheets.
 
-    **Arguments:** `scripts`, `styles`: the text between the tags of each element; `asks`: whether the page may send
+    **Arguments:** `scripts`, `styles`: the content of each element, between its tags; `asks`: whether the page may send
     requests to its own server.
     """
     rules = {
         "default-src": "'none'",
         "script-src": _hashes(scripts),
         "style-src": _hashes(styles),
-        "img-src": "data:",  # an empty icon, so that the browser requests none; pictures within the page
+        "img-src": "data:",  # pictures embedded in the page, and an empty icon, so that the browser requests none
         "connect-src": "'self'" if asks else "'none'",
         "base-uri": "'none'",
         "form-action": "'none'",

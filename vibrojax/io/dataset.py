@@ -1,4 +1,4 @@
-"""Datasets on disk: written whole or not at all, and checked when they are opened."""
+"""Datasets on disk: written completely or not at all, and checked when they are opened."""
 
 import errno
 import os
@@ -20,33 +20,33 @@ from vibrojax.io.threads import in_own_thread
 from vibrojax.io.variables import VARIABLES
 
 MARK = "vibrojax"
-"""Beginning of the attribute `source` of every dataset of this package."""
+"""Prefix of the attribute `source` of every dataset that this package writes."""
 
 LAZY_FROM = 256e6
-"""Size of a dataset [bytes] above which it is read lazily."""
+"""Size of a dataset [bytes] above which its variables are read lazily."""
 
 MOST_PACKED = 2000
-"""Largest accepted ratio of a dataset's size to its file's: zlib reaches a thousand; a hostile file may claim any."""
+"""Largest accepted ratio of dataset size to file size: zlib reaches 1000; a malicious file may claim any size."""
 
 COMPRESSED = 4096
 """Number of values above which a variable is compressed."""
 
 _PROBE = 1 << 20
-"""Bytes of one write that tests whether the disk is full."""
+"""Number of bytes per write when testing whether the disk is full."""
 
 _PATIENCE, _SLOWEST = 20.0, 2e6
-"""Time limit of reading a file: these seconds, and its size over this rate [bytes/s]."""
+"""Time limit for reading a file: `_PATIENCE` [s], plus the file size divided by `_SLOWEST` [bytes/s]."""
 
 
 def write_dataset(dataset: xr.Dataset, path: str | os.PathLike[str]) -> None:
-    """Write a netCDF-4 file, which appears whole or not at all: it is written under a temporary name, then renamed.
+    """Write a netCDF-4 file under a temporary name, then rename it: it appears complete or not at all.
 
     **Arguments:**
 
-    - `dataset`: the dataset.
-    - `path`: the file; an existing one is replaced.
+    - `dataset`: the dataset to write.
+    - `path`: path of the file; an existing file is replaced.
 
-    **Raises:** `OSError` if the disk is full or the folder cannot be written.
+    **Raises:** `OSError` if the disk is full or the folder is not writable.
 
     **Example:**
 
@@ -56,7 +56,7 @@ def write_dataset(dataset: xr.Dataset, path: str | os.PathLike[str]) -> None:
     'CF-1.11'
     """
     path = Path(path)
-    # Flags stay integers only without a fill value, and floats keep NaN as it is.
+    # No fill values: xarray reads integer flags with a fill value as floats, and NaN in floats needs none.
     encoding: dict[object, dict[str, object]] = {name: {"_FillValue": None} for name in dataset.variables}
     for name, variable in dataset.data_vars.items():
         if variable.size > COMPRESSED and variable.dtype.kind in "fi":
@@ -69,17 +69,17 @@ def write_dataset(dataset: xr.Dataset, path: str | os.PathLike[str]) -> None:
 
 
 def open_dataset(path: str | os.PathLike[str]) -> xr.Dataset:
-    """Open and check a dataset that this package wrote.
+    """Open and check a dataset written by this package.
 
     **Arguments:**
 
-    - `path`: the netCDF file or Zarr store. It may come from anywhere: attributes, names, coordinates and flags are
-      checked.
+    - `path`: path of the netCDF file or Zarr store. Attributes, names, coordinates and flags are checked, since the
+      file may come from any source.
 
-    **Returns:** the dataset, in memory. Variables of a dataset above a quarter of a gigabyte are read when they are
-    used, and in parts by dask if that is installed.
+    **Returns:** the dataset, in memory. Variables of a dataset above 256 MB are read when they are used, and in parts
+    by dask if dask is installed.
 
-    **Raises:** `InputError` if the file is missing, not netCDF, cut short, not written by this package, or malformed.
+    **Raises:** `InputError` if the file is missing, not netCDF, truncated, not written by this package, or malformed.
 
     **Example:**
 
@@ -105,9 +105,9 @@ def open_dataset(path: str | os.PathLike[str]) -> xr.Dataset:
         dataset = in_own_thread(lambda: _opened(path), patience)
     except InputError:
         raise
-    except TimeoutError:  # HDF5 never ends on some files that have lost a block
+    except TimeoutError:  # HDF5 never returns on some files that have lost a block
         raise InputError(f"{path}: cannot be read as netCDF (its structure is damaged)") from None
-    except Exception as error:  # the library raises many kinds on a damaged or foreign file
+    except Exception as error:  # the library raises many types of exceptions on a damaged or foreign file
         raise InputError(f"{path}: cannot be read as netCDF ({_first_line(error)})") from None
     if not str(dataset.attrs.get("source", "")).startswith(MARK):
         raise InputError(f"{path}: was not written by {MARK} (its attribute source does not say so)")
@@ -115,24 +115,25 @@ def open_dataset(path: str | os.PathLike[str]) -> xr.Dataset:
         check_dataset(dataset)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
-    dataset.attrs.setdefault(KIND, kind_of(dataset))  # datasets of earlier versions have none
+    if kind := kind_of(dataset):  # datasets of earlier versions lack the attribute
+        dataset.attrs.setdefault(KIND, kind)
     warn_of_faults(dataset, str(path))
     return dataset
 
 
 def check_dataset(dataset: xr.Dataset) -> None:
-    """Raise `InputError` if an attribute, a name, a coordinate or a flag of a dataset is malformed."""
+    """Raise `InputError` if an attribute, name, coordinate or flag of a dataset is malformed."""
     check_attributes(dataset)
     check_kind(dataset)
     check_structure(dataset)
 
 
 def _opened(path: Path) -> xr.Dataset:
-    """Return the dataset, in memory if it is small."""
+    """Return the dataset, loaded into memory if it is small."""
     kind = {"engine": "zarr", "consolidated": True} if path.suffix == ZARR else {"engine": "netcdf4"}
-    netCDF4.set_chunk_cache(1 << 20)  # per variable: otherwise 64 MB of each variable stay in memory
+    netCDF4.set_chunk_cache(1 << 20)  # bytes per variable; by default, 64 MB of each variable stay in memory
     dataset = xr.open_dataset(path, cache=False, **kind)
-    if path.suffix == ZARR:  # a store has no order of variables
+    if path.suffix == ZARR:  # a Zarr store does not keep the order of variables
         known = [name for name in VARIABLES if name in dataset]
         dataset = dataset[[*known, *(name for name in dataset.data_vars if name not in VARIABLES)]]
     if dataset.nbytes <= LAZY_FROM:
@@ -146,16 +147,19 @@ def _opened(path: Path) -> xr.Dataset:
 
 
 def check_zarr(path: Path) -> None:
-    """Raise `InputError`, in one line, if zarr, an optional dependency, is not installed."""
+    """Raise `InputError` if zarr, an optional dependency, is not installed."""
     if find_spec("zarr") is None:
         raise InputError(f'{path}: zarr is not installed; pip install "vibrojax[zarr]", or give a .nc file')
 
 
 def write_failed(part: Path, path: Path, size: int, error: Exception) -> OSError:
-    """Return why a dataset of `size` bytes could not be written: the library says only "HDF error"."""
+    """Return an error that states why a dataset of `size` bytes could not be written.
+
+    The netCDF library reports only "HDF error".
+    """
     try:
         with open(part, "ab", buffering=0) as file:
-            for _ in range(2 + 2 * size // _PROBE):  # a partial write raises nothing, the next one does
+            for _ in range(2 + 2 * size // _PROBE):  # a partial write raises nothing, but the next write does
                 file.write(bytes(_PROBE))
             os.fsync(file.fileno())
     except OSError as reason:

@@ -1,4 +1,4 @@
-"""The variables of datasets that derive from a sweep's orbits: families, borders and attractors."""
+"""The variables of datasets derived from a sweep's orbits: families, borders and attractors."""
 
 import numpy as np
 
@@ -6,10 +6,11 @@ from vibrojax.io.variables import Variable
 from vibrojax.measures.labels import REGIMES
 
 SPECIAL_KINDS = ("fold", "period-doubling", "torus", "grazing", "stick", "section", "end")
-"""Flags of `special_kind`."""
+"""Meanings of the flags of `special_kind`."""
 
 BORDER_KINDS = (*SPECIAL_KINDS, "basin", "not-settled")
-"""Flags of `kind`: those of special points, and limits beyond which a start no longer leads to an existing orbit."""
+"""Meanings of the flags of `kind`: kinds of special points, and limits beyond which an initial condition no longer
+leads to an existing orbit."""
 
 OF_FAMILIES: dict[str, Variable] = {
     "branch": Variable("1", "branch of the family, 0 the one that it begins with", np.int32),
@@ -20,7 +21,7 @@ OF_FAMILIES: dict[str, Variable] = {
     "point_family": Variable("1", "number of the family", np.int32),
     "special_family": Variable("1", "number of the family", np.int32),
 }
-"""Variables in addition to those of orbits and measures; the last two exist only if there are several families."""
+"""Variables in addition to those of orbits and measures; the last two exist only for several families."""
 
 OF_BORDERS: dict[str, Variable] = {
     "curve": Variable("1", "number of the curve", np.int32),

@@ -1,4 +1,4 @@
-"""Known faults in datasets of earlier versions: a warning when such a dataset is opened."""
+"""Known faults in datasets written by earlier versions: opening such a dataset issues a warning."""
 
 import warnings
 
@@ -6,11 +6,11 @@ import xarray as xr
 
 
 class KnownFault(UserWarning):
-    """A dataset may hold wrong numbers, because of a fault of the version that wrote it."""
+    """A warning that a dataset may hold wrong numbers because of a bug in the version that wrote it."""
 
 
 def warn_of_faults(dataset: xr.Dataset, file: str) -> None:
-    """Warn, on one line, of the known faults of the version that wrote this dataset."""
+    """Issue a one-line warning if the version that wrote this dataset has a known fault that affects it."""
     swept = dataset.attrs.get("source") == "vibrojax 0.1.0" and "lanes" in dataset.attrs
     if swept and dataset.attrs.get("friction") == "popp-arctan":
         warnings.warn(

@@ -1,4 +1,4 @@
-"""Protection of finished results: a result of something else is replaced only if the user asks for it."""
+"""Protection of finished results: a file with a different result is replaced only if the user requests it."""
 
 import json
 from collections.abc import Mapping
@@ -12,19 +12,20 @@ from vibrojax.io.manifest import changes
 from vibrojax.io.threads import in_own_thread
 
 IDENTITY = "identity"
-"""The attribute with everything that a result depends on, as JSON: equal if a run would compute the same."""
+"""Name of the attribute that holds, as JSON, everything that a result depends on. Runs with equal identities compute
+the same result."""
 
 _ATTRIBUTES_PATIENCE = 20.0
-"""Seconds that reading the attributes of a damaged file may take."""
+"""Time limit [s] for reading the attributes of a possibly damaged file."""
 
 
 def identity_text(identity: Mapping[str, object]) -> str:
-    """Return an identity as the attribute stores it."""
+    """Return an identity as the JSON string that the attribute stores."""
     return json.dumps(identity, sort_keys=True)
 
 
 def check_replaceable(out: Path, identity: Mapping[str, object]) -> None:
-    """Raise `InputError`, in one line, if `out` exists and holds anything but a result of this `identity`."""
+    """Raise `InputError` if `out` exists and holds anything but a result with this `identity`."""
     if not out.exists():
         return
 
@@ -38,7 +39,7 @@ def check_replaceable(out: Path, identity: Mapping[str, object]) -> None:
 
     try:
         stored = in_own_thread(read, _ATTRIBUTES_PATIENCE) if out.is_file() or out.suffix == ZARR else None
-    except Exception:  # the libraries raise many kinds on a damaged or foreign file
+    except Exception:  # the libraries raise many types of exceptions on a damaged or foreign file
         stored = None
     advice = "--fresh replaces it, or give another output with -o"
     if not isinstance(stored, dict):

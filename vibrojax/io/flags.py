@@ -1,4 +1,4 @@
-"""Flags of a variable by their CF attributes: values, meanings and counts."""
+"""Flags of a variable as stated by its CF attributes: values, meanings and counts."""
 
 import numpy as np
 import xarray as xr
@@ -6,18 +6,21 @@ import xarray as xr
 from vibrojax.errors import printable
 
 LONGEST_MEANING = 60
-"""Characters of a flag's meaning that are shown: more would break the columns of a summary."""
+"""Maximum number of displayed characters of a flag's meaning: more would misalign the columns of a summary."""
 
 
 def flags(variable: xr.DataArray) -> dict[int, str]:
-    """Return the meaning of each flag by its value; an empty dict if the variable has no flags."""
+    """Return a dict from the value of each flag to its meaning, empty if the variable has no flags."""
     values = np.atleast_1d(variable.attrs.get("flag_values", [])).tolist()
     meanings = str(variable.attrs.get("flag_meanings", "")).split()
     return {value: printable(meaning, LONGEST_MEANING) for value, meaning in zip(values, meanings, strict=False)}
 
 
 def flag_counts(ds: xr.Dataset, name: str) -> dict[str, int]:
-    """Return how many values of variable `name` have each flag, without flags that none has; empty if it is missing."""
+    """Return the number of values with each flag of variable `name`, keyed by meaning.
+
+    Flags without any value are left out. The dict is empty if the variable is missing.
+    """
     if name not in ds:
         return {}
     values = ds[name].values

@@ -1,8 +1,8 @@
-"""Sizes and times as readable text."""
+"""Sizes and times as readable strings."""
 
 
 def size_text(size: int | float) -> str:
-    """Return a size in bytes as text, such as `1.5 GB`."""
+    """Return a size in bytes as a string, such as `1.5 GB`."""
     for unit in ("B", "kB", "MB", "GB"):
         if size < 999.5:
             return f"{size:.3g} {unit}"
@@ -11,7 +11,7 @@ def size_text(size: int | float) -> str:
 
 
 def time_text(seconds: int | float) -> str:
-    """Return a time as text, such as `2.5 h`."""
+    """Return a time in seconds as a string, such as `2.5 h`."""
     for unit, length in (("days", 86400), ("h", 3600), ("min", 60)):
         if seconds >= 2 * length:
             return _text(seconds / length, unit, 1e6)

@@ -1,4 +1,4 @@
-"""Kinds of datasets: the attribute `kind`, the structure it promises, and the attributes that every dataset has."""
+"""Kinds of datasets: the attribute `kind`, the structure of each kind, and the attributes of every dataset."""
 
 from collections.abc import Callable
 from datetime import UTC, datetime
@@ -9,10 +9,10 @@ from vibrojax.errors import InputError, printable, shown
 from vibrojax.io.provenance import provenance
 
 KIND = "kind"
-"""The attribute that says which analysis made a dataset."""
+"""Name of the attribute that states which analysis made a dataset."""
 
 LONGEST_KIND = 60
-"""Characters of a kind: it is the name of a command too."""
+"""Maximum length of a kind [characters]: a kind is also the name of a command."""
 
 STRUCTURES: dict[str, Callable[[xr.Dataset], bool]] = {
     "trajectory": lambda ds: "time" in ds.dims,
@@ -22,20 +22,20 @@ STRUCTURES: dict[str, Callable[[xr.Dataset], bool]] = {
     "push": lambda ds: "sign" in ds.dims and any(str(name).startswith("push_") for name in ds.data_vars),
     "accuracy": lambda ds: "setting" in ds.dims and "error_worst" in ds,
 }
-"""The structure that pictures and summaries of a kind rely on."""
+"""The structure that pictures and summaries of each kind require."""
 
 _RECOGNISED = STRUCTURES | {
     "fit": lambda ds: ("C" in ds and "form" in ds["C"].dims) or "columns" in ds.attrs,
     "derivatives": lambda ds: {"variable", "parameter"} <= set(ds.dims),
     "sweep": lambda ds: not {"regime", "status", "rate_of_penetration"}.isdisjoint(ds.variables),
 }
-"""The structure by which the kind of a dataset without the attribute is recognised, in this order."""
+"""The structure that identifies the kind of a dataset without the attribute. The first match is used."""
 
 
 def kind_of(ds: xr.Dataset) -> str:
-    """Return the kind of a dataset: its attribute, else the first kind whose structure it has, else an empty text.
+    """Return the kind of a dataset: its attribute, else the first kind whose structure matches, else "".
 
-    A dataset that has lost the variables of its kind, say by a selection of variables, counts by its structure.
+    If the variables of the stated kind are missing, say after a selection of variables, only the structure is used.
     """
     kind = str(ds.attrs.get(KIND, ""))
     if kind and STRUCTURES.get(kind, lambda _: True)(ds):
@@ -44,7 +44,7 @@ def kind_of(ds: xr.Dataset) -> str:
 
 
 def check_kind(ds: xr.Dataset) -> None:
-    """Raise `InputError` if the attribute `kind` is not a short text, or the structure of the kind is missing."""
+    """Raise `InputError` if the attribute `kind` is not a short string, or the structure of that kind is missing."""
     kind = ds.attrs.get(KIND, "")
     if not isinstance(kind, str) or printable(kind, LONGEST_KIND) != kind:
         raise InputError(f"attribute {KIND}: {shown(kind)} is not the name of a kind of dataset")
@@ -55,7 +55,7 @@ def check_kind(ds: xr.Dataset) -> None:
 def dataset_attributes(kind: str, title: str, command: str, **further: object) -> dict[str, object]:
     """Return the attributes of a new dataset: kind, title, provenance, history, `further` ones and the conventions.
 
-    `command` is the entry of the history; its time is now, in UTC.
+    `command` becomes the entry of the history, with the current time in UTC.
     """
     return {
         "title": title,

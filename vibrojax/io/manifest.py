@@ -1,4 +1,7 @@
-"""The manifest of a sweep's chunks: everything that results depend on, so that results of another sweep are refused."""
+"""The manifest of a sweep's chunks: everything that results depend on.
+
+If the manifest differs, the chunks belong to another sweep and are rejected.
+"""
 
 import hashlib
 import json
@@ -8,24 +11,24 @@ from pathlib import Path
 from vibrojax.errors import shown
 
 MANIFEST = "manifest.json"
-"""Name of the file in a folder of chunks."""
+"""Name of the manifest file in a folder of chunks."""
 
 _CHANGES_SHOWN = 3
 
 
 class Manifest:
-    """Everything that results depend on: `values`, as JSON returns them, and their SHA-256, `digest`."""
+    """Everything that results depend on: `values`, converted to JSON types, and `digest`, their SHA-256."""
 
     def __init__(self, values: Mapping[str, object]) -> None:
         self.values: dict[str, object] = json.loads(_canonical(values))
         self.digest = hashlib.sha256(_canonical(self.values)).hexdigest()
 
     def content(self, about: Mapping[str, object]) -> bytes:
-        """Return the content of the file, with further facts about the sweep."""
+        """Return the content of the manifest file, including `about`: further facts about the sweep."""
         return json.dumps({"sha256": self.digest, "manifest": self.values, "about": about}, indent=1).encode()
 
     def changes_since(self, path: Path) -> str:
-        """Describe the differences from the manifest at `path`; empty if there are none, or no whole manifest."""
+        """Describe the differences from the manifest at `path`; "" if there are none or that manifest is damaged."""
         try:
             stored = json.loads(path.read_bytes())
             before = Manifest(stored["manifest"])
@@ -36,7 +39,7 @@ class Manifest:
 
 
 def changes(before: Mapping[str, object], now: Mapping[str, object]) -> str:
-    """Describe the differences between what two results depend on; empty if there are none."""
+    """Describe the differences between everything two results depend on; "" if there are none."""
 
     def value(values: Mapping[str, object], name: str) -> str:
         return " ".join(shown(values[name]).split()) if name in values else "not there"

@@ -1,4 +1,4 @@
-"""The choice of the variables to compress, by HDF5's shuffle and zlib, which every reader has."""
+"""The choice of the variables to compress with HDF5's shuffle filter and zlib, which every reader supports."""
 
 import zlib
 from collections import Counter
@@ -7,20 +7,21 @@ from collections.abc import Mapping
 import numpy as np
 
 LEVEL = 1
-"""Level of zlib: higher ones take several times as long and save a hundredth more of measured numbers."""
+"""Level of zlib: higher levels take several times as long, and save only 1 % more of floating-point results."""
 
 UP_TO = 64e6
-"""Bytes of a dataset up to which all variables are compressed; of a larger one those that halve.
+"""Size of a dataset [bytes] up to which all variables are compressed; in a larger one, those that shrink to half.
 
-One core compresses 50 to 100 MB/s of measured numbers, to four fifths; a disk takes several hundred. Flags, counts and
-variables that most lanes lack shrink to a fifth or less, as fast as a disk."""
+One core compresses 50 to 100 MB/s of floating-point results, to four fifths of their size; a disk writes several
+hundred MB/s. Flags, counts and variables that most lanes lack shrink to a fifth or less, at the speed of a disk.
+"""
 
 HALF = 0.5
-"""Largest compressed share of a variable that is compressed in a large dataset."""
+"""Largest ratio of compressed to plain size at which a variable of a large dataset is compressed."""
 
 
 class Sizes:
-    """The plain and compressed sizes of the variables of some lanes of a sweep; `lanes` counts them."""
+    """The plain and compressed sizes of the variables of some lanes of a sweep; `lanes` is the number of them."""
 
     def __init__(self) -> None:
         self.lanes = 0
@@ -28,7 +29,7 @@ class Sizes:
         self._packed: Counter[str] = Counter()
 
     def add(self, variables: Mapping[str, np.ndarray]) -> None:
-        """Add lanes, whose variables are (lanes,) or (lanes, rows)."""
+        """Add lanes; each variable has the shape (lanes,) or (lanes, rows)."""
         self.lanes += max((len(x) for x in variables.values()), default=0)
         for name, x in variables.items():
             # HDF5's shuffle: the first bytes of all numbers, then all second bytes, ...
@@ -38,7 +39,7 @@ class Sizes:
 
     @property
     def lane_bytes(self) -> float:
-        """Bytes of a lane without compression."""
+        """Uncompressed bytes per lane."""
         return self._plain.total() / max(self.lanes, 1)
 
     def plain(self, lanes: int) -> frozenset[str]:
@@ -48,7 +49,7 @@ class Sizes:
         return frozenset(name for name, size in self._plain.items() if self._packed[name] > HALF * size)
 
     def left(self, lanes: int) -> float:
-        """Return the size of such a dataset over its uncompressed size."""
+        """Return the compressed size of a dataset of `lanes` lanes, divided by its uncompressed size."""
         plain = self.plain(lanes)
         size = sum(size if name in plain else self._packed[name] for name, size in self._plain.items())
         return size / max(self._plain.total(), 1)

@@ -4,7 +4,7 @@ from importlib.metadata import PackageNotFoundError, version
 
 
 def package_version() -> str:
-    """Return the version of this package as installed, from `pyproject.toml`."""
+    """Return the installed version of this package, or "0+unknown" if the package is not installed."""
     try:
         return version("vibrojax")
     except PackageNotFoundError:
@@ -12,12 +12,12 @@ def package_version() -> str:
 
 
 def source() -> str:
-    """Return the dataset attribute `source`: name and version."""
+    """Return the value of the dataset attribute `source`: package name and version."""
     return f"vibrojax {package_version()}"
 
 
 def provenance() -> dict[str, str]:
-    """Return the attributes of every dataset on its origin: `source` (name and version) and `jax` (its version)."""
-    import jax  # not at the top: the version of this package needs no jax
+    """Return the attributes that state the origin of a dataset: `source` (name and version) and `jax` (version)."""
+    import jax  # not at the top: reading the package version needs no jax
 
-    return {"source": source(), "jax": jax.__version__}  # jax's compiler decides the last digits of results
+    return {"source": source(), "jax": jax.__version__}  # the last digits of results depend on jax's compiler

@@ -1,4 +1,4 @@
-"""Finished chunks of a sweep as files beside its output, so that no computed chunk is lost."""
+"""Finished chunks of a sweep, stored as files (shards) next to its output, so that no computed chunk is lost."""
 
 import hashlib
 import io
@@ -27,43 +27,43 @@ _ALL = "all"
 """Name of the claim on all chunks."""
 
 _SHARE_PATIENCE = 30.0
-"""Seconds that one of many processes which start together waits for the others to check the manifest."""
+"""Time [s] that a process waits while others, started at the same time, check the manifest."""
 
 _HEADER_SIZE = 1 << 16
-"""Largest npy header [bytes] that is parsed: version 1.0 has no longer ones."""
+"""Largest npy header [bytes] that is parsed; headers of npy version 1.0 are not longer."""
 
 _DAMAGES_SHOWN = 3
 _DIGEST_SIZE = hashlib.sha256().digest_size
 
 SHARD = re.compile(r"chunk-(\d{8,})\.shard")
-"""Name of the file of a finished chunk, with its index."""
+"""Pattern of the file name of a finished chunk; its group is the chunk's index."""
 
 _LEFTOVER = re.compile(
     r"(manifest\.json|clock|chunk-\d{8,}\.shard)(\.\d+)*\.tmp|(chunk-\d{8,}\.failed|[\w-]+\.claim)((\.\d+)*\.tmp)?"
 )
-"""Files that a new start removes: unfinished files, failures and claims of a killed process. Other files stay."""
+"""Files that a new run removes: unfinished files, failure records and claims of a killed process. Other files stay."""
 
 Arrays = Mapping[str, Shaped[np.ndarray, "..."]]
-"""The arrays of a chunk by name: features (lanes,) or (lanes, rows)."""
+"""The arrays of a chunk by name: features of shape (lanes,) or (lanes, rows)."""
 
 
 class DamagedShard(Exception):
-    """A shard that is missing, cut short or changed; its chunk is computed again."""
+    """Error of a shard that is missing, truncated or changed; its chunk is computed again."""
 
 
 class Shards:
     """The finished chunks of one sweep, as immutable files in one folder.
 
-    Each file is the SHA-256 of (manifest, index, content), followed by the content: an npy file with one structured
-    value, a field per array. A file of another manifest or index, a cut file or a flipped bit is therefore recognised,
-    and counts as missing.
+    Each file consists of the SHA-256 of (manifest, index, content), followed by the content: an npy file with one
+    structured value, which has a field per array. A file with another manifest or index, a truncated file or a flipped
+    bit is therefore detected. The chunk then counts as missing.
 
     **Arguments:**
 
     - `folder`: the folder `OUT.nc.chunks`.
     - `manifest`: everything that the results depend on, as JSON values.
     - `about`: further facts about the sweep, as JSON values.
-    - `shared`: whether this process writes into a folder that another process has opened.
+    - `shared`: whether another process has opened the folder, and this process writes into it.
     """
 
     def __init__(
@@ -79,12 +79,12 @@ class Shards:
         self._lock: Lock | None = None
 
     def open(self, resume: bool) -> None:
-        """Prepare the folder for this process alone.
+        """Prepare the folder for exclusive use by this process.
 
-        With `resume` finished chunks stay, unless their manifest differs; otherwise they are removed.
+        With `resume`, finished chunks are kept; otherwise they are removed.
 
-        **Raises:** `InputError` if another process is at work there, the folder cannot be written, or, with `resume`,
-        the manifest differs.
+        **Raises:** `InputError` if another process is working there, the folder is not writable, or, with `resume`, the
+        chunks belong to another manifest.
         """
         self._make_folder()
         self._lock = Lock(self.folder / LOCK)
@@ -100,9 +100,9 @@ class Shards:
             raise
 
     def share(self) -> None:
-        """Prepare the folder for several processes, each of which claims chunks; finished chunks stay.
+        """Prepare the folder for several processes, each of which claims single chunks; finished chunks are kept.
 
-        **Raises:** `InputError` if a process has claimed all chunks, the folder cannot be written, or its manifest
+        **Raises:** `InputError` if a process has claimed all chunks, the folder is not writable, or its manifest
         differs.
         """
         self._make_folder()
@@ -117,7 +117,7 @@ class Shards:
         self._shared = True
 
     def finished(self) -> set[int]:
-        """Return the indices of the whole chunks; report damaged ones on stderr."""
+        """Return the indices of the intact chunks; report damaged chunks on stderr."""
         whole: set[int] = set()
         damages: list[DamagedShard] = []
         for index in sorted(self.there()):
@@ -133,7 +133,7 @@ class Shards:
         return whole
 
     def there(self) -> set[int]:
-        """Return the indices of the existing chunks, without checking that they are whole."""
+        """Return the indices of the existing chunks, without verifying that they are intact."""
         try:
             return {int(match[1]) for match in map(SHARD.fullmatch, os.listdir(self.folder)) if match}
         except FileNotFoundError:  # the sweep is finished, and the folder removed
@@ -144,10 +144,10 @@ class Shards:
         self._path(index).unlink(missing_ok=True)
 
     def claim(self, index: int) -> bool:
-        """Claim a chunk for this process; return False if another process holds it, or it exists."""
+        """Claim a chunk for this process; return False if another process holds the claim, or the chunk exists."""
         if not self.claims.take(_chunk_name(index)):
             return False
-        if self._path(index).exists():  # finished between the look and the claim
+        if self._path(index).exists():  # finished between the caller's check and the claim
             self.release(index)
             return False
         return True
@@ -157,16 +157,16 @@ class Shards:
         self.claims.release(_chunk_name(index))
 
     def record_failure(self, index: int, reason: str) -> None:
-        """Record that a chunk could not be computed."""
+        """Record that a chunk could not be computed, and the reason."""
         failure = {"chunk": index, "by": this_process().text, "why": reason}
         self._put(self._failure_path(index), json.dumps(failure).encode())
 
     def has_failed(self, index: int) -> bool:
-        """Return whether a failure of a chunk is recorded."""
+        """Return whether a failure of the chunk is recorded."""
         return self._failure_path(index).exists()
 
     def write(self, index: int, arrays: Arrays) -> None:
-        """Store the arrays of a chunk; when this returns they are whole on the disk."""
+        """Store the arrays of a chunk; on return, the file is complete on the disk."""
         record = np.zeros((), np.dtype([(name, x.dtype, x.shape) for name, x in arrays.items()], align=True))
         for name, x in arrays.items():
             record[name] = x
@@ -179,7 +179,7 @@ class Shards:
     def read(self, index: int) -> dict[str, np.ndarray]:
         """Return the arrays of a chunk by name, read-only.
 
-        **Raises:** `DamagedShard` if they are missing or not whole.
+        **Raises:** `DamagedShard` if the file is missing or damaged.
         """
         content = self._content(index)
         try:
@@ -191,25 +191,25 @@ class Shards:
                 raise ValueError("not a structured value of the size of the file")
             record = np.frombuffer(content, dtype, offset=file.tell()).reshape(())
             return {name: record[name] for name in dtype.names}
-        except Exception as error:  # numpy raises many kinds on a malformed header
+        except Exception as error:  # numpy raises many types of exceptions on a malformed header
             raise DamagedShard(f"{self._path(index)}: cannot be read ({type(error).__name__})") from None
 
     def remove(self) -> None:
-        """Remove the chunks and, unless it holds other files, the folder; release it."""
+        """Remove the chunks and release the folder; remove the folder, too, unless it holds other files."""
         self._clear(shards=True)
         self.claims.close()
         (self.folder / MANIFEST).unlink(missing_ok=True)
         if self._lock is None:
-            with suppress(InputError):  # another process has just begun to look
+            with suppress(InputError):  # another process has just locked the folder
                 self._lock = Lock(self.folder / LOCK)
         if self._lock is not None:
             self._lock.release(remove=True)
             self._lock = None
-        with suppress(OSError):  # other files stay
+        with suppress(OSError):  # the folder holds other files
             self.folder.rmdir()
 
     def close(self) -> None:
-        """Release the folder; its content stays."""
+        """Release the folder and keep its content."""
         self.claims.close()
         if self._lock is not None:
             self._lock.release()
@@ -244,20 +244,20 @@ class Shards:
         return data[_DIGEST_SIZE:]
 
     def _put(self, path: Path, *parts: bytes | memoryview) -> None:
-        """Write a file that is whole or absent, even after a power failure."""
+        """Write a file that is complete or absent, even after a power failure."""
         if not self._shared:
-            self.folder.mkdir(exist_ok=True)  # a user may have removed it meanwhile
+            self.folder.mkdir(exist_ok=True)  # the user may have removed the folder meanwhile
         temporary = path.with_name(f"{path.name}.{os.getpid()}.tmp")
         try:
             with open(temporary, "wb") as file:
                 file.writelines(parts)
             commit(temporary, path)
-        except OSError as error:  # an error of a write does not name the file
+        except OSError as error:  # an error while writing does not state the file name
             temporary.unlink(missing_ok=True)
             raise OSError(error.errno, error.strerror, str(path)) from None
 
     def _clear(self, shards: bool) -> None:
-        """Remove leftovers of killed processes, and with `shards` the finished chunks; foreign files stay."""
+        """Remove leftovers of killed processes and, with `shards`, the finished chunks; other files stay."""
         for path in self.folder.iterdir():
             if _LEFTOVER.fullmatch(path.name) or (shards and SHARD.fullmatch(path.name)):
                 path.unlink(missing_ok=True)
@@ -280,7 +280,10 @@ class Shards:
         self._put(self.folder / MANIFEST, self.manifest.content(self._about))
 
     def _check_manifest(self) -> None:
-        """Raise `InputError` if the chunks belong to another sweep; without a whole manifest each checksum decides."""
+        """Raise `InputError` if the chunks belong to another sweep.
+
+        Without an intact manifest file, the checksum of each chunk detects chunks of another sweep.
+        """
         differences = self.manifest.changes_since(self.folder / MANIFEST)
         if differences and self.there():
             raise InputError(
@@ -290,7 +293,7 @@ class Shards:
 
 
 def report_damage(damage: DamagedShard | str) -> None:
-    """Warn on stderr of a damaged chunk, which is computed again."""
+    """Warn on stderr about a damaged chunk, which is computed again."""
     print(f"vibrojax: warning: {damage}; computed again", file=sys.stderr)
 
 

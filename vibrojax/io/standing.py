@@ -1,4 +1,4 @@
-"""Progress of a sweep, its workers and its failures, read from the folder of its chunks alone."""
+"""Progress, workers and failures of a sweep, read only from the folder of its chunks."""
 
 import json
 import os
@@ -11,18 +11,18 @@ from vibrojax.io.manifest import MANIFEST
 from vibrojax.io.shards import LOCK, SHARD
 
 CHUNKS = ".chunks"
-"""Suffix of the folder beside an output."""
+"""Suffix of the folder of chunks next to an output file."""
 
 _PACE_SECONDS = 10.0
-"""Shortest time between the first and the last chunk from which a pace is computed."""
+"""Shortest time [s] between the first and the last chunk from which a rate of progress is computed."""
 
 _MALFORMED = (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError)
-"""Errors of reading a JSON file that may come from anywhere."""
+"""Exceptions raised when reading a JSON file of unknown origin."""
 
 
 @dataclass(frozen=True)
 class Failure:
-    """A chunk that could not be computed, the process that tried, and the reason."""
+    """A chunk that could not be computed, the process that attempted it (`by`), and the reason (`why`)."""
 
     chunk: int
     by: str
@@ -33,8 +33,9 @@ class Failure:
 class Standing:
     """The state of a folder of chunks.
 
-    `title`, `lanes` and `chunks` describe the whole sweep; `size` counts the lanes of a chunk. `finished` lists the
-    existing chunks, `nbytes` is their size, `per_second` their pace. `whole_held`: whether a process has locked it.
+    `title`, `lanes` and `chunks` describe the complete sweep; `size` is the number of lanes per chunk. `finished` lists
+    the indices of the existing chunks and `nbytes` is their total size. `per_second` is their rate, None if unknown.
+    `whole_held`: whether a process has locked the folder.
     """
 
     folder: Path
@@ -51,13 +52,13 @@ class Standing:
 
     @property
     def finished_lanes(self) -> int:
-        """Lanes of the existing chunks."""
+        """Number of lanes in the existing chunks."""
         last = self.chunks - 1 in self.finished
         return len(self.finished) * self.size - last * (self.chunks * self.size - self.lanes)
 
 
 def standing(folder: Path) -> Standing:
-    """Read the state of a folder of chunks; raise `InputError` if it is something else."""
+    """Read the state of a folder of chunks; raise `InputError` if the folder is something else."""
     try:
         about = json.loads((folder / MANIFEST).read_bytes())["about"]
         title, (lanes, chunks, size) = str(about["title"]), (int(about[key]) for key in ("lanes", "chunks", "size"))

@@ -1,4 +1,4 @@
-"""Checks of the structure of a dataset: names, coordinates, flags, and dimensions that belong together."""
+"""Checks of the structure of a dataset: names, coordinates, flags, and consistent dimensions."""
 
 import numpy as np
 import xarray as xr
@@ -8,13 +8,13 @@ from vibrojax.io.derived import OF_ATTRACTORS, OF_BORDERS, OF_FAMILIES
 from vibrojax.io.variables import VARIABLES
 
 LONGEST_NAME = 200
-"""Longest name of a variable [characters]: columns of a CSV are names, too."""
+"""Maximum length of a variable name [characters]: column names of a CSV file become variable names, too."""
 
 MOST_CHECKED = 10**7
-"""Largest number of values of a variable that are checked: a larger variable is read only when it is used."""
+"""Number of values up to which a variable is checked: a larger variable is read only when it is used."""
 
 LARGEST_COORDINATE = 1e100
-"""Bound on coordinates: squares and differences of larger ones may overflow."""
+"""Bound on the absolute values of coordinates: squares and differences of larger values may overflow."""
 
 _DERIVED = OF_FAMILIES | OF_BORDERS | OF_ATTRACTORS
 _KNOWN = VARIABLES | _DERIVED
@@ -28,11 +28,12 @@ _DIMENSIONS: dict[str, dict[str, tuple[str, ...]]] = {
     "region_area": {"curve": ("vertex",), "kind": ("curve",), "region_area": ("region",)},
     "event_time": {"event_time": ("event",), "event_kind": ("event",)},
 }
-"""Dimensions of the variables of families, of borders and of a motion's events, bythe variable that implies them."""
+"""Dimensions of the variables of families, of borders and of a motion's events. The key is the variable whose presence
+implies the others."""
 
 
 def check_structure(ds: xr.Dataset) -> None:
-    """Raise `InputError`, with one line that names the variable, if the structure of a dataset is inconsistent."""
+    """Raise `InputError`, with a one-line message that names the variable, if the structure is inconsistent."""
     for name in (*ds.sizes, *ds.variables):
         text = str(name)
         if printable(text) != text or not 0 < len(text) <= LONGEST_NAME:
@@ -91,7 +92,7 @@ def _check_variable(place: Place, name: str, data: xr.Variable) -> None:
 
 
 def _check_lanes(ds: xr.Dataset) -> None:
-    """Raise `InputError` if the dimensions of the variables that hold a value per lane are inconsistent."""
+    """Raise `InputError` if the dimensions of the variables with one value per lane are inconsistent."""
     dims = {name: set(ds[name].dims) - {known.along} for name, known in VARIABLES.items() if name in ds}
     widest = max(dims, key=lambda name: len(dims[name]), default=None)
     for name, own in dims.items():

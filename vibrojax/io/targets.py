@@ -1,4 +1,7 @@
-"""Destinations that a dataset is written to region by region: netCDF, Zarr, or memory. It may exceed the memory."""
+"""Destinations to which a dataset is written region by region: a netCDF file, a Zarr store, or memory.
+
+A dataset in a file may be larger than the available memory.
+"""
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
@@ -18,12 +21,12 @@ from vibrojax.io.dataset import COMPRESSED, check_zarr, write_failed
 from vibrojax.io.packing import LEVEL
 
 Box = tuple[slice, ...]
-"""Slices over a sweep's dimensions."""
+"""Slices along a sweep's dimensions."""
 
 
 @dataclass(frozen=True)
 class Region:
-    """The lanes from `first` to before `end`, in row-major order, which fill the slices `box`."""
+    """The lanes from `first` (inclusive) to `end` (exclusive), in row-major order, which fill the slices `box`."""
 
     first: int
     end: int
@@ -35,11 +38,11 @@ class Region:
 
 
 class Regions:
-    """The regions of arrays of a `shape`, in row-major order, none of more than `most` values.
+    """The regions of arrays of a given `shape`, in row-major order, each with at most `most` values.
 
-    A region spans a part of one dimension, all later dimensions, and one index of each earlier dimension. It is
-    therefore both a box and a run of consecutive lanes, and it is one whole chunk of every stored array. `chunk` holds
-    the sizes of all regions but the last ones along a dimension.
+    A region spans an interval of one dimension, all of each later dimension, and one index of each earlier dimension.
+    It is therefore both a box and a sequence of consecutive lanes, and forms one complete chunk of every stored array.
+    `chunk` is the shape of a region; only the last regions along a dimension may be smaller.
     """
 
     def __init__(self, shape: tuple[int, ...], most: int) -> None:
@@ -47,7 +50,7 @@ class Regions:
         sizes, room = [], max(1, most)
         for size in reversed(shape):
             sizes.append(max(1, min(size, room)))
-            # Dimensions before a divided one contribute a single index.
+            # Dimensions before a subdivided one contribute a single index.
             room = room // size if size <= room else 1
         self.chunk = tuple(reversed(sizes))
 
@@ -62,32 +65,32 @@ class Regions:
 
 
 class Target(ABC):
-    """A dataset that is being written; `packs`: whether it compresses variables."""
+    """A dataset that is being written; `packs`: whether the target compresses variables."""
 
     packs = False
 
     @abstractmethod
     def begin(self, template: xr.Dataset, chunk: tuple[int, ...], plain: frozenset[str]) -> None:
-        """Announce the dataset.
+        """Create the dataset and its variables.
 
         **Arguments:**
 
         - `template`: the dataset with placeholders as values of its data variables.
-        - `chunk`: the sizes of a region, along the first dimensions of every variable.
+        - `chunk`: the shape of a region, along the first dimensions of every variable.
         - `plain`: the names of the variables that are not compressed.
         """
 
     @abstractmethod
     def put(self, name: str, box: Box, values: np.ndarray) -> None:
-        """Write values of a variable, in a box over its first dimensions and all of its others."""
+        """Write values of a variable: within `box` along its first dimensions, and all along its other dimensions."""
 
     @abstractmethod
     def finish(self, attributes: Mapping[str, Any]) -> None:
-        """Complete the dataset with its attributes, after all values."""
+        """Complete the dataset with its attributes, after all values have been written."""
 
 
 class InMemory(Target):
-    """A dataset in memory: `dataset`, once it is finished."""
+    """A dataset in memory, available as `dataset` after `finish`."""
 
     dataset: xr.Dataset
 
@@ -122,7 +125,7 @@ class _Netcdf(Target):
             if large and name not in plain:
                 layout |= {"zlib": True, "complevel": LEVEL, "shuffle": True}
             variable = self._create(name, data.dtype, data.dims, _attributes(template, data), layout)
-            if large:  # chunks are written whole: a cache would only take memory (0 means 64 MB)
+            if large:  # chunks are written in one piece: a cache would waste memory (0 means 64 MB)
                 variable.set_var_chunk_cache(size=1, nelems=1, preemption=1.0)
         for name, data in template.coords.items():
             text = data.dtype.kind in "UO"
@@ -138,7 +141,7 @@ class _Netcdf(Target):
     def _create(
         self, name: Any, dtype: Any, dims: Any, attributes: Mapping[Any, Any], layout: Mapping[str, Any]
     ) -> Any:
-        # Flags stay integers only without a fill value, and floats keep NaN as it is.
+        # No fill values: xarray reads integer flags with a fill value as floats, and NaN in floats needs none.
         variable = self._file.createVariable(name, dtype, dims, fill_value=None if dtype is str else False, **layout)
         variable.set_auto_maskandscale(False)
         variable.setncatts(dict(attributes))
@@ -169,9 +172,11 @@ class _Zarr(Target):
 
 @contextmanager
 def file_target(path: Path) -> Iterator[Target]:
-    """Yield what becomes the dataset at `path` when the block ends, whole or not at all: netCDF, or Zarr by its name.
+    """Yield a target that becomes the dataset at `path` when the `with` block ends, complete or not at all.
 
-    **Raises:** `OSError` if the disk is full or the folder cannot be written; `InputError` if zarr is not installed.
+    The suffix of `path` selects netCDF or Zarr.
+
+    **Raises:** `OSError` if the disk is full or the folder is not writable; `InputError` if zarr is not installed.
     """
     if path.suffix == ZARR:
         check_zarr(path)
@@ -192,12 +197,12 @@ def file_target(path: Path) -> Iterator[Target]:
 
 
 def _chunks(data: xr.DataArray, chunk: tuple[int, ...]) -> tuple[int, ...]:
-    """Return the chunk sizes of a variable: a region, and all of the other dimensions."""
+    """Return the chunk shape of a variable: that of a region, and all of its other dimensions."""
     return (*chunk, *data.shape[len(chunk) :])
 
 
 def _attributes(template: xr.Dataset, data: xr.DataArray) -> dict[Any, Any]:
-    """Return the attributes of a variable, with `coordinates`: those along its dimensions that are not axes."""
+    """Return the attributes of a variable, including `coordinates`: the names of its non-dimension coordinates."""
     columns = template.coords.items()
     beside = sorted(str(name) for name, x in columns if name not in template.sizes and set(x.dims) <= set(data.dims))
     return dict(data.attrs) | ({"coordinates": " ".join(beside)} if beside else {})

@@ -1,4 +1,4 @@
-"""Work in a separate thread, so that the caller can always be interrupted."""
+"""Running work in a separate thread, so that the caller can always be interrupted."""
 
 import threading
 import time
@@ -8,28 +8,28 @@ from typing import TypeVar
 Result = TypeVar("Result")
 
 asked_to_end: list[BaseException] = []
-"""Exceptions that signals request; their handlers append them here, as jax drops exceptions raised while it collects
-garbage."""
+"""Exceptions requested by signals. Signal handlers append them to this list, since jax drops exceptions raised during
+garbage collection."""
 
 _POLL_SECONDS = 0.2
-"""Longest delay [s] before an interrupt is answered."""
+"""Longest delay [s] before an interrupt is handled."""
 
 
 def in_own_thread(work: Callable[[], Result], seconds: float | None = None) -> Result:
-    """Run `work` in a thread while this one only waits.
+    """Run `work` in a thread while the calling thread only waits.
 
-    Python answers an interrupt between two instructions of its main thread. Compiling lanes or reading a file takes
-    seconds without such a moment, and jax drops an interrupt during garbage collection.
+    Python handles an interrupt only between two bytecode instructions of its main thread. Compiling the lanes' program
+    or reading a file can take seconds within one instruction, and jax drops an interrupt during garbage collection.
 
     **Arguments:**
 
     - `work`: the function to call.
-    - `seconds`: longest time to wait [s]; None: no limit.
+    - `seconds`: maximum time to wait [s]; None: no limit.
 
     **Returns:** the result of `work`.
 
-    **Raises:** the exceptions of `work`; `TimeoutError` after `seconds`. In that case, and after an interrupt, the
-    thread is abandoned.
+    **Raises:** any exception of `work`; `TimeoutError` after `seconds`. After a timeout or an interrupt, the thread is
+    abandoned.
     """
     results: list[Result] = []
     errors: list[BaseException] = []
@@ -43,7 +43,7 @@ def in_own_thread(work: Callable[[], Result], seconds: float | None = None) -> R
     thread = threading.Thread(target=run, name="work", daemon=True)
     thread.start()
     end = None if seconds is None else time.monotonic() + seconds
-    # Poll: a signal that another thread receives does not end a wait.
+    # Poll: a signal that another thread receives does not end `join`.
     while thread.is_alive() and (end is None or time.monotonic() < end):
         if asked_to_end:
             raise asked_to_end[0]

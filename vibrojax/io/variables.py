@@ -1,4 +1,4 @@
-"""The variables of a sweep's dataset: name, unit, meaning, and storage."""
+"""The variables of a sweep's dataset: name, unit, meaning, and data type."""
 
 from dataclasses import dataclass
 
@@ -9,11 +9,12 @@ from vibrojax.measures.labels import REGIMES
 
 @dataclass(frozen=True)
 class Variable:
-    """The storage of a variable.
+    """The attributes and the data type of a dataset variable.
 
-    - `units`, `long_name`, `dtype`.
-    - `flags`: the meanings of its values 0, 1, ..., or of those from `first_flag` on.
-    - `along`: its dimension beyond the sweep's dimensions.
+    - `units`, `long_name`: CF attributes.
+    - `dtype`: data type of the stored values.
+    - `flags`: the meanings of the values 0, 1, ..., or of `first_flag` and the following integers.
+    - `along`: the dimension in addition to the sweep's dimensions, "" if there is none.
 
     **Example:**
 
@@ -29,7 +30,7 @@ class Variable:
     along: str = ""
 
     def attributes(self) -> dict[str, str | np.ndarray]:
-        """Return its CF attributes by name."""
+        """Return the CF attributes of the variable, by name."""
         attributes: dict[str, str | np.ndarray] = {"units": self.units, "long_name": self.long_name}
         if self.flags:
             attributes["flag_values"] = self.first_flag + np.arange(len(self.flags), dtype=np.int8)
@@ -55,7 +56,7 @@ NATURES = ("unknown", "periodic", "quasi-periodic", "chaotic", "not-settled")
 
 
 def orbit_name(state: str) -> str:
-    """Return the name of the variable with a state of the orbit at the section."""
+    """Return the name of the variable that holds a state variable of the orbit at the section."""
     return f"orbit_{state}"
 
 

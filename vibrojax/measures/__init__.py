@@ -1,4 +1,7 @@
-"""Measures: features of a lane, accumulated while it steps, over whole returns to the section."""
+"""Measures: features of a lane, accumulated over its steps and evaluated between section crossings.
+
+A return interval is the time between two successive crossings of the Poincaré section.
+"""
 
 from typing import Any
 
@@ -17,7 +20,7 @@ __all__ = ["GAUGES", "RETURNS_FOR_DRIFT", "Gauge", "Moment", "PulseRecorder", "R
 __all__ += ["gauge_named", "recorder_for"]
 
 RETURNS_FOR_DRIFT = 3 * MOST_CYCLES + 1
-"""Least number of returns that show a repeat of any length three times."""
+"""Least number of section crossings that contain three periods of any length up to `MOST_CYCLES` return intervals."""
 
 GAUGES: dict[str, Gauge[Any]] = {
     "swings": Swings(),
@@ -29,15 +32,19 @@ GAUGES: dict[str, Gauge[Any]] = {
 
 
 def gauge_named(gauge: str | Gauge[Any]) -> Gauge[Any]:
-    """Return the gauge of that name, or the gauge itself; raises `KeyError` if the name is unknown."""
+    """Return the gauge with this name; a gauge object is returned unchanged.
+
+    Raises `KeyError` if the name is unknown.
+    """
     return gauge if isinstance(gauge, Gauge) else GAUGES[gauge]
 
 
 def recorder_for(scene: Scene[Any], keep_returns: int = 0) -> Records:
-    """Return the recorder of the gauges that the scene lists in `measures`.
+    """Return a recorder with the gauges that the scene lists in `measures`.
 
-    Swings, and impacts if there is a contact, are always measured: repeats and labels follow from them. The recorder
-    keeps the last `keep_returns` returns individually, or as many as the drift of a lane needs.
+    Swings, and impacts if there is a contact, are always measured, because periodicity and regimes are derived from
+    them. The recorder stores the last `keep_returns` section crossings individually, and at least `RETURNS_FOR_DRIFT`.
+    For a scene without a section but with a prescribed force, the recorder measures the pulses.
 
     Raises `InputError` if a gauge is unknown or needs a capability that the scene lacks, or if nothing can be measured.
     """

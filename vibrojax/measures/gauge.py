@@ -1,4 +1,4 @@
-"""The interface of gauges, which accumulate quantities in the time loop."""
+"""The interface of gauges, which accumulate quantities over the steps of a lane."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
@@ -13,11 +13,11 @@ Sums = dict[str, Lanes]
 
 
 class Moment(NamedTuple):
-    """A step just taken, with the lane after it and its place in the cycle.
+    """A step, the lane after the step, and the phase of the oscillation.
 
-    - `since` [s]: time from the last return to the end of the step.
-    - `frequency` [rad/s]: of the returns, 0 before there are two.
-    - `phase` [rad]: phase of that frequency at the end of the step, from the observation's first return.
+    - `since` [s]: time from the last section crossing to the end of the step.
+    - `frequency` [rad/s]: angular frequency of the section crossings, 0 before the second crossing.
+    - `phase` [rad]: phase of that frequency at the end of the step, 0 at the first crossing of the observation.
     """
 
     lane: Lane
@@ -28,12 +28,13 @@ class Moment(NamedTuple):
 
 
 class Return(NamedTuple):
-    """A return of the lanes in the mask `here`; every leaf has shape (lanes,).
+    """A section crossing of the lanes in the mask `here`; every leaf has shape (lanes,).
 
-    - `number`: of returns in the observation, from 0 at the first.
-    - `interval` [s]: time since the return before; `amplitudes` [m]: half the section's swings in it.
-    - `share`: part of the observation that is over.
-    - `sums`: the ledger's sums since the return before.
+    - `number`: index of the crossing in the observation, from 0.
+    - `interval` [s]: time since the previous crossing.
+    - `amplitudes` [m]: half the peak-to-peak range of each swing in this interval.
+    - `share`: elapsed fraction of the observation.
+    - `lane`: the lane at the crossing; `sums`: the ledger's sums since the previous crossing.
     """
 
     here: Flags
@@ -46,7 +47,11 @@ class Return(NamedTuple):
 
 
 class Whole(NamedTuple):
-    """The observation's whole returns: their number, their total time [s], their `sums`, and the lane's `cycles`."""
+    """The complete return intervals of an observation (between successive section crossings).
+
+    - `returns`: number of these intervals; `time` [s]: their total duration; `sums`: the sums over them.
+    - `cycles`: number of return intervals per period of the motion, 0 if the motion is not periodic.
+    """
 
     returns: Lanes
     time: Lanes
@@ -59,15 +64,16 @@ K = TypeVar("K", bound=Scene[Any])
 
 
 class Gauge(ABC, Generic[K]):
-    """A group of quantities, accumulated while stepping; nothing is stored per step.
+    """A group of quantities that are accumulated over the steps; no values are stored per step.
 
-    A gauge must define `read`. `increments` returns the increments of the sums over whole returns; `close` replaces the
-    sums of a return at its end. `begin`, `step` and `section` update the gauge's carry: a pytree of arrays whose last
-    axis is lanes. All methods are pure functions. A gauge is a frozen dataclass, because it is a static argument of
-    programs. A scene lists gauges, or their names, in `measures`.
+    A gauge must define `read`. `increments` returns what a step adds to the sums over complete return intervals;
+    `close` may replace the sums of a return interval at its end. `begin` creates the gauge's carry; `step` and
+    `section` update it. The carry is a pytree of arrays whose last axis is lanes. All methods are pure functions. A
+    gauge is a frozen dataclass, because it is a static argument of compiled programs. A scene lists its gauges, or
+    their names, in `measures`.
 
-    - `summed`: names of the sums; `needs`: the capabilities that the scene must have.
-    - `variables`: units and long names of the dataset's variables that are not in [vibrojax.io.variables][].
+    - `summed`: names of the sums; `needs`: capabilities that the scene must have.
+    - `variables`: unit and long name of each dataset variable that is not in [vibrojax.io.variables][].
 
     **Example:**
 
@@ -89,11 +95,11 @@ class Gauge(ABC, Generic[K]):
     needs: ClassVar[tuple[type[Scene[Any]], ...]] = ()
 
     def increments(self, scene: K, c: Any, moment: Moment) -> Sums:
-        """Return a step's increments of the sums in `summed`, by name; `c`: the scene's constants."""
+        """Return the increments of the sums in `summed` due to a step, by name; `c`: the scene's constants."""
         return {}
 
     def close(self, sums: Sums, interval: Lanes) -> Sums:
-        """Return replacements for the `sums` of a return that ends, by name; `interval` [s] is its duration."""
+        """Return replacements, by name, for `sums` over a return interval of duration `interval` [s]."""
         return {}
 
     def begin(self, scene: K, c: Any, lane: Lane) -> Any:
@@ -101,13 +107,13 @@ class Gauge(ABC, Generic[K]):
         return ()
 
     def step(self, scene: K, c: Any, carry: Any, moment: Moment) -> Any:
-        """Return the carry after a step; a step with `dt` 0 that hits nothing must not change it."""
+        """Return the carry after a step; a step with `dt` 0 that hits no guard or marker must not change the carry."""
         return carry
 
     def section(self, scene: K, c: Any, carry: Any, at: Return) -> Any:
-        """Return the carry after a return to the section, for the lanes in `at.here`."""
+        """Return the carry after a section crossing of the lanes in `at.here`."""
         return carry
 
     @abstractmethod
     def read(self, scene: K, c: Any, carry: Any, whole: Whole) -> dict[str, Lanes]:
-        """Return the features, by name, each (lanes,)."""
+        """Return the features by name, each (lanes,)."""

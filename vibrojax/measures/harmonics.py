@@ -1,4 +1,4 @@
-"""Gauge of the phase lag of the striker's fundamental behind the bit's."""
+"""Gauge of the phase lag between the fundamental harmonics of striker and bit."""
 
 from dataclasses import dataclass
 from math import factorial, pi
@@ -13,16 +13,16 @@ from vibrojax.models.scenes.scene import Scene
 from vibrojax.stepping.polynomial import value
 
 GAUSS_NODE = 0.15**0.5
-"""Distance of the outer points of Gauss's rule from the middle of the step, as a fraction of it."""
+"""Distance of the outer nodes of three-point Gauss quadrature from the middle of a step, as a fraction of the step."""
 
 
 @dataclass(frozen=True)
 class Harmonics(Gauge[Scene[Any]]):
-    """phase_lag [rad] in (-pi, pi], of the section's second position (x2) behind its first (x1).
+    """phase_lag [rad] in (-pi, pi]: lag of the second swing's position (x2) behind the first swing's position (x1).
 
-    The frequency is that of the returns. The Fourier integrals of x less its mean use Gauss's rule of three points on
-    the steps' polynomials, without the steps before the frequency is known. If returns alternate, the harmonic of the
-    repeat is that of the returns' mean period.
+    The frequency of the harmonics is the frequency of the section crossings. The Fourier integrals of a position minus
+    its mean use three-point Gauss quadrature on the steps' polynomials. Steps before the frequency is known are left
+    out. If a period has several return intervals, the frequency follows from their mean duration.
     """
 
     summed = ("known", "cos0", "sin0", "mean1", "cos1", "sin1", "mean2", "cos2", "sin2")
@@ -58,7 +58,7 @@ class Harmonics(Gauge[Scene[Any]]):
             return sums[kind + name] - sums["mean" + name] / sums["known"] * sums[kind + "0"]
 
         cos1, sin1, cos2, sin2 = (integral(kind, name) for name in "12" for kind in ("cos", "sin"))
-        # arg(X2* X1) of X = cos - i sin: the striker's lag.
+        # The striker's lag is arg(X2* X1) with X = cos - i sin.
         across = sin2 * cos1 - cos2 * sin1
         along = cos2 * cos1 + sin2 * sin1
         lag = jnp.arctan2(across, along)
@@ -67,16 +67,17 @@ class Harmonics(Gauge[Scene[Any]]):
 
 _COS = [(-1.0) ** k / factorial(2 * k) for k in range(9)]
 _SIN = [(-1.0) ** k / factorial(2 * k + 1) for k in range(9)]
-# pi/2 in two parts; the first has so few digits that its product with any number of quarters here is exact.
+# pi/2 as a sum of two numbers. The first has so few digits that its product with any number of quarters used here is
+# exact.
 _QUARTER = 1.5707963109016418
 _REST = 1.5893254773528196e-08
 
 
 def cos_sin(angle: Lanes) -> tuple[jax.Array, jax.Array]:
-    """Return (cos, sin) of `angle` [rad], any shape, to a few roundings of the angle.
+    """Return (cos, sin) of `angle` [rad] of any shape, accurate to a few rounding errors of the angle.
 
-    On a CPU, library functions are called lane by lane. These are Taylor polynomials within an eighth of a turn,
-    rotated by whole quarters.
+    On a CPU, the library functions would be called for one lane at a time. Instead, Taylor polynomials are evaluated
+    for angles up to pi/4 and rotated by multiples of pi/2.
     """
     quarters = jnp.round(angle * (2 / pi))
     rest = (angle - quarters * _QUARTER) - quarters * _REST

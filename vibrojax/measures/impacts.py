@@ -1,4 +1,4 @@
-"""Gauge of the striker's impacts on the bit, and of the force between them."""
+"""Gauge of the striker's impacts on the bit, and of the contact force."""
 
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -17,7 +17,11 @@ Pair = tuple[Lanes, Lanes]
 
 
 class Extremes(NamedTuple):
-    """Impact velocities `since` the last return and in `whole` returns, and the greatest force [N]."""
+    """Extreme impact velocities, and the greatest contact force.
+
+    - `since`: velocities since the last section crossing; `whole`: velocities in the complete return intervals.
+    - `peak` [N]: greatest contact force.
+    """
 
     since: Pair
     whole: Pair
@@ -26,9 +30,9 @@ class Extremes(NamedTuple):
 
 @dataclass(frozen=True)
 class Impacts(Gauge[HasContact[Any]]):
-    """impacts, impact_velocity(_min, _max), impact_phase, impact_energy, impact forces.
+    """impacts, impact_velocity(_min, _max), impact_phase, impact_energy, peak_impact_force, mean_impact_force.
 
-    For a bit that slides also bit_velocity_at_impact.
+    For a sliding bit, bit_velocity_at_impact in addition.
     """
 
     summed = ("impacts", "velocity", "velocity_squared", "bit_velocity", "lag", "force")
@@ -50,7 +54,7 @@ class Impacts(Gauge[HasContact[Any]]):
         }
 
     def close(self, sums: Sums, interval: Lanes) -> Sums:
-        """Return the lags as fractions of the return in which their impacts fall."""
+        """Return the sum of the impact lags as fractions of the return interval in which the impacts occur."""
         return {"lag": sums["lag"] / interval}
 
     def begin(self, scene: HasContact[Any], c: Any, lane: Lane) -> Extremes:
@@ -88,7 +92,7 @@ class Impacts(Gauge[HasContact[Any]]):
 
 
 def _begins(scene: HasContact[Any], c: Any, step: Step) -> tuple[Flags, Lanes]:
-    """Return a mask of the impacts that begin at the end of the step, and their velocity [m/s]."""
+    """Return a mask of the lanes in which an impact begins at the end of the step, and the impact velocity [m/s]."""
     begins = keep(scene.impact_begins(c, step.mode, step.after, step.hits))
     return begins, scene.impact_rate(c, step.mode, step.after)
 

@@ -1,4 +1,4 @@
-"""Gauge of the last returns to the section, kept individually: for bifurcation diagrams and for the drift of a lane."""
+"""Gauge that stores the last section crossings individually, for bifurcation diagrams and for the drift of a lane."""
 
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -17,17 +17,17 @@ IMPACTS = ("return_impacts", "return_impact_velocity")
 
 
 class Ring(NamedTuple):
-    """The last returns: an array (keep, features, lanes) whose rows are overwritten in turn."""
+    """Ring buffer of the last section crossings, an array (keep, features, lanes)."""
 
     rows: Array
 
 
 @dataclass(frozen=True)
 class KeptReturns(Gauge[Scene[Any]]):
-    """The last `keep` returns of the observation, with time, interval, states and impacts.
+    """The last `keep` section crossings of the observation: time, interval, states and impacts.
 
-    The interval is the time since the return before. The states are the return map's. Impacts since the return before
-    have their mean velocity.
+    The interval is the time since the previous crossing. The states are the states of the return map. The number of
+    impacts since the previous crossing and their mean velocity are stored if the scene has a contact.
     """
 
     keep: int
@@ -48,7 +48,7 @@ class KeptReturns(Gauge[Scene[Any]]):
         return Ring(put(jnp.asarray(carry.rows), row, jnp.stack(new)))
 
     def read(self, scene: Scene[Any], c: Any, carry: Ring, whole: Whole) -> dict[str, Array]:
-        # Oldest first: a full ring starts at the row after the newest.
+        # Oldest crossing first. In a full ring buffer, the oldest row follows the newest.
         time = carry.rows[:, 0]
         order = jnp.argsort(jnp.where(jnp.isnan(time), -jnp.inf, time), axis=0)
         columns = enumerate(_names(scene))
@@ -56,7 +56,7 @@ class KeptReturns(Gauge[Scene[Any]]):
 
 
 def state_name(name: str) -> str:
-    """Return the feature's name of a state at the returns."""
+    """Return the name of the feature that stores a state at section crossings."""
     return f"return_{name}"
 
 

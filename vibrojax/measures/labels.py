@@ -1,4 +1,4 @@
-"""Classification of lanes into regimes by their features: the first rule that holds decides."""
+"""Classification of lanes into regimes, based on their features."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -18,25 +18,25 @@ REGIMES = (
     "irregular",
     "failed",
 )
-"""Meaning of each flag, by its number."""
+"""Names of the regimes; the index of a name is the flag value."""
 
 LABELLED_BY = ("finite", "finished", "bit_amplitude", "returns", "trend", "cycles", "impacts")
-"""Features that decide a label."""
+"""Features on which the regime of a lane depends."""
 
 EQUILIBRIUM_SWING = 1e-3
-"""Half swing of a bit at rest, as a part of its static deflection mu(0+) m1 g/k1 [1]."""
+"""Amplitude below which a bit counts as being at rest, as a fraction of its static deflection mu(0+) m1 g/k1 [1]."""
 
 LEAST_FRICTION = 0.01
-"""Least mu(0+) in that deflection, for drills without friction [1]."""
+"""Least value of mu(0+) used in the static deflection, for drills without friction [1]."""
 
 SAME_WITHIN = 0.01
-"""Greatest relative difference of period, impact velocity and amplitudes of one and the same motion [1]."""
+"""Greatest relative difference of period, impact velocity and amplitudes between lanes with the same motion [1]."""
 
 COMPARED = ("period", "impact_velocity", "bit_amplitude", "striker_amplitude")
-"""Features by which motions under one label are compared, if they have them."""
+"""Features on which motions in the same regime are compared, if the features exist."""
 
 FEWEST_RETURNS = 9
-"""Least number of returns to the section that show a repeat."""
+"""Least number of section crossings needed to classify a motion as periodic or irregular."""
 
 PerStart = Float[np.ndarray, "points starts"]
 
@@ -50,21 +50,21 @@ def label(
 ) -> Int8[np.ndarray, "..."]:
     """Return the regime of each lane.
 
-    The first of these rules that holds decides; a lane under none of them is irregular:
+    The first of these rules that applies defines the regime. If no rule applies, the lane is irregular:
 
-    1. failed: not finite, or not stepped to its end;
-    2. equilibrium: the bit's half swing is zero within `EQUILIBRIUM_SWING`;
-    3. undecided: too few returns, or swings that steadily grow or decay;
-    4. impact-free, single-impact, multi-impact: it repeats after one return, with none, one or more impacts;
-    5. subharmonic: it repeats after several returns.
+    1. failed: the state is not finite, or the lane did not reach the end of its observation;
+    2. equilibrium: the bit's amplitude is zero within `EQUILIBRIUM_SWING`;
+    3. undecided: there are fewer than `FEWEST_RETURNS` section crossings, or the amplitude steadily grows or decays;
+    4. impact-free, single-impact, multi-impact: a period is one return interval with no, one or several impacts;
+    5. subharmonic: a period is several return intervals.
 
     **Arguments:**
 
-    - `features`: the features in `LABELLED_BY`; arrays of one shape. Without a contact `impacts` may be absent, and
-      without a bit `bit_amplitude`; there is then no equilibrium.
-    - `rest_coefficient`: mu(0+) [1]; `m1` [kg], `g` [m/s²], `k1` [N/m]: arrays that broadcast to that shape.
+    - `features`: the features in `LABELLED_BY`, arrays of one shape. `impacts` may be absent (no contact), and so may
+      `bit_amplitude` (no bit). Without `bit_amplitude`, no lane is an equilibrium.
+    - `rest_coefficient` [1]: mu(0+); `m1` [kg], `g` [m/s²], `k1` [N/m]: arrays that broadcast to that shape.
 
-    **Returns:** flags, see `REGIMES`.
+    **Returns:** flag values, see `REGIMES`.
     """
     cycles = features["cycles"]
     impacts = features.get("impacts", np.zeros_like(cycles))
@@ -85,11 +85,13 @@ def label(
 def hides_another(
     features: Mapping[str, Shaped[np.ndarray, " lanes"]], regime: Int8[np.ndarray, " lanes"], starts: int
 ) -> Int8[np.ndarray, " lanes"]:
-    """Return 1 for each lane if another start at its point ends in another motion under the same label, else 0.
+    """Return 1 for each lane whose regime label hides another motion at the same grid point, else 0.
 
-    Only lanes that repeat are compared, and differences within their `error_estimate` do not count.
+    A label hides another motion if another initial condition leads to a different motion in the same regime. Only
+    periodic lanes are compared, and differences within their `error_estimate` do not count.
 
-    **Arguments:** `features` by name, with the `starts` lanes of a point in a row; `regime`: the labels.
+    **Arguments:** `features`: by name; `regime`: flag values; `starts`: number of initial conditions per grid point.
+    The lanes of one grid point are adjacent.
     """
     label, repeats = regime.reshape(-1, starts), features["cycles"].reshape(-1, starts) > 0
     error = np.asarray(features["error_estimate"], float).reshape(-1, starts)
@@ -102,17 +104,19 @@ def hides_another(
 
 
 def _away(x: PerStart, error: PerStart, among: Bool[np.ndarray, "points starts"]) -> Bool[np.ndarray, "points starts"]:
-    """Return a mask of the lanes `among` a point's lanes of which another differs in `x` by more than both errors.
+    """Return a mask of the lanes that differ in `x` from another lane of their grid point.
 
-    A comparison with the lanes of the point's least and greatest value decides nearly all. Of the others, only lanes
-    that are far enough from these, if their errors were zero, are compared with all: the time is linear in the lanes.
+    Only lanes in the mask `among` are compared. The difference must exceed `SAME_WITHIN` plus both errors. For nearly
+    all lanes, a comparison with the lanes of least and greatest `x` at the grid point suffices. Of the other lanes,
+    only those that would differ from these two if the two had zero error are compared with all. The computing time is
+    thus linear in the number of lanes.
     """
     least, greatest = (np.where(among, x, end) for end in (np.inf, -np.inf))
     differing = np.zeros(x.shape, bool)
     for farthest in (least.argmin(axis=1, keepdims=True), greatest.argmax(axis=1, keepdims=True)):
         valid, value, its_error = (np.take_along_axis(of, farthest, 1) for of in (among, x, error))
         differing |= among & valid & _differ(x, error, value, its_error)
-    with np.errstate(invalid="ignore"):  # points without such lanes
+    with np.errstate(invalid="ignore"):  # grid points without lanes in `among`
         reach = np.maximum(x - least.min(axis=1)[:, None], greatest.max(axis=1)[:, None] - x)
         undecided = among & ~differing & (reach > (SAME_WITHIN + error) * np.abs(x))
     for point, start in zip(*np.nonzero(undecided), strict=True):
@@ -122,7 +126,10 @@ def _away(x: PerStart, error: PerStart, among: Bool[np.ndarray, "points starts"]
 
 
 def _differ(x: Any, error: Any, other: Any, other_error: Any) -> Any:
-    """Return a mask of the values that differ by more than the tolerance and the errors, relative to the greater."""
+    """Return a mask of the pairs whose relative difference exceeds `SAME_WITHIN` plus both errors.
+
+    The difference is relative to the greater magnitude.
+    """
     within = SAME_WITHIN + error + other_error
     with np.errstate(invalid="ignore"):  # motions without impact
         return np.abs(x - other) > within * np.maximum(np.abs(x), np.abs(other))

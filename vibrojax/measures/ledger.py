@@ -1,4 +1,4 @@
-"""Sums over whole returns to the section, and over whole repeats of lanes that repeat."""
+"""Sums over complete return intervals, and over complete periods of periodic lanes."""
 
 from collections.abc import Callable, Iterable
 from typing import NamedTuple
@@ -10,14 +10,14 @@ from vibrojax.measures.gauge import Sums
 from vibrojax.models.arrays import Array, Flags, Lanes, keep
 
 MOST_CYCLES = 8
-"""Greatest number of returns of a repeat."""
+"""Greatest number of return intervals in a period that can be found."""
 
 
 class Ledger(NamedTuple):
     """The sums of an observation.
 
-    - `sums`: by name, since the first return; `lost`: their rounding errors, in float32 only.
-    - `rows`: all sums at the last `MOST_CYCLES` returns, newest first, (8, names, lanes).
+    - `sums`: sums since the first section crossing, by name; `lost`: rounding errors of the sums, in float32 only.
+    - `rows`: all sums at the last `MOST_CYCLES` section crossings, newest first, (8, names, lanes).
     """
 
     sums: Sums
@@ -26,7 +26,7 @@ class Ledger(NamedTuple):
 
 
 def begin(names: Iterable[str], like: Lanes) -> Ledger:
-    """Return an empty ledger of the sums `names`, with lanes shaped like `like`."""
+    """Return a ledger in which the sums `names` are zero; each sum has the shape and dtype of `like`."""
     names = list(names)
     sums: Sums = {name: jnp.zeros_like(like) for name in names}
     lost: Sums = {name: jnp.zeros_like(like) for name in names if like.dtype == jnp.float32}
@@ -36,11 +36,13 @@ def begin(names: Iterable[str], like: Lanes) -> Ledger:
 def add(ledger: Ledger, increments: Sums) -> Ledger:
     """Return the ledger with a step's increments added.
 
-    In float32 their rounding errors are added at the next step (Kahan 1965); float64 has digits enough for 1e8 steps.
+    In float32, the rounding errors of the sums are added at the next step (Kahan 1965). The digits of float64 suffice
+    for 1e8 steps.
     """
     if not ledger.lost:
         return ledger._replace(sums={name: total + increments[name] for name, total in ledger.sums.items()})
-    # Barriers: recomputed in another fusion, a sum may round differently from the one whose error is kept.
+    # The barriers are needed because XLA may recompute a sum in another fusion. The recomputed sum could then have a
+    # different rounding error from the one that is kept.
     more = keep({name: increments[name] + lost for name, lost in ledger.lost.items()})
     sums = keep({name: total + more[name] for name, total in ledger.sums.items()})
     lost = {name: more[name] - (sums[name] - total) for name, total in ledger.sums.items()}
@@ -50,11 +52,11 @@ def add(ledger: Ledger, increments: Sums) -> Ledger:
 def section(
     ledger: Ledger, here: Flags, number: Lanes, close: Callable[[Sums], Sums] | None = None
 ) -> tuple[Ledger, Sums]:
-    """Return the ledger after a return, and the sums since the return before.
+    """Return the ledger after a section crossing of the lanes `here`, and the sums since the previous crossing.
 
-    Sums start at the first return (`number` 0). The last `MOST_CYCLES` returns keep theirs, newest first, because the
-    end of the observation decides how many returns make a repeat. `close` maps the sums of the return that ends to
-    their replacements.
+    The sums start at the first crossing (`number` 0). The sums at the last `MOST_CYCLES` crossings are stored, because
+    the number of return intervals per period is known only at the end of the observation. `close` maps the sums of the
+    return interval that ends to their replacements.
     """
     first = here & (number == 0)
     sums, lost = (_without(ledger.sums, first), _without(ledger.lost, first))
@@ -69,12 +71,15 @@ def section(
 
 
 def _without(sums: Sums, here: Flags) -> Sums:
-    """Return the sums, zero where `here`."""
+    """Return the sums, set to zero in the lanes `here`."""
     return {name: jnp.where(here, 0, total) for name, total in sums.items()}
 
 
 def whole(ledger: Ledger, returns: Lanes, cycles: Lanes) -> tuple[Sums, jax.Array]:
-    """Return the sums over the most returns that make whole repeats of `cycles` (0: all), and their number."""
+    """Return the sums over the greatest number of return intervals that form complete periods, and that number.
+
+    `returns`: number of section crossings; `cycles`: return intervals per period; 0 means that all intervals are used.
+    """
     intervals = jnp.maximum(returns - 1, 0)
     rest = jnp.where(cycles > 0, intervals % jnp.maximum(cycles, 1), 0)
     picked = ledger.rows[0]

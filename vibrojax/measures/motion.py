@@ -1,4 +1,4 @@
-"""Gauges of the motion: amplitudes and their trend, shares of time in stick and in reverse, power of the drive."""
+"""Gauges of the motion: amplitudes and their trend, fractions of time sticking and in reverse, drive power."""
 
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -19,11 +19,15 @@ EIGHTHS = 8
 """Number of equal parts of the observation over which a trend must hold."""
 
 TREND_CHANGE = 0.01
-"""Relative change of the amplitude over the observation above which it is a trend."""
+"""Relative change of the amplitude over the observation above which the change counts as a trend."""
 
 
 class Swung(NamedTuple):
-    """Least and greatest position of each swing, and the first swing's greatest amplitude in each eighth (8, lanes)."""
+    """Extremes of the swings.
+
+    - `ranges`: least and greatest position of each swing.
+    - `greatest`: greatest amplitude of the first swing in each eighth of the observation (8, lanes).
+    """
 
     ranges: tuple[tuple[Lanes, Lanes], ...]
     greatest: Array
@@ -31,7 +35,10 @@ class Swung(NamedTuple):
 
 @dataclass(frozen=True)
 class Swings(Gauge[Scene[Any]]):
-    """The section's amplitudes [m]; trend: 1 if the first amplitude grows steadily, -1 if it decays, else 0."""
+    """Amplitudes [m] of the section's swings, and trend.
+
+    trend is 1 if the first swing's amplitude grows steadily, -1 if it decays steadily, else 0.
+    """
 
     def begin(self, scene: Scene[Any], c: Any, lane: Lane) -> Swung:
         places = positions(scene, section_of(scene), lane)
@@ -56,7 +63,7 @@ class Swings(Gauge[Scene[Any]]):
 
 
 def section_of(scene: Scene[Any]) -> Section:
-    """Return the section of a scene that has one, as all scenes with gauges do."""
+    """Return the scene's section, which every scene with gauges has."""
     assert scene.section is not None
     return scene.section
 
@@ -67,14 +74,17 @@ def positions(scene: Scene[Any], section: Section, lane: Lane) -> list[Lanes]:
 
 
 def widened(extremes: tuple[Lanes, Lanes], x: Lanes) -> tuple[jax.Array, jax.Array]:
-    """Return the least and greatest value, updated with `x`."""
+    """Return the least and greatest value after including `x`."""
     lowest, highest = extremes
     return jnp.minimum(lowest, x), jnp.maximum(highest, x)
 
 
 def _trend(greatest: Array) -> jax.Array:
-    """Return 1 if the eighths rise strictly, -1 if they fall strictly, by over 1 % from first to last; else 0."""
-    change = jnp.diff(greatest, axis=0)  # NaN, and so no trend, if an eighth has no return
+    """Return 1 if the amplitudes of the eighths increase strictly, -1 if they decrease strictly, else 0.
+
+    The change from the first to the last eighth must exceed 1 %.
+    """
+    change = jnp.diff(greatest, axis=0)  # NaN if an eighth has no section crossing; there is then no trend
     first, last = greatest[0], greatest[-1]
     grows = jnp.all(change > 0, axis=0) & (last > (1 + TREND_CHANGE) * first)
     decays = jnp.all(change < 0, axis=0) & (last < (1 - TREND_CHANGE) * first)
@@ -83,8 +93,9 @@ def _trend(greatest: Array) -> jax.Array:
 
 @dataclass(frozen=True)
 class Shares(Gauge[HasFriction[Any]]):
-    """stick_fraction, reverse_fraction [1], drive_power [W]: mean F v, and striker_turns [1] if there is a striker.
+    """stick_fraction [1], reverse_fraction [1], drive_power [W], and with a striker striker_turns [1].
 
+    drive_power is the mean of F v. striker_turns is the number of maxima of the striker's position per return interval.
     The striker is the section's second swing.
     """
 
@@ -116,13 +127,16 @@ class Shares(Gauge[HasFriction[Any]]):
 
 
 def _striker(scene: HasFriction[Any]) -> str | None:
-    """Return the velocity of the section's second swing, if there is one."""
+    """Return the name of the second swing's velocity, or None if the section has only one swing."""
     swings = section_of(scene).swings
     return swings[1].velocity if len(swings) > 1 else None
 
 
 def _friction_impulse(scene: HasFriction[Any], c: Any, step: Step) -> Lanes:
-    """Return the integral of F over the step [N s], in sliding and in stick: the spring's impulse less the bit's."""
+    """Return the integral of F over the step [N s], while sliding and while sticking.
+
+    It is the impulse of the net spring force minus the bit's change of momentum.
+    """
     pull = scene.pull(c, tuple(known(polynomial) for polynomial in step.polynomials))
     spring = step.h * integral([pull[k] for k in range(len(step.polynomials[0]))], step.tau)
     velocity = scene.place(scene.bit_velocity)

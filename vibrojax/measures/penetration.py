@@ -1,4 +1,7 @@
-"""Growth of the hole, force and relief: by the blows of a drill, over its returns, or by a force, over its pulses."""
+"""Growth of the hole, mean force and relief, for a drill with impacts and for a prescribed force.
+
+Means are over return intervals for a drill, and over pulse periods for a prescribed force.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -20,7 +23,7 @@ from vibrojax.stepping.series import known
 
 
 class Deepest(NamedTuple):
-    """The least compression of the rock so far [m], at most 0."""
+    """The least compression of the rock so far [m], at most 0; negative values are a gap between bit and rock."""
 
     gap: Lanes
 
@@ -29,8 +32,8 @@ class Deepest(NamedTuple):
 class Hole(Gauge[HasRock[Any]]):
     """rate_of_penetration [m/s], slip_per_impact [m], mean_force [N], relief [1], deepest_gap [m].
 
-    It measures a scene with rock and contact: P is the mean contact force. It reads the sums of
-    [vibrojax.measures.impacts][], so that gauge must come with it.
+    The gauge needs a scene with rock and contact. mean_force is the mean contact force P; relief is P divided by the
+    yield force. The gauge uses the sums of the gauge in [vibrojax.measures.impacts][], which must also be present.
     """
 
     summed = ("growth",)
@@ -52,10 +55,11 @@ class Hole(Gauge[HasRock[Any]]):
 
 
 class Pulses(NamedTuple):
-    """The pulse recorder's carry.
+    """The carry of the pulse recorder.
 
-    Lanes `waiting` at the beginning of a pulse, the `number` of pulses so far, the sums over them, the `deepest` gap
-    [m], and the states at the `last` beginning (states, lanes).
+    - `waiting`: mask of the lanes at the beginning of a pulse; `number`: number of pulses that have begun so far.
+    - `ledger`: the sums; `deepest` [m]: least compression of the rock, at most 0.
+    - `last`: states at the beginning of the last pulse (states, lanes).
     """
 
     waiting: Flags
@@ -67,15 +71,15 @@ class Pulses(NamedTuple):
 
 @dataclass(frozen=True)
 class PulseRecorder(Records):
-    """rate_of_penetration [m/s], slip_per_impact [m], mean_force [N], relief [1], deepest_gap [m].
+    """rate_of_penetration [m/s], slip_per_impact [m], mean_force [N], relief [1], deepest_gap [m], pulses, yields.
 
-    Means are over whole pulses, NaN without any, and over the whole observation under a swept sine. Nothing is recorded
-    before the observation. The states at the last pulse's beginning are kept as the lane's place.
+    Means are over complete pulse periods, and NaN if there are none. Under a swept sine, means are over the whole
+    observation. Nothing is recorded before the observation. The states at the beginning of the last pulse are features.
     """
 
     def begin(self, scene: Scene[Any], c: Any, lane: Lane, settled: tuple[()]) -> Pulses:
         compression = lane.state[scene.place("compression")]
-        # A pulse begins at t = 0 without an event.
+        # The first pulse begins at t = 0, without an event.
         first = (lane.clock.high == 0) & _driven(scene).has_pulses
         sums = ledger.begin(("time", "growth", "force", "yields"), compression)
         last = jnp.full((len(scene.return_states), *compression.shape), jnp.nan, compression.dtype)
@@ -112,7 +116,7 @@ class PulseRecorder(Records):
     def read(self, scene: Scene[Any], c: Any, carry: Pulses) -> Features:
         number = carry.number
         whole, pulses = ledger.whole(carry.ledger, number, jnp.zeros_like(number))
-        # Half a pulse at either end would bias the means; without pulses the whole observation counts.
+        # An incomplete pulse period at either end would bias the means. Without pulses the whole observation is used.
         alone = jnp.zeros_like(number, bool) if _driven(scene).has_pulses else number == 0
         sums = {name: jnp.where(alone, carry.ledger.sums[name], whole[name]) for name in whole}
         return {
@@ -124,7 +128,7 @@ class PulseRecorder(Records):
 
 
 def _driven(scene: Scene[Any]) -> Any:
-    """Return the scene, which is driven and has rock."""
+    """Return the scene after checking that it has a prescribed force and rock."""
     assert isinstance(scene, Driven) and isinstance(scene, HasRock)
     return scene
 
@@ -136,7 +140,7 @@ def _growth(scene: Scene[Any], step: Step) -> Lanes:
 
 
 def _rates(scene: HasRock[Any], c: Any, sums: Mapping[str, Lanes], time: Lanes, blows: Lanes, gap: Lanes) -> Features:
-    """Return the features of the hole for sums over `time` [s] with a number of `blows`."""
+    """Return the features of the hole from the sums over `time` [s]; `blows`: number of impacts or pulses."""
     mean_force = sums["force"] / time
     return {
         "rate_of_penetration": sums["growth"] / time,

@@ -1,4 +1,4 @@
-"""Recorders: they run a scene's gauges alongside its steps and return the features at the end."""
+"""Recorders, which update a scene's gauges with every step and return the features at the end."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
@@ -17,47 +17,53 @@ from vibrojax.models.scenes.scene import Scene
 from vibrojax.stepping import Lane, Step
 
 Features = dict[str, Any]
-"""Features by name: arrays (lanes,), or (rows, lanes) for returns that are kept."""
+"""Features by name: arrays (lanes,), or (rows, lanes) for section crossings that are stored individually."""
 
 
 class Records(ABC):
-    """A recorder of lanes: of a few quantities while they settle (by default none), then of the observed features.
+    """A recorder: it computes the features of the observation, and may also record while lanes settle.
 
-    Its carry is a pytree of arrays whose last axis is lanes. Its objects are static arguments of programs, so it is a
-    frozen dataclass.
+    While lanes settle, nothing is recorded by default. The carry is a pytree of arrays whose last axis is lanes.
+    Recorder objects are static arguments of compiled programs, so a recorder is a frozen dataclass.
     """
 
     def settling(self, scene: Scene[Any], lane: Lane) -> Any:
-        """Return the carry at t = 0."""
+        """Return the carry for the settling time, at t = 0."""
         return ()
 
     def settle(self, scene: Scene[Any], c: Any, carry: Any, lane: Lane, step: Step) -> Any:
-        """Update the carry with a step before the observation."""
+        """Return the carry updated with a step before the observation."""
         return carry
 
     def settle_returns(self, carry: Any) -> Any:
-        """Update the carry, every few steps, with the returns passed while settling."""
+        """Return the carry updated with the last section crossings while settling; called every few steps."""
         return carry
 
     def settled(self, begun: Any, observed: Any) -> Any:
-        """Return the carry before an observation that follows another: `begun` with the returns seen in `observed`."""
+        """Return the settling carry for an observation that continues another one.
+
+        It is `begun` with the section crossings that the carry `observed` of the previous observation has stored.
+        """
         return begun
 
     @abstractmethod
     def begin(self, scene: Scene[Any], c: Any, lane: Lane, settled: Any) -> Any:
-        """Return the carry at the start of the observation, from that while settling."""
+        """Return the carry at the start of the observation; `settled`: the carry at the end of settling."""
 
     @abstractmethod
     def step(self, scene: Scene[Any], c: Any, carry: Any, lane: Lane, step: Step) -> Any:
-        """Update the carry with a step of the observation."""
+        """Return the carry updated with a step of the observation."""
 
     @abstractmethod
     def waiting(self, carry: Any) -> Flags:
-        """Return a mask of the lanes whose return must be recorded before they continue."""
+        """Return a mask of the lanes at a section crossing that must be recorded before the lanes continue."""
 
     @abstractmethod
     def take_returns(self, scene: Scene[Any], c: Any, carry: Any, lane: Lane, share: Lanes) -> Any:
-        """Update the carry with the returns of the waiting lanes; `share` of the observation is over."""
+        """Return the carry updated with the section crossings of the waiting lanes.
+
+        `share`: elapsed fraction of the observation.
+        """
 
     @abstractmethod
     def read(self, scene: Scene[Any], c: Any, carry: Any) -> Features:
@@ -65,7 +71,7 @@ class Records(ABC):
 
 
 class Observed(NamedTuple):
-    """The recorder's carry under observation: the returns, the sums over them, and each gauge's carry."""
+    """The recorder's carry during the observation: section crossings, sums, and the carry of each gauge."""
 
     returns: Returns
     ledger: Ledger
@@ -74,7 +80,7 @@ class Observed(NamedTuple):
 
 @dataclass(frozen=True)
 class Recorder(Records):
-    """The gauges of an observation, over whole returns to the scene's section."""
+    """The recorder of gauges, evaluated over complete return intervals of the scene's section."""
 
     section: Section
     gauges: tuple[Gauge[Any], ...]
@@ -126,7 +132,7 @@ class Recorder(Records):
         return Observed(section.take_in(self.section, scene, returns, lane), totals, gauges)
 
     def read(self, scene: Scene[Any], c: Any, carry: Observed) -> Features:
-        """Return the gauges' features, and returns, cycles, period, settling_time."""
+        """Return the features of the gauges, and in addition returns, cycles, period and settling_time."""
 
         def features(whole: Whole) -> Features:
             gauges = zip(self.gauges, carry.gauges, strict=True)

@@ -1,4 +1,4 @@
-"""Repeats among the returns to the section: after how many returns a motion repeats, and since when."""
+"""Periodicity: the number of return intervals per period of a motion, and since when the motion is periodic."""
 
 from typing import NamedTuple
 
@@ -9,24 +9,24 @@ from vibrojax.measures.ledger import MOST_CYCLES
 from vibrojax.models.arrays import Array, Flags, Lanes, keep
 
 REPEATS_WITHIN = 1e-3
-"""Greatest difference between returns that repeat, relative to their scales."""
+"""Greatest difference between the states at two section crossings one period apart, relative to the states' scales."""
 
 SETTLED_WITHIN = 0.01
-"""The same while lanes settle, for the settling time."""
+"""The corresponding difference while lanes settle, used for the settling time."""
 
 Range = tuple[Lanes, Lanes]
 """The least and the greatest value."""
 
 
 class Seen(NamedTuple):
-    """The last returns, the newest first.
+    """The last section crossings, the newest first.
 
-    - `armed`: mask of the lanes whose next zero counts; `since` [s]: the time since the last return.
-    - `ranges`: of each swing's position since then.
-    - `states` (8, states, lanes) and `times` (8, lanes) [s] of the last returns, NaN without one. The states that are
-      compared come first, then the return map's other states.
-    - `settled` (8, lanes) [s]: for each length of a repeat, the time of the last return that differs from its repeat.
-    - `frequency` [rad/s]: of the returns; 0 before there are two.
+    - `armed`: mask of the lanes whose next zero counts as a section crossing.
+    - `since` [s]: time since the last crossing; `ranges`: least and greatest position of each swing since then.
+    - `states` (8, states, lanes), `times` (8, lanes) [s]: states and times of the last crossings, NaN where there are
+      none. The states on which periodicity is checked come first, then the other states of the return map.
+    - `settled` (8, lanes) [s]: for p = 1 to 8, the time of the last crossing that differs from the crossing p later.
+    - `frequency` [rad/s]: angular frequency of the crossings, 0 before the second crossing.
     """
 
     armed: Flags
@@ -39,11 +39,11 @@ class Seen(NamedTuple):
 
 
 class Returns(NamedTuple):
-    """The carry under observation, in which returns are counted and landed on.
+    """The carry during the observation, in which section crossings are counted and steps end on them.
 
-    - `waiting`: mask of the lanes at the section; `number`: of returns so far.
-    - `phase` [rad]: of the returns' frequency, since the first return.
-    - `worst` (8, states, lanes): the greatest differences between returns, for each length of a repeat.
+    - `waiting`: mask of the lanes at the section; `number`: number of section crossings so far.
+    - `phase` [rad]: phase of the crossings' frequency, 0 at the first crossing.
+    - `worst` (8, states, lanes): for p = 1 to 8, the greatest difference between crossings that are p apart.
     """
 
     seen: Seen
@@ -54,7 +54,10 @@ class Returns(NamedTuple):
 
 
 def scales(amplitudes: tuple[Lanes, ...], period: Lanes) -> list[Lanes]:
-    """Return the scales of the compared states: half the swings, and for velocities those times 2 pi/`period`."""
+    """Return the scales of the compared states: the amplitudes, and for velocities the amplitudes times 2 pi/`period`.
+
+    The order is that of the section's `compared` states.
+    """
     first, *others = amplitudes
     return [first, *(scale for half in others for scale in (half, half * 2 * jnp.pi / period))]
 
@@ -62,14 +65,15 @@ def scales(amplitudes: tuple[Lanes, ...], period: Lanes) -> list[Lanes]:
 def returned(
     seen: Seen, here: Flags, state: Array, time: Lanes, since: Lanes, amplitudes: tuple[Lanes, ...]
 ) -> tuple[Seen, Array]:
-    """Return the last returns after one more in `state` at `time`, where `here`, and its differences from those before.
+    """Return the last section crossings including a new one, and the differences of the new one from those before.
 
-    `amplitudes` are half the swings in the time `since` the return before.
+    The new crossing of the lanes `here` is in `state` at `time`. `amplitudes` are half the peak-to-peak ranges of the
+    swings in the time `since` the previous crossing.
     """
     scale = keep(jnp.stack(scales(amplitudes, since)))
     compared = len(scale)
     differs = keep(jnp.abs(state[None, :compared] - seen.states[:, :compared]))
-    # A missing return is NaN, which compares false.
+    # A missing crossing is NaN; comparisons with NaN are False.
     unsettled = here[None] & jnp.any(differs > SETTLED_WITHIN * scale[None], axis=1)
     repeats = jnp.all(differs <= SETTLED_WITHIN * scale[None], axis=1)
     times = keep(jnp.concatenate([time[None], seen.times[:-1]]))
@@ -85,9 +89,9 @@ def returned(
 
 
 def _rate(times: Array, repeats: Array, now: Lanes) -> Lanes:
-    """Return the returns per second, 0 before there are two.
+    """Return the number of section crossings per second, 0 before the second crossing.
 
-    They are counted over the shortest repeat, else over all kept returns.
+    The crossings are counted over the shortest period found, or over all stored crossings if there is none.
     """
     rate = jnp.zeros_like(now)
     for p in range(1, MOST_CYCLES + 1):
@@ -98,9 +102,10 @@ def _rate(times: Array, repeats: Array, now: Lanes) -> Lanes:
 
 
 def cycles(carry: Returns, amplitudes: tuple[Lanes, ...], period: Lanes) -> jax.Array:
-    """Return the number of returns p after which the motion repeats, 1 to 8; 0 if none fits or under 3 p + 1 returns.
+    """Return the number p of return intervals per period, 1 to 8, or 0 if no period is found.
 
-    `amplitudes` and `period` describe the whole observation.
+    A period of p intervals needs at least 3 p + 1 section crossings. `amplitudes` and `period`: amplitudes and mean
+    return interval in the whole observation.
     """
     scale = jnp.stack(scales(amplitudes, period))
     repeating = jnp.zeros_like(carry.number)
@@ -111,7 +116,11 @@ def cycles(carry: Returns, amplitudes: tuple[Lanes, ...], period: Lanes) -> jax.
 
 
 def settling_time(carry: Returns, cycles: Lanes) -> jax.Array:
-    """Return the time [s] of the last return that differs by over 0.01 from that `cycles` later; NaN if that is 0."""
+    """Return the time [s] of the last section crossing that differs from the crossing one period later.
+
+    The period is `cycles` return intervals; where `cycles` is 0, the result is NaN. Differences count from 0.01 of the
+    states' scales.
+    """
     time = jnp.full_like(cycles, jnp.nan)
     for p in range(1, MOST_CYCLES + 1):
         time = jnp.where(cycles == p, carry.seen.settled[p - 1], time)

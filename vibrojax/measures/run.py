@@ -1,4 +1,4 @@
-"""The programs of one block of lanes: settle, any number of times, then observe and read."""
+"""Programs for one block of lanes: settle (any number of times), then observe, which returns the features."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -13,21 +13,23 @@ from vibrojax.models.scenes.scene import Scene
 from vibrojax.stepping import Accuracy, Goal, Lane, Step, Stepper, lane_at
 
 STEPS_PER_TURN = 4
-"""Steps between two checks of the section; a lane that reaches it waits there, on average half of them."""
+"""Number of steps between two checks for section crossings during the observation. A lane at the section waits for the
+next check, on average for half of these steps."""
 
 STEPS_PER_PASS = 3
-"""The same while settling, where a lane passes the section: fewer than a period has at the longest strides."""
+"""The corresponding number while settling, when lanes do not wait. It is less than the number of steps per period with
+the longest steps, so that no section crossing is missed."""
 
 
 class Effort(NamedTuple):
-    """The settings of the steps, and the number of steps after which a lane is abandoned."""
+    """The settings of the steps, and the greatest number of steps of a lane; the lane then stops early."""
 
     accuracy: Accuracy
     most_steps: Any
 
 
 class Underway(NamedTuple):
-    """Lanes between two programs: the lane, its recorder's carry, and the steps taken since t = 0."""
+    """A block of lanes between two programs: the lanes, the recorder's carry, and the number of steps since t = 0."""
 
     lane: Lane
     carry: Any
@@ -35,10 +37,12 @@ class Underway(NamedTuple):
 
 
 class Phase(NamedTuple):
-    """The use of the steps in one part of the run.
+    """The functions and settings of one part of the run, settling or observation.
 
-    - `step` updates the recorder's carry with each step; `turn` does so with returns, every few `steps`.
-    - `moves`: mask of the lanes that do not wait for that; `marked`: True if steps end on markers.
+    - `step`: function that updates the recorder's carry with a step.
+    - `turn`: function that updates the recorder's carry with section crossings, called once every `steps` steps.
+    - `moves`: function that returns a mask of the lanes that do not wait for `turn`.
+    - `marked`: True if steps end on markers.
     """
 
     step: Callable[[Any, Lane, Step], Any]
@@ -49,7 +53,10 @@ class Phase(NamedTuple):
 
 
 def start_block(scene: Scene[Any], recorder: Records, c: Any, state: Values) -> tuple[Lane, Any]:
-    """Return the lane at t = 0 and its recorder's carry, for a `state` (lanes,) and the scene's constants `c`."""
+    """Return the lanes at t = 0 and the recorder's carry.
+
+    `c`: the scene's constants; `state`: the initial state, a tuple of arrays (lanes,).
+    """
     lane = lane_at(scene, scene.scaled(c, state), state)
     return lane, recorder.settling(scene, lane)
 
@@ -57,7 +64,10 @@ def start_block(scene: Scene[Any], recorder: Records, c: Any, state: Values) -> 
 def settle_block(
     scene: Scene[Any], stepper: Stepper, recorder: Records, c: Any, begun: Underway, until: Lanes, effort: Effort
 ) -> Underway:
-    """Return the lanes at the times `until` [s] (lanes,); `c`: the scene's constants, scaled for the lane's start."""
+    """Return the lanes at the times `until` [s] (lanes,).
+
+    `c`: the scene's constants after `Scene.scaled` for the initial state.
+    """
     phase = Phase(
         step=lambda carry, lane, step: recorder.settle(scene, c, carry, lane, step),
         turn=lambda carry, lane: recorder.settle_returns(carry),
@@ -78,9 +88,9 @@ def observe_block(
     duration: Lanes,
     effort: Effort,
 ) -> tuple[Lane, Features]:
-    """Return settled lanes at the end of their observation, and their features, by name.
+    """Return the lanes at the end of their observation, and their features by name.
 
-    **Arguments:** as for `settle_block`; `begin`, `duration` [s]: start and length of each lane's observation.
+    **Arguments:** as for `settle_block`; `begin`, `duration` [s]: beginning and length of each lane's observation.
     """
     end = begin + duration
     settled = begun.lane.clock.until(begin) <= 0
@@ -111,7 +121,10 @@ def run_block(
     settle: Real,
     observe: Real,
 ) -> Features:
-    """Return the features of a block of lanes, by name, after `settle` [s] and `observe` [s]."""
+    """Return the features of a block of lanes by name.
+
+    `settle`: duration of settling [s]; `observe`: duration of the observation after it [s].
+    """
     lane, carry = start_block(scene, recorder, c, state)
     c = scene.scaled(c, state)
     none = jnp.zeros_like(state[0])

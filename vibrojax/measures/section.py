@@ -1,7 +1,7 @@
-"""Returns to a scene's section, passed on the way while settling and landed on under observation.
+"""Section crossings: interpolated within steps while settling; during the observation, steps end on them.
 
-A return counts where the section's velocity passes zero, having been beyond the re-arming level since the last one.
-Before the observation, steps do not end on the section: a return is read off the step's polynomials.
+A zero crossing of the section's velocity counts only if the velocity has been beyond the re-arming level since the last
+section crossing. While settling, steps do not end on the section: crossings are found on the polynomials of the steps.
 """
 
 from collections.abc import Iterable
@@ -20,14 +20,15 @@ from vibrojax.stepping import Lane, Step
 from vibrojax.stepping.polynomial import Coefficients, first_guess, slope, value
 
 PASSING_ITERATIONS = 2
-"""Newton iterations for a return that is passed on the way, from the zero of a parabola."""
+"""Number of Newton iterations for a section crossing within a step, starting from the root of a parabola."""
 
 
 class Passed(NamedTuple):
-    """The last return passed on the way, which `waiting` lanes have not recorded yet.
+    """The last section crossing within a step while settling.
 
-    - `state`: the states that are compared, (states, lanes); `time` [s]; `since` [s]: the time since the one before.
-    - `amplitudes`: half the swings since then [m].
+    - `waiting`: mask of the lanes whose crossing is not recorded yet.
+    - `state`: states at the crossing, (states, lanes); `time` [s]: its time.
+    - `since` [s]: time since the previous crossing; `amplitudes` [m]: half the peak-to-peak ranges in that time.
     """
 
     waiting: Flags
@@ -45,7 +46,7 @@ class Settling(NamedTuple):
 
 
 def begin(section: Section, scene: Scene[Any], lane: Lane) -> Settling:
-    """Return the carry at t = 0, without returns."""
+    """Return the carry at t = 0, without section crossings."""
     places = positions(scene, section, lane)
     first, kept = places[0], len(_kept(scene))
     nothing = jnp.full((MOST_CYCLES, *first.shape), jnp.nan, first.dtype)
@@ -64,19 +65,20 @@ def begin(section: Section, scene: Scene[Any], lane: Lane) -> Settling:
 
 
 def on_orbit(begun: Settling, states: Array, times: Array, period: Lanes) -> Settling:
-    """Return the carry on a periodic orbit's section: `begun`, with last returns that were on the orbit too.
+    """Return the carry of a lane that starts at a section crossing of a periodic orbit.
 
-    `states` (8, states, lanes) and `times` (8, lanes) [s] belong to the last returns, the newest first, at which the
-    lane stands; `period` [s] is the time between returns.
+    It is `begun` with previous crossings on the same orbit. `states` (8, states, lanes) and `times` (8, lanes) [s] are
+    those of the last crossings, newest first; the newest is the lane's present state. `period` [s]: time between
+    crossings.
     """
     seen = begun.seen._replace(states=states, times=times, frequency=2 * jnp.pi / period)
     return begun._replace(seen=seen)
 
 
 def pass_by(section: Section, scene: Scene[Any], c: Any, carry: Settling, lane: Lane, step: Step) -> Settling:
-    """Update the carry with a step while settling: extremes since the last return, and a return on the way.
+    """Return the carry updated with a step while settling: extremes, and a section crossing within the step.
 
-    Turns are the zeros of velocities on the step's polynomials.
+    Turning points are the zeros of velocities on the step's polynomials.
     """
     seen, passed = carry
     own = scene.place(section.velocity)
@@ -114,41 +116,41 @@ def pass_by(section: Section, scene: Scene[Any], c: Any, carry: Settling, lane: 
 
 
 def _kept(scene: Scene[Any]) -> list[int]:
-    """Return the places of the states kept of returns: those that identify the orbits of the driving part."""
+    """Return the indices of the states that are stored at section crossings: the driving part's return map states."""
     return [scene.place(name) for name in scene.driving_part().return_states]
 
 
 def rising(section: Section, values: Coefficients) -> Coefficients:
-    """Return values of the section's velocity with the sign by which it rises through zero at a return."""
+    """Return `values` of the section's velocity, with the sign reversed if section crossings are downward zeros."""
     return values if section.rising else [-x for x in values]
 
 
 def _turn(velocity: Coefficients, after: Array, step: Step) -> tuple[Array, Array]:
-    """Return a mask of the velocities that pass zero on the step, and the tau of the zero by a parabola."""
+    """Return a mask of the lanes whose velocity crosses zero within the step, and a parabola's guess of the zero."""
     sign = jnp.where(velocity[0] < 0, -1.0, 1.0)
     guess = first_guess(jnp.abs(velocity[0]), sign * velocity[1] * step.tau, sign * after)
     return sign * after < 0, keep(guess * step.tau)
 
 
 def _turned(step: Step, scene: Scene[Any], swing: Swing, end: Lanes, lane: Lane) -> jax.Array:
-    """Return a swing's position at its turn on the step, else at the `end`."""
+    """Return a swing's position at its turning point within the step, or the position `end` if there is none."""
     if swing.velocity is None:
         return jnp.asarray(end)
-    # The position is flat there: a first guess of the time is enough.
+    # The position is stationary at the turning point, so a first guess of the time is accurate enough.
     velocity = scene.place(swing.velocity)
     turns, when = _turn(step.polynomials[velocity], lane.state[velocity], step)
     return jnp.where(turns, value(step.polynomials[scene.place(swing.position)], when), end)
 
 
 def take_in_passed(carry: Settling) -> Settling:
-    """Record the returns that have been passed."""
+    """Return the carry after recording the section crossings of the waiting lanes."""
     seen, passed = carry
     known, _ = returned(seen, *passed)
     return Settling(known, passed._replace(waiting=jnp.zeros_like(passed.waiting)))
 
 
 def observe(section: Section, carry: Settling) -> Returns:
-    """Return the carry at the beginning of the observation: from here, returns are counted and landed on."""
+    """Return the carry at the beginning of the observation, during which section crossings are counted."""
     zero = jnp.zeros_like(carry.seen.since)
     seen = take_in_passed(carry).seen
     worst = jnp.zeros_like(seen.states[:, : len(section.compared)])
@@ -156,7 +158,7 @@ def observe(section: Section, carry: Settling) -> Returns:
 
 
 def step(section: Section, scene: Scene[Any], c: Any, carry: Returns, lane: Lane, step: Step) -> Returns:
-    """Update the carry with a step: extremes since the last return, and a mask of the steps that end on the section."""
+    """Return the carry updated with a step: the extremes, and the mask of the lanes that wait at the section."""
     seen = carry.seen
     velocity = rising(section, step.polynomials[scene.place(section.velocity)])
     armed = keep(seen.armed | (lowest(velocity, step.tau) < rising(section, [section.rearm(c)])[0]))
@@ -176,17 +178,17 @@ def step(section: Section, scene: Scene[Any], c: Any, carry: Returns, lane: Lane
 
 
 def lowest(velocity: Coefficients, tau: Array) -> jax.Array:
-    """Return the least velocity from 0 to `tau`, by the parabola through its ends and its middle."""
+    """Return the least velocity between 0 and `tau`, from the parabola through the two ends and the middle."""
     start, middle, end = velocity[0], value(velocity, tau / 2), value(velocity, tau)
     bend, fall = start + end - 2 * middle, 3 * start + end - 4 * middle
-    # A step not taken is flat: 0/0 is NaN, and so not a turn.
+    # If no step was taken, the velocity is constant: 0/0 is NaN, so there is no minimum in between.
     share = fall / (4 * bend)
     vertex = start - fall * share / 2
     return jnp.minimum(jnp.minimum(start, end), jnp.where((bend > 0) & (share > 0) & (share < 1), vertex, start))
 
 
 def _restart(here: Flags, x: Lanes, extremes: Range) -> Range:
-    """Return the least and greatest value, both `x` where `here`."""
+    """Return the least and greatest value, both set to `x` in the lanes `here`."""
     least, greatest = extremes
     return jnp.where(here, x, least), jnp.where(here, x, greatest)
 
@@ -196,19 +198,19 @@ def _halves(ranges: Iterable[Range]) -> tuple[Lanes, ...]:
 
 
 def amplitudes(carry: Returns) -> tuple[Lanes, ...]:
-    """Return half the swings since the last return [m]."""
+    """Return half the peak-to-peak range of each swing since the last section crossing [m]."""
     return _halves(carry.seen.ranges)
 
 
 def take_in(section: Section, scene: Scene[Any], carry: Returns, lane: Lane) -> Returns:
-    """Record the returns of the lanes that wait at the section, and release these lanes."""
+    """Return the carry after recording the section crossings of the waiting lanes, which then continue."""
     seen, here = carry.seen, carry.waiting
     state = jnp.stack([lane.state[place] for place in _kept(scene)])
     known, differs = returned(seen, here, state, lane.clock.high, seen.since, amplitudes(carry))
     back = jnp.arange(MOST_CYCLES, dtype=carry.number.dtype).reshape(-1, *[1] * carry.number.ndim)
     compared = here[None] & (back < carry.number[None])
     turn = 2 * jnp.pi
-    # The phase counts from the observation's first return, without the whole turns.
+    # The phase is 0 at the first section crossing of the observation; full revolutions are subtracted.
     phase = jnp.where(carry.number == 0, 0, carry.phase - turn * jnp.round(carry.phase / turn))
     places = positions(scene, section, lane)
     return Returns(

@@ -1,1 +1,1 @@
-"""Physics and scenes: the equations of the machines."""
+"""The equations of the machines: physics and scenes."""

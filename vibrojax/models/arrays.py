@@ -1,7 +1,7 @@
 """Types of the numbers in equations and of the arrays in compiled programs.
 
-Annotations state shapes: `lanes` is the axis of lanes, the last axis of every array in a program. Only the tests check
-them at run time (`tests/conftest.py`).
+The annotations state array shapes. `lanes` is the last axis of every array in a program; a lane is one trajectory of
+the batch. Only the tests check the shapes at run time (`tests/conftest.py`).
 """
 
 from typing import Any, Protocol, TypeVar, runtime_checkable
@@ -11,27 +11,27 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 Array = jax.Array | np.ndarray
-"""An array of either library; inside a program it is always jax's."""
+"""A JAX or NumPy array; inside a compiled program always a JAX array."""
 
 Lanes = Float[Array, "*lanes"]
 """One number per lane."""
 
 Flags = Bool[Array, "*lanes"]
-"""One truth value per lane."""
+"""One boolean per lane."""
 
 Counts = Int[Array, "*lanes"]
 """One integer per lane."""
 
 Real = Array | float
-"""An array or a number, but not a series."""
+"""An array or a Python number, but not a Taylor series."""
 
 
 @runtime_checkable
 class Value(Protocol):
     """A number in an equation: an array, a Python number, or a truncated Taylor series of either.
 
-    Equations use +, -, *, / and the functions of [vibrojax.models.physics.elementary][], so that one equation serves
-    arrays and series.
+    Equations use +, -, *, / and the functions of [vibrojax.models.physics.elementary][], so that the same equation
+    accepts arrays and Taylor series.
     """
 
     def __add__(self, other: Any, /) -> Any: ...
@@ -49,9 +49,9 @@ Tree = TypeVar("Tree")
 
 
 def keep(values: Tree) -> Tree:
-    """Return the same values (any pytree), behind an optimization barrier.
+    """Return the same values (any pytree) behind an XLA optimization barrier.
 
-    XLA's CPU compiler recomputes a value in every fusion that reads it. In a step, where each value depends on all
-    earlier ones, that multiplies the arithmetic. A barrier ends the fusion.
+    XLA's CPU compiler recomputes a value in every fusion that reads the value. In a step, each value depends on all
+    earlier values, so the recomputation multiplies the arithmetic. A barrier ends the fusion.
     """
     return jax.lax.optimization_barrier(values)

@@ -1,4 +1,7 @@
-"""Periodic orbits of lanes that repeat: fixed points of the return map, by Newton's method, and their multipliers."""
+"""Periodic orbits of lanes, found by Newton's method as fixed points of the return map, and their multipliers.
+
+A lane is one trajectory of a batch.
+"""
 
 from vibrojax.periodic.early_stopping import early_stopping_of as early_stopping_of
 from vibrojax.periodic.nearby import Nearby as Nearby

@@ -1,4 +1,7 @@
-"""Lanes that converge to a stable periodic orbit, recognised by their last returns and the orbit's multipliers."""
+"""Recognition of lanes that converge to a stable periodic orbit, from their last section crossings.
+
+Scaled distances are in units of the states' scales: half the swings, and for velocities the same times 2 pi/period.
+"""
 
 from typing import NamedTuple
 
@@ -11,28 +14,31 @@ from vibrojax.measures.section import Settling
 from vibrojax.periodic.newton import PeriodicOrbits, States
 
 NEAR_ORBIT = SETTLED_WITHIN / 2
-"""Distance over the scales within which the last returns must repeat."""
+"""Scaled distance within which the last section crossings must repeat."""
 
 LINEAR_MISFIT = 0.25
-"""Largest error of the linearised map, relative to the distance from the orbit, within its linear reach."""
+"""Largest error of the linearised map within its range of validity, relative to the distance from the orbit."""
 
 STEP_NOISE = 30.0
-"""Bound of the noise in returns, in tolerances of the steps."""
+"""Bound of the numerical noise in section crossings, as a multiple of the tolerance of the step-size control."""
 
 LEFT_OF_ERROR, LEFT_OF_LABELS = 0.3, 1e-4
-"""Largest distance from the orbit during the observation: relative to the accepted error, and for equal labels."""
+"""Largest scaled distance from the orbit during the observation. The first bound is relative to the error tolerance;
+the second bound ensures equal labels."""
 
 MAX_CONTRACTION = 0.5
-"""Largest norm of the derivative over the remaining repeats: the multipliers, not chance, bring a lane to the orbit."""
+"""Largest norm of the derivative over the remaining periods. It ensures that a lane reaches the orbit because of the
+multipliers, not by chance."""
 
 DISTINCT_STATES = 2e-3
-"""Distance over the scales up to which two states of an orbit might be equal."""
+"""Scaled distance up to which two states of an orbit might be equal."""
 
 EXTRAPOLATION_MAX_ORDER = 3
-"""Order of the linear recurrence that returns are extrapolated by: the usual drill has three multipliers."""
+"""Largest order of the linear recurrence used to extrapolate section crossings; the usual drill has three
+multipliers."""
 
 CHECKED_REPEATS = 8
-"""Coming repeats whose successive differences must stay within the label's tolerance."""
+"""Number of predicted periods whose successive differences must stay within the tolerance of labels."""
 
 Index = Int[np.ndarray, " some"]
 PerLane = Float[np.ndarray, " lanes"]
@@ -40,11 +46,11 @@ Away = Float[np.ndarray, "returns states lanes"]
 
 
 class Approach(NamedTuple):
-    """Lanes whose last returns converge to an orbit.
+    """Lanes whose last section crossings converge to an orbit.
 
-    - `lanes`: indices; `scale` (lanes, states): NaN for states that labels do not compare.
-    - `returns` (returns, states, lanes): at the section, the newest first.
-    - `limit` (lanes, repeat, states): extrapolated limits of the returns of the last repeat, the newest last.
+    - `lanes`: indices of the lanes; `scale` (lanes, states): scales, NaN for states that labels do not compare.
+    - `returns` (returns, states, lanes): states at the section crossings, newest first.
+    - `limit` (lanes, repeat, states): extrapolated limits of the crossings in the last period, newest last.
     """
 
     lanes: Index
@@ -53,27 +59,28 @@ class Approach(NamedTuple):
     limit: States
 
     def of(self, lanes: Index, since: int = 0) -> "Approach":
-        """Return the given lanes, without their `since` newest returns."""
+        """Return a subset of the lanes, by index, without their `since` newest section crossings."""
         return Approach(self.lanes[lanes], self.scale[lanes], self.returns[since:, :, lanes], self.limit[lanes])
 
 
 def approaches_repeat(
     returns: Settling, repeat: int, now: PerLane, observe: float, tolerance: float
 ) -> Bool[np.ndarray, " lanes"]:
-    """Return which lanes seem to converge to an orbit of `repeat` returns.
+    """Return a mask of lanes that seem to converge to an orbit with `repeat` section crossings per period.
 
     **Arguments:**
 
-    - `returns`: recorded returns, see [vibrojax.measures.section][]; the last axis of its arrays is that of the lanes.
-    - `now` [s]: current time of each lane; `observe` [s]: duration of the observation, which labels need.
-    - `tolerance`: relative tolerance of the steps.
+    - `returns`: recorded crossings, see [vibrojax.measures.section][]; the last axis of all arrays is the lane.
+    - `now` [s]: current time of each lane.
+    - `observe` [s]: duration of the observation, which must cover the crossings that labels need.
+    - `tolerance`: relative tolerance of the step-size control.
     """
     scale = np.stack(scales(returns.passed.amplitudes, returns.passed.since))
     states, times = returns.seen.states[:, : len(scale)], returns.seen.times
     near = np.max(np.abs(states[0] - states[repeat]) / scale, axis=0) < NEAR_ORBIT
     for shorter in range(1, repeat):
         now_apart = np.max(np.abs(states[0] - states[shorter]) / scale, axis=0)
-        # A lane that comes closer to a shorter repeat converges to that.
+        # A lane that approaches an orbit with a shorter period converges to that orbit.
         before = np.max(np.abs(states[-1 - shorter] - states[-1]) / scale, axis=0)
         near &= now_apart > np.maximum(DISTINCT_STATES, before / 2)
     lanes = np.flatnonzero(near)
@@ -89,7 +96,7 @@ def approaches_repeat(
 
 
 def read_approach(returns: Settling, lanes: Index, repeat: int, tolerance: float) -> Approach:
-    """Return the approach of `lanes` to orbits of `repeat` returns, with extrapolated limits."""
+    """Return the approach of `lanes` to orbits with `repeat` section crossings per period, with extrapolated limits."""
     scale = np.stack(scales(returns.passed.amplitudes, returns.passed.since))[:, lanes].astype(float)
     states = np.asarray(returns.seen.states)[..., lanes].astype(float)
     limit = [extrapolate(states[phase::repeat], scale, STEP_NOISE * tolerance) for phase in range(repeat)]
@@ -100,16 +107,16 @@ def read_approach(returns: Settling, lanes: Index, repeat: int, tolerance: float
 def extrapolate(
     series: Away, scale: Float[np.ndarray, "compared lanes"], noise: float
 ) -> Float[np.ndarray, "states lanes"]:
-    """Return the limits of series of states, the newest first, that obey a linear recurrence.
+    """Return the limits of series of states that obey a linear recurrence; each series is ordered newest first.
 
-    The limit is the weighted mean of the states for which the same mean of their differences is minimal (reduced rank
-    extrapolation: Sidi, *Vector Extrapolation Methods*, 2017, chapter 2). Differences are taken of the first states,
-    those with a `scale`.
+    The limit is a weighted mean of the states. The same weighted mean of the differences between successive states
+    is minimal (reduced rank extrapolation: Sidi, *Vector Extrapolation Methods*, 2017, chapter 2). Only the first state
+    variables, those with a `scale`, enter the differences.
     """
     order = min(EXTRAPOLATION_MAX_ORDER, len(series) - 2)
     differences = (series[:-1] - series[1:])[: order + 1, : len(scale)] / scale
     gram = np.einsum("isl,jsl->lij", differences, differences)
-    # Regularise by the noise, below which differences carry no information.
+    # Regularise at the level of the noise, below which differences carry no information.
     gram += (1e-2 * noise**2 + 1e-14 * np.trace(gram, axis1=1, axis2=2))[:, None, None] * np.eye(order + 1)
     weights = np.linalg.solve(gram, np.ones((*gram.shape[:2], 1)))[..., 0]
     weights /= weights.sum(axis=1, keepdims=True)
@@ -119,8 +126,8 @@ def extrapolate(
 
 
 def distance(near: Approach, orbit: PeriodicOrbits) -> PerLane:
-    """Return the distance of each lane's last returns from its `orbit`, over the orbit's scales."""
-    on_orbit = np.moveaxis(orbit.states[:, ::-1], 0, -1)  # the newest first
+    """Return the distance of each lane's last section crossings from its `orbit`, in units of the orbit's scales."""
+    on_orbit = np.moveaxis(orbit.states[:, ::-1], 0, -1)  # newest first
     apart = np.abs(near.returns[: len(on_orbit)] - on_orbit) / orbit.scales.T
     return np.asarray(np.max(apart, axis=(0, 1)))
 
@@ -128,16 +135,16 @@ def distance(near: Approach, orbit: PeriodicOrbits) -> PerLane:
 def will_reach(
     near: Approach, orbit: PeriodicOrbits, repeats: PerLane, tolerance: float, error: float
 ) -> Bool[np.ndarray, " lanes"]:
-    """Return which lanes are within the linear reach of their `orbit` and on it after the given number of `repeats`.
+    """Return a mask of lanes in the linear range of their `orbit` that will be on the orbit after `repeats` periods.
 
-    **Arguments:** `tolerance`: of the steps; `error`: accepted error; both relative.
+    **Arguments:** `tolerance`: relative tolerance of the step-size control; `error`: relative error tolerance.
     """
     scale, cycles = orbit.scales, orbit.states.shape[1]
     derivative = orbit.product * scale[:, None, :] / scale[:, :, None]
     on_orbit = np.moveaxis(orbit.states, 0, -1)
     away = np.moveaxis((near.returns[cycles - 1 :: cycles] - on_orbit[0]) / scale.T, -1, 0)
     noise = STEP_NOISE * tolerance
-    # Only the first state of an orbit is propagated, so an orbit of several states must be closer.
+    # Only the first state of an orbit is propagated, so lanes must be closer to an orbit with several states.
     reached = distance(near, orbit) < (NEAR_ORBIT if cycles == 1 else NEAR_ORBIT / 10)
     linear = np.einsum("lij,lrj->lri", derivative, away[:, 1:])
     off, far = np.max(np.abs(away[:, :-1] - linear), axis=2), np.max(np.abs(away[:, 1:]), axis=2)
@@ -155,9 +162,9 @@ def will_reach(
 def _propagate(
     derivative: Float[np.ndarray, "lanes states states"], away: Float[np.ndarray, "lanes states"], repeats: PerLane
 ) -> tuple[PerLane, PerLane]:
-    """Return the norm of `away` after the given number of repeats, and a bound of the derivative's norm.
+    """Return the norm of `away` after the given number of periods, and a bound of the derivative's norm.
 
-    The bound is that after the largest power of two of repeats that is not above their number.
+    The bound is the norm of the derivative over n periods, where n is the largest power of two up to `repeats`.
     """
     power, number = derivative, 1
     contraction = np.full(len(power), np.inf)
@@ -166,7 +173,7 @@ def _propagate(
         contraction = np.where(number <= repeats, size, contraction)
         odd = (repeats // number) % 2 == 1
         away = np.where(odd[:, None], np.einsum("lij,lj->li", power, away), away)
-        # Clipped, so that what has vanished or diverged stays so without NaN.
+        # Clipping keeps powers that have diverged finite, so that no NaN appears.
         power = np.clip(power @ power, -1e100, 1e100)
         number *= 2
     return np.max(np.abs(away), axis=1), contraction

@@ -1,8 +1,9 @@
-"""Early end of lanes that will be on a stable orbit when they are observed.
+"""Early stopping of lanes that will be on a stable orbit when they are observed.
 
-A lane is within the linear reach of a stable periodic orbit if its last returns converge to it at the rate of the
-multipliers. The derivative of the return map then gives the rest of its transient. If that ends before the observation
-begins, the lane would be observed on the orbit, and the orbit is measured instead.
+A lane is in the linear range of a stable periodic orbit if its last section crossings converge to the orbit at the
+rate given by the multipliers. The derivative of the return map then predicts the rest of the transient. If the
+transient ends before the observation begins, the lane would be observed on the orbit. Then the orbit is measured
+instead of the lane.
 """
 
 from typing import NamedTuple
@@ -21,34 +22,39 @@ from vibrojax.sweep.engine.underway import Ended
 from vibrojax.sweep.input.definition import Sweep
 
 EARLY_REPEATS = (1, 2, 3)
-"""Numbers of returns of a repeat that the last eight returns show several times."""
+"""Section crossings per period of the orbits that are searched. The last eight crossings cover several periods of such
+orbits."""
 
 NEWTON_REACH = 2e-2
-"""Largest distance over the scales between an orbit and the extrapolated limit."""
+"""Largest scaled distance between an orbit and the extrapolated limit."""
 
 EARLY_MAX_ITERATIONS = 3
-"""Newton iterations, at most: extrapolated limits are close to the orbits."""
+"""Largest number of Newton iterations; extrapolated limits are close to the orbits."""
 
 LAST_STEP = 1e-6
-"""Residual after which one more Newton step, by the known derivative, leaves a negligible error."""
+"""Residual at which the iteration stops. One more Newton step with the known derivative then leaves a negligible
+error."""
 
 MIN_MARGIN = 1e-4
-"""Least grazing margin: the error after a Newton step is about the step squared over the margin."""
+"""Smallest accepted grazing margin. The error after a Newton step is about the squared step divided by the margin."""
 
 MAP_TOLERANCE = 1e-2
-"""Tolerance of the return map, relative to that of the sweep's steps."""
+"""Step tolerance of the return map, relative to the step tolerance of the sweep."""
 
 MEASURE_MAX_TOLERANCE = 1e-7
-"""Largest tolerance at which orbits are measured. At coarser ones most steps end at events or have the maximum length,
-so the difference between two runs does not show the error."""
+"""Largest step tolerance with which orbits are measured. With coarser tolerances most steps end at events or have the
+maximum length, so the difference between two runs does not show the error."""
 
 ERROR_SHARE, MIN_ERROR_SHARE = 0.25, 0.04
-"""Error estimate as a part of the difference of the two runs, and its lower bound as a part of the tolerance. Only one
-repeat adds to the error, because the initial orbit is nearly exact."""
+"""Error estimate as a fraction of the difference between the two runs, and its lower bound as a fraction of the
+tolerance. Only one period of the motion adds to the error, because the initial state is nearly exact."""
 
 
 class OnOrbits(NamedTuple):
-    """Lanes (by index) that will be on orbits, with the certified features measured there, except the lanes' own."""
+    """Lanes (by index) that will be on orbits, with these orbits and their certified features.
+
+    Features that depend on the lane's transient, such as the settling time, are not included.
+    """
 
     lanes: Index
     orbits: PeriodicOrbits
@@ -56,7 +62,7 @@ class OnOrbits(NamedTuple):
 
 
 class EarlyEnds:
-    """Finds lanes of a sweep that need no more steps, each by Newton's method for its own orbit."""
+    """Search for lanes of a sweep that can stop early; Newton's method is run for every such lane."""
 
     def __init__(self, sweep: Sweep) -> None:
         self._run, self._accuracy = sweep.run, sweep.run.accuracy(sweep.system)
@@ -68,15 +74,15 @@ class EarlyEnds:
         self._measure_accuracy = self._accuracy._replace(tolerance=tolerance)
 
     def of_chunk(self) -> "EarlyEnds":
-        """Return itself: no state is kept between lanes."""
+        """Return this object, which keeps no data of a chunk."""
         return self
 
     def near(self, batch: Batch) -> Bool[np.ndarray, " lanes"]:
-        """Return which lanes may be within the reach of an orbit."""
+        """Return a mask of lanes that may be close enough to an orbit."""
         return np.any([self._approaches(batch, repeat) for repeat in EARLY_REPEATS], axis=0)
 
     def __call__(self, batch: Batch) -> list[Ended]:
-        """Return the lanes of the `batch` that need no more steps, by index, trying the shortest repeats first."""
+        """Return the lanes of the `batch` that can stop early, by index; the shortest periods are tried first."""
         assert batch.underway is not None
         free = np.ones(len(batch.begin), bool)
         ended = []
@@ -103,7 +109,7 @@ class EarlyEnds:
             return approaches_repeat(batch.underway.carry, repeat, now, self._run.observe, self._accuracy.tolerance)
 
     def on_orbits(self, near: Approach, batch: Batch) -> OnOrbits:
-        """Return the lanes of the `batch` that will be on the orbits that Newton's method finds from their limits."""
+        """Return the lanes of the `batch` that will be on orbits; Newton's method starts from the limits in `near`."""
         parameters = {name: np.asarray(batch.given.parameters[name], float) for name in self._scene.parameters()}
         reach = np.full(len(near.lanes), NEWTON_REACH)
         orbit = orbits(near.limit, near.scale, reach, self._map.of(parameters), LAST_STEP, EARLY_MAX_ITERATIONS)
@@ -116,13 +122,13 @@ class EarlyEnds:
         return self._measured(lanes, orbit, step[lanes] ** 2 / orbit.margin, batch.of(lanes))
 
     def will_be_there(self, near: Approach, orbit: PeriodicOrbits, batch: Batch) -> Bool[np.ndarray, " lanes"]:
-        """Return which lanes are within the linear reach of their `orbit`, and on it when they are observed."""
+        """Return a mask of lanes in the linear range of their `orbit` that will be on it when they are observed."""
         assert batch.underway is not None
         repeats = np.floor((self._run.settle - batch.underway.lane.clock.high) / orbit.times.sum(axis=1))
         return will_reach(near, orbit, repeats, self._accuracy.tolerance, self._run.error)
 
     def ended(self, lanes: Index, features: Features, batch: Batch) -> Ended:
-        """Return the `lanes` of the `batch` with their orbits' features and their own."""
+        """Return the `lanes` of the `batch` with the `features` of their orbits and those of the lanes themselves."""
         assert batch.underway is not None
         settled, precision = np.asarray(batch.underway.carry.seen.settled), np.dtype(self._run.precision)
         repeat = features["cycles"].astype(int) - 1
@@ -133,9 +139,9 @@ class EarlyEnds:
         return Ended(lanes, features | own)
 
     def _measured(self, lanes: Index, orbit: PeriodicOrbits, still: PerLane, batch: Batch) -> OnOrbits:
-        """Measure the orbits at the sweep's accuracy and at that of the check run; keep lanes that go round once.
+        """Measure orbits at the accuracies of the sweep and of the check run; keep those that close after one period.
 
-        `still`: estimated distance from the orbit.
+        `still`: estimated distance of the computed orbits from the exact orbits.
         """
         cycles, precision = orbit.states.shape[1], np.dtype(self._run.precision)
         if not len(lanes):
@@ -152,7 +158,7 @@ class EarlyEnds:
             features["returns"] = np.floor(self._run.observe / features["period"])
             features["cycles"] = np.full(len(lanes), float(cycles))
             features["trend"] = np.zeros(len(lanes))
-            # They are stored beside lanes stepped to their end, hence in the same precision.
+            # The features are stored together with those of fully simulated lanes, hence in the same precision.
             runs.append({name: x.astype(precision) if x.dtype.kind == "f" else x for name, x in features.items()})
         fine, check = runs
         least = 4 * float(np.finfo(precision).eps) + MIN_ERROR_SHARE * self._measure_accuracy.tolerance

@@ -1,9 +1,13 @@
-"""Grazing margin: a dimensionless distance of an orbit from a change in its order of events, zero at a graze.
+"""Grazing margin: a dimensionless distance of an orbit from a change in its order of events, zero at grazing.
 
-Guards are functions that are positive within a mode. Where a guard reaches zero, its slope counts, relative to a
-typical slope. Where a guard has a minimum above zero within a step, that minimum counts, relative to a typical value.
-At a switch, the values with which the new mode begins count too: they vanish where a stick phase appears or vanishes.
-The section's velocity counts as a guard while its next zero is a return.
+Guards are functions that are positive within a mode. The margin is the smallest of these quantities over the orbit:
+
+- where a guard reaches zero: its slope, relative to a typical slope;
+- where a guard has a positive minimum within a step: that minimum, relative to a typical value;
+- at a switch: the guard values with which the new mode begins, relative to typical values. These values vanish where a
+  stick phase appears or vanishes.
+
+The section's velocity also counts as a guard while its next zero is a section crossing.
 """
 
 from dataclasses import dataclass
@@ -26,23 +30,27 @@ HOW = (
     "free motion); a guard's least value within a mode where it is not, over its typical value; what a switch begins a "
     "mode with, over its typical value; the same of the section's velocity"
 )
-"""Definition of the margin for dataset attributes."""
+"""Definition of the margin, for dataset attributes."""
 
 GRAZING = 1e-5
-"""Margin below which no multipliers are given. Near a graze the map has a square-root singularity, so its derivative
-holds over a distance of about the margin squared: here the accepted residual, 1e-10."""
+"""Margin below which no multipliers are reported. Near grazing the map has a square-root singularity, so its derivative
+is valid over a distance of about the squared margin. At this limit that distance is 1e-10, the accepted residual."""
 
 
 @dataclass(frozen=True)
 class Margin:
-    """The margin of a motion of `scene` with the constants `c`, accumulated step by step."""
+    """Grazing margin of a motion of `scene` with the constants `c`, accumulated step by step."""
 
     scene: Scene[Any]
     section: Section | None
     c: Any
 
     def after(self, least: Lanes, armed: Flags, lane: Lane, step: Step) -> Lanes:
-        """Return the minimum of `least` and of the margins within `step`, which led to `lane`; without derivatives."""
+        """Return the minimum of `least` and of the margins within `step`, without derivatives.
+
+        **Arguments:** `armed`: mask of lanes whose next zero of the section's velocity is a crossing; `lane`: the state
+        after the step.
+        """
         lane, step = lax.stop_gradient((lane, step))
         states = tuple(known(polynomial) for polynomial in step.polynomials)
         functions = self.scene.guard_values(self.c, step.mode, states)
@@ -67,7 +75,7 @@ class Margin:
         return [_at_hit(velocity, step, hit & armed, speed * pace), near]
 
     def _at_switches(self, lane: Lane, step: Step) -> list[Array]:
-        """Return the non-zero guard values with which switches begin a mode, relative to typical values."""
+        """Return the non-zero guard values with which a mode begins after a switch, relative to typical values."""
         values = self.scene.guard_values(self.c, lane.mode, lane.state)
         small = self.scene.resolutions(self.c, lane.mode, marked=False)
         return [
@@ -78,17 +86,17 @@ class Margin:
 
 
 def _typical(resolutions: tuple[Any, ...]) -> list[Array]:
-    """Return typical values of functions, from the values below which these count as zero."""
+    """Return typical values of functions; `resolutions`: values below which the functions count as zero."""
     return [resolution / (ROUNDINGS * jnp.finfo(resolution.dtype).eps) for resolution in resolutions]
 
 
 def _at_hit(f: Coefficients, step: Step, hit: Flags, rate: Array) -> jax.Array:
-    """Return the slope at the end of a step that ends on the guard, relative to a typical `rate`."""
+    """Return the slope at the end of a step that ends on the guard, relative to a typical `rate`; else infinity."""
     return jnp.where(hit, jnp.abs(slope(f, step.tau)) / (step.h * rate), jnp.inf)
 
 
 def _near_miss(f: Coefficients, step: Step, scale: Array) -> jax.Array:
-    """Return the positive minimum of a function within the step over its `scale`; infinite without one."""
+    """Return the positive minimum of a function within the step, divided by `scale`; infinity without a minimum."""
     rate = [k * coefficient for k, coefficient in enumerate(f)][1:]
     start, end = rate[0], value(rate, step.tau)
     turns = (start < 0) & (end > 0)

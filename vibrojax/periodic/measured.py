@@ -1,4 +1,4 @@
-"""Measurement of lanes over one repeat of their periodic orbits."""
+"""Measurement of the features of lanes over one period of their periodic orbits."""
 
 from dataclasses import replace
 from typing import NamedTuple
@@ -16,21 +16,23 @@ from vibrojax.sweep.engine.programs import Given
 from vibrojax.sweep.input.definition import Sweep
 
 ORBIT_ACCURACY = Accuracy(tolerance=1e-10, stride=LOCATED_STRIDE, step=np.inf)
-"""Accuracy of the steps over an orbit."""
+"""Accuracy of the steps with which orbits are measured."""
 
 DRIVEN_RETURNS = 4
-"""Returns after which a driven part has settled on the motion that the orbit imposes."""
+"""Section crossings after which a driven part has settled on the motion that the orbit imposes."""
 
 PerLane = Float[np.ndarray, " lanes"]
 
 
 class Begun(NamedTuple):
-    """Initial conditions of lanes at the section of their orbits; the last axis is that of the lanes.
+    """Initial conditions of lanes on their orbits, at the section; the last axis of all arrays is the lane.
 
-    - `lanes`: indices in their chunk; `state` (states, lanes): of the return map.
-    - `past` (8, states, lanes), `when` (8, lanes) [s]: the last returns, newest first; the newest is `state` at time 0.
-    - `cycles`: returns of a repeat; `steps`: their approximate number in a repeat.
-    - `length` [s] of a repeat; `first`, `second`, `last` [s]: times between returns, from the state on.
+    - `lanes`: indices in their chunk; `state` (states, lanes): state of the return map.
+    - `past` (8, states, lanes), `when` (8, lanes) [s]: states and times of the last section crossings, newest first.
+      The newest crossing is `state` at time 0.
+    - `cycles`: number of section crossings per period; `steps`: approximate number of steps per period.
+    - `length`: duration of one period [s].
+    - `first`, `second`, `last`: durations between crossings [s], for the first, second and last segment from `state`.
     """
 
     lanes: Index
@@ -51,7 +53,7 @@ def begun(
     times: Float[np.ndarray, "lanes cycles"],
     steps: PerLane,
 ) -> Begun:
-    """Return initial conditions at the first of the `states` of orbits; `times` [s] lead to the next states."""
+    """Return initial conditions at the first of the `states` of each orbit; `times`: time to the next state [s]."""
     cycles, length = states.shape[1], times.sum(axis=1)
     ago = np.concatenate([np.zeros((len(lanes), 1)), np.cumsum(times[:, ::-1], axis=1)], axis=1)
     when = [-(ago[:, k % cycles] + (k // cycles) * length) for k in range(MOST_CYCLES)]
@@ -66,7 +68,7 @@ def joined(parts: list[Begun]) -> Begun:
 
 
 class Measuring:
-    """Measures lanes of a sweep over their orbits, with the sweep's own programs."""
+    """Measurement of a sweep's lanes on their orbits, with the compiled programs of the sweep."""
 
     def __init__(self, sweep: Sweep) -> None:
         self._scene = sweep.system
@@ -75,21 +77,22 @@ class Measuring:
         self._engine = Engine(exact, Located(), recorder_for(sweep.system, sweep.run.keep_returns), workers())
 
     def __call__(self, first: int, end: int, begun: Begun) -> tuple[Features, Bool[np.ndarray, " lanes"]]:
-        """Measure lanes of the chunk from `first` to before `end`, see `of`."""
+        """Measure lanes of the chunk `first` (inclusive) to `end` (exclusive), see `of`."""
         return self.of(self._engine.given(first, end), begun)
 
     def of(
         self, given: Given, begun: Begun, steps: Accuracy = ORBIT_ACCURACY
     ) -> tuple[Features, Bool[np.ndarray, " lanes"]]:
-        """Return the features over one repeat, and which lanes had the expected number of returns.
+        """Return the features over one period, and a mask of lanes with the expected number of section crossings.
 
-        **Arguments:** `given`: parameters and starts of the chunk; `begun`: initial conditions of some of its lanes.
+        **Arguments:** `given`: parameters and initial conditions of the chunk; `begun`: initial conditions on the
+        orbits, for some lanes of the chunk; `steps`: accuracy of the steps.
         """
         lanes, scene = begun.lanes, self._scene
         known = dict(zip(self._driving.return_states, begun.state, strict=True))
         zero = np.zeros(len(lanes))
         state = tuple(np.ascontiguousarray(known.get(name, zero)) for name in scene.state_names)
-        # The observation ends between two returns, so that their number does not depend on rounding.
+        # The observation ends between two section crossings, so that rounding errors do not affect their number.
         settle, duration, counted = zero, begun.length + begun.first + begun.second / 2, "returns"
         if self._driving.section is None:  # the pulse that begins at t = 0 counts
             duration, counted = begun.length + begun.first / 2, "pulses"
@@ -100,6 +103,7 @@ class Measuring:
         batch = Batch(steps, given, settle, duration, None, begun.steps.astype(np.int32))
         batch = self._engine.on_orbit(batch, state, begun.past, begun.when, begun.length / begun.cycles)
         [features] = self._engine.observe(self._engine.settle([batch]) if np.any(settle) else [batch])
-        # The observation is too short to show a repeat, so impacts are per return and means over all of it.
+        # The observation is too short to detect a period, so `impacts` is per section crossing, and means are taken
+        # over the complete observation.
         number = features[counted] == begun.cycles + (counted == "returns")
         return features, features["finished"] & features["finite"] & number

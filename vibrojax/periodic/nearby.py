@@ -1,8 +1,9 @@
 """Stable periodic orbits near lanes that have not settled: the probable limits of long transients.
 
-Every number of returns up to eight is tried as a repeat. It qualifies if all last returns come back to about the same
-states, the later ones closer than the earlier. Newton's method begins at the returns that come back closest. An orbit
-counts if it is stable, if all last returns are near it, and if a simulation confirms its number of impacts.
+Each number of section crossings up to eight is tried as the period of the motion. A number qualifies if all recorded
+crossings nearly repeat after it, the later crossings more closely than the earlier ones. Newton's method begins at the
+crossings that repeat most closely. An orbit is accepted if it is stable, if all recorded crossings are near it, and if
+a simulation confirms its number of impacts.
 """
 
 import numpy as np
@@ -20,31 +21,33 @@ from vibrojax.sweep.engine.batch import Features, Index
 from vibrojax.sweep.input.definition import Sweep
 
 REACH = 0.5
-"""Distance, over half the swings, within which all last returns belong to a nearby orbit. Of 197 lanes (beta 0.1 to
-1.2, gamma 0.3 to 1.2) with such an orbit after 40 s, 194 were on it after 300 s. Half this reach finds fewer orbits,
-none of them surer."""
+"""Largest distance of the recorded section crossings from a nearby orbit, in units of half the swings. Of 197 lanes
+(beta 0.1 to 1.2, gamma 0.3 to 1.2) with such an orbit after 40 s, 194 were on it after 300 s. Half this distance finds
+fewer orbits, none of them more reliable."""
 
 RETURN_DISTANCE = 0.3
-"""The same between returns that may repeat. Over the default map 468 of 1,184 lanes within this distance have a nearby
-orbit, but only 2 of 459 lanes between it and 0.5; Newton's method takes as long for each of them."""
+"""Largest distance between section crossings that may repeat, in the same units. Over the default map 468 of 1,184
+lanes within this distance have a nearby orbit, but only 2 of 459 lanes at distances between this one and 0.5. Newton's
+method takes equally long for every lane."""
 
 NEARBY_MAX_ITERATIONS = 4
-"""Newton iterations, at most."""
+"""Largest number of Newton iterations."""
 
 MOST_STEPS = 300.0
-"""Steps of one return: a hundred are many, and a diverging Newton iterate may never return."""
+"""Step limit between two section crossings. A hundred steps are already many, and a diverging Newton iterate may never
+return to the section."""
 
 NEARBY_TOLERANCE = 1e-9
-"""Tolerance of the return map's steps."""
+"""Tolerance of the step-size control in the return map."""
 
 PerLane = Float[np.ndarray, " lanes"]
 
 WITHOUT_ORBIT = {"nearby_cycles": 0.0, "nearby_impacts": np.nan, "nearby_distance": np.nan}
-"""Values for a lane without a nearby orbit."""
+"""Values of the variables for a lane without a nearby orbit."""
 
 
 class Nearby:
-    """Finds stable orbits near lanes that have not settled, chunk by chunk."""
+    """Search for stable orbits near lanes that have not settled, one chunk of lanes at a time."""
 
     def __init__(self, sweep: Sweep) -> None:
         self._sweep = sweep
@@ -54,14 +57,15 @@ class Nearby:
 
     @property
     def described(self) -> dict[str, object]:
-        """Entries of the dataset's attribute `orbits`."""
+        """Entries for the dataset's attribute `orbits`."""
         return {"nearby_reach": REACH}
 
     def __call__(self, first: int, end: int, features: Features) -> Features:
-        """Return `nearby_cycles`, `nearby_impacts` and `nearby_distance` of the lanes from `first` to before `end`.
+        """Return `nearby_cycles`, `nearby_impacts` and `nearby_distance` of a range of lanes.
 
-        `features`: of these lanes, with their last returns (lanes, returns); not changed. For scenes
-        driven by pulses nothing is returned, because no criterion shows that such a lane has not settled.
+        The range is from `first` (inclusive) to `end` (exclusive). `features`: features of these lanes,
+        including their last section crossings (lanes, returns); not modified. The result is empty for scenes driven by
+        pulses, because no criterion shows that such a lane has not settled.
         """
         section = self._scene.section
         if section is None:
@@ -97,7 +101,7 @@ class Nearby:
     def _confirmed(
         self, first: int, end: int, lanes: Index, orbit: PeriodicOrbits, distance: PerLane
     ) -> Int[np.ndarray, " kept"]:
-        """Return the orbits, by index, that are stable, near, and confirmed by a simulation."""
+        """Return the indices of the orbits that are stable, near their lane, and confirmed by a simulation."""
         cycles = orbit.states.shape[1]
         right = (orbit.residual <= ACCEPTED) & (orbit.margin >= GRAZING) & (distance < REACH)
         right &= repeats_after(orbit) == cycles
@@ -113,7 +117,10 @@ class Nearby:
 
 
 def _distance(returns: Float[np.ndarray, "lanes returns states"], orbit: PeriodicOrbits) -> PerLane:
-    """Return the greatest distance of the scaled returns from the orbit's nearest state, in the compared states."""
+    """Return, for each lane, the greatest scaled distance of a section crossing from the nearest state of the orbit.
+
+    `returns`: scaled states at the crossings. Only the states that labels compare are considered.
+    """
     on_orbit = (orbit.states / orbit.scales[:, None])[..., : returns.shape[2]]
     apart = np.max(np.abs(returns[:, :, None] - on_orbit[:, None]), axis=3)
     return np.nanmax(np.min(apart, axis=2), axis=1)

@@ -1,11 +1,12 @@
-"""Newton's method for the periodic orbits of many lanes at once, by multiple shooting from return to return.
+"""Newton's method for the periodic orbits of many lanes at once, by multiple shooting between section crossings.
 
-An orbit of p returns has p states s_k at the section. The return map P takes each state to the next and the last to
-the first. All segments go through the map together, and the block-cyclic system of each lane
+An orbit with p section crossings per period has p states s_k at the section. The return map P takes each state to the
+next, and the last to the first. All segments are mapped in one batch. The Newton steps d_k of each lane solve the
+block-cyclic system
 
     P'(s_k) d_k - d_{k+1} = s_{k+1} - P(s_k)
 
-gives the step. A map with large multipliers is thus never followed for longer than one return (Stoer and Bulirsch,
+Even an orbit with large multipliers is thus integrated only from one section crossing to the next (Stoer and Bulirsch,
 *Introduction to Numerical Analysis*, section 7.3.5).
 """
 
@@ -19,35 +20,37 @@ from jaxtyping import Complex, Float, Int
 from vibrojax.periodic.return_map import Mapped
 
 NEWTON_RESIDUAL = 1e-12
-"""Residual at which rounding errors dominate."""
+"""Residual at which the iteration stops, because rounding errors dominate."""
 
 ACCEPTED = 1e-10
-"""Largest residual of an orbit that counts as found."""
+"""Largest residual of an orbit that counts as converged."""
 
 MIN_RELATIVE_SWING = 1e-3
-"""Smallest scale of a state over its magnitude: the swing of a state at rest is rounding noise."""
+"""Smallest scale of a state, relative to its magnitude; the swing of a state at rest is only rounding noise."""
 
 NEWTON_MAX_ITERATIONS = 8
 
 SAME_STATE = 1e-6
-"""Distance over the scales within which two states of an orbit are equal."""
+"""Scaled distance (in units of the states' scales) within which two states of an orbit count as equal."""
 
 States = Float[np.ndarray, "lanes cycles states"]
 PerLane = Float[np.ndarray, " lanes"]
 Index = Int[np.ndarray, " some"]
 ReturnMap = Callable[[Index, Float[np.ndarray, "states segments"]], Mapped]
-"""`return_map(lanes, states)`: the next return of segments, each of the lane with the given index."""
+"""`return_map(lanes, states)`: states of segments at the next section crossing; `lanes`: lane index of each segment."""
 
 
 class PeriodicOrbits(NamedTuple):
-    """Results of Newton's method for lanes with the same number of returns; not all have converged.
+    """Results of Newton's method for lanes with the same number of section crossings; some may not have converged.
 
-    - `states`: at the section; `scales` (lanes, states) of the states; `times` (lanes, cycles) [s]: to the next state.
-    - `residual` (lanes,): greatest |return - state| over the scales; infinite where a lane did not return.
-    - `product` (lanes, states, states): derivative of the map over the whole repeat.
-    - `step`: next Newton step, not taken; its size estimates the distance from the orbit.
-    - `moved` (lanes,): greatest distance from the initial guess, over the scales; infinite outside the reach.
-    - `impacts`, least `margin` and `steps` of the repeat, each (lanes,).
+    - `states`: states at the section; `scales` (lanes, states): scales of the states.
+    - `times` (lanes, cycles) [s]: time from each state to the next.
+    - `residual` (lanes,): greatest scaled difference between an image and the next state; infinite where a lane did
+      not return to the section.
+    - `product` (lanes, states, states): derivative of the map over one period of the motion.
+    - `step`: next Newton step, which has not been applied; its size estimates the distance from the orbit.
+    - `moved` (lanes,): greatest scaled distance from the initial guess; infinite if it exceeded the limit `reach`.
+    - `impacts`, `margin`, `steps`, each (lanes,): numbers of impacts and steps in one period, smallest grazing margin.
     """
 
     states: States
@@ -62,7 +65,7 @@ class PeriodicOrbits(NamedTuple):
     steps: PerLane
 
     def of(self, lanes: Index) -> "PeriodicOrbits":
-        """Return the orbits of the given lanes."""
+        """Return the orbits of a subset of the lanes, by index."""
         return PeriodicOrbits(*(x[lanes] for x in self))
 
 
@@ -74,15 +77,17 @@ def orbits(
     enough: float = NEWTON_RESIDUAL,
     most: int = NEWTON_MAX_ITERATIONS,
 ) -> PeriodicOrbits:
-    """Return the orbits near the initial guesses `begin`, with as many returns as these have.
+    """Return the orbits near the initial guesses `begin`, with the same number of section crossings as the guesses.
 
     **Arguments:**
 
-    - `scales`: of the states; NaN is replaced by half the swing in the first iteration, or by 1 if that is zero.
-    - `reach` (lanes,): distance over the scales beyond which a lane is no longer iterated.
-    - `go`: the return map; `enough`: residual at which a lane is done; `most`: iterations, at most.
+    - `scales`: scales of the states; a NaN is replaced by half the swing of the state in the first iteration, or by 1
+      if that swing is zero.
+    - `reach` (lanes,): scaled distance from the initial guess beyond which a lane is no longer iterated.
+    - `go`: the return map; `enough`: residual at which the iteration of a lane stops.
+    - `most`: largest number of iterations.
 
-    The derivative is that at the returned states, so one more step may be taken (`PeriodicOrbits.step`).
+    The derivative is evaluated at the states in the result, so callers may apply one more step, `PeriodicOrbits.step`.
     """
     lanes = len(begin)
 
@@ -104,7 +109,7 @@ def orbits(
         if not len(active):
             break
         iterate = iterate + _newton_step(iterate, now, scales[active])
-        # From far away a return may take thousands of steps.
+        # Far from the orbit, reaching the section may take thousands of steps.
         distance = _distance(iterate, begin[active], scales[active])
         outside[active[distance > reach[active]]] = True
         on = distance <= reach[active]
@@ -119,7 +124,7 @@ def orbits(
         states[kept], residual[kept] = iterate[better], reached[better]
         for whole, part in zip(jax.tree.leaves(best), jax.tree.leaves(now), strict=True):
             whole[kept] = part[better]
-        # A lane whose residual hardly falls is at its rounding errors, or has no orbit here.
+        # A small residual that hardly decreases is dominated by rounding errors.
         on = np.isfinite(reached) & ((reached < before / 2) | (reached > ACCEPTED))
         active, iterate, now = active[on], iterate[on], _take(now, on)
     return PeriodicOrbits(
@@ -137,9 +142,9 @@ def orbits(
 
 
 def repeats_after(orbit: PeriodicOrbits, same: float = SAME_STATE) -> Int[np.ndarray, " lanes"]:
-    """Return the minimal number of returns of each orbit, a divisor of its number of states.
+    """Return the minimal number of section crossings per period of each orbit, a divisor of its number of states.
 
-    States no farther apart than `same`, over the scales, count as equal.
+    States within the scaled distance `same` count as equal.
     """
     repeat = orbit.states.shape[1]
     minimal = np.full(len(orbit.states), repeat)
@@ -150,7 +155,7 @@ def repeats_after(orbit: PeriodicOrbits, same: float = SAME_STATE) -> Int[np.nda
 
 
 def multipliers(product: Float[np.ndarray, "lanes states states"]) -> Complex[np.ndarray, "lanes states"]:
-    """Return the eigenvalues by falling modulus; NaN where the derivative is not finite."""
+    """Return the eigenvalues in order of decreasing modulus; NaN where the derivative is not finite."""
     sound = np.isfinite(product).all(axis=(1, 2))
     values = np.linalg.eigvals(np.where(sound[:, None, None], product, 0.0)).astype(complex)
     values[~sound] = np.nan
@@ -158,7 +163,7 @@ def multipliers(product: Float[np.ndarray, "lanes states states"]) -> Complex[np
 
 
 def images_by_lane(mapped: Mapped, lanes: int, cycles: int) -> Any:
-    """Return `mapped` with arrays (lanes, cycles, ...) in place of (..., segments), copied."""
+    """Return a copy of `mapped` with arrays of shape (lanes, cycles, ...) instead of (..., segments)."""
     return jax.tree.map(lambda x: np.moveaxis(np.array(x), -1, 0).reshape(lanes, cycles, *np.shape(x)[:-1]), mapped)
 
 
@@ -179,7 +184,7 @@ def shooting_matrix(
 
 
 def chain(jacobian: Float[np.ndarray, "lanes cycles states states"]) -> Float[np.ndarray, "lanes states states"]:
-    """Return the derivative over the whole repeat."""
+    """Return the derivative of the map over one period of the motion, the product of the segments' derivatives."""
     product = jacobian[:, 0]
     for k in range(1, jacobian.shape[1]):
         product = jacobian[:, k] @ product
@@ -197,7 +202,7 @@ def _distance(states: States, begin: States, scales: np.ndarray) -> PerLane:
 
 
 def _newton_step(states: States, images: Any, scales: np.ndarray) -> States:
-    """Return Newton's steps, solved in scaled unknowns; NaN where the matrix is singular."""
+    """Return the Newton steps, computed in scaled unknowns; NaN where the matrix is singular."""
     lanes, cycles, rows = states.shape
     jacobian = images.jacobian * scales[:, None, None, :] / scales[:, None, :, None]
     off = (np.roll(states, -1, axis=1) - images.state) / scales[:, None]
@@ -205,7 +210,7 @@ def _newton_step(states: States, images: Any, scales: np.ndarray) -> States:
     right = off.reshape(lanes, cycles * rows, 1)
     sound = np.isfinite(matrix).all(axis=(1, 2)) & np.isfinite(right).all(axis=(1, 2))
     matrix = np.where(sound[:, None, None], matrix, np.eye(cycles * rows))
-    # The matrix is singular exactly at a fold. NumPy would raise, and the other lanes would have no step either.
+    # The matrix is singular exactly at a fold. NumPy would then raise for the whole batch.
     singular = np.linalg.slogdet(matrix)[0] == 0
     step = np.linalg.solve(np.where(singular[:, None, None], np.eye(cycles * rows), matrix), right)
     step[singular] = np.nan

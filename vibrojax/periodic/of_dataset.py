@@ -13,14 +13,16 @@ from vibrojax.models.scenes import Scene
 from vibrojax.periodic.segments import Segments
 
 STEPS_FACTOR = 8
-"""Step limit of a return, relative to the largest number that these orbits take."""
+"""Step limit between two section crossings, relative to the largest number of steps that the orbits themselves take."""
 
 
 class KnownOrbits(NamedTuple):
-    """Orbits of the given `lanes`.
+    """Orbits of lanes.
 
-    `states` (cycles, states) are those at all returns of each orbit, `scales` (orbits, states) belong to them.
-    A neighbouring motion that takes more than `most_steps` steps counts as not returning.
+    - `lanes`: indices of the lanes.
+    - `states`: for each orbit, the states at all section crossings of one period, (cycles, states).
+    - `scales` (orbits, states): scales of the states.
+    - `most_steps`: step limit between two crossings, for motions close to these orbits.
     """
 
     lanes: Int[np.ndarray, " orbits"]
@@ -35,9 +37,9 @@ def known_orbits(
     parameters: Mapping[str, np.ndarray],
     lanes: Int[np.ndarray, " orbits"] | None = None,
 ) -> KnownOrbits:
-    """Return the orbits of a dataset's lanes: of the given `lanes`, or of all with a found orbit.
+    """Return the orbits of the given `lanes` of a dataset, by default of all lanes with a found orbit.
 
-    **Arguments:** `scene`: of the return map; `parameters`: of all lanes by name, in the dataset's order.
+    **Arguments:** `scene`: scene of the return map; `parameters`: values of all lanes by name, in the dataset's order.
     """
 
     def column(name: str) -> np.ndarray:

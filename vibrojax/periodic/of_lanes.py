@@ -1,4 +1,4 @@
-"""Periodic orbits of a sweep's lanes: Newton's method from their last returns, multipliers, and measured features."""
+"""Periodic orbits of a sweep's lanes: Newton's method from the last section crossings, multipliers, and features."""
 
 from typing import Any
 
@@ -27,30 +27,31 @@ from vibrojax.sweep.engine.batch import Features, Index
 from vibrojax.sweep.input.definition import Sweep
 
 OWN_ORBIT_MIN, OWN_ORBIT_MAX = 1e-2, 0.5
-"""Bounds, over the scales, of the distance within which an orbit may be a lane's own."""
+"""Bounds of the scaled distance within which an orbit is attributed to a lane."""
 
 DRIFT_FACTOR = 10.0
-"""That distance in drift estimates, which are right to a factor of a few for lanes far from their orbits."""
+"""The same distance as a multiple of the drift estimate. For lanes far from their orbits the estimate is accurate only
+to a factor of a few."""
 
 MULTIPLIER_ERROR = 1e-7
-"""Bound of a multiplier's error: an orbit with a modulus less than this above 1 may be neutral or stable."""
+"""Bound of a multiplier's error. If the greatest modulus exceeds 1 by less, the orbit may be neutral or stable."""
 
 STATIONARY_ROUNDINGS = 64 * 1e4
-"""Largest difference between repeats, in rounding errors, of a lane that stays on an unstable orbit."""
+"""Largest difference between periods of a lane that stays on an unstable orbit, in units of the rounding error."""
 
 LANE_FEATURES = frozenset(
     {"finite", "finished", "steps", "returns", "trend", "cycles", "impacts", "settling_time", "pulses", "yields"}
 )
-"""Features of the lane itself, which those of its orbit do not replace; `impacts` are equal."""
+"""Features of the lane itself, which the features of its orbit do not replace; `impacts` are equal for both."""
 
 
 def reason(name: str) -> int:
-    """Return the flag of `orbit_reason` with the meaning `name`."""
+    """Return the flag value of `orbit_reason` with the meaning `name`."""
     return ORBIT_REASONS.index(name)
 
 
 class Orbits:
-    """Finds the orbits of lanes that repeat, chunk by chunk."""
+    """Search for the orbits of lanes with periodic motion, one chunk of lanes at a time."""
 
     def __init__(self, sweep: Sweep) -> None:
         self._sweep = sweep
@@ -60,7 +61,7 @@ class Orbits:
 
     @property
     def described(self) -> dict[str, object]:
-        """Entries of the dataset's attribute `orbits`."""
+        """Entries for the dataset's attribute `orbits`."""
         return {
             "states": list(self._scene.return_states),
             "tolerance": STEPS.tolerance,
@@ -70,9 +71,9 @@ class Orbits:
         }
 
     def __call__(self, first: int, end: int, features: Features) -> Features:
-        """Return the variables of orbits for the lanes from `first` to before `end`, and the features over the orbits.
+        """Return the orbit variables of lanes `first` (inclusive) to `end` (exclusive), and the features of the orbits.
 
-        `features`: of these lanes, with their last returns (lanes, returns); not changed.
+        `features`: features of these lanes, including their last section crossings (lanes, returns); not modified.
         """
         lanes, rows = end - first, len(self._scene.return_states)
         result: Features = {
@@ -104,7 +105,10 @@ class Orbits:
     def _find(
         self, lanes: Index, repeat: int, parameters: dict[str, np.ndarray], features: Features, result: Features
     ) -> Begun:
-        """Enter the orbits of `lanes`, which repeat after `repeat` returns, in `result`; return those to measure."""
+        """Enter the orbits of `lanes` in `result`; return the orbits that are still to be measured.
+
+        `repeat`: number of section crossings per period of these lanes.
+        """
         guess, scale = last_returns(self._scene, lanes, repeat, features)
         drift = features["drift_estimate"][lanes]
         reach = np.where(np.isnan(drift), OWN_ORBIT_MIN, np.clip(DRIFT_FACTOR * drift, OWN_ORBIT_MIN, OWN_ORBIT_MAX))
@@ -143,7 +147,7 @@ class Orbits:
         return begun(lanes[right], orbit.states[right], orbit.times[right], orbit.steps[right])
 
     def _remove(self, lanes: Index, result: Features) -> None:
-        """Enter in `result` that the orbit is not that of the `lanes`."""
+        """Record in `result` that the orbits found do not belong to the `lanes`."""
         result["orbit_reason"][lanes] = reason("another-orbit")
         result["stable"][lanes], result["orbit_cycles"][lanes] = -1, 0
         states = map(orbit_name, self._scene.return_states)
@@ -151,7 +155,7 @@ class Orbits:
             result[name][lanes] = np.nan
 
     def _measured(self, first: int, end: int, orbit: Begun, own: Features, result: Features) -> Features:
-        """Return the chunk's features, measured over orbits; remove orbits that the measurement contradicts."""
+        """Return the chunk's features, measured on the orbits; remove orbits that the measurement contradicts."""
         if not len(orbit.lanes):
             return {}
         parameters, _ = self._sweep.lane_values(first, end)
@@ -174,11 +178,13 @@ class Orbits:
 def _stays(
     scene: Scene[Any], lanes: Index, scale: np.ndarray, repeat: int, growth: PerLane, features: Features
 ) -> Bool[np.ndarray, " lanes"]:
-    """Return which lanes provably stay on an unstable orbit, as an exact symmetry makes them.
+    """Return a mask of lanes that provably stay on an unstable orbit, for example because of an exact symmetry.
 
-    Their last returns repeat to rounding, although a single rounding would have become a visible difference since they
-    settled. `scale` (lanes, states) is that of the return map's states, and `growth` the logarithm of the orbit's
-    greatest multiplier over the `repeat`.
+    Their last section crossings repeat within rounding errors. Since the lanes settled, a single rounding error would
+    have grown to a visible difference.
+
+    **Arguments:** `scale` (lanes, states): scales of the return map's states; `growth`: logarithm of the orbit's
+    greatest multiplier over one period of `repeat` crossings.
     """
     if "settling_time" not in features:
         return np.zeros(len(lanes), bool)
@@ -194,7 +200,7 @@ def _stays(
 def _distinct(columns: list[np.ndarray]) -> tuple[Int[np.ndarray, " distinct"], Index]:
     """Return the first lane of each group with bitwise equal columns (lanes, ...), and the group of each lane.
 
-    Lanes that ended on a shared orbit form such groups; results for them are computed once.
+    Lanes that stopped early on a shared orbit form such groups. Results are computed once for each group.
     """
     rows = np.concatenate([x.reshape(len(x), -1).astype(float) for x in columns], axis=1)
     numbers: dict[bytes, int] = {}
@@ -203,7 +209,7 @@ def _distinct(columns: list[np.ndarray]) -> tuple[Int[np.ndarray, " distinct"], 
 
 
 def last_returns(scene: Any, lanes: Index, repeat: int, features: Features) -> tuple[States, np.ndarray]:
-    """Return the states at the last returns (lanes, cycles, states), and their scales (lanes, states).
+    """Return the states at the last section crossings (lanes, cycles, states), and their scales (lanes, states).
 
     The scale is NaN for states that labels do not compare.
     """
@@ -217,10 +223,10 @@ def last_returns(scene: Any, lanes: Index, repeat: int, features: Features) -> t
 
 
 def _repeats_under_pulses(scene: Scene[Any], features: Features, go: ReturnMap) -> Features:
-    """Return `cycles`, `drift_estimate` and the last returns (lanes, returns) of lanes driven by pulses, newest last.
+    """Return `cycles`, `drift_estimate` and the last states at pulses (lanes, returns), newest last.
 
-    The return map `go` is iterated from the state at the last pulse. A lane repeats after the fewest pulses, up to 8,
-    that bring it back to within 1e-3 of its swing.
+    The return map `go` is iterated from the state at the last pulse. `cycles` is the smallest number of pulses, up to
+    8, after which every state is back to within 1e-3 of its swing; it is 0 if there is none.
     """
     names = [state_name(name) for name in scene.return_states]
     begin = np.stack([features[name] for name in names]).astype(float)

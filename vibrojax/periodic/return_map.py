@@ -1,10 +1,10 @@
-"""The return map and its derivative: from one return to the section to the next, through all events between.
+"""The Poincaré return map and its derivative, from one section crossing to the next, through all events on the way.
 
-For a scene driven by pulses the map is stroboscopic: from the beginning of one pulse to that of the next.
+For a scene driven by pulses the map is stroboscopic: from the beginning of one pulse to the beginning of the next.
 
-Events are located, so the map is that of the exact motion within the step tolerance. Forward-mode derivatives include
-the implicit derivative of each event time, hence the saltation matrices of all events (Leine and Nijmeijer, *Dynamics
-and Bifurcations of Non-Smooth Mechanical Systems*, 2004, chapter 7).
+Event times are located, so the map is that of the exact motion within the tolerance of the step-size control.
+Forward-mode derivatives include the implicit derivative of each event time, hence the saltation matrices of all events
+(Leine and Nijmeijer, *Dynamics and Bifurcations of Non-Smooth Mechanical Systems*, 2004, chapter 7).
 """
 
 from typing import Any, NamedTuple
@@ -21,16 +21,16 @@ from vibrojax.stepping import Accuracy, Goal, Lane, Step, Stepper, lane_at
 from vibrojax.sweep.engine.compiler import lane_function
 
 MOST_STEPS = 4000
-"""Steps of one return; the usual drill takes about fifty."""
+"""Default limit of steps between two section crossings; the usual drill takes about fifty."""
 
 
 class ReturnEvents(NamedTuple):
-    """Events and ranges of a motion between two returns; each (lanes,) unless stated otherwise.
+    """Events and state ranges of a motion between two section crossings; each (lanes,) unless stated otherwise.
 
-    - `returned`: true if the section was reached; `impacts`: their number; `steps` taken.
-    - `mode_changes` (modes, 3, lanes): number of changes of each mode to -1, to 0 and to 1.
+    - `returned`: True if the section was reached; `impacts`: number of impacts; `steps`: number of steps.
+    - `mode_changes` (modes, 3, lanes): numbers of changes of each mode to the values -1, 0 and 1.
     - `margin`: grazing margin, see [vibrojax.periodic.margin][].
-    - `least`, `greatest` (states, lanes): range of the return map's states.
+    - `least`, `greatest` (states, lanes): smallest and greatest values of the return map's states.
     """
 
     returned: Flags
@@ -43,9 +43,12 @@ class ReturnEvents(NamedTuple):
 
 
 class Mapped(NamedTuple):
-    """Images under the return map: `state` (states, lanes) after the `time` [s], and the motion between (`seen`).
+    """Images under the return map, with their derivatives.
 
-    `jacobian` (states, states and parameters, lanes): derivatives of the image by the initial state and parameters.
+    - `state` (states, lanes): state at the next section crossing; `time` (lanes,): time until that crossing [s].
+    - `jacobian` (states, states and parameters, lanes): derivatives of the image with respect to the initial state and
+      the parameters.
+    - `seen`: events on the way.
     """
 
     state: Array
@@ -55,7 +58,7 @@ class Mapped(NamedTuple):
 
 
 class _Flight(NamedTuple):
-    """Lanes between two returns."""
+    """Lanes between two section crossings."""
 
     lane: Lane
     time: Lanes
@@ -73,13 +76,14 @@ def mapped(
     accuracy: Accuracy,
     most_steps: Real,
 ) -> Mapped:
-    """Return the images of states at the section under the return map, and its derivative.
+    """Return the images of states at the section under the return map, and their derivatives.
 
     **Arguments:**
 
-    - `along`: names of the parameters to differentiate by; `p`: all parameters by name, each (lanes,).
+    - `along`: names of the parameters with respect to which the map is differentiated.
+    - `p`: all parameters by name, each (lanes,).
     - `state` (states, lanes): values of `scene.return_states`.
-    - `most_steps`: a lane that takes more steps counts as not returning.
+    - `most_steps`: step limit; a lane that exceeds the limit counts as not returning to the section.
     """
     rows = state.shape[0]
 
@@ -100,7 +104,10 @@ def mapped(
 
 
 def at_section(scene: Scene[Any], state: Array) -> Values:
-    """Return all states of the scene at the section, each (lanes,), from the map's states (states, lanes)."""
+    """Return all states of the scene at the section, each (lanes,), from the return map's states (states, lanes).
+
+    States that do not belong to the return map are zero.
+    """
     rows = dict(zip(scene.return_states, state, strict=True))
     zero = jnp.zeros_like(state[0])
     return tuple(rows.get(name, zero) for name in scene.state_names)
@@ -109,9 +116,11 @@ def at_section(scene: Scene[Any], state: Array) -> Values:
 def one_return(
     scene: Scene[Any], stepper: Stepper, c: Any, state: Array, accuracy: Accuracy, most_steps: Real = MOST_STEPS
 ) -> tuple[tuple[Array, Lanes], ReturnEvents]:
-    """Return ((image under the return map, time [s] to it), events between); pure, hence differentiable.
+    """Return ((image under the return map, time [s] until the image), events on the way).
 
-    **Arguments:** `c`: the scene's constants, scaled for the motion; `state` (states, lanes).
+    The function is pure, hence differentiable.
+
+    **Arguments:** `c`: the scene's constants, scaled for the motion; `state` (states, lanes): state at the section.
     """
     section = scene.section
     margin = Margin(scene, section, c)
@@ -151,7 +160,7 @@ def _map_state(scene: Scene[Any], lane: Lane) -> Array:
 
 
 def _mode_changes(before: tuple[Array, ...], after: tuple[Array, ...]) -> Array:
-    """Return indicators of the changes of each mode to -1, to 0 and to 1, (modes, 3, lanes)."""
+    """Return indicators (modes, 3, lanes), 0 or 1, of the changes of each mode to the values -1, 0 and 1."""
     if not before:
         return jnp.zeros((1, 3, 1))
     rows = [[(old != new) & (new == value) for value in (-1, 0, 1)] for old, new in zip(before, after, strict=True)]
@@ -159,7 +168,10 @@ def _mode_changes(before: tuple[Array, ...], after: tuple[Array, ...]) -> Array:
 
 
 def passed(scene: Scene[Any], section: Section | None, c: Any, armed: Flags, step: Step) -> tuple[Flags, Flags]:
-    """Return (lanes whose next zero is a return, lanes whose step ends on the section), as the observation counts."""
+    """Return two masks: the lanes that are armed after the step, and those whose step ends with a section crossing.
+
+    As in the observation, a zero of the section's velocity is a section crossing only if the lane is armed.
+    """
     if section is None:
         assert isinstance(scene, Driven)
         return armed, scene.pulse_begins(c, step.mode, step.hits)
@@ -171,7 +183,7 @@ def passed(scene: Scene[Any], section: Section | None, c: Any, armed: Flags, ste
 
 
 def _impacts(scene: Scene[Any], c: Any, step: Step) -> Lanes:
-    """Return 1 for lanes in which an impact begins at the end of the step, else 0."""
+    """Return 1 for each lane in which an impact begins at the end of the step, else 0."""
     if not isinstance(scene, HasContact):
         return jnp.zeros_like(step.dt)
     return scene.impact_begins(c, step.mode, step.after, step.hits).astype(step.dt.dtype)

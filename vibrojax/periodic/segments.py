@@ -1,4 +1,4 @@
-"""The return map of many segments at once, distributed over all workers."""
+"""The return map of many segments (motions to the next section crossing) at once, distributed over all workers."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -15,19 +15,21 @@ from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Located
 from vibrojax.sweep.engine.parallel import in_parallel
 
 MAX_SEGMENTS_PER_CALL = 512
-"""Segments per call of the map, at most."""
+"""Largest number of segments per call of the map."""
 
 MIN_SEGMENTS_PER_THREAD = 64
-"""Returns below which another thread costs more than it saves."""
+"""Smallest number of segments per thread; with fewer, another thread costs more than it saves."""
 
 STEPS = Accuracy(tolerance=1e-11, stride=LOCATED_STRIDE, step=np.inf)
-"""Accuracy of the steps. Over the default map multipliers are within 1.2e-8 of those at 1e-14, periods 3e-13 s."""
+"""Accuracy of the steps. Over the default map, multipliers deviate by up to 1.2e-8 from those at tolerance 1e-14, and
+periods by up to 3e-13 s."""
 
 
 class Segments:
     """The return map of a scene and its derivative, in float64.
 
-    **Arguments:** `along`: parameters to differentiate by too; `most`: a lane that takes more steps does not return.
+    **Arguments:** `along`: names of parameters with respect to which the map is differentiated in addition to the
+    states; `steps`: accuracy of the steps; `most`: step limit, above which a lane counts as not returning.
     """
 
     def __init__(
@@ -45,7 +47,7 @@ class Segments:
     def __call__(
         self, parameters: Mapping[str, Float[np.ndarray, " segments"]], states: Float[np.ndarray, "states segments"]
     ) -> Mapped:
-        """Return the next return of each segment; the last axis of all arrays is that of the segments."""
+        """Return the image of each segment at the next section crossing; the last axis of all arrays is the segment."""
         number = states.shape[1]
         by_threads = min(len(self._workers), number // MIN_SEGMENTS_PER_THREAD)
         calls = max(-(-number // MAX_SEGMENTS_PER_CALL), by_threads, 1)

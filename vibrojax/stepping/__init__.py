@@ -1,4 +1,4 @@
-"""Steppers, which step many lanes at once, behind the interface [vibrojax.stepping.stepper.Stepper][]."""
+"""Steppers: time integration of many lanes at once, with the interface [vibrojax.stepping.stepper.Stepper][]."""
 
 from vibrojax.models.arrays import keep
 from vibrojax.stepping import functions  # registers the series with the elementary functions
@@ -14,5 +14,8 @@ STEPPERS: dict[str, Stepper] = {stepper.name: stepper for stepper in (Located(),
 
 
 def stepper_named(stepper: str | Stepper) -> Stepper:
-    """Return the stepper of that name, or the stepper itself; raises `KeyError` if the name is unknown."""
+    """Return the stepper with this name; a stepper object is returned unchanged.
+
+    Raises `KeyError` if the name is unknown.
+    """
     return stepper if isinstance(stepper, Stepper) else STEPPERS[stepper]

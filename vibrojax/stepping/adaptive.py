@@ -11,11 +11,14 @@ from vibrojax.models.scenes.declared import Values
 from vibrojax.models.scenes.scene import Scene
 
 MOST_STEPS = 10_000_000
-"""Limit on the steps of one trajectory, so that a solver that stalls ends."""
+"""Greatest number of steps of one trajectory, so that a stalled solver stops."""
 
 
 def solver_named(solver: object) -> diffrax.AbstractSolver:
-    """Return a diffrax solver, or the one of that name, such as "Tsit5"; raises `InputError` for an unknown name."""
+    """Return the diffrax solver with this name, such as "Tsit5"; a solver object is returned unchanged.
+
+    Raises `InputError` if the name is unknown.
+    """
     if isinstance(solver, diffrax.AbstractSolver):
         return solver
     kind = getattr(diffrax, str(solver), None)
@@ -37,15 +40,17 @@ def adaptive_trajectory(
     tolerance: Any,
     step: Any = None,
 ) -> tuple[Values, Any]:
-    """Return the states at `times` by a diffrax solver, with fixed steps if it has no error estimate.
+    """Return the states at `times`, computed by a diffrax solver.
 
     **Arguments:**
 
-    - `constants`: the scene's, scalars; `state`: tuple of scalars at t = 0; `times` (samples,) [s], rising.
-    - `width` [m/s]: of the friction switch; the contact is one-sided at every evaluation.
-    - `solver`: a diffrax solver; `tolerance`: relative, and absolute in m and m/s; `step` [s]: of fixed steps.
+    - `constants`: the scene's constants, scalars; `state`: tuple of scalars, the state at t = 0.
+    - `times`: increasing sample times (samples,) [s].
+    - `width`: width of the friction switch [m/s]. The contact is not smoothed: it is one-sided at every evaluation.
+    - `solver`: a diffrax solver. The steps are fixed if it is not an adaptive solver.
+    - `tolerance`: relative tolerance, also used as absolute tolerance in m and m/s; `step`: length of fixed steps [s].
 
-    **Returns:** tuple of arrays (samples,), and the number of steps taken.
+    **Returns:** tuple of arrays (samples,), one per state, and the number of steps taken.
     """
     saved = diffrax.SaveAt(ts=jnp.asarray(times))
     tolerance = tolerance if isinstance(solver, diffrax.AbstractAdaptiveSolver) else None
@@ -69,12 +74,14 @@ def smoothed_solution(
     saved: diffrax.SaveAt,
     most_steps: int,
 ) -> diffrax.Solution:
-    """Return diffrax's solution of a smoothed motion from t = 0 to `end` [s]; works under `jit` and `vmap`.
+    """Return the diffrax solution of a smoothed motion from t = 0 to `end` [s]; works under `jit` and `vmap`.
+
+    The arguments not listed are those of [vibrojax.stepping.adaptive.adaptive_trajectory][].
 
     **Arguments:**
 
-    - `tolerance`: of adaptive steps, as above; None for fixed steps of `step` [s].
-    - `saved`: the times and states to keep; `most_steps`: limit on the steps (static).
+    - `tolerance`: relative and absolute tolerance of adaptive steps; None for fixed steps of `step` [s].
+    - `saved`: the times and states to save; `most_steps`: greatest number of steps (static).
     """
 
     def rates(t: Any, y: Values, args: Any) -> Values:

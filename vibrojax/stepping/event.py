@@ -1,4 +1,4 @@
-"""Event location: the first guard or marker that a trial step crosses, on which the step ends."""
+"""Event location: a step ends on the first guard or marker that its trial step crosses."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -13,14 +13,14 @@ from vibrojax.models.scenes.scene import Scene
 from vibrojax.stepping.polynomial import Coefficients, first_guess, root, slope, value
 
 TANGENT_GUESS = 0.5
-"""First guess of a crossing, as a fraction of the step, if the step starts tangent to the guard."""
+"""First guess of a crossing, as a fraction of the step, if the step starts at a tangency to the guard."""
 
 TANGENT_START = 0.7
-"""Start of Newton's iteration for such a crossing, where the parabola through the start is of no use."""
+"""Initial value of Newton's iteration for a crossing after a tangency, where a parabola gives no usable value."""
 
 
 class Small(NamedTuple):
-    """Magnitudes of a function that count as zero: of its value, and of its first coefficient in tau."""
+    """Magnitudes up to which a function's `value`, and its first coefficient in tau (`slope`), count as zero."""
 
     value: Array
     slope: Array
@@ -28,9 +28,9 @@ class Small(NamedTuple):
 
 @dataclass(frozen=True)
 class Event:
-    """The functions whose zeros may end a step in one mode: the scene's guards, and if `marked` its markers.
+    """The functions whose zeros may end a step in one mode: the guards of the scene and, if `marked`, its markers.
 
-    If a stepper `smooths`, a guard that is a spread-out switch is never reached.
+    If the stepper `smooths` the friction switch, the guard of that switch is never reached.
     """
 
     scene: Scene[Any]
@@ -40,23 +40,24 @@ class Event:
     smooths: bool = False
 
     def functions(self, state: tuple[Any, ...]) -> tuple[Any, ...]:
-        """Return the guards' functions and the markers' velocities at a state, of arrays or series."""
+        """Return the values of the guards and markers at a state, which consists of arrays or Taylor series."""
         guards = self.scene.guard_values(self.constants, self.mode, state, self.smooths)
         return (*guards, *(self.scene.marker_values(state) if self.marked else ()))
 
     def resolutions(self, h: Lanes) -> list[Small]:
-        """Return the magnitudes that count as zero, for each function."""
+        """Return, for each function, the magnitudes that count as zero in a step of `h` [s]."""
         values = self.scene.resolutions(self.constants, self.mode, self.marked)
         slopes = self.scene.slope_resolutions(self.constants, self.mode, h, self.marked)
         return [Small(*pair) for pair in zip(values, slopes, strict=True)]
 
 
 class Trial(NamedTuple):
-    """A trial step, in tau = time/h.
+    """A trial step in the scaled time tau = time/h.
 
-    - `polynomials`: coefficients in tau of the states; `functions`: of the guards, and of the markers if marked.
-    - `h`: its length [s]; `reach`: its end in tau, in [0, 1].
-    - `moving`: mask of the lanes that step; the others stand still (h = 0).
+    - `polynomials`: coefficients of the states in tau.
+    - `functions`: coefficients of the guards in tau, and of the markers if steps end on markers.
+    - `h`: length of the step [s]; `reach`: end of the valid part of the step in tau, from 0 to 1.
+    - `moving`: mask of the lanes that step; the other lanes do not change (h = 0).
     """
 
     polynomials: tuple[list[Array], ...]
@@ -67,9 +68,12 @@ class Trial(NamedTuple):
 
 
 class Landing(NamedTuple):
-    """The end of a trial step: in `state` at `tau` if `accepted`, else the step is repeated up to `tau`.
+    """The end of a trial step.
 
-    `hits` holds by name a mask of the guard or marker reached, `falling` for each marker a mask of downward zeros.
+    - `tau`, `state`, `accepted`: if accepted, the step ends in `state` at `tau`. Otherwise it is repeated with `tau` as
+      its limit.
+    - `hits`: for each guard and marker, by name, a mask of the lanes in which the step ends on it.
+    - `falling`: for each marker, a mask of the lanes in which its zero is a downward crossing.
     """
 
     tau: Lanes
@@ -82,9 +86,9 @@ class Landing(NamedTuple):
 def locate(event: Event, trial: Trial) -> Landing:
     """Find the end of a trial step.
 
-    A function that is crossed ends the step there. If another one turns out to be crossed earlier, or may have been
-    touched and left on the way, the trial is rejected and repeated up to that point. A step needs few repetitions,
-    because each one shortens it to an earlier candidate.
+    The step ends at the first zero crossing of a function. If a check finds that another function crosses zero earlier,
+    or may have crossed zero twice within the step, the trial is rejected and repeated up to that point. Few repetitions
+    are needed, because each repetition is shorter.
     """
     moving, reach = trial.moving, trial.reach
     if not trial.functions:
@@ -107,14 +111,14 @@ def locate(event: Event, trial: Trial) -> Landing:
     state = keep(tuple(value(series, tau) for series in trial.polynomials))
     landed = keep([sign * g for sign, g in zip(signs, event.functions(state), strict=True)])
     mine = [mask & ending for mask in chosen]
-    # A root within roundings of the start is at the start: a repetition would come back to it for ever.
+    # A root within rounding error of the start counts as the start; otherwise repetitions would return to it for ever.
     at_start = at_once | (tau <= jnp.finfo(tau.dtype).eps)
     earlier, roots, others = [], [], []
     for f, end, over, here, tiny in zip(functions, landed, crossed, mine, small, strict=True):
         beyond = end < -tiny.value
-        # Another function than the one that ends the step is crossed before.
+        # A function other than the one that ends the step crosses zero earlier.
         earlier.append(ending & ~here & over & beyond)
-        # The root, or a guard's crossing, lies on a branch of |.| or max that the polynomial does not follow.
+        # The root, or the crossing of a guard, is on a branch of |.| or max that the polynomial does not describe.
         roots.append(here & beyond)
         others.append(~over & ~here & beyond & (f[0] > 0))
     early = keep(_any(earlier))
@@ -123,7 +127,8 @@ def locate(event: Event, trial: Trial) -> Landing:
     dip = keep(reduce(jnp.minimum, dips))
     dipped = moving & ~early & (dip < 1)
     repeat = keep(early | missed | dipped)
-    # The step stops short of the guard if the root is inexact or on a branch left before: the motion just continues.
+    # If the root is inexact, or on a branch that the motion left earlier, the step ends before the guard is reached.
+    # The next step then continues in the same mode.
     short = _any([here & ~at_start & (g > tiny.value) for g, here, tiny in zip(landed, mine, small, strict=True)])
     hit = keep(~repeat & ~short)
     return keep(
@@ -138,23 +143,23 @@ def locate(event: Event, trial: Trial) -> Landing:
 
 
 def _by_name(names: tuple[str, ...], flags: list[Flags], like: Flags) -> dict[str, Flags]:
-    """Return the flags by name, false for the markers that steps do not end on."""
+    """Return the masks by name; names without a mask (markers if steps do not end on them) get False."""
     return dict(zip(names, [*flags, *[jnp.zeros_like(like)] * (len(names) - len(flags))], strict=True))
 
 
 def _crossings(
     functions: list[Coefficients], n_guards: int, reach: Array, small: list[Small], moving: Array
 ) -> tuple[list[Array], list[Array]]:
-    """Return for each function a mask of its crossings by the end of the step, and guesses of them (else infinite).
+    """Return, for each function, a mask of the lanes in which it is negative at the end of the step, and a guess.
 
-    Guesses are fractions of the step. The polynomials keep the branch of |.| and max that they start with; the true
-    functions are evaluated at the landing.
+    The guess is the crossing as a fraction of the step, infinite without a crossing. The polynomials describe only the
+    branch of |.| and max at the start of the step; the caller evaluates the true functions at the located end.
     """
     ends = keep([value(f, reach) for f in functions])
     guesses = [_guess(f, end, reach, tiny) for f, end, tiny in zip(functions, ends, small, strict=True)]
     crossed: list[Array] = [moving & (end < 0) for end in ends]
-    # A marker that leaves zero at a tangent and ends on the wrong side only had its sign misjudged. Within roundings of
-    # zero it would cross it all the time.
+    # If a marker starts at a tangency and ends on the wrong side, only its sign was misjudged: there is no crossing.
+    # Crossings within rounding error of zero do not count, because they would occur again and again.
     for index in range(n_guards, len(functions)):
         clear = _zeros_at_start(functions[index], small[index]) < 2
         crossed[index] = crossed[index] & clear & (guesses[index] > 0) & (ends[index] < -small[index].value)
@@ -164,7 +169,7 @@ def _crossings(
 def _root_of_chosen(
     functions: list[Coefficients], chosen: list[Array], small: list[Small], guess: Array, reach: Array
 ) -> jax.Array:
-    """Return the root in tau of each lane's chosen function."""
+    """Return, for each lane, the root in tau of the chosen function."""
 
     def pick(values: Sequence[Array]) -> Array:
         picked = values[0]
@@ -183,7 +188,7 @@ def _any(masks: list[Array]) -> Array:
 
 
 def _first_true(masks: list[Array]) -> list[Array]:
-    """Return the masks with at most the first true one kept."""
+    """Return the masks such that, in each lane, only the first True mask remains True."""
     firsts: list[Array] = []
     before = jnp.zeros_like(masks[0])
     for mask in masks:
@@ -193,18 +198,21 @@ def _first_true(masks: list[Array]) -> list[Array]:
 
 
 def _sign_at_start(marker: Coefficients, small: Small) -> jax.Array:
-    """Return a marker's sign at the start; from zero, that of its first term above rounding."""
+    """Return a marker's sign at the start of the step; at zero, that of the first coefficient above rounding error."""
     rate = jnp.where(jnp.abs(marker[1]) <= small.slope, marker[2], marker[1])
     return jnp.where(jnp.where(marker[0] == 0, rate, marker[0]) < 0, -1.0, 1.0)
 
 
 def _zeros_at_start(f: Coefficients, small: Small) -> jax.Array:
-    """Return the number of the function's zeros at the start: 0 off the guard, 1 on it, 2 if tangent to it."""
+    """Return the multiplicity of the function's zero at the start of the step: 0 if not zero, 2 at a tangency."""
     return jnp.where(f[0] <= 0, jnp.where(jnp.abs(f[1]) <= small.slope, 2.0, 1.0), 0.0)
 
 
 def _guess(f: Coefficients, end: Array, reach: Array, small: Small) -> jax.Array:
-    """Return the fraction of the step at which a function with a negative `end` crosses zero; 0 if it does at once."""
+    """Return a guess of the fraction of the step at which a function with a negative `end` value crosses zero.
+
+    The result is 0 if the function is negative from the start.
+    """
     zeros = _zeros_at_start(f, small)
     leaves = (f[0] < -small.value) | ((zeros > 0) & (jnp.where(zeros == 2, f[2], f[1]) <= 0))
     guess = jnp.where(zeros == 2, TANGENT_GUESS, first_guess(jnp.maximum(f[0], 0), f[1] * reach, end))
@@ -214,7 +222,7 @@ def _guess(f: Coefficients, end: Array, reach: Array, small: Small) -> jax.Array
 def _dip(f: Coefficients, end: Array, tau: Array) -> jax.Array:
     """Return the fraction of the step to `tau` near which a function may have dipped below zero, else infinity.
 
-    A convex function lies above both of its end tangents: if these meet above zero there is no dip.
+    A convex function is above the tangents at both ends. If these tangents meet above zero, there is no dip.
     """
     start, rate, end_rate = f[0], f[1] * tau, slope(f, tau) * tau
     falls_then_rises = (start > 0) & (end >= 0) & (rate < 0) & (end_rate > 0)

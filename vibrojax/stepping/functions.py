@@ -1,4 +1,4 @@
-"""Taylor series of the elementary functions, by the recurrences of their differential equations."""
+"""Taylor series of the elementary functions, computed with the recurrences from their differential equations."""
 
 from collections.abc import Callable
 
@@ -115,7 +115,7 @@ def _arctan(a: Series) -> Series:
 
 @elementary.maximum.register
 def _maximum(a: Series, b: Series | Value) -> Series:
-    """Return the series of the greater of the two at the start of the step."""
+    """Return the series, `a` or `b`, whose value is greater at the start of the step."""
     other = b if isinstance(b, Series) else constant(b)
     first = a.value >= other.value
     choose: Callable[[Number, Number], Number] = lambda f, g: jnp.where(first, f, g)  # noqa: E731
@@ -124,5 +124,5 @@ def _maximum(a: Series, b: Series | Value) -> Series:
 
 @elementary.absolute.register
 def _absolute(a: Series) -> Series:
-    """Return the series with the sign that makes it positive at the start of the step."""
+    """Return `a` or `-a`, whichever is positive at the start of the step."""
     return a * jnp.where(a.value < 0, -1.0, 1.0)

@@ -1,4 +1,4 @@
-"""A lane at one instant, and the step to the next."""
+"""A lane (one trajectory of the batch) at one instant, and one step of a lane."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -11,27 +11,27 @@ from vibrojax.models.scenes.scene import Scene
 
 
 class Clock(NamedTuple):
-    """Time [s] as a sum of two floats, so that a million additions lose nothing, in float32 too."""
+    """Time [s] as a sum of two floats, so that a million additions lose no digits even in float32."""
 
     high: Lanes
     low: Lanes
 
     def advanced(self, dt: Lanes) -> "Clock":
-        """Return this clock `dt` later (Knuth's two-sum)."""
+        """Return the clock advanced by `dt` [s] (Knuth's two-sum)."""
         small = dt + self.low
         high = self.high + small
         part = high - self.high
         return Clock(high, (self.high - (high - part)) + (small - part))
 
     def until(self, end: Array | float) -> Array:
-        """Return the time left to `end`."""
+        """Return the remaining time until `end` [s]."""
         return (end - self.high) - self.low
 
 
 class Lane(NamedTuple):
-    """A lane at one instant: clock, continuous state, discrete mode, and the limit on its next trial step [s].
+    """A lane at one instant: clock, continuous state and discrete mode.
 
-    Every leaf has shape (lanes,).
+    `trial` [s] limits the length of the next trial step. Every leaf has shape (lanes,).
     """
 
     clock: Clock
@@ -41,11 +41,13 @@ class Lane(NamedTuple):
 
 
 class Step(NamedTuple):
-    """A step as measures see it; `dt` is 0 if it was not taken.
+    """A step, the input of measures.
 
-    - `before`, `mode`: state and mode at its start; `after`: the state in which the next step begins.
-    - `polynomials`: `polynomials[i][k]` is the coefficient of tau^k of state i, tau = time/h from 0 to `tau`.
-    - `hits`: by name, a mask of the guard or marker that it ended on; `falling`: of downward zeros, for each marker.
+    - `before`, `mode`: state and mode at the start of the step; `after`: state at the start of the next step.
+    - `polynomials`: `polynomials[i][k]` is the coefficient of tau^k of state i; tau = time/h runs from 0 to `tau`.
+    - `h` [s]: unit of tau; `dt` [s]: duration of the step, 0 if no step was taken.
+    - `hits`: for each guard and marker, by name, a mask of the lanes whose step ended on it.
+    - `falling`: for each marker, a mask of the lanes in which its zero is a downward crossing.
     """
 
     before: tuple[Array, ...]
@@ -60,6 +62,6 @@ class Step(NamedTuple):
 
 
 def lane_at(scene: Scene[Any], constants: Any, state: tuple[Array, ...]) -> Lane:
-    """Return the lane that starts at t = 0 from `state`, a tuple of (lanes,)."""
+    """Return the lane at t = 0 with the initial `state`, a tuple of arrays (lanes,)."""
     zero: jax.Array = jnp.zeros_like(state[0])
     return Lane(Clock(zero, zero), state, scene.mode_at(constants, state), jnp.full_like(zero, jnp.inf))

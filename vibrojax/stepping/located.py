@@ -1,9 +1,9 @@
-"""The located stepper: Taylor steps within a mode that end on the first guard their polynomial reaches.
+"""The located stepper: Taylor steps within a mode, each of which ends on the first guard that its polynomial reaches.
 
-Each lane has its own clock and step. The solution of a mode's equations is expanded in a Taylor series
-([vibrojax.stepping.series][]). The first guard that the polynomial crosses ends the step exactly there: the state is
-set on the guard and the mode changes. Steps are fixed fractions of the mode's own time scale, shortened if the last
-coefficients show that the series has not converged (Jorba and Zou 2005, section 3).
+Each lane has its own clock and step length. The solution of a mode's equations is expanded in a Taylor series
+([vibrojax.stepping.series][]). The step ends where the polynomial crosses the first guard. There the state is set
+exactly on the guard and the mode changes. The step length is a fixed fraction of the mode's time scale. It is reduced
+if the last coefficients show that the series has not converged (Jorba and Zou 2005, section 3).
 """
 
 from dataclasses import dataclass
@@ -22,22 +22,25 @@ from vibrojax.stepping.series import expand
 from vibrojax.stepping.stepper import Accuracy, AccuracyRequest, Goal, Stepper, taken, trial_length
 
 COARSEST_TOLERANCE = 1e-6
-"""Greatest tolerance. Above it little is gained, because most steps end at events, and the difference from a coarser
-run no longer shows the error."""
+"""Greatest tolerance. A greater tolerance saves little time, because most steps end at events. Moreover, the difference
+from a coarser run would no longer estimate the error."""
 
 COARSEST_DRIVEN_TOLERANCE = 1e-8
-"""Greatest tolerance under pulses: above it nearly all steps end with them and are the same at any tolerance."""
+"""Greatest tolerance under a prescribed force. With a greater tolerance, nearly all steps under pulses would end at the
+pulses' edges, so the steps would no longer depend on the tolerance."""
 
 REST_ROUNDINGS = 512
-"""Number of roundings of the speed scale up to which a motion is at rest."""
+"""Multiple of the speed scale's rounding error (machine epsilon) up to which a motion counts as rest."""
 
 LOCATED_STRIDE = 2.0
-"""Longest step in units of 1/rate, in which no guard is touched and left twice."""
+"""Longest step in units of 1/rate; within such a step, no guard is reached and left twice."""
 
 
 @dataclass(frozen=True)
 class Located(Stepper):
-    """The located stepper, of Taylor series up to `order`; it uses `stride`, `tolerance` and the longest `step`.
+    """The located stepper with Taylor series up to `order`.
+
+    Of the settings in `Accuracy`, it uses `stride`, `tolerance` and `step`.
 
     **Example:**
 
@@ -51,7 +54,8 @@ class Located(Stepper):
 
     name = "located"
     coarser_by = 10.0
-    # Order 10/9 in the tolerance would leave 10^(-10/9) = 0.08; with 0.4 the estimate holds for 95 % of periodic lanes.
+    # The error is of order 10/9 in the tolerance, so a fraction of 10^(-10/9) = 0.08 would be expected. With 0.4, the
+    # estimate is an upper bound for 95 % of periodic lanes.
     error_share = 0.4
     rests = True
 
@@ -62,7 +66,7 @@ class Located(Stepper):
     def accuracy(self, wanted: AccuracyRequest, scene: Scene[Any]) -> Accuracy:
         rounding = 1e-12 if wanted.precision == "float64" else 3e-6
         coarsest = COARSEST_TOLERANCE if scene.autonomous else COARSEST_DRIVEN_TOLERANCE
-        # Errors of period and impact velocity are below the tolerance, but a hundred times it on hard lanes.
+        # The errors of period and impact velocity are mostly below the tolerance, but 100 times greater on hard lanes.
         tolerance = max(min(1e-3 * wanted.error, coarsest), rounding)
         return Accuracy(tolerance, LOCATED_STRIDE, wanted.step if wanted.step is not None else float("inf"))
 
@@ -80,12 +84,12 @@ class Located(Stepper):
         velocities = [polynomials[i] for i in scene.velocities]
         speed = scene.speed_scale(constants)
         if scene.autonomous:
-            # Nothing moves but by rounding: the rest of the run is one step, however stiff the contact it rests on.
+            # The lane moves only by rounding errors: one step covers the rest of the run, however stiff the contact.
             noise = REST_ROUNDINGS * jnp.finfo(speed.dtype).eps
             rest = keep(reduce(jnp.maximum, [jnp.abs(c) for series in velocities for c in series]) <= noise * speed)
         else:
             rest = jnp.zeros_like(goal.moving)
-        # The series has converged as far as its last two terms stay under tolerance times speed.
+        # The series counts as converged where its last two terms are below tolerance times speed.
         last = reduce(jnp.maximum, [jnp.abs(c) for series in velocities for c in series[-2:]])
         converged = jnp.minimum(rough_root(accuracy.tolerance * speed / last, self.order - 1), 1.0)
         reach = jnp.where(rest, 1.0, converged)

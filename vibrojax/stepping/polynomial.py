@@ -1,4 +1,4 @@
-"""Polynomials in the time of one step: values, slopes, integrals, maxima and the root that ends the step."""
+"""Polynomials in the scaled time tau of one step: values, slopes, integrals, maxima, and the root that ends a step."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -10,14 +10,14 @@ from jax import custom_jvp, lax
 from vibrojax.models.arrays import Array, Real, keep
 
 Coefficients = Sequence[Array]
-"""Coefficients of a polynomial in tau, from tau^0 on; each (lanes,)."""
+"""Coefficients of a polynomial in tau, each (lanes,), in ascending order from tau^0."""
 
 ROOT_ITERATIONS = 5
-"""Newton iterations for the root that ends a step; its first guess is that of a parabola."""
+"""Number of Newton iterations for the root that ends a step; the initial value is the root of a parabola."""
 
 
 def value(coefficients: Sequence[Any], tau: Real) -> Any:
-    """Return sum_k c_k tau^k by Horner's rule; coefficients and tau have one shape."""
+    """Return sum_k c_k tau^k by Horner's rule; the coefficients and tau have the same shape."""
     total = coefficients[-1]
     for c in reversed(coefficients[:-1]):
         total = total * tau + c
@@ -35,9 +35,10 @@ def integral(coefficients: Coefficients, tau: Real) -> Any:
 
 
 def highest(coefficients: Coefficients, tau: Array) -> jax.Array:
-    """Return the greatest value from 0 to tau: at an end, or where the slope falls through zero between them.
+    """Return the greatest value between 0 and tau: at an end, or at a maximum in between.
 
-    Two Newton iterations start at the zero of a linear slope: of a wave of 2 rad they find 1e-10 of its height.
+    The maximum is found with two Newton iterations from the zero of a linear slope. For 2 rad of a sine wave, the
+    maximum is exact to 1e-10 of its height.
     """
     rate = [k * c for k, c in enumerate(coefficients)][1:]
     start, end = rate[0], value(rate, tau)
@@ -50,9 +51,10 @@ def highest(coefficients: Coefficients, tau: Array) -> jax.Array:
 
 
 def first_guess(start: Array, rate: Array, end: Array) -> jax.Array:
-    """Return the fraction r in (0, 1] at which the parabola start + rate r + c r², equal to `end` at 1, is zero.
+    """Return the root r in (0, 1] of the parabola start + rate r + c r² whose value at r = 1 is `end`.
 
-    For start >= 0 > end there is one such root apart from a start on the guard; both forms avoid cancellation.
+    For start >= 0 > end there is one such root in addition to a possible root at r = 0. Each of the two formulas is
+    used where it avoids cancellation.
     """
     c = end - start - rate
     root = jnp.sqrt(jnp.maximum(rate * rate - 4 * c * start, 0))
@@ -64,15 +66,15 @@ def first_guess(start: Array, rate: Array, end: Array) -> jax.Array:
 
 @custom_jvp
 def root(coefficients: Coefficients, zeros: Array, guess: Array, end: Array) -> jax.Array:
-    """Return the root in (0, end) of a polynomial that falls from positive values to a negative one at `end`.
+    """Return the root in (0, end) of a polynomial that is positive before the root and negative at `end`.
 
-    Newton's iteration stays inside a shrinking bracket. It acts on the polynomial divided by tau^zeros, so that it does
-    not return to a start on the guard (zeros = 1) or tangent to it (zeros = 2).
+    Newton's iteration stays inside a shrinking bracket. It is applied to the polynomial divided by tau^zeros, so that
+    it does not converge to tau = 0 if the step starts on the guard (zeros = 1) or at a tangency to it (zeros = 2).
 
-    **Arguments:** `coefficients` list of (lanes,); `zeros`, `guess`, `end` (lanes,).
+    **Arguments:** `coefficients`: list of (lanes,); `zeros`, `guess` (initial value of tau), `end`: (lanes,).
 
-    **Returns:** tau (lanes,). Its derivative is that of the root, d tau = -sum_k dc_k tau^k / G'(tau), not of the
-    iteration, so that event times have the correct derivatives by parameters.
+    **Returns:** tau (lanes,). Its derivative is that of the root of the polynomial G, d tau = -sum_k dc_k tau^k /
+    G'(tau), not that of the iteration. Event times thus have the correct derivatives with respect to parameters.
     """
 
     def refine(_: Any, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
@@ -82,7 +84,8 @@ def root(coefficients: Coefficients, zeros: Array, guess: Array, end: Array) -> 
         low, high = jnp.where(inside, tau, low), jnp.where(inside, high, tau)
         newton = tau - y / (slope(coefficients, tau) - zeros * y / tau)
         middle = (low + high) / 2
-        # A converged root is an end of the bracket and stays. A NaN (0/0) fails both tests: the bisection takes over.
+        # A converged root is an end of the bracket and is kept. A NaN (0/0) fails both comparisons, so that a bisection
+        # step is taken.
         tau = jnp.where((newton >= low) & (newton <= high), newton, middle)
         return tau, low, high
 
@@ -100,15 +103,16 @@ def _root_jvp(primals: tuple, tangents: tuple) -> tuple[jax.Array, jax.Array]:
 
 
 def rough_root(x: Array, n: int) -> jax.Array:
-    """Return x^(1/n) for x > 0 to within a factor 1 to 1.07; a tiny number for 0, one above 1 for infinity and NaN.
+    """Return x^(1/n) for x > 0 times an error factor between 1 and 1.07.
 
-    It serves step lengths, at a twentieth of a power's cost: a float's bits, read as an integer, are its logarithm,
-    linear between powers of two.
+    The result is a tiny number for 0, and a number above 1 for infinity and NaN. This accuracy suffices for step
+    lengths, at a twentieth of the cost of a power. The bits of a float, interpreted as an integer, are a piecewise
+    linear approximation of its logarithm.
     """
     x = lax.stop_gradient(x)
     bits = jnp.finfo(x.dtype)
     integer = jnp.dtype(f"int{bits.bits}")
     bits_of_one = jnp.asarray(1 - bits.minexp, integer) << bits.nmant
-    # Floats divide faster: the division of integers is not vectorised.
+    # Floats are used because the division of integers is not vectorised.
     logarithm = (lax.bitcast_convert_type(x, integer) - bits_of_one).astype(x.dtype) * (1 / n)
     return lax.bitcast_convert_type(logarithm.astype(integer) + bits_of_one, x.dtype)

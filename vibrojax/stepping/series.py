@@ -1,12 +1,13 @@
-"""Truncated Taylor series in the time of one step: the arithmetic of the located stepper.
+"""Truncated Taylor series in the scaled time of one step: the arithmetic of the located stepper.
 
-Coefficients are computed one order at a time, so that a state's next coefficient may depend on all lower ones. This
-expands an ordinary differential equation (Jorba and Zou, Experimental Mathematics 14 (2005); Biscani and Izzo, heyoka,
-MNRAS 504 (2021)). Physics written with +, -, *, / and [vibrojax.models.physics.elementary][] accepts series unchanged.
+Coefficients are computed one order at a time, so that the next coefficient of a state may depend on all lower
+coefficients. In this way the solution of an ordinary differential equation is expanded (Jorba and Zou, Experimental
+Mathematics 14 (2005); Biscani and Izzo, heyoka, MNRAS 504 (2021)). Equations written with +, -, *, / and
+[vibrojax.models.physics.elementary][] accept series unchanged.
 
-Most physics is linear. A series is therefore its value at the start of the step, and beyond that a linear combination
-of sequences: one per state, and one per product, quotient or function. Sums and scalings in equations only change the
-combination's factors, which are computed once per step and not at every order.
+Most equations are linear. A series is therefore stored as its value at the start of the step and a linear combination
+of coefficient sequences: one per state, and one per product, quotient or function. Sums and scalings only change the
+factors of the combination, which are computed once per step and not at every order.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -18,33 +19,33 @@ import jax.numpy as jnp
 from vibrojax.models.arrays import Array, Lanes, Real, Value, keep
 
 Number = Any
-"""A coefficient: an array (lanes,) or a float; the float 0.0 vanishes by the structure of the equations."""
+"""A coefficient: an array (lanes,) or a float. The float 0.0 means that the coefficient is identically zero."""
 
 
 def is_zero(x: Number) -> bool:
-    """Return True if a coefficient vanishes by the structure of the equations."""
+    """Return whether a coefficient is identically zero (the float 0.0)."""
     return isinstance(x, float) and x == 0.0
 
 
 def kept(c: Number) -> Number:
-    """Return a coefficient that is computed only once."""
+    """Return the coefficient behind an optimization barrier, so that it is computed only once."""
     return c if isinstance(c, float) else keep(c)
 
 
 def plus(a: Number, b: Number) -> Number:
-    """Return a + b, without terms that vanish."""
+    """Return a + b, leaving out a term that is identically zero."""
     if is_zero(a):
         return b
     return a if is_zero(b) else a + b
 
 
 def times(a: Number, b: Number) -> Number:
-    """Return a b, 0.0 if a factor vanishes."""
+    """Return a b, or the float 0.0 if a factor is identically zero."""
     return 0.0 if is_zero(a) or is_zero(b) else a * b
 
 
 def total(terms: Iterable[Number]) -> Number:
-    """Return the sum of coefficients, without terms that vanish."""
+    """Return the sum of coefficients, leaving out terms that are identically zero."""
     result: Number = 0.0
     for term in terms:
         result = plus(result, term)
@@ -52,7 +53,7 @@ def total(terms: Iterable[Number]) -> Number:
 
 
 class Sequence:
-    """Coefficients c_1, c_2, ..., each computed by `term(k)` at its first use, or appended."""
+    """Coefficients c_1, c_2, ..., each either appended or computed by `term(k)` at its first use."""
 
     def __init__(self, term: Callable[[int], Number] | None = None, known: Iterable[Number] = ()):
         self._term = term
@@ -70,9 +71,10 @@ class Sequence:
 
 
 class Series:
-    """A series sum_k c_k tau^k: `value` = c_0, and `parts`, the factors of the sequences whose combination is c_k.
+    """A series sum_k c_k tau^k.
 
-    Values and factors are arrays of one shape (lanes) or floats; the float 0.0 vanishes by structure.
+    `value` is c_0. For k >= 1, c_k is a linear combination of the sequences in `parts`, which maps each sequence to its
+    factor. Value and factors are arrays of one shape (lanes) or floats; the float 0.0 means identically zero.
     """
 
     __array_priority__ = 1000  # so that array * series calls __rmul__ of the series
@@ -92,12 +94,12 @@ class Series:
         return total(times(f, s[order]) for f, s in zip(self._factors, self.parts, strict=True))
 
     def array(self, order: int, like: Lanes) -> jax.Array:
-        """Return the coefficient of tau^order as an array shaped like `like`, even if it is a float by structure."""
+        """Return the coefficient of tau^order as an array with the shape of `like`, also if it is a float."""
         c = self[order]
         return jnp.full_like(like, c) if isinstance(c, float) else c
 
     def arrays(self, order: int, like: Lanes) -> list[Array]:
-        """Return the coefficients up to tau^order as arrays shaped like `like`."""
+        """Return the coefficients up to tau^order as arrays with the shape of `like`."""
         return [self.array(k, like) for k in range(order + 1)]
 
     def sequence(self) -> Sequence:
@@ -148,18 +150,21 @@ def constant(value: Number) -> Series:
 
 
 def known(coefficients: list[Any]) -> Series:
-    """Return the series with the given coefficients, from c_0 on."""
+    """Return the series with the specified coefficients c_0, c_1, ..."""
     return Series(coefficients[0], {Sequence(known=coefficients[1:]): 1.0})
 
 
 def combined(value: Number, a: Series, b: Series, factor: Callable[[Number, Number], Number]) -> Series:
-    """Return the series whose factors are `factor(a's, b's)`, with 0.0 for a missing part."""
+    """Return the series with this value whose factors are `factor(f, g)`.
+
+    f and g are the factors of the same sequence in `a` and `b`, 0.0 where the sequence is missing.
+    """
     sequences = dict.fromkeys((*a.parts, *b.parts))
     return Series(value, {s: factor(a.parts.get(s, 0.0), b.parts.get(s, 0.0)) for s in sequences})
 
 
 class Terms:
-    """The coefficients of a series from c_0 on."""
+    """The coefficients c_0, c_1, ... of a series."""
 
     def __init__(self, value: Number, rest: Sequence | None = None):
         self.value, self.rest = value, rest
@@ -172,7 +177,7 @@ class Terms:
 
 
 def by_rule(value: Number, term: Callable[[int, Terms], Number]) -> Series:
-    """Return the series of a value and a rule for c_k, called with the lower coefficients."""
+    """Return the series with c_0 = `value` and c_k = `term(k, terms)`, where `terms` has the lower coefficients."""
     value = kept(value)
     terms = Terms(value)
     rest = terms.rest = Sequence(lambda k: term(k, terms))
@@ -180,12 +185,12 @@ def by_rule(value: Number, term: Callable[[int, Terms], Number]) -> Series:
 
 
 def terms_of(a: Series) -> Terms:
-    """Return the coefficients of a series from c_0 on."""
+    """Return the coefficients c_0, c_1, ... of a series."""
     return Terms(a.value, a.sequence())
 
 
 def _product(a: Series, b: Series) -> Series:
-    """Return the series of c_k = sum_j a_j b_{k-j}; a square needs half of the products, twice."""
+    """Return the series with c_k = sum_j a_j b_{k-j}; for a square, equal products are computed only once."""
     first, second = terms_of(a), terms_of(b)
 
     def square_terms(k: int) -> Iterator[Number]:
@@ -212,14 +217,15 @@ def _quotient(a: Series, b: Series) -> Series:
 def expand(
     field: Callable[[tuple[Series, ...]], tuple[Any, ...]], state: tuple[Array, ...], h: Real, order: int
 ) -> tuple[Series, ...]:
-    """Return the Taylor series of the solution of y' = field(y) from `state`, in tau = time/h, up to tau^order.
+    """Return the Taylor series in tau = time/h, up to tau^order, of the solution of y' = field(y) from `state`.
 
     **Arguments:**
 
-    - `field`: takes and returns a tuple of series, one per state; an entry may be a state's own series (x' = v).
-    - `state`: tuple of arrays (lanes); `h`: array (lanes) [s].
+    - `field`: function that takes and returns a tuple of series, one per state. An entry of the result may be one of
+      its arguments (x' = v).
+    - `state`: tuple of arrays (lanes,); `h`: array (lanes,) [s].
 
-    **Returns:** one series per state, known up to `order`.
+    **Returns:** one series per state, with coefficients up to `order`.
     """
     sequences = tuple(Sequence() for _ in state)
     series = tuple(Series(value, {own: 1.0}) for value, own in zip(state, sequences, strict=True))

@@ -1,7 +1,8 @@
-"""The smoothed stepper: classical Runge-Kutta steps of one length, with friction's switch spread over a width.
+"""The smoothed stepper: classical Runge-Kutta steps of fixed length, with the friction switch spread over a width.
 
-The friction switch sgn u becomes u/sqrt(u² + width²): nothing sticks, a bit at rest creeps. The contact stays sharp.
-Steps end on its beginning and end, and on the section, located on the cubic Hermite interpolant of the step.
+The friction switch sgn u is replaced by u/sqrt(u² + width²). The bit therefore never sticks; instead it creeps. The
+contact is not smoothed. Steps end on the section and on the beginning and end of contact, which are located on the
+cubic Hermite interpolant of the step.
 """
 
 from collections.abc import Callable
@@ -20,11 +21,12 @@ from vibrojax.stepping.series import known
 from vibrojax.stepping.stepper import Accuracy, AccuracyRequest, Goal, Stepper, taken, trial_length
 
 STICK_WIDTHS = 3.0
-"""Sliding speed, in widths, below which the bit counts as sticking: friction has 95 % of its sharp value there."""
+"""Sliding speed, in units of the smoothing width, below which the bit counts as sticking. At this speed, smoothed
+friction has 95 % of its sharp value."""
 
 
 def runge_kutta(rates: Callable[[Values], Values], state: Values, h: Real) -> tuple[Values, Values]:
-    """Return the state after `h` [s] by the classical fourth-order Runge-Kutta method, and the rates at its start."""
+    """Return the state after a classical fourth-order Runge-Kutta step of `h` [s], and the rates before the step."""
 
     def moved(k: Values, share: float) -> Values:
         return tuple(y + share * h * dy for y, dy in zip(state, k, strict=True))
@@ -38,14 +40,16 @@ def runge_kutta(rates: Callable[[Values], Values], state: Values, h: Real) -> tu
 
 
 def _hermite(start: Array, end: Array, rate: Array, end_rate: Array) -> list[Array]:
-    """Return the coefficients in tau of the cubic with two values and two rates per step at its ends."""
+    """Return the coefficients in tau of the cubic with the values and the derivatives at tau = 0 and tau = 1."""
     change = end - start
     return [start, rate, 3 * change - 2 * rate - end_rate, rate + end_rate - 2 * change]
 
 
 @dataclass(frozen=True)
 class Smoothed(Stepper):
-    """The smoothed stepper; it uses `smoothing` [m/s], the longest `step` [s], and `stride` for a stiff contact.
+    """The smoothed stepper.
+
+    Of the settings in `Accuracy`, it uses `smoothing` [m/s], `step` [s] and, for a stiff contact, `stride`.
 
     **Example:**
 
@@ -58,7 +62,8 @@ class Smoothed(Stepper):
     name = "smoothed"
     order = 4
     coarser_by = 2.0
-    # Order 3/4 in the width leaves 1.5 of the difference; with 3.5 the estimate holds for 95 % of periodic lanes.
+    # The error is of order 3/4 in the width, so a factor of 1.5 would be expected. With 3.5, the estimate is an upper
+    # bound for 95 % of periodic lanes.
     error_share = 3.5
     smooths = True
 
@@ -67,8 +72,8 @@ class Smoothed(Stepper):
         return 3
 
     def accuracy(self, wanted: AccuracyRequest, scene: Scene[Any]) -> Accuracy:
-        # In the reference cases the error of the width is at most its power 3/4, in m/s; that of a step of 0.3 s per
-        # m/s of width is far below.
+        # In the reference cases, the error due to the width is at most width^(3/4), with the width in m/s. The error
+        # due to a step of 0.3 s per m/s of width is far below.
         width = wanted.smoothing if wanted.smoothing is not None else max(wanted.error ** (4 / 3), 1e-6)
         return Accuracy(0.0, 0.3, wanted.step if wanted.step is not None else 0.3 * width, width)
 
@@ -82,7 +87,7 @@ class Smoothed(Stepper):
         width = accuracy.smoothing
         mode = scene.smoothed_mode(constants, lane.mode, lane.state, STICK_WIDTHS * width)
         lane = lane._replace(mode=mode)
-        # A stiff contact needs shorter steps than the user's.
+        # A stiff contact needs shorter steps than the setting `step`.
         h = trial_length(lane, accuracy.stride / scene.rate(constants, mode), accuracy.step, goal)
 
         def rates_at(state: Values) -> Values:
@@ -98,15 +103,16 @@ class Smoothed(Stepper):
 
 
 def smoothed_trajectory(scene: Scene[Any], constants: Any, state: Values, h: Real, steps: int, width: Real) -> Values:
-    """Return the states of a smoothed motion at h, 2 h, ..., by fixed steps: differentiable in all its arguments.
+    """Return the states of a smoothed motion after each of a number of fixed steps, as a differentiable function.
 
-    The contact acts at each stage at which the striker is beyond the gap. Steps do not end on it, so that they keep
-    their length: an impact lowers the order, and the derivative of its time is lost (see the tests).
+    The contact acts at each Runge-Kutta stage at which the striker is beyond the gap. Steps do not end on the contact,
+    so that their length stays fixed. An impact therefore lowers the order, and the derivative of the impact time is
+    lost (see the tests).
 
     **Arguments:**
 
-    - `constants`: the scene's; `state`: tuple of arrays of one shape; `h` [s]; `width` [m/s]: of the friction switch.
-    - `steps`: number of steps (static).
+    - `constants`: the scene's constants; `state`: initial state, a tuple of arrays of one shape.
+    - `h`: step length [s]; `steps`: number of steps (static); `width`: width of the friction switch [m/s].
 
     **Returns:** tuple of arrays (steps, *shape), one per state.
     """

@@ -1,4 +1,4 @@
-"""The interface of steppers: how they step, from what their steps follow, and how a coarser run shows their error."""
+"""The interface of steppers: the step, the settings that determine it, and the settings of a coarser check run."""
 
 from abc import ABC, abstractmethod
 from typing import Any, ClassVar, NamedTuple
@@ -14,11 +14,11 @@ from vibrojax.stepping.lane import Lane, Step
 
 
 class Accuracy(NamedTuple):
-    """Settings that determine the steps, as numbers or arrays: a change of them compiles nothing.
+    """Settings that determine the steps, as numbers or arrays. A change of the settings needs no recompilation.
 
-    - `tolerance`: relative size of the last terms of a step's series above which it is shortened (located).
-    - `stride`: the longest step in units of 1/rate of the mode; `step`: the longest step [s].
-    - `smoothing`: width of the friction switch [m/s] (smoothed).
+    - `tolerance`: relative magnitude of the last Taylor terms above which a step is shortened (located stepper).
+    - `stride`: longest step in units of 1/rate of the mode; `step`: longest step [s].
+    - `smoothing`: width of the friction switch [m/s] (smoothed stepper).
     """
 
     tolerance: Any
@@ -27,15 +27,15 @@ class Accuracy(NamedTuple):
     smoothing: Any = 0.0
 
     def described(self) -> dict[str, float]:
-        """Return the finite settings above zero as JSON values for a dataset."""
+        """Return the settings that are positive and finite, by name, as JSON values for a dataset."""
         return {name: value for name, value in self._asdict().items() if 0 < value < float("inf")}
 
 
 class AccuracyRequest(NamedTuple):
-    """The user's requirements.
+    """The accuracy that the user requests.
 
-    - `error`: the accepted relative error.
-    - `step` [s], `smoothing` [m/s]: the user's choice; None: they follow from the error.
+    - `error`: relative error tolerance.
+    - `step` [s], `smoothing` [m/s]: values chosen by the user, or None to derive them from `error`.
     - `precision`: "float64" or "float32".
     """
 
@@ -46,25 +46,25 @@ class AccuracyRequest(NamedTuple):
 
 
 class Goal(NamedTuple):
-    """The time `end` [s] to which the lanes in the mask `moving` step; the others stand still."""
+    """The time `end` [s] until which the lanes in the mask `moving` step; the other lanes do not change."""
 
     end: Real
     moving: Flags
 
 
 class Stepper(ABC):
-    """A method of stepping many lanes at once.
+    """A time integration method for many lanes at once.
 
-    A new stepper defines the abstract members and the attributes below. Its objects are static arguments of programs,
-    so it is a frozen dataclass that holds no arrays.
+    A new stepper defines the abstract members and the attributes below. Stepper objects are static arguments of
+    compiled programs, so a stepper is a frozen dataclass without arrays.
 
-    - `name`: its name in sweep files.
-    - `order`: of its error in the step; `degree`: of its steps' polynomials.
-    - `coarser_by`: factor by which the check run's tolerance or width is coarser.
-    - `error_share`: part of the difference of the two runs that is taken as the finer run's error.
-    - `smooths`: True if it spreads the friction switch over a width, so that nothing sticks.
-    - `rests`: True if it treats motion within roundings as rest. Lanes that are too stiff or too slow for their
-      precision are then refused.
+    - `name`: name of the stepper in sweep files.
+    - `order`: order of the method; `degree`: degree of the polynomials that describe a step.
+    - `coarser_by`: ratio of the check run's tolerance or smoothing width to that of the main run.
+    - `error_share`: ratio of the estimated error of the main run to the difference of the two runs.
+    - `smooths`: True if the friction switch is spread over a width, so that the bit never sticks.
+    - `rests`: True if motion within rounding error is treated as rest. Lanes that are too stiff or too slow for their
+      precision are then rejected.
 
     **Example:**
 
@@ -89,32 +89,35 @@ class Stepper(ABC):
     @property
     @abstractmethod
     def degree(self) -> int:
-        """Degree of its steps' polynomials."""
+        """Degree of the polynomials that describe a step."""
 
     @abstractmethod
     def step(
         self, scene: Scene[Any], constants: Any, lane: Lane, accuracy: Accuracy, goal: Goal, marked: bool = True
     ) -> tuple[Lane, Step]:
-        """Return every lane after one step, and the step; it also ends on markers if `marked`."""
+        """Return the lanes after one step, and the step; if `marked`, steps end on markers in addition to guards."""
 
     @abstractmethod
     def accuracy(self, wanted: AccuracyRequest, scene: Scene[Any]) -> Accuracy:
-        """Return the settings that keep the accepted error in `scene`, unless the user chose them."""
+        """Return the settings for the requested error tolerance in `scene`; values chosen by the user are kept."""
 
     @abstractmethod
     def coarser(self, accuracy: Accuracy) -> Accuracy:
-        """Return the settings of the check run, which estimates the error."""
+        """Return the settings of the coarser check run, from which the error is estimated."""
 
 
 def trial_length(lane: Lane, nominal: Array, longest: Real, goal: Goal) -> jax.Array:
-    """Return the next trial step's length [s], limited by the mode, by a rejected trial and by the end of the run."""
+    """Return the length of the next trial step [s], 0 for lanes that do not move.
+
+    It is the least of `nominal`, `longest`, the limit from a rejected trial, and the time until `goal.end`.
+    """
     h = jnp.minimum(jnp.minimum(nominal, longest), jnp.minimum(lane.trial, lane.clock.until(goal.end)))
-    # The motion does not depend on where a step ends, so no derivative goes through its length.
+    # The motion does not depend on where a step ends, so derivatives do not propagate through the step length.
     return lax.stop_gradient(jnp.where(goal.moving, h, 0.0))
 
 
 def taken(event: Event, lane: Lane, trial: Trial, h: Lanes, landing: Landing) -> tuple[Lane, Step]:
-    """Return the lane after its trial step of `h` [s] per unit of tau, which ended in `landing`, and the step."""
+    """Return the lane after a trial step, and the step; `h`: unit of tau [s]; `landing`: end of the trial step."""
     scene, accepted = event.scene, landing.accepted
     dt = jnp.where(accepted, landing.tau * h, 0.0)
     reached = tuple(jnp.where(accepted, new, old) for new, old in zip(landing.state, lane.state, strict=True))

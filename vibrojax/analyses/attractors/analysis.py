@@ -22,6 +22,7 @@ class Attractors(SweepAnalysis):
     """Find the attractors that a sweep's starts lead to, and the share of starts of each."""
 
     kind = "attractors"
+    counted = "attractor"
     variables = OF_ATTRACTORS
     pictures = (
         PictureRule("attractors", lambda held: held.wide, share_map),

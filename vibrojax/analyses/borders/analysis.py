@@ -29,6 +29,7 @@ class Borders(SweepAnalysis):
     )
 
     kind = "borders"
+    counted = "curve"
     view = "curves"
     variables = OF_BORDERS
     pictures = (PictureRule("borders", lambda held: True, border_curves),)

@@ -1,4 +1,4 @@
-"""Laws fitted to measured and swept data."""
+"""Laws fitted to rig measurements and to the results of sweeps."""
 
 from vibrojax.analyses.rop_law.forms import FORMS as FORMS
 from vibrojax.analyses.rop_law.frequency import refit_frequency as refit_frequency

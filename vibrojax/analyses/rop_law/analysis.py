@@ -1,4 +1,4 @@
-"""The analysis `fit`: pictures and summary of fitted laws."""
+"""The analysis `fit`: pictures and summaries of fitted laws."""
 
 import xarray as xr
 
@@ -8,7 +8,7 @@ from vibrojax.analyses.rop_law.picture import law_lines, law_map
 
 
 class Fits(Analysis):
-    """Fit the rate-of-penetration law to a sweep's dataset or to rig data."""
+    """The fit of the rate-of-penetration law to a sweep's dataset or to rig data."""
 
     kind = "fit"
     pictures = (
@@ -17,5 +17,5 @@ class Fits(Analysis):
     )
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
-        """Return which column of a CSV was used for which quantity."""
+        """Return a summary part that lists the CSV column used for each quantity."""
         return [SummaryPart("columns", columns_lines(ds))]

@@ -1,6 +1,6 @@
-"""Columns of rig data: which column of a CSV holds which quantity, and in which unit.
+"""Assignment of CSV columns of rig data to quantities, and the units of the columns.
 
-rate_of_penetration="ROP (m/h)"    the column ROP (m/h), ROP [m/h] or ROP_m/h; or ROP, whose numbers are in m/h
+rate_of_penetration="ROP (m/h)"    the column "ROP (m/h)", "ROP [m/h]" or "ROP_m/h"; or "ROP", taken to be in m/h
 threshold="150 kN"                 no column: one value for all rows
 """
 
@@ -25,7 +25,7 @@ LAW = table(
     not_negative(FORCE, 20e3, "N", "mean force on the bit", "P", (10e3, 500e3)),
     ROCK[THRESHOLD],
 )
-"""The quantities that a rate-of-penetration law is fitted to."""
+"""The quantities that enter a fit of the rate-of-penetration law."""
 
 KNOWN: Mapping[str, Parameter] = BIT_AND_STRIKER | CONTACT | ROTATION | PULSES | ROCK | LAW
 
@@ -36,9 +36,10 @@ _BRACKETED = re.compile(r"\s*(.*?)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]\s*")
 
 @dataclass(frozen=True)
 class Column:
-    """The source of a quantity's values: the column `index` of the file, or one `value` [SI] for all rows.
+    """The source of a quantity's values: a column of the file, or one `value` [SI] for all rows.
 
-    `factor` turns numbers in `unit` into SI; `assumed` is true if the file does not name the unit.
+    `index` is the position of the column. It is None, and `header` the user's text, if there is only a `value`.
+    `factor` converts numbers in `unit` to SI; `assumed` is True if `unit` is assumed because no unit is specified.
     """
 
     header: str
@@ -49,14 +50,14 @@ class Column:
     value: float | None = None
 
     def described(self) -> dict[str, object]:
-        """Return the source as JSON values."""
+        """Return the source as a dictionary of JSON values."""
         if self.index is None:
             return {"value": self.value, "given_in": self.unit, "assumed": self.assumed}
         return {"column": self.header, "unit": self.unit, "assumed": self.assumed}
 
 
 def columns_lines(data: xr.Dataset) -> list[str]:
-    """Return a line for each entry of the attribute `columns`; no lines without it."""
+    """Return one line of text per entry of the attribute `columns`, or no lines without this attribute."""
     lines = []
     for name, source in table_of(data, "columns").items():
         written_in = source.get("unit", source.get("given_in"))
@@ -70,7 +71,10 @@ def columns_lines(data: xr.Dataset) -> list[str]:
 
 
 def read_columns(words: list[str]) -> dict[str, str]:
-    """Return the columns named by words NAME="COLUMN (UNIT)"; raise `InputError` for any other word."""
+    """Return the columns by quantity from command-line words NAME="COLUMN (UNIT)".
+
+    **Raises:** `InputError` for a word of another form, or if two words specify the same quantity.
+    """
     columns: dict[str, str] = {}
     for word in words:
         name, equals, text = (part.strip() for part in word.partition("="))
@@ -84,7 +88,10 @@ def read_columns(words: list[str]) -> dict[str, str]:
 
 
 def split_unit(header: str) -> tuple[str, str | None]:
-    """Split "ROP (m/h)", "ROP [m/h]", "ROP, m/h" or "WOB_kN" into name and unit, None without a unit."""
+    """Split a header such as "ROP (m/h)", "ROP [m/h]", "ROP, m/h" or "WOB_kN" into its name and its unit.
+
+    The unit is None if the header contains no unit.
+    """
     bracketed = _BRACKETED.fullmatch(header)
     if bracketed and bracketed[1]:
         return bracketed[1], bracketed[2]
@@ -96,11 +103,12 @@ def split_unit(header: str) -> tuple[str, str | None]:
 
 
 def choose_columns(place: Place, header: list[str], columns: Mapping[str, str]) -> dict[str, Column]:
-    """Return the columns by quantity: the user's `columns`, and those whose header is the quantity's name.
+    """Return the column of each quantity: the user's `columns`, and columns whose header is the quantity's name.
 
-    A header in SI units counts for the quantities of the law only; a header that names its unit counts for all.
+    A header without a unit is recognised only for the quantities of the law, and means SI units. A header with a unit
+    is recognised for every known quantity.
 
-    **Arguments:** `place`: of the header; `header`: the names in the file.
+    **Arguments:** `place`: location of the header in the file, for error messages; `header`: column names in the file.
 
     **Raises:** `InputError`.
     """
@@ -127,11 +135,11 @@ def choose_columns(place: Place, header: list[str], columns: Mapping[str, str]) 
 def required_names(
     place: Place, header: list[str], chosen: Mapping[str, Column], columns: Mapping[str, str]
 ) -> list[str]:
-    """Return the quantities that the law needs: the rate, and the relief or else mean force and threshold.
+    """Return the names of the quantities required by the law: the rate, and either the relief or force and threshold.
 
-    A relief is not used if the user names columns of force or threshold, but not of the relief.
+    A relief in the file is ignored if the user specifies the force or the threshold but not the relief.
 
-    **Raises:** `InputError` if a quantity is missing, with the column that is likely meant.
+    **Raises:** `InputError` if a quantity is missing. The message suggests the column that is likely meant.
     """
     by_force = RELIEF not in chosen or (RELIEF not in columns and bool({FORCE, THRESHOLD} & set(columns)))
     names = [RATE, FORCE, THRESHOLD] if by_force else [RATE, RELIEF]
@@ -151,7 +159,7 @@ def required_names(
 
 
 def _user_column(place: Place, header: list[str], name: str, text: str) -> Column:
-    """Return the column or constant that the user's `text` names."""
+    """Return the column or the constant value that the user's `text` specifies for the quantity `name`."""
     if name not in KNOWN:
         raise place.error(f"is not a quantity of rig data; choose from {', '.join(LAW)}, or a parameter of the scenes")
     base, unit = split_unit(text)
@@ -179,20 +187,20 @@ def _user_column(place: Place, header: list[str], name: str, text: str) -> Colum
 
 
 def _column(place: Place, name: str, header: str, index: int, unit: str | None) -> Column:
-    """Return a column in `unit`, or in the SI unit if that is None."""
+    """Return a column whose numbers are in `unit`, or in the SI unit if `unit` is None."""
     si = KNOWN[name].unit
     if unit is None:
         return Column(header, index, UNITS[si][0], 1.0, assumed=si != "1")
     scale = factor(unit, si)
     if scale is None:
-        # A unit of another kind is not a slip of the pen.
+        # A valid unit of another kind of quantity is no typing error: list all units instead of the most similar one.
         right = f"choose from {', '.join(UNITS[si])}" if is_unit(unit) else suggestion(unit, UNITS[si])
         raise place.error(f"{shown(unit)} is not a unit of {name}; {right}")
     return Column(header, index, unit, scale)
 
 
 def _matches(names: list[str], text: str) -> list[int]:
-    """Return the indices of the names equal to `text`, or else equal but for case and blanks."""
+    """Return the indices of the names equal to `text`; if there are none, ignore case and blanks."""
 
     def plain(name: str) -> str:
         return "".join(name.casefold().split())
@@ -202,7 +210,7 @@ def _matches(names: list[str], text: str) -> list[int]:
 
 
 def _candidate(name: str, header: list[str], free: list[str]) -> str:
-    """Return a hint at the `free` column that is likely meant by a missing quantity."""
+    """Return a hint for an error message: the unused (`free`) column that likely holds the missing quantity `name`."""
     units = {cell: split_unit(cell) for cell in free}
     likely = [cell for cell, (base, _) in units.items() if _DRILLING_TERMS.get(base.casefold().split(" ")[0]) == name]
     likely += [cell for cell, (_, unit) in units.items() if unit and factor(unit, KNOWN[name].unit) is not None]

@@ -1,4 +1,4 @@
-"""Data of a fit: a dataset, the path of one, or rig data, a CSV file with a measurement on each line."""
+"""Data of a fit: a dataset, the path of a dataset, or rig data (a CSV file with one measurement per line)."""
 
 import csv
 import io
@@ -32,17 +32,20 @@ if TYPE_CHECKING:
     Data = xr.Dataset | str | PathLike[str]
     Columns = Mapping[str, str] | None
 else:
-    Data = Columns = object  # `open_data` checks the user's argument and refuses others in one line
+    Data = Columns = object  # at run time `open_data` checks the user's argument, with a one-line error message
 
 Rows = list[tuple[int, list[str]]]
-"""The lines of a CSV that are not empty, each with its number."""
+"""The non-empty lines of a CSV: (line number, cells)."""
 
 
 def open_data(data: Data, fit: str, rates: bool = False, columns: Columns = None) -> tuple[Place, xr.Dataset]:
-    """Return the user's dataset, or the one at a path, and its place in messages (`fit` for a dataset without a path).
+    """Return the dataset, opened if `data` is a path, and the `Place` that error messages mention.
 
-    **Arguments:** `rates`: the data must have a rate of penetration and a relief, and may be a CSV, whose `columns` are
-    read as in `read_rig`.
+    **Arguments:**
+
+    - `fit`: name of the calling function, mentioned in messages if `data` is not a path.
+    - `rates`: whether the data must contain a rate of penetration and a relief; they may then also be a CSV.
+    - `columns`: columns of the CSV, as in `read_rig`.
 
     **Raises:** `InputError`.
     """
@@ -73,12 +76,14 @@ def open_data(data: Data, fit: str, rates: bool = False, columns: Columns = None
 
 
 def read_rig(path: Path, columns: Columns = None) -> xr.Dataset:
-    """Return rate_of_penetration [m/s] and relief [1], or mean_force over threshold, along `point`.
+    """Read a CSV into a dataset with rate_of_penetration [m/s] and relief [1] along `point`, the rows.
 
-    Further columns become coordinates, numeric if all their cells are. An empty cell and nan are missing values. The
-    attribute `columns` holds the source and unit of each quantity.
+    Without a relief, the relief is computed as mean_force/threshold. Further columns become coordinates, numeric if all
+    their cells are numbers. An empty cell and "nan" mean a missing value. The attribute `columns` records the source
+    and unit of each quantity.
 
-    **Arguments:** `columns`: by quantity the file's column with its unit, see [vibrojax.analyses.rop_law.columns][].
+    **Arguments:** `columns`: by quantity, the column of the file and its unit, see
+    [vibrojax.analyses.rop_law.columns][].
 
     **Raises:** `InputError` if the file cannot be read, a column is missing, or a cell is not a number.
     """
@@ -153,7 +158,7 @@ def _check_rows(place: Place, header: list[str], rows: Rows) -> None:
 
 
 def _warn_of_unit(place: Place, name: str, column: Column, values: Float[np.ndarray, " rows"]) -> None:
-    """Warn if a column's median is far from the usual values, as in another unit."""
+    """Warn if the median of a column is far from the usual values, which suggests that the unit is another."""
     known = np.abs(values[np.isfinite(values) & (values != 0)])
     if not known.size or not (quantity := KNOWN[name]).is_far(median := float(np.median(known))):
         return
@@ -173,7 +178,7 @@ def _is_number(cell: str) -> bool:
 
 
 def _numbers(place: Place, name: str, index: int, rows: Rows) -> Float[np.ndarray, " rows"]:
-    """Return the numbers of a column that the law needs."""
+    """Return the numbers in a column required by the law, NaN for empty cells; raise `InputError` for other text."""
     values = np.full(len(rows), np.nan)
     for position, (line, row) in enumerate(rows):
         if cell := row[index].strip():
@@ -186,7 +191,7 @@ def _numbers(place: Place, name: str, index: int, rows: Rows) -> Float[np.ndarra
 
 
 def _numbers_or_text(index: int, rows: Rows) -> Shaped[np.ndarray, " rows"]:
-    """Return the numbers of a further column, or its text if a cell is not a number."""
+    """Return the numbers in a column, or its cells as strings if one of them is not a number."""
     cells = [row[index].strip() for _, row in rows]
     try:
         return np.array([float(cell) if cell else np.nan for cell in cells])

@@ -1,4 +1,4 @@
-"""The data of a fit with the fitted curves: a panel for each group, a colour for each form of the law."""
+"""Fitted data together with the fitted curves: one panel per group of lanes, one colour per form of the law."""
 
 from collections.abc import Callable
 
@@ -18,16 +18,16 @@ from vibrojax.plot.sheet import Facets, facets
 from vibrojax.plot.style import FAINT, INK, Mark
 
 _MOST_GROUPS, _MOST_COLUMNS = 6, 3
-_ROW_HEIGHT = 2.4  # inches of a row of panels
-_MANY_LANES = 60  # lanes of a group from which marks are small
+_ROW_HEIGHT = 2.4  # height of a row of panels [inch]
+_MANY_LANES = 60  # number of drawn lanes in a group from which on the markers are small
 _CURVE_POINTS = 200
-# The power law is often on the line, whose colour shows between its dashes.
+# The power law often coincides with the straight line: dashed, it leaves the line's colour visible.
 _DASHES = {"power": (0.0, (2.5, 2.0))}
 _RELIEF, _RATE, _USE = "data_relief", "data_rate_of_penetration", "data_use"
 
 Values = Float[np.ndarray, "*values"]
 
-# The forms of vibrojax/analyses/rop_law/forms.py, by their coefficients: C, eta0 and exponent.
+# The forms of vibrojax/analyses/rop_law/forms.py as functions of eta and the coefficients C, eta0 and exponent.
 FORMULAS: dict[str, Callable[[Values, float, float, float], Values]] = {
     "literal": lambda eta, C, eta0, exponent: C * np.log(eta),
     "percent": lambda eta, C, eta0, exponent: C * np.log(100.0 * eta),
@@ -47,18 +47,18 @@ _USES = {
 
 
 def groups_to_show(fit: xr.Dataset) -> Facets:
-    """Return a facet for each group, of some if there are many; none for a fit without its data."""
+    """Return one facet per group, of at most six groups; no facets if the fit does not contain its data."""
     has_data = {_RELIEF, _RATE, _USE} <= set(fit.data_vars)
     return facets(fit, (), _MOST_GROUPS) if has_data else Facets((), ())
 
 
 def height_of(groups: Facets) -> float:
-    """Return the height of the panels [inch]."""
+    """Return the total height of the groups' panels [inch]."""
     return _ROW_HEIGHT * -(-len(groups) // _MOST_COLUMNS)
 
 
 def draw_fits(figure: Figure, place: SubplotSpec | None, groups: Facets) -> None:
-    """Draw the data of each of `groups`, and the curve of each form, into `place`."""
+    """Draw a panel per group into `place`: the data and the fitted curve of each form. Draw nothing without a place."""
     if place is None:
         return
     wide = min(len(groups), _MOST_COLUMNS)
@@ -73,14 +73,14 @@ def draw_fits(figure: Figure, place: SubplotSpec | None, groups: Facets) -> None
 
 
 def data_handles(groups: Facets) -> list[Artist]:
-    """Return the legend's entries for the uses of lanes that are shown."""
+    """Return legend entries for the occurring uses of lanes: fitted, censored, left out."""
     shown = {use for group in groups.data for use in _masks(group)}
     look = Mark(linestyle="none", markersize=4.5)
     return [Line2D([], [], label=text, **look | mark) for use, (text, mark) in _USES.items() if use in shown]
 
 
 def data_text(groups: Facets, fit: xr.Dataset) -> str:
-    """Return the note on the groups that are left out."""
+    """Return the note on how many groups are drawn, or an empty string if none or all of them are."""
     count = fit["C"].size // fit.sizes[FORM]
     return f"Data and curves of {len(groups)} of {count} groups" if 0 < len(groups) < count else ""
 
@@ -103,11 +103,11 @@ def _draw_group(axes: Axes, group: xr.Dataset, factor: float) -> None:
         look = Mark(linestyle="none", markersize=size, zorder=3) | _USES[use][1]
         axes.plot(relief[mask], rate[mask], label=f"_{use}", **look)
     top = float(np.max(rate[seen])) or 1.0
-    axes.set_ylim(-0.06 * top, 1.1 * top)  # a form that goes astray is cut off
+    axes.set_ylim(-0.06 * top, 1.1 * top)  # clips the curve of a form far from the data
 
 
 def _masks(group: xr.Dataset) -> dict[str, np.ndarray]:
-    """Return the lanes of each use, without those that cannot be drawn."""
+    """Return a mask of the drawable lanes (finite relief and rate) for each use that occurs."""
     meanings = str(group[_USE].attrs["flag_meanings"]).split()
     known = np.isfinite(group[_RELIEF].values) & np.isfinite(group[_RATE].values)
     masks = {name: known & (group[_USE].values == meanings.index(name)) for name in _USES}

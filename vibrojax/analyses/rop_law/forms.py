@@ -1,7 +1,7 @@
-"""Forms of the rate-of-penetration law that are fitted beside each other.
+"""Alternative forms of the rate-of-penetration law, all fitted to the same data.
 
 The source's law, rate = C ln(P/D) (eq. 6.4), gives a negative rate if the relief P/D is below 1. It is therefore read
-in three ways, as printed, with P/D in percent, and with an onset, and compared with a line and a power law.
+in three ways: as printed, with P/D in percent, and with an onset. A straight line and a power law serve as comparison.
 """
 
 from collections.abc import Callable
@@ -21,18 +21,21 @@ from vibrojax.analyses.rop_law.least_squares import (
 )
 
 Coefficients = Float[np.ndarray, " 3"]
-"""C in the unit of the rate, eta0 and exponent; NaN if the form has no such coefficient."""
+"""C (in the unit of the rate), eta0 and exponent; NaN for a coefficient that the form does not have."""
 
 Slopes = Float[np.ndarray, "3 coefficients"]
-"""Derivatives of `Coefficients` by theta."""
+"""Derivatives of `Coefficients` with respect to the fitted parameters theta."""
 
 
 @dataclass(frozen=True)
 class Form:
-    """A form of the law: the rate over a variable t(eta) that is scaled to z = (t - centre)/spread in each group.
+    """A form of the law: the rate as a function of z = (t - centre)/spread, a variable t(eta) scaled in each group.
 
-    `kind` is "proportional", rate = theta_0 z; "onset", rate = theta_0 + theta_1 z; or "power", rate = exp(theta_0 +
-    theta_1 z). `inverse` turns t into eta.
+    eta is the relief P/D. `variable` is the function t, and `inverse` converts t to eta. `kind` is one of
+
+    - "proportional": rate = theta_0 z,
+    - "onset": rate = theta_0 + theta_1 z,
+    - "power": rate = exp(theta_0 + theta_1 z).
     """
 
     name: str
@@ -47,7 +50,7 @@ class Form:
         return 1 if self.kind == "proportional" else 2
 
     def model(self, relief: Lanes, seen: LaneFlags) -> tuple[RateModel, tuple[float, float]]:
-        """Return the model of a group's rates, and centre and spread of t over the `seen` lanes."""
+        """Return the model of a group's rates, and the centre and spread of t over `seen`, the lanes that penetrate."""
         t = self.variable(relief)
         centre = 0.0 if self.kind == "proportional" else float(t[seen].mean())
         spread = float(np.sqrt(np.mean((t[seen] - centre) ** 2)))
@@ -56,7 +59,7 @@ class Form:
         return (ExponentialRates if self.kind == "power" else LinearRates)(columns), (centre, spread)
 
     def coefficients(self, theta: Theta, centre: float, spread: float) -> tuple[Coefficients, Slopes]:
-        """Return the law's coefficients, and their derivatives by theta."""
+        """Return the coefficients of the law, and their derivatives with respect to theta."""
         none = [np.nan] * self.size
         if self.kind == "proportional":
             return np.array([theta[0] / spread, np.nan, np.nan]), np.array([[1 / spread], none, none])
@@ -81,4 +84,4 @@ FORMS: tuple[Form, ...] = (
 )
 
 LOGARITHMIC = ("literal", "percent", "onset")
-"""The three readings of the source's law, eq. 6.4."""
+"""Names of the three readings of the source's law, eq. 6.4."""

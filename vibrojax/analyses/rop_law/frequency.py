@@ -1,4 +1,4 @@
-"""The empirical frequency of eq. 5.17, its coefficient fitted anew to a map of the motion without impact."""
+"""The empirical frequency, eq. 5.17 of the source, with its coefficient refitted to a map of impact-free motions."""
 
 import numpy as np
 import xarray as xr
@@ -14,7 +14,7 @@ from vibrojax.measures.labels import IMPACT_FREE
 from vibrojax.models.physics.modes import empirical_frequency, natural_frequencies
 
 SOURCE_SHARE = 0.25
-"""The source's coefficient."""
+"""The coefficient a in eq. 5.17 of the source."""
 
 _SCHEMA = {
     "share": Variable("1", "coefficient of eq. 5.17 fitted to all lanes"),
@@ -30,23 +30,29 @@ _SCHEMA = {
 
 
 def refit_frequency(data: Data, within: float = 0.01) -> xr.Dataset:
-    """Fit the coefficient a of w² = (k1 + k2)/m1 + a k2/m2 (eq. 5.17 has a = 1/4) to the periods of a map.
+    """Fit the coefficient a in w² = (k1 + k2)/m1 + a k2/m2 (eq. 5.17 of the source, with a = 1/4) to simulated periods.
 
-    The equation is of the mode in which bit and striker move against each other. Lanes therefore count if they repeat
-    after one return without impact, at a frequency closer to the upper natural one (eq. 5.16) than to the lower. The
-    fit is least squares of w²(a)/w² - 1, twice the relative error of w to first order, and linear in a.
+    The equation approximates the mode in which bit and striker move against each other. The fit therefore uses only
+    impact-free periodic lanes whose frequency is closer to the upper natural frequency (eq. 5.16) than to the lower.
+    The fit minimises the squares of w²(a)/w² - 1, which is linear in a and, to first order, twice the relative error
+    of w.
 
     **Arguments:**
 
-    - `data`: a rotary sweep's dataset with `period` [s] (and `regime`), or the path of one; m1, k1, beta and gamma are
-      its coordinates or fixed in it.
-    - `within`: the relative error up to which eq. 5.17 counts as valid.
+    - `data`: dataset of a rotary sweep with `period` [s] (and `regime`), or its path; m1, k1, beta and gamma are
+      coordinates of the dataset or fixed parameters.
+    - `within`: relative error up to which eq. 5.17 counts as valid.
 
-    **Returns:** a dataset with `share`, the a of all lanes, and `share_stderr`: the residuals are not noise but the
-    equation's own misfit, so the error is that of a mean over the map. Over the map: `share_of_lane`, the a that meets
-    the lane; `error` and `error_refitted`, the relative errors of w with 1/4 and with `share`; `holds`, whether 1/4 is
-    within `within` (-1: the lane does not count). The attribute `region` describes the lanes with `holds` = 1. `used`,
-    `left_out`, `reason`; NaN with fewer than two lanes.
+    **Returns:** a dataset with
+
+    - `share`: the coefficient a fitted to all used lanes; NaN with fewer than two lanes.
+    - `share_stderr`: its standard error. The residuals are not noise but the misfit of the equation, so this is the
+      standard error of a mean over the map.
+    - `share_of_lane`, over the map: the a for which the equation is exact at the lane.
+    - `error` and `error_refitted`, over the map: relative errors of w with a = 1/4 and with a = `share`.
+    - `holds`, over the map: whether `error` is at most `within`; -1 for a lane that is not used. The attribute `region`
+      describes the lanes with `holds` = 1.
+    - `used`, `left_out`: numbers of lanes; `reason`: why `share` is NaN.
 
     **Raises:** `InputError`.
 
@@ -94,7 +100,7 @@ def refit_frequency(data: Data, within: float = 0.01) -> xr.Dataset:
 
 
 def _parameter(place: Place, data: xr.Dataset, name: str) -> xr.DataArray:
-    """Return a parameter's values: a coordinate of the data, or a fixed parameter."""
+    """Return the values of the parameter `name`, which is a coordinate of the data or a fixed parameter."""
     fixed = parameters_of(data)
     if name not in data.coords and name not in fixed:
         raise place.at(name).error("is neither a coordinate of the data nor fixed in them; give it as a coordinate")
@@ -107,7 +113,7 @@ def _parameter(place: Place, data: xr.Dataset, name: str) -> xr.DataArray:
 def _upper_mode(
     data: xr.Dataset, period: xr.DataArray, p: dict[str, Float[np.ndarray, "*lanes"]]
 ) -> Float[np.ndarray, "*lanes"]:
-    """Return the angular frequency [rad/s] of lanes that repeat without impact in the upper mode, NaN for others."""
+    """Return the angular frequency [rad/s] of impact-free periodic lanes in the upper mode, NaN for other lanes."""
     counts = np.isfinite(period.values) & (period.values > 0)
     if "regime" in data:
         regime = xr.broadcast(data["regime"], period)[0].transpose(*period.dims)
@@ -118,7 +124,10 @@ def _upper_mode(
 
 
 def _region_of_validity(holds: xr.DataArray, used: int) -> str:
-    """Return the number of lanes that hold and, of a grid, for each beta the gamma at which all counted lanes hold."""
+    """Return text: at how many lanes eq. 5.17 holds and, for a grid, the intervals of gamma per beta where it does.
+
+    A value of gamma is included if the equation holds at all lanes used there.
+    """
     parts = [f"{int((holds == 1).sum())} of {used} lanes"]
     if {"beta", "gamma"} <= set(holds.dims):
         others = [dim for dim in holds.dims if dim not in ("beta", "gamma")]
@@ -129,7 +138,7 @@ def _region_of_validity(holds: xr.DataArray, used: int) -> str:
 
 
 def _intervals(row: Bool[np.ndarray, " values"], values: Float[np.ndarray, " values"]) -> str:
-    """Return the intervals of `values` in which `row` is true."""
+    """Return text that lists the intervals of `values` in which `row` is True."""
     ends = np.flatnonzero(np.diff(np.concatenate([[False], row, [False]]).astype(int)))
     pairs = [(values[first], values[after - 1]) for first, after in zip(ends[::2], ends[1::2], strict=True)]
     return ", ".join(f"{low:.4g}" if low == high else f"{low:.4g} to {high:.4g}" for low, high in pairs)

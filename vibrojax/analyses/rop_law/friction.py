@@ -1,4 +1,4 @@
-"""Friction from a measured velocity: mu and v_cr of eq. 5.9, by gradients through the smoothed motion."""
+"""Identification of mu and v_cr (eq. 5.9 of the source) from a measured velocity, with gradients of smoothed motion."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -23,18 +23,18 @@ from vibrojax.models.scenes.rotary import Rotary
 from vibrojax.stepping.smoothed import smoothed_trajectory
 
 DEFAULT_WINDOW = 0.5
-"""Length [s] of the window that is fitted by default: some two returns of the default drill."""
+"""Default length [s] of the fitted window: about two returns to the section of the default drill."""
 
 DEFAULT_SMOOTHING = 0.002
-"""Width [m/s] of the friction switch: its effect on mu and v_cr is below 1 %."""
+"""Default width [m/s] of the smoothed sign change of friction: its effect on mu and v_cr is below 1 %."""
 
-_MAX_STEPS = 200_000  # of a window, whose states and derivatives are in memory together
-_TOLERANCE = 1e-12  # relative; the end of the search is then determined by rounding
+_MAX_STEPS = 200_000  # per window: the states and derivatives of all its steps are in memory at once
+_TOLERANCE = 1e-12  # relative; so tight that rounding error determines where the search stops
 _MAX_EVALUATIONS = 200
-_VAGUE = 0.5  # relative standard error from which a coefficient above zero cannot be distinguished from zero
-_UNEVEN = 1e-6  # of the interval between samples
-_OFFSET = 0.05  # largest relative offset (Bates and Watts 1981) of a minimum; the motion's kinks keep it from zero
-_SCALES = np.array([1.0, 1.0, 0.01, 1.0, 0.01, 1.0])  # positions are small beside velocities
+_VAGUE = 0.5  # relative standard error from which on a positive coefficient cannot be distinguished from zero
+_UNEVEN = 1e-6  # tolerance for the window's limits [s] and, relative, for the spacing of samples
+_OFFSET = 0.05  # largest relative offset (Bates and Watts 1981) of a minimum; kinks of the motion keep it above zero
+_SCALES = np.array([1.0, 1.0, 0.01, 1.0, 0.01, 1.0])  # of the unknowns; positions are smaller numbers than velocities
 
 _SCENE = Rotary()
 _SCHEMA = {
@@ -54,11 +54,14 @@ _SCHEMA = {
 
 Samples = Float[np.ndarray, " samples"]
 Unknowns = Float[Array, " unknowns"]
-"""ln mu, ln v_cr, and the state at the window's beginning if it is not known."""
+"""ln mu, ln v_cr and, if it is unknown, the state at the beginning of the window."""
 
 
 class _Fit(NamedTuple):
-    """The end of a search: the unknowns, the velocity's Jacobian by them over `_SCALES`, and the velocity [m/s]."""
+    """The result of a search: the unknowns, and the velocity [m/s] with its Jacobian.
+
+    The Jacobian is with respect to the unknowns divided by `_SCALES`.
+    """
 
     unknowns: Float[np.ndarray, " unknowns"]
     jacobian: Float[np.ndarray, "samples unknowns"]
@@ -72,31 +75,38 @@ def fit_friction(
     smoothing: float = DEFAULT_SMOOTHING,
     **parameters: float,
 ) -> xr.Dataset:
-    """Fit mu and v_cr of eq. 5.9 to the velocity of the bit, measured over a window without impacts.
+    """Fit mu and v_cr of eq. 5.9 of the source to the velocity of the bit, measured over a window without impacts.
 
-    The fit is least squares of the velocity, with derivatives through the smoothed motion of the rotary scene. The
-    unknowns are ln mu and ln v_cr, which keeps mu and v_cr above zero. The state at the window's beginning is unknown
-    too unless `start` gives it; an offset of the friction then hides in that of the springs, and mu is less well known.
+    The fit minimises the squared residuals of the velocity, with derivatives of the smoothed motion of the rotary
+    scene. The unknowns are ln mu and ln v_cr, which keeps mu and v_cr positive. Unless `start` specifies it, the state
+    at the beginning of the window is unknown too. A constant part of the friction can then be compensated by an offset
+    of the springs, which makes mu less certain.
 
-    Without impact no event's time is lost in a fixed step. Over a few returns the derivatives therefore equal the sharp
-    motion's (see the tests); over many, every change between stick and slip adds its kink. The fit is repeated at half
-    the step and half the smoothing, and the second fit is returned. `mu_change` and `v_cr_change` are the effect of
-    halving; the remaining effect of the smoothing is of that order.
+    Derivatives through fixed steps miss how the times of impacts depend on the unknowns; a window without impacts
+    avoids this error. Over a few returns to the section, the derivatives therefore equal those of the nonsmooth motion
+    (see the tests). Over many returns, each transition between stick and slip adds the error of its kink. The fit is
+    repeated with half the step and half the smoothing, and the second fit is returned. `mu_change` and `v_cr_change`
+    are the differences between both fits. They indicate the size of the remaining effect of the smoothing.
 
     **Arguments:**
 
-    - `data`: a dataset with `v1` [m/s], the bit's velocity relative to the drive, along `time` [s], evenly spaced, or
-      the path of one; NaN is a sample without a value.
-    - `window` (begin, end) [s]: by default the first 0.5 s.
-    - `start`: the state at the window's beginning: "drive", "stuck" (a drill at rest whose drive is switched on), or
-      x1, x1', x2, x2' [m, m/s]. By default the search for it begins at the values in `data`, or at zeros without them.
-    - `smoothing` [m/s]: width of the friction switch; the step follows from it.
-    - `parameters`: of the rotary scene, by default the fixed parameters of `data`, else the scene's defaults. The
-      search begins at `mu` and `v_cr`, by default the scene's.
+    - `data`: dataset with `v1` [m/s], the bit's velocity relative to the drive, along an evenly spaced `time` [s], or
+      its path; NaN marks a sample without a value.
+    - `window`: (begin, end) [s], by default the first 0.5 s.
+    - `start`: state at the beginning of the window: "drive", "stuck" (a drill at rest whose drive is switched on), or
+      x1, x1', x2, x2' [m, m/s]. None fits the state, from the values in `data` (zeros where there are none).
+    - `smoothing`: width [m/s] of the smoothed sign change of friction; determines the step size.
+    - `parameters`: parameters of the rotary scene, by default the fixed parameters of `data`, then the scene's
+      defaults. `mu` and `v_cr` are initial guesses, by default the scene's.
 
-    **Returns:** a dataset: mu, v_cr [m/s], each with standard error (from the Jacobian, for independent noise of one
-    size) and change; rms [m/s], used, left_out; the `state` at the beginning; `fitted` along `time`. NaN with a
-    `reason` if the window does not identify them: a bit that always sticks, a relative error of 1/2 and more.
+    **Returns:** a dataset with
+
+    - `mu`, `v_cr` [m/s], each with `_stderr`, the standard error for independent noise of equal variance, and
+      `_change`;
+    - `rms` [m/s] of the residuals, `used` and `left_out` (numbers of samples), `state` at the beginning of the window,
+      and the `fitted` velocity along `time`;
+    - `reason`: why the values are NaN. A window does not identify them if, for example, the bit always sticks or a
+      relative standard error is 1/2 or more.
 
     **Raises:** `InputError`.
 
@@ -156,7 +166,7 @@ def _fit(
     substeps: int,
     width: float,
 ) -> _Fit:
-    """Return the end of a search that begins at `unknowns`."""
+    """Return the result of a least-squares search with the initial guess `unknowns`."""
     seen, scales = np.isfinite(velocity), _SCALES[: unknowns.size]
     with precision("float64"):
         fixed = {name: jnp.asarray(value) for name, value in p.items()} | {"state": jnp.asarray(state)}
@@ -180,9 +190,14 @@ def _fit(
 
 @jitted(static=("substeps", "samples"))
 def _velocity_and_jacobian(
-    unknowns: Unknowns, fixed: Mapping[str, Array], interval: float, substeps: int, samples: int, width: float
+    unknowns: Unknowns,
+    fixed: Mapping[str, Array],
+    interval: float | Float[Array, ""],
+    substeps: int,
+    samples: int,
+    width: float | Float[Array, ""],
 ) -> tuple[Float[Array, " samples"], Float[Array, "samples unknowns"]]:
-    """Return the velocity [m/s] and its Jacobian by the unknowns."""
+    """Return the velocity [m/s] of the bit, and its Jacobian with respect to the unknowns."""
 
     def motion(unknowns: Unknowns) -> tuple[Float[Array, " samples"], Float[Array, " samples"]]:
         velocity = _velocity(unknowns, fixed, interval, substeps, samples, width)
@@ -200,7 +215,7 @@ def _velocity(
     samples: int,
     width: float | Float[Array, ""],
 ) -> Float[Array, " samples"]:
-    """Return x1' [m/s] at the samples of the smoothed rotary motion."""
+    """Return x1' [m/s] of the smoothed rotary motion at the sampling times."""
     p = _SCENE.constants({**fixed, "mu": jnp.exp(unknowns[0]), "v_cr": jnp.exp(unknowns[1])})
     state = tuple(unknowns[2:] if unknowns.size > 2 else fixed["state"])
     states = smoothed_trajectory(_SCENE, p, state, interval / substeps, substeps * (samples - 1), width)
@@ -210,7 +225,10 @@ def _velocity(
 def _relative_errors(
     fit: _Fit, residual: Samples, seen: np.ndarray, freedom: int
 ) -> tuple[Float[np.ndarray, " unknowns"], Reason]:
-    """Return the standard errors of the unknowns and IDENTIFIED, or the reason if they are not reliable."""
+    """Return the standard errors of the unknowns, and IDENTIFIED or the reason why the unknowns are not reliable.
+
+    The first two unknowns are logarithms, so their errors are relative errors of mu and v_cr.
+    """
     errors, jacobian = np.full(fit.unknowns.size, np.nan), fit.jacobian[seen]
     if not (np.isfinite(jacobian).all() and np.isfinite(fit.velocity).all()):
         return errors, Reason.NOT_CONVERGED
@@ -226,7 +244,7 @@ def _relative_errors(
 
 
 def _window(place: Place, data: xr.Dataset, window: tuple[float, float] | None) -> tuple[Samples, Samples]:
-    """Return time [s], evenly spaced, and velocity [m/s] of the bit in the window."""
+    """Return the evenly spaced times [s] in the window, and the bit's velocity [m/s] there."""
     if "v1" not in data or data["v1"].dims != ("time",) or "time" not in data.coords:
         raise place.at("v1").error("missing along time; the bit's velocity relative to the drive [m/s] is needed")
     times = data["time"].values.astype(float)
@@ -243,7 +261,7 @@ def _window(place: Place, data: xr.Dataset, window: tuple[float, float] | None) 
 
 
 def _parameters(place: Place, data: xr.Dataset, values: Mapping[str, float]) -> dict[str, float]:
-    """Return the rotary scene's parameters; mu and v_cr, at which the search begins, never come from the data."""
+    """Return the parameters of the rotary scene. The initial guesses of mu and v_cr are never taken from the data."""
     table = _SCENE.parameters()
     p = {name: parameter.default for name, parameter in table.items()}
     p |= {name: x for name, x in parameters_of(data).items() if name in table and name not in ("mu", "v_cr")}
@@ -261,7 +279,7 @@ def _parameters(place: Place, data: xr.Dataset, values: Mapping[str, float]) -> 
 def _state(
     place: Place, data: xr.Dataset, start: str | Sequence[float] | None, v1: float, p: Mapping[str, float]
 ) -> list[float]:
-    """Return the state at the window's beginning: known, or where the search for it begins."""
+    """Return the state at the beginning of the window: specified by `start`, or the initial guess for its search."""
     if isinstance(start, str):
         if start not in _SCENE.starts:
             raise place.at("start").error(f"{shown(start)} is unknown; {suggestion(start, _SCENE.starts)}")

@@ -1,4 +1,4 @@
-"""Lanes with a relief and a rate of penetration, and the groups of lanes that a law is fitted to."""
+"""Lanes (here, pairs of relief and rate of penetration) in groups; the law is fitted to each group separately."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,10 +14,10 @@ from vibrojax.io.variables import Variable
 from vibrojax.measures.labels import FAILED, IRREGULAR
 
 DEFAULT_AXES = ("frequency", "v", "point")
-"""Axes to fit along if the user names none; the first that the data have is taken."""
+"""Default axes to fit along; the first of them that exists in the data is used."""
 
 NO_LANE, FITTED, CENSORED, LEFT_OUT = range(4)
-"""Flags of `data_use`."""
+"""Flag values of the variable `data_use`."""
 
 _DATA_SCHEMA = {
     "data_relief": Variable("1", "relief of the lanes that were fitted"),
@@ -28,10 +28,10 @@ _DATA_SCHEMA = {
 
 @dataclass(frozen=True)
 class Groups:
-    """Lanes in groups of `count` lanes; further lanes of a row are padding and not `valid`.
+    """Lanes in groups, one row per group. A row holds `count` lanes; the rest is padding, which is not `valid`.
 
-    `relief` is dimensionless and `rate` in m/s. `sizes` and `coordinates` describe the groups' dimensions; `along` is
-    the axis on which the lanes of a group lie.
+    `relief` is dimensionless and `rate` in m/s. `sizes` and `coordinates` describe the dimensions of the groups;
+    `along` is the axis along which the lanes of a group vary.
     """
 
     relief: Float[np.ndarray, "groups lanes"]
@@ -43,9 +43,9 @@ class Groups:
     along: str
 
     def data_variables(self) -> dict[str, xr.Variable]:
-        """Return the lanes as variables along the groups' dimensions and `lane`, with the use of each lane.
+        """Return relief, rate and use (`data_use`) of the lanes as variables over the groups' dimensions and `lane`.
 
-        Lanes at zero rate are censored; lanes that failed, are irregular or have no usable values are left out.
+        Lanes with zero rate are censored. Lanes that failed, are irregular or have no usable values are left out.
         """
         lane = np.arange(self.rate.shape[1]) < self.count[:, None]
         use = np.select([~lane, self.valid & (self.rate > 0), self.valid], [NO_LANE, FITTED, CENSORED], LEFT_OUT)
@@ -56,10 +56,10 @@ class Groups:
 
 
 def usable_lanes(data: xr.Dataset) -> xr.Dataset:
-    """Return `relief`, `rate` and `valid` on common dimensions, with the coordinates of the relief and the rate.
+    """Return `relief`, `rate` and `valid`, broadcast to common dimensions and with all their coordinates.
 
-    A lane is not valid if it failed or is irregular, or if its values are not finite, its relief is not above zero, or
-    its rate is negative (a hole does not grow shallower).
+    A lane is valid unless it failed or is irregular, a value is not finite, its relief is not positive, or its rate is
+    negative (a hole does not get shallower).
     """
     relief, rate = xr.broadcast(data[RELIEF], data[RATE])
     valid = (relief > 0) & (relief < np.inf) & (rate >= 0) & (rate < np.inf)
@@ -69,12 +69,15 @@ def usable_lanes(data: xr.Dataset) -> xr.Dataset:
         valid = valid & (data["status"] == 0)
     relief, rate, valid = xr.broadcast(relief, rate, valid)
     lanes = {"relief": relief.astype(np.float64), "rate": rate.astype(np.float64), "valid": valid}
-    # Broadcasting adds the other variable's axes, but not its further coordinates along them.
+    # Broadcasting adds the dimensions of the other variable, but not its non-index coordinates.
     return xr.Dataset({name: values.variable for name, values in lanes.items()}, {**rate.coords, **relief.coords})
 
 
 def check_axis(place: Place, lanes: xr.Dataset, along: str | None) -> str:
-    """Return the dimension to fit along; raise `InputError` if there is no such dimension, or no default."""
+    """Return the dimension to fit along: `along`, or a default if `along` is None.
+
+    **Raises:** `InputError` if the data do not have the dimension, or if there is no default.
+    """
     dims = _lane_dims(place, lanes)
     if along is None:
         defaults = [name for name in DEFAULT_AXES if name in dims] or (dims if len(dims) == 1 else [])
@@ -97,10 +100,10 @@ def _lane_dims(place: Place, lanes: xr.Dataset) -> list[str]:
 
 
 def group_lanes(place: Place, lanes: xr.Dataset, along: str | None, by: Sequence[str] = ()) -> Groups:
-    """Return the lanes (see `usable_lanes`) in groups, one for each point of the axes other than `along`.
+    """Group lanes, as `usable_lanes` returns them: one group per combination of values on the axes other than `along`.
 
-    Rows of a table (one dimension) are grouped by the columns `by`. If `along` is a column and `by` is empty, they are
-    grouped by all other columns but the mean force.
+    Rows of a table (data with one dimension) are grouped by the columns `by`. If `along` is a column and `by` is empty,
+    the rows are grouped by all other columns except the mean force.
 
     **Raises:** `InputError`.
     """
@@ -119,7 +122,7 @@ def group_lanes(place: Place, lanes: xr.Dataset, along: str | None, by: Sequence
 
 
 def _group_rows(place: Place, lanes: xr.Dataset, along: str | None, by: Sequence[str], columns: list[str]) -> Groups:
-    """Return groups of rows with equal values in the columns `by`."""
+    """Return the rows of a table in groups of equal values in the columns `by`."""
     row = _lane_dims(place, lanes)[0] if columns else None
     for name in (*by, *([along] if along is not None and along != row else [])):
         if name not in columns:

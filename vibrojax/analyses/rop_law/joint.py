@@ -1,4 +1,4 @@
-"""One law over all lanes: C and eta0 as power laws of the parameters, with shared coefficients."""
+"""One law fitted to all lanes: C and eta0 are power laws of the parameters, with coefficients shared by all lanes."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -32,7 +32,10 @@ DEFAULT_PARAMETERS = ("force", "k3", "zeta", "threshold")
 ONSETS = ("power-law", "shared")
 
 _OUTSIDE = 1e-6
-"""Share of a parameter outside the directions that the lanes span, from which on it is not identified: rounding."""
+"""Fraction of a parameter's direction outside the space spanned by the lanes, above which it is not identified.
+
+Smaller fractions are rounding errors.
+"""
 
 _SCHEMA = {
     "C": Variable("m s-1", "coefficient of the rate-of-penetration law at the reference"),
@@ -49,9 +52,12 @@ _SCHEMA = {
 }
 
 Positions = Float[np.ndarray, "lanes directions"]
-"""Logarithms of the lanes' parameters over the reference, along the directions in which they vary."""
+"""ln(parameter/reference) of the lanes, as components along the directions in which the parameters vary."""
 Coefficients = Float[np.ndarray, " all"]
-"""Coefficients of the joint law: ln C and its exponents, ln eta0 and its exponents, 2 + 2 parameters."""
+"""Coefficients of the joint law: ln C, the exponents in C, ln eta0, the exponents in eta0.
+
+There are 2 + 2n coefficients for n parameters.
+"""
 
 
 def fit_joint(
@@ -61,26 +67,30 @@ def fit_joint(
     onset: str = "power-law",
     columns: Columns = None,
 ) -> xr.Dataset:
-    """Fit one law to all groups at once, calibrated on all lanes.
+    """Fit one law to all lanes together, with C and eta0 as power laws of the parameters x_j.
 
         rate = C ln(eta/eta0),  C = C_ref prod (x_j/ref_j)^a_j,  eta0 = eta0_ref prod (x_j/ref_j)^b_j
 
-    The fit is least squares of the rate, from power laws through the groups' own onset fits; lanes at zero rate are
-    censored, and lanes are left out, as in `fit_rop`.
+    The fit minimises the squared residuals of the rate. Its initial guess is a power law through onset fits to lanes
+    with equal parameters. Censored lanes (at zero rate) and lanes that are left out are treated as in `fit_rop`.
 
     **Arguments:**
 
-    - `data`: as in `fit_rop`; the parameters x_j are coordinates of it (of a CSV: columns).
-    - `along`: the axis of a group, which is then not a parameter of the law; by default none is excluded.
-    - `over`: the parameters x_j.
-    - `onset`: "power-law", or "shared": one eta0 for all (b_j = 0).
-    - `columns`: of a CSV, the sources of the quantities, as in `fit_rop`.
+    - `data`: data as in `fit_rop`; the parameters x_j are its coordinates (columns of a CSV).
+    - `along`: an axis that cannot be a parameter of the law; None excludes no axis.
+    - `over`: names of the parameters x_j.
+    - `onset`: "power-law", or "shared" for the same eta0 at all lanes (b_j = 0).
+    - `columns`: sources of the quantities in a CSV, as in `fit_rop`.
 
-    **Returns:** a dataset with C [m/s] and eta0 at the reference (the parameters' geometric means over the lanes that
-    penetrate), and along `parameter` the exponents, each with standard error; r_squared, aic, used, left_out. NaN
-    with a `reason` if nothing is identified; a parameter that does not vary, or not by itself, has exponents of NaN
-    with an `exponent_reason`, and the others hold without it. The attribute `not_identified` lists the coefficients
-    that are not identified.
+    **Returns:** a dataset with
+
+    - `C` [m/s] and `eta0` at the reference, which is the geometric mean of each parameter over the penetrating lanes;
+    - the exponents `C_exponent` and `eta0_exponent` along `parameter`; each coefficient has a standard error;
+    - `r_squared`, `aic`, `degrees_of_freedom`, `used`, `left_out`;
+    - `reason`: why all coefficients are NaN; `exponent_reason`: why the exponents of one parameter are NaN. The latter
+      happens if the parameter is constant or varies only together with another; the other coefficients remain valid.
+
+    The attribute `not_identified` lists the coefficients that are not identified.
 
     **Raises:** `InputError`.
 
@@ -108,14 +118,14 @@ def fit_joint(
     seen = rate > 0
     centre = logs[seen].mean(axis=0) if seen.any() else np.full(number, np.nan)
     logs = np.nan_to_num(logs - centre)
-    # The law is calibrated along the directions in which the parameters vary. A parameter's exponent is identified if
-    # these directions span the parameter.
+    # The law is fitted along the directions in which the logarithms of the parameters vary. The exponent of a parameter
+    # is identified if these directions span the parameter's own direction.
     directions = np.zeros((0, number))
     if logs[seen].size:
         _, singular, directions = np.linalg.svd(logs[seen] - logs[seen].mean(axis=0), full_matrices=False)
         directions = directions[singular > LEAST_SPREAD * np.sqrt(seen.sum())]
     spanned = (directions**2).sum(axis=0) > 1 - _OUTSIDE
-    # From the free coefficients to all: ln C and its exponents, ln eta0 and its exponents (0 if the onset is shared).
+    # Matrix from the free to all coefficients: ln C and its exponents, ln eta0 and its exponents (0 if shared).
     half = np.zeros((1 + number, 1 + len(directions)))
     half[0, 0], half[1:, 1:] = 1, directions.T
     expansion = block_diag(half, half[:, :1] if shared else half)
@@ -157,7 +167,7 @@ def fit_joint(
 def _log_parameter(
     place: Place, lanes: xr.Dataset, name: str, along: str | None, valid: Bool[np.ndarray, " lanes"], required: bool
 ) -> Lanes:
-    """Return a parameter's logarithm for every lane, NaN if the data do not have it and it is not `required`."""
+    """Return the logarithm of a parameter for every lane; NaN if it is neither in the data nor `required`."""
     if name not in lanes.coords or name == along:
         if required:
             choice = [str(coordinate) for coordinate in lanes.coords if coordinate != along]
@@ -175,9 +185,10 @@ def _log_parameter(
 def _calibrate(
     relief: Lanes, rate: Lanes, positions: Positions, expansion: Float[np.ndarray, "all free"], shared: bool
 ) -> tuple[dict[str, float | int], Coefficients, Coefficients, Bool[np.ndarray, " all"]]:
-    """Return the goodness with a `reason`, all coefficients, their errors, and which are not identified.
+    """Fit the joint law. Return the goodness of fit with a `reason`, and of all coefficients the values and errors.
 
-    The rate is in units of the greatest. All coefficients are NaN if some are not identified.
+    The last result is a mask of the coefficients that are not identified. If there are any, all values are NaN. C is in
+    units of the greatest rate.
     """
     log, seen = np.log(relief), rate > 0
     size, free = expansion.shape
@@ -210,14 +221,20 @@ def _calibrate(
 
 @dataclass(frozen=True)
 class JointRates:
-    """Rates of the joint law; theta is ln C and its exponents, then ln eta0 and its exponents (none if `shared`)."""
+    """Model of the rates of the joint law.
+
+    theta consists of ln C and its exponents, then ln eta0 and its exponents (no exponents of eta0 if `shared`). The
+    exponents are components along the directions of `Positions`; `log` is ln(eta).
+    """
 
     log: Lanes
     positions: Positions
     shared: bool
 
-    def _terms(self, theta: Theta) -> tuple[Lanes, Lanes, Jacobian, Jacobian]:
-        """Return C, ln(eta/eta0), and the columns that theta multiplies in ln C and in ln eta0."""
+    def _terms(
+        self, theta: Theta
+    ) -> tuple[Lanes, Lanes, Float[np.ndarray, "lanes in_c"], Float[np.ndarray, "lanes in_eta0"]]:
+        """Return C, ln(eta/eta0), and the design matrices of ln C and of ln eta0, both linear in theta."""
         constant = np.ones((self.log.size, 1))
         columns = np.hstack([constant, self.positions])
         onset_columns = constant if self.shared else columns
@@ -239,7 +256,10 @@ class JointRates:
         return np.block([[own, mixed], [mixed.T, np.zeros((onset_columns.shape[1],) * 2)]])
 
     def start(self, rate: Lanes, weight: Lanes) -> Theta:
-        """Return power laws through C and eta0 of straight lines in ln eta, one for each combination of parameters."""
+        """Return an initial guess: power laws fitted to the C and eta0 of groups of lanes with equal parameters.
+
+        C and eta0 of each group follow from a straight line, rate over ln(eta).
+        """
         log, positions, lanes = self.log, self.positions, np.flatnonzero(weight)
         if positions.shape[1]:
             group = np.unique(positions[lanes].round(9), axis=0, return_inverse=True)[1].ravel()
@@ -250,12 +270,12 @@ class JointRates:
         lines: list[tuple[float, ...]] = []
         for subset in [*groups, lanes]:
             if subset is lanes and lines:
-                break  # all lanes together serve only if no group has a rising line
+                break  # a line through all lanes is used only if no group has a line with positive slope
             above, spread = log[subset] - log[subset].mean(), log[subset].std()
             if spread > LEAST_SPREAD and (slope := np.mean(above * rate[subset]) / spread**2) > 0:
                 onset = log[subset].mean() - rate[subset].mean() / slope
                 lines.append((np.log(slope), onset, *positions[subset].mean(axis=0)))
-        if not lines:  # the rate falls with the relief: begin with a C of one, and an onset below all lanes
+        if not lines:  # the rate decreases with the relief: guess C = 1 and an onset below all lanes
             lines.append((0.0, log.min() - 1, *positions[lanes].mean(axis=0)))
         table = np.array(lines)
         design = np.column_stack([np.ones(len(table)), table[:, 2:]])

@@ -1,6 +1,7 @@
-"""Least squares of rates, with censored lanes, losses for data with outliers, and standard errors.
+"""Least-squares fits of rates, with censored lanes, robust losses for data with outliers, and standard errors.
 
-A censored lane was observed at zero rate. It has a residual only if the model predicts a rate above zero:
+A lane (here, one pair of relief and rate) observed at zero rate is censored; all others are *seen*. A censored lane has
+a residual only if the model predicts a positive rate f. The sum of squares, with weights w, is
 
     S(theta) = sum over seen lanes of w (f - rate)²  +  sum over censored lanes of w max(f, 0)²
 """
@@ -22,7 +23,10 @@ Square = Float[np.ndarray, "coefficients coefficients"]
 
 
 class Reason(IntEnum):
-    """Reasons for a NaN. Only the joint law and friction use CONFOUNDED; only R² uses CONSTANT_RATES."""
+    """Reasons why a fitted value is NaN.
+
+    CONFOUNDED occurs only in the fits of the joint law and of friction, CONSTANT_RATES only for R².
+    """
 
     IDENTIFIED = 0
     TOO_FEW_LANES = 1
@@ -35,52 +39,55 @@ class Reason(IntEnum):
 
 
 REASONS = tuple(reason.name.lower().replace("_", "-") for reason in Reason)
-"""Names of the reasons, as datasets write them."""
+"""Names of the reasons as stored in datasets."""
 
 LEAST_SPREAD = 1e-9
-"""Standard deviation of ln(eta), of a parameter's logarithm, or of the rates over the greatest, below which values
-count as equal: far above rounding, far below any measurement."""
+"""Standard deviation below which values count as equal: of ln(eta), a parameter's logarithm, or rate/greatest rate.
+
+It is far above rounding errors and far below the spread of any measurement.
+"""
 
 LARGEST_EXPONENT = 60.0
-"""Cap of the argument of exp, so that a wild trial step does not overflow."""
+"""Upper bound of the argument of exp, so that a poor trial step of the search does not overflow."""
 
 _EPSILON = float(np.finfo(float).eps)
-_LM_MAX_EVALUATIONS = 400  # ten times the most that a fit has taken
-_NEWTON_STEPS = 4  # quadratic convergence from MINPACK's seven digits to rounding takes two
-_NEWTON_TOLERANCE = 1e-8  # relative size of a further Newton step at which the search counts as converged
-_ROUNDING = 1e-13  # relative increase of S that is due to rounding
+_LM_MAX_EVALUATIONS = 400  # ten times the largest number of evaluations observed in a fit
+_NEWTON_STEPS = 4  # two suffice: they converge quadratically from MINPACK's seven digits to full precision
+_NEWTON_TOLERANCE = 1e-8  # relative size of the next Newton step below which the search counts as converged
+_ROUNDING = 1e-13  # relative increase of S that rounding errors can cause
 
 _HUBER = 1.345  # 95 % as efficient as least squares for normal noise
-_NORMAL_OVER_MAD = 1.4826  # standard deviation of normal noise over its median absolute deviation
-_SCALE_ROUNDS = 15  # rounds of reweighting in which the scale follows the residuals
+_NORMAL_OVER_MAD = 1.4826  # ratio of standard deviation to median absolute deviation for normal noise
+_SCALE_ROUNDS = 15  # iterations of reweighting in which the scale is updated from the residuals
 _REWEIGHTING_MAX_ROUNDS = 300
-_REWEIGHTING_TOLERANCE = 1e-8  # relative change of theta at which the reweighting ends
-_LEAST_SCALE = 1e-12  # of the greatest rate, for data that are met exactly
+_REWEIGHTING_TOLERANCE = 1e-8  # relative change of theta below which the reweighting stops
+_LEAST_SCALE = 1e-12  # smallest scale, relative to the greatest rate, for data that are fitted exactly
 
-_LEAST_SINGULAR_VALUE = 1e-7  # of a Jacobian with columns of length one, below which coefficients are confounded
-_LEAST_FREE_SHARE = 1e-6  # of 1 - h, below which a lane is met exactly whatever its noise
+# Relative singular value of a Jacobian with unit columns below which coefficients are confounded.
+_LEAST_SINGULAR_VALUE = 1e-7
+_LEAST_FREE_SHARE = 1e-6  # value of 1 - h (h: leverage) below which a lane is fitted exactly, whatever its noise
 
 
 @runtime_checkable
 class RateModel(Protocol):
-    """A model of the rates of a group of lanes, as a function of its coefficients theta."""
+    """A model that predicts the rates of a group of lanes from the coefficients theta."""
 
     def rates(self, theta: Theta) -> Lanes:
         """Return the rate of each lane."""
 
     def jacobian(self, theta: Theta) -> Jacobian:
-        """Return the derivatives of the rates."""
+        """Return the derivatives of the rates with respect to theta."""
 
     def curvature(self, theta: Theta, weight: Lanes) -> Square:
-        """Return the sum of the rates' Hessians, each times its lane's weight."""
+        """Return the weighted sum, over the lanes, of the Hessians of the rates."""
 
     def start(self, rate: Lanes, weight: Lanes) -> Theta:
-        """Return theta at which a search begins; of a linear model the minimum over lanes without censoring."""
+        """Return the initial guess of theta. For a linear model, it is the minimum of S without censored lanes."""
 
 
 @dataclass(frozen=True)
 class LinearRates:
-    """Rates that are linear in the coefficients: columns @ theta."""
+    """Model whose rates are linear in the coefficients: columns @ theta."""
 
     columns: Jacobian
 
@@ -100,7 +107,7 @@ class LinearRates:
 
 @dataclass(frozen=True)
 class ExponentialRates:
-    """Rates above zero whose logarithm is linear in the coefficients: exp(columns @ theta)."""
+    """Model of positive rates whose logarithm is linear in the coefficients: exp(columns @ theta)."""
 
     columns: Jacobian
 
@@ -114,14 +121,17 @@ class ExponentialRates:
         return self.columns.T @ ((weight * self.rates(theta))[:, None] * self.columns)
 
     def start(self, rate: Lanes, weight: Lanes) -> Theta:
-        # Residuals of logarithms, times the rate, are residuals of rates to first order.
+        # To first order, a residual of the logarithm times the rate is the residual of the rate.
         logs = np.log(np.where(weight > 0, rate, 1.0))
         return LinearRates(self.columns).start(logs, weight * rate**2)
 
 
 @dataclass(frozen=True)
 class Minimum:
-    """The end of a search: theta and whether it is a minimum; residuals, lanes that have one, and Jacobian there."""
+    """The result of a search: theta, and whether it converged to a minimum.
+
+    `residual` and `jacobian` are evaluated at theta; `active` is a mask of the lanes that contribute to S there.
+    """
 
     theta: Theta
     converged: bool
@@ -131,7 +141,7 @@ class Minimum:
 
 
 def residuals(predicted: Lanes, rate: Lanes, censored: LaneFlags) -> Lanes:
-    """Return the residual of each lane, zero for a censored lane without a predicted rate."""
+    """Return the residual of each lane; it is zero for a censored lane whose predicted rate is not positive."""
     return np.where(censored, np.maximum(predicted, 0.0), predicted - rate)
 
 
@@ -140,10 +150,15 @@ def minimise(
 ) -> Minimum:
     """Return a minimum of S.
 
-    Close to the minimum S changes by rounding alone while theta still moves by the root of it. The final digits are
-    therefore those of Newton steps with the exact Hessian; the size of the last one tells convergence.
+    Close to the minimum, S is constant up to rounding errors while theta still changes by the square root of their
+    size. Newton steps with the exact Hessian therefore determine the final digits. The size of the next Newton step
+    decides on convergence.
 
-    **Arguments:** `rate`: of order one; `start`: by default the model's own, without the censored lanes.
+    **Arguments:**
+
+    - `rate`: rates, scaled to order one.
+    - `start`: initial guess of theta, by default that of the model for the seen lanes.
+    - `weight`: weight w of each lane, by default 1.
     """
     weight = np.ones(rate.size) if weight is None else weight
     root = np.sqrt(weight)
@@ -182,7 +197,7 @@ def minimise(
 
 @dataclass(frozen=True)
 class Loss:
-    """A loss rho(z) of z = residual/scale: its `weight` rho'(z)/(2 z), and the `slope` of z times that weight."""
+    """A loss rho(z) of z = residual/scale: its `weight` rho'(z)/(2 z), and `slope`, the derivative of z weight(z)."""
 
     weight: Callable[[Lanes], Lanes]
     slope: Callable[[Lanes], Lanes]
@@ -195,18 +210,18 @@ LOSSES = {
     ),
     "soft-l1": Loss(lambda z: (1 + z**2) ** -0.5, lambda z: (1 + z**2) ** -1.5),
 }
-"""Losses that outliers cannot dominate."""
+"""Losses in which the influence of outliers is bounded."""
 
 
 def minimise_loss(
     loss: Loss, model: RateModel, rate: Lanes, censored: LaneFlags, minimum: Minimum
 ) -> tuple[Minimum, float]:
-    """Return a minimum of the loss and the scale of the residuals, by iteratively reweighted least squares.
+    """Minimise a loss by iteratively reweighted least squares; return the minimum and the scale of the residuals.
 
-    The scale is the standard deviation of the residuals by their median absolute deviation. It follows the residuals
-    for some rounds and is constant then, so that the search has a fixed objective.
+    The scale is the standard deviation of the residuals, estimated from their median absolute deviation. It is updated
+    in the first iterations and constant afterwards, so that the search has a fixed objective.
 
-    **Arguments:** `minimum`: of S.
+    **Arguments:** `minimum`: the minimum of S, as initial guess.
     """
     scale, change = 1.0, np.inf
     for count in range(_REWEIGHTING_MAX_ROUNDS):
@@ -222,26 +237,27 @@ def minimise_loss(
 
 
 def covariance(jacobian: Jacobian, residual: Lanes) -> Square:
-    """Return the covariance of the coefficients, for noise that may differ from lane to lane.
+    """Return the covariance of the coefficients for noise whose variance may differ between lanes.
 
         (J^T J)^-1 J^T diag(r²/(1 - h)²) J (J^T J)^-1,  h the diagonal of J (J^T J)^-1 J^T
 
-    The usual s² (J^T J)^-1 assumes that all lanes are equally noisy. With noise in proportion to the rate, as a rig's
-    often is, its intervals for an onset beside the lanes are far too wide, and those for C can be too narrow. The two
-    agree for equally noisy lanes (HC3: MacKinnon and White 1985, "Some heteroskedasticity-consistent covariance matrix
-    estimators with improved finite sample properties").
+    The usual estimate s² (J^T J)^-1 assumes the same noise variance at all lanes. If the noise is proportional to the
+    rate, as is common on a rig, that estimate makes confidence intervals far too wide for an onset outside the range of
+    the lanes, and sometimes too narrow for C. Both estimates agree if all lanes are equally noisy (HC3: MacKinnon and
+    White 1985, "Some heteroskedasticity-consistent covariance matrix estimators with improved finite sample
+    properties").
     """
     inverse = np.linalg.pinv(jacobian)
     free = 1 - np.sum(inverse.T * jacobian, axis=1)
     spread = np.sqrt(np.sum(residual**2) / max(residual.size - jacobian.shape[1], 1))
-    # A lane that alone determines a coefficient is met exactly: the others say how noisy it may be.
+    # A lane that alone determines a coefficient is fitted exactly: its noise is estimated from the other lanes.
     alone = free < _LEAST_FREE_SHARE
     weighted = inverse * np.where(alone, spread, residual / np.where(alone, 1.0, free))
     return weighted @ weighted.T
 
 
 def confounded_coefficients(jacobian: Jacobian) -> Bool[np.ndarray, " coefficients"]:
-    """Return which coefficients the lanes cannot tell from one another, or which no lane depends on."""
+    """Return a mask of the coefficients that the lanes cannot distinguish, or that do not affect any lane."""
     lengths = np.linalg.norm(jacobian, axis=0)
     scaled = jacobian / np.where(lengths > 0, lengths, 1.0)
     _, singular, directions = np.linalg.svd(scaled, full_matrices=len(jacobian) < len(lengths))
@@ -251,12 +267,15 @@ def confounded_coefficients(jacobian: Jacobian) -> Bool[np.ndarray, " coefficien
 
 
 def goodness(residual: Lanes, rate: Lanes, unit: float, size: int) -> tuple[float, float]:
-    """Return R² and AIC = n ln(RSS/n) + 2 size.
+    """Return R² and AIC = n ln(RSS/n) + 2 size, with the residual sum of squares RSS in m²/s².
 
-    R² is NaN if the rates do not vary. An RSS/n below one rounding of the greatest rate counts as that, so that the AIC
-    of exact data is finite.
+    R² is NaN if the rates do not vary. RSS/n has a lower bound, the squared rounding error of the greatest rate, so
+    that the AIC of exact data is finite.
 
-    **Arguments:** `residual` and `rate`: in units of `unit` [m/s], the greatest rate.
+    **Arguments:**
+
+    - `residual`, `rate`: values in units of `unit` [m/s], the greatest rate.
+    - `size`: number of coefficients.
     """
     squares, about_mean = np.sum(residual**2), np.sum((rate - rate.mean()) ** 2)
     r_squared = 1 - squares / about_mean if about_mean > rate.size * LEAST_SPREAD**2 else np.nan
@@ -265,6 +284,6 @@ def goodness(residual: Lanes, rate: Lanes, unit: float, size: int) -> tuple[floa
 
 
 def r_squared_reason(r_squared: Float[np.ndarray, "*fits"], reason: Int[np.ndarray, "*fits"]) -> np.ndarray:
-    """Return why R² is NaN, as indices into `REASONS`; `reason` is that of the coefficients."""
+    """Return the reasons why R² is NaN, as indices into `REASONS`; `reason` holds the reasons of the coefficients."""
     fitted = np.isin(reason, (Reason.IDENTIFIED, Reason.NO_SLOPE))
     return np.where(np.isfinite(r_squared), Reason.IDENTIFIED, np.where(fitted, Reason.CONSTANT_RATES, reason))

@@ -1,4 +1,7 @@
-"""The fitted law: its coefficient with error bars, and each form's distance from the best; as curves or as maps."""
+"""Pictures of the fitted law, as curves or maps: the coefficient C with error bars, and the AIC of each form.
+
+AIC is drawn relative to the best form, the one with the lowest AIC in a group.
+"""
 
 from collections.abc import Sequence
 
@@ -21,21 +24,25 @@ from vibrojax.plot.margins import LEGEND_WIDTH, legend_at_right, write_margins
 from vibrojax.plot.sheet import facets, sheet
 from vibrojax.plot.style import FAINT, UNDEFINED, Mark, styled
 
-_READINGS = ("onset", "literal", "percent")  # of the logarithmic law; their C are speeds that can be compared
+_READINGS = ("onset", "literal", "percent")  # of the logarithmic law: their C are comparable, since all are speeds
 _MARKS: dict[str, MarkerType] = {"onset": "o", "literal": "s", "percent": "^", "line": "D", "power": "v"}
-_EQUAL_AIC = 2.0  # difference of AIC up to which a form is as good as the best
-_LOG_AIC_FROM, _LINEAR_AIC = 30.0, 10.0  # difference from which the scale is logarithmic, and where that begins
+_EQUAL_AIC = 2.0  # difference of AIC up to which a form counts as equal to the best form
+# If a difference of AIC exceeds the first value, the scale is logarithmic above the second.
+_LOG_AIC_FROM, _LINEAR_AIC = 30.0, 10.0
 _TICKS = (0, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000)
-_DODGE = 0.012  # of the axis, between error bars at one place
+_DODGE = 0.012  # offset between error bars at the same abscissa, as a fraction of the axis
 
 _MOST_MAP_FACETS = 3
-_SAME_ERROR = 0.1  # of the greatest error, up to which the range of errors is a note rather than a map
+_SAME_ERROR = 0.1  # range of errors, relative to the greatest, up to which a note replaces their map
 _BEST, _ERROR = "best_form", "C_relative_error"
 
 
 @styled
 def law_lines(fit: xr.Dataset) -> Figure:
-    """Draw C in its readings and the AIC of every form over the longest axis of the groups; see `fitted_law`."""
+    """Draw C in each reading of the law, and the AIC of every form, over the longest axis of the groups.
+
+    See `vibrojax.analyses.pictures.fitted_law`.
+    """
     fit = law_in(fit)
     x = longest_axis(fit)
     fit = fit.sortby(x.name) if x.is_number else fit
@@ -59,7 +66,7 @@ def law_lines(fit: xr.Dataset) -> Figure:
             axes.set_xticks(range(len(names)), names)
             axes.set_xlim(-0.5, len(names) - 0.5)
     values = fit["C"].sel({FORM: _readings(fit)}).values * factor
-    if np.isfinite(values).any():  # limits that the bars of a failed fit do not stretch
+    if np.isfinite(values).any():  # the limits ignore error bars, which are huge for a failed fit
         low, high = min(float(np.nanmin(values)), 0.0), max(float(np.nanmax(values)), 0.0)
         room = 0.15 * ((high - low) or 1.0)
         rows[0].axes[0].set_ylim(low - room, high + room)
@@ -71,7 +78,7 @@ def law_lines(fit: xr.Dataset) -> Figure:
 
 
 def _draw_coefficients(row: Row, x: Across, factor: float) -> None:
-    """Draw C of each reading with error bars, beside each other at one place."""
+    """Draw C of each reading with error bars; readings are slightly offset along the abscissa."""
     axes = row.axes[0]
     axes.axhline(0.0, color=FAINT, linewidth=0.8)
     for k, name in enumerate(_readings(row.facet)):
@@ -94,7 +101,7 @@ def _draw_excess(row: Row, x: Across) -> None:
 
 
 def _scale_excess(rows: Sequence[Row]) -> None:
-    """Scale the AIC from zero, logarithmically above a bound if some form is far off."""
+    """Scale the AIC axis from zero upwards; for large differences it is logarithmic above a bound."""
     greatest = max(float(np.nanmax(_above_best(row.facet).values, initial=0.0)) for row in rows)
     axes = rows[0].axes[1]
     if greatest <= _LOG_AIC_FROM:
@@ -108,7 +115,7 @@ def _scale_excess(rows: Sequence[Row]) -> None:
 
 
 def _lacking_text(fit: xr.Dataset) -> str:
-    """Return the number of groups without a C, by reading if they differ."""
+    """Return the note on how many groups have no C, per reading if the numbers differ; empty if all groups have one."""
     lacking = {name: int(np.isnan(fit["C"].sel({FORM: name}).values).sum()) for name in _readings(fit)}
     if len(set(lacking.values())) == 1:
         parts = [str(count) for count in set(lacking.values()) if count]
@@ -119,7 +126,11 @@ def _lacking_text(fit: xr.Dataset) -> str:
 
 @styled
 def law_map(fit: xr.Dataset) -> Figure:
-    """Draw the first form as good as the best, C of the logarithmic law and its relative error over two long axes."""
+    """Draw maps over the two longest axes: the form that describes the data, C, and the relative error of C.
+
+    The first form in the dataset's order whose AIC is as good as the best is drawn. C is that of the first reading of
+    the logarithmic law.
+    """
     fit = law_in(fit)
     x, y = long_axes(fit)[:2]
     fit = fit.sortby([x, y])
@@ -141,7 +152,7 @@ def law_map(fit: xr.Dataset) -> Figure:
                 error_note = f"Standard error of C: {' to '.join(ends)} %"
     if "aic" in fit:
         good = _above_best(fit) <= _EQUAL_AIC
-        shown[_BEST] = good.argmax(FORM).where(good.any(FORM))  # the number of the first form as good as the best
+        shown[_BEST] = good.argmax(FORM).where(good.any(FORM))  # index of the first form as good as the best
     panels, groups = facets(shown, (x, y), _MOST_MAP_FACETS), groups_to_show(fit)
     drawn = sheet(panels, ((None,) if _BEST in shown else ()) + values, height_of(groups))
     draw_fits(drawn.figure, drawn.above, groups)
@@ -173,24 +184,24 @@ def law_map(fit: xr.Dataset) -> Figure:
 
 
 def _forms(fit: xr.Dataset) -> list[str]:
-    """Return the names of the forms, in the order of the dataset."""
+    """Return the names of the forms in the dataset's order."""
     return [str(name) for name in fit[FORM].values]
 
 
 def _readings(fit: xr.Dataset) -> list[str]:
-    """Return the readings of the logarithmic law among the forms; all forms if there are none of these."""
+    """Return the forms that are readings of the logarithmic law, or all forms if none is."""
     names = _forms(fit)
     return [name for name in _READINGS if name in names] or names
 
 
 def _mark(name: str, x: Across | None = None) -> Mark:
-    """Return the look of a form, on lines that are joined if the axis `x` has numbers."""
+    """Return the marker and line style of a form; if `x` has string labels, points are not joined by lines."""
     mark = Mark(color=form_colour(name), marker=_MARKS.get(name, "P"), markersize=4.0, linewidth=1.2)
     return mark if x is None else mark | Mark(linestyle="-" if x.is_number else "none")
 
 
 def _line_handles(fit: xr.Dataset) -> list[Artist]:
-    """Return the legend's entries for the forms, with their formulas if the dataset has them."""
+    """Return legend entries for the forms, with their formulas if the dataset contains them."""
     formulas = dict(part.split(": ", 1) for part in str(fit.attrs.get("formulas", "")).split("; ") if ": " in part)
     signs = {"eta0": "η₀", "eta": "η", " - ": " − ", "^exponent": "ⁿ"}
     handles: list[Artist] = []
@@ -203,6 +214,6 @@ def _line_handles(fit: xr.Dataset) -> list[Artist]:
 
 
 def _above_best(fit: xr.Dataset) -> xr.DataArray:
-    """Return the AIC of every form less that of the best of its group; NaN if a form has none."""
+    """Return the difference between each form's AIC and the lowest AIC in the group; NaN for a form without AIC."""
     aic = fit["aic"].where(np.isfinite(fit["aic"]))
     return aic - aic.min(FORM)

@@ -1,4 +1,4 @@
-"""Datasets of fits: variables with units, provenance, the summary as text or JSON, and the verdict on the forms."""
+"""Datasets of fits: variables with units, provenance, the summary as text or JSON, and the comparison of the forms."""
 
 import math
 from collections.abc import Hashable, Mapping, Sequence
@@ -16,14 +16,14 @@ from vibrojax.io.kinds import dataset_attributes
 from vibrojax.io.variables import Variable
 
 CLEAR_AIC_DIFFERENCE = 2.0
-"""Difference of AIC from which a form counts as beaten (Burnham and Anderson's rule of thumb)."""
+"""Difference in AIC above which another form describes the data better (Burnham and Anderson's rule of thumb)."""
 
 _GROUPS_BEATEN_SHOWN = 5
 _GROUPS_TABULATED = 12
 
 
 def reason_variable(long_name: str) -> Variable:
-    """Return the variable with the reason why others are NaN, as flags that mean `REASONS`."""
+    """Return the schema of a flag variable, with the meanings `REASONS`, that explains NaN in other variables."""
     return Variable("1", long_name, np.int8, REASONS)
 
 
@@ -36,13 +36,13 @@ GOODNESS_SCHEMA = {
     "reason": reason_variable("why a coefficient is not a number"),
     "r_squared_reason": reason_variable("why r_squared is not a number"),
 }
-"""Variables that every fit of a rate-of-penetration law has."""
+"""Schema of the variables that every fit of a rate-of-penetration law contains."""
 
 
 def to_variables(
     schema: Mapping[str, Variable], values: Mapping[str, object], dims: Mapping[str, Sequence[Hashable]]
 ) -> dict[str, xr.Variable]:
-    """Return the variables of `schema` with `values` of its dtypes; those without `dims` are scalars."""
+    """Return xarray variables with the dtypes and attributes of `schema`; variables without `dims` are scalars."""
     return {
         name: xr.Variable(dims.get(name, ()), np.asarray(values[name], variable.dtype), variable.attributes())
         for name, variable in schema.items()
@@ -50,14 +50,17 @@ def to_variables(
 
 
 def law_title(place: Place, data: xr.Dataset) -> str:
-    """Return the title of a fit of the rate-of-penetration law."""
+    """Return the dataset title of a fit of the rate-of-penetration law."""
     return f"rate-of-penetration law: {title_of(data, place.file)}"
 
 
 def attributes(
     place: Place, data: xr.Dataset, step: str, title: str, more: Mapping[str, str | float]
 ) -> dict[str, object]:
-    """Return the attributes of a fit: its provenance, and the attributes of its data that still hold."""
+    """Return the dataset attributes of a fit: its provenance, and attributes of the data that remain valid.
+
+    **Arguments:** `step`: name of the computation, for the attribute `history`; `more`: further attributes.
+    """
     kept = {name: data.attrs[name] for name in ("scene", "sweep", "parameters", "columns") if name in data.attrs}
     own = dataset_attributes("fit", title, f"{step} {place.file}")
     if "history" in data.attrs:
@@ -67,7 +70,10 @@ def attributes(
 
 @dataclass(frozen=True)
 class GroupSummary:
-    """A group of lanes: its name, its coordinates, and by form the values of the fit, flags by their meanings."""
+    """The fits to one group of lanes: its name, its coordinates, and the fitted values of each form.
+
+    Flags are replaced by their meanings.
+    """
 
     name: str
     coordinates: dict[str, object]
@@ -76,7 +82,7 @@ class GroupSummary:
 
 @dataclass(frozen=True)
 class RateLawSummary:
-    """A summary of a fitted rate-of-penetration law, for text and for JSON."""
+    """The summary of a fitted rate-of-penetration law, for output as text or JSON."""
 
     along: str
     columns: dict[str, object] | None
@@ -85,7 +91,7 @@ class RateLawSummary:
 
     @classmethod
     def of(cls, fit: xr.Dataset) -> "RateLawSummary":
-        """Return the summary of a fit by `fit_rop`."""
+        """Return the summary of a dataset that `fit_rop` returned."""
         dims = [dim for dim in fit["aic"].dims if dim != "form"]
         values = {str(name): table(fit, str(name)) for name, v in fit.items() if set(v.dims) == {*dims, "form"}}
         for name in ("reason", "r_squared_reason"):
@@ -102,11 +108,11 @@ class RateLawSummary:
         return cls(str(fit.attrs["along"]), table_of(fit, "columns") or None, groups, verdict(fit))
 
     def facts(self) -> dict[str, object]:
-        """Return the summary as JSON values."""
+        """Return the summary as a dictionary of JSON values."""
         return asdict(self)
 
     def lines(self) -> list[str]:
-        """Return a table of the forms for each of the first groups, and the number of further groups."""
+        """Return lines of text: a table of the forms for each of the first groups, then the number of other groups."""
         lines: list[str] = []
         for group in self.groups[:_GROUPS_TABULATED]:
             first = next(iter(group.forms.values()))
@@ -119,7 +125,7 @@ class RateLawSummary:
 
 
 def _table_row(values: Mapping[str, float | int | str]) -> str:
-    """Return the coefficients with standard errors, R², AIC, and the reasons for missing values."""
+    """Return a table row: the coefficients with standard errors, R², AIC, and the reasons for missing values."""
     if not math.isfinite(float(values["C"])):
         return str(values["reason"])
     cells = [
@@ -132,25 +138,25 @@ def _table_row(values: Mapping[str, float | int | str]) -> str:
 
 
 def table(fit: xr.Dataset, name: str) -> Shaped[np.ndarray, "groups forms"]:
-    """Return the values of a variable of a fit by `fit_rop`, a row for each group."""
+    """Return a variable of a dataset that `fit_rop` returned as an array with one row per group."""
     dims = [dim for dim in fit[name].dims if dim != "form"]
     return np.asarray(fit[name].transpose(*dims, "form").values.reshape(-1, fit.sizes["form"]))
 
 
 def verdict(fit: xr.Dataset) -> list[str]:
-    """Return lines that tell which form describes the data, by AIC, and for which groups the log law holds.
+    """Return lines of text: which form describes the data best by AIC, and for which groups the log law holds.
 
-    A form holds in a group if its AIC is no more than `CLEAR_AIC_DIFFERENCE` above the lowest; the log law if one of
-    its three readings does.
+    A form holds in a group if its AIC exceeds the lowest by at most `CLEAR_AIC_DIFFERENCE`. The log law holds if one of
+    its three readings holds.
 
-    **Arguments:** `fit`: from `fit_rop`.
+    **Arguments:** `fit`: a dataset that `fit_rop` returned.
     """
     names = [str(name) for name in fit["form"].values]
     aic, r_squared = table(fit, "aic"), table(fit, "r_squared")
     missing = ~np.isfinite(aic)
     judged = ~missing.any(axis=1)
     lines = []
-    if not judged.all():  # the first reason of each group
+    if not judged.all():  # count the reason of the first missing form in each group
         meanings = str(fit["reason"].attrs["flag_meanings"]).split()
         reasons = table(fit, "reason")[~judged, np.argmax(missing[~judged], axis=1)]
         counts = {meanings[flag]: int((reasons == flag).sum()) for flag in np.unique(reasons)}
@@ -184,7 +190,7 @@ def verdict(fit: xr.Dataset) -> list[str]:
 
 
 def _group_name(fit: xr.Dataset, dims: Sequence[Hashable], position: tuple[int, ...]) -> str:
-    """Return the coordinates of a group, like "force=200000 N, rock=granite"."""
+    """Return the coordinates of a group as text, such as "force=200000 N, rock=granite"."""
     parts = []
     for dim, index in zip(dims, position, strict=True):
         names = [name for name in fit.coords if fit[name].dims == (dim,)]
@@ -206,7 +212,7 @@ def _range(values: Float[np.ndarray, " groups"]) -> str:
 
 
 def _region(fit: xr.Dataset, groups: Shaped[np.ndarray, " groups"]) -> str:
-    """Return the box of the groups' axes that holds `groups`, by their indices."""
+    """Return text that describes the smallest box over the groups' axes that contains `groups`, flat indices."""
     dims = [dim for dim in fit["aic"].dims if dim != "form"]
     positions = np.unravel_index(groups, [fit.sizes[dim] for dim in dims]) if dims else ()
     ranges = []

@@ -1,4 +1,4 @@
-"""The rate-of-penetration law fitted in every form to every group of lanes."""
+"""Fits of every form of the rate-of-penetration law to every group of lanes (a lane: one relief and its rate)."""
 
 import sys
 import time
@@ -28,10 +28,10 @@ from vibrojax.io.variables import Variable
 from vibrojax.progress import LOG
 
 _LEAST_SLOPE = 1e-10
-"""Change of the rate over the lanes as a share of the greatest rate, below which there is no onset: rounding."""
+"""Slope theta_1 of rate/greatest rate below which there is no onset, since the slope is a rounding error."""
 
 _LEAST_SLOPE_IN_ERRORS = 2.0
-"""Change of the rate in its standard errors, below which there is no onset: its interval (Fieller's) has no ends."""
+"""Slope theta_1 in standard errors below which there is no onset: its Fieller confidence interval is unbounded."""
 
 _SCHEMA = {
     "C": Variable("m s-1", "coefficient of the rate-of-penetration law"),
@@ -53,31 +53,32 @@ def fit_rop(
     progress: bool = True,
     columns: Columns = None,
 ) -> xr.Dataset:
-    """Fit the rate-of-penetration law, eq. 6.4, in three readings and beside two rivals, to each group of lanes.
+    """Fit the rate-of-penetration law (source, eq. 6.4) in three readings, and two rival forms, to each group of lanes.
 
-    The fit is least squares of the rate. A lane at zero rate is censored: it counts only if a form predicts a rate
-    above zero. Lanes that failed, are irregular or have no usable values are left out and counted. Standard errors
-    follow from the Jacobian and each lane's own residual, and so hold for noise of one size and in proportion.
+    The fit minimises the squared residuals of the rate. A lane at zero rate is censored: it contributes only if a form
+    predicts a positive rate. Lanes that failed, are irregular or have no usable values are left out and counted.
+    Standard errors follow from the Jacobian and the residual of each lane. They are therefore valid for noise of
+    constant size as well as for noise proportional to the rate.
 
     **Arguments:**
 
-    - `data`: a dataset with rate_of_penetration [m/s] and relief [1], and perhaps regime; or the path of such a .nc,
-      or of a .csv with a row for each lane.
-    - `along`: the axis that the lanes of a group lie on, by default frequency, v or point; every point of the other
-      axes is a group.
-    - `by`: of a table (a CSV, or a sweep of points), the columns whose values distinguish the groups; all but `along`
-      and mean_force if `along` is a column itself.
-    - `robust`: "soft-l1" or "huber", for data with outliers; the scale comes from the median absolute deviation. R² and
-      AIC stay those of plain residuals.
-    - `progress`: report on stderr when the fit is done.
-    - `columns`: of a CSV, by quantity the file's own column with its unit: {"rate_of_penetration": "ROP (m/h)",
-      "mean_force": "WOB (kN)"}, or a value that all rows have: {"threshold": "150 kN"}.
+    - `data`: dataset with rate_of_penetration [m/s], relief [1] and optionally regime, or the path of such a dataset
+      (.nc) or of a .csv with one row per lane.
+    - `along`: axis along which the lanes of a group vary, by default frequency, v or point. Each combination of values
+      on the other axes is a group.
+    - `by`: columns of a table (a CSV, or a sweep of points) whose values distinguish the groups. If `along` is a
+      column, the default is all columns except `along` and mean_force.
+    - `robust`: "soft-l1" or "huber", a loss for data with outliers, scaled by the median absolute deviation. R² and
+      AIC are still computed from the plain residuals.
+    - `progress`: whether to report on stderr when the fit is done.
+    - `columns`: by quantity, the column of a CSV and its unit, such as {"rate_of_penetration": "ROP (m/h)",
+      "mean_force": "WOB (kN)"}, or a constant value for all rows, such as {"threshold": "150 kN"}.
 
     **Returns:** a dataset over the groups and `form`: C [m/s], eta0 [1] and exponent [1], each with its standard error;
-    r_squared, aic, degrees_of_freedom, used, left_out, and `reason`. Values are NaN if a form has no such coefficient
-    or the lanes do not identify it. r_squared is NaN if the rates do not vary, with an `r_squared_reason`. The data are
-    there too, over the groups and `lane`: data_relief [1], data_rate_of_penetration [m/s], and `data_use` (fitted,
-    censored, left-out).
+    r_squared, aic, degrees_of_freedom, used, left_out, and `reason`. A coefficient is NaN if the form does not have it
+    or the lanes do not identify it. r_squared is NaN if the rates do not vary; `r_squared_reason` explains it. The
+    dataset also contains the data, over the groups and `lane`: data_relief [1], data_rate_of_penetration [m/s], and
+    `data_use` (fitted, censored, left-out).
 
     **Raises:** `InputError`.
 
@@ -116,7 +117,7 @@ def fit_rop(
 
 
 def _fit_form(form: Form, relief: Lanes, rate: Lanes, robust: str | None) -> dict[str, float | int]:
-    """Return the values of a form fitted to one group, NaN with a `reason` if the lanes do not identify them."""
+    """Fit a form to one group; return its values by name, NaN with a `reason` if the lanes do not identify them."""
     seen = rate > 0
     names = ("C", "C_stderr", "eta0", "eta0_stderr", "exponent", "exponent_stderr", "r_squared", "aic")
     fit: dict[str, float | int] = {**dict.fromkeys(names, np.nan), "degrees_of_freedom": 0, "used": rate.size}
@@ -126,7 +127,7 @@ def _fit_form(form: Form, relief: Lanes, rate: Lanes, robust: str | None) -> dic
         return fit | {"reason": Reason.TOO_FEW_LANES}
     if not np.std(np.log(relief[seen])) > LEAST_SPREAD:
         return fit | {"reason": Reason.NO_SPREAD}
-    unit = float(rate.max())  # squares of very small or large rates underflow or overflow
+    unit = float(rate.max())  # scaled rates: squares of very small or large rates would underflow or overflow
     y, censored = rate / unit, ~seen
     model, frame = form.model(relief, seen)
     minimum, scale = minimise(model, y, censored), 1.0
@@ -136,14 +137,14 @@ def _fit_form(form: Form, relief: Lanes, rate: Lanes, robust: str | None) -> dic
         return fit | {"reason": Reason.NOT_CONVERGED}
     theta, lanes = minimum.theta, minimum.active
     noise = minimum.residual[lanes]
-    if robust:  # Huber's psi over the mean of its slope takes the place of the residual
+    if robust:  # the residual is replaced by psi (the derivative of the loss), divided by the mean of its slope
         loss, scaled = LOSSES[robust], noise / scale
         noise = noise * loss.weight(scaled) / np.mean(loss.slope(scaled))
     square = covariance(minimum.jacobian[lanes], noise)
     values, slopes = form.coefficients(theta, *frame)
     errors = np.sqrt(np.einsum("ci,ij,cj->c", slopes, square, slopes))
     reason = Reason.IDENTIFIED
-    if form.kind == "onset":  # a level line has a C of about zero, but no onset
+    if form.kind == "onset":  # a horizontal line has C close to zero, and no onset
         least = max(_LEAST_SLOPE, _LEAST_SLOPE_IN_ERRORS * float(np.sqrt(square[1, 1])))
         if abs(theta[1]) <= least or not np.isfinite(values[1]):
             values[1], reason = np.nan, Reason.NO_SLOPE

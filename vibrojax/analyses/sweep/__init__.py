@@ -1,1 +1,1 @@
-"""Sweeps over parameter spaces: run, resume, join and draw."""
+"""Sweeps over parameter spaces: running, resuming, joining chunks, and drawing."""

@@ -20,7 +20,7 @@ from vibrojax.plot.overlays import refuse_overlays
 
 
 class Sweeps(Analysis):
-    """Run a sweep file: a labelled dataset, and a picture beside it."""
+    """Run a sweep file: a dataset with the regime of each lane, and a picture of it."""
 
     kind = "sweep"
     pictures = (
@@ -37,11 +37,11 @@ class Sweeps(Analysis):
     )
 
     def run(self, source: Source, progress: bool = True) -> xr.Dataset:
-        """Return the dataset of a sweep, as [vibrojax.analyses.sweep.run.run_sweep][] does."""
+        """Run a sweep and return its dataset, as [vibrojax.analyses.sweep.run.run_sweep][] does."""
         return run_sweep(source, progress=progress)
 
     def picture(self, ds: xr.Dataset, over: Sequence[xr.Dataset] = ()) -> Figure:
-        """Return the picture of a sweep, with borders over its map of regimes or families over its returns."""
+        """Return the picture of a sweep; `over`: borders on its regime map, or families on its section crossings."""
         if not over:
             return super().picture(ds)
         held = contents(ds)
@@ -57,6 +57,6 @@ class Sweeps(Analysis):
 
     @classmethod
     def drawn_as(cls, ds: xr.Dataset, shows: str) -> Figure:
-        """Return the first picture of a subject ("regimes", "rate map") that fits a dataset."""
+        """Return the first picture of the subject `shows` ("regimes", "rate map") that fits a dataset."""
         held = contents(ds)
         return next(rule for rule in cls.pictures if rule.shows == shows and rule.fits(held)).draw(ds)

@@ -1,4 +1,4 @@
-"""Pictures of many starts: the regime that each ends in, or the share of them in each regime."""
+"""Pictures of many initial conditions: the regime that each leads to, or the fraction of them in each regime."""
 
 import numpy as np
 import xarray as xr
@@ -26,17 +26,18 @@ from vibrojax.plot.starts import (
 )
 from vibrojax.plot.style import new_figure, styled
 
-_MOST_SHARES = 5  # on maps of one facet
+_MOST_SHARES = 5  # number of fractions drawn as maps if there is a single facet
 _SHARED = "The regime that most of {} starts end in, and the share of them that ends in each"
 
 
 @styled
 def many_starts(ds: xr.Dataset, values: Values | None = None) -> Figure:
-    """Draw the regimes of many starts: maps over their states if they are a grid of them, curves if they are a line.
+    """Draw the regimes that many initial conditions lead to.
 
-    Other starts are scattered over the phase planes of bit and striker. If too many parameters vary for a panel each,
-    the share of starts in each regime is drawn, or the median of `values`. These replace the regimes and the quantities
-    beside them.
+    Initial states on a grid become maps over these states, and initial states on a line become curves. Other initial
+    conditions are scattered over the phase planes of bit and striker. If parameters vary over more values than there
+    can be panels, the fraction of initial conditions in each regime is drawn, or the median of `values`. If specified,
+    `values` replace the regimes and the quantities next to them.
     """
     ds = regimes_in(ds)
     quantities = None if values is None else tuple(value for value in values if value is not None)
@@ -69,14 +70,17 @@ def many_starts(ds: xr.Dataset, values: Values | None = None) -> Figure:
 
 @styled
 def share_grid(ds: xr.Dataset, x: str | None = None, y: str | None = None) -> Figure:
-    """Draw the regime of most starts over two axes, and the share of starts in each regime."""
+    """Draw the most frequent regime over two axes, and the fraction of initial conditions in each regime."""
     ds = regimes_in(ds)
     x, y = axes_of_map(ds, x, y)
     return draw_map(*_shares(ds, (x, y), 1 if set(swept(ds)) - {x, y} else _MOST_SHARES))
 
 
 def _shares(ds: xr.Dataset, axes: tuple[str, str], most: int) -> tuple[xr.Dataset, str, str, Values, str, str]:
-    """Return the shares of regimes over two axes as `draw_map` takes them: the first shares, and a note on the rest."""
+    """Return the arguments of `draw_map` for the fractions of the regimes over two axes.
+
+    The first `most` fractions get a map each; a note lists the other regimes.
+    """
     shares = regime_shares(ds)
     names = [str(name) for name in shares.data_vars if str(name).startswith(SHARE)]
     values = tuple(share_value(shares[name], name.removeprefix(SHARE)) for name in names[:most])
@@ -86,11 +90,11 @@ def _shares(ds: xr.Dataset, axes: tuple[str, str], most: int) -> tuple[xr.Datase
 
 
 def _phase_planes(ds: xr.Dataset, shown: Values) -> Figure:
-    """Draw the values `shown` of starts anywhere over their states, two by two."""
+    """Draw the values `shown` over pairs of states, for initial conditions that form no grid."""
     names = varied_states(ds)
     pairs = list(zip(names[::2], names[1::2], strict=False)) or [(names[0], names[0])]
     pairs += [(names[0], names[-1])] if len(names) > 1 and len(names) % 2 else []
-    shuffled = ds.isel({START: np.random.default_rng(0).permutation(ds.sizes[START])})  # no start is always in front
+    shuffled = ds.isel({START: np.random.default_rng(0).permutation(ds.sizes[START])})  # so none is always in front
     figure = new_figure(3.6 * len(shown) + 1.6, 3.0 * min(len(pairs), 3) + 1.2)
     panels = figure.subplots(min(len(pairs), 3), len(shown), squeeze=False, sharey="row", sharex="row")
     for row, (x, y) in zip(panels, pairs, strict=False):

@@ -1,7 +1,7 @@
-"""The dataset of a sweep from its finished chunks, region by region, so that one region bounds the memory.
+"""Assembly of a sweep's dataset from its finished chunks, region by region, to limit the memory needed.
 
-Three threads work on successive regions: one reads and checks chunks, one labels lanes, one writes values. A large
-dataset is written about as fast as the disk takes it; compression is slower, see [vibrojax.io.packing][].
+Three threads work on successive regions: one reads and checks chunks, one labels lanes, and one writes values. A large
+dataset is written about as fast as the disk allows; compression is slower, see [vibrojax.io.packing][].
 """
 
 import json
@@ -25,26 +25,26 @@ from vibrojax.sweep.engine.labelled import attributes, certified, coordinates, l
 from vibrojax.sweep.input.definition import Sweep
 
 REGION, REGION_BYTES = 1 << 16, 32e6
-"""Largest number of lanes that are labelled and written together, and about the largest size of their features."""
+"""Maximum number of lanes that are labelled and written together, and approximate limit on their features [bytes]."""
 
 REGIONS_AHEAD = 2
-"""Regions that are read or labelled before they are written."""
+"""Number of regions that are read or labelled in advance of writing."""
 
 PACKING_SAMPLES = 4
-"""Chunks of a large dataset, evenly spaced, from which the effect of compression is estimated."""
+"""Number of evenly spaced chunks of a large dataset from which the effect of compression is estimated."""
 
 Read = Callable[[int], Features]
-"""Returns a finished chunk's features. Every index is read once, in order; before that, a few chunks of a large sweep
-that goes to a file."""
+"""Function that returns a finished chunk's features. Every index is read once, in order. Before that, a few chunks of a
+large sweep that is written to a file are also read."""
 
 WallTime = Callable[[float], float]
-"""Returns the duration [s] of a sweep, given the sum of its chunks' times."""
+"""Function that returns the duration [s] of a sweep, given the sum of its chunks' computing times [s]."""
 
 
 def join(sweep: Sweep, chunks: Chunks, read: Read, target: Target, wall_time: WallTime) -> None:
-    """Label the lanes of all chunks, write them to `target`, and finish it.
+    """Label the lanes of all chunks, write them to `target`, and finish the target.
 
-    All starts of a point are labelled together, since `hidden_motion` compares them.
+    All initial conditions of a point are labelled together, since `hidden_motion` compares them.
     """
     lanes = _Lanes(chunks, read)
     counts: Counter[str] = Counter()
@@ -80,7 +80,7 @@ def join(sweep: Sweep, chunks: Chunks, read: Read, target: Target, wall_time: Wa
 
 
 class _Part(NamedTuple):
-    """Regions that are written together, the variables of their lanes, and the number of steps of these lanes."""
+    """Regions that are written together, the variables of their lanes, and the number of time steps of these lanes."""
 
     regions: list[Region]
     variables: dict[str, np.ndarray]
@@ -88,7 +88,10 @@ class _Part(NamedTuple):
 
 
 def _parts(sweep: Sweep, lanes: "_Lanes") -> Iterator[_Part]:
-    """Yield the parts of the dataset in order; while one is written the next is labelled, and the one after read."""
+    """Yield the parts of the dataset in order.
+
+    While one part is written, the next one is labelled, and the one after that is read.
+    """
 
     def label(regions: list[Region], reading: Future[Features]) -> _Part:
         features = reading.result()
@@ -111,7 +114,7 @@ def _parts(sweep: Sweep, lanes: "_Lanes") -> Iterator[_Part]:
 
 
 def _write(sweep: Sweep, target: Target, part: _Part) -> None:
-    # With `carry`, lanes are numbered along the dimensions in another order than that of the dataset.
+    # With `carry`, the order of dimensions in which lanes are numbered differs from that of the dataset.
     first, order = part.regions[0].first, [sweep.counted.index(name) for name in sweep.dims]
     for region in part.regions:
         box = tuple(region.box[axis] for axis in order)
@@ -121,7 +124,7 @@ def _write(sweep: Sweep, target: Target, part: _Part) -> None:
 
 
 class _Lanes:
-    """The lanes of all chunks, in order, with one chunk in memory at a time."""
+    """Sequential access to the lanes of all chunks, with one chunk in memory at a time."""
 
     def __init__(self, chunks: Chunks, read: Read) -> None:
         self._chunks, self._read = chunks, read
@@ -130,7 +133,10 @@ class _Lanes:
         self.seconds = 0.0
 
     def take(self, first: int, end: int) -> Features:
-        """Return the features of the lanes from `first` to before `end`, which follow those of earlier calls."""
+        """Return the features of the lanes from `first` (inclusive) to `end` (exclusive).
+
+        These lanes must follow those of earlier calls.
+        """
         parts = []
         for index in range(first // self._chunks.size, (end - 1) // self._chunks.size + 1):
             if index != self._index:
@@ -142,7 +148,7 @@ class _Lanes:
 
 
 def _groups(sweep: Sweep) -> Iterator[list[Region]]:
-    """Yield groups of regions that hold all starts of their points."""
+    """Yield groups of regions; each group holds all initial conditions of its points."""
     starts = sweep.shape[-1] if sweep.crosses_starts else 1
     group: list[Region] = []
     for region in _regions(sweep):
@@ -159,7 +165,7 @@ def _regions(sweep: Sweep) -> Regions:
 
 
 def _template(sweep: Sweep, variables: Mapping[str, np.ndarray]) -> xr.Dataset:
-    """Return the dataset with placeholders that take no memory, from the variables of some of its lanes."""
+    """Return the dataset with placeholder values that take no memory, given the variables of some of its lanes."""
     columns: dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, Any]]] = {}
     rows: dict[str, int] = {}
     known = variables_of(sweep)
@@ -172,7 +178,7 @@ def _template(sweep: Sweep, variables: Mapping[str, np.ndarray]) -> xr.Dataset:
 
 
 def _sizes(sweep: Sweep, chunks: Chunks, read: Read) -> Sizes:
-    """Return the sizes of the variables of some chunks from all over the sweep."""
+    """Return the sizes of the variables of some chunks, evenly spaced over the sweep."""
     sizes = Sizes()
     for index in dict.fromkeys(np.linspace(0, chunks.count - 1, PACKING_SAMPLES).astype(int).tolist()):
         features = {name: x for name, x in read(index).items() if name != SECONDS}

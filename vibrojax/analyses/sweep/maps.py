@@ -1,4 +1,4 @@
-"""Maps over two axes of a sweep: regimes with quantities beside them, and rates of penetration."""
+"""Maps over two axes of a sweep: regimes with further quantities next to them, and rates of penetration."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -45,30 +45,33 @@ from vibrojax.plot.sheet import MOST_PANELS, Panel, facets, sheet
 from vibrojax.plot.style import INK, NOTHING, styled
 
 MOST_VALUES = {1: 4, 2: 3, 3: 3}
-"""The greatest number of values on maps of rates, by the number of facets; more facets show the rate alone."""
+"""Maximum number of quantities on maps of rates, by the number of facets; more facets show only the rate."""
 
 _MOST_RATE_FACETS = 9
-_MANY_VALUES = 4  # values from which there are half as many facets
-_RELIEF_LEVELS = 5  # lines of equal relief, about
-_CONSTANT_RELIEF = 1e-9  # relative range up to which the relief is constant
-_LETTERS_PER_INCH = 17  # of a label along its axis
+_MANY_VALUES = 4  # number of quantities from which on half as many facets are drawn
+_RELIEF_LEVELS = 5  # approximate number of contour lines of the relief
+_CONSTANT_RELIEF = 1e-9  # largest relative range of a relief that counts as constant
+_LETTERS_PER_INCH = 17  # number of characters that fit on an axis label per inch of the axis
 _NO_PENETRATION = ListedColormap([NOTHING], name="nothing")
 _SYMBOLS = {"mean_force": "P", "relief": "P/D"}
 
-# Chapter 5 of the source: stable single impact, "best".
+# The region of "best" stable single impacts (source, chapter 5).
 REGION = {"beta": (0.25, 0.60), "gamma": (0.60, 0.80)}
 _REGION_NAME = "source's best region"
 
 
 @styled
 def regime_grid(ds: xr.Dataset, x: str | None = None, y: str | None = None, over: xr.Dataset | None = None) -> Figure:
-    """Draw the regimes over two axes with the quantities beside them, under the borders `over`; see `regime_map`."""
+    """Draw the regimes over two axes, with further quantities next to them, and the borders `over` on top.
+
+    See [vibrojax.analyses.pictures.regime_map][].
+    """
     ds = regimes_in(ds)
     return draw_map(ds, *axes_of_map(ds, x, y), (None, *values_beside(ds)), over=over)
 
 
 def draw_map(ds: xr.Dataset, x: str, y: str, values: Values, *notes: str, over: xr.Dataset | None = None) -> Figure:
-    """Draw `values` over the axes `x` and `y`, with `notes` and the borders `over` the regimes."""
+    """Draw `values` over the axes `x` and `y`, with `notes`, and with the borders `over` on the regime map."""
     if over is not None:
         check_borders(ds, over, x, y)
     ds = ds.sortby([x, y])
@@ -94,7 +97,10 @@ def draw_map(ds: xr.Dataset, x: str, y: str, values: Values, *notes: str, over: 
 
 @styled
 def rate_grid(ds: xr.Dataset, x: str | None = None, y: str | None = None) -> Figure:
-    """Draw the rate of penetration over two axes, with the quantities that vary; see `rate_map`."""
+    """Draw the rate of penetration over two axes, and the quantities that vary.
+
+    See [vibrojax.analyses.pictures.rate_map][].
+    """
     ds = rates_in(ds)
     if x is None and y is None:
         x, y = (*long_axes(ds), None, None)[:2]
@@ -120,14 +126,14 @@ def rate_grid(ds: xr.Dataset, x: str | None = None, y: str | None = None) -> Fig
 
 
 class Corners(NamedTuple):
-    """The edges of the cells of a map along its axes."""
+    """The cell edges of a map along its two axes."""
 
     right: Float[np.ndarray, " columns+1"]
     top: Float[np.ndarray, " rows+1"]
 
 
 def draw_cells(panel: Panel, x: str, y: str) -> None:
-    """Draw the regimes or the value of `panel` over two axes; lanes without penetration in white."""
+    """Draw the regimes or the value of `panel` over two axes; lanes without penetration are white."""
     value = panel.value
     cells = coloured(panel.facet, value, y, x)
     corners = fill_cells(panel, x, y, cells)
@@ -142,20 +148,20 @@ def draw_cells(panel: Panel, x: str, y: str) -> None:
 
 
 def fill_cells(panel: Panel, x: str, y: str, cells: Coloured) -> Corners:
-    """Fill the cells (y, x) of `panel` with colours, and return their edges along the axes."""
+    """Fill the cells (y, x) of `panel` with colours, and return the cell edges along the axes."""
     across, up = (values_along(panel.facet[name]) for name in (x, y))
     corners = Corners(edges(across), edges(up))
     masked = np.ma.masked_invalid(cells.cells)
     panel.axes.pcolormesh(*corners, masked, cmap=cells.colour_map, norm=cells.norm, rasterized=True)
     shape_axis(panel.axes, "x", across)
-    if panel.axes.get_xscale() == "linear":  # no "-2.5", which would touch its neighbours in the next panel
+    if panel.axes.get_xscale() == "linear":  # no "-2.5", which would touch the tick labels of the next panel
         panel.axes.xaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))
     shape_axis(panel.axes, "y", up)
     return corners
 
 
 def write_labels(panel: Panel, x: xr.DataArray, y: xr.DataArray) -> None:
-    """Write the title of `panel`, and the labels of its axes at the edges of the sheet."""
+    """Write the title of `panel`, and its axis labels if the panel is at an edge of the sheet."""
     axes = panel.axes
     if panel.title:
         axes.set_title(panel.title)
@@ -168,7 +174,7 @@ def write_labels(panel: Panel, x: xr.DataArray, y: xr.DataArray) -> None:
 
 
 def _outline_single(axes: Axes, single: Bool[np.ndarray, "rows columns"], corners: Corners) -> None:
-    """Draw the sides between cells of which one is a single impact and the other is not."""
+    """Draw the edges between cells with and without a single impact."""
     right, top = corners
     upright = [
         ((right[j + 1], top[i]), (right[j + 1], top[i + 1])) for i, j in np.argwhere(single[:, 1:] != single[:, :-1])
@@ -180,8 +186,8 @@ def _outline_single(axes: Axes, single: Bool[np.ndarray, "rows columns"], corner
 
 
 def _mark_cells(panel: Panel, x: str, y: str) -> dict[str, Artist]:
-    """Mark cells with a hidden motion or sensitive to rounding, and return the legend's entries by variable."""
-    # On two lines, else its panel gets wider than the others.
+    """Mark cells with a hidden motion or a sensitivity to rounding, and return the legend entries by variable."""
+    # Two lines: a longer legend entry would make its panel wider than the others.
     text = "same label, other motion\nfrom another start"
     dot = Line2D([], [], label=text, marker="o", markersize=3.0, markeredgewidth=0.0, linestyle="none", color=INK)
     handles: dict[str, Artist] = {HIDDEN: dot, SENSITIVE: sensitive_handle()}
@@ -202,7 +208,7 @@ def _mark_cells(panel: Panel, x: str, y: str) -> dict[str, Artist]:
 
 
 def outline_region(axes: Axes, x: str, y: str) -> None:
-    """Outline the source's region of best single impacts, if the axes are beta and gamma and show some of it."""
+    """Outline the source's region of best single impacts if the axes are beta and gamma and the region is in view."""
     if {x, y} != set(REGION):
         return
     (west, east), (south, north) = REGION[x], REGION[y]
@@ -215,19 +221,19 @@ def outline_region(axes: Axes, x: str, y: str) -> None:
 
 
 def region_handle(axes: Axes) -> list[Artist]:
-    """Return the legend's entry for the source's region, if `axes` shows it."""
+    """Return the legend entry of the source's region, or no entry if `axes` does not show the region."""
     shown = any(isinstance(patch, Rectangle) and patch.get_label() == _REGION_NAME for patch in axes.patches)
     return [Patch(fill=False, edgecolor=INK, linewidth=1.3, label=_REGION_NAME)] if shown else []
 
 
 def _draw_relief(panel: Panel, x: str, y: str) -> bool:
-    """Draw lines of equal P/D with their values; return whether there are any."""
+    """Draw contour lines of the relief P/D with their values; return whether there are any."""
     if RELIEF not in panel.facet:
         return False
     relief = panel.facet[RELIEF].transpose(y, x).values
     constant = _CONSTANT_RELIEF * relief.max()
     if not np.isfinite(relief).all() or not all((np.ptp(relief, axis=i) > constant).any() for i in (0, 1)):
-        return False  # over an axis that leaves the relief alone, lines would be straight
+        return False  # lines would be straight if the relief does not depend on one of the axes
     levels = MaxNLocator(_RELIEF_LEVELS).tick_values(relief.min(), relief.max())
     levels = levels[(levels > relief.min()) & (levels < relief.max())]
     if not levels.size:
@@ -241,7 +247,7 @@ def _draw_relief(panel: Panel, x: str, y: str) -> bool:
 
 
 def _constants_text(ds: xr.Dataset, values: Sequence[Value]) -> str:
-    """Return the values that all lanes share, including mean force and relief."""
+    """Return the values that all lanes share, including mean force and relief, as a string."""
     drawn = {value.name for value in values}
     drawn |= {"relief"} if "mean_force" in drawn else set()
     fixed = [ds[name].assign_attrs(symbol=text) for name, text in _SYMBOLS.items() if name in ds and name not in drawn]

@@ -1,4 +1,4 @@
-"""Sweeps of scenes with rock, as lines: the rate of penetration over the swept axis and over the relief."""
+"""Line plots of sweeps with rock: the rate of penetration over the swept axis and over the relief."""
 
 from typing import Literal, NamedTuple
 
@@ -29,14 +29,14 @@ from vibrojax.plot.style import INK, Mark, styled
 
 SLIP, PEAK = "slip_per_impact", "peak_impact_force"
 _NAMES = {RATE: "rate of penetration", SLIP: "slip per blow", PEAK: "peak impact force"}
-_MANY_LANES = 40  # lanes of a line from which marks on them are small
-_CONSTANT = 1e-6  # relative range up to which values are one value
+_MANY_LANES = 40  # number of lanes per line from which on markers are small
+_CONSTANT = 1e-6  # largest relative range of values that count as constant
 
 Motion = Literal["single", "other", "none"]  # a single impact, another motion, a single impact without penetration
 
 
 class _Curve(NamedTuple):
-    """A variable drawn `up` over `along`, the axis of lines or the relief."""
+    """A variable `up`, drawn over `along`: the axis of the lines, or the relief."""
 
     up: str
     along: str
@@ -46,11 +46,11 @@ class _Curve(NamedTuple):
 
 @styled
 def rates(ds: xr.Dataset) -> Figure:
-    """Draw the rate of penetration over the longest axis and over the relief P/D, and the slip or the force of a blow.
+    """Draw the rate of penetration over the longest axis and over the relief P/D, and the slip or the force per blow.
 
-    The second longest axis has a colour for each value. Further axes become rows, four at most, and the figure lists
-    them. Lanes without penetration are hollow marks, other motions than a single impact are crosses. A list of points
-    is drawn over the parameter of most values.
+    Colours distinguish the values of the second longest axis. Further axes become rows, at most four; a note lists the
+    values shown if not all fit. Hollow markers are lanes without penetration; crosses are motions other than a single
+    impact. A list of points is drawn over the parameter with the most values.
     """
     ds = rates_in(ds)
     x = longest_axis(ds)
@@ -65,7 +65,7 @@ def rates(ds: xr.Dataset) -> Figure:
             for line in split_lines(row.facet, by):
                 _draw(row.axes[i], line, curve, x, style)
             row.label(i, x.label if curve.along == x.name else "relief P/D", curve.label)
-    for i, curve in enumerate(curves):  # show zero: the question is whether lines go through it
+    for i, curve in enumerate(curves):  # include zero, to show whether lines pass through it
         axes = rows[0].axes[i]
         greatest = max(row.axes[i].dataLim.y1 for row in rows)
         top = 1.05 * greatest if 0 < greatest < np.inf else 1.0
@@ -82,7 +82,7 @@ def rates(ds: xr.Dataset) -> Figure:
 
 
 def _choose_curves(ds: xr.Dataset, x: Across) -> list[_Curve]:
-    """Return the rate over the axis, and over the relief if that varies, and the force of a blow, or its slip."""
+    """Return the curves: the rate over the axis and over the relief, if that varies, and the force or slip per blow."""
 
     def varies(name: str) -> bool:
         """Return whether a variable varies along any of the lines."""
@@ -102,7 +102,10 @@ def _choose_curves(ds: xr.Dataset, x: Across) -> list[_Curve]:
 
 
 def _draw(axes: Axes, line: Line, curve: _Curve, x: Across, style: Literal["-", "none"]) -> None:
-    """Draw one line with the marks of its motions; a jump to another motion is not part of the curve."""
+    """Draw one line with the markers of its motions.
+
+    The line is interrupted at jumps between a single impact and another motion.
+    """
     places = np.atleast_1d(line.lanes[RELIEF].values) if curve.along == RELIEF else x.of(line.lanes)
     values = curve.factor * np.atleast_1d(line.lanes[curve.up].values)
     motions = _motions(line.lanes)
@@ -117,7 +120,7 @@ def _draw(axes: Axes, line: Line, curve: _Curve, x: Across, style: Literal["-", 
 
 
 def _motions(lanes: xr.Dataset) -> dict[Motion, Bool[np.ndarray, "*lanes"]]:
-    """Return the lanes that get each mark."""
+    """Return a mask of the lanes with each kind of marker."""
     nothing = np.atleast_1d(lanes[RATE].values) == 0
     single = np.atleast_1d(lanes[REGIME].values) == SINGLE if has_regimes(lanes) else np.ones(nothing.shape, bool)
     return {"single": single & ~nothing, "other": ~single, "none": single & nothing}
@@ -129,7 +132,7 @@ def _mark(motion: Motion, colour: str) -> Mark:
 
 
 def _mark_handles(ds: xr.Dataset) -> list[Artist]:
-    """Return the legend's entries for the marks that need words."""
+    """Return the legend entries of the markers that need an explanation."""
     texts: dict[Motion, str] = {"single": "single impact", "other": "other motion", "none": "no penetration"}
     occurring = [motion for motion, mask in _motions(ds).items() if mask.any()]
     shown = [motion for motion in occurring if motion == "none" or has_regimes(ds)]

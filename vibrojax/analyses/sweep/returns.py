@@ -1,4 +1,4 @@
-"""Returns to the section over an axis: bifurcation diagrams, and lanes carried up and down with their jumps."""
+"""Section crossings over an axis: bifurcation diagrams, and lanes carried up and down with their jumps."""
 
 from functools import partial
 from typing import Any
@@ -53,7 +53,7 @@ Places = Int[np.ndarray, " _"]
 _RETURNS_LABEL = "impact velocity at each return"
 _MARKERS = {"up": ">", "down": "<"}
 _ABOUT = "Each lane starts from where its neighbour ended; where the two ways differ, two motions coexist"
-# Inches of a diagram: of one facet and of several, by the number of starts.
+# Height of a diagram [inches] for one facet and for several, by the number of diagrams.
 _HEIGHTS = {1: (3.6, 2.6), 2: (2.4, 2.0), 3: (1.9, 1.6)}
 _LOWEST = (1.5, 1.3)
 _OTHERS = "#CFCFCF"
@@ -61,15 +61,17 @@ _OTHERS = "#CFCFCF"
 
 @styled
 def bifurcation(ds: xr.Dataset, over: Overlays = None) -> Figure:
-    """Draw the impact velocity at each stored return over the swept axis, in one diagram for each start.
+    """Draw the impact velocity at each stored section crossing over the swept axis, one diagram per initial condition.
 
-    The returns of all other starts are grey: two motions coexist where the dots leave them. Many starts share one
-    diagram, in the colours of their regimes. Below are the regimes along the axis, a row for each start, or the shares
-    of many. The swept axis is the one of most values; further axes become panels.
+    The crossings of all other initial conditions are grey: two motions coexist where coloured and grey dots differ.
+    Many initial conditions share one diagram, coloured by regime. Panels below show the regimes along the axis: one row
+    per initial condition, or the fractions of many. The swept axis is the one with the most values; further axes become
+    panels.
 
-    **Arguments:** `over`: families of orbits along the swept axis, drawn over the returns with their parameters.
+    **Arguments:** `over`: families of orbits along the swept axis, drawn over the crossings that have the same
+    parameters.
 
-    **Raises:** `InputError` if there are no returns, nothing is swept, or `over` does not belong there.
+    **Raises:** `InputError` if no crossings are stored, nothing is swept, or `over` does not match the dataset.
     """
     if RETURNS not in ds or REGIME not in ds:
         raise InputError(f"no returns to draw: the dataset holds no {RETURNS}; run the sweep with keep_returns above 0")
@@ -88,7 +90,7 @@ def bifurcation(ds: xr.Dataset, over: Overlays = None) -> Figure:
 
 
 def _draw_returns(stack: Stack, x: str, layers: tuple[xr.Dataset, ...]) -> None:
-    """Draw the returns of each start over those of all others, and the families over them."""
+    """Draw the section crossings of each initial condition over those of all others, then the families."""
     facet, curves, names = stack.facet, stack.curves, start_names(stack.facet)
     factor, unit = scale(facet[RETURNS])
     size = dot_size(facet.sizes[x])
@@ -116,7 +118,7 @@ def _draw_returns(stack: Stack, x: str, layers: tuple[xr.Dataset, ...]) -> None:
             if names[position]:
                 axes.set_title(", ".join(filter(None, (stack.title, f"start: {names[position]}"))), loc="left")
         draw_over(axes, layers, facet, x, OF_RETURNS, factor)
-    if stack.first:  # written once, as high as the diagrams together
+    if stack.first:  # a single label, centred on all diagrams of the stack
         middle = curves[len(curves) // 2]
         middle.set_ylabel(with_unit(_RETURNS_LABEL, unit), y=0.5 if len(curves) % 2 else 1.1)
 
@@ -126,13 +128,13 @@ def _draw_returns(stack: Stack, x: str, layers: tuple[xr.Dataset, ...]) -> None:
 
 @styled
 def hysteresis(ds: xr.Dataset, over: Overlays = None) -> Figure:
-    """Draw lanes carried up and down along an axis, with the jumps of both ways, above the regimes of each.
+    """Draw lanes carried up and down along an axis, with the jumps of both directions, above the regimes of each.
 
-    The curves are the impact velocity at each return if these were kept, else impact velocity and period. A jump is a
-    place where the two ways begin or cease to differ.
+    The curves are the impact velocity at each section crossing if these were stored, else impact velocity and period. A
+    jump is a place where the two directions begin or cease to differ.
 
-    **Arguments:** `over`: families of orbits along the axis, drawn over the lanes. The note gives the special point
-    nearest to each jump, ends left aside.
+    **Arguments:** `over`: families of orbits along the axis, drawn over the lanes. The note lists the special point
+    nearest to each jump, except special points of the kind "end".
     """
     along = str(run_of(ds).get("carry"))
     if along not in ds.dims:
@@ -153,15 +155,16 @@ def hysteresis(ds: xr.Dataset, over: Overlays = None) -> Figure:
 
 
 def jumps(ds: xr.Dataset, along: str) -> tuple[Places, Places]:
-    """Return the jumps of each way, as indices of the lane before.
+    """Return the jumps of each direction, as indices of the lane before each jump.
 
-    A way jumps if the two begin or cease to differ there, and it is the one that changes more. Lanes that are undecided
-    or failed count as their neighbours.
+    Where the two directions begin or cease to differ, the direction that changes more has a jump. An undecided or
+    failed lane counts like the last lane before it that is neither.
     """
     ways = [select_start(ds, position) for position in range(2)]
     regimes = [way[REGIME].values.astype(int) for way in ways]
     names = [name for name in COMPARED if name in ways[0]]
-    # Two ways that repeat differ as starts do: in the label, or by more than their errors.
+    # Periodic lanes of the two directions differ if their labels differ, or other values differ by more than their
+    # errors.
     repeat = np.all([way["cycles"].values > 0 for way in ways], axis=0)
     within = SAME_WITHIN + ways[0]["error_estimate"].values + ways[1]["error_estimate"].values
     with np.errstate(invalid="ignore"):
@@ -172,7 +175,7 @@ def jumps(ds: xr.Dataset, along: str) -> tuple[Places, Places]:
         return known, known
     apart = apart[known[np.maximum(np.searchsorted(known, np.arange(apart.size), side="right") - 1, 0)]]
     ends = np.flatnonzero(apart[1:] != apart[:-1])
-    changes = []  # from each lane to the next
+    changes = []  # change from each lane to the next
     for way, regime in zip(ways, regimes, strict=True):
         steps = [np.nan_to_num(_relative_difference(way[name].values[1:], way[name].values[:-1])) for name in names]
         changes.append(np.sum([*steps, np.diff(regime) != 0], axis=0)[ends])
@@ -181,9 +184,9 @@ def jumps(ds: xr.Dataset, along: str) -> tuple[Places, Places]:
 
 
 def jumps_text(ds: xr.Dataset, along: str, layers: tuple[xr.Dataset, ...]) -> str:
-    """Return the values between which each way jumps, and the nearest special point of the families.
+    """Return the values between which each direction jumps, and the nearest special point of the families, as a string.
 
-    Empty if more than that axis varies.
+    The string is empty without families, or if another axis varies.
     """
     if not layers or set(ds[REGIME].dims) != {along, START}:
         return ""
@@ -202,13 +205,13 @@ def jumps_text(ds: xr.Dataset, along: str, layers: tuple[xr.Dataset, ...]) -> st
 
 
 def _relative_difference(a: Float[np.ndarray, " lanes"], b: Float[np.ndarray, " lanes"]) -> Float[np.ndarray, " lanes"]:
-    """Return the difference over the greater of the two, 0 if both are zero."""
+    """Return the absolute difference divided by the larger absolute value; 0 if both values are zero."""
     greater = np.maximum(np.abs(a), np.abs(b))
     return np.abs(a - b) / np.where(greater > 0, greater, 1.0)
 
 
 def _draw_ways(stack: Stack, values: tuple[Value, ...], x: str, layers: tuple[xr.Dataset, ...]) -> None:
-    """Draw the values, or the returns of both ways over each other, with families and jumps."""
+    """Draw `values`, or the section crossings of both directions in one panel, with families and jumps."""
     facet, names = stack.facet, start_names(stack.facet)
     along = values_along(facet[x])
     if values:
@@ -219,7 +222,7 @@ def _draw_ways(stack: Stack, values: tuple[Value, ...], x: str, layers: tuple[xr
         factors = {OF_RETURNS: factor}
         for position, name in enumerate(names):
             returns = select_start(facet, position)[RETURNS].transpose(x, RETURN)
-            size = dot_size(facet.sizes[x]) * (0.5 if position else 1.4)  # the way below shows around the one above
+            size = dot_size(facet.sizes[x]) * (0.5 if position else 1.4)  # larger dots stay visible below smaller ones
             places = np.repeat(along, returns.sizes[RETURN])
             look: dict[str, Any] = {"linewidths": 0, "color": start_colour(name, position), "rasterized": True}
             stack.curves[0].scatter(places, factor * returns.values.ravel(), s=size, **look)

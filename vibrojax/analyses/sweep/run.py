@@ -1,8 +1,9 @@
-"""Run a sweep: to a dataset in memory, or to a file without ever losing a finished chunk.
+"""Run a sweep: in memory, or to a file without ever losing a finished chunk.
 
-A sweep file is read and checked (`sweep.input`). Its lanes are computed in chunks (`sweep.engine`), by programs that
-step the scene and measure it inside the time loop. Features become labels and a dataset (`sweep.engine.labelled`),
-which `io` writes whole or not at all, keeping the finished chunks until then.
+A sweep file is read and checked (`sweep.input`). Its lanes are computed in chunks (`sweep.engine`) by compiled
+programs, which step the scene and measure its motion inside the time loop. `sweep.engine.labelled` turns the resulting
+features into labels and a dataset. `io` writes the dataset completely or not at all, and keeps the finished chunks
+until then.
 """
 
 import time
@@ -35,12 +36,12 @@ from vibrojax.sweep.input.definition import Sweep
 from vibrojax.sweep.input.read import read_sweep
 
 MEMORY = 450e6
-"""Bytes that a process takes for imported and compiled code."""
+"""Memory [bytes] that a process needs for imported and compiled code."""
 
 HOUR = 3600.0
 
 DATASET = "dataset"
-"""Name of the claim of the process that assembles the dataset of several processes."""
+"""Name of the claim of the process that assembles the dataset, if several processes share the chunks."""
 
 
 def run_sweep(
@@ -52,15 +53,16 @@ def run_sweep(
 
     **Arguments:**
 
-    - `source`: path of a TOML file, a bundled name such as "regime-map", or a dict of the same shape.
+    - `source`: path of a TOML file, a bundled name such as "regime-map", or a dict with the structure of such a file.
     - `progress`: whether to report progress on stderr.
-    - `executor`: what computes the chunks: any `concurrent.futures.Executor` whose processes are spawned, such as
+    - `executor`: the object that computes the chunks: any `concurrent.futures.Executor` with spawned processes, such as
       `ProcessPoolExecutor(4, mp_context=multiprocessing.get_context("spawn"))`, `dask.distributed`'s
-      `client.get_executor()`, loky's, MPI's, or submitit's. None: this process, on all its cores. The bits are equal.
+      `client.get_executor()`, or an executor of loky, MPI or submitit. None: this process, on all its cores. The
+      results are bitwise equal.
 
     **Returns:** the dataset, over the grid's dimensions and `start`.
 
-    **Raises:** `InputError`, before any work, if the sweep is invalid or needs more memory than there is.
+    **Raises:** `InputError`, before any computation, if the sweep is invalid or needs more memory than is available.
 
     **Example:**
 
@@ -92,18 +94,21 @@ def run_to_file(
     processes: int = 0,
     jobs: int = 0,
 ) -> xr.Dataset:
-    """Run a sweep into the file `out`, netCDF or Zarr; its finished chunks stay beside it until it is complete.
+    """Run a sweep and write its dataset to the file `out`, netCDF or Zarr.
+
+    Finished chunks are kept next to `out` until the dataset is complete.
 
     **Arguments:**
 
-    - `resume`: continue with the existing chunks; otherwise start over, and replace any content of `out`.
-    - `executor`: what computes the chunks, see `run_sweep`; alternatively a number of spawned `processes` on this
-      machine, or of `jobs` of SLURM.
+    - `resume`: whether to continue with the existing chunks; otherwise start over, and replace `out`, whatever it
+      holds.
+    - `executor`: the object that computes the chunks, see `run_sweep`. Alternatives are a number of spawned `processes`
+      on this machine, or a number of SLURM `jobs`.
 
     **Returns:** the dataset that was written.
 
-    **Raises:** `InputError` if the existing chunks, or the dataset, belong to another sweep, or memory or disk are too
-    small.
+    **Raises:** `InputError` if the existing chunks or the existing dataset belong to another sweep, or if memory or
+    disk are too small.
     """
     if resume:
         check_replaceable(out, sweep.identity())
@@ -115,13 +120,13 @@ def run_to_file(
         for compute, count in ((by_processes, processes), (by_slurm, jobs)):
             if not count or not missing:
                 continue
-            for index in missing:  # damaged ones count as finished to the workers, which only look for the file
+            for index in missing:  # workers check only whether a chunk's file exists, so damaged files must be deleted
                 shards.discard(index)
             with timed("compile and step"):
                 order = by_cost(work.chunks, missing)
                 missing = compute(sweep, shards, order, count, lambda index, _: bar.add(work.chunks.width(index)))
         _compute(sweep, work, missing, shards.write, bar, executor)
-        # The time of an interrupted run counts, the time between the runs does not.
+        # The wall time includes interrupted runs, but not the time between runs.
         _write(sweep, work, shards, out, lambda seconds: max(seconds, time.monotonic() - began))
         shards.remove()
     return open_dataset(out)
@@ -129,12 +134,12 @@ def run_to_file(
 
 @contextmanager
 def lanes_beside(sweep: Sweep, out: Path, resume: bool = True, progress: bool = True) -> Iterator[xr.Dataset]:
-    """Yield the dataset of a sweep, in memory, from which the block makes `out`.
+    """Yield the dataset of a sweep, in memory, from which the `with` block creates `out`.
 
-    The finished chunks stay beside `out` until the block ends. With `resume`, continue with the existing chunks;
+    The finished chunks are kept next to `out` until the block ends. With `resume`, continue with the existing chunks;
     otherwise start over.
 
-    **Raises:** `InputError` if the existing chunks belong to another sweep, or memory or disk are too small.
+    **Raises:** `InputError` if the existing chunks belong to another sweep, or if memory or disk are too small.
     """
     check_size(sweep, estimate(sweep), out)
     began = time.monotonic()
@@ -149,14 +154,14 @@ def lanes_beside(sweep: Sweep, out: Path, resume: bool = True, progress: bool = 
 
 
 def run_share(sweep: Sweep, out: Path, part: tuple[int, int], progress: bool = True) -> Path | None:
-    """Compute the chunks I, I + N, ... (counted from 1) into a folder beside `out` that other processes share.
+    """Compute the chunks I, I + N, ... (counted from 1) in a folder next to `out` that several processes share.
 
-    The process that finds all chunks finished writes `out`. `part`: (I, N).
+    A process that finds all chunks finished writes `out`. `part`: the pair (I, N).
 
-    **Returns:** `out` if it is complete, else None.
+    **Returns:** `out` if the dataset is complete, else None.
 
-    **Raises:** `InputError` if the existing chunks, or the dataset, belong to another sweep, or a process has claimed
-    all chunks.
+    **Raises:** `InputError` if the existing chunks or the existing dataset belong to another sweep, or if a process has
+    claimed all chunks.
     """
     began = time.monotonic()
     check_replaceable(out, sweep.identity())
@@ -179,7 +184,7 @@ def run_share(sweep: Sweep, out: Path, part: tuple[int, int], progress: bool = T
 
 
 def _shards(sweep: Sweep, chunks: Chunks, out: Path) -> Shards:
-    """Return the finished chunks beside `out`."""
+    """Return the `Shards` object of the finished chunks next to `out`."""
     manifest = sweep.identity() | provenance() | {"chunk size": chunks.size}
     title = sweep.title or f"{sweep.scene}: {sweep.name}"
     about = {"title": title, "lanes": sweep.lanes, "chunks": chunks.count, "size": chunks.size}
@@ -187,7 +192,7 @@ def _shards(sweep: Sweep, chunks: Chunks, out: Path) -> Shards:
 
 
 def _open(work: Work, shards: Shards, resume: bool, bar: Progress) -> list[int]:
-    """Open the folder of the chunks, and return the indices of the missing ones."""
+    """Open the folder of chunks, and return the indices of the missing chunks."""
     shards.open(resume)
     finished = shards.finished()
     bar.resume(sum(map(work.chunks.width, finished)))
@@ -201,7 +206,7 @@ def _write(sweep: Sweep, work: Work, shards: Shards, out: Path, wall_time: WallT
 
 
 def _reader(work: Work, shards: Shards) -> Read:
-    """Return a function that reads a finished chunk, or computes it again if it has been damaged meanwhile."""
+    """Return a function that reads a finished chunk, or recomputes a chunk whose file has been damaged."""
 
     def read(index: int) -> Features:
         try:
@@ -216,7 +221,7 @@ def _reader(work: Work, shards: Shards) -> Read:
 def _compute(
     sweep: Sweep, work: Work, indices: Sequence[int], store: Store, bar: Progress, executor: Executor | None
 ) -> None:
-    """Have the chunks of these indices computed, and each stored as soon as it is done."""
+    """Compute the chunks with these indices, and store each one as soon as it is finished."""
     with timed("compile and step"):
         if executor is None:
             for index in indices:
@@ -232,13 +237,14 @@ def _compute(
 
 
 def estimate(sweep: Sweep, to_file: bool = False, processes: int = 0, measured: MeasuredCosts | None = None) -> Cost:
-    """Estimate the cost of a sweep before any work; the time is rough (see [vibrojax.sweep.engine.costs][]).
+    """Estimate the cost of a sweep before running it; the time is rough (see [vibrojax.sweep.engine.costs][]).
 
     **Arguments:**
 
-    - `to_file`: whether finished chunks go to the disk, as in `run_to_file`, or stay in memory.
-    - `processes`: number of processes on this machine that compute it; 0: this process.
-    - `measured`: costs of some of its lanes, see [vibrojax.analyses.sweep.workers.measured][], for a better estimate.
+    - `to_file`: whether finished chunks are stored on the disk, as in `run_to_file`, or in memory.
+    - `processes`: number of processes on this machine that compute the sweep; 0: this process.
+    - `measured`: measured costs of some lanes of the sweep, see [vibrojax.analyses.sweep.workers.measured][], for a
+      better estimate.
     """
     chunks = Work(sweep).chunks
     in_chunk, in_file = map(float, lane_bytes(sweep))
@@ -249,7 +255,8 @@ def estimate(sweep: Sweep, to_file: bool = False, processes: int = 0, measured: 
         processor = processor._replace(compile=measured.compile_s, step=measured.lane_s * sweep.lanes)
     elapsed = by_the_clock(processor, cores)
     before = elapsed.start + elapsed.compile
-    # A lane in the loop carries some 500 numbers; a region its features, its variables, and those being written.
+    # The time loop holds some 500 numbers per lane. Regions hold their features, their variables, and variables being
+    # written.
     memory = MEMORY * (1 + processes) + max(1, processes) * chunks.size * 8 * 500
     memory += 3 * min(REGION, sweep.lanes) * (in_chunk + in_file) if to_file else sweep.lanes * (in_chunk + in_file)
     return Cost(

@@ -1,4 +1,4 @@
-"""Lists of points: scattered over the two parameters that vary, or counted by regime."""
+"""Pictures of lists of points: scattered over the two parameters that vary, or counted by regime."""
 
 from typing import Any
 
@@ -28,12 +28,12 @@ from vibrojax.plot.sheet import Facets, sheet
 from vibrojax.plot.style import NOTHING, UNDEFINED, new_figure, styled
 
 _MOST_BAR_COLUMNS = 4
-_MANY_DOTS = 600  # points from which dots are smaller
+_MANY_DOTS = 600  # number of points from which on dots are smaller
 
 
 @styled
 def regime_scatter(ds: xr.Dataset) -> Figure:
-    """Draw the regimes of a list of points over the two parameters that vary, with the quantities beside them."""
+    """Draw the regimes of a list of points over the two parameters that vary, with further quantities next to them."""
     ds = regimes_in(ds)
     names = tuple(varied(ds))
     x, y = ("gamma", "beta") if set(names) == {"beta", "gamma"} else names
@@ -53,7 +53,7 @@ def rate_scatter(ds: xr.Dataset) -> Figure:
 
 @styled
 def regime_bars(ds: xr.Dataset) -> Figure:
-    """Draw the number of lanes of each regime, by start."""
+    """Draw the number of lanes in each regime, one panel per initial condition."""
     ds = regimes_in(ds)
     panels = _split_starts(ds)
     occurring = list(regime_counts(facet[REGIME] for facet in panels.data))
@@ -88,7 +88,7 @@ def draw_scatter(ds: xr.Dataset, x: str, y: str, values: Values, *notes: str) ->
     drawn = sheet(panels, values)
     for panel in drawn:
         draw_points(panel.axes, panel.facet, panel.value, x, y)
-    for panel in drawn:  # once all limits are known
+    for panel in drawn:  # when all axis limits are known
         outline_region(panel.axes, x, y)
         write_labels(panel, ds[x], ds[y])
     drawn.finish(cell_handles(panels.data, values) + region_handle(drawn.panels[0].axes))
@@ -97,7 +97,7 @@ def draw_scatter(ds: xr.Dataset, x: str, y: str, values: Values, *notes: str) ->
 
 
 def draw_points(axes: Axes, ds: xr.Dataset, value: Value | None, x: str, y: str) -> None:
-    """Draw the regime (None) or the value of each lane as a dot."""
+    """Draw each lane as a dot, coloured by its regime if `value` is None, else by `value`."""
     cells, colours, norm = coloured(ds, value)
     across, up = values_along(ds[x]), values_along(ds[y])
     nothing = (cells == 0) & (value is not None and value.of_rate)
@@ -110,7 +110,10 @@ def draw_points(axes: Axes, ds: xr.Dataset, value: Value | None, x: str, y: str)
 
 
 def _split_starts(ds: xr.Dataset) -> Facets:
-    """Return a panel for each start, of the dimension `start` or of the names along the points; one for many."""
+    """Return one panel per initial condition, or a single panel for many initial conditions.
+
+    The names of the initial conditions are those of the dimension `start`, or of the coordinate `start` of the points.
+    """
     if many_starts(ds):
         return Facets((f"{ds.sizes[START]} starts together",), (ds,))
     if START not in ds.coords or ds[START].ndim == 0:

@@ -1,6 +1,7 @@
-"""Pictures along one axis: for each facet curves above, and a strip of regimes for each start below.
+"""Pictures along one axis: for each facet, curves above a strip that shows the regimes of each initial condition.
 
-Many starts have one strip of the shares of their regimes, and lanes in the colours of their regimes.
+For many initial conditions, the strip shows the fraction of each regime, and dots coloured by regime replace the
+curves.
 """
 
 from collections.abc import Callable, Sequence
@@ -34,17 +35,17 @@ from vibrojax.plot.sheet import MOST_PANELS, columns, facets
 from vibrojax.plot.style import INK, Mark, new_figure, start_colour, styled
 
 _MOST_COLUMNS = 3
-_TITLE_ROOM = 0.6  # inches for the title and the labels of a stack
+_TITLE_ROOM = 0.6  # height [inches] of the title and the labels of a stack
 _SHARES_HEIGHT = 1.1  # inches
-_DISTINCT_HEIGHTS = 1000  # heights on a panel that the eye can distinguish
-_MARGINS = 2.6  # inches of a page for title, notes and the figure's edges
+_DISTINCT_HEIGHTS = 1000  # number of heights on a panel that the eye can distinguish
+_MARGINS = 2.6  # page height [inches] for title, notes and the figure's margins
 
 Lanes = Float[np.ndarray, " lanes"]
 
 
 @dataclass(frozen=True)
 class Stack:
-    """The panels of one facet: the curves from above, and the strip; `first` in its row of stacks."""
+    """The panels of one facet: `curves`, from top to bottom, and `strip`; `first`: whether it is the leftmost stack."""
 
     curves: tuple[Axes, ...]
     strip: Axes
@@ -57,7 +58,10 @@ class Stack:
 def regime_lines(
     ds: xr.Dataset, x: str | None = None, note: str = "", values: tuple[Value, ...] | None = None
 ) -> Figure:
-    """Draw `values` (impact velocity and period) along `x` (the longest axis) above the regimes, by start."""
+    """Draw `values` along `x` above the regimes of each initial condition.
+
+    Defaults: impact velocity and period, along the longest axis.
+    """
     ds = regimes_in(ds)
     values = values_beside(ds) if values is None else values
     x = x or max(axes_to_draw(ds), key=lambda name: ds.sizes[name])
@@ -80,9 +84,10 @@ def draw_stacks(
     handles: Sequence[Artist] = (),
     note: str = "",
 ) -> Figure:
-    """Draw a picture along `x`: for each facet `curves` panels, which `draw` fills, above the regimes by start.
+    """Draw a picture along `x`: for each facet, `curves` panels, which `draw` fills, above the strip of regimes.
 
-    `heights` [inch] of such a panel: of one facet, and of several; `handles`: entries above the regimes.
+    `heights`: height [inch] of a curve panel with one facet and with several; `handles`: legend entries above the
+    regimes.
     """
     ds = ds.sortby(x)
     strip = _SHARES_HEIGHT if many_starts(ds) else 0.10 + 0.17 * ds.sizes.get(START, 1)
@@ -121,19 +126,19 @@ def draw_stacks(
 
 
 def start_names(ds: xr.Dataset) -> list[str]:
-    """Return the names of the starts, or one empty name if there is no dimension `start`."""
+    """Return the names of the initial conditions, or one empty name if there is no dimension `start`."""
     return [short(str(name)) for name in ds[START].values] if START in lane_dims(ds) else [""]
 
 
 def select_start(ds: xr.Dataset, position: int) -> xr.Dataset:
-    """Return the lanes of the start at `position`."""
+    """Return the lanes of the initial condition with index `position`."""
     return ds.isel({START: position}) if START in lane_dims(ds) else ds
 
 
 def scatter_lanes(axes: Axes, along: Lanes, values: Lanes, regimes: Lanes, size: float) -> None:
-    """Draw a dot for each lane in the colour of its regime, in an order in which no regime hides another.
+    """Draw each lane as a dot in the colour of its regime, in random order, so that no regime hides another.
 
-    Of lanes of one regime that fall on the same dot, one is drawn: millions of them would take minutes.
+    Of several lanes with the same regime and the same position, only one is drawn: millions of dots would take minutes.
     """
     known = np.flatnonzero(np.isfinite(values))
     height = np.ptp(values[known]) if known.size else 1.0
@@ -145,14 +150,14 @@ def scatter_lanes(axes: Axes, along: Lanes, values: Lanes, regimes: Lanes, size:
 
 
 def dot_size(values: int) -> float:
-    """Return the area of a dot [pt²] for a number of values along an axis."""
+    """Return the area of a dot [pt²], given the number of values along the axis."""
     return float(np.clip(1200.0 / values, 5.0, 20.0))
 
 
 def _draw_strip(stack: Stack, x: str) -> bool:
-    """Draw the regimes along `x`: a row of cells for each start, or the shares of many.
+    """Draw the regimes along `x`: a row of cells per initial condition, or the regime fractions of many.
 
-    Return whether lanes are marked as sensitive to rounding.
+    Return whether any lane is marked as sensitive to rounding.
     """
     facet, strip, many = stack.facet, stack.strip, many_starts(stack.facet)
 
@@ -185,7 +190,7 @@ def _draw_strip(stack: Stack, x: str) -> bool:
 
 
 def draw_values(stack: Stack, values: tuple[Value, ...], x: str) -> None:
-    """Draw each of the `values` along `x` on a panel of the stack, a line for each start."""
+    """Draw each of the `values` along `x` on its own panel of the stack, with a line per initial condition."""
     facet = stack.facet
     for axes, value in zip(stack.curves, values, strict=True):
         if stack.first:
@@ -200,10 +205,10 @@ def draw_values(stack: Stack, values: tuple[Value, ...], x: str) -> None:
             lanes = select_start(facet, position)
             along, colour = values_along(lanes[x]), start_colour(name, position)
             ends = [f"{value.name}_{end}" for end in ("min", "max")]
-            if all(end in lanes for end in ends):  # of one lane's impacts
+            if all(end in lanes for end in ends):  # range over the impacts of each lane
                 low, high = (lanes[end].values * value.factor for end in ends)
                 axes.fill_between(along, low, high, color=colour, alpha=0.15, linewidth=0)
-            # Later starts as thinner lines, so that a motion reached from both shows both colours.
+            # Thinner lines for later initial conditions: a motion that two of them reach shows both colours.
             width = Mark(linewidth=1.0, markersize=2.2) if position else Mark(linewidth=2.2, markersize=4.0)
             axes.plot(along, value.of(lanes).values, color=colour, marker="o", label=name, **width)
         pad_constant(axes)

@@ -1,4 +1,4 @@
-"""Summary of the lanes of a sweep: regimes, orbits, natures, failures and accuracy."""
+"""Summary of a sweep's lanes: regimes, orbits, natures, failures and accuracy."""
 
 from collections.abc import Hashable
 from typing import Any
@@ -13,16 +13,16 @@ from vibrojax.io.flags import flag_counts, flags
 _FAILURES_SHOWN = 3
 
 DEFAULT_ACCEPTED_ERROR = 1e-4
-"""Accepted relative error if the dataset does not say: the default of sweep files."""
+"""Relative error tolerance if the dataset states none: the default of sweep files."""
 
 
 def has_lanes(ds: xr.Dataset) -> bool:
-    """Return whether the regimes of a dataset are those of lanes, rather than of one trajectory or of attractors."""
+    """Return whether the regimes of a dataset belong to lanes, not to one trajectory or to attractors."""
     return "regime" in ds and not {"time", "attractor"} & set(ds.dims)
 
 
 def lane_parts(ds: xr.Dataset) -> list[SummaryPart]:
-    """Return the parts of the summary that any dataset with lanes may have; each is empty where it has nothing."""
+    """Return the summary parts of datasets with lanes; a part without content is empty."""
     no_lanes = bool({"time", "attractor"} & set(ds.dims))
     regimes = {} if no_lanes else flag_counts(ds, "regime")
     orbits = {"reason": flag_counts(ds, "orbit_reason"), "stable": flag_counts(ds, "stable")}
@@ -51,7 +51,10 @@ def _hidden_motions(ds: xr.Dataset) -> list[str]:
 
 
 def orbit_lines(ds: xr.Dataset) -> list[str]:
-    """Return how many orbits were found and are stable, and why the others were not; no lines without orbits."""
+    """Return lines that state how many orbits were found and are stable, and why the others were not found.
+
+    Return an empty list if the dataset has no orbits.
+    """
     if "orbit_reason" not in ds:
         return []
     reason, stable = ds["orbit_reason"].values, ds["stable"].values
@@ -92,7 +95,7 @@ def _nature_lines(ds: xr.Dataset) -> list[str]:
 
 
 def _failure_lines(ds: xr.Dataset) -> list[str]:
-    """Return how many lanes failed, and for each reason how many and the first few."""
+    """Return lines that state how many lanes failed and, for each reason, how many and the first few lanes."""
     if has_lanes(ds):
         mask = ds["regime"].isin([value for value, meaning in flags(ds["regime"]).items() if meaning == "failed"])
     elif "status" in ds:
@@ -119,7 +122,7 @@ def _failure(ds: xr.Dataset, dims: tuple[Hashable, ...], index: list[int]) -> st
 
 
 def _accuracy(ds: xr.Dataset) -> SummaryPart:
-    """Return the median and largest error estimate, and how many lanes are within the accepted error."""
+    """Return the median and the largest error estimate, and the number of lanes within the error tolerance."""
     facts: dict[str, Any] | None = None
     lines: list[str] = []
     if "error_estimate" in ds:

@@ -1,1 +1,1 @@
-"""Physics as plain JAX: friction laws, contact, rock, pulses, linear modes, parameters and units."""
+"""Physics in plain JAX: friction laws, contact, rock, pulses, linear modes, parameters and units."""

@@ -1,7 +1,7 @@
-"""Elementary functions for the equations of physics.
+"""Elementary functions for physical equations.
 
-Each accepts an array or a Python number, and any other registered number type (the stepper registers its truncated
-Taylor series). An equation is thus written once, for every stepper.
+Each function accepts an array, a Python number, or any other registered number type. The located stepper registers its
+truncated Taylor series, so the same equation serves every stepper.
 
 **Example:**
 
@@ -37,7 +37,7 @@ def sqrt(x: Any) -> Any:
 
 @singledispatch
 def power(x: Any, exponent: Any) -> Any:
-    """Return x > 0 to the power `exponent`, a number or an array of lanes that does not change with time."""
+    """Return `x**exponent` for positive `x`; `exponent`: a scalar or one value per lane, constant in time."""
     return x**exponent
 
 
@@ -67,11 +67,15 @@ def arctan(x: Any) -> Any:
 
 @singledispatch
 def maximum(x: Any, y: Any) -> Any:
-    """Return the greater of two values; a series, given first, follows the one that is greater at its start."""
+    """Return the greater of two values.
+
+    Pass a Taylor series as the first argument. The result is then the argument that is greater at the start of the
+    step, for the whole step.
+    """
     return jnp.maximum(x, y)
 
 
 @singledispatch
 def absolute(x: Any) -> Any:
-    """Return the absolute value of x; a series keeps the sign that it has at its start."""
+    """Return the absolute value of x; the sign of a Taylor series is that at the start of the step."""
     return jnp.abs(x)

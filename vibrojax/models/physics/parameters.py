@@ -12,16 +12,17 @@ from dataclasses import dataclass
 from math import isfinite
 
 FAR_FACTOR = 20.0
-"""Ratio to the usual values beyond which a value is far from them. Mistaken units (rpm for m/s, per cent, per minute)
-differ by more, mostly by a thousand; studies beyond what rigs have go less far."""
+"""Ratio to the usual values beyond which a value counts as far from them. Mistaken units (rpm for m/s, per cent, per
+minute) differ by a greater ratio, mostly a thousand. Parameter studies beyond the range of real rigs stay below it."""
 
 
 @dataclass(frozen=True)
 class Parameter:
     """A physical parameter as users write it in a sweep file or a call.
 
-    `default` is in `unit`. `lowest` is the smallest admissible value, excluded if `open_below` is set; a value must
-    stay under `below`. `usual` holds the least and the greatest value in the source or on rigs; None if unknown.
+    `default` is in `unit`. `lowest` is the lower limit of admissible values; it is itself excluded if `open_below` is
+    True. Values must be less than `below`. `usual` holds the least and the greatest value in the source or on rigs,
+    None if unknown.
     """
 
     name: str
@@ -35,14 +36,14 @@ class Parameter:
     usual: tuple[float, float] | None = None
 
     def is_far(self, value: float) -> bool:
-        """Return True if the size of `value` suggests another unit; zero is never far."""
+        """Return whether the magnitude of `value` suggests another unit; zero never does."""
         if self.usual is None or not isfinite(value) or value == 0:
             return False
         low, high = self.usual
         return not (low / FAR_FACTOR if low > 0 else 0.0) <= abs(value) <= FAR_FACTOR * max(abs(low), abs(high))
 
     def problem(self, value: float) -> str | None:
-        """Return why `value` is not admissible and what would be; None if it is."""
+        """Return a message why `value` is not admissible and which values are, or None if `value` is admissible."""
         if not isfinite(value):
             return f"is {value}; a finite number is needed"
         unit = "" if self.unit == "1" else f" {self.unit}"
@@ -63,19 +64,19 @@ def positive(
 def not_negative(
     name: str, default: float, unit: str, long_name: str, symbol: str, usual: tuple[float, float] | None = None
 ) -> Parameter:
-    """Return a parameter that may be zero but not less."""
+    """Return a parameter that must be zero or above."""
     return Parameter(name, default, unit, long_name, symbol, lowest=0.0, usual=usual)
 
 
 def table(*parameters: Parameter) -> dict[str, Parameter]:
-    """Return parameters by name."""
+    """Return a dictionary of the parameters by name."""
     return {parameter.name: parameter for parameter in parameters}
 
 
 def differing(parameters: Mapping[str, Parameter], values: Mapping[str, float]) -> list[dict[str, str | float]]:
-    """Return a record of each of the `values` that is not its parameter's default; other names are ignored.
+    """Return one record for each of the `values` that differs from its parameter's default.
 
-    The keys of a record are `name`, `symbol`, `units`, `value` and `default`.
+    The keys of a record are `name`, `symbol`, `units`, `value` and `default`. Names without a parameter are ignored.
     """
     return [
         {"name": name, "symbol": p.symbol, "units": p.unit, "value": values[name], "default": p.default}
@@ -100,7 +101,7 @@ CONTACT = table(
     Parameter("delta", -0.005, "m", "gap between striker and bit (negative: preload)", "Δ", usual=(-0.02, 0.02)),
 )
 
-# Together they may replace `v`: v = 2 pi rpm/60 bit_radius.
+# The two parameters together may replace `v`: v = 2 pi (rpm/60) bit_radius.
 ROTATION = table(
     not_negative("rpm", 120.0, "min-1", "rotation speed of the drive", "n", (10.0, 300.0)),
     positive("bit_radius", 0.12, "m", "radius at which the bit slides", "r", (0.02, 0.5)),

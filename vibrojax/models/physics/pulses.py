@@ -1,4 +1,4 @@
-"""Parameters of the prescribed force on the bit, pulses or a swept sine, and the pulses' mean in closed form."""
+"""Parameters of the prescribed force on the bit (pulses or a swept sine), and the mean force of pulses."""
 
 from collections.abc import Mapping
 from math import pi
@@ -21,6 +21,9 @@ SWEEP = table(
 
 
 def mean_force(p: Mapping[str, Any], shape: str) -> Any:
-    """Return the mean P [N] of pulses over whole periods: A w f, and 2/pi of that for a half-sine."""
+    """Return the mean force P [N] of pulses over one period: A w f for rectangles, (2/pi) A w f for half-sines.
+
+    `p` has the force amplitude A, the pulse width w and the pulse frequency f.
+    """
     mean = p["force"] * p["pulse_width"] * p["frequency"]
     return mean * (2 / pi) if shape == "half-sine" else mean

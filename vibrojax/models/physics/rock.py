@@ -1,4 +1,7 @@
-"""The rock under the bit: visco-elasto-plastic, with a ratchet for the hole (eqs. 6.1 to 6.3); rocks of Table 4.5."""
+"""The visco-elasto-plastic rock under the bit (source, eqs. 6.1 to 6.3), and the rocks of Table 4.5 of the source.
+
+The bottom of the hole acts as a ratchet: it only moves downwards.
+"""
 
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -17,7 +20,11 @@ ROCK = table(
 
 @dataclass(frozen=True)
 class Rock:
-    """A rock of Table 4.5: `threshold` D [N], `k3` [N/m], `ucs` [Pa], `modulus` E [Pa], `density` [kg/m³]."""
+    """A rock of Table 4.5 of the source.
+
+    `threshold`: yield force D [N]; `k3`: stiffness [N/m]; `ucs`: uniaxial compressive strength [Pa]; `modulus`:
+    Young's modulus E [Pa]; `density` [kg/m³].
+    """
 
     threshold: float
     k3: float
@@ -34,26 +41,32 @@ ROCKS = {
 
 
 def damping(m1: Value, k3: Value, zeta: Value) -> Any:
-    """Return c3 = 2 zeta sqrt(m1 k3) [N s/m] of eq. 6.1; m1 [kg], k3 [N/m], zeta [1], any shapes that broadcast."""
+    """Return the damping c3 = 2 zeta sqrt(m1 k3) [N s/m] (source, eq. 6.1) for m1 [kg], k3 [N/m] and zeta [1].
+
+    The arguments have any shapes that broadcast.
+    """
     return 2 * zeta * jnp.sqrt(m1 * k3)
 
 
 class Part(NamedTuple):
-    """The branch of eq. 6.2 that holds: 1 if `elastic`, or if `yielding`, else 0; both are 0 off the rock."""
+    """Indicators of the active branch of eq. 6.2 of the source.
+
+    `elastic` is 1 while the rock is elastic, `yielding` is 1 while the rock yields. Both are 0 off the rock.
+    """
 
     elastic: Value
     yielding: Value
 
 
 def part(rock: Value) -> Part:
-    """Return the branch that holds in the mode `rock`: 0 elastic, 1 yielding, any other: neither."""
+    """Return the active branch in the mode `rock`: 0 is elastic, 1 is yielding, any other value is neither."""
     return Part(jnp.where(rock == 0, 1.0, 0.0), jnp.where(rock == 1, 1.0, 0.0))
 
 
 def resistance(compression: Any, k3: Value, threshold: Value, holds: Part | None = None) -> Any:
-    """Return N = clip(k3 (x3 - x4), 0, D) [N] of eq. 6.2; `compression` x3 - x4 [m].
+    """Return the resistance N = clip(k3 (x3 - x4), 0, D) [N] (source, eq. 6.2) for `compression` x3 - x4 [m].
 
-    With `holds`, that branch is used whatever the compression; Taylor series are then accepted too.
+    If `holds` is given, its branch is used for any compression. Taylor series are then accepted in addition to arrays.
     """
     if holds is None:
         elastic = (compression > 0) & (k3 * compression < threshold)
@@ -67,5 +80,5 @@ def yield_compression(k3: Value, threshold: Value) -> Any:
 
 
 def ratchet(x3: Real, x4: Real, k3: Real, threshold: Real) -> Any:
-    """Return x4 [m] after the bit was at `x3`: the running maximum of x3 - D/k3 (eq. 6.3)."""
+    """Return the depth x4 [m] of the hole after the bit was at `x3`: the running maximum of x3 - D/k3 (eq. 6.3)."""
     return jnp.maximum(x4, x3 - yield_compression(k3, threshold))

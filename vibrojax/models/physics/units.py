@@ -1,4 +1,4 @@
-"""Units of lengths, speeds, forces and rates: factors to SI by pint, and the likely unit of an unusual number."""
+"""Units of lengths, speeds, forces and rates: conversion factors to SI (by pint), and guesses of mistaken units."""
 
 import re
 from functools import cache, partial
@@ -21,11 +21,12 @@ UNITS: dict[str, tuple[str, ...]] = {
     "s-2": ("1/s2",),
     "min-1": ("1/min", "1/s", "rad/s"),
 }
-"""Common units of each kind by SI unit (as datasets write it), the SI unit as people write it first."""
+"""Common units of each physical dimension. The keys are SI units as in datasets; the first unit of each tuple is the SI
+unit as people usually write it."""
 
-# A full turn is the dimensionless 1, so that frequencies and rotation speeds convert into each other. There are no
-# prefixes: mN (milli) and MN (mega) are easily confused. pint's own list of units is not used because names of columns
-# ("bit", "point") are among them.
+# A full revolution is the dimensionless 1, so that frequencies and rotation speeds convert into each other. There are
+# no prefixes, because mN (milli) and MN (mega) are easily confused. pint's own list of units is not used, because it
+# contains words that are also column names ("bit", "point").
 _DEFINITIONS = """
     m = [length]
     s = [time] = s = sec
@@ -54,16 +55,16 @@ _DEFINITIONS = """
     hertz = 1 / s = Hz
     rpm = 1 / min = rpm = bpm
 """
-_STANDARD_GRAVITY = 9.80665  # m/s2, of tonnes and pounds that are given as forces
+_STANDARD_GRAVITY = 9.80665  # m/s2, for tonnes and pounds that are used as units of force
 
-# Anything else, such as a power of a power, never reaches pint's parser.
+# A string that does not match, such as a power of a power, is not passed to pint's parser.
 _UNIT = re.compile(r"(?:1|%|[a-zµ]+(?:-?[1-4]|[²³])?)(?:[ */·](?:%|[a-zµ]+(?:-?[1-4]|[²³])?))*", re.IGNORECASE)
 _MILLINEWTON = re.compile(r"\bm[nN]\b")
 
 
 @cache
 def _registry() -> "pint.UnitRegistry":
-    """Return the registry of the units above; pint is imported here because few commands parse units."""
+    """Return the pint registry of the units above; pint is imported here because few commands parse units."""
     import pint
 
     # "m s-1" is m*s**-1.
@@ -83,9 +84,9 @@ def _registry() -> "pint.UnitRegistry":
 
 @cache
 def factor(unit: str, si: str) -> float | None:
-    """Return the factor that turns a number in `unit` into one in the SI unit `si`, None if `unit` is of another kind.
+    """Return the factor that converts a number in `unit` to the SI unit `si`, or None if the dimensions differ.
 
-    Case does not matter, except that mN is not MN. A mass given as a force is its weight.
+    Case does not matter, except that mN is rejected. If `si` is a force, a unit of mass stands for its weight.
     """
     unit = "1" if unit.strip() == "-" else unit.strip().replace("·", "*").replace("\N{GREEK SMALL LETTER MU}", "µ")
     if not _UNIT.fullmatch(unit) or _MILLINEWTON.search(unit):
@@ -99,12 +100,15 @@ def factor(unit: str, si: str) -> float | None:
 
 
 def is_unit(text: str) -> bool:
-    """Return whether `text` is a unit of any kind."""
+    """Return whether `text` is a known unit of any dimension."""
     return any(factor(text, si) is not None for si in UNITS)
 
 
 def likely_units(value: float, si: str, usual: tuple[float, float]) -> dict[str, float]:
-    """Return up to three units, with their factors, in which `value` would be a `usual` one (SI), common ones first."""
+    """Return up to three units, with their factors to SI, that would bring `value` into the `usual` range.
+
+    `usual`: least and greatest usual value in the SI unit `si`. The most common units come first.
+    """
     likely: dict[str, float] = {}
     for name in UNITS.get(si, ()):
         scale = factor(name, si)

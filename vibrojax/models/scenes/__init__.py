@@ -1,4 +1,4 @@
-"""The scenes; every file in this folder that lists its classes in `SCENES` is registered."""
+"""The scenes: each file of this folder lists its scene classes in `SCENES`, and these are registered."""
 
 from importlib import import_module
 from pkgutil import iter_modules
@@ -15,7 +15,7 @@ _files = (import_module(f"{__name__}.{file.name}") for file in iter_modules(__pa
 _kinds = (kind for file in _files for kind in getattr(file, "SCENES", ()))
 
 SCENES: dict[str, type[Scene[Any]]] = {kind.name: kind for kind in sorted(_kinds, key=lambda kind: kind.name)}
-"""The scene classes of the package, by their names in sweep files.
+"""The scene classes of the package by name, as in sweep files.
 
 **Example:**
 
@@ -27,7 +27,7 @@ SCENES: dict[str, type[Scene[Any]]] = {kind.name: kind for kind in sorted(_kinds
 
 
 def scene_named(scene: str | Scene[Any], **options: Any) -> Scene[Any]:
-    """Return the scene of that name with its `options` (`Scene.choices`), or the scene itself.
+    """Return the scene with this name and these `options` (see `Scene.choices`); a scene object is returned unchanged.
 
     Raises `KeyError` if the name is unknown.
     """

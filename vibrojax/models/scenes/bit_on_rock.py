@@ -1,8 +1,8 @@
-"""The bit on the rock as a hybrid system, by the compression e = x3 - x4 (eqs. 6.1 to 6.3).
+"""The bit on the rock as a hybrid system in terms of the rock's compression e = x3 - x4 (source, eqs. 6.1 to 6.3).
 
-The rock's modes are 0 elastic (0 < k3 e < D), 1 yielding (N = D, x4 grows with x3) and -1 off the rock (N = 0). In
-mode 2 the bit is at rest, unloaded (e = x3' = 0 within roundings), and needs no steps. The motion of e and x3' does not
-depend on the depth of the hole.
+The mode of the rock is 0 while elastic (0 < k3 e < D) and 1 while yielding (N = D, x4 grows with x3). The mode is -1
+while the bit is off the rock (N = 0). In mode 2 the unloaded bit is at rest (e = x3' = 0 within rounding error), so no
+steps are needed. The motion of e and x3' does not depend on the depth of the hole.
 """
 
 from collections.abc import Mapping
@@ -28,9 +28,10 @@ MODE = Mode("rock", "0 elastic, 1 yielding, -1 off the rock, 2 at rest", REST)
 class RockConstants(NamedTuple):
     """The constants of the bit on the rock, each (lanes,).
 
-    - `m1` of the bit [kg], `inverse_m1` [1/kg]; `k3` [N/m], `threshold` D [N] and damping `c3` [N s/m] of the rock.
-    - `yield_compression` D/k3 [m]; `mobility` [m/s/N]: velocity of the bit per force.
-    - `g` [m/s²]: the bit's weight is the scale of forces that leave it at rest.
+    - `m1` [kg]: mass of the bit; `inverse_m1` [1/kg].
+    - `k3` [N/m], `threshold` D [N], `c3` [N s/m]: stiffness, yield force and damping of the rock.
+    - `yield_compression` [m]: D/k3; `mobility` [m/s/N]: velocity of the bit per force, 1/sqrt(k3 m1).
+    - `g` [m/s²]: gravity; forces much smaller than the bit's weight leave the bit at rest.
     """
 
     m1: Any
@@ -44,7 +45,7 @@ class RockConstants(NamedTuple):
 
 
 def rock_constants(p: Mapping[str, Any], g: Any) -> RockConstants:
-    """Return the constants for `m1`, `k3`, `threshold` and `zeta` in `p`, and gravity `g` [m/s²]."""
+    """Return the constants from `m1`, `k3`, `threshold` and `zeta` in `p`, and from gravity `g` [m/s²]."""
     m1, k3, threshold = p["m1"], p["k3"], p["threshold"]
     return RockConstants(
         m1=m1,
@@ -60,7 +61,7 @@ def rock_constants(p: Mapping[str, Any], g: Any) -> RockConstants:
 
 @runtime_checkable
 class WithRock(Protocol):
-    """Constants of a scene that include the rock's."""
+    """Constants of a scene that include the constants of the rock."""
 
     @property
     def rock(self) -> RockConstants: ...
@@ -70,7 +71,7 @@ R = TypeVar("R", bound=WithRock)
 
 
 class OnRock(HasRock[R]):
-    """A scene whose bit is on the rock: it has the states and the mode above, and these guards and this reset."""
+    """Base class of scenes with the bit on the rock: their guards and reset for `STATES` and `MODE` of this module."""
 
     def threshold(self, c: R) -> Any:
         return c.rock.threshold
@@ -82,7 +83,10 @@ class OnRock(HasRock[R]):
         return _period(c.rock)
 
     def rock_rates(self, c: R, mode: Values, state: Values, applied: Any) -> Values:
-        """Return (e', x3'', x4') in the mode under the force `applied` [N] (eq. 6.1); arrays and series."""
+        """Return (e', x3'', x4') in the mode under the force `applied` [N] (source, eq. 6.1).
+
+        It accepts arrays and Taylor series.
+        """
         which, compression, v3 = self._rock_motion(mode, state)
         yielding, moves = _is(which, 1), jnp.where(which == REST, 0.0, 1.0)
         resistance = rocks.resistance(compression, c.rock.k3, c.rock.threshold, rocks.part(which))
@@ -90,7 +94,10 @@ class OnRock(HasRock[R]):
         return (v3 * (1.0 - yielding), bit, v3 * yielding)
 
     def rock_guards(self) -> tuple[Guard, ...]:
-        """Return the guards `yield`, which begins and ends yielding, and `rock`: the bit leaves or returns to it."""
+        """Return the two guards of the rock.
+
+        `yield`: yielding begins or ends. `rock`: the bit leaves the rock or touches it again.
+        """
 
         def yields(c: R, mode: Values, state: Values) -> Any:
             which, compression, v3 = self._rock_motion(mode, state)
@@ -105,7 +112,7 @@ class OnRock(HasRock[R]):
         return Guard("yield", yields, self.rock_resolution), Guard("rock", touches, self.rock_resolution)
 
     def rock_resolution(self, c: R, mode: Values) -> Any:
-        """Return the values of the two guards that count as zero [m]."""
+        """Return the magnitude [m] up to which values of the two guards count as zero."""
         length = c.rock.yield_compression + c.rock.mobility * _period(c.rock)
         return ROUNDINGS * jnp.finfo(c.rock.m1.dtype).eps * length
 
@@ -125,15 +132,16 @@ class OnRock(HasRock[R]):
 
 
 def rock_at(c: RockConstants, compression: Any, v3: Any) -> Any:
-    """Return the mode at a state: the rock yields if it is compressed to its limit and the bit is still driven in."""
+    """Return the mode of the rock: it yields if compressed to its limit while the bit still moves into it."""
     yields = (compression >= c.yield_compression) & (v3 > 0)
     return jnp.where(compression < 0, -1.0, jnp.where(yields, 1.0, 0.0))
 
 
 def at_rest(c: RockConstants, rock: Any, compression: Any, v3: Any, loaded: Any) -> tuple[Any, Any, Any]:
-    """Return mode, compression and velocity, at rest if the motion has decayed, and woken if `loaded`.
+    """Return mode, compression and velocity after the checks for rest.
 
-    A motion has decayed to a few roundings of the velocity that the bit's weight would give to it.
+    An unloaded motion that has decayed is set to rest. A bit at rest becomes elastic where it is `loaded`. A motion has
+    decayed if its velocity is within rounding error of the velocity scale of the bit's weight.
     """
     small = ROUNDINGS * jnp.finfo(v3.dtype).eps * c.mobility * c.m1 * c.g
     still = (rock == 0) & (jnp.abs(v3) <= small) & (jnp.abs(compression) <= small * _period(c)) & ~loaded
@@ -144,9 +152,10 @@ def at_rest(c: RockConstants, rock: Any, compression: Any, v3: Any, loaded: Any)
 def rock_rate(c: RockConstants, rock: Any, only_prescribed: Any) -> Any:
     """Return the fastest rate of change of the bit on the rock [1/s].
 
-    If `only_prescribed` forces act on an overdamped bit, it relaxes and touches no guard twice in a step. The series'
-    tolerance then limits the steps, as long as they damp the faster of the two exponentials. That limit is 5 over its
-    rate at order 10; half of the rate at a stride of 2 gives 4.
+    An overdamped bit under `only_prescribed` forces relaxes and reaches no guard twice in a step. The tolerance of the
+    Taylor series then limits the step, provided that the step damps the faster of the two exponentials. At order 10 the
+    step must therefore be below 5 divided by the faster rate. Half the faster rate at a stride of 2 gives a step of 4
+    divided by the faster rate.
     """
     own, half = jnp.sqrt(c.k3 * c.inverse_m1), 0.5 * c.c3 * c.inverse_m1
     relaxes = half > own
@@ -155,7 +164,7 @@ def rock_rate(c: RockConstants, rock: Any, only_prescribed: Any) -> Any:
 
 
 def _period(c: RockConstants) -> Any:
-    """Return the time [s] that converts a velocity of the bit to a compression."""
+    """Return the time scale [s] that converts a velocity of the bit to a compression, sqrt(m1/k3)."""
     return jnp.sqrt(c.m1 / c.k3)
 
 

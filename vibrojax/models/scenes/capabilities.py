@@ -1,6 +1,6 @@
-"""Features that only some scenes have: measures, pictures and checks ask for them by type.
+"""Capabilities that only some scenes have; measures, pictures and checks test for them with `isinstance`.
 
-A scene has a capability by inheriting from it and defining its abstract methods.
+A scene acquires a capability by inheriting from its class and defining the abstract methods.
 """
 
 from abc import abstractmethod
@@ -14,7 +14,7 @@ from vibrojax.models.scenes.scene import C, Scene
 
 
 class Bit(NamedTuple):
-    """The body under friction: its `mass` [kg], its `weight` [N], and the `drive_speed` [m/s] of the rock under it."""
+    """The body under friction: `mass` [kg], `weight` [N], and `drive_speed` [m/s] relative to the rock."""
 
     mass: Any
     weight: Any
@@ -22,9 +22,10 @@ class Bit(NamedTuple):
 
 
 class HasFriction(Scene[C]):
-    """A bit that slides on the rock with dry friction.
+    """A scene with a bit that slides on the rock with dry friction.
 
-    Its mode `slip` is sgn u of the sliding speed u = x1' + v, and 0 in stick; `bit_velocity` is the name of x1'.
+    The mode `slip` is sgn u for the sliding velocity u = x1' + v, and 0 while sticking. `bit_velocity` is the name of
+    the state x1'.
 
     **Example:**
 
@@ -42,29 +43,32 @@ class HasFriction(Scene[C]):
 
     @abstractmethod
     def bit(self, c: C) -> Bit:
-        """Return the bit."""
+        """Return the bit's mass, weight and drive speed."""
 
     @abstractmethod
     def pull(self, c: C, state: Values) -> Any:
-        """Return the force of the springs on the bit [N], for arrays and series; friction takes the rest of m1 x1''."""
+        """Return the net spring force on the bit [N]; friction is this force minus m1 x1''.
+
+        It accepts arrays and Taylor series.
+        """
 
     @abstractmethod
     def flight_rate(self, c: C) -> Any:
-        """Return a bound on the fastest rate of change [1/s] without impact; it shows which lanes are too stiff."""
+        """Return an upper bound on the rate of change [1/s] without impact, from which too stiff lanes are found."""
 
     @abstractmethod
     def spring_rate(self, c: C) -> Any:
-        """Return the rate [rad/s] of the bit on its main spring, which steps must resolve."""
+        """Return the angular frequency [rad/s] of the bit on its main spring, which the steps must resolve."""
 
     def typical_speed(self, c: C) -> Any:
-        """Return the speed [m/s] compared to which a much slower drive counts as standing still."""
+        """Return a typical speed [m/s]; a drive that is much slower counts as standing still."""
         return self.speed_scale(c)
 
 
 class HasContact(Scene[C]):
-    """A striker that hits the bit or a stop; impacts are measured, and labels count them.
+    """A scene with a striker that hits the bit or a stop; impacts are measured, and regimes depend on their number.
 
-    The mode `touching` is 1 in contact; the guard `contact` begins and ends it.
+    The mode `touching` is 1 in contact. Contact begins and ends at zeros of the guard `contact`.
 
     **Example:**
 
@@ -78,34 +82,38 @@ class HasContact(Scene[C]):
 
     @abstractmethod
     def contact_force(self, c: C, mode: Values, state: Values) -> Any:
-        """Return J [N], zero out of contact; accepts arrays and series."""
+        """Return the contact force J [N], zero out of contact; arrays and Taylor series are accepted."""
 
     @abstractmethod
     def impact_rate(self, c: C, mode: Values, state: Values) -> Any:
-        """Return the rate of compression of the contact [m/s]; at the beginning of an impact, its velocity."""
+        """Return the compression rate of the contact [m/s]; at the beginning of an impact, this is its velocity."""
 
     @abstractmethod
     def impact_begins(self, c: C, mode: Values, state: Values, hits: Mapping[str, Any]) -> Any:
-        """Return a mask of the impacts that begin, from the mode before and the state after an event."""
+        """Return a mask of the lanes in which an impact begins at an event.
+
+        `mode` is the mode before the event, `state` the state after it, `hits` the masks of guards and markers.
+        """
 
     @abstractmethod
     def striker_mass(self, c: C) -> Any:
-        """Return the mass that hits [kg]."""
+        """Return the striker's mass [kg]."""
 
     @abstractmethod
     def contact_time(self, c: C) -> Any:
-        """Return the duration of an impact on a fixed bit [s] (eq. 5.7)."""
+        """Return the duration of an impact on a fixed bit [s] (source, eq. 5.7)."""
 
     @abstractmethod
     def contact_rate(self, c: C) -> Any:
-        """Return the share of the contact's spring and damper in the fastest rate of change [1/s]."""
+        """Return the contribution of the contact's spring and damper to the fastest rate of change [1/s]."""
 
 
 class HasRock(Scene[C]):
-    """A bit that is driven into the rock.
+    """A scene with a bit that is driven into the rock.
 
-    Its states are `compression` = x3 - x4, `v3` = x3' and the `growth` of x4 since its last reset to zero. Its mode
-    `rock` is 0 elastic, 1 yielding, -1 off the rock or 2 at rest; see [vibrojax.models.scenes.bit_on_rock][].
+    The states include `compression` = x3 - x4, `v3` = x3', and `growth`: the growth of x4 since `growth` was last set
+    to zero. The mode `rock` is 0 elastic, 1 yielding, -1 off the rock or 2 at rest; see
+    [vibrojax.models.scenes.bit_on_rock][].
 
     **Example:**
 
@@ -121,7 +129,7 @@ class HasRock(Scene[C]):
 
     @abstractmethod
     def threshold(self, c: C) -> Any:
-        """Return the force D [N] at which the rock yields."""
+        """Return the yield force D of the rock [N]."""
 
     @abstractmethod
     def stiffness(self, c: C) -> Any:
@@ -132,15 +140,16 @@ class HasRock(Scene[C]):
         """Return the time scale of the bit on the rock [s], sqrt(m1/k3)."""
 
     def rock_force(self, c: C, mode: Values, state: Values) -> Any:
-        """Return the resistance N of the rock [N]; accepts arrays and series."""
+        """Return the resistance N of the rock [N]; arrays and Taylor series are accepted."""
         which, compression = mode[self.mode_place("rock")], state[self.place("compression")]
         return rock.resistance(compression, self.stiffness(c), self.threshold(c), rock.part(which))
 
 
 class Driven(Scene[C]):
-    """A scene under a prescribed force; if it comes in pulses, means are over whole pulses.
+    """A scene under a prescribed force: pulses, or a force without pulses such as a swept sine.
 
-    A return is then the beginning of a pulse; `pulse_states` are the states of the return map.
+    With pulses, the beginning of a pulse takes the place of the section crossing, and means are over complete pulse
+    periods. `pulse_states` are then the states of the return map.
 
     **Example:**
 
@@ -155,11 +164,11 @@ class Driven(Scene[C]):
     @property
     @abstractmethod
     def has_pulses(self) -> bool:
-        """True if the force comes in pulses."""
+        """True if the force consists of pulses."""
 
     @abstractmethod
     def applied_force(self, c: C, mode: Values, state: Values) -> Any:
-        """Return I [N]; accepts arrays and series."""
+        """Return the prescribed force I [N]; arrays and Taylor series are accepted."""
 
     @property
     def return_states(self) -> tuple[str, ...]:
@@ -167,4 +176,4 @@ class Driven(Scene[C]):
 
     @abstractmethod
     def pulse_begins(self, c: C, mode: Values, hits: Mapping[str, Any]) -> Any:
-        """Return a mask of the pulses that begin, from the mode before an event."""
+        """Return a mask of the lanes in which a pulse begins at an event; `mode` is the mode before the event."""

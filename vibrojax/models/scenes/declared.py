@@ -1,21 +1,23 @@
-"""Declarations of a scene: states and modes, markers and guards, and the section at which returns are counted."""
+"""Declarations of a scene: states, modes, markers, guards, and the Poincaré section."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 Values = tuple[Any, ...]
-"""One value per state, or per discrete state: arrays of one shape (lanes), or Taylor series."""
+"""One value per continuous state, or one per discrete state: arrays of one shape (lanes), or Taylor series."""
 
 Start = str | tuple[Any, ...] | None
-"""A start: a name, a vector of `start_states` (numbers, or arrays of lanes), or None for a scene with only one."""
+"""An initial condition: a name, or a vector with the values of `start_states` (scalars, or one value per lane). None
+is for a scene with a single initial condition."""
 
 
 class State(NamedTuple):
-    """A continuous state: name, unit and meaning; `is_velocity`; and `shown`, False to leave it out of trajectories.
+    """A continuous state: name, unit and meaning.
 
-    A step's error is measured on the velocities, relative to [vibrojax.models.scenes.scene.Scene.speed_scale][]. Choose
-    units in which the velocities have similar magnitudes.
+    `is_velocity` includes the state in the error of a step. That error is measured on the velocities, relative to
+    [vibrojax.models.scenes.scene.Scene.speed_scale][], so choose units in which velocities have similar magnitudes.
+    `shown`: False to leave the state out of trajectories.
 
     **Example:**
 
@@ -33,7 +35,7 @@ class State(NamedTuple):
 
 
 class Mode(NamedTuple):
-    """A discrete state: its name, the meaning of its values, and the value in which steps are longest.
+    """A discrete state: `name`, `meaning` of its values, and `calmest`, the value in which steps are longest.
 
     **Example:**
 
@@ -47,10 +49,10 @@ class Mode(NamedTuple):
 
 
 class Marker(NamedTuple):
-    """Zeros of the state `velocity` in either direction: steps end on them, and the state is exactly zero there.
+    """The zeros of the state `velocity` in either direction. Steps end on these zeros, where the state is set to zero.
 
-    The state may be any with a magnitude like that of velocities, such as the phase of a forcing. No guard may have
-    the same zeros.
+    `velocity` need not be a velocity: any state of similar magnitude will do, such as the phase of a forcing. No guard
+    may have the same zeros.
 
     **Example:**
 
@@ -67,12 +69,13 @@ class Guard:
     """A condition that ends a mode.
 
     - `name`: the guard's key in `hits`.
-    - `function`: `function(constants, mode, state)`, positive while the mode lasts and zero at its end; it accepts
-      arrays and Taylor series.
-    - `resolution`: `resolution(constants, mode)`, values that count as zero: a few roundings of a typical value.
-    - `slope_resolution`: `slope_resolution(constants, mode, h)`, first-order changes over a step `h` [s] that count as
-      zero if the step starts on the guard; None: 16 times the resolution.
-    - `is_switch`: True if a smoothed motion spreads the switch over a width and so never reaches the guard.
+    - `function`: function `function(constants, mode, state)`, positive while the mode lasts and zero at its end. It
+      accepts arrays and Taylor series.
+    - `resolution`: function `resolution(constants, mode)`, the magnitude up to which values count as zero: a small
+      multiple of the rounding error of a typical value.
+    - `slope_resolution`: function `slope_resolution(constants, mode, h)`, the magnitude up to which the first-order
+      change over a step `h` [s] counts as zero if the step starts on the guard; None: 16 times `resolution`.
+    - `is_switch`: True if a smoothing stepper spreads the switch over a width, so that the guard is never reached.
 
     **Example:**
 
@@ -91,10 +94,11 @@ class Guard:
 
 
 class Swing(NamedTuple):
-    """A state `position`, its rate of change, the state `velocity`, and `amplitude`, the variable for half its swing.
+    """An oscillating state `position`, the state `velocity` that is its rate of change, and the variable `amplitude`.
 
-    Steps end on the turns if a marker has this velocity. The first swing of a section `at` another state may have the
-    velocity None: no state is its rate of change.
+    `amplitude` is the variable's name for half the peak-to-peak range of the position. Steps end on the turning points
+    if a marker has this velocity. `velocity` may be None if no state is the rate of change, but only for the first
+    swing of a section with `at`.
 
     **Example:**
 
@@ -109,15 +113,16 @@ class Swing(NamedTuple):
 
 @dataclass(frozen=True)
 class Section:
-    """The Poincaré section at which returns are counted: zeros of the first swing's velocity, or of the state `at`.
+    """The Poincaré section: zeros of the first swing's velocity, or of the state `at`.
 
-    The state needs a marker and passes zero upwards if `rising`, else downwards. Since the last return it must have
-    passed the level `rearm(constants)` in the other direction, so that a velocity that trembles about zero counts once.
-    Repeats are searched in the positions of all swings and in the velocities of all but the first. Positions are scaled
-    by half the swings, velocities by those times 2 pi over the time between returns.
+    The state needs a marker and crosses zero upwards if `rising`, else downwards. Between two section crossings the
+    state must have passed the level `rearm(constants)` in the other direction. A velocity that fluctuates about zero is
+    thus counted once. Periodicity is checked on the positions of all swings and on the velocities of all swings but the
+    first. Positions are scaled by the amplitude, velocities by the amplitude times 2 pi over the time between
+    crossings.
 
-    A periodically forced motion is autonomous with one more state, the forcing's phase. A guard sets that phase back by
-    a whole turn, away from zero. A section `at` the phase is stroboscopic.
+    A periodically forced motion is autonomous with one more state, the forcing's phase. A guard reduces that phase by
+    one full period at a phase other than zero. A section `at` the phase is stroboscopic.
 
     **Example:**
 
@@ -133,14 +138,14 @@ class Section:
 
     @property
     def velocity(self) -> str:
-        """The state whose zero defines the section."""
+        """Name of the state whose zeros define the section."""
         state = self.at or self.swings[0].velocity
         assert state is not None, "a section without `at` needs a first swing with a velocity"
         return state
 
     @property
     def compared(self) -> tuple[str, ...]:
-        """Names of the states in which repeats are searched."""
+        """Names of the states on which periodicity is checked."""
         first, *others = self.swings
         pairs = (name for other in others for name in (other.position, other.velocity))
         return (first.position, *(name for name in pairs if name is not None))

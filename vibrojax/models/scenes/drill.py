@@ -1,4 +1,4 @@
-"""The drill: bit and striker on their springs with dry friction, the base of every scene that slides.
+"""The drill: bit and striker on their springs with dry friction, the base of every scene with a sliding bit.
 
 m1 x1'' = -k1 x1 - k2 (x1 - x2) - F(u, J),   m2 x2'' = -c2 x2' - k2 (x2 - x1) - J,   u = x1' + v
 """
@@ -19,14 +19,14 @@ from vibrojax.models.scenes.scene import ARMED_BELOW
 from vibrojax.models.scenes.stick_slip import SlipConstants, slip_constants
 
 STARTING_SHARE = 0.05
-"""Part of the fastest speed that the start's energy allows which counts as typical of the motion."""
+"""Fraction of the greatest speed allowed by the initial energy that counts as a typical speed of the motion."""
 
 
 class DrillConstants(NamedTuple):
     """Constants of the two masses, each (lanes,).
 
-    - `m1`, `m2` [kg], `k1`, `k2` [N/m], `c2` [N s/m]; `inverse_m1`, `inverse_m2` [1/kg].
-    - `period`: time [s] that converts a speed of the bit to a length, sqrt(m1/k1).
+    - `m1`, `m2` [kg], `k1`, `k2` [N/m], `c2` [N s/m]: masses, stiffnesses, damping; `inverse_m1`, `inverse_m2` [1/kg].
+    - `period` [s]: time scale sqrt(m1/k1) that converts a speed of the bit to a length.
     - `slip`: the constants of friction.
     """
 
@@ -42,7 +42,10 @@ class DrillConstants(NamedTuple):
 
 
 def drill_constants(p: Mapping[str, Any], law: FrictionLaw) -> DrillConstants:
-    """Return the constants for [vibrojax.models.physics.parameters.BIT_AND_STRIKER][] and the law's parameters."""
+    """Return the constants from the values `p` of the bit and striker parameters and of the law's parameters.
+
+    The bit and striker parameters are [vibrojax.models.physics.parameters.BIT_AND_STRIKER][].
+    """
     m2, k2 = striker(p)
     return DrillConstants(
         m1=p["m1"],
@@ -60,9 +63,9 @@ def drill_constants(p: Mapping[str, Any], law: FrictionLaw) -> DrillConstants:
 def accelerations(
     law: FrictionLaw, c: DrillConstants, slip: Any, state: Values, pull: Any, impact: Any
 ) -> tuple[Any, Any]:
-    """Return x1'' and x2'' [m/s²] of the bit, sliding under the `pull` of its springs [N], and of the striker.
+    """Return the accelerations x1'' of the sliding bit and x2'' of the striker [m/s²].
 
-    `impact` is J [N], or None without a contact.
+    `pull`: net spring force on the bit [N]; `impact`: contact force J [N], or None without a contact.
     """
     x1, v1, x2, v2 = state
     force = stick_slip.friction(law, c.slip, slip, v1 + c.slip.v, impact)
@@ -74,13 +77,13 @@ def accelerations(
 
 
 def length_noise(c: DrillConstants) -> Any:
-    """Return the distance [m] that counts as zero: a few roundings of a typical one."""
+    """Return the distance [m] that counts as zero: a small multiple of the rounding error of a typical distance."""
     return stick_slip.speed_noise(c.slip) * c.period
 
 
 @runtime_checkable
 class WithDrill(Protocol):
-    """Constants of a scene that include the drill's."""
+    """Constants of a scene that include the constants of the drill."""
 
     @property
     def drill(self) -> DrillConstants: ...
@@ -95,10 +98,10 @@ def _overtaken(c: WithDrill) -> Any:
 
 @dataclass(frozen=True)
 class Drill(HasFriction[D]):
-    """Bit and striker with friction; a scene adds what acts between them and below them.
+    """Bit and striker with friction; a subclass adds the forces between them and the rock below them.
 
-    The states begin with x1, x1', x2, x2' and the modes with `slip`. At a return the bit overtakes the drive. The
-    methods from `impact` to `other_reset` describe the additions; by default there are none.
+    The first states are x1, x1', x2, x2', and the first mode is `slip`. At a section crossing the bit overtakes the
+    drive. The methods from `impact` to `other_reset` describe the additions; by default there are none.
     """
 
     friction: FrictionLaw = FRICTION_LAWS["stribeck"]
@@ -116,15 +119,18 @@ class Drill(HasFriction[D]):
     start_states: ClassVar[tuple[str, ...]] = ("x1", "v1", "x2", "v2")
 
     def impact(self, c: D, mode: Values, state: Values) -> Any:
-        """Return J [N] for arrays and series, or None without a contact; it does not use the slip mode."""
+        """Return the contact force J [N], or None without a contact.
+
+        It accepts arrays and Taylor series, and does not use the mode `slip`.
+        """
         return None
 
     def impact_noise(self, c: D, mode: Values) -> Any:
-        """Return the impact force [N] that counts as none."""
+        """Return the contact force [N] that counts as zero."""
         return 0.0
 
     def stored(self, c: D, state: Values) -> Any:
-        """Return the energy [J] of a start beyond that of the two masses and their springs."""
+        """Return the initial energy [J] in addition to the energy of the two masses and their springs."""
         return 0.0
 
     def other_modes_at(self, c: D, state: Values) -> Values:
@@ -136,15 +142,18 @@ class Drill(HasFriction[D]):
         return ()
 
     def other_guards(self) -> tuple[Guard, ...]:
-        """Return the guards after that of friction."""
+        """Return the guards that follow the friction guard."""
         return ()
 
     def other_reset(self, c: D, mode: Values, state: Values, hits: Mapping[str, Any]) -> tuple[Values, Values]:
-        """Return mode and state after these guards."""
+        """Return mode and state after one of `other_guards` is reached."""
         return mode, state
 
     def start(self, c: D, name: Start, shape: tuple[int, ...]) -> Values:
-        """Return the state of the starts `drive` and `stuck` (R5), or of a vector of four numbers; others are zero."""
+        """Return the initial state for `drive`, `stuck` (reading R5 of the source), or a vector (x1, x1', x2, x2').
+
+        All further states are zero.
+        """
         v = c.drill.slip.v
         zero = jnp.zeros(shape, v.dtype)
         if name is None or isinstance(name, str):
@@ -154,10 +163,11 @@ class Drill(HasFriction[D]):
         return (*masses, *(zero for _ in self.states[4:]))
 
     def scaled(self, c: D, state: Values) -> D:
-        """Return the constants with a typical speed that allows for the start's energy.
+        """Return the constants with a typical speed that accounts for the initial energy.
 
-        If almost nothing drives the drill or holds it, only its start tells how fast it moves. The share is small, so
-        that a transient does not set the accuracy of all that follows.
+        If drive and friction are almost zero, only the initial energy determines the speed of the motion. Only the
+        small fraction `STARTING_SHARE` of that speed is used, so that a transient does not set the accuracy of the
+        motion after it.
         """
         x1, v1, x2, v2 = state[:4]
         drill = c.drill
@@ -218,11 +228,14 @@ class Drill(HasFriction[D]):
         return Bit(c.drill.m1, c.drill.slip.weight, c.drill.slip.v)
 
     def pull(self, c: D, state: Values) -> Any:
-        """Return the spring force on the bit [N], -k1 x1 - k2 (x1 - x2)."""
+        """Return the net spring force on the bit [N], -k1 x1 - k2 (x1 - x2)."""
         return _pull(c.drill, state[0], state[2])
 
     def pull_rate(self, c: D, state: Values) -> Any:
-        """Return the rate of change of the pull [N/s]: the direction in which the bit starts if the pull is zero."""
+        """Return the time derivative of the net spring force on the bit [N/s].
+
+        The sign is the direction in which the bit starts to slide if the net spring force is zero.
+        """
         return _pull(c.drill, state[1], state[3])
 
     def flight_rate(self, c: D) -> Any:

@@ -1,4 +1,4 @@
-"""The drilling scenes: the striker drives the bit into the rock, one-way as in the source, or with feedback."""
+"""The drilling scenes: the striker drives the bit into the rock, without feedback (as in the source) or with it."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -26,19 +26,19 @@ class DrillingConstants(NamedTuple):
 
 
 def _sandstone() -> dict[str, Parameter]:
-    """Return the rock's parameters with this scene's defaults: most blows of this drill never break granite."""
+    """Return the rock parameters with sandstone defaults, because most impacts of this drill never break granite."""
     defaults = {"k3": ROCKS["sandstone"].k3, "threshold": ROCKS["sandstone"].threshold, "zeta": 1.5}
     return {name: replace(parameter, default=defaults[name]) for name, parameter in ROCK.items()}
 
 
 @dataclass(frozen=True)
 class Drilling(Struck[DrillingConstants], OnRock[DrillingConstants]):
-    """The vibro-impact drill whose blows drive the bit into the rock, one-way, as in the source.
+    """The vibro-impact drill whose impacts drive the bit into the rock, without feedback, as in the source.
 
-    The bit's normal motion m1 x3'' + c3 x3' = -N + J (eqs. 5.18, 6.1 to 6.3).
+    The bit's normal motion is m1 x3'' + c3 x3' = -N + J (source, eqs. 5.18, 6.1 to 6.3). The rock does not act on the
+    drill: the contact is the same as in the vibro-impact scene.
     States: x1, x1', x2, x2', the rock's compression x3 - x4, x3', and the growth of x4 since the last impact began.
-    The depth drilled before is not part of the state, so its rounding cannot blur the motion. The rock does not act on
-    the drill: the contact is that of the vibro-impact scene.
+    The total depth of the hole is not a state, so rounding errors of a large depth cannot affect the motion.
     """
 
     name = "drilling"
@@ -93,9 +93,9 @@ class Drilling(Struck[DrillingConstants], OnRock[DrillingConstants]):
 
 @dataclass(frozen=True)
 class CoupledDrilling(Drilling):
-    """The drilling scene with the bit's normal motion fed back into the contact (the source's recommendation 1).
+    """The drilling scene with feedback of the bit's normal motion to the contact (recommendation 1 of the source).
 
-    The contact's compression is x2 - delta - (x3 - x4): the drive follows the hole, so the gap does not open.
+    The contact's compression is x2 - delta - (x3 - x4). The drive follows the hole, so the depth does not open the gap.
     """
 
     name = "coupled-drilling"
@@ -104,7 +104,7 @@ class CoupledDrilling(Drilling):
         return self
 
     def compression(self, c: DrillingConstants, mode: Values, state: Values) -> tuple[Any, Any]:
-        depth, rate = state[4], state[5] * jnp.where(mode[2] == 1, 0.0, 1.0)  # while it yields, x3' = x4'
+        depth, rate = state[4], state[5] * jnp.where(mode[2] == 1, 0.0, 1.0)  # while the rock yields, x3' = x4'
         return state[2] - c.contact.delta - depth, state[3] - rate
 
 

@@ -1,6 +1,6 @@
-"""The one-sided contact as a hybrid system, by the compression and its rate (eq. 5.18).
+"""The one-sided contact as a hybrid system in terms of compression and compression rate (source, eq. 5.18).
 
-The mode is 0 (apart) until compression and force are positive, then 1 (touching) until the force is zero.
+The mode `touching` is 0 (apart) until compression and force are positive, then 1 until the force is zero.
 """
 
 from collections.abc import Mapping
@@ -14,7 +14,10 @@ from vibrojax.models.scenes.scene import ROUNDINGS
 
 
 class ContactConstants(NamedTuple):
-    """Stiffness `k0` [N/m], damping `c0` [N s/m], gap `delta` [m] and `relaxation` time c0/k0 [s], each (lanes,)."""
+    """Constants of the contact, each (lanes,).
+
+    Stiffness `k0` [N/m], damping `c0` [N s/m], gap `delta` [m], and relaxation time `relaxation` = c0/k0 [s].
+    """
 
     k0: Any
     c0: Any
@@ -23,45 +26,50 @@ class ContactConstants(NamedTuple):
 
 
 def contact_constants(p: Mapping[str, Any]) -> ContactConstants:
-    """Return the constants of the contact for `k0`, `c0` and `delta` in `p`."""
+    """Return the constants of the contact from `k0`, `c0` and `delta` in `p`."""
     return ContactConstants(p["k0"], p["c0"], p["delta"], p["c0"] / p["k0"])
 
 
 def force(c: ContactConstants, touching: Any, compression: Any, rate: Any) -> Any:
-    """Return J [N] in the mode; arrays and series."""
+    """Return the contact force J [N] in the mode `touching`; arrays and Taylor series are accepted."""
     return touching * raw_force(compression, rate, c.k0, c.c0)
 
 
 def guard(c: ContactConstants, touching: Any, compression: Any, rate: Any) -> Any:
-    """Return the force as a length while touching; apart, the distance to the state in which they touch."""
+    """Return the guard [m]: J/k0 while touching; while apart, the distance from the state in which contact begins."""
     length = compression + c.relaxation * rate
-    # Apart until both are positive, so that a striker released above delta (c0 > 0) is not caught again.
+    # Contact begins when compression and force are both positive. A striker released while still compressed (c0 > 0)
+    # is therefore not caught again at once.
     return touching * length + (1.0 - touching) * maximum(-compression, -length)
 
 
 def touching_at(c: ContactConstants, compression: Any, rate: Any, pushed: Any) -> Any:
-    """Return the mode at a state; `pushed` [N] is the force that closes a contact at rest on its edge."""
+    """Return the mode at a state; `pushed` [N] is the force that closes a contact at zero compression and zero rate."""
     closes = (rate > 0) | ((rate == 0) & (pushed > 0))
     inside = (compression > 0) & (raw_force(compression, rate, c.k0, c.c0) > 0)
     return jnp.where(inside | ((compression == 0) & closes), 1.0, 0.0)
 
 
 def energy(c: ContactConstants, compression: Any) -> Any:
-    """Return the energy [J] of the contact's spring, touching or about to touch."""
+    """Return the energy [J] stored in the contact's spring at this compression, in either mode."""
     inside = jnp.maximum(compression, 0)
     return c.k0 * inside * inside / 2
 
 
 def begins(c: ContactConstants, touching: Any, compression: Any, rate: Any, hit: Any, noise: Any) -> Any:
-    """Return a mask of the contacts that begin from outside, the impacts; `noise` [m] counts as no compression.
+    """Return a mask of the contacts that begin from outside, that is, of the impacts.
 
-    A contact released while still compressed (c0 > 0) may close again there: that is not a new impact.
+    `noise`: compression [m] that counts as zero. A contact that is released while still compressed (c0 > 0) may close
+    again while compressed; that is not a new impact.
     """
     return hit & (touching == 0) & (c.relaxation * rate >= 0) & (compression <= noise)
 
 
 def reset(c: ContactConstants, touching: Any, compression: Any, rate: Any, hit: Any, noise: Any) -> tuple[Any, Any]:
-    """Return the mode after the guard is reached (`hit`), and the compression set to its value on the guard."""
+    """Return the mode after an event, and the compression.
+
+    Where the guard is reached (`hit`), the mode switches and the compression is set to its exact value on the guard.
+    """
     from_outside = begins(c, touching, compression, rate, hit, noise)
     compression = jnp.where(hit & (touching != 0), -c.relaxation * rate, compression)
     compression = jnp.where(from_outside, 0.0, compression)
@@ -69,16 +77,20 @@ def reset(c: ContactConstants, touching: Any, compression: Any, rate: Any, hit: 
 
 
 def stiff_rate(c: ContactConstants, inverse_mass: Any, flight: Any) -> Any:
-    """Return the fastest rate of change in contact [1/s], from the rate in flight."""
+    """Return the fastest rate of change in contact [1/s]; `flight`: the fastest rate without contact [1/s]."""
     return jnp.sqrt(c.k0 * inverse_mass + flight * flight) + c.c0 * inverse_mass
 
 
 def own_rate(c: ContactConstants, mass: Any) -> Any:
-    """Return the rate [1/s] of a `mass` [kg] on the contact's spring and damper alone."""
+    """Return the rate of change [1/s] of a `mass` [kg] on the contact's spring and damper alone."""
     return jnp.sqrt(c.k0 / mass) + c.c0 / mass
 
 
 def force_resolution(c: ContactConstants, mass: Any, speed: Any) -> Any:
-    """Return the force [N] of a few roundings of the position of a `mass` that meets the contact at `speed` [m/s]."""
+    """Return the contact force [N] that counts as zero.
+
+    It corresponds to a small multiple of the rounding error of the position, for a `mass` [kg] that meets the contact
+    at `speed` [m/s].
+    """
     reach = jnp.abs(c.delta) + jnp.sqrt(mass / c.k0) * speed
     return ROUNDINGS * jnp.finfo(c.k0.dtype).eps * c.k0 * reach

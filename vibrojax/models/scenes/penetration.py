@@ -1,4 +1,4 @@
-"""The penetration scene: the bit on the rock under a prescribed force, pulses or a swept sine."""
+"""The penetration scene: the bit on the rock under a prescribed force (pulses or a swept sine)."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -21,11 +21,13 @@ PULSE_SHAPES = ("rectangular", "half-sine", "sweep")
 
 
 class PenetrationConstants(NamedTuple):
-    """Constants of the bit on the rock and of the force; constants of other forces are 0.
+    """Constants of the bit on the rock and of the force; constants that the kind of force does not use are 0.
 
-    - `force` [N]; of pulses their `frequency` [1/s] and `pulse_width` [s]; of a swept sine its `sweep_start` [1/s],
-      `sweep_rate` [1/s²] and `bias` [N].
-    - `period`: time between pulses [s], infinite without pulses; `speed` [m/s]: of the bit by the force alone.
+    - `force` [N]: amplitude of the force.
+    - `frequency` [1/s], `pulse_width` [s]: pulses per second and duration of a pulse.
+    - `sweep_start` [1/s], `sweep_rate` [1/s²], `bias` [N]: initial frequency, rate and constant part of a swept sine.
+    - `period` [s]: time between the beginnings of pulses, infinite without pulses.
+    - `speed` [m/s]: typical speed of the bit, the greatest force times the bit's mobility.
     """
 
     rock: RockConstants
@@ -41,11 +43,12 @@ class PenetrationConstants(NamedTuple):
 
 @dataclass(frozen=True)
 class Penetration(OnRock[PenetrationConstants], Driven[PenetrationConstants]):
-    """The bit on the rock under pulses, rectangular or half-sine, or under a swept sine; no drill.
+    """The bit on the rock, without a drill, under rectangular pulses, half-sine pulses or a swept sine.
 
-    m1 x3'' + c3 x3' = -N + I(t), N = clip(k3 (x3 - x4), 0, D) (eqs. 6.1 to 6.3).
-    States: compression x3 - x4, x3', the growth of x4 since the last pulse began, and the time since then (for a swept
-    sine: since t = 0). The depth drilled before is not part of the state, so its rounding cannot blur the motion.
+    m1 x3'' + c3 x3' = -N + I(t), N = clip(k3 (x3 - x4), 0, D) (source, eqs. 6.1 to 6.3).
+    States: compression x3 - x4, x3', the growth of x4 and the time, both since the last pulse began; for a swept sine,
+    since t = 0. The total depth of the hole is not a state, so rounding errors of a large depth cannot affect the
+    motion.
     """
 
     pulse_shape: str = "rectangular"
@@ -67,7 +70,7 @@ class Penetration(OnRock[PenetrationConstants], Driven[PenetrationConstants]):
         return mass | ROCK | (PULSES if self.has_pulses else SWEEP)
 
     def constants(self, p: Mapping[str, Any]) -> PenetrationConstants:
-        # This scene has no gravity; a usual weight only sets the scale of roundings.
+        # This scene has no gravity; a usual weight only sets the scale of rounding errors.
         rock = rock_constants(p, BIT_AND_STRIKER["g"].default)
         bias = 0.0 if self.has_pulses else jnp.abs(p["bias"])
         own = {name: p[name] for name in (PULSES if self.has_pulses else SWEEP)}
@@ -125,7 +128,8 @@ class Penetration(OnRock[PenetrationConstants], Driven[PenetrationConstants]):
         begins = self.pulse_begins(c, mode, hits)
         pushing = jnp.where(hits["pulse"], 1.0 - mode[1], mode[1])
         growth = jnp.where(begins, 0.0, state[2])
-        # The compression while yielding does not depend on its history, so that the return map forgets it.
+        # While yielding, the compression is D/k3 whatever its history. With this assignment, the return map does not
+        # depend on the compression at the previous pulse.
         compression = jnp.where(begins & (rock == 1), c.rock.yield_compression, compression)
         if self.has_pulses:
             rock, compression, v3 = bit_on_rock.at_rest(c.rock, rock, compression, v3, pushing != 0)

@@ -1,4 +1,4 @@
-"""The rotary scene: bit and striker on their springs, stick-slip friction, no impact."""
+"""The rotary scene: bit and striker on their springs, with stick-slip friction and without impact."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ class RotaryConstants(NamedTuple):
 
 @dataclass(frozen=True)
 class Rotary(Drill[RotaryConstants]):
-    """Bit and striker on their springs, stick-slip friction, no impact.
+    """Bit and striker on their springs, with stick-slip friction and without impact.
 
     m1 x1'' = -k1 x1 - k2 (x1 - x2) - F(u); m2 x2'' = -c2 x2' - k2 (x2 - x1)
     """

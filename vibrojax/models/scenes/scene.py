@@ -1,7 +1,8 @@
-"""The base class of all scenes: a hybrid dynamical system, from which steppers, measures and pictures follow.
+"""The base class of all scenes: a hybrid dynamical system as steppers, measures and pictures use it.
 
-Within a mode the motion follows a vector field. The mode ends where a guard's function passes zero; a reset then gives
-the next mode and state. Markers are zeros of states, mostly velocities, on which steps end to be measured there.
+Within a mode the motion follows a vector field. The mode ends where a guard's function crosses zero; a reset then
+defines the next mode and state. Markers are zeros of states, mostly velocities. Steps end on markers, so that the
+motion can be measured there.
 """
 
 from abc import ABC, abstractmethod
@@ -15,13 +16,13 @@ from vibrojax.models.physics.parameters import Parameter
 from vibrojax.models.scenes.declared import Guard, Marker, Mode, Section, Start, State, Values
 
 ROUNDINGS = 64
-"""Number of roundings of a typical value up to which a value counts as zero."""
+"""Multiple of a typical value's rounding error (machine epsilon) up to which a value counts as zero."""
 
 SLOPE_ROUNDINGS = 16
-"""Multiple of that up to which a first-order change over a step counts as zero."""
+"""Ratio of two tolerances: of a first-order change over a step that counts as zero, and of a value that does."""
 
 ARMED_BELOW = 0.05
-"""Part of the drive speed by which the bit must fall behind the drive before it can overtake it again."""
+"""Fraction of the drive speed by which the bit must be slower than the drive before its next overtaking counts."""
 
 C = TypeVar("C")
 """The constants of a scene: a NamedTuple of arrays (lanes)."""
@@ -30,27 +31,28 @@ C = TypeVar("C")
 class Scene(ABC, Generic[C]):
     """A hybrid dynamical system.
 
-    A scene is a frozen dataclass whose fields are the options chosen once for all lanes, such as a friction law. Pass
-    an object of it to `simulate` or a sweep instead of a name. A scene of the package is a class in a file of this
-    folder that lists its classes in `SCENES`. A scene defines the attributes and abstract methods below; further
-    features that only some scenes have are in [vibrojax.models.scenes.capabilities][].
+    A scene is a frozen dataclass. Its fields are the options that are the same for all lanes, such as a friction law.
+    Pass a scene object to `simulate` or a sweep instead of a name. The scenes of the package are classes in the files
+    of this folder; each file lists its classes in `SCENES`. A scene defines the attributes and abstract methods below.
+    Capabilities that only some scenes have are in [vibrojax.models.scenes.capabilities][].
 
     All functions are pure and take arrays of one shape (lanes). `field` and the guards' functions also take Taylor
     series, so they use +, -, *, / and [vibrojax.models.physics.elementary][].
 
-    - `name`: its name in sweep files.
-    - `states`: the continuous states; `modes`: the discrete ones, floats such as 0, 1, -1.
-    - `markers`: states, mostly velocities, on whose zeros steps end.
-    - `section`: the section at which returns are counted; None for a scene measured over the pulses that drive it.
-    - `starts`: names of the states it may start from, the default first; `start_states`: the states that a start given
-      as a vector contains, all others being zero; none if there is only one start.
-    - `measures`: names or objects of the gauges that measure it, see [vibrojax.measures][].
-    - `choices`: for each option given by name, a registry of the values by name. An option that is a field of the
-      dataclass takes the registry's value as it is (`friction`, `pulse_shape`). Any other option is short for several
-      parameters: those that the value has as attributes (`rock` for `threshold` and `k3`). A subclass extends its
-      base's: `choices = Base.choices | {"shape": {"flat": FLAT}}`. Code that reads input finds the options here.
-    - `autonomous`: True if nothing that acts on it changes with time, so that a state at rest stays at rest.
-    - `drifting`: states that keep growing and on which nothing depends: they are not part of the return map.
+    - `name`: name of the scene in sweep files.
+    - `states`: the continuous states; `modes`: the discrete states, floats such as 0, 1, -1.
+    - `markers`: states, mostly velocities; steps end on their zeros.
+    - `section`: the Poincaré section; None if the scene is measured over the pulses of its prescribed force.
+    - `starts`: names of the initial conditions, the default first.
+    - `start_states`: states that an initial condition in vector form contains; all other states are then zero. Empty if
+      there is only one initial condition.
+    - `measures`: names or objects of the gauges that measure the scene, see [vibrojax.measures][].
+    - `choices`: for each option that is specified by name, a registry of its values by name. An option that is a field
+      of the dataclass takes the registry's value unchanged (`friction`, `pulse_shape`). Any other option sets several
+      parameters: those that the value has as attributes (`rock` sets `threshold` and `k3`). A subclass extends the
+      registry of its base class: `choices = Base.choices | {"shape": {"flat": FLAT}}`. Input is checked against it.
+    - `autonomous`: True if the equations do not depend on time, so that a state at rest stays at rest.
+    - `drifting`: states that grow without bound and do not affect the others; the return map does not include them.
 
     **Example:**
 
@@ -83,11 +85,11 @@ class Scene(ABC, Generic[C]):
 
     @abstractmethod
     def constants(self, p: Mapping[str, Any]) -> C:
-        """Return the constants of the equations for the parameters `p`, by name."""
+        """Return the constants of the equations; `p`: values of the parameters by name."""
 
     @abstractmethod
     def start(self, c: C, name: Start, shape: tuple[int, ...]) -> Values:
-        """Return the state at t = 0 for a named start or a vector, arrays of `shape`."""
+        """Return the state at t = 0, arrays of `shape`, for an initial condition (a name or a vector)."""
 
     @abstractmethod
     def mode_at(self, c: C, state: Values) -> Values:
@@ -99,34 +101,38 @@ class Scene(ABC, Generic[C]):
 
     @abstractmethod
     def guards(self) -> tuple[Guard, ...]:
-        """Return the guards, always the same ones in the same order."""
+        """Return the guards; every call returns the same guards in the same order."""
 
     @abstractmethod
     def reset(self, c: C, mode: Values, state: Values, hits: Mapping[str, Any]) -> tuple[Values, Values]:
-        """Return mode and state after an event; `hits` has a mask per guard, at most one of them True in a lane."""
+        """Return mode and state after an event.
+
+        `hits` has one mask per guard and marker, by name. In each lane at most one of the masks is True.
+        """
 
     @abstractmethod
     def rate(self, c: C, mode: Values) -> Any:
-        """Return the fastest rate of change in the mode [1/s], from which the step length follows."""
+        """Return the fastest rate of change in the mode [1/s], which determines the step length."""
 
     @abstractmethod
     def speed_scale(self, c: C) -> Any:
-        """Return a typical velocity [m/s], relative to which a step's error is measured."""
+        """Return a typical velocity [m/s], the scale of a step's relative error."""
 
     # Most scenes keep these defaults.
 
     def refused(self, p: Mapping[str, Any]) -> tuple[str, Any] | None:
-        """Return why lanes cannot run, a text and a mask (lanes,); None if all can."""
+        """Return the reason why some lanes are rejected (a string) and a mask of them (lanes,), or None."""
         return None
 
     def scaled(self, c: C, state: Values) -> C:
-        """Return the constants for a motion from `state`, which may be much faster than they alone suggest."""
+        """Return the constants adapted to the initial `state`, which may cause a much faster motion than usual."""
         return c
 
     def validity(self, c: C, mode: Values, polynomials: tuple[list[Array], ...]) -> Any:
-        """Return the part of a step over which the field's Taylor series hold; None if the series themselves show it.
+        """Return the fraction of a step over which the Taylor series are valid.
 
-        `polynomials` are the states' coefficients in time divided by the step's length.
+        None means that the last coefficients of the series show where the series are valid. `polynomials` has the
+        states' coefficients in time divided by the step's length.
         """
         return None
 
@@ -136,18 +142,18 @@ class Scene(ABC, Generic[C]):
         return ROUNDINGS * jnp.finfo(scale.dtype).eps * scale
 
     def smoothed_field(self, c: C, mode: Values, state: Values, width: Any) -> Values:
-        """Return the time derivatives with switches of a velocity spread over `width` [m/s]."""
+        """Return the time derivatives with the friction switch at zero sliding speed spread over `width` [m/s]."""
         return self.field(c, mode, state)
 
     def smoothed_mode(self, c: C, mode: Values, state: Values, width: Any) -> Values:
-        """Return the mode to measure a smoothed motion by: it sticks while it slides slower than `width` [m/s]."""
+        """Return the mode for the measures of a smoothed motion, which sticks at sliding speeds below `width` [m/s]."""
         return mode
 
     def driving_part(self) -> "Scene[Any]":
-        """Return the scene without the parts that are driven and act on nothing; its orbits are the orbits of both."""
+        """Return the scene without the parts that do not act on the rest; this scene has the same periodic orbits."""
         return self
 
-    # Steppers and measures use these, which follow from the declarations.
+    # The members below are derived from the declarations; steppers and measures use them.
 
     @property
     def state_names(self) -> tuple[str, ...]:
@@ -171,19 +177,20 @@ class Scene(ABC, Generic[C]):
 
     @property
     def event_names(self) -> tuple[str, ...]:
-        """Names of all events that may end a step."""
+        """Names of all guards and markers on which a step may end."""
         return (*self.guard_names, *self.marker_names)
 
     @property
     def velocities(self) -> tuple[int, ...]:
-        """Places of the velocities among the states."""
+        """Indices of the velocities among the states."""
         return tuple(place for place, state in enumerate(self.states) if state.is_velocity)
 
     @property
     def return_states(self) -> tuple[str, ...]:
-        """Names of the return map's states, those in which repeats are searched first; none without a section.
+        """Names of the return map's states; empty without a section.
 
-        The section's velocity, which is zero there, and drifting states are left out.
+        The states on which periodicity is checked come first. The section's velocity, which is zero on the section, and
+        drifting states are left out.
         """
         if self.section is None:
             return ()
@@ -192,35 +199,38 @@ class Scene(ABC, Generic[C]):
         return (*compared, *(name for name in self.state_names if name not in known))
 
     def place(self, name: str) -> int:
-        """Return the place of a state, by its name."""
+        """Return the index of the state with this name."""
         return self.state_names.index(name)
 
     def mode_place(self, name: str) -> int:
-        """Return the place of a discrete state, by its name."""
+        """Return the index of the discrete state with this name."""
         return self.mode_names.index(name)
 
     def marker_of(self, velocity: str) -> str:
-        """Return the name of the marker at the zeros of a velocity."""
+        """Return the name of the marker for the zeros of a velocity."""
         return next(marker.name for marker in self.markers if marker.velocity == velocity)
 
     def guard_values(self, c: C, mode: Values, state: Values, smoothed: bool = False) -> Values:
-        """Return the guards' functions; if `smoothed`, a switch that is spread out is never reached."""
+        """Return the values of the guards' functions; if `smoothed`, those with `is_switch` are 1, so never reached."""
         return tuple(
             0.0 * state[0] + 1.0 if smoothed and guard.is_switch else guard.function(c, mode, state)
             for guard in self.guards()
         )
 
     def marker_values(self, state: Values) -> Values:
-        """Return the markers' velocities."""
+        """Return the values of the markers' velocities."""
         return tuple(state[self.place(marker.velocity)] for marker in self.markers)
 
     def resolutions(self, c: C, mode: Values, marked: bool = True) -> Values:
-        """Return the values of the guards, and if `marked` of the markers, that count as zero."""
+        """Return, for each guard and (if `marked`) for each marker, the magnitude up to which values count as zero."""
         speed = self.velocity_resolution(c)
         return (*(guard.resolution(c, mode) for guard in self.guards()), *(speed for _ in self.markers if marked))
 
     def slope_resolutions(self, c: C, mode: Values, h: Any, marked: bool = True) -> Values:
-        """Return their first-order changes over a step `h` [s] that count as zero if the step starts from zero."""
+        """Return, for each guard and (if `marked`) for each marker, the first-order change that counts as zero.
+
+        The change is that over a step `h` [s] that starts on a zero of the guard or marker.
+        """
         slopes = [
             SLOPE_ROUNDINGS * guard.resolution(c, mode)
             if guard.slope_resolution is None
@@ -231,7 +241,7 @@ class Scene(ABC, Generic[C]):
         return (*slopes, *(speed for _ in self.markers if marked))
 
     def after_event(self, c: C, mode: Values, state: Values, hits: Mapping[str, Any]) -> tuple[Values, Values]:
-        """Return mode and state after the guard or marker that is hit."""
+        """Return mode and state after an event: where a marker is hit its velocity is zero, then `reset` is applied."""
         turned = list(state)
         for marker in self.markers:
             place = self.place(marker.velocity)

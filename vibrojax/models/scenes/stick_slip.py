@@ -1,6 +1,7 @@
-"""Dry friction of a bit on the rock as a hybrid system, by its sliding speed u and the pull of its springs (eq. 5.11).
+"""Dry friction of a bit on the rock as a hybrid system (source, eq. 5.11).
 
-The mode is sgn u while the bit slides. It is 0 in stick, until the pull exceeds the stick limit.
+The variables are the sliding velocity u and the net spring force `pull`. The mode `slip` is sgn u while the bit slides.
+It is 0 while sticking, until the magnitude of the net spring force exceeds the stick limit.
 """
 
 from collections.abc import Mapping
@@ -17,9 +18,9 @@ from vibrojax.models.scenes.scene import ROUNDINGS, SLOPE_ROUNDINGS
 class SlipConstants(NamedTuple):
     """The constants of friction, each (lanes,).
 
-    - `v`: drive speed [m/s]; `weight` of the bit [N]; `inverse_mass` of the bit [1/kg].
-    - `stick_limit` [N]: limit of the pull without impact; `stick_gain` [1]: its increase per impact force.
-    - `impedance` [N s/m]: of the bit on its spring; `speed_scale` [m/s]: a typical speed.
+    - `v` [m/s]: drive speed; `weight` [N]: weight of the bit; `inverse_mass` [1/kg]: inverse mass of the bit.
+    - `stick_limit` [N]: stick limit without impact; `stick_gain` [1]: increase of the stick limit per impact force.
+    - `impedance` [N s/m]: sqrt(k1 m1), which converts a speed to a force; `speed_scale` [m/s]: a typical speed.
     - `law`: the friction law's own parameters, by name.
     """
 
@@ -34,7 +35,7 @@ class SlipConstants(NamedTuple):
 
 
 def slip_constants(p: Mapping[str, Any], law: FrictionLaw) -> SlipConstants:
-    """Return the constants of friction for `m1`, `k1`, `g`, `v` and the law's parameters in `p`."""
+    """Return the constants of friction from `m1`, `k1`, `g`, `v` and the law's parameters in `p`."""
     own = {name: p[name] for name in law.parameters}
     weight = p["m1"] * p["g"]
     limit, impedance = law.on_weight(0.0, own) * weight, jnp.sqrt(p["k1"] * p["m1"])
@@ -45,16 +46,17 @@ def slip_constants(p: Mapping[str, Any], law: FrictionLaw) -> SlipConstants:
         stick_limit=limit,
         stick_gain=law.on_impact(0.0, own) + 0 * weight,
         impedance=impedance,
-        # The drive's speed, and the speed that the fall of friction gives to the bit on its spring.
+        # The drive speed plus the speed that the release of the stick limit gives to the bit on its spring.
         speed_scale=p["v"] + (limit + 1e-6 * weight) / impedance,
         law=own,
     )
 
 
 def friction(law: FrictionLaw, c: SlipConstants, slip: Any, u: Any, impact: Any) -> Any:
-    """Return the friction force F [N] on a bit sliding at `u` [m/s] under the impact force `impact` [N] or None.
+    """Return the friction force F [N] on a bit that slides at `u` [m/s] (source, eqs. 5.9 and 5.12).
 
-    Eqs. 5.9 and 5.12, with friction under impact against the sliding (R2); arrays and series.
+    `impact`: impact force [N] or None. The friction due to the impact force opposes the sliding (reading R2 of the
+    source). Arrays and Taylor series are accepted.
     """
     speed = slip * u
     force = law.on_weight(speed, c.law) * c.weight
@@ -64,79 +66,85 @@ def friction(law: FrictionLaw, c: SlipConstants, slip: Any, u: Any, impact: Any)
 
 
 def stick_limit(c: SlipConstants, impact: Any) -> Any:
-    """Return the greatest pull [N] under which the bit sticks, f_st + mu J (eq. 5.11, R1, R2)."""
+    """Return the greatest net spring force [N] under which the bit sticks, f_st + mu J (source, eq. 5.11).
+
+    The equation is read as in readings R1 and R2 of the source.
+    """
     return c.stick_limit if impact is None else c.stick_limit + c.stick_gain * impact
 
 
 def guard(c: SlipConstants, slip: Any, u: Any, pull: Any, impact: Any) -> Any:
-    """Return a value [m/s] that is positive while the bit keeps sliding one way, or sticking.
+    """Return the guard's value [m/s], which is positive while the bit keeps its sliding direction or keeps sticking.
 
-    It is |u|, or in stick the margin of the pull below the stick limit, over sqrt(k1 m1).
+    While sliding, the value is |u|. While sticking, it is the stick limit minus |pull|, divided by sqrt(k1 m1).
     """
     margin = stick_limit(c, impact) - absolute(pull)
     return slip * u + ((1.0 - slip * slip) / c.impedance) * margin
 
 
 def speed_noise(c: SlipConstants) -> Any:
-    """Return the speed [m/s] that counts as zero: a few roundings of a typical one."""
+    """Return the speed [m/s] that counts as zero: a small multiple of the rounding error of a typical speed."""
     return ROUNDINGS * jnp.finfo(c.v.dtype).eps * c.speed_scale
 
 
 def stick_noise(c: SlipConstants, impact_noise: Any = 0.0) -> Any:
-    """Return the excess of the pull [N] over the stick limit that counts as none.
+    """Return the excess [N] of the net spring force over the stick limit that counts as zero.
 
-    `impact_noise` is the impact force [N] that counts as none.
+    `impact_noise`: impact force [N] that counts as zero.
     """
     return c.impedance * speed_noise(c) + c.stick_gain * impact_noise
 
 
 def resolution(c: SlipConstants, slip: Any, noise: Any) -> Any:
-    """Return the guard's values that count as zero; `noise` is [vibrojax.models.scenes.stick_slip.stick_noise][]."""
+    """Return the magnitude [m/s] up to which the guard counts as zero.
+
+    `noise` [N] is the result of [vibrojax.models.scenes.stick_slip.stick_noise][].
+    """
     return jnp.where(slip == 0, noise / c.impedance, speed_noise(c))
 
 
 def slope_resolution(c: SlipConstants, slip: Any, noise: Any, h: Any) -> Any:
-    """Return the guard's change over a step `h` that counts as zero.
+    """Return the guard's first-order change [m/s] over a step `h` [s] that counts as zero.
 
-    For a slip it is the change that an excess pull of `noise` causes. Stick and slip must agree on zero: otherwise a
-    bit on the limit would alternate between them.
+    While sliding, this is the change caused by an excess force of `noise` [N]. Sticking and sliding must use the same
+    tolerance; otherwise a bit on the stick limit would alternate between the two modes.
     """
     return jnp.where(slip == 0, SLOPE_ROUNDINGS * noise / c.impedance, noise * h * c.inverse_mass)
 
 
 def slip_at_rest(c: SlipConstants, pull: Any, pull_rate: Any, impact: Any, noise: Any) -> Any:
-    """Return the mode at u = 0: 0 if the bit sticks, else the sign of the pull, into which it starts to slide.
+    """Return the mode at u = 0: 0 if the bit sticks, else the sign of the net spring force, the sliding direction.
 
-    A pull that exceeds the stick limit by less than `noise` sticks. If it grows, the bit slips at once; if it falls,
-    the slip would have ended as it began.
+    If the force exceeds the stick limit by less than `noise`, the bit sticks. If the force then grows, the bit starts
+    to slide at once. If the force falls, a slip would have ended as soon as it began.
     """
     limit = stick_limit(c, impact)
-    # Without a stick limit the bit never sticks, not even as the pull passes through zero.
+    # Without a stick limit the bit never sticks, not even when the net spring force passes through zero.
     sticks = (jnp.abs(pull) <= limit + noise) & (limit > 0)
     return jnp.where(sticks, 0.0, _starting_direction(pull, pull_rate))
 
 
 def slip_at(c: SlipConstants, u: Any, pull: Any, pull_rate: Any, impact: Any, noise: Any) -> Any:
-    """Return sgn u; at u = 0 the direction in which the bit starts, or 0 if it sticks."""
+    """Return the mode sgn u; at u = 0, the direction in which the bit starts to slide, or 0 if it sticks."""
     return jnp.where(u == 0, slip_at_rest(c, pull, pull_rate, impact, noise), jnp.sign(u))
 
 
 def slip_after(c: SlipConstants, slip: Any, pull: Any, pull_rate: Any, impact: Any, noise: Any) -> Any:
-    """Return the mode after the guard is reached, at u = 0."""
+    """Return the mode after the friction guard is reached, where u = 0; `slip` is the mode before."""
     starts = _starting_direction(pull, pull_rate)
     return jnp.where(slip == 0, starts, slip_at_rest(c, pull, pull_rate, impact, noise))
 
 
 def _starting_direction(pull: Any, pull_rate: Any) -> Any:
-    """Return the sign of the pull on a bit at rest on the rock, or of its rate if the pull is zero."""
+    """Return the sign of the net spring force on a sticking bit, or of its time derivative if the force is zero."""
     return jnp.sign(jnp.where(pull == 0, pull_rate, pull))
 
 
 def validity(law: FrictionLaw, c: SlipConstants, slip: Any, v1: list[Array]) -> Any:
-    """Return the part of a step over which a law that is flat near zero follows its series; None for other laws.
+    """Return the fraction of a step over which the Taylor series of a law with `flat_below` is valid, else None.
 
-    Within it the sliding speed changes by at most half of itself plus the law's `flat_below`. `v1` holds the
-    coefficients of x1' in tau.
+    Over this fraction the sliding speed changes by at most half the sum of itself and the law's `flat_below`. `v1`: the
+    coefficients of x1' in tau = time/h.
     """
     if law.flat_below is None:
         return None
@@ -148,10 +156,10 @@ def validity(law: FrictionLaw, c: SlipConstants, slip: Any, v1: list[Array]) -> 
 
 
 def smoothed_slip(u: Any, width: Any) -> Any:
-    """Return sgn u spread over `width` [m/s], u/sqrt(u² + width²): it never sticks."""
+    """Return sgn u spread over `width` [m/s], u/sqrt(u² + width²), with which the bit never sticks."""
     return u / jnp.sqrt(u * u + width * width)
 
 
 def smoothed_mode(u: Any, width: Any) -> Any:
-    """Return the slip mode by which smoothed friction is measured: sgn u, or 0 below `width` [m/s]."""
+    """Return the slip mode for the measures of a smoothed motion: sgn u, or 0 if |u| is at most `width` [m/s]."""
     return jnp.where(jnp.abs(u) <= width, 0.0, jnp.sign(u))

@@ -1,4 +1,4 @@
-"""Scenes in which the striker hits the bit through a one-sided contact (eq. 5.18), and the vibro-impact scene."""
+"""The base of all scenes whose striker hits the bit (source, eq. 5.18), and the vibro-impact scene."""
 
 from abc import abstractmethod
 from collections.abc import Mapping
@@ -18,7 +18,7 @@ from vibrojax.models.scenes.one_sided import ContactConstants, contact_constants
 
 @runtime_checkable
 class WithContact(WithDrill, Protocol):
-    """Constants of a scene that include the drill's and the contact's."""
+    """Constants of a scene that include the constants of the drill and of the contact."""
 
     @property
     def contact(self) -> ContactConstants: ...
@@ -29,32 +29,32 @@ S = TypeVar("S", bound=WithContact)
 
 @dataclass(frozen=True)
 class Struck(Drill[S], HasContact[S]):
-    """The drill with its contact, the base of every scene with impacts; `touching` is the second mode."""
+    """The drill with a one-sided contact, the base of every drill scene with impacts; `touching` is the second mode."""
 
     modes: ClassVar[tuple[Mode, ...]] = (*Drill.modes, Mode("touching", "1 where striker and bit touch", 0.0))
     starts: ClassVar[tuple[str, ...]] = (*Drill.starts, "touching")
 
     @abstractmethod
     def compression(self, c: S, mode: Values, state: Values) -> tuple[Any, Any]:
-        """Return the compression of the contact [m] and its rate [m/s]; arrays and series."""
+        """Return the compression of the contact [m] and the compression rate [m/s]; Taylor series are accepted."""
 
     @abstractmethod
     def compressed(self, c: S, state: Values, before: Any, after: Any) -> Any:
-        """Return the x2 [m] that changes the contact's compression from `before` to `after`."""
+        """Return the position x2 [m] at which the contact's compression is `after` instead of `before` [m]."""
 
     def start(self, c: S, name: Start, shape: tuple[int, ...]) -> Values:
         x1, v1, x2, *others = super().start(c, name, shape)
-        if name == "touching":  # the drive's start without its kick (R13)
+        if name == "touching":  # as `drive`, but without the kick of a preloaded contact (R13)
             x2 = jnp.minimum(x2, c.contact.delta)
         return (x1, v1, x2, *others)
 
     def touching_at(self, c: S, mode: Values, state: Values) -> Any:
-        """Return the mode `touching` at a state; of `mode` it uses only the modes after that one."""
+        """Return the mode `touching` at a state; only the entries of `mode` after `touching` are used."""
         pushed = c.drill.k2 * (state[0] - state[2]) - c.drill.c2 * state[3]
         return one_sided.touching_at(c.contact, *self.compression(c, mode, state), pushed)
 
     def contact_guard(self) -> Guard:
-        """Return the guard that begins and ends the contact."""
+        """Return the guard whose zeros begin and end the contact."""
 
         def touches(c: S, mode: Values, state: Values) -> Any:
             return one_sided.guard(c.contact, mode[1], *self.compression(c, mode, state))
@@ -62,7 +62,7 @@ class Struck(Drill[S], HasContact[S]):
         return Guard("contact", touches, lambda c, mode: length_noise(c.drill))
 
     def reset_contact(self, c: S, mode: Values, state: Values, hits: Mapping[str, Any]) -> tuple[Any, Any]:
-        """Return the mode `touching`, and x2, after the contact's guard."""
+        """Return the mode `touching` and the position x2 after an event; both change where the contact guard is hit."""
         hit, (before, rate) = hits["contact"], self.compression(c, mode, state)
         touching, after = one_sided.reset(c.contact, mode[1], before, rate, hit, length_noise(c.drill))
         return touching, jnp.where(hit, self.compressed(c, state, before, after), state[2])

@@ -1,4 +1,4 @@
-"""Chunks computed by an executor: any `concurrent.futures.Executor`, or an object with the same `submit`."""
+"""Computation of chunks by an executor: any `concurrent.futures.Executor`, or an object with the same `submit`."""
 
 import pickle
 import sys
@@ -18,23 +18,23 @@ from vibrojax.sweep.engine.batch import Features
 from vibrojax.sweep.input.definition import Sweep
 
 AHEAD = 256
-"""Chunks that an executor with an unknown number of workers holds at once."""
+"""Number of chunks submitted at once to an executor with an unknown number of workers."""
 
 QUEUED = 2
-"""Chunks that an executor holds for each of its known workers: none waits for its next chunk."""
+"""Number of chunks submitted at once per known worker, so that no worker waits for its next chunk."""
 
 FUTURE_POLL_SECONDS = 0.2
-"""Seconds between two looks at futures that are not those of Python."""
+"""Interval [s] between two checks of futures other than `concurrent.futures.Future`."""
 
 Store = Callable[[int, Features], None]
-"""Receives a chunk's index and its features."""
+"""Function that receives a chunk's index and its features."""
 
 _WORK_LOCK = Lock()
 
 
 @runtime_checkable
 class Executor(Protocol):
-    """An object that computes chunks: an executor of Python, dask, loky or MPI; submitit's has the same `submit`."""
+    """An object that computes chunks: an executor of Python, dask, loky or MPI, or of submitit (same `submit`)."""
 
     def submit(self, fn: Callable[..., Any], /, *args: Any) -> Any:
         """Schedule `fn(*args)`; return a future with `done()`, `result()` and `cancel()`."""
@@ -56,12 +56,13 @@ def check_executor(executor: object) -> None:
 
 
 def by_executor(sweep: Sweep, executor: Executor, order: Sequence[int], store: Store) -> None:
-    """Have the chunks of a sweep computed in this order, and `store` each one, in this thread, as soon as it is done.
+    """Compute the chunks of a sweep in this order, and `store` each one, in this thread, as soon as it is finished.
 
-    This process computes a chunk whose worker raises. If the executor breaks down (a process of Python's own pool
-    died, or the scheduler is gone), this process computes all remaining chunks. Tasks carry everything they need.
+    If a worker raises, this process computes its chunk. If the executor breaks down (a process of Python's own pool
+    died, or the scheduler is gone), this process computes all remaining chunks. Each task carries all data that it
+    needs.
 
-    **Raises:** the error of a chunk that fails here, too; `InputError` if the sweep cannot be pickled.
+    **Raises:** the error of a chunk that also fails in this process; `InputError` if the sweep cannot be pickled.
     """
     task, threads = pickled(sweep), _threads_each(executor)
     ahead = _worker_count(executor) * QUEUED or AHEAD
@@ -120,7 +121,7 @@ def compute_chunk(task: bytes, index: int, threads: int | None) -> Features:
 
 @lru_cache(maxsize=2)
 def _compiled(task: bytes, threads: int | None) -> Work:
-    """Return the work of a sweep, compiled once per worker."""
+    """Return the `Work` of a sweep, which is compiled once per worker."""
     work = Work(pickle.loads(task), threads)
     work.chunks.compile()
     return work
@@ -130,7 +131,7 @@ def pickled(sweep: Sweep) -> bytes:
     """Pickle the sweep for other processes; raise `InputError` if that is impossible."""
     try:
         return pickle.dumps(sweep)
-    except Exception as error:  # parts of a user's scene may raise anything
+    except Exception as error:  # pickling parts of a user's scene may raise any exception
         raise Place(sweep.file).error(
             f"cannot be sent to other processes ({_first_line(error)}); "
             "let functions of your own scene or law be defined in a module of their own, not be lambdas"
@@ -147,13 +148,13 @@ def _done(futures: list[Any]) -> list[Any]:
 
 
 def _worker_count(executor: object) -> int:
-    """Return the number of workers, 0 if the executor does not tell."""
+    """Return the number of workers, or 0 if the executor does not state it."""
     count = getattr(executor, "_max_workers", None)
     return count if isinstance(count, int) and count > 0 else 0
 
 
 def _threads_each(executor: object) -> int:
-    """Return the threads of a worker: its share of the cores if all workers are on this machine."""
+    """Return the number of threads per worker: an equal part of this machine's cores, or 1 if workers are unknown."""
     count = _worker_count(executor)
     return max(1, usable_cores() // count) if count else 1
 

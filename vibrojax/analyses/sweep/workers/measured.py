@@ -1,4 +1,4 @@
-"""Time and size of some lanes of a sweep, measured for an accurate plan."""
+"""Computing time and size of some lanes of a sweep, measured for an accurate cost estimate."""
 
 import time
 from pathlib import Path
@@ -14,16 +14,16 @@ from vibrojax.sweep.engine.labelled import labelled
 from vibrojax.sweep.input.definition import Sweep
 
 MEASURED_CHUNKS, MEASURING_SECONDS = 8, 20.0
-"""Number of chunks, evenly spaced, that are computed, and the time [s] after which no further one begins."""
+"""Number of evenly spaced chunks that are computed, and the time [s] after which no further chunk begins."""
 
 
 class MeasuredCosts(NamedTuple):
     """Measured costs of a sweep.
 
     - `compile_s`: processor time [s] that does not depend on the number of lanes.
-    - `lane_s`, `chunk_bytes`, `file_bytes`: processor time [s] of a lane, its bytes in a finished chunk, and its bytes
-      in the uncompressed dataset.
-    - `packed`: compressed size of the dataset over its uncompressed size.
+    - `lane_s`: processor time [s] per lane.
+    - `chunk_bytes`, `file_bytes`: bytes per lane in a finished chunk, and in the uncompressed dataset.
+    - `packed`: compressed size of the dataset divided by its uncompressed size.
     """
 
     compile_s: float
@@ -34,11 +34,11 @@ class MeasuredCosts(NamedTuple):
 
 
 def measured(sweep: Sweep) -> MeasuredCosts:
-    """Compute, store and label some chunks of a sweep, one by one, and discard them."""
+    """Measure the costs of a sweep: compute, store and label some chunks one by one, and discard them."""
     work = Work(sweep)
     chunks = work.chunks
     processor = time.process_time()
-    work.compute(chunks.count - 1)  # compiles, and is left out of the lanes' time
+    work.compute(chunks.count - 1)  # includes compilation, so it does not count as time of the lanes
     first = time.process_time() - processor
     sizes, chunk_bytes = Sizes(), 0
     began, spent = time.monotonic(), 0.0

@@ -1,4 +1,4 @@
-"""One of several processes that share the chunks of a sweep in a folder: it takes unclaimed chunks one by one."""
+"""One of several processes that share the chunks of a sweep in a folder: it computes unclaimed chunks one by one."""
 
 import pickle
 import time
@@ -12,24 +12,24 @@ from vibrojax.io.shards import Shards
 from vibrojax.sweep.engine.batch import Report, unreported
 
 RELEASE_POLL_SECONDS = 0.3
-"""Seconds between two looks for chunks that other processes released."""
+"""Interval [s] between two checks for chunks that other processes have released."""
 
 Finished = Callable[[int, float], None]
-"""Receives the index of a chunk that a worker has finished, and the time [s] that it took."""
+"""Function that receives the index of a chunk that a worker has finished, and the computing time [s]."""
 
 Failed = Callable[[int, Exception], None]
-"""Receives the index of a chunk that could not be computed, and the error."""
+"""Function that receives the index of a chunk that could not be computed, and the error."""
 
 
 class WorkersDied(OSError):
-    """Workers ended before they finished their chunks."""
+    """An error: workers ended before they finished their chunks."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """The work of one process among several, which can be pickled: chunks of `order` until none remains.
+    """The work of one process among several: compute chunks of `order` until none remains. A job can be pickled.
 
-    `task` is the pickled sweep; `folder` and `manifest` are those of its shards; `threads` as in `Work`.
+    `task` is the pickled sweep; `folder` and `manifest` are those of its `Shards`; `threads` is that of `Work`.
     """
 
     task: bytes
@@ -39,7 +39,7 @@ class Job:
     threads: int | None = None
 
     def run(self, finished: Finished, failed: Failed) -> None:
-        """Compute chunks, also those of processes that die meanwhile."""
+        """Compute chunks, including those of processes that die meanwhile."""
         shards = Shards(Path(self.folder), self.manifest, shared=True)
         try:
             work = Work(pickle.loads(self.task), self.threads)
@@ -49,7 +49,7 @@ class Job:
 
 
 def raise_failure(index: int, error: Exception) -> None:
-    """Raise the error of a chunk: a process that the user has started ends with it."""
+    """Raise the error of a chunk, which ends a process that the user has started."""
     raise error
 
 
@@ -64,7 +64,7 @@ def compute_shared(
 ) -> None:
     """Compute the chunks of `order` that do not exist and that no other process has claimed.
 
-    With `patient`, wait for the claimed ones, too: the chunk of a process that dies is taken over.
+    With `patient`, also wait for the claimed chunks, and take over the chunk of a process that dies.
     """
     remaining = list(order)
     while True:

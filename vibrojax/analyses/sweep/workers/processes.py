@@ -1,4 +1,4 @@
-"""Workers on this machine: spawned processes that share the chunks of a sweep, and end with their parent."""
+"""Workers on this machine: spawned processes that share the chunks of a sweep, and end with their parent process."""
 
 import multiprocessing
 import os
@@ -25,24 +25,25 @@ from vibrojax.progress import LOG
 from vibrojax.sweep.input.definition import Sweep
 
 DEATHS = 3
-"""Workers beyond their number that may die in a row, without a finished chunk, before the run is given up."""
+"""The run is aborted after more worker deaths in a row, without a finished chunk in between, than this number plus the
+number of workers."""
 
 _START_PATIENCE = 2.0
-"""Seconds that the start of a worker may delay the end of all."""
+"""Time [s] that stopping all workers waits for a worker that is just being started."""
 
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 _SPAWN = multiprocessing.get_context("spawn")
 
 
 def by_processes(sweep: Sweep, shards: Shards, order: Sequence[int], count: int, finished: Finished) -> list[int]:
-    """Have the chunks of `order` computed by `count` processes, each with its share of the cores.
+    """Compute the chunks of `order` with `count` processes, each of which uses an equal part of the cores.
 
-    A worker that dies is replaced, and another one takes its chunk. All workers end with this process, even if it is
-    killed.
+    A worker that dies is replaced, and another worker computes its chunk. All workers end with this process, even if
+    this process is killed.
 
-    **Returns:** the indices of the chunks that raised in a worker.
+    **Returns:** the indices of the chunks whose computation raised an exception in a worker.
 
-    **Raises:** `InputError` if the sweep cannot be pickled, or as a chunk does; `WorkersDied` if workers keep dying.
+    **Raises:** `InputError` if the sweep cannot be pickled or a chunk raises it; `WorkersDied` if workers keep dying.
     """
     failed: set[int] = set()
     workers = _Workers(sweep, shards, order, count)
@@ -54,7 +55,7 @@ def by_processes(sweep: Sweep, shards: Shards, order: Sequence[int], count: int,
             for _ in range(min(count, len(order))):
                 workers.start()
             missing = set(order)
-            # The workers' own end is not awaited: an interpreter takes its time.
+            # Do not wait until the workers have exited: an interpreter takes some time to shut down.
             while workers.running and missing:
                 for process, kind, content, seconds in workers.receive():
                     if kind == "finished":
@@ -85,7 +86,7 @@ def by_processes(sweep: Sweep, shards: Shards, order: Sequence[int], count: int,
 
 
 class _Workers:
-    """The `running` workers, each with the connection that it writes messages to."""
+    """The `running` workers, each with the connection through which it sends messages."""
 
     def __init__(self, sweep: Sweep, shards: Shards, order: Sequence[int], count: int) -> None:
         self.running: list[tuple[SpawnProcess, Connection]] = []
@@ -109,8 +110,8 @@ class _Workers:
     def receive(self) -> Iterator[tuple[int, str, Any, float]]:
         """Wait for messages, and yield each as (process, kind, content, seconds).
 
-        Kinds are "finished" and "failed" (content: the chunk's index), "input" (a message), and "died" (the exit
-        status). A worker that ends normally yields nothing.
+        The kinds are "finished" and "failed" (content: the chunk's index), "input" (content: an error message), and
+        "died" (content: the exit status). A worker that ends normally yields nothing.
         """
         ready = wait([connection for _, connection in self.running])
         for worker, connection in list(self.running):
@@ -118,15 +119,16 @@ class _Workers:
                 continue
             try:
                 yield worker.pid or 0, *connection.recv()
-            except (EOFError, OSError, pickle.UnpicklingError):  # it has ended, perhaps within a message
+            except (EOFError, OSError, pickle.UnpicklingError):  # the worker has ended, perhaps while sending
                 self.running.remove((worker, connection))
                 self._join(worker, connection)
                 if worker.exitcode:
                     yield worker.pid or 0, "died", worker.exitcode, 0.0
 
     def end(self) -> None:
-        """Kill all workers; their unfinished chunks are lost, finished ones are not."""
-        # A worker that is just being started would print an error if its parent did not tell it what to do.
+        """Kill all workers; their unfinished chunks are lost, finished chunks are kept."""
+        # A worker that is just being started would print an error if its parent ended without sending its start-up
+        # data.
         acquired = self._starting.acquire(timeout=_START_PATIENCE)
         self._ended = True
         for worker, connection in self.running:
@@ -145,8 +147,11 @@ class _Workers:
 
 @contextmanager
 def _without_interrupts() -> Iterator[None]:
-    """Start processes that ignore Ctrl-C, which a terminal sends to all; they end with this process."""
-    resource_tracker.ensure_running()  # started later, by the first worker, it would unblock interrupts
+    """Block Ctrl-C in processes started within this context.
+
+    A terminal sends Ctrl-C to all processes, but these processes end with this process.
+    """
+    resource_tracker.ensure_running()  # if the first worker started the tracker, the tracker would unblock interrupts
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -156,7 +161,7 @@ def _without_interrupts() -> Iterator[None]:
 
 @contextmanager
 def _limited_threads(threads: int) -> Iterator[None]:
-    """Start processes whose linear algebra libraries, too, are limited to `threads`."""
+    """Limit the linear algebra libraries, too, to `threads` threads in processes started within this context."""
     unset = [name for name in _THREAD_VARIABLES if name not in os.environ]
     os.environ |= dict.fromkeys(unset, str(threads))
     try:

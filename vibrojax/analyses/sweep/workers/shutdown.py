@@ -1,4 +1,4 @@
-"""Clean-up when an interrupt ends the command, which waits for none of its threads."""
+"""Clean-up after an interrupt, which ends the command without waiting for its threads."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -8,7 +8,7 @@ _ACTIONS: list[Callable[[], object]] = []
 
 @contextmanager
 def on_leaving(action: Callable[[], object]) -> Iterator[None]:
-    """Have `action` called if the process is interrupted within this context."""
+    """Register `action` to be called if the process is interrupted within this context."""
     _ACTIONS.append(action)
     try:
         yield
@@ -17,7 +17,7 @@ def on_leaving(action: Callable[[], object]) -> Iterator[None]:
 
 
 def leave() -> None:
-    """Call the registered actions, and ignore their errors."""
+    """Call the registered actions and ignore their errors."""
     for action in list(_ACTIONS):
         with suppress(Exception):
             action()

@@ -1,4 +1,4 @@
-"""Workers as jobs of SLURM, through submitit: an array of jobs that share the chunks of a sweep in its folder."""
+"""Workers as SLURM jobs, submitted with submitit: an array of jobs that share the chunks of a sweep in its folder."""
 
 import os
 import shutil
@@ -15,28 +15,28 @@ from vibrojax.io.shards import Shards
 from vibrojax.sweep.input.definition import Sweep
 
 LIMIT_MINUTES = 24 * 60
-"""Time limit of a job if SBATCH_TIMELIMIT is not set: sites have limits of their own."""
+"""Time limit of a job [min] if SBATCH_TIMELIMIT is not set; sites have their own limits."""
 
 CHUNK_POLL_SECONDS = 2.0
-"""Seconds between two looks for finished chunks."""
+"""Interval [s] between two checks for finished chunks."""
 
 
 class SlurmJob(Job):
-    """A job that SLURM may stop and start again."""
+    """A job that SLURM may stop and restart."""
 
     def __call__(self) -> None:
-        # A failure is recorded in the folder; the process that submitted the jobs computes the chunk.
+        # A failure is recorded in the folder; the process that submitted the jobs then computes the chunk.
         self.run(finished=lambda index, seconds: None, failed=lambda index, error: None)
 
     def checkpoint(self) -> object:
-        """Return what submitit submits again after SLURM has stopped the job."""
+        """Return the object that submitit submits again after SLURM has stopped the job."""
         from submitit.helpers import DelayedSubmission
 
         return DelayedSubmission(self)
 
 
 def check_slurm(name: str) -> None:
-    """Raise `InputError`, in one line, if no job can be submitted; `name`: the option that requests it."""
+    """Raise `InputError` if no job can be submitted; `name`: the option that requests jobs."""
     try:
         import submitit  # noqa: F401
     except ImportError:
@@ -52,15 +52,15 @@ def check_slurm(name: str) -> None:
 def by_slurm(
     sweep: Sweep, shards: Shards, order: Sequence[int], count: int, finished: Finished, cluster: str = "slurm"
 ) -> list[int]:
-    """Have the chunks of `order` computed by `count` jobs, which write them into the folder that all machines see.
+    """Compute the chunks of `order` with `count` jobs, which write them to a folder that all machines can access.
 
-    Further options of SLURM (partition, account, memory, time) come from the environment, SBATCH_*. An interrupt of
-    this process cancels the jobs; if it is killed they continue.
+    Further SLURM options (partition, account, memory, time) are read from the environment variables SBATCH_*. An
+    interrupt of this process cancels the jobs; if this process is killed, the jobs continue.
 
-    **Returns:** the indices of the chunks that raised in a job.
+    **Returns:** the indices of the chunks whose computation raised an exception in a job.
 
-    **Raises:** `WorkersDied` if the jobs end before all chunks exist; `InputError` if others can write to the jobs'
-    folder.
+    **Raises:** `WorkersDied` if the jobs end before all chunks exist; `InputError` if other users can write to the
+    jobs' folder.
     """
     import submitit
 
@@ -81,7 +81,7 @@ def by_slurm(
     with on_leaving(cancel):
         try:
             while unfinished and not ended:
-                ended = all(job.done() for job in jobs)  # before the look at the chunks, which is then the last one
+                ended = all(job.done() for job in jobs)  # before the chunks are checked for the last time
                 new = unfinished & shards.there()
                 for index in sorted(new):
                     finished(index, 0.0)
@@ -102,7 +102,7 @@ def by_slurm(
 
 
 def _make_private(folder: Path) -> None:
-    """Create a folder that only this user can write to: jobs, and this process, unpickle its files."""
+    """Create a folder that only this user can write to, since jobs and this process unpickle its files."""
     folder.mkdir(mode=0o700, exist_ok=True)
     status = folder.lstat()
     shared = status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)

@@ -1,4 +1,4 @@
-"""The main function of a spawned worker. It watches the parent process before any heavy import."""
+"""The main function of a spawned worker, which starts to watch the parent process before any heavy import."""
 
 import multiprocessing
 import os
@@ -10,7 +10,7 @@ from vibrojax.errors import InputError
 
 
 def work(job: bytes, messages: Connection) -> None:
-    """Run a pickled `Job` and send a message on each chunk."""
+    """Run a pickled `Job`, and send a message for each chunk."""
     threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
         pickle.loads(job).run(

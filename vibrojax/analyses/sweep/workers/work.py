@@ -1,4 +1,4 @@
-"""The chunks of a sweep: computing one, with the time that it took, and the order in which to compute many."""
+"""The chunks of a sweep: computing and timing one chunk, and the order in which to compute many."""
 
 import time
 import warnings
@@ -17,17 +17,17 @@ from vibrojax.sweep.engine.costs import lane_steps
 from vibrojax.sweep.input.definition import Sweep
 
 SECONDS = "seconds"
-"""The feature of a chunk, (), with the time [s] that it took."""
+"""Name of the feature, of shape (), that holds the computing time of a chunk [s]."""
 
 COST_SAMPLES = 3
-"""Lanes of a chunk, evenly spaced, from which its steps are estimated."""
+"""Number of evenly spaced lanes of a chunk from which its number of steps is estimated."""
 
 COST_CHUNKS = 8192
-"""Chunks whose steps are estimated together: memory does not grow with the sweep."""
+"""Number of chunks whose steps are estimated together, so that memory does not grow with the sweep."""
 
 
 class Work:
-    """The chunks of a sweep, with periodic orbits and Lyapunov exponents where the sweep requests them.
+    """The chunks of a sweep, with periodic orbits and Lyapunov exponents if the sweep requests them.
 
     `threads`: number of threads that compute a chunk; None: one per core.
     """
@@ -40,7 +40,7 @@ class Work:
                 self.chunks = Carried(sweep, _beyond(sweep))
 
     def compute(self, index: int, report: Report = unreported) -> Features:
-        """Return a chunk's features, see [vibrojax.sweep.engine.chunks.Chunks.compute][], and its `seconds`."""
+        """Return a chunk's features, see [vibrojax.sweep.engine.chunks.Chunks.compute][], and its computing time."""
         began = time.monotonic()
         with quiet():
             features = self.chunks.compute(index, report)
@@ -48,7 +48,7 @@ class Work:
 
 
 def by_cost(chunks: Chunks, indices: Collection[int]) -> list[int]:
-    """Sort the `indices` of chunks by falling number of steps, so that no worker begins a long chunk at the end."""
+    """Sort the `indices` of chunks by decreasing number of steps, so that no worker begins a long chunk at the end."""
     numbers = np.array(sorted(indices), int)
     if len(numbers) <= 2:
         return numbers.tolist()
@@ -62,14 +62,14 @@ def by_cost(chunks: Chunks, indices: Collection[int]) -> list[int]:
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Suppress numpy's warnings, in all threads: lanes that diverge are flagged instead."""
+    """Suppress numpy's warnings in all threads: diverging lanes are flagged instead."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
         yield
 
 
 def _beyond(sweep: Sweep) -> PostProcessor | None:
-    """Return the analyses of observed lanes that the sweep requests, as one."""
+    """Return one function that applies all analyses requested by the sweep to observed lanes; None without any."""
     parts: list[PostProcessor] = [Orbits(sweep), Nearby(sweep)] if sweep.run.orbits else []
     parts += [Natures(sweep)] if sweep.run.lyapunov else []
 

@@ -1,4 +1,4 @@
-"""Dry-friction laws, one file each; every file in this folder that binds `LAW` is registered.
+"""Dry-friction laws, one per file. Each file of this folder defines `LAW`, which is registered.
 
 **Example:**
 
@@ -18,7 +18,7 @@ _files = (file.name for file in iter_modules(__path__) if not file.name.startswi
 _laws = (import_module(f"{__name__}.{file}").LAW for file in _files)
 
 FRICTION_LAWS: dict[str, FrictionLaw] = {law.name: law for law in _laws}
-"""The friction laws of the package, by their names in sweep files.
+"""The friction laws of the package by name, as in sweep files.
 
 **Example:**
 
@@ -30,5 +30,8 @@ FRICTION_LAWS: dict[str, FrictionLaw] = {law.name: law for law in _laws}
 
 
 def law_named(law: str | FrictionLaw) -> FrictionLaw:
-    """Return the law of that name, or the law itself; raises `KeyError` if the name is unknown."""
+    """Return the friction law with this name; a law object is returned unchanged.
+
+    Raises `KeyError` if the name is unknown.
+    """
     return law if isinstance(law, FrictionLaw) else FRICTION_LAWS[law]

@@ -8,28 +8,29 @@ from vibrojax.models.arrays import Value
 from vibrojax.models.physics.parameters import Parameter
 
 Numbers = Mapping[str, Any]
-"""A law's own parameters by name: numbers or arrays of lanes."""
+"""A law's own parameters by name: scalars, or arrays with one value per lane."""
 
 Coefficient = Callable[[Any, Numbers], Any]
 
 
 @dataclass(frozen=True, eq=False)
 class FrictionLaw:
-    """A dry-friction law, force = sgn(u) (mu(|u|) m1 g + mu_J(|u|) J).
+    """A dry-friction law with the force sgn(u) (mu(|u|) m1 g + mu_J(|u|) J) at sliding velocity u.
 
-    Pass a law of your own to `simulate` or a sweep as `friction`. A law of the package is a file in this folder that
-    binds it to the name `LAW`. Laws compare by identity, and compiled programs rely on that.
+    Pass your own law to `simulate` or a sweep as `friction`. Each law of the package is defined in one file of this
+    folder under the name `LAW`. Laws compare by identity; compiled programs rely on this.
 
     **Arguments:**
 
-    - `name`: its name in sweep files; `reference`: its equation in the source.
+    - `name`: name of the law in sweep files; `reference`: number of its equation in the source.
     - `parameters`: the law's own parameters, by name.
-    - `mu`: `mu(speed, p)`, the coefficient under the bit's weight at sliding speed `speed` >= 0 [m/s], with the law's
-      own parameters `p` by name. Its value at 0 is the limit mu(0+), which is the stick limit. It uses +, -, *, / and
-      the functions of [vibrojax.models.physics.elementary][], so that it accepts arrays and Taylor series.
-    - `mu_impact`: the coefficient under the impact force J; default: `mu` itself.
-    - `flat_below`: `flat_below(p)`, a speed [m/s] below which `mu` is constant to rounding although it varies above.
-      Its series there does not predict what follows. None: there is no such speed.
+    - `mu`: function `mu(speed, p)`, the friction coefficient under the bit's weight at sliding speed `speed` >= 0
+      [m/s]; `p` has the law's own parameters by name. `mu(0, p)` is the limit mu(0+), which defines the stick limit.
+      The function uses +, -, *, / and the functions of [vibrojax.models.physics.elementary][], so that it accepts
+      arrays and Taylor series.
+    - `mu_impact`: the same for mu_J, the friction coefficient under the impact force J; default: `mu`.
+    - `flat_below`: function `flat_below(p)`, a speed [m/s] below which `mu` is constant within rounding error although
+      it varies above. A Taylor series at such low speeds does not predict `mu` above. None: there is no such speed.
 
     **Example:**
 
@@ -48,9 +49,9 @@ class FrictionLaw:
     flat_below: Callable[[Numbers], Any] | None = None
 
     def on_weight(self, speed: Value, p: Numbers) -> Any:
-        """Return the friction coefficient under the weight m1 g at `speed` >= 0 [m/s]; any shape; unit 1."""
+        """Return the friction coefficient [1] under the weight m1 g at `speed` >= 0 [m/s] of any shape."""
         return self.mu(speed, p)
 
     def on_impact(self, speed: Value, p: Numbers) -> Any:
-        """Return the friction coefficient under the impact force J at `speed` >= 0 [m/s]; any shape; unit 1."""
+        """Return the friction coefficient [1] under the impact force J at `speed` >= 0 [m/s] of any shape."""
         return (self.mu_impact or self.mu)(speed, p)

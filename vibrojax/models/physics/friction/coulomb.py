@@ -1,4 +1,4 @@
-"""Friction that does not depend on speed (eq. 2.13)."""
+"""Coulomb's law: friction that does not depend on speed (source, eq. 2.13)."""
 
 from typing import Any
 
@@ -8,7 +8,7 @@ from vibrojax.models.physics.parameters import not_negative, table
 
 
 def mu(speed: Value, p: Numbers) -> Any:
-    """Return the constant mu; unit 1."""
+    """Return the constant friction coefficient mu [1]."""
     return p["mu"]
 
 

@@ -1,4 +1,4 @@
-"""Friction that falls hyperbolically with speed (eq. 2.16)."""
+"""Friction that decreases hyperbolically with speed (source, eq. 2.16)."""
 
 from typing import Any
 
@@ -8,7 +8,7 @@ from vibrojax.models.physics.parameters import not_negative, table
 
 
 def mu(speed: Value, p: Numbers) -> Any:
-    """Return mu0/(1 + delta_f |u|); `speed` = |u| [m/s], any shape; unit 1."""
+    """Return mu0/(1 + delta_f |u|) [1] for `speed` = |u| [m/s] of any shape."""
     return p["mu0"] / (1.0 + p["delta_f"] * speed)
 
 

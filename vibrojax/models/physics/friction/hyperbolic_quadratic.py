@@ -1,4 +1,4 @@
-"""Friction with a hyperbolic fall to mu1 and a quadratic rise (eq. 2.17)."""
+"""Friction that decreases hyperbolically to mu1 and increases quadratically with speed (source, eq. 2.17)."""
 
 from typing import Any
 
@@ -8,7 +8,7 @@ from vibrojax.models.physics.parameters import not_negative, table
 
 
 def mu(speed: Value, p: Numbers) -> Any:
-    """Return (mu0 - mu1)/(1 + lambda |u|) + mu1 + alpha u²; `speed` = |u| [m/s], any shape; unit 1."""
+    """Return (mu0 - mu1)/(1 + lambda |u|) + mu1 + alpha u² [1] for `speed` = |u| [m/s] of any shape."""
     return (p["mu0"] - p["mu1"]) / (1.0 + p["lambda"] * speed) + p["mu1"] + p["alpha"] * speed * speed
 
 

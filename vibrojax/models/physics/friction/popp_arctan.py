@@ -1,4 +1,4 @@
-"""Popp's arctangent law (eq. 2.15): smooth through u = 0, so the bit never sticks."""
+"""Popp's arctangent law (source, eq. 2.15). It is smooth through u = 0, so the bit never sticks."""
 
 from typing import Any
 
@@ -9,7 +9,7 @@ from vibrojax.models.physics.parameters import not_negative, table
 
 
 def mu(speed: Value, p: Numbers) -> Any:
-    """Return a1 (1 + a2 exp(-b1 |u|)) arctan(b2 |u|); `speed` = |u| [m/s], any shape; unit 1."""
+    """Return a1 (1 + a2 exp(-b1 |u|)) arctan(b2 |u|) [1] for `speed` = |u| [m/s] of any shape."""
     return p["a1"] * (1.0 + p["a2"] * exp(-p["b1"] * speed)) * arctan(p["b2"] * speed)
 
 

@@ -1,4 +1,4 @@
-"""Popp's exponential law (eq. 2.14, with its second exponent and its units corrected)."""
+"""Popp's exponential law (source, eq. 2.14, with the second exponent and the units corrected)."""
 
 from typing import Any
 
@@ -9,12 +9,12 @@ from vibrojax.models.physics.parameters import Parameter, table
 
 
 def _flat_below(p: Numbers) -> Any:
-    """Return the speed at which exp(c1/|u|), which vanishes with all derivatives as |u| -> 0, is under 1e-17."""
+    """Return the speed below which exp(c1/|u|) < 1e-17; all derivatives of exp(c1/|u|) vanish as |u| -> 0."""
     return p["popp_c1"] * (-1 / 40)
 
 
 def mu(speed: Value, p: Numbers) -> Any:
-    """Return 0.165 (1 + exp(c1/|u|)) (1 + exp(c2 |u|)); `speed` = |u| [m/s], any shape; unit 1."""
+    """Return 0.165 (1 + exp(c1/|u|)) (1 + exp(c2 |u|)) [1] for `speed` = |u| [m/s] of any shape."""
     slow = maximum(speed, _flat_below(p))
     return 0.165 * (1.0 + exp(p["popp_c1"] / slow)) * (1.0 + exp(p["popp_c2"] * speed))
 

@@ -1,4 +1,7 @@
-"""Friction that falls with speed up to v_cr and rises beyond it (eq. 5.9); constant mu under impact (R2)."""
+"""Stribeck's law: friction that decreases with speed up to v_cr and increases beyond v_cr (source, eq. 5.9).
+
+The coefficient mu under the impact force is constant (reading R2 of the source).
+"""
 
 from typing import Any
 
@@ -8,13 +11,13 @@ from vibrojax.models.physics.parameters import not_negative, positive, table
 
 
 def mu(speed: Value, p: Numbers) -> Any:
-    """Return mu (1 - |u|/v_cr + |u|³/(3 v_cr³)); `speed` = |u| [m/s], any shape; unit 1."""
+    """Return mu (1 - |u|/v_cr + |u|³/(3 v_cr³)) [1] for `speed` = |u| [m/s] of any shape."""
     ratio = speed * (1 / p["v_cr"])
     return p["mu"] * (1.0 - ratio + ratio * ratio * ratio * (1 / 3))
 
 
 def mu_impact(speed: Value, p: Numbers) -> Any:
-    """Return the constant mu of eq. 5.12 under the impact force; unit 1."""
+    """Return the constant friction coefficient mu [1] under the impact force (source, eq. 5.12)."""
     return p["mu"]
 
 
