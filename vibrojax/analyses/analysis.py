@@ -93,7 +93,7 @@ class Analysis:
     """Picture rules for the analysis's datasets; the first rule that fits is used."""
 
     counted: ClassVar[str] = ""
-    """Dimension of its datasets whose size the command prints."""
+    """Dimension of the analysis's datasets whose size the command prints."""
 
     view: ClassVar[str] = "map"
     """View in the explorer: "map", "curves" (drawn over the map of a sweep), "families", "motion" or "none"."""

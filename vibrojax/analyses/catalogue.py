@@ -139,7 +139,7 @@ def list_settings() -> pd.DataFrame:
 
 
 def scene_text(scene: str) -> str:
-    """Return a text on everything that a sweep file of the scene may contain."""
+    """Describe everything that a sweep file of the scene may contain."""
     names = read_names(Place("scenes"), scene)
     system = names.system
     starts = f"starts: {', '.join(system.starts)}"

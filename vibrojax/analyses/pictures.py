@@ -152,7 +152,7 @@ def save_picture(
     - `ds`, `variable`, `where`, `colours`, `over`: as for [vibrojax.analyses.pictures.picture][].
     - `path`: file name that ends in .png, .pdf or .svg.
 
-    **Returns:** a text on which values are drawn, or "" if all values are drawn.
+    **Returns:** a description of the values that are drawn, or "" if all are drawn.
 
     **Raises:** `InputError` for another file extension, a path that cannot be written, or for the reasons of `picture`.
 

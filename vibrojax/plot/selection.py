@@ -111,7 +111,7 @@ def thin_out(ds: xr.Dataset) -> xr.Dataset:
 
 
 def thinned_text(ds: xr.Dataset) -> str:
-    """Return a text on which values of a dataset are drawn, or "" if all are drawn."""
+    """Describe which values of a dataset are drawn; return "" if all are drawn."""
     ordinals = {2: "second", 3: "third"}
     steps = _thinning_steps(ds)
     parts = [f"every {ordinals.get(step, f'{step}th')} value of {name}" for name, step in steps.items()]
