@@ -1,1 +1,1 @@
-"""Analyses of scenes and datasets: one folder for each."""
+"""Analyses of scenes and datasets, one folder per analysis."""

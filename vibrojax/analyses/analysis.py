@@ -15,11 +15,11 @@ if TYPE_CHECKING:
     from vibrojax.plot.contents import Contents
 
 Source = Any
-"""What an analysis starts from: a dataset, or a sweep as `run_sweep` takes it (path, bundled name, dict, `Sweep`)."""
+"""Input of an analysis: a dataset, or a sweep as `run_sweep` accepts it (path, bundled name, dict or `Sweep`)."""
 
 
 class SummaryPart(NamedTuple):
-    """One part of a summary: `lines` of text under `name`, and the same `facts` by their keys in JSON.
+    """One part of a summary: `lines` of text printed under `name`, and the same content as `facts` by JSON key.
 
     **Example:**
 
@@ -34,12 +34,12 @@ class SummaryPart(NamedTuple):
 
 
 class PictureRule(NamedTuple):
-    """The picture of datasets with certain contents.
+    """A rule that assigns a picture to datasets with certain contents.
 
-    - `shows`: the subject, in a few words.
-    - `fits`: whether the rule applies, from the facts about a dataset: the names of its `variables` and `dimensions`,
-      its `axes`, and others.
-    - `draw`: a function from the dataset to a matplotlib figure.
+    - `shows`: short description of the picture.
+    - `fits`: function that returns whether the rule applies. Its argument has facts about the dataset as attributes:
+      the names of its `variables` and `dimensions`, its `axes`, and others.
+    - `draw`: function that takes the dataset and returns a matplotlib figure.
 
     **Example:**
 
@@ -59,15 +59,15 @@ class PictureRule(NamedTuple):
 
 
 class Analysis:
-    """An analysis: its settings are the attributes of the object, its result is a dataset.
+    """An analysis, whose settings are attributes of the object and whose result is a dataset.
 
-    A subclass provides `kind` and `run`, and usually `variables`, `picture` or `pictures`, and `summary`. If it is a
-    dataclass, its fields become options of its command: `along: str = "v"` becomes `--along`, and
-    `field(metadata={"help": ...})` describes it. Pass an object to [vibrojax.analyses.registry.analyse][], or register
-    the class under the entry point `vibrojax.analyses`. Registered, it is the command `vibrojax KIND FILE`, and `plot`,
-    `info`, `explore` and `list_variables` support its datasets.
+    A subclass provides `kind` and `run`, and usually `variables`, `picture` or `pictures`, and `summary`. If the
+    subclass is a dataclass, its fields become command-line options: `along: str = "v"` becomes `--along`, and
+    `field(metadata={"help": ...})` sets the help text. Pass an instance to [vibrojax.analyses.registry.analyse][], or
+    register the class under the entry point `vibrojax.analyses`. A registered class adds the command
+    `vibrojax KIND FILE`, and `plot`, `info`, `explore` and `list_variables` support its datasets.
 
-    **Example:** the share of lanes in each regime
+    **Example:** the fraction of lanes in each regime
 
     >>> class Shares(vj.Analysis):
     ...     kind = "shares"
@@ -84,34 +84,34 @@ class Analysis:
     """
 
     kind: ClassVar[str] = ""
-    """The attribute `kind` of its datasets, and the name of its command."""
+    """Attribute `kind` of the analysis's datasets, and name of its command."""
 
     variables: ClassVar[Mapping[str, Variable]] = {}
-    """Its variables besides those of sweeps: units, meaning, type and flags of each by name."""
+    """Variables by name that sweeps do not have: units, meaning, type and flags of each."""
 
     pictures: ClassVar[Sequence[PictureRule]] = ()
-    """Pictures of its datasets; the first rule that fits is used."""
+    """Picture rules for the analysis's datasets; the first rule that fits is used."""
 
     counted: ClassVar[str] = ""
-    """Dimension of its datasets whose size the command prints."""
+    """Dimension of the analysis's datasets whose size the command prints."""
 
     view: ClassVar[str] = "map"
-    """View in the explorer: "map", "curves" (over the map of their sweep), "families", "motion" or "none"."""
+    """View in the explorer: "map", "curves" (drawn over the map of a sweep), "families", "motion" or "none"."""
 
     no_view: ClassVar[str] = ""
-    """Reason why the explorer cannot show its datasets, if `view` is "none"."""
+    """Reason why the explorer cannot show the analysis's datasets, if `view` is "none"."""
 
     def run(self, source: Source, progress: bool = True) -> xr.Dataset:
-        """Return the dataset of the analysis of `source`.
+        """Analyse `source` and return the resulting dataset.
 
-        **Raises:** `InputError` where `source` cannot be analysed.
+        **Raises:** `InputError` if `source` cannot be analysed.
         """
         raise NotImplementedError(f"{type(self).__name__}.run")
 
     def picture(self, ds: xr.Dataset, over: Sequence[xr.Dataset] = ()) -> "Figure":
-        """Return the picture of a dataset of this kind, with the datasets `over` laid over it.
+        """Draw a dataset of this kind, with the datasets `over` drawn on top.
 
-        **Raises:** `InputError` where it holds nothing to draw, or nothing can be laid over it.
+        **Raises:** `InputError` if the dataset holds nothing to draw, or its picture accepts no overlays.
         """
         from vibrojax.plot.contents import contents
         from vibrojax.plot.overlays import refuse_overlays
@@ -133,14 +133,15 @@ class Analysis:
         return rule.draw(ds)
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
-        """Return the parts of a dataset's summary that are special to this kind; `info` prints them."""
+        """Return the parts of a dataset's summary that are specific to this kind; `info` prints them."""
         return []
 
     def dataset(self, variables: Mapping[Any, Any], coords: Mapping[Any, Any], **attributes: object) -> xr.Dataset:
-        """Return a dataset of this kind with title, provenance and history; variables get units and meanings.
+        """Return a dataset of this kind with title, provenance and history; known variables get units and meanings.
 
-        **Arguments:** `variables`: by name, (dimensions, values), or with attributes where `variables` of the class
-        does not describe them; `coords`: likewise; `attributes`: further ones, `title` among them.
+        **Arguments:** `variables`: (dimensions, values) by name, or (dimensions, values, attributes) for variables that
+        the class attribute `variables` does not describe; `coords`: coordinates in the same form; `attributes`: further
+        dataset attributes, among them `title`.
         """
         title = str(attributes.pop("title", self.kind))
         described = {name: _described(self.variables, name, given) for name, given in variables.items()}

@@ -1,6 +1,6 @@
-"""Tables of what scenes consist of: parameters, starts, friction laws, variables and settings.
+"""Tables of the components of scenes: parameters, initial conditions, friction laws, variables and settings.
 
-All tables are read from the definitions that the simulation itself uses.
+All tables are derived from the definitions that the simulation uses.
 """
 
 from dataclasses import fields, is_dataclass
@@ -39,7 +39,7 @@ _WITH_ORBITS_AND_SECTION = {"nearby_cycles", "nearby_impacts", "nearby_distance"
 
 
 def list_scenes() -> pd.DataFrame:
-    """Return the scenes by name: what each is, its states and its starts.
+    """Return a table of the scenes by name: description, states and named initial conditions.
 
     **Example:**
 
@@ -55,11 +55,11 @@ def list_scenes() -> pd.DataFrame:
 
 
 def list_parameters(scene: str | Scene[Any]) -> pd.DataFrame:
-    """Return the parameters of a scene by name, including their alternatives and those of every friction law.
+    """Return a table of a scene's parameters by name, including alternatives and those of every friction law.
 
     The columns are `symbol`, `default`, `units`, `range` (admissible values), `usual`, `meaning` and `where`. `usual`
-    is the range of the source and of rigs; a value far from it raises a warning. `where` is the friction law or shape
-    of pulses that has the parameter, empty if the scene always has it.
+    is the range in the source and on drilling rigs; values far from it cause a warning. `where` is the friction law or
+    pulse shape to which the parameter belongs; it is empty if the scene always has the parameter.
 
     **Raises:** `InputError` if there is no such scene.
 
@@ -94,9 +94,9 @@ def list_parameters(scene: str | Scene[Any]) -> pd.DataFrame:
 
 
 def list_variables(scene: str | Scene[Any]) -> pd.DataFrame:
-    """Return the variables of a scene's datasets by name: `units`, `meaning`, and `where`.
+    """Return a table of the variables in a scene's datasets by name: `units`, `meaning`, and `where`.
 
-    `where` is the command that adds the variable; empty for those of sweeps, with orbits.
+    `where` is the command that adds the variable; it is empty for variables of sweeps, including those of orbits.
 
     **Raises:** `InputError` if there is no such scene.
 
@@ -127,7 +127,7 @@ def list_variables(scene: str | Scene[Any]) -> pd.DataFrame:
 
 
 def list_settings() -> pd.DataFrame:
-    """Return the settings of a sweep, the table [run], with their defaults.
+    """Return a table of the settings of a sweep, which belong in its table [run], with their defaults.
 
     **Example:**
 
@@ -139,7 +139,7 @@ def list_settings() -> pd.DataFrame:
 
 
 def scene_text(scene: str) -> str:
-    """Return all that a sweep file of a scene may contain, as text."""
+    """Describe everything that a sweep file of the scene may contain."""
     names = read_names(Place("scenes"), scene)
     system = names.system
     starts = f"starts: {', '.join(system.starts)}"
@@ -164,7 +164,7 @@ def scene_text(scene: str) -> str:
 
 
 def _aligned(table: pd.DataFrame) -> str:
-    """Return a table as text, its columns aligned to the left, indented by two blanks."""
+    """Format a table as text with left-aligned columns, indented by two spaces."""
 
     def text(value: object) -> str:
         if value is None or isinstance(value, bool):
@@ -178,7 +178,7 @@ def _aligned(table: pd.DataFrame) -> str:
 
 
 def _range(parameter: Parameter) -> str:
-    """Return the admissible values in words."""
+    """Describe the admissible values of a parameter in words."""
     parts = []
     if parameter.lowest is not None:
         parts.append(f"{'above' if parameter.open_below else 'at least'} {parameter.lowest:g}")
@@ -188,7 +188,7 @@ def _range(parameter: Parameter) -> str:
 
 
 def _parameters_of_choices(names: Names) -> dict[str, dict[str, Parameter]]:
-    """Return the parameters that only some friction laws, or shapes of pulses, have, by law or shape."""
+    """Return the parameters that depend on the choice of friction law or pulse shape, by law or shape."""
     if isinstance(names.system, HasFriction):
         laws = sorted(FRICTION_LAWS.values(), key=lambda law: law.name != names.friction)
         return {f'friction = "{law.name}" ({law.reference})': dict(law.parameters) for law in laws}
@@ -205,7 +205,7 @@ def _parameters_of_choices(names: Names) -> dict[str, dict[str, Parameter]]:
 
 
 def _measured(scene: Scene[Any]) -> list[str]:
-    """Return the names of the variables that are measured of a scene, without computing them."""
+    """Return the names of a scene's measured variables by tracing, without a simulation."""
 
     def run() -> Any:
         values = {name: jnp.full(1, parameter.default) for name, parameter in scene.parameters().items()}

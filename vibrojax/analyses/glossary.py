@@ -1,4 +1,4 @@
-"""Terms of this package that a reader may not know: the only table of them."""
+"""Definitions of this package's terms, all in one table."""
 
 WORDS = {
     "lane": "one point of the parameters from one start, stepped on its own",
@@ -22,9 +22,9 @@ WORDS = {
 }
 
 FAMILY_WORDS = tuple(word for word in WORDS if word not in ("lane", "relief P/D", "regime", "reading R1, R2, ..."))
-"""Words of the output of `vibrojax follow`."""
+"""Terms in the output of `vibrojax follow`."""
 
 
 def glossary(*words: str) -> str:
-    """Return the meanings of words, or of all of them, one per line."""
+    """Return the definitions of the specified words, or of all words, one per line."""
     return "\n".join(f"  {word}: {WORDS[word]}" for word in words or WORDS)

@@ -1,4 +1,4 @@
-"""Pictures of datasets: the one that fits, or any variable, as a figure or a file."""
+"""Pictures of datasets, chosen to fit the dataset or of requested variables, as a figure or a file."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -27,7 +27,7 @@ from vibrojax.plot.overlays import Overlays, as_layers, refuse_overlays
 from vibrojax.plot.selection import Value, select, thin_out, thinned_text
 from vibrojax.plot.style import COLOURS, settings
 
-# Without the date, so that the same dataset gives the same file.
+# Files contain no date, so that the same dataset gives the same file.
 _METADATA: dict[str, dict[str, None]] = {".png": {}, ".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
 
 
@@ -38,24 +38,28 @@ def picture(
     colours: str | None = None,
     over: Overlays = None,
 ) -> Figure:
-    """Draw the picture that fits a dataset: a motion, returns, regimes, rates, a law, families, borders or attractors.
+    """Draw the picture that fits a dataset.
+
+    It shows a motion, section crossings, regimes, rates of penetration, a fitted law, families, borders or attractors.
 
     **Arguments:**
 
     - `ds`: a dataset of `simulate`, a sweep, or an analysis.
-    - `variable`: the name of a variable to draw instead, over all that varies; or several names, four at most, of a run
-      eight.
-    - `where`: values of axes or of coordinates along them, by name, in the dataset's units: only the lanes there are
-      drawn, `{"delta": 0.005, "start": "stuck"}`. Numbers need to be right to four digits. If there are more than
-      300,000 lanes, every second value of the longest axes is drawn, or every third, ...
-    - `colours`: the name of the matplotlib colour map for quantities; regimes, forms and starts keep their colours.
-    - `over`: datasets to lay over the picture. Families of orbits, from `follow`, belong over the returns of a sweep
-      along the same parameter, or over lanes carried along it. Borders, from `borders`, belong over the map of regimes.
+    - `variable`: name of a variable to draw instead, over all varied axes; or a list of up to four names, for a run up
+      to eight.
+    - `where`: values by name of axis or coordinate, in the dataset's units; only lanes with these values are drawn.
+      Example: `{"delta": 0.005, "start": "stuck"}`. Numbers must be accurate to four digits. Of more than 300,000
+      lanes, only every second value of the longest axes is drawn, or every third, ...
+    - `colours`: name of a matplotlib colour map for quantities; regimes, forms of the law and initial conditions keep
+      their colours.
+    - `over`: datasets to draw on top. Families of orbits, from `follow`, are drawn over the section crossings of a
+      sweep along the same parameter, or over lanes carried along it. Borders, from `borders`, are drawn over the map of
+      regimes.
 
     **Returns:** a figure that pyplot does not manage.
 
     **Raises:** `InputError` if the dataset holds nothing to draw, there is no such variable, axis, value or colour map,
-    or `over` does not belong there.
+    or `over` cannot be drawn on this picture.
 
     **Example:**
 
@@ -85,14 +89,15 @@ def picture(
 
 
 def regime_map(ds: xr.Dataset, x: str | None = None, y: str | None = None) -> Figure:
-    """Draw the regimes of a sweep as a map, with impact velocity and period beside it.
+    """Draw the regimes of a sweep as a map, with maps of impact velocity and period next to it.
 
-    Further axes, and the starts, become panels, twelve at most, and the figure lists them. A sweep along one axis
-    becomes lines; a list of points becomes dots over two parameters, or a count. More than eight starts become a map
-    over their states if few parameters vary, else the share of them that ends in each regime.
+    Each value of further axes and each initial condition gets a panel, twelve at most; the figure notes which are
+    shown. A sweep along one axis is drawn as lines, a list of points as dots over two parameters, or as counts. More
+    than eight initial conditions are drawn as a map over initial states if few parameters vary. Otherwise, the picture
+    shows the fraction of initial conditions that ends in each regime.
 
-    **Arguments:** `x`, `y`: the axes to draw along; by default gamma and beta, else the first two of six values or
-    more, else the first two.
+    **Arguments:** `x`, `y`: axes to draw along; by default gamma and beta, else the first two axes with six or more
+    values, else the first two axes.
 
     **Raises:** `InputError` if there are no regimes, or `x` or `y` is not an axis.
     """
@@ -106,12 +111,12 @@ def regime_map(ds: xr.Dataset, x: str | None = None, y: str | None = None) -> Fi
 
 
 def rate_map(ds: xr.Dataset, x: str | None = None, y: str | None = None) -> Figure:
-    """Draw the rate of penetration over two axes; slip per blow, mean force and relief beside it if there is room.
+    """Draw the rate of penetration over two axes, with slip per blow, mean force and relief if there is room.
 
-    Further axes become panels, nine at most, and the figure lists them. Constant values are in the note. A list of
-    points is scattered over the two parameters that vary.
+    Each value of further axes gets a panel, nine at most; the figure notes which are shown. Constant values are in the
+    note. A list of points is drawn as dots over its two varied parameters.
 
-    **Arguments:** `x`, `y`: the axes to draw along; by default the frequency, then the longest.
+    **Arguments:** `x`, `y`: axes to draw along; by default the frequency, then the longest axes.
 
     **Raises:** `InputError` if there are no rates, fewer than two axes, or `x` or `y` is not an axis.
     """
@@ -120,11 +125,11 @@ def rate_map(ds: xr.Dataset, x: str | None = None, y: str | None = None) -> Figu
 
 
 def fitted_law(fit: xr.Dataset) -> Figure:
-    """Draw C of ROP = C ln(eta) in its three readings, and the AIC of every form above the best of its group.
+    """Draw C of ROP = C ln(eta) in its three readings, and the AIC of every form relative to the best of its group.
 
-    Above them are the data of each group with the curve of every form, six groups at most. C and AIC are drawn over the
-    longest axis of the groups; further axes become rows. Over two axes of nine values and more, maps of C and of the
-    best form are drawn. Without groups, the axis is the forms.
+    At the top are the data of each group with the curve of every form, for six groups at most. C and AIC are drawn over
+    the longest axis of the groups, with one row per value of further axes. If two axes have nine or more values, C and
+    the best form are drawn as maps. Without groups, the horizontal axis is the form.
 
     **Raises:** `InputError` if there is no C along `form`.
     """
@@ -140,16 +145,16 @@ def save_picture(
     colours: str | None = None,
     over: Overlays = None,
 ) -> str:
-    """Write the picture that fits a dataset to a file, which is complete or does not exist.
+    """Save the picture that fits a dataset to a file, atomically: the file is complete or does not exist.
 
     **Arguments:**
 
-    - `ds`: as for [vibrojax.analyses.pictures.picture][], like `variable`, `where`, `colours` and `over`.
-    - `path`: ends in .png, .pdf or .svg.
+    - `ds`, `variable`, `where`, `colours`, `over`: as for [vibrojax.analyses.pictures.picture][].
+    - `path`: file name that ends in .png, .pdf or .svg.
 
-    **Returns:** the values that are drawn, in words; empty if all are.
+    **Returns:** a description of the values that are drawn, or "" if all are drawn.
 
-    **Raises:** `InputError` for another ending, a path that cannot be written, or for the reasons of `picture`.
+    **Raises:** `InputError` for another file extension, a path that cannot be written, or for the reasons of `picture`.
 
     **Example:**
 

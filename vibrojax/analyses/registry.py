@@ -1,4 +1,4 @@
-"""All analyses by their kind: the package's own, those that installed packages offer, and those of this process."""
+"""Lookup of analyses by kind: the package's own, those of installed packages, and those used in this process."""
 
 from collections.abc import Mapping
 from contextlib import suppress
@@ -15,7 +15,7 @@ from vibrojax.io.structure import check_structure
 from vibrojax.io.variables import Variable
 
 GROUP = "vibrojax.analyses"
-"""The entry point under which an installed package offers its analyses, `NAME = "module:Class"`."""
+"""Entry-point group in which an installed package registers its analyses, as `NAME = "module:Class"`."""
 
 _HOMES = {
     "sweep": "sweep.analysis:Sweeps",
@@ -28,10 +28,10 @@ _HOMES = {
     "accuracy": "accuracy.analysis:AccuracyStudy",
     "derivatives": "sensitivity.analysis:Derivatives",
 }
-"""Where each of the package's own analyses is defined; they are imported when they are needed."""
+"""Module and class of each of the package's own analyses, which are imported when they are needed."""
 
 _USED: dict[str, Analysis] = {}
-"""Analyses given to `analyse` in this process."""
+"""Analyses by kind that were passed to `analyse` in this process."""
 
 
 def analyse(source: Source, analysis: Analysis, progress: bool = True) -> xr.Dataset:
@@ -39,14 +39,15 @@ def analyse(source: Source, analysis: Analysis, progress: bool = True) -> xr.Dat
 
     **Arguments:**
 
-    - `source`: what the analysis starts from: a dataset, or a sweep as `run_sweep` takes it.
-    - `analysis`: an object of a subclass of [vibrojax.analyses.analysis.Analysis][]. `picture` and `vibrojax` know its
-      datasets from then on, in this process; an installed package registers under the entry point `vibrojax.analyses`.
+    - `source`: input of the analysis: a dataset, or a sweep as `run_sweep` accepts it.
+    - `analysis`: instance of a subclass of [vibrojax.analyses.analysis.Analysis][]. From then on, `picture` and the
+      other functions support its datasets in this process. For all processes, register the class under the entry point
+      `vibrojax.analyses` of an installed package.
     - `progress`: whether to report progress on stderr.
 
     **Returns:** the dataset, with the attribute `kind`.
 
-    **Raises:** `InputError` where `analysis` is not one, or `source` cannot be analysed.
+    **Raises:** `InputError` if `analysis` is not an `Analysis`, or `source` cannot be analysed.
 
     **Example:**
 
@@ -73,14 +74,14 @@ def analyse(source: Source, analysis: Analysis, progress: bool = True) -> xr.Dat
 
 
 def analysis_of(ds: xr.Dataset) -> Analysis:
-    """Return the analysis of a dataset's kind; the base class's if nobody here knows the kind."""
+    """Return the analysis of a dataset's kind, or a plain `Analysis` if the kind is unknown."""
     return analysis_named(kind_of(ds)) or Analysis()
 
 
 def analysis_named(kind: str) -> Analysis | None:
-    """Return the analysis of a kind; None if nobody here knows it.
+    """Return the analysis of a kind, or None if the kind is unknown.
 
-    **Raises:** `InputError` where an installed package offers it, but it cannot be loaded.
+    **Raises:** `InputError` if an installed package registers the kind, but its class cannot be loaded.
     """
     if kind in _HOMES:
         module, _, name = _HOMES[kind].partition(":")
@@ -94,19 +95,19 @@ def analysis_named(kind: str) -> Analysis | None:
 
 @cache
 def offered_analyses() -> dict[str, EntryPoint]:
-    """Return the analyses that installed packages offer, by kind; the package's own kinds cannot be replaced."""
+    """Return the entry points of analyses in installed packages, by kind; vibrojax's own kinds cannot be replaced."""
     return {entry.name: entry for entry in entry_points(group=GROUP) if entry.name not in _HOMES}
 
 
 def load_analysis(entry: EntryPoint) -> type[Analysis]:
-    """Return the class that a package offers.
+    """Import the analysis class of an entry point.
 
-    **Raises:** `InputError`, one line, where it cannot be imported, or is not an analysis of that kind.
+    **Raises:** `InputError` with a one-line message if the class cannot be imported or is not an analysis of that kind.
     """
     place = f"entry point {GROUP}: {entry.name}"
     try:
         offered = entry.load()
-    except Exception as error:  # a package of others may fail in any way
+    except Exception as error:  # third-party code may raise any exception
         raise InputError(f"{place}: cannot be imported ({printable(error, 200)})") from error
     if not (isinstance(offered, type) and issubclass(offered, Analysis) and offered.kind == entry.name):
         raise InputError(f"{place}: {shown(entry.value)} is not a subclass of Analysis with kind {shown(entry.name)}")
@@ -114,9 +115,9 @@ def load_analysis(entry: EntryPoint) -> type[Analysis]:
 
 
 def offered_variables() -> dict[str, Mapping[str, Variable]]:
-    """Return the variables of each analysis that an installed package offers, except those that cannot be loaded."""
+    """Return the variables of each analysis in installed packages, by kind; unloadable analyses are left out."""
     variables = {}
     for kind, entry in offered_analyses().items():
-        with suppress(InputError):  # the command of that analysis says what is wrong
+        with suppress(InputError):  # the command of that analysis reports the error
             variables[kind] = load_analysis(entry).variables
     return variables

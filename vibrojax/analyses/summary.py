@@ -21,19 +21,19 @@ from vibrojax.io.attributes import (
 from vibrojax.io.kinds import kind_of
 
 LONGEST_LINE = 2000
-"""Characters of a line that are shown."""
+"""Greatest number of characters printed per line."""
 
 LONGEST_FACT = 300
-"""Characters of a unit, a meaning or a name in JSON."""
+"""Greatest number of characters of a unit, a meaning or a name in JSON."""
 
 _TEXTS = ("title", "scene", "friction", "pulse_shape", "source", "jax", "along")
 _VALUES = ("parameters", "differing", "run", "solver", "columns", "certified", "lanes", "wall_time_s")
 _EMPTY = ("regimes", "orbits", "natures", "families", "attractors", "failures", "found")
-"""Keys of JSON that every dataset has, if only with an empty object."""
+"""JSON keys that every summary has; they hold an empty object if they do not apply."""
 
 
 def summarise(ds: xr.Dataset) -> list[SummaryPart]:
-    """Return the summary of a dataset; parts that it lacks have no lines."""
+    """Return the parts of a dataset's summary; parts that do not apply have no lines."""
     by_name = {part.name: part for part in lane_parts(ds)}
     known = "differing" in ds.attrs or "parameters" in ds.attrs
     run = run_of(ds)
@@ -57,20 +57,21 @@ def summarise(ds: xr.Dataset) -> list[SummaryPart]:
 
 
 def summary_lines(parts: list[SummaryPart]) -> list[str]:
-    """Return a summary as text: the name of each part beside its first line."""
+    """Format a summary as lines of text; the first line of each part begins with the part's name."""
     rows = ((part.name if index == 0 else "", line) for part in parts for index, line in enumerate(part.lines))
     return [f"{name:<10}{_printable_line(line)}".rstrip() for name, line in rows]
 
 
 def summary_facts(ds: xr.Dataset, file: str) -> dict[str, Any]:
-    """Return a summary with stable keys; what a dataset of its kind lacks is null, or empty.
+    """Return a summary with stable keys; values that do not apply to the dataset are null or empty.
 
     `file`, `kind`, `title`, `scene`, `friction`, `pulse_shape`, `source`, `jax`, `along`, `history` (lines, the newest
     first); `dimensions` and `variables` by name; `parameters`, `differing`, `run`, `solver`, `columns`, `certified` as
-    the attributes have them; `lanes`; `regimes`: lanes by regime; `orbits`: lanes by `reason` and by `stable`;
-    `natures`: lanes by nature; `families`: as `follow --json` prints them; `attractors`: their mean `shares` over the
-    grid by number, and the lanes `unassigned`; `failures`: lanes by reason; `accuracy`; `found`: the features of one
-    trajectory; `wall_time_s`; and what an analysis adds.
+    in the dataset's attributes; `lanes`; `regimes`: number of lanes by regime; `orbits`: number of lanes by `reason`
+    and by `stable`; `natures`: number of lanes by nature; `families`: as `follow --json` prints them; `attractors`:
+    mean fraction over the grid by attractor number (`shares`), and number of lanes `unassigned`; `failures`: number of
+    lanes by reason; `accuracy`; `found`: features of a single trajectory; `wall_time_s`; and keys that an analysis
+    adds.
     """
     facts: dict[str, Any] = {
         "file": file,
@@ -87,13 +88,13 @@ def summary_facts(ds: xr.Dataset, file: str) -> dict[str, Any]:
 
 
 def _printable_line(text: str) -> str:
-    """Return a line with its leading columns, but without anything that steers a terminal."""
+    """Return a line with its indentation, but without terminal control characters."""
     words = text.lstrip(" ")
     return text[: len(text) - len(words)] + printable(words, LONGEST_LINE, keep_spaces=True)
 
 
 def _fixed_lines(ds: xr.Dataset) -> list[str]:
-    """Return the fixed parameters: those that differ from their defaults one by one, then the others."""
+    """Format the fixed parameters: one line for each that differs from its default, then one line for the others."""
     changed = {}
     for row in differing_of(ds):
         unit = "" if row["units"] == "1" else f" {row['units']}"
@@ -117,7 +118,7 @@ def _dimension_line(ds: xr.Dataset, name: str) -> str:
 
 
 def _dimension_facts(ds: xr.Dataset, name: str) -> dict[str, Any]:
-    """Return the size of a dimension, and the unit and both ends of its coordinate."""
+    """Return the size of a dimension, and unit, first and last value of its coordinate."""
     size = ds.sizes[name]
     if name not in ds.coords or not size:
         return {"size": size}

@@ -1,4 +1,4 @@
-"""Chosen variables of a dataset in the picture that fits its dimensions: maps, curves, points, or a time history."""
+"""Pictures of requested variables: maps, curves, dots or time histories, depending on the dataset's dimensions."""
 
 from collections.abc import Sequence
 
@@ -34,19 +34,20 @@ from vibrojax.plot.sheet import facets
 from vibrojax.plot.starts import medians, medians_text, varied_states
 from vibrojax.plot.style import BIT, Mark, new_figure, styled
 
-_MOST_VARIABLES, _MOST_HISTORIES = 4, 8  # more do not fit on a page
+_MOST_VARIABLES, _MOST_HISTORIES = 4, 8  # more do not fit in one figure
 
 
 @styled
 def variables(ds: xr.Dataset, names: Sequence[str]) -> Figure:
-    """Draw the variables `names`, each on panels of its own.
+    """Draw the variables `names`, each in separate panels.
 
-    Over two axes they are maps, over one axis curves, of a list of points over two parameters dots, of a run time
-    histories, of families lines along them. Of multipliers the largest is drawn, of too many starts the median.
+    Lanes over two axes are drawn as maps, over one axis as curves, and a list of points over two parameters as dots. A
+    run is drawn as time histories, and families as lines along their branches. Of multipliers, only the largest is
+    drawn; of too many initial conditions, the median.
 
-    **Arguments:** `names`: of variables along all dimensions of the lanes, four at most; of a run, along time, eight.
+    **Arguments:** `names`: up to four variables along all lane dimensions; for a run, up to eight variables along time.
 
-    **Raises:** `InputError` if there is no such variable, it lies along other dimensions, or there are too many.
+    **Raises:** `InputError` if there is no such variable, it has other dimensions, or there are too many names.
     """
     _check(ds, names)
     if TIME in ds.dims:
@@ -100,7 +101,7 @@ def _check(ds: xr.Dataset, names: Sequence[str]) -> None:
 
 
 def _draw_curves(ds: xr.Dataset, values: Values, note: str = "") -> Figure:
-    """Draw variables over the longest axis: a row for each facet, a line for each value of one more axis, or form."""
+    """Draw variables over the longest axis: one row per facet, one line per value of another axis or per form."""
     quantities = [value if value is not None else value_of(ds[REGIME]) for value in values]
     x = longest_axis(ds)
     by = FORM if FORM in ds[quantities[0].name].dims else axis_of_lines(ds, x.name)

@@ -1,4 +1,4 @@
-"""Labels, numbers and units on axes and in notes; edges of cells, and logarithmic scales."""
+"""Text and scales of axes: labels, units, number formats, cell edges and logarithmic scales."""
 
 import json
 import re
@@ -16,11 +16,11 @@ from vibrojax.io.attributes import counts_of, differing_of, parameters_of, text_
 from vibrojax.plot.style import plain
 
 _HERTZ = {"s-1": "Hz", "s-2": "Hz/s"}  # the only quantities with these units are frequencies
-_LABEL_LETTERS = 32  # letters that fit along a panel
-_ROUNDING = 1e-6  # relative range up to which values are one value
-_GEOMETRIC = 1e-3  # relative scatter up to which factors or steps are constant
+_LABEL_LETTERS = 32  # characters that fit along a panel
+_ROUNDING = 1e-6  # relative range up to which values count as equal
+_GEOMETRIC = 1e-3  # relative scatter up to which ratios or differences count as constant
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-# A prefix for a unit, if the greatest value is below (milli) or from (kilo, mega) the bound.
+# Prefixed unit, factor, bound. Milli applies if the greatest magnitude is below the bound, kilo and mega from it on.
 _MILLI = {"m": ("mm", 1e3, 1.0), "s": ("ms", 1e3, 0.1), "m s-1": ("mm s-1", 1e3, 0.3)}
 _GREATER = {
     "N": (("MN", 1e-6, 1e6), ("kN", 1e-3, 1e3)),
@@ -29,7 +29,7 @@ _GREATER = {
     "W": (("kW", 1e-3, 1e4),),
 }
 
-# The parameters that every note gives: symbol, factor and unit.
+# The parameters that every note lists: symbol, conversion factor and printed unit.
 _NAMED = {
     "beta": ("β", 1.0, ""),
     "gamma": ("γ", 1.0, ""),
@@ -44,11 +44,11 @@ _NAMED = {
     "zeta": ("ζ", 1.0, ""),
 }
 
-_USUAL_FRICTION = "stribeck"  # notes do not mention it
+_USUAL_FRICTION = "stribeck"  # notes omit this friction law
 
 
 def scale(data: xr.DataArray) -> tuple[float, str]:
-    """Return the factor and the unit in which the values read well: mm for small lengths, kN for large forces."""
+    """Return the conversion factor and the unit to print values in, such as mm for small lengths."""
     unit = str(data.attrs.get("units", "")).strip()
     values = np.abs(np.asarray(data.values, float))
     greatest = values[np.isfinite(values)].max(initial=0.0)
@@ -59,7 +59,7 @@ def scale(data: xr.DataArray) -> tuple[float, str]:
 
 
 def pretty_unit(unit: str) -> str:
-    """Return a unit as printed: `m s-1` as m/s, `N s m-1` as N s/m, nothing for a pure number."""
+    """Return the printed form of a unit: m/s for `m s-1`, N s/m for `N s m-1`, empty if dimensionless."""
     if unit in ("", "1"):
         return ""
     if unit in _HERTZ:
@@ -79,9 +79,9 @@ def pretty_unit(unit: str) -> str:
 
 
 def label(data: xr.DataArray, letters: int = _LABEL_LETTERS) -> str:
-    """Return the label of an axis: long name, symbol and unit, or the name if there are no attributes.
+    """Return an axis label: long name, symbol and unit. A variable without these attributes is labelled by its name.
 
-    Lines have at most `letters` letters.
+    The label is wrapped at `letters` characters, 32 at most.
     """
     words = re.sub(r"\s*\([^)]*\)", "", str(data.attrs.get("long_name", ""))).strip()
     parts = (words, str(data.attrs.get("symbol", "")).strip())
@@ -91,23 +91,23 @@ def label(data: xr.DataArray, letters: int = _LABEL_LETTERS) -> str:
 
 
 def with_unit(text: str, unit: str) -> str:
-    """Return the text and the unit in brackets; the text alone for a pure number."""
+    """Return the text followed by the unit in brackets, or the text alone if the unit is dimensionless."""
     return f"{text} [{pretty_unit(unit)}]" if pretty_unit(unit) else text
 
 
 def symbol(data: xr.DataArray) -> str:
-    """Return the symbol, or the name."""
+    """Return the symbol of a variable, or its name if it has no symbol."""
     return str(data.attrs.get("symbol", "")).strip() or plain(str(data.name))
 
 
 def number(value: float) -> str:
-    """Return the value with at most five digits and a true minus sign."""
+    """Format a number with at most five significant digits and a typographic minus sign."""
     text = f"{float(value):.5g}"
     return ("0" if text == "-0" else text).replace("-", "−")
 
 
 def value_text(data: xr.DataArray, value: float | str | np.number | np.str_) -> str:
-    """Return a value of the coordinate `data`, as `Δ = −5 mm`; `start: drive` if values are names."""
+    """Format a value of the coordinate `data`: `Δ = −5 mm` for a number, `start: drive` for a string."""
     if not np.issubdtype(np.asarray(value).dtype, np.number):
         return f"{plain(str(data.name))}: {short(str(value))}"
     factor, unit = scale(data)
@@ -115,13 +115,13 @@ def value_text(data: xr.DataArray, value: float | str | np.number | np.str_) -> 
 
 
 def index_text(ds: xr.Dataset, dimension: str, index: int) -> str:
-    """Return the value of a dimension at an index; without one, those of all coordinates along the dimension."""
+    """Format a dimension's value at an index, or the values of all coordinates along a dimension without its own."""
     along = [dimension] if dimension in ds.coords else [name for name in ds.coords if ds[name].dims == (dimension,)]
     return ", ".join(value_text(ds[name], ds[name].values[index]) for name in along) or f"{dimension} = {index}"
 
 
 def short(name: str) -> str:
-    """Return the name of a start; a vector, "[0.0, 0.0, 0.0213, 1.0]", with three digits for each state."""
+    """Shorten the name of an initial condition: a vector, "[0.0, 0.0, 0.0213, 1.0]", gets three digits per state."""
     try:
         return f"[{', '.join(number(float(f'{value:.3g}')) for value in json.loads(name))}]"
     except (ValueError, TypeError, RecursionError):
@@ -129,7 +129,7 @@ def short(name: str) -> str:
 
 
 def share_text(share: float) -> str:
-    """Return a share in percent; a share above zero never reads 0 %, and one below all never 100 %."""
+    """Format a fraction in percent; fractions below 1 % read <1 % and above 99 % read >99 %, unless exactly 0 or 1."""
     percent = 100.0 * share
     if 0.0 < percent < 1.0:
         return "<1 %"
@@ -137,9 +137,9 @@ def share_text(share: float) -> str:
 
 
 def point_text(ds: xr.Dataset) -> str:
-    """Return the values that all lanes share: scalar coordinates, and parameters and start from the attributes."""
+    """Format the values common to all lanes: scalar coordinates, parameters and initial condition."""
     scalars = {str(name): data for name, data in ds.coords.items() if data.ndim == 0}
-    if "start" in scalars:  # its name gives the states
+    if "start" in scalars:  # its name contains the initial states
         scalars = {name: data for name, data in scalars.items() if not name.startswith("start_")}
     parts = [value_text(data, data.values.item()) for data in scalars.values()]
     known = {*ds.coords, *(("threshold", "k3") if "rock" in ds.coords else ())}
@@ -161,7 +161,7 @@ def point_text(ds: xr.Dataset) -> str:
 
 
 def certified_text(ds: xr.Dataset) -> str:
-    """Return how many of the repeating lanes are known to the accepted error, and how many are still settling."""
+    """Return how many periodic lanes meet the error tolerance and how many are still settling, or "" if unknown."""
     counted = counts_of(ds)
     if not counted.get("estimated") or not {"within", "still_settling", "error"} <= set(counted):
         return ""
@@ -172,12 +172,12 @@ def certified_text(ds: xr.Dataset) -> str:
 
 
 def values_along(data: xr.DataArray) -> Float[np.ndarray, " values"]:
-    """Return the values of an axis in the unit of its label."""
+    """Return a coordinate's values in the unit of its axis label."""
     return np.asarray(data.values * scale(data)[0], float)
 
 
 def pad_constant(axes: Axes) -> None:
-    """Widen the upright limits of `axes` if all that it shows is one value within rounding."""
+    """Widen the y limits of `axes` if all plotted values are equal within rounding error."""
     low, high = (float(end) for end in axes.dataLim.intervaly)
     if 0.0 <= high - low <= _ROUNDING * max(abs(low), abs(high)):
         room = 0.1 * abs(high) or 1.0
@@ -185,7 +185,7 @@ def pad_constant(axes: Axes) -> None:
 
 
 def is_geometric(values: Float[np.ndarray, " values"]) -> bool:
-    """Return whether the values grow by a constant factor, and not by a constant step."""
+    """Return whether the values increase by a constant ratio, and not by a constant difference."""
     if values.size < 3 or values[0] <= 0 or np.any(np.diff(values) <= 0):
         return False
     factors, steps = values[1:] / values[:-1], np.diff(values)
@@ -193,7 +193,7 @@ def is_geometric(values: Float[np.ndarray, " values"]) -> bool:
 
 
 def edges(values: Float[np.ndarray, " values"]) -> Float[np.ndarray, " values+1"]:
-    """Return the n + 1 edges of cells around n > 1 increasing values: halfway, in the logarithm for geometric ones."""
+    """Return the n + 1 cell edges of n > 1 increasing values: midpoints, taken in the logarithm of geometric values."""
     if is_geometric(values):
         return np.exp(edges(np.log(values)))
     half = np.diff(values) / 2
@@ -201,7 +201,7 @@ def edges(values: Float[np.ndarray, " values"]) -> Float[np.ndarray, " values+1"
 
 
 def shape_axis(axes: Axes, which: Literal["x", "y"], values: Float[np.ndarray, " values"]) -> None:
-    """End the x or y axis at the outer edges of the cells around `values`, logarithmic for geometric values."""
+    """Limit the x or y axis to the outer cell edges of `values`, and make it logarithmic for geometric values."""
     ends = edges(values)[[0, -1]]
     if is_geometric(values):
         axis = axes.xaxis if which == "x" else axes.yaxis

@@ -1,4 +1,4 @@
-"""Borders of the stable single impact as curves, with one line style for each kind."""
+"""Borders of the stable single-impact orbits as curves, with one line style per kind of border."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -19,7 +19,8 @@ from vibrojax.plot.style import DASHED, FAINT, INK
 
 ANY = "any"
 
-# Distinct in greyscale and for colour-blind readers; kinds have the same colours along families.
+# Distinguishable in greyscale and for colour-blind readers. Special points of families have the same or similar
+# colours.
 LINES: dict[str, dict[str, Any]] = {
     "fold": {"color": "#222222", "linestyle": "-"},
     "period-doubling": {"color": "#D55E00", "linestyle": "-"},
@@ -34,23 +35,23 @@ LINES: dict[str, dict[str, Any]] = {
 _OTHER_LINE = {"color": INK, "linestyle": "-"}
 
 OVER_TEXT = "Lines: where stable single impacts end, whichever start leads to them"
-"""The note on borders over a map."""
+"""Note printed when borders are drawn over a map."""
 
 
 def axes_of(ds: xr.Dataset) -> tuple[str, str]:
-    """Return the parameter that runs to the right, and the one that runs up."""
+    """Return the parameters on the horizontal and on the vertical axis."""
     first, second = (str(name) for name in np.atleast_1d(ds.attrs["axes"]))
     return first, second
 
 
 def beyond(ds: xr.Dataset) -> list[str]:
-    """Return the parameters that are constant in a plane, and differ between planes."""
+    """Return the further parameters: constant within a plane of the two axes, different between planes."""
     names = (str(name) for name, data in ds.coords.items() if data.dims == ("curve",))
     return [name for name in names if name not in (START, "curve")]
 
 
 def draw_borders(axes: Axes, ds: xr.Dataset, plane: dict[str, float], start: str, x: str, y: str) -> list[str]:
-    """Draw the curves of one plane, given by its values, and of one `start`; return the kinds drawn."""
+    """Draw the curves of one plane (parameter values) and one initial condition; return the kinds of borders drawn."""
     mask = ds[START].values == start if START in ds.coords else np.ones(ds.sizes["curve"], bool)
     for name, value in plane.items():
         mask &= np.isclose(ds[name].values, value, rtol=SAME_DIGITS, atol=0.0)
@@ -66,7 +67,7 @@ def draw_borders(axes: Axes, ds: xr.Dataset, plane: dict[str, float], start: str
 
 
 def border_handles(kinds: Iterable[str]) -> list[Artist]:
-    """Return the legend's entries for kinds of borders."""
+    """Return the legend entries for kinds of borders."""
     occurring = set(kinds)
     return [
         Line2D([], [], label=kind, linewidth=1.8, **LINES.get(kind, _OTHER_LINE))
@@ -76,13 +77,13 @@ def border_handles(kinds: Iterable[str]) -> list[Artist]:
 
 
 def check_borders(ds: xr.Dataset, over: xr.Dataset, x: str, y: str) -> None:
-    """Raise `InputError` unless `over` has borders over the axes of a map of `ds`, of the same machine."""
+    """Raise `InputError` unless the borders `over` have the map's axes, and the scene and friction law of `ds`."""
     if set(axes_of(over)) != {x, y}:
         raise InputError(f"over: the borders are over {' and '.join(axes_of(over))}, the map over {x} and {y}")
     check_machine(ds, over, "borders", "map", "find those of")
 
 
 def draw_over_panel(axes: Axes, over: xr.Dataset, facet: xr.Dataset, x: str, y: str) -> list[str]:
-    """Draw the borders of all orbits over the panel of a map, whatever its start; return the kinds drawn."""
+    """Draw the borders that hold for any initial condition over a map panel; return the kinds of borders drawn."""
     plane = {name: float(facet[name]) for name in beyond(over) if name in facet.coords and facet[name].ndim == 0}
     return draw_borders(axes, over, plane, ANY, x, y)

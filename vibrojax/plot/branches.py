@@ -1,4 +1,4 @@
-"""Branches of families as lines, solid for stable orbits, with their special points; and the legend's entries."""
+"""Branches of orbit families as lines, solid where orbits are stable, with special points and legend entries."""
 
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
@@ -44,7 +44,7 @@ MARKS: dict[str, Mark] = {
     "end": Mark(marker="x", color="#222222", markersize=4.5, markeredgewidth=1.2),
 }
 _COLOUR_OF_CYCLES = {1: BIT, 2: "#D1570A", 4: "#2E8B57", 8: "#9B30C9"}
-_POINTS_PER_STEP = 8  # points of a smooth line from one orbit to the next
+_POINTS_PER_STEP = 8  # vertices of a smooth line between successive orbits
 
 Column = np.ndarray
 
@@ -57,7 +57,7 @@ class Curve(NamedTuple):
 
 
 def curves_of(ds: xr.Dataset) -> list[Curve]:
-    """Return all branches in their colours: one for each family, or of one family for each number of returns."""
+    """Return all branches with colours: one per family, or, for a single family, one per period in returns."""
     colours = _family_colours(ds)
     if colours:
         return [Curve(branch, colours[branch.family]) for branch in branches(ds)]
@@ -70,7 +70,7 @@ def _cycles(ds: xr.Dataset, branch: Branch) -> int:
 
 
 def _family_colours(ds: xr.Dataset) -> dict[int, str]:
-    """Return the colours of several families by number, in the order of their parameter; empty for one family."""
+    """Return colours by family number, graded along the distinguishing coordinate; empty for a single family."""
     if FAMILY not in ds.dims:
         return {}
     by = ds[(*distinguishing_coords(ds), FAMILY)[0]]
@@ -80,12 +80,12 @@ def _family_colours(ds: xr.Dataset) -> dict[int, str]:
 
 
 def distinguishing_coords(ds: xr.Dataset) -> list[str]:
-    """Return the coordinates in which several families differ."""
+    """Return the names of the coordinates that distinguish several families."""
     return [str(name) for name, data in ds.coords.items() if data.dims == (FAMILY,) and name != FAMILY]
 
 
 def _shown_names(ds: xr.Dataset, branch: Branch, name: str) -> tuple[str, ...]:
-    """Return the variables drawn for `name`: of several returns with a blow each, the least and the greatest."""
+    """Return the variables drawn for `name`: minimum and maximum if several returns have one impact each."""
     ends = f"{name}_min", f"{name}_max"
     cycles = _cycles(ds, branch)
     several = cycles > 1 and "impacts" in ds and ds["impacts"].values[branch.points[0]] == cycles
@@ -93,7 +93,7 @@ def _shown_names(ds: xr.Dataset, branch: Branch, name: str) -> tuple[str, ...]:
 
 
 def heights_of(ds: xr.Dataset, name: str, factor: float) -> np.ndarray:
-    """Return a variable at all points, times `factor`; the first of several multipliers."""
+    """Return a variable at all points, times `factor`; of several multipliers, only the first."""
     data = ds[name]
     values = data.isel({dim: 0 for dim in data.dims[1:]}).values if data.ndim > 1 else data.values
     return factor * np.asarray(values, float)
@@ -111,8 +111,8 @@ def draw_families(
 ) -> None:
     """Draw the variable `name` along branches, with their special points.
 
-    `thin`: finer lines and marks; `factor`: of the variable, by default that of its label; `within`: limits of the
-    parameter; `over_dots`: with a white edge.
+    `thin`: use finer lines and markers; `factor`: conversion factor of the variable, by default that of its label;
+    `within`: limits of the parameter; `over_dots`: give lines a white edge.
     """
     edge = [withStroke(linewidth=1.5, foreground="white")] if over_dots else []
     factor = scale(ds[name])[0] if factor is None else factor
@@ -128,7 +128,7 @@ def draw_families(
                 look = Mark(color=colour, linestyle=_LINES[stable], linewidth=width, zorder=4)
                 corners = np.flatnonzero(np.isin(points, special))
                 for x, y in smooth(along[points], heights[points], corners, name == LARGEST):
-                    # NaN rather than fewer points: points outside do not change the limits of the panel.
+                    # Points outside become NaN, so that they do not change the limits of the panel.
                     axes.plot(x, np.where((x >= low) & (x <= high), y, np.nan), path_effects=edge, **look)
             for point, place in zip(branch.special, special, strict=True):
                 if low <= along[place] <= high:
@@ -139,9 +139,9 @@ def draw_families(
 
 
 def smooth(x: Column, y: Column, corners: Column, logarithmic: bool = False) -> Iterator[tuple[Column, Column]]:
-    """Yield smooth lines through points, from corner to corner: monotone cubics, which add no wiggles of their own.
+    """Yield smooth lines through points, one between successive corners: monotone cubics, which do not overshoot.
 
-    Continuation allows larger steps between orbits on a steep curve than the eye does.
+    On a steep curve, continuation steps may be too long for straight segments to look smooth.
     """
     from scipy.interpolate import PchipInterpolator  # slow to import, and no other picture needs it
 
@@ -162,7 +162,7 @@ def smooth(x: Column, y: Column, corners: Column, logarithmic: bool = False) -> 
 
 
 def _mark(kind: str, size: float) -> Mark:
-    """Return the mark of a kind of special point, its size times `size`; filled marks with a white edge."""
+    """Return the marker of a kind of special point, scaled by `size`; filled markers get a white edge."""
     mark = MARKS.get(kind, Mark(marker="P", color=FAINT, markersize=5.0))
     mark = mark | Mark(markersize=size * float(mark["markersize"]))
     return mark if mark["marker"] in ("|", "x") else mark | Mark(markeredgecolor="white", markeredgewidth=0.5)
@@ -172,7 +172,7 @@ def _mark(kind: str, size: float) -> Mark:
 
 
 def colour_handles(ds: xr.Dataset, curves: Sequence[Curve]) -> list[Artist]:
-    """Return the legend's entries for colours: families, or numbers of returns."""
+    """Return the legend entries for colours: families, or periods in returns."""
     entries: dict[str, str] = {}
     if FAMILY in ds.dims:
         by, colours = ds[(*distinguishing_coords(ds), FAMILY)[0]], list(_family_colours(ds).values())
@@ -185,7 +185,7 @@ def colour_handles(ds: xr.Dataset, curves: Sequence[Curve]) -> list[Artist]:
 
 
 def stability_handles(ds: xr.Dataset, curves: Sequence[Curve], noun: str = "") -> list[Artist]:
-    """Return the legend's entries for the styles of lines that occur; `noun` follows the adjective."""
+    """Return the legend entries for the line styles that occur; `noun` is appended to each label."""
     occurring = {stable for curve in curves for *_, stable in runs(stability(ds, curve.branch))}
     return [
         Line2D([], [], color=INK, linestyle=line, label=f"{_MEANINGS[stable]}{noun}", linewidth=1.2)
@@ -195,7 +195,7 @@ def stability_handles(ds: xr.Dataset, curves: Sequence[Curve], noun: str = "") -
 
 
 def special_handles(ds: xr.Dataset, count: bool = True) -> list[Artist]:
-    """Return the legend's entries for the kinds of special points that occur, with their numbers if `count`."""
+    """Return the legend entries for the kinds of special points that occur, with their counts if `count`."""
     names = kind_names(ds)
     return [
         Line2D([], [], label=kind + f"  {names.count(kind)}" * count, **_mark(kind, 1.0) | Mark(linestyle="none"))
@@ -205,6 +205,6 @@ def special_handles(ds: xr.Dataset, count: bool = True) -> list[Artist]:
 
 
 def ranges_text(ds: xr.Dataset, names: Sequence[str]) -> str:
-    """Return the note on branches whose blows differ from return to return."""
+    """Return the note that branches of several returns are drawn as minimum and maximum, or "" if there are none."""
     several = any(len(_shown_names(ds, branch, name)) > 1 for branch in branches(ds) for name in names)
     return "Of branches of several returns the least and the greatest blow" if several else ""

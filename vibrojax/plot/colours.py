@@ -1,4 +1,4 @@
-"""Colours of regimes, of the forms of the law, and of quantities, whose scale all panels of a picture share."""
+"""Colours of regimes, of the forms of the penetration law, and of quantities (one scale for all panels)."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -23,7 +23,7 @@ from vibrojax.plot.contents import RATE, REGIME, RELIEF, contents
 from vibrojax.plot.style import INK, NOTHING, UNDEFINED, colour_map, other_colour
 
 # One fixed colour for each regime, so that pictures of different runs can be compared. Any two differ by 28 or more in
-# CIELAB, also with any one kind of cone missing. The regime to look for, 3, is the brightest.
+# CIELAB, also for readers who lack one kind of cone. The regime of interest, 3, is the brightest.
 REGIME_COLOURS = {
     0: "#DDD8C8",
     1: "#8C8C8C",
@@ -41,7 +41,7 @@ SINGLE = REGIMES.index("single-impact")
 FORM_COLOURS = {"onset": "#004488", "literal": "#222222", "percent": "#DDAA33", "line": "#56B4E9", "power": "#BB5566"}
 _OTHER_FORM = "#8C8C8C"
 
-# Name on the picture and colours, perceptually uniform.
+# Name on the picture, and perceptually uniform colour map.
 _QUANTITIES = {
     "rate_of_penetration": ("rate of penetration", "plasma"),
     "impact_velocity": ("impact velocity", "viridis"),
@@ -65,18 +65,18 @@ _OF_DRILL = ("impact_velocity", "period", "bit_amplitude")
 _OF_ROCK = (RATE, "slip_per_impact", RELIEF, "mean_force")
 _NOTHING_AT_ZERO = {"rate_of_penetration", "slip_per_impact"}
 ROBUST = (2.0, 98.0)  # percentiles
-_OUTLIER_RANGE = 2.0  # distance from the robust limits, in units of their range, from which values are outliers
+_OUTLIER_RANGE = 2.0  # outliers are farther from the robust limits than this, in units of the robust range
 _SPREAD = {"rate_of_penetration", "slip_per_impact", "C"}  # quantities that may extend over decades
-_LOG_SHARE, _LOG_RATIO = 20.0, 15.0  # logarithmic colours: that percentage of values is smaller by that factor
-_NAMES_ON_ONE_LINE = 3  # flags whose names fit side by side
-_CONSTANT = 1e-9  # relative range up to which values are one value
+_LOG_SHARE, _LOG_RATIO = 20.0, 15.0  # logarithmic if this percentage of values is below the greatest over this factor
+_NAMES_ON_ONE_LINE = 3  # greatest number of flags whose names fit side by side
+_CONSTANT = 1e-9  # relative range up to which values count as equal
 
 Cells = Float[np.ndarray, "*shape"]
 
 
 @dataclass(frozen=True)
 class Value:
-    """A variable in colours: its values times `factor`, under `norm`, which all panels of a picture share."""
+    """Colour coding of a variable: its values times `factor`, mapped by `norm`, which all panels of a picture share."""
 
     name: str
     label: str
@@ -85,7 +85,7 @@ class Value:
     extend: Literal["neither", "min", "max", "both"]
     colour_map: Colormap
     names: Mapping[int, str] = field(default_factory=dict)
-    """The meanings of its values, if they are flags."""
+    """Meanings of the values by flag; empty if the variable has no flags."""
 
     @property
     def of_rate(self) -> bool:
@@ -93,16 +93,16 @@ class Value:
         return self.name in _NOTHING_AT_ZERO
 
     def of(self, ds: xr.Dataset) -> xr.DataArray:
-        """Return the values in `ds`, in the unit of the label."""
+        """Return the variable's values in `ds`, in the unit of the label."""
         return ds[self.name] * self.factor
 
 
 Values = tuple[Value | None, ...]
-"""Quantities to draw, with None for the regimes."""
+"""Quantities to draw; None stands for the regimes."""
 
 
 class Coloured(NamedTuple):
-    """Cells with their colour map and norm."""
+    """Cells of a map with their colour map and norm."""
 
     cells: Cells
     colour_map: Colormap
@@ -110,7 +110,7 @@ class Coloured(NamedTuple):
 
 
 def coloured(ds: xr.Dataset, value: Value | None, *dims: str) -> Coloured:
-    """Return the regimes (None), or `value`, of the lanes along `dims`."""
+    """Return the cells of `value`, or of the regimes if `value` is None, with dimensions in the order `dims`."""
     if value is None:
         return Coloured(regime_cells(ds[REGIME].transpose(*dims)), REGIME_MAP, REGIME_NORM)
     return Coloured(value.of(ds).transpose(*dims).values, value.colour_map, value.norm)
@@ -120,9 +120,9 @@ def coloured(ds: xr.Dataset, value: Value | None, *dims: str) -> Coloured:
 
 
 def regime_cells(data: xr.DataArray) -> Cells:
-    """Return the flags of regimes as floats, NaN for lanes without one.
+    """Return the regime flags as floats, NaN for lanes without a regime.
 
-    **Raises:** `InputError` if there is a flag that has no colour.
+    **Raises:** `InputError` if a flag has no colour.
     """
     values = np.asarray(data.values, float)
     known = np.isin(values, list(REGIME_COLOURS))
@@ -136,13 +136,13 @@ def regime_cells(data: xr.DataArray) -> Cells:
 
 
 def stack_shares(rows: Float[np.ndarray, "starts values"]) -> Float[np.ndarray, "starts values"]:
-    """Return the regimes of each column sorted, single impacts first, so that their heights are their shares."""
+    """Sort the regimes of each column, single impacts first, so that the height of a colour is its fraction."""
     ordered = np.sort(np.where(rows == SINGLE, -1.0, rows), axis=0)
     return np.where(ordered == -1.0, float(SINGLE), ordered)
 
 
 def regime_names(data: xr.DataArray) -> dict[int, str]:
-    """Return the names of regimes by flag, from the attributes `flag_values` and `flag_meanings` if they exist."""
+    """Return the names of regimes by flag; the attributes `flag_values` and `flag_meanings` override the defaults."""
     return dict(enumerate(REGIMES)) | flag_names(data)
 
 
@@ -161,7 +161,7 @@ def regime_counts(data: Iterable[xr.DataArray]) -> dict[int, int]:
 
 
 def regime_handles(data: Sequence[xr.DataArray]) -> list[Artist]:
-    """Return a patch for each regime that occurs, named with its share of the lanes."""
+    """Return a legend patch for each regime that occurs, labelled with name and fraction of the lanes."""
     names = regime_names(data[0])
     lanes = sum(part.size for part in data)
     counts = regime_counts(data)
@@ -169,13 +169,13 @@ def regime_handles(data: Sequence[xr.DataArray]) -> list[Artist]:
 
 
 def sensitive_handle() -> Artist:
-    """Return the legend's entry for lanes whose attractor is decided by rounding."""
+    """Return the legend entry for lanes whose attractor is determined by rounding error."""
     text = "rounding decides\nthe attractor"
     return Line2D([], [], label=text, marker="x", markersize=4.0, markeredgewidth=0.8, linestyle="none", color=INK)
 
 
 def patch(colour: str, name: str) -> Patch:
-    """Return the legend's entry for cells of one colour."""
+    """Return the legend entry for cells of one colour."""
     return Patch(facecolor=colour, edgecolor="0.35", linewidth=0.4, label=name)
 
 
@@ -183,25 +183,25 @@ def patch(colour: str, name: str) -> Patch:
 
 
 def form_colour(name: str) -> str:
-    """Return the colour of a form of the law."""
+    """Return the colour of a form of the penetration law."""
     return FORM_COLOURS.get(name, _OTHER_FORM)
 
 
 def values_beside(ds: xr.Dataset) -> tuple[Value, ...]:
-    """Return the values that get a panel beside the regimes."""
+    """Return the quantities that get a panel next to the regimes."""
     return tuple(value_of(ds[name]) for name in contents(ds).beside)
 
 
 def values_of_rock(ds: xr.Dataset) -> tuple[Value, ...]:
-    """Return the values that get a map without regimes: the rate of penetration, and the quantities that vary."""
+    """Return the quantities to map without regimes: the rate of penetration, and other quantities that vary."""
     names = [name for name in _OF_ROCK if name in ds and (name == RATE or _varies(ds[name].values))]
     if {RELIEF, "mean_force"} <= set(names) and not _varies((ds["mean_force"] / ds[RELIEF]).values):
-        names.remove(RELIEF)  # the same picture as that of the force
+        names.remove(RELIEF)  # proportional to the force, so the map looks the same
     return tuple(value_of(ds[name]) for name in names)
 
 
 def value_of(data: xr.DataArray) -> Value:
-    """Return a variable in colours; flags get one colour for each that occurs."""
+    """Return the colour coding of a variable; a flag variable gets one colour per flag that occurs."""
     name = str(data.name)
     if "flag_meanings" in data.attrs and np.size(data.values):
         return _flags_value(data)
@@ -219,7 +219,7 @@ def value_of(data: xr.DataArray) -> Value:
 
 
 def _flags_value(data: xr.DataArray) -> Value:
-    """Return flags in colours: those of stability and of regimes, and others in order."""
+    """Return the colour coding of flags: fixed colours for stability and regimes, else colours by position."""
     meanings, name = flag_names(data), str(data.name)
     occurring = np.unique(data.values[~np.isnan(data.values)]).astype(int).tolist() or [0]
     own = REGIME_COLOURS if "single-impact" in meanings.values() else _STABILITY_COLOURS if name == "stable" else {}
@@ -232,7 +232,7 @@ def _flags_value(data: xr.DataArray) -> Value:
 
 
 def name_flags(axis: Axis, value: Value) -> None:
-    """Write the meanings of flags along an axis, if `value` has flags; many side by side on two lines, if possible."""
+    """Label the ticks of an axis with flag meanings, if `value` has flags. Many meanings on an x axis get two lines."""
     if value.names:
         two_lines = isinstance(axis, XAxis) and len(value.names) > _NAMES_ON_ONE_LINE
         names = [name.replace("-", "-\n", 1) if two_lines else name for name in value.names.values()]
@@ -241,19 +241,19 @@ def name_flags(axis: Axis, value: Value) -> None:
 
 
 def shape_flags(axes: Axes, value: Value) -> None:
-    """Give the y axis the names and the limits of flags, if `value` has flags."""
+    """Set tick labels and limits of the y axis for flags, if `value` has flags."""
     if value.names:
         name_flags(axes.yaxis, value)
         axes.set_ylim(min(value.names) - 0.5, max(value.names) + 0.5)
 
 
 def share_value(data: xr.DataArray, name: str) -> Value:
-    """Return the share [%] of starts that end in the regime `name`, in colours from 0 to 100 %."""
+    """Return the colour coding, from 0 to 100 %, of the fraction of initial conditions that end in regime `name`."""
     return Value(str(data.name), f"{name} [% of starts]", 1.0, Normalize(0.0, 100.0), "neither", colour_map())
 
 
 def cell_handles(data: Sequence[xr.Dataset], values: Values) -> list[Artist]:
-    """Return the legend's entries for regimes (None), and for lanes without penetration and without a value."""
+    """Return the legend entries for regimes, for lanes without penetration, and for lanes without a value."""
     handles = regime_handles([part[REGIME] for part in data]) if None in values else []
     shown = [(part[value.name].values, value.of_rate) for part in data for value in values if value is not None]
     if any((cells == 0).any() for cells, of_rate in shown if of_rate):
@@ -269,7 +269,7 @@ def _varies(values: Cells) -> bool:
 
 
 def _norm(name: str, finite: Cells) -> Normalize:
-    """Return the limits of the colours: robust against outliers, from zero for a share, logarithmic over decades."""
+    """Return the colour scale: robust against outliers, from zero for the error of C, logarithmic over decades."""
     low, high = robust = tuple(float(limit) for limit in np.percentile(finite, ROBUST))
     if name not in _OF_DRILL:
         beyond = _OUTLIER_RANGE * (high - low)

@@ -1,4 +1,4 @@
-"""Curves over a sweep: a row for each facet, a column for each quantity, a line for each value of one more axis."""
+"""Curves along an axis of a sweep: one row per facet, one column per quantity, one line per value of another axis."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -32,14 +32,14 @@ from vibrojax.plot.style import (
 
 MOST_ROWS = 4
 _PANEL_WIDTH = 3.3  # inches
-_FREQUENCY = "frequency"  # the axis to draw along if others are as long
+_FREQUENCY = "frequency"  # preferred among axes of equal length
 
 
 @dataclass(frozen=True)
 class Across:
-    """The axis `name` that lines are drawn along, times `factor`; without a name if nothing varies.
+    """Horizontal axis of curves: the coordinate `name` times `factor`. `name` is empty if nothing varies.
 
-    Names are drawn at 0, 1, ...
+    String values are placed at 0, 1, ...
     """
 
     name: str
@@ -49,7 +49,7 @@ class Across:
     is_number: bool
 
     def of(self, lanes: xr.Dataset) -> Float[np.ndarray, " lanes"]:
-        """Return the places of lanes along the axis."""
+        """Return the positions of lanes along the axis."""
         if not self.name:
             return np.zeros(1)
         values = np.atleast_1d(lanes[self.name].values)
@@ -58,7 +58,7 @@ class Across:
         return np.array([float(self.values.tolist().index(value)) for value in values.tolist()])
 
     def shape(self, axes: Axes) -> None:
-        """Give `axes` the scale and the ticks of this axis."""
+        """Set scale and ticks of the x axis of `axes`."""
         if not self.name:
             axes.set_xticks([])
         elif not self.is_number:
@@ -68,13 +68,13 @@ class Across:
             shape_axis(axes, "x", self.values)
 
     def style_of(self, ds: xr.Dataset) -> Literal["-", "none"]:
-        """Return the style of lines along the axis: names and points of a list are not joined."""
+        """Return the line style along the axis: string values and points of a list are not joined by lines."""
         return "-" if self.is_number and POINT not in lane_dims(ds) else "none"
 
 
 @dataclass(frozen=True)
 class Line:
-    """One line: the text of its value on its axis, its colour, and its lanes along one dimension."""
+    """One line: its legend text `name`, its colour, and its lanes along one dimension."""
 
     name: str
     colour: str
@@ -83,14 +83,14 @@ class Line:
 
 @dataclass(frozen=True)
 class Row:
-    """The axes of one facet, one for each quantity; labels of the axis across go to the row at the `bottom`."""
+    """The panels of one facet, one per quantity. Only the row at the `bottom` has labels of the horizontal axis."""
 
     axes: tuple[Axes, ...]
     facet: xr.Dataset
     bottom: bool
 
     def label(self, quantity: int, across: str, up: str) -> None:
-        """Label the axes of one quantity, above a grid."""
+        """Label the panel of one quantity, and draw grid lines."""
         axes = self.axes[quantity]
         axes.grid(True)
         axes.tick_params(labelbottom=self.bottom)
@@ -99,7 +99,7 @@ class Row:
 
 
 def longest_axis(ds: xr.Dataset) -> Across:
-    """Return the longest axis of numbers, `frequency` among equals; without any, the longest axis of names.
+    """Return the longest numeric axis, preferably `frequency`; without numeric axes, the longest string-valued axis.
 
     **Raises:** `InputError` if there are several points and no parameter that distinguishes them.
     """
@@ -117,7 +117,7 @@ def longest_axis(ds: xr.Dataset) -> Across:
 
 
 def axis_of_lines(ds: xr.Dataset, along: str) -> str:
-    """Return the axis whose values are lines of one colour each: the longest but `along`, the start last."""
+    """Return the axis with one line per value: the longest except `along`, `start` only if there is no other."""
     if POINT in lane_dims(ds):
         sizes = {name: count for name, count in varied(ds, names=True).items() if count <= MOST_LINES}
     else:
@@ -127,7 +127,7 @@ def axis_of_lines(ds: xr.Dataset, along: str) -> str:
 
 
 def split_lines(ds: xr.Dataset, by: str) -> list[Line]:
-    """Return the lines of a facet, one for each value of the axis `by`, numbers in their order."""
+    """Return the lines of a facet, one per value of the axis `by`; numeric values are sorted."""
     if not by:
         return [Line("", BIT, ds)]
     values = list(dict.fromkeys(ds[by].values.tolist()))
@@ -141,7 +141,7 @@ def split_lines(ds: xr.Dataset, by: str) -> list[Line]:
 
 
 def line_handles(lines: Sequence[Line], mark: Mark) -> list[Artist]:
-    """Return the legend's entries for lines; of too many lines, for some from the first to the last."""
+    """Return the legend entries for lines; of too many lines, an even selection from the first to the last."""
     if len(lines) == 1 and not lines[0].name:
         return []
     chosen = sorted({int(index) for index in np.linspace(0, len(lines) - 1, MOST_LINES).round()}) if lines else []
@@ -150,9 +150,9 @@ def line_handles(lines: Sequence[Line], mark: Mark) -> list[Artist]:
 
 
 def new_rows(panels: Facets, quantities: int, above: float = 0.0) -> tuple[Figure, tuple[Row, ...], SubplotSpec | None]:
-    """Return an empty figure with room for a legend at the right, the axes of each facet, and a place over them.
+    """Return an empty figure with room for a legend at the right, its rows of panels, and a free strip at the top.
 
-    The panels of a quantity share their axes. The place is `above` inches high; None for zero inches.
+    The panels of a quantity share their axes. The strip is `above` inches high; None is returned for zero inches.
     """
     count = len(panels)
     figure = new_figure(_PANEL_WIDTH * quantities + LEGEND_WIDTH, (2.9 if count == 1 else 2.3) * count + 0.8 + above)
@@ -168,7 +168,7 @@ def new_rows(panels: Facets, quantities: int, above: float = 0.0) -> tuple[Figur
 
 
 def _colours(data: xr.DataArray, values: Sequence[float | str]) -> list[str]:
-    """Return colours in order for numbers, and for names their own: of a form, a start or a rock."""
+    """Return graded colours for numbers, and fixed colours for the names of forms, initial conditions or rocks."""
     if is_numeric(data):
         return line_colours(len(values))
     if data.name == FORM:

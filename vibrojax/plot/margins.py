@@ -1,4 +1,4 @@
-"""Title, notes and legend around the panels of a page."""
+"""Title, notes and legend around the panels of a figure."""
 
 from collections.abc import Sequence
 
@@ -13,22 +13,22 @@ from vibrojax.plot.axes import point_text
 from vibrojax.plot.style import TITLE_SIZE
 
 PAGE = (16.0, 20.0)
-"""The greatest width and height [inch] of a picture of a sweep, its margins included."""
+"""Greatest width and height [inch] of a sweep's picture, margins included."""
 
 LEGEND_WIDTH = 1.9
 """The approximate width [inch] of a legend at the right."""
 
 _NOTE_SIZE = 8.0
 _TITLE_LINES, _NOTE_LINES = 3, 6  # at most
-_LINE_HEIGHT = 1.6  # from one line to the next, in units of the letters' size
+_LINE_HEIGHT = 1.6  # line spacing in units of the font size
 _BESIDE_LEGEND = 0.15  # inches left free
 
 
 def write_margins(figure: Figure, ds: xr.Dataset, *notes: str, point: str | None = None) -> None:
-    """Write the dataset's title above everything, but not over a legend at the right, and the notes below.
+    """Write the dataset's title at the top, to the left of any legend, and the notes at the bottom.
 
-    The notes begin with the values that all lanes share, or with `point`. The figure grows by the lines after the
-    first of each text.
+    The notes begin with `point`, by default the values common to all lanes. Each line after the first line of title or
+    notes makes the figure higher.
     """
     title = str(ds.attrs.get("title") or ds.attrs.get("scene", ""))
     note = ". ".join(filter(None, (point_text(ds) if point is None else point, *notes)))
@@ -37,7 +37,7 @@ def write_margins(figure: Figure, ds: xr.Dataset, *notes: str, point: str | None
     legends = [legend.get_window_extent(renderer).width / figure.dpi + _BESIDE_LEGEND for legend in figure.legends]
     bold = FontProperties(size=TITLE_SIZE, weight="bold")
     above = _wrap(figure, title, bold, width - max(legends, default=0.0), _TITLE_LINES)
-    # Small letters are wider, by a hundredth, on the finer pixels of a saved picture.
+    # At the higher resolution of a saved picture, small text is wider by a hundredth.
     below = _wrap(figure, note, FontProperties(size=_NOTE_SIZE), 0.985 * width, _NOTE_LINES)
     if above:
         figure.suptitle("\n".join(above), x=0.01, ha="left", fontproperties=bold)
@@ -58,7 +58,7 @@ def legend_at_right(figure: Figure, *groups: Sequence[Artist]) -> None:
 
 
 def _wrap(figure: Figure, text: str, font: FontProperties, width: float, most: int) -> list[str]:
-    """Return the text on at most `most` lines of `width` [inch]; an ellipsis shows that the rest is cut off."""
+    """Wrap the text to at most `most` lines of `width` [inch]; an ellipsis marks omitted text."""
     lines: list[str] = []
     for word in text.split():
         longer = f"{lines[-1]} {word}" if lines else word
@@ -72,7 +72,7 @@ def _wrap(figure: Figure, text: str, font: FontProperties, width: float, most: i
 
 
 def _cut(figure: Figure, text: str, font: FontProperties, width: float) -> str:
-    """Return the text, or as much of it as `width` [inch] holds with an ellipsis at its end."""
+    """Truncate the text with an ellipsis if it is wider than `width` [inch]."""
     if _text_width(figure, text, font) <= width:
         return text
     while text and _text_width(figure, f"{text}…", font) > width:
@@ -81,7 +81,7 @@ def _cut(figure: Figure, text: str, font: FontProperties, width: float) -> str:
 
 
 def _text_width(figure: Figure, text: str, font: FontProperties) -> float:
-    """Return the width [inch] of a text on one line."""
+    """Return the rendered width [inch] of a text on one line."""
     width, *_ = _canvas(figure).get_renderer().get_text_width_height_descent(text, font, False)
     return float(width) / figure.dpi
 

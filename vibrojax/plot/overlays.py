@@ -1,4 +1,4 @@
-"""Families of orbits laid over a sweep along the same parameter, and the checks of all overlays."""
+"""Families of orbits drawn over a sweep along the same parameter, and input checks for all overlays."""
 
 from collections.abc import Sequence
 from typing import NoReturn
@@ -26,23 +26,23 @@ from vibrojax.plot.contents import is_numeric
 from vibrojax.plot.style import INK
 
 OF_RETURNS = "impact_velocity"
-"""The variable of a family that belongs to the returns of a sweep."""
+"""Variable of a family that is drawn over a sweep's section crossings."""
 
 SAME_DIGITS = 1e-4
-"""Relative difference up to which two values are the same: as many digits as a picture prints."""
+"""Relative difference up to which two values count as equal: about as many digits as a picture prints."""
 
 Overlays = xr.Dataset | Sequence[xr.Dataset] | None
 
 
 def as_layers(over: Overlays) -> tuple[xr.Dataset, ...]:
-    """Return the datasets to lay over another: one, several or none."""
+    """Return the overlay datasets as a tuple, which is empty for None."""
     if over is None:
         return ()
     return (over,) if isinstance(over, xr.Dataset) else tuple(over)
 
 
 def refuse_overlays(layers: Sequence[xr.Dataset], reason: str) -> NoReturn:
-    """Raise `InputError` with the pictures that the layers belong on, and the reason against this one."""
+    """Raise `InputError`: say which pictures accept the layers, and the `reason` why this picture does not."""
     if any(isinstance(layer, xr.Dataset) and kind_of(layer) == "borders" for layer in layers):
         places = "borders are laid over the map of regimes of a sweep over a grid of two parameters"
     else:
@@ -51,7 +51,7 @@ def refuse_overlays(layers: Sequence[xr.Dataset], reason: str) -> NoReturn:
 
 
 def check_machine(ds: xr.Dataset, over: xr.Dataset, layer: str, below: str, advice: str) -> None:
-    """Raise `InputError` unless a `layer` has the scene and the friction law of the picture `below` it."""
+    """Raise `InputError` unless the overlay `over` has the scene and the friction law of `ds`."""
     for name in ("scene", "friction"):
         if ds.attrs.get(name) != over.attrs.get(name):
             values = over.attrs.get(name), ds.attrs.get(name)
@@ -61,7 +61,7 @@ def check_machine(ds: xr.Dataset, over: xr.Dataset, layer: str, below: str, advi
 
 
 def check_families(ds: xr.Dataset, layers: Sequence[xr.Dataset], x: str) -> None:
-    """Raise `InputError` unless all `layers` have families along the axis `x` of the machine of `ds`."""
+    """Raise `InputError` unless all `layers` are families along the axis `x` with the scene and parameters of `ds`."""
     values = _parameter_values(ds)
     for over in layers:
         if not isinstance(over, xr.Dataset) or kind_of(over) != "family":
@@ -82,7 +82,7 @@ def check_families(ds: xr.Dataset, layers: Sequence[xr.Dataset], x: str) -> None
 
 
 def draw_over(axes: Axes, layers: Sequence[xr.Dataset], facet: xr.Dataset, x: str, name: str, factor: float) -> None:
-    """Draw a variable of the families with the parameters of `facet`, within the limits of its axis `x`."""
+    """Draw the variable `name` of those families that have the parameters of `facet`, within its range of `x`."""
     values = _parameter_values(facet)
     for over in layers:
         same = all(
@@ -104,7 +104,7 @@ def draw_over(axes: Axes, layers: Sequence[xr.Dataset], facet: xr.Dataset, x: st
 
 
 def over_handles(layers: Sequence[xr.Dataset]) -> list[Artist]:
-    """Return the legend's entries for families, each once."""
+    """Return the legend entries for families, without duplicates."""
     lines: dict[str, Artist] = {}
     marks: dict[str, Artist] = {}
     for over in layers:
@@ -115,13 +115,13 @@ def over_handles(layers: Sequence[xr.Dataset]) -> list[Artist]:
 
 
 def special_points(over: xr.Dataset) -> list[tuple[str, float]]:
-    """Return the kind and the parameter's value of each special point of families, without their ends."""
+    """Return kind and parameter value of each special point of families, except points of kind "end"."""
     points = zip(kind_names(over), over["special_value"].values.tolist(), strict=True)
     return [(kind, value) for kind, value in points if kind != "end"]
 
 
 def over_text(ds: xr.Dataset, layers: Sequence[xr.Dataset]) -> str:
-    """Return the note on the lines over the returns in `ds`."""
+    """Return the note on the family lines over the section crossings in `ds`, or "" without layers."""
     if not layers:
         return ""
     several = "return_impacts" in ds and bool((ds["return_impacts"].values > 1).any())
@@ -131,12 +131,12 @@ def over_text(ds: xr.Dataset, layers: Sequence[xr.Dataset]) -> str:
 
 
 def _numeric_coords(over: xr.Dataset) -> list[str]:
-    """Return the numbers in which several families differ."""
+    """Return the names of the numeric coordinates that distinguish several families."""
     return [name for name in distinguishing_coords(over) if is_numeric(over[name])]
 
 
 def _parameter_values(ds: xr.Dataset) -> dict[str, np.ndarray]:
-    """Return the values of all parameters of a sweep, fixed or not, by name."""
+    """Return the values of all parameters of a sweep, fixed and varied, by name."""
     along = {str(name): np.atleast_1d(data.values) for name, data in ds.coords.items() if is_numeric(data)}
     return {name: np.array([value]) for name, value in parameters_of(ds).items()} | along
 

@@ -1,4 +1,4 @@
-"""The lanes that a picture shows: those at given values of axes, and of very large datasets every n-th."""
+"""Selection of the lanes that a picture shows: by coordinate values, and every n-th lane of very large datasets."""
 
 from collections.abc import Mapping
 from math import prod
@@ -18,18 +18,18 @@ Value = float | int | str
 MOST_LANES = 300_000
 """The greatest number of lanes in a picture: more take minutes and show nothing new."""
 
-_DIGITS = 1e-4  # relative: as many as a picture prints
+_DIGITS = 1e-4  # relative tolerance: about as many digits as a picture prints
 _LISTED_VALUES, _LISTED_NAMES = 12, 5
 
 
 def select(ds: xr.Dataset, where: Mapping[str, Value]) -> xr.Dataset:
-    """Return the lanes at given values of axes, or of coordinates along them.
+    """Return the lanes at specified values of axes, or of coordinates along axes.
 
-    Families are selected by the coordinates in which they differ, or by `branch`.
+    Families are selected by the coordinates that distinguish them, or by `branch`.
 
-    **Arguments:** `where`: by name, a number in the dataset's unit, right to four digits, or a name.
+    **Arguments:** `where`: values by name: numbers in the dataset's unit, accurate to four digits, or strings.
 
-    **Raises:** `InputError` if there is no such axis, or no such value of it.
+    **Raises:** `InputError` if there is no such axis, or the axis has no such value.
     """
     if not isinstance(where, Mapping):
         raise InputError(f'where: {shown(where)} does not say which axis; give {{"delta": 0.005}}')
@@ -46,12 +46,12 @@ def select(ds: xr.Dataset, where: Mapping[str, Value]) -> xr.Dataset:
         (dimension,) = ds[name].dims
         ds = ds.isel({dimension: int(indices[0]) if len(indices) == 1 and dimension == name else indices})
     ds = ds.copy()
-    ds.attrs.pop("certified", None)  # counted over all lanes
+    ds.attrs.pop("certified", None)  # its counts are over all lanes
     return ds
 
 
 def _select_families(ds: xr.Dataset, where: Mapping[str, Value]) -> xr.Dataset:
-    """Return the points and special points of some families, or of one branch."""
+    """Return the points and special points of the selected families, or of one branch."""
     for name, value in where.items():
         choices = [*(str(key) for key, data in ds.coords.items() if data.dims == (FAMILY,)), "branch"]
         if name not in choices:
@@ -70,7 +70,7 @@ def _select_families(ds: xr.Dataset, where: Mapping[str, Value]) -> xr.Dataset:
 
 
 def _find(data: xr.DataArray, value: Value) -> Int[np.ndarray, " indices"]:
-    """Return the indices of a value; raise `InputError` with the existing values if there are none."""
+    """Return the indices of a value; raise `InputError` that lists the existing values if it does not occur."""
     values = data.values
     if is_numeric(data):
         try:
@@ -100,18 +100,18 @@ def _find(data: xr.DataArray, value: Value) -> Int[np.ndarray, " indices"]:
 
 
 def thin_out(ds: xr.Dataset) -> xr.Dataset:
-    """Return every n-th value of the longest axes, in memory, if there are too many lanes; else the dataset."""
+    """Return the dataset, or, if it has too many lanes, every n-th value of the longest axes, loaded into memory."""
     steps = _thinning_steps(ds)
     if not steps:
         return ds
     part = ds.isel({name: slice(None, None, step) for name, step in steps.items()})
-    for variable in part.variables.values():  # one by one: each is read whole before it is thinned
+    for variable in part.variables.values():  # one by one: a variable is read completely before it is thinned
         variable.load()
     return part
 
 
 def thinned_text(ds: xr.Dataset) -> str:
-    """Return which values of a dataset are drawn; empty if all are."""
+    """Describe which values of a dataset are drawn; return "" if all are drawn."""
     ordinals = {2: "second", 3: "third"}
     steps = _thinning_steps(ds)
     parts = [f"every {ordinals.get(step, f'{step}th')} value of {name}" for name, step in steps.items()]
@@ -119,7 +119,7 @@ def thinned_text(ds: xr.Dataset) -> str:
 
 
 def _thinning_steps(ds: xr.Dataset) -> dict[str, int]:
-    """Return n for the dimensions of which only every n-th value is drawn."""
+    """Return n by dimension, for those dimensions of which only every n-th value is drawn."""
     sizes = {name: ds.sizes[name] for name in lane_dims(ds)}
     steps = dict.fromkeys(sizes, 1)
     remaining = dict(sizes)

@@ -1,4 +1,4 @@
-"""Layout of maps: a panel for each value of the axes not drawn along, for the regimes (None) and each quantity."""
+"""Layout of maps: one panel per quantity (None: the regimes) and per value of the axes that are not drawn along."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -21,9 +21,9 @@ from vibrojax.plot.contents import START, is_numeric, lane_dims
 from vibrojax.plot.style import divide_figure, new_figure
 
 MOST_PANELS = 12
-_MOST_BESIDE = 3  # facets for which the values are beside the regimes; of more facets they are below
+_MOST_BESIDE = 3  # for up to this many facets, quantities are to the right of the regimes, else below
 _MOST_COLUMNS = 6
-_SQUARE_FROM = 4  # values of one facet from which they form two columns
+_SQUARE_FROM = 4  # number of quantities from which a single facet has two columns
 _LEGEND_ROOM = 1.6  # inches at the right for the legend, if no panel of regimes leaves a place for it
 
 Indices = Int[np.ndarray, " values"]
@@ -31,10 +31,10 @@ Indices = Int[np.ndarray, " values"]
 
 @dataclass(frozen=True)
 class Facets:
-    """The panels of a picture.
+    """The facets of a picture, each with an entry of `titles` and of `data`.
 
-    `titles` and `data` belong together; `runs` are the numbers of panels after which an axis begins anew, from the
-    last axis; `note` says which values were left out.
+    `runs`: numbers of facets after which an axis starts again, from the last axis to the first; `note`: which values
+    were left out.
     """
 
     titles: tuple[str, ...]
@@ -47,14 +47,14 @@ class Facets:
 
 
 def facets(ds: xr.Dataset, along: Sequence[str], most: int = MOST_PANELS) -> Facets:
-    """Cut the dataset into at most `most` panels over the dimensions of its lanes that are not in `along`."""
+    """Split the dataset into at most `most` facets along its lane dimensions that are not in `along`."""
     axes = [name for name in lane_dims(ds) if name not in along]
     sizes = {name: ds.sizes[name] for name in axes}
     counts = dict(sizes)
-    while np.prod(list(counts.values()), initial=1) > most:  # starts are dropped last
+    while np.prod(list(counts.values()), initial=1) > most:  # initial conditions are left out last
         droppable = [name for name in counts if name != START and counts[name] > 1] or list(counts)
         counts[max(droppable, key=counts.__getitem__)] -= 1
-    picks: dict[str, Indices] = {  # from the first to the last value; the middle one if it is one
+    picks: dict[str, Indices] = {  # from the first to the last value; the middle value if there is room for only one
         name: np.array([size // 2]) if counts[name] == 1 else np.linspace(0, size - 1, counts[name]).round().astype(int)
         for name, size in sizes.items()
     }
@@ -71,7 +71,7 @@ def facets(ds: xr.Dataset, along: Sequence[str], most: int = MOST_PANELS) -> Fac
 
 
 def _listed(ds: xr.Dataset, name: str, pick: Indices) -> str:
-    """Return the values of a dimension at the indices `pick`."""
+    """Format the values of a dimension at the indices `pick`."""
     if name not in ds.coords:
         return "; ".join(index_text(ds, name, i) for i in pick.tolist())
     values = ds[name].values[pick]
@@ -82,7 +82,7 @@ def _listed(ds: xr.Dataset, name: str, pick: Indices) -> str:
 
 
 def columns(panels: Facets, most: int) -> int:
-    """Return the number of columns, at most `most`, such that rows end with an axis and leave few gaps."""
+    """Return the number of columns, at most `most`, so that rows end where an axis ends and few cells stay empty."""
     count = len(panels)
     if count <= most:
         return count
@@ -93,9 +93,9 @@ def columns(panels: Facets, most: int) -> int:
 
 @dataclass(frozen=True)
 class Panel:
-    """One panel: its axes, the facet that it shows, and the value, None for the regimes.
+    """One panel: its axes, its facet, and the quantity `value` that it shows (None: the regimes).
 
-    `first` and `bottom`: the panel is in the first column, or the last of its column, and has labels there.
+    `first`: the panel is in the first column and has y labels; `bottom`: it is the last of its column and has x labels.
     """
 
     axes: Axes
@@ -108,9 +108,9 @@ class Panel:
 
 @dataclass(frozen=True)
 class Sheet:
-    """A figure with its panels, and one axes for the bar of each value; that of the regimes is for the legend.
+    """A figure with its panels, and one axes per quantity for the colour bar; that of the regimes holds the legend.
 
-    `above` the panels there may be a place for others.
+    `upright`: colour bars are vertical; `above`: free strip above the panels, or None.
     """
 
     figure: Figure
@@ -124,7 +124,7 @@ class Sheet:
         return iter(self.panels)
 
     def finish(self, handles: Sequence[Artist]) -> None:
-        """Draw the legend, in the place of the regimes or at the right, and the bars of the values."""
+        """Draw the legend, in the regimes' place or at the right of the figure, and the colour bars."""
         for bar, value in zip(self.bars, self.values, strict=True):
             if value is None:
                 bar.axis("off")
@@ -133,7 +133,7 @@ class Sheet:
                 else:
                     look: dict[str, Any] = {"loc": "upper left", "ncols": 2, "columnspacing": 1.0}
                     bar.legend(handles=handles, borderaxespad=0.0, borderpad=0.0, **look)
-                handles = ()  # the first of several such places has the legend
+                handles = ()  # only the first of several such places has the legend
             else:
                 draw_bar(self.figure, value, cax=bar, orientation="vertical" if self.upright else "horizontal")
         if None not in self.values and handles:
@@ -141,17 +141,18 @@ class Sheet:
 
 
 def draw_bar(figure: Figure, value: Value, **place: Any) -> None:
-    """Draw the colour bar of a value; `place` as `Figure.colorbar` takes it."""
+    """Draw the colour bar of a quantity; `place`: keyword arguments of `Figure.colorbar`."""
     mappable = ScalarMappable(value.norm, value.colour_map)
     bar = figure.colorbar(mappable, extend=value.extend, label=value.label, **place)
     name_flags(bar.long_axis, value)
 
 
 def sheet(panels: Facets, values: Values, above: float = 0.0) -> Sheet:
-    """Return an empty sheet for `panels` and `values`, with a place of `above` inches over them.
+    """Return an empty sheet for `panels` and `values`, with a free strip of `above` inches at the top.
 
-    The values of one facet form two columns, each with its bar at its right. Of a few facets each is a row, with
-    legend and bars at the foot. Of more facets each value is a block, with legend and bars at the right.
+    Four or more quantities of a single facet form two columns, each with colour bars at its right. Up to three facets
+    form one row each, with legend and colour bars at the bottom. With more facets, the panels of each quantity form a
+    block, with legend and colour bars at the right.
     """
     rows, wide = len(panels), len(values)
     if rows == 1 and wide >= _SQUARE_FROM:
@@ -192,13 +193,13 @@ def sheet(panels: Facets, values: Values, above: float = 0.0) -> Sheet:
 def _grid(
     width: float, height: float, above: float, heights: list[float], widths: list[float]
 ) -> tuple[Figure, SubplotSpec | None, GridSpecFromSubplotSpec]:
-    """Return a figure, the place of `above` inches in it, and below that a grid of the ratios `heights`, `widths`."""
+    """Return a figure, its free strip of `above` inches, and below it a grid with ratios `heights` and `widths`."""
     figure = new_figure(width, height + above)
     over, place = divide_figure(figure, above)
     return figure, over, place.subgridspec(len(heights), len(widths), height_ratios=heights, width_ratios=widths)
 
 
 def _wrapped(title: str, width: float) -> str:
-    """Return the title on lines of at most `width` inches, broken after commas only."""
+    """Wrap the title to lines of about `width` inches, broken only after commas."""
     unbroken = ", ".join(part.replace(" ", "\u00a0") for part in title.split(", "))
     return fill(unbroken, int(13 * width)).replace("\u00a0", " ")

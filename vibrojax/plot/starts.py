@@ -1,4 +1,4 @@
-"""Many starts: on the axes of their states if they are a grid or a line, else their shares of regimes."""
+"""Many initial conditions: drawn over initial states if they form a grid or a line, else as fractions of regimes."""
 
 from collections.abc import Sequence
 
@@ -11,33 +11,33 @@ from vibrojax.plot.colours import SINGLE, regime_names
 from vibrojax.plot.contents import HIDDEN, REGIME, START
 
 PREFIX = "start_"
-"""Prefix of the coordinate of a state at the start."""
+"""Name prefix of a coordinate that holds an initial state."""
 
 SHARE = "share_"
-"""Prefix of the share of a regime."""
+"""Name prefix of a variable that holds the fraction of a regime."""
 
-_SAME_STATE = 1e-9  # of a state's range, within which two starts have one value of it
+_SAME_STATE = 1e-9  # fraction of a state's range within which two initial values count as equal
 SYMBOLS = {"x1": "x₁", "v1": "x₁′", "x2": "x₂", "v2": "x₂′", "x3": "x₃", "v3": "x₃′", "x4": "x₄"}
 
 Steps = Int[np.ndarray, " starts"]
 
 
 def start_states(ds: xr.Dataset) -> tuple[str, ...]:
-    """Return the coordinates of the states at the start."""
+    """Return the names of the coordinates that hold initial states."""
     along = [str(name) for name, data in ds.coords.items() if data.dims == (START,)]
     return tuple(name for name in along if name.startswith(PREFIX) and ds[name].dtype.kind == "f")
 
 
 def varied_states(ds: xr.Dataset) -> tuple[str, ...]:
-    """Return the states that differ between the starts that are vectors."""
+    """Return the initial states that differ between the initial conditions specified as vectors."""
     return tuple(name for name in start_states(ds) if np.unique(_steps(ds[name])).size > 1)
 
 
 def on_axes(ds: xr.Dataset) -> xr.Dataset:
-    """Return the dataset with states at the start as axes in place of `start`, if the starts are a full grid of them.
+    """Return the dataset with initial states as axes in place of `start`, if the initial conditions form a full grid.
 
-    A line in several states has the first of them for its axis. Starts with names and comparisons between starts are
-    dropped. Starts that are neither grid nor line leave the dataset as it is.
+    For initial conditions on a line, the axis is the first state that varies. Named initial conditions, and variables
+    that compare initial conditions, are dropped. The dataset is returned unchanged if they form neither grid nor line.
     """
     vectors = ds.isel({START: _is_vector(ds)})
     states = varied_states(vectors)
@@ -62,12 +62,12 @@ def on_axes(ds: xr.Dataset) -> xr.Dataset:
 
 
 def described(ds: xr.Dataset) -> xr.Dataset:
-    """Return the dataset with the states at the start described as on an axis."""
+    """Return the dataset with axis-label attributes for the initial states."""
     return ds.assign_coords({name: ds[name].assign_attrs(_about(ds[name])) for name in start_states(ds)})
 
 
 def left_out_text(ds: xr.Dataset) -> str:
-    """Return the starts that are not vectors; with their regimes if nothing but the start varies."""
+    """Return the note on named initial conditions, which are not shown, with regimes if nothing else varies."""
     others = ~_is_vector(ds)
     names = [short(str(name)) for name in ds[START].values[others]]
     if not names or not start_states(ds):
@@ -80,9 +80,9 @@ def left_out_text(ds: xr.Dataset) -> str:
 
 
 def regime_shares(ds: xr.Dataset) -> xr.Dataset:
-    """Return the regime of most starts, and the share [%] of each that occurs, `share_single-impact` and so on.
+    """Return the most frequent regime over `start`, and the fraction [%] of each regime that occurs.
 
-    The single impact comes first, the others by their share of all lanes.
+    Fractions are named `share_single-impact` and so on: single impact first, then by decreasing fraction of all lanes.
     """
     regimes, names = ds[REGIME], regime_names(ds[REGIME])
     shares = {flag: 100.0 * (regimes == flag).mean(START) for flag in names}
@@ -97,23 +97,23 @@ def regime_shares(ds: xr.Dataset) -> xr.Dataset:
 
 
 def medians(ds: xr.Dataset, names: Sequence[str]) -> xr.Dataset:
-    """Return the medians of variables over the starts, and the regime of most starts."""
+    """Return the medians of variables over the initial conditions, and the most frequent regime."""
     return regime_shares(ds)[[REGIME]].assign({name: ds[name].median(START, keep_attrs=True) for name in names})
 
 
 def medians_text(ds: xr.Dataset) -> str:
-    """Return the note on medians over many starts."""
+    """Return the note on medians over many initial conditions."""
     return f"Of {ds.sizes[START]} starts the median, and the regime that most end in"
 
 
 def _is_vector(ds: xr.Dataset) -> Bool[np.ndarray, " starts"]:
-    """Return which starts are vectors, rather than names."""
+    """Return which initial conditions are vectors, rather than names."""
     finite = [np.isfinite(ds[name].values) for name in start_states(ds)]
     return np.all(finite, axis=0) if finite else np.zeros(ds.sizes[START], bool)
 
 
 def _is_line(ds: xr.Dataset, states: tuple[str, ...]) -> bool:
-    """Return whether the starts lie on a straight line in the states, each at another place of it."""
+    """Return whether the initial conditions are distinct points on a straight line in the `states`."""
     if np.unique(_steps(ds[states[0]])).size < ds.sizes[START]:
         return False
     first, *others = (_relative(ds[name].values) for name in states)
@@ -121,18 +121,18 @@ def _is_line(ds: xr.Dataset, states: tuple[str, ...]) -> bool:
 
 
 def _relative(values: np.ndarray) -> np.ndarray:
-    """Return values from 0 to 1 over their range."""
+    """Scale the values linearly to the range from 0 to 1."""
     return (values - values.min()) / (np.ptp(values) or 1.0)
 
 
 def _steps(data: xr.DataArray) -> Steps:
-    """Return the values of a state at the starts that are vectors as whole numbers, equal for equal values."""
+    """Quantise the finite initial values of a state to integers, so that nearly equal values become equal."""
     values = data.values[np.isfinite(data.values)]
     return np.round(_relative(values) / _SAME_STATE).astype(np.int64) if values.size else np.zeros(0, np.int64)
 
 
 def _reshape(data: xr.DataArray, axes: tuple[str, ...], shape: tuple[int, ...]) -> xr.Variable:
-    """Return the data with `axes` of a `shape` in the place of `start`."""
+    """Return the data with the dimension `start` replaced by `axes` of the specified `shape`."""
     if START not in data.dims:
         return data.variable
     k = data.dims.index(START)
@@ -141,7 +141,7 @@ def _reshape(data: xr.DataArray, axes: tuple[str, ...], shape: tuple[int, ...]) 
 
 
 def _about(data: xr.DataArray) -> dict[str, str]:
-    """Return the attributes of a state at the start on an axis."""
+    """Return the axis-label attributes of an initial state."""
     name = str(data.name).removeprefix(PREFIX)
     symbol = f"{SYMBOLS.get(name, name)}(0)"
     return {"units": str(data.attrs.get("units", "1")), "long_name": "start", "symbol": symbol}

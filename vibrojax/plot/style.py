@@ -1,4 +1,4 @@
-"""The look of every picture: colours, sizes, drawable texts, and figures that leave pyplot and its settings alone."""
+"""Style of all pictures: colours, sizes, drawable strings, and figures that neither use pyplot nor user settings."""
 
 import re
 import warnings
@@ -23,8 +23,8 @@ from vibrojax.io.attributes import title_of
 
 INK = "#222222"
 FAINT = "#9A9A9A"
-UNDEFINED = "#D0D0D0"  # a lane without the value, as grey in maps of values
-NOTHING = "#FFFFFF"  # a lane without penetration, in maps of values
+UNDEFINED = "#D0D0D0"  # a lane without a value: grey in maps of quantities
+NOTHING = "#FFFFFF"  # a lane without penetration, in maps of quantities
 BIT = "#00598C"
 STRIKER = "#D1570A"
 STICK = "#111111"
@@ -38,7 +38,7 @@ ROCK_COLOURS = {"sandstone": "#D9A441", "limestone": "#3F8FA3", "granite": "#7A2
 
 DASHED = (0.0, (4.0, 3.0))
 VIRIDIS_RANGE = (0.0, 0.87)
-"""The part of the colour map that lines use: its yellow end is lost on white."""
+"""The part of the colour map that lines use; its yellow end is hardly visible on white."""
 
 SAVED_DPI = 160.0
 TITLE_SIZE = 11.0
@@ -72,7 +72,7 @@ _SETTINGS = {
 }
 
 COLOURS: ContextVar[str | None] = ContextVar("COLOURS", default=None)
-"""The colour map of quantities that the user chose; None: each quantity has its own."""
+"""Colour map that the user chose for quantities; None if each quantity has its own."""
 
 Arguments = ParamSpec("Arguments")
 
@@ -93,7 +93,7 @@ class Mark(TypedDict, total=False):
 
 
 class OwnFigure(Figure):
-    """A figure that pyplot does not manage, and that a notebook shows all the same."""
+    """A figure that pyplot does not manage, but that notebooks display."""
 
     def _repr_png_(self) -> bytes:
         with settings():
@@ -104,15 +104,15 @@ class OwnFigure(Figure):
 
 @contextmanager
 def settings() -> Iterator[None]:
-    """Give matplotlib the settings of all pictures, whatever the user's are."""
+    """Apply the common settings of all pictures to matplotlib, in place of the user's settings."""
     with style.context(["default", _SETTINGS]), warnings.catch_warnings():
-        # A letter that the font lacks is drawn as a box, which is message enough.
+        # A character that the font lacks is drawn as a box, so no warning is needed.
         warnings.filterwarnings("ignore", "Glyph .* missing from", UserWarning)
         yield
 
 
 def styled(draw: Callable[Arguments, Figure]) -> Callable[Arguments, Figure]:
-    """Return `draw` under the settings of all pictures, with datasets whose texts can be drawn."""
+    """Wrap `draw` so that it runs with the common settings, on datasets whose strings can be drawn."""
 
     @wraps(draw)
     def draw_styled(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Figure:
@@ -134,7 +134,7 @@ def new_figure(width: float, height: float) -> OwnFigure:
 
 
 def divide_figure(figure: Figure, above: float) -> tuple[SubplotSpec | None, SubplotSpec]:
-    """Return a place of `above` inches at the top of a figure (None for zero inches), and the place below it."""
+    """Divide a figure into a strip of `above` inches at the top (None for zero inches) and the rest below it."""
     if not above > 0:
         return None, GridSpec(1, 1, figure)[0]
     places = GridSpec(2, 1, figure, height_ratios=[above, figure.get_figheight() - above])
@@ -147,21 +147,21 @@ def colour_map(default: str = "viridis") -> Colormap:
 
 
 def line_colours(count: int) -> list[str]:
-    """Return colours for `count` lines in the order of a number."""
+    """Return `count` graded colours, for lines in the order of a numeric value."""
     return [to_hex(colour_map()(share)) for share in np.linspace(*VIRIDIS_RANGE, count)]
 
 
 def other_colour(position: int) -> str:
-    """Return a colour by position, for what has none of its own."""
+    """Return a colour by position, for items without a fixed colour."""
     return OTHER_COLOURS[position % len(OTHER_COLOURS)]
 
 
 def start_colour(name: str, position: int) -> str:
-    """Return the colour of a start: its own, or one by its `position` among the starts."""
+    """Return the colour of an initial condition: fixed for known names, else chosen by `position`."""
     return START_COLOURS.get(name, other_colour(position)) if name else BIT
 
 
-# Texts: a dataset may come from anywhere.
+# Strings: a dataset may come from any source, so its strings are made safe to draw.
 
 _DRAWN_ATTRIBUTES = ("scene", "friction", "start")
 _LONGEST_NAME = 100  # characters
@@ -169,7 +169,7 @@ _LONGEST_ATTRIBUTE = {"long_name": 200, "units": 40, "symbol": 40}  # characters
 
 
 def drawable(ds: xr.Dataset) -> xr.Dataset:
-    """Return the dataset with texts on one line, shortened, and without mathematical notation."""
+    """Return the dataset with strings on one line, shortened, and without matplotlib formulas."""
     ds = ds.copy(deep=False)
     if "title" in ds.attrs:
         ds.attrs["title"] = plain(title_of(ds))
@@ -189,12 +189,12 @@ def drawable(ds: xr.Dataset) -> xr.Dataset:
 
 
 def plain(text: str) -> str:
-    """Return the text with its dollar signs escaped, between which matplotlib looks for formulas."""
+    """Escape dollar signs, between which matplotlib would look for formulas."""
     return re.sub(r"(?<!\\)\$", r"\\$", text)
 
 
 def _make_drawable(argument: Any) -> Any:
-    """Return an argument of a drawing function, its datasets made drawable."""
+    """Return an argument of a drawing function with all its datasets made drawable."""
     if isinstance(argument, xr.Dataset):
         return drawable(argument)
     if isinstance(argument, (list, tuple)) and any(isinstance(item, xr.Dataset) for item in argument):

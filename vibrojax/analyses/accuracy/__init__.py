@@ -1,4 +1,4 @@
-"""Speed against error: the cost of every method for the error that it leaves, measured on this computer."""
+"""Speed against error: run time and error of every method, measured on this computer."""
 
 from vibrojax.analyses.accuracy.report import table as table
 from vibrojax.analyses.accuracy.study import pareto as pareto

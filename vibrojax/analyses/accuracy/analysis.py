@@ -5,7 +5,7 @@ from vibrojax.analyses.analysis import Analysis, PictureRule
 
 
 class AccuracyStudy(Analysis):
-    """Measure speed against error on this machine: a dataset, a table and a picture."""
+    """Study of speed against error on this machine: a dataset, a table and a picture."""
 
     kind = "accuracy"
     view = "none"

@@ -14,15 +14,15 @@ import numpy as np
 from vibrojax.stepping import LOCATED_STRIDE, Accuracy
 
 REFERENCE = Accuracy(tolerance=1e-14, stride=0.5, step=np.inf, smoothing=0.0)
-"""Accuracy of the reference: the located method, so fine that only its roundings remain."""
+"""Accuracy of the reference: the located method with tolerances so small that only rounding error remains."""
 
 SECOND_REFERENCE = Accuracy(tolerance=1e-13, stride=0.35, step=np.inf, smoothing=0.0)
-"""Accuracy of another reference; its difference from the first is the least error that can be measured."""
+"""Accuracy of a second reference; the difference between both references is the least error that can be measured."""
 
 STEP_PER_WIDTH = 0.3  # s per m/s
 WIDTH = 1e-3  # m/s
 STRIDE = 0.3
-LONGEST_STEP = 1e-2  # s, which no stride reaches
+LONGEST_STEP = 1e-2  # s; steps limited by a stride are shorter
 TOLERANCE_PER_WIDTH = 1e-2
 NO_TOLERANCE = 1e30
 
@@ -34,7 +34,7 @@ SOLVERS = {
     KVAERNO5: ("Kvaerno5", True),
     FIXED: ("Tsit5", False),
 }
-"""Name of the solver in diffrax, and whether its steps adapt."""
+"""Name of the solver in diffrax, and whether its step size is adaptive, by method."""
 
 SETTINGS_TEXT = (
     f"located over tolerance has strides of at most {LOCATED_STRIDE:g} over the mode's rate, over stride no tolerance; "
@@ -49,7 +49,7 @@ Columns = dict[str, list[Any]]
 
 
 def _read_lanes() -> dict[str, Columns]:
-    """Return the lanes of each scene, as columns by name; empty cells of the file are no values."""
+    """Read the lanes of each scene as columns by name; empty cells of the file are skipped."""
     scenes: dict[str, Columns] = {}
     with Path(__file__).with_name("lanes.csv").open(encoding="utf-8", newline="") as file:
         for row in csv.DictReader(file):
@@ -66,7 +66,7 @@ SCENES = tuple(_LANES)
 
 @dataclass(frozen=True)
 class StudyLanes:
-    """Points of a scene: `points`, columns of equal length by name; `settle` and `observe` [s]."""
+    """Lanes of a scene: `points`, as columns of equal length by name, and durations `settle` and `observe` [s]."""
 
     scene: str
     points: Columns
@@ -79,7 +79,7 @@ class StudyLanes:
         return len(next(iter(self.points.values())))
 
     def sweep(self, method: str, precision: str, copies: int) -> dict[str, object]:
-        """Return the sweep of these lanes, repeated `copies` times."""
+        """Return the definition of a sweep that contains these lanes `copies` times."""
         points = {name: column * copies for name, column in self.points.items()}
         times = {"settle": self.settle, "observe": self.observe, "end_early": False, "chunk": self.count * copies}
         return {"scene": self.scene, "points": points, "run": times | {"method": method, "precision": precision}}
@@ -87,7 +87,7 @@ class StudyLanes:
 
 @dataclass(frozen=True)
 class Setting:
-    """A way to step the lanes of a scene.
+    """Method, precision and accuracy with which the lanes of a scene are stepped.
 
     - `method`: "located", "smoothed", or one of `SOLVERS`; `precision`: "float64" or "float32".
     - `varied`: the quantity that is varied: "tolerance", "stride", "width" [m/s] or "step" [s]; `value`: its value.
@@ -101,9 +101,9 @@ class Setting:
 
     @property
     def accuracy(self) -> Accuracy:
-        """Accuracy that the stepper is given."""
+        """Accuracy that is passed to the stepper."""
         if self.method == "located":
-            if self.varied == "stride":  # of the mode's time scale
+            if self.varied == "stride":  # relative to the mode's time scale
                 return Accuracy(NO_TOLERANCE, self.value, np.inf, 0.0)
             return Accuracy(self.value, LOCATED_STRIDE, np.inf, 0.0)
         if self.varied == "width":
@@ -114,7 +114,7 @@ class Setting:
 
 
 def lanes_of(scene: str, quick: bool = False) -> StudyLanes:
-    """Return the lanes of a scene; fewer and shorter ones if `quick`."""
+    """Return the lanes of a scene; fewer lanes and shorter times if `quick`."""
     columns = _LANES[scene]
     count = len(next(iter(columns.values())))
     points = {name: column[:: count // 4 if quick else 1] for name, column in columns.items()}
@@ -124,7 +124,7 @@ def lanes_of(scene: str, quick: bool = False) -> StudyLanes:
 
 
 def settings_of(scene: str, quick: bool = False) -> list[Setting]:
-    """Return all settings of a scene, those of one program together."""
+    """Return all settings of a scene; settings that share a compiled program are adjacent."""
     return [
         Setting(scene, method, precision, varied, value)
         for method, precision, varied, values in (_quick_settings if quick else _settings)(scene)
@@ -140,11 +140,11 @@ def _settings(scene: str) -> Varied:
     yield "located", "float64", "tolerance", (1e-12, 1e-10, 1e-9, 1e-8, 1e-7, 1e-6, 1e-5)
     yield "located", "float64", "stride", (0.125, 0.25, 0.5, 1.0, 2.0, 4.0)
     yield "located", "float32", "tolerance", (1e-6, 1e-5, 1e-4, 1e-3)
-    if scene == "penetration":  # nothing in it is smoothed
+    if scene == "penetration":  # this scene has nothing to smooth
         yield "smoothed", "float64", "stride", (0.03, 0.1, 0.3, 1.0)
         yield "smoothed", "float32", "stride", (0.03, 0.1, 0.3, 1.0)
     else:
-        finest = (1e-4,) if scene in NO_ROCK else ()  # it takes a minute in scenes with rock
+        finest = (1e-4,) if scene in NO_ROCK else ()  # takes a minute in scenes with rock
         yield "smoothed", "float64", "width", (*finest, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2)
         yield "smoothed", "float64", "step", (1e-3, 3e-3, 1e-2)
         yield "smoothed", "float32", "width", (1e-3, 3e-3, 1e-2)
@@ -165,5 +165,5 @@ def _diffrax_settings(scene: str, counts: dict[str, int]) -> Varied:
     widths = (1e-2, 3e-3, 1e-3, 3e-4, 1e-4)
     for method, count in counts.items():
         if method == KVAERNO5 and scene == "rotary":
-            continue  # it takes a quarter of a minute, and adds nothing
+            continue  # takes a quarter of a minute, and adds no information
         yield method, "float64", "width", widths[: count if scene in NO_ROCK else 1][::-1]

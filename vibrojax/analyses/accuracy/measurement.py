@@ -1,4 +1,4 @@
-"""Measurement of one setting: its time over several runs, and the errors of its lanes against the reference."""
+"""Measurement of one setting: times of several runs, and errors of the lanes relative to the reference."""
 
 import time
 from collections.abc import Mapping
@@ -11,17 +11,17 @@ from jaxtyping import Bool, Float, Int, Shaped
 from vibrojax.analyses.accuracy.cases import Setting
 from vibrojax.analyses.accuracy.programs import Outcome, Program
 
-LONG_REPEATS = 0.6  # s in total, from which on two repeats suffice
+LONG_REPEATS = 0.6  # total run time [s] from which two runs suffice
 
 RELATIVE = ("period", "impact_velocity", "peak_impact_force", "rate_of_penetration")
 COMPARED = ("period", "impact_velocity", "peak_impact_force", "stick_fraction", "rate_of_penetration")
-"""Features that have errors: relative ones, except for the stick fraction, which is a share already."""
+"""Features whose errors are measured: relative errors, but the absolute error of the stick fraction."""
 
 OTHER_MOTION_ERROR = 0.5
-"""Relative error from which on a lane counts as moving differently from the reference."""
+"""Relative error from which a lane counts as another motion than the reference."""
 
 TRUSTED_WITHIN = 1e-4
-"""Relative difference of the two references up to which a lane is compared with them."""
+"""Relative difference of the two references up to which a lane is used for comparisons."""
 
 STATUSES = ("done", "not-finite", "out-of-steps", "other-regime", "unsupported")
 
@@ -39,9 +39,10 @@ LaneFeatures = Mapping[str, Shaped[np.ndarray, " lanes"]]
 class Measurement:
     """Result of a setting.
 
-    - `seconds`: of every repeat, per lane-second; `compile_time` [s] of its program; `steps` per lane-second.
-    - `errors`: by name, of the lanes that move like the reference.
-    - `lanes`: number of lanes; `agreeing`: that move like the reference; `repeating`: that also repeat like it.
+    - `seconds`: time of every run, per lane-second; `compile_time` [s] of the program; `steps` per lane-second.
+    - `errors`: errors by feature, of the lanes with the same motion as the reference.
+    - `lanes`: number of lanes; `agreeing`: number with the same motion as the reference; `repeating`: number that also
+      have the same period in returns.
     - `status`: "done", or the first failure; `reason`: all failures in words.
     """
 
@@ -67,7 +68,7 @@ def measure(
 ) -> Measurement:
     """Run a setting up to `repeats` times, and compare its usable lanes with the reference.
 
-    Two repeats suffice if they are long, one if lanes did not reach the end.
+    Two runs suffice if they take long, one if some lanes did not reach the end.
     """
     seconds: list[float] = []
     ran: Outcome = {}
@@ -102,7 +103,8 @@ def measure(
 def errors_of(features: LaneFeatures, reference: LaneFeatures) -> dict[str, Float[np.ndarray, " lanes"]]:
     """Return the errors of the features that the scene has, by name, and `overall`.
 
-    That is the larger of period's and impact velocity's; in penetration it is that of the rate of penetration.
+    `overall` is the larger error of period and impact velocity, or the error of the rate of penetration in scenes
+    without them.
     """
     errors = {}
     for name in COMPARED:
@@ -121,8 +123,9 @@ def statuses_of(
 ) -> Int[np.ndarray, " lanes"]:
     """Return the status of each lane, an index into `STATUSES`.
 
-    The regime differs if impacts per return differ by over 5 %, or an error is a half or more. The motion need not
-    repeat to 1e-3: coarse steps jitter by more, and their means are still those of the same motion.
+    The regime counts as different if impacts per return differ by more than 5 %, or the overall error is a half or
+    more. The motion need not be periodic to 1e-3: coarse steps cause more jitter, but the means still belong to the
+    same motion.
     """
     other = ~(errors["overall"] < OTHER_MOTION_ERROR)
     if "impacts" in reference:
@@ -133,7 +136,7 @@ def statuses_of(
 
 
 def usable(reference: LaneFeatures, second: LaneFeatures) -> Bool[np.ndarray, " lanes"]:
-    """Return the lanes whose reference can be trusted: periodic, and equal in both references to four digits."""
+    """Return which lanes have a reliable reference: periodic, and equal to four digits in both references."""
     errors = errors_of(second, reference)
     alike = (statuses_of(second, reference, errors) == 0) & (errors["overall"] < TRUSTED_WITHIN)
     if "cycles" in reference:

@@ -1,4 +1,4 @@
-"""Speed against error: every setting of every method in a panel for each scene, and the Pareto front."""
+"""Work-precision diagram: all settings of all methods, with the Pareto front, in one panel per scene."""
 
 from textwrap import fill
 from typing import NamedTuple
@@ -53,10 +53,11 @@ _LOOKS = {
 
 @styled
 def work_precision(ds: xr.Dataset) -> Figure:
-    """Draw the worst error over the time per lane-second, both logarithmic, in a panel for each scene.
+    """Draw the worst error over the time per lane-second, both logarithmic, in one panel per scene.
 
-    A whisker goes down from the mark of each setting to the median lane's error. The Pareto front is drawn behind.
-    Errors below the grey edge are finer than the reference. Hollow marks are float32; crosses had lanes that failed.
+    A whisker goes down from each setting's marker to the median lane's error. The Pareto front is in the background.
+    Errors in the grey area are smaller than the error of the reference. Hollow markers are float32; crosses are
+    settings with failed lanes.
     """
     scenes = list(dict.fromkeys(ds["scene"].values.tolist()))
     wide = min(_MOST_COLUMNS, len(scenes) + 1)
@@ -109,7 +110,7 @@ def _look(method: str, varied: str) -> _Look:
 
 
 def _draw_front(axes: Axes, time: PerSetting, worst: PerSetting, front: Bool[np.ndarray, " settings"]) -> None:
-    """Draw the front as steps: every setting to the right of and above one on it is worse."""
+    """Draw the Pareto front as a staircase; settings above and to the right of the staircase are worse."""
     order = np.argsort(time[front])
     time, worst = time[front][order], worst[front][order]
     if time.size:
@@ -132,7 +133,7 @@ def _draw_series(axes: Axes, ds: xr.Dataset, look: _Look, single: bool) -> None:
 
 
 def _shape_axes(axes: Axes, ds: xr.Dataset) -> None:
-    """Give the axes that all panels share their limits and ticks."""
+    """Set limits and ticks of `axes`, with which all panels share their axes."""
     time, worst = _MICRO * ds["time_per_lane_second"].values, ds["error_worst"].values
     for values, margin, set_limits in ((time, 1.6, axes.set_xlim), (worst, 5.0, axes.set_ylim)):
         known = values[np.isfinite(worst) & (values > 0)]
@@ -149,7 +150,7 @@ def _shape_axes(axes: Axes, ds: xr.Dataset) -> None:
 
 
 def _handles(ds: xr.Dataset) -> list[Artist]:
-    """Return the legend's entries for methods, and below them for marks and lines."""
+    """Return the legend entries for methods, followed by those for markers and lines."""
     keys = dict.fromkeys(zip(ds["method"].values.tolist(), ds["varied"].values.tolist(), strict=True))
     looks = dict.fromkeys(_look(*key) for key in sorted(keys, key=lambda key: [*_LOOKS, key].index(key)))
     handles: list[Artist] = [

@@ -1,4 +1,4 @@
-"""Programs of the accuracy study: the lanes of a scene with one method and precision, compiled for all settings."""
+"""Compiled programs of the accuracy study: one per scene, method and precision, for all settings."""
 
 import time
 from abc import ABC, abstractmethod
@@ -24,14 +24,14 @@ from vibrojax.sweep.engine.parallel import in_parallel
 from vibrojax.sweep.input.read import read_sweep
 
 STUDY_MAX_STEPS = 1e5
-"""Steps, beyond those of the longest allowed step, after which a lane is given up. They are far fewer than in a sweep:
-a setting that is too coarse for a scene should not delay the others."""
+"""Number of steps, beyond those at the longest allowed step size, after which a lane is abandoned. It is far smaller
+than in a sweep, so that a setting that is too coarse for a scene does not delay the others."""
 
 DIFFRAX_MAX_STEPS = 300_000
-"""Steps after which diffrax gives a lane up."""
+"""Number of steps after which diffrax abandons a lane."""
 
 STUDY_LANES_PER_CORE = 64
-"""Lanes per core: as many as step together in a sweep."""
+"""Number of lanes per core: as many as are stepped together in a sweep."""
 
 SAMPLING = 2e-4  # s
 
@@ -43,7 +43,7 @@ Outcome = dict[str, Shaped[np.ndarray, " copies"]]
 
 
 class Program(ABC):
-    """A method for the lanes of a scene, copied until every core has a block of them."""
+    """A method applied to the lanes of a scene, which are copied until every core has a block of lanes."""
 
     def __init__(self, lanes: StudyLanes) -> None:
         self.lanes = lanes
@@ -90,7 +90,7 @@ class SweepProgram(Program):
 
 
 class _Solution(NamedTuple):
-    """States at the samples or at the end; number of steps, and whether the end was reached."""
+    """States at the samples or at the end, number of steps, and whether the end was reached."""
 
     states: Float[np.ndarray, "states lanes *samples"]
     steps: Shaped[np.ndarray, " lanes"]
@@ -98,9 +98,9 @@ class _Solution(NamedTuple):
 
 
 class DiffraxProgram(Program):
-    """A diffrax solver on the smoothed equations, vmapped over a block of lanes on each core.
+    """A diffrax solver applied to the smoothed equations, vmapped over a block of lanes on each core.
 
-    The timed run saves only the final states; features follow from samples of a second run.
+    The timed run saves only the final states; features are computed from samples of a second run.
     """
 
     def __init__(self, lanes: StudyLanes, method: str, precision: str) -> None:
@@ -110,7 +110,7 @@ class DiffraxProgram(Program):
         self._sweep = read_sweep(lanes.sweep("smoothed", precision, self.copies // len(self.workers)))
 
     def compile(self, accuracy: Accuracy) -> None:
-        """Compile without running for any time."""
+        """Compile by a run of zero duration."""
         self._solve(self.workers[0], accuracy, end=0.0)
 
     def run(self, accuracy: Accuracy) -> Outcome:
@@ -135,7 +135,7 @@ class DiffraxProgram(Program):
     def _solve(
         self, worker: jax.Device, accuracy: Accuracy, end: float, times: Float[np.ndarray, " samples"] | None = None
     ) -> _Solution:
-        """Return the motion at `times` [s], or at the `end` [s]."""
+        """Return the solution at `times` [s], or only at `end` [s] if `times` is None."""
         with in_precision(self._precision), jax.default_device(worker):
             p, state = self._inputs(self._sweep.lanes if times is None else self.lanes.count)
             tolerance = TOLERANCE_PER_WIDTH * accuracy.smoothing if self._adapts else None
@@ -167,8 +167,8 @@ def _integrate(
 ) -> PyTree[Array]:
     """Return states, number of steps, and whether the end was reached.
 
-    **Arguments:** `width` [m/s] of the friction switch; `tolerance`, relative, and absolute in SI, of adaptive steps;
-    `step` [s] of fixed steps.
+    **Arguments:** `width`: width [m/s] of the friction switch; `tolerance`: relative and absolute (SI) tolerance of
+    adaptive steps; `step`: size [s] of fixed steps.
     """
     saved = diffrax.SaveAt(t1=True) if times is None else diffrax.SaveAt(ts=times)
 
@@ -182,14 +182,14 @@ def _integrate(
 
 
 class StudyPrograms:
-    """The programs of a scene's lanes, each compiled once, and their compile times [s]."""
+    """Cache of the programs of a scene's lanes, each compiled once, and of their compile times [s]."""
 
     def __init__(self, lanes: StudyLanes) -> None:
         self._lanes = lanes
         self._compiled: dict[tuple[str, str], tuple[Program, float]] = {}
 
     def of(self, method: str, precision: str, accuracy: Accuracy) -> tuple[Program, float]:
-        """Return the program of a method and precision, and its compile time; any `accuracy` serves to compile."""
+        """Return the program of a method and precision, and its compile time [s]; any `accuracy` can be used."""
         if (method, precision) not in self._compiled:
             program = (DiffraxProgram if method in SOLVERS else SweepProgram)(self._lanes, method, precision)
             began = time.perf_counter()

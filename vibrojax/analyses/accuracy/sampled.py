@@ -1,7 +1,7 @@
-"""Features of a smoothed motion from its samples, for solvers that measure nothing while they step.
+"""Features of a smoothed motion, computed from samples for solvers that do not measure features while stepping.
 
-Events are located between samples, by one step from the sample before, in the mode that holds there. Their times are
-exact to the order of that step, whatever the sampling.
+Events between samples are located by one integration step from the preceding sample, in the mode at that sample. Event
+times have the order of accuracy of this step, independent of the sampling.
 """
 
 from dataclasses import dataclass
@@ -24,14 +24,14 @@ EVENT_NEWTON_ITERATIONS = 5
 EVENTS_PER_CALL = 128  # fixed, so that one compiled program serves any number of events
 
 Constants = Any
-"""A scene's constants, each (lanes,)."""
+"""A scene's constants, each of shape (lanes,)."""
 
 Events = Int[np.ndarray, " events"]
 
 
 @dataclass(frozen=True)
 class _Motion:
-    """The smoothed motion of one lane: constants `p`, `states` every `interval` [s], and the switch's `width` [m/s]."""
+    """Smoothed motion of one lane: constants `p`, `states` every `interval` [s], and friction switch `width` [m/s]."""
 
     scene: HasFriction[Any]
     p: Constants
@@ -49,8 +49,8 @@ def features_of(
 ) -> dict[str, Shaped[np.ndarray, " lanes"]]:
     """Return period, cycles, stick_fraction; with a contact also impacts, impact_velocity and peak_impact_force.
 
-    **Arguments:** `p`: the scene's constants (lanes,); `sampling` [s]: interval of the samples; `width` [m/s]: of the
-    switch.
+    **Arguments:** `p`: the scene's constants (lanes,); `sampling`: sampling interval [s]; `width`: width [m/s] of the
+    friction switch.
     """
     assert isinstance(scene, HasFriction)
     lanes = []
@@ -96,7 +96,7 @@ def _lane_features(motion: _Motion) -> dict[str, float | int]:
 
 
 def _returns(v1: Float[np.ndarray, " samples"], below: float) -> Events:
-    """Return the samples before v1 rises through zero, having been below `below` since the last return."""
+    """Return the indices of the samples before section crossings: v1 rises through zero after it was below `below`."""
     returns, since = [], 0
     for index in np.flatnonzero((v1[:-1] <= 0) & (v1[1:] > 0)).tolist():
         if v1[since : index + 1].min() < below:
@@ -108,7 +108,7 @@ def _returns(v1: Float[np.ndarray, " samples"], below: float) -> Events:
 def _locate(
     motion: _Motion, before: Events, which: int, level: float
 ) -> tuple[Float[np.ndarray, " events"], Float[np.ndarray, "states events"]]:
-    """Return the times [s] at which a state reaches `level` after the samples `before`, and the states there."""
+    """Return the times [s] at which state `which` reaches `level` after the samples `before`, and all states then."""
     begin = motion.states[:, before]
     if not before.size:
         return np.zeros(0), begin
@@ -132,7 +132,7 @@ def _step_to(
     width: Float[Array, ""],
     level: Float[Array, ""],
 ) -> tuple[Float[Array, " events"], tuple[Float[Array, " events"], ...]]:
-    """Return the time [s] from `state` until one state reaches `level`, by Newton's method; and the states there."""
+    """Return the time [s] from `state` until state `which` reaches `level`, by Newton's method, and all states then."""
     dtype = scene.speed_scale(p).dtype
     state = tuple(jnp.asarray(y, dtype) for y in state)
     interval, width, level = (jnp.asarray(x, dtype) for x in (interval, width, level))
@@ -149,7 +149,7 @@ def _step_to(
 
 
 def _cycles(section: Float[np.ndarray, "3 returns"]) -> int:
-    """Return the least number of returns after which scaled states at the section repeat; 0 if they do not."""
+    """Return the period, in returns, of the scaled states at the section; 0 if they are not periodic."""
     for repeat in range(1, MOST_CYCLES + 1):
         if section.shape[1] < 3 * repeat + 1:
             return 0
@@ -159,7 +159,7 @@ def _cycles(section: Float[np.ndarray, "3 returns"]) -> int:
 
 
 def _share(mask: Bool[np.ndarray, " samples"], interval: float, begin: float, end: float) -> float:
-    """Return the share of the time from `begin` to `end` [s] in which the mask holds, by the trapezoidal rule."""
+    """Return the fraction of the time from `begin` to `end` [s] in which the mask is true, by the trapezoidal rule."""
     weight = mask.astype(float)
     total = np.concatenate([[0.0], np.cumsum((weight[1:] + weight[:-1]) / 2)]) * interval
     ends = np.interp([begin, end], np.arange(len(weight)) * interval, total)
@@ -167,7 +167,7 @@ def _share(mask: Bool[np.ndarray, " samples"], interval: float, begin: float, en
 
 
 def _peak(force: Float[np.ndarray, " samples"]) -> float:
-    """Return the maximum of samples, by the parabola through the largest and its neighbours."""
+    """Return the maximum of a sampled signal, by the parabola through the largest sample and its neighbours."""
     top = int(np.argmax(force[1:-1])) + 1
     before, most, after = force[top - 1 : top + 2]
     bend = before - 2 * most + after

@@ -1,4 +1,4 @@
-"""The accuracy study: every setting of every scene in turn, and its dataset."""
+"""The accuracy study: measurement of all settings of all scenes, and the dataset of results."""
 
 import json
 import platform
@@ -50,16 +50,17 @@ _OVERALL = "the larger of period and impact velocity; in penetration of the rate
 
 
 def run_accuracy(scenes: Sequence[str] | None = None, quick: bool = False, progress: bool = True) -> xr.Dataset:
-    """Measure speed against error, for a work-precision diagram.
+    """Measure run time and error of all methods, for a work-precision diagram.
 
     **Arguments:**
 
-    - `scenes`: names of the scenes; None: all, or two if `quick`.
-    - `quick`: few settings and lanes, for some seconds: a test of the installation rather than a measurement.
+    - `scenes`: names of the scenes; None: all scenes, or two scenes if `quick`.
+    - `quick`: whether to run only few settings and lanes, which takes some seconds: a test of the installation rather
+      than a measurement.
     - `progress`: whether to report progress on stderr.
 
-    **Returns:** a dataset along `setting`: string coordinates scene, method, precision and varied, and the `value` of
-    the varied quantity; times, errors, and failures with their reasons.
+    **Returns:** a dataset along `setting` with run times, errors, and failures with their reasons. Its coordinates are
+    the strings scene, method, precision and varied, and the `value` of the varied quantity.
 
     **Raises:** `InputError` for an unknown scene.
 
@@ -85,7 +86,7 @@ def run_accuracy(scenes: Sequence[str] | None = None, quick: bool = False, progr
 
 
 def _measure_scene(scene: str, quick: bool, bar: Progress) -> tuple[list[Measurement], float]:
-    """Return the results of a scene's settings, and the worst difference of the two references."""
+    """Return the results of a scene's settings, and the largest difference between the two references."""
     programs = StudyPrograms(lanes_of(scene, quick))
     program, _ = programs.of("located", "float64", REFERENCE)
     reference, second = (program.features(fine, program.run(fine)) for fine in (REFERENCE, SECOND_REFERENCE))
@@ -111,7 +112,7 @@ def _measure_scene(scene: str, quick: bool, bar: Progress) -> tuple[list[Measure
 def dataset_of(results: Sequence[Measurement], spreads: Mapping[str, float], wall_time: float) -> xr.Dataset:
     """Return the dataset of the study.
 
-    **Arguments:** `spreads`: the worst difference of the two references, by scene.
+    **Arguments:** `spreads`: largest difference between the two references, by scene.
     """
 
     def along(values: Sequence[object], long_name: str, units: str = "1", dtype: type | None = None) -> xr.Variable:
@@ -158,7 +159,7 @@ def dataset_of(results: Sequence[Measurement], spreads: Mapping[str, float], wal
         "reference_spread": along([spreads[setting.scene] for setting in settings], spread),
     }
     seconds = variables["time_per_lane_second"].values
-    # The front is of settings whose lanes all agree with the reference.
+    # Only settings whose lanes all agree with the reference can be on the front.
     worst = np.where(statuses == 0, variables["error_worst"].values, np.nan)
     front = np.zeros(len(results), np.int8)
     for scene in spreads:
@@ -177,7 +178,7 @@ def dataset_of(results: Sequence[Measurement], spreads: Mapping[str, float], wal
 
 
 def pareto(time: ArrayLike, error: ArrayLike) -> Bool[np.ndarray, " points"]:
-    """Return which points are on the Pareto front; points that are not finite never are.
+    """Return which points are on the Pareto front; points with non-finite values are never on it.
 
     A point is on the front unless another one is faster and at least as exact, or more exact and at least as fast.
     """
@@ -189,7 +190,7 @@ def pareto(time: ArrayLike, error: ArrayLike) -> Bool[np.ndarray, " points"]:
 
 
 def machine() -> dict[str, str | int]:
-    """Return what times depend on: processor, cores, accelerator if any, and versions of Python, jax and diffrax."""
+    """Return the hardware and software that affect timings: processor, cores, accelerator if any, and versions."""
     cpuinfo = Path("/proc/cpuinfo")
     lines = cpuinfo.read_text().splitlines() if cpuinfo.exists() else []
     names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]

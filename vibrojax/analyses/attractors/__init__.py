@@ -1,1 +1,1 @@
-"""Attractors that coexist: motions of a point, matched to those of neighbouring points, and their basins."""
+"""Coexisting attractors: motions at each grid point, matched between neighbouring points, and their basins."""

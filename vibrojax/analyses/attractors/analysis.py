@@ -1,4 +1,4 @@
-"""The analysis `attractors`: coexisting attractors of a sweep, and the share of initial conditions of each."""
+"""The analysis `attractors`: coexisting attractors of a sweep, and the fraction of initial conditions of each."""
 
 from dataclasses import dataclass
 
@@ -14,12 +14,12 @@ from vibrojax.io.flags import flags
 from vibrojax.sweep.input.definition import Sweep
 
 _SHOWN = 12
-"""Attractors that are listed one by one."""
+"""Greatest number of attractors that are listed one by one."""
 
 
 @dataclass(frozen=True)
 class Attractors(SweepAnalysis):
-    """Find the attractors that a sweep's starts lead to, and the share of starts of each."""
+    """Attractors that a sweep's initial conditions lead to, and the fraction of initial conditions of each."""
 
     kind = "attractors"
     counted = "attractor"
@@ -30,15 +30,15 @@ class Attractors(SweepAnalysis):
     )
 
     def sweep(self, source: Source) -> Sweep:
-        """Return the sweep, checked; raise `InputError` where it has no attractors to find."""
+        """Return the validated sweep; raise `InputError` if the analysis does not apply to it."""
         return sweep_of(source)
 
     def of_lanes(self, sweep: Sweep, lanes: xr.Dataset, progress: bool = True) -> xr.Dataset:
-        """Return the attractors of a sweep with orbits."""
+        """Return the attractors of a sweep, from the dataset `lanes` with orbits."""
         return attractors_of(sweep, lanes, progress)
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
-        """Return how many attractors coexist at how many points, and share, points and regimes of each."""
+        """Summarise how many attractors coexist at how many points, and fraction, points and regimes of each."""
         grid = [name for name in ds["share"].dims if name != "attractor"]
         unassigned, lanes = int(ds["unassigned"].sum()), ds["lane_attractor"].size
         share = ds["share"].values.reshape(ds["unassigned"].size, ds.sizes["attractor"])

@@ -1,4 +1,4 @@
-"""Lanes of a point grouped by the motion that they end in: by orbit, or by statistics if they do not repeat."""
+"""Lanes of a grid point grouped by their final motion: by orbit, or by statistics if they are not periodic."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -14,29 +14,29 @@ from vibrojax.models.scenes import Scene
 from vibrojax.periodic.of_dataset import known_orbits
 
 SAME_ORBIT_WITHIN = 1e-4
-"""Distance over the scales within which two orbits of a point are the same; Newton's method finds them to 1e-10."""
+"""Scaled distance below which two orbits of a point are the same; Newton's method finds orbits to 1e-10."""
 
 IRREGULAR_WITHIN = 0.25
-"""Resolution of irregular motions: relative difference in any statistic up to which two of them are the same."""
+"""Resolution of irregular motions: two are the same if no statistic differs by more than this relative amount."""
 
 RESOLUTION_STDERRS = 4.5
-"""Standard errors of the difference of two lanes that widen the resolution: 99.7 % with 7 degrees of freedom."""
+"""Margin of the resolution, in standard errors of the difference of two lanes: 99.7 % with 7 degrees of freedom."""
 
 SIMILAR_FACTOR = 2.0
-"""Factor within which statistics of two irregular motions are similar. Similar motions of neighbouring points may be
-one attractor; at one point, a motion of few lanes may be the tail of a similar one's scatter."""
+"""Two irregular motions are similar if no statistic differs by more than this factor. Similar motions of neighbouring
+points may be one attractor. At one point, a motion of few lanes may be outliers of a similar motion."""
 
 IRREGULAR_MIN_LANES = 3
-"""Lanes that an irregular motion needs to count beside another one at its point."""
+"""Least number of lanes for an irregular motion to count in addition to another irregular motion at its point."""
 
 EXPONENT_STDERRS = 4.0
 """Resolution of Lyapunov exponents, in standard errors."""
 
 EXPONENT_MIN_STDERR = 1e-3
-"""Least standard error [1/s] of an exponent: that of lanes on a long repeat is nearly zero."""
+"""Lower bound for the standard error [1/s] of an exponent, which is nearly zero for orbits of long period."""
 
 STATISTICS = ("period", "impact_velocity", "bit_amplitude", "striker_amplitude")
-"""Statistics by which irregular lanes are compared, as far as the scene has them."""
+"""Statistics in which irregular lanes are compared, if the scene has them."""
 
 _FAR_APART = 1e3  # exceeds the difference of any two logarithms
 
@@ -51,11 +51,11 @@ def stderr_name(statistic: str) -> str:
 
 @dataclass(frozen=True, eq=False)
 class PointMotion:
-    """A motion in which lanes of one point end.
+    """Final motion of some lanes of one grid point.
 
-    - `cell`: index of the point; `regime`: of most of its lanes.
-    - `states` (cycles, states) at the section and `scales` (states,): of an orbit; else None.
-    - `statistics`: natural logarithms, of an irregular motion; else None.
+    - `cell`: index of the grid point; `regime`: most frequent regime of the lanes.
+    - `states` (cycles, states): orbit at the section; `scales` (states,): their scales; None without an orbit.
+    - `statistics`: natural logarithms of the statistics of an irregular motion; else None.
     """
 
     cell: int
@@ -66,7 +66,7 @@ class PointMotion:
 
     @property
     def cycles(self) -> int:
-        """Returns after which the orbit repeats; 0 for other motions."""
+        """Period of the orbit in returns to the section; 0 for other motions."""
         return 0 if self.states is None else len(self.states)
 
 
@@ -74,8 +74,8 @@ class PointMotion:
 class PointMotions:
     """The motions of all points.
 
-    - `of_lane` (lanes,): index into `items` of the motion in which each lane ends; -1 if unassigned.
-    - `max_steps`: steps after which a neighbour of any of the orbits counts as not returning.
+    - `of_lane` (lanes,): index into `items` of each lane's final motion; -1 if unassigned.
+    - `max_steps`: number of steps after which a motion near any of the orbits counts as not returning to the section.
     """
 
     of_lane: Index
@@ -83,7 +83,7 @@ class PointMotions:
     max_steps: float = 0.0
 
     def add(self, lanes: Index, motion: PointMotion) -> None:
-        """Append a motion, and assign to it the lanes that end in it."""
+        """Append a motion, and assign `lanes` to it."""
         self.of_lane[lanes] = len(self.items)
         self.items.append(motion)
 
@@ -97,12 +97,12 @@ class PointMotions:
 def classify_motions(
     scene: Scene[Any], dataset: xr.Dataset, parameters: Mapping[str, np.ndarray], starts: int
 ) -> PointMotions:
-    """Return the motions in which lanes end, point by point.
+    """Return the final motions of the lanes, point by point.
 
     **Arguments:**
 
-    - `scene`: the scene of the return map; `dataset`: with orbits, its last dimension the start.
-    - `parameters`: of the lanes by name; `starts`: number of lanes per point, which are adjacent.
+    - `scene`: scene of the return map; `dataset`: lanes with orbits, whose last dimension is `start`.
+    - `parameters`: parameter values of the lanes by name; `starts`: number of lanes per point, which are adjacent.
     """
     motions = PointMotions(np.full(dataset["regime"].size, -1))
     _add_orbits(scene, dataset, parameters, starts, motions)
@@ -115,7 +115,7 @@ def classify_motions(
 def _add_orbits(
     scene: Scene[Any], dataset: xr.Dataset, parameters: Mapping[str, np.ndarray], starts: int, motions: PointMotions
 ) -> None:
-    """Add the orbit of each point's first lane, then that of its first lane on none of them, and so on."""
+    """Add the orbits of each point: that of its first lane, then that of its first lane on another orbit, and so on."""
     states = np.stack([dataset[orbit_name(name)].values.ravel() for name in scene.return_states], axis=1)
     cycles, regime = dataset["orbit_cycles"].values.ravel(), dataset["regime"].values.ravel()
     # An orbit next to a graze counts although it has no multipliers; on an unstable orbit no lane stays.
@@ -128,7 +128,7 @@ def _add_orbits(
         for lanes, orbit, scale in zip(cells, known.states, known.scales, strict=True):
             distance = np.abs(states[lanes, None] - orbit[None]) / scale
             same = (distance.max(axis=2).min(axis=1) < SAME_ORBIT_WITHIN) & (cycles[lanes] == len(orbit))
-            same[0] = True  # the lane itself, whatever its scales
+            same[0] = True  # the lane whose orbit this is, whatever the scales
             label = int(np.argmax(np.bincount(regime[lanes[same]])))
             motions.add(lanes[same], PointMotion(int(lanes[0]) // starts, label, orbit, scale))
         remaining = remaining[motions.of_lane[remaining] < 0]
@@ -137,7 +137,7 @@ def _add_orbits(
 def _add_irregular(dataset: xr.Dataset, starts: int, motions: PointMotions) -> None:
     """Add the irregular motions.
 
-    Without exponents, few lanes similar to many others may be another motion or part of theirs: they stay unassigned.
+    Without Lyapunov exponents, a few lanes similar to a larger group may belong to it or not; they stay unassigned.
     """
     values = _log_statistics(dataset)
     for groups in irregular_groups(dataset, starts):
@@ -150,10 +150,11 @@ def _add_irregular(dataset: xr.Dataset, starts: int, motions: PointMotions) -> N
 
 
 def irregular_groups(dataset: xr.Dataset, starts: int) -> list[list[Index]]:
-    """Return the irregular lanes of each point in groups of one motion each, joined by chains of similar lanes.
+    """Return the irregular lanes of each point, grouped by motion; chains of similar lanes connect a group.
 
-    Known exponents are compared rather than statistics, because they cover thousands of returns. Quasi-periodic lanes
-    have exponent 0, so their statistics are compared. Lanes whose statistics have not converged are in no group.
+    Lyapunov exponents, if known, are compared instead of statistics, because they cover thousands of returns to the
+    section. Quasi-periodic lanes all have exponent 0, so their statistics are compared. Lanes whose statistics have not
+    converged are in no group.
     """
     irregular = dataset["regime"].values.ravel() == IRREGULAR
     if "converged" in dataset:
@@ -181,11 +182,12 @@ def irregular_groups(dataset: xr.Dataset, starts: int) -> list[list[Index]]:
 
 
 def is_ambiguous(motions: PointMotions, number: Int[np.ndarray, " motions"]) -> Bool[np.ndarray, " motions"]:
-    """Return which irregular motions may be remnants of transients, or tails of another motion at their point.
+    """Return which irregular motions may be remnants of transients, or outliers of another motion at their point.
 
-    Their point has an irregular motion of more lanes, and their attractor has nowhere `IRREGULAR_MIN_LANES` lanes.
+    Such a motion has fewer lanes than another irregular motion at its point, and its attractor has fewer than
+    `IRREGULAR_MIN_LANES` lanes at every point.
 
-    **Arguments:** `number`: of the attractor of each motion.
+    **Arguments:** `number`: attractor number of each motion.
     """
     lanes = np.bincount(motions.of_lane[motions.of_lane >= 0], minlength=len(number))
     irregular = np.array([motion.regime for motion in motions.items], int) == IRREGULAR
@@ -198,7 +200,7 @@ def is_ambiguous(motions: PointMotions, number: Int[np.ndarray, " motions"]) -> 
 
 
 def _log_statistics(dataset: xr.Dataset) -> PerStatistic:
-    """Return the logarithms of the lanes' statistics; an undefined one is far from all defined ones."""
+    """Return the logarithms of the lanes' statistics; undefined statistics become values far from all defined ones."""
     values = np.stack([dataset[name].values.ravel() for name in STATISTICS if name in dataset], axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.where(values > 0, np.log(values), -_FAR_APART)
@@ -207,15 +209,18 @@ def _log_statistics(dataset: xr.Dataset) -> PerStatistic:
 def join_chains(
     x: Float[np.ndarray, "lanes values"], margins: Float[np.ndarray, "lanes values"] | None = None
 ) -> Index:
-    """Return the group of each lane; a group is a chain of steps, none longer than about 1 in any value.
+    """Return the group number of each lane. Lanes are in the same group if a chain of lanes connects them.
 
-    **Arguments:** `margins`: extra length allowed for a step to or from a lane; two lanes' margins add in quadrature.
+    Neighbours in a chain differ by at most about 1 in every value.
+
+    **Arguments:** `x`: values of the lanes; `margins`: additional difference allowed for each lane. The margins of two
+    lanes add in quadrature.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
 
-    # Rounding to a quarter of a step keeps the pairs of thousands of lanes few.
+    # Values rounded to quarters make many lanes equal, which keeps the number of pairs small.
     wider = np.zeros_like(x) if margins is None else np.ceil(4 * margins)
     cells, index = np.unique(np.hstack([np.round(4 * x), wider]), axis=0, return_inverse=True)
     cells, wider = np.hsplit(cells, 2)
@@ -229,5 +234,5 @@ def join_chains(
 
 
 def _split_by_cell(lanes: Index, starts: int) -> list[Index]:
-    """Return the lanes of each point, in order."""
+    """Split lanes into one array per grid point, in order."""
     return np.split(lanes, np.flatnonzero(np.diff(lanes // starts)) + 1) if len(lanes) else []

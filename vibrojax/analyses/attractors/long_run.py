@@ -1,8 +1,8 @@
-"""Statistics of irregular lanes, observed until they have converged.
+"""Statistics of irregular lanes, which are observed until their statistics have converged.
 
-A lane is observed in consecutive windows as long as the sweep's `observe`. Standard errors follow from batches of
-windows, which grow with the observation until they exceed the correlation time: a bursting motion may rest for several
-windows (batch means: Law, *Simulation Modeling and Analysis*, section 9.5.3).
+A lane is observed in consecutive windows, each as long as the sweep's `observe`. Standard errors follow from batches of
+windows (batch means: Law, *Simulation Modeling and Analysis*, section 9.5.3). Batches grow with the observation until
+they exceed the correlation time, because a bursting motion may rest for several windows.
 """
 
 from itertools import chain
@@ -21,26 +21,26 @@ from vibrojax.sweep.engine.underway import looks
 from vibrojax.sweep.input.definition import Sweep
 
 BATCHES = 8
-"""Batches of a standard error, which is then accurate to about a quarter."""
+"""Number of batches for a standard error, which is then accurate to about a quarter."""
 
 FEWEST_WINDOWS, MOST_WINDOWS = BATCHES, 16 * BATCHES
-"""Windows of the shortest and of the longest observation. The number doubles in between."""
+"""Number of windows of the shortest and of the longest observation. The number doubles in between."""
 
 SPLIT_MIN_WINDOWS = 8 * FEWEST_WINDOWS
-"""Fewest windows where irregular lanes of a point differ: one of them may have rested for all of the shortest."""
+"""Least number of windows if irregular lanes of a point differ: one may have rested during the shortest observation."""
 
 CONVERGED_STDERR = float(np.log1p(IRREGULAR_WITHIN)) / RESOLUTION_STDERRS
-"""Relative standard error of a converged statistic: `RESOLUTION_STDERRS` of them do not exceed the resolution."""
+"""Greatest relative standard error of a converged statistic: `RESOLUTION_STDERRS` of it equal the resolution."""
 
 ORBIT_WINDOWS_FRACTION = 4
-"""A lane that repeats in all windows of the last quarter has reached an orbit."""
+"""A lane has reached an orbit if it is periodic in every window of the last quarter; this is the divisor."""
 
 LANES_TOGETHER = 4096
-"""Lanes that are stepped together; it bounds memory."""
+"""Greatest number of lanes that are stepped together, which bounds memory use."""
 
 Index = Int[np.ndarray, " lanes"]
 Windows = Float[np.ndarray, "windows fields lanes"]
-"""Per window: the total of each statistic, then the count of each, then the lane's cycles, then 1 if it is sound."""
+"""Fields per window: total of each statistic, count of each, the lane's cycles, and 1 if it is finite and finished."""
 
 
 class Statistics(NamedTuple):
@@ -54,10 +54,10 @@ class Statistics(NamedTuple):
 def with_long_statistics(
     sweep: Sweep, dataset: xr.Dataset, lanes: Index, fewest: int = FEWEST_WINDOWS, progress: bool = True
 ) -> xr.Dataset:
-    """Return the dataset of `sweep` with the statistics of `lanes`, by index, over at least `fewest` windows.
+    """Return the dataset of `sweep` with statistics of `lanes` (indices) over at least `fewest` windows.
 
-    It also holds the relative standard errors of the statistics, and `converged`. That is False if an error exceeds
-    `CONVERGED_STDERR` after `MOST_WINDOWS` windows, and if a lane has reached an orbit.
+    The relative standard errors of the statistics and `converged` are added. `converged` is False if an error exceeds
+    `CONVERGED_STDERR` after `MOST_WINDOWS` windows, or if the lane has reached an orbit.
     """
     names = [name for name in STATISTICS if name in dataset]
     none = np.zeros((len(names), 0))
@@ -81,7 +81,7 @@ def with_long_statistics(
 
 
 def _observe(chunks: Chunks, names: list[str], lanes: Index, fewest: int, bar: Progress) -> Statistics:
-    """Return the statistics of `lanes`, each observed until it has converged or cannot converge."""
+    """Return the statistics of `lanes`; each lane is observed until its statistics converge or cannot converge."""
     now, length = chunks.sweep.run.settle, chunks.sweep.run.observe
     batch = _settle(chunks, lanes)
     active, count = np.arange(len(lanes)), fewest
@@ -105,7 +105,7 @@ def _observe(chunks: Chunks, names: list[str], lanes: Index, fewest: int, bar: P
 
 
 def _settle(chunks: Chunks, lanes: Index) -> Batch:
-    """Return `lanes` at the beginning of the sweep's observation, stepped as the sweep steps them."""
+    """Return the batch of `lanes` at the beginning of the sweep's observation, after the same steps as in the sweep."""
     chunks.compile()
     batches = []
     for index in np.unique(lanes // chunks.size):
@@ -119,7 +119,7 @@ def _settle(chunks: Chunks, lanes: Index) -> Batch:
 
 
 def _window(features: Features, names: list[str]) -> Float[np.ndarray, "fields lanes"]:
-    """Return the fields of one window from its features; see `Windows`."""
+    """Return the fields (see `Windows`) of one window from its features."""
     returns = np.maximum(features["returns"] - 1, 0.0)
     impacts = features.get("impacts", np.zeros_like(returns)) * returns / np.maximum(features["cycles"], 1)
     weight = {"period": returns, "impact_velocity": impacts}
@@ -129,7 +129,7 @@ def _window(features: Features, names: list[str]) -> Float[np.ndarray, "fields l
 
 
 def statistics(windows: Windows) -> Statistics:
-    """Return the statistics over all windows, with standard errors by batches of windows."""
+    """Return the statistics over all windows, with standard errors from batches of windows."""
     each = windows.reshape(BATCHES, -1, *windows.shape[1:]).sum(axis=1)
     totals, counts = np.split(each[:, :-2], 2, axis=1)
     total = totals.sum(axis=0)
@@ -143,7 +143,7 @@ def statistics(windows: Windows) -> Statistics:
 
 
 def on_orbits(windows: Windows) -> Bool[np.ndarray, " lanes"]:
-    """Return which lanes have reached an orbit: they had not settled when the sweep labelled them."""
+    """Return which lanes have reached an orbit, so that they had not settled when the sweep labelled them."""
     return np.all(windows[-(len(windows) // ORBIT_WINDOWS_FRACTION) :, -2] > 0, axis=0)
 
 

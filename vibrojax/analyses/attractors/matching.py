@@ -1,4 +1,4 @@
-"""Motions of neighbouring points matched to attractors: links between points, then numbers by union-find."""
+"""Attractors from motions of neighbouring grid points: links between motions, then numbering by union-find."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -13,16 +13,16 @@ from vibrojax.periodic.newton import ACCEPTED, orbits
 from vibrojax.periodic.segments import Segments
 
 MATCHING_FIRST_STEP, MATCHING_MIN_STEP = 1 / 4, 1 / 256
-"""First and least step from a point to its neighbour, over their distance; an orbit that needs less is lost."""
+"""First and least continuation step, as fractions of the distance to the neighbour. Orbits that need less are lost."""
 
 PREDICTION_WITHIN = 0.05
-"""Distance over the scales from its prediction beyond which an orbit counts as another one."""
+"""Scaled distance from the prediction beyond which an orbit counts as another orbit."""
 
 States = Float[np.ndarray, "edges cycles states"]
 
 
 class Link(NamedTuple):
-    """Two motions of one attractor, by index, the lower first; and their distance."""
+    """Indices of two motions of one attractor, the lower index first, and their distance."""
 
     first: int
     second: int
@@ -35,19 +35,19 @@ def find_links(
     shape: tuple[int, ...],
     motions: PointMotions,
 ) -> list[Link]:
-    """Return the links between motions of neighbouring points of a grid; they do not depend on its orientation.
+    """Return the links between motions of neighbouring grid points; they do not depend on the direction of axes.
 
-    A stable orbit is continued by Newton's method to the neighbour's parameters and linked to the motion there that it
-    becomes, if any. An orbit continued backwards through its period doubling becomes the orbit that doubled. All
-    equilibria are linked, and irregular motions of similar statistics.
+    A stable orbit is continued by Newton's method to the neighbour's parameters, and linked to the orbit there that it
+    becomes, if any. Continued backwards through its period doubling, an orbit becomes the orbit from which it
+    bifurcated. Neighbouring equilibria are linked, and so are irregular motions of similar statistics.
 
-    **Arguments:** `parameters`: of the points by name, in row-major order over the grid's `shape`.
+    **Arguments:** `parameters`: values at the points by name, in row-major order over the grid's `shape`.
     """
     in_cell: dict[int, list[int]] = {}
     for index, motion in enumerate(motions.items):
         in_cell.setdefault(motion.cell, []).append(index)
     distances: dict[tuple[int, int], float] = {}
-    edges: dict[int, list[tuple[int, int]]] = {}  # by cycles: an orbit, and the cell to which it is continued
+    edges: dict[int, list[tuple[int, int]]] = {}  # by cycles: pairs of an orbit and the cell to which it is continued
     for here, there in _neighbours(shape):
         for index in in_cell.get(here, ()):
             motion, others = motions.items[index], in_cell.get(there, ())
@@ -76,7 +76,7 @@ def _neighbours(shape: tuple[int, ...]) -> list[tuple[int, int]]:
 
 
 def _distance(motion: PointMotion, other: PointMotion) -> float | None:
-    """Return the distance of two motions without an orbit; None if they are not linked."""
+    """Return the distance between two motions without orbits, or None if they are not linked."""
     if motion.regime == EQUILIBRIUM and other.regime == EQUILIBRIUM:
         return 0.0
     if motion.statistics is None or other.statistics is None:
@@ -93,7 +93,7 @@ def _link_orbits(
     motions: PointMotions,
     distances: dict[tuple[int, int], float],
 ) -> None:
-    """Continue orbits, each to a neighbouring cell, and enter the distances to the orbits that they become."""
+    """Continue each orbit to a neighbouring cell, and add its distance from the orbit it becomes to `distances`."""
     begin = [motions.items[index] for index, _ in edges]
     here, there = np.array([motion.cell for motion in begin]), np.array([cell for _, cell in edges])
     states = np.stack([np.asarray(motion.states) for motion in begin])
@@ -106,7 +106,7 @@ def _link_orbits(
             if motion.states is None or motion.scales is None:
                 continue
             if (np.abs(final[k, 0] - motion.states) / motion.scales).max(axis=1).min() < SAME_ORBIT_WITHIN:
-                # Distance of the two orbits: between the nearest of their states.
+                # Distance between the two orbits: that between their nearest states.
                 apart = np.abs(states[k][:, None] - motion.states[None]) / ((scales[k] + motion.scales) / 2)
                 pair = min(edges[k][0], other), max(edges[k][0], other)
                 distances[pair] = float(apart.max(axis=2).min())
@@ -120,7 +120,7 @@ def _continue_orbits(
     scales: Float[np.ndarray, "edges states"],
     max_steps: float,
 ) -> tuple[Bool[np.ndarray, " edges"], States]:
-    """Continue orbits from parameters to parameters; return which arrive as stable ones, and their final states."""
+    """Continue orbits from parameters `begin` to `end`; return which arrive as stable orbits, and the final states."""
     return_map = Segments(scene, most=max_steps)
     states, slope = states.copy(), np.zeros_like(states)
     done, step = np.zeros(len(states)), np.full(len(states), MATCHING_FIRST_STEP)
@@ -145,14 +145,14 @@ def _continue_orbits(
 def number_attractors(
     cells: Sequence[int], lanes: Sequence[int], links: Sequence[Link], order: Sequence[tuple[float, ...]]
 ) -> Int[np.ndarray, " motions"]:
-    """Return the number of each motion's attractor, counted from 0 by falling number of lanes.
+    """Return the attractor number of each motion. Attractors are numbered from 0 by decreasing number of lanes.
 
-    Linked motions have the same number, no two motions of one point do. Links are taken from the nearest to the
-    farthest and dropped if they would give two motions of one point the same number: around a cusp two attractors are
-    linked through others. So numbers do not depend on the orientation of the axes.
+    Linked motions have the same number, but no two motions of one point do. Links are processed in order of increasing
+    distance. A link that would give two motions of one point the same number is dropped: near a cusp, two attractors
+    are connected through other motions. Numbers therefore do not depend on the direction of the axes.
 
-    **Arguments:** `cells` and `lanes`: the point of each motion and its number of lanes; `order`: sort key of each
-    motion; the least key of an attractor breaks ties between attractors of equally many lanes.
+    **Arguments:** `cells`, `lanes`: grid point and number of lanes of each motion; `order`: sort key of each motion.
+    The least key of an attractor breaks ties between attractors with equally many lanes.
     """
     parent = list(range(len(cells)))
     points = [{cell} for cell in cells]

@@ -1,4 +1,4 @@
-"""The attractors that a sweep's starts lead to, over its grid: `attractors`."""
+"""Attractors that a sweep's initial conditions lead to, over the sweep's grid: `attractors`."""
 
 import json
 from collections.abc import Mapping
@@ -46,7 +46,7 @@ from vibrojax.sweep.input.names import DEFAULT_STARTS
 from vibrojax.sweep.input.starts import list_of
 
 NAMED = "named_start"
-"""Dimension of the scene's own starts, beside a sample or a plane of starts."""
+"""Dimension of the scene's named initial conditions, in addition to a sample or a plane of initial conditions."""
 
 MEASURED = ("period", "impacts", "impact_velocity")
 """Variables whose medians over an attractor's lanes are stored."""
@@ -68,38 +68,40 @@ METHOD = (
 def attractors(
     source: xr.Dataset | str | PathLike[str] | Mapping[str, object] | Sweep, progress: bool = True
 ) -> xr.Dataset:
-    """Find the attractors that a sweep's starts lead to, and the share of starts of each, over the grid.
+    """Find the attractors that a sweep's initial conditions lead to, and the fraction of each, over the grid.
 
         att = vj.attractors(ds)
 
-    Lanes of a point end in one motion if their orbits are the same, or, if they are irregular, their statistics.
+    Lanes of a grid point have the same motion if their orbits are equal, or, for irregular lanes, their statistics.
     Irregular lanes are observed for 8 to 128 times as long as in the sweep, until their statistics have converged to
-    the resolution that separates motions (see the attribute `attractors`).
+    the resolution that distinguishes motions (see the dataset's attribute `attractors`).
 
     Motions of neighbouring points are the same attractor if the orbit of one, continued to the other's parameters,
-    becomes the other. This holds through grazes and changes of label, and through a period doubling: the doubled orbit
-    keeps the number. An irregular motion has a number of its own. Numbers do not depend on the order of an axis; 0 is
-    the attractor with the greatest share over the grid.
+    becomes the orbit of the other. An attractor keeps its number through grazes, changes of the regime label and period
+    doublings. An irregular motion has a number of its own. Numbers do not depend on the order of values on an axis; 0
+    is the attractor with the greatest fraction over the grid.
 
     **Arguments:**
 
-    - `source`: the dataset of a sweep with starts, or a sweep as `run_sweep` takes it. A dataset without orbits is run
-      again. With `lyapunov = true`, irregular lanes that had not settled are left out.
+    - `source`: dataset of a sweep over `start`, or a sweep as `run_sweep` accepts it. A sweep is run again if its
+      dataset lacks orbits. With `lyapunov = true`, irregular lanes that had not settled are left out.
     - `progress`: whether to report progress on stderr.
 
     **Returns:** a dataset.
 
-    - Over the grid and `attractor`: `share` (basin stability) and its binomial `share_stderr`, an upper bound for Sobol
-      starts. `regime` is that of most of its lanes; `period`, `cycles`, `impacts` and `impact_velocity` are medians
-      over its lanes, in the longer observation if it is irregular. `orbit_x1` and so on are a state of its orbit at the
-      section.
-    - Over the grid, `unassigned`: number of starts without an attractor. Their lanes failed, were undecided, had not
-      settled, did not converge, or their orbit was not found.
+    - Over the grid and `attractor`: `share`, the fraction of initial conditions (basin stability), and its binomial
+      standard error `share_stderr`, an upper bound for Sobol samples. `regime` is the most frequent regime of the
+      attractor's lanes, `cycles` the period of its orbit in returns (0 without an orbit). `period`, `impacts` and
+      `impact_velocity` are medians over the lanes, from the longer observation if they are irregular. `orbit_x1` and so
+      on are one point of the orbit on the section.
+    - Over the grid, `unassigned`: number of initial conditions without an attractor. Their lanes failed, were
+      undecided, had not settled, did not converge, or their orbit was not found.
     - Over the sweep's dimensions, `lane_attractor`: number of the lane's attractor, -1 if unassigned.
-    - Over the grid and `named_start`, if the starts are a sample or a plane: `named_attractor` and `named_regime`, to
-      which the scene's own starts `drive` and `stuck` lead. They do not count in the shares.
+    - Over the grid and `named_start`, if the initial conditions are a sample or a plane: `named_attractor` and
+      `named_regime`, to which the scene's named initial conditions `drive` and `stuck` lead. They do not count in
+      `share`.
 
-    **Raises:** `InputError` unless the source is a sweep over a grid, with starts, of a scene with a section.
+    **Raises:** `InputError` unless `source` is a sweep over a grid and `start`, of a scene with a section.
 
     **Example:**
 
@@ -143,7 +145,7 @@ def attractors_of(sweep: Sweep, dataset: xr.Dataset, progress: bool = True) -> x
     points = {name: values[name][::starts] for name in scene.parameters()}
     per_point = lanes.sizes["start"]
     motions = classify_motions(scene, lanes, {name: np.repeat(x, per_point) for name, x in points.items()}, per_point)
-    of_start = motions.of_lane.reshape(-1, per_point)[:, :starts]  # without the scene's own starts
+    of_start = motions.of_lane.reshape(-1, per_point)[:, :starts]  # without the scene's named initial conditions
     count = np.bincount(of_start[of_start >= 0], minlength=len(motions.items))
     links = find_links(scene, points, shape, motions)
     cells = [motion.cell for motion in motions.items]
@@ -166,9 +168,9 @@ def attractors_of(sweep: Sweep, dataset: xr.Dataset, progress: bool = True) -> x
 
 
 def _observe_irregular(runs: list[tuple[Sweep, xr.Dataset]], progress: bool) -> xr.Dataset:
-    """Return the lanes of all runs along `start`, irregular ones with statistics over a longer observation.
+    """Return the lanes of all runs, joined along `start`; irregular lanes have statistics of a longer observation.
 
-    Where the irregular lanes of a point differ, they are observed for longer still.
+    If the irregular lanes of a point differ, they are observed even longer.
     """
     shape = runs[0][0].shape[:-1]
     mask = np.ones(shape, bool)
@@ -187,7 +189,7 @@ def _observe_irregular(runs: list[tuple[Sweep, xr.Dataset]], progress: bool) -> 
 
 
 def _sort_keys(sweep: Sweep, cells: list[int], count: Int[np.ndarray, " motions"]) -> list[tuple[float, ...]]:
-    """Return the sort key of each motion: its point by rising values of the axes, then falling number of lanes."""
+    """Return the sort key of each motion: increasing axis values of its point, then decreasing number of lanes."""
     ranks = [np.argsort(np.argsort(axis)) for axis in sweep.axes.values()]
     places = [np.unravel_index(cell, sweep.shape[:-1]) if ranks else () for cell in cells]
     return [
@@ -199,9 +201,9 @@ def _sort_keys(sweep: Sweep, cells: list[int], count: Int[np.ndarray, " motions"
 def _columns(
     sweep: Sweep, dataset: xr.Dataset, motions: PointMotions, number: Int[np.ndarray, " motions"]
 ) -> dict[str, Float[np.ndarray, "points attractors"]]:
-    """Return what is measured of each attractor at each point; 0 or NaN where it is absent.
+    """Return the properties of each attractor at each point by name, 0 or NaN where the attractor is absent.
 
-    These are its regime and cycles, the medians of `MEASURED` over its lanes, and a state of its orbit at the section.
+    They are regime, cycles, medians of `MEASURED` over the lanes, and one point of the orbit on the section.
     """
     shape = dataset["regime"].size // dataset.sizes["start"], int(number.max(initial=-1)) + 1
     measured = {name: dataset[name].values.ravel().astype(float) for name in MEASURED if name in dataset}
@@ -216,7 +218,7 @@ def _columns(
         columns["regime"][cell], columns["cycles"][cell] = motion.regime, motion.cycles
         for name, column in measured.items():
             x = column[lanes]
-            if name == "impacts" and motion.cycles:  # a lane may show a longer repeat than its orbit has
+            if name == "impacts" and motion.cycles:  # a lane may show a longer period than its orbit has
                 x = x * motion.cycles / cycles[lanes]
             x = x[np.isfinite(x)]
             if len(x):

@@ -1,4 +1,4 @@
-"""Shares of attractors: along an axis with impact velocities, over the starts of one point, and over two axes."""
+"""Pictures of basin fractions: along an axis with impact velocities, at a single point, and over two axes."""
 
 import numpy as np
 import xarray as xr
@@ -21,20 +21,20 @@ from vibrojax.plot.style import UNDEFINED, new_figure, styled
 
 LANES = "lane_attractor"
 COLOURS = ("#0072B2", "#E69F00", "#6A1B5D", "#009E73", "#D55E00", "#56B4E9", "#222222", "#B5468B")
-"""Colours of the attractors from 0; all further ones share `BEYOND`."""
+"""Colours of the attractors from number 0; all further attractors have the colour `BEYOND`."""
 
 BEYOND = "#A8A8A8"
 _VELOCITY = "impact_velocity"
 _STRONG, _COUNT, _FROM = "strong_share", "attractors", "regime_from_"
-_MOST_FACETS, _MOST_COLUMNS, _PANEL = 6, 3, (4.2, 2.0)  # a panel in inches
+_MOST_FACETS, _MOST_COLUMNS, _PANEL = 6, 3, (4.2, 2.0)  # _PANEL: width and height [inch]
 
 
 @styled
 def attractor_shares(ds: xr.Dataset) -> Figure:
-    """Draw the shares of attractors, with standard errors, and their impact velocities, over the longest axis.
+    """Draw basin fractions of attractors, with standard errors, and impact velocities over the longest axis.
 
-    Further axes become panels. Of one point, the plane of starts is drawn in the colours of the attractors, or their
-    shares.
+    Each value of further axes gets a panel. For a single point, the plane of initial conditions is drawn in the colours
+    of the attractors. If the initial conditions form no plane, the basin fractions are drawn as bars.
     """
     ds = ds.isel({name: 0 for name in ds["share"].dims if name != ATTRACTOR and ds.sizes[name] == 1})
     along, note = swept(ds), ""
@@ -52,7 +52,7 @@ def attractor_shares(ds: xr.Dataset) -> Figure:
 
 
 def _draw_along(ds: xr.Dataset, x: str) -> Figure:
-    """Draw shares and impact velocities over the axis `x`, in panels of further axes."""
+    """Draw basin fractions and impact velocities over the axis `x`, with one panel per value of further axes."""
     ds = ds.sortby(x)
     panels = facets(ds, (x, ATTRACTOR), _MOST_FACETS)
     names = ["share", *([_VELOCITY] if _VELOCITY in ds and np.isfinite(ds[_VELOCITY]).any() else [])]
@@ -78,7 +78,7 @@ def _draw_along(ds: xr.Dataset, x: str) -> Figure:
 
 
 def _draw_curves(axes: Axes, facet: xr.Dataset, x: str, name: str) -> None:
-    """Draw a quantity of every attractor at points where its share is above zero, the greatest shares in front."""
+    """Draw a quantity of every attractor where its basin fraction is above zero, the greatest fractions in front."""
     is_share = name == "share"
     values = facet[name].transpose(x, ATTRACTOR).values * (100.0 if is_share else scale(facet[name])[0])
     occurs = facet["share"].transpose(x, ATTRACTOR).values > 0
@@ -95,7 +95,7 @@ def _draw_curves(axes: Axes, facet: xr.Dataset, x: str, name: str) -> None:
 
 
 def _draw_point(ds: xr.Dataset) -> tuple[Figure, str]:
-    """Draw the starts of one point, or the shares as bars; return the figure, and the note on its marks."""
+    """Draw the basins of one point, or basin fractions as bars; return the figure, and the note on its markers."""
     spread = on_axes(ds[[LANES]].assign({REGIME: ds[LANES]}).drop_vars(HIDDEN, errors="ignore"))
     states = [str(name) for name in spread[LANES].dims if name != START]
     figure = new_figure(6.6, 4.4)
@@ -120,7 +120,7 @@ def _draw_point(ds: xr.Dataset) -> tuple[Figure, str]:
 
 
 def _mark_orbits(axes: Axes, ds: xr.Dataset, spread: xr.Dataset, x: str, y: str) -> str:
-    """Mark the passages of orbits through the section, projected on the plane of starts; return the note on them."""
+    """Mark where orbits cross the section, projected onto the plane of initial conditions; return the note on this."""
     places = [_at_section(ds, name) * scale(spread[name])[0] for name in (x, y)]
     limits = axes.get_xlim(), axes.get_ylim()
     inside = np.all([(min(ends) <= p) & (p <= max(ends)) for p, ends in zip(places, limits, strict=True)], axis=0)
@@ -139,7 +139,7 @@ def _mark_orbits(axes: Axes, ds: xr.Dataset, spread: xr.Dataset, x: str, y: str)
 
 
 def _at_section(ds: xr.Dataset, start_state: str) -> np.ndarray:
-    """Return a state of all attractors at the section, NaN for those without an orbit."""
+    """Return one state of each attractor at the section, NaN for attractors without an orbit."""
     name = f"orbit_{start_state.removeprefix(PREFIX)}"
     if name in ds:
         return np.asarray(ds[name].values, float)
@@ -153,7 +153,7 @@ def _colour(number: int) -> str:
 
 
 def _handles(ds: xr.Dataset) -> list[Artist]:
-    """Return the legend's entries for attractors: number, the regime of most of its starts, and share of the grid."""
+    """Return the legend entries for attractors: number, most frequent regime, and basin fraction over the grid."""
     count, points = ds.sizes[ATTRACTOR], ds["unassigned"].size
     share, regime = (ds[name].transpose(..., ATTRACTOR).values.reshape(points, count) for name in ("share", REGIME))
     names = regime_names(ds[REGIME])
@@ -173,11 +173,10 @@ def _handles(ds: xr.Dataset) -> list[Artist]:
 
 @styled
 def share_map(ds: xr.Dataset) -> Figure:
-    """Draw the share of starts that end in the strong single impact, over two axes.
+    """Draw the fraction of initial conditions that end in the strong single impact, over two axes.
 
-    Beside it are the regimes of the scene's own starts, or without these the number of attractors. An impact is strong
-    if the striker hits faster than the drive moves: its mean velocity at impacts is above `v`. Further axes become
-    rows.
+    Next to it are the regimes reached from the scene's named initial conditions, or else the number of attractors. An
+    impact is strong if the mean impact velocity exceeds the drive's speed `v`. Each value of further axes gets a row.
     """
     ds = without_single(ds)
     x, y = axes_of_map(ds, None, None)
@@ -214,9 +213,9 @@ def share_map(ds: xr.Dataset) -> Figure:
 
 
 def strong_share(ds: xr.Dataset) -> xr.DataArray:
-    """Return the share [%] of starts that end in a stable single impact faster than the drive, over the grid.
+    """Return the percentage of initial conditions that end in a stable single impact faster than the drive.
 
-    In scenes without a drive all single impacts count.
+    In scenes without a drive, all single impacts count.
     """
     strong = ds[REGIME] == SINGLE
     speed = _drive_speed(ds)

@@ -1,3 +1,3 @@
-"""Largest Lyapunov exponents through all events, and the natures of lanes that follow from them."""
+"""Largest Lyapunov exponents across all events, and the nature of lanes (periodic, chaotic, ...) that they imply."""
 
 from vibrojax.analyses.chaos.natures import Natures as Natures

@@ -1,4 +1,4 @@
-"""Natures of a sweep's lanes by their largest exponent: periodic, quasi-periodic, chaotic, or not settled."""
+"""Nature of each lane of a sweep by largest Lyapunov exponent: periodic, quasi-periodic, chaotic, or not settled."""
 
 from collections.abc import Mapping
 
@@ -28,57 +28,60 @@ from vibrojax.sweep.engine.labelled import regimes
 from vibrojax.sweep.input.definition import Sweep
 
 RETURNS_BEFORE, RETURNS_PER_CHECK = 14336, 2048
-"""Returns before an exponent is taken, and after how many of them a lane is checked for a repeat. Chaos may be a
-transient of any length. Over the default map it ends in 4 to 6 of 100 lanes between 2,048 and 4,096 returns. It ends in
-5 between 4,096 and 8,192, and in 4 between 8,192 and 16,384."""
+"""Number of returns to the section before an exponent is measured, and between checks whether a lane is periodic. Chaos
+may be a transient of any length. Over the default map, it ends in 4 to 6 of 100 lanes between 2,048 and 4,096 returns.
+It ends in 5 lanes between 4,096 and 8,192 returns, and in 4 between 8,192 and 16,384."""
 
 EXPONENT_MIN_RETURNS, EXPONENT_MAX_RETURNS = 2048, 8192
-"""Returns that an exponent is taken over; the number doubles as long as the nature is unclear."""
+"""Least and greatest number of returns for an exponent; the number doubles as long as the nature is unclear."""
 
 UNSETTLED_LANES_TOGETHER = 512
-"""Lanes that are continued together; it bounds the memory of their returns."""
+"""Greatest number of lanes that are continued together, which bounds the memory for their returns."""
 
 CLEAR_STDERRS, FINAL_STDERRS = 6.0, 3.0
-"""Standard errors from zero at which an exponent's sign is clear: before the last return, and after it."""
+"""Distance from zero in standard errors at which an exponent's sign is clear: with returns left, and after the last."""
 
 ZERO_STDERR = 0.002
-"""Standard error per return below which an exponent that does not differ from zero counts as zero."""
+"""Standard error per return below which an exponent that cannot be distinguished from zero counts as zero."""
 
 ZERO_EXPONENT = 5e-4
-"""Exponent per return that counts as zero, however small its standard error."""
+"""Absolute value of an exponent per return up to which it counts as zero, however small its standard error."""
 
 CHAOTIC_K = 0.9
-"""K of the 0-1 test above which a lane is chaotic if its exponent decides nothing."""
+"""K of the 0-1 test above which a lane is chaotic if its exponent is inconclusive."""
 
 LABELLED_REPEAT = 8
-"""Longest repeat that labels recognise; a lane that comes to one of these later had not settled."""
+"""Longest period, in returns, that regime labels recognise; a lane that reaches such a period later had not settled."""
 
 STEADY_SPREAD = 0.99
-"""Share of their spread that the states of a long repeat keep over a few repeats."""
+"""Least ratio of the spread of states over the last `LONGEST_REPEAT` returns to that over four times as many, for a
+steady motion."""
 
 TESTED_RETURNS = 1024
-"""Returns, the last, that the 0-1 test uses."""
+"""Number of returns that the 0-1 test uses: the last ones."""
 
 EMBEDDED_MAX_RETURNS = 4
-"""Returns of the longest stable orbit within chaos that is searched for: over the default map hardly any is longer."""
+"""Longest period, in returns, of stable orbits searched for within chaos: over the default map hardly any is longer."""
 
 EMBEDDED_TRIALS = 8
-"""Newton starts per length of such an orbit: the closest return of each equal part of the time."""
+"""Initial guesses for Newton's method per period of such an orbit: the closest recurrence in each equal part of a
+series."""
 
 EMBEDDED_WITHIN = 0.5
-"""Distance over the scales up to which a return is worth a Newton start."""
+"""Scaled distance up to which a recurrence is used as an initial guess for Newton's method."""
 
 
 def nature(name: str) -> int:
-    """Return the flag of `nature` that means `name`."""
+    """Return the flag of the nature `name`."""
     return NATURES.index(name)
 
 
 class Natures:
-    """Largest exponents of a sweep's lanes, and their natures, chunk by chunk.
+    """Largest Lyapunov exponents of a sweep's lanes, and their natures, chunk by chunk.
 
-    A lane that repeats has the exponent of its orbit: the logarithm of its largest |multiplier| over the time of its
-    repeat. Other lanes are continued along the return map with a tangent, see [vibrojax.analyses.chaos.tangents][].
+    A periodic lane has the exponent of its orbit: the logarithm of the orbit's largest |multiplier| divided by the time
+    of one period. Other lanes are continued along the return map with a tangent vector, see
+    [vibrojax.analyses.chaos.tangents][].
     """
 
     def __init__(self, sweep: Sweep) -> None:
@@ -88,7 +91,7 @@ class Natures:
 
     @property
     def described(self) -> dict[str, object]:
-        """Value of a dataset's attribute `lyapunov`: which exponent it holds, and how it was computed."""
+        """Value of a dataset's attribute `lyapunov`: which exponent the dataset holds, and how it was computed."""
         return {
             "exponent": "largest of the flow except the trivial zero: of the return map, per second; natural logarithm",
             "stick": "loses one direction, whose exponent is minus infinity; the largest of the others stays finite",
@@ -101,9 +104,10 @@ class Natures:
         }
 
     def __call__(self, first: int, end: int, features: Features) -> Features:
-        """Return `lyapunov`, `lyapunov_stderr`, `zero_one` and `nature` of the lanes from `first` to before `end`.
+        """Return `lyapunov`, `lyapunov_stderr`, `zero_one` and `nature` of some lanes.
 
-        **Arguments:** `features`: of the lanes by name, with their last returns, and with orbits if the sweep has them.
+        **Arguments:** `first` (inclusive), `end` (exclusive): range of lanes; `features`: features of the lanes by
+        name, with last returns, and with orbits if the sweep has them.
         """
         parameters, _ = self._sweep.lane_values(first, end)
         regime = regimes(self._sweep.system, parameters, features)
@@ -128,9 +132,9 @@ class Natures:
         return result
 
     def _continue(self, lanes: Index, parameters: dict[str, np.ndarray], features: Features, result: Features) -> None:
-        """Continue lanes that do not repeat until their natures are clear, and enter their exponents and natures."""
+        """Continue non-periodic lanes until their natures are clear, and write exponents and natures to `result`."""
         begin, scales = last_returns(self._scene, lanes, 1, features)
-        # States that labels do not compare have no scale; their size serves instead.
+        # States that regime labels do not compare have no scale; their absolute value is used instead.
         size = np.maximum(np.abs(begin[:, 0]), np.finfo(float).tiny)
         state, scale = begin[:, 0].T, np.where(np.isfinite(scales), scales, size).T
         usable = np.isfinite(state).all(axis=0) & (np.isfinite(scale) & (scale > 0)).all(axis=0)
@@ -149,7 +153,7 @@ class Natures:
             exponent, error = exponents(growth.rate, growth.time)
             repeat = exponents_of_repeats(*growth[:3], scale, exponent, error)
             clear, flags = classify_growth(growth, repeat, exponent, error, last=returns >= EXPONENT_MAX_RETURNS)
-            # Chaos shows in some states later than in others, so the largest K counts.
+            # Chaos appears in some states later than in others, so the largest K counts.
             tested = growth.states[-TESTED_RETURNS:][..., clear]
             k = np.max([zero_one(tested[:, index]) for index in range(len(state))], axis=0)
             known = flags[clear]
@@ -165,7 +169,7 @@ class Natures:
             tangent = growth.tangent
 
     def _settle(self, parameters: Mapping[str, PerLane], state: PerState, scale: PerState) -> PerState:
-        """Return the states of lanes `RETURNS_BEFORE` returns later, or when they have come to repeat."""
+        """Return the states of lanes after `RETURNS_BEFORE` more returns, or at the check that finds them periodic."""
         state, active = state.copy(), np.arange(state.shape[1])
         for _ in range(RETURNS_BEFORE // RETURNS_PER_CHECK):
             if not len(active):
@@ -182,12 +186,12 @@ class Natures:
 def classify_growth(
     growth: Growth, repeat: Int[np.ndarray, " lanes"], exponent: PerLane, error: PerLane, last: bool
 ) -> tuple[Bool[np.ndarray, " lanes"], Int[np.ndarray, " lanes"]]:
-    """Return which lanes' natures are clear, all of them if these returns are the `last`; and the natures."""
+    """Return for which lanes the nature is clear (for all if `last`: no returns are left), and the natures."""
     lost = ~np.isfinite(growth.states[-1]).all(axis=0)
     per_return = growth.time[-EXPONENT_BLOCKS:].mean(axis=0)
     threshold = np.maximum((FINAL_STDERRS if last else CLEAR_STDERRS) * error, ZERO_EXPONENT / per_return)
     spread, longer = (np.ptp(growth.states[-count * LONGEST_REPEAT :], axis=0) for count in (1, 4))
-    # A motion that spirals towards an orbit repeats after its turn, but over ever smaller distances.
+    # A motion that spirals towards an orbit seems periodic after a revolution, but its extent keeps shrinking.
     spirals = np.any(spread < STEADY_SPREAD * longer, axis=0)
     rules = [
         (lost | ((repeat > 0) & ((repeat <= LABELLED_REPEAT) | spirals)), "not-settled"),
@@ -206,12 +210,12 @@ def has_embedded_orbit(
     states: Float[np.ndarray, "returns states lanes"],
     scale: PerState,
 ) -> Bool[np.ndarray, " lanes"]:
-    """Return for which lanes a stable orbit was found within their chaotic motion, which then is a transient.
+    """Return for which lanes a stable orbit was found within their chaotic motion, which is then a transient.
 
-    A chaotic motion returns close to earlier states, and so to the periodic orbits embedded in it. Newton's method
-    begins at its closest returns (Lathrop and Kostelich, Physical Review A 40 (1989) 4028).
+    A chaotic motion recurs close to earlier states, and so to the periodic orbits embedded in it. Newton's method
+    begins at the closest recurrences (Lathrop and Kostelich, Physical Review A 40 (1989) 4028).
 
-    **Arguments:** `states` at the returns, and the `scale` of each.
+    **Arguments:** `states`: states at the section; `scale`: scale of each state.
     """
     segments = Segments(scene, steps=STEPS._replace(tolerance=1e-9), most=MOST_STEPS)
     stable = np.zeros(states.shape[2], bool)

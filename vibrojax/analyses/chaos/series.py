@@ -1,4 +1,4 @@
-"""Estimates from series of returns: Lyapunov exponents, repeats, and the 0-1 test for chaos."""
+"""Estimates from series of returns to the section: Lyapunov exponents, periods, and the 0-1 test for chaos."""
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -6,19 +6,20 @@ from jaxtyping import Float, Int
 from vibrojax.measures.repeats import REPEATS_WITHIN
 
 LATE_SHARE = 0.75
-"""Share of the returns, the last, that an exponent uses: before, the tangent aligns and transients end."""
+"""Fraction of the returns, at the end of the series, that an exponent uses. Before, the tangent aligns and transients
+end."""
 
 EXPONENT_BLOCKS = 16
-"""Blocks of returns whose exponents' scatter gives the standard error."""
+"""Number of blocks of returns; the scatter of their exponents gives the standard error."""
 
 LONGEST_REPEAT = 64
-"""Returns of the longest repeat that is recognised."""
+"""Longest period, in returns, that is recognised."""
 
 TEST_FREQUENCIES = 24
-"""Frequencies of the 0-1 test's translation; the median over them is the result."""
+"""Number of frequencies of the 0-1 test's translation; the median over the frequencies is the result."""
 
 TEST_LAG_SHARE, TEST_LAGS = 0.1, 24
-"""Largest lag of the 0-1 test over the length of the series, and number of lags."""
+"""Largest lag of the 0-1 test as a fraction of the length of the series, and number of lags."""
 
 PerLane = Float[np.ndarray, " lanes"]
 PerReturn = Float[np.ndarray, "returns lanes"]
@@ -27,12 +28,12 @@ Scale = Float[np.ndarray, "states lanes"]
 
 
 def exponents(rate: PerReturn, time: PerReturn) -> tuple[PerLane, PerLane]:
-    """Return the growth per second of each lane over the later returns, and its standard error.
+    """Return each lane's exponential growth rate [1/s] over the later returns, and the standard error of the rate.
 
-    The mean is weighted by a bump that is flat at both ends. For regular motion it converges faster than any power of
-    the length (Das, Saiki, Sander and Yorke, Nonlinearity 30 (2017) 4111); for chaotic motion any weight is as good.
-    The error follows from blocks, each weighted in the same way: otherwise, growth that depends on where a block ends,
-    and that the next block loses, would count as scatter.
+    The mean is weighted by a bump function, which is flat at both ends. For regular motion, the weighted mean converges
+    faster than any power of the length (Das, Saiki, Sander and Yorke, Nonlinearity 30 (2017) 4111). For chaotic motion,
+    any weights are equally good. The error follows from blocks that are weighted in the same way. Without weights,
+    growth that depends on where a block ends, and that the next block reverses, would count as scatter.
     """
     late = int(LATE_SHARE * len(rate)) // EXPONENT_BLOCKS * EXPONENT_BLOCKS
     growth, seconds = rate[-late:], time[-late:]
@@ -44,13 +45,13 @@ def exponents(rate: PerReturn, time: PerReturn) -> tuple[PerLane, PerLane]:
 
 
 def _bump(count: int) -> Float[np.ndarray, " count"]:
-    """Return weights that vanish at both ends with all derivatives."""
+    """Return bump-function weights, which vanish at both ends together with all derivatives."""
     share = (np.arange(count) + 0.5) / count
     return np.exp(-1 / (share * (1 - share)))
 
 
 def find_repeats(states: States, scale: Scale) -> Int[np.ndarray, " lanes"]:
-    """Return the least number of returns after which each lane has come to repeat; 0 if it has not."""
+    """Return the period of each lane in returns, judged by its last three periods; 0 if a lane is not periodic."""
     repeat = np.zeros(states.shape[2], int)
     for length in range(LONGEST_REPEAT, 0, -1):
         late = states[-3 * length - 1 :]
@@ -61,7 +62,7 @@ def find_repeats(states: States, scale: Scale) -> Int[np.ndarray, " lanes"]:
 def exponents_of_repeats(
     rate: PerReturn, time: PerReturn, states: States, scale: Scale, exponent: PerLane, error: PerLane
 ) -> Int[np.ndarray, " lanes"]:
-    """Return the repeat of each lane, 0 if none; replace its exponent and error by those over the repeats alone."""
+    """Return each lane's period in returns, 0 if none; restrict `exponent` and `error`, in place, to periodic parts."""
     repeat = find_repeats(states, scale)
     for lane in np.flatnonzero(repeat):
         length, own = int(repeat[lane]), states[:, :, lane]
@@ -70,7 +71,7 @@ def exponents_of_repeats(
         blocks = min(EXPONENT_BLOCKS, returns // length)
         whole = returns // (length * blocks) * length * blocks
         growth, seconds = (x[-whole:, lane].reshape(blocks, -1).sum(axis=1) for x in (rate, time))
-        # A motion that only lingers near a repeating one still departs from it.
+        # A motion that only lingers near an orbit still departs from it, so the tangent does not shrink.
         if growth.sum() < 0:
             exponent[lane] = float(growth.sum()) / float(seconds.sum())
             error[lane] = float(np.std(growth / seconds, ddof=1)) / blocks**0.5
@@ -82,17 +83,17 @@ def exponents_of_repeats(
 def zero_one(series: Float[np.ndarray, "samples lanes"]) -> PerLane:
     """Return K of the 0-1 test for chaos: near 1 for chaotic series, near 0 for regular ones.
 
-    The series drives a translation in the plane. It spreads like a random walk if the series is chaotic, and stays
-    bounded if it is regular. This is the correlation method with the modified mean square displacement (Gottwald and
-    Melbourne, SIAM Journal on Applied Dynamical Systems 8 (2009) 129, section 3). The frequencies are fixed draws from
-    (pi/5, 4 pi/5), which excludes resonances with 0 and pi.
+    The series drives a translation in the plane. The translation spreads like a random walk if the series is chaotic,
+    and stays bounded if the series is regular. This is the correlation method with the modified mean square
+    displacement (Gottwald and Melbourne, SIAM Journal on Applied Dynamical Systems 8 (2009) 129, section 3). The
+    frequencies are fixed random draws from (pi/5, 4 pi/5), an interval that excludes resonances with 0 and pi.
 
     **Returns:** the median over the frequencies; NaN for a series that is constant or not finite.
     """
     samples = len(series)
     longest = max(int(TEST_LAG_SHARE * samples), 2)
     lags = np.unique(np.linspace(1, longest, TEST_LAGS).round().astype(int))
-    # A thousand numbers of order one: single precision suffices, in half the time.
+    # Single precision suffices for a thousand numbers of order one, and takes half the time.
     series = ((series - series.mean(axis=0)) / series.std(axis=0)).astype(np.float32)
     x = lags.astype(float) - lags.astype(float).mean()
     result = np.empty((TEST_FREQUENCIES, series.shape[1]))

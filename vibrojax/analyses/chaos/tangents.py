@@ -1,8 +1,8 @@
 """Growth of tangent vectors along the return map, through all events.
 
-The section removes the direction of the flow, whose exponent is zero. The tangent includes the time of every event, so
-its growth contains the saltation (Mueller, Chaos, Solitons and Fractals 5 (1995) 1671). Sticking of the bit loses one
-direction; the tangent keeps the others.
+The section removes the direction of the flow, whose exponent is zero. The tangent includes the derivative of every
+event time, so its growth contains the saltation (Mueller, Chaos, Solitons and Fractals 5 (1995) 1671). Sticking of the
+bit removes one direction from the tangent, which keeps the others.
 """
 
 from collections import deque
@@ -27,20 +27,20 @@ TANGENT_ACCURACY = Accuracy(tolerance=1e-7, stride=LOCATED_STRIDE, step=np.inf)
 """Accuracy of the return map. Another tolerance changes a chaotic trajectory, but not its statistics."""
 
 TANGENT_LANES_PER_CALL = 256
-"""Lanes that one worker takes through all returns."""
+"""Greatest number of lanes that one worker steps through all returns."""
 
 RETURNS_PER_CALL = 128
-"""Returns per compiled call: lanes wait for each other only at its end."""
+"""Number of returns per compiled call; lanes wait for each other only at the end of a call."""
 
 PerState = Float[np.ndarray, "states lanes"]
 
 
 class Growth(NamedTuple):
-    """Lanes over many returns.
+    """Growth of tangents and states of lanes over many returns to the section.
 
-    - `rate` (returns, lanes): logarithm of the tangent's growth from return to return; `time` [s] of each.
-    - `states` (returns, states, lanes): states at the returns; NaN from the first missing return.
-    - `tangent` (states, lanes): after the last return, of norm 1 over the scales.
+    - `rate` (returns, lanes): logarithm of the tangent's growth since the return before; `time` [s] since then.
+    - `states` (returns, states, lanes): states at the returns; NaN from the first missing return on.
+    - `tangent` (states, lanes): tangent after the last return, divided by the scales and of norm 1.
     """
 
     rate: Float[np.ndarray, "returns lanes"]
@@ -77,11 +77,11 @@ def _returns(
     **Arguments:**
 
     - `grows`: if False, the tangent is left unchanged.
-    - `p`: parameters by name (lanes,); `state`, `tangent`, `scale` (states, lanes): of `scene.return_states`, the
-      tangent over the scale.
+    - `p`: parameters (lanes,) by name; `state`, `tangent`, `scale` (states, lanes): values of `scene.return_states`;
+      the tangent is divided by the scale.
 
-    **Returns:** rows of logarithmic growth, time [s] and states (returns, 2 + states, lanes), NaN from a missing
-    return on; and the final tangent (states, lanes).
+    **Returns:** rows of logarithmic growth, time [s] and states (returns, 2 + states, lanes), which are NaN from a
+    missing return on; and the final tangent (states, lanes).
     """
     section = scene.section
     assert section is not None
@@ -114,7 +114,7 @@ def _returns(
         here = returns & moving
         scaled = return_states(moved) / scale
         norm = jnp.sqrt(jnp.sum(scaled * scaled, axis=0))
-        # Sticking of all that moves may lose the whole tangent; then any direction serves to start again.
+        # If everything sticks, the tangent may vanish. It then starts again in an arbitrary direction.
         unit = at_section(scene, jnp.where(norm[None] > 0, scaled / norm[None], len(state) ** -0.5) * scale)
         since = carry.since + step.dt
         row = jnp.stack([jnp.log(norm), since, *return_states(lane.state)])
@@ -149,9 +149,10 @@ def grow(
 
     **Arguments:**
 
-    - `state`, `tangent`: at the section, the tangent of norm 1 over the `scale` of each state.
-    - `returns`, `kept`: number of returns, and of the last ones to keep; both multiples of `RETURNS_PER_CALL`.
-    - `grows`: if False, tangents and rates have no meaning; it takes two thirds of the time.
+    - `state`, `tangent`: values at the section; the tangent is divided by the `scale` of each state and has norm 1.
+    - `returns`, `kept`: number of returns, and number of last returns to keep (None: all); both multiples of
+      `RETURNS_PER_CALL`.
+    - `grows`: if False, tangents and rates are meaningless, and the call takes two thirds of the time.
     """
     count = state.shape[1]
     shares = np.array_split(np.arange(count), max(-(-count // TANGENT_LANES_PER_CALL), min(len(workers()), count)))

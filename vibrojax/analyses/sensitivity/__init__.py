@@ -1,1 +1,1 @@
-"""Derivatives of the features of a lane with respect to its parameters."""
+"""Derivatives of a lane's measured features with respect to its parameters."""

@@ -4,6 +4,6 @@ from vibrojax.analyses.analysis import Analysis
 
 
 class Derivatives(Analysis):
-    """Differentiate the features of one lane with respect to the parameters of its scene."""
+    """Derivatives of the features of a lane with respect to the parameters of the scene."""
 
     kind = "derivatives"

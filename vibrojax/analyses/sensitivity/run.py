@@ -1,4 +1,4 @@
-"""Derivatives of measured variables with respect to parameters, through the located motion, in forward mode."""
+"""Derivatives of measured variables with respect to parameters, by forward-mode differentiation of located motions."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -21,7 +21,7 @@ from vibrojax.sweep.input.point import Point, read_point
 from vibrojax.sweep.input.values import quantity
 
 COUNTED = {"impacts", "striker_turns", "settling_time", "error_estimate", "drift_estimate"}
-"""Variables that do not vary smoothly."""
+"""Variables that do not vary smoothly with the parameters, so they cannot be differentiated."""
 
 _POINTWISE = ("point", "variable", "parameter")
 _TABLE = {
@@ -37,8 +37,8 @@ _TABLE = {
     "valid": (_POINTWISE, Variable("1", "whether the derivative holds", np.int8, ("not-valid", "valid"))),
     "reason": (_POINTWISE, Variable("1", "why the derivative does not hold", np.int8, REASONS)),
 }
-"""Dimensions and meaning of the variables. One without a unit has units that differ along a dimension; coordinates
-state them."""
+"""Dimensions and meaning of the variables. An empty unit means that units differ along a dimension; coordinates hold
+these units."""
 
 
 def derivatives(
@@ -53,44 +53,48 @@ def derivatives(
     progress: bool = True,
     **parameters: Any,
 ) -> xr.Dataset:
-    """Differentiate period, impact velocity, rate of penetration or any other measure with respect to parameters.
+    """Differentiate period, impact velocity, rate of penetration or other measured variables by parameters.
 
         vj.derivatives("vibro-impact", of=["period", "impact_velocity"], by=["beta", "gamma"], beta=0.4, start="stuck")
 
-    Derivatives include the events: the time of a located switch moves with the parameters (implicit derivative of its
-    root). So they are those of the exact motion, to 1e-6 and better, as long as the order of events does not change.
+    Derivatives include the events: the time of a located event depends on the parameters (implicit derivative of the
+    root). They therefore equal the derivatives of the exact motion to 1e-6 or better, as long as the order of events
+    does not change.
 
-    The differentiated value is the one measured after `settle`, as a sweep would measure it. A derivative settles with
-    the motion, but later: if the distance from the orbit after k returns falls as m^k, m being the orbit's largest
-    multiplier, that of the derivative falls as k m^k. `drift` is the distance of either from its value on the orbit.
+    The differentiated value is measured after `settle`, as in a sweep. A derivative settles later than the motion. If
+    the distance from the orbit falls as m^k after k returns to the section, the derivative's distance from its settled
+    value falls as k m^k, where m is the orbit's largest multiplier. `drift` is the larger of the two relative distances
+    of variable and derivative from their settled values.
 
-    Derivatives are computed in forward mode (`jax.jvp`). Reverse mode (`jax.grad`) does not pass through the loops of a
-    motion, whose number of steps varies; it, and every other transformation of jax, is refused over this function.
-    Continue with the numbers that it returns: for a handful of parameters they are the whole gradient. The pure
-    function below it, for a `jax.jvp` or `jax.jacfwd` of your own, is [vibrojax.measures.run.run_block][].
+    Derivatives are computed in forward mode (`jax.jvp`). Reverse mode (`jax.grad`) cannot differentiate the loops of a
+    motion, whose number of steps varies. This function rejects `jax.grad` and every other JAX transformation. Use the
+    numbers that it returns instead: for a few parameters, they are the complete gradient. To apply `jax.jvp` or
+    `jax.jacfwd` yourself, use the underlying pure function [vibrojax.measures.run.run_block][].
 
     **Arguments:**
 
-    - `scene`, `start`, `parameters` (SI): as `simulate` takes them. Lists of one length give several points.
-    - `of`: variables of the scene's datasets that are not counts; `by`: its parameters.
+    - `scene`, `start`, `parameters` (SI): as in `simulate`. Parameters that are lists of equal length define several
+      points.
+    - `of`: variables of the scene's datasets to differentiate, which must not be counts; `by`: parameters of the scene.
     - `settle`, `observe` [s]: as in a sweep; by default 40 and 8, or 1 and 1 for a scene driven by pulses.
-    - `error`: accepted relative error of a derivative.
+    - `error`: relative error tolerance of a derivative.
     - `progress`: whether to report progress on stderr.
 
     **Returns:** a dataset over `variable` and `parameter` (and `point`, if there are lists):
 
-    - `measured`, and the parameters' `value`, in the units of the coordinates `unit` and `parameter_unit`.
-    - `derivative`, in the unit of the coordinate `derivative_unit`; `elasticity`: relative change per relative change.
-    - `valid` (0 or 1) and the `reason` if it is 0. The point cannot be run (refused, failed), the motion does not
-      repeat, or the value does not exist or is zero. One part in ten thousand away, the number of events differs or the
-      motion repeats otherwise (a graze, a border of the regime). Derivative or value are farther than `error` from
-      their settled values (`drift`). The derivative is not the slope between the points to either side
-      (`central_difference`).
+    - `measured`: the variable; `value`: the parameter. The coordinates `unit` and `parameter_unit` hold their units.
+    - `derivative`, with units in the coordinate `derivative_unit`; `elasticity`: relative change of the variable per
+      relative change of the parameter.
+    - `valid` (0 or 1), and the `reason` if it is 0: the point cannot be run (refused, failed), the motion is not
+      periodic, or the value is undefined or zero. A derivative is also invalid if a parameter change of one part in ten
+      thousand changes the number of events or the period in returns (a graze, a border of the regime). The same holds
+      if derivative or value are farther than `error` from their settled values (`drift`), or if the derivative differs
+      from the slope between the points on both sides (`central_difference`).
 
-    A derivative that is not valid is returned all the same. An elasticity below 1e-3 counts as insensitive: errors are
-    then relative to that.
+    Invalid derivatives are returned, too. If the elasticity is below 1e-3, errors are relative to an elasticity of
+    1e-3.
 
-    **Raises:** `InputError` for a wrong name or value.
+    **Raises:** `InputError` for an unknown name or an invalid value.
 
     **Example:**
 
@@ -125,7 +129,7 @@ def derivatives(
     variables = _read_names(place.at("of"), of, smooth)
     wrt = _read_names(place.at("by"), by, list(points[0].parameters))
     value = np.array([[point.parameters[name] for name in wrt] for point in points])
-    # A parameter that is zero is moved relative to its default, or to 1 if that is zero too.
+    # A parameter that is zero is changed relative to its default, or to 1 if the default is zero, too.
     scales = np.array([abs(system.parameters()[name].default) or 1.0 for name in wrt])
     move = NEARBY * np.where(value != 0, np.abs(value), scales)
     features, tangents = run_and_derive(points, wrt, move, times, progress)
@@ -138,7 +142,7 @@ def derivatives(
 def _read_points(
     place: Place, scene: str | Scene[Any], parameters: Mapping[str, object], start: object
 ) -> tuple[list[Point], dict[str, list[object]]]:
-    """Return the checked points, and the parameters that are lists."""
+    """Return the validated points, and the parameters that are lists by name."""
     columns: dict[str, list[object]] = {
         name: list(x)
         for name, x in parameters.items()
@@ -168,7 +172,7 @@ def _read_names(place: Place, value: str | Sequence[str], known: Sequence[str]) 
 
 
 def _is_refused(points: Sequence[Point]) -> Bool[np.ndarray, " points"]:
-    """Return which points cannot be run, as in a sweep."""
+    """Return which points cannot be run, by the same rules as in a sweep."""
     scene = points[0].system
     p = {name: np.array([point.parameters[name] for point in points]) for name in points[0].parameters}
     unfit = scene.refused(p)

@@ -1,1 +1,1 @@
-"""Pictures of single trajectories."""
+"""Pictures and summaries of single trajectories."""

@@ -14,14 +14,14 @@ from vibrojax.measures.labels import FEWEST_RETURNS
 SECTION = "returns to the section (the bit overtakes the drive)"
 
 REPORTED_DRIFT = 1e-3
-"""Relative distance from the settled motion above which the summary mentions it: half a digit of what it prints."""
+"""Relative distance from the settled motion above which the summary reports it: half a digit of printed values."""
 
 DURATION_MARGIN = 1.15
-"""Factor of an advised duration over one that just suffices."""
+"""Ratio of the recommended duration to the shortest sufficient duration."""
 
 
 class Trajectories(Analysis):
-    """Simulate one point: its trajectory as a dataset, and a picture beside it."""
+    """Simulation of one point: its trajectory as a dataset, and a picture."""
 
     kind = "trajectory"
     view = "motion"
@@ -32,18 +32,18 @@ class Trajectories(Analysis):
     )
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
-        """Return regime, period, blows and rate of penetration."""
+        """Summarise regime, period, impacts and rate of penetration."""
         return [SummaryPart("found", feature_lines(ds), {"found": features(ds)})]
 
 
 def features(ds: xr.Dataset) -> dict[str, object]:
-    """Return the single values of a trajectory by name, flags by their meanings."""
+    """Return the scalar variables of a trajectory by name; flags are replaced by their meanings."""
     single = {str(name): data for name, data in ds.data_vars.items() if data.ndim == 0}
     return {name: flags(data)[int(data)] if flags(data) else data.item() for name, data in single.items()}
 
 
 def feature_lines(ds: xr.Dataset) -> list[str]:
-    """Return regime, period, blows and rate of penetration in words; no lines where nothing was measured."""
+    """Describe regime, period, impacts and rate of penetration; return no lines if nothing was measured."""
     run = run_of(ds)
     if not {"settle", "observe"} <= set(run) or "time" not in ds.dims:
         return []

@@ -1,4 +1,4 @@
-"""The bit on rock under a given force: the hole's steps under pulses, and the response to a swept sine."""
+"""Pictures of the bit on rock under an applied force: hole growth under pulses, and response to a swept sine."""
 
 from collections.abc import Sequence
 
@@ -17,13 +17,13 @@ from vibrojax.plot.envelope import band_text, draw_over_time
 from vibrojax.plot.margins import write_margins
 from vibrojax.plot.style import BIT, DASHED, FAINT, INK, ROCK, Mark, new_figure, styled
 
-_SMALLEST_MM = 2e-4  # swing [m] from which lengths are in mm, rather than µm
-_LARGEST_N = 1e4  # force [N] from which forces are in kN
+_SMALLEST_MM = 2e-4  # greatest length [m] from which the unit is mm, rather than µm
+_LARGEST_N = 1e4  # greatest force [N] from which the unit is kN
 _ENLARGED_BLOWS = 2
-_LEAD = 0.08  # of the time between blows, shown before the first of them
+_LEAD = 0.08  # fraction of the time between blows that is shown before the first enlarged blow
 _FEWEST_CYCLES = 4
-_LEAST_SLIP = 1e-12  # [m] in one cycle: less is rounding
-_MANY_CYCLES = 120  # from which points have no marks
+_LEAST_SLIP = 1e-12  # [m] in one cycle: less is rounding error
+_MANY_CYCLES = 120  # number of cycles from which curves have no markers
 
 
 def draw_hole(axes: Axes, hole: Hole, start: float, end: float) -> None:
@@ -31,14 +31,14 @@ def draw_hole(axes: Axes, hole: Hole, start: float, end: float) -> None:
     late = hole.between(start, end)
     factor, unit = _length_scale([hole.x3[late], hole.x4[late]])
     axes.grid(True)
-    # The hole is below: where the bit presses on its bottom, both are seen.
+    # The wider line of the hole is drawn first, so that both are visible where the bit presses on the hole's bottom.
     draw_over_time(axes, hole.time[late], factor * hole.x4[late], ROCK, 2.4, "hole x₄")
     draw_over_time(axes, hole.time[late], factor * hole.x3[late], BIT, 0.9, "bit x₃")
     axes.set_ylabel(f"depth\n[{unit}]")
 
 
 def growth_text(hole: Hole) -> str:
-    """Return how much the hole grew over the run."""
+    """Return the note on the hole's growth over the run."""
     depth, duration = 1e3 * float(hole.x4[-1] - hole.x4[0]), float(np.ptp(hole.time))
     if not depth > 0:
         return "No penetration"
@@ -46,23 +46,23 @@ def growth_text(hole: Hole) -> str:
 
 
 def _length_scale(lengths: Sequence[Float[np.ndarray, "*shape"]]) -> tuple[float, str]:
-    """Return the factor and the unit in which `lengths` [m] read well."""
+    """Return the conversion factor and the unit, mm or µm, to print `lengths` [m] in."""
     greatest = max((float(np.abs(values).max(initial=0.0)) for values in lengths), default=0.0)
     return (1e3, "mm") if greatest >= _SMALLEST_MM or greatest == 0.0 else (1e6, "µm")
 
 
 def force_scale(forces: Sequence[Samples]) -> tuple[float, str]:
-    """Return the factor and the unit in which `forces` [N] read well."""
+    """Return the conversion factor and the unit, kN or N, to print `forces` [N] in."""
     return (1e-3, "kN") if max(np.abs(force).max() for force in forces) >= _LARGEST_N else (1.0, "N")
 
 
 @styled
 def pulses(ds: xr.Dataset, last: float | None = None) -> Figure:
-    """Draw bit and hole above the forces on the bit: the whole run, and beside it its end enlarged.
+    """Draw bit and hole above the forces on the bit: the whole run at the left, its end enlarged at the right.
 
-    **Arguments:** `last`: how much of the end to enlarge [s]; by default the last two blows.
+    **Arguments:** `last`: duration of the enlarged end [s]; by default it contains the last two blows.
 
-    **Raises:** `InputError` if the dataset holds no such trajectory.
+    **Raises:** `InputError` if the dataset holds no trajectory of bit and hole.
     """
     hole = read_hole(ds)
     first, end = float(hole.time[0]), float(hole.time[-1])
@@ -90,7 +90,7 @@ def pulses(ds: xr.Dataset, last: float | None = None) -> Figure:
 
 
 def _draw_forces(axes: Axes, hole: Hole, start: float, end: float) -> None:
-    """Draw the given force, the rock's resistance and its threshold from `start` to `end` [s]."""
+    """Draw the applied force, the rock's resistance and the rock's threshold from `start` to `end` [s]."""
     late = hole.between(start, end)
     factor, unit = force_scale([force for force in (hole.applied_force, hole.rock_force) if force is not None])
     axes.grid(True)
@@ -104,7 +104,7 @@ def _draw_forces(axes: Axes, hole: Hole, start: float, end: float) -> None:
 
 
 def _last_blows(hole: Hole) -> float:
-    """Return the time [s] a little before the last two blows; of too few blows, that of the last fifth of the run."""
+    """Return a time [s] shortly before the last two blows, or, with too few blows, before the last fifth of the run."""
     begun = hole.blows
     if begun.size <= _ENLARGED_BLOWS + 1:
         return float(hole.time[-1] - 0.2 * np.ptp(hole.time))
@@ -117,10 +117,10 @@ def _last_blows(hole: Hole) -> float:
 def response(ds: xr.Dataset) -> Figure:
     """Draw the amplitudes of the bit and the hole's depth against the frequency of a swept sine.
 
-    There is a point for each whole cycle of the force. Frequencies at which the rock slips are shaded (Figs 6.4 to
-    6.7).
+    There is one point per complete cycle of the force. Frequencies at which the rock slips are shaded (source, Figs 6.4
+    to 6.7).
 
-    **Raises:** `InputError` if the dataset holds no such trajectory, or too few cycles.
+    **Raises:** `InputError` if the dataset holds no trajectory under a swept sine, or too few cycles.
     """
     hole, parameters = read_hole(ds), parameters_of(ds)
     if not contents(ds).swept_sine:
@@ -137,7 +137,7 @@ def response(ds: xr.Dataset) -> Figure:
 
     frequency = np.abs(start + rate * (hole.time[turn[:-1]] + hole.time[turn[1:]]) / 2)
     displacement, velocity, depth = half_swing(hole.x3 - hole.x4), half_swing(hole.v3), hole.x4[turn]
-    # The ranges of frequency over which the rock slips in every cycle, ended halfway between cycles.
+    # Frequency ranges in which the rock slips in every cycle; they end halfway between cycles.
     slips = np.diff(depth) > _LEAST_SLIP
     changes = np.flatnonzero(np.diff(np.concatenate([[False], slips, [False]]).astype(int)))
     ends = np.concatenate([frequency[:1], (frequency[1:] + frequency[:-1]) / 2, frequency[-1:]])

@@ -1,4 +1,4 @@
-"""The motion in a run, in SI units: bit and striker, bit and hole; and the amplitude spectrum of a run."""
+"""Time series of a run in SI units (bit and striker, bit and hole), and the amplitude spectrum of a run."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,11 +12,11 @@ from vibrojax.io.attributes import parameters_of
 from vibrojax.plot.contents import TIME, contents
 
 _FEWEST_SAMPLES = 16
-_IMPACT_WINDOW = 0.1  # [s] in which the bit must come to rest after an impact that is enlarged
-_REST_SPEED = 0.01  # of the greatest speed, up to which the bit is at rest
-_LEAD = 0.15  # of an impact's duration, shown before it
-_MOST_PEAKS, _LEAST_PEAK = 3, 0.1  # number, and share of the greatest
-_LOBE_BINS = 4  # the width of the Hann window's main lobe
+_IMPACT_WINDOW = 0.1  # time [s] within which the bit must come to rest after an impact, if the impact is enlarged
+_REST_SPEED = 0.01  # fraction of the greatest speed up to which the bit counts as resting
+_LEAD = 0.15  # fraction of an impact's duration that is shown before the impact
+_MOST_PEAKS, _LEAST_PEAK = 3, 0.1  # number of peaks, and least height relative to the highest
+_LOBE_BINS = 4  # width of the Hann window's main lobe in frequency bins
 
 Samples = Float[np.ndarray, " samples"]
 Times = Float[np.ndarray, " times"]
@@ -27,10 +27,10 @@ Peak = tuple[float, float]
 
 @dataclass(frozen=True)
 class Motion:
-    """A run of bit and striker in SI units.
+    """Time series of bit and striker in SI units.
 
-    `v` [m/s] and `delta` [m] are None if the dataset does not give them; forces are None if it lacks them; `impacts`
-    are the times [s] at which impacts begin.
+    The drive's speed `v` [m/s], the gap `delta` [m] and the forces are None if the dataset lacks them. `impacts`: times
+    [s] at which impacts begin.
     """
 
     time: Samples
@@ -47,17 +47,17 @@ class Motion:
 
     @property
     def u(self) -> Samples:
-        """The bit's sliding speed on the rock [m/s]; relative to the drive if its speed is not known."""
+        """The bit's sliding speed on the rock [m/s], or its speed relative to the drive if `v` is None."""
         return self.v1 + (self.v or 0.0)
 
     def since(self, start: float) -> slice:
-        """Return the samples from the time `start` [s] on."""
+        """Return the slice of samples from the time `start` [s] on."""
         return slice(int(np.searchsorted(self.time, start)), None)
 
 
 @dataclass(frozen=True)
 class Hole:
-    """A run of the bit in its hole, in SI units; forces and `threshold` are None if the dataset lacks them."""
+    """Time series of bit and hole in SI units; forces and `threshold` are None if the dataset lacks them."""
 
     time: Samples
     x3: Samples
@@ -68,12 +68,12 @@ class Hole:
     threshold: float | None
 
     def between(self, start: float, end: float) -> slice:
-        """Return the samples from `start` to `end` [s], and one more at both ends."""
+        """Return the slice of samples from `start` to `end` [s], with one more sample at both ends."""
         return slice(max(int(np.searchsorted(self.time, start)) - 1, 0), int(np.searchsorted(self.time, end)) + 1)
 
     @property
     def blows(self) -> Times:
-        """The times [s] at which the force on the bit, or else on the rock, rises through half of its range."""
+        """Times [s] at which the applied force, or else the rock's force, rises through the middle of its range."""
         force = self.applied_force if self.applied_force is not None else self.rock_force
         if force is None or not np.ptp(force) > 0:
             return np.empty(0)
@@ -82,7 +82,7 @@ class Hole:
 
 
 def read_motion(ds: xr.Dataset) -> Motion:
-    """Return the motion of bit and striker; raise `InputError` if a state or enough samples are missing."""
+    """Return the time series of bit and striker; raise `InputError` if a state is missing or samples are too few."""
     ds = _finite_part(ds, ("x1", "v1", "x2", "v2"))
     parameters = parameters_of(ds)
     impact_force, stuck = _optional(ds, "impact_force"), _optional(ds, "stuck")
@@ -102,7 +102,7 @@ def read_motion(ds: xr.Dataset) -> Motion:
 
 
 def read_hole(ds: xr.Dataset) -> Hole:
-    """Return the motion of the bit in its hole; raise `InputError` if a state or enough samples are missing."""
+    """Return the time series of bit and hole; raise `InputError` if a state is missing or samples are too few."""
     ds = _finite_part(ds, ("x3", "x4"))
     time, x3, v3 = _samples(ds, TIME), _samples(ds, "x3"), _optional(ds, "v3")
     return Hole(
@@ -117,7 +117,7 @@ def read_hole(ds: xr.Dataset) -> Hole:
 
 
 def last_impact(hole: Hole, impacts: Times) -> tuple[float, float] | None:
-    """Return the interval of the last impact that moved the bit, from a little before it until the bit is at rest."""
+    """Return the time interval [s] around the last impact after which the bit comes to rest, or None."""
     end = float(hole.time[-1])
     for begins in impacts[::-1].tolist():
         after = hole.between(begins, min(begins + _IMPACT_WINDOW, end))
@@ -130,7 +130,7 @@ def last_impact(hole: Hole, impacts: Times) -> tuple[float, float] | None:
 
 
 def _finite_part(ds: xr.Dataset, states: Sequence[str]) -> xr.Dataset:
-    """Return the dataset at the times when all `states` are finite."""
+    """Return the dataset at the times at which all `states` are finite."""
     missing = [name for name in states if name not in ds]
     if missing or not contents(ds).run:
         raise InputError(f"no trajectory to draw: the dataset lacks {', '.join(missing) or 'dimension time'}")
@@ -150,7 +150,7 @@ def _optional(ds: xr.Dataset, name: str) -> Samples | None:
 
 
 def _impact_times(ds: xr.Dataset, force: Samples | None) -> Times:
-    """Return the times [s] at which impacts begin, from the events or from the rises of the force from zero."""
+    """Return the times [s] at which impacts begin: from recorded events, else where the force rises from zero."""
     if "event_time" in ds and "event_kind" in ds:
         meanings = str(ds["event_kind"].attrs.get("flag_meanings", "stick slip impact release section")).split()
         flags = np.atleast_1d(ds["event_kind"].attrs.get("flag_values", range(1, 1 + len(meanings)))).tolist()
@@ -167,7 +167,7 @@ def _impact_times(ds: xr.Dataset, force: Samples | None) -> Times:
 def amplitude_spectrum(time: Samples, signal: Samples) -> tuple[Frequencies, Frequencies]:
     """Return frequencies [Hz] and amplitudes of the second half of a signal, under a Hann window.
 
-    A sine of amplitude A gives a peak of height A. The signal is interpolated to even times.
+    A sine of amplitude A gives a peak of height A. The signal is interpolated to equidistant times.
     """
     late = np.linspace((time[0] + time[-1]) / 2, time[-1], max(time.size // 2, 8))
     values = np.interp(late, time, signal)
@@ -178,9 +178,9 @@ def amplitude_spectrum(time: Samples, signal: Samples) -> tuple[Frequencies, Fre
 
 
 def peaks(frequencies: Frequencies, amplitudes: Frequencies) -> list[Peak]:
-    """Return the three greatest local maxima over a tenth of the greatest, greatest first.
+    """Return up to three highest local maxima above a tenth of the global maximum, highest first.
 
-    The frequency is that of the parabola through the logarithms of the three amplitudes at the peak.
+    Each frequency is the vertex of the parabola through the logarithms of the three amplitudes at the peak.
     """
     inner, least = amplitudes[1:-1], _LEAST_PEAK * amplitudes.max()
     maxima = 1 + np.flatnonzero((inner > amplitudes[:-2]) & (inner >= amplitudes[2:]) & (inner > least))
@@ -199,7 +199,7 @@ def peaks(frequencies: Frequencies, amplitudes: Frequencies) -> list[Peak]:
 
 
 def merge_peaks(several: Sequence[Peak], width: float) -> list[Peak]:
-    """Return the peaks without the lower of two within `width` [Hz] of each other, greatest first."""
+    """Return the peaks, highest first, without peaks within `width` [Hz] of a higher peak."""
     chosen: list[Peak] = []
     for frequency, amplitude in sorted(several, key=lambda peak: -peak[1]):
         if all(abs(frequency - other) > width for other, _ in chosen):

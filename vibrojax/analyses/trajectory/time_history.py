@@ -1,4 +1,4 @@
-"""A trajectory: time history, phase portraits of bit and striker, and amplitude spectrum."""
+"""Picture of a trajectory: time history, phase portraits of bit and striker, and amplitude spectrum."""
 
 from typing import Any
 
@@ -29,10 +29,10 @@ from vibrojax.plot.envelope import band_text, draw_over_time, is_band
 from vibrojax.plot.margins import write_margins
 from vibrojax.plot.style import BIT, DASHED, FAINT, IMPACT, INK, STICK, STRIKER, Mark, new_figure, styled
 
-_OVERVIEW_FROM = 1.5  # times the window, from which a run has an overview
+_OVERVIEW_FROM = 1.5  # ratio of the run's length to the window from which there is an overview
 _SPECTRUM_SPAN = 5.0  # in units of the bit's dominant frequency
 _SPECTRUM_AT_REST = 25.0  # span [Hz] if nothing moves
-_LEAST_AMPLITUDE = 1e-6  # [mm]: less is rounding
+_LEAST_AMPLITUDE = 1e-6  # [mm]: less is rounding error
 _DOTS = Mark(linestyle="none", marker="o", markersize=4.0, color=IMPACT)
 
 
@@ -40,11 +40,12 @@ _DOTS = Mark(linestyle="none", marker="o", markersize=4.0, color=IMPACT)
 def trajectory(ds: xr.Dataset, last: float = 1.5) -> Figure:
     """Draw the time history, phase portraits and spectrum of one run.
 
-    Displacements, velocities and forces are drawn over the last `last` seconds, with stick and impacts marked, below an
-    overview of the whole run. The transient is faint in the phase portraits of bit and striker. The amplitude spectrum
-    is that of the run's second half. With rock, the bit in the hole is drawn over the same time and at the last impact.
+    Displacements, velocities and forces are drawn over the last `last` seconds, below an overview of the whole run.
+    Sticking and impacts are marked. The transient is faint in the phase portraits of bit and striker. The amplitude
+    spectrum is computed from the run's second half. In scenes with rock, bit and hole are drawn over the same time, and
+    enlarged at the last impact.
 
-    **Arguments:** `last`: the length of the end to show [s].
+    **Arguments:** `last`: duration of the end of the run that is shown [s].
 
     **Raises:** `InputError` if the dataset holds no trajectory, or `last` is not above 0.
     """
@@ -136,7 +137,7 @@ def _draw_velocities(axes: Axes, motion: Motion, start: float) -> None:
 
 
 def _draw_both(axes: Axes, motion: Motion, start: float, of_bit: Samples, of_striker: Samples) -> None:
-    """Draw a quantity of striker and bit over time, with stick and impacts on lines, but not on bands."""
+    """Draw a quantity of striker and bit over time; mark sticking and impacts on lines, but not on bands."""
     late = motion.since(start)
     striker = draw_over_time(axes, motion.time[late], of_striker[late], STRIKER, 1.1)
     bit = draw_over_time(axes, motion.time[late], of_bit[late], BIT, 1.1)
@@ -164,7 +165,7 @@ def _draw_forces(axes: Axes, motion: Motion, start: float) -> None:
 
 
 def _draw_bit(axes: Axes, motion: Motion, start: float) -> None:
-    """Draw the bit's phase portrait: sliding speed against displacement, stick as a thick line."""
+    """Draw the bit's phase portrait: sliding speed against displacement, with sticking as a thick line."""
     speed = "sliding speed u = x₁′ + v [m/s]" if motion.v is not None else "velocity x₁′ [m/s]"
     axes.set(xlabel="x₁ [mm]", ylabel=speed)
     axes.set_title("bit", color=BIT, fontweight="bold")
@@ -175,7 +176,7 @@ def _draw_bit(axes: Axes, motion: Motion, start: float) -> None:
 
 
 def _draw_striker(axes: Axes, motion: Motion, start: float) -> None:
-    """Draw the striker's phase portrait: velocity against displacement, the contact at delta as a line."""
+    """Draw the striker's phase portrait: velocity against displacement, with the contact at `delta` as a line."""
     axes.set(xlabel="x₂ [mm]", ylabel="velocity x₂′ [m/s]")
     axes.set_title("striker", color=STRIKER, fontweight="bold")
     if motion.delta is not None:
@@ -184,7 +185,7 @@ def _draw_striker(axes: Axes, motion: Motion, start: float) -> None:
 
 
 def _draw_portrait(axes: Axes, motion: Motion, x: Samples, speed: Samples, start: float, colour: str) -> None:
-    """Draw the transient faint, the motion after `start` strong, impacts as points."""
+    """Draw a phase portrait: the transient faint, the motion after time `start` [s] strong, impacts as dots."""
     late = motion.since(start)
     axes.axhline(0.0, color=FAINT, linewidth=0.6)
     before = slice(None, late.start + 1)
@@ -196,7 +197,7 @@ def _draw_portrait(axes: Axes, motion: Motion, x: Samples, speed: Samples, start
 
 
 def _draw_spectrum(axes: Axes, motion: Motion) -> None:
-    """Draw the amplitude spectra of both displacements, and write the frequencies of their peaks."""
+    """Draw the amplitude spectra of both displacements, and label the peaks with their frequencies."""
     named: list[Peak] = []
     end, width = 0.0, 0.0
     for name, x, colour in (("bit x₁", motion.x1, BIT), ("striker x₂", motion.x2, STRIKER)):
@@ -205,7 +206,7 @@ def _draw_spectrum(axes: Axes, motion: Motion) -> None:
         end = end or (_SPECTRUM_SPAN * highest[0][0] if highest else 0.0)
         width = 4.0 * float(frequencies[1])
         axes.plot(frequencies, amplitudes, color=colour, linewidth=1.0, label=name)
-        # At one frequency the higher line hides the lower line, but not its top.
+        # Where both lines have a peak, the higher line hides the lower line, but not the marker at its top.
         tops = tuple(zip(*highest, strict=True)) or ((), ())
         axes.plot(*tops, "o", color=colour, markersize=3.2, zorder=4)
         named += highest
