@@ -1,4 +1,4 @@
-"""The source, reproduced: its tables and figures beside computed values."""
+"""Reproduction of the source: comparison of its tables and figures with computed values."""
 
 from vibrojax.reproduce.page import write_reproduction as write_reproduction
 from vibrojax.reproduce.reproduction import Reproduction as Reproduction

@@ -1,4 +1,8 @@
-"""Compute needs: lanes of one kind together in one sweep, maps as they are, motions one at a time."""
+"""Execution of the computations that results require (*needs*); the computed values are their *answers*.
+
+Lanes (single trajectories) with equal settings are computed together in one sweep. Each map is a sweep of its own, and
+motions are simulated one at a time.
+"""
 
 import warnings
 from collections.abc import Callable, Iterable
@@ -17,17 +21,17 @@ from vibrojax.sweep.input.point import read_point
 from vibrojax.sweep.simulation import simulate
 
 PROBED_LANES = 8
-"""Lanes of each scene that run for two seconds before all others."""
+"""Approximate number of lanes per sweep that are first simulated for two seconds, to detect a failing scene early."""
 MAX_FAILED_SHARE = 0.25
-"""Share of the probed lanes that may fail. With wrong equations every lane runs out of steps, after minutes each."""
+"""Fraction of the probed lanes that may fail. With wrong equations, every lane would run out of steps after minutes."""
 
 Features = dict[str, Any]
-"""Parameters and variables of a lane by name; of several lanes, arrays."""
+"""Parameters and variables by name: scalars of one lane, or arrays of several lanes."""
 
 
 @dataclass(frozen=True)
 class Unanswered:
-    """The answer to a need that could not be computed, with the reason."""
+    """The answer to a need that could not be computed; `reason` explains why."""
 
     reason: str
 
@@ -36,7 +40,7 @@ Answer = Features | xr.Dataset | Blows | Unanswered
 
 
 class _Kind(NamedTuple):
-    """Settings shared by lanes that one sweep computes; `names` are the parameters given as texts."""
+    """Settings shared by lanes that are computed in one sweep; `names` are the string-valued parameters."""
 
     scene: str
     names: tuple[tuple[str, str], ...]
@@ -49,14 +53,14 @@ _Point = tuple[tuple[str, float], ...]
 
 
 class SourceAnswers:
-    """The answers to needs, and by name the datasets from which they are read.
+    """The answers to needs, computed on construction; `datasets` holds, by name, the datasets of sweeps and maps.
 
-    A scene whose probes fail is not computed: its needs are `Unanswered`.
+    If too many probed lanes of a scene fail, the scene is not computed: the answers to its needs are `Unanswered`.
 
     **Arguments:**
 
-    - `needs`: what to compute; repeated needs are computed once.
-    - `report`: receives a line before each sweep, map and motion, with its number and the total.
+    - `needs`: the computations to run; equal needs are computed once.
+    - `report`: function that receives a line of text before each sweep, map and motion, with its number and the total.
     """
 
     def __init__(self, needs: Iterable[Need], report: Callable[[str], None] = lambda line: None) -> None:
@@ -75,7 +79,7 @@ class SourceAnswers:
         self._parts = len(kinds) + len(maps) + len(motions)
         for kind, lanes in kinds.items():
             self._run_lanes(kind, lanes)
-        for need in maps:  # before the motions, which take less time each
+        for need in maps:  # before the motions, since a map takes longer than a motion
             self._answers[need] = self._refusal(need.scene) or self._run_map(need)
         for motion in motions:
             self._answers[motion] = self._refusal(motion.scene) or self._simulate(motion)
@@ -125,21 +129,22 @@ class SourceAnswers:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", UnusualValue)
                 return simulate(need.scene, **settings, **dict[str, Any](need.parameters))
-        except InputError as problem:  # too many steps: the other answers are still good
+        except InputError as problem:  # too many steps: this does not invalidate the other answers
             return Unanswered(str(problem))
 
     def _keep(self, name: str, dataset: xr.Dataset) -> None:
-        """Keep a dataset under its name, numbered from the second one on."""
+        """Store a dataset under `name`; append a number if datasets with this name are already stored."""
         count = sum(other.partition("--")[0] == name for other in self.datasets)
         self.datasets[f"{name}--{count + 1}" if count else name] = dataset
 
 
 def collect(needs: tuple[Labelled, ...], answers: list[Answer]) -> dict[str, Any]:
-    """Return the answers to the needs of a result or picture, by the names that its expressions use.
+    """Return the answers to the needs of a result or picture, as variables for its expressions, by name.
 
-    Lanes under a label are one dictionary of features, with arrays if there are several. Those without a label are
-    `lanes`, and their features are names too. A motion without a label is `motion`, several are `motions`; `map`,
-    `maps`, `mass` and `masses` likewise.
+    The lanes with one label form one dictionary of features, whose values are arrays if there are several lanes. Lanes
+    without a label are named `lanes`, and each of their features is also a variable of its own. Motions without a label
+    are the list `motions`, and `motion` is the first of them. `map` and `maps`, `mass` and `masses` follow the same
+    rule.
     """
     names: dict[str, Any] = {}
     groups: dict[str, list[Any]] = {}
@@ -158,7 +163,7 @@ def collect(needs: tuple[Labelled, ...], answers: list[Answer]) -> dict[str, Any
 
 
 def _features(lane: LaneNeed, row: xr.Dataset) -> Features:
-    """Return the parameters and variables of a lane, with some variables in the source's units."""
+    """Return the parameters and variables of a lane, and some variables also converted to the source's units."""
     scalars = {str(name): variable.values.item() for name, variable in row.variables.items() if not variable.ndim}
     features: Features = scalars | dict(lane.parameters)
     if "regime" in features:
@@ -166,7 +171,7 @@ def _features(lane: LaneNeed, row: xr.Dataset) -> Features:
         features["single"] = features["regime"] == "single-impact"
     if "period" in features:
         features["hertz"], features["omega"] = 1 / features["period"], 2 * np.pi / features["period"]
-    if "impact_velocity" in features:  # the contact loses nothing
+    if "impact_velocity" in features:  # the contact is lossless: the velocity is reversed
         features["velocity_change"] = 2 * features["impact_velocity"]
     if "peak_impact_force" in features:
         features["impact_kN"] = features["peak_impact_force"] / 1e3
@@ -181,7 +186,7 @@ def _numbers(lane: LaneNeed) -> _Point:
 
 
 def _run_points(kind: _Kind, points: list[_Point]) -> xr.Dataset:
-    """Return the dataset of points, with the scene's defaults for what a point omits."""
+    """Run a sweep of points and return its dataset; a parameter that a point omits has the scene's default."""
     defaults = read_point(Place("reproduce"), kind.scene, dict(kind.names), None).parameters
     varied = dict.fromkeys(name for point in points for name, _ in point) or ("m1",)
     columns = {name: [float(dict(point).get(name, defaults[name])) for point in points] for name in varied}
@@ -189,9 +194,12 @@ def _run_points(kind: _Kind, points: list[_Point]) -> xr.Dataset:
 
 
 def _run(kind: _Kind | Map, title: str, parameters: dict[str, Any], **axes: dict[str, list[float]]) -> xr.Dataset:
-    """Return the dataset of a sweep from all starts of the scene, so that one compiled program computes them all."""
+    """Run a sweep and return its dataset.
+
+    The sweep covers all usual initial conditions of the scene, so that all sweeps of a scene share a compiled program.
+    """
     starts = {"starts": list(starts_of(kind.scene))} if starts_of(kind.scene) else {}
     run = {"settle": kind.settle, "observe": kind.observe}
-    # The source itself goes to limits, and so some values are unusual.
+    # The source itself examines extreme parameters, so some values are unusual.
     sweep = {"scene": kind.scene, "title": title, "unusual": True, "parameters": parameters, **axes, "run": run}
     return run_sweep(sweep | starts, progress=False)

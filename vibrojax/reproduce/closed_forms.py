@@ -1,4 +1,7 @@
-"""Results known in closed form: linear modes, friction laws, struck masses, and one blow on the contact."""
+"""Results in closed form: linear modes, friction laws, masses that hit a stop, and one blow on the contact.
+
+"Table" and "eq." refer to the source.
+"""
 
 import numpy as np
 from jaxtyping import Float
@@ -10,7 +13,7 @@ from vibrojax.reproduce.struck_mass import Blows
 
 Values = Float[np.ndarray, " values"]
 Parameter = float | int | Values
-"""Values of a parameter; the expressions of `results.csv` have whole numbers too."""
+"""One or several values of a parameter; expressions in `results.csv` may also contain integers."""
 
 TABLE_5_1 = {"m1": 250.0, "k1": 156250.0}
 TABLE_5_3 = {
@@ -19,27 +22,27 @@ TABLE_5_3 = {
     "gamma": np.array([0.9, 0.8, 0.7, 0.6, 0.5, 0.3, 0.1, 0.8, 0.75, 0.75, 0.75]),
 }
 SPEEDS = np.linspace(0.0, 5.0, 20001)
-"""Sliding speeds [m/s] at which the friction laws are compared."""
+"""Sliding speeds [m/s] at which the friction laws are evaluated."""
 LOSS_FACTORS = np.array([0.1, 0.3, 0.5, 0.7, 0.91])
 
 
 def modes(**parameters: Parameter) -> Float[np.ndarray, "2 ..."]:
-    """Return the natural frequencies [rad/s] of eq. 5.16, lower first, with m1 and k1 of Table 5.1 by default."""
+    """Return the lower and the upper natural frequency [rad/s], eq. 5.16; m1 and k1 default to Table 5.1."""
     return np.moveaxis(np.asarray(natural_frequencies(TABLE_5_1 | parameters)), -1, 0)
 
 
 def mode_estimate(**parameters: Parameter) -> np.ndarray:
-    """Return the frequency [rad/s] of eq. 5.17, with m1 and k1 of Table 5.1 by default."""
+    """Return the empirical frequency [rad/s], eq. 5.17; m1 and k1 default to Table 5.1."""
     return np.asarray(empirical_frequency(TABLE_5_1 | parameters))
 
 
 def second_spring(**parameters: float) -> float:
-    """Return k2 [N/m], with m1 and k1 of Table 5.1 by default."""
+    """Return the stiffness k2 [N/m] of the striker's spring; m1 and k1 default to Table 5.1."""
     return float(striker(TABLE_5_1 | parameters)[1])
 
 
 def mode_discrepancy() -> float:
-    """Return the relative difference of eq. 5.16 from the eigenvalue problem, for Table 5.1."""
+    """Return the relative difference between eq. 5.16 and the eigenvalues of the linear system, for Table 5.1."""
     m1, k1 = TABLE_5_1.values()
     m2, k2 = map(float, striker(TABLE_5_1 | {"beta": 0.4, "gamma": 0.75}))
     matrix = np.array([[(k1 + k2) / m1, -k2 / m1], [-k2 / m2, k2 / m2]])
@@ -48,7 +51,7 @@ def mode_discrepancy() -> float:
 
 
 def friction(law: str, speeds: Values = SPEEDS) -> Values:
-    """Return mu at sliding speeds [m/s], with the law's default coefficients."""
+    """Return the friction coefficient mu of a law at sliding speeds [m/s], with its default coefficients."""
     friction_law = FRICTION_LAWS[law]
     p = {name: np.asarray(parameter.default) for name, parameter in friction_law.parameters.items()}
     return np.asarray(friction_law.on_weight(speeds, p)) + 0.0 * speeds
@@ -60,14 +63,17 @@ def mean_period(mass: Blows) -> float:
 
 
 def free_period_ratio(gap: Values) -> Values:
-    """Return the period of the free oscillator over that without the stop, for gaps in amplitudes (Fig. 5.7)."""
+    """Return the period of the free vibro-impact oscillator relative to the oscillator without a stop (Fig. 5.7).
+
+    `gap` is the gap divided by the amplitude.
+    """
     return 0.5 + np.arcsin(gap) / np.pi
 
 
 def hammer_velocity(frequency: float | int, gap: float | int) -> float:
-    """Return the impact velocity [m/s] of Tsaplin's hammer, one impact a period, the faster solution (eqs. 5.1, 5.2).
+    """Return the impact velocity [m/s] of Tsaplin's hammer with one impact per period (eqs. 5.1, 5.2).
 
-    Between impacts at t = 0 and T
+    There are two solutions; the faster one is returned. Between impacts at t = 0 and T
 
         x = A sin(w t + theta) − (1 + R) V/(2 w_n sin(w_n T/2)) cos(w_n (t − T/2))
 
@@ -81,17 +87,17 @@ def hammer_velocity(frequency: float | int, gap: float | int) -> float:
 
 
 def restitution_as_printed(xi: Values) -> Values:
-    """Return eq. 5.8 as it is printed (R29), for loss factors at which its roots are real."""
+    """Return the restitution by eq. 5.8 exactly as printed (misprint R29), for loss factors with real roots."""
     angle = np.arctan(-2 * xi * np.sqrt(1 - xi**2) / (1 - 2 * xi**2))
     return np.exp(-xi / np.sqrt(1 - 2 * xi**2) * angle) * np.sin(angle)
 
 
 def core_stiffness(rock: str) -> float:
-    """Return the stiffness [kN/mm] of a core of 54 by 108 mm, from its Young's modulus (Table 4.5)."""
+    """Return the stiffness [kN/mm] of a rock core (54 mm in diameter, 108 mm long), from its modulus in Table 4.5."""
     area, length = np.pi * 0.027**2, 0.108
     return ROCKS[rock].modulus * area / length / 1e6
 
 
 def rock_mode(k3: Values) -> Values:
-    """Return sqrt(k3/m1) [Hz]."""
+    """Return the natural frequency sqrt(k3/m1)/(2 pi) [Hz] of the bit on the rock, with m1 = 250 kg."""
     return np.sqrt(k3 / 250) / (2 * np.pi)

@@ -1,4 +1,8 @@
-"""Quantities read off a motion: peaks of its spectrum, events, swings, lobes of a phase portrait, the hole."""
+"""Quantities derived from a simulated motion: spectral peaks, events, amplitudes, lobes of a phase portrait, the hole.
+
+`since` and `until` [s] delimit the part of the motion that is evaluated. "R18" and the like name readings of the
+source: documented interpretations of ambiguous passages.
+"""
 
 from collections.abc import Callable, Sequence
 from itertools import groupby
@@ -13,27 +17,27 @@ Times = Float[np.ndarray, " times"]
 Curve = tuple[Float[np.ndarray, " points"], Float[np.ndarray, " points"]]
 Real = float | int
 Band = Sequence[Real]
-"""The lowest and the highest frequency [Hz]."""
+"""A frequency band: its lower and upper limit [Hz]."""
 
 MIN_LOBE_SPEED = 0.4
-"""Share of the greatest velocity below which the source does not count a lobe: it lies by the abscissa (R18)."""
+"""Velocity of a lobe, relative to the greatest, below which the source ignores it as close to the abscissa (R18)."""
 DRIVE_SPEED = 1.5
-"""Usual driving velocity [m/s] of the source."""
+"""Usual driving velocity [m/s] in the source."""
 
 
 def each(function: Callable[..., Any], subjects: Sequence[Any], *arguments: Any) -> Float[np.ndarray, " subjects"]:
-    """Return a quantity of each of several motions, maps or masses."""
+    """Return the numbers `function(subject, *arguments)` for several motions, maps or masses (`subjects`)."""
     return np.array([float(function(subject, *arguments)) for subject in subjects])
 
 
 def part(motion: xr.Dataset, name: str, since: Real, until: Real = np.inf) -> Samples:
-    """Return a variable between two times [s]."""
+    """Return the samples of a variable from `since` (inclusive) to `until` (exclusive) [s]."""
     time = motion["time"].values
     return motion[name].values[(time >= since) & (time < until)]
 
 
 def amplitude(motion: xr.Dataset, name: str, since: Real, until: Real = np.inf) -> float:
-    """Return half the swing of a variable between two times [s]."""
+    """Return half the peak-to-peak range of a variable between two times [s]."""
     return float(np.ptp(part(motion, name, since, until)) / 2)
 
 
@@ -43,14 +47,14 @@ def last_value(motion: xr.Dataset, name: str) -> float:
 
 
 class Peak(NamedTuple):
-    """A peak of a power spectrum; `frequency` in Hz."""
+    """A peak of a power spectrum: its frequency [Hz] and its power."""
 
     frequency: float
     power: float
 
 
 class TwoPeaks(NamedTuple):
-    """The highest peaks in two bands, and the power of the lower one over that of the higher."""
+    """The highest peak in each of two frequency bands; `ratio` is the power of `low` divided by that of `high`."""
 
     low: Peak
     high: Peak
@@ -58,14 +62,17 @@ class TwoPeaks(NamedTuple):
 
 
 def power_spectrum(motion: xr.Dataset, name: str, since: Real, until: Real = np.inf, padding: int = 16) -> Curve:
-    """Return frequencies [Hz] and power of a variable between two times [s] (Hann window, `padding` times as long)."""
+    """Return the frequencies [Hz] and the power spectrum of a variable between two times [s].
+
+    The signal gets a Hann window, and zeros extend it to `padding` times its length.
+    """
     x = part(motion, name, since, until)
     power = np.abs(np.fft.rfft(np.hanning(len(x)) * (x - x.mean()), padding * len(x))) ** 2
     return np.fft.rfftfreq(padding * len(x), float(motion["time"][1] - motion["time"][0])), power
 
 
 def peak(motion: xr.Dataset, name: str, band: Band, since: Real, until: Real = np.inf) -> Peak:
-    """Return the highest peak in a band."""
+    """Return the highest spectral peak of a variable in a frequency band."""
     frequencies, power = power_spectrum(motion, name, since, until)
     inside = np.flatnonzero((frequencies > band[0]) & (frequencies < band[1]))
     highest = inside[np.argmax(power[inside])]
@@ -73,34 +80,35 @@ def peak(motion: xr.Dataset, name: str, band: Band, since: Real, until: Real = n
 
 
 def two_peaks(motion: xr.Dataset, name: str, lower: Band, upper: Band, since: Real, until: Real = np.inf) -> TwoPeaks:
-    """Return the highest peak in each of two bands."""
+    """Return the highest spectral peak of a variable in each of two frequency bands."""
     low, high = (peak(motion, name, band, since, until) for band in (lower, upper))
     return TwoPeaks(low, high, low.power / high.power)
 
 
 def events(motion: xr.Dataset, kind: str, since: Real = 0.0) -> Times:
-    """Return the times [s] of the events of a kind."""
+    """Return the times [s], from `since` on, of the events of one kind, such as "impact" or "section"."""
     flag = motion["event_kind"].attrs["flag_meanings"].split().index(kind)
     times = motion["event_time"].values[motion["event_kind"].values == flag]
     return times[times >= since]
 
 
 def last_cycle(motion: xr.Dataset) -> tuple[float, float]:
-    """Return the beginning and the end [s] of the last whole return to the section."""
+    """Return the times [s] of the last two section crossings, the beginning and the end of the last cycle."""
     times = events(motion, "section")
     return float(times[-2]), float(times[-1])
 
 
 def envelope(motion: xr.Dataset, name: str, window: Real) -> Curve:
-    """Return the middles [s] of successive windows of `window` [s], and half the swing of a variable in each."""
+    """Return the midpoints [s] of successive windows of length `window` [s], and a variable's amplitude in each."""
     edges = np.arange(0.0, float(motion["time"][-1]) - window / 2, window)
     return edges + window / 2, np.array([amplitude(motion, name, edge, edge + window) for edge in edges])
 
 
 def growth(motion: xr.Dataset) -> dict[str, Any]:
-    """Return the growth of the bit's swing from zero, in windows of half a second.
+    """Describe the growth of the amplitude of the bit's velocity from zero, in windows of half a second.
 
-    It has the steady velocity [m/s], the time [s] to 95 % of it, its later relative change, and if it only rose before.
+    **Returns:** a dictionary: `steady`, the final amplitude [m/s]; `time` [s] until 95 % of it are reached; `change`,
+    the relative variation afterwards; `rising`, whether the amplitude only increased before.
     """
     _, swings = envelope(motion, "v1", 0.5)
     steady = float(swings[-1])
@@ -111,9 +119,10 @@ def growth(motion: xr.Dataset) -> dict[str, Any]:
 
 
 def lobes(motion: xr.Dataset, slowest: float = MIN_LOBE_SPEED) -> int:
-    """Count the lobes of the striker's phase portrait in the last cycle: farthest from the centre, not slow (R18).
+    """Return the number of lobes of the striker's phase portrait in the last cycle (R18).
 
-    Velocities are in units of position times the cycle's frequency.
+    A lobe is a local maximum of the distance from the centre, at a velocity above `slowest` times the greatest. For the
+    distance, the velocity is divided by the cycle's angular frequency.
     """
     begin, end = last_cycle(motion)
     position, velocity = part(motion, "x2", begin, end), part(motion, "v2", begin, end)
@@ -124,23 +133,23 @@ def lobes(motion: xr.Dataset, slowest: float = MIN_LOBE_SPEED) -> int:
 
 
 def acceleration_before_impacts(motion: xr.Dataset, since: Real) -> Times:
-    """Return the bit's mean acceleration [m/s²] in the two milliseconds before each impact."""
+    """Return the bit's mean acceleration [m/s²] during the two milliseconds before each impact."""
     times = events(motion, "impact", since)
     time, velocity = motion["time"].values, motion["v1"].values
     return (np.interp(times - 1e-4, time, velocity) - np.interp(times - 2.1e-3, time, velocity)) / 2e-3
 
 
 def friction_slope(motion: xr.Dataset) -> float:
-    """Return the rise of friction per newton of impact force while the bit slides forward."""
+    """Return the slope of the friction force over the impact force (N/N) while the bit slides forward."""
     impact = motion["impact_force"].values
     forward = (motion["v1"].values + DRIVE_SPEED > 0.05) & (impact > 1e3)
     return float(np.polyfit(impact[forward], motion["friction_force"].values[forward], 1)[0])
 
 
 def rest_times(motion: xr.Dataset) -> tuple[float, float]:
-    """Return the longest times [ms] for which the flying striker hardly accelerates in the last cycle.
+    """Return the longest times [ms] in the last cycle during which the striker in flight hardly accelerates.
 
-    The first limit is a tenth of the greatest acceleration in flight, the second 2 % of that in the blow.
+    Its acceleration is below 10 % of the greatest in flight (first time), or 2 % of the greatest overall (second time).
     """
     begin, end = last_cycle(motion)
     time = motion["time"].values
@@ -154,7 +163,7 @@ def rest_times(motion: xr.Dataset) -> tuple[float, float]:
 
 
 def blow_restitution(motion: xr.Dataset) -> float:
-    """Return the striker's velocity after its first blow over that before it."""
+    """Return the restitution of the first blow: minus the striker's velocity after it over the velocity before it."""
     times = [events(motion, kind)[0] for kind in ("release", "impact")]
     after, before = np.interp(times, motion["time"].values, motion["v2"].values)
     return float(-after / before)
@@ -166,9 +175,11 @@ def blow_duration(motion: xr.Dataset) -> float:
 
 
 def growth_share(motion: xr.Dataset, steps: Bool[np.ndarray, " steps"]) -> float:
-    """Return the share of the hole that grows in the given steps from sample to sample.
+    """Return the fraction of the hole's growth that occurs in certain steps.
 
-    **Raises:** `ValueError` if it does not grow at all.
+    **Arguments:** `steps`: mask of the steps from one sample to the next.
+
+    **Raises:** `ValueError` if the hole does not grow at all.
     """
     grown = np.diff(motion["x4"].values)
     if not grown.any():
@@ -177,7 +188,10 @@ def growth_share(motion: xr.Dataset, steps: Bool[np.ndarray, " steps"]) -> float
 
 
 def growth_away_from_impacts(motion: xr.Dataset, contact: float) -> float:
-    """Return the share of the hole that grows neither in a contact of `contact` [s] nor in the 5 ms after it."""
+    """Return the fraction of the hole's growth that occurs away from impacts.
+
+    Times near an impact are the contact, which lasts `contact` [s], and the 5 ms after it.
+    """
     time = motion["time"].values[:-1]
     near = np.zeros(len(time), bool)
     for begin in events(motion, "impact"):
@@ -186,16 +200,19 @@ def growth_away_from_impacts(motion: xr.Dataset, contact: float) -> float:
 
 
 def swept_frequency(time: Any) -> Any:
-    """Return the frequency [Hz] of the swept sine: from 10 Hz on, 20 Hz faster every second (R22)."""
+    """Return the frequency [Hz] of the swept sine at a time [s]: 10 Hz initially, rising by 20 Hz per second (R22)."""
     return 10 + 20 * time
 
 
 def fastest_frequency(motion: xr.Dataset) -> float:
-    """Return the frequency [Hz] of the sine at the bit's greatest velocity, in windows of a quarter second."""
+    """Return the frequency [Hz] of the swept sine at which the bit's velocity amplitude is greatest.
+
+    The amplitude is evaluated in windows of a quarter second.
+    """
     middles, swings = envelope(motion, "v3", 0.25)
     return float(swept_frequency(middles[np.argmax(swings)]))
 
 
 def last_slip_frequency(motion: xr.Dataset) -> float:
-    """Return the frequency [Hz] of the sine when the hole last grows."""
+    """Return the frequency [Hz] of the swept sine at the last time when the hole grows."""
     return float(swept_frequency(motion["time"].values[np.flatnonzero(np.diff(motion["x4"].values) > 0)[-1]]))

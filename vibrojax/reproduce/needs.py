@@ -1,13 +1,14 @@
-"""Computations that results and pictures need: lanes, motions, maps and struck masses.
+"""Needs: the computations that results and pictures require (lanes, motions, maps and struck masses).
 
-`read_needs` reads them from the notation of `results.csv` and `source.toml`, in which `;` separates items:
+`read_needs` parses the notation of `results.csv` and `source.toml`, in which `;` separates items:
 
     vibro-impact beta=0.3 gamma=0.6,0.5; without: rotary beta=0.3
 
-An item is a scene and its parameters; what it omits has the scene's default. A word without `=` is an abbreviation.
-`NAME=A,B` makes one computation for each value, `NAME=FIRST:LAST:STEP` one for each value of a range, and
-`start=[...]` is an initial state. A later value replaces an earlier one. With `duration` an item is a motion, otherwise
-a lane. `LABEL: ` names an item's answers. An item can also be the name of a map.
+An item consists of a scene and its parameters; an omitted parameter has the scene's default. A word without `=` is an
+abbreviation, which is replaced by its definition. `NAME=A,B` stands for one computation per value,
+`NAME=FIRST:LAST:STEP` for one computation per value of a range. `start=[...]` is an initial state. If a name occurs
+twice, the later value counts. An item with `duration` is a motion, otherwise a lane (one trajectory of a sweep).
+`LABEL: ` before an item names its answers, the computed values. An item can also be the name of a map.
 """
 
 import itertools
@@ -19,18 +20,19 @@ from typing import Any
 import numpy as np
 
 STARTS = {"rotary": ("drive", "stuck"), "penetration": ()}
-"""Starts from which every lane of a scene runs, for the scenes without contact of bit and striker."""
+"""Initial conditions of all lanes, by scene, for the scenes in which bit and striker are not in contact."""
 OBSERVATION = {"penetration": (1.0, 1.0)}
-"""Settling time and observation [s]. Pulses repeat soon."""
+"""Settling time and observation time [s] by scene. The motion under pulses soon becomes periodic."""
 USUAL_OBSERVATION = (40.0, 8.0)
+"""Settling time and observation time [s] of all other scenes."""
 
 Parameters = tuple[tuple[str, float | str], ...]
-"""Names and values, sorted by name; a friction law and the shape of a pulse are texts."""
+"""Parameters as (name, value), sorted by name; the friction law and the shape of a pulse are strings."""
 
 
 @dataclass(frozen=True)
 class LaneNeed:
-    """One point of a scene from one start. Its answer is a dictionary of features."""
+    """One parameter point of a scene with one initial condition. Its answer is a dictionary of features."""
 
     scene: str
     parameters: Parameters
@@ -41,7 +43,7 @@ class LaneNeed:
 
 @dataclass(frozen=True)
 class MotionNeed:
-    """The motion of one point over `duration` [s], sampled every `sampling` [s] (None: the default of `simulate`).
+    """A motion at one parameter point over `duration` [s], sampled every `sampling` [s] (None: `simulate`'s default).
 
     Its answer is the dataset of `simulate`.
     """
@@ -55,7 +57,7 @@ class MotionNeed:
 
 @dataclass(frozen=True)
 class Map:
-    """A grid of lanes; `axes` are names and values. Its answer is the dataset of `run_sweep`."""
+    """A sweep over a grid; `axes` are pairs of a parameter name and its values. Its answer is the sweep's dataset."""
 
     name: str
     scene: str
@@ -67,7 +69,10 @@ class Map:
 
 @dataclass(frozen=True)
 class StruckMass:
-    """A mass that hits a stop, from (x, x') over `duration` [s]. Its answer is the `Blows` of `struck_mass.py`."""
+    """The motion of a mass that hits a stop, over `duration` [s].
+
+    `start` is the initial state (x, x'). Its answer is the `Blows` of `struck_mass.py`.
+    """
 
     start: tuple[float, float]
     duration: float
@@ -76,16 +81,22 @@ class StruckMass:
 
 Need = LaneNeed | MotionNeed | Map | StruckMass
 Labelled = tuple[str, Need]
-"""A need with the label of its answer; the empty label is the result's main subject."""
+"""A label and the need whose answer it names; the empty label stands for the main subject of a result."""
 
 
 def starts_of(scene: str) -> tuple[str, ...]:
-    """Return the starts from which lanes of a scene run together, in one compiled program."""
+    """Return the names of the initial conditions that are computed together for each point of a scene."""
     return STARTS.get(scene, ("drive", "stuck", "touching"))
 
 
 def read_needs(text: str, abbreviations: Mapping[str, str], maps: Mapping[str, str]) -> tuple[Labelled, ...]:
-    """Return the needs that a specification names, in its order."""
+    """Parse a specification and return its needs, in order.
+
+    **Arguments:**
+
+    - `text`: the specification, in the notation of this module.
+    - `abbreviations`, `maps`: definitions by name.
+    """
     labelled: list[Labelled] = []
     for part in text.split(";"):
         label, _, item = part.strip().rpartition(": ")
@@ -101,7 +112,7 @@ def read_needs(text: str, abbreviations: Mapping[str, str], maps: Mapping[str, s
 
 
 def _settings(text: str, abbreviations: Mapping[str, str]) -> tuple[str, dict[str, str]]:
-    """Return the scene of an item and the texts of its settings, abbreviations replaced."""
+    """Return the scene of an item and its settings as strings, after replacing abbreviations."""
     words = text.split()
     while any(word in abbreviations for word in words):
         words = [part for word in words for part in abbreviations.get(word, word).split()]
@@ -109,7 +120,7 @@ def _settings(text: str, abbreviations: Mapping[str, str]) -> tuple[str, dict[st
 
 
 def _values(text: str) -> list[Any]:
-    """Return the values of a setting: numbers, names, or one initial state."""
+    """Return the list of values of a setting: numbers, strings, or a single initial state."""
     if text.startswith("["):
         return [tuple(float(number) for number in text.strip("[]").split(","))]
     if ":" in text:
@@ -120,7 +131,7 @@ def _values(text: str) -> list[Any]:
 
 
 def _read_points(scene: str, settings: Mapping[str, str]) -> list[Need]:
-    """Return a need for each combination of values, the last setting varying fastest."""
+    """Return one need per combination of values; the last setting varies fastest."""
     needs: list[Need] = []
     for combination in itertools.product(*map(_values, settings.values())):
         values = dict(zip(settings, combination, strict=True))
@@ -139,7 +150,7 @@ def _read_points(scene: str, settings: Mapping[str, str]) -> list[Need]:
 
 
 def _read_map(name: str, scene: str, settings: Mapping[str, str]) -> Map:
-    """Return the map of an item: settings with several values, or with a range, are its axes."""
+    """Return the map that an item specifies; its axes are the settings with several values or a range."""
     axes = {axis: tuple(_values(text)) for axis, text in settings.items() if "," in text or ":" in text}
     parameters = {key: _values(text)[0] for key, text in settings.items() if key not in axes}
     settle, observe = OBSERVATION.get(scene, USUAL_OBSERVATION)

@@ -1,4 +1,4 @@
-"""Write a reproduction: a page that loads nothing from outside, a table in Markdown, and the datasets."""
+"""Output of a reproduction: a self-contained HTML page, a Markdown table, and the datasets."""
 
 import base64
 import re
@@ -20,11 +20,11 @@ from vibrojax.reproduce.table import FINDINGS, READINGS, Finding
 
 COLUMNS = ("id", "what", "source", "here", "verdict", "reading")
 CLASSES = dict(zip(VERDICTS, ("differs", "uncompared", "trend", "agrees"), strict=True))
-"""Classes of the page's style sheet."""
+"""CSS class of each verdict."""
 
 
 def write_reproduction(reproduction: Reproduction, folder: str | Path) -> None:
-    """Write `index.html`, `table.md` and the datasets into `folder`, which is made if it is not there.
+    """Write `index.html`, `table.md` and the datasets into `folder`, which is created if necessary.
 
     **Raises:** `InputError` if the folder cannot be written.
 
@@ -48,7 +48,7 @@ def write_reproduction(reproduction: Reproduction, folder: str | Path) -> None:
 
 
 def markdown_table(reproduction: Reproduction) -> str:
-    """Return one line of Markdown per entry, in the order of the page."""
+    """Return a Markdown table with one row per entry, in the order of the HTML page."""
     lines = [f"| {' | '.join(COLUMNS)} |", "|" + "---|" * len(COLUMNS)]
     for result in reproduction.results:
         entry, here = result.entry, result.here
@@ -58,7 +58,7 @@ def markdown_table(reproduction: Reproduction) -> str:
 
 
 def html_page(reproduction: Reproduction) -> str:
-    """Return the page as HTML text with the pictures in it."""
+    """Return the page as an HTML string with embedded pictures."""
     environment = Environment(
         loader=PackageLoader("vibrojax.reproduce", ""), autoescape=True, undefined=StrictUndefined
     )
@@ -85,12 +85,12 @@ def html_page(reproduction: Reproduction) -> str:
 
 
 def _code(text: str) -> Markup:
-    """Return HTML text with the parts in backquotes as code."""
+    """Return the text escaped for HTML, with backquoted parts as code elements."""
     return Markup(re.sub("`([^`]+)`", r"<code>\1</code>", str(escape(text))))
 
 
 def _picture(figure: Figure) -> str:
-    """Return the figure as a data URL."""
+    """Return the figure as a PNG image in a data URL."""
     content = BytesIO()
     figure.savefig(content, format="png", dpi=120)
     return f"data:image/png;base64,{base64.b64encode(content.getvalue()).decode()}"

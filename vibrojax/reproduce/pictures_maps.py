@@ -1,4 +1,4 @@
-"""Pictures of lanes and maps in the source's axes, by the names that `source.toml` uses."""
+"""Pictures of lanes and maps with the same axes as the source's figures; `source.toml` calls these functions."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -24,11 +24,11 @@ SINGLE_IMPACT_COLOURS = {
     "from every start": "#3E74AB",
     "and clean, strong": "#F0C808",
 }
-"""Colours of single impacts by the starts that lead to them."""
+"""Colours of parameter points, by the initial conditions from which they have a single impact."""
 
 
 def friction_laws() -> Figure:
-    """Draw mu of each law over the sliding speed (Figs 3.8 to 3.13, 5.12)."""
+    """Draw the friction coefficient of each law over the sliding speed (source, Figs 3.8 to 3.13, 5.12)."""
     figure = new_figure(FIGURE_WIDTH, 3.6)
     speeds = np.linspace(0, 5, 1001)
     for axes, law in zip(figure.subplots(2, 3, sharex=True, sharey=True).ravel(), LAWS, strict=True):
@@ -44,7 +44,7 @@ def friction_laws() -> Figure:
 
 
 def regimes_under_laws(maps: Sequence[xr.Dataset]) -> Figure:
-    """Draw the regimes over beta and gamma under each law."""
+    """Draw a map of the regimes over beta and gamma for each friction law."""
     figure = new_figure(FIGURE_WIDTH, 4.2)
     colours = ListedColormap([REGIME_COLOURS[flag] for flag in range(len(REGIMES))])
     panels = figure.subplots(2, 3, sharex=True, sharey=True)
@@ -52,7 +52,7 @@ def regimes_under_laws(maps: Sequence[xr.Dataset]) -> Figure:
         regime = map.regime.sel(start="drive").transpose("gamma", "beta")
         axes.pcolormesh(map.beta, map.gamma, regime, cmap=colours, vmin=-0.5, vmax=len(REGIMES) - 0.5)
         axes.set_title(law)
-    for axes in panels[-1]:  # a label of the whole figure would lie under the legend
+    for axes in panels[-1]:  # the legend would cover a label of the whole figure
         axes.set_xlabel("mass ratio β")
     for axes in panels[:, 0]:
         axes.set_ylabel("frequency ratio γ")
@@ -62,13 +62,13 @@ def regimes_under_laws(maps: Sequence[xr.Dataset]) -> Figure:
 
 
 def _legend_below(figure: Figure, colours: Mapping[str, str], title: str | None = None) -> None:
-    """Draw a legend of filled patches below the panels."""
+    """Draw a legend below the panels, with a filled patch for each name in `colours`."""
     handles = [Patch(facecolor=colour, edgecolor=FAINT, label=name) for name, colour in colours.items()]
     figure.legend(handles=handles, loc="outside lower center", ncols=4, title=title)
 
 
 def settling_times(speeds: Mapping[str, Any], ratios: Mapping[str, Any]) -> Figure:
-    """Draw the settling time over the drive speed and over gamma (Figs 5.22, 5.38)."""
+    """Draw the settling time over the driving velocity and over gamma (source, Figs 5.22, 5.38)."""
     figure, panels = in_row(2, 2.8)
     columns = ((speeds, "v", "driving velocity v [m/s]"), (ratios, "gamma", "frequency ratio γ (β = 0.3)"))
     for axes, (lanes, name, label) in zip(panels, columns, strict=True):
@@ -80,7 +80,10 @@ def settling_times(speeds: Mapping[str, Any], ratios: Mapping[str, Any]) -> Figu
 
 
 def over_stribeck_speed(lanes: Mapping[str, Any]) -> Figure:
-    """Draw frequency and change of velocity over v_cr, for both gaps and three starts (Figs 5.53, 5.54)."""
+    """Draw the frequency and the velocity change at impact over v_cr (source, Figs 5.53, 5.54).
+
+    There is a line for each combination of gap (two) and initial condition (three).
+    """
     figure, panels = in_row(2, 3.2)
     quantities = (("omega", 27.45, "frequency [rad/s]"), ("velocity_change", 4.0, "change of velocity [m/s]"))
     for axes, (name, source, label) in zip(panels, quantities, strict=True):
@@ -101,7 +104,10 @@ def over_stribeck_speed(lanes: Mapping[str, Any]) -> Figure:
 
 
 def region_of_impacts(map: xr.Dataset) -> Figure:
-    """Draw single impacts over mass and frequency ratio, for both gaps, with the source's region (section 5.7)."""
+    """Draw maps of single impacts over mass and frequency ratio, with the source's region (source, section 5.7).
+
+    There is a panel for each gap.
+    """
     figure, panels = in_row(2, 3.4, share=True, grid=False)
     (beta, beta_end), (gamma, gamma_end) = REGION.values()
     for axes, delta in zip(panels, map.delta.values, strict=True):
@@ -119,7 +125,7 @@ def region_of_impacts(map: xr.Dataset) -> Figure:
 
 
 def shares_over_gap(map: xr.Dataset) -> Figure:
-    """Draw shares of the region over the gap, all speeds together (section 5.7)."""
+    """Draw, over the gap, the fractions of the region with certain motions, for all speeds together (section 5.7)."""
     figure, axes = single_panel(3.0)
     gaps = 1e3 * map.delta.values
 
@@ -138,9 +144,13 @@ def shares_over_gap(map: xr.Dataset) -> Figure:
 
 
 def rates(map: xr.Dataset, x: str, scale: float, label: str, lines: str, line: str, marker: str) -> Figure:
-    """Draw the rate of penetration over `x`, a line for each value of the axis `lines` (Figs 6.19, 6.20, 6.33, 6.34).
+    """Draw the rate of penetration over the axis `x` (source, Figs 6.19, 6.20, 6.33, 6.34).
 
-    `x` is drawn in units of `scale`. `line` is the label of a line, a format of the value; k3 is in MN/m.
+    **Arguments:**
+
+    - `scale`: unit of `x` in the picture, as a multiple of the SI unit; `label`: label of the abscissa.
+    - `lines`: axis with one line per value; `line`: format string for the label of a line (k3 is in MN/m).
+    - `marker`: format string of matplotlib for all lines.
     """
     figure, axes = single_panel(3.0)
     for value, colour in zip(map[lines].values, LINE_COLOURS, strict=False):
@@ -153,7 +163,10 @@ def rates(map: xr.Dataset, x: str, scale: float, label: str, lines: str, line: s
 
 
 def surfaces(map: xr.Dataset, name: str, label: str, azimuth: int) -> Figure:
-    """Draw the rate over a force, by its name, and the frequency; a panel for each k3 (Figs 6.23, 6.25, 6.26)."""
+    """Draw the rate of penetration as a surface over a force and the frequency (source, Figs 6.23, 6.25, 6.26).
+
+    There is a panel for each k3. `name` and `label` are the coordinate of the force and its axis label.
+    """
     figure = new_figure(FIGURE_WIDTH, 3.4)
     stiffnesses = map.k3.values if "k3" in map.dims else [None]
     for column, k3 in enumerate(stiffnesses, start=1):
@@ -168,7 +181,7 @@ def surfaces(map: xr.Dataset, name: str, label: str, azimuth: int) -> Figure:
 
 
 def laws_beside_rates(map: xr.Dataset) -> Figure:
-    """Draw the rate over P/D with the logarithm and the line fitted to it (eq. 6.4)."""
+    """Draw the rate over P/D, with the fitted logarithm (source, eq. 6.4) and the fitted straight line."""
     figure, panels = in_row(2, 3.0)
     fit = fit_law(map, "frequency")
     map = map.sel(pulse_width=0.004)
@@ -190,7 +203,7 @@ def laws_beside_rates(map: xr.Dataset) -> Figure:
 
 
 def constants_over_force(map: xr.Dataset) -> Figure:
-    """Draw C over force, stiffness and pulse width, with the source's range."""
+    """Draw C over the force, with a line for each stiffness and pulse width, and the source's range."""
     figure, axes = single_panel(2.8)
     axes.axhspan(0.046, 0.189, color=FAINT, alpha=0.3, linewidth=0)
     for width, marker in zip(map.pulse_width.values, ("s--", "o-"), strict=True):

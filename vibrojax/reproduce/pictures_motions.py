@@ -1,4 +1,7 @@
-"""Pictures of motions in the source's axes, by the names that `source.toml` uses."""
+"""Pictures of motions with the same axes as the source's figures; `source.toml` calls these functions.
+
+"Fig." and "eq." refer to the source.
+"""
 
 from collections.abc import Sequence
 
@@ -19,7 +22,7 @@ Titles = Sequence[str]
 
 
 def struck_masses(masses: Sequence[Blows]) -> Figure:
-    """Draw the displacement of the three struck masses over time (Figs 5.1, 5.2, 5.7)."""
+    """Draw the displacements of three masses that hit a stop over time (Figs 5.1, 5.2, 5.7)."""
     figure, panels = stacked(3, 1.1, share=False, grid=False)
     cases = (("free, on an elastic stop", 0.0, 2.0), ("Tsaplin's hammer", 58.0, 60.0), ("thrown ball", 58.0, 60.0))
     for axes, mass, (title, begin, end) in zip(panels, masses, cases, strict=True):
@@ -35,7 +38,7 @@ def struck_masses(masses: Sequence[Blows]) -> Figure:
 
 
 def restitution_of_blows(restitutions: Sequence[float]) -> Figure:
-    """Draw the restitution over the loss factor (eq. 5.8)."""
+    """Draw the coefficient of restitution over the loss factor, in closed form (eq. 5.8) and of simulated blows."""
     figure, axes = single_panel(2.8)
     xi = np.linspace(0, 1, 200)
     axes.plot(xi, restitution(xi), color=INK, linewidth=1.1, label="closed form")
@@ -46,7 +49,7 @@ def restitution_of_blows(restitutions: Sequence[float]) -> Figure:
 
 
 def limit_cycles(motions: Motions, titles: Titles) -> Figure:
-    """Draw the limit cycle from several initial states (Figs 5.28 to 5.31)."""
+    """Draw phase portraits that approach the limit cycle from several initial states (Figs 5.28 to 5.31)."""
     figure, panels = in_row(len(motions), share=True)
     for axes, motion, title in zip(panels, motions, titles, strict=True):
         draw_portrait(axes, motion, "1", 35.0)
@@ -57,7 +60,10 @@ def limit_cycles(motions: Motions, titles: Titles) -> Figure:
 
 
 def friction_in_time(motion: xr.Dataset) -> Figure:
-    """Draw the friction force as the vibration grows, and with the sliding speed in the end (Figs 5.32, 5.33)."""
+    """Draw the friction force while the vibration grows, and after that together with the sliding speed.
+
+    See Figs 5.32, 5.33.
+    """
     figure, panels = stacked(2, 1.6, share=False)
     time, friction, late = motion["time"].values, motion["friction_force"].values, window(motion, 39.2)
     panels[0].plot(time, friction, color=INK, linewidth=0.4, rasterized=True)
@@ -73,7 +79,7 @@ def friction_in_time(motion: xr.Dataset) -> Figure:
 
 
 def spectra(motions: Motions, since: Sequence[float | int], titles: Titles) -> Figure:
-    """Draw power spectra of both velocities up to 20 Hz, the greatest value 1 (Figs 5.25, 5.26, 5.50)."""
+    """Draw power spectra of both velocities up to 20 Hz, normalised to a maximum of 1 (Figs 5.25, 5.26, 5.50)."""
     figure, panels = in_row(len(motions), 2.8, share=True, grid=False)
     for axes, motion, begin, title in zip(panels, motions, since, titles, strict=True):
         for name, colour, label in (("v1", BIT, "bit"), ("v2", STRIKER, "striker")):
@@ -89,7 +95,10 @@ def spectra(motions: Motions, since: Sequence[float | int], titles: Titles) -> F
 
 
 def working_cycle(motion: xr.Dataset) -> Figure:
-    """Draw displacement, velocity and acceleration over two cycles, with stick and impact (Figs 5.52, 5.72)."""
+    """Draw displacements, velocities and the bit's acceleration over two cycles (Figs 5.52, 5.72).
+
+    Intervals of sticking and the times of impacts are marked.
+    """
     begin, end = last_cycle(motion)
     begin -= end - begin
     cycles = motion.isel(time=window(motion, begin, end))
@@ -116,7 +125,7 @@ def working_cycle(motion: xr.Dataset) -> Figure:
 
 
 def forces_in_blow(motion: xr.Dataset) -> Figure:
-    """Draw impact force and friction force of one blow (Figs 5.51, 5.74)."""
+    """Draw the impact force and the friction force during one blow (Figs 5.51, 5.74)."""
     impact = events(motion, "impact", 10.0)[-1]
     blow = motion.isel(time=window(motion, impact - 3e-3, impact + 9e-3))
     time = 1e3 * (blow["time"].values - impact)
@@ -130,9 +139,10 @@ def forces_in_blow(motion: xr.Dataset) -> Figure:
 
 
 def last_cycles(motions: Motions, titles: Titles, duration: float, bodies: str, height: float) -> Figure:
-    """Draw displacements over the last `duration` [s]: of both bodies "12" with the gap, of the striker with impacts.
+    """Draw displacements over the last `duration` [s] of each motion.
 
-    Counter-phase and phase (Figs 5.60, 5.67); impacts that are single, double in turn, irregular (Fig. 5.77).
+    `bodies` "12" draws bit and striker with the stop (motions in phase and in counter-phase, Figs 5.60, 5.67). "2"
+    draws the striker with its impacts (single, alternating single and double, and irregular impacts, Fig. 5.77).
     """
     figure, panels = stacked(len(motions), height, grid=False)
     for axes, motion, title in zip(panels, motions, titles, strict=True):
@@ -153,7 +163,7 @@ def last_cycles(motions: Motions, titles: Titles, duration: float, bodies: str, 
 
 
 def swept_sine(motions: Motions, stiffnesses: Sequence[int]) -> Figure:
-    """Draw the swing of the bit's velocity and the depth of the hole over the frequency (Figs 6.4 to 6.7)."""
+    """Draw the bit's velocity amplitude and the depth of the hole over the frequency (Figs 6.4 to 6.7)."""
     figure, panels = stacked(2, 1.5, grid=False)
     for motion, k3, colour in zip(motions, stiffnesses, LINE_COLOURS, strict=False):
         middles, swings = envelope(motion, "v3", 0.1)
@@ -167,7 +177,7 @@ def swept_sine(motions: Motions, stiffnesses: Sequence[int]) -> Figure:
 
 
 def _draw_hole(axes: Axes, motion: xr.Dataset, unit: str) -> None:
-    """Draw bit (thin) and hole (thick) over the time in s or ms."""
+    """Draw the displacements of bit (thin) and hole (thick) over time; `unit` of time: "s" or "ms"."""
     time = motion["time"].values * {"s": 1.0, "ms": 1e3}[unit]
     axes.plot(time, 1e3 * motion["x4"].values, color=ROCK, linewidth=2.0, label="hole x₄")
     axes.plot(time, 1e3 * motion["x3"].values, color=BIT, linewidth=0.9, label="bit x₃")
@@ -175,7 +185,10 @@ def _draw_hole(axes: Axes, motion: xr.Dataset, unit: str) -> None:
 
 
 def bit_and_hole(motions: Motions, titles: Titles, until_ms: int = 0) -> Figure:
-    """Draw bit and hole under pulses, all of the motion or its beginning (Figs 6.8 to 6.11, 6.14, 6.16)."""
+    """Draw the displacements of bit and hole under pulses (Figs 6.8 to 6.11, 6.14, 6.16).
+
+    `until_ms`: duration [ms] of the drawn beginning; 0 draws the complete motion.
+    """
     figure, panels = in_row(len(motions), 2.6)
     for axes, motion, title in zip(panels, motions, titles, strict=True):
         _draw_hole(axes, motion, "ms" if until_ms else "s")
@@ -190,7 +203,7 @@ def bit_and_hole(motions: Motions, titles: Titles, until_ms: int = 0) -> Figure:
 
 
 def hole_in_steps(motion: xr.Dataset) -> Figure:
-    """Draw impact force, and bit and hole, over three cycles (Figs 6.29, 6.31)."""
+    """Draw the impact force, and the displacements of bit and hole, over three cycles (Figs 6.29, 6.31)."""
     begin, end = last_cycle(motion)
     cycles = motion.isel(time=window(motion, end - 3 * (end - begin), end))
     figure, panels = stacked(2, 1.5, grid=False)

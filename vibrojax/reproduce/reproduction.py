@@ -1,4 +1,4 @@
-"""A run: every entry with its verdict, every picture, and the datasets from which they come."""
+"""A run of the reproduction: every entry with its verdict, every picture, and the datasets behind them."""
 
 import time
 from collections.abc import Iterable
@@ -16,19 +16,19 @@ from vibrojax.reproduce.rules import VERDICTS, Here, Verdict
 from vibrojax.reproduce.table import GROUPS, Entry, Group, Picture, drawn, judged
 
 QUICK_SCENES = ("rotary", "vibro-impact")
-"""Scenes of a quick run: each lane is one more in a program that is compiled for others too."""
+"""Scenes of a quick run: all their lanes share compiled programs, so further lanes cost little."""
 
 
 @dataclass(frozen=True)
 class Result:
-    """An entry and the judgement of its computed side."""
+    """An entry, and the computed value with its verdict."""
 
     entry: Entry
     here: Here
 
 
 class Reproduced(NamedTuple):
-    """A group with its results and pictures; a figure is None if there is nothing to draw."""
+    """A group with its results and pictures; a figure is None if its answers contain nothing to draw."""
 
     group: Group
     results: tuple[Result, ...]
@@ -37,7 +37,7 @@ class Reproduced(NamedTuple):
 
 @dataclass(frozen=True)
 class Reproduction:
-    """Results and figures by group, the datasets by name, and the seconds that the run took."""
+    """Results and figures by group, the datasets by name, and the run time `wall_time` [s]."""
 
     groups: tuple[Reproduced, ...]
     datasets: dict[str, xr.Dataset] = field(repr=False)
@@ -46,7 +46,7 @@ class Reproduction:
 
     @property
     def results(self) -> list[Result]:
-        """All results, in the order of the page."""
+        """All results, in the order of the HTML page."""
         return [result for group in self.groups for result in group.results]
 
     @property
@@ -56,14 +56,15 @@ class Reproduction:
 
 
 def run_reproduction(groups: Iterable[Group] = GROUPS, quick: bool = False, progress: bool = True) -> Reproduction:
-    """Compute the entries of `groups` and judge each beside the source's statement.
+    """Compute the entries of `groups`, and compare each with the source's statement.
 
     **Arguments:**
 
-    - `quick`: only the results of closed forms and of points of two scenes, which take half a minute.
-    - `progress`: whether to report on stderr what is being computed, and how far the run is.
+    - `groups`: groups of entries and pictures, by default all.
+    - `quick`: whether to compute only closed forms and single points of two scenes, which takes half a minute.
+    - `progress`: whether to report the current computation and the progress on stderr.
 
-    **Returns:** a `Reproduction`; `write_reproduction` makes a page of it.
+    **Returns:** a `Reproduction`; `write_reproduction` writes it as an HTML page.
 
     **Example:**
 
@@ -91,12 +92,12 @@ def run_reproduction(groups: Iterable[Group] = GROUPS, quick: bool = False, prog
 
 
 def _quick_part(group: Group) -> Group:
-    """Return a group with the entries and pictures that a quick run computes."""
+    """Return a group with only those entries and pictures that a quick run computes."""
     entries = tuple(entry for entry in group.entries if _is_quick(entry))
     return replace(group, entries=entries, pictures=tuple(picture for picture in group.pictures if _is_quick(picture)))
 
 
 def _is_quick(item: Entry | Picture) -> bool:
-    """Return whether all needs are lanes of a quick scene, with the scene's own friction law."""
+    """Return whether all needs are lanes of `QUICK_SCENES` with the scene's default friction law."""
     lanes = [need for need in item.needs if isinstance(need, LaneNeed) and need.scene in QUICK_SCENES]
     return len(lanes) == len(item.needs) and not any(isinstance(v, str) for lane in lanes for _, v in lane.parameters)

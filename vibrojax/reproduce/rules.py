@@ -1,7 +1,7 @@
-"""Rules that judge a result: each puts a computed value beside the source's and returns a `Here`.
+"""Rules that judge a result: each compares a computed value with the source's value and returns a `Here`.
 
-The column `rule` of `results.csv` calls them with the source's numbers and a tolerance. Numbers of the source never
-enter a computation.
+The column `rule` of `results.csv` calls the rules with the source's numbers and a tolerance. The source's numbers never
+enter a computation. "R7" and the like name readings of the source: documented interpretations of ambiguous passages.
 """
 
 import re
@@ -17,12 +17,16 @@ IN_TREND: Final = "agrees in trend"
 DIFFERS: Final = "differs"
 NOT_COMPARED: Final = "cannot be compared"
 VERDICTS: tuple[Verdict, ...] = (DIFFERS, NOT_COMPARED, IN_TREND, AGREES)
-"""In the order of the page: differences come first."""
+"""All verdicts, in the order of the HTML page: differences come first."""
 
 
 @dataclass(frozen=True)
 class Here:
-    """The computed side of a result: a text that begins with the number in the source's unit, a verdict, a remark."""
+    """The computed side of a result.
+
+    `text` begins with the computed number in the source's unit; `verdict` is the comparison with the source; `note` is
+    a remark.
+    """
 
     text: str
     verdict: Verdict
@@ -30,22 +34,22 @@ class Here:
 
 
 def verdict(agrees: object, trend: object = False) -> Here:
-    """Judge by two conditions: full agreement, and agreement in trend."""
+    """Return a judgement by two conditions: `agrees` for full agreement, `trend` for agreement in trend."""
     return Here("", AGREES if agrees else IN_TREND if trend else DIFFERS)
 
 
 def claim(holds: object) -> Here:
-    """Judge a statement that can be counted or distinguished."""
+    """Judge a statement that is either true or false, such as a count or a distinction."""
     return verdict(holds)
 
 
 def trend(holds: object) -> Here:
-    """Judge a tendency for which the source gives no number."""
+    """Judge a trend that the source describes without a number."""
     return verdict(False, holds)
 
 
 def not_compared() -> Here:
-    """Show a value for which the source's text gives no number."""
+    """Return the judgement of a value that cannot be compared, because the source's text states no number."""
     return Here("", NOT_COMPARED)
 
 
@@ -57,18 +61,20 @@ def number(
     trend: object = False,
     provided: object = True,
 ) -> Here:
-    """Judge a number: it agrees if the two differ by at most `within`, relative to the source's.
+    """Judge a number: it agrees if its relative difference from the source's number is at most `within`.
 
-    `trend`: whether the source's conclusion from the number holds in any case. `provided`: a condition of agreement.
+    `provided`: further condition of agreement. `trend`: whether the source's conclusion from the number holds, even if
+    the number differs.
     """
     off = float(value) / float(source) - 1
     return _beside(value, source, unit, verdict(abs(off) <= within and provided, trend).verdict)
 
 
 def printed(value: SupportsFloat, source: str, unit: str, trend: object = False) -> Here:
-    """Judge a number that the source prints: agreement from half a unit of its last digit below to a unit above.
+    """Judge a number as printed in the source, given as the string `source`.
 
-    The source cuts all moduli of Table 4.5 and ten rows of eq. 5.16 in Table 5.3 (R30), but it may also round.
+    It agrees between half a unit of the last printed digit below and one unit above, since the source may round or
+    truncate. It truncates all moduli of Table 4.5, and ten rows of eq. 5.16 in Table 5.3 (R30).
     """
     digit = 10.0 ** -len(source.partition(".")[2])
     off = (float(value) - float(source)) / digit
@@ -76,7 +82,7 @@ def printed(value: SupportsFloat, source: str, unit: str, trend: object = False)
 
 
 def _beside(value: SupportsFloat, source: SupportsFloat, unit: str, judgement: Verdict) -> Here:
-    """Return a number with its relative difference from the source's."""
+    """Return a judgement whose text is the number, its unit, and its relative difference from the source's number."""
     ratio = float(value) / float(source)
     off = ratio - 1
     difference = "±0.0%" if abs(off) < 5e-4 else f"{off:+.1%}" if off < 10 else f"{shown(ratio)} times"
@@ -86,7 +92,10 @@ def _beside(value: SupportsFloat, source: SupportsFloat, unit: str, judgement: V
 def within_range(
     low: SupportsFloat, high: SupportsFloat, source: Sequence[SupportsFloat], unit: str, provided: object = True
 ) -> Here:
-    """Judge a range: it agrees inside the source's, in trend if more than half of it is inside."""
+    """Judge a range: it agrees if it is inside the source's range, and in trend if more than half of it is inside.
+
+    `provided`: further condition of agreement.
+    """
     low, high = float(low), float(high)
     least, most = map(float, source)
     inside = least <= low and high <= most
@@ -96,7 +105,7 @@ def within_range(
 
 
 def column(values: np.ndarray, source: Sequence[float]) -> Here:
-    """Judge a column of Table 5.3: all rows but the misprinted tenth agree within a unit of the last digit (R7)."""
+    """Judge a column of Table 5.3: it agrees if all rows except the misprinted tenth (R7) differ by at most 0.1."""
     off = np.abs(values - source) > 0.1
     text = f"{values.min():.2f} to {values.max():.2f} rad/s, {np.sum(~off)} of {len(source)} rows within 0.1"
     rows = [row for row, is_off in enumerate(off) if is_off]
@@ -105,7 +114,7 @@ def column(values: np.ndarray, source: Sequence[float]) -> Here:
 
 
 def shown(value: SupportsFloat) -> str:
-    """Format a number to four digits, without an exponent in the usual range."""
+    """Format a number with four significant digits, or, if very small or large, with three digits and an exponent."""
     value = float(value)
     if value and not 1e-3 <= abs(value) < 1e5:
         return f"{value:.3g}"
@@ -113,7 +122,10 @@ def shown(value: SupportsFloat) -> str:
 
 
 def formatted(value: Any, specification: str = "") -> str:
-    """Format a value as Python does; several numbers get commas between them and three digits by default."""
+    """Format a value with a Python format specification.
+
+    An array is formatted as numbers separated by commas, with three digits by default. A string is returned unchanged.
+    """
     if isinstance(value, str):
         return value
     values = np.asarray(value)
@@ -125,4 +137,4 @@ def formatted(value: Any, specification: str = "") -> str:
 
 
 FIELD = re.compile(r"\{((?:[^{}\[:]|\[[^]]*\])+)(?::([^{}]*))?\}")
-"""An expression in braces, with an optional format after a colon; a slice in brackets has colons of its own."""
+"""An expression in braces with an optional format after a colon; colons inside brackets belong to the expression."""

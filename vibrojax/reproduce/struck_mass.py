@@ -1,11 +1,11 @@
-"""A mass on a spring that hits a stop: the classical examples of chapter 5's review as one scene.
+"""A mass on a spring that hits a stop: one scene for the classical examples reviewed in chapter 5 of the source.
 
     x'' + w_n² x = (F/m) sin(w t) + g,   x <= gap;   at x = gap: x'(+) = −R x'(−)
 
-A mass that would chatter without end comes to rest at the stop until the force pulls it off.
+If the impacts would accumulate (chatter), the mass comes to rest at the stop until the force pulls it off.
 
-With F = 0 this is the free vibro-impact oscillator (Fig. 5.7), with w_n = 0 the ball thrown by a force (eq. 5.3),
-otherwise Tsaplin's driven hammer (eqs. 5.1, 5.2).
+With F = 0, this is the free vibro-impact oscillator (Fig. 5.7); with w_n = 0, the ball thrown by a force (eq. 5.3);
+otherwise, Tsaplin's driven hammer (eqs. 5.1, 5.2).
 """
 
 from collections.abc import Mapping
@@ -33,11 +33,11 @@ PARAMETERS = table(
 )
 
 MAX_REST_SPEED = 1e-6
-"""Share of a typical speed below which a mass that is pushed against the stop rests there."""
+"""Speed, relative to a typical speed, below which a mass that is pushed against the stop comes to rest there."""
 
 
 class StruckConstants(NamedTuple):
-    """The parameters and a typical speed [m/s]."""
+    """The parameters of the scene, and a typical speed [m/s]."""
 
     natural: Any
     drive: Any
@@ -50,7 +50,7 @@ class StruckConstants(NamedTuple):
 
 @dataclass(frozen=True)
 class StruckMassScene(Scene[StruckConstants]):
-    """Mass and stop, with the states x, x' and the time t."""
+    """The scene of a mass and a stop; the states are x, x' and the time t."""
 
     name = "struck"
     states = (
@@ -82,7 +82,7 @@ class StruckMassScene(Scene[StruckConstants]):
         return (v, (1.0 - resting) * self._push(c, state), 0.0 * t + 1.0)
 
     def _push(self, c: StruckConstants, state: Values) -> Any:
-        """Return the force per mass [m/s²], an array or a Taylor series like the state."""
+        """Return the net force per mass [m/s²], as arrays or Taylor series, depending on the type of the state."""
         x, _, t = state
         return c.drive * sin(t * c.frequency) + c.pull - c.natural**2 * x
 
@@ -114,7 +114,10 @@ class StruckMassScene(Scene[StruckConstants]):
 
 @dataclass(frozen=True)
 class Blows:
-    """Times [s] of the impacts, and the velocities [m/s] just before them; `path` is (times, positions)."""
+    """The impacts of a motion: their `times` [s] and the velocities [m/s] just `before` them.
+
+    `path` contains the times [s] and positions [m] at which the steps of the motion begin.
+    """
 
     times: Float[np.ndarray, " impacts"]
     before: Float[np.ndarray, " impacts"]
@@ -122,7 +125,7 @@ class Blows:
 
 
 def strike(start: tuple[float, float], duration: float, parameters: Mapping[str, Any]) -> Blows:
-    """Return the impacts of a struck mass from `start` = (x, x') over `duration` [s]."""
+    """Simulate a mass from the initial state `start` = (x, x') over `duration` [s], and return its impacts."""
     scene = StruckMassScene()
     p = {name: jnp.full(1, float(parameters.get(name, entry.default))) for name, entry in PARAMETERS.items()}
     c = scene.constants(p)

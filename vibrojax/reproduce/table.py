@@ -1,8 +1,8 @@
-"""The results of the source as data: rows of `results.csv`; groups, pictures, findings and readings of `source.toml`.
+"""The source's results as data: rows of `results.csv`; groups, pictures, findings and readings from `source.toml`.
 
-The cells `value`, `rule` and `draw` are expressions in the syntax of jinja2. They can use the names that `collect` in
-`answers.py` gives to answers, `x` for the cell `value`, and all names in `_MODULES`. `here` and `remark` are texts with
-such expressions in braces. An empty `here` stands for the text of the rule.
+The entries `value`, `rule` and `draw` are expressions in the syntax of jinja2. They can use the variables that
+`collect` in `answers.py` returns, `x` for the result of `value`, and all public names of `_MODULES`. `here` and
+`remark` are strings with such expressions in braces. If `here` is empty, the text of the rule's judgement is used.
 """
 
 import csv
@@ -28,10 +28,11 @@ from vibrojax.reproduce.rules import DIFFERS, FIELD, Here, formatted
 
 @dataclass(frozen=True)
 class Entry:
-    """One result of the source: its id like `fig-5.67b`, its subject, and the source's statement about it.
+    """One result of the source: its id such as `fig-5.67b`, its subject (`what`), and the source's statement about it.
 
-    `judge` takes the answers to `needs`, in their order. `tolerance` says what counts as agreement, and why; `readings`
-    are the readings on which the result rests, R1 and so on.
+    - `judge`: function of the answers to `needs`, in their order, that returns the judgement.
+    - `tolerance`: explanation of what counts as agreement.
+    - `readings`: names (R1, R2, ...) of the readings of the source that the result depends on.
     """
 
     id: str
@@ -45,7 +46,10 @@ class Entry:
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture in the source's axes; `ids` are the source's figures. `draw` takes the answers to `needs`, in order."""
+    """A picture with the axes of the source's figures `ids`.
+
+    `draw` is a function of the answers to `needs`, in their order, that returns the figure.
+    """
 
     ids: str
     caption: str
@@ -55,7 +59,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class Group:
-    """Entries and pictures under one title, with a short text before them."""
+    """Entries and pictures under a common title, with an introductory text."""
 
     name: str
     title: str
@@ -65,25 +69,28 @@ class Group:
 
     @property
     def needs(self) -> list[Need]:
-        """All needs of its entries, then of its pictures."""
+        """The needs of all entries, followed by those of all pictures."""
         of_entries = [need for entry in self.entries for need in entry.needs]
         return of_entries + [need for picture in self.pictures for need in picture.needs]
 
 
 @dataclass(frozen=True)
 class Finding:
-    """The meaning of a difference for those who build or run such a drill, and the results that it explains."""
+    """A finding about a difference from the source, and the ids of the results that it explains.
+
+    `text` states what the difference means for those who build or operate such a drill.
+    """
 
     text: str
     ids: tuple[str, ...]
 
 
 UNREADABLE = (ValueError, IndexError, ZeroDivisionError)
-"""Errors from a motion without the event that is read off it: no return, no impact, only NaN."""
+"""Errors raised if a motion lacks what is evaluated: no section crossing, no impact, or only NaN."""
 
 
 def judged(entry: Entry, answers: list[Answer]) -> Here:
-    """Return the judgement of an entry; a missing or unreadable answer is a difference."""
+    """Return the judgement of an entry; an answer that is missing or cannot be evaluated counts as a difference."""
     missing = [answer.reason for answer in answers if isinstance(answer, Unanswered)]
     if missing:
         return Here("nan", DIFFERS, f"could not be computed: {missing[0]}")
@@ -94,7 +101,7 @@ def judged(entry: Entry, answers: list[Answer]) -> Here:
 
 
 def drawn(picture: Picture, answers: list[Answer]) -> Figure | None:
-    """Return the figure, or None if the answers have nothing to draw."""
+    """Return the figure, or None if an answer is missing or contains nothing to draw."""
     if any(isinstance(answer, Unanswered) for answer in answers):
         return None
     try:
@@ -112,17 +119,17 @@ EXPRESSIONS.globals |= {"ROCKS": ROCKS, "contact_time": contact_time, "restituti
 
 @cache
 def compiled(expression: str) -> Callable[[Mapping[str, Any]], Any]:
-    """Return an expression as a function of the names in it."""
+    """Compile an expression to a function of a mapping from variable names to values."""
     return EXPRESSIONS.compile_expression(expression, undefined_to_none=False)
 
 
 def fill(text: str, names: Mapping[str, Any]) -> str:
-    """Return a text with the expressions in braces replaced by their formatted values."""
+    """Return the text after replacing expressions in braces by their formatted values."""
     return FIELD.sub(lambda field: formatted(compiled(field[1])(names), field[2] or ""), text)
 
 
 def _judge(row: Mapping[str, str], needs: tuple[Labelled, ...], *answers: Answer) -> Here:
-    """Judge a row of `results.csv` by the answers to its needs."""
+    """Return the judgement of a row of `results.csv` from the answers to its needs."""
     names = collect(needs, list(answers))
     if row["value"]:
         names["x"] = compiled(row["value"])(names)
@@ -132,12 +139,12 @@ def _judge(row: Mapping[str, str], needs: tuple[Labelled, ...], *answers: Answer
 
 
 def _draw(expression: str, needs: tuple[Labelled, ...], *answers: Answer) -> Figure:
-    """Draw a picture from the answers to its needs."""
+    """Draw a picture: evaluate its expression with the answers to its needs."""
     return styled(compiled(expression))(collect(needs, list(answers)))
 
 
 def _flowing(text: str) -> str:
-    """Return a text on one line."""
+    """Return the text on one line, with single blanks between words."""
     return " ".join(text.split())
 
 
@@ -147,7 +154,7 @@ ROWS = list(csv.DictReader((_FOLDER / "results.csv").read_text(encoding="utf-8")
 
 
 def _needs(text: str) -> tuple[tuple[Labelled, ...], tuple[Need, ...]]:
-    """Return the needs of a row with and without their labels."""
+    """Return the needs that `text` specifies, first with their labels and then without."""
     labelled = read_needs(text, _SOURCE["needs"], _SOURCE["maps"])
     return labelled, tuple(need for _, need in labelled)
 
@@ -171,8 +178,8 @@ def _group(group: Mapping[str, Any]) -> Group:
 
 
 GROUPS = tuple(map(_group, _SOURCE["groups"]))
-"""The groups of results that belong together, in the order of the page."""
+"""All groups of related results, in the order of the HTML page."""
 FINDINGS = tuple(Finding(_flowing(row["text"]), tuple(row["ids"].split())) for row in _SOURCE["findings"])
-"""The most important first."""
+"""All findings, the most important first."""
 READINGS = {name: _flowing(text) for name, text in _SOURCE["readings"].items()}
-"""How the source was read where it is misprinted or silent, by name."""
+"""The readings by name: how the source was interpreted where it is misprinted or incomplete."""
