@@ -50,8 +50,8 @@ def picture(
     - `where`: values by name of axis or coordinate, in the dataset's units; only lanes with these values are drawn.
       Example: `{"delta": 0.005, "start": "stuck"}`. Numbers must be accurate to four digits. Of more than 300,000
       lanes, only every second value of the longest axes is drawn, or every third, ...
-    - `colours`: name of a matplotlib colour map for quantities; regimes, forms of the law and initial conditions keep
-      their colours.
+    - `colours`: name of a matplotlib colour map for quantities; regimes, formulas of the fitted law and initial
+      conditions keep their colours.
     - `over`: datasets to draw on top. Families of orbits, from `follow`, are drawn over the section crossings of a
       sweep along the same parameter, or over lanes carried along it. Borders, from `borders`, are drawn over the map of
       regimes.
@@ -91,10 +91,11 @@ def picture(
 def regime_map(ds: xr.Dataset, x: str | None = None, y: str | None = None) -> Figure:
     """Draw the regimes of a sweep as a map, with maps of impact velocity and period next to it.
 
-    Each value of further axes and each initial condition gets a panel, twelve at most; the figure notes which are
-    shown. A sweep along one axis is drawn as lines, a list of points as dots over two parameters, or as counts. More
-    than eight initial conditions are drawn as a map over initial states if few parameters vary. Otherwise, the picture
-    shows the fraction of initial conditions that ends in each regime.
+    Each value of further axes and each initial condition gets a panel, twelve at most; the figure notes which values
+    are shown. A sweep along one axis is drawn as lines. A list of points is drawn as dots over its two varied
+    parameters, or else as bars with the number of lanes in each regime. More than eight initial conditions are drawn as
+    a map over initial states if few parameters vary. If many parameters vary, the map shows the fraction of initial
+    conditions that ends in each regime.
 
     **Arguments:** `x`, `y`: axes to draw along; by default gamma and beta, else the first two axes with six or more
     values, else the first two axes.
@@ -125,11 +126,11 @@ def rate_map(ds: xr.Dataset, x: str | None = None, y: str | None = None) -> Figu
 
 
 def fitted_law(fit: xr.Dataset) -> Figure:
-    """Draw C of ROP = C ln(eta) in its three readings, and the AIC of every form relative to the best of its group.
+    """Draw C of ROP = C ln(eta) in its three readings, and each formula's AIC relative to the best of its group.
 
-    At the top are the data of each group with the curve of every form, for six groups at most. C and AIC are drawn over
-    the longest axis of the groups, with one row per value of further axes. If two axes have nine or more values, C and
-    the best form are drawn as maps. Without groups, the horizontal axis is the form.
+    At the top are the data of each group with the curve of every formula, for six groups at most. C and AIC are drawn
+    over the longest axis of the groups, with one row per value of further axes. If two axes have nine or more values, C
+    and the best formula are drawn as maps. Without groups, the horizontal axis lists the formulas.
 
     **Raises:** `InputError` if there is no C along `form`.
     """

@@ -101,7 +101,10 @@ def _check(ds: xr.Dataset, names: Sequence[str]) -> None:
 
 
 def _draw_curves(ds: xr.Dataset, values: Values, note: str = "") -> Figure:
-    """Draw variables over the longest axis: one row per facet, one line per value of another axis or per form."""
+    """Draw variables over the longest axis, one row per facet.
+
+    There is one line per value of another axis or, for a fitted penetration law, one line per formula of the law.
+    """
     quantities = [value if value is not None else value_of(ds[REGIME]) for value in values]
     x = longest_axis(ds)
     by = FORM if FORM in ds[quantities[0].name].dims else axis_of_lines(ds, x.name)

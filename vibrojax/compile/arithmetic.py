@@ -1,7 +1,7 @@
 """Check of compiled elementary functions against numpy on this machine.
 
-With AVX-512 registers, jaxlib 0.10.2 returned values of arctan in the wrong lanes. A compiler that fails this check is
-not used.
+On processors with AVX-512 registers, code compiled by jaxlib 0.10.2 returned values of arctan in the wrong lanes (array
+elements). A compiler that fails this check is not used.
 """
 
 from collections.abc import Callable

@@ -114,7 +114,7 @@ class Server(ThreadingHTTPServer):
         return has_room
 
     def admit(self, request: socket.socket) -> None:
-        """Extend the time of a connection that has shown the token."""
+        """Mark a connection whose header contained the token: it has the longer time limit and is not evicted."""
         with self._lock:
             if request in self._open:
                 self._open[request].admitted = True
@@ -198,7 +198,10 @@ class _Handler(BaseHTTPRequestHandler):
     do_GET = do_HEAD = do_POST = _answer
 
     def _check_access(self) -> str:
-        """Admit the connection and return the path below the token, or raise `RefusedRequest`."""
+        """Check host, origin and token of the request, admit the connection, and return the path after the token.
+
+        **Raises:** `RefusedRequest` if a check fails.
+        """
         hosts, origins = self.headers.get_all("Host", []), self.headers.get_all("Origin", [])
         if len(hosts) != 1 or hosts[0].lower() not in self.server.names:
             raise RefusedRequest(HTTPStatus.FORBIDDEN, "another host than this server's")

@@ -74,7 +74,7 @@ def differing_of(ds: xr.Dataset) -> list[Differing]:
 
 
 def counts_of(ds: xr.Dataset) -> dict[str, float | int]:
-    """Return the lane counts of the attribute `certified`, such as `within` the error tolerance, and the tolerance."""
+    """Return the attribute `certified`: the error tolerance, and lane counts such as `within`, the lanes within it."""
     counts: dict[str, float | int] = _read(ds, "certified", {})
     return counts
 

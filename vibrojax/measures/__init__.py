@@ -42,7 +42,7 @@ def gauge_named(gauge: str | Gauge[Any]) -> Gauge[Any]:
 def recorder_for(scene: Scene[Any], keep_returns: int = 0) -> Records:
     """Return a recorder with the gauges that the scene lists in `measures`.
 
-    Swings, and impacts if there is a contact, are always measured, because periodicity and regimes are derived from
+    Amplitudes, and impacts if there is a contact, are always measured, because periodicity and regimes are derived from
     them. The recorder stores the last `keep_returns` section crossings individually, and at least `RETURNS_FOR_DRIFT`.
     For a scene without a section but with a prescribed force, the recorder measures the pulses.
 

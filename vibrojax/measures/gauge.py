@@ -32,7 +32,7 @@ class Return(NamedTuple):
 
     - `number`: index of the crossing in the observation, from 0.
     - `interval` [s]: time since the previous crossing.
-    - `amplitudes` [m]: half the peak-to-peak range of each swing in this interval.
+    - `amplitudes` [m]: half the peak-to-peak range of each oscillating position in this interval.
     - `share`: elapsed fraction of the observation.
     - `lane`: the lane at the crossing; `sums`: the ledger's sums since the previous crossing.
     """

@@ -18,7 +18,7 @@ GAUSS_NODE = 0.15**0.5
 
 @dataclass(frozen=True)
 class Harmonics(Gauge[Scene[Any]]):
-    """phase_lag [rad] in (-pi, pi]: lag of the second swing's position (x2) behind the first swing's position (x1).
+    """phase_lag [rad] in (-pi, pi]: lag of the striker's position (x2) behind the bit's position (x1).
 
     The frequency of the harmonics is the frequency of the section crossings. The Fourier integrals of a position minus
     its mean use three-point Gauss quadrature on the steps' polynomials. Steps before the frequency is known are left

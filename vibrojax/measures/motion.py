@@ -23,10 +23,10 @@ TREND_CHANGE = 0.01
 
 
 class Swung(NamedTuple):
-    """Extremes of the swings.
+    """Extremes of the section's oscillating positions (`Section.swings`), such as x1 and x2, during the observation.
 
-    - `ranges`: least and greatest position of each swing.
-    - `greatest`: greatest amplitude of the first swing in each eighth of the observation (8, lanes).
+    - `ranges`: least and greatest value of each position.
+    - `greatest` (8, lanes): greatest amplitude of the first position in each eighth of the observation.
     """
 
     ranges: tuple[tuple[Lanes, Lanes], ...]
@@ -35,9 +35,9 @@ class Swung(NamedTuple):
 
 @dataclass(frozen=True)
 class Swings(Gauge[Scene[Any]]):
-    """Amplitudes [m] of the section's swings, and trend.
+    """Amplitudes [m] of the section's oscillating positions (`Section.swings`), and trend.
 
-    trend is 1 if the first swing's amplitude grows steadily, -1 if it decays steadily, else 0.
+    trend is 1 if the amplitude of the first position grows steadily, -1 if it decays steadily, else 0.
     """
 
     def begin(self, scene: Scene[Any], c: Any, lane: Lane) -> Swung:
@@ -69,7 +69,7 @@ def section_of(scene: Scene[Any]) -> Section:
 
 
 def positions(scene: Scene[Any], section: Section, lane: Lane) -> list[Lanes]:
-    """Return the positions of the section's swings."""
+    """Return the values of the section's oscillating positions, such as x1 and x2."""
     return [lane.state[scene.place(swing.position)] for swing in section.swings]
 
 
@@ -96,7 +96,7 @@ class Shares(Gauge[HasFriction[Any]]):
     """stick_fraction [1], reverse_fraction [1], drive_power [W], and with a striker striker_turns [1].
 
     drive_power is the mean of F v. striker_turns is the number of maxima of the striker's position per return interval.
-    The striker is the section's second swing.
+    The striker's position is the second of the section's oscillating positions.
     """
 
     summed = ("stick", "reverse", "turns", "friction")
@@ -127,7 +127,7 @@ class Shares(Gauge[HasFriction[Any]]):
 
 
 def _striker(scene: HasFriction[Any]) -> str | None:
-    """Return the name of the second swing's velocity, or None if the section has only one swing."""
+    """Return the name of the striker's velocity, or None if the section has only one oscillating position."""
     swings = section_of(scene).swings
     return swings[1].velocity if len(swings) > 1 else None
 

@@ -23,7 +23,10 @@ from vibrojax.stepping.series import known
 
 
 class Deepest(NamedTuple):
-    """The least compression of the rock so far [m], at most 0; negative values are a gap between bit and rock."""
+    """Least compression of the rock since the observation began [m], at most 0.
+
+    A negative value -d means that the bit was at the distance d above the rock.
+    """
 
     gap: Lanes
 
@@ -58,7 +61,7 @@ class Pulses(NamedTuple):
     """The carry of the pulse recorder.
 
     - `waiting`: mask of the lanes at the beginning of a pulse; `number`: number of pulses that have begun so far.
-    - `ledger`: the sums; `deepest` [m]: least compression of the rock, at most 0.
+    - `ledger`: the sums; `deepest` [m]: least compression of the rock so far, at most 0, see `Deepest`.
     - `last`: states at the beginning of the last pulse (states, lanes).
     """
 

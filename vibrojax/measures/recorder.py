@@ -36,7 +36,7 @@ class Records(ABC):
         return carry
 
     def settle_returns(self, carry: Any) -> Any:
-        """Return the carry updated with the last section crossings while settling; called every few steps."""
+        """Return the carry after storing the section crossings passed while settling; called once every few steps."""
         return carry
 
     def settled(self, begun: Any, observed: Any) -> Any:

@@ -22,7 +22,8 @@ class Seen(NamedTuple):
     """The last section crossings, the newest first.
 
     - `armed`: mask of the lanes whose next zero counts as a section crossing.
-    - `since` [s]: time since the last crossing; `ranges`: least and greatest position of each swing since then.
+    - `since` [s]: time since the last crossing; `ranges`: least and greatest value of each oscillating
+      position since then.
     - `states` (8, states, lanes), `times` (8, lanes) [s]: states and times of the last crossings, NaN where there are
       none. The states on which periodicity is checked come first, then the other states of the return map.
     - `settled` (8, lanes) [s]: for p = 1 to 8, the time of the last crossing that differs from the crossing p later.
@@ -68,7 +69,7 @@ def returned(
     """Return the last section crossings including a new one, and the differences of the new one from those before.
 
     The new crossing of the lanes `here` is in `state` at `time`. `amplitudes` are half the peak-to-peak ranges of the
-    swings in the time `since` the previous crossing.
+    oscillating positions in the time `since` the previous crossing.
     """
     scale = keep(jnp.stack(scales(amplitudes, since)))
     compared = len(scale)
@@ -104,8 +105,8 @@ def _rate(times: Array, repeats: Array, now: Lanes) -> Lanes:
 def cycles(carry: Returns, amplitudes: tuple[Lanes, ...], period: Lanes) -> jax.Array:
     """Return the number p of return intervals per period, 1 to 8, or 0 if no period is found.
 
-    A period of p intervals needs at least 3 p + 1 section crossings. `amplitudes` and `period`: amplitudes and mean
-    return interval in the whole observation.
+    A period of p intervals is recognised after 3 p + 1 section crossings. `amplitudes` and `period`: amplitudes and
+    mean return interval in the whole observation.
     """
     scale = jnp.stack(scales(amplitudes, period))
     repeating = jnp.zeros_like(carry.number)
@@ -118,8 +119,8 @@ def cycles(carry: Returns, amplitudes: tuple[Lanes, ...], period: Lanes) -> jax.
 def settling_time(carry: Returns, cycles: Lanes) -> jax.Array:
     """Return the time [s] of the last section crossing that differs from the crossing one period later.
 
-    The period is `cycles` return intervals; where `cycles` is 0, the result is NaN. Differences count from 0.01 of the
-    states' scales.
+    The period is `cycles` return intervals; where `cycles` is 0, the result is NaN. Two crossings differ if a state
+    differs by more than 0.01 of its scale.
     """
     time = jnp.full_like(cycles, jnp.nan)
     for p in range(1, MOST_CYCLES + 1):

@@ -133,7 +133,7 @@ def _turn(velocity: Coefficients, after: Array, step: Step) -> tuple[Array, Arra
 
 
 def _turned(step: Step, scene: Scene[Any], swing: Swing, end: Lanes, lane: Lane) -> jax.Array:
-    """Return a swing's position at its turning point within the step, or the position `end` if there is none."""
+    """Return an oscillating position at its turning point within the step, or its value `end` if there is none."""
     if swing.velocity is None:
         return jnp.asarray(end)
     # The position is stationary at the turning point, so a first guess of the time is accurate enough.
@@ -198,7 +198,7 @@ def _halves(ranges: Iterable[Range]) -> tuple[Lanes, ...]:
 
 
 def amplitudes(carry: Returns) -> tuple[Lanes, ...]:
-    """Return half the peak-to-peak range of each swing since the last section crossing [m]."""
+    """Return half the peak-to-peak range of each oscillating position since the last section crossing [m]."""
     return _halves(carry.seen.ranges)
 
 

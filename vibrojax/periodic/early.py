@@ -78,7 +78,7 @@ class EarlyEnds:
         return self
 
     def near(self, batch: Batch) -> Bool[np.ndarray, " lanes"]:
-        """Return a mask of lanes that may be close enough to an orbit."""
+        """Return a mask of the lanes that seem to converge to an orbit: only these are passed to Newton's method."""
         return np.any([self._approaches(batch, repeat) for repeat in EARLY_REPEATS], axis=0)
 
     def __call__(self, batch: Batch) -> list[Ended]:

@@ -26,7 +26,7 @@ ACCEPTED = 1e-10
 """Largest residual of an orbit that counts as converged."""
 
 MIN_RELATIVE_SWING = 1e-3
-"""Smallest scale of a state, relative to its magnitude; the swing of a state at rest is only rounding noise."""
+"""Smallest scale of a state, relative to its magnitude; the range of a state at rest is only rounding noise."""
 
 NEWTON_MAX_ITERATIONS = 8
 
@@ -81,8 +81,8 @@ def orbits(
 
     **Arguments:**
 
-    - `scales`: scales of the states; a NaN is replaced by half the swing of the state in the first iteration, or by 1
-      if that swing is zero.
+    - `scales`: scales of the states. A NaN is replaced by half the peak-to-peak range of the state along the motion
+      from the initial guess, or by 1 if that range is zero.
     - `reach` (lanes,): scaled distance from the initial guess beyond which a lane is no longer iterated.
     - `go`: the return map; `enough`: residual at which the iteration of a lane stops.
     - `most`: largest number of iterations.

@@ -1,4 +1,4 @@
-"""Text and scales of axes: labels, units, number formats, cell edges and logarithmic scales."""
+"""Text and scales of axes: labels, units, number formats, edges of map cells and logarithmic scales."""
 
 import json
 import re
@@ -59,7 +59,7 @@ def scale(data: xr.DataArray) -> tuple[float, str]:
 
 
 def pretty_unit(unit: str) -> str:
-    """Return the printed form of a unit: m/s for `m s-1`, N s/m for `N s m-1`, empty if dimensionless."""
+    """Return a unit as it is printed: m/s for `m s-1`, N s/m for `N s m-1`, empty if dimensionless."""
     if unit in ("", "1"):
         return ""
     if unit in _HERTZ:
@@ -193,7 +193,10 @@ def is_geometric(values: Float[np.ndarray, " values"]) -> bool:
 
 
 def edges(values: Float[np.ndarray, " values"]) -> Float[np.ndarray, " values+1"]:
-    """Return the n + 1 cell edges of n > 1 increasing values: midpoints, taken in the logarithm of geometric values."""
+    """Return the n + 1 edges of the map cells at n > 1 increasing values: midpoints between the values.
+
+    For geometric values, the midpoints are those of the logarithms.
+    """
     if is_geometric(values):
         return np.exp(edges(np.log(values)))
     half = np.diff(values) / 2
@@ -201,7 +204,7 @@ def edges(values: Float[np.ndarray, " values"]) -> Float[np.ndarray, " values+1"
 
 
 def shape_axis(axes: Axes, which: Literal["x", "y"], values: Float[np.ndarray, " values"]) -> None:
-    """Limit the x or y axis to the outer cell edges of `values`, and make it logarithmic for geometric values."""
+    """Limit the x or y axis to the outer map-cell edges of `values`, and make it logarithmic for geometric values."""
     ends = edges(values)[[0, -1]]
     if is_geometric(values):
         axis = axes.xaxis if which == "x" else axes.yaxis

@@ -1,4 +1,4 @@
-"""Colours of regimes, of the forms of the penetration law, and of quantities (one scale for all panels)."""
+"""Colours of regimes, of the formulas of the penetration law, and of quantities (one scale for all panels)."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -102,7 +102,7 @@ Values = tuple[Value | None, ...]
 
 
 class Coloured(NamedTuple):
-    """Cells of a map with their colour map and norm."""
+    """Values of the cells of a map, with the colour map and norm of these values."""
 
     cells: Cells
     colour_map: Colormap
@@ -110,7 +110,7 @@ class Coloured(NamedTuple):
 
 
 def coloured(ds: xr.Dataset, value: Value | None, *dims: str) -> Coloured:
-    """Return the cells of `value`, or of the regimes if `value` is None, with dimensions in the order `dims`."""
+    """Return the map of `value`, or of the regimes if `value` is None, with dimensions in the order `dims`."""
     if value is None:
         return Coloured(regime_cells(ds[REGIME].transpose(*dims)), REGIME_MAP, REGIME_NORM)
     return Coloured(value.of(ds).transpose(*dims).values, value.colour_map, value.norm)
@@ -175,15 +175,15 @@ def sensitive_handle() -> Artist:
 
 
 def patch(colour: str, name: str) -> Patch:
-    """Return the legend entry for cells of one colour."""
+    """Return the legend entry for map cells of one colour."""
     return Patch(facecolor=colour, edgecolor="0.35", linewidth=0.4, label=name)
 
 
-# Forms of the law, and quantities.
+# Formulas of the fitted law, and quantities.
 
 
 def form_colour(name: str) -> str:
-    """Return the colour of a form of the penetration law."""
+    """Return the colour of a formula of the penetration law."""
     return FORM_COLOURS.get(name, _OTHER_FORM)
 
 
@@ -193,7 +193,10 @@ def values_beside(ds: xr.Dataset) -> tuple[Value, ...]:
 
 
 def values_of_rock(ds: xr.Dataset) -> tuple[Value, ...]:
-    """Return the quantities to map without regimes: the rate of penetration, and other quantities that vary."""
+    """Return the quantities of which maps are drawn for a dataset without regimes.
+
+    They are the rate of penetration, and those of slip per impact, relief and mean force that vary over the lanes.
+    """
     names = [name for name in _OF_ROCK if name in ds and (name == RATE or _varies(ds[name].values))]
     if {RELIEF, "mean_force"} <= set(names) and not _varies((ds["mean_force"] / ds[RELIEF]).values):
         names.remove(RELIEF)  # proportional to the force, so the map looks the same

@@ -89,7 +89,7 @@ class Contents:
 
     @property
     def law(self) -> bool:
-        """True for a fit of the penetration law in several forms."""
+        """True for a fit of several formulas of the penetration law."""
         return COEFFICIENT in self.variables and FORM in self.dimensions
 
     @property

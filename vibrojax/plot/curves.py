@@ -68,7 +68,7 @@ class Across:
             shape_axis(axes, "x", self.values)
 
     def style_of(self, ds: xr.Dataset) -> Literal["-", "none"]:
-        """Return the line style along the axis: string values and points of a list are not joined by lines."""
+        """Return the line style along the axis, "none" for string values and for points of a list."""
         return "-" if self.is_number and POINT not in lane_dims(ds) else "none"
 
 
@@ -168,7 +168,7 @@ def new_rows(panels: Facets, quantities: int, above: float = 0.0) -> tuple[Figur
 
 
 def _colours(data: xr.DataArray, values: Sequence[float | str]) -> list[str]:
-    """Return graded colours for numbers, and fixed colours for the names of forms, initial conditions or rocks."""
+    """Return graded colours for numbers; fixed colours for names of formulas, initial conditions or rocks."""
     if is_numeric(data):
         return line_colours(len(values))
     if data.name == FORM:

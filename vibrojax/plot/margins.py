@@ -48,7 +48,7 @@ def write_margins(figure: Figure, ds: xr.Dataset, *notes: str, point: str | None
 
 
 def legend_at_right(figure: Figure, *groups: Sequence[Artist]) -> None:
-    """Draw one legend at the right of all axes, with a gap between `groups` of entries."""
+    """Draw one legend at the right of all axes, with a gap between `groups` of legend entries."""
     gap: Artist = Line2D([], [], linestyle="none", label=" ")
     handles: list[Artist] = []
     for group in groups:

@@ -1,4 +1,8 @@
-"""Layout of maps: one panel per quantity (None: the regimes) and per value of the axes that are not drawn along."""
+"""Layout of pictures: panels for each drawn quantity and each facet.
+
+A facet shows the lanes at one combination of values of the axes that are neither abscissa nor ordinate. In a list of
+quantities, None stands for the regimes.
+"""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -31,10 +35,10 @@ Indices = Int[np.ndarray, " values"]
 
 @dataclass(frozen=True)
 class Facets:
-    """The facets of a picture, each with an entry of `titles` and of `data`.
+    """The facets of a picture: their titles and their lanes.
 
-    `runs`: numbers of facets after which an axis starts again, from the last axis to the first; `note`: which values
-    were left out.
+    - `runs`: numbers of facets after which the values of an axis repeat, from the last axis to the first.
+    - `note`: text that lists the values shown, empty if none are left out.
     """
 
     titles: tuple[str, ...]
@@ -82,7 +86,7 @@ def _listed(ds: xr.Dataset, name: str, pick: Indices) -> str:
 
 
 def columns(panels: Facets, most: int) -> int:
-    """Return the number of columns, at most `most`, so that rows end where an axis ends and few cells stay empty."""
+    """Return the number of columns, at most `most`, so that rows end where an axis ends and few places stay empty."""
     count = len(panels)
     if count <= most:
         return count
@@ -124,7 +128,10 @@ class Sheet:
         return iter(self.panels)
 
     def finish(self, handles: Sequence[Artist]) -> None:
-        """Draw the legend, in the regimes' place or at the right of the figure, and the colour bars."""
+        """Draw the colour bars and the legend.
+
+        The regimes have the legend in place of a colour bar; without regimes, the legend is at the right of the figure.
+        """
         for bar, value in zip(self.bars, self.values, strict=True):
             if value is None:
                 bar.axis("off")
@@ -150,9 +157,9 @@ def draw_bar(figure: Figure, value: Value, **place: Any) -> None:
 def sheet(panels: Facets, values: Values, above: float = 0.0) -> Sheet:
     """Return an empty sheet for `panels` and `values`, with a free strip of `above` inches at the top.
 
-    Four or more quantities of a single facet form two columns, each with colour bars at its right. Up to three facets
-    form one row each, with legend and colour bars at the bottom. With more facets, the panels of each quantity form a
-    block, with legend and colour bars at the right.
+    Four or more quantities of a single facet are arranged in two columns, each with colour bars at its right. Up to
+    three facets have one row each, with legend and colour bars at the bottom. With more facets, the panels of each
+    quantity are arranged in a block, with legend and colour bars at the right.
     """
     rows, wide = len(panels), len(values)
     if rows == 1 and wide >= _SQUARE_FROM:

@@ -1,7 +1,7 @@
-"""Execution of the computations that results require (*needs*); the computed values are their *answers*.
+"""Execution of the computations that results and pictures require (*needs*).
 
-Lanes (single trajectories) with equal settings are computed together in one sweep. Each map is a sweep of its own, and
-motions are simulated one at a time.
+The values computed for a need are called its *answer*. Lanes (single trajectories) with equal settings are computed
+together in one sweep. Each map is a sweep of its own, and motions are simulated one at a time.
 """
 
 import warnings
@@ -31,7 +31,7 @@ Features = dict[str, Any]
 
 @dataclass(frozen=True)
 class Unanswered:
-    """The answer to a need that could not be computed; `reason` explains why."""
+    """A failed computation: stands for its result; `reason` explains why there is none."""
 
     reason: str
 
@@ -53,13 +53,14 @@ _Point = tuple[tuple[str, float], ...]
 
 
 class SourceAnswers:
-    """The answers to needs, computed on construction; `datasets` holds, by name, the datasets of sweeps and maps.
+    """The results of computations (`needs`), by computation. All are computed on construction.
 
-    If too many probed lanes of a scene fail, the scene is not computed: the answers to its needs are `Unanswered`.
+    `datasets` holds, by name, the datasets of sweeps and maps. If too many probed lanes of a scene fail, the scene is
+    not computed, and the results of all its computations are `Unanswered`.
 
     **Arguments:**
 
-    - `needs`: the computations to run; equal needs are computed once.
+    - `needs`: the computations to run; equal ones run only once.
     - `report`: function that receives a line of text before each sweep, map and motion, with its number and the total.
     """
 
@@ -129,7 +130,7 @@ class SourceAnswers:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", UnusualValue)
                 return simulate(need.scene, **settings, **dict[str, Any](need.parameters))
-        except InputError as problem:  # too many steps: this does not invalidate the other answers
+        except InputError as problem:  # too many steps: this does not invalidate the other results
             return Unanswered(str(problem))
 
     def _keep(self, name: str, dataset: xr.Dataset) -> None:
@@ -139,7 +140,9 @@ class SourceAnswers:
 
 
 def collect(needs: tuple[Labelled, ...], answers: list[Answer]) -> dict[str, Any]:
-    """Return the answers to the needs of a result or picture, as variables for its expressions, by name.
+    """Return computed values as variables, by name, for the expressions of a row of `results.csv` or of a picture.
+
+    `answers`: the computed values of each of the `needs`, in the same order.
 
     The lanes with one label form one dictionary of features, whose values are arrays if there are several lanes. Lanes
     without a label are named `lanes`, and each of their features is also a variable of its own. Motions without a label

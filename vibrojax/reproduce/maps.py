@@ -1,7 +1,7 @@
 """Quantities derived from several lanes or from a map (a sweep over a grid).
 
-They describe trends, fractions of the source's region of best performance, and the law of the penetration rate. "R8"
-and the like name readings of the source: documented interpretations of ambiguous passages.
+They describe trends, fractions of lanes in the source's region of best performance, and the law of the penetration
+rate. "R8" and the like name readings of the source: documented interpretations of ambiguous passages.
 """
 
 from collections.abc import Sequence
@@ -70,7 +70,7 @@ def single_impact(map: xr.Dataset) -> xr.DataArray:
 
 
 def clean(map: xr.Dataset) -> xr.DataArray:
-    """Return flags: single impacts, with one swing of the striker per period."""
+    """Return flags: single impacts, with one oscillation of the striker per period."""
     return single_impact(map) & (map.striker_turns < 1.05)
 
 
@@ -136,7 +136,7 @@ def share_outside(flags: xr.DataArray) -> float:
 
 
 def extents(flags: xr.DataArray, ratios: Sequence[float]) -> str:
-    """Return text with the range of gamma in which flags are True, for each mass ratio in `ratios`."""
+    """Return a string with the range of gamma in which flags are True, for each mass ratio in `ratios`."""
     parts = []
     for beta in ratios:
         gammas = flags.gamma.values[flags.sel(beta=beta, method="nearest").values]
@@ -145,7 +145,7 @@ def extents(flags: xr.DataArray, ratios: Sequence[float]) -> str:
 
 
 def by_gap(flags: xr.DataArray) -> str:
-    """Return text with the fraction of True flags at each gap, which must be the first axis."""
+    """Return a string with each gap and its fraction of True flags. The gap must be the first axis of `flags`."""
     pairs = zip(flags.delta.values, shares(flags), strict=True)
     return ", ".join(f"{1e3 * gap:g} mm {portion:.2f}" for gap, portion in pairs)
 
@@ -167,12 +167,12 @@ def fit_law(map: xr.Dataset, along: str, width: float = 0.004) -> xr.Dataset:
 
 
 def onset_constants(map: xr.Dataset, width: float = 0.004) -> xr.DataArray:
-    """Return C [m/s] of the form "onset" over k3 and force, for the rate as the source's listing computes it (R8)."""
+    """Return C [m/s] of formula "onset" over k3 and force, for the rate as the source's listing computes it (R8)."""
     return LISTED_RATE * fit_law(map, "frequency", width).C.sel(form="onset").transpose("k3", "force", ...)
 
 
 def by_damping(constants: xr.DataArray) -> str:
-    """Return text with the range of C at each damping zeta."""
+    """Return a string with the range of C at each damping zeta."""
     ranges = [(zeta, constants.sel(zeta=zeta)) for zeta in constants.zeta.values]
     return "; ".join(f"zeta {zeta}: {float(C.min()):.3g} to {float(C.max()):.3g}" for zeta, C in ranges)
 

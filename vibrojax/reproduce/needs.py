@@ -1,6 +1,7 @@
-"""Needs: the computations that results and pictures require (lanes, motions, maps and struck masses).
+"""Specifications of the computations that results and pictures require, here called *needs*.
 
-`read_needs` parses the notation of `results.csv` and `source.toml`, in which `;` separates items:
+A need is a lane, a motion, a map or a struck mass. `read_needs` parses the notation of `results.csv` and
+`source.toml`, in which `;` separates items:
 
     vibro-impact beta=0.3 gamma=0.6,0.5; without: rotary beta=0.3
 
@@ -8,7 +9,7 @@ An item consists of a scene and its parameters; an omitted parameter has the sce
 abbreviation, which is replaced by its definition. `NAME=A,B` stands for one computation per value,
 `NAME=FIRST:LAST:STEP` for one computation per value of a range. `start=[...]` is an initial state. If a name occurs
 twice, the later value counts. An item with `duration` is a motion, otherwise a lane (one trajectory of a sweep).
-`LABEL: ` before an item names its answers, the computed values. An item can also be the name of a map.
+`LABEL: ` before an item names its *answers*, the values computed for it. An item can also be the name of a map.
 """
 
 import itertools
@@ -32,7 +33,7 @@ Parameters = tuple[tuple[str, float | str], ...]
 
 @dataclass(frozen=True)
 class LaneNeed:
-    """One parameter point of a scene with one initial condition. Its answer is a dictionary of features."""
+    """A lane to compute: one parameter point with one initial condition. Its result is a dictionary of features."""
 
     scene: str
     parameters: Parameters
@@ -43,9 +44,9 @@ class LaneNeed:
 
 @dataclass(frozen=True)
 class MotionNeed:
-    """A motion at one parameter point over `duration` [s], sampled every `sampling` [s] (None: `simulate`'s default).
+    """A motion to compute at one parameter point, over `duration` [s]. Its result is the dataset of `simulate`.
 
-    Its answer is the dataset of `simulate`.
+    `sampling` [s]: interval of the samples, None for the default of `simulate`.
     """
 
     scene: str
@@ -57,7 +58,10 @@ class MotionNeed:
 
 @dataclass(frozen=True)
 class Map:
-    """A sweep over a grid; `axes` are pairs of a parameter name and its values. Its answer is the sweep's dataset."""
+    """A sweep over a grid to compute. Its result is the sweep's dataset.
+
+    `axes`: pairs of a parameter name and its values.
+    """
 
     name: str
     scene: str
@@ -69,9 +73,9 @@ class Map:
 
 @dataclass(frozen=True)
 class StruckMass:
-    """The motion of a mass that hits a stop, over `duration` [s].
+    """A motion to compute of a mass that hits a stop, over `duration` [s].
 
-    `start` is the initial state (x, x'). Its answer is the `Blows` of `struck_mass.py`.
+    `start` is the initial state (x, x'). Its result is the `Blows` of `struck_mass.py`.
     """
 
     start: tuple[float, float]
@@ -81,16 +85,19 @@ class StruckMass:
 
 Need = LaneNeed | MotionNeed | Map | StruckMass
 Labelled = tuple[str, Need]
-"""A label and the need whose answer it names; the empty label stands for the main subject of a result."""
+"""A label and the computation whose result it names; the empty label stands for the main subject of a result."""
 
 
 def starts_of(scene: str) -> tuple[str, ...]:
-    """Return the names of the initial conditions that are computed together for each point of a scene."""
+    """Return the names of the initial conditions from which every sweep of a scene computes each parameter point.
+
+    The tuple is empty if the scene has a single initial condition.
+    """
     return STARTS.get(scene, ("drive", "stuck", "touching"))
 
 
 def read_needs(text: str, abbreviations: Mapping[str, str], maps: Mapping[str, str]) -> tuple[Labelled, ...]:
-    """Parse a specification and return its needs, in order.
+    """Parse a specification and return its labelled computations (needs), in order.
 
     **Arguments:**
 
@@ -131,7 +138,7 @@ def _values(text: str) -> list[Any]:
 
 
 def _read_points(scene: str, settings: Mapping[str, str]) -> list[Need]:
-    """Return one need per combination of values; the last setting varies fastest."""
+    """Return one computation per combination of values; the last setting varies fastest."""
     needs: list[Need] = []
     for combination in itertools.product(*map(_values, settings.values())):
         values = dict(zip(settings, combination, strict=True))

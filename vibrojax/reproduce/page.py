@@ -20,7 +20,7 @@ from vibrojax.reproduce.table import FINDINGS, READINGS, Finding
 
 COLUMNS = ("id", "what", "source", "here", "verdict", "reading")
 CLASSES = dict(zip(VERDICTS, ("differs", "uncompared", "trend", "agrees"), strict=True))
-"""CSS class of each verdict."""
+"""CSS class of each outcome of a comparison."""
 
 
 def write_reproduction(reproduction: Reproduction, folder: str | Path) -> None:
@@ -48,7 +48,7 @@ def write_reproduction(reproduction: Reproduction, folder: str | Path) -> None:
 
 
 def markdown_table(reproduction: Reproduction) -> str:
-    """Return a Markdown table with one row per entry, in the order of the HTML page."""
+    """Return a Markdown table with one row per result, in the order of the HTML page."""
     lines = [f"| {' | '.join(COLUMNS)} |", "|" + "---|" * len(COLUMNS)]
     for result in reproduction.results:
         entry, here = result.entry, result.here

@@ -104,9 +104,9 @@ def over_stribeck_speed(lanes: Mapping[str, Any]) -> Figure:
 
 
 def region_of_impacts(map: xr.Dataset) -> Figure:
-    """Draw maps of single impacts over mass and frequency ratio, with the source's region (source, section 5.7).
+    """Draw, for each gap, a map of where single impacts occur over mass ratio and frequency ratio (section 5.7).
 
-    There is a panel for each gap.
+    A rectangle marks the source's region of best performance.
     """
     figure, panels = in_row(2, 3.4, share=True, grid=False)
     (beta, beta_end), (gamma, gamma_end) = REGION.values()
@@ -125,7 +125,10 @@ def region_of_impacts(map: xr.Dataset) -> Figure:
 
 
 def shares_over_gap(map: xr.Dataset) -> Figure:
-    """Draw, over the gap, the fractions of the region with certain motions, for all speeds together (section 5.7)."""
+    """Draw, over the gap, the fractions of the source's region of best performance with certain motions (section 5.7).
+
+    The fractions are of all lanes in that region of parameters, for all speeds together.
+    """
     figure, axes = single_panel(3.0)
     gaps = 1e3 * map.delta.values
 

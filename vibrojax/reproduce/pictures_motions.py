@@ -60,9 +60,9 @@ def limit_cycles(motions: Motions, titles: Titles) -> Figure:
 
 
 def friction_in_time(motion: xr.Dataset) -> Figure:
-    """Draw the friction force while the vibration grows, and after that together with the sliding speed.
+    """Draw the friction force in the first 12 s, and force and sliding speed after 39.2 s (Figs 5.32, 5.33).
 
-    See Figs 5.32, 5.33.
+    In the first panel the vibration grows; in the second panel it is periodic.
     """
     figure, panels = stacked(2, 1.6, share=False)
     time, friction, late = motion["time"].values, motion["friction_force"].values, window(motion, 39.2)

@@ -1,4 +1,4 @@
-"""A run of the reproduction: every entry with its verdict, every picture, and the datasets behind them."""
+"""A run of the reproduction: all results compared with the source, all pictures, and their datasets."""
 
 import time
 from collections.abc import Iterable
@@ -21,14 +21,14 @@ QUICK_SCENES = ("rotary", "vibro-impact")
 
 @dataclass(frozen=True)
 class Result:
-    """An entry, and the computed value with its verdict."""
+    """A result of the source (`entry`), and the computed value with its verdict, such as "agrees"."""
 
     entry: Entry
     here: Here
 
 
 class Reproduced(NamedTuple):
-    """A group with its results and pictures; a figure is None if its answers contain nothing to draw."""
+    """A group with its results and pictures; a figure is None if there is nothing to draw."""
 
     group: Group
     results: tuple[Result, ...]
@@ -51,16 +51,16 @@ class Reproduction:
 
     @property
     def score(self) -> dict[Verdict, int]:
-        """The number of results with each verdict."""
+        """The number of results that agree, agree in trend, differ, or cannot be compared with the source."""
         return {verdict: sum(result.here.verdict == verdict for result in self.results) for verdict in VERDICTS}
 
 
 def run_reproduction(groups: Iterable[Group] = GROUPS, quick: bool = False, progress: bool = True) -> Reproduction:
-    """Compute the entries of `groups`, and compare each with the source's statement.
+    """Compute the results in `groups`, and compare each with the source's statement.
 
     **Arguments:**
 
-    - `groups`: groups of entries and pictures, by default all.
+    - `groups`: groups of results and pictures, by default all.
     - `quick`: whether to compute only closed forms and single points of two scenes, which takes half a minute.
     - `progress`: whether to report the current computation and the progress on stderr.
 
@@ -92,12 +92,12 @@ def run_reproduction(groups: Iterable[Group] = GROUPS, quick: bool = False, prog
 
 
 def _quick_part(group: Group) -> Group:
-    """Return a group with only those entries and pictures that a quick run computes."""
+    """Return a group with only those results and pictures that a quick run computes."""
     entries = tuple(entry for entry in group.entries if _is_quick(entry))
     return replace(group, entries=entries, pictures=tuple(picture for picture in group.pictures if _is_quick(picture)))
 
 
 def _is_quick(item: Entry | Picture) -> bool:
-    """Return whether all needs are lanes of `QUICK_SCENES` with the scene's default friction law."""
+    """Return whether all required computations are lanes of `QUICK_SCENES` with the scene's default friction law."""
     lanes = [need for need in item.needs if isinstance(need, LaneNeed) and need.scene in QUICK_SCENES]
     return len(lanes) == len(item.needs) and not any(isinstance(v, str) for lane in lanes for _, v in lane.parameters)

@@ -17,15 +17,15 @@ IN_TREND: Final = "agrees in trend"
 DIFFERS: Final = "differs"
 NOT_COMPARED: Final = "cannot be compared"
 VERDICTS: tuple[Verdict, ...] = (DIFFERS, NOT_COMPARED, IN_TREND, AGREES)
-"""All verdicts, in the order of the HTML page: differences come first."""
+"""All outcomes of a comparison with the source, in the order of the HTML page: differences come first."""
 
 
 @dataclass(frozen=True)
 class Here:
     """The computed side of a result.
 
-    `text` begins with the computed number in the source's unit; `verdict` is the comparison with the source; `note` is
-    a remark.
+    `text` begins with the computed number in the source's unit; `verdict` is the outcome of the comparison with the
+    source; `note` is a remark.
     """
 
     text: str

@@ -1,6 +1,6 @@
 """The source's results as data: rows of `results.csv`; groups, pictures, findings and readings from `source.toml`.
 
-The entries `value`, `rule` and `draw` are expressions in the syntax of jinja2. They can use the variables that
+The fields `value`, `rule` and `draw` are expressions in the syntax of jinja2. They can use the variables that
 `collect` in `answers.py` returns, `x` for the result of `value`, and all public names of `_MODULES`. `here` and
 `remark` are strings with such expressions in braces. If `here` is empty, the text of the rule's judgement is used.
 """
@@ -30,7 +30,8 @@ from vibrojax.reproduce.rules import DIFFERS, FIELD, Here, formatted
 class Entry:
     """One result of the source: its id such as `fig-5.67b`, its subject (`what`), and the source's statement about it.
 
-    - `judge`: function of the answers to `needs`, in their order, that returns the judgement.
+    - `needs`: the computations that the comparison requires.
+    - `judge`: function that takes the computed values of all `needs`, in order, and returns the judgement.
     - `tolerance`: explanation of what counts as agreement.
     - `readings`: names (R1, R2, ...) of the readings of the source that the result depends on.
     """
@@ -46,9 +47,10 @@ class Entry:
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture with the axes of the source's figures `ids`.
+    """A picture of computed values, with the same axes as the source's figures `ids`.
 
-    `draw` is a function of the answers to `needs`, in their order, that returns the figure.
+    - `needs`: the computations that the picture requires.
+    - `draw`: function that takes the computed values of all `needs`, in order, and returns the figure.
     """
 
     ids: str
@@ -59,7 +61,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class Group:
-    """Entries and pictures under a common title, with an introductory text."""
+    """Results of the source (`entries`) and pictures under a common title, with an introductory text."""
 
     name: str
     title: str
@@ -69,7 +71,7 @@ class Group:
 
     @property
     def needs(self) -> list[Need]:
-        """The needs of all entries, followed by those of all pictures."""
+        """The computations that all entries require, followed by those that all pictures require."""
         of_entries = [need for entry in self.entries for need in entry.needs]
         return of_entries + [need for picture in self.pictures for need in picture.needs]
 
@@ -90,7 +92,10 @@ UNREADABLE = (ValueError, IndexError, ZeroDivisionError)
 
 
 def judged(entry: Entry, answers: list[Answer]) -> Here:
-    """Return the judgement of an entry; an answer that is missing or cannot be evaluated counts as a difference."""
+    """Return the judgement of an entry, given the computed values.
+
+    Values that are missing or cannot be evaluated count as a difference from the source.
+    """
     missing = [answer.reason for answer in answers if isinstance(answer, Unanswered)]
     if missing:
         return Here("nan", DIFFERS, f"could not be computed: {missing[0]}")
@@ -101,7 +106,7 @@ def judged(entry: Entry, answers: list[Answer]) -> Here:
 
 
 def drawn(picture: Picture, answers: list[Answer]) -> Figure | None:
-    """Return the figure, or None if an answer is missing or contains nothing to draw."""
+    """Return the figure, or None if computed values are missing or contain nothing to draw."""
     if any(isinstance(answer, Unanswered) for answer in answers):
         return None
     try:
@@ -129,7 +134,10 @@ def fill(text: str, names: Mapping[str, Any]) -> str:
 
 
 def _judge(row: Mapping[str, str], needs: tuple[Labelled, ...], *answers: Answer) -> Here:
-    """Return the judgement of a row of `results.csv` from the answers to its needs."""
+    """Evaluate the expressions of a row of `results.csv` with the computed values, and return the judgement.
+
+    `answers`: computed values of each of the `needs`, in order.
+    """
     names = collect(needs, list(answers))
     if row["value"]:
         names["x"] = compiled(row["value"])(names)
@@ -139,7 +147,7 @@ def _judge(row: Mapping[str, str], needs: tuple[Labelled, ...], *answers: Answer
 
 
 def _draw(expression: str, needs: tuple[Labelled, ...], *answers: Answer) -> Figure:
-    """Draw a picture: evaluate its expression with the answers to its needs."""
+    """Draw a picture: evaluate its expression with the computed values (`answers`) of all `needs`."""
     return styled(compiled(expression))(collect(needs, list(answers)))
 
 
@@ -154,7 +162,7 @@ ROWS = list(csv.DictReader((_FOLDER / "results.csv").read_text(encoding="utf-8")
 
 
 def _needs(text: str) -> tuple[tuple[Labelled, ...], tuple[Need, ...]]:
-    """Return the needs that `text` specifies, first with their labels and then without."""
+    """Return the computations that `text` specifies, first with their labels and then without."""
     labelled = read_needs(text, _SOURCE["needs"], _SOURCE["maps"])
     return labelled, tuple(need for _, need in labelled)
 

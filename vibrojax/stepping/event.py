@@ -84,11 +84,10 @@ class Landing(NamedTuple):
 
 
 def locate(event: Event, trial: Trial) -> Landing:
-    """Find the end of a trial step.
+    """Find where a trial step ends: at the first zero crossing of a guard or marker function.
 
-    The step ends at the first zero crossing of a function. If a check finds that another function crosses zero earlier,
-    or may have crossed zero twice within the step, the trial is rejected and repeated up to that point. Few repetitions
-    are needed, because each repetition is shorter.
+    The trial is rejected if another function crosses zero earlier, or may cross zero twice within the step. The step is
+    then repeated with the doubtful time as its limit. Few repetitions are needed, because each is shorter.
     """
     moving, reach = trial.moving, trial.reach
     if not trial.functions:

@@ -45,7 +45,7 @@ def _log(a: Series) -> Series:
 
 @elementary.sqrt.register
 def _sqrt(a: Series) -> Series:
-    """Return y = sqrt(a) from y² = a."""
+    """Return the Taylor series of sqrt(a), by a recurrence for its coefficients that follows from y² = a."""
 
     def term(k: int, y: Terms) -> Number:
         return (a[k] - total(times(y[j], y[k - j]) for j in range(1, k))) / (2 * y[0])

@@ -1,4 +1,7 @@
-"""Nature of each lane of a sweep by largest Lyapunov exponent: periodic, quasi-periodic, chaotic, or not settled."""
+"""Classification of lanes by largest Lyapunov exponent as periodic, quasi-periodic, chaotic, or not settled.
+
+The class of a lane is called its *nature*, after the dataset variable `nature`.
+"""
 
 from collections.abc import Mapping
 
@@ -33,7 +36,7 @@ may be a transient of any length. Over the default map, it ends in 4 to 6 of 100
 It ends in 5 lanes between 4,096 and 8,192 returns, and in 4 between 8,192 and 16,384."""
 
 EXPONENT_MIN_RETURNS, EXPONENT_MAX_RETURNS = 2048, 8192
-"""Least and greatest number of returns for an exponent; the number doubles as long as the nature is unclear."""
+"""Least and greatest number of returns for an exponent. The number is doubled until a lane can be classified."""
 
 UNSETTLED_LANES_TOGETHER = 512
 """Greatest number of lanes that are continued together, which bounds the memory for their returns."""
@@ -72,16 +75,16 @@ EMBEDDED_WITHIN = 0.5
 
 
 def nature(name: str) -> int:
-    """Return the flag of the nature `name`."""
+    """Return the flag value of `nature` with the meaning `name`, such as "chaotic"."""
     return NATURES.index(name)
 
 
 class Natures:
-    """Largest Lyapunov exponents of a sweep's lanes, and their natures, chunk by chunk.
+    """Computation of the largest Lyapunov exponents of a sweep's lanes, and classification of the lanes by them.
 
-    A periodic lane has the exponent of its orbit: the logarithm of the orbit's largest |multiplier| divided by the time
-    of one period. Other lanes are continued along the return map with a tangent vector, see
-    [vibrojax.analyses.chaos.tangents][].
+    An object is called with the features of one chunk at a time. A periodic lane has the exponent of its orbit: the
+    logarithm of the orbit's largest |multiplier| divided by the time of one period. Other lanes are continued along the
+    return map with a tangent vector, see [vibrojax.analyses.chaos.tangents][].
     """
 
     def __init__(self, sweep: Sweep) -> None:
@@ -104,7 +107,7 @@ class Natures:
         }
 
     def __call__(self, first: int, end: int, features: Features) -> Features:
-        """Return `lyapunov`, `lyapunov_stderr`, `zero_one` and `nature` of some lanes.
+        """Return the features `lyapunov`, `lyapunov_stderr`, `zero_one` and `nature` of some lanes.
 
         **Arguments:** `first` (inclusive), `end` (exclusive): range of lanes; `features`: features of the lanes by
         name, with last returns, and with orbits if the sweep has them.
@@ -132,7 +135,7 @@ class Natures:
         return result
 
     def _continue(self, lanes: Index, parameters: dict[str, np.ndarray], features: Features, result: Features) -> None:
-        """Continue non-periodic lanes until their natures are clear, and write exponents and natures to `result`."""
+        """Continue non-periodic lanes until they can be classified; write exponents and classes to `result`."""
         begin, scales = last_returns(self._scene, lanes, 1, features)
         # States that regime labels do not compare have no scale; their absolute value is used instead.
         size = np.maximum(np.abs(begin[:, 0]), np.finfo(float).tiny)
@@ -186,7 +189,10 @@ class Natures:
 def classify_growth(
     growth: Growth, repeat: Int[np.ndarray, " lanes"], exponent: PerLane, error: PerLane, last: bool
 ) -> tuple[Bool[np.ndarray, " lanes"], Int[np.ndarray, " lanes"]]:
-    """Return for which lanes the nature is clear (for all if `last`: no returns are left), and the natures."""
+    """Return a mask of the lanes that can be classified, and the flag value of `nature` of each lane.
+
+    `last`: True if no section crossings are left; then all lanes are classified.
+    """
     lost = ~np.isfinite(growth.states[-1]).all(axis=0)
     per_return = growth.time[-EXPONENT_BLOCKS:].mean(axis=0)
     threshold = np.maximum((FINAL_STDERRS if last else CLEAR_STDERRS) * error, ZERO_EXPONENT / per_return)

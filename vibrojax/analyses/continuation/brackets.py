@@ -1,4 +1,4 @@
-"""Brackets of test functions' zeros along branches, and their shrinking to the zeros."""
+"""Brackets around the zeros of test functions along branches, and the iteration that shrinks them."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -99,10 +99,11 @@ TestFunction = Callable[[Index, Evaluation, Unknowns], PerLane]
 def shrink_brackets(
     problem: Problem, brackets: BranchBrackets, test: TestFunction, events: Flags
 ) -> tuple[BranchBrackets, Flags]:
-    """Shrink brackets to the zeros of a test function; also return a mask of the located zeros.
+    """Shrink brackets around zeros of a test function; return the brackets and a mask of the located zeros.
 
-    Orbits are computed next to the predicted zero, at a distance equal to its uncertainty, so that both ends move.
-    Without a prediction the bracket is bisected. Where events begin or vanish, the test function may jump. Its sign
+    Each new orbit is computed next to the predicted zero, at a distance equal to the uncertainty of the prediction, so
+    that both ends of the bracket move. Without a prediction the bracket is bisected. If the number of events per period
+    (such as impacts) differs between the ends, the test function may jump in the bracket. The sign of the test function
     then separates the two sides, and zeros are predicted from the points of one side only.
 
     `events`: mask of brackets that are known to contain such a change. There orbits may exist on one side only, because

@@ -168,7 +168,10 @@ class _Search:
     progress: bool
 
     def run(self, bound: PerDirection) -> Brackets:
-        """Return the brackets of the smallest leaving pushes, each searched up to its `bound`."""
+        """Return brackets of the smallest pushes after which the motion leaves its cycle.
+
+        `bound`: greatest push that is tried at each point in each direction.
+        """
         scan = np.arange(1, self.spec.scan + 1) / self.spec.scan
         brackets = Brackets(np.zeros_like(bound), np.full_like(bound, np.nan), np.zeros(bound.shape, int))
         top, mask = bound, np.ones(bound.shape, bool)

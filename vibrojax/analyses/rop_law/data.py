@@ -158,7 +158,7 @@ def _check_rows(place: Place, header: list[str], rows: Rows) -> None:
 
 
 def _warn_of_unit(place: Place, name: str, column: Column, values: Float[np.ndarray, " rows"]) -> None:
-    """Warn if the median of a column is far from the usual values, which suggests that the unit is another."""
+    """Warn if the median of a column is far from the usual values, which suggests that its unit is wrong."""
     known = np.abs(values[np.isfinite(values) & (values != 0)])
     if not known.size or not (quantity := KNOWN[name]).is_far(median := float(np.median(known))):
         return

@@ -1,7 +1,8 @@
-"""Alternative forms of the rate-of-penetration law, all fitted to the same data.
+"""Alternative formulas ("forms") of the rate-of-penetration law, all fitted to the same data.
 
 The source's law, rate = C ln(P/D) (eq. 6.4), gives a negative rate if the relief P/D is below 1. It is therefore read
-in three ways: as printed, with P/D in percent, and with an onset. A straight line and a power law serve as comparison.
+in three ways: as printed, with P/D in percent, and as C ln((P/D)/eta0) with a fitted onset eta0, the relief at which
+penetration begins. A straight line and a power law serve as comparison.
 """
 
 from collections.abc import Callable
@@ -21,7 +22,7 @@ from vibrojax.analyses.rop_law.least_squares import (
 )
 
 Coefficients = Float[np.ndarray, " 3"]
-"""C (in the unit of the rate), eta0 and exponent; NaN for a coefficient that the form does not have."""
+"""C (in the unit of the rate), eta0 and exponent; NaN for a coefficient that the formula does not have."""
 
 Slopes = Float[np.ndarray, "3 coefficients"]
 """Derivatives of `Coefficients` with respect to the fitted parameters theta."""
@@ -29,7 +30,7 @@ Slopes = Float[np.ndarray, "3 coefficients"]
 
 @dataclass(frozen=True)
 class Form:
-    """A form of the law: the rate as a function of z = (t - centre)/spread, a variable t(eta) scaled in each group.
+    """A formula of the law: the rate as a function of z = (t - centre)/spread, a variable t(eta) scaled in each group.
 
     eta is the relief P/D. `variable` is the function t, and `inverse` converts t to eta. `kind` is one of
 

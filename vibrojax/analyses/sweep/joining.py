@@ -1,7 +1,8 @@
-"""Assembly of a sweep's dataset from its finished chunks, region by region, to limit the memory needed.
+"""Assembly of a sweep's dataset from its finished chunks, one block of lanes after another, to limit memory.
 
-Three threads work on successive regions: one reads and checks chunks, one labels lanes, and one writes values. A large
-dataset is written about as fast as the disk allows; compression is slower, see [vibrojax.io.packing][].
+A block, here called region, fills a box in the dataset's arrays. Three threads work on successive regions: one reads
+and checks chunks, one labels lanes, and one writes values. A large dataset is written about as fast as the disk allows;
+file compression is slower, see [vibrojax.io.packing][].
 """
 
 import json
@@ -31,7 +32,7 @@ REGIONS_AHEAD = 2
 """Number of regions that are read or labelled in advance of writing."""
 
 PACKING_SAMPLES = 4
-"""Number of evenly spaced chunks of a large dataset from which the effect of compression is estimated."""
+"""Number of evenly spaced chunks of a large dataset from which the effect of file compression is estimated."""
 
 Read = Callable[[int], Features]
 """Function that returns a finished chunk's features. Every index is read once, in order. Before that, a few chunks of a
@@ -80,7 +81,7 @@ def join(sweep: Sweep, chunks: Chunks, read: Read, target: Target, wall_time: Wa
 
 
 class _Part(NamedTuple):
-    """Regions that are written together, the variables of their lanes, and the number of time steps of these lanes."""
+    """Array regions that are written together, the variables of their lanes, and the lanes' number of time steps."""
 
     regions: list[Region]
     variables: dict[str, np.ndarray]
@@ -148,7 +149,7 @@ class _Lanes:
 
 
 def _groups(sweep: Sweep) -> Iterator[list[Region]]:
-    """Yield groups of regions; each group holds all initial conditions of its points."""
+    """Yield groups of array regions; each group holds all initial conditions of its points."""
     starts = sweep.shape[-1] if sweep.crosses_starts else 1
     group: list[Region] = []
     for region in _regions(sweep):

@@ -55,7 +55,7 @@ _LETTERS_PER_INCH = 17  # number of characters that fit on an axis label per inc
 _NO_PENETRATION = ListedColormap([NOTHING], name="nothing")
 _SYMBOLS = {"mean_force": "P", "relief": "P/D"}
 
-# The region of "best" stable single impacts (source, chapter 5).
+# The region of parameters with "best" stable single impacts (source, chapter 5).
 REGION = {"beta": (0.25, 0.60), "gamma": (0.60, 0.80)}
 _REGION_NAME = "source's best region"
 
@@ -122,11 +122,11 @@ def rate_grid(ds: xr.Dataset, x: str | None = None, y: str | None = None) -> Fig
     return drawn.figure
 
 
-# Cells.
+# Cells of a map.
 
 
 class Corners(NamedTuple):
-    """The cell edges of a map along its two axes."""
+    """The edges of a map's cells along its two axes."""
 
     right: Float[np.ndarray, " columns+1"]
     top: Float[np.ndarray, " rows+1"]
@@ -148,7 +148,7 @@ def draw_cells(panel: Panel, x: str, y: str) -> None:
 
 
 def fill_cells(panel: Panel, x: str, y: str, cells: Coloured) -> Corners:
-    """Fill the cells (y, x) of `panel` with colours, and return the cell edges along the axes."""
+    """Draw the map cells (y, x) of `panel` in their colours, and return the edges of the cells along the axes."""
     across, up = (values_along(panel.facet[name]) for name in (x, y))
     corners = Corners(edges(across), edges(up))
     masked = np.ma.masked_invalid(cells.cells)
@@ -174,7 +174,7 @@ def write_labels(panel: Panel, x: xr.DataArray, y: xr.DataArray) -> None:
 
 
 def _outline_single(axes: Axes, single: Bool[np.ndarray, "rows columns"], corners: Corners) -> None:
-    """Draw the edges between cells with and without a single impact."""
+    """Draw the edges between map cells with and without a single impact."""
     right, top = corners
     upright = [
         ((right[j + 1], top[i]), (right[j + 1], top[i + 1])) for i, j in np.argwhere(single[:, 1:] != single[:, :-1])
@@ -186,7 +186,7 @@ def _outline_single(axes: Axes, single: Bool[np.ndarray, "rows columns"], corner
 
 
 def _mark_cells(panel: Panel, x: str, y: str) -> dict[str, Artist]:
-    """Mark cells with a hidden motion or a sensitivity to rounding, and return the legend entries by variable."""
+    """Mark lanes with a hidden motion or sensitive to rounding errors; return the legend entries by variable."""
     # Two lines: a longer legend entry would make its panel wider than the others.
     text = "same label, other motion\nfrom another start"
     dot = Line2D([], [], label=text, marker="o", markersize=3.0, markeredgewidth=0.0, linestyle="none", color=INK)
@@ -204,7 +204,7 @@ def _mark_cells(panel: Panel, x: str, y: str) -> dict[str, Artist]:
     return {name: handle for name, handle in handles.items() if name in panel.facet}
 
 
-# The source's region, the relief, and constants.
+# The source's region of parameters, the relief, and constants.
 
 
 def outline_region(axes: Axes, x: str, y: str) -> None:
@@ -221,7 +221,7 @@ def outline_region(axes: Axes, x: str, y: str) -> None:
 
 
 def region_handle(axes: Axes) -> list[Artist]:
-    """Return the legend entry of the source's region, or no entry if `axes` does not show the region."""
+    """Return the legend entry of the source's region, or none if `axes` does not show the region."""
     shown = any(isinstance(patch, Rectangle) and patch.get_label() == _REGION_NAME for patch in axes.patches)
     return [Patch(fill=False, edgecolor=INK, linewidth=1.3, label=_REGION_NAME)] if shown else []
 

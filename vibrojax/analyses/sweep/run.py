@@ -134,10 +134,10 @@ def run_to_file(
 
 @contextmanager
 def lanes_beside(sweep: Sweep, out: Path, resume: bool = True, progress: bool = True) -> Iterator[xr.Dataset]:
-    """Yield the dataset of a sweep, in memory, from which the `with` block creates `out`.
+    """Run a sweep for a `with` block that creates the file `out` from the sweep's dataset, which is in memory.
 
-    The finished chunks are kept next to `out` until the block ends. With `resume`, continue with the existing chunks;
-    otherwise start over.
+    The finished chunks are stored on disk next to `out`. They are deleted when the block ends without an error.
+    `resume`: whether to continue with existing chunks; otherwise start over.
 
     **Raises:** `InputError` if the existing chunks belong to another sweep, or if memory or disk are too small.
     """

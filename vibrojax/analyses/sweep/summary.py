@@ -1,4 +1,4 @@
-"""Summary of a sweep's lanes: regimes, orbits, natures, failures and accuracy."""
+"""Summary of a sweep's lanes: regimes, orbits, periodic and chaotic motion (`nature`), failures and accuracy."""
 
 from collections.abc import Hashable
 from typing import Any

@@ -1,4 +1,4 @@
-"""Translation rules for primitives that rearrange array entries. These rules emit no instructions."""
+"""Translation rules for primitives that rearrange array elements. These rules emit no instructions."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -28,7 +28,7 @@ def _reshape(equation: Any, values: Sequence[Value]) -> list[Value]:
 
 
 def _entries_before_lanes(shape: tuple[int, ...]) -> int | None:
-    """Return the number of entries along the axes before the lane axis, or None if there is no lane axis."""
+    """Return the number of array elements along the axes before the lane axis, or None if there is no lane axis."""
     return math.prod(shape[: shape.index(LANES)]) if LANES in shape else None
 
 
@@ -72,7 +72,7 @@ def arrange(equation: Any, values: Sequence[Value]) -> list[Value]:
 
 
 MOVED_AXES = {"concatenate": "dimension", "unstack": "axis", "split": "axis", "rev": "dimensions"}
-"""Parameter of each primitive that holds the axes along which entries move."""
+"""Parameter of each primitive that holds the axes along which array elements move."""
 
 RULES: dict[str, ArrangementRule] = {
     "broadcast_in_dim": _broadcast,

@@ -98,7 +98,7 @@ class Assembly:
         return self.type(np.dtype(np.int8) if dtype == BOOL else dtype, varying)
 
     def register(self, entry: Entry) -> Operand:
-        """Return an entry as a register or literal, and load it from memory if necessary."""
+        """Return an array element as a register or literal; a slot is loaded from memory."""
         if isinstance(entry, Operand):
             return entry
         if not entry.pointer:
@@ -108,7 +108,7 @@ class Assembly:
         return self._read[entry.pointer]
 
     def vector(self, entry: Entry) -> str:
-        """Return the IR text of an entry as a vector, even if the entry is the same for all lanes."""
+        """Return the IR text of an array element as a vector, even if the element is the same for all lanes."""
         x = self.register(entry)
         if x.varying:
             return x.text
@@ -119,7 +119,7 @@ class Assembly:
         return self.let(f"shufflevector {whole} {first}, {whole} poison, <{self.width} x i32> zeroinitializer")
 
     def text(self, entry: Entry, varying: bool) -> str:
-        """Return the IR text of an entry, as a vector if `varying`."""
+        """Return the operand for an array element in IR syntax: as a vector if `varying`, else as a scalar."""
         return self.vector(entry) if varying else self.register(entry).text
 
     def load(self, slot: Slot, alignment: int) -> Operand:
@@ -131,7 +131,7 @@ class Assembly:
         return Operand(x, slot.dtype, slot.varying)
 
     def store(self, entry: Entry, slot: Slot, alignment: int | None = None) -> None:
-        """Emit a store of an entry to a slot."""
+        """Emit a store of an array element to a slot."""
         x = self.text(entry, slot.varying)
         kind = self.type_in_memory(slot.dtype, slot.varying)
         if slot.dtype == BOOL:
@@ -212,5 +212,5 @@ def array_entries(asm: Assembly, place: int, aval: Any) -> Value:
 
 
 def placeholder(aval: Any) -> Value:
-    """Return entries without memory, for an array that only a loop reads or fills, row by row."""
+    """Return a placeholder for an array that only a loop reads or writes, row by row; its slots cannot be loaded."""
     return build(without_lanes(aval.shape), lambda _: Slot("", dtype_of(aval), varies(aval)))

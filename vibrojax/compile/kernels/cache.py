@@ -1,4 +1,4 @@
-"""Disk cache of compiled kernels and of verdicts on them, in the user's cache folder.
+"""Disk cache, in the user's cache folder, of compiled kernels and of the results of their comparison with XLA.
 
 A cached kernel is machine code that this process runs. Whoever can write the file can thus run code with the rights of
 the user. There are two safeguards:

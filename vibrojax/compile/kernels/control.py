@@ -72,7 +72,7 @@ def _while(asm: Assembly, write: Write, equation: Any, values: Sequence[Value], 
 
 
 def scanned(equation: Any) -> list[Any]:
-    """Return the variables that a scan reads row by row, or an empty list for other equations."""
+    """Return the input arrays that a jaxpr equation scans row by row; an empty list if it is not a `scan`."""
     if equation.primitive.name != "scan":
         return []
     return _with_rows(equation.invars, equation.params["jaxpr"].jaxpr.invars)
@@ -84,7 +84,7 @@ def _with_rows(outside: Sequence[Any], inside: Sequence[Any]) -> list[Any]:
 
 
 def _scan(asm: Assembly, write: Write, equation: Any, values: Sequence[Value], owned: Collection[int]) -> list[Value]:
-    """Emit a scan, a loop of a known number of iterations.
+    """Emit a `scan` equation, a loop of a known number of iterations.
 
     The scan may read arguments of the kernel and fill results of the kernel row by row, forwards or backwards.
     """

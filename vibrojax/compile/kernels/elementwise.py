@@ -13,7 +13,10 @@ from vibrojax.compile.kernels.rules import ANY, FLOATS, INTEGERS, NUMBERS, Appli
 
 
 def apply(asm: Assembly, name: str, params: Mapping[str, Any], entries: list[Entry], gives: np.dtype) -> Operand:
-    """Emit a primitive for one entry of each argument; raise `Untranslatable` for types without a rule."""
+    """Emit a primitive for one array element of each argument.
+
+    **Raises:** `Untranslatable` for types without a rule.
+    """
     if name in COMPOSED:
         return COMPOSED[name](asm, entries)
     rule, op = RULES[name], Application(asm, params, entries, gives)

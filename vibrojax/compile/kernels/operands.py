@@ -11,7 +11,7 @@ BOOL = np.dtype(bool)
 
 LANES = 1009
 """Length of the lane axis while a function is traced: a large prime, so that no other axis is mistaken for the lane
-axis. A kernel has no lane axis: each array entry represents one value in all lanes of a group."""
+axis. A kernel has no lane axis: each array element represents one value in all lanes of a group."""
 
 LLVM_TYPES = {
     "float64": "double",
@@ -61,13 +61,14 @@ class Slot(NamedTuple):
 
 
 Entry = Operand | Slot
+"""An element of an array in a kernel: a register, a literal, or a slot in memory."""
 
 Value = np.ndarray[Any, np.dtype[np.object_]]
-"""A jax array in a kernel: a numpy array of entries. Its lane axis has length 1."""
+"""A jax array in a kernel: a numpy array whose elements are `Entry`. Its lane axis has length 1."""
 
 
 def build(shape: tuple[int, ...], entry: Callable[[tuple[int, ...]], Entry]) -> Value:
-    """Return an array with `entry(index)` at each index. `entry` is called in row-major order."""
+    """Return an array with the element `entry(index)` at each index. `entry` is called in row-major order."""
     array = np.empty(shape, object)
     for index in np.ndindex(array.shape):
         array[index] = entry(index)

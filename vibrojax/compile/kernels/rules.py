@@ -13,7 +13,7 @@ FLOATS, INTEGERS, NUMBERS, ANY = "f", "iu", "fiu", "fiub"
 
 
 class Application:
-    """A primitive applied to one entry of each of its arguments.
+    """A primitive applied to one array element of each of its arguments.
 
     - `x`: IR texts of the arguments. If one argument is a vector, `varying` is True and all are vectors.
     - `dtype`: type of the first argument. `gives`: type of the result.

@@ -1,4 +1,4 @@
-"""Translation rules for primitives that combine array entries: reductions, row selection, sorting."""
+"""Translation rules for primitives that combine array elements: reductions, row selection, sorting."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -92,7 +92,7 @@ def _in_memory(asm: Assembly, rows: Value) -> Value:
 def _stride(rows: Value) -> int | None:
     """Return the distance of rows (first axis) in the workspace [bytes].
 
-    Return None if entries are not in the workspace or their distances are not all equal.
+    Return None if array elements are not in the workspace or their distances are not all equal.
     """
     if not all(isinstance(entry, Slot) and entry.varying and entry.offset is not None for entry in rows.flat):
         return None
@@ -194,7 +194,7 @@ def scatter(asm: Assembly, equation: Any, values: Sequence[Value], in_place: boo
     if not by_row.size or new.size != by_row[0].size or by_row.flat[0].dtype == BOOL:
         raise Untranslatable("a scatter of no rows, of parts of rows, or of booleans")
     slots = [entry for entry in by_row.ravel().tolist() if isinstance(entry, Slot)]
-    shared = len({slot.pointer for slot in slots}) < by_row.size  # entries of a broadcast array share their memory
+    shared = len({slot.pointer for slot in slots}) < by_row.size  # elements of a broadcast array share memory
     if not in_place or _stride(by_row) is None or shared:
         old = by_row
         by_row = _in_memory(asm, build(old.shape, lambda index: asm.register(old.item(index))))
@@ -215,7 +215,7 @@ def scatter(asm: Assembly, equation: Any, values: Sequence[Value], in_place: boo
 def _sort(asm: Assembly, equation: Any, values: Sequence[Value]) -> list[Value]:
     """Emit a stable sort of the rows of arrays by the first array, with NaN last (odd-even transposition).
 
-    The rows are in memory and the passes form one loop, so that the IR text stays short.
+    The rows are in memory and the passes form one loop, so that the IR stays short.
     """
     axis, keys = equation.params["dimension"], equation.params["num_keys"]
     columns = [np.moveaxis(value, axis, 0) for value in values]

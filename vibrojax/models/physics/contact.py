@@ -34,9 +34,9 @@ def force(compression: Real, rate: Real, k0: Real, c0: Real) -> Any:
 
 
 def damping_ratio(mass: Real, k0: Real, c0: Real) -> Any:
-    """Return the damping ratio xi = c0/(2 m W) [1], W = sqrt(k0/m), of a mass m [kg] on the contact.
+    """Return the damping ratio xi = c0/(2 m W) [1] of a mass m [kg] that touches the contact, with W = sqrt(k0/m).
 
-    xi = 1 is critical damping.
+    `k0`, `c0`: stiffness [N/m] and damping [N s/m] of the contact. xi = 1 is critical damping.
     """
     return c0 / (2 * jnp.sqrt(k0 * mass))
 

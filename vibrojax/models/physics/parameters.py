@@ -43,7 +43,7 @@ class Parameter:
         return not (low / FAR_FACTOR if low > 0 else 0.0) <= abs(value) <= FAR_FACTOR * max(abs(low), abs(high))
 
     def problem(self, value: float) -> str | None:
-        """Return a message why `value` is not admissible and which values are, or None if `value` is admissible."""
+        """Return an error message that states the admissible values, or None if `value` is admissible."""
         if not isfinite(value):
             return f"is {value}; a finite number is needed"
         unit = "" if self.unit == "1" else f" {self.unit}"

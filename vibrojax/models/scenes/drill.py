@@ -98,10 +98,11 @@ def _overtaken(c: WithDrill) -> Any:
 
 @dataclass(frozen=True)
 class Drill(HasFriction[D]):
-    """Bit and striker with friction; a subclass adds the forces between them and the rock below them.
+    """Bit and striker on their springs, with dry friction on the bit.
 
-    The first states are x1, x1', x2, x2', and the first mode is `slip`. At a section crossing the bit overtakes the
-    drive. The methods from `impact` to `other_reset` describe the additions; by default there are none.
+    The first states are x1, x1', x2, x2', and the first mode is `slip`. At a section crossing x1' becomes positive: the
+    bit begins to move faster than the drive. A subclass may add a contact of striker and bit, and rock below the bit.
+    It overrides the methods from `impact` to `other_reset`, which by default add no forces, states, modes or guards.
     """
 
     friction: FrictionLaw = FRICTION_LAWS["stribeck"]

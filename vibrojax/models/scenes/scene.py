@@ -125,7 +125,10 @@ class Scene(ABC, Generic[C]):
         return None
 
     def scaled(self, c: C, state: Values) -> C:
-        """Return the constants adapted to the initial `state`, which may cause a much faster motion than usual."""
+        """Return the constants adapted to an initial `state` that causes a much faster motion than usual.
+
+        By default the constants are returned unchanged.
+        """
         return c
 
     def validity(self, c: C, mode: Values, polynomials: tuple[list[Array], ...]) -> Any:

@@ -46,9 +46,9 @@ class LastReturns(NamedTuple):
     """Consecutive section crossings of lanes with the same number of crossings per period, the newest first.
 
     - `states`: states at the section, divided by their scales.
-    - `measured`: sums of which period and, if there are impacts, impact velocity are means. Each entry holds three
-      items: the sum since the previous crossing (of time [s] or of velocities [m/s]), the number of its terms (None for
-      one term), and the lane's mean.
+    - `measured`: sums of which period and, if there are impacts, impact velocity are means. Each tuple holds
+      three items: the sum since the previous crossing (of time [s] or of velocities [m/s]), the number of its terms
+      (None for one term), and the lane's mean.
     """
 
     states: States
@@ -56,10 +56,10 @@ class LastReturns(NamedTuple):
 
 
 class Recurrence(NamedTuple):
-    """Recurrence d_k = sum_j c_j d_{k-jp} with its `coefficients` c_j.
+    """Fitted recurrence d_k = sum_j c_j d_{k-jp} of the differences between section crossings that are p apart.
 
-    - `residual`: relative residual of the fit.
-    - `radius`: largest modulus of its multipliers.
+    - `coefficients`: the c_j; `residual`: relative residual of the fit.
+    - `radius`: largest modulus of the roots of the recurrence's characteristic polynomial, which estimate multipliers.
     """
 
     coefficients: Float[np.ndarray, "lanes order"]
@@ -155,7 +155,10 @@ def _differences(values: States, lag: int) -> States:
 
 
 def _means(total: Series, count: Series | None, repeat: int) -> Series:
-    """Return moving means over `repeat` consecutive section crossings: per crossing, or per term by `count`."""
+    """Return moving averages of the sums `total` over `repeat` consecutive section crossings.
+
+    A window is divided by its number of crossings or, if `count` is not None, by its number of terms, such as impacts.
+    """
     windows = total.shape[1] - repeat
     over = np.sum([total[:, k : k + windows] for k in range(repeat)], axis=0)
     if count is None:

@@ -152,10 +152,12 @@ def _scalars(c: Any) -> Any:
 def states_shown(
     scene: Scene[Any], motion: SampledMotion, record: Record | None, step_of: Int[Array, " samples"] | None
 ) -> dict[str, AlongTime]:
-    """Return the sampled states. With rock, x3 and x4 replace compression and growth.
+    """Return the sampled states by name; with rock, x3 (bit) and x4 (hole) instead of `compression` and `growth`.
 
-    x3 and x4 accumulate over all impacts. They are computed from `record` and from `step_of`, the index of the step
-    that contains each sample.
+    `growth` is reset to zero at each impact or pulse. x4 is its sum since the start, and x3 is x4 plus `compression`.
+
+    **Arguments:** `record`: the record of all steps; `step_of`: index of the step that contains each sample. If either
+    is None, x3 and x4 are left out.
     """
     variables: dict[str, AlongTime] = {}
     x3 = x4 = None
