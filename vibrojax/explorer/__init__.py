@@ -2,33 +2,34 @@
 
 (The public function is `vibrojax.explore`; a package of that name would hide it.)
 
-`mount(element, {data, source, state, onPick, onState})` of `page/mount.js` shows a dataset in an element of a page.
-`data` is its *document* (below), and `source` returns the cells of motions. A page has its own `embeddedSource`; a
-server or a widget sends `encode([cell])`. `state` is the fragment of an address,
+`mount(element, {data, source, state, onPick, onState})` of `page/mount.js` shows a dataset in an HTML element. `data`
+is the *document* of the dataset, a JSON object (below). `source` returns motions, each encoded as a `Cell`, the data
+that the page shows for one map cell. An HTML file reads them from itself (`embeddedSource`); a server or a widget sends
+`encode([cell])`. `state` is the fragment of the page's address,
 `variable=regime&x=gamma&y=beta&at.beta=0.4&...`.
 
-**The document:**
+**The JSON document:**
 
     {"format": 1, "kind": "grid" | "family" | "motion",
      "title", "scene", "source", "notes": [text, ...],
      "axes": [{"name", "label", "symbol", "units" and "factor" (shown = value * factor), "numeric", "log",
-               "values": [...], "columns": [the same, along a list of points or starts]}],
+               "values": [...], "columns": [the same, along a list of points or initial conditions]}],
      "variables": [{"name", "label", "long_name", "units", "factor", "axes": [names], "flags": {flag: meaning} | null,
                     "colours": {flag: colour} | null, "map": a name in `maps` | null, "low", "high" (shown), "log",
                     "extend", "nothing_at_zero", "whole", "data": a packed array, see `encoding.pack`}],
      "maps": {name: 256 colours},
-     "lanes": a packed array with its "axes": the number of the lane of each cell | null,
+     "lanes": a packed array with its "axes": the number of the lane of each map cell | null,
      "fixed": {coordinates without an axis},
-     "region": {axis: [low, high]}: the source's, SI,
-     "run": the parts of a cell's command line, see `document.run_document`: {"own_scene": true}, or
+     "region": {axis: [low, high]}: the source's region of best performance, SI,
+     "run": the parts of the command that simulates a lane, see `document.run_document`: {"own_scene": true}, or
             {"own_scene": false, "scene", "parameters": {name: value}, "options", "start": word, vector or null,
              "duration", and the allowed words: "names" of parameters, "starts", "states" of a vector, "rocks"} | null,
      "curves": {"colours": {kind: colour}, "list": [{"kind", "at": {axis: value}, "points": {axis: values}}]} | null,
      "family": {"runs", "special", ...} only of families,
-     "cells": {"size", "blocks"} of the cells in the page | null,
+     "cells": {"size", "blocks"} of the motions stored in the page | null,
      "without": the reason why there are no motions}
 
-`encoding` describes the form of a cell.
+`encoding` describes the binary format of a `Cell`.
 """
 
 from vibrojax.explorer.encoding import Cell as Cell

@@ -1,4 +1,4 @@
-"""The class behind [vibrojax.explorer.widget.explore][], in its own module because it needs anywidget."""
+"""The class behind [vibrojax.explorer.widget.explore][], in its own module because it imports anywidget."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -50,7 +50,7 @@ class Explorer(anywidget.AnyWidget):
 
     @property
     def lane(self) -> xr.Dataset:
-        """The dataset at the selected cell."""
+        """The dataset of the lane that belongs to the selected map cell."""
         return self.dataset.isel({name: index for name, index in self.cell.items() if name in self.dataset.dims})
 
     @traitlets.validate("cell")
@@ -74,12 +74,15 @@ class Explorer(anywidget.AnyWidget):
         self.cell = self._nearest_cell(change["new"])
 
     def _point_of(self, cell: Mapping[str, int]) -> dict[str, Any]:
-        """Return the coordinates of a cell by name, in SI."""
+        """Return the coordinates of a map cell by name, in SI units."""
         columns = [(column, cell[name]) for name, axis in self._axes.items() for column in axis["columns"] or [axis]]
         return {column["name"]: column["values"][index] for column, index in columns}
 
     def _nearest_cell(self, point: Mapping[str, Any]) -> dict[str, int]:
-        """Return the cell nearest to a point; along axes that the point does not name, the selected one."""
+        """Return the map cell nearest to a point.
+
+        Along axes without a coordinate in `point`, the index of the selected cell is kept.
+        """
         cell, remaining = dict(self.cell), dict(point)
         for name, axis in self._axes.items():
             columns = {column["name"]: column["values"] for column in axis["columns"] or [axis]}
@@ -93,7 +96,7 @@ class Explorer(anywidget.AnyWidget):
         return cell
 
     def _answer(self, _: object, message: Any, buffers: object) -> None:
-        """Send a motion that the page requests, or the reason why there is none."""
+        """Send the motion that the page requests, or an error message."""
         if self.motions is None or not isinstance(message, dict) or "id" not in message:
             return
         request = {name: value for name, value in message.items() if name != "id"}
@@ -110,7 +113,10 @@ class Explorer(anywidget.AnyWidget):
 
 
 def _distance(place: Place, values: list[Any], target: object) -> np.ndarray:
-    """Return the squared distance of each value from the target, relative to their span; names are equal or not."""
+    """Return the squared distance of each value from the target, relative to the span of the values.
+
+    The distance of a string is 0 if it equals the target, else 1.
+    """
     if isinstance(values[0], str):
         if target not in values:
             raise place.error(f"{shown(target)} is not one of its values; {suggestion(str(target), values)}")

@@ -1,8 +1,9 @@
-"""An HTTP server for one page on this machine: access control and limits; [vibrojax.explorer.live][] gives the answers.
+"""An HTTP server for one explorer page on this machine: access control and limits.
 
-The server protects itself from other pages in the same browser. It listens on the loopback only, and its token is new
-each time and compared in constant time. The Host must be its own, otherwise a foreign name could be made to lead here.
-An Origin, if the browser sends one, must be its own too.
+[vibrojax.explorer.live][] computes the responses. The server protects itself from other web pages in the same browser.
+It listens on the loopback interface only. Its token is new at each start and is compared in constant time. The Host
+header must be the server's own, since another host name could be made to resolve to this machine. An Origin header, if
+the browser sends one, must be the server's own, too.
 """
 
 import hmac
@@ -25,22 +26,22 @@ from vibrojax.progress import LOG
 HOST = "127.0.0.1"
 
 BODY_MAX_BYTES = 16_384
-"""Bytes of a request's body: parameters and a start need a few hundred."""
+"""Maximum size of a request body; parameters and an initial condition take a few hundred bytes."""
 
 MAX_CONNECTIONS = 32
-"""Connections open at once; a browser opens six."""
+"""Maximum number of open connections; a browser opens six."""
 
 HEADER_MAX_SECONDS = 3.0
-"""Seconds until a connection must have shown the token: a browser sends the whole header at once."""
+"""Time within which a connection must have sent the token; a browser sends the complete header at once."""
 
 SILENCE_MAX_SECONDS, REQUEST_MAX_SECONDS = 5.0, 30.0
-"""Seconds that a request with the token may stay silent, and may take altogether, with its answer."""
+"""Longest pause in a request with the token, and longest total time including its response."""
 
 RETRY_SECONDS = 1
-"""Seconds after which a refused client may try again."""
+"""Time after which a rejected client may try again."""
 
 METHODS = {"": ("GET", "HEAD"), "motion": ("POST",)}
-"""Allowed methods by the path below the token."""
+"""Allowed methods by the path after the token."""
 
 BLOCK_TYPE, HTML_TYPE = "application/octet-stream", "text/html; charset=utf-8"
 
@@ -54,11 +55,11 @@ SECURITY_HEADERS = {
 }
 
 Ask = Callable[[str, int, dict[str, Any]], bytes]
-"""`ask(client, number, request)` returns a block; it raises `InputError` or `RefusedRequest`."""
+"""`ask(client, number, request)` returns an encoded motion; it raises `InputError` or `RefusedRequest`."""
 
 
 class RefusedRequest(Exception):
-    """The answer to a refused request: a status, and the reason in one line."""
+    """A rejected request: the HTTP status of the response, and the reason in one line."""
 
     def __init__(self, status: HTTPStatus, reason: str) -> None:
         super().__init__(reason)
@@ -67,7 +68,7 @@ class RefusedRequest(Exception):
 
 @dataclass
 class _Connection:
-    """An open connection: its start, and whether its header has shown the token."""
+    """An open connection: `since`, the time at which it was opened, and `admitted`, True if it has sent the token."""
 
     since: float
     admitted: bool = False
@@ -76,12 +77,12 @@ class _Connection:
 class Server(ThreadingHTTPServer):
     """A server with one thread per connection, and limits on the number and duration of connections.
 
-    A connection that has not shown the token has little time. When there are too many, the oldest of these is closed.
-    Without the token, nobody can therefore block the page, however many connections they open and however slowly they
-    send.
+    A connection that has not sent the token has a short time limit. If there are too many connections, the oldest
+    connection without the token is closed. Clients without the token can therefore not block the page, however many
+    connections they open and however slowly they send.
     """
 
-    daemon_threads = False  # so that closing waits for them
+    daemon_threads = False  # so that closing waits for the threads
     allow_reuse_address = False
     request_queue_size = 64
 
@@ -93,7 +94,7 @@ class Server(ThreadingHTTPServer):
         self.names = {f"{host}:{self.server_address[1]}" for host in (HOST, "localhost")}
 
     def verify_request(self, request: Any, client_address: Any) -> bool:
-        """Make room for a connection; return whether there is room, and answer 503 if there is none."""
+        """Make room for a connection, and return whether there is room; if not, send the status 503."""
         with self._lock:
             evicted = []
             if len(self._open) >= MAX_CONNECTIONS:
@@ -114,7 +115,7 @@ class Server(ThreadingHTTPServer):
         return has_room
 
     def admit(self, request: socket.socket) -> None:
-        """Mark a connection whose header contained the token: it has the longer time limit and is not evicted."""
+        """Admit a connection that has sent the token: it gets the longer time limit and is not evicted."""
         with self._lock:
             if request in self._open:
                 self._open[request].admitted = True
@@ -141,7 +142,7 @@ class Server(ThreadingHTTPServer):
 
     def _hang_up(self, connections: list[socket.socket]) -> None:
         for connection in connections:
-            with suppress(OSError):  # it may have ended already
+            with suppress(OSError):  # the connection may be closed already
                 connection.shutdown(socket.SHUT_RDWR)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
@@ -150,7 +151,7 @@ class Server(ThreadingHTTPServer):
 
 
 class _Handler(BaseHTTPRequestHandler):
-    """One request; the connection ends with its answer."""
+    """Handler of one request; the connection is closed after the response."""
 
     server: Server
     timeout = SILENCE_MAX_SECONDS
@@ -159,7 +160,7 @@ class _Handler(BaseHTTPRequestHandler):
     has_unread_body = False
 
     def finish(self) -> None:
-        """End the connection after reading the rest of the request: closing earlier could lose the answer."""
+        """Close the connection after reading the rest of the request; closing it earlier could lose the response."""
         super().finish()
         if not self.has_unread_body:
             return
@@ -171,7 +172,7 @@ class _Handler(BaseHTTPRequestHandler):
                 pass
 
     def _answer(self) -> None:
-        """Answer with the page or a motion, or refuse the request."""
+        """Send the page, a motion, or an error status with the reason."""
         self.has_unread_body = "Content-Length" in self.headers or "Transfer-Encoding" in self.headers
         try:
             path = self._check_access()
@@ -215,7 +216,7 @@ class _Handler(BaseHTTPRequestHandler):
         return path
 
     def _motion(self) -> bytes:
-        """Return the motion that the body requests."""
+        """Return the encoded motion that the request body specifies."""
         request = self._body()
         client, number = request.pop("client", None), request.pop("number", None)
         if not isinstance(client, str) or not 0 < len(client) <= 64:
@@ -252,7 +253,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _send(self, status: HTTPStatus, content_type: str, body: bytes) -> None:
         self.close_connection = True
-        # The page states its own policy; no other answer may do anything.
+        # The page contains its own policy; no other response may load or run anything.
         policy = "base-uri 'none'; form-action 'none'" if content_type == HTML_TYPE else "default-src 'none'"
         headers = {"Content-Type": content_type, "Content-Length": str(len(body))}
         headers |= {"Content-Security-Policy": f"{policy}; frame-ancestors 'none'"} | SECURITY_HEADERS
@@ -268,9 +269,9 @@ class _Handler(BaseHTTPRequestHandler):
             self.wfile.write(body)
 
     def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
-        """Send a refusal of the standard library in one line; an unknown method is a wrong one."""
+        """Send an error of the standard library in one line; an unknown method has the status of a wrong method."""
         status = HTTPStatus.METHOD_NOT_ALLOWED if code == HTTPStatus.NOT_IMPLEMENTED else HTTPStatus(code)
         self._send_line(status, status.phrase.lower())
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Log nothing: paths hold the token."""
+        """Log nothing, because paths contain the token."""

@@ -1,7 +1,7 @@
-"""Parts that all documents share: texts, axes, variables, colour maps, and the command that simulates a cell.
+"""Parts of the JSON documents that describe datasets to the explorer page: axes, variables, colour maps, commands.
 
-A dataset may come from anywhere, and a reader may run the command that the page shows. The page therefore gets only the
-names of a scene that the package or a plugin has, and finite numbers; `calls.js` checks them again.
+A dataset may be from an untrusted source, and a user may run the command that the page shows. Documents therefore
+contain only scenes and names that the package or a plugin defines, and finite numbers; `calls.js` checks them again.
 """
 
 import json
@@ -28,10 +28,10 @@ from vibrojax.sweep.input.names import CHOICES, read_names
 Document = dict[str, Any]
 
 SYMBOL_MAX_CHARACTERS = 40
-"""Characters of a unit or a symbol that a page shows: more would not fit beside an axis."""
+"""Maximum length of a unit or symbol in the page; more would not fit next to an axis."""
 
 COMMAND_MAX_SECONDS = 10_000.0
-"""Seconds that a command simulates at most: a dataset may name a duration that takes years."""
+"""Longest duration in a command; a dataset may specify a duration whose simulation takes years."""
 
 JAVASCRIPT_NAMES = {"__defineGetter__", "__defineSetter__", "__lookupGetter__", "__lookupSetter__", "__proto__"}
 JAVASCRIPT_NAMES |= {"constructor", "hasOwnProperty", "isPrototypeOf", "propertyIsEnumerable", "toLocaleString"}
@@ -40,26 +40,30 @@ JAVASCRIPT_NAMES |= {"toString", "valueOf"}
 
 
 def check_names(ds: xr.Dataset) -> None:
-    """Raise `InputError` if a name has another meaning in JavaScript, where names are keys of objects."""
+    """Raise `InputError` if a name cannot be a key of a JavaScript object, because every object has that name."""
     for name in (*ds.sizes, *ds.variables):
         if name in JAVASCRIPT_NAMES:
             raise InputError(f"explore: {shown(str(name))} cannot be the name of a variable in a page; rename it")
 
 
 def one_line(text: object, longest: int = 200) -> str:
-    """Return a text of a dataset on one line, shortened, without the escapes that pictures need."""
+    """Return a string of a dataset on one line, shortened, and without matplotlib's escapes of dollar signs."""
     return printable(str(text).replace(r"\$", "$"), longest)
 
 
 def json_value(value: object) -> object:
-    """Return a value for JSON: a float to ten digits, None if it is not finite."""
+    """Return a value for JSON: a float rounded to ten digits, or None if it is not finite; other values as strings."""
     if isinstance(value, float):
         return float(f"{value:.10g}") if np.isfinite(value) else None
     return value if isinstance(value, int) else str(value)
 
 
 def document_with(ds: xr.Dataset, kind: str, variables: list[Document], **parts: object) -> Document:
-    """Return the document of a dataset with these variables; `parts` replace its empty parts, or add to them."""
+    """Return the JSON document that describes a dataset to the explorer page.
+
+    **Arguments:** `kind`: "grid", "family" or "motion"; `variables`: descriptions of the variables; `parts`: further
+    keys of the document, which by default are empty or null.
+    """
     notes = [point_text(ds), certified_text(ds)]
     if run_seconds(ds) > COMMAND_MAX_SECONDS:
         notes.append(f"Each lane ran for {run_seconds(ds):g} s; the commands simulate {COMMAND_MAX_SECONDS:g} s")
@@ -87,7 +91,10 @@ def document_with(ds: xr.Dataset, kind: str, variables: list[Document], **parts:
 
 
 def axis_document(ds: xr.Dataset, name: str) -> Document:
-    """Return an axis with its values or names, and with the columns along a list of points or starts."""
+    """Return the description of an axis: its values or names, and the coordinates along a list of points.
+
+    A list of initial conditions also has such coordinates.
+    """
     counted = xr.DataArray(np.arange(ds.sizes[name]), dims=name, name=name)
     columns = [
         coordinate_document(data)
@@ -99,7 +106,7 @@ def axis_document(ds: xr.Dataset, name: str) -> Document:
 
 
 def coordinate_document(data: xr.DataArray) -> Document:
-    """Return a coordinate with its label, symbol, values (SI), unit shown and the factor to that unit."""
+    """Return the description of a coordinate: label, symbol, values (SI), displayed unit, and factor to that unit."""
     numeric = data.dtype.kind in "fiu"
     factor, unit = scale(data) if numeric else (1.0, "")
     values = np.asarray(data.values, float) if numeric else data.values
@@ -116,7 +123,7 @@ def coordinate_document(data: xr.DataArray) -> Document:
 
 
 def variable_document(data: xr.DataArray) -> Document:
-    """Return a variable with its meaning, colours and values; of multipliers, only the largest."""
+    """Return the description of a variable: meaning, colours and values; of multipliers, only the largest."""
     data = data.isel(multiplier=0) if "multiplier" in data.dims else data
     value = value_of(data)
     flags = {str(flag): name for flag, name in flag_names(data).items()} if value.names else None
@@ -157,9 +164,10 @@ def _other_colour(flag: str) -> str:
 
 
 def run_document(ds: xr.Dataset, sweep: Sweep | None = None) -> Document:
-    """Return how a command simulates a cell: parameters that differ from their defaults, options, start, duration.
+    """Return the parts of the command that simulates a lane: parameters other than the defaults, options, duration.
 
-    The document is `{"own_scene": True}`, without a command, if no name stands for the scene with its options.
+    The initial condition is included, too. The result is `{"own_scene": True}`, without a command, if the scene with
+    its options has no name.
     """
     try:
         scene, options = (text_of(ds, "scene"), options_of(ds)) if sweep is None else (sweep.system.name, sweep.options)
@@ -171,7 +179,7 @@ def run_document(ds: xr.Dataset, sweep: Sweep | None = None) -> Document:
     start = start_of(ds) if names.has_starts else None
     try:
         start = None if start is None else names.start(Place("explore", "start"), start)
-    except InputError:  # the scene has no such start
+    except InputError:  # the scene has no such initial condition
         start = None
     return {
         "own_scene": False,
@@ -195,7 +203,7 @@ def run_seconds(ds: xr.Dataset) -> float:
 
 
 def command_seconds(seconds: float) -> float:
-    """Return the duration [s] that a command names."""
+    """Return the duration [s] for a command, limited and rounded."""
     return float(f"{min(seconds, COMMAND_MAX_SECONDS):.6g}")
 
 
@@ -205,7 +213,7 @@ def options_of(ds: xr.Dataset) -> dict[str, str]:
 
 
 def start_of(ds: xr.Dataset) -> object:
-    """Return the start that a dataset names: a word, or a vector; None if it names none."""
+    """Return the initial condition in the attributes of a dataset: a name or a vector, or None if there is none."""
     text = text_of(ds, "start").strip('"')
     try:
         return json.loads(text) if text.startswith("[") else text or None

@@ -1,7 +1,8 @@
-"""Motions and arrays as bytes: the format shared by page, server and widget.
+"""Binary encoding of motions and arrays for the explorer page, its server and the widget.
 
-`encode(cells)` returns a block of bytes, which the page's `decodeCells(buffer)` reads. A page embeds its blocks
-deflated and in base64. A server answers with a block of one cell; a widget sends the same bytes over its channel.
+A `Cell` holds the motion that the page shows for one map cell. `encode(cells)` returns a block of bytes, which
+`decodeCells(buffer)` in the page decodes. An HTML file embeds its blocks deflated and in base64. A server sends a block
+of one `Cell`; a widget sends the same bytes over its channel.
 
     block   = uint32 (little-endian): length of the header in bytes
             | header: JSON in UTF-8
@@ -9,26 +10,26 @@ deflated and in base64. A server answers with a block of one cell; a widget send
 
     header  = {"format": 1,
                "columns": [{"name", "units", "long_name"}, ...],     the states along time, in this order
-               "section": ["x1", ...],                               the states at returns
+               "section": ["x1", ...],                               the states at section crossings
                "cells": [{"lane":         number of the lane, row by row over the axes; -1 if simulated live
-                          "kind":         "orbit" (one repeat), "motion" (several returns) or "none"
+                          "kind":         "orbit" (one period), "motion" (several crossings) or "none"
                           "note":         a remark, or the reason why there is no motion
-                          "returns":      number of returns (pulses) in it
+                          "returns":      number of section crossings (pulses) in the motion
                           "duration":     s
                           "samples":      number of samples
                           "scales":       [least, greatest] of each column
                           "multipliers":  [[modulus, argument], ...] or null
-                          "passed":       number of returns in the section's columns
-                          "section_scales": [least, greatest] of each of them
+                          "passed":       number of crossings in the section's columns
+                          "section_scales": [least, greatest] of each section column
                           "numbers":      {variable: value}, only if simulated live}]}
 
-    numbers = for each cell its times, its columns and its section's columns, all as 16-bit integers. Times span 0 to
+    numbers = for each `Cell` the times, columns and section columns, all as 16-bit integers. Times span 0 to
               `TIME_LEVELS` over the duration. States span 0 to `STATE_LEVELS` between least and greatest. Times and
               columns are stored as second differences (modulo 2^16), section columns without differences.
     flags   = one byte per sample. Bits 0 to 2: the event, an index into `EVENTS`. Bit 3: the bit sticks. Bit 4: the
-              striker touches it.
+              striker touches the bit.
 
-The cell of a periodic lane holds one repeat from section to section; its last sample coincides with its first.
+The motion of a periodic lane is one period from section to section; its last sample coincides with its first.
 """
 
 import base64
@@ -43,19 +44,19 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 EVENTS = ("none", "stick", "slip", "impact", "release", "section")
-"""Meanings of the event number in a flag; the same as in `event_kind` of a trajectory."""
+"""Meanings of the event number in a sample's flag; the same as in `event_kind` of a trajectory."""
 
 STUCK, TOUCHING = 8, 16
-"""Bits of a flag."""
+"""Bits of a sample's flag: the bit sticks, and the striker touches the bit."""
 
 STATE_LEVELS = 2047
-"""Steps between the least and the greatest value of a column: finer than a screen can show."""
+"""Number of intervals between the least and the greatest value of a column: finer than the pixels of a screen."""
 
 TIME_LEVELS = 16383
-"""Steps of time over the duration of a cell."""
+"""Number of time intervals over the duration of a motion."""
 
 MANTISSA_BITS = 16
-"""Bits of a float's mantissa that a page keeps: five decimal digits."""
+"""Stored bits of a float's mantissa: five decimal digits."""
 
 Samples = Float[np.ndarray, " samples"]
 
@@ -71,7 +72,7 @@ class StateColumn:
 
 @dataclass(frozen=True)
 class Cell:
-    """One motion as the page shows it; the module's docstring explains the fields.
+    """The motion that the page shows for one map cell; the module's docstring explains the fields.
 
     `time` [s] (samples,) starts at 0; `states` by name (samples,); `flags` (samples,); `section` by name (returns,).
     """
@@ -91,7 +92,7 @@ class Cell:
 
 
 def encode(cells: Sequence[Cell]) -> bytes:
-    """Return the cells of one scene as a block."""
+    """Return the motions of one scene, encoded as a block of bytes."""
     columns = next((cell.columns for cell in cells if cell.columns), ())
     section = next((tuple(cell.section) for cell in cells if cell.section), ())
     headers, words = [], [np.zeros(0, np.uint16)]
@@ -127,7 +128,7 @@ def encode(cells: Sequence[Cell]) -> bytes:
 
 
 def pack(values: np.ndarray) -> dict[str, object]:
-    """Return an array as {"dtype": "f4", "i1" or "i4", "shape", "data"}, which the page's `unpack` reads.
+    """Return an array as {"dtype": "f4", "i1" or "i4", "shape", "data"}, which `unpack` in the page decodes.
 
     The bytes of all values are stored plane by plane (all first bytes, all second ones, ...), little-endian. Floats are
     rounded to a short mantissa, so that they deflate better.
@@ -152,7 +153,7 @@ def deflate(content: bytes) -> str:
 
 
 def _quantised(values: np.ndarray) -> tuple[np.ndarray, list[float]]:
-    """Return values as levels, and the values that the lowest and the highest level stand for."""
+    """Return values quantised to integer levels, and the values of the lowest and the highest level."""
     if not values.size:
         return np.zeros(0, np.uint16), [0.0, 0.0]
     least, greatest = float(values.min()), float(values.max())
@@ -162,11 +163,11 @@ def _quantised(values: np.ndarray) -> tuple[np.ndarray, list[float]]:
 
 
 def _differences(levels: np.ndarray) -> np.ndarray:
-    """Return second differences modulo 2^16, of which two running sums restore the levels."""
+    """Return second differences modulo 2^16; two cumulative sums restore the levels."""
     zero = np.zeros(1, np.uint16)
     return np.diff(np.diff(levels, prepend=zero), prepend=zero)
 
 
 def _rounded(value: float) -> float:
-    """Return a value to seven digits, for a header."""
+    """Return a value rounded to seven digits, for a header."""
     return float(f"{value:.7g}")

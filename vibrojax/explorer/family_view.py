@@ -1,4 +1,4 @@
-"""The view of families of periodic orbits: their points as cells, their branches as lines, their special points."""
+"""The explorer's view of families of periodic orbits: branches as lines, special points, orbits of all points."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -28,13 +28,13 @@ from vibrojax.plot.branches import MARKS, curves_of
 from vibrojax.sweep.input.point import Point, read_point
 
 MARK_SHAPES = {"s": "square", "o": "circle", "*": "diamond", "v": "triangle", "|": "bar", "D": "diamond", "x": "cross"}
-"""Shapes in the page by the markers of the picture."""
+"""Shapes of special points in the explorer page, by the markers that pictures use."""
 
 LEADING_ORBIT_VARIABLES = ("impact_velocity", "bit_amplitude", "multiplier_abs", "stable", "period")
 
 
 def family_document(ds: xr.Dataset) -> Document:
-    """Return the document of families, as `follow` returns them."""
+    """Return the JSON document of families, given the dataset of `follow`."""
     along, point, count = along_name(ds), _base_point(ds), ds.sizes["point"]
     columns = [coordinate_document(ds[along])]
     for name, values in _family_values(ds).items():
@@ -48,7 +48,7 @@ def family_document(ds: xr.Dataset) -> Document:
     names = [name for name in LEADING_ORBIT_VARIABLES if name in names] + names
     variables = [variable_document(ds[name]) for name in dict.fromkeys(names)]
     axis = coordinate_document(xr.DataArray(np.arange(count), dims="point", name="point"))
-    # The command of a cell starts on its orbit: nothing has to settle.
+    # The command starts on the orbit, so no settling time is needed.
     run = run_document(ds) | {"start": None, "duration": 2.0}
     if point.system.driving_part() is not point.system:
         run["states"] = []
@@ -81,7 +81,7 @@ def _branches(ds: xr.Dataset) -> Document:
 
 
 def family_cells(ds: xr.Dataset) -> Iterator[Cell]:
-    """Yield the orbits of families as cells, in the order of their points."""
+    """Yield the recorded orbits of families, in the order of their points."""
     point = _base_point(ds)
     scene, count = point.system, ds.sizes["point"]
     driving = scene.driving_part()
@@ -102,13 +102,13 @@ def family_cells(ds: xr.Dataset) -> Iterator[Cell]:
 
 
 def _family_values(ds: xr.Dataset) -> dict[str, np.ndarray]:
-    """Return the values in which families differ, by name, for each point."""
+    """Return the coordinates that distinguish families, by name, with one value per point."""
     family = numbers_of(ds, "point")
     names = [str(name) for name, data in ds.coords.items() if data.dims == (FAMILY,) and name != FAMILY]
     return {name: ds[name].values[family] for name in names}
 
 
 def _base_point(ds: xr.Dataset) -> Point:
-    """Return the values that all points share."""
+    """Return the parameter point with the values that all points share."""
     fixed: dict[str, Any] = {**parameters_of(ds), **options_of(ds)}
     return read_point(Place("explore"), text_of(ds, "scene"), fixed)

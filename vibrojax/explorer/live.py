@@ -1,14 +1,14 @@
-"""The page from a server on this machine that computes motions on demand: `vibrojax explore OUT.nc --live`.
+"""The explorer page from a server on this machine that computes motions on demand: `vibrojax explore OUT.nc --live`.
 
-The server answers two requests, below a path that begins with a token. Only the printed address contains the token.
+The server handles two requests. Their paths begin with a token. Only the printed address contains the token.
 
     GET  /TOKEN/          the page
-    POST /TOKEN/motion    JSON {"client": text, "number": whole} with {"parameters": {name: value}, "start": name or
-                          vector} or {"lane": whole}: the motion as a block of one cell, see
-                          [vibrojax.explorer.encoding][]
+    POST /TOKEN/motion    JSON {"client": string, "number": integer} with {"parameters": {name: value}, "start": name
+                          or vector} or {"lane": integer}: one motion, encoded as in [vibrojax.explorer.encoding][]
 
-A greater number makes the smaller numbers of the same client (an open page) obsolete. A refusal is {"error": line} with
-a status: 409 for an obsolete request, 503 with Retry-After for too many requests, others as HTTP defines them.
+A request makes all requests of the same client (an open page) with smaller numbers obsolete. A rejected request gets
+{"error": line} and a status: 409 if it is obsolete, 503 with Retry-After if there are too many requests, or another
+HTTP status.
 """
 
 import secrets
@@ -29,10 +29,10 @@ from vibrojax.progress import LOG
 Result = TypeVar("Result")
 
 Check = Callable[..., None]
-"""Called by work now and then, with any arguments; raises once nobody waits for the result any more."""
+"""Function that a computation calls from time to time, with any arguments; raises if the result is obsolete."""
 
 MAX_WAITING_CLIENTS, MAX_KNOWN_CLIENTS = 8, 256
-"""Clients that may wait at once, and clients whose newest number is remembered: a page is one client."""
+"""Maximum number of waiting clients, and of clients whose newest number is stored. An open page is a client."""
 
 
 class Superseded(RefusedRequest):
@@ -43,7 +43,7 @@ class Superseded(RefusedRequest):
 
 
 class Busy(RefusedRequest):
-    """Too many clients wait."""
+    """Too many clients are waiting."""
 
     def __init__(self) -> None:
         super().__init__(HTTPStatus.SERVICE_UNAVAILABLE, "too many requests at once; try again")
@@ -54,28 +54,29 @@ class Closed(Busy):
 
 
 class _Request(NamedTuple):
-    """The work that a client asks for, and its future result; a refusal ends it before the work is done."""
+    """A client's computation and its future result; a rejection replaces the result before the computation ends."""
 
     client: str
     work: Callable[[Check], Any]
     future: Future[Any]
 
     def check(self, *_: object) -> None:
-        """Raise the refusal, if there is one."""
+        """Raise the error with which the request was rejected, if it was."""
         if self.future.done():
             self.future.result()
 
     def refuse(self, error: RefusedRequest) -> None:
-        """End the request with an error, unless it has ended."""
+        """Reject the request with an error, unless it has ended."""
         if not self.future.done():
             self.future.set_exception(error)
 
 
 class RequestQueue:
-    """One thread that works for many clients, in the order of their requests.
+    """A thread that runs the computations of many clients in the order of their requests.
 
-    A newer number ends the client's earlier request. If that waits, the newer takes its place; if it is running, it
-    stops at its next `check`. A number that is not newer is refused. After `Busy`, the same number may come again.
+    A request with a greater number ends the client's earlier request. If the earlier request is waiting, the newer one
+    takes its place in the queue; if it is running, it stops at its next `check`. A request whose number is not greater
+    is rejected. After `Busy`, a client may send the same number again.
     """
 
     def __init__(self, waiting: int = MAX_WAITING_CLIENTS) -> None:
@@ -84,14 +85,14 @@ class RequestQueue:
         self._newest: OrderedDict[str, int] = OrderedDict()
         self._current: _Request | None = None
         self._closed = False
-        self._changed = threading.Condition()  # its lock guards all of these, and all futures
+        self._changed = threading.Condition()  # its lock guards the attributes above and all futures
         self._thread = threading.Thread(target=self._run, name="requests", daemon=True)
         self._thread.start()
 
     def ask(self, client: str, number: int, work: Callable[[Check], Result]) -> Result:
         """Run `work(check)` in the thread, and return its result.
 
-        **Arguments:** `client`: the name of the client; `number`: greater with each request of the client.
+        **Arguments:** `client`: name of the client; `number`: request number, greater with each request of the client.
 
         **Raises:** any error of `work`, `Superseded`, `Busy` or `Closed`.
         """
@@ -110,7 +111,7 @@ class RequestQueue:
             for older in (self._current, self._waiting.get(client)):
                 if older is not None and older.client == client:
                     older.refuse(Superseded())
-            self._waiting[client] = request  # in the place of the older one, if there is one
+            self._waiting[client] = request  # in the place of the older request, if there is one
             self._changed.notify()
         result: Result = request.future.result()
         return result
@@ -138,7 +139,7 @@ class RequestQueue:
                     request.future.set_result(result)
 
     def close(self, seconds: float = 10.0) -> None:
-        """Refuse all requests with `Closed`, and wait up to `seconds` for the thread to end."""
+        """Reject all requests with `Closed`, and wait up to `seconds` for the thread to end."""
         with self._changed:
             self._closed = True
             for request in [*self._waiting.values(), *([self._current] if self._current else [])]:
@@ -153,14 +154,14 @@ class Answers(Protocol):
     """An object that computes motions, such as [vibrojax.explorer.motions.LiveMotions][]."""
 
     def answer(self, request: dict[str, Any], check: Check) -> bytes:
-        """Return the block for a request; raise `InputError`, or the error of `check()`."""
+        """Return the requested motion, encoded; raise `InputError`, or the error that `check()` raises."""
 
     def warm(self) -> None:
-        """Compile the programs that answers need."""
+        """Compile the programs that simulate motions."""
 
 
 class Live(AbstractContextManager["Live"]):
-    """A server of one page, in its own threads until it is closed; `url` is the address of the page.
+    """A server of one explorer page, which runs in its own threads until closed; `url` is the page's address.
 
     **Raises:** `OSError` if no port is free.
     """
@@ -200,7 +201,7 @@ class Live(AbstractContextManager["Live"]):
             thread.join(seconds)
 
     def _warm(self) -> None:
-        """Compile everything before the first click; an error here occurs again when a client asks."""
+        """Compile all programs before the first request; an error here occurs again at a client's request."""
         try:
             self.queue.ask("", 0, lambda check: self.answers.warm())
         except Exception as error:

@@ -1,8 +1,8 @@
-"""The view of a dataset over axes, such as a sweep, attractors or a fit: its document, and its lanes' cells.
+"""The explorer's view of a dataset over axes, such as a sweep, attractors or a fit: JSON document and motions.
 
-The dataset holds where each lane ended, not its motion. For the cells, the sweep is run again with its orbits, which
-gives the state in which each lane passes the section. From there its steps are recorded: one repeat of a periodic lane,
-some returns of any other.
+The dataset contains the features of each lane, not its motion. For the motions, the sweep is run again with its orbits,
+which gives the state of each lane at the section. From that state the lane's steps are recorded: one period of a
+periodic lane, or some section crossings of any other lane.
 """
 
 from collections.abc import Iterator
@@ -40,7 +40,7 @@ from vibrojax.sweep.engine.chunks import Chunks
 from vibrojax.sweep.input.definition import Sweep
 
 LANE = "lane_number"
-"""Name of the variable that holds the number of each cell's lane."""
+"""Name of the variable with the number of the lane that each map cell shows."""
 
 LEADING_VARIABLES = (
     *("lane_attractor", "regime", "rate_of_penetration"),
@@ -48,11 +48,11 @@ LEADING_VARIABLES = (
 )
 
 REPEAT_MARGIN = 1e-3
-"""Periods recorded beyond a repeat, so that the return at its end is in the record."""
+"""Additional recorded time, as a fraction of the return interval, so that the last crossing is recorded."""
 
 
 def map_document(ds: xr.Dataset, sweep: Sweep | None = None) -> Document:
-    """Return the document of a dataset over axes, empty if it has no variable to show.
+    """Return the JSON document of a dataset over axes, empty if there is no variable to show.
 
     **Arguments:** `sweep`: the sweep of the dataset, if there is one.
     """
@@ -74,27 +74,27 @@ def map_document(ds: xr.Dataset, sweep: Sweep | None = None) -> Document:
         lanes=pack(ds[LANE].values) | {"axes": lane_axes} if LANE in ds else None,
         fixed={str(name): json_value(data.values.item()) for name, data in ds.coords.items() if data.ndim == 0},
         region={name: list(ends) for name, ends in REGION.items()},
-        # A fit has lost an axis of its sweep: none of its cells is a point.
+        # A fit lacks an axis of its sweep, so none of its map cells is a parameter point.
         run=None if FORM in ds.dims else run_document(ds, sweep),
         view=_first_axes(ds),
     )
 
 
 def _shown_variables(ds: xr.Dataset) -> list[str]:
-    """Return the variables that a page shows, the most informative ones first."""
+    """Return the names of the displayed variables, the most informative first."""
     names = [str(name) for name, data in ds.data_vars.items() if data.dtype.kind in "fiu" and data.ndim > 0]
-    # Single returns, and results of the check run, have no place on a map.
+    # Individual section crossings and results of the check run are not drawn as maps.
     names = [n for n in names if n != LANE and not n.startswith(("return_", "check_"))]
     names = [name for name in names if "return_index" not in ds[name].dims]
     leading = [name for name in LEADING_VARIABLES if name in names]
-    if "share" in leading and START in ds.dims:  # starts that form no plane: shares say more than each start's end
+    if "share" in leading and START in ds.dims:  # fractions are more informative than single regimes
         leading.remove("share")
         leading.insert(0, "share")
     return list(dict.fromkeys([*(name for name in names if name.startswith("push_")), *leading, *names]))
 
 
 def _first_axes(ds: xr.Dataset) -> list[str]:
-    """Return the axes of the first map, the same as in the picture; none without a map over two axes."""
+    """Return the axes of the first map, the same as in the picture; empty without a map over two axes."""
     long = long_axes(ds)
     if len(long) > 1 and not has_regimes(ds):
         return list(long[:2])
@@ -105,9 +105,9 @@ def _first_axes(ds: xr.Dataset) -> list[str]:
 
 
 def curves_document(ds: xr.Dataset, over: xr.Dataset) -> Document:
-    """Return borders over the map of `ds`.
+    """Return the part of the JSON document with the borders `over` that are drawn on the map of `ds`.
 
-    **Raises:** `InputError` if the borders do not belong there.
+    **Raises:** `InputError` if the borders do not belong to this map.
     """
     check_borders(ds, over, *axes_of(over))
     kinds, curve_of = flag_names(over["kind"]), over["curve"].values
@@ -122,17 +122,17 @@ def curves_document(ds: xr.Dataset, over: xr.Dataset) -> Document:
 
 
 def lane_cells(sweep: Sweep, progress: bool = True) -> Iterator[Cell]:
-    """Run a sweep again, in its own chunks, and yield the cells of its lanes in the order of `Sweep.counted`."""
+    """Run a sweep again, chunk by chunk, and yield the motions of its lanes in the order of `Sweep.counted`."""
     names = sweep.system.driving_part().return_states
     sweep = replace(sweep, run=replace(sweep.run, orbits=bool(names)))
     orbits = Orbits(sweep) if names else None
 
     def last_returns(first: int, end: int, features: Features) -> Features:
-        """Return the features of lanes with their orbits and the states at their last returns."""
+        """Return the features of lanes with their orbits and the states at their last section crossings."""
         whole = features | (orbits(first, end, features) if orbits is not None else {})
         kept = {name: x for name, x in whole.items() if x.ndim == 1 or name in ("multiplier_abs", "multiplier_arg")}
         returns = {name: features[state_name(name)] for name in names if state_name(name) in features}
-        # A scene under pulses keeps only the last return.
+        # A scene under pulses stores only the last crossing.
         return kept | {f"last_{name}": x if x.ndim == 1 else x[:, -1] for name, x in returns.items()}
 
     is_carried = sweep.run.carry is not None
@@ -173,7 +173,7 @@ def _chunk_cells(sweep: Sweep, chunks: Chunks, index: int, features: Features) -
 def _excerpts(
     sweep: Sweep, chunks: Chunks, index: int, features: Features, parameters: dict[str, np.ndarray]
 ) -> Excerpt:
-    """Return the excerpts of a chunk's lanes, from their orbits, their last returns or their settled states."""
+    """Return the excerpts of a chunk's lanes, from their orbits, last section crossings or settled states."""
     first, end = chunks.lanes(index)
     scene, count = sweep.system, end - first
     driving = scene.driving_part()
@@ -197,6 +197,6 @@ def _excerpts(
         [batch] = chunks.engine.settle([chunks.engine.start(first, end, chunks.accuracy).of(subset)])
         assert batch.underway is not None
         state[:, subset] = np.stack([np.asarray(x, float) for x in batch.underway.lane.state])
-    elif unknown.any():  # a lane's settled state follows from those before it, which are not kept
+    elif unknown.any():  # a lane's settled state depends on those of previous lanes, which are not stored
         state[:, unknown] = np.nan
     return Excerpt(state, repeats, skipped, shown, recorded, returns)

@@ -1,4 +1,4 @@
-"""Motions on demand: the answer to a click, simulated and measured in the same way as by `vj.simulate`, as a cell."""
+"""Motions on demand: what a user selects in the explorer page is simulated and measured as by `vj.simulate`."""
 
 import warnings
 from collections.abc import Callable, Mapping
@@ -38,32 +38,33 @@ from vibrojax.sweep.simulation.recording import Recorded, constants_at, recorded
 PLACE = Place("explore")
 
 ANSWER_ACCURACY = 1e-4
-"""Accepted error of a motion: a page shows no more digits."""
+"""Error tolerance of a motion; the page shows no more digits."""
 
 MOTION_MAX_SECONDS = 60.0
-"""Seconds simulated at most, even if the sweep settles for longer: an answer should come at once."""
+"""Longest simulated time, even if the sweep settles for longer, so that the motion appears at once."""
 
 MOTION_MAX_STEPS = 400_000
-"""Steps of one motion at most; more would take seconds and gigabytes. A typical motion has a few thousand."""
+"""Maximum number of steps of a motion; more would take seconds and gigabytes. A typical motion has a few thousand."""
 
 PULSE_TOLERANCE, PULSE_MAX_CYCLES = 1e-3, 8
-"""Largest distance between repeated states, over half their swings, and pulses of the longest repeat."""
+"""Largest difference of states one period apart, relative to half their peak-to-peak ranges, and longest period in
+pulses."""
 
 LOG_SLIDER_RATIO = 30.0
-"""Ratio of the greatest to the least value from which a slider is logarithmic."""
+"""Smallest ratio of the greatest to the least value of a logarithmic slider."""
 
 
 class LiveMotions:
-    """Motions of one scene, each described by the few values that differ from those of a point.
+    """Motions of one scene on demand; a request contains only the values that differ from those of a parameter point.
 
     **Arguments:**
 
-    - `scene`: its name, or a scene.
+    - `scene`: name of a scene, or a scene object.
     - `values`: parameters (SI) and options such as `friction` that differ from the defaults.
-    - `start`: the start unless a request names another; None for the scene's first.
-    - `duration` [s]: the simulated time, whose last part is observed.
-    - `axes`: values by parameter that its slider must reach.
-    - `sweep`: the sweep whose lanes can be requested too.
+    - `start`: initial condition unless a request specifies another; None for the scene's first.
+    - `duration` [s]: simulated time; its last part is observed.
+    - `axes`: values by parameter that the slider of the parameter must include.
+    - `sweep`: a sweep whose lanes can also be requested.
 
     **Raises:** `InputError`.
     """
@@ -84,13 +85,13 @@ class LiveMotions:
         self._stepper = Located()
 
     def answer(self, request: Mapping[str, Any], check: Callable[..., None]) -> bytes:
-        """Return the requested motion as a block of one cell.
+        """Return the requested motion, encoded for the explorer page.
 
         **Arguments:**
 
-        - `request`: `lane`, the number of a lane; or `parameters`, numbers by name that replace the point's values, and
-          `start`, a name or a vector.
-        - `check`: is called often; an exception that it raises ends the motion.
+        - `request`: `lane`, the number of a lane; or `parameters`, numbers by name that replace those of the point, and
+          `start`, the name or the vector of an initial condition.
+        - `check`: function that is called often; an exception that it raises ends the simulation.
 
         **Raises:** `InputError` if the request is invalid, or the motion takes too long.
         """
@@ -107,7 +108,7 @@ class LiveMotions:
     def cell(
         self, parameters: Mapping[str, object], start: object = None, check: Callable[..., None] | None = None
     ) -> Cell:
-        """Return the motion at other `parameters` than the point's; the cell's note names unusual values."""
+        """Return the motion with `parameters` in place of those of the point; its note lists unusual values."""
         start = self.point.start if start is None else start
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", UnusualValue)
@@ -135,7 +136,10 @@ class LiveMotions:
         return replace(cell, note="; ".join(note for note in notes if note))
 
     def lane(self, number: object, check: Callable[..., None] | None = None) -> Cell:
-        """Return the motion of a lane of the sweep, simulated from its start; the dataset has its numbers."""
+        """Return the motion of a lane of the sweep, simulated from its initial condition.
+
+        `numbers` is None, because the dataset contains the features of the lane.
+        """
         lanes = self.sweep.lanes if self.sweep is not None else 0
         if type(number) is not int or not 0 <= number < lanes or self.sweep is None:
             raise PLACE.at("lane").error(f"{shown(number)} is not a lane; there are {lanes}, from 0")
@@ -150,14 +154,15 @@ class LiveMotions:
         return replace(cell, lane=number, numbers=None, note="; ".join(text for text in (cell.note, carried) if text))
 
     def warm(self) -> None:
-        """Compile the programs of all motions by simulating one."""
+        """Compile the programs, which all motions share, by simulating one motion."""
         self.cell({})
 
     def offered(self) -> dict[str, Any]:
-        """Return the possible requests as JSON values.
+        """Return a JSON description of the possible requests.
 
-        `parameters` have their ranges, `values` and `start` describe the point, and `states` name the items of a start
-        vector. Numbers are in SI; `factor` leads to the unit that is shown.
+        `parameters` contains the slider of each parameter. `values` and `start` describe the parameter point. `states`
+        are the names of the elements of an initial state. Numbers are in SI units; times `factor`, they are in the
+        displayed unit.
         """
         return {
             "scene": self.point.scene,
@@ -175,9 +180,10 @@ class LiveMotions:
         }
 
     def _slider(self, parameter: Parameter) -> dict[str, Any]:
-        """Return the slider of a parameter, over its usual values and all values of the point and the axes.
+        """Return the description of a parameter's slider.
 
-        Without usual values, the slider reaches three times the default.
+        Its range includes the usual values, the default, and the values of the point and the axes. Without usual
+        values, it extends to three times the greater magnitude of the default and the point's value.
         """
         value, default = self.point.parameters[parameter.name], parameter.default
         size = 3 * max(abs(default), abs(value)) or 1.0
@@ -201,13 +207,13 @@ class LiveMotions:
 
 
 def motions_for(ds: xr.Dataset, own: Sweep | None = None) -> LiveMotions:
-    """Return the motions of a dataset: of its sweep if it has one, else around its point."""
+    """Return the motions on demand for a dataset: for its sweep if there is one, else for its parameter point."""
     sweep, _ = sweep_of(ds, own)
     return motions_around(ds) if sweep is None else motions_of(sweep)
 
 
 def motions_of(sweep: Sweep) -> LiveMotions:
-    """Return the motions around the lanes of a sweep."""
+    """Return the motions on demand for the lanes of a sweep and for other parameters."""
     values = {name: float(x[0]) for name, x in sweep.lane_values(0, 1)[0].items()}
     axes = {name: x for name, x in {**sweep.axes, **(sweep.points or {})}.items() if x.dtype.kind == "f"}
     start = sweep.starts[0] if sweep.starts is not None and len(sweep.starts) else None
@@ -217,9 +223,9 @@ def motions_of(sweep: Sweep) -> LiveMotions:
 
 
 def motions_around(ds: xr.Dataset) -> LiveMotions:
-    """Return the motions around the point that the attributes of a dataset describe.
+    """Return the motions on demand for the parameter point in a dataset's attributes, and for other parameters.
 
-    **Raises:** `InputError` if they name no known scene.
+    **Raises:** `InputError` if the attributes contain no known scene.
     """
     values: dict[str, object] = {row["name"]: row["value"] for row in differing_of(ds)}
     with warnings.catch_warnings():
@@ -228,7 +234,7 @@ def motions_around(ds: xr.Dataset) -> LiveMotions:
 
 
 def _cell_of_record(scene: Scene[Any], constants: Any, motion: Recorded, duration: float) -> Cell:
-    """Return the last repeat of a recorded motion, or some of its last returns, with its numbers."""
+    """Return the last period of a recorded motion, or some of its last section crossings, with its features."""
     steps = motion.steps
     if not np.isfinite(steps.after).all():
         raise InputError("explore: the motion is not finite; give values nearer to the usual ones")
@@ -250,9 +256,9 @@ def _cell_of_record(scene: Scene[Any], constants: Any, motion: Recorded, duratio
 
 
 def _repeated_pulses(after: np.ndarray, pulses: np.ndarray, scene: Scene[Any]) -> int:
-    """Return the number of pulses after which the states repeat, 0 if they do not.
+    """Return the number of pulses per period of the motion, or 0 if the motion is not periodic.
 
-    **Arguments:** `after` (steps, states): the states after each step; `pulses` (steps,): steps that end on a pulse.
+    **Arguments:** `after` (steps, states): states after steps; `pulses` (steps,): mask of steps that end on a pulse.
     """
     columns = after[:, [scene.place(name) for name in scene.driving_part().return_states]]
     passed, swing = columns[pulses], np.maximum(np.ptp(columns, axis=0), np.finfo(float).tiny) / 2
@@ -264,7 +270,10 @@ def _repeated_pulses(after: np.ndarray, pulses: np.ndarray, scene: Scene[Any]) -
 
 
 def _excerpt(returns: np.ndarray, cycles: int, duration: float) -> Excerpt:
-    """Return the last repeat of a motion with `returns` [s]; some of the last returns if nothing repeats."""
+    """Return the excerpt of a motion: its last period, or some of its last section crossings if it is not periodic.
+
+    `returns` [s]: times of the section crossings; `cycles`: number of return intervals per period, or 0.
+    """
     repeats = 0 < cycles < len(returns)
     if repeats:
         values = (returns[-1 - cycles], returns[-1] - returns[-1 - cycles], returns[-1], cycles)

@@ -1,4 +1,7 @@
-"""Motions recorded from given states, many lanes at once, and each lane's record read as a cell."""
+"""Recording of motions from initial states, many lanes at once, and their preparation for the explorer page.
+
+A `Cell` holds the motion of one lane as the page shows it, see [vibrojax.explorer.encoding][].
+"""
 
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
@@ -17,42 +20,43 @@ from vibrojax.sweep.simulation.dense_output import Record, record_batch, sample
 from vibrojax.sweep.simulation.trajectory import SampledMotion, impact_begins, lowest_velocity, states_shown
 
 RECORDED_LANES = 128
-"""Lanes that are recorded at once: their steps take about 20 MB."""
+"""Number of lanes that are recorded at once; their steps take about 20 MB."""
 
 RECORD_BATCH_STEPS, RECORD_MAX_BATCHES = 64, 40
-"""Steps of each lane per batch, and the number of batches after which a lane's record is cut off."""
+"""Number of steps of each lane per batch, and maximum number of batches of a record."""
 
 RECORD_ACCURACY = Accuracy(tolerance=1e-9, stride=LOCATED_STRIDE, step=np.inf)
 
 SHOWN_RETURNS, SECTION_RETURNS = 5, 48
-"""Returns of a lane without a repeat: those that are shown, and those whose states at the section are shown."""
+"""For a lane that is not periodic: number of return intervals whose motion is shown, and number of section crossings
+whose states are shown."""
 
 SHOWN_SECONDS = 2.0
-"""Seconds shown of a lane that never passes the section."""
+"""Displayed time of a lane that never crosses the section."""
 
 RETURN_SAMPLES, CELL_MAX_SAMPLES = 56, 180
-"""Evenly spaced samples per return, and the most for all returns together; events add their own."""
+"""Number of evenly spaced samples per return interval, and maximum for a motion; samples at events are added."""
 
 STEP_PLACES = 6
-"""Places in each step at which the path of the states is measured."""
+"""Number of points in each step at which the path of the states is measured."""
 
 EVENT_PRIORITY = ("section", "release", "slip", "stick", "impact")
-"""Order of simultaneous events: the page shows the last."""
+"""Order of simultaneous events; the page shows the last in this list."""
 
 TIME_TOLERANCE = 1e-6
-"""Share of a cell's duration within which times coincide."""
+"""Times count as equal if they differ by less than this fraction of the motion's duration."""
 
 Steps = dict[str, np.ndarray]
-"""The columns of a record by name; with many lanes, the last axis is that of the lanes."""
+"""The fields of a `Record` by name. For several lanes, the last axis is the lane axis."""
 
 
 class Excerpt(NamedTuple):
     """The part of each lane's motion to record and to show.
 
-    - `state` (states, lanes): the initial state at a section, of the whole scene.
-    - `repeats` (lanes,): true if the lane shows exactly one repeat.
-    - `skipped`, `shown`, `recorded` [s] (lanes,): the time left out, the time shown after it, and the time to simulate.
-    - `returns` (lanes,): the number of returns shown.
+    - `state` (states, lanes): initial state, at a section crossing, with all states of the scene.
+    - `repeats` (lanes,): True if exactly one period of the motion is shown.
+    - `skipped`, `shown`, `recorded` [s] (lanes,): time left out at first, time shown after it, and time to simulate.
+    - `returns` (lanes,): number of return intervals shown.
     """
 
     state: Float[np.ndarray, "states lanes"]
@@ -69,13 +73,16 @@ class Excerpt(NamedTuple):
 
 @lane_function(static=1)
 def _first_step(scene: Scene[Any], p: dict[str, Any], state: Values) -> tuple[Any, Lane]:
-    """Return the scene's constants for motions from `state`, and the lanes that start there."""
+    """Return the scene's constants, adapted to the initial `state`, and the lanes in this state at t = 0.
+
+    `p`: parameters of the scene, by name.
+    """
     constants = scene.scaled(scene.constants(p), state)
     return constants, lane_at(scene, constants, state)
 
 
 def record_cells(scene: Scene[Any], parameters: dict[str, np.ndarray], excerpt: Excerpt) -> Iterator[Cell]:
-    """Simulate the excerpts of lanes, and yield their cells in order."""
+    """Simulate the excerpts of lanes, and yield the motion of each lane in order."""
     for first in range(0, excerpt.state.shape[1], RECORDED_LANES):
         subset = slice(first, first + RECORDED_LANES)
         used = {name: parameters[name][subset] for name in scene.parameters()}
@@ -102,7 +109,7 @@ def _batch_cells(scene: Scene[Any], parameters: dict[str, np.ndarray], excerpt: 
 
 
 def step_events(scene: Scene[Any], c: Any, steps: Steps) -> dict[str, np.ndarray]:
-    """Return masks (steps, lanes) of the steps that end with each event, by the names of `EVENTS`."""
+    """Return, for each name in `EVENTS`, a mask (steps, lanes) of the steps that end with this event."""
     hits = {name: steps["hits"][:, index] for index, name in enumerate(scene.event_names)}
     masks: dict[str, np.ndarray] = {}
     if isinstance(scene, HasFriction):
@@ -122,9 +129,9 @@ def step_events(scene: Scene[Any], c: Any, steps: Steps) -> dict[str, np.ndarray
 
 
 def _section_returns(scene: Scene[Any], c: Any, steps: Steps, hits: dict[str, np.ndarray]) -> np.ndarray:
-    """Return the mask of steps that end on the section; under pulses, of those that end where a pulse starts.
+    """Return a mask of the steps that end in a section crossing or, under pulses, at the beginning of a pulse.
 
-    A crossing counts if the velocity was beyond the re-arming level since the one before.
+    A crossing counts only if the velocity has passed the re-arming level since the previous crossing.
     """
     shape = steps["dt"].shape
     section = scene.section
@@ -149,13 +156,13 @@ def _section_returns(scene: Scene[Any], c: Any, steps: Steps, hits: dict[str, np
 
 
 def cell_of_steps(scene: Scene[Any], steps: Steps, events: dict[str, np.ndarray], excerpt: Excerpt) -> Cell:
-    """Return the cell of one lane from its steps and the masks of their events."""
+    """Return the motion of one lane, given its steps and a mask of the steps that end with each event."""
     taken = (steps["dt"] > 0) | steps["hits"].any(axis=1)
     steps = {name: x[taken] for name, x in steps.items()}
     record, ends = Record(**steps), steps["start"] + steps["dt"]
     reached = float(ends[-1]) if len(ends) else 0.0
     first, duration = float(excerpt.skipped), float(excerpt.shown)
-    if not excerpt.returns:  # without a return, show as much as was recorded
+    if not excerpt.returns:  # without a section crossing, show as much as was recorded
         duration = min(duration, reached)
     if not duration > 0 or reached < first + 0.999 * duration or not np.isfinite(steps["after"]).all():
         return Cell(-1, "none", "its motion could not be recorded: it took too many steps")
@@ -194,10 +201,11 @@ def cell_of_steps(scene: Scene[Any], steps: Steps, events: dict[str, np.ndarray]
 
 
 def evenly_spaced(times: np.ndarray, states: np.ndarray, returns: int) -> np.ndarray:
-    """Return the times of samples that are evenly spaced along the path of a motion with `returns`.
+    """Return the times of samples that are evenly spaced along the path of a motion.
 
-    The path adds time and the changes of all states (states, times), each relative to its swing. A blow that takes a
-    hundredth of the time therefore gets more than a hundredth of the samples.
+    The path length is the sum of the elapsed time and the changes of all `states` (states, times), each relative to its
+    peak-to-peak range. A blow that lasts a hundredth of the time therefore gets more than a hundredth of the samples.
+    `returns`: number of return intervals in the motion.
     """
     swing = np.ptp(states, axis=1)
     moving = swing > 1e-12 * np.abs(states).max(axis=1)
@@ -209,13 +217,13 @@ def evenly_spaced(times: np.ndarray, states: np.ndarray, returns: int) -> np.nda
 
 
 def merged_times(samples: np.ndarray, events: np.ndarray, tolerance: float) -> np.ndarray:
-    """Return the times of samples and events in order, without those closer together than the tolerance."""
+    """Return the sorted times of samples and events, without those closer to the previous time than the tolerance."""
     times = np.unique(np.concatenate([samples, events]))
     return times[np.concatenate([[True], np.diff(times) > tolerance])]
 
 
 def mark_events(flags: np.ndarray, times: np.ndarray, events: Mapping[str, np.ndarray], tolerance: float) -> None:
-    """Write the number of each event into the flag of the sample at its time."""
+    """Store the number of each event in the flag of the sample at the time of the event."""
     for name in EVENT_PRIORITY:
         moments = events.get(name, np.zeros(0))
         indices = np.searchsorted(times, moments - tolerance)

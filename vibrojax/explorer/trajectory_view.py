@@ -1,4 +1,4 @@
-"""The view of one trajectory: its whole course, thinned, and its last repeat or last returns as a cell."""
+"""The explorer's view of one trajectory: the thinned time history, and the last period or last section crossings."""
 
 from typing import Any
 
@@ -28,17 +28,17 @@ from vibrojax.explorer.recording import (
 from vibrojax.io.attributes import parameters_of, run_of
 
 HISTORY_BINS = 1200
-"""Intervals of time, each of which shows its least and greatest value: about one per pixel of a wide plot."""
+"""Number of time intervals, of each of which the least and greatest value are shown: one per pixel of a wide plot."""
 
 SECTION_STATES = ("x1", "x2", "v2", "x3", "v3")
-"""States whose values at returns are shown, as far as the scene has them."""
+"""States whose values at section crossings are shown, if the scene has them."""
 
 REPEAT_MAX_PULSES, REPEAT_TOLERANCE = 8, 1e-2
-"""Pulses of the longest repeat, and the largest distance from one repeat to the next over the swing."""
+"""Longest period in pulses, and largest difference of states one period apart relative to their peak-to-peak range."""
 
 
 def motion_document(ds: xr.Dataset) -> Document:
-    """Return the document of a trajectory, as `simulate` returns it."""
+    """Return the JSON document of a trajectory, given the dataset of `simulate`."""
     if not ds.sizes["time"]:
         raise InputError("explore: the motion has no samples")
     names = [str(name) for name, data in ds.data_vars.items() if data.ndim == 0 and data.dtype.kind in "fiu"]
@@ -53,7 +53,7 @@ def motion_document(ds: xr.Dataset) -> Document:
 
 
 def _history(ds: xr.Dataset) -> Document:
-    """Return all variables along time as the extremes of each bin, in the order in which they occur."""
+    """Return all variables along time, reduced to the two extremes in each time interval, in order of time."""
     time = ds["time"].values
     bins = np.array_split(np.arange(len(time)), min(HISTORY_BINS, len(time)))
     columns: list[Document] = []
@@ -75,12 +75,12 @@ def _history(ds: xr.Dataset) -> Document:
 
 
 def cell_of(motion: xr.Dataset, lane: int = -1) -> Cell:
-    """Return the cell of a trajectory.
+    """Return the part of a trajectory that the explorer page shows: its last period or its last section crossings.
 
-    **Arguments:** `motion`: the dataset of `simulate`. Without events, as from a solver of diffrax, the cell shows the
-    last seconds; `lane`: its number, -1 for a motion simulated live.
+    **Arguments:** `motion`: the dataset of `simulate`. Without events, as with a solver of diffrax, the last seconds
+    are shown. `lane`: number of the lane, -1 for a motion simulated live.
 
-    **Returns:** a cell with `numbers`: the features of the motion, by the names of a sweep's variables.
+    **Returns:** a `Cell`. Its `numbers` are the features of the motion, with the names of a sweep's variables.
     """
     time = motion["time"].values
     moments, kinds = (motion[n].values if n in motion else np.zeros(0) for n in ("event_time", "event_kind"))
@@ -125,15 +125,15 @@ def cell_of(motion: xr.Dataset, lane: int = -1) -> Cell:
 
 
 def _pulses(motion: xr.Dataset, end: float) -> Float[np.ndarray, " pulses"]:
-    """Return the times [s] at which pulses begin; none for a swept sine."""
+    """Return the times [s] at which pulses begin; empty for a swept sine."""
     frequency = parameters_of(motion).get("frequency", 0.0)
-    if not 0 < end * frequency < motion.sizes["time"]:  # with fewer samples than pulses, nothing can be seen
+    if not 0 < end * frequency < motion.sizes["time"]:  # with fewer samples than pulses, a period cannot be detected
         return np.zeros(0)
     return np.arange(int(end * frequency + 1e-9) + 1) / frequency
 
 
 def _repeated_pulses(motion: xr.Dataset, pulses: np.ndarray) -> int:
-    """Return the number of pulses after which the motion repeats, 0 if it does not."""
+    """Return the number of pulses per period of the motion, or 0 if it is not periodic."""
     time = motion["time"].values
     states = [motion["v3"].values, motion["x3"].values - motion["x4"].values]
     for count in range(1, min(REPEAT_MAX_PULSES, len(pulses) - 1) + 1):
@@ -148,7 +148,7 @@ def _repeated_pulses(motion: xr.Dataset, pulses: np.ndarray) -> int:
 
 
 def _flags(motion: xr.Dataset, times: np.ndarray, events: dict[str, Any], tolerance: float) -> np.ndarray:
-    """Return the flags of samples: stuck, touching, and the event at each."""
+    """Return the flags of samples: bit sticks, striker touches the bit, and the event at the sample."""
     flags = np.zeros(len(times), np.uint8)
     if "stuck" in motion:
         samples = np.searchsorted(motion["time"].values, times + tolerance, side="right") - 1

@@ -1,4 +1,7 @@
-"""The document and the cells of a dataset, by the view that the analysis of its kind names."""
+"""The JSON document and the motions of a dataset for the explorer page.
+
+The analysis of the dataset's kind defines its `view`: a map, families, a single motion, or borders on a map.
+"""
 
 from collections.abc import Iterator
 
@@ -17,16 +20,16 @@ from vibrojax.io.dataset import check_dataset
 from vibrojax.sweep.input.definition import Sweep
 
 PAGE_MAX_LANES = 40_000
-"""Lanes above which a page holds no motions: browsers open a larger file slowly."""
+"""Number of lanes above which a page contains no motions; browsers open a larger file slowly."""
 
 RERUN_MAX_LANE_SECONDS = 4e7
-"""Simulated seconds of all lanes together above which no sweep is run again: about an hour of computing."""
+"""Simulated time of all lanes [s] above which a sweep is not run again; it takes about an hour to compute."""
 
 
 def with_map(
     ds: xr.Dataset, over: xr.Dataset | None = None, progress: bool = True
 ) -> tuple[xr.Dataset, xr.Dataset | None]:
-    """Return the dataset to show and the borders over it; for borders alone, run their sweep again for the map.
+    """Return the dataset to show and the borders on its map; for borders alone, run their sweep again for the map.
 
     **Raises:** `InputError` if `ds` is not a dataset, or the sweep of the borders is too large.
     """
@@ -42,9 +45,9 @@ def with_map(
 
 
 def document_of(ds: xr.Dataset, over: xr.Dataset | None = None, own: Sweep | None = None) -> Document:
-    """Return the document of a dataset as JSON values; [vibrojax.explorer][] describes its form.
+    """Return the JSON document of a dataset, in the format described in [vibrojax.explorer][].
 
-    **Arguments:** `over`: borders over its map; `own`: its sweep, if that holds objects that no file can name.
+    **Arguments:** `over`: borders to draw on the map; `own`: the dataset's sweep, if it contains unnamed objects.
 
     **Raises:** `InputError` if there is nothing to show, or `over` does not belong to the dataset.
     """
@@ -69,9 +72,9 @@ def document_of(ds: xr.Dataset, over: xr.Dataset | None = None, own: Sweep | Non
 
 
 def cells_of(ds: xr.Dataset, progress: bool = True, own: Sweep | None = None) -> Iterator[Cell]:
-    """Yield the motions of a dataset's lanes, or points, in order; none if the page has no motions.
+    """Yield the motions of a dataset's lanes, or points, in order; no motions if the page shows none.
 
-    `own`: its sweep, if that holds objects that no file can name.
+    `own`: sweep of the dataset, if it contains objects without a name.
     """
     view = analysis_of(ds).view
     if view == "families":
@@ -85,7 +88,7 @@ def cells_of(ds: xr.Dataset, progress: bool = True, own: Sweep | None = None) ->
 
 
 def sweep_of(ds: xr.Dataset, own: Sweep | None = None) -> tuple[Sweep | None, str]:
-    """Return the sweep of a dataset; without one, None and the reason.
+    """Return the sweep of a dataset and an empty string, or None and the reason if there is no sweep.
 
     **Raises:** `InputError` if the dataset does not have the lanes of the sweep `own`.
     """
@@ -105,14 +108,14 @@ def sweep_of(ds: xr.Dataset, own: Sweep | None = None) -> tuple[Sweep | None, st
 
 
 def _motions_problem(ds: xr.Dataset, sweep: Sweep) -> str:
-    """Return the reason why a page has no motions, empty if it has them."""
+    """Return the reason why a page has no motions, or an empty string if it has motions."""
     if not has_lanes_of(ds, sweep):
         return "the dataset holds other lanes than the sweep that it names, and therefore no motions"
     return _rerun_problem(sweep)
 
 
 def _rerun_problem(sweep: Sweep) -> str:
-    """Return the reason why a sweep is not run again for a page, empty if it is."""
+    """Return the reason why a sweep is not run again for a page, or an empty string if it is."""
     if sweep.lanes > PAGE_MAX_LANES:
         return f"a page keeps the motions of at most {PAGE_MAX_LANES} lanes"
     seconds = sweep.lanes * (sweep.run.settle + sweep.run.observe)

@@ -1,4 +1,4 @@
-"""The page as a widget in a notebook, which passes the selected cell to Python."""
+"""The explorer page as a notebook widget, which passes the selected map cell to Python."""
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
@@ -19,22 +19,23 @@ def explore(
     sweep: Sweep | Mapping[str, object] | None = None,
     live: bool | None = None,
 ) -> "Explorer":
-    """Return the page of a dataset as a notebook widget: click a cell, and Python has it.
+    """Return the explorer page of a dataset as a notebook widget; Python can read the map cell that a click selects.
 
-    JupyterLab, Jupyter Notebook from version 7 and VS Code show it. It loads nothing from outside.
+    JupyterLab, Jupyter Notebook from version 7 and VS Code show the widget. It loads nothing from the network.
 
     **Arguments:**
 
     - `ds`: the dataset of a sweep, of its orbits or attractors, of families, borders, a trajectory, or a fit.
-    - `over`: borders, as `borders` returns them, to lay over a map of the same parameters.
-    - `sweep`: the sweep of the dataset, if it holds your own objects (a scene, a law), which no file can name.
-    - `live`: whether the kernel simulates the selected cell, and offers a slider for every parameter. If False, the
-      sweep is run again, and the widget holds the motions of all lanes; it needs no kernel after that. None means True
-      if the dataset names a scene of the package.
+    - `over`: borders, as `borders` returns them, to draw on a map of the same parameters.
+    - `sweep`: the sweep of the dataset, if it contains your own objects (a scene, a law), which have no name.
+    - `live`: whether the notebook's kernel simulates the motion of the selected map cell, with a slider for every
+      parameter. If False, the sweep is run again, and the widget contains the motions of all lanes; it then works
+      without a kernel. None: True if the dataset's scene is a scene of the package.
 
-    **Returns:** the widget. Its traits are `cell` (index by axis), `point` (value by axis in SI; a start by its name or
-    its states) and `simulated` (`parameters` in SI and `start` of the motion that sliders asked for last). The property
-    `lane` is the dataset at the selected cell.
+    **Returns:** the widget. The traits `cell` (index by axis) and `point` (value by axis in SI units; an initial
+    condition by name or state) are those of the selected map cell. The trait `simulated` has the `parameters` in SI
+    units and the `start` of the last motion requested with sliders. The property `lane` is the dataset of the selected
+    lane.
 
     **Raises:** `InputError` if the dataset holds nothing to show, or anywidget is not installed
     (`pip install "vibrojax[widget]"`); in `widget.point = ...`, if there is no such axis or value.

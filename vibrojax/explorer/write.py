@@ -1,4 +1,4 @@
-"""A page as one self-contained HTML file, put together from the modules in `page/`, a document and blocks of cells."""
+"""The explorer page as a self-contained HTML file: JavaScript modules of `page/`, JSON document, encoded motions."""
 
 import html
 import json
@@ -21,7 +21,7 @@ from vibrojax.sweep.input.definition import Sweep
 from vibrojax.sweep.input.read import read_sweep
 
 BLOCK_CELLS = 256
-"""Cells per block; the page decodes a whole block when one of its cells is chosen."""
+"""Number of motions per block; the page decodes a complete block when one of its motions is selected."""
 
 MODULES = (
     *("dom.js", "decode.js", "plots.js", "grid.js", "map.js", "cell.js", "calls.js", "fragment.js"),
@@ -43,21 +43,21 @@ def write_page(
     sweep: Sweep | Mapping[str, object] | None = None,
     progress: bool = True,
 ) -> Path:
-    """Write the page of a dataset: one HTML file that loads nothing from outside.
+    """Write the explorer page of a dataset: one HTML file that loads nothing from the network.
 
         vj.write_page(vj.run_sweep("regime-map"), "regime-map.html")
 
-    Choose a cell by a click on the map or by arrow keys. The page shows its motion in phase planes, over time, as a
-    spectrum, and by its returns and multipliers, with its numbers and the command that simulates it. The address stores
-    the selection, so that a link restores it.
+    Select a map cell (a lane) by a click on the map or by arrow keys. The page shows the lane's motion in phase planes,
+    over time and as a spectrum. It also shows section crossings, multipliers, features, and the command that simulates
+    the motion. The page's address stores the selection, so that a link restores it.
 
     **Arguments:**
 
     - `ds`: the dataset of a sweep, of its orbits or attractors, of families, borders, a trajectory, or a fit.
     - `path`: the file to write; an existing file is replaced.
-    - `over`: borders, as `borders` returns them, to lay over a map of the same parameters.
-    - `sweep`: the sweep of the dataset, if it holds your own objects (a scene, a law), which no file can name.
-    - `progress`: whether to report progress on stderr. A sweep is run again, with its orbits, for its motions.
+    - `over`: borders, as `borders` returns them, to draw on a map of the same parameters.
+    - `sweep`: the sweep of the dataset, if it contains your own objects (a scene, a law), which have no name.
+    - `progress`: whether to report progress on stderr. A sweep is run again, with its orbits, to record motions.
 
     **Returns:** the path.
 
@@ -85,9 +85,9 @@ def page_contents(
     live: bool | None,
     progress: bool,
 ) -> tuple[xr.Dataset, Document, list[str], LiveMotions | None]:
-    """Return the dataset of a page, its document, its blocks of cells, and its motions on demand.
+    """Return the dataset of a page, its JSON document, its encoded motions, and its motions on demand.
 
-    `live`: whether motions are computed on demand; None means True if the dataset names a scene of the package.
+    `live`: whether motions are computed on demand; None: True if the dataset's scene is a scene of the package.
     """
     own = read_sweep(sweep) if isinstance(sweep, Mapping) else sweep
     ds, over = with_map(ds, over, progress)
@@ -106,7 +106,7 @@ def page_contents(
 
 
 def blocks_of(cells: Iterable[Cell]) -> list[str]:
-    """Return cells in blocks of consecutive lanes, deflated and in base64: the lines of a page."""
+    """Return motions encoded in blocks of consecutive lanes, deflated and in base64; one string per block."""
     by_block: dict[int, list[Cell]] = {}
     for cell in cells:
         by_block.setdefault(cell.lane // BLOCK_CELLS, []).append(cell)
@@ -115,7 +115,7 @@ def blocks_of(cells: Iterable[Cell]) -> list[str]:
 
 
 def page_text(document: Document, blocks: Sequence[str] = ()) -> str:
-    """Return the page as HTML; with the key `live` in its document, it asks its server for motions.
+    """Return the explorer page as HTML; if its JSON document has the key `live`, it requests motions from its server.
 
     The content security policy restricts the browser to the page's own script and style; nothing is loaded.
     """
