@@ -101,6 +101,7 @@ def test_a_dataset_names_no_sweep_of_other_lanes(sweep, said, tmp_path):
 def test_content_that_does_not_fit_together_is_refused_in_one_line(sweep, said):
     """In ways that no check foresees, too."""
     ds = sweep.drop_vars("cycles").assign(share=1.0, share_stderr=1.0, lane_attractor=3)
+    ds = ds.assign_attrs(kind="attractors")
     status, _, err = said(["info"], ds)
     assert status == 2 and err.count("\n") == 1 and "sent.nc: its content does not fit together (" in err
 

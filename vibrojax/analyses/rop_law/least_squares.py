@@ -184,6 +184,8 @@ def minimise(
         theta = least_squares(residual, theta, jacobian, method="lm", max_nfev=_LM_MAX_EVALUATIONS).x
         step = newton_step(theta)
         for _ in range(_NEWTON_STEPS):
+            if not np.isfinite(step).all():  # the Hessian is singular
+                break
             before, after = (float(np.sum(residual(x) ** 2)) for x in (theta, theta + step))
             if not after <= before * (1 + _ROUNDING) + _ROUNDING**2:
                 break

@@ -131,7 +131,7 @@ def response(ds: xr.Dataset) -> Figure:
     if turn.size <= _FEWEST_CYCLES:
         raise InputError(f"no response to draw: {max(turn.size - 1, 0)} whole cycles; simulate longer")
 
-    def half_swing(values: Samples) -> Samples:
+    def half_swing(values: Samples) -> Float[np.ndarray, " cycles"]:
         whole = values[: turn[-1]]
         return (np.maximum.reduceat(whole, turn[:-1]) - np.minimum.reduceat(whole, turn[:-1])) / 2
 
