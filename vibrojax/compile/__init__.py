@@ -13,7 +13,7 @@ foreign code compared with XLA before the first of them runs.
 
 - `kernels/`: translation of jax's trace to LLVM's intermediate representation (IR), compilation, and the disk cache.
 - `xla.py`: XLA's options, and functions that run block by block.
-- `agreement.py`, `trust.py`: comparison of a kernel with XLA, and the resulting verdicts.
+- `agreement.py`, `trust.py`: comparison of a kernel with XLA, and the decision which of them runs.
 - `arithmetic.py`: check of elementary functions against numpy. `devices.py`: devices, threads, precision.
 
 **Reason for a second compiler.** On CPUs, XLA recomputes values that several fusions share, and launches each fusion

@@ -2,7 +2,7 @@
 
 Foreign code (code from outside the package) may use any function of jax. A fault in its translation would silently give
 wrong numbers. So before a kernel of foreign code runs, the caller's `KernelComparison` compares that code with XLA. If
-the results differ, XLA runs all code of the same owner, such as a scene. The disk cache stores the verdict under the
+the results differ, XLA runs all code of the same owner, such as a scene. The disk cache stores the outcome under the
 hashes of the compared kernels and of each kernel that it allows, so that each owner is compared once.
 
 The tests compare the package's own code with XLA for the versions in `TESTED_VERSIONS`. With newer versions, the
@@ -148,7 +148,7 @@ def _verify(key: str, subject: Subject) -> None:
 
 
 def _verdict(subject: Subject) -> bytes:
-    """Return the verdict on a subject, from the disk cache if it is there."""
+    """Return the outcome of the comparison with XLA, from the disk cache if possible: `AGREES`, or a message."""
     comparison = subject.compare()
     name = _verdict_name(comparison.key)
     verdict = store.read(name)
@@ -165,7 +165,7 @@ def _verdict(subject: Subject) -> bytes:
 
 
 def _verdict_name(key: str) -> str:
-    """Return the cache key of the verdict on the kernels with this key."""
+    """Return the cache key for the outcome of a comparison, given the hash of the compared kernels."""
     return sha256("\n".join(("agreement 1", key, jax.__version__, jaxlib.__version__)).encode()).hexdigest()
 
 

@@ -40,7 +40,7 @@ def explore(
     **Raises:** `InputError` if the dataset holds nothing to show, or anywidget is not installed
     (`pip install "vibrojax[widget]"`); in `widget.point = ...`, if there is no such axis or value.
 
-    **Example:** (in a notebook, a line `widget` shows it; a click selects a cell as `widget.point = ...` does)
+    **Example:** (in a notebook, a line `widget` shows it; a click selects a map cell, as `widget.point = ...` does)
 
     >>> sweep = {"scene": "vibro-impact", "grid": {"beta": [0.3, 0.4]}, "run": {"settle": 8.0}}
     >>> widget = vj.explore(vj.run_sweep(sweep, progress=False))

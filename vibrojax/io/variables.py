@@ -52,7 +52,7 @@ STABILITIES = ("not-known", "unstable", "stable")
 """Meaning of the flags -1, 0 and 1 of `stable`."""
 
 NATURES = ("unknown", "periodic", "quasi-periodic", "chaotic", "not-settled")
-"""Meaning of each flag of `nature`."""
+"""Meaning of each flag of `nature`, the classification of a lane by its largest Lyapunov exponent."""
 
 
 def orbit_name(state: str) -> str:

@@ -1,6 +1,7 @@
 """Recognition of lanes that converge to a stable periodic orbit, from their last section crossings.
 
-Scaled distances are in units of the states' scales: half the swings, and for velocities the same times 2 pi/period.
+Scaled distances are in units of the states' scales: half the peak-to-peak range of a
+position, and for its velocity half that range times 2 pi/period.
 """
 
 from typing import NamedTuple

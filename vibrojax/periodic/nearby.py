@@ -21,7 +21,7 @@ from vibrojax.sweep.engine.batch import Features, Index
 from vibrojax.sweep.input.definition import Sweep
 
 REACH = 0.5
-"""Largest distance of the recorded section crossings from a nearby orbit, in units of half the swings. Of 197 lanes
+"""Largest distance of the recorded section crossings from a nearby orbit, in units of the states' scales. Of 197 lanes
 (beta 0.1 to 1.2, gamma 0.3 to 1.2) with such an orbit after 40 s, 194 were on it after 300 s. Half this distance finds
 fewer orbits, none of them more reliable."""
 

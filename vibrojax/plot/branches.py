@@ -85,7 +85,11 @@ def distinguishing_coords(ds: xr.Dataset) -> list[str]:
 
 
 def _shown_names(ds: xr.Dataset, branch: Branch, name: str) -> tuple[str, ...]:
-    """Return the variables drawn for `name`: minimum and maximum if several returns have one impact each."""
+    """Return the names of the variables that are drawn for `name` along a branch.
+
+    If a period has several return intervals with one impact each, they are `name`_min and `name`_max (over the impacts
+    of a period), provided that the dataset contains both. Otherwise, it is `name` itself.
+    """
     ends = f"{name}_min", f"{name}_max"
     cycles = _cycles(ds, branch)
     several = cycles > 1 and "impacts" in ds and ds["impacts"].values[branch.points[0]] == cycles

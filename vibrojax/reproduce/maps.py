@@ -21,7 +21,7 @@ SINGLE_IMPACT = 3
 REGION = {"beta": (0.25, 0.6), "gamma": (0.6, 0.8)}
 """The source's region of best performance: ranges of mass ratio and frequency ratio."""
 HALF_STEP = 0.05 + 1e-6
-"""Half the source's step of 0.1 in beta and gamma: the uncertainty of the region's borders."""
+"""Half the source's step of 0.1 in beta and gamma: the uncertainty of the borders of `REGION`."""
 LISTED_RATE = 2 * np.pi
 """Ratio of the penetration rate in the source's program listing to the true rate (R8)."""
 
@@ -61,7 +61,8 @@ def single_impact_share(map: xr.Dataset) -> float:
     return share(single_impact(map))
 
 
-# The source's region. Flags are boolean arrays over the axes of a map, True for lanes that satisfy a criterion.
+# The source's region of best performance. Flags are boolean arrays over the axes of a map: True for lanes that satisfy
+# a criterion.
 
 
 def single_impact(map: xr.Dataset) -> xr.DataArray:
@@ -128,7 +129,7 @@ def whole_region(flags: xr.DataArray) -> Here:
 
 
 def share_outside(flags: xr.DataArray) -> float:
-    """Return the fraction of True flags among the lanes farther than half a step from the region."""
+    """Return the fraction of True flags among the lanes farther than half a step from `REGION`."""
     beta, gamma = (
         (flags[name] >= low - HALF_STEP) & (flags[name] <= high + HALF_STEP) for name, (low, high) in REGION.items()
     )

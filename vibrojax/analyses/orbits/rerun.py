@@ -64,7 +64,8 @@ def orbits(
       still settling on an orbit with a shorter period.
     - `nearby_cycles`: crossings per period of a stable orbit near an irregular or undecided lane, which the lane has
       not reached; 0 if none was found; not computed in `penetration`. `nearby_impacts`: impacts per period of that
-      orbit; `nearby_distance`: the largest distance of the lane's last crossings from it, in units of half the swings.
+      orbit; `nearby_distance`: the largest distance of the lane's last crossings from that orbit, in units of half the
+      peak-to-peak ranges of the states.
 
     **Raises:** `InputError` if the source is not a sweep or the dataset of one, if the sweep cannot be run, or if the
     scene has neither a section nor pulses.

@@ -87,8 +87,8 @@ def smallest_push(
     - `scene`: name of a scene, or a scene, with a drill; `parameters`: any of its parameters (SI), as in `simulate`.
       Sequences of equal length define several working cycles along the dimension `point`, pushed in one batch.
     - `start`: initial condition of the motion that settles on the cycle, by default the scene's first.
-    - `most`: greatest push in each state variable, by name (x1, x2 [m], v1, v2 [m/s]). By default it is the full swing
-      of a position over the cycle, and for a velocity the swing of its position times 2 pi/period.
+    - `most`: greatest push in each state variable, by name (x1, x2 [m], v1, v2 [m/s]). By default it is the
+      peak-to-peak range of a position over the cycle, and for a velocity that of its position times 2 pi/period.
     - `scan`: number of pushes per scan and direction; `precision`: relative width of the final bracket.
     - `settle` [s]: settling time; `observe` [s]: duration of the observation.
     - `progress`: True to report progress on stderr.

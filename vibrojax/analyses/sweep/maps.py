@@ -208,7 +208,7 @@ def _mark_cells(panel: Panel, x: str, y: str) -> dict[str, Artist]:
 
 
 def outline_region(axes: Axes, x: str, y: str) -> None:
-    """Outline the source's region of best single impacts if the axes are beta and gamma and the region is in view."""
+    """Outline the source's region of best single impacts, if the axes are beta and gamma and show this region."""
     if {x, y} != set(REGION):
         return
     (west, east), (south, north) = REGION[x], REGION[y]

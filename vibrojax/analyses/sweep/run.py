@@ -255,8 +255,8 @@ def estimate(sweep: Sweep, to_file: bool = False, processes: int = 0, measured: 
         processor = processor._replace(compile=measured.compile_s, step=measured.lane_s * sweep.lanes)
     elapsed = by_the_clock(processor, cores)
     before = elapsed.start + elapsed.compile
-    # The time loop holds some 500 numbers per lane. Regions hold their features, their variables, and variables being
-    # written.
+    # The time loop holds some 500 numbers per lane. The array regions of `join` hold features, variables, and
+    # variables being written.
     memory = MEMORY * (1 + processes) + max(1, processes) * chunks.size * 8 * 500
     memory += 3 * min(REGION, sweep.lanes) * (in_chunk + in_file) if to_file else sweep.lanes * (in_chunk + in_file)
     return Cost(

@@ -155,7 +155,7 @@ def dot_size(values: int) -> float:
 
 
 def _draw_strip(stack: Stack, x: str) -> bool:
-    """Draw the regimes along `x`: a row of cells per initial condition, or the regime fractions of many.
+    """Draw the regimes along `x`: a row of coloured cells per initial condition, or the regime fractions of many.
 
     Return whether any lane is marked as sensitive to rounding.
     """

@@ -97,8 +97,8 @@ class Swing(NamedTuple):
     """An oscillating state `position`, the state `velocity` that is its rate of change, and the variable `amplitude`.
 
     `amplitude` is the variable's name for half the peak-to-peak range of the position. Steps end on the turning points
-    if a marker has this velocity. `velocity` may be None if no state is the rate of change, but only for the first
-    swing of a section with `at`.
+    if a marker has this velocity. `velocity` may be None if no state is the rate of change, but only in the first
+    of the `swings` of a section with `at`.
 
     **Example:**
 
@@ -113,7 +113,7 @@ class Swing(NamedTuple):
 
 @dataclass(frozen=True)
 class Section:
-    """The Poincaré section: zeros of the first swing's velocity, or of the state `at`.
+    """The Poincaré section: zeros of the velocity of the first of the `swings`, or of the state `at`.
 
     The state needs a marker and crosses zero upwards if `rising`, else downwards. Between two section crossings the
     state must have passed the level `rearm(constants)` in the other direction. A velocity that fluctuates about zero is

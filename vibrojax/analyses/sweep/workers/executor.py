@@ -59,8 +59,8 @@ def by_executor(sweep: Sweep, executor: Executor, order: Sequence[int], store: S
     """Compute the chunks of a sweep in this order, and `store` each one, in this thread, as soon as it is finished.
 
     If a worker raises, this process computes its chunk. If the executor breaks down (a process of Python's own pool
-    died, or the scheduler is gone), this process computes all remaining chunks. Each task carries all data that it
-    needs.
+    died, or the scheduler is gone), this process computes all remaining chunks. Each task contains all data for
+    its chunk.
 
     **Raises:** the error of a chunk that also fails in this process; `InputError` if the sweep cannot be pickled.
     """
