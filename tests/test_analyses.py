@@ -10,8 +10,11 @@ import pytest
 import xarray as xr
 
 import vibrojax as vj
+from vibrojax import cli
+from vibrojax.analyses import registry
 from vibrojax.analyses.registry import analysis_named, analysis_of
 from vibrojax.cli import main
+from vibrojax.cli.analysis import AnalysisCommand
 from vibrojax.io.kinds import STRUCTURES, kind_of
 
 OUTSIDE = Path(__file__).parent / "outside"
@@ -104,6 +107,32 @@ def test_an_object_is_an_analysis_at_once():
     ds = vj.analyse({"scene": "rotary", "grid": {"v": [1.0, 1.5]}}, Medians(), progress=False)
     assert ds.attrs["kind"] == kind_of(ds) == "medians" and ds.attrs["source"].startswith("vibrojax")
     assert isinstance(analysis_of(ds), Medians)
+
+
+def test_a_known_kind_without_a_picture_does_not_ask_for_a_package():
+    for ds in (xr.Dataset({"x": 1.0}), xr.Dataset({"x": 1.0}, attrs={"kind": "derivatives"})):
+        with pytest.raises(vj.InputError, match="a picture needs regime"):
+            vj.picture(ds)
+
+
+class Orbits(vj.SweepAnalysis):
+    """Count the stable lanes of a sweep."""
+
+    kind = "stable-lanes"
+
+    def of_lanes(self, sweep, lanes, progress=True):
+        return xr.Dataset({"lanes": int((lanes.stable == 1).sum())})
+
+
+def test_a_command_states_the_kind_of_an_analysis_that_does_not(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(registry._USED, Orbits.kind, Orbits())
+    monkeypatch.setitem(cli._COMMANDS, Orbits.kind, AnalysisCommand(Orbits.kind, "count"))
+    point = 'scene = "vibro-impact"\nstarts = ["stuck"]\n[grid]\ngamma = [0.75]\n[parameters]\ndelta = 0.005\n'
+    Path("one.toml").write_text(point)
+    assert main([Orbits.kind, "one.toml", "-o", "one.nc"]) == 0
+    assert vj.open_dataset("one.nc").attrs["kind"] == Orbits.kind
+    assert capsys.readouterr().out == "one.nc\n"
 
 
 @pytest.mark.parametrize("wrong", [Medians, 3, None])

@@ -120,7 +120,7 @@ class Analysis:
             refuse_overlays(over, "the dataset holds none")
         held = contents(ds)
         rule = next((rule for rule in self.pictures if rule.fits(held)), None)
-        if rule is None and not self.pictures:
+        if rule is None and type(self) is Analysis and kind_of(ds):
             raise InputError(
                 f'nothing to draw: no analysis of kind "{kind_of(ds)}" is known here; install the package that made it'
             )

@@ -61,7 +61,14 @@ def analyse(source: Source, analysis: Analysis, progress: bool = True) -> xr.Dat
     'median'
     """
     check_analysis(analysis)
-    ds = analysis.run(source, progress)
+    return checked_result(analysis, analysis.run(source, progress))
+
+
+def checked_result(analysis: Analysis, ds: xr.Dataset) -> xr.Dataset:
+    """Return the dataset that an analysis made, with its kind and provenance; `picture` supports the kind from then on.
+
+    **Raises:** `InputError` if the analysis returned something else than a well-formed dataset.
+    """
     if not isinstance(ds, xr.Dataset):
         raise InputError(f"analyse: {type(analysis).__name__}.run returned {type(ds).__name__}, not an xarray.Dataset")
     kind = analysis.kind

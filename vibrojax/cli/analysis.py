@@ -53,7 +53,7 @@ class AnalysisCommand:
     def run(self, options: Options) -> None:
         """Run the analysis, write and draw its dataset, and print its summary."""
         from vibrojax.analyses.orbits.analysis import SweepAnalysis
-        from vibrojax.analyses.registry import analyse
+        from vibrojax.analyses.registry import analyse, checked_result
         from vibrojax.io.dataset import open_dataset
 
         texts = {option: getattr(options, field.name) for option, field in self.fields.items()}
@@ -80,7 +80,7 @@ class AnalysisCommand:
                 options.advise("finished chunks are kept; to go on", *words)
                 lanes_of = lanes_beside(sweep, result.out, resume=not options.fresh, progress=progress)
             with lanes_of as lanes:
-                dataset = analysis.of_lanes(sweep, lanes, progress)
+                dataset = checked_result(analysis, analysis.of_lanes(sweep, lanes, progress))
                 drawn = write_result(options, dataset, result)
         else:
             dataset = analyse(source, analysis, progress=progress)
@@ -88,8 +88,8 @@ class AnalysisCommand:
         if progress:
             count = f": {dataset.sizes[analysis.counted]} {analysis.counted}s" if analysis.counted else ""
             print(f"{result.out}{count}{drawn}")
-            for part in analysis.summary(dataset):
-                print("\n".join(part.lines))
+            for line in (line for part in analysis.summary(dataset) for line in part.lines):
+                print(line)
 
 
 def _value(option: str, field: "dataclasses.Field[Any]", text: str) -> object:

@@ -286,10 +286,8 @@ class Shards:
         """
         differences = self.manifest.changes_since(self.folder / MANIFEST)
         if differences and self.there():
-            raise InputError(
-                f"{self.folder}: holds chunks of another sweep: {differences}; "
-                "--fresh starts over, or give another output"
-            )
+            advice = "--fresh starts over, or give another output"
+            raise InputError(f"{self.folder}: holds chunks of another sweep: {differences}; {advice}")
 
 
 def report_damage(damage: DamagedShard | str) -> None:
