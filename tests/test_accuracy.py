@@ -109,7 +109,7 @@ def test_interrupted(tmp_path, monkeypatch, capsys):
 
 
 def test_an_unknown_scene():
-    with pytest.raises(InputError, match='"rotory" is no scene; did you mean "rotary"'):
+    with pytest.raises(InputError, match='"rotory" is not a scene; did you mean "rotary"'):
         run_accuracy(["rotory"], progress=False)
 
 

@@ -54,8 +54,8 @@ def test_the_command_of_another_package_writes_and_draws(campbell):
     assert (campbell / "speeds-campbell.png").stat().st_size > 10_000
     with xr.open_dataset(campbell / "speeds-campbell.nc") as ds:
         assert ds.attrs["kind"] == "campbell" and ds.attrs["Conventions"] == "CF-1.11"
-        # A bit that sticks and slips without a striker: its period falls as the drive gets faster.
-        assert (np.diff(ds["fundamental"]) >= 0).all() and ds["fundamental"][0] > 0.5
+        # Friction feeds the upper linear mode; a window of 8 s resolves 1/8 Hz.
+        assert np.abs(ds["fundamental"] - ds["mode"][:, 1]).max() < 1 / 8
 
 
 def test_help_info_and_plot_know_it(campbell):

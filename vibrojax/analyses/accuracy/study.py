@@ -74,7 +74,7 @@ def run_accuracy(scenes: Sequence[str] | None = None, quick: bool = False, progr
     scenes = tuple(scenes or (QUICK_SCENES if quick else SCENES))
     for scene in scenes:
         if scene not in SCENES:
-            raise InputError(f'accuracy: "{scene}" is no scene; {suggestion(scene, SCENES)}')
+            raise InputError(f'accuracy: "{scene}" is not a scene; {suggestion(scene, SCENES)}')
     began = time.monotonic()
     bar = Progress(sum(len(settings_of(scene, quick)) for scene in scenes), "settings", progress, pace=False)
     results: list[Measurement] = []

@@ -116,9 +116,7 @@ def sweep_of_dataset(dataset: xr.Dataset, orbits: bool = True) -> Sweep:
     expected = {**before, "run.orbits": True} if orbits else before
     differing = changes(expected, json.loads(identity_text(sweep.identity())))
     if before and differing:
-        raise InputError(
-            f"orbits: the sweep that the dataset names is another one now: {differing}; give the sweep itself"
-        )
+        raise InputError(f"orbits: the sweep that the dataset names has changed: {differing}; give the sweep itself")
     seconds, lanes = sweep.run.settle + sweep.run.observe, 1 if has_lanes_of(dataset, sweep) else sweep.lanes
     if seconds > RERUN_MAX_SECONDS or lanes * seconds > RERUN_MAX_TOTAL_SECONDS:
         raise InputError(

@@ -64,7 +64,7 @@ def read_pushed(
         raise place.at("scan").error(f"{shown(scan)} is not a whole number from 2 to 10000")
     width = quantity(place.at("precision"), precision, positive("precision", PRECISION, "1", "precision", "precision"))
     if most is not None and not isinstance(most, Mapping):
-        raise place.at("most").error(f"{shown(most)} is no table; give one like {{'v2': 3.0}}")
+        raise place.at("most").error(f"{shown(most)} is not a table; give one like {{'v2': 3.0}}")
     bounds = {}
     for name, value in (most or {}).items():
         if name not in system.start_states:
