@@ -22,7 +22,7 @@ jax.config.update("jax_enable_x64", True)
 
 from test_sweep_against_simulate import DRILLS, LANES, all_laws, columns, swept  # noqa: E402
 
-from vibrojax.compile import Untranslatable, arithmetic, xla  # noqa: E402
+from vibrojax.compile import Untranslatable, agreement, xla  # noqa: E402
 from vibrojax.compile.kernels import elementwise, kernels, native  # noqa: E402
 from vibrojax.compile.kernels.rules import NUMBERS, Rule  # noqa: E402
 from vibrojax.errors import InputError  # noqa: E402
@@ -75,7 +75,7 @@ CHOICES: dict[str, list[Any]] = {
 @contextmanager
 def compiled_with(changes: list[Any]) -> Iterator[None]:
     """Sweeps compiled anew, with these changes."""
-    caches = (xla.evaluation, arithmetic.check)
+    caches = (xla.evaluation, agreement.check)
     for change in changes:
         change.start()
     try:

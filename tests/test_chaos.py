@@ -13,7 +13,7 @@ from vibrojax.errors import InputError
 from vibrojax.io.variables import NATURES
 from vibrojax.measures.labels import IRREGULAR
 from vibrojax.periodic.of_lanes import last_returns
-from vibrojax.periodic.segments import Segments
+from vibrojax.periodic.return_map import Segments
 from vibrojax.sweep.engine.chunks import Chunks
 
 GAP = {"scene": "vibro-impact", "starts": ["stuck"], "parameters": {"delta": 0.005}}

@@ -52,7 +52,7 @@ def calls(monkeypatch, tmp_path):
     cost = {"lanes": 4, "chunks": 1, "memory_bytes": 2.5e6, "disk_bytes": 1234, "file_bytes": 512, "time_s": 190.0}
     cost |= {"compile_s": 8.0, "step_s": 182.0, "processor_s": 370.0, "hour_workers": 1}
     module("vibrojax.analyses.sweep.run", run_to_file=dataset, estimate=cost)
-    module("vibrojax.sweep.engine.resources", check_size=None)
+    module("vibrojax.sweep.engine.costs", check_size=None)
     module("vibrojax.sweep.simulation", simulate=dataset)
     module("vibrojax.io.dataset", write_dataset=None, open_dataset=dataset)
     module("vibrojax.analyses.pictures", save_picture=None, picture=None)

@@ -148,7 +148,7 @@ MANY = TEXT.replace("chunk = 4", "").replace(
 def test_a_hundred_million_lanes_are_a_matter_of_disk_alone(free, enough, capsys, folder, monkeypatch):
     """Nothing grows with them but what lies on the disk: not what a plan takes, nor the memory that it says."""
     (folder / "map.toml").write_text(MANY)
-    monkeypatch.setattr("vibrojax.sweep.engine.resources.shutil.disk_usage", lambda _: SimpleNamespace(free=free))
+    monkeypatch.setattr("vibrojax.sweep.engine.costs.shutil.disk_usage", lambda _: SimpleNamespace(free=free))
     tracemalloc.start()
     status = main(["sweep", "map.toml", "--dry-run"])
     _, most = tracemalloc.get_traced_memory()

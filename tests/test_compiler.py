@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from vibrojax.cli import main
-from vibrojax.compile import arithmetic, xla
-from vibrojax.compile.arithmetic import check
+from vibrojax.compile import agreement, xla
+from vibrojax.compile.agreement import check
 from vibrojax.compile.xla import compiler_options
 from vibrojax.errors import InputError
 from vibrojax.sweep.engine import compiler
@@ -19,7 +19,7 @@ TOML = 'scene = "rotary"\n[grid]\nbeta = [0.4]\n[run]\nsettle = 1.0\nobserve = 1
 
 
 def wrong_functions(evaluate, dtype, lanes):
-    return arithmetic.wrong_functions(evaluate, EQUATION_FUNCTIONS, dtype, lanes)
+    return agreement.wrong_functions(evaluate, EQUATION_FUNCTIONS, dtype, lanes)
 
 
 def by_xla_with(options):

@@ -16,7 +16,7 @@ import xarray as xr
 
 import vibrojax as vj
 from vibrojax.cli import main
-from vibrojax.io.faults import KnownFault
+from vibrojax.io.dataset import KnownFault
 from vibrojax.io.threads import in_own_thread
 from vibrojax.io.variables import VARIABLES
 

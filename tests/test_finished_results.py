@@ -5,7 +5,7 @@ import pytest
 
 import vibrojax as vj
 from vibrojax.cli import main
-from vibrojax.io.finished import check_replaceable
+from vibrojax.io.manifest import check_replaceable
 from vibrojax.sweep.input.read import read_sweep
 
 SWEEP = 'scene = "rotary"\ntitle = "{title}"\n[grid]\ngamma = [{gamma}]\n[run]\nsettle = 0.5\nobserve = 0.5\n'

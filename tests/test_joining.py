@@ -16,8 +16,7 @@ from hypothesis import strategies as st
 from vibrojax.analyses.sweep import joining
 from vibrojax.analyses.sweep.run import run_sweep, run_to_file
 from vibrojax.io import dataset as on_disk
-from vibrojax.io.dataset import open_dataset
-from vibrojax.io.packing import Sizes
+from vibrojax.io.dataset import Sizes, open_dataset
 from vibrojax.io.targets import Regions
 from vibrojax.sweep.input.read import read_sweep
 
@@ -69,7 +68,7 @@ def test_large_datasets_pack_what_that_makes_half_as_large(tmp_path, monkeypatch
     sweep = read_sweep(SWEEP | many | {"run": {"settle": 3.0, "observe": 2.0, "chunk": 100}})
     expected = run_sweep(sweep, progress=False)
     monkeypatch.setattr("vibrojax.io.targets.COMPRESSED", 4)
-    monkeypatch.setattr("vibrojax.io.packing.UP_TO", 0.0)
+    monkeypatch.setattr("vibrojax.io.dataset.UP_TO", 0.0)
     monkeypatch.setattr(joining, "UP_TO", 0.0)
     found = run_to_file(sweep, tmp_path / "out.nc", progress=False)
     xr.testing.assert_identical(found.drop_attrs(), expected.drop_attrs())

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
-from vibrojax.compile import devices
+from vibrojax.compile import xla
 from vibrojax.compile.kernels import kernels, native
 from vibrojax.sweep.engine.chunks import Chunks
 from vibrojax.sweep.input.read import read_sweep
@@ -79,8 +79,8 @@ def test_chunk(tiled, chunk):
 @pytest.mark.parametrize("cores", [1, 3])
 def test_cores(tiled, cores, monkeypatch):
     """However many threads share the lanes."""
-    monkeypatch.setattr(devices, "usable_cores", lambda: cores)
-    assert len(devices.workers()) == cores
+    monkeypatch.setattr(xla, "usable_cores", lambda: cores)
+    assert len(xla.workers()) == cores
     assert_identical(features(vj.run_sweep(sweep(TILED, chunk=200, **SHORT), progress=False)), tiled)
 
 

@@ -11,7 +11,7 @@ from vibrojax.cli import main
 from vibrojax.errors import Place
 from vibrojax.models.physics.friction import FRICTION_LAWS
 from vibrojax.models.scenes import SCENES
-from vibrojax.sweep.input.point import read_point
+from vibrojax.sweep.input.read import read_point
 from vibrojax.sweep.input.source import bundled_names
 
 SWEEPS = Path(__file__).parents[1] / "sweeps"

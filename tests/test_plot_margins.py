@@ -7,7 +7,7 @@ from read_off import panel, texts
 from test_plot import lanes, returns, run, square
 
 from vibrojax.analyses.pictures import picture, pulses, trajectory
-from vibrojax.plot.envelope import is_band
+from vibrojax.plot.curves import is_band
 
 
 def drawn(axes, label):

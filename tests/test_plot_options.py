@@ -16,8 +16,8 @@ import vibrojax as vj
 from vibrojax.analyses.pictures import REGIME_COLOURS, picture
 from vibrojax.cli import main
 from vibrojax.errors import InputError
-from vibrojax.plot.margins import PAGE
 from vibrojax.plot.selection import select
+from vibrojax.plot.sheet import PAGE
 
 
 def with_shares(ds):

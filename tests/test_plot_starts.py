@@ -12,7 +12,7 @@ from test_plot import COORDINATES, flagged, returns
 
 import vibrojax as vj
 from vibrojax.analyses.pictures import picture, regime_map
-from vibrojax.plot.margins import PAGE
+from vibrojax.plot.sheet import PAGE
 
 UNITS = {"x1": "m", "v1": "m s-1", "x2": "m", "v2": "m s-1"}
 

@@ -7,7 +7,7 @@ import pytest
 
 import vibrojax as vj
 from vibrojax.measures.labels import IRREGULAR, MULTI_IMPACT
-from vibrojax.sweep.engine import sensitive as module
+from vibrojax.sweep.engine import drift as module
 
 POINT = {
     "friction": "popp-exponential",

@@ -8,8 +8,7 @@ import pytest
 
 from vibrojax.errors import Place
 from vibrojax.sweep.input import source
-from vibrojax.sweep.input.point import read_point
-from vibrojax.sweep.input.read import read_sweep
+from vibrojax.sweep.input.read import read_point, read_sweep
 from vibrojax.sweep.input.run_settings import RunSettings
 from vibrojax.sweep.input.source import render
 

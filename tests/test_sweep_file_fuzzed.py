@@ -14,9 +14,8 @@ from vibrojax.analyses.sweep.run import estimate
 from vibrojax.cli.simulate import SETTINGS
 from vibrojax.cli.values import named_values
 from vibrojax.errors import InputError, Place
-from vibrojax.sweep.engine.resources import check_size
-from vibrojax.sweep.input.point import read_point
-from vibrojax.sweep.input.read import read_sweep
+from vibrojax.sweep.engine.costs import check_size
+from vibrojax.sweep.input.read import read_point, read_sweep
 
 SWEEPS = [path.read_text(encoding="utf-8") for path in sorted((Path(__file__).parents[1] / "sweeps").glob("*.toml"))]
 fuzzed = settings(

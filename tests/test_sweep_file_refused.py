@@ -4,8 +4,7 @@ import pytest
 
 from vibrojax.errors import InputError, Place
 from vibrojax.sweep.input import source
-from vibrojax.sweep.input.point import read_point
-from vibrojax.sweep.input.read import read_sweep
+from vibrojax.sweep.input.read import read_point, read_sweep
 
 GRID = {"beta": [0.4]}
 

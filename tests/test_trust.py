@@ -15,9 +15,9 @@ from own_scenes import Shaken, Switched
 import vibrojax as vj
 from vibrojax import cli
 from vibrojax.compile import KernelRefused, Untranslatable, agreement, trust, xla
-from vibrojax.compile.devices import workers
 from vibrojax.compile.kernels import elementwise, kernels
 from vibrojax.compile.trust import is_foreign
+from vibrojax.compile.xla import workers
 from vibrojax.measures import recorder_for
 from vibrojax.models.physics.friction import FRICTION_LAWS, FrictionLaw
 from vibrojax.models.scenes.penetration import PULSE_SHAPES

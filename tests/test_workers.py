@@ -263,7 +263,7 @@ def test_physics_that_cannot_be_sent(tmp_path):
 def test_a_share_of_the_cores_each(file):
     """Of two workers on this machine each has half of its cores; the environment has the last word."""
     from vibrojax.analyses.sweep.workers.executor import _threads_each
-    from vibrojax.compile.devices import threads, usable_cores, with_threads
+    from vibrojax.compile.xla import threads, usable_cores, with_threads
 
     with ThreadPoolExecutor(2) as two:
         assert _threads_each(two) == max(1, usable_cores() // 2)

@@ -39,7 +39,7 @@ _HOMES = {
     "write_page": "vibrojax.explorer",
     "Variable": "vibrojax.io.variables",
     "InputError": "vibrojax.errors",
-    "UnusualValue": "vibrojax.sweep.input.plausible",
+    "UnusualValue": "vibrojax.sweep.input.values",
     "list_scenes": "vibrojax.analyses.catalogue",
     "list_parameters": "vibrojax.analyses.catalogue",
     "list_variables": "vibrojax.analyses.catalogue",

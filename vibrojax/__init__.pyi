@@ -54,8 +54,8 @@ from vibrojax.reproduce import write_reproduction as write_reproduction
 from vibrojax.stepping import Located as Located
 from vibrojax.stepping import Smoothed as Smoothed
 from vibrojax.stepping import Stepper as Stepper
-from vibrojax.sweep.input.plausible import UnusualValue as UnusualValue
 from vibrojax.sweep.input.read import read_sweep as read_sweep
+from vibrojax.sweep.input.values import UnusualValue as UnusualValue
 from vibrojax.sweep.simulation import simulate as simulate
 
 __version__: str

@@ -20,11 +20,11 @@ PROGRAM = """
 import sys
 import vibrojax as vj
 if sys.argv[1] == "XLA":
-    from vibrojax.compile import Untranslatable, lanes
+    from vibrojax.compile import Untranslatable, trust
     from vibrojax.sweep.engine import compiler
     def refuse(*arguments, **options):
         raise Untranslatable("measured without kernels")
-    compiler.run_kernel = lanes.run_kernel = refuse
+    compiler.run_kernel = trust.run_kernel = refuse
 vj.run_sweep("regime-map", progress=False)
 """
 

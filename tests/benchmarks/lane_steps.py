@@ -13,7 +13,7 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from vibrojax.compile.devices import usable_cores
+from vibrojax.compile.xla import usable_cores
 from vibrojax.sweep.engine.chunks import Chunks
 from vibrojax.sweep.input.read import read_sweep
 

@@ -21,7 +21,7 @@ import time
 from pathlib import Path
 
 from vibrojax.analyses.sweep.run import estimate
-from vibrojax.compile.devices import usable_cores
+from vibrojax.compile.xla import usable_cores
 from vibrojax.sweep.input.read import read_sweep
 
 MAP = """

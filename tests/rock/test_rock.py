@@ -7,10 +7,9 @@ import pytest
 
 import vibrojax as vj
 from vibrojax.errors import InputError, Place
-from vibrojax.models.physics.pulses import mean_force
 from vibrojax.models.physics.rock import ROCKS, damping, ratchet, resistance
-from vibrojax.sweep.input.point import read_point
-from vibrojax.sweep.input.read import read_sweep
+from vibrojax.models.scenes.penetration import mean_force
+from vibrojax.sweep.input.read import read_point, read_sweep
 
 K3, D = 300e6, 150e3
 SHORT = {"settle": 0.3, "observe": 0.2}

@@ -7,7 +7,7 @@ import pytest
 from rock_motion import FINE, constants
 
 import vibrojax as vj
-from vibrojax.compile.devices import precision
+from vibrojax.compile.xla import precision
 from vibrojax.models.scenes.penetration import Penetration
 from vibrojax.stepping import Accuracy, Goal, Located, lane_at
 

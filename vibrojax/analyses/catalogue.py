@@ -12,9 +12,9 @@ import pandas as pd
 
 from vibrojax.analyses.glossary import glossary
 from vibrojax.analyses.registry import offered_variables
-from vibrojax.compile.devices import precision
+from vibrojax.compile.xla import precision
 from vibrojax.errors import Place
-from vibrojax.io.derived import OF_ATTRACTORS, OF_BORDERS, OF_FAMILIES
+from vibrojax.io.kinds import OF_ATTRACTORS, OF_BORDERS, OF_FAMILIES
 from vibrojax.io.variables import VARIABLES
 from vibrojax.measures import recorder_for
 from vibrojax.measures.run import Effort, run_block
@@ -25,8 +25,7 @@ from vibrojax.models.scenes import SCENES, HasContact, HasFriction, HasRock, Sce
 from vibrojax.models.scenes.penetration import PULSE_SHAPES
 from vibrojax.stepping import AccuracyRequest, stepper_named
 from vibrojax.sweep.engine.labelled import measured_besides, of_orbits
-from vibrojax.sweep.input.names import Names, read_names
-from vibrojax.sweep.input.offered import enter_offered
+from vibrojax.sweep.input.names import Names, enter_offered, read_names
 from vibrojax.sweep.input.points import VECTOR
 from vibrojax.sweep.input.run_settings import MEANINGS, RunSettings
 from vibrojax.sweep.input.starts import PLANE, SAMPLE

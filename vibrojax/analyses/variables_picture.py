@@ -27,10 +27,17 @@ from vibrojax.plot.contents import (
     varied,
     without_single,
 )
-from vibrojax.plot.curves import MOST_ROWS, axis_of_lines, line_handles, longest_axis, new_rows, split_lines
-from vibrojax.plot.envelope import band_text, draw_over_time
-from vibrojax.plot.margins import legend_at_right, write_margins
-from vibrojax.plot.sheet import facets
+from vibrojax.plot.curves import (
+    MOST_ROWS,
+    axis_of_lines,
+    band_text,
+    draw_over_time,
+    line_handles,
+    longest_axis,
+    new_rows,
+    split_lines,
+)
+from vibrojax.plot.sheet import facets, legend_at_right, write_margins
 from vibrojax.plot.starts import medians, medians_text, varied_states
 from vibrojax.plot.style import BIT, Mark, new_figure, styled
 

@@ -53,7 +53,7 @@ class Command(Protocol):
 
 
 class ResultFiles(NamedTuple):
-    """The files of a result, `out` and `picture`, and everything it depends on (see [vibrojax.io.finished][])."""
+    """The files of a result, `out` and `picture`, and everything it depends on (see [vibrojax.io.manifest][])."""
 
     out: Path
     picture: Path
@@ -118,7 +118,7 @@ def result_at(options: Options, default: str, identity: Mapping[str, object]) ->
 
     **Raises:** `InputError` if they cannot be written, or `out` holds another result.
     """
-    from vibrojax.io.finished import check_replaceable
+    from vibrojax.io.manifest import check_replaceable
 
     out = output(options.out or default)
     picture = picture_beside(out)
@@ -130,7 +130,7 @@ def result_at(options: Options, default: str, identity: Mapping[str, object]) ->
 def write_result(options: Options, dataset: "xarray.Dataset", result: ResultFiles) -> str:
     """Write a result and draw it; return the end of an output line, which names the picture."""
     from vibrojax.io.dataset import write_dataset
-    from vibrojax.io.finished import IDENTITY, identity_text
+    from vibrojax.io.manifest import IDENTITY, identity_text
 
     with timed("write"):
         write_dataset(dataset.assign_attrs({IDENTITY: identity_text(result.identity)}), result.out)

@@ -35,8 +35,8 @@ def arguments(parser: ArgumentParser) -> None:
 def run(options: Options) -> None:
     place = Place("simulate")
     settings, parameters = named_values(place, options.values, SETTINGS, lists=False)
-    from vibrojax.sweep.input.plausible import UnusualValue
-    from vibrojax.sweep.input.point import read_point
+    from vibrojax.sweep.input.read import read_point
+    from vibrojax.sweep.input.values import UnusualValue
 
     point = read_point(place, options.scene, parameters, settings.pop("start", None))
     # Each value is checked at run time; its static type does not state that it fits the function's argument.

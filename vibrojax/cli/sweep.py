@@ -14,7 +14,7 @@ from vibrojax.errors import InputError
 from vibrojax.io.formatting import size_text, time_text
 
 if TYPE_CHECKING:
-    from vibrojax.sweep.engine.resources import Cost
+    from vibrojax.sweep.engine.costs import Cost
     from vibrojax.sweep.input.definition import Sweep
 
 
@@ -100,7 +100,7 @@ def _remaining_work(out: Path) -> str:
 def _print_cost(sweep: "Sweep", out: Path, processes: int, measure: bool) -> None:
     """Print the estimated cost of a sweep; raise `InputError` if memory or disk of this machine are too small."""
     from vibrojax.analyses.sweep.run import estimate
-    from vibrojax.sweep.engine.resources import check_size
+    from vibrojax.sweep.engine.costs import check_size
 
     measured = None
     if measure:

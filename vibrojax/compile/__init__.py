@@ -50,8 +50,7 @@ depend neither on the other lanes of the batch nor on the width of the processor
 """
 
 from vibrojax.compile.kernels import Untranslatable
-from vibrojax.compile.lanes import lane_function
-from vibrojax.compile.trust import KernelComparison, KernelRefused, Policy, Subject, run_kernel
+from vibrojax.compile.trust import KernelComparison, KernelRefused, Policy, Subject, lane_function, run_kernel
 from vibrojax.compile.xla import jitted
 
 __all__ = [

@@ -1,4 +1,4 @@
-"""Numerical agreement of a kernel with XLA.
+"""Numerical agreement of a kernel with XLA, and of compiled elementary functions with numpy.
 
 XLA evaluates the same function one instruction at a time, for all lanes at once. This takes about a second; compiling
 the function as one XLA program would take about ten.
@@ -9,13 +9,17 @@ only if it is large compared with the changes that these perturbations cause.
 """
 
 from collections.abc import Callable
+from functools import cache
+from inspect import signature
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from vibrojax.compile.kernels import LANES, Kernel, trace
+from vibrojax.errors import InputError
 
 AGREEMENT_TOLERANCE = {"float64": 1e-10, "float32": 1e-4}
 """Accepted difference, relative to the largest value in all compared lanes."""
@@ -116,3 +120,55 @@ def _distance(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     with np.errstate(invalid="ignore", over="ignore"):
         same = (x == y) | (np.isnan(x) & np.isnan(y))
         return np.where(same, 0, np.where(np.isfinite(x) & np.isfinite(y), np.abs(x - y), np.inf))
+
+
+ELEMENTARY_ROUNDINGS = 4
+"""Error tolerance in units of machine epsilon times max(1, |value|). numpy's own functions err by up to one unit."""
+
+Evaluate = Callable[..., Any]
+"""`evaluate(function, *arrays)` compiles a function like any function of lanes and returns its results."""
+
+Functions = tuple[Callable[..., Any], ...]
+"""Elementary functions. Each is compared with numpy's function of the same name."""
+
+
+@cache
+def check(evaluate: Evaluate, functions: Functions, compiler: str, dtype: np.dtype, lanes: int) -> None:
+    """Compare functions with numpy, `lanes` values at a time, once per process.
+
+    **Raises:** `InputError` if a function is wrong. The message contains `compiler` (package and version).
+    """
+    wrong = wrong_functions(evaluate, functions, dtype, lanes)
+    if wrong:
+        raise InputError(
+            f"{compiler} computes {' and '.join(wrong)} wrongly on this machine, {lanes} values of {dtype} at a time: "
+            f"nothing was computed; install another version of {compiler.split()[0]}"
+        )
+
+
+def wrong_functions(evaluate: Evaluate, functions: Functions, dtype: np.dtype, lanes: int) -> list[str]:
+    """Return the names of functions whose error exceeds `ELEMENTARY_ROUNDINGS`.
+
+    Each function is evaluated at `lanes` numbers of both signs, with magnitudes from 2^-10 to 2^5. Its results are
+    compared wherever numpy's value is finite.
+    """
+    x = np.geomspace(2.0**-10, 2.0**5, lanes).astype(dtype)
+    x[: lanes // 2] *= -1
+    arguments = (x, np.abs(x[::-1]))
+    counts = {function.__name__: len(signature(function).parameters) for function in functions}
+
+    def evaluate_all(*arrays: Float[jax.Array, " lanes"]) -> dict[str, jax.Array]:
+        return {function.__name__: function(*arrays[: counts[function.__name__]]) for function in functions}
+
+    with jax.debug_nans(False):  # functions that are undefined for negative numbers return NaN there
+        values = evaluate(evaluate_all, *arguments)
+    return [name for name, count in counts.items() if _is_wrong(values[name], name, arguments[:count])]
+
+
+def _is_wrong(values: Any, name: str, arguments: tuple[np.ndarray, ...]) -> bool:
+    with np.errstate(all="ignore"):
+        exact = getattr(np, name)(*(x.astype(np.float64) for x in arguments))
+    known = np.isfinite(exact)
+    error = np.abs(np.asarray(values, np.float64) - exact)[known]
+    accepted = ELEMENTARY_ROUNDINGS * np.finfo(arguments[0].dtype).eps * np.maximum(1, np.abs(exact[known]))
+    return not bool(np.all(error <= accepted))

@@ -1,4 +1,4 @@
-"""Trust in kernels: kernels of foreign code run only if they agree with XLA.
+"""Choice of the compiler: kernels of foreign code run only if they agree with XLA.
 
 Foreign code (code from outside the package) may use any function of jax. A fault in its translation would silently give
 wrong numbers. So before a kernel of foreign code runs, the caller's `KernelComparison` compares that code with XLA. If
@@ -15,9 +15,10 @@ import warnings
 from collections import defaultdict
 from collections.abc import Callable, Hashable, Iterator, Mapping
 from contextlib import suppress
-from functools import cache, partial
+from functools import cache, partial, wraps
 from hashlib import sha256
-from typing import Any, NamedTuple, Protocol
+from inspect import signature
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -27,6 +28,7 @@ from jaxlib import version as jaxlib
 from vibrojax.compile.agreement import Difference
 from vibrojax.compile.kernels import Untranslatable, kernel_for
 from vibrojax.compile.kernels import cache as store
+from vibrojax.compile.xla import jitted
 
 TESTED_VERSIONS = {"jax": ("0.10.2", "0.12.0.1"), "llvmlite": ("0.50.0",)}
 """Versions with which all tests have passed, oldest first."""
@@ -220,3 +222,39 @@ def _contents(x: Any) -> Iterator[Any]:
                 yield cell.cell_contents
     elif not isinstance(x, type | types.ModuleType):
         yield from getattr(x, "__dict__", {}).values()
+
+
+R = TypeVar("R")
+
+
+def lane_function(
+    static: int, *, derives: bool = False, registers: int = 1, policy: Policy | None = None
+) -> Callable[[Callable[..., R]], Callable[..., R]]:
+    """Return a decorator that compiles a function of lanes, whose first `static` arguments are static and hashable.
+
+    The other arguments and the results are pytrees of scalars and of arrays whose last axis is the lane axis. The
+    function is compiled on its first call with each combination of argument types.
+
+    **Arguments:**
+
+    - `static`: number of static arguments.
+    - `derives`: whether the function computes derivatives.
+    - `registers`: number of vector registers that hold one value of a group of lanes.
+    - `policy`: callable that decides which calls require a comparison with XLA first. By default, all kernels are
+      trusted.
+    """
+
+    def decorate(function: Callable[..., R]) -> Callable[..., R]:
+        by_xla = jitted(tuple(signature(function).parameters)[:static])(function)
+
+        @wraps(function)
+        def call(*args: Any) -> R:
+            options: dict[str, Any] = {"registers": registers, "derives": derives, "policy": policy}
+            try:
+                return run_kernel(function, args[:static], *args[static:], **options)
+            except Untranslatable:
+                return by_xla(*args)
+
+        return call
+
+    return decorate

@@ -23,9 +23,9 @@ from vibrojax.explorer.recording import Excerpt, record_cells
 from vibrojax.io.attributes import parameters_of, text_of
 from vibrojax.io.branches import FAMILY, along_name, kind_names, numbers_of, places, runs, stability
 from vibrojax.io.variables import orbit_name
-from vibrojax.periodic.measured import DRIVEN_RETURNS
+from vibrojax.periodic.margin import DRIVEN_RETURNS
 from vibrojax.plot.branches import MARKS, curves_of
-from vibrojax.sweep.input.point import Point, read_point
+from vibrojax.sweep.input.read import Point, read_point
 
 MARK_SHAPES = {"s": "square", "o": "circle", "*": "diamond", "v": "triangle", "|": "bar", "D": "diamond", "x": "cross"}
 """Shapes of special points in the explorer page, by the markers that pictures use."""

@@ -26,17 +26,16 @@ from vibrojax.explorer.document import (
 from vibrojax.explorer.encoding import Cell, pack
 from vibrojax.explorer.recording import SECTION_RETURNS, SHOWN_RETURNS, SHOWN_SECONDS, Excerpt, record_cells
 from vibrojax.io.variables import orbit_name
-from vibrojax.measures.kept_returns import state_name
+from vibrojax.measures.repeats import state_name
 from vibrojax.periodic import Orbits, early_stopping_of
-from vibrojax.periodic.measured import DRIVEN_RETURNS
-from vibrojax.plot.borders import LINES, axes_of, beyond, check_borders
+from vibrojax.periodic.margin import DRIVEN_RETURNS
 from vibrojax.plot.colours import flag_names
 from vibrojax.plot.contents import FORM, START, axes_of_map, has_regimes, long_axes
+from vibrojax.plot.overlays import LINES, axes_of, beyond, check_borders
 from vibrojax.plot.starts import described, on_axes
 from vibrojax.progress import Progress
 from vibrojax.sweep.engine.batch import Features
-from vibrojax.sweep.engine.carried import Carried
-from vibrojax.sweep.engine.chunks import Chunks
+from vibrojax.sweep.engine.chunks import Carried, Chunks
 from vibrojax.sweep.input.definition import Sweep
 
 LANE = "lane_number"

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from vibrojax.compile.devices import precision
+from vibrojax.compile.xla import precision
 from vibrojax.errors import InputError, Place, shown
 from vibrojax.explorer.document import options_of, run_seconds, start_of
 from vibrojax.explorer.encoding import Cell, encode
@@ -29,11 +29,11 @@ from vibrojax.plot.axes import pretty_unit, scale
 from vibrojax.stepping import AccuracyRequest, Located
 from vibrojax.sweep.input.definition import Sweep, rock_values
 from vibrojax.sweep.input.names import Names, read_names
-from vibrojax.sweep.input.plausible import UnusualValue
-from vibrojax.sweep.input.point import Point, read_point
+from vibrojax.sweep.input.read import Point, read_point
+from vibrojax.sweep.input.values import UnusualValue
 from vibrojax.sweep.simulation.dense_output import BATCH, check_size
 from vibrojax.sweep.simulation.features import window
-from vibrojax.sweep.simulation.recording import Recorded, constants_at, recorded
+from vibrojax.sweep.simulation.run import Recorded, constants_at, recorded
 
 PLACE = Place("explore")
 

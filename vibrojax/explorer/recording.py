@@ -10,7 +10,7 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int
 
-from vibrojax.compile.devices import precision
+from vibrojax.compile.xla import precision
 from vibrojax.explorer.encoding import EVENTS, STUCK, TOUCHING, Cell, StateColumn
 from vibrojax.models.scenes import HasContact, HasFriction, Scene
 from vibrojax.models.scenes.declared import Values

@@ -1,4 +1,4 @@
-"""Checked access to dataset attributes, since a file of unknown origin may hold arbitrary values.
+"""Checked access to dataset attributes and flags.
 
 `open_dataset` checks all known attributes. Code that needs an attribute reads it through this module, so that datasets
 opened in another way are checked, too. Every function raises `InputError` with a one-line message that names the
@@ -215,3 +215,26 @@ _READERS: dict[str, Callable[[Place, object], Any]] = {
     "span": _sequence(float, "numbers"),
     "axes": _sequence(str, "names"),
 }
+
+
+LONGEST_MEANING = 60
+"""Maximum number of displayed characters of a flag's meaning: more would misalign the columns of a summary."""
+
+
+def flags(variable: xr.DataArray) -> dict[int, str]:
+    """Return a dict from the value of each flag to its meaning, empty if the variable has no flags."""
+    values = np.atleast_1d(variable.attrs.get("flag_values", [])).tolist()
+    meanings = str(variable.attrs.get("flag_meanings", "")).split()
+    return {value: printable(meaning, LONGEST_MEANING) for value, meaning in zip(values, meanings, strict=False)}
+
+
+def flag_counts(ds: xr.Dataset, name: str) -> dict[str, int]:
+    """Return the number of values with each flag of variable `name`, keyed by meaning.
+
+    Flags without any value are left out. The dict is empty if the variable is missing.
+    """
+    if name not in ds:
+        return {}
+    values = ds[name].values
+    counts = {meaning: int((values == flag).sum()) for flag, meaning in flags(ds[name]).items()}
+    return {meaning: count for meaning, count in counts.items() if count}

@@ -8,7 +8,7 @@ import xarray as xr
 from jaxtyping import Int
 
 from vibrojax.errors import InputError, shown
-from vibrojax.io.derived import SPECIAL_KINDS
+from vibrojax.io.kinds import SPECIAL_KINDS
 
 STABLE, UNSTABLE, UNKNOWN = 1, 0, -1
 

@@ -1,4 +1,4 @@
-"""The manifest of a sweep's chunks: everything that results depend on.
+"""The identity of results: everything that they depend on, as a manifest of chunks or an attribute of a dataset.
 
 If the manifest differs, the chunks belong to another sweep and are rejected.
 """
@@ -8,7 +8,11 @@ import json
 from collections.abc import Mapping
 from pathlib import Path
 
-from vibrojax.errors import shown
+import netCDF4
+
+from vibrojax.errors import InputError, shown
+from vibrojax.io.atomic import ZARR
+from vibrojax.io.threads import in_own_thread
 
 MANIFEST = "manifest.json"
 """Name of the manifest file in a folder of chunks."""
@@ -52,3 +56,41 @@ def changes(before: Mapping[str, object], now: Mapping[str, object]) -> str:
 
 def _canonical(values: Mapping[str, object]) -> bytes:
     return json.dumps(values, sort_keys=True, separators=(",", ":"), allow_nan=False).encode()
+
+
+IDENTITY = "identity"
+"""Name of the attribute that holds, as JSON, everything that a result depends on. Runs with equal identities compute
+the same result."""
+
+_ATTRIBUTES_PATIENCE = 20.0
+"""Time limit [s] for reading the attributes of a possibly damaged file."""
+
+
+def identity_text(identity: Mapping[str, object]) -> str:
+    """Return an identity as the JSON string that the attribute stores."""
+    return json.dumps(identity, sort_keys=True)
+
+
+def check_replaceable(out: Path, identity: Mapping[str, object]) -> None:
+    """Raise `InputError` if `out` exists and holds anything but a result with this `identity`."""
+    if not out.exists():
+        return
+
+    def read() -> object:
+        if out.suffix == ZARR:
+            import zarr
+
+            return json.loads(str(zarr.open_group(out, mode="r").attrs[IDENTITY]))
+        with netCDF4.Dataset(out) as dataset:
+            return json.loads(dataset.getncattr(IDENTITY))
+
+    try:
+        stored = in_own_thread(read, _ATTRIBUTES_PATIENCE) if out.is_file() or out.suffix == ZARR else None
+    except Exception:  # the libraries raise many types of exceptions on a damaged or foreign file
+        stored = None
+    advice = "--fresh replaces it, or give another output with -o"
+    if not isinstance(stored, dict):
+        raise InputError(f"{out}: exists already, and does not say that it holds this result; {advice}")
+    differences = changes(stored, json.loads(identity_text(identity)))
+    if differences:
+        raise InputError(f"{out}: holds another result: {differences}; {advice}")

@@ -4,7 +4,7 @@ import numpy as np
 import xarray as xr
 
 from vibrojax.errors import InputError, Place, printable, shown
-from vibrojax.io.derived import OF_ATTRACTORS, OF_BORDERS, OF_FAMILIES
+from vibrojax.io.kinds import OF_ATTRACTORS, OF_BORDERS, OF_FAMILIES
 from vibrojax.io.variables import VARIABLES
 
 LONGEST_NAME = 200

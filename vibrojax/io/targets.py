@@ -17,8 +17,7 @@ import numpy as np
 import xarray as xr
 
 from vibrojax.io.atomic import ZARR, atomic_folder, atomic_write
-from vibrojax.io.dataset import COMPRESSED, check_zarr, write_failed
-from vibrojax.io.packing import LEVEL
+from vibrojax.io.dataset import COMPRESSED, LEVEL, check_zarr, write_failed
 
 Box = tuple[slice, ...]
 """Slices along a sweep's dimensions."""

@@ -9,11 +9,11 @@ from vibrojax.errors import InputError, shown
 from vibrojax.measures.gauge import Gauge, Moment, Return, Whole
 from vibrojax.measures.harmonics import Harmonics
 from vibrojax.measures.impacts import Impacts
-from vibrojax.measures.kept_returns import KeptReturns
 from vibrojax.measures.ledger import MOST_CYCLES
 from vibrojax.measures.motion import Shares, Swings
 from vibrojax.measures.penetration import Hole, PulseRecorder
 from vibrojax.measures.recorder import Recorder, Records
+from vibrojax.measures.repeats import KeptReturns
 from vibrojax.models.scenes import Driven, HasContact, Scene
 
 __all__ = ["GAUGES", "RETURNS_FOR_DRIFT", "Gauge", "Moment", "PulseRecorder", "Recorder", "Records", "Return", "Whole"]

@@ -11,9 +11,9 @@ import jax.numpy as jnp
 
 from vibrojax.measures import ledger
 from vibrojax.measures.gauge import Gauge, Moment, Sums, Whole
-from vibrojax.measures.kept_returns import state_name
 from vibrojax.measures.ledger import Ledger
 from vibrojax.measures.recorder import Features, Records
+from vibrojax.measures.repeats import state_name
 from vibrojax.models.arrays import Array, Flags, Lanes
 from vibrojax.models.scenes.capabilities import Driven, HasContact, HasRock
 from vibrojax.models.scenes.scene import Scene

@@ -12,9 +12,9 @@ import numpy as np
 from jaxtyping import Bool
 
 from vibrojax.periodic.approach import DISTINCT_STATES, Approach, approaches_repeat, read_approach, will_reach
-from vibrojax.periodic.measured import Measuring, begun
+from vibrojax.periodic.margin import Measuring, begun
 from vibrojax.periodic.newton import PeriodicOrbits, orbits, repeats_after
-from vibrojax.periodic.segments import STEPS, Segments
+from vibrojax.periodic.return_map import STEPS, Segments
 from vibrojax.stepping import Located
 from vibrojax.sweep.engine.batch import Batch, Features, Index, PerLane
 from vibrojax.sweep.engine.chunks import certified

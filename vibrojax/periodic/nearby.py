@@ -12,11 +12,10 @@ from jaxtyping import Float, Int
 from vibrojax.measures import RETURNS_FOR_DRIFT
 from vibrojax.measures.labels import FEWEST_RETURNS
 from vibrojax.measures.ledger import MOST_CYCLES
-from vibrojax.periodic.margin import GRAZING
-from vibrojax.periodic.measured import Measuring, begun
+from vibrojax.periodic.margin import GRAZING, Measuring, begun
 from vibrojax.periodic.newton import ACCEPTED, PeriodicOrbits, orbits, repeats_after
 from vibrojax.periodic.of_lanes import last_returns
-from vibrojax.periodic.segments import STEPS, Segments
+from vibrojax.periodic.return_map import STEPS, Segments
 from vibrojax.sweep.engine.batch import Features, Index
 from vibrojax.sweep.input.definition import Sweep
 

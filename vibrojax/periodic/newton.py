@@ -10,14 +10,13 @@ Even an orbit with large multipliers is thus integrated only from one section cr
 *Introduction to Numerical Analysis*, section 7.3.5).
 """
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 from jaxtyping import Complex, Float, Int
 
-from vibrojax.periodic.return_map import Mapped
+from vibrojax.periodic.return_map import Mapped, ReturnMap
 
 NEWTON_RESIDUAL = 1e-12
 """Residual at which the iteration stops, because rounding errors dominate."""
@@ -36,8 +35,6 @@ SAME_STATE = 1e-6
 States = Float[np.ndarray, "lanes cycles states"]
 PerLane = Float[np.ndarray, " lanes"]
 Index = Int[np.ndarray, " some"]
-ReturnMap = Callable[[Index, Float[np.ndarray, "states segments"]], Mapped]
-"""`return_map(lanes, states)`: states of segments at the next section crossing; `lanes`: lane index of each segment."""
 
 
 class PeriodicOrbits(NamedTuple):

@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from vibrojax.io.variables import ORBIT_REASONS, orbit_name
 from vibrojax.measures.repeats import scales
 from vibrojax.models.scenes import Scene
-from vibrojax.periodic.segments import Segments
+from vibrojax.periodic.return_map import Segments
 
 STEPS_FACTOR = 8
 """Step limit between two section crossings, relative to the largest number of steps that the orbits themselves take."""

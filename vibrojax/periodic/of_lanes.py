@@ -6,23 +6,20 @@ import numpy as np
 from jaxtyping import Bool, Int
 
 from vibrojax.io.variables import ORBIT_REASONS, orbit_name
-from vibrojax.measures.kept_returns import TIME, state_name
 from vibrojax.measures.ledger import MOST_CYCLES
-from vibrojax.measures.repeats import REPEATS_WITHIN, scales
+from vibrojax.measures.repeats import REPEATS_WITHIN, TIME, scales, state_name
 from vibrojax.models.scenes import Scene
-from vibrojax.periodic.margin import GRAZING, HOW
-from vibrojax.periodic.measured import Begun, Measuring, begun, joined
+from vibrojax.periodic.margin import GRAZING, HOW, Begun, Measuring, begun, joined
 from vibrojax.periodic.newton import (
     ACCEPTED,
     MIN_RELATIVE_SWING,
     PerLane,
-    ReturnMap,
     States,
     multipliers,
     orbits,
     repeats_after,
 )
-from vibrojax.periodic.segments import STEPS, Segments
+from vibrojax.periodic.return_map import STEPS, ReturnMap, Segments
 from vibrojax.sweep.engine.batch import Features, Index
 from vibrojax.sweep.input.definition import Sweep
 

@@ -16,8 +16,8 @@ from vibrojax.analyses.sweep.run import run_sweep
 from vibrojax.errors import InputError, Place
 from vibrojax.reproduce.needs import Labelled, LaneNeed, Map, MotionNeed, Need, StruckMass, starts_of
 from vibrojax.reproduce.struck_mass import Blows, strike
-from vibrojax.sweep.input.plausible import UnusualValue
-from vibrojax.sweep.input.point import read_point
+from vibrojax.sweep.input.read import read_point
+from vibrojax.sweep.input.values import UnusualValue
 from vibrojax.sweep.simulation import simulate
 
 PROBED_LANES = 8

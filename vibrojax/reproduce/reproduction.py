@@ -8,7 +8,7 @@ from typing import NamedTuple
 import xarray as xr
 from matplotlib.figure import Figure
 
-from vibrojax.compile.devices import precision
+from vibrojax.compile.xla import precision
 from vibrojax.progress import Progress
 from vibrojax.reproduce.answers import SourceAnswers
 from vibrojax.reproduce.needs import LaneNeed

@@ -2,10 +2,9 @@
 
 from vibrojax.models.arrays import keep
 from vibrojax.stepping import functions  # registers the series with the elementary functions
-from vibrojax.stepping.lane import Clock, Lane, Step, lane_at
 from vibrojax.stepping.located import LOCATED_STRIDE, Located
 from vibrojax.stepping.smoothed import Smoothed
-from vibrojax.stepping.stepper import Accuracy, AccuracyRequest, Goal, Stepper
+from vibrojax.stepping.stepper import Accuracy, AccuracyRequest, Clock, Goal, Lane, Step, Stepper, lane_at
 
 __all__ = ["LOCATED_STRIDE", "STEPPERS", "Accuracy", "Clock", "Goal", "Lane", "Located", "Smoothed", "Step", "Stepper"]
 __all__ += ["AccuracyRequest", "functions", "keep", "lane_at", "stepper_named"]

@@ -16,10 +16,9 @@ from jax import lax
 from vibrojax.models.arrays import keep
 from vibrojax.models.scenes.scene import Scene
 from vibrojax.stepping.event import Event, Trial, locate
-from vibrojax.stepping.lane import Lane, Step
 from vibrojax.stepping.polynomial import rough_root
 from vibrojax.stepping.series import expand
-from vibrojax.stepping.stepper import Accuracy, AccuracyRequest, Goal, Stepper, taken, trial_length
+from vibrojax.stepping.stepper import Accuracy, AccuracyRequest, Goal, Lane, Step, Stepper, taken, trial_length
 
 COARSEST_TOLERANCE = 1e-6
 """Greatest tolerance. A greater tolerance saves little time, because most steps end at events. Moreover, the difference

@@ -16,9 +16,8 @@ from vibrojax.models.arrays import Array, Real
 from vibrojax.models.scenes.declared import Values
 from vibrojax.models.scenes.scene import Scene
 from vibrojax.stepping.event import Event, Trial, locate
-from vibrojax.stepping.lane import Lane, Step
 from vibrojax.stepping.series import known
-from vibrojax.stepping.stepper import Accuracy, AccuracyRequest, Goal, Stepper, taken, trial_length
+from vibrojax.stepping.stepper import Accuracy, AccuracyRequest, Goal, Lane, Step, Stepper, taken, trial_length
 
 STICK_WIDTHS = 3.0
 """Sliding speed, in units of the smoothing width, below which the bit counts as sticking. At this speed, smoothed

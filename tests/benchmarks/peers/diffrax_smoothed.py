@@ -12,7 +12,7 @@ import numpy as np
 from peers._machine import C0, C2, K0, K1, M1, MU, STICK_LIMIT, V_CR, striker
 from peers._peer import CORES, Peer, Points, Ran
 from vibrojax.analyses.accuracy.sampled import features_of
-from vibrojax.compile.devices import precision
+from vibrojax.compile.xla import precision
 from vibrojax.sweep.engine.parallel import in_parallel
 from vibrojax.sweep.input.read import read_sweep
 

@@ -13,8 +13,8 @@ from jaxtyping import Bool, Float, PyTree, Shaped
 
 from vibrojax.analyses.accuracy.cases import SOLVERS, TOLERANCE_PER_WIDTH, StudyLanes
 from vibrojax.analyses.accuracy.sampled import Constants, features_of
-from vibrojax.compile.devices import precision as in_precision
-from vibrojax.compile.devices import workers
+from vibrojax.compile.xla import precision as in_precision
+from vibrojax.compile.xla import workers
 from vibrojax.models.arrays import Array
 from vibrojax.models.scenes import Scene
 from vibrojax.stepping import Accuracy

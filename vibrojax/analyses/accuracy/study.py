@@ -32,7 +32,7 @@ from vibrojax.analyses.accuracy.measurement import (
     usable,
 )
 from vibrojax.analyses.accuracy.programs import StudyPrograms
-from vibrojax.compile.devices import usable_cores, workers
+from vibrojax.compile.xla import usable_cores, workers
 from vibrojax.errors import InputError, suggestion
 from vibrojax.io.kinds import dataset_attributes
 from vibrojax.io.variables import Variable

@@ -9,8 +9,8 @@ from vibrojax.analyses.analysis import PictureRule, Source, SummaryPart
 from vibrojax.analyses.attractors.run import attractors_of, sweep_of
 from vibrojax.analyses.attractors.shares import attractor_shares, share_map
 from vibrojax.analyses.orbits.analysis import SweepAnalysis
-from vibrojax.io.derived import OF_ATTRACTORS
-from vibrojax.io.flags import flags
+from vibrojax.io.attributes import flags
+from vibrojax.io.kinds import OF_ATTRACTORS
 from vibrojax.sweep.input.definition import Sweep
 
 _SHOWN = 12

@@ -10,7 +10,7 @@ from vibrojax.analyses.attractors.grouping import SAME_ORBIT_WITHIN, SIMILAR_FAC
 from vibrojax.measures.labels import EQUILIBRIUM
 from vibrojax.models.scenes import Scene
 from vibrojax.periodic.newton import ACCEPTED, orbits
-from vibrojax.periodic.segments import Segments
+from vibrojax.periodic.return_map import Segments
 
 MATCHING_FIRST_STEP, MATCHING_MIN_STEP = 1 / 4, 1 / 256
 """First and least continuation step, as fractions of the distance to the neighbour. Orbits that need less are lost."""

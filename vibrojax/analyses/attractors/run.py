@@ -35,8 +35,7 @@ from vibrojax.analyses.orbits.rerun import orbits as with_orbits
 from vibrojax.analyses.orbits.rerun import sweep_with_orbits
 from vibrojax.analyses.sweep.run import run_sweep
 from vibrojax.errors import InputError
-from vibrojax.io.derived import OF_ATTRACTORS
-from vibrojax.io.kinds import dataset_attributes
+from vibrojax.io.kinds import OF_ATTRACTORS, dataset_attributes
 from vibrojax.io.variables import VARIABLES
 from vibrojax.measures.labels import IRREGULAR
 from vibrojax.models.physics.parameters import differing

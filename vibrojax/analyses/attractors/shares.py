@@ -14,8 +14,7 @@ from vibrojax.io.attributes import parameters_of
 from vibrojax.plot.axes import edges, label, scale, shape_axis, share_text, values_along, with_unit
 from vibrojax.plot.colours import SINGLE, Values, regime_handles, regime_names, share_value, value_of
 from vibrojax.plot.contents import ATTRACTOR, HIDDEN, NAMED, REGIME, START, axes_of_map, swept, without_single
-from vibrojax.plot.margins import legend_at_right, write_margins
-from vibrojax.plot.sheet import MOST_PANELS, columns, facets, sheet
+from vibrojax.plot.sheet import MOST_PANELS, columns, facets, legend_at_right, sheet, write_margins
 from vibrojax.plot.starts import PREFIX, on_axes
 from vibrojax.plot.style import UNDEFINED, new_figure, styled
 

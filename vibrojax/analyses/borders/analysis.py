@@ -11,8 +11,8 @@ from vibrojax.analyses.borders.picture import border_curves
 from vibrojax.analyses.borders.run import borders_of, checked
 from vibrojax.analyses.orbits.analysis import SweepAnalysis
 from vibrojax.analyses.orbits.rerun import sweep_with_orbits
-from vibrojax.io.derived import OF_BORDERS
-from vibrojax.io.flags import flags
+from vibrojax.io.attributes import flags
+from vibrojax.io.kinds import OF_BORDERS
 from vibrojax.sweep.input.definition import Sweep
 
 

@@ -6,8 +6,8 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from vibrojax.plot.axes import label, share_text, value_text
-from vibrojax.plot.borders import ANY, axes_of, beyond, border_handles, draw_borders
-from vibrojax.plot.margins import legend_at_right, write_margins
+from vibrojax.plot.overlays import ANY, axes_of, beyond, border_handles, draw_borders
+from vibrojax.plot.sheet import legend_at_right, write_margins
 from vibrojax.plot.style import new_figure, styled
 
 _PANEL = (3.3, 3.0)  # inches

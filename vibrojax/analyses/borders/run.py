@@ -23,8 +23,7 @@ from vibrojax.analyses.borders.propagation import (
 from vibrojax.analyses.orbits.rerun import orbits as with_orbits
 from vibrojax.analyses.orbits.rerun import sweep_with_orbits
 from vibrojax.errors import InputError, shown
-from vibrojax.io.derived import BORDER_KINDS, OF_BORDERS
-from vibrojax.io.kinds import dataset_attributes
+from vibrojax.io.kinds import BORDER_KINDS, OF_BORDERS, dataset_attributes
 from vibrojax.measures.labels import SINGLE_IMPACT, UNDECIDED
 from vibrojax.models.physics.parameters import differing
 from vibrojax.models.scenes import HasContact

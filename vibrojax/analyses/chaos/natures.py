@@ -25,7 +25,7 @@ from vibrojax.periodic import Orbits
 from vibrojax.periodic.nearby import MOST_STEPS, REACH
 from vibrojax.periodic.newton import ACCEPTED, orbits, repeats_after
 from vibrojax.periodic.of_lanes import last_returns, reason
-from vibrojax.periodic.segments import STEPS, Segments
+from vibrojax.periodic.return_map import STEPS, Segments
 from vibrojax.sweep.engine.batch import Features, Index
 from vibrojax.sweep.engine.labelled import regimes
 from vibrojax.sweep.input.definition import Sweep

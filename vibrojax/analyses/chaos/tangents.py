@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from vibrojax.compile.devices import precision, workers
+from vibrojax.compile.xla import precision, workers
 from vibrojax.models.arrays import Array, Flags, Lanes
 from vibrojax.models.scenes import Scene
 from vibrojax.models.scenes.declared import Values

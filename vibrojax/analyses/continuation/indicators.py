@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from vibrojax.analyses.continuation.problem import Evaluation, Flags, PerLane, Unknowns
-from vibrojax.io.derived import SPECIAL_KINDS
+from vibrojax.io.kinds import SPECIAL_KINDS
 from vibrojax.periodic.newton import multipliers
 
 KINDS = SPECIAL_KINDS

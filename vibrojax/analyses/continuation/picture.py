@@ -25,7 +25,7 @@ from vibrojax.plot.branches import (
     special_handles,
     stability_handles,
 )
-from vibrojax.plot.margins import write_margins
+from vibrojax.plot.sheet import write_margins
 from vibrojax.plot.starts import SYMBOLS
 from vibrojax.plot.style import INK, colour_map, new_figure, styled
 

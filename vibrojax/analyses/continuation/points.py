@@ -10,7 +10,7 @@ import numpy as np
 from vibrojax.analyses.continuation.branch_segments import Segment
 from vibrojax.analyses.continuation.problem import Evaluation, Problem
 from vibrojax.io.variables import orbit_name
-from vibrojax.periodic.measured import Measuring, begun, joined
+from vibrojax.periodic.margin import Measuring, begun, joined
 from vibrojax.periodic.newton import multipliers
 from vibrojax.sweep.input.definition import Sweep
 

@@ -15,8 +15,7 @@ from jaxtyping import Bool, Float, Int
 
 from vibrojax.models.scenes import Scene
 from vibrojax.periodic.newton import chain, images_by_lane, shooting_matrix
-from vibrojax.periodic.return_map import MOST_STEPS
-from vibrojax.periodic.segments import Segments
+from vibrojax.periodic.return_map import MOST_STEPS, Segments
 from vibrojax.stepping import LOCATED_STRIDE, Accuracy
 
 FAMILY_ACCURACY = Accuracy(tolerance=1e-12, stride=LOCATED_STRIDE, step=np.inf)

@@ -14,8 +14,7 @@ from vibrojax.analyses.continuation.problem import CORRECTOR_RESIDUAL, FAMILY_AC
 from vibrojax.analyses.continuation.spec import FamilySpec, read_asked
 from vibrojax.analyses.sweep.run import run_sweep
 from vibrojax.errors import Place
-from vibrojax.io.derived import OF_FAMILIES
-from vibrojax.io.kinds import dataset_attributes
+from vibrojax.io.kinds import OF_FAMILIES, dataset_attributes
 from vibrojax.io.variables import ORBIT_REASONS, REASONS, VARIABLES
 from vibrojax.measures.labels import REGIMES
 from vibrojax.measures.ledger import MOST_CYCLES

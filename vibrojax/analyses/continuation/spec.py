@@ -13,10 +13,8 @@ from vibrojax.models.physics.parameters import not_negative, positive
 from vibrojax.models.scenes import Scene
 from vibrojax.sweep.input.definition import Sweep
 from vibrojax.sweep.input.names import CHOICES, Names, read_names, take_options
-from vibrojax.sweep.input.plausible import UnusualValue, warn_if_far
-from vibrojax.sweep.input.point import read_point, several_and_single
-from vibrojax.sweep.input.read import read_sweep
-from vibrojax.sweep.input.values import quantity
+from vibrojax.sweep.input.read import read_point, read_sweep, several_and_single
+from vibrojax.sweep.input.values import UnusualValue, quantity, warn_if_far
 
 SETTLE = not_negative("settle", 40.0, "s", "time for which motions settle", "settle")
 OBSERVE = positive("observe", 8.0, "s", "time for which they are then observed", "observe")

@@ -11,8 +11,7 @@ import xarray as xr
 from vibrojax.analyses.sweep.run import run_sweep
 from vibrojax.errors import InputError
 from vibrojax.io.attributes import table_of, title_of
-from vibrojax.io.finished import IDENTITY, identity_text
-from vibrojax.io.manifest import changes
+from vibrojax.io.manifest import IDENTITY, changes, identity_text
 from vibrojax.sweep.input.definition import Sweep
 from vibrojax.sweep.input.points import VECTOR
 from vibrojax.sweep.input.read import read_sweep

@@ -4,7 +4,7 @@ import xarray as xr
 
 from vibrojax.analyses.analysis import Analysis, PictureRule, SummaryPart
 from vibrojax.analyses.push.picture import smallest_pushes
-from vibrojax.io.flags import flags
+from vibrojax.io.attributes import flags
 
 
 class Pushes(Analysis):

@@ -10,7 +10,7 @@ from matplotlib.patches import Patch
 from vibrojax.plot.axes import label, scale, values_along, with_unit
 from vibrojax.plot.colours import REGIME_COLOURS, regime_cells, regime_names
 from vibrojax.plot.contents import POINT, varied
-from vibrojax.plot.margins import legend_at_right, write_margins
+from vibrojax.plot.sheet import legend_at_right, write_margins
 from vibrojax.plot.starts import SYMBOLS
 from vibrojax.plot.style import Mark, new_figure, styled
 

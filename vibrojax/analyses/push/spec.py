@@ -8,8 +8,7 @@ from vibrojax.errors import Place, shown, suggestion
 from vibrojax.models.physics.parameters import positive
 from vibrojax.models.scenes import Scene
 from vibrojax.sweep.input.definition import Sweep
-from vibrojax.sweep.input.point import read_point, several_and_single
-from vibrojax.sweep.input.read import read_sweep
+from vibrojax.sweep.input.read import read_point, read_sweep, several_and_single
 from vibrojax.sweep.input.values import quantity
 
 SCAN, PRECISION = 256, 1e-3

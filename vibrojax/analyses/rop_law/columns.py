@@ -13,9 +13,9 @@ import xarray as xr
 from vibrojax.errors import InputError, Place, nearest, shell_assignment, shown, suggestion
 from vibrojax.io.attributes import table_of
 from vibrojax.models.physics.parameters import BIT_AND_STRIKER, CONTACT, ROTATION, Parameter, not_negative, table
-from vibrojax.models.physics.pulses import PULSES
 from vibrojax.models.physics.rock import ROCK
 from vibrojax.models.physics.units import UNITS, factor, is_unit
+from vibrojax.models.scenes.penetration import PULSES
 
 RATE, RELIEF, FORCE, THRESHOLD = "rate_of_penetration", "relief", "mean_force", "threshold"
 

@@ -25,8 +25,8 @@ from vibrojax.analyses.rop_law.columns import (
 )
 from vibrojax.errors import InputError, Place, shell_assignment, shown
 from vibrojax.models.physics.units import is_unit, likely_units
-from vibrojax.sweep.input.plausible import warn_if_far
 from vibrojax.sweep.input.source import read_text
+from vibrojax.sweep.input.values import warn_if_far
 
 if TYPE_CHECKING:
     Data = xr.Dataset | str | PathLike[str]

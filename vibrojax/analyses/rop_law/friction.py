@@ -14,7 +14,7 @@ from vibrojax.analyses.rop_law.data import Data, open_data
 from vibrojax.analyses.rop_law.least_squares import Reason, confounded_coefficients
 from vibrojax.analyses.rop_law.results import attributes, reason_variable, to_variables
 from vibrojax.compile import jitted
-from vibrojax.compile.devices import precision
+from vibrojax.compile.xla import precision
 from vibrojax.errors import Place, shown, suggestion
 from vibrojax.io.attributes import parameters_of, title_of
 from vibrojax.io.variables import Variable

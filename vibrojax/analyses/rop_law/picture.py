@@ -20,8 +20,7 @@ from vibrojax.plot.axes import scale, share_text, with_unit
 from vibrojax.plot.colours import ROBUST, Coloured, Value, cell_handles, coloured, form_colour, patch, value_of
 from vibrojax.plot.contents import FORM, POINT, law_in, long_axes
 from vibrojax.plot.curves import MOST_ROWS, Across, Row, longest_axis, new_rows
-from vibrojax.plot.margins import LEGEND_WIDTH, legend_at_right, write_margins
-from vibrojax.plot.sheet import facets, sheet
+from vibrojax.plot.sheet import LEGEND_WIDTH, facets, legend_at_right, sheet, write_margins
 from vibrojax.plot.style import FAINT, UNDEFINED, Mark, styled
 
 _READINGS = ("onset", "literal", "percent")  # of the logarithmic law: their C are comparable, since all are speeds

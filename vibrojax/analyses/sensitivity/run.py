@@ -17,7 +17,7 @@ from vibrojax.models.physics.parameters import positive
 from vibrojax.models.scenes import HasFriction, Scene
 from vibrojax.sweep.engine.tangents import NEARBY, REASONS, Times, judged, measured_of, run_and_derive
 from vibrojax.sweep.engine.validity import unresolved
-from vibrojax.sweep.input.point import Point, read_point
+from vibrojax.sweep.input.read import Point, read_point
 from vibrojax.sweep.input.values import quantity
 
 COUNTED = {"impacts", "striker_turns", "settling_time", "error_estimate", "drift_estimate"}

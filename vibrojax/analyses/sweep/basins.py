@@ -11,8 +11,7 @@ from vibrojax.analyses.sweep.strips import regime_lines
 from vibrojax.plot.axes import certified_text, label
 from vibrojax.plot.colours import Values, regime_handles, share_value, values_beside
 from vibrojax.plot.contents import ENOUGH, POINT, REGIME, START, axes_of_map, lane_dims, regimes_in, swept, varied
-from vibrojax.plot.margins import legend_at_right, write_margins
-from vibrojax.plot.sheet import draw_bar
+from vibrojax.plot.sheet import draw_bar, legend_at_right, write_margins
 from vibrojax.plot.starts import (
     PREFIX,
     SHARE,

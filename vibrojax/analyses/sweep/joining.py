@@ -2,7 +2,7 @@
 
 A block, here called region, fills a box in the dataset's arrays. Three threads work on successive regions: one reads
 and checks chunks, one labels lanes, and one writes values. A large dataset is written about as fast as the disk allows;
-file compression is slower, see [vibrojax.io.packing][].
+file compression is slower, see [vibrojax.io.dataset][].
 """
 
 import json
@@ -16,7 +16,7 @@ import xarray as xr
 
 from vibrojax.analyses.chaos import Natures
 from vibrojax.analyses.sweep.workers.work import SECONDS, quiet
-from vibrojax.io.packing import UP_TO, Sizes
+from vibrojax.io.dataset import UP_TO, Sizes
 from vibrojax.io.targets import Region, Regions, Target
 from vibrojax.periodic import Nearby, Orbits
 from vibrojax.progress import LOG

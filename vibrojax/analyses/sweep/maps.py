@@ -17,7 +17,6 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 
 from vibrojax.plot.axes import certified_text, edges, label, point_text, shape_axis, value_text, values_along
-from vibrojax.plot.borders import OVER_TEXT, border_handles, check_borders, draw_over_panel
 from vibrojax.plot.colours import (
     SINGLE,
     Coloured,
@@ -40,8 +39,8 @@ from vibrojax.plot.contents import (
     rates_in,
     regimes_in,
 )
-from vibrojax.plot.margins import write_margins
-from vibrojax.plot.sheet import MOST_PANELS, Panel, facets, sheet
+from vibrojax.plot.overlays import OVER_TEXT, border_handles, check_borders, draw_over_panel
+from vibrojax.plot.sheet import MOST_PANELS, Panel, facets, sheet, write_margins
 from vibrojax.plot.style import INK, NOTHING, styled
 
 MOST_VALUES = {1: 4, 2: 3, 3: 3}

@@ -23,8 +23,7 @@ from vibrojax.plot.curves import (
     new_rows,
     split_lines,
 )
-from vibrojax.plot.margins import legend_at_right, write_margins
-from vibrojax.plot.sheet import facets
+from vibrojax.plot.sheet import facets, legend_at_right, write_margins
 from vibrojax.plot.style import INK, Mark, styled
 
 SLIP, PEAK = "slip_per_impact", "peak_impact_force"

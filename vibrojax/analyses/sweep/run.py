@@ -23,15 +23,14 @@ from vibrojax.analyses.sweep.workers.processes import by_processes
 from vibrojax.analyses.sweep.workers.slurm import by_slurm
 from vibrojax.analyses.sweep.workers.work import Work, by_cost
 from vibrojax.io.dataset import COMPRESSED, open_dataset
-from vibrojax.io.finished import check_replaceable
+from vibrojax.io.manifest import check_replaceable
 from vibrojax.io.provenance import provenance
 from vibrojax.io.shards import DamagedShard, Shards, report_damage
 from vibrojax.io.targets import InMemory, file_target
 from vibrojax.progress import Progress, timed
 from vibrojax.sweep.engine.batch import Features
 from vibrojax.sweep.engine.chunks import Chunks
-from vibrojax.sweep.engine.costs import by_the_clock, lane_bytes, packed_share, processor_time
-from vibrojax.sweep.engine.resources import Cost, check_size
+from vibrojax.sweep.engine.costs import Cost, by_the_clock, check_size, lane_bytes, packed_share, processor_time
 from vibrojax.sweep.input.definition import Sweep
 from vibrojax.sweep.input.read import read_sweep
 

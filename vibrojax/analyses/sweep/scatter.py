@@ -23,8 +23,7 @@ from vibrojax.plot.colours import (
     values_of_rock,
 )
 from vibrojax.plot.contents import REGIME, START, has_regimes, many_starts, rates_in, regimes_in, varied
-from vibrojax.plot.margins import write_margins
-from vibrojax.plot.sheet import Facets, sheet
+from vibrojax.plot.sheet import Facets, sheet, write_margins
 from vibrojax.plot.style import NOTHING, UNDEFINED, new_figure, styled
 
 _MOST_BAR_COLUMNS = 4

@@ -30,8 +30,7 @@ from vibrojax.plot.colours import (
     values_beside,
 )
 from vibrojax.plot.contents import REGIME, SENSITIVE, START, axes_to_draw, lane_dims, many_starts, regimes_in
-from vibrojax.plot.margins import PAGE, legend_at_right, write_margins
-from vibrojax.plot.sheet import MOST_PANELS, columns, facets
+from vibrojax.plot.sheet import MOST_PANELS, PAGE, columns, facets, legend_at_right, write_margins
 from vibrojax.plot.style import INK, Mark, new_figure, start_colour, styled
 
 _MOST_COLUMNS = 3

@@ -7,8 +7,7 @@ import numpy as np
 import xarray as xr
 
 from vibrojax.analyses.analysis import SummaryPart
-from vibrojax.io.attributes import run_of, table_of
-from vibrojax.io.flags import flag_counts, flags
+from vibrojax.io.attributes import flag_counts, flags, run_of, table_of
 
 _FAILURES_SHOWN = 3
 

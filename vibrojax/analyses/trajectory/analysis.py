@@ -7,8 +7,7 @@ import xarray as xr
 from vibrojax.analyses.analysis import Analysis, PictureRule, SummaryPart
 from vibrojax.analyses.trajectory.hole import pulses, response
 from vibrojax.analyses.trajectory.time_history import trajectory
-from vibrojax.io.attributes import parameters_of, run_of
-from vibrojax.io.flags import flags
+from vibrojax.io.attributes import flags, parameters_of, run_of
 from vibrojax.measures.labels import FEWEST_RETURNS
 
 SECTION = "returns to the section (the bit overtakes the drive)"

@@ -13,8 +13,8 @@ from vibrojax.errors import InputError
 from vibrojax.io.attributes import parameters_of
 from vibrojax.plot.axes import number
 from vibrojax.plot.contents import contents
-from vibrojax.plot.envelope import band_text, draw_over_time
-from vibrojax.plot.margins import write_margins
+from vibrojax.plot.curves import band_text, draw_over_time
+from vibrojax.plot.sheet import write_margins
 from vibrojax.plot.style import BIT, DASHED, FAINT, INK, ROCK, Mark, new_figure, styled
 
 _SMALLEST_MM = 2e-4  # greatest length [m] from which the unit is mm, rather than µm

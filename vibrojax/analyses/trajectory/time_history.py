@@ -25,8 +25,8 @@ from vibrojax.analyses.trajectory.motion import (
 from vibrojax.errors import InputError
 from vibrojax.plot.axes import number
 from vibrojax.plot.contents import contents
-from vibrojax.plot.envelope import band_text, draw_over_time, is_band
-from vibrojax.plot.margins import write_margins
+from vibrojax.plot.curves import band_text, draw_over_time, is_band
+from vibrojax.plot.sheet import write_margins
 from vibrojax.plot.style import BIT, DASHED, FAINT, IMPACT, INK, STICK, STRIKER, Mark, new_figure, styled
 
 _OVERVIEW_FROM = 1.5  # ratio of the run's length to the window from which there is an overview

@@ -1,4 +1,4 @@
-"""The penetration scene: the bit on the rock under a prescribed force (pulses or a swept sine)."""
+"""The penetration scene: the bit on the rock under a prescribed force (pulses or a swept sine), and that force."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -8,8 +8,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 
 from vibrojax.models.physics.elementary import sin
-from vibrojax.models.physics.parameters import BIT_AND_STRIKER, Parameter
-from vibrojax.models.physics.pulses import PULSES, SWEEP
+from vibrojax.models.physics.parameters import BIT_AND_STRIKER, Parameter, not_negative, positive, table
 from vibrojax.models.physics.rock import ROCK
 from vibrojax.models.scenes import bit_on_rock
 from vibrojax.models.scenes.bit_on_rock import OnRock, RockConstants, rock_constants
@@ -149,3 +148,26 @@ class Penetration(OnRock[PenetrationConstants], Driven[PenetrationConstants]):
 
 
 SCENES = (Penetration,)
+
+
+PULSES = table(
+    not_negative("force", 200e3, "N", "greatest force of a pulse", "A", (50e3, 500e3)),
+    positive("frequency", 20.0, "s-1", "pulses per second", "f", (10.0, 40.0)),
+    positive("pulse_width", 4e-3, "s", "duration of a pulse", "w", (1e-3, 10e-3)),
+)
+
+SWEEP = table(
+    not_negative("force", 200e3, "N", "amplitude of the swept sine", "A", (50e3, 500e3)),
+    not_negative("sweep_start", 0.0, "s-1", "frequency of the swept sine at t = 0", "f₀", (0.0, 100.0)),
+    Parameter("sweep_rate", 10.0, "s-2", "rate of the swept sine's frequency", "r"),
+    Parameter("bias", 0.0, "N", "constant part of the force", "B", usual=(20e3, 100e3)),
+)
+
+
+def mean_force(p: Mapping[str, Any], shape: str) -> Any:
+    """Return the mean force P [N] of pulses over one period: A w f for rectangles, (2/pi) A w f for half-sines.
+
+    `p` has the force amplitude A, the pulse width w and the pulse frequency f.
+    """
+    mean = p["force"] * p["pulse_width"] * p["frequency"]
+    return mean * (2 / pi) if shape == "half-sine" else mean

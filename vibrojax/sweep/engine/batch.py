@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from vibrojax.compile import Untranslatable
-from vibrojax.compile.devices import precision
+from vibrojax.compile.xla import precision
 from vibrojax.measures.recorder import Records
 from vibrojax.measures.run import Effort, Underway
 from vibrojax.models.arrays import Array

@@ -11,7 +11,7 @@ from jaxlib import version as jaxlib
 
 from vibrojax import compile as compilation
 from vibrojax.compile import run_kernel
-from vibrojax.compile.arithmetic import check
+from vibrojax.compile.agreement import check
 from vibrojax.compile.kernels import Kernel, native
 from vibrojax.compile.xla import compiler_options, evaluation, run_in_blocks
 from vibrojax.measures.recorder import Features

@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Int8, Shaped
 
-from vibrojax.compile.devices import precision
-from vibrojax.io.finished import IDENTITY, identity_text
+from vibrojax.compile.xla import precision
 from vibrojax.io.kinds import dataset_attributes
+from vibrojax.io.manifest import IDENTITY, identity_text
 from vibrojax.io.variables import ORBIT_REASONS, REASONS, STATUSES, VARIABLES, Variable, orbit_name
 from vibrojax.measures import gauge_named
 from vibrojax.measures.labels import LABELLED_BY, hides_another, label

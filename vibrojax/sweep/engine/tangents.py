@@ -9,16 +9,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from vibrojax.compile.devices import precision
+from vibrojax.compile.xla import precision
 from vibrojax.measures import Gauge, Moment, Recorder, Whole, recorder_for
-from vibrojax.measures.kept_returns import KeptReturns
+from vibrojax.measures.repeats import KeptReturns
 from vibrojax.measures.run import Effort, run_block
 from vibrojax.models.arrays import Array
 from vibrojax.models.scenes import Scene
 from vibrojax.progress import Progress
 from vibrojax.stepping import Accuracy, Located
 from vibrojax.sweep.engine.compiler import lane_function
-from vibrojax.sweep.input.point import Point
+from vibrojax.sweep.input.read import Point
 from vibrojax.sweep.input.starts import Start
 
 NEARBY = 1e-4

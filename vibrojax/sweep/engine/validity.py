@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from vibrojax.compile.devices import precision
+from vibrojax.compile.xla import precision
 from vibrojax.models.scenes import HasContact, HasFriction
 from vibrojax.sweep.engine.compiler import lane_function
 from vibrojax.sweep.input.definition import Sweep

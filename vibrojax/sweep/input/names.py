@@ -1,23 +1,27 @@
-"""The names that may be specified for a scene: parameters, options and initial conditions.
+"""Names that may be specified for a scene: parameters, options, initial conditions and installed plug-ins.
 
 All scene-specific knowledge of this folder is at the top of this file: options, presets, the rotation that defines a
 drive speed, and derived quantities that users may mistake for parameters.
 """
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
 from math import pi
 from typing import Any
 
 import numpy as np
 
 from vibrojax.errors import Place, shown, suggestion
+from vibrojax.measures import GAUGES, Gauge
 from vibrojax.models.physics.friction import FRICTION_LAWS, FrictionLaw
 from vibrojax.models.physics.parameters import ROTATION, Parameter
 from vibrojax.models.physics.rock import ROCKS
 from vibrojax.models.scenes import SCENES, Scene, scene_named
 from vibrojax.models.scenes.penetration import PULSE_SHAPES
-from vibrojax.sweep.input.offered import enter_offered
+from vibrojax.stepping import STEPPERS, Stepper
 from vibrojax.sweep.input.run_settings import RunSettings
 from vibrojax.sweep.input.values import STATE, choice, quantity
 
@@ -217,3 +221,48 @@ def read_names(
         system = replace(system, **options)  # type: ignore[type-var] # it has options, so it is a dataclass
     names = {option: str(getattr(value, "name", value)) for option, value in options.items()}
     return Names(system.name, names, dict(system.parameters()), system.starts, system)
+
+
+_GROUPS: dict[str, tuple[dict[str, Any], type]] = {
+    "vibrojax.friction_laws": (FRICTION_LAWS, FrictionLaw),
+    "vibrojax.scenes": (SCENES, Scene),
+    "vibrojax.steppers": (STEPPERS, Stepper),
+    "vibrojax.gauges": (GAUGES, Gauge),
+}
+"""Groups of entry points. For each group: the registry of the objects, and their required type. Scenes are registered
+as classes, not as instances."""
+
+
+@cache
+def enter_offered() -> None:
+    """Register the plug-ins of installed packages by name, once per process.
+
+    A package declares, for example, `[project.entry-points."vibrojax.friction_laws"]` with `mine = "its_module:LAW"`.
+    Friction laws, scenes and steppers are registered under their own name, gauges under the name of the entry point. An
+    unusable object is skipped with a one-line warning, so that a broken package does not affect anything else.
+
+    This function is called when names are read, not on import, because the packages import this one.
+    """
+    for group, (table, kind) in _GROUPS.items():
+        for entry in entry_points(group=group):
+            problem = _enter(entry, table, kind)
+            if problem is not None:
+                owner = entry.dist.name if entry.dist is not None else "a package"
+                warnings.warn(f"{owner}: {group}: {entry.name}: {problem}; it is left out", stacklevel=2)
+
+
+def _enter(entry: EntryPoint, table: dict[str, Any], kind: type) -> str | None:
+    """Register one object; return a description of its problem, or None if it has been registered."""
+    try:
+        offered = entry.load()
+    except Exception as error:  # the package's code may raise any exception
+        return " ".join(f"{entry.value} cannot be imported ({error})".split())
+    is_subclass = isinstance(offered, type) and issubclass(offered, Scene)
+    fits = is_subclass if kind is Scene else isinstance(offered, kind)
+    if not fits:
+        return f"{entry.value} is not a {'subclass of Scene' if kind is Scene else kind.__name__}"
+    name = getattr(offered, "name", entry.name)
+    if name in table:
+        return f'the name "{name}" is taken'
+    table[name] = offered
+    return None

@@ -1,11 +1,14 @@
-"""Reading and validation of a sweep from a file, a bundled name or a dict."""
+"""Reading and validation of a sweep from a file, a bundled name or a dict, and of a single point of a scene."""
 
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from os import PathLike
+from typing import Any
 
 import numpy as np
 
 from vibrojax.errors import Place, shown, suggestion
+from vibrojax.models.scenes import Scene
 from vibrojax.sweep.input.definition import Sweep
 from vibrojax.sweep.input.names import (
     CHOICES,
@@ -18,12 +21,11 @@ from vibrojax.sweep.input.names import (
     take_options,
     with_substitutes,
 )
-from vibrojax.sweep.input.plausible import warn_if_far
 from vibrojax.sweep.input.points import VECTOR, Points, read_points
 from vibrojax.sweep.input.run_settings import RunSettings, read_settings
-from vibrojax.sweep.input.source import Source, read_source, with_changes
-from vibrojax.sweep.input.starts import list_of, read_starts
-from vibrojax.sweep.input.values import as_table, check_distinct, flag, read_axis
+from vibrojax.sweep.input.source import Source, plain, plain_table, read_source, with_changes
+from vibrojax.sweep.input.starts import Start, list_of, read_starts
+from vibrojax.sweep.input.values import as_table, check_distinct, flag, read_axis, warn_if_far
 
 _TOP_KEYS = ("scene", "title", "starts", "unusual", "parameters", "grid", "points", "run")
 
@@ -182,3 +184,62 @@ def _check_run(place: Place, sweep: Sweep) -> None:
         raise place.at("orbits").error(f"{useless} without a section or pulses to return to; leave it out")
     if sweep.run.lyapunov and sweep.system.section is None:
         raise place.at("lyapunov").error(f"{useless}, which has no section to return to; leave it out")
+
+
+@dataclass(frozen=True)
+class Point:
+    """One point of a scene.
+
+    - `scene`: name of the scene. `system`: the scene itself.
+    - `options`: names of the scene's options.
+    - `start`: initial condition.
+    - `parameters`: all parameters by name, in SI units.
+    """
+
+    scene: str
+    options: dict[str, str]
+    start: Start | None
+    parameters: dict[str, float]
+    system: Scene[Any]
+
+
+def read_point(place: Place, scene: object, parameters: Mapping[str, object], start: object = None) -> Point:
+    """Validate one point and complete it with defaults.
+
+    **Arguments:**
+
+    - `place`: place that error messages report as the file.
+    - `scene`: name of a scene, or a scene.
+    - `parameters`: parameters by name. `friction` is a law or the name of a law, `pulse_shape` the name of a shape.
+      `rpm` and `bit_radius` may replace `v`, and `rock` may replace `threshold` and `k3`.
+    - `start`: initial condition, a name or a vector [x1, x1', x2, x2'] [m, m/s]; None for the first of the scene.
+
+    **Raises:** `InputError`.
+    """
+    table = dict(parameters)
+    options = take_options(table)
+    table = plain_table(place, table)
+    names = read_names(place.at("scene"), scene, options, place)
+    fixed = read_parameters(place, table, names)
+    if start is None:
+        start = names.starts[0] if names.starts else None
+    elif not names.has_starts:
+        raise place.at("start").error(f"scene {shown(names.scene)} has no starts; leave it out")
+    else:
+        start = names.start(place.at("start"), plain(place.at("start"), start))
+    check_substitutes({name: place.at(name) for name in table})
+    for name, value in fixed.items():
+        if name in table:
+            warn_if_far(place.at(name), names.writable[name], value)
+    defaults = {name: parameter.default for name, parameter in names.parameters.items()}
+    return Point(names.scene, dict(names.options), start, defaults | with_substitutes(fixed), names.system)
+
+
+def several_and_single(parameters: Mapping[str, object]) -> tuple[dict[str, list[Any]], dict[str, object]]:
+    """Split parameters into those with several values, returned as lists, and those with a single value."""
+    several = {
+        name: list(x)
+        for name, x in parameters.items()
+        if isinstance(x, (list, tuple)) or (isinstance(x, np.ndarray) and x.ndim > 0)
+    }
+    return several, {name: x for name, x in parameters.items() if name not in several}

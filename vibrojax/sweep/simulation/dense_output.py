@@ -16,7 +16,7 @@ from vibrojax.models.scenes import HasFriction, Scene
 from vibrojax.models.scenes.declared import Values
 from vibrojax.stepping import Accuracy, Goal, Lane, Stepper, lane_at
 from vibrojax.sweep.engine.compiler import lane_function
-from vibrojax.sweep.engine.resources import memory
+from vibrojax.sweep.engine.costs import memory
 
 BATCH = 512
 """Number of steps per call of the compiled program, large enough for a small overhead of the call."""

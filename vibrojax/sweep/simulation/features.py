@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from vibrojax.compile.devices import precision
+from vibrojax.compile.xla import precision
 from vibrojax.errors import InputError
 from vibrojax.io.variables import VARIABLES
 from vibrojax.measures import recorder_for

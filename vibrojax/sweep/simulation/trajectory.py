@@ -17,7 +17,7 @@ from vibrojax.models.physics.parameters import differing
 from vibrojax.models.scenes import Driven, HasContact, HasFriction, HasRock, Scene
 from vibrojax.models.scenes.declared import Values
 from vibrojax.sweep.engine.compiler import lane_function
-from vibrojax.sweep.input.point import Point
+from vibrojax.sweep.input.read import Point
 from vibrojax.sweep.simulation.dense_output import Record, accumulated
 
 KINDS = ("none", "stick", "slip", "impact", "release", "section")

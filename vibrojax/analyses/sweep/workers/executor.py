@@ -11,7 +11,7 @@ from threading import Lock
 from typing import Any, Protocol, runtime_checkable
 
 from vibrojax.analyses.sweep.workers.work import SECONDS, Work
-from vibrojax.compile.devices import usable_cores
+from vibrojax.compile.xla import usable_cores
 from vibrojax.errors import InputError, Place
 from vibrojax.progress import LOG
 from vibrojax.sweep.engine.batch import Features

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vibrojax.analyses.sweep.workers.work import SECONDS, Work
-from vibrojax.io.packing import Sizes
+from vibrojax.io.dataset import Sizes
 from vibrojax.io.shards import Shards
 from vibrojax.sweep.engine.labelled import labelled
 from vibrojax.sweep.input.definition import Sweep

@@ -18,7 +18,7 @@ from vibrojax.analyses.sweep.workers.executor import pickled
 from vibrojax.analyses.sweep.workers.member import Finished, Job, WorkersDied
 from vibrojax.analyses.sweep.workers.shutdown import on_leaving
 from vibrojax.analyses.sweep.workers.spawned import work
-from vibrojax.compile.devices import usable_cores
+from vibrojax.compile.xla import usable_cores
 from vibrojax.errors import InputError
 from vibrojax.io.shards import Shards
 from vibrojax.progress import LOG

@@ -8,11 +8,10 @@ from contextlib import contextmanager
 import numpy as np
 
 from vibrojax.analyses.chaos import Natures
-from vibrojax.compile.devices import with_threads
+from vibrojax.compile.xla import with_threads
 from vibrojax.periodic import Nearby, Orbits, early_stopping_of
 from vibrojax.sweep.engine.batch import Features, Report, unreported
-from vibrojax.sweep.engine.carried import Carried
-from vibrojax.sweep.engine.chunks import Chunks, PostProcessor
+from vibrojax.sweep.engine.chunks import Carried, Chunks, PostProcessor
 from vibrojax.sweep.engine.costs import lane_steps
 from vibrojax.sweep.input.definition import Sweep
 
