@@ -1,4 +1,4 @@
-"""How the site is built: `sphinx-build -W --keep-going -n notebooks build/site`.
+"""Configuration of the site: `sphinx-build -W --keep-going -n notebooks build/site`.
 
 Pages are Markdown and notebooks, executed while it is built; what they gave is kept by the package's fingerprint, so
 that a second build takes seconds. Nothing is fetched: equations are MathML, other sites' inventories are not asked for.

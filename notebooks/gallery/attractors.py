@@ -10,5 +10,5 @@ sweep = {
     "parameters": {"beta": 0.4, "delta": 0.005},
     "grid": {"gamma": {"start": 0.3, "stop": 0.85, "num": 23}},
 }
-found = vj.attractors(vj.run_sweep(sweep, progress=False), progress=False)
-vj.save_picture(found, "attractors.png")
+attractors = vj.attractors(vj.run_sweep(sweep, progress=False), progress=False)
+vj.save_picture(attractors, "attractors.png")

@@ -1,4 +1,4 @@
-"""Where the stable single impact ends, and by what."""
+"""Borders of the stable single impact, with the kind of each."""
 
 import vibrojax as vj
 

@@ -1,4 +1,4 @@
-"""What the irregular motions are: the greatest Lyapunov exponent, and what follows from it."""
+"""Classification of irregular motions by the greatest Lyapunov exponent."""
 
 import vibrojax as vj
 

@@ -1,4 +1,4 @@
-"""A friction law of one's own: how fast may friction fall with the sliding speed?"""
+"""A user-defined friction law: how fast may friction decrease with the sliding speed?"""
 
 import vibrojax as vj
 

@@ -1,4 +1,4 @@
-"""How long the bit sticks, and how long it slides backwards, over drive speed and frequency ratio."""
+"""Shares of stick and backward slip over drive speed and frequency ratio."""
 
 import vibrojax as vj
 

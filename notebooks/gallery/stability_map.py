@@ -1,4 +1,4 @@
-"""How stable the orbits of a map are: the largest multiplier, and how far each is from a graze."""
+"""Stability of the orbits of a map: the largest multiplier, and the distance from grazing."""
 
 import vibrojax as vj
 
