@@ -18,6 +18,7 @@ _HOMES = {
     "attractors": "vibrojax.analyses.attractors.run",
     "explore": "vibrojax.explorer.widget",
     "smallest_push": "vibrojax.analyses.push.run",
+    "tolerance": "vibrojax.analyses.tolerance.run",
     "simulate": "vibrojax.sweep.simulation",
     "fit_rop": "vibrojax.analyses.rop_law",
     "fit_joint": "vibrojax.analyses.rop_law",

@@ -24,6 +24,7 @@ _HOMES = {
     "borders": "borders.analysis:Borders",
     "attractors": "attractors.analysis:Attractors",
     "push": "push.analysis:Pushes",
+    "tolerance": "tolerance.analysis:Tolerances",
     "fit": "rop_law.analysis:Fits",
     "accuracy": "accuracy.analysis:AccuracyStudy",
     "derivatives": "sensitivity.analysis:Derivatives",

@@ -17,7 +17,21 @@ from typing import NoReturn
 
 from vibrojax.analyses.glossary import glossary
 from vibrojax.analyses.sweep.workers.shutdown import leave
-from vibrojax.cli import accuracy, explore, fit, follow, info, orbits, plot, push, reproduce, scenes, simulate, sweep
+from vibrojax.cli import (
+    accuracy,
+    explore,
+    fit,
+    follow,
+    info,
+    orbits,
+    plot,
+    push,
+    reproduce,
+    scenes,
+    simulate,
+    sweep,
+    tolerance,
+)
 from vibrojax.cli.analysis import AnalysisCommand
 from vibrojax.cli.completion import complete
 from vibrojax.cli.output import Command, Options
@@ -46,6 +60,7 @@ _COMMANDS: dict[str, Command] = {
     "borders": AnalysisCommand("borders", _BORDERS),
     "attractors": AnalysisCommand("attractors", _ATTRACTORS),
     "push": push,
+    "tolerance": tolerance,
     "plot": plot,
     "explore": explore,
     "info": info,

@@ -1,0 +1,107 @@
+"""Machines over the box of their tolerances: samples, extremes, command and refusals."""
+
+import json
+
+import numpy as np
+import pytest
+
+import vibrojax as vj
+from vibrojax.analyses.tolerance.run import INTERIOR_SAMPLES, PLACES, QUANTITIES, sample_box
+from vibrojax.cli import main
+
+RUN = {"settle": 10.0, "observe": 5.0}
+MACHINE = {"beta": 0.4, "gamma": (0.75, 0.01), "delta": (0.005, 0.001), "start": "stuck"}
+
+
+@pytest.fixture(scope="module")
+def box():
+    return vj.tolerance("vibro-impact", **MACHINE, run=RUN, progress=False)
+
+
+@pytest.mark.parametrize("dimensions", [1, 2, 3, 6])
+def test_samples_of_the_box(dimensions):
+    samples, places = sample_box(dimensions)
+    edges = 0 if dimensions == 1 else dimensions * 2 ** (dimensions - 1)
+    assert np.bincount(places).tolist() == [1, 2**dimensions, edges, INTERIOR_SAMPLES]
+    at_bounds = (np.abs(samples) == 1).sum(axis=1)
+    for place, expected in (("nominal", 0), ("corner", dimensions), ("edge", dimensions - 1), ("interior", 0)):
+        assert set(at_bounds[places == PLACES.index(place)].tolist()) <= {expected}, place
+    assert len(np.unique(samples, axis=0)) == len(samples)
+    # The mean of a balanced sequence is exact to a sample: (INTERIOR_SAMPLES / 2) points on either side of the centre.
+    assert ((samples[places == 3] > 0).sum(axis=0) == INTERIOR_SAMPLES // 2).all()
+
+
+def test_lanes_are_those_of_single_machines(box):
+    assert box.sizes["sample"] == 1 + 4 + 4 + INTERIOR_SAMPLES and box.attrs["kind"] == "tolerance"
+    assert {name: box.attrs[f"tolerance_{name}"] for name in ("gamma", "delta")} == {"gamma": 0.01, "delta": 0.001}
+    corner = int(np.flatnonzero((box.gamma == 0.76) & (box.delta == 0.004))[0])
+    for sample, gamma, delta in ((0, 0.75, 0.005), (corner, 0.76, 0.004)):
+        alone = vj.run_sweep(
+            {"scene": "vibro-impact", "starts": ["stuck"], "parameters": {"beta": 0.4, "gamma": gamma},
+             "grid": {"delta": [delta]}, "run": RUN}, progress=False,
+        )  # fmt: skip
+        for name in ("period", "impact_velocity"):
+            lane = float(box[name].isel(sample=sample, start=0))
+            assert lane == pytest.approx(float(alone[name].item()), rel=1e-9), name
+
+
+def test_extremes_and_shares(box):
+    for name in (name for name in QUANTITIES if name in box):
+        lane = box[name].isel(start=0)
+        for word, extreme in (("least", lane.min()), ("most", lane.max())):
+            assert float(box[f"{name}_{word}"][0]) == float(extreme)
+            assert float(lane[int(box[f"{name}_{word}_sample"][0])]) == float(extreme)
+    np.testing.assert_allclose(box.regime_share.sum("label"), 1.0)
+    assert float(box.regime_share.sel(label="single-impact")[0]) == float(box.regime_kept[0]) == 1.0
+
+
+def test_a_quantity_that_exists_nowhere():
+    still = vj.tolerance("vibro-impact", delta=(0.4, 0.1), start="stuck", run=RUN, progress=False)
+    assert np.isnan(float(still.impact_velocity_least[0])) and int(still.impact_velocity_least_sample[0]) == -1
+
+
+def test_the_command_draws_summarises_and_is_read_again(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    words = [
+        "tolerance",
+        "vibro-impact",
+        "gamma=0.75+-2%",
+        "delta=0.005±0.001",
+        "start=stuck",
+        "settle=10",
+        "observe=5",
+    ]
+    assert main([*words, "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    found = facts["tolerance"]["stuck"]
+    assert found["samples"] == 73 and found["nominal"] == "single-impact"
+    assert 0.735 <= found["impact_velocity"]["least_at"]["gamma"] <= 0.765
+    assert (tmp_path / facts["dataset"]).is_file() and (tmp_path / facts["picture"]).is_file()
+    assert main(["info", facts["dataset"]]) == 0
+    text = capsys.readouterr().out
+    assert "single-impact at 73 of 73 samples" in text and "least at gamma = " in text
+    assert main(["plot", facts["dataset"], "-o", "again.png"]) == 0
+    assert main([*words[:2], "gamma=0.75+-1%", *words[3:]]) == 2  # another result is there
+    assert "tolerance_gamma" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    {
+        "gamma=0.7": "no parameter has a tolerance",
+        "gamma=0.7+-x": "is not a tolerance; write NAME=VALUE+-HALF_WIDTH",
+        "gamma=0.7+-0": "is not a nominal value and a half-width above zero",
+        "gamma=0.7+-nan": "is not a nominal value and a half-width above zero",
+        "gama=0.7+-0.1": 'did you mean "gamma"?',
+        "beta=0.4+-0.5": "beta: is -0.1; it must be above 0",
+        "gamma=0.7+-0.01 gamma=0.7": "gamma: has a second value",
+        "gamma=0.7+-0.01 start=nowhere": '"nowhere" is unknown; choose from drive, stuck, touching',
+        "gamma=0.7+-0.01 settle=-1": "settle: is -1",
+        "beta=1+-.1 gamma=1+-.1 v=1+-.1 g=9+-.1 c2=9+-.1 mu=1+-.1 m1=99+-.1": "7 parameters have a tolerance",
+    }.items(),
+)  # fmt: skip
+def test_bad_input_is_one_line(words, line, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["tolerance", "vibro-impact", *words.split()]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and line in said and not list(tmp_path.iterdir())

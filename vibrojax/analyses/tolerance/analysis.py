@@ -1,0 +1,125 @@
+"""The analysis `tolerance`: summary and picture of a machine over the box of its parameter tolerances."""
+
+import numpy as np
+import xarray as xr
+from matplotlib.artist import Artist
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from vibrojax.analyses.analysis import Analysis, PictureRule, SummaryPart
+from vibrojax.analyses.tolerance.run import QUANTITIES, SAMPLE_VARIABLES
+from vibrojax.io.attributes import flags
+from vibrojax.plot.axes import label, pretty_unit, scale, values_along
+from vibrojax.plot.colours import REGIME_COLOURS, regime_cells, regime_handles
+from vibrojax.plot.sheet import legend_at_right, write_margins
+from vibrojax.plot.style import new_figure, styled
+
+_TOLERANCE = "tolerance_"
+_MARKERS = "os^Dv"
+_DRAWN = ("impact_velocity", "impact_energy", "rate_of_penetration")
+
+
+def toleranced(ds: xr.Dataset) -> list[str]:
+    """Return the names of the parameters that have a tolerance."""
+    names = [name.removeprefix(_TOLERANCE) for name in ds.attrs if name.startswith(_TOLERANCE)]
+    return [name for name in names if name in ds.coords]
+
+
+@styled
+def extremes_picture(ds: xr.Dataset) -> Figure:
+    """Draw impact velocity, energy and rate of penetration of all samples over each parameter with a tolerance."""
+    names = toleranced(ds)
+    rows = [name for name in _DRAWN if name in ds and ds[name].notnull().any()] or ["period"]
+    lanes = ds if "start" in ds.dims else ds.expand_dims("start")
+    starts = [str(name) for name in np.atleast_1d(lanes["start"].values)] if "start" in lanes.coords else [""]
+    figure = new_figure(1.8 + 2.6 * len(names), 0.9 + 2.2 * len(rows))
+    grid = figure.subplots(len(rows), len(names), sharex="col", sharey="row", squeeze=False)
+    for row, quantity in enumerate(rows):
+        for column, name in enumerate(names):
+            axes = grid[row, column]
+            for k in range(len(starts)):
+                lane = lanes.isel(start=k)
+                colours = [REGIME_COLOURS[int(flag)] for flag in regime_cells(lane["regime"])]
+                y = lane[quantity].values * scale(lanes[quantity])[0]
+                marker = _MARKERS[k % len(_MARKERS)]
+                axes.scatter(
+                    values_along(ds[name]), y, s=16, c=colours, marker=marker, edgecolors="0.3", linewidths=0.4
+                )
+                axes.axhline(y[0], color="0.6", linewidth=0.7, linestyle="--", zorder=0)
+            axes.margins(0.08)
+            axes.grid(True)
+            if row == len(rows) - 1:
+                axes.set_xlabel(label(ds[name]))
+        grid[row, 0].set_ylabel(label(lanes[quantity]))
+    handles: list[Artist] = regime_handles([lanes["regime"]])
+    for marker, start in zip(_MARKERS, starts, strict=False):
+        if start:
+            handles.append(Line2D([], [], color="0.3", marker=marker, linestyle="none", markersize=4, label=start))
+    handles.append(Line2D([], [], color="0.6", linewidth=0.7, linestyle="--", label="nominal"))
+    legend_at_right(figure, handles)
+    missing = int(lanes[rows[0]].isnull().sum())
+    write_margins(
+        figure, ds, f"{missing} lanes without impact are not drawn" if missing and rows[0] != "period" else ""
+    )
+    return figure
+
+
+class Tolerances(Analysis):
+    """Simulate a machine over the box of its parameter tolerances: regimes, extremes, and where they occur."""
+
+    kind = "tolerance"
+    variables = SAMPLE_VARIABLES
+    pictures = (PictureRule("extremes over a tolerance box", lambda held: True, extremes_picture),)
+    view = "none"
+    no_view = "it holds samples of a box, not a map; draw it with vibrojax plot"
+
+    def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
+        """Return the nominal behaviour, the regimes and the extremes, for each start."""
+        lanes = ds if "start" in ds.dims else ds.expand_dims("start")
+        facts, lines = {}, []
+        for k in range(lanes.sizes["start"]):
+            lane = lanes.isel(start=k)
+            start = str(lane["start"].values) if "start" in lane.coords else ""
+            found, text = _start_summary(ds, lane)
+            facts[start] = found
+            lines += [f"from {start}:"] * bool(start) + [f"  {line}" if start else line for line in text]
+        return [SummaryPart("tolerance", lines, {"tolerance": facts})]
+
+
+def _start_summary(ds: xr.Dataset, lane: xr.Dataset) -> tuple[dict[str, object], list[str]]:
+    """Return the behaviour from one start, as facts and as lines of text."""
+    meanings, samples = flags(ds["regime"]), lane.sizes["sample"]
+    regimes = lane["regime"].values
+    nominal = meanings[int(regimes[0])]
+    counts = {meanings[flag]: int((regimes == flag).sum()) for flag in np.unique(regimes).tolist()}
+    others = [f"{name} at {count}" for name, count in counts.items() if name != nominal]
+    line = f"{nominal} at {counts[nominal]} of {samples} samples"
+    if others:
+        first = int(np.flatnonzero(regimes != regimes[0])[0])
+        line += f"; {', '.join(others)}, such as {_place_text(ds, first)}"
+    facts: dict[str, object] = {"nominal": nominal, "samples": samples, "regimes": counts}
+    lines = [line]
+    for name in (name for name in QUANTITIES if f"{name}_least" in lane):
+        ends = {word: float(lane[f"{name}_{word}"]) for word in ("least", "most")}
+        if not np.isfinite(ends["least"]):
+            continue
+        where = {word: int(lane[f"{name}_{word}_sample"]) for word in ends}
+        factor, unit = scale(ds[f"{name}_most"])
+        known = int(lane[name].notnull().sum())
+        low, high = (f"{ends[word] * factor:.4g}" for word in ends)
+        worst = "most" if name == "peak_impact_force" else "least"
+        text = (
+            f"{name.replace('_', ' ')} {low} to {high} {pretty_unit(unit)}, nominal {float(lane[name][0]) * factor:.4g}"
+        )
+        text += f"; {worst} at {_place_text(ds, where[worst])}"
+        lines.append(text + (f" ({samples - known} samples have none)" if known < samples else ""))
+        facts[name] = {**ends, **{f"{word}_at": _place(ds, index) for word, index in where.items()}, "samples": known}
+    return facts, lines
+
+
+def _place(ds: xr.Dataset, sample: int) -> dict[str, float]:
+    return {name: float(ds[name][sample]) for name in toleranced(ds)}
+
+
+def _place_text(ds: xr.Dataset, sample: int) -> str:
+    return ", ".join(f"{name} = {value:.6g}" for name, value in _place(ds, sample).items())

@@ -1,0 +1,174 @@
+"""Simulation of a machine over the box of its parameter tolerances: `tolerance`."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Float
+from scipy.stats import qmc
+
+from vibrojax.analyses.sweep.run import run_sweep
+from vibrojax.errors import Place, shown
+from vibrojax.io.kinds import dataset_attributes
+from vibrojax.io.variables import VARIABLES, Variable
+from vibrojax.measures.labels import REGIMES
+from vibrojax.models.scenes import Scene
+from vibrojax.sweep.input.definition import Sweep
+from vibrojax.sweep.input.read import read_point, read_sweep
+
+PLACES = ("nominal", "corner", "edge", "interior")
+"""Meanings of the flags of `place`: the position of a sample in the box."""
+
+INTERIOR_SAMPLES = 64
+"""Number of Sobol points inside the box: a power of two, for which the points are balanced."""
+
+MAX_TOLERANCES = 6
+"""Largest number of parameters with a tolerance; six have 64 corners and 192 edges."""
+
+QUANTITIES = ("impact_velocity", "impact_energy", "period", "peak_impact_force", "rate_of_penetration")
+"""Variables whose least and greatest value over the box is stored."""
+
+_WORDS = {"least": "least", "most": "greatest"}
+
+SAMPLE_VARIABLES = {
+    "place": Variable("1", "position of the sample in the box", np.int8, PLACES),
+    "regime_share": Variable("1", "share of the samples in the regime"),
+    "regime_kept": Variable("1", "share of the samples whose regime is that of the nominal point"),
+}
+"""Variables in addition to those of the lanes and to the extremes of `QUANTITIES`."""
+
+
+@dataclass(frozen=True, eq=False)
+class ToleranceBox:
+    """A checked specification: a sweep with one point per sample, the half-widths by name, and each sample's place."""
+
+    sweep: Sweep
+    half_widths: dict[str, float]
+    places: np.ndarray
+
+    def identity(self) -> dict[str, object]:
+        """Return all settings on which the result depends, as flat JSON values."""
+        return self.sweep.identity() | {f"tolerance_{name}": width for name, width in self.half_widths.items()}
+
+
+def tolerance(
+    scene: str | Scene[Any],
+    *,
+    start: object = None,
+    run: Mapping[str, object] | None = None,
+    progress: bool = True,
+    **parameters: Any,
+) -> xr.Dataset:
+    """Simulate a machine over the box of its parameter tolerances, and return the extremes and the regimes.
+
+        box = vj.tolerance("vibro-impact", beta=0.4, gamma=(0.75, 0.01), delta=(0.005, 0.001))
+        box.impact_velocity_least  # m/s, the worst case from each start
+
+    The samples are the nominal point, all corners of the box, the centres of its edges, and 64 Sobol points inside it.
+    Each sample runs from every start. Between the samples the behaviour is not known.
+
+    **Arguments:**
+
+    - `scene`: name of a scene, or a scene.
+    - `parameters`: parameters of the scene (SI), as in `simulate`. A pair (nominal value, half-width) is a tolerance;
+      at least one parameter and at most six have one.
+    - `start`: initial condition, a name or a vector, or a list of these; by default all starts of a sweep of the scene.
+    - `run`: settings of the simulation, as in the table `[run]` of a sweep file.
+    - `progress`: True to report progress on stderr.
+
+    **Returns:** a dataset.
+
+    - Along `sample` and `start`: the variables of a sweep; along `sample`: the parameters, and `place` (nominal,
+      corner, edge or interior). Sample 0 is the nominal point.
+    - Along `start`, for period, impact velocity, impact energy, peak force and rate of penetration:
+      `NAME_least` and `NAME_most` over the samples where the quantity exists, and `NAME_least_sample` and
+      `NAME_most_sample`, the samples that have these values (-1 if there is none).
+    - `regime_share` along `label` and `start`, and `regime_kept`, the share of samples in the nominal regime.
+
+    **Raises:** `InputError` for an invalid name or value, or if no parameter has a tolerance.
+
+    **Example:**
+
+    >>> machine = {"beta": 0.4, "gamma": 0.75, "delta": (0.005, 0.001), "start": "stuck"}
+    >>> box = vj.tolerance("vibro-impact", **machine, progress=False)
+    >>> float(box.regime_kept), f"{float(box.impact_velocity_least):.2f} m/s"
+    (1.0, '2.10 m/s')
+    """
+    return simulate_box(read_box(scene, start, run, parameters), progress)
+
+
+def read_box(
+    scene: str | Scene[Any],
+    start: object,
+    run: Mapping[str, object] | None,
+    parameters: Mapping[str, Any],
+) -> ToleranceBox:
+    """Return the checked specification; raise `InputError` with a one-line message at the first error."""
+    place = Place("tolerance")
+    pairs = {name: x for name, x in parameters.items() if isinstance(x, (tuple, list))}
+    if not pairs:
+        raise place.error(
+            "no parameter has a tolerance; give one as delta=(0.005, 0.001), on the command line as delta=0.005+-0.001"
+        )
+    if len(pairs) > MAX_TOLERANCES:
+        raise place.error(f"{len(pairs)} parameters have a tolerance; give at most {MAX_TOLERANCES}")
+    nominal, half_widths = {}, {}
+    for name, pair in pairs.items():
+        numbers = all(isinstance(x, (int, float)) and not isinstance(x, bool) for x in pair)
+        if len(pair) != 2 or not numbers or not (np.isfinite(pair[1]) and pair[1] > 0):
+            raise place.at(name).error(f"{shown(pair)} is not a nominal value and a half-width above zero")
+        nominal[name], half_widths[name] = float(pair[0]), float(pair[1])
+    fixed = {name: x for name, x in parameters.items() if name not in pairs}
+    units, places = sample_box(len(pairs))
+    columns = {
+        name: [centre + half_widths[name] * float(unit) for unit in units[:, k]]
+        for k, (name, centre) in enumerate(nominal.items())
+    }
+    for end in (-1.0, 1.0):  # errors name the parameter, not a row of the points
+        read_point(place, scene, fixed | {name: x + end * half_widths[name] for name, x in nominal.items()})
+    tables: dict[str, Any] = {"scene": scene, "parameters": fixed, "points": columns, "run": dict(run or {})}
+    tables["title"] = "Behaviour over the tolerances"
+    if start is not None:
+        several = isinstance(start, (list, tuple)) and any(isinstance(item, (str, list, tuple)) for item in start)
+        tables["starts"] = start if several else [start]
+    sweep = read_sweep(tables | {"unusual": True})
+    return ToleranceBox(sweep, half_widths, places)
+
+
+def sample_box(dimensions: int) -> tuple[Float[np.ndarray, "samples dimensions"], np.ndarray]:
+    """Return the samples of the box [-1, 1]^dimensions and the place of each, an index into `PLACES`."""
+    corners = np.array(list(product((-1.0, 1.0), repeat=dimensions)))
+    ends = np.array(list(product((-1.0, 1.0), repeat=dimensions - 1)))
+    edges = [np.insert(ends, k, 0.0, axis=1) for k in range(dimensions)] if dimensions > 1 else []
+    interior = 2 * qmc.Sobol(dimensions, seed=0).random(INTERIOR_SAMPLES) - 1
+    groups = [np.zeros((1, dimensions)), corners, np.concatenate(edges) if edges else corners[:0], interior]
+    return np.concatenate(groups), np.repeat(np.arange(len(PLACES)), [len(group) for group in groups])
+
+
+def simulate_box(box: ToleranceBox, progress: bool) -> xr.Dataset:
+    """Run all samples from all starts, and return the dataset of [vibrojax.analyses.tolerance.run.tolerance][]."""
+    ds = run_sweep(box.sweep, progress=progress).rename(point="sample")
+    ds["place"] = ("sample", box.places.astype(np.int8), SAMPLE_VARIABLES["place"].attributes())
+    regime = ds["regime"].transpose("sample", ...)
+    rest = regime.dims[1:]
+    shares = np.stack([(regime.values == flag).mean(axis=0) for flag in range(len(REGIMES))])
+    ds["regime_share"] = (("label", *rest), shares, SAMPLE_VARIABLES["regime_share"].attributes())
+    ds = ds.assign_coords(label=list(REGIMES))
+    kept = (regime.values == regime.values[0]).mean(axis=0)
+    ds["regime_kept"] = (rest, kept, SAMPLE_VARIABLES["regime_kept"].attributes())
+    for name in (name for name in QUANTITIES if name in ds):
+        x = ds[name].transpose("sample", ...).values
+        unknown = np.isnan(x).all(axis=0)
+        for word, worst, choose in (("least", np.inf, np.argmin), ("most", -np.inf, np.argmax)):
+            index = choose(np.where(np.isnan(x), worst, x), axis=0)
+            extreme = np.where(unknown, np.nan, np.take_along_axis(x, index[None], axis=0)[0])
+            about = Variable(VARIABLES[name].units, f"{_WORDS[word]} {VARIABLES[name].long_name} over the box")
+            ds[f"{name}_{word}"] = (rest, extreme, about.attributes())
+            about = Variable("1", f"sample with {name}_{word}; -1: the quantity exists nowhere", np.int32)
+            ds[f"{name}_{word}_sample"] = (rest, np.where(unknown, -1, index).astype(np.int32), about.attributes())
+    attributes = dataset_attributes("tolerance", str(ds.attrs["title"]), f"tolerance {box.sweep.scene}")
+    widths = {f"tolerance_{name}": width for name, width in box.half_widths.items()}
+    return ds.assign_attrs({**attributes, **widths})
