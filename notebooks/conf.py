@@ -31,6 +31,8 @@ extensions = [
     "commands",
     "tables",
     "reproduction",
+    "live_page",
+    "terms",
 ]
 exclude_patterns = ["_site", ".ipynb_checkpoints"]
 nitpicky = True

@@ -11,7 +11,6 @@ from sphinx.util.docutils import SphinxDirective
 
 import vibrojax as vj
 from vibrojax.analyses.continuation.indicators import KINDS
-from vibrojax.analyses.glossary import WORDS
 from vibrojax.io.variables import NATURES, VARIABLES
 from vibrojax.models.physics.rock import ROCKS
 from vibrojax.models.scenes import HasFriction
@@ -89,7 +88,6 @@ TABLES: dict[str, Callable[[], pd.DataFrame]] = {
     "laws": laws,
     "rocks": lambda: pd.DataFrame([{"rock": name} | asdict(rock) for name, rock in ROCKS.items()]),
     "sweeps": sweeps,
-    "words": lambda: pd.DataFrame(WORDS.items(), columns=["word", "meaning"]),
 }
 
 
@@ -101,7 +99,7 @@ class CodeTable(SphinxDirective):
     def run(self) -> list[nodes.Node]:
         self.env.note_reread()
         table = TABLES[self.arguments[0]]()
-        return [as_table(table.columns, table.itertuples(index=False), literal=self.arguments[0] != "words")]
+        return [as_table(table.columns, table.itertuples(index=False))]
 
 
 def as_table(header: Iterable[object], rows: Iterable[Iterable[object]], literal: bool = True) -> nodes.table:
