@@ -64,4 +64,4 @@ def recorder_for(scene: Scene[Any], keep_returns: int = 0) -> Records:
             if not isinstance(scene, need):
                 lacks = f"{scene.name} is no {need.__name__}; {type(gauge).__name__} measures only those"
                 raise InputError(f"scene: {lacks}")
-    return Recorder(scene.section, (*gauges, KeptReturns(max(keep_returns, RETURNS_FOR_DRIFT))))
+    return Recorder((*gauges, KeptReturns(max(keep_returns, RETURNS_FOR_DRIFT))))

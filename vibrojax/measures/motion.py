@@ -41,12 +41,12 @@ class Swings(Gauge[Scene[Any]]):
     """
 
     def begin(self, scene: Scene[Any], c: Any, lane: Lane) -> Swung:
-        places = positions(scene, section_of(scene), lane)
+        places = positions(scene, lane)
         none = jnp.full((EIGHTHS, *places[0].shape), jnp.nan, places[0].dtype)
         return Swung(tuple((x, x) for x in places), none)
 
     def step(self, scene: Scene[Any], c: Any, carry: Swung, moment: Moment) -> Swung:
-        places = positions(scene, section_of(scene), moment.lane)
+        places = positions(scene, moment.lane)
         return carry._replace(ranges=tuple(widened(swung, x) for swung, x in zip(carry.ranges, places, strict=True)))
 
     def section(self, scene: Scene[Any], c: Any, carry: Swung, at: Return) -> Swung:
@@ -68,9 +68,9 @@ def section_of(scene: Scene[Any]) -> Section:
     return scene.section
 
 
-def positions(scene: Scene[Any], section: Section, lane: Lane) -> list[Lanes]:
+def positions(scene: Scene[Any], lane: Lane) -> list[Lanes]:
     """Return the values of the section's oscillating positions, such as x1 and x2."""
-    return [lane.state[scene.place(swing.position)] for swing in section.swings]
+    return [lane.state[scene.place(swing.position)] for swing in section_of(scene).swings]
 
 
 def widened(extremes: tuple[Lanes, Lanes], x: Lanes) -> tuple[jax.Array, jax.Array]:

@@ -22,21 +22,14 @@ from vibrojax.stepping.polynomial import highest, integral, value
 from vibrojax.stepping.series import known
 
 
-class Deepest(NamedTuple):
-    """Least compression of the rock since the observation began [m], at most 0.
-
-    A negative value -d means that the bit was at the distance d above the rock.
-    """
-
-    gap: Lanes
-
-
 @dataclass(frozen=True)
 class Hole(Gauge[HasRock[Any]]):
     """rate_of_penetration [m/s], slip_per_impact [m], mean_force [N], relief [1], deepest_gap [m].
 
     The gauge needs a scene with rock and contact. mean_force is the mean contact force P; relief is P divided by the
-    yield force. The gauge uses the sums of the gauge in [vibrojax.measures.impacts][], which must also be present.
+    yield force. deepest_gap is the least compression of the rock since the observation began, at most 0: -d means that
+    the bit was at the distance d above the rock. The gauge uses the sums of the gauge in
+    [vibrojax.measures.impacts][], which must also be present.
     """
 
     summed = ("growth",)
@@ -45,23 +38,23 @@ class Hole(Gauge[HasRock[Any]]):
     def increments(self, scene: HasRock[Any], c: Any, moment: Moment) -> Sums:
         return {"growth": _growth(scene, moment.step)}
 
-    def begin(self, scene: HasRock[Any], c: Any, lane: Lane) -> Deepest:
-        return Deepest(jnp.minimum(lane.state[scene.place("compression")], 0))
+    def begin(self, scene: HasRock[Any], c: Any, lane: Lane) -> Lanes:
+        return jnp.minimum(lane.state[scene.place("compression")], 0)
 
-    def step(self, scene: HasRock[Any], c: Any, carry: Deepest, moment: Moment) -> Deepest:
+    def step(self, scene: HasRock[Any], c: Any, carry: Lanes, moment: Moment) -> Lanes:
         compression = moment.step.polynomials[scene.place("compression")]
         lowest = -highest([-coefficient for coefficient in compression], moment.step.tau)
-        return Deepest(jnp.minimum(carry.gap, lowest))
+        return jnp.minimum(carry, lowest)
 
-    def read(self, scene: HasRock[Any], c: Any, carry: Deepest, whole: Whole) -> Sums:
-        return _rates(scene, c, whole.sums, whole.time, whole.sums["impacts"], carry.gap)
+    def read(self, scene: HasRock[Any], c: Any, carry: Lanes, whole: Whole) -> Sums:
+        return _rates(scene, c, whole.sums, whole.time, whole.sums["impacts"], carry)
 
 
 class Pulses(NamedTuple):
     """The carry of the pulse recorder.
 
     - `waiting`: mask of the lanes at the beginning of a pulse; `number`: number of pulses that have begun so far.
-    - `ledger`: the sums; `deepest` [m]: least compression of the rock so far, at most 0, see `Deepest`.
+    - `ledger`: the sums; `deepest` [m]: least compression of the rock so far, at most 0; -d at a distance d above it.
     - `last`: states at the beginning of the last pulse (states, lanes).
     """
 

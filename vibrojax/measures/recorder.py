@@ -9,10 +9,10 @@ import jax.numpy as jnp
 from vibrojax.measures import ledger, repeats, section
 from vibrojax.measures.gauge import Gauge, Moment, Return, Sums, Whole
 from vibrojax.measures.ledger import Ledger
+from vibrojax.measures.motion import section_of
 from vibrojax.measures.repeats import Returns
 from vibrojax.measures.section import Settling
 from vibrojax.models.arrays import Flags, Lanes
-from vibrojax.models.scenes.declared import Section
 from vibrojax.models.scenes.scene import Scene
 from vibrojax.stepping import Lane, Step
 
@@ -82,14 +82,13 @@ class Observed(NamedTuple):
 class Recorder(Records):
     """The recorder of gauges, evaluated over complete return intervals of the scene's section."""
 
-    section: Section
     gauges: tuple[Gauge[Any], ...]
 
     def settling(self, scene: Scene[Any], lane: Lane) -> Settling:
-        return section.begin(self.section, scene, lane)
+        return section.begin(scene, lane)
 
     def settle(self, scene: Scene[Any], c: Any, carry: Settling, lane: Lane, step: Step) -> Settling:
-        return section.pass_by(self.section, scene, c, carry, lane, step)
+        return section.pass_by(scene, c, carry, lane, step)
 
     def settle_returns(self, carry: Settling) -> Settling:
         return section.take_in_passed(carry)
@@ -100,10 +99,10 @@ class Recorder(Records):
     def begin(self, scene: Scene[Any], c: Any, lane: Lane, settled: Settling) -> Observed:
         names = ("time", *(name for gauge in self.gauges for name in gauge.summed))
         gauges = tuple(gauge.begin(scene, c, lane) for gauge in self.gauges)
-        return Observed(section.observe(self.section, settled), ledger.begin(names, lane.state[0]), gauges)
+        return Observed(section.observe(scene, settled), ledger.begin(names, lane.state[0]), gauges)
 
     def step(self, scene: Scene[Any], c: Any, carry: Observed, lane: Lane, step: Step) -> Observed:
-        returns = section.step(self.section, scene, c, carry.returns, lane, step)
+        returns = section.step(scene, c, carry.returns, lane, step)
         moment = Moment(lane, step, returns.seen.since, returns.seen.frequency, returns.phase)
         increments = {"time": step.dt}
         for gauge in self.gauges:
@@ -126,10 +125,10 @@ class Recorder(Records):
             return replaced
 
         totals, sums = ledger.section(carry.ledger, here, number, close)
-        at = Return(here, number, interval, section.amplitudes(returns), share, lane, sums)
+        at = Return(here, number, interval, section.amplitudes(returns.seen.ranges), share, lane, sums)
         own = zip(self.gauges, carry.gauges, strict=True)
         gauges = tuple(gauge.section(scene, c, mine, at) for gauge, mine in own)
-        return Observed(section.take_in(self.section, scene, returns, lane), totals, gauges)
+        return Observed(section.take_in(scene, returns, lane), totals, gauges)
 
     def read(self, scene: Scene[Any], c: Any, carry: Observed) -> Features:
         """Return the features of the gauges, and in addition returns, cycles, period and settling_time."""
@@ -142,7 +141,7 @@ class Recorder(Records):
         everything, intervals = ledger.whole(carry.ledger, returns.number, jnp.zeros_like(returns.number))
         first = features(Whole(intervals, everything["time"], everything, jnp.zeros_like(intervals)))
         period = everything["time"] / intervals
-        amplitudes = tuple(first[swing.amplitude] for swing in self.section.swings)
+        amplitudes = tuple(first[swing.amplitude] for swing in section_of(scene).swings)
         cycles = repeats.cycles(returns, amplitudes, period)
         sums, whole_returns = ledger.whole(carry.ledger, returns.number, cycles)
         return features(Whole(whole_returns, sums["time"], sums, cycles)) | {

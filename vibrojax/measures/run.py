@@ -10,7 +10,7 @@ from vibrojax.measures.recorder import Features, Records
 from vibrojax.models.arrays import Array, Flags, Lanes, Real
 from vibrojax.models.scenes.declared import Values
 from vibrojax.models.scenes.scene import Scene
-from vibrojax.stepping import Accuracy, Goal, Lane, Step, Stepper, lane_at
+from vibrojax.stepping import Accuracy, Goal, Lane, Stepper, lane_at
 
 STEPS_PER_TURN = 4
 """Number of steps between two checks for section crossings during the observation. A lane at the section waits for the
@@ -36,22 +36,6 @@ class Underway(NamedTuple):
     steps: Lanes
 
 
-class Phase(NamedTuple):
-    """The functions and settings of one part of the run, settling or observation.
-
-    - `step`: function that updates the recorder's carry with a step.
-    - `turn`: function that updates the recorder's carry with section crossings, called once every `steps` steps.
-    - `moves`: function that returns a mask of the lanes that do not wait for `turn`.
-    - `marked`: True if steps end on markers.
-    """
-
-    step: Callable[[Any, Lane, Step], Any]
-    turn: Callable[[Any, Lane], Any]
-    moves: Callable[[Any], Flags | bool]
-    steps: int
-    marked: bool
-
-
 def start_block(scene: Scene[Any], recorder: Records, c: Any, state: Values) -> tuple[Lane, Any]:
     """Return the lanes at t = 0 and the recorder's carry.
 
@@ -68,14 +52,12 @@ def settle_block(
 
     `c`: the scene's constants after `Scene.scaled` for the initial state.
     """
-    phase = Phase(
-        step=lambda carry, lane, step: recorder.settle(scene, c, carry, lane, step),
-        turn=lambda carry, lane: recorder.settle_returns(carry),
-        moves=lambda carry: True,
-        steps=STEPS_PER_PASS,
-        marked=False,
-    )
-    return _run(scene, stepper, c, begun, until, effort, phase)
+
+    def step(lane: Lane, carry: Any, goal: Goal) -> tuple[Lane, Any]:
+        lane, step = stepper.step(scene, c, lane, effort.accuracy, goal, False)
+        return lane, recorder.settle(scene, c, carry, lane, step)
+
+    return _run(begun, until, effort, STEPS_PER_PASS, step, lambda carry, lane: recorder.settle_returns(carry))
 
 
 def observe_block(
@@ -95,14 +77,15 @@ def observe_block(
     end = begin + duration
     settled = begun.lane.clock.until(begin) <= 0
     begun = begun._replace(carry=recorder.begin(scene, c, begun.lane, begun.carry))
-    phase = Phase(
-        step=lambda carry, lane, step: recorder.step(scene, c, carry, lane, step),
-        turn=lambda carry, lane: recorder.take_returns(scene, c, carry, lane, 1 - lane.clock.until(end) / duration),
-        moves=lambda carry: ~recorder.waiting(carry),
-        steps=STEPS_PER_TURN,
-        marked=True,
-    )
-    lane, carry, steps = _run(scene, stepper, c, begun, end, effort, phase)
+
+    def step(lane: Lane, carry: Any, goal: Goal) -> tuple[Lane, Any]:
+        lane, step = stepper.step(scene, c, lane, effort.accuracy, goal, True)
+        return lane, recorder.step(scene, c, carry, lane, step)
+
+    def turn(carry: Any, lane: Lane) -> Any:
+        return recorder.take_returns(scene, c, carry, lane, 1 - lane.clock.until(end) / duration)
+
+    lane, carry, steps = _run(begun, end, effort, STEPS_PER_TURN, step, turn, lambda carry: ~recorder.waiting(carry))
     finite = jnp.all(jnp.stack([jnp.isfinite(y) for y in lane.state]), axis=0)
     return lane, recorder.read(scene, c, carry) | {
         "steps": steps,
@@ -134,24 +117,32 @@ def run_block(
 
 
 def _run(
-    scene: Scene[Any], stepper: Stepper, c: Any, begun: Underway, end: Lanes, effort: Effort, phase: Phase
+    begun: Underway,
+    end: Lanes,
+    effort: Effort,
+    steps_per_turn: int,
+    step: Callable[[Lane, Any, Goal], tuple[Lane, Any]],
+    turn: Callable[[Any, Lane], Any],
+    moves: Callable[[Any], Flags | bool] = lambda carry: True,
 ) -> Underway:
-    """Step every lane to its `end`."""
+    """Step every lane to its `end` with `step`, and update the recorder's carry with `turn` every few steps.
+
+    `moves` returns a mask of the lanes that do not wait for `turn`.
+    """
 
     def active(lane: Lane) -> Flags:
         return lane.clock.until(end) > 0  # false for NaN
 
     def advance(_: Any, now: Underway) -> Underway:
-        lane, carry, steps = now
-        moving = active(lane) & phase.moves(carry) & (steps < effort.most_steps)
-        lane, step = stepper.step(scene, c, lane, effort.accuracy, Goal(end, moving), phase.marked)
-        return Underway(lane, phase.step(carry, lane, step), jnp.where(moving, steps + 1, steps))
+        moving = active(now.lane) & moves(now.carry) & (now.steps < effort.most_steps)
+        lane, carry = step(now.lane, now.carry, Goal(end, moving))
+        return Underway(lane, carry, jnp.where(moving, now.steps + 1, now.steps))
 
-    def turn(now: Underway) -> Underway:
-        lane, carry, steps = jax.lax.fori_loop(0, phase.steps, advance, now)
-        return Underway(lane, phase.turn(carry, lane), steps)
+    def several(now: Underway) -> Underway:
+        lane, carry, steps = jax.lax.fori_loop(0, steps_per_turn, advance, now)
+        return Underway(lane, turn(carry, lane), steps)
 
     def continues(now: Underway) -> Array:
         return jnp.any(active(now.lane) & (now.steps < effort.most_steps))
 
-    return jax.lax.while_loop(continues, turn, begun)
+    return jax.lax.while_loop(continues, several, begun)
