@@ -11,10 +11,9 @@ from vibrojax.models.physics.rock import ROCK, ROCKS
 from vibrojax.models.scenes import bit_on_rock
 from vibrojax.models.scenes.bit_on_rock import OnRock, RockConstants, rock_constants
 from vibrojax.models.scenes.declared import Guard, Values
-from vibrojax.models.scenes.one_sided import ContactConstants
 from vibrojax.models.scenes.rotary import DrillConstants, length_noise
 from vibrojax.models.scenes.scene import Scene
-from vibrojax.models.scenes.vibro_impact import VibroImpact
+from vibrojax.models.scenes.vibro_impact import ContactConstants, VibroImpact
 
 # Most impacts of this drill never break granite, so the default rock is sandstone.
 _DEFAULTS = {"k3": ROCKS["sandstone"].k3, "threshold": ROCKS["sandstone"].threshold, "zeta": 1.5}

@@ -1,4 +1,8 @@
-"""The vibro-impact scene, whose striker hits the bit (source, eq. 5.18), the base of every drill with impacts."""
+"""The vibro-impact scene, whose striker hits the bit (source, eq. 5.18), the base of every drill with impacts.
+
+The contact is one-sided: the mode `touching` is 0 (apart) until compression and force are positive, then 1 until the
+force is zero.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -6,13 +10,25 @@ from typing import Any, ClassVar, NamedTuple
 
 import jax.numpy as jnp
 
-from vibrojax.models.physics.contact import contact_time
+from vibrojax.models.physics.contact import contact_time, raw_force
+from vibrojax.models.physics.elementary import maximum
 from vibrojax.models.physics.parameters import BIT_AND_STRIKER, CONTACT, Parameter
-from vibrojax.models.scenes import one_sided
 from vibrojax.models.scenes.capabilities import HasContact
 from vibrojax.models.scenes.declared import Guard, Mode, Start, Values
-from vibrojax.models.scenes.one_sided import ContactConstants, contact_constants
 from vibrojax.models.scenes.rotary import DrillConstants, Rotary, drill_constants, length_noise
+from vibrojax.models.scenes.scene import ROUNDINGS
+
+
+class ContactConstants(NamedTuple):
+    """Constants of the contact, each (lanes,).
+
+    Stiffness `k0` [N/m], damping `c0` [N s/m], gap `delta` [m], and relaxation time `relaxation` = c0/k0 [s].
+    """
+
+    k0: Any
+    c0: Any
+    delta: Any
+    relaxation: Any
 
 
 class VibroImpactConstants(NamedTuple):
@@ -36,7 +52,8 @@ class VibroImpact(Rotary, HasContact[Any]):
     own_parameters: ClassVar[dict[str, Parameter]] = BIT_AND_STRIKER | CONTACT
 
     def constants(self, p: Mapping[str, Any]) -> Any:
-        return VibroImpactConstants(drill_constants(p, self.friction), contact_constants(p))
+        drill = drill_constants(p, self.friction)
+        return VibroImpactConstants(drill, ContactConstants(p["k0"], p["c0"], p["delta"], p["c0"] / p["k0"]))
 
     def compression(self, c: Any, mode: Values, state: Values) -> tuple[Any, Any]:
         """Return the compression of the contact [m] and the compression rate [m/s]; Taylor series are accepted."""
@@ -54,43 +71,63 @@ class VibroImpact(Rotary, HasContact[Any]):
 
     def mode_at(self, c: Any, state: Values, *others: Any) -> Values:
         pushed = c.drill.k2 * (state[0] - state[2]) - c.drill.c2 * state[3]
-        compression = self.compression(c, (None, None, *others), state)
-        return super().mode_at(c, state, one_sided.touching_at(c.contact, *compression, pushed), *others)
+        compression, rate = self.compression(c, (None, None, *others), state)
+        # At zero compression and zero rate, the force that pushes the striker closes the contact.
+        closes = (rate > 0) | ((rate == 0) & (pushed > 0))
+        inside = (compression > 0) & (raw_force(compression, rate, c.contact.k0, c.contact.c0) > 0)
+        touching = jnp.where(inside | ((compression == 0) & closes), 1.0, 0.0)
+        return super().mode_at(c, state, touching, *others)
 
     def guards(self) -> tuple[Guard, ...]:
         def touches(c: Any, mode: Values, state: Values) -> Any:
-            return one_sided.guard(c.contact, mode[1], *self.compression(c, mode, state))
+            """Return J/k0 while touching; while apart, the distance from the state in which contact begins [m]."""
+            compression, rate = self.compression(c, mode, state)
+            length = compression + c.contact.relaxation * rate
+            # Contact begins when compression and force are both positive. A striker released while still compressed
+            # (c0 > 0) is therefore not caught again at once.
+            return mode[1] * length + (1.0 - mode[1]) * maximum(-compression, -length)
 
         return (*super().guards(), Guard("contact", touches, lambda c, mode: length_noise(c.drill)))
 
     def other_reset(self, c: Any, mode: Values, state: Values, hits: Mapping[str, Any]) -> tuple[Values, Values]:
         hit, (before, rate) = hits["contact"], self.compression(c, mode, state)
-        touching, after = one_sided.reset(c.contact, mode[1], before, rate, hit, length_noise(c.drill))
+        # The compression is set to its exact value on the guard.
+        after = jnp.where(hit & (mode[1] != 0), -c.contact.relaxation * rate, before)
+        after = jnp.where(self._begins(c, mode, before, rate, hit), 0.0, after)
         x2 = jnp.where(hit, self.compressed(c, state, before, after), state[2])
-        return (mode[0], touching, *mode[2:]), (state[0], state[1], x2, *state[3:])
+        return (mode[0], jnp.where(hit, 1.0 - mode[1], mode[1]), *mode[2:]), (state[0], state[1], x2, *state[3:])
+
+    def _begins(self, c: Any, mode: Values, compression: Any, rate: Any, hit: Any) -> Any:
+        # A contact that is released while still compressed (c0 > 0) may close again while compressed; that is not a new
+        # impact.
+        outside = compression <= length_noise(c.drill)
+        return hit & (mode[1] == 0) & (c.contact.relaxation * rate >= 0) & outside
 
     def impact(self, c: Any, mode: Values, state: Values) -> Any:
         return self.contact_force(c, mode, state)
 
     def impact_noise(self, c: Any, mode: Values) -> Any:
-        return mode[1] * one_sided.force_resolution(c.contact, c.drill.m2, c.drill.slip.v)
+        # A small multiple of the rounding error of the position, for a striker that meets the bit at the drive speed.
+        reach = jnp.abs(c.contact.delta) + jnp.sqrt(c.drill.m2 / c.contact.k0) * c.drill.slip.v
+        return mode[1] * (ROUNDINGS * jnp.finfo(c.contact.k0.dtype).eps * c.contact.k0 * reach)
 
     def stored(self, c: Any, state: Values) -> Any:
-        return one_sided.energy(c.contact, state[2] - c.contact.delta)
+        inside = jnp.maximum(state[2] - c.contact.delta, 0)
+        return c.contact.k0 * inside * inside / 2
 
     def rate(self, c: Any, mode: Values) -> Any:
-        flight = self.flight_rate(c)
-        return jnp.where(mode[1] != 0, one_sided.stiff_rate(c.contact, c.drill.inverse_m2, flight), flight)
+        flight, inverse = self.flight_rate(c), c.drill.inverse_m2
+        stiff = jnp.sqrt(c.contact.k0 * inverse + flight * flight) + c.contact.c0 * inverse
+        return jnp.where(mode[1] != 0, stiff, flight)
 
     def contact_force(self, c: Any, mode: Values, state: Values) -> Any:
-        return one_sided.force(c.contact, mode[1], *self.compression(c, mode, state))
+        return mode[1] * raw_force(*self.compression(c, mode, state), c.contact.k0, c.contact.c0)
 
     def impact_rate(self, c: Any, mode: Values, state: Values) -> Any:
         return self.compression(c, mode, state)[1]
 
     def impact_begins(self, c: Any, mode: Values, state: Values, hits: Mapping[str, Any]) -> Any:
-        compression = self.compression(c, mode, state)
-        return one_sided.begins(c.contact, mode[1], *compression, hits["contact"], length_noise(c.drill))
+        return self._begins(c, mode, *self.compression(c, mode, state), hits["contact"])
 
     def striker_mass(self, c: Any) -> Any:
         return c.drill.m2
@@ -99,7 +136,7 @@ class VibroImpact(Rotary, HasContact[Any]):
         return contact_time(c.drill.m2, c.contact.k0, c.contact.c0)
 
     def contact_rate(self, c: Any) -> Any:
-        return one_sided.own_rate(c.contact, c.drill.m2)
+        return jnp.sqrt(c.contact.k0 / c.drill.m2) + c.contact.c0 / c.drill.m2
 
 
 SCENES = (VibroImpact,)
