@@ -151,8 +151,10 @@ def _points(cells: Mapping[str, Sequence[Any]], place_of: CellPlace, names: Name
             vectors[name] = np.array([quantity(place_of(name, i), value, STATE) for i, value in enumerate(column)])
         elif name != "start" and name not in names.presets:
             columns[name] = _numbers(column, name, place_of, names)
-    for name in names.presets.keys() & cells:
-        columns[name] = np.array([names.preset(place_of(name, i), name, cell) for i, cell in enumerate(cells[name])])
+    for name in names.presets:
+        if name in cells:
+            chosen = [names.preset(place_of(name, i), name, cell) for i, cell in enumerate(cells[name])]
+            columns[name] = np.array(chosen)
     if "start" in cells:
         starts = [names.named_start(place_of("start", i), start) for i, start in enumerate(cells["start"])]
     return Points(columns, starts, vectors or None)
