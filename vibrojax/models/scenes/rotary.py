@@ -203,17 +203,10 @@ class Rotary(HasFriction[Any]):
         return (stick_slip.smoothed_mode(state[1] + c.drill.slip.v, width), *mode[1:])
 
     def guards(self) -> tuple[Guard, ...]:
-        def slips(c: Any, mode: Values, state: Values) -> Any:
-            u = state[1] + c.drill.slip.v
-            return stick_slip.guard(c.drill.slip, mode[0], u, self.pull(c, state), self.impact(c, mode, state))
+        def motion(c: Any, mode: Values, state: Values) -> tuple[Any, Any, Any]:
+            return state[1] + c.drill.slip.v, self.pull(c, state), self.impact(c, mode, state)
 
-        def resolution(c: Any, mode: Values) -> Any:
-            return stick_slip.resolution(c.drill.slip, mode[0], self._stick_noise(c, mode))
-
-        def slope_resolution(c: Any, mode: Values, h: Any) -> Any:
-            return stick_slip.slope_resolution(c.drill.slip, mode[0], self._stick_noise(c, mode), h)
-
-        return (Guard("friction", slips, resolution, slope_resolution, is_switch=True),)
+        return (stick_slip.friction_guard(lambda c: c.drill.slip, motion, self._stick_noise),)
 
     def reset(self, c: Any, mode: Values, state: Values, hits: Mapping[str, Any]) -> tuple[Values, Values]:
         mode, state = self.other_reset(c, mode, state, hits)
