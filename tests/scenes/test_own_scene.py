@@ -9,7 +9,7 @@ import pytest
 
 from vibrojax.errors import InputError
 from vibrojax.measures import Gauge, recorder_for
-from vibrojax.measures.run import Effort, run_block
+from vibrojax.measures.recorder import Effort, run_block
 from vibrojax.models.physics.parameters import positive, table
 from vibrojax.models.scenes import Marker, Scene, Section, State, Swing
 from vibrojax.models.scenes.vibro_impact import VibroImpact
