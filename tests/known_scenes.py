@@ -219,16 +219,10 @@ class BeltOscillator(vj.HasFriction[BeltConstants]):
         return (slips.smoothed_mode(state[1] + c.slip.v, width),)
 
     def guards(self):
-        def slipping(c, mode, state):
-            return slips.guard(c.slip, mode[0], state[1] + c.slip.v, self.pull(c, state), None)
+        def motion(c, mode, state):
+            return state[1] + c.slip.v, self.pull(c, state), None
 
-        def resolution(c, mode):
-            return slips.resolution(c.slip, mode[0], slips.stick_noise(c.slip))
-
-        def slope(c, mode, h):
-            return slips.slope_resolution(c.slip, mode[0], slips.stick_noise(c.slip), h)
-
-        return (vj.Guard("friction", slipping, resolution, slope, is_switch=True),)
+        return (slips.friction_guard(lambda c: c.slip, motion, lambda c, mode: slips.stick_noise(c.slip)),)
 
     def reset(self, c, mode, state, hits):
         hit = hits["friction"]

@@ -14,11 +14,11 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-from vibrojax.models.scenes import drill, stick_slip
+from vibrojax.models.scenes import rotary, stick_slip
 from vibrojax.reproduce import GROUPS, run_reproduction
 from vibrojax.sweep.engine import batch
 
-_right = drill.accelerations
+_right = rotary.accelerations
 
 
 def friction(law, c, slip, state, impact):
@@ -51,7 +51,7 @@ def main(sign: str, path: str) -> None:
     """Run the registry with one sign wrong and say which results turned red."""
     rows = [line.split("|") for line in Path(path).read_text().splitlines()[2:]]
     before = {cells[1].strip(): cells[5].strip() for cells in rows}
-    drill.accelerations = SIGNS[sign]
+    rotary.accelerations = SIGNS[sign]
     batch.LANE_MAX_STEPS, batch.LANE_MAX_RATE = 1e4, 300.0
     groups = [replace(group, pictures=()) for group in GROUPS if group.name not in WITHOUT_DRILL]
     results = run_reproduction(groups).results

@@ -14,7 +14,7 @@ import pytest
 import vibrojax as vj
 from vibrojax.errors import InputError
 from vibrojax.measures import recorder_for
-from vibrojax.measures.run import Effort, run_block
+from vibrojax.measures.recorder import Effort, run_block
 from vibrojax.models.scenes import SCENES
 from vibrojax.stepping import Accuracy, Located
 

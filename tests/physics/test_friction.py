@@ -98,13 +98,6 @@ def test_defaults_are_those_of_section_3(name):
 
 
 @pytest.mark.parametrize(("name", "p"), CASES)
-def test_value(name, p):
-    law = FRICTION_LAWS[name]
-    found = [law.on_weight(jnp.asarray(u), p) for u in SPEEDS]
-    np.testing.assert_allclose(found, MU[name](SPEEDS, p), rtol=1e-14)
-
-
-@pytest.mark.parametrize(("name", "p"), CASES)
 def test_under_impact_only_eq_5_9_has_a_constant(name, p):
     """Section 3: F = sgn(u) mu(u) (m1 g + J); 5.9 keeps the constant mu of eq. 5.12 on J."""
     expected = p["mu"] + 0 * SPEEDS if name == "stribeck" else MU[name](SPEEDS, p)
@@ -158,7 +151,7 @@ def test_slope_along_each_parameter(name, p):
 @pytest.mark.parametrize(("name", "p"), CASES)
 def test_jit_and_vmap_over_speed_and_parameters(name, p):
     law = FRICTION_LAWS[name]
-    factors = np.linspace(0.8, 1.3, len(SPEEDS))
+    factors = np.array([1.0, 0.8, 0.9, 1.0, 1.1, 1.2, 1.3])
     lanes = {key: jnp.asarray(value * factors) for key, value in p.items()}
     expected = [MU[name](u, {key: value * f for key, value in p.items()}) for u, f in zip(SPEEDS, factors, strict=True)]
     for batched in (jax.vmap(law.on_weight), law.on_weight):

@@ -40,32 +40,19 @@ def test_pulses_that_run_together_are_refused():
         vj.simulate("penetration", pulse_width=0.05, frequency=20.0, duration=0.1, progress=False)
 
 
-def test_rocks_in_points():
-    """A column of rocks is that of their numbers."""
-    named = swept({"rock": ["granite", "sandstone"], "force": [3e5, 3e5]}, settle=0.2, observe=1.0)
-    assert list(named.rock.values) == ["granite", "sandstone"]
-    for index, rock in enumerate(named.rock.values):
-        alone = vj.run_sweep(
-            {
-                "scene": "penetration",
-                "parameters": {"rock": str(rock)},
-                "grid": {"force": [3e5]},
-                "run": {"settle": 0.2, "observe": 1.0},
-            },
-            progress=False,
-        )
-        np.testing.assert_array_equal(named.rate_of_penetration[index], alone.rate_of_penetration[0])
-
-
-def test_rocks_in_a_csv(tmp_path):
+def test_rocks_in_points(tmp_path):
+    """A column of rocks is that of their numbers, in a table and in a CSV."""
+    table = {"rock": ["granite", "sandstone"], "force": [3e5, 3e5]}
     (tmp_path / "rocks.csv").write_text("rock,force\ngranite,3e5\nsandstone,3e5\n")
-    (tmp_path / "rocks.toml").write_text(
-        'scene = "penetration"\npoints = "rocks.csv"\n[run]\nsettle = 0.2\nobserve = 1.0\n'
-    )
-    assert list(vj.run_sweep(tmp_path / "rocks.toml", progress=False).rock.values) == ["granite", "sandstone"]
+    (tmp_path / "rocks.toml").write_text('scene = "penetration"\npoints = "rocks.csv"\n')
+    for source in ({"scene": "penetration", "points": table}, tmp_path / "rocks.toml"):
+        sweep = vj.read_sweep(source)
+        assert list(sweep.points["rock"]) == ["granite", "sandstone"]
+        values, _ = sweep.lane_values(0, 2)
+        assert values["threshold"].tolist() == [204.5e3, 61.9e3] and values["k3"].tolist() == [224.24e6, 100.68e6]
     (tmp_path / "rocks.csv").write_text("rock,force\ngranit,3e5\n")
     with pytest.raises(InputError, match=r"rocks.csv: line 2, column rock: .*granit.* unknown; .*granite"):
-        vj.run_sweep(tmp_path / "rocks.toml", progress=False)
+        vj.read_sweep(tmp_path / "rocks.toml")
 
 
 @pytest.mark.parametrize(
@@ -81,4 +68,4 @@ def test_a_rock_beside_its_numbers(source, place):
     with pytest.raises(
         InputError, match=rf"{place}: (k3|threshold) is given as well; give the rock, or threshold and k3"
     ):
-        vj.run_sweep({"scene": "penetration"} | source, progress=False)
+        vj.read_sweep({"scene": "penetration"} | source)

@@ -71,14 +71,6 @@ def test_running_maximum_whatever_the_path():
     assert float(jnp.max(K3 * (path - depths))) <= D * (1 + 1e-12)
 
 
-def test_translation():
-    """Ratchet and resistance know no origin: x4(x3 + a, x4 + a) = x4(x3, x4) + a, N of the difference alone."""
-    for shift in (0.25, 2.0):  # powers of two, so that the sums are exact to a rounding of the shift
-        for x3 in (6e-4, 9e-4):
-            moved = float(ratchet(x3 + shift, 2e-4 + shift, K3, D))
-            assert moved - shift == pytest.approx(float(ratchet(x3, 2e-4, K3, D)), abs=1e-15)
-
-
 @pytest.mark.parametrize(("shape", "share"), [("rectangular", 1.0), ("half-sine", 2 / np.pi)])
 def test_mean_force(shape, share):
     """P = A w f, times 2/pi, the mean of sin over half a turn."""

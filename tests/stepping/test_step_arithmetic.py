@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from vibrojax.measures.harmonics import cos_sin
+from vibrojax.measures.motion import cos_sin
 from vibrojax.stepping.polynomial import highest, rough_root
 
 

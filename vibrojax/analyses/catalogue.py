@@ -17,7 +17,7 @@ from vibrojax.errors import Place
 from vibrojax.io.kinds import OF_ATTRACTORS, OF_BORDERS, OF_FAMILIES
 from vibrojax.io.variables import VARIABLES
 from vibrojax.measures import recorder_for
-from vibrojax.measures.run import Effort, run_block
+from vibrojax.measures.recorder import Effort, run_block
 from vibrojax.models.physics.friction import FRICTION_LAWS
 from vibrojax.models.physics.parameters import ROTATION, Parameter
 from vibrojax.models.physics.rock import ROCKS
@@ -147,7 +147,7 @@ def scene_text(scene: str) -> str:
         starts += f", or a vector [{', '.join(system.start_states)}]; in a list of points: columns {states}"
         starts += f"; many: {SAMPLE}, or {PLANE}"
     parts = [f"{system.name}: {_summary(type(system))}", starts if names.has_starts else "starts: always the same"]
-    if names.has_rock:
+    if "rock" in names.presets:
         rocks = (f"{name} ({rock.threshold / 1e3:g} kN, {rock.k3 / 1e6:g} MN/m)" for name, rock in ROCKS.items())
         parts.append(f"rock, in place of threshold and k3: {', '.join(rocks)}")
     for title, table in (
@@ -189,7 +189,7 @@ def _range(parameter: Parameter) -> str:
 def _parameters_of_choices(names: Names) -> dict[str, dict[str, Parameter]]:
     """Return the parameters that depend on the choice of friction law or pulse shape, by law or shape."""
     if isinstance(names.system, HasFriction):
-        laws = sorted(FRICTION_LAWS.values(), key=lambda law: law.name != names.friction)
+        laws = sorted(FRICTION_LAWS.values(), key=lambda law: law.name != names.options["friction"])
         return {f'friction = "{law.name}" ({law.reference})': dict(law.parameters) for law in laws}
     if "pulse_shape" not in names.options:
         return {}

@@ -72,18 +72,17 @@ def values_with(settings: tuple[str, ...], choices_of: SettingChoices = lambda n
 
     def completer(prefix: str, parsed_args: Namespace, **_: object) -> list[str]:
         from vibrojax.errors import InputError, Place
-        from vibrojax.models.physics.rock import ROCKS
-        from vibrojax.sweep.input.names import CHOICES, read_names
+        from vibrojax.sweep.input.names import read_names
 
         words = [str(word).partition("=") for word in getattr(parsed_args, "values", None) or ()]
-        options = {name: value for name, _, value in words if name in CHOICES}
+        options: dict[str, object] = {name: value for name, _, value in words}
         try:
             names = read_names(Place("simulate"), getattr(parsed_args, "scene", None) or parsed_args.file, options)
         except InputError:
             return []
-        rock = {"rock": tuple(ROCKS)} if names.has_rock else {}
         starts = {"start": names.starts} if names.starts else {}
-        choices = {name: tuple(CHOICES[name]) for name in names.options} | starts | rock | choices_of(names)
+        named = {name: tuple(names.system.choices[name]) for name in names.options} | starts
+        choices = named | {name: tuple(values) for name, values in names.presets.items()} | choices_of(names)
         name, equals, _value = prefix.partition("=")
         if equals:
             return [word for value in choices.get(name, ()) if (word := f"{name}={value}").startswith(prefix)]

@@ -17,13 +17,12 @@ from vibrojax.analyses.attractors.shares import COLOURS as ATTRACTOR_COLOURS
 from vibrojax.errors import InputError, Place, printable, shown
 from vibrojax.explorer.encoding import pack
 from vibrojax.io.attributes import LONGEST_TEXT, differing_of, run_of, text_of, title_of
-from vibrojax.models.physics.rock import ROCKS
 from vibrojax.plot.axes import certified_text, is_geometric, point_text, pretty_unit, scale, symbol
 from vibrojax.plot.colours import REGIME_COLOURS, flag_names, value_of
 from vibrojax.plot.contents import POINT, START
 from vibrojax.plot.style import OTHER_COLOURS
 from vibrojax.sweep.input.definition import Sweep
-from vibrojax.sweep.input.names import CHOICES, read_names
+from vibrojax.sweep.input.names import known_options, read_names
 
 Document = dict[str, Any]
 
@@ -192,7 +191,7 @@ def run_document(ds: xr.Dataset, sweep: Sweep | None = None) -> Document:
         "names": list(names.parameters),
         "starts": list(names.starts),
         "states": list(names.system.start_states),
-        "rocks": list(ROCKS) if names.has_rock else [],
+        "rocks": list(names.presets.get("rock", ())),
     }
 
 
@@ -209,7 +208,7 @@ def command_seconds(seconds: float) -> float:
 
 def options_of(ds: xr.Dataset) -> dict[str, str]:
     """Return the options of the scene of a dataset, such as its friction law."""
-    return {option: text_of(ds, option) for option in CHOICES if option in ds.attrs}
+    return {option: text_of(ds, option) for option in known_options() if option in ds.attrs}
 
 
 def start_of(ds: xr.Dataset) -> object:

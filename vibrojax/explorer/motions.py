@@ -23,11 +23,10 @@ from vibrojax.explorer.recording import (
 from vibrojax.explorer.views import sweep_of
 from vibrojax.io.attributes import differing_of, text_of
 from vibrojax.models.physics.parameters import ROTATION, Parameter
-from vibrojax.models.physics.rock import ROCKS
 from vibrojax.models.scenes import Scene
 from vibrojax.plot.axes import pretty_unit, scale
 from vibrojax.stepping import AccuracyRequest, Located
-from vibrojax.sweep.input.definition import Sweep, rock_values
+from vibrojax.sweep.input.definition import Sweep
 from vibrojax.sweep.input.names import Names, read_names
 from vibrojax.sweep.input.read import Point, read_point
 from vibrojax.sweep.input.values import UnusualValue
@@ -175,7 +174,7 @@ class LiveMotions:
             "whole": self.whole,
             "observed": window(self.duration)[1],
             "lanes": self.sweep.lanes if self.sweep is not None else 0,
-            "rocks": {name: rock_values(name) for name in ROCKS} if self.names.has_rock else {},
+            "rocks": self.names.presets.get("rock", {}),
             "bit_radius": ROTATION["bit_radius"].default,
         }
 

@@ -7,11 +7,9 @@ from typing import Any
 
 from vibrojax.errors import InputError, shown
 from vibrojax.measures.gauge import Gauge, Moment, Return, Whole
-from vibrojax.measures.harmonics import Harmonics
-from vibrojax.measures.impacts import Impacts
+from vibrojax.measures.impacts import Hole, Impacts, PulseRecorder
 from vibrojax.measures.ledger import MOST_CYCLES
-from vibrojax.measures.motion import Shares, Swings
-from vibrojax.measures.penetration import Hole, PulseRecorder
+from vibrojax.measures.motion import Harmonics, Shares, Swings
 from vibrojax.measures.recorder import Recorder, Records
 from vibrojax.measures.repeats import KeptReturns
 from vibrojax.models.scenes import Driven, HasContact, Scene
@@ -64,4 +62,4 @@ def recorder_for(scene: Scene[Any], keep_returns: int = 0) -> Records:
             if not isinstance(scene, need):
                 lacks = f"{scene.name} is no {need.__name__}; {type(gauge).__name__} measures only those"
                 raise InputError(f"scene: {lacks}")
-    return Recorder(scene.section, (*gauges, KeptReturns(max(keep_returns, RETURNS_FOR_DRIFT))))
+    return Recorder((*gauges, KeptReturns(max(keep_returns, RETURNS_FOR_DRIFT))))

@@ -1,15 +1,24 @@
-"""Gauge of the striker's impacts on the bit, and of the contact force."""
+"""Gauges of the striker's impacts on the bit, of the contact force and of the hole; recorder of a prescribed force.
 
+Means over the hole are over return intervals for a drill, and over pulse periods for a prescribed force.
+"""
+
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
+from vibrojax.measures import ledger
 from vibrojax.measures.gauge import Gauge, Moment, Return, Sums, Whole
-from vibrojax.models.arrays import Flags, Lanes, keep
-from vibrojax.models.scenes.capabilities import HasContact, HasFriction
+from vibrojax.measures.ledger import Ledger
+from vibrojax.measures.recorder import Features, Records
+from vibrojax.measures.repeats import state_name
+from vibrojax.models.arrays import Array, Flags, Lanes, keep
+from vibrojax.models.scenes.capabilities import Driven, HasContact, HasFriction, HasRock
+from vibrojax.models.scenes.scene import Scene
 from vibrojax.stepping import Lane, Step
-from vibrojax.stepping.polynomial import highest, integral
+from vibrojax.stepping.polynomial import highest, integral, value
 from vibrojax.stepping.series import known
 
 Pair = tuple[Lanes, Lanes]
@@ -106,3 +115,128 @@ def _force(scene: HasContact[Any], c: Any, step: Step) -> list[Lanes]:
     """Return the coefficients in tau of the contact force J [N] over the step."""
     force = scene.contact_force(c, step.mode, tuple(known(polynomial) for polynomial in step.polynomials))
     return keep([force[k] for k in range(len(step.polynomials[0]))])
+
+
+@dataclass(frozen=True)
+class Hole(Gauge[HasRock[Any]]):
+    """rate_of_penetration [m/s], slip_per_impact [m], mean_force [N], relief [1], deepest_gap [m].
+
+    The gauge needs a scene with rock and contact. mean_force is the mean contact force P; relief is P divided by the
+    yield force. deepest_gap is the least compression of the rock since the observation began, at most 0: -d means that
+    the bit was at the distance d above the rock. The gauge uses the sums of the gauge in
+    [vibrojax.measures.impacts][], which must also be present.
+    """
+
+    summed = ("growth",)
+    needs = (HasRock, HasContact)
+
+    def increments(self, scene: HasRock[Any], c: Any, moment: Moment) -> Sums:
+        return {"growth": _growth(scene, moment.step)}
+
+    def begin(self, scene: HasRock[Any], c: Any, lane: Lane) -> Lanes:
+        return jnp.minimum(lane.state[scene.place("compression")], 0)
+
+    def step(self, scene: HasRock[Any], c: Any, carry: Lanes, moment: Moment) -> Lanes:
+        compression = moment.step.polynomials[scene.place("compression")]
+        lowest = -highest([-coefficient for coefficient in compression], moment.step.tau)
+        return jnp.minimum(carry, lowest)
+
+    def read(self, scene: HasRock[Any], c: Any, carry: Lanes, whole: Whole) -> Sums:
+        return _rates(scene, c, whole.sums, whole.time, whole.sums["impacts"], carry)
+
+
+class Pulses(NamedTuple):
+    """The carry of the pulse recorder.
+
+    - `waiting`: mask of the lanes at the beginning of a pulse; `number`: number of pulses that have begun so far.
+    - `ledger`: the sums; `deepest` [m]: least compression of the rock so far, at most 0; -d at a distance d above it.
+    - `last`: states at the beginning of the last pulse (states, lanes).
+    """
+
+    waiting: Flags
+    number: Lanes
+    ledger: Ledger
+    deepest: Lanes
+    last: Array
+
+
+@dataclass(frozen=True)
+class PulseRecorder(Records):
+    """rate_of_penetration [m/s], slip_per_impact [m], mean_force [N], relief [1], deepest_gap [m], pulses, yields.
+
+    Means are over complete pulse periods, and NaN if there are none. Under a swept sine, means are over the whole
+    observation. Nothing is recorded before the observation. The states at the beginning of the last pulse are features.
+    """
+
+    def begin(self, scene: Scene[Any], c: Any, lane: Lane, settled: tuple[()]) -> Pulses:
+        compression = lane.state[scene.place("compression")]
+        # The first pulse begins at t = 0, without an event.
+        first = (lane.clock.high == 0) & _driven(scene).has_pulses
+        sums = ledger.begin(("time", "growth", "force", "yields"), compression)
+        last = jnp.full((len(scene.return_states), *compression.shape), jnp.nan, compression.dtype)
+        return Pulses(first, jnp.zeros_like(compression), sums, jnp.minimum(compression, 0), last)
+
+    def step(self, scene: Scene[Any], c: Any, carry: Pulses, lane: Lane, step: Step) -> Pulses:
+        states = tuple(known(polynomial) for polynomial in step.polynomials)
+        force = _driven(scene).applied_force(c, step.mode, states).arrays(len(step.polynomials[0]) - 1, step.dt)
+        yields = step.hits["yield"] & (step.mode[scene.mode_place("rock")] == 0)
+        increments = {
+            "time": step.dt,
+            "growth": _growth(scene, step),
+            "force": step.h * integral(force, step.tau),
+            "yields": yields.astype(step.dt.dtype),
+        }
+        return carry._replace(
+            waiting=carry.waiting | _driven(scene).pulse_begins(c, step.mode, step.hits),
+            ledger=ledger.add(carry.ledger, increments),
+            deepest=jnp.minimum(carry.deepest, lane.state[scene.place("compression")]),
+        )
+
+    def waiting(self, carry: Pulses) -> Flags:
+        return carry.waiting
+
+    def take_returns(self, scene: Scene[Any], c: Any, carry: Pulses, lane: Lane, share: Lanes) -> Pulses:
+        here, number = carry.waiting, carry.number
+        totals, _ = ledger.section(carry.ledger, here, number)
+        last = carry.last
+        if scene.return_states:
+            states = jnp.stack([lane.state[scene.place(name)] for name in scene.return_states])
+            last = jnp.where(here[None], states, last)
+        return Pulses(jnp.zeros_like(here), jnp.where(here, number + 1, number), totals, carry.deepest, last)
+
+    def read(self, scene: Scene[Any], c: Any, carry: Pulses) -> Features:
+        number = carry.number
+        whole, pulses = ledger.whole(carry.ledger, number, jnp.zeros_like(number))
+        # An incomplete pulse period at either end would bias the means. Without pulses the whole observation is used.
+        alone = jnp.zeros_like(number, bool) if _driven(scene).has_pulses else number == 0
+        sums = {name: jnp.where(alone, carry.ledger.sums[name], whole[name]) for name in whole}
+        return {
+            **{state_name(name): carry.last[index] for index, name in enumerate(scene.return_states)},
+            **_rates(_driven(scene), c, sums, sums["time"], pulses, carry.deepest),
+            "pulses": pulses,
+            "yields": sums["yields"],
+        }
+
+
+def _driven(scene: Scene[Any]) -> Any:
+    """Return the scene after checking that it has a prescribed force and rock."""
+    assert isinstance(scene, Driven) and isinstance(scene, HasRock)
+    return scene
+
+
+def _growth(scene: Scene[Any], step: Step) -> Lanes:
+    """Return the growth of the hole over the step [m]."""
+    growth = step.polynomials[scene.place("growth")]
+    return value(growth, step.tau) - growth[0]
+
+
+def _rates(scene: HasRock[Any], c: Any, sums: Mapping[str, Lanes], time: Lanes, blows: Lanes, gap: Lanes) -> Features:
+    """Return the features of the hole from the sums over `time` [s]; `blows`: number of impacts or pulses."""
+    mean_force = sums["force"] / time
+    return {
+        "rate_of_penetration": sums["growth"] / time,
+        "slip_per_impact": sums["growth"] / blows,
+        "mean_force": mean_force,
+        "relief": mean_force / scene.threshold(c),
+        "deepest_gap": gap,
+    }

@@ -1,20 +1,26 @@
-"""Recorders, which update a scene's gauges with every step and return the features at the end."""
+"""Recorders, which update a scene's gauges with every step, and programs of a block of lanes that use them.
+
+A program lets lanes settle (any number of times), then observes them and returns the features.
+"""
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 
 from vibrojax.measures import ledger, repeats, section
 from vibrojax.measures.gauge import Gauge, Moment, Return, Sums, Whole
 from vibrojax.measures.ledger import Ledger
+from vibrojax.measures.motion import section_of
 from vibrojax.measures.repeats import Returns
 from vibrojax.measures.section import Settling
-from vibrojax.models.arrays import Flags, Lanes
-from vibrojax.models.scenes.declared import Section
+from vibrojax.models.arrays import Array, Flags, Lanes, Real
+from vibrojax.models.scenes.declared import Values
 from vibrojax.models.scenes.scene import Scene
-from vibrojax.stepping import Lane, Step
+from vibrojax.stepping import Accuracy, Goal, Lane, Step, Stepper, lane_at
 
 Features = dict[str, Any]
 """Features by name: arrays (lanes,), or (rows, lanes) for section crossings that are stored individually."""
@@ -82,14 +88,13 @@ class Observed(NamedTuple):
 class Recorder(Records):
     """The recorder of gauges, evaluated over complete return intervals of the scene's section."""
 
-    section: Section
     gauges: tuple[Gauge[Any], ...]
 
     def settling(self, scene: Scene[Any], lane: Lane) -> Settling:
-        return section.begin(self.section, scene, lane)
+        return section.begin(scene, lane)
 
     def settle(self, scene: Scene[Any], c: Any, carry: Settling, lane: Lane, step: Step) -> Settling:
-        return section.pass_by(self.section, scene, c, carry, lane, step)
+        return section.pass_by(scene, c, carry, lane, step)
 
     def settle_returns(self, carry: Settling) -> Settling:
         return section.take_in_passed(carry)
@@ -100,10 +105,10 @@ class Recorder(Records):
     def begin(self, scene: Scene[Any], c: Any, lane: Lane, settled: Settling) -> Observed:
         names = ("time", *(name for gauge in self.gauges for name in gauge.summed))
         gauges = tuple(gauge.begin(scene, c, lane) for gauge in self.gauges)
-        return Observed(section.observe(self.section, settled), ledger.begin(names, lane.state[0]), gauges)
+        return Observed(section.observe(scene, settled), ledger.begin(names, lane.state[0]), gauges)
 
     def step(self, scene: Scene[Any], c: Any, carry: Observed, lane: Lane, step: Step) -> Observed:
-        returns = section.step(self.section, scene, c, carry.returns, lane, step)
+        returns = section.step(scene, c, carry.returns, lane, step)
         moment = Moment(lane, step, returns.seen.since, returns.seen.frequency, returns.phase)
         increments = {"time": step.dt}
         for gauge in self.gauges:
@@ -126,10 +131,10 @@ class Recorder(Records):
             return replaced
 
         totals, sums = ledger.section(carry.ledger, here, number, close)
-        at = Return(here, number, interval, section.amplitudes(returns), share, lane, sums)
+        at = Return(here, number, interval, section.amplitudes(returns.seen.ranges), share, lane, sums)
         own = zip(self.gauges, carry.gauges, strict=True)
         gauges = tuple(gauge.section(scene, c, mine, at) for gauge, mine in own)
-        return Observed(section.take_in(self.section, scene, returns, lane), totals, gauges)
+        return Observed(section.take_in(scene, returns, lane), totals, gauges)
 
     def read(self, scene: Scene[Any], c: Any, carry: Observed) -> Features:
         """Return the features of the gauges, and in addition returns, cycles, period and settling_time."""
@@ -142,7 +147,7 @@ class Recorder(Records):
         everything, intervals = ledger.whole(carry.ledger, returns.number, jnp.zeros_like(returns.number))
         first = features(Whole(intervals, everything["time"], everything, jnp.zeros_like(intervals)))
         period = everything["time"] / intervals
-        amplitudes = tuple(first[swing.amplitude] for swing in self.section.swings)
+        amplitudes = tuple(first[swing.amplitude] for swing in section_of(scene).swings)
         cycles = repeats.cycles(returns, amplitudes, period)
         sums, whole_returns = ledger.whole(carry.ledger, returns.number, cycles)
         return features(Whole(whole_returns, sums["time"], sums, cycles)) | {
@@ -151,3 +156,139 @@ class Recorder(Records):
             "period": sums["time"] / whole_returns,
             "settling_time": repeats.settling_time(returns, cycles),
         }
+
+
+STEPS_PER_TURN = 4
+"""Number of steps between two checks for section crossings during the observation. A lane at the section waits for the
+next check, on average for half of these steps."""
+
+STEPS_PER_PASS = 3
+"""The corresponding number while settling, when lanes do not wait. It is less than the number of steps per period with
+the longest steps, so that no section crossing is missed."""
+
+
+class Effort(NamedTuple):
+    """The settings of the steps, and the greatest number of steps of a lane; the lane then stops early."""
+
+    accuracy: Accuracy
+    most_steps: Any
+
+
+class Underway(NamedTuple):
+    """A block of lanes between two programs: the lanes, the recorder's carry, and the number of steps since t = 0."""
+
+    lane: Lane
+    carry: Any
+    steps: Lanes
+
+
+def start_block(scene: Scene[Any], recorder: Records, c: Any, state: Values) -> tuple[Lane, Any]:
+    """Return the lanes at t = 0 and the recorder's carry.
+
+    `c`: the scene's constants; `state`: the initial state, a tuple of arrays (lanes,).
+    """
+    lane = lane_at(scene, scene.scaled(c, state), state)
+    return lane, recorder.settling(scene, lane)
+
+
+def settle_block(
+    scene: Scene[Any], stepper: Stepper, recorder: Records, c: Any, begun: Underway, until: Lanes, effort: Effort
+) -> Underway:
+    """Return the lanes at the times `until` [s] (lanes,).
+
+    `c`: the scene's constants after `Scene.scaled` for the initial state.
+    """
+
+    def step(lane: Lane, carry: Any, goal: Goal) -> tuple[Lane, Any]:
+        lane, step = stepper.step(scene, c, lane, effort.accuracy, goal, False)
+        return lane, recorder.settle(scene, c, carry, lane, step)
+
+    return _run(begun, until, effort, STEPS_PER_PASS, step, lambda carry, lane: recorder.settle_returns(carry))
+
+
+def observe_block(
+    scene: Scene[Any],
+    stepper: Stepper,
+    recorder: Records,
+    c: Any,
+    begun: Underway,
+    begin: Lanes,
+    duration: Lanes,
+    effort: Effort,
+) -> tuple[Lane, Features]:
+    """Return the lanes at the end of their observation, and their features by name.
+
+    **Arguments:** as for `settle_block`; `begin`, `duration` [s]: beginning and length of each lane's observation.
+    """
+    end = begin + duration
+    settled = begun.lane.clock.until(begin) <= 0
+    begun = begun._replace(carry=recorder.begin(scene, c, begun.lane, begun.carry))
+
+    def step(lane: Lane, carry: Any, goal: Goal) -> tuple[Lane, Any]:
+        lane, step = stepper.step(scene, c, lane, effort.accuracy, goal, True)
+        return lane, recorder.step(scene, c, carry, lane, step)
+
+    def turn(carry: Any, lane: Lane) -> Any:
+        return recorder.take_returns(scene, c, carry, lane, 1 - lane.clock.until(end) / duration)
+
+    lane, carry, steps = _run(begun, end, effort, STEPS_PER_TURN, step, turn, lambda carry: ~recorder.waiting(carry))
+    finite = jnp.all(jnp.stack([jnp.isfinite(y) for y in lane.state]), axis=0)
+    return lane, recorder.read(scene, c, carry) | {
+        "steps": steps,
+        "finite": finite & jnp.isfinite(lane.clock.high),
+        "finished": settled & (lane.clock.until(end) <= 0),
+    }
+
+
+def run_block(
+    scene: Scene[Any],
+    stepper: Stepper,
+    recorder: Records,
+    c: Any,
+    state: Values,
+    effort: Effort,
+    settle: Real,
+    observe: Real,
+) -> Features:
+    """Return the features of a block of lanes by name.
+
+    `settle`: duration of settling [s]; `observe`: duration of the observation after it [s].
+    """
+    lane, carry = start_block(scene, recorder, c, state)
+    c = scene.scaled(c, state)
+    none = jnp.zeros_like(state[0])
+    begin, duration = none + settle, none + observe
+    begun = settle_block(scene, stepper, recorder, c, Underway(lane, carry, none), begin, effort)
+    return observe_block(scene, stepper, recorder, c, begun, begin, duration, effort)[1]
+
+
+def _run(
+    begun: Underway,
+    end: Lanes,
+    effort: Effort,
+    steps_per_turn: int,
+    step: Callable[[Lane, Any, Goal], tuple[Lane, Any]],
+    turn: Callable[[Any, Lane], Any],
+    moves: Callable[[Any], Flags | bool] = lambda carry: True,
+) -> Underway:
+    """Step every lane to its `end` with `step`, and update the recorder's carry with `turn` every few steps.
+
+    `moves` returns a mask of the lanes that do not wait for `turn`.
+    """
+
+    def active(lane: Lane) -> Flags:
+        return lane.clock.until(end) > 0  # false for NaN
+
+    def advance(_: Any, now: Underway) -> Underway:
+        moving = active(now.lane) & moves(now.carry) & (now.steps < effort.most_steps)
+        lane, carry = step(now.lane, now.carry, Goal(end, moving))
+        return Underway(lane, carry, jnp.where(moving, now.steps + 1, now.steps))
+
+    def several(now: Underway) -> Underway:
+        lane, carry, steps = jax.lax.fori_loop(0, steps_per_turn, advance, now)
+        return Underway(lane, turn(carry, lane), steps)
+
+    def continues(now: Underway) -> Array:
+        return jnp.any(active(now.lane) & (now.steps < effort.most_steps))
+
+    return jax.lax.while_loop(continues, several, begun)

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from vibrojax.measures.ledger import MOST_CYCLES
-from vibrojax.measures.motion import positions, widened
+from vibrojax.measures.motion import positions, section_of, widened
 from vibrojax.measures.repeats import Range, Returns, Seen, returned
 from vibrojax.models.arrays import Array, Flags, Lanes, keep
 from vibrojax.models.scenes.declared import Section, Swing
@@ -45,23 +45,15 @@ class Settling(NamedTuple):
     passed: Passed
 
 
-def begin(section: Section, scene: Scene[Any], lane: Lane) -> Settling:
+def begin(scene: Scene[Any], lane: Lane) -> Settling:
     """Return the carry at t = 0, without section crossings."""
-    places = positions(scene, section, lane)
+    places = positions(scene, lane)
     first, kept = places[0], len(_kept(scene))
     nothing = jnp.full((MOST_CYCLES, *first.shape), jnp.nan, first.dtype)
-    zero = jnp.zeros_like(first)
-    seen = Seen(
-        armed=jnp.zeros_like(first, bool),
-        since=zero,
-        ranges=tuple((x, x) for x in places),
-        states=jnp.stack([nothing] * kept, axis=1),
-        times=nothing,
-        settled=jnp.zeros_like(nothing),
-        frequency=zero,
-    )
-    waiting = jnp.zeros_like(first, bool)
-    return Settling(seen, Passed(waiting, jnp.stack([zero] * kept), zero, zero, tuple(zero for _ in places)))
+    zero, never = jnp.zeros_like(first), jnp.zeros_like(first, bool)
+    ranges, states = tuple((x, x) for x in places), jnp.stack([nothing] * kept, axis=1)
+    seen = Seen(never, zero, ranges, states, times=nothing, settled=jnp.zeros_like(nothing), frequency=zero)
+    return Settling(seen, Passed(never, jnp.stack([zero] * kept), zero, zero, tuple(zero for _ in places)))
 
 
 def on_orbit(begun: Settling, states: Array, times: Array, period: Lanes) -> Settling:
@@ -71,16 +63,15 @@ def on_orbit(begun: Settling, states: Array, times: Array, period: Lanes) -> Set
     those of the last crossings, newest first; the newest is the lane's present state. `period` [s]: time between
     crossings.
     """
-    seen = begun.seen._replace(states=states, times=times, frequency=2 * jnp.pi / period)
-    return begun._replace(seen=seen)
+    return begun._replace(seen=begun.seen._replace(states=states, times=times, frequency=2 * jnp.pi / period))
 
 
-def pass_by(section: Section, scene: Scene[Any], c: Any, carry: Settling, lane: Lane, step: Step) -> Settling:
+def pass_by(scene: Scene[Any], c: Any, carry: Settling, lane: Lane, step: Step) -> Settling:
     """Return the carry updated with a step while settling: extremes, and a section crossing within the step.
 
     Turning points are the zeros of velocities on the step's polynomials.
     """
-    seen, passed = carry
+    section, (seen, passed) = section_of(scene), carry
     own = scene.place(section.velocity)
     velocity, after = rising(section, step.polynomials[own]), rising(section, [lane.state[own]])[0]
     turns, tau = _turn(velocity, after, step)
@@ -88,7 +79,7 @@ def pass_by(section: Section, scene: Scene[Any], c: Any, carry: Settling, lane: 
         better = tau - value(velocity, tau) / slope(velocity, tau)
         tau = keep(jnp.where((better > 0) & (better < step.tau), better, tau))
     there = keep(jnp.stack([value(step.polynomials[place], tau) for place in _kept(scene)]))
-    ends = positions(scene, section, lane)
+    ends = positions(scene, lane)
     turned = [
         jnp.where(turns, there[0], end)
         if swing.velocity == section.velocity
@@ -101,16 +92,14 @@ def pass_by(section: Section, scene: Scene[Any], c: Any, carry: Settling, lane: 
     returns = keep(turns & (velocity[0] < 0) & armed)
     since = seen.since + step.dt
     remaining = step.dt - tau * step.h
-    new = (there, lane.clock.high - remaining, since - remaining, _halves(ranges))
+    new = (there, lane.clock.high - remaining, since - remaining, amplitudes(ranges))
     last = jax.tree.map(lambda now, before: jnp.where(returns, now, before), new, tuple(passed[1:]))
     starts = [there[section.compared.index(swing.position)] for swing in section.swings]
-    restarted = [
-        _restart(returns, start, widened(swung, end)) for swung, start, end in zip(ranges, starts, ends, strict=True)
-    ]
+    widest = [widened(swung, end) for swung, end in zip(ranges, ends, strict=True)]
     known = seen._replace(
         armed=jnp.where(returns, after < 0, armed),
         since=jnp.where(returns, remaining, since),
-        ranges=tuple(restarted),
+        ranges=_restarted(returns, starts, widest),
     )
     return Settling(known, Passed(passed.waiting | returns, *last))
 
@@ -149,30 +138,25 @@ def take_in_passed(carry: Settling) -> Settling:
     return Settling(known, passed._replace(waiting=jnp.zeros_like(passed.waiting)))
 
 
-def observe(section: Section, carry: Settling) -> Returns:
+def observe(scene: Scene[Any], carry: Settling) -> Returns:
     """Return the carry at the beginning of the observation, during which section crossings are counted."""
-    zero = jnp.zeros_like(carry.seen.since)
     seen = take_in_passed(carry).seen
-    worst = jnp.zeros_like(seen.states[:, : len(section.compared)])
+    zero = jnp.zeros_like(seen.since)
+    worst = jnp.zeros_like(seen.states[:, : len(section_of(scene).compared)])
     return Returns(seen, jnp.zeros_like(seen.armed), zero, zero, worst)
 
 
-def step(section: Section, scene: Scene[Any], c: Any, carry: Returns, lane: Lane, step: Step) -> Returns:
+def step(scene: Scene[Any], c: Any, carry: Returns, lane: Lane, step: Step) -> Returns:
     """Return the carry updated with a step: the extremes, and the mask of the lanes that wait at the section."""
-    seen = carry.seen
+    section, seen = section_of(scene), carry.seen
     velocity = rising(section, step.polynomials[scene.place(section.velocity)])
     armed = keep(seen.armed | (lowest(velocity, step.tau) < rising(section, [section.rearm(c)])[0]))
     marker = scene.marker_of(section.velocity)
     falls = step.falling[marker] if section.rising else ~step.falling[marker]
-    returns = step.hits[marker] & ~falls & armed
-    places = positions(scene, section, lane)
+    ranges = tuple(widened(swung, x) for swung, x in zip(seen.ranges, positions(scene, lane), strict=True))
     return carry._replace(
-        seen=seen._replace(
-            armed=armed,
-            since=seen.since + step.dt,
-            ranges=tuple(widened(swung, x) for swung, x in zip(seen.ranges, places, strict=True)),
-        ),
-        waiting=carry.waiting | returns,
+        seen=seen._replace(armed=armed, since=seen.since + step.dt, ranges=ranges),
+        waiting=carry.waiting | (step.hits[marker] & ~falls & armed),
         phase=carry.phase + seen.frequency * step.dt,
     )
 
@@ -187,37 +171,33 @@ def lowest(velocity: Coefficients, tau: Array) -> jax.Array:
     return jnp.minimum(jnp.minimum(start, end), jnp.where((bend > 0) & (share > 0) & (share < 1), vertex, start))
 
 
-def _restart(here: Flags, x: Lanes, extremes: Range) -> Range:
-    """Return the least and greatest value, both set to `x` in the lanes `here`."""
-    least, greatest = extremes
-    return jnp.where(here, x, least), jnp.where(here, x, greatest)
+def _restarted(here: Flags, places: Iterable[Lanes], ranges: Iterable[Range]) -> tuple[Range, ...]:
+    """Return the least and greatest values, both set to the positions `places` in the lanes `here`."""
+    return tuple(
+        (jnp.where(here, x, low), jnp.where(here, x, high)) for x, (low, high) in zip(places, ranges, strict=True)
+    )
 
 
-def _halves(ranges: Iterable[Range]) -> tuple[Lanes, ...]:
+def amplitudes(ranges: Iterable[Range]) -> tuple[Lanes, ...]:
+    """Return half the peak-to-peak range of each oscillating position [m]."""
     return tuple((greatest - least) / 2 for least, greatest in ranges)
 
 
-def amplitudes(carry: Returns) -> tuple[Lanes, ...]:
-    """Return half the peak-to-peak range of each oscillating position since the last section crossing [m]."""
-    return _halves(carry.seen.ranges)
-
-
-def take_in(section: Section, scene: Scene[Any], carry: Returns, lane: Lane) -> Returns:
+def take_in(scene: Scene[Any], carry: Returns, lane: Lane) -> Returns:
     """Return the carry after recording the section crossings of the waiting lanes, which then continue."""
     seen, here = carry.seen, carry.waiting
     state = jnp.stack([lane.state[place] for place in _kept(scene)])
-    known, differs = returned(seen, here, state, lane.clock.high, seen.since, amplitudes(carry))
+    known, differs = returned(seen, here, state, lane.clock.high, seen.since, amplitudes(seen.ranges))
     back = jnp.arange(MOST_CYCLES, dtype=carry.number.dtype).reshape(-1, *[1] * carry.number.ndim)
     compared = here[None] & (back < carry.number[None])
     turn = 2 * jnp.pi
     # The phase is 0 at the first section crossing of the observation; full revolutions are subtracted.
     phase = jnp.where(carry.number == 0, 0, carry.phase - turn * jnp.round(carry.phase / turn))
-    places = positions(scene, section, lane)
     return Returns(
         seen=known._replace(
             armed=seen.armed & ~here,
             since=jnp.where(here, 0, seen.since),
-            ranges=tuple(_restart(here, x, swung) for swung, x in zip(seen.ranges, places, strict=True)),
+            ranges=_restarted(here, positions(scene, lane), seen.ranges),
         ),
         waiting=jnp.zeros_like(here),
         phase=jnp.where(here, phase, carry.phase),

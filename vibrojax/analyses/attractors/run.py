@@ -41,8 +41,7 @@ from vibrojax.measures.labels import IRREGULAR
 from vibrojax.models.physics.parameters import differing
 from vibrojax.sweep.engine.labelled import of_orbits
 from vibrojax.sweep.input.definition import Sweep
-from vibrojax.sweep.input.names import DEFAULT_STARTS
-from vibrojax.sweep.input.starts import list_of
+from vibrojax.sweep.input.starts import DEFAULT_STARTS, list_of
 
 NAMED = "named_start"
 """Dimension of the scene's named initial conditions, in addition to a sample or a plane of initial conditions."""

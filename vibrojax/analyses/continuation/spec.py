@@ -12,7 +12,7 @@ from vibrojax.measures.ledger import MOST_CYCLES
 from vibrojax.models.physics.parameters import not_negative, positive
 from vibrojax.models.scenes import Scene
 from vibrojax.sweep.input.definition import Sweep
-from vibrojax.sweep.input.names import CHOICES, Names, read_names, take_options
+from vibrojax.sweep.input.names import Names, read_names
 from vibrojax.sweep.input.read import read_point, read_sweep, several_and_single
 from vibrojax.sweep.input.values import UnusualValue, quantity, warn_if_far
 
@@ -58,7 +58,7 @@ def read_asked(
     """
     place = Place("follow")
     several, fixed = several_and_single(parameters)
-    names = read_names(place.at("scene"), scene, take_options(dict(fixed)), place)
+    names = read_names(place.at("scene"), scene, dict(fixed), place)
     if not isinstance(along, str) or along not in names.parameters:
         instead = suggestion(str(along), names.parameters)
         if along in names.writable:  # rpm or bit_radius
@@ -109,14 +109,14 @@ def _bounds(place: Place, names: Names, along: str, span: object) -> tuple[float
 def _count_families(place: Place, names: Names, several: Mapping[str, list[Any]]) -> int:
     """Check the values that differ between families, and return the number of families."""
     for name, column in several.items():
-        if name in CHOICES:
+        if name in names.options:
             raise place.at(name).error(f"{shown(column)} is a list; it is chosen once for all families")
         if not column:
             raise place.at(name).error("is empty; give a value")
         for index, value in enumerate(column):
             item = place.at(name).item(index)
-            if name == "rock" and names.has_rock:
-                names.rock(item, value)
+            if name in names.presets:
+                names.preset(item, name, value)
             else:
                 names.quantity(item, name, value)
     sizes = {name: len(column) for name, column in several.items()}

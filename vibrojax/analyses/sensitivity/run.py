@@ -69,7 +69,7 @@ def derivatives(
     Derivatives are computed in forward mode (`jax.jvp`). Reverse mode (`jax.grad`) cannot differentiate the loops of a
     motion, whose number of steps varies. This function rejects `jax.grad` and every other JAX transformation. Use the
     numbers that it returns instead: for a few parameters, they are the complete gradient. To apply `jax.jvp` or
-    `jax.jacfwd` yourself, use the underlying pure function [vibrojax.measures.run.run_block][].
+    `jax.jacfwd` yourself, use the underlying pure function [vibrojax.measures.recorder.run_block][].
 
     **Arguments:**
 

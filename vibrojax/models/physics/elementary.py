@@ -11,58 +11,40 @@ truncated Taylor series, so the same equation serves every stepper.
 0.4
 """
 
+from collections.abc import Callable
 from functools import singledispatch
 from typing import Any
 
 import jax.numpy as jnp
 
 
-@singledispatch
-def exp(x: Any) -> Any:
-    """Return the exponential of x."""
-    return jnp.exp(x)
+def _generic(name: str, meaning: str, function: Callable[..., Any]) -> Any:
+    """Return a function of a number type; other modules register their own types with its `register`."""
+
+    def call(x: Any) -> Any:
+        return function(x)
+
+    call.__name__ = call.__qualname__ = name
+    call.__doc__ = meaning
+    return singledispatch(call)
 
 
-@singledispatch
-def log(x: Any) -> Any:
-    """Return the natural logarithm of x > 0."""
-    return jnp.log(x)
-
-
-@singledispatch
-def sqrt(x: Any) -> Any:
-    """Return the square root of x > 0."""
-    return jnp.sqrt(x)
+exp = _generic("exp", "Return the exponential of x.", jnp.exp)
+log = _generic("log", "Return the natural logarithm of x > 0.", jnp.log)
+sqrt = _generic("sqrt", "Return the square root of x > 0.", jnp.sqrt)
+sin = _generic("sin", "Return the sine of x.", jnp.sin)
+cos = _generic("cos", "Return the cosine of x.", jnp.cos)
+tanh = _generic("tanh", "Return the hyperbolic tangent of x.", jnp.tanh)
+arctan = _generic("arctan", "Return the inverse tangent of x.", jnp.arctan)
+absolute = _generic(
+    "absolute", "Return the absolute value of x; the sign of a Taylor series is that at the start of the step.", jnp.abs
+)
 
 
 @singledispatch
 def power(x: Any, exponent: Any) -> Any:
     """Return `x**exponent` for positive `x`; `exponent`: a scalar or one value per lane, constant in time."""
     return x**exponent
-
-
-@singledispatch
-def sin(x: Any) -> Any:
-    """Return the sine of x."""
-    return jnp.sin(x)
-
-
-@singledispatch
-def cos(x: Any) -> Any:
-    """Return the cosine of x."""
-    return jnp.cos(x)
-
-
-@singledispatch
-def tanh(x: Any) -> Any:
-    """Return the hyperbolic tangent of x."""
-    return jnp.tanh(x)
-
-
-@singledispatch
-def arctan(x: Any) -> Any:
-    """Return the inverse tangent of x."""
-    return jnp.arctan(x)
 
 
 @singledispatch
@@ -73,9 +55,3 @@ def maximum(x: Any, y: Any) -> Any:
     step, for the whole step.
     """
     return jnp.maximum(x, y)
-
-
-@singledispatch
-def absolute(x: Any) -> Any:
-    """Return the absolute value of x; the sign of a Taylor series is that at the start of the step."""
-    return jnp.abs(x)

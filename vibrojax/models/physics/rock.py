@@ -74,11 +74,6 @@ def resistance(compression: Any, k3: Value, threshold: Value, holds: Part | None
     return compression * (holds.elastic * k3) + holds.yielding * threshold
 
 
-def yield_compression(k3: Value, threshold: Value) -> Any:
-    """Return the compression x3 - x4 [m] at which the rock yields, D/k3."""
-    return threshold / k3
-
-
 def ratchet(x3: Real, x4: Real, k3: Real, threshold: Real) -> Any:
     """Return the depth x4 [m] of the hole after the bit was at `x3`: the running maximum of x3 - D/k3 (eq. 6.3)."""
-    return jnp.maximum(x4, x3 - yield_compression(k3, threshold))
+    return jnp.maximum(x4, x3 - threshold / k3)

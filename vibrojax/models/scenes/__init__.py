@@ -9,7 +9,7 @@ from vibrojax.models.scenes.declared import Guard, Marker, Mode, Section, State,
 from vibrojax.models.scenes.scene import Scene
 
 __all__ = ["SCENES", "Driven", "Guard", "HasContact", "HasFriction", "HasRock", "Marker", "Mode", "Scene", "Section"]
-__all__ += ["State", "Swing", "scene_named"]
+__all__ += ["State", "Swing"]
 
 _files = (import_module(f"{__name__}.{file.name}") for file in iter_modules(__path__))
 _kinds = (kind for file in _files for kind in getattr(file, "SCENES", ()))
@@ -24,11 +24,3 @@ SCENES: dict[str, type[Scene[Any]]] = {kind.name: kind for kind in sorted(_kinds
 >>> vj.SCENES["vibro-impact"](friction=vj.FRICTION_LAWS["coulomb"]).state_names
 ('x1', 'v1', 'x2', 'v2')
 """
-
-
-def scene_named(scene: str | Scene[Any], **options: Any) -> Scene[Any]:
-    """Return the scene with this name and these `options` (see `Scene.choices`); a scene object is returned unchanged.
-
-    Raises `KeyError` if the name is unknown.
-    """
-    return scene if isinstance(scene, Scene) else SCENES[scene](**options)

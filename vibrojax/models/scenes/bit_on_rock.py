@@ -6,7 +6,7 @@ steps are needed. The motion of e and x3' does not depend on the depth of the ho
 """
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple, Protocol, TypeVar, runtime_checkable
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
@@ -53,36 +53,25 @@ def rock_constants(p: Mapping[str, Any], g: Any) -> RockConstants:
         k3=k3,
         threshold=threshold,
         c3=rocks.damping(m1, k3, p["zeta"]),
-        yield_compression=rocks.yield_compression(k3, threshold),
+        yield_compression=threshold / k3,
         mobility=1 / jnp.sqrt(k3 * m1),
         g=g,
     )
 
 
-@runtime_checkable
-class WithRock(Protocol):
-    """Constants of a scene that include the constants of the rock."""
-
-    @property
-    def rock(self) -> RockConstants: ...
-
-
-R = TypeVar("R", bound=WithRock)
-
-
-class OnRock(HasRock[R]):
+class OnRock(HasRock[Any]):
     """Base class of scenes with the bit on the rock: their guards and reset for `STATES` and `MODE` of this module."""
 
-    def threshold(self, c: R) -> Any:
+    def threshold(self, c: Any) -> Any:
         return c.rock.threshold
 
-    def stiffness(self, c: R) -> Any:
+    def stiffness(self, c: Any) -> Any:
         return c.rock.k3
 
-    def rock_period(self, c: R) -> Any:
+    def rock_period(self, c: Any) -> Any:
         return _period(c.rock)
 
-    def rock_rates(self, c: R, mode: Values, state: Values, applied: Any) -> Values:
+    def rock_rates(self, c: Any, mode: Values, state: Values, applied: Any) -> Values:
         """Return (e', x3'', x4') in the mode under the force `applied` [N] (source, eq. 6.1).
 
         It accepts arrays and Taylor series.
@@ -99,24 +88,24 @@ class OnRock(HasRock[R]):
         `yield`: yielding begins or ends. `rock`: the bit leaves the rock or touches it again.
         """
 
-        def yields(c: R, mode: Values, state: Values) -> Any:
+        def yields(c: Any, mode: Values, state: Values) -> Any:
             which, compression, v3 = self._rock_motion(mode, state)
-            elsewhere = _is_off(which) + _is(which, REST)
+            elsewhere = jnp.where(which < 0, 1.0, 0.0) + _is(which, REST)
             ends = v3 * (_is(which, 1) * _period(c.rock))
             return (c.rock.yield_compression - compression) * _is(which, 0) + ends + elsewhere
 
-        def touches(c: R, mode: Values, state: Values) -> Any:
+        def touches(c: Any, mode: Values, state: Values) -> Any:
             which, compression, _ = self._rock_motion(mode, state)
-            return compression * (_is(which, 0) - _is_off(which)) + (_is(which, 1) + _is(which, REST))
+            return compression * (_is(which, 0) - jnp.where(which < 0, 1.0, 0.0)) + (_is(which, 1) + _is(which, REST))
 
         return Guard("yield", yields, self.rock_resolution), Guard("rock", touches, self.rock_resolution)
 
-    def rock_resolution(self, c: R, mode: Values) -> Any:
+    def rock_resolution(self, c: Any, mode: Values) -> Any:
         """Return the magnitude [m] up to which values of the two guards count as zero."""
         length = c.rock.yield_compression + c.rock.mobility * _period(c.rock)
         return ROUNDINGS * jnp.finfo(c.rock.m1.dtype).eps * length
 
-    def reset_rock(self, c: R, mode: Values, state: Values, hits: Mapping[str, Any]) -> tuple[Any, Any, Any]:
+    def reset_rock(self, c: Any, mode: Values, state: Values, hits: Mapping[str, Any]) -> tuple[Any, Any, Any]:
         """Return the mode of the rock, the compression and the velocity of the bit after an event."""
         which, compression, v3 = self._rock_motion(mode, state)
         yields, touches = hits["yield"], hits["rock"]
@@ -170,7 +159,3 @@ def _period(c: RockConstants) -> Any:
 
 def _is(rock: Any, mode: int) -> Any:
     return jnp.where(rock == mode, 1.0, 0.0)
-
-
-def _is_off(rock: Any) -> Any:
-    return jnp.where(rock < 0, 1.0, 0.0)

@@ -126,6 +126,7 @@ class HasRock(Scene[C]):
     """
 
     choices: ClassVar[dict[str, Mapping[str, object]]] = {"rock": rock.ROCKS}
+    choice_meanings: ClassVar[Mapping[str, str]] = {"rock": "rock of Table 4.5"}
 
     @abstractmethod
     def threshold(self, c: C) -> Any:

@@ -6,15 +6,17 @@ from typing import Any, ClassVar, NamedTuple
 
 import jax.numpy as jnp
 
-from vibrojax.models.physics.parameters import BIT_AND_STRIKER, CONTACT, Parameter
+from vibrojax.models.physics.parameters import Parameter
 from vibrojax.models.physics.rock import ROCK, ROCKS
 from vibrojax.models.scenes import bit_on_rock
 from vibrojax.models.scenes.bit_on_rock import OnRock, RockConstants, rock_constants
 from vibrojax.models.scenes.declared import Guard, Values
-from vibrojax.models.scenes.drill import Drill, DrillConstants, drill_constants, length_noise
-from vibrojax.models.scenes.one_sided import ContactConstants, contact_constants
+from vibrojax.models.scenes.rotary import DrillConstants, length_noise
 from vibrojax.models.scenes.scene import Scene
-from vibrojax.models.scenes.vibro_impact import Struck, VibroImpact
+from vibrojax.models.scenes.vibro_impact import ContactConstants, VibroImpact
+
+# Most impacts of this drill never break granite, so the default rock is sandstone.
+_DEFAULTS = {"k3": ROCKS["sandstone"].k3, "threshold": ROCKS["sandstone"].threshold, "zeta": 1.5}
 
 
 class DrillingConstants(NamedTuple):
@@ -25,14 +27,8 @@ class DrillingConstants(NamedTuple):
     rock: RockConstants
 
 
-def _sandstone() -> dict[str, Parameter]:
-    """Return the rock parameters with sandstone defaults, because most impacts of this drill never break granite."""
-    defaults = {"k3": ROCKS["sandstone"].k3, "threshold": ROCKS["sandstone"].threshold, "zeta": 1.5}
-    return {name: replace(parameter, default=defaults[name]) for name, parameter in ROCK.items()}
-
-
 @dataclass(frozen=True)
-class Drilling(Struck[DrillingConstants], OnRock[DrillingConstants]):
+class Drilling(VibroImpact, OnRock):
     """The vibro-impact drill whose impacts drive the bit into the rock, without feedback, as in the source.
 
     The bit's normal motion is m1 x3'' + c3 x3' = -N + J (source, eqs. 5.18, 6.1 to 6.3). The rock does not act on the
@@ -42,51 +38,46 @@ class Drilling(Struck[DrillingConstants], OnRock[DrillingConstants]):
     """
 
     name = "drilling"
-    states = (*Drill.states, *bit_on_rock.STATES)
-    modes = (*Struck.modes, bit_on_rock.MODE)
+    states = (*VibroImpact.states, *bit_on_rock.STATES)
+    modes = (*VibroImpact.modes, bit_on_rock.MODE)
     measures = ("swings", "shares", "impacts", "harmonics", "drilling")
-    choices = Struck.choices | OnRock.choices
+    choices = VibroImpact.choices | OnRock.choices
     drifting: ClassVar[tuple[str, ...]] = ("growth",)
+    own_parameters: ClassVar[dict[str, Parameter]] = VibroImpact.own_parameters | {
+        name: replace(parameter, default=_DEFAULTS[name]) for name, parameter in ROCK.items()
+    }
 
     def driving_part(self) -> Scene[Any]:
         return VibroImpact(self.friction)
 
-    def parameters(self) -> Mapping[str, Parameter]:
-        return BIT_AND_STRIKER | CONTACT | _sandstone() | dict(self.friction.parameters)
+    def constants(self, p: Mapping[str, Any]) -> Any:
+        drill, contact = super().constants(p)
+        return DrillingConstants(drill, contact, rock_constants(p, p["g"]))
 
-    def constants(self, p: Mapping[str, Any]) -> DrillingConstants:
-        return DrillingConstants(drill_constants(p, self.friction), contact_constants(p), rock_constants(p, p["g"]))
-
-    def compression(self, c: DrillingConstants, mode: Values, state: Values) -> tuple[Any, Any]:
-        return state[2] - c.contact.delta, state[3]
-
-    def compressed(self, c: DrillingConstants, state: Values, before: Any, after: Any) -> Any:
+    def compressed(self, c: Any, state: Values, before: Any, after: Any) -> Any:
         return state[2] + (after - before)
 
-    def rock_resolution(self, c: DrillingConstants, mode: Values) -> Any:
+    def rock_resolution(self, c: Any, mode: Values) -> Any:
         return super().rock_resolution(c, mode) + length_noise(c.drill)
 
-    def other_modes_at(self, c: DrillingConstants, state: Values) -> Values:
-        rock = bit_on_rock.rock_at(c.rock, state[4], state[5])
-        return (self.touching_at(c, (None, None, rock), state), rock)
+    def mode_at(self, c: Any, state: Values, *others: Any) -> Values:
+        return super().mode_at(c, state, bit_on_rock.rock_at(c.rock, state[4], state[5]), *others)
 
-    def other_rates(self, c: DrillingConstants, mode: Values, state: Values, impact: Any) -> Values:
+    def other_rates(self, c: Any, mode: Values, state: Values, impact: Any) -> Values:
         return self.rock_rates(c, mode, state, impact)
 
-    def other_guards(self) -> tuple[Guard, ...]:
-        return (self.contact_guard(), *self.rock_guards())
+    def guards(self) -> tuple[Guard, ...]:
+        return (*super().guards(), *self.rock_guards())
 
-    def other_reset(
-        self, c: DrillingConstants, mode: Values, state: Values, hits: Mapping[str, Any]
-    ) -> tuple[Values, Values]:
+    def other_reset(self, c: Any, mode: Values, state: Values, hits: Mapping[str, Any]) -> tuple[Values, Values]:
         begins = self.impact_begins(c, mode, state, hits)
-        touching, x2 = self.reset_contact(c, mode, state, hits)
+        (slip, touching, _), masses = super().other_reset(c, mode, state, hits)
         rock, compression, v3 = self.reset_rock(c, mode, state, hits)
         growth = jnp.where(begins, 0.0, state[6])
         rock, compression, v3 = bit_on_rock.at_rest(c.rock, rock, compression, v3, touching != 0)
-        return (mode[0], touching, rock), (state[0], state[1], x2, state[3], compression, v3, growth)
+        return (slip, touching, rock), (*masses[:4], compression, v3, growth)
 
-    def rate(self, c: DrillingConstants, mode: Values) -> Any:
+    def rate(self, c: Any, mode: Values) -> Any:
         drill, rock = super().rate(c, mode), bit_on_rock.rock_rate(c.rock, mode[2], mode[1] == 0)
         return jnp.where(mode[2] == bit_on_rock.REST, drill, jnp.maximum(drill, rock))
 
@@ -103,7 +94,7 @@ class CoupledDrilling(Drilling):
     def driving_part(self) -> Scene[Any]:
         return self
 
-    def compression(self, c: DrillingConstants, mode: Values, state: Values) -> tuple[Any, Any]:
+    def compression(self, c: Any, mode: Values, state: Values) -> tuple[Any, Any]:
         depth, rate = state[4], state[5] * jnp.where(mode[2] == 1, 0.0, 1.0)  # while the rock yields, x3' = x4'
         return state[2] - c.contact.delta - depth, state[3] - rate
 

@@ -51,6 +51,7 @@ class Scene(ABC, Generic[C]):
       of the dataclass takes the registry's value unchanged (`friction`, `pulse_shape`). Any other option sets several
       parameters: those that the value has as attributes (`rock` sets `threshold` and `k3`). A subclass extends the
       registry of its base class: `choices = Base.choices | {"shape": {"flat": FLAT}}`. Input is checked against it.
+    - `choice_meanings`: meanings of the choices that set several parameters, for datasets in which they vary.
     - `autonomous`: True if the equations do not depend on time, so that a state at rest stays at rest.
     - `drifting`: states that grow without bound and do not affect the others; the return map does not include them.
 
@@ -76,6 +77,7 @@ class Scene(ABC, Generic[C]):
     start_states: ClassVar[tuple[str, ...]] = ()
     measures: ClassVar[tuple[Any, ...]] = ()
     choices: ClassVar[dict[str, Mapping[str, object]]] = {}
+    choice_meanings: ClassVar[Mapping[str, str]] = {}
     autonomous: ClassVar[bool] = True
     drifting: ClassVar[tuple[str, ...]] = ()
 
@@ -159,14 +161,19 @@ class Scene(ABC, Generic[C]):
     # The members below are derived from the declarations; steppers and measures use them.
 
     @property
+    def presets(self) -> dict[str, dict[str, dict[str, float]]]:
+        """Parameters set by each value of the choices that are not options, such as the rocks."""
+        own = self.parameters()
+        return {
+            choice: {name: {key: x for key, x in vars(value).items() if key in own} for name, value in values.items()}
+            for choice, values in self.choices.items()
+            if not hasattr(self, choice)
+        }
+
+    @property
     def state_names(self) -> tuple[str, ...]:
         """Names of the states."""
         return tuple(state.name for state in self.states)
-
-    @property
-    def mode_names(self) -> tuple[str, ...]:
-        """Names of the discrete states."""
-        return tuple(mode.name for mode in self.modes)
 
     @property
     def guard_names(self) -> tuple[str, ...]:
@@ -207,7 +214,7 @@ class Scene(ABC, Generic[C]):
 
     def mode_place(self, name: str) -> int:
         """Return the index of the discrete state with this name."""
-        return self.mode_names.index(name)
+        return [mode.name for mode in self.modes].index(name)
 
     def marker_of(self, velocity: str) -> str:
         """Return the name of the marker for the zeros of a velocity."""

@@ -4,7 +4,7 @@ The variables are the sliding velocity u and the net spring force `pull`. The mo
 It is 0 while sticking, until the magnitude of the net spring force exceeds the stick limit.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from vibrojax.models.arrays import Array
 from vibrojax.models.physics.elementary import absolute
 from vibrojax.models.physics.friction import FrictionLaw
+from vibrojax.models.scenes.declared import Guard, Values
 from vibrojax.models.scenes.scene import ROUNDINGS, SLOPE_ROUNDINGS
 
 
@@ -73,15 +74,6 @@ def stick_limit(c: SlipConstants, impact: Any) -> Any:
     return c.stick_limit if impact is None else c.stick_limit + c.stick_gain * impact
 
 
-def guard(c: SlipConstants, slip: Any, u: Any, pull: Any, impact: Any) -> Any:
-    """Return the guard's value [m/s], which is positive while the bit keeps its sliding direction or keeps sticking.
-
-    While sliding, the value is |u|. While sticking, it is the stick limit minus |pull|, divided by sqrt(k1 m1).
-    """
-    margin = stick_limit(c, impact) - absolute(pull)
-    return slip * u + ((1.0 - slip * slip) / c.impedance) * margin
-
-
 def speed_noise(c: SlipConstants) -> Any:
     """Return the speed [m/s] that counts as zero: a small multiple of the rounding error of a typical speed."""
     return ROUNDINGS * jnp.finfo(c.v.dtype).eps * c.speed_scale
@@ -95,21 +87,35 @@ def stick_noise(c: SlipConstants, impact_noise: Any = 0.0) -> Any:
     return c.impedance * speed_noise(c) + c.stick_gain * impact_noise
 
 
-def resolution(c: SlipConstants, slip: Any, noise: Any) -> Any:
-    """Return the magnitude [m/s] up to which the guard counts as zero.
+def friction_guard(
+    constants: Callable[[Any], SlipConstants],
+    motion: Callable[[Any, Values, Values], tuple[Any, Any, Any]],
+    noise: Callable[[Any, Values], Any],
+) -> Guard:
+    """Return the guard `friction`, which is positive while the bit keeps its sliding direction or keeps sticking.
 
-    `noise` [N] is the result of [vibrojax.models.scenes.stick_slip.stick_noise][].
+    While sliding, its value is |u|. While sticking, it is the stick limit minus |pull|, divided by sqrt(k1 m1).
+
+    **Arguments:** functions of a scene whose first mode is `slip`. `constants(c)`: the constants of friction;
+    `motion(c, mode, state)`: sliding velocity u, net spring force and impact force (or None); `noise(c, mode)` [N]: the
+    result of [vibrojax.models.scenes.stick_slip.stick_noise][].
     """
-    return jnp.where(slip == 0, noise / c.impedance, speed_noise(c))
 
+    def value(c: Any, mode: Values, state: Values) -> Any:
+        own, slip, (u, pull, impact) = constants(c), mode[0], motion(c, mode, state)
+        margin = stick_limit(own, impact) - absolute(pull)
+        return slip * u + ((1.0 - slip * slip) / own.impedance) * margin
 
-def slope_resolution(c: SlipConstants, slip: Any, noise: Any, h: Any) -> Any:
-    """Return the guard's first-order change [m/s] over a step `h` [s] that counts as zero.
+    def resolution(c: Any, mode: Values) -> Any:
+        return jnp.where(mode[0] == 0, noise(c, mode) / constants(c).impedance, speed_noise(constants(c)))
 
-    While sliding, this is the change caused by an excess force of `noise` [N]. Sticking and sliding must use the same
-    tolerance; otherwise a bit on the stick limit would alternate between the two modes.
-    """
-    return jnp.where(slip == 0, SLOPE_ROUNDINGS * noise / c.impedance, noise * h * c.inverse_mass)
+    def slope_resolution(c: Any, mode: Values, h: Any) -> Any:
+        # While sliding, this is the change caused by an excess force of `noise`. Sticking and sliding must use the same
+        # tolerance; otherwise a bit on the stick limit would alternate between the two modes.
+        own, excess = constants(c), noise(c, mode)
+        return jnp.where(mode[0] == 0, SLOPE_ROUNDINGS * excess / own.impedance, excess * h * own.inverse_mass)
+
+    return Guard("friction", value, resolution, slope_resolution, is_switch=True)
 
 
 def slip_at_rest(c: SlipConstants, pull: Any, pull_rate: Any, impact: Any, noise: Any) -> Any:

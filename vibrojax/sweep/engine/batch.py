@@ -17,8 +17,7 @@ from jaxtyping import Float, Int
 
 from vibrojax.compile import Untranslatable
 from vibrojax.compile.xla import precision
-from vibrojax.measures.recorder import Records
-from vibrojax.measures.run import Effort, Underway
+from vibrojax.measures.recorder import Effort, Records, Underway
 from vibrojax.models.arrays import Array
 from vibrojax.models.scenes.declared import Values
 from vibrojax.stepping import Accuracy, Stepper

@@ -14,8 +14,7 @@ from vibrojax.compile import run_kernel
 from vibrojax.compile.agreement import check
 from vibrojax.compile.kernels import Kernel, native
 from vibrojax.compile.xla import compiler_options, evaluation, run_in_blocks
-from vibrojax.measures.recorder import Features
-from vibrojax.measures.run import Effort, Underway
+from vibrojax.measures.recorder import Effort, Features, Underway
 from vibrojax.models.arrays import Array, Lanes
 from vibrojax.models.physics import elementary
 from vibrojax.models.scenes.declared import Values

@@ -20,7 +20,6 @@ from vibrojax.models.scenes import HasFriction, Scene
 from vibrojax.sweep.engine.compiler import lane_function
 from vibrojax.sweep.engine.validity import TOO_SLOW, TOO_STIFF, too_slow, too_stiff
 from vibrojax.sweep.input.definition import DIRECTIONS, Sweep
-from vibrojax.sweep.input.names import PRESET_MEANINGS
 from vibrojax.sweep.input.points import VECTOR
 
 _ROWS = {
@@ -219,7 +218,7 @@ def coordinates(sweep: Sweep, rows: Mapping[str, int]) -> dict:
 
 
 def _parameter_attributes(sweep: Sweep, name: str) -> dict[str, str]:
-    if name in PRESET_MEANINGS:
-        return {"units": "1", "long_name": PRESET_MEANINGS[name]}
+    if name in sweep.system.choice_meanings:
+        return {"units": "1", "long_name": sweep.system.choice_meanings[name]}
     parameter = (dict(sweep.system.parameters()) | ROTATION)[name]
     return {"units": parameter.unit, "long_name": parameter.long_name, "symbol": parameter.symbol}

@@ -4,8 +4,16 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
-from vibrojax.measures.recorder import Features, Recorder, Records
-from vibrojax.measures.run import Effort, Underway, observe_block, settle_block, start_block
+from vibrojax.measures.recorder import (
+    Effort,
+    Features,
+    Recorder,
+    Records,
+    Underway,
+    observe_block,
+    settle_block,
+    start_block,
+)
 from vibrojax.measures.section import on_orbit
 from vibrojax.models.arrays import Array, Counts, Lanes
 from vibrojax.models.scenes import Scene

@@ -11,8 +11,8 @@ from jaxtyping import Float
 
 from vibrojax.compile.xla import precision
 from vibrojax.measures import Gauge, Moment, Recorder, Whole, recorder_for
+from vibrojax.measures.recorder import Effort, run_block
 from vibrojax.measures.repeats import KeptReturns
-from vibrojax.measures.run import Effort, run_block
 from vibrojax.models.arrays import Array
 from vibrojax.models.scenes import Scene
 from vibrojax.progress import Progress

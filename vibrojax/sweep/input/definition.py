@@ -1,15 +1,14 @@
 """A validated sweep: fixed values, axes or points, and the values of any of its lanes."""
 
 import hashlib
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from math import prod
+from math import pi, prod
 from typing import Any
 
 import numpy as np
 
 from vibrojax.models.scenes import Scene
-from vibrojax.sweep.input.names import rock_values as rock_values
-from vibrojax.sweep.input.names import with_substitutes
 from vibrojax.sweep.input.run_settings import RunSettings
 from vibrojax.sweep.input.starts import Starts
 
@@ -120,7 +119,7 @@ class Sweep:
         varied = {name: axis[indices[name]] for name, axis in self.axes.items()}
         if self.points is not None:
             varied |= {name: column[indices["point"]] for name, column in self.points.items()}
-        values = with_substitutes(self.parameters | varied)
+        values = with_substitutes(self.system, self.parameters | varied)
         values = {name: np.broadcast_to(values[name], len(numbers)).astype(float) for name in self.system.parameters()}
         if self.point_starts is not None:
             return values, self._start_of_point()[indices["point"]]
@@ -171,6 +170,21 @@ class Sweep:
         """Return the index of each point's initial condition in `starts`."""
         index = {name: number for number, name in enumerate(self.start_names)}
         return np.array([index[name] for name in self.point_starts or ()], dtype=int)
+
+
+def with_substitutes(scene: Scene[Any], values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return `values` with presets (names, or arrays of names) and rotation replaced by the parameters they define.
+
+    A rotation defines v = 2 pi rpm/60 bit_radius [m/s].
+    """
+    values = dict(values)
+    for preset, parameters in scene.presets.items():
+        if preset in values:
+            rows = [parameters[str(name)] for name in values.pop(preset)]
+            values |= {name: np.array([row[name] for row in rows]) for name in rows[0]}
+    if "rpm" in values and "bit_radius" in values:
+        values["v"] = 2 * pi / 60 * values.pop("rpm") * values.pop("bit_radius")
+    return values
 
 
 def _outline(column: np.ndarray) -> object:

@@ -12,14 +12,12 @@ from typing import Any
 import numpy as np
 
 from vibrojax.errors import Place, shown
-from vibrojax.sweep.input.names import PRESETS, Names
+from vibrojax.sweep.input.names import Names
 from vibrojax.sweep.input.source import read_text
 from vibrojax.sweep.input.values import STATE, as_table, quantity
 
 VECTOR = "start_"
 """Prefix of the columns that together define the initial states of each point: `start_x1`, `start_v1`, ..."""
-
-_TEXT_COLUMNS = ("start", *PRESETS)
 
 CellPlace = Callable[[str, int], Place]
 """Function that returns the place of a cell from its column and index."""
@@ -64,6 +62,7 @@ def _from_csv(path: Path, names: Names) -> Points:
     place = Place(str(path))
     reader = csv.reader(io.StringIO(read_text(path), newline=""), skipinitialspace=True, strict=True)
     rows = ((reader.line_num, row) for row in reader if any(map(str.strip, row)))
+    text = ("start", *names.presets)
     lines = array("q")  # line number of each point in the file
 
     def cell_place(name: str, index: int) -> Place:
@@ -74,14 +73,14 @@ def _from_csv(path: Path, names: Names) -> Points:
         if not header:
             raise place.error("empty; a line of column names and a line for each point are needed")
         columns: dict[str, Any] = {
-            name: [] if name in _TEXT_COLUMNS else array("d") for name in _header(place, line, header, names)
+            name: [] if name in text else array("d") for name in _header(place, line, header, names)
         }
         for line, row in rows:
             lines.append(line)
             if len(row) != len(columns):
                 raise place.at(f"line {line}").error(f"has {len(row)} cells; {len(columns)} are needed, one a column")
             for (name, column), cell in zip(columns.items(), row, strict=True):
-                if name in _TEXT_COLUMNS:
+                if name in text:
                     column.append(intern(cell.strip()))
                     continue
                 try:
@@ -128,7 +127,7 @@ def _check_columns(place_of: Callable[[str], Place], columns: Sequence[str], nam
     states = tuple(f"{VECTOR}{state}" for state in names.system.start_states)
     vector = ", ".join(states)
     for name in columns:
-        if (name == "rock" and names.has_rock) or name in states:
+        if name in names.presets or name in states:
             continue
         if name.startswith(VECTOR) and names.starts:
             raise place_of(name).error(f"scene {shown(names.scene)} has no such state; a start is {vector}")
@@ -150,10 +149,12 @@ def _points(cells: Mapping[str, Sequence[Any]], place_of: CellPlace, names: Name
     for name, column in cells.items():
         if name.removeprefix(VECTOR) in names.system.start_states and name.startswith(VECTOR):
             vectors[name] = np.array([quantity(place_of(name, i), value, STATE) for i, value in enumerate(column)])
-        elif name not in _TEXT_COLUMNS:
+        elif name != "start" and name not in names.presets:
             columns[name] = _numbers(column, name, place_of, names)
-    if "rock" in cells:
-        columns["rock"] = np.array([names.rock(place_of("rock", i), rock) for i, rock in enumerate(cells["rock"])])
+    for name in names.presets:
+        if name in cells:
+            chosen = [names.preset(place_of(name, i), name, cell) for i, cell in enumerate(cells[name])]
+            columns[name] = np.array(chosen)
     if "start" in cells:
         starts = [names.named_start(place_of("start", i), start) for i, start in enumerate(cells["start"])]
     return Points(columns, starts, vectors or None)

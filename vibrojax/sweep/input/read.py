@@ -8,19 +8,9 @@ from typing import Any
 import numpy as np
 
 from vibrojax.errors import Place, shown, suggestion
-from vibrojax.models.scenes import Scene
-from vibrojax.sweep.input.definition import Sweep
-from vibrojax.sweep.input.names import (
-    CHOICES,
-    PRESETS,
-    Names,
-    check_substitutes,
-    read_names,
-    rock_values,
-    substituted,
-    take_options,
-    with_substitutes,
-)
+from vibrojax.models.scenes import SCENES, Scene
+from vibrojax.sweep.input.definition import Sweep, with_substitutes
+from vibrojax.sweep.input.names import Names, read_names
 from vibrojax.sweep.input.points import VECTOR, Points, read_points
 from vibrojax.sweep.input.run_settings import RunSettings, read_settings
 from vibrojax.sweep.input.source import Source, plain, plain_table, read_source, with_changes
@@ -56,13 +46,13 @@ def read_sweep(source: str | PathLike[str] | Mapping[str, object], changes: Iter
     _check_top(place, tables)
     in_parameters = place.at("parameters")
     table = dict(as_table(in_parameters, tables.get("parameters", {})))
-    names = read_names(place.at("scene"), tables["scene"], take_options(table), in_parameters)
+    names = read_names(place.at("scene"), tables["scene"], table, in_parameters)
     fixed = read_parameters(in_parameters, table, names)
     axes, points = _read_varied(place, origin, names)
     varied = points.columns if points else axes
     varying = place.at("points" if points else "grid")
     places = {name: in_parameters.at(name) for name in table} | {name: varying.at(name) for name in varied}
-    check_substitutes(places)
+    names.check_substitutes(places)
     for name in varied:
         if name in table:
             raise varying.at(name).error("is in [parameters] as well; give it in one of the two")
@@ -75,7 +65,7 @@ def read_sweep(source: str | PathLike[str] | Mapping[str, object], changes: Iter
     title = tables.get("title", "")
     if not isinstance(title, str):
         raise place.at("title").error(f"{shown(title)} is not text; write it in quotes")
-    absent = {*varied} | substituted({*fixed, *varied})
+    absent = {*varied} | names.substituted({*fixed, *varied})
     defaults = {name: parameter.default for name, parameter in names.parameters.items() if name not in absent}
     sweep = Sweep(
         name=origin.name,
@@ -85,7 +75,7 @@ def read_sweep(source: str | PathLike[str] | Mapping[str, object], changes: Iter
         options=dict(names.options),
         system=names.system,
         starts=starts,
-        parameters=defaults | with_substitutes(fixed),
+        parameters=defaults | with_substitutes(names.system, fixed),
         given=fixed,
         axes=axes,
         points=points.columns if points else None,
@@ -99,7 +89,7 @@ def read_sweep(source: str | PathLike[str] | Mapping[str, object], changes: Iter
     _check_run(place.at("run"), sweep)
     if not flag(place.at("unusual"), tables.get("unusual", False)):
         for name, value in {**fixed, **varied}.items():
-            if name not in PRESETS:
+            if name not in names.presets:
                 home = places.get(name, in_parameters.at(name))
                 warn_if_far(home, names.writable[name], value, meant="; unusual = true says that it is meant")
     return sweep
@@ -107,15 +97,16 @@ def read_sweep(source: str | PathLike[str] | Mapping[str, object], changes: Iter
 
 def read_parameters(place: Place, table: dict[str, object], names: Names) -> dict[str, float]:
     """Return the validated numbers of the table [parameters], which is at `place`."""
-    rock: dict[str, float] = {}
-    if "rock" in table and names.has_rock:
-        rock = rock_values(names.rock(place.at("rock"), table["rock"]))
-        table = {name: value for name, value in table.items() if name != "rock"}
+    presets = {name: table[name] for name in names.presets if name in table}
+    table = {name: value for name, value in table.items() if name not in presets}
+    set_by_presets: dict[str, float] = {}
+    for name, value in presets.items():
+        set_by_presets |= names.presets[name][names.preset(place.at(name), name, value)]
     for name, value in table.items():
         names.parameter(place.at(name), name)
         if isinstance(value, (list, dict)):
             raise place.at(name).error(f"{shown(value)} is not a number; what varies belongs in [grid]")
-    return {name: names.quantity(place.at(name), name, value) for name, value in table.items()} | rock
+    return {name: names.quantity(place.at(name), name, value) for name, value in table.items()} | set_by_presets
 
 
 def _check_top(place: Place, tables: dict[str, object]) -> None:
@@ -127,7 +118,7 @@ def _check_top(place: Place, tables: dict[str, object]) -> None:
             raise place.at(key).error("unknown key at the top; it belongs in [run]")
         scene = tables.get("scene")
         names = read_names(place.at("scene"), scene) if scene is not None else None
-        if key in CHOICES or key in PRESETS or (names and key in names.writable):
+        if any(key in kind.choices for kind in SCENES.values()) or (names and key in names.writable):
             raise place.at(key).error("unknown key at the top; it belongs in [parameters]")
         raise place.at(key).error(f"unknown key; {suggestion(key, _TOP_KEYS)}")
     if "scene" not in tables:
@@ -148,20 +139,21 @@ def _read_varied(place: Place, origin: Source, names: Names) -> tuple[dict[str, 
         raise place.error(f"{problem}, so there is nothing to sweep; add an axis like beta = [0.3, 0.4]")
     axes = {}
     for name, value in grid.items():
-        if name == "rock" and names.has_rock:
-            axes[name] = _read_rocks(place.at(name), value, names)
+        if name in names.presets:
+            axes[name] = _read_presets(place.at(name), name, value, names)
         else:
             axes[name] = read_axis(place.at(name), value, names.parameter(place.at(name), name))
     return axes, None
 
 
-def _read_rocks(place: Place, value: object, names: Names) -> np.ndarray:
-    """Return an axis of rock names."""
+def _read_presets(place: Place, name: str, value: object, names: Names) -> np.ndarray:
+    """Return an axis of the names of presets, such as rocks."""
     if not isinstance(value, list) or not value:
-        raise place.error(f'{shown(value)} is not a list of rocks; write one like ["sandstone", "granite"]')
-    rocks = [names.rock(place.item(index), item) for index, item in enumerate(value)]
-    check_distinct(place, rocks, "rock")
-    return np.array(rocks)
+        first, *_, last = names.presets[name]
+        raise place.error(f'{shown(value)} is not a list of {name}s; write one like ["{first}", "{last}"]')
+    chosen = [names.preset(place.item(index), name, item) for index, item in enumerate(value)]
+    check_distinct(place, chosen, name)
+    return np.array(chosen)
 
 
 def _check_run(place: Place, sweep: Sweep) -> None:
@@ -217,9 +209,8 @@ def read_point(place: Place, scene: object, parameters: Mapping[str, object], st
     **Raises:** `InputError`.
     """
     table = dict(parameters)
-    options = take_options(table)
+    names = read_names(place.at("scene"), scene, table, place)
     table = plain_table(place, table)
-    names = read_names(place.at("scene"), scene, options, place)
     fixed = read_parameters(place, table, names)
     if start is None:
         start = names.starts[0] if names.starts else None
@@ -227,12 +218,14 @@ def read_point(place: Place, scene: object, parameters: Mapping[str, object], st
         raise place.at("start").error(f"scene {shown(names.scene)} has no starts; leave it out")
     else:
         start = names.start(place.at("start"), plain(place.at("start"), start))
-    check_substitutes({name: place.at(name) for name in table})
+    names.check_substitutes({name: place.at(name) for name in table})
     for name, value in fixed.items():
         if name in table:
             warn_if_far(place.at(name), names.writable[name], value)
     defaults = {name: parameter.default for name, parameter in names.parameters.items()}
-    return Point(names.scene, dict(names.options), start, defaults | with_substitutes(fixed), names.system)
+    return Point(
+        names.scene, dict(names.options), start, defaults | with_substitutes(names.system, fixed), names.system
+    )
 
 
 def several_and_single(parameters: Mapping[str, object]) -> tuple[dict[str, list[Any]], dict[str, object]]:

@@ -1,49 +1,73 @@
 """Settings of a run: the table [run] of a sweep file."""
 
-from dataclasses import dataclass, fields
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields
+from functools import partial
 from typing import Any
 
 from vibrojax.errors import Place, shown
-from vibrojax.models.physics.parameters import not_negative, positive, table
+from vibrojax.models.physics.parameters import Parameter
 from vibrojax.models.scenes import Scene
 from vibrojax.stepping import STEPPERS, Accuracy, AccuracyRequest, Located, Stepper, stepper_named
 from vibrojax.sweep.input.values import choice, count, flag, known_keys, quantity
 
-MEANINGS = {
-    "settle": "time before the observation [s]",
-    "observe": "time of the observation [s]",
-    "error": "accepted error_estimate of a lane that repeats; the steps follow from it",
-    "end_early": "whether a settled lane may stop before its time",
-    "keep_returns": "number of last returns to store",
-    "orbits": "whether to find the periodic orbits of lanes that repeat, with multipliers",
-    "carry": "axis along which lanes run one after another, up and down, each from the end of the previous one",
-    "lyapunov": "whether to find the largest Lyapunov exponents of lanes, and the natures of those that do not repeat",
-    "method": "stepping method: located or smoothed",
-    "step": "length of the steps [s]; left out, it follows from error",
-    "smoothing": "width of the friction switch of the smoothed method [m/s]; left out, it follows from error",
-    "precision": "float64 or float32",
-    "chunk": "lanes computed together and stored as one; left out, the program decides",
-}
-"""Meanings of the keys of [run]."""
+
+def _read_method(place: Place, value: object) -> str | Stepper:
+    return value if isinstance(value, Stepper) else choice(place, value, tuple(STEPPERS))
+
+
+def _read_carry(place: Place, value: object) -> str:
+    if not isinstance(value, str):
+        raise place.error(f'{shown(value)} is not a name; write that of an axis of [grid], like "gamma"')
+    return value
+
+
+def _number(unit: str, below: float | None = None, zero: bool = False) -> Callable[[Place, object], float]:
+    """Return a reader of a positive number, or of zero as well, less than `below`."""
+    limits = Parameter("", 0.0, unit, "", "", lowest=0.0, open_below=not zero, below=below)
+    return partial(quantity, parameter=limits)
+
+
+def _key(default: Any, meaning: str, read: Callable[[Place, Any], Any]) -> Any:
+    """Declare a key of [run]; `read` validates its value at a place."""
+    return field(default=default, metadata={"meaning": meaning, "read": read})
 
 
 @dataclass(frozen=True)
 class RunSettings:
     """The table [run] of a sweep file. `MEANINGS` describes the keys."""
 
-    settle: float = 40.0
-    observe: float = 8.0
-    error: float = 1e-4
-    end_early: bool = True
-    keep_returns: int = 0
-    orbits: bool = False
-    lyapunov: bool = False
-    carry: str | None = None
-    method: str | Stepper = "located"
-    step: float | None = None
-    smoothing: float | None = None
-    precision: str = "float64"
-    chunk: int | None = None
+    settle: float = _key(40.0, "time before the observation [s]", _number("s", zero=True))
+    observe: float = _key(8.0, "time of the observation [s]", _number("s"))
+    error: float = _key(
+        1e-4, "accepted error_estimate of a lane that repeats; the steps follow from it", _number("1", below=1.0)
+    )
+    end_early: bool = _key(True, "whether a settled lane may stop before its time", flag)
+    keep_returns: int = _key(0, "number of last returns to store", partial(count, least=0, most=2**31 - 1))
+    orbits: bool = _key(False, "whether to find the periodic orbits of lanes that repeat, with multipliers", flag)
+    lyapunov: bool = _key(
+        False,
+        "whether to find the largest Lyapunov exponents of lanes, and the natures of those that do not repeat",
+        flag,
+    )
+    carry: str | None = _key(
+        None,
+        "axis along which lanes run one after another, up and down, each from the end of the previous one",
+        _read_carry,
+    )
+    method: str | Stepper = _key("located", "stepping method: located or smoothed", _read_method)  # noqa: RUF009
+    step: float | None = _key(None, "length of the steps [s]; left out, it follows from error", _number("s"))
+    smoothing: float | None = _key(
+        None,
+        "width of the friction switch of the smoothed method [m/s]; left out, it follows from error",
+        _number("m s-1"),
+    )
+    precision: str = _key("float64", "float64 or float32", partial(choice, choices=("float64", "float32")))
+    chunk: int | None = _key(
+        None,
+        "lanes computed together and stored as one; left out, the program decides",
+        partial(count, least=1, most=2**31 - 1),
+    )
 
     @property
     def stepper(self) -> Stepper:
@@ -66,20 +90,15 @@ class RunSettings:
         return self.stepper.accuracy(AccuracyRequest(self.error, self.step, self.smoothing, self.precision), scene)
 
 
-_QUANTITIES = table(
-    not_negative("settle", 40.0, "s", "time before the observation", "t"),
-    positive("observe", 8.0, "s", "time of the observation", "t"),
-    positive("error", 1e-4, "1", "accepted relative error", "e"),
-    positive("step", 1e-3, "s", "time step", "h"),
-    positive("smoothing", 1e-3, "m s-1", "width of the smoothed friction switch", "w"),
-)
+MEANINGS: dict[str, str] = {field.name: field.metadata["meaning"] for field in fields(RunSettings)}
+"""Meanings of the keys of [run]."""
 
 
 def read_settings(place: Place, values: dict[str, object]) -> RunSettings:
     """Return the validated table [run], which is at `place`, completed with defaults."""
-    known_keys(place, values, [field.name for field in fields(RunSettings)])
-    checked: dict[str, Any] = {name: _read_setting(place.at(name), name, value) for name, value in values.items()}
-    settings = RunSettings(**checked)
+    known_keys(place, values, MEANINGS)
+    keys = RunSettings.__dataclass_fields__
+    settings = RunSettings(**{name: keys[name].metadata["read"](place.at(name), x) for name, x in values.items()})
     unused = f"has no use with method {shown(settings.stepper.name)}"
     if settings.smoothing is not None and not settings.stepper.smooths:
         raise place.at("smoothing").error(f'{settings.smoothing:g} {unused}; leave it out, or set method = "smoothed"')
@@ -89,26 +108,3 @@ def read_settings(place: Place, values: dict[str, object]) -> RunSettings:
                 f'true {unused}, whose events are not located; leave it out, or set method = "located"'
             )
     return settings
-
-
-def _read_setting(place: Place, name: str, value: object) -> object:
-    """Return the validated value of a key of [run]."""
-    match name:
-        case "keep_returns":
-            return count(place, value, 0, most=2**31 - 1)
-        case "chunk":
-            return count(place, value, 1, most=2**31 - 1)
-        case "method":
-            return value if isinstance(value, Stepper) else choice(place, value, tuple(STEPPERS))
-        case "precision":
-            return choice(place, value, ("float64", "float32"))
-        case "carry":
-            if not isinstance(value, str):
-                raise place.error(f'{shown(value)} is not a name; write that of an axis of [grid], like "gamma"')
-            return value
-    if name not in _QUANTITIES:
-        return flag(place, value)
-    checked = quantity(place, value, _QUANTITIES[name])
-    if name == "error" and checked >= 1:
-        raise place.error(f"is {checked:g}; it must be below 1")
-    return checked

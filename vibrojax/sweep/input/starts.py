@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from vibrojax.errors import Place, shown
-from vibrojax.sweep.input.names import DEFAULT_STARTS, Names
+from vibrojax.sweep.input.names import Names
 from vibrojax.sweep.input.values import (
     AXIS_MAX_VALUES,
     STATE,
@@ -24,6 +24,9 @@ from vibrojax.sweep.input.values import (
 SAMPLE = '{ sample = "sobol", count = 256, seed = 0, box = { x1 = [-0.05, 0.05], v1 = [-2.0, 2.0] } }'
 PLANE = "{ plane = { x2 = { start = -0.05, stop = 0.05, num = 50 }, v2 = [-1.0, 1.0] } }"
 """Examples of a sample and a plane of initial conditions, for messages and the catalogue."""
+
+DEFAULT_STARTS = ("drive", "stuck")
+"""Initial conditions of a sweep that specifies none, if the scene has them."""
 
 _SAMPLE_KEYS = ("sample", "count", "seed", "box", "at")
 
