@@ -26,7 +26,7 @@ _HOMES = {
     "push": "push.analysis:Pushes",
     "fit": "rop_law.analysis:Fits",
     "accuracy": "accuracy.analysis:AccuracyStudy",
-    "derivatives": "sensitivity.analysis:Derivatives",
+    "derivatives": "sensitivity.run:Derivatives",
 }
 """Module and class of each of the package's own analyses, which are imported when they are needed."""
 

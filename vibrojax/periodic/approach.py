@@ -69,12 +69,9 @@ def approaches_repeat(
 ) -> Bool[np.ndarray, " lanes"]:
     """Return a mask of lanes that seem to converge to an orbit with `repeat` section crossings per period.
 
-    **Arguments:**
-
-    - `returns`: recorded crossings, see [vibrojax.measures.section][]; the last axis of all arrays is the lane.
-    - `now` [s]: current time of each lane.
-    - `observe` [s]: duration of the observation, which must cover the crossings that labels need.
-    - `tolerance`: relative tolerance of the step-size control.
+    **Arguments:** `returns`: recorded crossings, see [vibrojax.measures.section][]; `now` [s]: current time of each
+    lane; `observe` [s]: duration of the observation, which must cover the crossings that labels need; `tolerance`:
+    relative tolerance of the step-size control.
     """
     scale = np.stack(scales(returns.passed.amplitudes, returns.passed.since))
     states, times = returns.seen.states[:, : len(scale)], returns.seen.times
@@ -136,10 +133,7 @@ def distance(near: Approach, orbit: PeriodicOrbits) -> PerLane:
 def will_reach(
     near: Approach, orbit: PeriodicOrbits, repeats: PerLane, tolerance: float, error: float
 ) -> Bool[np.ndarray, " lanes"]:
-    """Return a mask of lanes in the linear range of their `orbit` that will be on the orbit after `repeats` periods.
-
-    **Arguments:** `tolerance`: relative tolerance of the step-size control; `error`: relative error tolerance.
-    """
+    """Return a mask of lanes in the linear range of their `orbit` that will be on the orbit after `repeats` periods."""
     scale, cycles = orbit.scales, orbit.states.shape[1]
     derivative = orbit.product * scale[:, None, :] / scale[:, :, None]
     on_orbit = np.moveaxis(orbit.states, 0, -1)

@@ -186,8 +186,7 @@ class Measuring:
     ) -> tuple[Features, Bool[np.ndarray, " lanes"]]:
         """Return the features over one period, and a mask of lanes with the expected number of section crossings.
 
-        **Arguments:** `given`: parameters and initial conditions of the chunk; `begun`: initial conditions on the
-        orbits, for some lanes of the chunk; `steps`: accuracy of the steps.
+        `given`: parameters and initial conditions of the chunk, of which `begun` holds some lanes.
         """
         lanes, scene = begun.lanes, self._scene
         known = dict(zip(self._driving.return_states, begun.state, strict=True))
@@ -201,7 +200,7 @@ class Measuring:
             settle = -(-DRIVEN_RETURNS // begun.cycles) * begun.length - begun.last / 2
             duration = begun.length + (begun.last + begun.first) / 2
         given = jax.tree.map(lambda x: np.take(x, lanes).astype(float if x.dtype.kind == "f" else x.dtype), given)
-        batch = Batch(steps, given, settle, duration, None, begun.steps.astype(np.int32))
+        batch = Batch(steps, lanes, given, settle, duration, None, begun.steps.astype(np.int32))
         batch = self._engine.on_orbit(batch, state, begun.past, begun.when, begun.length / begun.cycles)
         [features] = self._engine.observe(self._engine.settle([batch]) if np.any(settle) else [batch])
         # The observation is too short to detect a period, so `impacts` is per section crossing, and means are taken

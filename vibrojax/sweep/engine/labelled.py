@@ -18,27 +18,18 @@ from vibrojax.models.arrays import Array
 from vibrojax.models.physics.parameters import ROTATION, differing
 from vibrojax.models.scenes import HasFriction, Scene
 from vibrojax.sweep.engine.compiler import lane_function
-from vibrojax.sweep.engine.validity import TOO_SLOW, TOO_STIFF, too_slow, too_stiff
+from vibrojax.sweep.engine.validity import too_stiff_or_slow
 from vibrojax.sweep.input.definition import DIRECTIONS, Sweep
 from vibrojax.sweep.input.names import PRESET_MEANINGS
 from vibrojax.sweep.input.points import VECTOR
-
-_ROWS = {
-    "return_index": "number of the return that is kept, the newest last",
-    "multiplier": "number of the multiplier, by falling modulus",
-}
-"""Meanings of the dimensions that are added to the sweep's own."""
 
 
 def labelled(sweep: Sweep, first: int, end: int, features: dict, whole: bool = True) -> dict[str, np.ndarray]:
     """Return the stored variables of the lanes from `first` (inclusive) to `end` (exclusive), in dataset order.
 
-    **Arguments:**
-
-    - `features`: features by name, (lanes,), or (lanes, rows) for stored section crossings. The variables have the same
-      shapes.
-    - `whole`: True if the lanes include all initial conditions of each point. Otherwise `hidden_motion`, which compares
-      initial conditions, is omitted.
+    `features`: (lanes,), or (lanes, rows) for stored section crossings; the variables have the same shapes. `whole`:
+    True if the lanes include all initial conditions of each point; otherwise `hidden_motion`, which compares them, is
+    omitted.
     """
     features = _finished(sweep, first, end, features)
     if whole and sweep.crosses_starts and sweep.starts is not None and len(sweep.starts) > 1 and "regime" in features:
@@ -83,9 +74,9 @@ def _finished(sweep: Sweep, first: int, end: int, features: dict) -> dict:
     """Return the features with regime, status and reason, and with NaN in lanes that failed or were rejected."""
     values = sweep.lane_values(first, end)[0]
     why, unfit = sweep.system.refused(values) or ("none", np.zeros(end - first, bool))
-    stiff, slow = too_stiff(sweep, values), too_slow(sweep, values)
+    stiff, slow = too_stiff_or_slow(sweep, values)
     refused = unfit | stiff | slow
-    flags = [REASONS.index(name) for name in (why, TOO_STIFF, TOO_SLOW, "not-finite", "out-of-steps")]
+    flags = [REASONS.index(name) for name in (why, "too-stiff", "too-slow", "not-finite", "out-of-steps")]
     reason = np.select([unfit, stiff, slow, ~features["finite"], ~features["finished"]], flags, 0)
     failed = reason != 0
     labels = {}
@@ -115,8 +106,7 @@ def regimes(
 ) -> Int8[np.ndarray, " lanes"]:
     """Return the regime of each lane of a scene.
 
-    **Arguments:** `values`: all parameters of the scene by name. `features`: the features that determine the regime.
-    All are arrays (lanes,).
+    `values`: all parameters of the scene by name; `features`: those that determine the regime; each (lanes,).
     """
     lanes = len(features["cycles"])
     # With these values, lanes without friction are never at equilibrium.
@@ -157,16 +147,12 @@ def certified(sweep: Sweep, variables: Mapping[str, np.ndarray]) -> dict[str, in
 def attributes(sweep: Sweep, solver: dict, certified: Mapping[str, int], wall_time: float) -> dict[str, Any]:
     """Return the attributes of the dataset.
 
-    **Arguments:**
-
-    - `solver`: the stepper and its settings, as JSON values.
-    - `certified`: sums over all lanes of the counts from [vibrojax.sweep.engine.labelled.certified][].
-    - `wall_time`: duration of the computation [s].
+    `solver`: the stepper and its settings; `certified`: counts over all lanes, see
+    [vibrojax.sweep.engine.labelled.certified][]; `wall_time`: duration of the computation [s].
     """
+    title = sweep.title or f"{sweep.scene}: {sweep.name}"
     return {
-        **dataset_attributes(
-            "sweep", sweep.title or f"{sweep.scene}: {sweep.name}", f"sweep {sweep.name}", scene=sweep.scene
-        ),
+        **dataset_attributes("sweep", title, f"sweep {sweep.name}", scene=sweep.scene),
         "sweep": sweep.text,
         # Includes defaults that the sweep file omits, because regimes depend on the times. Omits the chunk size.
         "run": json.dumps({name: value for name, value in sweep.run.described().items() if value is not None}),
@@ -213,8 +199,12 @@ def coordinates(sweep: Sweep, rows: Mapping[str, int]) -> dict:
             }
             for name, column in zip(starts.states, starts.vectors.T, strict=True):
                 coords[f"start_{name}"] = (("start",), column, meanings.get(name, {}))
+    meanings_of_rows = {
+        "return_index": "number of the return that is kept, the newest last",
+        "multiplier": "number of the multiplier, by falling modulus",
+    }
     for dimension, size in rows.items():
-        coords[dimension] = ((dimension,), np.arange(size), {"units": "1", "long_name": _ROWS[dimension]})
+        coords[dimension] = ((dimension,), np.arange(size), {"units": "1", "long_name": meanings_of_rows[dimension]})
     return coords
 
 

@@ -60,8 +60,8 @@ def lanes_on_orbit(
 ) -> tuple[Lane, Any]:
     """Return the lanes and the values of their recorder at t = 0, on the section of a periodic orbit.
 
-    `state` holds all states at the section. [vibrojax.measures.section.on_orbit][] explains `states`, `times` and
-    `period`, which describe the last section crossings. A recorder of pulses does not use them.
+    `state` holds all states at the section; `states` (8, states, lanes), `times` (8, lanes) [s] and `period` (lanes,)
+    [s] describe the last section crossings, see [vibrojax.measures.section.on_orbit][]. Pulses do not need them.
     """
     lane = lane_at(kind.scene, constants_of(kind, given), state)
     carry = kind.recorder.settling(kind.scene, lane)

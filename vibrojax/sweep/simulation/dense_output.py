@@ -1,6 +1,7 @@
 """Dense output of one lane: the polynomial of every step is stored, so that the motion can be evaluated at any time."""
 
 from collections.abc import Callable
+from functools import reduce
 from math import ceil
 from typing import Any, NamedTuple
 
@@ -63,11 +64,8 @@ def record(
 ) -> Record:
     """Step one lane from t = 0 to `duration` [s] and return its steps.
 
-    **Arguments:**
-
-    - `constants`, `state`: constants of the scene and initial state, each (1,).
-    - `report(t)`: is called after each batch of steps.
-    - `pause`: time at which one step must end [s].
+    **Arguments:** `constants`, `state`: constants of the scene and initial state, each (1,); `report(t)`: is called
+    after each batch of steps; `pause`: time at which one step must end [s].
 
     **Raises:** `InputError` if the motion takes more than `most_steps` steps.
     """
@@ -158,11 +156,8 @@ def accumulated(record: Record, state: int) -> Float[np.ndarray, " moving"]:
 def _evaluate(
     coefficients: Float[Array, "steps states orders"], tau: Float[Array, " steps"]
 ) -> Float[Array, "steps states"]:
-    """Evaluate polynomials at `tau` by Horner's scheme."""
-    values = coefficients[:, :, -1]
-    for order in range(coefficients.shape[2] - 2, -1, -1):
-        values = values * tau[:, None] + coefficients[:, :, order]
-    return values
+    """Evaluate polynomials at `tau`."""
+    return reduce(lambda values, x: values * tau[:, None] + x, coefficients.transpose(2, 0, 1)[::-1])
 
 
 def check_size(
@@ -176,11 +171,7 @@ def check_size(
 ) -> int:
     """Return the maximum number of steps that fit in memory.
 
-    **Arguments:**
-
-    - `constants`: constants of the scene, each (1,).
-    - `stepper`: the stepper, or None for a diffrax solver, whose steps are not stored.
-    - `samples`: number of samples.
+    `constants`: constants of the scene, each (1,); `stepper`: None for a diffrax solver, whose steps are not stored.
 
     **Raises:** `InputError` if the motion takes more steps, even without events.
     """
