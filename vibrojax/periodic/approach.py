@@ -49,9 +49,8 @@ Away = Float[np.ndarray, "returns states lanes"]
 class Approach(NamedTuple):
     """Lanes whose last section crossings converge to an orbit.
 
-    - `lanes`: indices of the lanes; `scale` (lanes, states): scales, NaN for states that labels do not compare.
-    - `returns` (returns, states, lanes): states at the section crossings, newest first.
-    - `limit` (lanes, repeat, states): extrapolated limits of the crossings in the last period, newest last.
+    `lanes`: their indices; `scale`: NaN for states that labels do not compare; `returns`: states at the section
+    crossings, newest first; `limit`: extrapolated limits of the crossings in the last period, newest last.
     """
 
     lanes: Index
@@ -107,7 +106,7 @@ def extrapolate(
 ) -> Float[np.ndarray, "states lanes"]:
     """Return the limits of series of states that obey a linear recurrence; each series is ordered newest first.
 
-    The limit is a weighted mean of the states. The same weighted mean of the differences between successive states
+    The limit is a weighted mean of the states, with the weights for which the same mean of the successive differences
     is minimal (reduced rank extrapolation: Sidi, *Vector Extrapolation Methods*, 2017, chapter 2). Only the first state
     variables, those with a `scale`, enter the differences.
     """

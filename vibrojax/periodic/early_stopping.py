@@ -98,8 +98,8 @@ def early_stopping_of(sweep: Sweep) -> EarlyStopping | None:
 class OnOrbits(NamedTuple):
     """Lanes (by index) that will be on orbits, with these orbits and their certified features.
 
-    Features that depend on the lane's transient, such as the settling time, are not included. In a pool of known
-    orbits, `lanes` holds the number of each orbit's parameter point instead.
+    Features of the transient, such as the settling time, are not included. In a pool of known orbits, `lanes` holds the
+    number of each orbit's parameter point instead.
     """
 
     lanes: Index
@@ -282,10 +282,9 @@ class EarlyEnds:
 
 
 def candidates(known: Index, points: Index, since: int) -> Iterator[Index]:
-    """Yield arrays with the number of one known orbit for each of `points`, until every orbit has been yielded.
+    """Yield the number of one known orbit for each of `points`, until every orbit from `since` on has been yielded.
 
-    The number is -1 for a point without a further orbit. Orbits with numbers below `since` are skipped. `known`: the
-    point of each known orbit.
+    The number is -1 for a point without a further orbit. `known`: the point of each known orbit.
     """
     numbers = np.arange(since, len(known))
     rank = rank_in_point(known[since:])

@@ -196,7 +196,7 @@ def _stays(
 def _distinct(columns: list[np.ndarray]) -> tuple[Int[np.ndarray, " distinct"], Index]:
     """Return the first lane of each group with bitwise equal columns (lanes, ...), and the group of each lane.
 
-    Lanes that stopped early on a shared orbit form such groups. Results are computed once for each group.
+    Lanes that stopped early on a shared orbit form such groups, whose results are computed once.
     """
     rows = np.concatenate([x.reshape(len(x), -1).astype(float) for x in columns], axis=1)
     numbers: dict[bytes, int] = {}

@@ -54,10 +54,9 @@ class Margin:
     c: Any
 
     def after(self, least: Lanes, armed: Flags, lane: Lane, step: Step) -> Lanes:
-        """Return the minimum of `least` and of the margins within `step`, without derivatives.
+        """Return the minimum of `least` and of the margins within `step`, which leads to `lane`, without derivatives.
 
-        **Arguments:** `armed`: mask of lanes whose next zero of the section's velocity is a crossing; `lane`: the state
-        after the step.
+        `armed`: mask of lanes whose next zero of the section's velocity is a crossing.
         """
         lane, step = lax.stop_gradient((lane, step))
         states = tuple(known(polynomial) for polynomial in step.polynomials)
@@ -128,11 +127,9 @@ PerLane = Float[np.ndarray, " lanes"]
 class Begun(NamedTuple):
     """Initial conditions of lanes on their orbits, at the section; the last axis of all arrays is the lane.
 
-    - `lanes`: indices in their chunk; `state` (states, lanes): state of the return map.
-    - `past` (8, states, lanes), `when` (8, lanes) [s]: states and times of the last section crossings, newest first.
-      The newest crossing is `state` at time 0.
-    - `cycles`: number of section crossings per period; `steps`: approximate number of steps per period.
-    - `length`: duration of one period [s].
+    - `lanes`: indices in their chunk; `state`: state of the return map; `cycles`: section crossings per period.
+    - `past`, `when` [s]: states and times of the last crossings, newest first: `state` at time 0.
+    - `steps`, `length` [s]: approximate number of steps, and duration, of one period.
     - `first`, `second`, `last`: durations between crossings [s], for the first, second and last segment from `state`.
     """
 

@@ -40,14 +40,12 @@ Index = Int[np.ndarray, " some"]
 class PeriodicOrbits(NamedTuple):
     """Results of Newton's method for lanes with the same number of section crossings; some may not have converged.
 
-    - `states`: states at the section; `scales` (lanes, states): scales of the states.
-    - `times` (lanes, cycles) [s]: time from each state to the next.
-    - `residual` (lanes,): greatest scaled difference between an image and the next state; infinite where a lane did
-      not return to the section.
-    - `product` (lanes, states, states): derivative of the map over one period of the motion.
+    - `states`, `times` [s]: states at the section, and time from each state to the next.
+    - `residual`: greatest scaled difference between an image and the next state; infinite if a lane did not return.
+    - `product`: derivative of the map over one period of the motion.
     - `step`: next Newton step, which has not been applied; its size estimates the distance from the orbit.
-    - `moved` (lanes,): greatest scaled distance from the initial guess; infinite if it exceeded the limit `reach`.
-    - `impacts`, `margin`, `steps`, each (lanes,): numbers of impacts and steps in one period, smallest grazing margin.
+    - `moved`: greatest scaled distance from the initial guess; infinite if it exceeded the limit `reach`.
+    - `impacts`, `margin`, `steps`: numbers of impacts and steps in one period, smallest grazing margin.
     """
 
     states: States

@@ -49,10 +49,8 @@ class ReturnEvents(NamedTuple):
 class Mapped(NamedTuple):
     """Images under the return map, with their derivatives.
 
-    - `state` (states, lanes): state at the next section crossing; `time` (lanes,): time until that crossing [s].
-    - `jacobian` (states, states and parameters, lanes): derivatives of the image with respect to the initial state and
-      the parameters.
-    - `seen`: events on the way.
+    `state` (states, lanes) and `time` [s] of the next section crossing; `jacobian` (states, states and parameters,
+    lanes): derivatives with respect to the initial state and the parameters; `seen`: events on the way.
     """
 
     state: Array
@@ -109,10 +107,7 @@ def mapped(
 
 
 def at_section(scene: Scene[Any], state: Array) -> Values:
-    """Return all states of the scene at the section, each (lanes,), from the return map's states (states, lanes).
-
-    States that do not belong to the return map are zero.
-    """
+    """Return all states at the section from those of the return map (states, lanes); the others are 0."""
     rows = dict(zip(scene.return_states, state, strict=True))
     zero = jnp.zeros_like(state[0])
     return tuple(rows.get(name, zero) for name in scene.state_names)

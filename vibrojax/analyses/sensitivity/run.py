@@ -17,7 +17,7 @@ from vibrojax.io.variables import VARIABLES, Variable
 from vibrojax.measures import gauge_named
 from vibrojax.models.physics.parameters import positive
 from vibrojax.models.scenes import HasFriction, Scene
-from vibrojax.sweep.engine.validity import unresolved
+from vibrojax.sweep.engine.labelled import unresolved
 from vibrojax.sweep.input.read import Point, read_point
 from vibrojax.sweep.input.values import quantity
 

@@ -90,14 +90,8 @@ def run_and_derive(
     """Return two tables by name: the features of every run of every derivative, and the derivatives of these features.
 
     The derivative with respect to each parameter has its own lanes, so that one compiled program serves all parameters.
-
-    **Arguments:**
-
-    - `points`: points of one scene with the same initial condition.
-    - `wrt`: names of the parameters with respect to which derivatives are computed.
-    - `move`: change of each parameter, which is applied up and down.
-    - `settle`, `observe`: settling and observation times [s].
-    - `shown`: whether to show progress on stderr.
+    `points` have one scene and one initial condition; `move`: change of each parameter, which is applied up and down;
+    `settle`, `observe`: settling and observation times [s].
     """
     shape = (len(points), len(wrt), len(RUN_SHARES))
     own = np.broadcast_to(np.eye(len(wrt))[None, :, :, None], (*shape[:2], len(wrt), len(RUN_SHARES)))
@@ -208,11 +202,10 @@ def judged(
 
 
 def _remaining(x: Float[np.ndarray, "points variables parameters times"], scale: PerDerivative) -> PerDerivative:
-    """Return the estimated distance of `x` from its limit, divided by `scale`.
+    """Return the distance of `x`, given at the settling times of `RUN_SHARES`, from its limit, divided by `scale`.
 
-    The last axis of `x` holds the values at the settling times of `RUN_SHARES`. The distance is the sum of a geometric
-    series of the differences over successive thirds of the settling time. It is not less than the last difference,
-    because at the first time the motion may still have been on another orbit.
+    The distance is the sum of a geometric series of the differences over successive thirds of the settling time. It is
+    not less than the last difference, because at the first time the motion may still have been on another orbit.
     """
     before = np.abs(x[..., 1] - x[..., 0])
     # The maximum of several differences: a single one may be small by chance.

@@ -94,7 +94,7 @@ class Batch:
 def steps_at_most(seconds: float, accuracy: Accuracy, fixed: float = LANE_MAX_STEPS) -> float:
     """Return the number of steps after which a lane with `seconds` of simulated time is abandoned.
 
-    It is the sum of a `fixed` number, a number per simulated second, and twice the number of steps of maximum length.
+    To `fixed` add a number per simulated second, and twice the number of steps of maximum length.
     """
     return fixed + seconds * (LANE_MAX_RATE + 2 / accuracy.step)
 

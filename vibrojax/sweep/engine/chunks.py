@@ -45,8 +45,8 @@ PostProcessor = Callable[[int, int, Features], Features]
 class Chunks:
     """Chunks of a sweep, each of which is computed by all workers.
 
-    - `beyond`: function that adds features to observed lanes.
-    - `ends`: search for lanes on known orbits, which can stop early; None without such a search.
+    `beyond`: function that adds features to observed lanes; `ends`: search for lanes on known orbits, which can stop
+    early.
     """
 
     def __init__(self, sweep: Sweep, beyond: PostProcessor | None = None, ends: EarlyStopping | None = None) -> None:
@@ -71,7 +71,7 @@ class Chunks:
     def compute(self, index: int, report: Report = unreported) -> Features:
         """Return the features of a chunk's lanes by name: (lanes,), or (lanes, returns) for stored section crossings.
 
-        `report` is called during the computation with the number of lanes finished since its last call.
+        `report` is called with the number of lanes finished since its last call.
         """
         first, end = self.lanes(index)
         portions = Portions(end - first, report)
@@ -99,10 +99,7 @@ class Chunks:
         return whole
 
     def finished(self, index: int, features: Features) -> Features:
-        """Return the features of a chunk's lanes to be stored, including the features of `beyond`.
-
-        Of the section crossings, only the requested number is stored.
-        """
+        """Return the features to be stored, with those of `beyond`, and only the requested crossings."""
         first, end = self.lanes(index)
         kept = self.sweep.run.keep_returns
         stored = {name: x[:, x.shape[1] - kept :] if x.ndim == 2 else x for name, x in features.items()}
@@ -110,10 +107,7 @@ class Chunks:
         return stored | (self._beyond(first, end, features) if self._beyond is not None else {})
 
     def at(self, accuracy: Accuracy, index: int = 0) -> Features:
-        """Return the features (lanes,) of a chunk's lanes at another `accuracy`.
-
-        There is no check run and no early stopping.
-        """
+        """Return the features of a chunk at another `accuracy`, without check run and early stopping."""
         batches = [self.engine.start(*self.lanes(index), accuracy)]
         for now in chain(*checkpoints(self.sweep.run)):
             batches = self.engine.settle(batches, now)
@@ -171,14 +165,10 @@ def certified(fine: Features, check: Features, share: float, least: float) -> Fe
 def error_estimate(fine: Features, coarse: Features, share: float, least: float) -> Float[np.ndarray, " lanes"]:
     """Return the estimated relative error of period and impact velocity, whichever is larger.
 
-    It is the error of the limits that the lane approaches, the sum of three parts:
-
-    - the fraction `share` of the difference between the two runs
-    - `least`, in case this difference is small by chance
-    - a multiple of the remaining distance from the limit, `drift_estimate`
-
-    It is NaN if a lane is not periodic. It is infinite if the number of section crossings or impacts per period differs
-    between the runs, or if the drift is unbounded.
+    It is the error of the limits that the lane approaches, the sum of three parts: the fraction `share` of the
+    difference between the two runs; `least`, in case this difference is small by chance; and a multiple of the
+    remaining distance from the limit, `drift_estimate`. It is NaN if a lane is not periodic. It is infinite if the
+    number of section crossings or impacts per period differs between the runs, or if the drift is unbounded.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         if "cycles" not in fine:  # penetration

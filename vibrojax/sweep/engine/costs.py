@@ -21,8 +21,8 @@ from vibrojax.io.formatting import size_text, time_text
 from vibrojax.models.scenes import HasContact, HasFriction, HasRock
 from vibrojax.sweep.engine.batch import steps_at_most
 from vibrojax.sweep.engine.chunks import Chunks
+from vibrojax.sweep.engine.labelled import fastest_rates
 from vibrojax.sweep.engine.underway import OBSERVING
-from vibrojax.sweep.engine.validity import fastest_rates
 from vibrojax.sweep.input.definition import Sweep
 
 FRICTION_EVENTS, CONTACT_EVENTS, ROCK_EVENTS, PULSE_EVENTS = 12.0, 45.0, 190.0, 1000.0
@@ -150,10 +150,9 @@ def machine_factor() -> float:
 class Cost(TypedDict):
     """Estimated cost of a sweep: numbers of lanes and chunks, bytes of memory and disk, seconds.
 
-    - `file_bytes`: the part of `disk_bytes` that remains after the sweep.
-    - `time_s`: wall time on an idle machine, the sum of `compile_s`, which does not depend on the lanes, and `step_s`.
-    - `processor_s`: processor time of all cores together.
-    - `hour_workers`: number of single-core processes that together finish within an hour, or 0 if no number does.
+    `file_bytes` is the part of `disk_bytes` that remains. `time_s`, the wall time on an idle machine, is the sum of
+    `compile_s`, which does not depend on the lanes, and `step_s`; `processor_s` is the time of all cores together.
+    `hour_workers`: number of single-core processes that together finish within an hour, or 0 if no number does.
     """
 
     lanes: int

@@ -48,10 +48,9 @@ velocities [m/s]), the number of its terms (None for one term), and the lane's m
 
 
 class Recurrence(NamedTuple):
-    """Fitted recurrence d_k = sum_j c_j d_{k-jp} of the differences between section crossings that are p apart.
+    """Fitted recurrence of differences with coefficients c_j, and its relative `residual`.
 
-    - `coefficients`: the c_j; `residual`: relative residual of the fit.
-    - `radius`: largest modulus of the roots of the recurrence's characteristic polynomial, which estimate multipliers.
+    `radius`: largest modulus of the roots of its characteristic polynomial, which estimate multipliers.
     """
 
     coefficients: Float[np.ndarray, "lanes order"]

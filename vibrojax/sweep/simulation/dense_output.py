@@ -32,13 +32,12 @@ _COPIES = 3
 class Record(NamedTuple):
     """The steps of one lane, along the first axis of the arrays.
 
-    - `start`: time at the beginning of each step [s].
-    - `h`: length scale of the polynomials [s]. `dt`: length of the step [s], less than `h` if an event ends the step.
+    - `start`, `dt` [s]: beginning and length of each step; `h` [s]: length scale of the polynomials, more than `dt` if
+      an event ends the step.
     - `polynomials`: coefficients of the states in powers of (t - start)/h.
-    - `mode`: mode at the beginning of the step.
-    - `after`: state at the beginning of the next step.
-    - `hits`: True for the guards and markers, in the scene's order, whose zero ends the step.
-    - `falling`: True for markers that cross zero downwards.
+    - `mode`: mode at the beginning of the step; `after`: state at the beginning of the next step.
+    - `hits`: True for the guards and markers whose zero ends the step; `falling`: for markers that cross zero
+      downwards.
     """
 
     start: Float[Array, " steps"]
@@ -100,9 +99,7 @@ def begun(scene: Scene[Any], constants: Any, state: Values) -> tuple[Any, Lane]:
 def record_batch(
     scene: Scene[Any], stepper: Stepper, count: int, constants: Any, lane: Lane, accuracy: Accuracy, duration: Array
 ) -> tuple[Lane, Any]:
-    """Step lanes and record their steps.
-
-    Lanes take `count` steps, or fewer if they reach the time `duration` [s].
+    """Step lanes `count` times, or fewer if they reach the time `duration` [s], and record their steps.
 
     **Returns:** the lanes after the steps, and the fields of `Record` by name, arrays (steps, ..., lanes).
     """

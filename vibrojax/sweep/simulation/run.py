@@ -21,7 +21,7 @@ from vibrojax.progress import LOG, Progress, timed
 from vibrojax.stepping import STEPPERS, Accuracy, AccuracyRequest, Smoothed, Stepper, stepper_named
 from vibrojax.sweep.engine.agreement import recorder_of
 from vibrojax.sweep.engine.compiler import in_parallel, lane_function
-from vibrojax.sweep.engine.validity import unresolved
+from vibrojax.sweep.engine.labelled import unresolved
 from vibrojax.sweep.input.read import Point, read_point
 from vibrojax.sweep.input.values import quantity
 from vibrojax.sweep.simulation.dense_output import RECORD_MAX_STEPS, Record, check_size, record, sample

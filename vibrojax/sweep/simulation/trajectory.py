@@ -99,11 +99,9 @@ def _returns(scene: Scene[Any], c: Any, record: Record) -> Bool[np.ndarray, " st
 
 
 def forces(scene: Scene[Any], c: Any, motion: SampledMotion, width: float | None) -> dict[str, AlongTime]:
-    """Return the sampled forces [N] by name.
+    """Return the sampled forces [N] by name; `width`: that of the smoothed friction switch [m/s], None if it is sharp.
 
     Friction is the force of the springs on the bit minus the bit's mass times acceleration.
-
-    `width`: width of the smoothed friction switch [m/s], or None for discontinuous friction.
     """
     values = _forces(scene, width is None, _scalars(c), tuple(motion.modes), tuple(motion.states), width or 0.0)
     return {name: AlongTime(np.asarray(force) + 0.0, "N", FORCES[name]) for name, force in values.items()}  # no -0.0
@@ -126,10 +124,7 @@ def _forces(scene: Scene[Any], is_sharp: bool, c: Any, modes: Values, states: Va
 
 @lane_function(static=1)
 def impact_begins(scene: HasContact, c: Any, modes: Values, states: Values, hits: dict[str, Array]) -> Array:
-    """Return a mask of the steps that end at the beginning of an impact.
-
-    `modes`: modes of the steps; `states`: states at their ends; `hits`: guards that end them.
-    """
+    """Return a mask of steps (`modes`, end `states`, guards `hits`) that end as an impact begins."""
     return scene.impact_begins(c, modes, states, hits)
 
 
@@ -150,9 +145,7 @@ def states_shown(
     """Return the sampled states by name; with rock, x3 (bit) and x4 (hole) instead of `compression` and `growth`.
 
     `growth` is reset to zero at each impact or pulse. x4 is its sum since the start, and x3 is x4 plus `compression`.
-
-    **Arguments:** `record`: the record of all steps; `step_of`: index of the step that contains each sample. If either
-    is None, x3 and x4 are left out.
+    `record` holds all steps and `step_of` the step of each sample; without them, x3 and x4 are left out.
     """
     variables: dict[str, AlongTime] = {}
     x3 = x4 = None
