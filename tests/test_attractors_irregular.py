@@ -23,7 +23,7 @@ from vibrojax.analyses.attractors.long_run import (
     statistics,
     with_long_statistics,
 )
-from vibrojax.analyses.orbits.rerun import sweep_of_dataset
+from vibrojax.analyses.orbits.analysis import sweep_of_dataset
 from vibrojax.measures.labels import IRREGULAR, SINGLE_IMPACT
 
 SCENE = {"scene": "vibro-impact", "parameters": {"delta": 0.005, "v": 1.5}}

@@ -12,7 +12,7 @@ from vibrojax.analyses.chaos.tangents import TANGENT_ACCURACY, grow
 from vibrojax.errors import InputError
 from vibrojax.io.variables import NATURES
 from vibrojax.measures.labels import IRREGULAR
-from vibrojax.periodic.of_lanes import last_returns
+from vibrojax.periodic.lane_orbits import last_returns
 from vibrojax.periodic.return_map import Segments
 from vibrojax.sweep.engine.chunks import Chunks
 

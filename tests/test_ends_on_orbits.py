@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
-from vibrojax.periodic import early
 from vibrojax.periodic import early_stopping as ends
 from vibrojax.periodic.approach import Approach, extrapolate, will_reach
 from vibrojax.periodic.newton import PeriodicOrbits
@@ -34,14 +33,14 @@ def sweep(scene="vibro-impact", lanes=LANES, **run):
 @pytest.fixture
 def ended(monkeypatch):
     """Counts the lanes that end on orbits."""
-    counts, look = [], early.EarlyEnds.__call__
+    counts, look = [], ends.EarlyEnds.__call__
 
     def counted(self, batch):
         found = look(self, batch)
         counts.extend(len(one.lanes) for one in found)
         return found
 
-    monkeypatch.setattr(early.EarlyEnds, "__call__", counted)
+    monkeypatch.setattr(ends.EarlyEnds, "__call__", counted)
     return counts
 
 

@@ -5,9 +5,8 @@ import pytest
 
 import vibrojax as vj
 from vibrojax.analyses.sweep.workers.work import Work
-from vibrojax.periodic import early
 from vibrojax.periodic import early_stopping as ends
-from vibrojax.periodic.early_stopping import OrbitPool, _rank_in_point
+from vibrojax.periodic.early_stopping import candidates, rank_in_point
 from vibrojax.sweep.input.read import read_sweep
 
 BOX = {"x1": [-0.05, 0.05], "v1": [-2.0, 2.0], "x2": [-0.05, 0.05], "v2": [-3.0, 3.0]}
@@ -25,18 +24,18 @@ def sweep(starts=96, **run):
 def alone(monkeypatch):
     """How many lanes Newton's method is taken for, each time; and the returns of a repeat of all that end on orbits."""
     tried, ended = [], []
-    on_orbits, end = early.EarlyEnds.on_orbits, early.EarlyEnds.ended
+    on_orbits, end = ends.EarlyEnds.on_orbits, ends.EarlyEnds._ended
 
     def counted(self, near, batch):
         tried.append(len(near.lanes))
         return on_orbits(self, near, batch)
 
-    def counted_ends(self, lanes, features, batch):
+    def counted_ends(self, features, batch):
         ended.extend(features["cycles"].astype(int).tolist())
-        return end(self, lanes, features, batch)
+        return end(self, features, batch)
 
-    monkeypatch.setattr(early.EarlyEnds, "on_orbits", counted)
-    monkeypatch.setattr(early.EarlyEnds, "ended", counted_ends)
+    monkeypatch.setattr(ends.EarlyEnds, "on_orbits", counted)
+    monkeypatch.setattr(ends.EarlyEnds, "_ended", counted_ends)
     return tried, ended
 
 
@@ -72,15 +71,14 @@ def test_also_without_orbits_and_in_single_precision(alone, monkeypatch):
 
 def test_a_repeat_of_two_is_known_whichever_return_a_lane_stands_at(monkeypatch, alone):
     """Newton's method finds one lane's orbit and no other: all others end on that, at either of its returns."""
-    once, left = early.EarlyEnds.on_orbits, [1]
+    once, left = ends.EarlyEnds.on_orbits, [1]
 
     def found_once(self, near, batch):
         found = once(self, near, batch)
         left[0], some = left[0] - len(found.lanes), np.arange(min(left[0], len(found.lanes)))
-        features = {name: x[some] for name, x in found.features.items()}
-        return early.OnOrbits(found.lanes[some], found.orbits.of(some), features)
+        return found.of(some)
 
-    monkeypatch.setattr(early.EarlyEnds, "on_orbits", found_once)
+    monkeypatch.setattr(ends.EarlyEnds, "on_orbits", found_once)
     asked = sweep(64, orbits=True) | {"grid": {"beta": [0.4], "gamma": [0.35]}}
     found = vj.run_sweep(asked, progress=False)
     there = int((found.cycles == 2).sum())
@@ -111,20 +109,20 @@ def test_shares_stay_when_the_tolerance_is_halved():
 
 def test_where_it_is_worth_its_while():
     def kind(count, **run):
-        return type(ends.early_stopping_of(read_sweep(sweep(count, **run)))).__name__
+        search = ends.early_stopping_of(read_sweep(sweep(count, **run)))
+        return search and search.shared
 
     assert ends.SHARING_MIN_STARTS == 16 and ends.SHARING_MIN_SECONDS == 1.5e6
-    assert kind(ends.SHARING_MIN_STARTS, orbits=True) == "SharedEnds" and kind(ends.SHARING_MIN_STARTS) == "NoneType"
-    assert kind(ends.SHARING_MIN_STARTS - 1, orbits=True) == "NoneType"
-    assert kind(4096, settle=100.0) == "SharedEnds"
-    assert kind(4096, settle=100.0, method="smoothed") == "NoneType"
+    assert kind(ends.SHARING_MIN_STARTS, orbits=True) is True and kind(ends.SHARING_MIN_STARTS) is None
+    assert kind(ends.SHARING_MIN_STARTS - 1, orbits=True) is None
+    assert kind(4096, settle=100.0) is True
+    assert kind(4096, settle=100.0, method="smoothed") is None
 
 
 def test_candidates_are_of_the_own_point():
-    known = OrbitPool()
-    known._points = np.array([4, 1, 4, 2])
+    known = np.array([4, 1, 4, 2])
     points = np.array([1, 4, 7, 2])
-    assert [one.tolist() for one in known.candidates(points, 0)] == [[1, 0, -1, 3], [-1, 2, -1, -1]]
-    assert [one.tolist() for one in known.candidates(points, 2)] == [[-1, 2, -1, 3]]
-    assert list(known.candidates(points, 4)) == []
-    assert _rank_in_point(np.array([3, 1, 3, 3, 1])).tolist() == [0, 0, 1, 2, 1]
+    assert [one.tolist() for one in candidates(known, points, 0)] == [[1, 0, -1, 3], [-1, 2, -1, -1]]
+    assert [one.tolist() for one in candidates(known, points, 2)] == [[-1, 2, -1, 3]]
+    assert list(candidates(known, points, 4)) == []
+    assert rank_in_point(np.array([3, 1, 3, 3, 1])).tolist() == [0, 0, 1, 2, 1]

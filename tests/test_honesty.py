@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vibrojax.periodic.early import EarlyEnds
+from vibrojax.periodic.early_stopping import EarlyEnds
 from vibrojax.stepping import Accuracy
 from vibrojax.sweep.engine.chunks import Chunks
 from vibrojax.sweep.input.read import read_sweep

@@ -240,7 +240,9 @@ def test_lanes_on_orbits(fault, quick_xla):
     read = vj.read_sweep({"scene": ROTARY(friction=WRONG), "grid": {"gamma": [0.65, 0.7]}, "run": RUN})
     engine = Engine(read, vj.Located(), recorder_for(read.system), workers())
     given = engine.given(0, 4)
-    batch = Batch(read.run.accuracy(read.system), given, np.zeros(4), np.ones(4), None, np.zeros(4, np.int32))
+    batch = Batch(
+        read.run.accuracy(read.system), np.arange(4), given, np.zeros(4), np.ones(4), None, np.zeros(4, np.int32)
+    )
     state = (np.full(4, 0.01), *np.zeros((3, 4)))
     with pytest.warns(KernelRefused):
         begun = engine.on_orbit(batch, state, np.zeros((8, 3, 4)), np.zeros((8, 4)), np.ones(4))

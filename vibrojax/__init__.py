@@ -12,7 +12,7 @@ from importlib import import_module
 _HOMES = {
     "run_sweep": "vibrojax.analyses.sweep.run",
     "read_sweep": "vibrojax.sweep.input.read",
-    "orbits": "vibrojax.analyses.orbits.rerun",
+    "orbits": "vibrojax.analyses.orbits.analysis",
     "follow": "vibrojax.analyses.continuation.run",
     "borders": "vibrojax.analyses.borders.run",
     "attractors": "vibrojax.analyses.attractors.run",

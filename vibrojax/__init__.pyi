@@ -12,7 +12,7 @@ from vibrojax.analyses.catalogue import list_settings as list_settings
 from vibrojax.analyses.catalogue import list_variables as list_variables
 from vibrojax.analyses.continuation.run import follow as follow
 from vibrojax.analyses.orbits.analysis import SweepAnalysis as SweepAnalysis
-from vibrojax.analyses.orbits.rerun import orbits as orbits
+from vibrojax.analyses.orbits.analysis import orbits as orbits
 from vibrojax.analyses.pictures import picture as picture
 from vibrojax.analyses.pictures import save_picture as save_picture
 from vibrojax.analyses.push.run import smallest_push as smallest_push

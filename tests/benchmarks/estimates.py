@@ -19,7 +19,7 @@ import jax
 
 from vibrojax.cli import main
 from vibrojax.sweep.engine.chunks import Chunks
-from vibrojax.sweep.engine.costs import STEP_SECONDS, YARDSTICK, processor_time, slowness
+from vibrojax.sweep.engine.costs import STEP_SECONDS, YARDSTICK, machine_factor, processor_time
 from vibrojax.sweep.input.read import read_sweep
 from vibrojax.sweep.input.source import bundled_names
 
@@ -58,7 +58,7 @@ def one(name: str) -> None:
         assert main(["sweep", name, "-o", str(Path(folder) / "out.nc"), "--quiet"]) == 0
     step = spent["compute"] - spent["compile"]
     took = (processor() - spent["compute"], spent["compile"], step)
-    told = {"name": name, "scene": chunks.sweep.scene, "said": said, "took": took, "slowness": slowness()}
+    told = {"name": name, "scene": chunks.sweep.scene, "said": said, "took": took, "slowness": machine_factor()}
     print(json.dumps(told))
 
 

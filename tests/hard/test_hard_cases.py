@@ -14,7 +14,7 @@ from cases import DRILL, USUAL, bound_of, columns, lanes, reference, verdict
 
 import vibrojax as vj
 from vibrojax.sweep.engine.chunks import Chunks
-from vibrojax.sweep.engine.validity import too_slow, too_stiff
+from vibrojax.sweep.engine.labelled import too_stiff_or_slow
 
 SWEEPS = Path(__file__).parents[2] / "sweeps"
 OBSERVE = 0.5
@@ -92,9 +92,9 @@ def test_what_is_too_stiff_is_refused(changes):
     sweep = vj.read_sweep(
         {"scene": "vibro-impact", "starts": ["stuck"], "points": {n: [x] for n, x in changes.items()}}
     )
-    assert too_stiff(sweep, sweep.lane_values(0, 1)[0]).tolist() == [True]
+    assert too_stiff_or_slow(sweep, sweep.lane_values(0, 1)[0])[0].tolist() == [True]
     usual = vj.read_sweep({"scene": "vibro-impact", "starts": ["stuck"], "grid": {"k0": [1e6, 50e6, 1e12]}})
-    assert not too_stiff(usual, usual.lane_values(0, 3)[0]).any()
+    assert not too_stiff_or_slow(usual, usual.lane_values(0, 3)[0])[0].any()
 
 
 def test_what_creeps_below_the_roundings_is_refused():
@@ -102,7 +102,7 @@ def test_what_creeps_below_the_roundings_is_refused():
     grid = {"scene": "vibro-impact", "starts": ["stuck"], "grid": {"v": [0.0, 1e-6, 1.5]}}
     for precision, expected in (("float32", [False, True, False]), ("float64", [False] * 3)):
         sweep = vj.read_sweep(grid | {"run": {"precision": precision}})
-        assert too_slow(sweep, sweep.lane_values(0, 3)[0]).tolist() == expected
+        assert too_stiff_or_slow(sweep, sweep.lane_values(0, 3)[0])[1].tolist() == expected
 
 
 def test_a_lane_is_given_up_in_float32_too():

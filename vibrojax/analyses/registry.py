@@ -27,7 +27,7 @@ _HOMES = {
     "tolerance": "tolerance.analysis:Tolerances",
     "fit": "rop_law.analysis:Fits",
     "accuracy": "accuracy.analysis:AccuracyStudy",
-    "derivatives": "sensitivity.analysis:Derivatives",
+    "derivatives": "sensitivity.run:Derivatives",
 }
 """Module and class of each of the package's own analyses, which are imported when they are needed."""
 

@@ -15,7 +15,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(options: Options) -> None:
-    from vibrojax.analyses.orbits.rerun import sweep_with_orbits
+    from vibrojax.analyses.orbits.analysis import sweep_with_orbits
     from vibrojax.analyses.sweep.run import run_to_file
     from vibrojax.analyses.sweep.summary import orbit_lines
     from vibrojax.io.dataset import open_dataset

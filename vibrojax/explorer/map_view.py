@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 import xarray as xr
 
-from vibrojax.analyses.orbits.rerun import has_lanes_of
+from vibrojax.analyses.orbits.analysis import has_lanes_of
 from vibrojax.analyses.sweep.maps import REGION
 from vibrojax.analyses.sweep.workers.work import quiet
 from vibrojax.errors import InputError

@@ -49,9 +49,8 @@ Away = Float[np.ndarray, "returns states lanes"]
 class Approach(NamedTuple):
     """Lanes whose last section crossings converge to an orbit.
 
-    - `lanes`: indices of the lanes; `scale` (lanes, states): scales, NaN for states that labels do not compare.
-    - `returns` (returns, states, lanes): states at the section crossings, newest first.
-    - `limit` (lanes, repeat, states): extrapolated limits of the crossings in the last period, newest last.
+    `lanes`: their indices; `scale`: NaN for states that labels do not compare; `returns`: states at the section
+    crossings, newest first; `limit`: extrapolated limits of the crossings in the last period, newest last.
     """
 
     lanes: Index
@@ -69,12 +68,9 @@ def approaches_repeat(
 ) -> Bool[np.ndarray, " lanes"]:
     """Return a mask of lanes that seem to converge to an orbit with `repeat` section crossings per period.
 
-    **Arguments:**
-
-    - `returns`: recorded crossings, see [vibrojax.measures.section][]; the last axis of all arrays is the lane.
-    - `now` [s]: current time of each lane.
-    - `observe` [s]: duration of the observation, which must cover the crossings that labels need.
-    - `tolerance`: relative tolerance of the step-size control.
+    **Arguments:** `returns`: recorded crossings, see [vibrojax.measures.section][]; `now` [s]: current time of each
+    lane; `observe` [s]: duration of the observation, which must cover the crossings that labels need; `tolerance`:
+    relative tolerance of the step-size control.
     """
     scale = np.stack(scales(returns.passed.amplitudes, returns.passed.since))
     states, times = returns.seen.states[:, : len(scale)], returns.seen.times
@@ -110,7 +106,7 @@ def extrapolate(
 ) -> Float[np.ndarray, "states lanes"]:
     """Return the limits of series of states that obey a linear recurrence; each series is ordered newest first.
 
-    The limit is a weighted mean of the states. The same weighted mean of the differences between successive states
+    The limit is a weighted mean of the states, with the weights for which the same mean of the successive differences
     is minimal (reduced rank extrapolation: Sidi, *Vector Extrapolation Methods*, 2017, chapter 2). Only the first state
     variables, those with a `scale`, enter the differences.
     """
@@ -136,10 +132,7 @@ def distance(near: Approach, orbit: PeriodicOrbits) -> PerLane:
 def will_reach(
     near: Approach, orbit: PeriodicOrbits, repeats: PerLane, tolerance: float, error: float
 ) -> Bool[np.ndarray, " lanes"]:
-    """Return a mask of lanes in the linear range of their `orbit` that will be on the orbit after `repeats` periods.
-
-    **Arguments:** `tolerance`: relative tolerance of the step-size control; `error`: relative error tolerance.
-    """
+    """Return a mask of lanes in the linear range of their `orbit` that will be on the orbit after `repeats` periods."""
     scale, cycles = orbit.scales, orbit.states.shape[1]
     derivative = orbit.product * scale[:, None, :] / scale[:, :, None]
     on_orbit = np.moveaxis(orbit.states, 0, -1)

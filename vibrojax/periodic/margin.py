@@ -54,10 +54,9 @@ class Margin:
     c: Any
 
     def after(self, least: Lanes, armed: Flags, lane: Lane, step: Step) -> Lanes:
-        """Return the minimum of `least` and of the margins within `step`, without derivatives.
+        """Return the minimum of `least` and of the margins within `step`, which leads to `lane`, without derivatives.
 
-        **Arguments:** `armed`: mask of lanes whose next zero of the section's velocity is a crossing; `lane`: the state
-        after the step.
+        `armed`: mask of lanes whose next zero of the section's velocity is a crossing.
         """
         lane, step = lax.stop_gradient((lane, step))
         states = tuple(known(polynomial) for polynomial in step.polynomials)
@@ -128,11 +127,9 @@ PerLane = Float[np.ndarray, " lanes"]
 class Begun(NamedTuple):
     """Initial conditions of lanes on their orbits, at the section; the last axis of all arrays is the lane.
 
-    - `lanes`: indices in their chunk; `state` (states, lanes): state of the return map.
-    - `past` (8, states, lanes), `when` (8, lanes) [s]: states and times of the last section crossings, newest first.
-      The newest crossing is `state` at time 0.
-    - `cycles`: number of section crossings per period; `steps`: approximate number of steps per period.
-    - `length`: duration of one period [s].
+    - `lanes`: indices in their chunk; `state`: state of the return map; `cycles`: section crossings per period.
+    - `past`, `when` [s]: states and times of the last crossings, newest first: `state` at time 0.
+    - `steps`, `length` [s]: approximate number of steps, and duration, of one period.
     - `first`, `second`, `last`: durations between crossings [s], for the first, second and last segment from `state`.
     """
 
@@ -186,8 +183,7 @@ class Measuring:
     ) -> tuple[Features, Bool[np.ndarray, " lanes"]]:
         """Return the features over one period, and a mask of lanes with the expected number of section crossings.
 
-        **Arguments:** `given`: parameters and initial conditions of the chunk; `begun`: initial conditions on the
-        orbits, for some lanes of the chunk; `steps`: accuracy of the steps.
+        `given`: parameters and initial conditions of the chunk, of which `begun` holds some lanes.
         """
         lanes, scene = begun.lanes, self._scene
         known = dict(zip(self._driving.return_states, begun.state, strict=True))
@@ -201,7 +197,7 @@ class Measuring:
             settle = -(-DRIVEN_RETURNS // begun.cycles) * begun.length - begun.last / 2
             duration = begun.length + (begun.last + begun.first) / 2
         given = jax.tree.map(lambda x: np.take(x, lanes).astype(float if x.dtype.kind == "f" else x.dtype), given)
-        batch = Batch(steps, given, settle, duration, None, begun.steps.astype(np.int32))
+        batch = Batch(steps, lanes, given, settle, duration, None, begun.steps.astype(np.int32))
         batch = self._engine.on_orbit(batch, state, begun.past, begun.when, begun.length / begun.cycles)
         [features] = self._engine.observe(self._engine.settle([batch]) if np.any(settle) else [batch])
         # The observation is too short to detect a period, so `impacts` is per section crossing, and means are taken

@@ -12,9 +12,9 @@ from jaxtyping import Float, Int
 from vibrojax.measures import RETURNS_FOR_DRIFT
 from vibrojax.measures.labels import FEWEST_RETURNS
 from vibrojax.measures.ledger import MOST_CYCLES
+from vibrojax.periodic.lane_orbits import last_returns
 from vibrojax.periodic.margin import GRAZING, Measuring, begun
 from vibrojax.periodic.newton import ACCEPTED, PeriodicOrbits, orbits, repeats_after
-from vibrojax.periodic.of_lanes import last_returns
 from vibrojax.periodic.return_map import STEPS, Segments
 from vibrojax.sweep.engine.batch import Features, Index
 from vibrojax.sweep.input.definition import Sweep
@@ -30,7 +30,6 @@ lanes within this distance have a nearby orbit, but only 2 of 459 lanes at dista
 method takes equally long for every lane."""
 
 NEARBY_MAX_ITERATIONS = 4
-"""Largest number of Newton iterations."""
 
 MOST_STEPS = 300.0
 """Step limit between two section crossings. A hundred steps are already many, and a diverging Newton iterate may never
@@ -40,9 +39,6 @@ NEARBY_TOLERANCE = 1e-9
 """Tolerance of the step-size control in the return map."""
 
 PerLane = Float[np.ndarray, " lanes"]
-
-WITHOUT_ORBIT = {"nearby_cycles": 0.0, "nearby_impacts": np.nan, "nearby_distance": np.nan}
-"""Values of the variables for a lane without a nearby orbit."""
 
 
 class Nearby:
@@ -60,16 +56,16 @@ class Nearby:
         return {"nearby_reach": REACH}
 
     def __call__(self, first: int, end: int, features: Features) -> Features:
-        """Return `nearby_cycles`, `nearby_impacts` and `nearby_distance` of a range of lanes.
+        """Return `nearby_cycles`, `nearby_impacts` and `nearby_distance` of lanes `first` to `end` (exclusive).
 
-        The range is from `first` (inclusive) to `end` (exclusive). `features`: features of these lanes,
-        including their last section crossings (lanes, returns); not modified. The result is empty for scenes driven by
-        pulses, because no criterion shows that such a lane has not settled.
+        `features`: features of these lanes, including their last section crossings (lanes, returns). The result is
+        empty for scenes driven by pulses, because no criterion shows that such a lane has not settled.
         """
         section = self._scene.section
         if section is None:
             return {}
-        result = {name: np.full(end - first, none) for name, none in WITHOUT_ORBIT.items()}
+        without = {"nearby_cycles": 0.0, "nearby_impacts": np.nan, "nearby_distance": np.nan}
+        result = {name: np.full(end - first, none) for name, none in without.items()}
         settled = (np.nan_to_num(features["cycles"]) > 0) & (features["trend"] == 0)
         lanes = np.flatnonzero(features["finite"] & features["finished"] & ~settled)
         parameters, _ = self._sweep.lane_values(first, end)
@@ -90,7 +86,10 @@ class Nearby:
                 go = self._map.of({name: parameters[name][lanes[subset]] for name in self._scene.parameters()})
                 reach = np.full(len(subset), REACH)
                 orbit = orbits(guess, scale[subset], reach, go, ACCEPTED, NEARBY_MAX_ITERATIONS)
-                distance = _distance(compared[subset], orbit)
+                # The greatest scaled distance of a section crossing from the nearest state of the orbit.
+                on_orbit = (orbit.states / orbit.scales[:, None])[..., : compared.shape[2]]
+                apart = np.max(np.abs(compared[subset][:, :, None] - on_orbit[:, None]), axis=3)
+                distance = np.nanmax(np.min(apart, axis=2), axis=1)
                 kept = self._confirmed(first, end, lanes[subset], orbit, distance)
                 result["nearby_cycles"][lanes[subset[kept]]] = repeat
                 result["nearby_impacts"][lanes[subset[kept]]] = orbit.impacts[kept]
@@ -113,13 +112,3 @@ class Nearby:
         if "impacts" in measures:
             whole &= np.abs(measures["impacts"] * cycles - orbit.impacts[sure]) < 0.5
         return sure[whole]
-
-
-def _distance(returns: Float[np.ndarray, "lanes returns states"], orbit: PeriodicOrbits) -> PerLane:
-    """Return, for each lane, the greatest scaled distance of a section crossing from the nearest state of the orbit.
-
-    `returns`: scaled states at the crossings. Only the states that labels compare are considered.
-    """
-    on_orbit = (orbit.states / orbit.scales[:, None])[..., : returns.shape[2]]
-    apart = np.max(np.abs(returns[:, :, None] - on_orbit[:, None]), axis=3)
-    return np.nanmax(np.min(apart, axis=2), axis=1)

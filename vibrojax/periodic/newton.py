@@ -40,14 +40,12 @@ Index = Int[np.ndarray, " some"]
 class PeriodicOrbits(NamedTuple):
     """Results of Newton's method for lanes with the same number of section crossings; some may not have converged.
 
-    - `states`: states at the section; `scales` (lanes, states): scales of the states.
-    - `times` (lanes, cycles) [s]: time from each state to the next.
-    - `residual` (lanes,): greatest scaled difference between an image and the next state; infinite where a lane did
-      not return to the section.
-    - `product` (lanes, states, states): derivative of the map over one period of the motion.
+    - `states`, `times` [s]: states at the section, and time from each state to the next.
+    - `residual`: greatest scaled difference between an image and the next state; infinite if a lane did not return.
+    - `product`: derivative of the map over one period of the motion.
     - `step`: next Newton step, which has not been applied; its size estimates the distance from the orbit.
-    - `moved` (lanes,): greatest scaled distance from the initial guess; infinite if it exceeded the limit `reach`.
-    - `impacts`, `margin`, `steps`, each (lanes,): numbers of impacts and steps in one period, smallest grazing margin.
+    - `moved`: greatest scaled distance from the initial guess; infinite if it exceeded the limit `reach`.
+    - `impacts`, `margin`, `steps`: numbers of impacts and steps in one period, smallest grazing margin.
     """
 
     states: States
@@ -76,13 +74,10 @@ def orbits(
 ) -> PeriodicOrbits:
     """Return the orbits near the initial guesses `begin`, with the same number of section crossings as the guesses.
 
-    **Arguments:**
-
-    - `scales`: scales of the states. A NaN is replaced by half the peak-to-peak range of the state along the motion
-      from the initial guess, or by 1 if that range is zero.
-    - `reach` (lanes,): scaled distance from the initial guess beyond which a lane is no longer iterated.
-    - `go`: the return map; `enough`: residual at which the iteration of a lane stops.
-    - `most`: largest number of iterations.
+    **Arguments:** `scales`: a NaN is replaced by half the peak-to-peak range of the state along the motion from the
+    initial guess, or by 1 if that range is zero; `reach` (lanes,): scaled distance from the initial guess beyond which
+    a lane is no longer iterated; `go`: the return map; `enough`: residual at which the iteration of a lane stops;
+    `most`: largest number of iterations.
 
     The derivative is evaluated at the states in the result, so callers may apply one more step, `PeriodicOrbits.step`.
     """
@@ -102,7 +97,7 @@ def orbits(
     active = np.arange(lanes)
     for _ in range(most):
         on = (residual[active] > enough) & np.isfinite(residual[active])
-        active, iterate, now = active[on], iterate[on], _take(now, on)
+        active, iterate, now = active[on], iterate[on], jax.tree.map(lambda x, on=on: x[on], now)
         if not len(active):
             break
         iterate = iterate + _newton_step(iterate, now, scales[active])
@@ -123,7 +118,7 @@ def orbits(
             whole[kept] = part[better]
         # A small residual that hardly decreases is dominated by rounding errors.
         on = np.isfinite(reached) & ((reached < before / 2) | (reached > ACCEPTED))
-        active, iterate, now = active[on], iterate[on], _take(now, on)
+        active, iterate, now = active[on], iterate[on], jax.tree.map(lambda x, on=on: x[on], now)
     return PeriodicOrbits(
         states=states,
         scales=scales,
@@ -162,10 +157,6 @@ def multipliers(product: Float[np.ndarray, "lanes states states"]) -> Complex[np
 def images_by_lane(mapped: Mapped, lanes: int, cycles: int) -> Any:
     """Return a copy of `mapped` with arrays of shape (lanes, cycles, ...) instead of (..., segments)."""
     return jax.tree.map(lambda x: np.moveaxis(np.array(x), -1, 0).reshape(lanes, cycles, *np.shape(x)[:-1]), mapped)
-
-
-def _take(images: Any, lanes: np.ndarray) -> Any:
-    return jax.tree.map(lambda x: x[lanes], images)
 
 
 def shooting_matrix(

@@ -22,8 +22,7 @@ from vibrojax.models.scenes import Driven, HasContact, Scene
 from vibrojax.models.scenes.declared import Section, Values
 from vibrojax.periodic.margin import Margin
 from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Goal, Lane, Located, Step, Stepper, lane_at
-from vibrojax.sweep.engine.compiler import lane_function
-from vibrojax.sweep.engine.parallel import in_parallel
+from vibrojax.sweep.engine.compiler import in_parallel, lane_function
 
 MOST_STEPS = 4000
 """Default limit of steps between two section crossings; the usual drill takes about fifty."""
@@ -50,10 +49,8 @@ class ReturnEvents(NamedTuple):
 class Mapped(NamedTuple):
     """Images under the return map, with their derivatives.
 
-    - `state` (states, lanes): state at the next section crossing; `time` (lanes,): time until that crossing [s].
-    - `jacobian` (states, states and parameters, lanes): derivatives of the image with respect to the initial state and
-      the parameters.
-    - `seen`: events on the way.
+    `state` (states, lanes) and `time` [s] of the next section crossing; `jacobian` (states, states and parameters,
+    lanes): derivatives with respect to the initial state and the parameters; `seen`: events on the way.
     """
 
     state: Array
@@ -87,12 +84,9 @@ def mapped(
 ) -> Mapped:
     """Return the images of states at the section under the return map, and their derivatives.
 
-    **Arguments:**
-
-    - `along`: names of the parameters with respect to which the map is differentiated.
-    - `p`: all parameters by name, each (lanes,).
-    - `state` (states, lanes): values of `scene.return_states`.
-    - `most_steps`: step limit; a lane that exceeds the limit counts as not returning to the section.
+    **Arguments:** `along`: names of parameters with respect to which the map is differentiated in addition to the
+    states; `p`: all parameters by name, each (lanes,); `state` (states, lanes): values of `scene.return_states`;
+    `most_steps`: step limit, above which a lane counts as not returning to the section.
     """
     rows = state.shape[0]
 
@@ -113,10 +107,7 @@ def mapped(
 
 
 def at_section(scene: Scene[Any], state: Array) -> Values:
-    """Return all states of the scene at the section, each (lanes,), from the return map's states (states, lanes).
-
-    States that do not belong to the return map are zero.
-    """
+    """Return all states at the section from those of the return map (states, lanes); the others are 0."""
     rows = dict(zip(scene.return_states, state, strict=True))
     zero = jnp.zeros_like(state[0])
     return tuple(rows.get(name, zero) for name in scene.state_names)
@@ -125,11 +116,9 @@ def at_section(scene: Scene[Any], state: Array) -> Values:
 def one_return(
     scene: Scene[Any], stepper: Stepper, c: Any, state: Array, accuracy: Accuracy, most_steps: Real = MOST_STEPS
 ) -> tuple[tuple[Array, Lanes], ReturnEvents]:
-    """Return ((image under the return map, time [s] until the image), events on the way).
+    """Return ((image under the return map, time [s] until the image), events on the way): pure, hence differentiable.
 
-    The function is pure, hence differentiable.
-
-    **Arguments:** `c`: the scene's constants, scaled for the motion; `state` (states, lanes): state at the section.
+    `c`: the scene's constants, scaled for the motion; `state` (states, lanes): state at the section.
     """
     section = scene.section
     margin = Margin(scene, section, c)
@@ -199,7 +188,6 @@ def _impacts(scene: Scene[Any], c: Any, step: Step) -> Lanes:
 
 
 MAX_SEGMENTS_PER_CALL = 512
-"""Largest number of segments per call of the map."""
 
 MIN_SEGMENTS_PER_THREAD = 64
 """Smallest number of segments per thread; with fewer, another thread costs more than it saves."""
@@ -210,11 +198,7 @@ periods by up to 3e-13 s."""
 
 
 class Segments:
-    """The return map of a scene and its derivative, in float64.
-
-    **Arguments:** `along`: names of parameters with respect to which the map is differentiated in addition to the
-    states; `steps`: accuracy of the steps; `most`: step limit, above which a lane counts as not returning.
-    """
+    """The return map of a scene and its derivative, in float64; `along`, `most`: see `mapped`."""
 
     def __init__(
         self, scene: Scene[Any], along: tuple[str, ...] = (), steps: Accuracy = STEPS, most: float = MOST_STEPS

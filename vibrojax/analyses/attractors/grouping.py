@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 from vibrojax.io.variables import NATURES, orbit_name
 from vibrojax.measures.labels import EQUILIBRIUM, FAILED, IRREGULAR, UNDECIDED
 from vibrojax.models.scenes import Scene
-from vibrojax.periodic.of_dataset import known_orbits
+from vibrojax.periodic.lane_orbits import known_orbits
 
 SAME_ORBIT_WITHIN = 1e-4
 """Scaled distance below which two orbits of a point are the same; Newton's method finds orbits to 1e-10."""

@@ -17,7 +17,7 @@ from vibrojax.analyses.sweep.workers.work import Work, quiet
 from vibrojax.progress import Progress
 from vibrojax.sweep.engine.batch import Batch, Features
 from vibrojax.sweep.engine.chunks import Chunks
-from vibrojax.sweep.engine.underway import looks
+from vibrojax.sweep.engine.underway import checkpoints
 from vibrojax.sweep.input.definition import Sweep
 
 BATCHES = 8
@@ -113,7 +113,7 @@ def _settle(chunks: Chunks, lanes: Index) -> Batch:
         in_chunk = lanes[(first <= lanes) & (lanes < end)] - first
         batches.append(chunks.engine.start(first, end, chunks.accuracy).of(in_chunk))
     batch = batches[0].joined(batches[1:])
-    for now in chain(*looks(chunks.sweep.run, chunks.ends_on_orbits)):
+    for now in chain(*checkpoints(chunks.sweep.run, chunks.ends is not None)):
         [batch] = chunks.engine.settle([batch], now)
     return batch
 

@@ -31,8 +31,8 @@ from vibrojax.analyses.attractors.long_run import (
     with_long_statistics,
 )
 from vibrojax.analyses.attractors.matching import PREDICTION_WITHIN, find_links, number_attractors
-from vibrojax.analyses.orbits.rerun import orbits as with_orbits
-from vibrojax.analyses.orbits.rerun import sweep_with_orbits
+from vibrojax.analyses.orbits.analysis import orbits as with_orbits
+from vibrojax.analyses.orbits.analysis import sweep_with_orbits
 from vibrojax.analyses.sweep.run import run_sweep
 from vibrojax.errors import InputError
 from vibrojax.io.kinds import OF_ATTRACTORS, dataset_attributes

@@ -9,8 +9,7 @@ import xarray as xr
 from vibrojax.analyses.analysis import PictureRule, Source, SummaryPart
 from vibrojax.analyses.borders.picture import border_curves
 from vibrojax.analyses.borders.run import borders_of, checked
-from vibrojax.analyses.orbits.analysis import SweepAnalysis
-from vibrojax.analyses.orbits.rerun import sweep_with_orbits
+from vibrojax.analyses.orbits.analysis import SweepAnalysis, sweep_with_orbits
 from vibrojax.io.attributes import flags
 from vibrojax.io.kinds import OF_BORDERS
 from vibrojax.sweep.input.definition import Sweep

@@ -20,14 +20,14 @@ from vibrojax.analyses.borders.propagation import (
     find_orbit,
     propagate,
 )
-from vibrojax.analyses.orbits.rerun import orbits as with_orbits
-from vibrojax.analyses.orbits.rerun import sweep_with_orbits
+from vibrojax.analyses.orbits.analysis import orbits as with_orbits
+from vibrojax.analyses.orbits.analysis import sweep_with_orbits
 from vibrojax.errors import InputError, shown
 from vibrojax.io.kinds import BORDER_KINDS, OF_BORDERS, dataset_attributes
 from vibrojax.measures.labels import SINGLE_IMPACT, UNDECIDED
 from vibrojax.models.physics.parameters import differing
 from vibrojax.models.scenes import HasContact
-from vibrojax.periodic.of_dataset import known_orbits
+from vibrojax.periodic.lane_orbits import known_orbits
 from vibrojax.sweep.input.definition import Sweep
 
 ANY_START = "any"

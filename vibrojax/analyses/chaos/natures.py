@@ -22,9 +22,9 @@ from vibrojax.io.variables import NATURES
 from vibrojax.measures.labels import IRREGULAR, UNDECIDED
 from vibrojax.models.scenes import Scene
 from vibrojax.periodic import Orbits
+from vibrojax.periodic.lane_orbits import last_returns, reason
 from vibrojax.periodic.nearby import MOST_STEPS, REACH
 from vibrojax.periodic.newton import ACCEPTED, orbits, repeats_after
-from vibrojax.periodic.of_lanes import last_returns, reason
 from vibrojax.periodic.return_map import STEPS, Segments
 from vibrojax.sweep.engine.batch import Features, Index
 from vibrojax.sweep.engine.labelled import regimes

@@ -20,8 +20,7 @@ from vibrojax.models.scenes import Scene
 from vibrojax.models.scenes.declared import Values
 from vibrojax.periodic.return_map import MOST_STEPS, at_section, passed
 from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Goal, Lane, Located, Step, Stepper, lane_at
-from vibrojax.sweep.engine.compiler import lane_function
-from vibrojax.sweep.engine.parallel import in_parallel
+from vibrojax.sweep.engine.compiler import in_parallel, lane_function
 
 TANGENT_ACCURACY = Accuracy(tolerance=1e-7, stride=LOCATED_STRIDE, step=np.inf)
 """Accuracy of the return map. Another tolerance changes a chaotic trajectory, but not its statistics."""

@@ -20,8 +20,8 @@ from vibrojax.measures.labels import REGIMES
 from vibrojax.measures.ledger import MOST_CYCLES
 from vibrojax.models.physics.parameters import ROTATION, Parameter, differing
 from vibrojax.models.scenes import HasContact, Scene
+from vibrojax.periodic.lane_orbits import known_orbits
 from vibrojax.periodic.margin import HOW
-from vibrojax.periodic.of_dataset import known_orbits
 from vibrojax.sweep.engine.labelled import measured_besides, of_orbits
 from vibrojax.sweep.input.definition import Sweep
 

@@ -18,7 +18,7 @@ from vibrojax.io.variables import ORBIT_REASONS, REASONS, VARIABLES, orbit_name
 from vibrojax.measures.labels import EQUILIBRIUM, IRREGULAR, REGIMES, UNDECIDED
 from vibrojax.models.physics.parameters import differing
 from vibrojax.models.scenes import Scene
-from vibrojax.periodic.of_dataset import KnownOrbits, known_orbits
+from vibrojax.periodic.lane_orbits import KnownOrbits, known_orbits
 from vibrojax.sweep.input.points import VECTOR
 from vibrojax.sweep.input.read import read_sweep
 

@@ -9,14 +9,15 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Bool
 
+from vibrojax.analyses.analysis import Analysis
+from vibrojax.analyses.sensitivity.tangents import NEARBY, REASONS, judged, measured_of, run_and_derive
 from vibrojax.errors import Place, shown, suggestion
 from vibrojax.io.kinds import dataset_attributes
 from vibrojax.io.variables import VARIABLES, Variable
 from vibrojax.measures import gauge_named
 from vibrojax.models.physics.parameters import positive
 from vibrojax.models.scenes import HasFriction, Scene
-from vibrojax.sweep.engine.tangents import NEARBY, REASONS, Times, judged, measured_of, run_and_derive
-from vibrojax.sweep.engine.validity import unresolved
+from vibrojax.sweep.engine.labelled import unresolved
 from vibrojax.sweep.input.read import Point, read_point
 from vibrojax.sweep.input.values import quantity
 
@@ -39,6 +40,12 @@ _TABLE = {
 }
 """Dimensions and meaning of the variables. An empty unit means that units differ along a dimension; coordinates hold
 these units."""
+
+
+class Derivatives(Analysis):
+    """Derivatives of the features of a lane with respect to the parameters of the scene."""
+
+    kind = "derivatives"
 
 
 def derivatives(
@@ -113,9 +120,8 @@ def derivatives(
         return default if value is None else quantity(place.at(name), value, positive(name, default, unit, name, name))
 
     driven = system.section is None
-    times = Times(
-        setting("settle", settle, 1.0 if driven else 40.0), setting("observe", observe, 1.0 if driven else 8.0)
-    )
+    settle = setting("settle", settle, 1.0 if driven else 40.0)
+    observe = setting("observe", observe, 1.0 if driven else 8.0)
     accepted = setting("error", error, 1e-3, "1")
     known = VARIABLES | {
         name: Variable(*about) for gauge in system.measures for name, about in gauge_named(gauge).variables.items()
@@ -132,11 +138,39 @@ def derivatives(
     # A parameter that is zero is changed relative to its default, or to 1 if the default is zero, too.
     scales = np.array([abs(system.parameters()[name].default) or 1.0 for name in wrt])
     move = NEARBY * np.where(value != 0, np.abs(value), scales)
-    features, tangents = run_and_derive(points, wrt, move, times, progress)
+    features, tangents = run_and_derive(points, wrt, move, settle, observe, progress)
     arrays = judged(features, tangents, variables, value, move, accepted) | {"value": value}
     arrays["reason"] = np.where(_is_refused(points)[:, None, None], REASONS.index("refused"), arrays["reason"])
     arrays["valid"] = arrays["reason"] == 0
-    return _dataset(points, columns, [known[name].units for name in variables], variables, wrt, arrays, times)
+    table, first = system.parameters(), points[0]
+    units, per = [known[name].units for name in variables], [table[name].unit for name in wrt]
+    data = {}
+    for name, (dims, about) in _TABLE.items():
+        entries = {key: text for key, text in about.attributes().items() if key != "units" or about.units}
+        data[name] = (dims, np.asarray(arrays[name], about.dtype), entries)
+    quotients = [[f"{unit} ({other})-1" if other != "1" else unit for other in per] for unit in units]
+    coordinates: dict[str, tuple[Any, ...]] = {
+        "variable": ("variable", variables, {"long_name": "differentiated variable"}),
+        "parameter": ("parameter", wrt, {"long_name": "parameter of the derivative"}),
+        "unit": ("variable", units, {"long_name": "unit of the variable"}),
+        "parameter_unit": ("parameter", per, {"long_name": "unit of the parameter"}),
+        "derivative_unit": (("variable", "parameter"), quotients, {"long_name": "unit of the derivative"}),
+    }
+    for name, column in columns.items():
+        meaning = {"units": table[name].unit, "long_name": table[name].long_name} if name in table else {}
+        coordinates[name] = ("point", column, meaning)
+    title = f"Derivatives of {', '.join(variables)} in {first.scene}"
+    fixed = {name: x for name, x in first.parameters.items() if all(p.parameters[name] == x for p in points)}
+    attributes = {
+        **dataset_attributes("derivatives", title, "derivatives", scene=first.scene),
+        **first.options,
+        **({} if first.start is None else {"start": json.dumps(first.start)}),
+        "parameters": json.dumps(fixed),
+        "settle": settle,
+        "observe": observe,
+    }
+    dataset = xr.Dataset(data, coordinates, attributes)
+    return dataset if columns else dataset.squeeze("point")
 
 
 def _read_points(
@@ -178,48 +212,3 @@ def _is_refused(points: Sequence[Point]) -> Bool[np.ndarray, " points"]:
     unfit = scene.refused(p)
     refused = np.zeros(len(points), bool) if unfit is None else np.zeros(len(points), bool) | np.asarray(unfit[1])
     return refused | unresolved(scene, p, "float64") if isinstance(scene, HasFriction) else refused
-
-
-def _dataset(
-    points: Sequence[Point],
-    columns: Mapping[str, list[object]],
-    units: Sequence[str],
-    variables: Sequence[str],
-    wrt: Sequence[str],
-    arrays: Mapping[str, Any],
-    times: Times,
-) -> xr.Dataset:
-    table, first = points[0].system.parameters(), points[0]
-    per = [table[name].unit for name in wrt]
-    data = {
-        name: (
-            dims,
-            np.asarray(arrays[name], about.dtype),
-            {key: text for key, text in about.attributes().items() if key != "units" or about.units},
-        )
-        for name, (dims, about) in _TABLE.items()
-    }
-    quotients = [[f"{unit} ({other})-1" if other != "1" else unit for other in per] for unit in units]
-    coordinates = {
-        "variable": ("variable", list(variables), {"long_name": "differentiated variable"}),
-        "parameter": ("parameter", list(wrt), {"long_name": "parameter of the derivative"}),
-        "unit": ("variable", list(units), {"long_name": "unit of the variable"}),
-        "parameter_unit": ("parameter", per, {"long_name": "unit of the parameter"}),
-        "derivative_unit": (("variable", "parameter"), quotients, {"long_name": "unit of the derivative"}),
-    }
-    for name, column in columns.items():
-        about = {"units": table[name].unit, "long_name": table[name].long_name} if name in table else {}
-        coordinates[name] = ("point", column, about)
-    fixed = {name: x for name, x in first.parameters.items() if all(p.parameters[name] == x for p in points)}
-    attributes = {
-        **dataset_attributes(
-            "derivatives", f"Derivatives of {', '.join(variables)} in {first.scene}", "derivatives", scene=first.scene
-        ),
-        **first.options,
-        **({} if first.start is None else {"start": json.dumps(first.start)}),
-        "parameters": json.dumps(fixed),
-        "settle": times.settle,
-        "observe": times.observe,
-    }
-    dataset = xr.Dataset(data, coordinates, attributes)
-    return dataset if columns else dataset.squeeze("point")

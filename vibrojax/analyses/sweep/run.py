@@ -30,7 +30,7 @@ from vibrojax.io.targets import InMemory, file_target
 from vibrojax.progress import Progress, timed
 from vibrojax.sweep.engine.batch import Features
 from vibrojax.sweep.engine.chunks import Chunks
-from vibrojax.sweep.engine.costs import Cost, by_the_clock, check_size, lane_bytes, packed_share, processor_time
+from vibrojax.sweep.engine.costs import PACKED, Cost, check_size, lane_bytes, processor_time
 from vibrojax.sweep.input.definition import Sweep
 from vibrojax.sweep.input.read import read_sweep
 
@@ -247,12 +247,12 @@ def estimate(sweep: Sweep, to_file: bool = False, processes: int = 0, measured: 
     """
     chunks = Work(sweep).chunks
     in_chunk, in_file = map(float, lane_bytes(sweep))
-    packed = packed_share(sweep) if sweep.lanes > COMPRESSED else 1.0
+    packed = PACKED if sweep.lanes > COMPRESSED else 1.0
     processor, cores = processor_time(chunks), processes or len(chunks.engine.workers)
     if measured is not None:
         in_chunk, in_file, packed = measured.chunk_bytes, measured.file_bytes, measured.packed
         processor = processor._replace(compile=measured.compile_s, step=measured.lane_s * sweep.lanes)
-    elapsed = by_the_clock(processor, cores)
+    elapsed = processor._replace(step=processor.step / cores)
     before = elapsed.start + elapsed.compile
     # The time loop holds some 500 numbers per lane. The array regions of `join` hold features, variables, and
     # variables being written.

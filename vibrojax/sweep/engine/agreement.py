@@ -34,12 +34,9 @@ COMPARED_LANES = 8
 COMPARED_STEPS = LANES // COMPARED_LANES
 """Number of compared steps of each lane: two to three periods of the motion of a drill."""
 
-PARAMETER_SPREAD = 0.02
-"""Relative increment of each parameter between neighbouring default lanes, so that no two lanes are equal."""
-
 
 class LaneProgress(NamedTuple):
-    """Lanes between two steps, with the recorder's values: `settling` while they settle, `observed` while observed."""
+    """Lanes between two steps, with the recorder's values while they settle and while they are observed."""
 
     lane: Lane
     settling: Any
@@ -49,12 +46,10 @@ class LaneProgress(NamedTuple):
 class ComparedStep(NamedTuple):
     """Quantities of one step. Causes come before effects, so that the first difference causes the others.
 
-    - `constants`: constants of the scene.
     - `guards`: value of each guard function before the step.
     - `jumps`: mode and state that each event would give, had it occurred before the step.
     - `derivative`: directional derivative of the state after the step with respect to state and parameters before it.
     - `way`: the lanes after the step.
-    - `features`: features that the recorder returns.
     """
 
     constants: Any
@@ -104,14 +99,10 @@ def step(kind: Kind, derives: bool, given: Given, way: LaneProgress, accuracy: A
 
 
 class Comparison:
-    """Comparison of the first steps of a scene, computed by a kernel and by XLA.
+    """Comparison of the first steps of the first lanes in `given`, computed by a kernel and by XLA.
 
-    **Arguments:**
-
-    - `given`: parameters and initial conditions of lanes, the first of which are compared.
-    - `derives`: whether the derivative of each step is compared too.
-
-    **Raises:** `Untranslatable` if no kernel can be made.
+    `derives`: whether the derivative of each step is compared too. **Raises:** `Untranslatable` if no kernel can be
+    made.
     """
 
     def __init__(self, kind: Kind, given: Given, derives: bool) -> None:
@@ -142,14 +133,13 @@ class Comparison:
 
 def scene_subject(static: tuple[Hashable, ...], arguments: tuple[Any, ...], derives: bool) -> Subject | None:
     """Return the scene of a call as subject of a comparison, or None if no static argument is a scene or a `Kind`."""
-    flat = [x for item in static for x in (item if isinstance(item, Kind) else (item,))]
-    kind = next((item for item in static if isinstance(item, Kind)), None)
-    scene = next((x for x in flat if isinstance(x, Scene)), None)
+    kind = next((x for x in static if isinstance(x, Kind)), None)
     if kind is None:
+        scene = next((x for x in static if isinstance(x, Scene)), None)
         if scene is None:
             return None
-        stepper = next((x for x in flat if isinstance(x, Stepper)), Located())
-        kind = Kind(scene, stepper, _recorder(scene), scene.starts)
+        stepper = next((x for x in static if isinstance(x, Stepper)), Located())
+        kind = Kind(scene, stepper, recorder_of(scene), scene.starts)
     return Subject(
         owner=kind.scene,
         label=f'scene "{kind.scene.name}"',
@@ -160,8 +150,8 @@ def scene_subject(static: tuple[Hashable, ...], arguments: tuple[Any, ...], deri
 
 
 @lru_cache
-def _recorder(scene: Scene[Any]) -> Any:
-    """Return the recorder of a scene, or None if the scene has no quantities to measure."""
+def recorder_of(scene: Scene[Any]) -> Any:
+    """Return the recorder of a scene, or None if the scene has nothing to measure or its declarations are invalid."""
     try:
         return recorder_for(scene)
     except InputError:
@@ -169,10 +159,10 @@ def _recorder(scene: Scene[Any]) -> Any:
 
 
 def lanes_of(kind: Kind, arguments: tuple[Any, ...]) -> Given:
-    """Return lanes on which to compare a call.
+    """Return lanes on which to compare a call: those among its arguments.
 
-    These are the lanes among its arguments. If there are none, they have the parameters among the arguments, or else
-    values near the defaults, and the scene's initial conditions in turn.
+    If there are none, the lanes have the parameters among the arguments, or else values near the defaults, and the
+    scene's initial conditions in turn.
     """
     given = next((x for x in arguments if isinstance(x, Given)), None)
     if given is not None:
@@ -181,7 +171,8 @@ def lanes_of(kind: Kind, arguments: tuple[Any, ...]) -> Given:
     parameters = kind.scene.parameters()
     known = next((x for x in arguments if isinstance(x, Mapping) and set(parameters) <= set(x)), None)
     if known is None:
-        values = {name: x.default * (1 + PARAMETER_SPREAD * lanes) for name, x in parameters.items()}
+        # No two lanes are equal.
+        values = {name: x.default * (1 + 0.02 * lanes) for name, x in parameters.items()}
     else:
         values = {name: np.resize(np.asarray(known[name]), COMPARED_LANES) for name in parameters}
     starts = lanes % max(len(kind.starts), 1)

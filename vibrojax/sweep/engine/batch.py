@@ -13,7 +13,7 @@ from typing import Any
 
 import jax
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from vibrojax.compile import Untranslatable
 from vibrojax.compile.xla import precision
@@ -21,9 +21,16 @@ from vibrojax.measures.recorder import Effort, Records, Underway
 from vibrojax.models.arrays import Array
 from vibrojax.models.scenes.declared import Values
 from vibrojax.stepping import Accuracy, Stepper
-from vibrojax.sweep.engine.compiler import ByLlvm, ByXla, Programs
-from vibrojax.sweep.engine.parallel import in_parallel
-from vibrojax.sweep.engine.programs import CARRIED, Given, Kind
+from vibrojax.sweep.engine.compiler import ByLlvm, ByXla, Programs, in_parallel
+from vibrojax.sweep.engine.programs import (
+    CARRIED,
+    Given,
+    Kind,
+    lanes_on_orbit,
+    observe_lanes,
+    settle_lanes,
+    start_lanes,
+)
 from vibrojax.sweep.input.definition import Sweep
 
 LANE_MAX_STEPS, LANE_MAX_RATE = 1e6, 1e3
@@ -48,14 +55,14 @@ def unreported(lanes: int) -> None:
 class Batch:
     """Lanes between two calls of compiled programs, as NumPy arrays whose last axis is the lane axis.
 
-    - `accuracy`: accuracy of the time steps, the same for all lanes.
-    - `given`: parameters and initial condition of each lane.
+    - `accuracy`: accuracy of the time steps, the same for all lanes; `lanes`: index of each lane in its chunk.
     - `begin`, `duration`: beginning and length of each lane's observation [s].
     - `underway`: state of the lanes, values of their recorder, and number of steps so far; None before initialization.
     - `recent`: number of steps in the last call of a program.
     """
 
     accuracy: Accuracy
+    lanes: Index
     given: Given
     begin: PerLane
     duration: PerLane
@@ -65,6 +72,10 @@ class Batch:
     def of(self, lanes: Index) -> "Batch":
         """Return a subset of the lanes, by index."""
         return Batch(self.accuracy, **jax.tree.map(lambda x: np.take(x, lanes, axis=-1), self._arrays()))
+
+    def split(self, mask: Bool[np.ndarray, " lanes"]) -> "tuple[Batch, Batch]":
+        """Return the lanes in the mask, and the other lanes."""
+        return self.of(np.flatnonzero(mask)), self.of(np.flatnonzero(~mask))
 
     def observed(self, begin: float, duration: PerLane) -> "Batch":
         """Return the lanes with observations that begin at `begin` [s] and last `duration` [s]."""
@@ -82,7 +93,7 @@ class Batch:
 def steps_at_most(seconds: float, accuracy: Accuracy, fixed: float = LANE_MAX_STEPS) -> float:
     """Return the number of steps after which a lane with `seconds` of simulated time is abandoned.
 
-    It is the sum of a `fixed` number, a number per simulated second, and twice the number of steps of maximum length.
+    To `fixed` add a number per simulated second, and twice the number of steps of maximum length.
     """
     return fixed + seconds * (LANE_MAX_RATE + 2 / accuracy.step)
 
@@ -114,30 +125,24 @@ class Engine:
         run = self.sweep.run
         if run.carry is not None:
             given = given._replace(carried=tuple(zeros for _ in self.sweep.system.states))
-        return self.begun(Batch(accuracy, given, zeros + run.settle, zeros + run.observe, None, steps))
+        return self.begun(
+            Batch(accuracy, np.arange(end - first), given, zeros + run.settle, zeros + run.observe, None, steps)
+        )
 
     def carried(self, batch: Batch, state: Values) -> Batch:
-        """Return the lanes at t = 0 in the final states of other lanes. `state`: array (lanes,) of each state."""
+        """Return the lanes at t = 0 in the final states of other lanes."""
         start = np.full_like(batch.given.start, CARRIED)
         return self.begun(replace(batch, given=batch.given._replace(start=start, carried=state)))
 
     def begun(self, batch: Batch) -> Batch:
         """Return the lanes at t = 0, in their initial states."""
-        lane, carry = self._run([batch], lambda block: self.programs.start(block.given))[0]
+        lane, carry = self._run([batch], lambda block: self.programs.run(start_lanes, block.given))[0]
         return replace(batch, underway=Underway(lane, carry, np.zeros_like(batch.recent)))
 
     def on_orbit(self, batch: Batch, state: Values, states: Array, times: Array, period: PerLane) -> Batch:
-        """Return the lanes at t = 0 at the intersection of a periodic orbit with the section.
-
-        **Arguments:**
-
-        - `state`: array (lanes,) of each state at the section.
-        - `states`, `times`: states (8, states, lanes) and times (8, lanes) [s] of the last section crossings, see
-          [vibrojax.measures.section.on_orbit][]. Pulses do not need them.
-        - `period`: time (lanes,) between section crossings [s].
-        """
+        """Return the lanes at t = 0 at the intersection of a periodic orbit with the section, see `lanes_on_orbit`."""
         lane, carry = self._call(
-            self.workers[0], lambda: self.programs.on_orbit(batch.given, state, states, times, period)
+            self.workers[0], lambda: self.programs.run(lanes_on_orbit, batch.given, state, states, times, period)
         )
         return replace(batch, underway=Underway(lane, carry, np.zeros(len(batch.begin), np.int32)))
 
@@ -150,7 +155,7 @@ class Engine:
         def program(block: Batch) -> Underway:
             assert block.underway is not None
             goal = np.minimum(block.begin, until).astype(self._dtype)
-            return self.programs.settle(block.given, block.underway, goal, self._effort(block.accuracy))
+            return self.programs.run(settle_lanes, block.given, block.underway, goal, self._effort(block.accuracy))
 
         settled = []
         for batch, underway in zip(batches, self._run(batches, program, report), strict=True):
@@ -167,7 +172,7 @@ class Engine:
         def program(block: Batch) -> Any:
             assert block.underway is not None
             effort = self._effort(block.accuracy)
-            return self.programs.observe(block.given, block.underway, block.begin, block.duration, effort)
+            return self.programs.run(observe_lanes, block.given, block.underway, block.begin, block.duration, effort)
 
         return [
             {name: np.moveaxis(x, -1, 0) for name, x in features.items()}
@@ -206,7 +211,7 @@ class Engine:
 
     def _run(self, batches: list[Batch], program: Callable[[Batch], Any], report: Report = unreported) -> list[Any]:
         """Return the result of `program` for the lanes of each batch. Each call takes a few blocks of lanes."""
-        items = [(number, lanes) for number, batch in enumerate(batches) for lanes in self._hands(batch.recent)]
+        items = [(number, lanes) for number, batch in enumerate(batches) for lanes in self._calls(batch.recent)]
 
         def work(worker: jax.Device, item: tuple[int, Index]) -> Any:
             number, lanes = item
@@ -233,16 +238,16 @@ class Engine:
                 self.programs.check_arithmetic(self._dtype)
                 return call()
 
-    def _hands(self, recent: Int[np.ndarray, " lanes"]) -> list[Index]:
-        """Split the lanes into blocks, and distribute the blocks over hands: the lanes of one program call.
+    def _calls(self, recent: Int[np.ndarray, " lanes"]) -> list[Index]:
+        """Split the lanes into blocks, and return the lanes of each program call: some blocks.
 
         The lanes of a block wait for the slowest of them. So a block holds lanes of similar pace, which is estimated
-        from their steps in the last call (`recent`). Every hand has slow and fast blocks, so that all hands take about
+        from their steps in the last call (`recent`). Every call has slow and fast blocks, so that all calls take about
         the same time.
         """
         by_pace = np.argsort(-recent, kind="stable")
         block = self.programs.block
         blocks = np.split(by_pace, range(block, len(by_pace), block))
-        hands = max(-(-len(by_pace) // self.programs.hand), min(len(self.workers), len(blocks)))
-        # Only the last block may be incomplete, and it is the last block of its hand.
-        return [np.concatenate(blocks[hand::hands]) for hand in range(hands)]
+        calls = max(-(-len(by_pace) // self.programs.lanes_per_call), min(len(self.workers), len(blocks)))
+        # Only the last block may be incomplete, and it is the last block of its call.
+        return [np.concatenate(blocks[call::calls]) for call in range(calls)]

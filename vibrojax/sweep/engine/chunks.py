@@ -1,7 +1,7 @@
 """Chunks of equally many lanes, whose size bounds the memory, and lanes that carry on from their neighbours."""
 
 from collections.abc import Callable
-from functools import reduce
+from functools import partial, reduce
 from itertools import chain
 
 import numpy as np
@@ -16,7 +16,15 @@ from vibrojax.stepping import Accuracy
 from vibrojax.sweep.engine.batch import Batch, Engine, Features, Report, unreported
 from vibrojax.sweep.engine.drift import drift, sensitive
 from vibrojax.sweep.engine.programs import END
-from vibrojax.sweep.engine.underway import OBSERVING, SETTLED, EarlyStopping, Ended, ReadyLanes, looks, run_together
+from vibrojax.sweep.engine.underway import (
+    OBSERVING,
+    SETTLED,
+    EarlyStopping,
+    Ended,
+    ReadyLanes,
+    checkpoints,
+    run_together,
+)
 from vibrojax.sweep.input.definition import DIRECTIONS, Sweep
 
 CHUNK = 2048
@@ -37,13 +45,12 @@ PostProcessor = Callable[[int, int, Features], Features]
 class Chunks:
     """Chunks of a sweep, each of which is computed by all workers.
 
-    - `beyond`: function that adds features to observed lanes.
-    - `ends`: search for lanes on known orbits, which can stop early.
-    - `ends_on_orbits`: True if there is such a search.
+    `beyond`: function that adds features to observed lanes; `ends`: search for lanes on known orbits, which can stop
+    early.
     """
 
     def __init__(self, sweep: Sweep, beyond: PostProcessor | None = None, ends: EarlyStopping | None = None) -> None:
-        self.sweep, self._beyond, self._ends, self.ends_on_orbits = sweep, beyond, ends, ends is not None
+        self.sweep, self._beyond, self.ends = sweep, beyond, ends
         self.stepper = sweep.run.stepper
         self.accuracy = sweep.run.accuracy(sweep.system)
         recorder = recorder_for(sweep.system, sweep.run.keep_returns)
@@ -64,7 +71,7 @@ class Chunks:
     def compute(self, index: int, report: Report = unreported) -> Features:
         """Return the features of a chunk's lanes by name: (lanes,), or (lanes, returns) for stored section crossings.
 
-        `report` is called during the computation with the number of lanes finished since its last call.
+        `report` is called with the number of lanes finished since its last call.
         """
         first, end = self.lanes(index)
         portions = Portions(end - first, report)
@@ -77,28 +84,22 @@ class Chunks:
         """Step lanes from t = 0 and return their features with error estimates."""
         run, coarse = self.sweep.run, self.stepper.coarser(self.accuracy)
         tolerance = self.accuracy.tolerance or SETTLED * run.error
-
-        def report(seconds: float) -> Report:
-            return _portion(portions, self._share(seconds))
-
-        items = list(run_together(self.engine, batch, coarse, tolerance, self.ends_early, self._ends, report))
+        report = partial(self._reporter, portions)
+        items = list(run_together(self.engine, batch, coarse, tolerance, self.ends_early, self.ends, report))
         parts = [item for item in items if isinstance(item, ReadyLanes)]
         ended = [item for item in items if isinstance(item, Ended)]
         observed = self._observed([part.fine for part in parts] + [part.check for part in parts], portions)
         features = [item.features for item in ended]
         if parts:
             features.insert(0, self._certified(joined(observed[: len(parts)]), joined(observed[len(parts) :])))
-        order = np.argsort(np.concatenate([part.lanes for part in parts] + [item.lanes for item in ended]))
+        order = np.argsort(np.concatenate([part.fine.lanes for part in parts] + [item.lanes for item in ended]))
         whole = {name: x[order] for name, x in joined(features).items()}
         if "cycles" in whole:
             whole["sensitive"] = sensitive(self.engine, batch, whole)
         return whole
 
     def finished(self, index: int, features: Features) -> Features:
-        """Return the features of a chunk's lanes to be stored, including the features of `beyond`.
-
-        Of the section crossings, only the requested number is stored.
-        """
+        """Return the features to be stored, with those of `beyond`, and only the requested crossings."""
         first, end = self.lanes(index)
         kept = self.sweep.run.keep_returns
         stored = {name: x[:, x.shape[1] - kept :] if x.ndim == 2 else x for name, x in features.items()}
@@ -106,12 +107,9 @@ class Chunks:
         return stored | (self._beyond(first, end, features) if self._beyond is not None else {})
 
     def at(self, accuracy: Accuracy, index: int = 0) -> Features:
-        """Return the features (lanes,) of a chunk's lanes at another `accuracy`.
-
-        There is no check run and no early stopping.
-        """
+        """Return the features of a chunk at another `accuracy`, without check run and early stopping."""
         batches = [self.engine.start(*self.lanes(index), accuracy)]
-        for now in chain(*looks(self.sweep.run)):
+        for now in chain(*checkpoints(self.sweep.run)):
             batches = self.engine.settle(batches, now)
         return self._observed(batches, Portions(self.width(index), unreported))[0]
 
@@ -132,17 +130,19 @@ class Chunks:
         run, scene = self.sweep.run, self.sweep.system
         return run.end_early and not run.keep_returns and scene.autonomous and not self.engine.accelerated
 
-    def _share(self, settling: float, observing: float = 0.0) -> float:
-        """Return these settling and observation times [s] as a fraction of a lane's total work, check run included."""
+    def _reporter(self, portions: Portions, settling: float, observing: float = 0.0) -> Report:
+        """Return a callback that reports the work of lanes for these settling and observation times [s]."""
         run = self.sweep.run
-        return (settling + OBSERVING * observing) / (1.5 * (run.settle + OBSERVING * run.observe))
+        # As a fraction of a lane's total work, check run included.
+        each = (settling + OBSERVING * observing) / (1.5 * (run.settle + OBSERVING * run.observe))
+        return lambda lanes: portions.add(lanes * each)
 
     def _observed(self, batches: list[Batch], portions: Portions) -> list[Features]:
         """Settle the lanes to the beginning of their observation, observe them, and return their features."""
-        run, rounds = self.sweep.run, looks(self.sweep.run)
-        settling = self._share(run.settle - (rounds[-1][-1] if rounds else 0.0))
-        batches = self.engine.settle(batches, report=_portion(portions, settling))
-        return self.engine.observe(batches, _portion(portions, self._share(0.0, run.observe)))
+        run, rounds = self.sweep.run, checkpoints(self.sweep.run)
+        settling = run.settle - (rounds[-1][-1] if rounds else 0.0)
+        batches = self.engine.settle(batches, report=self._reporter(portions, settling))
+        return self.engine.observe(batches, self._reporter(portions, 0.0, run.observe))
 
     def _certified(self, fine: Features, check: Features) -> Features:
         """Return the features of observed lanes, with drift and error estimates."""
@@ -165,14 +165,10 @@ def certified(fine: Features, check: Features, share: float, least: float) -> Fe
 def error_estimate(fine: Features, coarse: Features, share: float, least: float) -> Float[np.ndarray, " lanes"]:
     """Return the estimated relative error of period and impact velocity, whichever is larger.
 
-    It is the error of the limits that the lane approaches, the sum of three parts:
-
-    - the fraction `share` of the difference between the two runs
-    - `least`, in case this difference is small by chance
-    - a multiple of the remaining distance from the limit, `drift_estimate`
-
-    It is NaN if a lane is not periodic. It is infinite if the number of section crossings or impacts per period differs
-    between the runs, or if the drift is unbounded.
+    It is the error of the limits that the lane approaches, the sum of three parts: the fraction `share` of the
+    difference between the two runs; `least`, in case this difference is small by chance; and a multiple of the
+    remaining distance from the limit, `drift_estimate`. It is NaN if a lane is not periodic. It is infinite if the
+    number of section crossings or impacts per period differs between the runs, or if the drift is unbounded.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         if "cycles" not in fine:  # penetration
@@ -190,11 +186,6 @@ def error_estimate(fine: Features, coarse: Features, share: float, least: float)
 def joined(parts: list[Features]) -> Features:
     """Return the concatenated features of all parts."""
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-
-
-def _portion(portions: Portions, each: float) -> Report:
-    """Return a callback that adds the fraction `each` of a lane's work for every reported lane."""
-    return lambda lanes: portions.add(lanes * each)
 
 
 CARRIED_MIN_ROWS = 64

@@ -43,26 +43,14 @@ Series = Float[np.ndarray, "lanes _"]
 States = Float[np.ndarray, "lanes _ states"]
 Features = dict[str, np.ndarray]
 SumsAndMean = tuple[Series, Series | None, PerLane]
-
-
-class LastReturns(NamedTuple):
-    """Consecutive section crossings of lanes with the same number of crossings per period, the newest first.
-
-    - `states`: states at the section, divided by their scales.
-    - `measured`: sums of which period and, if there are impacts, impact velocity are means. Each tuple holds
-      three items: the sum since the previous crossing (of time [s] or of velocities [m/s]), the number of its terms
-      (None for one term), and the lane's mean.
-    """
-
-    states: States
-    measured: list[SumsAndMean]
+"""Sums of which period or impact velocity is the mean: the sum since the previous crossing (of time [s] or of
+velocities [m/s]), the number of its terms (None for one term), and the lane's mean."""
 
 
 class Recurrence(NamedTuple):
-    """Fitted recurrence d_k = sum_j c_j d_{k-jp} of the differences between section crossings that are p apart.
+    """Fitted recurrence of differences with coefficients c_j, and its relative `residual`.
 
-    - `coefficients`: the c_j; `residual`: relative residual of the fit.
-    - `radius`: largest modulus of the roots of the recurrence's characteristic polynomial, which estimate multipliers.
+    `radius`: largest modulus of the roots of its characteristic polynomial, which estimate multipliers.
     """
 
     coefficients: Float[np.ndarray, "lanes order"]
@@ -76,13 +64,8 @@ def drift(features: Features, section: Section, precision: str, tolerance: float
     It is NaN for a lane that is not periodic. It is infinite if the section crossings move away from the orbit,
     approach an orbit with a shorter period, or determine neither.
 
-    **Arguments:**
-
-    - `features`: features of [vibrojax.measures][], arrays (lanes,), among them the last section crossings, arrays
-      (lanes, returns) with the newest last.
-    - `section`: section of the scene. Its states at the crossings are compared.
-    - `precision`: precision of the features, "float64" or "float32".
-    - `tolerance`: relative error tolerance of the steps.
+    **Arguments:** `features`: (lanes,), and (lanes, returns) for the last section crossings, the newest last;
+    `precision`: that of the features, "float64" or "float32"; `tolerance`: relative error tolerance of the steps.
     """
     cycles = np.nan_to_num(features["cycles"]).astype(int)
     count = np.sum(np.isfinite(features[TIME]), axis=1)
@@ -92,12 +75,14 @@ def drift(features: Features, section: Section, precision: str, tolerance: float
     for repeat, returns in sorted({(int(p), int(n)) for p, n in zip(cycles, count, strict=True) if p > 0}):
         lanes = np.flatnonzero((cycles == repeat) & (count == returns))
         with np.errstate(all="ignore"):
-            last = _last_returns({name: x[lanes] for name, x in features.items()}, section, returns)
-            distance[lanes] = _drift(last, repeat, noise, resolved)
+            states, measured = _last_returns({name: x[lanes] for name, x in features.items()}, section, returns)
+            distance[lanes] = _drift(states, measured, repeat, noise, resolved)
     return distance
 
 
-def _last_returns(features: Features, section: Section, count: int) -> LastReturns:
+def _last_returns(features: Features, section: Section, count: int) -> tuple[States, list[SumsAndMean]]:
+    """Return the scaled states at consecutive section crossings, newest first, and the sums between them."""
+
     def newest_first(name: str) -> Series:
         return features[name][:, ::-1][:, :count].astype(float)
 
@@ -109,25 +94,25 @@ def _last_returns(features: Features, section: Section, count: int) -> LastRetur
         impacts = newest_first("return_impacts")
         velocity = np.where(impacts > 0, impacts * newest_first("return_impact_velocity"), 0.0)
         measured.append((velocity, impacts, features["impact_velocity"]))
-    return LastReturns(states / scale[:, None], measured)
+    return states / scale[:, None], measured
 
 
-def _drift(returns: LastReturns, repeat: int, noise: float, resolved: float) -> PerLane:
+def _drift(states: States, measured: list[SumsAndMean], repeat: int, noise: float, resolved: float) -> PerLane:
     """Return the distance of lanes with the same number `repeat` of section crossings per period.
 
     `noise`: relative rounding error of a crossing. `resolved`: smallest difference that determines multipliers.
     """
-    differences = _differences(returns.states, repeat)
+    differences = states[:, :-repeat] - states[:, repeat:]
     fits = _fits(differences, repeat, noise)
     if not fits:
         return np.full(len(differences), np.inf)
     # If the limits of two orders differ, neither is reliable: the distance between them is added.
     distances = []
-    for total, count, mean in returns.measured:
+    for total, count, mean in measured:
         values = _means(total, count, repeat)
         limits = [values[:, 0] + _future_sum(values, repeat, fit) for fit in fits]
         distances.append((np.abs(limits[-1] - mean) + np.abs(limits[-1] - limits[0])) / np.abs(mean))
-    for state in np.moveaxis(returns.states, -1, 0):
+    for state in np.moveaxis(states, -1, 0):
         changes = [_future_sum(state, repeat, fit) for fit in fits]
         distances.append(np.abs(changes[-1]) + np.abs(changes[-1] - changes[0]))
     third = max(differences.shape[1] // 3, 1)
@@ -137,7 +122,7 @@ def _drift(returns: LastReturns, repeat: int, noise: float, resolved: float) -> 
     unknown = _is_resolved(differences, resolved) & (leaves | (fits[-1].residual > FITS))
     # A slow spiral towards an orbit with a shorter period seems periodic after each revolution.
     for shorter in (p for p in range(1, repeat) if repeat % p == 0):
-        differences = _differences(returns.states, shorter)
+        differences = states[:, :-shorter] - states[:, shorter:]
         fit = _fits(differences, shorter, noise)[-1]
         unknown |= _is_resolved(differences, resolved) & (fit.residual < FITS_CLOSELY) & (fit.radius < DECAYS)
     return np.where(unknown, np.inf, reduce(np.fmax, distances))
@@ -151,10 +136,6 @@ def _fits(differences: States, lag: int, noise: float) -> list[Recurrence]:
     """Return two fitted recurrences: of the highest order that has enough differences, and of the order below."""
     highest = min(RECURRENCE_MAX_ORDER, (differences.shape[1] - 1) // lag)
     return [_recurrence(differences, lag, order, noise) for order in range(max(highest - 1, 1), highest + 1)]
-
-
-def _differences(values: States, lag: int) -> States:
-    return values[:, :-lag] - values[:, lag:]
 
 
 def _means(total: Series, count: Series | None, repeat: int) -> Series:
@@ -213,7 +194,7 @@ as long as everything else."""
 def sensitive(engine: Engine, start: Batch, features: Features) -> Int[np.ndarray, " lanes"]:
     """Return 1 for each lane whose attractor is determined by rounding error, else 0.
 
-    **Arguments:** `start`: the lanes at t = 0. `features`: features of the lanes and of their check run.
+    `start`: the lanes at t = 0; `features`: features of the lanes and of their check run.
     """
     period, cycles, settled = (np.asarray(features[name], float) for name in ("period", "cycles", "settling_time"))
     flags = ((cycles == 0) & (features["check_cycles"] > 0)).astype(int)

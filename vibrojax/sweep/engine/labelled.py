@@ -1,12 +1,15 @@
-"""Variables with labels (regimes), coordinates and attributes of a sweep's dataset, from the features of its lanes."""
+"""Variables with labels (regimes), coordinates and attributes of a sweep's dataset, from the features of its lanes.
+
+Lanes that are too stiff or too slow for the steps or the precision to give a meaningful regime are rejected.
+"""
 
 import json
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Int8, Shaped
+from jaxtyping import Bool, Int8, Shaped
 
 from vibrojax.compile.xla import precision
 from vibrojax.io.kinds import dataset_attributes
@@ -16,28 +19,18 @@ from vibrojax.measures import gauge_named
 from vibrojax.measures.labels import LABELLED_BY, hides_another, label
 from vibrojax.models.arrays import Array
 from vibrojax.models.physics.parameters import ROTATION, differing
-from vibrojax.models.scenes import HasFriction, Scene
+from vibrojax.models.scenes import HasContact, HasFriction, Scene
 from vibrojax.sweep.engine.compiler import lane_function
-from vibrojax.sweep.engine.validity import TOO_SLOW, TOO_STIFF, too_slow, too_stiff
 from vibrojax.sweep.input.definition import DIRECTIONS, Sweep
 from vibrojax.sweep.input.points import VECTOR
-
-_ROWS = {
-    "return_index": "number of the return that is kept, the newest last",
-    "multiplier": "number of the multiplier, by falling modulus",
-}
-"""Meanings of the dimensions that are added to the sweep's own."""
 
 
 def labelled(sweep: Sweep, first: int, end: int, features: dict, whole: bool = True) -> dict[str, np.ndarray]:
     """Return the stored variables of the lanes from `first` (inclusive) to `end` (exclusive), in dataset order.
 
-    **Arguments:**
-
-    - `features`: features by name, (lanes,), or (lanes, rows) for stored section crossings. The variables have the same
-      shapes.
-    - `whole`: True if the lanes include all initial conditions of each point. Otherwise `hidden_motion`, which compares
-      initial conditions, is omitted.
+    `features`: (lanes,), or (lanes, rows) for stored section crossings; the variables have the same shapes. `whole`:
+    True if the lanes include all initial conditions of each point; otherwise `hidden_motion`, which compares them, is
+    omitted.
     """
     features = _finished(sweep, first, end, features)
     if whole and sweep.crosses_starts and sweep.starts is not None and len(sweep.starts) > 1 and "regime" in features:
@@ -82,9 +75,9 @@ def _finished(sweep: Sweep, first: int, end: int, features: dict) -> dict:
     """Return the features with regime, status and reason, and with NaN in lanes that failed or were rejected."""
     values = sweep.lane_values(first, end)[0]
     why, unfit = sweep.system.refused(values) or ("none", np.zeros(end - first, bool))
-    stiff, slow = too_stiff(sweep, values), too_slow(sweep, values)
+    stiff, slow = too_stiff_or_slow(sweep, values)
     refused = unfit | stiff | slow
-    flags = [REASONS.index(name) for name in (why, TOO_STIFF, TOO_SLOW, "not-finite", "out-of-steps")]
+    flags = [REASONS.index(name) for name in (why, "too-stiff", "too-slow", "not-finite", "out-of-steps")]
     reason = np.select([unfit, stiff, slow, ~features["finite"], ~features["finished"]], flags, 0)
     failed = reason != 0
     labels = {}
@@ -114,8 +107,7 @@ def regimes(
 ) -> Int8[np.ndarray, " lanes"]:
     """Return the regime of each lane of a scene.
 
-    **Arguments:** `values`: all parameters of the scene by name. `features`: the features that determine the regime.
-    All are arrays (lanes,).
+    `values`: all parameters of the scene by name; `features`: those that determine the regime; each (lanes,).
     """
     lanes = len(features["cycles"])
     # With these values, lanes without friction are never at equilibrium.
@@ -156,16 +148,12 @@ def certified(sweep: Sweep, variables: Mapping[str, np.ndarray]) -> dict[str, in
 def attributes(sweep: Sweep, solver: dict, certified: Mapping[str, int], wall_time: float) -> dict[str, Any]:
     """Return the attributes of the dataset.
 
-    **Arguments:**
-
-    - `solver`: the stepper and its settings, as JSON values.
-    - `certified`: sums over all lanes of the counts from [vibrojax.sweep.engine.labelled.certified][].
-    - `wall_time`: duration of the computation [s].
+    `solver`: the stepper and its settings; `certified`: counts over all lanes, see
+    [vibrojax.sweep.engine.labelled.certified][]; `wall_time`: duration of the computation [s].
     """
+    title = sweep.title or f"{sweep.scene}: {sweep.name}"
     return {
-        **dataset_attributes(
-            "sweep", sweep.title or f"{sweep.scene}: {sweep.name}", f"sweep {sweep.name}", scene=sweep.scene
-        ),
+        **dataset_attributes("sweep", title, f"sweep {sweep.name}", scene=sweep.scene),
         "sweep": sweep.text,
         # Includes defaults that the sweep file omits, because regimes depend on the times. Omits the chunk size.
         "run": json.dumps({name: value for name, value in sweep.run.described().items() if value is not None}),
@@ -212,8 +200,12 @@ def coordinates(sweep: Sweep, rows: Mapping[str, int]) -> dict:
             }
             for name, column in zip(starts.states, starts.vectors.T, strict=True):
                 coords[f"start_{name}"] = (("start",), column, meanings.get(name, {}))
+    meanings_of_rows = {
+        "return_index": "number of the return that is kept, the newest last",
+        "multiplier": "number of the multiplier, by falling modulus",
+    }
     for dimension, size in rows.items():
-        coords[dimension] = ((dimension,), np.arange(size), {"units": "1", "long_name": _ROWS[dimension]})
+        coords[dimension] = ((dimension,), np.arange(size), {"units": "1", "long_name": meanings_of_rows[dimension]})
     return coords
 
 
@@ -222,3 +214,75 @@ def _parameter_attributes(sweep: Sweep, name: str) -> dict[str, str]:
         return {"units": "1", "long_name": sweep.system.choice_meanings[name]}
     parameter = (dict(sweep.system.parameters()) | ROTATION)[name]
     return {"units": parameter.unit, "long_name": parameter.long_name, "symbol": parameter.symbol}
+
+
+FLIGHT_MAX_STEPS = 1e7
+"""Limit on the length of a run in units of the shortest time scale of the flight. It is several times the number of
+steps after which a lane is abandoned."""
+
+RESOLVED_ROUNDINGS = 512
+"""Smallest relative change that is resolved, in units of machine epsilon."""
+
+LanesBool = Bool[np.ndarray, "*lanes"]
+Parameters = Mapping[str, Any]
+
+
+def too_stiff_or_slow(sweep: Sweep, p: Parameters) -> tuple[LanesBool, LanesBool]:
+    """Return two masks of lanes; `p`: parameters by name, each (lanes,).
+
+    The first mask holds the lanes that are `unresolved` or whose flight takes too many steps. The second one holds
+    those whose drive is so slow that it cannot be distinguished from rest: it is below a multiple of the rounding error
+    of a typical speed, to which friction and main spring contribute.
+    """
+    scene, run = sweep.system, sweep.run
+    if not isinstance(scene, HasFriction) or not run.stepper.rests:
+        none = np.zeros(_shape(p), bool)
+        return none, none
+    rates = fastest_rates(scene, p)
+    with np.errstate(all="ignore"):
+        known = np.isfinite(rates.flight + rates.contact)
+        many = ~(rates.flight * (run.settle + run.observe) < FLIGHT_MAX_STEPS)
+        slow = (p["v"] > 0) & (p["v"] < RESOLVED_ROUNDINGS * np.finfo(run.precision).eps * rates.speed)
+    return known & (unresolved(scene, p, run.precision) | many), slow
+
+
+def unresolved(scene: HasFriction[Any], p: Parameters, numbers: str) -> LanesBool:
+    """Return a mask of the lanes in which a step changes nothing in the precision `numbers` ("float64" or "float32").
+
+    During a step of length 1/rate, the bit's motion on its main spring is less than the rounding error.
+    """
+    rates = fastest_rates(scene, p)
+    with np.errstate(all="ignore"):
+        return np.asarray(~(RESOLVED_ROUNDINGS * np.finfo(numbers).eps * (rates.flight + rates.contact) < rates.spring))
+
+
+class FastestRates(NamedTuple):
+    """Bounds on the fastest rates [1/s], and a typical `speed` [m/s].
+
+    `flight` determines the step size; `contact` is added in contact; `spring` is that of the bit on its main spring.
+    """
+
+    flight: Any
+    contact: Any
+    spring: Any
+    speed: Any
+
+
+def fastest_rates(scene: HasFriction[Any], p: Parameters) -> FastestRates:
+    """Return the fastest rates of lanes."""
+    with precision("float64"):
+        lanes = np.broadcast_arrays(*(np.atleast_1d(np.asarray(x, np.float64)) for x in p.values()))
+        rates = _compiled_rates(scene, dict(zip(p, lanes, strict=True)))
+        return FastestRates(*(np.asarray(x).reshape(_shape(p)) for x in rates))
+
+
+def _shape(p: Parameters) -> tuple[int, ...]:
+    return np.broadcast_shapes(*(np.shape(x) for x in p.values()))
+
+
+@lane_function(static=1)
+def _compiled_rates(scene: HasFriction[Any], p: Parameters) -> FastestRates:
+    c = scene.constants(p)
+    flight = scene.flight_rate(c)
+    contact = scene.contact_rate(c) if isinstance(scene, HasContact) else jnp.zeros_like(flight)
+    return FastestRates(*jnp.broadcast_arrays(flight, contact, scene.spring_rate(c), scene.typical_speed(c)))

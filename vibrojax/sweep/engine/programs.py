@@ -22,10 +22,9 @@ from vibrojax.stepping import Lane, Stepper, lane_at
 
 
 class Kind(NamedTuple):
-    """The static arguments of programs.
+    """The static arguments of programs: `starts` are names of initial conditions.
 
-    - `starts`: names of the initial conditions.
-    - `tells_end`: True if the final states of observed lanes are returned as a feature.
+    `tells_end`: True if the final states of observed lanes are returned as a feature.
     """
 
     scene: Scene[Any]
@@ -45,10 +44,8 @@ END = "end_state"
 class Given(NamedTuple):
     """Parameters and initial condition of each lane, arrays (lanes,).
 
-    - `parameters`: parameters by name.
-    - `start`: index of the initial condition in the names, the number of names for `states`, or `CARRIED`.
-    - `states`: initial states of lanes without a named initial condition.
-    - `carried`: initial states of lanes that begin in the final state of another lane.
+    `start`: index of the initial condition in the names, the number of names for `states`, or `CARRIED` for `carried`,
+    the final state of another lane.
     """
 
     parameters: dict[str, Lanes]
@@ -66,10 +63,10 @@ def start_lanes(kind: Kind, given: Given) -> tuple[Lane, Any]:
 def lanes_on_orbit(
     kind: Kind, given: Given, state: Values, states: Array, times: Array, period: Lanes
 ) -> tuple[Lane, Any]:
-    """Return the lanes and the values of their recorder at t = 0, on the section of a periodic orbit.
+    """Return the lanes and the values of their recorder at t = 0, with all states given on the section of an orbit.
 
-    `state` holds all states at the section. [vibrojax.measures.section.on_orbit][] explains `states`, `times` and
-    `period`, which describe the last section crossings. A recorder of pulses does not use them.
+    `states` (8, states, lanes), `times` (8, lanes) [s] and `period` [s] describe the last section crossings, see
+    [vibrojax.measures.section.on_orbit][]. Pulses do not need them.
     """
     lane = lane_at(kind.scene, constants_of(kind, given), state)
     carry = kind.recorder.settling(kind.scene, lane)

@@ -67,13 +67,9 @@ def settled(
     differences are extrapolated as a geometric series. If the series decreases slowly, only its terms until the lane's
     `end` count.
 
-    **Arguments:**
-
-    - `returns`: last section crossings, see [vibrojax.measures.section][]: arrays whose last axis is the lane axis.
-    - `now`: current time [s].
-    - `end`: time at which the lane would finish without early stopping [s].
-    - `observe`: length of the observation without early stopping [s].
-    - `tolerance`: relative distance from the limit at which a lane has settled.
+    **Arguments:** `returns`: last section crossings, see [vibrojax.measures.section][]; `now`: current time [s]; `end`,
+    `observe`: end and length of the observation without early stopping [s]; `tolerance`: relative distance from the
+    limit at which a lane has settled.
 
     **Returns:** a mask, and the time [s] in which a lane makes the section crossings that labels need; each (lanes,).
     """
@@ -103,15 +99,14 @@ def settled(
 
 
 class ReadyLanes(NamedTuple):
-    """Lanes of a chunk at the end of the shared run: their indices, and a batch for each accuracy."""
+    """Lanes at the end of the shared run: a batch for each accuracy."""
 
-    lanes: Index
     fine: Batch
     check: Batch
 
 
 class Ended(NamedTuple):
-    """Lanes of a chunk that need no more steps: their indices, and their features with error estimates."""
+    """Lanes that need no more steps: their indices in the chunk, and their features with error estimates."""
 
     lanes: Index
     features: Features
@@ -130,31 +125,11 @@ class EarlyStopping(Protocol):
         ...
 
     def __call__(self, batch: Batch) -> list[Ended]:
-        """Return the lanes of a batch that need no more steps, with their indices in the batch."""
+        """Return the lanes of a batch that need no more steps."""
         ...
 
 
-class ActiveLanes(NamedTuple):
-    """Lanes of a chunk that need more steps: their indices, and their batch."""
-
-    lanes: Index
-    batch: Batch
-
-    def split(self, mask: LanesBool) -> "tuple[ActiveLanes, ActiveLanes]":
-        """Return the lanes in the mask, and the other lanes."""
-        inside, outside = (ActiveLanes(self.lanes[x], self.batch.of(np.flatnonzero(x))) for x in (mask, ~mask))
-        return inside, outside
-
-    def joined(self, others: "list[ActiveLanes]") -> "ActiveLanes":
-        """Return these lanes and `others`, combined."""
-        others = [other for other in others if len(other.lanes)]
-        if not others:
-            return self
-        lanes = np.concatenate([self.lanes, *(other.lanes for other in others)])
-        return ActiveLanes(lanes, self.batch.joined([other.batch for other in others]))
-
-
-def looks(run: RunSettings, on_orbits: bool = False) -> list[list[float]]:
+def checkpoints(run: RunSettings, on_orbits: bool = False) -> list[list[float]]:
     """Return the times [s] at which lanes are checked for early stopping, grouped in rounds.
 
     At the last time, half of the work remains or the observation begins. `on_orbits`: whether lanes also stop on known
@@ -179,42 +154,38 @@ def run_together(
     The computation is interrupted at the same times even without early stopping. Lanes that never settle thus have the
     same values with and without early stopping.
 
-    **Arguments:**
-
-    - `coarse`: accuracy of the check run.
-    - `tolerance`: see `settled`.
-    - `early`: whether lanes stop early.
-    - `search`: search for lanes that need no more steps.
-    - `report(seconds)`: returns the callback for lanes that have been stepped for this time.
+    **Arguments:** `coarse`: accuracy of the check run; `tolerance`: see `settled`; `early`: whether lanes stop early;
+    `search`: search for lanes that need no more steps; `report(seconds)`: returns the callback for lanes that have been
+    stepped for this time.
     """
     run = engine.sweep.run
     ends = search.of_chunk() if early and search is not None else None
-    active, before = ActiveLanes(np.arange(len(start.begin)), start), 0.0
-    for times in looks(run, search is not None):
-        near: list[ActiveLanes] = []
+    active, before = start, 0.0
+    for times in checkpoints(run, search is not None):
+        near: list[Batch] = []
         for now in times:
             if len(active.lanes):
-                active = active._replace(batch=engine.settle([active.batch], now, report(now - before))[0])
+                [active] = engine.settle([active], now, report(now - before))
             before = now
             if ends is not None:
-                candidates, active = active.split(ends.near(active.batch))
+                candidates, active = active.split(ends.near(active))
                 near.append(candidates)
         if early:
-            assert active.batch.underway is not None
-            returns = active.batch.underway.carry
+            assert active.underway is not None
+            returns = active.underway.carry
             done, duration = settled(returns, now, run.settle + run.observe, run.observe, tolerance)
             if done.any():
                 leaving, active = active.split(done)
-                fine = leaving.batch.observed(now, duration[done])
-                check = replace(fine, accuracy=coarse).observed((1 + CHECK_SETTLES) * now, duration[done])
-                yield ReadyLanes(leaving.lanes, fine, check)
+                fine = leaving.observed(now, duration[done])
+                yield ReadyLanes(
+                    fine, replace(fine, accuracy=coarse).observed((1 + CHECK_SETTLES) * now, duration[done])
+                )
         if ends is not None:
             candidates = near[0].joined(near[1:])
-            remaining = np.ones(len(candidates.lanes), bool)
-            for ended in ends(candidates.batch):
-                remaining[ended.lanes] = False
-                yield ended._replace(lanes=candidates.lanes[ended.lanes])
-            active = active.joined([candidates.split(remaining)[0]])
+            ended = ends(candidates)
+            yield from ended
+            lanes = np.concatenate([np.zeros(0, int), *(part.lanes for part in ended)])
+            active = active.joined([candidates.split(np.isin(candidates.lanes, lanes))[1]])
         if not len(active.lanes):
             return
-    yield ReadyLanes(active.lanes, active.batch, replace(active.batch, accuracy=coarse))
+    yield ReadyLanes(active, replace(active, accuracy=coarse))

@@ -1,6 +1,7 @@
 """Dense output of one lane: the polynomial of every step is stored, so that the motion can be evaluated at any time."""
 
 from collections.abc import Callable
+from functools import reduce
 from math import ceil
 from typing import Any, NamedTuple
 
@@ -31,13 +32,12 @@ _COPIES = 3
 class Record(NamedTuple):
     """The steps of one lane, along the first axis of the arrays.
 
-    - `start`: time at the beginning of each step [s].
-    - `h`: length scale of the polynomials [s]. `dt`: length of the step [s], less than `h` if an event ends the step.
+    - `start`, `dt` [s]: beginning and length of each step; `h` [s]: length scale of the polynomials, more than `dt` if
+      an event ends the step.
     - `polynomials`: coefficients of the states in powers of (t - start)/h.
-    - `mode`: mode at the beginning of the step.
-    - `after`: state at the beginning of the next step.
-    - `hits`: True for the guards and markers, in the scene's order, whose zero ends the step.
-    - `falling`: True for markers that cross zero downwards.
+    - `mode`: mode at the beginning of the step; `after`: state at the beginning of the next step.
+    - `hits`: True for the guards and markers whose zero ends the step; `falling`: for markers that cross zero
+      downwards.
     """
 
     start: Float[Array, " steps"]
@@ -63,11 +63,8 @@ def record(
 ) -> Record:
     """Step one lane from t = 0 to `duration` [s] and return its steps.
 
-    **Arguments:**
-
-    - `constants`, `state`: constants of the scene and initial state, each (1,).
-    - `report(t)`: is called after each batch of steps.
-    - `pause`: time at which one step must end [s].
+    **Arguments:** `constants`, `state`: constants of the scene and initial state, each (1,); `report(t)`: is called
+    after each batch of steps; `pause`: time at which one step must end [s].
 
     **Raises:** `InputError` if the motion takes more than `most_steps` steps.
     """
@@ -102,9 +99,7 @@ def begun(scene: Scene[Any], constants: Any, state: Values) -> tuple[Any, Lane]:
 def record_batch(
     scene: Scene[Any], stepper: Stepper, count: int, constants: Any, lane: Lane, accuracy: Accuracy, duration: Array
 ) -> tuple[Lane, Any]:
-    """Step lanes and record their steps.
-
-    Lanes take `count` steps, or fewer if they reach the time `duration` [s].
+    """Step lanes `count` times, or fewer if they reach the time `duration` [s], and record their steps.
 
     **Returns:** the lanes after the steps, and the fields of `Record` by name, arrays (steps, ..., lanes).
     """
@@ -158,11 +153,8 @@ def accumulated(record: Record, state: int) -> Float[np.ndarray, " moving"]:
 def _evaluate(
     coefficients: Float[Array, "steps states orders"], tau: Float[Array, " steps"]
 ) -> Float[Array, "steps states"]:
-    """Evaluate polynomials at `tau` by Horner's scheme."""
-    values = coefficients[:, :, -1]
-    for order in range(coefficients.shape[2] - 2, -1, -1):
-        values = values * tau[:, None] + coefficients[:, :, order]
-    return values
+    """Evaluate polynomials at `tau`."""
+    return reduce(lambda values, x: values * tau[:, None] + x, coefficients.transpose(2, 0, 1)[::-1])
 
 
 def check_size(
@@ -176,11 +168,7 @@ def check_size(
 ) -> int:
     """Return the maximum number of steps that fit in memory.
 
-    **Arguments:**
-
-    - `constants`: constants of the scene, each (1,).
-    - `stepper`: the stepper, or None for a diffrax solver, whose steps are not stored.
-    - `samples`: number of samples.
+    `constants`: constants of the scene, each (1,); `stepper`: None for a diffrax solver, whose steps are not stored.
 
     **Raises:** `InputError` if the motion takes more steps, even without events.
     """

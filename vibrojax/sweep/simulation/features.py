@@ -11,9 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from vibrojax.compile.xla import precision
-from vibrojax.errors import InputError
 from vibrojax.io.variables import VARIABLES
-from vibrojax.measures import recorder_for
 from vibrojax.measures.recorder import Features, Records
 from vibrojax.models.arrays import Array
 from vibrojax.models.scenes import Scene
@@ -35,25 +33,13 @@ def window(duration: float) -> tuple[float, float]:
     return duration - observe, observe
 
 
-def recorder_of(scene: Scene[Any]) -> Records | None:
-    """Return the recorder of a scene, or None if the scene's declarations are invalid, which a sweep would report."""
-    try:
-        return recorder_for(scene)
-    except InputError:
-        return None
-
-
 def measured(
     scene: Scene[Any], recorder: Records, constants: Any, state: Values, steps: Record, begin: float, observe: float
 ) -> dict[str, np.ndarray]:
     """Return the features of one recorded lane by name, each (1,), or (1, returns) for the last section crossings.
 
-    **Arguments:**
-
-    - `constants`: constants of the scene, each (1,).
-    - `state`: state at t = 0, each (1,).
-    - `steps`: steps of the motion, one of which ends at the time `begin`.
-    - `begin`, `observe`: beginning and length of the observation [s].
+    **Arguments:** `constants`, `state`: the scene's constants and the state at t = 0, each (1,); `steps`: steps of the
+    motion, one of which ends at the time `begin`; `begin`, `observe`: beginning and length of the observation [s].
     """
     constants, lane = begun(scene, constants, state)
     middle = int(np.searchsorted(steps.start + steps.dt / 2, begin))
@@ -75,16 +61,11 @@ def measured(
 def compile_measures(scene: Scene[Any], recorder: Records, stepper: Stepper, constants: Any, state: Values) -> None:
     """Compile the programs of `measured` by calling it for two steps of a lane at rest."""
     states, none = len(scene.states), np.zeros(2)
-    still = Record(
-        start=np.array([0.0, 1.0]),
-        h=none,
-        dt=none,
-        polynomials=np.zeros((2, states, stepper.degree + 1)),
-        mode=np.zeros((2, len(scene.modes))),
-        after=np.zeros((2, states)),
-        hits=np.zeros((2, len(scene.event_names)), bool),
-        falling=np.zeros((2, len(scene.marker_names)), bool),
+    polynomials, mode, after = (
+        np.zeros((2, *n)) for n in ((states, stepper.degree + 1), (len(scene.modes),), (states,))
     )
+    flags = (np.zeros((2, len(names)), bool) for names in (scene.event_names, scene.marker_names))
+    still = Record(np.array([0.0, 1.0]), none, none, polynomials, mode, after, *flags)
     with precision("float64"):
         measured(scene, recorder, constants, state, still, 0.5, 1.0)
 
@@ -92,13 +73,9 @@ def compile_measures(scene: Scene[Any], recorder: Records, stepper: Stepper, con
 def labelled_features(
     scene: Scene[Any], parameters: dict[str, float], features: dict[str, np.ndarray], tolerance: float
 ) -> dict[str, tuple[tuple[()], np.ndarray, dict[str, Any]]]:
-    """Return the features as scalar variables of a motion's dataset, with the same names as in a sweep.
+    """Return the features (see `measured`) as scalar variables of a motion's dataset, named as in a sweep.
 
-    **Arguments:**
-
-    - `parameters`: all parameters of the point.
-    - `features`: features from `measured`.
-    - `tolerance`: error tolerance of the steps.
+    `tolerance`: error tolerance of the steps.
     """
     features = dict(features)
     if scene.section is not None and "cycles" in features:
@@ -124,18 +101,13 @@ def _observe_all(
     for first in range(0, len(steps.dt), BATCH):
         batch = Record(*(x[first : first + BATCH] for x in steps))
         if missing := BATCH - len(batch.dt):
-            last = Record(*(x[-1] for x in batch))
-            polynomials = np.zeros_like(last.polynomials)
-            polynomials[:, 0] = last.after
-            still = last._replace(
-                start=last.start + last.dt,
-                dt=np.zeros_like(last.dt),
-                polynomials=polynomials,
-                hits=np.zeros_like(last.hits),
-                falling=np.zeros_like(last.falling),
+            last = Record(*(x[-1:] for x in batch))
+            still = Record(*map(np.zeros_like, last))._replace(
+                start=last.start + last.dt, h=last.h, mode=last.mode, after=last.after
             )
-            rest = (np.broadcast_to(x, (missing, *np.shape(x))) for x in still)
-            batch = Record(*(np.concatenate(pair) for pair in zip(batch, rest, strict=True)))
+            still.polynomials[..., 0] = last.after
+            pairs = zip(batch, still, strict=True)
+            batch = Record(*(np.concatenate([x, np.repeat(rest, missing, axis=0)]) for x, rest in pairs))
         carry = _observe(scene, recorder, c, carry, Record(*(x[..., None] for x in batch)), begin, observe)
     return carry
 

@@ -19,13 +19,13 @@ from vibrojax.models.scenes import HasContact, HasFriction, HasRock, Scene
 from vibrojax.models.scenes.declared import Values
 from vibrojax.progress import LOG, Progress, timed
 from vibrojax.stepping import STEPPERS, Accuracy, AccuracyRequest, Smoothed, Stepper, stepper_named
-from vibrojax.sweep.engine.compiler import lane_function
-from vibrojax.sweep.engine.parallel import in_parallel
-from vibrojax.sweep.engine.validity import unresolved
+from vibrojax.sweep.engine.agreement import recorder_of
+from vibrojax.sweep.engine.compiler import in_parallel, lane_function
+from vibrojax.sweep.engine.labelled import unresolved
 from vibrojax.sweep.input.read import Point, read_point
 from vibrojax.sweep.input.values import quantity
 from vibrojax.sweep.simulation.dense_output import RECORD_MAX_STEPS, Record, check_size, record, sample
-from vibrojax.sweep.simulation.features import compile_measures, labelled_features, measured, recorder_of, window
+from vibrojax.sweep.simulation.features import compile_measures, labelled_features, measured, window
 from vibrojax.sweep.simulation.trajectory import SampledMotion, events, forces, states_shown, trajectory_dataset
 
 if TYPE_CHECKING:
@@ -197,11 +197,7 @@ _compiled: set[tuple[Scene[Any], Stepper]] = set()
 
 
 class Recorded(NamedTuple):
-    """A recorded motion.
-
-    - `steps`: its steps.
-    - `found`: its features as variables of the dataset, by name.
-    """
+    """A recorded motion: its steps, and its features as variables of the dataset by name."""
 
     steps: Record
     found: dict[str, tuple[tuple[()], np.ndarray, dict[str, Any]]]
@@ -219,11 +215,8 @@ def recorded(
 ) -> Recorded:
     """Step a point from t = 0 to `duration` [s], and measure the last part of the motion (see `window`).
 
-    **Arguments:**
-
-    - `constants`: constants from `constants_at`.
-    - `report(t)`: is called after each batch of steps. An exception from this function aborts the motion.
-    - `progress`: whether to announce the compilation on stderr.
+    **Arguments:** `constants`: see `constants_at`; `report(t)`: is called after each batch of steps, and an exception
+    from it aborts the motion; `progress`: whether to announce the compilation on stderr.
 
     **Raises:** `InputError` if the motion takes more than `most_steps` steps.
     """

@@ -31,8 +31,6 @@ FORCES = {
 }
 """Meanings of the sampled forces [N], by variable name."""
 
-Samples = Float[Array, " samples"]
-
 
 class AlongTime(NamedTuple):
     """A variable along `time`: values, unit and meaning."""
@@ -43,18 +41,15 @@ class AlongTime(NamedTuple):
 
 
 class SampledMotion(NamedTuple):
-    """A sampled motion: `times` [s], and the states and modes at these times."""
+    """Sampled states and modes at `times` [s]."""
 
     times: Float[np.ndarray, " samples"]
     states: Float[Array, "states samples"]
     modes: Float[Array, "modes samples"]
 
 
-class Events(NamedTuple):
-    """Events in the order of time: times [s], and kinds as indices into `KINDS`."""
-
-    times: Float[np.ndarray, " events"]
-    kinds: Int[np.ndarray, " events"]
+Events = tuple[Float[np.ndarray, " events"], Int[np.ndarray, " events"]]
+"""Events in the order of time: times [s], and kinds as indices into `KINDS`."""
 
 
 def events(scene: Scene[Any], c: Any, record: Record) -> Events:
@@ -73,12 +68,12 @@ def events(scene: Scene[Any], c: Any, record: Record) -> Events:
     if scene.section is not None:
         masks["section"] = _returns(scene, c, record)
     if not masks:
-        return Events(np.zeros(0), np.zeros(0, np.int8))
+        return np.zeros(0), np.zeros(0, np.int8)
     time = record.start + record.dt
     kinds = np.concatenate([np.full(mask.sum(), KINDS.index(name)) for name, mask in masks.items()])
     times = np.concatenate([time[mask] for mask in masks.values()])
     order = np.argsort(times, kind="stable")
-    return Events(times[order], kinds[order].astype(np.int8))
+    return times[order], kinds[order].astype(np.int8)
 
 
 def _returns(scene: Scene[Any], c: Any, record: Record) -> Bool[np.ndarray, " steps"]:
@@ -104,11 +99,9 @@ def _returns(scene: Scene[Any], c: Any, record: Record) -> Bool[np.ndarray, " st
 
 
 def forces(scene: Scene[Any], c: Any, motion: SampledMotion, width: float | None) -> dict[str, AlongTime]:
-    """Return the sampled forces [N] by name.
+    """Return the sampled forces [N] by name; `width`: that of the smoothed friction switch [m/s], None if it is sharp.
 
     Friction is the force of the springs on the bit minus the bit's mass times acceleration.
-
-    `width`: width of the smoothed friction switch [m/s], or None for discontinuous friction.
     """
     values = _forces(scene, width is None, _scalars(c), tuple(motion.modes), tuple(motion.states), width or 0.0)
     return {name: AlongTime(np.asarray(force) + 0.0, "N", FORCES[name]) for name, force in values.items()}  # no -0.0
@@ -131,10 +124,7 @@ def _forces(scene: Scene[Any], is_sharp: bool, c: Any, modes: Values, states: Va
 
 @lane_function(static=1)
 def impact_begins(scene: HasContact, c: Any, modes: Values, states: Values, hits: dict[str, Array]) -> Array:
-    """Return a mask of the steps that end at the beginning of an impact.
-
-    **Arguments:** `modes`: modes of the steps. `states`: states at their ends. `hits`: guards that end the steps.
-    """
+    """Return a mask of steps (`modes`, end `states`, guards `hits`) that end as an impact begins."""
     return scene.impact_begins(c, modes, states, hits)
 
 
@@ -155,9 +145,7 @@ def states_shown(
     """Return the sampled states by name; with rock, x3 (bit) and x4 (hole) instead of `compression` and `growth`.
 
     `growth` is reset to zero at each impact or pulse. x4 is its sum since the start, and x3 is x4 plus `compression`.
-
-    **Arguments:** `record`: the record of all steps; `step_of`: index of the step that contains each sample. If either
-    is None, x3 and x4 are left out.
+    `record` holds all steps and `step_of` the step of each sample; without them, x3 and x4 are left out.
     """
     variables: dict[str, AlongTime] = {}
     x3 = x4 = None
@@ -193,8 +181,8 @@ def trajectory_dataset(
         variables["stuck"] = ("time", stuck, {"units": "1", "long_name": "whether the bit sticks to the rock", **flags})
     if event_list is not None:
         flags = {"flag_values": np.arange(len(KINDS), dtype=np.int8), "flag_meanings": " ".join(KINDS)}
-        variables["event_time"] = ("event", event_list.times, {"units": "s", "long_name": "time of the event"})
-        variables["event_kind"] = ("event", event_list.kinds, {"units": "1", "long_name": "what happened", **flags})
+        variables["event_time"] = ("event", event_list[0], {"units": "s", "long_name": "time of the event"})
+        variables["event_kind"] = ("event", event_list[1], {"units": "1", "long_name": "what happened", **flags})
     start = point.start
     written = {} if start is None else {"start": start if isinstance(start, str) else json.dumps(list(start))}
     attributes = {

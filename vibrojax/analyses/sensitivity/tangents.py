@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -64,19 +64,9 @@ RunFeatures = dict[str, Float[np.ndarray, "points parameters runs"]]
 PerDerivative = Float[np.ndarray, "points variables parameters"]
 
 
-class Times(NamedTuple):
-    """Settling and observation times of lanes [s]: scalars, or arrays (lanes,) in compiled programs."""
-
-    settle: Any
-    observe: Any
-
-
 @dataclass(frozen=True)
 class _EventCount(Gauge[Scene[Any]]):
-    """Gauge that encodes the numbers of events of all guards in one period as a single number.
-
-    The number changes if any of these numbers of events changes.
-    """
+    """Gauge that encodes the numbers of events of all guards in one period as a single number."""
 
     summed = (EVENTS,)
 
@@ -93,20 +83,15 @@ def run_and_derive(
     points: Sequence[Point],
     wrt: Sequence[str],
     move: Float[np.ndarray, "points parameters"],
-    times: Times,
+    settle: float,
+    observe: float,
     shown: bool,
 ) -> tuple[RunFeatures, RunFeatures]:
     """Return two tables by name: the features of every run of every derivative, and the derivatives of these features.
 
     The derivative with respect to each parameter has its own lanes, so that one compiled program serves all parameters.
-
-    **Arguments:**
-
-    - `points`: points of one scene with the same initial condition.
-    - `wrt`: names of the parameters with respect to which derivatives are computed.
-    - `move`: change of each parameter, which is applied up and down.
-    - `times`: settling and observation times.
-    - `shown`: whether to show progress on stderr.
+    `points` have one scene and one initial condition; `move`: change of each parameter, which is applied up and down;
+    `settle`, `observe`: settling and observation times [s].
     """
     shape = (len(points), len(wrt), len(RUN_SHARES))
     own = np.broadcast_to(np.eye(len(wrt))[None, :, :, None], (*shape[:2], len(wrt), len(RUN_SHARES)))
@@ -119,25 +104,21 @@ def run_and_derive(
             x += moved[:, :, wrt.index(name)]
     directions = {name: np.zeros(shape) for name in values}
     directions |= {name: own[:, :, place].copy() for place, name in enumerate(wrt)}
-    settle = np.broadcast_to(times.settle * np.array(RUN_SHARES), shape)
+    settling = np.broadcast_to(settle * np.array(RUN_SHARES), shape)
     parts = []
     progress = Progress(len(points) * len(wrt), "derivatives", shown, pace=False)
     with precision("float64"), progress:
-        for first in range(0, settle.size, TANGENT_BLOCK):
+        for first in range(0, settling.size, TANGENT_BLOCK):
             # The last block is padded with copies of the last lane.
-            lanes = np.minimum(np.arange(first, first + TANGENT_BLOCK), settle.size - 1)
+            lanes = np.minimum(np.arange(first, first + TANGENT_BLOCK), settling.size - 1)
             block, along = (
                 {name: jnp.asarray(x.ravel()[lanes]) for name, x in table.items()} for table in (values, directions)
             )
-            spans = Times(jnp.asarray(settle.ravel()[lanes]), jnp.full(TANGENT_BLOCK, times.observe))
-            parts.append(jax.device_get(_differentiated(points[0].system, points[0].start, block, along, spans)))
+            times = jnp.asarray(settling.ravel()[lanes]), jnp.full(TANGENT_BLOCK, observe)
+            parts.append(jax.device_get(_differentiated(points[0].system, points[0].start, block, along, times)))
             progress.reach((int(lanes[-1]) + 1) // len(RUN_SHARES))
 
-    def joined(side: int) -> RunFeatures:
-        names = parts[0][side]
-        return {n: np.concatenate([part[side][n] for part in parts])[: settle.size].reshape(shape) for n in names}
-
-    return joined(0), joined(1)
+    return jax.tree.map(lambda *x: np.concatenate(x)[: settling.size].reshape(shape), *parts)
 
 
 def measured_of(scene: Scene[Any]) -> set[str]:
@@ -146,28 +127,28 @@ def measured_of(scene: Scene[Any]) -> set[str]:
     with precision("float64"):
         ones = jnp.ones(1)
         parameters = dict.fromkeys(scene.parameters(), ones)
-        return set(jax.eval_shape(lambda p: _features(scene, start, p, Times(ones, ones)), parameters))
+        return set(jax.eval_shape(lambda p: _features(scene, start, p, (ones, ones)), parameters))
 
 
 @lane_function(static=2, derives=True)
 def _differentiated(
-    scene: Scene[Any], start: Start | None, values: Features, along: Features, times: Times
+    scene: Scene[Any], start: Start | None, values: Features, along: Features, times: tuple[Array, Array]
 ) -> tuple[dict[str, Array], dict[str, Array]]:
     """Return features of lanes, and their derivatives along the direction `along` in parameter space, each (lanes,)."""
     return jax.jvp(lambda p: _features(scene, start, p, times), (values,), (along,))
 
 
-def _features(scene: Scene[Any], start: Start | None, p: Features, times: Times) -> dict[str, Array]:
+def _features(scene: Scene[Any], start: Start | None, p: Features, times: tuple[Array, Array]) -> dict[str, Array]:
     """Return the features of lanes as arrays (lanes,) of floats."""
     recorder = recorder_for(scene)
     if isinstance(recorder, Recorder):
         gauges = (gauge for gauge in recorder.gauges if not isinstance(gauge, KeptReturns))
         recorder = replace(recorder, gauges=(*gauges, _EventCount()))
     c = scene.constants(p)
-    state = scene.start(c, start, times.settle.shape)
+    state = scene.start(c, start, times[0].shape)
     effort = Effort(Accuracy(tolerance=1e-12, stride=1.0, step=jnp.inf), 1e7)
     features = run_block(scene, Located(), recorder, c, state, effort, *times)
-    return {name: jnp.asarray(x).astype(times.settle.dtype) for name, x in features.items()}
+    return {name: jnp.asarray(x).astype(times[0].dtype) for name, x in features.items()}
 
 
 def judged(
@@ -180,13 +161,7 @@ def judged(
 ) -> dict[str, Any]:
     """Return the arrays of the dataset: the variables, their derivatives, and reasons why a derivative may be invalid.
 
-    **Arguments:**
-
-    - `features`, `tangents`: results of `run_and_derive`.
-    - `variables`: names of the features to differentiate.
-    - `value`: value of each parameter.
-    - `move`: change of each parameter.
-    - `error`: relative error tolerance of a derivative.
+    `features`, `tangents`: results of `run_and_derive`. `error`: relative error tolerance of a derivative.
     """
     y, slopes = (np.stack([table[name] for name in variables], axis=1) for table in (features, tangents))
     with np.errstate(all="ignore"):
@@ -227,11 +202,10 @@ def judged(
 
 
 def _remaining(x: Float[np.ndarray, "points variables parameters times"], scale: PerDerivative) -> PerDerivative:
-    """Return the estimated distance of `x` from its limit, divided by `scale`.
+    """Return the distance of `x`, given at the settling times of `RUN_SHARES`, from its limit, divided by `scale`.
 
-    The last axis of `x` holds the values at the settling times of `RUN_SHARES`. The distance is the sum of a geometric
-    series of the differences over successive thirds of the settling time. It is not less than the last difference,
-    because at the first time the motion may still have been on another orbit.
+    The distance is the sum of a geometric series of the differences over successive thirds of the settling time. It is
+    not less than the last difference, because at the first time the motion may still have been on another orbit.
     """
     before = np.abs(x[..., 1] - x[..., 0])
     # The maximum of several differences: a single one may be small by chance.

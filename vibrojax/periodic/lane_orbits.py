@@ -1,9 +1,14 @@
-"""Periodic orbits of a sweep's lanes: Newton's method from the last section crossings, multipliers, and features."""
+"""Periodic orbits of a sweep's lanes: Newton's method from the last section crossings, multipliers, and features.
 
-from typing import Any
+The orbits that a dataset holds are read again as initial solutions for families, borders and other analyses.
+"""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Int
+import xarray as xr
+from jaxtyping import Bool, Float, Int
 
 from vibrojax.io.variables import ORBIT_REASONS, orbit_name
 from vibrojax.measures.ledger import MOST_CYCLES
@@ -102,10 +107,7 @@ class Orbits:
     def _find(
         self, lanes: Index, repeat: int, parameters: dict[str, np.ndarray], features: Features, result: Features
     ) -> Begun:
-        """Enter the orbits of `lanes` in `result`; return the orbits that are still to be measured.
-
-        `repeat`: number of section crossings per period of these lanes.
-        """
+        """Enter the orbits of `lanes`, of `repeat` crossings per period, in `result`; return those to be measured."""
         guess, scale = last_returns(self._scene, lanes, repeat, features)
         drift = features["drift_estimate"][lanes]
         reach = np.where(np.isnan(drift), OWN_ORBIT_MIN, np.clip(DRIFT_FACTOR * drift, OWN_ORBIT_MIN, OWN_ORBIT_MAX))
@@ -178,10 +180,7 @@ def _stays(
     """Return a mask of lanes that provably stay on an unstable orbit, for example because of an exact symmetry.
 
     Their last section crossings repeat within rounding errors. Since the lanes settled, a single rounding error would
-    have grown to a visible difference.
-
-    **Arguments:** `scale` (lanes, states): scales of the return map's states; `growth`: logarithm of the orbit's
-    greatest multiplier over one period of `repeat` crossings.
+    have grown to a visible difference. `growth`: logarithm of the orbit's greatest multiplier over one period.
     """
     if "settling_time" not in features:
         return np.zeros(len(lanes), bool)
@@ -197,7 +196,7 @@ def _stays(
 def _distinct(columns: list[np.ndarray]) -> tuple[Int[np.ndarray, " distinct"], Index]:
     """Return the first lane of each group with bitwise equal columns (lanes, ...), and the group of each lane.
 
-    Lanes that stopped early on a shared orbit form such groups. Results are computed once for each group.
+    Lanes that stopped early on a shared orbit form such groups, whose results are computed once.
     """
     rows = np.concatenate([x.reshape(len(x), -1).astype(float) for x in columns], axis=1)
     numbers: dict[bytes, int] = {}
@@ -248,3 +247,54 @@ def _repeats_under_pulses(scene: Scene[Any], features: Features, go: ReturnMap) 
         active = active[~back & mapped.seen.returned]
     unknown = np.full(count, np.nan)
     return {"cycles": cycles, "drift_estimate": unknown, **dict(zip(names, passed, strict=True))}
+
+
+class KnownOrbits(NamedTuple):
+    """Orbits of lanes.
+
+    - `lanes`: indices of the lanes; `scales` (orbits, states): scales of the states.
+    - `states`: for each orbit, the states at all section crossings of one period, (cycles, states).
+    - `most_steps`: step limit between two crossings, for motions close to these orbits: eight times the largest number
+      of steps that the orbits themselves take.
+    """
+
+    lanes: Int[np.ndarray, " orbits"]
+    states: list[Float[np.ndarray, "cycles states"]]
+    scales: Float[np.ndarray, "orbits states"]
+    most_steps: float
+
+
+def known_orbits(
+    scene: Scene[Any],
+    dataset: xr.Dataset,
+    parameters: Mapping[str, np.ndarray],
+    lanes: Int[np.ndarray, " orbits"] | None = None,
+) -> KnownOrbits:
+    """Return the orbits of the given `lanes` of a dataset, by default of all lanes with a found orbit.
+
+    `scene`: scene of the return map; `parameters`: values of all lanes by name, in the dataset's order.
+    """
+
+    def column(name: str) -> np.ndarray:
+        return dataset[name].values.ravel()
+
+    if lanes is None:
+        lanes = np.flatnonzero(column("orbit_reason") == ORBIT_REASONS.index("found"))
+    cycles = column("orbit_cycles")[lanes].astype(int)
+    begin = np.stack([column(orbit_name(name))[lanes] for name in scene.return_states])
+    if not len(lanes):
+        return KnownOrbits(lanes, [], begin.T, 0.0)
+    go, values = Segments(scene), {name: x[lanes] for name, x in parameters.items()}
+    returns, seen = [begin], []
+    for _ in range(int(cycles.max())):
+        mapped = go(values, returns[-1])
+        seen.append(mapped.seen)
+        returns.append(np.asarray(mapped.state))
+    swings = (np.max([s.greatest for s in seen], axis=0) - np.min([s.least for s in seen], axis=0)) / 2
+    size = np.where(swings > 0, swings, 1.0).T
+    if scene.section is not None:
+        amplitudes = tuple(column(swing.amplitude)[lanes] for swing in scene.section.swings)
+        for k, scale in enumerate(scales(amplitudes, column("period")[lanes])):
+            size[:, k] = scale
+    states = [np.stack([state[:, k] for state in returns[: cycles[k]]]) for k in range(len(lanes))]
+    return KnownOrbits(lanes, states, size, 8 * max(float(s.steps.max()) for s in seen))
