@@ -10,8 +10,8 @@ from exact.measures import sections
 from scipy.linalg import expm
 
 import vibrojax as vj
-from vibrojax.analyses.continuation.indicators import KINDS
 from vibrojax.errors import InputError
+from vibrojax.io.kinds import SPECIAL_KINDS
 
 ENDS = json.loads((Path(__file__).parent / "data" / "orbit_cases.json").read_text())["ends_of_families"]
 STATES = ("orbit_x1", "orbit_x2", "orbit_v2")
@@ -23,7 +23,7 @@ def followed(**more):
 
 def specials(family, kind, branch=0):
     """Where special points of a kind lie on a branch."""
-    here = (family.special_kind.values == KINDS.index(kind)) & (family.special_branch.values == branch)
+    here = (family.special_kind.values == SPECIAL_KINDS.index(kind)) & (family.special_branch.values == branch)
     return np.sort(family.special_value.values[here])
 
 
@@ -245,5 +245,5 @@ def test_rock_begins_to_yield_at_the_force_of_the_linear_answer():
     below = family.force.values < onset - 1.0
     assert (family.rate_of_penetration.values[below] == 0).all()
     assert (family.rate_of_penetration.values[family.force.values > onset + 1.0] > 0).all()
-    [note] = family.special_note.values[family.special_kind.values == KINDS.index("grazing")]
+    [note] = family.special_note.values[family.special_kind.values == SPECIAL_KINDS.index("grazing")]
     assert "rock" in note

@@ -1,6 +1,5 @@
 """Borders of the stable single impact in a plane of two parameters: `borders`."""
 
-import json
 from collections.abc import Mapping
 from functools import partial
 from os import PathLike
@@ -23,17 +22,15 @@ from vibrojax.analyses.borders.propagation import (
 from vibrojax.analyses.orbits.rerun import orbits as with_orbits
 from vibrojax.analyses.orbits.rerun import sweep_with_orbits
 from vibrojax.errors import InputError, shown
-from vibrojax.io.kinds import BORDER_KINDS, OF_BORDERS, dataset_attributes
+from vibrojax.io.kinds import BORDER_KINDS, OF_BORDERS
 from vibrojax.measures.labels import SINGLE_IMPACT, UNDECIDED
-from vibrojax.models.physics.parameters import differing
 from vibrojax.models.scenes import HasContact
 from vibrojax.periodic.of_dataset import known_orbits
+from vibrojax.sweep.engine.labelled import parameter_attributes, shared_attributes
 from vibrojax.sweep.input.definition import Sweep
 
 ANY_START = "any"
 """Name of the region of all orbits, whatever initial condition leads to them; used in place of an initial condition."""
-
-DEFAULT_AXES = ("gamma", "beta")
 
 
 def borders(
@@ -80,20 +77,12 @@ def borders(
     True
     """
     sweep = sweep_with_orbits(source)
-    names = checked(sweep, axes)
+    names = plane_axes(sweep, axes)
     dataset = with_orbits(source if isinstance(source, xr.Dataset) else sweep, progress)
-    return borders_of(sweep, dataset, names)
+    return Regions(sweep, dataset, names).borders()
 
 
-def borders_of(sweep: Sweep, dataset: xr.Dataset, names: tuple[str, str]) -> xr.Dataset:
-    """Return the borders in a sweep's plane with the axes `names`; `dataset`: the sweep's result with orbits.
-
-    See `borders`.
-    """
-    return _Regions(sweep, dataset, names).dataset()
-
-
-def checked(sweep: Sweep, axes: tuple[str, str] | None) -> tuple[str, str]:
+def plane_axes(sweep: Sweep, axes: tuple[str, str] | None) -> tuple[str, str]:
     """Return the axes of the plane; raise `InputError` if the sweep has no such plane or its scene no impacts."""
     if not isinstance(sweep.system, HasContact):
         raise InputError(f'borders: scene "{sweep.scene}" has no impacts; give a sweep of one with a striker')
@@ -103,8 +92,8 @@ def checked(sweep: Sweep, axes: tuple[str, str] | None) -> tuple[str, str]:
     if len(long) < 2:
         raise InputError("borders: the sweep has no two axes of two values or more; give one with a [grid] of two")
     if axes is None:
-        if all(name in long for name in DEFAULT_AXES):
-            return DEFAULT_AXES
+        if "gamma" in long and "beta" in long:
+            return "gamma", "beta"
         first, second = sorted(long, key=lambda name: -long[name])[:2]
         return first, second
     if len(axes) != 2 or axes[0] == axes[1] or any(name not in long for name in axes):
@@ -112,8 +101,11 @@ def checked(sweep: Sweep, axes: tuple[str, str] | None) -> tuple[str, str]:
     return axes[0], axes[1]
 
 
-class _Regions:
-    """Regions of the stable single impact in all planes of a sweep, and their borders."""
+class Regions:
+    """Regions of the stable single impact in all planes of a sweep, and their borders.
+
+    `dataset`: the sweep's result with orbits; `names`: the axes of the planes.
+    """
 
     def __init__(self, sweep: Sweep, dataset: xr.Dataset, names: tuple[str, str]) -> None:
         self._sweep, self._names = sweep, names
@@ -147,7 +139,7 @@ class _Regions:
             self._own[plane, i, j, start] = orbit
         propagate(scene, self._planes, self._orbits, known.most_steps)
 
-    def dataset(self) -> xr.Dataset:
+    def borders(self) -> xr.Dataset:
         """Return the curves and areas of all regions."""
         curves: list[tuple[Border, int, str]] = []
         areas: list[tuple[float, int, str]] = []
@@ -193,12 +185,7 @@ class _Regions:
 
     def _described(self, curves: list[tuple[Border, int, str]], areas: list[tuple[float, int, str]]) -> xr.Dataset:
         """Return the dataset of curves and areas, each given with its plane and initial condition."""
-        sweep, parameters = self._sweep, self._sweep.system.parameters()
-
-        def described(name: str) -> dict[str, str]:
-            parameter = parameters[name]
-            return {"units": parameter.unit, "long_name": parameter.long_name, "symbol": parameter.symbol}
-
+        sweep = self._sweep
         vertices = np.concatenate([piece.points for piece, _, _ in curves]) if curves else np.zeros((0, 2))
         number = np.repeat(np.arange(len(curves)), [len(piece.points) for piece, _, _ in curves])
         kinds = np.array([BORDER_KINDS.index(piece.kind) for piece, _, _ in curves], np.int8)
@@ -207,8 +194,8 @@ class _Regions:
             "kind": ("curve", kinds, OF_BORDERS["kind"].attributes()),
             "region_area": ("region", np.array([area for area, _, _ in areas]), OF_BORDERS["region_area"].attributes()),
         }
-        for k, name in enumerate(self._names):
-            variables[name] = ("vertex", vertices[:, k], described(name))
+        for name, values in zip(self._names, vertices.T, strict=True):
+            variables[name] = ("vertex", values, parameter_attributes(sweep, name))
         coordinates: dict[str, Any] = {}
         start_attributes = {"units": "1", "long_name": "start of the motions whose region it is; any: of all orbits"}
         for dimension, prefix, rows in (("curve", "", curves), ("region", "region_", areas)):
@@ -217,18 +204,11 @@ class _Regions:
                 coordinates[f"{prefix}start"] = (dimension, np.array(starts, str), start_attributes)
             indices = np.unravel_index(np.array(planes, int), self._sizes) if self._sizes else ()
             for name, index in zip(self._others, indices, strict=True):
-                coordinates[f"{prefix}{name}"] = (dimension, sweep.axes[name][index], described(name))
+                coordinates[f"{prefix}{name}"] = (dimension, sweep.axes[name][index], parameter_attributes(sweep, name))
+        title = f"Borders of the stable single impact: {sweep.title or sweep.name}"
         attributes = {
-            **dataset_attributes(
-                "borders",
-                f"Borders of the stable single impact: {sweep.title or sweep.name}",
-                "borders",
-                scene=sweep.scene,
-            ),
+            **shared_attributes(sweep, "borders", title, "borders"),
             "sweep": sweep.text,
-            **sweep.options,
             "axes": list(self._names),
-            "parameters": json.dumps(sweep.parameters),
-            "differing": json.dumps(differing(parameters, sweep.parameters)),
         }
         return xr.Dataset(variables, coordinates, attributes)

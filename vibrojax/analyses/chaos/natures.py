@@ -11,13 +11,16 @@ from jaxtyping import Bool, Float, Int
 from vibrojax.analyses.chaos.series import (
     EXPONENT_BLOCKS,
     LONGEST_REPEAT,
+    TANGENT_ACCURACY,
+    Growth,
     PerLane,
+    PerState,
     exponents,
     exponents_of_repeats,
     find_repeats,
+    grow,
     zero_one,
 )
-from vibrojax.analyses.chaos.tangents import TANGENT_ACCURACY, Growth, PerState, grow
 from vibrojax.io.variables import NATURES
 from vibrojax.measures.labels import IRREGULAR, UNDECIDED
 from vibrojax.models.scenes import Scene
@@ -84,7 +87,7 @@ class Natures:
 
     An object is called with the features of one chunk at a time. A periodic lane has the exponent of its orbit: the
     logarithm of the orbit's largest |multiplier| divided by the time of one period. Other lanes are continued along the
-    return map with a tangent vector, see [vibrojax.analyses.chaos.tangents][].
+    return map with a tangent vector, see [vibrojax.analyses.chaos.series][].
     """
 
     def __init__(self, sweep: Sweep) -> None:

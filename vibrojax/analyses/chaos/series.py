@@ -1,9 +1,23 @@
 """Estimates from series of returns to the section: Lyapunov exponents, periods, and the 0-1 test for chaos."""
 
+from collections import deque
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
+from vibrojax.compile.xla import precision, workers
 from vibrojax.measures.repeats import REPEATS_WITHIN
+from vibrojax.models.arrays import Array, Flags, Lanes
+from vibrojax.models.scenes import Scene
+from vibrojax.models.scenes.declared import Values
+from vibrojax.periodic.return_map import MOST_STEPS, at_section, passed
+from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Goal, Lane, Located, Step, Stepper, lane_at
+from vibrojax.sweep.engine.compiler import lane_function
+from vibrojax.sweep.engine.parallel import in_parallel
 
 LATE_SHARE = 0.75
 """Fraction of the returns, at the end of the series, that an exponent uses. Before, the tangent aligns and transients
@@ -107,3 +121,154 @@ def zero_one(series: Float[np.ndarray, "samples lanes"]) -> PerLane:
         with np.errstate(invalid="ignore", divide="ignore"):
             result[k] = (x @ y) / np.sqrt((x @ x) * np.sum(y * y, axis=0))
     return np.median(result, axis=0)
+
+
+TANGENT_ACCURACY = Accuracy(tolerance=1e-7, stride=LOCATED_STRIDE, step=np.inf)
+"""Accuracy of the return map. Another tolerance changes a chaotic trajectory, but not its statistics."""
+
+TANGENT_LANES_PER_CALL = 256
+"""Greatest number of lanes that one worker steps through all returns."""
+
+RETURNS_PER_CALL = 128
+"""Number of returns per compiled call; lanes wait for each other only at the end of a call."""
+
+PerState = Float[np.ndarray, "states lanes"]
+
+
+class Growth(NamedTuple):
+    """Growth of tangents and states of lanes over many returns to the section.
+
+    - `rate` (returns, lanes): logarithm of the tangent's growth since the return before; `time` [s] since then.
+    - `states` (returns, states, lanes): states at the returns; NaN from the first missing return on.
+    - `tangent` (states, lanes): tangent after the last return, divided by the scales and of norm 1.
+    """
+
+    rate: Float[np.ndarray, "returns lanes"]
+    time: Float[np.ndarray, "returns lanes"]
+    states: Float[np.ndarray, "returns states lanes"]
+    tangent: PerState
+
+
+class _Carry(NamedTuple):
+    """Loop state: `since` [s] and `steps` count from the last return; `rows` hold all returns."""
+
+    lane: Lane
+    tangent: Values
+    armed: Flags
+    since: Lanes
+    steps: Lanes
+    number: Lanes
+    rows: Array
+
+
+@lane_function(static=3, derives=True)
+def _returns(
+    scene: Scene[Any],
+    stepper: Stepper,
+    grows: bool,
+    p: dict[str, Lanes],
+    state: Array,
+    tangent: Array,
+    scale: Array,
+    accuracy: Accuracy,
+) -> tuple[Array, Array]:
+    """Step lanes at the section through their next `RETURNS_PER_CALL` returns.
+
+    **Arguments:**
+
+    - `grows`: if False, the tangent is left unchanged.
+    - `p`: parameters (lanes,) by name; `state`, `tangent`, `scale` (states, lanes): values of `scene.return_states`;
+      the tangent is divided by the scale.
+
+    **Returns:** rows of logarithmic growth, time [s] and states (returns, 2 + states, lanes), which are NaN from a
+    missing return on; and the final tangent (states, lanes).
+    """
+    section = scene.section
+    assert section is not None
+    begin = at_section(scene, state)
+    c = scene.scaled(scene.constants(p), begin)
+    zero = jnp.zeros_like(state[0])
+    rows = jnp.full((RETURNS_PER_CALL, 2 + len(state), *zero.shape), jnp.nan, zero.dtype)
+    unarmed = jnp.zeros_like(zero, bool)
+    carry = _Carry(lane_at(scene, c, begin), at_section(scene, tangent * scale), unarmed, zero, zero, zero, rows)
+
+    def return_states(state: Values) -> Array:
+        return jnp.stack([state[scene.place(name)] for name in scene.return_states])
+
+    def active(carry: _Carry) -> Flags:
+        return (carry.number < RETURNS_PER_CALL) & (carry.steps < MOST_STEPS) & jnp.isfinite(carry.lane.state[0])
+
+    def advance(carry: _Carry) -> _Carry:
+        moving = active(carry)
+
+        def step_from(state: Values) -> tuple[Values, tuple[Lane, Step]]:
+            lane = carry.lane._replace(state=state)
+            after, step = stepper.step(scene, c, lane, accuracy, Goal(jnp.inf, moving), marked=True)
+            return after.state, (after, step)
+
+        if grows:
+            _, moved, (lane, step) = jax.jvp(step_from, (carry.lane.state,), (carry.tangent,), has_aux=True)
+        else:
+            moved, (_, (lane, step)) = carry.tangent, step_from(carry.lane.state)
+        armed, returns = passed(scene, section, c, carry.armed, step)
+        here = returns & moving
+        scaled = return_states(moved) / scale
+        norm = jnp.sqrt(jnp.sum(scaled * scaled, axis=0))
+        # If everything sticks, the tangent may vanish. It then starts again in an arbitrary direction.
+        unit = at_section(scene, jnp.where(norm[None] > 0, scaled / norm[None], len(state) ** -0.5) * scale)
+        since = carry.since + step.dt
+        row = jnp.stack([jnp.log(norm), since, *return_states(lane.state)])
+        place = jnp.where(here, carry.number, RETURNS_PER_CALL).astype(jnp.int32)
+        put = jax.vmap(lambda rows, place, row: rows.at[place].set(row, mode="drop"), in_axes=-1, out_axes=-1)
+        return _Carry(
+            lane,
+            tuple(jnp.where(here, new, old) for new, old in zip(unit, moved, strict=True)),
+            jnp.where(moving, armed & ~here, carry.armed),
+            jnp.where(here, 0.0, since),
+            jnp.where(here, 0.0, carry.steps + moving.astype(zero.dtype)),
+            carry.number + here.astype(zero.dtype),
+            put(carry.rows, place, row),
+        )
+
+    carry = jax.lax.while_loop(lambda carry: jnp.any(active(carry)), advance, carry)
+    return carry.rows, return_states(carry.tangent) / scale
+
+
+def grow(
+    scene: Scene[Any],
+    parameters: Mapping[str, Float[np.ndarray, " lanes"]],
+    state: PerState,
+    tangent: PerState,
+    scale: PerState,
+    returns: int,
+    steps: Accuracy = TANGENT_ACCURACY,
+    kept: int | None = None,
+    grows: bool = True,
+) -> Growth:
+    """Step lanes and their tangents through `returns` returns, on all workers.
+
+    **Arguments:**
+
+    - `state`, `tangent`: values at the section; the tangent is divided by the `scale` of each state and has norm 1.
+    - `returns`, `kept`: number of returns, and number of last returns to keep (None: all); both multiples of
+      `RETURNS_PER_CALL`.
+    - `grows`: if False, tangents and rates are meaningless, and the call takes two thirds of the time.
+    """
+    count = state.shape[1]
+    shares = np.array_split(np.arange(count), max(-(-count // TANGENT_LANES_PER_CALL), min(len(workers()), count)))
+
+    def work(_: jax.Device, lanes: np.ndarray) -> Growth:
+        p = {name: x[lanes] for name, x in parameters.items()}
+        x, dx, size = state[:, lanes], tangent[:, lanes], scale[:, lanes]
+        accuracy = Accuracy(*map(np.float64, steps))
+        last: deque[np.ndarray] = deque(maxlen=(kept or returns) // RETURNS_PER_CALL)
+        with precision("float64"):
+            for _ in range(returns // RETURNS_PER_CALL):
+                rows, dx = map(np.asarray, _returns(scene, Located(), grows, p, x, dx, size, accuracy))
+                x = rows[-1, 2:]
+                last.append(rows)
+        rows = np.concatenate(last)
+        return Growth(rows[:, 0], rows[:, 1], rows[:, 2:], dx)
+
+    parts: dict[int, Growth] = dict(in_parallel(work, shares, workers()))
+    return Growth(*(np.concatenate(part, axis=-1) for part in zip(*(parts[k] for k in sorted(parts)), strict=True)))

@@ -5,12 +5,17 @@ the branch turns back. Where the motion becomes tangent to the section, the bran
 section crossings per period.
 """
 
-from typing import NamedTuple
+from collections.abc import Sequence
 
 import numpy as np
 
-from vibrojax.analyses.continuation.problem import Evaluation, Flags, Index, PerLane, Problem, Unknowns, unit_tangent
+from vibrojax.analyses.continuation.arclength import SHORTEST_STEP
+from vibrojax.analyses.continuation.brackets import EVENT_CHANGE, Brackets
+from vibrojax.analyses.continuation.problem import Flags, PerLane, Points, Problem, Unknowns, towards
 from vibrojax.measures.ledger import MOST_CYCLES
+
+BEFORE_CORNER = 100 * SHORTEST_STEP
+"""Scaled distance before a corner at which a point certainly has the events of the side before the corner."""
 
 PROBE_DISTANCES = (1e-9, 1e-8, 1e-7, 1e-6, 1e-5)
 """Scaled distances behind a corner at which the other side of the corner is evaluated."""
@@ -28,20 +33,18 @@ SAME_PERIOD = 1e-4
 """Largest relative difference of the period between two descriptions of one motion with different crossings."""
 
 
-class CornerExit(NamedTuple):
-    """Continuations beyond corners: mask `turned` of lanes with a continuation, and a point on it with its tangent."""
+def turn_corner(problem: Problem, branches: Sequence[Points]) -> tuple[Flags, Brackets]:
+    """Find the continuations of branches beyond the corners at their ends.
 
-    turned: Flags
-    evaluation: Evaluation
-    tangent: Unknowns
+    **Arguments:** `branches`: points of each branch with equal numbers of unknowns, the last ones at the corners.
 
-
-def turn_corner(problem: Problem, family: Index, last: Evaluation, tangent: Unknowns, before: Evaluation) -> CornerExit:
-    """Return points of the branches beyond corners.
-
-    **Arguments:** `last`: the last points, with their `tangent`; `before`: points slightly before the corners, with the
-    events of the side from which the corner was reached.
+    **Returns:** a mask of the branches with a continuation, and brackets: `near` is a point of each branch slightly
+    before the corner, with the events of that side, and `far` a point on the continuation or just behind the corner.
     """
+    last = Points.join([branch.of([-1]) for branch in branches])
+    away = [np.flatnonzero(np.abs(x.u - x.u[-1]).max(axis=1) > BEFORE_CORNER) for x in branches]
+    before = Points.join([x.of([k[-1] if len(k) else 0]) for x, k in zip(branches, away, strict=True)])
+    family, tangent = last.family, last.tangent
     lanes = np.arange(len(family))
     with np.errstate(all="ignore"):
         other = last.of(lanes)
@@ -50,7 +53,7 @@ def turn_corner(problem: Problem, family: Index, last: Evaluation, tangent: Unkn
             if not len(subset):
                 break
             other.put(subset, problem.evaluate(family[subset], last.u[subset] + distance * tangent[subset]))
-        turned, best, tangents = np.zeros(len(lanes), bool), other.of(lanes), tangent.copy()
+        turned, beyond = np.zeros(len(lanes), bool), other.of(lanes)
         sound = np.isfinite(other.matrix).all(axis=(1, 2))
         direction = np.linalg.svd(np.where(sound[:, None, None], other.matrix, 0.0))[2][:, -1]  # null vectors
         # A jump of the period means that other section crossings are counted, not that there is a corner.
@@ -68,21 +71,16 @@ def turn_corner(problem: Problem, family: Index, last: Evaluation, tangent: Unkn
                 right &= np.abs(now.u - guess).max(axis=1) < 0.5 * distance
                 kept = subset[right]
                 turned[kept] = True
-                best.put(kept, now.of(right))
-                tangents[kept] = unit_tangent(now.matrix[right], t[right])
-    return CornerExit(turned, best, tangents)
+                beyond.put(kept, now.of(right))
+    return turned, Brackets(np.full(len(lanes), EVENT_CHANGE), lanes, before, beyond)
 
 
-def reindex_returns(
-    problem: Problem, family: int, last: Evaluation, tangent: Unknowns
-) -> tuple[Evaluation, Unknowns] | None:
+def reindex_returns(problem: Problem, last: Points) -> Points | None:
     """Describe the motion with another number of section crossings, just behind a tangency with the section.
 
-    Return the new point and its tangent, or None if there is no such description.
-
-    **Arguments:** `last`, `tangent`: last point of one lane, and the tangent at this point.
+    Return the new point, or None if there is no such description. `last`: last point of one branch.
     """
-    lane = np.array([family])
+    lane, tangent = last.family, last.tangent
     period, cycles = float(last.times.sum()), last.times.shape[1]
     for distance in REINDEX_DISTANCES:
         u = last.u + distance * tangent
@@ -94,34 +92,32 @@ def reindex_returns(
                 total += float(now.times[0, 0])
                 if not np.isfinite(total) or total > (1 - SAME_PERIOD) * period:
                     break
-                states.append(states[-1] + now.off[0] * problem.scales[family])
+                states.append(states[-1] + now.off[0] * problem.scales[lane[0]])
             if abs(total - period) > SAME_PERIOD * period or len(states) == cycles or len(states) > MOST_CYCLES:
                 continue
             guess = problem.unknowns(lane, np.stack(states)[None], value)
-            row = np.zeros_like(guess)
-            row[:, -1] = 1.0
-            now, converged = problem.correct(lane, guess, row, guess[:, -1])
+            now, converged = problem.correct(lane, guess, towards(guess, 1.0), guess[:, -1])
             if converged[0] and np.abs(now.u - guess).max() < 100 * distance + 1e-3:
-                return now, unit_tangent(now.matrix, row * np.sign(tangent[:, -1:]))
+                return now.along(towards(guess, np.sign(tangent[:, -1])))
     return None
 
 
-def doubled_branch(problem: Problem, evaluation: Evaluation) -> tuple[Unknowns, Unknowns]:
+def doubled_branch(problem: Problem, points: Points) -> tuple[Unknowns, Unknowns]:
     """Return the doubled unknowns at period doublings, and the tangents of the doubled branches.
 
     The tangent is the eigenvector of the multiplier -1: after one period of the original orbit, a neighbouring state is
     on the opposite side of that orbit.
     """
-    lanes, rows = len(evaluation.u), problem.rows
-    cycles = evaluation.times.shape[1]
-    values, vectors = np.linalg.eig(evaluation.product)
+    lanes, rows = len(points.u), problem.rows
+    cycles = points.times.shape[1]
+    values, vectors = np.linalg.eig(points.product)
     nearest = np.abs(values + 1).argmin(axis=1)
     parts = [np.take_along_axis(vectors, nearest[:, None, None], axis=2)[..., 0].real]
-    blocks = evaluation.matrix[..., :-1].reshape(lanes, cycles, rows, cycles, rows)
+    blocks = points.matrix[..., :-1].reshape(lanes, cycles, rows, cycles, rows)
     for k in range(cycles - 1):
         parts.append(np.einsum("ijk,ik->ij", blocks[:, k, :, k], parts[-1]))
     half = np.concatenate(parts, axis=1)
-    u = np.concatenate([evaluation.u[:, :-1], evaluation.u], axis=1)
+    u = np.concatenate([points.u[:, :-1], points.u], axis=1)
     tangent = np.concatenate([half, -half, np.zeros((lanes, 1))], axis=1)
     return u, tangent / np.linalg.norm(tangent, axis=1, keepdims=True)
 
