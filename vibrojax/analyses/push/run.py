@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
 
-from vibrojax.analyses.attractors.grouping import SAME_ORBIT_WITHIN
+from vibrojax.analyses.attractors.grouping import is_on_orbit
 from vibrojax.analyses.push.spec import PRECISION, SCAN, PushSpec, push_spec
 from vibrojax.analyses.sweep.run import run_sweep
 from vibrojax.errors import Place
@@ -228,8 +228,7 @@ class _Search:
         returned = np.zeros(len(point), bool)
         for number, (states, scales) in enumerate(zip(self._orbits.states, self._orbits.scales, strict=True)):
             lanes = np.flatnonzero((point == number) & (dataset["orbit_cycles"].values == len(states)))
-            distance = np.abs(orbits[lanes, None] - states[None]) / scales
-            returned[lanes] = distance.max(axis=2).min(axis=1) < SAME_ORBIT_WITHIN
+            returned[lanes] = is_on_orbit(orbits[lanes], states, scales)
         on_another = np.isfinite(orbits).all(axis=1) & (dataset["stable"].values != 0) & (regime != UNDECIDED)
         # An irregular motion near an orbit may still converge to this orbit: it has neither returned nor left.
         irregular = (regime == IRREGULAR) & (dataset["nearby_cycles"].values == 0)
