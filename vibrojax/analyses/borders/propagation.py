@@ -16,8 +16,7 @@ from vibrojax.analyses.continuation.arclength import ENDED, STALLED, continue_br
 from vibrojax.analyses.continuation.brackets import Brackets, shrink_brackets
 from vibrojax.analyses.continuation.families import STEP_AFTER_CORNER
 from vibrojax.analyses.continuation.problem import Flags, Index, PerLane, Points, Problem, spectral_radius, towards
-from vibrojax.analyses.continuation.special_points import TEST_FUNCTIONS, classify_event_changes
-from vibrojax.analyses.continuation.switching import turn_corner
+from vibrojax.analyses.continuation.special_points import TEST_FUNCTIONS, classify_event_changes, turn_corner
 from vibrojax.io.kinds import SPECIAL_KINDS
 from vibrojax.models.scenes import Scene
 from vibrojax.periodic.newton import multipliers
@@ -42,32 +41,6 @@ Cell = tuple[int, int, int]
 Step = tuple[int, int]
 """A step to a neighbouring grid point: axis of the plane (0 or 1), and direction (-1 or 1)."""
 
-GRID_STEPS: tuple[Step, ...] = ((0, 1), (0, -1), (1, 1), (1, -1))
-
-
-class Planes(NamedTuple):
-    """Planes of a sweep: names and values of their two axes, and all `parameters` by name, each (planes, xs, ys)."""
-
-    names: tuple[str, str]
-    values: tuple[np.ndarray, np.ndarray]
-    parameters: Mapping[str, Float[np.ndarray, "planes xs ys"]]
-
-    @property
-    def shape(self) -> tuple[int, int, int]:
-        """Number of planes, and numbers of grid points along the two axes."""
-        planes, xs, ys = next(iter(self.parameters.values())).shape
-        return planes, xs, ys
-
-    def neighbour(self, cell: Cell, step: Step) -> Cell | None:
-        """Return the neighbouring grid point in the direction of `step`, or None if it is outside the plane."""
-        place = list(cell)
-        place[1 + step[0]] += step[1]
-        return (place[0], place[1], place[2]) if 0 <= place[1 + step[0]] < self.shape[1 + step[0]] else None
-
-    def value(self, cell: Cell, axis: int) -> float:
-        """Return the coordinate of a grid point along an axis."""
-        return float(self.values[axis][cell[1 + axis]])
-
 
 class OrbitLoss(NamedTuple):
     """Loss of a stable single impact on an edge: `kind` as a flag, and parameter `value` along the edge's axis."""
@@ -89,74 +62,78 @@ class GridOrbit:
     leads: "dict[Step, GridOrbit | OrbitLoss]" = field(default_factory=dict)
 
 
-OrbitsByCell = dict[Cell, list[GridOrbit]]
+@dataclass(eq=False)
+class OrbitGrid:
+    """The stable single impacts at the grid points of a sweep's planes.
 
+    - `names`, `values`: names and values of the planes' two axes.
+    - `parameters`: all parameters of the scene by name, each (planes, xs, ys).
+    - `most_steps`: step limit between two section crossings.
+    """
 
-def find_orbit(orbits: OrbitsByCell, cell: Cell, state: np.ndarray) -> GridOrbit | None:
-    """Return the known orbit with the given state at a grid point, or None if the orbit is new."""
-    for orbit in orbits.get(cell, ()):
-        if np.abs((orbit.state - state) / orbit.scale).max() < SAME_ORBIT:
-            return orbit
-    return None
+    scene: Scene[Any]
+    names: tuple[str, str]
+    values: tuple[np.ndarray, np.ndarray]
+    parameters: Mapping[str, Float[np.ndarray, "planes xs ys"]]
+    most_steps: float
+    orbits: dict[Cell, list[GridOrbit]] = field(default_factory=dict)
 
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Number of planes, and numbers of grid points along the two axes."""
+        return next(iter(self.parameters.values())).shape
 
-def add_orbit(orbits: OrbitsByCell, cell: Cell, state: np.ndarray, scale: np.ndarray) -> GridOrbit:
-    """Add an orbit at a grid point, and return it."""
-    orbit = GridOrbit(cell, state, scale)
-    orbits.setdefault(cell, []).append(orbit)
-    return orbit
+    def find(self, cell: Cell, state: np.ndarray) -> GridOrbit | None:
+        """Return the known orbit with the given state at a grid point, or None if the orbit is new."""
+        known = self.orbits.get(cell, ())
+        return next((orbit for orbit in known if np.abs((orbit.state - state) / orbit.scale).max() < SAME_ORBIT), None)
 
+    def add(self, cell: Cell, state: np.ndarray, scale: np.ndarray) -> GridOrbit:
+        """Add an orbit at a grid point, and return it."""
+        orbit = GridOrbit(cell, state, scale)
+        self.orbits.setdefault(cell, []).append(orbit)
+        return orbit
 
-def propagate(scene: Scene[Any], planes: Planes, orbits: OrbitsByCell, most_steps: float) -> None:
-    """Continue all orbits to all neighbouring grid points, then the new orbits found there, until none is new."""
-    front = [orbit for of_cell in orbits.values() for orbit in of_cell]
-    while front:
-        new: list[GridOrbit] = []
-        for axis in (0, 1):
-            edges = [
-                (orbit, step, end)
-                for orbit in front
-                for step in GRID_STEPS
-                if step[0] == axis and step not in orbit.leads
-                if (end := planes.neighbour(orbit.cell, step)) is not None
-            ]
-            if edges:
-                new += _propagate_along(scene, planes, orbits, edges, axis, most_steps)
-        front = new
+    def propagate(self) -> None:
+        """Continue all orbits to all neighbouring grid points, then the new orbits found there, until none is new."""
+        front = [orbit for of_cell in self.orbits.values() for orbit in of_cell]
+        while front:
+            front = [orbit for axis in (0, 1) for orbit in self._propagate_along(front, axis)]
 
-
-def _propagate_along(
-    scene: Scene[Any],
-    planes: Planes,
-    orbits: OrbitsByCell,
-    edges: list[tuple[GridOrbit, Step, Cell]],
-    axis: int,
-    most_steps: float,
-) -> list[GridOrbit]:
-    """Continue orbits along edges (orbit, step, end) of one axis; add the results to `orbits`; return new orbits."""
-    cells = np.array([orbit.cell for orbit, _, _ in edges])
-    parameters = {name: x[tuple(cells.T)] for name, x in planes.parameters.items()}
-    begin = planes.values[axis][cells[:, 1 + axis]]
-    end = planes.values[axis][np.array([cell[1 + axis] for _, _, cell in edges])]
-    scales = np.array([orbit.scale for orbit, _, _ in edges])
-    first, last = np.minimum(begin, end), np.maximum(begin, end)
-    unit = (last - first) / EDGE_LENGTH
-    problem = Problem(scene, planes.names[axis], parameters, scales, unit, first, last, most_steps)
-    ends = _continue_edges(problem, np.array([orbit.state for orbit, _, _ in edges]), begin, end)
-    new = []
-    for (orbit, step, cell), state in zip(edges, ends, strict=True):
-        if isinstance(state, OrbitLoss):
-            orbit.leads[step] = state
-            continue
-        other = find_orbit(orbits, cell, state)
-        if other is None:
-            if len(orbits.get(cell, ())) >= MAX_ORBITS_PER_POINT:
+    def _propagate_along(self, front: list[GridOrbit], axis: int) -> list[GridOrbit]:
+        """Continue orbits along the edges of one axis that have not been passed yet; return the new orbits."""
+        edges: list[tuple[GridOrbit, Step, Cell]] = []
+        for orbit in front:
+            for step in ((axis, 1), (axis, -1)):
+                beside = list(orbit.cell)
+                beside[1 + axis] += step[1]
+                if step not in orbit.leads and 0 <= beside[1 + axis] < self.shape[1 + axis]:
+                    edges.append((orbit, step, (beside[0], beside[1], beside[2])))
+        if not edges:
+            return []
+        orbits = [orbit for orbit, _, _ in edges]
+        cells = np.array([orbit.cell for orbit in orbits])
+        parameters = {name: x[tuple(cells.T)] for name, x in self.parameters.items()}
+        begin = self.values[axis][cells[:, 1 + axis]]
+        end = self.values[axis][np.array([cell[1 + axis] for _, _, cell in edges])]
+        first, last = np.minimum(begin, end), np.maximum(begin, end)
+        unit, scales = (last - first) / EDGE_LENGTH, np.array([orbit.scale for orbit in orbits])
+        problem = Problem(self.scene, self.names[axis], parameters, scales, unit, first, last, self.most_steps)
+        ends = _continue_edges(problem, np.array([orbit.state for orbit in orbits]), begin, end)
+        new = []
+        for (orbit, step, cell), state in zip(edges, ends, strict=True):
+            if isinstance(state, OrbitLoss):
+                orbit.leads[step] = state
                 continue
-            other = add_orbit(orbits, cell, state, orbit.scale)
-            new.append(other)
-        orbit.leads[step] = other
-        other.leads.setdefault((step[0], -step[1]), orbit)
-    return new
+            other = self.find(cell, state)
+            if other is None:
+                if len(self.orbits.get(cell, ())) >= MAX_ORBITS_PER_POINT:
+                    continue
+                other = self.add(cell, state, orbit.scale)
+                new.append(other)
+            orbit.leads[step] = other
+            other.leads.setdefault((axis, -step[1]), orbit)
+        return new
 
 
 def _continue_edges(

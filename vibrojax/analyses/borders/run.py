@@ -9,16 +9,7 @@ import numpy as np
 import xarray as xr
 
 from vibrojax.analyses.borders.curves import Border, Vertex, around_region
-from vibrojax.analyses.borders.propagation import (
-    Cell,
-    GridOrbit,
-    OrbitLoss,
-    OrbitsByCell,
-    Planes,
-    add_orbit,
-    find_orbit,
-    propagate,
-)
+from vibrojax.analyses.borders.propagation import GridOrbit, OrbitGrid, OrbitLoss
 from vibrojax.analyses.orbits.rerun import orbits as with_orbits
 from vibrojax.analyses.orbits.rerun import sweep_with_orbits
 from vibrojax.errors import InputError, shown
@@ -124,30 +115,29 @@ class Regions:
             lanes[name] = grid.values.astype(float).ravel()
         known = known_orbits(scene, dataset, lanes)
         points = {name: x.reshape(shape)[..., 0] for name, x in lanes.items()}
-        self._planes = Planes(names, (sweep.axes[names[0]], sweep.axes[names[1]]), points)
+        axes = sweep.axes[names[0]], sweep.axes[names[1]]
+        self._grid = OrbitGrid(scene, names, axes, points, known.most_steps)
         self._regime = dataset["regime"].values.reshape(shape)
         self._single = self._regime == SINGLE_IMPACT
         settled = self._single & (dataset["stable"].values.reshape(shape) == 1)
         self._own: dict[tuple[int, int, int, int], GridOrbit] = {}
-        self._orbits: OrbitsByCell = {}
         for lane, states, scale in zip(known.lanes.tolist(), known.states, known.scales, strict=True):
             plane, i, j, start = (int(k) for k in np.unravel_index(lane, shape))
             if not settled[plane, i, j, start] or len(states) != 1:
                 continue
             cell, state = (plane, i, j), states[0]
-            orbit = find_orbit(self._orbits, cell, state) or add_orbit(self._orbits, cell, state, scale)
-            self._own[plane, i, j, start] = orbit
-        propagate(scene, self._planes, self._orbits, known.most_steps)
+            self._own[plane, i, j, start] = self._grid.find(cell, state) or self._grid.add(cell, state, scale)
+        self._grid.propagate()
 
     def borders(self) -> xr.Dataset:
         """Return the curves and areas of all regions."""
         curves: list[tuple[Border, int, str]] = []
         areas: list[tuple[float, int, str]] = []
-        x, y = self._planes.values
-        reached = np.zeros(self._planes.shape, bool)
-        for plane, i, j in self._orbits:
-            reached[plane, i, j] = True
-        for plane in range(self._planes.shape[0]):
+        x, y = self._grid.values
+        reached = np.zeros(self._grid.shape, bool)
+        for cell in self._grid.orbits:
+            reached[cell] = True
+        for plane in range(len(reached)):
             for number, start in enumerate([*self._starts, ANY_START]):
                 inside = reached[plane] if start == ANY_START else self._single[plane, :, :, number]
                 ends = partial(self._vertex, plane, None if start == ANY_START else number)
@@ -161,11 +151,12 @@ class Regions:
 
         `start`: number of the initial condition whose region it is, or None for the region of all orbits.
         """
-        cell: Cell = (plane, *inside)
+        cell = (plane, *inside)
         axis = 0 if inside[0] != outside[0] else 1
         step = (axis, outside[axis] - inside[axis])
-        begin, end = self._planes.value(cell, axis), self._planes.value((plane, *outside), axis)
-        orbits = self._orbits.get(cell, [])
+        axes = self._grid.values
+        begin, end = (float(axes[axis][place[axis]]) for place in (inside, outside))
+        orbits = self._grid.orbits.get(cell, [])
         if start is not None:
             orbits = [self._own[(*cell, start)]] if (*cell, start) in self._own else []
         leads = [orbit.leads.get(step) for orbit in orbits]
@@ -179,7 +170,7 @@ class Regions:
         else:
             settled = start is None or self._regime[(plane, *outside, start)] != UNDECIDED
             kind = "basin" if settled else "not-settled"
-        place = [self._planes.value(cell, 0), self._planes.value(cell, 1)]
+        place = [float(axes[0][inside[0]]), float(axes[1][inside[1]])]
         place[axis] = value
         return Vertex(place[0], place[1], kind)
 

@@ -17,8 +17,14 @@ from vibrojax.analyses.continuation.segments import (
     Segment,
     drop_duplicates,
 )
-from vibrojax.analyses.continuation.special_points import classify_event_changes, locate_special_points
-from vibrojax.analyses.continuation.switching import branch_distance, doubled_branch, reindex_returns, turn_corner
+from vibrojax.analyses.continuation.special_points import (
+    branch_distance,
+    classify_event_changes,
+    doubled_branch,
+    locate_special_points,
+    reindex_returns,
+    turn_corner,
+)
 from vibrojax.io.kinds import SPECIAL_KINDS
 
 FIRST_STEP, STEP_AFTER_CORNER = 0.02, 1e-3

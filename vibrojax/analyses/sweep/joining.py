@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from vibrojax.analyses.chaos import Natures
+from vibrojax.analyses.chaos.natures import Natures
 from vibrojax.analyses.sweep.workers.work import SECONDS, quiet
 from vibrojax.io.dataset import UP_TO, Sizes
 from vibrojax.io.targets import Region, Regions, Target
