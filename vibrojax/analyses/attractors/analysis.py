@@ -28,7 +28,6 @@ from vibrojax.sweep.input.definition import Sweep
 _SHOWN = 12
 """Greatest number of attractors that are listed one by one."""
 
-
 LANES = "lane_attractor"
 COLOURS = ("#0072B2", "#E69F00", "#6A1B5D", "#009E73", "#D55E00", "#56B4E9", "#222222", "#B5468B")
 """Colours of the attractors from number 0; all further attractors have the colour `BEYOND`."""

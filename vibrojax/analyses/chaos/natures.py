@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from vibrojax.analyses.chaos.series import (
+from vibrojax.analyses.chaos.growth import (
     EXPONENT_BLOCKS,
     LONGEST_REPEAT,
     TANGENT_ACCURACY,
@@ -87,7 +87,7 @@ class Natures:
 
     An object is called with the features of one chunk at a time. A periodic lane has the exponent of its orbit: the
     logarithm of the orbit's largest |multiplier| divided by the time of one period. Other lanes are continued along the
-    return map with a tangent vector, see [vibrojax.analyses.chaos.series][].
+    return map with a tangent vector, see [vibrojax.analyses.chaos.growth][].
     """
 
     def __init__(self, sweep: Sweep) -> None:

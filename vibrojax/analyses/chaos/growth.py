@@ -1,4 +1,9 @@
-"""Estimates from series of returns to the section: Lyapunov exponents, periods, and the 0-1 test for chaos."""
+"""Growth of tangent vectors along the return map, through all events, and estimates from it: exponents, periods, chaos.
+
+The section removes the direction of the flow, whose exponent is zero. The tangent includes the derivative of every
+event time, so its growth contains the saltation (Mueller, Chaos, Solitons and Fractals 5 (1995) 1671). Sticking of the
+bit removes one direction from the tangent, which keeps the others.
+"""
 
 from collections import deque
 from collections.abc import Mapping
@@ -35,10 +40,19 @@ TEST_FREQUENCIES = 24
 TEST_LAG_SHARE, TEST_LAGS = 0.1, 24
 """Largest lag of the 0-1 test as a fraction of the length of the series, and number of lags."""
 
+TANGENT_ACCURACY = Accuracy(tolerance=1e-7, stride=LOCATED_STRIDE, step=np.inf)
+"""Accuracy of the return map. Another tolerance changes a chaotic trajectory, but not its statistics."""
+
+TANGENT_LANES_PER_CALL = 256
+"""Greatest number of lanes that one worker steps through all returns."""
+
+RETURNS_PER_CALL = 128
+"""Number of returns per compiled call; lanes wait for each other only at the end of a call."""
+
 PerLane = Float[np.ndarray, " lanes"]
 PerReturn = Float[np.ndarray, "returns lanes"]
 States = Float[np.ndarray, "returns states lanes"]
-Scale = Float[np.ndarray, "states lanes"]
+PerState = Float[np.ndarray, "states lanes"]
 
 
 def exponents(rate: PerReturn, time: PerReturn) -> tuple[PerLane, PerLane]:
@@ -64,7 +78,7 @@ def _bump(count: int) -> Float[np.ndarray, " count"]:
     return np.exp(-1 / (share * (1 - share)))
 
 
-def find_repeats(states: States, scale: Scale) -> Int[np.ndarray, " lanes"]:
+def find_repeats(states: States, scale: PerState) -> Int[np.ndarray, " lanes"]:
     """Return the period of each lane in returns, judged by its last three periods; 0 if a lane is not periodic."""
     repeat = np.zeros(states.shape[2], int)
     for length in range(LONGEST_REPEAT, 0, -1):
@@ -74,7 +88,7 @@ def find_repeats(states: States, scale: Scale) -> Int[np.ndarray, " lanes"]:
 
 
 def exponents_of_repeats(
-    rate: PerReturn, time: PerReturn, states: States, scale: Scale, exponent: PerLane, error: PerLane
+    rate: PerReturn, time: PerReturn, states: States, scale: PerState, exponent: PerLane, error: PerLane
 ) -> Int[np.ndarray, " lanes"]:
     """Return each lane's period in returns, 0 if none; restrict `exponent` and `error`, in place, to periodic parts."""
     repeat = find_repeats(states, scale)
@@ -121,18 +135,6 @@ def zero_one(series: Float[np.ndarray, "samples lanes"]) -> PerLane:
         with np.errstate(invalid="ignore", divide="ignore"):
             result[k] = (x @ y) / np.sqrt((x @ x) * np.sum(y * y, axis=0))
     return np.median(result, axis=0)
-
-
-TANGENT_ACCURACY = Accuracy(tolerance=1e-7, stride=LOCATED_STRIDE, step=np.inf)
-"""Accuracy of the return map. Another tolerance changes a chaotic trajectory, but not its statistics."""
-
-TANGENT_LANES_PER_CALL = 256
-"""Greatest number of lanes that one worker steps through all returns."""
-
-RETURNS_PER_CALL = 128
-"""Number of returns per compiled call; lanes wait for each other only at the end of a call."""
-
-PerState = Float[np.ndarray, "states lanes"]
 
 
 class Growth(NamedTuple):
