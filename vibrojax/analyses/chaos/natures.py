@@ -77,6 +77,19 @@ EMBEDDED_WITHIN = 0.5
 """Scaled distance up to which a recurrence is used as an initial guess for Newton's method."""
 
 
+EXPONENTS_DESCRIBED = {
+    "exponent": "largest of the flow except the trivial zero: of the return map, per second; natural logarithm",
+    "stick": "loses one direction, whose exponent is minus infinity; the largest of the others stays finite",
+    "of_lanes_that_repeat": "ln of the orbit's largest |multiplier| over the time of its repeat",
+    "tolerance": TANGENT_ACCURACY.tolerance,
+    "returns_before": RETURNS_BEFORE,
+    "returns": [EXPONENT_MIN_RETURNS, EXPONENT_MAX_RETURNS],
+    "blocks": EXPONENT_BLOCKS,
+    "transient": "chaotic motion in which a stable orbit of the return map was found counts as not-settled",
+}
+"""A dataset's attribute `lyapunov`: which exponent the dataset holds, and how it was computed."""
+
+
 def nature(name: str) -> int:
     """Return the flag value of `nature` with the meaning `name`, such as "chaotic"."""
     return NATURES.index(name)
@@ -94,20 +107,6 @@ class Natures:
         self._sweep = sweep
         self._scene = sweep.system.driving_part()
         self._orbits = None if sweep.run.orbits else Orbits(sweep)
-
-    @property
-    def described(self) -> dict[str, object]:
-        """Value of a dataset's attribute `lyapunov`: which exponent the dataset holds, and how it was computed."""
-        return {
-            "exponent": "largest of the flow except the trivial zero: of the return map, per second; natural logarithm",
-            "stick": "loses one direction, whose exponent is minus infinity; the largest of the others stays finite",
-            "of_lanes_that_repeat": "ln of the orbit's largest |multiplier| over the time of its repeat",
-            "tolerance": TANGENT_ACCURACY.tolerance,
-            "returns_before": RETURNS_BEFORE,
-            "returns": [EXPONENT_MIN_RETURNS, EXPONENT_MAX_RETURNS],
-            "blocks": EXPONENT_BLOCKS,
-            "transient": "chaotic motion in which a stable orbit of the return map was found counts as not-settled",
-        }
 
     def __call__(self, first: int, end: int, features: Features) -> Features:
         """Return the features `lyapunov`, `lyapunov_stderr`, `zero_one` and `nature` of some lanes.

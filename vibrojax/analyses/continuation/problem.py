@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, Int
 
 from vibrojax.models.scenes import Scene
 from vibrojax.periodic.newton import chain, images_by_lane, multipliers, shooting_matrix
-from vibrojax.periodic.return_map import MOST_STEPS, Segments
+from vibrojax.periodic.return_map import Segments
 from vibrojax.stepping import LOCATED_STRIDE, Accuracy
 
 FAMILY_ACCURACY = Accuracy(tolerance=1e-12, stride=LOCATED_STRIDE, step=np.inf)
@@ -113,7 +113,7 @@ class Problem:
     unit: PerLane
     first: PerLane
     last: PerLane
-    most_steps: float = MOST_STEPS
+    most_steps: float
 
     @cached_property
     def _map(self) -> Segments:
@@ -182,8 +182,6 @@ class Problem:
             on = ~done & (residual < np.maximum(before[active], 1e-3)) & np.isfinite(residual)
             before[active] = residual
             active, now, short = active[on], now.of(on), short[on]
-            if not len(active):
-                break
             step = solve_bordered(now.matrix, row[active], -np.column_stack([now.off, short]))
             sound = np.isfinite(step).all(axis=1)
             active = active[sound]
