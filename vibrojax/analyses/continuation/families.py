@@ -149,18 +149,9 @@ class FamilyContinuation:
             for kind in kinds:
                 segment.mark(kind, note)
             if beyond is not None:
-                onward = Segment(
-                    segment.family,
-                    segment.branch,
-                    segment.direction,
-                    beyond.u[0],
-                    beyond.tangent[0],
-                    STEP_AFTER_CORNER,
-                    segment.number + 1,
-                    departure,
-                    segment.home,
-                    segment,
-                )
+                start = (beyond.u[0], beyond.tangent[0], STEP_AFTER_CORNER, segment.number + 1)
+                onward = Segment(segment.family, segment.branch, segment.direction, *start, departure, segment.home)
+                onward.parent = segment
                 following.append(onward)
         return following
 
