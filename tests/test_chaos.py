@@ -7,8 +7,7 @@ import pytest
 from known_scenes import ImpactOscillator, Lorenz
 
 import vibrojax as vj
-from vibrojax.analyses.chaos.series import exponents, zero_one
-from vibrojax.analyses.chaos.tangents import TANGENT_ACCURACY, grow
+from vibrojax.analyses.chaos.growth import TANGENT_ACCURACY, exponents, grow, zero_one
 from vibrojax.errors import InputError
 from vibrojax.io.variables import NATURES
 from vibrojax.measures.labels import IRREGULAR

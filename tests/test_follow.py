@@ -10,8 +10,8 @@ from exact.measures import sections
 from scipy.linalg import expm
 
 import vibrojax as vj
-from vibrojax.analyses.continuation.indicators import KINDS
 from vibrojax.errors import InputError
+from vibrojax.io.kinds import SPECIAL_KINDS
 
 ENDS = json.loads((Path(__file__).parent / "data" / "orbit_cases.json").read_text())["ends_of_families"]
 STATES = ("orbit_x1", "orbit_x2", "orbit_v2")
@@ -23,7 +23,7 @@ def followed(**more):
 
 def specials(family, kind, branch=0):
     """Where special points of a kind lie on a branch."""
-    here = (family.special_kind.values == KINDS.index(kind)) & (family.special_branch.values == branch)
+    here = (family.special_kind.values == SPECIAL_KINDS.index(kind)) & (family.special_branch.values == branch)
     return np.sort(family.special_value.values[here])
 
 
@@ -77,17 +77,13 @@ def test_unstable_orbits_are_orbits_of_the_exact_motion(family, gamma):
     assert (point.stable == 1) == (exact[0] < 1)
 
 
-def test_some_orbits_are_unstable(family):
-    assert (family.stable == 0).any() and (family.stable == 1).any()
-
-
 # What theory says of special points
 
 
 def test_the_stability_changes_at_special_points_only(family):
     branch = branch_of(family, 0)
     changes = np.flatnonzero(np.diff(branch.stable.values))
-    assert len(changes)
+    assert {0, 1} <= set(branch.stable.values.tolist())
     turning = np.concatenate(
         [specials(family, kind) for kind in ("fold", "period-doubling", "torus", "grazing", "stick")]
     )
@@ -187,7 +183,7 @@ def random_lines(seed, count):
         yield at, along, begin, wide[along]
 
 
-@pytest.mark.parametrize("line", list(random_lines(11, 8)), ids=lambda line: line[1])
+@pytest.mark.parametrize("line", list(random_lines(11, 5)), ids=lambda line: line[1])
 def test_lanes_begun_beside_orbits_stay_where_these_are_stable_and_leave_where_not(line):
     """Along random lines: the sweep knows nothing of multipliers or special points."""
     at, along, begin, span = line
@@ -245,5 +241,5 @@ def test_rock_begins_to_yield_at_the_force_of_the_linear_answer():
     below = family.force.values < onset - 1.0
     assert (family.rate_of_penetration.values[below] == 0).all()
     assert (family.rate_of_penetration.values[family.force.values > onset + 1.0] > 0).all()
-    [note] = family.special_note.values[family.special_kind.values == KINDS.index("grazing")]
+    [note] = family.special_note.values[family.special_kind.values == SPECIAL_KINDS.index("grazing")]
     assert "rock" in note

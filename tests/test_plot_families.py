@@ -103,6 +103,11 @@ def extent(lines):
     return pytest.approx((x.min(), x.max()))
 
 
+@pytest.fixture(scope="module")
+def figure():
+    return picture(one_family())
+
+
 # What the dataset says.
 
 
@@ -136,51 +141,45 @@ def test_special_points_on_two_sheets_at_one_value_have_a_point_each():
 # One family.
 
 
-def test_solid_where_stable_and_dashed_where_not():
-    solid, dashed = lines_of(panel(picture(one_family()), ylabel="x₁"))
+def test_solid_where_stable_and_dashed_where_not(figure):
+    solid, dashed = lines_of(panel(figure, ylabel="x₁"))
     assert extent(solid) == (0.5, 1.0) and extent(dashed) == (0.5, 1.0)
-    on_first = [line for line in solid if line.get_color() == "#00598C"]
-    assert extent(on_first) == (0.5, 0.9)
+    assert extent([line for line in solid if line.get_color() == "#00598C"]) == (0.5, 0.9)
     assert extent([line for line in solid if line.get_color() == "#D1570A"]) == (0.9, 1.0)
 
 
-def test_special_points_lie_where_their_orbits_do():
-    found = marks(panel(picture(one_family()), ylabel="x₁"))
+def test_special_points_lie_where_their_orbits_do(figure):
+    found = marks(panel(figure, ylabel="x₁"))
     assert {kind: len(places) for kind, places in found.items()} == {"end": 3, "period-doubling": 1, "fold": 1}
-    assert found["fold"][0] == pytest.approx((0.5, -35.0)) and found["period-doubling"][0] == pytest.approx(
-        (0.9, -63.0)
-    )
+    assert found["fold"] == [pytest.approx((0.5, -35.0))]
+    assert found["period-doubling"] == [pytest.approx((0.9, -63.0))]
 
 
-def test_two_returns_are_drawn_by_the_least_and_the_greatest_blow():
-    figure = picture(one_family())
+def test_two_returns_are_drawn_by_the_least_and_the_greatest_blow(figure):
     solid, _ = lines_of(panel(figure, ylabel="impact velocity"))
     ends = sorted(float(line.get_ydata()[-1]) for line in solid if line.get_color() == "#D1570A")
     assert ends == pytest.approx([2.4 - np.sqrt(0.1), 2.4 + np.sqrt(0.1)])
     assert "the least and the greatest blow" in note(figure)
 
 
-def test_lines_go_through_every_orbit():
+def test_lines_go_through_every_orbit(figure):
     ds = one_family()
-    solid, _ = lines_of(panel(picture(ds), ylabel="impact velocity"))
+    solid, _ = lines_of(panel(figure, ylabel="impact velocity"))
     x, y = (np.concatenate([getattr(line, f"get_{c}data")() for line in solid]) for c in "xy")
-    first = next(branches(ds)).points
-    inner = first[(ds["gamma"].values[first] <= 0.9) & (ds["stable"].values[first] == 1)]
-    for gamma, velocity in zip(ds["gamma"].values[inner], ds["impact_velocity"].values[inner], strict=True):
-        assert np.hypot(x - gamma, y - velocity).min() < 1e-9
+    inner = ds.isel(point=(ds.branch.values == 0) & (ds.gamma.values <= 0.9) & (ds.stable.values == 1))
+    apart = np.hypot(x[:, None] - inner.gamma.values, y[:, None] - inner.impact_velocity.values)
+    assert inner.sizes["point"] and apart.min(axis=0).max() < 1e-9
 
 
 def test_lines_add_no_wiggles_and_keep_corners():
     x, step = np.linspace(0.0, 1.0, 7), np.array([0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0])
     ((along, up),) = smooth(x, step, np.array([], int))
     assert along.size > x.size and up.min() >= 0.0 and up.max() <= 1.0 and (np.diff(up) >= 0).all()
-    corner = np.abs(x - 0.5)
-    left, right = smooth(x, corner, np.array([3]))
+    left, right = smooth(x, np.abs(x - 0.5), np.array([3]))
     assert np.allclose(left[1], 0.5 - left[0]) and np.allclose(right[1], right[0] - 0.5)
 
 
-def test_moduli_have_the_border_of_stability_and_multipliers_the_circle():
-    figure = picture(one_family())
+def test_moduli_have_the_border_of_stability_and_multipliers_the_circle(figure):
     moduli = panel(figure, ylabel="largest modulus")
     assert moduli.get_yscale() == "log" and any(set(line.get_ydata()) == {1.0} for line in moduli.lines)
     plane = panel(figure, title="multipliers")
@@ -192,8 +191,8 @@ def test_moduli_have_the_border_of_stability_and_multipliers_the_circle():
     assert "The plane leaves out 10 of 19" in note(figure)
 
 
-def test_moduli_off_the_panel_are_told():
-    assert "largest modulus is drawn" not in note(picture(one_family()))
+def test_moduli_off_the_panel_are_told(figure):
+    assert "largest modulus is drawn" not in note(figure)
     ds = one_family()
     ds["multiplier_abs"][{"point": 2, "multiplier": 0}] = 500.0
     assert "The largest modulus is drawn from 0.01 to 100" in note(picture(ds))
@@ -206,21 +205,19 @@ def test_without_impacts_the_bit_is_drawn():
     assert not any("amplitude" in text for text in axis_labels(picture(ds)))
 
 
-def test_the_legend_counts_kinds_and_names_what_lines_are():
-    entries = legend(picture(one_family()))
-    assert {"fold  1", "period-doubling  1", "end  3", "stable", "unstable"} <= set(entries)
-    assert {"repeats after one return", "repeats after 2 returns"} <= set(entries)
-    assert "β = 0.4, Δ = −5 mm, start: stuck" in note(picture(one_family()))
+def test_the_legend_counts_kinds_and_names_what_lines_are(figure):
+    entries = {"fold  1", "period-doubling  1", "end  3", "stable", "unstable"}
+    assert entries | {"repeats after one return", "repeats after 2 returns"} <= set(legend(figure))
+    assert "β = 0.4, Δ = −5 mm, start: stuck" in note(figure)
 
 
 def test_all_kinds_are_told_apart():
-    ds = one_family()
     drawn = {}
-    for kind in range(7):
-        figure = picture(ds.assign(special_kind=("special", np.full(5, kind, np.int8), FLAGS)))
-        mark = next(line for line in panel(figure, ylabel="x₁").lines if str(line.get_label())[1:] in KINDS.split())
-        drawn[kind] = mark.get_marker(), to_hex(mark.get_color())
-    assert len({shape for shape, _ in drawn.values()}) == 7
+    for kinds in (np.arange(5), np.arange(2, 7)):
+        ds = one_family().assign(special_kind=("special", kinds.astype(np.int8), FLAGS))
+        lines = panel(picture(ds), ylabel="x₁").lines
+        drawn |= {label: line.get_marker() for line in lines if (label := str(line.get_label())[1:]) in KINDS.split()}
+    assert len(drawn) == 7 == len(set(drawn.values()))
 
 
 # Several, and a part of them.

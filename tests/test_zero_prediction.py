@@ -22,7 +22,7 @@ def test_two_points_make_a_line_that_is_doubted():
 
 
 def test_of_a_single_point_nothing_is_predict_zero():
-    assert np.isnan(predict_zero(np.array([[0.4, np.nan, np.nan]]), np.array([[0.1, np.nan, np.nan]])).place).all()
+    assert np.isnan(predict_zero(np.array([[0.4, np.nan, np.nan]]), np.array([[0.1, np.nan, np.nan]]))).all()
 
 
 @pytest.mark.parametrize("value", [np.sin, lambda x: np.expm1(x) * (1 + x), lambda x: np.sqrt(x) * (1 + 0.3 * x)])

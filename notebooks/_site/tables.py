@@ -10,7 +10,7 @@ from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
 import vibrojax as vj
-from vibrojax.analyses.continuation.indicators import KINDS
+from vibrojax.io.kinds import SPECIAL_KINDS
 from vibrojax.io.variables import NATURES, VARIABLES
 from vibrojax.models.physics.rock import ROCKS
 from vibrojax.models.scenes import HasFriction
@@ -53,7 +53,7 @@ def shortened(names: list[str]) -> str:
 def flags() -> pd.DataFrame:
     """Return the variables whose values are flags, with the meaning of each value."""
     kept = {name: (about.first_flag, about.flags) for name, about in VARIABLES.items() if about.flags}
-    kept |= {"nature": (0, NATURES), "special_kind": (0, KINDS)}
+    kept |= {"nature": (0, NATURES), "special_kind": (0, SPECIAL_KINDS)}
     return pd.DataFrame(
         [
             (name, ", ".join(f"{value} {flag}" for value, flag in enumerate(names, first)))

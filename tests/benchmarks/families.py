@@ -12,8 +12,7 @@ import numpy as np
 import vibrojax as vj
 from vibrojax.analyses.continuation.families import FamilyContinuation
 from vibrojax.analyses.continuation.problem import Problem
-from vibrojax.analyses.continuation.run import problem_of
-from vibrojax.analyses.continuation.spec import read_asked
+from vibrojax.analyses.continuation.run import family_spec, problem_of
 
 SPAN = (0.3, 1.6)
 
@@ -21,7 +20,7 @@ SPAN = (0.3, 1.6)
 def problem(count: int) -> tuple[Problem, np.ndarray, list[np.ndarray]]:
     """The equations of so many families, and where they begin."""
     betas = np.linspace(0.26, 0.6, count).tolist()
-    asked = read_asked("vibro-impact", "gamma", 0.72, SPAN, "stuck", 40.0, 8.0, 8, {"beta": betas})
+    asked = family_spec("vibro-impact", "gamma", 0.72, SPAN, "stuck", 40.0, 8.0, 8, {"beta": betas})
     return problem_of(asked, vj.run_sweep(asked.sweep, progress=False))
 
 

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import xarray as xr
 from matplotlib.figure import Figure
 
-from vibrojax.analyses.continuation.picture import families
+from vibrojax.analyses.continuation.analysis import families
 from vibrojax.analyses.sweep.basins import many_starts
 from vibrojax.analyses.sweep.maps import draw_map
 from vibrojax.analyses.sweep.scatter import draw_scatter

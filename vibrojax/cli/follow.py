@@ -36,10 +36,10 @@ def run(options: Options) -> None:
     missing = [name for name in REQUIRED if name not in settings]
     if missing:
         raise place.error(f"{' and '.join(missing)} missing; write vibrojax follow SCENE {_SYNTAX}")
-    from vibrojax.analyses.continuation.spec import OBSERVE, SETTLE, read_asked
+    from vibrojax.analyses.continuation.run import OBSERVE, SETTLE, family_spec
     from vibrojax.measures.ledger import MOST_CYCLES
 
-    request = read_asked(
+    request = family_spec(
         options.scene,
         along=settings["along"],
         at=settings["at"],
@@ -52,10 +52,10 @@ def run(options: Options) -> None:
     )
     result = result_at(options, f"{request.sweep.scene}-{request.along}.nc", request.identity())
     from vibrojax.analyses.continuation.analysis import family_facts, family_lines
-    from vibrojax.analyses.continuation.run import follow_asked
+    from vibrojax.analyses.continuation.run import continue_families
     from vibrojax.io.attributes import attribute_of
 
-    dataset = follow_asked(request, progress=not options.quiet)
+    dataset = continue_families(request, progress=not options.quiet)
     drawn = write_result(options, dataset, result)
     if options.json:
         machine = {"scene": dataset.attrs["scene"], "start": dataset.attrs.get("start")}

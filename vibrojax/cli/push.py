@@ -25,10 +25,10 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(options: Options) -> None:
     settings, parameters = named_values(Place("push"), options.values, SETTINGS, lists=True)
-    from vibrojax.analyses.push.spec import PRECISION, SCAN, read_pushed
+    from vibrojax.analyses.push.spec import PRECISION, SCAN, push_spec
 
     bounds = {name.removeprefix(_MOST): value for name, value in settings.items() if name.startswith(_MOST)}
-    request = read_pushed(
+    request = push_spec(
         options.scene,
         start=settings.get("start"),
         most=bounds or None,
@@ -40,9 +40,9 @@ def run(options: Options) -> None:
     )
     result = result_at(options, f"{request.sweep.scene}-push.nc", request.identity())
     from vibrojax.analyses.push.analysis import push_lines
-    from vibrojax.analyses.push.run import push_asked
+    from vibrojax.analyses.push.run import find_pushes
 
-    dataset = push_asked(request, progress=not options.quiet)
+    dataset = find_pushes(request, progress=not options.quiet)
     drawn = write_result(options, dataset, result)
     if not options.quiet:
         print("\n".join([*push_lines(dataset), f"{result.out}{drawn}"]))

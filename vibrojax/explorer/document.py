@@ -12,8 +12,8 @@ import xarray as xr
 from matplotlib import colormaps
 from matplotlib.colors import LogNorm, to_hex
 
-from vibrojax.analyses.attractors.shares import BEYOND
-from vibrojax.analyses.attractors.shares import COLOURS as ATTRACTOR_COLOURS
+from vibrojax.analyses.attractors.analysis import BEYOND
+from vibrojax.analyses.attractors.analysis import COLOURS as ATTRACTOR_COLOURS
 from vibrojax.errors import InputError, Place, printable, shown
 from vibrojax.explorer.encoding import pack
 from vibrojax.io.attributes import LONGEST_TEXT, differing_of, run_of, text_of, title_of

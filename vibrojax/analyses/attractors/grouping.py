@@ -94,6 +94,13 @@ class PointMotions:
         self.items = [motion for motion, removed in zip(self.items, mask, strict=True) if not removed]
 
 
+def is_on_orbit(
+    states: Float[np.ndarray, "lanes states"], orbit: Float[np.ndarray, "cycles states"], scales: np.ndarray
+) -> Bool[np.ndarray, " lanes"]:
+    """Return which states at the section are on an orbit."""
+    return (np.abs(states[:, None] - orbit) / scales).max(axis=2).min(axis=1) < SAME_ORBIT_WITHIN
+
+
 def classify_motions(
     scene: Scene[Any], dataset: xr.Dataset, parameters: Mapping[str, np.ndarray], starts: int
 ) -> PointMotions:
@@ -126,8 +133,7 @@ def _add_orbits(
         known = known_orbits(scene, dataset, parameters, np.array([lanes[0] for lanes in cells]))
         motions.max_steps = max(motions.max_steps, known.most_steps)
         for lanes, orbit, scale in zip(cells, known.states, known.scales, strict=True):
-            distance = np.abs(states[lanes, None] - orbit[None]) / scale
-            same = (distance.max(axis=2).min(axis=1) < SAME_ORBIT_WITHIN) & (cycles[lanes] == len(orbit))
+            same = is_on_orbit(states[lanes], orbit, scale) & (cycles[lanes] == len(orbit))
             same[0] = True  # the lane whose orbit this is, whatever the scales
             label = int(np.argmax(np.bincount(regime[lanes[same]])))
             motions.add(lanes[same], PointMotion(int(lanes[0]) // starts, label, orbit, scale))

@@ -1,12 +1,12 @@
 """Attractors from motions of neighbouring grid points: links between motions, then numbering by union-find."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from vibrojax.analyses.attractors.grouping import SAME_ORBIT_WITHIN, SIMILAR_FACTOR, PointMotion, PointMotions
+from vibrojax.analyses.attractors.grouping import SIMILAR_FACTOR, PointMotion, PointMotions, is_on_orbit
 from vibrojax.measures.labels import EQUILIBRIUM
 from vibrojax.models.scenes import Scene
 from vibrojax.periodic.newton import ACCEPTED, orbits
@@ -21,12 +21,8 @@ PREDICTION_WITHIN = 0.05
 States = Float[np.ndarray, "edges cycles states"]
 
 
-class Link(NamedTuple):
-    """Indices of two motions of one attractor, the lower index first, and their distance."""
-
-    first: int
-    second: int
-    distance: float
+Links = dict[tuple[int, int], float]
+"""Distance between two motions of one attractor, by the indices of the motions, the lower index first."""
 
 
 def find_links(
@@ -34,7 +30,7 @@ def find_links(
     parameters: Mapping[str, Float[np.ndarray, " points"]],
     shape: tuple[int, ...],
     motions: PointMotions,
-) -> list[Link]:
+) -> Links:
     """Return the links between motions of neighbouring grid points; they do not depend on the direction of axes.
 
     A stable orbit is continued by Newton's method to the neighbour's parameters, and linked to the orbit there that it
@@ -46,7 +42,7 @@ def find_links(
     in_cell: dict[int, list[int]] = {}
     for index, motion in enumerate(motions.items):
         in_cell.setdefault(motion.cell, []).append(index)
-    distances: dict[tuple[int, int], float] = {}
+    links: Links = {}
     edges: dict[int, list[tuple[int, int]]] = {}  # by cycles: pairs of an orbit and the cell to which it is continued
     for here, there in _neighbours(shape):
         for index in in_cell.get(here, ()):
@@ -58,10 +54,10 @@ def find_links(
             for other in others:
                 distance = _distance(motion, motions.items[other])
                 if distance is not None:
-                    distances[min(index, other), max(index, other)] = distance
+                    links[min(index, other), max(index, other)] = distance
     for same_cycles in edges.values():
-        _link_orbits(scene, parameters, same_cycles, in_cell, motions, distances)
-    return [Link(*pair, distance) for pair, distance in distances.items()]
+        _link_orbits(scene, parameters, same_cycles, in_cell, motions, links)
+    return links
 
 
 def _neighbours(shape: tuple[int, ...]) -> list[tuple[int, int]]:
@@ -91,9 +87,9 @@ def _link_orbits(
     edges: list[tuple[int, int]],
     in_cell: Mapping[int, list[int]],
     motions: PointMotions,
-    distances: dict[tuple[int, int], float],
+    links: Links,
 ) -> None:
-    """Continue each orbit to a neighbouring cell, and add its distance from the orbit it becomes to `distances`."""
+    """Continue each orbit to a neighbouring cell, and add its distance from the orbit it becomes to `links`."""
     begin = [motions.items[index] for index, _ in edges]
     here, there = np.array([motion.cell for motion in begin]), np.array([cell for _, cell in edges])
     states = np.stack([np.asarray(motion.states) for motion in begin])
@@ -105,11 +101,11 @@ def _link_orbits(
             motion = motions.items[other]
             if motion.states is None or motion.scales is None:
                 continue
-            if (np.abs(final[k, 0] - motion.states) / motion.scales).max(axis=1).min() < SAME_ORBIT_WITHIN:
+            if is_on_orbit(final[k, :1], motion.states, motion.scales)[0]:
                 # Distance between the two orbits: that between their nearest states.
                 apart = np.abs(states[k][:, None] - motion.states[None]) / ((scales[k] + motion.scales) / 2)
                 pair = min(edges[k][0], other), max(edges[k][0], other)
-                distances[pair] = float(apart.max(axis=2).min())
+                links[pair] = float(apart.max(axis=2).min())
 
 
 def _continue_orbits(
@@ -143,7 +139,7 @@ def _continue_orbits(
 
 
 def number_attractors(
-    cells: Sequence[int], lanes: Sequence[int], links: Sequence[Link], order: Sequence[tuple[float, ...]]
+    cells: Sequence[int], lanes: Sequence[int], links: Links, order: Sequence[tuple[float, ...]]
 ) -> Int[np.ndarray, " motions"]:
     """Return the attractor number of each motion. Attractors are numbered from 0 by decreasing number of lanes.
 
@@ -163,19 +159,18 @@ def number_attractors(
             motion = parent[motion]
         return motion
 
-    for link in sorted(links, key=lambda link: (link.distance, sorted((order[link.first], order[link.second])))):
-        first, second = root(link.first), root(link.second)
+    for pair in sorted(links, key=lambda pair: (links[pair], sorted(order[motion] for motion in pair))):
+        first, second = map(root, pair)
         if first != second and points[first].isdisjoint(points[second]):
             if len(points[first]) < len(points[second]):
                 first, second = second, first
             parent[second] = first
             points[first] |= points[second]
-    roots = [root(motion) for motion in range(len(cells))]
-    total: dict[int, int] = {}
-    least: dict[int, tuple[float, ...]] = {}
-    for attractor, count, key in zip(roots, lanes, order, strict=True):
-        total[attractor] = total.get(attractor, 0) + count
-        least[attractor] = min(least.get(attractor, key), key)
-    ranked = sorted(least, key=lambda attractor: (-total[attractor], least[attractor]))
-    number = {attractor: place for place, attractor in enumerate(ranked)}
-    return np.array([number[attractor] for attractor in roots], int)
+    members: dict[int, list[int]] = {}
+    for motion in range(len(cells)):
+        members.setdefault(root(motion), []).append(motion)
+    number = np.zeros(len(cells), int)
+    ranked = sorted(members.values(), key=lambda own: (-sum(lanes[m] for m in own), min(order[m] for m in own)))
+    for place, own in enumerate(ranked):
+        number[own] = place
+    return number

@@ -35,11 +35,10 @@ from vibrojax.analyses.orbits.analysis import orbits as with_orbits
 from vibrojax.analyses.orbits.analysis import sweep_with_orbits
 from vibrojax.analyses.sweep.run import run_sweep
 from vibrojax.errors import InputError
-from vibrojax.io.kinds import OF_ATTRACTORS, dataset_attributes
+from vibrojax.io.kinds import OF_ATTRACTORS
 from vibrojax.io.variables import VARIABLES
 from vibrojax.measures.labels import IRREGULAR
-from vibrojax.models.physics.parameters import differing
-from vibrojax.sweep.engine.labelled import of_orbits
+from vibrojax.sweep.engine.labelled import of_orbits, shared_attributes
 from vibrojax.sweep.input.definition import Sweep
 from vibrojax.sweep.input.starts import DEFAULT_STARTS, list_of
 
@@ -265,12 +264,9 @@ def _dataset(
         "aside": PREDICTION_WITHIN,
     }
     attributes = {
-        **dataset_attributes("attractors", f"Attractors: {sweep.title or sweep.name}", "attractors", scene=sweep.scene),
+        **shared_attributes(sweep, "attractors", f"Attractors: {sweep.title or sweep.name}", "attractors"),
         "sweep": sweep.text,
-        **sweep.options,
         "attractors": json.dumps(settings),
-        "parameters": json.dumps(sweep.parameters),
-        "differing": json.dumps(differing(sweep.system.parameters(), sweep.parameters)),
         "lanes": sweep.lanes,
     }
     return xr.Dataset(variables, {**coordinates, "attractor": numbers}, attributes)

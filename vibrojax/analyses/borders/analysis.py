@@ -2,17 +2,60 @@
 
 from collections import Counter
 from dataclasses import dataclass, field
+from itertools import product
 
 import numpy as np
 import xarray as xr
+from matplotlib.figure import Figure
 
 from vibrojax.analyses.analysis import PictureRule, Source, SummaryPart
-from vibrojax.analyses.borders.picture import border_curves
-from vibrojax.analyses.borders.run import borders_of, checked
+from vibrojax.analyses.borders.run import Regions, plane_axes
 from vibrojax.analyses.orbits.analysis import SweepAnalysis, sweep_with_orbits
 from vibrojax.io.attributes import flags
 from vibrojax.io.kinds import OF_BORDERS
+from vibrojax.plot.axes import label, share_text, value_text
+from vibrojax.plot.overlays import ANY, axes_of, beyond, border_handles, draw_borders
+from vibrojax.plot.sheet import legend_at_right, write_margins
+from vibrojax.plot.style import new_figure, styled
 from vibrojax.sweep.input.definition import Sweep
+
+_PANEL = (3.3, 3.0)  # inches
+_MOST_SHOWN = 4  # largest numbers of rows and of columns
+
+
+@styled
+def border_curves(ds: xr.Dataset) -> Figure:
+    """Draw the borders of stable single impacts over two parameters.
+
+    The figure has a row for each plane and a column for each initial condition.
+    """
+    x, y = axes_of(ds)
+    others = beyond(ds)
+    planes = [tuple(float(ds[f"region_{name}"][k]) for name in others) for k in range(ds.sizes["region"])]
+    starts = ds["region_start"].values.tolist() if "region_start" in ds.coords else [ANY] * len(planes)
+    areas = dict(reversed(list(zip(zip(planes, starts, strict=True), ds["region_area"].values.tolist(), strict=True))))
+    rows, columns = list(dict.fromkeys(planes)), list(dict.fromkeys(starts))
+    shown_rows, shown_columns = rows[:_MOST_SHOWN], [*columns[:-1][: _MOST_SHOWN - 1], columns[-1]]
+    width, height = _PANEL
+    figure = new_figure(width * len(shown_columns) + 1.6, height * len(shown_rows) + 0.6)
+    grid = figure.subplots(len(shown_rows), len(shown_columns), squeeze=False, sharex=True, sharey=True)
+    kinds: list[str] = []
+    for axes, (plane, start) in zip(grid.flat, product(shown_rows, shown_columns), strict=True):
+        values = dict(zip(others, plane, strict=True))
+        kinds += draw_borders(axes, ds, values, start, x, y)
+        words = [value_text(ds[name], value) for name, value in values.items()]
+        words.append("any start" if start == ANY else f"start {start}")
+        axes.set_title(f"{', '.join(words)}: {share_text(areas[plane, start])}")
+        axes.grid(True)
+    for axes in grid[:, 0]:
+        axes.set_ylabel(label(ds[y]))
+    for axes in grid[-1]:
+        axes.set_xlabel(label(ds[x]))
+    legend_at_right(figure, border_handles(kinds))
+    hidden = len(rows) - len(shown_rows), len(columns) - len(shown_columns)
+    about = "Percent: share of the plane with a stable single impact; any start: however its orbit is reached"
+    write_margins(figure, ds, about, "{} planes and {} starts are not shown".format(*hidden) if any(hidden) else "")
+    return figure
 
 
 @dataclass(frozen=True)
@@ -36,16 +79,16 @@ class Borders(SweepAnalysis):
     def sweep(self, source: Source) -> Sweep:
         """Return the checked sweep; raise `InputError` if it has no suitable plane."""
         sweep = sweep_with_orbits(source)
-        checked(sweep, self.axes)
+        plane_axes(sweep, self.axes)
         return sweep
 
     def identity(self, sweep: Sweep) -> dict[str, object]:
         """Return the axes of the plane, on which the result depends."""
-        return {self.kind: list(checked(sweep, self.axes))}
+        return {self.kind: list(plane_axes(sweep, self.axes))}
 
     def of_lanes(self, sweep: Sweep, lanes: xr.Dataset, progress: bool = True) -> xr.Dataset:
         """Return the borders; `lanes`: dataset of the sweep with orbits."""
-        return borders_of(sweep, lanes, checked(sweep, self.axes))
+        return Regions(sweep, lanes, plane_axes(sweep, self.axes)).borders()
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
         """Return the area fraction and the kinds of the borders of each region (plane and initial condition)."""

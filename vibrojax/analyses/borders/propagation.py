@@ -10,15 +10,14 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
-from vibrojax.analyses.continuation.arclength import ENDED, STALLED, BranchPoints, InitialPoints, continue_branches
-from vibrojax.analyses.continuation.brackets import BranchBrackets, shrink_brackets
-from vibrojax.analyses.continuation.families import STEP_AFTER_CORNER, last_before
-from vibrojax.analyses.continuation.indicators import KINDS, spectral_radius
-from vibrojax.analyses.continuation.problem import Evaluation, Flags, Index, PerLane, Problem, Unknowns, unit_tangent
-from vibrojax.analyses.continuation.special_points import classify_event_changes
-from vibrojax.analyses.continuation.switching import turn_corner
+from vibrojax.analyses.continuation.arclength import ENDED, STALLED, continue_branches
+from vibrojax.analyses.continuation.brackets import Brackets, shrink_brackets
+from vibrojax.analyses.continuation.families import STEP_AFTER_CORNER
+from vibrojax.analyses.continuation.problem import Flags, Index, PerLane, Points, Problem, spectral_radius, towards
+from vibrojax.analyses.continuation.special_points import TEST_FUNCTIONS, classify_event_changes, turn_corner
+from vibrojax.io.kinds import SPECIAL_KINDS
 from vibrojax.models.scenes import Scene
 from vibrojax.periodic.newton import multipliers
 
@@ -42,35 +41,6 @@ Cell = tuple[int, int, int]
 Step = tuple[int, int]
 """A step to a neighbouring grid point: axis of the plane (0 or 1), and direction (-1 or 1)."""
 
-GRID_STEPS: tuple[Step, ...] = ((0, 1), (0, -1), (1, 1), (1, -1))
-
-States = Float[np.ndarray, "edges states"]
-Lost = Int[np.ndarray, " lost"]
-
-
-class Planes(NamedTuple):
-    """Planes of a sweep: names and values of their two axes, and all `parameters` by name, each (planes, xs, ys)."""
-
-    names: tuple[str, str]
-    values: tuple[np.ndarray, np.ndarray]
-    parameters: Mapping[str, Float[np.ndarray, "planes xs ys"]]
-
-    @property
-    def shape(self) -> tuple[int, int, int]:
-        """Number of planes, and numbers of grid points along the two axes."""
-        planes, xs, ys = next(iter(self.parameters.values())).shape
-        return planes, xs, ys
-
-    def neighbour(self, cell: Cell, step: Step) -> Cell | None:
-        """Return the neighbouring grid point in the direction of `step`, or None if it is outside the plane."""
-        place = list(cell)
-        place[1 + step[0]] += step[1]
-        return (place[0], place[1], place[2]) if 0 <= place[1 + step[0]] < self.shape[1 + step[0]] else None
-
-    def value(self, cell: Cell, axis: int) -> float:
-        """Return the coordinate of a grid point along an axis."""
-        return float(self.values[axis][cell[1 + axis]])
-
 
 class OrbitLoss(NamedTuple):
     """Loss of a stable single impact on an edge: `kind` as a flag, and parameter `value` along the edge's axis."""
@@ -92,144 +62,139 @@ class GridOrbit:
     leads: "dict[Step, GridOrbit | OrbitLoss]" = field(default_factory=dict)
 
 
-OrbitsByCell = dict[Cell, list[GridOrbit]]
+@dataclass(eq=False)
+class OrbitGrid:
+    """The stable single impacts at the grid points of a sweep's planes.
 
-
-def find_orbit(orbits: OrbitsByCell, cell: Cell, state: np.ndarray) -> GridOrbit | None:
-    """Return the known orbit with the given state at a grid point, or None if the orbit is new."""
-    for orbit in orbits.get(cell, ()):
-        if np.abs((orbit.state - state) / orbit.scale).max() < SAME_ORBIT:
-            return orbit
-    return None
-
-
-def add_orbit(orbits: OrbitsByCell, cell: Cell, state: np.ndarray, scale: np.ndarray) -> GridOrbit:
-    """Add an orbit at a grid point, and return it."""
-    orbit = GridOrbit(cell, state, scale)
-    orbits.setdefault(cell, []).append(orbit)
-    return orbit
-
-
-class _Arrivals(NamedTuple):
-    """Results of edges: mask `arrived` of orbits that are still stable single impacts at the end, with their `states`.
-
-    `kind` and `value` describe the losses of the other orbits.
+    - `names`, `values`: names and values of the planes' two axes.
+    - `parameters`: all parameters of the scene by name, each (planes, xs, ys).
+    - `most_steps`: step limit between two section crossings.
     """
 
-    arrived: Bool[np.ndarray, " edges"]
-    states: States
-    kind: Int[np.ndarray, " edges"]
-    value: PerLane
+    scene: Scene[Any]
+    names: tuple[str, str]
+    values: tuple[np.ndarray, np.ndarray]
+    parameters: Mapping[str, Float[np.ndarray, "planes xs ys"]]
+    most_steps: float
+    orbits: dict[Cell, list[GridOrbit]] = field(default_factory=dict)
 
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Number of planes, and numbers of grid points along the two axes."""
+        return next(iter(self.parameters.values())).shape
 
-def propagate(scene: Scene[Any], planes: Planes, orbits: OrbitsByCell, most_steps: float) -> None:
-    """Continue all orbits to all neighbouring grid points, then the new orbits found there, until none is new."""
-    front = [orbit for of_cell in orbits.values() for orbit in of_cell]
-    while front:
-        new: list[GridOrbit] = []
-        for axis in (0, 1):
-            edges = [
-                (orbit, step, end)
-                for orbit in front
-                for step in GRID_STEPS
-                if step[0] == axis and step not in orbit.leads
-                if (end := planes.neighbour(orbit.cell, step)) is not None
-            ]
-            if edges:
-                new += _propagate_along(scene, planes, orbits, edges, axis, most_steps)
-        front = new
+    def find(self, cell: Cell, state: np.ndarray) -> GridOrbit | None:
+        """Return the known orbit with the given state at a grid point, or None if the orbit is new."""
+        known = self.orbits.get(cell, ())
+        return next((orbit for orbit in known if np.abs((orbit.state - state) / orbit.scale).max() < SAME_ORBIT), None)
 
+    def add(self, cell: Cell, state: np.ndarray, scale: np.ndarray) -> GridOrbit:
+        """Add an orbit at a grid point, and return it."""
+        orbit = GridOrbit(cell, state, scale)
+        self.orbits.setdefault(cell, []).append(orbit)
+        return orbit
 
-def _propagate_along(
-    scene: Scene[Any],
-    planes: Planes,
-    orbits: OrbitsByCell,
-    edges: list[tuple[GridOrbit, Step, Cell]],
-    axis: int,
-    most_steps: float,
-) -> list[GridOrbit]:
-    """Continue orbits along edges (orbit, step, end) of one axis; add the results to `orbits`; return new orbits."""
-    cells = np.array([orbit.cell for orbit, _, _ in edges])
-    parameters = {name: x[tuple(cells.T)] for name, x in planes.parameters.items()}
-    begin = planes.values[axis][cells[:, 1 + axis]]
-    end = planes.values[axis][np.array([cell[1 + axis] for _, _, cell in edges])]
-    scales = np.array([orbit.scale for orbit, _, _ in edges])
-    first, last = np.minimum(begin, end), np.maximum(begin, end)
-    unit = (last - first) / EDGE_LENGTH
-    problem = Problem(scene, planes.names[axis], parameters, scales, unit, first, last, most_steps)
-    results = _continue_edges(problem, np.array([orbit.state for orbit, _, _ in edges]), begin, end)
-    new = []
-    for k, (orbit, step, cell) in enumerate(edges):
-        if not results.arrived[k]:
-            orbit.leads[step] = OrbitLoss(int(results.kind[k]), float(results.value[k]))
-            continue
-        other = find_orbit(orbits, cell, results.states[k])
-        if other is None:
-            if len(orbits.get(cell, ())) >= MAX_ORBITS_PER_POINT:
+    def propagate(self) -> None:
+        """Continue all orbits to all neighbouring grid points, then the new orbits found there, until none is new."""
+        front = [orbit for of_cell in self.orbits.values() for orbit in of_cell]
+        while front:
+            front = [orbit for axis in (0, 1) for orbit in self._propagate_along(front, axis)]
+
+    def _propagate_along(self, front: list[GridOrbit], axis: int) -> list[GridOrbit]:
+        """Continue orbits along the edges of one axis that have not been passed yet; return the new orbits."""
+        edges: list[tuple[GridOrbit, Step, Cell]] = []
+        for orbit in front:
+            for step in ((axis, 1), (axis, -1)):
+                beside = list(orbit.cell)
+                beside[1 + axis] += step[1]
+                if step not in orbit.leads and 0 <= beside[1 + axis] < self.shape[1 + axis]:
+                    edges.append((orbit, step, (beside[0], beside[1], beside[2])))
+        if not edges:
+            return []
+        orbits = [orbit for orbit, _, _ in edges]
+        cells = np.array([orbit.cell for orbit in orbits])
+        parameters = {name: x[tuple(cells.T)] for name, x in self.parameters.items()}
+        begin = self.values[axis][cells[:, 1 + axis]]
+        end = self.values[axis][np.array([cell[1 + axis] for _, _, cell in edges])]
+        first, last = np.minimum(begin, end), np.maximum(begin, end)
+        unit, scales = (last - first) / EDGE_LENGTH, np.array([orbit.scale for orbit in orbits])
+        problem = Problem(self.scene, self.names[axis], parameters, scales, unit, first, last, self.most_steps)
+        ends = _continue_edges(problem, np.array([orbit.state for orbit in orbits]), begin, end)
+        new = []
+        for (orbit, step, cell), state in zip(edges, ends, strict=True):
+            if isinstance(state, OrbitLoss):
+                orbit.leads[step] = state
                 continue
-            other = add_orbit(orbits, cell, results.states[k], orbit.scale)
-            new.append(other)
-        orbit.leads[step] = other
-        other.leads.setdefault((step[0], -step[1]), orbit)
-    return new
+            other = self.find(cell, state)
+            if other is None:
+                if len(self.orbits.get(cell, ())) >= MAX_ORBITS_PER_POINT:
+                    continue
+                other = self.add(cell, state, orbit.scale)
+                new.append(other)
+            orbit.leads[step] = other
+            other.leads.setdefault((axis, -step[1]), orbit)
+        return new
 
 
-def _continue_edges(problem: Problem, states: States, begin: PerLane, end: PerLane) -> _Arrivals:
-    """Continue orbits from the parameter values `begin` to `end`, also around corners."""
-    lanes = np.arange(len(begin))
+def _continue_edges(
+    problem: Problem, states: Float[np.ndarray, "edges states"], begin: PerLane, end: PerLane
+) -> list[np.ndarray | OrbitLoss]:
+    """Continue orbits from the parameter values `begin` to `end`, also around corners.
+
+    Return the state at the end of each edge if the orbit is still a stable single impact there, else its loss.
+    """
+    lanes, no_orbit = np.arange(len(begin)), SPECIAL_KINDS.index("end")
+    ends: list[np.ndarray | OrbitLoss] = [OrbitLoss(no_orbit, value) for value in begin.tolist()]
+
+    def enter(points: Points, kinds: Index) -> None:
+        values = problem.value(points.family, points.u)
+        for edge, kind, value in zip(points.family.tolist(), kinds.tolist(), values.tolist(), strict=True):
+            ends[edge] = OrbitLoss(kind, value)
+
+    def test(_: Index, points: Points) -> PerLane:
+        return np.where(is_stable_single_impact(points), 1.0, -1.0)
+
     u = problem.unknowns(lanes, states[:, None], begin)
-    towards = np.zeros_like(u)
-    towards[:, -1] = np.sign(end - begin)
-    kind = np.full(len(lanes), KINDS.index("end"))
-    results = _Arrivals(np.zeros(len(lanes), bool), states.copy(), kind, begin.copy())
     with np.errstate(all="ignore"):
-        tangent = unit_tangent(problem.evaluate(lanes, u).matrix, towards)
+        points = problem.evaluate(lanes, u).along(towards(u, np.sign(end - begin)))
         step = np.full(len(lanes), EDGE_MAX_STEP)
         for _ in range(MAX_CORNERS_PER_EDGE + 1):
-            none = np.full_like(u, np.nan)
-            initial = InitialPoints(lanes, u, tangent, step, none, none)
-            points = continue_branches(problem, initial, EDGE_MAX_STEP, lambda _, now: ~is_stable_single_impact(now))
-            bounds = np.searchsorted(points.lane, np.arange(len(lanes) + 1))
+            branches = continue_branches(
+                problem, points, step, lambda _, now: ~is_stable_single_impact(now), longest=EDGE_MAX_STEP
+            )
+            bounds = branches.bounds
             newest = bounds[1:] - 1
-            sound = is_stable_single_impact(points.evaluation.of(newest))
-            arrived = sound & (points.status == ENDED)
-            results.arrived[lanes[arrived]] = True
-            results.states[lanes[arrived]] = problem.states(lanes, points.evaluation.u[newest])[arrived, 0]
-            _locate_losses(problem, lanes, points, newest[~sound], results)
-            stalled = np.flatnonzero(sound & (points.status == STALLED))
+            last = branches.points.of(newest)
+            sound = is_stable_single_impact(last)
+            arrived = last.of(sound & (branches.status == ENDED))
+            for edge, state in zip(arrived.family.tolist(), problem.states(arrived.family, arrived.u), strict=True):
+                ends[edge] = state[0]
+            # Other orbits cease to be stable single impacts just before their newest points, or at corners.
+            places = newest[~sound] - 1
+            losses, _ = shrink_brackets(problem, branches.brackets(places[places >= 0]), test)
+            enter(losses.near, _kinds_of_loss(problem, losses))
+            stalled = np.flatnonzero(sound & (branches.status == STALLED))
             if not len(stalled):
                 break
-            lanes, u, tangent = _pass_corners(problem, lanes, points, bounds, stalled, results)
-            step = np.full(len(lanes), STEP_AFTER_CORNER)
-            if not len(lanes):
+            turned, corners = turn_corner(problem, [branches.points.of(slice(*bounds[k : k + 2])) for k in stalled])
+            on = turned & is_stable_single_impact(corners.far)
+            losses = corners.of(~on)
+            kinds = np.where(losses.changes_events, _kinds_of_loss(problem, losses), no_orbit)
+            enter(last.of(stalled[~on]), kinds)
+            points = corners.far.of(on)
+            step = np.full(len(points.u), STEP_AFTER_CORNER)
+            if not len(points.u):
                 break
-    return results
+    return ends
 
 
-def is_stable_single_impact(evaluation: Evaluation) -> Flags:
+def is_stable_single_impact(points: Points) -> Flags:
     """Return a mask of the orbits that are stable single impacts."""
-    stable = np.isfinite(evaluation.residual) & (spectral_radius(evaluation.product) < 1)
-    return stable & (evaluation.impacts == 1)
+    stable = np.isfinite(points.residual) & (spectral_radius(points.product) < 1)
+    return stable & (points.impacts == 1)
 
 
-def _locate_losses(problem: Problem, lanes: Index, points: BranchPoints, lost: Lost, results: _Arrivals) -> None:
-    """Locate the losses of stable single impacts just before the points `lost`, and enter them in `results`."""
-    place = lost - 1
-    place = place[place >= 0]
-    place = place[points.lane[place] == points.lane[place + 1]]
-    if not len(place):
-        return
-    family = lanes[points.lane[place]]
-
-    def test(_: Index, now: Evaluation, __: Unknowns) -> PerLane:
-        return np.where(is_stable_single_impact(now), 1.0, -1.0)
-
-    shrunk, _ = shrink_brackets(problem, points.brackets(family, place), test, np.ones(len(place), bool))
-    results.kind[family] = _kinds_of_loss(problem, shrunk)
-    results.value[family] = problem.value(family, shrunk.near.u)
-
-
-def _kinds_of_loss(problem: Problem, brackets: BranchBrackets) -> Int[np.ndarray, " brackets"]:
+def _kinds_of_loss(problem: Problem, brackets: Brackets) -> Int[np.ndarray, " brackets"]:
     """Return the kinds of the losses within brackets.
 
     The kind follows from a change of events if there is one, else from the multiplier nearest to a critical value.
@@ -239,37 +204,8 @@ def _kinds_of_loss(problem: Problem, brackets: BranchBrackets) -> Int[np.ndarray
     to_one = np.where(real, np.abs(values - 1), np.inf).min(axis=1)
     to_minus_one = np.where(real, np.abs(values + 1), np.inf).min(axis=1)
     to_circle = np.where(real, np.inf, np.abs(np.abs(values) - 1)).min(axis=1)
-    flags = np.array([KINDS.index(name) for name in ("fold", "period-doubling", "torus")])
+    flags = np.array([SPECIAL_KINDS.index(name) for name in TEST_FUNCTIONS])
     kinds = flags[np.argmin([to_one, to_minus_one, to_circle], axis=0)]
-    same = (brackets.near.signature == brackets.far.signature).all(axis=1)
-    for k in np.flatnonzero(~same):
-        kinds[k] = classify_event_changes(problem, brackets.of(np.array([k])))[0][0][0]
+    for k in np.flatnonzero(brackets.changes_events):
+        kinds[k] = classify_event_changes(problem, brackets.of([k])).kind[0]
     return kinds
-
-
-def _pass_corners(
-    problem: Problem,
-    lanes: Index,
-    points: BranchPoints,
-    bounds: Int[np.ndarray, " bounds"],
-    stalled: Int[np.ndarray, " stalled"],
-    results: _Arrivals,
-) -> tuple[Int[np.ndarray, " on"], Float[np.ndarray, "on unknowns"], Float[np.ndarray, "on unknowns"]]:
-    """Return lanes, unknowns and tangents of stalled orbits that are stable single impacts beyond a corner.
-
-    The losses of the other stalled orbits are entered in `results`.
-    """
-    newest = bounds[stalled + 1] - 1
-    last, tangent = points.evaluation.of(newest), points.tangent[newest]
-    slices = (slice(bounds[k], bounds[k + 1]) for k in stalled)
-    before = Evaluation.join([last_before(points.evaluation.of(lane)) for lane in slices])
-    family = lanes[stalled]
-    corner = turn_corner(problem, family, last, tangent, before)
-    on = corner.turned & is_stable_single_impact(corner.evaluation)
-    off = np.flatnonzero(~on)
-    if len(off):
-        brackets = BranchBrackets(family, bounds[stalled], before, tangent, corner.evaluation, tangent).of(off)
-        same = (brackets.near.signature == brackets.far.signature).all(axis=1)
-        results.kind[family[off]] = np.where(same, KINDS.index("end"), _kinds_of_loss(problem, brackets))
-        results.value[family[off]] = problem.value(family, last.u)[off]
-    return family[on], corner.evaluation.u[on], corner.tangent[on]

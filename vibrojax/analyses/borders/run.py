@@ -1,6 +1,5 @@
 """Borders of the stable single impact in a plane of two parameters: `borders`."""
 
-import json
 from collections.abc import Mapping
 from functools import partial
 from os import PathLike
@@ -10,30 +9,19 @@ import numpy as np
 import xarray as xr
 
 from vibrojax.analyses.borders.curves import Border, Vertex, around_region
-from vibrojax.analyses.borders.propagation import (
-    Cell,
-    GridOrbit,
-    OrbitLoss,
-    OrbitsByCell,
-    Planes,
-    add_orbit,
-    find_orbit,
-    propagate,
-)
+from vibrojax.analyses.borders.propagation import GridOrbit, OrbitGrid, OrbitLoss
 from vibrojax.analyses.orbits.analysis import orbits as with_orbits
 from vibrojax.analyses.orbits.analysis import sweep_with_orbits
 from vibrojax.errors import InputError, shown
-from vibrojax.io.kinds import BORDER_KINDS, OF_BORDERS, dataset_attributes
+from vibrojax.io.kinds import BORDER_KINDS, OF_BORDERS
 from vibrojax.measures.labels import SINGLE_IMPACT, UNDECIDED
-from vibrojax.models.physics.parameters import differing
 from vibrojax.models.scenes import HasContact
 from vibrojax.periodic.lane_orbits import known_orbits
+from vibrojax.sweep.engine.labelled import parameter_attributes, shared_attributes
 from vibrojax.sweep.input.definition import Sweep
 
 ANY_START = "any"
 """Name of the region of all orbits, whatever initial condition leads to them; used in place of an initial condition."""
-
-DEFAULT_AXES = ("gamma", "beta")
 
 
 def borders(
@@ -80,20 +68,12 @@ def borders(
     True
     """
     sweep = sweep_with_orbits(source)
-    names = checked(sweep, axes)
+    names = plane_axes(sweep, axes)
     dataset = with_orbits(source if isinstance(source, xr.Dataset) else sweep, progress)
-    return borders_of(sweep, dataset, names)
+    return Regions(sweep, dataset, names).borders()
 
 
-def borders_of(sweep: Sweep, dataset: xr.Dataset, names: tuple[str, str]) -> xr.Dataset:
-    """Return the borders in a sweep's plane with the axes `names`; `dataset`: the sweep's result with orbits.
-
-    See `borders`.
-    """
-    return _Regions(sweep, dataset, names).dataset()
-
-
-def checked(sweep: Sweep, axes: tuple[str, str] | None) -> tuple[str, str]:
+def plane_axes(sweep: Sweep, axes: tuple[str, str] | None) -> tuple[str, str]:
     """Return the axes of the plane; raise `InputError` if the sweep has no such plane or its scene no impacts."""
     if not isinstance(sweep.system, HasContact):
         raise InputError(f'borders: scene "{sweep.scene}" has no impacts; give a sweep of one with a striker')
@@ -103,8 +83,8 @@ def checked(sweep: Sweep, axes: tuple[str, str] | None) -> tuple[str, str]:
     if len(long) < 2:
         raise InputError("borders: the sweep has no two axes of two values or more; give one with a [grid] of two")
     if axes is None:
-        if all(name in long for name in DEFAULT_AXES):
-            return DEFAULT_AXES
+        if "gamma" in long and "beta" in long:
+            return "gamma", "beta"
         first, second = sorted(long, key=lambda name: -long[name])[:2]
         return first, second
     if len(axes) != 2 or axes[0] == axes[1] or any(name not in long for name in axes):
@@ -112,8 +92,11 @@ def checked(sweep: Sweep, axes: tuple[str, str] | None) -> tuple[str, str]:
     return axes[0], axes[1]
 
 
-class _Regions:
-    """Regions of the stable single impact in all planes of a sweep, and their borders."""
+class Regions:
+    """Regions of the stable single impact in all planes of a sweep, and their borders.
+
+    `dataset`: the sweep's result with orbits; `names`: the axes of the planes.
+    """
 
     def __init__(self, sweep: Sweep, dataset: xr.Dataset, names: tuple[str, str]) -> None:
         self._sweep, self._names = sweep, names
@@ -132,30 +115,29 @@ class _Regions:
             lanes[name] = grid.values.astype(float).ravel()
         known = known_orbits(scene, dataset, lanes)
         points = {name: x.reshape(shape)[..., 0] for name, x in lanes.items()}
-        self._planes = Planes(names, (sweep.axes[names[0]], sweep.axes[names[1]]), points)
+        axes = sweep.axes[names[0]], sweep.axes[names[1]]
+        self._grid = OrbitGrid(scene, names, axes, points, known.most_steps)
         self._regime = dataset["regime"].values.reshape(shape)
         self._single = self._regime == SINGLE_IMPACT
         settled = self._single & (dataset["stable"].values.reshape(shape) == 1)
         self._own: dict[tuple[int, int, int, int], GridOrbit] = {}
-        self._orbits: OrbitsByCell = {}
         for lane, states, scale in zip(known.lanes.tolist(), known.states, known.scales, strict=True):
             plane, i, j, start = (int(k) for k in np.unravel_index(lane, shape))
             if not settled[plane, i, j, start] or len(states) != 1:
                 continue
             cell, state = (plane, i, j), states[0]
-            orbit = find_orbit(self._orbits, cell, state) or add_orbit(self._orbits, cell, state, scale)
-            self._own[plane, i, j, start] = orbit
-        propagate(scene, self._planes, self._orbits, known.most_steps)
+            self._own[plane, i, j, start] = self._grid.find(cell, state) or self._grid.add(cell, state, scale)
+        self._grid.propagate()
 
-    def dataset(self) -> xr.Dataset:
+    def borders(self) -> xr.Dataset:
         """Return the curves and areas of all regions."""
         curves: list[tuple[Border, int, str]] = []
         areas: list[tuple[float, int, str]] = []
-        x, y = self._planes.values
-        reached = np.zeros(self._planes.shape, bool)
-        for plane, i, j in self._orbits:
-            reached[plane, i, j] = True
-        for plane in range(self._planes.shape[0]):
+        x, y = self._grid.values
+        reached = np.zeros(self._grid.shape, bool)
+        for cell in self._grid.orbits:
+            reached[cell] = True
+        for plane in range(len(reached)):
             for number, start in enumerate([*self._starts, ANY_START]):
                 inside = reached[plane] if start == ANY_START else self._single[plane, :, :, number]
                 ends = partial(self._vertex, plane, None if start == ANY_START else number)
@@ -169,11 +151,12 @@ class _Regions:
 
         `start`: number of the initial condition whose region it is, or None for the region of all orbits.
         """
-        cell: Cell = (plane, *inside)
+        cell = (plane, *inside)
         axis = 0 if inside[0] != outside[0] else 1
         step = (axis, outside[axis] - inside[axis])
-        begin, end = self._planes.value(cell, axis), self._planes.value((plane, *outside), axis)
-        orbits = self._orbits.get(cell, [])
+        axes = self._grid.values
+        begin, end = (float(axes[axis][place[axis]]) for place in (inside, outside))
+        orbits = self._grid.orbits.get(cell, [])
         if start is not None:
             orbits = [self._own[(*cell, start)]] if (*cell, start) in self._own else []
         leads = [orbit.leads.get(step) for orbit in orbits]
@@ -187,18 +170,13 @@ class _Regions:
         else:
             settled = start is None or self._regime[(plane, *outside, start)] != UNDECIDED
             kind = "basin" if settled else "not-settled"
-        place = [self._planes.value(cell, 0), self._planes.value(cell, 1)]
+        place = [float(axes[0][inside[0]]), float(axes[1][inside[1]])]
         place[axis] = value
         return Vertex(place[0], place[1], kind)
 
     def _described(self, curves: list[tuple[Border, int, str]], areas: list[tuple[float, int, str]]) -> xr.Dataset:
         """Return the dataset of curves and areas, each given with its plane and initial condition."""
-        sweep, parameters = self._sweep, self._sweep.system.parameters()
-
-        def described(name: str) -> dict[str, str]:
-            parameter = parameters[name]
-            return {"units": parameter.unit, "long_name": parameter.long_name, "symbol": parameter.symbol}
-
+        sweep = self._sweep
         vertices = np.concatenate([piece.points for piece, _, _ in curves]) if curves else np.zeros((0, 2))
         number = np.repeat(np.arange(len(curves)), [len(piece.points) for piece, _, _ in curves])
         kinds = np.array([BORDER_KINDS.index(piece.kind) for piece, _, _ in curves], np.int8)
@@ -207,8 +185,8 @@ class _Regions:
             "kind": ("curve", kinds, OF_BORDERS["kind"].attributes()),
             "region_area": ("region", np.array([area for area, _, _ in areas]), OF_BORDERS["region_area"].attributes()),
         }
-        for k, name in enumerate(self._names):
-            variables[name] = ("vertex", vertices[:, k], described(name))
+        for name, values in zip(self._names, vertices.T, strict=True):
+            variables[name] = ("vertex", values, parameter_attributes(sweep, name))
         coordinates: dict[str, Any] = {}
         start_attributes = {"units": "1", "long_name": "start of the motions whose region it is; any: of all orbits"}
         for dimension, prefix, rows in (("curve", "", curves), ("region", "region_", areas)):
@@ -217,18 +195,11 @@ class _Regions:
                 coordinates[f"{prefix}start"] = (dimension, np.array(starts, str), start_attributes)
             indices = np.unravel_index(np.array(planes, int), self._sizes) if self._sizes else ()
             for name, index in zip(self._others, indices, strict=True):
-                coordinates[f"{prefix}{name}"] = (dimension, sweep.axes[name][index], described(name))
+                coordinates[f"{prefix}{name}"] = (dimension, sweep.axes[name][index], parameter_attributes(sweep, name))
+        title = f"Borders of the stable single impact: {sweep.title or sweep.name}"
         attributes = {
-            **dataset_attributes(
-                "borders",
-                f"Borders of the stable single impact: {sweep.title or sweep.name}",
-                "borders",
-                scene=sweep.scene,
-            ),
+            **shared_attributes(sweep, "borders", title, "borders"),
             "sweep": sweep.text,
-            **sweep.options,
             "axes": list(self._names),
-            "parameters": json.dumps(sweep.parameters),
-            "differing": json.dumps(differing(parameters, sweep.parameters)),
         }
         return xr.Dataset(variables, coordinates, attributes)

@@ -8,16 +8,19 @@ from collections.abc import Mapping
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from vibrojax.analyses.chaos.series import (
+from vibrojax.analyses.chaos.growth import (
     EXPONENT_BLOCKS,
     LONGEST_REPEAT,
+    TANGENT_ACCURACY,
+    Growth,
     PerLane,
+    PerState,
     exponents,
     exponents_of_repeats,
     find_repeats,
+    grow,
     zero_one,
 )
-from vibrojax.analyses.chaos.tangents import TANGENT_ACCURACY, Growth, PerState, grow
 from vibrojax.io.variables import NATURES
 from vibrojax.measures.labels import IRREGULAR, UNDECIDED
 from vibrojax.models.scenes import Scene
@@ -74,6 +77,19 @@ EMBEDDED_WITHIN = 0.5
 """Scaled distance up to which a recurrence is used as an initial guess for Newton's method."""
 
 
+EXPONENTS_DESCRIBED = {
+    "exponent": "largest of the flow except the trivial zero: of the return map, per second; natural logarithm",
+    "stick": "loses one direction, whose exponent is minus infinity; the largest of the others stays finite",
+    "of_lanes_that_repeat": "ln of the orbit's largest |multiplier| over the time of its repeat",
+    "tolerance": TANGENT_ACCURACY.tolerance,
+    "returns_before": RETURNS_BEFORE,
+    "returns": [EXPONENT_MIN_RETURNS, EXPONENT_MAX_RETURNS],
+    "blocks": EXPONENT_BLOCKS,
+    "transient": "chaotic motion in which a stable orbit of the return map was found counts as not-settled",
+}
+"""A dataset's attribute `lyapunov`: which exponent the dataset holds, and how it was computed."""
+
+
 def nature(name: str) -> int:
     """Return the flag value of `nature` with the meaning `name`, such as "chaotic"."""
     return NATURES.index(name)
@@ -84,27 +100,13 @@ class Natures:
 
     An object is called with the features of one chunk at a time. A periodic lane has the exponent of its orbit: the
     logarithm of the orbit's largest |multiplier| divided by the time of one period. Other lanes are continued along the
-    return map with a tangent vector, see [vibrojax.analyses.chaos.tangents][].
+    return map with a tangent vector, see [vibrojax.analyses.chaos.growth][].
     """
 
     def __init__(self, sweep: Sweep) -> None:
         self._sweep = sweep
         self._scene = sweep.system.driving_part()
         self._orbits = None if sweep.run.orbits else Orbits(sweep)
-
-    @property
-    def described(self) -> dict[str, object]:
-        """Value of a dataset's attribute `lyapunov`: which exponent the dataset holds, and how it was computed."""
-        return {
-            "exponent": "largest of the flow except the trivial zero: of the return map, per second; natural logarithm",
-            "stick": "loses one direction, whose exponent is minus infinity; the largest of the others stays finite",
-            "of_lanes_that_repeat": "ln of the orbit's largest |multiplier| over the time of its repeat",
-            "tolerance": TANGENT_ACCURACY.tolerance,
-            "returns_before": RETURNS_BEFORE,
-            "returns": [EXPONENT_MIN_RETURNS, EXPONENT_MAX_RETURNS],
-            "blocks": EXPONENT_BLOCKS,
-            "transient": "chaotic motion in which a stable orbit of the return map was found counts as not-settled",
-        }
 
     def __call__(self, first: int, end: int, features: Features) -> Features:
         """Return the features `lyapunov`, `lyapunov_stderr`, `zero_one` and `nature` of some lanes.

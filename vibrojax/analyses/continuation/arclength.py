@@ -14,20 +14,20 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 
-from vibrojax.analyses.continuation.brackets import BranchBrackets, predict_zero, push_history
-from vibrojax.analyses.continuation.indicators import spectral_radius
+from vibrojax.analyses.continuation.brackets import EVENT_CHANGE, Brackets, predict_zero, push_history
 from vibrojax.analyses.continuation.problem import (
     CORRECTOR_RESIDUAL,
-    Evaluation,
     Flags,
     Index,
     PerLane,
+    Points,
     Problem,
     Unknowns,
     solve_bordered,
-    unit_tangent,
+    spectral_radius,
+    towards,
 )
 
 POLISHED_STEP = 1e-6
@@ -48,7 +48,7 @@ CORNER, CROSSING = 2e-2, 1e-4
 
 CORNER_TURN, CROSSING_TURN = 1.0, 1.4
 """Largest angles [rad] accepted for steps up to `CORNER` and up to `CROSSING`. Sharper corners are handled in
-[vibrojax.analyses.continuation.switching][]."""
+[vibrojax.analyses.continuation.special_points][]."""
 
 CORNER_GROWTH, STEP_GROWTH = 5.0, 2.0
 """Largest growth factors of the step length: for steps up to `CORNER`, and for longer steps."""
@@ -64,71 +64,73 @@ MAX_MULTIPLIER = 1e3
 resolved."""
 
 
-class InitialPoints(NamedTuple):
-    """First points of lanes with the same number of section crossings: family, solution, tangent and step length.
-
-    `home`, `home_tangent`: point and tangent at which a closed branch ends; NaN if the branch cannot close.
-    """
-
-    family: Index
-    u: Unknowns
-    tangent: Unknowns
-    step: PerLane
-    home: Unknowns
-    home_tangent: Unknowns
-
-
-class BranchPoints(NamedTuple):
+class Branches(NamedTuple):
     """Points of all lanes, sorted by lane and along each branch, and the final `status` (lanes,) of each lane."""
 
     lane: Int[np.ndarray, " points"]
-    evaluation: Evaluation
-    tangent: Unknowns
+    points: Points
     status: Int[np.ndarray, " lanes"]
 
-    def brackets(self, family: Index, place: Index) -> BranchBrackets:
+    @property
+    def bounds(self) -> Int[np.ndarray, " bounds"]:
+        """Index of each lane's first point, and after the last lane the number of all points."""
+        return np.searchsorted(self.lane, np.arange(len(self.status) + 1))
+
+    def brackets(self, place: Index) -> Brackets:
         """Return the parts of branches between the points with indices `place` and the points that follow them."""
-        ends = ((self.evaluation.of(k), self.tangent[k]) for k in (place, place + 1))
-        return BranchBrackets(family, place, *next(ends), *next(ends))
+        place = place[self.lane[place] == self.lane[place + 1]]
+        return Brackets(np.full(len(place), EVENT_CHANGE), place, self.points.of(place), self.points.of(place + 1))
 
 
-Stop = Callable[[Index, Evaluation], Flags]
-"""`stop(lanes, evaluation)`: mask of the lanes that end at their newly accepted point."""
+Stop = Callable[[Index, Points], Flags]
+"""`stop(lanes, points)`: mask of the lanes that end at their newly accepted point."""
 
 
 def continue_branches(
-    problem: Problem, initial: InitialPoints, longest: float = LONGEST_STEP, stop: Stop | None = None
-) -> BranchPoints:
+    problem: Problem,
+    begin: Points,
+    step: PerLane,
+    stop: Stop,
+    home: Float[np.ndarray, "lanes 2 unknowns"] | None = None,
+    longest: float = LONGEST_STEP,
+) -> Branches:
     """Continue branches until the parameter reaches a bound or another condition for their end holds.
 
-    **Arguments:** `longest`: largest scaled step length; `stop`: additional condition, see `Stop`.
+    **Arguments:** `begin`: first points, with tangents; `step`, `longest`: first and largest scaled step length;
+    `stop`: additional condition, see `Stop`; `home`: unknowns and tangents of the points at which closed branches end,
+    NaN if the branch cannot close.
     """
-    branches = _ActiveBranches(problem, initial, longest, stop)
+    branches = _ActiveBranches(problem, begin, step, stop, home, longest)
     with np.errstate(all="ignore"):
+        branches.predict(branches.active)
         while len(branches.active):
             branches.iterate()
-    lanes, evaluations, tangents = zip(*branches.accepted, strict=True)
-    lane = np.concatenate(lanes)
+    points = Points.join(branches.accepted)
+    lane = np.concatenate(branches.accepted_lanes)
     order = np.argsort(lane, kind="stable")
-    evaluation = Evaluation.join(evaluations).of(order)
-    return BranchPoints(lane[order], evaluation, np.concatenate(tangents)[order], branches.status)
+    return Branches(lane[order], points.of(order), branches.status)
 
 
 class _ActiveBranches:
     """Branches during continuation: the last point of each, and the corrector's iterate for the next point."""
 
-    def __init__(self, problem: Problem, initial: InitialPoints, longest: float, stop: Stop | None) -> None:
-        lanes = len(initial.family)
-        self._problem, self._longest, self._stop = problem, longest, stop
-        self._family = initial.family
-        self._last = problem.evaluate(initial.family, initial.u)
-        self._tangent = initial.tangent.copy()
-        self._step = np.minimum(initial.step, longest)
+    def __init__(
+        self,
+        problem: Problem,
+        begin: Points,
+        step: PerLane,
+        stop: Stop,
+        home: Float[np.ndarray, "lanes 2 unknowns"] | None,
+        longest: float,
+    ) -> None:
+        lanes = len(begin.u)
+        self._problem, self._longest, self._stop, self._home = problem, longest, stop, home
+        self._last = begin.of(np.arange(lanes))
+        self._step = np.minimum(step, longest)
         self.status = np.full(lanes, RUNNING)
         self._count = np.ones(lanes, int)
         self._length = np.zeros(lanes)
-        self._home, self._home_tangent = initial.home, initial.home_tangent
-        self._iterate, self._predictor = initial.u.copy(), initial.u.copy()
+        self._iterate, self._predictor = begin.u.copy(), begin.u.copy()
         self._bound, self._level = np.full(lanes, np.nan), np.zeros(lanes)
         self._iterations = np.zeros(lanes, int)
         self._before = np.full(lanes, np.inf)
@@ -136,16 +138,14 @@ class _ActiveBranches:
         # Arclengths and margins at the points since the last change of events, newest first.
         self._arclengths, self._margins = np.full((2, lanes, 3), np.nan)
         self._arclengths[:, 0], self._margins[:, 0] = 0.0, self._last.margin
-        self._prior_u, self._prior_tangent = np.full((2, *initial.u.shape), np.nan)
-        self.accepted = [(np.arange(lanes), self._last.of(np.arange(lanes)), initial.tangent.copy())]
+        self._prior_u, self._prior_tangent = np.full((2, *begin.u.shape), np.nan)
+        self.accepted, self.accepted_lanes = [begin], [np.arange(lanes)]
         self.active = np.arange(lanes)
-        with np.errstate(all="ignore"):
-            self._predict(self.active)
 
-    def _predict(self, lanes: Index) -> None:
+    def predict(self, lanes: Index) -> None:
         """Compute the predictors, on the plane ahead or on the parameter's bound if the bound is nearer."""
-        problem, family = self._problem, self._family[lanes]
-        u, t, h = self._last.u[lanes], self._tangent[lanes], self._step[lanes]
+        problem, family = self._problem, self._last.family[lanes]
+        u, t, h = self._last.u[lanes], self._last.tangent[lanes], self._step[lanes]
         ahead = np.where(t[:, -1] > 0, problem.last[family], problem.first[family]) / problem.unit[family]
         room = (ahead - u[:, -1]) / t[:, -1]
         short = (t[:, -1] != 0) & (room < 1.0001 * h)
@@ -162,7 +162,7 @@ class _ActiveBranches:
 
         It is unreliable if the previous step was much shorter, or if the polynomial deviates strongly from the tangent.
         """
-        u, t, before = self._last.u[lanes], self._tangent[lanes], self._prior_u[lanes]
+        u, t, before = self._last.u[lanes], self._last.tangent[lanes], self._prior_u[lanes]
         d, h = np.linalg.norm(u - before, axis=1)[:, None], h[:, None]
         apart, turn = (before - u + d * t) / d**2, (self._prior_tangent[lanes] - t) / d
         bend = (3 * apart + turn) * h**2 + (turn + 2 * apart) / d * h**3
@@ -172,12 +172,10 @@ class _ActiveBranches:
     def iterate(self) -> None:
         """Perform one corrector iteration of every active lane."""
         lanes = self.active
-        now = self._problem.evaluate(self._family[lanes], self._iterate[lanes])
-        residual = now.residual
+        now = self._problem.evaluate(self._last.family[lanes], self._iterate[lanes])
+        residual, tangent = now.residual, self._last.tangent[lanes]
         # The next point is on the plane row u = level, which is normal to the tangent or at the parameter's bound.
-        row = np.zeros_like(self._tangent[lanes])
-        row[:, -1] = 1.0
-        row = np.where(~np.isnan(self._bound[lanes])[:, None], row, self._tangent[lanes])
+        row = np.where(np.isnan(self._bound[lanes])[:, None], tangent, towards(tangent, 1.0))
         short = np.einsum("ij,ij->i", row, now.u) - self._level[lanes]
         done = (residual <= CORRECTOR_RESIDUAL) & (np.abs(short) <= CORRECTOR_RESIDUAL)
         on = ~done & (self._iterations[lanes] < WALK_MAX_ITERATIONS) & (residual < self._before[lanes])
@@ -214,7 +212,7 @@ class _ActiveBranches:
         to_corner = self._step_to_corner(lanes, taken)
         self._step[lanes] = np.where(np.isnan(to_corner), taken / 3, np.minimum(to_corner, 0.7 * taken))
         self.status[lanes[taken / 3 < SHORTEST_STEP]] = STALLED
-        self._predict(lanes)
+        self.predict(lanes)
 
     def _step_to_corner(self, lanes: Index, within: PerLane) -> PerLane:
         """Return step lengths to the predicted zero of the margin; NaN without a zero within the distance `within`.
@@ -230,39 +228,36 @@ class _ActiveBranches:
         step = np.where(over & (ahead < CROSSING / 2), ahead + CROSSING / 4, before)
         return np.where(sound, np.maximum(step, 1.01 * SHORTEST_STEP), np.nan)
 
-    def _accept(self, lanes: Index, now: Evaluation) -> Flags:
+    def _accept(self, lanes: Index, now: Points) -> Flags:
         """Accept converged points that continue the same branch, and choose the next steps.
 
         Return a mask of the accepted points.
         """
-        problem, family = self._problem, self._family[lanes]
-        last = self._last.of(lanes)
-        tangent = unit_tangent(now.matrix, self._tangent[lanes])
-        cosine = np.einsum("ij,ij->i", tangent, self._tangent[lanes])
-        turn = np.arccos(np.clip(cosine, -1, 1))
+        problem, last = self._problem, self._last.of(lanes)
+        now = now.along(last.tangent)
+        turn = np.arccos(np.clip(np.einsum("ij,ij->i", now.tangent, last.tangent), -1, 1))
         taken = np.linalg.norm(now.u - last.u, axis=1)
         changed = (now.signature != last.signature).any(axis=1)
         corner = (taken <= CORNER) & (turn <= CORNER_TURN) | (taken <= CROSSING) & (turn <= CROSSING_TURN)
-        sound = np.isfinite(tangent).all(axis=1)
+        sound = np.isfinite(now.tangent).all(axis=1)
         sound &= (turn <= SHARP_TURN) | (taken < 10 * SHORTEST_STEP) | changed & corner
-        value = problem.value(family, now.u)
-        beyond = (value > problem.last[family]) | (value < problem.first[family])
+        value = problem.value(now.family, now.u)
+        beyond = (value > problem.last[now.family]) | (value < problem.first[now.family])
         sound &= ~(beyond & np.isnan(self._bound[lanes]))
         kept = lanes[sound]
-        now, tangent, taken, turn = now.of(sound), tangent[sound], taken[sound], turn[sound]
-        self.accepted.append((kept, now, tangent))
+        now, last, taken, turn, changed = now.of(sound), last.of(sound), taken[sound], turn[sound], changed[sound]
+        self.accepted.append(now)
+        self.accepted_lanes.append(kept)
         self._count[kept] += 1
         self._length[kept] += taken
         # After a change of events, earlier margins and points cannot be used for extrapolation.
-        changed = changed[sound]
-        self._prior_u[kept] = np.where(changed[:, None], np.nan, self._last.u[kept])
-        self._prior_tangent[kept] = self._tangent[kept]
+        self._prior_u[kept] = np.where(changed[:, None], np.nan, last.u)
+        self._prior_tangent[kept] = last.tangent
         for history, new in ((self._arclengths, self._length[kept]), (self._margins, now.margin)):
             history[kept[changed]] = np.nan
             push_history(history, kept, new)
         self._shortened[kept[changed]] = self._blocked[kept[changed]] = False
         self._last.put(kept, now)
-        self._tangent[kept] = tangent
         growth = np.clip(TURN / np.maximum(turn, 1e-12), 0.5, np.where(taken < CORNER, CORNER_GROWTH, STEP_GROWTH))
         growth = np.where(self._iterations[kept] >= 4, np.minimum(growth, 0.7), growth)
         # The change of events that made this step fail is within twice the step length.
@@ -271,18 +266,13 @@ class _ActiveBranches:
         to_corner = np.where(self._shortened[kept], self._step_to_corner(kept, 3 * step), np.nan)
         self._step[kept] = np.where(np.isnan(to_corner), step, to_corner)
         self._shortened[kept] = ~np.isnan(to_corner)
-        self._end(kept, now, tangent)
-        self._predict(kept)
+        if self._home is not None:
+            closed = np.linalg.norm(now.u - self._home[kept, 0], axis=1) < self._longest
+            closed &= np.einsum("ij,ij->i", now.tangent, self._home[kept, 1]) > 0.9
+            self.status[kept[closed & (self._length[kept] > 5 * self._longest)]] = CLOSED
+        self.status[kept[self._count[kept] >= BRANCH_MAX_POINTS]] = TOO_LONG
+        self.status[kept[spectral_radius(now.product) > MAX_MULTIPLIER]] = TOO_UNSTABLE
+        self.status[kept[self._stop(kept, now)]] = STOPPED
+        self.status[kept[~np.isnan(self._bound[kept])]] = ENDED
+        self.predict(kept)
         return sound
-
-    def _end(self, lanes: Index, now: Evaluation, tangent: Unknowns) -> None:
-        """Set the status of lanes that end at their newest point."""
-        closed = np.linalg.norm(now.u - self._home[lanes], axis=1) < self._longest
-        closed &= np.einsum("ij,ij->i", tangent, self._home_tangent[lanes]) > 0.9
-        closed &= self._length[lanes] > 5 * self._longest
-        self.status[lanes[closed]] = CLOSED
-        self.status[lanes[self._count[lanes] >= BRANCH_MAX_POINTS]] = TOO_LONG
-        self.status[lanes[spectral_radius(now.product) > MAX_MULTIPLIER]] = TOO_UNSTABLE
-        if self._stop is not None:
-            self.status[lanes[self._stop(lanes, now)]] = STOPPED
-        self.status[lanes[~np.isnan(self._bound[lanes])]] = ENDED

@@ -4,32 +4,28 @@ Every branch is continued in both directions, past its special points. Period-do
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
-from vibrojax.analyses.continuation.arclength import (
-    ENDED,
-    SHORTEST_STEP,
-    STALLED,
-    STOPPED,
-    BranchPoints,
-    InitialPoints,
-    continue_branches,
-)
-from vibrojax.analyses.continuation.brackets import BranchBrackets
-from vibrojax.analyses.continuation.branch_segments import (
+from vibrojax.analyses.continuation.arclength import ENDED, STALLED, STOPPED, continue_branches
+from vibrojax.analyses.continuation.brackets import Brackets
+from vibrojax.analyses.continuation.problem import Flags, Index, Points, Problem, towards
+from vibrojax.analyses.continuation.segments import (
     ENDINGS,
-    REJOIN_DISTANCE,
+    SAME_POINT,
+    FamilyPoint,
     Segment,
-    SegmentMark,
     drop_duplicates,
 )
-from vibrojax.analyses.continuation.indicators import KINDS
-from vibrojax.analyses.continuation.problem import Evaluation, Flags, Index, Problem, unit_tangent
-from vibrojax.analyses.continuation.special_points import SpecialPoints, classify_event_changes, locate_special_points
-from vibrojax.analyses.continuation.switching import branch_distance, doubled_branch, reindex_returns, turn_corner
-from vibrojax.measures.ledger import MOST_CYCLES
+from vibrojax.analyses.continuation.special_points import (
+    branch_distance,
+    classify_event_changes,
+    doubled_branch,
+    locate_special_points,
+    reindex_returns,
+    turn_corner,
+)
+from vibrojax.io.kinds import SPECIAL_KINDS
 
 FIRST_STEP, STEP_AFTER_CORNER = 0.02, 1e-3
 """First scaled step lengths: of a branch, and beyond a corner."""
@@ -41,12 +37,6 @@ section."""
 MAX_BRANCHES = 32
 """Largest number of branches of a family."""
 
-SAME_POINT = 1e-6
-"""Scaled distance within which special points of the same kind count as equal."""
-
-BEFORE_CORNER = 100 * SHORTEST_STEP
-"""Scaled distance before a corner at which a point certainly has the events of the side before the corner."""
-
 
 class FamilyContinuation:
     """Continuation of the families of one problem.
@@ -54,7 +44,7 @@ class FamilyContinuation:
     `cycles`: largest number of section crossings per period of doubled branches.
     """
 
-    def __init__(self, problem: Problem, cycles: int = MOST_CYCLES) -> None:
+    def __init__(self, problem: Problem, cycles: int) -> None:
         self._problem, self._cycles = problem, cycles
         self._branches: dict[int, int] = {}
 
@@ -63,12 +53,11 @@ class FamilyContinuation:
         self._branches = dict.fromkeys(family.tolist(), 1)
         pending: list[Segment] = []
         for number, orbit in zip(family.tolist(), u, strict=True):
-            up = np.zeros_like(orbit[None])
-            up[:, -1] = 1.0
-            tangent = unit_tangent(self._problem.evaluate(np.array([number]), orbit[None]).matrix, up)[0]
+            first = self._problem.evaluate(np.array([number]), orbit[None])
+            tangent = first.along(towards(first.u, 1.0)).tangent[0]
             for sign in (1, -1):
                 home = (orbit, sign * tangent)
-                pending.append(Segment(number, 0, sign, orbit, sign * tangent, FIRST_STEP, home=home))
+                pending.append(Segment(number, 0, sign, *home, FIRST_STEP, home=home))
         done: list[Segment] = []
         while pending:
             following: list[Segment] = []
@@ -81,118 +70,89 @@ class FamilyContinuation:
 
     def _continue(self, segments: list[Segment]) -> list[Segment]:
         """Continue segments with equal numbers of section crossings to their ends; return the segments that follow."""
-        family = np.array([segment.family for segment in segments])
         size = len(segments[0].u)
         none = np.full(size, np.nan)
         homes = [s.home if s.home is not None and len(s.home[0]) == size else (none, none) for s in segments]
-        initial = InitialPoints(
-            family=family,
-            u=np.array([segment.u for segment in segments]),
-            tangent=np.array([segment.tangent for segment in segments]),
-            step=np.array([segment.step for segment in segments]),
-            home=np.array([home for home, _ in homes]),
-            home_tangent=np.array([tangent for _, tangent in homes]),
-        )
         departure = np.array([none if segment.departure is None else segment.departure for segment in segments])
 
-        def rejoins(lanes: Index, now: Evaluation) -> Flags:
+        def rejoins(lanes: Index, now: Points) -> Flags:
             if size % 2 == 0:  # doubled orbits have an even number of states and one parameter
                 return np.zeros(len(lanes), bool)
             with np.errstate(invalid="ignore"):
                 return branch_distance(now.u, departure[lanes]) <= 0
 
-        points = continue_branches(self._problem, initial, stop=rejoins)
-        bounds = np.searchsorted(points.lane, np.arange(len(segments) + 1))
-        special = locate_special_points(self._problem, family, points)
-        for k, segment in enumerate(segments):
-            last = bounds[k + 1] - (points.status[k] == STOPPED)
-            segment.points = points.evaluation.of(slice(bounds[k], last))
-            if last < bounds[k + 1]:
-                beyond = float(np.abs(points.evaluation.u[last] - segment.points.u[-1]).max())
+        family = np.array([segment.family for segment in segments])
+        begin = self._problem.evaluate(family, np.array([segment.u for segment in segments]))
+        begin = begin._replace(tangent=np.array([segment.tangent for segment in segments]))
+        step = np.array([segment.step for segment in segments])
+        branches = continue_branches(self._problem, begin, step, rejoins, home=np.array(homes))
+        special = locate_special_points(self._problem, branches)
+        bounds = branches.bounds.tolist()
+        stalled: list[Segment] = []
+        for segment, status, first, end in zip(segments, branches.status.tolist(), bounds, bounds[1:], strict=False):
+            last = end - (status == STOPPED)
+            segment.points = branches.points.of(slice(first, last))
+            if last < end:
+                beyond = float(np.abs(branches.points.u[last] - segment.points.u[-1]).max())
                 segment.reach = max(segment.reach, beyond)
-            if special is not None:
-                self._add_marks(segment, special, int(bounds[k]), int(last))
-        return self._end(segments, points, bounds) + self._doubled_branches(segments)
+            inside = (special.place >= first) & (special.place < last - 1)
+            self._add_marks(segment, special.of(inside), first)
+            if status == STALLED and segment.number < MAX_SEGMENTS:
+                stalled.append(segment)
+                continue
+            note = ENDINGS.get(status, "")
+            if status == ENDED:
+                value = self._problem.value(segment.points.family[-1:], segment.points.u[-1:])
+                is_last = value == self._problem.last[segment.family]
+                note = f"the {'last' if is_last else 'first'} value is reached"
+            segment.mark("end", note)
+        return (self._pass_stalls(stalled) if stalled else []) + self._doubled_branches(segments)
 
-    def _add_marks(self, segment: Segment, special: SpecialPoints, first: int, last: int) -> None:
-        """Add the special points between the branch points `first` and `last` - 1 to the segment."""
-        brackets = special.brackets
-        for k in np.flatnonzero((brackets.place >= first) & (brackets.place < last - 1)):
-            kind, orbit, note = KINDS[special.kind[k]], brackets.near.of([k]), ""
-            beyond = brackets.far.of([k])
+    def _add_marks(self, segment: Segment, special: Brackets, first: int) -> None:
+        """Add special points to the segment whose first point is the branches' point `first`."""
+        for k, place in enumerate((special.place - first).tolist()):
+            kind, orbit, note, beyond = SPECIAL_KINDS[special.kind[k]], special.near.of([k]), "", special.far.of([k])
             if kind == "grazing" and orbit.impacts[0] == beyond.impacts[0]:
                 changed = (orbit.mode_changes[0] != beyond.mode_changes[0]).any(axis=1)
                 modes = zip(self._problem.scene.modes, changed, strict=True)
                 names = ", ".join(mode.name for mode, differs in modes if differs)
                 note = f"no impact: another order of events of {names}"
-            segment.marks.append(SegmentMark(kind, orbit, int(brackets.place[k]) - first, note))
-        u = segment.orbits.u
+            segment.marks.append(FamilyPoint(orbit, kind, note, place))
+        u = segment.points.u
         segment.marks.sort(key=lambda mark: (mark.place, np.abs(mark.orbit.u[0] - u[mark.place]).max()))
 
-    def _end(self, segments: list[Segment], points: BranchPoints, bounds: np.ndarray) -> list[Segment]:
-        """Mark the ends of segments; return the segments that follow stalled segments."""
-        stalled: list[Segment] = []
-        tangents: list[np.ndarray] = []
-        for k, segment in enumerate(segments):
-            status = int(points.status[k])
-            if status == STALLED and segment.number < MAX_SEGMENTS:
-                stalled.append(segment)
-                tangents.append(points.tangent[bounds[k + 1] - 1])
-                continue
-            note = ENDINGS.get(status, "")
-            if status == ENDED:
-                family = np.array([segment.family])
-                value = self._problem.value(family, segment.orbits.u[-1:])
-                note = f"the {'last' if value == self._problem.last[family] else 'first'} value is reached"
-            segment.mark("end", note)
-        return self._pass_stalls(stalled, np.array(tangents)) if stalled else []
-
-    def _pass_stalls(self, segments: list[Segment], tangent: np.ndarray) -> list[Segment]:
+    def _pass_stalls(self, segments: list[Segment]) -> list[Segment]:
         """Return the segments beyond corners and points where the motion is tangent to the section.
 
         These points are marked. Segments that cannot be continued get a mark at their end.
         """
-        family = np.array([segment.family for segment in segments])
-        end = Evaluation.join([segment.orbits.of([-1]) for segment in segments])
-        before = Evaluation.join([last_before(segment.orbits) for segment in segments])
-        corner = turn_corner(self._problem, family, end, tangent, before)
-        place = np.array([len(segment.orbits.u) - 1 for segment in segments])
-        passed = BranchBrackets(family, place, before, tangent, corner.evaluation, tangent)
+        turned, corners = turn_corner(self._problem, [segment.points for segment in segments])
+        changed = corners.changes_events
         following: list[Segment] = []
         for k, segment in enumerate(segments):
-            lane, orbit = np.arange(len(segments)) == k, end.of([k])
+            end, departure = segment.points.of([-1]), segment.departure
             kinds: list[str] = []
-            if (before.signature[k] != corner.evaluation.signature[k]).any():
-                kinds = [KINDS[kind[0]] for kind, _ in classify_event_changes(self._problem, passed.of(lane))]
-            onward = replace(
-                segment,
-                step=STEP_AFTER_CORNER,
-                number=segment.number + 1,
-                departure=None,
-                parent=segment,
-                reach=REJOIN_DISTANCE,
-                points=None,
-                marks=[],
-            )
-            if corner.turned[k]:
-                _add_end_marks(segment, kinds, orbit, "")
-                onward.u, onward.tangent = corner.evaluation.u[k], corner.tangent[k]
-                onward.departure = segment.departure
-                following.append(onward)
+            if changed[k]:
+                flags = classify_event_changes(self._problem, corners.of([k])).kind
+                kinds = [SPECIAL_KINDS[flag] for flag in flags]
+            beyond, note = (corners.far.of([k]), "") if turned[k] else (reindex_returns(self._problem, end), "")
+            if beyond is None and not kinds:
+                distance = np.inf if departure is None else abs(branch_distance(end.u, departure[None])[0])
+                stalled = f"{ENDINGS[STALLED]}; grazing margin {end.margin[0]:.1e}"
+                segment.mark("end", ENDINGS[STOPPED] if distance < SAME_POINT else stalled)
                 continue
-            reindexed = reindex_returns(self._problem, segment.family, orbit, tangent[[k]])
-            if reindexed is not None:
-                now, ahead = reindexed
-                _add_end_marks(segment, ["section"], orbit, f"{now.times.shape[1]} returns from here")
-                onward.u, onward.tangent = now.u[0], ahead[0]
-                following.append(onward)
-            elif kinds:
+            if beyond is None:
                 uncounted = "the motion goes on, its returns are not counted any more"
-                _add_end_marks(segment, kinds, orbit, uncounted if kinds[0] == "section" else "the family ends here")
-            elif _is_at_departure(orbit, segment.departure):
-                segment.mark("end", ENDINGS[STOPPED])
-            else:
-                segment.mark("end", f"{ENDINGS[STALLED]}; grazing margin {orbit.margin[0]:.1e}")
+                note = uncounted if kinds[0] == "section" else "the family ends here"
+            elif not turned[k]:
+                kinds, departure, note = ["section"], None, f"{beyond.times.shape[1]} returns from here"
+            for kind in kinds:
+                segment.mark(kind, note)
+            if beyond is not None:
+                start = (beyond.u[0], beyond.tangent[0], STEP_AFTER_CORNER, segment.number + 1)
+                onward = Segment(segment.family, segment.branch, segment.direction, *start, departure, segment.home)
+                onward.parent = segment
+                following.append(onward)
         return following
 
     def _doubled_branches(self, segments: list[Segment]) -> list[Segment]:
@@ -210,25 +170,3 @@ class FamilyContinuation:
                 start = (u[0], tangent[0], FIRST_STEP)
                 doubled.append(Segment(segment.family, branch, 1, *start, departure=tangent[0], parent=segment))
         return doubled
-
-
-def _is_at_departure(orbit: Evaluation, departure: np.ndarray | None) -> bool:
-    """Return whether a doubled branch has come back to the branch on which it began."""
-    return departure is not None and bool(abs(branch_distance(orbit.u, departure[None])[0]) < SAME_POINT)
-
-
-def last_before(orbits: Evaluation, distance: float = BEFORE_CORNER) -> Evaluation:
-    """Return the last orbit farther than the scaled `distance` from the end, or the first orbit if there is none."""
-    away = np.flatnonzero(np.abs(orbits.u - orbits.u[-1]).max(axis=1) > distance)
-    return orbits.of([away[-1] if len(away) else 0])
-
-
-def _add_end_marks(segment: Segment, kinds: Sequence[str], end: Evaluation, note: str) -> None:
-    """Add special points at a segment's end; an existing special point of the same kind there gets the note instead."""
-    for kind in kinds:
-        near = [m for m in segment.marks if m.kind == kind and np.abs(m.orbit.u - end.u).max() < SAME_POINT]
-        segment.marks = [m for m in segment.marks if not any(m is other for other in near[1:])]
-        if near:
-            segment.marks = [m._replace(note=note) if m is near[0] else m for m in segment.marks]
-        else:
-            segment.mark(kind, note)

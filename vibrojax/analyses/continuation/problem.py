@@ -14,8 +14,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from vibrojax.models.scenes import Scene
-from vibrojax.periodic.newton import chain, images_by_lane, shooting_matrix
-from vibrojax.periodic.return_map import MOST_STEPS, Segments
+from vibrojax.periodic.newton import chain, images_by_lane, multipliers, shooting_matrix
+from vibrojax.periodic.return_map import Segments
 from vibrojax.stepping import LOCATED_STRIDE, Accuracy
 
 FAMILY_ACCURACY = Accuracy(tolerance=1e-12, stride=LOCATED_STRIDE, step=np.inf)
@@ -32,11 +32,12 @@ PerLane = Float[np.ndarray, " lanes"]
 Flags = Bool[np.ndarray, " lanes"]
 
 
-class Evaluation(NamedTuple):
-    """The equations evaluated at given unknowns; the first axis of all arrays is the lane.
+class Points(NamedTuple):
+    """Points at which the equations are evaluated; the first axis of all arrays is the lane.
 
-    - `u`: unknowns; `off`: residuals of the equations.
-    - `matrix`: derivatives of the residuals with respect to the unknowns.
+    - `family`: index of the family; `u`: unknowns.
+    - `tangent`: unit tangent of the solution curve; NaN where it has not been computed.
+    - `off`: residuals of the equations; `matrix`: their derivatives with respect to the unknowns.
     - `times` (lanes, p) [s]: time from each state to the next; infinite where the section is not reached.
     - `product`: derivative of the map over one period of the motion, in scaled states; its eigenvalues are the
       multipliers.
@@ -44,7 +45,9 @@ class Evaluation(NamedTuple):
     - `margin` (lanes,): grazing margin.
     """
 
+    family: Index
     u: Unknowns
+    tangent: Unknowns
     off: Float[np.ndarray, "lanes equations"]
     matrix: Float[np.ndarray, "lanes equations unknowns"]
     times: Float[np.ndarray, "lanes cycles"]
@@ -53,19 +56,26 @@ class Evaluation(NamedTuple):
     mode_changes: Float[np.ndarray, "lanes modes 3"]
     margin: PerLane
 
-    def of(self, lanes: Any) -> "Evaluation":
+    def of(self, lanes: Any) -> "Points":
         """Return a subset of the lanes, by index or mask."""
-        return Evaluation(*(x[lanes] for x in self))
+        return Points(*(x[lanes] for x in self))
 
-    def put(self, lanes: Any, other: "Evaluation") -> None:
+    def put(self, lanes: Any, other: "Points") -> None:
         """Replace the given lanes by the lanes of `other`, in place."""
         for mine, new in zip(self, other, strict=True):
             mine[lanes] = new
 
     @staticmethod
-    def join(parts: "Sequence[Evaluation]") -> "Evaluation":
-        """Concatenate the lanes of evaluations with the same number of unknowns."""
-        return Evaluation(*(np.concatenate(fields) for fields in zip(*parts, strict=True)))
+    def join(parts: "Sequence[Points]") -> "Points":
+        """Concatenate the lanes of points with the same number of unknowns."""
+        return Points(*(np.concatenate(fields) for fields in zip(*parts, strict=True)))
+
+    def along(self, direction: Unknowns) -> "Points":
+        """Return the points with the unit tangents that form an acute angle with `direction`."""
+        right = np.zeros_like(direction)
+        right[:, -1] = 1.0
+        tangent = solve_bordered(self.matrix, direction, right)
+        return self._replace(tangent=tangent / np.linalg.norm(tangent, axis=1, keepdims=True))
 
     @property
     def residual(self) -> PerLane:
@@ -103,7 +113,7 @@ class Problem:
     unit: PerLane
     first: PerLane
     last: PerLane
-    most_steps: float = MOST_STEPS
+    most_steps: float
 
     @cached_property
     def _map(self) -> Segments:
@@ -121,13 +131,13 @@ class Problem:
 
     def states(self, family: Index, u: Unknowns) -> Float[np.ndarray, "lanes cycles states"]:
         """Return the states at the section that belong to the unknowns `u`."""
-        return u[:, :-1].reshape(len(u), -1, self.rows) * self.scales[family][:, None]
+        return u[:, :-1].reshape(len(u), (u.shape[1] - 1) // self.rows, self.rows) * self.scales[family][:, None]
 
     def value(self, family: Index, u: Unknowns) -> PerLane:
         """Return the value of the continuation parameter that belongs to the unknowns `u`."""
         return u[:, -1] * self.unit[family]
 
-    def evaluate(self, family: Index, u: Unknowns) -> Evaluation:
+    def evaluate(self, family: Index, u: Unknowns) -> Points:
         """Evaluate the equations at the unknowns `u` of lanes; `family`: index of each lane's family."""
         lanes, rows = len(u), self.rows
         states, scale = self.states(family, u), self.scales[family]
@@ -141,8 +151,10 @@ class Problem:
         jacobian[..., :rows] *= scale[:, None, None, :]
         jacobian[..., rows:] *= self.unit[family][:, None, None, None]
         by_parameter = jacobian[..., rows:].reshape(lanes, cycles * rows, 1)
-        return Evaluation(
+        return Points(
+            family=family,
             u=u.copy(),
+            tangent=np.full_like(u, np.nan),
             off=off.reshape(lanes, -1),
             matrix=np.concatenate([shooting_matrix(jacobian[..., :rows]), by_parameter], axis=2),
             times=np.where(images.seen.returned, images.time, np.inf),
@@ -152,10 +164,10 @@ class Problem:
             margin=images.seen.margin.min(axis=1),
         )
 
-    def correct(self, family: Index, guess: Unknowns, row: Unknowns, value: PerLane) -> tuple[Evaluation, Flags]:
+    def correct(self, family: Index, guess: Unknowns, row: Unknowns, value: PerLane) -> tuple[Points, Flags]:
         """Return the orbits near `guess` that satisfy row u = `value`, and a mask of the orbits that have converged.
 
-        The orbits are computed by Newton's method.
+        The orbits are computed by Newton's method; their tangents form an acute angle with `row`.
         """
         best = self.evaluate(family, guess)
         converged = np.zeros(len(guess), bool)
@@ -170,15 +182,13 @@ class Problem:
             on = ~done & (residual < np.maximum(before[active], 1e-3)) & np.isfinite(residual)
             before[active] = residual
             active, now, short = active[on], now.of(on), short[on]
-            if not len(active):
-                break
             step = solve_bordered(now.matrix, row[active], -np.column_stack([now.off, short]))
             sound = np.isfinite(step).all(axis=1)
             active = active[sound]
             if not len(active):
                 break
             best.put(active, self.evaluate(family[active], now.u[sound] + step[sound]))
-        return best, converged
+        return best.along(row), converged
 
 
 def solve_bordered(matrix: Float[np.ndarray, "lanes equations unknowns"], row: Unknowns, right: Unknowns) -> Unknowns:
@@ -192,9 +202,13 @@ def solve_bordered(matrix: Float[np.ndarray, "lanes equations unknowns"], row: U
     return np.where(sound[:, None], np.linalg.solve(square, right[..., None])[..., 0], np.nan)
 
 
-def unit_tangent(matrix: Float[np.ndarray, "lanes equations unknowns"], along: Unknowns) -> Unknowns:
-    """Return the unit tangent of the solution curve that forms an acute angle with the direction `along`."""
-    right = np.zeros_like(along)
-    right[:, -1] = 1.0
-    tangent = solve_bordered(matrix, along, right)
-    return tangent / np.linalg.norm(tangent, axis=1, keepdims=True)
+def towards(u: Unknowns, sign: PerLane | float) -> Unknowns:
+    """Return the direction along the parameter, increasing or decreasing by `sign`."""
+    direction = np.zeros_like(u)
+    direction[:, -1] = sign
+    return direction
+
+
+def spectral_radius(product: Float[np.ndarray, "lanes states states"]) -> PerLane:
+    """Return the greatest modulus of each lane's multipliers."""
+    return np.abs(multipliers(product)[:, 0])

@@ -1,32 +1,38 @@
 """Continuation of families of periodic orbits along one parameter: `follow`."""
 
 import json
-from collections.abc import Sequence
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from vibrojax.analyses.continuation.families import FamilyContinuation
-from vibrojax.analyses.continuation.indicators import KINDS
-from vibrojax.analyses.continuation.points import FamilyPoint, columns, in_order, measured
 from vibrojax.analyses.continuation.problem import CORRECTOR_RESIDUAL, FAMILY_ACCURACY, Problem
-from vibrojax.analyses.continuation.spec import FamilySpec, read_asked
+from vibrojax.analyses.continuation.segments import FamilyPoint, columns, in_order, measured
 from vibrojax.analyses.sweep.run import run_sweep
-from vibrojax.errors import Place
-from vibrojax.io.kinds import OF_FAMILIES, dataset_attributes
+from vibrojax.errors import Place, shown, suggestion
+from vibrojax.io.kinds import OF_FAMILIES, SPECIAL_KINDS
 from vibrojax.io.variables import ORBIT_REASONS, REASONS, VARIABLES
 from vibrojax.measures.labels import REGIMES
 from vibrojax.measures.ledger import MOST_CYCLES
-from vibrojax.models.physics.parameters import ROTATION, Parameter, differing
+from vibrojax.models.physics.parameters import not_negative, positive
 from vibrojax.models.scenes import HasContact, Scene
 from vibrojax.periodic.lane_orbits import known_orbits
 from vibrojax.periodic.margin import HOW
-from vibrojax.sweep.engine.labelled import measured_besides, of_orbits
+from vibrojax.sweep.engine.labelled import measured_besides, of_orbits, parameter_attributes, shared_attributes
 from vibrojax.sweep.input.definition import Sweep
+from vibrojax.sweep.input.names import Names, read_names
+from vibrojax.sweep.input.read import read_point, read_sweep, several_and_single
+from vibrojax.sweep.input.values import UnusualValue, quantity, warn_if_far
 
 UNITS_PER_SPAN = 8
 """Number of units of the scaled parameter between its bounds, which weights parameter steps against state steps."""
+
+SETTLE = not_negative("settle", 40.0, "s", "time for which motions settle", "settle")
+OBSERVE = positive("observe", 8.0, "s", "time for which they are then observed", "observe")
 
 
 def follow(
@@ -88,10 +94,108 @@ def follow(
     >>> bool((fam.stable == 1).all())
     True
     """
-    return follow_asked(read_asked(scene, along, at, span, start, settle, observe, cycles, parameters), progress)
+    return continue_families(family_spec(scene, along, at, span, start, settle, observe, cycles, parameters), progress)
 
 
-def follow_asked(spec: FamilySpec, progress: bool = True) -> xr.Dataset:
+@dataclass(frozen=True, eq=False)
+class FamilySpec:
+    """Families of one scene.
+
+    - `sweep`: sweep with one initial parameter point for each family.
+    - `along`: name of the continuation parameter; `low`, `high`: its bounds.
+    - `cycles`: largest number of section crossings per period of doubled branches.
+    """
+
+    sweep: Sweep
+    along: str
+    low: float
+    high: float
+    cycles: int
+
+    def identity(self) -> dict[str, object]:
+        """Return all settings on which the result depends, as flat JSON values."""
+        bounds = {"along": self.along, "from": self.low, "to": self.high, "cycles": self.cycles}
+        return self.sweep.identity() | bounds
+
+
+def family_spec(
+    scene: str | Scene[Any],
+    along: object,
+    at: object,
+    span: object,
+    start: object,
+    settle: object,
+    observe: object,
+    cycles: object,
+    parameters: Mapping[str, object],
+) -> FamilySpec:
+    """Check the arguments of `follow` and return the specification.
+
+    **Raises:** `InputError` with a one-line message at the first invalid argument.
+    """
+    place = Place("follow")
+    several, fixed = several_and_single(parameters)
+    names = read_names(place.at("scene"), scene, dict(fixed), place)
+    if not isinstance(along, str) or along not in names.parameters:
+        instead = suggestion(str(along), names.parameters)
+        if along in names.writable:  # rpm or bit_radius
+            instead = "v follows from rpm and bit_radius: give v, and follow along v"
+        raise place.at("along").error(f"{shown(along)} is not a parameter of the scene; {instead}")
+    if along in parameters:
+        hint = f"say where it begins by at={shown(fixed.get(along, 'VALUE'))}"
+        raise place.at(along).error(f"is the parameter of the continuation; {hint}")
+    if isinstance(cycles, bool) or not isinstance(cycles, int) or not 1 <= cycles <= MOST_CYCLES:
+        raise place.at("cycles").error(f"{shown(cycles)} is not a whole number from 1 to {MOST_CYCLES}")
+    if not isinstance(span, Sequence | np.ndarray) or isinstance(span, str) or len(span) != 2:
+        raise place.at("span").error(f"{shown(span)} is not a pair of numbers; give the bounds of {along}")
+    low, high = sorted(names.quantity(place.at(name), along, span[k]) for k, name in enumerate(("from", "to")))
+    if not low < high:
+        raise place.at("to").error(f"{high:g} is the same as from; give the two bounds of {along}")
+    begin = names.quantity(place.at("at"), along, at)
+    if not low <= begin <= high:
+        raise place.at("at").error(f"{begin:g} is not between from = {low:g} and to = {high:g}")
+    settled, observed = quantity(place.at("settle"), settle, SETTLE), quantity(place.at("observe"), observe, OBSERVE)
+    families = _count_families(place, names, several)
+    first = {name: column[0] for name, column in several.items()}
+    with warnings.catch_warnings():  # all values are checked below
+        warnings.simplefilter("ignore", UnusualValue)
+        point = read_point(place, scene, {**fixed, **first, along: begin}, start)
+    for name, value in {**fixed, **several, along: begin}.items():
+        if name in names.writable:
+            warn_if_far(place.at("at" if name == along else name), names.writable[name], value)
+    tables: dict[str, Any] = {
+        "scene": scene,
+        "points": {along: [begin] * families} | several,
+        "parameters": fixed,
+        "run": {"orbits": True, "settle": settled, "observe": observed},
+        "unusual": True,
+    }
+    if point.start is not None:
+        tables["starts"] = [point.start if isinstance(point.start, str) else list(point.start)]
+    return FamilySpec(read_sweep(tables), along, low, high, cycles)
+
+
+def _count_families(place: Place, names: Names, several: Mapping[str, list[Any]]) -> int:
+    """Check the values that differ between families, and return the number of families."""
+    for name, column in several.items():
+        if name in names.options:
+            raise place.at(name).error(f"{shown(column)} is a list; it is chosen once for all families")
+        if not column:
+            raise place.at(name).error("is empty; give a value")
+        for index, value in enumerate(column):
+            item = place.at(name).item(index)
+            if name in names.presets:
+                names.preset(item, name, value)
+            else:
+                names.quantity(item, name, value)
+    sizes = {name: len(column) for name, column in several.items()}
+    if len(set(sizes.values())) > 1:
+        lengths = ", ".join(f"{name} {size}" for name, size in sizes.items())
+        raise place.error(f"lists of different lengths ({lengths}); give one family's values at the same place of each")
+    return next(iter(sizes.values()), 1)
+
+
+def continue_families(spec: FamilySpec, progress: bool = True) -> xr.Dataset:
     """Return the families of a specification, as `follow` does; raise `InputError` if there is no initial orbit."""
     dataset = run_sweep(spec.sweep, progress=progress)
     problem, families, first = problem_of(spec, dataset)
@@ -152,55 +256,43 @@ def _dataset(sweep: Sweep, problem: Problem, points: list[FamilyPoint], special:
     values = table | measures | multipliers
     if not isinstance(system, HasContact):
         del values["impacts"]
-    described = _described(sweep.system.parameters()[along])
-    special_value = described | {"long_name": f"{described['long_name']} at the special point"}
-    kinds = np.array([KINDS.index(point.kind) for point in special], np.int8)
-    branch = at_special["branch"].astype(np.int32)
-    notes = np.array([point.note for point in special], str)
-    variables: dict[str, Any] = {along: ("point", value, described)}
-    for name, x in values.items():
-        dims = ("point", "multiplier")[: x.ndim]
-        variables[name] = (dims, np.asarray(x, schema[name].dtype), schema[name].attributes())
-    variables |= {
-        "special_kind": ("special", kinds, schema["special_kind"].attributes()),
-        "special_value": ("special", at_special[along], special_value),
-        "special_branch": ("special", branch, schema["special_branch"].attributes()),
-        "special_note": ("special", notes, {"long_name": schema["special_note"].long_name}),
+    described = parameter_attributes(sweep, along)
+    values |= {
+        "special_kind": np.array([SPECIAL_KINDS.index(point.kind) for point in special], np.int8),
+        "special_value": at_special[along],
+        "special_branch": at_special["branch"],
+        "special_note": np.array([point.note for point in special], str),
     }
     several = {name: x for name, x in (sweep.points or {}).items() if name != along}
     coordinates: dict[str, Any] = {}
     if several:
-        of_family = schema["point_family"].attributes()
-        variables["point_family"] = ("point", family.astype(np.int32), of_family)
-        variables["special_family"] = ("special", at_special["family"].astype(np.int32), of_family)
-        coordinates["family"] = ("family", np.arange(sweep.lanes), of_family)
-        parameters = dict(sweep.system.parameters()) | ROTATION
+        values |= {"point_family": family, "special_family": at_special["family"]}
+        coordinates["family"] = ("family", np.arange(sweep.lanes), schema["point_family"].attributes())
         for name, x in several.items():
-            coordinates[name] = ("family", x, {"long_name": "rock"} if name == "rock" else _described(parameters[name]))
-    return xr.Dataset(variables, coordinates, _attributes(sweep, problem))
-
-
-def _attributes(sweep: Sweep, problem: Problem) -> dict[str, Any]:
-    start = None if sweep.starts is None else sweep.starts[0]
+            about = {"long_name": "rock"} if name == "rock" else parameter_attributes(sweep, name)
+            coordinates[name] = ("family", x, about)
+    variables: dict[str, Any] = {along: ("point", value, described)}
+    for name, x in values.items():
+        dims = ("special" if name.startswith("special_") else "point", "multiplier")[: x.ndim]
+        variables[name] = (dims, np.asarray(x, schema[name].dtype), schema[name].attributes())
+    at_point = {"long_name": f"{described['long_name']} at the special point"}
+    variables["special_value"][-1].update(described | at_point)
+    del variables["special_note"][-1]["units"]
     orbits = {
-        "states": list(problem.scene.return_states),
+        "states": list(system.return_states),
         "tolerance": FAMILY_ACCURACY.tolerance,
         "accepted_residual": CORRECTOR_RESIDUAL,
         "grazing_margin": HOW,
     }
-    return {
-        **dataset_attributes(
-            "family", f"Families of periodic orbits of {sweep.scene} over {problem.along}", "follow", scene=sweep.scene
-        ),
-        **sweep.options,
-        **({} if start is None else {"start": start if isinstance(start, str) else json.dumps(start)}),
-        "along": problem.along,
+    title = f"Families of periodic orbits of {sweep.scene} over {along}"
+    attributes = {
+        **shared_attributes(sweep, "family", title, "follow"),
+        "along": along,
         "span": [float(problem.first[0]), float(problem.last[0])],
-        "parameters": json.dumps({name: x for name, x in sweep.parameters.items() if name != problem.along}),
-        "differing": json.dumps(differing(sweep.system.parameters(), sweep.parameters)),
+        "parameters": json.dumps({name: x for name, x in sweep.parameters.items() if name != along}),
         "orbits": json.dumps(orbits),
     }
-
-
-def _described(parameter: Parameter) -> dict[str, str]:
-    return {"units": parameter.unit, "long_name": parameter.long_name, "symbol": parameter.symbol}
+    if sweep.starts is not None:
+        start = sweep.starts[0]
+        attributes["start"] = start if isinstance(start, str) else json.dumps(start)
+    return xr.Dataset(variables, coordinates, attributes)

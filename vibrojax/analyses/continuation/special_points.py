@@ -1,70 +1,100 @@
-"""Detection and location of special points between successive points of branches."""
+"""Special points of branches: detection and location between successive points, and passage to the parts beyond.
 
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+Where an event begins or vanishes, the return map has a kink. The branch has a corner there, which may be so sharp that
+the branch turns back. Where the motion becomes tangent to the section, the branch continues with another number of
+section crossings per period. At a period doubling, a branch with twice the period begins.
+"""
+
+from collections.abc import Callable, Sequence
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 
-from vibrojax.analyses.continuation.arclength import BranchPoints
-from vibrojax.analyses.continuation.brackets import BranchBrackets, shrink_brackets
-from vibrojax.analyses.continuation.indicators import KINDS, TEST_FUNCTIONS, is_critical
-from vibrojax.analyses.continuation.problem import Evaluation, Flags, Index, PerLane, Problem, Unknowns
-from vibrojax.analyses.continuation.switching import SAME_TIME
+from vibrojax.analyses.continuation.arclength import SHORTEST_STEP, Branches
+from vibrojax.analyses.continuation.brackets import EVENT_CHANGE, Brackets, shrink_brackets
+from vibrojax.analyses.continuation.problem import Flags, Index, PerLane, Points, Problem, Unknowns, towards
+from vibrojax.io.kinds import SPECIAL_KINDS
+from vibrojax.measures.ledger import MOST_CYCLES
 from vibrojax.models.scenes import HasFriction
+from vibrojax.periodic.newton import multipliers
 
 MAX_EVENT_CHANGES = 8
 """Largest number of event changes that are located between two points of a branch."""
 
-EVENT_CHANGE = -1
-"""Provisional kind of a bracket with different events at its ends; the located point determines the final kind."""
+CRITICAL_DISTANCE = 1e-3
+"""Largest distance of a located point's multiplier from its critical value. Where events begin or vanish, multipliers
+may jump over the critical value; such a point has another kind."""
 
-Kinds = Int[np.ndarray, " _"]
+BEFORE_CORNER = 100 * SHORTEST_STEP
+"""Scaled distance before a corner at which a point certainly has the events of the side before the corner."""
+
+PROBE_DISTANCES = (1e-9, 1e-8, 1e-7, 1e-6, 1e-5)
+"""Scaled distances behind a corner at which the other side of the corner is evaluated."""
+
+DEPARTURE_DISTANCES = (1e-6, 1e-5, 1e-4, 1e-3)
+"""Scaled distances between a corner and the first point beyond it."""
+
+REINDEX_DISTANCES = (1e-7, 1e-6, 1e-5, 1e-4)
+"""Scaled distances behind a tangency with the section at which section crossings are counted again."""
+
+SAME_TIME = 1e-2
+"""Largest relative difference of the period of the motion between neighbouring points with the same crossings."""
+
+SAME_PERIOD = 1e-4
+"""Largest relative difference of the period between two descriptions of one motion with different crossings."""
 
 
-class SpecialPoints(NamedTuple):
-    """Located special points: `kind` as a flag, and brackets with `near` at the point and `far` just behind it."""
+def _torus(points: Points) -> PerLane:
+    """Return the product of mu_i mu_j - 1 over all pairs of multipliers.
 
-    kind: Kinds
-    brackets: BranchBrackets
+    See Kuznetsov, *Elements of Applied Bifurcation Theory*, section 10.2.
+    """
+    values = multipliers(points.product)
+    first, second = np.triu_indices(values.shape[1], 1)
+    return np.prod(values[:, first] * values[:, second] - 1, axis=1).real
 
 
-def locate_special_points(problem: Problem, family: Index, points: BranchPoints) -> SpecialPoints | None:
-    """Return all special points between the points of branches, or None if there are none.
+TEST_FUNCTIONS: dict[str, Callable[[Points], PerLane]] = {
+    "fold": lambda points: points.tangent[:, -1],
+    "period-doubling": lambda points: np.linalg.det(points.product + np.eye(points.product.shape[1])),
+    "torus": _torus,
+}
+"""Functions that change sign at special points, by kind: the tangent's component along the parameter; det(M + 1), where
+M is the derivative of the map over one period of the motion; and `_torus`."""
 
-    **Arguments:** `family` (lanes,): family index of each lane.
+
+def locate_special_points(problem: Problem, branches: Branches) -> Brackets:
+    """Return all special points between the points of branches: `near` at the special point, `far` just behind it.
 
     Multipliers jump where events begin or vanish. Such points are located first, then the special points between them.
     """
-    located: list[tuple[Kinds, BranchBrackets]] = []
-    place = np.flatnonzero(points.lane[1:] == points.lane[:-1])
     with np.errstate(all="ignore"):
-        kind, brackets = _detect(points.brackets(family[points.lane[place]], place))
+        brackets = _detect(branches.brackets(np.arange(len(branches.lane) - 1)))
+        located = [brackets.of(slice(0))]
         for _ in range(MAX_EVENT_CHANGES + 1):
-            if not len(kind):
+            if not len(brackets.place):
                 break
-            shrunk, success = _shrink(problem, kind, brackets)
-            events = kind == EVENT_CHANGE
-            for side in (shrunk, shrunk.reversed()):
+            shrunk, success = shrink_brackets(problem, brackets, _test_function(brackets))
+            events = brackets.kind == EVENT_CHANGE
+            for side in (shrunk, shrunk._replace(near=shrunk.far, far=shrunk.near)):
                 smooth = np.flatnonzero(success & ~events)
-                smooth = smooth[is_critical(kind[smooth], side.near.product[smooth])]
-                located.append((kind[smooth], side.of(smooth)))
+                smooth = smooth[is_critical(side.kind[smooth], side.near.product[smooth])]
+                located.append(side.of(smooth))
                 success[smooth] = False
             change, whole = shrunk.of(success & events), brackets.of(success & events)
-            located += classify_event_changes(problem, change)
-            before = whole._replace(far=change.near, far_tangent=change.near_tangent)
-            behind = whole._replace(near=change.far, near_tangent=change.far_tangent)
+            located.append(classify_event_changes(problem, change))
+            before, behind = whole._replace(far=change.near), whole._replace(near=change.far)
             parts = _detect_smooth(before), _detect(behind), _detect_smooth(brackets.of(~success & events))
-            kind, brackets = _join(parts)
-    located = [part for part in located if len(part[0])]
-    return SpecialPoints(*_join(located)) if located else None
+            brackets = Brackets.join(parts)
+    return Brackets.join(located)
 
 
-def classify_event_changes(problem: Problem, brackets: BranchBrackets) -> list[tuple[Kinds, BranchBrackets]]:
+def classify_event_changes(problem: Problem, brackets: Brackets) -> Brackets:
     """Classify points at which events begin or vanish: impacts, sticks and reversals, or tangencies with the section.
 
-    A point at which both impacts and sticks change has both kinds. If the duration of the period jumps, other section
-    crossings are counted; such a point counts as a tangency only. All remaining changes count as grazing.
+    A point at which both impacts and sticks change is returned twice, once with each kind. If the duration of the
+    period jumps, other section crossings are counted; such a point counts as a tangency only. All remaining changes
+    count as grazing.
     """
     near, far = brackets.near, brackets.far
     section = ~(np.abs(far.period - near.period) < SAME_TIME * near.period)
@@ -74,52 +104,144 @@ def classify_event_changes(problem: Problem, brackets: BranchBrackets) -> list[t
         # The mode of the bit's slip is -1 for reversed motion, and 0 for stick.
         slip = problem.scene.mode_place("slip")
         stick = (near.mode_changes[:, slip, :2] != far.mode_changes[:, slip, :2]).any(axis=1) & ~section
-    other = ~impact & ~stick & ~section
-    kinds = (("grazing", impact | other), ("stick", stick), ("section", section))
-    return [(np.full(mask.sum(), KINDS.index(kind)), brackets.of(mask)) for kind, mask in kinds if mask.any()]
+    kinds = {"grazing": impact | (~stick & ~section), "stick": stick, "section": section}
+    return Brackets.join([brackets.of(mask).as_kind(SPECIAL_KINDS.index(kind)) for kind, mask in kinds.items()])
 
 
-def _detect(brackets: BranchBrackets) -> tuple[Kinds, BranchBrackets]:
-    """Return the kinds and brackets of special points; a change of events hides points of other kinds."""
-    changed = (brackets.near.signature != brackets.far.signature).any(axis=1)
-    events = np.full(changed.sum(), EVENT_CHANGE), brackets.of(changed)
-    return _join([events, _detect_smooth(brackets.of(~changed))])
+def is_critical(kind: Int[np.ndarray, " lanes"], product: Float[np.ndarray, "lanes states states"]) -> Flags:
+    """Return a mask of lanes with a multiplier near the critical value of their `kind` (a flag)."""
+    values = multipliers(product)
+    fold, doubling = (np.abs(values - critical).min(axis=1) < CRITICAL_DISTANCE for critical in (1, -1))
+    on_circle = np.abs(np.abs(values) - 1) < CRITICAL_DISTANCE
+    torus = ((np.abs(values.imag) > CRITICAL_DISTANCE) & on_circle).any(axis=1)
+    return np.select([kind == SPECIAL_KINDS.index(name) for name in TEST_FUNCTIONS], [fold, doubling, torus], False)
 
 
-def _detect_smooth(brackets: BranchBrackets) -> tuple[Kinds, BranchBrackets]:
-    """Return the kinds and brackets for which a test function changes sign."""
+def _detect(brackets: Brackets) -> Brackets:
+    """Return the brackets with special points; a change of events hides points of other kinds."""
+    changed = brackets.changes_events
+    return Brackets.join([brackets.of(changed).as_kind(EVENT_CHANGE), _detect_smooth(brackets.of(~changed))])
+
+
+def _detect_smooth(brackets: Brackets) -> Brackets:
+    """Return the brackets in which a test function changes sign."""
     parts = []
     for kind, test in TEST_FUNCTIONS.items():
-        near, far = test(brackets.near, brackets.near_tangent), test(brackets.far, brackets.far_tangent)
-        subset = np.flatnonzero(near * far < 0)
-        parts.append((np.full(len(subset), KINDS.index(kind)), brackets.of(subset)))
-    return _join(parts)
+        changed = test(brackets.near) * test(brackets.far) < 0
+        parts.append(brackets.of(changed).as_kind(SPECIAL_KINDS.index(kind)))
+    return Brackets.join(parts)
 
 
-def _join(parts: Sequence[tuple[Kinds, BranchBrackets]]) -> tuple[Kinds, BranchBrackets]:
-    kinds, brackets = zip(*parts, strict=True)
-    fields: list[Any] = [
-        Evaluation.join(field) if isinstance(field[0], Evaluation) else np.concatenate(field)
-        for field in zip(*brackets, strict=True)
-    ]
-    return np.concatenate(kinds), BranchBrackets(*fields)
-
-
-def _shrink(problem: Problem, kind: Kinds, brackets: BranchBrackets) -> tuple[BranchBrackets, Flags]:
-    """Shrink brackets to the zeros of the test functions of their kinds.
+def _test_function(brackets: Brackets) -> Callable[[Index, Points], PerLane]:
+    """Return a function that evaluates the test function of each bracket's kind.
 
     For `EVENT_CHANGE` the test function is the grazing margin, which tends to zero from at least one side. It gets a
     negative sign where the events differ from those at the near end.
     """
     counts = brackets.near.signature
 
-    def test(lanes: Index, evaluation: Evaluation, tangent: Unknowns) -> PerLane:
-        same = (evaluation.signature == counts[lanes]).all(axis=1)
-        values = np.where(same, 1.0, -1.0) * np.maximum(evaluation.margin, np.finfo(float).tiny)
+    def test(lanes: Index, points: Points) -> PerLane:
+        same = (points.signature == counts[lanes]).all(axis=1)
+        values = np.where(same, 1.0, -1.0) * np.maximum(points.margin, np.finfo(float).tiny)
         for name, function in TEST_FUNCTIONS.items():
-            mine = kind[lanes] == KINDS.index(name)
-            if mine.any():
-                values[mine] = function(evaluation.of(mine), tangent[mine])
+            mask = brackets.kind[lanes] == SPECIAL_KINDS.index(name)
+            if mask.any():
+                values[mask] = function(points.of(mask))
         return values
 
-    return shrink_brackets(problem, brackets, test, kind == EVENT_CHANGE)
+    return test
+
+
+def turn_corner(problem: Problem, branches: Sequence[Points]) -> tuple[Flags, Brackets]:
+    """Find the continuations of branches beyond the corners at their ends.
+
+    **Arguments:** `branches`: points of each branch with equal numbers of unknowns, the last ones at the corners.
+
+    **Returns:** a mask of the branches with a continuation, and brackets: `near` is a point of each branch slightly
+    before the corner, with the events of that side, and `far` a point on the continuation or just behind the corner.
+    """
+    last = Points.join([branch.of([-1]) for branch in branches])
+    away = [np.flatnonzero(np.abs(x.u - x.u[-1]).max(axis=1) > BEFORE_CORNER) for x in branches]
+    before = Points.join([x.of([k[-1] if len(k) else 0]) for x, k in zip(branches, away, strict=True)])
+    family, tangent = last.family, last.tangent
+    lanes = np.arange(len(family))
+    with np.errstate(all="ignore"):
+        other = last.of(lanes)
+        for distance in PROBE_DISTANCES:
+            subset = np.flatnonzero((other.signature == before.signature).all(axis=1) | ~np.isfinite(other.residual))
+            if not len(subset):
+                break
+            other.put(subset, problem.evaluate(family[subset], last.u[subset] + distance * tangent[subset]))
+        turned, beyond = np.zeros(len(lanes), bool), other.of(lanes)
+        sound = np.isfinite(other.matrix).all(axis=(1, 2))
+        direction = np.linalg.svd(np.where(sound[:, None, None], other.matrix, 0.0))[2][:, -1]  # null vectors
+        # A jump of the period means that other section crossings are counted, not that there is a corner.
+        same = np.abs(other.period - last.period) < SAME_TIME * last.period
+        for distance in DEPARTURE_DISTANCES:
+            for sign in (1.0, -1.0):
+                subset = np.flatnonzero(~turned & same & sound)
+                if not len(subset):
+                    break
+                t = sign * direction[subset]
+                guess = last.u[subset] + distance * t
+                now, right = problem.correct(family[subset], guess, t, np.einsum("ij,ij->i", t, guess))
+                right &= (now.signature == other.signature[subset]).all(axis=1)
+                right &= (now.signature != before.signature[subset]).any(axis=1)
+                right &= np.abs(now.u - guess).max(axis=1) < 0.5 * distance
+                kept = subset[right]
+                turned[kept] = True
+                beyond.put(kept, now.of(right))
+    return turned, Brackets(np.full(len(lanes), EVENT_CHANGE), lanes, before, beyond)
+
+
+def reindex_returns(problem: Problem, last: Points) -> Points | None:
+    """Describe the motion with another number of section crossings, just behind a tangency with the section.
+
+    Return the new point, or None if there is no such description. `last`: last point of one branch.
+    """
+    lane, tangent = last.family, last.tangent
+    period, cycles = float(last.times.sum()), last.times.shape[1]
+    for distance in REINDEX_DISTANCES:
+        u = last.u + distance * tangent
+        value = problem.value(lane, u)
+        for begin in problem.states(lane, u)[0]:
+            states, total = [begin], 0.0
+            for _ in range(min(cycles + 3, 2 * MOST_CYCLES)):
+                now = problem.evaluate(lane, problem.unknowns(lane, states[-1][None, None], value))
+                total += float(now.times[0, 0])
+                if not np.isfinite(total) or total > (1 - SAME_PERIOD) * period:
+                    break
+                states.append(states[-1] + now.off[0] * problem.scales[lane[0]])
+            if abs(total - period) > SAME_PERIOD * period or len(states) == cycles or len(states) > MOST_CYCLES:
+                continue
+            guess = problem.unknowns(lane, np.stack(states)[None], value)
+            now, converged = problem.correct(lane, guess, towards(guess, 1.0), guess[:, -1])
+            if converged[0] and np.abs(now.u - guess).max() < 100 * distance + 1e-3:
+                return now.along(towards(guess, np.sign(tangent[:, -1])))
+    return None
+
+
+def doubled_branch(problem: Problem, points: Points) -> tuple[Unknowns, Unknowns]:
+    """Return the doubled unknowns at period doublings, and the tangents of the doubled branches.
+
+    The tangent is the eigenvector of the multiplier -1: after one period of the original orbit, a neighbouring state is
+    on the opposite side of that orbit.
+    """
+    lanes, rows = len(points.u), problem.rows
+    cycles = points.times.shape[1]
+    values, vectors = np.linalg.eig(points.product)
+    nearest = np.abs(values + 1).argmin(axis=1)
+    parts = [np.take_along_axis(vectors, nearest[:, None, None], axis=2)[..., 0].real]
+    blocks = points.matrix[..., :-1].reshape(lanes, cycles, rows, cycles, rows)
+    for k in range(cycles - 1):
+        parts.append(np.einsum("ijk,ik->ij", blocks[:, k, :, k], parts[-1]))
+    half = np.concatenate(parts, axis=1)
+    u = np.concatenate([points.u[:, :-1], points.u], axis=1)
+    tangent = np.concatenate([half, -half, np.zeros((lanes, 1))], axis=1)
+    return u, tangent / np.linalg.norm(tangent, axis=1, keepdims=True)
+
+
+def branch_distance(u: Unknowns, departure: Unknowns) -> PerLane:
+    """Return the signed distance of doubled branches from the original branch, along the direction `departure`."""
+    half = (u.shape[1] - 1) // 2
+    return np.einsum("ij,ij->i", u[:, :half] - u[:, half:-1], departure[:, :half])

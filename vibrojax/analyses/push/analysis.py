@@ -1,21 +1,20 @@
 """The analysis `push`: the smallest push in each state variable after which a machine leaves its working cycle."""
 
+import numpy as np
 import xarray as xr
+from matplotlib.artist import Artist
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 
 from vibrojax.analyses.analysis import Analysis, PictureRule, SummaryPart
-from vibrojax.analyses.push.picture import smallest_pushes
 from vibrojax.io.attributes import flags
-
-
-class Pushes(Analysis):
-    """Find the smallest push in each state variable after which a machine no longer returns to its working cycle."""
-
-    kind = "push"
-    pictures = (PictureRule("pushes", lambda held: True, smallest_pushes),)
-
-    def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
-        """Return a line for each machine, state variable and sign of the push."""
-        return [SummaryPart("pushes", push_lines(ds))]
+from vibrojax.plot.axes import label, scale, values_along, with_unit
+from vibrojax.plot.colours import REGIME_COLOURS, regime_cells, regime_names
+from vibrojax.plot.contents import POINT, varied
+from vibrojax.plot.sheet import legend_at_right, write_margins
+from vibrojax.plot.starts import SYMBOLS
+from vibrojax.plot.style import Mark, new_figure, styled
 
 
 def push_lines(ds: xr.Dataset) -> list[str]:
@@ -48,3 +47,69 @@ def push_lines(ds: xr.Dataset) -> list[str]:
                     text = f"{size:.4g} {unit} (within {bracket:.1g}): {regime}"
                 lines.append(f"  {state} {sign}  {text}")
     return lines
+
+
+_PUSH = "push_"
+_SIDES = {-1: ("#0072B2", "v", "less"), 1: ("#D55E00", "^", "more")}
+_BOUND = Mark(color="0.5", linestyle="--", linewidth=0.9)
+
+
+@styled
+def smallest_pushes(ds: xr.Dataset) -> Figure:
+    """Draw the smallest push in each state variable, with a panel for each variable.
+
+    Several machines are drawn as curves over their parameter, one curve for each sign of the push. One machine is drawn
+    as a bar for each sign.
+    """
+    if POINT in ds.dims and ds.sizes[POINT] == 1:
+        ds = ds.isel({POINT: 0})
+    states = [str(name).removeprefix(_PUSH) for name in ds.data_vars if str(name).startswith(_PUSH)]
+    rows = -(-len(states) // 2)
+    figure = new_figure(8.6, 2.3 * rows + 0.6)
+    panels = figure.subplots(rows, 2, squeeze=False, sharex=True).ravel()
+    several = POINT in ds.dims
+    over = next(iter(varied(ds)), POINT)
+    handles: list[Artist] = []
+    ends: dict[int, str] = {}
+    for axes, state in zip(panels, states, strict=False):
+        (factor, unit), push = scale(ds[f"bound_{state}"]), ds[f"{_PUSH}{state}"]
+        bound = ds[f"bound_{state}"].values * factor
+        if several:
+            x = values_along(ds[over]) if over in ds.coords else np.arange(ds.sizes[POINT])
+            order = np.argsort(x, kind="stable")
+            for sign, (colour, marker, _) in _SIDES.items():
+                y = push.sel(sign=sign).values * factor
+                axes.plot(x[order], y[order], color=colour, marker=marker, markersize=4, linewidth=1.0)
+            axes.plot(x[order], bound[order], **_BOUND)
+            axes.grid(True)
+        else:
+            regimes = regime_cells(ds[f"regime_{state}"]).astype(int).tolist()
+            sides = np.arange(len(push))
+            colours = [REGIME_COLOURS[flag] for flag in regimes]
+            axes.bar(sides, np.nan_to_num(push.values * factor), 0.6, color=colours, edgecolor="0.35")
+            axes.axhline(float(bound), **_BOUND)
+            axes.set_xticks(sides, [_SIDES[int(sign)][2] for sign in ds["sign"].values])
+            axes.set_xlim(-0.6, len(push) - 0.4)
+            names = regime_names(ds[f"regime_{state}"])
+            ends |= {flag: names[flag] for flag in regimes if flag > 0}
+        axes.set_ylabel(with_unit(f"push in {SYMBOLS.get(state, state)}", unit))
+        axes.set_ylim(bottom=0.0)
+    if several:
+        for axes in panels[-2:]:
+            axes.set_xlabel(label(ds[over]) if over in ds.coords else "machine")
+        handles += [Line2D([], [], color=c, marker=m, markersize=4, label=side) for c, m, side in _SIDES.values()]
+    handles += [Patch(facecolor=REGIME_COLOURS[flag], edgecolor="0.35", label=ends[flag]) for flag in sorted(ends)]
+    legend_at_right(figure, [*handles, Line2D([], [], label="greatest tried", **_BOUND)])
+    write_margins(figure, ds, "Where nothing is drawn, none that leaves was found")
+    return figure
+
+
+class Pushes(Analysis):
+    """Find the smallest push in each state variable after which a machine no longer returns to its working cycle."""
+
+    kind = "push"
+    pictures = (PictureRule("pushes", lambda held: True, smallest_pushes),)
+
+    def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
+        """Return a line for each machine, state variable and sign of the push."""
+        return [SummaryPart("pushes", push_lines(ds))]

@@ -2,23 +2,21 @@
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
 
-from vibrojax.analyses.attractors.grouping import SAME_ORBIT_WITHIN
-from vibrojax.analyses.push.spec import PRECISION, SCAN, PushAsked, read_pushed
+from vibrojax.analyses.attractors.grouping import is_on_orbit
+from vibrojax.analyses.push.spec import PRECISION, SCAN, PushSpec, push_spec
 from vibrojax.analyses.sweep.run import run_sweep
 from vibrojax.errors import Place
-from vibrojax.io.kinds import dataset_attributes
 from vibrojax.io.variables import ORBIT_REASONS, REASONS, VARIABLES, orbit_name
 from vibrojax.measures.labels import EQUILIBRIUM, IRREGULAR, REGIMES, UNDECIDED
-from vibrojax.models.physics.parameters import differing
 from vibrojax.models.scenes import Scene
 from vibrojax.periodic.lane_orbits import KnownOrbits, known_orbits
+from vibrojax.sweep.engine.labelled import shared_attributes
 from vibrojax.sweep.input.points import VECTOR
 from vibrojax.sweep.input.read import read_sweep
 
@@ -39,21 +37,6 @@ METHOD = (
     "below it, the same until the bracket is narrow. Motions that are then irregular are run patience times as long. "
     "Basins have holes: a hole narrower than the steps of the scans is missed"
 )
-
-PerDirection = Float[np.ndarray, "points directions"]
-
-
-class Brackets(NamedTuple):
-    """Brackets of the smallest push in each direction after which the motion leaves the cycle.
-
-    - `low`: greatest push below `high` after which the motion is known to return to the cycle.
-    - `high`: smallest leaving push found, NaN if none was found.
-    - `regime`: regime in which the motion ends after the push `high`, 0 if none was found.
-    """
-
-    low: PerDirection
-    high: PerDirection
-    regime: Int[np.ndarray, "points directions"]
 
 
 def smallest_push(
@@ -109,10 +92,10 @@ def smallest_push(
     >>> f"{1e3 * float(pushed.push_x1.sel(sign=1)):.0f} mm"  # of the bit at the section; it ends in another motion
     '48 mm'
     """
-    return push_asked(read_pushed(scene, start, most, scan, precision, settle, observe, parameters), progress)
+    return find_pushes(push_spec(scene, start, most, scan, precision, settle, observe, parameters), progress)
 
 
-def push_asked(spec: PushAsked, progress: bool = True) -> xr.Dataset:
+def find_pushes(spec: PushSpec, progress: bool = True) -> xr.Dataset:
     """Return the smallest pushes as `smallest_push` does; raise `InputError` if there is no stable cycle to push."""
     sweep = spec.sweep
     cycle = run_sweep(sweep, progress=progress)
@@ -126,8 +109,9 @@ def push_asked(spec: PushAsked, progress: bool = True) -> xr.Dataset:
     begin = np.stack([section.get(name, np.zeros(len(stable))) for name in sweep.system.start_states], axis=1)
     bound = _bounds(spec, cycle.isel(point=stable))
     orbits = known_orbits(scene, cycle, {name: values[name] for name in scene.parameters()}, stable)
-    brackets = _Search(spec, stable, begin, orbits, progress).run(np.repeat(bound, len(SIGNS), axis=1))
-    return _dataset(spec, cycle, stable, bound, brackets)
+    search = _Search(spec, stable, orbits, begin, bound, progress)
+    search.run()
+    return _dataset(spec, cycle, stable, search)
 
 
 def _why_no_cycle(lane: xr.Dataset) -> str:
@@ -140,7 +124,7 @@ def _why_no_cycle(lane: xr.Dataset) -> str:
     return f"the motion {why} ({regime} after {settled:g} s): no cycle to push; give another start or point"
 
 
-def _bounds(spec: PushAsked, cycle: xr.Dataset) -> Float[np.ndarray, "points states"]:
+def _bounds(spec: PushSpec, cycle: xr.Dataset) -> Float[np.ndarray, "points states"]:
     """Return the greatest push to be tried in each state variable."""
     section = spec.sweep.system.driving_part().section
     assert section is not None
@@ -153,58 +137,58 @@ def _bounds(spec: PushAsked, cycle: xr.Dataset) -> Float[np.ndarray, "points sta
     return np.stack([bounds[name] for name in spec.sweep.system.start_states], axis=1)
 
 
-@dataclass(frozen=True, eq=False)
 class _Search:
     """Search for the smallest leaving pushes of stable cycles. Directions are pairs of state variable and sign.
 
-    - `points`: indices of the points with a stable cycle; `begin` (points, states): state of the cycle at the section.
-    - `orbits`: the cycles; `progress`: True to report progress on stderr.
+    - `points`: indices of the points with a stable cycle; `orbits`: the cycles.
+    - `begin` (points, states): state of the cycle at the section; `bound`: greatest push that is tried in each state.
+    - `low`: greatest push below `high` after which the motion is known to return to the cycle.
+    - `high`: smallest leaving push found, NaN if none was found.
+    - `regime`: regime in which the motion ends after the push `high`, 0 if none was found.
     """
 
-    spec: PushAsked
-    points: Int[np.ndarray, " points"]
-    begin: Float[np.ndarray, "points states"]
-    orbits: KnownOrbits
-    progress: bool
+    def __init__(
+        self,
+        spec: PushSpec,
+        points: Int[np.ndarray, " points"],
+        orbits: KnownOrbits,
+        begin: Float[np.ndarray, "points states"],
+        bound: Float[np.ndarray, "points states"],
+        progress: bool,
+    ) -> None:
+        self._spec, self._points, self._orbits, self._begin, self._progress = spec, points, orbits, begin, progress
+        self.bound, self._bounds = bound, np.repeat(bound, len(SIGNS), axis=1)
+        self.low, self.high = np.zeros_like(self._bounds), np.full_like(self._bounds, np.nan)
+        self.regime = np.zeros(self._bounds.shape, int)
 
-    def run(self, bound: PerDirection) -> Brackets:
-        """Return brackets of the smallest pushes after which the motion leaves its cycle.
-
-        `bound`: greatest push that is tried at each point in each direction.
-        """
-        scan = np.arange(1, self.spec.scan + 1) / self.spec.scan
-        brackets = Brackets(np.zeros_like(bound), np.full_like(bound, np.nan), np.zeros(bound.shape, int))
-        top, mask = bound, np.ones(bound.shape, bool)
+    def run(self) -> None:
+        """Find the smallest leaving pushes."""
+        scan = np.arange(1, self._spec.scan + 1) / self._spec.scan
+        top, mask = self._bounds, np.ones(self._bounds.shape, bool)
         for _ in range(MAX_SCANS):
-            before = brackets.high
-            brackets = self._narrow(brackets, top[..., None] * scan, mask)
-            top, mask = brackets.high, brackets.high < np.where(np.isnan(before), np.inf, before)
+            before = self.high.copy()
+            self._narrow(top[..., None] * scan, mask)
+            top, mask = self.high, self.high < np.where(np.isnan(before), np.inf, before)
             if not mask.any():
                 break
         share = np.arange(1, BRACKET_PIECES) / BRACKET_PIECES
         for _ in range(BRACKET_ROUNDS):
-            low, high, _ = brackets
-            mask = high - low > self.spec.precision * high  # False for NaN
+            mask = self.high - self.low > self._spec.precision * self.high  # False for NaN
             if not mask.any():
                 break
-            brackets = self._narrow(brackets, low[..., None] + (high - low)[..., None] * share, mask)
-        return brackets
+            self._narrow(self.low[..., None] + (self.high - self.low)[..., None] * share, mask)
 
-    def _narrow(
-        self, brackets: Brackets, pushes: Float[np.ndarray, "points directions pushes"], mask: np.ndarray
-    ) -> Brackets:
-        """Return the brackets, updated with the results of `pushes` in the directions selected by `mask`."""
-        low, high, regime = (x.copy() for x in brackets)
+    def _narrow(self, pushes: Float[np.ndarray, "points directions pushes"], mask: np.ndarray) -> None:
+        """Update the brackets with the results of `pushes` in the directions selected by `mask`."""
         tried = pushes[mask]
         returned, leaving, ends = self._classify(np.argwhere(mask), tried)
         first = np.argmax(leaving, axis=1)[:, None]
         leaves = leaving.any(axis=1)
-        high[mask] = np.where(leaves, np.take_along_axis(tried, first, axis=1)[:, 0], high[mask])
-        regime[mask] = np.where(leaves, np.take_along_axis(ends, first, axis=1)[:, 0], regime[mask])
-        top = np.where(np.isnan(high), np.inf, high)[mask]
+        self.high[mask] = np.where(leaves, np.take_along_axis(tried, first, axis=1)[:, 0], self.high[mask])
+        self.regime[mask] = np.where(leaves, np.take_along_axis(ends, first, axis=1)[:, 0], self.regime[mask])
+        top = np.where(np.isnan(self.high), np.inf, self.high)[mask]
         below = np.max(np.where(returned & (tried < top[:, None]), tried, 0.0), axis=1)
-        low[mask] = np.maximum(np.where(low[mask] < top, low[mask], 0.0), below)
-        return Brackets(low, high, regime)
+        self.low[mask] = np.maximum(np.where(self.low[mask] < top, self.low[mask], 0.0), below)
 
     def _classify(
         self, directions: Int[np.ndarray, "_ 2"], pushes: Float[np.ndarray, "_ pushes"]
@@ -215,7 +199,7 @@ class _Search:
         """
         count = pushes.shape[1]
         point, direction = np.repeat(directions, count, axis=0).T
-        begin = self.begin[point]
+        begin = self._begin[point]
         begin[np.arange(len(point)), direction // len(SIGNS)] += np.array(SIGNS)[direction % 2] * pushes.ravel()
         outcomes = self._simulate(point, begin, 1.0)
         _, leaving, regime = outcomes
@@ -233,65 +217,53 @@ class _Search:
 
         **Returns:** for each motion, whether it returns to its cycle, whether it leaves the cycle, and its regime.
         """
-        sweep, tables = self.spec.sweep, self.spec.tables
-        columns = {name: np.array(x)[self.points[point]].tolist() for name, x in self.spec.columns.items()}
+        sweep, tables = self._spec.sweep, self._spec.tables
+        columns = {name: np.array(x)[self._points[point]].tolist() for name, x in self._spec.columns.items()}
         columns |= {f"{VECTOR}{name}": x.tolist() for name, x in zip(sweep.system.start_states, begin.T, strict=True)}
         run = tables["run"] | {"settle": factor * tables["run"]["settle"]}
-        dataset = run_sweep(read_sweep(tables | {"points": columns, "run": run}), progress=self.progress)
+        dataset = run_sweep(read_sweep(tables | {"points": columns, "run": run}), progress=self._progress)
         names = map(orbit_name, sweep.system.driving_part().return_states)
         orbits = np.stack([dataset[name].values for name in names], axis=1)
         regime = dataset["regime"].values.astype(int)
         returned = np.zeros(len(point), bool)
-        for number, (states, scales) in enumerate(zip(self.orbits.states, self.orbits.scales, strict=True)):
+        for number, (states, scales) in enumerate(zip(self._orbits.states, self._orbits.scales, strict=True)):
             lanes = np.flatnonzero((point == number) & (dataset["orbit_cycles"].values == len(states)))
-            distance = np.abs(orbits[lanes, None] - states[None]) / scales
-            returned[lanes] = distance.max(axis=2).min(axis=1) < SAME_ORBIT_WITHIN
+            returned[lanes] = is_on_orbit(orbits[lanes], states, scales)
         on_another = np.isfinite(orbits).all(axis=1) & (dataset["stable"].values != 0) & (regime != UNDECIDED)
         # An irregular motion near an orbit may still converge to this orbit: it has neither returned nor left.
         irregular = (regime == IRREGULAR) & (dataset["nearby_cycles"].values == 0)
         return returned, ~returned & (on_another | irregular | (regime == EQUILIBRIUM)), regime
 
 
-def _dataset(
-    spec: PushAsked,
-    cycle: xr.Dataset,
-    stable: Int[np.ndarray, " stable"],
-    bound: Float[np.ndarray, "stable states"],
-    brackets: Brackets,
-) -> xr.Dataset:
+def _dataset(spec: PushSpec, cycle: xr.Dataset, stable: Int[np.ndarray, " stable"], search: _Search) -> xr.Dataset:
     """Return the dataset of pushes; points without a stable cycle have NaN, and 0 as regime after the push."""
-    sweep, points = spec.sweep, cycle.sizes["point"]
+    sweep, flags = spec.sweep, VARIABLES["regime"]
     variables: dict[str, Any] = {}
 
     def add(name: str, x: np.ndarray, long_name: str, about: Mapping[str, Any], fill: float = np.nan) -> None:
-        whole = np.full((points, *x.shape[1:]), fill, x.dtype)
+        whole = np.full((cycle.sizes["point"], *x.shape[1:]), fill, x.dtype)
         whole[stable] = x
         variables[name] = (("point", "sign")[: x.ndim], whole, {**about, "long_name": long_name})
 
-    flags = VARIABLES["regime"]
     for k, name in enumerate(sweep.system.start_states):
-        state = sweep.system.states[sweep.system.place(name)]
-        low, high, regime = (x[:, 2 * k : 2 * k + 2] for x in brackets)
+        state, pair = sweep.system.states[sweep.system.place(name)], slice(2 * k, 2 * k + 2)
+        high, regime = search.high[:, pair], search.regime[:, pair].astype(flags.dtype)
         push, units = f"push in the {state.long_name}, at the section", {"units": state.unit}
         add(f"push_{name}", high, f"smallest {push}, that leaves the working cycle", units)
-        add(f"bracket_{name}", high - low, f"distance to the next smaller {push}, that returns", units)
-        add(f"bound_{name}", bound[:, k], f"greatest {push}, that was tried", units)
+        distance = high - search.low[:, pair]
+        add(f"bracket_{name}", distance, f"distance to the next smaller {push}, that returns", units)
+        add(f"bound_{name}", search.bound[:, k], f"greatest {push}, that was tried", units)
         ends = f"regime in which the motion ends after the smallest {push}"
-        add(f"regime_{name}", regime.astype(flags.dtype), ends, flags.attributes(), 0.0)
+        add(f"regime_{name}", regime, ends, flags.attributes(), 0.0)
     own = ["regime", "period", *map(orbit_name, sweep.system.driving_part().return_states)]
     variables |= {name: ("point", cycle[name].values, cycle[name].attrs) for name in own}
     coordinates = {name: x for name, x in cycle.coords.items() if x.dims == ("point",)}
     sign = ("sign", list(SIGNS), {"units": "1", "long_name": "side of the push: -1 less, 1 more"})
     settings = {"method": METHOD, "scan": spec.scan, "precision": spec.precision, "patience": PATIENCE}
     attributes = {
-        **dataset_attributes(
-            "push", f"Smallest pushes out of the working cycle: {sweep.scene}", "smallest_push", scene=sweep.scene
-        ),
-        **sweep.options,
+        **shared_attributes(sweep, "push", f"Smallest pushes out of the working cycle: {sweep.scene}", "smallest_push"),
         "start": json.dumps(sweep.starts[0]) if sweep.starts is not None else "",
         "run": cycle.attrs["run"],
-        "parameters": json.dumps(sweep.parameters),
-        "differing": json.dumps(differing(sweep.system.parameters(), sweep.parameters)),
         "pushes": json.dumps(settings),
     }
     dataset = xr.Dataset(variables, {**coordinates, "sign": sign}, attributes)

@@ -16,7 +16,7 @@ SCAN, PRECISION = 256, 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class PushAsked:
+class PushSpec:
     """A checked specification.
 
     - `sweep`: sweep with one lane per working cycle; `tables`: its sweep file as tables, without points.
@@ -37,7 +37,7 @@ class PushAsked:
         return self.sweep.identity() | own
 
 
-def read_pushed(
+def push_spec(
     scene: str | Scene[Any],
     start: object,
     most: object,
@@ -46,7 +46,7 @@ def read_pushed(
     settle: object,
     observe: object,
     parameters: Mapping[str, Any],
-) -> PushAsked:
+) -> PushSpec:
     """Return the checked specification; raise `InputError` with a one-line message at the first error."""
     place = Place("smallest_push")
     columns, fixed = several_and_single(parameters)
@@ -74,4 +74,4 @@ def read_pushed(
     tables: dict[str, Any] = {"scene": scene, "parameters": fixed, "run": run, "unusual": True}
     starts = [point.start if isinstance(point.start, str) else list(point.start)]
     sweep = read_sweep(tables | {"starts": starts} | ({"points": columns} if columns else {}))
-    return PushAsked(sweep, tables, columns, bounds, scan, width)
+    return PushSpec(sweep, tables, columns, bounds, scan, width)

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from vibrojax.analyses.chaos import Natures
+from vibrojax.analyses.chaos.natures import EXPONENTS_DESCRIBED
 from vibrojax.analyses.sweep.workers.work import SECONDS, quiet
 from vibrojax.io.dataset import UP_TO, Sizes
 from vibrojax.io.targets import Region, Regions, Target
@@ -76,7 +76,7 @@ def join(sweep: Sweep, chunks: Chunks, read: Read, target: Target, wall_time: Wa
     if sweep.run.orbits:
         values["orbits"] = json.dumps(Orbits(sweep).described | Nearby(sweep).described)
     if sweep.run.lyapunov:
-        values["lyapunov"] = json.dumps(Natures(sweep).described)
+        values["lyapunov"] = json.dumps(EXPONENTS_DESCRIBED)
     target.finish(values)
 
 

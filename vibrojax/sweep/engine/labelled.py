@@ -153,18 +153,25 @@ def attributes(sweep: Sweep, solver: dict, certified: Mapping[str, int], wall_ti
     """
     title = sweep.title or f"{sweep.scene}: {sweep.name}"
     return {
-        **dataset_attributes("sweep", title, f"sweep {sweep.name}", scene=sweep.scene),
+        **shared_attributes(sweep, "sweep", title, f"sweep {sweep.name}"),
         "sweep": sweep.text,
         # Includes defaults that the sweep file omits, because regimes depend on the times. Omits the chunk size.
         "run": json.dumps({name: value for name, value in sweep.run.described().items() if value is not None}),
-        "parameters": json.dumps(sweep.parameters),
         IDENTITY: identity_text(sweep.identity()),
-        "differing": json.dumps(differing(sweep.system.parameters(), sweep.parameters)),
-        **sweep.options,
         "solver": json.dumps(solver),
         "certified": json.dumps({"error": sweep.run.error, "lanes": sweep.lanes, **certified}),
         "wall_time_s": float(wall_time),
         "lanes": sweep.lanes,
+    }
+
+
+def shared_attributes(sweep: Sweep, kind: str, title: str, command: str) -> dict[str, Any]:
+    """Return the attributes that the datasets of a sweep and of analyses of its lanes have in common."""
+    return {
+        **dataset_attributes(kind, title, command, scene=sweep.scene),
+        **sweep.options,
+        "parameters": json.dumps(sweep.parameters),
+        "differing": json.dumps(differing(sweep.system.parameters(), sweep.parameters)),
     }
 
 
@@ -174,10 +181,10 @@ def coordinates(sweep: Sweep, rows: Mapping[str, int]) -> dict:
     `rows`: sizes of the dimensions that are added to the sweep's own, by name.
     """
     coords: dict[str, tuple] = {
-        name: ((name,), axis, _parameter_attributes(sweep, name)) for name, axis in sweep.axes.items()
+        name: ((name,), axis, parameter_attributes(sweep, name)) for name, axis in sweep.axes.items()
     }
     for name, column in (sweep.points or {}).items():
-        coords[name] = (("point",), column, _parameter_attributes(sweep, name))
+        coords[name] = (("point",), column, parameter_attributes(sweep, name))
     for name, column in (sweep.point_vectors or {}).items():
         state = sweep.system.states[sweep.system.place(name.removeprefix(VECTOR))]
         coords[name] = (("point",), column, {"units": state.unit, "long_name": f"{state.long_name} at t = 0"})
@@ -209,7 +216,8 @@ def coordinates(sweep: Sweep, rows: Mapping[str, int]) -> dict:
     return coords
 
 
-def _parameter_attributes(sweep: Sweep, name: str) -> dict[str, str]:
+def parameter_attributes(sweep: Sweep, name: str) -> dict[str, str]:
+    """Return units, meaning and symbol of a parameter of a sweep."""
     if name in sweep.system.choice_meanings:
         return {"units": "1", "long_name": sweep.system.choice_meanings[name]}
     parameter = (dict(sweep.system.parameters()) | ROTATION)[name]

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from vibrojax.analyses.chaos import Natures
+from vibrojax.analyses.chaos.natures import Natures
 from vibrojax.compile.xla import with_threads
 from vibrojax.periodic import Nearby, Orbits, early_stopping_of
 from vibrojax.sweep.engine.batch import Features, Report, unreported
