@@ -12,10 +12,9 @@ from vibrojax.cli import main
 from vibrojax.io.content_policy import content_policy
 from vibrojax.models.scenes import SCENES
 from vibrojax.reproduce import GROUPS, VERDICTS, Entry, run_reproduction
-from vibrojax.reproduce.answers import SourceAnswers, Unanswered
-from vibrojax.reproduce.needs import LaneNeed, read_needs
+from vibrojax.reproduce.computations import Need, SourceAnswers, Unanswered, read_needs
+from vibrojax.reproduce.reproduction import EXPRESSIONS, FINDINGS, READINGS, ROWS, compiled, judged
 from vibrojax.reproduce.rules import AGREES, DIFFERS, FIELD, IN_TREND, number, printed, trend, within_range
-from vibrojax.reproduce.table import EXPRESSIONS, FINDINGS, READINGS, ROWS, compiled, judged
 
 ENTRIES = {entry.id: entry for group in GROUPS for entry in group.entries}
 
@@ -109,7 +108,7 @@ def test_needs():
     labelled = read_needs("rotary slow gamma=1:2:0.5; late: rotary slow v=2 settle=300", abbreviations, maps)
     assert [label for label, _ in labelled] == ["", "", "", "late"]
     assert [dict(need.parameters)["gamma"] for _, need in labelled[:3]] == [1.0, 1.5, 2.0]
-    assert labelled[3][1] == LaneNeed("rotary", (("c2", 75.0), ("v", 2.0)), "drive", 300.0, 8.0)
+    assert labelled[3][1] == Need("lanes", "rotary", (("c2", 75.0), ("v", 2.0)), settle=300.0)
     assert [need.parameters for _, need in read_needs("both", abbreviations, maps)] == [(), (("v", 1.0),)]
     [(_, found)] = read_needs("a map", {}, {"a map": "penetration zeta=1.1 k3=1e6,2e6 frequency=10:10:1"})
     assert found.axes == (("k3", (1e6, 2e6)), ("frequency", (10.0,))) and found.parameters == (("zeta", 1.1),)

@@ -24,8 +24,8 @@ _HOMES = {
     "borders": "borders.analysis:Borders",
     "attractors": "attractors.analysis:Attractors",
     "push": "push.analysis:Pushes",
-    "fit": "rop_law.analysis:Fits",
-    "accuracy": "accuracy.analysis:AccuracyStudy",
+    "fit": "rop_law.picture:Fits",
+    "accuracy": "accuracy.picture:AccuracyStudy",
     "derivatives": "sensitivity.analysis:Derivatives",
 }
 """Module and class of each of the package's own analyses, which are imported when they are needed."""

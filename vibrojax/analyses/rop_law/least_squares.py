@@ -238,6 +238,15 @@ def minimise_loss(
     return replace(minimum, converged=minimum.converged and change <= _REWEIGHTING_TOLERANCE), scale
 
 
+def reason_of_no_fit(seen: LaneFlags, coefficients: int, log_relief: Lanes) -> Reason | None:
+    """Return the reason why lanes do not determine the coefficients of a law, or None; `seen`: lanes that penetrate."""
+    if not seen.any():
+        return Reason.ALL_CENSORED if seen.size else Reason.TOO_FEW_LANES
+    if seen.sum() <= coefficients:
+        return Reason.TOO_FEW_LANES
+    return None if np.std(log_relief[seen]) > LEAST_SPREAD else Reason.NO_SPREAD
+
+
 def covariance(jacobian: Jacobian, residual: Lanes) -> Square:
     """Return the covariance of the coefficients for noise whose variance may differ between lanes.
 

@@ -3,25 +3,29 @@
 AIC is drawn relative to the best form, the one with the lowest AIC in a group.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import xarray as xr
+from jaxtyping import Float
 from matplotlib.artist import Artist
+from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
+from matplotlib.gridspec import SubplotSpec
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.typing import MarkerType
 
-from vibrojax.analyses.rop_law.fit_curves import data_handles, data_text, draw_fits, groups_to_show, height_of
+from vibrojax.analyses.analysis import Analysis, PictureRule, SummaryPart
+from vibrojax.analyses.rop_law.columns import columns_lines
 from vibrojax.analyses.sweep.maps import fill_cells, write_labels
 from vibrojax.plot.axes import scale, share_text, with_unit
 from vibrojax.plot.colours import ROBUST, Coloured, Value, cell_handles, coloured, form_colour, patch, value_of
 from vibrojax.plot.contents import FORM, POINT, law_in, long_axes
 from vibrojax.plot.curves import MOST_ROWS, Across, Row, longest_axis, new_rows
-from vibrojax.plot.sheet import LEGEND_WIDTH, facets, legend_at_right, sheet, write_margins
-from vibrojax.plot.style import FAINT, UNDEFINED, Mark, styled
+from vibrojax.plot.sheet import LEGEND_WIDTH, Facets, facets, legend_at_right, sheet, write_margins
+from vibrojax.plot.style import FAINT, INK, UNDEFINED, Mark, styled
 
 _READINGS = ("onset", "literal", "percent")  # of the logarithmic law: their C are comparable, since all are speeds
 _MARKS: dict[str, MarkerType] = {"onset": "o", "literal": "s", "percent": "^", "line": "D", "power": "v"}
@@ -34,6 +38,34 @@ _DODGE = 0.012  # offset between error bars at the same abscissa, as a fraction 
 _MOST_MAP_FACETS = 3
 _SAME_ERROR = 0.1  # range of errors, relative to the greatest, up to which a note replaces their map
 _BEST, _ERROR = "best_form", "C_relative_error"
+
+_MOST_GROUPS, _MOST_COLUMNS = 6, 3
+_ROW_HEIGHT = 2.4  # height of a row of panels [inch]
+_MANY_LANES = 60  # number of drawn lanes in a group from which on the markers are small
+_CURVE_POINTS = 200
+# The power law often coincides with the straight line: dashed, it leaves the line's colour visible.
+_DASHES = {"power": (0.0, (2.5, 2.0))}
+_RELIEF, _RATE, _USE = "data_relief", "data_rate_of_penetration", "data_use"
+
+Values = Float[np.ndarray, "*values"]
+
+# The forms of vibrojax/analyses/rop_law/forms.py as functions of eta and the coefficients C, eta0 and exponent.
+FORMULAS: dict[str, Callable[[Values, float, float, float], Values]] = {
+    "literal": lambda eta, C, eta0, exponent: C * np.log(eta),
+    "percent": lambda eta, C, eta0, exponent: C * np.log(100.0 * eta),
+    "onset": lambda eta, C, eta0, exponent: C * np.log(eta / eta0),
+    "line": lambda eta, C, eta0, exponent: C * (eta - eta0),
+    "power": lambda eta, C, eta0, exponent: C * eta**exponent,
+}
+
+_USES = {
+    "fitted": ("data", Mark(marker="o", color=INK, markeredgewidth=0.0)),
+    "censored": (
+        "no penetration (censored)",
+        Mark(marker="o", color=INK, markerfacecolor="white", markeredgewidth=0.9),
+    ),
+    "left-out": ("left out of the fit", Mark(marker="x", color=FAINT, markeredgewidth=1.2)),
+}
 
 
 @styled
@@ -216,3 +248,88 @@ def _above_best(fit: xr.Dataset) -> xr.DataArray:
     """Return the difference between each form's AIC and the lowest AIC in the group; NaN for a form without AIC."""
     aic = fit["aic"].where(np.isfinite(fit["aic"]))
     return aic - aic.min(FORM)
+
+
+# Data and fitted curves.
+
+
+def groups_to_show(fit: xr.Dataset) -> Facets:
+    """Return one facet per group, of at most six groups; no facets if the fit does not contain its data."""
+    has_data = {_RELIEF, _RATE, _USE} <= set(fit.data_vars)
+    return facets(fit, (), _MOST_GROUPS) if has_data else Facets((), ())
+
+
+def height_of(groups: Facets) -> float:
+    """Return the total height of the groups' panels [inch]."""
+    return _ROW_HEIGHT * -(-len(groups) // _MOST_COLUMNS)
+
+
+def draw_fits(figure: Figure, place: SubplotSpec | None, groups: Facets) -> None:
+    """Draw a panel per group into `place`: the data and the fitted curve of each form. Draw nothing without a place."""
+    if place is None:
+        return
+    wide = min(len(groups), _MOST_COLUMNS)
+    grid = place.subgridspec(-(-len(groups) // wide), wide)
+    for k, (title, group) in enumerate(zip(groups.titles, groups.data, strict=True)):
+        axes = figure.add_subplot(grid[divmod(k, wide)])
+        factor, unit = scale(group[_RATE])
+        _draw_group(axes, group, factor)
+        axes.set_title(title, loc="left")
+        axes.set_xlabel("relief P/D" if k + wide >= len(groups) else "")
+        axes.set_ylabel(with_unit("rate of penetration", unit) if k % wide == 0 else "")
+
+
+def data_handles(groups: Facets) -> list[Artist]:
+    """Return legend entries for the occurring uses of lanes: fitted, censored, left out."""
+    shown = {use for group in groups.data for use in _masks(group)}
+    look = Mark(linestyle="none", markersize=4.5)
+    return [Line2D([], [], label=text, **look | mark) for use, (text, mark) in _USES.items() if use in shown]
+
+
+def data_text(groups: Facets, fit: xr.Dataset) -> str:
+    """Return the note on how many groups are drawn, or an empty string if none or all of them are."""
+    count = fit["C"].size // fit.sizes[FORM]
+    return f"Data and curves of {len(groups)} of {count} groups" if 0 < len(groups) < count else ""
+
+
+def _draw_group(axes: Axes, group: xr.Dataset, factor: float) -> None:
+    relief, rate = group[_RELIEF].values, factor * group[_RATE].values
+    seen = np.isfinite(relief) & np.isfinite(rate) & (relief > 0)
+    axes.grid(True)
+    if not seen.any():
+        return
+    eta = np.linspace(relief[seen].min(), relief[seen].max(), _CURVE_POINTS)
+    for name in (str(name) for name in group[FORM].values):
+        form = group.sel({FORM: name})
+        coefficients = [float(form[x]) if x in form else np.nan for x in ("C", "eta0", "exponent")]
+        if name in FORMULAS and np.isfinite(coefficients[0]):
+            line = Mark(color=form_colour(name), linewidth=1.4, linestyle=_DASHES.get(name, "-"))
+            axes.plot(eta, factor * FORMULAS[name](eta, *coefficients), label=name, **line)
+    size = 4.2 if seen.sum() < _MANY_LANES else 2.2
+    for use, mask in _masks(group).items():
+        look = Mark(linestyle="none", markersize=size, zorder=3) | _USES[use][1]
+        axes.plot(relief[mask], rate[mask], label=f"_{use}", **look)
+    top = float(np.max(rate[seen])) or 1.0
+    axes.set_ylim(-0.06 * top, 1.1 * top)  # clips the curve of a form far from the data
+
+
+def _masks(group: xr.Dataset) -> dict[str, np.ndarray]:
+    """Return a mask of the drawable lanes (finite relief and rate) for each use that occurs."""
+    meanings = str(group[_USE].attrs["flag_meanings"]).split()
+    known = np.isfinite(group[_RELIEF].values) & np.isfinite(group[_RATE].values)
+    masks = {name: known & (group[_USE].values == meanings.index(name)) for name in _USES}
+    return {name: mask for name, mask in masks.items() if mask.any()}
+
+
+class Fits(Analysis):
+    """The fit of the rate-of-penetration law to a sweep's dataset or to rig data."""
+
+    kind = "fit"
+    pictures = (
+        PictureRule("law", lambda held: held.law and len(held.long) > 1, law_map),
+        PictureRule("law", lambda held: held.law, law_lines),
+    )
+
+    def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
+        """Return a summary part that lists the CSV column used for each quantity."""
+        return [SummaryPart("columns", columns_lines(ds))]

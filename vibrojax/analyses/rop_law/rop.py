@@ -12,7 +12,6 @@ from vibrojax.analyses.rop_law.data import Columns, Data, open_data
 from vibrojax.analyses.rop_law.forms import FORMS, Form
 from vibrojax.analyses.rop_law.groups import group_lanes, usable_lanes
 from vibrojax.analyses.rop_law.least_squares import (
-    LEAST_SPREAD,
     LOSSES,
     Lanes,
     Reason,
@@ -21,8 +20,9 @@ from vibrojax.analyses.rop_law.least_squares import (
     minimise,
     minimise_loss,
     r_squared_reason,
+    reason_of_no_fit,
 )
-from vibrojax.analyses.rop_law.results import GOODNESS_SCHEMA, attributes, law_title, to_variables
+from vibrojax.analyses.rop_law.results import GOODNESS_SCHEMA, LAW_TITLE, fit_dataset
 from vibrojax.errors import shown, suggestion
 from vibrojax.io.variables import Variable
 from vibrojax.progress import LOG
@@ -106,39 +106,34 @@ def fit_rop(
     values = {name: np.array([fit[name] for fit in fits]) for name in fits[0]}
     values["left_out"] = np.repeat(groups.count, len(FORMS)) - values["used"]
     values["r_squared_reason"] = r_squared_reason(values["r_squared"], values["reason"])
-    shape = (*groups.sizes.values(), len(FORMS))
-    shaped = {name: value.reshape(shape) for name, value in values.items()}
-    variables = to_variables(_SCHEMA, shaped, dict.fromkeys(_SCHEMA, (*groups.sizes, "form")))
+    shaped = {name: value.reshape(*groups.sizes.values(), len(FORMS)) for name, value in values.items()}
     form = ("form", [form.name for form in FORMS], {"units": "1", "long_name": "form of the law"})
     more = {"along": groups.along, "formulas": "; ".join(f"{form.name}: {form.formula}" for form in FORMS)}
     more |= {"robust": robust} if robust else {}
-    about = attributes(place, data, "fit", law_title(place, data), more)
-    return xr.Dataset(variables | groups.data_variables(), {**groups.coordinates, "form": form}, about)
+    dims, coordinates = dict.fromkeys(_SCHEMA, (*groups.sizes, "form")), {**groups.coordinates, "form": form}
+    fit = fit_dataset(place, data, "fit", LAW_TITLE, _SCHEMA, shaped, dims, coordinates, **more)
+    return fit.assign(groups.data_variables())
 
 
 def _fit_form(form: Form, relief: Lanes, rate: Lanes, robust: str | None) -> dict[str, float | int]:
     """Fit a form to one group; return its values by name, NaN with a `reason` if the lanes do not identify them."""
     seen = rate > 0
-    names = ("C", "C_stderr", "eta0", "eta0_stderr", "exponent", "exponent_stderr", "r_squared", "aic")
+    names = [name for name, variable in _SCHEMA.items() if variable.dtype is np.float64]
     fit: dict[str, float | int] = {**dict.fromkeys(names, np.nan), "degrees_of_freedom": 0, "used": rate.size}
-    if not seen.any():
-        return fit | {"reason": Reason.ALL_CENSORED if rate.size else Reason.TOO_FEW_LANES}
-    if seen.sum() <= form.size:
-        return fit | {"reason": Reason.TOO_FEW_LANES}
-    if not np.std(np.log(relief[seen])) > LEAST_SPREAD:
-        return fit | {"reason": Reason.NO_SPREAD}
+    if (reason := reason_of_no_fit(seen, form.size, np.log(relief))) is not None:
+        return fit | {"reason": reason}
     unit = float(rate.max())  # scaled rates: squares of very small or large rates would underflow or overflow
     y, censored = rate / unit, ~seen
     model, frame = form.model(relief, seen)
-    minimum, scale = minimise(model, y, censored), 1.0
+    minimum, spread = minimise(model, y, censored), 1.0
     if robust:
-        minimum, scale = minimise_loss(LOSSES[robust], model, y, censored, minimum)
+        minimum, spread = minimise_loss(LOSSES[robust], model, y, censored, minimum)
     if not minimum.converged:
         return fit | {"reason": Reason.NOT_CONVERGED}
     theta, lanes = minimum.theta, minimum.active
     noise = minimum.residual[lanes]
     if robust:  # the residual is replaced by psi (the derivative of the loss), divided by the mean of its slope
-        loss, scaled = LOSSES[robust], noise / scale
+        loss, scaled = LOSSES[robust], noise / spread
         noise = noise * loss.weight(scaled) / np.mean(loss.slope(scaled))
     square = covariance(minimum.jacobian[lanes], noise)
     values, slopes = form.coefficients(theta, *frame)
@@ -149,12 +144,7 @@ def _fit_form(form: Form, relief: Lanes, rate: Lanes, robust: str | None) -> dic
         if abs(theta[1]) <= least or not np.isfinite(values[1]):
             values[1], reason = np.nan, Reason.NO_SLOPE
     errors[np.isnan(values)] = np.nan
-    fit["C"], fit["C_stderr"] = unit * values[0], unit * errors[0]
-    fit["eta0"], fit["eta0_stderr"], fit["exponent"], fit["exponent_stderr"] = (
-        values[1],
-        errors[1],
-        values[2],
-        errors[2],
-    )
+    for name, scale, value, error in zip(("C", "eta0", "exponent"), (unit, 1.0, 1.0), values, errors, strict=True):
+        fit[name], fit[f"{name}_stderr"] = scale * value, scale * error
     fit["r_squared"], fit["aic"] = goodness(minimum.residual, y, unit, form.size)
     return fit | {"degrees_of_freedom": int(lanes.sum()) - form.size, "reason": reason}
