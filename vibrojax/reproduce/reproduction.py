@@ -129,7 +129,9 @@ class Reproduction:
 EXPRESSIONS = Environment(undefined=StrictUndefined)
 for _module in (rules, maps, motions, closed_forms, pictures_motions, pictures_maps):
     EXPRESSIONS.globals |= {name: value for name, value in vars(_module).items() if name[0] != "_"}
-EXPRESSIONS.globals |= {name: getattr(np, name) for name in ("abs", "array", "cos", "diff", "pi", "ptp", "sqrt")}
+EXPRESSIONS.globals |= {
+    name: getattr(np, name) for name in ("abs", "arcsin", "array", "cos", "diff", "pi", "ptp", "sqrt")
+}
 EXPRESSIONS.globals |= {"ROCKS": ROCKS, "contact_time": contact_time, "restitution": restitution}
 
 

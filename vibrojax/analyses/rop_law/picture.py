@@ -3,11 +3,10 @@
 AIC is drawn relative to the best form, the one with the lowest AIC in a group.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import xarray as xr
-from jaxtyping import Float
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm, ListedColormap
@@ -19,6 +18,7 @@ from matplotlib.typing import MarkerType
 
 from vibrojax.analyses.analysis import Analysis, PictureRule, SummaryPart
 from vibrojax.analyses.rop_law.columns import columns_lines
+from vibrojax.analyses.rop_law.rop import FORMS
 from vibrojax.analyses.sweep.maps import fill_cells, write_labels
 from vibrojax.plot.axes import scale, share_text, with_unit
 from vibrojax.plot.colours import ROBUST, Coloured, Value, cell_handles, coloured, form_colour, patch, value_of
@@ -34,11 +34,9 @@ _EQUAL_AIC = 2.0  # difference of AIC up to which a form counts as equal to the 
 _LOG_AIC_FROM, _LINEAR_AIC = 30.0, 10.0
 _TICKS = (0, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000)
 _DODGE = 0.012  # offset between error bars at the same abscissa, as a fraction of the axis
-
 _MOST_MAP_FACETS = 3
 _SAME_ERROR = 0.1  # range of errors, relative to the greatest, up to which a note replaces their map
 _BEST, _ERROR = "best_form", "C_relative_error"
-
 _MOST_GROUPS, _MOST_COLUMNS = 6, 3
 _ROW_HEIGHT = 2.4  # height of a row of panels [inch]
 _MANY_LANES = 60  # number of drawn lanes in a group from which on the markers are small
@@ -46,17 +44,6 @@ _CURVE_POINTS = 200
 # The power law often coincides with the straight line: dashed, it leaves the line's colour visible.
 _DASHES = {"power": (0.0, (2.5, 2.0))}
 _RELIEF, _RATE, _USE = "data_relief", "data_rate_of_penetration", "data_use"
-
-Values = Float[np.ndarray, "*values"]
-
-# The forms of vibrojax/analyses/rop_law/forms.py as functions of eta and the coefficients C, eta0 and exponent.
-FORMULAS: dict[str, Callable[[Values, float, float, float], Values]] = {
-    "literal": lambda eta, C, eta0, exponent: C * np.log(eta),
-    "percent": lambda eta, C, eta0, exponent: C * np.log(100.0 * eta),
-    "onset": lambda eta, C, eta0, exponent: C * np.log(eta / eta0),
-    "line": lambda eta, C, eta0, exponent: C * (eta - eta0),
-    "power": lambda eta, C, eta0, exponent: C * eta**exponent,
-}
 
 _USES = {
     "fitted": ("data", Mark(marker="o", color=INK, markeredgewidth=0.0)),
@@ -70,17 +57,14 @@ _USES = {
 
 @styled
 def law_lines(fit: xr.Dataset) -> Figure:
-    """Draw C in each reading of the law, and the AIC of every form, over the longest axis of the groups.
-
-    See `vibrojax.analyses.pictures.fitted_law`.
-    """
+    """Draw C in each reading of the law, and the AIC of every form, over the longest axis of the groups."""
     fit = law_in(fit)
     x = longest_axis(fit)
     fit = fit.sortby(x.name) if x.is_number else fit
     panels, groups = facets(fit, (POINT, x.name), MOST_ROWS), groups_to_show(fit)
     has_aic = "aic" in fit
-    figure, rows, above = new_rows(panels, 1 + has_aic, height_of(groups))
-    draw_fits(figure, above, groups)
+    figure, rows, above = new_rows(panels, 1 + has_aic, _ROW_HEIGHT * -(-len(groups) // _MOST_COLUMNS))
+    uses = draw_fits(figure, above, groups)
     factor, unit = scale(fit["C"])
     for row in rows:
         _draw_coefficients(row, x, factor)
@@ -102,7 +86,7 @@ def law_lines(fit: xr.Dataset) -> Figure:
         room = 0.15 * ((high - low) or 1.0)
         rows[0].axes[0].set_ylim(low - room, high + room)
     equal: list[Artist] = [Patch(facecolor=FAINT, alpha=0.25, label="as good as the best")]
-    legend_at_right(figure, _line_handles(fit), equal if has_aic else [], data_handles(groups))
+    legend_at_right(figure, _line_handles(fit), equal if has_aic else [], uses)
     along = f"Fitted along {fit.attrs['along']}; bars of one standard error" if "along" in fit.attrs else ""
     write_margins(figure, fit, panels.note, data_text(groups, fit), along, _lacking_text(fit))
     return figure
@@ -148,10 +132,9 @@ def _scale_excess(rows: Sequence[Row]) -> None:
 def _lacking_text(fit: xr.Dataset) -> str:
     """Return the note on how many groups have no C, per reading if the numbers differ; empty if all groups have one."""
     lacking = {name: int(np.isnan(fit["C"].sel({FORM: name}).values).sum()) for name in _readings(fit)}
-    if len(set(lacking.values())) == 1:
-        parts = [str(count) for count in set(lacking.values()) if count]
-    else:
-        parts = [f"{name}: {count}" for name, count in lacking.items() if count]
+    differ = len(set(lacking.values())) > 1
+    parts = [f"{name}: {count}" if differ else str(count) for name, count in lacking.items() if count]
+    parts = parts if differ else parts[:1]
     return f"Groups without a C, of {fit['C'].size // fit.sizes[FORM]}: {', '.join(parts)}" if parts else ""
 
 
@@ -173,23 +156,21 @@ def law_map(fit: xr.Dataset) -> Figure:
     if "C_stderr" in form:
         error = 100.0 * form["C_stderr"] / np.abs(form["C"])
         shown[_ERROR] = error.where(np.isfinite(error)).assign_attrs(units="%")
-        errors = shown[_ERROR].values[np.isfinite(shown[_ERROR].values)]
-        if errors.size:
-            low, high = (float(end) for end in np.percentile(errors, ROBUST))  # without outliers
+        if shown[_ERROR].notnull().any():
+            low, high = np.nanpercentile(shown[_ERROR].values, ROBUST).tolist()  # without outliers
             if high - low > _SAME_ERROR * high:
                 values += (value_of(shown[_ERROR]),)
             else:
-                ends = dict.fromkeys((f"{low:.2g}", f"{high:.2g}"))
-                error_note = f"Standard error of C: {' to '.join(ends)} %"
+                error_note = f"Standard error of C: {' to '.join(dict.fromkeys((f'{low:.2g}', f'{high:.2g}')))} %"
     if "aic" in fit:
         good = _above_best(fit) <= _EQUAL_AIC
         shown[_BEST] = good.argmax(FORM).where(good.any(FORM))  # index of the first form as good as the best
     panels, groups = facets(shown, (x, y), _MOST_MAP_FACETS), groups_to_show(fit)
-    drawn = sheet(panels, ((None,) if _BEST in shown else ()) + values, height_of(groups))
-    draw_fits(drawn.figure, drawn.above, groups)
+    drawn = sheet(panels, ((None,) if _BEST in shown else ()) + values, _ROW_HEIGHT * -(-len(groups) // _MOST_COLUMNS))
+    uses = draw_fits(drawn.figure, drawn.above, groups)
     if len(groups):
         drawn.figure.set_figwidth(drawn.figure.get_figwidth() + LEGEND_WIDTH)
-        legend_at_right(drawn.figure, _line_handles(fit), data_handles(groups))
+        legend_at_right(drawn.figure, _line_handles(fit), uses)
     colours = ListedColormap([form_colour(name) for name in forms], name="forms").with_extremes(bad=UNDEFINED)
     norm = BoundaryNorm(np.arange(-0.5, len(forms)), len(forms))
     for panel in drawn:
@@ -198,31 +179,24 @@ def law_map(fit: xr.Dataset) -> Figure:
         else:
             fill_cells(panel, x, y, coloured(panel.facet, panel.value, y, x))
         write_labels(panel, shown[x], shown[y])
-    handles: list[Artist] = []
-    if _BEST in shown:
-        numbers = np.concatenate([facet[_BEST].values.ravel() for facet in panels.data])
-        shares = {name: float((numbers == k).mean()) for k, name in enumerate(forms)}
-        handles += [patch(form_colour(name), f"{name}  {share_text(s)}") for name, s in shares.items() if s > 0]
-    drawn.finish(handles + cell_handles(panels.data, values))
+    best = [number for facet in panels.data if _BEST in facet for number in facet[_BEST].values.ravel().tolist()]
+    shares = {name: best.count(k) / max(len(best), 1) for k, name in enumerate(forms)}
+    handles = [patch(form_colour(name), f"{name}  {share_text(share)}") for name, share in shares.items() if share > 0]
+    drawn.finish([*handles, *cell_handles(panels.data, values)])
     along = f"fitted along {fit.attrs['along']}, " if "along" in fit.attrs else ""
-    best = "; at the left the first form within 2 of the least AIC" * (_BEST in shown)
-    about = f"The law {along}C of the form {name}{best}"
+    left = "; at the left the first form within 2 of the least AIC" * (_BEST in shown)
+    about = f"The law {along}C of the form {name}{left}"
     write_margins(drawn.figure, fit, panels.note, data_text(groups, fit), about, error_note)
     return drawn.figure
 
 
-# Forms.
-
-
 def _forms(fit: xr.Dataset) -> list[str]:
-    """Return the names of the forms in the dataset's order."""
     return [str(name) for name in fit[FORM].values]
 
 
 def _readings(fit: xr.Dataset) -> list[str]:
     """Return the forms that are readings of the logarithmic law, or all forms if none is."""
-    names = _forms(fit)
-    return [name for name in _READINGS if name in names] or names
+    return [name for name in _READINGS if name in _forms(fit)] or _forms(fit)
 
 
 def _mark(name: str, x: Across | None = None) -> Mark:
@@ -250,24 +224,18 @@ def _above_best(fit: xr.Dataset) -> xr.DataArray:
     return aic - aic.min(FORM)
 
 
-# Data and fitted curves.
-
-
 def groups_to_show(fit: xr.Dataset) -> Facets:
     """Return one facet per group, of at most six groups; no facets if the fit does not contain its data."""
-    has_data = {_RELIEF, _RATE, _USE} <= set(fit.data_vars)
-    return facets(fit, (), _MOST_GROUPS) if has_data else Facets((), ())
+    return facets(fit, (), _MOST_GROUPS) if {_RELIEF, _RATE, _USE} <= set(fit.data_vars) else Facets((), ())
 
 
-def height_of(groups: Facets) -> float:
-    """Return the total height of the groups' panels [inch]."""
-    return _ROW_HEIGHT * -(-len(groups) // _MOST_COLUMNS)
+def draw_fits(figure: Figure, place: SubplotSpec | None, groups: Facets) -> list[Artist]:
+    """Draw a panel per group into `place`: the data and the fitted curve of each form. Return entries of the legend.
 
-
-def draw_fits(figure: Figure, place: SubplotSpec | None, groups: Facets) -> None:
-    """Draw a panel per group into `place`: the data and the fitted curve of each form. Draw nothing without a place."""
+    Without a place, nothing is drawn. The entries are those of the occurring uses of lanes: fitted, censored, left out.
+    """
     if place is None:
-        return
+        return []
     wide = min(len(groups), _MOST_COLUMNS)
     grid = place.subgridspec(-(-len(groups) // wide), wide)
     for k, (title, group) in enumerate(zip(groups.titles, groups.data, strict=True)):
@@ -277,10 +245,6 @@ def draw_fits(figure: Figure, place: SubplotSpec | None, groups: Facets) -> None
         axes.set_title(title, loc="left")
         axes.set_xlabel("relief P/D" if k + wide >= len(groups) else "")
         axes.set_ylabel(with_unit("rate of penetration", unit) if k % wide == 0 else "")
-
-
-def data_handles(groups: Facets) -> list[Artist]:
-    """Return legend entries for the occurring uses of lanes: fitted, censored, left out."""
     shown = {use for group in groups.data for use in _masks(group)}
     look = Mark(linestyle="none", markersize=4.5)
     return [Line2D([], [], label=text, **look | mark) for use, (text, mark) in _USES.items() if use in shown]
@@ -298,13 +262,14 @@ def _draw_group(axes: Axes, group: xr.Dataset, factor: float) -> None:
     axes.grid(True)
     if not seen.any():
         return
+    rates = {form.name: form.rate for form in FORMS}
     eta = np.linspace(relief[seen].min(), relief[seen].max(), _CURVE_POINTS)
     for name in (str(name) for name in group[FORM].values):
         form = group.sel({FORM: name})
         coefficients = [float(form[x]) if x in form else np.nan for x in ("C", "eta0", "exponent")]
-        if name in FORMULAS and np.isfinite(coefficients[0]):
+        if name in rates and np.isfinite(coefficients[0]):
             line = Mark(color=form_colour(name), linewidth=1.4, linestyle=_DASHES.get(name, "-"))
-            axes.plot(eta, factor * FORMULAS[name](eta, *coefficients), label=name, **line)
+            axes.plot(eta, factor * rates[name](eta, *coefficients), label=name, **line)
     size = 4.2 if seen.sum() < _MANY_LANES else 2.2
     for use, mask in _masks(group).items():
         look = Mark(linestyle="none", markersize=size, zorder=3) | _USES[use][1]

@@ -8,7 +8,6 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float, Shaped
 
-from vibrojax.analyses.rop_law.forms import LOGARITHMIC
 from vibrojax.analyses.rop_law.least_squares import REASONS
 from vibrojax.errors import Place
 from vibrojax.io.attributes import table_of, title_of
@@ -40,6 +39,8 @@ GOODNESS_SCHEMA = {
 
 
 LAW_TITLE = "rate-of-penetration law"
+LOGARITHMIC = ("literal", "percent", "onset")
+"""Names of the three readings of the source's law, eq. 6.4."""
 
 
 def to_variables(
