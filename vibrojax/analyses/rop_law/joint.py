@@ -199,8 +199,7 @@ def _calibrate(
         return fit | {"reason": reason}, nothing, nothing, every
     unit = float(rate.max())
     minimum = minimise(JointRates(log, positions, shared), rate / unit, ~seen)
-    lanes = minimum.active
-    jacobian = minimum.jacobian[lanes]
+    jacobian = minimum.jacobian[minimum.active]
     if not np.isfinite(jacobian).all():
         return fit | {"reason": Reason.NOT_CONVERGED}, nothing, nothing, every
     confounded = confounded_coefficients(jacobian)
@@ -209,9 +208,8 @@ def _calibrate(
         return fit | {"reason": Reason.CONFOUNDED}, nothing, nothing, lost
     if not minimum.converged:
         return fit | {"reason": Reason.NOT_CONVERGED}, nothing, nothing, every
-    square = covariance(jacobian, minimum.residual[lanes])
-    fit["r_squared"], fit["aic"] = goodness(minimum.residual, rate / unit, unit, free)
-    fit |= {"degrees_of_freedom": int(lanes.sum()) - free, "reason": Reason.IDENTIFIED}
+    square = covariance(jacobian, minimum.residual[minimum.active])
+    fit |= goodness(minimum, rate / unit, unit) | {"reason": Reason.IDENTIFIED}
     errors = np.sqrt(np.einsum("ci,ij,cj->c", expansion, square, expansion))
     return fit, expansion @ minimum.theta, errors, ~every
 

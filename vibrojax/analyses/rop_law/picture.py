@@ -70,7 +70,11 @@ def law_lines(fit: xr.Dataset) -> Figure:
         _draw_coefficients(row, x, factor)
         row.label(0, x.label, with_unit("C", unit))
         if has_aic:
-            _draw_excess(row, x)
+            row.axes[1].axhspan(0.0, _EQUAL_AIC, color=FAINT, alpha=0.25, linewidth=0)
+            for k, name in enumerate(_forms(fit)):
+                excess = np.atleast_1d(_above_best(row.facet).sel({FORM: name}).values)
+                places = x.of(row.facet) if x.name else [float(k)]
+                row.axes[1].plot(places, excess, label=name, **_mark(name, x))
             row.label(1, x.label, "AIC above the best form")
     if has_aic:
         _scale_excess(rows)
@@ -105,14 +109,6 @@ def _draw_coefficients(row: Row, x: Across, factor: float) -> None:
         if x.name:
             places = places + _DODGE * (float(np.ptp(places)) if x.is_number else 4.0) * k
         axes.errorbar(places, values, bars, label=name, capsize=2.5, elinewidth=0.9, **_mark(name, x))
-
-
-def _draw_excess(row: Row, x: Across) -> None:
-    axes, excess = row.axes[1], _above_best(row.facet)
-    axes.axhspan(0.0, _EQUAL_AIC, color=FAINT, alpha=0.25, linewidth=0)
-    for k, name in enumerate(_forms(row.facet)):
-        values = np.atleast_1d(excess.sel({FORM: name}).values)
-        axes.plot(x.of(row.facet) if x.name else [float(k)], values, label=name, **_mark(name, x))
 
 
 def _scale_excess(rows: Sequence[Row]) -> None:

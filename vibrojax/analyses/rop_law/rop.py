@@ -230,5 +230,4 @@ def _fit_form(form: Form, relief: Lanes, rate: Lanes, robust: str | None) -> dic
     errors[np.isnan(values)] = np.nan
     for name, scale, value, error in zip(("C", "eta0", "exponent"), (unit, 1.0, 1.0), values, errors, strict=True):
         fit[name], fit[f"{name}_stderr"] = scale * value, scale * error
-    fit["r_squared"], fit["aic"] = goodness(minimum.residual, y, unit, form.size)
-    return fit | {"degrees_of_freedom": int(lanes.sum()) - form.size, "reason": reason}
+    return fit | goodness(minimum, y, unit) | {"reason": reason}
