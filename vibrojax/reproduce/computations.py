@@ -175,23 +175,21 @@ class SourceAnswers:
                 probed = _run_points(replace(shared, settle=1.0, observe=1.0), probes)
                 if (probed.status == 1).mean() > MAX_FAILED_SHARE:
                     failing[shared.scene] = Unanswered(f"points of the scene {shared.scene} fail")
-            if shared.scene in failing:
-                self._answers |= dict.fromkeys(lanes, failing[shared.scene])
-                continue
-            dataset = _run_points(shared, points)
-            self._keep(f"{scene.replace(' ', '-')}-{shared.settle:g}s", dataset)
-            self._answers |= {lane: _features(lane, dataset.isel(point=points.index(lane.numbers))) for lane in lanes}
-        for need in (need for need in needs if need.kind == "map"):  # a map takes longer than a motion
+            if shared.scene not in failing:
+                dataset = _run_points(shared, points)
+                self._keep(f"{scene.replace(' ', '-')}-{shared.settle:g}s", dataset)
+                for lane in lanes:
+                    self._answers[lane] = _features(lane, dataset.isel(point=points.index(lane.numbers)))
+        self._answers = {need: failing[need.scene] for need in needs if need.scene in failing} | self._answers
+        others = [need for need in needs if need not in self._answers]
+        for need in (need for need in others if need.kind == "map"):  # a map takes longer than a motion
             begin(f"{need.name}: {np.prod([len(values) for _, values in need.axes])} points")
-            if need.scene in failing:
-                self._answers[need] = failing[need.scene]
-                continue
             self._answers[need] = dataset = _run(need, need.name, grid=dict(need.axes))
             self._keep(need.name.replace(" ", "-"), dataset)
-        for need in (need for need in needs if need.kind == "motion"):
+        for need in (need for need in others if need.kind == "motion"):
             begin(f"motion: {need.scene}, {need.duration:g} s")
-            self._answers[need] = failing.get(need.scene) or _simulate(need)
-        for need in (need for need in needs if need.kind == "mass"):
+            self._answers[need] = _simulate(need)
+        for need in (need for need in others if need.kind == "mass"):
             self._answers[need] = strike(need.start, need.duration, dict(need.parameters))
 
     def __getitem__(self, need: Need) -> Answer:
