@@ -14,7 +14,7 @@ from vibrojax.analyses.accuracy.study import dataset_of
 from vibrojax.analyses.pictures import work_precision
 from vibrojax.cli import main
 from vibrojax.errors import InputError
-from vibrojax.io.dataset import open_dataset, write_dataset
+from vibrojax.io.dataset import open_dataset
 from vibrojax.sweep.input.read import read_sweep
 
 
@@ -58,7 +58,7 @@ def test_failures_are_kept(study):
     assert str(failed["remark"].values[0]) in table(study)
 
 
-def test_times_are_told(study):
+def test_times_and_the_front_of_each_scene_are_told(study):
     done = study.isel(setting=study["status"].values == 0)
     assert np.all(done["time_per_lane_second_min"] <= done["time_per_lane_second"])
     assert np.all(done["time_per_lane_second"] <= done["time_per_lane_second_max"])
@@ -67,9 +67,6 @@ def test_times_are_told(study):
     assert {"processor", "cores", "python", "jax", "diffrax"} <= set(machine)
     assert "tolerance of 1e-14" in study.attrs["reference"]
     assert np.all(done["reference_spread"] < 1e-12)
-
-
-def test_the_front_is_told_by_scene(study):
     for scene in np.unique(study["scene"]):
         here = study.isel(setting=study["scene"].values == scene)
         np.testing.assert_array_equal(here["on_front"], pareto(here["time_per_lane_second"], here["error_worst"]))
@@ -87,11 +84,14 @@ def test_the_files_are_written(study, tmp_path, monkeypatch, capsys):
     assert len({row.count("|") for row in rows if "vibro" not in row}) <= 2
     found = open_dataset(out / "accuracy.nc")
     assert found["scene"].dtype.kind in "UO" and found["status"].attrs["flag_meanings"] == " ".join(STATUSES)
+    assert table(found) == table(study)
     assert main(["plot", str(out / "accuracy.nc")]) == 0
     assert main(["info", str(out / "accuracy.nc")]) == 0
 
 
-def test_a_folder_that_cannot_be(tmp_path, capsys):
+def test_wrong_input_is_refused_in_one_line(tmp_path, capsys):
+    with pytest.raises(InputError, match='"rotory" is not a scene; did you mean "rotary"'):
+        run_accuracy(["rotory"], progress=False)
     (tmp_path / "file").write_text("")
     assert main(["accuracy", "-o", str(tmp_path / "file")]) == 2
     captured = capsys.readouterr()
@@ -106,11 +106,6 @@ def test_interrupted(tmp_path, monkeypatch, capsys):
     assert main(["accuracy", "-o", str(tmp_path)]) == 130
     line = f"vibrojax: interrupted; nothing is kept; to start again: vibrojax accuracy -o {tmp_path}\n"
     assert capsys.readouterr().err == line
-
-
-def test_an_unknown_scene():
-    with pytest.raises(InputError, match='"rotory" is not a scene; did you mean "rotary"'):
-        run_accuracy(["rotory"], progress=False)
 
 
 def test_the_front_of_some_points():
@@ -139,7 +134,7 @@ def test_a_setting_whose_lanes_fail_stays_with_the_reason():
     reference = {"rate_of_penetration": np.ones(4)}
 
     class Failing(Program):
-        def compile(self, accuracy):
+        def prepare(self, method, precision):
             pass
 
         def run(self, accuracy):
@@ -148,7 +143,9 @@ def test_a_setting_whose_lanes_fail_stays_with_the_reason():
         def features(self, accuracy, ran):
             return ran | {"rate_of_penetration": np.array([1.0, np.nan, 1.0, 3.0]), "finite": np.arange(4) != 1}
 
-    found = measure(settings_of("penetration")[0], Failing(lanes), 1.0, reference, np.ones(4, bool), repeats=5)
+    found = measure(
+        settings_of("penetration")[0], Failing(lanes, "located", "float64"), 1.0, reference, np.ones(4, bool), repeats=5
+    )
     assert (found.status, found.lanes, found.agreeing, len(found.seconds)) == ("not-finite", 4, 1, 1)
     reasons = [
         "1 of 4 lanes did not stay finite",
@@ -188,8 +185,3 @@ def test_every_scene_has_lanes_and_settings(scene):
     assert {one.precision for one in settings} == {"float64", "float32"}
     assert {one.varied for one in settings} >= {"tolerance", "stride"}
     assert any(one.method.startswith("diffrax") for one in settings)
-
-
-def test_it_survives_a_file(study, tmp_path):
-    write_dataset(study, tmp_path / "a.nc")
-    assert table(open_dataset(tmp_path / "a.nc")) == table(study)

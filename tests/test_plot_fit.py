@@ -9,10 +9,11 @@ from test_plot_rock import FORMS, law
 
 import vibrojax as vj
 from vibrojax.analyses.pictures import picture
-from vibrojax.analyses.rop_law.fit_curves import FORMULAS
+from vibrojax.analyses.rop_law import FORMS as LAWS
 from vibrojax.plot.colours import FORM_COLOURS
 
 SIZES = {"literal": 1, "percent": 1, "onset": 2, "line": 2, "power": 2}
+FORMULAS = {form.name: form.rate for form in LAWS}
 
 
 def rig(path, columns=("rpm",), per_group=12, groups=3):

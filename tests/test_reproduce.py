@@ -12,10 +12,9 @@ from vibrojax.cli import main
 from vibrojax.io.content_policy import content_policy
 from vibrojax.models.scenes import SCENES
 from vibrojax.reproduce import GROUPS, VERDICTS, Entry, run_reproduction
-from vibrojax.reproduce.answers import SourceAnswers, Unanswered
-from vibrojax.reproduce.needs import LaneNeed, read_needs
+from vibrojax.reproduce.computations import Need, SourceAnswers, Unanswered, read_needs
+from vibrojax.reproduce.reproduction import EXPRESSIONS, FINDINGS, READINGS, ROWS, compiled, judged
 from vibrojax.reproduce.rules import AGREES, DIFFERS, FIELD, IN_TREND, number, printed, trend, within_range
-from vibrojax.reproduce.table import EXPRESSIONS, FINDINGS, READINGS, ROWS, compiled, judged
 
 ENTRIES = {entry.id: entry for group in GROUPS for entry in group.entries}
 
@@ -89,6 +88,8 @@ def test_registry():
         assert entry.what and entry.source and entry.tolerance
         assert set(entry.readings) <= set(READINGS), entry.id
     assert {name for entry in ENTRIES.values() for name in entry.readings} == set(READINGS)
+    explained = [name for finding in FINDINGS for name in finding.ids]  # each result once, and by its own name
+    assert len(set(explained)) == len(explained) and set(explained) <= set(ENTRIES)
 
 
 def test_expressions_can_be_read():
@@ -109,44 +110,44 @@ def test_needs():
     labelled = read_needs("rotary slow gamma=1:2:0.5; late: rotary slow v=2 settle=300", abbreviations, maps)
     assert [label for label, _ in labelled] == ["", "", "", "late"]
     assert [dict(need.parameters)["gamma"] for _, need in labelled[:3]] == [1.0, 1.5, 2.0]
-    assert labelled[3][1] == LaneNeed("rotary", (("c2", 75.0), ("v", 2.0)), "drive", 300.0, 8.0)
+    assert labelled[3][1] == Need("lanes", "rotary", (("c2", 75.0), ("v", 2.0)), settle=300.0)
     assert [need.parameters for _, need in read_needs("both", abbreviations, maps)] == [(), (("v", 1.0),)]
     [(_, found)] = read_needs("a map", {}, {"a map": "penetration zeta=1.1 k3=1e6,2e6 frequency=10:10:1"})
     assert found.axes == (("k3", (1e6, 2e6)), ("frequency", (10.0,))) and found.parameters == (("zeta", 1.1),)
 
 
-def test_findings():
-    """Each result is explained once, and by its own name."""
-    explained = [name for finding in FINDINGS for name in finding.ids]
-    assert len(set(explained)) == len(explained)
-    assert set(explained) <= set(ENTRIES)
+@pytest.mark.parametrize(
+    ("here", "verdict"),
+    [
+        (number(1.01, 1.0, "m", 0.02), AGREES),
+        (number(1.03, 1.0, "m", 0.02), DIFFERS),
+        (number(1.03, 1.0, "m", 0.02, trend=True), IN_TREND),
+        (number(np.nan, 1.0, "m", 0.02), DIFFERS),
+        # From half a unit of the last digit below, which is rounding, to a whole one above, which is cutting.
+        (printed(4.54, "4.6", "Hz"), DIFFERS),
+        (printed(4.56, "4.6", "Hz"), AGREES),
+        (printed(4.69, "4.6", "Hz"), AGREES),
+        (printed(4.71, "4.6", "Hz"), DIFFERS),
+        (printed(np.nan, "4.6", "Hz"), DIFFERS),
+        (printed(35156.9, "35156", "N/m"), AGREES),
+        (printed(35157.2, "35156", "N/m"), DIFFERS),
+        (printed(4.8, "4.6", "Hz", trend=True), IN_TREND),
+        (within_range(2, 3, (1, 4), "m"), AGREES),
+        (within_range(3, 4.9, (1, 4), "m"), IN_TREND),
+        (within_range(3, 5.1, (1, 4), "m"), DIFFERS),  # less than half of ours is in it
+        (within_range(5, 6, (1, 4), "m"), DIFFERS),
+        (within_range(np.nan, np.nan, (1, 4), "m"), DIFFERS),
+        (trend(False), DIFFERS),
+    ],
+)
+def test_verdicts(here, verdict):
+    assert here.verdict == verdict
 
 
-def test_verdicts_of_numbers():
-    assert number(1.01, 1.0, "m", 0.02).verdict == AGREES
-    assert number(1.03, 1.0, "m", 0.02).verdict == DIFFERS
-    assert number(1.03, 1.0, "m", 0.02, trend=True).verdict == IN_TREND
-    assert number(np.nan, 1.0, "m", 0.02).verdict == DIFFERS
+def test_texts_of_numbers():
     assert number(1.03, 1.0, "m", 0.02).text == "1.03 m (+3.0%)"
     assert number(1.0, 1.0, "m", 0.02).text == "1 m (±0.0%)"
     assert number(35156.25, 35156.0, "N/m", 0.02).text.startswith("35156 N/m")
-
-
-def test_verdicts_of_printed_numbers():
-    """From half a unit of the last digit below, which is rounding, to a whole one above, which is cutting."""
-    for value, verdict in ((4.54, DIFFERS), (4.56, AGREES), (4.69, AGREES), (4.71, DIFFERS), (np.nan, DIFFERS)):
-        assert printed(value, "4.6", "Hz").verdict == verdict, value
-    assert printed(35156.9, "35156", "N/m").verdict == AGREES
-    assert printed(35157.2, "35156", "N/m").verdict == DIFFERS
-    assert printed(4.8, "4.6", "Hz", trend=True).verdict == IN_TREND
-
-
-def test_verdicts_of_ranges():
-    assert within_range(2, 3, (1, 4), "m").verdict == AGREES
-    assert within_range(3, 4.9, (1, 4), "m").verdict == IN_TREND
-    assert within_range(3, 5.1, (1, 4), "m").verdict == DIFFERS  # less than half of ours is in it
-    assert within_range(5, 6, (1, 4), "m").verdict == DIFFERS
-    assert within_range(np.nan, np.nan, (1, 4), "m").verdict == DIFFERS
 
 
 def test_verdict_where_nothing_can_be_read():
@@ -157,7 +158,6 @@ def test_verdict_where_nothing_can_be_read():
     assert judged(entry, [xr.Dataset()]).verdict == DIFFERS
     assert judged(entry, [Unanswered("too many steps")]).verdict == DIFFERS
     assert "too many steps" in judged(entry, [Unanswered("too many steps")]).note
-    assert trend(False).verdict == DIFFERS
 
 
 def test_quick_run_meets_what_was_seen(quick):
@@ -181,7 +181,8 @@ def test_motions_meet_what_was_seen():
     assert abs(float(share[1]) - 0.10) < 0.02
 
 
-def test_table(quick, folder):
+def test_table_and_datasets(quick, folder):
+    assert {path.stem for path in folder.glob("*.nc")} == set(quick.datasets)
     lines = (folder / "table.md").read_text().splitlines()
     assert lines[0] == "| id | what | source | here | verdict | reading |"
     rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in lines[2:]]
@@ -233,10 +234,6 @@ def test_page(quick, folder):
     first = quick.score[DIFFERS] + quick.score["cannot be compared"]
     assert page.tags.count("tr") == len(quick.results) + first + text.count("<thead>")
     assert text.index("What differs") < text.index(GROUPS[0].title + "</h2>")
-
-
-def test_datasets(quick, folder):
-    assert {path.stem for path in folder.glob("*.nc")} == set(quick.datasets)
 
 
 def test_a_folder_that_cannot_be_made(tmp_path, capsys):

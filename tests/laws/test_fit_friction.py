@@ -46,9 +46,10 @@ def sharp_derivatives(duration):
 def smoothed_derivatives(duration, width, substeps=20):
     fixed = {name: jnp.asarray(one.default) for name, one in Rotary().parameters().items()}
     fixed["state"] = jnp.asarray([0.0, -fixed["v"].item(), 0.0, 0.0])
+    fixed |= {"interval": jnp.asarray(INTERVAL), "width": jnp.asarray(width)}
     at = jnp.log(jnp.asarray(list(TRUTH.values())))
     samples = round(duration / INTERVAL) + 1
-    return np.asarray(jax.jacfwd(lambda theta: _velocity(theta, fixed, INTERVAL, substeps, samples, width))(at))
+    return np.asarray(jax.jacfwd(lambda theta: _velocity(theta, fixed, substeps, samples))(at))
 
 
 def test_derivatives_are_those_of_the_sharp_motion_over_a_short_window():

@@ -8,7 +8,7 @@ import pytest
 import xarray as xr
 
 import vibrojax as vj
-from vibrojax.analyses.rop_law import REASONS, RateLawSummary, fit_joint, fit_rop
+from vibrojax.analyses.rop_law import REASONS, fit_joint, fit_rop, law_facts, law_table
 from vibrojax.cli import main
 from vibrojax.errors import InputError
 from vibrojax.io.dataset import open_dataset, write_dataset
@@ -198,9 +198,8 @@ def test_columns_tell_groups_apart(tmp_path):
         assert fit.C.sizes == {"group": 2} and list(fit.rock.values) == ["chalk", "granite"]
         assert list(fit.used.values) == [6, 8] and list(fit.left_out.values) == [0, 1]
         np.testing.assert_allclose(fit.C, [2 * C, C], rtol=1e-10)
-    assert "rock=chalk, force=200000" in "\n".join(
-        RateLawSummary.of(fit_rop(path, "frequency", progress=False)).lines()
-    )
+    facts = law_facts(fit_rop(path, "frequency", progress=False))
+    assert "rock=chalk, force=200000" in "\n".join(law_table(facts))
     assert fit_rop(path, progress=False).sel(form="onset").used.item() == 14
     assert 'by: "rok" is not a column of the data; did you mean "rock"?' in refused(path, by="rok")
     assert 'by: "force" is not a column of the data: the data are not a table' in refused(sweep(), by="force")
@@ -266,7 +265,7 @@ def test_the_command_takes_an_axis_and_an_output(tmp_path, capsys):
 
 def test_a_table_is_shown_for_the_first_groups_alone():
     data = xr.concat([sweep().isel(force=0, drop=True)] * 15, xr.Variable("group", np.arange(15)))
-    lines = RateLawSummary.of(fit_rop(data, progress=False)).lines()
+    lines = law_table(law_facts(fit_rop(data, progress=False)))
     assert sum(line.startswith("group=") for line in lines) == 12 and lines[-1] == "and 3 groups more"
 
 

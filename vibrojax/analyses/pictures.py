@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from vibrojax.analyses.accuracy.picture import work_precision as work_precision
 from vibrojax.analyses.registry import analysis_of
-from vibrojax.analyses.rop_law.analysis import Fits
+from vibrojax.analyses.rop_law.picture import Fits
 from vibrojax.analyses.sweep.analysis import Sweeps
 from vibrojax.analyses.sweep.basins import many_starts, share_grid
 from vibrojax.analyses.sweep.maps import rate_grid, regime_grid

@@ -25,8 +25,8 @@ _HOMES = {
     "attractors": "attractors.analysis:Attractors",
     "push": "push.analysis:Pushes",
     "tolerance": "tolerance.analysis:Tolerances",
-    "fit": "rop_law.analysis:Fits",
-    "accuracy": "accuracy.analysis:AccuracyStudy",
+    "fit": "rop_law.picture:Fits",
+    "accuracy": "accuracy.picture:AccuracyStudy",
     "derivatives": "sensitivity.run:Derivatives",
 }
 """Module and class of each of the package's own analyses, which are imported when they are needed."""

@@ -41,7 +41,7 @@ def run(options: Options) -> None:
         raise InputError("fit: the following arguments are required: FILE; see vibrojax fit --help")
     out = output(options.out or f"{Path(options.file).stem}-fit.nc")
     picture = picture_beside(out)
-    from vibrojax.analyses.rop_law import RateLawSummary, fit_rop
+    from vibrojax.analyses.rop_law import fit_rop, law_facts, law_table
     from vibrojax.analyses.rop_law.columns import columns_lines, read_columns
     from vibrojax.io.dataset import write_dataset
 
@@ -50,14 +50,14 @@ def run(options: Options) -> None:
     with timed("write"):
         write_dataset(fit, out)
     drawn = draw(options, fit, out, picture)
-    summary = RateLawSummary.of(fit)
+    facts = law_facts(fit)
     if options.json:
-        print_json({"file": options.file, **summary.facts(), **file_facts(ResultFiles(out, picture, {}), drawn)})
+        print_json({"file": options.file, **facts, **file_facts(ResultFiles(out, picture, {}), drawn)})
         return
     columns = columns_lines(fit)
     before = [*columns, ""] if columns and not options.quiet else []
     after = [] if options.quiet else [f"{out}{drawn}"]
-    print("\n".join([*before, *summary.lines(), "", *_legend(fit), "", *summary.verdict, *after]))
+    print("\n".join([*before, *law_table(facts), "", *_legend(fit), "", *facts["verdict"], *after]))
 
 
 def _legend(fit: "xarray.Dataset") -> list[str]:

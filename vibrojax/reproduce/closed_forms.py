@@ -62,14 +62,6 @@ def mean_period(mass: Blows) -> float:
     return float(np.diff(mass.times).mean())
 
 
-def free_period_ratio(gap: Values) -> Values:
-    """Return the period of the free vibro-impact oscillator relative to the oscillator without a stop (Fig. 5.7).
-
-    `gap` is the gap divided by the amplitude.
-    """
-    return 0.5 + np.arcsin(gap) / np.pi
-
-
 def hammer_velocity(frequency: float | int, gap: float | int) -> float:
     """Return the impact velocity [m/s] of Tsaplin's hammer with one impact per period (eqs. 5.1, 5.2).
 
@@ -96,8 +88,3 @@ def core_stiffness(rock: str) -> float:
     """Return the stiffness [kN/mm] of a rock core (54 mm in diameter, 108 mm long), from its modulus in Table 4.5."""
     area, length = np.pi * 0.027**2, 0.108
     return ROCKS[rock].modulus * area / length / 1e6
-
-
-def rock_mode(k3: Values) -> Values:
-    """Return the natural frequency sqrt(k3/m1)/(2 pi) [Hz] of the bit on the rock, with m1 = 250 kg."""
-    return np.sqrt(k3 / 250) / (2 * np.pi)

@@ -31,11 +31,6 @@ def rises(values: Values) -> bool:
     return bool(np.all(np.diff(values) > 0))
 
 
-def falls(values: Values) -> bool:
-    """Return whether the values strictly decrease."""
-    return bool(np.all(np.diff(values) < 0))
-
-
 def levels_off(values: Values) -> bool:
     """Return whether the second of two increments is positive and below 0.3 times the first.
 
@@ -58,7 +53,7 @@ def regime_change(map: xr.Dataset, other: xr.Dataset) -> float:
 
 def single_impact_share(map: xr.Dataset) -> float:
     """Return the fraction of a map's lanes with stable single impacts."""
-    return share(single_impact(map))
+    return float(single_impact(map).mean())
 
 
 # The source's region of best performance. Flags are boolean arrays over the axes of a map: True for lanes that satisfy
@@ -100,11 +95,6 @@ def in_region(
 ) -> xr.DataArray:
     """Return the flags inside ranges of the mass ratio and the frequency ratio, borders included."""
     return flags.sel({name: slice(low - 1e-6, high + 1e-6) for name, (low, high) in (("beta", beta), ("gamma", gamma))})
-
-
-def share(flags: xr.DataArray) -> float:
-    """Return the fraction of True flags."""
-    return float(flags.mean())
 
 
 def shares(flags: xr.DataArray) -> Values:

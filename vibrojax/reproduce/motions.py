@@ -30,6 +30,12 @@ def each(function: Callable[..., Any], subjects: Sequence[Any], *arguments: Any)
     return np.array([float(function(subject, *arguments)) for subject in subjects])
 
 
+def within(motion: xr.Dataset, since: Real, until: Real = np.inf) -> Bool[np.ndarray, " samples"]:
+    """Return a mask of the samples from the time `since` to `until` [s], both inclusive."""
+    time = motion["time"].values
+    return (time >= since) & (time <= until)
+
+
 def part(motion: xr.Dataset, name: str, since: Real, until: Real = np.inf) -> Samples:
     """Return the samples of a variable from `since` (inclusive) to `until` (exclusive) [s]."""
     time = motion["time"].values
@@ -151,9 +157,7 @@ def rest_times(motion: xr.Dataset) -> tuple[float, float]:
 
     Its acceleration is below 10 % of the greatest in flight (first time), or 2 % of the greatest overall (second time).
     """
-    begin, end = last_cycle(motion)
-    time = motion["time"].values
-    inside = (time >= begin) & (time <= end)
+    time, inside = motion["time"].values, within(motion, *last_cycle(motion))
     acceleration = np.abs(np.gradient(motion["v2"].values[inside], time[inside]))
     flight = motion["impact_force"].values[inside] == 0
     limits = 0.1 * acceleration[flight][5:-5].max(), 0.02 * acceleration.max()
@@ -175,9 +179,7 @@ def blow_duration(motion: xr.Dataset) -> float:
 
 
 def growth_share(motion: xr.Dataset, steps: Bool[np.ndarray, " steps"]) -> float:
-    """Return the fraction of the hole's growth that occurs in certain steps.
-
-    **Arguments:** `steps`: mask of the steps from one sample to the next.
+    """Return the fraction of the hole's growth in the masked `steps` from one sample to the next.
 
     **Raises:** `ValueError` if the hole does not grow at all.
     """
@@ -192,11 +194,10 @@ def growth_away_from_impacts(motion: xr.Dataset, contact: float) -> float:
 
     Times near an impact are the contact, which lasts `contact` [s], and the 5 ms after it.
     """
-    time = motion["time"].values[:-1]
-    near = np.zeros(len(time), bool)
+    away = np.ones(motion.sizes["time"], bool)
     for begin in events(motion, "impact"):
-        near |= (time >= begin - 1e-4) & (time <= begin + contact + 5e-3)
-    return growth_share(motion, ~near)
+        away &= ~within(motion, begin - 1e-4, begin + contact + 5e-3)
+    return growth_share(motion, away[:-1])
 
 
 def swept_frequency(time: Any) -> Any:

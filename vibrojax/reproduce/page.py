@@ -14,9 +14,8 @@ from vibrojax.errors import InputError
 from vibrojax.io.content_policy import content_policy
 from vibrojax.io.dataset import write_dataset
 from vibrojax.io.provenance import source
-from vibrojax.reproduce.reproduction import Reproduction
+from vibrojax.reproduce.reproduction import FINDINGS, READINGS, Finding, Reproduction
 from vibrojax.reproduce.rules import DIFFERS, NOT_COMPARED, VERDICTS
-from vibrojax.reproduce.table import FINDINGS, READINGS, Finding
 
 COLUMNS = ("id", "what", "source", "here", "verdict", "reading")
 CLASSES = dict(zip(VERDICTS, ("differs", "uncompared", "trend", "agrees"), strict=True))

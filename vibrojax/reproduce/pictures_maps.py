@@ -14,8 +14,8 @@ from vibrojax.measures.labels import REGIMES
 from vibrojax.models.physics.friction import FRICTION_LAWS
 from vibrojax.plot.style import BIT, FAINT, INK, START_COLOURS, new_figure
 from vibrojax.reproduce.closed_forms import friction
-from vibrojax.reproduce.figures import FIGURE_WIDTH, LINE_COLOURS, in_row, single_panel
 from vibrojax.reproduce.maps import LISTED_RATE, REGION, coexisting, fit_law, single_impact, strong
+from vibrojax.reproduce.pictures_motions import FIGURE_WIDTH, LINE_COLOURS, in_row
 
 LAWS = ("coulomb", "popp-exponential", "popp-arctan", "hyperbolic", "hyperbolic-quadratic", "stribeck")
 SINGLE_IMPACT_COLOURS = {
@@ -69,13 +69,11 @@ def _legend_below(figure: Figure, colours: Mapping[str, str], title: str | None 
 
 def settling_times(speeds: Mapping[str, Any], ratios: Mapping[str, Any]) -> Figure:
     """Draw the settling time over the driving velocity and over gamma (source, Figs 5.22, 5.38)."""
-    figure, panels = in_row(2, 2.8)
-    columns = ((speeds, "v", "driving velocity v [m/s]"), (ratios, "gamma", "frequency ratio γ (β = 0.3)"))
-    for axes, (lanes, name, label) in zip(panels, columns, strict=True):
+    labels = ("driving velocity v [m/s]", "frequency ratio γ (β = 0.3)")
+    figure, panels = in_row(2.8, labels, "settling time [s]")
+    for axes, lanes, name in zip(panels, (speeds, ratios), ("v", "gamma"), strict=True):
         axes.plot(lanes[name], lanes["settling_time"], "o-", color=BIT, markersize=4)
-        axes.set_xlabel(label)
         axes.set_ylim(bottom=0)
-    panels[0].set_ylabel("settling time [s]")
     return figure
 
 
@@ -84,21 +82,20 @@ def over_stribeck_speed(lanes: Mapping[str, Any]) -> Figure:
 
     There is a line for each combination of gap (two) and initial condition (three).
     """
-    figure, panels = in_row(2, 3.2)
+    figure, panels = in_row(3.2, ["Stribeck speed v_cr [m/s]"] * 2, "")
     quantities = (("omega", 27.45, "frequency [rad/s]"), ("velocity_change", 4.0, "change of velocity [m/s]"))
     for axes, (name, source, label) in zip(panels, quantities, strict=True):
         axes.axhline(source, color=FAINT, linewidth=1.0, linestyle=(0, (4, 3)))
         for gap, marker in ((-0.005, "o"), (0.005, "^")):
-            for start in ("drive", "stuck", "touching"):
+            for start, colour in START_COLOURS.items():
                 lines = (lanes["delta"] == gap) & (lanes["start"] == start)
-                colour = START_COLOURS[start]
-                speeds, values = lanes["v_cr"][lines], lanes[name][lines]
+                speeds, values, single = lanes["v_cr"][lines], lanes[name][lines], lanes["single"][lines]
                 axes.plot(speeds, values, color=colour, linewidth=0.6)
-                for speed, value, single in zip(speeds, values, lanes["single"][lines], strict=True):
-                    face = colour if single else "white"
-                    axes.plot(speed, value, marker, color=colour, markerfacecolor=face, markersize=5)
+                for face, which in ((colour, single), ("white", ~single)):
+                    points = speeds[which], values[which]
+                    axes.plot(*points, marker, color=colour, markerfacecolor=face, markersize=5)
                 axes.plot([], [], marker + "-", color=colour, markersize=4, label=f"{1e3 * gap:+.0f} mm, {start}")
-        axes.set(xlabel="Stribeck speed v_cr [m/s]", ylabel=label)
+        axes.set_ylabel(label)
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
     return figure
 
@@ -108,18 +105,17 @@ def region_of_impacts(map: xr.Dataset) -> Figure:
 
     A rectangle marks the source's region of best performance.
     """
-    figure, panels = in_row(2, 3.4, share=True, grid=False)
+    titles = [f"gap {1e3 * delta:+.0f} mm" for delta in map.delta.values]
+    figure, panels = in_row(3.4, ["mass ratio β"] * 2, "frequency ratio γ", titles, share=True, grid=False)
     (beta, beta_end), (gamma, gamma_end) = REGION.values()
+    colours = ListedColormap(list(SINGLE_IMPACT_COLOURS.values()))
     for axes, delta in zip(panels, map.delta.values, strict=True):
         part = map.sel(delta=delta, v=1.5)
         good, best = single_impact(part), strong(part)
         kind = good.any("start").astype(int) + good.all("start").astype(int) + best.all("start").astype(int)
-        colours = ListedColormap(list(SINGLE_IMPACT_COLOURS.values()))
         axes.pcolormesh(part.beta, part.gamma, kind.transpose("gamma", "beta"), cmap=colours, vmin=-0.5, vmax=3.5)
         region = Rectangle((beta, gamma), beta_end - beta, gamma_end - gamma, fill=False, edgecolor=INK, linewidth=1.5)
         axes.add_patch(region)
-        axes.set(title=f"gap {1e3 * delta:+.0f} mm", xlabel="mass ratio β")
-    panels[0].set_ylabel("frequency ratio γ")
     _legend_below(figure, SINGLE_IMPACT_COLOURS, "single impact")
     return figure
 
@@ -129,17 +125,16 @@ def shares_over_gap(map: xr.Dataset) -> Figure:
 
     The fractions are of all lanes in that region of parameters, for all speeds together.
     """
-    figure, axes = single_panel(3.0)
+    figure, (axes,) = in_row(3.0, ["gap Δ [mm], negative: preload"], "share of the region")
     gaps = 1e3 * map.delta.values
-
-    def draw(flags: xr.DataArray, line: str, colour: str, label: str) -> None:
+    lines = [
+        (single_impact(map).sel(start=start), "o-", colour, f"single, from {start}")
+        for start, colour in zip(map.start.values, LINE_COLOURS, strict=False)
+    ]
+    lines.append((strong(map).sel(start="stuck"), "s--", INK, "clean, strong, from stuck"))
+    lines.append((coexisting(map), "^:", LINE_COLOURS[4], "a second, worse motion"))
+    for flags, line, colour, label in lines:
         axes.plot(gaps, flags.mean(("v", "beta", "gamma")), line, color=colour, markersize=4, label=label)
-
-    for start, colour in zip(map.start.values, LINE_COLOURS, strict=False):
-        draw(single_impact(map).sel(start=start), "o-", colour, f"single, from {start}")
-    draw(strong(map).sel(start="stuck"), "s--", INK, "clean, strong, from stuck")
-    draw(coexisting(map), "^:", LINE_COLOURS[4], "a second, worse motion")
-    axes.set(xlabel="gap Δ [mm], negative: preload", ylabel="share of the region")
     axes.set_ylim(-0.03, 1.03)
     axes.set_xticks(np.round(gaps, 1))
     axes.legend(loc="center left")
@@ -155,12 +150,11 @@ def rates(map: xr.Dataset, x: str, scale: float, label: str, lines: str, line: s
     - `lines`: axis with one line per value; `line`: format string for the label of a line (k3 is in MN/m).
     - `marker`: format string of matplotlib for all lines.
     """
-    figure, axes = single_panel(3.0)
+    figure, (axes,) = in_row(3.0, [label], "rate of penetration [mm/s]")
     for value, colour in zip(map[lines].values, LINE_COLOURS, strict=False):
         part = map.sel({lines: value})
         name = line.format(value / 1e6 if lines == "k3" else value)
         axes.plot(part[x] / scale, 1e3 * part.rate_of_penetration, marker, color=colour, markersize=4, label=name)
-    axes.set(xlabel=label, ylabel="rate of penetration [mm/s]")
     axes.legend()
     return figure
 
@@ -185,7 +179,8 @@ def surfaces(map: xr.Dataset, name: str, label: str, azimuth: int) -> Figure:
 
 def laws_beside_rates(map: xr.Dataset) -> Figure:
     """Draw the rate over P/D, with the fitted logarithm (source, eq. 6.4) and the fitted straight line."""
-    figure, panels = in_row(2, 3.0)
+    titles = [f"k₃ = {k3 / 1e6:g} MN/m" for k3 in map.k3.values]
+    figure, panels = in_row(3.0, ["relief P/D"] * 2, "rate of penetration [mm/s]", titles)
     fit = fit_law(map, "frequency")
     map = map.sel(pulse_width=0.004)
     for axes, k3 in zip(panels, map.k3.values, strict=True):
@@ -197,8 +192,6 @@ def laws_beside_rates(map: xr.Dataset) -> Figure:
             axes.plot(relief, curve, color=colour, linestyle="--", linewidth=0.9)
             axes.plot(relief, 1e3 * float(law.C.sel(form="line")) * relief, color=colour, linewidth=0.9)
             axes.plot(lanes.relief, 1e3 * lanes.rate_of_penetration, "o", color=colour, label=f"{force / 1e3:g} kN")
-        axes.set(title=f"k₃ = {k3 / 1e6:g} MN/m", xlabel="relief P/D")
-    panels[0].set_ylabel("rate of penetration [mm/s]")
     panels[0].plot([], [], color=INK, linewidth=0.9, label="line")
     panels[0].plot([], [], color=INK, linewidth=0.9, linestyle="--", label="logarithm")
     panels[0].legend()
@@ -207,7 +200,7 @@ def laws_beside_rates(map: xr.Dataset) -> Figure:
 
 def constants_over_force(map: xr.Dataset) -> Figure:
     """Draw C over the force, with a line for each stiffness and pulse width, and the source's range."""
-    figure, axes = single_panel(2.8)
+    figure, (axes,) = in_row(2.8, ["force [kN]"], "C [m/s], listing's rate")
     axes.axhspan(0.046, 0.189, color=FAINT, alpha=0.3, linewidth=0)
     for width, marker in zip(map.pulse_width.values, ("s--", "o-"), strict=True):
         fit = fit_law(map, "frequency", float(width))
@@ -215,6 +208,5 @@ def constants_over_force(map: xr.Dataset) -> Figure:
             constants = LISTED_RATE * fit.C.sel(form="onset", k3=k3)
             label = f"{k3 / 1e6:g} MN/m, {1e3 * width:g} ms"
             axes.plot(map.force / 1e3, constants, marker, color=colour, markersize=4, label=label)
-    axes.set(xlabel="force [kN]", ylabel="C [m/s], listing's rate")
     axes.legend()
     return figure

@@ -4,7 +4,6 @@ The lanes are periodic motions that settle soon, so that errors are well defined
 """
 
 import csv
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -125,45 +124,36 @@ def lanes_of(scene: str, quick: bool = False) -> StudyLanes:
 
 def settings_of(scene: str, quick: bool = False) -> list[Setting]:
     """Return all settings of a scene; settings that share a compiled program are adjacent."""
-    return [
-        Setting(scene, method, precision, varied, value)
-        for method, precision, varied, values in (_quick_settings if quick else _settings)(scene)
-        for value in values
-    ]
-
-
-Varied = Iterator[tuple[str, str, str, tuple[float, ...]]]
-"""Method, precision, varied quantity, and its values."""
-
-
-def _settings(scene: str) -> Varied:
-    yield "located", "float64", "tolerance", (1e-12, 1e-10, 1e-9, 1e-8, 1e-7, 1e-6, 1e-5)
-    yield "located", "float64", "stride", (0.125, 0.25, 0.5, 1.0, 2.0, 4.0)
-    yield "located", "float32", "tolerance", (1e-6, 1e-5, 1e-4, 1e-3)
-    if scene == "penetration":  # this scene has nothing to smooth
-        yield "smoothed", "float64", "stride", (0.03, 0.1, 0.3, 1.0)
-        yield "smoothed", "float32", "stride", (0.03, 0.1, 0.3, 1.0)
+    smooth = scene != "penetration"  # that scene has nothing to smooth
+    finest = (1e-4,) if scene in NO_ROCK else ()  # takes a minute in scenes with rock
+    rows: list[tuple[str, str, str, tuple[float, ...]]]
+    if quick:
+        rows = [("located", "float64", "tolerance", (1e-11, 1e-9, 1e-7))]
+        rows += [("smoothed", "float64", "width", (3e-3, 1e-2)), ("smoothed", "float64", "step", (3e-2,))] * smooth
+        rows += [("smoothed", "float64", "stride", (0.1, 0.3))] * (not smooth)
+        counts = {TSIT5: 2}
     else:
-        finest = (1e-4,) if scene in NO_ROCK else ()  # takes a minute in scenes with rock
-        yield "smoothed", "float64", "width", (*finest, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2)
-        yield "smoothed", "float64", "step", (1e-3, 3e-3, 1e-2)
-        yield "smoothed", "float32", "width", (1e-3, 3e-3, 1e-2)
-    yield from _diffrax_settings(scene, {TSIT5: 5, DOPRI8: 3, KVAERNO5: 1, FIXED: 3})
-
-
-def _quick_settings(scene: str) -> Varied:
-    yield "located", "float64", "tolerance", (1e-11, 1e-9, 1e-7)
-    if scene == "penetration":
-        yield "smoothed", "float64", "stride", (0.1, 0.3)
-    else:
-        yield "smoothed", "float64", "width", (3e-3, 1e-2)
-        yield "smoothed", "float64", "step", (3e-2,)
-    yield from _diffrax_settings(scene, {TSIT5: 2})
-
-
-def _diffrax_settings(scene: str, counts: dict[str, int]) -> Varied:
+        rows = [
+            ("located", "float64", "tolerance", (1e-12, 1e-10, 1e-9, 1e-8, 1e-7, 1e-6, 1e-5)),
+            ("located", "float64", "stride", (0.125, 0.25, 0.5, 1.0, 2.0, 4.0)),
+            ("located", "float32", "tolerance", (1e-6, 1e-5, 1e-4, 1e-3)),
+        ]
+        if smooth:
+            rows += [
+                ("smoothed", "float64", "width", (*finest, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2)),
+                ("smoothed", "float64", "step", (1e-3, 3e-3, 1e-2)),
+                ("smoothed", "float32", "width", (1e-3, 3e-3, 1e-2)),
+            ]
+        else:
+            rows += [("smoothed", precision, "stride", (0.03, 0.1, 0.3, 1.0)) for precision in ("float64", "float32")]
+        counts = {TSIT5: 5, DOPRI8: 3, KVAERNO5: 1, FIXED: 3}
+        if scene == "rotary":
+            del counts[KVAERNO5]  # takes a quarter of a minute, and adds no information
     widths = (1e-2, 3e-3, 1e-3, 3e-4, 1e-4)
     for method, count in counts.items():
-        if method == KVAERNO5 and scene == "rotary":
-            continue  # takes a quarter of a minute, and adds no information
-        yield method, "float64", "width", widths[: count if scene in NO_ROCK else 1][::-1]
+        rows.append((method, "float64", "width", widths[: count if scene in NO_ROCK else 1][::-1]))
+    return [
+        Setting(scene, method, precision, varied, value)
+        for method, precision, varied, values in rows
+        for value in values
+    ]

@@ -14,6 +14,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter
 from matplotlib.typing import MarkerType
 
+from vibrojax.analyses.analysis import Analysis, PictureRule
 from vibrojax.errors import printable
 from vibrojax.io.attributes import table_of, title_of
 from vibrojax.plot.contents import SETTING
@@ -170,3 +171,12 @@ def _handles(ds: xr.Dataset) -> list[Artist]:
         Line2D([], [], label="Pareto front", **_BAND),
         Patch(color=_FLOOR, label="below what the reference can tell"),
     ]
+
+
+class AccuracyStudy(Analysis):
+    """Study of speed against error on this machine: a dataset, a table and a picture."""
+
+    kind = "accuracy"
+    view = "none"
+    no_view = "holds speed against error, over no axes; vibrojax plot draws it"
+    pictures = (PictureRule("accuracy", lambda held: True, work_precision),)

@@ -1,9 +1,6 @@
 """Compiled programs of the accuracy study: one per scene, method and precision, for all settings."""
 
-import time
-from abc import ABC, abstractmethod
 from functools import partial
-from typing import NamedTuple
 
 import diffrax
 import jax
@@ -38,63 +35,39 @@ SAMPLING = 2e-4  # s
 Features = dict[str, Shaped[np.ndarray, " lanes"]]
 """Features of lanes by name, among them `finite`, `finished` and `steps`."""
 
-Outcome = dict[str, Shaped[np.ndarray, " copies"]]
-"""Result of a run for all copies of the lanes, by name; at least `finished` and `steps`."""
 
+class Program:
+    """The located or the smoothed stepper, as in a sweep but without the check run.
 
-class Program(ABC):
-    """A method applied to the lanes of a scene, which are copied until every core has a block of lanes."""
+    The lanes are copied until every core has a block of them.
+    """
 
-    def __init__(self, lanes: StudyLanes) -> None:
+    def __init__(self, lanes: StudyLanes, method: str, precision: str) -> None:
         self.lanes = lanes
-        self.workers = workers()
-        self.copies = max(STUDY_LANES_PER_CORE // lanes.count, 1) * len(self.workers)
+        self.copies = max(STUDY_LANES_PER_CORE // lanes.count, 1) * len(workers())
+        self.prepare(method, precision)
 
     @property
     def lane_seconds(self) -> float:
         """Simulated time of all lanes together [s]."""
         return self.copies * self.lanes.count * (self.lanes.settle + self.lanes.observe)
 
-    @abstractmethod
-    def compile(self, accuracy: Accuracy) -> None:
-        """Compile without running."""
-
-    @abstractmethod
-    def run(self, accuracy: Accuracy) -> Outcome:
-        """Run all copies of the lanes: the part that is timed."""
-
-    @abstractmethod
-    def features(self, accuracy: Accuracy, ran: Outcome) -> Features:
-        """Return the features of each lane, from the result of `run`."""
-
-
-class SweepProgram(Program):
-    """The located or the smoothed stepper, as in a sweep but without the check run."""
-
-    def __init__(self, lanes: StudyLanes, method: str, precision: str) -> None:
-        super().__init__(lanes)
-        self._chunks = Chunks(read_sweep(lanes.sweep(method, precision, self.copies)))
+    def prepare(self, method: str, precision: str) -> None:
+        """Read the sweep."""
+        self._chunks = Chunks(read_sweep(self.lanes.sweep(method, precision, self.copies)))
         self._chunks.engine.most_steps = STUDY_MAX_STEPS
 
     def compile(self, accuracy: Accuracy) -> None:
         """Compile without running."""
         self._chunks.compile()
 
-    def run(self, accuracy: Accuracy) -> Outcome:
-        """Return all features of all copies of the lanes."""
+    def run(self, accuracy: Accuracy) -> Features:
+        """Run all copies of the lanes, which is the part that is timed; return at least `finished` and `steps`."""
         return self._chunks.at(accuracy)
 
-    def features(self, accuracy: Accuracy, ran: Outcome) -> Features:
-        """Return the features of the first copy of the lanes."""
+    def features(self, accuracy: Accuracy, ran: Features) -> Features:
+        """Return the features of each lane, of the first copy, from the result of `run`."""
         return {name: x[: self.lanes.count] for name, x in ran.items()}
-
-
-class _Solution(NamedTuple):
-    """States at the samples or at the end, number of steps, and whether the end was reached."""
-
-    states: Float[np.ndarray, "states lanes *samples"]
-    steps: Shaped[np.ndarray, " lanes"]
-    finished: Bool[np.ndarray, " lanes"]
 
 
 class DiffraxProgram(Program):
@@ -103,46 +76,51 @@ class DiffraxProgram(Program):
     The timed run saves only the final states; features are computed from samples of a second run.
     """
 
-    def __init__(self, lanes: StudyLanes, method: str, precision: str) -> None:
-        super().__init__(lanes)
+    def prepare(self, method: str, precision: str) -> None:
         self._precision = precision
         self._solver, self._adapts = SOLVERS[method]
-        self._sweep = read_sweep(lanes.sweep("smoothed", precision, self.copies // len(self.workers)))
+        self._sweep = read_sweep(self.lanes.sweep("smoothed", precision, self.copies // len(workers())))
 
     def compile(self, accuracy: Accuracy) -> None:
         """Compile by a run of zero duration."""
-        self._solve(self.workers[0], accuracy, end=0.0)
+        self._solve(workers()[0], accuracy, end=0.0)
 
-    def run(self, accuracy: Accuracy) -> Outcome:
+    def run(self, accuracy: Accuracy) -> Features:
         """Return `steps` and `finished` of all copies of the lanes."""
         end = self.lanes.settle + self.lanes.observe
-        parallel = in_parallel(lambda worker, _: self._solve(worker, accuracy, end), self.workers, self.workers)
-        blocks: list[_Solution] = [solution for _, solution in parallel]
-        return {name: np.concatenate([getattr(block, name) for block in blocks]) for name in ("steps", "finished")}
+        parallel = in_parallel(lambda worker, _: self._solve(worker, accuracy, end)[1:], workers(), workers())
+        steps, finished = map(np.concatenate, zip(*(counts for _, counts in parallel), strict=True))
+        return {"steps": steps, "finished": finished}
 
-    def features(self, accuracy: Accuracy, ran: Outcome) -> Features:
+    def features(self, accuracy: Accuracy, ran: Features) -> Features:
         """Return the features from samples of the observation."""
         count = round(self.lanes.observe / SAMPLING) + 1
         times = self.lanes.settle + np.arange(count) * SAMPLING
-        solution = self._solve(self.workers[0], accuracy, float(times[-1]), times)
+        states, steps, finished = self._solve(workers()[0], accuracy, float(times[-1]), times)
         with in_precision(self._precision):
             p, _ = self._inputs(self.lanes.count)
-            features = features_of(self._sweep.system, p, SAMPLING, solution.states, accuracy.smoothing)
-        finite = np.isfinite(solution.states).all(axis=(0, 2))
-        finished = solution.finished & ran["finished"][: len(solution.finished)]
-        return features | {"steps": solution.steps, "finite": finite | ~finished, "finished": finished}
+            features = features_of(self._sweep.system, p, SAMPLING, states, accuracy.smoothing)
+        finished = finished & ran["finished"][: len(finished)]
+        return features | {
+            "steps": steps,
+            "finite": np.isfinite(states).all(axis=(0, 2)) | ~finished,
+            "finished": finished,
+        }
 
     def _solve(
         self, worker: jax.Device, accuracy: Accuracy, end: float, times: Float[np.ndarray, " samples"] | None = None
-    ) -> _Solution:
-        """Return the solution at `times` [s], or only at `end` [s] if `times` is None."""
+    ) -> tuple[Float[np.ndarray, "states lanes *samples"], Shaped[np.ndarray, " lanes"], Bool[np.ndarray, " lanes"]]:
+        """Return states, numbers of steps, and whether the end was reached.
+
+        The states are those at `times` [s], or only at `end` [s] if `times` is None.
+        """
         with in_precision(self._precision), jax.default_device(worker):
             p, state = self._inputs(self._sweep.lanes if times is None else self.lanes.count)
             tolerance = TOLERANCE_PER_WIDTH * accuracy.smoothing if self._adapts else None
             numbers = end, accuracy.smoothing, tolerance, accuracy.step, times
             arrays = [None if x is None else jnp.asarray(x, self._precision) for x in numbers]
             states, steps, finished = _integrate(self._sweep.system, self._solver, p, state, *arrays)
-            return _Solution(np.stack([np.asarray(x) for x in states]), np.asarray(steps), np.asarray(finished))
+            return np.stack([np.asarray(x) for x in states]), np.asarray(steps), np.asarray(finished)
 
     def _inputs(self, count: int) -> tuple[Constants, tuple[Float[Array, " lanes"], ...]]:
         """Return constants and states at t = 0 of the first `count` lanes."""
@@ -179,20 +157,3 @@ def _integrate(
         return solution.ys, solution.stats["num_steps"], solution.result == diffrax.RESULTS.successful
 
     return jax.vmap(solve_lane)(p, state)
-
-
-class StudyPrograms:
-    """Cache of the programs of a scene's lanes, each compiled once, and of their compile times [s]."""
-
-    def __init__(self, lanes: StudyLanes) -> None:
-        self._lanes = lanes
-        self._compiled: dict[tuple[str, str], tuple[Program, float]] = {}
-
-    def of(self, method: str, precision: str, accuracy: Accuracy) -> tuple[Program, float]:
-        """Return the program of a method and precision, and its compile time [s]; any `accuracy` can be used."""
-        if (method, precision) not in self._compiled:
-            program = (DiffraxProgram if method in SOLVERS else SweepProgram)(self._lanes, method, precision)
-            began = time.perf_counter()
-            program.compile(accuracy)
-            self._compiled[method, precision] = program, time.perf_counter() - began
-        return self._compiled[method, precision]

@@ -1,11 +1,13 @@
-"""The accuracy study: measurement of all settings of all scenes, and the dataset of results."""
+"""The accuracy study: measurement of all settings of all scenes, the dataset of results, and its Markdown table."""
 
 import json
 import platform
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from importlib.metadata import version
+from operator import attrgetter
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -31,12 +33,13 @@ from vibrojax.analyses.accuracy.measurement import (
     measure,
     usable,
 )
-from vibrojax.analyses.accuracy.programs import StudyPrograms
+from vibrojax.analyses.accuracy.programs import DiffraxProgram, Program
 from vibrojax.compile.xla import usable_cores, workers
 from vibrojax.errors import InputError, suggestion
 from vibrojax.io.kinds import dataset_attributes
 from vibrojax.io.variables import Variable
 from vibrojax.progress import Progress
+from vibrojax.stepping import Accuracy
 
 REPEATS, QUICK_REPEATS = 5, 2
 QUICK_SCENES = ("vibro-impact", "penetration")
@@ -47,6 +50,26 @@ REFERENCE_TEXT = (
     f"(tolerance {SECOND_REFERENCE.tolerance:g}, stride {SECOND_REFERENCE.stride:g})"
 )
 _OVERALL = "the larger of period and impact velocity; in penetration of the rate of penetration"
+
+_TEXT = ("method", "precision", "setting")
+_NUMBERS = ("µs per lane-s", "spread", "worst", "median")
+_ERRORS = {
+    "period": "period",
+    "impact_velocity": "impact velocity",
+    "peak_impact_force": "peak force",
+    "stick_fraction": "stick fraction",
+    "rate_of_penetration": "ROP",
+}
+_UNITS = {"width": " m/s", "step": " s"}
+_READING = (
+    "Time is that of all lanes on all cores, copied until each core has a block of them, divided by their number "
+    "and the simulated seconds of each, without compiling and without a check run: the median of the "
+    "repeats, and half their range as its spread. Worst and median are over the lanes that move like the "
+    "reference, of the larger relative error of period and impact velocity (penetration: of the rate of "
+    "penetration, ROP); the columns after them are the worst lane's, relative, of the stick fraction the "
+    "difference. Settings in bold are on the Pareto front of time and worst error. Rows with a remark had lanes "
+    "that failed; they are never on the front."
+)
 
 
 def run_accuracy(scenes: Sequence[str] | None = None, quick: bool = False, progress: bool = True) -> xr.Dataset:
@@ -87,14 +110,25 @@ def run_accuracy(scenes: Sequence[str] | None = None, quick: bool = False, progr
 
 def _measure_scene(scene: str, quick: bool, bar: Progress) -> tuple[list[Measurement], float]:
     """Return the results of a scene's settings, and the largest difference between the two references."""
-    programs = StudyPrograms(lanes_of(scene, quick))
-    program, _ = programs.of("located", "float64", REFERENCE)
+    lanes = lanes_of(scene, quick)
+    programs: dict[tuple[str, str], tuple[Program, float]] = {}
+
+    def compiled(method: str, precision: str, accuracy: Accuracy) -> tuple[Program, float]:
+        """Return the program of a method and precision, and its compile time [s]; any accuracy can be used."""
+        if (method, precision) not in programs:
+            program = (DiffraxProgram if method in SOLVERS else Program)(lanes, method, precision)
+            began = time.perf_counter()
+            program.compile(accuracy)
+            programs[method, precision] = program, time.perf_counter() - began
+        return programs[method, precision]
+
+    program, _ = compiled("located", "float64", REFERENCE)
     reference, second = (program.features(fine, program.run(fine)) for fine in (REFERENCE, SECOND_REFERENCE))
     trusted = usable(reference, second)
     results = []
     for setting in settings_of(scene, quick):
         if setting.method not in SOLVERS or scene in NO_ROCK:
-            program, compile_time = programs.of(setting.method, setting.precision, setting.accuracy)
+            program, compile_time = compiled(setting.method, setting.precision, setting.accuracy)
             repeats = QUICK_REPEATS if quick else REPEATS
             result = measure(setting, program, compile_time, reference, trusted, repeats)
         else:
@@ -115,48 +149,49 @@ def dataset_of(results: Sequence[Measurement], spreads: Mapping[str, float], wal
     **Arguments:** `spreads`: largest difference between the two references, by scene.
     """
 
-    def along(values: Sequence[object], long_name: str, units: str = "1", dtype: type | None = None) -> xr.Variable:
-        return xr.Variable(SETTING, np.array(values, dtype), Variable(units, long_name).attributes())
+    def along(
+        values: Iterable[object], long_name: str, units: str = "1", dtype: type | None = None, flags: Any = ()
+    ) -> xr.Variable:
+        attributes = Variable(units, long_name, flags=flags).attributes()
+        return xr.Variable(SETTING, np.array(list(values), dtype), attributes)
 
-    def over_repeats(reduce: Callable[[tuple[float, ...]], float], text: str) -> xr.Variable:
-        values = [reduce(result.seconds) if result.seconds else np.nan for result in results]
-        return along(values, f"{text} time per lane-second", "s", float)
+    def each(field: str, long_name: str, units: str = "1", dtype: type | None = None) -> xr.Variable:
+        return along((attrgetter(field)(result) for result in results), long_name, units, dtype)
 
-    settings = [result.setting for result in results]
-    meaning = "value of the varied quantity: tolerance and stride [1], width [m s-1], step [s]"
     coordinates = {
-        "scene": along([setting.scene for setting in settings], "scene"),
-        "method": along([setting.method for setting in settings], "method"),
-        "precision": along([setting.precision for setting in settings], "precision"),
-        "varied": along([setting.varied for setting in settings], "varied quantity"),
-        "value": along([setting.value for setting in settings], meaning),
+        "scene": each("setting.scene", "scene"),
+        "method": each("setting.method", "method"),
+        "precision": each("setting.precision", "precision"),
+        "varied": each("setting.varied", "varied quantity"),
+        "value": each(
+            "setting.value", "value of the varied quantity: tolerance and stride [1], width [m s-1], step [s]"
+        ),
     }
-    variables = {
-        "time_per_lane_second": over_repeats(np.median, "median"),
-        "time_per_lane_second_min": over_repeats(min, "shortest"),
-        "time_per_lane_second_max": over_repeats(max, "longest"),
-        "repeats": along([len(result.seconds) for result in results], "repeats", dtype=np.int32),
-        "compile_time": along([result.compile_time for result in results], "compile time", "s"),
-        "steps_per_second": along([result.steps for result in results], "steps of a lane per simulated second", "s-1"),
-    }
+    variables = {}
+    for suffix, text, reduce in (("", "median", np.median), ("_min", "shortest", min), ("_max", "longest", max)):
+        times = (reduce(result.seconds) if result.seconds else np.nan for result in results)
+        variables[f"time_per_lane_second{suffix}"] = along(times, f"{text} time per lane-second", "s", float)
+    variables["repeats"] = along((len(result.seconds) for result in results), "repeats", dtype=np.int32)
+    variables["compile_time"] = each("compile_time", "compile time", "s")
+    variables["steps_per_second"] = each("steps", "steps of a lane per simulated second", "s-1")
     for name in ("overall", *COMPARED):
         errors = [result.errors.get(name, np.zeros(0)) for result in results]
         prefix, kind = ("", _OVERALL) if name == "overall" else (f"{name}_", name.replace("_", " "))
         relative = "relative error" if name in (*RELATIVE, "overall") else "error"
-        for which, reduce in (("worst", np.max), ("median", np.median)):
-            values = [reduce(x) if x.size else np.nan for x in errors]
+        for which, statistic in (("worst", np.max), ("median", np.median)):
+            values = (statistic(x) if x.size else np.nan for x in errors)
             variables[f"{prefix}error_{which}"] = along(values, f"{which} {relative} of {kind}", dtype=float)
     statuses = np.array([STATUSES.index(result.status) for result in results], np.int8)
     agreeing = "lanes that move like the reference, over which errors are counted"
     repeating = "lanes that also repeat like the reference, to 1e-3"
     spread = "difference of two references, below which errors mean nothing"
     variables |= {
-        "lanes": along([result.lanes for result in results], "periodic lanes", dtype=np.int32),
-        "agreeing": along([result.agreeing for result in results], agreeing, dtype=np.int32),
-        "repeating": along([result.repeating for result in results], repeating, dtype=np.int32),
-        "status": xr.Variable(SETTING, statuses, Variable("1", "outcome", np.int8, STATUSES).attributes()),
-        "remark": along([result.reason for result in results], "why lanes failed"),
-        "reference_spread": along([spreads[setting.scene] for setting in settings], spread),
+        "lanes": each("lanes", "periodic lanes", dtype=np.int32),
+        "agreeing": each("agreeing", agreeing, dtype=np.int32),
+        "repeating": each("repeating", repeating, dtype=np.int32),
+        "status": along(statuses, "outcome", dtype=np.int8, flags=STATUSES),
+        "remark": each("reason", "why lanes failed"),
+        "reference_spread": along((spreads[result.setting.scene] for result in results), spread),
     }
     seconds = variables["time_per_lane_second"].values
     # Only settings whose lanes all agree with the reference can be on the front.
@@ -165,8 +200,8 @@ def dataset_of(results: Sequence[Measurement], spreads: Mapping[str, float], wal
     for scene in spreads:
         here = coordinates["scene"].values == scene
         front[here] = pareto(seconds[here], worst[here])
-    about = Variable("1", "no setting of the scene is faster and as exact", np.int8, ("no", "yes"))
-    variables["on_front"] = xr.Variable(SETTING, front, about.attributes())
+    best = "no setting of the scene is faster and as exact"
+    variables["on_front"] = along(front, best, dtype=np.int8, flags=("no", "yes"))
     attributes = {
         **dataset_attributes("accuracy", "Speed against error", "accuracy"),
         "reference": REFERENCE_TEXT,
@@ -200,3 +235,54 @@ def machine() -> dict[str, str | int]:
     if device.platform != "cpu":
         about["accelerator"] = device.device_kind
     return about | {"python": platform.python_version()} | {name: version(name) for name in ("jax", "diffrax")}
+
+
+def table(ds: xr.Dataset) -> str:
+    """Return the dataset of the study as Markdown: machine, reference, settings, and a table for each scene."""
+    about = json.loads(ds.attrs["machine"])
+    versions = (f"{name} {value}" for name, value in about.items() if name not in ("processor", "cores"))
+    paragraphs = [
+        "# Speed against error",
+        f"Machine: {about['processor']}, {about['cores']} cores, {', '.join(versions)}",
+        f"Reference: {ds.attrs['reference']}.",
+        f"Settings: {ds.attrs['settings']}.",
+        _READING,
+    ]
+    for scene in dict.fromkeys(ds["scene"].values.tolist()):
+        here = ds.isel(setting=ds["scene"].values == scene)
+        lanes, spread = int(here["lanes"].values[0]), float(here["reference_spread"].values[0])
+        shown = [name for name in _ERRORS if np.isfinite(here[f"{name}_error_worst"].values).any()]
+        numbers = [*_NUMBERS, *(_ERRORS[name] for name in shown), "compile s"]
+        rows = [_row(here.isel(setting=index), shown) for index in range(here.sizes["setting"])]
+        lines = [f"| {' | '.join(cells)} |" for cells in ([*_TEXT, *numbers, "remark"], *rows)]
+        lines.insert(1, "|" + "---|" * len(_TEXT) + "---:|" * len(numbers) + "---|")
+        paragraphs += [
+            f"## {scene}",
+            f"{lanes} periodic lanes; two references differ by {_format(spread, '.1e')}.",
+            "\n".join(lines),
+        ]
+    return "\n\n".join(paragraphs) + "\n"
+
+
+def _row(setting: xr.Dataset, shown: list[str]) -> list[str]:
+    def number(name: str) -> float:
+        return float(setting[name])
+
+    spread = (number("time_per_lane_second_max") - number("time_per_lane_second_min")) / 2e-6
+    varied = str(setting["varied"].item())
+    name = f"{varied} {number('value'):g}{_UNITS.get(varied, '')}"
+    errors = ["error_worst", "error_median", *(f"{error}_error_worst" for error in shown)]
+    return [
+        str(setting["method"].item()),
+        str(setting["precision"].item()),
+        f"**{name}**" if setting["on_front"].item() else name,
+        _format(1e6 * number("time_per_lane_second"), ".3g"),
+        _format(spread, ".2g", "± "),
+        *(_format(number(error), ".1e") for error in errors),
+        _format(number("compile_time"), ".1f"),
+        str(setting["remark"].item()),
+    ]
+
+
+def _format(value: float, spec: str, prefix: str = "") -> str:
+    return f"{prefix}{value:{spec}}" if np.isfinite(value) else "–"

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
-from jaxtyping import Float, Shaped
+from jaxtyping import Float
 
 from vibrojax.analyses.rop_law.columns import (
     FORCE,
@@ -119,7 +119,10 @@ def read_rig(path: Path, columns: Columns = None) -> xr.Dataset:
     taken = {column.index for column in chosen.values()}
     for index, name in enumerate(header):
         if index not in taken and name not in ("", *variables):
-            variables[name] = ("point", _numbers_or_text(index, rows))
+            try:
+                variables[name] = ("point", _numbers(place, name, index, rows))
+            except InputError:
+                variables[name] = ("point", np.array([row[index].strip() for _, row in rows]))
     sources = json.dumps({name: column.described() for name, column in chosen.items()})
     dataset = xr.Dataset(variables, attrs={"title": path.name, "columns": sources})
     return dataset.set_coords([name for name in variables if name not in (RATE, RELIEF)])
@@ -178,7 +181,7 @@ def _is_number(cell: str) -> bool:
 
 
 def _numbers(place: Place, name: str, index: int, rows: Rows) -> Float[np.ndarray, " rows"]:
-    """Return the numbers in a column required by the law, NaN for empty cells; raise `InputError` for other text."""
+    """Return the numbers in a column, NaN for empty cells; raise `InputError` for other text."""
     values = np.full(len(rows), np.nan)
     for position, (line, row) in enumerate(rows):
         if cell := row[index].strip():
@@ -188,12 +191,3 @@ def _numbers(place: Place, name: str, index: int, rows: Rows) -> Float[np.ndarra
                 fault = f"{shown(cell)} is not a number; write one, like 0.4, or leave it empty"
                 raise place.at(f"line {line}, column {name}").error(fault) from None
     return values
-
-
-def _numbers_or_text(index: int, rows: Rows) -> Shaped[np.ndarray, " rows"]:
-    """Return the numbers in a column, or its cells as strings if one of them is not a number."""
-    cells = [row[index].strip() for _, row in rows]
-    try:
-        return np.array([float(cell) if cell else np.nan for cell in cells])
-    except ValueError:
-        return np.array(cells)

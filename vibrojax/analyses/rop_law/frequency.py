@@ -6,9 +6,9 @@ from jaxtyping import Bool, Float
 
 from vibrojax.analyses.rop_law.data import Data, open_data
 from vibrojax.analyses.rop_law.least_squares import Reason
-from vibrojax.analyses.rop_law.results import attributes, reason_variable, to_variables
+from vibrojax.analyses.rop_law.results import fit_dataset, reason_variable
 from vibrojax.errors import Place
-from vibrojax.io.attributes import parameters_of, title_of
+from vibrojax.io.attributes import parameters_of
 from vibrojax.io.variables import Variable
 from vibrojax.measures.labels import IMPACT_FREE
 from vibrojax.models.physics.modes import empirical_frequency, natural_frequencies
@@ -93,10 +93,10 @@ def refit_frequency(data: Data, within: float = 0.01) -> xr.Dataset:
         "reason": Reason.IDENTIFIED if used >= 2 else Reason.TOO_FEW_LANES,
     }
     dims = dict.fromkeys(("share_of_lane", "error", "error_refitted", "holds"), period.dims)
-    fit = xr.Dataset(to_variables(_SCHEMA, values, dims), period.coords)
-    title = f"eq. 5.17 refitted: {title_of(data, place.file)}"
-    more: dict[str, str | float] = {"within": float(within), "region": _region_of_validity(fit["holds"], used)}
-    return fit.assign_attrs(attributes(place, data, "refit of eq. 5.17", title, more))
+    region = _region_of_validity(xr.DataArray(values["holds"], period.coords, period.dims), used)
+    step, title = "refit of eq. 5.17", "eq. 5.17 refitted"
+    more: dict[str, str | float] = {"within": float(within), "region": region}
+    return fit_dataset(place, data, step, title, _SCHEMA, values, dims, period.coords, **more)
 
 
 def _parameter(place: Place, data: xr.Dataset, name: str) -> xr.DataArray:

@@ -1,7 +1,6 @@
 """Identification of mu and v_cr (eq. 5.9 of the source) from a measured velocity, with gradients of smoothed motion."""
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -12,11 +11,11 @@ from scipy.optimize import least_squares
 
 from vibrojax.analyses.rop_law.data import Data, open_data
 from vibrojax.analyses.rop_law.least_squares import Reason, confounded_coefficients
-from vibrojax.analyses.rop_law.results import attributes, reason_variable, to_variables
+from vibrojax.analyses.rop_law.results import fit_dataset, reason_variable
 from vibrojax.compile import jitted
 from vibrojax.compile.xla import precision
 from vibrojax.errors import Place, shown, suggestion
-from vibrojax.io.attributes import parameters_of, title_of
+from vibrojax.io.attributes import parameters_of
 from vibrojax.io.variables import Variable
 from vibrojax.models.arrays import Array
 from vibrojax.models.scenes.rotary import Rotary
@@ -55,17 +54,6 @@ _SCHEMA = {
 Samples = Float[np.ndarray, " samples"]
 Unknowns = Float[Array, " unknowns"]
 """ln mu, ln v_cr and, if it is unknown, the state at the beginning of the window."""
-
-
-class _Fit(NamedTuple):
-    """The result of a search: the unknowns, and the velocity [m/s] with its Jacobian.
-
-    The Jacobian is with respect to the unknowns divided by `_SCALES`.
-    """
-
-    unknowns: Float[np.ndarray, " unknowns"]
-    jacobian: Float[np.ndarray, "samples unknowns"]
-    velocity: Samples
 
 
 def fit_friction(
@@ -132,48 +120,46 @@ def fit_friction(
         )
     unknowns = np.array([np.log(p["mu"]), np.log(p["v_cr"]), *(state if start is None else [])])
     seen = np.isfinite(velocity)
-    freedom = int(seen.sum()) - unknowns.size
     values: dict[str, object] = {name: np.nan for name in _SCHEMA}
     values |= {"used": seen.sum(), "left_out": (~seen).sum(), "reason": Reason.TOO_FEW_LANES}
     values |= {"state": np.full(len(state), np.nan), "fitted": np.full(len(time), np.nan)}
-    if freedom > 0:
-        first = _fit(unknowns, p, state, velocity, interval, substeps, smoothing)
-        fit = _fit(first.unknowns, p, state, velocity, interval, 2 * substeps, smoothing / 2)
-        residual = (fit.velocity - velocity)[seen]
-        relative, values["reason"] = _relative_errors(fit, residual, seen, freedom)
+    if seen.sum() > unknowns.size:
+        fixed = p | {"state": state, "interval": interval, "width": smoothing}
+        first, *_ = _fit(unknowns, fixed, substeps, velocity)
+        unknowns, fitted, jacobian = _fit(first, fixed | {"width": smoothing / 2}, 2 * substeps, velocity)
+        residual = (fitted - velocity)[seen]
+        relative, values["reason"] = _relative_errors(fitted, jacobian[seen], residual)
         if values["reason"] == Reason.IDENTIFIED:
-            values |= {"rms": np.sqrt(np.mean(residual**2)), "fitted": fit.velocity}
-            values["state"] = np.asarray(state if start is not None else fit.unknowns[2:])
+            values |= {"rms": np.sqrt(np.mean(residual**2)), "fitted": fitted}
+            values["state"] = np.asarray(state if start is not None else unknowns[2:])
             for index, name in enumerate(("mu", "v_cr")):
-                value = np.exp(fit.unknowns[index])
+                value = np.exp(unknowns[index])
                 values |= {name: value, f"{name}_stderr": value * relative[index]}
-                values[f"{name}_change"] = value - np.exp(first.unknowns[index])
-    variables = to_variables(_SCHEMA, values, {"state": ("quantity",), "fitted": ("time",)})
+                values[f"{name}_change"] = value - np.exp(first[index])
     coordinates = {
         "time": ("time", time, {"units": "s", "long_name": "time"}),
         "quantity": ("quantity", list(_SCENE.state_names), {"units": "1", "long_name": "state"}),
     }
-    title = f"friction, eq. 5.9, fitted: {title_of(data, place.file)}"
-    return xr.Dataset(variables, coordinates, attributes(place, data, "fit of the friction", title, {}))
+    dims = {"state": ("quantity",), "fitted": ("time",)}
+    return fit_dataset(
+        place, data, "fit of the friction", "friction, eq. 5.9, fitted", _SCHEMA, values, dims, coordinates
+    )
 
 
 def _fit(
-    unknowns: Float[np.ndarray, " unknowns"],
-    p: Mapping[str, float],
-    state: Sequence[float],
-    velocity: Samples,
-    interval: float,
-    substeps: int,
-    width: float,
-) -> _Fit:
-    """Return the result of a least-squares search with the initial guess `unknowns`."""
+    unknowns: Float[np.ndarray, " unknowns"], fixed: Mapping[str, object], substeps: int, velocity: Samples
+) -> tuple[Float[np.ndarray, " unknowns"], Samples, Float[np.ndarray, "samples unknowns"]]:
+    """Return the unknowns at the least squares, searched from `unknowns`, and the fitted velocity with its Jacobian.
+
+    The Jacobian is with respect to the unknowns divided by `_SCALES`.
+    """
     seen, scales = np.isfinite(velocity), _SCALES[: unknowns.size]
     with precision("float64"):
-        fixed = {name: jnp.asarray(value) for name, value in p.items()} | {"state": jnp.asarray(state)}
+        arrays = {name: jnp.asarray(value) for name, value in fixed.items()}
 
         def evaluate(scaled: Float[np.ndarray, " unknowns"]) -> tuple[Samples, Float[np.ndarray, "samples unknowns"]]:
-            motion = _velocity_and_jacobian(jnp.asarray(scaled * scales), fixed, interval, substeps, len(seen), width)
-            return np.asarray(motion[0]), np.asarray(motion[1]) * scales
+            jacobian, motion = _derivatives(jnp.asarray(scaled * scales), arrays, substeps, len(seen))
+            return np.asarray(motion), np.asarray(jacobian) * scales
 
         def residual(scaled: Float[np.ndarray, " unknowns"]) -> Samples:
             return (evaluate(scaled)[0] - velocity)[seen]
@@ -184,60 +170,51 @@ def _fit(
             scaled = least_squares(
                 residual, scaled, lambda scaled: evaluate(scaled)[1][seen], max_nfev=_MAX_EVALUATIONS, **tolerances
             ).x
-        motion, slopes = evaluate(scaled)
-    return _Fit(scaled * scales, slopes, motion)
+        return scaled * scales, *evaluate(scaled)
 
 
 @jitted(static=("substeps", "samples"))
-def _velocity_and_jacobian(
-    unknowns: Unknowns,
-    fixed: Mapping[str, Array],
-    interval: float | Float[Array, ""],
-    substeps: int,
-    samples: int,
-    width: float | Float[Array, ""],
-) -> tuple[Float[Array, " samples"], Float[Array, "samples unknowns"]]:
-    """Return the velocity [m/s] of the bit, and its Jacobian with respect to the unknowns."""
+def _derivatives(
+    unknowns: Unknowns, fixed: Mapping[str, Array], substeps: int, samples: int
+) -> tuple[Float[Array, "samples unknowns"], Float[Array, " samples"]]:
+    """Return the Jacobian of `_velocity` with respect to the unknowns, and the velocity."""
 
     def motion(unknowns: Unknowns) -> tuple[Float[Array, " samples"], Float[Array, " samples"]]:
-        velocity = _velocity(unknowns, fixed, interval, substeps, samples, width)
-        return velocity, velocity
+        return (velocity := _velocity(unknowns, fixed, substeps, samples)), velocity
 
-    jacobian, velocity = jax.jacfwd(motion, has_aux=True)(unknowns)
-    return velocity, jacobian
+    return jax.jacfwd(motion, has_aux=True)(unknowns)
 
 
-def _velocity(
-    unknowns: Unknowns,
-    fixed: Mapping[str, Array],
-    interval: float | Float[Array, ""],
-    substeps: int,
-    samples: int,
-    width: float | Float[Array, ""],
-) -> Float[Array, " samples"]:
-    """Return x1' [m/s] of the smoothed rotary motion at the sampling times."""
+def _velocity(unknowns: Unknowns, fixed: Mapping[str, Array], substeps: int, samples: int) -> Float[Array, " samples"]:
+    """Return x1' [m/s] of the smoothed rotary motion at the sampling times.
+
+    `fixed`: parameters, `state` unless it is unknown, sampling `interval` [s], and smoothing `width` [m/s].
+    """
     p = _SCENE.constants({**fixed, "mu": jnp.exp(unknowns[0]), "v_cr": jnp.exp(unknowns[1])})
     state = tuple(unknowns[2:] if unknowns.size > 2 else fixed["state"])
-    states = smoothed_trajectory(_SCENE, p, state, interval / substeps, substeps * (samples - 1), width)
+    step = fixed["interval"] / substeps
+    states = smoothed_trajectory(_SCENE, p, state, step, substeps * (samples - 1), fixed["width"])
     return jnp.concatenate([state[1][None], states[1][substeps - 1 :: substeps]])
 
 
 def _relative_errors(
-    fit: _Fit, residual: Samples, seen: np.ndarray, freedom: int
+    fitted: Samples, jacobian: Float[np.ndarray, "samples unknowns"], residual: Samples
 ) -> tuple[Float[np.ndarray, " unknowns"], Reason]:
     """Return the standard errors of the unknowns, and IDENTIFIED or the reason why the unknowns are not reliable.
 
-    The first two unknowns are logarithms, so their errors are relative errors of mu and v_cr.
+    The first two unknowns are logarithms, so their errors are relative errors of mu and v_cr. `jacobian` and `residual`
+    are those of the samples with a value.
     """
-    errors, jacobian = np.full(fit.unknowns.size, np.nan), fit.jacobian[seen]
-    if not (np.isfinite(jacobian).all() and np.isfinite(fit.velocity).all()):
+    size = jacobian.shape[1]
+    freedom, errors = residual.size - size, np.full(size, np.nan)
+    if not (np.isfinite(jacobian).all() and np.isfinite(fitted).all()):
         return errors, Reason.NOT_CONVERGED
     if confounded_coefficients(jacobian).any():
         return errors, Reason.CONFOUNDED
     basis = np.linalg.qr(jacobian)[0]
     along = basis @ (basis.T @ residual)
     across = np.linalg.norm(residual - along) / np.sqrt(freedom)
-    if np.linalg.norm(along) / np.sqrt(errors.size) > _OFFSET * across + np.finfo(float).eps:
+    if np.linalg.norm(along) / np.sqrt(size) > _OFFSET * across + np.finfo(float).eps:
         return errors, Reason.NOT_CONVERGED
     errors = np.sqrt(np.sum(residual**2) / freedom) * np.linalg.norm(np.linalg.pinv(jacobian), axis=1)
     return errors, Reason.IDENTIFIED if (errors[:2] < _VAGUE).all() else Reason.CONFOUNDED

@@ -23,8 +23,9 @@ from vibrojax.analyses.rop_law.least_squares import (
     goodness,
     minimise,
     r_squared_reason,
+    reason_of_no_fit,
 )
-from vibrojax.analyses.rop_law.results import GOODNESS_SCHEMA, attributes, law_title, reason_variable, to_variables
+from vibrojax.analyses.rop_law.results import GOODNESS_SCHEMA, LAW_TITLE, fit_dataset, reason_variable
 from vibrojax.errors import Place, shown, suggestion
 from vibrojax.io.variables import Variable
 
@@ -160,8 +161,8 @@ def fit_joint(
         "not_identified": ", ".join(label for label, flag in zip(labels, lost, strict=not shared) if flag) or "none",
     }
     coordinate = ("parameter", np.array(names, dtype=str), {"units": "1", "long_name": "parameter"})
-    about = attributes(place, data, "joint fit", law_title(place, data), more)
-    return xr.Dataset(to_variables(_SCHEMA, values, dims), {"parameter": coordinate}, about)
+    coordinates = {"parameter": coordinate}
+    return fit_dataset(place, data, "joint fit", LAW_TITLE, _SCHEMA, values, dims, coordinates, **more)
 
 
 def _log_parameter(
@@ -194,16 +195,11 @@ def _calibrate(
     size, free = expansion.shape
     fit: dict[str, float | int] = {"degrees_of_freedom": 0, "r_squared": np.nan, "aic": np.nan}
     nothing, every = np.full(size, np.nan), np.ones(size, bool)
-    if not seen.any():
-        return fit | {"reason": Reason.ALL_CENSORED if rate.size else Reason.TOO_FEW_LANES}, nothing, nothing, every
-    if seen.sum() <= free:
-        return fit | {"reason": Reason.TOO_FEW_LANES}, nothing, nothing, every
-    if not np.ptp(log[seen]) > LEAST_SPREAD:
-        return fit | {"reason": Reason.NO_SPREAD}, nothing, nothing, every
+    if (reason := reason_of_no_fit(seen, free, log)) is not None:
+        return fit | {"reason": reason}, nothing, nothing, every
     unit = float(rate.max())
     minimum = minimise(JointRates(log, positions, shared), rate / unit, ~seen)
-    lanes = minimum.active
-    jacobian = minimum.jacobian[lanes]
+    jacobian = minimum.jacobian[minimum.active]
     if not np.isfinite(jacobian).all():
         return fit | {"reason": Reason.NOT_CONVERGED}, nothing, nothing, every
     confounded = confounded_coefficients(jacobian)
@@ -212,9 +208,8 @@ def _calibrate(
         return fit | {"reason": Reason.CONFOUNDED}, nothing, nothing, lost
     if not minimum.converged:
         return fit | {"reason": Reason.NOT_CONVERGED}, nothing, nothing, every
-    square = covariance(jacobian, minimum.residual[lanes])
-    fit["r_squared"], fit["aic"] = goodness(minimum.residual, rate / unit, unit, free)
-    fit |= {"degrees_of_freedom": int(lanes.sum()) - free, "reason": Reason.IDENTIFIED}
+    square = covariance(jacobian, minimum.residual[minimum.active])
+    fit |= goodness(minimum, rate / unit, unit) | {"reason": Reason.IDENTIFIED}
     errors = np.sqrt(np.einsum("ci,ij,cj->c", expansion, square, expansion))
     return fit, expansion @ minimum.theta, errors, ~every
 

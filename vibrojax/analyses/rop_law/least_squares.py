@@ -238,6 +238,15 @@ def minimise_loss(
     return replace(minimum, converged=minimum.converged and change <= _REWEIGHTING_TOLERANCE), scale
 
 
+def reason_of_no_fit(seen: LaneFlags, coefficients: int, log_relief: Lanes) -> Reason | None:
+    """Return the reason why lanes do not determine the coefficients of a law, or None; `seen`: lanes that penetrate."""
+    if not seen.any():
+        return Reason.ALL_CENSORED if seen.size else Reason.TOO_FEW_LANES
+    if seen.sum() <= coefficients:
+        return Reason.TOO_FEW_LANES
+    return None if np.std(log_relief[seen]) > LEAST_SPREAD else Reason.NO_SPREAD
+
+
 def covariance(jacobian: Jacobian, residual: Lanes) -> Square:
     """Return the covariance of the coefficients for noise whose variance may differ between lanes.
 
@@ -268,21 +277,19 @@ def confounded_coefficients(jacobian: Jacobian) -> Bool[np.ndarray, " coefficien
     return np.asarray((directions[lost] ** 2).sum(axis=0) > _LEAST_SINGULAR_VALUE)
 
 
-def goodness(residual: Lanes, rate: Lanes, unit: float, size: int) -> tuple[float, float]:
-    """Return R² and AIC = n ln(RSS/n) + 2 size, with the residual sum of squares RSS in m²/s².
+def goodness(minimum: Minimum, rate: Lanes, unit: float) -> dict[str, float]:
+    """Return `r_squared`, `aic` = n ln(RSS/n) + 2 coefficients (RSS in m²/s²), and `degrees_of_freedom`.
 
     R² is NaN if the rates do not vary. RSS/n has a lower bound, the squared rounding error of the greatest rate, so
     that the AIC of exact data is finite.
 
-    **Arguments:**
-
-    - `residual`, `rate`: values in units of `unit` [m/s], the greatest rate.
-    - `size`: number of coefficients.
+    **Arguments:** `rate`: rates in units of `unit` [m/s], the greatest rate, like the residuals of `minimum`.
     """
-    squares, about_mean = np.sum(residual**2), np.sum((rate - rate.mean()) ** 2)
+    squares, about_mean = np.sum(minimum.residual**2), np.sum((rate - rate.mean()) ** 2)
     r_squared = 1 - squares / about_mean if about_mean > rate.size * LEAST_SPREAD**2 else np.nan
-    mean_square = max(squares / rate.size, _EPSILON**2)
-    return float(r_squared), float(rate.size * (np.log(mean_square) + 2 * np.log(unit)) + 2 * size)
+    mean_square, size = max(squares / rate.size, _EPSILON**2), minimum.theta.size
+    aic = rate.size * (np.log(mean_square) + 2 * np.log(unit)) + 2 * size
+    return {"r_squared": float(r_squared), "aic": float(aic), "degrees_of_freedom": int(minimum.active.sum()) - size}
 
 
 def r_squared_reason(r_squared: Float[np.ndarray, "*fits"], reason: Int[np.ndarray, "*fits"]) -> np.ndarray:

@@ -8,20 +8,24 @@ from collections.abc import Sequence
 import numpy as np
 import xarray as xr
 from matplotlib.artist import Artist
+from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
+from matplotlib.gridspec import SubplotSpec
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.typing import MarkerType
 
-from vibrojax.analyses.rop_law.fit_curves import data_handles, data_text, draw_fits, groups_to_show, height_of
+from vibrojax.analyses.analysis import Analysis, PictureRule, SummaryPart
+from vibrojax.analyses.rop_law.columns import columns_lines
+from vibrojax.analyses.rop_law.rop import FORMS
 from vibrojax.analyses.sweep.maps import fill_cells, write_labels
 from vibrojax.plot.axes import scale, share_text, with_unit
 from vibrojax.plot.colours import ROBUST, Coloured, Value, cell_handles, coloured, form_colour, patch, value_of
 from vibrojax.plot.contents import FORM, POINT, law_in, long_axes
 from vibrojax.plot.curves import MOST_ROWS, Across, Row, longest_axis, new_rows
-from vibrojax.plot.sheet import LEGEND_WIDTH, facets, legend_at_right, sheet, write_margins
-from vibrojax.plot.style import FAINT, UNDEFINED, Mark, styled
+from vibrojax.plot.sheet import LEGEND_WIDTH, Facets, facets, legend_at_right, sheet, write_margins
+from vibrojax.plot.style import FAINT, INK, UNDEFINED, Mark, styled
 
 _READINGS = ("onset", "literal", "percent")  # of the logarithmic law: their C are comparable, since all are speeds
 _MARKS: dict[str, MarkerType] = {"onset": "o", "literal": "s", "percent": "^", "line": "D", "power": "v"}
@@ -30,31 +34,47 @@ _EQUAL_AIC = 2.0  # difference of AIC up to which a form counts as equal to the 
 _LOG_AIC_FROM, _LINEAR_AIC = 30.0, 10.0
 _TICKS = (0, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000)
 _DODGE = 0.012  # offset between error bars at the same abscissa, as a fraction of the axis
-
 _MOST_MAP_FACETS = 3
 _SAME_ERROR = 0.1  # range of errors, relative to the greatest, up to which a note replaces their map
 _BEST, _ERROR = "best_form", "C_relative_error"
+_MOST_GROUPS, _MOST_COLUMNS = 6, 3
+_ROW_HEIGHT = 2.4  # height of a row of panels [inch]
+_MANY_LANES = 60  # number of drawn lanes in a group from which on the markers are small
+_CURVE_POINTS = 200
+# The power law often coincides with the straight line: dashed, it leaves the line's colour visible.
+_DASHES = {"power": (0.0, (2.5, 2.0))}
+_RELIEF, _RATE, _USE = "data_relief", "data_rate_of_penetration", "data_use"
+
+_USES = {
+    "fitted": ("data", Mark(marker="o", color=INK, markeredgewidth=0.0)),
+    "censored": (
+        "no penetration (censored)",
+        Mark(marker="o", color=INK, markerfacecolor="white", markeredgewidth=0.9),
+    ),
+    "left-out": ("left out of the fit", Mark(marker="x", color=FAINT, markeredgewidth=1.2)),
+}
 
 
 @styled
 def law_lines(fit: xr.Dataset) -> Figure:
-    """Draw C in each reading of the law, and the AIC of every form, over the longest axis of the groups.
-
-    See `vibrojax.analyses.pictures.fitted_law`.
-    """
+    """Draw C in each reading of the law, and the AIC of every form, over the longest axis of the groups."""
     fit = law_in(fit)
     x = longest_axis(fit)
     fit = fit.sortby(x.name) if x.is_number else fit
     panels, groups = facets(fit, (POINT, x.name), MOST_ROWS), groups_to_show(fit)
     has_aic = "aic" in fit
-    figure, rows, above = new_rows(panels, 1 + has_aic, height_of(groups))
-    draw_fits(figure, above, groups)
+    figure, rows, above = new_rows(panels, 1 + has_aic, _ROW_HEIGHT * -(-len(groups) // _MOST_COLUMNS))
+    uses = draw_fits(figure, above, groups)
     factor, unit = scale(fit["C"])
     for row in rows:
         _draw_coefficients(row, x, factor)
         row.label(0, x.label, with_unit("C", unit))
         if has_aic:
-            _draw_excess(row, x)
+            row.axes[1].axhspan(0.0, _EQUAL_AIC, color=FAINT, alpha=0.25, linewidth=0)
+            for k, name in enumerate(_forms(fit)):
+                excess = np.atleast_1d(_above_best(row.facet).sel({FORM: name}).values)
+                places = x.of(row.facet) if x.name else [float(k)]
+                row.axes[1].plot(places, excess, label=name, **_mark(name, x))
             row.label(1, x.label, "AIC above the best form")
     if has_aic:
         _scale_excess(rows)
@@ -70,7 +90,7 @@ def law_lines(fit: xr.Dataset) -> Figure:
         room = 0.15 * ((high - low) or 1.0)
         rows[0].axes[0].set_ylim(low - room, high + room)
     equal: list[Artist] = [Patch(facecolor=FAINT, alpha=0.25, label="as good as the best")]
-    legend_at_right(figure, _line_handles(fit), equal if has_aic else [], data_handles(groups))
+    legend_at_right(figure, _line_handles(fit), equal if has_aic else [], uses)
     along = f"Fitted along {fit.attrs['along']}; bars of one standard error" if "along" in fit.attrs else ""
     write_margins(figure, fit, panels.note, data_text(groups, fit), along, _lacking_text(fit))
     return figure
@@ -91,14 +111,6 @@ def _draw_coefficients(row: Row, x: Across, factor: float) -> None:
         axes.errorbar(places, values, bars, label=name, capsize=2.5, elinewidth=0.9, **_mark(name, x))
 
 
-def _draw_excess(row: Row, x: Across) -> None:
-    axes, excess = row.axes[1], _above_best(row.facet)
-    axes.axhspan(0.0, _EQUAL_AIC, color=FAINT, alpha=0.25, linewidth=0)
-    for k, name in enumerate(_forms(row.facet)):
-        values = np.atleast_1d(excess.sel({FORM: name}).values)
-        axes.plot(x.of(row.facet) if x.name else [float(k)], values, label=name, **_mark(name, x))
-
-
 def _scale_excess(rows: Sequence[Row]) -> None:
     """Scale the AIC axis from zero upwards; for large differences it is logarithmic above a bound."""
     greatest = max(float(np.nanmax(_above_best(row.facet).values, initial=0.0)) for row in rows)
@@ -116,10 +128,9 @@ def _scale_excess(rows: Sequence[Row]) -> None:
 def _lacking_text(fit: xr.Dataset) -> str:
     """Return the note on how many groups have no C, per reading if the numbers differ; empty if all groups have one."""
     lacking = {name: int(np.isnan(fit["C"].sel({FORM: name}).values).sum()) for name in _readings(fit)}
-    if len(set(lacking.values())) == 1:
-        parts = [str(count) for count in set(lacking.values()) if count]
-    else:
-        parts = [f"{name}: {count}" for name, count in lacking.items() if count]
+    differ = len(set(lacking.values())) > 1
+    parts = [f"{name}: {count}" if differ else str(count) for name, count in lacking.items() if count]
+    parts = parts if differ else parts[:1]
     return f"Groups without a C, of {fit['C'].size // fit.sizes[FORM]}: {', '.join(parts)}" if parts else ""
 
 
@@ -141,23 +152,21 @@ def law_map(fit: xr.Dataset) -> Figure:
     if "C_stderr" in form:
         error = 100.0 * form["C_stderr"] / np.abs(form["C"])
         shown[_ERROR] = error.where(np.isfinite(error)).assign_attrs(units="%")
-        errors = shown[_ERROR].values[np.isfinite(shown[_ERROR].values)]
-        if errors.size:
-            low, high = (float(end) for end in np.percentile(errors, ROBUST))  # without outliers
+        if shown[_ERROR].notnull().any():
+            low, high = np.nanpercentile(shown[_ERROR].values, ROBUST).tolist()  # without outliers
             if high - low > _SAME_ERROR * high:
                 values += (value_of(shown[_ERROR]),)
             else:
-                ends = dict.fromkeys((f"{low:.2g}", f"{high:.2g}"))
-                error_note = f"Standard error of C: {' to '.join(ends)} %"
+                error_note = f"Standard error of C: {' to '.join(dict.fromkeys((f'{low:.2g}', f'{high:.2g}')))} %"
     if "aic" in fit:
         good = _above_best(fit) <= _EQUAL_AIC
         shown[_BEST] = good.argmax(FORM).where(good.any(FORM))  # index of the first form as good as the best
     panels, groups = facets(shown, (x, y), _MOST_MAP_FACETS), groups_to_show(fit)
-    drawn = sheet(panels, ((None,) if _BEST in shown else ()) + values, height_of(groups))
-    draw_fits(drawn.figure, drawn.above, groups)
+    drawn = sheet(panels, ((None,) if _BEST in shown else ()) + values, _ROW_HEIGHT * -(-len(groups) // _MOST_COLUMNS))
+    uses = draw_fits(drawn.figure, drawn.above, groups)
     if len(groups):
         drawn.figure.set_figwidth(drawn.figure.get_figwidth() + LEGEND_WIDTH)
-        legend_at_right(drawn.figure, _line_handles(fit), data_handles(groups))
+        legend_at_right(drawn.figure, _line_handles(fit), uses)
     colours = ListedColormap([form_colour(name) for name in forms], name="forms").with_extremes(bad=UNDEFINED)
     norm = BoundaryNorm(np.arange(-0.5, len(forms)), len(forms))
     for panel in drawn:
@@ -166,31 +175,24 @@ def law_map(fit: xr.Dataset) -> Figure:
         else:
             fill_cells(panel, x, y, coloured(panel.facet, panel.value, y, x))
         write_labels(panel, shown[x], shown[y])
-    handles: list[Artist] = []
-    if _BEST in shown:
-        numbers = np.concatenate([facet[_BEST].values.ravel() for facet in panels.data])
-        shares = {name: float((numbers == k).mean()) for k, name in enumerate(forms)}
-        handles += [patch(form_colour(name), f"{name}  {share_text(s)}") for name, s in shares.items() if s > 0]
-    drawn.finish(handles + cell_handles(panels.data, values))
+    best = [number for facet in panels.data if _BEST in facet for number in facet[_BEST].values.ravel().tolist()]
+    shares = {name: best.count(k) / max(len(best), 1) for k, name in enumerate(forms)}
+    handles = [patch(form_colour(name), f"{name}  {share_text(share)}") for name, share in shares.items() if share > 0]
+    drawn.finish([*handles, *cell_handles(panels.data, values)])
     along = f"fitted along {fit.attrs['along']}, " if "along" in fit.attrs else ""
-    best = "; at the left the first form within 2 of the least AIC" * (_BEST in shown)
-    about = f"The law {along}C of the form {name}{best}"
+    left = "; at the left the first form within 2 of the least AIC" * (_BEST in shown)
+    about = f"The law {along}C of the form {name}{left}"
     write_margins(drawn.figure, fit, panels.note, data_text(groups, fit), about, error_note)
     return drawn.figure
 
 
-# Forms.
-
-
 def _forms(fit: xr.Dataset) -> list[str]:
-    """Return the names of the forms in the dataset's order."""
     return [str(name) for name in fit[FORM].values]
 
 
 def _readings(fit: xr.Dataset) -> list[str]:
     """Return the forms that are readings of the logarithmic law, or all forms if none is."""
-    names = _forms(fit)
-    return [name for name in _READINGS if name in names] or names
+    return [name for name in _READINGS if name in _forms(fit)] or _forms(fit)
 
 
 def _mark(name: str, x: Across | None = None) -> Mark:
@@ -216,3 +218,79 @@ def _above_best(fit: xr.Dataset) -> xr.DataArray:
     """Return the difference between each form's AIC and the lowest AIC in the group; NaN for a form without AIC."""
     aic = fit["aic"].where(np.isfinite(fit["aic"]))
     return aic - aic.min(FORM)
+
+
+def groups_to_show(fit: xr.Dataset) -> Facets:
+    """Return one facet per group, of at most six groups; no facets if the fit does not contain its data."""
+    return facets(fit, (), _MOST_GROUPS) if {_RELIEF, _RATE, _USE} <= set(fit.data_vars) else Facets((), ())
+
+
+def draw_fits(figure: Figure, place: SubplotSpec | None, groups: Facets) -> list[Artist]:
+    """Draw a panel per group into `place`: the data and the fitted curve of each form. Return entries of the legend.
+
+    Without a place, nothing is drawn. The entries are those of the occurring uses of lanes: fitted, censored, left out.
+    """
+    if place is None:
+        return []
+    wide = min(len(groups), _MOST_COLUMNS)
+    grid = place.subgridspec(-(-len(groups) // wide), wide)
+    for k, (title, group) in enumerate(zip(groups.titles, groups.data, strict=True)):
+        axes = figure.add_subplot(grid[divmod(k, wide)])
+        factor, unit = scale(group[_RATE])
+        _draw_group(axes, group, factor)
+        axes.set_title(title, loc="left")
+        axes.set_xlabel("relief P/D" if k + wide >= len(groups) else "")
+        axes.set_ylabel(with_unit("rate of penetration", unit) if k % wide == 0 else "")
+    shown = {use for group in groups.data for use in _masks(group)}
+    look = Mark(linestyle="none", markersize=4.5)
+    return [Line2D([], [], label=text, **look | mark) for use, (text, mark) in _USES.items() if use in shown]
+
+
+def data_text(groups: Facets, fit: xr.Dataset) -> str:
+    """Return the note on how many groups are drawn, or an empty string if none or all of them are."""
+    count = fit["C"].size // fit.sizes[FORM]
+    return f"Data and curves of {len(groups)} of {count} groups" if 0 < len(groups) < count else ""
+
+
+def _draw_group(axes: Axes, group: xr.Dataset, factor: float) -> None:
+    relief, rate = group[_RELIEF].values, factor * group[_RATE].values
+    seen = np.isfinite(relief) & np.isfinite(rate) & (relief > 0)
+    axes.grid(True)
+    if not seen.any():
+        return
+    rates = {form.name: form.rate for form in FORMS}
+    eta = np.linspace(relief[seen].min(), relief[seen].max(), _CURVE_POINTS)
+    for name in (str(name) for name in group[FORM].values):
+        form = group.sel({FORM: name})
+        coefficients = [float(form[x]) if x in form else np.nan for x in ("C", "eta0", "exponent")]
+        if name in rates and np.isfinite(coefficients[0]):
+            line = Mark(color=form_colour(name), linewidth=1.4, linestyle=_DASHES.get(name, "-"))
+            axes.plot(eta, factor * rates[name](eta, *coefficients), label=name, **line)
+    size = 4.2 if seen.sum() < _MANY_LANES else 2.2
+    for use, mask in _masks(group).items():
+        look = Mark(linestyle="none", markersize=size, zorder=3) | _USES[use][1]
+        axes.plot(relief[mask], rate[mask], label=f"_{use}", **look)
+    top = float(np.max(rate[seen])) or 1.0
+    axes.set_ylim(-0.06 * top, 1.1 * top)  # clips the curve of a form far from the data
+
+
+def _masks(group: xr.Dataset) -> dict[str, np.ndarray]:
+    """Return a mask of the drawable lanes (finite relief and rate) for each use that occurs."""
+    meanings = str(group[_USE].attrs["flag_meanings"]).split()
+    known = np.isfinite(group[_RELIEF].values) & np.isfinite(group[_RATE].values)
+    masks = {name: known & (group[_USE].values == meanings.index(name)) for name in _USES}
+    return {name: mask for name, mask in masks.items() if mask.any()}
+
+
+class Fits(Analysis):
+    """The fit of the rate-of-penetration law to a sweep's dataset or to rig data."""
+
+    kind = "fit"
+    pictures = (
+        PictureRule("law", lambda held: held.law and len(held.long) > 1, law_map),
+        PictureRule("law", lambda held: held.law, law_lines),
+    )
+
+    def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
+        """Return a summary part that lists the CSV column used for each quantity."""
+        return [SummaryPart("columns", columns_lines(ds))]

@@ -2,13 +2,12 @@
 
 import math
 from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 import xarray as xr
 from jaxtyping import Float, Shaped
 
-from vibrojax.analyses.rop_law.forms import LOGARITHMIC
 from vibrojax.analyses.rop_law.least_squares import REASONS
 from vibrojax.errors import Place
 from vibrojax.io.attributes import table_of, title_of
@@ -39,6 +38,11 @@ GOODNESS_SCHEMA = {
 """Schema of the variables that every fit of a rate-of-penetration law contains."""
 
 
+LAW_TITLE = "rate-of-penetration law"
+LOGARITHMIC = ("literal", "percent", "onset")
+"""Names of the three readings of the source's law, eq. 6.4."""
+
+
 def to_variables(
     schema: Mapping[str, Variable], values: Mapping[str, object], dims: Mapping[str, Sequence[Hashable]]
 ) -> dict[str, xr.Variable]:
@@ -49,79 +53,64 @@ def to_variables(
     }
 
 
-def law_title(place: Place, data: xr.Dataset) -> str:
-    """Return the dataset title of a fit of the rate-of-penetration law."""
-    return f"rate-of-penetration law: {title_of(data, place.file)}"
+def fit_dataset(
+    place: Place,
+    data: xr.Dataset,
+    step: str,
+    title: str,
+    schema: Mapping[str, Variable],
+    values: Mapping[str, object],
+    dims: Mapping[str, Sequence[Hashable]],
+    coordinates: Mapping[Any, Any],
+    **more: str | float,
+) -> xr.Dataset:
+    """Return the dataset of a fit, with its provenance and the attributes of the data that remain valid.
 
-
-def attributes(
-    place: Place, data: xr.Dataset, step: str, title: str, more: Mapping[str, str | float]
-) -> dict[str, object]:
-    """Return the dataset attributes of a fit: its provenance, and attributes of the data that remain valid.
-
-    **Arguments:** `step`: name of the computation, for the attribute `history`; `more`: further attributes.
+    **Arguments:** `step`: name of the computation, for the attribute `history`; `title`: title, which is followed by
+    that of the data; `schema`, `values`, `dims`: as in `to_variables`; `more`: further attributes.
     """
-    kept = {name: data.attrs[name] for name in ("scene", "sweep", "parameters", "columns") if name in data.attrs}
-    own = dataset_attributes("fit", title, f"{step} {place.file}")
+    own = dataset_attributes("fit", f"{title}: {title_of(data, place.file)}", f"{step} {place.file}")
     if "history" in data.attrs:
         own["history"] = f"{own['history']}\n{data.attrs['history']}"
-    return {**own, **kept, **more}
+    kept = {name: data.attrs[name] for name in ("scene", "sweep", "parameters", "columns") if name in data.attrs}
+    return xr.Dataset(to_variables(schema, values, dims), coordinates, {**own, **kept, **more})
 
 
-@dataclass(frozen=True)
-class GroupSummary:
-    """The fits to one group of lanes: its name, its coordinates, and the fitted values of each form.
+def law_facts(fit: xr.Dataset) -> dict[str, Any]:
+    """Return the summary of a fitted rate-of-penetration law as a dictionary of JSON values.
 
-    Flags are replaced by their meanings.
+    It contains the name and the coordinates of each group and, by form, the fitted values, with the meanings of flags.
+
+    **Arguments:** `fit`: a dataset that `fit_rop` returned.
     """
+    dims = [dim for dim in fit["aic"].dims if dim != "form"]
+    values = {str(name): table(fit, str(name)) for name, v in fit.items() if set(v.dims) == {*dims, "form"}}
+    for name in ("reason", "r_squared_reason"):
+        values[name] = np.array(str(fit[name].attrs["flag_meanings"]).split())[values[name]]
+    groups = []
+    for index, position in enumerate(np.ndindex(*(fit.sizes[dim] for dim in dims))):
+        lanes = fit.isel(dict(zip(dims, position, strict=True)))
+        coordinates = {str(name): lanes[name].item() for name in lanes.coords if lanes[name].ndim == 0}
+        forms = {
+            str(form): {name: rows[index, column].item() for name, rows in values.items()}
+            for column, form in enumerate(fit["form"].values)
+        }
+        groups.append({"name": _group_name(fit, dims, position), "coordinates": coordinates, "forms": forms})
+    columns = table_of(fit, "columns") or None
+    return {"along": str(fit.attrs["along"]), "columns": columns, "groups": groups, "verdict": verdict(fit)}
 
-    name: str
-    coordinates: dict[str, object]
-    forms: dict[str, dict[str, float | int | str]]
 
-
-@dataclass(frozen=True)
-class RateLawSummary:
-    """The summary of a fitted rate-of-penetration law, for output as text or JSON."""
-
-    along: str
-    columns: dict[str, object] | None
-    groups: list[GroupSummary]
-    verdict: list[str]
-
-    @classmethod
-    def of(cls, fit: xr.Dataset) -> "RateLawSummary":
-        """Return the summary of a dataset that `fit_rop` returned."""
-        dims = [dim for dim in fit["aic"].dims if dim != "form"]
-        values = {str(name): table(fit, str(name)) for name, v in fit.items() if set(v.dims) == {*dims, "form"}}
-        for name in ("reason", "r_squared_reason"):
-            values[name] = np.array(str(fit[name].attrs["flag_meanings"]).split())[values[name]]
-        groups = []
-        for index, position in enumerate(np.ndindex(*(fit.sizes[dim] for dim in dims))):
-            lanes = fit.isel(dict(zip(dims, position, strict=True)))
-            coordinates = {str(name): lanes[name].item() for name in lanes.coords if lanes[name].ndim == 0}
-            forms = {
-                str(form): {name: rows[index, column].item() for name, rows in values.items()}
-                for column, form in enumerate(fit["form"].values)
-            }
-            groups.append(GroupSummary(_group_name(fit, dims, position), coordinates, forms))
-        return cls(str(fit.attrs["along"]), table_of(fit, "columns") or None, groups, verdict(fit))
-
-    def facts(self) -> dict[str, object]:
-        """Return the summary as a dictionary of JSON values."""
-        return asdict(self)
-
-    def lines(self) -> list[str]:
-        """Return lines of text: a table of the forms for each of the first groups, then the number of other groups."""
-        lines: list[str] = []
-        for group in self.groups[:_GROUPS_TABULATED]:
-            first = next(iter(group.forms.values()))
-            left_out = f", {first['left_out']} left out" if first["left_out"] else ""
-            lines += [""] * bool(lines) + [f"{group.name}: {first['used']} lanes along {self.along}{left_out}"]
-            lines.append(f"  {'form':<9}{'C [m/s]':<24}{'eta0':<22}{'exponent':<20}{'R2':>8}{'AIC':>10}")
-            lines += [f"  {form:<9}{_table_row(values)}".rstrip() for form, values in group.forms.items()]
-        further = len(self.groups) - _GROUPS_TABULATED
-        return lines + ([f"and {further} groups more"] if further > 0 else [])
+def law_table(facts: Mapping[str, Any]) -> list[str]:
+    """Return lines of text: a table of the forms for each of the first groups, then the number of other groups."""
+    lines: list[str] = []
+    for group in facts["groups"][:_GROUPS_TABULATED]:
+        first = next(iter(group["forms"].values()))
+        left_out = f", {first['left_out']} left out" if first["left_out"] else ""
+        lines += [""] * bool(lines) + [f"{group['name']}: {first['used']} lanes along {facts['along']}{left_out}"]
+        lines.append(f"  {'form':<9}{'C [m/s]':<24}{'eta0':<22}{'exponent':<20}{'R2':>8}{'AIC':>10}")
+        lines += [f"  {form:<9}{_table_row(values)}".rstrip() for form, values in group["forms"].items()]
+    further = len(facts["groups"]) - _GROUPS_TABULATED
+    return lines + ([f"and {further} groups more"] if further > 0 else [])
 
 
 def _table_row(values: Mapping[str, float | int | str]) -> str:

@@ -1,28 +1,40 @@
-"""Fits of every form of the rate-of-penetration law to every group of lanes (a lane: one relief and its rate)."""
+"""Fits of every form of the rate-of-penetration law to every group of lanes (a lane: one relief and its rate).
+
+The source's law, rate = C ln(P/D) (eq. 6.4), gives a negative rate if the relief P/D is below 1. It is therefore read
+in three ways ("forms"): as printed, with P/D in percent, and as C ln((P/D)/eta0) with a fitted onset eta0, the relief
+at which penetration begins. A straight line and a power law serve as comparison.
+"""
 
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
+from jaxtyping import Float
 
 from vibrojax.analyses.rop_law.columns import columns_lines
 from vibrojax.analyses.rop_law.data import Columns, Data, open_data
-from vibrojax.analyses.rop_law.forms import FORMS, Form
 from vibrojax.analyses.rop_law.groups import group_lanes, usable_lanes
 from vibrojax.analyses.rop_law.least_squares import (
-    LEAST_SPREAD,
     LOSSES,
+    ExponentialRates,
+    Jacobian,
+    LaneFlags,
     Lanes,
+    LinearRates,
+    RateModel,
     Reason,
+    Theta,
     covariance,
     goodness,
     minimise,
     minimise_loss,
     r_squared_reason,
+    reason_of_no_fit,
 )
-from vibrojax.analyses.rop_law.results import GOODNESS_SCHEMA, attributes, law_title, to_variables
+from vibrojax.analyses.rop_law.results import GOODNESS_SCHEMA, LAW_TITLE, fit_dataset
 from vibrojax.errors import shown, suggestion
 from vibrojax.io.variables import Variable
 from vibrojax.progress import LOG
@@ -43,6 +55,78 @@ _SCHEMA = {
     **GOODNESS_SCHEMA,
     "r_squared": Variable("1", "share of the rate's variance that the form explains"),
 }
+
+Coefficients = Float[np.ndarray, " 3"]
+"""C (in the unit of the rate), eta0 and exponent; NaN for a coefficient that the formula does not have."""
+
+Slopes = Float[np.ndarray, "3 coefficients"]
+"""Derivatives of `Coefficients` with respect to the fitted parameters theta."""
+
+
+@dataclass(frozen=True)
+class Form:
+    """A formula of the law: the rate as a function of z = (t - centre)/spread, a variable t(eta) scaled in each group.
+
+    eta is the relief P/D. `variable` is the function t, and `inverse` converts t to eta. `kind` is one of
+
+    - "proportional": rate = theta_0 z,
+    - "onset": rate = theta_0 + theta_1 z,
+    - "power": rate = exp(theta_0 + theta_1 z).
+
+    `rate` is the formula as a function of eta and the coefficients C, eta0 and exponent.
+    """
+
+    name: str
+    formula: str
+    kind: str
+    variable: Callable[[Lanes], Lanes]
+    rate: Callable[[Lanes, float, float, float], Lanes]
+    inverse: Callable[[float], float] = float
+
+    @property
+    def size(self) -> int:
+        """Number of coefficients."""
+        return 1 if self.kind == "proportional" else 2
+
+    def model(self, relief: Lanes, seen: LaneFlags) -> tuple[RateModel, tuple[float, float]]:
+        """Return the model of a group's rates, and the centre and spread of t over `seen`, the lanes that penetrate."""
+        t = self.variable(relief)
+        centre = 0.0 if self.kind == "proportional" else float(t[seen].mean())
+        spread = float(np.sqrt(np.mean((t[seen] - centre) ** 2)))
+        z = (t - centre) / spread
+        columns: Jacobian = z[:, None] if self.size == 1 else np.stack([np.ones_like(z), z], axis=1)
+        return (ExponentialRates if self.kind == "power" else LinearRates)(columns), (centre, spread)
+
+    def coefficients(self, theta: Theta, centre: float, spread: float) -> tuple[Coefficients, Slopes]:
+        """Return the coefficients of the law, and their derivatives with respect to theta."""
+        none = [np.nan] * self.size
+        if self.kind == "proportional":
+            return np.array([theta[0] / spread, np.nan, np.nan]), np.array([[1 / spread], none, none])
+        if self.kind == "power":
+            exponent = theta[1] / spread
+            c = np.exp(theta[0] - exponent * centre)
+            return np.array([c, np.nan, exponent]), np.array([[c, -c * centre / spread], none, [0.0, 1 / spread]])
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            onset = centre - spread * theta[0] / theta[1]
+            eta0 = self.inverse(onset)
+            slope = (eta0 if self.variable is np.log else 1.0) * spread / theta[1]
+            slopes = [[0.0, 1 / spread], [-slope, slope * theta[0] / theta[1]], none]
+        return np.array([theta[1] / spread, eta0, np.nan]), np.array(slopes)
+
+
+FORMS = (
+    Form("literal", "C ln(eta)", "proportional", np.log, lambda eta, C, eta0, exponent: C * np.log(eta)),
+    Form(
+        "percent",
+        "C ln(100 eta)",
+        "proportional",
+        lambda eta: np.log(100 * eta),
+        lambda eta, C, eta0, exponent: C * np.log(100.0 * eta),
+    ),
+    Form("onset", "C ln(eta/eta0)", "onset", np.log, lambda eta, C, eta0, exponent: C * np.log(eta / eta0), np.exp),
+    Form("line", "C (eta - eta0)", "onset", np.asarray, lambda eta, C, eta0, exponent: C * (eta - eta0)),
+    Form("power", "C eta^exponent", "power", np.log, lambda eta, C, eta0, exponent: C * eta**exponent),
+)
 
 
 def fit_rop(
@@ -106,39 +190,34 @@ def fit_rop(
     values = {name: np.array([fit[name] for fit in fits]) for name in fits[0]}
     values["left_out"] = np.repeat(groups.count, len(FORMS)) - values["used"]
     values["r_squared_reason"] = r_squared_reason(values["r_squared"], values["reason"])
-    shape = (*groups.sizes.values(), len(FORMS))
-    shaped = {name: value.reshape(shape) for name, value in values.items()}
-    variables = to_variables(_SCHEMA, shaped, dict.fromkeys(_SCHEMA, (*groups.sizes, "form")))
+    shaped = {name: value.reshape(*groups.sizes.values(), len(FORMS)) for name, value in values.items()}
     form = ("form", [form.name for form in FORMS], {"units": "1", "long_name": "form of the law"})
     more = {"along": groups.along, "formulas": "; ".join(f"{form.name}: {form.formula}" for form in FORMS)}
     more |= {"robust": robust} if robust else {}
-    about = attributes(place, data, "fit", law_title(place, data), more)
-    return xr.Dataset(variables | groups.data_variables(), {**groups.coordinates, "form": form}, about)
+    dims, coordinates = dict.fromkeys(_SCHEMA, (*groups.sizes, "form")), {**groups.coordinates, "form": form}
+    fit = fit_dataset(place, data, "fit", LAW_TITLE, _SCHEMA, shaped, dims, coordinates, **more)
+    return fit.assign(groups.data_variables())
 
 
 def _fit_form(form: Form, relief: Lanes, rate: Lanes, robust: str | None) -> dict[str, float | int]:
     """Fit a form to one group; return its values by name, NaN with a `reason` if the lanes do not identify them."""
     seen = rate > 0
-    names = ("C", "C_stderr", "eta0", "eta0_stderr", "exponent", "exponent_stderr", "r_squared", "aic")
+    names = [name for name, variable in _SCHEMA.items() if variable.dtype is np.float64]
     fit: dict[str, float | int] = {**dict.fromkeys(names, np.nan), "degrees_of_freedom": 0, "used": rate.size}
-    if not seen.any():
-        return fit | {"reason": Reason.ALL_CENSORED if rate.size else Reason.TOO_FEW_LANES}
-    if seen.sum() <= form.size:
-        return fit | {"reason": Reason.TOO_FEW_LANES}
-    if not np.std(np.log(relief[seen])) > LEAST_SPREAD:
-        return fit | {"reason": Reason.NO_SPREAD}
+    if (reason := reason_of_no_fit(seen, form.size, np.log(relief))) is not None:
+        return fit | {"reason": reason}
     unit = float(rate.max())  # scaled rates: squares of very small or large rates would underflow or overflow
     y, censored = rate / unit, ~seen
     model, frame = form.model(relief, seen)
-    minimum, scale = minimise(model, y, censored), 1.0
+    minimum, spread = minimise(model, y, censored), 1.0
     if robust:
-        minimum, scale = minimise_loss(LOSSES[robust], model, y, censored, minimum)
+        minimum, spread = minimise_loss(LOSSES[robust], model, y, censored, minimum)
     if not minimum.converged:
         return fit | {"reason": Reason.NOT_CONVERGED}
     theta, lanes = minimum.theta, minimum.active
     noise = minimum.residual[lanes]
     if robust:  # the residual is replaced by psi (the derivative of the loss), divided by the mean of its slope
-        loss, scaled = LOSSES[robust], noise / scale
+        loss, scaled = LOSSES[robust], noise / spread
         noise = noise * loss.weight(scaled) / np.mean(loss.slope(scaled))
     square = covariance(minimum.jacobian[lanes], noise)
     values, slopes = form.coefficients(theta, *frame)
@@ -149,12 +228,6 @@ def _fit_form(form: Form, relief: Lanes, rate: Lanes, robust: str | None) -> dic
         if abs(theta[1]) <= least or not np.isfinite(values[1]):
             values[1], reason = np.nan, Reason.NO_SLOPE
     errors[np.isnan(values)] = np.nan
-    fit["C"], fit["C_stderr"] = unit * values[0], unit * errors[0]
-    fit["eta0"], fit["eta0_stderr"], fit["exponent"], fit["exponent_stderr"] = (
-        values[1],
-        errors[1],
-        values[2],
-        errors[2],
-    )
-    fit["r_squared"], fit["aic"] = goodness(minimum.residual, y, unit, form.size)
-    return fit | {"degrees_of_freedom": int(lanes.sum()) - form.size, "reason": reason}
+    for name, scale, value, error in zip(("C", "eta0", "exponent"), (unit, 1.0, 1.0), values, errors, strict=True):
+        fit[name], fit[f"{name}_stderr"] = scale * value, scale * error
+    return fit | goodness(minimum, y, unit) | {"reason": reason}
