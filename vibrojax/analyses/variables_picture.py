@@ -20,8 +20,8 @@ from vibrojax.plot.contents import (
     POINT,
     REGIME,
     TIME,
+    Contents,
     axes_of_map,
-    contents,
     lane_dims,
     named_groups,
     varied,
@@ -34,10 +34,9 @@ from vibrojax.plot.curves import (
     draw_over_time,
     line_handles,
     longest_axis,
-    new_rows,
     split_lines,
 )
-from vibrojax.plot.sheet import facets, legend_at_right, write_margins
+from vibrojax.plot.sheet import facets, legend_at_right, new_rows, write_margins
 from vibrojax.plot.starts import medians, medians_text, varied_states
 from vibrojax.plot.style import BIT, Mark, new_figure, styled
 
@@ -65,7 +64,7 @@ def variables(ds: xr.Dataset, names: Sequence[str]) -> Figure:
     ds = without_single(
         ds.assign({name: ds[name].isel({MULTIPLIER: 0}) for name in names if MULTIPLIER in ds[name].dims})
     )
-    held, note = contents(ds), ""
+    held, note = Contents(ds), ""
     values = tuple(None if name == REGIME else value_of(ds[name]) for name in names)
     if FORM in ds[names[0]].dims:
         return _draw_curves(ds, values)

@@ -19,7 +19,7 @@ from matplotlib.ticker import NullLocator
 from vibrojax.errors import InputError, printable
 from vibrojax.measures.labels import REGIMES
 from vibrojax.plot.axes import scale, share_text, with_unit
-from vibrojax.plot.contents import RATE, REGIME, RELIEF, contents
+from vibrojax.plot.contents import RATE, REGIME, RELIEF, quantities_beside
 from vibrojax.plot.style import INK, NOTHING, UNDEFINED, colour_map, other_colour
 
 # One fixed colour for each regime, so that pictures of different runs can be compared. Any two differ by 28 or more in
@@ -189,7 +189,7 @@ def form_colour(name: str) -> str:
 
 def values_beside(ds: xr.Dataset) -> tuple[Value, ...]:
     """Return the quantities that get a panel next to the regimes."""
-    return tuple(value_of(ds[name]) for name in contents(ds).beside)
+    return tuple(value_of(ds[name]) for name in quantities_beside(ds))
 
 
 def values_of_rock(ds: xr.Dataset) -> tuple[Value, ...]:

@@ -1,8 +1,5 @@
 """Facts about a dataset's dimensions, variables and attributes that decide which picture fits it."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-
 import numpy as np
 import xarray as xr
 
@@ -27,108 +24,42 @@ _NOT_SWEPT = {START, POINT, RETURN, FORM, MULTIPLIER, ATTRACTOR, NAMED}
 _EACH_LANE = (REGIME, RATE, COEFFICIENT, "status")  # of every lane: of a drill, of rock, of a fit, of any sweep
 
 
-@dataclass(frozen=True)
 class Contents:
-    """Facts about a dataset that decide which picture fits it.
+    """Facts about a dataset that decide which picture fits it."""
 
-    - `variables`, `dimensions`: their names.
-    - `axes`: swept axes to draw along; `long`: swept axes with too many values for one line each; `wide`: whether at
-      least two swept axes have enough values for a map.
-    - `varied`: the parameters that vary along a list of points, with their numbers of values.
-    - `beside`: the quantities that get a panel next to the regimes.
-    - `points`: whether the lanes form a list of points, rather than a grid.
-    - `many_starts`: whether every point has more initial conditions than panels are possible.
-    - `swept_sine`: whether the force of a run is a sine of changing frequency.
-    """
-
-    variables: frozenset[str]
-    dimensions: frozenset[str]
-    axes: tuple[str, ...]
-    long: tuple[str, ...]
-    wide: bool
-    varied: Mapping[str, int]
-    beside: tuple[str, ...]
-    points: bool
-    many_starts: bool
-    swept_sine: bool
-
-    @property
-    def run(self) -> bool:
-        """True for a single run over time."""
-        return TIME in self.dimensions
-
-    @property
-    def bit_on_rock(self) -> bool:
-        """True for a run of the bit on rock without the drill: it has the bit in the hole, `x3`, but no `x1`."""
-        return self.run and "x3" in self.variables and "x1" not in self.variables
-
-    @property
-    def hole(self) -> bool:
-        """True for a run with the depths of bit (`x3`) and hole (`x4`)."""
-        return self.run and {"x3", "x4"} <= self.variables
-
-    @property
-    def regimes(self) -> bool:
-        """True for a sweep whose lanes have regime labels."""
-        return REGIME in self.variables
-
-    @property
-    def returns(self) -> bool:
-        """True for a labelled sweep over at least one axis that stored the section crossings."""
-        return self.regimes and RETURNS in self.variables and bool(self.axes)
-
-    @property
-    def carried(self) -> bool:
-        """True for a labelled sweep whose lanes were carried up and down along an axis."""
-        return self.regimes and DIRECTION in self.dimensions
-
-    @property
-    def rates(self) -> bool:
-        """True for a sweep of a scene with rock."""
-        return RATE in self.variables
-
-    @property
-    def law(self) -> bool:
-        """True for a fit of several formulas of the penetration law."""
-        return COEFFICIENT in self.variables and FORM in self.dimensions
-
-    @property
-    def points_over_two(self) -> bool:
-        """True for a list of points over two parameters."""
-        return self.points and len(self.varied) == 2
-
-    @property
-    def quantities_over_one(self) -> bool:
-        """True for quantities along a single axis, which are drawn as curves."""
-        return len(self.axes) == 1 and bool(self.beside)
-
-    @property
-    def worth_a_map(self) -> bool:
-        """True for lanes over two parameters that both have too many values for one line each."""
-        if not self.points:
-            return len(self.long) >= 2
-        return self.points_over_two and (self.regimes or min(self.varied.values()) > MOST_LINES)
+    def __init__(self, ds: xr.Dataset) -> None:
+        self.variables = frozenset(str(name) for name in ds.variables)
+        self.dimensions = frozenset(str(name) for name in ds.dims)
+        # Swept axes: those to draw along, those with too many values for one line each, and whether a map fits.
+        self.axes = axes_to_draw(ds)
+        self.long = long_axes(ds)
+        self.wide = sum(ds.sizes[name] >= ENOUGH for name in swept(ds)) > 1
+        # The lanes form a list of points, rather than a grid; the parameters that vary along it; exactly two do.
+        self.points = POINT in lane_dims(ds)
+        self.varied = varied(ds)
+        self.points_over_two = self.points and len(self.varied) == 2
+        self.many_starts = many_starts(ds)
+        # A single run over time; with the depths of bit and hole; of the bit on rock without the drill, which has x1.
+        self.run = TIME in ds.dims
+        self.hole = self.run and {"x3", "x4"} <= self.variables
+        self.bit_on_rock = self.run and "x3" in ds and "x1" not in ds
+        self.swept_sine = ds.attrs.get("pulse_shape") == "sweep" and parameters_of(ds).get("sweep_rate", 0.0) != 0.0
+        # A sweep with labelled lanes; that stored section crossings along an axis; of lanes carried up and down.
+        self.regimes = REGIME in ds
+        self.returns = self.regimes and RETURNS in ds and bool(self.axes)
+        self.carried = self.regimes and DIRECTION in ds.dims
+        self.rates = RATE in ds
+        self.law = COEFFICIENT in ds and FORM in ds.dims
+        # Quantities along a single axis are drawn as curves, lanes with too many values for one line each as maps.
+        self.quantities_over_one = len(self.axes) == 1 and bool(quantities_beside(ds))
+        self.worth_a_map = len(self.long) >= 2
+        if self.points:
+            self.worth_a_map = self.points_over_two and (self.regimes or min(self.varied.values()) > MOST_LINES)
 
 
-def contents(ds: xr.Dataset) -> Contents:
-    """Return the facts about a dataset that decide which picture fits it."""
-    return Contents(
-        variables=frozenset(str(name) for name in ds.variables),
-        dimensions=frozenset(str(name) for name in ds.dims),
-        axes=axes_to_draw(ds),
-        long=long_axes(ds),
-        wide=sum(ds.sizes[name] >= ENOUGH for name in swept(ds)) > 1,
-        varied=varied(ds),
-        beside=tuple(name for name in BESIDE_REGIMES if name in ds and np.isfinite(ds[name].values).any())[:2],
-        points=POINT in lane_dims(ds),
-        many_starts=many_starts(ds),
-        swept_sine=ds.attrs.get("pulse_shape") == "sweep" and parameters_of(ds).get("sweep_rate", 0.0) != 0.0,
-    )
-
-
-def has_regimes(ds: xr.Dataset) -> bool:
-    """Return whether the lanes have regime labels."""
-    return REGIME in ds
+def quantities_beside(ds: xr.Dataset) -> tuple[str, ...]:
+    """Return the names of the quantities that get a panel next to the regimes."""
+    return tuple(name for name in BESIDE_REGIMES if name in ds and np.isfinite(ds[name].values).any())[:2]
 
 
 def regimes_in(ds: xr.Dataset) -> xr.Dataset:
@@ -143,10 +74,12 @@ def rates_in(ds: xr.Dataset) -> xr.Dataset:
 
 def law_in(fit: xr.Dataset) -> xr.Dataset:
     """Return the fit with axes of length 1 as scalars; raise `InputError` if it holds no C along `form`."""
-    reason = "no law to draw: the dataset holds no variable C along form"
-    if COEFFICIENT in fit and FORM not in fit[COEFFICIENT].dims:
-        raise InputError(reason)
-    return _require(named_groups(fit), COEFFICIENT, reason)
+    has_forms = COEFFICIENT in fit and FORM in fit[COEFFICIENT].dims
+    return _require(
+        named_groups(fit),
+        COEFFICIENT if has_forms else "",
+        "no law to draw: the dataset holds no variable C along form",
+    )
 
 
 def _require(ds: xr.Dataset, name: str, reason: str) -> xr.Dataset:

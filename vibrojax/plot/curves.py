@@ -11,23 +11,18 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_rgba
-from matplotlib.figure import Figure
-from matplotlib.gridspec import SubplotSpec
 from matplotlib.lines import Line2D
 
 from vibrojax.errors import InputError
 from vibrojax.plot.axes import is_geometric, label, scale, shape_axis, value_text
 from vibrojax.plot.colours import form_colour
 from vibrojax.plot.contents import FORM, MOST_LINES, POINT, START, is_numeric, lane_dims, named_axes, swept, varied
-from vibrojax.plot.sheet import LEGEND_WIDTH, Facets
 from vibrojax.plot.style import (
     BIT,
     ROCK_COLOURS,
     SAVED_DPI,
     Mark,
-    divide_figure,
     line_colours,
-    new_figure,
     other_colour,
     start_colour,
 )
@@ -83,23 +78,6 @@ class Line:
     lanes: xr.Dataset
 
 
-@dataclass(frozen=True)
-class Row:
-    """The panels of one facet, one per quantity. Only the row at the `bottom` has labels of the horizontal axis."""
-
-    axes: tuple[Axes, ...]
-    facet: xr.Dataset
-    bottom: bool
-
-    def label(self, quantity: int, across: str, up: str) -> None:
-        """Label the panel of one quantity, and draw grid lines."""
-        axes = self.axes[quantity]
-        axes.grid(True)
-        axes.tick_params(labelbottom=self.bottom)
-        axes.set_xlabel(across if self.bottom else "")
-        axes.set_ylabel(up)
-
-
 def longest_axis(ds: xr.Dataset) -> Across:
     """Return the longest numeric axis, preferably `frequency`; without numeric axes, the longest string-valued axis.
 
@@ -149,24 +127,6 @@ def line_handles(lines: Sequence[Line], mark: Mark) -> list[Artist]:
     chosen = sorted({int(index) for index in np.linspace(0, len(lines) - 1, MOST_LINES).round()}) if lines else []
     marker = Mark(marker="o", markersize=4.0)
     return [Line2D([], [], label=lines[i].name, **marker | mark | Mark(color=lines[i].colour)) for i in chosen]
-
-
-def new_rows(panels: Facets, quantities: int, above: float = 0.0) -> tuple[Figure, tuple[Row, ...], SubplotSpec | None]:
-    """Return an empty figure with room for a legend at the right, its rows of panels, and a free strip at the top.
-
-    The panels of a quantity share their axes. The strip is `above` inches high; None is returned for zero inches.
-    """
-    count = len(panels)
-    figure = new_figure(_PANEL_WIDTH * quantities + LEGEND_WIDTH, (2.9 if count == 1 else 2.3) * count + 0.8 + above)
-    over, place = divide_figure(figure, above)
-    grid = place.subgridspec(count, quantities)
-    rows: list[Row] = []
-    for k, (title, facet) in enumerate(zip(panels.titles, panels.data, strict=True)):
-        first = rows[0].axes if rows else (None,) * quantities
-        axes = [figure.add_subplot(grid[k, i], sharex=first[i], sharey=first[i]) for i in range(quantities)]
-        axes[0].set_title(title, loc="left")
-        rows.append(Row(tuple(axes), facet, k == count - 1))
-    return figure, tuple(rows), over
 
 
 def _colours(data: xr.DataArray, values: Sequence[float | str]) -> list[str]:

@@ -19,8 +19,8 @@ from vibrojax.analyses.sweep.maps import fill_cells, write_labels
 from vibrojax.plot.axes import scale, share_text, with_unit
 from vibrojax.plot.colours import ROBUST, Coloured, Value, cell_handles, coloured, form_colour, patch, value_of
 from vibrojax.plot.contents import FORM, POINT, law_in, long_axes
-from vibrojax.plot.curves import MOST_ROWS, Across, Row, longest_axis, new_rows
-from vibrojax.plot.sheet import LEGEND_WIDTH, facets, legend_at_right, sheet, write_margins
+from vibrojax.plot.curves import MOST_ROWS, Across, longest_axis
+from vibrojax.plot.sheet import LEGEND_WIDTH, Row, facets, legend_at_right, new_rows, sheet, write_margins
 from vibrojax.plot.style import FAINT, UNDEFINED, Mark, styled
 
 _READINGS = ("onset", "literal", "percent")  # of the logarithmic law: their C are comparable, since all are speeds
@@ -160,7 +160,7 @@ def law_map(fit: xr.Dataset) -> Figure:
         legend_at_right(drawn.figure, _line_handles(fit), data_handles(groups))
     colours = ListedColormap([form_colour(name) for name in forms], name="forms").with_extremes(bad=UNDEFINED)
     norm = BoundaryNorm(np.arange(-0.5, len(forms)), len(forms))
-    for panel in drawn:
+    for panel in drawn.panels:
         if panel.value is None:
             fill_cells(panel, x, y, Coloured(panel.facet[_BEST].transpose(y, x).values, colours, norm))
         else:

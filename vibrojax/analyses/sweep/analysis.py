@@ -15,7 +15,7 @@ from vibrojax.analyses.sweep.scatter import rate_scatter, regime_bars, regime_sc
 from vibrojax.analyses.sweep.strips import regime_lines
 from vibrojax.errors import InputError
 from vibrojax.io.kinds import kind_of
-from vibrojax.plot.contents import contents
+from vibrojax.plot.contents import Contents
 from vibrojax.plot.overlays import refuse_overlays
 
 
@@ -44,7 +44,7 @@ class Sweeps(Analysis):
         """Return the picture of a sweep; `over`: borders on its regime map, or families on its section crossings."""
         if not over:
             return super().picture(ds)
-        held = contents(ds)
+        held = Contents(ds)
         if any(isinstance(layer, xr.Dataset) and kind_of(layer) == "borders" for layer in over):
             if len(over) > 1:
                 raise InputError("over: borders are laid over a map one dataset at a time; give one")
@@ -58,5 +58,5 @@ class Sweeps(Analysis):
     @classmethod
     def drawn_as(cls, ds: xr.Dataset, shows: str) -> Figure:
         """Return the first picture of the subject `shows` ("regimes", "rate map") that fits a dataset."""
-        held = contents(ds)
+        held = Contents(ds)
         return next(rule for rule in cls.pictures if rule.shows == shows and rule.fits(held)).draw(ds)

@@ -34,7 +34,6 @@ from vibrojax.plot.contents import (
     RELIEF,
     SENSITIVE,
     axes_of_map,
-    has_regimes,
     long_axes,
     rates_in,
     regimes_in,
@@ -79,7 +78,7 @@ def draw_map(ds: xr.Dataset, x: str, y: str, values: Values, *notes: str, over: 
     handles = cell_handles(panels.data, values)
     marks: dict[str, Artist] = {}
     kinds: list[str] = []
-    for panel in drawn:
+    for panel in drawn.panels:
         draw_cells(panel, x, y)
         if panel.value is None:
             marks |= _mark_cells(panel, x, y)
@@ -87,7 +86,7 @@ def draw_map(ds: xr.Dataset, x: str, y: str, values: Values, *notes: str, over: 
         outline_region(panel.axes, x, y)
         write_labels(panel, ds[x], ds[y])
     handles += [marks[name] for name in (HIDDEN, SENSITIVE) if name in marks]
-    if any(isinstance(artist, LineCollection) for panel in drawn for artist in panel.axes.collections):
+    if any(isinstance(artist, LineCollection) for panel in drawn.panels for artist in panel.axes.collections):
         handles.append(Line2D([], [], color=INK, linewidth=1.0, label="border of single impact"))
     drawn.finish([*handles, *border_handles(kinds), *region_handle(drawn.panels[0].axes)])
     write_margins(drawn.figure, ds, certified_text(ds), panels.note, *notes, OVER_TEXT if kinds else "")
@@ -111,7 +110,7 @@ def rate_grid(ds: xr.Dataset, x: str | None = None, y: str | None = None) -> Fig
     drawn = sheet(panels, shown)
     handles = cell_handles(panels.data, shown)
     lines = False
-    for panel in drawn:
+    for panel in drawn.panels:
         draw_cells(panel, x, y)
         write_labels(panel, ds[x], ds[y])
         if panel.value is shown[0]:
@@ -142,7 +141,7 @@ def draw_cells(panel: Panel, x: str, y: str) -> None:
     if nothing.any():
         masked = np.ma.masked_where(~nothing, nothing)
         panel.axes.pcolormesh(*corners, masked, cmap=_NO_PENETRATION, rasterized=True)
-    if has_regimes(panel.facet):
+    if REGIME in panel.facet:
         _outline_single(panel.axes, panel.facet[REGIME].transpose(y, x).values == SINGLE, corners)
 
 

@@ -12,18 +12,9 @@ from matplotlib.lines import Line2D
 
 from vibrojax.plot.axes import scale, with_unit
 from vibrojax.plot.colours import SINGLE
-from vibrojax.plot.contents import POINT, RATE, REGIME, RELIEF, has_regimes, rates_in
-from vibrojax.plot.curves import (
-    MOST_ROWS,
-    Across,
-    Line,
-    axis_of_lines,
-    line_handles,
-    longest_axis,
-    new_rows,
-    split_lines,
-)
-from vibrojax.plot.sheet import facets, legend_at_right, write_margins
+from vibrojax.plot.contents import POINT, RATE, REGIME, RELIEF, rates_in
+from vibrojax.plot.curves import MOST_ROWS, Across, Line, axis_of_lines, line_handles, longest_axis, split_lines
+from vibrojax.plot.sheet import facets, legend_at_right, new_rows, write_margins
 from vibrojax.plot.style import INK, Mark, styled
 
 SLIP, PEAK = "slip_per_impact", "peak_impact_force"
@@ -121,7 +112,7 @@ def _draw(axes: Axes, line: Line, curve: _Curve, x: Across, style: Literal["-", 
 def _motions(lanes: xr.Dataset) -> dict[Motion, Bool[np.ndarray, "*lanes"]]:
     """Return a mask of the lanes with each kind of marker."""
     nothing = np.atleast_1d(lanes[RATE].values) == 0
-    single = np.atleast_1d(lanes[REGIME].values) == SINGLE if has_regimes(lanes) else np.ones(nothing.shape, bool)
+    single = np.atleast_1d(lanes[REGIME].values) == SINGLE if REGIME in lanes else np.ones(nothing.shape, bool)
     return {"single": single & ~nothing, "other": ~single, "none": single & nothing}
 
 
@@ -134,6 +125,6 @@ def _mark_handles(ds: xr.Dataset) -> list[Artist]:
     """Return the legend entries of the markers that need an explanation."""
     texts: dict[Motion, str] = {"single": "single impact", "other": "other motion", "none": "no penetration"}
     occurring = [motion for motion, mask in _motions(ds).items() if mask.any()]
-    shown = [motion for motion in occurring if motion == "none" or has_regimes(ds)]
+    shown = [motion for motion in occurring if motion == "none" or REGIME in ds]
     look = Mark(linestyle="none", markersize=4.5)
     return [Line2D([], [], label=texts[motion], **look | _mark(motion, INK)) for motion in shown]

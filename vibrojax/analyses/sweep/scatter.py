@@ -22,7 +22,7 @@ from vibrojax.plot.colours import (
     values_beside,
     values_of_rock,
 )
-from vibrojax.plot.contents import REGIME, START, has_regimes, many_starts, rates_in, regimes_in, varied
+from vibrojax.plot.contents import REGIME, START, many_starts, rates_in, regimes_in, varied
 from vibrojax.plot.sheet import Facets, sheet, write_margins
 from vibrojax.plot.style import NOTHING, UNDEFINED, new_figure, styled
 
@@ -46,7 +46,7 @@ def rate_scatter(ds: xr.Dataset) -> Figure:
     names = tuple(varied(ds))
     if len(names) != 2:
         raise InputError(f"no map: {', '.join(names) or 'none'} is what varies over the points, not two parameters")
-    regimes = (None,) if has_regimes(ds) else ()
+    regimes = (None,) if REGIME in ds else ()
     return draw_scatter(ds, *names, regimes + values_of_rock(ds)[: MOST_VALUES[3]])
 
 
@@ -85,9 +85,9 @@ def draw_scatter(ds: xr.Dataset, x: str, y: str, values: Values, *notes: str) ->
     """Draw `values` of a list of points over the parameters `x` and `y`, with `notes`."""
     panels = _split_starts(ds)
     drawn = sheet(panels, values)
-    for panel in drawn:
+    for panel in drawn.panels:
         draw_points(panel.axes, panel.facet, panel.value, x, y)
-    for panel in drawn:  # when all axis limits are known
+    for panel in drawn.panels:  # when all axis limits are known
         outline_region(panel.axes, x, y)
         write_labels(panel, ds[x], ds[y])
     drawn.finish(cell_handles(panels.data, values) + region_handle(drawn.panels[0].axes))
