@@ -55,11 +55,9 @@ EXPECTED = {
     "law_lines": rocks.KINDS["law"],
     "many_starts": lambda: starts.basin(starts.sample(), starts.LONG),
     "rates": rocks.KINDS["lines"],
-    "regime_scatter": drills.KINDS["points"],
     "regime_grid": drills.KINDS["map"],
     "regime_lines": drills.KINDS["line"],
     "regime_bars": drills.KINDS["counts"],
-    "rate_scatter": rocks.KINDS["points"],
     "rate_grid": rocks.KINDS["map"],
 }
 

@@ -8,7 +8,6 @@ from matplotlib.figure import Figure
 from vibrojax.analyses.continuation.picture import families
 from vibrojax.analyses.sweep.basins import many_starts
 from vibrojax.analyses.sweep.maps import draw_map
-from vibrojax.analyses.sweep.scatter import draw_scatter
 from vibrojax.analyses.sweep.strips import regime_lines
 from vibrojax.errors import InputError, shown, suggestion
 from vibrojax.io.kinds import kind_of
@@ -75,7 +74,7 @@ def variables(ds: xr.Dataset, names: Sequence[str]) -> Figure:
         ds = medians(ds, [name for name in names if name != REGIME])
     if held.points_over_two:
         x, y = varied(ds)
-        return draw_scatter(ds, x, y, values, note)
+        return draw_map(ds, x, y, values, note)
     if not held.points and (held.worth_a_map or (held.regimes and len(held.axes) > 1)):
         return draw_map(ds, *axes_of_map(ds, None, None), values, note)
     if not held.points and held.regimes and held.axes:
