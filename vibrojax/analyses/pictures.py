@@ -22,9 +22,8 @@ from vibrojax.analyses.variables_picture import variables
 from vibrojax.errors import InputError, nearest, shown
 from vibrojax.io.atomic import atomic_write
 from vibrojax.plot.colours import REGIME_COLOURS as REGIME_COLOURS
-from vibrojax.plot.contents import Contents, law_in, regimes_in
+from vibrojax.plot.contents import Contents, Value, law_in, regimes_in, select, thin_out, thinned_text
 from vibrojax.plot.overlays import Overlays, as_layers, refuse_overlays
-from vibrojax.plot.selection import Value, select, thin_out, thinned_text
 from vibrojax.plot.style import COLOURS, settings
 
 # Files contain no date, so that the same dataset gives the same file.

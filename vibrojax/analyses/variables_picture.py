@@ -33,9 +33,10 @@ from vibrojax.plot.curves import (
     draw_over_time,
     line_handles,
     longest_axis,
+    new_rows,
     split_lines,
 )
-from vibrojax.plot.sheet import facets, legend_at_right, new_rows, write_margins
+from vibrojax.plot.sheet import facets, legend_at_right, write_margins
 from vibrojax.plot.starts import medians, medians_text, varied_states
 from vibrojax.plot.style import BIT, Mark, new_figure, styled
 

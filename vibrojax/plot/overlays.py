@@ -103,24 +103,23 @@ def draw_over(axes: Axes, layers: Sequence[xr.Dataset], facet: xr.Dataset, x: st
         curves = [Curve(branch, INK) for branch in branches(over) if branch.family in numbers]
         ends = edges(np.sort(values_along(facet[x])))
         within = float(ends[0]), float(ends[-1])
-        draw_families(axes, over, curves, name, thin=True, factor=factor, within=within, over_dots=True)
+        draw_families(axes, over, curves, name, thin=True, factor=factor, within=within)
 
 
 def over_handles(layers: Sequence[xr.Dataset]) -> list[Artist]:
     """Return the legend entries for families, without duplicates."""
-    lines: dict[str, Artist] = {}
-    marks: dict[str, Artist] = {}
+    handles: dict[str, Artist] = {}
     for over in layers:
         curves = [Curve(branch, INK) for branch in branches(over)]
-        lines |= {str(handle.get_label()): handle for handle in stability_handles(over, curves, " orbit")}
-        marks |= {str(handle.get_label()): handle for handle in special_handles(over, count=False)}
-    return [*lines.values(), *(marks[kind] for kind in dict.fromkeys((*MARKS, *marks)) if kind in marks)]
+        entries = [*stability_handles(over, curves, " orbit"), *special_handles(over, count=False)]
+        handles |= {str(handle.get_label()): handle for handle in entries}
+    return [*(handles[name] for name in handles if name not in MARKS), *(handles[k] for k in MARKS if k in handles)]
 
 
 def special_points(over: xr.Dataset) -> list[tuple[str, float]]:
     """Return kind and parameter value of each special point of families, except points of kind "end"."""
     points = zip(kind_names(over), over["special_value"].values.tolist(), strict=True)
-    return [(kind, value) for kind, value in points if kind != "end"]
+    return [point for point in points if point[0] != "end"]
 
 
 def over_text(ds: xr.Dataset, layers: Sequence[xr.Dataset]) -> str:

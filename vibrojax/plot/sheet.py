@@ -208,40 +208,6 @@ def new_grid(width: float, height: float, above: float, heights: list[float], wi
     return Grid(figure, strips[0] if above > 0 else None, panels)
 
 
-class Row(NamedTuple):
-    """The panels of one facet, one per quantity. Only the row at the `bottom` has labels of the horizontal axis."""
-
-    axes: list[Axes]
-    facet: xr.Dataset
-    bottom: bool
-
-    def label(self, quantity: int, across: str, up: str) -> None:
-        """Label the panel of one quantity, and draw grid lines."""
-        axes = self.axes[quantity]
-        axes.grid(True)
-        axes.tick_params(labelbottom=self.bottom)
-        axes.set_xlabel(across if self.bottom else "")
-        axes.set_ylabel(up)
-
-
-def new_rows(panels: Facets, quantities: int, above: float = 0.0) -> tuple[Figure, list[Row], SubplotSpec | None]:
-    """Return an empty figure with room for a legend at the right, its rows of panels, and a free strip at the top.
-
-    The panels of a quantity share their axes. The strip is `above` inches high; None is returned for zero inches.
-    """
-    count = len(panels)
-    size = _ROW_WIDTH * quantities + LEGEND_WIDTH, (2.9 if count == 1 else 2.3) * count + 0.8
-    grid = new_grid(*size, above, [1.0] * count, [1.0] * quantities)
-    rows: list[Row] = []
-    for k, (title, facet) in enumerate(zip(panels.titles, panels.data, strict=True)):
-        first = rows[0].axes if rows else [None] * quantities
-        places = [grid.panels[k, i] for i in range(quantities)]
-        axes = [grid.figure.add_subplot(place, sharex=a, sharey=a) for place, a in zip(places, first, strict=True)]
-        axes[0].set_title(title, loc="left")
-        rows.append(Row(axes, facet, k == count - 1))
-    return grid.figure, rows, grid.above
-
-
 def _wrapped(title: str, width: float) -> str:
     """Wrap the title to lines of about `width` inches, broken only after commas."""
     unbroken = ", ".join(part.replace(" ", "\u00a0") for part in title.split(", "))
@@ -254,7 +220,6 @@ PAGE = (16.0, 20.0)
 LEGEND_WIDTH = 1.9
 """The approximate width [inch] of a legend at the right."""
 
-_ROW_WIDTH = 3.3  # inches
 _NOTE_SIZE = 8.0
 _TITLE_LINES, _NOTE_LINES = 3, 6  # at most
 _LINE_HEIGHT = 1.6  # line spacing in units of the font size

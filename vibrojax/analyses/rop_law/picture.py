@@ -19,8 +19,8 @@ from vibrojax.analyses.sweep.maps import fill_cells, write_labels
 from vibrojax.plot.axes import scale, share_text, with_unit
 from vibrojax.plot.colours import ROBUST, Coloured, Value, cell_handles, coloured, form_colour, patch, value_of
 from vibrojax.plot.contents import FORM, POINT, law_in, long_axes
-from vibrojax.plot.curves import MOST_ROWS, Across, longest_axis
-from vibrojax.plot.sheet import LEGEND_WIDTH, Row, facets, legend_at_right, new_rows, sheet, write_margins
+from vibrojax.plot.curves import MOST_ROWS, Across, Row, longest_axis, new_rows
+from vibrojax.plot.sheet import LEGEND_WIDTH, facets, legend_at_right, sheet, write_margins
 from vibrojax.plot.style import FAINT, UNDEFINED, Mark, styled
 
 _READINGS = ("onset", "literal", "percent")  # of the logarithmic law: their C are comparable, since all are speeds
