@@ -98,9 +98,7 @@ def _shown_names(ds: xr.Dataset, branch: Branch, name: str) -> tuple[str, ...]:
 
 def heights_of(ds: xr.Dataset, name: str, factor: float) -> np.ndarray:
     """Return a variable at all points, times `factor`; of several multipliers, only the first."""
-    data = ds[name]
-    values = data.isel({dim: 0 for dim in data.dims[1:]}).values if data.ndim > 1 else data.values
-    return factor * np.asarray(values, float)
+    return factor * np.asarray(ds[name].isel({dim: 0 for dim in ds[name].dims[1:]}).values, float)
 
 
 def draw_families(

@@ -21,12 +21,12 @@ from vibrojax.plot.axes import certified_text, edges, label, pad_constant, shape
 from vibrojax.plot.colours import (
     REGIME_MAP,
     REGIME_NORM,
+    SINGLE,
     Value,
     regime_cells,
     regime_handles,
     sensitive_handle,
     shape_flags,
-    stack_shares,
     values_beside,
 )
 from vibrojax.plot.contents import REGIME, SENSITIVE, START, axes_to_draw, lane_dims, many_starts, regimes_in
@@ -166,10 +166,12 @@ def _draw_strip(stack: Stack, x: str) -> bool:
     facet, strip, many = stack.facet, stack.strip, many_starts(stack.facet)
     by_start = facet if START in lane_dims(facet) else facet.expand_dims(START)
     rows = regime_cells(by_start[REGIME].transpose(START, x))
-    cells = np.ma.masked_invalid(stack_shares(rows) if many else rows)
+    if many:  # each column is sorted, single impacts first, so that the height of a colour is its fraction
+        ordered = np.sort(np.where(rows == SINGLE, -1.0, rows), axis=0)
+        rows = np.where(ordered == -1.0, float(SINGLE), ordered)
     ends = np.linspace(0.0, 100.0, len(rows) + 1) if many else np.arange(len(rows) + 1) - 0.5
     along = values_along(facet[x])
-    strip.pcolormesh(edges(along), ends, cells, cmap=REGIME_MAP, norm=REGIME_NORM, rasterized=True)
+    strip.pcolormesh(edges(along), ends, np.ma.masked_invalid(rows), cmap=REGIME_MAP, norm=REGIME_NORM, rasterized=True)
     shape_axis(strip, "x", along)
     strip.set_xlabel(label(facet[x]))
     if many:
