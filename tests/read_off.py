@@ -1,5 +1,7 @@
 """What is read off a figure in the tests of pictures."""
 
+from itertools import combinations
+
 import matplotlib
 from matplotlib.collections import QuadMesh
 from matplotlib.patches import Rectangle
@@ -41,6 +43,15 @@ def texts(figure):
     found = [text for text in figure.findobj(matplotlib.text.Text) if text.get_visible() and text.get_text().strip()]
     ticks = {id(text) for axes in figure.axes for axis in (axes.xaxis, axes.yaxis) for text in axis.get_ticklabels()}
     return [(text.get_text(), text.get_window_extent()) for text in found if id(text) not in ticks]
+
+
+def check_texts(figure):
+    """Check that all texts lie on the figure and off each other."""
+    whole, placed = figure.bbox.padded(1), texts(figure)
+    for text, box in placed:
+        assert whole.x0 <= box.x0 and box.x1 <= whole.x1 and whole.y0 <= box.y0 and box.y1 <= whole.y1, text
+    for (one, a), (other, b) in combinations(placed, 2):
+        assert not a.padded(-1).overlaps(b.padded(-1)), (one, other)
 
 
 def panel(figure, **wanted):

@@ -1,13 +1,12 @@
 """Pictures of families of orbits: what is read off them, alone and over the returns of a sweep."""
 
 import json
-from itertools import combinations
 
 import numpy as np
 import pytest
 import xarray as xr
 from matplotlib.colors import to_hex
-from read_off import axis_labels, legend, meshes, note, panel, texts, titles
+from read_off import axis_labels, check_texts, legend, meshes, note, panel, titles
 from test_plot import lanes, returns, square
 
 from vibrojax.analyses.pictures import bifurcation, picture
@@ -262,12 +261,7 @@ def test_what_cannot_be_drawn_is_told_in_one_line(asked, said):
 
 @pytest.mark.parametrize("made", [one_family, several])
 def test_texts_lie_on_the_figure_and_off_each_other(made):
-    figure = picture(made().assign_attrs(title="Families of periodic orbits over the frequency ratio " * 6))
-    whole, placed = figure.bbox.padded(1), texts(figure)
-    for text, box in placed:
-        assert whole.x0 <= box.x0 and box.x1 <= whole.x1 and whole.y0 <= box.y0 and box.y1 <= whole.y1, text
-    for (one, a), (other, b) in combinations(placed, 2):
-        assert not a.padded(-1).overlaps(b.padded(-1)), (one, other)
+    check_texts(picture(made().assign_attrs(title="Families of periodic orbits over the frequency ratio " * 6)))
 
 
 # Over returns.

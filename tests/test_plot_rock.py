@@ -1,14 +1,13 @@
 """Pictures of scenes with rock: what is on them, by artists and labels rather than by pixels."""
 
 import json
-from itertools import combinations, product
 
 import numpy as np
 import pytest
 import xarray as xr
 from matplotlib.collections import LineCollection, PathCollection
 from matplotlib.colors import LogNorm, to_hex
-from read_off import axis_labels, legend, meshes, note, panel, texts, titles
+from read_off import axis_labels, check_texts, legend, meshes, note, panel, titles
 
 import vibrojax as vj
 from vibrojax.analyses.pictures import fitted_law, picture, pulses, rate_map, rates, response
@@ -477,6 +476,7 @@ LONG = np.linspace(10.0, 40.0, 9)
 KINDS = {
     "lines": lambda: rock({"k3": [1e8, 3e8], "force": np.linspace(1e5, 3e5, 7), "frequency": LONG}),
     "line": lambda: rock({"frequency": LONG}),
+    "one": lambda: rock({}),
     "map": lambda: rock({"force": np.linspace(1e5, 3e5, 9), "frequency": LONG}),
     "square": lambda: rock({"threshold": np.linspace(5e4, 25e4, 9), "frequency": LONG}),
     "map-rows": lambda: rock({"force": [2e5, 3e5], "threshold": np.linspace(5e4, 25e4, 9), "frequency": LONG}),
@@ -492,52 +492,39 @@ KINDS = {
 RUNS = ("blows", "sine", "drilled")
 
 
-def off_each_other(figure):
-    whole = figure.bbox.padded(1)
-    placed = texts(figure)
-    for text, box in placed:
-        assert whole.x0 <= box.x0 and box.x1 <= whole.x1 and whole.y0 <= box.y0 and box.y1 <= whole.y1, text
-    for (one, a), (other, b) in combinations(placed, 2):
-        assert not a.padded(-1).overlaps(b.padded(-1)), (one, other)
+def one_value(ds):
+    """The parts of a dataset with one value of every axis, or of one axis and two of the others."""
+    dims = [name for name in ds.dims if name != "form"]
+    sizes = [dict.fromkeys(dims, 1), *(dict.fromkeys(dims, 2) | {name: 1} for name in dims)]
+    return [ds.isel({name: slice(size) for name, size in chosen.items()}) for chosen in sizes]
+
+
+DEGENERATE = {
+    "failed": lambda ds: [ds.map(lambda data: data * np.nan if data.dtype.kind == "f" else data, keep_attrs=True)],
+    "no-penetration": lambda ds: [
+        ds.assign({name: 0.0 * ds[name] for name in {"rate_of_penetration", "slip_per_impact"} & set(ds)})
+    ],
+    "one-value": one_value,
+}
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_texts_lie_on_the_figure_and_off_each_other(kind):
-    off_each_other(picture(KINDS[kind]().assign_attrs(title="Rate of penetration of a drill " * 12)))
+    check_texts(picture(KINDS[kind]().assign_attrs(title="Rate of penetration of a drill " * 12)))
 
 
 @pytest.mark.parametrize("run", RUNS)
 def test_texts_of_trajectories_lie_on_the_figure_and_off_each_other(run, request):
-    off_each_other(picture(request.getfixturevalue(run)))
+    check_texts(picture(request.getfixturevalue(run)))
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_lanes_that_all_failed_are_drawn_too(kind):
-    ds = KINDS[kind]()
-    ds = ds.map(lambda data: data * np.nan if data.dtype.kind == "f" else data, keep_attrs=True)
-    figure = picture(ds)
-    figure.draw_without_rendering()
-    assert "nan" not in note(figure)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_lanes_without_any_penetration_are_drawn_too(kind):
-    ds = KINDS[kind]()
-    for name in {"rate_of_penetration", "slip_per_impact"} & set(ds):
-        ds[name] = 0.0 * ds[name]
-    picture(ds).draw_without_rendering()
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_axes_of_one_value_are_drawn_too(kind):
-    ds = KINDS[kind]()
-    dims = [name for name in ds.dims if name != "form"]
-    for sizes in product((1, 2), repeat=len(dims)):
-        picture(ds.isel({name: slice(size) for name, size in zip(dims, sizes, strict=True)})).draw_without_rendering()
-
-
-def test_one_point_without_dimensions_is_drawn():
-    picture(rock({})).draw_without_rendering()
+@pytest.mark.parametrize("case", DEGENERATE)
+def test_degenerate_datasets_are_drawn_too(kind, case):
+    for ds in DEGENERATE[case](KINDS[kind]()):
+        figure = picture(ds)
+        figure.draw_without_rendering()
+        assert "nan" not in note(figure)
 
 
 def test_a_dataset_without_attributes_is_drawn_by_names():

@@ -12,11 +12,11 @@ import xarray as xr
 
 from vibrojax.analyses.registry import analysis_named, analysis_of
 from vibrojax.io.kinds import STRUCTURES
-from vibrojax.plot.contents import contents
+from vibrojax.plot.contents import Contents
 
 
 def first(ds):
-    return next((rule.draw.__name__ for rule in analysis_of(ds).pictures if rule.fits(contents(ds))), None)
+    return next((rule.draw.__name__ for rule in analysis_of(ds).pictures if rule.fits(Contents(ds))), None)
 
 
 def bit_on_rock(**about):
@@ -55,11 +55,9 @@ EXPECTED = {
     "law_lines": rocks.KINDS["law"],
     "many_starts": lambda: starts.basin(starts.sample(), starts.LONG),
     "rates": rocks.KINDS["lines"],
-    "regime_scatter": drills.KINDS["points"],
     "regime_grid": drills.KINDS["map"],
     "regime_lines": drills.KINDS["line"],
     "regime_bars": drills.KINDS["counts"],
-    "rate_scatter": rocks.KINDS["points"],
     "rate_grid": rocks.KINDS["map"],
 }
 

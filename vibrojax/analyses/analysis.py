@@ -113,12 +113,12 @@ class Analysis:
 
         **Raises:** `InputError` if the dataset holds nothing to draw, or its picture accepts no overlays.
         """
-        from vibrojax.plot.contents import contents
+        from vibrojax.plot.contents import Contents
         from vibrojax.plot.overlays import refuse_overlays
 
         if over:
             refuse_overlays(over, "the dataset holds none")
-        held = contents(ds)
+        held = Contents(ds)
         rule = next((rule for rule in self.pictures if rule.fits(held)), None)
         if rule is None and type(self) is Analysis and kind_of(ds):
             raise InputError(

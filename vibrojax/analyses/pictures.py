@@ -22,9 +22,8 @@ from vibrojax.analyses.variables_picture import variables
 from vibrojax.errors import InputError, nearest, shown
 from vibrojax.io.atomic import atomic_write
 from vibrojax.plot.colours import REGIME_COLOURS as REGIME_COLOURS
-from vibrojax.plot.contents import contents, law_in, rates_in, regimes_in
+from vibrojax.plot.contents import Contents, Value, law_in, regimes_in, select, thin_out, thinned_text
 from vibrojax.plot.overlays import Overlays, as_layers, refuse_overlays
-from vibrojax.plot.selection import Value, select, thin_out, thinned_text
 from vibrojax.plot.style import COLOURS, settings
 
 # Files contain no date, so that the same dataset gives the same file.
@@ -103,7 +102,7 @@ def regime_map(ds: xr.Dataset, x: str | None = None, y: str | None = None) -> Fi
     **Raises:** `InputError` if there are no regimes, or `x` or `y` is not an axis.
     """
     ds = thin_out(ds)
-    held = contents(regimes_in(ds))
+    held = Contents(regimes_in(ds))
     if held.many_starts:
         return many_starts(ds) if x is None and y is None else share_grid(ds, x, y)
     if held.points or (x is None and y is None):
@@ -121,8 +120,7 @@ def rate_map(ds: xr.Dataset, x: str | None = None, y: str | None = None) -> Figu
 
     **Raises:** `InputError` if there are no rates, fewer than two axes, or `x` or `y` is not an axis.
     """
-    ds = thin_out(ds)
-    return Sweeps.drawn_as(ds, "rate map") if contents(rates_in(ds)).points else rate_grid(ds, x, y)
+    return rate_grid(thin_out(ds), x, y)
 
 
 def fitted_law(fit: xr.Dataset) -> Figure:

@@ -8,7 +8,6 @@ from matplotlib.figure import Figure
 from vibrojax.analyses.continuation.analysis import families
 from vibrojax.analyses.sweep.basins import many_starts
 from vibrojax.analyses.sweep.maps import draw_map
-from vibrojax.analyses.sweep.scatter import draw_scatter
 from vibrojax.analyses.sweep.strips import regime_lines
 from vibrojax.errors import InputError, shown, suggestion
 from vibrojax.io.kinds import kind_of
@@ -20,8 +19,8 @@ from vibrojax.plot.contents import (
     POINT,
     REGIME,
     TIME,
+    Contents,
     axes_of_map,
-    contents,
     lane_dims,
     named_groups,
     varied,
@@ -65,7 +64,7 @@ def variables(ds: xr.Dataset, names: Sequence[str]) -> Figure:
     ds = without_single(
         ds.assign({name: ds[name].isel({MULTIPLIER: 0}) for name in names if MULTIPLIER in ds[name].dims})
     )
-    held, note = contents(ds), ""
+    held, note = Contents(ds), ""
     values = tuple(None if name == REGIME else value_of(ds[name]) for name in names)
     if FORM in ds[names[0]].dims:
         return _draw_curves(ds, values)
@@ -76,7 +75,7 @@ def variables(ds: xr.Dataset, names: Sequence[str]) -> Figure:
         ds = medians(ds, [name for name in names if name != REGIME])
     if held.points_over_two:
         x, y = varied(ds)
-        return draw_scatter(ds, x, y, values, note)
+        return draw_map(ds, x, y, values, note)
     if not held.points and (held.worth_a_map or (held.regimes and len(held.axes) > 1)):
         return draw_map(ds, *axes_of_map(ds, None, None), values, note)
     if not held.points and held.regimes and held.axes:

@@ -30,7 +30,7 @@ from vibrojax.measures.repeats import state_name
 from vibrojax.periodic import Orbits, early_stopping_of
 from vibrojax.periodic.margin import DRIVEN_RETURNS
 from vibrojax.plot.colours import flag_names
-from vibrojax.plot.contents import FORM, START, axes_of_map, has_regimes, long_axes
+from vibrojax.plot.contents import FORM, START, axes_of_map, long_axes
 from vibrojax.plot.overlays import LINES, axes_of, beyond, check_borders
 from vibrojax.plot.starts import described, on_axes
 from vibrojax.progress import Progress
@@ -95,7 +95,7 @@ def _shown_variables(ds: xr.Dataset) -> list[str]:
 def _first_axes(ds: xr.Dataset) -> list[str]:
     """Return the axes of the first map, the same as in the picture; empty without a map over two axes."""
     long = long_axes(ds)
-    if len(long) > 1 and not has_regimes(ds):
+    if len(long) > 1 and "regime" not in ds:
         return list(long[:2])
     try:
         return list(axes_of_map(ds, None, None))

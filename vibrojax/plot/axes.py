@@ -20,13 +20,15 @@ _LABEL_LETTERS = 32  # characters that fit along a panel
 _ROUNDING = 1e-6  # relative range up to which values count as equal
 _GEOMETRIC = 1e-3  # relative scatter up to which ratios or differences count as constant
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-# Prefixed unit, factor, bound. Milli applies if the greatest magnitude is below the bound, kilo and mega from it on.
-_MILLI = {"m": ("mm", 1e3, 1.0), "s": ("ms", 1e3, 0.1), "m s-1": ("mm s-1", 1e3, 0.3)}
-_GREATER = {
-    "N": (("MN", 1e-6, 1e6), ("kN", 1e-3, 1e3)),
-    "N m-1": (("MN m-1", 1e-6, 1e6), ("kN m-1", 1e-3, 1e3)),
-    "J": (("kJ", 1e-3, 1e4),),
-    "W": (("kW", 1e-3, 1e4),),
+# Prefixed units: name, factor, and the range of greatest magnitudes for which the prefix is used.
+_PREFIXED = {
+    "m": (("mm", 1e3, 0.0, 1.0),),
+    "s": (("ms", 1e3, 0.0, 0.1),),
+    "m s-1": (("mm s-1", 1e3, 0.0, 0.3),),
+    "N": (("MN", 1e-6, 1e6, np.inf), ("kN", 1e-3, 1e3, np.inf)),
+    "N m-1": (("MN m-1", 1e-6, 1e6, np.inf), ("kN m-1", 1e-3, 1e3, np.inf)),
+    "J": (("kJ", 1e-3, 1e4, np.inf),),
+    "W": (("kW", 1e-3, 1e4, np.inf),),
 }
 
 # The parameters that every note lists: symbol, conversion factor and printed unit.
@@ -52,10 +54,8 @@ def scale(data: xr.DataArray) -> tuple[float, str]:
     unit = str(data.attrs.get("units", "")).strip()
     values = np.abs(np.asarray(data.values, float))
     greatest = values[np.isfinite(values)].max(initial=0.0)
-    if unit in _MILLI:
-        name, factor, bound = _MILLI[unit]
-        return (factor, name) if greatest < bound else (1.0, unit)
-    return next(((factor, name) for name, factor, bound in _GREATER.get(unit, ()) if greatest >= bound), (1.0, unit))
+    prefixed = _PREFIXED.get(unit, ())
+    return next(((factor, name) for name, factor, low, high in prefixed if low <= greatest < high), (1.0, unit))
 
 
 def pretty_unit(unit: str) -> str:

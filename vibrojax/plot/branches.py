@@ -27,7 +27,7 @@ from vibrojax.io.branches import (
 )
 from vibrojax.plot.axes import pad_constant, scale, value_text, values_along
 from vibrojax.plot.contents import MOST_LINES, is_numeric
-from vibrojax.plot.style import BIT, FAINT, INK, Mark, line_colours, other_colour
+from vibrojax.plot.style import BIT, INK, Mark, line_colours, other_colour
 
 LARGEST = "multiplier_abs"
 _LINES: dict[int, LineStyleType] = {STABLE: "-", UNSTABLE: (0.0, (3.5, 2.0)), UNKNOWN: ":"}
@@ -98,9 +98,7 @@ def _shown_names(ds: xr.Dataset, branch: Branch, name: str) -> tuple[str, ...]:
 
 def heights_of(ds: xr.Dataset, name: str, factor: float) -> np.ndarray:
     """Return a variable at all points, times `factor`; of several multipliers, only the first."""
-    data = ds[name]
-    values = data.isel({dim: 0 for dim in data.dims[1:]}).values if data.ndim > 1 else data.values
-    return factor * np.asarray(values, float)
+    return factor * np.asarray(ds[name].isel({dim: 0 for dim in ds[name].dims[1:]}).values, float)
 
 
 def draw_families(
@@ -110,18 +108,17 @@ def draw_families(
     name: str,
     thin: bool = False,
     factor: float | None = None,
-    within: tuple[float, float] = (-np.inf, np.inf),
-    over_dots: bool = False,
+    within: tuple[float, float] | None = None,
 ) -> None:
     """Draw the variable `name` along branches, with their special points.
 
     `thin`: use finer lines and markers; `factor`: conversion factor of the variable, by default that of its label;
-    `within`: limits of the parameter; `over_dots`: give lines a white edge.
+    `within`: limits of the parameter, for lines with a white edge over the dots of a sweep.
     """
-    edge = [withStroke(linewidth=1.5, foreground="white")] if over_dots else []
+    edge = [withStroke(linewidth=1.5, foreground="white")] if within else []
     factor = scale(ds[name])[0] if factor is None else factor
     along, kinds = values_along(ds[along_name(ds)]), kind_names(ds)
-    low, high = within
+    low, high = within or (-np.inf, np.inf)
     for branch, colour in curves:
         special, segments = places(ds, branch), stability(ds, branch)
         for shown in _shown_names(ds, branch, name):
@@ -137,8 +134,9 @@ def draw_families(
             for point, place in zip(branch.special, special, strict=True):
                 if low <= along[place] <= high:
                     look = _mark(kinds[point], 0.7 if thin or branch.number else 1.0)
-                    look |= Mark(linestyle="none", zorder=5)
-                    axes.plot(along[place], heights[place], label=f"_{kinds[point]}", **look)
+                    axes.plot(
+                        along[place], heights[place], linestyle="none", label=f"_{kinds[point]}", zorder=5, **look
+                    )
     pad_constant(axes)
 
 
@@ -167,8 +165,7 @@ def smooth(x: Column, y: Column, corners: Column, logarithmic: bool = False) -> 
 
 def _mark(kind: str, size: float) -> Mark:
     """Return the marker of a kind of special point, scaled by `size`; filled markers get a white edge."""
-    mark = MARKS.get(kind, Mark(marker="P", color=FAINT, markersize=5.0))
-    mark = mark | Mark(markersize=size * float(mark["markersize"]))
+    mark = MARKS[kind] | Mark(markersize=size * MARKS[kind]["markersize"])
     return mark if mark["marker"] in ("|", "x") else mark | Mark(markeredgecolor="white", markeredgewidth=0.5)
 
 
@@ -203,7 +200,7 @@ def special_handles(ds: xr.Dataset, count: bool = True) -> list[Artist]:
     names = kind_names(ds)
     return [
         Line2D([], [], label=kind + f"  {names.count(kind)}" * count, **_mark(kind, 1.0) | Mark(linestyle="none"))
-        for kind in dict.fromkeys((*MARKS, *names))
+        for kind in MARKS
         if kind in names
     ]
 

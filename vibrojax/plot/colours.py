@@ -19,7 +19,7 @@ from matplotlib.ticker import NullLocator
 from vibrojax.errors import InputError, printable
 from vibrojax.measures.labels import REGIMES
 from vibrojax.plot.axes import scale, share_text, with_unit
-from vibrojax.plot.contents import RATE, REGIME, RELIEF, contents
+from vibrojax.plot.contents import RATE, REGIME, RELIEF, quantities_beside
 from vibrojax.plot.style import INK, NOTHING, UNDEFINED, colour_map, other_colour
 
 # One fixed colour for each regime, so that pictures of different runs can be compared. Any two differ by 28 or more in
@@ -72,6 +72,7 @@ _NAMES_ON_ONE_LINE = 3  # greatest number of flags whose names fit side by side
 _CONSTANT = 1e-9  # relative range up to which values count as equal
 
 Cells = Float[np.ndarray, "*shape"]
+Extend = Literal["neither", "min", "max", "both"]
 
 
 @dataclass(frozen=True)
@@ -82,7 +83,7 @@ class Value:
     label: str
     factor: float
     norm: Normalize
-    extend: Literal["neither", "min", "max", "both"]
+    extend: Extend
     colour_map: Colormap
     names: Mapping[int, str] = field(default_factory=dict)
     """Meanings of the values by flag; empty if the variable has no flags."""
@@ -135,12 +136,6 @@ def regime_cells(data: xr.DataArray) -> Cells:
     return np.where(known, values, np.nan)
 
 
-def stack_shares(rows: Float[np.ndarray, "starts values"]) -> Float[np.ndarray, "starts values"]:
-    """Sort the regimes of each column, single impacts first, so that the height of a colour is its fraction."""
-    ordered = np.sort(np.where(rows == SINGLE, -1.0, rows), axis=0)
-    return np.where(ordered == -1.0, float(SINGLE), ordered)
-
-
 def regime_names(data: xr.DataArray) -> dict[int, str]:
     """Return the names of regimes by flag; the attributes `flag_values` and `flag_meanings` override the defaults."""
     return dict(enumerate(REGIMES)) | flag_names(data)
@@ -189,7 +184,7 @@ def form_colour(name: str) -> str:
 
 def values_beside(ds: xr.Dataset) -> tuple[Value, ...]:
     """Return the quantities that get a panel next to the regimes."""
-    return tuple(value_of(ds[name]) for name in contents(ds).beside)
+    return tuple(value_of(ds[name]) for name in quantities_beside(ds))
 
 
 def values_of_rock(ds: xr.Dataset) -> tuple[Value, ...]:
@@ -214,11 +209,10 @@ def value_of(data: xr.DataArray) -> Value:
     if not finite.size:  # nothing to show
         finite = np.array([0.0, 1.0])
     norm = _norm(name, finite)
-    beyond = bool(finite.min() < (norm.vmin or 0.0)), bool(finite.max() > (norm.vmax or 0.0))
-    extend: dict[tuple[bool, bool], Literal["neither", "min", "max", "both"]]
-    extend = {(False, False): "neither", (True, False): "min", (False, True): "max", (True, True): "both"}
+    extends: tuple[Extend, ...] = ("neither", "min", "max", "both")
+    extend = extends[bool(finite.min() < (norm.vmin or 0.0)) + 2 * bool(finite.max() > (norm.vmax or 0.0))]
     shown = colour_map(colours).with_extremes(bad=UNDEFINED)
-    return Value(name, with_unit(text, unit), factor, norm, extend[beyond], shown)
+    return Value(name, with_unit(text, unit), factor, norm, extend, shown)
 
 
 def _flags_value(data: xr.DataArray) -> Value:

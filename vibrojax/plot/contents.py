@@ -1,13 +1,17 @@
-"""Facts about a dataset's dimensions, variables and attributes that decide which picture fits it."""
+"""Facts about a dataset that decide which picture fits it, and the selection of the lanes that a picture shows."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from math import prod
 
 import numpy as np
 import xarray as xr
+from jaxtyping import Int
 
-from vibrojax.errors import InputError, suggestion
+from vibrojax.errors import InputError, shown, suggestion
 from vibrojax.io.attributes import parameters_of
+from vibrojax.io.branches import FAMILY, numbers_of
+from vibrojax.io.kinds import kind_of
+from vibrojax.plot.axes import short
 
 TIME, SETTING = "time", "setting"  # dimensions of a single run, and of a study of speed against error
 START, POINT, RETURN, FORM = "start", "point", "return_index", "form"
@@ -27,108 +31,42 @@ _NOT_SWEPT = {START, POINT, RETURN, FORM, MULTIPLIER, ATTRACTOR, NAMED}
 _EACH_LANE = (REGIME, RATE, COEFFICIENT, "status")  # of every lane: of a drill, of rock, of a fit, of any sweep
 
 
-@dataclass(frozen=True)
 class Contents:
-    """Facts about a dataset that decide which picture fits it.
+    """Facts about a dataset that decide which picture fits it."""
 
-    - `variables`, `dimensions`: their names.
-    - `axes`: swept axes to draw along; `long`: swept axes with too many values for one line each; `wide`: whether at
-      least two swept axes have enough values for a map.
-    - `varied`: the parameters that vary along a list of points, with their numbers of values.
-    - `beside`: the quantities that get a panel next to the regimes.
-    - `points`: whether the lanes form a list of points, rather than a grid.
-    - `many_starts`: whether every point has more initial conditions than panels are possible.
-    - `swept_sine`: whether the force of a run is a sine of changing frequency.
-    """
-
-    variables: frozenset[str]
-    dimensions: frozenset[str]
-    axes: tuple[str, ...]
-    long: tuple[str, ...]
-    wide: bool
-    varied: Mapping[str, int]
-    beside: tuple[str, ...]
-    points: bool
-    many_starts: bool
-    swept_sine: bool
-
-    @property
-    def run(self) -> bool:
-        """True for a single run over time."""
-        return TIME in self.dimensions
-
-    @property
-    def bit_on_rock(self) -> bool:
-        """True for a run of the bit on rock without the drill: it has the bit in the hole, `x3`, but no `x1`."""
-        return self.run and "x3" in self.variables and "x1" not in self.variables
-
-    @property
-    def hole(self) -> bool:
-        """True for a run with the depths of bit (`x3`) and hole (`x4`)."""
-        return self.run and {"x3", "x4"} <= self.variables
-
-    @property
-    def regimes(self) -> bool:
-        """True for a sweep whose lanes have regime labels."""
-        return REGIME in self.variables
-
-    @property
-    def returns(self) -> bool:
-        """True for a labelled sweep over at least one axis that stored the section crossings."""
-        return self.regimes and RETURNS in self.variables and bool(self.axes)
-
-    @property
-    def carried(self) -> bool:
-        """True for a labelled sweep whose lanes were carried up and down along an axis."""
-        return self.regimes and DIRECTION in self.dimensions
-
-    @property
-    def rates(self) -> bool:
-        """True for a sweep of a scene with rock."""
-        return RATE in self.variables
-
-    @property
-    def law(self) -> bool:
-        """True for a fit of several formulas of the penetration law."""
-        return COEFFICIENT in self.variables and FORM in self.dimensions
-
-    @property
-    def points_over_two(self) -> bool:
-        """True for a list of points over two parameters."""
-        return self.points and len(self.varied) == 2
-
-    @property
-    def quantities_over_one(self) -> bool:
-        """True for quantities along a single axis, which are drawn as curves."""
-        return len(self.axes) == 1 and bool(self.beside)
-
-    @property
-    def worth_a_map(self) -> bool:
-        """True for lanes over two parameters that both have too many values for one line each."""
-        if not self.points:
-            return len(self.long) >= 2
-        return self.points_over_two and (self.regimes or min(self.varied.values()) > MOST_LINES)
+    def __init__(self, ds: xr.Dataset) -> None:
+        self.variables = frozenset(str(name) for name in ds.variables)
+        self.dimensions = frozenset(str(name) for name in ds.dims)
+        # Swept axes: those to draw along, those with too many values for one line each, and whether a map fits.
+        self.axes = axes_to_draw(ds)
+        self.long = long_axes(ds)
+        self.wide = sum(ds.sizes[name] >= ENOUGH for name in swept(ds)) > 1
+        # The lanes form a list of points, rather than a grid; the parameters that vary along it; exactly two do.
+        self.points = POINT in lane_dims(ds)
+        self.varied = varied(ds)
+        self.points_over_two = self.points and len(self.varied) == 2
+        self.many_starts = many_starts(ds)
+        # A single run over time; with the depths of bit and hole; of the bit on rock without the drill, which has x1.
+        self.run = TIME in ds.dims
+        self.hole = self.run and {"x3", "x4"} <= self.variables
+        self.bit_on_rock = self.run and "x3" in ds and "x1" not in ds
+        self.swept_sine = ds.attrs.get("pulse_shape") == "sweep" and parameters_of(ds).get("sweep_rate", 0.0) != 0.0
+        # A sweep with labelled lanes; that stored section crossings along an axis; of lanes carried up and down.
+        self.regimes = REGIME in ds
+        self.returns = self.regimes and RETURNS in ds and bool(self.axes)
+        self.carried = self.regimes and DIRECTION in ds.dims
+        self.rates = RATE in ds
+        self.law = COEFFICIENT in ds and FORM in ds.dims
+        # Quantities along a single axis are drawn as curves, lanes with too many values for one line each as maps.
+        self.quantities_over_one = len(self.axes) == 1 and bool(quantities_beside(ds))
+        self.worth_a_map = len(self.long) >= 2
+        if self.points:
+            self.worth_a_map = self.points_over_two and (self.regimes or min(self.varied.values()) > MOST_LINES)
 
 
-def contents(ds: xr.Dataset) -> Contents:
-    """Return the facts about a dataset that decide which picture fits it."""
-    return Contents(
-        variables=frozenset(str(name) for name in ds.variables),
-        dimensions=frozenset(str(name) for name in ds.dims),
-        axes=axes_to_draw(ds),
-        long=long_axes(ds),
-        wide=sum(ds.sizes[name] >= ENOUGH for name in swept(ds)) > 1,
-        varied=varied(ds),
-        beside=tuple(name for name in BESIDE_REGIMES if name in ds and np.isfinite(ds[name].values).any())[:2],
-        points=POINT in lane_dims(ds),
-        many_starts=many_starts(ds),
-        swept_sine=ds.attrs.get("pulse_shape") == "sweep" and parameters_of(ds).get("sweep_rate", 0.0) != 0.0,
-    )
-
-
-def has_regimes(ds: xr.Dataset) -> bool:
-    """Return whether the lanes have regime labels."""
-    return REGIME in ds
+def quantities_beside(ds: xr.Dataset) -> tuple[str, ...]:
+    """Return the names of the quantities that get a panel next to the regimes."""
+    return tuple(name for name in BESIDE_REGIMES if name in ds and np.isfinite(ds[name].values).any())[:2]
 
 
 def regimes_in(ds: xr.Dataset) -> xr.Dataset:
@@ -143,10 +81,12 @@ def rates_in(ds: xr.Dataset) -> xr.Dataset:
 
 def law_in(fit: xr.Dataset) -> xr.Dataset:
     """Return the fit with axes of length 1 as scalars; raise `InputError` if it holds no C along `form`."""
-    reason = "no law to draw: the dataset holds no variable C along form"
-    if COEFFICIENT in fit and FORM not in fit[COEFFICIENT].dims:
-        raise InputError(reason)
-    return _require(named_groups(fit), COEFFICIENT, reason)
+    has_forms = COEFFICIENT in fit and FORM in fit[COEFFICIENT].dims
+    return _require(
+        named_groups(fit),
+        COEFFICIENT if has_forms else "",
+        "no law to draw: the dataset holds no variable C along form",
+    )
 
 
 def _require(ds: xr.Dataset, name: str, reason: str) -> xr.Dataset:
@@ -235,3 +175,120 @@ def named_groups(fit: xr.Dataset) -> xr.Dataset:
 def is_numeric(data: xr.DataArray) -> bool:
     """Return whether the values are numeric, rather than strings."""
     return bool(np.issubdtype(data.dtype, np.number))
+
+
+Value = float | int | str
+
+MOST_LANES = 300_000
+"""The greatest number of lanes in a picture: more take minutes and show nothing new."""
+
+_DIGITS = 1e-4  # relative tolerance: about as many digits as a picture prints
+_LISTED_VALUES, _LISTED_NAMES = 12, 5
+
+
+def select(ds: xr.Dataset, where: Mapping[str, Value]) -> xr.Dataset:
+    """Return the lanes at specified values of axes, or of coordinates along axes.
+
+    Families are selected by the coordinates that distinguish them, or by `branch`.
+
+    **Arguments:** `where`: values by name: numbers in the dataset's unit, accurate to four digits, or strings.
+
+    **Raises:** `InputError` if there is no such axis, or the axis has no such value.
+    """
+    if not isinstance(where, Mapping):
+        raise InputError(f'where: {shown(where)} does not say which axis; give {{"delta": 0.005}}')
+    if kind_of(ds) == "family":
+        return _select_families(ds, where)
+    ds = named_groups(ds)
+    for name, value in where.items():
+        dims = (*lane_dims(ds), FORM)
+        choices = [str(key) for key, data in ds.coords.items() if len(data.dims) == 1 and data.dims[0] in dims]
+        if name not in choices:
+            advice = suggestion(str(name), choices) if choices else "there are none"
+            raise InputError(f"where: {shown(name)} is none of the dataset's axes; {advice}")
+        indices = _find(ds[name], value)
+        (dimension,) = ds[name].dims
+        ds = ds.isel({dimension: int(indices[0]) if len(indices) == 1 and dimension == name else indices})
+    ds = ds.copy()
+    ds.attrs.pop("certified", None)  # its counts are over all lanes
+    return ds
+
+
+def _select_families(ds: xr.Dataset, where: Mapping[str, Value]) -> xr.Dataset:
+    """Return the points and special points of the selected families, or of one branch."""
+    for name, value in where.items():
+        choices = [*(str(key) for key, data in ds.coords.items() if data.dims == (FAMILY,)), "branch"]
+        if name not in choices:
+            raise InputError(f"where: {shown(name)} tells no families apart; {suggestion(str(name), choices)}")
+        indices = _find(ds[name], value)
+        if name == "branch":
+            members = ds["branch"].values[indices]
+            numbers = {"point": ds["branch"].values, "special": ds["special_branch"].values}
+        else:
+            members = ds[FAMILY].values[indices]
+            numbers = {which: numbers_of(ds, which) for which in ("point", "special")}
+            single = len(indices) == 1
+            ds = ds.isel({FAMILY: int(indices[0])}).drop_vars(FAMILY) if single else ds.isel({FAMILY: indices})
+        ds = ds.isel({which: np.flatnonzero(np.isin(of, members)) for which, of in numbers.items()})
+    return ds
+
+
+def _find(data: xr.DataArray, value: Value) -> Int[np.ndarray, " indices"]:
+    """Return the indices of a value; raise `InputError` that lists the existing values if it does not occur."""
+    values = data.values
+    if is_numeric(data):
+        try:
+            number = float(value)
+        except (TypeError, ValueError):
+            number = np.nan
+        finite = np.unique(values[np.isfinite(values)])
+        nearest = finite[np.argmin(np.abs(finite - number))] if finite.size and np.isfinite(number) else np.nan
+        if abs(nearest - number) <= _DIGITS * abs(nearest) + np.finfo(float).tiny:
+            return np.flatnonzero(values == nearest)
+        texts = [f"{item:.6g}" for item in finite]
+        choices = f"there are {', '.join(texts)}"
+        if finite.size > _LISTED_VALUES:
+            choices = f"there are {finite.size} from {texts[0]} to {texts[-1]}"
+            if isinstance(value, (int, float)) and finite[0] < value < finite[-1]:
+                above = int(np.searchsorted(finite, value))
+                choices += f", beside it {texts[above - 1]} and {texts[above]}"
+    else:
+        names = [str(name) for name in values]
+        indices = np.flatnonzero([value in (name, short(name)) or short(str(value)) == short(name) for name in names])
+        if indices.size:
+            return indices
+        names = list(dict.fromkeys(names))
+        more = f" and {len(names) - _LISTED_NAMES} more" if len(names) > _LISTED_NAMES else ""
+        choices = f"there are {', '.join(map(short, names[:_LISTED_NAMES]))}{more}"
+    raise InputError(f"where: no lane has {data.name} = {value}; {choices}")
+
+
+def thin_out(ds: xr.Dataset) -> xr.Dataset:
+    """Return the dataset, or, if it has too many lanes, every n-th value of the longest axes, loaded into memory."""
+    steps = _thinning_steps(ds)
+    if not steps:
+        return ds
+    part = ds.isel({name: slice(None, None, step) for name, step in steps.items()})
+    for variable in part.variables.values():  # one by one: a variable is read completely before it is thinned
+        variable.load()
+    return part
+
+
+def thinned_text(ds: xr.Dataset) -> str:
+    """Describe which values of a dataset are drawn; return "" if all are drawn."""
+    ordinals = {2: "second", 3: "third"}
+    steps = _thinning_steps(ds)
+    parts = [f"every {ordinals.get(step, f'{step}th')} value of {name}" for name, step in steps.items()]
+    return f"drawn is {' and '.join(parts)}" if parts else ""
+
+
+def _thinning_steps(ds: xr.Dataset) -> dict[str, int]:
+    """Return n by dimension, for those dimensions of which only every n-th value is drawn."""
+    sizes = {name: ds.sizes[name] for name in lane_dims(ds)}
+    steps = dict.fromkeys(sizes, 1)
+    remaining = dict(sizes)
+    while prod(remaining.values()) > MOST_LANES:
+        longest = max(sizes, key=remaining.__getitem__)
+        steps[longest] += 1
+        remaining[longest] = -(-sizes[longest] // steps[longest])
+    return {name: step for name, step in steps.items() if step > 1}

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -19,15 +19,13 @@ from vibrojax.errors import InputError
 from vibrojax.plot.axes import is_geometric, label, scale, shape_axis, value_text
 from vibrojax.plot.colours import form_colour
 from vibrojax.plot.contents import FORM, MOST_LINES, POINT, START, is_numeric, lane_dims, named_axes, swept, varied
-from vibrojax.plot.sheet import LEGEND_WIDTH, Facets
+from vibrojax.plot.sheet import LEGEND_WIDTH, Facets, new_grid
 from vibrojax.plot.style import (
     BIT,
     ROCK_COLOURS,
     SAVED_DPI,
     Mark,
-    divide_figure,
     line_colours,
-    new_figure,
     other_colour,
     start_colour,
 )
@@ -74,30 +72,12 @@ class Across:
         return "-" if self.is_number and POINT not in lane_dims(ds) else "none"
 
 
-@dataclass(frozen=True)
-class Line:
+class Line(NamedTuple):
     """One line: its legend text `name`, its colour, and its lanes along one dimension."""
 
     name: str
     colour: str
     lanes: xr.Dataset
-
-
-@dataclass(frozen=True)
-class Row:
-    """The panels of one facet, one per quantity. Only the row at the `bottom` has labels of the horizontal axis."""
-
-    axes: tuple[Axes, ...]
-    facet: xr.Dataset
-    bottom: bool
-
-    def label(self, quantity: int, across: str, up: str) -> None:
-        """Label the panel of one quantity, and draw grid lines."""
-        axes = self.axes[quantity]
-        axes.grid(True)
-        axes.tick_params(labelbottom=self.bottom)
-        axes.set_xlabel(across if self.bottom else "")
-        axes.set_ylabel(up)
 
 
 def longest_axis(ds: xr.Dataset) -> Across:
@@ -134,9 +114,16 @@ def split_lines(ds: xr.Dataset, by: str) -> list[Line]:
         return [Line("", BIT, ds)]
     values = list(dict.fromkeys(ds[by].values.tolist()))
     values = sorted(values) if is_numeric(ds[by]) else values
+    graded = line_colours(len(values))
     lines = []
-    for value, colour in zip(values, _colours(ds[by], values), strict=True):
+    for position, value in enumerate(values):
         lanes = ds.isel({ds[by].dims[0]: np.flatnonzero(ds[by].values == value)})
+        if is_numeric(ds[by]):
+            colour = graded[position]
+        elif by == FORM:
+            colour = form_colour(value)
+        else:
+            colour = start_colour(value, position) if by == START else ROCK_COLOURS.get(value, other_colour(position))
         name = value_text(ds[by], value).removeprefix("rock: ").removeprefix("form: ")
         lines.append(Line(name, colour, lanes.isel({by: 0}) if by in lanes.dims else lanes))
     return lines
@@ -151,33 +138,38 @@ def line_handles(lines: Sequence[Line], mark: Mark) -> list[Artist]:
     return [Line2D([], [], label=lines[i].name, **marker | mark | Mark(color=lines[i].colour)) for i in chosen]
 
 
-def new_rows(panels: Facets, quantities: int, above: float = 0.0) -> tuple[Figure, tuple[Row, ...], SubplotSpec | None]:
+class Row(NamedTuple):
+    """The panels of one facet, one per quantity. Only the row at the `bottom` has labels of the horizontal axis."""
+
+    axes: list[Axes]
+    facet: xr.Dataset
+    bottom: bool
+
+    def label(self, quantity: int, across: str, up: str) -> None:
+        """Label the panel of one quantity, and draw grid lines."""
+        axes = self.axes[quantity]
+        axes.grid(True)
+        axes.tick_params(labelbottom=self.bottom)
+        axes.set_xlabel(across if self.bottom else "")
+        axes.set_ylabel(up)
+
+
+def new_rows(panels: Facets, quantities: int, above: float = 0.0) -> tuple[Figure, list[Row], SubplotSpec | None]:
     """Return an empty figure with room for a legend at the right, its rows of panels, and a free strip at the top.
 
     The panels of a quantity share their axes. The strip is `above` inches high; None is returned for zero inches.
     """
     count = len(panels)
-    figure = new_figure(_PANEL_WIDTH * quantities + LEGEND_WIDTH, (2.9 if count == 1 else 2.3) * count + 0.8 + above)
-    over, place = divide_figure(figure, above)
-    grid = place.subgridspec(count, quantities)
+    size = _PANEL_WIDTH * quantities + LEGEND_WIDTH, (2.9 if count == 1 else 2.3) * count + 0.8
+    grid = new_grid(*size, above, [1.0] * count, [1.0] * quantities)
     rows: list[Row] = []
     for k, (title, facet) in enumerate(zip(panels.titles, panels.data, strict=True)):
-        first = rows[0].axes if rows else (None,) * quantities
-        axes = [figure.add_subplot(grid[k, i], sharex=first[i], sharey=first[i]) for i in range(quantities)]
+        first = rows[0].axes if rows else [None] * quantities
+        places = [grid.panels[k, i] for i in range(quantities)]
+        axes = [grid.figure.add_subplot(place, sharex=a, sharey=a) for place, a in zip(places, first, strict=True)]
         axes[0].set_title(title, loc="left")
-        rows.append(Row(tuple(axes), facet, k == count - 1))
-    return figure, tuple(rows), over
-
-
-def _colours(data: xr.DataArray, values: Sequence[float | str]) -> list[str]:
-    """Return graded colours for numbers; fixed colours for names of formulas, initial conditions or rocks."""
-    if is_numeric(data):
-        return line_colours(len(values))
-    if data.name == FORM:
-        return [form_colour(str(value)) for value in values]
-    if data.name == START:
-        return [start_colour(str(value), position) for position, value in enumerate(values)]
-    return [ROCK_COLOURS.get(str(value), other_colour(position)) for position, value in enumerate(values)]
+        rows.append(Row(axes, facet, k == count - 1))
+    return grid.figure, rows, grid.above
 
 
 _CYCLE_PIXELS = 5.0  # least width of a cycle that a line resolves

@@ -87,40 +87,36 @@ def check_families(ds: xr.Dataset, layers: Sequence[xr.Dataset], x: str) -> None
 def draw_over(axes: Axes, layers: Sequence[xr.Dataset], facet: xr.Dataset, x: str, name: str, factor: float) -> None:
     """Draw the variable `name` of those families that have the parameters of `facet`, within its range of `x`."""
     values = _parameter_values(facet)
+    ends = edges(np.sort(values_along(facet[x])))
     for over in layers:
-        same = all(
-            _is_near(values[parameter], value).any()
-            for parameter, value in parameters_of(over).items()
-            if parameter != x and parameter in values
-        )
-        if name not in over or not same:
+        if name not in over:
             continue
-        fits = np.ones(over.sizes.get(FAMILY, 1), bool)
-        for coord in _numeric_coords(over):
-            if coord in values:
-                fits &= _is_near(over[coord].values, float(values[coord][0]))
-        numbers = over[FAMILY].values[fits] if FAMILY in over.dims else np.unique(numbers_of(over, "point"))
-        curves = [Curve(branch, INK) for branch in branches(over) if branch.family in numbers]
-        ends = edges(np.sort(values_along(facet[x])))
-        within = float(ends[0]), float(ends[-1])
-        draw_families(axes, over, curves, name, thin=True, factor=factor, within=within, over_dots=True)
+        fixed, coords = parameters_of(over), _numeric_coords(over)
+        numbers = over[FAMILY].values if FAMILY in over.dims else np.unique(numbers_of(over, "point"))
+        fitting = []
+        for position, family in enumerate(numbers.tolist()):
+            parameters = fixed | {coord: float(over[coord].values[position]) for coord in coords}
+            known = {key: value for key, value in parameters.items() if key != x and key in values}
+            if all(_is_near(values[key], value).any() for key, value in known.items()):
+                fitting.append(family)
+        curves = [Curve(branch, INK) for branch in branches(over) if branch.family in fitting]
+        draw_families(axes, over, curves, name, thin=True, factor=factor, within=(float(ends[0]), float(ends[-1])))
 
 
 def over_handles(layers: Sequence[xr.Dataset]) -> list[Artist]:
     """Return the legend entries for families, without duplicates."""
-    lines: dict[str, Artist] = {}
-    marks: dict[str, Artist] = {}
+    handles: dict[str, Artist] = {}
     for over in layers:
         curves = [Curve(branch, INK) for branch in branches(over)]
-        lines |= {str(handle.get_label()): handle for handle in stability_handles(over, curves, " orbit")}
-        marks |= {str(handle.get_label()): handle for handle in special_handles(over, count=False)}
-    return [*lines.values(), *(marks[kind] for kind in dict.fromkeys((*MARKS, *marks)) if kind in marks)]
+        entries = [*stability_handles(over, curves, " orbit"), *special_handles(over, count=False)]
+        handles |= {str(handle.get_label()): handle for handle in entries}
+    return [*(handles[name] for name in handles if name not in MARKS), *(handles[k] for k in MARKS if k in handles)]
 
 
 def special_points(over: xr.Dataset) -> list[tuple[str, float]]:
     """Return kind and parameter value of each special point of families, except points of kind "end"."""
     points = zip(kind_names(over), over["special_value"].values.tolist(), strict=True)
-    return [(kind, value) for kind, value in points if kind != "end"]
+    return [point for point in points if point[0] != "end"]
 
 
 def over_text(ds: xr.Dataset, layers: Sequence[xr.Dataset]) -> str:

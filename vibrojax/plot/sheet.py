@@ -4,36 +4,33 @@ A facet shows the lanes at one combination of values of the axes that are neithe
 quantities, None stands for the regimes.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 from textwrap import fill
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
-from jaxtyping import Int
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
-from matplotlib.gridspec import GridSpecFromSubplotSpec, SubplotSpec
+from matplotlib.gridspec import GridSpec, GridSpecFromSubplotSpec, SubplotSpec
 from matplotlib.lines import Line2D
 
 from vibrojax.plot.axes import index_text, number, point_text, pretty_unit, scale, short, symbol
 from vibrojax.plot.colours import Value, Values, name_flags
 from vibrojax.plot.contents import START, is_numeric, lane_dims
-from vibrojax.plot.style import TITLE_SIZE, divide_figure, new_figure
+from vibrojax.plot.style import TITLE_SIZE, new_figure
 
 MOST_PANELS = 12
 _MOST_BESIDE = 3  # for up to this many facets, quantities are to the right of the regimes, else below
 _MOST_COLUMNS = 6
 _SQUARE_FROM = 4  # number of quantities from which a single facet has two columns
 _LEGEND_ROOM = 1.6  # inches at the right for the legend, if no panel of regimes leaves a place for it
-
-Indices = Int[np.ndarray, " values"]
 
 
 @dataclass(frozen=True)
@@ -61,31 +58,29 @@ def facets(ds: xr.Dataset, along: Sequence[str], most: int = MOST_PANELS) -> Fac
     while np.prod(list(counts.values()), initial=1) > most:  # initial conditions are left out last
         droppable = [name for name in counts if name != START and counts[name] > 1] or list(counts)
         counts[max(droppable, key=counts.__getitem__)] -= 1
-    picks: dict[str, Indices] = {  # from the first to the last value; the middle value if there is room for only one
-        name: np.array([size // 2]) if counts[name] == 1 else np.linspace(0, size - 1, counts[name]).round().astype(int)
+    picks = {  # from the first to the last value; the middle value if there is room for only one
+        name: [size // 2] if counts[name] == 1 else np.linspace(0, size - 1, counts[name]).round().astype(int).tolist()
         for name, size in sizes.items()
     }
-    indices = [dict(zip(axes, map(int, pick), strict=True)) for pick in product(*picks.values())]
+    indices = [dict(zip(axes, pick, strict=True)) for pick in product(*picks.values())]
     titles = tuple(", ".join(index_text(ds, name, i) for name, i in index.items()) for index in indices)
     runs = tuple(int(run) for run in np.cumprod([counts[name] for name in reversed(axes)]))
     parts = [
-        f"{_listed(ds, name, pick)} ({pick.size} of {sizes[name]} values)"
+        f"{_listed(ds, name, pick)} ({len(pick)} of {sizes[name]} values)"
         for name, pick in picks.items()
-        if pick.size < sizes[name]
+        if len(pick) < sizes[name]
     ]
     note = f"Too many panels to show all; here {'; '.join(parts)}" if parts else ""
     return Facets(titles, tuple(ds.isel(index) for index in indices), runs, note)
 
 
-def _listed(ds: xr.Dataset, name: str, pick: Indices) -> str:
+def _listed(ds: xr.Dataset, name: str, pick: list[int]) -> str:
     """Format the values of a dimension at the indices `pick`."""
     if name not in ds.coords:
-        return "; ".join(index_text(ds, name, i) for i in pick.tolist())
-    values = ds[name].values[pick]
-    if not is_numeric(ds[name]):
-        return f"{symbol(ds[name])} = {', '.join(short(str(value)) for value in values)}"
-    factor, unit = scale(ds[name])
-    return f"{symbol(ds[name])} = {', '.join(number(float(x) * factor) for x in values)} {pretty_unit(unit)}".rstrip()
+        return "; ".join(index_text(ds, name, i) for i in pick)
+    values, (factor, unit) = ds[name].values[pick], scale(ds[name]) if is_numeric(ds[name]) else (1.0, "")
+    texts = [number(float(x) * factor) if is_numeric(ds[name]) else short(str(x)) for x in values]
+    return f"{symbol(ds[name])} = {', '.join(texts)} {pretty_unit(unit)}".rstrip()
 
 
 def columns(panels: Facets, most: int) -> int:
@@ -98,8 +93,7 @@ def columns(panels: Facets, most: int) -> int:
     return min(choices, key=lambda n: (n < 3, -count % n, -n), default=most)
 
 
-@dataclass(frozen=True)
-class Panel:
+class Panel(NamedTuple):
     """One panel: its axes, its facet, and the quantity `value` that it shows (None: the regimes).
 
     `first`: the panel is in the first column and has y labels; `bottom`: it is the last of its column and has x labels.
@@ -121,33 +115,29 @@ class Sheet:
     """
 
     figure: Figure
-    panels: tuple[Panel, ...]
-    bars: tuple[Axes, ...]
+    panels: Sequence[Panel]
+    bars: Sequence[Axes]
     values: Values
     upright: bool
-    above: SubplotSpec | None = None
-
-    def __iter__(self) -> Iterator[Panel]:
-        return iter(self.panels)
+    above: SubplotSpec | None
 
     def finish(self, handles: Sequence[Artist]) -> None:
         """Draw the colour bars and the legend.
 
         The regimes have the legend in place of a colour bar; without regimes, the legend is at the right of the figure.
         """
+        look: dict[str, Any] = {"loc": "upper left", "ncols": 2, "columnspacing": 1.0}
+        if self.upright:
+            look = {"loc": "center left"}
         for bar, value in zip(self.bars, self.values, strict=True):
             if value is None:
                 bar.axis("off")
-                if self.upright:
-                    bar.legend(handles=handles, borderaxespad=0.0, borderpad=0.0, loc="center left")
-                else:
-                    look: dict[str, Any] = {"loc": "upper left", "ncols": 2, "columnspacing": 1.0}
-                    bar.legend(handles=handles, borderaxespad=0.0, borderpad=0.0, **look)
+                bar.legend(handles=handles, borderaxespad=0.0, borderpad=0.0, **look)
                 handles = ()  # only the first of several such places has the legend
             else:
                 draw_bar(self.figure, value, cax=bar, orientation="vertical" if self.upright else "horizontal")
-        if None not in self.values and handles:
-            self.figure.legend(handles=handles, loc="outside right upper")
+        if None not in self.values:
+            legend_at_right(self.figure, handles)
 
 
 def draw_bar(figure: Figure, value: Value, **place: Any) -> None:
@@ -165,48 +155,57 @@ def sheet(panels: Facets, values: Values, above: float = 0.0) -> Sheet:
     quantity are arranged in a block, with legend and colour bars at the right.
     """
     rows, wide = len(panels), len(values)
-    if rows == 1 and wide >= _SQUARE_FROM:
+    square = rows == 1 and wide >= _SQUARE_FROM
+    if square:
         deep = -(-wide // 2)
-        figure, over, grid = _grid(9.2 + _LEGEND_ROOM, 2.9 * deep + 0.8, above, [1.0] * deep, [1.0, 0.04, 1.0, 0.04])
-        cells = [(grid[i // 2, 2 * (i % 2)], 0, i, i % 2 == 0, i + 2 >= wide, panels.titles[0]) for i in range(wide)]
-        bars = [grid[i // 2, 2 * (i % 2) + 1] for i in range(wide)]
+        grid = new_grid(9.2 + _LEGEND_ROOM, 2.9 * deep + 0.8, above, [1.0] * deep, [1.0, 0.04, 1.0, 0.04])
+        cells = [((i // 2, 2 * (i % 2)), 0, i, i % 2 == 0, i + 2 >= wide, panels.titles[0]) for i in range(wide)]
+        bars = [grid.panels[i // 2, 2 * (i % 2) + 1] for i in range(wide)]
     elif rows <= _MOST_BESIDE:
         width = max(3.4 * wide, 4.6) + (0.0 if None in values else _LEGEND_ROOM)
-        figure, over, grid = _grid(width, 2.7 * rows + 1.5, above, [1.0] * rows + [0.05], [1.0] * wide)
+        grid = new_grid(width, 2.7 * rows + 1.5, above, [1.0] * rows + [0.05], [1.0] * wide)
         cells = [
-            (grid[row, i], row, i, i == 0, row == rows - 1, panels.titles[row] if i == 0 else "")
+            ((row, i), row, i, i == 0, row == rows - 1, panels.titles[row] if i == 0 else "")
             for row, i in product(range(rows), range(wide))
         ]
-        bars = [grid[rows, i] for i in range(wide)]
+        bars = [grid.panels[rows, i] for i in range(wide)]
     else:
         across = columns(panels, _MOST_COLUMNS)
         deep = -(-rows // across)
         width, height = (2.75 if across <= 4 else 2.2), (2.35 if deep == 1 else 2.0)
         size = width * across + 2.2, height * deep * wide + 0.9
-        figure, over, grid = _grid(*size, above, [1.0] * deep * wide, [1.0] * across + [0.05])
+        grid = new_grid(*size, above, [1.0] * deep * wide, [1.0] * across + [0.05])
         cells = []
         for block, k in product(range(wide), range(rows)):
             row, column = divmod(k, across)
             title = _wrapped(panels.titles[k], width) if deep > 1 or block == 0 else ""
             last = block == wide - 1 and k + across >= rows
-            cells.append((grid[block * deep + row, column], k, block, column == 0, last, title))
-        bars = [grid[block * deep : (block + 1) * deep, across] for block in range(wide)]
+            cells.append(((block * deep + row, column), k, block, column == 0, last, title))
+        bars = [grid.panels[block * deep : (block + 1) * deep, across] for block in range(wide)]
     drawn: list[Panel] = []
     for place, k, i, first, bottom, title in cells:
         shared = drawn[0].axes if drawn else None
-        axes = figure.add_subplot(place, sharex=shared, sharey=shared)
+        axes = grid.figure.add_subplot(grid.panels[place], sharex=shared, sharey=shared)
         drawn.append(Panel(axes, panels.data[k], title, values[i], first, bottom))
-    upright = rows > _MOST_BESIDE or (rows == 1 and wide >= _SQUARE_FROM)
-    return Sheet(figure, tuple(drawn), tuple(map(figure.add_subplot, bars)), values, upright, over)
+    upright = square or rows > _MOST_BESIDE
+    return Sheet(grid.figure, drawn, [grid.figure.add_subplot(bar) for bar in bars], values, upright, grid.above)
 
 
-def _grid(
-    width: float, height: float, above: float, heights: list[float], widths: list[float]
-) -> tuple[Figure, SubplotSpec | None, GridSpecFromSubplotSpec]:
-    """Return a figure, its free strip of `above` inches, and below it a grid with ratios `heights` and `widths`."""
+class Grid(NamedTuple):
+    """A figure with places for `panels`, and a free strip `above` them, or None."""
+
+    figure: Figure
+    above: SubplotSpec | None
+    panels: GridSpecFromSubplotSpec
+
+
+def new_grid(width: float, height: float, above: float, heights: list[float], widths: list[float]) -> Grid:
+    """Return a new figure with a free strip of `above` inches, and below it a grid with ratios `heights`, `widths`."""
     figure = new_figure(width, height + above)
-    over, place = divide_figure(figure, above)
-    return figure, over, place.subgridspec(len(heights), len(widths), height_ratios=heights, width_ratios=widths)
+    strips = GridSpec(2, 1, figure, height_ratios=[above, height]) if above > 0 else GridSpec(1, 1, figure)
+    ratios = {"height_ratios": heights, "width_ratios": widths}
+    panels = strips[-1].subgridspec(len(heights), len(widths), **ratios)
+    return Grid(figure, strips[0] if above > 0 else None, panels)
 
 
 def _wrapped(title: str, width: float) -> str:
@@ -233,15 +232,40 @@ def write_margins(figure: Figure, ds: xr.Dataset, *notes: str, point: str | None
     The notes begin with `point`, by default the values common to all lanes. Each line after the first line of title or
     notes makes the figure higher.
     """
+    renderer = FigureCanvasAgg(figure).get_renderer()
+    width = 0.98 * figure.get_figwidth()
+    legends = [legend.get_window_extent(renderer).width / figure.dpi + _BESIDE_LEGEND for legend in figure.legends]
+
+    def wrap(text: str, font: FontProperties, width: float, most: int) -> list[str]:
+        """Wrap the text to at most `most` lines of `width` [inch]; an ellipsis marks omitted text."""
+
+        def fits(text: str) -> bool:
+            return float(renderer.get_text_width_height_descent(text, font, False)[0]) / figure.dpi <= width
+
+        def cut(text: str) -> str:
+            if fits(text):
+                return text
+            while text and not fits(f"{text}…"):
+                text = text[:-1].rstrip(" …")
+            return f"{text}…"
+
+        lines: list[str] = []
+        for word in text.split():
+            longer = f"{lines[-1]} {word}" if lines else word
+            if lines and fits(longer):
+                lines[-1] = longer
+            else:
+                lines.append(cut(word))
+            if len(lines) > most:
+                return [*lines[: most - 1], cut(f"{lines[most - 1]} …")]
+        return lines
+
     title = str(ds.attrs.get("title") or ds.attrs.get("scene", ""))
     note = ". ".join(filter(None, (point_text(ds) if point is None else point, *notes)))
-    width = 0.98 * figure.get_figwidth()
-    renderer = _canvas(figure).get_renderer()
-    legends = [legend.get_window_extent(renderer).width / figure.dpi + _BESIDE_LEGEND for legend in figure.legends]
     bold = FontProperties(size=TITLE_SIZE, weight="bold")
-    above = _wrap(figure, title, bold, width - max(legends, default=0.0), _TITLE_LINES)
+    above = wrap(title, bold, width - max(legends, default=0.0), _TITLE_LINES)
     # At the higher resolution of a saved picture, small text is wider by a hundredth.
-    below = _wrap(figure, note, FontProperties(size=_NOTE_SIZE), 0.985 * width, _NOTE_LINES)
+    below = wrap(note, FontProperties(size=_NOTE_SIZE), 0.985 * width, _NOTE_LINES)
     if above:
         figure.suptitle("\n".join(above), x=0.01, ha="left", fontproperties=bold)
     if below:
@@ -258,36 +282,3 @@ def legend_at_right(figure: Figure, *groups: Sequence[Artist]) -> None:
         handles += ([gap] if handles and group else []) + list(group)
     if handles:
         figure.legend(handles=handles, loc="outside right upper")
-
-
-def _wrap(figure: Figure, text: str, font: FontProperties, width: float, most: int) -> list[str]:
-    """Wrap the text to at most `most` lines of `width` [inch]; an ellipsis marks omitted text."""
-    lines: list[str] = []
-    for word in text.split():
-        longer = f"{lines[-1]} {word}" if lines else word
-        if lines and _text_width(figure, longer, font) <= width:
-            lines[-1] = longer
-        else:
-            lines.append(_cut(figure, word, font, width))
-        if len(lines) > most:
-            return [*lines[: most - 1], _cut(figure, f"{lines[most - 1]} …", font, width)]
-    return lines
-
-
-def _cut(figure: Figure, text: str, font: FontProperties, width: float) -> str:
-    """Truncate the text with an ellipsis if it is wider than `width` [inch]."""
-    if _text_width(figure, text, font) <= width:
-        return text
-    while text and _text_width(figure, f"{text}…", font) > width:
-        text = text[:-1].rstrip(" …")
-    return f"{text}…"
-
-
-def _text_width(figure: Figure, text: str, font: FontProperties) -> float:
-    """Return the rendered width [inch] of a text on one line."""
-    width, *_ = _canvas(figure).get_renderer().get_text_width_height_descent(text, font, False)
-    return float(width) / figure.dpi
-
-
-def _canvas(figure: Figure) -> FigureCanvasAgg:
-    return figure.canvas if isinstance(figure.canvas, FigureCanvasAgg) else FigureCanvasAgg(figure)

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import wraps
 from io import BytesIO
-from typing import Any, ParamSpec, TypedDict
+from typing import Any, ParamSpec
 
 import numpy as np
 import xarray as xr
@@ -15,8 +15,6 @@ from matplotlib import colormaps, style
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import Colormap, to_hex
 from matplotlib.figure import Figure
-from matplotlib.gridspec import GridSpec, SubplotSpec
-from matplotlib.typing import ColorType, LineStyleType, MarkerType
 
 from vibrojax.errors import printable
 from vibrojax.io.attributes import title_of
@@ -76,20 +74,8 @@ COLOURS: ContextVar[str | None] = ContextVar("COLOURS", default=None)
 
 Arguments = ParamSpec("Arguments")
 
-
-class Mark(TypedDict, total=False):
-    """Matplotlib's properties of a line and its markers."""
-
-    color: ColorType
-    linestyle: LineStyleType
-    linewidth: float
-    marker: MarkerType
-    markersize: float
-    markerfacecolor: ColorType
-    markeredgecolor: ColorType
-    markeredgewidth: float
-    alpha: float
-    zorder: float
+Mark = dict[str, Any]
+"""Matplotlib's properties of a line and its markers."""
 
 
 class OwnFigure(Figure):
@@ -117,7 +103,7 @@ def styled(draw: Callable[Arguments, Figure]) -> Callable[Arguments, Figure]:
     @wraps(draw)
     def draw_styled(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Figure:
         with settings():
-            figure = draw(*map(_make_drawable, args), **{name: _make_drawable(arg) for name, arg in kwargs.items()})
+            figure = draw(*map(_drawable, args), **{name: _drawable(arg) for name, arg in kwargs.items()})
         # Ticks are created when the figure is rendered, under the user's settings.
         for axes in figure.axes:
             axes.tick_params(labelsize=_TICK_SIZE)
@@ -131,14 +117,6 @@ def new_figure(width: float, height: float) -> OwnFigure:
     figure = OwnFigure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
-
-
-def divide_figure(figure: Figure, above: float) -> tuple[SubplotSpec | None, SubplotSpec]:
-    """Divide a figure into a strip of `above` inches at the top (None for zero inches) and the rest below it."""
-    if not above > 0:
-        return None, GridSpec(1, 1, figure)[0]
-    places = GridSpec(2, 1, figure, height_ratios=[above, figure.get_figheight() - above])
-    return places[0], places[1]
 
 
 def colour_map(default: str = "viridis") -> Colormap:
@@ -168,9 +146,13 @@ _LONGEST_NAME = 100  # characters
 _LONGEST_ATTRIBUTE = {"long_name": 200, "units": 40, "symbol": 40}  # characters that are drawn
 
 
-def drawable(ds: xr.Dataset) -> xr.Dataset:
-    """Return the dataset with strings on one line, shortened, and without matplotlib formulas."""
-    ds = ds.copy(deep=False)
+def _drawable(argument: Any) -> Any:
+    """Return an argument of a drawing function; the strings of its datasets are short, single-line and not formulas."""
+    if isinstance(argument, (list, tuple)) and any(isinstance(item, xr.Dataset) for item in argument):
+        return [_drawable(item) for item in argument]
+    if not isinstance(argument, xr.Dataset):
+        return argument
+    ds = argument.copy(deep=False)
     if "title" in ds.attrs:
         ds.attrs["title"] = plain(title_of(ds))
     for name in _DRAWN_ATTRIBUTES:
@@ -191,12 +173,3 @@ def drawable(ds: xr.Dataset) -> xr.Dataset:
 def plain(text: str) -> str:
     """Escape dollar signs, between which matplotlib would look for formulas."""
     return re.sub(r"(?<!\\)\$", r"\\$", text)
-
-
-def _make_drawable(argument: Any) -> Any:
-    """Return an argument of a drawing function with all its datasets made drawable."""
-    if isinstance(argument, xr.Dataset):
-        return drawable(argument)
-    if isinstance(argument, (list, tuple)) and any(isinstance(item, xr.Dataset) for item in argument):
-        return [_make_drawable(item) for item in argument]
-    return argument

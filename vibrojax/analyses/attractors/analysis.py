@@ -204,7 +204,7 @@ def share_map(ds: xr.Dataset) -> Figure:
     panels = facets(shown, (x, y), MOST_PANELS // len(columns))
     drawn = sheet(panels, columns)
     places = dict.fromkeys(map(id, panels.data), -1)  # the panels of a facet come in the order of the columns
-    for panel in drawn:
+    for panel in drawn.panels:
         places[id(panel.facet)] += 1
         if panel.value is None:
             name = names[places[id(panel.facet)] - 1]

@@ -169,7 +169,7 @@ def law_map(fit: xr.Dataset) -> Figure:
         legend_at_right(drawn.figure, _line_handles(fit), uses)
     colours = ListedColormap([form_colour(name) for name in forms], name="forms").with_extremes(bad=UNDEFINED)
     norm = BoundaryNorm(np.arange(-0.5, len(forms)), len(forms))
-    for panel in drawn:
+    for panel in drawn.panels:
         if panel.value is None:
             fill_cells(panel, x, y, Coloured(panel.facet[_BEST].transpose(y, x).values, colours, norm))
         else:

@@ -6,16 +6,15 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from vibrojax.analyses.analysis import Analysis, PictureRule, Source
-from vibrojax.analyses.sweep.basins import many_starts
+from vibrojax.analyses.sweep.basins import many_starts, regime_bars
 from vibrojax.analyses.sweep.maps import rate_grid, regime_grid
 from vibrojax.analyses.sweep.rates import rates
 from vibrojax.analyses.sweep.returns import bifurcation, hysteresis
 from vibrojax.analyses.sweep.run import run_sweep
-from vibrojax.analyses.sweep.scatter import rate_scatter, regime_bars, regime_scatter
 from vibrojax.analyses.sweep.strips import regime_lines
 from vibrojax.errors import InputError
 from vibrojax.io.kinds import kind_of
-from vibrojax.plot.contents import contents
+from vibrojax.plot.contents import Contents
 from vibrojax.plot.overlays import refuse_overlays
 
 
@@ -28,11 +27,9 @@ class Sweeps(Analysis):
         PictureRule("returns", lambda held: held.returns, bifurcation),
         PictureRule("starts", lambda held: held.regimes and held.many_starts, many_starts),
         PictureRule("rates", lambda held: held.rates and not held.worth_a_map, rates),
-        PictureRule("regimes", lambda held: held.regimes and held.points_over_two, regime_scatter),
-        PictureRule("regimes", lambda held: held.regimes and len(held.axes) > 1, regime_grid),
+        PictureRule("regimes", lambda held: held.regimes and (held.points_over_two or len(held.axes) > 1), regime_grid),
         PictureRule("regimes", lambda held: held.regimes and held.quantities_over_one, regime_lines),
         PictureRule("regimes", lambda held: held.regimes, regime_bars),
-        PictureRule("rate map", lambda held: held.rates and held.points, rate_scatter),
         PictureRule("rate map", lambda held: held.rates, rate_grid),
     )
 
@@ -44,7 +41,7 @@ class Sweeps(Analysis):
         """Return the picture of a sweep; `over`: borders on its regime map, or families on its section crossings."""
         if not over:
             return super().picture(ds)
-        held = contents(ds)
+        held = Contents(ds)
         if any(isinstance(layer, xr.Dataset) and kind_of(layer) == "borders" for layer in over):
             if len(over) > 1:
                 raise InputError("over: borders are laid over a map one dataset at a time; give one")
@@ -58,5 +55,5 @@ class Sweeps(Analysis):
     @classmethod
     def drawn_as(cls, ds: xr.Dataset, shows: str) -> Figure:
         """Return the first picture of the subject `shows` ("regimes", "rate map") that fits a dataset."""
-        held = contents(ds)
+        held = Contents(ds)
         return next(rule for rule in cls.pictures if rule.shows == shows and rule.fits(held)).draw(ds)

@@ -1,15 +1,22 @@
-"""Pictures of many initial conditions: the regime that each leads to, or the fraction of them in each regime."""
+"""Regimes of many initial conditions, one by one or as fractions, and numbers of lanes in each regime."""
 
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from vibrojax.analyses.sweep.maps import draw_map
-from vibrojax.analyses.sweep.scatter import draw_points, draw_scatter, regime_bars
+from vibrojax.analyses.sweep.maps import draw_map, draw_points, split_starts
 from vibrojax.analyses.sweep.strips import regime_lines
-from vibrojax.plot.axes import certified_text, label
-from vibrojax.plot.colours import Values, regime_handles, share_value, values_beside
+from vibrojax.plot.axes import certified_text, label, share_text
+from vibrojax.plot.colours import (
+    REGIME_COLOURS,
+    Values,
+    regime_counts,
+    regime_handles,
+    regime_names,
+    share_value,
+    values_beside,
+)
 from vibrojax.plot.contents import ENOUGH, POINT, REGIME, START, axes_of_map, lane_dims, regimes_in, swept, varied
 from vibrojax.plot.sheet import draw_bar, legend_at_right, write_margins
 from vibrojax.plot.starts import (
@@ -25,8 +32,38 @@ from vibrojax.plot.starts import (
 )
 from vibrojax.plot.style import new_figure, styled
 
+_MOST_BAR_COLUMNS = 4
 _MOST_SHARES = 5  # number of fractions drawn as maps if there is a single facet
-_SHARED = "The regime that most of {} starts end in, and the share of them that ends in each"
+
+
+@styled
+def regime_bars(ds: xr.Dataset) -> Figure:
+    """Draw the number of lanes in each regime, one panel per initial condition."""
+    ds = regimes_in(ds)
+    panels = split_starts(ds)
+    counts = [regime_counts([facet[REGIME]]) for facet in panels.data]
+    occurring = sorted(set().union(*counts))
+    names = regime_names(ds[REGIME])
+    wide = min(len(panels), _MOST_BAR_COLUMNS)
+    deep = -(-len(panels) // wide)
+    figure = new_figure(1.6 + 3.0 * wide, 0.6 + deep * (0.6 + 0.32 * max(len(occurring), 2)))
+    grid = figure.subplots(deep, wide, sharex=True, sharey=True, squeeze=False)
+    colours = [REGIME_COLOURS[flag] for flag in occurring]
+    for axes, title, facet, count in zip(grid.flat, panels.titles, panels.data, counts, strict=False):
+        lanes = [count.get(flag, 0) for flag in occurring]
+        bars = axes.barh(range(len(occurring)), lanes, color=colours, edgecolor="0.35", linewidth=0.4)
+        axes.bar_label(bars, [f"{n}  ({share_text(n / facet[REGIME].size)})" if n else "" for n in lanes], padding=3)
+        axes.margins(x=0.4)
+        axes.xaxis.set_major_locator(MaxNLocator(5, integer=True))
+        axes.set_title(title, loc="left")
+    for axes in grid.flat[len(panels) :]:
+        axes.axis("off")
+    for axes in grid[-1]:
+        axes.set_xlabel("lanes")
+    grid[0, 0].set_yticks(range(len(occurring)), [names[flag] for flag in occurring])
+    grid[0, 0].invert_yaxis()
+    write_margins(figure, ds, certified_text(ds))
+    return figure
 
 
 @styled
@@ -41,12 +78,7 @@ def many_starts(ds: xr.Dataset, values: Values | None = None) -> Figure:
     ds = regimes_in(ds)
     quantities = None if values is None else tuple(value for value in values if value is not None)
     if POINT in lane_dims(ds):
-        names = tuple(varied(ds))
-        if len(names) != 2:
-            return regime_bars(ds)
-        if quantities is None or values is None:
-            return draw_scatter(*_shares(ds, names, _MOST_SHARES))
-        return draw_scatter(medians(ds, [value.name for value in quantities]), *names, values, medians_text(ds))
+        return _over_two(ds, tuple(varied(ds)), values) if len(varied(ds)) == 2 else regime_bars(ds)
     axes, spread = swept(ds), on_axes(ds)
     shown = values or (None, *values_beside(ds))
     states = [name for name in swept(spread) if name.startswith(PREFIX)]
@@ -61,31 +93,32 @@ def many_starts(ds: xr.Dataset, values: Values | None = None) -> Figure:
         return _phase_planes(described(ds), shown) if varied_states(ds) else regime_bars(ds)
     if len(axes) == 1 or len(long) == 1:
         return regime_lines(ds, values=quantities)
-    if quantities is None or values is None:
-        return share_grid(ds)
-    x, y = axes_of_map(ds, None, None)
-    return draw_map(medians(ds, [value.name for value in quantities]), x, y, values, medians_text(ds))
+    return _over_two(ds, axes_of_map(ds, None, None), values)
 
 
 @styled
 def share_grid(ds: xr.Dataset, x: str | None = None, y: str | None = None) -> Figure:
     """Draw the most frequent regime over two axes, and the fraction of initial conditions in each regime."""
     ds = regimes_in(ds)
-    x, y = axes_of_map(ds, x, y)
-    return draw_map(*_shares(ds, (x, y), 1 if set(swept(ds)) - {x, y} else _MOST_SHARES))
+    return _over_two(ds, axes_of_map(ds, x, y), None)
 
 
-def _shares(ds: xr.Dataset, axes: tuple[str, str], most: int) -> tuple[xr.Dataset, str, str, Values, str, str]:
-    """Return the arguments of `draw_map` for the fractions of the regimes over two axes.
+def _over_two(ds: xr.Dataset, axes: tuple[str, ...], values: Values | None) -> Figure:
+    """Draw the medians of `values` over two parameters, or the fraction of initial conditions in each regime.
 
-    The first `most` fractions get a map each; a note lists the other regimes.
+    The first fractions get a map each; a note lists the other regimes.
     """
+    x, y = axes
+    if values is not None:
+        return draw_map(medians(ds, [value.name for value in values if value]), x, y, values, medians_text(ds))
+    most = 1 if set(swept(ds)) - set(axes) else _MOST_SHARES
     shares = regime_shares(ds)
     names = [str(name) for name in shares.data_vars if str(name).startswith(SHARE)]
-    values = tuple(share_value(shares[name], name.removeprefix(SHARE)) for name in names[:most])
+    shown = tuple(share_value(shares[name], name.removeprefix(SHARE)) for name in names[:most])
     rest = ", ".join(name.removeprefix(SHARE) for name in names[most:])
     note = f"Without a map of its share: {rest}" if rest else ""
-    return shares, *axes, (None, *values), _SHARED.format(ds.sizes[START]), note
+    about = f"The regime that most of {ds.sizes[START]} starts end in, and the share of them that ends in each"
+    return draw_map(shares, x, y, (None, *shown), about, note)
 
 
 def _phase_planes(ds: xr.Dataset, shown: Values) -> Figure:

@@ -1,7 +1,7 @@
-"""Maps over two axes of a sweep: regimes with further quantities next to them, and rates of penetration."""
+"""Maps over two parameters, as cells of a grid or as dots of a list of points: regimes, other quantities, rates."""
 
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -16,7 +16,8 @@ from matplotlib.patches import Patch, Rectangle
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 
-from vibrojax.plot.axes import certified_text, edges, label, point_text, shape_axis, value_text, values_along
+from vibrojax.errors import InputError
+from vibrojax.plot.axes import certified_text, edges, label, point_text, shape_axis, short, value_text, values_along
 from vibrojax.plot.colours import (
     SINGLE,
     Coloured,
@@ -30,28 +31,30 @@ from vibrojax.plot.colours import (
 )
 from vibrojax.plot.contents import (
     HIDDEN,
+    POINT,
     REGIME,
     RELIEF,
     SENSITIVE,
+    START,
     axes_of_map,
-    has_regimes,
+    lane_dims,
     long_axes,
+    many_starts,
     rates_in,
     regimes_in,
+    varied,
 )
 from vibrojax.plot.overlays import OVER_TEXT, border_handles, check_borders, draw_over_panel
-from vibrojax.plot.sheet import MOST_PANELS, Panel, facets, sheet, write_margins
-from vibrojax.plot.style import INK, NOTHING, styled
+from vibrojax.plot.sheet import MOST_PANELS, Facets, Panel, facets, sheet, write_margins
+from vibrojax.plot.style import INK, NOTHING, UNDEFINED, styled
 
-MOST_VALUES = {1: 4, 2: 3, 3: 3}
-"""Maximum number of quantities on maps of rates, by the number of facets; more facets show only the rate."""
-
+_MOST_VALUES = {1: 4, 2: 3, 3: 3}  # of quantities on maps of rates, by the number of facets; else only the rate
 _MOST_RATE_FACETS = 9
 _MANY_VALUES = 4  # number of quantities from which on half as many facets are drawn
 _RELIEF_LEVELS = 5  # approximate number of contour lines of the relief
 _CONSTANT_RELIEF = 1e-9  # largest relative range of a relief that counts as constant
 _LETTERS_PER_INCH = 17  # number of characters that fit on an axis label per inch of the axis
-_NO_PENETRATION = ListedColormap([NOTHING], name="nothing")
+_MANY_DOTS = 600  # number of points from which on dots are smaller
 _SYMBOLS = {"mean_force": "P", "relief": "P/D"}
 
 # The region of parameters with "best" stable single impacts (source, chapter 5).
@@ -63,31 +66,40 @@ _REGION_NAME = "source's best region"
 def regime_grid(ds: xr.Dataset, x: str | None = None, y: str | None = None, over: xr.Dataset | None = None) -> Figure:
     """Draw the regimes over two axes, with further quantities next to them, and the borders `over` on top.
 
-    See [vibrojax.analyses.pictures.regime_map][].
+    A list of points is drawn over the two parameters that vary. See [vibrojax.analyses.pictures.regime_map][].
     """
     ds = regimes_in(ds)
-    return draw_map(ds, *axes_of_map(ds, x, y), (None, *values_beside(ds)), over=over)
+    x, y = varied(ds) if POINT in lane_dims(ds) else axes_of_map(ds, x, y)
+    if POINT in lane_dims(ds) and (x, y) == ("beta", "gamma"):
+        x, y = y, x
+    return draw_map(ds, x, y, (None, *values_beside(ds)), over=over)
 
 
 def draw_map(ds: xr.Dataset, x: str, y: str, values: Values, *notes: str, over: xr.Dataset | None = None) -> Figure:
-    """Draw `values` over the axes `x` and `y`, with `notes`, and with the borders `over` on the regime map."""
+    """Draw `values` over the parameters `x` and `y`, with `notes`, and with the borders `over` on the regime map."""
     if over is not None:
         check_borders(ds, over, x, y)
-    ds = ds.sortby([x, y])
-    panels = facets(ds, (x, y), MOST_PANELS if len(values) < _MANY_VALUES else MOST_PANELS // 2)
+    points = POINT in lane_dims(ds)
+    ds = ds if points else ds.sortby([x, y])
+    most = MOST_PANELS if len(values) < _MANY_VALUES else MOST_PANELS // 2
+    panels = split_starts(ds) if points else facets(ds, (x, y), most)
     drawn = sheet(panels, values)
     handles = cell_handles(panels.data, values)
     marks: dict[str, Artist] = {}
     kinds: list[str] = []
-    for panel in drawn:
-        draw_cells(panel, x, y)
-        if panel.value is None:
+    for panel in drawn.panels:
+        if points:
+            draw_points(panel.axes, panel.facet, panel.value, x, y)
+        else:
+            draw_cells(panel, x, y)
+        if panel.value is None and not points:
             marks |= _mark_cells(panel, x, y)
             kinds += draw_over_panel(panel.axes, over, panel.facet, x, y) if over is not None else []
+    for panel in drawn.panels:  # when all axis limits are known
         outline_region(panel.axes, x, y)
         write_labels(panel, ds[x], ds[y])
     handles += [marks[name] for name in (HIDDEN, SENSITIVE) if name in marks]
-    if any(isinstance(artist, LineCollection) for panel in drawn for artist in panel.axes.collections):
+    if any(isinstance(artist, LineCollection) for panel in drawn.panels for artist in panel.axes.collections):
         handles.append(Line2D([], [], color=INK, linewidth=1.0, label="border of single impact"))
     drawn.finish([*handles, *border_handles(kinds), *region_handle(drawn.panels[0].axes)])
     write_margins(drawn.figure, ds, certified_text(ds), panels.note, *notes, OVER_TEXT if kinds else "")
@@ -98,65 +110,68 @@ def draw_map(ds: xr.Dataset, x: str, y: str, values: Values, *notes: str, over: 
 def rate_grid(ds: xr.Dataset, x: str | None = None, y: str | None = None) -> Figure:
     """Draw the rate of penetration over two axes, and the quantities that vary.
 
-    See [vibrojax.analyses.pictures.rate_map][].
+    A list of points is drawn over the two parameters that vary. See [vibrojax.analyses.pictures.rate_map][].
     """
     ds = rates_in(ds)
+    values = values_of_rock(ds)
+    if POINT in lane_dims(ds):
+        names = tuple(varied(ds))
+        if len(names) != 2:
+            raise InputError(f"no map: {', '.join(names) or 'none'} is what varies over the points, not two parameters")
+        return draw_map(ds, names[0], names[1], (None,) * (REGIME in ds) + values[: _MOST_VALUES[3]])
     if x is None and y is None:
         x, y = (*long_axes(ds), None, None)[:2]
     x, y = axes_of_map(ds, x, y)
     ds = ds.sortby([x, y])
     panels = facets(ds, (x, y), _MOST_RATE_FACETS)
-    values = values_of_rock(ds)
-    shown = values[: MOST_VALUES.get(len(panels), 1)]
+    shown = values[: _MOST_VALUES.get(len(panels), 1)]
     drawn = sheet(panels, shown)
     handles = cell_handles(panels.data, shown)
     lines = False
-    for panel in drawn:
+    for panel in drawn.panels:
         draw_cells(panel, x, y)
         write_labels(panel, ds[x], ds[y])
         if panel.value is shown[0]:
             lines |= _draw_relief(panel, x, y)
     drawn.finish(handles + [Line2D([], [], color=INK, linewidth=0.7, label="equal relief P/D")] * lines)
-    write_margins(drawn.figure, ds, panels.note, point=_constants_text(ds, values))
+    # The values that all lanes share are in the note; the relief is proportional to a mean force that is drawn.
+    given = {value.name for value in values}
+    given |= {"relief"} if "mean_force" in given else set()
+    fixed = [ds[name].assign_attrs(symbol=text) for name, text in _SYMBOLS.items() if name in ds and name not in given]
+    texts = [value_text(data, float(data.max())) for data in fixed if data.notnull().any()]
+    write_margins(drawn.figure, ds, panels.note, point=", ".join(filter(None, (point_text(ds), *texts))))
     return drawn.figure
 
 
-# Cells of a map.
-
-
-class Corners(NamedTuple):
-    """The edges of a map's cells along its two axes."""
-
-    right: Float[np.ndarray, " columns+1"]
-    top: Float[np.ndarray, " rows+1"]
+# Cells of a grid.
 
 
 def draw_cells(panel: Panel, x: str, y: str) -> None:
     """Draw the regimes or the value of `panel` over two axes; lanes without penetration are white."""
     value = panel.value
     cells = coloured(panel.facet, value, y, x)
-    corners = fill_cells(panel, x, y, cells)
+    right, top = fill_cells(panel, x, y, cells)
     if value is None or not value.of_rate:
         return
     nothing = cells.cells == 0
     if nothing.any():
-        masked = np.ma.masked_where(~nothing, nothing)
-        panel.axes.pcolormesh(*corners, masked, cmap=_NO_PENETRATION, rasterized=True)
-    if has_regimes(panel.facet):
-        _outline_single(panel.axes, panel.facet[REGIME].transpose(y, x).values == SINGLE, corners)
+        white = ListedColormap([NOTHING], name="nothing")
+        panel.axes.pcolormesh(right, top, np.ma.masked_where(~nothing, nothing), cmap=white, rasterized=True)
+    if REGIME in panel.facet:
+        _outline_single(panel.axes, panel.facet[REGIME].transpose(y, x).values == SINGLE, right, top)
 
 
-def fill_cells(panel: Panel, x: str, y: str, cells: Coloured) -> Corners:
+def fill_cells(panel: Panel, x: str, y: str, cells: Coloured) -> list[Float[np.ndarray, " edges"]]:
     """Draw the map cells (y, x) of `panel` in their colours, and return the edges of the cells along the axes."""
-    across, up = (values_along(panel.facet[name]) for name in (x, y))
-    corners = Corners(edges(across), edges(up))
+    along = [values_along(panel.facet[name]) for name in (x, y)]
+    ends = [edges(values) for values in along]
     masked = np.ma.masked_invalid(cells.cells)
-    panel.axes.pcolormesh(*corners, masked, cmap=cells.colour_map, norm=cells.norm, rasterized=True)
-    shape_axis(panel.axes, "x", across)
+    panel.axes.pcolormesh(*ends, masked, cmap=cells.colour_map, norm=cells.norm, rasterized=True)
+    shape_axis(panel.axes, "x", along[0])
     if panel.axes.get_xscale() == "linear":  # no "-2.5", which would touch the tick labels of the next panel
         panel.axes.xaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))
-    shape_axis(panel.axes, "y", up)
-    return corners
+    shape_axis(panel.axes, "y", along[1])
+    return ends
 
 
 def write_labels(panel: Panel, x: xr.DataArray, y: xr.DataArray) -> None:
@@ -172,9 +187,13 @@ def write_labels(panel: Panel, x: xr.DataArray, y: xr.DataArray) -> None:
         axes.set_xlabel(label(x))
 
 
-def _outline_single(axes: Axes, single: Bool[np.ndarray, "rows columns"], corners: Corners) -> None:
+def _outline_single(
+    axes: Axes,
+    single: Bool[np.ndarray, "rows columns"],
+    right: Float[np.ndarray, " columns+1"],
+    top: Float[np.ndarray, " rows+1"],
+) -> None:
     """Draw the edges between map cells with and without a single impact."""
-    right, top = corners
     upright = [
         ((right[j + 1], top[i]), (right[j + 1], top[i + 1])) for i, j in np.argwhere(single[:, 1:] != single[:, :-1])
     ]
@@ -189,40 +208,18 @@ def _mark_cells(panel: Panel, x: str, y: str) -> dict[str, Artist]:
     # Two lines: a longer legend entry would make its panel wider than the others.
     text = "same label, other motion\nfrom another start"
     dot = Line2D([], [], label=text, marker="o", markersize=3.0, markeredgewidth=0.0, linestyle="none", color=INK)
-    handles: dict[str, Artist] = {HIDDEN: dot, SENSITIVE: sensitive_handle()}
-    looks: dict[str, dict[str, Any]] = {
-        HIDDEN: {"s": 6.0, "marker": "o", "edgecolors": "white", "linewidths": 0.4},
-        SENSITIVE: {"s": 9.0, "marker": "x", "linewidths": 0.6},
+    looks: dict[str, tuple[Artist, Mapping[str, Any]]] = {
+        HIDDEN: (dot, {"s": 6.0, "marker": "o", "edgecolors": "white", "linewidths": 0.4}),
+        SENSITIVE: (sensitive_handle(), {"s": 9.0, "marker": "x", "linewidths": 0.6}),
     }
-    for name in [name for name in handles if name in panel.facet]:
-        rows, columns = np.nonzero(panel.facet[name].transpose(y, x).values == 1)
-        across, up = values_along(panel.facet[x])[columns], values_along(panel.facet[y])[rows]
-        panel.axes.scatter(across, up, color=INK, **looks[name])
-        if not rows.size:
-            del handles[name]
-    return {name: handle for name, handle in handles.items() if name in panel.facet}
-
-
-# The source's region of parameters, the relief, and constants.
-
-
-def outline_region(axes: Axes, x: str, y: str) -> None:
-    """Outline the source's region of best single impacts, if the axes are beta and gamma and show this region."""
-    if {x, y} != set(REGION):
-        return
-    (west, east), (south, north) = REGION[x], REGION[y]
-    (first, last), (bottom, top) = sorted(axes.get_xlim()), sorted(axes.get_ylim())
-    if west < last and east > first and south < top and north > bottom:
-        region = Rectangle((west, south), east - west, north - south, fill=False, edgecolor=INK, linewidth=1.3)
-        region.set_path_effects([withStroke(linewidth=3.0, foreground="white")])
-        region.set_label(_REGION_NAME)
-        axes.add_patch(region)
-
-
-def region_handle(axes: Axes) -> list[Artist]:
-    """Return the legend entry of the source's region, or none if `axes` does not show the region."""
-    shown = any(isinstance(patch, Rectangle) and patch.get_label() == _REGION_NAME for patch in axes.patches)
-    return [Patch(fill=False, edgecolor=INK, linewidth=1.3, label=_REGION_NAME)] if shown else []
+    handles: dict[str, Artist] = {}
+    for name, (handle, look) in looks.items():
+        if name in panel.facet:
+            rows, columns = np.nonzero(panel.facet[name].transpose(y, x).values == 1)
+            across, up = values_along(panel.facet[x])[columns], values_along(panel.facet[y])[rows]
+            panel.axes.scatter(across, up, color=INK, **look)
+            handles |= {name: handle} if rows.size else {}
+    return handles
 
 
 def _draw_relief(panel: Panel, x: str, y: str) -> bool:
@@ -245,10 +242,56 @@ def _draw_relief(panel: Panel, x: str, y: str) -> bool:
     return True
 
 
-def _constants_text(ds: xr.Dataset, values: Sequence[Value]) -> str:
-    """Return the values that all lanes share, including mean force and relief, as a string."""
-    drawn = {value.name for value in values}
-    drawn |= {"relief"} if "mean_force" in drawn else set()
-    fixed = [ds[name].assign_attrs(symbol=text) for name, text in _SYMBOLS.items() if name in ds and name not in drawn]
-    texts = [value_text(data, float(data.max())) for data in fixed if data.notnull().any()]
-    return ", ".join(filter(None, (point_text(ds), *texts)))
+# Dots of a list of points.
+
+
+def draw_points(axes: Axes, ds: xr.Dataset, value: Value | None, x: str, y: str) -> None:
+    """Draw each lane as a dot, coloured by its regime if `value` is None, else by `value`."""
+    cells, colours, norm = coloured(ds, value)
+    across, up = values_along(ds[x]), values_along(ds[y])
+    nothing = (cells == 0) & (value is not None and value.of_rate)
+    known = np.isfinite(cells) & ~nothing
+    many = cells.size > _MANY_DOTS
+    size, width = (20.0 * _MANY_DOTS / cells.size, 0.0) if many else (20.0, 0.3)
+    for mask, colour in ((np.isnan(cells), UNDEFINED), (nothing, NOTHING), (known, cells[known])):
+        mapped: dict[str, Any] = {"cmap": colours, "norm": norm} if mask is known else {}
+        axes.scatter(across[mask], up[mask], s=size, c=colour, edgecolors="0.3", linewidths=width, **mapped)
+
+
+def split_starts(ds: xr.Dataset) -> Facets:
+    """Return one facet per initial condition of a list of points, or a single facet for many initial conditions.
+
+    The names of the initial conditions are those of the dimension `start`, or of the coordinate `start` of the points.
+    """
+    if many_starts(ds):
+        return Facets((f"{ds.sizes[START]} starts together",), (ds,))
+    if START not in ds.coords or ds[START].ndim == 0:
+        return Facets(("",), (ds,))
+    values = ds[START].values.astype(str)
+    starts: Sequence[str] = list(dict.fromkeys(values.tolist()))
+    data = tuple(ds.isel({ds[START].dims[0]: np.flatnonzero(values == name)}) for name in starts)
+    if START in ds.dims:
+        data = tuple(facet.isel({START: 0}) for facet in data)
+    return Facets(tuple(f"start: {short(name)}" for name in starts), data, (len(starts),))
+
+
+# The source's region of parameters.
+
+
+def outline_region(axes: Axes, x: str, y: str) -> None:
+    """Outline the source's region of best single impacts, if the axes are beta and gamma and show this region."""
+    if {x, y} != set(REGION):
+        return
+    (west, east), (south, north) = REGION[x], REGION[y]
+    (first, last), (bottom, top) = sorted(axes.get_xlim()), sorted(axes.get_ylim())
+    if west < last and east > first and south < top and north > bottom:
+        region = Rectangle((west, south), east - west, north - south, fill=False, edgecolor=INK, linewidth=1.3)
+        region.set_path_effects([withStroke(linewidth=3.0, foreground="white")])
+        region.set_label(_REGION_NAME)
+        axes.add_patch(region)
+
+
+def region_handle(axes: Axes) -> list[Artist]:
+    """Return the legend entry of the source's region, or none if `axes` does not show the region."""
+    shown = any(isinstance(patch, Rectangle) and patch.get_label() == _REGION_NAME for patch in axes.patches)
+    return [Patch(fill=False, edgecolor=INK, linewidth=1.3, label=_REGION_NAME)] if shown else []

@@ -1,7 +1,5 @@
 """Line plots of sweeps with rock: the rate of penetration over the swept axis and over the relief."""
 
-from typing import Literal, NamedTuple
-
 import numpy as np
 import xarray as xr
 from jaxtyping import Bool
@@ -12,11 +10,12 @@ from matplotlib.lines import Line2D
 
 from vibrojax.plot.axes import scale, with_unit
 from vibrojax.plot.colours import SINGLE
-from vibrojax.plot.contents import POINT, RATE, REGIME, RELIEF, has_regimes, rates_in
+from vibrojax.plot.contents import POINT, RATE, REGIME, RELIEF, rates_in
 from vibrojax.plot.curves import (
     MOST_ROWS,
     Across,
     Line,
+    Samples,
     axis_of_lines,
     line_handles,
     longest_axis,
@@ -30,17 +29,6 @@ SLIP, PEAK = "slip_per_impact", "peak_impact_force"
 _NAMES = {RATE: "rate of penetration", SLIP: "slip per blow", PEAK: "peak impact force"}
 _MANY_LANES = 40  # number of lanes per line from which on markers are small
 _CONSTANT = 1e-6  # largest relative range of values that count as constant
-
-Motion = Literal["single", "other", "none"]  # a single impact, another motion, a single impact without penetration
-
-
-class _Curve(NamedTuple):
-    """A variable `up`, drawn over `along`: the axis of the lines, or the relief."""
-
-    up: str
-    along: str
-    factor: float
-    label: str
 
 
 @styled
@@ -60,16 +48,18 @@ def rates(ds: xr.Dataset) -> Figure:
     figure, rows, _ = new_rows(panels, len(curves))
     style = x.style_of(ds)
     for row in rows:
-        for i, curve in enumerate(curves):
+        for i, (name, along) in enumerate(curves):
+            factor, unit = scale(ds[name])
             for line in split_lines(row.facet, by):
-                _draw(row.axes[i], line, curve, x, style)
-            row.label(i, x.label if curve.along == x.name else "relief P/D", curve.label)
-    for i, curve in enumerate(curves):  # include zero, to show whether lines pass through it
+                places = np.atleast_1d(line.lanes[RELIEF].values) if along == RELIEF else x.of(line.lanes)
+                _draw(row.axes[i], line, places, factor * np.atleast_1d(line.lanes[name].values), style, name)
+            row.label(i, x.label if along == x.name else "relief P/D", with_unit(_NAMES[name], unit))
+    for i, (_, along) in enumerate(curves):  # include zero, to show whether lines pass through it
         axes = rows[0].axes[i]
         greatest = max(row.axes[i].dataLim.y1 for row in rows)
         top = 1.05 * greatest if 0 < greatest < np.inf else 1.0
         axes.set_ylim(-0.03 * top, top)
-        if curve.along == RELIEF:
+        if along == RELIEF:
             right = axes.get_xlim()[1]
             axes.set_xlim(-0.03 * right, right)
         else:
@@ -80,8 +70,11 @@ def rates(ds: xr.Dataset) -> Figure:
     return figure
 
 
-def _choose_curves(ds: xr.Dataset, x: Across) -> list[_Curve]:
-    """Return the curves: the rate over the axis and over the relief, if that varies, and the force or slip per blow."""
+def _choose_curves(ds: xr.Dataset, x: Across) -> list[tuple[str, str]]:
+    """Return pairs of a variable and what it is drawn over: the axis `x`, or the relief.
+
+    They are the rate over the axis and over the relief, if that varies, and the force or slip per blow.
+    """
 
     def varies(name: str) -> bool:
         """Return whether a variable varies along any of the lines."""
@@ -91,26 +84,20 @@ def _choose_curves(ds: xr.Dataset, x: Across) -> list[_Curve]:
         swing = ds[name].max(dimension) - ds[name].min(dimension)
         return bool((swing > _CONSTANT * np.abs(ds[name]).max()).any())
 
-    pairs = [(RATE, x.name)] + [(RATE, RELIEF)] * (RELIEF in ds and varies(RELIEF))
-    pairs += [(name, x.name) for name in sorted((n for n in (PEAK, SLIP) if n in ds), key=lambda n: not varies(n))[:1]]
-    scales = [scale(ds[up]) for up, _ in pairs]
-    return [
-        _Curve(*pair, factor, with_unit(_NAMES[pair[0]], unit))
-        for pair, (factor, unit) in zip(pairs, scales, strict=True)
-    ]
+    each_blow = sorted((name for name in (PEAK, SLIP) if name in ds), key=lambda name: not varies(name))[:1]
+    over_relief = [(RATE, RELIEF)] if RELIEF in ds and varies(RELIEF) else []
+    return [(RATE, x.name), *over_relief, *((name, x.name) for name in each_blow)]
 
 
-def _draw(axes: Axes, line: Line, curve: _Curve, x: Across, style: Literal["-", "none"]) -> None:
+def _draw(axes: Axes, line: Line, places: Samples, values: Samples, style: str, name: str) -> None:
     """Draw one line with the markers of its motions.
 
     The line is interrupted at jumps between a single impact and another motion.
     """
-    places = np.atleast_1d(line.lanes[RELIEF].values) if curve.along == RELIEF else x.of(line.lanes)
-    values = curve.factor * np.atleast_1d(line.lanes[curve.up].values)
     motions = _motions(line.lanes)
     jumps = 1 + np.flatnonzero(np.diff(motions["other"].astype(int)))
     path = (np.insert(np.asarray(along, float), jumps, np.nan) for along in (places, values))
-    axes.plot(*path, color=line.colour, linestyle=style, linewidth=1.2, label=line.name or curve.up)
+    axes.plot(*path, color=line.colour, linestyle=style, linewidth=1.2, label=line.name or name)
     size = 3.8 if values.size < _MANY_LANES else 2.0
     for motion, mask in motions.items():
         if mask.any():
@@ -118,22 +105,21 @@ def _draw(axes: Axes, line: Line, curve: _Curve, x: Across, style: Literal["-", 
             axes.plot(places[mask], values[mask], label=f"_{motion}", **mark)
 
 
-def _motions(lanes: xr.Dataset) -> dict[Motion, Bool[np.ndarray, "*lanes"]]:
-    """Return a mask of the lanes with each kind of marker."""
+def _motions(lanes: xr.Dataset) -> dict[str, Bool[np.ndarray, "*lanes"]]:
+    """Return masks of the lanes with a single impact, another motion, and a single impact without penetration."""
     nothing = np.atleast_1d(lanes[RATE].values) == 0
-    single = np.atleast_1d(lanes[REGIME].values) == SINGLE if has_regimes(lanes) else np.ones(nothing.shape, bool)
+    single = np.atleast_1d(lanes[REGIME].values) == SINGLE if REGIME in lanes else np.ones(nothing.shape, bool)
     return {"single": single & ~nothing, "other": ~single, "none": single & nothing}
 
 
-def _mark(motion: Motion, colour: str) -> Mark:
+def _mark(motion: str, colour: str) -> Mark:
     mark = Mark(color=colour, marker="x" if motion == "other" else "o", markeredgewidth=1.0)
     return mark | Mark(markerfacecolor="white", zorder=4) if motion == "none" else mark
 
 
 def _mark_handles(ds: xr.Dataset) -> list[Artist]:
     """Return the legend entries of the markers that need an explanation."""
-    texts: dict[Motion, str] = {"single": "single impact", "other": "other motion", "none": "no penetration"}
-    occurring = [motion for motion, mask in _motions(ds).items() if mask.any()]
-    shown = [motion for motion in occurring if motion == "none" or has_regimes(ds)]
+    texts = {"single": "single impact", "other": "other motion", "none": "no penetration"}
+    shown = [motion for motion, mask in _motions(ds).items() if mask.any() and (motion == "none" or REGIME in ds)]
     look = Mark(linestyle="none", markersize=4.5)
     return [Line2D([], [], label=texts[motion], **look | _mark(motion, INK)) for motion in shown]

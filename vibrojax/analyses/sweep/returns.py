@@ -1,7 +1,7 @@
 """Section crossings over an axis: bifurcation diagrams, and lanes carried up and down with their jumps."""
 
+from collections.abc import Sequence
 from functools import partial
-from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -17,8 +17,7 @@ from vibrojax.analyses.sweep.strips import (
     draw_stacks,
     draw_values,
     scatter_lanes,
-    select_start,
-    start_names,
+    starts_of,
 )
 from vibrojax.errors import InputError, shown
 from vibrojax.io.attributes import run_of
@@ -46,16 +45,14 @@ from vibrojax.plot.overlays import (
     over_text,
     special_points,
 )
-from vibrojax.plot.style import INK, Mark, start_colour, styled
+from vibrojax.plot.style import INK, Mark, styled
 
 Places = Int[np.ndarray, " _"]
 
 _RETURNS_LABEL = "impact velocity at each return"
 _MARKERS = {"up": ">", "down": "<"}
-_ABOUT = "Each lane starts from where its neighbour ended; where the two ways differ, two motions coexist"
 # Height of a diagram [inches] for one facet and for several, by the number of diagrams.
 _HEIGHTS = {1: (3.6, 2.6), 2: (2.4, 2.0), 3: (1.9, 1.6)}
-_LOWEST = (1.5, 1.3)
 _OTHERS = "#CFCFCF"
 
 
@@ -79,44 +76,41 @@ def bifurcation(ds: xr.Dataset, over: Overlays = None) -> Figure:
     if not swept(ds):
         raise InputError("no bifurcation diagram: none of the grid's axes has more than one value")
     x = max(swept(ds), key=lambda name: ds.sizes[name])
-    diagrams = 1 if many_starts(ds) else len(start_names(ds))
+    diagrams = 1 if many_starts(ds) else len(starts_of(ds))
     layers = as_layers(over)
     check_families(ds, layers, x)
     grey = Line2D([], [], label="all other starts", linestyle="none", marker="o", markersize=4.0, color=_OTHERS)
-    handles: list[Artist] = [grey] * (diagrams > 1)
-    heights = _HEIGHTS.get(diagrams, _LOWEST)
+    handles = ([grey] if diagrams > 1 else []) + over_handles(layers)
     draw = partial(_draw_returns, x=x, layers=layers)
-    return draw_stacks(ds, x, diagrams, heights, draw, handles + over_handles(layers), over_text(ds, layers))
+    return draw_stacks(ds, x, diagrams, _HEIGHTS.get(diagrams, (1.5, 1.3)), draw, handles, over_text(ds, layers))
 
 
-def _draw_returns(stack: Stack, x: str, layers: tuple[xr.Dataset, ...]) -> None:
+def _dots(lanes: xr.Dataset, factor: float, x: str, *dims: str) -> tuple[Lanes, Lanes]:
+    """Return the places along `x` and the impact velocities, times `factor`, of all section crossings."""
+    returns = lanes[RETURNS].transpose(x, *dims, RETURN)
+    along = np.repeat(values_along(lanes[x]), returns.size // returns.sizes[x])
+    return along, factor * returns.values.ravel()
+
+
+def _draw_returns(stack: Stack, x: str, layers: Sequence[xr.Dataset]) -> None:
     """Draw the section crossings of each initial condition over those of all others, then the families."""
-    facet, curves, names = stack.facet, stack.curves, start_names(stack.facet)
+    facet, curves = stack.facet, stack.curves
     factor, unit = scale(facet[RETURNS])
     size = dot_size(facet.sizes[x])
-
-    def dots(returns: xr.DataArray) -> tuple[Lanes, Lanes]:
-        along = np.repeat(values_along(facet[x]), returns.size // returns.sizes[x])
-        return along, factor * returns.values.ravel()
-
     for position, axes in enumerate(curves):
         if not axes.get_shared_y_axes().joined(axes, curves[0]):
             axes.sharey(curves[0])
         if many_starts(facet):
-            returns = facet[RETURNS].transpose(x, START, RETURN)
-            regimes = np.repeat(regime_cells(facet[REGIME].transpose(x, START)).ravel(), returns.sizes[RETURN])
-            scatter_lanes(axes, *dots(returns), regimes, size / 2)
+            regimes = regime_cells(facet[REGIME].transpose(x, START)).ravel()
+            scatter_lanes(axes, *_dots(facet, factor, x, START), np.repeat(regimes, facet.sizes[RETURN]), size / 2)
         else:
-            for other, name in enumerate(names):
-                along, values = dots(select_start(facet, other)[RETURNS].transpose(x, RETURN))
+            for other, (name, colour, lanes) in enumerate(starts_of(facet)):
+                along, values = _dots(lanes, factor, x)
                 known, own = np.isfinite(values), other == position
-                look: dict[str, Any] = {
-                    "color": start_colour(name, other) if own else _OTHERS,
-                    "label": name if own else f"_{name}",
-                }
+                look = Mark(color=colour, label=name) if own else Mark(color=_OTHERS, label=f"_{name}")
                 axes.scatter(along[known], values[known], s=size, linewidths=0, zorder=2 + own, rasterized=True, **look)
-            if names[position]:
-                axes.set_title(", ".join(filter(None, (stack.title, f"start: {names[position]}"))), loc="left")
+                if own and name:
+                    axes.set_title(", ".join(filter(None, (stack.title, f"start: {name}"))), loc="left")
         draw_over(axes, layers, facet, x, OF_RETURNS, factor)
     if stack.first:  # a single label, centred on all diagrams of the stack
         middle = curves[len(curves) // 2]
@@ -143,12 +137,14 @@ def hysteresis(ds: xr.Dataset, over: Overlays = None) -> Figure:
     values = () if RETURNS in ds else values_beside(ds)
     layers = as_layers(over)
     check_families(ds, layers, along)
-    ways = [(name, start_colour(name, position)) for position, name in enumerate(start_names(ds)) if name]
     handles: list[Artist] = [
-        Line2D([], [], color=colour, marker=_MARKERS.get(name, "o"), label=name) for name, colour in ways
+        Line2D([], [], color=way.colour, marker=_MARKERS.get(way.name, "o"), label=way.name)
+        for way in starts_of(ds)
+        if way.name
     ]
     handles.append(Line2D([], [], color=INK, linestyle="--", linewidth=1.0, label="jump of that way"))
-    note = ". ".join(filter(None, (_ABOUT, over_text(ds, layers), jumps_text(ds, along, layers))))
+    about = "Each lane starts from where its neighbour ended; where the two ways differ, two motions coexist"
+    note = ". ".join(filter(None, (about, over_text(ds, layers), _jumps_text(ds, along, layers))))
     height = 3.4 if len(values) < 2 else 1.9
     draw = partial(_draw_ways, values=values, x=along, layers=layers)
     return draw_stacks(ds, along, max(len(values), 1), (height, height), draw, handles + over_handles(layers), note)
@@ -160,7 +156,7 @@ def jumps(ds: xr.Dataset, along: str) -> tuple[Places, Places]:
     Where the two directions begin or cease to differ, the direction that changes more has a jump. An undecided or
     failed lane counts like the last lane before it that is neither.
     """
-    ways = [select_start(ds, position) for position in range(2)]
+    ways = [way.lanes for way in starts_of(ds)]
     regimes = [way[REGIME].values.astype(int) for way in ways]
     names = [name for name in COMPARED if name in ways[0]]
     # Periodic lanes of the two directions differ if their labels differ, or other values differ by more than their
@@ -183,7 +179,7 @@ def jumps(ds: xr.Dataset, along: str) -> tuple[Places, Places]:
     return ends[which == 0], ends[which == 1]
 
 
-def jumps_text(ds: xr.Dataset, along: str, layers: tuple[xr.Dataset, ...]) -> str:
+def _jumps_text(ds: xr.Dataset, along: str, layers: Sequence[xr.Dataset]) -> str:
     """Return the values between which each direction jumps, and the nearest special point of the families, as a string.
 
     The string is empty without families, or if another axis varies.
@@ -193,10 +189,9 @@ def jumps_text(ds: xr.Dataset, along: str, layers: tuple[xr.Dataset, ...]) -> st
     special = [point for over in layers for point in special_points(over)]
     values, (factor, unit) = np.asarray(ds[along].values), scale(ds[along])
     texts = []
-    for name, places in zip(start_names(ds), jumps(ds, along), strict=True):
-        for place in places.tolist():
-            low, high = values[place], values[place + 1]
-            text = f"{name} between {number(factor * low)} and {number(factor * high)} {pretty_unit(unit)}".rstrip()
+    for way, places in zip(starts_of(ds), jumps(ds, along), strict=True):
+        for low, high in zip(values[places], values[places + 1], strict=True):
+            text = f"{way.name} between {number(factor * low)} and {number(factor * high)} {pretty_unit(unit)}".rstrip()
             if special:
                 kind, value = min(special, key=lambda point: abs(point[1] - (low + high) / 2))
                 text += f" ({kind} at {number(factor * value)})"
@@ -210,31 +205,27 @@ def _relative_difference(a: Float[np.ndarray, " lanes"], b: Float[np.ndarray, " 
     return np.abs(a - b) / np.where(greater > 0, greater, 1.0)
 
 
-def _draw_ways(stack: Stack, values: tuple[Value, ...], x: str, layers: tuple[xr.Dataset, ...]) -> None:
+def _draw_ways(stack: Stack, values: tuple[Value, ...], x: str, layers: Sequence[xr.Dataset]) -> None:
     """Draw `values`, or the section crossings of both directions in one panel, with families and jumps."""
-    facet, names = stack.facet, start_names(stack.facet)
-    along = values_along(facet[x])
+    facet, ways = stack.facet, starts_of(stack.facet)
     if values:
         draw_values(stack, values, x)
         factors = {value.name: value.factor for value in values}
     else:
         factor, unit = scale(facet[RETURNS])
         factors = {OF_RETURNS: factor}
-        for position, name in enumerate(names):
-            returns = select_start(facet, position)[RETURNS].transpose(x, RETURN)
+        for position, way in enumerate(ways):
             size = dot_size(facet.sizes[x]) * (0.5 if position else 1.4)  # larger dots stay visible below smaller ones
-            places = np.repeat(along, returns.sizes[RETURN])
-            look: dict[str, Any] = {"linewidths": 0, "color": start_colour(name, position), "rasterized": True}
-            stack.curves[0].scatter(places, factor * returns.values.ravel(), s=size, **look)
+            dots = _dots(way.lanes, factor, x)
+            stack.curves[0].scatter(*dots, s=size, linewidths=0, color=way.colour, rasterized=True)
         if stack.first:
             stack.curves[0].set_ylabel(with_unit(_RETURNS_LABEL, unit))
+    along = values_along(facet[x])
+    between = (along[1:] + along[:-1]) / 2
     for axes, (variable, factor) in zip(stack.curves, factors.items(), strict=True):
         draw_over(axes, layers, facet, x, variable, factor)
-    between = (along[1:] + along[:-1]) / 2
-    for position, (name, places) in enumerate(zip(names, jumps(facet, x), strict=True)):
-        colour = start_colour(name, position)
-        mark = Mark(marker=_MARKERS.get(name, "o"), markersize=7.0, color=colour, markeredgecolor="white")
-        for axes in stack.curves:
+        for way, places in zip(ways, jumps(facet, x), strict=True):
+            mark = Mark(marker=_MARKERS.get(way.name, "o"), markersize=7.0, color=way.colour, markeredgecolor="white")
             for place in between[places].tolist():
-                axes.axvline(place, color=colour, linestyle="--", linewidth=1.0, zorder=0.5)
+                axes.axvline(place, color=way.colour, linestyle="--", linewidth=1.0, zorder=0.5)
                 axes.plot([place], [0.95], transform=axes.get_xaxis_transform(), linestyle="none", **mark)

@@ -5,8 +5,8 @@ curves.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -21,12 +21,12 @@ from vibrojax.plot.axes import certified_text, edges, label, pad_constant, shape
 from vibrojax.plot.colours import (
     REGIME_MAP,
     REGIME_NORM,
+    SINGLE,
     Value,
     regime_cells,
     regime_handles,
     sensitive_handle,
     shape_flags,
-    stack_shares,
     values_beside,
 )
 from vibrojax.plot.contents import REGIME, SENSITIVE, START, axes_to_draw, lane_dims, many_starts, regimes_in
@@ -42,11 +42,10 @@ _MARGINS = 2.6  # page height [inches] for title, notes and the figure's margins
 Lanes = Float[np.ndarray, " lanes"]
 
 
-@dataclass(frozen=True)
-class Stack:
+class Stack(NamedTuple):
     """The panels of one facet: `curves`, from top to bottom, and `strip`; `first`: whether it is the leftmost stack."""
 
-    curves: tuple[Axes, ...]
+    curves: Sequence[Axes]
     strip: Axes
     facet: xr.Dataset
     title: str
@@ -68,8 +67,8 @@ def regime_lines(
     handles: list[Artist] = []
     if not many_starts(ds):
         mark = Mark(marker="o", markersize=4.0, linewidth=1.2)
-        colours = {name: start_colour(name, position) for position, name in enumerate(start_names(ds)) if name}
-        handles += [Line2D([], [], **mark | Mark(color=colours[name]), label=f"start: {name}") for name in colours]
+        named = {start.name: start.colour for start in starts_of(ds) if start.name}
+        handles += [Line2D([], [], **mark, color=named[name], label=f"start: {name}") for name in named]
     draw = partial(draw_values, values=values, x=x)
     return draw_stacks(ds, x, len(values), (height, height), draw, handles, note)
 
@@ -113,7 +112,7 @@ def draw_stacks(
                 axes.sharey(shared[i])
         shared = shared or above
         (above[0] if above else below).set_title(title, loc="left")
-        stack = Stack(tuple(above), below, facet, title, k % wide == 0)
+        stack = Stack(above, below, facet, title, k % wide == 0)
         draw(stack)
         sensitive |= _draw_strip(stack, x)
     regimes = regime_handles([facet[REGIME] for facet in panels.data])
@@ -124,14 +123,20 @@ def draw_stacks(
     return figure
 
 
-def start_names(ds: xr.Dataset) -> list[str]:
-    """Return the names of the initial conditions, or one empty name if there is no dimension `start`."""
-    return [short(str(name)) for name in ds[START].values] if START in lane_dims(ds) else [""]
+class Start(NamedTuple):
+    """The lanes of one initial condition, its short name (empty without a dimension `start`) and its colour."""
+
+    name: str
+    colour: str
+    lanes: xr.Dataset
 
 
-def select_start(ds: xr.Dataset, position: int) -> xr.Dataset:
-    """Return the lanes of the initial condition with index `position`."""
-    return ds.isel({START: position}) if START in lane_dims(ds) else ds
+def starts_of(ds: xr.Dataset) -> list[Start]:
+    """Return the lanes of each initial condition."""
+    if START not in lane_dims(ds):
+        return [Start("", start_colour("", 0), ds)]
+    names = [short(str(name)) for name in ds[START].values]
+    return [Start(name, start_colour(name, i), ds.isel({START: i})) for i, name in enumerate(names)]
 
 
 def scatter_lanes(axes: Axes, along: Lanes, values: Lanes, regimes: Lanes, size: float) -> None:
@@ -159,33 +164,30 @@ def _draw_strip(stack: Stack, x: str) -> bool:
     Return whether any lane is marked as sensitive to rounding.
     """
     facet, strip, many = stack.facet, stack.strip, many_starts(stack.facet)
-
-    def by_start(name: str) -> xr.DataArray:
-        data = facet[name]
-        return data.transpose(START, x) if START in data.dims else data.expand_dims(START)
-
-    rows = regime_cells(by_start(REGIME))
-    cells = np.ma.masked_invalid(stack_shares(rows) if many else rows)
+    by_start = facet if START in lane_dims(facet) else facet.expand_dims(START)
+    rows = regime_cells(by_start[REGIME].transpose(START, x))
+    if many:  # each column is sorted, single impacts first, so that the height of a colour is its fraction
+        ordered = np.sort(np.where(rows == SINGLE, -1.0, rows), axis=0)
+        rows = np.where(ordered == -1.0, float(SINGLE), ordered)
     ends = np.linspace(0.0, 100.0, len(rows) + 1) if many else np.arange(len(rows) + 1) - 0.5
     along = values_along(facet[x])
-    strip.pcolormesh(edges(along), ends, cells, cmap=REGIME_MAP, norm=REGIME_NORM, rasterized=True)
-    marked = False
+    strip.pcolormesh(edges(along), ends, np.ma.masked_invalid(rows), cmap=REGIME_MAP, norm=REGIME_NORM, rasterized=True)
+    shape_axis(strip, "x", along)
+    strip.set_xlabel(label(facet[x]))
     if many:
         strip.set_ylim(0.0, 100.0)
         strip.set_ylabel("starts\n[%]" if stack.first else "")
-    else:
-        strip.set_yticks(range(len(rows)), start_names(facet))
-        strip.set_ylim(len(rows) - 0.5, -0.5)
-        strip.tick_params(axis="y", length=0)
-        for between in ends[1:-1]:
-            strip.axhline(between, color="white", linewidth=1.2)
-        if SENSITIVE in facet:
-            row, column = np.nonzero(by_start(SENSITIVE).values == 1)
-            strip.scatter(along[column], row, s=9.0, marker="x", color=INK, linewidths=0.6)
-            marked = bool(row.size)
-    shape_axis(strip, "x", along)
-    strip.set_xlabel(label(facet[x]))
-    return marked
+        return False
+    strip.set_yticks(range(len(rows)), [start.name for start in starts_of(facet)])
+    strip.set_ylim(len(rows) - 0.5, -0.5)
+    strip.tick_params(axis="y", length=0)
+    for between in ends[1:-1]:
+        strip.axhline(between, color="white", linewidth=1.2)
+    if SENSITIVE not in facet:
+        return False
+    row, column = np.nonzero(by_start[SENSITIVE].transpose(START, x).values == 1)
+    strip.scatter(along[column], row, s=9.0, marker="x", color=INK, linewidths=0.6)
+    return bool(row.size)
 
 
 def draw_values(stack: Stack, values: tuple[Value, ...], x: str) -> None:
@@ -194,21 +196,19 @@ def draw_values(stack: Stack, values: tuple[Value, ...], x: str) -> None:
     for axes, value in zip(stack.curves, values, strict=True):
         if stack.first:
             axes.set_ylabel(value.label.replace(" [", "\n["))
-        shape_flags(axes, value)
         if many_starts(facet):
             heights, regimes = (data.transpose(x, START) for data in (value.of(facet), facet[REGIME]))
             along = np.repeat(values_along(facet[x]), heights.sizes[START])
             scatter_lanes(axes, along, heights.values.ravel(), regime_cells(regimes).ravel(), dot_size(facet.sizes[x]))
-            continue
-        for position, name in enumerate(start_names(facet)):
-            lanes = select_start(facet, position)
-            along, colour = values_along(lanes[x]), start_colour(name, position)
-            ends = [f"{value.name}_{end}" for end in ("min", "max")]
-            if all(end in lanes for end in ends):  # range over the impacts of each lane
-                low, high = (lanes[end].values * value.factor for end in ends)
-                axes.fill_between(along, low, high, color=colour, alpha=0.15, linewidth=0)
-            # Thinner lines for later initial conditions: a motion that two of them reach shows both colours.
-            width = Mark(linewidth=1.0, markersize=2.2) if position else Mark(linewidth=2.2, markersize=4.0)
-            axes.plot(along, value.of(lanes).values, color=colour, marker="o", label=name, **width)
-        pad_constant(axes)
+        else:
+            for position, (name, colour, lanes) in enumerate(starts_of(facet)):
+                along = values_along(lanes[x])
+                ends = [f"{value.name}_{end}" for end in ("min", "max")]
+                if all(end in lanes for end in ends):  # range over the impacts of each lane
+                    low, high = (lanes[end].values * value.factor for end in ends)
+                    axes.fill_between(along, low, high, color=colour, alpha=0.15, linewidth=0)
+                # Thinner lines for later initial conditions: a motion that two of them reach shows both colours.
+                width = Mark(linewidth=1.0, markersize=2.2) if position else Mark(linewidth=2.2, markersize=4.0)
+                axes.plot(along, value.of(lanes).values, color=colour, marker="o", label=name, **width)
+            pad_constant(axes)
         shape_flags(axes, value)

@@ -1,24 +1,31 @@
 """Pictures of the bit on rock under an applied force: hole growth under pulses, and response to a swept sine."""
 
-from collections.abc import Sequence
-
 import numpy as np
 import xarray as xr
 from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from vibrojax.analyses.trajectory.motion import Hole, Samples, read_hole
+from vibrojax.analyses.trajectory.motion import Run, Samples, blow_times, read_hole
 from vibrojax.errors import InputError
-from vibrojax.io.attributes import parameters_of
 from vibrojax.plot.axes import number
-from vibrojax.plot.contents import contents
+from vibrojax.plot.contents import Contents
 from vibrojax.plot.curves import band_text, draw_over_time
 from vibrojax.plot.sheet import write_margins
-from vibrojax.plot.style import BIT, DASHED, FAINT, INK, ROCK, Mark, new_figure, styled
+from vibrojax.plot.style import BIT, DASHED, FAINT, IMPACT, INK, ROCK, Mark, new_figure, styled
 
-_SMALLEST_MM = 2e-4  # greatest length [m] from which the unit is mm, rather than µm
-_LARGEST_N = 1e4  # greatest force [N] from which the unit is kN
+# Factors and units for large and for small values, and the least large value in SI units.
+_UNITS = {
+    "length": ((1e3, "mm"), (1e6, "µm"), 2e-4),
+    "speed": ((1.0, "m/s"), (1e3, "mm/s"), 1.0),
+    "force": ((1e-3, "kN"), (1.0, "N"), 1e4),
+}
+_FORCES = {  # colour, line width, legend text
+    "applied_force": (FAINT, 1.0, "given I"),
+    "rock_force": (INK, 1.0, "rock N"),
+    "impact_force": (IMPACT, 1.0, "impact force J"),
+    "friction_force": (INK, 0.8, "friction force F"),
+}
 _ENLARGED_BLOWS = 2
 _LEAD = 0.08  # fraction of the time between blows that is shown before the first enlarged blow
 _FEWEST_CYCLES = 4
@@ -26,34 +33,44 @@ _LEAST_SLIP = 1e-12  # [m] in one cycle: less is rounding error
 _MANY_CYCLES = 120  # number of cycles from which curves have no markers
 
 
-def draw_hole(axes: Axes, hole: Hole, start: float, end: float) -> None:
+def draw_hole(axes: Axes, hole: Run, start: float, end: float) -> None:
     """Draw the bit's displacement x3 and the hole's depth x4 from `start` to `end` [s]."""
     late = hole.between(start, end)
-    factor, unit = _length_scale([hole.x3[late], hole.x4[late]])
+    factor, unit = _scale("length", hole["x3"][late], hole["x4"][late])
     axes.grid(True)
     # The wider line of the hole is drawn first, so that both are visible where the bit presses on the hole's bottom.
-    draw_over_time(axes, hole.time[late], factor * hole.x4[late], ROCK, 2.4, "hole x₄")
-    draw_over_time(axes, hole.time[late], factor * hole.x3[late], BIT, 0.9, "bit x₃")
+    draw_over_time(axes, hole.time[late], factor * hole["x4"][late], ROCK, 2.4, "hole x₄")
+    draw_over_time(axes, hole.time[late], factor * hole["x3"][late], BIT, 0.9, "bit x₃")
     axes.set_ylabel(f"depth\n[{unit}]")
+    axes.set_xlim(start, end)
 
 
-def growth_text(hole: Hole) -> str:
+def draw_forces(axes: Axes, run: Run, late: slice, *names: str, threshold: float | None = None) -> None:
+    """Draw the forces `names` that the run has over the samples `late`, and the rock's threshold [N]."""
+    forces = {name: run[name] for name in names if run.has(name)}
+    factor, unit = _scale("force", *forces.values())
+    axes.grid(True)
+    if threshold is not None:
+        text = f"threshold D = {number(factor * threshold)} {unit}"
+        axes.axhline(factor * threshold, color=ROCK, linewidth=1.0, linestyle=DASHED, label=text)
+    for name, force in forces.items():
+        draw_over_time(axes, run.time[late], factor * force[late], *_FORCES[name])
+    axes.set_ylabel(f"force\n[{unit}]")
+
+
+def growth_text(hole: Run) -> str:
     """Return the note on the hole's growth over the run."""
-    depth, duration = 1e3 * float(hole.x4[-1] - hole.x4[0]), float(np.ptp(hole.time))
+    depth, duration = 1e3 * float(hole["x4"][-1] - hole["x4"][0]), float(np.ptp(hole.time))
     if not depth > 0:
         return "No penetration"
     return f"The hole grows by {number(float(f'{depth:.3g}'))} mm in {number(duration)} s"
 
 
-def _length_scale(lengths: Sequence[Float[np.ndarray, "*shape"]]) -> tuple[float, str]:
-    """Return the conversion factor and the unit, mm or µm, to print `lengths` [m] in."""
-    greatest = max((float(np.abs(values).max(initial=0.0)) for values in lengths), default=0.0)
-    return (1e3, "mm") if greatest >= _SMALLEST_MM or greatest == 0.0 else (1e6, "µm")
-
-
-def force_scale(forces: Sequence[Samples]) -> tuple[float, str]:
-    """Return the conversion factor and the unit, kN or N, to print `forces` [N] in."""
-    return (1e-3, "kN") if max(np.abs(force).max() for force in forces) >= _LARGEST_N else (1.0, "N")
+def _scale(quantity: str, *values: Samples) -> tuple[float, str]:
+    """Return the conversion factor and the unit to print `values` of a quantity in, given in SI units."""
+    large, small, bound = _UNITS[quantity]
+    greatest = max((float(np.abs(part).max(initial=0.0)) for part in values), default=0.0)
+    return large if greatest >= bound or (quantity == "length" and greatest == 0.0) else small
 
 
 @styled
@@ -67,18 +84,18 @@ def pulses(ds: xr.Dataset, last: float | None = None) -> Figure:
     hole = read_hole(ds)
     first, end = float(hole.time[0]), float(hole.time[-1])
     late = _last_blows(hole) if last is None else max(end - last, first)
-    forces = hole.applied_force is not None or hole.rock_force is not None
+    forces = hole.has("applied_force", "rock_force")
     figure = new_figure(10.0, 5.4 if forces else 3.4)
     ratios = {"width_ratios": [1.25, 1.0], "height_ratios": [1.3, 1.0][: 1 + forces]}
     grid = figure.add_gridspec(1 + forces, 2, **ratios)
+    threshold = hole.parameters.get("threshold")
     for column, start in enumerate((first, late)):
         shown = [figure.add_subplot(grid[0, column])]
         draw_hole(shown[0], hole, start, end)
         if forces:
             shown.append(figure.add_subplot(grid[1, column], sharex=shown[0]))
-            _draw_forces(shown[1], hole, start, end)
+            draw_forces(shown[1], hole, hole.between(start, end), "applied_force", "rock_force", threshold=threshold)
             shown[0].tick_params(labelbottom=False)
-        shown[0].set_xlim(start, end)
         shown[-1].set_xlabel("time [s]")
         for axes in shown if column == 0 else ():
             axes.axvspan(late, end, color=FAINT, alpha=0.25, linewidth=0)
@@ -89,23 +106,9 @@ def pulses(ds: xr.Dataset, last: float | None = None) -> Figure:
     return figure
 
 
-def _draw_forces(axes: Axes, hole: Hole, start: float, end: float) -> None:
-    """Draw the applied force, the rock's resistance and the rock's threshold from `start` to `end` [s]."""
-    late = hole.between(start, end)
-    factor, unit = force_scale([force for force in (hole.applied_force, hole.rock_force) if force is not None])
-    axes.grid(True)
-    if hole.threshold is not None:
-        name = f"threshold D = {number(factor * hole.threshold)} {unit}"
-        axes.axhline(factor * hole.threshold, color=ROCK, linewidth=1.0, linestyle=DASHED, label=name)
-    for force, colour, name in ((hole.applied_force, FAINT, "given I"), (hole.rock_force, INK, "rock N")):
-        if force is not None:
-            draw_over_time(axes, hole.time[late], factor * force[late], colour, 1.0, name)
-    axes.set_ylabel(f"force\n[{unit}]")
-
-
-def _last_blows(hole: Hole) -> float:
+def _last_blows(hole: Run) -> float:
     """Return a time [s] shortly before the last two blows, or, with too few blows, before the last fifth of the run."""
-    begun = hole.blows
+    begun = blow_times(hole)
     if begun.size <= _ENLARGED_BLOWS + 1:
         return float(hole.time[-1] - 0.2 * np.ptp(hole.time))
     between = float(np.median(np.diff(begun)))
@@ -122,10 +125,10 @@ def response(ds: xr.Dataset) -> Figure:
 
     **Raises:** `InputError` if the dataset holds no trajectory under a swept sine, or too few cycles.
     """
-    hole, parameters = read_hole(ds), parameters_of(ds)
-    if not contents(ds).swept_sine:
+    hole = read_hole(ds)
+    if not Contents(ds).swept_sine:
         raise InputError("no response to draw: the force is not a swept sine (pulse_shape, sweep_rate)")
-    start, rate = parameters.get("sweep_start", 0.0), parameters["sweep_rate"]
+    start, rate = hole.parameters.get("sweep_start", 0.0), hole.parameters["sweep_rate"]
     phase = np.abs(start * hole.time + rate * hole.time**2 / 2)
     turn = np.concatenate([[0], 1 + np.flatnonzero(np.diff(np.floor(phase)) != 0)])
     if turn.size <= _FEWEST_CYCLES:
@@ -136,32 +139,30 @@ def response(ds: xr.Dataset) -> Figure:
         return (np.maximum.reduceat(whole, turn[:-1]) - np.minimum.reduceat(whole, turn[:-1])) / 2
 
     frequency = np.abs(start + rate * (hole.time[turn[:-1]] + hole.time[turn[1:]]) / 2)
-    displacement, velocity, depth = half_swing(hole.x3 - hole.x4), half_swing(hole.v3), hole.x4[turn]
+    depth = hole["x4"][turn]
     # Frequency ranges in which the rock slips in every cycle; they end halfway between cycles.
     slips = np.diff(depth) > _LEAST_SLIP
     changes = np.flatnonzero(np.diff(np.concatenate([[False], slips, [False]]).astype(int)))
     ends = np.concatenate([frequency[:1], (frequency[1:] + frequency[:-1]) / 2, frequency[-1:]])
     figure = new_figure(7.6, 6.2)
     panels = figure.subplots(3, 1, sharex=True)
-    speed, per = (1e3, "mm/s") if velocity.max() < 1.0 else (1.0, "m/s")
-    length, unit = _length_scale([displacement])
-    scale, depth_unit = _length_scale([depth[1:]])
     quantities = (
-        (length * displacement, BIT, 1.1, f"amplitude of\nx₃ − x₄ [{unit}]"),
-        (speed * velocity, INK, 1.1, f"amplitude of\nx₃′ [{per}]"),
-        (scale * depth[1:], ROCK, 2.0, f"depth of the hole\nx₄ [{depth_unit}]"),
+        (half_swing(hole["x3"] - hole["x4"]), "length", BIT, 1.1, "amplitude of\nx₃ − x₄"),
+        (half_swing(hole["v3"]), "speed", INK, 1.1, "amplitude of\nx₃′"),
+        (depth[1:], "length", ROCK, 2.0, "depth of the hole\nx₄"),
     )
     marker = Mark(marker="o", markersize=2.0) if frequency.size < _MANY_CYCLES else Mark()
     spans = []
-    for axes, (values, colour, width, label) in zip(panels, quantities, strict=True):
+    for axes, (values, quantity, colour, width, label) in zip(panels, quantities, strict=True):
         axes.grid(True)
         spans = [
             axes.axvspan(ends[begin], ends[stop], color=FAINT, alpha=0.25, linewidth=0, label="the rock slips")
             for begin, stop in changes.reshape(-1, 2)
         ]
-        axes.plot(frequency, values, color=colour, linewidth=width, **marker)
+        factor, unit = _scale(quantity, values)
+        axes.plot(frequency, factor * values, color=colour, linewidth=width, **marker)
         axes.set_ylim(bottom=0.0)
-        axes.set_ylabel(label)
+        axes.set_ylabel(f"{label} [{unit}]")
     panels[2].set_xlabel("frequency of the force [Hz]")
     panels[0].set_xlim(float(frequency.min()), float(frequency.max()))
     if spans:
