@@ -22,12 +22,16 @@ chunk = 5
 _HEARS = """
 import os, signal, sys
 signal.signal(signal.SIGINT, signal.SIG_DFL)
+{before}
 os.execv(sys.executable, [sys.executable, "-m", "vibrojax", *sys.argv[1:]])
 """
 
 
-def start(*words: object, environment: dict[str, str] | None = None, **more: Any) -> "subprocess.Popen[str]":
-    """The command, running, which hears interrupts; what it says is in its pipes."""
+def start(
+    *words: object, before: str = "", environment: dict[str, str] | None = None, **more: Any
+) -> "subprocess.Popen[str]":
+    """The command, running, which hears interrupts; what it says is in its pipes. Python runs `before` first."""
     known = os.environ | {"PYTHONPATH": str(ROOT)} | (environment or {})
     pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    return subprocess.Popen([sys.executable, "-c", _HEARS, *map(str, words)], env=known, **pipes, **more)
+    hears = _HEARS.format(before=before)
+    return subprocess.Popen([sys.executable, "-c", hears, *map(str, words)], env=known, **pipes, **more)

@@ -12,7 +12,7 @@ from vibrojax.compile.kernels import kernels
 from vibrojax.errors import InputError
 from vibrojax.explorer import encoding
 from vibrojax.explorer import motions as live_motions
-from vibrojax.explorer.motions import LiveMotions, motions_around, motions_of
+from vibrojax.explorer.motions import LiveMotions, motions_for, motions_of
 
 SWEEP = {
     "scene": "vibro-impact",
@@ -173,13 +173,13 @@ def test_values_compile_nothing():
 def test_around_other_datasets():
     """A trajectory's own point is where its page's sliders stand."""
     motion = vj.simulate("rotary", v=0.7, friction="coulomb", mu=0.3, duration=1.0, start="stuck", progress=False)
-    motions = motions_around(motion)
+    motions = motions_for(motion)
     assert motions.point.parameters["v"] == 0.7 and motions.point.parameters["mu"] == 0.3
     assert motions.point.options["friction"] == "coulomb" and motions.point.start == "stuck"
     with pytest.raises(InputError, match="explore: "):
-        motions_around(motion.assign_attrs(scene="nothing"))
+        motions_for(motion.assign_attrs(scene="nothing"))
     with pytest.raises(InputError, match="attribute run"):
-        motions_around(motion.assign_attrs(run="{"))
+        motions_for(motion.assign_attrs(run="{"))
 
 
 def test_sliders_reach_all_values_of_the_sweep():

@@ -139,7 +139,7 @@ def test_without_anywidget_it_says_what_to_install(dataset, monkeypatch):
             raise ModuleNotFoundError("No module named 'anywidget'", name="anywidget")
         return really(name, *rest)
 
-    monkeypatch.delitem(__import__("sys").modules, "vibrojax.explorer._anywidget", raising=False)
+    monkeypatch.delitem(__import__("sys").modules, "vibrojax.explorer.widget", raising=False)
     monkeypatch.setattr(builtins, "__import__", without)
     with pytest.raises(InputError) as refused:
         vj.explore(dataset)

@@ -154,10 +154,10 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
 
 
 def test_memory_is_bounded_by_a_region(tmp_path):
-    """Three times the lanes take as much memory: 150 MB of values more would show."""
+    """Three times the lanes take as much memory: 75 MB of values more would show."""
     root = Path(__file__).parents[1]
     peaks = []
-    for rows in ("500", "1500"):
+    for rows in ("250", "750"):
         command = [sys.executable, "-c", JOINED, str(tmp_path / "out.nc"), rows]
         done = subprocess.run(
             command, capture_output=True, text=True, check=True, env=os.environ | {"PYTHONPATH": str(root)}

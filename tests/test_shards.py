@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from vibrojax.errors import InputError
-from vibrojax.io.claims import Lock
+from vibrojax.io.claims import lock
 from vibrojax.io.shards import DamagedShard, Shards
 
 MANIFEST = {"scene": "rotary", "chunk": 4, "grid.beta": [0.1, 0.2], "version": "1"}
@@ -55,11 +55,18 @@ def test_what_is_finished_is_found_again(shards):
             opened.read(1)
 
 
-@pytest.mark.parametrize("place", [0, 31, 32, 100, -1])
-def test_a_flipped_bit_is_found_out(shards, place, capsys):
-    content = bytearray(shard(shards, 2).read_bytes())
+def flip(path, place):
+    content = bytearray(path.read_bytes())
     content[place] ^= 1
-    shard(shards, 2).write_bytes(content)
+    path.write_bytes(content)
+
+
+DAMAGES = [*((flip, place) for place in (0, 31, 32, 100, -1)), *((os.truncate, size) for size in (0, 10, 32, 200))]
+
+
+@pytest.mark.parametrize(("damage", "place"), DAMAGES)
+def test_a_damaged_shard_is_found_out(shards, damage, place, capsys):
+    damage(shard(shards, 2), place)
     with again(shards) as opened:
         assert opened.finished() == {0}
         line = capsys.readouterr().err
@@ -68,13 +75,6 @@ def test_a_flipped_bit_is_found_out(shards, place, capsys):
             opened.read(2)
         opened.write(2, arrays(2))
         assert opened.finished() == {0, 2}
-
-
-@pytest.mark.parametrize("size", [0, 10, 32, 200])
-def test_a_cut_shard_is_found_out(shards, size):
-    os.truncate(shard(shards, 0), size)
-    with again(shards) as opened:
-        assert opened.finished() == {2}
 
 
 def test_a_shard_in_anothers_place_is_found_out(shards):
@@ -190,13 +190,14 @@ def test_a_killed_process_keeps_nobody_out(shards):
 
 def test_a_lock_that_was_removed_meanwhile_is_taken_anew(shards):
     """As by a process that ends: it removes the file, and then lets go."""
-    first = Lock(shards.folder / "lock")
-    ending = Timer(0.05, first.release, kwargs={"remove": True})
+    path = shards.folder / "lock"
+    first = lock(path)
+    ending = Timer(0.05, lambda: (path.unlink(), first.release()))
     ending.start()
-    second = Lock(shards.folder / "lock")
-    assert second.path.exists()
+    second = lock(path)
+    assert path.exists()
     with pytest.raises(InputError, match="another process"):
-        Lock(shards.folder / "lock")
+        lock(shards.folder / "lock")
     second.release()
     ending.join()
 
@@ -204,7 +205,7 @@ def test_a_lock_that_was_removed_meanwhile_is_taken_anew(shards):
 def test_a_lock_that_cannot_be_made_is_refused(tmp_path):
     (tmp_path / "lock").mkdir()
     with pytest.raises(InputError, match="lock: cannot be written"):
-        Lock(tmp_path / "lock")
+        lock(tmp_path / "lock")
 
 
 def test_a_file_system_without_locks_goes_without(tmp_path, monkeypatch):
@@ -212,8 +213,7 @@ def test_a_file_system_without_locks_goes_without(tmp_path, monkeypatch):
         raise OSError(errno.ENOLCK, "No locks available")
 
     monkeypatch.setattr("fcntl.flock", refuse)
-    Lock(tmp_path / "lock").release(remove=True)
-    assert list(tmp_path.iterdir()) == []
+    lock(tmp_path / "lock").release()
 
 
 def test_the_folder_goes_when_all_is_done(shards):

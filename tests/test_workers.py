@@ -90,17 +90,18 @@ def test_dask(file, expected):
     assert_same(vj.open_dataset(out), expected)
 
 
-def test_submitit(file, expected, tmp_path):
-    submitit = pytest.importorskip("submitit")
-    file.write_text(TEXT.replace("chunk = 5", "chunk = 12"))  # a process for each
-    found = vj.run_sweep(file, progress=False, executor=submitit.LocalExecutor(folder=tmp_path / "jobs"))
+@pytest.mark.parametrize("library", ["submitit", "loky"])
+def test_executors_of_others(file, expected, tmp_path, library):
+    module = pytest.importorskip(library)
+    if library == "loky":
+        executor = module.ProcessPoolExecutor(2)
+    else:
+        file.write_text(TEXT.replace("chunk = 5", "chunk = 12"))  # a process for each
+        executor = module.LocalExecutor(folder=tmp_path / "jobs")
+    found = vj.run_sweep(file, progress=False, executor=executor)
     assert_same(found.assign_attrs(sweep=expected.attrs["sweep"]), expected)
-
-
-def test_loky(file, expected):
-    loky = pytest.importorskip("loky")
-    with loky.ProcessPoolExecutor(2) as executor:
-        assert_same(vj.run_sweep(file, progress=False, executor=executor), expected)
+    if library == "loky":
+        executor.shutdown()
 
 
 BY_MPI = """
@@ -154,12 +155,6 @@ class Here:
         return future
 
 
-def test_no_chunk_is_asked_for_twice(file, expected):
-    executor = Here(lambda self, fn, *arguments: fn(*arguments))
-    assert_same(vj.run_sweep(file, progress=False, executor=executor), expected)
-    assert sorted(executor.asked) == [0, 1, 2, 3, 4]
-
-
 def test_the_dearest_chunks_come_first(file):
     """Lanes that are stiff in flight take c2/m2 steps a second, over the stride; the dataset is the same."""
     file.write_text(
@@ -181,31 +176,30 @@ def test_workers_are_not_idle_at_the_end(file, caplog):
     assert re.fullmatch(r"workers: [12] in [\d.]+ s; busy for [\d.]+ s, idle at the end for [\d.]+ s(; for .+)?", line)
 
 
-def test_what_a_worker_cannot_do_is_done_here(file, expected, capsys):
+@pytest.mark.parametrize(
+    ("fails", "error", "warning"),
+    [
+        (lambda asked: asked[-1] == 3, MemoryError("too much"), "chunk 3 failed with a worker (MemoryError: too much)"),
+        (lambda asked: len(asked) > 2, BrokenExecutor("a worker died"), "(BrokenExecutor: a worker died); the rest is"),
+    ],
+)
+def test_what_an_executor_cannot_do_is_done_here(file, expected, capsys, fails, error, warning):
+    """And no chunk is asked for twice."""
+
     def compute(self, fn, task, index, threads):
-        if index == 3:
-            raise MemoryError("too much")
+        if fails(self.asked):
+            raise error
         return fn(task, index, threads)
 
     executor = Here(compute)
     assert_same(vj.run_sweep(file, progress=False, executor=executor), expected)
-    assert "chunk 3 failed with a worker (MemoryError: too much); computed here" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert said.count(warning) == 1 and said.count("computed here") == 1
     assert sorted(executor.asked) == [0, 1, 2, 3, 4]
 
 
-def test_what_a_broken_executor_leaves_is_done_here(file, expected, capsys):
-    def compute(self, fn, task, index, threads):
-        if len(self.asked) > 2:
-            raise BrokenExecutor("a worker died")
-        return fn(task, index, threads)
-
-    assert_same(vj.run_sweep(file, progress=False, executor=Here(compute)), expected)
-    said = capsys.readouterr().err
-    assert said.count("the executor broke down (BrokenExecutor: a worker died); the rest is computed here") == 1
-
-
 def test_what_is_wrong_with_a_sweep_is_said_once(file):
-    def compute(self, fn, task, index, threads):
+    def compute(*_):
         raise InputError("wrong")
 
     with pytest.raises(InputError, match="wrong"):
@@ -262,12 +256,13 @@ def test_physics_that_cannot_be_sent(tmp_path):
 
 def test_a_share_of_the_cores_each(file):
     """Of two workers on this machine each has half of its cores; the environment has the last word."""
-    from vibrojax.analyses.sweep.workers.executor import _threads_each
     from vibrojax.compile.xla import threads, usable_cores, with_threads
 
-    with ThreadPoolExecutor(2) as two:
-        assert _threads_each(two) == max(1, usable_cores() // 2)
-    assert _threads_each(object()) == 1
+    for workers, each in ((None, 1), (2, max(1, usable_cores() // 2))):
+        executor = Here(lambda self, fn, task, index, threads: self.threads.add(threads) or fn(task, index, threads))
+        executor.threads, executor._max_workers = set(), workers
+        vj.run_sweep(file, progress=False, executor=executor)
+        assert executor.threads == {each}
     with with_threads(3):
         assert threads() == 3
     assert threads() == usable_cores()

@@ -16,7 +16,7 @@ _HOMES = {
     "follow": "vibrojax.analyses.continuation.run",
     "borders": "vibrojax.analyses.borders.run",
     "attractors": "vibrojax.analyses.attractors.run",
-    "explore": "vibrojax.explorer.widget",
+    "explore": "vibrojax.explorer.write",
     "smallest_push": "vibrojax.analyses.push.run",
     "tolerance": "vibrojax.analyses.tolerance.run",
     "simulate": "vibrojax.sweep.simulation",

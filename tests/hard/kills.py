@@ -44,6 +44,14 @@ def cached(folder: Path) -> dict[str, str]:
     return {"JAX_COMPILATION_CACHE_DIR": str(folder / "cache")} | always
 
 
+def assert_same(one: Path, other: Path) -> None:
+    """The variables of two datasets are the same, bit for bit, in the same order."""
+    with xr.open_dataset(one) as found, xr.open_dataset(other) as expected:
+        for name in expected.variables:
+            np.testing.assert_array_equal(found[name].values, expected[name].values, err_msg=name)
+        assert list(found.variables) == list(expected.variables)
+
+
 class Kills:
     """Kills of one sweep in `folder`; `counted` says where they fell and what was seen after them."""
 
@@ -99,7 +107,7 @@ class Kills:
         after = self._chunks()
         if out.exists():  # it was killed after the dataset was whole, while chunks were removed or drawn
             self.counted["killed when the dataset was whole"] += 1
-            self._assert_same(out)
+            assert_same(out, self.whole)
             out.unlink()
             return
         self.counted["chunks lost"] += sum(after.get(name) != digest for name, digest in before.items())
@@ -108,16 +116,10 @@ class Kills:
 
     def _compare(self, out: Path) -> None:
         """The dataset is the same, and nothing lies about."""
-        self._assert_same(out)
+        assert_same(out, self.whole)
         left = [path.name for path in self.folder.iterdir() if path.name.endswith((".tmp", ".part", ".chunks"))]
         assert left == [], left
         self.counted["datasets the same, bit for bit"] += 1
-
-    def _assert_same(self, out: Path) -> None:
-        with xr.open_dataset(self.whole) as expected, xr.open_dataset(out) as found:
-            for name in expected.variables:
-                np.testing.assert_array_equal(found[name].values, expected[name].values, err_msg=name)
-            assert list(found.variables) == list(expected.variables)
 
 
 def main(most: int = 200, seed: int = 0) -> None:

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
+from commands import start
 from kills import cached
 
 from vibrojax.io.dataset import open_dataset, write_dataset
@@ -36,20 +37,8 @@ step = 1e-4
 
 
 def started(folder, *words, before="", **environment) -> subprocess.Popen:
-    """`vibrojax WORDS` in a process of its own, at work in `folder`; the program `before` runs in it first.
-
-    By exec, not in a fork of this process, whose threads are jax's.
-    """
-    first = "import os, signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler)"
-    then = "os.execv(sys.executable, [sys.executable, '-m', 'vibrojax', *sys.argv[1:]])"
-    return subprocess.Popen(
-        [sys.executable, "-c", "\n".join([first, before, then]), *words],
-        cwd=folder,
-        env=os.environ | {"PYTHONPATH": str(ROOT)} | environment,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    """`vibrojax WORDS` in a process of its own, at work in `folder`; the program `before` runs in it first."""
+    return start(*words, before=before, environment=environment, cwd=folder)
 
 
 def ended(process) -> tuple[int, str]:

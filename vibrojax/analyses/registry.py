@@ -10,8 +10,7 @@ import xarray as xr
 
 from vibrojax.analyses.analysis import Analysis, Source, check_analysis
 from vibrojax.errors import InputError, printable, shown
-from vibrojax.io.kinds import KIND, dataset_attributes, kind_of
-from vibrojax.io.structure import check_structure
+from vibrojax.io.kinds import KIND, check_structure, dataset_attributes, kind_of
 from vibrojax.io.variables import Variable
 
 GROUP = "vibrojax.analyses"

@@ -16,7 +16,7 @@ from importlib.metadata import entry_points
 from typing import NoReturn
 
 from vibrojax.analyses.glossary import glossary
-from vibrojax.analyses.sweep.workers.shutdown import leave
+from vibrojax.analyses.sweep.workers.lifetime import leave
 from vibrojax.cli import (
     accuracy,
     explore,

@@ -87,7 +87,7 @@ def _motion(options: Options) -> "xarray.Dataset":
 
 def _serve(options: Options, dataset: "xarray.Dataset", over: "xarray.Dataset | None") -> None:
     """Serve the live page until the process is interrupted."""
-    from vibrojax.analyses.sweep.workers.shutdown import on_leaving
+    from vibrojax.analyses.sweep.workers.lifetime import on_leaving
     from vibrojax.explorer.live import serve
 
     with dataset:

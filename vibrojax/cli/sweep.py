@@ -46,7 +46,7 @@ def run(options: Options) -> None:
     if options.measure and not options.dry_run:
         raise InputError("--measure: has no use without --dry-run")
     if workers.jobs is not None:
-        from vibrojax.analyses.sweep.workers.slurm import check_slurm
+        from vibrojax.analyses.sweep.workers.processes import check_slurm
 
         check_slurm(f"--workers {options.workers}")
     sweep = read_sweep(options.sweep, options.changes)
@@ -104,7 +104,7 @@ def _print_cost(sweep: "Sweep", out: Path, processes: int, measure: bool) -> Non
 
     measured = None
     if measure:
-        from vibrojax.analyses.sweep.workers.measured import measured as measure_lanes
+        from vibrojax.analyses.sweep.workers.work import measured as measure_lanes
 
         measured = measure_lanes(sweep)
     cost: Cost = estimate(sweep, to_file=True, processes=processes, measured=measured)

@@ -3,7 +3,7 @@
 [vibrojax.explorer.live][] computes the responses. The server protects itself from other web pages in the same browser.
 It listens on the loopback interface only. Its token is new at each start and is compared in constant time. The Host
 header must be the server's own, since another host name could be made to resolve to this machine. An Origin header, if
-the browser sends one, must be the server's own, too.
+the browser sends one, must be the server's own, too. A connection that has not sent the token is soon closed.
 """
 
 import hmac
@@ -11,11 +11,9 @@ import json
 import re
 import socket
 import sys
-import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
@@ -28,22 +26,14 @@ HOST = "127.0.0.1"
 BODY_MAX_BYTES = 16_384
 """Maximum size of a request body; parameters and an initial condition take a few hundred bytes."""
 
-MAX_CONNECTIONS = 32
-"""Maximum number of open connections; a browser opens six."""
+HEADER_MAX_SECONDS, REQUEST_MAX_SECONDS = 3.0, 30.0
+"""Time within which a connection must have sent the token, and further time for the request and its response."""
 
-HEADER_MAX_SECONDS = 3.0
-"""Time within which a connection must have sent the token; a browser sends the complete header at once."""
-
-SILENCE_MAX_SECONDS, REQUEST_MAX_SECONDS = 5.0, 30.0
-"""Longest pause in a request with the token, and longest total time including its response."""
-
-RETRY_SECONDS = 1
-"""Time after which a rejected client may try again."""
+SILENCE_MAX_SECONDS = 5.0
+"""Longest pause within a request."""
 
 METHODS = {"": ("GET", "HEAD"), "motion": ("POST",)}
 """Allowed methods by the path after the token."""
-
-BLOCK_TYPE, HTML_TYPE = "application/octet-stream", "text/html; charset=utf-8"
 
 SECURITY_HEADERS = {
     "X-Content-Type-Options": "nosniff",
@@ -66,84 +56,46 @@ class RefusedRequest(Exception):
         self.status = status
 
 
-@dataclass
-class _Connection:
-    """An open connection: `since`, the time at which it was opened, and `admitted`, True if it has sent the token."""
-
-    since: float
-    admitted: bool = False
-
-
 class Server(ThreadingHTTPServer):
-    """A server with one thread per connection, and limits on the number and duration of connections.
+    """A server with one thread per connection, which closes connections after a time limit.
 
-    A connection that has not sent the token has a short time limit. If there are too many connections, the oldest
-    connection without the token is closed. Clients without the token can therefore not block the page, however many
-    connections they open and however slowly they send.
+    A connection that has not sent the token has a short limit. Clients without the token can therefore not keep many
+    connections open, however slowly they send.
     """
 
-    daemon_threads = False  # so that closing waits for the threads
     allow_reuse_address = False
     request_queue_size = 64
 
     def __init__(self, html: bytes, token: str, ask: Ask) -> None:
         self.html, self.token, self.ask = html, token, ask
-        self._open: dict[socket.socket, _Connection] = {}  # the oldest first
-        self._lock = threading.Lock()
+        self.deadlines: dict[socket.socket, float] = {}
         super().__init__((HOST, 0), _Handler)
         self.names = {f"{host}:{self.server_address[1]}" for host in (HOST, "localhost")}
 
-    def verify_request(self, request: Any, client_address: Any) -> bool:
-        """Make room for a connection, and return whether there is room; if not, send the status 503."""
-        with self._lock:
-            evicted = []
-            if len(self._open) >= MAX_CONNECTIONS:
-                evicted = [oldest for oldest, connection in self._open.items() if not connection.admitted][:1]
-            for oldest in evicted:
-                del self._open[oldest]
-            has_room = len(self._open) < MAX_CONNECTIONS
-            if has_room:
-                self._open[request] = _Connection(time.monotonic())
-        self._hang_up(evicted)
-        if not has_room:
-            request.settimeout(SILENCE_MAX_SECONDS / 100)
-            with suppress(OSError):
-                request.sendall(
-                    f"HTTP/1.1 503 Service Unavailable\r\nRetry-After: {RETRY_SECONDS}\r\n"
-                    "Content-Length: 0\r\nConnection: close\r\n\r\n".encode()
-                )
-        return has_room
-
-    def admit(self, request: socket.socket) -> None:
-        """Admit a connection that has sent the token: it gets the longer time limit and is not evicted."""
-        with self._lock:
-            if request in self._open:
-                self._open[request].admitted = True
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Set the time limit of a new connection, and start its thread."""
+        self.deadlines[request] = time.monotonic() + HEADER_MAX_SECONDS
+        super().process_request(request, client_address)
 
     def shutdown_request(self, request: Any) -> None:
         """Forget a connection that has ended."""
-        with self._lock:
-            self._open.pop(request, None)
+        self.deadlines.pop(request, None)
         super().shutdown_request(request)
 
     def service_actions(self) -> None:
         """Close connections that take too long; called ten times per second."""
-        now, limits = time.monotonic(), (HEADER_MAX_SECONDS, REQUEST_MAX_SECONDS)
-        with self._lock:
-            late = [request for request, c in self._open.items() if now - c.since > limits[c.admitted]]
-        self._hang_up(late)
+        self._hang_up(time.monotonic())
 
     def server_close(self) -> None:
-        """Close the port and all connections, and wait for their threads."""
-        with self._lock:
-            connections = list(self._open)
-        self._hang_up(connections)
+        """Close the port and all connections."""
         super().server_close()
+        self._hang_up(float("inf"))
 
-    def _hang_up(self, connections: list[socket.socket]) -> None:
-        for connection in connections:
-            with suppress(OSError):  # the connection may be closed already
-                connection.shutdown(socket.SHUT_RDWR)
+    def _hang_up(self, now: float) -> None:
+        for connection, deadline in list(self.deadlines.items()):
+            if now > deadline:
+                with suppress(OSError):  # the connection may be closed already
+                    connection.shutdown(socket.SHUT_RDWR)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Log a broken connection without a traceback."""
@@ -162,14 +114,11 @@ class _Handler(BaseHTTPRequestHandler):
     def finish(self) -> None:
         """Close the connection after reading the rest of the request; closing it earlier could lose the response."""
         super().finish()
-        if not self.has_unread_body:
-            return
-        with suppress(OSError):
-            self.connection.shutdown(socket.SHUT_WR)
-            self.connection.settimeout(SILENCE_MAX_SECONDS / 10)
-            end = time.monotonic() + SILENCE_MAX_SECONDS
-            while time.monotonic() < end and self.connection.recv(65536):
-                pass
+        if self.has_unread_body:
+            with suppress(OSError):
+                self.connection.shutdown(socket.SHUT_WR)
+                while self.connection.recv(65536):  # until the time limit of the connection at most
+                    pass
 
     def _answer(self) -> None:
         """Send the page, a motion, or an error status with the reason."""
@@ -194,12 +143,14 @@ class _Handler(BaseHTTPRequestHandler):
             reason = "this could not be computed; the server's log may give the reason"
             self._send_line(HTTPStatus.INTERNAL_SERVER_ERROR, reason)
         else:
-            self._send(HTTPStatus.OK, BLOCK_TYPE if path else HTML_TYPE, body)
+            # The page contains its own policy.
+            policy = "default-src 'none'" if path else "base-uri 'none'; form-action 'none'"
+            self._send(HTTPStatus.OK, "application/octet-stream" if path else "text/html; charset=utf-8", body, policy)
 
     do_GET = do_HEAD = do_POST = _answer
 
     def _check_access(self) -> str:
-        """Check host, origin and token of the request, admit the connection, and return the path after the token.
+        """Check host, origin and token of the request, and return the path after the token.
 
         **Raises:** `RefusedRequest` if a check fails.
         """
@@ -212,20 +163,11 @@ class _Handler(BaseHTTPRequestHandler):
         token, _, path = self.path.removeprefix("/").partition("/")
         if not hmac.compare_digest(token.encode(), self.server.token.encode()):
             raise RefusedRequest(HTTPStatus.FORBIDDEN, "a missing or wrong token: open the address that was printed")
-        self.server.admit(self.connection)
+        self.server.deadlines[self.connection] = time.monotonic() + REQUEST_MAX_SECONDS
         return path
 
     def _motion(self) -> bytes:
         """Return the encoded motion that the request body specifies."""
-        request = self._body()
-        client, number = request.pop("client", None), request.pop("number", None)
-        if not isinstance(client, str) or not 0 < len(client) <= 64:
-            raise RefusedRequest(HTTPStatus.BAD_REQUEST, "client: 1 to 64 characters are needed")
-        if type(number) is not int or not 0 <= number < 2**53:
-            raise RefusedRequest(HTTPStatus.BAD_REQUEST, "number: a whole number from 0 is needed")
-        return self.server.ask(client, number, request)
-
-    def _body(self) -> dict[str, Any]:
         if self.headers.get_content_type() != "application/json":
             raise RefusedRequest(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "application/json is needed")
         lengths = self.headers.get_all("Content-Length", [])
@@ -238,29 +180,30 @@ class _Handler(BaseHTTPRequestHandler):
             raise RefusedRequest(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"{BODY_MAX_BYTES} bytes at most")
         content = self.rfile.read(length)
         self.has_unread_body = False
-        if len(content) < length:
-            raise RefusedRequest(HTTPStatus.BAD_REQUEST, "the body is shorter than its Content-Length")
         try:
-            body = json.loads(content)
+            request = json.loads(content) if len(content) == length else None
         except (ValueError, RecursionError):
-            body = None
-        if not isinstance(body, dict):
-            raise RefusedRequest(HTTPStatus.BAD_REQUEST, "the body is not a JSON object")
-        return body
+            request = None
+        if not isinstance(request, dict):
+            raise RefusedRequest(HTTPStatus.BAD_REQUEST, "the body is not a JSON object of its Content-Length")
+        client, number = request.pop("client", None), request.pop("number", None)
+        if not isinstance(client, str) or not 0 < len(client) <= 64:
+            raise RefusedRequest(HTTPStatus.BAD_REQUEST, "client: 1 to 64 characters are needed")
+        if type(number) is not int or not 0 <= number < 2**53:
+            raise RefusedRequest(HTTPStatus.BAD_REQUEST, "number: a whole number from 0 is needed")
+        return self.server.ask(client, number, request)
 
     def _send_line(self, status: HTTPStatus, line: str) -> None:
         self._send(status, "application/json", json.dumps({"error": " ".join(line.split())}).encode())
 
-    def _send(self, status: HTTPStatus, content_type: str, body: bytes) -> None:
+    def _send(self, status: HTTPStatus, content_type: str, body: bytes, policy: str = "default-src 'none'") -> None:
         self.close_connection = True
-        # The page contains its own policy; no other response may load or run anything.
-        policy = "base-uri 'none'; form-action 'none'" if content_type == HTML_TYPE else "default-src 'none'"
         headers = {"Content-Type": content_type, "Content-Length": str(len(body))}
         headers |= {"Content-Security-Policy": f"{policy}; frame-ancestors 'none'"} | SECURITY_HEADERS
         if status == HTTPStatus.METHOD_NOT_ALLOWED:
             headers["Allow"] = "GET, HEAD, POST"
         if status == HTTPStatus.SERVICE_UNAVAILABLE:
-            headers["Retry-After"] = str(RETRY_SECONDS)
+            headers["Retry-After"] = "1"  # s
         self.send_response(status)
         for name, value in headers.items():
             self.send_header(name, value)

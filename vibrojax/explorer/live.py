@@ -13,12 +13,10 @@ HTTP status.
 
 import secrets
 import threading
-from collections import OrderedDict
 from collections.abc import Callable
-from concurrent.futures import Future
 from contextlib import AbstractContextManager
 from http import HTTPStatus
-from typing import Any, NamedTuple, Protocol, TypeVar, runtime_checkable
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import xarray as xr
 
@@ -35,118 +33,71 @@ MAX_WAITING_CLIENTS, MAX_KNOWN_CLIENTS = 8, 256
 """Maximum number of waiting clients, and of clients whose newest number is stored. An open page is a client."""
 
 
-class Superseded(RefusedRequest):
-    """The same client has sent a newer request."""
-
-    def __init__(self) -> None:
-        super().__init__(HTTPStatus.CONFLICT, "superseded by a newer request")
-
-
-class Busy(RefusedRequest):
-    """Too many clients are waiting."""
-
-    def __init__(self) -> None:
-        super().__init__(HTTPStatus.SERVICE_UNAVAILABLE, "too many requests at once; try again")
-
-
-class Closed(Busy):
-    """The queue is closed."""
-
-
-class _Request(NamedTuple):
-    """A client's computation and its future result; a rejection replaces the result before the computation ends."""
-
-    client: str
-    work: Callable[[Check], Any]
-    future: Future[Any]
-
-    def check(self, *_: object) -> None:
-        """Raise the error with which the request was rejected, if it was."""
-        if self.future.done():
-            self.future.result()
-
-    def refuse(self, error: RefusedRequest) -> None:
-        """Reject the request with an error, unless it has ended."""
-        if not self.future.done():
-            self.future.set_exception(error)
-
-
 class RequestQueue:
-    """A thread that runs the computations of many clients in the order of their requests.
+    """Computations of many clients, one at a time, in the order of the requests.
 
     A request with a greater number ends the client's earlier request. If the earlier request is waiting, the newer one
     takes its place in the queue; if it is running, it stops at its next `check`. A request whose number is not greater
-    is rejected. After `Busy`, a client may send the same number again.
+    is rejected. If too many clients are waiting, a client may send the same number again.
     """
 
     def __init__(self, waiting: int = MAX_WAITING_CLIENTS) -> None:
         self._max_waiting = waiting
-        self._waiting: OrderedDict[str, _Request] = OrderedDict()
-        self._newest: OrderedDict[str, int] = OrderedDict()
-        self._current: _Request | None = None
-        self._closed = False
-        self._changed = threading.Condition()  # its lock guards the attributes above and all futures
-        self._thread = threading.Thread(target=self._run, name="requests", daemon=True)
-        self._thread.start()
+        self._waiting: dict[str, int] = {}  # number of the waiting request by client, in the order of turns
+        self._newest: dict[str, int] = {}  # the client that has asked last is the last
+        self._running = self._closed = False
+        self._changed = threading.Condition()
 
     def ask(self, client: str, number: int, work: Callable[[Check], Result]) -> Result:
-        """Run `work(check)` in the thread, and return its result.
+        """Return `work(check)`, computed in this thread when it is the client's turn.
 
         **Arguments:** `client`: name of the client; `number`: request number, greater with each request of the client.
 
-        **Raises:** any error of `work`, `Superseded`, `Busy` or `Closed`.
+        **Raises:** any error of `work`; `RefusedRequest` if the request is obsolete, too many clients are waiting, or
+        the queue is closed.
         """
-        request = _Request(client, work, Future())
-        with self._changed:
-            if self._closed:
-                raise Closed
-            if number <= self._newest.get(client, -1):
-                raise Superseded
-            if client not in self._waiting and len(self._waiting) >= self._max_waiting:
-                raise Busy
-            self._newest[client] = number
-            self._newest.move_to_end(client)
-            while len(self._newest) > MAX_KNOWN_CLIENTS:
-                self._newest.popitem(last=False)
-            for older in (self._current, self._waiting.get(client)):
-                if older is not None and older.client == client:
-                    older.refuse(Superseded())
-            self._waiting[client] = request  # in the place of the older request, if there is one
-            self._changed.notify()
-        result: Result = request.future.result()
-        return result
 
-    def _run(self) -> None:
-        while True:
+        def check(*_: object) -> None:
+            if self._closed:
+                raise RefusedRequest(HTTPStatus.SERVICE_UNAVAILABLE, "the server is closed")
+            if self._newest.get(client, number) > number:
+                raise RefusedRequest(HTTPStatus.CONFLICT, "superseded by a newer request")
+
+        with self._changed:
+            check()
+            if self._newest.get(client, -1) == number:
+                raise RefusedRequest(HTTPStatus.CONFLICT, "the same number as an earlier request")
+            if client not in self._waiting and len(self._waiting) >= self._max_waiting:
+                raise RefusedRequest(HTTPStatus.SERVICE_UNAVAILABLE, "too many requests at once; try again")
+            self._newest.pop(client, None)
+            self._newest[client] = number
+            if len(self._newest) > MAX_KNOWN_CLIENTS:
+                del self._newest[next(iter(self._newest))]
+            self._waiting[client] = number  # in the place of the older request, if there is one
+            self._changed.notify_all()
+            self._changed.wait_for(
+                lambda: (
+                    self._closed
+                    or self._waiting.get(client) != number
+                    or (not self._running and next(iter(self._waiting)) == client)
+                )
+            )
+            check()
+            del self._waiting[client]
+            self._running = True
+        try:
+            return work(check)
+        finally:
             with self._changed:
-                self._current = None
-                self._changed.wait_for(lambda: self._waiting or self._closed)
-                if self._closed:
-                    return
-                _, request = self._waiting.popitem(last=False)
-                self._current = request
-            result, error = None, None
-            try:
-                result = request.work(request.check)
-            except BaseException as raised:  # raised again in the thread that waits for the result
-                error = raised
-            with self._changed:
-                if request.future.done():
-                    continue
-                if error is not None:
-                    request.future.set_exception(error)
-                else:
-                    request.future.set_result(result)
+                self._running = False
+                self._changed.notify_all()
 
     def close(self, seconds: float = 10.0) -> None:
-        """Reject all requests with `Closed`, and wait up to `seconds` for the thread to end."""
+        """Reject all requests, and wait up to `seconds` for the running computation to end."""
         with self._changed:
             self._closed = True
-            for request in [*self._waiting.values(), *([self._current] if self._current else [])]:
-                request.refuse(Closed())
-            self._waiting.clear()
             self._changed.notify_all()
-        self._thread.join(seconds)
+            self._changed.wait_for(lambda: not self._running, seconds)
 
 
 @runtime_checkable
@@ -167,14 +118,9 @@ class Live(AbstractContextManager["Live"]):
     """
 
     def __init__(self, html: str, answers: Answers) -> None:
-        self.answers = answers
+        self.answers, self.queue = answers, RequestQueue()
         self.token = secrets.token_urlsafe(32)
-
-        def ask(client: str, number: int, request: dict[str, Any]) -> bytes:
-            return self.queue.ask(client, number, lambda check: answers.answer(request, check))
-
-        self._server = Server(html.encode(), self.token, ask)
-        self.queue = RequestQueue()
+        self._server = Server(html.encode(), self.token, self._ask)
         self.port = int(self._server.server_address[1])
         self.url = f"http://{HOST}:{self.port}/{self.token}/"
         self._threads = [
@@ -193,12 +139,15 @@ class Live(AbstractContextManager["Live"]):
             self._threads[0].join(0.5)
 
     def close(self, seconds: float = 10.0) -> None:
-        """Close the port, and wait up to `seconds` for each thread to end."""
+        """Close the port and all connections, and wait up to `seconds` for computations to end."""
         self.queue.close(seconds)
         self._server.shutdown()
         self._server.server_close()
         for thread in self._threads:
             thread.join(seconds)
+
+    def _ask(self, client: str, number: int, request: dict[str, Any]) -> bytes:
+        return self.queue.ask(client, number, lambda check: self.answers.answer(request, check))
 
     def _warm(self) -> None:
         """Compile all programs before the first request; an error here occurs again at a client's request."""

@@ -17,8 +17,8 @@ from vibrojax.explorer.recording import (
     SHOWN_RETURNS,
     SHOWN_SECONDS,
     Excerpt,
-    cell_of_steps,
-    step_events,
+    cell_of_record,
+    event_times,
 )
 from vibrojax.explorer.views import sweep_of
 from vibrojax.io.attributes import differing_of, text_of
@@ -30,7 +30,7 @@ from vibrojax.sweep.input.definition import Sweep
 from vibrojax.sweep.input.names import Names, read_names
 from vibrojax.sweep.input.read import Point, read_point
 from vibrojax.sweep.input.values import UnusualValue
-from vibrojax.sweep.simulation.dense_output import BATCH, check_size
+from vibrojax.sweep.simulation.dense_output import BATCH, Record, check_size
 from vibrojax.sweep.simulation.features import window
 from vibrojax.sweep.simulation.run import Recorded, constants_at, recorded
 
@@ -130,7 +130,7 @@ class LiveMotions:
             accuracy = self._stepper.accuracy(AccuracyRequest(ANSWER_ACCURACY, None, None), point.system)
             check_size(PLACE, point.system, constants, self.duration, accuracy, self._stepper, 0)
             motion = recorded(point, self._stepper, constants, accuracy, self.duration, count_steps)
-        cell = _cell_of_record(point.system, constants, motion, self.duration)
+        cell = _cell_of_motion(point.system, constants, motion, self.duration)
         notes = [cell.note, *(str(w.message) for w in caught if issubclass(w.category, UnusualValue))]
         return replace(cell, note="; ".join(note for note in notes if note))
 
@@ -206,9 +206,17 @@ class LiveMotions:
 
 
 def motions_for(ds: xr.Dataset, own: Sweep | None = None) -> LiveMotions:
-    """Return the motions on demand for a dataset: for its sweep if there is one, else for its parameter point."""
+    """Return the motions on demand for a dataset: for its sweep if there is one, else for its parameter point.
+
+    **Raises:** `InputError` if the attributes contain no known scene.
+    """
     sweep, _ = sweep_of(ds, own)
-    return motions_around(ds) if sweep is None else motions_of(sweep)
+    if sweep is not None:
+        return motions_of(sweep)
+    values: dict[str, object] = {row["name"]: row["value"] for row in differing_of(ds)}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UnusualValue)
+        return LiveMotions(text_of(ds, "scene"), values | options_of(ds), start_of(ds), run_seconds(ds))
 
 
 def motions_of(sweep: Sweep) -> LiveMotions:
@@ -221,46 +229,31 @@ def motions_of(sweep: Sweep) -> LiveMotions:
         return LiveMotions(sweep.system, values, start, sweep.run.settle + sweep.run.observe, axes, sweep)
 
 
-def motions_around(ds: xr.Dataset) -> LiveMotions:
-    """Return the motions on demand for the parameter point in a dataset's attributes, and for other parameters.
-
-    **Raises:** `InputError` if the attributes contain no known scene.
-    """
-    values: dict[str, object] = {row["name"]: row["value"] for row in differing_of(ds)}
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UnusualValue)
-        return LiveMotions(text_of(ds, "scene"), values | options_of(ds), start_of(ds), run_seconds(ds))
-
-
-def _cell_of_record(scene: Scene[Any], constants: Any, motion: Recorded, duration: float) -> Cell:
+def _cell_of_motion(scene: Scene[Any], constants: Any, motion: Recorded, duration: float) -> Cell:
     """Return the last period of a recorded motion, or some of its last section crossings, with its features."""
-    steps = motion.steps
-    if not np.isfinite(steps.after).all():
+    if not np.isfinite(motion.steps.after).all():
         raise InputError("explore: the motion is not finite; give values nearer to the usual ones")
-    late = steps.start >= window(duration)[0]
-    last = {name: np.asarray(x)[late, ..., None] for name, x in steps._asdict().items()}
+    late = motion.steps.start >= window(duration)[0]
+    record = Record(*(np.asarray(x)[late] for x in motion.steps))
     with precision("float64"):
-        events = step_events(scene, constants, last)
-    returns = (last["start"] + last["dt"])[events["section"]]
+        moments = event_times(scene, constants, record)
     if "cycles" in motion.found:
         cycles = int(motion.found["cycles"][1])
     else:
-        cycles = _repeated_pulses(last["after"][..., 0], events["section"][:, 0], scene)
-    own_steps = {name: x[..., 0] for name, x in last.items()}
-    own_events = {name: mask[:, 0] for name, mask in events.items()}
-    cell = cell_of_steps(scene, own_steps, own_events, _excerpt(returns, cycles, duration))
+        after = np.asarray(record.after)
+        cycles = _repeated_pulses(after[np.searchsorted(record.start + record.dt, moments["section"])], after, scene)
+    cell = cell_of_record(scene, record, moments, _excerpt(moments["section"], cycles, duration))
     numbers = {name: value.item() for name, (_, value, _) in motion.found.items()}
-    numbers = {name: x if isinstance(x, int) or np.isfinite(x) else None for name, x in numbers.items()}
-    return replace(cell, numbers=numbers)
+    return replace(cell, numbers={n: x if isinstance(x, int) or np.isfinite(x) else None for n, x in numbers.items()})
 
 
-def _repeated_pulses(after: np.ndarray, pulses: np.ndarray, scene: Scene[Any]) -> int:
+def _repeated_pulses(passed: np.ndarray, after: np.ndarray, scene: Scene[Any]) -> int:
     """Return the number of pulses per period of the motion, or 0 if the motion is not periodic.
 
-    **Arguments:** `after` (steps, states): states after steps; `pulses` (steps,): mask of steps that end on a pulse.
+    **Arguments:** `passed` (pulses, states): states at the beginnings of pulses; `after` (steps, states): after steps.
     """
-    columns = after[:, [scene.place(name) for name in scene.driving_part().return_states]]
-    passed, swing = columns[pulses], np.maximum(np.ptp(columns, axis=0), np.finfo(float).tiny) / 2
+    columns = [scene.place(name) for name in scene.driving_part().return_states]
+    passed, swing = passed[:, columns], np.maximum(np.ptp(after[:, columns], axis=0), np.finfo(float).tiny) / 2
     for cycles in range(1, PULSE_MAX_CYCLES + 1):
         away = np.abs(passed[cycles:] - passed[:-cycles]) / swing
         if len(passed) > 3 * cycles and (away < PULSE_TOLERANCE).all():

@@ -17,7 +17,7 @@ from vibrojax.models.scenes.declared import Values
 from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Lane, Located, lane_at
 from vibrojax.sweep.engine.compiler import lane_function
 from vibrojax.sweep.simulation.dense_output import Record, record_batch, sample
-from vibrojax.sweep.simulation.trajectory import SampledMotion, impact_begins, lowest_velocity, states_shown
+from vibrojax.sweep.simulation.trajectory import SampledMotion, events, states_shown
 
 RECORDED_LANES = 128
 """Number of lanes that are recorded at once; their steps take about 20 MB."""
@@ -45,9 +45,6 @@ EVENT_PRIORITY = ("section", "release", "slip", "stick", "impact")
 
 TIME_TOLERANCE = 1e-6
 """Times count as equal if they differ by less than this fraction of the motion's duration."""
-
-Steps = dict[str, np.ndarray]
-"""The fields of a `Record` by name. For several lanes, the last axis is the lane axis."""
 
 
 class Excerpt(NamedTuple):
@@ -89,7 +86,7 @@ def record_cells(scene: Scene[Any], parameters: dict[str, np.ndarray], excerpt: 
         yield from _batch_cells(scene, used, excerpt.lanes(subset))
 
 
-def _batch_cells(scene: Scene[Any], parameters: dict[str, np.ndarray], excerpt: Excerpt) -> Iterator[Cell]:
+def _batch_cells(scene: Scene[Any], parameters: dict[str, np.ndarray], excerpt: Excerpt) -> list[Cell]:
     stepper = Located()
     with precision("float64"):
         constants, lane = _first_step(scene, parameters, tuple(excerpt.state))
@@ -101,80 +98,49 @@ def _batch_cells(scene: Scene[Any], parameters: dict[str, np.ndarray], excerpt: 
             if not (np.asarray(lane.clock.until(excerpt.recorded)) > 0).any():
                 break
         steps = {name: np.concatenate([part[name] for part in parts]) for name in Record._fields}
-        events = step_events(scene, constants, steps)
-    for index in range(excerpt.state.shape[1]):
-        own_steps = {name: x[..., index] for name, x in steps.items()}
-        own_events = {name: mask[:, index] for name, mask in events.items()}
-        yield cell_of_steps(scene, own_steps, own_events, excerpt.lanes(index))
+        leaves, structure = jax.tree.flatten(constants)
+        cells = []
+        for index in range(excerpt.state.shape[1]):
+            own = jax.tree.unflatten(structure, [np.broadcast_to(x, excerpt.recorded.shape)[index] for x in leaves])
+            record = Record(**{name: x[..., index] for name, x in steps.items()})
+            cells.append(cell_of_record(scene, record, event_times(scene, own, record), excerpt.lanes(index)))
+    return cells
 
 
-def step_events(scene: Scene[Any], c: Any, steps: Steps) -> dict[str, np.ndarray]:
-    """Return, for each name in `EVENTS`, a mask (steps, lanes) of the steps that end with this event."""
-    hits = {name: steps["hits"][:, index] for index, name in enumerate(scene.event_names)}
-    masks: dict[str, np.ndarray] = {}
-    if isinstance(scene, HasFriction):
-        slip = steps["mode"][:, scene.mode_place("slip")]
-        after = np.concatenate([slip[1:], slip[-1:]])
-        masks["stick"] = hits["friction"] & (slip != 0) & (after == 0)
-        masks["slip"] = hits["friction"] & (after != 0)
-    if isinstance(scene, HasContact):
-        shape = steps["dt"].shape
-        flat = jax.tree.map(lambda x: np.broadcast_to(np.asarray(x), shape).ravel(), c)
-        modes, states = (tuple(np.moveaxis(x, 1, 0).reshape(x.shape[1], -1)) for x in (steps["mode"], steps["after"]))
-        flags = {name: mask.ravel() for name, mask in hits.items()}
-        masks["impact"] = np.asarray(impact_begins(scene, flat, modes, states, flags)).reshape(shape)
-        masks["release"] = hits["contact"] & (steps["mode"][:, scene.mode_place("touching")] != 0)
-    masks["section"] = _section_returns(scene, c, steps, hits)
-    return masks
+def event_times(scene: Scene[Any], c: Any, record: Record) -> dict[str, np.ndarray]:
+    """Return the times [s] of one lane's events by kind; under pulses, a pulse begins in place of a section crossing.
 
-
-def _section_returns(scene: Scene[Any], c: Any, steps: Steps, hits: dict[str, np.ndarray]) -> np.ndarray:
-    """Return a mask of the steps that end in a section crossing or, under pulses, at the beginning of a pulse.
-
-    A crossing counts only if the velocity has passed the re-arming level since the previous crossing.
+    `c`: constants of the scene, for this lane.
     """
-    shape = steps["dt"].shape
-    section = scene.section
-    if section is None:
-        pulse_begins = getattr(scene, "pulse_begins", None)
-        if pulse_begins is None or "pulse" not in hits:
-            return np.zeros(shape, bool)
-        return np.asarray(pulse_begins(c, tuple(np.moveaxis(steps["mode"], 1, 0)), hits))
-    sign, marker = 1.0 if section.rising else -1.0, scene.marker_of(section.velocity)
-    falling = steps["falling"][:, scene.marker_names.index(marker)]
-    crossings = hits[marker] & (~falling if section.rising else falling)
-    tau = np.where(steps["dt"] > 0, steps["dt"] / np.where(steps["h"] > 0, steps["h"], 1), 0)
-    velocity = np.moveaxis(steps["polynomials"][:, scene.place(section.velocity)], 1, 0)
-    lowest = np.asarray(lowest_velocity([sign * order.ravel() for order in velocity], tau.ravel())).reshape(shape)
-    is_low = lowest < sign * np.asarray(section.rearm(c))
-    armed, returns = np.zeros(shape[1], bool), np.zeros(shape, bool)
-    for step in range(shape[0]):
-        armed |= is_low[step]
-        returns[step] = crossings[step] & armed
-        armed &= ~returns[step]
-    return returns
+    times, kinds = events(scene, c, record)
+    moments = {name: times[kinds == flag] for flag, name in enumerate(EVENTS) if flag}
+    pulse_begins = getattr(scene, "pulse_begins", None)
+    if scene.section is None and pulse_begins is not None and "pulse" in scene.event_names:
+        hits = dict(zip(scene.event_names, record.hits.T, strict=True))
+        begins = np.asarray(pulse_begins(c, tuple(record.mode.T), hits))
+        moments["section"] = (record.start + record.dt)[begins]
+    return moments
 
 
-def cell_of_steps(scene: Scene[Any], steps: Steps, events: dict[str, np.ndarray], excerpt: Excerpt) -> Cell:
-    """Return the motion of one lane, given its steps and a mask of the steps that end with each event."""
-    taken = (steps["dt"] > 0) | steps["hits"].any(axis=1)
-    steps = {name: x[taken] for name, x in steps.items()}
-    record, ends = Record(**steps), steps["start"] + steps["dt"]
+def cell_of_record(scene: Scene[Any], record: Record, moments: Mapping[str, np.ndarray], excerpt: Excerpt) -> Cell:
+    """Return the motion of one lane, given its record and the times [s] of its events by kind."""
+    taken = (record.dt > 0) | record.hits.any(axis=1)
+    record = Record(*(x[taken] for x in record))
+    ends, after = np.asarray(record.start + record.dt), np.asarray(record.after)
     reached = float(ends[-1]) if len(ends) else 0.0
     first, duration = float(excerpt.skipped), float(excerpt.shown)
     if not excerpt.returns:  # without a section crossing, show as much as was recorded
         duration = min(duration, reached)
-    if not duration > 0 or reached < first + 0.999 * duration or not np.isfinite(steps["after"]).all():
+    if not duration > 0 or reached < first + 0.999 * duration or not np.isfinite(after).all():
         return Cell(-1, "none", "its motion could not be recorded: it took too many steps")
     tolerance = duration * TIME_TOLERANCE
     fractions = np.arange(STEP_PLACES) / STEP_PLACES
-    places = (np.asarray(record.start)[:, None] + np.asarray(record.dt)[:, None] * fractions).ravel()
+    places = (record.start[:, None] + record.dt[:, None] * fractions).ravel()
     places = np.unique(
         np.concatenate([places[(places > first) & (places < first + duration)], [first, first + duration]])
     )
-    even = evenly_spaced(places, np.asarray(sample(record, places)[0]), int(excerpt.returns))
-    events_inside = ends[steps["hits"].any(axis=1) & (ends > first) & (ends < first + duration)]
-    times = merged_times(even, events_inside, tolerance)
+    path = np.asarray(sample(record, places)[0])
+    times = sample_times(places, path, ends[np.asarray(record.hits).any(axis=1)], int(excerpt.returns))
     states, modes, step_of = sample(record, times)
     shown = states_shown(scene, SampledMotion(times, states, modes), record, step_of)
     flags = np.zeros(len(times), np.uint8)
@@ -182,9 +148,10 @@ def cell_of_steps(scene: Scene[Any], steps: Steps, events: dict[str, np.ndarray]
         flags |= np.where(modes[scene.mode_place("slip")] == 0, STUCK, 0).astype(np.uint8)
     if isinstance(scene, HasContact):
         flags |= np.where(modes[scene.mode_place("touching")] != 0, TOUCHING, 0).astype(np.uint8)
-    mark_events(flags, times, {name: ends[mask[taken]] for name, mask in events.items()}, tolerance)
+    mark_events(flags, times, moments, tolerance)
     last = first + duration + tolerance if excerpt.repeats else np.inf
-    passed = np.flatnonzero(events["section"][taken] & (ends > first + tolerance) & (ends < last))[:SECTION_RETURNS]
+    returns = moments["section"]
+    passed = np.searchsorted(ends, returns[(returns > first + tolerance) & (returns < last)][:SECTION_RETURNS])
     names = [name for name in scene.driving_part().return_states if name in scene.state_names]
     return Cell(
         lane=-1,
@@ -196,12 +163,12 @@ def cell_of_steps(scene: Scene[Any], steps: Steps, events: dict[str, np.ndarray]
         time=times - first,
         states={name: np.asarray(state.values) for name, state in shown.items()},
         flags=flags,
-        section={name: steps["after"][passed, scene.place(name)] for name in names} if len(passed) else {},
+        section={name: after[passed, scene.place(name)] for name in names} if len(passed) else {},
     )
 
 
-def evenly_spaced(times: np.ndarray, states: np.ndarray, returns: int) -> np.ndarray:
-    """Return the times of samples that are evenly spaced along the path of a motion.
+def sample_times(times: np.ndarray, states: np.ndarray, events: np.ndarray, returns: int) -> np.ndarray:
+    """Return the times of samples: evenly spaced along the path of a motion, and at events within it.
 
     The path length is the sum of the elapsed time and the changes of all `states` (states, times), each relative to its
     peak-to-peak range. A blow that lasts a hundredth of the time therefore gets more than a hundredth of the samples.
@@ -213,13 +180,10 @@ def evenly_spaced(times: np.ndarray, states: np.ndarray, returns: int) -> np.nda
     lengths = len(states) * np.diff(times) / (times[-1] - times[0]) + changes.sum(axis=0)
     path = np.concatenate([[0.0], np.cumsum(lengths)])
     count = min(RETURN_SAMPLES * max(returns, 1), CELL_MAX_SAMPLES)
-    return np.interp(np.linspace(0.0, path[-1], count + 1), path, times)
-
-
-def merged_times(samples: np.ndarray, events: np.ndarray, tolerance: float) -> np.ndarray:
-    """Return the sorted times of samples and events, without those closer to the previous time than the tolerance."""
-    times = np.unique(np.concatenate([samples, events]))
-    return times[np.concatenate([[True], np.diff(times) > tolerance])]
+    even = np.interp(np.linspace(0.0, path[-1], count + 1), path, times)
+    samples = np.unique(np.concatenate([even, events[(events > times[0]) & (events < times[-1])]]))
+    is_new = np.diff(samples) > TIME_TOLERANCE * (times[-1] - times[0])
+    return samples[np.concatenate([[True], is_new])]
 
 
 def mark_events(flags: np.ndarray, times: np.ndarray, events: Mapping[str, np.ndarray], tolerance: float) -> None:

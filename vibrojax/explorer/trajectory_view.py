@@ -21,9 +21,8 @@ from vibrojax.explorer.recording import (
     SHOWN_RETURNS,
     SHOWN_SECONDS,
     TIME_TOLERANCE,
-    evenly_spaced,
     mark_events,
-    merged_times,
+    sample_times,
 )
 from vibrojax.io.attributes import parameters_of, run_of
 
@@ -101,10 +100,9 @@ def cell_of(motion: xr.Dataset, lane: int = -1) -> Cell:
         if state.dims == ("time",) and state.dtype.kind == "f" and not str(name).endswith("_force")
     }
     inside = np.concatenate([[begin], time[(time > begin) & (time < end)], [end]])
-    even = evenly_spaced(inside, np.stack([np.interp(inside, time, x.values) for x in data.values()]), shown)
-    events_inside = np.concatenate([x[(x > begin) & (x < end)] for x in events.values()])
+    path = np.stack([np.interp(inside, time, x.values) for x in data.values()])
+    times = sample_times(inside, path, np.concatenate(list(events.values())), shown)
     tolerance = TIME_TOLERANCE * (end - begin)
-    times = merged_times(even, events_inside, tolerance)
     units = {name: [printable(x.attrs.get(key, ""), 200) for key in ("units", "long_name")] for name, x in data.items()}
     passed = returns[1:] if kind == "motion" else returns[len(returns) - cycles :]
     section = [name for name in SECTION_STATES if name in data] if len(passed) else []

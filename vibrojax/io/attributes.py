@@ -7,6 +7,7 @@ attribute.
 
 import json
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, TypedDict
 
 import numpy as np
@@ -107,20 +108,15 @@ def _text(place: Place, value: object) -> str:
     return value
 
 
-def _json(place: Place, value: object) -> Any:
-    if isinstance(value, (dict, list)):  # Zarr stores JSON values without string encoding
-        return value
-    try:
-        return json.loads(_text(place, value))
-    except (ValueError, RecursionError):
-        raise place.error(f"{shown(value)} is not JSON") from None
-
-
-def _table(place: Place, value: object) -> dict[str, Any]:
-    table = _json(place, value)
-    if not isinstance(table, dict):
-        raise place.error(f"{shown(table)} is not a JSON object")
-    return table
+def _json(place: Place, value: object, kind: type = dict) -> Any:
+    if not isinstance(value, (dict, list)):  # Zarr stores JSON values without string encoding
+        try:
+            value = json.loads(_text(place, value))
+        except (ValueError, RecursionError):
+            raise place.error(f"{shown(value)} is not JSON") from None
+    if not isinstance(value, kind):
+        raise place.error(f"{shown(value)} is not a JSON {'object' if kind is dict else 'list'}")
+    return value
 
 
 def _number(place: Place, value: object) -> float | int:
@@ -131,7 +127,7 @@ def _number(place: Place, value: object) -> float | int:
 
 
 def _run(place: Place, value: object) -> dict[str, Any]:
-    run = _table(place, value)
+    run = _json(place, value)
     for name in ("settle", "observe", "error"):
         if name in run:
             run[name] = float(_number(place.at(name), run[name]))
@@ -143,7 +139,7 @@ def _run(place: Place, value: object) -> dict[str, Any]:
 
 
 def _numbers(place: Place, value: object) -> dict[str, float | int]:
-    return {_name(place, name): _number(place.at(shown(name)), item) for name, item in _table(place, value).items()}
+    return {_name(place, name): _number(place.at(shown(name)), item) for name, item in _json(place, value).items()}
 
 
 def _name(place: Place, value: object) -> str:
@@ -153,26 +149,24 @@ def _name(place: Place, value: object) -> str:
 
 
 def _differing(place: Place, value: object) -> list[Differing]:
-    listed = _json(place, value)
-    if not isinstance(listed, list):
-        raise place.error(f"{shown(listed)} is not a JSON list")
-    return [_differing_parameter(Place(f"{place.file}[{index}]"), item) for index, item in enumerate(listed)]
-
-
-def _differing_parameter(place: Place, value: object) -> Differing:
-    if not isinstance(value, dict):
-        raise place.error(f"{shown(value)} is not a JSON object")
-    return {
-        "name": _name(place.at("name"), value.get("name")),
-        "symbol": _text(place.at("symbol"), value.get("symbol", "")),
-        "units": _text(place.at("units"), value.get("units", "")),
-        "value": float(_number(place.at("value"), value.get("value"))),
-        "default": float(_number(place.at("default"), value.get("default"))),
-    }
+    rows: list[Differing] = []
+    for index, item in enumerate(_json(place, value, list)):
+        here = Place(f"{place.file}[{index}]")
+        row = _json(here, item)
+        rows.append(
+            {
+                "name": _name(here.at("name"), row.get("name")),
+                "symbol": _text(here.at("symbol"), row.get("symbol", "")),
+                "units": _text(here.at("units"), row.get("units", "")),
+                "value": float(_number(here.at("value"), row.get("value"))),
+                "default": float(_number(here.at("default"), row.get("default"))),
+            }
+        )
+    return rows
 
 
 def _columns(place: Place, value: object) -> dict[str, Any]:
-    columns = _table(place, value)
+    columns = _json(place, value)
     for name, about in columns.items():
         here = place.at(shown(name))
         if not isinstance(about, dict) or not isinstance(about.get("assumed"), bool):
@@ -185,26 +179,23 @@ def _columns(place: Place, value: object) -> dict[str, Any]:
 
 
 def _orbits(place: Place, value: object) -> dict[str, Any]:
-    orbits = _table(place, value)
+    orbits = _json(place, value)
     if "grazing_limit" in orbits:
         orbits["grazing_limit"] = float(_number(place.at("grazing_limit"), orbits["grazing_limit"]))
     return orbits
 
 
-def _sequence(kind: type, what: str) -> Callable[[Place, object], list[Any]]:
-    def read(place: Place, value: object) -> list[Any]:
-        items = np.asarray(value).ravel().tolist() if not isinstance(value, Mapping) else []
-        if len(items) != 2 or not all(isinstance(item, kind) for item in items):
-            raise place.error(f"{shown(value)} is not a pair of {what}")
-        return items
-
-    return read
+def _pair(place: Place, value: object, kind: type, what: str) -> list[Any]:
+    items = np.asarray(value).ravel().tolist() if not isinstance(value, Mapping) else []
+    if len(items) != 2 or not all(isinstance(item, kind) for item in items):
+        raise place.error(f"{shown(value)} is not a pair of {what}")
+    return items
 
 
 _READERS: dict[str, Callable[[Place, object], Any]] = {
     **dict.fromkeys(("title", "scene", "friction", "pulse_shape", "start", "source", "jax", "history"), _text),
     **dict.fromkeys(("sweep", "along", "formulas", "reference", "settings"), _text),
-    **dict.fromkeys(("solver", "identity", "machine", "attractors"), _table),
+    **dict.fromkeys(("solver", "identity", "machine", "attractors"), _json),
     **dict.fromkeys(("lanes", "wall_time_s"), _number),
     "run": _run,
     "parameters": _numbers,
@@ -212,8 +203,8 @@ _READERS: dict[str, Callable[[Place, object], Any]] = {
     "certified": _numbers,
     "columns": _columns,
     "orbits": _orbits,
-    "span": _sequence(float, "numbers"),
-    "axes": _sequence(str, "names"),
+    "span": partial(_pair, kind=float, what="numbers"),
+    "axes": partial(_pair, kind=str, what="names"),
 }
 
 

@@ -10,11 +10,11 @@ import json
 import os
 import socket
 import threading
-from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import NamedTuple
 
 from filelock import FileLock, Timeout
 
@@ -56,8 +56,7 @@ class Owner:
         return self.place == _place() and process_start(self.process) not in ("", self.start)
 
 
-@dataclass(frozen=True)
-class Held:
+class Held(NamedTuple):
     """An existing claim: its name, its owner, its creation time (ISO 8601), and whether it is stale."""
 
     name: str
@@ -79,7 +78,7 @@ class Claims:
         """Claim `name`; return False if another process holds the claim, or the folder no longer exists."""
         path = self._path(name)
         content = _read(path)
-        if content is not None and not (self._is_stale(path, content) and self._set_aside(path, content)):
+        if content is not None and not (self._held(path, content).stale and self._set_aside(path, content)):
             return False
         text = json.dumps(vars(this_process()) | {"since": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}"})
         part = self._temporary(path.name)
@@ -112,19 +111,14 @@ class Claims:
 
     def release_of(self, process: int) -> None:
         """Release the claims of an ended process of this machine."""
-        for path, content in self._all():
-            owner, _ = _parse(content)
-            if owner is not None and owner.process == process and owner.has_ended():
-                path.unlink(missing_ok=True)
+        for held in self.held():
+            if held.owner.process == process and held.owner.has_ended():
+                self._path(held.name).unlink(missing_ok=True)
 
     def held(self) -> list[Held]:
         """Return all existing claims, sorted by name."""
-        held = []
-        for path, content in self._all():
-            owner, since = _parse(content)
-            stale = self._is_stale(path, content)
-            held.append(Held(path.name.removesuffix(_SUFFIX), owner or Owner("unknown", 0, "", ""), since, stale))
-        return held
+        contents = {path: _read(path) for path in sorted(self.folder.glob(f"*{_SUFFIX}"))}
+        return [self._held(path, content) for path, content in contents.items() if content is not None]
 
     def close(self) -> None:
         """Release all claims of this process."""
@@ -141,22 +135,23 @@ class Claims:
     def _temporary(self, name: str) -> Path:
         return self.folder / f"{name}.{os.getpid()}.{threading.get_ident()}.tmp"
 
-    def _all(self) -> Iterator[tuple[Path, bytes]]:
-        for path in sorted(self.folder.glob(f"*{_SUFFIX}")):
-            content = _read(path)
-            if content is not None:
-                yield path, content
-
-    def _is_stale(self, path: Path, content: bytes) -> bool:
-        owner, _ = _parse(content)
-        if owner is not None and owner.place == _place() and os.name == "posix":
-            return owner.has_ended()
+    def _held(self, path: Path, content: bytes) -> Held:
+        """Return the claim at `path`; the owner is unknown if the content is malformed."""
+        name = path.name.removesuffix(_SUFFIX)
+        try:
+            values = json.loads(content)
+            owner = Owner(str(values["host"]), int(str(values["process"])), str(values["start"]), str(values["place"]))
+            since = str(values.get("since", ""))
+        except (ValueError, KeyError, TypeError, RecursionError):
+            owner, since = Owner("unknown", 0, "", ""), ""
+        if owner.place == _place() and os.name == "posix":
+            return Held(name, owner, since, owner.has_ended())
         probe = self._temporary("clock")
         try:  # use the clock of the file system, which may differ from this machine's
             probe.touch()
-            return probe.stat().st_mtime - path.stat().st_mtime > STALE
+            return Held(name, owner, since, probe.stat().st_mtime - path.stat().st_mtime > STALE)
         except OSError:
-            return False
+            return Held(name, owner, since, False)
         finally:
             probe.unlink(missing_ok=True)
 
@@ -185,45 +180,34 @@ class Claims:
                     os.utime(path)
 
 
-class Lock:
-    """An exclusive lock on the file at `path`, held until `release`; acquiring it waits up to `patience` seconds.
+def lock(path: Path, patience: float = _LOCK_PATIENCE) -> FileLock:
+    """Return an exclusive lock on the file at `path`, after waiting for it up to `patience` seconds.
 
     The operating system locks the open file, and releases the lock when the process ends, even if it is killed. A file
     that remains therefore blocks no other process. On a file system without locks there is no protection.
 
     **Raises:** `InputError` if another process holds the lock, or the file is not writable.
     """
-
-    def __init__(self, path: Path, patience: float = _LOCK_PATIENCE) -> None:
-        self.path = path
-        # Any thread may release the lock: a sweep runs in a separate thread.
-        self._lock = FileLock(path, timeout=patience, thread_local=False)
-        try:
-            self._lock.acquire()  # creates the folder again if another process has just finished and removed it
-        except Timeout:
-            line = f"{path.parent}: another process is at work there; wait for it, or give another output"
-            raise InputError(line) from None
-        except OSError as error:
-            if error.filename is not None:  # the file could not even be opened
-                raise InputError(f"{path}: cannot be written ({error.strerror}); give another output") from None
-
-    def release(self, remove: bool = False) -> None:
-        """Release the lock; with `remove`, first delete its file, while no other process can hold the lock."""
-        if remove:
-            with suppress(PermissionError):  # Windows cannot delete an open file; releasing the lock removes it
-                self.path.unlink(missing_ok=True)
-        self._lock.release()
+    held = FileLock(path, timeout=patience, thread_local=False)  # any thread may release it: a sweep runs in its own
+    try:
+        held.acquire()  # creates the folder again if another process has just finished and removed it
+    except Timeout:
+        line = f"{path.parent}: another process is at work there; wait for it, or give another output"
+        raise InputError(line) from None
+    except OSError as error:
+        if error.filename is not None:  # the file could not even be opened
+            raise InputError(f"{path}: cannot be written ({error.strerror}); give another output") from None
+    return held
 
 
 def is_locked(path: Path) -> bool:
     """Return whether any process holds the lock at `path`; the check has no side effects."""
-    if not path.exists():
-        return False
     try:
-        with FileLock(path, timeout=0, thread_local=False):
-            return False
+        if path.exists():
+            FileLock(path, timeout=0, thread_local=False).acquire().lock.release()
     except (Timeout, OSError):
         return True
+    return False
 
 
 def this_process() -> Owner:
@@ -253,16 +237,6 @@ def _read(path: Path) -> bytes | None:
         return path.read_bytes()
     except OSError:
         return None
-
-
-def _parse(content: bytes) -> tuple[Owner | None, str]:
-    """Return the owner of a claim, or None if the content is malformed, and the creation time of the claim."""
-    try:
-        values = json.loads(content)
-        owner = Owner(str(values["host"]), int(str(values["process"])), str(values["start"]), str(values["place"]))
-        return owner, str(values.get("since", ""))
-    except (ValueError, KeyError, TypeError, RecursionError):
-        return None, ""
 
 
 def _place() -> str:

@@ -17,8 +17,7 @@ import xarray as xr
 from vibrojax.errors import InputError
 from vibrojax.io.atomic import ZARR, atomic_write
 from vibrojax.io.attributes import check_attributes
-from vibrojax.io.kinds import KIND, check_kind, kind_of
-from vibrojax.io.structure import check_structure
+from vibrojax.io.kinds import KIND, check_kind, check_structure, kind_of
 from vibrojax.io.threads import in_own_thread
 from vibrojax.io.variables import VARIABLES
 

@@ -20,26 +20,25 @@ MANIFEST = "manifest.json"
 _CHANGES_SHOWN = 3
 
 
-class Manifest:
-    """Everything that results depend on: `values`, converted to JSON types, and `digest`, their SHA-256."""
+def canonical(values: Mapping[str, object]) -> bytes:
+    """Return a manifest as JSON with sorted keys: equal manifests give equal bytes."""
+    return json.dumps(values, sort_keys=True, separators=(",", ":"), allow_nan=False).encode()
 
-    def __init__(self, values: Mapping[str, object]) -> None:
-        self.values: dict[str, object] = json.loads(_canonical(values))
-        self.digest = hashlib.sha256(_canonical(self.values)).hexdigest()
 
-    def content(self, about: Mapping[str, object]) -> bytes:
-        """Return the content of the manifest file, including `about`: further facts about the sweep."""
-        return json.dumps({"sha256": self.digest, "manifest": self.values, "about": about}, indent=1).encode()
+def digest(values: Mapping[str, object]) -> str:
+    """Return the SHA-256 of a manifest."""
+    return hashlib.sha256(canonical(values)).hexdigest()
 
-    def changes_since(self, path: Path) -> str:
-        """Describe the differences from the manifest at `path`; "" if there are none or that manifest is damaged."""
-        try:
-            stored = json.loads(path.read_bytes())
-            before = Manifest(stored["manifest"])
-            intact = before.digest == stored["sha256"]
-        except (OSError, ValueError, KeyError, TypeError, RecursionError):
-            return ""
-        return changes(before.values, self.values) if intact else ""
+
+def changes_since(path: Path, values: Mapping[str, object]) -> str:
+    """Describe the differences from the manifest at `path`; "" if there are none or that manifest is damaged."""
+    try:
+        stored = json.loads(path.read_bytes())
+        before = stored["manifest"]
+        is_intact = isinstance(before, dict) and digest(before) == stored["sha256"]
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return ""
+    return changes(before, values) if is_intact else ""
 
 
 def changes(before: Mapping[str, object], now: Mapping[str, object]) -> str:
@@ -52,10 +51,6 @@ def changes(before: Mapping[str, object], now: Mapping[str, object]) -> str:
     texts = [f"{name} was {value(before, name)}, is {value(now, name)}" for name in names[:_CHANGES_SHOWN]]
     more = f" and {len(names) - _CHANGES_SHOWN} more" if len(names) > _CHANGES_SHOWN else ""
     return "; ".join(texts) + more
-
-
-def _canonical(values: Mapping[str, object]) -> bytes:
-    return json.dumps(values, sort_keys=True, separators=(",", ":"), allow_nan=False).encode()
 
 
 IDENTITY = "identity"

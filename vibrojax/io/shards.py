@@ -12,13 +12,13 @@ from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
+from filelock import FileLock
 from jaxtyping import Shaped
-from numpy.lib import format as npy
 
 from vibrojax.errors import InputError
 from vibrojax.io.atomic import commit
-from vibrojax.io.claims import Claims, Lock, this_process
-from vibrojax.io.manifest import MANIFEST, Manifest
+from vibrojax.io.claims import Claims, lock, this_process
+from vibrojax.io.manifest import MANIFEST, canonical, changes_since, digest
 
 LOCK = "lock"
 """Name of the lock file in a folder of chunks."""
@@ -30,7 +30,7 @@ _SHARE_PATIENCE = 30.0
 """Time [s] that a process waits while others, started at the same time, check the manifest."""
 
 _HEADER_SIZE = 1 << 16
-"""Largest npy header [bytes] that is parsed; headers of npy version 1.0 are not longer."""
+"""Largest npy header [bytes] that is parsed: each of the many arrays takes about 40."""
 
 _DAMAGES_SHOWN = 3
 _DIGEST_SIZE = hashlib.sha256().digest_size
@@ -75,8 +75,9 @@ class Shards:
     ) -> None:
         self.folder, self._about, self._shared = folder, dict(about), shared
         self.claims = Claims(folder)
-        self.manifest = Manifest(manifest)
-        self._lock: Lock | None = None
+        self.manifest: dict[str, object] = json.loads(canonical(manifest))
+        self._digest = digest(self.manifest)
+        self._lock: FileLock | None = None
 
     def open(self, resume: bool) -> None:
         """Prepare the folder for exclusive use by this process.
@@ -87,7 +88,7 @@ class Shards:
         chunks belong to another manifest.
         """
         self._make_folder()
-        self._lock = Lock(self.folder / LOCK)
+        self._lock = lock(self.folder / LOCK)
         try:
             self._check_claims()
             if resume:
@@ -107,29 +108,28 @@ class Shards:
         """
         self._make_folder()
         self._check_claims(_ALL)
-        lock = Lock(self.folder / LOCK, _SHARE_PATIENCE)
+        held = lock(self.folder / LOCK, _SHARE_PATIENCE)
         try:
             self._check_manifest()
             if not (self.folder / MANIFEST).exists():
                 self._write_manifest()
         finally:
-            lock.release()
+            held.release()
         self._shared = True
 
     def finished(self) -> set[int]:
         """Return the indices of the intact chunks; report damaged chunks on stderr."""
-        whole: set[int] = set()
-        damages: list[DamagedShard] = []
+        whole, damages = set[int](), list[str]()
         for index in sorted(self.there()):
             try:
                 self._content(index)
                 whole.add(index)
             except DamagedShard as damage:
-                damages.append(damage)
-        for shown_damage in damages[:_DAMAGES_SHOWN]:
-            report_damage(shown_damage)
-        if len(damages) > _DAMAGES_SHOWN:
-            report_damage(f"{self.folder}: {len(damages) - _DAMAGES_SHOWN} more chunks are damaged")
+                damages.append(str(damage))
+        if more := damages[_DAMAGES_SHOWN:]:
+            damages[_DAMAGES_SHOWN:] = [f"{self.folder}: {len(more)} more chunks are damaged"]
+        for line in damages:
+            report_damage(line)
         return whole
 
     def there(self) -> set[int]:
@@ -171,26 +171,22 @@ class Shards:
         for name, x in arrays.items():
             record[name] = x
         buffer = io.BytesIO()
-        npy.write_array(buffer, record, version=(1, 0), allow_pickle=False)
+        np.save(buffer, record, allow_pickle=False)
         with buffer.getbuffer() as content:
             self._put(self._path(index), self._checksum(index, content), content)
         self._failure_path(index).unlink(missing_ok=True)
 
     def read(self, index: int) -> dict[str, np.ndarray]:
-        """Return the arrays of a chunk by name, read-only.
+        """Return the arrays of a chunk by name.
 
         **Raises:** `DamagedShard` if the file is missing or damaged.
         """
-        content = self._content(index)
+        file = io.BytesIO(self._content(index))
         try:
-            file = io.BytesIO(content)
-            version = npy.read_magic(file)
-            shape, _, dtype = npy.read_array_header_1_0(file, max_header_size=_HEADER_SIZE)
-            whole = version == (1, 0) and shape == () and file.tell() + dtype.itemsize == len(content)
-            if not whole or dtype.names is None or dtype.hasobject:
-                raise ValueError("not a structured value of the size of the file")
-            record = np.frombuffer(content, dtype, offset=file.tell()).reshape(())
-            return {name: record[name] for name in dtype.names}
+            record = np.load(file, allow_pickle=False, max_header_size=_HEADER_SIZE)
+            if record.shape or file.read(1):
+                raise ValueError("not a single value of the size of the file")
+            return {name: record[name] for name in record.dtype.names}
         except Exception as error:  # numpy raises many types of exceptions on a malformed header
             raise DamagedShard(f"{self._path(index)}: cannot be read ({type(error).__name__})") from None
 
@@ -199,12 +195,11 @@ class Shards:
         self._clear(shards=True)
         self.claims.close()
         (self.folder / MANIFEST).unlink(missing_ok=True)
-        if self._lock is None:
-            with suppress(InputError):  # another process has just locked the folder
-                self._lock = Lock(self.folder / LOCK)
-        if self._lock is not None:
-            self._lock.release(remove=True)
-            self._lock = None
+        with suppress(InputError):  # another process has just locked the folder
+            self._lock = self._lock or lock(self.folder / LOCK)
+            with suppress(PermissionError):  # Windows cannot delete an open file; releasing the lock removes it
+                (self.folder / LOCK).unlink(missing_ok=True)  # while no other process can hold the lock
+        self.close()
         with suppress(OSError):  # the folder holds other files
             self.folder.rmdir()
 
@@ -228,7 +223,7 @@ class Shards:
         return self.folder / f"{_chunk_name(index)}.failed"
 
     def _checksum(self, index: int, content: bytes | memoryview) -> bytes:
-        digest = hashlib.sha256(f"{self.manifest.digest} {index}\n".encode())
+        digest = hashlib.sha256(f"{self._digest} {index}\n".encode())
         digest.update(content)
         return digest.digest()
 
@@ -277,20 +272,21 @@ class Shards:
             raise InputError(line) from None
 
     def _write_manifest(self) -> None:
-        self._put(self.folder / MANIFEST, self.manifest.content(self._about))
+        content = {"sha256": self._digest, "manifest": self.manifest, "about": self._about}
+        self._put(self.folder / MANIFEST, json.dumps(content, indent=1).encode())
 
     def _check_manifest(self) -> None:
         """Raise `InputError` if the chunks belong to another sweep.
 
         Without an intact manifest file, the checksum of each chunk detects chunks of another sweep.
         """
-        differences = self.manifest.changes_since(self.folder / MANIFEST)
+        differences = changes_since(self.folder / MANIFEST, self.manifest)
         if differences and self.there():
             advice = "--fresh starts over, or give another output"
             raise InputError(f"{self.folder}: holds chunks of another sweep: {differences}; {advice}")
 
 
-def report_damage(damage: DamagedShard | str) -> None:
+def report_damage(damage: object) -> None:
     """Warn on stderr about a damaged chunk, which is computed again."""
     print(f"vibrojax: warning: {damage}; computed again", file=sys.stderr)
 

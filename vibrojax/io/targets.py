@@ -3,7 +3,6 @@
 A dataset in a file may be larger than the available memory.
 """
 
-from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -63,12 +62,13 @@ class Regions:
             first = end
 
 
-class Target(ABC):
-    """A dataset that is being written; `packs`: whether the target compresses variables."""
+class InMemory:
+    """A dataset that is being written in memory, available as `dataset` after `finish`."""
 
+    dataset: xr.Dataset
     packs = False
+    """Whether the target compresses variables."""
 
-    @abstractmethod
     def begin(self, template: xr.Dataset, chunk: tuple[int, ...], plain: frozenset[str]) -> None:
         """Create the dataset and its variables.
 
@@ -78,35 +78,21 @@ class Target(ABC):
         - `chunk`: the shape of a region, along the first dimensions of every variable.
         - `plain`: the names of the variables that are not compressed.
         """
-
-    @abstractmethod
-    def put(self, name: str, box: Box, values: np.ndarray) -> None:
-        """Write values of a variable: within `box` along its first dimensions, and all along its other dimensions."""
-
-    @abstractmethod
-    def finish(self, attributes: Mapping[str, Any]) -> None:
-        """Complete the dataset with its attributes, after all values have been written."""
-
-
-class InMemory(Target):
-    """A dataset in memory, available as `dataset` after `finish`."""
-
-    dataset: xr.Dataset
-
-    def begin(self, template: xr.Dataset, chunk: tuple[int, ...], plain: frozenset[str]) -> None:
         self.dataset = template
         self._arrays = {str(name): np.empty(data.shape, data.dtype) for name, data in template.data_vars.items()}
 
     def put(self, name: str, box: Box, values: np.ndarray) -> None:
+        """Write values of a variable: within `box` along its first dimensions, and all along its other dimensions."""
         self._arrays[name][box] = values
 
     def finish(self, attributes: Mapping[str, Any]) -> None:
+        """Complete the dataset with its attributes, after all values have been written."""
         variables = {name: self.dataset[name].variable for name in self._arrays}
         columns = {name: (variables[name].dims, x, variables[name].attrs) for name, x in self._arrays.items()}
         self.dataset = self.dataset.assign(columns).assign_attrs(attributes)
 
 
-class _Netcdf(Target):
+class _Netcdf:
     packs = True
 
     def __init__(self, file: Any) -> None:
@@ -147,7 +133,9 @@ class _Netcdf(Target):
         return variable
 
 
-class _Zarr(Target):
+class _Zarr:
+    packs = False
+
     def __init__(self, path: Path) -> None:
         self._path = path
 
@@ -167,6 +155,10 @@ class _Zarr(Target):
 
     def finish(self, attributes: Mapping[str, Any]) -> None:
         xr.Dataset(attrs=dict(attributes)).to_zarr(self._path, mode="a", zarr_format=2, consolidated=True)
+
+
+Target = InMemory | _Netcdf | _Zarr
+"""A dataset that is being written: three classes with the same methods."""
 
 
 @contextmanager

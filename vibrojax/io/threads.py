@@ -1,8 +1,10 @@
 """Running work in a separate thread, so that the caller can always be interrupted."""
 
+import math
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import Future
 from typing import TypeVar
 
 Result = TypeVar("Result")
@@ -31,25 +33,23 @@ def in_own_thread(work: Callable[[], Result], seconds: float | None = None) -> R
     **Raises:** any exception of `work`; `TimeoutError` after `seconds`. After a timeout or an interrupt, the thread is
     abandoned.
     """
-    results: list[Result] = []
-    errors: list[BaseException] = []
+    future: Future[Result] = Future()
 
     def run() -> None:
         try:
-            results.append(work())
+            future.set_result(work())
         except BaseException as error:
-            errors.append(error)
+            future.set_exception(error)
 
-    thread = threading.Thread(target=run, name="work", daemon=True)
-    thread.start()
-    end = None if seconds is None else time.monotonic() + seconds
-    # Poll: a signal that another thread receives does not end `join`.
-    while thread.is_alive() and (end is None or time.monotonic() < end):
-        if asked_to_end:
+    threading.Thread(target=run, name="work", daemon=True).start()
+    end = math.inf if seconds is None else time.monotonic() + seconds
+    while True:  # poll: a signal that another thread receives does not end waiting
+        if asked_to_end and not future.done():
             raise asked_to_end[0]
-        thread.join(_POLL_SECONDS if end is None else min(_POLL_SECONDS, max(0.0, end - time.monotonic())))
-    if errors:
-        raise errors[0]
-    if not results:
-        raise TimeoutError
-    return results[0]
+        try:
+            return future.result(min(_POLL_SECONDS, max(0.0, end - time.monotonic())))
+        except TimeoutError:
+            if future.done():
+                return future.result()
+            if time.monotonic() >= end:
+                raise

@@ -7,26 +7,24 @@ until then.
 """
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from math import ceil
 from os import PathLike
 from pathlib import Path
 
 import xarray as xr
 
-from vibrojax.analyses.sweep.joining import REGION, Read, WallTime, join
+from vibrojax.analyses.sweep.joining import REGION, WallTime, join
 from vibrojax.analyses.sweep.workers.executor import Executor, Store, by_executor, check_executor
-from vibrojax.analyses.sweep.workers.measured import MeasuredCosts
-from vibrojax.analyses.sweep.workers.member import compute_shared
-from vibrojax.analyses.sweep.workers.processes import by_processes
-from vibrojax.analyses.sweep.workers.slurm import by_slurm
-from vibrojax.analyses.sweep.workers.work import Work, by_cost
+from vibrojax.analyses.sweep.workers.processes import by_processes, by_slurm
+from vibrojax.analyses.sweep.workers.work import MeasuredCosts, Work, by_cost, compute_shared
 from vibrojax.io.dataset import COMPRESSED, open_dataset
 from vibrojax.io.manifest import check_replaceable
 from vibrojax.io.provenance import provenance
 from vibrojax.io.shards import DamagedShard, Shards, report_damage
-from vibrojax.io.targets import InMemory, file_target
+from vibrojax.io.targets import InMemory, Target, file_target
 from vibrojax.progress import Progress, timed
 from vibrojax.sweep.engine.batch import Features
 from vibrojax.sweep.engine.chunks import Chunks
@@ -112,22 +110,12 @@ def run_to_file(
     if resume:
         check_replaceable(out, sweep.identity())
     check_size(sweep, estimate(sweep, to_file=True), out)
-    began = time.monotonic()
-    work = Work(sweep)
-    with Progress(sweep.lanes, "lanes", progress) as bar, _shards(sweep, work.chunks, out) as shards:
-        missing = _open(work, shards, resume, bar)
-        for compute, count in ((by_processes, processes), (by_slurm, jobs)):
-            if not count or not missing:
-                continue
-            for index in missing:  # workers check only whether a chunk's file exists, so damaged files must be deleted
-                shards.discard(index)
-            with timed("compile and step"):
-                order = by_cost(work.chunks, missing)
-                missing = compute(sweep, shards, order, count, lambda index, _: bar.add(work.chunks.width(index)))
-        _compute(sweep, work, missing, shards.write, bar, executor)
-        # The wall time includes interrupted runs, but not the time between runs.
-        _write(sweep, work, shards, out, lambda seconds: max(seconds, time.monotonic() - began))
-        shards.remove()
+    with (
+        _computed(sweep, out, resume, progress, executor, processes, jobs) as write,
+        timed("write"),
+        file_target(out) as target,
+    ):
+        write(target)
     return open_dataset(out)
 
 
@@ -141,14 +129,45 @@ def lanes_beside(sweep: Sweep, out: Path, resume: bool = True, progress: bool = 
     **Raises:** `InputError` if the existing chunks belong to another sweep, or if memory or disk are too small.
     """
     check_size(sweep, estimate(sweep), out)
+    target = InMemory()
+    with _computed(sweep, out, resume, progress) as write:
+        write(target)
+        yield target.dataset
+
+
+@contextmanager
+def _computed(
+    sweep: Sweep,
+    out: Path,
+    resume: bool,
+    progress: bool,
+    executor: Executor | None = None,
+    processes: int = 0,
+    jobs: int = 0,
+) -> Iterator[Callable[[Target], None]]:
+    """Compute the missing chunks next to `out`, and yield a function that writes the dataset to a target.
+
+    The chunks are deleted when the block ends without an error.
+    """
     began = time.monotonic()
     work = Work(sweep)
     with _shards(sweep, work.chunks, out) as shards:
         with Progress(sweep.lanes, "lanes", progress) as bar:
-            _compute(sweep, work, _open(work, shards, resume, bar), shards.write, bar, None)
-        target = InMemory()
-        join(sweep, work.chunks, _reader(work, shards), target, lambda seconds: max(seconds, time.monotonic() - began))
-        yield target.dataset
+            shards.open(resume)
+            finished = shards.finished()
+            bar.resume(sum(map(work.chunks.width, finished)))
+            missing = sorted(set(range(work.chunks.count)) - finished)
+            for compute, count in ((by_processes, processes), (by_slurm, jobs)):
+                if not count or not missing:
+                    continue
+                for index in missing:  # workers check only whether a chunk's file exists: delete damaged files
+                    shards.discard(index)
+                with timed("compile and step"):
+                    order = by_cost(work.chunks, missing)
+                    missing = compute(sweep, shards, order, count, lambda index, _: bar.add(work.chunks.width(index)))
+            _compute(sweep, work, missing, shards.write, bar, executor)
+        # The wall time includes interrupted runs, but not the time between runs.
+        yield partial(_write, sweep, work, shards, wall_time=lambda seconds: max(seconds, time.monotonic() - began))
         shards.remove()
 
 
@@ -177,7 +196,8 @@ def run_share(sweep: Sweep, out: Path, part: tuple[int, int], progress: bool = T
             compute_shared(shards, work, order, report=bar.add)
         if len(shards.there()) < work.chunks.count or not shards.claims.take(DATASET):
             return out if out.exists() and not shards.folder.exists() else None
-        _write(sweep, work, shards, out, lambda seconds: max(seconds / count, time.monotonic() - began))
+        with timed("write"), file_target(out) as target:
+            _write(sweep, work, shards, target, lambda seconds: max(seconds / count, time.monotonic() - began))
         shards.remove()
     return out
 
@@ -190,22 +210,8 @@ def _shards(sweep: Sweep, chunks: Chunks, out: Path) -> Shards:
     return Shards(out.with_name(out.name + ".chunks"), manifest, about)
 
 
-def _open(work: Work, shards: Shards, resume: bool, bar: Progress) -> list[int]:
-    """Open the folder of chunks, and return the indices of the missing chunks."""
-    shards.open(resume)
-    finished = shards.finished()
-    bar.resume(sum(map(work.chunks.width, finished)))
-    return sorted(set(range(work.chunks.count)) - finished)
-
-
-def _write(sweep: Sweep, work: Work, shards: Shards, out: Path, wall_time: WallTime) -> None:
-    """Write the dataset `out` from the finished chunks."""
-    with timed("write"), file_target(out) as target:
-        join(sweep, work.chunks, _reader(work, shards), target, wall_time)
-
-
-def _reader(work: Work, shards: Shards) -> Read:
-    """Return a function that reads a finished chunk, or recomputes a chunk whose file has been damaged."""
+def _write(sweep: Sweep, work: Work, shards: Shards, target: Target, wall_time: WallTime) -> None:
+    """Write the dataset from the finished chunks; recompute a chunk whose file has been damaged."""
 
     def read(index: int) -> Features:
         try:
@@ -214,7 +220,7 @@ def _reader(work: Work, shards: Shards) -> Read:
             report_damage(damage)
             return work.compute(index)
 
-    return read
+    join(sweep, work.chunks, read, target, wall_time)
 
 
 def _compute(
@@ -242,7 +248,7 @@ def estimate(sweep: Sweep, to_file: bool = False, processes: int = 0, measured: 
 
     - `to_file`: whether finished chunks are stored on the disk, as in `run_to_file`, or in memory.
     - `processes`: number of processes on this machine that compute the sweep; 0: this process.
-    - `measured`: measured costs of some lanes of the sweep, see [vibrojax.analyses.sweep.workers.measured][], for a
+    - `measured`: measured costs of some lanes of the sweep, see [vibrojax.analyses.sweep.workers.work][], for a
       better estimate.
     """
     chunks = Work(sweep).chunks

@@ -64,8 +64,10 @@ def by_executor(sweep: Sweep, executor: Executor, order: Sequence[int], store: S
 
     **Raises:** the error of a chunk that also fails in this process; `InputError` if the sweep cannot be pickled.
     """
-    task, threads = pickled(sweep), _threads_each(executor)
-    ahead = _worker_count(executor) * QUEUED or AHEAD
+    count = getattr(executor, "_max_workers", None)
+    workers = count if isinstance(count, int) and count > 0 else 0  # 0: the executor does not state their number
+    task, threads = pickled(sweep), max(1, usable_cores() // workers) if workers else 1
+    ahead = workers * QUEUED or AHEAD
     waiting, local = deque(order), list[int]()
     running: dict[Any, int] = {}
     began, busy = time.monotonic(), 0.0
@@ -93,11 +95,11 @@ def by_executor(sweep: Sweep, executor: Executor, order: Sequence[int], store: S
                     features = future.result()
                 except InputError:
                     raise
-                except (BrokenExecutor, CancelledError) as error:
-                    stop("the executor broke down", error)
-                    local.append(index)
                 except Exception as error:
-                    _warn(f"chunk {index} failed with a worker ({_first_line(error)}); computed here")
+                    if isinstance(error, (BrokenExecutor, CancelledError)):
+                        stop("the executor broke down", error)
+                    else:
+                        _warn(f"chunk {index} failed with a worker ({_first_line(error)}); computed here")
                     local.append(index)
                 else:
                     busy += float(features[SECONDS])
@@ -145,18 +147,6 @@ def _done(futures: list[Any]) -> list[Any]:
     while not (done := [future for future in futures if future.done()]):
         time.sleep(FUTURE_POLL_SECONDS)
     return done
-
-
-def _worker_count(executor: object) -> int:
-    """Return the number of workers, or 0 if the executor does not state it."""
-    count = getattr(executor, "_max_workers", None)
-    return count if isinstance(count, int) and count > 0 else 0
-
-
-def _threads_each(executor: object) -> int:
-    """Return the number of threads per worker: an equal part of this machine's cores, or 1 if workers are unknown."""
-    count = _worker_count(executor)
-    return max(1, usable_cores() // count) if count else 1
 
 
 def _first_line(error: BaseException) -> str:

@@ -1,18 +1,26 @@
-"""The chunks of a sweep: computing and timing one chunk, and the order in which to compute many."""
+"""The chunks of a sweep: computing one, sharing many with other processes, and measuring their cost."""
 
+import pickle
 import time
 import warnings
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import NamedTuple
 
 import numpy as np
 
 from vibrojax.analyses.chaos.natures import Natures
 from vibrojax.compile.xla import with_threads
+from vibrojax.io.dataset import Sizes
+from vibrojax.io.shards import Shards
 from vibrojax.periodic import Nearby, Orbits, early_stopping_of
 from vibrojax.sweep.engine.batch import Features, Report, unreported
 from vibrojax.sweep.engine.chunks import Carried, Chunks, PostProcessor
 from vibrojax.sweep.engine.costs import lane_steps
+from vibrojax.sweep.engine.labelled import labelled
 from vibrojax.sweep.input.definition import Sweep
 
 SECONDS = "seconds"
@@ -23,6 +31,22 @@ COST_SAMPLES = 3
 
 COST_CHUNKS = 8192
 """Number of chunks whose steps are estimated together, so that memory does not grow with the sweep."""
+
+MEASURED_CHUNKS, MEASURING_SECONDS = 8, 20.0
+"""Number of evenly spaced chunks that `measured` computes, and the time [s] after which no further chunk begins."""
+
+RELEASE_POLL_SECONDS = 0.3
+"""Interval [s] between two checks for chunks that other processes have released."""
+
+Finished = Callable[[int, float], object]
+"""Function that receives the index of a chunk that a worker has finished, and the computing time [s]."""
+
+Failed = Callable[[int], object]
+"""Function that receives the index of a chunk that a worker could not compute."""
+
+
+class WorkersDied(OSError):
+    """An error: workers ended before they finished their chunks."""
 
 
 class Work:
@@ -79,3 +103,114 @@ def _beyond(sweep: Sweep) -> PostProcessor | None:
         return results
 
     return analyse if parts else None
+
+
+@dataclass(frozen=True)
+class Job:
+    """The work of one process among several: compute chunks of `order` until none remains. A job can be pickled.
+
+    `task` is the pickled sweep; `folder` and `manifest` are those of its `Shards`; `threads` is that of `Work`.
+    """
+
+    task: bytes
+    folder: str
+    manifest: dict[str, object]
+    order: list[int]
+    threads: int | None = None
+
+    def __call__(self, finished: Finished = lambda *_: None, failed: Failed = lambda _: None) -> None:
+        """Compute chunks, including those of processes that die meanwhile."""
+        shards = Shards(Path(self.folder), self.manifest, shared=True)
+        try:
+            work = Work(pickle.loads(self.task), self.threads)
+            compute_shared(shards, work, self.order, finished, failed, patient=True)
+        finally:
+            shards.claims.close()
+
+    def checkpoint(self) -> object:
+        """Return the object that submitit submits again after SLURM has stopped the job."""
+        from submitit.helpers import DelayedSubmission
+
+        return DelayedSubmission(self)
+
+
+def compute_shared(
+    shards: Shards,
+    work: Work,
+    order: Sequence[int],
+    finished: Finished = lambda *_: None,
+    failed: Failed | None = None,
+    report: Report = unreported,
+    patient: bool = False,
+) -> None:
+    """Compute the chunks of `order` that do not exist and that no other process has claimed.
+
+    With `patient`, also wait for the claimed chunks, and take over the chunk of a process that dies. Without `failed`,
+    the error of a chunk is raised.
+    """
+    remaining = list(order)
+    while True:
+        existing = shards.there()
+        remaining = [index for index in remaining if index not in existing]
+        index = next((index for index in remaining if shards.claim(index)), None)
+        if index is None:
+            if not remaining or not patient:
+                return
+            time.sleep(RELEASE_POLL_SECONDS)
+            continue
+        try:
+            features = work.compute(index, report)
+            shards.write(index, features)
+        except Exception as error:
+            shards.record_failure(index, f"{type(error).__name__}: {error}")
+            if failed is None:
+                raise
+            remaining.remove(index)
+            failed(index)
+        else:
+            finished(index, float(features[SECONDS]))
+        finally:
+            shards.release(index)
+
+
+class MeasuredCosts(NamedTuple):
+    """Measured costs of a sweep.
+
+    - `compile_s`: processor time [s] that does not depend on the number of lanes.
+    - `lane_s`: processor time [s] per lane.
+    - `chunk_bytes`, `file_bytes`: bytes per lane in a finished chunk, and in the uncompressed dataset.
+    - `packed`: compressed size of the dataset divided by its uncompressed size.
+    """
+
+    compile_s: float
+    lane_s: float
+    chunk_bytes: float
+    file_bytes: float
+    packed: float
+
+
+def measured(sweep: Sweep) -> MeasuredCosts:
+    """Measure the costs of a sweep: compute, store and label some chunks one by one, and discard them."""
+    work = Work(sweep)
+    chunks = work.chunks
+    processor = time.process_time()
+    work.compute(chunks.count - 1)  # includes compilation, so it does not count as time of the lanes
+    first = time.process_time() - processor
+    sizes, chunk_bytes = Sizes(), 0
+    began, spent = time.monotonic(), 0.0
+    with TemporaryDirectory(prefix="vibrojax-") as folder, Shards(Path(folder) / "measured.chunks", {}) as shards:
+        shards.open(resume=False)
+        for index in dict.fromkeys(np.linspace(0, chunks.count - 1, MEASURED_CHUNKS + 2).astype(int)[1:-1].tolist()):
+            processor = time.process_time()
+            shards.write(index, work.compute(index))
+            features = shards.read(index)
+            chunk_bytes += sum(x.nbytes for x in features.values())
+            del features[SECONDS]
+            variables = labelled(sweep, *chunks.lanes(index), features, whole=False)
+            spent += time.process_time() - processor
+            sizes.add(variables)
+            if time.monotonic() - began > MEASURING_SECONDS:
+                break
+    lanes = sizes.lanes
+    compiling = max(0.0, first - chunks.width(chunks.count - 1) * spent / lanes)
+    return MeasuredCosts(compiling, spent / lanes, chunk_bytes / lanes, sizes.lane_bytes, sizes.left(sweep.lanes))
