@@ -11,10 +11,9 @@ import xarray as xr
 
 import vibrojax as vj
 from vibrojax import cli
-from vibrojax.analyses import registry
-from vibrojax.analyses.registry import analysis_named, analysis_of
+from vibrojax.analyses.analysis import _USED, analysis_named, analysis_of
 from vibrojax.cli import main
-from vibrojax.cli.analysis import AnalysisCommand
+from vibrojax.cli.analyses import analysis_command
 from vibrojax.io.kinds import STRUCTURES, kind_of
 
 OUTSIDE = Path(__file__).parent / "outside"
@@ -126,8 +125,8 @@ class Orbits(vj.SweepAnalysis):
 
 def test_a_command_states_the_kind_of_an_analysis_that_does_not(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setitem(registry._USED, Orbits.kind, Orbits())
-    monkeypatch.setitem(cli._COMMANDS, Orbits.kind, AnalysisCommand(Orbits.kind, "count"))
+    monkeypatch.setitem(_USED, Orbits.kind, Orbits())
+    monkeypatch.setitem(cli._COMMANDS, Orbits.kind, analysis_command(Orbits.kind, "count"))
     point = 'scene = "vibro-impact"\nstarts = ["stuck"]\n[grid]\ngamma = [0.75]\n[parameters]\ndelta = 0.005\n'
     Path("one.toml").write_text(point)
     assert main([Orbits.kind, "one.toml", "-o", "one.nc"]) == 0

@@ -11,8 +11,8 @@ from exact.measures import sections
 import vibrojax as vj
 from vibrojax.analyses.continuation.analysis import family_lines
 from vibrojax.cli import main
-from vibrojax.cli.completion import values_with
-from vibrojax.cli.follow import SETTINGS
+from vibrojax.cli.command import values_with
+from vibrojax.cli.points import FOLLOW_SETTINGS
 from vibrojax.io.dataset import open_dataset
 
 ASKED = ("along=gamma", "at=0.45", "from=0.36", "to=0.5", "beta=0.4", "settle=30", "cycles=2")
@@ -231,7 +231,7 @@ def test_rocks_are_families_too():
 
 def test_what_may_stand_there_is_told():
     parsed = Namespace(scene="vibro-impact", values=["along=gamma"])
-    follow_values = values_with(SETTINGS, lambda names: {"along": tuple(names.parameters)})
+    follow_values = values_with(FOLLOW_SETTINGS)
     assert follow_values("a", parsed) == ["at="] and follow_values("f", parsed) == ["friction=", "from="]
     assert follow_values("along=b", parsed) == ["along=beta"]
 

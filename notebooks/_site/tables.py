@@ -10,8 +10,8 @@ from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
 import vibrojax as vj
+from vibrojax.analyses import WORDS
 from vibrojax.analyses.continuation.indicators import KINDS
-from vibrojax.analyses.glossary import WORDS
 from vibrojax.io.variables import NATURES, VARIABLES
 from vibrojax.models.physics.rock import ROCKS
 from vibrojax.models.scenes import HasFriction

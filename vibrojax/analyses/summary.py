@@ -4,9 +4,8 @@ from typing import Any
 
 import xarray as xr
 
-from vibrojax.analyses.analysis import SummaryPart
-from vibrojax.analyses.glossary import WORDS
-from vibrojax.analyses.registry import analysis_of
+from vibrojax.analyses import WORDS
+from vibrojax.analyses.analysis import SummaryPart, analysis_of
 from vibrojax.analyses.sweep.summary import lane_parts
 from vibrojax.errors import printable
 from vibrojax.io.attributes import (

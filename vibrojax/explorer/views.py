@@ -7,8 +7,8 @@ from collections.abc import Iterator
 
 import xarray as xr
 
+from vibrojax.analyses.analysis import analysis_of
 from vibrojax.analyses.orbits.rerun import has_lanes_of, sweep_of_dataset
-from vibrojax.analyses.registry import analysis_of
 from vibrojax.analyses.sweep.run import run_sweep
 from vibrojax.errors import InputError, shown
 from vibrojax.explorer.document import Document, check_names

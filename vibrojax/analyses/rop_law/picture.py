@@ -40,7 +40,7 @@ _BEST, _ERROR = "best_form", "C_relative_error"
 def law_lines(fit: xr.Dataset) -> Figure:
     """Draw C in each reading of the law, and the AIC of every form, over the longest axis of the groups.
 
-    See `vibrojax.analyses.pictures.fitted_law`.
+    At the top are the data of each group with the curve of every form, for six groups at most.
     """
     fit = law_in(fit)
     x = longest_axis(fit)

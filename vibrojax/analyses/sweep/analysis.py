@@ -54,9 +54,3 @@ class Sweeps(Analysis):
         if held.carried:
             return hysteresis(ds, tuple(over))
         return bifurcation(ds, tuple(over)) if held.returns else super().picture(ds, over)
-
-    @classmethod
-    def drawn_as(cls, ds: xr.Dataset, shows: str) -> Figure:
-        """Return the first picture of the subject `shows` ("regimes", "rate map") that fits a dataset."""
-        held = contents(ds)
-        return next(rule for rule in cls.pictures if rule.shows == shows and rule.fits(held)).draw(ds)

@@ -63,7 +63,8 @@ _REGION_NAME = "source's best region"
 def regime_grid(ds: xr.Dataset, x: str | None = None, y: str | None = None, over: xr.Dataset | None = None) -> Figure:
     """Draw the regimes over two axes, with further quantities next to them, and the borders `over` on top.
 
-    See [vibrojax.analyses.pictures.regime_map][].
+    Each value of further axes and each initial condition gets a panel, twelve at most; the figure notes which values
+    are shown.
     """
     ds = regimes_in(ds)
     return draw_map(ds, *axes_of_map(ds, x, y), (None, *values_beside(ds)), over=over)
@@ -98,7 +99,8 @@ def draw_map(ds: xr.Dataset, x: str, y: str, values: Values, *notes: str, over: 
 def rate_grid(ds: xr.Dataset, x: str | None = None, y: str | None = None) -> Figure:
     """Draw the rate of penetration over two axes, and the quantities that vary.
 
-    See [vibrojax.analyses.pictures.rate_map][].
+    Each value of further axes gets a panel, nine at most; the figure notes which are shown. Constant values are in the
+    note.
     """
     ds = rates_in(ds)
     if x is None and y is None:

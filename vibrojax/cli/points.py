@@ -1,0 +1,193 @@
+"""The commands `scenes`, `simulate`, `follow` and `push`, which take a scene and NAME=VALUE."""
+
+import warnings
+from typing import TYPE_CHECKING, Any
+
+from vibrojax.analyses import FAMILY_WORDS
+from vibrojax.cli.command import (
+    JSON,
+    Options,
+    argument,
+    command,
+    explained,
+    named_values,
+    output_options,
+    point_arguments,
+    scene_names,
+    whole,
+)
+from vibrojax.cli.output import answer
+from vibrojax.errors import Place, shown
+
+if TYPE_CHECKING:
+    import xarray
+
+_UNITS = {"duration": "s", "error": "1", "sampling": "s", "step": "s", "smoothing": "m s-1"}
+"""Settings of `simulate` that are positive numbers, with their units."""
+
+SIMULATE_SETTINGS = ("start", "method", "solver", *_UNITS)
+"""Arguments of `simulate` that are not parameters of a scene."""
+
+_REQUIRED = ("along", "at", "from", "to")
+
+FOLLOW_SETTINGS = (*_REQUIRED, "start", "settle", "observe", "cycles")
+"""Arguments of `follow` that are not parameters of a scene."""
+
+_FOLLOW_SYNTAX = "along=NAME at=VALUE from=A to=B"
+
+_MOST = "most_"
+
+PUSH_SETTINGS = ("start", "scan", "precision", "settle", "observe", "most_x1", "most_v1", "most_x2", "most_v2")
+"""Arguments of `smallest_push` that are not parameters of a scene."""
+
+
+@command(argument("scene", "SCENE", "one of them, in full", scene_names, nargs="?"))
+def scenes(options: Options) -> None:
+    """List the scenes, or a scene's parameters, initial conditions, friction laws, variables and settings."""
+    from vibrojax.analyses.catalogue import list_scenes, scene_text
+
+    if options.scene is not None:
+        print(scene_text(options.scene))
+        return
+    for name, row in list_scenes().iterrows():
+        print(f"{name:<18}{row['what']}")
+        print(f"{'':<18}starts: {row['starts'] or 'always the same'}")
+
+
+@command(
+    point_arguments(
+        SIMULATE_SETTINGS,
+        "a parameter; friction; start (a name, or [x1,x1',x2,x2']); duration, sampling, error, method, solver, step, "
+        "smoothing",
+    ),
+    output_options("SCENE.nc"),
+    JSON,
+)
+def simulate(options: Options) -> None:
+    """Simulate one point: write its trajectory as a dataset, and a picture."""
+    place = Place("simulate")
+    settings, parameters = named_values(place, options.values, SIMULATE_SETTINGS, lists=False)
+    from vibrojax.models.physics.parameters import positive
+    from vibrojax.sweep.input.read import read_point
+    from vibrojax.sweep.input.values import UnusualValue, quantity
+
+    point = read_point(place, options.scene, parameters, settings.pop("start", None))
+    for name, value in settings.items():
+        if name in _UNITS:
+            settings[name] = quantity(place.at(name), value, positive(name, 1.0, _UNITS[name], name, name))
+        elif not isinstance(value, str) or not value:  # `simulate` itself checks the names of methods and solvers
+            raise place.at(name).error(f"{shown(value)} is not a name; give one, like {name}=...")
+    # Each value is checked at run time; its static type does not state that it fits the function's argument.
+    arguments: dict[str, Any] = settings | point.options | point.parameters
+    if point.start is not None:
+        arguments["start"] = point.start
+
+    def compute() -> "xarray.Dataset":
+        from vibrojax.sweep.simulation import simulate
+
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UnusualValue)  # `read_point` has already warned
+            return simulate(point.scene, **arguments, progress=not options.quiet)
+
+    def facts(dataset: "xarray.Dataset") -> dict[str, object]:
+        from vibrojax.analyses.trajectory.analysis import features
+        from vibrojax.io.attributes import attribute_of
+
+        return {
+            "scene": point.scene,
+            **point.options,
+            "start": point.start,
+            "parameters": point.parameters,
+            "duration": float(dataset["time"][-1]),
+            "run": attribute_of(dataset, "run"),
+            "found": features(dataset),
+            "solver": attribute_of(dataset, "solver"),
+        }
+
+    answer(options, f"{point.scene}.nc", {"scene": point.scene, **arguments}, compute, facts)
+
+
+@command(
+    explained(*FAMILY_WORDS),
+    point_arguments(
+        FOLLOW_SETTINGS,
+        f"{_FOLLOW_SYNTAX}: the parameter, where the family begins, and its bounds; start (a name, or [x1,x1',x2,x2'])"
+        ", settle and observe (s, for which the motion at VALUE settles and is then watched: 40, 8) and cycles (the "
+        "most returns of doubled branches: 8); parameters, and friction. A list, beta=0.3,0.4,0.5, is as many "
+        "families, followed together; of several lists the first values belong to one family, the second ones to the "
+        "next",
+    ),
+    output_options("SCENE-NAME.nc"),
+    JSON,
+)
+def follow(options: Options) -> None:
+    """Follow a family of periodic orbits, stable and unstable, along one parameter, with its special points."""
+    place = Place("follow")
+    settings, parameters = named_values(place, options.values, FOLLOW_SETTINGS, lists=True)
+    missing = [name for name in _REQUIRED if name not in settings]
+    if missing:
+        raise place.error(f"{' and '.join(missing)} missing; write vibrojax follow SCENE {_FOLLOW_SYNTAX}")
+    from vibrojax.analyses.continuation.spec import OBSERVE, SETTLE, read_asked
+    from vibrojax.measures.ledger import MOST_CYCLES
+
+    request = read_asked(
+        options.scene,
+        along=settings["along"],
+        at=settings["at"],
+        span=(settings["from"], settings["to"]),
+        start=settings.get("start"),
+        settle=settings.get("settle", SETTLE.default),
+        observe=settings.get("observe", OBSERVE.default),
+        cycles=whole(settings.get("cycles", MOST_CYCLES)),
+        parameters=parameters,
+    )
+
+    def compute() -> "xarray.Dataset":
+        from vibrojax.analyses.continuation.run import follow_asked
+
+        return follow_asked(request, progress=not options.quiet)
+
+    def facts(dataset: "xarray.Dataset") -> dict[str, object]:
+        from vibrojax.analyses.continuation.analysis import family_facts
+        from vibrojax.io.attributes import attribute_of
+
+        machine = {"scene": dataset.attrs["scene"], "start": dataset.attrs.get("start")}
+        return {**machine, "parameters": attribute_of(dataset, "parameters"), **family_facts(dataset)}
+
+    answer(options, f"{request.sweep.scene}-{request.along}.nc", request.identity(), compute, facts)
+
+
+@command(
+    point_arguments(
+        PUSH_SETTINGS,
+        "parameters, and friction; a list, beta=0.3,0.4,0.5, is as many machines, pushed together. start (a name, "
+        "or [x1,x1',x2,x2']: of the motion whose cycle is pushed), most_x1, most_v1, most_x2, most_v2 (the greatest "
+        "push, m or m/s; by default the whole swing), scan (pushes of each scan in a direction: 256), precision "
+        "(0.001), settle and observe (s, for which motions settle and are then watched: 40, 8)",
+        scenes="rotary, vibro-impact or drilling",
+    ),
+    output_options("SCENE-push.nc"),
+)
+def push(options: Options) -> None:
+    """Find the smallest push in each state variable after which a machine no longer returns to its working cycle."""
+    settings, parameters = named_values(Place("push"), options.values, PUSH_SETTINGS, lists=True)
+    from vibrojax.analyses.push.spec import PRECISION, SCAN, read_pushed
+
+    bounds = {name.removeprefix(_MOST): value for name, value in settings.items() if name.startswith(_MOST)}
+    request = read_pushed(
+        options.scene,
+        start=settings.get("start"),
+        most=bounds or None,
+        scan=whole(settings.get("scan", SCAN)),
+        precision=settings.get("precision", PRECISION),
+        settle=settings.get("settle", 40.0),
+        observe=settings.get("observe", 8.0),
+        parameters=parameters,
+    )
+
+    def compute() -> "xarray.Dataset":
+        from vibrojax.analyses.push.run import push_asked
+
+        return push_asked(request, progress=not options.quiet)
+
+    answer(options, f"{request.sweep.scene}-push.nc", request.identity(), compute)
