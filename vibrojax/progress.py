@@ -63,12 +63,32 @@ class Progress:
     def add(self, amount: Amount = 1, outcome: str = "") -> None:
         """Report a newly completed amount; a non-empty `outcome` is printed with it on a line."""
         with self._lock:
-            self._reach(self._done + amount, outcome)
+            self.reach(self._done + amount, outcome)
 
-    def reach(self, done: Amount) -> None:
-        """Report the total amount completed so far."""
+    def reach(self, done: Amount, outcome: str = "") -> None:
+        """Report the total amount completed so far; `outcome`: as for `add`."""
         with self._lock:
-            self._reach(done, "")
+            self._done = min(done, self._total)
+            if not self._shown:
+                return
+            now = time.monotonic()
+            self._first = self._first or (now, self._done)
+            complete = self._done >= self._total
+            line = self._line(now) + (f": {outcome}" if outcome else "")
+            if not self._stream.isatty():
+                if complete or outcome or now - self._last_line >= QUIET_SECONDS:
+                    self._last_line = now
+                    print(line, file=self._stream, flush=True)
+                return
+            if self._bar is None:
+                self._bar = _bar(self._total, line)
+                self._on_terminal.add(self)
+            self._bar.n = self._done
+            self._bar.set_description_str(line, refresh=complete)
+            if complete:
+                self.close()
+            else:
+                self._bar.update(0)
 
     def say(self, text: str) -> None:
         """Print `text` on a separate line, preceded by the elapsed seconds."""
@@ -88,29 +108,6 @@ class Progress:
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-    def _reach(self, done: Amount, outcome: str) -> None:
-        self._done = min(done, self._total)
-        if not self._shown:
-            return
-        now = time.monotonic()
-        self._first = self._first or (now, self._done)
-        complete = self._done >= self._total
-        line = self._line(now) + (f": {outcome}" if outcome else "")
-        if not self._stream.isatty():
-            if complete or outcome or now - self._last_line >= QUIET_SECONDS:
-                self._last_line = now
-                print(line, file=self._stream, flush=True)
-            return
-        if self._bar is None:
-            self._bar = _bar(self._total, line)
-            self._on_terminal.add(self)
-        self._bar.n = self._done
-        self._bar.set_description_str(line, refresh=complete)
-        if complete:
-            self.close()
-        else:
-            self._bar.update(0)
 
     def _print(self, line: str) -> None:
         if not self._shown:

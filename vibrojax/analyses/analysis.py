@@ -185,7 +185,7 @@ _USED: dict[str, Analysis] = {}
 """Analyses by kind that were passed to `analyse` in this process."""
 
 
-def analyse(source: Source, analysis: Analysis, progress: bool = True) -> xr.Dataset:
+def analyse(source: Source, analysis: Analysis | Any, progress: bool = True) -> xr.Dataset:
     """Run an analysis, and return its dataset.
 
     **Arguments:**

@@ -1,6 +1,5 @@
 """Summary of a sweep's lanes: regimes, orbits, periodic and chaotic motion (`nature`), failures and accuracy."""
 
-from collections.abc import Hashable
 from typing import Any
 
 import numpy as np
@@ -15,38 +14,31 @@ DEFAULT_ACCEPTED_ERROR = 1e-4
 """Relative error tolerance if the dataset states none: the default of sweep files."""
 
 
-def has_lanes(ds: xr.Dataset) -> bool:
-    """Return whether the regimes of a dataset belong to lanes, not to one trajectory or to attractors."""
-    return "regime" in ds and not {"time", "attractor"} & set(ds.dims)
-
-
-def lane_parts(ds: xr.Dataset) -> list[SummaryPart]:
-    """Return the summary parts of datasets with lanes; a part without content is empty."""
+def lane_parts(ds: xr.Dataset) -> dict[str, SummaryPart]:
+    """Return the summary parts of datasets with lanes, by name; a part without content is empty."""
+    # The regimes of a trajectory and of attractors are not those of lanes.
     no_lanes = bool({"time", "attractor"} & set(ds.dims))
     regimes = {} if no_lanes else flag_counts(ds, "regime")
-    orbits = {"reason": flag_counts(ds, "orbit_reason"), "stable": flag_counts(ds, "stable")}
+    total = max(ds["regime"].size, 1) if "regime" in ds else 1
+    regime_lines = [f"{meaning:<14}{count:>9}{100 * count / total:>7.1f} %" for meaning, count in regimes.items()]
+    if "hidden_motion" in ds and "start" in ds["hidden_motion"].dims:
+        points = int(ds["hidden_motion"].any("start").sum())
+        if points:
+            regime_lines.append(f"at {points} points starts end in different motions under one label")
+    orbits: dict[str, Any] = {}
+    if "orbit_reason" in ds and not no_lanes:
+        orbits = {"reason": flag_counts(ds, "orbit_reason"), "stable": flag_counts(ds, "stable")}
+    natures = {} if no_lanes else flag_counts(ds, "nature")
     reasons = flag_counts(ds, "reason") if "status" in ds else {}  # the reasons of a fit are not failures
-    return [
-        SummaryPart("regimes", [*_shares(ds, regimes), *_hidden_motions(ds)], {"regimes": regimes}),
-        SummaryPart("orbits", orbit_lines(ds), {"orbits": orbits if "orbit_reason" in ds and not no_lanes else {}}),
-        SummaryPart("natures", _nature_lines(ds), {"natures": {} if no_lanes else flag_counts(ds, "nature")}),
-        SummaryPart(
-            "failures", _failure_lines(ds), {"failures": {name: n for name, n in reasons.items() if name != "none"}}
-        ),
+    reasons.pop("none", None)
+    parts = [
+        SummaryPart("regimes", regime_lines, {"regimes": regimes}),
+        SummaryPart("orbits", orbit_lines(ds), {"orbits": orbits}),
+        SummaryPart("natures", _nature_lines(ds), {"natures": natures}),
+        SummaryPart("failures", _failure_lines(ds, "regime" in ds and not no_lanes), {"failures": reasons}),
         _accuracy(ds),
     ]
-
-
-def _shares(ds: xr.Dataset, counts: dict[str, int]) -> list[str]:
-    total = max(ds["regime"].size, 1) if "regime" in ds else 1
-    return [f"{meaning:<14}{count:>9}{100 * count / total:>7.1f} %" for meaning, count in counts.items()]
-
-
-def _hidden_motions(ds: xr.Dataset) -> list[str]:
-    if "hidden_motion" not in ds or "start" not in ds["hidden_motion"].dims:
-        return []
-    points = int(ds["hidden_motion"].any("start").sum())
-    return [f"at {points} points starts end in different motions under one label"] if points else []
+    return {part.name: part for part in parts}
 
 
 def orbit_lines(ds: xr.Dataset) -> list[str]:
@@ -93,9 +85,9 @@ def _nature_lines(ds: xr.Dataset) -> list[str]:
     ]
 
 
-def _failure_lines(ds: xr.Dataset) -> list[str]:
+def _failure_lines(ds: xr.Dataset, has_lanes: bool) -> list[str]:
     """Return lines that state how many lanes failed and, for each reason, how many and the first few lanes."""
-    if has_lanes(ds):
+    if has_lanes:
         mask = ds["regime"].isin([value for value, meaning in flags(ds["regime"]).items() if meaning == "failed"])
     elif "status" in ds:
         mask = ds["status"] != 0
@@ -108,16 +100,15 @@ def _failure_lines(ds: xr.Dataset) -> list[str]:
     for reason in np.unique(reasons[mask.values]).tolist():
         indices = np.argwhere(mask.values & (reasons == reason))
         lines += [f"{len(indices)} {meanings[reason]}"] if reason in meanings else []
-        lines += [_failure(ds, mask.dims, index) for index in indices[:_FAILURES_SHOWN].tolist()]
+        for index in indices[:_FAILURES_SHOWN].tolist():
+            lane = ds.isel(dict(zip(mask.dims, index, strict=True)))
+            values = ((name, lane[name].item()) for name in lane.coords if lane[name].ndim == 0)
+            texts = [
+                f"{name}={value:.10g}" if isinstance(value, float) else f"{name}={value}" for name, value in values
+            ]
+            why = flags(lane["reason"]).get(lane["reason"].item()) if "reason" in lane else None
+            lines.append("at " + " ".join(texts) + (f": {why}" if why else ""))
     return lines
-
-
-def _failure(ds: xr.Dataset, dims: tuple[Hashable, ...], index: list[int]) -> str:
-    lane = ds.isel(dict(zip(dims, index, strict=True)))
-    values = ((name, lane[name].item()) for name in lane.coords if lane[name].ndim == 0)
-    texts = [f"{name}={value:.10g}" if isinstance(value, float) else f"{name}={value}" for name, value in values]
-    reason = flags(lane["reason"]).get(lane["reason"].item()) if "reason" in lane else None
-    return "at " + " ".join(texts) + (f": {reason}" if reason else "")
 
 
 def _accuracy(ds: xr.Dataset) -> SummaryPart:
