@@ -6,7 +6,7 @@ import xarray as xr
 
 from vibrojax.analyses import WORDS
 from vibrojax.analyses.analysis import SummaryPart, analysis_of
-from vibrojax.analyses.sweep.summary import lane_parts
+from vibrojax.analyses.sweep.analysis import lane_parts
 from vibrojax.errors import printable
 from vibrojax.io.attributes import attribute_of, differing_of, history_of, parameters_of, run_of, text_of, title_of
 from vibrojax.io.kinds import kind_of

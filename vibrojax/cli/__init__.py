@@ -19,7 +19,7 @@ from typing import NoReturn
 from vibrojax.analyses import glossary
 from vibrojax.analyses.sweep.workers.shutdown import leave
 from vibrojax.cli.analyses import analysis_command, orbits
-from vibrojax.cli.command import Command, Options
+from vibrojax.cli.command import Command, Options, either, flag
 from vibrojax.cli.datasets import explore, info, plot
 from vibrojax.cli.points import follow, push, scenes, simulate
 from vibrojax.cli.studies import accuracy, fit, reproduce
@@ -37,6 +37,11 @@ _MALFORMED = (ArithmeticError, AssertionError, AttributeError, LookupError, Recu
 
 MAX_STDERR_LINE = 4000
 """Maximum length of a line on stderr [characters]: a line may quote a file."""
+
+_LOUDNESS = either(
+    flag("--quiet", "print only errors, warnings and the result"),
+    flag("--verbose", "say on stderr what was chosen, and how long each part took"),
+)
 
 _COMMANDS: dict[str, Command] = {
     "sweep": sweep,
@@ -178,14 +183,9 @@ def _parser(words: Collection[str]) -> ArgumentParser:
     for name, command in _commands().items():
         about = command.summary
         subparser = subparsers.add_parser(name, help=about, description=about, allow_abbrev=False)
-        if name not in words:
-            continue
-        for add_arguments in command.arguments:
-            add_arguments(subparser)
-        loudness = subparser.add_mutually_exclusive_group()
-        loudness.add_argument("--quiet", action="store_true", help="print only errors, warnings and the result")
-        verbose = "say on stderr what was chosen, and how long each part took"
-        loudness.add_argument("--verbose", action="store_true", help=verbose)
+        if name in words:
+            for add_arguments in (*command.arguments, _LOUDNESS):
+                add_arguments(subparser)
     return parser
 
 

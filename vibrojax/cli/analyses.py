@@ -25,8 +25,8 @@ _SWEEP = "a sweep: a bundled name, like regime-map, or the path of a TOML file; 
 def orbits(options: Options) -> None:
     """Find the periodic orbits of a sweep's lanes, with their multipliers and stability."""
     from vibrojax.analyses.orbits.rerun import sweep_with_orbits
+    from vibrojax.analyses.sweep.analysis import orbit_lines
     from vibrojax.analyses.sweep.run import run_to_file
-    from vibrojax.analyses.sweep.summary import orbit_lines
     from vibrojax.io.dataset import open_dataset
 
     file = str(options.file)
