@@ -121,10 +121,10 @@ def test_a_list_is_as_many_families(here, capsys):
     assert main(["plot", "three.nc", "--where", "beta=0.4", "-o", "middle.png"]) == 0
 
 
-def test_families_without_an_orbit_are_named():
-    three = vj.follow("vibro-impact", along="gamma", at=0.45, span=(0.42, 0.5), beta=[0.4, 0.42], progress=False)
+def test_families_without_an_orbit_are_named(here):
+    three = open_dataset("three.nc")
     part = three.isel(
-        point=np.flatnonzero(three["point_family"] == 0), special=np.flatnonzero(three["special_family"] == 0)
+        point=np.flatnonzero(three["point_family"] < 2), special=np.flatnonzero(three["special_family"] < 2)
     )
     assert family_lines(part)[-1] == "no orbit to begin with: beta 0.42"
 
