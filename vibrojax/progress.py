@@ -81,7 +81,12 @@ class Progress:
                     print(line, file=self._stream, flush=True)
                 return
             if self._bar is None:
-                self._bar = _bar(self._total, line)
+                from tqdm import tqdm  # slow to import, and needed only on a terminal
+
+                # Some terminals report a size of zero columns and lines, on which tqdm would draw nothing.
+                columns, lines = get_terminal_size()
+                layout = {"bar_format": "[{bar:30}] {desc}", "ascii": ".#", "ncols": columns - 1, "nrows": lines}
+                self._bar = tqdm(desc=line, total=self._total, file=sys.stderr, **layout)
                 self._on_terminal.add(self)
             self._bar.n = self._done
             self._bar.set_description_str(line, refresh=complete)
@@ -174,16 +179,6 @@ def timed(name: str) -> Iterator[None]:
     began = time.monotonic()
     yield
     LOG.info("%s: %.2f s", name, time.monotonic() - began)
-
-
-def _bar(total: Amount, line: str) -> "tqdm.tqdm":
-    """Return a progress bar whose text is set by the caller."""
-    from tqdm import tqdm  # slow to import, and needed only on a terminal
-
-    # Some terminals report a size of zero columns and lines, on which tqdm would draw nothing.
-    columns, lines = get_terminal_size()
-    layout = {"bar_format": "[{bar:30}] {desc}", "ascii": ".#", "ncols": columns - 1, "nrows": lines}
-    return tqdm(desc=line, total=total, file=sys.stderr, **layout)
 
 
 def _number(amount: Amount) -> str:

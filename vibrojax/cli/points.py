@@ -130,17 +130,10 @@ def follow(options: Options) -> None:
     from vibrojax.analyses.continuation.spec import OBSERVE, SETTLE, read_asked
     from vibrojax.measures.ledger import MOST_CYCLES
 
-    request = read_asked(
-        options.scene,
-        along=settings["along"],
-        at=settings["at"],
-        span=(settings["from"], settings["to"]),
-        start=settings.get("start"),
-        settle=settings.get("settle", SETTLE.default),
-        observe=settings.get("observe", OBSERVE.default),
-        cycles=whole(settings.get("cycles", MOST_CYCLES)),
-        parameters=parameters,
-    )
+    defaults = {"start": None, "settle": SETTLE.default, "observe": OBSERVE.default, "cycles": MOST_CYCLES}
+    asked: dict[str, Any] = defaults | settings
+    asked |= {"span": (asked.pop("from"), asked.pop("to")), "cycles": whole(asked["cycles"])}
+    request = read_asked(options.scene, parameters=parameters, **asked)
 
     def compute() -> "xarray.Dataset":
         from vibrojax.analyses.continuation.run import follow_asked
@@ -173,17 +166,11 @@ def push(options: Options) -> None:
     settings, parameters = named_values(Place("push"), options.values, PUSH_SETTINGS, lists=True)
     from vibrojax.analyses.push.spec import PRECISION, SCAN, read_pushed
 
-    bounds = {name.removeprefix(_MOST): value for name, value in settings.items() if name.startswith(_MOST)}
-    request = read_pushed(
-        options.scene,
-        start=settings.get("start"),
-        most=bounds or None,
-        scan=whole(settings.get("scan", SCAN)),
-        precision=settings.get("precision", PRECISION),
-        settle=settings.get("settle", 40.0),
-        observe=settings.get("observe", 8.0),
-        parameters=parameters,
-    )
+    defaults = {"start": None, "scan": SCAN, "precision": PRECISION, "settle": 40.0, "observe": 8.0}
+    asked: dict[str, Any] = defaults | settings
+    most = {name.removeprefix(_MOST): asked.pop(name) for name in settings if name.startswith(_MOST)}
+    asked |= {"scan": whole(asked["scan"]), "most": most or None}
+    request = read_pushed(options.scene, parameters=parameters, **asked)
 
     def compute() -> "xarray.Dataset":
         from vibrojax.analyses.push.run import push_asked
