@@ -24,8 +24,6 @@ from vibrojax.io.formatting import size_text, time_text
 from vibrojax.progress import timed
 
 if TYPE_CHECKING:
-    import xarray
-
     from vibrojax.analyses.analysis import SummaryPart
     from vibrojax.io.standing import Standing
 
@@ -185,10 +183,18 @@ def explore(options: Options) -> None:
     if scene and options.over:
         raise InputError("explore: --over: a motion has no map to lay borders over; leave it out")
     if not options.live:
-        out = output(options.out or path.with_suffix(".html"), (".html",))
-    with timed("read"):
-        dataset = _motion(options) if scene else open_dataset(path)
-        over = open_dataset(Path(options.over)) if options.over else None
+        out = output(options.out, (".html",)) if options.out else path.with_suffix(".html")
+    over = None
+    if scene:
+        from vibrojax.sweep.simulation import simulate
+
+        settings, parameters = named_values(Place("explore"), options.values, SIMULATE_SETTINGS, lists=False)
+        arguments: dict[str, Any] = settings | parameters
+        dataset = simulate(options.file, **arguments, progress=progress)
+    else:
+        with timed("read"):
+            dataset = open_dataset(path)
+            over = open_dataset(Path(options.over)) if options.over else None
     with dataset:
         try:
             if options.live:
@@ -206,15 +212,6 @@ def explore(options: Options) -> None:
         _serve(options, live)
     elif progress:
         print(f"{out}: {out.stat().st_size / 1e6:.1f} MB")
-
-
-def _motion(options: Options) -> "xarray.Dataset":
-    """Return the motion of a scene that the page shows first."""
-    from vibrojax.sweep.simulation import simulate
-
-    settings, parameters = named_values(Place("explore"), options.values, SIMULATE_SETTINGS, lists=False)
-    arguments: dict[str, Any] = settings | parameters
-    return simulate(options.file, **arguments, progress=not options.quiet)
 
 
 def _serve(options: Options, live: Any) -> None:
