@@ -11,10 +11,9 @@ import xarray as xr
 
 import vibrojax as vj
 from vibrojax import cli
-from vibrojax.analyses import registry
-from vibrojax.analyses.registry import analysis_named, analysis_of
+from vibrojax.analyses.analysis import _USED, analysis_named, analysis_of, offered_analyses
 from vibrojax.cli import main
-from vibrojax.cli.analysis import AnalysisCommand
+from vibrojax.cli.analyses import analysis_command
 from vibrojax.io.kinds import STRUCTURES, kind_of
 
 OUTSIDE = Path(__file__).parent / "outside"
@@ -37,17 +36,29 @@ def campbell(tmp_path_factory):
     (folder / "campbell-1.0.dist-info" / "entry_points.txt").write_text(entry_points)
     (folder / "campbell.py").write_text((OUTSIDE / "campbell.py").read_text())
     (folder / "speeds.toml").write_text(SWEEP)
-    assert "picture" in command(folder, "campbell", "speeds.toml", "--orders", "3").stdout
-    return folder
-
-
-def command(folder, *words, status=0):
     code = (
         f"import sys; sys.path.insert(0, {str(folder)!r}); from vibrojax.cli import main; sys.exit(main(sys.argv[1:]))"
     )
+    words = ["campbell", "speeds.toml", "--orders", "3"]
     done = subprocess.run([sys.executable, "-c", code, *words], cwd=folder, capture_output=True, text=True)
-    assert done.returncode == status, done.stderr
-    return done
+    assert done.returncode == 0 and "picture" in done.stdout, done.stderr
+    return folder
+
+
+@pytest.fixture
+def command(campbell, monkeypatch, capsys):
+    """Return what a command prints where the package is installed, on stdout or, if it is refused, on stderr."""
+    monkeypatch.chdir(campbell)
+    monkeypatch.syspath_prepend(campbell)
+    offered_analyses.cache_clear()
+
+    def run(*words, status=0):
+        assert main(words) == status
+        printed = capsys.readouterr()
+        return printed.err if status else printed.out
+
+    yield run
+    offered_analyses.cache_clear()
 
 
 def test_the_command_of_another_package_writes_and_draws(campbell):
@@ -58,28 +69,27 @@ def test_the_command_of_another_package_writes_and_draws(campbell):
         assert np.abs(ds["fundamental"] - ds["mode"][:, 1]).max() < 1 / 8
 
 
-def test_help_info_and_plot_know_it(campbell):
-    assert "campbell" in command(campbell, "--help").stdout
-    assert "highest frequency, Hz" in command(campbell, "campbell", "--help").stdout
-    assert "spectrum  fundamental frequency from" in command(campbell, "info", "speeds-campbell.nc").stdout
-    assert "strongest frequency of the bit" in command(campbell, "scenes", "rotary").stdout
-    facts = json.loads(command(campbell, "info", "speeds-campbell.nc", "--json").stdout)
+def test_help_info_and_plot_know_it(command):
+    assert "campbell" in command("--help")
+    assert "highest frequency, Hz" in command("campbell", "--help")
+    assert "spectrum  fundamental frequency from" in command("info", "speeds-campbell.nc")
+    assert "strongest frequency of the bit" in command("scenes", "rotary")
+    facts = json.loads(command("info", "speeds-campbell.nc", "--json"))
     assert facts["kind"] == "campbell" and len(facts["fundamental"]) == 2
-    drawn = command(campbell, "plot", "speeds-campbell.nc", "-o", "again.png")
-    assert drawn.stdout == "again.png\n" and (campbell / "again.png").exists()
+    assert command("plot", "speeds-campbell.nc", "-o", "again.png") == "again.png\n" and Path("again.png").exists()
 
 
-def test_a_broken_offer_is_one_line(campbell):
-    refused = command(campbell, "broken", "speeds.toml", status=2).stderr
+def test_a_broken_offer_is_one_line(command):
+    refused = command("broken", "speeds.toml", status=2)
     assert refused.count("\n") == 1 and "entry point vibrojax.analyses: broken" in refused
-    command(campbell, "scenes")  # which does not import what it does not need
+    command("scenes")  # which does not import what it does not need
 
 
-def test_its_mistakes_are_one_line(campbell):
-    (campbell / "plane.toml").write_text(SWEEP.replace("[run]", "[run]\n").replace("v =", "k1 = [1e5, 2e5]\nv ="))
-    refused = command(campbell, "campbell", "plane.toml", status=2).stderr
+def test_its_mistakes_are_one_line(command):
+    Path("plane.toml").write_text(SWEEP.replace("v =", "k1 = [1e5, 2e5]\nv ="))
+    refused = command("campbell", "plane.toml", status=2)
     assert refused == "vibrojax: campbell: the sweep has 2 axes; give one with a single axis\n"
-    refused = command(campbell, "campbell", "speeds.toml", "--orders", "few", status=2).stderr
+    refused = command("campbell", "speeds.toml", "--orders", "few", status=2)
     assert refused == 'vibrojax: --orders: "few" is not a number\n'
 
 
@@ -126,8 +136,8 @@ class Orbits(vj.SweepAnalysis):
 
 def test_a_command_states_the_kind_of_an_analysis_that_does_not(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setitem(registry._USED, Orbits.kind, Orbits())
-    monkeypatch.setitem(cli._COMMANDS, Orbits.kind, AnalysisCommand(Orbits.kind, "count"))
+    monkeypatch.setitem(_USED, Orbits.kind, Orbits())
+    monkeypatch.setitem(cli._COMMANDS, Orbits.kind, analysis_command(Orbits.kind, "count"))
     point = 'scene = "vibro-impact"\nstarts = ["stuck"]\n[grid]\ngamma = [0.75]\n[parameters]\ndelta = 0.005\n'
     Path("one.toml").write_text(point)
     assert main([Orbits.kind, "one.toml", "-o", "one.nc"]) == 0

@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 
 import vibrojax as vj
-from vibrojax.analyses.glossary import WORDS
+from vibrojax.analyses import WORDS
 from vibrojax.cli import main
-from vibrojax.cli.completion import files, scenes, sweeps, values_with
-from vibrojax.cli.simulate import SETTINGS
+from vibrojax.cli.command import files, scene_names, sweep_names, values_with
+from vibrojax.cli.points import SIMULATE_SETTINGS
 
 ROOT = Path(__file__).parents[1]
 SWEEP = """scene = "penetration"
@@ -154,10 +154,14 @@ def test_words_are_explained_where_they_are_printed(here, capsys):
 
 def test_what_may_stand_there_is_told(here):
     parsed = Namespace(scene="vibro-impact", values=["beta=0.4"])
-    assert scenes("vi") == ["vibro-impact"] and sweeps("regime") == ["regime-map"] and sweeps("m") == ["map.toml"]
+    assert (
+        scene_names("vi") == ["vibro-impact"]
+        and sweep_names("regime") == ["regime-map"]
+        and sweep_names("m") == ["map.toml"]
+    )
     assert files(".nc")("map.") == ["map.nc"] and files(".nc")(f"{here}/map.") == [f"{here}/map.nc"]
     assert files(".nc")("/no/such/folder/") == []
-    values = values_with(SETTINGS)
+    values = values_with(SIMULATE_SETTINGS)
     assert values("b", parsed) == ["bit_radius="]  # beta is there already
     assert values("start=", parsed) == ["start=drive", "start=stuck", "start=touching"]
     assert values("friction=cou", parsed) == ["friction=coulomb"]

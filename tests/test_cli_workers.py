@@ -79,7 +79,7 @@ def test_extras_that_are_not_installed(words, module, extra, capsys, monkeypatch
 
 def test_a_scheduler_that_does_not_answer(capsys, monkeypatch):
     pytest.importorskip("distributed")
-    monkeypatch.setattr("vibrojax.cli.workers.SCHEDULER_TIMEOUT", "0.3 s")
+    monkeypatch.setattr("vibrojax.cli.sweeps.SCHEDULER_TIMEOUT", "0.3 s")
     line = refused(capsys, "sweep", "map.toml", "--workers", "dask://127.0.0.1:1")
     assert "--workers dask://127.0.0.1:1: no scheduler of dask answers there" in line
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
-from vibrojax.analyses.pictures import regime_map
+from vibrojax.analyses.pictures import picture
 from vibrojax.analyses.summary import summarise, summary_lines
 from vibrojax.measures.labels import SINGLE_IMPACT, hides_another
 
@@ -56,7 +56,7 @@ def test_three_starts_one_label(swept):
 
 
 def test_the_map_marks_it(swept):
-    figure = regime_map(swept)
+    figure = picture(swept)
     panels = [axes for axes in figure.axes if axes.get_title().startswith("start:")]
     for axes, start in zip(panels, STARTS, strict=True):
         marks = next(one for one in axes.collections if type(one).__name__ == "PathCollection")

@@ -53,12 +53,13 @@ def steers(text):
     return {one for one in text if one != "\n" and unicodedata.category(one) in ("Cc", "Cf", "Cs", "Zl", "Zp")}
 
 
-@pytest.mark.parametrize("name", REFUSED)
-def test_what_is_malformed_is_refused_in_one_line(sweep, said, name):
-    """By every command in the same words: one reader checks what is opened."""
+@pytest.mark.parametrize(("number", "name"), enumerate(REFUSED), ids=REFUSED)
+def test_what_is_malformed_is_refused_in_one_line(sweep, said, number, name):
+    """By every command in the same words: one reader checks what is opened, so that two commands at a time will do."""
     change, about = REFUSED[name]
     ds = change(sweep)
-    for words in (*READ, *RUN):
+    commands = (*READ, *RUN)
+    for words in (commands[0], commands[number % len(commands)]):
         status, out, err = said(words, ds)
         assert (status, out, err.count("\n")) == (2, "", 1), words
         assert f"sent.nc: {about}" in err or about in err, err

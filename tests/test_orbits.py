@@ -10,7 +10,7 @@ from exact import orbits as exact
 from random_orbits import in_upper_half
 
 import vibrojax as vj
-from vibrojax.analyses.sweep.summary import orbit_lines
+from vibrojax.analyses.sweep.analysis import orbit_lines
 from vibrojax.cli import main
 from vibrojax.errors import InputError
 from vibrojax.io.dataset import open_dataset

@@ -14,7 +14,7 @@ from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from read_off import axis_labels, check_texts, legend, meshes, note, outlines, panel, titles
 
-from vibrojax.analyses.pictures import REGIME_COLOURS, bifurcation, picture, regime_map, save_picture, trajectory
+from vibrojax.analyses.pictures import REGIME_COLOURS, bifurcation, picture, save_picture, trajectory
 from vibrojax.errors import InputError
 
 MEANINGS = "undecided equilibrium impact-free single-impact multi-impact subharmonic irregular failed"
@@ -118,7 +118,7 @@ def run(duration=12.0, impacts=True, events=True):
 
 
 def test_every_gap_and_start_has_a_panel_for_each_quantity():
-    figure = regime_map(lanes(square(9, delta=[-0.005, 0.005])))
+    figure = picture(lanes(square(9, delta=[-0.005, 0.005])))
     expected = [f"Δ = {gap} mm, start: {start}" for gap in ("−5", "5") for start in ("drive", "stuck")]
     assert titles(figure) == expected
     assert [len(meshes(figure, name)) for name in (None, "viridis", "cividis")] == [4, 4, 4]
@@ -129,14 +129,14 @@ def test_every_gap_and_start_has_a_panel_for_each_quantity():
 
 def test_a_panel_shows_the_lanes_of_its_title():
     ds = lanes(square(7, delta=[-0.005, 0.005]))
-    shown = dict(zip(titles(figure := regime_map(ds)), meshes(figure), strict=True))
+    shown = dict(zip(titles(figure := picture(ds)), meshes(figure), strict=True))
     lane = ds["regime"].sel(delta=0.005, start="drive").transpose("beta", "gamma").values
     assert np.array_equal(shown["Δ = 5 mm, start: drive"].get_array(), lane)
 
 
 @pytest.mark.parametrize("flag", range(8))
 def test_a_flag_has_its_colour_whatever_else_is_there(flag):
-    alone = meshes(regime_map(lanes(square(4), regime=flag)))[0]
+    alone = meshes(picture(lanes(square(4), regime=flag)))[0]
     assert to_hex(alone.to_rgba(alone.get_array())[0, 0]).upper() == REGIME_COLOURS[flag]
 
 
@@ -145,7 +145,7 @@ def test_a_flag_without_a_colour_is_refused_by_name():
     ds["regime"].values[1, 2] = 9
     ds["regime"].attrs |= {"flag_values": np.arange(10, dtype=np.int8), "flag_meanings": f"{MEANINGS} hopping rattling"}
     with pytest.raises(InputError, match=r"regime: flag 9 \(rattling\) is not a regime with a colour") as refused:
-        regime_map(ds)
+        picture(ds)
     assert "\n" not in str(refused.value)
 
 
@@ -177,13 +177,12 @@ def test_the_legend_has_the_regimes_that_are_there_with_their_shares():
     ds = lanes(square(4), ("drive",))
     ds["regime"].values[:] = 3
     ds["regime"].values[0, 0], ds["regime"].values[1] = 6, 7
-    assert legend(regime_map(ds))[:3] == ["single-impact  69 %", "irregular  6 %", "failed  25 %"]
+    assert legend(picture(ds))[:3] == ["single-impact  69 %", "irregular  6 %", "failed  25 %"]
 
 
 def test_the_source_region_is_outlined_on_beta_and_gamma_only():
-    assert np.allclose(outlines(regime_map(lanes(square(9)))), [0.6, 0.25, 0.8, 0.6])
-    assert np.allclose(outlines(regime_map(lanes(square(9)), x="beta")), [0.25, 0.6, 0.6, 0.8])
-    other = regime_map(lanes({"v": np.linspace(0.5, 2, 5), "gamma": np.linspace(0.3, 1.2, 5)}))
+    assert np.allclose(outlines(picture(lanes(square(9)))), [0.6, 0.25, 0.8, 0.6])
+    other = picture(lanes({"v": np.linspace(0.5, 2, 5), "gamma": np.linspace(0.3, 1.2, 5)}))
     assert not outlines(other)
     assert "source's best region" not in legend(other)
 
@@ -191,7 +190,7 @@ def test_the_source_region_is_outlined_on_beta_and_gamma_only():
 def test_lanes_without_a_value_are_grey():
     ds = lanes(square(6), ("drive",))
     ds["impact_velocity"][{"beta": 2, "gamma": 3, "start": 0}] = np.nan
-    mesh = meshes(figure := regime_map(ds), "viridis")[0]
+    mesh = meshes(figure := picture(ds), "viridis")[0]
     assert np.argwhere(mesh.get_array().mask).tolist() == [[2, 3]]
     assert to_hex(mesh.get_cmap().get_bad()) == "#d0d0d0"
     assert "no value" in legend(figure)
@@ -200,14 +199,14 @@ def test_lanes_without_a_value_are_grey():
 def test_panels_share_limits_that_an_outlier_does_not_stretch():
     ds = lanes(square(12, delta=[-0.005, 0.005]))
     ds["impact_velocity"][{"beta": 0, "gamma": 0, "delta": 0, "start": 0}] = 1e6
-    norms = {(mesh.norm.vmin, mesh.norm.vmax) for mesh in meshes(regime_map(ds), "viridis")}
+    norms = {(mesh.norm.vmin, mesh.norm.vmax) for mesh in meshes(picture(ds), "viridis")}
     assert len(norms) == 1
     assert norms.pop()[1] < 10
 
 
 def test_cells_end_halfway_and_geometric_axes_are_logarithmic():
     ds = lanes({"v": [0.5, 1.0, 2.0, 4.0], "delta": [-0.004, 0.0, 0.002]}, ("drive",))
-    mesh = meshes(regime_map(ds))[0]
+    mesh = meshes(picture(ds))[0]
     corners = mesh.get_coordinates()
     assert np.allclose(corners[0, :, 0], 0.5 * 2.0 ** np.arange(-0.5, 4))
     assert np.allclose(corners[:, 0, 1], [-6, -2, 1, 3])  # mm
@@ -217,17 +216,17 @@ def test_cells_end_halfway_and_geometric_axes_are_logarithmic():
 def test_values_in_any_order_are_drawn_in_theirs():
     ds = lanes(square(5), ("drive",))
     upside = ds.isel(beta=[3, 0, 4, 1, 2])
-    assert np.array_equal(meshes(regime_map(upside))[0].get_array(), meshes(regime_map(ds))[0].get_array())
+    assert np.array_equal(meshes(picture(upside))[0].get_array(), meshes(picture(ds))[0].get_array())
 
 
 def test_a_choice_between_a_few_values_is_left_to_panels():
-    figure = regime_map(lanes({"beta": [0.25, 0.6], "v": np.linspace(0.5, 2, 7), "delta": np.linspace(0, 0.02, 6)}))
+    figure = picture(lanes({"beta": [0.25, 0.6], "v": np.linspace(0.5, 2, 7), "delta": np.linspace(0, 0.02, 6)}))
     assert titles(figure)[0] == "β = 0.25, start: drive"
     assert {"drive speed, v [m/s]", "gap between striker and bit,\nΔ [mm]"} <= axis_labels(figure)
 
 
 def test_too_many_panels_are_thinned_and_the_figure_says_so():
-    figure = regime_map(lanes(square(3, v=np.linspace(0.5, 2, 4), delta=[-0.005, 0.0, 0.005])))
+    figure = picture(lanes(square(3, v=np.linspace(0.5, 2, 4), delta=[-0.005, 0.0, 0.005])))
     assert len(meshes(figure)) == 12
     assert "v = 0.5, 2 m/s (2 of 4 values)" in note(figure)
     assert titles(figure)[0] == "v = 0.5 m/s, Δ = −5 mm, start: drive"
@@ -235,13 +234,13 @@ def test_too_many_panels_are_thinned_and_the_figure_says_so():
 
 def test_axes_of_one_value_and_fixed_parameters_are_in_a_note():
     ds = lanes(square(4, delta=[-0.005]), ("drive",)).assign_attrs(parameters=json.dumps({"v": 1.5, "k0": 5e7}))
-    figure = regime_map(ds)
+    figure = picture(ds)
     assert note(figure) == "Δ = −5 mm, start: drive, v = 1.5 m/s"
     assert not titles(figure)
 
 
 def test_plain_data_without_attributes_is_drawn_by_names():
-    figure = regime_map(lanes(square(4, delta=[-0.005, 0.005]), attrs=False))
+    figure = picture(lanes(square(4, delta=[-0.005, 0.005]), attrs=False))
     assert titles(figure)[0] == "delta = −0.005, start: drive"
     assert {"beta", "gamma", "impact velocity", "period"} <= axis_labels(figure)
 
@@ -249,15 +248,7 @@ def test_plain_data_without_attributes_is_drawn_by_names():
 def test_a_scene_without_impacts_shows_period_and_amplitude():
     ds = lanes(square(4)).drop_vars("impact_velocity")
     ds["bit_amplitude"] = ds["period"].dims, 0.05 + 0 * ds["period"].values, {"units": "m"}
-    assert {"period [s]", "bit amplitude [mm]"} <= axis_labels(regime_map(ds))
-
-
-@pytest.mark.parametrize(
-    ("x", "y", "said"), [("k0", None, '"k0"'), ("beta", "beta", "twice"), (None, "start", '"start"')]
-)
-def test_a_wrong_axis_is_refused_by_name(x, y, said):
-    with pytest.raises(InputError, match=said):
-        regime_map(lanes(square(4)), x=x, y=y)
+    assert {"period [s]", "bit amplitude [mm]"} <= axis_labels(picture(ds))
 
 
 # One axis, and lists of points.
@@ -265,7 +256,7 @@ def test_a_wrong_axis_is_refused_by_name(x, y, said):
 
 def test_one_axis_gives_a_line_for_each_start_above_its_regimes():
     ds = lanes({"gamma": np.linspace(0.3, 1.2, 11), "delta": [-0.005, 0.005]})
-    figure = regime_map(ds)
+    figure = picture(ds)
     assert titles(figure) == ["Δ = −5 mm", "Δ = 5 mm"]
     velocity, period, strip = figure.axes[:3]
     lines = {line.get_label(): line.get_ydata() for line in velocity.lines}
@@ -279,7 +270,7 @@ def test_one_axis_gives_a_line_for_each_start_above_its_regimes():
 
 def test_points_over_two_parameters_are_scattered_by_start():
     ds = points()
-    figure = regime_map(ds)
+    figure = picture(ds)
     assert titles(figure) == ["start: drive", "start: stuck"]
     dots = [c for c in figure.axes[0].collections if isinstance(c, PathCollection) and len(c.get_offsets())]
     here = ds["start"].values == "drive"
@@ -289,7 +280,7 @@ def test_points_over_two_parameters_are_scattered_by_start():
 
 def test_points_over_more_parameters_are_counted():
     ds = points(also_v=True)
-    bars = {axes.get_title("left"): [bar.get_width() for bar in axes.patches] for axes in regime_map(ds).axes}
+    bars = {axes.get_title("left"): [bar.get_width() for bar in axes.patches] for axes in picture(ds).axes}
     for start in ("drive", "stuck"):
         here = ds["regime"].values[ds["start"].values == start]
         assert bars[f"start: {start}"] == [np.count_nonzero(here == flag) for flag in (2, 3, 6)]
@@ -428,7 +419,7 @@ def test_pyplot_stays_out_of_it():
 
 
 def test_a_figure_shows_itself_in_a_notebook():
-    figure = regime_map(lanes(square(3)))
+    figure = picture(lanes(square(3)))
     assert isinstance(figure, Figure)
     assert figure._repr_png_().startswith(b"\x89PNG")
 

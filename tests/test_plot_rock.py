@@ -10,7 +10,7 @@ from matplotlib.colors import LogNorm, to_hex
 from read_off import axis_labels, check_texts, legend, meshes, note, panel, titles
 
 import vibrojax as vj
-from vibrojax.analyses.pictures import fitted_law, picture, pulses, rate_map, rates, response
+from vibrojax.analyses.pictures import picture, pulses, rates, response
 from vibrojax.errors import InputError
 
 AXES = {
@@ -293,13 +293,6 @@ def test_the_border_of_single_impacts_lies_between_the_regimes():
     assert np.allclose(rate.get_array(), 1e3 * ds["rate_of_penetration"].isel(start=0))
 
 
-@pytest.mark.parametrize("x", ["rock", "force"])
-def test_a_wrong_axis_of_a_map_is_refused_by_name(x):
-    ds = rock({"k3": np.linspace(1e8, 5e8, 9), "zeta": np.linspace(0.5, 1.5, 9)})
-    with pytest.raises(InputError, match=f'"{x}"'):
-        rate_map(ds, x=x)
-
-
 # Lists of points.
 
 
@@ -431,7 +424,7 @@ def test_a_fit_over_one_axis_has_error_bars_and_the_distance_from_the_best_form(
 
 
 def test_a_fit_of_one_group_is_drawn_over_the_forms():
-    figure = fitted_law(law({}))
+    figure = picture(law({}))
     assert [text.get_text() for text in figure.axes[1].get_xticklabels()] == FORMS
     assert [text.get_text() for text in figure.axes[0].get_xticklabels()] == ["onset", "literal", "percent"]
 
@@ -439,9 +432,9 @@ def test_a_fit_of_one_group_is_drawn_over_the_forms():
 def test_groups_without_a_c_are_counted():
     fit = law({"force": [2e5, 2.5e5, 3e5]})
     fit["C"][{"force": 0}] = np.nan
-    assert "Groups without a C, of 3: 1" in note(fitted_law(fit))
+    assert "Groups without a C, of 3: 1" in note(picture(fit))
     fit["C"][{"force": 1, "form": 2}] = np.nan
-    assert "Groups without a C, of 3: onset: 2, literal: 1, percent: 1" in note(fitted_law(fit))
+    assert "Groups without a C, of 3: onset: 2, literal: 1, percent: 1" in note(picture(fit))
 
 
 def test_a_fit_over_long_axes_is_a_map_of_the_best_form_and_of_c():

@@ -11,7 +11,7 @@ from read_off import axis_labels, legend, meshes, note, titles
 from test_plot import COORDINATES, flagged, returns
 
 import vibrojax as vj
-from vibrojax.analyses.pictures import picture, regime_map
+from vibrojax.analyses.pictures import picture
 from vibrojax.plot.sheet import PAGE
 
 UNITS = {"x1": "m", "v1": "m s-1", "x2": "m", "v2": "m s-1"}
@@ -175,11 +175,6 @@ def test_returns_of_many_starts_have_the_colours_of_their_regimes():
     assert len(dots.get_offsets()) < 50 * 7 * 4  # one of those on top of each other
     assert np.array_equal(dots.get_array() == 3, dots.get_offsets()[:, 1] > 1.0)
     assert "start: " not in " ".join(legend(figure))
-
-
-def test_axes_may_be_chosen_for_the_shares_too():
-    figure = regime_map(basin(sample(30), LONG | {"delta": [-0.005, 0.005]}), x="delta", y="beta")
-    assert meshes(figure, "viridis")[0].get_array().shape == (8, 2)
 
 
 def test_many_starts_of_a_list_of_points_are_shares_or_counts():

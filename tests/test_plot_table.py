@@ -10,7 +10,7 @@ import test_plot_rock as rocks
 import test_plot_starts as starts
 import xarray as xr
 
-from vibrojax.analyses.registry import analysis_named, analysis_of
+from vibrojax.analyses.analysis import analysis_named, analysis_of
 from vibrojax.io.kinds import STRUCTURES
 from vibrojax.plot.contents import Contents
 

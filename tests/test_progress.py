@@ -47,80 +47,55 @@ def shown_on(monkeypatch):
     return stand_in
 
 
-def lines(stream) -> list[str]:
-    return stream.getvalue().splitlines()
+LINES = {
+    # programs compile for 60 s: they do not count, except in the time of all of it
+    "plain lines come now and then": (
+        {"total": 1000, "unit": "lanes"},
+        [60, ("add", 100), *[1, ("add", 50)] * 18],
+        ["100/1000 lanes", "600/1000 lanes, 50 lanes/s, 8 s left", "1000/1000 lanes, 13 lanes/s, 78.0 s"],
+    ),
+    "an earlier run is no part of the pace": (
+        {"total": 1000, "unit": "lanes"},
+        [("resume", 600), 20, ("add", 100), 10, ("add", 100), 10, ("add", 200)],
+        [
+            "600 of 1000 lanes are there from an earlier run",
+            "700/1000 lanes",
+            "800/1000 lanes, 10 lanes/s, 20 s left",
+            "1000/1000 lanes, 10 lanes/s, 40.0 s",
+        ],
+    ),
+    "nothing is resumed from nothing": ({"total": 1000, "unit": "lanes"}, [("resume", 0)], []),
+    # the last step may go beyond
+    "measures have no pace but a time left": (
+        {"total": 20.0, "unit": "s simulated", "pace": False},
+        [10, ("reach", 2.0), 10, ("reach", 4.52), 1, ("reach", 20.3)],
+        ["2/20 s simulated", "4.5/20 s simulated, 61 s left", "20/20 s simulated, 21.0 s"],
+    ),
+    "each outcome has its line": (
+        {"total": 2, "unit": "settings", "pace": False},
+        [("add", 1, "error 1e-06"), 3, ("add", 1, "error 2e-06")],
+        ["1/2 settings: error 1e-06", "2/2 settings, 3.0 s: error 2e-06"],
+    ),
+    "lines of its own tell the time": (
+        {"total": 2, "unit": "needs"},
+        [12, ("say", "rotary: 40 points")],
+        ["   12 s  rotary: 40 points"],
+    ),
+}
 
 
-def test_plain_lines_come_now_and_then(clock, shown_on):
+@pytest.mark.parametrize("name", LINES)
+def test_lines(name, clock, shown_on):
+    """Steps are seconds that pass, or methods with their arguments."""
+    settings, steps, expected = LINES[name]
     stream = shown_on(io.StringIO())
-    progress = Progress(1000, "lanes")
-    clock.now += 60.0  # programs compile
-    progress.add(100)
-    for _ in range(18):
-        clock.now += 1.0
-        progress.add(50)
-    assert lines(stream) == [
-        "100/1000 lanes",  # no pace yet
-        "600/1000 lanes, 50 lanes/s, 8 s left",  # ten seconds later; what was compiled does not count
-        "1000/1000 lanes, 13 lanes/s, 78.0 s",  # all of it
-    ]
-
-
-def test_what_an_earlier_run_has_done_is_said_and_is_no_part_of_the_pace(clock, shown_on):
-    stream = shown_on(io.StringIO())
-    progress = Progress(1000, "lanes")
-    progress.resume(600)
-    clock.now += 20.0
-    progress.add(100)
-    clock.now += 10.0
-    progress.add(100)
-    clock.now += 10.0
-    progress.add(200)
-    assert lines(stream) == [
-        "600 of 1000 lanes are there from an earlier run",
-        "700/1000 lanes",
-        "800/1000 lanes, 10 lanes/s, 20 s left",
-        "1000/1000 lanes, 10 lanes/s, 40.0 s",
-    ]
-
-
-def test_nothing_is_resumed_from_nothing(shown_on):
-    stream = shown_on(io.StringIO())
-    Progress(1000, "lanes").resume(0)
-    assert stream.getvalue() == ""
-
-
-def test_measures_have_no_pace_but_a_time_left(clock, shown_on):
-    stream = shown_on(io.StringIO())
-    progress = Progress(20.0, "s simulated", pace=False)
-    clock.now += 10.0
-    progress.reach(2.0)
-    clock.now += 10.0
-    progress.reach(4.52)
-    clock.now += 1.0
-    progress.reach(20.3)  # the last step may go beyond
-    assert lines(stream) == [
-        "2/20 s simulated",
-        "4.5/20 s simulated, 61 s left",
-        "20/20 s simulated, 21.0 s",
-    ]
-
-
-def test_each_outcome_has_its_line(clock, shown_on):
-    stream = shown_on(io.StringIO())
-    progress = Progress(2, "settings", pace=False)
-    progress.add(1, "error 1e-06")
-    clock.now += 3.0
-    progress.add(1, "error 2e-06")
-    assert lines(stream) == ["1/2 settings: error 1e-06", "2/2 settings, 3.0 s: error 2e-06"]
-
-
-def test_lines_of_its_own_tell_the_time(clock, shown_on):
-    stream = shown_on(io.StringIO())
-    progress = Progress(2, "needs")
-    clock.now += 12.0
-    progress.say("rotary: 40 points")
-    assert stream.getvalue() == "   12 s  rotary: 40 points\n"
+    progress = Progress(**settings)
+    for step in steps:
+        if isinstance(step, int):
+            clock.now += step
+        else:
+            getattr(progress, step[0])(*step[1:])
+    assert stream.getvalue().splitlines() == expected
 
 
 def test_a_bar_is_drawn_over_on_a_terminal(clock, shown_on):

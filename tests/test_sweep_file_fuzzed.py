@@ -11,8 +11,8 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from vibrojax.analyses.sweep.run import estimate
-from vibrojax.cli.simulate import SETTINGS
-from vibrojax.cli.values import named_values
+from vibrojax.cli.command import named_values
+from vibrojax.cli.points import SIMULATE_SETTINGS
 from vibrojax.errors import InputError, Place
 from vibrojax.sweep.engine.costs import check_size
 from vibrojax.sweep.input.read import read_point, read_sweep
@@ -142,7 +142,9 @@ def test_points(file, header, rows, comma, newline, encoding):
 @example("rotary", [("beta", "=", "9" * 5000)])
 def test_names_and_values(scene, words):
     try:
-        settings, parameters = named_values(Place("simulate"), ["".join(word) for word in words], SETTINGS, lists=False)
+        settings, parameters = named_values(
+            Place("simulate"), ["".join(word) for word in words], SIMULATE_SETTINGS, lists=False
+        )
         read_point(Place("simulate"), scene, parameters, settings.pop("start", None))
     except InputError as error:
         assert "\n" not in str(error)

@@ -3,75 +3,18 @@
     import vibrojax as vj
     ds = vj.run_sweep("regime-map")
 
-Public names are imported on first use, so that importing the package is fast and changes no global settings. Editors
-and type checkers read the names from `__init__.pyi`.
+Public names are imported on first use, so that importing the package is fast and changes no global settings. The stub
+`__init__.pyi` lists them with their modules, for this package as well as for editors and type checkers.
 """
 
+import re
 from importlib import import_module
+from pathlib import Path
 
-_HOMES = {
-    "run_sweep": "vibrojax.analyses.sweep.run",
-    "read_sweep": "vibrojax.sweep.input.read",
-    "orbits": "vibrojax.analyses.orbits.analysis",
-    "follow": "vibrojax.analyses.continuation.run",
-    "borders": "vibrojax.analyses.borders.run",
-    "attractors": "vibrojax.analyses.attractors.run",
-    "explore": "vibrojax.explorer.write",
-    "smallest_push": "vibrojax.analyses.push.run",
-    "tolerance": "vibrojax.analyses.tolerance.run",
-    "simulate": "vibrojax.sweep.simulation",
-    "fit_rop": "vibrojax.analyses.rop_law",
-    "fit_joint": "vibrojax.analyses.rop_law",
-    "fit_friction": "vibrojax.analyses.rop_law",
-    "refit_frequency": "vibrojax.analyses.rop_law",
-    "derivatives": "vibrojax.analyses.sensitivity.run",
-    "run_accuracy": "vibrojax.analyses.accuracy",
-    "run_reproduction": "vibrojax.reproduce",
-    "write_reproduction": "vibrojax.reproduce",
-    "open_dataset": "vibrojax.io.dataset",
-    "write_dataset": "vibrojax.io.dataset",
-    "analyse": "vibrojax.analyses.registry",
-    "Analysis": "vibrojax.analyses.analysis",
-    "SummaryPart": "vibrojax.analyses.analysis",
-    "PictureRule": "vibrojax.analyses.analysis",
-    "SweepAnalysis": "vibrojax.analyses.orbits.analysis",
-    "picture": "vibrojax.analyses.pictures",
-    "save_picture": "vibrojax.analyses.pictures",
-    "write_page": "vibrojax.explorer",
-    "Variable": "vibrojax.io.variables",
-    "InputError": "vibrojax.errors",
-    "UnusualValue": "vibrojax.sweep.input.values",
-    "list_scenes": "vibrojax.analyses.catalogue",
-    "list_parameters": "vibrojax.analyses.catalogue",
-    "list_variables": "vibrojax.analyses.catalogue",
-    "list_settings": "vibrojax.analyses.catalogue",
-    "FRICTION_LAWS": "vibrojax.models.physics.friction",
-    "SCENES": "vibrojax.models.scenes",
-    "contact": "vibrojax.models.physics",
-    "friction": "vibrojax.models.physics",
-    "modes": "vibrojax.models.physics",
-    # Tools for user-defined physics
-    "elementary": "vibrojax.models.physics",
-    "parameters": "vibrojax.models.physics",
-    "FrictionLaw": "vibrojax.models.physics.friction",
-    "Scene": "vibrojax.models.scenes",
-    "State": "vibrojax.models.scenes",
-    "Mode": "vibrojax.models.scenes",
-    "Marker": "vibrojax.models.scenes",
-    "Guard": "vibrojax.models.scenes",
-    "Section": "vibrojax.models.scenes",
-    "Swing": "vibrojax.models.scenes",
-    "HasFriction": "vibrojax.models.scenes",
-    "HasContact": "vibrojax.models.scenes",
-    "HasRock": "vibrojax.models.scenes",
-    "Driven": "vibrojax.models.scenes",
-    "Gauge": "vibrojax.measures",
-    "Stepper": "vibrojax.stepping",
-    "Located": "vibrojax.stepping",
-    "Smoothed": "vibrojax.stepping",
-}
+_STUB = Path(__file__).with_suffix(".pyi").read_text(encoding="utf-8")
+_HOMES = {name: home for home, name in re.findall(r"^from (\S+) import (\w+) as \2$", _STUB, re.MULTILINE)}
 
-__all__ = list(_HOMES)
+__all__ = list(_HOMES)  # the names of the stub
 
 
 def __getattr__(name: str) -> object:

@@ -4,6 +4,7 @@ from vibrojax.analyses.accuracy import run_accuracy as run_accuracy
 from vibrojax.analyses.analysis import Analysis as Analysis
 from vibrojax.analyses.analysis import PictureRule as PictureRule
 from vibrojax.analyses.analysis import SummaryPart as SummaryPart
+from vibrojax.analyses.analysis import analyse as analyse
 from vibrojax.analyses.attractors.run import attractors as attractors
 from vibrojax.analyses.borders.run import borders as borders
 from vibrojax.analyses.catalogue import list_parameters as list_parameters
@@ -16,7 +17,6 @@ from vibrojax.analyses.orbits.analysis import orbits as orbits
 from vibrojax.analyses.pictures import picture as picture
 from vibrojax.analyses.pictures import save_picture as save_picture
 from vibrojax.analyses.push.run import smallest_push as smallest_push
-from vibrojax.analyses.registry import analyse as analyse
 from vibrojax.analyses.rop_law import fit_friction as fit_friction
 from vibrojax.analyses.rop_law import fit_joint as fit_joint
 from vibrojax.analyses.rop_law import fit_rop as fit_rop

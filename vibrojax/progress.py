@@ -63,12 +63,37 @@ class Progress:
     def add(self, amount: Amount = 1, outcome: str = "") -> None:
         """Report a newly completed amount; a non-empty `outcome` is printed with it on a line."""
         with self._lock:
-            self._reach(self._done + amount, outcome)
+            self.reach(self._done + amount, outcome)
 
-    def reach(self, done: Amount) -> None:
-        """Report the total amount completed so far."""
+    def reach(self, done: Amount, outcome: str = "") -> None:
+        """Report the total amount completed so far; `outcome`: as for `add`."""
         with self._lock:
-            self._reach(done, "")
+            self._done = min(done, self._total)
+            if not self._shown:
+                return
+            now = time.monotonic()
+            self._first = self._first or (now, self._done)
+            complete = self._done >= self._total
+            line = self._line(now) + (f": {outcome}" if outcome else "")
+            if not self._stream.isatty():
+                if complete or outcome or now - self._last_line >= QUIET_SECONDS:
+                    self._last_line = now
+                    print(line, file=self._stream, flush=True)
+                return
+            if self._bar is None:
+                from tqdm import tqdm  # slow to import, and needed only on a terminal
+
+                # Some terminals report a size of zero columns and lines, on which tqdm would draw nothing.
+                columns, lines = get_terminal_size()
+                layout = {"bar_format": "[{bar:30}] {desc}", "ascii": ".#", "ncols": columns - 1, "nrows": lines}
+                self._bar = tqdm(desc=line, total=self._total, file=sys.stderr, **layout)
+                self._on_terminal.add(self)
+            self._bar.n = self._done
+            self._bar.set_description_str(line, refresh=complete)
+            if complete:
+                self.close()
+            else:
+                self._bar.update(0)
 
     def say(self, text: str) -> None:
         """Print `text` on a separate line, preceded by the elapsed seconds."""
@@ -88,29 +113,6 @@ class Progress:
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-    def _reach(self, done: Amount, outcome: str) -> None:
-        self._done = min(done, self._total)
-        if not self._shown:
-            return
-        now = time.monotonic()
-        self._first = self._first or (now, self._done)
-        complete = self._done >= self._total
-        line = self._line(now) + (f": {outcome}" if outcome else "")
-        if not self._stream.isatty():
-            if complete or outcome or now - self._last_line >= QUIET_SECONDS:
-                self._last_line = now
-                print(line, file=self._stream, flush=True)
-            return
-        if self._bar is None:
-            self._bar = _bar(self._total, line)
-            self._on_terminal.add(self)
-        self._bar.n = self._done
-        self._bar.set_description_str(line, refresh=complete)
-        if complete:
-            self.close()
-        else:
-            self._bar.update(0)
 
     def _print(self, line: str) -> None:
         if not self._shown:
@@ -177,16 +179,6 @@ def timed(name: str) -> Iterator[None]:
     began = time.monotonic()
     yield
     LOG.info("%s: %.2f s", name, time.monotonic() - began)
-
-
-def _bar(total: Amount, line: str) -> "tqdm.tqdm":
-    """Return a progress bar whose text is set by the caller."""
-    from tqdm import tqdm  # slow to import, and needed only on a terminal
-
-    # Some terminals report a size of zero columns and lines, on which tqdm would draw nothing.
-    columns, lines = get_terminal_size()
-    layout = {"bar_format": "[{bar:30}] {desc}", "ascii": ".#", "ncols": columns - 1, "nrows": lines}
-    return tqdm(desc=line, total=total, file=sys.stderr, **layout)
 
 
 def _number(amount: Amount) -> str:

@@ -10,7 +10,7 @@ from sphinx.addnodes import pending_xref
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
-from vibrojax.analyses.glossary import WORDS
+from vibrojax.analyses import WORDS
 
 PAGE = "glossary"
 LINKED = ("lane", "regime", "relief P/D", "orbit", "multiplier", "family")

@@ -1,1 +1,30 @@
-"""Analyses of scenes and datasets, one folder per analysis."""
+"""Analyses of scenes and datasets, one folder per analysis; and definitions of the terms in their output."""
+
+WORDS = {
+    "lane": "one point of the parameters from one start, stepped on its own",
+    "section": "the instant at which the bit overtakes the drive",
+    "return": "one passage of the section; period and repeats are counted in returns",
+    "relief P/D": "mean force on the bit over the force D (threshold) at which the rock yields",
+    "regime": "how the striker moves: one impact a period (single-impact), several, none, or irregularly (irregular)",
+    "orbit": "a motion that repeats exactly; stable if it attracts its neighbourhood",
+    "multiplier": "growth of a small distance from an orbit over one repeat; all moduli below 1: stable",
+    "family": "orbits that form a continuous curve as one parameter changes, stable and unstable",
+    "branch": "a part of a family; 0 is the first, others leave it with twice as many returns to a repeat",
+    "special point": "where a family changes its stability, its order of events, or its direction",
+    "fold": "the family turns back, and a stable and an unstable orbit meet",
+    "period-doubling": "the orbit loses its stability to one that repeats after twice as many returns",
+    "torus": "the orbit loses its stability to a motion with a second frequency",
+    "grazing": "an impact begins or vanishes",
+    "stick": "a stick of the bit, or a slip backwards, begins or vanishes",
+    "section point": "the bit just reaches the drive's speed: from here on, the number of returns differs",
+    "end": "a bound is reached, or the reason why a family goes no further",
+    "reading R1, R2, ...": "how a passage of the source that can be read in two ways was read",
+}
+
+FAMILY_WORDS = tuple(word for word in WORDS if word not in ("lane", "relief P/D", "regime", "reading R1, R2, ..."))
+"""Terms in the output of `vibrojax follow`."""
+
+
+def glossary(*words: str) -> str:
+    """Return the definitions of the specified words, or of all words, one per line."""
+    return "\n".join(f"  {word}: {WORDS[word]}" for word in words or WORDS)

@@ -10,8 +10,8 @@ import jax
 import jax.numpy as jnp
 import pandas as pd
 
-from vibrojax.analyses.glossary import glossary
-from vibrojax.analyses.registry import offered_variables
+from vibrojax.analyses import glossary
+from vibrojax.analyses.analysis import offered_variables
 from vibrojax.compile.xla import precision
 from vibrojax.errors import Place
 from vibrojax.io.kinds import OF_ATTRACTORS, OF_BORDERS, OF_FAMILIES

@@ -8,23 +8,53 @@ from matplotlib import colormaps
 from matplotlib.figure import Figure
 
 from vibrojax.analyses.accuracy.picture import work_precision as work_precision
-from vibrojax.analyses.registry import analysis_of
-from vibrojax.analyses.rop_law.picture import Fits
-from vibrojax.analyses.sweep.analysis import Sweeps
-from vibrojax.analyses.sweep.basins import many_starts, share_grid
-from vibrojax.analyses.sweep.maps import rate_grid, regime_grid
+from vibrojax.analyses.analysis import analysis_of
+from vibrojax.analyses.continuation.analysis import families
+from vibrojax.analyses.sweep.basins import many_starts
+from vibrojax.analyses.sweep.maps import draw_map
 from vibrojax.analyses.sweep.rates import rates as rates
 from vibrojax.analyses.sweep.returns import bifurcation as bifurcation
+from vibrojax.analyses.sweep.strips import regime_lines
 from vibrojax.analyses.trajectory.hole import pulses as pulses
 from vibrojax.analyses.trajectory.hole import response as response
 from vibrojax.analyses.trajectory.time_history import trajectory as trajectory
-from vibrojax.analyses.variables_picture import variables
-from vibrojax.errors import InputError, nearest, shown
+from vibrojax.errors import InputError, nearest, shown, suggestion
 from vibrojax.io.atomic import atomic_write
+from vibrojax.io.kinds import kind_of
+from vibrojax.plot.axes import label, pad_constant
 from vibrojax.plot.colours import REGIME_COLOURS as REGIME_COLOURS
-from vibrojax.plot.contents import Contents, Value, law_in, regimes_in, select, thin_out, thinned_text
+from vibrojax.plot.colours import Values, shape_flags, value_of
+from vibrojax.plot.contents import (
+    FORM,
+    MULTIPLIER,
+    POINT,
+    REGIME,
+    TIME,
+    Contents,
+    Value,
+    axes_of_map,
+    lane_dims,
+    named_groups,
+    select,
+    thin_out,
+    thinned_text,
+    varied,
+    without_single,
+)
+from vibrojax.plot.curves import (
+    MOST_ROWS,
+    axis_of_lines,
+    band_text,
+    draw_over_time,
+    line_handles,
+    longest_axis,
+    new_rows,
+    split_lines,
+)
 from vibrojax.plot.overlays import Overlays, as_layers, refuse_overlays
-from vibrojax.plot.style import COLOURS, settings
+from vibrojax.plot.sheet import facets, legend_at_right, write_margins
+from vibrojax.plot.starts import medians, medians_text, varied_states
+from vibrojax.plot.style import BIT, COLOURS, Mark, new_figure, settings, styled
 
 # Files contain no date, so that the same dataset gives the same file.
 _METADATA: dict[str, dict[str, None]] = {".png": {}, ".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
@@ -82,58 +112,9 @@ def picture(
             return analysis_of(ds).picture(ds, layers)
         if layers:
             refuse_overlays(layers, "over no other variable")
-        return variables(ds, (variable,) if isinstance(variable, str) else variable)
+        return _draw_variables(ds, (variable,) if isinstance(variable, str) else variable)
     finally:
         COLOURS.reset(token)
-
-
-def regime_map(ds: xr.Dataset, x: str | None = None, y: str | None = None) -> Figure:
-    """Draw the regimes of a sweep as a map, with maps of impact velocity and period next to it.
-
-    Each value of further axes and each initial condition gets a panel, twelve at most; the figure notes which values
-    are shown. A sweep along one axis is drawn as lines. A list of points is drawn as dots over its two varied
-    parameters, or else as bars with the number of lanes in each regime. More than eight initial conditions are drawn as
-    a map over initial states if few parameters vary. If many parameters vary, the map shows the fraction of initial
-    conditions that ends in each regime.
-
-    **Arguments:** `x`, `y`: axes to draw along; by default gamma and beta, else the first two axes with six or more
-    values, else the first two axes.
-
-    **Raises:** `InputError` if there are no regimes, or `x` or `y` is not an axis.
-    """
-    ds = thin_out(ds)
-    held = Contents(regimes_in(ds))
-    if held.many_starts:
-        return many_starts(ds) if x is None and y is None else share_grid(ds, x, y)
-    if held.points or (x is None and y is None):
-        return Sweeps.drawn_as(ds, "regimes")
-    return regime_grid(ds, x, y)
-
-
-def rate_map(ds: xr.Dataset, x: str | None = None, y: str | None = None) -> Figure:
-    """Draw the rate of penetration over two axes, with slip per blow, mean force and relief if there is room.
-
-    Each value of further axes gets a panel, nine at most; the figure notes which are shown. Constant values are in the
-    note. A list of points is drawn as dots over its two varied parameters.
-
-    **Arguments:** `x`, `y`: axes to draw along; by default the frequency, then the longest axes.
-
-    **Raises:** `InputError` if there are no rates, fewer than two axes, or `x` or `y` is not an axis.
-    """
-    return rate_grid(thin_out(ds), x, y)
-
-
-def fitted_law(fit: xr.Dataset) -> Figure:
-    """Draw C of ROP = C ln(eta) in its three readings, and each formula's AIC relative to the best of its group.
-
-    At the top are the data of each group with the curve of every formula, for six groups at most. C and AIC are drawn
-    over the longest axis of the groups, with one row per value of further axes. If two axes have nine or more values, C
-    and the best formula are drawn as maps. Without groups, the horizontal axis lists the formulas.
-
-    **Raises:** `InputError` if there is no C along `form`.
-    """
-    law_in(fit)
-    return Fits().picture(fit)
 
 
 def save_picture(
@@ -172,3 +153,113 @@ def save_picture(
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror}); give another file") from None
     return thinned_text(select(ds, where) if where else ds)
+
+
+_MOST_VARIABLES, _MOST_HISTORIES = 4, 8  # more do not fit in one figure
+
+
+@styled
+def _draw_variables(ds: xr.Dataset, names: Sequence[str]) -> Figure:
+    """Draw the variables `names`, each in separate panels.
+
+    Lanes over two axes are drawn as maps, over one axis as curves, and a list of points over two parameters as dots. A
+    run is drawn as time histories, and families as lines along their branches. Of multipliers, only the largest is
+    drawn; of too many initial conditions, the median.
+
+    **Arguments:** `names`: up to four variables along all lane dimensions; for a run, up to eight variables along time.
+
+    **Raises:** `InputError` if there is no such variable, it has other dimensions, or there are too many names.
+    """
+    _check(ds, names)
+    if TIME in ds.dims:
+        return _draw_histories(ds, names)
+    if kind_of(ds) == "family":
+        return families(ds, names)
+    ds = named_groups(ds)
+    ds = without_single(
+        ds.assign({name: ds[name].isel({MULTIPLIER: 0}) for name in names if MULTIPLIER in ds[name].dims})
+    )
+    held, note = Contents(ds), ""
+    values = tuple(None if name == REGIME else value_of(ds[name]) for name in names)
+    if FORM in ds[names[0]].dims:
+        return _draw_curves(ds, values)
+    if held.many_starts and held.regimes:
+        if held.points_over_two or (not held.points and (held.axes or varied_states(ds))):
+            return many_starts(ds, values)
+        note = medians_text(ds)
+        ds = medians(ds, [name for name in names if name != REGIME])
+    if held.points_over_two:
+        x, y = varied(ds)
+        return draw_map(ds, x, y, values, note)
+    if not held.points and (held.worth_a_map or (held.regimes and len(held.axes) > 1)):
+        return draw_map(ds, *axes_of_map(ds, None, None), values, note)
+    if not held.points and held.regimes and held.axes:
+        return regime_lines(ds, note=note, values=tuple(value for value in values if value is not None))
+    return _draw_curves(ds, values, note)
+
+
+def _check(ds: xr.Dataset, names: Sequence[str]) -> None:
+    """Raise `InputError` unless all `names` can be drawn."""
+    if not isinstance(names, Sequence):
+        raise InputError(f"variable: {shown(names)} is not the name of a variable; give one, or a list")
+    run, orbits = TIME in ds.dims, kind_of(ds) == "family"
+    lanes = {TIME} if run else {POINT} if orbits else set(lane_dims(ds))
+    drawable = [
+        str(name)
+        for name, data in ds.data_vars.items()
+        if data.dtype.kind in ("f" if orbits else "fiub") and lanes == {*data.dims} - {FORM, MULTIPLIER}
+    ]
+    noun = "time" if run else "point of the families" if orbits else "lane"
+    for name in names:
+        if name in ds.data_vars and name not in drawable:
+            choices = f"choose from {', '.join(drawable)}" if drawable else "there is none that can"
+            raise InputError(f"variable: {shown(name)} is not one number a {noun}; {choices}")
+        if name not in drawable:
+            raise InputError(f"variable: {shown(name)} is not in the dataset; {suggestion(str(name), drawable)}")
+    most = _MOST_HISTORIES if run else _MOST_VARIABLES
+    if not 1 <= len(names) <= most:
+        raise InputError(f"variable: {len(names)} names; give one to {most} for a picture")
+
+
+def _draw_curves(ds: xr.Dataset, values: Values, note: str = "") -> Figure:
+    """Draw variables over the longest axis, one row per facet.
+
+    There is one line per value of another axis or, for a fitted penetration law, one line per formula of the law.
+    """
+    quantities = [value if value is not None else value_of(ds[REGIME]) for value in values]
+    x = longest_axis(ds)
+    by = FORM if FORM in ds[quantities[0].name].dims else axis_of_lines(ds, x.name)
+    ds = ds.sortby(x.name) if x.is_number else ds
+    panels = facets(ds, (POINT, x.name, by), MOST_ROWS)
+    figure, rows, _ = new_rows(panels, len(quantities))
+    style = x.style_of(ds)
+    for row in rows:
+        for i, (axes, value) in enumerate(zip(row.axes, quantities, strict=True)):
+            for line in split_lines(row.facet, by):
+                mark = Mark(marker="o", markersize=3.0, linewidth=1.2, linestyle=style, color=line.colour)
+                axes.plot(x.of(line.lanes), value.of(line.lanes).values.ravel(), label=line.name, **mark)
+            row.label(i, x.label, value.label)
+            x.shape(axes)
+            pad_constant(axes)
+            shape_flags(axes, value)
+    legend_at_right(figure, line_handles(split_lines(ds, by), Mark(linestyle=style)))
+    write_margins(figure, ds, panels.note, note)
+    return figure
+
+
+def _draw_histories(ds: xr.Dataset, names: Sequence[str]) -> Figure:
+    """Draw the variables of a run over time."""
+    figure = new_figure(10.0, 1.5 * len(names) + 0.9)
+    panels = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
+    time = ds[TIME].values.astype(float)
+    for axes, name in zip(panels, names, strict=True):
+        value = value_of(ds[name])
+        axes.grid(True)
+        axes.set_xlim(time[0], time[-1])
+        draw_over_time(axes, time, value.of(ds).values.astype(float), BIT, 1.0, name)
+        axes.set_ylabel(value.label.replace(" [", "\n["))
+        shape_flags(axes, value)
+    panels[-1].set_xlabel(label(ds[TIME]))
+    figure.align_ylabels()
+    write_margins(figure, ds, band_text(*panels))
+    return figure

@@ -4,20 +4,11 @@ from typing import Any
 
 import xarray as xr
 
-from vibrojax.analyses.analysis import SummaryPart
-from vibrojax.analyses.glossary import WORDS
-from vibrojax.analyses.registry import analysis_of
-from vibrojax.analyses.sweep.summary import lane_parts
+from vibrojax.analyses import WORDS
+from vibrojax.analyses.analysis import SummaryPart, analysis_of
+from vibrojax.analyses.sweep.analysis import lane_parts
 from vibrojax.errors import printable
-from vibrojax.io.attributes import (
-    attribute_of,
-    differing_of,
-    history_of,
-    parameters_of,
-    run_of,
-    text_of,
-    title_of,
-)
+from vibrojax.io.attributes import attribute_of, differing_of, history_of, parameters_of, run_of, text_of, title_of
 from vibrojax.io.kinds import kind_of
 
 LONGEST_LINE = 2000
@@ -34,21 +25,20 @@ _EMPTY = ("regimes", "orbits", "natures", "families", "attractors", "failures", 
 
 def summarise(ds: xr.Dataset) -> list[SummaryPart]:
     """Return the parts of a dataset's summary; parts that do not apply have no lines."""
-    by_name = {part.name: part for part in lane_parts(ds)}
-    known = "differing" in ds.attrs or "parameters" in ds.attrs
+    of_lanes = lane_parts(ds)
     run = run_of(ds)
     times = {"settle", "observe"} <= set(run)
     return [
         SummaryPart("title", [title_of(ds)] if title_of(ds) else []),
         SummaryPart("scene", [text_of(ds, "scene")] if text_of(ds, "scene") else []),
-        SummaryPart("grid", [_dimension_line(ds, str(name)) for name in ds.sizes]),
+        SummaryPart("grid", [_dimension(ds, str(name))[0] for name in ds.sizes]),
         SummaryPart("lanes", [f"{attribute_of(ds, 'lanes')} (a lane: {WORDS['lane']})"] if "lanes" in ds.attrs else []),
         SummaryPart("friction", [text_of(ds, "friction")] if "friction" in ds.attrs else []),
-        SummaryPart("fixed", _fixed_lines(ds) if known else []),
+        SummaryPart("fixed", _fixed_lines(ds)),
         SummaryPart("run", [f"settled for {run['settle']:g} s, observed for {run['observe']:g} s"] if times else []),
-        *(by_name[name] for name in ("regimes", "orbits", "natures")),
+        *(of_lanes[name] for name in ("regimes", "orbits", "natures")),
         *analysis_of(ds).summary(ds),
-        *(by_name[name] for name in ("failures", "accuracy")),
+        *(of_lanes[name] for name in ("failures", "accuracy")),
         SummaryPart("variables", [", ".join(str(name) for name in ds.data_vars)]),
         *(SummaryPart(name, [str(ds.attrs[name])]) for name in ("solver", "source", "jax") if name in ds.attrs),
         SummaryPart("history", history_of(ds) if "history" in ds.attrs else []),
@@ -58,8 +48,13 @@ def summarise(ds: xr.Dataset) -> list[SummaryPart]:
 
 def summary_lines(parts: list[SummaryPart]) -> list[str]:
     """Format a summary as lines of text; the first line of each part begins with the part's name."""
+
+    def indented(line: str) -> str:
+        words = line.lstrip(" ")
+        return line[: len(line) - len(words)] + printable(words, LONGEST_LINE, keep_spaces=True)
+
     rows = ((part.name if index == 0 else "", line) for part in parts for index, line in enumerate(part.lines))
-    return [f"{name:<10}{_printable_line(line)}".rstrip() for name, line in rows]
+    return [f"{name:<10}{indented(line)}".rstrip() for name, line in rows]
 
 
 def summary_facts(ds: xr.Dataset, file: str) -> dict[str, Any]:
@@ -78,59 +73,46 @@ def summary_facts(ds: xr.Dataset, file: str) -> dict[str, Any]:
         "kind": kind_of(ds) or None,
         **{name: text_of(ds, name) if name in ds.attrs else None for name in _TEXTS},
         "history": history_of(ds),
-        "dimensions": {str(name): _dimension_facts(ds, str(name)) for name in ds.sizes},
+        "dimensions": {str(name): _dimension(ds, str(name))[1] for name in ds.sizes},
         **{name: attribute_of(ds, name) for name in _VALUES},
         **{name: {} for name in _EMPTY},
     }
+    variables: dict[str, Any] = {}
     for part in summarise(ds):
         facts |= part.facts
-    return facts | {"variables": {str(name): _variable_facts(data) for name, data in ds.data_vars.items()}}
-
-
-def _printable_line(text: str) -> str:
-    """Return a line with its indentation, but without terminal control characters."""
-    words = text.lstrip(" ")
-    return text[: len(text) - len(words)] + printable(words, LONGEST_LINE, keep_spaces=True)
+    for name, data in ds.data_vars.items():
+        about = {key: _attribute(data, key) for key in ("units", "long_name")}
+        variables[str(name)] = {"dims": list(data.dims), **about}
+    return facts | {"variables": variables}
 
 
 def _fixed_lines(ds: xr.Dataset) -> list[str]:
     """Format the fixed parameters: one line for each that differs from its default, then one line for the others."""
+    if "parameters" not in ds.attrs:
+        return []
     changed = {}
     for row in differing_of(ds):
         unit = "" if row["units"] == "1" else f" {row['units']}"
         changed[row["name"]] = f"{row['name']} = {row['value']:g}{unit} (default {row['default']:g})"
-    if "parameters" not in ds.attrs:
-        return []
-    others = [f"{name} = {value:g}" for name, value in parameters_of(ds).items() if name not in changed]
+    others = ", ".join(f"{name} = {value:g}" for name, value in parameters_of(ds).items() if name not in changed)
     default = "by default: " if "differing" in ds.attrs else ""
-    return [*changed.values(), *([default + ", ".join(others)] if others else [])]
+    return [*changed.values(), *([default + others] if others else [])]
 
 
-def _dimension_line(ds: xr.Dataset, name: str) -> str:
+def _dimension(ds: xr.Dataset, name: str) -> tuple[str, dict[str, Any]]:
+    """Return the size of a dimension, and unit, first and last value of its coordinate, as text and as JSON values."""
     size = ds.sizes[name]
     if name not in ds.coords or not size:
-        return f"{name}: {size}"
-    values = ds[name].values
-    if values.dtype.kind not in "fiu":
-        return f"{name}: {', '.join(map(str, values[:8]))}{', ...' if size > 8 else ''} ({size})"
-    unit = ds[name].attrs.get("units", "1")
-    return f"{name}: {values[0]:g} to {values[-1]:g}{'' if unit == '1' else f' {unit}'} ({size})"
-
-
-def _dimension_facts(ds: xr.Dataset, name: str) -> dict[str, Any]:
-    """Return the size of a dimension, and unit, first and last value of its coordinate."""
-    size = ds.sizes[name]
-    if name not in ds.coords or not size:
-        return {"size": size}
-    values = ds[name].values
-    ends = {"first": values[0], "last": values[-1]}
-    if values.dtype.kind not in "fiu":
-        ends = {end: printable(value, LONGEST_FACT) for end, value in ends.items()}
-    return {"size": size, "units": _attribute(ds[name], "units"), **ends}
-
-
-def _variable_facts(data: xr.DataArray) -> dict[str, Any]:
-    return {"dims": list(data.dims), "units": _attribute(data, "units"), "long_name": _attribute(data, "long_name")}
+        return f"{name}: {size}", {"size": size}
+    values, units = ds[name].values, _attribute(ds[name], "units")
+    first, last = values[0], values[-1]
+    if values.dtype.kind in "fiu":
+        unit = ds[name].attrs.get("units", "1")
+        text = f"{name}: {first:g} to {last:g}{'' if unit == '1' else f' {unit}'} ({size})"
+    else:
+        text = f"{name}: {', '.join(map(str, values[:8]))}{', ...' if size > 8 else ''} ({size})"
+        first, last = printable(first, LONGEST_FACT), printable(last, LONGEST_FACT)
+    return text, {"size": size, "units": units, "first": first, "last": last}
 
 
 def _attribute(data: xr.DataArray, name: str) -> str | None:

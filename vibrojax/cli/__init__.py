@@ -11,30 +11,19 @@ import traceback
 import warnings
 from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from importlib import import_module
 from importlib.metadata import entry_points
 from typing import NoReturn
 
-from vibrojax.analyses.glossary import glossary
+from vibrojax.analyses import glossary
 from vibrojax.analyses.sweep.workers.lifetime import leave
-from vibrojax.cli import (
-    accuracy,
-    explore,
-    fit,
-    follow,
-    info,
-    orbits,
-    plot,
-    push,
-    reproduce,
-    scenes,
-    simulate,
-    sweep,
-    tolerance,
-)
-from vibrojax.cli.analysis import AnalysisCommand
-from vibrojax.cli.completion import complete
-from vibrojax.cli.output import Command, Options
+from vibrojax.cli.analyses import analysis_command, orbits
+from vibrojax.cli.command import Command, Options, either, flag
+from vibrojax.cli.datasets import explore, info, plot
+from vibrojax.cli.points import follow, push, scenes, simulate, tolerance
+from vibrojax.cli.studies import accuracy, fit, reproduce
+from vibrojax.cli.sweeps import sweep
 from vibrojax.errors import InputError, printable
 from vibrojax.io.provenance import package_version
 from vibrojax.io.threads import asked_to_end, in_own_thread
@@ -49,16 +38,23 @@ _MALFORMED = (ArithmeticError, AssertionError, AttributeError, LookupError, Recu
 MAX_STDERR_LINE = 4000
 """Maximum length of a line on stderr [characters]: a line may quote a file."""
 
-_BORDERS = "Draw the borders of the stable single impact in a sweep's plane: curves named by what happens there"
-_ATTRACTORS = "Find the attractors that a sweep's starts lead to, and the share of starts of each"
+_LOUDNESS = either(
+    flag("--quiet", "print only errors, warnings and the result"),
+    flag("--verbose", "say on stderr what was chosen, and how long each part took"),
+)
 
 _COMMANDS: dict[str, Command] = {
     "sweep": sweep,
     "simulate": simulate,
     "orbits": orbits,
     "follow": follow,
-    "borders": AnalysisCommand("borders", _BORDERS),
-    "attractors": AnalysisCommand("attractors", _ATTRACTORS),
+    "borders": analysis_command(
+        "borders",
+        "Draw the borders of the stable single impact in a sweep's plane: curves named by what happens there",
+    ),
+    "attractors": analysis_command(
+        "attractors", "Find the attractors that a sweep's starts lead to, and the share of starts of each"
+    ),
     "push": push,
     "tolerance": tolerance,
     "plot": plot,
@@ -117,7 +113,9 @@ def main(argv: Sequence[str] | None = None, do: Callable[[Callable[[], None]], o
     try:
         words = sys.argv[1:] if argv is None else argv
         parser = _parser([*words, *os.environ.get("COMP_LINE", "").split()])
-        complete(parser)
+        if "_ARGCOMPLETE" in os.environ:
+            with suppress(ImportError):  # an optional dependency: without it, nothing is completed
+                import_module("argcomplete").autocomplete(parser, always_complete_options="long")
         parser.parse_args(words, options)
         if options.version:
             print(f"vibrojax {package_version()}")
@@ -165,7 +163,7 @@ def _run(run: Callable[[Options], None], options: Options) -> None:
 def _commands() -> dict[str, Command]:
     """Return the commands of this package, and those of analyses that installed packages register."""
     registered = {
-        entry.name: AnalysisCommand(entry.name, f"analysis of the package {entry.dist.name if entry.dist else '?'}")
+        entry.name: analysis_command(entry.name, f"analysis of the package {entry.dist.name if entry.dist else '?'}")
         for entry in entry_points(group="vibrojax.analyses")
         if entry.name not in _COMMANDS
     }
@@ -184,15 +182,11 @@ def _parser(words: Collection[str]) -> ArgumentParser:
     parser.add_argument("--version", action="store_true", help="print the version")
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND")
     for name, command in _commands().items():
-        summary = str(command.__doc__).splitlines()[0].rstrip(".")
-        subparser = subparsers.add_parser(name, help=summary, description=summary, allow_abbrev=False)
-        if name not in words:
-            continue
-        command.arguments(subparser)
-        loudness = subparser.add_mutually_exclusive_group()
-        loudness.add_argument("--quiet", action="store_true", help="print only errors, warnings and the result")
-        about = "say on stderr what was chosen, and how long each part took"
-        loudness.add_argument("--verbose", action="store_true", help=about)
+        about = command.summary
+        subparser = subparsers.add_parser(name, help=about, description=about, allow_abbrev=False)
+        if name in words:
+            for add_arguments in (*command.arguments, _LOUDNESS):
+                add_arguments(subparser)
     return parser
 
 

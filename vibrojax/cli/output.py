@@ -1,16 +1,15 @@
-"""Options and output of commands: checking files before any work, writing and drawing datasets, and JSON."""
+"""Output of commands: checking files before any work, writing and drawing datasets, and JSON."""
 
 import json
 import math
 import os
-import shlex
 import sys
 import tempfile
-from argparse import ArgumentParser, Namespace
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any
 
+from vibrojax.cli.command import Options
 from vibrojax.errors import InputError, escape_json, shown
 from vibrojax.progress import timed
 
@@ -21,47 +20,8 @@ PICTURES = (".png", ".pdf", ".svg")
 ZARR = ".zarr"
 
 
-class Options(Namespace):
-    """The arguments of a command by name, and the advice printed after an interrupt."""
-
-    command: str | None = None
-    version: bool = False
-    quiet: bool = False
-    verbose: bool = False
-    how_to_resume: str = ""
-    """Advice printed after an interrupt; a command changes it as it proceeds."""
-
-    def advise(self, state: str, *words: str) -> None:
-        """Set the advice: the `state` of the work, and the command `vibrojax WORDS` that continues it."""
-        self.how_to_resume = f"{state}: {shlex.join(['vibrojax', *words])}"
-
-
-@runtime_checkable
-class Command(Protocol):
-    """The interface of a command's module; the first line of the module's docstring is its summary in `--help`."""
-
-    __doc__: str | None
-
-    def arguments(self, parser: ArgumentParser) -> None:
-        """Add the command's arguments to `parser`."""
-
-    def run(self, options: Options) -> None:
-        """Run the command.
-
-        **Raises:** `InputError` for bad input, `OSError` if the result cannot be written to the disk.
-        """
-
-
-class ResultFiles(NamedTuple):
-    """The files of a result, `out` and `picture`, and everything it depends on (see [vibrojax.io.manifest][])."""
-
-    out: Path
-    picture: Path
-    identity: Mapping[str, object]
-
-
-def output(path: str | Path, endings: Sequence[str] = (".nc",)) -> Path:
-    """Return `path`, checked to be a writable file.
+def output(path: str | Path, endings: Sequence[str] = (".nc",), *, drawn: bool = False) -> Path:
+    """Return `path`, checked to be a writable file; `drawn`: also check the picture next to it.
 
     **Raises:** `InputError` if the file cannot be written, or its name does not end in one of `endings`.
     """
@@ -79,9 +39,12 @@ def output(path: str | Path, endings: Sequence[str] = (".nc",)) -> Path:
         raise InputError(f"{place} is write-protected; give another file")
     try:
         with tempfile.TemporaryFile(dir=folder):
-            return path
+            pass
     except OSError as error:
         raise InputError(f"{place}: folder {shown(str(folder))} cannot be written ({error.strerror})") from None
+    if drawn:
+        output(path.with_suffix(".png"), PICTURES)
+    return path
 
 
 def output_folder(folder: str, names: Sequence[str]) -> list[Path]:
@@ -96,54 +59,31 @@ def output_folder(folder: str, names: Sequence[str]) -> list[Path]:
     return [output(Path(folder) / name, (Path(name).suffix,)) for name in names]
 
 
-def picture_beside(path: Path) -> Path:
-    """Return the path of the picture next to the dataset at `path`, checked as in `output`."""
-    return output(path.with_suffix(".png"), PICTURES)
+def result_at(options: Options, default: str, identity: Mapping[str, object]) -> Path:
+    """Return the file of a result; `default` is its name without `-o`, `identity` everything that it depends on.
 
-
-def add_output(parser: ArgumentParser, default: str) -> None:
-    """Add `-o` and `--fresh` to a parser; `default` is the default file name, in the current folder."""
-    parser.add_argument("-o", dest="out", metavar="OUT.nc", help=f"where to write ({default} in this folder)")
-    parser.add_argument("--fresh", action="store_true", help="replace OUT, whatever it holds")
-
-
-def add_json(parser: ArgumentParser) -> None:
-    """Add `--json` to a parser."""
-    about = "print one JSON object on stdout, and nothing else there; a number that is not finite is null"
-    parser.add_argument("--json", action="store_true", help=about)
-
-
-def result_at(options: Options, default: str, identity: Mapping[str, object]) -> ResultFiles:
-    """Return the files of a result; `default` is its file name without `-o`.
-
-    **Raises:** `InputError` if they cannot be written, or `out` holds another result.
+    **Raises:** `InputError` if the file or its picture cannot be written, or the file holds another result.
     """
     from vibrojax.io.manifest import check_replaceable
 
-    out = output(options.out or default)
-    picture = picture_beside(out)
+    out = output(options.out or default, drawn=True)
     if not options.fresh:
         check_replaceable(out, identity)
-    return ResultFiles(out, picture, identity)
+    return out
 
 
-def write_result(options: Options, dataset: "xarray.Dataset", result: ResultFiles) -> str:
+def write_result(options: Options, dataset: "xarray.Dataset", out: Path, identity: Mapping[str, object]) -> str:
     """Write a result and draw it; return the end of an output line, which names the picture."""
     from vibrojax.io.dataset import write_dataset
     from vibrojax.io.manifest import IDENTITY, identity_text
 
     with timed("write"):
-        write_dataset(dataset.assign_attrs({IDENTITY: identity_text(result.identity)}), result.out)
-    return draw(options, dataset, result.out, result.picture)
+        write_dataset(dataset.assign_attrs({IDENTITY: identity_text(identity)}), out)
+    return draw(options, dataset, out)
 
 
-def dataset_written(options: Options, out: Path) -> None:
-    """Change the advice after an interrupt: the dataset `out` is complete, and only its picture is missing."""
-    options.advise(f"{out} is whole; for its picture", "plot", str(out))
-
-
-def draw(options: Options, dataset: "xarray.Dataset", out: Path, picture: Path) -> str:
-    """Draw the picture of a dataset that has been written to `out`.
+def draw(options: Options, dataset: "xarray.Dataset", out: Path) -> str:
+    """Draw the picture of a dataset next to its file `out`, which is complete.
 
     **Returns:** the end of an output line, which names the picture. If nothing can be drawn, the string is empty, and
     the reason is printed on stderr.
@@ -151,6 +91,7 @@ def draw(options: Options, dataset: "xarray.Dataset", out: Path, picture: Path) 
     from vibrojax.analyses.pictures import save_picture
 
     dataset_written(options, out)
+    picture = out.with_suffix(".png")
     try:
         with timed("draw"):
             part = save_picture(dataset, picture)
@@ -160,14 +101,42 @@ def draw(options: Options, dataset: "xarray.Dataset", out: Path, picture: Path) 
     return f"; picture {picture}" + (f" ({part})" if part else "")
 
 
+def dataset_written(options: Options, out: Path) -> None:
+    """Change the advice after an interrupt: the dataset `out` is complete, and only its picture is missing."""
+    options.advise(f"{out} is whole; for its picture", "plot", str(out))
+
+
+def answer(
+    options: Options,
+    default: str,
+    identity: Mapping[str, object],
+    compute: Callable[[], "xarray.Dataset"],
+    facts: Callable[["xarray.Dataset"], Mapping[str, object]] = lambda dataset: {},
+) -> None:
+    """Compute a result, write and draw it, and print its summary as text, or with `--json` its `facts`.
+
+    `default`, `identity`: as for `result_at`.
+    """
+    out = result_at(options, default, identity)
+    from vibrojax.analyses.analysis import analysis_of
+
+    dataset = compute()
+    drawn = write_result(options, dataset, out, identity)
+    if options.json:
+        print_json({**facts(dataset), **file_facts(out, drawn)})
+    elif not options.quiet:
+        lines = [line for part in analysis_of(dataset).summary(dataset) for line in part.lines]
+        print("\n".join([*lines, f"{out}{drawn}"]))
+
+
+def file_facts(out: Path, drawn: str) -> dict[str, object]:
+    """Return the files of a result as JSON values; `drawn` is the return value of `draw`."""
+    return {"dataset": str(out), "picture": str(out.with_suffix(".png")) if drawn else None}
+
+
 def print_json(facts: Mapping[str, object]) -> None:
     """Print `facts` as one JSON object; a number that is not finite becomes null."""
     print(escape_json(json.dumps(_plain(facts), ensure_ascii=False, allow_nan=False, indent=2)))
-
-
-def file_facts(result: ResultFiles, drawn: str) -> dict[str, object]:
-    """Return the files of a result as JSON values; `drawn` is the return value of `write_result`."""
-    return {"dataset": str(result.out), "picture": str(result.picture) if drawn else None}
 
 
 def _plain(value: Any) -> Any:

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from vibrojax.analyses.analysis import analysis_of
 from vibrojax.analyses.orbits.analysis import has_lanes_of, sweep_of_dataset
-from vibrojax.analyses.registry import analysis_of
 from vibrojax.analyses.sweep.run import run_sweep
 from vibrojax.errors import InputError, Place, shown
 from vibrojax.explorer.document import (

@@ -57,7 +57,10 @@ _USES = {
 
 @styled
 def law_lines(fit: xr.Dataset) -> Figure:
-    """Draw C in each reading of the law, and the AIC of every form, over the longest axis of the groups."""
+    """Draw C in each reading of the law, and the AIC of every form, over the longest axis of the groups.
+
+    At the top are the data of each group with the curve of every form, for six groups at most.
+    """
     fit = law_in(fit)
     x = longest_axis(fit)
     fit = fit.sortby(x.name) if x.is_number else fit

@@ -1,11 +1,13 @@
 """The analysis `sweep`: pictures and summary of datasets over a parameter space."""
 
 from collections.abc import Sequence
+from typing import Any
 
+import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from vibrojax.analyses.analysis import Analysis, PictureRule, Source
+from vibrojax.analyses.analysis import Analysis, PictureRule, Source, SummaryPart
 from vibrojax.analyses.sweep.basins import many_starts, regime_bars
 from vibrojax.analyses.sweep.maps import rate_grid, regime_grid
 from vibrojax.analyses.sweep.rates import rates
@@ -13,6 +15,7 @@ from vibrojax.analyses.sweep.returns import bifurcation, hysteresis
 from vibrojax.analyses.sweep.run import run_sweep
 from vibrojax.analyses.sweep.strips import regime_lines
 from vibrojax.errors import InputError
+from vibrojax.io.attributes import flag_counts, flags, run_of, table_of
 from vibrojax.io.kinds import kind_of
 from vibrojax.plot.contents import Contents
 from vibrojax.plot.overlays import refuse_overlays
@@ -52,8 +55,147 @@ class Sweeps(Analysis):
             return hysteresis(ds, tuple(over))
         return bifurcation(ds, tuple(over)) if held.returns else super().picture(ds, over)
 
-    @classmethod
-    def drawn_as(cls, ds: xr.Dataset, shows: str) -> Figure:
-        """Return the first picture of the subject `shows` ("regimes", "rate map") that fits a dataset."""
-        held = Contents(ds)
-        return next(rule for rule in cls.pictures if rule.shows == shows and rule.fits(held)).draw(ds)
+
+_FAILURES_SHOWN = 3
+
+DEFAULT_ACCEPTED_ERROR = 1e-4
+"""Relative error tolerance if the dataset states none: the default of sweep files."""
+
+
+def lane_parts(ds: xr.Dataset) -> dict[str, SummaryPart]:
+    """Return the summary parts of datasets with lanes, by name; a part without content is empty."""
+    # The regimes of a trajectory and of attractors are not those of lanes.
+    no_lanes = bool({"time", "attractor"} & set(ds.dims))
+    regimes = {} if no_lanes else flag_counts(ds, "regime")
+    total = max(ds["regime"].size, 1) if "regime" in ds else 1
+    regime_lines = [f"{meaning:<14}{count:>9}{100 * count / total:>7.1f} %" for meaning, count in regimes.items()]
+    if "hidden_motion" in ds and "start" in ds["hidden_motion"].dims:
+        points = int(ds["hidden_motion"].any("start").sum())
+        if points:
+            regime_lines.append(f"at {points} points starts end in different motions under one label")
+    orbits: dict[str, Any] = {}
+    if "orbit_reason" in ds and not no_lanes:
+        orbits = {"reason": flag_counts(ds, "orbit_reason"), "stable": flag_counts(ds, "stable")}
+    natures = {} if no_lanes else flag_counts(ds, "nature")
+    reasons = flag_counts(ds, "reason") if "status" in ds else {}  # the reasons of a fit are not failures
+    reasons.pop("none", None)
+    parts = [
+        SummaryPart("regimes", regime_lines, {"regimes": regimes}),
+        SummaryPart("orbits", orbit_lines(ds), {"orbits": orbits}),
+        SummaryPart("natures", _nature_lines(ds), {"natures": natures}),
+        SummaryPart("failures", _failure_lines(ds, "regime" in ds and not no_lanes), {"failures": reasons}),
+        _accuracy(ds),
+    ]
+    return {part.name: part for part in parts}
+
+
+def orbit_lines(ds: xr.Dataset) -> list[str]:
+    """Return lines that state how many orbits were found and are stable, and why the others were not found.
+
+    Return an empty list if the dataset has no orbits.
+    """
+    if "orbit_reason" not in ds:
+        return []
+    reason, stable = ds["orbit_reason"].values, ds["stable"].values
+    counts = {meaning: int((reason == flag).sum()) for flag, meaning in flags(ds["orbit_reason"]).items()}
+    repeating = sum(count for meaning, count in counts.items() if meaning not in ("not-repeating", "refused"))
+    stabilities = f"{(stable == 1).sum()} stable, {(stable == 0).sum()} unstable"
+    lines = [f"{counts['found']} found of {repeating} lanes that repeat: {stabilities}"]
+    lines += [f"{count} {meaning}" for meaning, count in counts.items() if count and meaning != "found"]
+    cycles, own = ds["orbit_cycles"], ds.get("cycles")
+    sooner = int(((cycles > 0) & (cycles < own)).sum()) if own is not None else 0
+    if sooner:
+        lines.append(f"{sooner} lanes are on their way to an orbit that repeats sooner than they do")
+    limit = table_of(ds, "orbits").get("grazing_limit")
+    if limit is not None:
+        lines.append(f"multipliers are given from a grazing_margin of {limit:g} on")
+    if "nearby_cycles" in ds and "regime" in ds:
+        unsettled = [flag for flag, name in flags(ds["regime"]).items() if name in ("irregular", "undecided")]
+        open_lanes = ds["regime"].isin(unsettled).values
+        near = int((open_lanes & (ds["nearby_cycles"].values > 0)).sum())
+        lines.append(
+            f"of {open_lanes.sum()} lanes labelled irregular or undecided, {near} have a stable orbit nearby that they "
+            "have not reached (nearby_cycles); a longer settle leads most of those there"
+        )
+    return lines
+
+
+def _nature_lines(ds: xr.Dataset) -> list[str]:
+    if "nature" not in ds or "regime" not in ds:
+        return []
+    labels = [flag for flag, name in flags(ds["regime"]).items() if name == "irregular"]
+    irregular = ds["regime"].isin(labels).values
+    masks = ((name, ds["nature"].values == flag) for flag, name in flags(ds["nature"]).items())
+    return [
+        f"{name:<14}{int(mask.sum()):>9}{int((mask & irregular).sum()):>9} of them irregular"
+        for name, mask in masks
+        if mask.any()
+    ]
+
+
+def _failure_lines(ds: xr.Dataset, has_lanes: bool) -> list[str]:
+    """Return lines that state how many lanes failed and, for each reason, how many and the first few lanes."""
+    if has_lanes:
+        mask = ds["regime"].isin([value for value, meaning in flags(ds["regime"]).items() if meaning == "failed"])
+    elif "status" in ds:
+        mask = ds["status"] != 0
+    else:
+        return []
+    lines = [str(int(mask.sum()))]
+    has_reasons = "reason" in ds and ds["reason"].dims == mask.dims
+    reasons = ds["reason"].values if has_reasons else np.zeros(mask.shape, int)
+    meanings = flags(ds["reason"]) if has_reasons else {}
+    for reason in np.unique(reasons[mask.values]).tolist():
+        indices = np.argwhere(mask.values & (reasons == reason))
+        lines += [f"{len(indices)} {meanings[reason]}"] if reason in meanings else []
+        for index in indices[:_FAILURES_SHOWN].tolist():
+            lane = ds.isel(dict(zip(mask.dims, index, strict=True)))
+            values = ((name, lane[name].item()) for name in lane.coords if lane[name].ndim == 0)
+            texts = [
+                f"{name}={value:.10g}" if isinstance(value, float) else f"{name}={value}" for name, value in values
+            ]
+            why = flags(lane["reason"]).get(lane["reason"].item()) if "reason" in lane else None
+            lines.append("at " + " ".join(texts) + (f": {why}" if why else ""))
+    return lines
+
+
+def _accuracy(ds: xr.Dataset) -> SummaryPart:
+    """Return the median and the largest error estimate, and the number of lanes within the error tolerance."""
+    facts: dict[str, Any] | None = None
+    lines: list[str] = []
+    if "error_estimate" in ds:
+        estimates = ds["error_estimate"].values
+        errors = estimates[~np.isnan(estimates)]  # infinite where the two resolutions disagree
+        accepted = run_of(ds).get("error")
+        facts = {
+            "accepted": accepted,
+            "estimated": int(errors.size),
+            "within": None if accepted is None else int((errors <= accepted).sum()),
+            "median": float(np.median(errors)) if errors.size else None,
+            "largest": float(errors.max()) if errors.size else None,
+        }
+        if errors.size:
+            lines = _accuracy_lines(ds, errors, DEFAULT_ACCEPTED_ERROR if accepted is None else accepted)
+        else:
+            lines = ["no periodic lanes, so no error estimates"]
+    if "regime" in ds and "check_regime" in ds:
+        flips = int((ds["regime"].values != ds["check_regime"].values).sum())
+        lines.append(f"{flips} of {ds['regime'].size} regimes differ at the check run's coarser resolution")
+    return SummaryPart("accuracy", lines, {"accuracy": facts})
+
+
+def _accuracy_lines(ds: xr.Dataset, errors: np.ndarray, accepted: float) -> list[str]:
+    sensitive = np.zeros(ds["error_estimate"].shape, bool)
+    if "sensitive" in ds:
+        sensitive = ds["sensitive"].transpose(*ds["error_estimate"].dims).values == 1
+    within = int(((ds["error_estimate"].values <= accepted) & ~sensitive).sum())
+    lines = [
+        f"error_estimate median {np.median(errors):.2g}, largest {errors.max():.2g}",
+        f"{100 * within / errors.size:.4g} % of {errors.size} periodic lanes within the accepted {accepted:g}",
+    ]
+    if "cycles" in ds and "drift_estimate" not in ds:
+        lines.append("the distance of lanes from where they settle is not included: made before version 0.1.1")
+    elif "cycles" in ds:
+        still = int((ds["drift_estimate"] > accepted).sum())
+        lines.append(f"{still} of them are farther than that from where they settle; a longer settle brings them there")
+    return [*lines, f"{sensitive.sum()} lanes are sensitive: rounding decides which attractor they reach"]

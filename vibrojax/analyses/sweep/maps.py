@@ -66,7 +66,8 @@ _REGION_NAME = "source's best region"
 def regime_grid(ds: xr.Dataset, x: str | None = None, y: str | None = None, over: xr.Dataset | None = None) -> Figure:
     """Draw the regimes over two axes, with further quantities next to them, and the borders `over` on top.
 
-    A list of points is drawn over the two parameters that vary. See [vibrojax.analyses.pictures.regime_map][].
+    Each value of further axes and each initial condition gets a panel, twelve at most; the figure notes which values
+    are shown.
     """
     ds = regimes_in(ds)
     x, y = varied(ds) if POINT in lane_dims(ds) else axes_of_map(ds, x, y)
@@ -110,7 +111,8 @@ def draw_map(ds: xr.Dataset, x: str, y: str, values: Values, *notes: str, over: 
 def rate_grid(ds: xr.Dataset, x: str | None = None, y: str | None = None) -> Figure:
     """Draw the rate of penetration over two axes, and the quantities that vary.
 
-    A list of points is drawn over the two parameters that vary. See [vibrojax.analyses.pictures.rate_map][].
+    Each value of further axes gets a panel, nine at most; the figure notes which are shown. Constant values are in the
+    note.
     """
     ds = rates_in(ds)
     values = values_of_rock(ds)

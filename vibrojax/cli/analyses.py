@@ -1,0 +1,130 @@
+"""The commands of analyses of a sweep: FILE, an option for each setting, OUT, and a printed summary.
+
+They are `orbits`, `attractors`, `borders`, and the analyses of installed packages.
+"""
+
+import dataclasses
+from contextlib import nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from vibrojax.cli.command import Command, Options, argument, command, files, output_options
+from vibrojax.cli.output import draw, output, result_at, write_result
+from vibrojax.errors import InputError, shown
+
+if TYPE_CHECKING:
+    from vibrojax.analyses.analysis import Analysis
+
+_SWEEP = "a sweep: a bundled name, like regime-map, or the path of a TOML file; or "
+
+
+@command(
+    argument("file", "FILE", _SWEEP + "a sweep's dataset (.nc), whose sweep is then run again", files(".toml", ".nc")),
+    output_options("NAME-orbits.nc"),
+)
+def orbits(options: Options) -> None:
+    """Find the periodic orbits of a sweep's lanes, with their multipliers and stability."""
+    from vibrojax.analyses.orbits.analysis import sweep_with_orbits
+    from vibrojax.analyses.sweep.analysis import orbit_lines
+    from vibrojax.analyses.sweep.run import run_to_file
+    from vibrojax.io.dataset import open_dataset
+
+    file = str(options.file)
+    is_dataset = file.endswith(".nc")
+    sweep = sweep_with_orbits(open_dataset(Path(file)) if is_dataset else file)
+    out = output(options.out or f"{Path(file).stem if is_dataset else sweep.name}-orbits.nc", drawn=True)
+    options.advise("finished chunks are kept; to go on", "orbits", file, "-o", str(out))
+    dataset = run_to_file(sweep, out, resume=not options.fresh, progress=not options.quiet)
+    drawn = draw(options, dataset, out)
+    if not options.quiet:
+        print("\n".join([f"{out}: {sweep.lanes} lanes{drawn}", *orbit_lines(dataset)]))
+
+
+def analysis_command(kind: str, summary: str) -> Command:
+    """Return the command of one kind of analysis; the analysis is imported only when the command is used."""
+
+    def add_settings(parser: Any) -> None:
+        for option, field in _settings(_analysis_class(kind)).items():
+            metavar = field.metadata.get("metavar", field.name.upper())
+            parser.add_argument(option, metavar=metavar, help=field.metadata.get("help"))
+
+    about = "the dataset of a sweep (.nc), which is run again where it lacks what the analysis needs"
+    file = argument("file", "FILE", _SWEEP + about, files(".toml", ".nc"))
+    return Command(
+        summary, (file, add_settings, output_options(f"NAME-{kind}.nc")), lambda options: _run(kind, options)
+    )
+
+
+def _analysis_class(kind: str) -> "type[Analysis]":
+    from vibrojax.analyses.analysis import analysis_named
+
+    analysis = analysis_named(kind)
+    assert analysis is not None  # commands exist only for known kinds
+    return type(analysis)
+
+
+def _settings(analysis: "type[Analysis]") -> "dict[str, dataclasses.Field[Any]]":
+    """Return the settings of an analysis, which are the fields of its dataclass, keyed by command-line option."""
+    if not dataclasses.is_dataclass(analysis):
+        return {}
+    return {f"--{field.name.replace('_', '-')}": field for field in dataclasses.fields(analysis)}
+
+
+def _run(kind: str, options: Options) -> None:
+    """Run an analysis, write and draw its dataset, and print its summary."""
+    from vibrojax.analyses.analysis import analyse, checked_result
+    from vibrojax.analyses.orbits.analysis import SweepAnalysis
+    from vibrojax.io.dataset import open_dataset
+
+    analysis_class = _analysis_class(kind)
+    given = {
+        option: (field, text)
+        for option, field in _settings(analysis_class).items()
+        if (text := getattr(options, field.name)) is not None
+    }
+    settings = {field.name: _value(option, field, text) for option, (field, text) in given.items()}
+    analysis = analysis_class(**settings)
+    file, progress = str(options.file), not options.quiet
+    is_dataset = file.endswith(".nc")
+    source: Any = open_dataset(Path(file)) if is_dataset else file
+    sweep, identity = None, {kind: True, "file": file, **{name: str(value) for name, value in settings.items()}}
+    if isinstance(analysis, SweepAnalysis):
+        sweep = analysis.sweep(source)
+        identity = {**analysis.identity(sweep), **sweep.identity()}
+    name = Path(file).stem if sweep is None or is_dataset else sweep.name
+    out = result_at(options, f"{name}-{kind}.nc", identity)
+    words = [kind, file, "-o", str(out), *(word for option, (_, text) in given.items() for word in (option, text))]
+    options.advise("nothing was kept; to begin again", *words)
+    if isinstance(analysis, SweepAnalysis) and sweep is not None:
+        lanes_of: Any = nullcontext(source)
+        if not (is_dataset and "orbit_reason" in source):
+            from vibrojax.analyses.sweep.run import lanes_beside
+
+            # Finished chunks are kept next to OUT until the result is written, so an interrupt loses none of them.
+            options.advise("finished chunks are kept; to go on", *words)
+            lanes_of = lanes_beside(sweep, out, resume=not options.fresh, progress=progress)
+        with lanes_of as lanes:
+            dataset = checked_result(analysis, analysis.of_lanes(sweep, lanes, progress))
+            drawn = write_result(options, dataset, out, identity)
+    else:
+        dataset = analyse(source, analysis, progress=progress)
+        drawn = write_result(options, dataset, out, identity)
+    if progress:
+        count = f": {dataset.sizes[analysis.counted]} {analysis.counted}s" if analysis.counted else ""
+        lines = [line for part in analysis.summary(dataset) for line in part.lines]
+        print("\n".join([f"{out}{count}{drawn}", *lines]))
+
+
+def _value(option: str, field: "dataclasses.Field[Any]", text: str) -> object:
+    """Return the value of an option in the type of its field: a number, a string, or a tuple of strings."""
+    kind = str(getattr(field.type, "__name__", field.type))
+    if kind.startswith("tuple"):
+        items = [item.strip() for item in text.split(",")]
+        if not all(items) or (kind.count(",") == 1 and "..." not in kind and len(items) != 2):
+            example = field.metadata.get("example", "A,B")
+            raise InputError(f"{option}: {shown(text)} is not a pair of names; write two, like {example}")
+        return tuple(items)
+    try:
+        return float(text) if kind.startswith("float") else int(text) if kind.startswith("int") else text
+    except ValueError:
+        raise InputError(f"{option}: {shown(text)} is not a number") from None

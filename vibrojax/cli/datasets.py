@@ -1,0 +1,233 @@
+"""The commands `plot`, `info` and `explore`, which show a dataset."""
+
+import os
+import sys
+import webbrowser
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from vibrojax.cli.command import (
+    JSON,
+    Options,
+    argument,
+    command,
+    files,
+    flag,
+    named_values,
+    number_or_name,
+    values_with,
+)
+from vibrojax.cli.output import PICTURES, output, print_json
+from vibrojax.cli.points import SIMULATE_SETTINGS
+from vibrojax.errors import InputError, Place, shown
+from vibrojax.io.formatting import size_text, time_text
+from vibrojax.progress import timed
+
+if TYPE_CHECKING:
+    from vibrojax.analyses.analysis import SummaryPart
+    from vibrojax.io.standing import Standing
+
+_MAX_ITEMS = 8
+"""Maximum number of claims or failures that are listed."""
+
+_SEVERAL: dict[str, Any] = {"action": "extend", "nargs": "+"}
+
+
+@command(
+    argument("file", "OUT.nc", "a dataset written by vibrojax", files(".nc")),
+    argument("-o", "PICTURE.png", "where to draw (OUT.png beside OUT.nc)", dest="out"),
+    argument("--variable", "NAME", "draw these variables, over all that varies; regime is one of them", **_SEVERAL),
+    argument("--where", "AXIS=VALUE", "draw only the lanes there, as in delta=0.005 start=stuck", **_SEVERAL),
+    argument(
+        "--over",
+        "FAMILY.nc",
+        "over the returns of a sweep: what vibrojax follow has found along its axis",
+        files(".nc"),
+        **_SEVERAL,
+    ),
+    argument("--colours", "MAP", "matplotlib's colour map for quantities"),
+)
+def plot(options: Options) -> None:
+    """Draw the picture that suits what a dataset holds, or specified variables, at specified values of its axes."""
+    from vibrojax.io.dataset import open_dataset
+
+    where: dict[str, float | str] = {}
+    for word in options.where or ():
+        name, equals, value = word.partition("=")
+        if not (name and equals and value):
+            raise InputError(f"--where: {shown(word)} is not AXIS=VALUE; write delta=0.005")
+        where[name.strip()] = number_or_name(value.strip())
+    path = Path(options.file)
+    with timed("read"):
+        dataset = open_dataset(path)
+        over = [open_dataset(Path(name)) for name in options.over or ()] or None
+    with dataset:
+        picture = output(options.out or path.with_suffix(".png"), PICTURES)
+        from vibrojax.analyses.pictures import save_picture
+
+        with timed("draw"):
+            part = save_picture(dataset, picture, options.variable, where, options.colours, over)
+    if not options.quiet:
+        print(f"{picture}: {part}" if part else picture)
+
+
+@command(
+    argument(
+        "file", "OUT.nc", "a dataset written by vibrojax, or the folder of chunks of an unfinished one", files(".nc")
+    ),
+    JSON,
+)
+def info(options: Options) -> None:
+    """Show what a dataset holds: scene, grid, regimes, failures, accuracy, provenance; or the progress of a sweep."""
+    from vibrojax.analyses.summary import summarise, summary_facts, summary_lines
+    from vibrojax.io.dataset import open_dataset
+    from vibrojax.io.standing import CHUNKS, standing
+
+    path = folder = Path(options.file)
+    if path.name and not path.exists():  # "." and "/" have no name
+        folder = path.with_name(path.name + CHUNKS)
+    if folder.name.endswith(CHUNKS) and folder.is_dir():
+        parts = _standing_parts(standing(folder))
+        facts = {name: value for part in parts for name, value in part.facts.items()}
+    else:
+        with timed("read"):
+            dataset = open_dataset(path)
+        if options.json:
+            facts = summary_facts(dataset, options.file)
+        else:
+            parts = summarise(dataset)
+    if options.json:
+        print_json(facts)
+    else:
+        print("\n".join(summary_lines(parts)))
+
+
+def _standing_parts(state: "Standing") -> "list[SummaryPart]":
+    """Return the progress of an unfinished sweep as parts of a summary; the keys of the facts are stable."""
+    from vibrojax.analyses.analysis import SummaryPart
+
+    def first(lines: list[str], otherwise: str) -> list[str]:
+        more = len(lines) - _MAX_ITEMS
+        return [*lines[:_MAX_ITEMS], f"and {more} more"] if more > 0 else lines or [otherwise]
+
+    finished = len(state.finished)
+    pace = "not known yet"
+    if state.per_second is not None:
+        seconds = (state.chunks - finished) / state.per_second
+        pace = f"{state.per_second * state.size:.3g} lanes/s"
+        pace += f", {time_text(seconds)} left at that" if seconds else ""
+    claims = [
+        f"{claim.name}: {claim.owner.text}, since {claim.since}{' (has ended)' if claim.stale else ''}"
+        for claim in state.held
+    ]
+    held = [{"what": c.name, "by": c.owner.text, "since": c.since, "stale": c.stale} for c in state.held]
+    share = f"{finished} of {state.chunks} chunks ({100 * finished / max(state.chunks, 1):.3g} %)"
+    lanes = {"finished": state.finished_lanes, "all": state.lanes}
+    chunks = {"finished": finished, "all": state.chunks, "size": state.size}
+    failures = [f"chunk {failure.chunk}: {failure.why} ({failure.by})" for failure in state.failures]
+    return [
+        SummaryPart("title", [state.title], {"folder": str(state.folder), "title": state.title, "lanes": lanes}),
+        SummaryPart("finished", [share], {"chunks": chunks}),
+        SummaryPart("lanes", [f"{state.finished_lanes} of {state.lanes}"]),
+        SummaryPart("disk", [size_text(state.nbytes)], {"bytes": state.nbytes}),
+        SummaryPart("pace", [pace], {"chunks_per_second": state.per_second}),
+        SummaryPart(
+            "at work",
+            first(claims, "a process of this machine" if state.whole_held else "none"),
+            {"held": held, "locked": state.whole_held},
+        ),
+        SummaryPart("failed", first(failures, "none"), {"failures": [vars(failure) for failure in state.failures]}),
+    ]
+
+
+@command(
+    argument(
+        "file",
+        "OUT.nc",
+        "a dataset of vibrojax: of a sweep, its orbits, attractors or borders, families, one motion, or a fit; "
+        "with --live also a scene",
+        files(".nc"),
+    ),
+    argument(
+        "values",
+        "NAME=VALUE",
+        "of a scene: where its motion begins, as for vibrojax simulate",
+        values_with(SIMULATE_SETTINGS),
+        nargs="*",
+    ),
+    argument("-o", "PAGE.html", "where to write (OUT.html beside OUT.nc)", dest="out"),
+    argument(
+        "--over", "BORDERS.nc", "lay over the map what vibrojax borders has found in the same plane", files(".nc")
+    ),
+    flag(
+        "--live", "open the page from a server on this machine alone, with sliders for every parameter; Ctrl-C ends it"
+    ),
+    flag("--no-browser", "with --live: print the address, and open no browser"),
+)
+def explore(options: Options) -> None:
+    """Write an interactive HTML page: a map and, for every cell, its orbit, history, spectrum and numbers.
+
+    With --live, nothing is written: a server on this machine serves the page, and computes what the user clicks or
+    drags.
+    """
+    from vibrojax.io.dataset import open_dataset
+
+    path, progress = Path(options.file), not options.quiet
+    scene = options.live and not path.suffix
+    if options.live and options.out:
+        raise InputError("explore: -o: --live writes no page; leave one of them out")
+    if options.no_browser and not options.live:
+        raise InputError("explore: --no-browser: there is no browser to open without --live")
+    if options.values and not scene:
+        raise InputError(f"explore: {shown(options.values[0])}: values are for a scene, with --live; leave them out")
+    if scene and options.over:
+        raise InputError("explore: --over: a motion has no map to lay borders over; leave it out")
+    if not options.live:
+        out = output(options.out, (".html",)) if options.out else path.with_suffix(".html")
+    over = None
+    if scene:
+        from vibrojax.sweep.simulation import simulate
+
+        settings, parameters = named_values(Place("explore"), options.values, SIMULATE_SETTINGS, lists=False)
+        arguments: dict[str, Any] = settings | parameters
+        dataset = simulate(options.file, **arguments, progress=progress)
+    else:
+        with timed("read"):
+            dataset = open_dataset(path)
+            over = open_dataset(Path(options.over)) if options.over else None
+    with dataset:
+        try:
+            if options.live:
+                from vibrojax.explorer.live import serve
+
+                live = serve(dataset, over, progress=progress)
+            else:
+                from vibrojax.explorer import write_page
+
+                with timed("compute and write"):
+                    write_page(dataset, out, over, progress=progress)
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from None
+    if options.live:
+        _serve(options, live)
+    elif progress:
+        print(f"{out}: {out.stat().st_size / 1e6:.1f} MB")
+
+
+def _serve(options: Options, live: Any) -> None:
+    """Show the live page until the process is interrupted."""
+    from vibrojax.analyses.sweep.workers.lifetime import on_leaving
+
+    with live, on_leaving(lambda: live.close(1.0)):
+        words = [str(options.file), *options.values, *(["--over", str(options.over)] if options.over else [])]
+        options.advise("the page is closed; to open it again", "explore", *words, "--live")
+        print(live.url, flush=True)
+        if not options.quiet:
+            print("Ctrl-C ends it", file=sys.stderr, flush=True)
+        # Without a display, some browsers open in the terminal.
+        has_display = (
+            sys.platform in ("darwin", "win32") or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+        )
+        if not options.no_browser and has_display:
+            webbrowser.open(live.url)
+        live.wait()

@@ -1,0 +1,235 @@
+"""The commands `scenes`, `simulate`, `follow`, `push` and `tolerance`, which take a scene and NAME=VALUE."""
+
+import re
+import warnings
+from typing import TYPE_CHECKING, Any
+
+from vibrojax.analyses import FAMILY_WORDS
+from vibrojax.cli.command import (
+    JSON,
+    Options,
+    argument,
+    command,
+    explained,
+    named_values,
+    output_options,
+    point_arguments,
+    scene_names,
+    whole,
+)
+from vibrojax.cli.output import answer
+from vibrojax.errors import Place, shown
+
+if TYPE_CHECKING:
+    import xarray
+
+_UNITS = {"duration": "s", "error": "1", "sampling": "s", "step": "s", "smoothing": "m s-1"}
+"""Settings of `simulate` that are positive numbers, with their units."""
+
+SIMULATE_SETTINGS = ("start", "method", "solver", *_UNITS)
+"""Arguments of `simulate` that are not parameters of a scene."""
+
+_REQUIRED = ("along", "at", "from", "to")
+
+FOLLOW_SETTINGS = (*_REQUIRED, "start", "settle", "observe", "cycles")
+"""Arguments of `follow` that are not parameters of a scene."""
+
+_FOLLOW_SYNTAX = "along=NAME at=VALUE from=A to=B"
+
+_MOST = "most_"
+
+PUSH_SETTINGS = ("start", "scan", "precision", "settle", "observe", "most_x1", "most_v1", "most_x2", "most_v2")
+"""Arguments of `smallest_push` that are not parameters of a scene."""
+
+
+TOLERANCE_SETTINGS = ("start", "settle", "observe", "error")
+"""Arguments of `tolerance` that are not parameters of a scene."""
+
+_HALF_WIDTH = re.compile(r"\+-|±|\+/-")
+
+
+@command(argument("scene", "SCENE", "one of them, in full", scene_names, nargs="?"))
+def scenes(options: Options) -> None:
+    """List the scenes, or a scene's parameters, initial conditions, friction laws, variables and settings."""
+    from vibrojax.analyses.catalogue import list_scenes, scene_text
+
+    if options.scene is not None:
+        print(scene_text(options.scene))
+        return
+    for name, row in list_scenes().iterrows():
+        print(f"{name:<18}{row['what']}")
+        print(f"{'':<18}starts: {row['starts'] or 'always the same'}")
+
+
+@command(
+    point_arguments(
+        SIMULATE_SETTINGS,
+        "a parameter; friction; start (a name, or [x1,x1',x2,x2']); duration, sampling, error, method, solver, step, "
+        "smoothing",
+    ),
+    output_options("SCENE.nc"),
+    JSON,
+)
+def simulate(options: Options) -> None:
+    """Simulate one point: write its trajectory as a dataset, and a picture."""
+    place = Place("simulate")
+    settings, parameters = named_values(place, options.values, SIMULATE_SETTINGS, lists=False)
+    from vibrojax.models.physics.parameters import positive
+    from vibrojax.sweep.input.read import read_point
+    from vibrojax.sweep.input.values import UnusualValue, quantity
+
+    point = read_point(place, options.scene, parameters, settings.pop("start", None))
+    for name, value in settings.items():
+        if name in _UNITS:
+            settings[name] = quantity(place.at(name), value, positive(name, 1.0, _UNITS[name], name, name))
+        elif not isinstance(value, str) or not value:  # `simulate` itself checks the names of methods and solvers
+            raise place.at(name).error(f"{shown(value)} is not a name; give one, like {name}=...")
+    # Each value is checked at run time; its static type does not state that it fits the function's argument.
+    arguments: dict[str, Any] = settings | point.options | point.parameters
+    if point.start is not None:
+        arguments["start"] = point.start
+
+    def compute() -> "xarray.Dataset":
+        from vibrojax.sweep.simulation import simulate
+
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UnusualValue)  # `read_point` has already warned
+            return simulate(point.scene, **arguments, progress=not options.quiet)
+
+    def facts(dataset: "xarray.Dataset") -> dict[str, object]:
+        from vibrojax.analyses.trajectory.analysis import features
+        from vibrojax.io.attributes import attribute_of
+
+        return {
+            "scene": point.scene,
+            **point.options,
+            "start": point.start,
+            "parameters": point.parameters,
+            "duration": float(dataset["time"][-1]),
+            "run": attribute_of(dataset, "run"),
+            "found": features(dataset),
+            "solver": attribute_of(dataset, "solver"),
+        }
+
+    answer(options, f"{point.scene}.nc", {"scene": point.scene, **arguments}, compute, facts)
+
+
+@command(
+    explained(*FAMILY_WORDS),
+    point_arguments(
+        FOLLOW_SETTINGS,
+        f"{_FOLLOW_SYNTAX}: the parameter, where the family begins, and its bounds; start (a name, or [x1,x1',x2,x2'])"
+        ", settle and observe (s, for which the motion at VALUE settles and is then watched: 40, 8) and cycles (the "
+        "most returns of doubled branches: 8); parameters, and friction. A list, beta=0.3,0.4,0.5, is as many "
+        "families, followed together; of several lists the first values belong to one family, the second ones to the "
+        "next",
+    ),
+    output_options("SCENE-NAME.nc"),
+    JSON,
+)
+def follow(options: Options) -> None:
+    """Follow a family of periodic orbits, stable and unstable, along one parameter, with its special points."""
+    place = Place("follow")
+    settings, parameters = named_values(place, options.values, FOLLOW_SETTINGS, lists=True)
+    missing = [name for name in _REQUIRED if name not in settings]
+    if missing:
+        raise place.error(f"{' and '.join(missing)} missing; write vibrojax follow SCENE {_FOLLOW_SYNTAX}")
+    from vibrojax.analyses.continuation.run import OBSERVE, SETTLE, family_spec
+    from vibrojax.measures.ledger import MOST_CYCLES
+
+    defaults = {"start": None, "settle": SETTLE.default, "observe": OBSERVE.default, "cycles": MOST_CYCLES}
+    asked: dict[str, Any] = defaults | settings
+    asked |= {"span": (asked.pop("from"), asked.pop("to")), "cycles": whole(asked["cycles"])}
+    request = family_spec(options.scene, parameters=parameters, **asked)
+
+    def compute() -> "xarray.Dataset":
+        from vibrojax.analyses.continuation.run import continue_families
+
+        return continue_families(request, progress=not options.quiet)
+
+    def facts(dataset: "xarray.Dataset") -> dict[str, object]:
+        from vibrojax.analyses.continuation.analysis import family_facts
+        from vibrojax.io.attributes import attribute_of
+
+        machine = {"scene": dataset.attrs["scene"], "start": dataset.attrs.get("start")}
+        return {**machine, "parameters": attribute_of(dataset, "parameters"), **family_facts(dataset)}
+
+    answer(options, f"{request.sweep.scene}-{request.along}.nc", request.identity(), compute, facts)
+
+
+@command(
+    point_arguments(
+        PUSH_SETTINGS,
+        "parameters, and friction; a list, beta=0.3,0.4,0.5, is as many machines, pushed together. start (a name, "
+        "or [x1,x1',x2,x2']: of the motion whose cycle is pushed), most_x1, most_v1, most_x2, most_v2 (the greatest "
+        "push, m or m/s; by default the whole swing), scan (pushes of each scan in a direction: 256), precision "
+        "(0.001), settle and observe (s, for which motions settle and are then watched: 40, 8)",
+        scenes="rotary, vibro-impact or drilling",
+    ),
+    output_options("SCENE-push.nc"),
+)
+def push(options: Options) -> None:
+    """Find the smallest push in each state variable after which a machine no longer returns to its working cycle."""
+    settings, parameters = named_values(Place("push"), options.values, PUSH_SETTINGS, lists=True)
+    from vibrojax.analyses.push.spec import PRECISION, SCAN, push_spec
+
+    defaults = {"start": None, "scan": SCAN, "precision": PRECISION, "settle": 40.0, "observe": 8.0}
+    asked: dict[str, Any] = defaults | settings
+    most = {name.removeprefix(_MOST): asked.pop(name) for name in settings if name.startswith(_MOST)}
+    asked |= {"scan": whole(asked["scan"]), "most": most or None}
+    request = push_spec(options.scene, parameters=parameters, **asked)
+
+    def compute() -> "xarray.Dataset":
+        from vibrojax.analyses.push.run import find_pushes
+
+        return find_pushes(request, progress=not options.quiet)
+
+    answer(options, f"{request.sweep.scene}-push.nc", request.identity(), compute)
+
+
+@command(
+    point_arguments(
+        TOLERANCE_SETTINGS,
+        "parameters; those with a tolerance as NAME=VALUE+-HALF_WIDTH, like delta=-0.002+-0.001 or gamma=0.64+-1%% "
+        "(± is accepted). start (a name, or [x1,x1',x2,x2']; by default all starts), settle and observe (s: 40, 8), "
+        "error (1e-4)",
+    ),
+    output_options("SCENE-tolerance.nc"),
+    JSON,
+)
+def tolerance(options: Options) -> None:
+    """Simulate a machine over the box of its parameter tolerances: regimes, worst case, and where it occurs."""
+    place = Place("tolerance")
+    pairs = dict(_pair(place, word) for word in options.values if _HALF_WIDTH.search(word))
+    words = [word for word in options.values if not _HALF_WIDTH.search(word)]
+    settings, parameters = named_values(place, words, TOLERANCE_SETTINGS, lists=False)
+    for name in pairs:
+        if name in parameters or name in settings:
+            raise place.at(name).error("has a second value; give one")
+    from vibrojax.analyses.tolerance.run import read_box, simulate_box
+
+    box = read_box(options.scene, settings.pop("start", None), settings, parameters | pairs)
+
+    def compute() -> "xarray.Dataset":
+        return simulate_box(box, progress=not options.quiet)
+
+    def facts(dataset: "xarray.Dataset") -> dict[str, object]:
+        from vibrojax.analyses.tolerance.analysis import Tolerances
+
+        return dict(Tolerances().summary(dataset)[0].facts)
+
+    answer(options, f"{box.sweep.scene}-tolerance.nc", box.identity(), compute, facts)
+
+
+def _pair(place: Place, word: str) -> tuple[str, tuple[float, float]]:
+    """Return the name, the nominal value and the half-width in NAME=VALUE+-HALF_WIDTH, which may end in %."""
+    name, _, text = (part.strip() for part in word.partition("="))
+    value, width = (
+        (part.strip() for part in _HALF_WIDTH.split(text, maxsplit=1)) if _HALF_WIDTH.search(text) else ("", "")
+    )
+    try:
+        nominal = float(value)
+        return name, (nominal, abs(nominal) * float(width[:-1]) / 100 if width.endswith("%") else float(width))
+    except ValueError:
+        expected = "write NAME=VALUE+-HALF_WIDTH, like delta=0.005+-0.001 or gamma=0.64+-1%"
+        raise place.error(f"{shown(word)} is not a tolerance; {expected}") from None

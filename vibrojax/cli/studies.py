@@ -1,0 +1,112 @@
+"""The commands `fit`, `accuracy` and `reproduce`."""
+
+from pathlib import Path
+
+from vibrojax.analyses import WORDS
+from vibrojax.cli.command import JSON, Options, argument, command, files, flag
+from vibrojax.cli.output import dataset_written, draw, file_facts, output, output_folder, print_json
+from vibrojax.errors import InputError
+from vibrojax.progress import timed
+
+
+@command(
+    argument(
+        "file",
+        "FILE",
+        "a sweep's .nc, or a CSV with columns relief (P/D, mean force over the force at which the rock yields) "
+        "and rate_of_penetration, or others that --columns names",
+        files(".nc", ".csv"),
+        nargs="?",
+    ),
+    argument("--along", "AXIS", "the axis to fit along (frequency, else v; of a CSV: its rows)"),
+    argument(
+        "--columns",
+        "NAME=COLUMN",
+        "of a CSV: which column is what, in which unit, like "
+        'rate_of_penetration="ROP (m/h)" mean_force="WOB (kN)", or one value for all rows, like threshold="150 kN"',
+        nargs="+",
+        action="extend",
+    ),
+    argument("--by", "COLUMN", "of a CSV: fit the rows of each of its values", action="append"),
+    JSON,
+    argument("-o", "FIT.nc", "where to write (FILE-fit.nc in this folder)", dest="out"),
+)
+def fit(options: Options) -> None:
+    """Fit the rate-of-penetration law to a sweep's dataset or to rig data."""
+    words = list(options.columns or [])
+    if options.file is None and words and "=" not in words[-1]:
+        options.file = words.pop()  # FILE may follow the columns
+    if options.file is None:
+        raise InputError("fit: the following arguments are required: FILE; see vibrojax fit --help")
+    out = output(options.out or f"{Path(options.file).stem}-fit.nc", drawn=True)
+    from vibrojax.analyses.rop_law import fit_rop, law_facts, law_table
+    from vibrojax.analyses.rop_law.columns import columns_lines, read_columns
+    from vibrojax.io.dataset import write_dataset
+
+    with timed("read and fit"):
+        law = fit_rop(options.file, options.along, options.by or (), progress=False, columns=read_columns(words))
+    with timed("write"):
+        write_dataset(law, out)
+    drawn = draw(options, law, out)
+    facts = law_facts(law)
+    if options.json:
+        print_json({"file": options.file, **facts, **file_facts(out, drawn)})
+        return
+    columns = columns_lines(law)
+    lane = "a row of the CSV" if "columns" in law.attrs else WORDS["lane"]
+    lines = [
+        *([*columns, ""] if columns and not options.quiet else []),
+        *law_table(facts),
+        "",
+        f"forms of the rate of penetration: {law.attrs['formulas']}",
+        f"eta: the relief P/D, {WORDS['relief P/D']}; eta0: where it begins; a lane: {lane}",
+        "AIC: by how much a form describes the data better (lower is better, by 2 or more clearly so)",
+        "",
+        *facts["verdict"],
+        *([] if options.quiet else [f"{out}{drawn}"]),
+    ]
+    print("\n".join(lines))
+
+
+@command(
+    argument("-o", "DIR", "the folder to write to (accuracy)", dest="out", default="accuracy"),
+    flag("--quick", "few settings of two scenes, to see that it works"),
+)
+def accuracy(options: Options) -> None:
+    """Measure speed against error on this machine: write a dataset, a table and a picture.
+
+    An interrupted run keeps nothing, since timings of different runs must not be mixed in one table.
+    """
+    dataset_path, table_path, picture_path = output_folder(options.out, ("accuracy.nc", "accuracy.md", "accuracy.png"))
+    options.advise("nothing is kept; to start again", "accuracy", "-o", options.out, *["--quick"] * options.quick)
+    from vibrojax.analyses.accuracy import run_accuracy, table
+    from vibrojax.analyses.pictures import save_picture
+    from vibrojax.io.dataset import write_dataset
+
+    dataset = run_accuracy(quick=options.quick, progress=not options.quiet)
+    write_dataset(dataset, dataset_path)
+    table_path.write_text(table(dataset), encoding="utf-8")
+    dataset_written(options, dataset_path)
+    save_picture(dataset, picture_path)
+    if not options.quiet:
+        print(f"{table_path}: {dataset.sizes['setting']} settings; dataset {dataset_path}, picture {picture_path}")
+
+
+@command(
+    argument("-o", "DIR", "the folder (reproduction)", dest="out", default="reproduction"),
+    flag("--quick", "only what half a minute answers, to see that it works"),
+)
+def reproduce(options: Options) -> None:
+    """Compare each table and figure of the source that the model can reproduce with its result: a page and a table.
+
+    An interrupted run keeps nothing.
+    """
+    page, table = output_folder(options.out, ("index.html", "table.md"))
+    options.advise("nothing is kept; to start again", "reproduce", "-o", options.out, *["--quick"] * options.quick)
+    from vibrojax.reproduce import run_reproduction, write_reproduction
+
+    reproduction = run_reproduction(quick=options.quick, progress=not options.quiet)
+    write_reproduction(reproduction, page.parent)
+    if not options.quiet:
+        score = ", ".join(f"{count} {verdict}" for verdict, count in reversed(reproduction.score.items()))
+        print(f"{page}: {len(reproduction.results)} results: {score}; table {table}")
