@@ -95,11 +95,11 @@ def test_a_jacobian_of_ones_own_goes_through_the_pure_function():
         p |= {name: values[index : index + 1] for index, name in enumerate(wrt)}
         c = scene.constants(p)
         start = scene.start(c, "drive", (1,))
-        read = run_block(scene, Located(), recorder_for(scene), c, start, EXACT, 14.0, 2.0)
+        read = run_block(scene, Located(), recorder_for(scene), c, start, EXACT, 4.0, 2.0)
         return jnp.concatenate([read[name] for name in of])
 
     at = jnp.asarray([defaults[name] for name in wrt])
-    found = derivatives("vibro-impact", of=of, by=wrt, settle=14.0, observe=2.0)
+    found = derivatives("vibro-impact", of=of, by=wrt, settle=4.0, observe=2.0)
     np.testing.assert_allclose(jax.jit(jax.jacfwd(run))(at), found.derivative, rtol=1e-8)
     with pytest.raises(ValueError, match=r"Reverse-mode differentiation does not work for lax\.while_loop"):
         jax.grad(lambda values: run(values)[0])(at)
@@ -205,7 +205,6 @@ def test_at_a_graze_the_order_of_events_changes():
     """The gap at which the striker, having swung free, just reaches the bit."""
     given = {"of": "striker_amplitude", "by": "delta", "start": "stuck"}
     reach = float(derivatives("vibro-impact", delta=0.5, **given).measured[0])
-    found = derivatives("vibro-impact", delta=[0.9 * reach, 1.1 * reach], **given)
     low, high = 0.0, 2 * reach
     for _ in range(5):
         gaps = np.linspace(low, high, 10)

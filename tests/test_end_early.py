@@ -1,6 +1,7 @@
 """Lanes that have settled end before their time, with the labels and values of lanes stepped to their end."""
 
 import json
+from functools import cache
 
 import numpy as np
 import pytest
@@ -19,8 +20,9 @@ def steps_taken(dataset) -> int:
     return json.loads(dataset.attrs["solver"])["steps"]
 
 
-def both(scene: str, run=None, **parameters) -> tuple:
-    """The dataset of some random lanes with `end_early`, and without."""
+@cache
+def both(scene: str, *run, **parameters) -> tuple:
+    """The dataset of some random lanes with `end_early`, and without; `run`: pairs of a setting and its value."""
     rng = np.random.default_rng(11)
     columns = {
         "beta": rng.uniform(0.2, 0.8, LANES),
@@ -30,7 +32,7 @@ def both(scene: str, run=None, **parameters) -> tuple:
     if scene != "rotary":
         columns["delta"] = rng.uniform(-0.005, 0.01, LANES)
     points = {name: column.tolist() for name, column in columns.items()} | {"start": ["stuck", "drive"] * (LANES // 2)}
-    run = {"settle": 24.0, "observe": 8.0, "error": ERROR} | (run or {})
+    run = {"settle": 24.0, "observe": 8.0, "error": ERROR} | dict(run)
     sweep = {"scene": scene, "points": points, "parameters": parameters}
     return tuple(vj.run_sweep(sweep | {"run": run | {"end_early": early}}, progress=False) for early in (True, False))
 
@@ -66,10 +68,10 @@ def test_a_lane_that_has_not_settled_is_what_it_is_without():
         np.testing.assert_array_equal(early[name][irregular], full[name][irregular], err_msg=name)
 
 
-@pytest.mark.parametrize("run", [{"keep_returns": 4}, {"settle": 0.0, "observe": 12.0}])
+@pytest.mark.parametrize("run", [[("keep_returns", 4)], [("settle", 0.0), ("observe", 12.0)]])
 def test_all_stepped_to_the_end(run):
     """Returns one by one are those of the end; and without time to settle there is none to spare."""
-    early, full = both("vibro-impact", run)
+    early, full = both("vibro-impact", *run)
     assert steps_taken(early) == steps_taken(full)
     assert early.drop_attrs().equals(full.drop_attrs())
 

@@ -13,9 +13,9 @@ def test_at_random_points(law, seed):
     """Central differences are themselves off by some 1e-8. Volumes: most saltations that change them are of a bit that
     turns without sticking, because there friction changes its sign; a missing one would show as a part like 0.01."""
     found = drawn(law, 64, seed)
-    for orbit in found[:4]:
+    for orbit in found[:3]:
         assert off_by_differences(orbit) < 1e-6
-    sliding = [off_by_volumes(orbit) for orbit in found if orbit.stick == 0]
+    sliding = [off_by_volumes(orbit) for orbit in [one for one in found if one.stick == 0][:6]]
     assert len(sliding) >= 5
     assert all(off < 1e-7 for off, _ in sliding)
     assert sum(jumps < 0.9 for _, jumps in sliding) >= 2

@@ -23,6 +23,7 @@ ORBITS = {"orbits": True}
 FOUND, NOT_REPEATING, NOT_CONVERGED, NEAR_GRAZING, ANOTHER, REFUSED = range(6)
 MEASURED = {"impact_velocity": 1e-8, "stick_fraction": 1e-7, "reverse_fraction": 1e-8}
 SMALL = {"scene": "vibro-impact", "grid": {"beta": [0.3, 0.4, 0.5], "gamma": [0.7, 0.75]}}
+SOON = {"settle": 2.0, "observe": 0.5}
 
 
 def multipliers(point):
@@ -166,11 +167,11 @@ def test_a_spiral_to_a_shorter_repeat_says_so(lanes):
 
 def test_what_does_not_repeat_and_what_fails():
     none = vj.run_sweep(
-        {"scene": "vibro-impact", "grid": {"beta": [0.95], "gamma": [0.35, 0.7]}, "run": ORBITS | {"observe": 0.5}},
+        {"scene": "vibro-impact", "grid": {"beta": [0.95], "gamma": [0.35, 0.7]}, "run": ORBITS | SOON},
         progress=False,
     )
     assert (none.orbit_reason == NOT_REPEATING).all() and (none.stable == -1).all()
-    stiff = SMALL | {"parameters": {"k0": 1e30}, "run": ORBITS, "unusual": True}
+    stiff = SMALL | {"parameters": {"k0": 1e30}, "run": ORBITS | SOON, "unusual": True}
     refused = vj.run_sweep(stiff, progress=False)
     assert (refused.status != 0).all() and (refused.orbit_reason == REFUSED).all() and (refused.stable == -1).all()
 

@@ -9,36 +9,14 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
-from vibrojax.models.physics.friction import FRICTION_LAWS, FrictionLaw
-from vibrojax.models.physics.parameters import Parameter
+from vibrojax.models.physics.friction import FRICTION_LAWS
 
 LANES = 96
-COMPARED = (0, 1, 31, 63, 64, 95)
+COMPARED = (0, 63, 64, 95)
 """The first and the last lane, and those at the borders of a whole block and a short one."""
 
 SETTLE, OBSERVE, ERROR = 0.3, 0.9, 1e-4
 DRILLS = ("rotary", "vibro-impact", "drilling", "coupled-drilling")
-
-
-def all_laws() -> FrictionLaw:
-    """Every friction law at once, of which each lane's parameter `law` chooses one: a scene compiles once for all."""
-    laws = tuple(FRICTION_LAWS.values())
-    parameters = {name: parameter for law in laws for name, parameter in law.parameters.items()}
-
-    def chosen(coefficients, p):
-        chosen = 0.0
-        for index, coefficient in enumerate(coefficients):
-            chosen = coefficient * ((p["law"] > index - 0.5) & (p["law"] < index + 0.5)).astype(float) + chosen
-        return chosen
-
-    return FrictionLaw(
-        name="all-laws",
-        reference="eqs. 2.13 to 2.17, 5.9",
-        parameters=parameters | {"law": Parameter("law", 0.0, "1", "number of the law", "n")},
-        mu=lambda speed, p: chosen([law.mu(speed, p) for law in laws], p),
-        mu_impact=lambda speed, p: chosen([(law.mu_impact or law.mu)(speed, p) for law in laws], p),
-        flat_below=FRICTION_LAWS["popp-exponential"].flat_below,
-    )
 
 
 def columns(scene: str) -> dict:
@@ -65,17 +43,6 @@ def swept(scene: str, points: dict, run: dict, **parameters):
     return dataset
 
 
-@pytest.fixture(scope="module", params=DRILLS)
-def drill(request):
-    """A scene's name, and the dataset of all lanes under each law in turn."""
-    laws = len(FRICTION_LAWS)
-    lanes = {name: np.tile(column, laws) for name, column in columns(request.param).items()}
-    lanes["law"] = np.repeat(np.arange(float(laws)), LANES)
-    FRICTION_LAWS["all-laws"] = all_laws()
-    yield request.param, swept(request.param, lanes, {"keep_returns": 25}, friction="all-laws")
-    del FRICTION_LAWS["all-laws"]
-
-
 def section_times(motion) -> np.ndarray:
     kinds = motion.event_kind.attrs["flag_meanings"].split()
     times = motion.event_time.values[motion.event_kind.values == kinds.index("section")]
@@ -83,25 +50,17 @@ def section_times(motion) -> np.ndarray:
 
 
 @pytest.mark.parametrize("law", list(FRICTION_LAWS))
-def test_drill(drill, law):
+@pytest.mark.parametrize("scene", DRILLS)
+def test_drill(scene, law):
     """Every return to the section comes at its time, and the hole has grown as much in between."""
-    scene, dataset = drill
-    number = list(FRICTION_LAWS).index(law)
+    dataset = swept(scene, columns(scene), {"keep_returns": 25}, friction=law)
     returns = 0
     for lane in COMPARED:
         point = {name: column[lane].item() for name, column in columns(scene).items()}
-        motion = vj.simulate(
-            scene,
-            friction="all-laws",
-            law=float(number),
-            **point,
-            duration=SETTLE + OBSERVE,
-            error=ERROR,
-            sampling=1e-3,
-            progress=False,
-        )
+        setting = {"duration": SETTLE + OBSERVE, "error": ERROR, "sampling": 1e-3, "progress": False}
+        motion = vj.simulate(scene, friction=law, **point, **setting)
         times = section_times(motion)
-        found = dataset.isel(point=number * LANES + lane)
+        found = dataset.isel(point=lane)
         assert found.status == 0
         kept = found.return_time.values
         np.testing.assert_allclose(kept[np.isfinite(kept)], times, rtol=ERROR, err_msg=str(point))

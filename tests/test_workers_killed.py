@@ -1,6 +1,6 @@
 """Workers that die, drivers that are killed or interrupted: nothing that is finished is lost, nobody is left behind.
 
-`python tests/hard/kills_of_workers.py` does so two hundred times, over all doors.
+`python tests/hard/kills.py 200 0 all` does so two hundred times, over all doors.
 """
 
 import contextlib

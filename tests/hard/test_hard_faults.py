@@ -15,8 +15,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
-from commands import start
-from kills import cached
 
 from vibrojax.io.dataset import open_dataset, write_dataset
 from vibrojax.io.shards import Shards
@@ -37,8 +35,20 @@ step = 1e-4
 
 
 def started(folder, *words, before="", **environment) -> subprocess.Popen:
-    """`vibrojax WORDS` in a process of its own, at work in `folder`; the program `before` runs in it first."""
-    return start(*words, before=before, environment=environment, cwd=folder)
+    """`vibrojax WORDS` in a process of its own, at work in `folder`; the program `before` runs in it first.
+
+    By exec, not in a fork of this process, whose threads are jax's.
+    """
+    first = "import os, signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler)"
+    then = "os.execv(sys.executable, [sys.executable, '-m', 'vibrojax', *sys.argv[1:]])"
+    return subprocess.Popen(
+        [sys.executable, "-c", "\n".join([first, before, then]), *words],
+        cwd=folder,
+        env=os.environ | {"PYTHONPATH": str(ROOT)} | environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
 
 
 def ended(process) -> tuple[int, str]:
@@ -76,17 +86,11 @@ def folder(tmp_path):
 
 
 @pytest.fixture(scope="module")
-def cache(tmp_path_factory):
-    """The environment in which a process takes its compiled programs from those before it."""
-    return cached(tmp_path_factory.mktemp("cache"))
-
-
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory, cache):
+def whole(tmp_path_factory):
     """The dataset of the sweep as a process makes it that nothing disturbs."""
     folder = tmp_path_factory.mktemp("whole")
     (folder / "map.toml").write_text(SWEEP)
-    assert run(folder, "sweep", "map.toml", "--quiet", **cache) == (0, "")
+    assert run(folder, "sweep", "map.toml", "--quiet") == (0, "")
     return folder / "map.nc"
 
 
@@ -126,9 +130,9 @@ def test_the_disk_fills_at_any_byte(tmp_path):
     assert seen == {"File too large", "whole"}
 
 
-def test_a_full_disk(folder, whole, cache):
+def test_a_full_disk(folder, whole):
     """Full as the fourth chunk is written, then as the dataset is: what was computed is kept, and in the end used."""
-    process = started(folder, "sweep", "map.toml", "--quiet", **cache)
+    process = started(folder, "sweep", "map.toml", "--quiet")
     wait_for(lambda: len(chunks(folder)) >= 1, process)
     for index in range(3, CHUNKS):  # /dev/full takes nothing, ever
         path = folder / "map.nc.chunks" / f"chunk-{index:08d}.shard.{process.pid}.tmp"
@@ -140,11 +144,11 @@ def test_a_full_disk(folder, whole, cache):
     kept = chunks(folder)
     assert kept
     # No file may grow beyond that: a chunk does not, the dataset does.
-    status, said = run(folder, "sweep", "map.toml", "--quiet", before=limited(8000), **cache)
+    status, said = run(folder, "sweep", "map.toml", "--quiet", before=limited(8000))
     assert status == 1 and one_line(said) == f"vibrojax: map.nc: File too large; {to_go_on}"
     assert len(chunks(folder)) == CHUNKS and kept.items() <= chunks(folder).items()
     assert not (folder / "map.nc").exists()
-    assert run(folder, "sweep", "map.toml", "--quiet", **cache) == (0, "")
+    assert run(folder, "sweep", "map.toml", "--quiet") == (0, "")
     assert_same(folder / "map.nc", whole)
     assert sorted(path.name for path in folder.iterdir()) == ["map.nc", "map.png", "map.toml"]
 
@@ -165,10 +169,10 @@ def test_a_folder_that_cannot_be_written(folder):
     assert status == 2 and '-o: "map.nc": folder "." cannot be written (Permission denied)' in one_line(said)
 
 
-def test_chunks_closed_deleted_cut_and_flipped(folder, whole, cache):
+def test_chunks_closed_deleted_cut_and_flipped(folder, whole):
     """The folder is closed while the sweep runs: what was there stays. Of what is damaged then each is told, and
     computed again; the others are used."""
-    process = started(folder, "sweep", "map.toml", "--quiet", before=BOUND_BY_MODES, **cache)
+    process = started(folder, "sweep", "map.toml", "--quiet", before=BOUND_BY_MODES)
     wait_for(lambda: len(chunks(folder)) >= 3, process)
     closed = folder / "map.nc.chunks"
     closed.chmod(0o555)
@@ -183,7 +187,7 @@ def test_chunks_closed_deleted_cut_and_flipped(folder, whole, cache):
     flipped[len(flipped) // 2] ^= 16
     paths[2].write_bytes(flipped)
     (closed / "manifest.json").write_bytes(b"{")
-    status, said = run(folder, "sweep", "map.toml", "--quiet", **cache)
+    status, said = run(folder, "sweep", "map.toml", "--quiet")
     lines = [f"vibrojax: warning: {path.relative_to(folder)}: damaged; computed again" for path in paths[1:3]]
     assert (status, said.splitlines()) == (0, lines)
     assert_same(folder / "map.nc", whole)
@@ -228,9 +232,9 @@ def test_ctrl_c_is_answered_at_once(folder, sent, seconds, expected):
     raise AssertionError(f"{took:.3g} s")
 
 
-def test_sigterm_ends_as_cleanly_as_ctrl_c(folder, whole, cache):
+def test_sigterm_ends_as_cleanly_as_ctrl_c(folder, whole):
     """What a shutdown or a batch system's limit sends: one line on how to go on, status 128 + 15, and it does go on."""
-    process = started(folder, "sweep", "map.toml", "--quiet", **cache)
+    process = started(folder, "sweep", "map.toml", "--quiet")
     wait_for(lambda: len(chunks(folder)) >= 2, process)
     process.send_signal(signal.SIGTERM)
     status, said = ended(process)
@@ -238,7 +242,7 @@ def test_sigterm_ends_as_cleanly_as_ctrl_c(folder, whole, cache):
     line = "vibrojax: terminated; finished chunks are kept; to go on: vibrojax sweep map.toml -o map.nc\n"
     if not (folder / "map.nc").exists():  # else a fast machine had come to its picture, or to its end
         assert (status, said) == (143, line) and len(kept) >= 2
-    assert run(folder, "sweep", "map.toml", "--quiet", **cache) == (0, "")
+    assert run(folder, "sweep", "map.toml", "--quiet") == (0, "")
     assert_same(folder / "map.nc", whole)
 
 
@@ -259,7 +263,7 @@ int clock_gettime(clockid_t which, struct timespec *now) {
 
 
 @pytest.mark.skipif(not shutil.which("cc"), reason="the clock is bent by a small library, which a C compiler makes")
-def test_ctrl_c_and_a_clock_that_jumps(folder, whole, cache):
+def test_ctrl_c_and_a_clock_that_jumps(folder, whole):
     """Back to before 1970 and on to 2100 at every second look at it; files bear the wrong dates too.
 
     XLA says on stderr how slow its compiler must have been.
@@ -267,7 +271,7 @@ def test_ctrl_c_and_a_clock_that_jumps(folder, whole, cache):
     (folder / "clock.c").write_text(CLOCK)
     subprocess.run(["cc", "-shared", "-fPIC", "-o", "clock.so", "clock.c", "-ldl"], cwd=folder, check=True)
     bent = {"LD_PRELOAD": str(folder / "clock.so")}
-    process = started(folder, "sweep", "map.toml", "--quiet", **bent, **cache)
+    process = started(folder, "sweep", "map.toml", "--quiet", **bent)
     wait_for(lambda: len(chunks(folder)) >= 2, process)
     process.send_signal(signal.SIGINT)
     status, said = ended(process)
@@ -278,16 +282,16 @@ def test_ctrl_c_and_a_clock_that_jumps(folder, whole, cache):
     assert status == 130 and said.endswith(tuple(lines))
     for index, name in enumerate(kept):
         os.utime(folder / "map.nc.chunks" / name, (0, 0) if index % 2 else (4102444800, 4102444800))
-    status, said = run(folder, "sweep", "map.toml", "--quiet", **bent, **cache)
+    status, said = run(folder, "sweep", "map.toml", "--quiet", **bent)
     assert status == 0 and (done or len(kept) >= 2) and "vibrojax" not in said and "Traceback" not in said
     assert_same(folder / "map.nc", whole)
     with xr.open_dataset(folder / "map.nc") as dataset:
         assert dataset.history[:4] in ("2100", "1969") and 0 < dataset.wall_time_s < 1000
 
 
-def test_chunks_deleted_while_it_runs(folder, whole, cache):
+def test_chunks_deleted_while_it_runs(folder, whole):
     """Even the whole folder: it is made again, and the dataset is whole."""
-    process = started(folder, "sweep", "map.toml", "--quiet", **cache)
+    process = started(folder, "sweep", "map.toml", "--quiet")
     wait_for(lambda: len(chunks(folder)) >= 3, process)
     shutil.rmtree(folder / "map.nc.chunks", ignore_errors=True)
     status, said = ended(process)
