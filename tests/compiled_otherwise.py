@@ -24,7 +24,7 @@ from test_sweep_against_simulate import DRILLS, LANES, all_laws, columns, swept 
 
 from vibrojax.compile import Untranslatable, agreement, xla  # noqa: E402
 from vibrojax.compile.kernels import elementwise, kernels, native  # noqa: E402
-from vibrojax.compile.kernels.rules import NUMBERS, Rule  # noqa: E402
+from vibrojax.compile.kernels.elementwise import NUMBERS, Rule  # noqa: E402
 from vibrojax.errors import InputError  # noqa: E402
 from vibrojax.models.physics.friction import FRICTION_LAWS  # noqa: E402
 from vibrojax.sweep.engine import compiler  # noqa: E402

@@ -15,7 +15,7 @@ from vibrojax.sweep.input.read import read_sweep
 
 CASES = json.loads((Path(__file__).parent / "data" / "vibro_impact_cases.json").read_text())
 PERIODIC = [case for case in CASES if case["expected"].get("cycles", 0) > 0]
-COPIES = 10
+COPIES = 5
 SHORT = {"settle": 12.0, "observe": 6.0}
 
 # Every sweep begins with a stuck lane, so that the starts come up in one order, which the program depends on.
@@ -41,12 +41,12 @@ def assert_identical(one, other):
 
 @pytest.fixture(scope="module")
 def tiled():
-    """Each lane ten times, in two chunks of whole and short blocks: each time in another place."""
-    return features(vj.run_sweep(sweep(TILED, chunk=200, **SHORT), progress=False))
+    """Each lane five times, in two chunks of whole and short blocks: each time in another place."""
+    return features(vj.run_sweep(sweep(TILED, chunk=100, **SHORT), progress=False))
 
 
 def test_place(tiled):
-    assert len(TILED) > 200
+    assert len(TILED) > 100
     assert np.mean(tiled["cycles"] > 0) > 0.8  # the rest have not settled in 12 s
     for name, values in tiled.items():
         copies = values.reshape(COPIES, len(PERIODIC))
@@ -67,11 +67,11 @@ def test_width_of_vectors(monkeypatch):
 def test_order(tiled):
     """Backwards, but for the first, with other neighbours in each block."""
     order = [0, *range(len(TILED) - 1, 0, -1)]
-    backwards = vj.run_sweep(sweep([TILED[index] for index in order], chunk=200, **SHORT), progress=False)
+    backwards = vj.run_sweep(sweep([TILED[index] for index in order], chunk=100, **SHORT), progress=False)
     assert_identical(features(backwards), {name: values[order] for name, values in tiled.items()})
 
 
-@pytest.mark.parametrize("chunk", [100, 512])
+@pytest.mark.parametrize("chunk", [50, 512])
 def test_chunk(tiled, chunk):
     assert_identical(features(vj.run_sweep(sweep(TILED, chunk=chunk, **SHORT), progress=False)), tiled)
 
@@ -81,7 +81,7 @@ def test_cores(tiled, cores, monkeypatch):
     """However many threads share the lanes."""
     monkeypatch.setattr(xla, "usable_cores", lambda: cores)
     assert len(xla.workers()) == cores
-    assert_identical(features(vj.run_sweep(sweep(TILED, chunk=200, **SHORT), progress=False)), tiled)
+    assert_identical(features(vj.run_sweep(sweep(TILED, chunk=100, **SHORT), progress=False)), tiled)
 
 
 def programs_compiled():

@@ -47,7 +47,7 @@ def fresh(monkeypatch, tmp_path):
 
 def forget():
     """Forget what a process knows."""
-    for known in (trust._verdicts, trust._refused, trust._trusted, kernels):
+    for known in (trust._refused, trust._trusted, kernels):
         known.clear()
     trust.newer_than_tested.cache_clear()
 
@@ -104,14 +104,6 @@ def sweep(scene="vibro-impact"):
     grid = {"gamma": [0.65, 0.7]}
     given = {"scene": scene, "parameters": {"beta": 0.4, "delta": 0.005}, "grid": grid, "run": RUN}
     return vj.run_sweep(given, progress=False)
-
-
-def small_sweep(friction="stribeck"):
-    """Sweep the scene that is compiled in the least time."""
-    run = {"settle": 1.0, "observe": 1.0}
-    return vj.run_sweep(
-        {"scene": "rotary", "parameters": {"friction": friction}, "grid": {"beta": [0.4]}, "run": run}, progress=False
-    )
 
 
 def compiler(dataset):
@@ -204,12 +196,16 @@ def test_where_it_differs(where, fault):
     assert differs is not None and quantity in differs.quantity and 1e-5 < differs.relative < 10
 
 
+def twice(scene, x):
+    return 2 * x
+
+
+def thrice(scene, x):
+    return 3 * x
+
+
 def test_all_programs_of_a_refused_scene(fault):
     """Orbits, trajectories and all else are not by kernels either, whether they would be wrong or not."""
-
-    def twice(scene, x):
-        return 2 * x
-
     scene, x = ROTARY(friction=WRONG), np.arange(3.0)
     with pytest.warns(KernelRefused) as told, pytest.raises(Untranslatable, match="differ by"):
         run_kernel(twice, (scene,), x)
@@ -280,28 +276,29 @@ def comparisons(monkeypatch):
 
 def test_sound_code_stays_with_kernels(fresh, comparisons, monkeypatch):
     """It is compared once: not for the second kernel of a scene, nor in the next process."""
-    assert compiler(small_sweep(SOUND)) == "llvm" and len(comparisons) == 1
-    forget()
-    assert compiler(small_sweep(SOUND)) == "llvm" and len(comparisons) == 1
-    monkeypatch.setenv("VIBROJAX_CACHE", "off")
-    forget()
-    assert compiler(small_sweep(SOUND)) == "llvm" and len(comparisons) == 2
+    for cache, count in (("on", 1), ("on", 1), ("off", 2)):
+        if cache == "off":
+            monkeypatch.setenv("VIBROJAX_CACHE", cache)
+        forget()
+        for function in (twice, thrice):
+            run_kernel(function, (ROTARY(friction=SOUND),), np.arange(3.0))
+        assert len(comparisons) == count
 
 
 def test_simulate_compares_once(fresh, comparisons):
-    """The parts of a trajectory's program have one verdict, which the next process has too."""
+    """The parts of a trajectory's program have one verdict, which the next process has too; kernels run it."""
     for _ in range(2):
         vj.simulate("rotary", friction=SOUND, duration=0.5, progress=False)
         assert len(comparisons) == 1
         forget()
 
 
-def test_a_refusal_is_kept(fault, quick_xla, comparisons):
+def test_a_refusal_is_kept(fault, comparisons):
     """The line is told again, and nothing is compared."""
     lines = []
     for _ in range(2):
-        with pytest.warns(KernelRefused) as told:
-            assert compiler(small_sweep(WRONG)) == "xla"
+        with pytest.warns(KernelRefused) as told, pytest.raises(Untranslatable):
+            run_kernel(twice, (ROTARY(friction=WRONG),), np.arange(3.0))
         lines += refused(told)
         forget()
     assert len(lines) == 2 and lines[0] == lines[1] and len(comparisons) == 1
@@ -309,12 +306,13 @@ def test_a_refusal_is_kept(fault, quick_xla, comparisons):
 
 def test_a_newer_version(fresh, comparisons, monkeypatch):
     """The package's own scenes are compared too, once."""
-    small_sweep()
+    run_kernel(twice, (ROTARY(),), np.arange(3.0))
     assert not comparisons
     monkeypatch.setitem(trust.TESTED_VERSIONS, "jax", ("0.0.1",))
     for _ in range(2):
         forget()
-        assert compiler(small_sweep()) == "llvm" and len(comparisons) == 1
+        run_kernel(twice, (ROTARY(),), np.arange(3.0))
+        assert len(comparisons) == 1
 
 
 @pytest.mark.parametrize("package", ["jax", "llvmlite"])
@@ -333,6 +331,10 @@ def test_tolerances_and_versions():
     )
 
 
+class Mine(vj.Located):
+    """A stepper from outside the package."""
+
+
 @pytest.mark.parametrize(
     "scene, foreign",
     [
@@ -346,18 +348,13 @@ def test_tolerances_and_versions():
         (InConstants(), True),
         (InAGauge(), True),
         (Switched(), True),
+        (Mine(), True),
     ],
 )
 def test_what_is_foreign(scene, foreign):
-    assert is_foreign(Kind(scene, vj.Located(), recorder_for(scene), scene.starts)) == foreign
-
-
-def test_a_stepper_of_ones_own_is_foreign():
-    class Mine(vj.Located):
-        pass
-
-    scene = VibroImpact()
-    assert is_foreign(Kind(scene, Mine(), recorder_for(scene), scene.starts))
+    """Scenes, laws, gauges and steppers from outside the package."""
+    scene, stepper = (VibroImpact(), scene) if isinstance(scene, Mine) else (scene, vj.Located())
+    assert is_foreign(Kind(scene, stepper, recorder_for(scene), scene.starts)) == foreign
 
 
 OWN = [
@@ -374,6 +371,6 @@ def named(scene):
 
 
 @pytest.mark.parametrize("scene", OWN, ids=named)
-def test_every_scene_and_law(scene, fresh):
+def test_every_scene_and_law(scene):
     """The package's own, which users' processes do not compare, and those of the tests."""
     assert compared(scene) is None

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from vibrojax.compile.kernels import assembly, control, elementwise, selection
-from vibrojax.compile.kernels.operands import literal
-from vibrojax.compile.kernels.rules import FLOATS, INTEGERS, NUMBERS, Application, Rule
+from vibrojax.compile.kernels.assembly import literal
+from vibrojax.compile.kernels.elementwise import FLOATS, INTEGERS, NUMBERS, Application, Rule
 
 
 def _loop_without_turns(patch: pytest.MonkeyPatch) -> None:

@@ -1,4 +1,6 @@
-"""Polynomials of a step against numpy.polynomial, and the root that ends the step against roots known beforehand."""
+"""Arithmetic of steps: polynomials against numpy.polynomial, roots known beforehand, a cosine and sine, a maximum."""
+
+from math import factorial
 
 import jax
 import jax.numpy as jnp
@@ -7,8 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.polynomial import Polynomial
+from vibrojax.measures.harmonics import cos_sin
 
-from vibrojax.stepping.polynomial import first_guess, integral, root, slope, value
+from vibrojax.stepping.polynomial import first_guess, highest, integral, root, rough_root, slope, value
 
 RANDOM = np.random.default_rng(11)
 
@@ -23,12 +26,6 @@ def test_value_slope_and_integral(order):
         exact = Polynomial(c[:, lane])
         for function, expected in ((value, exact), (slope, exact.deriv()), (integral, exact.integ())):
             np.testing.assert_allclose(function(lanes, jnp.asarray(tau))[lane], expected(t), rtol=1e-12, atol=1e-14)
-
-
-def test_slope_and_integral_are_derivative_and_antiderivative_of_value():
-    c = [jnp.asarray(one) for one in RANDOM.uniform(-1, 1, 8)]
-    np.testing.assert_allclose(slope(c, 0.7), jax.grad(value, argnums=1)(c, 0.7), rtol=1e-13)
-    np.testing.assert_allclose(jax.grad(integral, argnums=1)(c, 0.7), value(c, 0.7), rtol=1e-13)
 
 
 @jax.jit
@@ -134,3 +131,29 @@ def test_first_guess_is_the_parabola_s_root(start, rate, end):
 def test_first_guess_without_a_root_is_the_middle():
     """A start on the surface with no speed: 0/0."""
     np.testing.assert_array_equal(first_guess(jnp.zeros(1), jnp.zeros(1), -jnp.ones(1)), [0.5])
+
+
+@pytest.mark.parametrize("dtype", ["float64", "float32"])
+@pytest.mark.parametrize("n", [7, 9, 11])
+def test_rough_root(dtype, n):
+    x = np.exp(np.linspace(-80, 80, 9999)).astype(dtype)
+    ratio = np.asarray(rough_root(jnp.asarray(x), n)) / x.astype(float) ** (1 / n)
+    assert ratio.min() > 1 - 1e-5 and ratio.max() < 1.07
+    zero, infinite, unknown = rough_root(jnp.asarray([0.0, np.inf, np.nan], dtype), n)
+    assert zero < 1e-3 and infinite > 1 and unknown > 1
+
+
+def test_cos_sin():
+    angle = np.linspace(-300, 300, 20001)
+    cos, sin = cos_sin(jnp.asarray(angle))
+    np.testing.assert_allclose(cos, np.cos(angle), rtol=0, atol=1e-15)
+    np.testing.assert_allclose(sin, np.sin(angle), rtol=0, atol=1e-15)
+
+
+def test_highest():
+    """A wave of 2 rad, the longest stride, is 1 at its top; a rise is highest at its end, a fall at its start."""
+    quarter = np.pi / 2
+    wave = [jnp.full(2, np.sin(0.3 + k * quarter) * 2.0**k / factorial(k)) for k in range(18)]
+    np.testing.assert_allclose(highest(wave, jnp.asarray([1.0, 0.4])), [1.0, np.sin(1.1)], rtol=1e-10)
+    fall = [-c for c in wave]
+    np.testing.assert_allclose(highest(fall, jnp.asarray([0.2, 0.4])), -np.sin(0.3), rtol=1e-12)

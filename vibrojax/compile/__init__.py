@@ -4,17 +4,17 @@ A lane is one independent trajectory of a batch. [vibrojax.compile.lane_function
 and results are pytrees of arrays with the lanes along the last axis. The decorated function runs as a native kernel on
 CPUs, or through XLA where no kernel can be made:
 
-    @lane_function(static=1, registers=2, policy=policy)
+    @lane_function(static=1, policy=policy)
     def settle(scene, state, until): ...
 
-[vibrojax.compile.run_kernel][] does the same without the fallback to XLA. This folder does not depend on scenes. A
-caller whose functions call foreign code (code from outside this package) passes a `policy`. The policy has kernels of
-foreign code compared with XLA before the first of them runs.
+[vibrojax.compile.run_kernel][] does the same without the fallback to XLA. This folder does not depend on scenes. The
+caller's `policy` decides which calls depend on foreign code (code from outside this package). Kernels of foreign code
+are compared with XLA before the first of them runs.
 
 - `kernels/`: translation of jax's trace to LLVM's intermediate representation (IR), compilation, and the disk cache.
-- `xla.py`: XLA's options, and functions that run block by block.
-- `agreement.py`, `trust.py`: comparison of a kernel with XLA, and the decision which of them runs.
-- `arithmetic.py`: check of elementary functions against numpy. `devices.py`: devices, threads, precision.
+- `xla.py`: XLA's options, functions that run block by block, devices, threads, precision.
+- `agreement.py`, `trust.py`: comparison of a kernel with XLA and of elementary functions with numpy; the decision which
+  compiler runs.
 
 **Reason for a second compiler.** On CPUs, XLA recomputes values that several fusions share, and launches each fusion
 separately. One time step of all lanes is plain arithmetic with many shared values. LLVM compiles such a step, written
@@ -50,11 +50,10 @@ depend neither on the other lanes of the batch nor on the width of the processor
 """
 
 from vibrojax.compile.kernels import Untranslatable
-from vibrojax.compile.trust import KernelComparison, KernelRefused, Policy, Subject, lane_function, run_kernel
+from vibrojax.compile.trust import KernelRefused, Policy, Subject, lane_function, run_kernel
 from vibrojax.compile.xla import jitted
 
 __all__ = [
-    "KernelComparison",
     "KernelRefused",
     "Policy",
     "Subject",

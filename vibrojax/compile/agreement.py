@@ -59,22 +59,18 @@ def first_difference(function: Callable[..., Any], kernel: Kernel, *arguments: A
     changes = [np.zeros(value.shape) for _, value in by_kernel]
     for _ in range(PERTURBED_COPIES):
         copy = jax.tree.leaves(kernel(*jax.tree.map(lambda x: _perturb(x, random), arguments)))
-        distances = (_distance(value, other) for (_, value), other in zip(by_kernel, copy, strict=True))
-        changes = [np.asarray(np.maximum(*pair)) for pair in zip(changes, distances, strict=True)]
-    for (path, value), other, change in zip(by_kernel, _evaluate(function, arguments), changes, strict=True):
-        relative = _relative_difference(value, other, change)
-        if relative > 0:
-            return Difference(jax.tree_util.keystr(path).strip("."), relative)
-    return None
-
-
-def _evaluate(function: Callable[..., Any], arguments: tuple[Any, ...]) -> list[np.ndarray]:
-    """Evaluate a function of `LANES` lanes with XLA, one instruction at a time."""
+        for k, (_, value) in enumerate(by_kernel):
+            changes[k] = np.asarray(np.maximum(changes[k], _distance(value, copy[k])))
     traced = trace(function, *arguments).jaxpr
     variables = traced.jaxpr.invars
     leaves = [jnp.asarray(x, var.aval.dtype) for x, var in zip(jax.tree.leaves(arguments), variables, strict=True)]
     with jax.debug_nans(False):  # features of lanes without a section crossing are NaN
-        return [np.asarray(x) for x in jax.core.eval_jaxpr(traced.jaxpr, traced.consts, *leaves)]
+        by_xla = jax.core.eval_jaxpr(traced.jaxpr, traced.consts, *leaves)
+    for (path, value), other, change in zip(by_kernel, by_xla, changes, strict=True):
+        relative = _relative_difference(value, np.asarray(other), change)
+        if relative > 0:
+            return Difference(jax.tree_util.keystr(path).strip("."), relative)
+    return None
 
 
 def _perturb(x: Any, random: np.random.Generator) -> Any:
@@ -162,13 +158,13 @@ def wrong_functions(evaluate: Evaluate, functions: Functions, dtype: np.dtype, l
 
     with jax.debug_nans(False):  # functions that are undefined for negative numbers return NaN there
         values = evaluate(evaluate_all, *arguments)
-    return [name for name, count in counts.items() if _is_wrong(values[name], name, arguments[:count])]
-
-
-def _is_wrong(values: Any, name: str, arguments: tuple[np.ndarray, ...]) -> bool:
-    with np.errstate(all="ignore"):
-        exact = getattr(np, name)(*(x.astype(np.float64) for x in arguments))
-    known = np.isfinite(exact)
-    error = np.abs(np.asarray(values, np.float64) - exact)[known]
-    accepted = ELEMENTARY_ROUNDINGS * np.finfo(arguments[0].dtype).eps * np.maximum(1, np.abs(exact[known]))
-    return not bool(np.all(error <= accepted))
+    wrong = []
+    for name, count in counts.items():
+        with np.errstate(all="ignore"):
+            exact = getattr(np, name)(*(array.astype(np.float64) for array in arguments[:count]))
+        known = np.isfinite(exact)
+        error = np.abs(np.asarray(values[name], np.float64) - exact)[known]
+        accepted = ELEMENTARY_ROUNDINGS * np.finfo(x.dtype).eps * np.maximum(1, np.abs(exact[known]))
+        if not np.all(error <= accepted):
+            wrong.append(name)
+    return wrong

@@ -1,7 +1,7 @@
 """Choice of the compiler: kernels of foreign code run only if they agree with XLA.
 
 Foreign code (code from outside the package) may use any function of jax. A fault in its translation would silently give
-wrong numbers. So before a kernel of foreign code runs, the caller's `KernelComparison` compares that code with XLA. If
+wrong numbers. So before a kernel of foreign code runs, the comparison of its `Subject` compares that code with XLA. If
 the results differ, XLA runs all code of the same owner, such as a scene. The disk cache stores the outcome under the
 hashes of the compared kernels and of each kernel that it allows, so that each owner is compared once.
 
@@ -18,14 +18,13 @@ from contextlib import suppress
 from functools import cache, partial, wraps
 from hashlib import sha256
 from inspect import signature
-from typing import Any, NamedTuple, Protocol, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
 import llvmlite
 from jaxlib import version as jaxlib
 
-from vibrojax.compile.agreement import Difference
 from vibrojax.compile.kernels import Untranslatable, kernel_for
 from vibrojax.compile.kernels import cache as store
 from vibrojax.compile.xla import jitted
@@ -44,17 +43,6 @@ class KernelRefused(UserWarning):
     """Warning that a kernel differs from XLA and that XLA therefore runs all lanes of the same owner."""
 
 
-class KernelComparison(Protocol):
-    """Comparison of kernels with XLA. Its constructor raises `Untranslatable` if the kernels cannot be made."""
-
-    @property
-    def key(self) -> str:
-        """Hash of the kernels that are compared with XLA."""
-
-    def difference(self) -> Difference | None:
-        """Return the first difference, or None if the kernels agree with XLA."""
-
-
 class Subject(NamedTuple):
     """The code from which a kernel is compiled.
 
@@ -62,28 +50,26 @@ class Subject(NamedTuple):
     - `label`: name of the owner in messages.
     - `code`: objects that the kernel calls, to be searched for foreign code.
     - `variant`: variant of the code. There is one comparison per owner, variant and precision.
-    - `compare`: function that makes the comparison.
+    - `compare`: function that makes the comparison, or raises `Untranslatable`. The comparison's `key` is the hash of
+      the kernels that it compares with XLA. Its method `difference()` returns the first `Difference`, or None.
     """
 
     owner: Hashable
     label: str
     code: Hashable
     variant: Hashable
-    compare: Callable[[], KernelComparison]
+    compare: Callable[[], Any]
 
 
 Policy = Callable[[tuple[Hashable, ...], tuple[Any, ...], bool], Subject | None]
 """`policy(static, arguments, derives)` returns the subject of a call, or None if its kernel is always trusted.
 `derives` is True if the function computes derivatives."""
 
-_verdicts: dict[Hashable, bytes] = {}
-"""Verdicts of this process by owner, variant and precision: `AGREES`, or a message that describes the difference."""
-
 _refused: dict[Hashable, str] = {}
 """Rejected owners, with the reason."""
 
-_trusted: set[str] = set()
-"""Keys of trusted kernels."""
+_trusted: set[Hashable] = set()
+"""Keys of trusted kernels; owner, variant and precision of code that agrees with XLA."""
 
 _locks: defaultdict[Hashable, threading.Lock] = defaultdict(threading.Lock)
 _lock = threading.Lock()
@@ -93,9 +79,9 @@ def run_kernel(
     function: Callable[..., Any],
     static: tuple[Hashable, ...],
     *arguments: Any,
+    policy: Policy,
     registers: int = 1,
     derives: bool = False,
-    policy: Policy | None = None,
 ) -> Any:
     """Return `function(*static, *arguments)`, computed by a trusted kernel.
 
@@ -107,10 +93,11 @@ def run_kernel(
 
     **Raises:** `Untranslatable` if no kernel can be made, or if kernels of the same owner differ from XLA.
     """
-    subject = policy(static, arguments, derives) if policy is not None else None
+    subject = policy(static, arguments, derives)
     if subject is None or not (is_foreign(subject.code) or newer_than_tested()):
         return kernel_for(function, static, *arguments, registers=registers)(*arguments)
-    _raise_if_refused(subject)
+    if subject.owner in _refused:
+        raise Untranslatable(_refused[subject.owner])
     kernel = kernel_for(function, static, *arguments, registers=registers)
     if kernel.key not in _trusted:
         with _lock:
@@ -120,32 +107,28 @@ def run_kernel(
     return kernel(*arguments)
 
 
-def _raise_if_refused(subject: Subject) -> None:
-    if subject.owner in _refused:
-        raise Untranslatable(_refused[subject.owner])
-
-
 def _verify(key: str, subject: Subject) -> None:
     """Mark the kernel with this key as trusted, or raise `Untranslatable`.
 
     The first time an owner is rejected, also warn.
     """
-    _raise_if_refused(subject)
-    name = _verdict_name(key)
-    if store.read(name) != AGREES:
-        compared = (subject.owner, subject.variant, jnp.result_type(float).name)
-        if compared not in _verdicts:
-            try:
-                _verdicts[compared] = _verdict(subject)
-            except Untranslatable as error:  # raised by code that the comparison needs and this kernel does not
-                _refused[subject.owner] = str(error)
-                raise
-        verdict = _verdicts[compared]
+    owner = subject.owner
+    if owner in _refused:
+        raise Untranslatable(_refused[owner])
+    compared = (owner, subject.variant, jnp.result_type(float).name)
+    if compared not in _trusted and store.read(_verdict_name(key)) != AGREES:
+        try:
+            verdict = _verdict(subject)
+        except Untranslatable as error:  # raised by code that the comparison needs and this kernel does not
+            _refused[owner] = str(error)
+            raise
         if verdict != AGREES:
-            _refused[subject.owner] = verdict.decode()
-            warnings.warn(_refused[subject.owner], KernelRefused, stacklevel=2)
-            _raise_if_refused(subject)
-        store.write(name, verdict)
+            _refused[owner] = verdict.decode()
+            warnings.warn(_refused[owner], KernelRefused, stacklevel=2)
+            raise Untranslatable(_refused[owner])
+        _trusted.add(compared)
+    if compared in _trusted:
+        store.write(_verdict_name(key), AGREES)
     _trusted.add(key)
 
 
@@ -228,20 +211,13 @@ R = TypeVar("R")
 
 
 def lane_function(
-    static: int, *, derives: bool = False, registers: int = 1, policy: Policy | None = None
+    static: int, *, policy: Policy, derives: bool = False
 ) -> Callable[[Callable[..., R]], Callable[..., R]]:
     """Return a decorator that compiles a function of lanes, whose first `static` arguments are static and hashable.
 
     The other arguments and the results are pytrees of scalars and of arrays whose last axis is the lane axis. The
-    function is compiled on its first call with each combination of argument types.
-
-    **Arguments:**
-
-    - `static`: number of static arguments.
-    - `derives`: whether the function computes derivatives.
-    - `registers`: number of vector registers that hold one value of a group of lanes.
-    - `policy`: callable that decides which calls require a comparison with XLA first. By default, all kernels are
-      trusted.
+    function is compiled on its first call with each combination of argument types. `policy` decides which calls require
+    a comparison with XLA first; `derives`: whether the function computes derivatives.
     """
 
     def decorate(function: Callable[..., R]) -> Callable[..., R]:
@@ -249,9 +225,8 @@ def lane_function(
 
         @wraps(function)
         def call(*args: Any) -> R:
-            options: dict[str, Any] = {"registers": registers, "derives": derives, "policy": policy}
             try:
-                return run_kernel(function, args[:static], *args[static:], **options)
+                return run_kernel(function, args[:static], *args[static:], derives=derives, policy=policy)
             except Untranslatable:
                 return by_xla(*args)
 

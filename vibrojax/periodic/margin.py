@@ -66,7 +66,7 @@ class Margin:
         pace = self.scene.rate(self.c, tuple(jnp.full_like(step.dt, mode.calmest) for mode in self.scene.modes))
         margins = [least]
         for name, function, scale in zip(self.scene.guard_names, functions, scales, strict=True):
-            f = [function.array(k, step.dt) for k in range(len(step.polynomials[0]))]
+            f = function.arrays(len(step.polynomials[0]) - 1, step.dt)
             margins += [_at_hit(f, step, step.hits[name], scale * pace), _near_miss(f, step, scale)]
         return reduce(jnp.minimum, [*margins, *self._of_section(armed, step, pace), *self._at_switches(lane, step)])
 

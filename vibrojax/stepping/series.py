@@ -13,10 +13,10 @@ factors of the combination, which are computed once per step and not at every or
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 
 from vibrojax.models.arrays import Array, Lanes, Real, Value, keep
+from vibrojax.models.physics import elementary
 
 Number = Any
 """A coefficient: an array (lanes,) or a float. The float 0.0 means that the coefficient is identically zero."""
@@ -53,17 +53,17 @@ def total(terms: Iterable[Number]) -> Number:
 
 
 class Sequence:
-    """Coefficients c_1, c_2, ..., each either appended or computed by `term(k)` at its first use."""
+    """Coefficients c_0, c_1, ..., which are known, appended, or computed by `term(k)` at their first use."""
 
-    def __init__(self, term: Callable[[int], Number] | None = None, known: Iterable[Number] = ()):
-        self._term = term
+    def __init__(self, *known: Number, term: Callable[[int], Number] | None = None):
+        self.term = term
         self._known = list(known)
 
     def __getitem__(self, order: int) -> Number:
-        while len(self._known) < order:
-            assert self._term is not None, "the coefficient is neither known nor given by a rule"
-            self.append(self._term(len(self._known) + 1))
-        return self._known[order - 1]
+        while len(self._known) <= order:
+            assert self.term is not None, "the coefficient is neither known nor given by a rule"
+            self.append(self.term(len(self._known)))
+        return self._known[order]
 
     def append(self, c: Number) -> None:
         """Add the next coefficient."""
@@ -93,26 +93,26 @@ class Series:
             self._factors = [kept(factor) for factor in self.parts.values()]
         return total(times(f, s[order]) for f, s in zip(self._factors, self.parts, strict=True))
 
-    def array(self, order: int, like: Lanes) -> jax.Array:
-        """Return the coefficient of tau^order as an array with the shape of `like`, also if it is a float."""
-        c = self[order]
-        return jnp.full_like(like, c) if isinstance(c, float) else c
-
     def arrays(self, order: int, like: Lanes) -> list[Array]:
-        """Return the coefficients up to tau^order as arrays with the shape of `like`."""
-        return [self.array(k, like) for k in range(order + 1)]
+        """Return the coefficients up to tau^order as arrays with the shape of `like`, also those that are floats."""
+        coefficients = [self[k] for k in range(order + 1)]
+        return [jnp.full_like(like, c) if isinstance(c, float) else c for c in coefficients]
 
     def sequence(self) -> Sequence:
-        """Return c_1, c_2, ... as one sequence, for nonlinear functions."""
+        """Return c_0, c_1, ... as one sequence, for nonlinear functions."""
         if self._sequence is None:
             [*parts] = self.parts.items()
             single = len(parts) == 1 and isinstance(parts[0][1], float) and parts[0][1] == 1.0
-            self._sequence = parts[0][0] if single else Sequence(lambda k: self[k])
+            source = parts[0][0] if single else self
+            if isinstance(source, Sequence) and source[0] is self.value:
+                self._sequence = source
+            else:
+                self._sequence = Sequence(self.value, term=source.__getitem__)
         return self._sequence
 
     def __add__(self, other: "Series | Value") -> "Series":
         if isinstance(other, Series):
-            return combined(plus(self.value, other.value), self, other, plus)
+            return combined(self, other, plus)
         return Series(self.value + other, self.parts)
 
     __radd__ = __add__
@@ -141,57 +141,38 @@ class Series:
         return _quotient(self, other) if other.parts else self * (1 / other.value)
 
     def __rtruediv__(self, other: "Series | Value") -> "Series":
-        return constant(other) / self
-
-
-def constant(value: Number) -> Series:
-    """Return the series of a value that is constant within the step."""
-    return Series(value, {})
+        return Series(other, {}) / self
 
 
 def known(coefficients: list[Any]) -> Series:
     """Return the series with the specified coefficients c_0, c_1, ..."""
-    return Series(coefficients[0], {Sequence(known=coefficients[1:]): 1.0})
+    return _series_of(Sequence(*coefficients))
 
 
-def combined(value: Number, a: Series, b: Series, factor: Callable[[Number, Number], Number]) -> Series:
-    """Return the series with this value whose factors are `factor(f, g)`.
+def _series_of(sequence: Sequence) -> Series:
+    return Series(sequence[0], {sequence: 1.0})
 
-    f and g are the factors of the same sequence in `a` and `b`, 0.0 where the sequence is missing.
+
+def combined(a: Series, b: Series, factor: Callable[[Number, Number], Number]) -> Series:
+    """Return the series whose value and factors are `factor(f, g)` of those in `a` and `b`.
+
+    The factor of a sequence that is missing in `a` or `b` is 0.0 there.
     """
     sequences = dict.fromkeys((*a.parts, *b.parts))
+    value = factor(a.value, b.value)
     return Series(value, {s: factor(a.parts.get(s, 0.0), b.parts.get(s, 0.0)) for s in sequences})
 
 
-class Terms:
-    """The coefficients c_0, c_1, ... of a series."""
-
-    def __init__(self, value: Number, rest: Sequence | None = None):
-        self.value, self.rest = value, rest
-
-    def __getitem__(self, order: int) -> Number:
-        if order == 0:
-            return self.value
-        assert self.rest is not None
-        return self.rest[order]
-
-
-def by_rule(value: Number, term: Callable[[int, Terms], Number]) -> Series:
-    """Return the series with c_0 = `value` and c_k = `term(k, terms)`, where `terms` has the lower coefficients."""
-    value = kept(value)
-    terms = Terms(value)
-    rest = terms.rest = Sequence(lambda k: term(k, terms))
-    return Series(value, {rest: 1.0})
-
-
-def terms_of(a: Series) -> Terms:
-    """Return the coefficients c_0, c_1, ... of a series."""
-    return Terms(a.value, a.sequence())
+def by_rule(value: Number, term: Callable[[int, Sequence], Number]) -> Series:
+    """Return the series with c_0 = `value` and c_k = `term(k, c)`, where `c` has the lower coefficients."""
+    c = Sequence(kept(value))
+    c.term = lambda k: term(k, c)
+    return _series_of(c)
 
 
 def _product(a: Series, b: Series) -> Series:
     """Return the series with c_k = sum_j a_j b_{k-j}; for a square, equal products are computed only once."""
-    first, second = terms_of(a), terms_of(b)
+    first, second = a.sequence(), b.sequence()
 
     def square_terms(k: int) -> Iterator[Number]:
         for j in range((k + 1) // 2):
@@ -206,12 +187,100 @@ def _product(a: Series, b: Series) -> Series:
 
 def _quotient(a: Series, b: Series) -> Series:
     """Return q = a/b from a_k = sum_j q_j b_{k-j}."""
-    below = terms_of(b)
+    below = b.sequence()
+    return by_rule(
+        a.value / b.value, lambda k, q: (a[k] - total(times(q[j], below[k - j]) for j in range(k))) / b.value
+    )
 
-    def term(k: int, q: Terms) -> Number:
-        return (a[k] - total(times(q[j], below[k - j]) for j in range(k))) / b.value
 
-    return by_rule(a.value / b.value, term)
+def _integral(k: int, a: Sequence, w: Sequence, sign: float = 1.0) -> Number:
+    """Return the coefficient of tau^k of y with y' = sign a' w, so k y_k = sign sum_j j a_j w_{k-j}."""
+    return total(times(times(sign * j / k, a[j]), w[k - j]) for j in range(1, k + 1))
+
+
+def _integral_of_quotient(value: Number, a: Series, w: Sequence) -> Series:
+    """Return y with y_0 = `value` and y' w = a'."""
+
+    def term(k: int, y: Sequence) -> Number:
+        return (a[k] - total(times(times(j / k, y[j]), w[k - j]) for j in range(1, k))) / w[0]
+
+    return by_rule(value, term)
+
+
+@elementary.exp.register
+def _exp(a: Series) -> Series:
+    """Return e = exp(a) from e' = a' e."""
+    inside = a.sequence()
+    return by_rule(jnp.exp(a.value), lambda k, e: _integral(k, inside, e))
+
+
+@elementary.log.register
+def _log(a: Series) -> Series:
+    """Return y = log(a) from a y' = a'."""
+    return _integral_of_quotient(jnp.log(a.value), a, a.sequence())
+
+
+@elementary.arctan.register
+def _arctan(a: Series) -> Series:
+    """Return y = arctan(a) from y' (1 + a²) = a'."""
+    below = (a * a + 1.0).sequence()
+    return _integral_of_quotient(jnp.arctan(a.value), a, below)
+
+
+@elementary.sqrt.register
+def _sqrt(a: Series) -> Series:
+    """Return y = sqrt(a) from y² = a."""
+    return by_rule(
+        jnp.sqrt(a.value), lambda k, y: (a[k] - total(times(y[j], y[k - j]) for j in range(1, k))) / (2 * y[0])
+    )
+
+
+@elementary.power.register
+def _power(a: Series, exponent: Value) -> Series:
+    """Return y = a^s from a y' = s a' y, so k a_0 y_k = sum_j (s j - (k - j)) a_j y_{k-j}."""
+    inside = a.sequence()
+
+    def term(k: int, y: Sequence) -> Number:
+        factors = (times(exponent * (j / k) - (k - j) / k, inside[j]) for j in range(1, k + 1))
+        return total(times(factor, y[k - j]) for j, factor in enumerate(factors, start=1)) / inside[0]
+
+    return by_rule(a.value**exponent, term)
+
+
+def _sine_and_cosine(a: Series) -> tuple[Series, Series]:
+    """Return s = sin(a) and c = cos(a), from s' = a' c and c' = -a' s."""
+    inside, s, c = a.sequence(), Sequence(kept(jnp.sin(a.value))), Sequence(kept(jnp.cos(a.value)))
+    s.term, c.term = (lambda k: _integral(k, inside, c)), (lambda k: _integral(k, inside, s, -1.0))
+    return _series_of(s), _series_of(c)
+
+
+elementary.sin.register(Series, lambda a: _sine_and_cosine(a)[0])
+elementary.cos.register(Series, lambda a: _sine_and_cosine(a)[1])
+
+
+@elementary.tanh.register
+def _tanh(a: Series) -> Series:
+    """Return y = tanh(a) from y' = a' w, w = 1 - y²."""
+    value = kept(jnp.tanh(a.value))
+    y, w = Sequence(value), Sequence(kept(1.0 - value * value))
+    w.term = lambda k: times(-1.0, total(times(y[j], y[k - j]) for j in range(k + 1)))
+    inside = a.sequence()
+    y.term = lambda k: _integral(k, inside, w)
+    return _series_of(y)
+
+
+@elementary.maximum.register
+def _maximum(a: Series, b: Series | Value) -> Series:
+    """Return the series, `a` or `b`, whose value is greater at the start of the step."""
+    other = b if isinstance(b, Series) else Series(b, {})
+    first = a.value >= other.value
+    return combined(a, other, lambda f, g: jnp.where(first, f, g))
+
+
+@elementary.absolute.register
+def _absolute(a: Series) -> Series:
+    """Return `a` or `-a`, whichever is positive at the start of the step."""
+    return a * jnp.where(a.value < 0, -1.0, 1.0)
 
 
 def expand(
@@ -227,8 +296,8 @@ def expand(
 
     **Returns:** one series per state, with coefficients up to `order`.
     """
-    sequences = tuple(Sequence() for _ in state)
-    series = tuple(Series(value, {own: 1.0}) for value, own in zip(state, sequences, strict=True))
+    sequences = tuple(map(Sequence, state))
+    series = tuple(map(_series_of, sequences))
     changes = [rate * h for rate in field(series)]
     for k in range(order):
         coefficients = [times(1 / (k + 1), change[k]) for change in changes]

@@ -15,7 +15,7 @@ The width of the processor's vectors changes no bit of a lane, because the lanes
 branches. Fused multiply-add does change bits: a processor without it rounds each product before the sum.
 """
 
+from vibrojax.compile.kernels.assembly import LANES, Untranslatable
 from vibrojax.compile.kernels.native import Kernel, kernel_for, kernels, trace
-from vibrojax.compile.kernels.operands import LANES, Untranslatable
 
 __all__ = ["LANES", "Kernel", "Untranslatable", "kernel_for", "kernels", "trace"]

@@ -1,24 +1,140 @@
-"""LLVM IR of one function: its instructions, the memory that they use, and the arrays that it reads and fills."""
+"""LLVM IR of a kernel: operands, instructions, and memory. A jax array becomes a numpy array of operands."""
 
+import struct
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 
-from vibrojax.compile.kernels.operands import (
-    BOOL,
-    LANES,
-    Entry,
-    Operand,
-    Slot,
-    Untranslatable,
-    Value,
-    build,
-    dtype_of,
-    element,
-    varies,
-    without_lanes,
-)
+BOOL = np.dtype(bool)
+
+LANES = 1009
+"""Length of the lane axis while a function is traced: a large prime, so that no other axis is mistaken for the lane
+axis. A kernel has no lane axis: each array element represents one value in all lanes of a group."""
+
+LLVM_TYPES = {
+    "float64": "double",
+    "float32": "float",
+    **{f"{sign}int{bits}": f"i{bits}" for bits in (64, 32, 16, 8) for sign in ("", "u")},
+    "bool": "i1",
+}
+"""LLVM's name of each number type."""
+
+
+class Untranslatable(Exception):
+    """No kernel can express a function. The message names the unsupported construct."""
+
+
+def refuse_if(condition: Any, construct: str) -> None:
+    """Raise `Untranslatable` for a construct if the condition holds."""
+    if condition:
+        raise Untranslatable(construct)
+
+
+class Operand(NamedTuple):
+    """A register or a literal: a vector with one element per lane if `varying`, else one number for all lanes."""
+
+    text: str
+    dtype: np.dtype
+    varying: bool
+
+    @property
+    def is_literal(self) -> bool:
+        return not self.text.startswith("%")
+
+    @property
+    def number(self) -> float | int | None:
+        """Value of a literal, or None for a register."""
+        if not self.is_literal:
+            return None
+        if self.dtype.kind == "f":
+            return float(struct.unpack("<d", struct.pack("<Q", int(self.text, 16)))[0])
+        return self.text == "true" if self.dtype == BOOL else int(self.text)
+
+
+class Slot(NamedTuple):
+    """A value in memory, which is loaded where it is used.
+
+    - `pointer`: register with its address; empty for a placeholder, which cannot be loaded.
+    - `alignment`: alignment of the address [bytes].
+    - `offset`: position in the workspace [bytes]; None for other memory.
+    """
+
+    pointer: str
+    dtype: np.dtype
+    varying: bool
+    alignment: int
+    offset: int | None = None
+
+
+Entry = Operand | Slot
+"""An element of an array in a kernel: a register, a literal, or a slot in memory."""
+
+Value = np.ndarray[Any, np.dtype[np.object_]]
+"""A jax array in a kernel: a numpy array whose elements are `Entry`. Its lane axis has length 1."""
+
+
+def build(shape: tuple[int, ...], entry: Callable[[tuple[int, ...]], Entry]) -> Value:
+    """Return an array with the element `entry(index)` at each index. `entry` is called in row-major order."""
+    array = np.empty(shape, object)
+    for index in np.ndindex(array.shape):
+        array[index] = entry(index)
+    return array
+
+
+def each(function: Callable[..., Entry], *values: Value) -> Value:
+    """Return `function` of the elements of arrays, which are broadcast against each other, in row-major order."""
+    spread = np.broadcast_arrays(*values)
+    return build(spread[0].shape, lambda index: function(*(value.item(index) for value in spread)))
+
+
+def element(dtype: np.dtype) -> str:
+    """Return LLVM's name of a number type; raise `Untranslatable` if kernels do not support the type."""
+    name = np.dtype(dtype).name
+    refuse_if(name not in LLVM_TYPES, f"numbers of type {dtype}")
+    return LLVM_TYPES[name]
+
+
+def literal(x: Any, dtype: np.dtype) -> Operand:
+    """Return the literal of a compile-time constant; raise `Untranslatable` for an unsupported type."""
+    dtype = np.dtype(dtype)
+    element(dtype)
+    if dtype.kind == "f":
+        # LLVM writes float literals of either width as the bits of a double.
+        text = f"0x{struct.unpack('<Q', struct.pack('<d', float(dtype.type(x))))[0]:016X}"
+    else:
+        text = str(bool(x)).lower() if dtype.kind == "b" else str(int(x))
+    return Operand(text, dtype, False)
+
+
+def literals(x: Any) -> Value:
+    """Return the literals of an array of compile-time constants, which are the same for all lanes."""
+    x = np.asarray(x)
+    if x.dtype == jax.dtypes.float0:
+        x = np.zeros(x.shape, bool)
+    refuse_if(LANES in x.shape, "an array that is captured and has lanes")
+    return build(x.shape, lambda index: literal(x[index], x.dtype))
+
+
+def without_lanes(shape: tuple[int, ...]) -> tuple[int, ...]:
+    """Return the shape of an array in a kernel, in which the lane axis has length 1."""
+    refuse_if(shape.count(LANES) > 1, "an array with lanes along two axes")
+    return tuple(1 if length == LANES else length for length in shape)
+
+
+def varies(aval: Any) -> bool:
+    """Return whether an array has a lane axis."""
+    return LANES in aval.shape
+
+
+def dtype_of(aval: Any) -> np.dtype:
+    """Return an array's numpy dtype. Tangents of integers (float0) are booleans in a kernel.
+
+    **Raises:** `Untranslatable` for types that numpy does not have, such as jax's random keys.
+    """
+    refuse_if(not isinstance(aval.dtype, np.dtype), f"numbers of type {aval.dtype}")
+    return BOOL if aval.dtype == jax.dtypes.float0 else aval.dtype
 
 
 class Assembly:
@@ -27,13 +143,14 @@ class Assembly:
     - `lines`: the instructions. `places`: instructions that reserve memory, emitted before `lines`.
     - `declared`: declarations of external functions.
     - `workspace`: size of the workspace so far [bytes]. The workspace is memory that the caller of the kernel provides.
+    - `alignment`: alignment of vectors in memory and of the workspace [bytes].
     - `positive`: registers with floats whose sign bit is not set, or that are NaN.
     - `arrays`: position of each variable among the kernel's arrays (arguments, then results).
     - `filled`: positions of the arrays that a loop writes row by row.
     """
 
     def __init__(self, width: int) -> None:
-        self.width = width
+        self.width, self.alignment = width, 8 * width
         self.lines: list[str] = []
         self.places: list[str] = []
         self.declared: set[str] = set()
@@ -56,7 +173,7 @@ class Assembly:
     def let(self, instruction: str) -> str:
         """Append an instruction and return the register of its result."""
         name = f"%{self.fresh('v')}"
-        self.lines.append(f"  {name} = {instruction}")
+        self.do(f"{name} = {instruction}")
         return name
 
     def label(self, name: str) -> None:
@@ -101,11 +218,15 @@ class Assembly:
         """Return an array element as a register or literal; a slot is loaded from memory."""
         if isinstance(entry, Operand):
             return entry
-        if not entry.pointer:
-            raise Untranslatable("an array that a loop goes along, and something else wants")
-        if entry.pointer not in self._read:
-            self._read[entry.pointer] = self.load(entry, self._alignment(entry.varying))
-        return self._read[entry.pointer]
+        pointer, dtype, varying, alignment, _ = entry
+        refuse_if(not pointer, "an array that a loop goes along, and something else wants")
+        if pointer not in self._read:
+            kind = self.type_in_memory(dtype, varying)
+            x = self.let(f"load {kind}, ptr {pointer}, align {alignment}")
+            if dtype == BOOL:
+                x = self.let(f"trunc {kind} {x} to {self.type(BOOL, varying)}")
+            self._read[pointer] = Operand(x, dtype, varying)
+        return self._read[pointer]
 
     def vector(self, entry: Entry) -> str:
         """Return the IR text of an array element as a vector, even if the element is the same for all lanes."""
@@ -122,33 +243,34 @@ class Assembly:
         """Return the operand for an array element in IR syntax: as a vector if `varying`, else as a scalar."""
         return self.vector(entry) if varying else self.register(entry).text
 
-    def load(self, slot: Slot, alignment: int) -> Operand:
-        """Emit a load of a slot and return the register of the value."""
-        kind = self.type_in_memory(slot.dtype, slot.varying)
-        x = self.let(f"load {kind}, ptr {slot.pointer}, align {alignment}")
-        if slot.dtype == BOOL:
-            x = self.let(f"trunc {kind} {x} to {self.type(BOOL, slot.varying)}")
-        return Operand(x, slot.dtype, slot.varying)
-
-    def store(self, entry: Entry, slot: Slot, alignment: int | None = None) -> None:
+    def store(self, entry: Entry, slot: Slot) -> None:
         """Emit a store of an array element to a slot."""
         x = self.text(entry, slot.varying)
         kind = self.type_in_memory(slot.dtype, slot.varying)
         if slot.dtype == BOOL:
             x = self.let(f"zext {self.type(BOOL, slot.varying)} {x} to {kind}")
-        self.do(f"store {kind} {x}, ptr {slot.pointer}, align {alignment or self._alignment(slot.varying)}")
+        self.do(f"store {kind} {x}, ptr {slot.pointer}, align {slot.alignment}")
+
+    def store_array(self, value: Value, slots: Value) -> None:
+        """Emit stores of all elements of an array to slots."""
+        for entry, slot in zip(value.ravel().tolist(), slots.ravel().tolist(), strict=True):
+            self.store(entry, slot)
 
     def slot(self, dtype: np.dtype, varying: bool, in_registers: bool) -> Slot:
         """Return a new slot. If `in_registers`, LLVM may turn it into a register; else it is in the workspace."""
-        name = f"%{self.fresh('p')}"
+        name, alignment = f"%{self.fresh('p')}", self.alignment if varying else 8
         if in_registers:
-            kind = self.type_in_memory(dtype, varying)
-            self.places.append(f"  {name} = alloca {kind}, align {self._alignment(varying)}")
-            return Slot(name, dtype, varying)
+            self.places.append(f"  {name} = alloca {self.type_in_memory(dtype, varying)}, align {alignment}")
+            return Slot(name, dtype, varying, alignment)
         offset = self.workspace
         self.places.append(f"  {name} = getelementptr i8, ptr %workspace, i64 {offset}")
         self.workspace += self.alignment
-        return Slot(name, dtype, varying, offset)
+        return Slot(name, dtype, varying, alignment, offset)
+
+    def slots(self, aval: Any, in_registers: bool) -> Value:
+        """Return new slots for an array; see `slot`."""
+        dtype, varying = dtype_of(aval), varies(aval)
+        return build(without_lanes(aval.shape), lambda _: self.slot(dtype, varying, in_registers))
 
     def call(self, function: str, arguments: Sequence[str], gives: str, takes: str | None = None) -> str:
         """Emit a call of an external function with the result type `gives`.
@@ -167,50 +289,3 @@ class Assembly:
     def suffix(self, dtype: np.dtype) -> str:
         """Return the suffix of an intrinsic function's name for a number type, such as `f64`."""
         return ("f" if dtype.kind == "f" else "i") + str(1 if dtype == BOOL else 8 * dtype.itemsize)
-
-    @property
-    def alignment(self) -> int:
-        """Alignment of vectors in memory and of the workspace [bytes]."""
-        return 8 * self.width
-
-    def _alignment(self, varying: bool) -> int:
-        return self.alignment if varying else 8
-
-
-def array_slots(asm: Assembly, place: int, aval: Any, block: tuple[str, int] = ("0", 0)) -> Value:
-    """Return the slots of one of the kernel's arrays for this group of lanes. The lane axis must be the last axis.
-
-    **Arguments:**
-
-    - `place`: position of the array among all arguments and results.
-    - `aval`: abstract value (shape and type) of the array, or of one block of it.
-    - `block`: (index, rows) if the array is a stack of blocks: the register with the index of the block, and the number
-      of rows per block.
-    """
-    varying, dtype = varies(aval), dtype_of(aval)
-    if varying and aval.shape[-1] != LANES:
-        raise Untranslatable("lanes along another axis than the last")
-    shape = without_lanes(aval.shape)
-    array = asm.let(f"load ptr, ptr {asm.let(f'getelementptr ptr, ptr %arrays, i64 {place}')}")
-    first = asm.let(f"mul i64 {block[0]}, {block[1]}")
-
-    def slot(index: tuple[int, ...]) -> Slot:
-        row = int(np.ravel_multi_index(index, shape)) if index else 0
-        number = asm.let(f"add i64 {first}, {row}")
-        if varying:
-            number = asm.let(f"add i64 %lane, {asm.let(f'mul i64 %count, {number}')}")
-        pointer = asm.let(f"getelementptr {asm.type_in_memory(dtype, False)}, ptr {array}, i64 {number}")
-        return Slot(pointer, dtype, varying)
-
-    return build(shape, slot)
-
-
-def array_entries(asm: Assembly, place: int, aval: Any) -> Value:
-    """Return an argument of the kernel in registers. It is loaded only once: its rows are far apart in memory."""
-    slots = array_slots(asm, place, aval)
-    return build(slots.shape, lambda index: asm.load(slots.item(index), alignment=1))
-
-
-def placeholder(aval: Any) -> Value:
-    """Return a placeholder for an array that only a loop reads or writes, row by row; its slots cannot be loaded."""
-    return build(without_lanes(aval.shape), lambda _: Slot("", dtype_of(aval), varies(aval)))

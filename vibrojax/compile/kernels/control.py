@@ -5,15 +5,16 @@ from typing import Any
 
 import numpy as np
 
-from vibrojax.compile.kernels.assembly import Assembly, array_slots, placeholder
-from vibrojax.compile.kernels.operands import (
+from vibrojax.compile.kernels.assembly import (
     LANES,
+    Assembly,
     Entry,
     Slot,
-    Untranslatable,
     Value,
     build,
     dtype_of,
+    each,
+    refuse_if,
     varies,
     without_lanes,
 )
@@ -30,14 +31,42 @@ ControlRule = Callable[[Assembly, Write, Any, Sequence[Value], Collection[int]],
 """A rule that emits an equation of a jaxpr and, using `Write`, the jaxprs that the equation contains."""
 
 
+def array_slots(asm: Assembly, place: int, aval: Any, block: tuple[str, int] = ("0", 0)) -> Value:
+    """Return the slots of one of the kernel's arrays for this group of lanes. The lane axis must be the last axis.
+
+    **Arguments:**
+
+    - `place`: position of the array among all arguments and results.
+    - `aval`: abstract value (shape and type) of the array, or of one block of it.
+    - `block`: (index, rows) if the array is a stack of blocks: the register with the index of the block, and the
+      number of rows per block.
+    """
+    varying, dtype = varies(aval), dtype_of(aval)
+    refuse_if(varying and aval.shape[-1] != LANES, "lanes along another axis than the last")
+    shape = without_lanes(aval.shape)
+    array = asm.let(f"load ptr, ptr {asm.let(f'getelementptr ptr, ptr %arrays, i64 {place}')}")
+    first = asm.let(f"mul i64 {block[0]}, {block[1]}")
+
+    def slot(index: tuple[int, ...]) -> Slot:
+        row = int(np.ravel_multi_index(index, shape)) if index else 0
+        number = asm.let(f"add i64 {first}, {row}")
+        if varying:
+            number = asm.let(f"add i64 %lane, {asm.let(f'mul i64 %count, {number}')}")
+        pointer = asm.let(f"getelementptr {asm.type_in_memory(dtype, False)}, ptr {array}, i64 {number}")
+        return Slot(pointer, dtype, varying, 1)  # rows of lanes begin anywhere
+
+    return build(shape, slot)
+
+
+def placeholder(aval: Any) -> Value:
+    """Return a placeholder for an array that only a loop reads or writes, row by row; its slots cannot be loaded."""
+    return build(without_lanes(aval.shape), lambda _: Slot("", dtype_of(aval), varies(aval), 1))
+
+
 def _reserve(asm: Assembly, variables: Sequence[Any]) -> list[Value]:
     """Return slots for arrays that are carried from one iteration of a loop to the next, or out of a branch."""
-    shapes = [without_lanes(var.aval.shape) for var in variables]
-    few = sum(int(np.prod(shape)) for shape in shapes) <= LOOP_VALUES_IN_REGISTERS
-    return [
-        build(shape, lambda _, aval=var.aval: asm.slot(dtype_of(aval), varies(aval), few))  # type: ignore[misc]
-        for var, shape in zip(variables, shapes, strict=True)
-    ]
+    few = sum(int(np.prod(without_lanes(var.aval.shape))) for var in variables) <= LOOP_VALUES_IN_REGISTERS
+    return [asm.slots(var.aval, few) for var in variables]
 
 
 def _put(asm: Assembly, places: Sequence[Value], values: Sequence[Value]) -> None:
@@ -61,8 +90,7 @@ def _while(asm: Assembly, write: Write, equation: Any, values: Sequence[Value], 
     asm.label(again)
     [goes_on] = write(params["cond_jaxpr"], [*values[:of_condition], *carried], ())
     flag = asm.register(goes_on.item())
-    if flag.varying:
-        raise Untranslatable("a loop that each lane leaves by itself")
+    refuse_if(flag.varying, "a loop that each lane leaves by itself")
     asm.do(f"br i1 {flag.text}, label %{body}, label %{done}")
     asm.label(body)
     _put(asm, carried, write(params["body_jaxpr"], [*values[of_condition:of_both], *carried], set(map(id, carried))))
@@ -73,9 +101,8 @@ def _while(asm: Assembly, write: Write, equation: Any, values: Sequence[Value], 
 
 def scanned(equation: Any) -> list[Any]:
     """Return the input arrays that a jaxpr equation scans row by row; an empty list if it is not a `scan`."""
-    if equation.primitive.name != "scan":
-        return []
-    return _with_rows(equation.invars, equation.params["jaxpr"].jaxpr.invars)
+    is_scan = equation.primitive.name == "scan"
+    return _with_rows(equation.invars, equation.params["jaxpr"].jaxpr.invars) if is_scan else []
 
 
 def _with_rows(outside: Sequence[Any], inside: Sequence[Any]) -> list[Any]:
@@ -89,11 +116,10 @@ def _scan(asm: Assembly, write: Write, equation: Any, values: Sequence[Value], o
     The scan may read arguments of the kernel and fill results of the kernel row by row, forwards or backwards.
     """
     inner, length = equation.params["jaxpr"].jaxpr, equation.params["length"]
-    if length == LANES:
-        raise Untranslatable("a loop along the lanes")
+    refuse_if(length == LANES, "a loop along the lanes")
     along, kept = scanned(equation), _with_rows(equation.outvars, inner.outvars)
-    if any(var not in asm.arrays for var in (*along, *kept)):
-        raise Untranslatable("a scan along an array that is neither an argument nor a result")
+    unknown = any(var not in asm.arrays for var in (*along, *kept))
+    refuse_if(unknown, "a scan along an array that is neither an argument nor a result")
     carries = len(equation.outvars) - len(kept)
     constant = len(values) - carries - len(along)
     carried = _reserve(asm, equation.outvars[:carries])
@@ -105,14 +131,11 @@ def _scan(asm: Assembly, write: Write, equation: Any, values: Sequence[Value], o
 
     def turn(number: str) -> None:
         number = _row_of_turn(asm, number, equation.params)
-        rows = []
-        for var, row in zip(along, inner.invars[constant + carries :], strict=True):
-            slots = row_slots(number, var, row)
-            rows.append(build(slots.shape, lambda index, slots=slots: asm.load(slots.item(index), alignment=1)))  # type: ignore[misc]
+        pairs = zip(along, inner.invars[constant + carries :], strict=True)
+        rows = [each(asm.register, row_slots(number, var, row)) for var, row in pairs]
         results = write(equation.params["jaxpr"], [*values[:constant], *carried, *rows], set(map(id, carried)))
         for var, row, value in zip(kept, inner.outvars[carries:], results[carries:], strict=True):
-            for slot, entry in zip(row_slots(number, var, row).ravel().tolist(), value.ravel().tolist(), strict=True):
-                asm.store(entry, slot, alignment=1)
+            asm.store_array(value, row_slots(number, var, row))
         _put(asm, carried, results[:carries])
 
     asm.repeat(length, turn)
@@ -130,8 +153,7 @@ def _branch(asm: Assembly, write: Write, equation: Any, values: Sequence[Value],
     index, *arguments = values
     which = asm.register(index.item())
     branches = equation.params["branches"]
-    if which.varying or len(branches) != 2:
-        raise Untranslatable("a branch that each lane takes by itself, or of more than two")
+    refuse_if(which.varying or len(branches) != 2, "a branch that each lane takes by itself, or of more than two")
     places = _reserve(asm, equation.outvars)
     names = [asm.fresh("branch") for _ in branches]
     done = asm.fresh("done")

@@ -1,40 +1,102 @@
 """Translation rules for elementwise primitives: arithmetic, comparisons, functions, conversions."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jax.lax import RoundingMethod
 
-from vibrojax.compile.kernels.assembly import Assembly
-from vibrojax.compile.kernels.operands import BOOL, Entry, Operand, Untranslatable, element
-from vibrojax.compile.kernels.rules import ANY, FLOATS, INTEGERS, NUMBERS, Application, Rule
+from vibrojax.compile.kernels.assembly import (
+    BOOL,
+    Assembly,
+    Entry,
+    Operand,
+    element,
+    literal,
+    refuse_if,
+)
+
+FLOATS, INTEGERS, NUMBERS, ANY = "f", "iu", "fiu", "fiub"
+"""Kinds of operands, as numpy's kind codes: floats, signed and unsigned integers, booleans."""
 
 
-def apply(asm: Assembly, name: str, params: Mapping[str, Any], entries: list[Entry], gives: np.dtype) -> Operand:
-    """Emit a primitive for one array element of each argument.
+class Application:
+    """A primitive applied to one array element of each of its arguments.
+
+    - `x`: IR texts of the arguments. If one argument is a vector, `varying` is True and all are vectors.
+    - `dtype`: type of the first argument. `gives`: type of the result.
+    """
+
+    def __init__(self, asm: Assembly, operands: Sequence[Operand], gives: np.dtype | None, params: Any) -> None:
+        self.asm, self.params, self.operands = asm, params or {}, operands
+        self.varying = any(operand.varying for operand in operands)
+        self.x = [asm.text(operand, self.varying) for operand in operands]
+        self.dtype = operands[0].dtype
+        self.gives = self.dtype if gives is None else np.dtype(gives)
+        self.is_float, self.type = self.dtype.kind == "f", asm.type(self.dtype, self.varying)
+
+    @property
+    def order(self) -> str:
+        """Prefix of LLVM's integer instructions: `s` for signed integers, `u` for unsigned integers and booleans."""
+        return "s" if self.dtype.kind == "i" else "u"
+
+    def constant(self, number: Any) -> str:
+        """Return the IR text of a constant that has the type of the arguments."""
+        return self.asm.text(literal(number, self.dtype), self.varying)
+
+    def emit(self, instruction: str, *operands: str) -> str:
+        """Emit an instruction whose operands have the type of the arguments."""
+        return self.asm.let(f"{instruction} {self.type} {', '.join(operands)}")
+
+    def negative(self, number: str) -> str:
+        return self.emit("sub", self.constant(0), number)
+
+    def cast(self, instruction: str) -> str:
+        """Emit a conversion of the argument to the type of the result."""
+        return self.emit(instruction, f"{self.x[0]} to {self.asm.type(self.gives, self.varying)}")
+
+    def compare(self, how: str, first: str, second: str) -> str:
+        """Emit LLVM's comparison `how` of two numbers that have the type of the arguments."""
+        return self.emit(f"{'fcmp' if self.is_float else 'icmp'} {how}", first, second)
+
+    def select(self, flag: str, yes: str, no: str) -> str:
+        return self.asm.let(f"select {self.asm.type(BOOL, self.varying)} {flag}, {self.type} {yes}, {self.type} {no}")
+
+    def intrinsic(self, name: str) -> str:
+        return self.asm.intrinsic(name, self.x, self.dtype, self.varying)
+
+
+class Rule(NamedTuple):
+    """Rule of a primitive: `write` emits an application and returns its result; `kinds` of operands are supported."""
+
+    write: Callable[[Application], str]
+    kinds: str
+
+
+def apply(asm: Assembly, name: str, entries: Sequence[Entry], gives: Any = None, params: Any = None) -> Operand:
+    """Emit a primitive for one array element of each argument. The result has the first argument's type or `gives`.
 
     **Raises:** `Untranslatable` for types without a rule.
     """
     if name in COMPOSED:
         return COMPOSED[name](asm, entries)
-    rule, op = RULES[name], Application(asm, params, entries, gives)
-    if op.dtype.kind not in rule.kinds or (len({operand.dtype for operand in op.operands}) > 1 and name != "pow"):
-        raise Untranslatable(f"{name} of {' and '.join(str(operand.dtype) for operand in op.operands)}")
-    return Operand(rule.write(op), np.dtype(gives), op.varying)
+    operands = [asm.register(entry) for entry in entries]
+    rule, op = RULES[name], Application(asm, operands, gives, params)
+    unlike = len({operand.dtype for operand in operands}) > 1 and name != "pow"
+    types = " and ".join(str(operand.dtype) for operand in operands)
+    refuse_if(op.dtype.kind not in rule.kinds or unlike, f"{name} of {types}")
+    return Operand(rule.write(op), op.gives, op.varying)
 
 
-def _clamp(asm: Assembly, entries: list[Entry]) -> Operand:
+def _clamp(asm: Assembly, entries: Sequence[Entry]) -> Operand:
     low, x, high = entries
-    dtype = asm.register(x).dtype
-    return apply(asm, "min", {}, [apply(asm, "max", {}, [x, low], dtype), high], dtype)
+    return apply(asm, "min", [apply(asm, "max", [x, low]), high])
 
 
-def _select(asm: Assembly, entries: list[Entry]) -> Operand:
+def _select(asm: Assembly, entries: Sequence[Entry]) -> Operand:
     which, *cases = (asm.register(entry) for entry in entries)
-    if which.dtype != BOOL or len(cases) != 2:
-        raise Untranslatable("a choice that is not between two by a boolean")
+    refuse_if(which.dtype != BOOL or len(cases) != 2, "a choice that is not between two by a boolean")
     no, yes = cases
     varying = any(operand.varying for operand in (which, no, yes))
     kind = asm.type(yes.dtype, varying)
@@ -44,8 +106,7 @@ def _select(asm: Assembly, entries: list[Entry]) -> Operand:
 
 
 def _arithmetic(of_floats: str, of_integers: str, op: Application) -> str:
-    instruction = of_floats if op.is_float else of_integers
-    return op.asm.let(f"{instruction} {op.type} {op.x[0]}, {op.x[1]}")
+    return op.emit(of_floats if op.is_float else of_integers, *op.x)
 
 
 def _divide(remainder: bool, op: Application) -> str:
@@ -56,16 +117,16 @@ def _divide(remainder: bool, op: Application) -> str:
     dividend, divisor = op.x
     name = "rem" if remainder else "div"
     if op.is_float:
-        return op.asm.let(f"f{name} {op.type} {dividend}, {divisor}")
+        return op.emit(f"f{name}", dividend, divisor)
     zero, safe = op.compare("eq", divisor, op.constant(0)), divisor
     if op.order == "s":
         # The least signed integer divided by -1 overflows, which kills the process (SIGFPE).
         minus = op.compare("eq", divisor, op.constant(-1))
         safe = op.select(minus, op.constant(1), divisor)
     safe = op.select(zero, op.constant(1), safe)
-    result = op.asm.let(f"{op.order}{name} {op.type} {dividend}, {safe}")
+    result = op.emit(f"{op.order}{name}", dividend, safe)
     if op.order == "s":
-        negative = op.constant(0) if remainder else op.asm.let(f"sub {op.type} {op.constant(0)}, {dividend}")
+        negative = op.constant(0) if remainder else op.negative(dividend)
         result = op.select(minus, negative, result)
     return op.select(zero, dividend if remainder else op.constant(-1), result)
 
@@ -77,12 +138,10 @@ def _shift(instruction: str, op: Application) -> str:
     arithmetic shift to the right, all sign bits.
     """
     bits, by = 8 * op.dtype.itemsize, op.operands[1].number
-    shifted = op.asm.let(f"{instruction} {op.type} {op.x[0]}, {op.x[1]}")
+    shifted = op.emit(instruction, *op.x)
     if by is not None and 0 <= by < bits:
         return shifted
-    beyond = op.constant(0)
-    if instruction == "ashr":
-        beyond = op.asm.let(f"ashr {op.type} {op.x[0]}, {op.constant(bits - 1)}")
+    beyond = op.emit("ashr", op.x[0], op.constant(bits - 1)) if instruction == "ashr" else op.constant(0)
     return op.select(op.compare("ult", op.x[1], op.constant(bits)), shifted, beyond)
 
 
@@ -94,12 +153,11 @@ def _compare(of_floats: str, of_integers: str, op: Application) -> str:
 def _extremum(name: str, op: Application) -> str:
     """Emit a maximum or minimum. For floats, it is NaN if either operand is, and +0 counts as greater than -0."""
     if op.dtype == BOOL:
-        return op.asm.let(f"{'or' if name == 'max' else 'and'} {op.type} {op.x[0]}, {op.x[1]}")
+        return op.emit("or" if name == "max" else "and", *op.x)
     if not op.is_float:
         return op.intrinsic(op.order + name)
     first, second = op.x
-    positive = [operand.text in op.asm.positive or _is_positive(operand.number) for operand in op.operands]
-    wins_ties = [_wins_ties(name, *known) for known in zip(op.operands, positive, strict=True)]
+    positive, wins_ties = zip(*(_signs(name, op.asm, operand) for operand in op.operands), strict=True)
     if not any(wins_ties) and not all(positive):
         return op.intrinsic(f"{name}imum")
     if not wins_ties[1]:
@@ -112,18 +170,16 @@ def _extremum(name: str, op: Application) -> str:
     return result
 
 
-def _is_positive(number: float | None) -> bool:
-    return number is not None and not np.isnan(number) and not np.signbit(number)
+def _signs(name: str, asm: Assembly, operand: Operand) -> tuple[bool, bool]:
+    """Return whether an operand is known to be positive or +0, and whether it is right if both operands are equal.
 
-
-def _wins_ties(name: str, operand: Operand, positive: bool) -> bool:
-    """Return whether an operand may be taken as the extremum if both operands are equal.
-
-    True if the operand is the zero with the right sign, or is known not to be zero.
+    It is right if it is the zero with the right sign, or is known not to be zero.
     """
-    if operand.number is None or operand.number == 0:
-        return positive if name == "max" else operand.number is not None and not positive
-    return True
+    number = operand.number
+    if number is None:
+        return operand.text in asm.positive, name == "max" and operand.text in asm.positive
+    positive = not np.isnan(number) and not np.signbit(number)
+    return positive, number != 0 or positive == (name == "max")
 
 
 def _library_function(name: str, op: Application) -> str:
@@ -134,9 +190,9 @@ def _library_function(name: str, op: Application) -> str:
         return op.asm.call(function, op.x, kind)
     result = "poison"
     for lane in range(op.asm.width):
-        arguments = [op.asm.let(f"extractelement {op.type} {argument}, i64 {lane}") for argument in op.x]
+        arguments = [op.emit("extractelement", argument, f"i64 {lane}") for argument in op.x]
         value = op.asm.call(function, arguments, kind)
-        result = op.asm.let(f"insertelement {op.type} {result}, {kind} {value}, i64 {lane}")
+        result = op.emit("insertelement", result, f"{kind} {value}", f"i64 {lane}")
     return result
 
 
@@ -144,23 +200,17 @@ def _power(op: Application) -> str:
     """Emit a power of floats. An integer exponent is converted to a float first, as in jax."""
     base, exponent = op.operands
     if exponent.dtype != base.dtype:
-        exponent = apply(op.asm, "convert_element_type", {}, [exponent], base.dtype)
+        exponent = apply(op.asm, "convert_element_type", [exponent], base.dtype)
     texts = [op.asm.text(operand, op.varying) for operand in (base, exponent)]
     return op.asm.intrinsic("pow", texts, op.dtype, op.varying)
 
 
-def _negate(op: Application) -> str:
-    if op.is_float:
-        return op.asm.let(f"fneg {op.type} {op.x[0]}")
-    return op.asm.let(f"sub {op.type} {op.constant(0)}, {op.x[0]}")
-
-
 def _absolute(op: Application) -> str:
-    if op.is_float:
-        result = op.intrinsic("fabs")
-        op.asm.positive.add(result)
-        return result
-    return op.select(op.compare("slt", op.x[0], op.constant(0)), _negate(op), op.x[0])
+    if not op.is_float:
+        return op.select(op.compare("slt", op.x[0], op.constant(0)), op.negative(op.x[0]), op.x[0])
+    result = op.intrinsic("fabs")
+    op.asm.positive.add(result)
+    return result
 
 
 def _sign(op: Application) -> str:
@@ -174,27 +224,26 @@ def _sign(op: Application) -> str:
 def _integer_power(op: Application) -> str:
     """Emit a power by repeated squaring, in the same order as jax so that rounding errors are the same."""
     exponent, multiply = op.params["y"], "fmul" if op.is_float else "mul"
-    if exponent < 0 and not op.is_float:
-        raise Untranslatable("a negative power of integers")
+    refuse_if(exponent < 0 and not op.is_float, "a negative power of integers")
     power, result, remaining = op.x[0], None, abs(exponent)
     while remaining:
         if remaining % 2:
-            result = power if result is None else op.asm.let(f"{multiply} {op.type} {result}, {power}")
+            result = power if result is None else op.emit(multiply, result, power)
         remaining //= 2
         if remaining:
-            power = op.asm.let(f"{multiply} {op.type} {power}, {power}")
+            power = op.emit(multiply, power, power)
     if result is None:
         return op.constant(1)
-    return result if exponent > 0 else op.asm.let(f"fdiv {op.type} {op.constant(1)}, {result}")
+    return result if exponent > 0 else op.emit("fdiv", op.constant(1), result)
 
 
 def _reinterpret(op: Application) -> str:
     """Emit a reinterpretation of the bits of a number as another type."""
     if op.gives == op.dtype:
         return op.x[0]
-    if op.gives.itemsize != op.dtype.itemsize or op.gives == BOOL:
-        raise Untranslatable(f"the bits of {op.dtype} as {op.gives}")
-    return op.asm.let(f"bitcast {op.type} {op.x[0]} to {op.asm.type(op.gives, op.varying)}")
+    unlike = op.gives.itemsize != op.dtype.itemsize or op.gives == BOOL
+    refuse_if(unlike, f"the bits of {op.dtype} as {op.gives}")
+    return op.cast("bitcast")
 
 
 def _convert(op: Application) -> str:
@@ -215,7 +264,7 @@ def _convert(op: Application) -> str:
         how = "trunc"
     else:
         return op.x[0]
-    return op.asm.let(f"{how} {op.type} {op.x[0]} to {op.asm.type(op.gives, op.varying)}")
+    return op.cast(how)
 
 
 def _saturate(op: Application) -> str:
@@ -226,7 +275,7 @@ def _saturate(op: Application) -> str:
     return asm.call(name, op.x, asm.type(op.gives, op.varying), takes=op.type)
 
 
-COMPOSED: dict[str, Callable[[Assembly, list[Entry]], Operand]] = {"clamp": _clamp, "select_n": _select}
+COMPOSED: dict[str, Callable[[Assembly, Sequence[Entry]], Operand]] = {"clamp": _clamp, "select_n": _select}
 """Rules of primitives that are composed of others or that take arguments of several types."""
 
 ROUNDING = {RoundingMethod.AWAY_FROM_ZERO: "round", RoundingMethod.TO_NEAREST_EVEN: "roundeven"}
@@ -250,17 +299,13 @@ RULES: dict[str, Rule] = {
     **{name: Rule(partial(_compare, f"o{name}", name), ANY) for name in ("lt", "gt", "le", "ge", "eq")},
     "ne": Rule(partial(_compare, "une", "ne"), ANY),
     **{name: Rule(partial(_extremum, name), ANY) for name in ("max", "min")},
-    "neg": Rule(_negate, NUMBERS),
+    "neg": Rule(lambda op: op.emit("fneg", op.x[0]) if op.is_float else op.negative(op.x[0]), NUMBERS),
     "abs": Rule(_absolute, "fi"),
-    "not": Rule(
-        lambda op: op.asm.let(f"xor {op.type} {op.x[0]}, {op.constant(op.dtype == BOOL or -1)}"), INTEGERS + "b"
-    ),
+    "not": Rule(lambda op: op.emit("xor", op.x[0], op.constant(op.dtype == BOOL or -1)), INTEGERS + "b"),
     "sign": Rule(_sign, NUMBERS),
     "is_finite": Rule(lambda op: op.compare("olt", op.intrinsic("fabs"), op.constant(np.inf)), FLOATS),
     "integer_pow": Rule(_integer_power, NUMBERS),
-    "square": Rule(
-        lambda op: _arithmetic("fmul", "mul", Application(op.asm, {}, [op.operands[0]] * 2, op.gives)), NUMBERS
-    ),
+    "square": Rule(lambda op: op.emit("fmul" if op.is_float else "mul", op.x[0], op.x[0]), NUMBERS),
     "round": Rule(lambda op: op.intrinsic(ROUNDING[op.params["rounding_method"]]), FLOATS),
     "pow": Rule(_power, FLOATS),
     "bitcast_convert_type": Rule(_reinterpret, ANY),

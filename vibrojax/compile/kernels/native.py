@@ -2,6 +2,7 @@
 
 import ctypes
 import threading
+from collections import defaultdict
 from collections.abc import Callable, Hashable
 from functools import cache
 from hashlib import sha256
@@ -15,11 +16,8 @@ import llvmlite.binding as llvm
 import numpy as np
 
 from vibrojax.compile.kernels import cache as store
-from vibrojax.compile.kernels.operands import LANES, Untranslatable, dtype_of, varies
+from vibrojax.compile.kernels.assembly import LANES, Untranslatable, dtype_of, refuse_if, varies
 from vibrojax.compile.kernels.translation import kernel_text
-
-Function = Callable[[int, int, int], None]
-"""`lanes(arrays, workspace, count)`, which releases the interpreter lock."""
 
 PASSES = ("sroa", "aggressive_dce")
 """LLVM's optimization passes before instruction selection. With all other passes as well, compilation takes ten times
@@ -39,14 +37,6 @@ class Processor(NamedTuple):
     features: str
 
 
-class Native(NamedTuple):
-    """A native function, the object that keeps its code in memory, and the code's `key` in the disk cache."""
-
-    function: Function
-    library: object
-    key: str
-
-
 @cache
 def processor() -> Processor:
     """Return the processor of this computer."""
@@ -64,23 +54,6 @@ def vector_bytes() -> int:
     """
     features = processor().features.split(",")
     return 64 if "+avx512f" in features else 32 if "+avx2" in features else 16
-
-
-def compile_text(text: str, name: str) -> Native:
-    """Return the native function of a kernel's IR text, from the disk cache if it is there.
-
-    `name` must be unique in the process.
-    """
-    parts = (llvmlite.__version__, *processor(), *PASSES, *REFERENCES.values(), text)
-    key = sha256("\n".join(parts).encode()).hexdigest()
-    code = store.read(key)
-    if code is None:
-        code = _object_code(text)
-        store.write(key, code)
-    builder = llvm.JITLibraryBuilder().add_object_img(code).export_symbol("lanes").add_current_process()
-    library = builder.link(_jit(), name)
-    kind = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int64)
-    return Native(kind(library["lanes"]), library, key)
 
 
 def _machine() -> llvm.TargetMachine:
@@ -123,6 +96,8 @@ class Kernel:
       last axis of arrays is the lane axis, which may have any length.
     - `registers`: number of vector registers that hold one value of a group.
 
+    The attribute `key` is the hash of the kernel's IR text, the processor and the version of llvmlite.
+
     **Raises:** `Untranslatable` if the function has a construct that no kernel can express.
     """
 
@@ -131,44 +106,41 @@ class Kernel:
         inner = traced.jaxpr.jaxpr
         self._arguments = [(dtype_of(var.aval), varies(var.aval)) for var in inner.invars]
         self._results = [(dtype_of(var.aval), var.aval.shape, varies(var.aval)) for var in inner.outvars]
-        if not any(varying for _, varying in self._arguments):
-            raise Untranslatable("no argument has lanes")
+        refuse_if(not any(varying for _, varying in self._arguments), "no argument has lanes")
         self._tree = jax.tree.structure(traced.out_info)
         widest = max((dtype.itemsize for dtype, _ in self._arguments if dtype.kind == "f"), default=8)
         self.width = registers * vector_bytes() // widest
         text, self._workspace, self._alignment = kernel_text(traced.jaxpr, self.width)
-        self._native = compile_text(text, f"kernel {next(_number)}")
-
-    @property
-    def key(self) -> str:
-        """Hash of the kernel's IR text, the processor and the version of llvmlite."""
-        return self._native.key
+        parts = (llvmlite.__version__, *processor(), *PASSES, *REFERENCES.values(), text)
+        self.key = sha256("\n".join(parts).encode()).hexdigest()
+        code = store.read(self.key)
+        if code is None:
+            code = _object_code(text)
+            store.write(self.key, code)
+        builder = llvm.JITLibraryBuilder().add_object_img(code).export_symbol("lanes").add_current_process()
+        self._library = builder.link(_jit(), f"kernel {next(_number)}")  # keeps the code in memory
+        kind = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int64)  # releases the interpreter lock
+        self._lanes = kind(self._library["lanes"])
 
     def __call__(self, *arguments: Any) -> Any:
         """Return the function's results as numpy arrays. The interpreter lock is released during the computation."""
         leaves = jax.tree.leaves(arguments)
         lanes = next(np.shape(x)[-1] for x, (_, varying) in zip(leaves, self._arguments, strict=True) if varying)
         padded = -(-lanes // self.width) * self.width
-        pairs = zip(leaves, self._arguments, strict=True)
-        arrays = [_padded(np.asarray(x, dtype), padded if varying else None) for x, (dtype, varying) in pairs]
+        arrays = []
+        for leaf, (dtype, varying) in zip(leaves, self._arguments, strict=True):
+            x = np.asarray(leaf, dtype)
+            if varying and lanes != padded:
+                x = np.concatenate([x, np.repeat(x[..., -1:], padded - lanes, axis=-1)], axis=-1)  # repeats a lane
+            arrays.append(np.ascontiguousarray(x))
         shapes = [(*shape[:-1], padded) if varying else shape for _, shape, varying in self._results]
         results = [np.empty(shape, dtype) for shape, (dtype, *_) in zip(shapes, self._results, strict=True)]
         workspace = np.empty(self._workspace + self._alignment, np.uint8)
         pointers = np.array([x.ctypes.data for x in (*arrays, *results)], np.uintp)
         aligned = -(-workspace.ctypes.data // self._alignment) * self._alignment
-        self._native.function(pointers.ctypes.data, aligned, padded)
+        self._lanes(pointers.ctypes.data, aligned, padded)
         cut = [x[..., :lanes] if varying else x for x, (*_, varying) in zip(results, self._results, strict=True)]
         return jax.tree.unflatten(self._tree, cut)
-
-
-def _padded(x: np.ndarray, lanes: int | None) -> np.ndarray:
-    """Return a contiguous array, padded to `lanes` lanes with copies of the last lane.
-
-    If `lanes` is None, the array has no lane axis and is not padded.
-    """
-    if lanes is not None and x.shape[-1] != lanes:
-        x = np.concatenate([x, np.repeat(x[..., -1:], lanes - x.shape[-1], axis=-1)], axis=-1)
-    return np.ascontiguousarray(x)
 
 
 def trace(function: Callable[..., Any], *examples: Any) -> Any:
@@ -181,16 +153,10 @@ def trace(function: Callable[..., Any], *examples: Any) -> Any:
     return jax.jit(function).trace(*jax.tree.map(with_lanes, examples))
 
 
-class _KernelKey(NamedTuple):
-    function: Callable[..., Any]
-    static: tuple[Hashable, ...]
-    types: tuple[Hashable, ...]
-
-
-kernels: dict[_KernelKey, Kernel] = {}
+kernels: dict[Hashable, Kernel] = {}
 """All kernels of this process."""
 
-_locks: dict[_KernelKey, threading.Lock] = {}
+_locks: defaultdict[Hashable, threading.Lock] = defaultdict(threading.Lock)
 _lock = threading.Lock()
 
 
@@ -201,9 +167,9 @@ def kernel_for(
     leaves, tree = jax.tree.flatten(examples)
     dtypes = (x.dtype if hasattr(x, "dtype") else np.result_type(x) for x in leaves)
     types = ((dtype, np.shape(x)[:-1], np.ndim(x)) for dtype, x in zip(dtypes, leaves, strict=True))
-    key = _KernelKey(function, static, (jnp.result_type(float), vector_bytes(), tree, *types))
+    key = (function, static, jnp.result_type(float), vector_bytes(), tree, *types)
     with _lock:
-        lock = _locks.setdefault(key, threading.Lock())
+        lock = _locks[key]
     with lock:
         if key not in kernels:
             kernels[key] = Kernel(lambda *dynamic: function(*static, *dynamic), *examples, registers=registers)

@@ -1,16 +1,25 @@
 """Translation of a traced function to the LLVM IR of a kernel."""
 
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import cache, partial
 from typing import Any
 
 import jax
 import numpy as np
+from jax.lax import GatherScatterMode
 
-from vibrojax.compile.kernels import arrangement, control, elementwise, parameters, selection
-from vibrojax.compile.kernels.assembly import Assembly, array_entries, array_slots, placeholder
-from vibrojax.compile.kernels.operands import Untranslatable, Value, dtype_of, literals, varies, without_lanes
+from vibrojax.compile.kernels import arrangement, control, elementwise, selection
+from vibrojax.compile.kernels.assembly import (
+    Assembly,
+    Value,
+    dtype_of,
+    each,
+    literals,
+    refuse_if,
+    varies,
+    without_lanes,
+)
 
 TEMPLATE = """{declarations}
 
@@ -49,16 +58,15 @@ def kernel_text(jaxpr: Any, width: int) -> tuple[str, int, int]:
     inner = jaxpr.jaxpr
     along = {var for equation in inner.eqns for var in control.scanned(equation)}
     arguments = [
-        placeholder(var.aval) if var in along else array_entries(asm, place, var.aval)
+        # An argument is loaded only once: its rows are far apart in memory.
+        control.placeholder(var.aval) if var in along else each(asm.register, control.array_slots(asm, place, var.aval))
         for place, var in enumerate(inner.invars)
     ]
     asm.arrays = {var: place for place, var in enumerate((*inner.invars, *inner.outvars)) if not _is_literal(var)}
     results = _write(asm, jaxpr, arguments)
     for place, (var, value) in enumerate(zip(inner.outvars, results, strict=True), start=len(arguments)):
-        if place in asm.filled:
-            continue
-        for entry, slot in zip(value.ravel().tolist(), array_slots(asm, place, var.aval).ravel().tolist(), strict=True):
-            asm.store(entry, slot, alignment=1)
+        if place not in asm.filled:
+            asm.store_array(value, control.array_slots(asm, place, var.aval))
     body = "\n".join(asm.places + asm.lines)
     text = TEMPLATE.format(declarations="\n".join(sorted(asm.declared)), body=body, width=width)
     return text, asm.workspace, asm.alignment
@@ -76,7 +84,10 @@ def _write(asm: Assembly, closed: Any, values: Sequence[Value], owned: Collectio
     uses = _uses(jaxpr) if owned else {}
 
     def value(var: Any) -> Value:
-        return known[var] if not _is_literal(var) else literals(_number(var))
+        if not _is_literal(var):
+            return known[var]
+        number = np.asarray(var.val)
+        return literals(number if number.dtype == jax.dtypes.float0 else number.astype(dtype_of(var.aval)))
 
     for equation in jaxpr.eqns:
         arguments = [value(var) for var in equation.invars]
@@ -104,15 +115,62 @@ def _uses(jaxpr: Any) -> Counter[Any]:
     return uses
 
 
-def _number(var: Any) -> np.ndarray:
-    """Return the value of a literal argument of an equation, with the type that it has in the trace."""
-    value = np.asarray(var.val)
-    return value if value.dtype == jax.dtypes.float0 else value.astype(dtype_of(var.aval))
-
-
 def _is_literal(var: Any) -> bool:
     """Return whether an argument of an equation is a literal number, not a variable."""
     return hasattr(var, "val")
+
+
+PARAMETERS: dict[str, tuple[str, str]] = {
+    **dict.fromkeys((*elementwise.INTRINSICS, *elementwise.LIBRARY), ("", "accuracy")),
+    **dict.fromkeys(selection.REDUCTIONS, ("axes", "out_sharding")),
+    "bitcast_convert_type": ("new_dtype", ""),
+    "broadcast_in_dim": ("shape broadcast_dimensions", "sharding"),
+    "concatenate": ("dimension", ""),
+    "cond": ("branches", ""),
+    "convert_element_type": ("new_dtype", "sharding weak_type"),
+    "custom_jvp_call": ("call_jaxpr", "jvp_jaxpr_fun num_consts symbolic_zeros"),
+    "custom_vjp_call": ("call_jaxpr", "bwd fwd_jaxpr_thunk num_consts out_trees symbolic_zeros"),
+    "dynamic_slice": ("slice_sizes", ""),
+    "gather": ("dimension_numbers mode fill_value", "indices_are_sorted slice_sizes unique_indices"),
+    "integer_pow": ("y", ""),
+    "iota": ("dtype shape dimension", "sharding"),
+    "jit": (
+        "jaxpr",
+        "ctx_mesh donated_invars inline keep_unused name in_layouts in_shardings out_layouts out_shardings "
+        "compiler_options_kvs",
+    ),
+    "mul": ("", "out_dtype"),
+    "reshape": ("new_sizes dimensions", "sharding"),
+    "rev": ("dimensions", ""),
+    "round": ("rounding_method", ""),
+    "scan": ("jaxpr length reverse", "_split_transpose ft_in ft_out linear num_carry num_consts unroll"),
+    "scatter": ("dimension_numbers mode update_jaxpr update_consts", "indices_are_sorted unique_indices"),
+    "slice": ("start_indices limit_indices strides", ""),
+    "sort": ("dimension num_keys", "is_stable"),
+    "split": ("sizes axis", ""),
+    "squeeze": ("dimensions", ""),
+    "stack": ("axis", ""),
+    "transpose": ("permutation", ""),
+    "unstack": ("axis", ""),
+    "while": ("cond_nconsts cond_jaxpr body_nconsts body_jaxpr", ""),
+}
+"""Two groups of parameters of each primitive. The first group is read by the rule and must be present. The second group
+has no effect in a kernel, provided that the values are accepted, and may be absent."""
+
+MODES = (GatherScatterMode.CLIP, GatherScatterMode.FILL_OR_DROP, GatherScatterMode.PROMISE_IN_BOUNDS)
+
+ACCEPTED: dict[str, Callable[[Any], bool]] = {
+    **dict.fromkeys(
+        ("accuracy", "out_dtype", "out_sharding", "sharding", "update_jaxpr", "reshape.dimensions"),
+        lambda value: value is None,
+    ),
+    **dict.fromkeys(("compiler_options_kvs", "update_consts"), lambda value: len(value) == 0),
+    "mode": lambda mode: mode in MODES,
+    "reverse": lambda reverse: isinstance(reverse, bool),
+    "rounding_method": lambda method: method in elementwise.ROUNDING,
+    "y": lambda exponent: isinstance(exponent, int),
+}
+"""Predicates that accept a value, by `parameter` or `primitive.parameter`. Other parameters may have any value."""
 
 
 @cache
@@ -124,9 +182,8 @@ def primitives() -> set[str]:
 def _apply(asm: Assembly, equation: Any, values: list[Value], owned: Collection[int]) -> list[Value]:
     """Emit the instructions of an equation and return the equation's results."""
     name = equation.primitive.name
-    if name not in primitives():
-        raise Untranslatable(f"the primitive {name}")
-    parameters.check(name, equation.params)
+    refuse_if(name not in primitives(), f"the primitive {name}")
+    check_parameters(name, equation.params)
     if name in arrangement.RULES:
         results = arrangement.arrange(equation, values)
     elif name in selection.RULES:
@@ -137,9 +194,23 @@ def _apply(asm: Assembly, equation: Any, values: list[Value], owned: Collection[
         results = control.RULES[name](asm, partial(_write, asm), equation, values, owned)
     else:
         gives = dtype_of(equation.outvars[0].aval)
-        results = [selection.apply_to_arrays(asm, name, equation.params, values, gives)]
+        results = [selection.apply_to_arrays(asm, name, values, gives, equation.params)]
     for var, value in zip(equation.outvars, results, strict=True):
         mixed = not varies(var.aval) and any(x.varying for x in value.ravel().tolist())
-        if value.shape != without_lanes(var.aval.shape) or mixed:
-            raise Untranslatable(f"{name} that mixes lanes")
+        refuse_if(value.shape != without_lanes(var.aval.shape) or mixed, f"{name} that mixes lanes")
     return results
+
+
+def check_parameters(primitive: str, params: Mapping[str, Any]) -> None:
+    """Raise `Untranslatable` if a parameter is unknown or missing, or if its value is not accepted.
+
+    A later version of jax may add a parameter, or a value of a parameter, that changes the meaning of a primitive.
+    """
+    needed, irrelevant = (names.split() for names in PARAMETERS.get(primitive, ("", "")))
+    for name, value in params.items():
+        known = name in needed or name in irrelevant
+        refuse_if(not known, f"{primitive} with the unknown parameter {name}")
+        accepts = ACCEPTED.get(f"{primitive}.{name}") or ACCEPTED.get(name)
+        refuse_if(accepts is not None and not accepts(value), f"{primitive} with {name} = {value}")
+    for name in needed:
+        refuse_if(name not in params, f"{primitive} without the parameter {name}")
