@@ -30,7 +30,7 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 # Annotations, shapes of arrays among them, are checked in the tests; users pay nothing for them. Functions that users
 # call with anything (modules `run`, sweep.input.read and source) are not: their errors name the argument that is wrong.
 # Nor are kernels, which call their functions a hundred thousand times to be written: two minutes of checking.
-UNCHECKED = ("run.py", "rerun.py", "joining.py", "catalogue.py", "glossary.py", "registry.py")
+UNCHECKED = ("run.py", "joining.py", "catalogue.py")
 ANALYSES = Path(__file__).parents[1] / "vibrojax" / "analyses"
 CHECKED = [
     *(
