@@ -58,7 +58,6 @@ CHECKED = [
     "vibrojax.sweep.input.definition",
     "vibrojax.sweep.input.names",
     "vibrojax.sweep.input.names",
-    "vibrojax.sweep.input.read",
     "vibrojax.sweep.input.points",
     "vibrojax.sweep.input.run_settings",
     "vibrojax.sweep.input.values",

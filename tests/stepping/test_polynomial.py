@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.polynomial import Polynomial
-from vibrojax.measures.motion import cos_sin
 
+from vibrojax.measures.motion import cos_sin
 from vibrojax.stepping.polynomial import first_guess, highest, integral, root, rough_root, slope, value
 
 RANDOM = np.random.default_rng(11)
