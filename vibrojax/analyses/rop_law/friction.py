@@ -198,7 +198,7 @@ def _velocity(unknowns: Unknowns, fixed: Mapping[str, Array], substeps: int, sam
 
 
 def _relative_errors(
-    fitted: Samples, jacobian: Float[np.ndarray, "samples unknowns"], residual: Samples
+    fitted: Float[np.ndarray, " window"], jacobian: Float[np.ndarray, "samples unknowns"], residual: Samples
 ) -> tuple[Float[np.ndarray, " unknowns"], Reason]:
     """Return the standard errors of the unknowns, and IDENTIFIED or the reason why the unknowns are not reliable.
 
