@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
 from vibrojax.analyses.accuracy.cases import Setting
-from vibrojax.analyses.accuracy.programs import Features, Program
+from vibrojax.analyses.accuracy.programs import Outcome, Program
 
 LONG_REPEATS = 0.6  # total run time [s] from which two runs suffice
 
@@ -71,7 +71,7 @@ def measure(
     Two runs suffice if they take long, one if some lanes did not reach the end.
     """
     seconds: list[float] = []
-    ran: Features = {}
+    ran: Outcome = {}
     while len(seconds) < (repeats if sum(seconds) < LONG_REPEATS else 2):
         began = time.perf_counter()
         ran = program.run(setting.accuracy)

@@ -35,6 +35,9 @@ SAMPLING = 2e-4  # s
 Features = dict[str, Shaped[np.ndarray, " lanes"]]
 """Features of lanes by name, among them `finite`, `finished` and `steps`."""
 
+Outcome = dict[str, Shaped[np.ndarray, " copies"]]
+"""Result of a run for all copies of the lanes, by name; at least `finished` and `steps`."""
+
 
 class Program:
     """The located or the smoothed stepper, as in a sweep but without the check run.
@@ -61,11 +64,11 @@ class Program:
         """Compile without running."""
         self._chunks.compile()
 
-    def run(self, accuracy: Accuracy) -> Features:
+    def run(self, accuracy: Accuracy) -> Outcome:
         """Run all copies of the lanes, which is the part that is timed; return at least `finished` and `steps`."""
         return self._chunks.at(accuracy)
 
-    def features(self, accuracy: Accuracy, ran: Features) -> Features:
+    def features(self, accuracy: Accuracy, ran: Outcome) -> Features:
         """Return the features of each lane, of the first copy, from the result of `run`."""
         return {name: x[: self.lanes.count] for name, x in ran.items()}
 
@@ -85,14 +88,14 @@ class DiffraxProgram(Program):
         """Compile by a run of zero duration."""
         self._solve(workers()[0], accuracy, end=0.0)
 
-    def run(self, accuracy: Accuracy) -> Features:
+    def run(self, accuracy: Accuracy) -> Outcome:
         """Return `steps` and `finished` of all copies of the lanes."""
         end = self.lanes.settle + self.lanes.observe
         parallel = in_parallel(lambda worker, _: self._solve(worker, accuracy, end)[1:], workers(), workers())
         steps, finished = map(np.concatenate, zip(*(counts for _, counts in parallel), strict=True))
         return {"steps": steps, "finished": finished}
 
-    def features(self, accuracy: Accuracy, ran: Features) -> Features:
+    def features(self, accuracy: Accuracy, ran: Outcome) -> Features:
         """Return the features from samples of the observation."""
         count = round(self.lanes.observe / SAMPLING) + 1
         times = self.lanes.settle + np.arange(count) * SAMPLING
