@@ -10,6 +10,7 @@ import vibrojax as vj
 from vibrojax.analyses.sweep.run import run_to_file
 from vibrojax.cli import main
 from vibrojax.io.manifest import check_replaceable
+from vibrojax.io.provenance import source
 from vibrojax.sweep.engine.chunks import Chunks
 from vibrojax.sweep.input.read import read_sweep
 
@@ -39,6 +40,36 @@ def test_another_sweep(folder, capsys):
     assert swept(folder, 0.7, "--fresh") == 0
     np.testing.assert_array_equal(vj.open_dataset(folder / "map.nc").gamma, [0.7])
     assert swept(folder, 0.7, title="said otherwise") == 0
+
+
+@pytest.mark.parametrize("command", ["sweep", "orbits"])
+def test_a_finished_sweep_is_not_computed_again(folder, capsys, monkeypatch, command):
+    (folder / "map.toml").write_text(SWEEP.format(gamma=0.6, title="a"))
+    argv = [command, "map.toml", "-o", "map.nc"]
+    assert main(argv) == 0
+    kept, lines = (folder / "map.nc").stat().st_mtime_ns, capsys.readouterr().out.splitlines()
+    compute = Chunks.compute
+    with monkeypatch.context() as changed:
+        changed.setattr(Chunks, "compute", None)
+        assert main(argv) == 0
+        said = f"map.nc: is there already ({source()}); it is not computed again without --fresh; picture map.png"
+        assert capsys.readouterr() == ("\n".join([said, *lines[1:], ""]), "")
+        (folder / "map.png").unlink()
+        assert main([*argv, "--quiet"]) == 0 and (folder / "map.png").exists()
+        assert (folder / "map.nc").stat().st_mtime_ns == kept and capsys.readouterr() == ("", "")
+    computed = []
+    monkeypatch.setattr(Chunks, "compute", lambda self, *words: computed.append(1) or compute(self, *words))
+    assert main([*argv, "--fresh"]) == 0 and computed
+    assert (folder / "map.nc").stat().st_mtime_ns > kept and "is there already" not in capsys.readouterr().out
+
+
+def test_a_finished_share_is_not_computed_again(folder, capsys):
+    assert swept(folder, 0.6, "--only", "1/1") == 0
+    assert main(["sweep", "map.toml", "--only", "1/1"]) == 0
+    assert capsys.readouterr().out.startswith("map.nc: is there already")
+    (folder / "map.nc.chunks").mkdir()  # of a run that was ended before it removed them
+    assert main(["sweep", "map.toml"]) == 0
+    assert "is there already" not in capsys.readouterr().out and not (folder / "map.nc.chunks").exists()
 
 
 def test_another_point(folder, capsys):

@@ -72,6 +72,27 @@ def result_at(options: Options, default: str, identity: Mapping[str, object]) ->
     return out
 
 
+def stored_result(options: Options, out: Path, identity: Mapping[str, object]) -> "xarray.Dataset | None":
+    """Return the finished result with this `identity` at `out`, or None if there is none, or with `--fresh`."""
+    from vibrojax.io.manifest import holds
+    from vibrojax.io.standing import CHUNKS
+
+    # Chunks beside a dataset belong to a run that was interrupted while it replaced the dataset.
+    if options.fresh or out.with_name(out.name + CHUNKS).exists() or not holds(out, identity):
+        return None
+    from vibrojax.io.dataset import open_dataset
+
+    with timed("read"):
+        return open_dataset(out)
+
+
+def stored_line(options: Options, dataset: "xarray.Dataset", out: Path) -> str:
+    """Return the output line of a result that `out` holds already; draw its picture if that is missing."""
+    picture = out.with_suffix(".png")
+    drawn = f"; picture {picture}" if picture.exists() else draw(options, dataset, out)
+    return f"{out}: is there already ({dataset.attrs['source']}); it is not computed again without --fresh{drawn}"
+
+
 def write_result(options: Options, dataset: "xarray.Dataset", out: Path, identity: Mapping[str, object]) -> str:
     """Write a result and draw it; return the end of an output line, which names the picture."""
     from vibrojax.io.dataset import write_dataset
