@@ -1,5 +1,6 @@
 """An interrupted sweep goes on where it was; a finished result of another is not replaced without `--fresh`."""
 
+import json
 import time
 
 import numpy as np
@@ -72,14 +73,54 @@ def test_a_finished_share_is_not_computed_again(folder, capsys):
     assert "is there already" not in capsys.readouterr().out and not (folder / "map.nc.chunks").exists()
 
 
-def test_another_point(folder, capsys):
-    point = ["simulate", "rotary", "duration=0.2"]
-    assert main([*point, "gamma=0.6"]) == 0 and main([*point, "gamma=0.6"]) == 0
+POINT = ["simulate", "rotary", "duration=0.2"]
+
+
+def test_single_motions_are_numbered(folder, capsys, monkeypatch):
+    """The next free number, the number of an equal result, and no file of something else."""
+    (folder / "rotary-3.nc").write_bytes(b"no netCDF at all")
+    (folder / "rotary-x.nc").mkdir()
+    lines = {}
+    for gamma, name in ((0.6, "rotary"), (0.7, "rotary-2"), (0.8, "rotary-4")):
+        assert main([*POINT, f"gamma={gamma}"]) == 0
+        lines[gamma] = capsys.readouterr().out.splitlines()
+        assert lines[gamma][-1] == f"{name}.nc; picture {name}.png" and (folder / f"{name}.png").exists()
+        assert vj.open_dataset(folder / f"{name}.nc").attrs["parameters"].count(f'"gamma": {gamma}') == 1
+    (folder / "rotary.nc").unlink()
+    with monkeypatch.context() as changed:
+        changed.setattr("vibrojax.sweep.simulation.simulate", None)
+        assert main([*POINT, "gamma=0.8"]) == 0
+        said = f"rotary-4.nc: is there already ({source()}); it is not computed again without --fresh"
+        assert capsys.readouterr().out.splitlines() == [*lines[0.8][:-1], f"{said}; picture rotary-4.png"]
+        assert main([*POINT, "gamma=0.8", "--json"]) == 0
+        stored = json.loads(capsys.readouterr().out)
+    kept = {name: (folder / name).stat().st_mtime_ns for name in ("rotary-2.nc", "rotary-4.nc")}
+    assert main([*POINT, "gamma=0.8", "--fresh", "--json"]) == 0
+    computed = json.loads(capsys.readouterr().out)
+    assert stored == computed and stored["dataset"] == "rotary-4.nc" and stored["picture"] == "rotary-4.png"
+    assert [(folder / name).stat().st_mtime_ns > time for name, time in kept.items()] == [False, True]
+    assert main([*POINT, "gamma=0.6"]) == 0 and "rotary.nc; picture" in capsys.readouterr().out
+
+
+def test_a_number_that_another_process_has_taken_is_not_used(folder, monkeypatch):
+    def simulate(*_, **__):
+        (folder / "rotary.nc").write_bytes(b"of another process")
+        return motion
+
+    motion = vj.simulate("rotary", duration=0.2, progress=False)
+    monkeypatch.setattr("vibrojax.sweep.simulation.simulate", simulate)
+    assert main([*POINT, "--quiet"]) == 0
+    assert (folder / "rotary.nc").read_bytes() == b"of another process" and (folder / "rotary-2.nc").exists()
+
+
+def test_another_point_in_a_file_that_is_given(folder, capsys):
+    out = ["-o", "rotary.nc"]
+    assert main([*POINT, "gamma=0.6", *out]) == 0 and main([*POINT, "gamma=0.6", *out]) == 0
     capsys.readouterr()
-    assert main([*point, "gamma=0.7"]) == 2
+    assert main([*POINT, "gamma=0.7", *out]) == 2
     assert "rotary.nc: holds another result: gamma was 0.6, is 0.7; --fresh replaces it" in capsys.readouterr().err
-    assert main([*point, "gamma=0.6", "start=[0,0,0,1]"]) == 2
-    assert main([*point, "gamma=0.7", "--fresh"]) == 0
+    assert main([*POINT, "gamma=0.6", "start=[0,0,0,1]", *out]) == 2
+    assert main([*POINT, "gamma=0.7", *out, "--fresh"]) == 0
 
 
 @pytest.mark.parametrize("content", [b"", b"no netCDF at all", None])

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from vibrojax.cli.command import Command, Options, argument, command, files, output_options
-from vibrojax.cli.output import draw, output, result_at, stored_line, stored_result, write_result
+from vibrojax.cli.output import draw, output, result_at, stored_line, stored_picture, stored_result, write_result
 from vibrojax.errors import InputError, shown
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ def orbits(options: Options) -> None:
     options.advise("finished chunks are kept; to go on", "orbits", file, "-o", str(out))
     dataset = stored_result(options, out, sweep.identity())
     if dataset is not None:
-        line = stored_line(options, dataset, out)
+        line = stored_line(dataset, out, stored_picture(options, dataset, out))
     else:
         dataset = run_to_file(sweep, out, resume=not options.fresh, progress=not options.quiet)
         line = f"{out}: {sweep.lanes} lanes{draw(options, dataset, out)}"

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from vibrojax.cli.command import Options, argument, command, either, flag, sweep_names
-from vibrojax.cli.output import ZARR, draw, output, stored_line, stored_result
+from vibrojax.cli.output import ZARR, draw, output, stored_line, stored_picture, stored_result
 from vibrojax.errors import InputError, shown
 from vibrojax.io.formatting import size_text, time_text
 
@@ -83,9 +83,9 @@ def sweep(options: Options) -> None:
         return
     stored = stored_result(options, out, plan.identity())
     if stored is not None:
-        line = stored_line(options, stored, out)
+        drawn = stored_picture(options, stored, out)
         if not options.quiet:
-            print(line)
+            print(stored_line(stored, out, drawn))
         return
     words = [word for change in options.changes for word in ("--set", change)]
     by = [word for name in ("workers", "only") if (value := getattr(options, name)) for word in (f"--{name}", value)]
