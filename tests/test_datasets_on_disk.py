@@ -152,6 +152,33 @@ def test_what_a_killed_writer_left_is_cleared(tmp_path):
     assert left == {"out.nc", f".out.nc.{os.getppid()}.tmp", ".out.nc.tmp"}
 
 
+@pytest.mark.parametrize("before", ["nothing", "a file", "a store"])
+def test_a_name_that_ends_in_zarr_is_a_zarr_store(before, tmp_path):
+    pytest.importorskip("zarr")
+    store, file = tmp_path / "motion.zarr", tmp_path / "motion.nc"
+    motion = vj.simulate("vibro-impact", duration=0.5, progress=False)
+    vj.write_dataset(motion, file)
+    if before == "a file":  # as earlier versions wrote
+        store.write_bytes(file.read_bytes())
+    elif before == "a store":
+        vj.write_dataset(motion.isel(time=slice(2)), store)
+    vj.write_dataset(vj.open_dataset(file), store)
+    assert store.is_dir() and {path.name for path in tmp_path.iterdir()} == {"motion.nc", "motion.zarr"}
+    xr.testing.assert_identical(vj.open_dataset(store), vj.open_dataset(file))
+
+
+def test_a_zarr_store_that_cannot_be_written(tmp_path, monkeypatch):
+    dataset = xr.Dataset({"x": 1.0})
+    monkeypatch.setitem(sys.modules, "zarr", None)
+    with pytest.raises(vj.InputError, match=r'^\S+x\.zarr: zarr is not installed; pip install "vibrojax\[zarr\]"'):
+        vj.write_dataset(dataset, tmp_path / "x.zarr")
+    monkeypatch.undo()
+    pytest.importorskip("zarr")
+    with pytest.raises(FileNotFoundError):
+        vj.write_dataset(dataset, tmp_path / "nowhere" / "x.zarr")
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize(
     "changed, warned",
     [

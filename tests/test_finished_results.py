@@ -1,5 +1,6 @@
 """An interrupted sweep goes on where it was; a finished result of another is not replaced without `--fresh`."""
 
+import json
 import time
 
 import numpy as np
@@ -10,6 +11,7 @@ import vibrojax as vj
 from vibrojax.analyses.sweep.run import run_to_file
 from vibrojax.cli import main
 from vibrojax.io.manifest import check_replaceable
+from vibrojax.io.provenance import source
 from vibrojax.sweep.engine.chunks import Chunks
 from vibrojax.sweep.input.read import read_sweep
 
@@ -41,14 +43,84 @@ def test_another_sweep(folder, capsys):
     assert swept(folder, 0.7, title="said otherwise") == 0
 
 
-def test_another_point(folder, capsys):
-    point = ["simulate", "rotary", "duration=0.2"]
-    assert main([*point, "gamma=0.6"]) == 0 and main([*point, "gamma=0.6"]) == 0
+@pytest.mark.parametrize("command", ["sweep", "orbits"])
+def test_a_finished_sweep_is_not_computed_again(folder, capsys, monkeypatch, command):
+    (folder / "map.toml").write_text(SWEEP.format(gamma=0.6, title="a"))
+    argv = [command, "map.toml", "-o", "map.nc"]
+    assert main(argv) == 0
+    kept, lines = (folder / "map.nc").stat().st_mtime_ns, capsys.readouterr().out.splitlines()
+    compute = Chunks.compute
+    with monkeypatch.context() as changed:
+        changed.setattr(Chunks, "compute", None)
+        assert main(argv) == 0
+        said = f"map.nc: is there already ({source()}); it is not computed again without --fresh; picture map.png"
+        assert capsys.readouterr() == ("\n".join([said, *lines[1:], ""]), "")
+        (folder / "map.png").unlink()
+        assert main([*argv, "--quiet"]) == 0 and (folder / "map.png").exists()
+        assert (folder / "map.nc").stat().st_mtime_ns == kept and capsys.readouterr() == ("", "")
+    computed = []
+    monkeypatch.setattr(Chunks, "compute", lambda self, *words: computed.append(1) or compute(self, *words))
+    assert main([*argv, "--fresh"]) == 0 and computed
+    assert (folder / "map.nc").stat().st_mtime_ns > kept and "is there already" not in capsys.readouterr().out
+
+
+def test_a_finished_share_is_not_computed_again(folder, capsys):
+    assert swept(folder, 0.6, "--only", "1/1") == 0
+    assert main(["sweep", "map.toml", "--only", "1/1"]) == 0
+    assert capsys.readouterr().out.startswith("map.nc: is there already")
+    (folder / "map.nc.chunks").mkdir()  # of a run that was ended before it removed them
+    assert main(["sweep", "map.toml"]) == 0
+    assert "is there already" not in capsys.readouterr().out and not (folder / "map.nc.chunks").exists()
+
+
+POINT = ["simulate", "rotary", "duration=0.2"]
+
+
+def test_single_motions_are_numbered(folder, capsys, monkeypatch):
+    """The next free number, the number of an equal result, and no file of something else."""
+    (folder / "rotary-3.nc").write_bytes(b"no netCDF at all")
+    (folder / "rotary-x.nc").mkdir()
+    lines = {}
+    for gamma, name in ((0.6, "rotary"), (0.7, "rotary-2"), (0.8, "rotary-4")):
+        assert main([*POINT, f"gamma={gamma}"]) == 0
+        lines[gamma] = capsys.readouterr().out.splitlines()
+        assert lines[gamma][-1] == f"{name}.nc; picture {name}.png" and (folder / f"{name}.png").exists()
+        assert vj.open_dataset(folder / f"{name}.nc").attrs["parameters"].count(f'"gamma": {gamma}') == 1
+    (folder / "rotary.nc").unlink()
+    with monkeypatch.context() as changed:
+        changed.setattr("vibrojax.sweep.simulation.simulate", None)
+        assert main([*POINT, "gamma=0.8"]) == 0
+        said = f"rotary-4.nc: is there already ({source()}); it is not computed again without --fresh"
+        assert capsys.readouterr().out.splitlines() == [*lines[0.8][:-1], f"{said}; picture rotary-4.png"]
+        assert main([*POINT, "gamma=0.8", "--json"]) == 0
+        stored = json.loads(capsys.readouterr().out)
+    kept = {name: (folder / name).stat().st_mtime_ns for name in ("rotary-2.nc", "rotary-4.nc")}
+    assert main([*POINT, "gamma=0.8", "--fresh", "--json"]) == 0
+    computed = json.loads(capsys.readouterr().out)
+    assert stored == computed and stored["dataset"] == "rotary-4.nc" and stored["picture"] == "rotary-4.png"
+    assert [(folder / name).stat().st_mtime_ns > time for name, time in kept.items()] == [False, True]
+    assert main([*POINT, "gamma=0.6"]) == 0 and "rotary.nc; picture" in capsys.readouterr().out
+
+
+def test_a_number_that_another_process_has_taken_is_not_used(folder, monkeypatch):
+    def simulate(*_, **__):
+        (folder / "rotary.nc").write_bytes(b"of another process")
+        return motion
+
+    motion = vj.simulate("rotary", duration=0.2, progress=False)
+    monkeypatch.setattr("vibrojax.sweep.simulation.simulate", simulate)
+    assert main([*POINT, "--quiet"]) == 0
+    assert (folder / "rotary.nc").read_bytes() == b"of another process" and (folder / "rotary-2.nc").exists()
+
+
+def test_another_point_in_a_file_that_is_given(folder, capsys):
+    out = ["-o", "rotary.nc"]
+    assert main([*POINT, "gamma=0.6", *out]) == 0 and main([*POINT, "gamma=0.6", *out]) == 0
     capsys.readouterr()
-    assert main([*point, "gamma=0.7"]) == 2
+    assert main([*POINT, "gamma=0.7", *out]) == 2
     assert "rotary.nc: holds another result: gamma was 0.6, is 0.7; --fresh replaces it" in capsys.readouterr().err
-    assert main([*point, "gamma=0.6", "start=[0,0,0,1]"]) == 2
-    assert main([*point, "gamma=0.7", "--fresh"]) == 0
+    assert main([*POINT, "gamma=0.6", "start=[0,0,0,1]", *out]) == 2
+    assert main([*POINT, "gamma=0.7", *out, "--fresh"]) == 0
 
 
 @pytest.mark.parametrize("content", [b"", b"no netCDF at all", None])

@@ -125,5 +125,11 @@ def test_the_command(strong, tmp_path, capsys, monkeypatch):
     np.testing.assert_array_equal(again.push_x1, strong.push_x1)
     assert push_lines(again) == push_lines(strong)
     assert main(["info", "vibro-impact-push.nc"]) == 0
-    assert main(["push", "vibro-impact", *words[:-1], "scan=16"]) == 2  # what is there is of others
+    monkeypatch.setattr("vibrojax.analyses.push.run.find_pushes", lambda *_, **__: strong)
+    capsys.readouterr()
+    assert main(["push", "vibro-impact", *words]) == 0
+    assert capsys.readouterr().out.splitlines()[:-1] == said.splitlines()[:-1]
+    other = ["push", "vibro-impact", *words[:-1], "scan=16"]
+    assert main([*other, "-o", "vibro-impact-push.nc"]) == 2  # what is there is of others
     assert "--fresh" in capsys.readouterr().err
+    assert main(other) == 0 and (tmp_path / "vibro-impact-push-2.nc").exists()

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from vibrojax.cli.command import Command, Options, argument, command, files, output_options
-from vibrojax.cli.output import draw, output, result_at, write_result
+from vibrojax.cli.output import draw, output, result_at, stored_line, stored_picture, stored_result, write_result
 from vibrojax.errors import InputError, shown
 
 if TYPE_CHECKING:
@@ -34,10 +34,14 @@ def orbits(options: Options) -> None:
     sweep = sweep_with_orbits(open_dataset(Path(file)) if is_dataset else file)
     out = output(options.out or f"{Path(file).stem if is_dataset else sweep.name}-orbits.nc", drawn=True)
     options.advise("finished chunks are kept; to go on", "orbits", file, "-o", str(out))
-    dataset = run_to_file(sweep, out, resume=not options.fresh, progress=not options.quiet)
-    drawn = draw(options, dataset, out)
+    dataset = stored_result(options, out, sweep.identity())
+    if dataset is not None:
+        line = stored_line(dataset, out, stored_picture(options, dataset, out))
+    else:
+        dataset = run_to_file(sweep, out, resume=not options.fresh, progress=not options.quiet)
+        line = f"{out}: {sweep.lanes} lanes{draw(options, dataset, out)}"
     if not options.quiet:
-        print("\n".join([f"{out}: {sweep.lanes} lanes{drawn}", *orbit_lines(dataset)]))
+        print("\n".join([line, *orbit_lines(dataset)]))
 
 
 def analysis_command(kind: str, summary: str) -> Command:

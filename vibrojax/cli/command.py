@@ -89,11 +89,11 @@ def explained(*words: str) -> AddArguments:
 
 
 def output_options(default: str) -> AddArguments:
-    """Declare `-o` and `--fresh`; `default` is the default file name, in the current folder."""
+    """Declare `-o` and `--fresh`; `default` describes the default file name, in the current folder."""
 
     def add(parser: Any) -> None:
         argument("-o", "OUT.nc", f"where to write ({default} in this folder)", dest="out")(parser)
-        flag("--fresh", "replace OUT, whatever it holds")(parser)
+        flag("--fresh", "compute again, and replace OUT, whatever it holds")(parser)
 
     return add
 

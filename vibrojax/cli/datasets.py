@@ -3,6 +3,7 @@
 import os
 import sys
 import webbrowser
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -35,7 +36,7 @@ _SEVERAL: dict[str, Any] = {"action": "extend", "nargs": "+"}
 
 @command(
     argument("file", "OUT.nc", "a dataset written by vibrojax", files(".nc")),
-    argument("-o", "PICTURE.png", "where to draw (OUT.png beside OUT.nc)", dest="out"),
+    argument("-o", "PICTURE.png", "where to draw (OUT.png beside OUT.nc; with --over OUT-over-FAMILY.png)", dest="out"),
     argument("--variable", "NAME", "draw these variables, over all that varies; regime is one of them", **_SEVERAL),
     argument("--where", "AXIS=VALUE", "draw only the lanes there, as in delta=0.005 start=stuck", **_SEVERAL),
     argument(
@@ -62,13 +63,23 @@ def plot(options: Options) -> None:
         dataset = open_dataset(path)
         over = [open_dataset(Path(name)) for name in options.over or ()] or None
     with dataset:
-        picture = output(options.out or path.with_suffix(".png"), PICTURES)
+        picture = output(options.out or _picture_of(path, options.over or ()), PICTURES)
+        replaced = over is not None and options.out is None and picture.exists()
         from vibrojax.analyses.pictures import save_picture
 
         with timed("draw"):
             part = save_picture(dataset, picture, options.variable, where, options.colours, over)
     if not options.quiet:
-        print(f"{picture}: {part}" if part else picture)
+        notes = [part] * bool(part) + ["replaces the picture that was there"] * replaced
+        print(f"{picture}: {'; '.join(notes)}" if notes else picture)
+
+
+def _picture_of(path: Path, over: Sequence[str]) -> Path:
+    """Return the default file of the picture of a dataset, which has its own name if datasets are drawn over it."""
+    if not over:
+        return path.with_suffix(".png")
+    more = [f"and-{len(over) - 1}-more"] if len(over) > 1 else []
+    return path.with_name("-".join([path.stem, "over", Path(over[0]).stem, *more]) + ".png")
 
 
 @command(

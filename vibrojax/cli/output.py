@@ -3,9 +3,11 @@
 import json
 import math
 import os
+import re
 import sys
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -59,17 +61,71 @@ def output_folder(folder: str, names: Sequence[str]) -> list[Path]:
     return [output(Path(folder) / name, (Path(name).suffix,)) for name in names]
 
 
-def result_at(options: Options, default: str, identity: Mapping[str, object]) -> Path:
-    """Return the file of a result; `default` is its name without `-o`, `identity` everything that it depends on.
+def result_at(options: Options, default: str, identity: Mapping[str, object], *, numbered: bool = False) -> Path:
+    """Return the file of a result.
+
+    **Arguments:**
+
+    - `default`: its name without `-o`.
+    - `identity`: everything that it depends on.
+    - `numbered`: whether results without `-o` are numbered, where they would replace others.
 
     **Raises:** `InputError` if the file or its picture cannot be written, or the file holds another result.
     """
     from vibrojax.io.manifest import check_replaceable
 
+    if numbered and options.out is None:
+        return output(_numbered(Path(default), identity, options.fresh), drawn=True)
     out = output(options.out or default, drawn=True)
     if not options.fresh:
         check_replaceable(out, identity)
     return out
+
+
+def _numbered(default: Path, identity: Mapping[str, object], fresh: bool) -> Path:
+    """Return the one of the files NAME, NAME-2, NAME-3, ... that holds a result, or the first that does not exist.
+
+    `fresh`: return NAME if no file holds the result.
+    """
+    from vibrojax.io.manifest import holds
+
+    name = re.compile(re.escape(default.stem) + r"-([2-9]|[1-9]\d+)" + re.escape(default.suffix))
+    numbers = {int(match[1]) for path in default.parent.iterdir() if (match := name.fullmatch(path.name))}
+
+    def numbered(number: int) -> Path:
+        return default.with_stem(f"{default.stem}-{number}")
+
+    for path in (default, *map(numbered, sorted(numbers))):
+        if path.exists() and holds(path, identity):
+            return path
+    if fresh or not default.exists():
+        return default
+    return numbered(next(number for number in count(2) if number not in numbers))
+
+
+def stored_result(options: Options, out: Path, identity: Mapping[str, object]) -> "xarray.Dataset | None":
+    """Return the finished result with this `identity` at `out`, or None if there is none, or with `--fresh`."""
+    from vibrojax.io.manifest import holds
+    from vibrojax.io.standing import CHUNKS
+
+    # Chunks beside a dataset belong to a run that was interrupted while it replaced the dataset.
+    if options.fresh or out.with_name(out.name + CHUNKS).exists() or not holds(out, identity):
+        return None
+    from vibrojax.io.dataset import open_dataset
+
+    with timed("read"):
+        return open_dataset(out)
+
+
+def stored_line(dataset: "xarray.Dataset", out: Path, drawn: str) -> str:
+    """Return the output line of a result that `out` holds already; `drawn` is the return value of `stored_picture`."""
+    return f"{out}: is there already ({dataset.attrs['source']}); it is not computed again without --fresh{drawn}"
+
+
+def stored_picture(options: Options, dataset: "xarray.Dataset", out: Path) -> str:
+    """Return the end of an output line, which names the picture next to `out`; draw the picture if it is missing."""
+    picture = out.with_suffix(".png")
+    return f"; picture {picture}" if picture.exists() else draw(options, dataset, out)
 
 
 def write_result(options: Options, dataset: "xarray.Dataset", out: Path, identity: Mapping[str, object]) -> str:
@@ -112,21 +168,31 @@ def answer(
     identity: Mapping[str, object],
     compute: Callable[[], "xarray.Dataset"],
     facts: Callable[["xarray.Dataset"], Mapping[str, object]] = lambda dataset: {},
+    *,
+    numbered: bool = False,
 ) -> None:
     """Compute a result, write and draw it, and print its summary as text, or with `--json` its `facts`.
 
-    `default`, `identity`: as for `result_at`.
+    A result that its file holds already is only printed. `default`, `identity`, `numbered`: as for `result_at`.
     """
-    out = result_at(options, default, identity)
+    out = result_at(options, default, identity, numbered=numbered)
     from vibrojax.analyses.analysis import analysis_of
 
-    dataset = compute()
-    drawn = write_result(options, dataset, out, identity)
+    dataset = stored_result(options, out, identity)
+    if dataset is None:
+        dataset = compute()
+        if numbered and options.out is None:  # another process may have taken the number
+            out = result_at(options, default, identity, numbered=True)
+        drawn = write_result(options, dataset, out, identity)
+        last = f"{out}{drawn}"
+    else:
+        drawn = stored_picture(options, dataset, out)
+        last = stored_line(dataset, out, drawn)
     if options.json:
         print_json({**facts(dataset), **file_facts(out, drawn)})
     elif not options.quiet:
         lines = [line for part in analysis_of(dataset).summary(dataset) for line in part.lines]
-        print("\n".join([*lines, f"{out}{drawn}"]))
+        print("\n".join([*lines, last]))
 
 
 def file_facts(out: Path, drawn: str) -> dict[str, object]:

@@ -67,7 +67,7 @@ def scenes(options: Options) -> None:
         "a parameter; friction; start (a name, or [x1,x1',x2,x2']); duration, sampling, error, method, solver, step, "
         "smoothing",
     ),
-    output_options("SCENE.nc"),
+    output_options("SCENE.nc, SCENE-2.nc, ..."),
     JSON,
 )
 def simulate(options: Options) -> None:
@@ -111,7 +111,7 @@ def simulate(options: Options) -> None:
             "solver": attribute_of(dataset, "solver"),
         }
 
-    answer(options, f"{point.scene}.nc", {"scene": point.scene, **arguments}, compute, facts)
+    answer(options, f"{point.scene}.nc", {"scene": point.scene, **arguments}, compute, facts, numbered=True)
 
 
 @command(
@@ -166,7 +166,7 @@ def follow(options: Options) -> None:
         "(0.001), settle and observe (s, for which motions settle and are then watched: 40, 8)",
         scenes="rotary, vibro-impact or drilling",
     ),
-    output_options("SCENE-push.nc"),
+    output_options("SCENE-push.nc, SCENE-push-2.nc, ..."),
 )
 def push(options: Options) -> None:
     """Find the smallest push in each state variable after which a machine no longer returns to its working cycle."""
@@ -184,7 +184,7 @@ def push(options: Options) -> None:
 
         return find_pushes(request, progress=not options.quiet)
 
-    answer(options, f"{request.sweep.scene}-push.nc", request.identity(), compute)
+    answer(options, f"{request.sweep.scene}-push.nc", request.identity(), compute, numbered=True)
 
 
 @command(

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from vibrojax.cli.command import Options, argument, command, either, flag, sweep_names
-from vibrojax.cli.output import ZARR, draw, output
+from vibrojax.cli.output import ZARR, draw, output, stored_line, stored_picture, stored_result
 from vibrojax.errors import InputError, shown
 from vibrojax.io.formatting import size_text, time_text
 
@@ -40,7 +40,7 @@ DEFAULT_JOBS = 10
         default=[],
     ),
     either(
-        flag("--resume", "go on with the finished chunks beside OUT (the default)"),
+        flag("--resume", "go on with the finished chunks beside OUT; a finished OUT is kept (the default)"),
         flag("--fresh", "start over, and replace OUT whatever it holds"),
     ),
     either(
@@ -80,6 +80,12 @@ def sweep(options: Options) -> None:
         check_zarr(out)
     if options.dry_run:
         _print_cost(plan, out, workers.get("processes", 0), options.measure)
+        return
+    stored = stored_result(options, out, plan.identity())
+    if stored is not None:
+        drawn = stored_picture(options, stored, out)
+        if not options.quiet:
+            print(stored_line(stored, out, drawn))
         return
     words = [word for change in options.changes for word in ("--set", change)]
     by = [word for name in ("workers", "only") if (value := getattr(options, name)) for word in (f"--{name}", value)]

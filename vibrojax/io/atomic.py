@@ -48,7 +48,8 @@ def atomic_folder(path: Path) -> Iterator[Path]:
     """Yield a temporary folder: renamed to `path` when the `with` block ends, or deleted if the block raises."""
     part, before = (path.with_name(f".{path.name}.{kind}") for kind in ("tmp", "before"))
     for leftover in (part, before):  # left by a killed process
-        shutil.rmtree(leftover, ignore_errors=True)
+        _remove(leftover)
+    part.mkdir()  # raises `OSError` now if the parent folder is missing or not writable
     try:
         yield part
         for file in part.rglob("*"):
@@ -60,7 +61,7 @@ def atomic_folder(path: Path) -> Iterator[Path]:
         _sync_folder(path.parent)
     finally:
         for leftover in (part, before):
-            shutil.rmtree(leftover, ignore_errors=True)
+            _remove(leftover)
 
 
 def commit(part: Path, path: Path) -> None:
@@ -68,6 +69,13 @@ def commit(part: Path, path: Path) -> None:
     _sync(part)
     os.replace(part, path)
     _sync_folder(path.parent)
+
+
+def _remove(path: Path) -> None:
+    """Remove a folder with all that it contains, or a file."""
+    if path.is_file():
+        path.unlink()
+    shutil.rmtree(path, ignore_errors=True)
 
 
 def _sync(path: Path) -> None:

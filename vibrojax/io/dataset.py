@@ -15,7 +15,7 @@ import numpy as np
 import xarray as xr
 
 from vibrojax.errors import InputError
-from vibrojax.io.atomic import ZARR, atomic_write
+from vibrojax.io.atomic import ZARR, atomic_folder, atomic_write
 from vibrojax.io.attributes import check_attributes
 from vibrojax.io.kinds import KIND, check_kind, check_structure, kind_of
 from vibrojax.io.threads import in_own_thread
@@ -41,14 +41,16 @@ _PATIENCE, _SLOWEST = 20.0, 2e6
 
 
 def write_dataset(dataset: xr.Dataset, path: str | os.PathLike[str]) -> None:
-    """Write a netCDF-4 file under a temporary name, then rename it: it appears complete or not at all.
+    """Write a netCDF-4 file or a Zarr store under a temporary name, then rename it.
+
+    It appears complete or not at all.
 
     **Arguments:**
 
     - `dataset`: the dataset to write.
-    - `path`: path of the file; an existing file is replaced.
+    - `path`: path of the file; an existing file is replaced. A name that ends in `.zarr` selects Zarr.
 
-    **Raises:** `OSError` if the disk is full or the folder is not writable.
+    **Raises:** `OSError` if the disk is full or the folder is not writable; `InputError` if zarr is not installed.
 
     **Example:**
 
@@ -60,6 +62,12 @@ def write_dataset(dataset: xr.Dataset, path: str | os.PathLike[str]) -> None:
     path = Path(path)
     # No fill values: xarray reads integer flags with a fill value as floats, and NaN in floats needs none.
     encoding: dict[object, dict[str, object]] = {name: {"_FillValue": None} for name in dataset.variables}
+    if path.suffix == ZARR:
+        check_zarr(path)
+        with atomic_folder(path) as folder:
+            plain = dataset.drop_encoding()  # Zarr has other compressors than netCDF, from which it may come
+            plain.to_zarr(folder, mode="w", encoding=encoding, zarr_format=2, consolidated=True)
+        return
     for name, variable in dataset.data_vars.items():
         if variable.size > COMPRESSED and variable.dtype.kind in "fi":
             encoding[name] |= {"zlib": True, "complevel": LEVEL, "shuffle": True}

@@ -66,10 +66,27 @@ def identity_text(identity: Mapping[str, object]) -> str:
     return json.dumps(identity, sort_keys=True)
 
 
+def holds(out: Path, identity: Mapping[str, object]) -> bool:
+    """Return whether `out` is a result with this `identity`."""
+    stored = _stored_identity(out)
+    return stored is not None and not changes(stored, json.loads(identity_text(identity)))
+
+
 def check_replaceable(out: Path, identity: Mapping[str, object]) -> None:
     """Raise `InputError` if `out` exists and holds anything but a result with this `identity`."""
     if not out.exists():
         return
+    stored = _stored_identity(out)
+    advice = "--fresh replaces it, or give another output with -o"
+    if stored is None:
+        raise InputError(f"{out}: exists already, and does not say that it holds this result; {advice}")
+    differences = changes(stored, json.loads(identity_text(identity)))
+    if differences:
+        raise InputError(f"{out}: holds another result: {differences}; {advice}")
+
+
+def _stored_identity(out: Path) -> dict[str, object] | None:
+    """Return the identity of the result at `out`, or None if there is no result that states its identity."""
 
     def read() -> object:
         if out.suffix == ZARR:
@@ -83,9 +100,4 @@ def check_replaceable(out: Path, identity: Mapping[str, object]) -> None:
         stored = in_own_thread(read, _ATTRIBUTES_PATIENCE) if out.is_file() or out.suffix == ZARR else None
     except Exception:  # the libraries raise many types of exceptions on a damaged or foreign file
         stored = None
-    advice = "--fresh replaces it, or give another output with -o"
-    if not isinstance(stored, dict):
-        raise InputError(f"{out}: exists already, and does not say that it holds this result; {advice}")
-    differences = changes(stored, json.loads(identity_text(identity)))
-    if differences:
-        raise InputError(f"{out}: holds another result: {differences}; {advice}")
+    return stored if isinstance(stored, dict) else None

@@ -240,7 +240,7 @@ def write_margins(figure: Figure, ds: xr.Dataset, *notes: str, point: str | None
         """Wrap the text to at most `most` lines of `width` [inch]; an ellipsis marks omitted text."""
 
         def fits(text: str) -> bool:
-            return float(renderer.get_text_width_height_descent(text, font, False)[0]) / figure.dpi <= width
+            return bool(float(renderer.get_text_width_height_descent(text, font, False)[0]) / figure.dpi <= width)
 
         def cut(text: str) -> str:
             if fits(text):

@@ -16,7 +16,7 @@ _IMPACT_WINDOW = 0.1  # time [s] within which the bit must come to rest after an
 _REST_SPEED = 0.01  # fraction of the greatest speed up to which the bit counts as resting
 _LEAD = 0.15  # fraction of an impact's duration that is shown before the impact
 _MOST_PEAKS, _LEAST_PEAK = 3, 0.1  # number of peaks, and least height relative to the highest
-_LOBE_BINS = 4  # width of the Hann window's main lobe in frequency bins
+_LOBE_BINS = 4.0  # width of the Hann window's main lobe in frequency bins
 
 Samples = Float[np.ndarray, " samples"]
 Times = Float[np.ndarray, " times"]
