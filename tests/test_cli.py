@@ -157,7 +157,10 @@ def test_bad_input_found_late_is_one_line(calls, capsys, monkeypatch):
 @pytest.mark.parametrize(
     ("argv", "line"),
     [
-        ([], "no command; choose from sweep, simulate, orbits, follow, borders, attractors, push, plot, explore, info"),
+        (
+            [],
+            "no command; choose from sweep, simulate, orbits, follow, borders, attractors, push, tolerance, plot, explore, info",
+        ),
         (["swep"], "invalid choice: 'swep'"),
         (["sweep"], "sweep: the following arguments are required: SWEEP; see vibrojax sweep --help"),
         (["sweep", "map.toml", "--fesh"], "unrecognized arguments: --fesh"),

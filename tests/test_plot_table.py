@@ -39,6 +39,7 @@ ATTRACTORS = xr.Dataset(
 )
 OVER_TWO = ATTRACTORS.isel(gamma=[0] * 6).expand_dims(beta=6).assign_coords(gamma=range(6), beta=range(6))
 PUSHES = xr.Dataset({"push_x1": ("sign", [1e-3, -1e-3])}, {"sign": ["up", "down"]})
+BOX = xr.Dataset({"place": ("sample", [0, 1]), "regime": ("sample", [3, 3])}, attrs={"kind": "tolerance"})
 EXPECTED = {
     "response": lambda: bit_on_rock(**SINE),
     "pulses": bit_on_rock,
@@ -48,6 +49,7 @@ EXPECTED = {
     "share_map": lambda: OVER_TWO,
     "attractor_shares": lambda: ATTRACTORS,
     "smallest_pushes": lambda: PUSHES,
+    "extremes_picture": lambda: BOX,
     "hysteresis": families.carried,
     "work_precision": lambda: STUDY,
     "bifurcation": drills.KINDS["bifurcation"],

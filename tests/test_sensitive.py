@@ -91,3 +91,8 @@ def test_short_transients_need_no_second_run(monkeypatch):
     lanes = vj.run_sweep(sweep, progress=False)
     assert (lanes.settling_time < module.GROWTH_RETURNS * lanes.period).all()
     assert (lanes.sensitive == 0).all()
+
+
+def test_constants():
+    assert module.GROWTH_RETURNS == 40 and module.CHANGE == 1e-9
+    assert module.SECOND_RUNS == 8 and module.LANE_SECONDS == 25e3

@@ -43,7 +43,7 @@ Report = Callable[[int], None]
 Features = dict[str, np.ndarray]
 """Features of lanes by name: (lanes,), or (lanes, returns) for the last section crossings."""
 
-Index = Int[np.ndarray, " some"]
+Index = Int[np.ndarray, " _"]
 PerLane = Float[np.ndarray, " lanes"]
 
 
