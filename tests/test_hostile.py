@@ -53,7 +53,7 @@ def steers(text):
     return {one for one in text if one != "\n" and unicodedata.category(one) in ("Cc", "Cf", "Cs", "Zl", "Zp")}
 
 
-@pytest.mark.parametrize(("number", "name"), enumerate(REFUSED), ids=REFUSED)
+@pytest.mark.parametrize(("number", "name"), list(enumerate(REFUSED)), ids=REFUSED)
 def test_what_is_malformed_is_refused_in_one_line(sweep, said, number, name):
     """By every command in the same words: one reader checks what is opened, so that two commands at a time will do."""
     change, about = REFUSED[name]

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import cache
 from importlib import import_module
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import xarray as xr
@@ -256,12 +256,12 @@ def analysis_named(kind: str) -> Analysis | None:
 
 
 @cache
-def offered_analyses() -> dict[str, EntryPoint]:
+def offered_analyses() -> dict[str, Any]:
     """Return the entry points of analyses in installed packages, by kind; vibrojax's own kinds cannot be replaced."""
     return {entry.name: entry for entry in entry_points(group=GROUP) if entry.name not in _HOMES}
 
 
-def load_analysis(entry: EntryPoint) -> type[Analysis]:
+def load_analysis(entry: Any) -> type[Analysis]:
     """Import the analysis class of an entry point.
 
     **Raises:** `InputError` with a one-line message if the class cannot be imported or is not an analysis of that kind.

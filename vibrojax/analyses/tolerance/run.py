@@ -94,8 +94,8 @@ def tolerance(
 
     >>> machine = {"beta": 0.4, "gamma": 0.75, "delta": (0.005, 0.001), "start": "stuck"}
     >>> box = vj.tolerance("vibro-impact", **machine, progress=False)
-    >>> float(box.regime_kept), f"{float(box.impact_velocity_least):.2f} m/s"
-    (1.0, '2.10 m/s')
+    >>> float(box.regime_kept[0]), f"{float(box.impact_velocity_least[0]):.2f} m/s"
+    (1.0, '2.21 m/s')
     """
     return simulate_box(read_box(scene, start, run, parameters), progress)
 

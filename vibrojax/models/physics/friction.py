@@ -56,6 +56,10 @@ class FrictionLaw:
     mu_impact: Coefficient | None = None
     flat_below: Callable[[Numbers], Any] | None = None
 
+    def __reduce_ex__(self, protocol: Any) -> Any:
+        # A law of the package is sent to other processes by its name, so that it stays the same object there.
+        return (_law, (self.name,)) if FRICTION_LAWS.get(self.name) is self else super().__reduce_ex__(protocol)
+
     def on_weight(self, speed: Value, p: Numbers) -> Any:
         """Return the friction coefficient [1] under the weight m1 g at `speed` >= 0 [m/s] of any shape."""
         return self.mu(speed, p)
@@ -63,6 +67,10 @@ class FrictionLaw:
     def on_impact(self, speed: Value, p: Numbers) -> Any:
         """Return the friction coefficient [1] under the impact force J at `speed` >= 0 [m/s] of any shape."""
         return (self.mu_impact or self.mu)(speed, p)
+
+
+def _law(name: str) -> FrictionLaw:
+    return FRICTION_LAWS[name]
 
 
 def _popp_flat_below(p: Numbers) -> Any:
