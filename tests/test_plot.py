@@ -16,6 +16,7 @@ from read_off import axis_labels, check_texts, legend, meshes, note, outlines, p
 
 from vibrojax.analyses.pictures import REGIME_COLOURS, bifurcation, picture, save_picture, trajectory
 from vibrojax.errors import InputError
+from vibrojax.plot.axes import label, point_text, scale, value_text
 
 MEANINGS = "undecided equilibrium impact-free single-impact multi-impact subharmonic irregular failed"
 COORDINATES = {
@@ -458,3 +459,43 @@ def test_a_path_that_cannot_be_is_refused(tmp_path, name):
 def test_a_dataset_with_nothing_to_draw_is_refused():
     with pytest.raises(InputError, match="nothing to draw"):
         picture(xr.Dataset({"threshold": 1.0}))
+
+
+@pytest.mark.parametrize(
+    ("name", "long_name", "symbol", "unit", "shown"),
+    [
+        ("frequency", "pulses per second", "f", "s-1", "Hz"),
+        ("sweep_start", "frequency of the swept sine at t = 0", "f₀", "s-1", "Hz"),
+        ("sweep_rate", "rate of the swept sine's frequency", "r", "s-2", "Hz/s"),
+        ("drive", "frequency of the imbalance", "f_d", "Hz", "Hz"),
+        ("decay", "rate of decay", "κ", "s-1", "1/s"),
+        ("frequency", "frequency of the imbalance", "w", "s-1", "1/s"),  # angular or not: the unit does not say
+        ("lyapunov", "largest Lyapunov exponent", "", "s-1", "1/s"),
+        ("w", "angular frequency of the imbalance", "w", "s-1", "rad/s"),
+        ("omega", "forcing", "", "s-1", "rad/s"),
+        ("forcing", "forcing", "Ω", "s-1", "rad/s"),
+        ("forcing", "forcing", "Ω", "rad s-1", "rad/s"),
+        ("forcing", "angular acceleration", "α", "s-2", "rad/s²"),
+    ],
+)
+def test_hertz_is_for_frequencies_only(name, long_name, symbol, unit, shown):
+    attrs = {"long_name": long_name, "units": unit} | ({"symbol": symbol} if symbol else {})
+    data = xr.DataArray([10.0], dims=name, name=name, attrs=attrs)
+    assert label(data).replace("\n", " ").endswith(f" [{shown}]")
+    assert value_text(data, 10.0).endswith(f" = 10 {shown}")
+    assert scale(data)[0] == 1.0  # no value is converted, so none is off by 2 pi
+
+
+@pytest.mark.parametrize(
+    ("scene", "differing", "text"),
+    [
+        ("penetration", [], "f = 20 Hz"),
+        ("penetration", [{"symbol": "f", "units": "s-1"}], "f = 20 Hz"),
+        ("own", [], ""),  # at its default, in an unknown unit
+        ("own", [{"symbol": "w", "units": "rad s-1"}], "w = 20 rad/s"),
+    ],
+)
+def test_notes_give_the_unit_of_an_own_frequency(scene, differing, text):
+    records = [{"name": "frequency", "value": 20.0, "default": 10.0} | record for record in differing]
+    attrs = {"scene": scene, "parameters": '{"frequency": 20.0}', "differing": json.dumps(records)}
+    assert point_text(xr.Dataset(attrs=attrs)) == text

@@ -2,6 +2,7 @@
 
 import pytest
 
+import vibrojax as vj
 from vibrojax.errors import InputError, Place
 from vibrojax.sweep.input import source
 from vibrojax.sweep.input.read import read_point, read_sweep
@@ -136,6 +137,20 @@ def test_wrong_points_are_refused(tmp_path, text, line):
         ({"run": {"observe": 0}}, "sweep: run.observe: is 0; it must be above 0 s"),
         ({"run": {"error": 0}}, "sweep: run.error: is 0; it must be above 0"),
         ({"run": {"error": 1}}, "sweep: run.error: is 1; it must be below 1"),
+        (
+            {"run": {"error": 1e-30}},
+            'sweep: run.error: 1e-30 cannot be reached; method "located" reaches 1e-12 in float64: give 1e-12 or more',
+        ),
+        ({"run": {"error": 1e-6, "precision": "float32"}}, 'method "located" reaches 3e-06 in float32: give 3e-06 or'),
+        ({"run": {"error": 3e-5, "method": "smoothed"}}, 'method "smoothed" reaches 3.2e-05 in float64: give 3.2e-05'),
+        (
+            {"run": {"method": "smoothed", "precision": "float32"}},  # the default error
+            'sweep: run.error: 0.0001 cannot be reached; method "smoothed" reaches 0.0005 in float32',
+        ),
+        (
+            {"run": {"error": 1e-9, "method": "smoothed", "smoothing": 1e-8}},
+            "sweep: run.error: 1e-09 cannot be reached",
+        ),
         ({"run": {"end_early": 1}}, "sweep: run.end_early: 1 is neither true nor false"),
         ({"run": {"keep_returns": -1}}, "sweep: run.keep_returns: -1 does not fit"),
         ({"run": {"keep_returns": True}}, "sweep: run.keep_returns: true does not fit"),
@@ -211,3 +226,42 @@ def test_a_wrong_point_is_refused_like_a_file():
         with pytest.raises(InputError) as caught:
             read_point(Place("simulate"), scene, given, start)
         assert str(caught.value).startswith(line)
+
+
+@pytest.mark.parametrize(
+    ("run", "least"),
+    [
+        ({}, 1e-12),
+        ({"precision": "float32"}, 3e-6),
+        ({"method": "smoothed"}, 3.2e-5),
+        ({"method": "smoothed", "precision": "float32"}, 5e-4),
+        ({"method": "smoothed", "smoothing": 1e-2}, 3.2e-5),
+        ({"method": "smoothed", "smoothing": 1e-8}, 1.01e-6),
+    ],
+)
+def test_least_error_that_is_accepted(run, least):
+    sweep = {"scene": "rotary", "grid": {"gamma": [0.5]}, "run": run | {"error": least}}
+    assert vj.read_sweep(sweep).run.error == least
+    with pytest.raises(InputError, match=r"run\.error: .* cannot be reached"):
+        vj.read_sweep(sweep | {"run": run | {"error": 0.9 * least}})
+
+
+@pytest.mark.parametrize("run", [{"error": 1e-12}, {"error": 3e-6, "precision": "float32"}])
+def test_the_least_error_is_reached(run):
+    sweep = {"scene": "rotary", "grid": {"gamma": [0.5, 0.6, 0.7]}, "run": run | {"settle": 200.0}}
+    ds = vj.run_sweep(sweep, progress=False)
+    assert (ds.cycles > 0).all() and (ds.error_estimate <= run["error"]).all()
+
+
+@pytest.mark.parametrize(
+    ("setting", "method"),
+    [
+        ({"error": 1e-13}, "located"),
+        ({"error": 1e-5, "method": "smoothed"}, "smoothed"),
+        ({"error": 1e-5, "solver": "Tsit5"}, "diffrax"),
+        ({"error": 1e-13, "solver": "Tsit5", "smoothing": 1e-2}, "diffrax"),
+    ],
+)
+def test_simulate_refuses_an_error_that_cannot_be_reached(setting, method):
+    with pytest.raises(InputError, match=f'simulate: error: .* cannot be reached; method "{method}" reaches'):
+        vj.simulate("rotary", duration=0.1, progress=False, **setting)

@@ -191,7 +191,8 @@ class LiveMotions:
         low, high = float(known.min()), float(known.max())
         if parameter.open_below and parameter.lowest is not None and low <= parameter.lowest:
             low = parameter.lowest + (high - parameter.lowest) / 1000
-        factor, unit = scale(xr.DataArray([low, high], attrs={"units": parameter.unit}))
+        about = {"units": parameter.unit, "symbol": parameter.symbol, "long_name": parameter.long_name}
+        factor, unit = scale(xr.DataArray([low, high], name=parameter.name, attrs=about))
         return {
             "name": parameter.name,
             "label": parameter.long_name,

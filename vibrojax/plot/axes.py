@@ -15,7 +15,9 @@ from vibrojax.errors import printable
 from vibrojax.io.attributes import counts_of, differing_of, parameters_of, text_of
 from vibrojax.plot.style import plain
 
-_HERTZ = {"s-1": "Hz", "s-2": "Hz/s"}  # the only quantities with these units are frequencies
+_HERTZ = {"s-1": "Hz", "s-2": "Hz s-1"}  # printed units of frequencies
+_FREQUENCIES = {"frequency": "f", "sweep_start": "f₀", "sweep_rate": "r"}  # the package's own: name and symbol
+_ANGULAR = re.compile(r"\bangular\b|\bomega|[ωΩ]", re.IGNORECASE)  # names of angular frequencies
 _LABEL_LETTERS = 32  # characters that fit along a panel
 _ROUNDING = 1e-6  # relative range up to which values count as equal
 _GEOMETRIC = 1e-3  # relative scatter up to which ratios or differences count as constant
@@ -50,8 +52,18 @@ _USUAL_FRICTION = "stribeck"  # notes omit this friction law
 
 
 def scale(data: xr.DataArray) -> tuple[float, str]:
-    """Return the conversion factor and the unit to print values in, such as mm for small lengths."""
+    """Return the conversion factor and the unit to print values in, such as mm for small lengths.
+
+    Values in s-1 are printed in Hz only if they are known to be frequencies, and in rad/s if their name, long name or
+    symbol says that they are angular frequencies.
+    """
     unit = str(data.attrs.get("units", "")).strip()
+    if unit in _HERTZ:
+        sign = _FREQUENCIES.get(str(data.name))
+        if sign is not None and data.attrs.get("symbol", sign) == sign:
+            return 1.0, _HERTZ[unit]
+        if _ANGULAR.search(" ".join(str(text) for text in (data.name, data.attrs.get("long_name"), symbol(data)))):
+            return 1.0, f"rad {unit}"
     values = np.abs(np.asarray(data.values, float))
     greatest = values[np.isfinite(values)].max(initial=0.0)
     prefixed = _PREFIXED.get(unit, ())
@@ -62,8 +74,6 @@ def pretty_unit(unit: str) -> str:
     """Return a unit as it is printed: m/s for `m s-1`, N s/m for `N s m-1`, empty if dimensionless."""
     if unit in ("", "1"):
         return ""
-    if unit in _HERTZ:
-        return _HERTZ[unit]
     above: list[str] = []
     below: list[str] = []
     for part in unit.split():
@@ -144,11 +154,16 @@ def point_text(ds: xr.Dataset) -> str:
     parts = [value_text(data, data.values.item()) for data in scalars.values()]
     known = {*ds.coords, *(("threshold", "k3") if "rock" in ds.coords else ())}
     parameters = parameters_of(ds)
+    differing = differing_of(ds)
+    # A parameter of a user's scene with the same name has another symbol, and may have another unit.
+    own = {x["name"] for x in differing if x["name"] in _NAMED and x["symbol"] != _NAMED[x["name"]][0]}
+    if "frequency" not in {x["name"] for x in differing} and text_of(ds, "scene") not in ("", "penetration"):
+        own.add("frequency")  # its unit is unknown
     for name, (sign, factor, unit) in _NAMED.items():
-        if name in parameters and name not in known:
+        if name in parameters and name not in known | own:
             parts.append(f"{sign} = {number(factor * parameters[name])}{unit}")
-    for parameter in differing_of(ds):
-        if parameter["name"] not in _NAMED and parameter["name"] not in known:
+    for parameter in differing:
+        if parameter["name"] not in _NAMED.keys() - own and parameter["name"] not in known:
             about = {name: plain(printable(parameter[name], 40)) for name in ("units", "symbol")}
             parts.append(
                 value_text(xr.DataArray(parameter["value"], name=parameter["name"], attrs=about), parameter["value"])

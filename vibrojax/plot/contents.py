@@ -11,6 +11,7 @@ from vibrojax.errors import InputError, shown, suggestion
 from vibrojax.io.attributes import parameters_of
 from vibrojax.io.branches import FAMILY, numbers_of
 from vibrojax.io.kinds import kind_of
+from vibrojax.models.physics.meanings import suggest_coordinate
 from vibrojax.plot.axes import short
 
 TIME, SETTING = "time", "setting"  # dimensions of a single run, and of a study of speed against error
@@ -140,7 +141,7 @@ def axes_of_map(ds: xr.Dataset, x: str | None, y: str | None) -> tuple[str, str]
     axes = swept(ds)
     for name in (x, y):
         if name is not None and name not in axes:
-            raise InputError(f'no map along "{name}": {suggestion(name, axes)}')
+            raise InputError(f'no map along "{name}": {suggest_coordinate(name, {key: ds[key].attrs for key in axes})}')
     if x is not None and x == y:
         raise InputError(f'a map needs two axes, "{x}" is given twice; choose from {", ".join(axes)}')
     if len(axes) < 2:
@@ -204,7 +205,8 @@ def select(ds: xr.Dataset, where: Mapping[str, Value]) -> xr.Dataset:
         dims = (*lane_dims(ds), FORM)
         choices = [str(key) for key, data in ds.coords.items() if len(data.dims) == 1 and data.dims[0] in dims]
         if name not in choices:
-            advice = suggestion(str(name), choices) if choices else "there are none"
+            about = {key: ds[key].attrs for key in choices}
+            advice = suggest_coordinate(str(name), about) if choices else "there are none"
             raise InputError(f"where: {shown(name)} is none of the dataset's axes; {advice}")
         indices = _find(ds[name], value)
         (dimension,) = ds[name].dims

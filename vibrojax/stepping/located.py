@@ -28,6 +28,10 @@ COARSEST_DRIVEN_TOLERANCE = 1e-8
 """Greatest tolerance under a prescribed force. With a greater tolerance, nearly all steps under pulses would end at the
 pulses' edges, so the steps would no longer depend on the tolerance."""
 
+LEAST_TOLERANCE = {"float64": 1e-12, "float32": 3e-6}
+"""Least tolerance by precision. It is also the least error that lanes meet: at this tolerance, the error estimates of
+settled lanes have a median of 1e-13 and 3e-6 in vibro-impact, and are below in rotary and penetration."""
+
 REST_ROUNDINGS = 512
 """Multiple of the speed scale's rounding error (machine epsilon) up to which a motion counts as rest."""
 
@@ -63,11 +67,13 @@ class Located(Stepper):
         return self.order
 
     def accuracy(self, wanted: AccuracyRequest, scene: Scene[Any]) -> Accuracy:
-        rounding = 1e-12 if wanted.precision == "float64" else 3e-6
         coarsest = COARSEST_TOLERANCE if scene.autonomous else COARSEST_DRIVEN_TOLERANCE
         # The errors of period and impact velocity are mostly below the tolerance, but 100 times greater on hard lanes.
-        tolerance = max(min(1e-3 * wanted.error, coarsest), rounding)
+        tolerance = max(min(1e-3 * wanted.error, coarsest), LEAST_TOLERANCE[wanted.precision])
         return Accuracy(tolerance, LOCATED_STRIDE, wanted.step if wanted.step is not None else float("inf"))
+
+    def least_error(self, wanted: AccuracyRequest) -> float:
+        return LEAST_TOLERANCE[wanted.precision]
 
     def coarser(self, accuracy: Accuracy) -> Accuracy:
         return accuracy._replace(tolerance=accuracy.tolerance * self.coarser_by)

@@ -23,6 +23,13 @@ STICK_WIDTHS = 3.0
 """Sliding speed, in units of the smoothing width, below which the bit counts as sticking. At this speed, smoothed
 friction has 95 % of its sharp value."""
 
+LEAST_WIDTH = 1e-6
+"""Least width of the friction switch that follows from the error tolerance [m/s]."""
+
+LEAST_FLOAT32_ERROR = 5e-4
+"""Least error that lanes meet in float32. With narrower widths and more steps, rounding errors keep the estimates of
+settled lanes there."""
+
 
 def runge_kutta(rates: Callable[[Values], Values], state: Values, h: Real) -> tuple[Values, Values]:
     """Return the state after a classical fourth-order Runge-Kutta step of `h` [s], and the rates before the step."""
@@ -73,8 +80,14 @@ class Smoothed(Stepper):
     def accuracy(self, wanted: AccuracyRequest, scene: Scene[Any]) -> Accuracy:
         # In the reference cases, the error due to the width is at most width^(3/4), with the width in m/s. The error
         # due to a step of 0.3 s per m/s of width is far below.
-        width = wanted.smoothing if wanted.smoothing is not None else max(wanted.error ** (4 / 3), 1e-6)
+        width = wanted.smoothing if wanted.smoothing is not None else max(wanted.error ** (4 / 3), LEAST_WIDTH)
         return Accuracy(0.0, 0.3, wanted.step if wanted.step is not None else 0.3 * width, width)
+
+    def least_error(self, wanted: AccuracyRequest) -> float:
+        # The error estimates of settled lanes are about half of width^(3/4).
+        if wanted.smoothing is not None:
+            return float(min(wanted.smoothing, LEAST_WIDTH) ** (3 / 4))
+        return LEAST_WIDTH ** (3 / 4) if wanted.precision == "float64" else LEAST_FLOAT32_ERROR
 
     def coarser(self, accuracy: Accuracy) -> Accuracy:
         step, width = self.coarser_by * accuracy.step, self.coarser_by * accuracy.smoothing

@@ -158,6 +158,10 @@ class Stepper(ABC):
     def accuracy(self, wanted: AccuracyRequest, scene: Scene[Any]) -> Accuracy:
         """Return the settings for the requested error tolerance in `scene`; values chosen by the user are kept."""
 
+    def least_error(self, wanted: AccuracyRequest) -> float:
+        """Return the least error tolerance that lanes can meet with the other settings in `wanted`; 0 if unknown."""
+        return 0.0
+
     @abstractmethod
     def coarser(self, accuracy: Accuracy) -> Accuracy:
         """Return the settings of the coarser check run, from which the error is estimated."""

@@ -13,11 +13,12 @@ from vibrojax.analyses.continuation.families import FamilyContinuation
 from vibrojax.analyses.continuation.problem import CORRECTOR_RESIDUAL, FAMILY_ACCURACY, Problem
 from vibrojax.analyses.continuation.segments import FamilyPoint, columns, in_order, measured
 from vibrojax.analyses.sweep.run import run_sweep
-from vibrojax.errors import Place, shown, suggestion
+from vibrojax.errors import Place, shown
 from vibrojax.io.kinds import OF_FAMILIES, SPECIAL_KINDS
 from vibrojax.io.variables import ORBIT_REASONS, REASONS, VARIABLES
 from vibrojax.measures.labels import REGIMES
 from vibrojax.measures.ledger import MOST_CYCLES
+from vibrojax.models.physics.meanings import suggest_parameter
 from vibrojax.models.physics.parameters import not_negative, positive
 from vibrojax.models.scenes import HasContact, Scene
 from vibrojax.periodic.lane_orbits import known_orbits
@@ -137,7 +138,7 @@ def family_spec(
     several, fixed = several_and_single(parameters)
     names = read_names(place.at("scene"), scene, dict(fixed), place)
     if not isinstance(along, str) or along not in names.parameters:
-        instead = suggestion(str(along), names.parameters)
+        instead = suggest_parameter(str(along), names.parameters)
         if along in names.writable:  # rpm or bit_radius
             instead = "v follows from rpm and bit_radius: give v, and follow along v"
         raise place.at("along").error(f"{shown(along)} is not a parameter of the scene; {instead}")

@@ -18,6 +18,7 @@ from vibrojax.errors import Place, shown, suggestion
 from vibrojax.io.attributes import parameters_of
 from vibrojax.io.variables import Variable
 from vibrojax.models.arrays import Array
+from vibrojax.models.physics.meanings import suggest_parameter
 from vibrojax.models.scenes.rotary import Rotary
 from vibrojax.stepping.smoothed import smoothed_trajectory
 
@@ -244,7 +245,7 @@ def _parameters(place: Place, data: xr.Dataset, values: Mapping[str, float]) -> 
     p |= {name: x for name, x in parameters_of(data).items() if name in table and name not in ("mu", "v_cr")}
     for name, value in values.items():
         if name not in table:
-            raise place.at(name).error(f"is not a parameter of the rotary scene; {suggestion(name, table)}")
+            raise place.at(name).error(f"is not a parameter of the rotary scene; {suggest_parameter(name, table)}")
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             raise place.at(name).error(f"{shown(value)} is not a number")
         if fault := table[name].problem(value) or ("is 0; it must be above 0" if name == "mu" and value == 0 else None):

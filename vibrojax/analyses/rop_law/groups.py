@@ -12,6 +12,7 @@ from vibrojax.analyses.rop_law.results import to_variables
 from vibrojax.errors import Place, shown, suggestion
 from vibrojax.io.variables import Variable
 from vibrojax.measures.labels import FAILED, IRREGULAR
+from vibrojax.models.physics.meanings import suggest_coordinate
 
 DEFAULT_AXES = ("frequency", "v", "point")
 """Default axes to fit along; the first of them that exists in the data is used."""
@@ -85,7 +86,8 @@ def check_axis(place: Place, lanes: xr.Dataset, along: str | None) -> str:
             raise place.at("along").error(f"missing; choose the axis to fit along from {', '.join(dims)}")
         return defaults[0]
     if along not in dims:
-        raise place.at("along").error(f"{shown(along)} is not an axis of the data; {suggestion(str(along), dims)}")
+        hint = suggest_coordinate(str(along), {dim: lanes[dim].attrs for dim in dims})
+        raise place.at("along").error(f"{shown(along)} is not an axis of the data; {hint}")
     return along
 
 

@@ -1,7 +1,7 @@
 """Derivatives of measured variables with respect to parameters, by forward-mode differentiation of located motions."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -15,6 +15,7 @@ from vibrojax.errors import Place, shown, suggestion
 from vibrojax.io.kinds import dataset_attributes
 from vibrojax.io.variables import VARIABLES, Variable
 from vibrojax.measures import gauge_named
+from vibrojax.models.physics.meanings import suggest_parameter
 from vibrojax.models.physics.parameters import positive
 from vibrojax.models.scenes import HasFriction, Scene
 from vibrojax.sweep.engine.labelled import unresolved
@@ -133,7 +134,7 @@ def derivatives(
         if about.dtype == np.float64 and name in measured and name not in COUNTED and not name.startswith("return_")
     ]
     variables = _read_names(place.at("of"), of, smooth)
-    wrt = _read_names(place.at("by"), by, list(points[0].parameters))
+    wrt = _read_names(place.at("by"), by, points[0].system.parameters())
     value = np.array([[point.parameters[name] for name in wrt] for point in points])
     # A parameter that is zero is changed relative to its default, or to 1 if the default is zero, too.
     scales = np.array([abs(system.parameters()[name].default) or 1.0 for name in wrt])
@@ -195,13 +196,14 @@ def _read_points(
     return points, columns
 
 
-def _read_names(place: Place, value: str | Sequence[str], known: Sequence[str]) -> list[str]:
+def _read_names(place: Place, value: str | Sequence[str], known: Collection[str]) -> list[str]:
     names = [value] if isinstance(value, str) else list(value)
     if not names:
         raise place.error(f"is empty; choose from {', '.join(known)}")
     for name in names:
         if name not in known:
-            raise place.error(f"the scene has no {shown(name)} to differentiate; {suggestion(str(name), known)}")
+            hint = suggest_parameter(str(name), known) if isinstance(known, Mapping) else suggestion(str(name), known)
+            raise place.error(f"the scene has no {shown(name)} to differentiate; {hint}")
     return names
 
 

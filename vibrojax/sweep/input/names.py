@@ -11,9 +11,10 @@ from functools import cache, cached_property
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
-from vibrojax.errors import Place, shown, suggestion
+from vibrojax.errors import Place, shown
 from vibrojax.measures import GAUGES, Gauge
 from vibrojax.models.physics.friction import FRICTION_LAWS, FrictionLaw
+from vibrojax.models.physics.meanings import suggest_by_meaning, suggest_parameter
 from vibrojax.models.physics.parameters import ROTATION, Parameter
 from vibrojax.models.scenes import SCENES, Scene
 from vibrojax.stepping import STEPPERS, Stepper
@@ -147,12 +148,13 @@ class Names:
             if owners := [shown(value) for value, kind in kinds.items() if name in kind.parameters()]:
                 return f"{option} {shown(chosen)} has no {name}; it belongs to {option} = {' or '.join(owners)}"
         if name in known_options() or any(name in kind().parameters() for kind in SCENES.values()):
-            return has
+            hint = suggest_by_meaning(name, self.writable.values())
+            return f"scene {shown(self.scene)} has no {name}; {hint}" if hint else has
         if name in _DERIVED and _DERIVED[name][0] in self.writable:
             return f"is not a parameter: {_DERIVED[name][1]}"
         if name in _TOP_KEYS or name in RunSettings.__dataclass_fields__:
             return f"is not a parameter; it belongs {'at the top of the file' if name in _TOP_KEYS else 'in [run]'}"
-        return f"scene {shown(self.scene)} has no such parameter; {suggestion(name, self.writable)}"
+        return f"scene {shown(self.scene)} has no such parameter; {suggest_parameter(name, self.writable)}"
 
 
 def read_names(

@@ -74,6 +74,11 @@ class RunSettings:
         """The stepper that `method` selects."""
         return stepper_named(self.method)
 
+    @property
+    def requested(self) -> AccuracyRequest:
+        """The accuracy that the settings request."""
+        return AccuracyRequest(self.error, self.step, self.smoothing, self.precision)
+
     def described(self) -> dict[str, object]:
         """Return the settings, including defaults, as JSON values.
 
@@ -87,7 +92,7 @@ class RunSettings:
 
     def accuracy(self, scene: Scene[Any]) -> Accuracy:
         """Return the accuracy of the steps in `scene`: as specified, or else derived from the accepted error."""
-        return self.stepper.accuracy(AccuracyRequest(self.error, self.step, self.smoothing, self.precision), scene)
+        return self.stepper.accuracy(self.requested, scene)
 
 
 MEANINGS: dict[str, str] = {field.name: field.metadata["meaning"] for field in fields(RunSettings)}
@@ -107,4 +112,14 @@ def read_settings(place: Place, values: dict[str, object]) -> RunSettings:
             raise place.at(name).error(
                 f'true {unused}, whose events are not located; leave it out, or set method = "located"'
             )
+    requested = settings.requested
+    check_error(place.at("error"), settings.stepper.name, requested, settings.stepper.least_error(requested))
     return settings
+
+
+def check_error(place: Place, method: str, wanted: AccuracyRequest, least: float) -> None:
+    """Raise at `place` if the error tolerance in `wanted` is below `least`, the least that lanes of `method` meet."""
+    if wanted.error < least * (1 - 1e-9):
+        smallest = f"{1.005 * least:.2g}"  # rounded up
+        reach = f"method {shown(method)} reaches {smallest} in {wanted.precision}"
+        raise place.error(f"{wanted.error:g} cannot be reached; {reach}: give {smallest} or more")

@@ -19,10 +19,12 @@ from vibrojax.models.scenes import HasContact, HasFriction, HasRock, Scene
 from vibrojax.models.scenes.declared import Values
 from vibrojax.progress import LOG, Progress, timed
 from vibrojax.stepping import STEPPERS, Accuracy, AccuracyRequest, Smoothed, Stepper, stepper_named
+from vibrojax.stepping.located import LEAST_TOLERANCE
 from vibrojax.sweep.engine.agreement import recorder_of
 from vibrojax.sweep.engine.compiler import in_parallel, lane_function
 from vibrojax.sweep.engine.labelled import unresolved
 from vibrojax.sweep.input.read import Point, read_point
+from vibrojax.sweep.input.run_settings import check_error
 from vibrojax.sweep.input.values import quantity
 from vibrojax.sweep.simulation.dense_output import RECORD_MAX_STEPS, Record, check_size, record, sample
 from vibrojax.sweep.simulation.features import compile_measures, labelled_features, measured, window
@@ -103,6 +105,12 @@ def simulate(
     step = None if step is None else setting("step", step, "s")
     smoothing = None if smoothing is None else setting("smoothing", smoothing, "m s-1")
     sampling = None if sampling is None else setting("sampling", sampling, "s")
+    wanted = AccuracyRequest(error, step, smoothing)
+    if stepper is not None or smoothing is None:
+        least_error = (stepper or Smoothed()).least_error(wanted)
+    else:
+        least_error = LEAST_TOLERANCE[wanted.precision]  # as measured with diffrax's Tsit5 at a width of 1 cm/s
+    check_error(place.at("error"), stepper.name if stepper else "diffrax", wanted, least_error)
     if duration < np.finfo(float).tiny:  # the clock rounds it to zero
         raise place.at("duration").error(f"{duration:g} s is too short; give a longer one")
     if stepper is None and isinstance(system, HasRock):
@@ -111,7 +119,7 @@ def simulate(
     with precision("float64"):
         constants = constants_at(place, point, stepper)
         times = _times(place, system, constants, duration, sampling)
-        accuracy = (stepper or Smoothed()).accuracy(AccuracyRequest(error, step, smoothing), system)
+        accuracy = (stepper or Smoothed()).accuracy(wanted, system)
         most_steps = check_size(place, system, constants, duration, accuracy, stepper, len(times))
         event_list = record = step_of = None
         numbers: dict[str, Any] = {}
