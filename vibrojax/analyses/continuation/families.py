@@ -140,7 +140,7 @@ class FamilyContinuation:
             hopf = None if changed[k] else hopf_point(self._problem, segment.points)
             if hopf is not None:
                 value = self._problem.value(end.family, end.u)[0]
-                note = f"the amplitude is zero; from {value:.8g} on, it is too small for the section"
+                note = f"the amplitude is zero; from {value:.9g} on, it is too small for the section"
                 segment.marks.append(FamilyPoint(hopf, "hopf", note, len(segment.points.u) - 1))
                 continue
             # At a rigid stop no mode changes: only the margin shows that an event begins.
