@@ -205,6 +205,58 @@ class Shaken(vj.HasContact[ShakenConstants]):
         return ROUNDINGS * (c.stop + (c.a + c.gravity) / (c.w * c.w))
 
 
+class RigidConstants(NamedTuple):
+    stiffness: Any
+    damping: Any
+    a: Any
+    w: Any
+    stop: Any
+    r: Any
+
+
+@dataclass(frozen=True)
+class RigidlyStopped(vj.Scene[RigidConstants]):
+    """The impact oscillator at a rigid stop, by a reset alone: no mode shows its impacts."""
+
+    name = "rigidly-stopped"
+    states, markers, section, modes = Shaken.states, Shaken.markers, Shaken.section, ()
+    starts, start_states = Shaken.starts, Shaken.start_states
+
+    def parameters(self):
+        own = {name: one for name, one in Shaken().parameters().items() if name not in ("gravity", "k0", "xi")}
+        return own | table(not_negative("r", 0.8, "1", "coefficient of restitution", "r"))
+
+    def constants(self, p):
+        return RigidConstants(*(p[name] for name in RigidConstants._fields))
+
+    def start(self, c, name, shape):
+        return Shaken().start(c, name, shape)
+
+    def mode_at(self, c, state):
+        return ()
+
+    def field(self, c, mode, state):
+        x, v, phase = state
+        return (v, c.a * vj.elementary.cos(phase) - c.stiffness * x - c.damping * v, 0.0 * phase + c.w)
+
+    def guards(self):
+        return (
+            vj.Guard("stop", lambda c, mode, state: c.stop - state[0], lambda c, mode: ROUNDINGS * (c.stop + c.a)),
+            vj.Guard("turned", lambda c, mode, state: np.pi - state[2], lambda c, mode: ROUNDINGS * jnp.ones_like(c.w)),
+        )
+
+    def reset(self, c, mode, state, hits):
+        x, v, phase = state
+        x, v = jnp.where(hits["stop"], c.stop, x), jnp.where(hits["stop"], -c.r * v, v)
+        return mode, (x, v, jnp.where(hits["turned"], -np.pi, phase))
+
+    def rate(self, c, mode):
+        return jnp.sqrt(c.stiffness) + c.damping + c.w
+
+    def speed_scale(self, c):
+        return c.a / c.w
+
+
 # Against a rigid stop
 
 

@@ -8,6 +8,7 @@ import pytest
 from exact import run
 from exact.measures import sections
 from scipy.linalg import expm
+from scipy.optimize import brentq
 
 import vibrojax as vj
 from vibrojax.errors import InputError
@@ -90,6 +91,38 @@ def test_the_stability_changes_at_special_points_only(family):
     for k in changes:
         low, high = sorted(branch.gamma.values[k : k + 2])
         assert ((turning >= low - 1e-9) & (turning <= high + 1e-9)).any()
+
+
+def eigenvalue(gamma, beta, v, m1=250.0, k1=156250.0, c2=250.0, g=9.81, mu=0.4, v_cr=3.0):
+    """The rightmost eigenvalue of steady sliding under Stribeck's law, from its characteristic polynomial."""
+    m2, k2 = beta * m1, beta * gamma**2 * k1
+    slope = m1 * g * mu * (-1 / v_cr + v**2 / v_cr**3)
+    roots = np.roots(np.polysub(np.polymul([m1, slope, k1 + k2], [m2, c2, k2]), [k2**2]))
+    return max(roots, key=lambda root: (root.real, root.imag))
+
+
+@pytest.mark.parametrize(
+    ("along", "at", "span", "fixed"),
+    [
+        ("gamma", 0.90, (0.89, 1.0), {"beta": 0.4, "v": 1.5}),
+        ("gamma", 0.81, (0.80, 1.0), {"beta": 0.4, "v": 2.0}),
+        ("beta", 0.45, (0.2, 0.5), {"gamma": 0.9, "v": 1.5}),  # backwards
+    ],
+)
+def test_a_branch_ends_at_a_hopf_point_where_sliding_gets_stable(along, at, span, fixed):
+    family = vj.follow("rotary", along=along, at=at, span=span, start="stuck", settle=60.0, progress=False, **fixed)
+    [hopf] = specials(family, "hopf")
+    exact = brentq(lambda value: eigenvalue(**{along: value}, **fixed).real, *span, xtol=1e-14)
+    assert hopf == pytest.approx(exact, abs=1e-12)
+    assert len(specials(family, "end")) == 1
+    point = family.isel(point=family[along].values == hopf).squeeze("point")
+    period = 2 * np.pi / eigenvalue(**{along: hopf}, **fixed).imag
+    assert point.period.item() == pytest.approx(period, rel=1e-12)
+    assert (point.impacts.item() if "impacts" in point else 0, point.bit_amplitude.item()) == (0, 0)
+    # The largest multiplier belongs to the amplitude; the others are those of the orbits just before.
+    before = family.isel(point=np.argsort(np.abs(family[along].values - hopf))[1])
+    np.testing.assert_allclose(point.multiplier_abs, before.multiplier_abs, atol=1e-3)
+    assert point.multiplier_abs.values[0] == pytest.approx(1, abs=1e-12)
 
 
 def test_a_doubled_branch_leaves_as_the_root_of_the_distance(family):

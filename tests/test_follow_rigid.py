@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from own_scenes import (
+    RigidlyStopped,
     Shaken,
     ball_appears,
     ball_doubles,
@@ -85,3 +86,15 @@ def test_a_graze_is_found_where_only_the_side_without_impact_has_orbits_near_it(
     found = vj.follow(Shaken(), along="a", at=63.0, span=(10.5, 67.3), **stiff, **more)
     [graze] = specials(found, "grazing")
     assert abs(graze - oscillator_grazes(**stiff)) < 1e-8
+
+
+def test_a_rigid_graze_that_no_mode_shows_is_grazing():
+    """Only the margin shows that the family without impact touches the stop, where it ends."""
+    graze = oscillator_grazes(**OSCILLATOR)
+    more = {"progress": False, "settle": 300.0, "observe": 100.0, "cycles": 1}
+    found = vj.follow(
+        RigidlyStopped(), along="a", at=0.9 * graze, span=(0.8 * graze, 1.2 * graze), **OSCILLATOR, **more
+    )
+    assert specials(found, "grazing") == pytest.approx([graze], rel=1e-9)
+    assert specials(found, "end") == pytest.approx([0.8 * graze])
+    assert found.special_note.values.tolist() == ["the first value is reached", "the family ends here"]

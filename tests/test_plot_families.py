@@ -9,6 +9,7 @@ from matplotlib.colors import to_hex
 from read_off import axis_labels, check_texts, legend, meshes, note, panel, titles
 from test_plot import lanes, returns, square
 
+from vibrojax.analyses.continuation.analysis import family_lines
 from vibrojax.analyses.pictures import bifurcation, picture
 from vibrojax.errors import InputError
 from vibrojax.io.branches import branches, places, stability, stable_intervals
@@ -385,3 +386,25 @@ def test_flags_are_named_on_the_bar_and_along_curves():
     line = with_orbits({"gamma": np.linspace(0.5, 1.0, 12)})
     curves = panel(picture(line, variable="stable"), ylabel="stability")
     assert [text.get_text() for text in curves.get_yticklabels()] == ["not-known", "stable"]
+
+
+@pytest.mark.parametrize(
+    ("values", "branch", "line"),
+    [
+        ([0.123456789012], [0], "1 on branch 0 at gamma 0.123456789"),
+        ([0.5, 0.6, 0.7], [0, 1, 2], "1 on branch 0 at gamma 0.5; 2 on other branches"),
+        ([0.5, 0.6], [1, 1], "2 on other branches"),
+        ([0.1, 0.2, 0.3, 0.4, 0.5], [0] * 5, "5 on branch 0 at gamma 0.1, 0.2, 0.3, 0.4 (and 1 more up to 0.5)"),
+    ],
+)
+def test_special_points_in_the_summary(values, branch, line):
+    """Counts and values are of the same branch, with nine digits; kinds are words, as each file's flags name them."""
+    for meanings in (KINDS, " ".join(reversed(KINDS.split()))):
+        flags = FLAGS | {"flag_meanings": meanings}
+        kind = np.full(len(values), meanings.split().index("stick"), np.int8)
+        ds = one_family().drop_dims("special")
+        ds["special_kind"] = ("special", kind, flags)
+        ds["special_value"], ds["special_branch"] = ("special", values), ("special", np.array(branch))
+        ds["special_note"] = ("special", np.full(len(values), ""))
+        (stick,) = (text for text in family_lines(ds) if text.startswith("stick"))
+        assert stick.removeprefix("stick").strip() == line

@@ -17,6 +17,7 @@ WORDS = {
     "grazing": "an impact begins or vanishes",
     "stick": "a stick of the bit, or a slip backwards, begins or vanishes",
     "section point": "the bit just reaches the drive's speed: from here on, the number of returns differs",
+    "hopf": "the amplitude shrinks to zero at an equilibrium, which changes its stability",
     "end": "a bound is reached, or the reason why a family goes no further",
     "reading R1, R2, ...": "how a passage of the source that can be read in two ways was read",
 }

@@ -14,7 +14,7 @@ STABLE, UNSTABLE, UNKNOWN = 1, 0, -1
 
 KIND, FAMILY = "special_kind", "family"
 
-_KIND_PRIORITY = ("fold", "period-doubling", "torus", "section", "grazing", "stick", "end")
+_KIND_PRIORITY = ("fold", "period-doubling", "torus", "hopf", "section", "grazing", "stick", "end")
 """Kinds of special points, ordered by how well they explain a change of stability, for points with several kinds."""
 
 

@@ -71,7 +71,7 @@ def dataset_attributes(kind: str, title: str, command: str, **further: object) -
     }
 
 
-SPECIAL_KINDS = ("fold", "period-doubling", "torus", "grazing", "stick", "section", "end")
+SPECIAL_KINDS = ("fold", "period-doubling", "torus", "grazing", "stick", "section", "hopf", "end")
 """Meanings of the flags of `special_kind`."""
 
 BORDER_KINDS = (*SPECIAL_KINDS, "basin", "not-settled")

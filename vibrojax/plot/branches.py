@@ -41,6 +41,7 @@ MARKS: dict[str, Mark] = {
     "grazing": Mark(marker="v", color="#009E73", markersize=6.0),
     "stick": Mark(marker="|", color="#E69F00", markersize=6.0, markeredgewidth=1.4),
     "section": Mark(marker="D", color="#56B4E9", markersize=4.5),
+    "hopf": Mark(marker="^", color="#882255", markersize=6.0),
     "end": Mark(marker="x", color="#222222", markersize=4.5, markeredgewidth=1.2),
 }
 _COLOUR_OF_CYCLES = {1: BIT, 2: "#D1570A", 4: "#2E8B57", 8: "#9B30C9"}

@@ -155,6 +155,7 @@ LINES: dict[str, dict[str, Any]] = {
     "grazing": {"color": "#009E73", "linestyle": (0.0, (5.0, 1.2, 1.2, 1.2))},
     "stick": {"color": "#E69F00", "linestyle": "-"},
     "section": {"color": "#0072B2", "linestyle": (0.0, (1.2, 1.2))},
+    "hopf": {"color": "#882255", "linestyle": (0.0, (9.0, 1.5, 1.2, 1.5))},
     "end": {"color": INK, "linestyle": ":"},
     "basin": {"color": "#6E6E6E", "linestyle": DASHED},
     "not-settled": {"color": FAINT, "linestyle": (0.0, (1.2, 1.6))},

@@ -49,8 +49,8 @@ def borders(
 
     - Along `vertex`, ordered along each curve: the two parameters, and `curve`, the number of the vertex's curve.
     - Along `curve`: `kind`, and the coordinates `start` (the initial condition, or "any" for all orbits) and the values
-      of the sweep's other axes. The kinds are fold, period-doubling, torus, grazing, stick, section, end, basin and
-      not-settled. At a *basin* border the orbit continues, but the initial condition no longer leads to it. A
+      of the sweep's other axes. The kinds are fold, period-doubling, torus, grazing, stick, section, hopf, end, basin
+      and not-settled. At a *basin* border the orbit continues, but the initial condition no longer leads to it. A
       *not-settled* border is like a *basin* border, but the motion beyond it had not settled.
     - Along `region`: `region_area`, the fraction of the plane with a stable single impact, with the coordinates
       `region_start` and so on.

@@ -34,6 +34,7 @@ from vibrojax.plot.starts import SYMBOLS
 from vibrojax.plot.style import INK, colour_map, new_figure, styled
 
 _VALUES_SHOWN, _FAMILIES_SHOWN = 4, 12
+_DIGITS = 9  # special points are located to nine digits
 _MODULUS_RANGE = (1e-2, 1e2)  # limits of the axis of the largest modulus
 _DENSE_TICKS_BELOW = 50.0  # ratio of the axis limits below which 2 and 5 also have ticks
 _HALF_PLANE = (1.2, 1.5)  # bounds of half the width of the multiplier plot
@@ -59,14 +60,18 @@ def family_lines(ds: xr.Dataset) -> list[str]:
     order = str(ds["special_kind"].attrs["flag_meanings"]).split()
     for kind in sorted(facts["kinds"], key=order.index):
         own = [point for point in facts["special"] if point["kind"] == kind and point["branch"] == 0]
-        values = [f"{value:.8g}" for value in np.sort([float(point["value"]) for point in own])]
-        places = ""
+        values = [_digits(value) for value in np.sort([float(point["value"]) for point in own])]
+        others, places = facts["kinds"][kind] - len(own), []
         if values and facts["families"] > 1:
-            places = f"on the branches 0 at {along} {values[0]}" + (f" to {values[-1]}" if len(values) > 1 else "")
+            between = f"{values[0]}" + (f" to {values[-1]}" if len(values) > 1 else "")
+            places.append(f"{len(own)} on the branches 0 at {along} {between}")
         elif values:
-            more = f" and {len(values) - _VALUES_SHOWN} more up to {values[-1]}" if len(values) > _VALUES_SHOWN else ""
-            places = f"on branch 0 at {along} {', '.join(values[:_VALUES_SHOWN])}{more}"
-        lines.append(f"{kind:<16}{facts['kinds'][kind]:>4}  {places}".rstrip())
+            further = len(values) - _VALUES_SHOWN
+            more = f" (and {further} more up to {values[-1]})" if further > 0 else ""
+            places.append(f"{len(own)} on branch 0 at {along} {', '.join(values[:_VALUES_SHOWN])}{more}")
+        if others:
+            places.append(f"{others} on other branches")
+        lines.append(f"{kind:<16}  {'; '.join(places)}")
     begun = list(dict.fromkeys(numbers_of(ds, "point").tolist()))
     stable = {family: [x for x in facts["stable"] if (x["family"], x["branch"]) == (family, 0)] for family in begun}
     texts = {family: "; ".join(map(_interval, intervals)) for family, intervals in stable.items()}
@@ -130,7 +135,11 @@ def family_facts(ds: xr.Dataset) -> dict[str, Any]:
 def _interval(interval: dict[str, Any]) -> str:
     """Return a stable interval as text, with the kinds of special points at its ends."""
     ends = ((interval[name], interval[f"{name}_kind"]) for name in ("from", "to"))
-    return " to ".join(f"{value:.8g}{f' ({kind})' if kind else ''}" for value, kind in ends)
+    return " to ".join(f"{_digits(value)}{f' ({kind})' if kind else ''}" for value, kind in ends)
+
+
+def _digits(value: float) -> str:
+    return f"{value:.{_DIGITS}g}"
 
 
 def _name(ds: xr.Dataset, family: int) -> str:

@@ -9,6 +9,7 @@ import numpy as np
 
 from vibrojax.analyses.continuation.arclength import ENDED, STALLED, STOPPED, continue_branches
 from vibrojax.analyses.continuation.brackets import Brackets
+from vibrojax.analyses.continuation.hopf import hopf_point
 from vibrojax.analyses.continuation.problem import Flags, Index, Points, Problem, towards
 from vibrojax.analyses.continuation.segments import (
     ENDINGS,
@@ -36,6 +37,10 @@ section."""
 
 MAX_BRANCHES = 32
 """Largest number of branches of a family."""
+
+GRAZED_MARGIN = 1e-4
+"""Largest grazing margin at which a stalled branch ends at a grazing point. The margin may vary as the square root of
+the distance, and branches stall within `SHORTEST_STEP` (1e-9)."""
 
 
 class FamilyContinuation:
@@ -132,7 +137,14 @@ class FamilyContinuation:
         for k, segment in enumerate(segments):
             end, departure = segment.points.of([-1]), segment.departure
             kinds: list[str] = []
-            if changed[k]:
+            hopf = None if changed[k] else hopf_point(self._problem, segment.points)
+            if hopf is not None:
+                value = self._problem.value(end.family, end.u)[0]
+                note = f"the amplitude is zero; from {value:.9g} on, it is too small for the section"
+                segment.marks.append(FamilyPoint(hopf, "hopf", note, len(segment.points.u) - 1))
+                continue
+            # At a rigid stop no mode changes: only the margin shows that an event begins.
+            if changed[k] or end.margin[0] < GRAZED_MARGIN:
                 flags = classify_event_changes(self._problem, corners.of([k])).kind
                 kinds = [SPECIAL_KINDS[flag] for flag in flags]
             beyond, note = (corners.far.of([k]), "") if turned[k] else (reindex_returns(self._problem, end), "")

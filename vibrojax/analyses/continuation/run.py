@@ -75,13 +75,14 @@ def follow(
       [rad] along `multiplier`, and `grazing_margin`. `cycles` is the number of section crossings per period of the
       motion, `period` [s] the mean time between crossings, and `impacts` the number of impacts per period of the
       motion. Further variables are the state at the section (`orbit_x1` and so on) and the scene's measures.
-    - Along `special`: `special_kind` (fold, period-doubling, torus, grazing, stick, section, end), `special_value` (the
-      parameter's value), `special_branch`, and `special_note`.
+    - Along `special`: `special_kind` (fold, period-doubling, torus, grazing, stick, section, hopf, end),
+      `special_value` (the parameter's value), `special_branch`, and `special_note`.
 
     At a *grazing* point, an impact or another event that is not a stick begins or vanishes. For other events than
     impacts, the note contains the name of the mode that changes, for example where rock begins to yield. Multipliers at
     a special point are those on the side from which the point was reached; next to a grazing impact they are valid over
-    a very small distance only. A doubled branch that connects two period doublings is listed once.
+    a very small distance only. At a *hopf* point the amplitude is zero: the branch ends at an equilibrium, whose linear
+    stability locates the point. A doubled branch that connects two period doublings is listed once.
 
     **Raises:** `InputError` for invalid names or values, or if the motion does not settle on a periodic orbit.
 

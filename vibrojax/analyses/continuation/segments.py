@@ -219,7 +219,7 @@ def measured(sweep: Sweep, problem: Problem, points: list[FamilyPoint], table: T
     lanes = replace(sweep, points=fixed | {problem.along: table[problem.along]}, run=run)
     parts = []
     for cycles in sorted(set(table["cycles"].tolist())):
-        subset = np.flatnonzero(table["cycles"] == cycles)
+        subset = np.array([k for k, p in enumerate(points) if table["cycles"][k] == cycles and p.kind != "hopf"], int)
         u = np.concatenate([points[k].orbit.u for k in subset])
         times = np.concatenate([points[k].orbit.times for k in subset])
         steps = np.full(len(subset), STEPS_PER_RETURN * cycles)
@@ -231,4 +231,7 @@ def measured(sweep: Sweep, problem: Problem, points: list[FamilyPoint], table: T
         if x.ndim == 1 and x.dtype.kind == "f" and name not in ORBIT_FEATURES:
             measures[name] = np.full(len(points), np.nan)
             measures[name][orbits.lanes] = np.where(whole, x, np.nan)
+    swings = {swing.amplitude for swing in problem.scene.section.swings} if problem.scene.section else set()
+    for name in swings & set(measures):
+        measures[name][[point.kind == "hopf" for point in points]] = 0.0
     return measures

@@ -3,7 +3,7 @@ import { edgesOf, labelOf } from "./grid.js";
 import { framed, inkOf, limitsOf, line, mark, numberText, prepared } from "./plots.js";
 
 export const DASHES = {
-  fold: [], "period-doubling": [], torus: [8, 2], grazing: [6, 2, 2, 2], stick: [], section: [2, 2], end: [1, 2],
+  fold: [], "period-doubling": [], torus: [8, 2], grazing: [6, 2, 2, 2], stick: [], section: [2, 2], hopf: [9, 2, 2, 2], end: [1, 2],
   basin: [5, 4], "not-settled": [2, 2],
 };
 
