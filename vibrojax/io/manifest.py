@@ -66,10 +66,8 @@ def identity_text(identity: Mapping[str, object]) -> str:
     return json.dumps(identity, sort_keys=True)
 
 
-def check_replaceable(out: Path, identity: Mapping[str, object]) -> None:
-    """Raise `InputError` if `out` exists and holds anything but a result with this `identity`."""
-    if not out.exists():
-        return
+def stored_identity(out: Path) -> dict[str, object] | None:
+    """Return the identity of the result in a file, or None if the file does not hold one."""
 
     def read() -> object:
         if out.suffix == ZARR:
@@ -83,8 +81,16 @@ def check_replaceable(out: Path, identity: Mapping[str, object]) -> None:
         stored = in_own_thread(read, _ATTRIBUTES_PATIENCE) if out.is_file() or out.suffix == ZARR else None
     except Exception:  # the libraries raise many types of exceptions on a damaged or foreign file
         stored = None
+    return stored if isinstance(stored, dict) else None
+
+
+def check_replaceable(out: Path, identity: Mapping[str, object]) -> None:
+    """Raise `InputError` if `out` exists and holds anything but a result with this `identity`."""
+    if not out.exists():
+        return
+    stored = stored_identity(out)
     advice = "--fresh replaces it, or give another output with -o"
-    if not isinstance(stored, dict):
+    if stored is None:
         raise InputError(f"{out}: exists already, and does not say that it holds this result; {advice}")
     differences = changes(stored, json.loads(identity_text(identity)))
     if differences:

@@ -22,6 +22,7 @@ from vibrojax.analyses.rop_law.columns import (
     choose_columns,
     required_names,
     split_unit,
+    with_rock,
 )
 from vibrojax.errors import InputError, Place, shell_assignment, shown
 from vibrojax.models.physics.units import is_unit, likely_units
@@ -96,6 +97,7 @@ def read_rig(path: Path, columns: Columns = None) -> xr.Dataset:
             raise Place("columns", str(name)).error(
                 f"{shown(text)} is not a column; write one with its unit, like {example}"
             )
+    columns = with_rock(columns)
     place = Place(str(path))
     line, header, rows = _table(place, read_text(path))
     chosen = choose_columns(place.at(f"line {line}"), header, columns)
@@ -108,7 +110,7 @@ def read_rig(path: Path, columns: Columns = None) -> xr.Dataset:
         else:
             values[name] = column.factor * _numbers(place, column.header, column.index, rows)
     for name in names:
-        _warn_of_unit(place, name, chosen[name], values[name])
+        _check_unit(place, name, chosen[name], values[name])
     if RELIEF not in names:
         with np.errstate(divide="ignore", invalid="ignore"):
             values[RELIEF] = values[FORCE] / values[THRESHOLD]
@@ -160,8 +162,11 @@ def _check_rows(place: Place, header: list[str], rows: Rows) -> None:
         raise place.at(f"line {line}").error(f"holds units; write them behind the names, like {like}, and leave it out")
 
 
-def _warn_of_unit(place: Place, name: str, column: Column, values: Float[np.ndarray, " rows"]) -> None:
-    """Warn if the median of a column is far from the usual values, which suggests that its unit is wrong."""
+def _check_unit(place: Place, name: str, column: Column, values: Float[np.ndarray, " rows"]) -> None:
+    """Check that the median of a column is not far from the usual values, which suggests that its unit is wrong.
+
+    Warn if the user specified the unit; raise `InputError` if it is assumed.
+    """
     known = np.abs(values[np.isfinite(values) & (values != 0)])
     if not known.size or not (quantity := KNOWN[name]).is_far(median := float(np.median(known))):
         return
@@ -170,7 +175,13 @@ def _warn_of_unit(place: Place, name: str, column: Column, values: Float[np.ndar
     right = f"{column.header} {unit}" if column.index is None else f"{split_unit(column.header)[0]} ({unit})"
     example = f"--columns {shell_assignment(name, right)}"
     likely = f"it is likely in {' or '.join(units)}; name it, like {example}" if units else f"name its unit: {example}"
-    warn_if_far(place.at(f"{column.header}, the median of its column"), quantity, median, likely)
+    here = place.at(f"{column.header}, the median of its column")
+    if not column.assumed:
+        warn_if_far(here, quantity, median, likely)
+        return
+    low, high = quantity.usual or (0.0, 0.0)
+    fault = f"no unit is given, and {median:.6g} {column.unit} is far outside what the source and rigs have"
+    raise here.error(f"{fault} ({low:g} to {high:g} {column.unit}); {likely}")
 
 
 def _is_number(cell: str) -> bool:
