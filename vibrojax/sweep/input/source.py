@@ -11,6 +11,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path, PurePath
+from typing import Any
 
 import jax
 import numpy as np
@@ -156,7 +157,7 @@ def plain_table(place: Place, value: Mapping[str, object]) -> dict[str, object]:
 
 
 def plain(place: Place, value: object) -> object:
-    """Return `value` as TOML types. Arrays and numbers of NumPy or JAX, tuples and paths are converted.
+    """Return `value` as TOML types. Arrays and numbers of NumPy or JAX, tuples, paths and DataFrames are converted.
 
     Scenes, friction laws and steppers are returned unchanged, because a sweep accepts them in place of their names.
     """
@@ -169,6 +170,8 @@ def plain(place: Place, value: object) -> object:
         )
     if isinstance(value, (np.ndarray, np.generic, jax.Array)):
         return plain(place, value.tolist())
+    if hasattr(value, "columns") and hasattr(value, "to_dict"):
+        return plain_table(place, _columns_of(place, value))
     if isinstance(value, (list, tuple, range)):
         if all(type(item) is float for item in value):
             return list(value)  # a fast path, because columns of points are long
@@ -180,6 +183,15 @@ def plain(place: Place, value: object) -> object:
     if isinstance(value, (bool, int, float, str, *_OBJECTS)):
         return value
     raise place.error(f"{shown(value)} cannot stand in a sweep; write a number, text, a list or a table")
+
+
+def _columns_of(place: Place, frame: Any) -> dict[str, object]:
+    """Return the columns of a DataFrame (pandas or polars) by name; its index is not a column."""
+    names = list(frame.columns)
+    for name in names:
+        if names.count(name) > 1:
+            raise place.at(str(name)).error("is there already; give each column once")
+    return {name: np.asarray(frame[name]).tolist() for name in names}
 
 
 def render(table: Mapping[str, object]) -> str:
