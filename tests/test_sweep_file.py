@@ -165,6 +165,27 @@ def test_points_may_be_a_data_frame():
         assert str(caught.value).startswith(line)
 
 
+def test_semicolons_and_decimal_commas_are_read_where_unambiguous(tmp_path):
+    path, base = tmp_path / "p.csv", {"scene": "vibro-impact", "points": str(tmp_path / "p.csv")}
+    for text, said in (
+        ("beta;gamma;start\n0,3;1;drive\n0,4;0,66;stuck\n", ", commas are decimal marks"),
+        ("beta;gamma;start\n0.3;1;drive\n0.4;0.66;stuck\n", ""),
+    ):
+        path.write_text(text)
+        with pytest.warns(UserWarning, match=f"p.csv: semicolons separate the columns{said}$"):
+            points = read_sweep(base).points
+        np.testing.assert_array_equal(points["beta"], [0.3, 0.4])
+        np.testing.assert_array_equal(points["gamma"], [1.0, 0.66])
+    for text, line in (
+        ("k0;k1\n1,234;2,500\n", '"1,234" is ambiguous: commas may separate thousands; write decimal points'),
+        ("beta;gamma\n0,3;0.66\n", '"0,3" is ambiguous: the file has decimal points too; write decimal points'),
+    ):
+        path.write_text(text)
+        with pytest.raises(InputError) as caught:
+            read_sweep(base)
+        assert line in str(caught.value)
+
+
 def test_points_lie_beside_the_file(tmp_path):
     (tmp_path / "p.csv").write_bytes(b"\xef\xbb\xbfbeta, gamma\r\n0.3,0.7\r\n\r\n0.4,1e0\r\n")
     sweep = read_sweep(from_text(tmp_path, 'scene = "vibro-impact"\npoints = "p.csv"\n'))

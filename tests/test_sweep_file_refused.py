@@ -30,7 +30,7 @@ def problem(source) -> str:
             'p.csv: line 1, column gama: scene "vibro-impact" has no such parameter; did you mean "gamma"?',
         ),
         ("beta,beta\n0.3,1\n", "p.csv: line 1, column beta: is there already"),
-        ("beta;gamma\n0.3;1\n", 'p.csv: line 1: "beta;gamma" is one column; separate them by commas'),
+        ("beta\tgamma\n0.3\t1\n", "is one column; separate them by commas"),
         ("beta,gamma\n0.3,1\n0.3\n", "p.csv: line 3: has 1 cells; 2 are needed"),
         ("beta\n0.3\nabc\n", 'p.csv: line 3, column beta: "abc" is not a number'),
         ("beta,gamma\n0.3,\n", "p.csv: line 2, column gamma: empty; write one"),

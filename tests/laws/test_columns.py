@@ -179,6 +179,15 @@ def test_a_column_in_another_unit_is_refused_with_the_likely_one_or_warned_of_wh
         fit_rop(path, progress=False)
 
 
+def test_rig_data_with_decimal_commas_are_read_and_it_is_said(tmp_path):
+    path = rig(tmp_path / "rig.csv", "ROP (m/h),WOB (kN)", 3600 * RATE, FORCE / 1e3)
+    columns = {"rate_of_penetration": "ROP", "mean_force": "WOB", "threshold": "150 kN"}
+    own = onset(path, columns=columns)
+    path.write_text(path.read_text().replace(",", ";").replace(".", ","))
+    with pytest.warns(UserWarning, match=r"rig.csv: semicolons separate the columns, commas are decimal marks"):
+        assert onset(path, columns=columns) == own
+
+
 def test_the_threshold_may_be_that_of_a_rock(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     path = rig(tmp_path / "rig.csv", "rate_of_penetration,mean_force", RATE, FORCE)

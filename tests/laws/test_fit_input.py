@@ -212,7 +212,7 @@ def test_columns_tell_groups_apart(tmp_path):
         ("", "rig.csv: empty; a line of column names"),
         ("relief,rate_of_penetration\n", "rig.csv: no rows; add a line for each measurement"),
         ("0.1,0.2\n0.3,0.4\n", 'rig.csv: line 1: "0.1, 0.2" are numbers; the first line names the columns'),
-        ("relief;rate_of_penetration\n1;2\n", "is one column; separate them by commas"),
+        ("relief\trate_of_penetration\n1\t2\n", "is one column; separate them by commas"),
         (
             "relief,rate_of_penetraton\n1,2\n",
             'rig.csv: line 1: column rate_of_penetration [m/s] is missing; if "rate_of_penetraton" is it',

@@ -1,7 +1,5 @@
 """Data of a fit: a dataset, the path of a dataset, or rig data (a CSV file with one measurement per line)."""
 
-import csv
-import io
 import json
 from collections.abc import Mapping
 from os import PathLike
@@ -26,7 +24,7 @@ from vibrojax.analyses.rop_law.columns import (
 )
 from vibrojax.errors import InputError, Place, shell_assignment, shown
 from vibrojax.models.physics.units import is_unit, likely_units
-from vibrojax.sweep.input.source import read_text
+from vibrojax.sweep.input.source import read_csv, read_text
 from vibrojax.sweep.input.values import warn_if_far
 
 if TYPE_CHECKING:
@@ -132,16 +130,12 @@ def read_rig(path: Path, columns: Columns = None) -> xr.Dataset:
 
 def _table(place: Place, text: str) -> tuple[int, list[str], Rows]:
     """Return the header's line number, the header and the rows of a CSV."""
-    reader = csv.reader(io.StringIO(text, newline=""), skipinitialspace=True, strict=True)
-    try:
-        rows = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
-    except csv.Error as error:
-        raise place.at(f"line {reader.line_num}").error(f"not CSV: {error}") from None
+    rows = list(read_csv(place, text))
     if not rows:
         raise place.error("empty; a line of column names and a line for each measurement are needed")
     line, header = rows[0][0], [cell.strip() for cell in rows[0][1]]
     here = place.at(f"line {line}")
-    if len(header) == 1 and any(mark in header[0] for mark in ";\t"):
+    if len(header) == 1 and "\t" in header[0]:
         raise here.error(f"{shown(header[0])} is one column; separate them by commas")
     if all(map(_is_number, header)):
         example = f"{RELIEF},{RATE}"
