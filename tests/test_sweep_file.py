@@ -4,9 +4,10 @@ import tomllib
 from math import pi
 
 import numpy as np
+import pandas as pd
 import pytest
 
-from vibrojax.errors import Place
+from vibrojax.errors import InputError, Place
 from vibrojax.sweep.input import source
 from vibrojax.sweep.input.read import read_point, read_sweep
 from vibrojax.sweep.input.run_settings import RunSettings
@@ -146,6 +147,43 @@ def test_rotation_in_points_gives_the_drive_speed(tmp_path):
 
 
 # points
+
+
+def test_points_may_be_a_data_frame():
+    """It is read as the table of its columns; its index is not one of them."""
+    base = {"scene": "vibro-impact", "run": {"settle": 1.0, "observe": 1.0}}
+    table = {"beta": [0.3, 0.4], "gamma": [0.7, 0.66], "start": ["drive", "stuck"]}
+    frame = pd.DataFrame(table, index=["a", "b"])
+    assert read_sweep({**base, "points": frame}).identity() == read_sweep({**base, "points": table}).identity()
+    for wrong, line in (
+        (frame.assign(beta=[0.3, np.nan]), "sweep: points.beta[1]: is nan; a finite number is needed"),
+        (frame[["beta", "beta"]], "sweep: points.beta: is there already; give each column once"),
+        (frame.rename(columns={"beta": "bet"}), 'sweep: points.bet: scene "vibro-impact" has no such parameter'),
+    ):
+        with pytest.raises(InputError) as caught:
+            read_sweep({**base, "points": wrong})
+        assert str(caught.value).startswith(line)
+
+
+def test_semicolons_and_decimal_commas_are_read_where_unambiguous(tmp_path):
+    path, base = tmp_path / "p.csv", {"scene": "vibro-impact", "points": str(tmp_path / "p.csv")}
+    for text, said in (
+        ("beta;gamma;start\n0,3;1;drive\n0,4;0,66;stuck\n", ", commas are decimal marks"),
+        ("beta;gamma;start\n0.3;1;drive\n0.4;0.66;stuck\n", ""),
+    ):
+        path.write_text(text)
+        with pytest.warns(UserWarning, match=f"p.csv: semicolons separate the columns{said}$"):
+            points = read_sweep(base).points
+        np.testing.assert_array_equal(points["beta"], [0.3, 0.4])
+        np.testing.assert_array_equal(points["gamma"], [1.0, 0.66])
+    for text, line in (
+        ("k0;k1\n1,234;2,500\n", '"1,234" is ambiguous: commas may separate thousands; write decimal points'),
+        ("beta;gamma\n0,3;0.66\n", '"0,3" is ambiguous: the file has decimal points too; write decimal points'),
+    ):
+        path.write_text(text)
+        with pytest.raises(InputError) as caught:
+            read_sweep(base)
+        assert line in str(caught.value)
 
 
 def test_points_lie_beside_the_file(tmp_path):

@@ -11,6 +11,7 @@ import xarray as xr
 import vibrojax as vj
 from vibrojax.analyses.rop_law import fit_joint, fit_rop
 from vibrojax.analyses.rop_law.columns import read_columns, split_unit
+from vibrojax.analyses.rop_law.results import recommended, verdict
 from vibrojax.cli import main
 from vibrojax.errors import InputError
 from vibrojax.models.physics.units import factor, is_unit
@@ -53,7 +54,7 @@ def test_a_fit_says_what_it_took_and_in_which_unit(tmp_path, capsys, monkeypatch
     rig(tmp_path / "rig.csv", "ROP [m/h],WOB_kN,D", 3600 * RATE, FORCE / 1e3, D)
     words = ["rate_of_penetration=ROP (m/h)", "mean_force=WOB", "threshold=D"]
     for argv in (["fit", "rig.csv", "--columns", *words], ["fit", "--columns", *words, "rig.csv"]):
-        assert main(argv) == 0
+        assert main([*argv, "--fresh"]) == 0
         assert capsys.readouterr().out.splitlines()[:3] == [
             'rate_of_penetration: column "ROP [m/h]", in m/h',
             'mean_force: column "WOB_kN", in kN',
@@ -158,19 +159,62 @@ def test_words_of_the_command_are_refused_in_one_line(capsys):
         assert line in capsys.readouterr().err
 
 
-def test_a_column_in_another_unit_is_warned_of_with_the_likely_one(tmp_path):
+def test_a_column_in_another_unit_is_refused_with_the_likely_one_or_warned_of_where_the_unit_is_given(tmp_path):
     path = rig(tmp_path / "rig.csv", "rate_of_penetration,mean_force,threshold", 3600 * RATE, FORCE, D)
-    with pytest.warns(vj.UnusualValue, match="column: .* m/s is far outside .* likely in m/h") as caught:
+    with pytest.raises(InputError, match=r"column: no unit is given, and .* m/s is far .* likely in m/h") as caught:
         fit_rop(path, progress=False)
-    assert len(caught) == 1 and '--columns rate_of_penetration="rate_of_penetration (m/h)"' in str(caught[0].message)
+    assert str(caught.value).endswith('--columns rate_of_penetration="rate_of_penetration (m/h)"')
+    with pytest.warns(vj.UnusualValue, match="m/s is far outside .* likely in m/h") as warned:
+        fit_rop(path, columns={"rate_of_penetration": "rate_of_penetration (m/s)"}, progress=False)
+    assert len(warned) == 1
     rig(path, "rate_of_penetration,mean_force,threshold", RATE, FORCE / 1e3, D / 1e3)
-    with pytest.warns(vj.UnusualValue, match="likely in kN") as caught:
+    with pytest.raises(InputError, match=r"mean_force, the median of its column: no unit is given, .* likely in kN"):
         fit_rop(path, progress=False)
-    assert len(caught) == 2
+    rig(path, "rate_of_penetration,mean_force", RATE, FORCE)
+    with pytest.raises(InputError, match=r"no unit is given, and 150 N .* --columns threshold=\"150 kN\""):
+        fit_rop(path, columns={"threshold": "150"}, progress=False)
     rig(path, "rate_of_penetration,mean_force,threshold", RATE, FORCE, D)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         fit_rop(path, progress=False)
+
+
+def test_rig_data_with_decimal_commas_are_read_and_it_is_said(tmp_path):
+    path = rig(tmp_path / "rig.csv", "ROP (m/h),WOB (kN)", 3600 * RATE, FORCE / 1e3)
+    columns = {"rate_of_penetration": "ROP", "mean_force": "WOB", "threshold": "150 kN"}
+    own = onset(path, columns=columns)
+    path.write_text(path.read_text().replace(",", ";").replace(".", ","))
+    with pytest.warns(UserWarning, match=r"rig.csv: semicolons separate the columns, commas are decimal marks"):
+        assert onset(path, columns=columns) == own
+
+
+def test_the_threshold_may_be_that_of_a_rock(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    path = rig(tmp_path / "rig.csv", "rate_of_penetration,mean_force", RATE, FORCE)
+    own = fit_rop(path, columns={"threshold": "204.5 kN"}, progress=False)  # Table 4.5
+    xr.testing.assert_equal(fit_rop(path, columns={"rock": "granite"}, progress=False), own)
+    assert main(["fit", "rig.csv", "--columns", "rock=granite"]) == 0
+    assert "threshold: 204500 N for all rows" in capsys.readouterr().out
+    for columns, line in (
+        ({"rock": "granit"}, 'columns: rock: "granit" is not a rock of the source; did you mean "granite"?'),
+        ({"rock": "granite", "threshold": "1 kN"}, "rock: gives the threshold, and threshold is given too"),
+    ):
+        with pytest.raises(InputError) as caught:
+            fit_rop(path, columns=columns, progress=False)
+        assert line in str(caught.value)
+
+
+def test_a_recommended_constant_is_in_the_unit_of_the_data_too(tmp_path):
+    noisy = RATE * (1 + 0.02 * np.cos(7 * np.arange(RATE.size)))
+    path = rig(tmp_path / "rig.csv", "ROP (ft/h),mean_force", noisy * 3600 / 0.3048, FORCE)
+    fit = fit_rop(path, columns={"rate_of_penetration": "ROP", "threshold": "150 kN"}, progress=False)
+    [choice] = recommended(fit)
+    assert choice["form"] == "onset" and choice["unit"] == "ft/h" and choice["low"] < C < choice["high"]
+    for name, value in choice["in_unit"].items():
+        assert value == pytest.approx(choice[name] * 3600 / 0.3048, rel=1e-12)
+    assert (
+        f"C = {choice['C']:.4g} m/s (" in verdict(fit)[-1] and f"{choice['in_unit']['C']:.4g} ft/h" in verdict(fit)[-1]
+    )
 
 
 def test_units_are_what_they_are():

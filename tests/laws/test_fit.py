@@ -10,6 +10,7 @@ from scipy import optimize, stats
 
 from vibrojax.analyses.rop_law import FORMS, REASONS, fit_joint, fit_rop, rop, verdict
 from vibrojax.analyses.rop_law.least_squares import LinearRates, minimise, residuals
+from vibrojax.analyses.rop_law.results import recommended
 
 C, ETA0, EXPONENT = 1.3e-3, 0.21, 1.4
 RELIEF = np.linspace(0.25, 1.5, 20)
@@ -195,18 +196,53 @@ def test_the_verdict_names_the_form_that_describes_the_data(noise):
     said = verdict(fitted(log * slight[0]))
     assert said[0] == "along frequency, over 1 of 1:"
     assert said[1].startswith("  onset    lowest AIC in 1, within 2 of it in 1; R2 0.99")
-    assert said[-1] == "the log law holds in 1 of 1"
+    assert said[6:9] == [
+        "the log law holds in 1 of 1:",
+        f"  as onset, C ln(eta/eta0), in 1: {said[1].partition('; ')[2]}",
+        f"  not as literal, C ln(eta), which is how the source writes it: {said[5].partition('; ')[2]}",
+    ]
+    assert said[9].startswith(f"the onset eta0 {ETA0:.1g}") and "is below 1: penetration begins at a mean" in said[9]
     said = verdict(fitted(np.stack([log, line, 0 * line]) * slight))
     assert said[:2] == ["not every form can be told in 1 of 3: all-censored 1", "along frequency, over 2 of 3:"]
-    assert said[-3].startswith("the log law holds in 1 of 2")
-    assert said[-2].startswith("it is beaten in 1, by an AIC of ") and said[-1].startswith("  group=1: line by ")
+    assert any(line.startswith("the log law holds in 1 of 2") for line in said)
+    beaten = next(index for index, line in enumerate(said) if line.startswith("it is beaten in 1, by an AIC of "))
+    assert said[beaten + 1].startswith("  group=1: line by ") and said[-1].startswith("  group=0: C = ")
     assert verdict(fitted(0 * line))[-1] == "no form can be told from the lanes that are there"
 
 
 def test_the_verdict_says_where_the_log_law_holds():
     rate = np.stack([TRUTH[name](RELIEF) for name in ("line", "onset", "onset", "line")])
     fit = fit_rop(data(rate).assign_coords(group=("group", [1.0, 2.0, 3.0, 4.0], {"units": "N"})), progress=False)
-    assert "the log law holds in 2 of 4, all of them within group 2 N to 3 N" in verdict(fit)
+    assert "the log law holds in 2 of 4, all of them within group 2 N to 3 N:" in verdict(fit)
+
+
+def test_three_lanes_cannot_tell_and_four_can(noise):
+    rate = TRUTH["onset"](RELIEF) * (1 + 0.02 * noise.standard_normal(RELIEF.size))
+    few = fitted(rate[:3], RELIEF[:3])
+    assert np.isfinite(few.aic).all() and recommended(few) == [None]
+    assert verdict(few) == [
+        "too few lanes to compare the forms in 1 of 1; at least 4 with a rate are needed",
+        "no form can be told from the lanes that are there",
+    ]
+    assert verdict(fitted(rate[:4], RELIEF[:4]))[0] == "along frequency, over 1 of 1:"
+
+
+def test_an_onset_at_one_is_not_commented_and_the_printed_form_is_recommended(noise):
+    """The forms literal and onset agree: the one with fewer coefficients has the lower AIC."""
+    relief = np.linspace(1.2, 4.0, 12)
+    fit = fitted(C * np.log(relief) * (1 + 0.02 * noise.standard_normal(12)), relief)
+    [choice] = recommended(fit)
+    literal = fit.sel(form="literal")
+    half = stats.t.ppf(0.975, 11) * literal.C_stderr.item()
+    assert choice["form"] == "literal" and choice["C"] == literal.C.item() and "unit" not in choice
+    np.testing.assert_allclose([choice["low"], choice["high"]], choice["C"] + np.array([-half, half]), rtol=1e-12)
+    assert not any("below 1" in line for line in verdict(fit))
+
+
+def test_no_constant_is_recommended_where_none_describes_the_data(noise):
+    slight = 1 + 0.01 * noise.standard_normal(RELIEF.size)
+    for rate in (TRUTH["line"](RELIEF) * slight, np.full(RELIEF.size, C), TRUTH["onset"](RELIEF)[::-1] * slight):
+        assert recommended(fitted(rate)) == [None]
 
 
 # censored lanes

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -211,7 +212,7 @@ def test_columns_tell_groups_apart(tmp_path):
         ("", "rig.csv: empty; a line of column names"),
         ("relief,rate_of_penetration\n", "rig.csv: no rows; add a line for each measurement"),
         ("0.1,0.2\n0.3,0.4\n", 'rig.csv: line 1: "0.1, 0.2" are numbers; the first line names the columns'),
-        ("relief;rate_of_penetration\n1;2\n", "is one column; separate them by commas"),
+        ("relief\trate_of_penetration\n1\t2\n", "is one column; separate them by commas"),
         (
             "relief,rate_of_penetraton\n1,2\n",
             'rig.csv: line 1: column rate_of_penetration [m/s] is missing; if "rate_of_penetraton" is it',
@@ -243,16 +244,39 @@ def test_the_command_prints_tables_and_writes_the_fit(tmp_path, monkeypatch, cap
     assert printed[0] == "force=200000 N: 8 lanes along frequency"
     assert printed[1].split() == ["form", "C", "[m/s]", "eta0", "exponent", "R2", "AIC"]
     assert printed[4].startswith("  onset    0.0013 ± ") and printed[8] == "force=300000 N: 8 lanes along frequency"
-    assert (
-        printed[-3:-1] == [printed[-3], "the log law holds in 2 of 2"]
-        and printed[-1] == "map-fit.nc; picture map-fit.png"
+    assert printed[printed.index("the log law holds in 2 of 2:") + 1].startswith(
+        "  as onset, C ln(eta/eta0), in 2: R2 1"
     )
+    assert printed[-3] == "  force=200000 N: C = 0.0013 m/s (0.0013 to 0.0013), onset"
+    assert printed[-1] == "map-fit.nc; picture map-fit.png"
     stored = open_dataset("map-fit.nc")
     xr.testing.assert_allclose(stored, fit_rop("map.nc", progress=False))
     assert list(stored.form.values) == ["literal", "percent", "onset", "line", "power"]
     assert stored.reason.dtype == np.int8 and stored.attrs["Conventions"] == "CF-1.11"
     assert main(["info", "map-fit.nc"]) == 0
     assert "a sweep" in capsys.readouterr().out
+
+
+def test_another_fit_is_not_overwritten(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    rig = tmp_path / "rig.csv"
+    rig.write_text(rows("relief", "rate_of_penetration", relief=RELIEF, rate_of_penetration=RATE))
+    write_dataset(sweep(), "rig-fit.nc")
+    for argv, line in (
+        ([], "rig-fit.nc: exists already, and does not say that it holds this result; --fresh replaces it"),
+        (["--fresh"], None),
+        ([], None),
+        (
+            ["--columns", "rate_of_penetration=rate_of_penetration (m/s)"],
+            "another result: columns.rate_of_penetration was",
+        ),
+    ):
+        stored = Path("rig-fit.nc").read_bytes()
+        assert main(["fit", "rig.csv", *argv]) == (2 if line else 0)
+        assert line is None or (line in capsys.readouterr().err and Path("rig-fit.nc").read_bytes() == stored)
+        capsys.readouterr()
+    rig.write_text(rows("relief", "rate_of_penetration", relief=RELIEF, rate_of_penetration=2 * RATE))
+    assert main(["fit", "rig.csv"]) == 2 and "holds another result: data was" in capsys.readouterr().err
 
 
 def test_the_command_takes_an_axis_and_an_output(tmp_path, capsys):

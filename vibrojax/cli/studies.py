@@ -1,12 +1,16 @@
 """The commands `fit`, `accuracy` and `reproduce`."""
 
+import hashlib
 from pathlib import Path
 
 from vibrojax.analyses import WORDS
-from vibrojax.cli.command import JSON, Options, argument, command, files, flag
-from vibrojax.cli.output import dataset_written, draw, file_facts, output, output_folder, print_json
+from vibrojax.cli.command import JSON, Options, argument, command, files, flag, output_options
+from vibrojax.cli.output import dataset_written, file_facts, output_folder, print_json, result_at, write_result
 from vibrojax.errors import InputError
 from vibrojax.progress import timed
+
+_DIGEST_LENGTH = 12
+"""Number of hexadecimal digits of the SHA-256 by which a fit recognises its data; they are shown in messages."""
 
 
 @command(
@@ -23,13 +27,14 @@ from vibrojax.progress import timed
         "--columns",
         "NAME=COLUMN",
         "of a CSV: which column is what, in which unit, like "
-        'rate_of_penetration="ROP (m/h)" mean_force="WOB (kN)", or one value for all rows, like threshold="150 kN"',
+        'rate_of_penetration="ROP (m/h)" mean_force="WOB (kN)", or one value for all rows, like threshold="150 kN" or '
+        "rock=granite, whose threshold it takes",
         nargs="+",
         action="extend",
     ),
     argument("--by", "COLUMN", "of a CSV: fit the rows of each of its values", action="append"),
     JSON,
-    argument("-o", "FIT.nc", "where to write (FILE-fit.nc in this folder)", dest="out"),
+    output_options("FILE-fit.nc"),
 )
 def fit(options: Options) -> None:
     """Fit the rate-of-penetration law to a sweep's dataset or to rig data."""
@@ -38,24 +43,24 @@ def fit(options: Options) -> None:
         options.file = words.pop()  # FILE may follow the columns
     if options.file is None:
         raise InputError("fit: the following arguments are required: FILE; see vibrojax fit --help")
-    out = output(options.out or f"{Path(options.file).stem}-fit.nc", drawn=True)
     from vibrojax.analyses.rop_law import fit_rop, law_facts, law_table
     from vibrojax.analyses.rop_law.columns import columns_lines, read_columns
-    from vibrojax.io.dataset import write_dataset
 
+    file, columns, by = Path(options.file), read_columns(words), options.by or []
+    identity = {"fit": file.name, "data": _digest(file), "along": options.along, "by": ", ".join(by)}
+    identity |= {f"columns.{name}": text for name, text in columns.items()}
+    out = result_at(options, f"{file.stem}-fit.nc", identity)
     with timed("read and fit"):
-        law = fit_rop(options.file, options.along, options.by or (), progress=False, columns=read_columns(words))
-    with timed("write"):
-        write_dataset(law, out)
-    drawn = draw(options, law, out)
+        law = fit_rop(options.file, options.along, by, progress=False, columns=columns)
+    drawn = write_result(options, law, out, identity)
     facts = law_facts(law)
     if options.json:
         print_json({"file": options.file, **facts, **file_facts(out, drawn)})
         return
-    columns = columns_lines(law)
+    sources = columns_lines(law)
     lane = "a row of the CSV" if "columns" in law.attrs else WORDS["lane"]
     lines = [
-        *([*columns, ""] if columns and not options.quiet else []),
+        *([*sources, ""] if sources and not options.quiet else []),
         *law_table(facts),
         "",
         f"forms of the rate of penetration: {law.attrs['formulas']}",
@@ -66,6 +71,16 @@ def fit(options: Options) -> None:
         *([] if options.quiet else [f"{out}{drawn}"]),
     ]
     print("\n".join(lines))
+
+
+def _digest(file: Path) -> str:
+    """Return a digest of the data in a file: of the identity of a dataset, which a repeated run keeps, or of a CSV."""
+    from vibrojax.io.manifest import digest, stored_identity
+
+    identity = stored_identity(file) if file.suffix == ".nc" else None
+    if identity is not None:
+        return digest(identity)[:_DIGEST_LENGTH]
+    return hashlib.sha256(file.read_bytes()).hexdigest()[:_DIGEST_LENGTH] if file.is_file() else ""
 
 
 @command(

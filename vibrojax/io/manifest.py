@@ -68,7 +68,7 @@ def identity_text(identity: Mapping[str, object]) -> str:
 
 def holds(out: Path, identity: Mapping[str, object]) -> bool:
     """Return whether `out` is a result with this `identity`."""
-    stored = _stored_identity(out)
+    stored = stored_identity(out)
     return stored is not None and not changes(stored, json.loads(identity_text(identity)))
 
 
@@ -76,7 +76,7 @@ def check_replaceable(out: Path, identity: Mapping[str, object]) -> None:
     """Raise `InputError` if `out` exists and holds anything but a result with this `identity`."""
     if not out.exists():
         return
-    stored = _stored_identity(out)
+    stored = stored_identity(out)
     advice = "--fresh replaces it, or give another output with -o"
     if stored is None:
         raise InputError(f"{out}: exists already, and does not say that it holds this result; {advice}")
@@ -85,7 +85,7 @@ def check_replaceable(out: Path, identity: Mapping[str, object]) -> None:
         raise InputError(f"{out}: holds another result: {differences}; {advice}")
 
 
-def _stored_identity(out: Path) -> dict[str, object] | None:
+def stored_identity(out: Path) -> dict[str, object] | None:
     """Return the identity of the result at `out`, or None if there is no result that states its identity."""
 
     def read() -> object:

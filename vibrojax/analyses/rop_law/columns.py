@@ -2,6 +2,7 @@
 
 rate_of_penetration="ROP (m/h)"    the column "ROP (m/h)", "ROP [m/h]" or "ROP_m/h"; or "ROP", taken to be in m/h
 threshold="150 kN"                 no column: one value for all rows
+rock="granite"                     the threshold of a rock of Table 4.5 of the source, for all rows
 """
 
 import re
@@ -13,7 +14,7 @@ import xarray as xr
 from vibrojax.errors import InputError, Place, nearest, shell_assignment, shown, suggestion
 from vibrojax.io.attributes import table_of
 from vibrojax.models.physics.parameters import BIT_AND_STRIKER, CONTACT, ROTATION, Parameter, not_negative, table
-from vibrojax.models.physics.rock import ROCK
+from vibrojax.models.physics.rock import ROCK, ROCKS
 from vibrojax.models.physics.units import UNITS, factor, is_unit
 from vibrojax.models.scenes.penetration import PULSES
 
@@ -87,6 +88,22 @@ def read_columns(words: list[str]) -> dict[str, str]:
     return columns
 
 
+def with_rock(columns: Mapping[str, str]) -> dict[str, str]:
+    """Return `columns` with the threshold of the rock in place of `rock`, if that is given.
+
+    **Raises:** `InputError` if the rock is unknown, or the threshold is given too.
+    """
+    columns = dict(columns)
+    if "rock" not in columns:
+        return columns
+    place, name = Place("columns", "rock"), columns.pop("rock").strip()
+    if name not in ROCKS:
+        raise place.error(f"{shown(name)} is not a rock of the source; {suggestion(name, ROCKS)}")
+    if given := {THRESHOLD, RELIEF} & set(columns):
+        raise place.error(f"gives the {THRESHOLD}, and {given.pop()} is given too; give one of them")
+    return columns | {THRESHOLD: f"{ROCKS[name].threshold:g} N"}
+
+
 def split_unit(header: str) -> tuple[str, str | None]:
     """Split a header such as "ROP (m/h)", "ROP [m/h]", "ROP, m/h" or "WOB_kN" into its name and its unit.
 
@@ -152,7 +169,8 @@ def required_names(
         meant = _candidate(RELIEF if nearest(RELIEF, free) else FORCE, header, free)
         raise place.error(f"column {RELIEF} is missing, or {FORCE} and {THRESHOLD}; {meant}")
     if missing:
-        constant = f', or for all rows: --columns {THRESHOLD}="150 kN"' if missing[0] == THRESHOLD else ""
+        constant = f', or for all rows: --columns {THRESHOLD}="150 kN" or rock=granite'
+        constant = constant if missing[0] == THRESHOLD else ""
         meant = _candidate(missing[0], header, free)
         raise place.error(f"column {missing[0]} [N] is missing, or {RELIEF}; {meant}{constant}")
     return names

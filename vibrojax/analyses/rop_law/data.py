@@ -1,7 +1,5 @@
 """Data of a fit: a dataset, the path of a dataset, or rig data (a CSV file with one measurement per line)."""
 
-import csv
-import io
 import json
 from collections.abc import Mapping
 from os import PathLike
@@ -22,10 +20,11 @@ from vibrojax.analyses.rop_law.columns import (
     choose_columns,
     required_names,
     split_unit,
+    with_rock,
 )
 from vibrojax.errors import InputError, Place, shell_assignment, shown
 from vibrojax.models.physics.units import is_unit, likely_units
-from vibrojax.sweep.input.source import read_text
+from vibrojax.sweep.input.source import read_csv, read_text
 from vibrojax.sweep.input.values import warn_if_far
 
 if TYPE_CHECKING:
@@ -96,6 +95,7 @@ def read_rig(path: Path, columns: Columns = None) -> xr.Dataset:
             raise Place("columns", str(name)).error(
                 f"{shown(text)} is not a column; write one with its unit, like {example}"
             )
+    columns = with_rock(columns)
     place = Place(str(path))
     line, header, rows = _table(place, read_text(path))
     chosen = choose_columns(place.at(f"line {line}"), header, columns)
@@ -108,7 +108,7 @@ def read_rig(path: Path, columns: Columns = None) -> xr.Dataset:
         else:
             values[name] = column.factor * _numbers(place, column.header, column.index, rows)
     for name in names:
-        _warn_of_unit(place, name, chosen[name], values[name])
+        _check_unit(place, name, chosen[name], values[name])
     if RELIEF not in names:
         with np.errstate(divide="ignore", invalid="ignore"):
             values[RELIEF] = values[FORCE] / values[THRESHOLD]
@@ -130,16 +130,12 @@ def read_rig(path: Path, columns: Columns = None) -> xr.Dataset:
 
 def _table(place: Place, text: str) -> tuple[int, list[str], Rows]:
     """Return the header's line number, the header and the rows of a CSV."""
-    reader = csv.reader(io.StringIO(text, newline=""), skipinitialspace=True, strict=True)
-    try:
-        rows = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
-    except csv.Error as error:
-        raise place.at(f"line {reader.line_num}").error(f"not CSV: {error}") from None
+    rows = list(read_csv(place, text))
     if not rows:
         raise place.error("empty; a line of column names and a line for each measurement are needed")
     line, header = rows[0][0], [cell.strip() for cell in rows[0][1]]
     here = place.at(f"line {line}")
-    if len(header) == 1 and any(mark in header[0] for mark in ";\t"):
+    if len(header) == 1 and "\t" in header[0]:
         raise here.error(f"{shown(header[0])} is one column; separate them by commas")
     if all(map(_is_number, header)):
         example = f"{RELIEF},{RATE}"
@@ -160,8 +156,11 @@ def _check_rows(place: Place, header: list[str], rows: Rows) -> None:
         raise place.at(f"line {line}").error(f"holds units; write them behind the names, like {like}, and leave it out")
 
 
-def _warn_of_unit(place: Place, name: str, column: Column, values: Float[np.ndarray, " rows"]) -> None:
-    """Warn if the median of a column is far from the usual values, which suggests that its unit is wrong."""
+def _check_unit(place: Place, name: str, column: Column, values: Float[np.ndarray, " rows"]) -> None:
+    """Check that the median of a column is not far from the usual values, which suggests that its unit is wrong.
+
+    Warn if the user specified the unit; raise `InputError` if it is assumed.
+    """
     known = np.abs(values[np.isfinite(values) & (values != 0)])
     if not known.size or not (quantity := KNOWN[name]).is_far(median := float(np.median(known))):
         return
@@ -170,7 +169,13 @@ def _warn_of_unit(place: Place, name: str, column: Column, values: Float[np.ndar
     right = f"{column.header} {unit}" if column.index is None else f"{split_unit(column.header)[0]} ({unit})"
     example = f"--columns {shell_assignment(name, right)}"
     likely = f"it is likely in {' or '.join(units)}; name it, like {example}" if units else f"name its unit: {example}"
-    warn_if_far(place.at(f"{column.header}, the median of its column"), quantity, median, likely)
+    here = place.at(f"{column.header}, the median of its column")
+    if not column.assumed:
+        warn_if_far(here, quantity, median, likely)
+        return
+    low, high = quantity.usual or (0.0, 0.0)
+    fault = f"no unit is given, and {median:.6g} {column.unit} is far outside what the source and rigs have"
+    raise here.error(f"{fault} ({low:g} to {high:g} {column.unit}); {likely}")
 
 
 def _is_number(cell: str) -> bool:

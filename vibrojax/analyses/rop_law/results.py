@@ -6,16 +6,26 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from jaxtyping import Float, Shaped
+from jaxtyping import Bool, Float, Shaped
+from scipy.special import stdtrit
 
+from vibrojax.analyses.rop_law.columns import RATE
 from vibrojax.analyses.rop_law.least_squares import REASONS
 from vibrojax.errors import Place
 from vibrojax.io.attributes import table_of, title_of
 from vibrojax.io.kinds import dataset_attributes
 from vibrojax.io.variables import Variable
+from vibrojax.models.physics.units import factor
 
 CLEAR_AIC_DIFFERENCE = 2.0
 """Difference in AIC above which another form describes the data better (Burnham and Anderson's rule of thumb)."""
+
+LEAST_DEGREES_OF_FREEDOM = 2
+"""Degrees of freedom below which forms are not compared: the correction of AIC for small samples, 2k(k + 1)/(n - k - 1)
+for k = 2 coefficients, is finite from n = 4 lanes on."""
+
+ONSET_STANDARD_ERRORS = 2.0
+"""Number of standard errors by which an onset is below 1 before the verdict says so."""
 
 _GROUPS_BEATEN_SHOWN = 5
 _GROUPS_TABULATED = 12
@@ -87,7 +97,7 @@ def law_facts(fit: xr.Dataset) -> dict[str, Any]:
     values = {str(name): table(fit, str(name)) for name, v in fit.items() if set(v.dims) == {*dims, "form"}}
     for name in ("reason", "r_squared_reason"):
         values[name] = np.array(str(fit[name].attrs["flag_meanings"]).split())[values[name]]
-    groups = []
+    groups: list[dict[str, Any]] = []
     for index, position in enumerate(np.ndindex(*(fit.sizes[dim] for dim in dims))):
         lanes = fit.isel(dict(zip(dims, position, strict=True)))
         coordinates = {str(name): lanes[name].item() for name in lanes.coords if lanes[name].ndim == 0}
@@ -96,6 +106,8 @@ def law_facts(fit: xr.Dataset) -> dict[str, Any]:
             for column, form in enumerate(fit["form"].values)
         }
         groups.append({"name": _group_name(fit, dims, position), "coordinates": coordinates, "forms": forms})
+    for group, choice in zip(groups, recommended(fit), strict=True):
+        group["recommended"] = choice
     columns = table_of(fit, "columns") or None
     return {"along": str(fit.attrs["along"]), "columns": columns, "groups": groups, "verdict": verdict(fit)}
 
@@ -132,28 +144,64 @@ def table(fit: xr.Dataset, name: str) -> Shaped[np.ndarray, "groups forms"]:
     return np.asarray(fit[name].transpose(*dims, "form").values.reshape(-1, fit.sizes["form"]))
 
 
+def recommended(fit: xr.Dataset) -> list[dict[str, Any] | None]:
+    """Return the recommended C of each group: of the reading of the log law with the lowest AIC, if the log law holds.
+
+    A dictionary holds `form`, `C` [m/s] and the ends `low` and `high` of its 95 % confidence interval [m/s], by
+    Student's distribution. With rig data it also holds these three in the unit of the data's rate, as `in_unit`, and
+    this `unit`. It is None if the log law does not hold, its C is not positive, or the lanes cannot
+    decide it.
+    """
+    names = [str(name) for name in fit["form"].values]
+    judged, above_best = _judged(fit)
+    c, error, freedom, reason = (table(fit, name) for name in ("C", "C_stderr", "degrees_of_freedom", "reason"))
+    unit = str(table_of(fit, "columns").get(RATE, {}).get("unit", "m/s"))
+    scale = factor(unit, "m s-1") or 1.0
+    choices: list[dict[str, Any] | None] = [None] * len(judged)
+    for row, group in zip(above_best, np.flatnonzero(judged).tolist(), strict=True):
+        form = min((names.index(name) for name in LOGARITHMIC), key=lambda column: row[column])
+        if row[form] > CLEAR_AIC_DIFFERENCE or reason[group, form] or c[group, form] <= 0:
+            continue
+        half = float(stdtrit(freedom[group, form], 0.975) * error[group, form])
+        values = {"C": float(c[group, form]), "low": float(c[group, form]) - half, "high": float(c[group, form]) + half}
+        in_unit = {name: value / scale for name, value in values.items()}
+        choices[group] = {"form": names[form], **values} | ({"unit": unit, "in_unit": in_unit} if scale != 1 else {})
+    return choices
+
+
+def _judged(fit: xr.Dataset) -> tuple[Bool[np.ndarray, " groups"], Float[np.ndarray, "judged forms"]]:
+    """Return a mask of the groups with enough lanes to compare all forms, and there the AIC above the lowest one."""
+    aic = table(fit, "aic")
+    judged = np.isfinite(aic).all(axis=1) & (table(fit, "degrees_of_freedom") >= LEAST_DEGREES_OF_FREEDOM).all(axis=1)
+    return judged, aic[judged] - aic[judged].min(axis=1, keepdims=True)
+
+
 def verdict(fit: xr.Dataset) -> list[str]:
     """Return lines of text: which form describes the data best by AIC, and for which groups the log law holds.
 
     A form holds in a group if its AIC exceeds the lowest by at most `CLEAR_AIC_DIFFERENCE`. The log law holds if one of
-    its three readings holds.
+    its three readings holds. Groups with fewer than four lanes with a rate cannot decide it. The last lines state the
+    recommended C.
 
     **Arguments:** `fit`: a dataset that `fit_rop` returned.
     """
     names = [str(name) for name in fit["form"].values]
     aic, r_squared = table(fit, "aic"), table(fit, "r_squared")
     missing = ~np.isfinite(aic)
-    judged = ~missing.any(axis=1)
+    judged, above_best = _judged(fit)
+    is_short, lost = ~judged & ~missing.any(axis=1), missing.any(axis=1)
     lines = []
-    if not judged.all():  # count the reason of the first missing form in each group
+    if lost.any():  # count the reason of the first missing form in each group
         meanings = str(fit["reason"].attrs["flag_meanings"]).split()
-        reasons = table(fit, "reason")[~judged, np.argmax(missing[~judged], axis=1)]
+        reasons = table(fit, "reason")[lost, np.argmax(missing[lost], axis=1)]
         counts = {meanings[flag]: int((reasons == flag).sum()) for flag in np.unique(reasons)}
         listed = ", ".join(f"{meaning} {count}" for meaning, count in sorted(counts.items()))
         lines.append(f"not every form can be told in {reasons.size} of {judged.size}: {listed}")
+    if is_short.any():
+        needed = f"at least {LEAST_DEGREES_OF_FREEDOM + 2} with a rate are needed"
+        lines.append(f"too few lanes to compare the forms in {is_short.sum()} of {judged.size}; {needed}")
     if not judged.any():
         return [*lines, "no form can be told from the lanes that are there"]
-    above_best = aic[judged] - aic[judged].min(axis=1, keepdims=True)
     best = np.argmin(above_best, axis=1)
     lines.append(f"along {fit.attrs['along']}, over {judged.sum()} of {judged.size}:")
     holds = above_best <= CLEAR_AIC_DIFFERENCE
@@ -162,10 +210,26 @@ def verdict(fit: xr.Dataset) -> list[str]:
         share = _range(r_squared[judged, form])
         counts_of_form = f"lowest AIC in {lowest}, within {CLEAR_AIC_DIFFERENCE:g} of it in {close}"
         lines.append(f"  {names[form]:<8} {counts_of_form}; R2 {share}")
+    readings = {name: holds[:, names.index(name)] for name in LOGARITHMIC}
     log_law = above_best[:, [names.index(name) for name in LOGARITHMIC]].min(axis=1)
     beaten = log_law > CLEAR_AIC_DIFFERENCE
     region = _region(fit, np.flatnonzero(judged)[~beaten]) if beaten.any() else ""
-    lines.append(f"the log law holds in {(~beaten).sum()} of {judged.sum()}{region}")
+    colon = "" if beaten.all() else ":"
+    lines.append(f"the log law holds in {(~beaten).sum()} of {judged.sum()}{region}{colon}")
+    for name, mask in sorted(readings.items(), key=lambda reading: not reading[1].any()):
+        share = f"R2 {_range(r_squared[judged, names.index(name)][mask if mask.any() else slice(None)])}"
+        if mask.any():
+            lines.append(f"  as {name}, {_formulas(fit)[name]}, in {mask.sum()}: {share}")
+        elif name == "literal" and not beaten.all():
+            lines.append(f"  not as literal, {_formulas(fit)[name]}, which is how the source writes it: {share}")
+    onset = names.index("onset")
+    eta0, error = (table(fit, name)[judged, onset] for name in ("eta0", "eta0_stderr"))
+    if (early := readings["onset"] & (eta0 + ONSET_STANDARD_ERRORS * error < 1)).any():
+        where = "" if early.all() else f" in {early.sum()} of {early.size}"
+        lines.append(
+            f"the onset eta0 {_range(eta0[early])} is below 1{where}: penetration begins at a mean force P below D, "
+            "as the peaks of the force exceed its mean; the literal form has no rate there"
+        )
     if beaten.any():
         lines.append(f"it is beaten in {beaten.sum()}, by an AIC of {_range(log_law[beaten])}:")
         worst = np.argsort(-log_law, kind="stable")[: min(_GROUPS_BEATEN_SHOWN, beaten.sum())]
@@ -175,7 +239,34 @@ def verdict(fit: xr.Dataset) -> list[str]:
             group = _group_name(fit, dims, positions[np.flatnonzero(judged)[row]])
             lines.append(f"  {group}: {names[best[row]]} by {log_law[row]:.3g}")
         lines += [f"  and {beaten.sum() - len(worst)} more"] if beaten.sum() > len(worst) else []
-    return lines
+    return [*lines, *_recommendation(fit)]
+
+
+def _recommendation(fit: xr.Dataset) -> list[str]:
+    """Return lines of text with the recommended C of the first groups, in m/s and in the unit of the data's rate."""
+    choices = recommended(fit)
+    if not any(choices):
+        return []
+    dims = [dim for dim in fit["aic"].dims if dim != "form"]
+    lines = []
+    for position, choice in zip(np.ndindex(*(fit.sizes[dim] for dim in dims)), choices, strict=True):
+        if choice:
+            texts = [_interval(choice, "m/s")]
+            texts += [_interval(choice["in_unit"], choice["unit"])] if "unit" in choice else []
+            lines.append(f"{_group_name(fit, dims, position)}: C = {' = '.join(texts)}, {choice['form']}")
+    more = [f"  and {len(lines) - _GROUPS_TABULATED} more"] if len(lines) > _GROUPS_TABULATED else []
+    title = "recommended C (95 % interval), of the reading of the log law with the lowest AIC:"
+    return [title, *(f"  {line}" for line in lines[:_GROUPS_TABULATED]), *more]
+
+
+def _interval(values: Mapping[str, Any], unit: str) -> str:
+    return f"{values['C']:.4g} {unit} ({values['low']:.4g} to {values['high']:.4g})"
+
+
+def _formulas(fit: xr.Dataset) -> dict[str, str]:
+    """Return the formula of each form, by name."""
+    parts = (text.partition(": ") for text in str(fit.attrs["formulas"]).split("; "))
+    return {name: formula for name, _, formula in parts}
 
 
 def _group_name(fit: xr.Dataset, dims: Sequence[Hashable], position: tuple[int, ...]) -> str:

@@ -157,6 +157,7 @@ def fit_rop(
     - `progress`: whether to report on stderr when the fit is done.
     - `columns`: by quantity, the column of a CSV and its unit, such as {"rate_of_penetration": "ROP (m/h)",
       "mean_force": "WOB (kN)"}, or a constant value for all rows, such as {"threshold": "150 kN"}.
+      {"rock": "granite"} takes the threshold of that rock.
 
     **Returns:** a dataset over the groups and `form`: C [m/s], eta0 [1] and exponent [1], each with its standard error;
     r_squared, aic, degrees_of_freedom, used, left_out, and `reason`. A coefficient is NaN if the form does not have it

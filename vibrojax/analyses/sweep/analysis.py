@@ -15,8 +15,9 @@ from vibrojax.analyses.sweep.returns import bifurcation, hysteresis
 from vibrojax.analyses.sweep.run import run_sweep
 from vibrojax.analyses.sweep.strips import regime_lines
 from vibrojax.errors import InputError
-from vibrojax.io.attributes import flag_counts, flags, run_of, table_of
+from vibrojax.io.attributes import flag_counts, flags, parameters_of, run_of, table_of
 from vibrojax.io.kinds import kind_of
+from vibrojax.models.physics.rock import ROCKS
 from vibrojax.plot.contents import Contents
 from vibrojax.plot.overlays import refuse_overlays
 
@@ -39,6 +40,10 @@ class Sweeps(Analysis):
     def run(self, source: Source, progress: bool = True) -> xr.Dataset:
         """Run a sweep and return its dataset, as [vibrojax.analyses.sweep.run.run_sweep][] does."""
         return run_sweep(source, progress=progress)
+
+    def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
+        """Return the rate of penetration of a sweep with rock, or the reason why there is none."""
+        return [_rates(ds)]
 
     def picture(self, ds: xr.Dataset, over: Sequence[xr.Dataset] = ()) -> Figure:
         """Return the picture of a sweep; `over`: borders on its regime map, or families on its section crossings."""
@@ -130,6 +135,60 @@ def _nature_lines(ds: xr.Dataset) -> list[str]:
         f"{name:<14}{int(mask.sum()):>9}{int((mask & irregular).sum()):>9} of them irregular"
         for name, mask in masks
         if mask.any()
+    ]
+
+
+def _rates(ds: xr.Dataset) -> SummaryPart:
+    """Return the rate of penetration: how many lanes have one, its range and where it is largest, or why there is none.
+
+    Without a rate, the largest peak contact force is compared with the threshold D of the rock.
+    """
+    if "rate_of_penetration" not in ds:
+        return SummaryPart("rates", [], {})
+    rate = ds["rate_of_penetration"].broadcast_like(ds["status"]) if "status" in ds else ds["rate_of_penetration"]
+    penetrates = rate.where(rate > 0)
+    count = int(penetrates.count())
+    facts: dict[str, Any] = {"lanes": count, "least": None, "greatest": None}
+    if count:
+        greatest = penetrates.isel(penetrates.argmax(...))
+        values = {str(name): greatest[name].item() for name in greatest.coords if name in ds.dims}
+        where = " ".join(f"{name}={x:.6g}" if isinstance(x, float) else f"{name}={x}" for name, x in values.items())
+        least, most = float(penetrates.min()), float(greatest)
+        per_hour = f"{3600 * least:.4g} to {3600 * most:.4g} m/h"
+        lines = [f"{least:.4g} to {most:.4g} m/s ({per_hour}) in {count} of {rate.size} lanes"]
+        lines += [f"largest at {where}"] if where else []
+        facts |= {"least": least, "greatest": most}
+    else:
+        lines = [f"none: the hole does not grow in any of {rate.size} lanes"]
+    if count < rate.size:
+        lines += _reason_of_no_rate(ds, rate, facts)
+    return SummaryPart("rates", lines, {"rates": facts})
+
+
+def _reason_of_no_rate(ds: xr.Dataset, rate: xr.DataArray, facts: dict[str, Any]) -> list[str]:
+    """Return lines that compare the peak force of the lanes without a rate with the threshold D; add it to `facts`."""
+    pulses = "peak_impact_force" not in ds
+    values: dict[str, Any] = {**parameters_of(ds), **{str(name): data for name, data in ds.coords.items()}}
+    if "rock" in ds.coords:
+        values["threshold"] = ds["rock"].copy(data=[ROCKS[str(name)].threshold for name in ds["rock"].values.flat])
+    force, threshold = values.get("force") if pulses else ds["peak_impact_force"], values.get("threshold")
+    if force is None or threshold is None:
+        return []
+    force, ratio = ((x + 0 * rate.fillna(0)).where(~(rate > 0)) for x in (force, force / threshold))
+    count, name = (
+        int(force.isnull().sum()) - int((rate > 0).sum()),
+        "force of the pulses" if pulses else "contact force",
+    )
+    lines = [f"lanes without impacts: {count}"] if count else []
+    if not bool(ratio.notnull().any()):
+        return lines
+    peak, share = float(force.isel(ratio.argmax(...))), float(ratio.max())
+    facts["peak_over_threshold"] = share
+    harder = "a larger force" if pulses else "harder impacts (another v, beta, gamma or delta)"
+    return [
+        *lines,
+        f"without a rate, the largest peak {name} is {peak / 1e3:.4g} kN, {share:.3g} of the threshold D",
+        f"a softer rock (lower threshold) or {harder} can give a rate",
     ]
 
 

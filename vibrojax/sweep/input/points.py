@@ -1,7 +1,5 @@
 """A list of points in place of a grid, from a CSV file or a table of columns."""
 
-import csv
-import io
 from array import array
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,7 +11,7 @@ import numpy as np
 
 from vibrojax.errors import Place, shown
 from vibrojax.sweep.input.names import Names
-from vibrojax.sweep.input.source import read_text
+from vibrojax.sweep.input.source import read_csv, read_text
 from vibrojax.sweep.input.values import STATE, as_table, quantity
 
 VECTOR = "start_"
@@ -60,36 +58,30 @@ def read_points(place: Place, value: object, folder: Path, names: Names) -> Poin
 def _from_csv(path: Path, names: Names) -> Points:
     """Read points from a CSV file whose first line contains the column names."""
     place = Place(str(path))
-    reader = csv.reader(io.StringIO(read_text(path), newline=""), skipinitialspace=True, strict=True)
-    rows = ((reader.line_num, row) for row in reader if any(map(str.strip, row)))
+    rows = read_csv(place, read_text(path))
     text = ("start", *names.presets)
     lines = array("q")  # line number of each point in the file
 
     def cell_place(name: str, index: int) -> Place:
         return place.at(f"line {lines[index]}, column {name}")
 
-    try:
-        line, header = next(rows, (0, []))
-        if not header:
-            raise place.error("empty; a line of column names and a line for each point are needed")
-        columns: dict[str, Any] = {
-            name: [] if name in text else array("d") for name in _header(place, line, header, names)
-        }
-        for line, row in rows:
-            lines.append(line)
-            if len(row) != len(columns):
-                raise place.at(f"line {line}").error(f"has {len(row)} cells; {len(columns)} are needed, one a column")
-            for (name, column), cell in zip(columns.items(), row, strict=True):
-                if name in text:
-                    column.append(intern(cell.strip()))
-                    continue
-                try:
-                    column.append(float(cell))
-                except ValueError:
-                    problem = f"{shown(cell.strip())} is not a number" if cell.strip() else "empty"
-                    raise cell_place(name, -1).error(f"{problem}; write one, like 0.4 or 50e6") from None
-    except csv.Error as error:
-        raise place.at(f"line {reader.line_num}").error(f"not CSV: {error}") from None
+    line, header = next(rows, (0, []))
+    if not header:
+        raise place.error("empty; a line of column names and a line for each point are needed")
+    columns: dict[str, Any] = {name: [] if name in text else array("d") for name in _header(place, line, header, names)}
+    for line, row in rows:
+        lines.append(line)
+        if len(row) != len(columns):
+            raise place.at(f"line {line}").error(f"has {len(row)} cells; {len(columns)} are needed, one a column")
+        for (name, column), cell in zip(columns.items(), row, strict=True):
+            if name in text:
+                column.append(intern(cell.strip()))
+                continue
+            try:
+                column.append(float(cell))
+            except ValueError:
+                problem = f"{shown(cell.strip())} is not a number" if cell.strip() else "empty"
+                raise cell_place(name, -1).error(f"{problem}; write one, like 0.4 or 50e6") from None
     if not lines:
         raise place.error("no points; add a line for each below the column names")
     return _points(columns, cell_place, names)
@@ -102,7 +94,7 @@ def _header(place: Place, line: int, header: list[str], names: Names) -> list[st
     def column_place(name: str) -> Place:
         return Place(place.file, f"{place.key}, column {name}")
 
-    if len(columns) == 1 and any(mark in columns[0] for mark in ";\t"):
+    if len(columns) == 1 and "\t" in columns[0]:
         raise place.error(f"{shown(columns[0])} is one column; separate them by commas")
     if all(map(_is_number, columns)):
         raise place.error(f"{shown(', '.join(columns))} are numbers; the first line names the columns, like beta,gamma")

@@ -4,13 +4,17 @@ This module also converts a dict to TOML. A general TOML writer (tomli-w) puts t
 the order of a grid's axes.
 """
 
+import csv
+import io
 import json
 import re
 import tomllib
-from collections.abc import Iterable, Mapping
+import warnings
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path, PurePath
+from typing import Any
 
 import jax
 import numpy as np
@@ -30,6 +34,9 @@ BUNDLED_FOLDERS = tuple(folder / "sweeps" for folder in (_PACKAGE, *_CHECKOUT))
 _TABLES = ("parameters", "grid", "run")
 _TOP_KEYS = ("scene", "title", "starts", "unusual")
 _OBJECTS = (Scene, FrictionLaw, Stepper)
+_DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+([eE][-+]?\d+)?")
+_DECIMAL_POINT = re.compile(r"[-+]?\d*\.\d+([eE][-+]?\d+)?")
+_THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2},\d{3}")
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 
 
@@ -138,6 +145,46 @@ def read_text(path: Path) -> str:
         raise InputError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from None
 
 
+def read_csv(place: Place, text: str) -> Iterator[tuple[int, list[str]]]:
+    """Return the non-empty lines of a CSV, each with its number; columns are separated by commas or semicolons.
+
+    Semicolons separate the columns if the first line has no comma. Commas in numbers are then decimal marks; a warning
+    says so.
+
+    **Raises:** `InputError` if the text is not CSV, or a comma in a number may also separate thousands.
+    """
+    first = next((line for line in text.splitlines() if line.strip()), "")
+    if ";" in first and "," not in first:
+        return iter(_with_decimal_points(place, list(_csv_rows(place, text, ";"))))
+    return _csv_rows(place, text, ",")
+
+
+def _csv_rows(place: Place, text: str, delimiter: str) -> Iterator[tuple[int, list[str]]]:
+    reader = csv.reader(io.StringIO(text, newline=""), skipinitialspace=True, strict=True, delimiter=delimiter)
+    try:
+        yield from ((reader.line_num, row) for row in reader if any(cell.strip() for cell in row))
+    except csv.Error as error:
+        raise place.at(f"line {reader.line_num}").error(f"not CSV: {error}") from None
+
+
+def _with_decimal_points(place: Place, rows: list[tuple[int, list[str]]]) -> list[tuple[int, list[str]]]:
+    """Return the rows of a semicolon-separated CSV with decimal points in place of decimal commas."""
+    cells = [(line, cell.strip()) for line, row in rows[1:] for cell in row]
+    commas = [(line, cell) for line, cell in cells if _DECIMAL_COMMA.fullmatch(cell)]
+    points = any(_DECIMAL_POINT.fullmatch(cell) for _, cell in cells)
+    if commas and (points or all(_THOUSANDS.fullmatch(cell) for _, cell in commas)):
+        line, cell = commas[0]
+        other = "the file has decimal points too" if points else "commas may separate thousands"
+        raise place.at(f"line {line}").error(f"{shown(cell)} is ambiguous: {other}; write decimal points")
+    said = "semicolons separate the columns" + (", commas are decimal marks" if commas else "")
+    warnings.warn(f"{place.file}: {said}", stacklevel=2)
+    header, *others = rows
+    return [header] + [
+        (line, [cell.replace(",", ".") if _DECIMAL_COMMA.fullmatch(cell.strip()) else cell for cell in row])
+        for line, row in others
+    ]
+
+
 def bundled_names() -> list[str]:
     """Return the names of the bundled sweeps. Hyphens and underscores are interchangeable in these names."""
     return sorted({path.stem.replace("_", "-") for path in _bundled()})
@@ -156,7 +203,7 @@ def plain_table(place: Place, value: Mapping[str, object]) -> dict[str, object]:
 
 
 def plain(place: Place, value: object) -> object:
-    """Return `value` as TOML types. Arrays and numbers of NumPy or JAX, tuples and paths are converted.
+    """Return `value` as TOML types. Arrays and numbers of NumPy or JAX, tuples, paths and DataFrames are converted.
 
     Scenes, friction laws and steppers are returned unchanged, because a sweep accepts them in place of their names.
     """
@@ -169,6 +216,8 @@ def plain(place: Place, value: object) -> object:
         )
     if isinstance(value, (np.ndarray, np.generic, jax.Array)):
         return plain(place, value.tolist())
+    if hasattr(value, "columns") and hasattr(value, "to_dict"):
+        return plain_table(place, _columns_of(place, value))
     if isinstance(value, (list, tuple, range)):
         if all(type(item) is float for item in value):
             return list(value)  # a fast path, because columns of points are long
@@ -180,6 +229,15 @@ def plain(place: Place, value: object) -> object:
     if isinstance(value, (bool, int, float, str, *_OBJECTS)):
         return value
     raise place.error(f"{shown(value)} cannot stand in a sweep; write a number, text, a list or a table")
+
+
+def _columns_of(place: Place, frame: Any) -> dict[str, object]:
+    """Return the columns of a DataFrame (pandas or polars) by name; its index is not a column."""
+    names = list(frame.columns)
+    for name in names:
+        if names.count(name) > 1:
+            raise place.at(str(name)).error("is there already; give each column once")
+    return {name: np.asarray(frame[name]).tolist() for name in names}
 
 
 def render(table: Mapping[str, object]) -> str:
