@@ -211,6 +211,16 @@ def test_who_comes_byte_by_byte_is_let_go(live, monkeypatch, limit, begin):
             time.sleep(0.02)
 
 
+def test_a_new_connection_takes_the_place_of_one_without_the_token(live, monkeypatch):
+    monkeypatch.setattr(server, "CONNECTIONS_MAX", 3)
+    silent = [socket.create_connection(("127.0.0.1", live.port)) for _ in range(4)]
+    silent[0].settimeout(2.0)
+    assert silent[0].recv(1) == b""  # long before its own limit
+    assert request(live, "GET", path="")[0] == 200
+    for one in silent:
+        one.close()
+
+
 def test_the_page_is_answered_beside_many_slow_connections(live):
     """Connections without a token, each of which sends a byte now and then, keep nobody out."""
     slow, end = [], threading.Event()

@@ -29,6 +29,10 @@ BODY_MAX_BYTES = 16_384
 HEADER_MAX_SECONDS, REQUEST_MAX_SECONDS = 3.0, 30.0
 """Time within which a connection must have sent the token, and further time for the request and its response."""
 
+CONNECTIONS_MAX = 32
+"""Largest number of open connections: each has a thread and a file descriptor. A new connection takes the place of the
+one whose limit ends first, which has not sent the token if any has not."""
+
 SILENCE_MAX_SECONDS = 5.0
 """Longest pause within a request."""
 
@@ -74,6 +78,8 @@ class Server(ThreadingHTTPServer):
 
     def process_request(self, request: Any, client_address: Any) -> None:
         """Set the time limit of a new connection, and start its thread."""
+        if len(self.deadlines) >= CONNECTIONS_MAX:
+            self._hang_up(min(self.deadlines.values()))
         self.deadlines[request] = time.monotonic() + HEADER_MAX_SECONDS
         super().process_request(request, client_address)
 
@@ -93,7 +99,7 @@ class Server(ThreadingHTTPServer):
 
     def _hang_up(self, now: float) -> None:
         for connection, deadline in list(self.deadlines.items()):
-            if now > deadline:
+            if now >= deadline:
                 with suppress(OSError):  # the connection may be closed already
                     connection.shutdown(socket.SHUT_RDWR)
 

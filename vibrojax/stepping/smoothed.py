@@ -27,8 +27,8 @@ LEAST_WIDTH = 1e-6
 """Least width of the friction switch that follows from the error tolerance [m/s]."""
 
 LEAST_FLOAT32_ERROR = 1e-4
-"""Least accepted error in float32: the default. Rounding errors keep the estimates of settled lanes at about 5e-4, which
-the certificate states; smaller requests are refused."""
+"""Least accepted error in float32: the default. Rounding errors keep the estimates of settled lanes at about 5e-4,
+which the certificate states; smaller requests are refused."""
 
 
 def runge_kutta(rates: Callable[[Values], Values], state: Values, h: Real) -> tuple[Values, Values]:
