@@ -134,7 +134,8 @@ class Kills:
         for _ in range(2):  # the first one compiles
             began = time.monotonic()
             whole = self._command("sweep.toml", "-o", self.whole.name)
-            assert whole.wait() == 0, whole.stderr.read()
+            said = whole.communicate()[1]
+            assert whole.returncode == 0, said
             self.longest = time.monotonic() - began
         self.cluster, self.seen_all = None, time.monotonic()
         if "dask" in doors:
@@ -165,7 +166,8 @@ class Kills:
                     kills, self.wanted = kills + 1, ""
                     began, wait = time.monotonic(), self.random.uniform(0.3, 4.0)
             for one in started:
-                status, said = one.wait(), one.stderr.read().decode()
+                said = one.communicate()[1].decode()
+                status = one.returncode
                 busy = status == 2 and "another process is at work there" in said
                 # All jobs were killed, or so many workers in a row that it was given up: what is finished is kept.
                 ended = status == 1 and ("the jobs ended, and" in said or "workers die before they finish" in said)

@@ -32,6 +32,9 @@ GONE = "gone"
 _LOCK_PATIENCE = 0.2
 """Time [s] to wait for the lock, so that a process that is just ending can release it and remove its file."""
 
+_TAKEOVER_PATIENCE = 5.0
+"""Time [s] to wait while another process takes over a stale claim, which takes milliseconds."""
+
 _SUFFIX = ".claim"
 
 
@@ -78,7 +81,10 @@ class Claims:
         """Claim `name`; return False if another process holds the claim, or the folder no longer exists."""
         path = self._path(name)
         content = _read(path)
-        if content is not None and not (self._held(path, content).stale and self._set_aside(path, content)):
+        try:
+            if content is not None and not (self._held(path, content).stale and self._remove_stale(path)):
+                return False
+        except (Timeout, OSError):  # another process is at it, or the folder is gone
             return False
         text = json.dumps(vars(this_process()) | {"since": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}"})
         part = self._temporary(path.name)
@@ -155,21 +161,18 @@ class Claims:
         finally:
             probe.unlink(missing_ok=True)
 
-    def _set_aside(self, path: Path, content: bytes) -> bool:
-        """Remove a stale claim unless it has been replaced meanwhile; return whether the claim was removed."""
-        aside = self._temporary(path.name)
-        try:
-            os.rename(path, aside)
-        except OSError:  # another process removed the claim first
-            return False
-        try:
-            if aside.read_bytes() == content:
-                return True
-            with suppress(FileExistsError):
-                os.link(aside, path)
-            return False
-        finally:
-            aside.unlink(missing_ok=True)
+    def _remove_stale(self, path: Path) -> bool:
+        """Remove a stale claim; return False if another process holds the claim by now.
+
+        Only one process at a time compares and removes, so that no process removes a claim that has just been renewed.
+        """
+        # The suffix is that of temporary files, which are removed with the chunks.
+        with FileLock(self.folder / f"{path.name}.0.0.tmp", timeout=_TAKEOVER_PATIENCE, thread_local=False):
+            content = _read(path)
+            stale = content is not None and self._held(path, content).stale
+            if stale:
+                path.unlink(missing_ok=True)
+            return stale or content is None
 
     def _beat(self) -> None:
         while not self._closed.wait(BEAT):
