@@ -159,7 +159,8 @@ def test_bad_input_found_late_is_one_line(calls, capsys, monkeypatch):
     [
         (
             [],
-            "no command; choose from sweep, simulate, orbits, follow, borders, attractors, push, tolerance, plot",
+            "no command; choose from sweep, simulate, orbits, follow, borders, attractors, push, tolerance, plot, "
+            "explore, info",
         ),
         (["swep"], "invalid choice: 'swep'"),
         (["sweep"], "sweep: the following arguments are required: SWEEP; see vibrojax sweep --help"),
