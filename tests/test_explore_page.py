@@ -34,6 +34,19 @@ FEW = {
 }
 
 
+COEXISTING = {
+    "scene": "vibro-impact",
+    "parameters": {"beta": 0.4, "delta": 0.005},
+    "starts": {
+        "sample": "sobol",
+        "count": 8,
+        "seed": 1,
+        "box": {"x1": [-0.02, 0.02], "v1": [-2.0, 1.0], "x2": [-0.05, 0.05], "v2": [-3.0, 3.0]},
+    },
+    "grid": {"gamma": [0.35, 0.75]},
+}
+
+
 @pytest.fixture(scope="module")
 def many() -> xr.Dataset:
     return vj.run_sweep(MANY, progress=False)
@@ -261,6 +274,58 @@ def test_cells_that_a_page_shows_are_those_that_were_written(browser: Any, files
             np.testing.assert_array_equal(shown["flags"], cell.flags)
             for name, values in cell.states.items():
                 np.testing.assert_allclose(shown["states"][name], values, rtol=1e-9, atol=1e-15)
+
+
+def _numbers(opened: Opened) -> dict[str, str]:
+    """The numbers of the chosen cell, by name."""
+    rows = "[...document.querySelectorAll('.vx-numbers td')].map(td => [td.dataset.name, td.dataset.value])"
+    return dict(opened.evaluate(rows))
+
+
+def test_an_attractor_is_shown_with_a_start_that_ends_in_it(browser: Any, tmp_path: Path) -> None:
+    """Heading, share, regime and motion belong together, whichever of attractor and start is chosen."""
+    ds = vj.attractors(COEXISTING, progress=False)
+    assert ds.sizes["attractor"] == 3
+    lanes = ds["lane_attractor"].transpose("gamma", "start").values
+    ds["lane_attractor"][{"start": (free := int(np.flatnonzero(lanes[1] == lanes[1, 0])[1]))}] = -1
+    page = write_page(ds, tmp_path / "attractors.html", progress=False)
+
+    def check(opened: Opened) -> None:
+        opened.settled()
+        cell, told = opened.cell, _numbers(opened)
+        heading, said = opened.page.locator("h2").inner_text(), opened.page.locator(".vx-motion").first.inner_text()
+        own = int(ds["lane_attractor"].isel(gamma=cell["gamma"], start=cell["start"]))
+        number = cell["attractor"]
+        ends = (ds["lane_attractor"].isel(gamma=cell["gamma"]) == number).any()
+        if own == -1 and opened.evaluate("vibrojax.apart") == "start":
+            assert "attractor" not in heading and "share" not in told and told["lane_attractor"] == "-1"
+            return
+        assert f"attractor = {number}" in heading
+        assert float(told["share"]) == float(ds["share"].isel(gamma=cell["gamma"], attractor=number))
+        if ends:
+            assert own == number == int(told["lane_attractor"]) and "no start" not in said
+            assert int(told["regime"]) == int(ds["regime"].isel(gamma=cell["gamma"], attractor=number))
+            written = re.search(r"x₁\(0\) = (\S+) mm", heading)
+            assert written and float(written[1].replace("−", "-")) == pytest.approx(
+                1e3 * float(ds["start_x1"][cell["start"]]), rel=1e-4
+            )
+        else:
+            assert said == f"no start here ends in attractor {number}" and float(told["share"]) == 0
+            assert not {"lane_attractor", "regime", "period"} & set(told) and "x₁(0)" not in heading
+            assert opened.page.locator(".vx-call").count() == 0
+
+    for y in ("attractor", ""):
+        with Opened(browser, page, f"#variable=share&x=gamma&y={y}") as opened:
+            check(opened)
+            for key in ("Home", "PageDown", "ArrowUp", "End", "ArrowUp"):
+                opened.page.locator(".vx-over").press(key)
+                check(opened)
+            chosen = [("attractor", number) for number in range(0 if y else 3)]
+            for axis, index in [*chosen, ("start", 0), ("start", 5), ("start", free)]:
+                opened.page.locator(f'[data-control="at-{axis}"]').select_option(str(index))
+                check(opened)
+                assert opened.cell[axis] == index
+            assert opened.evaluate("vibrojax.apart") == "start" and opened.heard == []
 
 
 def test_it_works_in_firefox(files: dict[str, Path]) -> None:

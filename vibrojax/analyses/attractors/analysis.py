@@ -47,16 +47,17 @@ def attractor_shares(ds: xr.Dataset) -> Figure:
     """
     ds = ds.isel({name: 0 for name in ds["share"].dims if name != ATTRACTOR and ds.sizes[name] == 1})
     along, note = swept(ds), ""
-    about = f"{ds.sizes[START]} starts at each point"
+    about, lanes = f"{ds.sizes[START]} starts", ds[LANES].size
     if along:
         figure = _draw_along(ds, max(along, key=lambda name: ds.sizes[name]))
-        about += "; upright lines: one standard error"
+        about += " at each point; upright lines: one standard error"
+        about += f"; legend: most frequent regime, and share of all {lanes} lanes"
     else:
         figure, note = _draw_point(ds)
     legend_at_right(figure, _handles(ds))
     unassigned = int(ds["unassigned"].sum())
-    lost = f"{unassigned} lanes of {ds[LANES].size} end in none that could be told" if unassigned else ""
-    write_margins(figure, ds, about, note, lost)
+    lost = f"{unassigned} lanes of {lanes} end in none that could be told" if unassigned else ""
+    write_margins(figure, ds, "; ".join(filter(None, (about, note))), lost)
     return figure
 
 
@@ -138,11 +139,11 @@ def _mark_orbits(axes: Axes, ds: xr.Dataset, spread: xr.Dataset, x: str, y: str)
         place = places[0][k], places[1][k]
         axes.plot(*place, "o", markersize=11, markerfacecolor="white", markeredgecolor="black", zorder=3)
         axes.annotate(str(k), place, ha="center", va="center", fontsize=7.5, color="black", zorder=4)
-    outside = ", ".join(map(str, np.flatnonzero(orbits & ~inside)))
+    outside, aperiodic = (", ".join(map(str, np.flatnonzero(mask))) for mask in (orbits & ~inside, ~orbits))
     texts = (
         "circles: where the orbits pass the section" if inside.any() else "",
-        f"the section of {outside} lies beyond the picture" if outside else "",
-        f"no orbit: {', '.join(map(str, np.flatnonzero(~orbits)))}" if orbits.any() and not orbits.all() else "",
+        f"attractor {outside} passes the section beyond the picture" if outside else "",
+        f"attractor {aperiodic} has no periodic orbit" if aperiodic and orbits.any() else "",
     )
     return "; ".join(filter(None, texts))
 
