@@ -14,6 +14,7 @@ from vibrojax.analyses.attractors.grouping import PointMotion, PointMotions, cla
 from vibrojax.analyses.attractors.matching import number_attractors
 from vibrojax.cli import main
 from vibrojax.errors import InputError
+from vibrojax.io.provenance import source
 from vibrojax.io.variables import NATURES
 from vibrojax.measures.labels import EQUILIBRIUM, FAILED, IRREGULAR, SINGLE_IMPACT, SUBHARMONIC
 from vibrojax.sweep.engine.chunks import Chunks
@@ -358,6 +359,16 @@ def test_the_command(sweep, found, tmp_path, capsys, monkeypatch):
     again = vj.open_dataset(tmp_path / "map-attractors.nc")
     for name in found.data_vars:
         np.testing.assert_array_equal(again[name], found[name])
+    with monkeypatch.context() as changed:  # the finished result is not computed again
+        changed.setattr(Attractors, "of_lanes", None)
+        assert main(["attractors", "map.nc"]) == 0
+    line = f"map-attractors.nc: is there already ({source()}); it is not computed again without --fresh"
+    stored = [f"{line}; picture map-attractors.png", *said.splitlines()[1:]]
+    assert capsys.readouterr().out.splitlines() == stored
+    with monkeypatch.context() as changed:
+        changed.setattr(Attractors, "of_lanes", lambda *_: again)
+        assert main(["attractors", "map.nc", "--fresh"]) == 0
+    assert capsys.readouterr().out == said
     assert main(["info", "map-attractors.nc"]) == 0
     assert "single-impact" in capsys.readouterr().out
     assert main(["info", "--json", "map-attractors.nc"]) == 0
