@@ -7,6 +7,7 @@ import pytest
 import xarray as xr
 from known_scenes import BeltOscillator
 from matplotlib.collections import QuadMesh
+from read_off import note
 
 import vibrojax as vj
 from vibrojax.analyses.attractors.analysis import Attractors
@@ -248,6 +249,7 @@ def test_what_has_no_attractors_is_refused(change, says):
 
 def test_the_picture_shows_shares(found):
     figure = vj.picture(found)
+    assert "legend: most frequent regime, and share of all 640 lanes" in " ".join(note(figure).split())
     panel = next(axes for axes in figure.axes if axes.get_title() == "β = 0.4")
     number = int(present(found, beta=0.4, gamma=0.75).attractor[0])
     drawn = [line.get_ydata() for line in panel.lines]

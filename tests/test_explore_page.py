@@ -328,6 +328,50 @@ def test_an_attractor_is_shown_with_a_start_that_ends_in_it(browser: Any, tmp_pa
             assert opened.evaluate("vibrojax.apart") == "start" and opened.heard == []
 
 
+def _open(browser: Any, ds: xr.Dataset, path: Path, fragment: str = "", scheme: str = "light") -> Opened:
+    path.write_text(page_text(document_of(ds)), encoding="utf-8")
+    return Opened(browser, path, fragment, scheme=scheme)
+
+
+def test_a_fit_is_named_by_its_groups_and_has_no_motions(browser: Any, tmp_path: Path) -> None:
+    rows = [f"{p:.6g},9e3,{4e-3 * np.log(p / 9e3)},{rock}" for p in np.linspace(12e3, 4e4, 6) for rock in ("a", "b")]
+    (tmp_path / "rig.csv").write_text("\n".join(["mean_force,threshold,rate_of_penetration,rock", *rows]))
+    fit = vj.fit_rop(tmp_path / "rig.csv", by=["rock"], progress=False)
+    with _open(browser, fit, tmp_path / "fit.html") as opened:
+        text = opened.page.locator(".vx-cellhead").inner_text()
+        assert "rock b" in text and "lane =" not in text and "a fit has no motions" in text
+        assert opened.page.locator(".vx-foot").inner_text().startswith("vibrojax")
+        names = opened.page.locator(".vx-numbers th").all_inner_texts()
+        assert any(name.endswith("(lane = 0)") for name in names)
+        assert "coefficient of the rate-of-penetration law" in names
+        opened.page.get_by_label("Variable").select_option("data_relief")
+        opened.page.locator("h2", has_text="rock b, lane = ").wait_for()
+        assert opened.heard == []
+
+
+@pytest.mark.parametrize(("value", "said"), [(0.0, "0 everywhere"), (np.nan, "no value")])
+def test_no_scale_is_made_up_for_zeros_or_nothing(browser: Any, tmp_path: Path, value: float, said: str) -> None:
+    axes = {"a": [1.0, 2.0, 3.0], "b": [1.0, 2.0]}
+    rate = (("a", "b"), np.full((3, 2), value), {"units": "m s-1", "long_name": "rate"})
+    ds = xr.Dataset({"rate": rate}, axes, {"source": "vibrojax 0"})
+    with _open(browser, ds, tmp_path / "page.html") as opened:
+        assert f": {said} here" in opened.page.locator(".vx-legend").inner_text()
+        assert opened.page.locator(".vx-bar").count() == 0
+
+
+def test_the_legend_of_a_family_has_what_occurs_in_colours_that_are_seen(browser: Any, tmp_path: Path) -> None:
+    family = vj.follow("rotary", along="v", at=1.0, span=(0.9, 1.1), progress=False)
+    kinds = {family["special_kind"].attrs["flag_meanings"].split()[k] for k in family["special_kind"].values}
+    runs = {"stable" if flag == 1 else "not stable" for flag in family["stable"].values}
+    with _open(browser, family, tmp_path / "family.html", scheme="dark") as opened:
+        items = opened.page.locator(".vx-legend li")
+        assert {text.lstrip("■●◆▲|×").strip() for text in items.all_inner_texts()} == runs | kinds
+        ground = "getComputedStyle(document.querySelector('.vx-map')).backgroundColor"
+        colours = opened.evaluate("[...document.querySelectorAll('.vx-glyph')].map(one => getComputedStyle(one).color)")
+        brightness = [sum(map(int, re.findall(r"\d+", colour)[:3])) for colour in (opened.evaluate(ground), *colours)]
+        assert len(colours) == len(kinds) and all(abs(one - brightness[0]) > 100 for one in brightness[1:])
+
+
 def test_it_works_in_firefox(files: dict[str, Path]) -> None:
     pytest.importorskip("tornado", reason='tornado is missing, which distributed brings: pip install ".[test]"')
     from firefox import binary, in_firefox

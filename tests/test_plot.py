@@ -16,7 +16,7 @@ from read_off import axis_labels, check_texts, legend, meshes, note, outlines, p
 
 from vibrojax.analyses.pictures import REGIME_COLOURS, bifurcation, picture, save_picture, trajectory
 from vibrojax.errors import InputError
-from vibrojax.plot.axes import label, point_text, scale, value_text
+from vibrojax.plot.axes import certified_text, label, point_text, scale, value_text
 
 MEANINGS = "undecided equilibrium impact-free single-impact multi-impact subharmonic irregular failed"
 COORDINATES = {
@@ -484,6 +484,13 @@ def test_hertz_is_for_frequencies_only(name, long_name, symbol, unit, shown):
     assert label(data).replace("\n", " ").endswith(f" [{shown}]")
     assert value_text(data, 10.0).endswith(f" = 10 {shown}")
     assert scale(data)[0] == 1.0  # no value is converted, so none is off by 2 pi
+
+
+def test_notes_name_starts_without_quotes_and_count_in_the_singular():
+    assert point_text(xr.Dataset(attrs={"start": '"drive"'})) == "start: drive"
+    counts = {"within": 34, "estimated": 35, "still_settling": 1, "sensitive": 2, "error": 1e-4}
+    text = "34 of 35 lanes that repeat are known to 0.0001, 1 is still settling, 2 are sensitive to rounding"
+    assert certified_text(xr.Dataset(attrs={"certified": json.dumps(counts)})) == text
 
 
 @pytest.mark.parametrize(

@@ -135,7 +135,7 @@ def short(name: str) -> str:
     try:
         return f"[{', '.join(number(float(f'{value:.3g}')) for value in json.loads(name))}]"
     except (ValueError, TypeError, RecursionError):
-        return name
+        return name.strip('"')
 
 
 def share_text(share: float) -> str:
@@ -182,8 +182,9 @@ def certified_text(ds: xr.Dataset) -> str:
         return ""
     within, estimated, still = (round(counted[name]) for name in ("within", "estimated", "still_settling"))
     text = f"{within} of {estimated} lanes that repeat are known to {counted['error']:g}"
-    text += f", {still} are still settling" if still else ""
-    return text + (f", {counted['sensitive']} are sensitive to rounding" if counted.get("sensitive") else "")
+    text += f", {still} {'is' if still == 1 else 'are'} still settling" if still else ""
+    sensitive = round(counted.get("sensitive", 0))
+    return text + (f", {sensitive} {'is' if sensitive == 1 else 'are'} sensitive to rounding" if sensitive else "")
 
 
 def values_along(data: xr.DataArray) -> Float[np.ndarray, " values"]:

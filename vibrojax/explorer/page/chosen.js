@@ -87,7 +87,9 @@ export function numbersOf(page, motion) {
     if (!page.point && variable.axes.some((axis) => apart.includes(axis))) continue;
     // An attractor without a start has a share of zero, and no motion.
     if (!page.point && page.apart === "attractor" && variable.axes.includes("attractor") && !name.startsWith("share")) continue;
-    const value = ofMotion ? motion.numbers[name] ?? NaN : page.point ? undefined : grid.value(name, page.cell);
+    // A smallest push that was not found ends in no regime.
+    const push = name.startsWith("regime_") ? grid.value(name.replace("regime", "push"), page.cell) : 0;
+    const value = Number.isNaN(push) ? NaN : ofMotion ? motion.numbers[name] ?? NaN : page.point ? undefined : grid.value(name, page.cell);
     if (value === undefined) continue;
     const text = grid.valueText(variable, value, 5);
     const at = page.point ? "" : grid.cellText(page.cell, variable.axes.filter((axis) => !named.includes(axis)));

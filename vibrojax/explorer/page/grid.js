@@ -104,7 +104,7 @@ export class Grid {
   /** A variable's value in words, with its unit. */
   valueText(variable, value, digits = 4) {
     if (value === undefined) return "…";
-    if (variable.flags) return (variable.flags[String(value)] ?? `${value}`).replaceAll("-", "‑");
+    if (variable.flags && !Number.isNaN(value)) return (variable.flags[String(value)] ?? `${value}`).replaceAll("-", "‑");
     if (Number.isNaN(value)) return "no value";
     const number = variable.whole ? String(value) : numberText(value * variable.factor, digits);
     return variable.units ? `${number} ${variable.units}` : number;

@@ -119,6 +119,7 @@ class Page {
     if ("x" in changes && !this.shown.y && !("y" in changes) && !this.data.family) this.shown.y = this.firstUp(x);
     this.fillControls();
     this.draw();
+    if (!this.data.lanes && this.current) this.showMotion(this.current.motion);
     this.tell();
   }
 
@@ -187,10 +188,10 @@ class Page {
     else this.apart = byAttractor ? "attractor" : "start";
   }
 
-  /** The axes that the chosen lane, and its attractor, are named by. */
+  /** The axes that the chosen lane, and its attractor, are named by; without lanes those of the variable that is shown. */
   get named() {
     const { data, grid } = this, left = { attractor: grid.startAxes, start: ["attractor"] }[this.apart] ?? [];
-    const axes = data.lanes ? [...data.lanes.axes, "attractor"] : data.axes.map((axis) => axis.name);
+    const axes = data.lanes ? [...data.lanes.axes, "attractor"] : this.variable?.axes ?? [];
     return axes.filter((name) => !left.includes(name));
   }
 
