@@ -596,3 +596,22 @@ def test_notes_give_the_unit_of_an_own_frequency(scene, differing, text):
     records = [{"name": "frequency", "value": 20.0, "default": 10.0} | record for record in differing]
     attrs = {"scene": scene, "parameters": '{"frequency": 20.0}', "differing": json.dumps(records)}
     assert point_text(xr.Dataset(attrs=attrs)) == text
+
+
+def test_a_plane_without_a_border_says_so():
+    path = {"gamma": ("vertex", [0.6, 0.7]), "beta": ("vertex", [0.3, 0.4])}
+    kinds = {"flag_values": [0, 1], "flag_meanings": "fold basin"}
+    ds = xr.Dataset(
+        path | {"kind": ("curve", [1], kinds), "curve": ("vertex", [0, 0]), "region_area": ("region", [0.4, 1.0])},
+        {"start": ("curve", ["drive"]), "region_start": ("region", ["drive", "any"])},
+        {"axes": ["gamma", "beta"], "kind": "borders"},
+    )
+    figure = picture(ds)
+    assert [axes.get_title() for axes in figure.axes] == [
+        "start drive: 40 % of the plane",
+        "any start: 100 % of the plane",
+    ]
+    texts = [[text.get_text().replace("\n", " ") for text in axes.texts] for axes in figure.axes]
+    assert texts == [[], ["no border: a single impact is stable everywhere"]]
+    (line,) = (line for box in figure.legends for line in box.get_lines())
+    assert line.get_label() == "basin" and line.is_dashed()

@@ -151,15 +151,20 @@ def _mark_orbits(axes: Axes, ds: xr.Dataset, spread: xr.Dataset, x: str, y: str)
         place = places[0][k], places[1][k]
         axes.plot(*place, "o", markersize=11, markerfacecolor="white", markeredgecolor="black", zorder=3, clip_on=False)
         axes.annotate(str(k), place, ha="center", va="center", fontsize=7.5, color="black", zorder=4)
-    outside = ", ".join(map(str, np.flatnonzero(orbits & ~inside)))
+    outside, without = np.flatnonzero(orbits & ~inside), np.flatnonzero(~orbits)
     texts = (
         "Circles: where the orbits pass the section" if inside.any() else "",
-        f"The section of attractor {outside} lies outside the picture" if outside else "",
-        f"Without an orbit: {', '.join(map(str, np.flatnonzero(~orbits)))}"
-        if orbits.any() and not orbits.all()
-        else "",
+        _numbered(outside, "passes", "pass") + " the section outside the picture" if outside.size else "",
+        _numbered(without, "has", "have") + " no orbit" if orbits.any() and without.size else "",
     )
     return ". ".join(filter(None, texts))
+
+
+def _numbered(attractors: np.ndarray, singular: str, plural: str) -> str:
+    """Return the attractors by number, with a verb: "Attractor 1 has", "Attractors 0, 2 have"."""
+    return f"Attractor{'s' * (attractors.size > 1)} {', '.join(map(str, attractors))} " + (
+        singular if attractors.size == 1 else plural
+    )
 
 
 def _at_section(ds: xr.Dataset, start_state: str) -> np.ndarray:
