@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from vibrojax.cli.command import Command, Options, argument, command, files, output_options
 from vibrojax.cli.output import draw, output, result_at, stored_line, stored_picture, stored_result, write_result
-from vibrojax.errors import InputError, shown
+from vibrojax.errors import InputError, counted, shown
 
 if TYPE_CHECKING:
     import xarray
@@ -41,7 +41,7 @@ def orbits(options: Options) -> None:
         line = stored_line(dataset, out, stored_picture(options, dataset, out))
     else:
         dataset = run_to_file(sweep, out, resume=not options.fresh, progress=not options.quiet)
-        line = f"{out}: {sweep.lanes} lanes{draw(options, dataset, out)}"
+        line = f"{out}: {counted(sweep.lanes, 'lane')}{draw(options, dataset, out)}"
     if not options.quiet:
         print("\n".join([line, *orbit_lines(dataset)]))
 

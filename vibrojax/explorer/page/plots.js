@@ -6,9 +6,23 @@ const FONT = "system-ui, -apple-system, 'Segoe UI', sans-serif";
 export function inkOf(element) {
   const style = getComputedStyle(element);
   const get = (name) => style.getPropertyValue(`--${name}`).trim();
-  return Object.fromEntries(
-    ["ink", "faint", "grid", "ground", "plate", "bit", "striker", "stick", "impact", "rock", "slip", "accent",
-      "undefined"].map((name) => [name, get(name)]));
+  const ink = Object.fromEntries(
+    ["ink", "faint", "grid", "ground", "plate", "bit", "striker", "stick", "impact", "rock", "slip", "accent"]
+      .map((name) => [name, get(name)]));
+  return { ...ink, undefined: hatched(ink.plate, get("undefined")) };
+}
+
+/** The filling of a cell without a value: hatched as in the pictures, since labels and colour maps have greys. */
+function hatched(ground, colour) {
+  const tile = document.createElement("canvas"), c = tile.getContext("2d"), size = 6;
+  tile.width = tile.height = size;
+  c.fillStyle = ground;
+  c.fillRect(0, 0, size, size);
+  c.strokeStyle = colour;
+  c.beginPath();
+  for (const shift of [-size, 0, size]) { c.moveTo(shift, size); c.lineTo(shift + size, 0); }
+  c.stroke();
+  return c.createPattern(tile, "repeat");
 }
 
 /** From 0 of black to 1 of white; of a colour #rrggbb. */
