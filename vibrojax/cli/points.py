@@ -75,6 +75,7 @@ def simulate(options: Options) -> None:
     place = Place("simulate")
     settings, parameters = named_values(place, options.values, SIMULATE_SETTINGS, lists=False)
     from vibrojax.models.physics.parameters import positive
+    from vibrojax.sweep.input.own_code import code_identity
     from vibrojax.sweep.input.read import read_point
     from vibrojax.sweep.input.values import UnusualValue, quantity
 
@@ -111,7 +112,8 @@ def simulate(options: Options) -> None:
             "solver": attribute_of(dataset, "solver"),
         }
 
-    answer(options, f"{point.scene}.nc", {"scene": point.scene, **arguments}, compute, facts, numbered=True)
+    identity = {"scene": point.scene, **arguments, **code_identity(point.system, point.options)}
+    answer(options, f"{point.scene}.nc", identity, compute, facts, numbered=True)
 
 
 @command(

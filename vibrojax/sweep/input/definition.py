@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from vibrojax.models.scenes import Scene
+from vibrojax.sweep.input.own_code import code_identity
 from vibrojax.sweep.input.run_settings import RunSettings
 from vibrojax.sweep.input.starts import Starts
 
@@ -143,7 +144,8 @@ class Sweep:
     def identity(self) -> dict[str, object]:
         """Return everything that determines the results as flat JSON values, equal for sweeps with the same lanes.
 
-        Long columns are represented by their checksum. Chunk size, title and wording of the file are not included.
+        Long columns are represented by their checksum, the code of the user's own scenes, laws and steppers by a
+        digest. Chunk size, title and wording of the file are not included.
         """
         columns = {**(self.points or {}), **(self.point_vectors or {})}
         if self.point_starts is not None:
@@ -156,6 +158,7 @@ class Sweep:
         elif self.starts is not None:
             varied |= {f"starts.{name}": x for name, x in zip(self.starts.states, self.starts.vectors.T, strict=True)}
         fixed = {"scene": self.scene, **self.options, "dims": list(self.dims), "starts": starts}
+        fixed |= code_identity(self.system, self.options, method=self.run.stepper)
         fixed |= {f"parameters.{name}": value for name, value in self.parameters.items()}
         fixed |= {name: _outline(column) for name, column in varied.items()}
         return fixed | {f"run.{name}": value for name, value in self.run.described().items()}
