@@ -98,6 +98,7 @@ def simulate(options: Options) -> None:
             return simulate(point.scene, **arguments, progress=not options.quiet)
 
     def facts(dataset: "xarray.Dataset") -> dict[str, object]:
+        from vibrojax.analyses.frequencies import frequency_part
         from vibrojax.analyses.trajectory.analysis import features
         from vibrojax.io.attributes import attribute_of
 
@@ -109,6 +110,7 @@ def simulate(options: Options) -> None:
             "duration": float(dataset["time"][-1]),
             "run": attribute_of(dataset, "run"),
             "found": features(dataset),
+            **frequency_part(dataset).facts,
             "solver": attribute_of(dataset, "solver"),
         }
 
