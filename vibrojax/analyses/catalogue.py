@@ -12,6 +12,7 @@ import pandas as pd
 
 from vibrojax.analyses import glossary
 from vibrojax.analyses.analysis import offered_variables
+from vibrojax.analyses.tolerance.run import tolerance_variables
 from vibrojax.compile.xla import precision
 from vibrojax.errors import Place
 from vibrojax.io.kinds import OF_ATTRACTORS, OF_BORDERS, OF_FAMILIES
@@ -115,6 +116,7 @@ def list_variables(scene: str | Scene[Any]) -> pd.DataFrame:
         "follow": OF_FAMILIES if orbit_states else {},
         "borders": OF_BORDERS if isinstance(system, HasContact) and has_section else {},
         "attractors": OF_ATTRACTORS if has_section else {},
+        "tolerance": tolerance_variables(held) if "regime" in held else {},
         **offered_variables(),
     }
     rows = {
