@@ -168,6 +168,10 @@ def test_a_lone_line_of_the_grid_in_or_out():
         ({"scene": "rotary", "grid": {"beta": [0.3, 0.4], "gamma": [0.5, 0.6]}}, "no impacts"),
         ({"grid": {"beta": [0.3, 0.4]}}, "no two axes"),
         ({"grid": {"beta": [0.3, 0.4], "gamma": [0.7]}}, "no two axes"),
+        (
+            {"grid": {"beta": [0.3, 0.4], "striker_frequency": [2.0, 3.0]}},
+            "striker_frequency is not a parameter of the",
+        ),
     ],
 )
 def test_what_has_no_plane_is_refused(change, says):

@@ -177,6 +177,16 @@ WRONG = [
     ("penetration", {}, 'along: "gamma" is not a parameter of the scene; choose from'),
     ("vibro-impact", {"along": "gama"}, 'along: "gama" is not a parameter of the scene; did you mean "gamma"?'),
     ("vibro-impact", {"along": "rpm"}, '"rpm" is not a parameter of the scene; v follows from rpm and bit_radius'),
+    (
+        "rotary",
+        {"along": "striker_frequency"},
+        "gamma follows from striker_frequency: give gamma, and follow along gamma",
+    ),
+    (
+        "vibro-impact",
+        {"along": "k1", "striker_frequency": "3"},
+        "striker_frequency: fixes gamma only at one k1, and k1 varies along the family; give gamma",
+    ),
     ("vibro-impact", {"gamma": "0.4"}, "gamma: is the parameter of the continuation; say where it begins by at=0.4"),
     ("vibro-impact", {"at": "0.7"}, "at: 0.7 is not between from = 0.36 and to = 0.5"),
     ("vibro-impact", {"at": "x"}, 'at: "x" is text'),

@@ -75,6 +75,7 @@ def simulate(options: Options) -> None:
     place = Place("simulate")
     settings, parameters = named_values(place, options.values, SIMULATE_SETTINGS, lists=False)
     from vibrojax.models.physics.parameters import positive
+    from vibrojax.sweep.input.own_code import code_identity
     from vibrojax.sweep.input.read import read_point
     from vibrojax.sweep.input.values import UnusualValue, quantity
 
@@ -97,6 +98,7 @@ def simulate(options: Options) -> None:
             return simulate(point.scene, **arguments, progress=not options.quiet)
 
     def facts(dataset: "xarray.Dataset") -> dict[str, object]:
+        from vibrojax.analyses.frequencies import frequency_part
         from vibrojax.analyses.trajectory.analysis import features
         from vibrojax.io.attributes import attribute_of
 
@@ -108,10 +110,12 @@ def simulate(options: Options) -> None:
             "duration": float(dataset["time"][-1]),
             "run": attribute_of(dataset, "run"),
             "found": features(dataset),
+            **frequency_part(dataset).facts,
             "solver": attribute_of(dataset, "solver"),
         }
 
-    answer(options, f"{point.scene}.nc", {"scene": point.scene, **arguments}, compute, facts, numbered=True)
+    identity = {"scene": point.scene, **arguments, **code_identity(point.system, point.options)}
+    answer(options, f"{point.scene}.nc", identity, compute, facts, numbered=True)
 
 
 @command(

@@ -19,7 +19,7 @@ from vibrojax.io.variables import ORBIT_REASONS, REASONS, VARIABLES
 from vibrojax.measures.labels import REGIMES
 from vibrojax.measures.ledger import MOST_CYCLES
 from vibrojax.models.physics.meanings import suggest_parameter
-from vibrojax.models.physics.parameters import not_negative, positive
+from vibrojax.models.physics.parameters import FREQUENCIES, REPLACED, ROTATION, not_negative, positive
 from vibrojax.models.scenes import HasContact, Scene
 from vibrojax.periodic.lane_orbits import known_orbits
 from vibrojax.periodic.margin import HOW
@@ -140,12 +140,17 @@ def family_spec(
     names = read_names(place.at("scene"), scene, dict(fixed), place)
     if not isinstance(along, str) or along not in names.parameters:
         instead = suggest_parameter(str(along), names.parameters)
-        if along in names.writable:  # rpm or bit_radius
-            instead = "v follows from rpm and bit_radius: give v, and follow along v"
+        if along in names.writable:  # rpm, bit_radius or a frequency
+            given, replaced = "rpm and bit_radius" if along in ROTATION else along, REPLACED[along]
+            instead = f"{replaced} follows from {given}: give {replaced}, and follow along {replaced}"
         raise place.at("along").error(f"{shown(along)} is not a parameter of the scene; {instead}")
     if along in parameters:
         hint = f"say where it begins by at={shown(fixed.get(along, 'VALUE'))}"
         raise place.at(along).error(f"is the parameter of the continuation; {hint}")
+    for name in (name for name in FREQUENCIES if name in parameters and name not in names.parameters):
+        if along in ("m1", "k1"):
+            fault = f"fixes {REPLACED[name]} only at one {along}, and {along} varies along the family"
+            raise place.at(name).error(f"{fault}; give {REPLACED[name]}")
     if isinstance(cycles, bool) or not isinstance(cycles, int) or not 1 <= cycles <= MOST_CYCLES:
         raise place.at("cycles").error(f"{shown(cycles)} is not a whole number from 1 to {MOST_CYCLES}")
     if not isinstance(span, Sequence | np.ndarray) or isinstance(span, str) or len(span) != 2:

@@ -1,7 +1,7 @@
 """Data of a fit: a dataset, the path of a dataset, or rig data (a CSV file with one measurement per line)."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -126,6 +126,22 @@ def read_rig(path: Path, columns: Columns = None) -> xr.Dataset:
     sources = json.dumps({name: column.described() for name, column in chosen.items()})
     dataset = xr.Dataset(variables, attrs={"title": path.name, "columns": sources})
     return dataset.set_coords([name for name in variables if name not in (RATE, RELIEF)])
+
+
+def read_numbers(place: Place, path: Path, wanted: Callable[[str], object]) -> dict[str, Float[np.ndarray, " rows"]]:
+    """Return the numbers of the `wanted` columns of a CSV by header; NaN for empty cells.
+
+    **Raises:** `InputError` if the file cannot be read or a cell is not a number.
+    """
+    line, header, rows = _table(place, read_text(path))
+    _check_rows(place, header, rows)
+    columns: dict[str, Float[np.ndarray, " rows"]] = {}
+    for index, name in enumerate(header):
+        if wanted(name):
+            if name in columns:
+                raise place.at(f"line {line}").error(f"column {name} is there twice; give it once")
+            columns[name] = _numbers(place, name, index, rows)
+    return columns
 
 
 def _table(place: Place, text: str) -> tuple[int, list[str], Rows]:

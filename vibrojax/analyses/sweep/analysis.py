@@ -8,6 +8,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from vibrojax.analyses.analysis import Analysis, PictureRule, Source, SummaryPart
+from vibrojax.analyses.frequencies import frequency_part
 from vibrojax.analyses.sweep.basins import many_starts, regime_bars
 from vibrojax.analyses.sweep.maps import rate_grid, regime_grid
 from vibrojax.analyses.sweep.rates import rates
@@ -42,8 +43,8 @@ class Sweeps(Analysis):
         return run_sweep(source, progress=progress)
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
-        """Return the rate of penetration of a sweep with rock, or the reason why there is none."""
-        return [_rates(ds)]
+        """Return the rate of penetration of a sweep with rock, or the reason why there is none, and the frequencies."""
+        return [_rates(ds), frequency_part(ds)]
 
     def picture(self, ds: xr.Dataset, over: Sequence[xr.Dataset] = ()) -> Figure:
         """Return the picture of a sweep; `over`: borders on its regime map, or families on its section crossings."""

@@ -5,6 +5,7 @@ import math
 import xarray as xr
 
 from vibrojax.analyses.analysis import Analysis, PictureRule, SummaryPart
+from vibrojax.analyses.frequencies import frequency_part
 from vibrojax.analyses.trajectory.hole import pulses, response
 from vibrojax.analyses.trajectory.time_history import trajectory
 from vibrojax.io.attributes import flags, parameters_of, run_of
@@ -31,8 +32,8 @@ class Trajectories(Analysis):
     )
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
-        """Summarise regime, period, impacts and rate of penetration."""
-        return [SummaryPart("found", feature_lines(ds), {"found": features(ds)})]
+        """Summarise regime, period, impacts, rate of penetration and frequencies."""
+        return [SummaryPart("found", feature_lines(ds), {"found": features(ds)}), frequency_part(ds)]
 
 
 def features(ds: xr.Dataset) -> dict[str, object]:

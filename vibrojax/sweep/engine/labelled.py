@@ -18,7 +18,7 @@ from vibrojax.io.variables import ORBIT_REASONS, REASONS, STATUSES, VARIABLES, V
 from vibrojax.measures import gauge_named
 from vibrojax.measures.labels import LABELLED_BY, hides_another, label
 from vibrojax.models.arrays import Array
-from vibrojax.models.physics.parameters import ROTATION, differing
+from vibrojax.models.physics.parameters import differing, substitutes
 from vibrojax.models.scenes import HasContact, HasFriction, Scene
 from vibrojax.sweep.engine.compiler import lane_function
 from vibrojax.sweep.input.definition import DIRECTIONS, Sweep
@@ -220,7 +220,7 @@ def parameter_attributes(sweep: Sweep, name: str) -> dict[str, str]:
     """Return units, meaning and symbol of a parameter of a sweep."""
     if name in sweep.system.choice_meanings:
         return {"units": "1", "long_name": sweep.system.choice_meanings[name]}
-    parameter = (dict(sweep.system.parameters()) | ROTATION)[name]
+    parameter = (dict(parameters := sweep.system.parameters()) | substitutes(parameters))[name]
     return {"units": parameter.unit, "long_name": parameter.long_name, "symbol": parameter.symbol}
 
 
