@@ -20,7 +20,7 @@ from vibrojax.measures.labels import REGIMES
 from vibrojax.measures.ledger import MOST_CYCLES
 from vibrojax.models.physics.meanings import suggest_parameter
 from vibrojax.models.physics.parameters import not_negative, positive
-from vibrojax.models.scenes import HasContact, Scene
+from vibrojax.models.scenes import HasImpacts, Scene
 from vibrojax.periodic.lane_orbits import known_orbits
 from vibrojax.periodic.margin import HOW
 from vibrojax.sweep.engine.labelled import measured_besides, of_orbits, parameter_attributes, shared_attributes
@@ -256,7 +256,7 @@ def _dataset(sweep: Sweep, problem: Problem, points: list[FamilyPoint], special:
     multipliers = {name: table.pop(name) for name in ("multiplier_abs", "multiplier_arg")}
     family, value = table.pop("family"), table.pop(along)
     values = table | measures | multipliers
-    if not isinstance(system, HasContact):
+    if not isinstance(system, HasImpacts):
         del values["impacts"]
     described = parameter_attributes(sweep, along)
     values |= {

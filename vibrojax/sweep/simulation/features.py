@@ -19,7 +19,7 @@ from vibrojax.models.scenes.declared import Values
 from vibrojax.stepping import Clock, Lane, Step, Stepper
 from vibrojax.sweep.engine.compiler import lane_function
 from vibrojax.sweep.engine.drift import drift
-from vibrojax.sweep.engine.labelled import measured_besides, regimes
+from vibrojax.sweep.engine.labelled import measured_besides, regime_variables, regimes
 from vibrojax.sweep.simulation.dense_output import BATCH, Record, begun
 
 OBSERVED_SHARE, OBSERVED_MAX_HALF = 1 / 6, 8.0
@@ -86,7 +86,7 @@ def labelled_features(
             features["regime"] = regimes(scene, values, features | sound)
         features["drift_estimate"] = drift(features, scene.section, "float64", tolerance)
     numbers = {}
-    for name, variable in (VARIABLES | measured_besides(scene)).items():
+    for name, variable in (VARIABLES | regime_variables(scene) | measured_besides(scene)).items():
         if name in features and features[name].ndim == 1:
             value = features[name][0]
             value = np.nan_to_num(value) if np.issubdtype(variable.dtype, np.integer) else value
