@@ -73,7 +73,9 @@ class Friction:
     - `normal`: function N = `normal(t, y, p)`, the normal force [N].
     - `law`: a friction law, whose parameters become parameters of the system; or a constant coefficient, a number or
       a function of `p`.
-    - `acts_on`: name of the velocity that the force changes; `mass`: function of `p`, the mass [kg].
+    - `acts_on`: name of the velocity that the force changes; `mass`: the mass [kg], a number or a function of `p`.
+    - `static`: coefficient of friction of a body that sticks, a number or a function of `p`; left out, it is that of
+      the law at rest.
 
     **Example:**
 
@@ -90,6 +92,7 @@ class Friction:
     law: FrictionLaw | float | Callable[[Mapping[str, Any]], Any]
     acts_on: str
     mass: Callable[[Mapping[str, Any]], Any] | float = 1.0
+    static: float | Callable[[Mapping[str, Any]], Any] | None = None
 
     @property
     def parameters(self) -> Mapping[str, Parameter]:
@@ -104,9 +107,16 @@ class Friction:
 
     def acceleration(self, t: Any, y: Mapping[str, Any], p: Mapping[str, Any], slip: Any) -> Any:
         """Return the greatest deceleration mu N/m [m/s²] at the sliding speed `slip` u; `slip`: sgn u or 0."""
+        return self._deceleration(self.coefficient(slip * self.relative(t, y, p), p), t, y, p)
+
+    def holding(self, t: Any, y: Mapping[str, Any], p: Mapping[str, Any]) -> Any:
+        """Return the greatest acceleration [m/s²] against which the body sticks."""
+        static = self.static(p) if callable(self.static) else self.static
+        return self._deceleration(self.coefficient(jnp.zeros(()), p) if static is None else static, t, y, p)
+
+    def _deceleration(self, coefficient: Any, t: Any, y: Mapping[str, Any], p: Mapping[str, Any]) -> Any:
         mass = self.mass(p) if callable(self.mass) else self.mass
-        speed = slip * self.relative(t, y, p)
-        return self.coefficient(speed, p) * self.normal(t, y, p) * (1.0 / jnp.asarray(mass))
+        return coefficient * self.normal(t, y, p) * (1.0 / jnp.asarray(mass))
 
 
 Event = Impact | Switch | Friction

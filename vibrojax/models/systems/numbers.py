@@ -192,10 +192,16 @@ def _power_rounded(x: Rounded, exponent: Any) -> Any:
 
 def slope_along(equation: Equation, t: Any, y: Mapping[str, Any], rates: Sequence[Any], t_rate: float = 1.0) -> Any:
     """Return the derivative of `equation(t, y)` if the states change at `rates` and the time at `t_rate`."""
+    return slopes_along(lambda t, y: [equation(t, y)], t, y, rates, t_rate)[0]
+
+
+def slopes_along(
+    equations: Equation, t: Any, y: Mapping[str, Any], rates: Sequence[Any], t_rate: float = 1.0
+) -> list[Any]:
+    """Return the derivatives of several equations, as `slope_along` does."""
     level = 1 + max((x.level for x in (*y.values(), *rates) if isinstance(x, Dual)), default=0)
     time = Dual(t, t_rate, level)
     moved = {name: Dual(x, rate, level) for (name, x), rate in zip(y.items(), rates, strict=True)}
-    result = equation(time, moved)
-    if isinstance(result, Dual) and result.level == level:
-        return result.slope
-    return 0.0 * next(iter(y.values()))
+    zero = 0.0 * next(iter(y.values()))
+    results = equations(time, moved)
+    return [x.slope if isinstance(x, Dual) and x.level == level else zero for x in results]

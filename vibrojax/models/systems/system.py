@@ -5,6 +5,7 @@ The step bounds, resolutions, scales and the Poincaré section that a scene need
 
 import itertools
 import math
+import operator
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -20,7 +21,7 @@ from vibrojax.models.scenes.capabilities import HasImpacts
 from vibrojax.models.scenes.declared import Guard, Marker, Mode, Section, Start, State, Swing, Values
 from vibrojax.models.scenes.scene import ROUNDINGS, SLOPE_ROUNDINGS, Scene
 from vibrojax.models.systems.events import Event, Friction, Impact, Switch
-from vibrojax.models.systems.numbers import Rounded, slope_along
+from vibrojax.models.systems.numbers import Rounded, array_of, slope_along, slopes_along
 from vibrojax.models.systems.probe import Probe
 
 AT_REST = 1e-10
@@ -109,6 +110,9 @@ class System(Scene[SystemConstants]):
     ('stop', 'turned', 'strobe', 'v_zero')
     """
 
+    _rounding: Any = None
+    """Arguments and result of the last call of `_rounded`: a step asks for the same bounds three times."""
+
     def __new__(cls, *args: Any, **options: Any) -> "System":
         events = options.get("events") or ()
         impacts = isinstance(events, Sequence) and any(isinstance(event, Impact) for event in events)
@@ -166,10 +170,11 @@ class System(Scene[SystemConstants]):
         raise InputError(f"system {self.name}: several processes need it in a module; define it at the top level of a file and import it")
 
     def _times(self) -> tuple[float, float]:
-        defaults = {name: jnp.full((1,), parameter.default) for name, parameter in self._parameters.items()}
-        c = self.constants(defaults)
-        cycle = c.period if c.period is not None else 2 * jnp.pi / max(c.rates, key=lambda rate: float(rate[0]))
-        cycle = float(jnp.ravel(jnp.asarray(cycle))[0])
+        defaults = {name: parameter.default for name, parameter in self._parameters.items()}
+        if self._period is None:
+            cycle = 2 * math.pi / float(max(jax.jit(lambda p: self.constants(p).rates)(defaults)))
+        else:
+            cycle = float(self._period(defaults) if callable(self._period) else self._period)
         cycle = float(f"{cycle:.2g}") if math.isfinite(cycle) and cycle > 0 else 1.0
         return CYCLES_SETTLING * cycle, CYCLES_OBSERVED * cycle
 
@@ -214,7 +219,7 @@ class System(Scene[SystemConstants]):
                 slip = jnp.sign(mode[index])
                 limits[index] = event.acceleration(t, y, c.p, slip)
                 drags[index] = slip * limits[index]
-        for index, limit in limits.items():
+        for index in limits:
             event = self.events[index]
             # The field with all other frictions; the body sticks where the rest of the field cannot move it.
             free = dict(rates)
@@ -223,7 +228,7 @@ class System(Scene[SystemConstants]):
                     free[self.events[other].acts_on] = free[self.events[other].acts_on] - drag
             pull = self._slope(c, event.relative, t, y, free)
             gain = self._gain(c, event.relative, t, y, event.acts_on)
-            judged[index] = (limit * abs(gain) - elementary.absolute(pull), pull)
+            judged[index] = (event.holding(t, y, c.p) * abs(gain) - elementary.absolute(pull), pull)
             slip = jnp.sign(mode[index])
             held[index] = (1.0 - slip * slip) * (pull / gain)
         total = dict(rates)
@@ -283,7 +288,8 @@ class System(Scene[SystemConstants]):
             low, high = (self._slope(c, function, t, y, blended({index: sign})) for sign in (-1.0, 1.0))
             slides = 1.0 - weights[index] * weights[index]
             # Filippov's share: the combination of the two fields that stays on the surface.
-            gap = low - high + (1.0 - slides)
+            gap = low - high
+            gap = gap + jnp.where((slides == 0) | (array_of(gap) == 0), 1.0 - array_of(gap), 0.0)
             judged[index] = (-elementary.maximum(high, -low), high + low)
             weights[index] = weights[index] + slides * ((low + high) / gap)
         rates = blended({}) if switches else corners[()]
@@ -365,6 +371,10 @@ class System(Scene[SystemConstants]):
 
     def _rounded(self, c: SystemConstants, mode: Values, state: Values) -> tuple[list[Any], list[Any]]:
         """Return bounds on the rounding errors of the states and of the guards, in machine epsilons."""
+        arguments = (c, *mode, *state)
+        known = self._rounding
+        if known is not None and len(known[0]) == len(arguments) and all(map(operator.is_, known[0], arguments)):
+            return known[1]
         names = self.state_names
         first = tuple(Rounded(x, jnp.abs(x)) for x in state)
         rates, speed = self.field(c, mode, first), self.rate(c, mode)
@@ -372,7 +382,9 @@ class System(Scene[SystemConstants]):
         if not self.autonomous:
             sizes[names.index(TIME)] = jnp.zeros_like(state[0]) + c.period
         second = tuple(Rounded(x, size) for x, size in zip(state, sizes, strict=True))
-        return sizes, [_size(guard.function(c, mode, second)) for guard in self.guards()]
+        bounds = sizes, [_size(guard.function(c, mode, second)) for guard in self.guards()]
+        self._rounding = (arguments, bounds)
+        return bounds
 
     def resolutions(self, c: SystemConstants, mode: Values, state: Values, marked: bool = True) -> Values:
         sizes, guards = self._rounded(c, mode, state)
@@ -387,9 +399,14 @@ class System(Scene[SystemConstants]):
         self, c: SystemConstants, mode: Values, state: Values, polynomials: tuple[list[Array], ...]
     ) -> tuple[list[list[Array]], Any]:
         sizes, _ = self._rounded(c, mode, state)
-        one = jnp.ones_like(state[0])
+        speed, one = self.rate(c, mode), jnp.ones_like(state[0])
         tiny = jnp.finfo(one.dtype).tiny
-        terms = [[x / (size + tiny) for x in series[1:]] for series, size in zip(polynomials, sizes, strict=True)]
+        rates = self.field(c, mode, state)
+        # The rate of change comes first: a motion is at rest if it is slow, not if the step is short.
+        terms = [
+            [rate / (speed * size + tiny), *(x / (size + tiny) for x in series[1:])]
+            for series, size, rate in zip(polynomials, sizes, rates, strict=True)
+        ]
         return terms[: len(self._own)], one
 
     def reset(self, c: SystemConstants, mode: Values, state: Values, hits: Mapping[str, Any]) -> tuple[Values, Values]:
@@ -454,7 +471,7 @@ class System(Scene[SystemConstants]):
         t, y = self._known(state)
         zero = jnp.zeros_like(state[0])
         surfaces = [self._surface(event)(t, y, c.p) + zero for event in self.events]
-        free = tuple(zero if isinstance(event, Impact) else jnp.where(f == 0, 0.0, jnp.sign(f)) for event, f in zip(self.events, surfaces, strict=True))
+        free = tuple(zero if isinstance(event, Impact) else jnp.where(f < 0, -1.0, 1.0) for event, f in zip(self.events, surfaces, strict=True))
         small = self.resolutions(c, free, state, False)
         modes = list(free)
         for index, event in enumerate(self.events):
@@ -480,21 +497,20 @@ class System(Scene[SystemConstants]):
         period = self._period(values) if callable(self._period) else self._period
         period = None if period is None else period + like
         zero = {name: like for name in self._own}
-        c = SystemConstants(values, period, zero, (like,), (like,) * len(self.events), (like,) * len(self.events))
-        hidden = tuple(like for _ in self.state_names[len(self._own) :])
-        return self.scaled(c, (*zero.values(), *hidden))
+        none = (like,) * len(self.events)
+        c = SystemConstants(values, period, zero, (), none, none)
+        return c._replace(rates=self._rates(c, like, zero))
 
     def scaled(self, c: SystemConstants, state: Values) -> SystemConstants:
         """Return the constants with rates and scales of a motion that begins at `state`."""
         t, y = self._known(state)
         like = 0.0 * state[0]
-        combinations = itertools.product((-1.0, 1.0), repeat=sum(isinstance(e, Switch) for e in self.events))
-        rates = tuple(self._fastest(c, t, y, sides) + like for sides in combinations)
+        rates = self._rates(c, t, y)
         c = c._replace(rates=rates)
         speed, typical = jnp.stack(rates).min(axis=0), {name: jnp.abs(x) + like for name, x in y.items()}
         mode = tuple(like + (0.0 if isinstance(event, Impact) else 1.0) for event in self.events)
         time = 0.0 if c.period is None else c.period
-        for _ in range(3):
+        for _ in range(2):
             known = {name: Rounded(y[name], size) for name, size in typical.items()}
             sizes = self._evaluated(c, mode, Rounded(t + like, time + like), known).rates
             typical = {name: jnp.maximum(size, _size(sizes[name]) / speed) for name, size in typical.items()}
@@ -514,6 +530,11 @@ class System(Scene[SystemConstants]):
             slow=tuple(max(AT_REST, 1e3 * eps) * size for size in closing),
         )
 
+    def _rates(self, c: SystemConstants, t: Any, y: Mapping[str, Any]) -> tuple[Any, ...]:
+        like = 0.0 * next(iter(y.values()))
+        combinations = itertools.product((-1.0, 1.0), repeat=sum(isinstance(e, Switch) for e in self.events))
+        return tuple(self._fastest(c, t, y, sides) + like for sides in combinations)
+
     def _fastest(self, c: SystemConstants, t: Any, y: Mapping[str, Any], signs: Sequence[float]) -> Any:
         """Return the fastest rate of change [1/s] of the field with the switches at the sides `signs`."""
         if self._rate is not None:
@@ -524,13 +545,7 @@ class System(Scene[SystemConstants]):
         def rates(t: Any, y: Mapping[str, Any]) -> list[Any]:
             return list(self._field(c, t, y, sides).values())
 
-        columns = [
-            [
-                slope_along(lambda t, y, row=row: rates(t, y)[row], t, y, [float(key == name) for key in y], 0.0)
-                for row in range(len(y))
-            ]
-            for name in y
-        ]
+        columns = [slopes_along(rates, t, y, [float(key == name) for key in y], 0.0) for name in y]
         J = [[jnp.abs(columns[j][i]) for j in range(len(y))] for i in range(len(y))]
         n = range(len(y))
         square = [[sum(J[i][k] * J[k][j] for k in n) for j in n] for i in n]

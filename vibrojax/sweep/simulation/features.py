@@ -22,14 +22,16 @@ from vibrojax.sweep.engine.drift import drift
 from vibrojax.sweep.engine.labelled import measured_besides, regime_variables, regimes
 from vibrojax.sweep.simulation.dense_output import BATCH, Record, begun
 
-OBSERVED_SHARE, OBSERVED_MAX_HALF = 1 / 6, 8.0
-"""Observed part of a motion: a fraction of its duration, which is that of a sweep's defaults, and a minimum [s]. If the
-minimum exceeds one half of the motion, one half is observed."""
+OBSERVED_SHARE = 1 / 6
+"""Observed part of a motion, as a fraction of its duration: that of a sweep's defaults."""
 
 
-def window(duration: float) -> tuple[float, float]:
-    """Return the beginning and the length of the observation of a motion with this `duration` [s]."""
-    observe = max(OBSERVED_SHARE * duration, min(OBSERVED_MAX_HALF, duration / 2))
+def window(scene: Scene[Any], duration: float) -> tuple[float, float]:
+    """Return the beginning and the length of the observation of a motion with this `duration` [s].
+
+    The observation has at least the scene's usual length, or half of a short motion.
+    """
+    observe = max(OBSERVED_SHARE * duration, min(scene.usual_times[1], duration / 2))
     return duration - observe, observe
 
 

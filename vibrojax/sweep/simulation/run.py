@@ -145,7 +145,7 @@ def simulate(
     dataset = trajectory_dataset(point, system, motion, along_time, event_list, solver_text)
     if not numbers:
         return dataset
-    begin, observe = window(duration)
+    begin, observe = window(system, duration)
     return dataset.assign(numbers).assign_attrs(run=json.dumps({"settle": begin, "observe": observe}))
 
 
@@ -249,7 +249,7 @@ def recorded(
                 for _ in in_parallel(lambda _, program: program(), [compile_steps, compile_recorder], [0, 1]):
                     pass
             _compiled.add((scene, stepper))
-        begin, observe = window(duration)
+        begin, observe = window(scene, duration)
         with timed("step"):
             end, pause = jnp.asarray(duration), jnp.asarray(begin)
             steps = record(scene, stepper, constants, state, accuracy, end, report, most_steps, pause)
