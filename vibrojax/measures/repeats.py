@@ -60,9 +60,7 @@ class Returns(NamedTuple):
     worst: Array
 
 
-def returned(
-    seen: Seen, here: Flags, state: Array, time: Lanes, scales: tuple[Lanes, ...]
-) -> tuple[Seen, Array]:
+def returned(seen: Seen, here: Flags, state: Array, time: Lanes, scales: tuple[Lanes, ...]) -> tuple[Seen, Array]:
     """Return the last section crossings including a new one, and the differences of the new one from those before.
 
     The new crossing of the lanes `here` is in `state` at `time`. `scales` are those of the compared states since the

@@ -36,7 +36,7 @@ class Probe:
         field: Callable[..., Mapping[str, Any]],
         period: float | Callable[[Mapping[str, Any]], Any] | None,
         section: str | tuple[str, float] | None,
-        events: Sequence[Event],
+        events: Sequence[Any],
         regimes: Mapping[str, str] | None,
     ):
         if not isinstance(name, str) or not name:
@@ -53,9 +53,21 @@ class Probe:
         self._p = {
             key: jnp.full(LANES, x.default) if x.default else jnp.zeros(LANES) for key, x in self.parameters.items()
         }
+        # Other values than the defaults show the structure: a forcing whose amplitude is zero by default is a forcing.
+        defaults = self._p
+        self._others = {
+            key: x * jnp.asarray(rng.uniform(0.9, 1.1, LANES))
+            + jnp.where(x == 0, jnp.asarray(rng.uniform(0.1, 0.3, LANES)), 0.0)
+            for key, x in defaults.items()
+        }
         self._y = {key: jnp.asarray(rng.uniform(0.2, 0.9, LANES)) for key in states}
         self._t = jnp.asarray(rng.uniform(0.1, 0.2, LANES))
         self._check_functions()
+        if period is not None:
+            T = self._number("period", self._call("period", period, defaults) if callable(period) else period)
+            if not bool((jnp.isfinite(T) & (T > 0)).all()):
+                raise self._refuse(f"period is {float(T[0]):g}; it must be above zero")
+        self._p = self._others
         self._check_section(period, section)
         for key, own in dict(regimes or {}).items():
             if not isinstance(own, str) or not own or " " in own:
@@ -68,12 +80,19 @@ class Probe:
         if not states or not parameters:
             lacking = "state, such as states={'x': 'm'}" if not states else "parameter, such as parameters={'k': 1.0}"
             raise self._refuse(f"it needs at least one {lacking}")
+        for event in self._events:
+            if not isinstance(event, Impact | Switch | Friction):
+                raise self._refuse(f"events: {shown(event)} is not a vj.Impact, vj.Switch or vj.Friction")
         names = [*states, *parameters, *(event.name for event in self._events)]
         for key in names:
             if not isinstance(key, str) or not key.isidentifier() or key in RESERVED:
-                raise self._refuse(f"{shown(key)} cannot be a name; use a Python identifier other than {', '.join(RESERVED)}")
+                raise self._refuse(
+                    f"{shown(key)} cannot be a name; use a Python identifier other than {', '.join(RESERVED)}"
+                )
             if names.count(key) > 1:
-                raise self._refuse(f"{shown(key)} is the name of two things; states, parameters and events need different names")
+                raise self._refuse(
+                    f"{shown(key)} is the name of two things; states, parameters and events need different names"
+                )
 
     def _takes_sides(self) -> bool:
         try:
@@ -82,22 +101,30 @@ class Probe:
             arguments = 3
         switches = [event.name for event in self._events if isinstance(event, Switch)]
         if arguments not in (3, 4):
-            raise self._refuse(f"field takes {arguments} arguments; write field(t, y, p), or field(t, y, p, s) with switches")
+            raise self._refuse(
+                f"field takes {arguments} arguments; write field(t, y, p), or field(t, y, p, s) with switches"
+            )
         if switches and arguments == 3:
-            raise self._refuse(f"field(t, y, p) cannot see the switch {switches[0]}; write field(t, y, p, s) and use s[{shown(switches[0])}]")
+            raise self._refuse(
+                f"field(t, y, p) cannot see the switch {switches[0]}; write field(t, y, p, s) and use s[{shown(switches[0])}]"
+            )
         return arguments == 4
 
     def _check_events(self) -> None:
         for event in self._events:
-            if not isinstance(event, Impact | Switch | Friction):
-                raise self._refuse(f"events: {shown(event)} is not a vj.Impact, vj.Switch or vj.Friction")
             if isinstance(event, Impact) and (event.velocity is None) == (event.reset is None):
                 raise self._refuse(f"event {event.name}: give either velocity= and restitution=, or reset=")
             name = event.velocity if isinstance(event, Impact) else getattr(event, "acts_on", None)
             if name is not None and name not in self._states:
-                raise self._refuse(f"event {event.name}: {shown(name)} is not a state; choose from {', '.join(self._states)}")
-            if isinstance(event, Friction) and not (isinstance(event.law, FrictionLaw | int | float) or callable(event.law)):
-                raise self._refuse(f"event {event.name}: law is {shown(event.law)}; give a number, a function of p, or one of vj.FRICTION_LAWS")
+                raise self._refuse(
+                    f"event {event.name}: {shown(name)} is not a state; choose from {', '.join(self._states)}"
+                )
+            if isinstance(event, Friction) and not (
+                isinstance(event.law, FrictionLaw | int | float) or callable(event.law)
+            ):
+                raise self._refuse(
+                    f"event {event.name}: law is {shown(event.law)}; give a number, a function of p, or one of vj.FRICTION_LAWS"
+                )
 
     # What the functions give
 
@@ -122,7 +149,9 @@ class Probe:
         if array.dtype.kind not in "fiu":
             raise self._refuse(f"{what} gave values of type {array.dtype}; they must be real numbers")
         if array.shape not in ((), (LANES,)):
-            raise self._refuse(f"{what} gave an array of shape {array.shape} for {LANES} lanes; it must give one number per lane")
+            raise self._refuse(
+                f"{what} gave an array of shape {array.shape} for {LANES} lanes; it must give one number per lane"
+            )
         return jnp.broadcast_to(array.astype(float), (LANES,))
 
     def rates(self, t: Any, y: Mapping[str, Any], number: bool = True) -> dict[str, Any]:
@@ -130,10 +159,16 @@ class Probe:
         sides = ({event.name: 1.0 for event in self._events if isinstance(event, Switch)},) if self.takes_sides else ()
         rates = self._call("field", self._field, t, y, self._p, *sides)
         if not isinstance(rates, Mapping):
-            raise self._refuse(f"field gave {type(rates).__name__}; it must give a dict with the rate of each state, {{'{next(iter(self._states))}': ...}}")
+            raise self._refuse(
+                f"field gave {type(rates).__name__}; it must give a dict with the rate of each state, {{'{next(iter(self._states))}': ...}}"
+            )
         if set(rates) != set(self._states):
             lacking, more = [x for x in self._states if x not in rates], [x for x in rates if x not in self._states]
-            raise self._refuse(f"field gave no rate of {lacking[0]}" if lacking else f"field gave a rate of {shown(more[0])}, which is not a state")
+            raise self._refuse(
+                f"field gave no rate of {lacking[0]}"
+                if lacking
+                else f"field gave a rate of {shown(more[0])}, which is not a state"
+            )
         return {key: self._number(f"field, {key},", rates[key]) if number else rates[key] for key in self._states}
 
     def _surface(self, event: Event) -> tuple[str, Callable[..., Any]]:
@@ -176,24 +211,30 @@ class Probe:
         except InputError as error:
             text = str(error)
             if "TypeError" in text or "AttributeError" in text:
-                raise self._refuse(f"{what} uses a function that its steps cannot expand; use + - * / ** and vj.elementary, not jnp or np, on states and time") from None
+                raise self._refuse(
+                    f"{what} uses a function that its steps cannot expand; use + - * / ** and vj.elementary, not jnp or np, on states and time"
+                ) from None
             raise
         except TypeError:
-            raise self._refuse(f"{what} uses a function that its steps cannot expand; use + - * / ** and vj.elementary, not jnp or np, on states and time") from None
+            raise self._refuse(
+                f"{what} uses a function that its steps cannot expand; use + - * / ** and vj.elementary, not jnp or np, on states and time"
+            ) from None
 
     def _check_section(self, period: Any, section: Any) -> None:
         if (period is None) == (section is None):
             raise self._refuse("give period= for a forced system, or section= (a state) for one without forcing")
         if section is not None:
             name = section[0] if isinstance(section, tuple) else section
-            if name not in self._states or (isinstance(section, tuple) and (len(section) != 2 or not math.isfinite(section[1]))):
-                raise self._refuse(f"section: {shown(section)} is not a state or a pair of a state and a number; the states are {', '.join(self._states)}")
+            if name not in self._states or (
+                isinstance(section, tuple) and (len(section) != 2 or not math.isfinite(section[1]))
+            ):
+                raise self._refuse(
+                    f"section: {shown(section)} is not a state or a pair of a state and a number; the states are {', '.join(self._states)}"
+                )
             if not self._same(self._t, self._t + 0.37):
                 raise self._refuse("field depends on t; give period= (of the forcing) instead of section=")
             return
-        T = self._number("period", self._call("period", period, self._p) if callable(period) else period)
-        if not bool((jnp.isfinite(T) & (T > 0)).all()):
-            raise self._refuse(f"period is {float(T[0]):g}; it must be above zero")
+        T = self._number("period", period(self._p) if callable(period) else period)
         for share in (0.13, 0.41):
             if not self._same(share * T, (share + 1) * T) or not self._same(share * T, (share - 1) * T):
                 raise self._refuse("field does not repeat after the period; check period=")
@@ -241,7 +282,7 @@ class Probe:
             sign = float(jnp.ravel(jnp.asarray(slope(position)))[0])
             linear = bool(_equal(slope(position), sign)) and abs(abs(sign) - 1.0) < EQUAL
             if linear and all(bool(_equal(x, 0.0)) for x in moves):
-                signs[index] = round(sign)
+                signs[index] = math.copysign(1.0, sign)
         return signs
 
 
@@ -255,6 +296,10 @@ def _parameter(name: str, value: float | Parameter, refuse: Callable[[str], Inpu
         if value.name != name:
             raise refuse(f"parameter {name} is declared as {shown(value.name)}; use one name")
         return value
-    if isinstance(value, bool) or not isinstance(value, int | float | np.number | jax.Array) or not math.isfinite(value):
+    if (
+        isinstance(value, bool)
+        or not isinstance(value, int | float | np.number | jax.Array)
+        or not math.isfinite(value)
+    ):
         raise refuse(f"parameter {name} is {shown(value)}; give a finite number, or an entry of vj.parameters")
     return Parameter(name, float(value), "1", name, name)

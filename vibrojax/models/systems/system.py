@@ -9,6 +9,7 @@ import operator
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
+from weakref import WeakKeyDictionary
 
 import jax
 import jax.numpy as jnp
@@ -39,6 +40,10 @@ TIME, APPROACH = "t", "approach"
 
 Rates = dict[str, Any]
 """Time derivatives of the states by name."""
+
+
+_ROUNDINGS: "WeakKeyDictionary[System, tuple[Values, Any]]" = WeakKeyDictionary()
+"""Arguments and result of the last call of `System._rounded` for each system."""
 
 
 class SystemConstants(NamedTuple):
@@ -110,9 +115,6 @@ class System(Scene[SystemConstants]):
     ('stop', 'turned', 'strobe', 'v_zero')
     """
 
-    _rounding: Any = None
-    """Arguments and result of the last call of `_rounded`: a step asks for the same bounds three times."""
-
     def __new__(cls, *args: Any, **options: Any) -> "System":
         events = options.get("events") or ()
         impacts = isinstance(events, Sequence) and any(isinstance(event, Impact) for event in events)
@@ -127,7 +129,7 @@ class System(Scene[SystemConstants]):
         field: Callable[..., Mapping[str, Any]],
         period: float | Callable[[Mapping[str, Any]], Any] | None = None,
         section: str | tuple[str, float] | None = None,
-        events: Sequence[Event] = (),
+        events: Sequence[Any] = (),
         rate: Callable[[Mapping[str, Any]], Any] | None = None,
         regimes: Mapping[str, str] | None = None,
     ) -> None:
@@ -147,15 +149,13 @@ class System(Scene[SystemConstants]):
         hidden = {TIME: "s"} if not self.autonomous else {}
         hidden |= {APPROACH: "1"} if isinstance(self, HasImpacts) else {}
         at = self._at or TIME
-        shown = [
-            State(name, unit, f"state {name}", True, offset=level if name == at else 0.0) for name, unit in units.items()
-        ]
+        shown = [State(name, unit, name, True, offset=level if name == at else 0.0) for name, unit in units.items()]
         turning = [speed for speed in dict.fromkeys(speeds.values()) if speed not in (at, *surfaces)]
         swings = (
             Swing(name, speeds[name] if speeds.get(name) in turning else None, f"{name}_amplitude") for name in units
         )
         self.states = (*shown, *(State(name, unit, name, shown=False) for name, unit in hidden.items()))  # type: ignore[misc]
-        self.modes = tuple(_mode(event) for event in self.events)  # type: ignore[misc]
+        self.modes = tuple(map(_mode, self.events)) or (Mode("flow", "0", 0.0),)  # type: ignore[misc]
         self.markers = (Marker("strobe", at), *(Marker(f"{speed}_zero", speed) for speed in turning))  # type: ignore[misc]
         self.section = Section(tuple(swings), self._rearm, at=at)  # type: ignore[misc]
         self.starts, self.start_states, self.measures = ("zero",), self._own, ("rest",)  # type: ignore[misc]
@@ -167,7 +167,9 @@ class System(Scene[SystemConstants]):
         for key, value in vars(module).items() if module is not None else ():
             if value is self and module is not None and module.__name__ != "__main__":
                 return _system_of, (module.__name__, key)
-        raise InputError(f"system {self.name}: several processes need it in a module; define it at the top level of a file and import it")
+        raise InputError(
+            f"system {self.name}: several processes need it in a module; define it at the top level of a file and import it"
+        )
 
     def _times(self) -> tuple[float, float]:
         defaults = {name: parameter.default for name, parameter in self._parameters.items()}
@@ -185,7 +187,8 @@ class System(Scene[SystemConstants]):
 
     @property
     def regime_names(self) -> Mapping[str, str]:
-        return super().regime_names | self._renamed
+        usual = super().regime_names
+        return self._renamed | {name: self._renamed.get(own, own) for name, own in usual.items()}
 
     def parameters(self) -> Mapping[str, Parameter]:
         return self._parameters
@@ -280,7 +283,9 @@ class System(Scene[SystemConstants]):
                     elif fixed[index] != sign:
                         weight = 0.0
                 if not isinstance(weight, float) or weight:
-                    total = {name: weight * rate + total[name] if total else weight * rate for name, rate in rates.items()}
+                    total = {
+                        name: weight * rate + total[name] if total else weight * rate for name, rate in rates.items()
+                    }
             return total
 
         for index in switches:
@@ -300,7 +305,14 @@ class System(Scene[SystemConstants]):
         return _Motion(rates, tuple(judged[i][0] for i in order), tuple(judged[i][1] for i in order))
 
     def _held(
-        self, c: SystemConstants, index: int, mode: Values, t: Any, y: dict[str, Any], rates: Rates, judged: dict[int, Any]
+        self,
+        c: SystemConstants,
+        index: int,
+        mode: Values,
+        t: Any,
+        y: dict[str, Any],
+        rates: Rates,
+        judged: dict[int, Any],
     ) -> Rates:
         """Return the rates of a motion that may rest on a stop, where the second derivative of the gap is zero."""
         event = self.events[index]
@@ -372,9 +384,9 @@ class System(Scene[SystemConstants]):
     def _rounded(self, c: SystemConstants, mode: Values, state: Values) -> tuple[list[Any], list[Any]]:
         """Return bounds on the rounding errors of the states and of the guards, in machine epsilons."""
         arguments = (c, *mode, *state)
-        known = self._rounding
+        known = _ROUNDINGS.get(self)
         if known is not None and len(known[0]) == len(arguments) and all(map(operator.is_, known[0], arguments)):
-            return known[1]
+            return known[1]  # a step asks for the same bounds three times
         names = self.state_names
         first = tuple(Rounded(x, jnp.abs(x)) for x in state)
         rates, speed = self.field(c, mode, first), self.rate(c, mode)
@@ -383,7 +395,7 @@ class System(Scene[SystemConstants]):
             sizes[names.index(TIME)] = jnp.zeros_like(state[0]) + c.period
         second = tuple(Rounded(x, size) for x, size in zip(state, sizes, strict=True))
         bounds = sizes, [_size(guard.function(c, mode, second)) for guard in self.guards()]
-        self._rounding = (arguments, bounds)
+        _ROUNDINGS[self] = arguments, bounds
         return bounds
 
     def resolutions(self, c: SystemConstants, mode: Values, state: Values, marked: bool = True) -> Values:
@@ -471,12 +483,20 @@ class System(Scene[SystemConstants]):
         t, y = self._known(state)
         zero = jnp.zeros_like(state[0])
         surfaces = [self._surface(event)(t, y, c.p) + zero for event in self.events]
-        free = tuple(zero if isinstance(event, Impact) else jnp.where(f < 0, -1.0, 1.0) for event, f in zip(self.events, surfaces, strict=True))
+        if not self.events:
+            return (zero,)
+        free = tuple(
+            zero if isinstance(event, Impact) else jnp.where(f < 0, -1.0, 1.0)
+            for event, f in zip(self.events, surfaces, strict=True)
+        )
         small = self.resolutions(c, free, state, False)
         modes = list(free)
         for index, event in enumerate(self.events):
             near = jnp.abs(surfaces[index]) <= small[index]
-            there = tuple(jnp.where(near, 1.0 if isinstance(event, Impact) else 0.0, x) if i == index else x for i, x in enumerate(free))
+            there = tuple(
+                jnp.where(near, 1.0 if isinstance(event, Impact) else 0.0, x) if i == index else x
+                for i, x in enumerate(free)
+            )
             motion = self._evaluated(c, there, t, y)
             margin, pull = motion.margins[index], motion.pulls[index]
             if isinstance(event, Impact):
@@ -486,7 +506,11 @@ class System(Scene[SystemConstants]):
                 modes[index] = jnp.where(rests, 1.0, jnp.where(near & (rate >= -c.slow[index]), -1.0, 0.0))
             else:
                 leaves = jnp.where(pull < 0, -2.0, 2.0)
-                modes[index] = jnp.where(near, jnp.where(margin >= 0 if isinstance(event, Friction) else margin > 0, 0.0, leaves), free[index])
+                modes[index] = jnp.where(
+                    near,
+                    jnp.where(margin >= 0 if isinstance(event, Friction) else margin > 0, 0.0, leaves),
+                    free[index],
+                )
         return tuple(modes)
 
     # Scales
@@ -619,4 +643,3 @@ def _is_constant(x: Any) -> bool:
 
 def _size(x: Any) -> Any:
     return x.size if isinstance(x, Rounded) else jnp.abs(x)
-
