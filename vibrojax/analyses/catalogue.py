@@ -22,7 +22,7 @@ from vibrojax.measures.recorder import Effort, run_block
 from vibrojax.models.physics.friction import FRICTION_LAWS
 from vibrojax.models.physics.parameters import REPLACED, ROTATION, Parameter, substitutes
 from vibrojax.models.physics.rock import ROCKS
-from vibrojax.models.scenes import SCENES, HasContact, HasFriction, HasRock, Scene
+from vibrojax.models.scenes import SCENES, HasFriction, HasImpacts, HasRock, Scene
 from vibrojax.models.scenes.penetration import PULSE_SHAPES
 from vibrojax.stepping import AccuracyRequest, stepper_named
 from vibrojax.sweep.engine.labelled import measured_besides, of_orbits
@@ -114,7 +114,7 @@ def list_variables(scene: str | Scene[Any]) -> pd.DataFrame:
     tables = {
         "": {name: about for name, about in known.items() if name in held},
         "follow": OF_FAMILIES if orbit_states else {},
-        "borders": OF_BORDERS if isinstance(system, HasContact) and has_section else {},
+        "borders": OF_BORDERS if isinstance(system, HasImpacts) and has_section else {},
         "attractors": OF_ATTRACTORS if has_section else {},
         "tolerance": tolerance_variables(held) if "regime" in held else {},
         **offered_variables(),

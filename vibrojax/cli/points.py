@@ -138,10 +138,10 @@ def follow(options: Options) -> None:
     missing = [name for name in _REQUIRED if name not in settings]
     if missing:
         raise place.error(f"{' and '.join(missing)} missing; write vibrojax follow SCENE {_FOLLOW_SYNTAX}")
-    from vibrojax.analyses.continuation.run import OBSERVE, SETTLE, family_spec
+    from vibrojax.analyses.continuation.run import family_spec
     from vibrojax.measures.ledger import MOST_CYCLES
 
-    defaults = {"start": None, "settle": SETTLE.default, "observe": OBSERVE.default, "cycles": MOST_CYCLES}
+    defaults = {"start": None, "settle": None, "observe": None, "cycles": MOST_CYCLES}
     asked: dict[str, Any] = defaults | settings
     asked |= {"span": (asked.pop("from"), asked.pop("to")), "cycles": whole(asked["cycles"])}
     request = family_spec(options.scene, parameters=parameters, **asked)
@@ -177,7 +177,7 @@ def push(options: Options) -> None:
     settings, parameters = named_values(Place("push"), options.values, PUSH_SETTINGS, lists=True)
     from vibrojax.analyses.push.spec import PRECISION, SCAN, push_spec
 
-    defaults = {"start": None, "scan": SCAN, "precision": PRECISION, "settle": 40.0, "observe": 8.0}
+    defaults = {"start": None, "scan": SCAN, "precision": PRECISION, "settle": None, "observe": None}
     asked: dict[str, Any] = defaults | settings
     most = {name.removeprefix(_MOST): asked.pop(name) for name in settings if name.startswith(_MOST)}
     asked |= {"scan": whole(asked["scan"]), "most": most or None}

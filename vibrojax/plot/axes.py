@@ -98,7 +98,7 @@ def label(data: xr.DataArray, letters: int = _LABEL_LETTERS) -> str:
     """
     words = re.sub(r"\s*\([^)]*\)", "", str(data.attrs.get("long_name", ""))).strip()
     parts = (words, str(data.attrs.get("symbol", "")).strip())
-    text = ", ".join(filter(None, parts)) or plain(str(data.name).replace("_", " "))
+    text = ", ".join(dict.fromkeys(filter(None, parts))) or plain(str(data.name).replace("_", " "))
     unbroken = with_unit(text, scale(data)[1]).replace(" [", "\u00a0[")
     return fill(unbroken, min(letters, _LABEL_LETTERS)).replace("\u00a0", " ")
 

@@ -16,7 +16,7 @@ from vibrojax.errors import InputError, shown
 from vibrojax.io.kinds import BORDER_KINDS, OF_BORDERS
 from vibrojax.measures.labels import SINGLE_IMPACT, UNDECIDED
 from vibrojax.models.physics.parameters import REPLACED, substitutes
-from vibrojax.models.scenes import HasContact
+from vibrojax.models.scenes import HasImpacts
 from vibrojax.periodic.lane_orbits import known_orbits
 from vibrojax.sweep.engine.labelled import parameter_attributes, shared_attributes
 from vibrojax.sweep.input.definition import Sweep
@@ -76,7 +76,7 @@ def borders(
 
 def plane_axes(sweep: Sweep, axes: tuple[str, str] | None) -> tuple[str, str]:
     """Return the axes of the plane; raise `InputError` if the sweep has no such plane or its scene no impacts."""
-    if not isinstance(sweep.system, HasContact):
+    if not isinstance(sweep.system, HasImpacts):
         raise InputError(f'borders: scene "{sweep.scene}" has no impacts; give a sweep of one with a striker')
     if sweep.run.carry is not None:
         raise InputError("borders: lanes of this sweep are carried, so they have no starts; leave carry out")

@@ -81,7 +81,7 @@ def read_sweep(source: str | PathLike[str] | Mapping[str, object], changes: Iter
         points=points.columns if points else None,
         point_starts=points.starts if points else None,
         point_vectors=vectors,
-        run=read_settings(place.at("run"), as_table(place.at("run"), tables.get("run", {}))),
+        run=read_settings(place.at("run"), as_table(place.at("run"), tables.get("run", {})), names.system),
         file=origin.file,
     )
     if sweep.lanes > SWEEP_MAX_LANES:

@@ -19,17 +19,19 @@ from vibrojax.models.scenes.declared import Values
 from vibrojax.stepping import Clock, Lane, Step, Stepper
 from vibrojax.sweep.engine.compiler import lane_function
 from vibrojax.sweep.engine.drift import drift
-from vibrojax.sweep.engine.labelled import measured_besides, regimes
+from vibrojax.sweep.engine.labelled import measured_besides, regime_variables, regimes
 from vibrojax.sweep.simulation.dense_output import BATCH, Record, begun
 
-OBSERVED_SHARE, OBSERVED_MAX_HALF = 1 / 6, 8.0
-"""Observed part of a motion: a fraction of its duration, which is that of a sweep's defaults, and a minimum [s]. If the
-minimum exceeds one half of the motion, one half is observed."""
+OBSERVED_SHARE = 1 / 6
+"""Observed part of a motion, as a fraction of its duration: that of a sweep's defaults."""
 
 
-def window(duration: float) -> tuple[float, float]:
-    """Return the beginning and the length of the observation of a motion with this `duration` [s]."""
-    observe = max(OBSERVED_SHARE * duration, min(OBSERVED_MAX_HALF, duration / 2))
+def window(scene: Scene[Any], duration: float) -> tuple[float, float]:
+    """Return the beginning and the length of the observation of a motion with this `duration` [s].
+
+    The observation has at least the scene's usual length, or half of a short motion.
+    """
+    observe = max(OBSERVED_SHARE * duration, min(scene.usual_times[1], duration / 2))
     return duration - observe, observe
 
 
@@ -86,7 +88,7 @@ def labelled_features(
             features["regime"] = regimes(scene, values, features | sound)
         features["drift_estimate"] = drift(features, scene.section, "float64", tolerance)
     numbers = {}
-    for name, variable in (VARIABLES | measured_besides(scene)).items():
+    for name, variable in (VARIABLES | regime_variables(scene) | measured_besides(scene)).items():
         if name in features and features[name].ndim == 1:
             value = features[name][0]
             value = np.nan_to_num(value) if np.issubdtype(variable.dtype, np.integer) else value

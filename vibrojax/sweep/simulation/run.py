@@ -41,7 +41,7 @@ def simulate(
     scene: str | Scene[Any],
     *,
     start: str | Sequence[float] | None = None,
-    duration: float = 20.0,
+    duration: float | None = None,
     method: str | Stepper | None = None,
     solver: "str | AbstractSolver | None" = None,
     step: float | None = None,
@@ -58,7 +58,7 @@ def simulate(
     - `scene`: "rotary", "vibro-impact", "penetration", "drilling" or "coupled-drilling", or a scene object.
     - `parameters`: parameters of the scene in SI units, `friction` (name of a friction law), `pulse_shape`, `rock`.
     - `start`: initial condition, "drive" (default), "stuck", "touching", or a vector [x1, x1', x2, x2'] [m, m/s].
-    - `duration`: simulated time [s].
+    - `duration`: simulated time [s]; by default 20 s, or 50 cycles of a `vj.System`.
     - `method`: "located" (default), "smoothed", or "diffrax".
     - `solver`: for "diffrax", a diffrax solver or its name, by default "Tsit5". Specifying `solver` selects "diffrax".
     - `error`: accepted relative error, from which step sizes and tolerances follow, unless the next two are specified.
@@ -101,6 +101,7 @@ def simulate(
     def setting(name: str, value: float, unit: str) -> float:
         return quantity(place.at(name), value, positive(name, 1.0, unit, name, name))
 
+    duration = sum(system.usual_times) * (5 / 12) if duration is None else duration
     duration, error = setting("duration", duration, "s"), setting("error", error, "1")
     step = None if step is None else setting("step", step, "s")
     smoothing = None if smoothing is None else setting("smoothing", smoothing, "m s-1")
@@ -144,7 +145,7 @@ def simulate(
     dataset = trajectory_dataset(point, system, motion, along_time, event_list, solver_text)
     if not numbers:
         return dataset
-    begin, observe = window(duration)
+    begin, observe = window(system, duration)
     return dataset.assign(numbers).assign_attrs(run=json.dumps({"settle": begin, "observe": observe}))
 
 
@@ -169,7 +170,8 @@ def _times(
 @lane_function(static=1)
 def _default_sampling(scene: Scene[Any], constants: Any) -> Array:
     """Return the default sampling interval [s], which resolves the oscillations of contact and rock."""
-    shortest: Any = jnp.asarray(1e-3)
+    _, observe = scene.usual_times
+    shortest: Any = jnp.asarray(observe / 8000)
     if isinstance(scene, HasContact):
         shortest = jnp.minimum(shortest, scene.contact_time(constants) / 20)
     if isinstance(scene, HasRock):
@@ -247,7 +249,7 @@ def recorded(
                 for _ in in_parallel(lambda _, program: program(), [compile_steps, compile_recorder], [0, 1]):
                     pass
             _compiled.add((scene, stepper))
-        begin, observe = window(duration)
+        begin, observe = window(scene, duration)
         with timed("step"):
             end, pause = jnp.asarray(duration), jnp.asarray(begin)
             steps = record(scene, stepper, constants, state, accuracy, end, report, most_steps, pause)

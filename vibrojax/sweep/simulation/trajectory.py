@@ -14,7 +14,7 @@ from vibrojax.io.kinds import dataset_attributes
 from vibrojax.measures.section import lowest
 from vibrojax.models.arrays import Array
 from vibrojax.models.physics.parameters import differing
-from vibrojax.models.scenes import Driven, HasContact, HasFriction, HasRock, Scene
+from vibrojax.models.scenes import Driven, HasContact, HasFriction, HasImpacts, HasRock, Scene
 from vibrojax.models.scenes.declared import Values
 from vibrojax.sweep.engine.compiler import lane_function
 from vibrojax.sweep.input.read import Point
@@ -61,9 +61,10 @@ def events(scene: Scene[Any], c: Any, record: Record) -> Events:
         after = np.append(slip[1:], slip[-1:])
         masks["stick"] = hits["friction"] & (slip != 0) & (after == 0)
         masks["slip"] = hits["friction"] & (after != 0)
-    if isinstance(scene, HasContact):
+    if isinstance(scene, HasImpacts):
         modes, states = tuple(record.mode.T), tuple(record.after.T)
         masks["impact"] = np.asarray(impact_begins(scene, _scalars(c), modes, states, hits))
+    if isinstance(scene, HasContact):
         masks["release"] = hits["contact"] & (record.mode[:, scene.mode_place("touching")] != 0)
     if scene.section is not None:
         masks["section"] = _returns(scene, c, record)
@@ -123,7 +124,7 @@ def _forces(scene: Scene[Any], is_sharp: bool, c: Any, modes: Values, states: Va
 
 
 @lane_function(static=1)
-def impact_begins(scene: HasContact, c: Any, modes: Values, states: Values, hits: dict[str, Array]) -> Array:
+def impact_begins(scene: HasImpacts[Any], c: Any, modes: Values, states: Values, hits: dict[str, Array]) -> Array:
     """Return a mask of steps (`modes`, end `states`, guards `hits`) that end as an impact begins."""
     return scene.impact_begins(c, modes, states, hits)
 
@@ -155,7 +156,7 @@ def states_shown(
         x3 = x4 + motion.states[scene.place("compression")]
     for state, values in zip(scene.states, motion.states, strict=True):
         if state.shown:
-            variables[state.name] = AlongTime(values, state.unit, state.long_name)
+            variables[state.name] = AlongTime(values + state.offset, state.unit, state.long_name)
         elif state.name == "compression" and x3 is not None:
             variables["x3"] = AlongTime(x3, "m", "normal position of the bit")
         elif state.name == "growth" and x4 is not None:
