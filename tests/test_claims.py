@@ -219,6 +219,13 @@ def test_ratios_are_those_of_the_race():
     assert f"one of the same Taylor steps {1 / ratio['numba, Taylor series']:.1f} times faster" in METHODS
 
 
+def test_limits_of_systems():
+    from vibrojax.measures.motion import REST_SWING
+    from vibrojax.models.systems.system import AT_REST, CYCLES_OBSERVED, CYCLES_SETTLING
+
+    assert (CYCLES_SETTLING, CYCLES_OBSERVED, REST_SWING, AT_REST) == (100, 40, 1e-6, 1e-10)
+
+
 def test_limits_of_large_sweeps():
     page = PAGES["notebooks/large_sweeps.md"]
     assert f"chunks of {CHUNK:,} lanes" in page

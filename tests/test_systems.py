@@ -108,6 +108,13 @@ def test_stick_slip_on_a_belt_has_its_period_from_two_starts(speed):
     assert ds.regime.attrs["flag_meanings"].split()[int(ds.regime[0, 0])] == "periodic"
 
 
+def test_a_mass_on_a_fast_belt_need_not_stick():
+    """From rest the mass swings by mu_k N/k = 0.2 m, so at 0.2 m/s at most, which is slower than the belt."""
+    motion = vj.simulate(BELT, belt_speed=0.4, start=[0.0, 0.0], progress=False)
+    assert float(motion.period) == pytest.approx(2 * np.pi, rel=1e-6)
+    assert float(motion.v.max()) == pytest.approx(0.2, rel=1e-3)
+
+
 @pytest.mark.parametrize("stiffness", [4.0, 9.0])
 def test_the_bilinear_oscillator_has_its_natural_period(stiffness):
     motion = vj.simulate(BILINEAR, k2=stiffness, start=[1.0, 0.0], error=1e-8, progress=False)

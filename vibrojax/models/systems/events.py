@@ -52,8 +52,8 @@ class Switch:
     """A surface on which the field changes: `function(t, y, p)` is positive on one side and negative on the other.
 
     The field takes a fourth argument `s`; `s[name]` is the side, 1 or -1. Where the fields of both sides push towards
-    the surface, the motion slides along it by Filippov's convex combination of the two fields, until one of them
-    leads away (Filippov, *Differential Equations with Discontinuous Righthand Sides*, 1988).
+    the surface, the motion slides along it by Filippov's convex combination of the two fields. Sliding ends when one
+    field leads away (Filippov, *Differential Equations with Discontinuous Righthand Sides*, 1988).
 
     **Example:**
 

@@ -244,7 +244,7 @@ class Probe:
     # Structure
 
     def velocities(self) -> dict[str, str]:
-        """Return, for each state whose rate of change is another state, the name of that state."""
+        """Return the velocity of each state whose rate of change is a state itself, by name."""
         rates = self.rates(self._t, self._y)
         return {
             key: other

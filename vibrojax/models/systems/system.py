@@ -1,4 +1,4 @@
-"""A system of one's own: states, parameters, a vector field and events, written as plain functions.
+"""Systems written as plain functions: states, parameters, a vector field and events, written as plain functions.
 
 The step bounds, resolutions, scales and the Poincaré section that a scene needs are derived from these functions.
 """
@@ -148,16 +148,19 @@ class System(Scene[SystemConstants]):
         """Set the declarations of a scene; `speeds`: the rate of change of each state that has one among the states."""
         hidden = {TIME: "s"} if not self.autonomous else {}
         hidden |= {APPROACH: "1"} if isinstance(self, HasImpacts) else {}
-        at = self._at or TIME
-        shown = [State(name, unit, name, True, offset=level if name == at else 0.0) for name, unit in units.items()]
-        turning = [speed for speed in dict.fromkeys(speeds.values()) if speed not in (at, *surfaces)]
+        section_state = self._at or TIME
+        shown = [
+            State(name, unit, name, True, offset=level if name == section_state else 0.0)
+            for name, unit in units.items()
+        ]
+        turning = [speed for speed in dict.fromkeys(speeds.values()) if speed not in (section_state, *surfaces)]
         swings = (
             Swing(name, speeds[name] if speeds.get(name) in turning else None, f"{name}_amplitude") for name in units
         )
         self.states = (*shown, *(State(name, unit, name, shown=False) for name, unit in hidden.items()))  # type: ignore[misc]
         self.modes = tuple(map(_mode, self.events)) or (Mode("flow", "0", 0.0),)  # type: ignore[misc]
-        self.markers = (Marker("strobe", at), *(Marker(f"{speed}_zero", speed) for speed in turning))  # type: ignore[misc]
-        self.section = Section(tuple(swings), self._rearm, at=at)  # type: ignore[misc]
+        self.markers = (Marker("strobe", section_state), *(Marker(f"{speed}_zero", speed) for speed in turning))  # type: ignore[misc]
+        self.section = Section(tuple(swings), self._rearm, at=section_state)  # type: ignore[misc]
         self.starts, self.start_states, self.measures = ("zero",), self._own, ("rest",)  # type: ignore[misc]
         self.drifting = (APPROACH,) if isinstance(self, HasImpacts) else ()  # type: ignore[misc]
 
@@ -361,8 +364,8 @@ class System(Scene[SystemConstants]):
         if not self.autonomous:
             place = self.place(TIME)
             # The section is at t = 0, so the time is set back half a period later.
-            left = lambda c, mode, state: 0.5 * c.period - state[place]  # noqa: E731
-            guards.append(Guard("turned", left, lambda c, mode: jnp.zeros_like(c.rates[0])))
+            remaining = lambda c, mode, state: 0.5 * c.period - state[place]  # noqa: E731
+            guards.append(Guard("turned", remaining, lambda c, mode: jnp.zeros_like(c.rates[0])))
         return tuple(guards)
 
     def _guard_function(self, index: int) -> Callable[[Any, Values, Values], Any]:
