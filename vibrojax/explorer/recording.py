@@ -93,7 +93,9 @@ def _batch_cells(scene: Scene[Any], parameters: dict[str, np.ndarray], excerpt: 
         accuracy = Accuracy(*(np.float64(x) for x in RECORD_ACCURACY))
         parts = []
         for _ in range(RECORD_MAX_BATCHES):
-            lane, part = record_batch(scene, stepper, RECORD_BATCH_STEPS, constants, lane, accuracy, excerpt.recorded)
+            lane, _, part = record_batch(
+                scene, stepper, None, RECORD_BATCH_STEPS, constants, lane, (), accuracy, np.float64(0), excerpt.recorded
+            )
             parts.append({name: np.asarray(x) for name, x in part.items()})
             if not (np.asarray(lane.clock.until(excerpt.recorded)) > 0).any():
                 break

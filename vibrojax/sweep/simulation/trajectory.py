@@ -11,12 +11,15 @@ import xarray as xr
 from jaxtyping import Bool, Float, Int
 
 from vibrojax.io.kinds import dataset_attributes
+from vibrojax.io.variables import VARIABLES
 from vibrojax.measures.section import lowest
 from vibrojax.models.arrays import Array
 from vibrojax.models.physics.parameters import differing
 from vibrojax.models.scenes import Driven, HasContact, HasFriction, HasRock, Scene
 from vibrojax.models.scenes.declared import Values
 from vibrojax.sweep.engine.compiler import lane_function
+from vibrojax.sweep.engine.drift import drift
+from vibrojax.sweep.engine.labelled import measured_besides, regimes
 from vibrojax.sweep.input.read import Point
 from vibrojax.sweep.simulation.dense_output import Record, accumulated
 
@@ -30,6 +33,41 @@ FORCES = {
     "rock_force": "resistance of the rock under the bit",
 }
 """Meanings of the sampled forces [N], by variable name."""
+
+
+OBSERVED_SHARE, OBSERVED_MAX_HALF = 1 / 6, 8.0
+"""Observed part of a motion: a fraction of its duration, which is that of a sweep's defaults, and a minimum [s]. If the
+minimum exceeds one half of the motion, one half is observed."""
+
+
+def window(duration: float) -> tuple[float, float]:
+    """Return the beginning and the length of the observation of a motion with this `duration` [s]."""
+    observe = max(OBSERVED_SHARE * duration, min(OBSERVED_MAX_HALF, duration / 2))
+    return duration - observe, observe
+
+
+def labelled_features(
+    scene: Scene[Any], parameters: dict[str, float], features: dict[str, np.ndarray], tolerance: float
+) -> dict[str, tuple[tuple[()], np.ndarray, dict[str, Any]]]:
+    """Return the features (see `record`) as scalar variables of a motion's dataset, named as in a sweep.
+
+    `tolerance`: error tolerance of the steps.
+    """
+    features = dict(features)
+    if scene.section is not None and "cycles" in features:
+        swing = scene.section.swings[0].amplitude
+        if {swing, "trend"} <= set(features):
+            values = {name: np.array([value]) for name, value in parameters.items()}
+            sound = {"finite": np.isfinite(features[swing]), "finished": np.array([True])}
+            features["regime"] = regimes(scene, values, features | sound)
+        features["drift_estimate"] = drift(features, scene.section, "float64", tolerance)
+    numbers = {}
+    for name, variable in (VARIABLES | measured_besides(scene)).items():
+        if name in features and features[name].ndim == 1:
+            value = features[name][0]
+            value = np.nan_to_num(value) if np.issubdtype(variable.dtype, np.integer) else value
+            numbers[name] = ((), np.asarray(value, variable.dtype), variable.attributes())
+    return numbers
 
 
 class AlongTime(NamedTuple):
