@@ -161,7 +161,9 @@ def cell_of_record(scene: Scene[Any], record: Record, moments: Mapping[str, np.n
         note="" if excerpt.returns else "it passes no section",
         returns=int(excerpt.returns),
         duration=duration,
-        columns=tuple(StateColumn(name, state.unit, state.long_name) for name, state in shown.items()),
+        columns=tuple(
+            StateColumn(name, state.attrs["units"], state.attrs["long_name"]) for name, state in shown.items()
+        ),
         time=times - first,
         states={name: np.asarray(state.values) for name, state in shown.items()},
         flags=flags,

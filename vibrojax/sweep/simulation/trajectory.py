@@ -11,7 +11,7 @@ import xarray as xr
 from jaxtyping import Bool, Float, Int
 
 from vibrojax.io.kinds import dataset_attributes
-from vibrojax.io.variables import VARIABLES
+from vibrojax.io.variables import VARIABLES, Variable
 from vibrojax.measures.section import lowest
 from vibrojax.models.arrays import Array
 from vibrojax.models.physics.parameters import differing
@@ -68,14 +68,6 @@ def labelled_features(
             value = np.nan_to_num(value) if np.issubdtype(variable.dtype, np.integer) else value
             numbers[name] = ((), np.asarray(value, variable.dtype), variable.attributes())
     return numbers
-
-
-class AlongTime(NamedTuple):
-    """A variable along `time`: values, unit and meaning."""
-
-    values: Any
-    unit: str
-    long_name: str
 
 
 class SampledMotion(NamedTuple):
@@ -136,13 +128,13 @@ def _returns(scene: Scene[Any], c: Any, record: Record) -> Bool[np.ndarray, " st
     return passed
 
 
-def forces(scene: Scene[Any], c: Any, motion: SampledMotion, width: float | None) -> dict[str, AlongTime]:
+def forces(scene: Scene[Any], c: Any, motion: SampledMotion, width: float | None) -> dict[str, xr.Variable]:
     """Return the sampled forces [N] by name; `width`: that of the smoothed friction switch [m/s], None if it is sharp.
 
     Friction is the force of the springs on the bit minus the bit's mass times acceleration.
     """
     values = _forces(scene, width is None, _scalars(c), tuple(motion.modes), tuple(motion.states), width or 0.0)
-    return {name: AlongTime(np.asarray(force) + 0.0, "N", FORCES[name]) for name, force in values.items()}  # no -0.0
+    return {name: _along_time(np.asarray(force) + 0.0, "N", FORCES[name]) for name, force in values.items()}  # no -0.0
 
 
 @lane_function(static=2)
@@ -179,13 +171,13 @@ def _scalars(c: Any) -> Any:
 
 def states_shown(
     scene: Scene[Any], motion: SampledMotion, record: Record | None, step_of: Int[Array, " samples"] | None
-) -> dict[str, AlongTime]:
+) -> dict[str, xr.Variable]:
     """Return the sampled states by name; with rock, x3 (bit) and x4 (hole) instead of `compression` and `growth`.
 
     `growth` is reset to zero at each impact or pulse. x4 is its sum since the start, and x3 is x4 plus `compression`.
     `record` holds all steps and `step_of` the step of each sample; without them, x3 and x4 are left out.
     """
-    variables: dict[str, AlongTime] = {}
+    variables: dict[str, xr.Variable] = {}
     x3 = x4 = None
     if isinstance(scene, HasRock) and record is not None and step_of is not None:
         growth = scene.place("growth")
@@ -193,34 +185,36 @@ def states_shown(
         x3 = x4 + motion.states[scene.place("compression")]
     for state, values in zip(scene.states, motion.states, strict=True):
         if state.shown:
-            variables[state.name] = AlongTime(values, state.unit, state.long_name)
+            variables[state.name] = _along_time(values, state.unit, state.long_name)
         elif state.name == "compression" and x3 is not None:
-            variables["x3"] = AlongTime(x3, "m", "normal position of the bit")
+            variables["x3"] = _along_time(x3, "m", "normal position of the bit")
         elif state.name == "growth" and x4 is not None:
-            variables["x4"] = AlongTime(x4, "m", "depth of the hole")
+            variables["x4"] = _along_time(x4, "m", "depth of the hole")
     return variables
+
+
+def _along_time(values: Any, unit: str, long_name: str, flags: tuple[str, ...] = ()) -> xr.Variable:
+    return xr.Variable("time", np.asarray(values), Variable(unit, long_name, flags=flags).attributes())
 
 
 def trajectory_dataset(
     point: Point,
     scene: Scene[Any],
     motion: SampledMotion,
-    along_time: Mapping[str, AlongTime],
+    along_time: Mapping[str, xr.Variable],
     event_list: Events | None,
     solver: Mapping[str, object],
 ) -> xr.Dataset:
     """Return the dataset of a trajectory, with variables along `time` and along `event`."""
-    variables: dict[str, tuple[str, Any, dict[str, Any]]] = {
-        name: ("time", x.values, {"units": x.unit, "long_name": x.long_name}) for name, x in along_time.items()
-    }
+    variables = dict(along_time)
     if isinstance(scene, HasFriction):
-        flags = {"flag_values": np.array([0, 1], np.int8), "flag_meanings": "slides sticks"}
         stuck = (motion.modes[scene.mode_place("slip")] == 0).astype(np.int8)
-        variables["stuck"] = ("time", stuck, {"units": "1", "long_name": "whether the bit sticks to the rock", **flags})
+        variables["stuck"] = _along_time(stuck, "1", "whether the bit sticks to the rock", ("slides", "sticks"))
     if event_list is not None:
-        flags = {"flag_values": np.arange(len(KINDS), dtype=np.int8), "flag_meanings": " ".join(KINDS)}
-        variables["event_time"] = ("event", event_list[0], {"units": "s", "long_name": "time of the event"})
-        variables["event_kind"] = ("event", event_list[1], {"units": "1", "long_name": "what happened", **flags})
+        about = Variable("s", "time of the event"), Variable("1", "what happened", flags=KINDS)
+        variables["event_time"], variables["event_kind"] = (
+            xr.Variable("event", x, of_events.attributes()) for x, of_events in zip(event_list, about, strict=True)
+        )
     start = point.start
     written = {} if start is None else {"start": start if isinstance(start, str) else json.dumps(list(start))}
     attributes = {
