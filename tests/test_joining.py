@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from vibrojax.analyses.sweep import joining
 from vibrojax.analyses.sweep.run import run_sweep, run_to_file
+from vibrojax.analyses.sweep.workers.work import Work
 from vibrojax.io import dataset as on_disk
 from vibrojax.io.dataset import open_dataset
 from vibrojax.io.targets import Regions
@@ -42,12 +43,24 @@ def test_regions_are_whole_chunks_one_after_the_other(shape, most):
     np.testing.assert_array_equal(found.ravel(), np.arange(prod(shape)))
 
 
+@pytest.fixture(scope="module", params=[0, 3])
+def swept(request):
+    """A sweep with so many last returns, its dataset, and `Work.compute` with what was computed once."""
+    sweep, chunks, compute = read_sweep(SWEEP, [f"run.keep_returns={request.param}"]), {}, Work.compute
+
+    def once(self, index, *report):
+        if index not in chunks:
+            chunks[index] = compute(self, index)
+        return dict(chunks[index])
+
+    return sweep, run_sweep(sweep, progress=False), once
+
+
 @pytest.mark.parametrize("region", [1, 2, 7, 20])
-@pytest.mark.parametrize("keep", [0, 3])
-def test_regions_do_not_show(region, keep, tmp_path, monkeypatch):
+def test_regions_do_not_show(region, swept, tmp_path, monkeypatch):
     """Points are cut by chunks and by regions: `hidden_motion` compares all of their starts nevertheless."""
-    sweep = read_sweep(SWEEP, [f"run.keep_returns={keep}"])
-    expected = run_sweep(sweep, progress=False)
+    sweep, expected, once = swept
+    monkeypatch.setattr(Work, "compute", once)
     assert expected.hidden_motion.values.any()
     monkeypatch.setattr(joining, "REGION", region)
     monkeypatch.setattr("vibrojax.io.targets.COMPRESSED", 4)
