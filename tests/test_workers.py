@@ -16,7 +16,7 @@ from commands import ROOT, TEXT, start
 
 import vibrojax as vj
 from vibrojax.analyses.sweep.run import run_share, run_to_file
-from vibrojax.analyses.sweep.workers.executor import compute_chunk
+from vibrojax.analyses.sweep.workers.executor import by_executor, compute_chunk
 from vibrojax.analyses.sweep.workers.work import Work
 from vibrojax.errors import InputError
 from vibrojax.sweep.input.read import read_sweep
@@ -247,7 +247,7 @@ def test_physics_that_cannot_be_sent(tmp_path):
     )
     sweep = {"scene": "vibro-impact", "parameters": {"friction": law}, "grid": {"beta": [0.4]}}
     with ThreadPoolExecutor(1) as executor, pytest.raises(InputError, match="cannot be sent to other processes"):
-        vj.run_sweep(sweep, progress=False, executor=executor)
+        by_executor(read_sweep(sweep), executor, [0], lambda *_: None)
 
 
 def test_a_share_of_the_cores_each(file):
