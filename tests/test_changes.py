@@ -15,11 +15,7 @@ def changed(*words):
 def test_parameters_are_fixed_or_become_axes():
     sweep = changed("k1=312500", "v = 2", "beta=0.5", "friction=coulomb", "delta={start=-0.005, stop=0.005, num=3}")
     assert sweep.parameters["k1"] == 312500 and sweep.parameters["v"] == 2.0 and sweep.parameters["beta"] == 0.5
-    assert (
-        sweep.options["friction"] == "coulomb"
-        and list(sweep.axes) == ["gamma", "delta"]
-        and len(sweep.axes["delta"]) == 3
-    )
+    assert sweep.friction == "coulomb" and list(sweep.axes) == ["gamma", "delta"] and len(sweep.axes["delta"]) == 3
     assert list(changed("k1=[2e5, 3e5]").axes) == ["beta", "gamma", "k1"]
 
 

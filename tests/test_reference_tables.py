@@ -13,7 +13,7 @@ def test_parameters_are_those_that_sweeps_take(scene):
     table = vj.list_parameters(scene)
     always = table[table["where"] == ""]
     sweep = vj.read_sweep({"scene": scene, "parameters": dict(always.default.drop("m1")), "grid": {"m1": [200.0]}})
-    usual = sweep.options.get("friction") or "rectangular"
+    usual = sweep.friction or "rectangular"
     own = table[table["where"].str.contains(f'"{usual}"')]
     assert {*always.index, *own.index} == set(sweep.system.parameters())
     assert {**always.default, **own.default} == {"m1": 250.0, **sweep.parameters}

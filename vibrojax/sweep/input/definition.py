@@ -31,7 +31,7 @@ class Sweep:
     - `options`: names of the scene's options, such as the friction law.
     - `starts`: initial conditions, as names or vectors such as (x1, x1', x2, x2') [m, m/s]; None for a scene without
       selectable initial conditions.
-    - `parameters`: all fixed values by name, in SI units.
+    - `parameters`: all fixed values by name, in SI units. `given`: those that the user specified.
     - `axes`: axes of the grid, each (values,), in the order of the file; empty if only the initial condition varies.
     - `points`: columns (points,) that replace a grid.
     - `point_starts`: name of each point's initial condition, if specified with the points.
@@ -52,12 +52,18 @@ class Sweep:
     system: Scene[Any]
     starts: Starts | None
     parameters: dict[str, float]
+    given: dict[str, float]
     axes: dict[str, np.ndarray] = field(default_factory=dict)
     points: dict[str, np.ndarray] | None = None
     point_starts: list[str] | None = None
     point_vectors: dict[str, np.ndarray] | None = None
     run: RunSettings = field(default_factory=RunSettings)
     file: str = "sweep"
+
+    @property
+    def friction(self) -> str | None:
+        """Name of the friction law, or None for a scene without friction."""
+        return self.options.get("friction")
 
     @property
     def dims(self) -> tuple[str, ...]:

@@ -76,6 +76,7 @@ def read_sweep(source: str | PathLike[str] | Mapping[str, object], changes: Iter
         system=names.system,
         starts=starts,
         parameters=defaults | with_substitutes(names.system, fixed),
+        given=fixed,
         axes=axes,
         points=points.columns if points else None,
         point_starts=points.starts if points else None,

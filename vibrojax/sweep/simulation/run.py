@@ -252,7 +252,8 @@ def recorded(
             _compiled.add((scene, stepper))
         with timed("step"):
             steps, features = run(duration, report, most_steps)
-        return Recorded(steps, labelled_features(scene, point.parameters, features, accuracy.tolerance))
+        with timed("measure"):
+            return Recorded(steps, labelled_features(scene, point.parameters, features, accuracy.tolerance))
 
 
 def constants_at(place: Place, point: Point, stepper: Stepper | None) -> Any:
