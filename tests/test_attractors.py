@@ -7,6 +7,7 @@ import pytest
 import xarray as xr
 from known_scenes import BeltOscillator
 from matplotlib.collections import QuadMesh
+from read_off import note
 
 import vibrojax as vj
 from vibrojax.analyses.attractors.analysis import Attractors
@@ -14,6 +15,7 @@ from vibrojax.analyses.attractors.grouping import PointMotion, PointMotions, cla
 from vibrojax.analyses.attractors.matching import number_attractors
 from vibrojax.cli import main
 from vibrojax.errors import InputError
+from vibrojax.io.provenance import source
 from vibrojax.io.variables import NATURES
 from vibrojax.measures.labels import EQUILIBRIUM, FAILED, IRREGULAR, SINGLE_IMPACT, SUBHARMONIC
 from vibrojax.sweep.engine.chunks import Chunks
@@ -247,6 +249,7 @@ def test_what_has_no_attractors_is_refused(change, says):
 
 def test_the_picture_shows_shares(found):
     figure = vj.picture(found)
+    assert "legend: most frequent regime, and share of all 640 lanes" in " ".join(note(figure).split())
     panel = next(axes for axes in figure.axes if axes.get_title() == "β = 0.4")
     number = int(present(found, beta=0.4, gamma=0.75).attractor[0])
     drawn = [line.get_ydata() for line in panel.lines]
@@ -358,6 +361,16 @@ def test_the_command(sweep, found, tmp_path, capsys, monkeypatch):
     again = vj.open_dataset(tmp_path / "map-attractors.nc")
     for name in found.data_vars:
         np.testing.assert_array_equal(again[name], found[name])
+    with monkeypatch.context() as changed:  # the finished result is not computed again
+        changed.setattr(Attractors, "of_lanes", None)
+        assert main(["attractors", "map.nc"]) == 0
+    line = f"map-attractors.nc: is there already ({source()}); it is not computed again without --fresh"
+    stored = [f"{line}; picture map-attractors.png", *said.splitlines()[1:]]
+    assert capsys.readouterr().out.splitlines() == stored
+    with monkeypatch.context() as changed:
+        changed.setattr(Attractors, "of_lanes", lambda *_: again)
+        assert main(["attractors", "map.nc", "--fresh"]) == 0
+    assert capsys.readouterr().out == said
     assert main(["info", "map-attractors.nc"]) == 0
     assert "single-impact" in capsys.readouterr().out
     assert main(["info", "--json", "map-attractors.nc"]) == 0

@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 
 import vibrojax as vj
+from vibrojax.analyses.borders.analysis import Borders
 from vibrojax.analyses.borders.curves import Vertex, around_region
 from vibrojax.analyses.borders.run import BORDER_KINDS
 from vibrojax.cli import main
 from vibrojax.errors import InputError
+from vibrojax.io.provenance import source
 from vibrojax.measures.labels import SINGLE_IMPACT
 
 SWEEP = {
@@ -166,6 +168,10 @@ def test_a_lone_line_of_the_grid_in_or_out():
         ({"scene": "rotary", "grid": {"beta": [0.3, 0.4], "gamma": [0.5, 0.6]}}, "no impacts"),
         ({"grid": {"beta": [0.3, 0.4]}}, "no two axes"),
         ({"grid": {"beta": [0.3, 0.4], "gamma": [0.7]}}, "no two axes"),
+        (
+            {"grid": {"beta": [0.3, 0.4], "striker_frequency": [2.0, 3.0]}},
+            "striker_frequency is not a parameter of the",
+        ),
     ],
 )
 def test_what_has_no_plane_is_refused(change, says):
@@ -186,6 +192,16 @@ def test_the_command(sweep, borders, tmp_path, capsys, monkeypatch):
     assert "any start" in said and "period-doubling" in said
     again = vj.open_dataset(tmp_path / "map-borders.nc")
     np.testing.assert_array_equal(again.gamma, borders.gamma)
+    with monkeypatch.context() as changed:  # the finished result is not computed again
+        changed.setattr(Borders, "of_lanes", None)
+        assert main(["borders", "map.nc"]) == 0
+    line = f"map-borders.nc: is there already ({source()}); it is not computed again without --fresh"
+    stored = [f"{line}; picture map-borders.png", *said.splitlines()[1:]]
+    assert capsys.readouterr().out.splitlines() == stored
+    with monkeypatch.context() as changed:
+        changed.setattr(Borders, "of_lanes", lambda *_: again)
+        assert main(["borders", "map.nc", "--fresh"]) == 0
+    assert capsys.readouterr().out == said
     assert main(["info", "map-borders.nc"]) == 0
     told = capsys.readouterr().out
     assert "any start" in told and "% of the plane" in told

@@ -209,9 +209,9 @@ def test_ratios_are_those_of_the_race():
     ratio = {name: ratio for name, (_, ratio) in peers().items()}
     for name, text in {
         "SciPy, solve_ivp with events": "{:.0f} times faster than SciPy with events",
-        "diffrax, smoothed, adaptive": "{:.0f} times than diffrax with smoothed friction",
-        "diffrax with its events": "{:.0f} times than diffrax with its events in a loop of ours",
-        "C++ SIMD, RK4, smoothed": "{:.0f} times than a smoothed loop in SIMD",
+        "diffrax, smoothed, adaptive": "{:.0f} times faster than diffrax with smoothed friction",
+        "diffrax with its events": "{:.0f} times faster than diffrax with its events in a loop of ours",
+        "C++ SIMD, RK4, smoothed": "{:.0f} times faster than a smoothed loop in SIMD",
     }.items():
         assert text.format(ratio[name]) in METHODS, name
     assert ratio["numba, Dormand-Prince 5(4)"] == pytest.approx(1.0, abs=0.05)

@@ -117,7 +117,7 @@ def test_a_dry_run_only_tells(calls, capsys):
     assert main(["sweep", "map.toml", "--dry-run"]) == 0
     assert calls.names() == ["estimate", "check_size"]
     expected = [
-        "lanes   4 (2 beta x 2 start) in 1 chunks",
+        "lanes   4 (2 beta x 2 start) in 1 chunk",
         "memory  2.5 MB",
         "disk    1.23 kB while it runs, 512 B then",
     ]

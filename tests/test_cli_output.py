@@ -51,7 +51,7 @@ def test_simulate_prints_what_it_found_as_json(here, capsys):
     facts = printed(capsys, "simulate", "vibro-impact", "duration=1", "beta=0.4", "--json", "-o", "a.nc")
     assert set(facts) == {
         *("scene", "friction", "start", "parameters", "duration", "run"),
-        *("found", "solver", "dataset", "picture"),
+        *("found", "frequencies", "solver", "dataset", "picture"),
     }
     assert facts["parameters"]["beta"] == 0.4 and facts["duration"] == 1.0 and facts["start"] == "drive"
     assert facts["found"]["regime"] == "undecided" and facts["found"]["returns"] == 2
@@ -162,7 +162,7 @@ def test_what_may_stand_there_is_told(here):
     assert files(".nc")("map.") == ["map.nc"] and files(".nc")(f"{here}/map.") == [f"{here}/map.nc"]
     assert files(".nc")("/no/such/folder/") == []
     values = values_with(SIMULATE_SETTINGS)
-    assert values("b", parsed) == ["bit_radius="]  # beta is there already
+    assert values("b", parsed) == ["bit_radius=", "bit_frequency="]  # beta is there already
     assert values("start=", parsed) == ["start=drive", "start=stuck", "start=touching"]
     assert values("friction=cou", parsed) == ["friction=coulomb"]
     parsed.scene = "nothing"

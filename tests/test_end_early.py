@@ -83,10 +83,10 @@ def returns(distances, period=0.5, last=9.9):
     """What would be seen of returns, newest first, of a lane at such relative `distances` from where it settles."""
     states = np.zeros((8, 3, 1))
     states[:, 1, 0] = 0.01 * np.asarray(distances)
-    half = np.array([0.02]), np.array([0.01])
+    scales = tuple(np.array([x]) for x in (0.02, 0.01, 0.01 * 2 * np.pi / period))
     times = np.where(np.isnan(states[:, 1]), np.nan, last - period * BACK[:, None])
     seen = Seen(armed=None, since=None, ranges=(), states=states, times=times, settled=None, frequency=None)
-    return Settling(seen, Passed(waiting=None, state=None, time=None, since=np.array([period]), amplitudes=half))
+    return Settling(seen, Passed(waiting=None, state=None, time=None, scales=scales))
 
 
 @pytest.mark.parametrize(

@@ -286,6 +286,31 @@ def test_what_cannot_be_shown_is_refused_in_one_line(
     assert not list(tmp_path.glob("*.html"))
 
 
+def test_a_page_with_borders_replaces_no_other_page(
+    plane: xr.Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("map.nc", "a/borders.nc", "b/borders.nc"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        vj.write_dataset(plane.assign_attrs(title=name), tmp_path / name)
+    monkeypatch.setattr(
+        "vibrojax.explorer.write_page",
+        lambda ds, path, over, **_: path.write_text(ds.title + ("" if over is None else over.title)),
+    )
+
+    def written(*words: str) -> str:
+        assert main(["explore", "map.nc", *words]) == 0
+        return capsys.readouterr().out.rstrip()
+
+    for _ in range(2):
+        assert written() == "map.html: 0.0 MB"
+        assert written("--over", "a/borders.nc") == "map-over-borders.html: 0.0 MB"
+        assert written("--over", "b/borders.nc") == "map-over-borders-2.html: 0.0 MB"
+    assert (tmp_path / "map-over-borders.html").read_text() == "map.nca/borders.nc"
+    (tmp_path / "map.html").write_text("of an earlier dataset")
+    assert written() == "map.html: 0.0 MB; replaces another page"
+
+
 def test_a_dataset_whose_sweep_is_not_known_opens_without_motions(plane: xr.Dataset) -> None:
     alone = plane.copy()
     del alone.attrs["sweep"]

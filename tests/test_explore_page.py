@@ -34,6 +34,19 @@ FEW = {
 }
 
 
+COEXISTING = {
+    "scene": "vibro-impact",
+    "parameters": {"beta": 0.4, "delta": 0.005},
+    "starts": {
+        "sample": "sobol",
+        "count": 8,
+        "seed": 1,
+        "box": {"x1": [-0.02, 0.02], "v1": [-2.0, 1.0], "x2": [-0.05, 0.05], "v2": [-3.0, 3.0]},
+    },
+    "grid": {"gamma": [0.35, 0.75]},
+}
+
+
 @pytest.fixture(scope="module")
 def many() -> xr.Dataset:
     return vj.run_sweep(MANY, progress=False)
@@ -261,6 +274,102 @@ def test_cells_that_a_page_shows_are_those_that_were_written(browser: Any, files
             np.testing.assert_array_equal(shown["flags"], cell.flags)
             for name, values in cell.states.items():
                 np.testing.assert_allclose(shown["states"][name], values, rtol=1e-9, atol=1e-15)
+
+
+def _numbers(opened: Opened) -> dict[str, str]:
+    """The numbers of the chosen cell, by name."""
+    rows = "[...document.querySelectorAll('.vx-numbers td')].map(td => [td.dataset.name, td.dataset.value])"
+    return dict(opened.evaluate(rows))
+
+
+def test_an_attractor_is_shown_with_a_start_that_ends_in_it(browser: Any, tmp_path: Path) -> None:
+    """Heading, share, regime and motion belong together, whichever of attractor and start is chosen."""
+    ds = vj.attractors(COEXISTING, progress=False)
+    assert ds.sizes["attractor"] == 3
+    lanes = ds["lane_attractor"].transpose("gamma", "start").values
+    ds["lane_attractor"][{"start": (free := int(np.flatnonzero(lanes[1] == lanes[1, 0])[1]))}] = -1
+    page = write_page(ds, tmp_path / "attractors.html", progress=False)
+
+    def check(opened: Opened) -> None:
+        opened.settled()
+        cell, told = opened.cell, _numbers(opened)
+        heading, said = opened.page.locator("h2").inner_text(), opened.page.locator(".vx-motion").first.inner_text()
+        own = int(ds["lane_attractor"].isel(gamma=cell["gamma"], start=cell["start"]))
+        number = cell["attractor"]
+        ends = (ds["lane_attractor"].isel(gamma=cell["gamma"]) == number).any()
+        if own == -1 and opened.evaluate("vibrojax.apart") == "start":
+            assert "attractor" not in heading and "share" not in told and told["lane_attractor"] == "-1"
+            return
+        assert f"attractor = {number}" in heading
+        assert float(told["share"]) == float(ds["share"].isel(gamma=cell["gamma"], attractor=number))
+        if ends:
+            assert own == number == int(told["lane_attractor"]) and "no start" not in said
+            assert int(told["regime"]) == int(ds["regime"].isel(gamma=cell["gamma"], attractor=number))
+            written = re.search(r"x₁\(0\) = (\S+) mm", heading)
+            assert written and float(written[1].replace("−", "-")) == pytest.approx(
+                1e3 * float(ds["start_x1"][cell["start"]]), rel=1e-4
+            )
+        else:
+            assert said == f"no start here ends in attractor {number}" and float(told["share"]) == 0
+            assert not {"lane_attractor", "regime", "period"} & set(told) and "x₁(0)" not in heading
+            assert opened.page.locator(".vx-call").count() == 0
+
+    for y in ("attractor", ""):
+        with Opened(browser, page, f"#variable=share&x=gamma&y={y}") as opened:
+            check(opened)
+            for key in ("Home", "PageDown", "ArrowUp", "End", "ArrowUp"):
+                opened.page.locator(".vx-over").press(key)
+                check(opened)
+            chosen = [("attractor", number) for number in range(0 if y else 3)]
+            for axis, index in [*chosen, ("start", 0), ("start", 5), ("start", free)]:
+                opened.page.locator(f'[data-control="at-{axis}"]').select_option(str(index))
+                check(opened)
+                assert opened.cell[axis] == index
+            assert opened.evaluate("vibrojax.apart") == "start" and opened.heard == []
+
+
+def _open(browser: Any, ds: xr.Dataset, path: Path, fragment: str = "", scheme: str = "light") -> Opened:
+    path.write_text(page_text(document_of(ds)), encoding="utf-8")
+    return Opened(browser, path, fragment, scheme=scheme)
+
+
+def test_a_fit_is_named_by_its_groups_and_has_no_motions(browser: Any, tmp_path: Path) -> None:
+    rows = [f"{p:.6g},9e3,{4e-3 * np.log(p / 9e3)},{rock}" for p in np.linspace(12e3, 4e4, 6) for rock in ("a", "b")]
+    (tmp_path / "rig.csv").write_text("\n".join(["mean_force,threshold,rate_of_penetration,rock", *rows]))
+    fit = vj.fit_rop(tmp_path / "rig.csv", by=["rock"], progress=False)
+    with _open(browser, fit, tmp_path / "fit.html") as opened:
+        text = opened.page.locator(".vx-cellhead").inner_text()
+        assert "rock b" in text and "lane =" not in text and "a fit has no motions" in text
+        assert opened.page.locator(".vx-foot").inner_text().startswith("vibrojax")
+        names = opened.page.locator(".vx-numbers th").all_inner_texts()
+        assert any(name.endswith("(lane = 0)") for name in names)
+        assert "coefficient of the rate-of-penetration law" in names
+        opened.page.get_by_label("Variable").select_option("data_relief")
+        opened.page.locator("h2", has_text="rock b, lane = ").wait_for()
+        assert opened.heard == []
+
+
+@pytest.mark.parametrize(("value", "said"), [(0.0, "0 everywhere"), (np.nan, "no value")])
+def test_no_scale_is_made_up_for_zeros_or_nothing(browser: Any, tmp_path: Path, value: float, said: str) -> None:
+    axes = {"a": [1.0, 2.0, 3.0], "b": [1.0, 2.0]}
+    rate = (("a", "b"), np.full((3, 2), value), {"units": "m s-1", "long_name": "rate"})
+    ds = xr.Dataset({"rate": rate}, axes, {"source": "vibrojax 0"})
+    with _open(browser, ds, tmp_path / "page.html") as opened:
+        assert f": {said} here" in opened.page.locator(".vx-legend").inner_text()
+        assert opened.page.locator(".vx-bar").count() == 0
+
+
+def test_the_legend_of_a_family_has_what_occurs_in_colours_that_are_seen(browser: Any, tmp_path: Path) -> None:
+    family = vj.follow("rotary", along="v", at=1.0, span=(0.9, 1.1), progress=False)
+    kinds = {family["special_kind"].attrs["flag_meanings"].split()[k] for k in family["special_kind"].values}
+    runs = {"stable" if flag == 1 else "not stable" for flag in family["stable"].values}
+    with _open(browser, family, tmp_path / "family.html", scheme="dark") as opened:
+        items = opened.page.locator(".vx-legend li")
+        assert {text.lstrip("■●◆▲|×").strip() for text in items.all_inner_texts()} == runs | kinds
+        ground = "getComputedStyle(document.querySelector('.vx-map')).backgroundColor"
+        colours = opened.evaluate("[...document.querySelectorAll('.vx-glyph')].map(one => getComputedStyle(one).color)")
+        brightness = [sum(map(int, re.findall(r"\d+", colour)[:3])) for colour in (opened.evaluate(ground), *colours)]
+        assert len(colours) == len(kinds) and all(abs(one - brightness[0]) > 100 for one in brightness[1:])
 
 
 def test_it_works_in_firefox(files: dict[str, Path]) -> None:

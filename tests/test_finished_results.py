@@ -1,7 +1,11 @@
 """An interrupted sweep goes on where it was; a finished result of another is not replaced without `--fresh`."""
 
 import json
+import os
+import subprocess
+import sys
 import time
+from textwrap import dedent
 
 import numpy as np
 import pytest
@@ -10,7 +14,7 @@ import xarray as xr
 import vibrojax as vj
 from vibrojax.analyses.sweep.run import run_to_file
 from vibrojax.cli import main
-from vibrojax.io.manifest import check_replaceable
+from vibrojax.io.manifest import IDENTITY, check_replaceable, identity_text
 from vibrojax.io.provenance import source
 from vibrojax.sweep.engine.chunks import Chunks
 from vibrojax.sweep.input.read import read_sweep
@@ -172,3 +176,97 @@ def test_goes_on_where_it_was(tmp_path, monkeypatch):
         xr.testing.assert_identical(found.drop_attrs(), expected.drop_attrs())
         assert found.wall_time_s > 0.6  # what the interrupted run took counts
         assert np.all(found.status == 0)
+
+
+# The code of a user's own scene or law is part of what a result depends on.
+
+OWN = {
+    "aid.py": "def share(u):\n    return 0.9 + 0.1 / (1.0 + u)\n",
+    "own.py": """
+        from dataclasses import dataclass
+        import jax.numpy as jnp
+        import vibrojax as vj
+        import aid
+
+        LEAST = 0.2
+
+        def unrelated():
+            return 1
+
+        law = vj.FrictionLaw("own", "mine", {}, mu=lambda u, p: (
+            LEAST * aid.share(u)
+            + 0.1
+        ))
+
+        @dataclass(frozen=True)
+        class Drill(vj.SCENES["rotary"]):
+            factor: float = 1.0
+            name = "own-drill"
+
+            def pull(self, c, state):
+                return self.factor * super().pull(c, state)
+        """,
+}
+
+DIGESTS = """
+import json
+import vibrojax as vj
+import own
+sweep = {"scene": own.Drill(), "parameters": {"friction": own.law}, "grid": {"v": [1.0]}}
+digests = {name: x for name, x in vj.read_sweep(sweep).identity().items() if name.startswith("code.")}
+print(json.dumps(digests))
+"""
+
+
+def own_code(folder, old="", new=""):
+    """Write the user's modules, with `old` replaced by `new`."""
+    folder.mkdir()
+    for name, text in OWN.items():
+        (folder / name).write_text(dedent(text).replace(old, new))
+    return folder
+
+
+def digests(folder, monkeypatch):
+    """The digests of the user's code in the identity of a sweep."""
+    with monkeypatch.context() as changed:
+        changed.syspath_prepend(folder)
+        for name in OWN:
+            changed.delitem(sys.modules, name.removesuffix(".py"), raising=False)
+        held = {}
+        exec(DIGESTS, held)
+        return held["digests"]
+
+
+def test_the_identity_follows_the_code_of_own_scenes_and_laws(tmp_path, monkeypatch, capsys):
+    before = digests(own_code(tmp_path / "before"), monkeypatch)
+    assert set(before) == {"code.scene", "code.friction"}
+    edits = (
+        ("return 1", "return 2", set()),  # a function that neither uses
+        ("+ 0.1\n", "+ 0.2\n", {"code.friction"}),  # the last line of the lambda
+        ("LEAST = 0.2", "LEAST = 0.3", {"code.friction"}),
+        ("0.9 + 0.1", "0.8 + 0.2", {"code.friction"}),  # in another module
+        ("self.factor *", "-self.factor *", {"code.scene"}),
+        ("float = 1.0", "float = 2.0", {"code.scene"}),
+    )
+    for index, (old, new, expected) in enumerate(edits):
+        after = digests(own_code(tmp_path / f"after-{index}", old, new), monkeypatch)
+        assert {name for name in before if after[name] != before[name]} == expected, old
+    environment = {**os.environ, "PYTHONHASHSEED": "7"}  # another process agrees
+    argv = [sys.executable, "-c", DIGESTS]
+    done = subprocess.run(argv, capture_output=True, text=True, cwd=tmp_path / "before", env=environment, check=True)
+    assert json.loads(done.stdout) == before
+
+
+def test_a_result_of_other_code_is_not_taken_for_the_same(folder):
+    def sweep(share):
+        law = vj.FrictionLaw("own", "mine", {}, mu=lambda u, p: share + 0.0 * u)
+        tables = {"scene": "rotary", "parameters": {"friction": law}, "grid": {"gamma": [0.6]}}
+        return read_sweep({**tables, "run": {"settle": 0.2, "observe": 0.2}})
+
+    out = folder / "own.nc"
+    vj.write_dataset(xr.Dataset(attrs={IDENTITY: identity_text(sweep(0.2).identity())}), out)
+    check_replaceable(out, sweep(0.2).identity())
+    with pytest.raises(vj.InputError, match=r'holds another result: code\.friction was "sha256 \w+", is "sha256 '):
+        check_replaceable(out, sweep(0.3).identity())
+    builtin = read_sweep({"scene": "drilling", "grid": {"gamma": [0.6]}}).identity()
+    assert not any(name.startswith("code.") for name in builtin)

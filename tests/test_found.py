@@ -4,8 +4,10 @@ import json
 
 import numpy as np
 import pytest
+import xarray as xr
 
 import vibrojax as vj
+from vibrojax.analyses.frequencies import frequency_part
 from vibrojax.analyses.trajectory.analysis import feature_lines
 from vibrojax.sweep.simulation import run as _recorded
 from vibrojax.sweep.simulation.trajectory import window
@@ -97,3 +99,30 @@ def test_it_is_said_that_programs_compile_once(capsys, monkeypatch):
     assert "compiling the scene penetration" in capsys.readouterr().err
     vj.simulate("penetration", duration=0.2)
     assert capsys.readouterr().err == ""
+
+
+def test_frequencies_are_outputs():
+    """w1/2pi, w2/2pi, the roots of the frequency equation (by their sum and product), and 60 impacts over the time."""
+    motion = vj.simulate("vibro-impact", delta=0.005, start="stuck", striker_frequency=3.0, progress=False)
+    outputs = vj.frequencies(motion)
+    assert float(outputs["bit_frequency"]) == pytest.approx(25 / (2 * np.pi))
+    assert float(outputs["striker_frequency"]) == pytest.approx(3.0) and outputs["striker_frequency"].units == "Hz"
+    squares = [(2 * np.pi * float(outputs[name])) ** 2 for name in ("lower_frequency", "upper_frequency")]
+    gamma = 6 * np.pi / 25
+    assert sum(squares) == pytest.approx(625 * (1 + gamma**2 * 1.4))
+    assert np.prod(squares) == pytest.approx(625**2 * gamma**2)
+    single = float(motion.impacts) == float(motion.cycles) == 1
+    assert single and float(outputs["blow_frequency"]) == pytest.approx(60 / float(motion.period))
+    ds = xr.Dataset(
+        {"impacts": ("rpm", [3.0, 0.5, 0.0]), "cycles": ("rpm", [2, 0, 1]), "period": ("rpm", [0.2, 0.25, 0.2])},
+        {"rpm": ("rpm", [100.0, 110.0, 120.0])},
+        {"sweep": 'scene = "vibro-impact"\n[parameters]\nbit_radius = 0.1\n'},
+    )
+    outputs = vj.frequencies(ds)
+    np.testing.assert_allclose(outputs["blow_frequency"], [450.0, 120.0, 0.0])
+    assert set(outputs) == {"blow_frequency", "rpm"} and outputs["rpm"].values.tolist() == [100.0, 110.0, 120.0]
+    fixed = {"parameters": json.dumps({"v": 2 * np.pi / 60 * 120 * 0.1}), "sweep": ds.sweep + "rpm = 120\n"}
+    assert float(vj.frequencies(xr.Dataset(attrs=fixed))["rpm"]) == pytest.approx(120.0)
+    part = frequency_part(ds)
+    assert part.lines == ["blows 0 to 450 1/min, rotation 100 to 120 1/min"]
+    assert part.facts["frequencies"]["rpm"] == {"least": 100.0, "greatest": 120.0, "units": "min-1"}

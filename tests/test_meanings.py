@@ -11,6 +11,10 @@ from vibrojax.models.physics.meanings import suggest_by_meaning
 
 SPEEDS = "v (drive speed [m/s]), v_cr (Stribeck speed [m/s]) or rpm (rotation speed of the drive [1/min])"
 STIFFNESSES = "k1 (main spring stiffness [N/m]) or k0 (contact stiffness [N/m])"
+FREQUENCIES = (
+    "bit_frequency (natural frequency of the bit alone [Hz]), striker_frequency (natural frequency of the striker "
+    "alone [Hz]) or gamma (frequency ratio w2/w1)"
+)
 PULSES = "frequency (pulses per second [1/s])"
 
 
@@ -30,8 +34,9 @@ PULSES = "frequency (pulses per second [1/s])"
         ("vibro-impact", "stiffness", STIFFNESSES),
         ("vibro-impact", "contact-stiffness", "k0 (contact stiffness [N/m])"),
         ("vibro-impact", "w2/w1", "gamma (frequency ratio w2/w1)"),
-        ("vibro-impact", "freq", "gamma (frequency ratio w2/w1)"),
-        ("vibro-impact", "frequency", "gamma (frequency ratio w2/w1)"),  # a parameter of another scene
+        ("vibro-impact", "freq", FREQUENCIES),
+        ("vibro-impact", "hz", FREQUENCIES),
+        ("vibro-impact", "frequency", FREQUENCIES),  # a parameter of another scene
         ("penetration", "freq", PULSES),
         ("penetration", "hz", PULSES),
         ("penetration", "f", PULSES),
@@ -42,6 +47,28 @@ def test_names_are_suggested_by_meaning(scene, word, meant):
     with pytest.raises(InputError) as caught:
         vj.read_sweep({"scene": scene, "grid": {word: [1.0, 2.0]}})
     assert str(caught.value).endswith(f"; did you mean {meant}?")
+
+
+@pytest.mark.parametrize(
+    ("scene", "values", "line"),
+    [
+        ("rotary", {"gap": 1}, 'gap: scene "rotary" has no delta (gap [m]); scenes with one: coupled-drilling, '),
+        ("vibro-impact", {"blows": 200}, "blows: is a result of the motion and determines no parameter; give v"),
+        ("drilling", {"blow_frequency": 200}, "blow_frequency: is a result of the motion"),
+        ("rotary", {"gamma": 0.7, "striker_frequency": 3}, "striker_frequency: gamma is given as well; give gamma, or"),
+        ("rotary", {"k1": 1e5, "bit_frequency": 3}, "bit_frequency: k1 is given as well; give k1, or bit_frequency"),
+        ("rotary", {"striker_frequency": 0}, "striker_frequency: is 0; it must be above 0 Hz"),
+        ("penetration", {"bit_frequency": 3}, 'bit_frequency: scene "penetration" has no such parameter'),
+    ],
+)
+def test_what_determines_no_parameter_is_refused(scene, values, line):
+    for call in (
+        lambda: vj.simulate(scene, **values, progress=False),
+        lambda: vj.read_sweep({"scene": scene, "parameters": values, "grid": {"m1": [250.0]}}),
+    ):
+        with pytest.raises(InputError) as caught:
+            call()
+        assert line in str(caught.value) and "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("word", ["gama", "zzz", "", "_"])

@@ -3,20 +3,21 @@
 import json
 import subprocess
 import sys
-from itertools import combinations
+from itertools import combinations, pairwise
 
 import matplotlib
 import numpy as np
 import pytest
 import xarray as xr
-from matplotlib.collections import PathCollection
+from matplotlib.collections import PathCollection, QuadMesh
 from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from read_off import axis_labels, check_texts, legend, meshes, note, outlines, panel, titles
 
 from vibrojax.analyses.pictures import REGIME_COLOURS, bifurcation, picture, save_picture, trajectory
-from vibrojax.errors import InputError
-from vibrojax.plot.axes import label, point_text, scale, value_text
+from vibrojax.errors import InputError, counted
+from vibrojax.plot.axes import certified_text, label, point_text, scale, share_text, short, value_text
+from vibrojax.plot.style import NO_VALUE, nested_line
 
 MEANINGS = "undecided equilibrium impact-free single-impact multi-impact subharmonic irregular failed"
 COORDINATES = {
@@ -178,7 +179,11 @@ def test_the_legend_has_the_regimes_that_are_there_with_their_shares():
     ds = lanes(square(4), ("drive",))
     ds["regime"].values[:] = 3
     ds["regime"].values[0, 0], ds["regime"].values[1] = 6, 7
-    assert legend(picture(ds))[:3] == ["single-impact  69 %", "irregular  6 %", "failed  25 %"]
+    assert legend(picture(ds))[:3] == [
+        "single-impact  69 % of lanes",
+        "irregular  6 % of lanes",
+        "failed  25 % of lanes",
+    ]
 
 
 def test_the_source_region_is_outlined_on_beta_and_gamma_only():
@@ -188,13 +193,105 @@ def test_the_source_region_is_outlined_on_beta_and_gamma_only():
     assert "source's best region" not in legend(other)
 
 
-def test_lanes_without_a_value_are_grey():
+def test_lanes_without_a_value_are_hatched():
     ds = lanes(square(6), ("drive",))
     ds["impact_velocity"][{"beta": 2, "gamma": 3, "start": 0}] = np.nan
     mesh = meshes(figure := picture(ds), "viridis")[0]
     assert np.argwhere(mesh.get_array().mask).tolist() == [[2, 3]]
-    assert to_hex(mesh.get_cmap().get_bad()) == "#d0d0d0"
-    assert "no value" in legend(figure)
+    assert mesh.get_cmap().get_bad()[3] == 0.0  # the hatched background is seen
+    drawn = [one for axes in figure.axes for one in axes.collections if isinstance(one, QuadMesh)]
+    assert mesh.axes.patch.get_hatch() == NO_VALUE["hatch"]
+    assert all(bool(one.axes.patch.get_hatch()) == np.ma.getmaskarray(one.get_array()).any() for one in drawn)
+    keys = [key for axes in figure.axes if (box := axes.get_legend()) for key in box.get_patches()]
+    assert [key.get_hatch() for key in keys if key.get_label() == "no value"] == [mesh.axes.patch.get_hatch()]
+
+
+def test_greys_of_regimes_and_of_lanes_without_a_value_differ_in_lightness():
+    undecided, equilibrium = REGIME_COLOURS[0], REGIME_COLOURS[1]
+    colours = (undecided, equilibrium, NO_VALUE["facecolor"])
+    lightness = [lab(linear(np.array(to_rgb(colour))))[0] for colour in colours]
+    assert lightness[0] - lightness[1] > 30 and lightness[2] - lightness[0] > 12
+    stroke = lab(linear(np.array(to_rgb(NO_VALUE["edgecolor"]))))[0]
+    assert lightness[2] - stroke > 30  # the hatching is seen on its ground
+
+
+@pytest.mark.parametrize("count", [2, 3, 4])
+def test_lines_that_coincide_all_show(count):
+    first, *others = (nested_line(position, count) for position in range(count))
+    assert first["linestyle"] == "-" and all(first["linewidth"] > 1.5 * other["linewidth"] for other in others)
+    at = np.linspace(0.0, 1.0, 1000, endpoint=False)
+    drawn = []
+    for offset, (on, off) in (other["linestyle"] for other in others):
+        assert (on + off) == pytest.approx(2.6 * count)
+        drawn.append((at * (on + off) + offset) % (on + off) < on)
+    assert np.sum(drawn, axis=0).max() == 1 and not np.any(drawn, axis=0).all()  # never two, and the first in between
+    sizes = [nested_line(position, count)["markersize"] for position in range(count)]
+    assert np.all(np.diff(sizes) < -0.2)
+
+
+def test_curves_of_starts_that_reach_one_motion_differ_in_dashes_and_markers_are_whole():
+    figure = picture(lanes({"gamma": np.linspace(0.3, 1.2, 9)}, ("drive", "stuck", "touching"), regime=3))
+    figure.draw_without_rendering()
+    for axes in figure.axes[:2]:
+        looks = [(line.get_linewidth(), line.get_markersize(), line._dash_pattern) for line in axes.lines]
+        assert len(set(map(str, looks))) == 3
+        assert not any(line.get_clip_on() for line in axes.lines)
+
+
+def test_dots_at_the_ends_of_a_diagram_are_whole():
+    ds = returns({"gamma": np.linspace(0.3, 1.2, 60)})
+    figure = picture(ds)
+    figure.draw_without_rendering()
+    for axes in figure.axes[:2]:
+        dots = [one for one in axes.collections if isinstance(one, PathCollection)]
+        assert len(dots) == 2 and not any(one.get_clip_on() for one in dots)
+        others, own = sorted(dots, key=lambda one: one.get_zorder())
+        assert others.get_sizes()[0] > 2 * own.get_sizes()[0]  # a rim is left where both starts coincide
+
+
+def test_panels_of_equal_values_do_not_hide_other_panels():
+    ds = lanes({"delta": [-0.005, 0.005], "gamma": np.linspace(0.3, 1.2, 9)}, ("drive",), regime=3)
+    ds["period"].values[0], ds["period"].values[1] = 0.25, np.linspace(0.2, 0.3, 9)[:, None]
+    for axes in picture(ds).axes:
+        low, high = axes.get_ylim()
+        for line in (line for line in axes.lines if line.get_marker() == "o"):
+            assert low <= np.nanmin(line.get_ydata()) and np.nanmax(line.get_ydata()) <= high
+
+
+@pytest.mark.parametrize(
+    ("counts", "text"),
+    [
+        ({"within": 34, "estimated": 35, "still_settling": 1, "sensitive": 1},
+         "34 of 35 lanes that repeat are known to 0.0001, 1 is still settling, 1 is sensitive to rounding"),
+        ({"within": 1, "estimated": 1, "still_settling": 0}, "1 of 1 lane that repeats is known to 0.0001"),
+        ({"within": 0, "estimated": 3, "still_settling": 2},
+         "0 of 3 lanes that repeat are known to 0.0001, 2 are still settling"),
+    ],
+)  # fmt: skip
+def test_a_count_agrees_with_its_noun(counts, text):
+    ds = xr.Dataset(attrs={"certified": json.dumps(counts | {"error": 1e-4})})
+    assert certified_text(ds) == text
+    assert [counted(n, "point") for n in (0, 1, 2)] == ["0 points", "1 point", "2 points"]
+    assert counted(1, "lane is", "lanes are") == "1 lane is"
+
+
+def test_shares_and_starts_are_printed_without_rounding_and_quotes():
+    assert share_text(1 - 1e-15) == "100 %" and share_text(0.995) == ">99 %"
+    assert short('"drive"') == "drive" and short("[0.0, 0.125]") == "[0, 0.125]"
+
+
+def test_tick_labels_of_colour_bars_are_apart():
+    ds = points(12)
+    ds["period"].values[:] = np.linspace(0.2143, 0.2328, 12)
+    figure = picture(ds.isel(point=ds["start"].values == "drive"))
+    figure.draw_without_rendering()
+    bars = [axes for axes in figure.axes if axes.get_xlabel().startswith("period")]
+    assert bars
+    for bar in bars:
+        low, high = bar.get_xlim()
+        texts = [tick.label1 for tick in bar.xaxis.get_major_ticks() if low <= tick.get_loc() <= high]
+        boxes = sorted((text.get_window_extent() for text in texts), key=lambda box: box.x0)
+        assert all(left.x1 + 4 < right.x0 for left, right in pairwise(boxes))
 
 
 def test_panels_share_limits_that_an_outlier_does_not_stretch():
@@ -486,6 +583,13 @@ def test_hertz_is_for_frequencies_only(name, long_name, symbol, unit, shown):
     assert scale(data)[0] == 1.0  # no value is converted, so none is off by 2 pi
 
 
+def test_notes_name_starts_without_quotes_and_count_in_the_singular():
+    assert point_text(xr.Dataset(attrs={"start": '"drive"'})) == "start: drive"
+    counts = {"within": 34, "estimated": 35, "still_settling": 1, "sensitive": 2, "error": 1e-4}
+    text = "34 of 35 lanes that repeat are known to 0.0001, 1 is still settling, 2 are sensitive to rounding"
+    assert certified_text(xr.Dataset(attrs={"certified": json.dumps(counts)})) == text
+
+
 @pytest.mark.parametrize(
     ("scene", "differing", "text"),
     [
@@ -499,3 +603,22 @@ def test_notes_give_the_unit_of_an_own_frequency(scene, differing, text):
     records = [{"name": "frequency", "value": 20.0, "default": 10.0} | record for record in differing]
     attrs = {"scene": scene, "parameters": '{"frequency": 20.0}', "differing": json.dumps(records)}
     assert point_text(xr.Dataset(attrs=attrs)) == text
+
+
+def test_a_plane_without_a_border_says_so():
+    path = {"gamma": ("vertex", [0.6, 0.7]), "beta": ("vertex", [0.3, 0.4])}
+    kinds = {"flag_values": [0, 1], "flag_meanings": "fold basin"}
+    ds = xr.Dataset(
+        path | {"kind": ("curve", [1], kinds), "curve": ("vertex", [0, 0]), "region_area": ("region", [0.4, 1.0])},
+        {"start": ("curve", ["drive"]), "region_start": ("region", ["drive", "any"])},
+        {"axes": ["gamma", "beta"], "kind": "borders"},
+    )
+    figure = picture(ds)
+    assert [axes.get_title() for axes in figure.axes] == [
+        "start drive: 40 % of the plane",
+        "any start: 100 % of the plane",
+    ]
+    texts = [[text.get_text().replace("\n", " ") for text in axes.texts] for axes in figure.axes]
+    assert texts == [[], ["no border: a single impact is stable everywhere"]]
+    (line,) = (line for box in figure.legends for line in box.get_lines())
+    assert line.get_label() == "basin" and line.is_dashed()

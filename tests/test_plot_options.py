@@ -224,12 +224,17 @@ def written(tmp_path):
 
 def test_the_command_takes_the_same(written, monkeypatch):
     asked = {}
-    monkeypatch.setattr(
-        "vibrojax.analyses.pictures.save_picture", lambda ds, path, *how: asked.update(path=path, how=how)
-    )
+
+    def save_picture(ds, path, *how):
+        path.write_bytes(b"a picture")
+        asked.update(path=path, how=how)
+        return ""
+
+    monkeypatch.setattr("vibrojax.analyses.pictures.save_picture", save_picture)
     argv = ["plot", str(written), "--variable", "stick_fraction", "regime", "--variable", "period"]
     assert main([*argv, "--where", "delta=0.005", "start=stuck", "--colours", "magma"]) == 0
-    assert asked["path"] == written.with_suffix(".png")
+    name = "map-stick_fraction-regime-period-delta-0.005-start-stuck-magma.png"
+    assert asked["path"] == written.with_name(name)
     assert asked["how"] == (["stick_fraction", "regime", "period"], {"delta": 0.005, "start": "stuck"}, "magma", None)
 
 
@@ -250,7 +255,43 @@ def test_the_command_refuses_in_one_line(written, capsys, words, said):
 
 def test_the_command_draws(written):
     assert main(["plot", str(written), "--variable", "stick_fraction", "--where", "start=drive"]) == 0
-    assert written.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
+    assert written.with_name("map-stick_fraction-start-drive.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_command_replaces_no_other_picture(tmp_path, monkeypatch, capsys):
+    """A picture with options has a name of its own, and a number where that name is taken by another picture."""
+    monkeypatch.chdir(tmp_path)
+    for name, gap in (("map.nc", 0.005), ("a/borders.nc", 0.001), ("b/borders.nc", 0.002)):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        vj.write_dataset(lanes(square(5, delta=[-0.005, gap])).assign_attrs(source="vibrojax 0"), tmp_path / name)
+    content = {}
+
+    def save_picture(ds, path, variable, where, colours, over):
+        path.write_bytes(content.setdefault("as", "").encode() + repr((variable, where, colours, over)).encode())
+        return ""
+
+    def drawn(*words):
+        assert main(["plot", "map.nc", *words]) == 0
+        return capsys.readouterr().out.rstrip()
+
+    monkeypatch.setattr("vibrojax.analyses.pictures.save_picture", save_picture)
+    many = ("--variable", "a", "b", "c", "d", "e", "--where", "start=[0, 0,1,0]")
+    for _ in range(2):  # the same picture again is written to the same file
+        assert drawn() == "map.png"
+        assert drawn("--variable", "period") == "map-period.png"
+        assert drawn("--over", "a/borders.nc") == "map-over-borders.png"
+        assert drawn("--over", "b/borders.nc") == "map-over-borders-2.png"
+        assert drawn("--over", "b/borders.nc", "--variable", "period") == "map-period-over-borders.png"
+        assert drawn(*many) == "map-a-b-c-and-2-more-start-_0_0_1_0_.png"
+    (tmp_path / "map-magma.png").write_bytes(b"of something else")
+    kept = {path.name: path.read_bytes() for path in tmp_path.glob("map*.png")}
+    assert drawn("--colours", "magma") == "map-magma-2.png"
+    content["as"] = "of other values"
+    assert drawn("--variable", "period") == "map-period-2.png"
+    assert all((tmp_path / name).read_bytes() == bytes_ for name, bytes_ in kept.items())
+    assert drawn() == "map.png: replaces another picture"
+    assert drawn("-o", "map.png", "--variable", "period") == "map.png"
+    assert not list(tmp_path.glob(".*"))
 
 
 def test_a_sweep_without_regime_and_rate_has_its_variables_drawn():

@@ -170,6 +170,21 @@ def test_lanes_without_penetration_are_hollow_and_named(swept):
     assert "no penetration" not in legend(picture(swept.isel(force=[2])))
 
 
+def test_without_any_penetration_the_only_tick_is_zero():
+    ds = rock({"force": np.linspace(3e4, 6e4, 4), "frequency": [10.0, 20.0]})
+    for name in ("rate_of_penetration", "slip_per_impact"):
+        ds[name] = 0.0 * ds[name].fillna(0.0)
+    figure = picture(ds)
+    figure.draw_without_rendering()
+    rate = figure.axes[0]
+    assert [text.get_text() for text in rate.get_yticklabels()] == ["0"]
+    assert [text.get_text() for text in rate.texts] == ["no penetration"]
+    wide = rock({"force": np.linspace(3e4, 6e4, 10), "frequency": np.linspace(10.0, 30.0, 10)})
+    wide["rate_of_penetration"] = 0.0 * wide["rate_of_penetration"].fillna(0.0)
+    bars = [axes for axes in picture(wide).axes if axes.get_xlabel().startswith("rate of penetration")]
+    assert [list(bar.get_xticks()) for bar in bars] == [[]]
+
+
 def test_further_axes_are_rows_at_most_four_and_the_figure_says_so():
     grid = {"k3": np.linspace(1e8, 5e8, 6), "force": np.linspace(1e5, 4e5, 7), "frequency": np.linspace(10, 40, 8)}
     figure = rates(rock(grid))
@@ -447,7 +462,7 @@ def test_a_fit_over_long_axes_is_a_map_of_the_best_form_and_of_c():
     assert np.allclose(c.get_array(), 1e3 * values)
     expected = xr.where(values["force"] > 2.9e5, FORMS.index("onset"), FORMS.index("line"))
     assert np.array_equal(best.get_array(), expected.broadcast_like(values).transpose(*values.dims))
-    assert {"onset  11 %", "line  89 %"} <= set(legend(figure))
+    assert {"onset  11 % of groups", "line  89 % of groups"} <= set(legend(figure))
     assert note(figure).replace("\n", " ").endswith("Standard error of C: 5 %")
 
 

@@ -1,5 +1,7 @@
 """What scenes are made of, as tables and text: the same as what sweeps take and give."""
 
+import re
+
 import pytest
 
 import vibrojax as vj
@@ -40,7 +42,7 @@ def test_variables_of_what_is_made_of_orbits():
     assert set(family.variables) - {"gamma"} <= set(known.index)
     assert known["where"]["special_kind"] == "follow" and known["where"]["region_area"] == "borders"
     assert known["where"]["share"] == "attractors"
-    assert set(vj.list_variables("rotary")["where"]) == {"", "follow", "attractors"}
+    assert set(vj.list_variables("rotary")["where"]) == {"", "follow", "attractors", "tolerance"}
 
 
 def test_settings_are_those_of_run():
@@ -53,6 +55,7 @@ def test_the_command(capsys):
     assert main(["scenes", "rotary"]) == 0
     text = capsys.readouterr().out
     assert text == scene_text("rotary") + "\n"
-    assert "  gamma       γ     0.75    1        above 0     0.15 to 15      frequency ratio w2/w1\n" in text
+    assert re.search(r"  gamma +γ +0.75    1 +above 0     0.15 to 15      frequency ratio w2/w1\n", text)
+    assert re.search(r"  striker_frequency +f₂ +2.984   Hz .* in place of gamma\n", text)
     assert main(["scenes", "rotry"]) == 2
     assert capsys.readouterr().err == 'vibrojax: scenes: "rotry" is unknown; did you mean "rotary"?\n'

@@ -76,12 +76,25 @@ def test_the_picture(strong):
     figure = vj.picture(strong)
     panel = figure.axes[0]
     heights = [bar.get_height() for bar in panel.patches]
-    assert heights == [0.0, pytest.approx(1e3 * float(strong.push_x1[1]))]  # mm
+    bound, push = 1e3 * float(strong.bound_x1), 1e3 * float(strong.push_x1[1])  # mm
+    assert heights == pytest.approx([bound, push])  # up to the greatest push tried where every push returns
+    assert [bool(bar.get_hatch()) for bar in panel.patches] == [True, False]
+    assert [text.get_text() for text in panel.texts] == ["returns", f"{push:.3g}"]
     assert panel.get_ylabel() == "push in x₁ [mm]" and len(figure.axes) == 4
     both = strong.expand_dims(point=2).assign_coords(gamma=("point", [0.7, 0.75]))
-    drawn = [line.get_ydata() for line in vj.picture(both).axes[0].lines]
-    np.testing.assert_allclose(drawn[1], [1e3 * float(strong.push_x1[1])] * 2)
-    assert np.isnan(drawn[0]).all()
+    down, none_down, up, none_up, _ = (line.get_ydata() for line in vj.picture(both).axes[0].lines)
+    np.testing.assert_allclose(up, [push] * 2)
+    np.testing.assert_allclose(none_down, [bound] * 2)  # hollow markers at the greatest push tried
+    assert np.isnan(down).all() and not none_up.size
+
+
+def test_a_machine_that_no_push_leaves_has_no_empty_panel(strong):
+    pushes = [name for name in strong.data_vars if str(name).startswith("push_")]
+    figure = vj.picture(strong.assign({name: strong[name] * np.nan for name in pushes}))
+    for panel in figure.axes:
+        assert [text.get_text() for text in panel.texts] == ["returns", "returns"]
+        assert all(bar.get_height() > 0 and bar.get_hatch() for bar in panel.patches)
+    assert "No push up to the greatest tried leaves" in figure.get_supxlabel()
 
 
 def test_the_bound_is_what_is_asked_for():

@@ -146,6 +146,26 @@ def test_rotation_in_points_gives_the_drive_speed(tmp_path):
     assert sweep.lane_values(0, 4)[0]["v"] == pytest.approx([SPEED, SPEED, SPEED / 2, SPEED / 2])
 
 
+# bit_frequency stands for k1 = m1 (2 pi bit_frequency)², striker_frequency for gamma = striker_frequency/bit_frequency
+
+
+@pytest.mark.parametrize(
+    ("parameters", "grid", "k1", "gamma"),
+    [
+        ({"striker_frequency": 3.0}, {"v": [1.0]}, [156250.0], [3.0 * 2 * pi / 25.0]),
+        ({"bit_frequency": 4.0}, {"gamma": [0.7]}, [250.0 * (8 * pi) ** 2], [0.7]),
+        ({"bit_frequency": 4.0}, {"striker_frequency": [2.0, 3.0]}, [250.0 * (8 * pi) ** 2] * 2, [0.5, 0.75]),
+        ({"striker_frequency": 3.0}, {"m1": [250.0, 1000.0]}, [156250.0] * 2, [6 * pi / 25, 6 * pi / 12.5]),
+        ({"striker_frequency": 3.0, "m1": 200.0}, {"bit_frequency": [4.0]}, [200.0 * (8 * pi) ** 2], [0.75]),
+    ],
+)
+def test_frequencies_give_stiffness_and_ratio(parameters, grid, k1, gamma):
+    sweep = read_sweep({"scene": "vibro-impact", "parameters": parameters, "grid": grid, "starts": ["drive"]})
+    values, _ = sweep.lane_values(0, sweep.lanes)
+    assert values["k1"] == pytest.approx(k1) and values["gamma"] == pytest.approx(gamma)
+    assert set(values) == set(sweep.system.parameters())
+
+
 # points
 
 

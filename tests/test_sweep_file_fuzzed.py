@@ -118,6 +118,7 @@ def test_bytes(file, content):
 CELLS = SCALARS.map(str) | st.sampled_from(["0.3", "", " 1e0 ", '"', '"0.3"', "\0", "nan", "1_0", "½"])
 
 
+@pytest.mark.filterwarnings("ignore:.*semicolons separate the columns")
 @fuzzed
 @given(
     st.lists(NAMES | CELLS, max_size=4),

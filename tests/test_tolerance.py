@@ -55,6 +55,20 @@ def test_extremes_and_shares(box):
     assert float(box.regime_share.sel(label="single-impact")[0]) == float(box.regime_kept[0]) == 1.0
 
 
+def test_the_catalogue_has_the_variables(box):
+    known = vj.list_variables("vibro-impact")
+    added = known[known["where"] == "tolerance"]
+    lanes = set(known.index[known["where"] == ""])
+    assert set(box.data_vars) - lanes == set(added.index)
+    for name in added.index:
+        assert (box[name].units, box[name].long_name) == tuple(added.loc[name, ["units", "meaning"]])
+
+
+def test_a_scene_without_regimes_is_refused():
+    with pytest.raises(vj.InputError, match=r'scene: "penetration" has no section, so its motions have no regimes'):
+        vj.tolerance("penetration", force=(30e3, 1e3), progress=False)
+
+
 def test_a_quantity_that_exists_nowhere():
     still = vj.tolerance("vibro-impact", delta=(0.4, 0.1), start="stuck", run=RUN, progress=False)
     assert np.isnan(float(still.impact_velocity_least[0])) and int(still.impact_velocity_least_sample[0]) == -1

@@ -12,6 +12,7 @@ from vibrojax.analyses.catalogue import list_scenes as list_scenes
 from vibrojax.analyses.catalogue import list_settings as list_settings
 from vibrojax.analyses.catalogue import list_variables as list_variables
 from vibrojax.analyses.continuation.run import follow as follow
+from vibrojax.analyses.frequencies import frequencies as frequencies
 from vibrojax.analyses.orbits.analysis import SweepAnalysis as SweepAnalysis
 from vibrojax.analyses.orbits.analysis import orbits as orbits
 from vibrojax.analyses.pictures import picture as picture
@@ -43,6 +44,7 @@ from vibrojax.models.scenes import Driven as Driven
 from vibrojax.models.scenes import Guard as Guard
 from vibrojax.models.scenes import HasContact as HasContact
 from vibrojax.models.scenes import HasFriction as HasFriction
+from vibrojax.models.scenes import HasImpacts as HasImpacts
 from vibrojax.models.scenes import HasRock as HasRock
 from vibrojax.models.scenes import Marker as Marker
 from vibrojax.models.scenes import Mode as Mode
@@ -50,6 +52,10 @@ from vibrojax.models.scenes import Scene as Scene
 from vibrojax.models.scenes import Section as Section
 from vibrojax.models.scenes import State as State
 from vibrojax.models.scenes import Swing as Swing
+from vibrojax.models.systems.events import Friction as Friction
+from vibrojax.models.systems.events import Impact as Impact
+from vibrojax.models.systems.events import Switch as Switch
+from vibrojax.models.systems.system import System as System
 from vibrojax.reproduce import run_reproduction as run_reproduction
 from vibrojax.reproduce import write_reproduction as write_reproduction
 from vibrojax.stepping import Located as Located

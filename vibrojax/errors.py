@@ -92,6 +92,11 @@ def suggestion(word: str, words: Iterable[str]) -> str:
     return f"choose from {', '.join(words)}" if words else "nothing is allowed here"
 
 
+def counted(number: int, singular: str, plural: str = "") -> str:
+    """Return a number with the noun that it counts: "1 lane", "2 lanes"; either form may end in a verb."""
+    return f"{number} {singular if number == 1 else plural or singular + 's'}"
+
+
 def printable(text: object, longest: int | None = None, keep_spaces: bool = False) -> str:
     """Return a string on one line, shortened to `longest` characters.
 

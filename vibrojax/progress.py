@@ -58,7 +58,8 @@ class Progress:
         with self._lock:
             self._done = self._resumed = done
             if done:
-                self._print(f"{_number(done)} of {_number(self._total)} {self._unit} are there from an earlier run")
+                are = "is" if done == 1 else "are"
+                self._print(f"{_number(done)} of {_number(self._total)} {self._unit} {are} there from an earlier run")
 
     def add(self, amount: Amount = 1, outcome: str = "") -> None:
         """Report a newly completed amount; a non-empty `outcome` is printed with it on a line."""

@@ -3,12 +3,15 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pandas as pd
 import pytest
+import xarray as xr
 
 import vibrojax as vj
 from vibrojax.analyses.rop_law import REASONS, fit_friction
 from vibrojax.analyses.rop_law.friction import _velocity
-from vibrojax.errors import InputError
+from vibrojax.analyses.rop_law.recording import contact_free_parts, open_recording
+from vibrojax.errors import InputError, Place
 from vibrojax.models.scenes.rotary import Rotary
 
 TRUTH = {"mu": 0.35, "v_cr": 2.5}
@@ -125,6 +128,15 @@ def test_what_a_window_cannot_tell_is_nan_with_a_reason(history, noise):
     ("change", "named", "line"),
     [
         (lambda d: d.drop_vars("v1"), {}, "fit_friction: v1: missing along time"),
+        (lambda d: 3, {}, "fit_friction: 3 is not data; give a dataset, a table, a path, or arrays (time, v1)"),
+        (lambda d: (d.time,), {}, "fit_friction: 1 arrays; two are needed, (time, v1) in s and m/s"),
+        (lambda d: (d.time, d.v1[1:]), {}, "fit_friction: v1: has 250 values; 251 are needed, as in time"),
+        (lambda d: {"time": d.time}, {}, "fit_friction: v1: missing; columns time [s] and v1 [m/s] are needed"),
+        (lambda d: {"time": d.time, "v1 (kg)": d.v1}, {}, 'v1 (kg): "kg" is not a unit of v1'),
+        (lambda d: {"time": d.time, "v1": ["a"] * 251}, {}, "fit_friction: v1: does not hold numbers"),
+        (lambda d: "recording.txt", {}, "recording.txt: ends in neither .nc nor .csv"),
+        (lambda d: d, {"contacts": [0.1]}, "contacts: [0.1] are not pairs (begin, end) [s]"),
+        (lambda d: d, {"contacts": [(0.2, 0.1)]}, "contacts: (0.2, 0.1) does not end after it begins"),
         (lambda d: d, {"window": (3.0, 4.0)}, "window: 3 to 4 s holds 0 samples; two or more are needed"),
         (lambda d: d.isel(time=[0, 1, 3, 7]), {}, "time: is not evenly spaced"),
         (lambda d: d.assign(impact_force=d.v1 * 0 + 1.0), {}, "window: holds impacts; choose one between them"),
@@ -141,3 +153,74 @@ def test_bad_input_is_refused_in_one_line(history, change, named, line):
     with pytest.raises(InputError) as caught:
         fit_friction(change(history), **named)
     assert line in str(caught.value) and "\n" not in str(caught.value)
+
+
+def as_csv(path, history, separator):
+    rows = [separator.join(["time (ms)", "note", "v1 (mm/s)"])]
+    rows += [separator.join([f"{1e3 * t:.9g}", "1.5", f"{1e3 * v!r}"]) for t, v in history]
+    text = "\n".join(rows)
+    path.write_text(text.replace(".", ",") if separator == ";" else text)
+    return path
+
+
+@pytest.mark.filterwarnings("ignore:.*semicolons separate the columns, commas are decimal marks")
+def test_a_recording_has_many_forms(history, tmp_path):
+    """Arrays, a dict, DataFrames with columns or an index, and CSV files, in other units."""
+    time, v1 = history.time.values, history.v1.values
+    rows = np.stack([time, v1], axis=1).tolist()
+    forms = (
+        (time, v1),
+        np.stack([time, v1]),
+        {"time": time, "v1": v1, "note": ["a"] * len(time)},
+        pd.DataFrame({"time": time, "v1 (mm/s)": 1e3 * v1}),
+        pd.DataFrame({"v1": v1}, index=pd.Index(1e3 * time, name="time [ms]")),
+        as_csv(tmp_path / "a.csv", rows, ","),
+        str(as_csv(tmp_path / "b.csv", rows, ";")),
+    )
+    for form in forms:
+        _, ds = open_recording(form, "fit_friction")
+        np.testing.assert_allclose(ds.time, time, rtol=1e-8)
+        np.testing.assert_allclose(ds.v1, v1, rtol=1e-12)
+        few = fit_friction(form, window=(0.0, 2.0001 * INTERVAL))
+        assert REASONS[few.reason.item()] == "too-few-lanes" and few.used.item() == 3
+
+
+EVENTS = {"event_time": ("event", [0.5, 2.5, 4.2, 4.4]), "event_kind": ("event", [4, 3, 3, 4], {})}
+KINDS = {"flag_values": np.arange(6), "flag_meanings": "none stick slip impact release section"}
+
+
+@pytest.mark.parametrize(
+    ("force", "contacts", "parts"),
+    [
+        (None, [], [(0, 8)]),
+        ([0, 0, 1, 1, 0, 0, 0, 2], [], [(0, 2), (4, 7)]),
+        (None, [(2.0, 3.5)], [(0, 2), (4, 8)]),
+        (None, [(2.2, 2.4)], [(0, 3), (3, 8)]),  # between two samples
+        ([0, 0, 1, 0, 0, 0, 0, 0], [(2.5, 2.8), (6.9, 9.0)], [(0, 2), (3, 7)]),
+        (None, "events", [(1, 3), (5, 8)]),
+    ],
+)
+def test_parts_lie_between_contacts(force, contacts, parts):
+    ds = xr.Dataset(coords={"time": np.arange(8.0)})
+    if force is not None:
+        ds["impact_force"] = ("time", np.array(force, float))
+    if contacts == "events":  # a contact that lasts until 0.5, one from 2.5 to 4.4, in which a second begins
+        ds, contacts = ds.assign(EVENTS), []
+        ds["event_kind"].attrs.update(KINDS)
+    result = contact_free_parts(Place("fit"), ds, np.ones(8, bool), contacts)
+    assert [(part.start, part.stop) for part in result] == parts
+
+
+def test_mu_and_v_cr_come_back_from_a_window_with_impacts():
+    """The states after impacts are fitted too, so mu is less certain than from one part."""
+    motion = vj.simulate(
+        "vibro-impact",
+        **TRUTH,
+        **{"delta": 0.005, "start": "stuck", "duration": 0.6, "sampling": INTERVAL, "error": 1e-6, "progress": False},
+    )
+    assert (motion.impact_force > 0).sum() >= 2
+    fit = fit_friction(motion, (0.0, 0.6), "stuck")
+    assert fit.mu.item() == pytest.approx(0.35, rel=0.03) and fit.v_cr.item() == pytest.approx(2.5, rel=0.03)
+    assert fit.state.dims == ("part", "quantity") and fit.sizes["part"] == 3 and fit.part[0].item() == 0.0
+    assert fit.used.item() + fit.left_out.item() == 151
+    assert int(np.isnan(fit.fitted).sum()) == fit.left_out.item() and fit.rms.item() < 3e-3

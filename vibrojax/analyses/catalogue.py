@@ -12,6 +12,7 @@ import pandas as pd
 
 from vibrojax.analyses import glossary
 from vibrojax.analyses.analysis import offered_variables
+from vibrojax.analyses.tolerance.run import tolerance_variables
 from vibrojax.compile.xla import precision
 from vibrojax.errors import Place
 from vibrojax.io.kinds import OF_ATTRACTORS, OF_BORDERS, OF_FAMILIES
@@ -19,9 +20,9 @@ from vibrojax.io.variables import VARIABLES
 from vibrojax.measures import recorder_for
 from vibrojax.measures.recorder import Effort, run_block
 from vibrojax.models.physics.friction import FRICTION_LAWS
-from vibrojax.models.physics.parameters import ROTATION, Parameter
+from vibrojax.models.physics.parameters import REPLACED, ROTATION, Parameter, substitutes
 from vibrojax.models.physics.rock import ROCKS
-from vibrojax.models.scenes import SCENES, HasContact, HasFriction, HasRock, Scene
+from vibrojax.models.scenes import SCENES, HasFriction, HasImpacts, HasRock, Scene
 from vibrojax.models.scenes.penetration import PULSE_SHAPES
 from vibrojax.stepping import AccuracyRequest, stepper_named
 from vibrojax.sweep.engine.labelled import measured_besides, of_orbits
@@ -73,8 +74,8 @@ def list_parameters(scene: str | Scene[Any]) -> pd.DataFrame:
     groups = [("", [parameter for name, parameter in names.parameters.items() if name in shared])]
     for choice, parameters in choices.items():
         groups.append((choice, [parameter for name, parameter in parameters.items() if name not in shared]))
-    if "v" in names.parameters:
-        groups.append(("both in place of v", list(ROTATION.values())))
+    for name, parameter in substitutes(names.parameters).items():
+        groups.append((f"{'both ' * (name in ROTATION)}in place of {REPLACED[name]}", [parameter]))
     rows = [
         {
             "name": parameter.name,
@@ -113,8 +114,9 @@ def list_variables(scene: str | Scene[Any]) -> pd.DataFrame:
     tables = {
         "": {name: about for name, about in known.items() if name in held},
         "follow": OF_FAMILIES if orbit_states else {},
-        "borders": OF_BORDERS if isinstance(system, HasContact) and has_section else {},
+        "borders": OF_BORDERS if isinstance(system, HasImpacts) and has_section else {},
         "attractors": OF_ATTRACTORS if has_section else {},
+        "tolerance": tolerance_variables(held) if "regime" in held else {},
         **offered_variables(),
     }
     rows = {

@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 from vibrojax.cli.command import Command, Options, argument, command, files, output_options
 from vibrojax.cli.output import draw, output, result_at, stored_line, stored_picture, stored_result, write_result
-from vibrojax.errors import InputError, shown
+from vibrojax.errors import InputError, counted, shown
 
 if TYPE_CHECKING:
+    import xarray
+
     from vibrojax.analyses.analysis import Analysis
 
 _SWEEP = "a sweep: a bundled name, like regime-map, or the path of a TOML file; or "
@@ -39,7 +41,7 @@ def orbits(options: Options) -> None:
         line = stored_line(dataset, out, stored_picture(options, dataset, out))
     else:
         dataset = run_to_file(sweep, out, resume=not options.fresh, progress=not options.quiet)
-        line = f"{out}: {sweep.lanes} lanes{draw(options, dataset, out)}"
+        line = f"{out}: {counted(sweep.lanes, 'lane')}{draw(options, dataset, out)}"
     if not options.quiet:
         print("\n".join([line, *orbit_lines(dataset)]))
 
@@ -99,7 +101,11 @@ def _run(kind: str, options: Options) -> None:
     out = result_at(options, f"{name}-{kind}.nc", identity)
     words = [kind, file, "-o", str(out), *(word for option, (_, text) in given.items() for word in (option, text))]
     options.advise("nothing was kept; to begin again", *words)
-    if isinstance(analysis, SweepAnalysis) and sweep is not None:
+    # The identity of any other analysis states neither its data nor its code: it is computed again.
+    dataset = stored_result(options, out, identity) if sweep is not None else None
+    if dataset is not None:
+        line = stored_line(dataset, out, stored_picture(options, dataset, out))
+    elif isinstance(analysis, SweepAnalysis) and sweep is not None:
         lanes_of: Any = nullcontext(source)
         if not (is_dataset and "orbit_reason" in source):
             from vibrojax.analyses.sweep.run import lanes_beside
@@ -109,14 +115,18 @@ def _run(kind: str, options: Options) -> None:
             lanes_of = lanes_beside(sweep, out, resume=not options.fresh, progress=progress)
         with lanes_of as lanes:
             dataset = checked_result(analysis, analysis.of_lanes(sweep, lanes, progress))
-            drawn = write_result(options, dataset, out, identity)
+            line = _result_line(analysis, dataset, out, write_result(options, dataset, out, identity))
     else:
         dataset = analyse(source, analysis, progress=progress)
-        drawn = write_result(options, dataset, out, identity)
+        line = _result_line(analysis, dataset, out, write_result(options, dataset, out, identity))
     if progress:
-        count = f": {dataset.sizes[analysis.counted]} {analysis.counted}s" if analysis.counted else ""
-        lines = [line for part in analysis.summary(dataset) for line in part.lines]
-        print("\n".join([f"{out}{count}{drawn}", *lines]))
+        print("\n".join([line, *(text for part in analysis.summary(dataset) for text in part.lines)]))
+
+
+def _result_line(analysis: "Analysis", dataset: "xarray.Dataset", out: Path, drawn: str) -> str:
+    """Return the output line of a computed result; `drawn` is the return value of `write_result`."""
+    count = f": {dataset.sizes[analysis.counted]} {analysis.counted}s" if analysis.counted else ""
+    return f"{out}{count}{drawn}"
 
 
 def _value(option: str, field: "dataclasses.Field[Any]", text: str) -> object:

@@ -3,7 +3,6 @@
 import os
 import sys
 import webbrowser
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +17,7 @@ from vibrojax.cli.command import (
     number_or_name,
     values_with,
 )
-from vibrojax.cli.output import PICTURES, output, print_json
+from vibrojax.cli.output import PICTURES, print_json, shortened, view_path, write_view
 from vibrojax.cli.points import SIMULATE_SETTINGS
 from vibrojax.errors import InputError, Place, shown
 from vibrojax.io.formatting import size_text, time_text
@@ -36,7 +35,12 @@ _SEVERAL: dict[str, Any] = {"action": "extend", "nargs": "+"}
 
 @command(
     argument("file", "OUT.nc", "a dataset written by vibrojax", files(".nc")),
-    argument("-o", "PICTURE.png", "where to draw (OUT.png beside OUT.nc; with --over OUT-over-FAMILY.png)", dest="out"),
+    argument(
+        "-o",
+        "PICTURE.png",
+        "where to draw (OUT.png beside OUT.nc; with options OUT-VARIABLE.png, OUT-over-FAMILY.png, ...)",
+        dest="out",
+    ),
     argument("--variable", "NAME", "draw these variables, over all that varies; regime is one of them", **_SEVERAL),
     argument("--where", "AXIS=VALUE", "draw only the lanes there, as in delta=0.005 start=stuck", **_SEVERAL),
     argument(
@@ -63,23 +67,28 @@ def plot(options: Options) -> None:
         dataset = open_dataset(path)
         over = [open_dataset(Path(name)) for name in options.over or ()] or None
     with dataset:
-        picture = output(options.out or _picture_of(path, options.over or ()), PICTURES)
-        replaced = over is not None and options.out is None and picture.exists()
+        parts = _name_parts(options)
+        picture = view_path(options, path, PICTURES, parts)
         from vibrojax.analyses.pictures import save_picture
 
+        drawn: list[str] = []
+
+        def draw(picture: Path) -> None:
+            drawn.append(save_picture(dataset, picture, options.variable, where, options.colours, over))
+
         with timed("draw"):
-            part = save_picture(dataset, picture, options.variable, where, options.colours, over)
+            picture, replaced = write_view(picture, draw, numbered=bool(parts) and not options.out)
     if not options.quiet:
-        notes = [part] * bool(part) + ["replaces the picture that was there"] * replaced
-        print(f"{picture}: {'; '.join(notes)}" if notes else picture)
+        notes = [*drawn, f"{replaced} picture" if replaced and not options.out else ""]
+        print(": ".join(filter(None, (str(picture), "; ".join(filter(None, notes))))))
 
 
-def _picture_of(path: Path, over: Sequence[str]) -> Path:
-    """Return the default file of the picture of a dataset, which has its own name if datasets are drawn over it."""
-    if not over:
-        return path.with_suffix(".png")
-    more = [f"and-{len(over) - 1}-more"] if len(over) > 1 else []
-    return path.with_name("-".join([path.stem, "over", Path(over[0]).stem, *more]) + ".png")
+def _name_parts(options: Options) -> list[str]:
+    """Return the options of a view as parts of the default name of its file."""
+    over = [Path(name).stem for name in options.over or ()]
+    values = [word.replace("=", "-") for word in options.where or ()]
+    parts = [*shortened(options.variable or ()), *shortened(values), *([options.colours] if options.colours else [])]
+    return [*parts, *(["over", *shortened(over)] if over else [])]
 
 
 @command(
@@ -166,7 +175,9 @@ def _standing_parts(state: "Standing") -> "list[SummaryPart]":
         values_with(SIMULATE_SETTINGS),
         nargs="*",
     ),
-    argument("-o", "PAGE.html", "where to write (OUT.html beside OUT.nc)", dest="out"),
+    argument(
+        "-o", "PAGE.html", "where to write (OUT.html beside OUT.nc; with --over OUT-over-BORDERS.html)", dest="out"
+    ),
     argument(
         "--over", "BORDERS.nc", "lay over the map what vibrojax borders has found in the same plane", files(".nc")
     ),
@@ -193,8 +204,9 @@ def explore(options: Options) -> None:
         raise InputError(f"explore: {shown(options.values[0])}: values are for a scene, with --live; leave them out")
     if scene and options.over:
         raise InputError("explore: --over: a motion has no map to lay borders over; leave it out")
+    parts = ["over", Path(options.over).stem] if options.over else []
     if not options.live:
-        out = output(options.out, (".html",)) if options.out else path.with_suffix(".html")
+        out = view_path(options, path, (".html",), parts)
     over = None
     if scene:
         from vibrojax.sweep.simulation import simulate
@@ -215,14 +227,18 @@ def explore(options: Options) -> None:
             else:
                 from vibrojax.explorer import write_page
 
+                def write(page: Path) -> None:
+                    write_page(dataset, page, over, progress=progress)
+
                 with timed("compute and write"):
-                    write_page(dataset, out, over, progress=progress)
+                    out, replaced = write_view(out, write, numbered=bool(parts) and not options.out)
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
     if options.live:
         _serve(options, live)
     elif progress:
-        print(f"{out}: {out.stat().st_size / 1e6:.1f} MB")
+        note = f"; {replaced} page" if replaced and not options.out else ""
+        print(f"{out}: {out.stat().st_size / 1e6:.1f} MB{note}")
 
 
 def _serve(options: Options, live: Any) -> None:

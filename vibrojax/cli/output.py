@@ -21,6 +21,12 @@ if TYPE_CHECKING:
 PICTURES = (".png", ".pdf", ".svg")
 ZARR = ".zarr"
 
+_NAME_MAX_CHARACTERS = 200
+"""Maximum length of a default name without ending; most file systems allow 255 bytes."""
+
+_MAX_WORDS = 3
+"""Maximum number of variables, values or datasets that a default name states."""
+
 
 def output(path: str | Path, endings: Sequence[str] = (".nc",), *, drawn: bool = False) -> Path:
     """Return `path`, checked to be a writable file; `drawn`: also check the picture next to it.
@@ -49,6 +55,42 @@ def output(path: str | Path, endings: Sequence[str] = (".nc",), *, drawn: bool =
     return path
 
 
+def view_path(options: Options, file: Path, endings: Sequence[str], parts: Sequence[str]) -> Path:
+    """Return the path of the picture or page of a dataset: `-o`, or the dataset's name and `parts`.
+
+    **Arguments:** `endings`: the allowed endings, first that of the default name; `parts`: texts that state the options
+    of the view.
+
+    **Raises:** `InputError` if the file cannot be written.
+    """
+    name = "-".join([file.stem, *(re.sub(r"[^\w.+-]+", "_", part) for part in parts)])
+    return output(options.out or file.with_name(name[:_NAME_MAX_CHARACTERS] + endings[0]), endings)
+
+
+def write_view(path: Path, write: Callable[[Path], object], *, numbered: bool) -> tuple[Path, str]:
+    """Write a picture or page with the function `write`; return its path, and a note if it replaces another one.
+
+    `numbered`: whether the view is numbered where it would replace another one.
+    """
+    before = path.read_bytes() if path.is_file() else None
+    if not numbered or before is None:
+        write(path)
+        return path, "replaces another" if before not in (None, path.read_bytes()) else ""
+    with tempfile.TemporaryDirectory(prefix=".vibrojax-", dir=path.parent) as folder:
+        part = Path(folder) / path.name
+        write(part)
+        content = part.read_bytes()
+        path = _numbered(path, lambda other: other.is_file() and other.read_bytes() == content)
+        os.replace(part, path)
+    return path, ""
+
+
+def shortened(words: Sequence[str]) -> list[str]:
+    """Return the parts of a name that state `words`: all of them, or the first ones and a count."""
+    more = len(words) - _MAX_WORDS
+    return [*words[:_MAX_WORDS], f"and-{more}-more"] if more > 0 else list(words)
+
+
 def output_folder(folder: str, names: Sequence[str]) -> list[Path]:
     """Return the paths of the files `names` in a folder, which is created if it does not exist.
 
@@ -72,23 +114,21 @@ def result_at(options: Options, default: str, identity: Mapping[str, object], *,
 
     **Raises:** `InputError` if the file or its picture cannot be written, or the file holds another result.
     """
-    from vibrojax.io.manifest import check_replaceable
+    from vibrojax.io.manifest import check_replaceable, holds
 
     if numbered and options.out is None:
-        return output(_numbered(Path(default), identity, options.fresh), drawn=True)
+        return output(_numbered(Path(default), lambda path: holds(path, identity), options.fresh), drawn=True)
     out = output(options.out or default, drawn=True)
     if not options.fresh:
         check_replaceable(out, identity)
     return out
 
 
-def _numbered(default: Path, identity: Mapping[str, object], fresh: bool) -> Path:
+def _numbered(default: Path, is_result: Callable[[Path], bool], fresh: bool = False) -> Path:
     """Return the one of the files NAME, NAME-2, NAME-3, ... that holds a result, or the first that does not exist.
 
     `fresh`: return NAME if no file holds the result.
     """
-    from vibrojax.io.manifest import holds
-
     name = re.compile(re.escape(default.stem) + r"-([2-9]|[1-9]\d+)" + re.escape(default.suffix))
     numbers = {int(match[1]) for path in default.parent.iterdir() if (match := name.fullmatch(path.name))}
 
@@ -96,7 +136,7 @@ def _numbered(default: Path, identity: Mapping[str, object], fresh: bool) -> Pat
         return default.with_stem(f"{default.stem}-{number}")
 
     for path in (default, *map(numbered, sorted(numbers))):
-        if path.exists() and holds(path, identity):
+        if path.exists() and is_result(path):
             return path
     if fresh or not default.exists():
         return default

@@ -75,6 +75,7 @@ def simulate(options: Options) -> None:
     place = Place("simulate")
     settings, parameters = named_values(place, options.values, SIMULATE_SETTINGS, lists=False)
     from vibrojax.models.physics.parameters import positive
+    from vibrojax.sweep.input.own_code import code_identity
     from vibrojax.sweep.input.read import read_point
     from vibrojax.sweep.input.values import UnusualValue, quantity
 
@@ -97,6 +98,7 @@ def simulate(options: Options) -> None:
             return simulate(point.scene, **arguments, progress=not options.quiet)
 
     def facts(dataset: "xarray.Dataset") -> dict[str, object]:
+        from vibrojax.analyses.frequencies import frequency_part
         from vibrojax.analyses.trajectory.analysis import features
         from vibrojax.io.attributes import attribute_of
 
@@ -108,10 +110,12 @@ def simulate(options: Options) -> None:
             "duration": float(dataset["time"][-1]),
             "run": attribute_of(dataset, "run"),
             "found": features(dataset),
+            **frequency_part(dataset).facts,
             "solver": attribute_of(dataset, "solver"),
         }
 
-    answer(options, f"{point.scene}.nc", {"scene": point.scene, **arguments}, compute, facts, numbered=True)
+    identity = {"scene": point.scene, **arguments, **code_identity(point.system, point.options)}
+    answer(options, f"{point.scene}.nc", identity, compute, facts, numbered=True)
 
 
 @command(
@@ -134,10 +138,10 @@ def follow(options: Options) -> None:
     missing = [name for name in _REQUIRED if name not in settings]
     if missing:
         raise place.error(f"{' and '.join(missing)} missing; write vibrojax follow SCENE {_FOLLOW_SYNTAX}")
-    from vibrojax.analyses.continuation.run import OBSERVE, SETTLE, family_spec
+    from vibrojax.analyses.continuation.run import family_spec
     from vibrojax.measures.ledger import MOST_CYCLES
 
-    defaults = {"start": None, "settle": SETTLE.default, "observe": OBSERVE.default, "cycles": MOST_CYCLES}
+    defaults = {"start": None, "settle": None, "observe": None, "cycles": MOST_CYCLES}
     asked: dict[str, Any] = defaults | settings
     asked |= {"span": (asked.pop("from"), asked.pop("to")), "cycles": whole(asked["cycles"])}
     request = family_spec(options.scene, parameters=parameters, **asked)
@@ -173,7 +177,7 @@ def push(options: Options) -> None:
     settings, parameters = named_values(Place("push"), options.values, PUSH_SETTINGS, lists=True)
     from vibrojax.analyses.push.spec import PRECISION, SCAN, push_spec
 
-    defaults = {"start": None, "scan": SCAN, "precision": PRECISION, "settle": 40.0, "observe": 8.0}
+    defaults = {"start": None, "scan": SCAN, "precision": PRECISION, "settle": None, "observe": None}
     asked: dict[str, Any] = defaults | settings
     most = {name.removeprefix(_MOST): asked.pop(name) for name in settings if name.startswith(_MOST)}
     asked |= {"scan": whole(asked["scan"]), "most": most or None}

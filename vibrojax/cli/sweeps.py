@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from vibrojax.cli.command import Options, argument, command, either, flag, sweep_names
 from vibrojax.cli.output import ZARR, draw, output, stored_line, stored_picture, stored_result
-from vibrojax.errors import InputError, shown
+from vibrojax.errors import InputError, counted, shown
 from vibrojax.io.formatting import size_text, time_text
 
 if TYPE_CHECKING:
@@ -108,7 +108,7 @@ def sweep(options: Options) -> None:
     drawn = draw(options, dataset, out)
     if progress:
         each = "a point from one start each" if plan.starts is not None or plan.point_vectors else "a point each"
-        print(f"{out}: {plan.lanes} lanes ({each}){drawn}")
+        print(f"{out}: {counted(plan.lanes, 'lane')} ({each}){drawn}")
 
 
 def _read_workers(text: str | None) -> dict[str, Any]:
@@ -172,7 +172,8 @@ def _remaining_work(out: Path) -> str:
     except InputError:  # the sweep has just been finished, and the folder removed
         return "the dataset is whole"
     missing = state.chunks - len(state.finished)
-    return f"{missing} of {state.chunks} chunks are left to others" if missing else "another process writes the dataset"
+    left = f"of {state.chunks} chunks {{}} left to others".format
+    return counted(missing, left("is"), left("are")) if missing else "another process writes the dataset"
 
 
 def _print_cost(plan: "Sweep", out: Path, processes: int, measure: bool) -> None:
@@ -190,11 +191,12 @@ def _print_cost(plan: "Sweep", out: Path, processes: int, measure: bool) -> None
         measured = measure_lanes(plan)
     cost: Cost = estimate(plan, to_file=True, processes=processes, measured=measured)
     grid = " x ".join(f"{size} {name}" for name, size in zip(plan.dims, plan.shape, strict=True))
-    print(f"lanes   {cost['lanes']} ({grid}) in {cost['chunks']} chunks")
+    print(f"lanes   {cost['lanes']} ({grid}) in {counted(cost['chunks'], 'chunk')}")
     print(f"memory  {size_text(cost['memory_bytes'])}")
     print(f"disk    {size_text(cost['disk_bytes'])} while it runs, {size_text(cost['file_bytes'])} then")
     print(f"time    about {about(cost['time_s'])}: {about(cost['compile_s'])} to start and compile, ", end="")
     print(f"{about(cost['step_s'])} to step ({about(cost['processor_s'])} of processor time)")
     if cost["time_s"] > 3600 and cost["hour_workers"]:
-        print(f"hour    {cost['hour_workers']} workers of one core each bring it under an hour")
+        bring = counted(cost["hour_workers"], "worker of one core brings", "workers of one core each bring")
+        print(f"hour    {bring} it under an hour")
     check_size(plan, cost, out)

@@ -30,7 +30,7 @@ from vibrojax.measures.repeats import state_name
 from vibrojax.periodic import Orbits, early_stopping_of
 from vibrojax.periodic.margin import DRIVEN_RETURNS
 from vibrojax.plot.colours import flag_names
-from vibrojax.plot.contents import FORM, START, axes_of_map, long_axes
+from vibrojax.plot.contents import FORM, START, axes_of_map, long_axes, named_groups
 from vibrojax.plot.overlays import LINES, axes_of, beyond, check_borders
 from vibrojax.plot.starts import described, on_axes
 from vibrojax.progress import Progress
@@ -59,6 +59,8 @@ def map_document(ds: xr.Dataset, sweep: Sweep | None = None) -> Document:
         ds = ds.assign({LANE: (sweep.dims, sweep.over_dims(np.arange(sweep.lanes)).astype(np.int32))})
     if START in ds.dims and START in ds.coords:
         ds = described(on_axes(ds))
+    if FORM in ds.dims:
+        ds = named_groups(ds)
     variables = [variable_document(ds[name]) for name in _shown_variables(ds)]
     if not variables:
         return {}

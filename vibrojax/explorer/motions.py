@@ -172,7 +172,7 @@ class LiveMotions:
             "start": list(self.point.start) if isinstance(self.point.start, tuple) else self.point.start,
             "duration": self.duration,
             "whole": self.whole,
-            "observed": window(self.duration)[1],
+            "observed": window(self.names.system, self.duration)[1],
             "lanes": self.sweep.lanes if self.sweep is not None else 0,
             "rocks": self.names.presets.get("rock", {}),
             "bit_radius": ROTATION["bit_radius"].default,
@@ -234,7 +234,7 @@ def _cell_of_motion(scene: Scene[Any], constants: Any, motion: Recorded, duratio
     """Return the last period of a recorded motion, or some of its last section crossings, with its features."""
     if not np.isfinite(motion.steps.after).all():
         raise InputError("explore: the motion is not finite; give values nearer to the usual ones")
-    late = motion.steps.start >= window(duration)[0]
+    late = motion.steps.start >= window(scene, duration)[0]
     record = Record(*(np.asarray(x)[late] for x in motion.steps))
     with precision("float64"):
         moments = event_times(scene, constants, record)

@@ -35,6 +35,7 @@ from vibrojax.io.dataset import check_dataset
 from vibrojax.io.variables import orbit_name
 from vibrojax.periodic.margin import DRIVEN_RETURNS
 from vibrojax.plot.branches import MARKS, curves_of
+from vibrojax.plot.contents import FORM
 from vibrojax.sweep.input.definition import Sweep
 from vibrojax.sweep.input.read import Point, read_point
 
@@ -118,6 +119,8 @@ def sweep_of(ds: xr.Dataset, own: Sweep | None = None) -> tuple[Sweep | None, st
                 f"sweep: its lanes are {sizes}, the dataset's {dict(ds.sizes)}; give the dataset's own sweep"
             )
         return own, ""
+    if FORM in ds.dims:
+        return None, "a fit has no motions" + ("; the page of its sweep has them" if "sweep" in ds.attrs else "")
     if "sweep" not in ds.attrs:
         return None, "the dataset has no sweep, and therefore no motions"
     try:

@@ -15,7 +15,7 @@ import numpy as np
 from filelock import FileLock
 from jaxtyping import Shaped
 
-from vibrojax.errors import InputError
+from vibrojax.errors import InputError, counted
 from vibrojax.io.atomic import commit
 from vibrojax.io.claims import Claims, lock, this_process
 from vibrojax.io.manifest import MANIFEST, canonical, changes_since, digest
@@ -127,7 +127,9 @@ class Shards:
             except DamagedShard as damage:
                 damages.append(str(damage))
         if more := damages[_DAMAGES_SHOWN:]:
-            damages[_DAMAGES_SHOWN:] = [f"{self.folder}: {len(more)} more chunks are damaged"]
+            damages[_DAMAGES_SHOWN:] = [
+                f"{self.folder}: {counted(len(more), 'more chunk is', 'more chunks are')} damaged"
+            ]
         for line in damages:
             report_damage(line)
         return whole

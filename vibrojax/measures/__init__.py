@@ -9,10 +9,10 @@ from vibrojax.errors import InputError, shown
 from vibrojax.measures.gauge import Gauge, Moment, Return, Whole
 from vibrojax.measures.impacts import Hole, Impacts, PulseRecorder
 from vibrojax.measures.ledger import MOST_CYCLES
-from vibrojax.measures.motion import Harmonics, Shares, Swings
+from vibrojax.measures.motion import Harmonics, Rest, Shares, Swings
 from vibrojax.measures.recorder import Recorder, Records
 from vibrojax.measures.repeats import KeptReturns
-from vibrojax.models.scenes import Driven, HasContact, Scene
+from vibrojax.models.scenes import Driven, HasImpacts, Scene
 
 __all__ = ["GAUGES", "RETURNS_FOR_DRIFT", "Gauge", "Moment", "PulseRecorder", "Recorder", "Records", "Return", "Whole"]
 __all__ += ["gauge_named", "recorder_for"]
@@ -22,6 +22,7 @@ RETURNS_FOR_DRIFT = 3 * MOST_CYCLES + 1
 
 GAUGES: dict[str, Gauge[Any]] = {
     "swings": Swings(),
+    "rest": Rest(),
     "shares": Shares(),
     "impacts": Impacts(),
     "harmonics": Harmonics(),
@@ -54,7 +55,7 @@ def recorder_for(scene: Scene[Any], keep_returns: int = 0) -> Records:
     if unknown:
         raise InputError(f"scene: {scene.name} measures {shown(unknown[0])}; choose from {', '.join(GAUGES)}")
     named = [gauge_named(gauge) for gauge in scene.measures]
-    always = (Swings(), Impacts()) if isinstance(scene, HasContact) else (Swings(),)
+    always = (Swings(), Impacts()) if isinstance(scene, HasImpacts) else (Swings(),)
     missing = [gauge for gauge in always if not any(isinstance(other, type(gauge)) for other in named)]
     gauges = (*missing, *named)
     for gauge in gauges:

@@ -15,7 +15,7 @@ from vibrojax.measures.ledger import Ledger
 from vibrojax.measures.recorder import Features, Records
 from vibrojax.measures.repeats import state_name
 from vibrojax.models.arrays import Array, Flags, Lanes, keep
-from vibrojax.models.scenes.capabilities import Driven, HasContact, HasFriction, HasRock
+from vibrojax.models.scenes.capabilities import Driven, HasContact, HasFriction, HasImpacts, HasRock
 from vibrojax.models.scenes.scene import Scene
 from vibrojax.stepping import Lane, Step
 from vibrojax.stepping.polynomial import highest, integral, value
@@ -38,19 +38,22 @@ class Extremes(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Impacts(Gauge[HasContact[Any]]):
-    """impacts, impact_velocity(_min, _max), impact_phase, impact_energy, peak_impact_force, mean_impact_force.
+class Impacts(Gauge[HasImpacts[Any]]):
+    """impacts, impact_velocity(_min, _max), impact_phase.
 
-    For a sliding bit, bit_velocity_at_impact in addition.
+    For a contact with a force, impact_energy, peak_impact_force and mean_impact_force in addition; for a sliding bit,
+    bit_velocity_at_impact.
     """
 
     summed = ("impacts", "velocity", "velocity_squared", "bit_velocity", "lag", "force")
-    needs = (HasContact,)
+    needs = (HasImpacts,)
 
-    def increments(self, scene: HasContact[Any], c: Any, moment: Moment) -> Sums:
+    def increments(self, scene: HasImpacts[Any], c: Any, moment: Moment) -> Sums:
         step = moment.step
         begins, velocity = _begins(scene, c, step)
-        sliding = jnp.zeros_like(step.after[0])
+        sliding = force = jnp.zeros_like(step.after[0])
+        if isinstance(scene, HasContact):
+            force = step.h * integral(_force(scene, c, step), step.tau)
         if isinstance(scene, HasFriction):  # u = x1' + v [m/s]
             sliding = step.after[scene.place(scene.bit_velocity)] + scene.bit(c).drive_speed
         return {
@@ -59,48 +62,56 @@ class Impacts(Gauge[HasContact[Any]]):
             "velocity_squared": jnp.where(begins, velocity * velocity, 0),
             "bit_velocity": jnp.where(begins, sliding, 0),
             "lag": jnp.where(begins, moment.since, 0),
-            "force": step.h * integral(_force(scene, c, step), step.tau),
+            "force": force,
         }
 
     def close(self, sums: Sums, interval: Lanes) -> Sums:
         """Return the sum of the impact lags as fractions of the return interval in which the impacts occur."""
         return {"lag": sums["lag"] / interval}
 
-    def begin(self, scene: HasContact[Any], c: Any, lane: Lane) -> Extremes:
+    def begin(self, scene: HasImpacts[Any], c: Any, lane: Lane) -> Extremes:
         like = jnp.zeros_like(lane.state[0])
         none = (jnp.full_like(like, jnp.inf), jnp.full_like(like, -jnp.inf))
-        return Extremes(none, none, scene.contact_force(c, lane.mode, lane.state))
+        peak = scene.contact_force(c, lane.mode, lane.state) if isinstance(scene, HasContact) else like
+        return Extremes(none, none, peak)
 
-    def step(self, scene: HasContact[Any], c: Any, carry: Extremes, moment: Moment) -> Extremes:
+    def step(self, scene: HasImpacts[Any], c: Any, carry: Extremes, moment: Moment) -> Extremes:
         step = moment.step
         begins, velocity = _begins(scene, c, step)
         since = _updated(carry.since, begins, velocity, velocity)
-        return Extremes(since, carry.whole, jnp.maximum(carry.peak, highest(_force(scene, c, step), step.tau)))
+        if isinstance(scene, HasContact):
+            carry = carry._replace(peak=jnp.maximum(carry.peak, highest(_force(scene, c, step), step.tau)))
+        return carry._replace(since=since)
 
-    def section(self, scene: HasContact[Any], c: Any, carry: Extremes, at: Return) -> Extremes:
+    def section(self, scene: HasImpacts[Any], c: Any, carry: Extremes, at: Return) -> Extremes:
         slowest, fastest = carry.since
         whole = _updated(carry.whole, at.here & (at.number > 0), slowest, fastest)
         since = (jnp.where(at.here, jnp.inf, slowest), jnp.where(at.here, -jnp.inf, fastest))
         return Extremes(since, whole, carry.peak)
 
-    def read(self, scene: HasContact[Any], c: Any, carry: Extremes, whole: Whole) -> dict[str, Lanes]:
+    def read(self, scene: HasImpacts[Any], c: Any, carry: Extremes, whole: Whole) -> dict[str, Lanes]:
         sums, count = whole.sums, whole.sums["impacts"]
         per_return = count / whole.returns
         slowest, fastest = carry.whole
         sliding = {"bit_velocity_at_impact": sums["bit_velocity"] / count} if isinstance(scene, HasFriction) else {}
+        forces = {}
+        if isinstance(scene, HasContact):
+            forces = {
+                "impact_energy": scene.striker_mass(c) / 2 * sums["velocity_squared"] / count,
+                "peak_impact_force": carry.peak,
+                "mean_impact_force": sums["force"] / whole.time,
+            }
         return sliding | {
             "impacts": jnp.where(whole.cycles > 0, jnp.round(per_return * whole.cycles), per_return),
             "impact_velocity": sums["velocity"] / count,
             "impact_velocity_min": jnp.where(count > 0, slowest, jnp.nan),
             "impact_velocity_max": jnp.where(count > 0, fastest, jnp.nan),
             "impact_phase": 2 * jnp.pi * sums["lag"] / count,
-            "impact_energy": scene.striker_mass(c) / 2 * sums["velocity_squared"] / count,
-            "peak_impact_force": carry.peak,
-            "mean_impact_force": sums["force"] / whole.time,
+            **forces,
         }
 
 
-def _begins(scene: HasContact[Any], c: Any, step: Step) -> tuple[Flags, Lanes]:
+def _begins(scene: HasImpacts[Any], c: Any, step: Step) -> tuple[Flags, Lanes]:
     """Return a mask of the lanes in which an impact begins at the end of the step, and the impact velocity [m/s]."""
     begins = keep(scene.impact_begins(c, step.mode, step.after, step.hits))
     return begins, scene.impact_rate(c, step.mode, step.after)

@@ -20,7 +20,7 @@ REGIMES = (
 )
 """Names of the regimes; the index of a name is the flag value."""
 
-LABELLED_BY = ("finite", "finished", "bit_amplitude", "returns", "trend", "cycles", "impacts")
+LABELLED_BY = ("finite", "finished", "at_rest", "bit_amplitude", "returns", "trend", "cycles", "impacts")
 """Features on which the regime of a lane depends."""
 
 EQUILIBRIUM_SWING = 1e-3
@@ -60,8 +60,8 @@ def label(
 
     **Arguments:**
 
-    - `features`: the features in `LABELLED_BY`, arrays of one shape. `impacts` may be absent (no contact), and so may
-      `bit_amplitude` (no bit). Without `bit_amplitude`, no lane is an equilibrium.
+    - `features`: the features in `LABELLED_BY`, arrays of one shape. `impacts` may be absent (no impacts to count), and
+      so may `bit_amplitude` (no bit) and `at_rest` (not measured). Without both, no lane is an equilibrium.
     - `rest_coefficient` [1]: mu(0+); `m1` [kg], `g` [m/s²], `k1` [N/m]: arrays that broadcast to that shape.
 
     **Returns:** flag values, see `REGIMES`.
@@ -71,6 +71,7 @@ def label(
     swing = EQUILIBRIUM_SWING * np.maximum(rest_coefficient, LEAST_FRICTION) * m1 * g / k1
     rules = [
         (~(features["finite"] & features["finished"]), FAILED),
+        (features.get("at_rest", np.zeros_like(cycles)) == 1, EQUILIBRIUM),
         (features.get("bit_amplitude", np.full_like(swing, np.inf)) < swing, EQUILIBRIUM),
         ((features["returns"] < FEWEST_RETURNS) | (features["trend"] != 0), UNDECIDED),
         ((cycles == 1) & (impacts == 0), IMPACT_FREE),

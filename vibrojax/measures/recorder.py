@@ -148,7 +148,7 @@ class Recorder(Records):
         first = features(Whole(intervals, everything["time"], everything, jnp.zeros_like(intervals)))
         period = everything["time"] / intervals
         amplitudes = tuple(first[swing.amplitude] for swing in section_of(scene).swings)
-        cycles = repeats.cycles(returns, amplitudes, period)
+        cycles = repeats.cycles(section_of(scene), returns, amplitudes, period)
         sums, whole_returns = ledger.whole(carry.ledger, returns.number, cycles)
         return features(Whole(whole_returns, sums["time"], sums, cycles)) | {
             "returns": returns.number,

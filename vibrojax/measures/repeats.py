@@ -9,7 +9,8 @@ import jax.numpy as jnp
 from vibrojax.measures.gauge import Gauge, Return, Whole
 from vibrojax.measures.ledger import MOST_CYCLES
 from vibrojax.models.arrays import Array, Flags, Lanes, keep
-from vibrojax.models.scenes.capabilities import HasContact
+from vibrojax.models.scenes.capabilities import HasImpacts
+from vibrojax.models.scenes.declared import Section
 from vibrojax.models.scenes.scene import Scene
 from vibrojax.stepping import Lane
 
@@ -59,24 +60,13 @@ class Returns(NamedTuple):
     worst: Array
 
 
-def scales(amplitudes: tuple[Lanes, ...], period: Lanes) -> list[Lanes]:
-    """Return the scales of the compared states: the amplitudes, and for velocities the amplitudes times 2 pi/`period`.
-
-    The order is that of the section's `compared` states.
-    """
-    first, *others = amplitudes
-    return [first, *(scale for half in others for scale in (half, half * 2 * jnp.pi / period))]
-
-
-def returned(
-    seen: Seen, here: Flags, state: Array, time: Lanes, since: Lanes, amplitudes: tuple[Lanes, ...]
-) -> tuple[Seen, Array]:
+def returned(seen: Seen, here: Flags, state: Array, time: Lanes, scales: tuple[Lanes, ...]) -> tuple[Seen, Array]:
     """Return the last section crossings including a new one, and the differences of the new one from those before.
 
-    The new crossing of the lanes `here` is in `state` at `time`. `amplitudes` are half the peak-to-peak ranges of the
-    oscillating positions in the time `since` the previous crossing.
+    The new crossing of the lanes `here` is in `state` at `time`. `scales` are those of the compared states since the
+    previous crossing.
     """
-    scale = keep(jnp.stack(scales(amplitudes, since)))
+    scale = keep(jnp.stack(scales))
     compared = len(scale)
     differs = keep(jnp.abs(state[None, :compared] - seen.states[:, :compared]))
     # A missing crossing is NaN; comparisons with NaN are False.
@@ -107,13 +97,13 @@ def _rate(times: Array, repeats: Array, now: Lanes) -> Lanes:
     return rate
 
 
-def cycles(carry: Returns, amplitudes: tuple[Lanes, ...], period: Lanes) -> jax.Array:
+def cycles(section: Section, carry: Returns, amplitudes: tuple[Lanes, ...], period: Lanes) -> jax.Array:
     """Return the number p of return intervals per period, 1 to 8, or 0 if no period is found.
 
     A period of p intervals is recognised after 3 p + 1 section crossings. `amplitudes` and `period`: amplitudes and
     mean return interval in the whole observation.
     """
-    scale = jnp.stack(scales(amplitudes, period))
+    scale = jnp.stack(section.scales(amplitudes, period))
     repeating = jnp.zeros_like(carry.number)
     for p in range(MOST_CYCLES, 0, -1):
         repeats = jnp.all(carry.worst[p - 1] < REPEATS_WITHIN * scale, axis=0) & (carry.number >= 3 * p + 1)
@@ -156,7 +146,7 @@ class KeptReturns(Gauge[Scene[Any]]):
     def section(self, scene: Scene[Any], c: Any, carry: Array, at: Return) -> Array:
         states = [at.lane.state[scene.place(name)] for name in scene.return_states]
         new = [at.lane.clock.high, at.interval, *states]
-        if isinstance(scene, HasContact):
+        if isinstance(scene, HasImpacts):
             whole = at.number > 0
             new.append(jnp.where(whole, at.sums["impacts"], jnp.nan))
             new.append(jnp.where(whole, at.sums["velocity"] / at.sums["impacts"], jnp.nan))
@@ -178,5 +168,5 @@ def state_name(name: str) -> str:
 
 
 def _names(scene: Scene[Any]) -> tuple[str, ...]:
-    impacts = IMPACTS if isinstance(scene, HasContact) else ()
+    impacts = IMPACTS if isinstance(scene, HasImpacts) else ()
     return (TIME, INTERVAL, *(state_name(name) for name in scene.return_states), *impacts)

@@ -28,14 +28,13 @@ class Passed(NamedTuple):
 
     - `waiting`: mask of the lanes whose crossing is not recorded yet.
     - `state`: states at the crossing, (states, lanes); `time` [s]: its time.
-    - `since` [s]: time since the previous crossing; `amplitudes` [m]: half the peak-to-peak ranges in that time.
+    - `scales`: scales of the compared states since the previous crossing, see `Section.scales`.
     """
 
     waiting: Flags
     state: Array
     time: Lanes
-    since: Lanes
-    amplitudes: tuple[Lanes, ...]
+    scales: tuple[Lanes, ...]
 
 
 class Settling(NamedTuple):
@@ -53,7 +52,7 @@ def begin(scene: Scene[Any], lane: Lane) -> Settling:
     zero, never = jnp.zeros_like(first), jnp.zeros_like(first, bool)
     ranges, states = tuple((x, x) for x in places), jnp.stack([nothing] * kept, axis=1)
     seen = Seen(never, zero, ranges, states, times=nothing, settled=jnp.zeros_like(nothing), frequency=zero)
-    return Settling(seen, Passed(never, jnp.stack([zero] * kept), zero, zero, tuple(zero for _ in places)))
+    return Settling(seen, Passed(never, jnp.stack([zero] * kept), zero, (zero,) * len(section_of(scene).compared)))
 
 
 def on_orbit(begun: Settling, states: Array, times: Array, period: Lanes) -> Settling:
@@ -92,9 +91,11 @@ def pass_by(scene: Scene[Any], c: Any, carry: Settling, lane: Lane, step: Step) 
     returns = keep(turns & (velocity[0] < 0) & armed)
     since = seen.since + step.dt
     remaining = step.dt - tau * step.h
-    new = (there, lane.clock.high - remaining, since - remaining, amplitudes(ranges))
+    scales = tuple(section.scales(amplitudes(ranges), since - remaining))
+    new = (there, lane.clock.high - remaining, scales)
     last = jax.tree.map(lambda now, before: jnp.where(returns, now, before), new, tuple(passed[1:]))
-    starts = [there[section.compared.index(swing.position)] for swing in section.swings]
+    rows = {name: there[row] for row, name in enumerate(section.compared)}
+    starts = [rows.get(swing.position, jnp.zeros_like(tau)) for swing in section.swings]
     widest = [widened(swung, end) for swung, end in zip(ranges, ends, strict=True)]
     known = seen._replace(
         armed=jnp.where(returns, after < 0, armed),
@@ -187,7 +188,8 @@ def take_in(scene: Scene[Any], carry: Returns, lane: Lane) -> Returns:
     """Return the carry after recording the section crossings of the waiting lanes, which then continue."""
     seen, here = carry.seen, carry.waiting
     state = jnp.stack([lane.state[place] for place in _kept(scene)])
-    known, differs = returned(seen, here, state, lane.clock.high, seen.since, amplitudes(seen.ranges))
+    scales = section_of(scene).scales(amplitudes(seen.ranges), seen.since)
+    known, differs = returned(seen, here, state, lane.clock.high, tuple(scales))
     back = jnp.arange(MOST_CYCLES, dtype=carry.number.dtype).reshape(-1, *[1] * carry.number.ndim)
     compared = here[None] & (back < carry.number[None])
     turn = 2 * jnp.pi

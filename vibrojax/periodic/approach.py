@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from vibrojax.measures.labels import FEWEST_RETURNS
-from vibrojax.measures.repeats import SETTLED_WITHIN, scales
+from vibrojax.measures.repeats import SETTLED_WITHIN
 from vibrojax.measures.section import Settling
 from vibrojax.periodic.newton import PeriodicOrbits, States
 
@@ -72,7 +72,7 @@ def approaches_repeat(
     lane; `observe` [s]: duration of the observation, which must cover the crossings that labels need; `tolerance`:
     relative tolerance of the step-size control.
     """
-    scale = np.stack(scales(returns.passed.amplitudes, returns.passed.since))
+    scale = np.stack(returns.passed.scales)
     states, times = returns.seen.states[:, : len(scale)], returns.seen.times
     near = np.max(np.abs(states[0] - states[repeat]) / scale, axis=0) < NEAR_ORBIT
     for shorter in range(1, repeat):
@@ -94,7 +94,7 @@ def approaches_repeat(
 
 def read_approach(returns: Settling, lanes: Index, repeat: int, tolerance: float) -> Approach:
     """Return the approach of `lanes` to orbits with `repeat` section crossings per period, with extrapolated limits."""
-    scale = np.stack(scales(returns.passed.amplitudes, returns.passed.since))[:, lanes].astype(float)
+    scale = np.stack(returns.passed.scales)[:, lanes].astype(float)
     states = np.asarray(returns.seen.states)[..., lanes].astype(float)
     limit = [extrapolate(states[phase::repeat], scale, STEP_NOISE * tolerance) for phase in range(repeat)]
     unknown = np.full((states.shape[1] - len(scale), len(lanes)), np.nan)

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int
 
 from vibrojax.io.variables import ORBIT_REASONS, orbit_name
 from vibrojax.measures.ledger import MOST_CYCLES
-from vibrojax.measures.repeats import REPEATS_WITHIN, TIME, scales, state_name
+from vibrojax.measures.repeats import REPEATS_WITHIN, TIME, state_name
 from vibrojax.models.scenes import Scene
 from vibrojax.periodic.margin import GRAZING, HOW, Begun, Measuring, begun, joined
 from vibrojax.periodic.newton import (
@@ -213,7 +213,7 @@ def last_returns(scene: Any, lanes: Index, repeat: int, features: Features) -> t
     known: list[Any] = []
     if scene.section is not None:
         swings = tuple(features[swing.amplitude][lanes] for swing in scene.section.swings)
-        known = scales(swings, features["period"][lanes])
+        known = scene.section.scales(swings, features["period"][lanes])
     unknown = [np.full(len(lanes), np.nan)] * (len(rows) - len(known))
     return np.stack(rows, axis=-1), np.stack([*known, *unknown], axis=-1).astype(float)
 
@@ -294,7 +294,7 @@ def known_orbits(
     size = np.where(swings > 0, swings, 1.0).T
     if scene.section is not None:
         amplitudes = tuple(column(swing.amplitude)[lanes] for swing in scene.section.swings)
-        for k, scale in enumerate(scales(amplitudes, column("period")[lanes])):
+        for k, scale in enumerate(scene.section.scales(amplitudes, column("period")[lanes])):
             size[:, k] = scale
     states = [np.stack([state[:, k] for state in returns[: cycles[k]]]) for k in range(len(lanes))]
     return KnownOrbits(lanes, states, size, 8 * max(float(s.steps.max()) for s in seen))

@@ -61,7 +61,7 @@ class Margin:
         lane, step = lax.stop_gradient((lane, step))
         states = tuple(known(polynomial) for polynomial in step.polynomials)
         functions = self.scene.guard_values(self.c, step.mode, states)
-        scales = _typical(self.scene.resolutions(self.c, step.mode, marked=False))
+        scales = _typical(self.scene.resolutions(self.c, step.mode, step.before, marked=False))
         # The fastest rate of the free motion [1/s].
         pace = self.scene.rate(self.c, tuple(jnp.full_like(step.dt, mode.calmest) for mode in self.scene.modes))
         margins = [least]
@@ -84,7 +84,7 @@ class Margin:
     def _at_switches(self, lane: Lane, step: Step) -> list[Array]:
         """Return the non-zero guard values with which a mode begins after a switch, relative to typical values."""
         values = self.scene.guard_values(self.c, lane.mode, lane.state)
-        small = self.scene.resolutions(self.c, lane.mode, marked=False)
+        small = self.scene.resolutions(self.c, lane.mode, lane.state, marked=False)
         return [
             jnp.where(step.hits[guard.name] & (g > zero), g / scale, jnp.inf)
             for guard, g, zero, scale in zip(self.scene.guards(), values, small, _typical(small), strict=True)

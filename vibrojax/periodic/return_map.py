@@ -18,7 +18,7 @@ from jaxtyping import Float, Int
 from vibrojax.compile.xla import precision, workers
 from vibrojax.measures.section import lowest, rising
 from vibrojax.models.arrays import Array, Flags, Lanes, Real
-from vibrojax.models.scenes import Driven, HasContact, Scene
+from vibrojax.models.scenes import Driven, HasImpacts, Scene
 from vibrojax.models.scenes.declared import Section, Values
 from vibrojax.periodic.margin import Margin
 from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Goal, Lane, Located, Step, Stepper, lane_at
@@ -182,7 +182,7 @@ def passed(scene: Scene[Any], section: Section | None, c: Any, armed: Flags, ste
 
 def _impacts(scene: Scene[Any], c: Any, step: Step) -> Lanes:
     """Return 1 for each lane in which an impact begins at the end of the step, else 0."""
-    if not isinstance(scene, HasContact):
+    if not isinstance(scene, HasImpacts):
         return jnp.zeros_like(step.dt)
     return scene.impact_begins(c, step.mode, step.after, step.hits).astype(step.dt.dtype)
 

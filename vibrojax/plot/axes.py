@@ -2,6 +2,7 @@
 
 import json
 import re
+from collections.abc import Sequence
 from textwrap import fill
 from typing import Literal
 
@@ -9,9 +10,11 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 from matplotlib.axes import Axes
+from matplotlib.collections import PathCollection
+from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from vibrojax.errors import printable
+from vibrojax.errors import counted, printable
 from vibrojax.io.attributes import counts_of, differing_of, parameters_of, text_of
 from vibrojax.plot.style import plain
 
@@ -95,7 +98,7 @@ def label(data: xr.DataArray, letters: int = _LABEL_LETTERS) -> str:
     """
     words = re.sub(r"\s*\([^)]*\)", "", str(data.attrs.get("long_name", ""))).strip()
     parts = (words, str(data.attrs.get("symbol", "")).strip())
-    text = ", ".join(filter(None, parts)) or plain(str(data.name).replace("_", " "))
+    text = ", ".join(dict.fromkeys(filter(None, parts))) or plain(str(data.name).replace("_", " "))
     unbroken = with_unit(text, scale(data)[1]).replace(" [", "\u00a0[")
     return fill(unbroken, min(letters, _LABEL_LETTERS)).replace("\u00a0", " ")
 
@@ -133,14 +136,15 @@ def index_text(ds: xr.Dataset, dimension: str, index: int) -> str:
 def short(name: str) -> str:
     """Shorten the name of an initial condition: a vector, "[0.0, 0.0, 0.0213, 1.0]", gets three digits per state."""
     try:
-        return f"[{', '.join(number(float(f'{value:.3g}')) for value in json.loads(name))}]"
+        start = json.loads(name)
+        return start if isinstance(start, str) else f"[{', '.join(number(float(f'{value:.3g}')) for value in start)}]"
     except (ValueError, TypeError, RecursionError):
-        return name
+        return name.strip('"')
 
 
 def share_text(share: float) -> str:
     """Format a fraction in percent; fractions below 1 % read <1 % and above 99 % read >99 %, unless exactly 0 or 1."""
-    percent = 100.0 * share
+    percent = round(100.0 * share, 6)  # sums of shares have rounding errors
     if 0.0 < percent < 1.0:
         return "<1 %"
     return ">99 %" if 99.0 < percent < 100.0 else f"{percent:.0f} %"
@@ -177,13 +181,15 @@ def point_text(ds: xr.Dataset) -> str:
 
 def certified_text(ds: xr.Dataset) -> str:
     """Return how many periodic lanes meet the error tolerance and how many are still settling, or "" if unknown."""
-    counted = counts_of(ds)
-    if not counted.get("estimated") or not {"within", "still_settling", "error"} <= set(counted):
+    counts = counts_of(ds)
+    if not counts.get("estimated") or not {"within", "still_settling", "error"} <= set(counts):
         return ""
-    within, estimated, still = (round(counted[name]) for name in ("within", "estimated", "still_settling"))
-    text = f"{within} of {estimated} lanes that repeat are known to {counted['error']:g}"
-    text += f", {still} are still settling" if still else ""
-    return text + (f", {counted['sensitive']} are sensitive to rounding" if counted.get("sensitive") else "")
+    within, estimated, still = (round(counts[name]) for name in ("within", "estimated", "still_settling"))
+    lanes = f"of {estimated} lanes that repeat" if estimated > 1 else "of 1 lane that repeats"
+    text = counted(within, f"{lanes} is", f"{lanes} are") + f" known to {counts['error']:g}"
+    text += f", {counted(still, 'is', 'are')} still settling" if still else ""
+    sensitive = round(counts.get("sensitive", 0))
+    return text + (f", {counted(sensitive, 'is', 'are')} sensitive to rounding" if sensitive else "")
 
 
 def values_along(data: xr.DataArray) -> Float[np.ndarray, " values"]:
@@ -192,11 +198,44 @@ def values_along(data: xr.DataArray) -> Float[np.ndarray, " values"]:
 
 
 def pad_constant(axes: Axes) -> None:
-    """Widen the y limits of `axes` if all plotted values are equal within rounding error."""
-    low, high = (float(end) for end in axes.dataLim.intervaly)
+    """Widen the y limits of `axes` if all values plotted on its shared y axis are equal within rounding error."""
+    shared = axes.get_shared_y_axes().get_siblings(axes)
+    ends = np.array([other.dataLim.intervaly for other in shared])
+    low, high = float(ends[:, 0].min()), float(ends[:, 1].max())
     if 0.0 <= high - low <= _ROUNDING * max(abs(low), abs(high)):
         room = 0.1 * abs(high) or 1.0
         axes.set_ylim(low - room, high + room)
+    elif len(shared) > 1:
+        axes.autoscale(axis="y")  # the limits of an earlier panel alone may have been widened
+
+
+def unclip_markers(axes: Axes) -> None:
+    """Draw whole the markers at the ends of an axis that ends at map cells, which may be narrower than markers."""
+    for artist in (*axes.lines, *axes.collections):
+        places = None
+        if isinstance(artist, PathCollection):
+            places = np.ma.getdata(artist.get_offsets())
+        elif isinstance(artist, Line2D) and artist.get_marker() not in ("None", "none", ""):
+            places = np.asarray(artist.get_xydata())
+        # An artist without a place has no extent: without clipping, the layout would fail.
+        if places is not None and np.isfinite(places).all(axis=1).any():
+            artist.set_clip_on(False)
+
+
+def shape_zero(panels: Sequence[Axes], text: str) -> bool:
+    """Leave one y tick, at zero, and write `text` on panels that share a y axis, if all their values are zero.
+
+    Return whether they are.
+    """
+    ends = np.array([axes.dataLim.intervaly for axes in panels])
+    known = ends[np.isfinite(ends)]
+    if not known.size or known.any():
+        return False
+    for axes in panels:
+        axes.set_ylim(-1.0, 1.0)
+        axes.set_yticks([0.0], ["0"])
+        axes.text(0.5, 0.7, text, transform=axes.transAxes, ha="center", va="center", color="0.3")
+    return True
 
 
 def is_geometric(values: Float[np.ndarray, " values"]) -> bool:

@@ -133,7 +133,7 @@ def draw_families(
                     # Points outside become NaN, so that they do not change the limits of the panel.
                     axes.plot(x, np.where((x >= low) & (x <= high), y, np.nan), path_effects=edge, **look)
             for point, place in zip(branch.special, special, strict=True):
-                if low <= along[place] <= high:
+                if low <= along[place] <= high and np.isfinite(heights[place]):
                     look = _mark(kinds[point], 0.7 if thin or branch.number else 1.0)
                     axes.plot(
                         along[place], heights[place], linestyle="none", label=f"_{kinds[point]}", zorder=5, **look

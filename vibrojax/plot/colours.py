@@ -20,13 +20,14 @@ from vibrojax.errors import InputError, printable
 from vibrojax.measures.labels import REGIMES
 from vibrojax.plot.axes import scale, share_text, with_unit
 from vibrojax.plot.contents import RATE, REGIME, RELIEF, quantities_beside
-from vibrojax.plot.style import INK, NOTHING, UNDEFINED, colour_map, other_colour
+from vibrojax.plot.style import INK, NO_VALUE, NOTHING, colour_map, other_colour
 
-# One fixed colour for each regime, so that pictures of different runs can be compared. Any two differ by 28 or more in
-# CIELAB, also for readers who lack one kind of cone. The regime of interest, 3, is the brightest.
+# One fixed colour for each regime, so that pictures of different runs can be compared. Any two differ by 27 or more in
+# CIELAB, also for readers who lack one kind of cone. The regime of interest, 3, is the brightest. The two greys differ
+# by 35 in lightness; lanes without a value are hatched.
 REGIME_COLOURS = {
     0: "#DDD8C8",
-    1: "#8C8C8C",
+    1: "#767676",
     2: "#88CCEE",
     3: "#FFC20A",
     4: "#0C6BB3",
@@ -34,7 +35,8 @@ REGIME_COLOURS = {
     6: "#6A1B5D",
     7: "#000000",
 }
-REGIME_MAP = ListedColormap(list(REGIME_COLOURS.values()), name="regimes").with_extremes(bad=UNDEFINED)
+_CLEAR = (1.0, 1.0, 1.0, 0.0)  # cells without a value show the hatched background of `hatch_gaps`
+REGIME_MAP = ListedColormap(list(REGIME_COLOURS.values()), name="regimes").with_extremes(bad=_CLEAR)
 REGIME_NORM = BoundaryNorm(np.arange(-0.5, len(REGIME_COLOURS)), len(REGIME_COLOURS))
 SINGLE = REGIMES.index("single-impact")
 
@@ -87,6 +89,9 @@ class Value:
     colour_map: Colormap
     names: Mapping[int, str] = field(default_factory=dict)
     """Meanings of the values by flag; empty if the variable has no flags."""
+
+    has_values: bool = True
+    """False if there is nothing to colour: the scale is then a placeholder without ticks."""
 
     @property
     def of_rate(self) -> bool:
@@ -155,18 +160,31 @@ def regime_counts(data: Iterable[xr.DataArray]) -> dict[int, int]:
     return dict(zip(occurring.astype(int).tolist(), lanes.tolist(), strict=True))
 
 
-def regime_handles(data: Sequence[xr.DataArray]) -> list[Artist]:
-    """Return a legend patch for each regime that occurs, labelled with name and fraction of the lanes."""
+def regime_handles(data: Sequence[xr.DataArray], of: str = "lanes") -> list[Artist]:
+    """Return a legend patch for each regime that occurs, labelled with name and fraction of the lanes (or `of`)."""
     names = regime_names(data[0])
     lanes = sum(part.size for part in data)
     counts = regime_counts(data)
-    return [patch(REGIME_COLOURS[flag], f"{names[flag]}  {share_text(n / lanes)}") for flag, n in counts.items()]
+    return [
+        patch(REGIME_COLOURS[flag], f"{names[flag]}  {share_text(n / lanes)} of {of}") for flag, n in counts.items()
+    ]
 
 
 def sensitive_handle() -> Artist:
     """Return the legend entry for lanes whose attractor is determined by rounding error."""
     text = "rounding decides\nthe attractor"
     return Line2D([], [], label=text, marker="x", markersize=4.0, markeredgewidth=0.8, linestyle="none", color=INK)
+
+
+def hatch_gaps(axes: Axes, cells: Cells) -> None:
+    """Hatch the background of a map, if cells without a value leave it visible."""
+    if np.isnan(cells).any():
+        axes.patch.set(**NO_VALUE, linewidth=0.0)
+
+
+def no_value_handle(name: str = "no value") -> Patch:
+    """Return the legend entry for map cells without a value."""
+    return Patch(**NO_VALUE, linewidth=0.4, label=name)
 
 
 def patch(colour: str, name: str) -> Patch:
@@ -206,13 +224,14 @@ def value_of(data: xr.DataArray) -> Value:
     (text, colours), (factor, unit) = _QUANTITIES.get(name, (name.replace("_", " "), "viridis")), scale(data)
     finite: Cells = data.values[np.isfinite(data.values)] * factor
     finite = finite[finite > 0] if name in _NOTHING_AT_ZERO else finite
-    if not finite.size:  # nothing to show
+    has_values = bool(finite.size)
+    if not has_values:
         finite = np.array([0.0, 1.0])
     norm = _norm(name, finite)
     extends: tuple[Extend, ...] = ("neither", "min", "max", "both")
     extend = extends[bool(finite.min() < (norm.vmin or 0.0)) + 2 * bool(finite.max() > (norm.vmax or 0.0))]
-    shown = colour_map(colours).with_extremes(bad=UNDEFINED)
-    return Value(name, with_unit(text, unit), factor, norm, extend, shown)
+    shown = colour_map(colours).with_extremes(bad=_CLEAR)
+    return Value(name, with_unit(text, unit), factor, norm, extend, shown, has_values=has_values)
 
 
 def _flags_value(data: xr.DataArray) -> Value:
@@ -224,7 +243,7 @@ def _flags_value(data: xr.DataArray) -> Value:
     between = [(low + high) / 2 for low, high in pairwise(occurring)]
     norm = BoundaryNorm([occurring[0] - 0.5, *between, occurring[-1] + 0.5], len(occurring))
     names = {flag: meanings.get(flag, str(flag)) for flag in occurring}
-    shown = ListedColormap(colours, name=name).with_extremes(bad=UNDEFINED)
+    shown = ListedColormap(colours, name=name).with_extremes(bad=_CLEAR)
     return Value(name, _QUANTITIES.get(name, (name.replace("_", " "), ""))[0], 1.0, norm, "neither", shown, names)
 
 
@@ -256,7 +275,7 @@ def cell_handles(data: Sequence[xr.Dataset], values: Values) -> list[Artist]:
     if any((cells == 0).any() for cells, of_rate in shown if of_rate):
         handles.append(patch(NOTHING, "no penetration"))
     if any(np.isnan(cells).any() for cells, _ in shown):
-        handles.append(patch(UNDEFINED, "no value"))
+        handles.append(no_value_handle())
     return handles
 
 

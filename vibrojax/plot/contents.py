@@ -50,6 +50,7 @@ class Contents:
         # A single run over time; with the depths of bit and hole; of the bit on rock without the drill, which has x1.
         self.run = TIME in ds.dims
         self.hole = self.run and {"x3", "x4"} <= self.variables
+        self.drill = self.run and {"x1", "v1", "x2", "v2"} <= self.variables
         self.bit_on_rock = self.run and "x3" in ds and "x1" not in ds
         self.swept_sine = ds.attrs.get("pulse_shape") == "sweep" and parameters_of(ds).get("sweep_rate", 0.0) != 0.0
         # A sweep with labelled lanes; that stored section crossings along an axis; of lanes carried up and down.

@@ -14,12 +14,14 @@ import numpy as np
 import xarray as xr
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.axis import XAxis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
 from matplotlib.gridspec import GridSpec, GridSpecFromSubplotSpec, SubplotSpec
 from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
 
 from vibrojax.plot.axes import index_text, number, point_text, pretty_unit, scale, short, symbol
 from vibrojax.plot.colours import Value, Values, name_flags
@@ -30,6 +32,9 @@ MOST_PANELS = 12
 _MOST_BESIDE = 3  # for up to this many facets, quantities are to the right of the regimes, else below
 _MOST_COLUMNS = 6
 _SQUARE_FROM = 4  # number of quantities from which a single facet has two columns
+_LEGEND_ROWS, _LEGEND_ROW = 4, 0.17  # rows of a legend below the panels for which there is room; height [inch] of one
+_BAR_TICKS = 6  # greatest number of intervals between the ticks of a horizontal colour bar
+_DASHED_LENGTH = 2.8  # length of a dashed line in the legend, in units of the font size: two dashes or more
 _LEGEND_ROOM = 1.6  # inches at the right for the legend, if no panel of regimes leaves a place for it
 
 
@@ -126,12 +131,15 @@ class Sheet:
 
         The regimes have the legend in place of a colour bar; without regimes, the legend is at the right of the figure.
         """
-        look: dict[str, Any] = {"loc": "upper left", "ncols": 2, "columnspacing": 1.0}
+        look: dict[str, Any] = {"loc": "upper left", "ncols": 1}
         if self.upright:
             look = {"loc": "center left"}
         for bar, value in zip(self.bars, self.values, strict=True):
             if value is None:
                 bar.axis("off")
+                rows = -(-len(handles) // look.get("ncols", 1))
+                if not self.upright and rows > _LEGEND_ROWS:
+                    self.figure.set_figheight(self.figure.get_figheight() + _LEGEND_ROW * (rows - _LEGEND_ROWS))
                 bar.legend(handles=handles, borderaxespad=0.0, borderpad=0.0, **look)
                 handles = ()  # only the first of several such places has the legend
             else:
@@ -144,6 +152,10 @@ def draw_bar(figure: Figure, value: Value, **place: Any) -> None:
     """Draw the colour bar of a quantity; `place`: keyword arguments of `Figure.colorbar`."""
     mappable = ScalarMappable(value.norm, value.colour_map)
     bar = figure.colorbar(mappable, extend=value.extend, label=value.label, **place)
+    if isinstance(bar.long_axis, XAxis) and bar.long_axis.get_scale() == "linear" and not value.names:
+        bar.set_ticks(MaxNLocator(_BAR_TICKS, steps=[1, 2, 5, 10]))  # more would touch each other
+    if not value.has_values:
+        bar.set_ticks([])
     name_flags(bar.long_axis, value)
 
 
@@ -281,4 +293,7 @@ def legend_at_right(figure: Figure, *groups: Sequence[Artist]) -> None:
     for group in groups:
         handles += ([gap] if handles and group else []) + list(group)
     if handles:
-        figure.legend(handles=handles, loc="outside right upper")
+        dashed = any(isinstance(handle, Line2D) and handle.is_dashed() for handle in handles)
+        figure.legend(
+            handles=handles, loc="outside right upper", **({"handlelength": _DASHED_LENGTH} if dashed else {})
+        )

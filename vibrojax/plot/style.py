@@ -21,7 +21,9 @@ from vibrojax.io.attributes import title_of
 
 INK = "#222222"
 FAINT = "#9A9A9A"
-UNDEFINED = "#D0D0D0"  # a lane without a value: grey in maps of quantities
+NO_VALUE: "Mark" = {"facecolor": "#FFFFFF", "edgecolor": "#8C8C8C", "hatch": "/////"}
+"""A lane without a value is hatched, since a regime or a colour map may be grey."""
+
 NOTHING = "#FFFFFF"  # a lane without penetration, in maps of quantities
 BIT = "#00598C"
 STRIKER = "#D1570A"
@@ -35,6 +37,7 @@ OTHER_COLOURS = ("#56B4E9", "#E69F00", "#9B30C9", "#222222", "#C6D937", "#7A1F1F
 ROCK_COLOURS = {"sandstone": "#D9A441", "limestone": "#3F8FA3", "granite": "#7A2E4D"}
 
 DASHED = (0.0, (4.0, 3.0))
+_NESTED_LINES = 4  # number of coinciding lines whose dashes are at different places
 VIRIDIS_RANGE = (0.0, 0.87)
 """The part of the colour map that lines use; its yellow end is hardly visible on white."""
 
@@ -137,6 +140,21 @@ def other_colour(position: int) -> str:
 def start_colour(name: str, position: int) -> str:
     """Return the colour of an initial condition: fixed for known names, else chosen by `position`."""
     return START_COLOURS.get(name, other_colour(position)) if name else BIT
+
+
+def nested_line(position: int, count: int) -> Mark:
+    """Return line style, width and marker size of the line at `position` among `count` lines that may coincide.
+
+    The first line is wide and solid, the others are narrow with dashes at different places. Later markers are smaller.
+    """
+    size = Mark(markersize=max(5.5 - 1.8 * position, 1.6))
+    if not position:
+        return size | Mark(linewidth=2.4, linestyle="-")
+    places = min(count, _NESTED_LINES)
+    place = 1 + (position - 1) % (places - 1)
+    return size | Mark(
+        linewidth=1.3, linestyle=(2.6 * (places - place), (2.0, 2.6 * places - 2.0)), dash_capstyle="butt"
+    )
 
 
 # Strings: a dataset may come from any source, so its strings are made safe to draw.

@@ -22,7 +22,7 @@ import numpy as np
 import xarray as xr
 
 from vibrojax.analyses.sweep.run import run_sweep
-from vibrojax.errors import InputError, Place
+from vibrojax.errors import InputError, Place, counted
 from vibrojax.reproduce.struck_mass import Blows, strike
 from vibrojax.sweep.input.read import read_point
 from vibrojax.sweep.input.values import UnusualValue
@@ -169,7 +169,7 @@ class SourceAnswers:
         for shared, lanes in sweeps.items():
             scene = " ".join([shared.scene, *(name for _, name in shared.parameters)])
             points = list(dict.fromkeys(lane.numbers for lane in lanes))
-            begin(f"{scene}: {len(points)} points, {shared.settle:g} s")
+            begin(f"{scene}: {counted(len(points), 'point')}, {shared.settle:g} s")
             if shared.scene not in failing:
                 probes = points[:: max(1, len(points) // PROBED_LANES)]
                 probed = _run_points(replace(shared, settle=1.0, observe=1.0), probes)
@@ -183,7 +183,7 @@ class SourceAnswers:
         self._answers = {need: failing[need.scene] for need in needs if need.scene in failing} | self._answers
         others = [need for need in needs if need not in self._answers]
         for need in (need for need in others if need.kind == "map"):  # a map takes longer than a motion
-            begin(f"{need.name}: {np.prod([len(values) for _, values in need.axes])} points")
+            begin(f"{need.name}: {counted(int(np.prod([len(values) for _, values in need.axes])), 'point')}")
             self._answers[need] = dataset = _run(need, need.name, grid=dict(need.axes))
             self._keep(need.name.replace(" ", "-"), dataset)
         for need in (need for need in others if need.kind == "motion"):

@@ -12,6 +12,7 @@ import xarray as xr
 from jaxtyping import Float
 
 from vibrojax.analyses.rop_law import fit_rop
+from vibrojax.errors import counted
 from vibrojax.reproduce.rules import Here, verdict
 
 Values = Float[np.ndarray, " values"]
@@ -105,7 +106,7 @@ def shares(flags: xr.DataArray) -> Values:
 def failing(flags: xr.DataArray) -> str:
     """Return a remark on the number of False flags, or an empty string if there are none."""
     bad = int((~flags).sum())
-    return f"{bad} of {flags.size} points are not" if bad else ""
+    return counted(bad, f"of {flags.size} points is not", f"of {flags.size} points are not") if bad else ""
 
 
 def whole_region(flags: xr.DataArray) -> Here:

@@ -44,10 +44,10 @@ class Event:
         guards = self.scene.guard_values(self.constants, self.mode, state, self.smooths)
         return (*guards, *(self.scene.marker_values(state) if self.marked else ()))
 
-    def resolutions(self, h: Lanes) -> list[Small]:
-        """Return, for each function, the magnitudes that count as zero in a step of `h` [s]."""
-        values = self.scene.resolutions(self.constants, self.mode, self.marked)
-        slopes = self.scene.slope_resolutions(self.constants, self.mode, h, self.marked)
+    def resolutions(self, state: tuple[Array, ...], h: Lanes) -> list[Small]:
+        """Return, for each function, the magnitudes that count as zero in a step of `h` [s] from `state`."""
+        values = self.scene.resolutions(self.constants, self.mode, state, self.marked)
+        slopes = self.scene.slope_resolutions(self.constants, self.mode, state, h, self.marked)
         return [Small(*pair) for pair in zip(values, slopes, strict=True)]
 
 
@@ -94,7 +94,7 @@ def locate(event: Event, trial: Trial) -> Landing:
         state = keep(tuple(value(series, reach) for series in trial.polynomials))
         return Landing(reach, state, jnp.ones_like(moving), _by_name(event.scene.event_names, [], moving), {})
     n_guards = len(event.scene.guard_names)
-    small = event.resolutions(trial.h)
+    small = event.resolutions(tuple(series[0] for series in trial.polynomials), trial.h)
     signs: list[Any] = [1.0] * n_guards
     signs += [_sign_at_start(f, tiny) for f, tiny in zip(trial.functions[n_guards:], small[n_guards:], strict=True)]
     functions: list[Coefficients] = [[sign * c for c in f] for sign, f in zip(signs, trial.functions, strict=True)]

@@ -86,17 +86,16 @@ class Located(Stepper):
         polynomials = tuple(series.arrays(self.order, h) for series in states)
         event = Event(scene, constants, lane.mode, marked)
         functions = [series.arrays(self.order, h) for series in event.functions(states)]
-        velocities = [polynomials[i] for i in scene.velocities]
-        speed = scene.speed_scale(constants)
+        terms, scale = scene.error_terms(constants, lane.mode, lane.state, polynomials)
         if scene.autonomous:
             # The lane moves only by rounding errors: one step covers the rest of the run, however stiff the contact.
-            noise = REST_ROUNDINGS * jnp.finfo(speed.dtype).eps
-            rest = keep(reduce(jnp.maximum, [jnp.abs(c) for series in velocities for c in series]) <= noise * speed)
+            noise = REST_ROUNDINGS * jnp.finfo(scale.dtype).eps
+            rest = keep(reduce(jnp.maximum, [jnp.abs(c) for series in terms for c in series]) <= noise * scale)
         else:
             rest = jnp.zeros_like(goal.moving)
-        # The series counts as converged where its last two terms are below tolerance times speed.
-        last = reduce(jnp.maximum, [jnp.abs(c) for series in velocities for c in series[-2:]])
-        converged = jnp.minimum(rough_root(accuracy.tolerance * speed / last, self.order - 1), 1.0)
+        # The series counts as converged where its last two terms are below tolerance times scale.
+        last = reduce(jnp.maximum, [jnp.abs(c) for series in terms for c in series[-2:]])
+        converged = jnp.minimum(rough_root(accuracy.tolerance * scale / last, self.order - 1), 1.0)
         reach = jnp.where(rest, 1.0, converged)
         validity = scene.validity(constants, lane.mode, polynomials)
         reach = keep(lax.stop_gradient(reach if validity is None else jnp.minimum(reach, validity)))

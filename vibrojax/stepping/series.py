@@ -143,6 +143,12 @@ class Series:
     def __rtruediv__(self, other: "Series | Value") -> "Series":
         return Series(other, {}) / self
 
+    def __pow__(self, exponent: "Value | int") -> "Series":
+        return elementary.raised(self, exponent)
+
+    def __abs__(self) -> "Series":
+        return elementary.absolute(self)
+
 
 def known(coefficients: list[Any]) -> Series:
     """Return the series with the specified coefficients c_0, c_1, ..."""

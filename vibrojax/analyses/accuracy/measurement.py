@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Int, Shaped
 
 from vibrojax.analyses.accuracy.cases import Setting
 from vibrojax.analyses.accuracy.programs import Outcome, Program
+from vibrojax.errors import counted
 
 LONG_REPEATS = 0.6  # total run time [s] from which two runs suffice
 
@@ -89,7 +90,7 @@ def measure(
     return Measurement(
         setting,
         status="done" if agrees.all() else STATUSES[status[~agrees].min()],
-        reason="; ".join(f"{n} of {lanes} lanes {_FAILURES[name]}" for name, n in counts.items() if n),
+        reason="; ".join(f"{n} of {counted(lanes, 'lane')} {_FAILURES[name]}" for name, n in counts.items() if n),
         lanes=lanes,
         compile_time=compile_time,
         seconds=tuple(x / program.lane_seconds for x in seconds),

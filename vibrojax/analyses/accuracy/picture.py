@@ -15,7 +15,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullForma
 from matplotlib.typing import MarkerType
 
 from vibrojax.analyses.analysis import Analysis, PictureRule
-from vibrojax.errors import printable
+from vibrojax.errors import counted, printable
 from vibrojax.io.attributes import table_of, title_of
 from vibrojax.plot.contents import SETTING
 from vibrojax.plot.style import FAINT, INK, Mark, new_figure, styled
@@ -89,7 +89,7 @@ def work_precision(ds: xr.Dataset) -> Figure:
 
 def _panel(axes: Axes, ds: xr.Dataset, scene: str) -> None:
     axes.set_title(scene, loc="left", fontweight="bold")
-    axes.set_title(f"{int(ds['lanes'].values[0])} periodic lanes", loc="right", fontsize=8, color=FAINT)
+    axes.set_title(counted(int(ds["lanes"].values[0]), "periodic lane"), loc="right", fontsize=8, color=FAINT)
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.grid(which="major")

@@ -35,7 +35,7 @@ from vibrojax.analyses.accuracy.measurement import (
 )
 from vibrojax.analyses.accuracy.programs import DiffraxProgram, Program
 from vibrojax.compile.xla import usable_cores, workers
-from vibrojax.errors import InputError, suggestion
+from vibrojax.errors import InputError, counted, suggestion
 from vibrojax.io.kinds import dataset_attributes
 from vibrojax.io.variables import Variable
 from vibrojax.progress import Progress
@@ -258,7 +258,7 @@ def table(ds: xr.Dataset) -> str:
         lines.insert(1, "|" + "---|" * len(_TEXT) + "---:|" * len(numbers) + "---|")
         paragraphs += [
             f"## {scene}",
-            f"{lanes} periodic lanes; two references differ by {_format(spread, '.1e')}.",
+            f"{counted(lanes, 'periodic lane')}; two references differ by {_format(spread, '.1e')}.",
             "\n".join(lines),
         ]
     return "\n\n".join(paragraphs) + "\n"

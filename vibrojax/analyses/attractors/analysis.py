@@ -15,14 +15,24 @@ from vibrojax.analyses.analysis import PictureRule, Source, SummaryPart
 from vibrojax.analyses.attractors.run import attractors_of, sweep_of
 from vibrojax.analyses.orbits.analysis import SweepAnalysis
 from vibrojax.analyses.sweep.maps import draw_cells, outline_region, region_handle, write_labels
+from vibrojax.errors import counted
 from vibrojax.io.attributes import flags, parameters_of
 from vibrojax.io.kinds import OF_ATTRACTORS
-from vibrojax.plot.axes import edges, label, scale, shape_axis, share_text, values_along, with_unit
-from vibrojax.plot.colours import SINGLE, Values, regime_handles, regime_names, share_value, value_of
+from vibrojax.plot.axes import edges, label, scale, shape_axis, share_text, unclip_markers, values_along, with_unit
+from vibrojax.plot.colours import (
+    SINGLE,
+    Values,
+    hatch_gaps,
+    no_value_handle,
+    regime_handles,
+    regime_names,
+    share_value,
+    value_of,
+)
 from vibrojax.plot.contents import ATTRACTOR, HIDDEN, NAMED, REGIME, START, axes_of_map, swept, without_single
 from vibrojax.plot.sheet import MOST_PANELS, columns, facets, legend_at_right, sheet, write_margins
 from vibrojax.plot.starts import PREFIX, on_axes
-from vibrojax.plot.style import UNDEFINED, new_figure, styled
+from vibrojax.plot.style import new_figure, styled
 from vibrojax.sweep.input.definition import Sweep
 
 _SHOWN = 12
@@ -47,16 +57,18 @@ def attractor_shares(ds: xr.Dataset) -> Figure:
     """
     ds = ds.isel({name: 0 for name in ds["share"].dims if name != ATTRACTOR and ds.sizes[name] == 1})
     along, note = swept(ds), ""
-    about = f"{ds.sizes[START]} starts at each point"
+    about, lanes = f"{ds.sizes[START]} starts" + " at each point" * bool(along), ds[LANES].size
     if along:
         figure = _draw_along(ds, max(along, key=lambda name: ds.sizes[name]))
         about += "; upright lines: one standard error"
+        about += f"; legend: most frequent regime, and share of all {lanes} lanes"
     else:
         figure, note = _draw_point(ds)
     legend_at_right(figure, _handles(ds))
     unassigned = int(ds["unassigned"].sum())
-    lost = f"{unassigned} lanes of {ds[LANES].size} end in none that could be told" if unassigned else ""
-    write_margins(figure, ds, about, note, lost)
+    lost = counted(unassigned, f"lane of {ds[LANES].size} ends", f"lanes of {ds[LANES].size} end")
+    lost += " in none that could be told"
+    write_margins(figure, ds, about, note, lost if unassigned else "")
     return figure
 
 
@@ -74,6 +86,7 @@ def _draw_along(ds: xr.Dataset, x: str) -> Figure:
         for axes, name in zip(blocks[k], names, strict=True):
             _draw_curves(axes, facet, x, name)
             shape_axis(axes, "x", values_along(ds[x]))
+            unclip_markers(axes)
             axes.grid(True)
             if k % wide == 0:
                 unit = scale(ds[_VELOCITY])[1] if name == _VELOCITY else ""
@@ -118,11 +131,12 @@ def _draw_point(ds: xr.Dataset) -> tuple[Figure, str]:
         return figure, ""
     x, y = states
     cells = np.asarray(spread[LANES].transpose(y, x).values)
-    shown = np.where(cells < 0, len(COLOURS) + 1, np.minimum(cells, len(COLOURS)))
-    colours = ListedColormap([*COLOURS, BEYOND, UNDEFINED])
+    shown = np.where(cells < 0, np.nan, np.minimum(cells, len(COLOURS)))
+    colours = ListedColormap([*COLOURS, BEYOND])
+    hatch_gaps(axes, shown)
     ends = edges(values_along(spread[x])), edges(values_along(spread[y]))
     norm = BoundaryNorm(np.arange(-0.5, colours.N), colours.N)
-    axes.pcolormesh(*ends, shown, cmap=colours, norm=norm, rasterized=True)
+    axes.pcolormesh(*ends, np.ma.masked_invalid(shown), cmap=colours, norm=norm, rasterized=True)
     axes.set_xlabel(label(spread[x]))
     axes.set_ylabel(label(spread[y]))
     return figure, _mark_orbits(axes, ds, spread, x, y)
@@ -136,15 +150,22 @@ def _mark_orbits(axes: Axes, ds: xr.Dataset, spread: xr.Dataset, x: str, y: str)
     orbits = np.isfinite(places).all(axis=0)
     for k in np.flatnonzero(inside):
         place = places[0][k], places[1][k]
-        axes.plot(*place, "o", markersize=11, markerfacecolor="white", markeredgecolor="black", zorder=3)
+        axes.plot(*place, "o", markersize=11, markerfacecolor="white", markeredgecolor="black", zorder=3, clip_on=False)
         axes.annotate(str(k), place, ha="center", va="center", fontsize=7.5, color="black", zorder=4)
-    outside = ", ".join(map(str, np.flatnonzero(orbits & ~inside)))
+    outside, without = np.flatnonzero(orbits & ~inside), np.flatnonzero(~orbits)
     texts = (
-        "circles: where the orbits pass the section" if inside.any() else "",
-        f"the section of {outside} lies beyond the picture" if outside else "",
-        f"no orbit: {', '.join(map(str, np.flatnonzero(~orbits)))}" if orbits.any() and not orbits.all() else "",
+        "Circles: where the orbits pass the section" if inside.any() else "",
+        _numbered(outside, "passes", "pass") + " the section outside the picture" if outside.size else "",
+        _numbered(without, "has", "have") + " no orbit" if orbits.any() and without.size else "",
     )
-    return "; ".join(filter(None, texts))
+    return ". ".join(filter(None, texts))
+
+
+def _numbered(attractors: np.ndarray, singular: str, plural: str) -> str:
+    """Return the attractors by number, with a verb: "Attractor 1 has", "Attractors 0, 2 have"."""
+    return f"Attractor{'s' * (attractors.size > 1)} {', '.join(map(str, attractors))} " + (
+        singular if attractors.size == 1 else plural
+    )
 
 
 def _at_section(ds: xr.Dataset, start_state: str) -> np.ndarray:
@@ -169,11 +190,13 @@ def _handles(ds: xr.Dataset) -> list[Artist]:
     handles: list[Artist] = []
     for k in range(min(count, len(COLOURS))):
         most = int(np.argmax(np.bincount(regime[:, k], weights=share[:, k])))
-        handles.append(Patch(color=_colour(k), label=f"{k}: {names[most]}, {share_text(float(share[:, k].mean()))}"))
+        handles.append(
+            Patch(color=_colour(k), label=f"{k}: {names[most]}, {share_text(float(share[:, k].mean()))} of starts")
+        )
     if count > len(COLOURS):
         handles.append(Patch(color=BEYOND, label=f"{count - len(COLOURS)} others"))
     if int(ds["unassigned"].sum()) and points == 1:
-        handles.append(Patch(color=UNDEFINED, label="could not be told"))
+        handles.append(no_value_handle("could not be told"))
     return handles
 
 
@@ -269,7 +292,7 @@ class Attractors(SweepAnalysis):
         points = ", ".join(f"{number} at {count}" for number, count in zip(numbers, counts, strict=True))
         lines = [
             f"at a point: {points} (attractors at points)",
-            f"{unassigned} of {lanes} lanes unassigned ({100 * unassigned / max(lanes, 1):.1f} %)",
+            f"{unassigned} of {counted(lanes, 'lane')} unassigned ({100 * unassigned / max(lanes, 1):.1f} %)",
         ]
         regime, meanings = ds["regime"].values.reshape(share.shape), flags(ds["regime"])
         for number in range(min(share.shape[1], _SHOWN)):

@@ -3,14 +3,17 @@
 from collections import Counter
 from dataclasses import dataclass, field
 from itertools import product
+from textwrap import fill
 
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from vibrojax.analyses.analysis import PictureRule, Source, SummaryPart
 from vibrojax.analyses.borders.run import Regions, plane_axes
 from vibrojax.analyses.orbits.analysis import SweepAnalysis, sweep_with_orbits
+from vibrojax.errors import counted
 from vibrojax.io.attributes import flags
 from vibrojax.io.kinds import OF_BORDERS
 from vibrojax.plot.axes import label, share_text, value_text
@@ -42,19 +45,29 @@ def border_curves(ds: xr.Dataset) -> Figure:
     kinds: list[str] = []
     for axes, (plane, start) in zip(grid.flat, product(shown_rows, shown_columns), strict=True):
         values = dict(zip(others, plane, strict=True))
+        before = len(kinds)
         kinds += draw_borders(axes, ds, values, start, x, y)
         words = [value_text(ds[name], value) for name, value in values.items()]
         words.append("any start" if start == ANY else f"start {start}")
-        axes.set_title(f"{', '.join(words)}: {share_text(areas[plane, start])}")
+        axes.set_title(f"{', '.join(words)}: {share_text(areas[plane, start])} of the plane")
+        if len(kinds) == before:
+            text = "no border" + (": a single impact is stable everywhere" if areas[plane, start] > 0.5 else "")
+            axes.text(0.5, 0.5, fill(text, 24), transform=axes.transAxes, ha="center", va="center", color="0.3")
         axes.grid(True)
     for axes in grid[:, 0]:
         axes.set_ylabel(label(ds[y]))
     for axes in grid[-1]:
         axes.set_xlabel(label(ds[x]))
+        axes.xaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))
     legend_at_right(figure, border_handles(kinds))
     hidden = len(rows) - len(shown_rows), len(columns) - len(shown_columns)
-    about = "Percent: share of the plane with a stable single impact; any start: however its orbit is reached"
-    write_margins(figure, ds, about, "{} planes and {} starts are not shown".format(*hidden) if any(hidden) else "")
+    about = "Share of the plane: where a single impact is stable; any start: however its orbit is reached"
+    write_margins(
+        figure,
+        ds,
+        about,
+        f"Not shown: {counted(hidden[0], 'plane')}, {counted(hidden[1], 'start')}" if any(hidden) else "",
+    )
     return figure
 
 

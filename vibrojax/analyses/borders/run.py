@@ -15,7 +15,8 @@ from vibrojax.analyses.orbits.analysis import sweep_with_orbits
 from vibrojax.errors import InputError, shown
 from vibrojax.io.kinds import BORDER_KINDS, OF_BORDERS
 from vibrojax.measures.labels import SINGLE_IMPACT, UNDECIDED
-from vibrojax.models.scenes import HasContact
+from vibrojax.models.physics.parameters import REPLACED, substitutes
+from vibrojax.models.scenes import HasImpacts
 from vibrojax.periodic.lane_orbits import known_orbits
 from vibrojax.sweep.engine.labelled import parameter_attributes, shared_attributes
 from vibrojax.sweep.input.definition import Sweep
@@ -75,7 +76,7 @@ def borders(
 
 def plane_axes(sweep: Sweep, axes: tuple[str, str] | None) -> tuple[str, str]:
     """Return the axes of the plane; raise `InputError` if the sweep has no such plane or its scene no impacts."""
-    if not isinstance(sweep.system, HasContact):
+    if not isinstance(sweep.system, HasImpacts):
         raise InputError(f'borders: scene "{sweep.scene}" has no impacts; give a sweep of one with a striker')
     if sweep.run.carry is not None:
         raise InputError("borders: lanes of this sweep are carried, so they have no starts; leave carry out")
@@ -83,12 +84,12 @@ def plane_axes(sweep: Sweep, axes: tuple[str, str] | None) -> tuple[str, str]:
     if len(long) < 2:
         raise InputError("borders: the sweep has no two axes of two values or more; give one with a [grid] of two")
     if axes is None:
-        if "gamma" in long and "beta" in long:
-            return "gamma", "beta"
         first, second = sorted(long, key=lambda name: -long[name])[:2]
-        return first, second
+        axes = ("gamma", "beta") if {"gamma", "beta"} <= long.keys() else (first, second)
     if len(axes) != 2 or axes[0] == axes[1] or any(name not in long for name in axes):
         raise InputError(f"borders: axes {shown(axes)} are not two axes of the sweep; choose from {', '.join(long)}")
+    for name in (name for name in (*axes, *sweep.parameters) if name in substitutes(sweep.system.parameters())):
+        raise InputError(f"borders: {name} is not a parameter of the scene; give {REPLACED[name]}, which it replaces")
     return axes[0], axes[1]
 
 

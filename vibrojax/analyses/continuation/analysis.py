@@ -12,10 +12,10 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.gridspec import GridSpec
 from matplotlib.patches import Circle
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from vibrojax.analyses.analysis import Analysis, PictureRule, SummaryPart
-from vibrojax.errors import printable
+from vibrojax.errors import counted, printable
 from vibrojax.io.branches import FAMILY, along_name, branches, kind_names, numbers_of, stable_intervals
 from vibrojax.plot.axes import label, scale, values_along, with_unit
 from vibrojax.plot.branches import (
@@ -50,12 +50,12 @@ def family_lines(ds: xr.Dataset) -> list[str]:
     """
     facts = family_facts(ds)
     along, (low, high) = facts["along"], facts["span"]
-    count = f"{_count(facts['families'], 'family', 'families')}, " if FAMILY in ds.dims else ""
+    count = f"{counted(facts['families'], 'family', 'families')}, " if FAMILY in ds.dims else ""
     branch_count, special = (
-        _count(facts["branches"], "branch", "branches"),
-        _count(len(facts["special"]), "special point"),
+        counted(facts["branches"], "branch", "branches"),
+        counted(len(facts["special"]), "special point"),
     )
-    points = _count(facts["points"], "point")
+    points = counted(facts["points"], "point")
     lines = [f"{count}{points} on {branch_count} over {along} {low:g} to {high:g}, {special}"]
     order = str(ds["special_kind"].attrs["flag_meanings"]).split()
     for kind in sorted(facts["kinds"], key=order.index):
@@ -150,10 +150,6 @@ def _name(ds: xr.Dataset, family: int) -> str:
     return ", ".join(parts) or f"family {family}"
 
 
-def _count(number: int, singular: str, plural: str = "") -> str:
-    return f"{number} {singular if number == 1 else plural or singular + 's'}"
-
-
 @styled
 def families(ds: xr.Dataset, names: Sequence[str] = ()) -> Figure:
     """Draw families over the parameter with their special points; stable orbits are solid, unstable orbits dashed.
@@ -234,7 +230,13 @@ def _draw_plane(axes: Axes, bar: Axes, ds: xr.Dataset, curves: Sequence[Curve]) 
     else:
         colours = colour_map()(norm(along[points]))
         mappable = ScalarMappable(norm, colour_map())
-        bar.figure.colorbar(mappable, cax=bar, orientation="horizontal", label=label(parameter, 60))
+        bar.figure.colorbar(
+            mappable,
+            cax=bar,
+            orientation="horizontal",
+            label=label(parameter, 60),
+            ticks=MaxNLocator(6, steps=[1, 2, 5, 10]),
+        )
     for column in values.T if len(points) else ():
         for mirrored in (column, column.conj()):
             axes.scatter(mirrored.real, mirrored.imag, s=5.0 if many else 12.0, c=colours, linewidths=0, zorder=3)

@@ -19,8 +19,8 @@ from vibrojax.io.variables import ORBIT_REASONS, REASONS, VARIABLES
 from vibrojax.measures.labels import REGIMES
 from vibrojax.measures.ledger import MOST_CYCLES
 from vibrojax.models.physics.meanings import suggest_parameter
-from vibrojax.models.physics.parameters import not_negative, positive
-from vibrojax.models.scenes import HasContact, Scene
+from vibrojax.models.physics.parameters import FREQUENCIES, REPLACED, ROTATION, not_negative, positive
+from vibrojax.models.scenes import HasImpacts, Scene
 from vibrojax.periodic.lane_orbits import known_orbits
 from vibrojax.periodic.margin import HOW
 from vibrojax.sweep.engine.labelled import measured_besides, of_orbits, parameter_attributes, shared_attributes
@@ -43,8 +43,8 @@ def follow(
     at: float,
     span: tuple[float, float],
     start: str | Sequence[float] | None = None,
-    settle: float = 40.0,
-    observe: float = 8.0,
+    settle: float | None = None,
+    observe: float | None = None,
     cycles: int = MOST_CYCLES,
     progress: bool = True,
     **parameters: Any,
@@ -66,6 +66,7 @@ def follow(
       bound, which enclose `at`.
     - `start`: initial condition of the motion that settles on the first orbit, by default the scene's first.
     - `settle` [s]: settling time; `observe` [s]: duration of the observation, which must cover nine section crossings.
+      The defaults are those of the scene's sweeps.
     - `cycles`: largest number of section crossings per period of doubled branches, 1 to 8; 1 excludes such branches.
     - `progress`: True to report progress on stderr.
 
@@ -140,12 +141,17 @@ def family_spec(
     names = read_names(place.at("scene"), scene, dict(fixed), place)
     if not isinstance(along, str) or along not in names.parameters:
         instead = suggest_parameter(str(along), names.parameters)
-        if along in names.writable:  # rpm or bit_radius
-            instead = "v follows from rpm and bit_radius: give v, and follow along v"
+        if along in names.writable:  # rpm, bit_radius or a frequency
+            given, replaced = "rpm and bit_radius" if along in ROTATION else along, REPLACED[along]
+            instead = f"{replaced} follows from {given}: give {replaced}, and follow along {replaced}"
         raise place.at("along").error(f"{shown(along)} is not a parameter of the scene; {instead}")
     if along in parameters:
         hint = f"say where it begins by at={shown(fixed.get(along, 'VALUE'))}"
         raise place.at(along).error(f"is the parameter of the continuation; {hint}")
+    for name in (name for name in FREQUENCIES if name in parameters and name not in names.parameters):
+        if along in ("m1", "k1"):
+            fault = f"fixes {REPLACED[name]} only at one {along}, and {along} varies along the family"
+            raise place.at(name).error(f"{fault}; give {REPLACED[name]}")
     if isinstance(cycles, bool) or not isinstance(cycles, int) or not 1 <= cycles <= MOST_CYCLES:
         raise place.at("cycles").error(f"{shown(cycles)} is not a whole number from 1 to {MOST_CYCLES}")
     if not isinstance(span, Sequence | np.ndarray) or isinstance(span, str) or len(span) != 2:
@@ -156,7 +162,9 @@ def family_spec(
     begin = names.quantity(place.at("at"), along, at)
     if not low <= begin <= high:
         raise place.at("at").error(f"{begin:g} is not between from = {low:g} and to = {high:g}")
-    settled, observed = quantity(place.at("settle"), settle, SETTLE), quantity(place.at("observe"), observe, OBSERVE)
+    usual = names.system.usual_times
+    settled = quantity(place.at("settle"), usual[0] if settle is None else settle, SETTLE)
+    observed = quantity(place.at("observe"), usual[1] if observe is None else observe, OBSERVE)
     families = _count_families(place, names, several)
     first = {name: column[0] for name, column in several.items()}
     with warnings.catch_warnings():  # all values are checked below
@@ -256,7 +264,7 @@ def _dataset(sweep: Sweep, problem: Problem, points: list[FamilyPoint], special:
     multipliers = {name: table.pop(name) for name in ("multiplier_abs", "multiplier_arg")}
     family, value = table.pop("family"), table.pop(along)
     values = table | measures | multipliers
-    if not isinstance(system, HasContact):
+    if not isinstance(system, HasImpacts):
         del values["impacts"]
     described = parameter_attributes(sweep, along)
     values |= {

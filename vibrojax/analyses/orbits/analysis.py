@@ -14,6 +14,7 @@ from vibrojax.errors import InputError
 from vibrojax.io.attributes import table_of, title_of
 from vibrojax.io.manifest import IDENTITY, changes, identity_text
 from vibrojax.sweep.input.definition import Sweep
+from vibrojax.sweep.input.own_code import is_code
 from vibrojax.sweep.input.points import VECTOR
 from vibrojax.sweep.input.read import read_sweep
 
@@ -151,8 +152,10 @@ def sweep_of_dataset(dataset: xr.Dataset, orbits: bool = True) -> Sweep:
     before = dict(table_of(dataset, IDENTITY))
     for name in ("attractors", "borders"):  # these entries belong to derived results, not to the sweep
         before.pop(name, None)
-    expected = {**before, "run.orbits": True} if orbits else before
-    differing = changes(expected, json.loads(identity_text(sweep.identity())))
+    now = json.loads(identity_text(sweep.identity()))
+    # Version 0.1.0 did not state the code of the user's own scenes and laws.
+    codes = {} if any(map(is_code, before)) else {name: x for name, x in now.items() if is_code(name)}
+    differing = changes(before | codes | ({"run.orbits": True} if orbits else {}), now)
     if before and differing:
         raise InputError(f"orbits: the sweep that the dataset names has changed: {differing}; give the sweep itself")
     seconds, lanes = sweep.run.settle + sweep.run.observe, 1 if has_lanes_of(dataset, sweep) else sweep.lanes

@@ -9,7 +9,7 @@ from matplotlib.patches import Patch
 
 from vibrojax.analyses.analysis import Analysis, PictureRule, SummaryPart
 from vibrojax.io.attributes import flags
-from vibrojax.plot.axes import label, scale, values_along, with_unit
+from vibrojax.plot.axes import label, number, scale, values_along, with_unit
 from vibrojax.plot.colours import REGIME_COLOURS, regime_cells, regime_names
 from vibrojax.plot.contents import POINT, varied
 from vibrojax.plot.sheet import legend_at_right, write_margins
@@ -26,8 +26,8 @@ def push_lines(ds: xr.Dataset) -> list[str]:
     varied = [name for name, data in machines.coords.items() if data.dims == ("point",) and name != "point"]
     meanings = flags(ds["regime"])
     lines = []
-    for number in range(machines.sizes["point"]):
-        machine = machines.isel(point=number)
+    for index in range(machines.sizes["point"]):
+        machine = machines.isel(point=index)
         values = [f"{name} = {machine[name].item():g}" for name in varied if machine[name].dtype.kind == "f"]
         lines += [f"{', '.join(values)}:"] if values else []
         regime = meanings[int(machine["regime"])]
@@ -50,7 +50,8 @@ def push_lines(ds: xr.Dataset) -> list[str]:
 
 
 _PUSH = "push_"
-_SIDES = {-1: ("#0072B2", "v", "less"), 1: ("#D55E00", "^", "more")}
+_SIDES = {-1: ("#0072B2", "v", "negative push"), 1: ("#D55E00", "^", "positive push")}
+_RETURNS = Mark(facecolor="white", edgecolor="0.7", hatch="//")  # every push tried returns
 _BOUND = Mark(color="0.5", linestyle="--", linewidth=0.9)
 
 
@@ -71,6 +72,7 @@ def smallest_pushes(ds: xr.Dataset) -> Figure:
     over = next(iter(varied(ds)), POINT)
     handles: list[Artist] = []
     ends: dict[int, str] = {}
+    returning = leaving = False
     for axes, state in zip(panels, states, strict=False):
         (factor, unit), push = scale(ds[f"bound_{state}"]), ds[f"{_PUSH}{state}"]
         bound = ds[f"bound_{state}"].values * factor
@@ -80,27 +82,51 @@ def smallest_pushes(ds: xr.Dataset) -> Figure:
             for sign, (colour, marker, _) in _SIDES.items():
                 y = push.sel(sign=sign).values * factor
                 axes.plot(x[order], y[order], color=colour, marker=marker, markersize=4, linewidth=1.0)
+                stays = np.isnan(y) & (bound > 0)
+                look = Mark(linestyle="none", marker=marker, markersize=5 + sign, markerfacecolor="none")
+                axes.plot(x[stays], bound[stays], color=colour, **look)
+                returning |= bool(stays.any())
             axes.plot(x[order], bound[order], **_BOUND)
             axes.grid(True)
         else:
             regimes = regime_cells(ds[f"regime_{state}"]).astype(int).tolist()
             sides = np.arange(len(push))
-            colours = [REGIME_COLOURS[flag] for flag in regimes]
-            axes.bar(sides, np.nan_to_num(push.values * factor), 0.6, color=colours, edgecolor="0.35")
-            axes.axhline(float(bound), **_BOUND)
+            stable = float(bound) > 0
+            for side, size, flag in zip(sides, push.values * factor, regimes, strict=True):
+                leaves = bool(np.isfinite(size))
+                look = Mark(facecolor=REGIME_COLOURS[flag], edgecolor="0.35") if leaves else _RETURNS
+                axes.bar(side, size if leaves else float(bound) if stable else 0.0, 0.6, **look)
+                text = number(float(f"{size:.3g}")) if leaves else "returns" if stable else "no stable\ncycle"
+                place = (side, size if leaves else 0.5 * float(bound) if stable else 0.0)
+                box = {"facecolor": "white", "edgecolor": "none", "pad": 1.5}
+                axes.annotate(
+                    text, place, (0, 3 * leaves), textcoords="offset points", ha="center", va="bottom", bbox=box
+                )
+                returning |= stable and not leaves
+                leaving |= leaves
+            if stable:
+                axes.axhline(float(bound), **_BOUND)
+            else:
+                axes.set_yticks([])
             axes.set_xticks(sides, [_SIDES[int(sign)][2] for sign in ds["sign"].values])
             axes.set_xlim(-0.6, len(push) - 0.4)
             names = regime_names(ds[f"regime_{state}"])
             ends |= {flag: names[flag] for flag in regimes if flag > 0}
         axes.set_ylabel(with_unit(f"push in {SYMBOLS.get(state, state)}", unit))
-        axes.set_ylim(bottom=0.0)
+        axes.set_ylim(-0.03 * axes.get_ylim()[1] if several else 0.0, 1.08 * axes.get_ylim()[1])
     if several:
         for axes in panels[-2:]:
             axes.set_xlabel(label(ds[over]) if over in ds.coords else "machine")
         handles += [Line2D([], [], color=c, marker=m, markersize=4, label=side) for c, m, side in _SIDES.values()]
     handles += [Patch(facecolor=REGIME_COLOURS[flag], edgecolor="0.35", label=ends[flag]) for flag in sorted(ends)]
-    legend_at_right(figure, [*handles, Line2D([], [], label="greatest tried", **_BOUND)])
-    write_margins(figure, ds, "Where nothing is drawn, none that leaves was found")
+    if returning:
+        hollow = Line2D([], [], color="0.3", marker="o", markerfacecolor="none", linestyle="none")
+        handles.append(hollow if several else Patch(**_RETURNS))
+        handles[-1].set_label("every push tried returns")
+    handles.append(Line2D([], [], label="greatest push tried", **_BOUND))
+    legend_at_right(figure, handles)
+    none_leaves = "No push up to the greatest tried leaves the working cycle"
+    write_margins(figure, ds, none_leaves if returning and not (leaving or several) else "")
     return figure
 
 

@@ -70,7 +70,8 @@ def push_spec(
             hint = suggestion(name, system.start_states)
             raise place.at("most").error(f"{shown(name)} is no state of a start; {hint}")
         bounds[name] = quantity(place.at("most").at(name), value, positive(name, 1.0, "1", "greatest push", name))
-    run = {"orbits": True, "settle": settle, "observe": observe}
+    times = {name: x for name, x in (("settle", settle), ("observe", observe)) if x is not None}
+    run = {"settle": system.usual_times[0], "orbits": True, **times}
     tables: dict[str, Any] = {"scene": scene, "parameters": fixed, "run": run, "unusual": True}
     starts = [point.start if isinstance(point.start, str) else list(point.start)]
     sweep = read_sweep(tables | {"starts": starts} | ({"points": columns} if columns else {}))

@@ -1,7 +1,7 @@
 """Data of a fit: a dataset, the path of a dataset, or rig data (a CSV file with one measurement per line)."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -32,6 +32,9 @@ if TYPE_CHECKING:
     Columns = Mapping[str, str] | None
 else:
     Data = Columns = object  # at run time `open_data` checks the user's argument, with a one-line error message
+
+_MEASUREMENTS = ("measurement", "no rows; add a line for each measurement", f"{RELIEF},{RATE}")
+"""Words of `read_table` for rig data."""
 
 Rows = list[tuple[int, list[str]]]
 """The non-empty lines of a CSV: (line number, cells)."""
@@ -97,17 +100,10 @@ def read_rig(path: Path, columns: Columns = None) -> xr.Dataset:
             )
     columns = with_rock(columns)
     place = Place(str(path))
-    none = "no rows; add a line for each measurement"
-    line, header, others = read_table(path, "measurement", none, f"{RELIEF},{RATE}")
+    line, header, others = read_table(path, *_MEASUREMENTS)
     chosen = choose_columns(place.at(f"line {line}"), header, columns)
     names = required_names(place.at(f"line {line}"), header, chosen, columns)
-    rows = list(others)
-    first, units = rows[0][0], [cell.strip(" []()") for cell in rows[0][1] if cell.strip()]
-    if not any(map(is_number, units)) and any(map(is_unit, units)):
-        like = f"{header[0]} ({units[0]})"
-        raise place.at(f"line {first}").error(
-            f"holds units; write them behind the names, like {like}, and leave it out"
-        )
+    rows = _rows(place, header, others)
     values = {}
     for name, column in chosen.items():
         if column.index is None:
@@ -133,6 +129,33 @@ def read_rig(path: Path, columns: Columns = None) -> xr.Dataset:
     sources = json.dumps({name: column.described() for name, column in chosen.items()})
     dataset = xr.Dataset(variables, attrs={"title": path.name, "columns": sources})
     return dataset.set_coords([name for name in variables if name not in (RATE, RELIEF)])
+
+
+def read_numbers(place: Place, path: Path, wanted: Callable[[str], object]) -> dict[str, Float[np.ndarray, " rows"]]:
+    """Return the numbers of the `wanted` columns of a CSV by header; NaN for empty cells.
+
+    **Raises:** `InputError` if the file cannot be read or a cell is not a number.
+    """
+    line, header, others = read_table(path, *_MEASUREMENTS)
+    rows = _rows(place, header, others)
+    columns: dict[str, Float[np.ndarray, " rows"]] = {}
+    for index, name in enumerate(header):
+        if wanted(name):
+            if name in columns:
+                raise place.at(f"line {line}").error(f"column {name} is there twice; give it once")
+            columns[name] = _numbers(place, name, index, rows)
+    return columns
+
+
+def _rows(place: Place, header: list[str], others: Iterator[tuple[int, list[str]]]) -> Rows:
+    """Return the rows of a CSV; raise `InputError` if the first of them holds units."""
+    rows = list(others)
+    line, units = rows[0][0], [cell.strip(" []()") for cell in rows[0][1] if cell.strip()]
+    if not any(map(is_number, units)) and any(map(is_unit, units)):
+        like = f"{header[0]} ({units[0]})"
+        fault = f"holds units; write them behind the names, like {like}, and leave it out"
+        raise place.at(f"line {line}").error(fault)
+    return rows
 
 
 def _check_unit(place: Place, name: str, column: Column, values: Float[np.ndarray, " rows"]) -> None:

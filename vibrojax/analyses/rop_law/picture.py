@@ -20,12 +20,12 @@ from vibrojax.analyses.analysis import Analysis, PictureRule, SummaryPart
 from vibrojax.analyses.rop_law.columns import columns_lines
 from vibrojax.analyses.rop_law.rop import FORMS
 from vibrojax.analyses.sweep.maps import fill_cells, write_labels
-from vibrojax.plot.axes import scale, share_text, with_unit
+from vibrojax.plot.axes import scale, shape_zero, share_text, with_unit
 from vibrojax.plot.colours import ROBUST, Coloured, Value, cell_handles, coloured, form_colour, patch, value_of
 from vibrojax.plot.contents import FORM, POINT, law_in, long_axes
 from vibrojax.plot.curves import MOST_ROWS, Across, Row, longest_axis, new_rows
 from vibrojax.plot.sheet import LEGEND_WIDTH, Facets, facets, legend_at_right, sheet, write_margins
-from vibrojax.plot.style import FAINT, INK, UNDEFINED, Mark, styled
+from vibrojax.plot.style import FAINT, INK, Mark, styled
 
 _READINGS = ("onset", "literal", "percent")  # of the logarithmic law: their C are comparable, since all are speeds
 _MARKS: dict[str, MarkerType] = {"onset": "o", "literal": "s", "percent": "^", "line": "D", "power": "v"}
@@ -41,8 +41,9 @@ _MOST_GROUPS, _MOST_COLUMNS = 6, 3
 _ROW_HEIGHT = 2.4  # height of a row of panels [inch]
 _MANY_LANES = 60  # number of drawn lanes in a group from which on the markers are small
 _CURVE_POINTS = 200
-# The power law often coincides with the straight line: dashed, it leaves the line's colour visible.
-_DASHES = {"power": (0.0, (2.5, 2.0))}
+# The power law often coincides with the straight line, the literal form with the onset form: dashed and on top, they
+# leave the colour of the other form visible.
+_DASHES = {"power": (0.0, (2.5, 2.0)), "literal": (0.0, (1.5, 2.5))}
 _RELIEF, _RATE, _USE = "data_relief", "data_rate_of_penetration", "data_use"
 
 _USES = {
@@ -92,9 +93,17 @@ def law_lines(fit: xr.Dataset) -> Figure:
         low, high = min(float(np.nanmin(values)), 0.0), max(float(np.nanmax(values)), 0.0)
         room = 0.15 * ((high - low) or 1.0)
         rows[0].axes[0].set_ylim(low - room, high + room)
+    else:
+        for axes in (axes for row in rows for axes in row.axes):
+            for artist in (*axes.lines, *axes.patches):
+                artist.remove()
+            axes.set(xticks=[], yticks=[])
+            axes.text(0.5, 0.6, "no group has a C", transform=axes.transAxes, ha="center", color="0.3")
     equal: list[Artist] = [Patch(facecolor=FAINT, alpha=0.25, label="as good as the best")]
-    legend_at_right(figure, _line_handles(fit), equal if has_aic else [], uses)
-    along = f"Fitted along {fit.attrs['along']}; bars of one standard error" if "along" in fit.attrs else ""
+    has_any = bool(np.isfinite(values).any())
+    legend_at_right(figure, _line_handles(fit), equal if has_aic and has_any else [], uses)
+    over = "over the rows of the table" if fit.attrs.get("along") == POINT else f"along {fit.attrs.get('along')}"
+    along = f"Fitted {over}; bars of one standard error" if "along" in fit.attrs else ""
     write_margins(figure, fit, panels.note, data_text(groups, fit), along, _lacking_text(fit))
     return figure
 
@@ -170,7 +179,9 @@ def law_map(fit: xr.Dataset) -> Figure:
     if len(groups):
         drawn.figure.set_figwidth(drawn.figure.get_figwidth() + LEGEND_WIDTH)
         legend_at_right(drawn.figure, _line_handles(fit), uses)
-    colours = ListedColormap([form_colour(name) for name in forms], name="forms").with_extremes(bad=UNDEFINED)
+    colours = ListedColormap([form_colour(name) for name in forms], name="forms").with_extremes(
+        bad=(1.0, 1.0, 1.0, 0.0)
+    )
     norm = BoundaryNorm(np.arange(-0.5, len(forms)), len(forms))
     for panel in drawn.panels:
         if panel.value is None:
@@ -180,7 +191,11 @@ def law_map(fit: xr.Dataset) -> Figure:
         write_labels(panel, shown[x], shown[y])
     best = [number for facet in panels.data if _BEST in facet for number in facet[_BEST].values.ravel().tolist()]
     shares = {name: best.count(k) / max(len(best), 1) for k, name in enumerate(forms)}
-    handles = [patch(form_colour(name), f"{name}  {share_text(share)}") for name, share in shares.items() if share > 0]
+    handles = [
+        patch(form_colour(name), f"{name}  {share_text(share)} of groups")
+        for name, share in shares.items()
+        if share > 0
+    ]
     drawn.finish([*handles, *cell_handles(panels.data, values)])
     along = f"fitted along {fit.attrs['along']}, " if "along" in fit.attrs else ""
     left = "; at the left the first form within 2 of the least AIC" * (_BEST in shown)
@@ -213,7 +228,8 @@ def _line_handles(fit: xr.Dataset) -> list[Artist]:
         formula = formulas.get(name, "")
         for text, sign in signs.items():
             formula = formula.replace(text, sign)
-        handles.append(Line2D([], [], label=f"{name}\n{formula}" if formula else name, **_mark(name)))
+        mark = _mark(name) | Mark(linestyle=_DASHES.get(name, "-"))
+        handles.append(Line2D([], [], label=f"{name}\n{formula}" if formula else name, **mark))
     return handles
 
 
@@ -268,13 +284,17 @@ def _draw_group(axes: Axes, group: xr.Dataset, factor: float) -> None:
         coefficients = [float(form[x]) if x in form else np.nan for x in ("C", "eta0", "exponent")]
         if name in rates and np.isfinite(coefficients[0]):
             line = Mark(color=form_colour(name), linewidth=1.4, linestyle=_DASHES.get(name, "-"))
+            line |= Mark(zorder=2.5 if name in _DASHES else 2.0)
             axes.plot(eta, factor * rates[name](eta, *coefficients), label=name, **line)
     size = 4.2 if seen.sum() < _MANY_LANES else 2.2
     for use, mask in _masks(group).items():
         look = Mark(linestyle="none", markersize=size, zorder=3) | _USES[use][1]
         axes.plot(relief[mask], rate[mask], label=f"_{use}", **look)
-    top = float(np.max(rate[seen])) or 1.0
-    axes.set_ylim(-0.06 * top, 1.1 * top)  # clips the curve of a form far from the data
+    top = float(np.max(rate[seen]))
+    if top > 0:
+        axes.set_ylim(-0.06 * top, 1.1 * top)  # clips the curve of a form far from the data
+    else:
+        shape_zero([axes], "no penetration")
 
 
 def _masks(group: xr.Dataset) -> dict[str, np.ndarray]:

@@ -12,7 +12,7 @@ from scipy.special import stdtrit
 
 from vibrojax.analyses.rop_law.columns import RATE
 from vibrojax.analyses.rop_law.least_squares import REASONS
-from vibrojax.errors import Place
+from vibrojax.errors import Place, counted
 from vibrojax.io.attributes import table_of, title_of
 from vibrojax.io.kinds import dataset_attributes
 from vibrojax.io.variables import Variable
@@ -119,11 +119,13 @@ def law_table(facts: Mapping[str, Any]) -> list[str]:
     for group in facts["groups"][:_GROUPS_TABULATED]:
         first = next(iter(group["forms"].values()))
         left_out = f", {first['left_out']} left out" if first["left_out"] else ""
-        lines += [""] * bool(lines) + [f"{group['name']}: {first['used']} lanes along {facts['along']}{left_out}"]
+        lines += [""] * bool(lines) + [
+            f"{group['name']}: {counted(first['used'], 'lane')} along {facts['along']}{left_out}"
+        ]
         lines.append(f"  {'form':<9}{'C [m/s]':<24}{'eta0':<22}{'exponent':<20}{'R2':>8}{'AIC':>10}")
         lines += [f"  {form:<9}{_table_row(values)}".rstrip() for form, values in group["forms"].items()]
     further = len(facts["groups"]) - _GROUPS_TABULATED
-    return lines + ([f"and {further} groups more"] if further > 0 else [])
+    return lines + ([f"and {counted(further, 'group')} more"] if further > 0 else [])
 
 
 def _table_row(values: Mapping[str, float | int | str]) -> str:

@@ -35,7 +35,7 @@ from vibrojax.analyses.rop_law.least_squares import (
     reason_of_no_fit,
 )
 from vibrojax.analyses.rop_law.results import GOODNESS_SCHEMA, LAW_TITLE, fit_dataset
-from vibrojax.errors import shown, suggestion
+from vibrojax.errors import counted, shown, suggestion
 from vibrojax.io.variables import Variable
 from vibrojax.progress import LOG
 
@@ -187,7 +187,10 @@ def fit_rop(
         for line in columns_lines(data):
             print(line, file=sys.stderr)
         number, size, seconds = groups.count.size, groups.count.max(), time.monotonic() - start
-        print(f"{number} groups of {size} lanes along {groups.along} fitted in {seconds:.1f} s", file=sys.stderr)
+        print(
+            f"{counted(number, 'group')} of {counted(size, 'lane')} along {groups.along} fitted in {seconds:.1f} s",
+            file=sys.stderr,
+        )
     values = {name: np.array([fit[name] for fit in fits]) for name in fits[0]}
     values["left_out"] = np.repeat(groups.count, len(FORMS)) - values["used"]
     values["r_squared_reason"] = r_squared_reason(values["r_squared"], values["reason"])

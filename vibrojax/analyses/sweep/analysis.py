@@ -8,13 +8,14 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from vibrojax.analyses.analysis import Analysis, PictureRule, Source, SummaryPart
+from vibrojax.analyses.frequencies import frequency_part
 from vibrojax.analyses.sweep.basins import many_starts, regime_bars
 from vibrojax.analyses.sweep.maps import rate_grid, regime_grid
 from vibrojax.analyses.sweep.rates import rates
 from vibrojax.analyses.sweep.returns import bifurcation, hysteresis
 from vibrojax.analyses.sweep.run import run_sweep
 from vibrojax.analyses.sweep.strips import regime_lines
-from vibrojax.errors import InputError
+from vibrojax.errors import InputError, counted
 from vibrojax.io.attributes import flag_counts, flags, parameters_of, run_of, table_of
 from vibrojax.io.kinds import kind_of
 from vibrojax.models.physics.rock import ROCKS
@@ -42,8 +43,8 @@ class Sweeps(Analysis):
         return run_sweep(source, progress=progress)
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
-        """Return the rate of penetration of a sweep with rock, or the reason why there is none."""
-        return [_rates(ds)]
+        """Return the rate of penetration of a sweep with rock, or the reason why there is none, and the frequencies."""
+        return [_rates(ds), frequency_part(ds)]
 
     def picture(self, ds: xr.Dataset, over: Sequence[xr.Dataset] = ()) -> Figure:
         """Return the picture of a sweep; `over`: borders on its regime map, or families on its section crossings."""
@@ -77,7 +78,7 @@ def lane_parts(ds: xr.Dataset) -> dict[str, SummaryPart]:
     if "hidden_motion" in ds and "start" in ds["hidden_motion"].dims:
         points = int(ds["hidden_motion"].any("start").sum())
         if points:
-            regime_lines.append(f"at {points} points starts end in different motions under one label")
+            regime_lines.append(f"at {counted(points, 'point')} starts end in different motions under one label")
     orbits: dict[str, Any] = {}
     if "orbit_reason" in ds and not no_lanes:
         orbits = {"reason": flag_counts(ds, "orbit_reason"), "stable": flag_counts(ds, "stable")}
@@ -105,12 +106,20 @@ def orbit_lines(ds: xr.Dataset) -> list[str]:
     counts = {meaning: int((reason == flag).sum()) for flag, meaning in flags(ds["orbit_reason"]).items()}
     repeating = sum(count for meaning, count in counts.items() if meaning not in ("not-repeating", "refused"))
     stabilities = f"{(stable == 1).sum()} stable, {(stable == 0).sum()} unstable"
-    lines = [f"{counts['found']} found of {repeating} lanes that repeat: {stabilities}"]
+    lines = [
+        f"{counts['found']} found of {counted(repeating, 'lane that repeats', 'lanes that repeat')}: {stabilities}"
+    ]
     lines += [f"{count} {meaning}" for meaning, count in counts.items() if count and meaning != "found"]
     cycles, own = ds["orbit_cycles"], ds.get("cycles")
     sooner = int(((cycles > 0) & (cycles < own)).sum()) if own is not None else 0
     if sooner:
-        lines.append(f"{sooner} lanes are on their way to an orbit that repeats sooner than they do")
+        lines.append(
+            counted(
+                sooner,
+                "lane is on its way to an orbit that repeats sooner than it does",
+                "lanes are on their way to an orbit that repeats sooner than they do",
+            )
+        )
     limit = table_of(ds, "orbits").get("grazing_limit")
     if limit is not None:
         lines.append(f"multipliers are given from a grazing_margin of {limit:g} on")
@@ -119,8 +128,9 @@ def orbit_lines(ds: xr.Dataset) -> list[str]:
         open_lanes = ds["regime"].isin(unsettled).values
         near = int((open_lanes & (ds["nearby_cycles"].values > 0)).sum())
         lines.append(
-            f"of {open_lanes.sum()} lanes labelled irregular or undecided, {near} have a stable orbit nearby that they "
-            "have not reached (nearby_cycles); a longer settle leads most of those there"
+            f"of {counted(int(open_lanes.sum()), 'lane')} labelled irregular or undecided, "
+            + counted(near, "has a stable orbit nearby that it has", "have a stable orbit nearby that they have")
+            + " not reached (nearby_cycles); a longer settle leads most of those there"
         )
     return lines
 
@@ -155,11 +165,11 @@ def _rates(ds: xr.Dataset) -> SummaryPart:
         where = " ".join(f"{name}={x:.6g}" if isinstance(x, float) else f"{name}={x}" for name, x in values.items())
         least, most = float(penetrates.min()), float(greatest)
         per_hour = f"{3600 * least:.4g} to {3600 * most:.4g} m/h"
-        lines = [f"{least:.4g} to {most:.4g} m/s ({per_hour}) in {count} of {rate.size} lanes"]
+        lines = [f"{least:.4g} to {most:.4g} m/s ({per_hour}) in {count} of {counted(rate.size, 'lane')}"]
         lines += [f"largest at {where}"] if where else []
         facts |= {"least": least, "greatest": most}
     else:
-        lines = [f"none: the hole does not grow in any of {rate.size} lanes"]
+        lines = [f"none: the hole does not grow in any of {counted(rate.size, 'lane')}"]
     if count < rate.size:
         lines += _reason_of_no_rate(ds, rate, facts)
     return SummaryPart("rates", lines, {"rates": facts})
@@ -250,11 +260,21 @@ def _accuracy_lines(ds: xr.Dataset, errors: np.ndarray, accepted: float) -> list
     within = int(((ds["error_estimate"].values <= accepted) & ~sensitive).sum())
     lines = [
         f"error_estimate median {np.median(errors):.2g}, largest {errors.max():.2g}",
-        f"{100 * within / errors.size:.4g} % of {errors.size} periodic lanes within the accepted {accepted:g}",
+        f"{100 * within / errors.size:.4g} % of {counted(errors.size, 'periodic lane')}"
+        f" within the accepted {accepted:g}",
     ]
     if "cycles" in ds and "drift_estimate" not in ds:
         lines.append("the distance of lanes from where they settle is not included: made before version 0.1.1")
     elif "cycles" in ds:
         still = int((ds["drift_estimate"] > accepted).sum())
-        lines.append(f"{still} of them are farther than that from where they settle; a longer settle brings them there")
-    return [*lines, f"{sensitive.sum()} lanes are sensitive: rounding decides which attractor they reach"]
+        one = "of them is farther than that from where it settles; a longer settle brings it there"
+        many = "of them are farther than that from where they settle; a longer settle brings them there"
+        lines.append(counted(still, one, many))
+    return [
+        *lines,
+        counted(
+            int(sensitive.sum()),
+            "lane is sensitive: rounding decides which attractor it reaches",
+            "lanes are sensitive: rounding decides which attractor they reach",
+        ),
+    ]

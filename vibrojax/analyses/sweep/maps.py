@@ -25,6 +25,7 @@ from vibrojax.plot.colours import (
     Values,
     cell_handles,
     coloured,
+    hatch_gaps,
     sensitive_handle,
     values_beside,
     values_of_rock,
@@ -46,7 +47,7 @@ from vibrojax.plot.contents import (
 )
 from vibrojax.plot.overlays import OVER_TEXT, border_handles, check_borders, draw_over_panel
 from vibrojax.plot.sheet import MOST_PANELS, Facets, Panel, facets, sheet, write_margins
-from vibrojax.plot.style import INK, NOTHING, UNDEFINED, styled
+from vibrojax.plot.style import INK, NO_VALUE, NOTHING, styled
 
 _MOST_VALUES = {1: 4, 2: 3, 3: 3}  # of quantities on maps of rates, by the number of facets; else only the rate
 _MOST_RATE_FACETS = 9
@@ -102,8 +103,9 @@ def draw_map(ds: xr.Dataset, x: str, y: str, values: Values, *notes: str, over: 
     handles += [marks[name] for name in (HIDDEN, SENSITIVE) if name in marks]
     if any(isinstance(artist, LineCollection) for panel in drawn.panels for artist in panel.axes.collections):
         handles.append(Line2D([], [], color=INK, linewidth=1.0, label="border of single impact"))
+    lines = OVER_TEXT if kinds else "No border of stable single impacts lies in these maps" if over is not None else ""
     drawn.finish([*handles, *border_handles(kinds), *region_handle(drawn.panels[0].axes)])
-    write_margins(drawn.figure, ds, certified_text(ds), panels.note, *notes, OVER_TEXT if kinds else "")
+    write_margins(drawn.figure, ds, certified_text(ds), panels.note, *notes, lines)
     return drawn.figure
 
 
@@ -168,6 +170,7 @@ def fill_cells(panel: Panel, x: str, y: str, cells: Coloured) -> list[Float[np.n
     along = [values_along(panel.facet[name]) for name in (x, y)]
     ends = [edges(values) for values in along]
     masked = np.ma.masked_invalid(cells.cells)
+    hatch_gaps(panel.axes, cells.cells)
     panel.axes.pcolormesh(*ends, masked, cmap=cells.colour_map, norm=cells.norm, rasterized=True)
     shape_axis(panel.axes, "x", along[0])
     if panel.axes.get_xscale() == "linear":  # no "-2.5", which would touch the tick labels of the next panel
@@ -255,9 +258,10 @@ def draw_points(axes: Axes, ds: xr.Dataset, value: Value | None, x: str, y: str)
     known = np.isfinite(cells) & ~nothing
     many = cells.size > _MANY_DOTS
     size, width = (20.0 * _MANY_DOTS / cells.size, 0.0) if many else (20.0, 0.3)
-    for mask, colour in ((np.isnan(cells), UNDEFINED), (nothing, NOTHING), (known, cells[known])):
-        mapped: dict[str, Any] = {"cmap": colours, "norm": norm} if mask is known else {}
-        axes.scatter(across[mask], up[mask], s=size, c=colour, edgecolors="0.3", linewidths=width, **mapped)
+    edge: dict[str, Any] = {"edgecolors": "0.3", "linewidths": width}
+    mapped = edge | {"c": cells[known], "cmap": colours, "norm": norm}
+    for mask, look in ((np.isnan(cells), NO_VALUE), (nothing, edge | {"c": NOTHING}), (known, mapped)):
+        axes.scatter(across[mask], up[mask], s=size, **look)
 
 
 def split_starts(ds: xr.Dataset) -> Facets:

@@ -8,9 +8,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from vibrojax.plot.axes import scale, with_unit
+from vibrojax.errors import counted
+from vibrojax.plot.axes import scale, shape_zero, with_unit
 from vibrojax.plot.colours import SINGLE
-from vibrojax.plot.contents import POINT, RATE, REGIME, RELIEF, rates_in
+from vibrojax.plot.contents import POINT, RATE, REGIME, RELIEF, is_numeric, rates_in
 from vibrojax.plot.curves import (
     MOST_ROWS,
     Across,
@@ -23,7 +24,7 @@ from vibrojax.plot.curves import (
     split_lines,
 )
 from vibrojax.plot.sheet import facets, legend_at_right, write_margins
-from vibrojax.plot.style import INK, Mark, styled
+from vibrojax.plot.style import INK, Mark, nested_line, styled
 
 SLIP, PEAK = "slip_per_impact", "peak_impact_force"
 _NAMES = {RATE: "rate of penetration", SLIP: "slip per blow", PEAK: "peak impact force"}
@@ -47,26 +48,35 @@ def rates(ds: xr.Dataset) -> Figure:
     curves = _choose_curves(ds, x)
     figure, rows, _ = new_rows(panels, len(curves))
     style = x.style_of(ds)
+    named = bool(by) and not is_numeric(ds[by])  # starts or rocks, whose lines may coincide
     for row in rows:
         for i, (name, along) in enumerate(curves):
             factor, unit = scale(ds[name])
-            for line in split_lines(row.facet, by):
+            lines = split_lines(row.facet, by)
+            for k, line in enumerate(lines):
                 places = np.atleast_1d(line.lanes[RELIEF].values) if along == RELIEF else x.of(line.lanes)
-                _draw(row.axes[i], line, places, factor * np.atleast_1d(line.lanes[name].values), style, name)
+                look = nested_line(k, len(lines)) if named and style == "-" else Mark(linestyle=style)
+                _draw(row.axes[i], line, places, factor * np.atleast_1d(line.lanes[name].values), look, name)
             row.label(i, x.label if along == x.name else "relief P/D", with_unit(_NAMES[name], unit))
     for i, (_, along) in enumerate(curves):  # include zero, to show whether lines pass through it
         axes = rows[0].axes[i]
-        greatest = max(row.axes[i].dataLim.y1 for row in rows)
-        top = 1.05 * greatest if 0 < greatest < np.inf else 1.0
-        axes.set_ylim(-0.03 * top, top)
+        if not shape_zero([row.axes[i] for row in rows], "no penetration"):
+            greatest = max(row.axes[i].dataLim.y1 for row in rows)
+            top = 1.05 * greatest if 0 < greatest < np.inf else 1.0
+            axes.set_ylim(-0.03 * top, top)
         if along == RELIEF:
             right = axes.get_xlim()[1]
             axes.set_xlim(-0.03 * right, right)
         else:
             x.shape(axes)
-    legend_at_right(figure, line_handles(split_lines(ds, by), Mark(linestyle=style)), _mark_handles(ds))
+    handles = line_handles(split_lines(ds, by), Mark(linestyle=style))
+    for k, handle in enumerate(handles if named and style == "-" else ()):
+        handle.set(**nested_line(k, len(handles)))
+    legend_at_right(figure, handles, _mark_handles(ds))
     count = int(np.isnan(ds[RATE].values).sum())
-    write_margins(figure, ds, panels.note, f"{count} of {ds[RATE].size} lanes without a rate" if count else "")
+    write_margins(
+        figure, ds, panels.note, f"{count} of {counted(ds[RATE].size, 'lane')} without a rate" if count else ""
+    )
     return figure
 
 
@@ -89,7 +99,7 @@ def _choose_curves(ds: xr.Dataset, x: Across) -> list[tuple[str, str]]:
     return [(RATE, x.name), *over_relief, *((name, x.name) for name in each_blow)]
 
 
-def _draw(axes: Axes, line: Line, places: Samples, values: Samples, style: str, name: str) -> None:
+def _draw(axes: Axes, line: Line, places: Samples, values: Samples, look: Mark, name: str) -> None:
     """Draw one line with the markers of its motions.
 
     The line is interrupted at jumps between a single impact and another motion.
@@ -97,8 +107,9 @@ def _draw(axes: Axes, line: Line, places: Samples, values: Samples, style: str, 
     motions = _motions(line.lanes)
     jumps = 1 + np.flatnonzero(np.diff(motions["other"].astype(int)))
     path = (np.insert(np.asarray(along, float), jumps, np.nan) for along in (places, values))
-    axes.plot(*path, color=line.colour, linestyle=style, linewidth=1.2, label=line.name or name)
-    size = 3.8 if values.size < _MANY_LANES else 2.0
+    style = Mark(linewidth=1.2) | look | Mark(markersize=None)
+    axes.plot(*path, color=line.colour, label=line.name or name, **style)
+    size = look.get("markersize", 3.8) if values.size < _MANY_LANES else 2.0
     for motion, mask in motions.items():
         if mask.any():
             mark = _mark(motion, line.colour) | Mark(linestyle="none", markersize=size + (motion == "none"))

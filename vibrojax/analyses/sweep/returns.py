@@ -45,7 +45,7 @@ from vibrojax.plot.overlays import (
     over_text,
     special_points,
 )
-from vibrojax.plot.style import INK, Mark, styled
+from vibrojax.plot.style import Mark, nested_line, styled
 
 Places = Int[np.ndarray, " _"]
 
@@ -54,6 +54,7 @@ _MARKERS = {"up": ">", "down": "<"}
 # Height of a diagram [inches] for one facet and for several, by the number of diagrams.
 _HEIGHTS = {1: (3.6, 2.6), 2: (2.4, 2.0), 3: (1.9, 1.6)}
 _OTHERS = "#CFCFCF"
+_HALO = 3.0  # area of the dots of other starts over that of a start's own: a rim shows where they coincide
 
 
 @styled
@@ -79,7 +80,7 @@ def bifurcation(ds: xr.Dataset, over: Overlays = None) -> Figure:
     diagrams = 1 if many_starts(ds) else len(starts_of(ds))
     layers = as_layers(over)
     check_families(ds, layers, x)
-    grey = Line2D([], [], label="all other starts", linestyle="none", marker="o", markersize=4.0, color=_OTHERS)
+    grey = Line2D([], [], label="all other starts", linestyle="none", marker="o", markersize=6.5, color=_OTHERS)
     handles = ([grey] if diagrams > 1 else []) + over_handles(layers)
     draw = partial(_draw_returns, x=x, layers=layers)
     return draw_stacks(ds, x, diagrams, _HEIGHTS.get(diagrams, (1.5, 1.3)), draw, handles, over_text(ds, layers))
@@ -108,7 +109,8 @@ def _draw_returns(stack: Stack, x: str, layers: Sequence[xr.Dataset]) -> None:
                 along, values = _dots(lanes, factor, x)
                 known, own = np.isfinite(values), other == position
                 look = Mark(color=colour, label=name) if own else Mark(color=_OTHERS, label=f"_{name}")
-                axes.scatter(along[known], values[known], s=size, linewidths=0, zorder=2 + own, rasterized=True, **look)
+                area = size if own else _HALO * size
+                axes.scatter(along[known], values[known], s=area, linewidths=0, zorder=2 + own, rasterized=True, **look)
                 if own and name:
                     axes.set_title(", ".join(filter(None, (stack.title, f"start: {name}"))), loc="left")
         draw_over(axes, layers, facet, x, OF_RETURNS, factor)
@@ -137,12 +139,16 @@ def hysteresis(ds: xr.Dataset, over: Overlays = None) -> Figure:
     values = () if RETURNS in ds else values_beside(ds)
     layers = as_layers(over)
     check_families(ds, layers, along)
-    handles: list[Artist] = [
-        Line2D([], [], color=way.colour, marker=_MARKERS.get(way.name, "o"), label=way.name)
-        for way in starts_of(ds)
-        if way.name
-    ]
-    handles.append(Line2D([], [], color=INK, linestyle="--", linewidth=1.0, label="jump of that way"))
+    handles: list[Artist] = []
+    for k, way in enumerate(starts_of(ds)):
+        look = nested_line(k, 2) if values else Mark(linestyle="none", markersize=3.5 if k else 6.0)
+        handles.append(Line2D([], [], color=way.colour, marker="o", label=way.name, **look))
+    others = [name for name in ds[REGIME].dims if name not in (START, along)]
+    lines = [ds.isel(dict(zip(others, at, strict=True))) for at in np.ndindex(*(ds.sizes[name] for name in others))]
+    for k, way in enumerate(starts_of(ds)):
+        if any(jumps(line, along)[k].size for line in lines):
+            mark = Mark(marker=_MARKERS.get(way.name, "o"), linestyle="--", linewidth=1.0)
+            handles.append(Line2D([], [], color=way.colour, label=f"jump on the way {way.name}", **mark))
     about = "Each lane starts from where its neighbour ended; where the two ways differ, two motions coexist"
     note = ". ".join(filter(None, (about, over_text(ds, layers), _jumps_text(ds, along, layers))))
     height = 3.4 if len(values) < 2 else 1.9

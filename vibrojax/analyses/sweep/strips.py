@@ -17,12 +17,23 @@ from matplotlib.figure import Figure
 from matplotlib.gridspec import GridSpec
 from matplotlib.lines import Line2D
 
-from vibrojax.plot.axes import certified_text, edges, label, pad_constant, shape_axis, short, values_along
+from vibrojax.plot.axes import (
+    certified_text,
+    edges,
+    label,
+    pad_constant,
+    shape_axis,
+    shape_zero,
+    short,
+    unclip_markers,
+    values_along,
+)
 from vibrojax.plot.colours import (
     REGIME_MAP,
     REGIME_NORM,
     SINGLE,
     Value,
+    hatch_gaps,
     regime_cells,
     regime_handles,
     sensitive_handle,
@@ -31,7 +42,7 @@ from vibrojax.plot.colours import (
 )
 from vibrojax.plot.contents import REGIME, SENSITIVE, START, axes_to_draw, lane_dims, many_starts, regimes_in
 from vibrojax.plot.sheet import MOST_PANELS, PAGE, columns, facets, legend_at_right, write_margins
-from vibrojax.plot.style import INK, Mark, new_figure, start_colour, styled
+from vibrojax.plot.style import INK, Mark, nested_line, new_figure, start_colour, styled
 
 _MOST_COLUMNS = 3
 _TITLE_ROOM = 0.6  # height [inches] of the title and the labels of a stack
@@ -66,9 +77,10 @@ def regime_lines(
     height = 1.9 if len(values) > 1 else 2.4
     handles: list[Artist] = []
     if not many_starts(ds):
-        mark = Mark(marker="o", markersize=4.0, linewidth=1.2)
-        named = {start.name: start.colour for start in starts_of(ds) if start.name}
-        handles += [Line2D([], [], **mark, color=named[name], label=f"start: {name}") for name in named]
+        starts = starts_of(ds)
+        for k, start in enumerate(starts if starts[0].name else ()):
+            look = nested_line(k, len(starts)) | Mark(color=start.colour, label=f"start: {start.name}")
+            handles.append(Line2D([], [], marker="o", **look))
     draw = partial(draw_values, values=values, x=x)
     return draw_stacks(ds, x, len(values), (height, height), draw, handles, note)
 
@@ -101,6 +113,7 @@ def draw_stacks(
     outer = GridSpec(deep, wide, figure)
     shared: Sequence[Axes] = ()
     sensitive = False
+    stacks: list[Stack] = []
     for k, (title, facet) in enumerate(zip(panels.titles, panels.data, strict=True)):
         inner = outer[divmod(k, wide)].subgridspec(curves + 1, 1, height_ratios=[height] * curves + [strip])
         *above, below = (figure.add_subplot(inner[i]) for i in range(curves + 1))
@@ -114,7 +127,13 @@ def draw_stacks(
         (above[0] if above else below).set_title(title, loc="left")
         stack = Stack(above, below, facet, title, k % wide == 0)
         draw(stack)
+        stacks.append(stack)
         sensitive |= _draw_strip(stack, x)
+    figure.align_ylabels()
+    for axes in (axes for stack in stacks for axes in stack.curves):
+        unclip_markers(axes)
+    for i in range(curves):
+        shape_zero([stack.curves[i] for stack in stacks], "zero everywhere")
     regimes = regime_handles([facet[REGIME] for facet in panels.data])
     legend_at_right(figure, handles, regimes + [sensitive_handle()] * sensitive)
     colours = "starts together, in the colours of the regimes that they end in"
@@ -171,6 +190,7 @@ def _draw_strip(stack: Stack, x: str) -> bool:
         rows = np.where(ordered == -1.0, float(SINGLE), ordered)
     ends = np.linspace(0.0, 100.0, len(rows) + 1) if many else np.arange(len(rows) + 1) - 0.5
     along = values_along(facet[x])
+    hatch_gaps(strip, rows)
     strip.pcolormesh(edges(along), ends, np.ma.masked_invalid(rows), cmap=REGIME_MAP, norm=REGIME_NORM, rasterized=True)
     shape_axis(strip, "x", along)
     strip.set_xlabel(label(facet[x]))
@@ -207,8 +227,8 @@ def draw_values(stack: Stack, values: tuple[Value, ...], x: str) -> None:
                 if all(end in lanes for end in ends):  # range over the impacts of each lane
                     low, high = (lanes[end].values * value.factor for end in ends)
                     axes.fill_between(along, low, high, color=colour, alpha=0.15, linewidth=0)
-                # Thinner lines for later initial conditions: a motion that two of them reach shows both colours.
-                width = Mark(linewidth=1.0, markersize=2.2) if position else Mark(linewidth=2.2, markersize=4.0)
-                axes.plot(along, value.of(lanes).values, color=colour, marker="o", label=name, **width)
+                # A motion that several initial conditions reach shows the colours of all of them.
+                look = nested_line(position, facet.sizes.get(START, 1)) | Mark(color=colour, marker="o", label=name)
+                axes.plot(along, value.of(lanes).values, **look)
             pad_constant(axes)
         shape_flags(axes, value)

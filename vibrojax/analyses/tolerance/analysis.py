@@ -5,9 +5,11 @@ import xarray as xr
 from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
 
 from vibrojax.analyses.analysis import Analysis, PictureRule, SummaryPart
 from vibrojax.analyses.tolerance.run import QUANTITIES, SAMPLE_VARIABLES
+from vibrojax.errors import counted
 from vibrojax.io.attributes import flags
 from vibrojax.plot.axes import label, pretty_unit, scale, values_along
 from vibrojax.plot.colours import REGIME_COLOURS, regime_cells, regime_handles
@@ -41,12 +43,12 @@ def extremes_picture(ds: xr.Dataset) -> Figure:
                 lane = lanes.isel(start=k)
                 colours = [REGIME_COLOURS[int(flag)] for flag in regime_cells(lane["regime"])]
                 y = lane[quantity].values * scale(lanes[quantity])[0]
-                marker = _MARKERS[k % len(_MARKERS)]
-                axes.scatter(
-                    values_along(ds[name]), y, s=16, c=colours, marker=marker, edgecolors="0.3", linewidths=0.4
-                )
+                look = {"marker": _MARKERS[k % len(_MARKERS)], "edgecolors": "0.3", "linewidths": 0.4}
+                # Later starts are smaller: of samples that several starts bring to one motion, all markers show.
+                axes.scatter(values_along(ds[name]), y, s=max(36.0 / 3.0**k, 4.0), c=colours, **look)
                 axes.axhline(y[0], color="0.6", linewidth=0.7, linestyle="--", zorder=0)
             axes.margins(0.08)
+            axes.xaxis.set_major_locator(MaxNLocator(4))
             axes.grid(True)
             if row == len(rows) - 1:
                 axes.set_xlabel(label(ds[name]))
@@ -54,12 +56,18 @@ def extremes_picture(ds: xr.Dataset) -> Figure:
     handles: list[Artist] = regime_handles([lanes["regime"]])
     for marker, start in zip(_MARKERS, starts, strict=False):
         if start:
-            handles.append(Line2D([], [], color="0.3", marker=marker, linestyle="none", markersize=4, label=start))
+            handles.append(
+                Line2D([], [], color="0.3", marker=marker, linestyle="none", markersize=4, label=f"start: {start}")
+            )
     handles.append(Line2D([], [], color="0.6", linewidth=0.7, linestyle="--", label="nominal"))
     legend_at_right(figure, handles)
     missing = int(lanes[rows[0]].isnull().sum())
     write_margins(
-        figure, ds, f"{missing} lanes without impact are not drawn" if missing and rows[0] != "period" else ""
+        figure,
+        ds,
+        counted(missing, "lane without impact is", "lanes without impact are") + " not drawn"
+        if missing and rows[0] != "period"
+        else "",
     )
     return figure
 
@@ -93,7 +101,7 @@ def _start_summary(ds: xr.Dataset, lane: xr.Dataset) -> tuple[dict[str, object],
     nominal = meanings[int(regimes[0])]
     counts = {meanings[flag]: int((regimes == flag).sum()) for flag in np.unique(regimes).tolist()}
     others = [f"{name} at {count}" for name, count in counts.items() if name != nominal]
-    line = f"{nominal} at {counts[nominal]} of {samples} samples"
+    line = f"{nominal} at {counts[nominal]} of {counted(samples, 'sample')}"
     if others:
         first = int(np.flatnonzero(regimes != regimes[0])[0])
         line += f"; {', '.join(others)}, such as {_place_text(ds, first)}"
@@ -112,7 +120,9 @@ def _start_summary(ds: xr.Dataset, lane: xr.Dataset) -> tuple[dict[str, object],
             f"{name.replace('_', ' ')} {low} to {high} {pretty_unit(unit)}, nominal {float(lane[name][0]) * factor:.4g}"
         )
         text += f"; {worst} at {_place_text(ds, where[worst])}"
-        lines.append(text + (f" ({samples - known} samples have none)" if known < samples else ""))
+        lines.append(
+            text + (f" ({counted(samples - known, 'sample has', 'samples have')} none)" if known < samples else "")
+        )
         facts[name] = {**ends, **{f"{word}_at": _place(ds, index) for word, index in where.items()}, "samples": known}
     return facts, lines
 

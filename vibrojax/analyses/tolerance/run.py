@@ -1,6 +1,6 @@
 """Simulation of a machine over the box of its parameter tolerances: `tolerance`."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import product
 from typing import Any
@@ -52,6 +52,21 @@ class ToleranceBox:
     def identity(self) -> dict[str, object]:
         """Return all settings on which the result depends, as flat JSON values."""
         return self.sweep.identity() | {f"tolerance_{name}": width for name, width in self.half_widths.items()}
+
+
+def tolerance_variables(names: Iterable[str]) -> dict[str, Variable]:
+    """Return the variables in addition to those of the lanes, which have the variables `names`."""
+    held = [name for name in QUANTITIES if name in names]
+    extremes = [_extreme(name, word) for name in held for word in _WORDS]
+    return SAMPLE_VARIABLES | {name: about for pair in extremes for name, about in pair.items()}
+
+
+def _extreme(name: str, word: str) -> dict[str, Variable]:
+    """Return the schema of the least or greatest value of a quantity over the box, and of the sample that has it."""
+    return {
+        f"{name}_{word}": Variable(VARIABLES[name].units, f"{_WORDS[word]} {VARIABLES[name].long_name} over the box"),
+        f"{name}_{word}_sample": Variable("1", f"sample with {name}_{word}; -1: the quantity exists nowhere", np.int32),
+    }
 
 
 def tolerance(
@@ -135,6 +150,8 @@ def read_box(
         several = isinstance(start, (list, tuple)) and any(isinstance(item, (str, list, tuple)) for item in start)
         tables["starts"] = start if several else [start]
     sweep = read_sweep(tables | {"unusual": True})
+    if sweep.system.section is None:
+        raise place.at("scene").error(f"{shown(sweep.scene)} has no section, so its motions have no regimes")
     return ToleranceBox(sweep, half_widths, places)
 
 
@@ -165,10 +182,9 @@ def simulate_box(box: ToleranceBox, progress: bool) -> xr.Dataset:
         for word, worst, choose in (("least", np.inf, np.argmin), ("most", -np.inf, np.argmax)):
             index = choose(np.where(np.isnan(x), worst, x), axis=0)
             extreme = np.where(unknown, np.nan, np.take_along_axis(x, index[None], axis=0)[0])
-            about = Variable(VARIABLES[name].units, f"{_WORDS[word]} {VARIABLES[name].long_name} over the box")
-            ds[f"{name}_{word}"] = (rest, extreme, about.attributes())
-            about = Variable("1", f"sample with {name}_{word}; -1: the quantity exists nowhere", np.int32)
-            ds[f"{name}_{word}_sample"] = (rest, np.where(unknown, -1, index).astype(np.int32), about.attributes())
+            sample = np.where(unknown, -1, index).astype(np.int32)
+            for (variable, about), values in zip(_extreme(name, word).items(), (extreme, sample), strict=True):
+                ds[variable] = (rest, values, about.attributes())
     attributes = dataset_attributes("tolerance", str(ds.attrs["title"]), f"tolerance {box.sweep.scene}")
     widths = {f"tolerance_{name}": width for name, width in box.half_widths.items()}
     return ds.assign_attrs({**attributes, **widths})

@@ -5,7 +5,9 @@ import math
 import xarray as xr
 
 from vibrojax.analyses.analysis import Analysis, PictureRule, SummaryPart
+from vibrojax.analyses.frequencies import frequency_part
 from vibrojax.analyses.trajectory.hole import pulses, response
+from vibrojax.analyses.trajectory.states import states_over_time
 from vibrojax.analyses.trajectory.time_history import trajectory
 from vibrojax.io.attributes import flags, parameters_of, run_of
 from vibrojax.measures.labels import FEWEST_RETURNS
@@ -27,12 +29,13 @@ class Trajectories(Analysis):
     pictures = (
         PictureRule("motion", lambda held: held.bit_on_rock and held.swept_sine, response),
         PictureRule("motion", lambda held: held.bit_on_rock, pulses),
-        PictureRule("motion", lambda held: held.run, trajectory),
+        PictureRule("motion", lambda held: held.drill, trajectory),
+        PictureRule("motion", lambda held: held.run, states_over_time),
     )
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
-        """Summarise regime, period, impacts and rate of penetration."""
-        return [SummaryPart("found", feature_lines(ds), {"found": features(ds)})]
+        """Summarise regime, period, impacts, rate of penetration and frequencies."""
+        return [SummaryPart("found", feature_lines(ds), {"found": features(ds)}), frequency_part(ds)]
 
 
 def features(ds: xr.Dataset) -> dict[str, object]:
@@ -54,7 +57,7 @@ def feature_lines(ds: xr.Dataset) -> list[str]:
         return []
     last = f"measured from {run['settle']:.4g} s to the end at {run['settle'] + run['observe']:.4g} s"
     if "returns" in values:
-        last += f": {values['returns']:.0f} {SECTION}"
+        last += f": {values['returns']:.0f} {SECTION if 'x1' in ds else 'returns to the section'}"
     drift = values.get("drift_estimate", math.nan)
     if drift > REPORTED_DRIFT:
         far = f"by some {100 * drift:.2g} %" if math.isfinite(drift) else "and its returns do not tell how far"
@@ -66,7 +69,7 @@ def _regime_line(ds: xr.Dataset, values: dict[str, float]) -> str:
     regime = flags(ds["regime"])[int(ds["regime"])]
     returns, period = int(values["returns"]), values.get("period", math.nan)
     if regime == "equilibrium":
-        return "equilibrium: the bit stands still"
+        return "equilibrium: the bit stands still" if "x1" in ds else "equilibrium: nothing moves"
     if regime == "undecided" and returns < FEWEST_RETURNS:
         advice = "give a longer duration"
         if returns > 1:
@@ -77,7 +80,7 @@ def _regime_line(ds: xr.Dataset, values: dict[str, float]) -> str:
         )
         return f"undecided: {count} too few to judge by, {FEWEST_RETURNS} are needed; {advice}"
     if regime == "undecided":
-        return "undecided: the bit's swing steadily grows or decays; a longer duration shows what it ends in"
+        return "undecided: the swing steadily grows or decays; a longer duration shows what it ends in"
     if regime == "failed":
         return "failed: the motion does not stay finite"
     cycles = int(values["cycles"])
@@ -85,7 +88,8 @@ def _regime_line(ds: xr.Dataset, values: dict[str, float]) -> str:
         repeats = {0: "does not repeat", 1: "repeats"}.get(cycles, f"repeats after {cycles} returns")
         return f"{regime}: {repeats}, with {period:.5g} s from return to return"
     blows = values["impacts"]
-    strength = f", at {values['impact_velocity']:.4g} m/s and {values['impact_energy']:.4g} J" if blows else ""
+    energy = f" and {values['impact_energy']:.4g} J" if "impact_energy" in values else ""
+    strength = f", at {values['impact_velocity']:.4g} m/s{energy}" if blows else ""
     mean = ", on average" if blows > 1 or not cycles else ""
     if not cycles:
         often = f"a blow every {period / blows:.4g} s" if blows else "no blow"

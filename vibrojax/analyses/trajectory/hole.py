@@ -160,7 +160,7 @@ def response(ds: xr.Dataset) -> Figure:
             for begin, stop in changes.reshape(-1, 2)
         ]
         factor, unit = _scale(quantity, values)
-        axes.plot(frequency, factor * values, color=colour, linewidth=width, **marker)
+        axes.plot(frequency, factor * values, color=colour, linewidth=width, clip_on=False, **marker)
         axes.set_ylim(bottom=0.0)
         axes.set_ylabel(f"{label} [{unit}]")
     panels[2].set_xlabel("frequency of the force [Hz]")

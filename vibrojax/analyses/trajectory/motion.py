@@ -68,6 +68,11 @@ def read_motion(ds: xr.Dataset) -> Run:
     return Run(run.time, {**run.series, **more}, run.impacts, run.parameters)
 
 
+def read_states(ds: xr.Dataset, names: Sequence[str]) -> Run:
+    """Return the time series of the states `names`; raise `InputError` if samples are too few."""
+    return _read(ds, names)
+
+
 def read_hole(ds: xr.Dataset) -> Run:
     """Return the time series of bit and hole; raise `InputError` if a state is missing or samples are too few."""
     run = _read(ds, ("x3", "x4"))

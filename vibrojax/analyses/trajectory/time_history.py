@@ -143,7 +143,10 @@ def _draw_both(axes: Axes, motion: Run, start: float, of_bit: Samples, of_strike
         axes.plot(motion.time[late], stuck[late], color=STICK, linewidth=2.6)
     if not is_band(striker):
         times = motion.impacts[motion.impacts >= start]
-        axes.plot(times, np.interp(times, motion.time, of_striker), zorder=4, **_DOTS)
+        look = _DOTS | Mark(
+            clip_on=not times.size
+        )  # whole at the ends of the window; layout needs a clipped empty line
+        axes.plot(times, np.interp(times, motion.time, of_striker), zorder=4, **look)
 
 
 def _draw_portrait(axes: Axes, motion: Run, x: str, speed: Samples, start: float, speed_label: str) -> None:

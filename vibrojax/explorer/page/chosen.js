@@ -8,10 +8,9 @@ const MASS_KEYS = [["x1", "bit", "vx-k-bit"], ["x2", "striker", "vx-k-striker"],
 
 /** The regime of the motion that is shown, where it is known of the lane. */
 function badge(page, motion) {
-  const { grid, point, data, shown } = page, regime = grid.variables.get("regime"), lanes = data.lanes?.axes;
+  const { grid, point, named } = page, regime = grid.variables.get("regime");
   const value = point ? motion?.numbers?.regime : regime && grid.value("regime", page.cell);
-  const free = (axis) => !lanes || lanes.includes(axis) || (axis === "attractor" && ![shown.x, shown.y].includes(axis));
-  const ofLane = point ? Boolean(regime) : regime?.axes.every(free);
+  const ofLane = point ? Boolean(regime) : page.apart !== "attractor" && regime?.axes.every((axis) => named.includes(axis));
   if (!ofLane || value === undefined) return [];
   const swatch = el("span", { class: "vx-swatch", style: `background:${grid.colour(regime, value)}` });
   return [el("span", { class: "vx-badge" }, swatch, grid.valueText(regime, value))];
@@ -20,7 +19,7 @@ function badge(page, motion) {
 function head(page, motion) {
   let text = page.data.without ?? "no motion is kept of this dataset";
   if (motion) text = described(motion) + (motion.kind !== "none" && motion.note && motion.returns ? ` (${motion.note})` : "");
-  return el("div", { class: "vx-cellhead" }, el("h2", { text: page.point?.title || page.grid.cellText(page.cell) || "The motion" }),
+  return el("div", { class: "vx-cellhead" }, el("h2", { text: page.point?.title || page.grid.cellText(page.cell, page.named) || "The motion" }),
     ...badge(page, motion), el("p", { class: "vx-motion", text }));
 }
 
@@ -82,13 +81,19 @@ function keys(motion) {
 
 /** The numbers of the chosen cell, or of a motion at a point beside it. */
 export function numbersOf(page, motion) {
-  const { grid } = page, rows = [];
+  const { grid, named } = page, rows = [], apart = [...grid.startAxes, "attractor"].filter((axis) => !named.includes(axis));
   for (const variable of grid.variables.values()) {
     const { name } = variable, ofMotion = motion?.numbers && name in motion.numbers;
-    const value = ofMotion ? motion.numbers[name] ?? NaN : page.point ? undefined : grid.value(name, page.cell);
+    if (!page.point && variable.axes.some((axis) => apart.includes(axis))) continue;
+    // An attractor without a start has a share of zero, and no motion.
+    if (!page.point && page.apart === "attractor" && variable.axes.includes("attractor") && !name.startsWith("share")) continue;
+    // A smallest push that was not found ends in no regime.
+    const push = name.startsWith("regime_") ? grid.value(name.replace("regime", "push"), page.cell) : 0;
+    const value = Number.isNaN(push) ? NaN : ofMotion ? motion.numbers[name] ?? NaN : page.point ? undefined : grid.value(name, page.cell);
     if (value === undefined) continue;
     const text = grid.valueText(variable, value, 5);
-    rows.push(el("tr", {}, el("th", { scope: "row", text: variable.long_name }), el("td", { "data-name": name, "data-value": value, text })));
+    const at = page.point ? "" : grid.cellText(page.cell, variable.axes.filter((axis) => !named.includes(axis)));
+    rows.push(el("tr", {}, el("th", { scope: "row", text: variable.long_name + (at && ` (${at})`) }), el("td", { "data-name": name, "data-value": value, text })));
   }
   const wasClosed = page.table.querySelector("details")?.open === false;
   return el("details", { class: "vx-numbers", open: !wasClosed }, el("summary", { text: "Numbers" }), el("table", {}, el("tbody", {}, ...rows)));
@@ -113,7 +118,7 @@ async function copy(text, beside, button) {
 function commands(page) {
   const calls = page.calls();
   if (!calls) {
-    const text = page.data.run ? "No name stands for this scene: pass its object to vj.simulate." : "";
+    const text = page.data.run && !page.apart ? "No name stands for this scene: pass its object to vj.simulate." : "";
     return el("p", { class: "vx-motion", text });
   }
   const { command, python } = calls;

@@ -29,7 +29,7 @@ function maker(id) {
 function namer(along) {
   return ({ column }) => {
     const { label, symbol } = column, whole = symbol === column.name || symbol === label ? label : `${label}, ${symbol}`;
-    if (whole.length < 30) return whole;
+    if (whole.length < 27) return whole;
     return label.length < 26 && along.filter((other) => other.column.label === label).length === 1 ? label : symbol;
   };
 }

@@ -38,6 +38,22 @@ export class Grid {
     return this.lanes ? this.lanes[this.place(this.data.lanes.axes, cell)] : -1;
   }
 
+  /** The axes that the starts of the lanes run along. */
+  get startAxes() {
+    return (this.variables.get("lane_attractor")?.axes ?? []).filter((name) => name === "start" || name.startsWith("start_"));
+  }
+
+  /** The cell of the first start that ends in the cell's attractor, null where none does. */
+  startOf(cell, left = this.startAxes) {
+    if (!left.length) return this.value("lane_attractor", cell) === cell.attractor ? cell : null;
+    const [name, ...others] = left;
+    for (let k = 0; k < this.axes.get(name).values.length; k++) {
+      const found = this.startOf({ ...cell, [name]: k }, others);
+      if (found) return found;
+    }
+    return null;
+  }
+
   /** What may run to the right or up: numeric axes, and columns along one that is a list, as "axis:column". */
   directions() {
     const found = [];
@@ -68,16 +84,16 @@ export class Grid {
   /** The value of an axis (or a column along it) in words, with its unit. */
   coordinateText(column, index, digits = 5) {
     const value = column.values[index];
-    if (!column.numeric) return `${column.name} ${value}`;
+    if (!column.numeric) return `${column.name.replaceAll("_", " ")} ${value}`;
     const unit = column.units ? ` ${column.units}` : "";
     return `${column.symbol} = ${numberText(value * column.factor, digits)}${unit}`;
   }
 
-  /** Where a cell is, in words. */
-  cellText(cell) {
+  /** Where a cell is along the axes named `along`, in words. */
+  cellText(cell, along) {
     const parts = [];
     for (const axis of this.data.axes) {
-      if (!(axis.name in cell)) continue;
+      if (!(axis.name in cell) || !along.includes(axis.name)) continue;
       const columns = axis.columns.filter((one) => !one.silent && (new Set(one.values).size > 1 || !one.numeric));
       if (columns.length) for (const column of columns) parts.push(this.coordinateText(column, cell[axis.name]));
       else parts.push(this.coordinateText(axis, cell[axis.name]));
@@ -88,7 +104,7 @@ export class Grid {
   /** A variable's value in words, with its unit. */
   valueText(variable, value, digits = 4) {
     if (value === undefined) return "…";
-    if (variable.flags) return (variable.flags[String(value)] ?? `${value}`).replaceAll("-", "‑");
+    if (variable.flags && !Number.isNaN(value)) return (variable.flags[String(value)] ?? `${value}`).replaceAll("-", "‑");
     if (Number.isNaN(value)) return "no value";
     const number = variable.whole ? String(value) : numberText(value * variable.factor, digits);
     return variable.units ? `${number} ${variable.units}` : number;

@@ -33,6 +33,6 @@ export function layOut(page) {
         el("div", { class: "vx-map" }, page.map, page.over, page.tip), page.legend, page.live, page.slices),
       el("section", { class: "vx-side", "aria-label": "The chosen cell" }, ...computing, page.side),
       page.table),
-    el("footer", { class: "vx-foot" }, el("p", { text: `${data.scene}${data.source ? `, ${data.source}` : ""}. ` }),
+    el("footer", { class: "vx-foot" }, el("p", { text: [data.scene, data.source].filter(Boolean).join(", ") }),
       el("p", { text: HELP })));
 }

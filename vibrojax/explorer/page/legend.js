@@ -1,7 +1,10 @@
 // What the colours and lines of the map mean.
 import { el } from "./dom.js";
 import { drawBar } from "./map.js";
-import { numberText } from "./plots.js";
+import { inkOf, legible, numberText } from "./plots.js";
+
+/** Characters that look like the marks of special points. */
+const GLYPHS = { square: "■", circle: "●", diamond: "◆", triangle: "▲", bar: "|", cross: "×" };
 
 const dash = (colour, text, style = "") => el("li", {}, el("span", { class: `vx-dash${style}`, style: `border-color:${colour}` }), text);
 
@@ -45,10 +48,11 @@ function overItems(page) {
     for (const kind of new Set(curves.list.filter((one) => page.view.onPlane(one)).map((one) => one.kind)))
       found.push(dash(curves.colours[kind], kind));
   if (family) {
-    const colour = family.runs[0]?.colour;
-    found.push(dash(colour, "stable"), dash(colour, "not stable", " vx-dashed"));
-    for (const kind of new Set(family.special.map((one) => one.kind)))
-      found.push(el("li", {}, el("span", { class: "vx-swatch vx-round", style: `background:${family.kinds[kind]}` }), kind));
+    const ink = inkOf(page.element), colour = legible(family.runs[0]?.colour ?? ink.ink, ink), stable = family.runs.map((run) => run.stable === 1);
+    if (stable.includes(true)) found.push(dash(colour, "stable"));
+    if (stable.includes(false)) found.push(dash(colour, "not stable", " vx-dashed"));
+    for (const [kind, shape] of new Map(family.special.map((one) => [one.kind, one.shape])))
+      found.push(el("li", {}, el("span", { class: "vx-glyph", style: `color:${legible(family.kinds[kind], ink)}`, text: GLYPHS[shape] }), kind));
   }
   const hides = page.variable.name === "regime" && page.grid.variables.has("hidden_motion");
   if (hides && [...plane(page)].some((cell) => page.grid.value("hidden_motion", cell) === 1))
@@ -61,6 +65,12 @@ export function drawLegend(page) {
   const { variable, grid, legend } = page;
   if (variable.flags || !page.shown.y) {
     legend.replaceChildren(el("ul", {}, ...(variable.flags ? flagItems(page) : []), ...overItems(page)));
+    return;
+  }
+  const [only, ...others] = new Set([...plane(page)].map((cell) => grid.value(variable.name, cell)));
+  if (!others.length && !only) {
+    const text = `${variable.label.replace("\n", " ")}: ${only === 0 ? "0 everywhere" : "no value"} here`;
+    legend.replaceChildren(el("p", { class: "vx-barname", text }), el("ul", {}, ...overItems(page)));
     return;
   }
   const about = `Colours of ${variable.label} from ${numberText(variable.low)} to ${numberText(variable.high)}`;

@@ -1,6 +1,6 @@
 // The map: cells over two axes, dots over two columns of a list, or a curve along one axis; and what lies over it.
 import { edgesOf, labelOf } from "./grid.js";
-import { framed, inkOf, limitsOf, line, mark, numberText, prepared } from "./plots.js";
+import { framed, inkOf, legible, limitsAndTicks, limitsOf, line, mark, numberText, prepared } from "./plots.js";
 
 export const DASHES = {
   fold: [], "period-doubling": [], torus: [8, 2], grazing: [6, 2, 2, 2], stick: [], section: [2, 2], hopf: [9, 2, 2, 2], end: [1, 2],
@@ -119,13 +119,13 @@ export class MapView {
     const rows = flags ? ys.map((value) => known.indexOf(value)) : ys;
     const up = flags
       ? { limits: [-0.5, known.length - 0.5], label: "", ticks: known.map((flag, k) => [k, flags[flag]]) }
-      : { limits: limitsOf([ys]), label: variable.label.replace("\n", " ") };
+      : { ...limitsAndTicks(ys), label: variable.label.replace("\n", " ") };
     this.dots = { xs, ys: rows, axis: x.axis.name };
     const named = column.numeric ? undefined : column.values.map((text, k) => [k, text]);
     const across = { limits: limitsOf([xs], 0.03), label: labelOf(column), log: column.log, ticks: named };
     return framed(this.canvas, ink, across, up, (c, sx, sy) => {
       if (family) for (const run of family.runs) {
-        const part = run.points, colour = run.colour;
+        const part = run.points, colour = legible(run.colour, ink);
         line(c, part.map((k) => xs[k]), part.map((k) => rows[k]), sx, sy, colour, run.stable === 1 ? 2.4 : 1.4, run.stable === 1 ? [] : [5, 4]);
       } else if (!flags && column.numeric) line(c, xs, rows, sx, sy, ink.bit, 1.4);
       const size = family ? 1.6 : Math.max(1.8, Math.min(4.5, 700 / xs.length));
@@ -133,8 +133,8 @@ export class MapView {
         const colour = family ? ink.ink : flags ? grid.colour(variable, ys[k], ink.undefined) : ink.bit;
         if (Number.isFinite(rows[k]) && rows[k] >= (flags ? 0 : -Infinity)) mark(c, "circle", sx(value), sy(rows[k]), size, colour, flags ? ink.faint : null);
       });
-      for (const one of family?.special ?? []) mark(c, one.shape, sx(xs[one.point]), sy(rows[one.point]), 4.5, family.kinds[one.kind], ink.plate);
-    });
+      for (const one of family?.special ?? []) mark(c, one.shape, sx(xs[one.point]), sy(rows[one.point]), 4.5, legible(family.kinds[one.kind], ink), ink.plate);
+    }, { empty: !ys.some(Number.isFinite) });
   }
 
   /** The cell at a place of the canvas, null outside. */

@@ -119,6 +119,7 @@ class Page {
     if ("x" in changes && !this.shown.y && !("y" in changes) && !this.data.family) this.shown.y = this.firstUp(x);
     this.fillControls();
     this.draw();
+    if (!this.data.lanes && this.current) this.showMotion(this.current.motion);
     this.tell();
   }
 
@@ -146,13 +147,11 @@ class Page {
   // The chosen cell.
 
   async pick(cell) {
-    const before = this.cell, anew = !this.current || this.facets().some((axis) => before[axis] !== cell[axis]);
-    this.cell = { ...cell };
-    // What is said of attractors is said of that which the lane ends in, unless they run along the map.
-    const own = this.grid.value("lane_attractor", this.cell);
-    if (own >= 0 && "attractor" in this.cell && ![this.shown.x, this.shown.y].includes("attractor")) this.cell.attractor = own;
+    const before = this.cell;
+    this.match(before, { ...cell });
+    const anew = !this.current || this.facets().some((axis) => before[axis] !== this.cell[axis]);
     this.point = null;
-    const number = ++this.asked, lane = this.grid.lane(this.cell);
+    const number = ++this.asked, lane = this.apart === "attractor" ? -1 : this.grid.lane(this.cell);
     for (const facet of this.facets()) {
       const one = this.controls.querySelector(`[data-control="at-${facet}"]`);
       if (one) one.value = `${this.cell[facet]}`;
@@ -164,11 +163,36 @@ class Page {
     this.computing?.stand(this.coordinates());
     let motion = null;
     try {
-      motion = this.source.cell && lane >= 0 ? await this.source.cell(lane) : await this.computing?.here() ?? null;
+      if (this.apart === "attractor") motion = { kind: "none", note: `no start here ends in attractor ${this.cell.attractor}` };
+      else motion = this.source.cell && lane >= 0 ? await this.source.cell(lane) : await this.computing?.here() ?? null;
     } catch (error) {
       motion = { kind: "none", note: String(error.message ?? error) };
     }
     if (number === this.asked) this.showMotion(motion);
+  }
+
+  /**
+   * Choose a cell whose start ends in its attractor. An attractor chooses a start where it was chosen itself, or where
+   * it is shown and the start was not chosen; else the start chooses its attractor. `apart` names what was chosen where
+   * they do not belong together: an "attractor" in which no start ends, a "start" that ends in none.
+   */
+  match(before, cell) {
+    const { grid } = this, own = grid.value("lane_attractor", cell);
+    this.cell = cell;
+    this.apart = "";
+    if (own === undefined || !("attractor" in cell) || own === cell.attractor) return;
+    const sameStart = grid.startAxes.every((name) => cell[name] === before[name]);
+    const byAttractor = cell.attractor !== before.attractor || (sameStart && this.variable.axes.includes("attractor"));
+    const matched = byAttractor ? grid.startOf(cell) : own >= 0 ? { ...cell, attractor: own } : null;
+    if (matched) this.cell = matched;
+    else this.apart = byAttractor ? "attractor" : "start";
+  }
+
+  /** The axes that the chosen lane, and its attractor, are named by; without lanes those of the variable that is shown. */
+  get named() {
+    const { data, grid } = this, left = { attractor: grid.startAxes, start: ["attractor"] }[this.apart] ?? [];
+    const axes = data.lanes ? [...data.lanes.axes, "attractor"] : this.variable?.axes ?? [];
+    return axes.filter((name) => !left.includes(name));
   }
 
   /** Show what was computed at a point beside the chosen cell: {title, parameters (not the defaults), start}. */
@@ -191,7 +215,7 @@ class Page {
   say() {
     if (!this.shown.x) return;
     const { variable, grid } = this, value = grid.valueText(variable, grid.value(variable.name, this.cell));
-    this.live.textContent = `${grid.cellText(this.cell)}: ${variable.name.replaceAll("_", " ")} ${value}`;
+    this.live.textContent = `${grid.cellText(this.cell, variable.axes)}: ${variable.name.replaceAll("_", " ")} ${value}`;
   }
 
   showMotion(motion) {
@@ -202,7 +226,7 @@ class Page {
 
   // The numbers of what is shown, and its command line and Python call.
   numbers(motion) { return numbersOf(this, motion); }
-  calls() { return callsOf(this.data, this.coordinates(), this.point); }
+  calls() { return this.apart === "attractor" && !this.point ? null : callsOf(this.data, this.coordinates(), this.point); }
 
   // The fragment, and the scheme.
 

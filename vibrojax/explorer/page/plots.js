@@ -6,9 +6,31 @@ const FONT = "system-ui, -apple-system, 'Segoe UI', sans-serif";
 export function inkOf(element) {
   const style = getComputedStyle(element);
   const get = (name) => style.getPropertyValue(`--${name}`).trim();
-  return Object.fromEntries(
-    ["ink", "faint", "grid", "ground", "plate", "bit", "striker", "stick", "impact", "rock", "slip", "accent",
-      "undefined"].map((name) => [name, get(name)]));
+  const ink = Object.fromEntries(
+    ["ink", "faint", "grid", "ground", "plate", "bit", "striker", "stick", "impact", "rock", "slip", "accent"]
+      .map((name) => [name, get(name)]));
+  return { ...ink, undefined: hatched(ink.plate, get("undefined")) };
+}
+
+/** The filling of a cell without a value: hatched as in the pictures, since labels and colour maps have greys. */
+function hatched(ground, colour) {
+  const tile = document.createElement("canvas"), c = tile.getContext("2d"), size = 6;
+  tile.width = tile.height = size;
+  c.fillStyle = ground;
+  c.fillRect(0, 0, size, size);
+  c.strokeStyle = colour;
+  c.beginPath();
+  for (const shift of [-size, 0, size]) { c.moveTo(shift, size); c.lineTo(shift + size, 0); }
+  c.stroke();
+  return c.createPattern(tile, "repeat");
+}
+
+/** From 0 of black to 1 of white; of a colour #rrggbb. */
+const brightness = (colour) => [1, 3, 5].reduce((sum, k) => sum + parseInt(colour.slice(k, k + 2), 16), 0) / 765;
+
+/** A colour of the pictures, or the ink's own where it would not be seen on the plate. */
+export function legible(colour, ink) {
+  return Math.abs(brightness(colour) - brightness(ink.plate)) < 0.2 ? ink.ink : colour;
 }
 
 /** A number as it is read: `digits` significant ones, a true minus, no trailing noise. */
@@ -74,9 +96,16 @@ export function limitsOf(arrays, room = 0.06) {
   return [low - more, high + more];
 }
 
+/** The limits of values, and the only tick of such as are zero. */
+export function limitsAndTicks(values) {
+  const zero = values.some(Number.isFinite) && values.every((x) => !x);
+  return { limits: limitsOf([values]), ticks: zero ? [[0, "0"]] : undefined };
+}
+
 /**
  * A frame with ticks and labels, and in it what `draw(context, x, y, box)` draws.
- * `x`, `y`: {limits, label, log, ticks: [[value, text]]}; returns the frame {x, y, box}.
+ * `x`, `y`: {limits, label, log, ticks: [[value, text]]}; options: {left, right, top, square, grid, empty: nothing to
+ * draw}; returns the frame {x, y, box}.
  */
 export function framed(canvas, ink, x, y, draw, options = {}) {
   const { context: c, width, height } = prepared(canvas);
@@ -84,7 +113,7 @@ export function framed(canvas, ink, x, y, draw, options = {}) {
   c.font = `11px ${FONT}`;
   c.textBaseline = "middle";
   const textOf = (axis, value) => numberText(Math.abs(value) < 1e-12 * (axis.limits[1] - axis.limits[0]) ? 0 : value, 5);
-  const yTicks = y.ticks ?? ticks(...y.limits, Math.max(3.2, height / 42), y.log).map((v) => [v, textOf(y, v)]);
+  const yTicks = options.empty ? [] : y.ticks ?? ticks(...y.limits, Math.max(3.2, height / 42), y.log).map((v) => [v, textOf(y, v)]);
   const wide = Math.max(0, ...yTicks.map(([, text]) => c.measureText(text).width));
   const left = Math.round(options.left ?? wide + (y.label ? 30 : 12)), bottom = x.label ? 36 : 20, top = options.top ?? 8;
   const box = { left, top, right: width - (options.right ?? 10), bottom: height - bottom };
@@ -127,13 +156,17 @@ export function framed(canvas, ink, x, y, draw, options = {}) {
   c.textAlign = "right";
   for (const [value, text] of yTicks) c.fillText(text, box.left - 5, sy(value));
   c.font = `11.5px ${FONT}`;
-  if (x.label) { c.textAlign = "center"; c.fillText(x.label, (box.left + box.right) / 2, box.bottom + 27, width - 8); }
+  c.textAlign = "center";
+  // A label is in the middle of its axis, and narrowed to what fits on both sides of it.
+  const middle = [(box.left + box.right) / 2, (box.top + box.bottom) / 2];
+  const room = (at, size) => 2 * Math.min(at, size - at) - 4;
+  if (options.empty) c.fillText("no value here", ...middle);
+  if (x.label) c.fillText(x.label, middle[0], box.bottom + 27, room(middle[0], width));
   if (y.label) {
     c.save();
-    c.translate(options.square ? Math.max(9, box.left - wide - 18) : 9, (box.top + box.bottom) / 2);
+    c.translate(options.square ? Math.max(9, box.left - wide - 18) : 9, middle[1]);
     c.rotate(-Math.PI / 2);
-    c.textAlign = "center";
-    c.fillText(y.label, 0, 0, height - 6);
+    c.fillText(y.label, 0, 0, room(middle[1], height));
     c.restore();
   }
   return { x: sx, y: sy, box, context: c };

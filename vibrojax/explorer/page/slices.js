@@ -1,7 +1,7 @@
 // Below the map: the variable along both directions through the chosen cell; of a trajectory its whole course.
 import { drawCourse } from "./cell.js";
 import { el } from "./dom.js";
-import { framed, inkOf, limitsOf, line, mark } from "./plots.js";
+import { framed, inkOf, limitsAndTicks, limitsOf, line, mark } from "./plots.js";
 
 /** Draw the slices of a page's map into its element. */
 export function drawSlices(page) {
@@ -24,7 +24,7 @@ function drawSlice(page, figure, direction, other) {
   const ys = variable.flags ? values.map((v) => known.indexOf(v)) : values.map((v) => v * variable.factor);
   const up = variable.flags
     ? { limits: [-0.6, known.length - 0.4], label: "", ticks: known.map((flag, i) => [i, variable.flags[flag] ?? `${flag}`]) }
-    : { limits: limitsOf([ys]), label: variable.units };
+    : { ...limitsAndTicks(ys), label: variable.units };
   const named = column.numeric ? undefined : column.values.map((text, i) => [i, text]);
   const right = { limits: limitsOf([xs], 0.02), label: column.symbol, log: column.log, ticks: named };
   const frame = framed(canvas, ink, right, up, (c, sx, sy, box) => {
@@ -40,7 +40,7 @@ function drawSlice(page, figure, direction, other) {
     c.lineTo(here, box.bottom);
     c.stroke();
     c.setLineDash([]);
-  });
+  }, { empty: !ys.some(Number.isFinite) });
   canvas.onclick = (event) => {
     if (!frame) return;
     const px = event.clientX - canvas.getBoundingClientRect().left;

@@ -55,3 +55,16 @@ def maximum(x: Any, y: Any) -> Any:
     step, for the whole step.
     """
     return jnp.maximum(x, y)
+
+
+def raised(x: Any, exponent: Any) -> Any:
+    """Return `x**exponent` for number types other than arrays; a natural exponent admits every sign of `x`."""
+    if exponent == 1:
+        return x
+    if isinstance(exponent, int) and exponent >= 2:
+        half = raised(x, exponent // 2)
+        square = half * half
+        return square * x if exponent % 2 else square
+    if isinstance(exponent, int) and exponent < 0:
+        return 1.0 / raised(x, -exponent)
+    return power(x, exponent)

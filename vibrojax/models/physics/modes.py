@@ -8,6 +8,7 @@
 """
 
 from collections.abc import Mapping
+from math import pi
 from typing import Any
 
 import jax
@@ -23,6 +24,19 @@ Numbers = Mapping[str, Any]
 def striker(p: Numbers) -> tuple[Any, Any]:
     """Return the striker's mass m2 = beta m1 [kg] and spring stiffness k2 = m2 (gamma w1)² [N/m], w1² = k1/m1."""
     return p["beta"] * p["m1"], p["beta"] * p["k1"] * p["gamma"] ** 2
+
+
+def uncoupled_frequencies(p: Numbers) -> tuple[Any, Any]:
+    """Return the natural frequencies [Hz] of bit and striker, each alone on its spring: w1/2pi and w2/2pi.
+
+    **Example:**
+
+    >>> bit, striker_alone = vj.modes.uncoupled_frequencies({"m1": 250.0, "k1": 156250.0, "gamma": 0.75})
+    >>> f"{bit:.3f} and {striker_alone:.3f} Hz"
+    '3.979 and 2.984 Hz'
+    """
+    bit = (p["k1"] / p["m1"]) ** 0.5 / (2 * pi)
+    return bit, bit * p["gamma"]
 
 
 def natural_frequencies(p: Numbers) -> Float[jax.Array, "*lanes 2"]:

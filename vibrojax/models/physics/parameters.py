@@ -106,3 +106,25 @@ ROTATION = table(
     not_negative("rpm", 120.0, "min-1", "rotation speed of the drive", "n", (10.0, 300.0)),
     positive("bit_radius", 0.12, "m", "radius at which the bit slides", "r", (0.02, 0.5)),
 )
+
+# Each of the two may replace a parameter: k1 = m1 (2 pi bit_frequency)², gamma = striker_frequency/bit_frequency.
+FREQUENCIES = table(
+    positive("bit_frequency", 3.979, "Hz", "natural frequency of the bit alone", "f₁", (1.5, 16.0)),
+    positive("striker_frequency", 2.984, "Hz", "natural frequency of the striker alone", "f₂", (0.3, 50.0)),
+)
+
+REPLACED = {"rpm": "v", "bit_radius": "v", "bit_frequency": "k1", "striker_frequency": "gamma"}
+"""Parameter that each quantity of `ROTATION` and `FREQUENCIES` replaces."""
+
+
+def substitutes(parameters: Mapping[str, Parameter]) -> dict[str, Parameter]:
+    """Return the quantities that may replace one of `parameters`: rotation speed, bit radius and frequencies.
+
+    **Example:**
+
+    >>> list(substitutes(BIT_AND_STRIKER))
+    ['rpm', 'bit_radius', 'bit_frequency', 'striker_frequency']
+    """
+    known = ROTATION if "v" in parameters else {}
+    known = known | (FREQUENCIES if parameters.keys() >= {"m1", "k1", "beta", "gamma"} else {})
+    return {name: parameter for name, parameter in known.items() if name not in parameters}

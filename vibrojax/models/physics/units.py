@@ -19,6 +19,7 @@ UNITS: dict[str, tuple[str, ...]] = {
     "s": ("s", "ms", "us", "min"),
     "s-1": ("1/s", "1/min"),
     "s-2": ("1/s2",),
+    "Hz": ("Hz", "1/min", "rad/s"),
     "min-1": ("1/min", "1/s", "rad/s"),
 }
 """Common units of each physical dimension. The keys are SI units as in datasets; the first unit of each tuple is the SI

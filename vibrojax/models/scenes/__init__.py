@@ -4,12 +4,12 @@ from importlib import import_module
 from pkgutil import iter_modules
 from typing import Any
 
-from vibrojax.models.scenes.capabilities import Driven, HasContact, HasFriction, HasRock
+from vibrojax.models.scenes.capabilities import Driven, HasContact, HasFriction, HasImpacts, HasRock
 from vibrojax.models.scenes.declared import Guard, Marker, Mode, Section, State, Swing
 from vibrojax.models.scenes.scene import Scene
 
-__all__ = ["SCENES", "Driven", "Guard", "HasContact", "HasFriction", "HasRock", "Marker", "Mode", "Scene", "Section"]
-__all__ += ["State", "Swing"]
+__all__ = ["SCENES", "Driven", "Guard", "HasContact", "HasFriction", "HasImpacts", "HasRock", "Marker", "Mode", "Scene"]
+__all__ += ["Section", "State", "Swing"]
 
 _files = (import_module(f"{__name__}.{file.name}") for file in iter_modules(__path__))
 _kinds = (kind for file in _files for kind in getattr(file, "SCENES", ()))

@@ -65,7 +65,32 @@ class HasFriction(Scene[C]):
         return self.speed_scale(c)
 
 
-class HasContact(Scene[C]):
+class HasImpacts(Scene[C]):
+    """A scene in which impacts are counted and regimes depend on their number.
+
+    **Example:**
+
+    >>> isinstance(vj.SCENES["vibro-impact"](), vj.HasImpacts), isinstance(vj.SCENES["rotary"](), vj.HasImpacts)
+    (True, False)
+    """
+
+    @property
+    def regime_names(self) -> Mapping[str, str]:
+        return {}
+
+    @abstractmethod
+    def impact_rate(self, c: C, mode: Values, state: Values) -> Any:
+        """Return the velocity of an impact [m/s] from the state after the event at which the impact begins."""
+
+    @abstractmethod
+    def impact_begins(self, c: C, mode: Values, state: Values, hits: Mapping[str, Any]) -> Any:
+        """Return a mask of the lanes in which an impact begins at an event.
+
+        `mode` is the mode before the event, `state` the state after it, `hits` the masks of guards and markers.
+        """
+
+
+class HasContact(HasImpacts[C]):
     """A scene with a striker that hits the bit or a stop; impacts are measured, and regimes depend on their number.
 
     The mode `touching` is 1 in contact. Contact begins and ends at zeros of the guard `contact`.
@@ -87,13 +112,6 @@ class HasContact(Scene[C]):
     @abstractmethod
     def impact_rate(self, c: C, mode: Values, state: Values) -> Any:
         """Return the compression rate of the contact [m/s]; at the beginning of an impact, this is its velocity."""
-
-    @abstractmethod
-    def impact_begins(self, c: C, mode: Values, state: Values, hits: Mapping[str, Any]) -> Any:
-        """Return a mask of the lanes in which an impact begins at an event.
-
-        `mode` is the mode before the event, `state` the state after it, `hits` the masks of guards and markers.
-        """
 
     @abstractmethod
     def striker_mass(self, c: C) -> Any:

@@ -1,6 +1,7 @@
 """Declarations of a scene: states, modes, markers, guards, and the Poincaré section."""
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -17,7 +18,7 @@ class State(NamedTuple):
 
     `is_velocity` includes the state in the error of a step. That error is measured on the velocities, relative to
     [vibrojax.models.scenes.scene.Scene.speed_scale][], so choose units in which velocities have similar magnitudes.
-    `shown`: False to leave the state out of trajectories.
+    `shown`: False to leave the state out of trajectories. `offset`: constant that trajectories add to the state.
 
     **Example:**
 
@@ -32,6 +33,7 @@ class State(NamedTuple):
     long_name: str
     is_velocity: bool = False
     shown: bool = True
+    offset: float = 0.0
 
 
 class Mode(NamedTuple):
@@ -147,5 +149,19 @@ class Section:
     def compared(self) -> tuple[str, ...]:
         """Names of the states on which periodicity is checked."""
         first, *others = self.swings
-        pairs = (name for other in others for name in (other.position, other.velocity))
-        return (first.position, *(name for name in pairs if name is not None))
+        positions = {swing.position for swing in self.swings}
+        # A velocity that is a position as well is compared by its own amplitude.
+        pairs = ((other.position, None if other.velocity in positions else other.velocity) for other in others)
+        names = (first.position, *(name for pair in pairs for name in pair))
+        return tuple(name for name in names if name is not None and name != self.velocity)
+
+    def scales(self, amplitudes: Sequence[Any], period: Any) -> list[Any]:
+        """Return the scales of the compared states: the amplitudes, for velocities the amplitudes times 2 pi/`period`.
+
+        `amplitudes`: those of the swings, in their order.
+        """
+        scale = {swing.position: half for swing, half in zip(self.swings, amplitudes, strict=True)}
+        for swing, half in zip(self.swings, amplitudes, strict=True):
+            if swing.velocity is not None and swing.velocity not in scale:
+                scale[swing.velocity] = half * 2 * math.pi / period
+        return [scale[name] for name in self.compared]

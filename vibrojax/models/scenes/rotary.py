@@ -120,6 +120,10 @@ class Rotary(HasFriction[Any]):
     starts: ClassVar[tuple[str, ...]] = ("drive", "stuck")
     start_states: ClassVar[tuple[str, ...]] = ("x1", "v1", "x2", "v2")
 
+    @property
+    def regime_names(self) -> Mapping[str, str]:
+        return {}
+
     def impact(self, c: Any, mode: Values, state: Values) -> Any:
         """Return the contact force J [N], or None without a contact.
 

@@ -53,6 +53,7 @@ class Scene(ABC, Generic[C]):
       registry of its base class: `choices = Base.choices | {"shape": {"flat": FLAT}}`. Input is checked against it.
     - `choice_meanings`: meanings of the choices that set several parameters, for datasets in which they vary.
     - `autonomous`: True if the equations do not depend on time, so that a state at rest stays at rest.
+    - `usual_times`: default times of settling and of the observation [s].
     - `drifting`: states that grow without bound and do not affect the others; the return map does not include them.
 
     **Example:**
@@ -80,6 +81,7 @@ class Scene(ABC, Generic[C]):
     choice_meanings: ClassVar[Mapping[str, str]] = {}
     autonomous: ClassVar[bool] = True
     drifting: ClassVar[tuple[str, ...]] = ()
+    usual_times: ClassVar[tuple[float, float]] = (40.0, 8.0)
 
     @abstractmethod
     def parameters(self) -> Mapping[str, Parameter]:
@@ -171,6 +173,11 @@ class Scene(ABC, Generic[C]):
         }
 
     @property
+    def regime_names(self) -> Mapping[str, str]:
+        """Names of regimes that differ from the usual ones; without impacts to count, impact-free is periodic."""
+        return {"impact-free": "periodic"}
+
+    @property
     def state_names(self) -> tuple[str, ...]:
         """Names of the states."""
         return tuple(state.name for state in self.states)
@@ -231,12 +238,25 @@ class Scene(ABC, Generic[C]):
         """Return the values of the markers' velocities."""
         return tuple(state[self.place(marker.velocity)] for marker in self.markers)
 
-    def resolutions(self, c: C, mode: Values, marked: bool = True) -> Values:
-        """Return, for each guard and (if `marked`) for each marker, the magnitude up to which values count as zero."""
+    def error_terms(
+        self, c: C, mode: Values, state: Values, polynomials: tuple[list[Array], ...]
+    ) -> tuple[list[list[Array]], Any]:
+        """Return the Taylor coefficients that decide on the length of a step, and the scale of their error.
+
+        By default these are the coefficients of the velocities and `speed_scale`. `state`: state at the start of the
+        step.
+        """
+        return [polynomials[index] for index in self.velocities], self.speed_scale(c)
+
+    def resolutions(self, c: C, mode: Values, state: Values, marked: bool = True) -> Values:
+        """Return, for each guard and (if `marked`) for each marker, the magnitude up to which values count as zero.
+
+        `state`: state at the start of the step.
+        """
         speed = self.velocity_resolution(c)
         return (*(guard.resolution(c, mode) for guard in self.guards()), *(speed for _ in self.markers if marked))
 
-    def slope_resolutions(self, c: C, mode: Values, h: Any, marked: bool = True) -> Values:
+    def slope_resolutions(self, c: C, mode: Values, state: Values, h: Any, marked: bool = True) -> Values:
         """Return, for each guard and (if `marked`) for each marker, the first-order change that counts as zero.
 
         The change is that over a step `h` [s] that starts on a zero of the guard or marker.

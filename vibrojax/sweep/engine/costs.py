@@ -16,7 +16,7 @@ from typing import NamedTuple, TypedDict
 import numpy as np
 from jaxtyping import Float, Int
 
-from vibrojax.errors import Place
+from vibrojax.errors import Place, counted
 from vibrojax.io.formatting import size_text, time_text
 from vibrojax.models.scenes import HasContact, HasFriction, HasRock
 from vibrojax.sweep.engine.batch import steps_at_most
@@ -192,7 +192,7 @@ def check_size(sweep: Sweep, cost: Cost, out: Path | None = None) -> None:
     else:
         key, advice = ("points", "give fewer of them") if sweep.points is not None else ("grid", "give shorter axes")
     needs = ", ".join(f"{text(need)} of {name}" for need, _, text, name in limits)
-    lanes = "1 lane needs" if sweep.lanes == 1 else f"{sweep.lanes} lanes need"
+    lanes = counted(sweep.lanes, "lane needs", "lanes need")
     available = " and ".join(short.values())
     raise Place(sweep.file).at(key).error(f"{lanes} about {needs}; there is {available}: {advice}")
 

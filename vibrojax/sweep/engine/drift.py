@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from vibrojax.measures.repeats import INTERVAL, TIME, scales, state_name
+from vibrojax.measures.repeats import INTERVAL, TIME, state_name
 from vibrojax.measures.section import Settling
 from vibrojax.models.scenes import Section
 from vibrojax.sweep.engine.batch import Batch, Engine
@@ -87,7 +87,7 @@ def _last_returns(features: Features, section: Section, count: int) -> tuple[Sta
         return features[name][:, ::-1][:, :count].astype(float)
 
     swings = tuple(features[swing.amplitude] for swing in section.swings)
-    scale = np.stack([np.asarray(x, float) for x in scales(swings, features["period"])], axis=-1)
+    scale = np.stack([np.asarray(x, float) for x in section.scales(swings, features["period"])], axis=-1)
     states = np.stack([newest_first(state_name(name)) for name in section.compared], axis=-1)
     measured: list[SumsAndMean] = [(newest_first(INTERVAL), None, features["period"])]
     if "return_impacts" in features:

@@ -5,6 +5,7 @@ Lanes that are too stiff or too slow for the steps or the precision to give a me
 
 import json
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -16,9 +17,9 @@ from vibrojax.io.kinds import dataset_attributes
 from vibrojax.io.manifest import IDENTITY, identity_text
 from vibrojax.io.variables import ORBIT_REASONS, REASONS, STATUSES, VARIABLES, Variable, orbit_name
 from vibrojax.measures import gauge_named
-from vibrojax.measures.labels import LABELLED_BY, hides_another, label
+from vibrojax.measures.labels import LABELLED_BY, REGIMES, hides_another, label
 from vibrojax.models.arrays import Array
-from vibrojax.models.physics.parameters import ROTATION, differing
+from vibrojax.models.physics.parameters import differing, substitutes
 from vibrojax.models.scenes import HasContact, HasFriction, Scene
 from vibrojax.sweep.engine.compiler import lane_function
 from vibrojax.sweep.input.definition import DIRECTIONS, Sweep
@@ -46,7 +47,15 @@ def labelled(sweep: Sweep, first: int, end: int, features: dict, whole: bool = T
 
 def variables_of(sweep: Sweep) -> dict[str, Variable]:
     """Return all variables that the dataset of a sweep may have, by name and in dataset order."""
-    return VARIABLES | measured_besides(sweep.system) | of_orbits(sweep.system)
+    return VARIABLES | regime_variables(sweep.system) | measured_besides(sweep.system) | of_orbits(sweep.system)
+
+
+def regime_variables(scene: Scene[Any]) -> dict[str, Variable]:
+    """Return the variables with regimes, in which some regimes have the scene's own names."""
+    names = tuple(scene.regime_names.get(name, name) for name in REGIMES)
+    if names == REGIMES:
+        return {}
+    return {name: replace(VARIABLES[name], flags=names) for name in ("regime", "check_regime")}
 
 
 def measured_besides(scene: Scene[Any]) -> dict[str, Variable]:
@@ -220,7 +229,7 @@ def parameter_attributes(sweep: Sweep, name: str) -> dict[str, str]:
     """Return units, meaning and symbol of a parameter of a sweep."""
     if name in sweep.system.choice_meanings:
         return {"units": "1", "long_name": sweep.system.choice_meanings[name]}
-    parameter = (dict(sweep.system.parameters()) | ROTATION)[name]
+    parameter = (dict(parameters := sweep.system.parameters()) | substitutes(parameters))[name]
     return {"units": parameter.unit, "long_name": parameter.long_name, "symbol": parameter.symbol}
 
 

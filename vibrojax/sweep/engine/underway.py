@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from vibrojax.measures.labels import FEWEST_RETURNS
-from vibrojax.measures.repeats import REPEATS_WITHIN, scales
+from vibrojax.measures.repeats import REPEATS_WITHIN
 from vibrojax.measures.section import Settling
 from vibrojax.models.arrays import Array
 from vibrojax.stepping import Accuracy
@@ -47,7 +47,7 @@ def repeats_lately(returns: Settling, now: float) -> LanesBool:
     states, times, passed = returns.seen.states, returns.seen.times, returns.passed
     repeating = np.zeros(times.shape[-1], bool)
     with np.errstate(invalid="ignore", divide="ignore"):
-        scale = np.stack(scales(passed.amplitudes, passed.since))
+        scale = np.stack(passed.scales)
         for repeat in range(1, len(times) // 2 + 1):
             changes = np.abs(states[:-repeat, : len(scale)] - states[repeat:, : len(scale)]) / scale
             repeating |= np.max(changes, axis=(0, 1)) < REPEATS_WITHIN
@@ -77,7 +77,7 @@ def settled(
     lanes = times.shape[-1]
     done, duration = np.zeros(lanes, bool), np.zeros(lanes)
     with np.errstate(invalid="ignore", divide="ignore"):
-        scale = np.stack(scales(passed.amplitudes, passed.since))
+        scale = np.stack(passed.scales)
         states = states[:, : len(scale)]
         lately = _returned_lately(times, now)
         for repeat in range(1, LONGEST_EARLY_REPEAT + 1):

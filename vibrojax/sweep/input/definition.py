@@ -1,14 +1,16 @@
 """A validated sweep: fixed values, axes or points, and the values of any of its lanes."""
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from math import pi, prod
 from typing import Any
 
 import numpy as np
 
+from vibrojax.models.physics.parameters import REPLACED, substitutes
 from vibrojax.models.scenes import Scene
+from vibrojax.sweep.input.own_code import code_identity
 from vibrojax.sweep.input.run_settings import RunSettings
 from vibrojax.sweep.input.starts import Starts
 
@@ -41,7 +43,7 @@ class Sweep:
 
     With `point_starts` or `point_vectors`, there are no other initial conditions. Fixed `rpm` and `bit_radius` appear
     in `parameters` as `v`. If one of the two varies, `v` is in neither `parameters` nor `axes`, but only in the values
-    of the lanes.
+    of the lanes. The same applies to frequencies, which replace `k1` and `gamma`.
     """
 
     name: str
@@ -143,7 +145,8 @@ class Sweep:
     def identity(self) -> dict[str, object]:
         """Return everything that determines the results as flat JSON values, equal for sweeps with the same lanes.
 
-        Long columns are represented by their checksum. Chunk size, title and wording of the file are not included.
+        Long columns are represented by their checksum, the code of the user's own scenes, laws and steppers by a
+        digest. Chunk size, title and wording of the file are not included.
         """
         columns = {**(self.points or {}), **(self.point_vectors or {})}
         if self.point_starts is not None:
@@ -156,6 +159,7 @@ class Sweep:
         elif self.starts is not None:
             varied |= {f"starts.{name}": x for name, x in zip(self.starts.states, self.starts.vectors.T, strict=True)}
         fixed = {"scene": self.scene, **self.options, "dims": list(self.dims), "starts": starts}
+        fixed |= code_identity(self.system, self.options, method=self.run.stepper)
         fixed |= {f"parameters.{name}": value for name, value in self.parameters.items()}
         fixed |= {name: _outline(column) for name, column in varied.items()}
         return fixed | {f"run.{name}": value for name, value in self.run.described().items()}
@@ -173,17 +177,32 @@ class Sweep:
 
 
 def with_substitutes(scene: Scene[Any], values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return `values` with presets (names, or arrays of names) and rotation replaced by the parameters they define.
+    """Return `values` with presets (names, or arrays of names), rotation and frequencies replaced by parameters.
 
-    A rotation defines v = 2 pi rpm/60 bit_radius [m/s].
+    See [vibrojax.sweep.input.definition.resolved][]; presets are replaced by the parameters that they set.
     """
     values = dict(values)
     for preset, parameters in scene.presets.items():
         if preset in values:
             rows = [parameters[str(name)] for name in values.pop(preset)]
             values |= {name: np.array([row[name] for row in rows]) for name in rows[0]}
-    if "rpm" in values and "bit_radius" in values:
+    return resolved(values, substitutes(scene.parameters()))
+
+
+def resolved(values: Mapping[str, Any], names: Collection[str] = tuple(REPLACED)) -> dict[str, Any]:
+    """Return `values` with the quantities in `names` replaced by the parameters that they define, if all are known.
+
+    A rotation defines v = 2 pi rpm/60 bit_radius [m/s], a natural frequency of the bit k1 = m1 (2 pi bit_frequency)²,
+    and one of the striker gamma = 2 pi striker_frequency sqrt(m1/k1).
+    """
+    values = dict(values)
+    given = values.keys() & set(names)
+    if given >= {"rpm", "bit_radius"}:
         values["v"] = 2 * pi / 60 * values.pop("rpm") * values.pop("bit_radius")
+    if "bit_frequency" in given and "m1" in values:
+        values["k1"] = values["m1"] * (2 * pi * values.pop("bit_frequency")) ** 2
+    if "striker_frequency" in given and values.keys() >= {"m1", "k1"}:
+        values["gamma"] = 2 * pi * values.pop("striker_frequency") * (values["m1"] / values["k1"]) ** 0.5
     return values
 
 

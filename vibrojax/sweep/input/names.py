@@ -15,8 +15,8 @@ from vibrojax.errors import Place, shown
 from vibrojax.measures import GAUGES, Gauge
 from vibrojax.models.physics.friction import FRICTION_LAWS, FrictionLaw
 from vibrojax.models.physics.meanings import suggest_by_meaning, suggest_parameter
-from vibrojax.models.physics.parameters import ROTATION, Parameter
-from vibrojax.models.scenes import SCENES, Scene
+from vibrojax.models.physics.parameters import FREQUENCIES, REPLACED, Parameter, substitutes
+from vibrojax.models.scenes import SCENES, HasContact, Scene
 from vibrojax.stepping import STEPPERS, Stepper
 from vibrojax.sweep.input.run_settings import RunSettings
 from vibrojax.sweep.input.values import STATE, choice, quantity
@@ -29,6 +29,9 @@ _DERIVED = {
     "D": ("threshold", "the rock's D is called threshold; give that"),
 }
 """Quantities that are computed from a parameter: name of this parameter, and advice for a message."""
+
+_RESULTS = ("blow_frequency", "blows", "blow_rate", "blows_per_minute", "bpm")
+"""Words for the number of blows per minute, which follows from the motion."""
 
 _LACKING = {"friction": "does not slide"}
 """Wording for a scene without an option, used in messages."""
@@ -70,8 +73,8 @@ class Names:
 
     @cached_property
     def writable(self) -> dict[str, Parameter]:
-        """All names to which a number can be assigned: parameters, rpm and bit_radius."""
-        return self.parameters | (ROTATION if "v" in self.parameters else {})
+        """All names to which a number can be assigned: parameters, rpm, bit_radius and frequencies."""
+        return self.parameters | substitutes(self.parameters)
 
     @cached_property
     def presets(self) -> dict[str, dict[str, dict[str, float]]]:
@@ -93,15 +96,15 @@ class Names:
         return quantity(place, value, self.parameter(place, name))
 
     def substituted(self, names: set[str]) -> set[str]:
-        """Return the parameters that are defined by a preset or a rotation in `names`."""
+        """Return the parameters that are defined by a preset, a rotation or a frequency in `names`."""
         parameters = {name for preset in self.presets if preset in names for name in self._set_by(preset)}
-        return parameters | ({"v"} if "rpm" in names else set())
+        return parameters | {REPLACED[name] for name in names & substitutes(self.parameters).keys()}
 
     def check_substitutes(self, places: Mapping[str, Place]) -> None:
         """Raise if a parameter is specified twice, or if one of rpm and bit_radius is missing.
 
-        A rock defines threshold and k3; rpm and bit_radius together define v. `places`: place of each specified name in
-        the file.
+        A rock defines threshold and k3, rpm and bit_radius together define v, bit_frequency defines k1, and
+        striker_frequency defines gamma. `places`: place of each specified name in the file.
         """
         for preset in self.presets:
             for name in self._set_by(preset):
@@ -111,6 +114,9 @@ class Names:
         rotation = [name for name in ("rpm", "bit_radius") if name in places]
         if rotation and "v" in places:
             raise places[rotation[0]].error("v is given as well; give v, or rpm with bit_radius")
+        for name in (name for name in FREQUENCIES if name in places and name not in self.parameters):
+            if (replaced := REPLACED[name]) in places:
+                raise places[name].error(f"{replaced} is given as well; give {replaced}, or {name}")
         if len(rotation) == 1:
             missing = "bit_radius [m]" if rotation == ["rpm"] else "rpm [1/min]"
             raise places[rotation[0]].error(f"{missing} is missing; only both together give v: add it, or give v")
@@ -147,14 +153,26 @@ class Names:
             kinds = {value: replace(self.system, **{option: x}) for value, x in values.items()}  # type: ignore[type-var]
             if owners := [shown(value) for value, kind in kinds.items() if name in kind.parameters()]:
                 return f"{option} {shown(chosen)} has no {name}; it belongs to {option} = {' or '.join(owners)}"
+        if name in _RESULTS and isinstance(self.system, HasContact):
+            return "is a result of the motion and determines no parameter; give v, gamma or striker_frequency [Hz]"
+        hint = suggest_by_meaning(name, self.writable.values())
         if name in known_options() or any(name in kind().parameters() for kind in SCENES.values()):
-            hint = suggest_by_meaning(name, self.writable.values())
             return f"scene {shown(self.scene)} has no {name}; {hint}" if hint else has
         if name in _DERIVED and _DERIVED[name][0] in self.writable:
             return f"is not a parameter: {_DERIVED[name][1]}"
         if name in _TOP_KEYS or name in RunSettings.__dataclass_fields__:
             return f"is not a parameter; it belongs {'at the top of the file' if name in _TOP_KEYS else 'in [run]'}"
+        if not hint and (elsewhere := self._meaning_elsewhere(name)):
+            return f"scene {shown(self.scene)} has no {elsewhere}"
         return f"scene {shown(self.scene)} has no such parameter; {suggest_parameter(name, self.writable)}"
+
+    def _meaning_elsewhere(self, name: str) -> str:
+        """Return what `name` means in another scene, and the scenes that have it; "" if it has no meaning there."""
+        hints = {kind.name: suggest_by_meaning(name, kind().parameters().values()) for kind in SCENES.values()}
+        hints = {scene: hint.removeprefix("did you mean ").removesuffix("?") for scene, hint in hints.items() if hint}
+        meant = next(iter(hints.values()), "")
+        scenes = [scene for scene, hint in hints.items() if hint == meant]
+        return f"{meant}; scenes with one: {', '.join(scenes)}" if meant else ""
 
 
 def read_names(

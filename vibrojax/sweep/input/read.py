@@ -75,13 +75,13 @@ def read_sweep(source: str | PathLike[str] | Mapping[str, object], changes: Iter
         options=dict(names.options),
         system=names.system,
         starts=starts,
-        parameters=defaults | with_substitutes(names.system, fixed),
+        parameters=with_substitutes(names.system, defaults | fixed),
         given=fixed,
         axes=axes,
         points=points.columns if points else None,
         point_starts=points.starts if points else None,
         point_vectors=vectors,
-        run=read_settings(place.at("run"), as_table(place.at("run"), tables.get("run", {}))),
+        run=read_settings(place.at("run"), as_table(place.at("run"), tables.get("run", {})), names.system),
         file=origin.file,
     )
     if sweep.lanes > SWEEP_MAX_LANES:
@@ -203,7 +203,8 @@ def read_point(place: Place, scene: object, parameters: Mapping[str, object], st
     - `place`: place that error messages report as the file.
     - `scene`: name of a scene, or a scene.
     - `parameters`: parameters by name. `friction` is a law or the name of a law, `pulse_shape` the name of a shape.
-      `rpm` and `bit_radius` may replace `v`, and `rock` may replace `threshold` and `k3`.
+      `rpm` and `bit_radius` may replace `v`, `bit_frequency` `k1`, `striker_frequency` `gamma`, and `rock` may replace
+      `threshold` and `k3`.
     - `start`: initial condition, a name or a vector [x1, x1', x2, x2'] [m, m/s]; None for the first of the scene.
 
     **Raises:** `InputError`.
@@ -222,10 +223,11 @@ def read_point(place: Place, scene: object, parameters: Mapping[str, object], st
     for name, value in fixed.items():
         if name in table:
             warn_if_far(place.at(name), names.writable[name], value)
-    defaults = {name: parameter.default for name, parameter in names.parameters.items()}
-    return Point(
-        names.scene, dict(names.options), start, defaults | with_substitutes(names.system, fixed), names.system
-    )
+    absent = names.substituted(set(fixed))
+    values = {name: parameter.default for name, parameter in names.parameters.items() if name not in absent}
+    values = with_substitutes(names.system, values | fixed)
+    ordered = {name: values[name] for name in names.parameters}
+    return Point(names.scene, dict(names.options), start, ordered, names.system)
 
 
 def several_and_single(parameters: Mapping[str, object]) -> tuple[dict[str, list[Any]], dict[str, object]]:

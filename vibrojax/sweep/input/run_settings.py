@@ -99,10 +99,11 @@ MEANINGS: dict[str, str] = {field.name: field.metadata["meaning"] for field in f
 """Meanings of the keys of [run]."""
 
 
-def read_settings(place: Place, values: dict[str, object]) -> RunSettings:
-    """Return the validated table [run], which is at `place`, completed with defaults."""
+def read_settings(place: Place, values: dict[str, object], scene: Scene[Any]) -> RunSettings:
+    """Return the validated table [run], which is at `place`, completed with defaults, some of which the scene sets."""
     known_keys(place, values, MEANINGS)
     keys = RunSettings.__dataclass_fields__
+    values = dict(zip(("settle", "observe"), scene.usual_times, strict=True)) | values
     settings = RunSettings(**{name: keys[name].metadata["read"](place.at(name), x) for name, x in values.items()})
     unused = f"has no use with method {shown(settings.stepper.name)}"
     if settings.smoothing is not None and not settings.stepper.smooths:

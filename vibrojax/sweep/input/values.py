@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from vibrojax.errors import Place, shown, suggestion
+from vibrojax.errors import Place, counted, shown, suggestion
 from vibrojax.models.physics.parameters import Parameter
 from vibrojax.models.physics.units import UNITS, likely_units
 
@@ -187,7 +187,8 @@ def warn_if_far(place: Place, parameter: Parameter, values: object, likely: str 
     worst = max(far, key=lambda value: max(abs(value) / greatest, least / abs(value)))
     subject = f"{_with_unit(worst, parameter)} is"
     if numbers.size > 1:
-        subject = f"{np.isin(numbers, far).sum()} of {numbers.size} values, such as {_with_unit(worst, parameter)}, are"
+        of = f"of {numbers.size} values, such as {_with_unit(worst, parameter)},"
+        subject = counted(int(np.isin(numbers, far).sum()), f"{of} is", f"{of} are")
     usual = f"{low:g} to {_with_unit(high, parameter)}" if low != high else _with_unit(high, parameter)
     advice = likely or _likely(worst, parameter, (least or high / _USUAL_SPAN, high))
     line = f"{subject} far outside what the source and rigs have ({usual}); {advice}{meant}"

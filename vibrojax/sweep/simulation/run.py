@@ -49,7 +49,7 @@ def simulate(
     scene: str | Scene[Any],
     *,
     start: str | Sequence[float] | None = None,
-    duration: float = 20.0,
+    duration: float | None = None,
     method: str | Stepper | None = None,
     solver: "str | AbstractSolver | None" = None,
     step: float | None = None,
@@ -66,7 +66,7 @@ def simulate(
     - `scene`: "rotary", "vibro-impact", "penetration", "drilling" or "coupled-drilling", or a scene object.
     - `parameters`: parameters of the scene in SI units, `friction` (name of a friction law), `pulse_shape`, `rock`.
     - `start`: initial condition, "drive" (default), "stuck", "touching", or a vector [x1, x1', x2, x2'] [m, m/s].
-    - `duration`: simulated time [s].
+    - `duration`: simulated time [s]; by default 20 s, or 50 cycles of a `vj.System`.
     - `method`: "located" (default), "smoothed", or "diffrax".
     - `solver`: for "diffrax", a diffrax solver or its name, by default "Tsit5". Specifying `solver` selects "diffrax".
     - `error`: accepted relative error, from which step sizes and tolerances follow, unless the next two are specified.
@@ -109,6 +109,7 @@ def simulate(
     def setting(name: str, value: float, unit: str) -> float:
         return quantity(place.at(name), value, positive(name, 1.0, unit, name, name))
 
+    duration = sum(system.usual_times) * (5 / 12) if duration is None else duration
     duration, error = setting("duration", duration, "s"), setting("error", error, "1")
     step = None if step is None else setting("step", step, "s")
     smoothing = None if smoothing is None else setting("smoothing", smoothing, "m s-1")
@@ -152,7 +153,7 @@ def simulate(
     dataset = trajectory_dataset(point, system, motion, along_time, event_list, solver_text)
     if not numbers:
         return dataset
-    begin, observe = window(duration)
+    begin, observe = window(system, duration)
     return dataset.assign(numbers).assign_attrs(run=json.dumps({"settle": begin, "observe": observe}))
 
 
@@ -177,7 +178,8 @@ def _times(
 @lane_function(static=1)
 def _default_sampling(scene: Scene[Any], constants: Any) -> Array:
     """Return the default sampling interval [s], which resolves the oscillations of contact and rock."""
-    shortest: Any = jnp.asarray(1e-3)
+    _, observe = scene.usual_times
+    shortest: Any = jnp.asarray(observe / 8000)
     if isinstance(scene, HasContact):
         shortest = jnp.minimum(shortest, scene.contact_time(constants) / 20)
     if isinstance(scene, HasRock):
@@ -242,7 +244,7 @@ def recorded(
         recorder = recorder_of(scene)
 
         def run(duration: float, report: Callable[[float], None] | None, most_steps: int) -> tuple[Record, Features]:
-            begin, _ = window(duration)
+            begin, _ = window(scene, duration)
             return record(scene, stepper, constants, state, accuracy, duration, report, most_steps, recorder, begin)
 
         if (scene, stepper) not in _compiled:

@@ -15,11 +15,11 @@ from vibrojax.io.variables import VARIABLES, Variable
 from vibrojax.measures.section import lowest
 from vibrojax.models.arrays import Array
 from vibrojax.models.physics.parameters import differing
-from vibrojax.models.scenes import Driven, HasContact, HasFriction, HasRock, Scene
+from vibrojax.models.scenes import Driven, HasContact, HasFriction, HasImpacts, HasRock, Scene
 from vibrojax.models.scenes.declared import Values
 from vibrojax.sweep.engine.compiler import lane_function
 from vibrojax.sweep.engine.drift import drift
-from vibrojax.sweep.engine.labelled import measured_besides, regimes
+from vibrojax.sweep.engine.labelled import measured_besides, regime_variables, regimes
 from vibrojax.sweep.input.read import Point
 from vibrojax.sweep.simulation.dense_output import Record, accumulated
 
@@ -35,14 +35,16 @@ FORCES = {
 """Meanings of the sampled forces [N], by variable name."""
 
 
-OBSERVED_SHARE, OBSERVED_MAX_HALF = 1 / 6, 8.0
-"""Observed part of a motion: a fraction of its duration, which is that of a sweep's defaults, and a minimum [s]. If the
-minimum exceeds one half of the motion, one half is observed."""
+OBSERVED_SHARE = 1 / 6
+"""Observed part of a motion, as a fraction of its duration: that of a sweep's defaults."""
 
 
-def window(duration: float) -> tuple[float, float]:
-    """Return the beginning and the length of the observation of a motion with this `duration` [s]."""
-    observe = max(OBSERVED_SHARE * duration, min(OBSERVED_MAX_HALF, duration / 2))
+def window(scene: Scene[Any], duration: float) -> tuple[float, float]:
+    """Return the beginning and the length of the observation of a motion with this `duration` [s].
+
+    The observation has at least the scene's usual length, or half of a short motion.
+    """
+    observe = max(OBSERVED_SHARE * duration, min(scene.usual_times[1], duration / 2))
     return duration - observe, observe
 
 
@@ -62,7 +64,7 @@ def labelled_features(
             features["regime"] = regimes(scene, values, features | sound)
         features["drift_estimate"] = drift(features, scene.section, "float64", tolerance)
     numbers = {}
-    for name, variable in (VARIABLES | measured_besides(scene)).items():
+    for name, variable in (VARIABLES | regime_variables(scene) | measured_besides(scene)).items():
         if name in features and features[name].ndim == 1:
             value = features[name][0]
             value = np.nan_to_num(value) if np.issubdtype(variable.dtype, np.integer) else value
@@ -91,9 +93,10 @@ def events(scene: Scene[Any], c: Any, record: Record) -> Events:
         after = np.append(slip[1:], slip[-1:])
         masks["stick"] = hits["friction"] & (slip != 0) & (after == 0)
         masks["slip"] = hits["friction"] & (after != 0)
-    if isinstance(scene, HasContact):
+    if isinstance(scene, HasImpacts):
         modes, states = tuple(record.mode.T), tuple(record.after.T)
         masks["impact"] = np.asarray(impact_begins(scene, _scalars(c), modes, states, hits))
+    if isinstance(scene, HasContact):
         masks["release"] = hits["contact"] & (record.mode[:, scene.mode_place("touching")] != 0)
     if scene.section is not None:
         masks["section"] = _returns(scene, c, record)
@@ -153,7 +156,7 @@ def _forces(scene: Scene[Any], is_sharp: bool, c: Any, modes: Values, states: Va
 
 
 @lane_function(static=1)
-def impact_begins(scene: HasContact, c: Any, modes: Values, states: Values, hits: dict[str, Array]) -> Array:
+def impact_begins(scene: HasImpacts[Any], c: Any, modes: Values, states: Values, hits: dict[str, Array]) -> Array:
     """Return a mask of steps (`modes`, end `states`, guards `hits`) that end as an impact begins."""
     return scene.impact_begins(c, modes, states, hits)
 
@@ -185,7 +188,7 @@ def states_shown(
         x3 = x4 + motion.states[scene.place("compression")]
     for state, values in zip(scene.states, motion.states, strict=True):
         if state.shown:
-            variables[state.name] = _along_time(values, state.unit, state.long_name)
+            variables[state.name] = _along_time(values + state.offset, state.unit, state.long_name)
         elif state.name == "compression" and x3 is not None:
             variables["x3"] = _along_time(x3, "m", "normal position of the bit")
         elif state.name == "growth" and x4 is not None:

@@ -20,7 +20,7 @@ from vibrojax.analyses.sweep.workers.executor import pickled
 from vibrojax.analyses.sweep.workers.lifetime import on_leaving, work_for_parent
 from vibrojax.analyses.sweep.workers.work import Finished, Job, WorkersDied
 from vibrojax.compile.xla import usable_cores
-from vibrojax.errors import InputError
+from vibrojax.errors import InputError, counted
 from vibrojax.io.shards import Shards
 from vibrojax.progress import LOG
 from vibrojax.sweep.input.definition import Sweep
@@ -215,8 +215,9 @@ def by_slurm(
             raise
     failed = {index for index in unfinished if shards.has_failed(index)}
     if unfinished - failed:
+        of = f"of {len(order)} chunks"
         raise WorkersDied(
-            f"the jobs ended, and {len(unfinished)} of {len(order)} chunks are not there; what they said: {logs}"
+            f"the jobs ended, and {counted(len(unfinished), f'{of} is', f'{of} are')} not there; what they said: {logs}"
         )
     cancel()
     shutil.rmtree(logs, ignore_errors=True)

@@ -1,0 +1,204 @@
+"""Systems written as plain functions against closed forms, and one-line errors for mistakes in them."""
+
+import pickle
+
+import numpy as np
+import pytest
+import systems
+from own_scenes import (
+    ball_appears,
+    ball_doubles,
+    ball_orbit,
+    oscillator_doubles,
+    oscillator_grazes,
+    oscillator_orbits,
+)
+from systems import BALL, BELT, BILINEAR, IMPACT_OSCILLATOR, RELAY, belt_period
+
+import vibrojax as vj
+
+OSCILLATOR = {"w": 0.9, "stiffness": 1.0, "damping": 0.1, "stop": 1.0}
+R = 0.7
+GRAZE = oscillator_grazes(**OSCILLATOR)
+
+
+def special(family, kind):
+    """Return the parameter values of the special points of a kind on the first branch."""
+    flag = family.special_kind.attrs["flag_meanings"].split().index(kind)
+    chosen = (family.special_kind.values == flag) & (family.special_branch.values == 0)
+    return family.special_value.values[chosen]
+
+
+def test_orbits_and_multipliers_of_the_impact_oscillator():
+    amplitudes = np.array([1.5, 2.0, 2.5, 2.9]) * GRAZE
+    orbits = [oscillator_orbits(a, R, **OSCILLATOR)[-1] for a in amplitudes]
+    stable = [abs(orbit.multipliers[0]) < 1 for orbit in orbits]
+    points = {"a": amplitudes.tolist(), "x": [], "v": []}
+    ds = vj.run_sweep(
+        {
+            "scene": IMPACT_OSCILLATOR,
+            "grid": {"a": points["a"]},
+            "starts": [orbits[-1].section.tolist()],
+            "run": {"orbits": True},
+        },
+        progress=False,
+    )
+    assert any(stable) and ds.regime.attrs["flag_meanings"].split()[2] == "impact-free"
+    for k in np.flatnonzero(stable):
+        lane = ds.isel(a=int(k), start=0)
+        assert lane.impacts == 1 and int(lane.regime) == 3
+        assert float(lane.impact_velocity) == pytest.approx(orbits[k].speed, rel=1e-6)
+        assert [float(lane.orbit_x), float(lane.orbit_v)] == pytest.approx(orbits[k].section.tolist(), abs=1e-8)
+        known = np.sort(np.abs(orbits[k].multipliers))
+        assert np.sort(lane.multiplier_abs.values) == pytest.approx(known, rel=1e-6)
+
+
+def test_the_impact_oscillator_doubles_and_grazes_at_its_closed_forms():
+    doubles = oscillator_doubles((1.5 * GRAZE, 3 * GRAZE), R, **OSCILLATOR)
+    begin = oscillator_orbits(2.9 * GRAZE, R, **OSCILLATOR)[-1].section.tolist()
+    family = vj.follow(
+        IMPACT_OSCILLATOR, along="a", at=2.9 * GRAZE, span=(0.95 * doubles, 3 * GRAZE), start=begin, progress=False
+    )
+    assert special(family, "period-doubling") == pytest.approx([doubles], rel=1e-8)
+    free = vj.follow(
+        IMPACT_OSCILLATOR, along="a", at=0.9 * GRAZE, span=(0.8 * GRAZE, 1.2 * GRAZE), cycles=1, progress=False
+    )
+    assert special(free, "grazing") == pytest.approx([GRAZE], rel=1e-8)
+
+
+def test_the_ball_on_a_shaken_table_appears_and_doubles():
+    w, g = 2 * np.pi, 9.81
+    low, high = ball_appears(0.5), ball_doubles(0.5)
+    a = (low + high) / 2 * g / w**2
+    orbit = ball_orbit((low + high) / 2, 0.5, w, g)
+    start = [-a - float(orbit.section[0]), -float(orbit.section[1])]  # it is relative to the table, downwards
+    span = (0.9 * low * g / w**2, 1.05 * high * g / w**2)
+    family = vj.follow(BALL, along="a", at=a, span=span, start=start, cycles=1, progress=False)
+    assert special(family, "fold") * w**2 / g == pytest.approx([low], rel=1e-8)
+    assert special(family, "period-doubling") * w**2 / g == pytest.approx([high], rel=1e-8)
+
+
+def test_bounces_that_accumulate_end_in_rest():
+    motion = vj.simulate(BALL, start=[1.0, 0.0], duration=20.0, progress=False)
+    impacts = motion.event_time.values[motion.event_kind.values == 3]
+    ends = np.sqrt(2 / 9.81) * (1 + 0.5) / (1 - 0.5)
+    assert impacts[-1] == pytest.approx(ends, abs=1e-9)
+    assert abs(float(motion.x[-1])) < 1e-12 and float(motion.v[-1]) == 0
+    assert motion.regime.attrs["flag_meanings"].split()[int(motion.regime)] == "equilibrium"
+
+
+def test_a_ball_at_rest_is_thrown_off_where_the_table_falls_faster_than_it():
+    """The table accelerates downwards at most by a w² = 1.5 g; the ball leaves where a w² cos(w t) = -g."""
+    a, w = 1.5 * 9.81 / (2 * np.pi) ** 2, 2 * np.pi
+    motion = vj.simulate(BALL, start=[-a, 0.0], a=a, r=0.0, duration=1.0, sampling=1e-3, error=1e-8, progress=False)
+    gap = motion.x.values + a * np.cos(w * motion.time.values)
+    leaves = np.arccos(-1 / 1.5) / w
+    flying = motion.time.values[gap > 1e-7]
+    assert flying[0] == pytest.approx(leaves, abs=2e-2) and flying[0] > leaves
+    assert np.abs(gap[motion.time.values < leaves]).max() < 1e-10  # what the steps' errors add up to
+
+
+@pytest.mark.parametrize("speed", [0.05, 0.2])
+def test_stick_slip_on_a_belt_has_its_period_from_two_starts(speed):
+    ds = vj.run_sweep(
+        {"scene": BELT, "grid": {"belt_speed": [speed]}, "starts": [[0.0, 0.0], [1.5, 0.0]], "run": {"error": 1e-6}},
+        progress=False,
+    )
+    assert ds.period.values.ravel() == pytest.approx([belt_period(speed, 0.2)] * 2, rel=1e-8)
+    assert ds.regime.attrs["flag_meanings"].split()[int(ds.regime[0, 0])] == "periodic"
+
+
+@pytest.mark.parametrize("stiffness", [4.0, 9.0])
+def test_the_bilinear_oscillator_has_its_natural_period(stiffness):
+    motion = vj.simulate(BILINEAR, k2=stiffness, start=[1.0, 0.0], error=1e-8, progress=False)
+    assert float(motion.period) == pytest.approx(np.pi * (1 + 1 / np.sqrt(stiffness)), rel=1e-8)
+
+
+def test_a_relay_slides_by_filippovs_combination():
+    motion = vj.simulate(RELAY, start=[1.0, 0.0], duration=8.0, error=1e-8, progress=False)
+    late = motion.sel(time=slice(5.0, None))
+    decay = np.exp(-(late.time.values - late.time.values[0]))
+    assert late.x.values / float(late.x[0]) == pytest.approx(decay, rel=1e-8)
+    assert np.abs(late.x + late.y).max() < 1e-14
+
+
+def test_a_section_may_lie_at_a_number_and_regimes_may_have_names_of_ones_own():
+    ticking = vj.System(
+        "ticking",
+        states={"x": "m", "v": "m s-1"},
+        parameters={"mu": 0.5},
+        field=lambda t, y, p: {"x": y["v"], "v": p["mu"] * (1 - y["x"] ** 2) * y["v"] - y["x"]},
+        section=("x", 0.5),
+        regimes={"periodic": "ticking"},
+    )
+    motion = vj.simulate(ticking, start=[0.1, 0.0], progress=False)
+    assert motion.regime.attrs["flag_meanings"].split()[int(motion.regime)] == "ticking"
+    assert float(motion.period) == pytest.approx(6.3807, abs=2e-3)  # van der Pol, mu = 0.5
+    assert float(motion.x[0]) == pytest.approx(0.1) and float(motion.x.max()) == pytest.approx(2.0, abs=0.02)
+    crossings = motion.event_time.values[motion.event_kind.values == 5]
+    assert motion.x.interp(time=crossings[-3:]).values == pytest.approx([0.5] * 3, abs=1e-4)
+
+
+def test_other_processes_import_a_system_from_its_module():
+    assert pickle.loads(pickle.dumps(systems.BALL)) is systems.BALL
+    alone = vj.System(
+        "alone", states={"x": "m"}, parameters={"k": 1.0}, field=lambda t, y, p: {"x": -y["x"]}, section="x"
+    )
+    with pytest.raises(vj.InputError, match="top level of a file"):
+        pickle.dumps(alone)
+
+
+GOOD = {
+    "states": {"x": "m", "v": "m s-1"},
+    "parameters": {"k": 1.0},
+    "field": lambda t, y, p: {"x": y["v"], "v": -p["k"] * y["x"]},
+    "section": "x",
+}
+MISTAKES = {
+    "is not a state": {"section": "z"},
+    "give period=": {"section": None},
+    "field gave no rate of v": {"field": lambda t, y, p: {"x": y["v"]}},
+    'a rate of "z"': {"field": lambda t, y, p: {"x": y["v"], "v": 0.0, "z": 1.0}},
+    "field gave tuple": {"field": lambda t, y, p: (y["v"], 0.0)},
+    "field asks for 'c'": {"field": lambda t, y, p: {"x": y["v"], "v": -p["c"]}},
+    "shape (2,) for 3 lanes": {"field": lambda t, y, p: {"x": y["v"], "v": np.zeros(2)}},
+    "real numbers": {"field": lambda t, y, p: {"x": y["v"], "v": 1j}},
+    "not jnp or np": {"field": lambda t, y, p: {"x": y["v"], "v": -np.sin(y["x"])}},
+    "field depends on t": {"field": lambda t, y, p: {"x": y["v"], "v": cos(t)}},
+    "does not repeat after the period": {
+        "field": lambda t, y, p: {"x": y["v"], "v": cos(t)},
+        "section": None,
+        "period": 6.0,
+    },
+    "it must be above zero": {"section": None, "period": lambda p: -p["k"]},
+    "finite number": {"parameters": {"k": np.nan}},
+    "at least one parameter": {"parameters": {}},
+    "name of two things": {"parameters": {"x": 1.0}},
+    "cannot be a name": {"states": {"t": "m", "v": "m s-1"}},
+    "cannot see the switch": {"events": [vj.Switch("side", lambda t, y, p: y["x"])]},
+    "choose from x, v": {"events": [vj.Impact("stop", gap=lambda t, y, p: y["x"], velocity="w")]},
+    "between 0 and 1": {"events": [vj.Impact("stop", gap=lambda t, y, p: y["x"], velocity="v", restitution=1.2)]},
+    "either velocity=": {"events": [vj.Impact("stop", gap=lambda t, y, p: y["x"])]},
+    "is not a vj.Impact": {"events": ["stop"]},
+    "gap asks for 'd'": {"events": [vj.Impact("stop", gap=lambda t, y, p: p["d"] - y["x"], velocity="v")]},
+}
+
+
+def cos(x):
+    return vj.elementary.cos(x)
+
+
+@pytest.mark.parametrize("message", MISTAKES)
+def test_a_mistake_in_a_system_is_one_line(message):
+    with pytest.raises(vj.InputError) as caught:
+        vj.System("wrong", **(GOOD | MISTAKES[message]))
+    text = str(caught.value)
+    assert text.startswith("system wrong: ") and message in text and "\n" not in text and len(text) < 220
+
+
+def test_a_start_beyond_the_stop_fails_and_numbers_stand_for_lanes():
+    ds = vj.run_sweep({"scene": IMPACT_OSCILLATOR, "grid": {"a": [0.1, 0.15]}, "starts": [[1.5, 0.0]]}, progress=False)
+    assert ds.regime.attrs["flag_meanings"].split()[int(ds.regime[0, 0])] == "failed"
+    falling = vj.System("falling", **(GOOD | {"field": lambda t, y, p: {"x": 1.0, "v": 0.0}}))
+    motion = vj.simulate(falling, start=[0.0, 0.0], duration=2.0, progress=False)
+    assert float(motion.x[-1]) == pytest.approx(2.0)

@@ -1,0 +1,1 @@
+"""Systems written as plain functions."""

@@ -1,0 +1,122 @@
+"""Events of a system: impacts on a stop, surfaces on which the equations switch, and dry friction.
+
+Functions of an event take the time t [s], the states `y` and the parameters `p` by name, like the field of the system.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import jax.numpy as jnp
+
+from vibrojax.models.physics.friction import FrictionLaw
+from vibrojax.models.physics.parameters import Parameter
+
+OfMotion = Callable[[Any, Mapping[str, Any], Mapping[str, Any]], Any]
+"""A function of time, states and parameters."""
+
+
+@dataclass(frozen=True)
+class Impact:
+    """A rigid stop that reverses a velocity when a gap closes.
+
+    - `gap`: function `gap(t, y, p)`, positive while the bodies are apart.
+    - `velocity`: name of the state that jumps.
+    - `restitution`: coefficient of restitution, a number or a function of `p`. The jump changes the rate of the gap to
+      its negative, times this coefficient (Newton's law, also for a stop that moves).
+    - `reset`: instead of `velocity` and `restitution`, a function `reset(t, y, p)` that returns new values of states
+      by name. Such a stop cannot hold the motion: bounces that accumulate end as a failed lane.
+
+    A bounce whose speed is at most 1e-10 of a typical speed ends in rest on the stop if the field pushes against the
+    stop. The rest lasts until the field pulls away.
+
+    **Example:**
+
+    >>> vj.Impact("stop", gap=lambda t, y, p: p["d"] - y["x"], velocity="v", restitution=0.8).velocity
+    'v'
+    """
+
+    name: str
+    gap: OfMotion
+    velocity: str | None = None
+    restitution: float | Callable[[Mapping[str, Any]], Any] = 1.0
+    reset: Callable[[Any, Mapping[str, Any], Mapping[str, Any]], Mapping[str, Any]] | None = None
+
+    def bounce(self, p: Mapping[str, Any]) -> Any:
+        """Return the coefficient of restitution."""
+        return self.restitution(p) if callable(self.restitution) else self.restitution
+
+
+@dataclass(frozen=True)
+class Switch:
+    """A surface on which the field changes: `function(t, y, p)` is positive on one side and negative on the other.
+
+    The field takes a fourth argument `s`; `s[name]` is the side, 1 or -1. Where the fields of both sides push towards
+    the surface, the motion slides along it by Filippov's convex combination of the two fields, until one of them
+    leads away (Filippov, *Differential Equations with Discontinuous Righthand Sides*, 1988).
+
+    **Example:**
+
+    >>> vj.Switch("side", lambda t, y, p: y["x"] - p["x0"]).name
+    'side'
+    """
+
+    name: str
+    function: OfMotion
+
+
+@dataclass(frozen=True)
+class Friction:
+    """Dry friction with the force -sgn(u) mu(|u|) N on a body, which sticks while mu(0) N holds it.
+
+    - `relative`: function u = `relative(t, y, p)`, the sliding velocity [m/s].
+    - `normal`: function N = `normal(t, y, p)`, the normal force [N].
+    - `law`: a friction law, whose parameters become parameters of the system; or a constant coefficient, a number or
+      a function of `p`.
+    - `acts_on`: name of the velocity that the force changes; `mass`: the mass [kg], a number or a function of `p`.
+    - `static`: coefficient of friction of a body that sticks, a number or a function of `p`; left out, it is that of
+      the law at rest.
+
+    **Example:**
+
+    >>> belt = vj.Friction(
+    ...     "belt", relative=lambda t, y, p: y["v"] - p["v0"], normal=lambda t, y, p: p["N"], law=0.3, acts_on="v"
+    ... )
+    >>> belt.coefficient(1.0, {})
+    0.3
+    """
+
+    name: str
+    relative: OfMotion
+    normal: OfMotion
+    law: FrictionLaw | float | Callable[[Mapping[str, Any]], Any]
+    acts_on: str
+    mass: Callable[[Mapping[str, Any]], Any] | float = 1.0
+    static: float | Callable[[Mapping[str, Any]], Any] | None = None
+
+    @property
+    def parameters(self) -> Mapping[str, Parameter]:
+        """Parameters of the friction law."""
+        return self.law.parameters if isinstance(self.law, FrictionLaw) else {}
+
+    def coefficient(self, speed: Any, p: Mapping[str, Any]) -> Any:
+        """Return the friction coefficient at a sliding speed (at least 0) [1]."""
+        if isinstance(self.law, FrictionLaw):
+            return self.law.on_weight(speed, {name: p[name] for name in self.law.parameters})
+        return self.law(p) if callable(self.law) else self.law
+
+    def acceleration(self, t: Any, y: Mapping[str, Any], p: Mapping[str, Any], slip: Any) -> Any:
+        """Return the greatest deceleration mu N/m [m/s²] at the sliding speed `slip` u; `slip`: sgn u or 0."""
+        return self._deceleration(self.coefficient(slip * self.relative(t, y, p), p), t, y, p)
+
+    def holding(self, t: Any, y: Mapping[str, Any], p: Mapping[str, Any]) -> Any:
+        """Return the greatest acceleration [m/s²] against which the body sticks."""
+        static = self.static(p) if callable(self.static) else self.static
+        return self._deceleration(self.coefficient(jnp.zeros(()), p) if static is None else static, t, y, p)
+
+    def _deceleration(self, coefficient: Any, t: Any, y: Mapping[str, Any], p: Mapping[str, Any]) -> Any:
+        mass = self.mass(p) if callable(self.mass) else self.mass
+        return coefficient * self.normal(t, y, p) * (1.0 / jnp.asarray(mass))
+
+
+Event = Impact | Switch | Friction

@@ -1,0 +1,298 @@
+"""Checks of the functions of a system, and the structure that random states reveal."""
+
+import inspect
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from vibrojax.errors import InputError, shown
+from vibrojax.models.physics.friction import FrictionLaw
+from vibrojax.models.physics.parameters import Parameter
+from vibrojax.models.systems.events import Event, Friction, Impact, Switch
+from vibrojax.models.systems.numbers import slope_along
+
+LANES = 3
+"""Number of lanes with which the functions are tried."""
+
+RESERVED = ("t", "approach", "start", "direction", "point", "return", "time", "rock", "friction")
+"""Names that datasets and sweep files use for other things."""
+
+EQUAL = 1e-9
+"""Relative difference up to which two probed values are equal."""
+
+
+class Probe:
+    """The checked declaration of a system; see [vibrojax.models.systems.system.System][] for the arguments."""
+
+    def __init__(
+        self,
+        name: str,
+        states: Mapping[str, str],
+        parameters: Mapping[str, float | Parameter],
+        field: Callable[..., Mapping[str, Any]],
+        period: float | Callable[[Mapping[str, Any]], Any] | None,
+        section: str | tuple[str, float] | None,
+        events: Sequence[Any],
+        regimes: Mapping[str, str] | None,
+    ):
+        if not isinstance(name, str) or not name:
+            raise InputError(f"system: the name is {shown(name)}; give a string such as 'impact-oscillator'")
+        self._name, self._states, self._field, self._events = name, dict(states), field, tuple(events)
+        self._check_names(states, parameters)
+        laws = [event for event in self._events if isinstance(event, Friction)]
+        self.parameters = {key: _parameter(key, x, self._refuse) for key, x in parameters.items()}
+        for event in laws:
+            self.parameters |= {key: x for key, x in event.parameters.items() if key not in self.parameters}
+        self.takes_sides = self._takes_sides()
+        self._check_events()
+        rng = np.random.default_rng(5)
+        self._p = {
+            key: jnp.full(LANES, x.default) if x.default else jnp.zeros(LANES) for key, x in self.parameters.items()
+        }
+        # Other values than the defaults show the structure: a forcing whose amplitude is zero by default is a forcing.
+        defaults = self._p
+        self._others = {
+            key: x * jnp.asarray(rng.uniform(0.9, 1.1, LANES))
+            + jnp.where(x == 0, jnp.asarray(rng.uniform(0.1, 0.3, LANES)), 0.0)
+            for key, x in defaults.items()
+        }
+        self._y = {key: jnp.asarray(rng.uniform(0.2, 0.9, LANES)) for key in states}
+        self._t = jnp.asarray(rng.uniform(0.1, 0.2, LANES))
+        self._check_functions()
+        if period is not None:
+            T = self._number("period", self._call("period", period, defaults) if callable(period) else period)
+            if not bool((jnp.isfinite(T) & (T > 0)).all()):
+                raise self._refuse(f"period is {float(T[0]):g}; it must be above zero")
+        self._p = self._others
+        self._check_section(period, section)
+        for key, own in dict(regimes or {}).items():
+            if not isinstance(own, str) or not own or " " in own:
+                raise self._refuse(f"regimes: {shown(own)} names {shown(key)}; a name is one word, such as 'rocking'")
+
+    def _refuse(self, reason: str) -> InputError:
+        return InputError(f"system {self._name}: {reason}")
+
+    def _check_names(self, states: Mapping[str, str], parameters: Mapping[str, Any]) -> None:
+        if not states or not parameters:
+            lacking = "state, such as states={'x': 'm'}" if not states else "parameter, such as parameters={'k': 1.0}"
+            raise self._refuse(f"it needs at least one {lacking}")
+        for event in self._events:
+            if not isinstance(event, Impact | Switch | Friction):
+                raise self._refuse(f"events: {shown(event)} is not a vj.Impact, vj.Switch or vj.Friction")
+        names = [*states, *parameters, *(event.name for event in self._events)]
+        for key in names:
+            if not isinstance(key, str) or not key.isidentifier() or key in RESERVED:
+                raise self._refuse(
+                    f"{shown(key)} cannot be a name; write an identifier, not one of {', '.join(RESERVED)}"
+                )
+            if names.count(key) > 1:
+                raise self._refuse(
+                    f"{shown(key)} is the name of two things; states, parameters and events need different names"
+                )
+
+    def _takes_sides(self) -> bool:
+        try:
+            arguments = len(inspect.signature(self._field).parameters)
+        except (TypeError, ValueError):
+            arguments = 3
+        switches = [event.name for event in self._events if isinstance(event, Switch)]
+        if arguments not in (3, 4):
+            raise self._refuse(
+                f"field takes {arguments} arguments; write field(t, y, p), or field(t, y, p, s) with switches"
+            )
+        if switches and arguments == 3:
+            raise self._refuse(f"field(t, y, p) cannot see the switch {switches[0]}; write field(t, y, p, s)")
+        return arguments == 4
+
+    def _check_events(self) -> None:
+        for event in self._events:
+            if isinstance(event, Impact) and (event.velocity is None) == (event.reset is None):
+                raise self._refuse(f"event {event.name}: give either velocity= and restitution=, or reset=")
+            name = event.velocity if isinstance(event, Impact) else getattr(event, "acts_on", None)
+            if name is not None and name not in self._states:
+                raise self._refuse(
+                    f"event {event.name}: {shown(name)} is not a state; choose from {', '.join(self._states)}"
+                )
+            if isinstance(event, Friction) and not (
+                isinstance(event.law, FrictionLaw | int | float) or callable(event.law)
+            ):
+                raise self._refuse(
+                    f"event {event.name}: law is {shown(event.law)}; give a number, a function of p or a vj.FrictionLaw"
+                )
+
+    # What the functions give
+
+    def _call(self, what: str, function: Callable[..., Any], *arguments: Any) -> Any:
+        try:
+            return function(*arguments)
+        except KeyError as error:
+            known = ", ".join([*self._states, *self.parameters])
+            raise self._refuse(f"{what} asks for {error.args[0]!r}; the states and parameters are {known}") from None
+        except InputError:
+            raise
+        except Exception as error:
+            text = str(error).strip().split("\n")[0]
+            raise self._refuse(f"{what} fails with {type(error).__name__}: {text}") from None
+
+    def _number(self, what: str, value: Any) -> Any:
+        """Return a number per lane as an array; anything else is refused."""
+        try:
+            array = jnp.asarray(value)
+        except (TypeError, ValueError):
+            raise self._refuse(f"{what} gave {type(value).__name__}; it must give one number per lane") from None
+        if array.dtype.kind not in "fiu":
+            raise self._refuse(f"{what} gave values of type {array.dtype}; they must be real numbers")
+        if array.shape not in ((), (LANES,)):
+            raise self._refuse(
+                f"{what} gave an array of shape {array.shape} for {LANES} lanes; it must give one number per lane"
+            )
+        return jnp.broadcast_to(array.astype(float), (LANES,))
+
+    def rates(self, t: Any, y: Mapping[str, Any], number: bool = True) -> dict[str, Any]:
+        """Return the field at a time and state, with all switches on the positive side."""
+        sides = ({event.name: 1.0 for event in self._events if isinstance(event, Switch)},) if self.takes_sides else ()
+        rates = self._call("field", self._field, t, y, self._p, *sides)
+        if not isinstance(rates, Mapping):
+            raise self._refuse(f"field gave {type(rates).__name__}; it must give a dict with the rate of each state")
+        if set(rates) != set(self._states):
+            lacking, more = [x for x in self._states if x not in rates], [x for x in rates if x not in self._states]
+            raise self._refuse(
+                f"field gave no rate of {lacking[0]}"
+                if lacking
+                else f"field gave a rate of {shown(more[0])}, which is not a state"
+            )
+        return {key: self._number(f"field, {key},", rates[key]) if number else rates[key] for key in self._states}
+
+    def _surface(self, event: Event) -> tuple[str, Callable[..., Any]]:
+        kind = {Impact: "gap", Switch: "function", Friction: "relative"}[type(event)]
+        return f"event {event.name}: {kind}", getattr(event, kind)
+
+    def _check_functions(self) -> None:
+        self.rates(self._t, self._y)
+        for event in self._events:
+            what, function = self._surface(event)
+            self._number(what, self._call(what, function, self._t, self._y, self._p))
+            if isinstance(event, Friction):
+                what = f"event {event.name}: normal"
+                self._number(what, self._call(what, event.normal, self._t, self._y, self._p))
+                what = f"event {event.name}: mass"
+                self._number(what, self._call(what, event.mass, self._p) if callable(event.mass) else event.mass)
+            if isinstance(event, Impact) and event.reset is not None:
+                what = f"event {event.name}: reset"
+                new = self._call(what, event.reset, self._t, self._y, self._p)
+                if not isinstance(new, Mapping) or not set(new) <= set(self._states):
+                    raise self._refuse(f"{what} gave {shown(new)}; it must give a dict of new values of states")
+            elif isinstance(event, Impact):
+                what = f"event {event.name}: restitution"
+                r = self._number(what, self._call(what, event.bounce, self._p))
+                if not bool(((r >= 0) & (r <= 1)).all()):
+                    raise self._refuse(f"{what} is {float(r[0]):g}; it must lie between 0 and 1")
+        self._check_series()
+
+    def _check_series(self) -> None:
+        """Try the functions on the number types of a step, which `jnp` and `np` functions do not accept."""
+        from vibrojax.models.systems.numbers import Dual
+
+        y = {key: Dual(x, 1.0, 1) for key, x in self._y.items()}
+        what = "field"
+        advice = "use + - * / ** and vj.elementary, not jnp or np, on states and time"
+        try:
+            self.rates(Dual(self._t, 1.0, 1), y, number=False)
+            for event in self._events:
+                what, function = self._surface(event)
+                function(Dual(self._t, 1.0, 1), y, self._p)
+        except InputError as error:
+            text = str(error)
+            if "TypeError" in text or "AttributeError" in text:
+                raise self._refuse(f"{what} uses a function that steps cannot expand; {advice}") from None
+            raise
+        except TypeError:
+            raise self._refuse(f"{what} uses a function that steps cannot expand; {advice}") from None
+
+    def _check_section(self, period: Any, section: Any) -> None:
+        if (period is None) == (section is None):
+            raise self._refuse("give period= for a forced system, or section= (a state) for one without forcing")
+        if section is not None:
+            name, known = section[0] if isinstance(section, tuple) else section, ", ".join(self._states)
+            if name not in self._states or (
+                isinstance(section, tuple) and (len(section) != 2 or not math.isfinite(section[1]))
+            ):
+                raise self._refuse(
+                    f"section: {shown(section)} is not a state, or a pair of a state and a number; states are {known}"
+                )
+            if not self._same(self._t, self._t + 0.37):
+                raise self._refuse("field depends on t; give period= (of the forcing) instead of section=")
+            return
+        T = self._number("period", period(self._p) if callable(period) else period)
+        for share in (0.13, 0.41):
+            if not self._same(share * T, (share + 1) * T) or not self._same(share * T, (share - 1) * T):
+                raise self._refuse("field does not repeat after the period; check period=")
+
+    def _same(self, first: Any, second: Any) -> bool:
+        """Return whether the field and the events are the same at two times."""
+        functions = [self._surface(event)[1] for event in self._events]
+
+        def values(t: Any) -> list[Any]:
+            return [*self.rates(t, self._y).values(), *(f(t, self._y, self._p) + 0.0 * t for f in functions)]
+
+        return all(bool(_equal(a, b)) for a, b in zip(values(first), values(second), strict=True))
+
+    # Structure
+
+    def velocities(self) -> dict[str, str]:
+        """Return, for each state whose rate of change is another state, the name of that state."""
+        rates = self.rates(self._t, self._y)
+        return {
+            key: other
+            for key, rate in rates.items()
+            for other, value in self._y.items()
+            if other != key and bool((rate == value).all())
+        }
+
+    def surfaces(self) -> set[str]:
+        """Return the states whose zeros are those of an event."""
+        values = [self._surface(event)[1](self._t, self._y, self._p) for event in self._events]
+        return {key for key, y in self._y.items() for value in values if _equal(abs(value), abs(y))}
+
+    def still_stops(self) -> dict[int, float]:
+        """Return, for each impact whose gap is a constant plus or minus the position of its velocity, that sign."""
+        signs: dict[int, float] = {}
+        positions = {speed: key for key, speed in self.velocities().items()}
+        for index, event in enumerate(self._events):
+            if not isinstance(event, Impact) or event.velocity not in positions:
+                continue
+            position, gap = positions[event.velocity], event.gap
+
+            def slope(unit: str | None, gap: Any = gap) -> Any:
+                directions = [float(key == unit) for key in self._y]
+                return slope_along(lambda t, y: gap(t, y, self._p), self._t, self._y, directions, float(unit is None))
+
+            moves = [slope(key) for key in self._y if key != position] + [slope(None)]
+            sign = float(jnp.ravel(jnp.asarray(slope(position)))[0])
+            linear = bool(_equal(slope(position), sign)) and abs(abs(sign) - 1.0) < EQUAL
+            if linear and all(bool(_equal(x, 0.0)) for x in moves):
+                signs[index] = math.copysign(1.0, sign)
+        return signs
+
+
+def _equal(a: Any, b: Any) -> bool:
+    a, b = jnp.asarray(a), jnp.asarray(b)
+    return bool((jnp.abs(a - b) <= EQUAL * (1 + jnp.abs(a))).all())
+
+
+def _parameter(name: str, value: float | Parameter, refuse: Callable[[str], InputError]) -> Parameter:
+    if isinstance(value, Parameter):
+        if value.name != name:
+            raise refuse(f"parameter {name} is declared as {shown(value.name)}; use one name")
+        return value
+    if (
+        isinstance(value, bool)
+        or not isinstance(value, int | float | np.number | jax.Array)
+        or not math.isfinite(value)
+    ):
+        raise refuse(f"parameter {name} is {shown(value)}; give a finite number, or an entry of vj.parameters")
+    return Parameter(name, float(value), "1", name, name)
